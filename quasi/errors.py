@@ -1,0 +1,49 @@
+"""The errors a user can mend. Each message is one sentence: what, where, found, expected, remedy."""
+
+import difflib
+from collections.abc import Iterable
+
+
+class QuasiError(ValueError):
+    """A fault in the input that a user can mend; the message is a sentence that says how."""
+
+
+class ConfigError(QuasiError):
+    """A configuration file holds an unknown key, a wrong type or an impossible value."""
+
+
+class LogbookError(QuasiError):
+    """The logbook lacks a column, a row or a value, or two of its rows clash."""
+
+
+class ReadError(QuasiError):
+    """A raw recording is absent, damaged beyond use, or not what its name says."""
+
+
+class DataError(QuasiError):
+    """A recording can be read, but what it holds cannot be used for what was asked."""
+
+
+class ShapeError(QuasiError):
+    """An array has the wrong shape."""
+
+
+class ExpressionError(QuasiError):
+    """An expression of a polynomial specification cannot be understood or computed."""
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Half a sentence that proposes the known name most like `name`: "; did you mean 'mass'?", or the list if short.
+
+    >>> nearest("mas", ["mass", "b"])
+    "; did you mean 'mass'?"
+    """
+    known = sorted(map(str, known))
+    lowered = {k.lower(): k for k in known}
+    close = difflib.get_close_matches(str(name).lower(), list(lowered), n=1, cutoff=0.6)
+    if close:
+        return f"; did you mean '{lowered[close[0]]}'?"
+    if not known:
+        return ""
+    shown = ", ".join(f"'{k}'" for k in known[:12]) + (", ..." if len(known) > 12 else "")
+    return f"; known are {shown}"

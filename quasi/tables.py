@@ -1,0 +1,231 @@
+"""The only module that opens files: Parquet tables with units, JSON documents, raw bytes and text.
+
+Writes are whole or not at all: a temporary file beside the target, then a rename.
+Every column of a flight carries its unit and its frame in the Parquet field metadata; the file carries how it was made.
+"""
+
+import hashlib
+import json
+import math
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from quasi.errors import ConfigError, DataError, ReadError, nearest
+
+# name: (unit, frame, meaning). Columns outside this list name their own unit when written.
+COLUMNS: dict[str, tuple[str, str, str]] = {
+    "t": ("s", "", "time since the first fused sample"),
+    **{f"w{i}": ("rad/s", "", f"rotor {i}, mechanical speed as measured") for i in range(1, 9)},
+    **{f"w{i}_dot": ("rad/s2", "", f"rotor {i}, acceleration") for i in range(1, 9)},
+    **{f"command{i}": ("1", "", f"rotor {i}, commanded share of the motor output range") for i in range(1, 9)},
+    **{f"w{i}_CMD": ("rad/s", "", f"rotor {i}, commanded speed") for i in range(1, 9)},
+    **{
+        f"a{axis}": ("m/s2", "body FRD", f"specific force along {word}")
+        for axis, word in zip("xyz", ("x, forward", "y, right", "z, down"))
+    },
+    "p": ("rad/s", "body FRD", "roll rate"),
+    "q": ("rad/s", "body FRD", "pitch rate"),
+    "r": ("rad/s", "body FRD", "yaw rate"),
+    **{f"{axis}_dot": ("rad/s2", "body FRD", f"time derivative of {axis}") for axis in "pqr"},
+    "roll": ("rad", "body to earth, 3-2-1", "roll angle"),
+    "pitch": ("rad", "body to earth, 3-2-1", "pitch angle"),
+    "yaw": ("rad", "body to earth, 3-2-1", "yaw angle"),
+    "x": ("m", "earth NED", "position north/forward"),
+    "y": ("m", "earth NED", "position east/right"),
+    "z": ("m", "earth NED", "position down"),
+    "vx": ("m/s", "earth NED", "velocity north/forward, over ground"),
+    "vy": ("m/s", "earth NED", "velocity east/right, over ground"),
+    "vz": ("m/s", "earth NED", "velocity down, over ground"),
+    "u": ("m/s", "body FRD", "velocity forward, over ground"),
+    "v": ("m/s", "body FRD", "velocity right, over ground"),
+    "w": ("m/s", "body FRD", "velocity down, over ground"),
+    "u_air": ("m/s", "body FRD", "velocity forward, through the air"),
+    "v_air": ("m/s", "body FRD", "velocity right, through the air"),
+    "w_air": ("m/s", "body FRD", "velocity down, through the air"),
+    "Fx": ("N", "body FRD", "force along x"),
+    "Fy": ("N", "body FRD", "force along y"),
+    "Fz": ("N", "body FRD", "force along z"),
+    "Mx": ("N m", "body FRD", "moment about x"),
+    "My": ("N m", "body FRD", "moment about y"),
+    "Mz": ("N m", "body FRD", "moment about z"),
+    "v_in": ("m/s", "", "induced velocity"),
+    "battery_voltage": ("V", "", "battery voltage"),
+    "battery_current": ("A", "", "battery current"),
+    "throttle": ("1", "", "throttle"),
+    "setpoint_p": ("rad/s", "body FRD", "roll rate asked for"),
+    "setpoint_q": ("rad/s", "body FRD", "pitch rate asked for"),
+    "setpoint_r": ("rad/s", "body FRD", "yaw rate asked for"),
+}
+
+_MADE = b"quasi"
+
+
+@contextmanager
+def whole_file(path: str | Path) -> Iterator[Path]:
+    """A temporary path beside `path` that takes its place when the block ends well and vanishes when it does not."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_table(
+    path: str | Path,
+    frame: pd.DataFrame,
+    units: Mapping[str, tuple[str, str] | tuple[str, str, str]] | None = None,
+    made: Mapping[str, Any] | None = None,
+) -> None:
+    """Write columns as Parquet with unit, frame and meaning on each field.
+
+    frame  one column per quantity; units  {column: (unit, frame[, meaning])} for columns outside COLUMNS;
+    made   how the table was made (plain data), kept in the file's metadata.
+    Raises DataError for a column without a known unit.
+    """
+    units = dict(units or {})
+    fields, arrays = [], []
+    for name in frame.columns:
+        about = units.get(name, COLUMNS.get(name))
+        if about is None:
+            raise DataError(f"column '{name}' of {path} has no unit; name it in `units`")
+        array = pa.array(frame[name].to_numpy())
+        about = {"unit": about[0], "frame": about[1], "meaning": about[2] if len(about) > 2 else ""}
+        fields.append(pa.field(name, array.type, metadata={k: v for k, v in about.items() if v}))
+        arrays.append(array)
+    schema = pa.schema(fields, metadata={_MADE: _dumps(dict(made or {})).encode()})
+    with whole_file(path) as part:
+        pq.write_table(pa.Table.from_arrays(arrays, schema=schema), part, compression="zstd")
+
+
+def read_table(path: str | Path, columns: Sequence[str] | None = None) -> pd.DataFrame:
+    """Read a Parquet table; `columns` limits what is read. Raises ReadError or DataError naming file and column."""
+    path = Path(path)
+    try:
+        with pq.ParquetFile(path) as source:
+            names = source.schema_arrow.names
+            missing = [c for c in columns or () if c not in names]
+            if missing:
+                raise DataError(f"{path} has no column '{missing[0]}'{nearest(missing[0], names)}")
+            return source.read(columns=list(columns) if columns is not None else None).to_pandas()
+    except FileNotFoundError:
+        raise ReadError(f"{path} does not exist; make it first, or correct the path") from None
+    except (pa.ArrowInvalid, OSError) as error:
+        raise ReadError(f"{path} is not a readable Parquet file ({error}); make or copy it anew") from None
+
+
+def read_fields(path: str | Path) -> dict[str, dict[str, str]]:
+    """{column: {"unit", "frame", "meaning"}} as written on the Parquet fields."""
+    schema = pq.read_schema(path)
+    return {f.name: {k.decode(): v.decode() for k, v in (f.metadata or {}).items()} for f in schema}
+
+
+def read_made(path: str | Path) -> dict[str, Any]:
+    """How a table was made, as given to `write_table`."""
+    return json.loads((pq.read_schema(path).metadata or {}).get(_MADE, b"{}"))
+
+
+def _plain(value: Any) -> Any:
+    """Plain JSON data: numpy becomes Python, NaN and infinities become null (JSON has no such numbers)."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple | set):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Path):
+        return str(value)
+    return value
+
+
+def _dumps(document: Any, indent: int | None = None) -> str:
+    return json.dumps(_plain(document), indent=indent, ensure_ascii=False, allow_nan=False)
+
+
+def write_json(path: str | Path, document: Any) -> None:
+    """Write plain data as JSON; NaN and infinities become null. Floats keep every digit."""
+    with whole_file(path) as part:
+        part.write_text(_dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+def read_json(path: str | Path) -> Any:
+    """Read JSON. Raises ConfigError naming file, line and column; a key that stands twice is an error."""
+    path = Path(path)
+    text = read_text(path)
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        seen: dict[str, Any] = {}
+        for key, value in pairs:
+            if key in seen:
+                raise ConfigError(f"{path} names the key '{key}' twice in one section; remove one")
+            seen[key] = value
+        return seen
+
+    try:
+        return json.loads(text, object_pairs_hook=unique)
+    except json.JSONDecodeError as error:
+        raise ConfigError(
+            f"{path} is not valid JSON at line {error.lineno}, column {error.colno} ({error.msg}); "
+            "JSON has no comments, no trailing commas, and wants double quotes"
+        ) from None
+    except RecursionError:
+        raise ConfigError(f"{path} is nested too deeply to be a configuration; correct it") from None
+
+
+def read_text(path: str | Path) -> str:
+    """Read a text file (UTF-8, with or without a byte order mark; else Latin-1)."""
+    data = bytes(read_bytes(path))
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def read_bytes(path: str | Path) -> bytes:
+    """Read a raw file whole. Raises ReadError when it is absent, a folder, unreadable or empty."""
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise ReadError(f"{path} does not exist; correct the name or path in the logbook, or copy the file there") from None
+    except OSError as error:
+        raise ReadError(f"{path} cannot be read ({error.strerror}); check that it is a file and its permissions") from None
+    if not data:
+        raise ReadError(f"{path} is empty (0 bytes); copy it from its source again")
+    return data
+
+
+def write_bytes(path: str | Path, data: bytes) -> None:
+    """Write bytes, whole or not at all."""
+    with whole_file(path) as part:
+        part.write_bytes(data)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write text (UTF-8), whole or not at all."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def fingerprint(document: Any) -> str:
+    """Short digest of plain data, the same for the same content."""
+    return hashlib.sha256(json.dumps(_plain(document), sort_keys=True).encode()).hexdigest()[:16]
