@@ -28,7 +28,7 @@ class Airframe:
     left, front (4,) +1 or -1: the rotor lies left / in front of the cg;
     idle_speed, max_speed rad/s mechanical, or None; logged_to_rad_s: factor from the unit of "idle RPM" and "max RPM"
     (Betaflight: eRPM/100) to mechanical rad/s, or None until the pole count is known;
-    marker_offset (3,) m from the marker centroid to the cg, body axes; noise {axis: {"mean", "std"}}.
+    marker_offset (3,) m, of the marker centroid from the cg, body axes (marker = cg + R offset); noise {axis: {"mean", "std"}}.
     """
 
     name: str
@@ -174,3 +174,43 @@ def read_airframe(config: Mapping[str, Any], where: str, mass: float | None = No
 def erpm100_to_rad_s(poles: int) -> float:
     """Factor from a logged eRPM/100 to mechanical rad/s: 100 x 2 pi / 60 / (poles / 2)."""
     return 100.0 * 2.0 * math.pi / 60.0 / (poles / 2.0)
+
+
+def to_plain(airframe: Airframe) -> dict[str, Any]:
+    """The airframe as plain data, as it stands in a model; `from_plain` reads it back."""
+    return {
+        "name": airframe.name,
+        "mass": airframe.mass,
+        "inertia": airframe.inertia.tolist(),
+        "rotor radius": airframe.radius,
+        "b": airframe.arm,
+        "hubs": airframe.hubs.tolist(),
+        "spin": airframe.spin.tolist(),
+        "motor poles": airframe.poles,
+        "idle RPM": airframe.idle_rpm,
+        "max RPM": airframe.max_rpm,
+        "marker offset": airframe.marker_offset.tolist(),
+        "noise": airframe.noise,
+        "rotor config": airframe.positions,
+        "rotor1 clockwise": airframe.rotor1_clockwise,
+    }
+
+
+def from_plain(plain: Mapping[str, Any]) -> Airframe:
+    """Inverse of `to_plain`."""
+    return Airframe(
+        name=plain["name"],
+        mass=plain["mass"],
+        inertia=np.array(plain["inertia"], float),
+        radius=plain["rotor radius"],
+        arm=plain["b"],
+        hubs=np.array(plain["hubs"], float),
+        spin=np.array(plain["spin"], float),
+        poles=plain["motor poles"],
+        idle_rpm=plain["idle RPM"],
+        max_rpm=plain["max RPM"],
+        marker_offset=np.array(plain["marker offset"], float),
+        noise=dict(plain["noise"]),
+        positions=dict(plain["rotor config"]),
+        rotor1_clockwise=plain["rotor1 clockwise"],
+    )

@@ -1,0 +1,1 @@
+"""Imported flights become states, biases, forces and moments."""

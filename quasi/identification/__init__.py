@@ -1,0 +1,1 @@
+"""Forces and moments become polynomial models by stepwise regression."""

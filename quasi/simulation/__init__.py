@@ -1,0 +1,1 @@
+"""Models fly: roll-outs from measured states."""

@@ -1,0 +1,1 @@
+"""Made flights as raw logs: per-rotor physics, a flying controller, a pilot, sensors, writers of the real formats."""
