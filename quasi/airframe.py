@@ -93,7 +93,9 @@ def parse_inertia(text: Any, where: str) -> np.ndarray:
             'like "[8.65e-4, 0, 0; 0, 1.07e-3, 0; 0, 0, 1.71e-3]"'
         )
     if not np.allclose(matrix, matrix.T, atol=1e-12 + 1e-6 * abs(matrix).max()):
-        raise ConfigError(f"{where}: 'moment of inertia' is not symmetric; entries mirrored about the diagonal must agree")
+        raise ConfigError(
+            f"{where}: 'moment of inertia' is not symmetric; entries mirrored about the diagonal must agree"
+        )
     if np.min(np.linalg.eigvalsh(matrix)) <= 0:
         raise ConfigError(f"{where}: 'moment of inertia' is not positive definite; check its entries and units (kg m2)")
     return matrix

@@ -207,9 +207,13 @@ def read_bytes(path: str | Path) -> bytes:
     try:
         data = path.read_bytes()
     except FileNotFoundError:
-        raise ReadError(f"{path} does not exist; correct the name or path in the logbook, or copy the file there") from None
+        raise ReadError(
+            f"{path} does not exist; correct the name or path in the logbook, or copy the file there"
+        ) from None
     except OSError as error:
-        raise ReadError(f"{path} cannot be read ({error.strerror}); check that it is a file and its permissions") from None
+        raise ReadError(
+            f"{path} cannot be read ({error.strerror}); check that it is a file and its permissions"
+        ) from None
     if not data:
         raise ReadError(f"{path} is empty (0 bytes); copy it from its source again")
     return data

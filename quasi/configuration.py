@@ -1,0 +1,138 @@
+"""Configuration files: read, checked against a schema, defaults filled in, notices collected.
+
+The schemas (config/schemas/*.schema.json) are the reference of every key: type, unit, range, default, one sentence.
+Keys that begin with "//" are comments. A key marked "x-notice" in its schema is accepted for the sake of files written
+for QuaSI, and the notice says what happens instead.
+"""
+
+import functools
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+
+from quasi.errors import ConfigError, nearest
+from quasi.tables import read_json
+
+SCHEMAS = Path(__file__).parent.parent / "config" / "schemas"
+
+_WORDS = {
+    "object": "a section { ... }",
+    "array": "a list [ ... ]",
+    "string": "text",
+    "number": "a number",
+    "integer": "a whole number",
+    "boolean": "true or false",
+    "null": "null",
+}
+
+
+@functools.cache
+def schema(name: str) -> dict[str, Any]:
+    """The schema of a kind of configuration: "processing", "model", "quadrotor", "synthesis", "polynomials"."""
+    path = SCHEMAS / f"{name}.schema.json"
+    if not path.is_file():
+        raise ConfigError(f"{path} is missing; quasi runs from its checkout, install it with `pip install -e .` there")
+    return read_json(path)
+
+
+def check(document: Any, name: str, where: str) -> tuple[dict[str, Any], list[str]]:
+    """Check a configuration and fill in its defaults.
+
+    document  the file's content; name  its schema; where  its path, for messages.
+    Returns (document with defaults and without comments, notices). Raises ConfigError naming file and key.
+    """
+    rules = schema(name)
+    document = _uncomment(document)
+    errors = sorted(
+        jsonschema.Draft202012Validator(rules).iter_errors(document),
+        # a mistyped key is both unknown and missing: the unknown one names the remedy
+        key=lambda e: (e.validator != "additionalProperties", len(e.absolute_path), str(e.message)),
+    )
+    if errors:
+        raise ConfigError(_sentence(errors[0], where))
+    notices = [
+        f"{where}: '{key}' is not a key of quasi{near}"
+        for key in document
+        if key not in rules.get("properties", {}) and (near := nearest(key, rules["properties"])).endswith("?")
+    ]
+    filled = _fill(document, rules, rules, where, notices)
+    return filled, notices
+
+
+def read(path: str | Path, name: str, where: str | None = None) -> tuple[dict[str, Any], list[str]]:
+    """Read a configuration file and check it; see `check`."""
+    return check(read_json(path), name, where or str(path))
+
+
+def _uncomment(document: Any) -> Any:
+    if isinstance(document, Mapping):
+        return {k: _uncomment(v) for k, v in document.items() if not k.startswith("//")}
+    if isinstance(document, list):
+        return [_uncomment(v) for v in document]
+    return document
+
+
+def _resolve(rules: Mapping[str, Any], root: Mapping[str, Any]) -> Mapping[str, Any]:
+    reference = rules.get("$ref")
+    if not reference:
+        return rules
+    target: Any = root
+    for part in reference.removeprefix("#/").split("/"):
+        target = target[part]
+    return {**target, **{k: v for k, v in rules.items() if k != "$ref"}}
+
+
+def _fill(document: Any, rules: Mapping[str, Any], root: Mapping[str, Any], where: str, notices: list[str]) -> Any:
+    rules = _resolve(rules, root)
+    if not isinstance(document, Mapping):
+        return document
+    filled = dict(document)
+    for key, about in rules.get("properties", {}).items():
+        about = _resolve(about, root)
+        if key in filled:
+            if "x-notice" in about:
+                notices.append(f"{where}: '{key}' is accepted but not used: {about['x-notice']}")
+            filled[key] = _fill(filled[key], about, root, where, notices)
+        elif "default" in about:
+            default = about["default"]
+            filled[key] = _fill(default, about, root, where, notices) if isinstance(default, Mapping) else default
+    return filled
+
+
+def _place(path: Any) -> str:
+    return " / ".join(f"'{p}'" if isinstance(p, str) else f"entry {p + 1}" for p in path)
+
+
+def _sentence(error: jsonschema.ValidationError, where: str) -> str:
+    place = _place(error.absolute_path)
+    head = f"{where}: {place}" if place else f"{where}: the file"
+    if error.validator == "additionalProperties":
+        known = error.schema.get("properties", {})
+        unknown = sorted(set(error.instance) - set(known))[0]
+        inside = f" in {place}" if place else ""
+        near = nearest(unknown, known)
+        return f"{where}: unknown key '{unknown}'{inside}" + (near if near.endswith("?") else f"{near}; remove it")
+    if error.validator == "required":
+        missing = [k for k in error.validator_value if k not in error.instance][0]
+        return f"{head} lacks the key '{missing}'; add it ({_about(error.schema, missing)})"
+    shown = repr(error.instance)
+    shown = shown if len(shown) < 60 else shown[:57] + "..."
+    if error.validator == "type":
+        kinds = error.validator_value if isinstance(error.validator_value, list) else [error.validator_value]
+        wanted = " or ".join(_WORDS.get(k, k) for k in kinds)
+        return f"{head} is {shown}, expected {wanted}; {_say(error.schema)}"
+    if error.validator == "enum":
+        wanted = ", ".join(map(repr, error.validator_value))
+        return f"{head} is {shown}, expected one of {wanted}; {_say(error.schema)}"
+    return f"{head} is {shown}, which does not fit ({error.message.splitlines()[0][:120]}); {_say(error.schema)}"
+
+
+def _say(rules: Mapping[str, Any]) -> str:
+    description = str(rules.get("description", "")).rstrip(".")
+    return f"it means: {description}" if description else "correct it"
+
+
+def _about(rules: Mapping[str, Any], key: str) -> str:
+    return str(rules.get("properties", {}).get(key, {}).get("description", "see the schema")).rstrip(".")

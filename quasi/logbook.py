@@ -1,0 +1,187 @@
+"""The experiment file log: one row per flight (the manual's Table 1), row selection (its 9.1), flight keys."""
+
+import csv
+import io
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from quasi.errors import LogbookError, nearest
+from quasi.tables import read_text
+
+NEEDED = ("Quadrotor", "Onboard Name", "OB Path", "Flight controller", "Drone Config File", "Drone Config Path")
+OPTIONAL = (
+    "Flight ID",
+    "Rigid Body Name",
+    "Has OT data",
+    "OptiTrack time offset (s)",
+    "Raw OptiTrack Name",
+    "Raw OT Path",
+    "OB row skip",
+    "OB num columns",
+    "Has OJF data",
+    "OJF path",
+    "OJF name",
+    "Static wind (m/s)",
+    "Indoor or Outdoor",
+    "Batteries",
+    "Mode",
+    "Mass",
+    "Video",
+    "Video Path",
+    "Comments",
+    "Flight key",
+    "Log number",
+)
+NAME = re.compile(r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*")
+CONTROLLERS = ("betaflight", "indiflight", "table")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One flight of a logbook.
+
+    number  row as a spreadsheet shows it (header = 1); key, quadrotor  its names in folders and targets;
+    cells   {column: text}; problem  a sentence when the row cannot be used, else None.
+    """
+
+    logbook: str
+    number: int
+    key: str
+    quadrotor: str
+    cells: dict[str, str] = field(repr=False)
+    problem: str | None = None
+
+    def has(self, column: str) -> bool:
+        """The cell says yes."""
+        return self.cells.get(column, "").strip().lower() in ("y", "yes", "true", "1")
+
+    def number_in(self, column: str) -> float | None:
+        """The cell as a number; None when empty. Raises LogbookError when it is text."""
+        text = self.cells.get(column, "").strip()
+        if not text:
+            return None
+        try:
+            return float(text.replace(",", ".")) if text.count(",") == 1 and "." not in text else float(text)
+        except ValueError:
+            raise LogbookError(
+                f"{self.logbook} row {self.number}: '{column}' is {text!r}, expected a number; correct the cell"
+            ) from None
+
+
+def read_logbook(path: str | Path) -> dict[int, Row]:
+    """Rows of a logbook by their number (header = row 1); rows without an Onboard Name are left out.
+
+    Raises LogbookError for a missing column or two rows that mean the same flight key of one quadrotor.
+    """
+    try:
+        lines = list(csv.reader(io.StringIO(read_text(path), newline=""), strict=False))
+    except csv.Error as error:
+        raise LogbookError(f"{path} is not a CSV file ({error}); save the logbook as comma-separated text") from None
+    header = [c.strip() for c in lines[0]] if lines else []
+    if len(header) == 1 and ";" in header[0]:
+        lines = list(csv.reader(io.StringIO(read_text(path), newline=""), delimiter=";"))
+        header = [c.strip() for c in lines[0]]
+    for column in NEEDED:
+        if column not in header:
+            raise LogbookError(
+                f"{path} has no column '{column}'{nearest(column, header)}; add it to the first line of the logbook"
+            )
+    doubled = {c for c in header if c and header.count(c) > 1}
+    if doubled:
+        raise LogbookError(f"{path} has the column '{sorted(doubled)[0]}' twice; rename or remove one")
+    rows: dict[int, Row] = {}
+    for index, line in enumerate(lines[1:], start=2):
+        cells = {c: v.strip() for c, v in zip(header, line + [""] * len(header)) if c}
+        if cells["Onboard Name"]:
+            rows[index] = _row(str(path), index, cells)
+    _refuse_clashes(rows.values())
+    return rows
+
+
+def _row(path: str, number: int, cells: dict[str, str]) -> Row:
+    key = cells.get("Flight key") or cells["Onboard Name"]
+    problem = None
+    log_number = cells.get("Log number", "")
+    if log_number:
+        if not log_number.isdigit() or int(log_number) < 1:
+            problem = f"{path} row {number}: 'Log number' is {log_number!r}, expected 1, 2, ...; correct the cell"
+        elif not cells.get("Flight key"):
+            key = f"{key}-{log_number}"
+    quadrotor = cells["Quadrotor"]
+    for column, name in (("Flight key" if cells.get("Flight key") else "Onboard Name", key), ("Quadrotor", quadrotor)):
+        if not NAME.fullmatch(name):
+            problem = (
+                f"{path} row {number}: {column} {name!r} cannot name a flight; use letters, digits, . _ + - only "
+                "(the optional column 'Flight key' gives a flight another name than its file)"
+            )
+    controller = cells["Flight controller"].lower()
+    controller = {"cleanflight": "betaflight"}.get(controller, controller)
+    if controller and controller not in CONTROLLERS:
+        problem = (
+            f"{path} row {number}: 'Flight controller' is {cells['Flight controller']!r}"
+            f"{nearest(controller, CONTROLLERS)}; correct the cell"
+        )
+    return Row(path, number, key, quadrotor, cells, problem)
+
+
+def _refuse_clashes(rows: Iterable[Row]) -> None:
+    seen: dict[tuple[str, str], Row] = {}
+    for row in rows:
+        other = seen.setdefault((row.quadrotor, row.key), row)
+        if other is not row:
+            raise LogbookError(
+                f"{row.logbook} rows {other.number} and {row.number} both mean flight '{row.key}' of {row.quadrotor}; "
+                "give one of them another name in the optional column 'Flight key'"
+            )
+
+
+def select_rows(selection: Iterable[Any], where: str) -> list[int]:
+    """Row numbers of a selection such as [2, "4-6", "9"], in order, each once.
+
+    Raises LogbookError for what is not a row number or a range "a-b" with a <= b.
+
+    >>> select_rows([2, "4-6", "5"], "config")
+    [2, 4, 5, 6]
+    """
+    numbers: list[int] = []
+    for entry in selection:
+        match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", str(entry)) if not isinstance(entry, bool) else None
+        if not match:
+            raise LogbookError(f'{where}: {entry!r} is not a row; write numbers like 2 or ranges like "2-6"')
+        first, last = int(match[1]), int(match[2] or match[1])
+        if first < 2 or last < first:
+            raise LogbookError(
+                f"{where}: {entry!r} is not a range of flights; row 1 is the header, ranges count upwards"
+            )
+        if last - first > 100_000:
+            raise LogbookError(f"{where}: {entry!r} selects {last - first + 1} rows; no logbook is that long")
+        numbers.extend(range(first, last + 1))
+    return list(dict.fromkeys(numbers))
+
+
+def pick(rows: Mapping[int, Row], selection: Iterable[Any], where: str, logbook: str) -> list[Row]:
+    """The rows that a selection means. Raises LogbookError for a row outside the logbook or an empty selection."""
+    numbers = select_rows(selection, where)
+    if not numbers:
+        raise LogbookError(f'{where}: no rows are selected; name at least one, like 2 or "2-6"')
+    last = max(rows, default=1)
+    for number in numbers:
+        if number not in rows:
+            raise LogbookError(
+                f"{where}: row {number} is selected, but {logbook} has flights in rows "
+                f"{_ranges(rows)} (header = row 1, last row {last}); correct the selection or add the row"
+            )
+    return [rows[n] for n in numbers]
+
+
+def _ranges(numbers: Iterable[int]) -> str:
+    spans: list[list[int]] = []
+    for n in sorted(numbers):
+        if spans and n == spans[-1][1] + 1:
+            spans[-1][1] = n
+        else:
+            spans.append([n, n])
+    return ", ".join(f"{a}-{b}" if b > a else f"{a}" for a, b in spans) or "none"

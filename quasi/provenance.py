@@ -1,0 +1,63 @@
+"""Which code a script reaches, as a digest: a stage reruns when the code it uses changes, and only then."""
+
+import ast
+import functools
+import hashlib
+from pathlib import Path
+
+PACKAGE = "quasi"
+
+
+@functools.cache
+def _parsed(path: Path) -> tuple[str, tuple[str, ...]]:
+    """Digest of a file's syntax tree (comments, docstrings and layout do not count) and the modules of the package it imports."""
+    tree = ast.parse(path.read_bytes(), filename=str(path))
+    modules: list[str] = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            modules += [a.name for a in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            modules += [node.module, *(f"{node.module}.{a.name}" for a in node.names)]
+    inside = tuple(m for m in modules if m.split(".")[0] == PACKAGE)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            body = node.body
+            if body and isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
+                node.body = body[1:]
+    return hashlib.sha256(ast.dump(tree).encode()).hexdigest(), inside
+
+
+def _file_of(module: str, root: Path) -> Path | None:
+    base = root.joinpath(*module.split("."))
+    for candidate in (base.with_suffix(".py"), base / "__init__.py"):
+        if candidate.is_file():
+            return candidate
+    return None
+
+
+def reached(script: str | Path, root: str | Path) -> list[Path]:
+    """Files of the package that a script imports, itself first, however indirectly (absolute imports)."""
+    root = Path(root)
+    found: dict[Path, None] = {}
+    waiting = [Path(script)]
+    while waiting:
+        path = waiting.pop()
+        if path in found:
+            continue
+        found[path] = None
+        for module in _parsed(path)[1]:
+            parts = module.split(".")
+            # importing a.b.c also runs a and a.b
+            for depth in range(1, len(parts) + 1):
+                file = _file_of(".".join(parts[:depth]), root)
+                if file is not None:
+                    waiting.append(file)
+    return list(found)
+
+
+@functools.cache
+def code_of(script: str | Path, root: str | Path) -> str:
+    """Digest of a script and of every module of the package it reaches; the same after a change of comments or docstrings only."""
+    root = Path(root)
+    parts = sorted(f"{p.relative_to(root)}:{_parsed(p)[0]}" for p in reached(script, root))
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
