@@ -26,9 +26,10 @@ class Airframe:
     hubs (4, 3) m, rotor hubs from the cg, body FRD, in order of rotor number;
     spin (4,) +1 where the rotor turns clockwise seen from above (positive about body z), -1 otherwise;
     left, front (4,) +1 or -1: the rotor lies left / in front of the cg;
-    idle_speed, max_speed rad/s mechanical, or None; logged_to_rad_s: factor from the unit of "idle RPM" and "max RPM"
-    (Betaflight: eRPM/100) to mechanical rad/s, or None until the pole count is known;
-    marker_offset (3,) m, of the marker centroid from the cg, body axes (marker = cg + R offset); noise {axis: {"mean", "std"}}.
+    poles: magnets of a motor, or None when the configuration does not say;
+    idle_rpm, max_rpm in the unit the flight controller logs (Betaflight: eRPM/100), or None;
+    marker_offset (3,) m, of the marker centroid from the cg, body axes (marker = cg + R offset);
+    noise {quantity: {"mean", "std"}} of the IMU at rest; positions {place: rotor number}, as configured.
     """
 
     name: str

@@ -127,7 +127,7 @@ def from_euler(roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) -> np.ndarr
 
 
 def to_euler(q: np.ndarray) -> np.ndarray:
-    """Euler angles roll, pitch, yaw (rad, 3-2-1; roll and yaw in (-pi, pi]) of quaternions (..., 4); returns (..., 3)."""
+    """Euler angles roll, pitch, yaw (..., 3), rad, 3-2-1, roll and yaw in (-pi, pi], of quaternions (..., 4)."""
     w, x, y, z = np.moveaxis(np.asarray(q, float), -1, 0)
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
@@ -181,7 +181,7 @@ def body_rates(q: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 
 def interpolate(q: np.ndarray, t: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Spherical interpolation of an attitude history (N, 4) at times t (N,) to times `at` (M,); held beyond the ends."""
+    """Spherical interpolation of an attitude history (N, 4) at times t (N,) to times `at` (M,), held beyond its ends."""
     q, t, at = continuous(q), np.asarray(t, float), np.asarray(at, float)
     if len(q) == 1:
         return np.repeat(q, len(at), axis=0)

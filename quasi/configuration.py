@@ -115,7 +115,7 @@ def _sentence(error: jsonschema.ValidationError, where: str) -> str:
         near = nearest(unknown, known)
         return f"{where}: unknown key '{unknown}'{inside}" + (near if near.endswith("?") else f"{near}; remove it")
     if error.validator == "required":
-        missing = [k for k in error.validator_value if k not in error.instance][0]
+        missing = next(k for k in error.validator_value if k not in error.instance)
         return f"{head} lacks the key '{missing}'; add it ({_about(error.schema, missing)})"
     shown = repr(error.instance)
     shown = shown if len(shown) < 60 else shown[:57] + "..."

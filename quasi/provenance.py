@@ -10,7 +10,7 @@ PACKAGE = "quasi"
 
 @functools.cache
 def _parsed(path: Path) -> tuple[str, tuple[str, ...]]:
-    """Digest of a file's syntax tree (comments, docstrings and layout do not count) and the modules of the package it imports."""
+    """Digest of a file's syntax tree, comments, docstrings and layout left out, and the package's modules it imports."""
     tree = ast.parse(path.read_bytes(), filename=str(path))
     modules: list[str] = []
     for node in ast.walk(tree):
@@ -57,7 +57,7 @@ def reached(script: str | Path, root: str | Path) -> list[Path]:
 
 @functools.cache
 def code_of(script: str | Path, root: str | Path) -> str:
-    """Digest of a script and of every module of the package it reaches; the same after a change of comments or docstrings only."""
+    """Digest of a script and of every module of the package it reaches; comments and docstrings do not count."""
     root = Path(root)
     parts = sorted(f"{p.relative_to(root)}:{_parsed(p)[0]}" for p in reached(script, root))
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]

@@ -1,7 +1,7 @@
 """What the rules need to know of a project folder: models, flights, raw files, and the settings of each job.
 
-Everything here returns plain data (Snakemake compares it to decide what is stale) and is small per job: a flight's stage
-gets its own row, its own files and the part of the configuration that it reads, never the whole logbook.
+Everything here returns plain data (Snakemake compares it to decide what is stale) and is small per job: a flight's
+stage gets its own row, its own files and the part of the configuration that it reads, never the whole logbook.
 """
 
 import functools
@@ -122,6 +122,18 @@ class Folder:
             raise ConfigError(f"config/synthesis/{name}.json does not exist{nearest(name, self.campaigns)}")
         return read_json(self._here(f"config/synthesis/{name}.json"))
 
+    def made_flight(self, campaign: str, flight: str) -> dict[str, Any]:
+        """Settings of one made flight: the campaign's, and its own entry alone."""
+        config = dict(self.campaign(campaign))
+        flights = {f.get("key"): f for f in config.get("flights", [])}
+        if flight not in flights:
+            raise ConfigError(
+                f"config/synthesis/{campaign}.json: no flight has the key '{flight}'"
+                f"{nearest(flight, filter(None, flights))}"
+            )
+        config["flights"] = [flights[flight]]
+        return {"campaign": campaign, "flight": flight, "settings": config}
+
     # logbooks and flights
 
     @functools.cache  # noqa: B019
@@ -220,7 +232,7 @@ class Folder:
     # raw files of one flight
 
     def raw(self, row: Row) -> dict[str, Any]:
-        """{"onboard", "capture"}: path of each raw file, found or to be made, or None; plus "problem", a sentence or None."""
+        """Paths of the "onboard" and "capture" files, found or to be made, or None, and a "problem" in words or None."""
         controller = self.controller(row)
         suffixes = TABLE if controller == "table" else (*BINARY, *TEXT)
         onboard, problem = self._find(row, "OB Path", "Onboard Name", suffixes)
@@ -228,7 +240,8 @@ class Folder:
         if row.has("Has OT data"):
             if not row.cells.get("Raw OptiTrack Name"):
                 problem = problem or (
-                    f"{row.logbook} row {row.number}: 'Has OT data' is yes but 'Raw OptiTrack Name' is empty; fill it in"
+                    f"{row.logbook} row {row.number}: 'Has OT data' is yes but 'Raw OptiTrack Name' is empty; "
+                    "fill it in"
                 )
             else:
                 capture, missing = self._find(row, "Raw OT Path", "Raw OptiTrack Name", TEXT)
@@ -351,8 +364,8 @@ class Folder:
         files = {r.cells["Drone Config File"] for r in everything}
         if len(files) > 1:
             raise ConfigError(
-                f"config/models/{name}.json: the rows name several quadrotor configurations ({', '.join(sorted(files))}); "
-                "a model needs one"
+                f"config/models/{name}.json: the rows name several quadrotor configurations "
+                f"({', '.join(sorted(files))}); a model needs one"
             )
         self._refuse_mixed_batteries(name, everything)
         masses = [m for m, _ in map(self.mass, training) if m]
@@ -392,7 +405,7 @@ class Folder:
             "regressor cap": parameters["polynomial"]["regressor cap"],
             "confidence level": parameters["prediction interval confidence level"],
             "specification": specification[axis],
-            "specification file": str(path),
+            "specification file": path.name,
         }
 
     @functools.cache  # noqa: B019
@@ -413,11 +426,12 @@ class Folder:
             return standard, self._read(standard.resolve(), "polynomials")
         known = [p.name for folder in folders[1:] for p in folder.glob("*.json")]
         raise ConfigError(
-            f"config/models/{name}.json: polynomial specification file '{given}' does not exist{nearest(base.name, known)}"
+            f"config/models/{name}.json: polynomial specification file '{given}' does not exist"
+            f"{nearest(base.name, known)}"
         )
 
     def changed_selection(self, name: str) -> str | None:
-        """A sentence when the rows of an existing model now mean other flights than those it was made from, else None."""
+        """A sentence when an existing model's rows now mean other flights than those it was made from, else None."""
         path = self._here(f"results/identified/{name}/shared.json")
         if not path.is_file():
             return None

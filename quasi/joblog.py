@@ -1,0 +1,77 @@
+"""Log file, messages and failure of one job, and what a whole run tells at its end."""
+
+import logging
+import os
+import sys
+import time
+import traceback
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import tqdm
+
+from quasi.errors import QuasiError
+
+RUN = "QUASI_RUN"  # environment variable: folder in which the jobs of one run leave what it tells at its end
+LOG = logging.getLogger("quasi")
+T = TypeVar("T")
+
+
+@contextmanager
+def job(log: str | Path, name: str = "") -> Iterator[logging.Logger]:
+    """Run a job with its log file; an error a user can mend ends it with one sentence instead of a traceback.
+
+    log  the job's log file; name  what the job works on, for messages.
+    """
+    path = Path(log)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handler = logging.FileHandler(path, mode="w", encoding="utf-8")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s", "%H:%M:%S"))
+    LOG.setLevel(logging.INFO)
+    LOG.handlers = [handler]
+    logging.captureWarnings(True)
+    logging.getLogger("py.warnings").handlers = [handler]
+    started = time.perf_counter()
+    try:
+        yield LOG
+        LOG.info("done in %.1f s", time.perf_counter() - started)
+    except QuasiError as error:
+        LOG.error("%s", error)
+        _fail(str(error))
+    except MemoryError:
+        LOG.error("%s", traceback.format_exc())
+        _fail(f"{name or path.stem} ran out of memory; free some, or run fewer jobs at once (-j1)")
+    except Exception as error:
+        LOG.error("%s", traceback.format_exc())
+        _fail(f"{name or path.stem} failed unexpectedly ({type(error).__name__}: {error}); the traceback is in {path}")
+    finally:
+        handler.close()
+
+
+def _fail(sentence: str) -> None:
+    tell(sentence, "errors")
+    raise SystemExit(1)
+
+
+def tell(text: str, kind: str = "made") -> None:
+    """Leave text for the end of the run ("made" or "errors"); prints it at once outside a run."""
+    folder = os.environ.get(RUN)
+    if not folder:
+        print(text, file=sys.stderr if kind == "errors" else sys.stdout)
+        return
+    place = Path(folder) / kind
+    place.mkdir(parents=True, exist_ok=True)
+    (place / f"{time.time_ns()}-{os.getpid()}.txt").write_text(text.rstrip("\n") + "\n", encoding="utf-8")
+
+
+def told(folder: str | Path, kind: str) -> list[str]:
+    """What the jobs of a run left for its end, in order, each text once."""
+    texts = [p.read_text(encoding="utf-8").rstrip("\n") for p in sorted((Path(folder) / kind).glob("*.txt"))]
+    return list(dict.fromkeys(texts))
+
+
+def progress(things: Iterable[T], what: str, **options: Any) -> Iterable[T]:
+    """A progress bar on a terminal, silence elsewhere."""
+    return tqdm.tqdm(things, desc=what, disable=not sys.stderr.isatty(), leave=False, **options)

@@ -1,0 +1,100 @@
+"""What all rules share: the project folder, wildcards, what is told at the end. No rules."""
+
+import atexit
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+LIBRARY = str(Path(workflow.basedir).resolve())
+sys.path.insert(0, LIBRARY)
+
+from quasi.errors import QuasiError
+from quasi.joblog import RUN, told
+from quasi.provenance import code_of
+from quasi.workflow import Folder
+
+
+if Path("config/config.yaml").is_file():
+
+    configfile: "config/config.yaml"
+
+
+wildcard_constraints:
+    quadrotor=r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*",
+    flight=r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*",
+    model=r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*",
+    campaign=r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*",
+    gravity="withGravity|noGravity",
+    axis="Fx|Fy|Fz|Mx|My|Mz",
+
+
+FOLDER = Folder(".", data=config.get("data"), library=LIBRARY)
+FAULTS = []
+
+
+def tell_at_end():
+    """The last line printed is the sentence that helps; before it, what was made."""
+    sys.stdout.flush()
+    for notice in FOLDER.notices:
+        print(f"[NOTICE] {notice}", file=sys.stderr)
+    for text in told(os.environ[RUN], "made"):
+        print(text, flush=True)
+    for fault in dict.fromkeys(FAULTS + told(os.environ[RUN], "errors")):
+        print(f"[ERROR] {fault}", file=sys.stderr)
+
+
+if RUN not in os.environ:
+    # the main process of a run; processes that it starts find the variable set
+    scratch = tempfile.TemporaryDirectory(prefix="quasi-run-")
+    os.environ[RUN] = scratch.name
+    atexit.register(tell_at_end)
+
+
+def ask(question, *arguments):
+    """Ask the folder; a fault a user can mend stops the run with its sentence as the last line."""
+    try:
+        return question(*arguments)
+    except QuasiError as fault:
+        FAULTS.append(str(fault))
+        raise WorkflowError(str(fault))
+
+
+def code(script):
+    """Digest of the library code that a script reaches, so that a stage reruns when code it uses changes."""
+    return code_of(f"{LIBRARY}/scripts/{script}", LIBRARY)
+
+
+def filtered(rows, gravity):
+    return [f"results/filtered/{r.quadrotor}/{gravity}/{r.key}.parquet" for r in rows]
+
+
+def training_flights(wildcards):
+    notice = ask(FOLDER.changed_selection, wildcards.model)
+    if notice and notice not in FOLDER.notices:
+        FOLDER.notices.append(notice)
+        print(f"[NOTICE] {notice}", file=sys.stderr)
+    return filtered(ask(FOLDER.model_flights, wildcards.model, "training"), ask(FOLDER.gravity, wildcards.model))
+
+
+def all_flights(wildcards):
+    return filtered(ask(FOLDER.model_flights, wildcards.model), ask(FOLDER.gravity, wildcards.model))
+
+
+def axis_parts(wildcards):
+    return [f"results/identified/{wildcards.model}/{a}.json" for a in ask(FOLDER.axes, wildcards.model)]
+
+
+def raw_files(wildcards):
+    raw = ask(FOLDER.importing, wildcards.quadrotor, wildcards.flight)["flight"]
+    # an absent file is not an input: it fails this flight's job with a sentence, not the graph of all flights
+    return [raw[k] for k in ("onboard", "capture") if raw[k]]
+
+
+def every_model(wildcards):
+    return [f"models/{m}/standalone" for m in ask(lambda: FOLDER.models)]
+
+
+def every_processed_flight(wildcards):
+    rows = ask(FOLDER.processing_flights)
+    return filtered(rows, "withGravity")

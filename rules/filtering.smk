@@ -1,0 +1,25 @@
+"""States, biases, forces and moments of one flight.
+
+Needs  results/imported/{quadrotor}/{flight}.parquet and .json
+Makes  results/filtered/{quadrotor}/withGravity/{flight}.parquet and .json, noGravity/ alike
+"""
+
+
+rule filtering:
+    input:
+        flight="results/imported/{quadrotor}/{flight}.parquet",
+        metadata="results/imported/{quadrotor}/{flight}.json",
+    output:
+        with_gravity="results/filtered/{quadrotor}/withGravity/{flight}.parquet",
+        with_gravity_metadata="results/filtered/{quadrotor}/withGravity/{flight}.json",
+        no_gravity="results/filtered/{quadrotor}/noGravity/{flight}.parquet",
+        no_gravity_metadata="results/filtered/{quadrotor}/noGravity/{flight}.json",
+    log:
+        "logs/filtering/{quadrotor}/{flight}.log",
+    benchmark:
+        "results/benchmarks/filtering/{quadrotor}/{flight}.tsv"
+    params:
+        settings=lambda wildcards: ask(FOLDER.filtering, wildcards.quadrotor, wildcards.flight),
+        code=code("filtering.py"),
+    script:
+        "../scripts/filtering.py"

@@ -1,0 +1,31 @@
+"""Filter one imported flight: states, biases, forces and moments, with gravity and without."""
+
+from quasi.airframe import read_airframe
+from quasi.errors import ConfigError
+from quasi.filtering.flight import filter_flight
+from quasi.joblog import LOG, job
+from quasi.tables import read_json, read_table, write_json, write_table
+
+
+def main(settings: dict, flight: str, metadata: str, output: dict[str, str]) -> None:
+    """Read the imported flight, filter it and write both kinds of force with their metadata."""
+    if settings["problem"]:
+        raise ConfigError(settings["problem"])
+    airframe = read_airframe(settings["quadrotor"], settings["quadrotor"]["file"], settings["mass"])
+    result = filter_flight(read_table(flight), read_json(metadata), airframe, settings["options"])
+    for note in result.metadata["notes"]:
+        LOG.warning("%s", note)
+    for kind, columns in (("with_gravity", result.with_gravity), ("no_gravity", result.no_gravity)):
+        about = {**result.metadata, "forces": "withGravity" if kind == "with_gravity" else "noGravity"}
+        write_table(output[kind], columns, made=about)
+        write_json(output[f"{kind}_metadata"], about)
+
+
+if __name__ == "__main__":
+    with job(snakemake.log[0], f"filtering of {snakemake.wildcards.flight}"):
+        main(
+            snakemake.params.settings,
+            snakemake.input.flight,
+            snakemake.input.metadata,
+            dict(snakemake.output.items()),
+        )

@@ -1,0 +1,22 @@
+"""Import one flight: read its sources, synchronise their clocks, fuse them on one time base."""
+
+from quasi.errors import ReadError
+from quasi.importing.flight import import_flight
+from quasi.joblog import LOG, job
+from quasi.tables import write_json, write_table
+
+
+def main(settings: dict, flight: str, metadata: str) -> None:
+    """Read the raw files that the settings name; write the fused flight and its metadata."""
+    if settings["problem"]:
+        raise ReadError(settings["problem"])
+    columns, about = import_flight(settings["flight"], settings["quadrotor"], settings["options"])
+    for note in about["notes"]:
+        LOG.warning("%s", note)
+    write_table(flight, columns, made=about)
+    write_json(metadata, about)
+
+
+if __name__ == "__main__":
+    with job(snakemake.log[0], f"import of {snakemake.wildcards.flight}"):
+        main(snakemake.params.settings, snakemake.output.flight, snakemake.output.metadata)
