@@ -181,7 +181,7 @@ def body_rates(q: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 
 def interpolate(q: np.ndarray, t: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Spherical interpolation of an attitude history (N, 4) at times t (N,) to times `at` (M,), held beyond its ends."""
+    """Spherical interpolation of attitudes (N, 4) at times t (N,) to times `at` (M,), held beyond the ends."""
     q, t, at = continuous(q), np.asarray(t, float), np.asarray(at, float)
     if len(q) == 1:
         return np.repeat(q, len(at), axis=0)

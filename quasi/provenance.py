@@ -10,7 +10,7 @@ PACKAGE = "quasi"
 
 @functools.cache
 def _parsed(path: Path) -> tuple[str, tuple[str, ...]]:
-    """Digest of a file's syntax tree, comments, docstrings and layout left out, and the package's modules it imports."""
+    """Digest of a file's syntax tree, comments, docstrings and layout left out, and its imports."""
     tree = ast.parse(path.read_bytes(), filename=str(path))
     modules: list[str] = []
     for node in ast.walk(tree):

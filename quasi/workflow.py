@@ -232,7 +232,7 @@ class Folder:
     # raw files of one flight
 
     def raw(self, row: Row) -> dict[str, Any]:
-        """Paths of the "onboard" and "capture" files, found or to be made, or None, and a "problem" in words or None."""
+        """Paths of the "onboard" and "capture" files, found or to be made, or None, and a "problem" or None."""
         controller = self.controller(row)
         suffixes = TABLE if controller == "table" else (*BINARY, *TEXT)
         onboard, problem = self._find(row, "OB Path", "Onboard Name", suffixes)
