@@ -167,7 +167,9 @@ def pick(rows: Mapping[int, Row], selection: Iterable[Any], where: str, logbook:
     numbers = select_rows(selection, where)
     if not numbers:
         raise LogbookError(f'{where}: no rows are selected; name at least one, like 2 or "2-6"')
-    last = max(rows, default=1)
+    if not rows:
+        raise LogbookError(f"{logbook} holds no flights yet; add one row per flight below its first line")
+    last = max(rows)
     for number in numbers:
         if number not in rows:
             raise LogbookError(
@@ -184,4 +186,4 @@ def _ranges(numbers: Iterable[int]) -> str:
             spans[-1][1] = n
         else:
             spans.append([n, n])
-    return ", ".join(f"{a}-{b}" if b > a else f"{a}" for a, b in spans) or "none"
+    return ", ".join(f"{a}-{b}" if b > a else f"{a}" for a, b in spans)

@@ -1,0 +1,105 @@
+"""Configuration files: defaults, comments, notices, and faults that name file, key and remedy."""
+
+import jsonschema
+import pytest
+
+from quasi import configuration
+from quasi.errors import ConfigError
+from quasi.tables import read_json
+
+SCHEMAS = sorted(p.name.removesuffix(".schema.json") for p in configuration.SCHEMAS.glob("*.schema.json"))
+LOGBOOK = {"logging file": {"filename": "log"}}
+
+
+def properties(rules, path=""):
+    for key, about in rules.get("properties", {}).items():
+        yield f"{path}/{key}", about
+        yield from properties(about, f"{path}/{key}")
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_every_schema_is_valid_and_describes_every_key(name):
+    rules = read_json(configuration.SCHEMAS / f"{name}.schema.json")
+    jsonschema.Draft202012Validator.check_schema(rules)
+    for key, about in properties(rules):
+        assert "description" in about or "enum" in about or "$ref" in about or "properties" in about, key
+
+
+def test_defaults_are_filled_in_and_comments_dropped():
+    document, notices = configuration.check({**LOGBOOK, "// hint": "x", "data importing": {"//": 1}}, "processing", "p")
+    assert document["data importing"]["resampling rate"] == 500
+    assert document["data filtering"]["bias policy"] == "rest"
+    assert not any(k.startswith("//") for k in document)
+    assert notices == []
+
+
+def test_keys_that_show_or_save_are_accepted_with_a_notice():
+    given = {**LOGBOOK, "data filtering": {"show filtering results": True, "save filtered data": False}}
+    _, notices = configuration.check(given, "processing", "config/processing.json")
+    assert len(notices) == 2
+    assert all("accepted but not used" in n for n in notices)
+
+
+def test_the_manuals_own_processing_file_is_accepted_word_for_word():
+    listing_3 = {
+        "logging file": {
+            "directory": "data",
+            "filename": "HDBeetle_file_log",
+            "rows of flights to use (all)": ["2-5", 8, 13],
+        },
+        "data importing": {
+            "import raw data": True,
+            "resampling rate": 500,
+            "use onboard attitude": True,
+            "do onboard c.g. correction": True,
+            "filter optitrack outliers": True,
+            "optitrack velocity Hz cutoff": 10,
+            "save raw data": True,
+            "imported data save directory": "data/processed/imported",
+            "align with optitrack using": ["pitch", "yaw"],
+            "max permitted lag for optitrack": 25,
+            "show onboard and optitrack alignment plots": True,
+        },
+        "data filtering": {
+            "use noise statistics in drone config": True,
+            "run extended kalman filter": True,
+            "save kalman filter convergence results": False,
+            "remove influence of gravity": False,
+            "show filtering results": True,
+            "add induced velocity": False,
+            "save filtered data": True,
+            "filtered data save directory": "data/processed/filtered",
+        },
+    }
+    configuration.check(listing_3, "processing", "p")
+
+
+@pytest.mark.parametrize(
+    ("document", "message"),
+    [
+        ({"loging file": {}}, "p.json: unknown key 'loging file'; did you mean 'logging file'?"),
+        ({}, "p.json: the file lacks the key 'logging file'"),
+        ({**LOGBOOK, "data importing": {"resampling rat": 1}}, "in 'data importing'; did you mean 'resampling rate'?"),
+        ({**LOGBOOK, "data importing": {"resampling rate": "5"}}, "'resampling rate' is '5', expected a number"),
+        ({**LOGBOOK, "data filtering": {"bias policy": "x"}}, "expected one of 'rest', 'whole flight', 'time varying'"),
+        ([], "p.json: the file is [], expected a section"),
+    ],
+)
+def test_faults_are_sentences(document, message):
+    with pytest.raises(ConfigError) as error:
+        configuration.check(document, "processing", "p.json")
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_key_of_ones_own_in_a_quadrotor_is_allowed_but_a_near_miss_is_noticed():
+    beetle = {
+        "rotor config": {"front left": 4, "front right": 2, "aft right": 1, "aft left": 3},
+        "rotor1 rotation direction": "CW",
+        "rotor radius": "0.0381",
+        "b": "0.077",
+        "moment of inertia": "[1, 0, 0; 0, 1, 0; 0, 0, 1]",
+    }
+    assert configuration.check({**beetle, "owner": "lab"}, "quadrotor", "q")[1] == []
+    notices = configuration.check({**beetle, "motor pole": 14}, "quadrotor", "q")[1]
+    assert notices == ["q: 'motor pole' is not a key of quasi; did you mean 'motor poles'?"]

@@ -1,0 +1,114 @@
+"""The rules of the house: who may import whom, and who may open files."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+ROOMS = {"synthesis", "importing", "filtering", "identification", "standalone", "export", "simulation", "gap"}
+SIDEWAYS = {
+    "export": {"standalone"},
+    "simulation": {"standalone"},
+    "gap": {"importing", "filtering", "identification", "standalone", "simulation"},
+}
+MODULES = sorted((ROOT / "quasi").rglob("*.py"))
+
+
+def imports(path):
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {a.name for a in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative imports hide code from the digests"
+            found |= {node.module} | {f"{node.module}.{a.name}" for a in node.names}
+    return found
+
+
+def room_of(module):
+    parts = module.split(".")
+    return parts[1] if len(parts) > 1 and parts[0] == "quasi" and parts[1] in ROOMS else None
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_imports_run_downwards(path):
+    own = room_of(".".join(path.relative_to(ROOT).with_suffix("").parts))
+    for module in imports(path):
+        other = room_of(module)
+        if other is None or other == own:
+            continue
+        if own is None:
+            assert path.name == "command.py", f"{path.name} is shared ground and must not import {module}"
+        else:
+            assert other in SIDEWAYS.get(own, set()), f"{own} must not import {module}"
+
+
+def test_synthesis_stands_alone():
+    for path in (ROOT / "quasi/synthesis").glob("*.py"):
+        own = {m for m in imports(path) if m.startswith("quasi") and room_of(m) != "synthesis"}
+        names = {m.split(".")[1] for m in own if "." in m}
+        assert names <= {"attitude", "tables", "errors"}, f"{path.name} imports {names}"
+
+
+OPENING = {
+    *("open", "read_csv", "read_parquet", "to_parquet", "to_csv", "load", "save", "savez", "loadtxt", "savetxt"),
+    *(
+        "genfromtxt",
+        "fromfile",
+        "tofile",
+        "memmap",
+        "read_text",
+        "read_bytes",
+        "write_text",
+        "write_bytes",
+        "ParquetFile",
+    ),
+}
+
+
+def name_of(function):
+    return function.attr if isinstance(function, ast.Attribute) else getattr(function, "id", "")
+
+
+def test_only_tables_opens_files():
+    # provenance reads source code and joblog the run's own scratch files: neither is an artifact
+    exempt = {"tables.py", "provenance.py", "joblog.py"}
+    for path in MODULES:
+        if path.parent.name == "quasi" and path.name in exempt:
+            continue
+        ours = {m.rsplit(".", 1)[1] for m in imports(path) if m.startswith("quasi.tables.")}
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call) or name_of(node.func) not in OPENING - ours:
+                continue
+            first = node.args[0] if node.args else None
+            in_memory = isinstance(first, ast.Call) and name_of(first.func) in ("BytesIO", "StringIO")
+            assert in_memory, f"{path}:{node.lineno} opens a file; only quasi.tables does"
+
+
+def test_nothing_loaded_can_run_code():
+    for path in [*MODULES, *(ROOT / "scripts").glob("*.py")]:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                assert node.func.id not in ("eval", "exec", "compile", "__import__"), path
+        modules = imports(path)
+        assert not modules & {"pickle", "dill", "marshal", "shelve", "joblib"}, path
+
+
+def test_library_knows_nothing_of_snakemake():
+    for path in MODULES:
+        assert not any(m.split(".")[0] == "snakemake" for m in imports(path)), path
+
+
+def test_every_rule_has_its_script_and_every_script_its_rule():
+    text = "".join(p.read_text() for p in (ROOT / "rules").glob("*.smk"))
+    used = set(re.findall(r'"\.\./scripts/(\w+\.py)"', text))
+    assert used == {p.name for p in (ROOT / "scripts").glob("*.py")}
+    rules = set(re.findall(r"^rule (\w+):", text, flags=re.M))
+    assert rules == {n.removesuffix(".py") for n in used}
+
+
+def test_no_file_is_longer_than_a_sitting():
+    long = {str(p.relative_to(ROOT)): n for p in MODULES if (n := len(p.read_text().splitlines())) > 500}
+    assert not long

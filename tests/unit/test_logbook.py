@@ -1,0 +1,87 @@
+"""The logbook: rows, selections, keys, and faults by row and column."""
+
+import pytest
+
+from quasi.errors import LogbookError
+from quasi.logbook import NEEDED, pick, read_logbook, select_rows
+
+HEADER = [*NEEDED, "Mass", "Log number", "Flight key", "Comments"]
+
+
+def write(path, *rows, header=HEADER, separator=","):
+    lines = [separator.join(header)]
+    for row in rows:
+        lines.append(separator.join(str(row.get(c, "")) for c in header))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def flight(name, **cells):
+    base = {"Quadrotor": "Beetle", "Onboard Name": name, "Flight controller": "BetaFlight", "OB Path": "data"}
+    return {**base, "Drone Config File": "beetle", "Drone Config Path": "data", **cells}
+
+
+def test_rows_are_numbered_as_a_spreadsheet_shows_them(tmp_path):
+    book = read_logbook(write(tmp_path / "log.csv", flight("a"), {"Comments": "a pause"}, flight("b")))
+    assert {n: r.key for n, r in book.items()} == {2: "a", 4: "b"}
+
+
+def test_row_selections_of_the_manual():
+    assert select_rows([2, 3, 4, 5, 6, 8, 9, 10], "c") == select_rows(["2-6", "8-10"], "c")
+    assert select_rows(["2-6", "8-10", 45], "c")[-1] == 45
+    assert select_rows(["4", 4, "3-5"], "c") == [4, 3, 5]
+
+
+@pytest.mark.parametrize("entry", ["a", "3-2", 1, 0, "2-", "2-1000000000", 2.5, True, "-3", None])
+def test_what_is_not_a_row_is_refused(entry):
+    with pytest.raises(LogbookError, match="config"):
+        select_rows([entry], "config")
+
+
+def test_row_outside_the_logbook_names_the_rows_that_exist(tmp_path):
+    book = read_logbook(write(tmp_path / "log.csv", flight("a"), flight("b")))
+    with pytest.raises(LogbookError, match=r"row 7 is selected, but data/log.csv has flights in rows 2-3"):
+        pick(book, [2, 7], "config/models/x.json", "data/log.csv")
+
+
+def test_missing_column_names_it_and_the_near_one(tmp_path):
+    header = [c if c != "Onboard Name" else "Onbord Name" for c in HEADER]
+    with pytest.raises(LogbookError, match="no column 'Onboard Name'; did you mean 'Onbord Name'"):
+        read_logbook(write(tmp_path / "log.csv", header=header))
+
+
+def test_two_rows_of_one_key_are_refused_and_flight_key_solves_it(tmp_path):
+    with pytest.raises(LogbookError, match="rows 2 and 3 both mean flight 'a' of Beetle.*'Flight key'"):
+        read_logbook(write(tmp_path / "log.csv", flight("a"), flight("a")))
+    book = read_logbook(write(tmp_path / "log.csv", flight("a"), flight("a", **{"Flight key": "a2"})))
+    assert [r.key for r in book.values()] == ["a", "a2"]
+
+
+def test_chosen_log_of_a_file_is_part_of_the_key(tmp_path):
+    book = read_logbook(write(tmp_path / "log.csv", flight("a"), flight("a", **{"Log number": "2"})))
+    assert [r.key for r in book.values()] == ["a", "a-2"]
+
+
+@pytest.mark.parametrize("name", ["a b", "../a", ".a", "a/b", "ä"])
+def test_name_that_cannot_be_a_file_is_a_fault_of_that_row_alone(tmp_path, name):
+    book = read_logbook(write(tmp_path / "log.csv", flight(name), flight("good")))
+    assert "row 2" in book[2].problem
+    assert book[3].problem is None
+
+
+def test_unknown_flight_controller_names_the_near_one(tmp_path):
+    book = read_logbook(write(tmp_path / "log.csv", flight("a", **{"Flight controller": "betaflght"})))
+    assert "did you mean 'betaflight'" in book[2].problem
+
+
+def test_semicolons_quotes_and_comma_decimals_of_spreadsheets_are_read(tmp_path):
+    path = write(tmp_path / "log.csv", flight("a", Mass="433,5", Comments='"wind; gusts"'), separator=";")
+    row = read_logbook(path)[2]
+    assert row.number_in("Mass") == 433.5
+    assert row.cells["Comments"] == "wind; gusts"
+
+
+def test_text_where_a_number_is_wanted_names_the_cell(tmp_path):
+    row = read_logbook(write(tmp_path / "log.csv", flight("a", Mass="heavy")))[2]
+    with pytest.raises(LogbookError, match="row 2: 'Mass' is 'heavy', expected a number"):
+        row.number_in("Mass")
