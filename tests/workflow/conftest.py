@@ -1,0 +1,136 @@
+"""A small project of made flights, run once by Snakemake for real; each test edits a copy and looks at what would rerun."""
+
+import csv
+import io
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from quasi.synthesis.campaign import logbook, quadrotor_configuration
+
+ROOT = Path(__file__).parents[2]
+HOUSE = ("Snakefile", "rules", "scripts", "quasi", "config/schemas", "config/polynomials", "profiles")
+CAMPAIGN = {
+    "quadrotor": "MadeBeetle",
+    "seed": 7,
+    "duration": 20,
+    "log rate": 500,
+    "flights": [{"key": f"small-{i}", "profile": "mixed"} for i in (1, 2, 3, 4)],
+}
+MODEL = {
+    "logging file": {
+        "directory": "data",
+        "filename": "small_file_log",
+        "rows of flights to use (all)": [2, 3, 4],
+        "rows of flights for validation": [4],
+    },
+    "identification parameters": {
+        "polynomial specification file": "polyCands_DiffSys_quadraticU_symmetric_SIMPLE_FM.json",
+        "polynomial": {"regressor cap": 2},
+    },
+}
+PROCESSING = {
+    "logging file": {"directory": "data", "filename": "small_file_log"},
+    "data importing": {"resampling rate": 250},
+}
+
+
+@dataclass
+class Project:
+    """A project folder beside a copy of the house, so that a test may edit either."""
+
+    base: Path
+
+    @property
+    def folder(self) -> Path:
+        return self.base / "project"
+
+    @property
+    def house(self) -> Path:
+        return self.base / "house"
+
+    def snakemake(self, *arguments):
+        """Run Snakemake; returns (exit code, everything printed)."""
+        environment = {**os.environ, "PYTHONPATH": str(self.house), "NO_COLOR": "1"}
+        environment.pop("QUASI_RUN", None)
+        command = [sys.executable, "-m", "snakemake", "-s", str(self.house / "Snakefile"), "-d", str(self.folder)]
+        command += ["--profile", str(self.house / "profiles/default"), *arguments]
+        done = subprocess.run(
+            command, cwd=self.base, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        )
+        return done.returncode, done.stdout
+
+    def would_run(self, target="models/small/standalone"):
+        """{rule: number of jobs} of a dry run; {} when nothing is to be done."""
+        code, text = self.snakemake("-n", target)
+        assert code == 0, text
+        if "Nothing to be done" in text:
+            return {}
+        table = re.search(r"^Job stats:\n(.*?)^total\s", text, flags=re.S | re.M)
+        assert table, text
+        counts = re.findall(r"^(\w+)\s+(\d+)\s*$", table[1], flags=re.M)
+        return {rule: int(n) for rule, n in counts}
+
+    def edit_json(self, path, change):
+        document = json.loads((self.folder / path).read_text())
+        change(document)
+        (self.folder / path).write_text(json.dumps(document, indent=2))
+
+    def edit_logbook(self, change):
+        """change(rows): rows are dicts in order; the logbook is written anew."""
+        path = self.folder / "data/small_file_log.csv"
+        rows = list(csv.DictReader(io.StringIO(path.read_text())))
+        change(rows)
+        write_rows(path, rows)
+
+
+def write_rows(path, rows):
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    path.write_text(text.getvalue())
+
+
+def lay(base):
+    project = Project(base)
+    for name in HOUSE:
+        source, target = ROOT / name, project.house / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if source.is_dir():
+            shutil.copytree(source, target, ignore=shutil.ignore_patterns("*.nbi", "*.nbc"))
+        else:
+            shutil.copy(source, target)
+    for name in ("config/models", "config/synthesis", "data"):
+        (project.folder / name).mkdir(parents=True)
+    (project.folder / "config/synthesis/small.json").write_text(json.dumps(CAMPAIGN))
+    (project.folder / "config/models/small.json").write_text(json.dumps(MODEL))
+    (project.folder / "config/processing.json").write_text(json.dumps(PROCESSING))
+    write_rows(project.folder / "data/small_file_log.csv", logbook("small", CAMPAIGN))
+    (project.folder / "data/MadeBeetleConfig.json").write_text(json.dumps(quadrotor_configuration(CAMPAIGN)))
+    return project
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory):
+    """The small project with its model made; (project, what the run printed). Not to be edited."""
+    project = lay(tmp_path_factory.mktemp("small"))
+    code, text = project.snakemake("-j2", "models/small/standalone")
+    assert code == 0, text
+    return project, text
+
+
+@pytest.fixture
+def project(finished, tmp_path):
+    """A copy of the finished project for one test to edit."""
+    original = finished[0]
+    # file times are part of what Snakemake compares: keep them
+    shutil.copytree(original.base, tmp_path / "copy", copy_function=shutil.copy2)
+    return Project(tmp_path / "copy")

@@ -1,0 +1,134 @@
+"""Faults of one flight stop that flight, faults of shared configuration stop the run; the last line is the remedy."""
+
+import pytest
+
+pytestmark = pytest.mark.workflow
+
+
+def last_line(text):
+    return text.rstrip().splitlines()[-1]
+
+
+def parts(project):
+    """Temporary files of unfinished writes."""
+    return [p for p in project.folder.rglob("*.part") if ".snakemake" not in p.parts]
+
+
+def test_missing_raw_file_fails_its_flight_and_the_others_go_on(project):
+    def change(rows):
+        rows.append({**rows[1], "Flight ID": "9", "Onboard Name": "lost", "Flight key": "lost"})
+
+    project.edit_logbook(change)
+    targets = [f"results/filtered/MadeBeetle/withGravity/{f}.parquet" for f in ("lost", "small-4")]
+    code, text = project.snakemake("-j2", "--keep-going", *targets)
+    assert code != 0
+    assert "row 6, flight lost: raw file results/synthesis/small/onboard/lost" in last_line(text)
+    assert "does not exist; correct" in last_line(text)
+    assert (project.folder / targets[1]).is_file()
+    assert not (project.folder / "results/imported/MadeBeetle/lost.parquet").exists()
+    assert not parts(project)
+
+
+def test_unknown_quadrotor_configuration_names_row_file_and_remedy(project):
+    project.edit_logbook(lambda rows: rows[0].update({"Drone Config File": "MadeBeatleConfig"}))
+    code, text = project.snakemake("-j1", "models/small/standalone")
+    assert code != 0
+    line = last_line(text)
+    assert "row 2, flight small-1" in line
+    assert "did you mean 'MadeBeetleConfig.json'" in line
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda content: b"", "is empty"),
+        (lambda content: content[:700], "small-1.bbl"),
+        (lambda content: b"not a log at all\n" * 50, "small-1.bbl"),
+    ],
+    ids=["empty", "cut in the header", "no log"],
+)
+def test_empty_or_damaged_log_is_one_sentence(project, make, words):
+    path = project.folder / "results/synthesis/small/onboard/small-1.bbl"
+    path.write_bytes(make(path.read_bytes()))
+    target = "results/imported/MadeBeetle/small-1.parquet"
+    (project.folder / target).unlink()
+    code, text = project.snakemake("-j1", "--allowed-rules", "importing", "--", target)
+    assert code != 0
+    assert words in last_line(text)
+    assert "Traceback" not in last_line(text)
+    assert not (project.folder / target).exists()
+    assert not parts(project)
+
+
+@pytest.mark.parametrize(
+    ("path", "change", "words"),
+    [
+        (
+            "config/processing.json",
+            lambda c: c["data importing"].update({"resampling rte": 1}),
+            "unknown key 'resampling rte' in 'data importing'; did you mean 'resampling rate'?",
+        ),
+        (
+            "config/models/small.json",
+            lambda c: c["logging file"].update({"rows of flights to use (all)": [2, 99]}),
+            "row 99 is selected, but data/small_file_log.csv has flights in rows 2-5",
+        ),
+        (
+            "config/models/small.json",
+            lambda c: c["logging file"].update({"rows of flights for validation": [5]}),
+            "validation row 5 is not among",
+        ),
+        (
+            "config/models/small.json",
+            lambda c: c["identification parameters"].update({"polynomial specification file": "phisical"}),
+            "does not exist; did you mean 'physical.json'",
+        ),
+        (
+            "config/models/small.json",
+            lambda c: c["identification parameters"]["polynomial"].update({"regressor cap": "3"}),
+            "'regressor cap' is '3', expected a whole number",
+        ),
+    ],
+    ids=["unknown key", "row out of range", "validation row", "specification file", "wrong type"],
+)
+def test_fault_of_a_configuration_stops_the_run_with_its_sentence(project, path, change, words):
+    project.edit_json(path, change)
+    code, text = project.snakemake("-j1", "models/small/standalone")
+    assert code != 0
+    assert words in last_line(text)
+
+
+def test_clashing_flight_keys_and_missing_column_stop_the_run(project):
+    project.edit_logbook(lambda rows: rows.append(dict(rows[0])))
+    code, text = project.snakemake("-j1", "models/small/standalone")
+    assert code != 0
+    assert "rows 2 and 6 both mean flight 'small-1' of MadeBeetle" in last_line(text)
+    path = project.folder / "data/small_file_log.csv"
+    path.write_text(path.read_text().replace("Onboard Name", "Onbord Name"))
+    code, text = project.snakemake("-j1", "models/small/standalone")
+    assert code != 0
+    assert "no column 'Onboard Name'; did you mean 'Onbord Name'" in last_line(text)
+
+
+def test_unknown_variable_in_a_specification_names_it(project):
+    def change(config):
+        config["identification parameters"]["polynomial specification file"] = "mine"
+
+    project.edit_json("config/models/small.json", change)
+    folder = project.folder / "config/polynomials"
+    folder.mkdir()
+    axes = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+    import json
+
+    mine = {a: {"candidates": [{"vars": ["u", "w_tott"], "degree": 2}], "fixed": ["w_tot"]} for a in axes}
+    (folder / "mine.json").write_text(json.dumps(mine))
+    code, text = project.snakemake("-j2", "models/small/standalone")
+    assert code != 0
+    assert "'w_tott'" in last_line(text)
+    assert "did you mean 'w_tot'" in last_line(text)
+
+
+def test_unknown_model_names_the_known(project):
+    code, text = project.snakemake("-n", "models/smal/standalone")
+    assert code != 0
+    assert "config/models/smal.json does not exist; did you mean 'small'?" in last_line(text)

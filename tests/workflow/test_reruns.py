@@ -1,0 +1,97 @@
+"""What reruns and why: only what is stale, and a validation flight never refits a model."""
+
+import pytest
+
+pytestmark = pytest.mark.workflow
+
+AXES_AND_AFTER = {"identification": 6, "standalone_model": 1, "standalone_scores": 1, "standalone": 1}
+
+
+def test_run_makes_the_model_and_tells_where_with_its_scores(finished):
+    project, text = finished
+    folder = project.folder / "models/small/standalone"
+    assert {p.name for p in folder.iterdir()} >= {"model.json", "scores.parquet", "summary.txt"}
+    tail = text[text.index("100%") :]
+    assert "models/small/standalone" in tail
+    for axis in ("Fx", "Fy", "Fz", "Mx", "My", "Mz"):
+        assert axis in tail
+    assert "validation" in tail
+
+
+def test_second_run_does_nothing(finished):
+    assert finished[0].would_run() == {}
+
+
+def test_changed_comment_and_appended_row_rerun_nothing(project):
+    def change(rows):
+        rows[0]["Comments"] = "a gust at 20 s"
+        rows.append({**rows[-1], "Flight ID": "99", "Flight key": "later", "Onboard Name": "later"})
+
+    project.edit_logbook(change)
+    assert project.would_run() == {}
+
+
+def test_mass_of_a_flight_that_the_model_does_not_use_reruns_nothing(project):
+    project.edit_logbook(lambda rows: rows[3].update(Mass="500"))
+    assert project.would_run() == {}
+
+
+def test_mass_of_a_training_flight_filters_that_flight_and_refits(project):
+    project.edit_logbook(lambda rows: rows[0].update(Mass="500"))
+    assert project.would_run() == {"filtering": 1, "identification_shared": 1, **AXES_AND_AFTER}
+
+
+def test_validation_flight_never_refits(project):
+    project.edit_logbook(lambda rows: rows[2].update(Mass="500"))
+    assert project.would_run() == {"filtering": 1, "standalone_scores": 1, "standalone": 1}
+
+
+def test_regressor_cap_identifies_anew_and_nothing_before(project):
+    def change(config):
+        config["identification parameters"]["polynomial"]["regressor cap"] = 3
+
+    project.edit_json("config/models/small.json", change)
+    assert project.would_run() == AXES_AND_AFTER
+
+
+def test_bias_switch_of_one_axis_refits_that_axis_alone(project):
+    def change(config):
+        config["identification parameters"]["add bias term fx"] = False
+
+    project.edit_json("config/models/small.json", change)
+    assert project.would_run() == {**AXES_AND_AFTER, "identification": 1}
+
+
+def test_importing_option_processes_the_models_flights_anew(project):
+    project.edit_json("config/processing.json", lambda c: c["data importing"].update({"resampling rate": 200}))
+    assert project.would_run()["importing"] == 3
+
+
+@pytest.mark.parametrize(
+    ("module", "stages"),
+    [
+        ("quasi/filtering/forces.py", {"filtering": 3, "identification_shared": 1, **AXES_AND_AFTER}),
+        ("quasi/identification/stepwise.py", AXES_AND_AFTER),
+    ],
+)
+def test_edited_module_reruns_the_stages_that_use_it_and_no_others(project, module, stages):
+    path = project.house / module
+    text = path.read_text()
+    path.write_text(text + "\n# a comment more\n")
+    assert project.would_run() == {}, "a comment is no change"
+    path.write_text(text + "\n\ndef added() -> int:\n    return 1\n")
+    assert project.would_run() == stages
+
+
+def test_rows_that_mean_other_flights_now_are_told_before_the_run(project):
+    project.edit_json(
+        "config/models/small.json", lambda c: c["logging file"].update({"rows of flights to use (all)": [2, 4, 5]})
+    )
+    code, text = project.snakemake("-n", "models/small/standalone")
+    assert code == 0
+    assert "now mean the training flights small-1, small-4; it was made from small-1, small-2" in text
+
+
+def test_lost_file_of_the_model_is_made_anew_when_asked_for(project):
+    (project.folder / "models/small/standalone/model.json").unlink()
+    assert project.would_run("models/small/standalone/model.json") == {"standalone": 1}
