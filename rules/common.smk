@@ -14,7 +14,6 @@ from quasi.joblog import RUN, told
 from quasi.provenance import code_of
 from quasi.workflow import Folder
 
-
 if Path("config/config.yaml").is_file():
 
     configfile: "config/config.yaml"
@@ -74,15 +73,23 @@ def training_flights(wildcards):
     if notice and notice not in FOLDER.notices:
         FOLDER.notices.append(notice)
         print(f"[NOTICE] {notice}", file=sys.stderr)
-    return filtered(ask(FOLDER.model_flights, wildcards.model, "training"), ask(FOLDER.gravity, wildcards.model))
+    return filtered(
+        ask(FOLDER.model_flights, wildcards.model, "training"),
+        ask(FOLDER.gravity, wildcards.model),
+    )
 
 
 def all_flights(wildcards):
-    return filtered(ask(FOLDER.model_flights, wildcards.model), ask(FOLDER.gravity, wildcards.model))
+    return filtered(
+        ask(FOLDER.model_flights, wildcards.model), ask(FOLDER.gravity, wildcards.model)
+    )
 
 
 def axis_parts(wildcards):
-    return [f"results/identified/{wildcards.model}/{a}.json" for a in ask(FOLDER.axes, wildcards.model)]
+    return [
+        f"results/identified/{wildcards.model}/{a}.json"
+        for a in ask(FOLDER.axes, wildcards.model)
+    ]
 
 
 def raw_files(wildcards):

@@ -19,7 +19,9 @@ rule filtering:
     benchmark:
         "results/benchmarks/filtering/{quadrotor}/{flight}.tsv"
     params:
-        settings=lambda wildcards: ask(FOLDER.filtering, wildcards.quadrotor, wildcards.flight),
+        settings=lambda wildcards: ask(
+            FOLDER.filtering, wildcards.quadrotor, wildcards.flight
+        ),
         code=code("filtering.py"),
     script:
         "../scripts/filtering.py"

@@ -16,7 +16,9 @@ rule importing:
     benchmark:
         "results/benchmarks/importing/{quadrotor}/{flight}.tsv"
     params:
-        settings=lambda wildcards: ask(FOLDER.importing, wildcards.quadrotor, wildcards.flight),
+        settings=lambda wildcards: ask(
+            FOLDER.importing, wildcards.quadrotor, wildcards.flight
+        ),
         code=code("importing.py"),
     script:
         "../scripts/importing.py"

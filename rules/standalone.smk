@@ -15,7 +15,8 @@ rule standalone_model:
         "logs/standalone/{model}/model.log",
     params:
         flights=lambda wildcards: {
-            role: [r.key for r in ask(FOLDER.model_flights, wildcards.model, role)] for role in ("training", "validation")
+            role: [r.key for r in ask(FOLDER.model_flights, wildcards.model, role)]
+            for role in ("training", "validation")
         },
         code=code("standalone_model.py"),
     script:
@@ -30,14 +31,18 @@ rule standalone_scores:
     output:
         scores="results/parts/standalone/{model}/scores.parquet",
         summary="results/parts/standalone/{model}/summary.txt",
-        figures=[f"results/parts/standalone/{{model}}/comparison_{a}.png" for a in ("forces", "moments")],
+        figures=[
+            f"results/parts/standalone/{{model}}/comparison_{a}.png"
+            for a in ("forces", "moments")
+        ],
     log:
         "logs/standalone/{model}/scores.log",
     benchmark:
         "results/benchmarks/standalone/{model}/scores.tsv"
     params:
         flights=lambda wildcards: {
-            role: [r.key for r in ask(FOLDER.model_flights, wildcards.model, role)] for role in ("training", "validation")
+            role: [r.key for r in ask(FOLDER.model_flights, wildcards.model, role)]
+            for role in ("training", "validation")
         },
         code=code("standalone_scores.py"),
     script:
@@ -49,7 +54,10 @@ rule standalone:
         model="results/parts/standalone/{model}/model.json",
         scores="results/parts/standalone/{model}/scores.parquet",
         summary="results/parts/standalone/{model}/summary.txt",
-        figures=[f"results/parts/standalone/{{model}}/comparison_{a}.png" for a in ("forces", "moments")],
+        figures=[
+            f"results/parts/standalone/{{model}}/comparison_{a}.png"
+            for a in ("forces", "moments")
+        ],
     output:
         folder=directory("models/{model}/standalone"),
         model="models/{model}/standalone/model.json",

@@ -15,7 +15,9 @@ rule synthesis:
     benchmark:
         "results/benchmarks/synthesis/{campaign}/{flight}.tsv"
     params:
-        campaign=lambda wildcards: ask(FOLDER.made_flight, wildcards.campaign, wildcards.flight),
+        campaign=lambda wildcards: ask(
+            FOLDER.made_flight, wildcards.campaign, wildcards.flight
+        ),
         code=code("synthesis.py"),
     script:
         "../scripts/synthesis.py"

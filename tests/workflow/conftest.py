@@ -1,4 +1,4 @@
-"""A small project of made flights, run once by Snakemake for real; each test edits a copy and looks at what would rerun."""
+"""A small project of made flights, run once by Snakemake for real; each test edits a copy of it."""
 
 import csv
 import io
