@@ -1,0 +1,131 @@
+"""Least squares on the chosen columns, with a covariance that survives autocorrelated residuals.
+
+Residuals of 500 Hz data resemble their neighbours for a long time, so that a hundred thousand rows hold the information
+of a few hundred. The covariance is the sandwich of Newey & West with a bandwidth from the residuals' own memory; rows that
+do not take part (the test rows of a random partition) count as missing, not as neighbours.
+
+Source: Newey & West, Econometrica 55(3), 1987; Parzen, On spectral analysis with missing observations, Sankhya A 25,
+1963 (missing rows as zeros); Sokal, Monte Carlo methods in statistical mechanics, 1997, section 3 (memory window).
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import fft
+from scipy.linalg import qr, solve_triangular
+
+from quasi.errors import DataError
+
+MEMORY_WINDOW = 5.0  # the memory is summed over this many times its own length
+
+
+class Fit(NamedTuple):
+    """Result of `least_squares`.
+
+    coefficients (p,); covariance (p, p) robust to autocorrelation; plain_covariance (p, p) as if rows were independent;
+    residuals (n,); sigma2, their variance; condition number of the scaled columns; inflation (p,) of each coefficient's
+    variance by the other columns; bandwidth in rows; effective_rows, independent rows that weigh as much as these.
+    """
+
+    coefficients: np.ndarray
+    covariance: np.ndarray
+    plain_covariance: np.ndarray
+    residuals: np.ndarray
+    sigma2: float
+    condition: float
+    inflation: np.ndarray
+    bandwidth: int
+    effective_rows: float
+
+
+def least_squares(a: np.ndarray, z: np.ndarray, series: Sequence[np.ndarray], bandwidth: int | None = None) -> Fit:
+    """Least squares of z (n,) on the columns of a (n, p) by QR of the scaled columns.
+
+    series     per flight the row numbers (n_b,) in its time order, increasing; together they cover the n rows in order
+    bandwidth  Bartlett bandwidth in rows; from the residuals' memory when None
+    Raises DataError when columns are combinations of each other or rows are too few.
+    """
+    n, p = a.shape
+    if n <= p:
+        raise DataError(f"{n} training rows are too few for {p} terms; use more flights or fewer terms")
+    scale = np.linalg.norm(a, axis=0)
+    if not np.all(np.isfinite(scale)) or np.any(scale == 0):
+        raise DataError("a regressor is zero or not finite over the training rows; remove it")
+    scaled = a / scale
+    q, r = qr(scaled, mode="economic", check_finite=False)
+    singular = np.linalg.svd(r, compute_uv=False)
+    if singular[-1] < 1e-12 * singular[0]:
+        raise DataError("the regressors are combinations of each other; remove one of them")
+    theta = solve_triangular(r, q.T @ z)
+    residuals = z - scaled @ theta
+    inverse = solve_triangular(r, np.eye(p))
+    bread = inverse @ inverse.T
+    sigma2 = float(residuals @ residuals) / (n - p)
+    scores = scaled * residuals[:, None]
+    if bandwidth is None:
+        bandwidth = max(memory_window(residuals, series), *(memory_window(s, series) for s in scores.T))
+    meat = bartlett(scores, series, bandwidth)
+    variance = bartlett(residuals[:, None], series, bandwidth)[0, 0]
+    return Fit(
+        coefficients=theta / scale,
+        covariance=bread @ meat @ bread / np.outer(scale, scale),
+        plain_covariance=sigma2 * bread / np.outer(scale, scale),
+        residuals=residuals,
+        sigma2=sigma2,
+        condition=float(singular[0] / singular[-1]),
+        inflation=np.diag(bread).copy(),
+        bandwidth=int(bandwidth),
+        effective_rows=float(np.clip(n * (residuals @ residuals) / variance, 1.0, n)) if variance > 0 else float(n),
+    )
+
+
+def bartlett(scores: np.ndarray, series: Sequence[np.ndarray], bandwidth: int) -> np.ndarray:
+    """Sum over lags |l| < bandwidth of (1 - |l|/bandwidth) sum_t s_t s_{t+l}', within flights. Returns (p, p).
+
+    Equal to the mean over all windows of that length of the outer product of their sums, which takes one running sum.
+    """
+    total = np.zeros((scores.shape[1],) * 2)
+    start = 0
+    for rows in series:
+        part = scores[start : start + len(rows)]
+        start += len(rows)
+        if not len(rows):
+            continue
+        length = int(rows[-1] - rows[0]) + 1
+        dense = np.zeros((length + 2 * bandwidth, scores.shape[1]))
+        dense[bandwidth + rows - rows[0]] = part
+        running = np.cumsum(dense, axis=0)
+        windows = running[bandwidth:] - running[:-bandwidth]
+        total += windows.T @ windows / bandwidth
+    return total
+
+
+def memory_window(values: np.ndarray, series: Sequence[np.ndarray]) -> int:
+    """Lags over which values (n,) resemble themselves: the smallest window of five times the memory summed inside it.
+
+    Missing rows are left out of the products. At least 1, at most a third of the longest flight.
+    """
+    longest = max((int(rows[-1] - rows[0]) + 1 for rows in series if len(rows)), default=1)
+    limit = max(longest // 3, 1)
+    size = fft.next_fast_len(longest + limit, real=True)
+    product, pairs = np.zeros(limit), np.zeros(limit)
+    start = 0
+    for rows in series:
+        part = values[start : start + len(rows)]
+        start += len(rows)
+        if not len(rows):
+            continue
+        both = np.zeros((2, size))
+        both[0, rows - rows[0]] = part
+        both[1, rows - rows[0]] = 1.0
+        correlation = fft.irfft(np.abs(fft.rfft(both, axis=1)) ** 2, size, axis=1)[:, :limit]
+        product += correlation[0]
+        pairs += np.round(correlation[1])
+    if product[0] <= 0:
+        return 1
+    rho = product / np.maximum(pairs, 1.0)
+    rho = np.where(pairs > 0, rho / rho[0], 0.0)
+    memory = np.maximum(2.0 * np.cumsum(rho) - 1.0, 0.0)
+    enough = np.flatnonzero(np.arange(limit) >= MEMORY_WINDOW * memory)
+    return max(int(enough[0]) if len(enough) else limit, 1)

@@ -1,0 +1,206 @@
+"""What the six axes of a model share: hover speed, the simple rotor model, actuator constants.
+
+Source: QuaSI user manual V1.0.a, 6.1 and 6.5; momentum balance in hover for the hover speed.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.signal import butter, sosfiltfilt
+
+from quasi.airframe import Airframe
+from quasi.attitude import GRAVITY
+from quasi.errors import DataError
+from quasi.identification.partition import TRAINING
+from quasi.identification.regression import least_squares
+from quasi.variables import Variables
+
+UPRIGHT = 0.99  # share of gravity along body z from which a sample counts as hover
+LEAST_HOVER = 50  # samples
+ACTUATOR_CUTOFF = 10.0  # Hz
+GRAVITIES = ("withGravity", "noGravity")
+
+
+def shared(
+    flights: Mapping[str, pd.DataFrame],
+    partition: Mapping[str, np.ndarray],
+    airframe: Airframe,
+    gravity: str = "withGravity",
+    masses: Mapping[str, float] | None = None,
+) -> dict[str, Any]:
+    """Hover speed, simple model and actuator constants of the training rows, as plain data.
+
+    flights    filtered flights; partition  roles of their rows
+    gravity    what Fx..Fz hold: "withGravity" (mass x specific force) or "noGravity" (net force)
+    masses     kg per flight, where they differ from the airframe's
+    Raises DataError when a column or the mass is missing.
+    """
+    notes: list[str] = []
+    training = {key: flight for key, flight in flights.items() if (partition[key] == TRAINING).any()}
+    prepared = {}
+    for key, flight in training.items():
+        rows = np.flatnonzero(partition[key] == TRAINING)
+        needed = ["w1", "w2", "w3", "w4", "Fz", "Mx", "My", "Mz", "roll", "pitch"]
+        missing = [c for c in needed if c not in flight]
+        if missing:
+            raise DataError(f"flight {key} has no column '{missing[0]}', which every model needs; filter it anew")
+        part = flight[needed].iloc[rows]
+        good = np.isfinite(part.to_numpy()).all(axis=1)
+        values = {c: part[c].to_numpy(float)[good] for c in needed}
+        mass = (masses or {}).get(key, airframe.mass)
+        values["upright"] = np.cos(values["roll"]) * np.cos(values["pitch"])
+        if gravity == "noGravity":
+            values["Fz"] = values["Fz"] - _mass(mass, key) * GRAVITY * values["upright"]
+        prepared[key] = (rows[good], values, mass)
+    return {
+        "schema": "quasi.shared/1",
+        "gravity": gravity,
+        "training flights": list(training),
+        "hover speed": _hover(prepared, notes),
+        "simple model": _simple(prepared, airframe),
+        "actuators": _actuators(training, partition, notes),
+        "notes": notes,
+    }
+
+
+def _mass(mass: float | None, key: str) -> float:
+    if mass is None:
+        raise DataError(f"flight {key}: the mass is unknown; fill in 'Mass' in the logbook")
+    return mass
+
+
+def _hover(prepared: Mapping[str, tuple], notes: list[str]) -> dict[str, Any]:
+    each = {}
+    for key, (_, values, mass) in prepared.items():
+        speed = hover_speed(values, _mass(mass, key))
+        if speed is None:
+            notes.append(f"flight {key} has no usable hover samples; it does not enter the hover speed")
+        else:
+            each[key] = speed
+    if not each:
+        notes.append("no flight hovers, so the hover speed is unknown and variables such as d_w_tot cannot be used")
+    found = np.array(list(each.values()))
+    return {
+        "value": float(found.mean()) if len(found) else None,
+        "std": float(found.std(ddof=1)) if len(found) > 1 else None,
+        "unit": "rad/s",
+        "per flight": each,
+    }
+
+
+def hover_speed(values: Mapping[str, np.ndarray], mass: float) -> float | None:
+    """Rotor speed (rad/s) at which four rotors carry mass x gravity, or None without enough hover samples.
+
+    values  w1..w4, Fz (N, as the accelerometer feels it), upright (body z share of gravity), each (n,)
+    Least squares of Fz on the sum of squared speeds over upright samples, through the origin.
+    """
+    rows = values["upright"] > UPRIGHT
+    if np.count_nonzero(rows) < LEAST_HOVER:
+        return None
+    squares = sum(values[f"w{i}"][rows] ** 2 for i in range(1, 5))
+    factor = -float(squares @ values["Fz"][rows]) / float(squares @ squares) if squares.any() else 0.0
+    return float(np.sqrt(mass * GRAVITY / (4 * factor))) if factor > 0 else None
+
+
+def _simple(prepared: Mapping[str, tuple], airframe: Airframe) -> dict[str, Any]:
+    """Thrust and torque factors through the origin: kappaX on squared speeds, kappaX_w on speeds."""
+    columns: dict[str, list[np.ndarray]] = {}
+    series = []
+    for rows, values, _ in prepared.values():
+        variables = Variables(values, airframe, None)
+        series.append(rows)
+        columns.setdefault("thrust", []).append(-values["Fz"])
+        columns.setdefault("U", []).append(4 * variables["w_avg"] ** 2)
+        for name in ("w_tot", "U_p", "U_q", "U_r", "u_p", "u_q", "u_r"):
+            columns.setdefault(name, []).append(variables[name])
+        for name in ("Mx", "My", "Mz"):
+            columns.setdefault(name, []).append(values[name])
+    whole = {name: np.concatenate(parts) for name, parts in columns.items()}
+    fits = {
+        "kappaFz": ("U", "thrust", "N s2/rad2"),
+        "kappaMx": ("U_p", "Mx", "N m s2/rad2"),
+        "kappaMy": ("U_q", "My", "N m s2/rad2"),
+        "kappaMz": ("U_r", "Mz", "N m s2/rad2"),
+        "kappaFz_w": ("w_tot", "thrust", "N s/rad"),
+        "kappaMx_w": ("u_p", "Mx", "N m s/rad"),
+        "kappaMy_w": ("u_q", "My", "N m s/rad"),
+        "kappaMz_w": ("u_r", "Mz", "N m s/rad"),
+    }
+    result = {}
+    for name, (x, z, unit) in fits.items():
+        fit = least_squares(whole[x][:, None], whole[z], series)
+        result[name] = {"value": float(fit.coefficients[0]), "std": float(np.sqrt(fit.covariance[0, 0])), "unit": unit}
+    return result
+
+
+def _actuators(
+    flights: Mapping[str, pd.DataFrame], partition: Mapping[str, np.ndarray], notes: list[str]
+) -> dict[str, Any] | None:
+    """Time constants of the four rotors, median over flights, and the map from command to speed where it was fitted."""
+    found = {}
+    for key, flight in flights.items():
+        rows = partition[key] == TRAINING
+        result = actuator_constants(flight, rows)
+        if result is None:
+            notes.append(f"flight {key} logs no rotor command; it does not enter the actuator constants")
+        else:
+            found[key] = result
+    usable = {key: r for key, r in found.items() if all(tau > 0 for tau in r["time constants"])}
+    for key in found.keys() - usable.keys():
+        notes.append(f"flight {key}: the rotors do not follow the command with a lag; it gives no actuator constants")
+    if not usable:
+        return None
+    taus = np.array([r["time constants"] for r in usable.values()])
+    maps = [r["command map"] for r in usable.values() if r["command map"] is not None]
+    return {
+        "time constants": {"value": np.median(taus, axis=0).tolist(), "unit": "s"},
+        "spread": np.std(taus, axis=0, ddof=1).tolist() if len(taus) > 1 else None,
+        "per flight": {key: r["time constants"] for key, r in usable.items()},
+        "command map": None
+        if not maps
+        else {"coefficients": np.median(maps, axis=0).tolist(), "powers": [0, 1, 2], "unit": "rad/s"},
+    }
+
+
+def actuator_constants(flight: pd.DataFrame, rows: np.ndarray) -> dict[str, Any] | None:
+    """Time constants (s) of dW/dt = (command - W)/tau, per rotor, or None when no command is logged.
+
+    Signals are low-passed alike at 10 Hz. Where only the share of the motor output is logged, its map to a speed,
+    a quadratic, is fitted with the time constant, rotor by rotor.
+    """
+    speeds = [f"w{i}_CMD" for i in range(1, 5)]
+    shares = [f"command{i}" for i in range(1, 5)]
+    direct = all(c in flight and np.isfinite(flight[c]).any() for c in speeds)
+    if not direct and not all(c in flight and np.isfinite(flight[c]).any() for c in shares):
+        return None
+    dt = float(np.median(np.diff(flight["t"].to_numpy())))
+    low = butter(2, min(ACTUATOR_CUTOFF, 0.2 / dt), fs=1 / dt, output="sos")
+
+    def smooth(x: np.ndarray) -> np.ndarray:
+        good = np.isfinite(x)
+        filled = np.interp(np.arange(len(x)), np.flatnonzero(good), x[good])
+        return sosfiltfilt(low, filled)
+
+    taus, maps = [], []
+    for i in range(1, 5):
+        speed = smooth(flight[f"w{i}"].to_numpy(float))
+        rate = np.gradient(speed, dt)
+        command = flight[speeds[i - 1] if direct else shares[i - 1]].to_numpy(float)
+        use = rows & np.isfinite(command)
+        if np.count_nonzero(use) < 20:
+            return None
+        command = smooth(command)
+        if direct:
+            difference = (command - speed)[use]
+            square = float(difference @ difference)
+            taus.append(square / float(difference @ rate[use]) if square > 0 and difference @ rate[use] else -1.0)
+            continue
+        columns = np.column_stack([-speed, np.ones_like(speed), command, command**2])[use]
+        scale = np.linalg.norm(columns, axis=0)
+        scale[scale == 0] = 1.0
+        solution = np.linalg.lstsq(columns / scale, rate[use], rcond=None)[0] / scale
+        taus.append(1.0 / solution[0] if solution[0] else -1.0)
+        maps.append(solution[1:] * taus[-1])
+    return {"time constants": [float(t) for t in taus], "command map": np.mean(maps, axis=0) if maps else None}

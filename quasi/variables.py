@@ -1,0 +1,221 @@
+"""Candidate variables: what a polynomial may be made of, from the columns of a flight or the state of a simulation.
+
+The manual's Table 2 under its own names and under the spellings of published models, and what it lacks:
+
+    w1..w4, w2_1..w2_4, w1_CMD..        rotor speeds (mechanical rad/s), their squares, commanded speeds
+    w_tot (wtot), w_avg (wavg)          sum; root of the mean square
+    u_p u_q u_r, U_p U_q U_r            sums weighted by left, front and spin sign of the speeds, of their squares
+    d_w1.., d_w_tot (d_wtot)            difference from the hover speed
+    u v w                               velocity through the air (over ground where no wind is known)
+    mu_x mu_y mu_z mu_vin               u, v, w, v_in over the tip speed w_avg R
+    roll pitch yaw p q r x y z          attitude wrapped to +-pi, body rates, position
+    w1_dot.., w_tot_dot, u_p_dot ..     rotor accelerations, rad/s2, their sum and weighted sums
+    battery_voltage, v_in, ...          any further column under its own name
+    |name|  sin[name]  cos[name]        of every one of these
+
+Source: QuaSI user manual V1.0.a, Table 2, equations (13) and (15).
+"""
+
+import re
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from quasi.airframe import Airframe
+from quasi.errors import ExpressionError, nearest
+from quasi.expressions import Tree, names
+
+SYNONYMS: dict[str, Tree] = {
+    "wtot": ("name", "w_tot"),
+    "wavg": ("name", "w_avg"),
+    "d_wtot": ("name", "d_w_tot"),
+    **{f"w2_{i}": ("power", ("name", f"w{i}"), ("number", 2.0)) for i in range(1, 5)},
+}
+_ROTORS = tuple(f"w{i}" for i in range(1, 5))
+_DOTS = tuple(f"w{i}_dot" for i in range(1, 5))
+_AIR = {"u": "u_air", "v": "v_air", "w": "w_air"}
+_OF = re.compile(r"^(?:\|(?P<abs>.+)\||(?P<function>sin|cos)\[(?P<of>.+)\])$")
+
+# name: the columns it is made from; hover speed, radius and signs come from elsewhere
+_MADE_FROM: dict[str, tuple[str, ...]] = {
+    **{f"w2_{i}": (f"w{i}",) for i in range(1, 5)},
+    **{f"d_w{i}": (f"w{i}",) for i in range(1, 5)},
+    **dict.fromkeys(("w_tot", "w_avg", "d_w_tot", "u_p", "u_q", "u_r", "U_p", "U_q", "U_r"), _ROTORS),
+    **dict.fromkeys(("w_tot_dot", "u_p_dot", "u_q_dot", "u_r_dot"), _DOTS),
+    **{f"mu_{a}": (*_ROTORS, v) for a, v in (("x", "u"), ("y", "v"), ("z", "w"), ("vin", "v_in"))},
+}
+
+# base dimensions: length, mass, time, angle, voltage; powers
+_UNITS: dict[str, tuple[float, ...]] = {}
+for _unit, _members in {
+    (0, 0, -1, 1, 0): (*_ROTORS, *(f"w{i}_CMD" for i in range(1, 5)), *(f"d_w{i}" for i in range(1, 5)),
+                       "w_tot", "w_avg", "d_w_tot", "u_p", "u_q", "u_r", "p", "q", "r"),
+    (0, 0, -2, 2, 0): (*(f"w2_{i}" for i in range(1, 5)), "U_p", "U_q", "U_r"),
+    (0, 0, -2, 1, 0): (*_DOTS, "w_tot_dot", "u_p_dot", "u_q_dot", "u_r_dot", "p_dot", "q_dot", "r_dot"),
+    (1, 0, -1, 0, 0): ("u", "v", "w", "v_in", "u_air", "v_air", "w_air"),
+    (0, 0, 0, -1, 0): ("mu_x", "mu_y", "mu_z", "mu_vin"),
+    (0, 0, 0, 1, 0): ("roll", "pitch", "yaw"),
+    (1, 0, 0, 0, 0): ("x", "y", "z"),
+    (0, 0, 0, 0, 1): ("battery_voltage",),
+    (0, 0, 0, 0, 0): ("throttle", *(f"command{i}" for i in range(1, 5))),
+}.items():  # fmt: skip
+    _UNITS.update(dict.fromkeys(_members, _unit))
+_TARGETS = {
+    **dict.fromkeys(("Fx", "Fy", "Fz"), (1, 1, -2, 0, 0)),
+    **dict.fromkeys(("Mx", "My", "Mz"), (2, 1, -2, 0, 0)),
+}
+
+
+def columns_of(tree: Tree) -> set[str]:
+    """Base columns that an expression needs. Velocities stand as u, v, w, whether through the air or over ground."""
+    return set().union(*(base_columns(name) for name in names(tree)), set())
+
+
+def base_columns(name: str) -> set[str]:
+    """Base columns that a variable is made from; a name outside the table is a column of its own."""
+    name = SYNONYMS[name][1] if name in SYNONYMS and SYNONYMS[name][0] == "name" else name
+    match = _OF.match(name)
+    if match:
+        return base_columns(match["abs"] or match["of"])
+    return set(_MADE_FROM.get(name, (name,)))
+
+
+def known_names(columns: Mapping[str, object] | set[str]) -> list[str]:
+    """Names that these columns make possible, without |..|, sin[..] and cos[..], which every name allows."""
+    have = {*columns, *(v for v, air in _AIR.items() if air in columns)}
+    made = [name for name, needs in _MADE_FROM.items() if have.issuperset(needs)]
+    return [*made, *(n for n in columns if n not in made)]
+
+
+class Variables:
+    """Candidate variables by name, each computed when first asked for.
+
+    columns      {name: (n,)} base columns in SI units: w1..w4, u v w, p q r, roll pitch yaw, and what else there is
+    airframe     signs of the rotors and the rotor radius
+    hover_speed  rad/s, one rotor's speed in hover; None when unknown (then d_w... cannot be asked)
+    """
+
+    def __init__(self, columns: Mapping[str, np.ndarray], airframe: Airframe, hover_speed: float | None) -> None:
+        self._columns = columns
+        self._airframe = airframe
+        self._hover = hover_speed
+        self._values: dict[str, np.ndarray] = {}
+
+    def known(self) -> list[str]:
+        """Names that can be asked, without |..|, sin[..] and cos[..], which every name allows."""
+        listed = known_names(self._columns)
+        return listed if self._hover is not None else [n for n in listed if not n.startswith("d_w")]
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Values (n,) of a variable. Raises ExpressionError for an unknown name or one whose columns are missing."""
+        if name not in self._values:
+            self._values[name] = self._make(name)
+        return self._values[name]
+
+    def _column(self, name: str, of: str) -> np.ndarray:
+        name = _AIR[name] if name in _AIR and _AIR[name] in self._columns else name
+        if name not in self._columns:
+            raise ExpressionError(
+                f"variable '{of}' needs the column '{name}', which this data lacks; leave it out or log it"
+            )
+        return np.asarray(self._columns[name], float)
+
+    def _make(self, name: str) -> np.ndarray:
+        match = _OF.match(name)
+        if match:
+            if match["abs"]:
+                return np.abs(self[match["abs"]])
+            return (np.sin if match["function"] == "sin" else np.cos)(self[match["of"]])
+        if name in SYNONYMS and SYNONYMS[name][0] == "name":
+            return self[SYNONYMS[name][1]]
+        if name in _MADE_FROM:
+            return self._derived(name)
+        if name in ("roll", "pitch", "yaw"):
+            angle = self._column(name, name)
+            return angle - 2 * np.pi * np.round(angle / (2 * np.pi))
+        if name in _UNITS or name in self._columns:
+            return self._column(name, name)
+        raise ExpressionError(f"unknown variable '{name}'{nearest(name, self.known())}")
+
+    def _derived(self, name: str) -> np.ndarray:
+        if name.startswith("mu_"):
+            velocity = {"mu_x": "u", "mu_y": "v", "mu_z": "w", "mu_vin": "v_in"}[name]
+            return self._column(velocity, name) / (self["w_avg"] * self._airframe.radius)
+        if name.endswith("_dot"):
+            speeds = [self._column(c, name) for c in _DOTS]
+            return self._weighted(name.removesuffix("_dot"), speeds)
+        if name.startswith("w2_"):
+            return self._column(f"w{name[3:]}", name) ** 2
+        if name.startswith("d_w"):
+            if self._hover is None:
+                raise ExpressionError(
+                    f"variable '{name}' needs the hover speed, which is unknown; give a flight that hovers"
+                )
+            return self["w_tot"] - 4 * self._hover if name == "d_w_tot" else self._column(name[2:], name) - self._hover
+        speeds = [self._column(c, name) for c in _ROTORS]
+        if name == "w_avg":
+            return np.sqrt(sum(w * w for w in speeds) / 4.0)
+        if name[0] == "U":
+            return self._weighted(name.lower(), [w * w for w in speeds])
+        return self._weighted(name, speeds)
+
+    def _weighted(self, name: str, values: list[np.ndarray]) -> np.ndarray:
+        frame = self._airframe
+        signs = {"w_tot": np.ones(4), "u_p": frame.left, "u_q": frame.front, "u_r": frame.spin}[name]
+        return sum(s * v for s, v in zip(signs, values))
+
+
+def unit_of(tree: Tree, target: str, lookup: Callable[[str], tuple] | None = None) -> str:
+    """Unit of the coefficient that turns an expression into the target ("Fx" .. "Mz"), e.g. "N s2/rad2".
+
+    "mixed" stands for those without one: sums of unlike quantities and for powers that vary.
+    """
+    dimension = _dimension(tree, lookup or _unit_of_name)
+    if dimension is None:
+        return "mixed"
+    length, mass, time, angle, voltage = (t - d for t, d in zip(_TARGETS[target], dimension))
+    # newtons take the mass; what is left over is written in base units
+    parts = {"N": mass, "kg": 0.0, "m": length - mass, "s": time + 2 * mass, "rad": angle, "V": voltage}
+    shown = {True: [], False: []}
+    for unit, power in parts.items():
+        if power:
+            size = abs(power)
+            shown[power > 0].append(unit + ("" if size == 1 else f"{size:g}"))
+    over = " ".join(shown[True]) or "1"
+    under = " ".join(shown[False])
+    if not under:
+        return over
+    return f"{over}/{under}" if len(shown[False]) == 1 else f"{over}/({under})"
+
+
+def _unit_of_name(name: str) -> tuple | None:
+    match = _OF.match(name)
+    if match:
+        return _unit_of_name(match["abs"]) if match["abs"] else (0,) * 5
+    if name in SYNONYMS and SYNONYMS[name][0] == "name":
+        name = SYNONYMS[name][1]
+    return _UNITS.get(name)
+
+
+def _dimension(tree: Tree, lookup: Callable[[str], tuple | None]) -> tuple | None:
+    kind = tree[0]
+    if kind == "number":
+        return (0,) * 5
+    if kind == "name":
+        return lookup(tree[1])
+    if kind == "negative":
+        return _dimension(tree[1], lookup)
+    if kind == "power":
+        base = _dimension(tree[1], lookup)
+        power = tree[2]
+        sign = -1.0 if power[0] == "negative" else 1.0
+        power = power[1] if power[0] == "negative" else power
+        if base is None or power[0] != "number":
+            return base if base == (0,) * 5 else None
+        return tuple(b * sign * power[1] for b in base)
+    parts = [(sign, _dimension(part, lookup)) for sign, part in tree[1]]
+    if any(d is None for _, d in parts):
+        return None
+    if kind == "sum":
+        return parts[0][1] if len({d for _, d in parts}) == 1 else None
+    return tuple(sum(sign * d[i] for sign, d in parts) for i in range(5))
