@@ -1,0 +1,263 @@
+"""From the raw numbers of a flight controller's log to SI quantities in body axes FRD.
+
+Betaflight's body axes are x forward, y left, z up; so p = gx, q = -gy, r = -gz, and likewise for specific force and
+set-points. INDIflight logs FRD already.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s
+from quasi.attitude import GRAVITY
+from quasi.importing.blackbox_header import hex_float, version
+
+_AXES = range(3)
+_MOTORS = range(8)
+DEG = math.pi / 180.0
+STANDARD_ACC_1G = 2048.0
+QUATERNION_FULL = 32767.0  # Betaflight: x y z as 16-bit fractions, w positive
+INDI_QUATERNION_FULL = 8127.0  # INDIflight: (127 << 6) - 1
+FEATURE_3D = 1 << 12
+# main fields that carry a quantity of ours
+WANTED = {
+    *(f"{name}[{i}]" for name in ("gyroADC", "accSmooth", "imuQuaternion", "setpoint", "extPos", "extVel") for i in _AXES),
+    *(f"{name}[{i}]" for name in ("gyroADCafterRpm", "accADCafterRpm") for i in _AXES),
+    *(f"{name}[{i}]" for name in ("motor", "eRPM", "omega", "omegaUnfiltered") for i in _MOTORS),
+    *(f"{name}[{i}]" for name in ("debug", "quat") for i in range(4)),
+    "setpoint[3]",
+    "rcCommand[3]",
+    "vbatLatest",
+    "amperageLatest",
+}
+
+
+@dataclass
+class Resolved:
+    """Quantities in SI units with what was assumed: values {quantity: (n,)}, about (plain data), notes (sentences)."""
+
+    values: dict[str, np.ndarray] = field(default_factory=dict)
+    about: dict[str, Any] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+
+def debug_mode(header: Mapping[str, str]) -> dict[str, Any] | None:
+    """Number and, where this reader uses it, name of the debug mode of a log: what debug[0..] hold.
+
+    The numbers follow the firmware version: DSHOT_RPM_TELEMETRY is 45 from Betaflight 4.1 to 4.5 and in 2025.12; builds
+    of 4.0 with two more dual-gyro modes have it at 47. Source: the tables of the crate blackbox-log (MIT, Apache-2.0).
+    """
+    text = header.get("debug_mode")
+    if text is None or not text.lstrip("-").isdigit():
+        return None
+    number, release = int(text), version(header)
+    rpm = 47 if release is not None and release < (4, 1) else 45
+    name = {0: "NONE", rpm: "DSHOT_RPM_TELEMETRY", rpm + 1: "RPM_FILTER"}.get(number, "")
+    return {"number": number, "name": name}
+
+
+def is_indiflight(header: Mapping[str, str], names: set[str]) -> bool:
+    """Whether a log comes from INDIflight, whose body axes are FRD."""
+    return "indiflight" in header.get("Firmware revision", "").lower() or "quat[0]" in names or "omega[0]" in names
+
+
+def resolve(raw: dict[str, np.ndarray], header: Mapping[str, str], poles: int | None) -> Resolved:
+    """Turn raw main fields into quantities; the arrays are scaled in place.
+
+    raw     {field: (n,) float}, numbers as logged
+    header  the log's header; what it lacks is assumed and said in the notes
+    poles   the configured number of motor magnets, or None
+    """
+    out = Resolved()
+    indi = is_indiflight(header, set(raw))
+    sign = (1.0, 1.0, 1.0) if indi else (1.0, -1.0, -1.0)
+    out.about["body axes logged"] = "x forward, y right, z down" if indi else "x forward, y left, z up"
+    out.about["units"] = {}
+    fine = 10.0 if (hex_float(header.get("blackbox_high_resolution")) or 0) > 0 else 1.0
+    _gyro(raw, header, sign, fine, out)
+    _acceleration(raw, header, sign, out)
+    for i, rate in enumerate("pqr"):
+        if f"setpoint[{i}]" in raw:
+            out.values[f"setpoint_{rate}"] = _scaled(raw[f"setpoint[{i}]"], sign[i] * DEG / fine)
+            out.about["units"]["setpoint"] = {"factor": DEG / fine, "to": "rad/s"}
+    _attitude(raw, out)
+    _motors(raw, header, out)
+    _rotor_speeds(raw, header, poles, out)
+    _battery(raw, header, out)
+    if "setpoint[3]" in raw:
+        out.values["throttle"] = _scaled(raw["setpoint[3]"], 1e-3)
+    elif "rcCommand[3]" in raw:
+        throttle = _scaled(raw["rcCommand[3]"], 1e-3 / fine)
+        throttle -= 1.0
+        out.values["throttle"] = throttle
+    for i, axis in enumerate("xyz"):
+        if f"extPos[{i}]" in raw:
+            out.values[axis] = _scaled(raw[f"extPos[{i}]"], 1e-3)
+        if f"extVel[{i}]" in raw:
+            out.values[f"v{axis}"] = _scaled(raw[f"extVel[{i}]"], 1e-2)
+    return out
+
+
+def _scaled(values: np.ndarray, factor: float) -> np.ndarray:
+    values *= factor
+    return values
+
+
+def _gyro(raw, header, sign, fine, out: Resolved) -> None:
+    name = "gyroADCafterRpm" if "gyroADCafterRpm[0]" in raw else "gyroADC"
+    if f"{name}[0]" not in raw:
+        out.notes.append("the log holds no gyro (gyroADC); body rates are missing")
+        return
+    key = "gyro_scale" if "gyro_scale" in header else "gyro.scale"
+    scale = hex_float(header.get(key))
+    if scale is None or not 0 < scale < 1e4:
+        out.notes.append(f"the header's gyro_scale is {header.get(key)!r}; 1 deg/s per count is assumed")
+        scale = 1.0
+    if scale < 1e-5:
+        # firmware before Betaflight 3.1 states rad/us per count
+        factor, source = scale * 1e6, "header, rad/us"
+    else:
+        # high resolution logs ten times deg/s; a scale of 0.1 would say so already
+        factor, source = scale * DEG / (fine if scale > 0.5 else 1.0), "header, deg/s"
+    out.about["units"]["gyro"] = {"factor": factor, "to": "rad/s", "source": source, "field": name}
+    fastest = 0.0
+    for i, rate in enumerate("pqr"):
+        if f"{name}[{i}]" in raw:
+            values = _scaled(raw[f"{name}[{i}]"], sign[i] * factor)
+            out.values[rate] = values
+            fastest = max(fastest, float(np.max(np.abs(values), initial=0.0)))
+    if fastest > 4500 * DEG:
+        out.notes.append(
+            f"body rates reach {fastest / DEG:.0f} deg/s, beyond any gyro; the header's gyro_scale contradicts the data"
+        )
+
+
+def _acceleration(raw, header, sign, out: Resolved) -> None:
+    name = "accADCafterRpm" if "accADCafterRpm[0]" in raw else "accSmooth"
+    if f"{name}[0]" not in raw:
+        out.notes.append("the log holds no accelerometer (accSmooth); specific forces are missing")
+        return
+    one = hex_float(header.get("acc_1G"))
+    if one is None or not 0 < one < 1e6:
+        out.notes.append(f"the header's acc_1G is {header.get('acc_1G')!r}; 2048 counts per g are assumed")
+        one = STANDARD_ACC_1G
+    out.about["units"]["accelerometer"] = {"factor": GRAVITY / one, "to": "m/s2", "source": "acc_1G", "field": name}
+    square = 0.0
+    for i, axis in enumerate("xyz"):
+        if f"{name}[{i}]" in raw:
+            values = _scaled(raw[f"{name}[{i}]"], sign[i] * GRAVITY / one)
+            out.values[f"a{axis}"] = values
+            square = square + values[:: max(1, len(values) // 2000)] ** 2
+    typical = float(np.sqrt(np.median(square))) / GRAVITY if np.size(square) else 1.0
+    if not 0.2 < typical < 5.0:
+        out.notes.append(f"the specific force is typically {typical:.3g} g; the header's acc_1G contradicts the data")
+
+
+def _attitude(raw, out: Resolved) -> None:
+    if all(f"imuQuaternion[{i}]" in raw for i in _AXES):
+        x, y, z = (_scaled(raw[f"imuQuaternion[{i}]"], 1.0 / QUATERNION_FULL) for i in _AXES)
+        w = np.sqrt(np.clip(1.0 - x * x - y * y - z * z, 0.0, None))
+        # from x north, y west, z up and x forward, y left, z up: half a turn about x on both sides
+        q = [w, x, -y, -z]
+        source = "imuQuaternion"
+    elif all(f"quat[{i}]" in raw for i in range(4)):
+        q = [_scaled(raw[f"quat[{i}]"], 1.0 / INDI_QUATERNION_FULL) for i in range(4)]
+        source = "quat"
+    else:
+        return
+    length = np.sqrt(sum(c * c for c in q))
+    length[length < 0.5] = np.nan
+    for name, component in zip(("qw", "qx", "qy", "qz"), q):
+        out.values[name] = component / length
+    out.about["attitude"] = f"estimated on board, field {source}"
+
+
+def _motors(raw, header, out: Resolved) -> None:
+    motors = [i for i in _MOTORS if f"motor[{i}]" in raw]
+    if not motors:
+        return
+    low, high, source = None, None, "motorOutput"
+    for low_key, high_key in (("motorOutput", "motorOutput"), ("minthrottle", "maxthrottle")):
+        low = hex_float(header.get(low_key, "").split(",")[0] or None)
+        high = hex_float(header.get(high_key, "").split(",")[-1] or None)
+        if low is not None and high is not None and high > low:
+            source = low_key if low_key == high_key else f"{low_key}, {high_key}"
+            break
+    else:
+        out.notes.append("the header states no motor output range; commands are missing")
+        return
+    if source != "motorOutput":
+        out.notes.append(f"the header lacks motorOutput; commands are scaled by {source} ({low:g} to {high:g})")
+    features = hex_float(header.get("features")) or 0.0
+    three = bool(int(features) & FEATURE_3D) if math.isfinite(features) else False
+    if three:
+        out.notes.append("the 3D (reversible motors) feature is on; commands are scaled linearly over the whole range")
+    out.about["units"]["motor"] = {"low": low, "high": high, "to": "1", "source": source, "3D": three}
+    for i in motors:
+        values = raw[f"motor[{i}]"]
+        values -= low
+        values /= high - low
+        out.values[f"command{i + 1}"] = values
+    below = np.mean([np.mean(out.values[f"command{i + 1}"] < -0.002) for i in motors]) if len(values) else 0.0
+    if below > 0:
+        out.notes.append(f"motor values lie below the output range in {100 * below:.2g} % of the samples (motors stopped)")
+
+
+def _rotor_speeds(raw, header, poles: int | None, out: Resolved) -> None:
+    mode = debug_mode(header)
+    if mode is not None:
+        out.about["debug mode"] = mode
+    if "omegaUnfiltered[0]" in raw or "omega[0]" in raw:
+        name = "omegaUnfiltered" if "omegaUnfiltered[0]" in raw else "omega"
+        for i in _MOTORS:
+            if f"{name}[{i}]" in raw:
+                out.values[f"w{i + 1}"] = raw[f"{name}[{i}]"]
+        out.about["units"]["rotor speed"] = {"factor": 1.0, "to": "rad/s", "source": name}
+        return
+    if "eRPM[0]" in raw:
+        name, motors = "eRPM", _MOTORS
+    elif mode is not None and mode["name"] == "DSHOT_RPM_TELEMETRY" and "debug[0]" in raw:
+        name, motors = "debug", range(4)
+        out.notes.append(f"rotor speeds come from the debug fields (debug mode {mode['number']}, DSHOT_RPM_TELEMETRY)")
+    else:
+        out.notes.append("the log holds no rotor speeds (no eRPM fields, debug mode is not DSHOT_RPM_TELEMETRY)")
+        return
+    logged = hex_float(header.get("motor_poles"))
+    if poles is not None:
+        count, source = int(poles), "configuration"
+        if logged is not None and int(logged) != count:
+            out.notes.append(f"the header states {int(logged)} motor poles, the configuration {count}; the latter is used")
+    elif logged is not None and 2 <= logged <= 254:
+        count, source = int(logged), "header"
+        if count == DEFAULT_POLES:
+            out.notes.append("the header's 14 motor poles are Betaflight's default, which few people set; check the motors")
+    else:
+        count, source = DEFAULT_POLES, "assumed"
+        out.notes.append("warning: neither configuration nor header state the motor poles; 14 are assumed")
+    factor = erpm100_to_rad_s(count)
+    out.about["motor poles"] = {"value": count, "source": source}
+    out.about["units"]["rotor speed"] = {"factor": factor, "to": "rad/s", "source": name}
+    for i in motors:
+        if f"{name}[{i}]" in raw:
+            out.values[f"w{i + 1}"] = _scaled(raw[f"{name}[{i}]"], factor)
+
+
+def _battery(raw, header, out: Resolved) -> None:
+    if "vbatLatest" in raw:
+        # the cell limits stand in the header in the unit of the log: 330,350,430 = 0.01 V, 33,35,43 = 0.1 V
+        cell = hex_float(header.get("vbatcellvoltage", "").split(",")[-1] or None)
+        release = version(header)
+        if cell is not None and cell > 0:
+            factor, source = (0.01 if cell > 100 else 0.1), "vbatcellvoltage"
+        elif release is not None:
+            factor, source = (0.01 if release >= (4, 0) else 0.1), "firmware version"
+        else:
+            factor, source = 0.01, "assumed"
+        out.about["units"]["battery voltage"] = {"factor": factor, "to": "V", "source": source}
+        out.values["battery_voltage"] = _scaled(raw["vbatLatest"], factor)
+    if "amperageLatest" in raw:
+        out.about["units"]["battery current"] = {"factor": 0.01, "to": "A"}
+        out.values["battery_current"] = _scaled(raw["amperageLatest"], 0.01)
