@@ -64,6 +64,8 @@ COLUMNS: dict[str, tuple[str, str, str]] = {
     "setpoint_p": ("rad/s", "body FRD", "roll rate asked for"),
     "setpoint_q": ("rad/s", "body FRD", "pitch rate asked for"),
     "setpoint_r": ("rad/s", "body FRD", "yaw rate asked for"),
+    "in_flight": ("1", "", "1 between take-off and landing, else 0"),
+    "valid": ("1", "", "1 where a row may be used for identification, else 0"),
 }
 
 _MADE = b"quasi"

@@ -1,0 +1,134 @@
+"""Noise levels asked of the innovations, and whether a filter run is consistent with them."""
+
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.stats import chi2
+
+from quasi.filtering.ekf import KINDS, Inputs, Pass, cost, forward, unpack
+
+GATE = float(chi2.ppf(0.9999, 3))  # an honest measurement is thrown away once in ten thousand
+LOOSE_GATE = 400.0  # while the levels are not yet known
+WINDOW, WINDOWS = 5.0, 3  # s, number of stretches of flight in which the levels are asked
+CONSISTENT = (0.6, 1.6)  # mean normalised innovation squared per degree of freedom
+CORRELATED = 0.5  # autocorrelation from one innovation to the next that an honest model does not reach
+
+
+def _window(inputs: Inputs, run: Pass, first: int, last: int) -> Inputs:
+    """The same flight from sample `first` to `last`, started from what the forward pass knew there."""
+    part = slice(first, last)
+    return inputs._replace(
+        gyro=inputs.gyro[part],
+        accel=inputs.accel[part],
+        noise=inputs.noise[part],
+        used=inputs.used[part],
+        attitude=inputs.attitude[part],
+        position=inputs.position[part],
+        velocity=inputs.velocity[part],
+        quaternion=run.quaternion[first].copy(),
+        state=run.state[first].copy(),
+        covariance=unpack(run.covariance[first]) * 2.0,
+    )
+
+
+def _stretches(flying: np.ndarray, n: int, length: int) -> list[tuple[int, int]]:
+    """Up to WINDOWS stretches of `length` samples spread over the flight, or all of it when it is short."""
+    at = np.flatnonzero(flying)
+    first, last = (int(at[0]), int(at[-1]) + 1) if len(at) > length else (0, n)
+    count = min(WINDOWS, max(1, (last - first) // length))
+    length = min(length, last - first)
+    starts = np.linspace(first, last - length, count + 2)[1:-1] if count > 1 else [(first + last - length) / 2]
+    return [(int(s), int(s) + length) for s in starts]
+
+
+def with_levels(inputs: Inputs, factors: np.ndarray, flying: np.ndarray) -> Inputs:
+    """Noise scaled by factors (5,): gyro and accelerometer where `flying`, then attitude, position, velocity."""
+    noise = inputs.noise.copy()
+    noise[flying, :3] *= factors[0]
+    noise[flying, 3:] *= factors[1]
+    return inputs._replace(noise=noise, std=inputs.std * factors[2:, None])
+
+
+def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray) -> np.ndarray:
+    """Factors (5,) on the noise of gyro, accelerometer, attitude, position, velocity, by maximum likelihood.
+
+    The likelihood of the innovations is maximised over stretches of flight; gated innovations count with the gate's value,
+    so outliers do not drive the levels. flying (N,) bool; floor (2,) least factors of gyro and accelerometer, at which the
+    noise equals that at rest.
+    Source: Schweppe, Evaluation of likelihood functions for Gaussian signals, IEEE Trans. Inf. Theory 11(1), 1965.
+    """
+    present = np.array([True, True, *(inputs.used[flying].sum(axis=0) > 10)])
+    if not present[2:].any():
+        return np.ones(5)
+    low = np.log(np.concatenate([np.minimum(floor, 1.0), [0.1, 0.1, 0.1]]))
+    high = np.log(np.array([30.0, 30.0, 30.0, 50.0, 30.0]))
+    wide = with_levels(inputs, np.array([2.0, 2.0, 3.0, 3.0, 3.0]), flying)._replace(gate=LOOSE_GATE)
+    run = forward(wide)
+    parts = [
+        (_window(inputs, run, a, b), flying[a:b]) for a, b in _stretches(flying, len(flying), round(WINDOW / inputs.dt))
+    ]
+    scale = sum(int(part.used.sum()) for part, _ in parts) + 1
+
+    def target(free: np.ndarray) -> float:
+        logs = np.zeros(5)
+        logs[present] = free
+        beyond = np.maximum(logs - high, 0.0) + np.maximum(low - logs, 0.0)
+        factors = np.exp(np.clip(logs, low, high))
+        total = sum(cost(with_levels(part, factors, inside)) for part, inside in parts)
+        return total / scale + 10.0 * float(np.sum(beyond**2))
+
+    begin = np.zeros(int(present.sum()))
+    simplex = np.vstack([begin, begin + 0.8 * np.eye(len(begin))])
+    found = minimize(
+        target,
+        begin,
+        method="Nelder-Mead",
+        options={"initial_simplex": simplex, "xatol": 0.03, "fatol": 3e-4, "maxfev": 120},
+    )
+    logs = np.zeros(5)
+    logs[present] = found.x
+    return np.exp(np.clip(logs, low, high))
+
+
+def consistency(run: Pass) -> dict[str, Any]:
+    """Normalised innovations of a forward pass, per kind: {kind: {...}} for those that were measured.
+
+    mean  mean NIS per degree of freedom of the accepted ones (1 when the noise levels are right); bounds  where 95 % of
+    means would lie if they were exactly right; gated  share thrown away; whiteness  greatest autocorrelation from one
+    measurement to the next, over the three components, with its 95 % bound; consistent  whether the run may be believed.
+    Source: Bar-Shalom, Li & Kirubarajan, 2001, section 5.4.2.
+    """
+    result: dict[str, Any] = {}
+    for i, kind in enumerate(KINDS):
+        seen = run.outcome[:, i] > 0
+        if not seen.any():
+            continue
+        accepted = (run.outcome[:, i] == 1) | (run.outcome[:, i] == 3)
+        white = run.whitened[accepted, i]
+        count = len(white)
+        entry: dict[str, Any] = {
+            "measurements": int(seen.sum()),
+            "gated": float((run.outcome[:, i] == 2).sum() / seen.sum()),
+            "forced": int((run.outcome[:, i] == 3).sum()),
+        }
+        if count > 2:
+            mean = float(np.mean(white**2))
+            spread = 1.96 * np.sqrt(2.0 / (3.0 * count))
+            centred = white - white.mean(axis=0)
+            power = np.mean(centred**2, axis=0)
+            lag1 = np.mean(centred[1:] * centred[:-1], axis=0) / np.where(power > 0, power, 1.0)
+            entry |= {
+                "mean": mean,
+                "bounds": [1.0 - spread, 1.0 + spread],
+                "whiteness": float(lag1[np.argmax(np.abs(lag1))]),
+                "whiteness bound": float(1.96 / np.sqrt(count)),
+                "consistent": bool(
+                    CONSISTENT[0] < mean < CONSISTENT[1]
+                    and abs(lag1).max() < CORRELATED
+                    and entry["gated"] < 0.05
+                    and entry["forced"] == 0
+                ),
+            }
+        result[kind] = entry
+    return result
