@@ -64,7 +64,7 @@ def _blocks(values: np.ndarray, size: int) -> np.ndarray:
 
 
 def find_rest(gyro: np.ndarray, accel: np.ndarray, lost: np.ndarray, last: int, dt: float) -> Rest | None:
-    """The longest stretch before sample `last` in which the IMU is quiet; None if shorter than LEAST_REST after trimming."""
+    """The longest stretch before sample `last` in which the IMU is quiet; None if shorter than LEAST_REST."""
     size = max(2, round(BLOCK / dt))
     if last < size * 3:
         return None
@@ -118,9 +118,9 @@ def find_ground(
 ) -> np.ndarray:
     """True (N,) where the quadrotor stands on the ground.
 
-    On the ground the rotors give less than 40 % of the typical thrust while the IMU shows gravity and no rotation, for half
-    a second at least. With a position (N, 3), NaN where unknown, the spool-up until it has left its place counts too;
-    without it, until the rotors give 80 %.
+    On the ground the rotors give less than 40 % of the typical thrust while the IMU shows gravity and no rotation, for
+    half a second at least. With a position (N, 3), NaN where unknown, the spool-up until it has left its place counts
+    too; without it, until the rotors give 80 %.
     """
     n = len(gyro)
     if speeds is None:
@@ -185,7 +185,8 @@ def phases(
             threshold = 1.5 * idle
         elif idle is not None:
             notes.append(
-                f"the idle speed of the quadrotor configuration is {idle:.0f} rad/s where the rotors turn at {top:.0f} rad/s "
+                f"the idle speed of the quadrotor configuration is {idle:.0f} rad/s where the rotors turn at "
+                f"{top:.0f} rad/s "
                 "in flight, so take-off is looked for at 40 % of the latter; check 'idle RPM' and 'motor poles'"
             )
         take_off, never = take_off_sample(speeds, threshold, max(2, round(0.02 / dt)))

@@ -3,11 +3,12 @@
 Nominal state: attitude quaternion q (Hamilton, body to earth), velocity v and position p (earth NED), gyro bias and
 accelerometer bias (body axes; bias = measured - true), and the alignment e of the attitude source (rotation vector from
 body axes to the axes whose attitude is measured: q_measured = q exp(e)).
-Error state (18): rotation d in body axes (q_true = q exp(d)), then the errors of v, p, the two biases and e, in this order.
+Error state (18): rotation d in body axes (q_true = q exp(d)), then the errors of v, p, the two biases and e, in this
+order.
 
 The prediction integrates gyro and accelerometer by the trapezium rule; its Jacobian is that of this very map, and the
-noise of a step enters like a bias that lasts for the step. Measurements are worked in one scalar at a time, which equals
-the batch update for a diagonal noise covariance and keeps the covariance exactly symmetric.
+noise of a step enters like a bias that lasts for the step. Measurements are worked in one scalar at a time, which
+equals the batch update for a diagonal noise covariance and keeps the covariance exactly symmetric.
 
 Sources: Sola, Quaternion kinematics for the error-state Kalman filter, arXiv:1711.02508, 2017, chapters 5-6 (local
 angular error); Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, section II (scalar updates);
@@ -38,10 +39,10 @@ class Inputs(NamedTuple):
     used          (N, 3) int8, 1 where a measurement of attitude, position, velocity is to be used
     attitude      (N, 4) measured quaternion; position (N, 3) m, earth; velocity (N, 3) m/s
     body          True where `velocity` is in body axes, False where in earth axes
-    std           (3, 3) measurement standard deviations: attitude (rad, about the three axes), position (m), velocity (m/s)
+    std           (3, 3) standard deviations of attitude (rad, about the three axes), position (m), velocity (m/s)
     gate          normalised innovation squared (3 degrees of freedom) above which a measurement is an outlier
     patience      rejected measurements in a row, per kind, after which the filter gives in and takes them
-    quaternion, state, covariance   (4,), (15,) = v p bg ba e, (18, 18): nominal state and covariance at the first sample
+    quaternion, state, covariance   at the first sample: (4,), (15,) = v p bg ba e, (18, 18) of the error state
     """
 
     dt: float
@@ -68,7 +69,7 @@ class Pass(NamedTuple):
     quaternion (N, 4), state (N, 15) = v p bg ba e; covariance (N, 171), lower triangles of the 18 x 18 error covariance
     whitened    (N, 3, 3) innovations over their standard deviation, one by one, per kind; NaN where there was none
     outcome     (N, 3) int8: 0 no measurement, 1 used, 2 rejected by the gate, 3 used because rejections went on
-    cost        minus twice the log likelihood of the innovations, up to a constant, outliers counted with the gate's value
+    cost        minus twice the log likelihood of the innovations, up to a constant, an outlier counting with the gate
     rows, first   what the smoother needs of each scalar update, and the number of the first one of each sample (N + 1)
     """
 

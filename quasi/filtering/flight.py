@@ -11,8 +11,7 @@ from quasi import attitude
 from quasi.airframe import Airframe
 from quasi.errors import ConfigError, DataError
 from quasi.filtering import bias as biases
-from quasi.filtering import ekf, forces, measurements, noise
-from quasi.filtering.smoother import smooth
+from quasi.filtering import estimation, forces, measurements
 from quasi.tables import COLUMNS
 
 DEFAULTS: dict[str, Any] = {
@@ -29,40 +28,6 @@ DEFAULTS: dict[str, Any] = {
     "capture gap limit s": 1.0,
 }
 POLICIES = ("rest", "whole flight", "time varying")
-DRIFTING = np.array([3e-4] * 3 + [3e-3] * 3)  # random walk of time-varying biases, per square root of a second
-DRIFT_SIGMAS = 4.0  # rest and flight that disagree by more are reported
-UNSURE_ATTITUDE, UNSURE_VELOCITY = np.radians(3.0), 0.3  # rad, m/s: states with a larger standard error are not valid
-SENSORS = ("p", "q", "r", "ax", "ay", "az")
-
-CONVERGENCE_UNITS: dict[str, tuple[str, str, str]] = {
-    "filter_roll": ("rad", "body to earth, 3-2-1", "roll angle of the forward filter"),
-    "filter_pitch": ("rad", "body to earth, 3-2-1", "pitch angle of the forward filter"),
-    "filter_yaw": ("rad", "body to earth, 3-2-1", "yaw angle of the forward filter"),
-    **{f"filter_v{a}": ("m/s", "earth NED", f"velocity along {a} of the forward filter") for a in "xyz"},
-    **{f"filter_{a}": ("m", "earth NED", f"position along {a} of the forward filter") for a in "xyz"},
-    **{
-        f"{kind}_std_{a}": (unit, frame, f"standard error of {kind} along {a}")
-        for kind, unit, frame in (
-            ("attitude", "rad", "body FRD"),
-            ("velocity", "m/s", "earth NED"),
-            ("position", "m", "earth NED"),
-        )
-        for a in "xyz"
-    },
-    **{
-        f"{name}_{s}": ("rad/s" if s in "pqr" else "m/s2", "body FRD", f"{meaning} of {s}")
-        for s in SENSORS
-        for name, meaning in (
-            ("filter_bias", "bias by the forward filter"),
-            ("filter_bias_std", "its standard error by the forward filter"),
-            ("bias", "bias"),
-            ("bias_std", "standard error of the bias"),
-        )
-    },
-    **{
-        f"{kind}_nis": ("1", "", f"normalised innovation squared of {kind}, 3 degrees of freedom") for kind in ekf.KINDS
-    },
-}
 
 
 @dataclass(frozen=True)
@@ -71,7 +36,7 @@ class Filtered:
 
     with_gravity, no_gravity   the same states with forces as mass x specific force, and as net force
     metadata                   plain data, schema "quasi.filtered/1"
-    convergence                the filter's course over time (units: CONVERGENCE_UNITS), None when no filter was run
+    convergence                the filter over time (units: estimation.CONVERGENCE_UNITS), None when no filter was run
     """
 
     with_gravity: pd.DataFrame
@@ -103,7 +68,7 @@ def _check(airframe: Airframe) -> None:
 
 
 def _filled(frame: pd.DataFrame, names: list[str], notes: list[str]) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Columns with their gaps bridged, and True (N,) where one was; columns without any value are left out with a note."""
+    """Columns with their gaps bridged, and True (N,) where one was; empty columns are left out with a note."""
     found: dict[str, np.ndarray] = {}
     lost = np.zeros(len(frame), bool)
     for name in names:
@@ -114,7 +79,8 @@ def _filled(frame: pd.DataFrame, names: list[str], notes: list[str]) -> tuple[di
             continue
         if bad.any():
             notes.append(
-                f"column '{name}' is missing in {int(bad.sum())} samples, first at t = {frame['t'].iloc[int(np.argmax(bad))]:.3f} s; "
+                f"column '{name}' is missing in {int(bad.sum())} samples, first at t = "
+                f"{frame['t'].iloc[int(np.argmax(bad))]:.3f} s; "
                 "they are bridged by straight lines and marked invalid"
             )
             lost |= bad
@@ -126,25 +92,12 @@ def _filled(frame: pd.DataFrame, names: list[str], notes: list[str]) -> tuple[di
     return found, lost
 
 
-@dataclass
-class _Run:
-    """States of a flight from the filter or from the import, on the grid."""
-
-    quaternion: np.ndarray
-    velocity: np.ndarray
-    position: np.ndarray
-    bias: np.ndarray  # (N, 6) applied
-    unsure: np.ndarray
-    report: dict[str, Any]
-    convergence: pd.DataFrame | None
-
-
 def filter_flight(
     imported: pd.DataFrame, imported_metadata: Mapping[str, Any], airframe: Airframe, options: Mapping[str, Any]
 ) -> Filtered:
     """Estimate states and biases of one flight and derive its forces and moments.
 
-    imported   columns of design.md section 3 on a uniform grid, with attitude_sample, position_sample, velocity_sample and
+    imported   standard columns on a uniform grid, with attitude_sample, position_sample, velocity_sample and
                onboard_valid as 0 or 1; imported_metadata  its metadata (sources, rate, "logged to rad/s")
     airframe   mass and inertia must be known; options  the section "data filtering" of the processing configuration
     Returns    Filtered; every row of the import is kept, column `valid` is 1 where a row may be used for identification
@@ -170,13 +123,14 @@ def filter_flight(
     found = biases.phases(imu.gyro, imu.accel, imu.lost, speeds, position, idle, dt)
     notes += found.notes
 
-    estimate = _estimate if chosen["run extended kalman filter"] else _copy
-    run = estimate(imported, imported_metadata, airframe, chosen, imu, found, dt, notes)
+    find = estimation.estimate if chosen["run extended kalman filter"] else estimation.copy
+    run = find(imported, imported_metadata, airframe, chosen, imu, found, dt, notes)
 
     cutoff = float(chosen["low-pass cutoff Hz"])
     if cutoff > forces.HIGHEST * rate:
         notes.append(
-            f"the low-pass cut-off of {cutoff:g} Hz is too high for a grid of {rate:g} Hz; {forces.HIGHEST * rate:g} Hz is used"
+            f"the low-pass cut-off of {cutoff:g} Hz is too high for a grid of {rate:g} Hz; "
+            f"{forces.HIGHEST * rate:g} Hz is used"
         )
         cutoff = forces.HIGHEST * rate
     reach = forces.half_length(cutoff, rate)
@@ -217,7 +171,8 @@ def filter_flight(
         sinking = ~np.isfinite(table["v_in"])
         if sinking.any():
             notes.append(
-                f"the induced velocity is not defined in {100 * sinking.mean():.2g} % of the flight (descent); v_in is empty there"
+                f"the induced velocity is not defined in {100 * sinking.mean():.2g} % of the flight (descent); "
+                "v_in is empty there"
             )
     extra = [c for c in imported if c in COLUMNS and c not in table and c not in ("vx", "vy", "vz") and "_air" not in c]
     extra = [c for c in extra if not c.endswith("_sample") and c != "onboard_valid" and c not in driven]
@@ -272,298 +227,3 @@ def _through_air(imported: pd.DataFrame, body: np.ndarray, quaternion: np.ndarra
         return None
     wind = np.stack([measurements.fill(c) for c in wind.T], axis=1)
     return body - attitude.rotate_inverse(quaternion, wind)
-
-
-def _at_rest(frame: pd.DataFrame, rest: biases.Rest) -> tuple[np.ndarray, np.ndarray]:
-    """Biases (6,) and standard errors from a rest alone; the attitude then is the imported one, or level."""
-    part = slice(rest.first, rest.last)
-    expected = np.array([0.0, 0.0, -attitude.GRAVITY])
-    if {"roll", "pitch", "yaw"} <= set(frame):
-        euler = frame[["roll", "pitch", "yaw"]].to_numpy(float)[part]
-        euler = euler[np.isfinite(euler).all(axis=1)]
-        if len(euler):
-            down = attitude.rotate_inverse(attitude.from_euler(*euler.T), expected)
-            expected = down.mean(axis=0)
-    tilt = np.radians(0.5) * attitude.GRAVITY * np.array([1.0, 1.0, 0.0])  # an attitude source is not set up better
-    return (
-        np.concatenate([rest.gyro, rest.accel - expected]),
-        np.concatenate([rest.gyro_std, np.hypot(rest.accel_std, tilt)]),
-    )
-
-
-def _bias_report(policy: str, value: np.ndarray, std: np.ndarray, **more: Any) -> dict[str, Any]:
-    parts = {
-        sensor: {"value": value[s].tolist(), "std": std[s].tolist(), "unit": unit}
-        for sensor, s, unit in (("gyro", slice(0, 3), "rad/s"), ("accelerometer", slice(3, 6), "m/s2"))
-    }
-    return {"policy": policy, **parts, **more}
-
-
-def _copy(
-    frame: pd.DataFrame,
-    metadata: Mapping[str, Any],
-    airframe: Airframe,
-    chosen: Mapping[str, Any],
-    imu: measurements.Imu,
-    found: biases.Phases,
-    dt: float,
-    notes: list[str],
-) -> _Run:
-    """States as imported; biases from the rest before take-off, or none."""
-    n = len(frame)
-    needed = {"attitude": ("roll", "pitch", "yaw"), "position": ("x", "y", "z"), "velocity": ("u", "v", "w")}
-    states: dict[str, np.ndarray] = {}
-    unsure = np.zeros(n, bool)
-    for kind, names in needed.items():
-        values = frame[list(names)].to_numpy(float) if set(names) <= set(frame) else np.full((n, 3), np.nan)
-        bad = ~np.isfinite(values).all(axis=1)
-        if bad.all() and kind == "attitude":
-            raise DataError(
-                "the imported flight has no attitude; set 'run extended kalman filter' to true to have it estimated"
-            )
-        if bad.all():
-            notes.append(f"the imported flight has no {kind}; it stands as zero")
-            values = np.zeros((n, 3))
-        elif bad.any():
-            notes.append(f"{kind} is missing in {int(bad.sum())} samples, which are bridged and marked invalid")
-            values = np.stack([measurements.fill(c) for c in values.T], axis=1)
-            unsure |= bad
-        states[kind] = values
-    quaternion = attitude.from_euler(*states["attitude"].T)
-    notes.append("the Kalman filter was not run: states are those imported")
-    if found.rest is None:
-        value, std, policy = np.zeros(6), np.full(6, np.nan), "none"
-        notes.append("no bias correction is made")
-    else:
-        value, std = _at_rest(frame, found.rest)
-        policy = "rest"
-    return _Run(
-        quaternion,
-        attitude.rotate(quaternion, states["velocity"]),
-        states["position"],
-        np.tile(value, (n, 1)),
-        unsure,
-        {
-            "engine": None,
-            "biases": _bias_report(policy, value, std),
-            "NIS": {},
-            "consistent": None,
-            "attitude alignment": None,
-        },
-        None,
-    )
-
-
-def _gaps(used: np.ndarray, limit: int) -> np.ndarray:
-    """True (N,) inside gaps between measurements that are longer than `limit` samples."""
-    at = np.flatnonzero(used)
-    inside = np.zeros(len(used), bool)
-    for a, b in zip(np.concatenate([[-1], at]), np.concatenate([at, [len(used)]])):
-        if b - a > limit:
-            inside[a + 1 : b] = True
-    return inside
-
-
-def _estimate(
-    frame: pd.DataFrame,
-    metadata: Mapping[str, Any],
-    airframe: Airframe,
-    chosen: Mapping[str, Any],
-    imu: measurements.Imu,
-    found: biases.Phases,
-    dt: float,
-    notes: list[str],
-) -> _Run:
-    """States and biases by the filter, smoothed when asked."""
-    n = len(frame)
-    t = frame["t"].to_numpy(float)
-    still, noise_notes, origin = measurements.sensor_noise(
-        airframe.noise, bool(chosen["use noise statistics in drone config"])
-    )
-    if found.rest is not None:
-        still = np.maximum(still, found.rest.noise)  # what the rest itself shows, coloured noise included
-    measured = measurements.collect(frame, metadata, airframe.noise, found.on_ground, dt)
-    notes += noise_notes + measured.notes
-    flying = ~found.on_ground
-    level = np.tile(still, (n, 1))
-    rough = np.array([measurements.FLIGHT_STD[s] for s in SENSORS])
-    moving = np.maximum(still, rough) if chosen["re-estimate noise"] else still
-    level[flying] = moving
-    level[imu.lost] = np.maximum(level[imu.lost], measurements.LOST_STD)
-    walk = np.array(
-        [float(chosen["gyro bias random walk"])] * 3 + [float(chosen["accelerometer bias random walk"])] * 3
-    )
-    if chosen["bias policy"] == "time varying":
-        walk = np.maximum(walk, DRIFTING)
-    quaternion, state, covariance = measurements.start(
-        frame, measured, imu, dt, bool(found.on_ground[0]), bool(chosen["estimate attitude alignment"])
-    )
-    per_second = measured.used.sum(axis=0) / (n * dt)
-    inputs = ekf.Inputs(
-        dt,
-        imu.gyro,
-        imu.accel,
-        level,
-        walk,
-        measured.used,
-        measured.attitude,
-        np.ascontiguousarray(np.nan_to_num(measured.position)),
-        np.ascontiguousarray(np.nan_to_num(measured.velocity)),
-        measured.body,
-        measured.std,
-        noise.GATE,
-        np.maximum(3, per_second.astype(np.int64)),  # a second of rejections in a row
-        quaternion,
-        state,
-        covariance,
-    )
-    if measured.source["attitude"] == "none":
-        inputs = _headings(inputs)
-    factors = np.ones(5)
-    if chosen["re-estimate noise"]:
-        factors = noise.estimate_levels(
-            inputs, flying, np.array([np.max((still / moving)[:3]), np.max((still / moving)[3:])])
-        )
-        inputs = noise.with_levels(inputs, factors, flying & ~imu.lost)
-    forward = ekf.forward(inputs)
-    final = smooth(inputs, forward) if chosen["smoother"] else forward
-    deviation = ekf.deviations(final.covariance)
-    early = ekf.deviations(forward.covariance)
-
-    applied, report = _apply(chosen["bias policy"], found, final, deviation, forward, early, flying, notes)
-    nis = noise.consistency(forward)
-    consistent = all(entry.get("consistent", False) for entry in nis.values()) if nis else None
-    for kind, entry in nis.items():
-        if not entry.get("consistent", True):
-            notes.append(
-                f"the filter is not consistent in {kind}: mean normalised innovation squared {entry['mean']:.2f} "
-                f"(1 expected), {100 * entry['gated']:.2g} % rejected, correlation of neighbours {entry['whiteness']:.2f}"
-            )
-    unsure = (deviation[:, :3].max(axis=1) > UNSURE_ATTITUDE) | (deviation[:, 3:6].max(axis=1) > UNSURE_VELOCITY)
-    if (unsure & flying).any():
-        notes.append(
-            f"attitude or velocity is known to no better than {np.degrees(UNSURE_ATTITUDE):.0f} deg or {UNSURE_VELOCITY:g} m/s "
-            f"in {100 * (unsure & flying).mean():.2g} % of the flight, which is marked invalid"
-        )
-    limit = round(float(chosen["capture gap limit s"]) / dt)
-    for i, kind in enumerate(ekf.KINDS):
-        if measured.source[kind].startswith("capture"):
-            gap = _gaps(forward.outcome[:, i] > 0, limit)
-            for a, b in measurements.spans(gap & flying):
-                notes.append(
-                    f"the capture gives no {kind} from t = {t[a]:.2f} s to {t[b - 1]:.2f} s; the states are bridged by the IMU "
-                    "and marked invalid"
-                )
-            unsure |= gap
-    levels = np.median(inputs.noise[flying & ~imu.lost], axis=0) if (flying & ~imu.lost).any() else still
-    used = {
-        kind: {
-            "std": inputs.std[i].tolist(),
-            "unit": unit,
-            "source": measured.source[kind],
-            "factor": float(factors[2 + i]),
-        }
-        for i, (kind, unit) in enumerate(zip(ekf.KINDS, ("rad", "m", "m/s")))
-        if measured.source[kind] != "none"
-    }
-    report = {
-        "engine": "compiled",
-        "smoother": bool(chosen["smoother"]),
-        "noise": {
-            "sensors": origin,
-            "at rest": dict(zip(SENSORS, still.tolist())),
-            "in flight": dict(zip(SENSORS, levels.tolist())),
-            "re-estimated": bool(chosen["re-estimate noise"]),
-            "measurements": used,
-            "bias random walk": dict(zip(SENSORS, walk.tolist())),
-        },
-        "NIS": nis,
-        "consistent": consistent,
-        "biases": report,
-        "attitude alignment": {
-            axis: {"value": float(final.state[-1, 12 + i]), "std": float(deviation[-1, 15 + i]), "unit": "rad"}
-            for i, axis in enumerate(("roll", "pitch", "yaw"))
-        }
-        if chosen["estimate attitude alignment"] and measured.source["attitude"] != "none"
-        else None,
-    }
-    return _Run(
-        final.quaternion,
-        final.state[:, :3],
-        final.state[:, 3:6],
-        applied,
-        unsure,
-        report,
-        _course(t, forward, early, final, deviation),
-    )
-
-
-def _headings(inputs: ekf.Inputs) -> ekf.Inputs:
-    """Start from the heading, of eight tried, that explains the measurements best: none is measured."""
-    best: tuple[float, np.ndarray] | None = None
-    for yaw in np.arange(8) * np.pi / 4:
-        turned = attitude.multiply(attitude.exponential(np.array([0.0, 0.0, yaw])), inputs.quaternion)
-        value = ekf.cost(inputs._replace(quaternion=turned, gate=noise.LOOSE_GATE))
-        if np.isfinite(value) and (best is None or value < best[0]):
-            best = (value, turned)
-    return inputs if best is None else inputs._replace(quaternion=best[1])
-
-
-def _apply(
-    policy: str,
-    found: biases.Phases,
-    final: ekf.Pass,
-    deviation: np.ndarray,
-    forward: ekf.Pass,
-    early: np.ndarray,
-    flying: np.ndarray,
-    notes: list[str],
-) -> tuple[np.ndarray, dict[str, Any]]:
-    """Biases (N, 6) to take off the measurements (corrected = measured - bias), and what to say of them."""
-    n = len(flying)
-    part = flying if flying.any() else np.ones(n, bool)
-    whole, whole_std = final.state[part, 6:12].mean(axis=0), np.sqrt((deviation[part, 9:15] ** 2).mean(axis=0))
-    evidence: dict[str, Any] = {"whole flight": {"value": whole.tolist(), "std": whole_std.tolist()}}
-    if found.rest is not None:
-        end = found.rest.last - 1
-        rest, rest_std = forward.state[end, 6:12], early[end, 9:15]
-        evidence["rest"] = {
-            "value": rest.tolist(),
-            "std": rest_std.tolist(),
-            "mean gyro": found.rest.gyro.tolist(),
-            "mean gyro std": found.rest.gyro_std.tolist(),
-        }
-        apart = np.abs(rest - whole) / np.hypot(rest_std, whole_std)
-        for i in np.flatnonzero(apart > DRIFT_SIGMAS):
-            notes.append(
-                f"the bias of {SENSORS[i]} differs between the rest ({rest[i]:.4g}) and the whole flight ({whole[i]:.4g}) by "
-                f"{apart[i]:.1f} standard errors: it drifts, or something unmodelled is taken for it"
-            )
-    if policy == "time varying":
-        return final.state[:, 6:12].copy(), _bias_report(policy, whole, whole_std, evidence=evidence)
-    if policy == "rest" and found.rest is None:
-        notes.append("the biases are constants estimated over the whole flight, since there is no rest before take-off")
-        policy = "whole flight"
-    if policy == "rest":
-        value, std = rest, rest_std
-    else:
-        value, std = whole, whole_std
-    return np.tile(value, (n, 1)), _bias_report(policy, value, std, evidence=evidence)
-
-
-def _course(
-    t: np.ndarray, forward: ekf.Pass, early: np.ndarray, final: ekf.Pass, deviation: np.ndarray
-) -> pd.DataFrame:
-    table: dict[str, np.ndarray] = {"t": t}
-    table |= dict(zip(("filter_roll", "filter_pitch", "filter_yaw"), attitude.to_euler(forward.quaternion).T))
-    table |= dict(zip(("filter_vx", "filter_vy", "filter_vz"), forward.state[:, :3].T))
-    table |= dict(zip(("filter_x", "filter_y", "filter_z"), forward.state[:, 3:6].T))
-    for i, kind in enumerate(("attitude", "velocity", "position")):
-        for j, axis in enumerate("xyz"):
-            table[f"{kind}_std_{axis}"] = deviation[:, 3 * i + j]
-    for i, name in enumerate(SENSORS):
-        table[f"filter_bias_{name}"], table[f"filter_bias_std_{name}"] = forward.state[:, 6 + i], early[:, 9 + i]
-        table[f"bias_{name}"], table[f"bias_std_{name}"] = final.state[:, 6 + i], deviation[:, 9 + i]
-    for i, kind in enumerate(ekf.KINDS):
-        table[f"{kind}_nis"] = np.sum(forward.whitened[:, i] ** 2, axis=1)
-    return pd.DataFrame(table)

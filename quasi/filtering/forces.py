@@ -1,7 +1,7 @@
 """Zero-phase filters of one band for everything a regression compares; forces, moments, induced velocity.
 
-One symmetric kernel h(t), a sinc of the cut-off frequency under a Kaiser window, serves as the low-pass filter; its exact
-derivative h'(t) serves as the differentiator, so that `derivative(x)` is the time derivative of `low_pass(x)`.
+One symmetric kernel h(t), a sinc of the cut-off frequency under a Kaiser window, serves as the low-pass filter; its
+exact derivative h'(t) serves as the differentiator, so that `derivative(x)` is the time derivative of `low_pass(x)`.
 Source: Oppenheim & Schafer, Discrete-Time Signal Processing, 3rd ed., 2010, section 7.5 (Kaiser window).
 """
 
@@ -87,12 +87,15 @@ def forces(specific: np.ndarray, mass: float) -> np.ndarray:
 
 
 def net_forces(specific: np.ndarray, quaternion: np.ndarray, mass: float) -> np.ndarray:
-    """Force with weight (N, 3), N, body axes: mass times acceleration; in hover zero. quaternion (N, 4) body to earth."""
+    """Force with weight (N, 3), N, body axes: mass times acceleration, zero in hover. quaternion (N, 4)."""
     return mass * (np.asarray(specific, float) + rotate_inverse(quaternion, np.array([0.0, 0.0, GRAVITY])))
 
 
 def moments(rates: np.ndarray, rates_dot: np.ndarray, inertia: np.ndarray) -> np.ndarray:
-    """Moment about the cg (N, 3), N m, body axes: I w' + w x I w (Euler's equation). rates rad/s, inertia (3, 3) kg m2."""
+    """Moment about the cg (N, 3), N m, body axes, by Euler's equation I w' + w x I w.
+
+    rates, rates_dot (N, 3) rad/s, rad/s2; inertia (3, 3) kg m2
+    """
     rates = np.asarray(rates, float)
     return np.asarray(rates_dot, float) @ inertia.T + np.cross(rates, rates @ inertia.T)
 
@@ -100,8 +103,8 @@ def moments(rates: np.ndarray, rates_dot: np.ndarray, inertia: np.ndarray) -> np
 def induced_velocity(air_velocity: np.ndarray, mass: float, radius: float) -> np.ndarray:
     """Induced velocity (N,), m/s, that carries the weight by momentum theory; NaN in descent, where the theory fails.
 
-    air_velocity (N, 3) m/s, body axes; mass kg; radius m of one of four rotors. Solves v2 ((u2 + v2) + (v - w)2) = v_h4 with
-    v_h2 = m g / (2 rho 4 pi R2), its greatest root.
+    air_velocity (N, 3) m/s, body axes; mass kg; radius m of one of four rotors. Solves v2 ((u2 + v2) + (v - w)2) =
+    v_h4 with v_h2 = m g / (2 rho 4 pi R2), its greatest root.
     Source: Leishman, Principles of Helicopter Aerodynamics, 2nd ed., 2006, sections 2.13 and 2.14.
     """
     hover = mass * GRAVITY / (2.0 * AIR_DENSITY * 4.0 * np.pi * radius**2)

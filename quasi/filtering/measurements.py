@@ -43,7 +43,7 @@ class Imu:
 
 @dataclass
 class Measurements:
-    """used (N, 3) int8 by kind; attitude (N, 4), position, velocity (N, 3); std (3, 3) by kind and axis; source by kind."""
+    """used (N, 3) int8 and std (3, 3) by kind; attitude (N, 4), position and velocity (N, 3); source by kind."""
 
     used: np.ndarray
     attitude: np.ndarray
@@ -62,7 +62,7 @@ def spans(mask: np.ndarray) -> list[tuple[int, int]]:
 
 
 def fill(values: np.ndarray) -> np.ndarray:
-    """Missing values (NaN) of (N,) by straight lines between their neighbours, held at the ends; needs one finite value."""
+    """Missing values (NaN) of (N,), not all, by straight lines between their neighbours, held at the ends."""
     good = np.isfinite(values)
     if good.all():
         return np.array(values, float)
@@ -88,7 +88,7 @@ def time_step(t: np.ndarray) -> float:
 
 
 def _saturated(values: np.ndarray, least: float) -> np.ndarray:
-    """True where a signal (N,) stays at its own extreme for three samples or more, if that extreme is beyond `least`."""
+    """True where a signal (N,) stays at its own extreme for three samples or more, if that is beyond `least`."""
     found = np.zeros(len(values), bool)
     for sign in (1.0, -1.0):
         top = np.max(sign * values)
@@ -172,7 +172,8 @@ def sensor_noise(statistics: Mapping[str, Mapping[str, float]], wanted: bool) ->
         std = float(statistics.get(name, {}).get("std", 0.0))
         if not std > 0.0:
             notes.append(
-                f"the noise statistics of the quadrotor configuration give {std:g} for the standard deviation of '{name}', "
+                f"the noise statistics of the quadrotor configuration give {std:g} for the standard deviation "
+                f"of '{name}', "
                 f"which no sensor has; the default {REST_STD[name]:g} is used"
             )
             std = REST_STD[name]
@@ -206,9 +207,9 @@ def collect(
 ) -> Measurements:
     """The measurements of an imported flight by kind, with starting noise levels.
 
-    Attitude and position are used where they are fresh. Velocity is used when it is an on-board estimate of its own or when
-    there is no position, never when it was derived from the same captured position. Without position and velocity the
-    quadrotor is taken to stand still while on the ground.
+    Attitude and position are used where they are fresh. Velocity is used when it is an on-board estimate of its own or
+    when there is no position, never when it was derived from the same captured position. Without position and velocity
+    the quadrotor is taken to stand still while on the ground.
     """
     n = len(frame)
     notes: list[str] = []
@@ -287,8 +288,8 @@ def levelled(accel: np.ndarray, yaw: float) -> np.ndarray:
 def start(frame: pd.DataFrame, measurements: Measurements, imu: Imu, dt: float, resting: bool, align: bool):
     """Nominal state and covariance at the first sample: quaternion (4,), state (15,), covariance (18, 18).
 
-    resting  True where the quadrotor stands at the first sample; align  whether the attitude source may be turned against
-    the body by a constant small angle, to be estimated.
+    resting  True where the quadrotor stands at the first sample; align  whether the attitude source may be turned
+    against the body by a constant small angle, to be estimated.
     """
     soon = max(2, round(0.1 / dt))
     deviation = np.empty(STATES)

@@ -53,9 +53,9 @@ def with_levels(inputs: Inputs, factors: np.ndarray, flying: np.ndarray) -> Inpu
 def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray) -> np.ndarray:
     """Factors (5,) on the noise of gyro, accelerometer, attitude, position, velocity, by maximum likelihood.
 
-    The likelihood of the innovations is maximised over stretches of flight; gated innovations count with the gate's value,
-    so outliers do not drive the levels. flying (N,) bool; floor (2,) least factors of gyro and accelerometer, at which the
-    noise equals that at rest.
+    The likelihood of the innovations is maximised over stretches of flight; gated innovations count with the gate's
+    value, so outliers do not drive the levels. flying (N,) bool; floor (2,) least factors of gyro and accelerometer,
+    at which the noise equals that at rest.
     Source: Schweppe, Evaluation of likelihood functions for Gaussian signals, IEEE Trans. Inf. Theory 11(1), 1965.
     """
     present = np.array([True, True, *(inputs.used[flying].sum(axis=0) > 10)])
@@ -96,7 +96,8 @@ def consistency(run: Pass) -> dict[str, Any]:
 
     mean  mean NIS per degree of freedom of the accepted ones (1 when the noise levels are right); bounds  where 95 % of
     means would lie if they were exactly right; gated  share thrown away; whiteness  greatest autocorrelation from one
-    measurement to the next, over the three components, with its 95 % bound; consistent  whether the run may be believed.
+    measurement to the next, over the three components, with its 95 % bound; consistent  whether the run may be
+    believed.
     Source: Bar-Shalom, Li & Kirubarajan, 2001, section 5.4.2.
     """
     result: dict[str, Any] = {}

@@ -1,8 +1,8 @@
 """Fixed-interval smoother: the backward pass over a stored forward pass.
 
 Bryson-Frazier form: the adjoint of the error state and its information matrix run backward through the very steps and
-scalar updates of the forward pass, so no matrix is inverted and states without noise of their own (constant biases) need
-no special care. To first order in the errors the estimate is that of the Rauch-Tung-Striebel smoother.
+scalar updates of the forward pass, so no matrix is inverted and states without noise of their own (constant biases)
+need no special care. To first order in the errors the estimate is that of the Rauch-Tung-Striebel smoother.
 
 Source: Bierman, Fixed interval smoothing with discrete measurements, Int. J. Control 18(1), 1973.
 """
@@ -135,7 +135,7 @@ def _backward(dt, gyro, accel, Q, X, C, rows, first):
 
 
 def smooth(inputs: Inputs, filtered: Pass) -> Pass:
-    """Every sample's estimate from all samples, earlier and later. Same shapes as the forward pass; innovations are its own.
+    """Every sample's estimate from all samples, earlier and later; shapes and innovations of the forward pass.
 
     inputs    those of the forward pass; filtered  its result
     """

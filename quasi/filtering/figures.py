@@ -1,0 +1,126 @@
+"""The five figures of a filtered flight: attitude, velocity, position, gyro bias, accelerometer bias."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+BEFORE, AFTER, BAND = "0.6", "C0", "C0"
+MOST_POINTS = 8000  # a line drawn denser shows nothing more
+
+
+def _stride(n: int) -> slice:
+    return slice(None, None, max(1, n // MOST_POINTS))
+
+
+def _wrapped(angle: np.ndarray) -> np.ndarray:
+    """Degrees, with a gap in the line where the angle wraps round."""
+    shown = np.degrees((angle + np.pi) % (2 * np.pi) - np.pi)
+    shown[1:][np.abs(np.diff(shown)) > 180.0] = np.nan
+    return shown
+
+
+def _three(title: str, labels: list[str]) -> tuple[Figure, list[Axes]]:
+    figure = Figure(figsize=(9, 6.5), layout="constrained")
+    axes = list(figure.subplots(3, 1, sharex=True))
+    figure.suptitle(title)
+    for axis, label in zip(axes, labels):
+        axis.set_ylabel(label)
+        axis.grid(alpha=0.3)
+    axes[-1].set_xlabel("time, s")
+    return figure, axes
+
+
+def _rest(axes: list[Axes], metadata: Mapping[str, Any]) -> None:
+    rest = (metadata.get("phases") or {}).get("rest")
+    for axis in axes:
+        if rest:
+            axis.axvline(rest[1], color="k", linestyle="--", linewidth=1, label="end of the stationary period")
+
+
+def _states(
+    title: str,
+    names: list[str],
+    labels: list[str],
+    imported: pd.DataFrame,
+    filtered: pd.DataFrame,
+    std: np.ndarray | None,
+    metadata: Mapping[str, Any],
+    angle: bool = False,
+) -> Figure:
+    figure, axes = _three(title, labels)
+    thin = _stride(len(filtered))
+    show = _wrapped if angle else np.asarray
+    t = filtered["t"].to_numpy()[thin]
+    for i, (axis, name) in enumerate(zip(axes, names)):
+        after = show(filtered[name].to_numpy(float))[thin]
+        if name in imported and np.isfinite(imported[name].to_numpy(float)).any():
+            before = show(imported[name].to_numpy(float).copy())[thin]
+            axis.plot(
+                imported["t"].to_numpy()[thin], before, color=BEFORE, linestyle="--", linewidth=1, label="imported"
+            )
+        axis.plot(t, after, color=AFTER, linewidth=1, label="filtered")
+        if std is not None:
+            half = 2.0 * (np.degrees(std[thin, i]) if angle else std[thin, i])
+            axis.fill_between(
+                t, after - half, after + half, color=BAND, alpha=0.25, linewidth=0, label="± 2 standard errors"
+            )
+    _rest(axes, metadata)
+    axes[0].legend(loc="upper right", fontsize="small")
+    return figure
+
+
+def _bias(
+    title: str, key: str, sensors: list[str], unit: str, convergence: pd.DataFrame, metadata: Mapping[str, Any]
+) -> Figure:
+    figure, axes = _three(title, [f"bias of {s}, {unit}" for s in sensors])
+    thin = _stride(len(convergence))
+    t = convergence["t"].to_numpy()[thin]
+    applied = metadata["biases"][key]
+    for i, (axis, sensor) in enumerate(zip(axes, sensors)):
+        value, std = (convergence[f"filter_{k}_{sensor}"].to_numpy()[thin] for k in ("bias", "bias_std"))
+        axis.plot(t, value, color=AFTER, linewidth=1, label="forward filter")
+        for sign in (-2.0, 2.0):
+            label = "± 2 standard errors" if sign > 0 else None
+            axis.plot(t, value + sign * std, color=BAND, alpha=0.5, linestyle="--", linewidth=1, label=label)
+        if metadata["biases"]["policy"] == "time varying":
+            axis.plot(t, convergence[f"bias_{sensor}"].to_numpy()[thin], color="C3", linewidth=1, label="applied")
+        else:
+            axis.axhline(applied["value"][i], color="C3", linewidth=1, label="applied")
+        # the first instants, before anything is known, would hide the rest
+        late = slice(len(value) // 50, None)
+        low, high = np.min((value - 3 * std)[late]), np.max((value + 3 * std)[late])
+        axis.set_ylim(min(low, applied["value"][i]), max(high, applied["value"][i]))
+    _rest(axes, metadata)
+    axes[0].legend(loc="upper right", fontsize="small")
+    return figure
+
+
+def figures(
+    imported: pd.DataFrame, filtered: pd.DataFrame, metadata: Mapping[str, Any], convergence: pd.DataFrame | None
+) -> dict[str, Figure]:
+    """The figures of one flight by name: attitude, velocity, position, and gyro_bias, accelerometer_bias if a filter
+    ran.
+
+    imported   the flight before; filtered  after (either kind of force); metadata  of the filtered flight
+    convergence  the filter's course; None leaves out the error bands and the two figures of the biases
+    """
+    flight = metadata.get("flight") or "flight"
+    kinds: list[tuple[str, list[str], list[str], bool]] = [
+        ("attitude", ["roll", "pitch", "yaw"], ["roll, deg", "pitch, deg", "yaw, deg"], True),
+        ("velocity", ["u", "v", "w"], ["u, m/s", "v, m/s", "w, m/s"], False),
+        ("position", ["x", "y", "z"], ["x north, m", "y east, m", "z down, m"], False),
+    ]
+    result: dict[str, Figure] = {}
+    for kind, names, labels, angle in kinds:
+        std = None
+        if convergence is not None and kind == "position":
+            std = convergence[[f"position_std_{a}" for a in "xyz"]].to_numpy()
+        result[kind] = _states(f"{flight}: {kind}", names, labels, imported, filtered, std, metadata, angle)
+    if convergence is not None:
+        for key, sensors, unit in (("gyro", ["p", "q", "r"], "rad/s"), ("accelerometer", ["ax", "ay", "az"], "m/s²")):
+            result[f"{key}_bias"] = _bias(f"{flight}: {key} bias", key, sensors, unit, convergence, metadata)
+    return result
