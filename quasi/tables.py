@@ -64,6 +64,13 @@ COLUMNS: dict[str, tuple[str, str, str]] = {
     "setpoint_p": ("rad/s", "body FRD", "roll rate asked for"),
     "setpoint_q": ("rad/s", "body FRD", "pitch rate asked for"),
     "setpoint_r": ("rad/s", "body FRD", "yaw rate asked for"),
+    "attitude_sample": ("1", "", "1 where an attitude was measured within half a step, else interpolated"),
+    "position_sample": ("1", "", "1 where a position was measured within half a step, else interpolated"),
+    "velocity_sample": ("1", "", "1 where a velocity follows from a measurement within half a step, else interpolated"),
+    "onboard_valid": ("1", "", "0 inside spans that the on-board log lost"),
+    "onboard_roll": ("rad", "body to earth, 3-2-1", "roll angle of the on-board attitude"),
+    "onboard_pitch": ("rad", "body to earth, 3-2-1", "pitch angle of the on-board attitude"),
+    "onboard_yaw": ("rad", "body to earth, 3-2-1", "yaw angle of the on-board attitude, tied to the capture"),
     "in_flight": ("1", "", "1 between take-off and landing, else 0"),
     "valid": ("1", "", "1 where a row may be used for identification, else 0"),
 }
