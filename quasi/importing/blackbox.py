@@ -140,7 +140,9 @@ def _choose(data: bytes, path: str, log_number: int | None) -> tuple[Log, Frames
     """The log asked for, or the longest; decoded, with the list of all."""
     logs = find_logs(data, path)
     if log_number is not None and not 1 <= log_number <= len(logs):
-        raise ReadError(f"{path} holds {len(logs)} logs, but log number {log_number} is asked for; choose 1 to {len(logs)}")
+        raise ReadError(
+            f"{path} holds {len(logs)} logs, but log number {log_number} is asked for; choose 1 to {len(logs)}"
+        )
     if len(logs) == 1:
         log = logs[0]
         frames = None if log.fault else decode(data, log, WANTED)
@@ -240,23 +242,39 @@ def _losses(frames: Frames, t: np.ndarray, log: Log) -> tuple[list[dict], list[d
         notes.append(f"{log.damage} header lines are unreadable")
     if frames.counts["unknown events"]:
         notes.append(f"{frames.counts['unknown events']} events of unknown kind were skipped")
-    step = np.diff(t)
-    gaps = []
-    if len(step):
-        resumed = frames.events[frames.events[:, 0] == 14, 3] * 1e-6
-        for i in np.flatnonzero(step > GAP * np.median(step)):
-            start, end = float(t[i]), float(t[i + 1])
-            if any(start < span["end"] and end > span["start"] for span in spans):
-                cause = "damage"
-            elif np.any((resumed > start) & (resumed <= end)):
-                cause = "logging paused"
-            else:
-                cause = "not logged"
-            gaps.append({"start": start, "end": end, "cause": cause})
+    resumed = frames.events[frames.events[:, 0] == 14, 3] * 1e-6
+    gaps = time_gaps(t, spans, resumed)
     if gaps:
-        longest = max(gap["end"] - gap["start"] for gap in gaps)
-        notes.append(f"{len(gaps)} gaps in time, the longest {longest:.4f} s ({gaps[0]['cause']} first)")
+        notes.append(gaps_note(gaps))
     return spans, gaps, notes
+
+
+def time_gaps(t: np.ndarray, spans: list[dict], resumed: np.ndarray) -> list[dict[str, Any]]:
+    """Steps of t (n,) longer than 1.5 usual ones: start and end (s) and cause.
+
+    spans    damaged stretches with start and end (s); resumed  times (s) at which logging went on after a pause
+    """
+    step = np.diff(t)
+    if not len(step):
+        return []
+    places = np.flatnonzero(step > GAP * np.median(step))
+    starts, ends = t[places], t[places + 1]
+    causes = np.full(len(places), "not logged", object)
+    paused = np.searchsorted(np.sort(resumed), ends, "right") > np.searchsorted(np.sort(resumed), starts, "right")
+    causes[paused] = "logging paused"
+    for span in spans:
+        causes[(starts < span["end"]) & (ends > span["start"])] = "damage"
+    return [
+        {"start": float(start), "end": float(end), "cause": str(cause)}
+        for start, end, cause in zip(starts, ends, causes)
+    ]
+
+
+def gaps_note(gaps: list[dict[str, Any]]) -> str:
+    """One sentence about the gaps of `time_gaps`."""
+    longest = max(gaps, key=lambda gap: gap["end"] - gap["start"])
+    length = longest["end"] - longest["start"]
+    return f"{len(gaps)} gaps in time, the longest {length:.4f} s at {longest['start']:.3f} s ({longest['cause']})"
 
 
 def _events(frames: Frames) -> list[dict[str, Any]]:
@@ -278,5 +296,6 @@ def _flight_modes(frames: Frames, log: Log) -> list[dict[str, Any]]:
     flags = frames.slow[:, names.index("flightModeFlags")]
     changed = np.flatnonzero(np.append(True, np.diff(flags) != 0))
     return [
-        {"time": frames.slow_time[i] * 1e-6 if frames.slow_time[i] >= 0 else None, "flags": int(flags[i])} for i in changed
+        {"time": float(frames.slow_time[i]) * 1e-6 if frames.slow_time[i] >= 0 else None, "flags": int(flags[i])}
+        for i in changed
     ]

@@ -156,7 +156,11 @@ def _layout(header: Mapping[str, str]) -> tuple[dict[str, list[str]], np.ndarray
             if encoding not in _ENCODINGS:
                 raise _Unreadable(f"field '{name}' of its {kind} frames uses encoding {encoding}, which is not known")
             layout[k, ARGUMENT, i] = _argument(name, predictor, names[of], i, kind)
-        layout[k, ENCODING, :count], layout[k, PREDICTOR, :count], layout[k, SIGNED, :count] = encodings, predictors, signed
+        layout[k, ENCODING, :count], layout[k, PREDICTOR, :count], layout[k, SIGNED, :count] = (
+            encodings,
+            predictors,
+            signed,
+        )
         i = 0
         while i < count:
             run = 1

@@ -24,7 +24,11 @@ INDI_QUATERNION_FULL = 8127.0  # INDIflight: (127 << 6) - 1
 FEATURE_3D = 1 << 12
 # main fields that carry a quantity of ours
 WANTED = {
-    *(f"{name}[{i}]" for name in ("gyroADC", "accSmooth", "imuQuaternion", "setpoint", "extPos", "extVel") for i in _AXES),
+    *(
+        f"{name}[{i}]"
+        for name in ("gyroADC", "accSmooth", "imuQuaternion", "setpoint", "extPos", "extVel")
+        for i in _AXES
+    ),
     *(f"{name}[{i}]" for name in ("gyroADCafterRpm", "accADCafterRpm") for i in _AXES),
     *(f"{name}[{i}]" for name in ("motor", "eRPM", "omega", "omegaUnfiltered") for i in _MOTORS),
     *(f"{name}[{i}]" for name in ("debug", "quat") for i in range(4)),
@@ -64,29 +68,37 @@ def is_indiflight(header: Mapping[str, str], names: set[str]) -> bool:
     return "indiflight" in header.get("Firmware revision", "").lower() or "quat[0]" in names or "omega[0]" in names
 
 
-def resolve(raw: dict[str, np.ndarray], header: Mapping[str, str], poles: int | None) -> Resolved:
+def resolve(
+    raw: dict[str, np.ndarray],
+    header: Mapping[str, str],
+    poles: int | None,
+    known: Mapping[str, tuple[float, str]] | None = None,
+) -> Resolved:
     """Turn raw main fields into quantities; the arrays are scaled in place.
 
     raw     {field: (n,) float}, numbers as logged
     header  the log's header; what it lacks is assumed and said in the notes
     poles   the configured number of motor magnets, or None
+    known   {"gyro", "accelerometer", "rotor speed", "battery voltage", "battery current": (factor to SI, source)} where
+            the numbers carry their own unit, which then counts instead of the header
     """
     out = Resolved()
+    known = known or {}
     indi = is_indiflight(header, set(raw))
     sign = (1.0, 1.0, 1.0) if indi else (1.0, -1.0, -1.0)
     out.about["body axes logged"] = "x forward, y right, z down" if indi else "x forward, y left, z up"
     out.about["units"] = {}
     fine = 10.0 if (hex_float(header.get("blackbox_high_resolution")) or 0) > 0 else 1.0
-    _gyro(raw, header, sign, fine, out)
-    _acceleration(raw, header, sign, out)
+    _gyro(raw, header, sign, fine, known, out)
+    _acceleration(raw, header, sign, known, out)
     for i, rate in enumerate("pqr"):
         if f"setpoint[{i}]" in raw:
             out.values[f"setpoint_{rate}"] = _scaled(raw[f"setpoint[{i}]"], sign[i] * DEG / fine)
             out.about["units"]["setpoint"] = {"factor": DEG / fine, "to": "rad/s"}
     _attitude(raw, out)
     _motors(raw, header, out)
-    _rotor_speeds(raw, header, poles, out)
-    _battery(raw, header, out)
+    _rotor_speeds(raw, header, poles, known, out)
+    _battery(raw, header, known, out)
     if "setpoint[3]" in raw:
         out.values["throttle"] = _scaled(raw["setpoint[3]"], 1e-3)
     elif "rcCommand[3]" in raw:
@@ -106,17 +118,19 @@ def _scaled(values: np.ndarray, factor: float) -> np.ndarray:
     return values
 
 
-def _gyro(raw, header, sign, fine, out: Resolved) -> None:
+def _gyro(raw, header, sign, fine, known, out: Resolved) -> None:
     name = "gyroADCafterRpm" if "gyroADCafterRpm[0]" in raw else "gyroADC"
     if f"{name}[0]" not in raw:
         out.notes.append("the log holds no gyro (gyroADC); body rates are missing")
         return
     key = "gyro_scale" if "gyro_scale" in header else "gyro.scale"
     scale = hex_float(header.get(key))
-    if scale is None or not 0 < scale < 1e4:
+    if "gyro" not in known and (scale is None or not 0 < scale < 1e4):
         out.notes.append(f"the header's gyro_scale is {header.get(key)!r}; 1 deg/s per count is assumed")
         scale = 1.0
-    if scale < 1e-5:
+    if "gyro" in known:
+        factor, source = known["gyro"]
+    elif scale < 1e-5:
         # firmware before Betaflight 3.1 states rad/us per count
         factor, source = scale * 1e6, "header, rad/us"
     else:
@@ -128,30 +142,34 @@ def _gyro(raw, header, sign, fine, out: Resolved) -> None:
         if f"{name}[{i}]" in raw:
             values = _scaled(raw[f"{name}[{i}]"], sign[i] * factor)
             out.values[rate] = values
-            fastest = max(fastest, float(np.max(np.abs(values), initial=0.0)))
+            fastest = max(fastest, float(np.nanmax(np.abs(values), initial=0.0)))
     if fastest > 4500 * DEG:
         out.notes.append(
             f"body rates reach {fastest / DEG:.0f} deg/s, beyond any gyro; the header's gyro_scale contradicts the data"
         )
 
 
-def _acceleration(raw, header, sign, out: Resolved) -> None:
+def _acceleration(raw, header, sign, known, out: Resolved) -> None:
     name = "accADCafterRpm" if "accADCafterRpm[0]" in raw else "accSmooth"
     if f"{name}[0]" not in raw:
         out.notes.append("the log holds no accelerometer (accSmooth); specific forces are missing")
         return
-    one = hex_float(header.get("acc_1G"))
-    if one is None or not 0 < one < 1e6:
-        out.notes.append(f"the header's acc_1G is {header.get('acc_1G')!r}; 2048 counts per g are assumed")
-        one = STANDARD_ACC_1G
-    out.about["units"]["accelerometer"] = {"factor": GRAVITY / one, "to": "m/s2", "source": "acc_1G", "field": name}
+    if "accelerometer" in known:
+        factor, source = known["accelerometer"]
+    else:
+        one, source = hex_float(header.get("acc_1G")), "acc_1G"
+        if one is None or not 0 < one < 1e6:
+            out.notes.append(f"the header's acc_1G is {header.get('acc_1G')!r}; 2048 counts per g are assumed")
+            one, source = STANDARD_ACC_1G, "assumed"
+        factor = GRAVITY / one
+    out.about["units"]["accelerometer"] = {"factor": factor, "to": "m/s2", "source": source, "field": name}
     square = 0.0
     for i, axis in enumerate("xyz"):
         if f"{name}[{i}]" in raw:
-            values = _scaled(raw[f"{name}[{i}]"], sign[i] * GRAVITY / one)
+            values = _scaled(raw[f"{name}[{i}]"], sign[i] * factor)
             out.values[f"a{axis}"] = values
             square = square + values[:: max(1, len(values) // 2000)] ** 2
-    typical = float(np.sqrt(np.median(square))) / GRAVITY if np.size(square) else 1.0
+    typical = float(np.sqrt(np.nanmedian(square))) / GRAVITY if np.any(np.isfinite(square)) else 1.0
     if not 0.2 < typical < 5.0:
         out.notes.append(f"the specific force is typically {typical:.3g} g; the header's acc_1G contradicts the data")
 
@@ -203,19 +221,18 @@ def _motors(raw, header, out: Resolved) -> None:
         out.values[f"command{i + 1}"] = values
     below = np.mean([np.mean(out.values[f"command{i + 1}"] < -0.002) for i in motors]) if len(values) else 0.0
     if below > 0:
-        out.notes.append(f"motor values lie below the output range in {100 * below:.2g} % of the samples (motors stopped)")
+        out.notes.append(
+            f"motor values lie below the output range in {100 * below:.2g} % of the samples (motors stopped)"
+        )
 
 
-def _rotor_speeds(raw, header, poles: int | None, out: Resolved) -> None:
+def _rotor_speeds(raw, header, poles: int | None, known, out: Resolved) -> None:
     mode = debug_mode(header)
     if mode is not None:
         out.about["debug mode"] = mode
     if "omegaUnfiltered[0]" in raw or "omega[0]" in raw:
         name = "omegaUnfiltered" if "omegaUnfiltered[0]" in raw else "omega"
-        for i in _MOTORS:
-            if f"{name}[{i}]" in raw:
-                out.values[f"w{i + 1}"] = raw[f"{name}[{i}]"]
-        out.about["units"]["rotor speed"] = {"factor": 1.0, "to": "rad/s", "source": name}
+        _speeds(raw, name, _MOTORS, 1.0, name, out)
         return
     if "eRPM[0]" in raw:
         name, motors = "eRPM", _MOTORS
@@ -225,32 +242,45 @@ def _rotor_speeds(raw, header, poles: int | None, out: Resolved) -> None:
     else:
         out.notes.append("the log holds no rotor speeds (no eRPM fields, debug mode is not DSHOT_RPM_TELEMETRY)")
         return
+    if "rotor speed" in known:
+        factor, source = known["rotor speed"]
+        _speeds(raw, name, motors, factor, source, out)
+        return
     logged = hex_float(header.get("motor_poles"))
     if poles is not None:
         count, source = int(poles), "configuration"
         if logged is not None and int(logged) != count:
-            out.notes.append(f"the header states {int(logged)} motor poles, the configuration {count}; the latter is used")
+            out.notes.append(
+                f"the header states {int(logged)} motor poles, the configuration {count}; the latter is used"
+            )
     elif logged is not None and 2 <= logged <= 254:
         count, source = int(logged), "header"
         if count == DEFAULT_POLES:
-            out.notes.append("the header's 14 motor poles are Betaflight's default, which few people set; check the motors")
+            out.notes.append(
+                "the header's 14 motor poles are Betaflight's default, which few people set; check the motors"
+            )
     else:
         count, source = DEFAULT_POLES, "assumed"
         out.notes.append("warning: neither configuration nor header state the motor poles; 14 are assumed")
-    factor = erpm100_to_rad_s(count)
     out.about["motor poles"] = {"value": count, "source": source}
-    out.about["units"]["rotor speed"] = {"factor": factor, "to": "rad/s", "source": name}
+    _speeds(raw, name, motors, erpm100_to_rad_s(count), name, out)
+
+
+def _speeds(raw, name: str, motors, factor: float, source: str, out: Resolved) -> None:
+    out.about["units"]["rotor speed"] = {"factor": factor, "to": "rad/s", "source": source}
     for i in motors:
         if f"{name}[{i}]" in raw:
             out.values[f"w{i + 1}"] = _scaled(raw[f"{name}[{i}]"], factor)
 
 
-def _battery(raw, header, out: Resolved) -> None:
+def _battery(raw, header, known, out: Resolved) -> None:
     if "vbatLatest" in raw:
         # the cell limits stand in the header in the unit of the log: 330,350,430 = 0.01 V, 33,35,43 = 0.1 V
         cell = hex_float(header.get("vbatcellvoltage", "").split(",")[-1] or None)
         release = version(header)
-        if cell is not None and cell > 0:
+        if "battery voltage" in known:
+            factor, source = known["battery voltage"]
+        elif cell is not None and cell > 0:
             factor, source = (0.01 if cell > 100 else 0.1), "vbatcellvoltage"
         elif release is not None:
             factor, source = (0.01 if release >= (4, 0) else 0.1), "firmware version"
@@ -259,5 +289,6 @@ def _battery(raw, header, out: Resolved) -> None:
         out.about["units"]["battery voltage"] = {"factor": factor, "to": "V", "source": source}
         out.values["battery_voltage"] = _scaled(raw["vbatLatest"], factor)
     if "amperageLatest" in raw:
-        out.about["units"]["battery current"] = {"factor": 0.01, "to": "A"}
-        out.values["battery_current"] = _scaled(raw["amperageLatest"], 0.01)
+        factor, source = known.get("battery current", (0.01, "Betaflight"))
+        out.about["units"]["battery current"] = {"factor": factor, "to": "A", "source": source}
+        out.values["battery_current"] = _scaled(raw["amperageLatest"], factor)
