@@ -55,6 +55,8 @@ def fit_axis(
         stop=str(config.get("stop criterion", "PSE")),
     )
     total = float(np.sum((raw - raw.mean()) ** 2))
+    if total <= 0:
+        raise DataError(f"{axis} is constant over the training rows; there is nothing to fit")
     selection = select(pool, options, names, total)
     chosen = [*range(len(free)), *selection.chosen]
 
@@ -74,7 +76,7 @@ def fit_axis(
         "covariance": fit.covariance.tolist(),
         "plain covariance": fit.plain_covariance.tolist(),
         "sigma2": fit.sigma2,
-        "R2": 1.0 - error / total if total > 0 else None,
+        "R2": 1.0 - error / total,
         "RMSE": float(np.sqrt(error / len(raw))),
         "n": len(raw),
         "effective rows": fit.effective_rows,
@@ -121,7 +123,7 @@ def _training_rows(axis, flights, partition, airframe, hover, specification) -> 
     if not sum(map(len, targets)):
         raise DataError(
             f"{axis}: no training rows are left in the flights {', '.join(map(str, flights))} "
-            f"({sum(dropped.values())} lost to missing values); check the columns that the specification names, and the partition"
+            f"({sum(dropped.values())} lost to missing values); check the columns that the specification names"
         )
     return blocks, targets, series, dropped
 

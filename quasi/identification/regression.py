@@ -1,8 +1,8 @@
 """Least squares on the chosen columns, with a covariance that survives autocorrelated residuals.
 
 Residuals of 500 Hz data resemble their neighbours for a long time, so that a hundred thousand rows hold the information
-of a few hundred. The covariance is the sandwich of Newey & West with a bandwidth from the residuals' own memory; rows that
-do not take part (the test rows of a random partition) count as missing, not as neighbours.
+of a few hundred. The covariance is the sandwich of Newey & West with a bandwidth from the residuals' own memory; rows
+that do not take part (the test rows of a random partition) count as missing, not as neighbours.
 
 Source: Newey & West, Econometrica 55(3), 1987; Parzen, On spectral analysis with missing observations, Sankhya A 25,
 1963 (missing rows as zeros); Sokal, Monte Carlo methods in statistical mechanics, 1997, section 3 (memory window).

@@ -1,0 +1,270 @@
+"""The portable model: plain data in model.json, forces and moments from states and rotor speeds.
+
+Reading a model runs nothing: its expressions go through the same parser as a candidate file; there is no code in it.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.special import ndtri, stdtrit
+
+from quasi import tables
+from quasi.airframe import Airframe, from_plain
+from quasi.errors import ConfigError, ExpressionError, QuasiError, ReadError, ShapeError, nearest
+from quasi.expressions import Program, Tree, parse
+from quasi.variables import Variables, base_columns
+
+SCHEMA = "quasi.model/1"
+AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+STATE = ("roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z")
+ROTORS = ("w1", "w2", "w3", "w4")
+ACCELERATIONS = tuple(f"{w}_dot" for w in ROTORS)
+_CHUNK = 8192  # rows at a time, so that the intermediate columns stay in the cache
+_TOP = {"schema", "id", "gravity", "airframe", "hover speed", "axes"}
+
+
+class Model:
+    """A polynomial model of forces (N) and moments (N m) in body axes.
+
+    id        model ID
+    document  the whole model as plain data
+    airframe  geometry, signs, mass properties
+    gravity   "withGravity": forces are mass x specific force (hover Fz = -m g), gravity is to be added in a simulation;
+              "noGravity": forces are net forces
+    axes      identified axes, a selection of Fx Fy Fz Mx My Mz; the others are NaN in every prediction
+    """
+
+    def __init__(self, document: Mapping[str, Any], where: str = "model") -> None:
+        _check(document, where)
+        self.document = dict(document)
+        self.id: str = document["id"]
+        self.gravity: str = document["gravity"]
+        self.airframe: Airframe = _airframe(document["airframe"], where)
+        self.hover_speed: float | None = document["hover speed"]["value"]
+        self.axes = tuple(a for a in AXES if a in document["axes"])
+        self._trees = {a: _trees(document["axes"][a], a, where) for a in self.axes}
+        distinct = list(dict.fromkeys(tree for trees in self._trees.values() for tree in trees))
+        self._program = Program(distinct)
+        self._weights = np.full((len(AXES), len(distinct)), 0.0)
+        for axis, trees in self._trees.items():
+            for tree, term in zip(trees, document["axes"][axis]["terms"]):
+                self._weights[AXES.index(axis), distinct.index(tree)] += term["coefficient"]
+        self._lacking = [k for k, axis in enumerate(AXES) if axis not in self.axes]
+        self.columns = tuple(sorted(set().union(*(base_columns(n) for n in self._program.names), set())))
+
+    @property
+    def with_gravity(self) -> bool:
+        """Whether a simulation has to add gravity."""
+        return self.gravity == "withGravity"
+
+    @property
+    def uses_rotor_accelerations(self) -> bool:
+        """Whether a term asks for the rotors' accelerations."""
+        return any(c in ACCELERATIONS for c in self.columns)
+
+    def predict(
+        self,
+        state: np.ndarray,
+        rotor_speeds: np.ndarray,
+        rotor_accelerations: np.ndarray | None = None,
+        extra: Mapping[str, np.ndarray] | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Forces (N, 3), N, and moments (N, 3), N m, in body axes.
+
+        state                (N, 12) roll pitch yaw (rad), u v w (m/s, through the air), p q r (rad/s), x y z (m);
+                             or (N, 9) without the position where no term needs it
+        rotor_speeds         (N, 4) mechanical rad/s
+        rotor_accelerations  (N, 4) rad/s2; without them terms that use them take zero: the quasi-steady prediction
+        extra                further columns that terms name (battery_voltage, v_in, ...), each (N,)
+        One row, (12,) or (9,) with (4,), gives (3,) and (3,).
+        Raises ShapeError, or ExpressionError for a missing column.
+        """
+        state, speeds = np.asarray(state, float), np.asarray(rotor_speeds, float)
+        single = state.ndim == 1
+        state, speeds = np.atleast_2d(state), np.atleast_2d(speeds)
+        if state.ndim != 2 or state.shape[1] not in (9, 12):
+            raise ShapeError(f"state must be (N, 12) or (N, 9), roll pitch yaw u v w p q r [x y z], got {state.shape}")
+        if speeds.shape != (len(state), 4):
+            raise ShapeError(f"rotor_speeds must be ({len(state)}, 4) like the state's rows, got {speeds.shape}")
+        columns = {name: state[:, k] for k, name in enumerate(STATE[: state.shape[1]])}
+        columns |= {name: speeds[:, k] for k, name in enumerate(ROTORS)}
+        if rotor_accelerations is not None:
+            accelerations = np.atleast_2d(np.asarray(rotor_accelerations, float))
+            if accelerations.shape != speeds.shape:
+                raise ShapeError(
+                    f"rotor_accelerations must be {speeds.shape} like rotor_speeds, got {accelerations.shape}"
+                )
+            columns |= {name: accelerations[:, k] for k, name in enumerate(ACCELERATIONS)}
+        for name, values in (extra or {}).items():
+            columns[name] = np.broadcast_to(np.asarray(values, float), (len(state),))
+        wrench = self._wrench(columns, len(state))
+        forces, moments = wrench[:3].T, wrench[3:].T
+        return (forces[0], moments[0]) if single else (forces, moments)
+
+    def predict_columns(self, flight: pd.DataFrame | Mapping[str, np.ndarray]) -> pd.DataFrame:
+        """Predictions of the identified axes, one column each, of a table with roll .. z, w1 .. w4 and so on."""
+        columns, rows = _as_columns(flight)
+        wrench = self._wrench(columns, rows)
+        index = flight.index if isinstance(flight, pd.DataFrame) else None
+        return pd.DataFrame({axis: wrench[AXES.index(axis)] for axis in self.axes}, index=index)
+
+    def interval(self, flight: pd.DataFrame | Mapping[str, np.ndarray], level: float | None = None) -> pd.DataFrame:
+        """Prediction intervals: columns <axis>, <axis>_lower, <axis>_upper for each identified axis.
+
+        level  share of measurements that should fall inside; None takes the model's own
+        Variance = residual variance + a C a', C being the coefficients' covariance robust to autocorrelation;
+        quantile of Student's t with the effective number of rows less the number of terms.
+        """
+        columns, rows = _as_columns(flight)
+        lookup = self._lookup(columns, rows)
+        result = {}
+        for axis in self.axes:
+            part = self.document["axes"][axis]
+            confidence = part["confidence level"] if level is None else level
+            trees = self._trees[axis]
+            values = Program(trees).run(lookup, rows)
+            coefficients = np.array([t["coefficient"] for t in part["terms"]])
+            a = values[[not t.get("given", False) for t in part["terms"]]]
+            variance = part["sigma2"] + np.einsum("in,ij,jn->n", a, np.array(part["covariance"]), a, optimize=True)
+            freedom = part["effective rows"] - len(part["covariance"])
+            share = 0.5 * (1.0 + confidence)
+            width = (stdtrit(freedom, share) if freedom >= 1 else ndtri(share)) * np.sqrt(variance)
+            centre = coefficients @ values
+            result |= {axis: centre, f"{axis}_lower": centre - width, f"{axis}_upper": centre + width}
+        return pd.DataFrame(result, index=flight.index if isinstance(flight, pd.DataFrame) else None)
+
+    def summary(self, axes: Iterable[str] | None = None) -> str:
+        """The model as text: terms, coefficients, standard errors, units, per axis."""
+        lines = [f"Model {self.id} ({self.gravity}, airframe {self.airframe.name})"]
+        if self.hover_speed is not None:
+            lines.append(f"Hover speed {self.hover_speed:.1f} rad/s")
+        for axis in self.axes if axes is None else axes:
+            if axis not in self.axes:
+                raise ConfigError(f"model {self.id} has no axis '{axis}'{nearest(axis, self.axes)}")
+            part = self.document["axes"][axis]
+            width = max(len("Regressor"), *(len(t["name"]) for t in part["terms"]))
+            lines += ["", "#" * (width + 48), f"{axis}  technique: stepwise regression", "-" * (width + 48)]
+            lines.append(f"{'Regressor':<{width}}  {'Value':>12}  {'Std':>10}  {'|t|':>8}  Unit")
+            for term in part["terms"]:
+                t = f"{abs(term['t']):.1f}" if term.get("t") is not None else "given" if term.get("given") else "-"
+                lines.append(
+                    f"{term['name']:<{width}}  {term['coefficient']:>12.4e}  {term['std']:>10.1e}  {t:>8}  "
+                    f"{term['unit']}"
+                )
+            lines.append("-" * (width + 48))
+            lines.append(f"Total number of terms {len(part['terms'])}")
+            lines.append(f"R2 {part['R2']:.4f}, RMSE {part['RMSE']:.4g} {part['unit']} on the training rows")
+            lines.append(f"{part['n']} training rows, worth {part['effective rows']:.0f} independent ones")
+        return "\n".join(lines)
+
+    def _lookup(self, columns: Mapping[str, np.ndarray], rows: int):
+        if self.uses_rotor_accelerations and not any(c in columns for c in ACCELERATIONS):
+            columns = {**columns, **dict.fromkeys(ACCELERATIONS, np.zeros(rows))}
+        return Variables(columns, self.airframe, self.hover_speed).__getitem__
+
+    def _wrench(self, columns: Mapping[str, np.ndarray], rows: int) -> np.ndarray:
+        wrench = np.empty((len(AXES), rows))
+        for start in range(0, rows, _CHUNK):
+            part = slice(start, min(start + _CHUNK, rows))
+            count = part.stop - part.start
+            lookup = self._lookup({name: values[part] for name, values in columns.items()}, count)
+            wrench[:, part] = self._weights @ self._program.run(lookup, count)
+        wrench[self._lacking] = np.nan
+        return wrench
+
+
+def _as_columns(flight: pd.DataFrame | Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], int]:
+    columns = {str(name): np.asarray(flight[name], float) for name in flight if _is_number(flight[name])}
+    return columns, len(next(iter(columns.values()))) if columns else 0
+
+
+def _is_number(values: Any) -> bool:
+    return np.issubdtype(np.asarray(values).dtype, np.number)
+
+
+def read_model(path: str | Path) -> Model:
+    """Read a model from its folder or its model.json.
+
+    Raises ReadError when there is none, ConfigError or ExpressionError naming file and key when it was damaged.
+    """
+    path = Path(path)
+    file = path / "model.json" if path.is_dir() else path
+    if not file.is_file():
+        raise ReadError(f"{path} holds no model.json; make the model first, or give its folder")
+    return Model(tables.read_json(file), str(file))
+
+
+def _check(document: Any, where: str) -> None:
+    if not isinstance(document, Mapping) or document.get("schema") != SCHEMA:
+        found = document.get("schema") if isinstance(document, Mapping) else type(document).__name__
+        raise ConfigError(
+            f"{where} is not a model of this version (schema {found!r}, expected '{SCHEMA}'); make it anew"
+        )
+    missing = sorted(_TOP - set(document))
+    if missing:
+        raise ConfigError(f"{where} lacks the key '{missing[0]}'; make the model anew")
+    if document["gravity"] not in ("withGravity", "noGravity"):
+        raise ConfigError(f"{where}: 'gravity' is {document['gravity']!r}, expected 'withGravity' or 'noGravity'")
+    hover = document["hover speed"]
+    if not isinstance(hover, Mapping) or not (hover.get("value") is None or _finite(hover["value"])):
+        raise ConfigError(f"{where}: 'hover speed' must hold a number of rad/s under 'value'; make the model anew")
+    axes = document["axes"]
+    if not isinstance(axes, Mapping) or not axes or set(axes) - set(AXES):
+        raise ConfigError(f"{where}: 'axes' must hold some of {', '.join(AXES)}; make the model anew")
+    for axis, part in axes.items():
+        _check_axis(part, f"{where}, {axis}")
+
+
+def _check_axis(part: Any, where: str) -> None:
+    if not isinstance(part, Mapping) or not isinstance(part.get("terms"), list) or not part["terms"]:
+        raise ConfigError(f"{where} holds no terms; make the model anew")
+    for number, term in enumerate(part["terms"], 1):
+        if not isinstance(term, Mapping) or not isinstance(term.get("expression"), str):
+            raise ConfigError(f"{where}, term {number} has no expression; make the model anew")
+        for key in ("coefficient", "std"):
+            if not _finite(term.get(key)):
+                raise ConfigError(
+                    f"{where}, term '{term['expression']}': '{key}' is {term.get(key)!r}, expected a finite number; "
+                    "make the model anew"
+                )
+    covariance = part.get("covariance")
+    try:
+        covariance = np.array(covariance, float)
+    except (TypeError, ValueError):
+        covariance = np.zeros(0)
+    estimated = sum(not t.get("given", False) for t in part["terms"])
+    if covariance.shape != (estimated, estimated) or not np.all(np.isfinite(covariance)):
+        raise ConfigError(
+            f"{where}: 'covariance' must be {estimated} x {estimated} finite numbers; make the model anew"
+        )
+    for key in ("sigma2", "effective rows", "confidence level", "R2", "RMSE", "n"):
+        if not _finite(part.get(key)):
+            raise ConfigError(f"{where}: '{key}' is {part.get(key)!r}, expected a finite number; make the model anew")
+
+
+def _finite(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _airframe(plain: Any, where: str) -> Airframe:
+    try:
+        frame = from_plain(plain)
+        good = frame.hubs.shape == (4, 3) and frame.spin.shape == (4,) and frame.inertia.shape == (3, 3)
+    except QuasiError:
+        raise
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"{where}: 'airframe' is damaged ({error}); make the model anew") from None
+    if not good:
+        raise ConfigError(f"{where}: 'airframe' has hubs, spins or inertia of the wrong shape; make the model anew")
+    return frame
+
+
+def _trees(part: Mapping[str, Any], axis: str, where: str) -> list[Tree]:
+    try:
+        return [parse(t["expression"]) for t in part["terms"]]
+    except ExpressionError as error:
+        raise ExpressionError(f"{where}, {axis}: {error}") from None

@@ -1,0 +1,81 @@
+"""How well a model does: errors and interval coverage per flight and role, and over all flights of a role."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+
+from quasi.errors import DataError
+from quasi.standalone.model import Model
+
+POOLED = "all"
+UNITS = {
+    "flight": ("", "", "flight key, or all"),
+    "role": ("", "", "training, test or validation"),
+    "axis": ("", "", "force or moment"),
+    "n": ("1", "", "rows"),
+    "rmse": ("SI", "", "root mean square error, N or N m"),
+    "relative_rmse": ("1", "", "rmse over the root mean square of the measurement"),
+    "r2": ("1", "", "share of the variance about the rows' own mean that is explained"),
+    "bias": ("SI", "", "mean of measured minus predicted, N or N m"),
+    "coverage": ("1", "", "share of measurements inside the prediction interval"),
+    "confidence": ("1", "", "share that should be inside"),
+    "interval_width": ("SI", "", "mean width of the prediction interval, N or N m"),
+}
+
+
+def score(
+    model: Model,
+    flights: Mapping[str, pd.DataFrame],
+    partition: Mapping[str, np.ndarray],
+    roles: Mapping[str, int],
+) -> pd.DataFrame:
+    """Errors of a model. One row per flight, role and axis, then one per role and axis over all flights ("all").
+
+    flights    filtered flights with the measured Fx .. Mz; partition {flight: (n,) role codes}
+    roles      {name: code}, for example {"training": 1, "test": 2, "validation": 3}
+    Returns columns flight, role, axis, n, rmse, relative_rmse, r2, bias, coverage, confidence, interval_width.
+    Raises DataError when a measured axis is missing.
+    """
+    pieces: dict[tuple[str, str], list[np.ndarray]] = {}
+    rows = []
+    for key, flight in flights.items():
+        codes = np.asarray(partition[key])
+        for role, code in roles.items():
+            chosen = flight[codes == code]
+            if not len(chosen):
+                continue
+            bands = model.interval(chosen)
+            for axis in model.axes:
+                if axis not in chosen:
+                    raise DataError(f"flight {key} has no column '{axis}' to compare with; filter it anew")
+                table = np.column_stack([chosen[axis], bands[axis], bands[f"{axis}_lower"], bands[f"{axis}_upper"]])
+                table = table[np.isfinite(table).all(axis=1)]
+                pieces.setdefault((role, axis), []).append(table)
+                rows.append(_row(key, role, axis, table, model))
+    for (role, axis), tables in pieces.items():
+        rows.append(_row(POOLED, role, axis, np.vstack(tables), model))
+    return pd.DataFrame(rows, columns=list(UNITS))
+
+
+def _row(flight: str, role: str, axis: str, table: np.ndarray, model: Model) -> dict:
+    confidence = model.document["axes"][axis]["confidence level"]
+    if not len(table):
+        return {"flight": flight, "role": role, "axis": axis, "n": 0, "confidence": confidence}
+    measured, predicted, lower, upper = table.T
+    error = measured - predicted
+    square = float(np.mean(error**2))
+    variance, power = float(np.var(measured)), float(np.mean(measured**2))
+    return {
+        "flight": flight,
+        "role": role,
+        "axis": axis,
+        "n": len(table),
+        "rmse": square**0.5,
+        "relative_rmse": (square / power) ** 0.5 if power > 0 else np.nan,
+        "r2": 1.0 - square / variance if variance > 0 else np.nan,
+        "bias": float(np.mean(error)),
+        "coverage": float(np.mean((measured >= lower) & (measured <= upper))),
+        "confidence": confidence,
+        "interval_width": float(np.mean(upper - lower)),
+    }
