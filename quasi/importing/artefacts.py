@@ -1,0 +1,154 @@
+"""Samples that cannot be true: jumps of a tracked body that no vehicle flies, spikes of a telemetry channel.
+
+A tracker that swaps markers or sees a reflection shows the body elsewhere or turned for some frames and then lets it
+jump back. Each valid frame is compared with the motion of its neighbours; where the step between two frames cannot be
+flown, the record is cut, and of the pieces the chain is kept that holds the most frames and can be flown throughout.
+"""
+
+import numba
+import numpy as np
+
+MAX_ACCELERATION = 200.0  # m/s2, far above any quadrotor (20 g)
+MAX_ANGULAR_ACCELERATION = 1500.0  # rad/s2, above a 3-inch racer's
+MAX_SPEED = 40.0  # m/s
+MAX_RATE = 45.0  # rad/s
+LONGEST_SWAP = 2.0  # s; a piece longer than this is believed, and so is what follows it
+
+
+@numba.njit(cache=True)
+def _turn(a: np.ndarray, b: np.ndarray) -> float:
+    """Angle between two attitudes, rad, blind to the sign of the quaternions."""
+    dot = abs(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3])
+    return 2.0 * np.arccos(min(1.0, dot))
+
+
+@numba.njit(cache=True)
+def _steps(t: np.ndarray, x: np.ndarray, q: np.ndarray, turns: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Size of what each step (n - 1,) differs from the step that its four neighbours lead to expect: m and rad."""
+    n = len(t)
+    odd, turned = np.zeros(n - 1), np.zeros(n - 1)
+    around = np.empty(4)
+    for i in range(n - 1):
+        step = t[i + 1] - t[i]
+        squared = 0.0
+        for c in range(3):
+            m = 0
+            for j in (i - 2, i - 1, i + 1, i + 2):
+                if 0 <= j < n - 1:
+                    around[m] = (x[j + 1, c] - x[j, c]) / (t[j + 1] - t[j])
+                    m += 1
+            if m:
+                squared += (x[i + 1, c] - x[i, c] - np.median(around[:m]) * step) ** 2
+        odd[i] = np.sqrt(squared)
+        if turns:
+            m = 0
+            for j in (i - 2, i - 1, i + 1, i + 2):
+                if 0 <= j < n - 1:
+                    around[m] = _turn(q[j], q[j + 1]) / (t[j + 1] - t[j])
+                    m += 1
+            if m:
+                turned[i] = max(0.0, _turn(q[i], q[i + 1]) - np.median(around[:m]) * step)
+    return odd, turned
+
+
+@numba.njit(cache=True)
+def _chain(
+    first: np.ndarray, last: np.ndarray, t: np.ndarray, x: np.ndarray, q: np.ndarray, turns: bool,
+    floor_x: float, floor_q: float,
+) -> np.ndarray:  # fmt: skip
+    """Of the pieces first..last (inclusive), True for those of the flyable chain that holds the most frames."""
+    n = len(first)
+    best, before = np.zeros(n), np.full(n, -1)
+    for k in range(n):
+        best[k] = last[k] - first[k] + 1
+        size = best[k]
+        b = first[k]
+        for j in range(k - 1, max(-1, k - 41), -1):
+            a = last[j]
+            gap = t[b] - t[a]
+            distance = 0.0
+            for c in range(3):
+                # where the earlier piece would have gone, with the mean of its last and the later one's first speed
+                va = (x[a, c] - x[a - 1, c]) / (t[a] - t[a - 1]) if last[j] > first[j] else 0.0
+                vb = (x[b + 1, c] - x[b, c]) / (t[b + 1] - t[b]) if last[k] > first[k] else va
+                if last[j] == first[j]:
+                    va = vb
+                mean = min(max(0.5 * (va + vb), -MAX_SPEED), MAX_SPEED)
+                distance += (x[b, c] - x[a, c] - mean * gap) ** 2
+            near = np.sqrt(distance) <= floor_x + min(0.25 * MAX_ACCELERATION * gap * gap, MAX_SPEED * gap)
+            if near and turns:
+                near = _turn(q[a], q[b]) <= floor_q + min(
+                    0.1 + 0.5 * MAX_ANGULAR_ACCELERATION * gap * gap, MAX_RATE * gap
+                )
+            if (near or t[last[j]] - t[first[j]] > LONGEST_SWAP) and best[j] + size > best[k]:
+                # a long piece is the truth even where the next one starts elsewhere (the body was carried, unseen)
+                if near or t[last[k]] - t[first[k]] > LONGEST_SWAP:
+                    best[k] = best[j] + size
+                    before[k] = j
+    kept = np.zeros(n, np.bool_)
+    k = int(np.argmax(best))
+    while k >= 0:
+        kept[k] = True
+        k = before[k]
+    return kept
+
+
+def flyable(t: np.ndarray, position: np.ndarray, quaternion: np.ndarray | None) -> np.ndarray:
+    """True for the frames that a flying body can have shown.
+
+    t           (n,) s, increasing; position (n, 3) m; quaternion (n, 4) or None; all finite
+    Returns     (n,) bool
+    """
+    n = len(t)
+    if n < 4:
+        return np.ones(n, bool)
+    turns = quaternion is not None
+    q = np.ascontiguousarray(quaternion) if turns else np.zeros((1, 4))
+    x = np.ascontiguousarray(position)
+    odd, turned = _steps(t, x, q, turns)
+    dt = np.diff(t)
+    usual = np.minimum(dt, 3 * np.median(dt))
+    # noise of the tracker itself: six times the usual unexpected step
+    floor_x = max(1e-3, 6 * 1.4826 * float(np.median(odd)))
+    floor_q = max(0.02, 6 * 1.4826 * float(np.median(turned)))
+    cut = odd > floor_x + 2.0 * MAX_ACCELERATION * usual**2
+    if turns:
+        cut |= turned > floor_q + 2.0 * MAX_ANGULAR_ACCELERATION * usual**2
+    edges = np.flatnonzero(cut)
+    if len(edges) == 0:
+        return np.ones(n, bool)
+    first = np.concatenate([[0], edges + 1])
+    last = np.concatenate([edges, [n - 1]])
+    kept = _chain(first, last, t, x, q, turns, floor_x, floor_q)
+    return np.repeat(kept, last - first + 1)
+
+
+def spikes(values: np.ndarray, largest_step: float) -> np.ndarray:
+    """True for samples of one channel that leave and return by more than any real change: one to three in a row.
+
+    values        (n,), NaN allowed; largest_step  a change between neighbours below this is never a spike
+    Returns       (n,) bool
+
+    A sample is a spike when it lies farther than `largest_step`, and than eight times the usual scatter, from the
+    median of the seven finite samples around it, and outside the range of its nearest trusted neighbours.
+    """
+    values = np.asarray(values, float)
+    result = np.zeros(len(values), bool)
+    index = np.flatnonzero(np.isfinite(values))
+    v = values[index]
+    if len(v) < 7:
+        return result
+    padded = np.concatenate([v[3:0:-1], v, v[-2:-5:-1]])
+    window = np.lib.stride_tricks.sliding_window_view(padded, 7)
+    middle = np.median(window, axis=1)
+    away = np.abs(v - middle)
+    bound = np.maximum(largest_step, 8 * 1.4826 * np.median(away))
+    suspect = away > bound
+    for i in np.flatnonzero(suspect):
+        left = next((v[j] for j in range(i - 1, max(-1, i - 5), -1) if not suspect[j]), None)
+        right = next((v[j] for j in range(i + 1, min(len(v), i + 5)) if not suspect[j]), None)
+        sides = [s for s in (left, right) if s is not None]
+        if not sides or min(sides) - bound <= v[i] <= max(sides) + bound:
+            suspect[i] = False
+    result[index[suspect]] = True
+    return result

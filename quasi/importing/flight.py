@@ -1,0 +1,350 @@
+"""Import one flight: read its sources, tie their clocks, fuse them on one grid, say how far it can be trusted."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s
+from quasi.attitude import exponential, interpolate, multiply, rotate, rotate_inverse, to_euler
+from quasi.errors import ConfigError, DataError
+from quasi.importing.motive import read_motive
+from quasi.importing.onboard_log import ATTITUDE, POSITION, Onboard, gather, read_onboard
+from quasi.importing.resampling import (
+    angular_acceleration,
+    covered,
+    fresh,
+    grid,
+    resample,
+    resample_attitude,
+    velocity,
+)
+from quasi.importing.series import Recording, Series
+from quasi.importing.synchronisation import Motion, Synchronisation, synchronise
+from quasi.importing.telemetry import rotor_lag
+
+DEFAULTS: dict[str, Any] = {
+    "resampling rate": 500.0,
+    "use onboard attitude": False,
+    "do onboard c.g. correction": False,
+    "filter optitrack outliers": True,
+    "optitrack velocity Hz cutoff": 10.0,
+    "align with optitrack using": ["pitch", "yaw"],
+    "max permitted lag for optitrack": 25.0,
+}
+SAME_CLOCK_LAG = 1.0  # s, the most that a capture logged on board may be late
+SCHEMA = "quasi.imported/1"
+
+
+def import_flight(
+    flight: Mapping[str, Any], quadrotor: Mapping[str, Any], options: Mapping[str, Any]
+) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """One flight on a uniform grid, and how it was made.
+
+    flight     "flight" (key), "quadrotor", "flight controller", "rigid body", "onboard" (path), "capture" (path or None),
+               "log number" (or None)
+    quadrotor  its configuration (the manual's listing 1 and our keys)
+    options    "data importing" of the processing configuration; other keys are ignored
+    Returns    columns of quasi.tables.COLUMNS (SI, earth NED, body FRD) from t = 0 at the first fused sample; flags
+               attitude_sample, position_sample, velocity_sample, onboard_valid as 0 or 1; and the metadata
+    Raises     ReadError, DataError or ConfigError: a sentence that names the file and the remedy
+    """
+    chosen = {**DEFAULTS, **{k: v for k, v in options.items() if k in DEFAULTS and v is not None}}
+    rate = float(chosen["resampling rate"])
+    where = str(flight["flight"])
+    if not 10.0 <= rate <= 8000.0:
+        raise ConfigError(f"'resampling rate' is {rate:g} Hz, expected 10 to 8000")
+    notes: list[str] = []
+    poles, poles_source = _poles(quadrotor)
+    recording = read_onboard(flight, quadrotor, poles)
+    board = gather(recording, where, notes)
+    capture, captured = _read_capture(flight, quadrotor, chosen, recording, board)
+    sync = _align(flight, board, capture, captured, chosen, where, notes)
+    if capture is not None and sync is None and "capture" not in recording.series:
+        capture = None
+
+    frame, facts = _fuse(board, capture, sync, quadrotor, chosen, where, notes)
+    said = recording.metadata.get("motor poles") or {"value": poles or DEFAULT_POLES, "source": poles_source}
+    metadata = {
+        "schema": SCHEMA,
+        "flight": flight["flight"],
+        "quadrotor": flight["quadrotor"],
+        "sources": {"onboard": recording.metadata} | ({"capture": captured.metadata} if captured else {}),
+        "sampling": {"rate": rate, "samples": len(frame), "duration": float(frame["t"].iloc[-1])},
+        **facts,
+        "synchronisation": sync.metadata() if sync else None,
+        "motor poles": said,
+        "logged to rad/s": erpm100_to_rad_s(int(said["value"])) if said.get("value") else None,
+        "rest before take-off": {"value": board.rest_seconds, "unit": "s"},
+        "rotor telemetry": _telemetry_age(board),
+        "options": chosen,
+        "notes": [*(captured.notes if captured else []), *recording.notes, *(sync.notes if sync else []), *notes],
+    }
+    metadata |= _verdict(frame, board, metadata)
+    return frame, metadata
+
+
+def _poles(quadrotor: Mapping[str, Any]) -> tuple[int | None, str]:
+    text = quadrotor.get("motor poles")
+    if text in (None, ""):
+        return None, "default"
+    try:
+        poles = int(float(text))
+    except (TypeError, ValueError):
+        raise ConfigError(f"'motor poles' is {text!r}, expected an even number of magnets such as 12 or 14") from None
+    if poles < 2 or poles % 2:
+        raise ConfigError(f"'motor poles' is {poles}, expected an even number of magnets such as 12 or 14")
+    return poles, "configuration"
+
+
+def _triple(section: Any, key: str) -> np.ndarray | None:
+    """A vector (3,), m, written as {"x", "y", "z"} or as a list."""
+    if section in (None, "", {}, []):
+        return None
+    values = [section.get(axis, 0.0) for axis in "xyz"] if isinstance(section, Mapping) else section
+    try:
+        vector = np.array([float(v) for v in values])
+    except (TypeError, ValueError):
+        vector = np.zeros(0)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise ConfigError(f"'{key}' is {section!r}, expected x, y and z in m")
+    return vector
+
+
+def _read_capture(
+    flight: Mapping[str, Any],
+    quadrotor: Mapping[str, Any],
+    chosen: Mapping[str, Any],
+    recording: Recording,
+    board: Onboard,
+) -> tuple[Series | None, Recording | None]:
+    """The capture's series (clock of its own, or the table's on the on-board clock) and the capture file as read."""
+    offset = _triple(quadrotor.get("optitrack marker cg offset"), "optitrack marker cg offset")
+    if flight.get("capture"):
+        captured = read_motive(
+            flight["capture"], str(flight.get("rigid body") or ""), offset, bool(chosen["filter optitrack outliers"])
+        )
+        return captured.series["capture"], captured
+    if "capture" not in recording.series:
+        return None, None
+    series = recording.series["capture"]
+    main = recording.series["onboard"]
+    series = Series(series.t - main.t[0], dict(series.values))
+    if offset is not None and np.any(offset):
+        q = _stack(series, ATTITUDE) if "qw" in series.values else None
+        if q is None:
+            fine = np.isfinite(board.attitude.values).all(axis=1)
+            q = interpolate(board.attitude.values[fine], board.attitude.t[fine], series.t)
+        moved = _stack(series, POSITION) - rotate(np.nan_to_num(q, nan=0.5), offset)
+        series.values.update({n: moved[:, i] for i, n in enumerate(POSITION)})
+    return series, None
+
+
+def _stack(series: Series, names: tuple[str, ...]) -> np.ndarray:
+    return np.stack([series.values[n] for n in names], axis=-1)
+
+
+def _align(
+    flight: Mapping[str, Any], board: Onboard, capture: Series | None, captured: Recording | None,
+    chosen: Mapping[str, Any], where: str, notes: list[str],
+) -> Synchronisation | None:  # fmt: skip
+    """Tie the capture's clock to the on-board clock. A capture of the same table may stay where it is."""
+    if capture is None:
+        notes.append(
+            f"{where}: there is no motion capture; position and velocity come from the on-board log, if it has them"
+        )
+        return None
+    seen = Motion(
+        capture.t,
+        quaternion=_stack(capture, ATTITUDE) if "qw" in capture.values else None,
+        position=_stack(capture, POSITION) if "x" in capture.values else None,
+    )
+    using = list(chosen["align with optitrack using"])
+    if captured is not None:
+        return synchronise(board.motion(), seen, using, float(chosen["max permitted lag for optitrack"]), where)
+    longest = min(SAME_CLOCK_LAG, float(chosen["max permitted lag for optitrack"]))
+    try:
+        return synchronise(board.motion(), seen, using, longest, where, same_clock=True)
+    except DataError as error:
+        notes.append(f"{where}: the capture stays on the table's clock, lag 0, for none could be found ({error})")
+        return None
+
+
+def _fuse(
+    board: Onboard, capture: Series | None, sync: Synchronisation | None, quadrotor: Mapping[str, Any],
+    chosen: Mapping[str, Any], where: str, notes: list[str],
+) -> tuple[pd.DataFrame, dict[str, Any]]:  # fmt: skip
+    """Everything on one grid over the common span; and what became of each source."""
+    rate = float(chosen["resampling rate"])
+    spans = [board.gyro.t, board.force.t] + ([board.rotors.t] if board.rotors is not None else [])
+    if capture is not None:
+        there = sync.to_onboard(capture.t) if sync else capture.t
+        seen = np.isfinite(capture.values["x"])
+        spans.append(there[seen])
+    begin, end = max(s[0] for s in spans), min(s[-1] for s in spans)
+    if end - begin < 1.0:
+        raise DataError(
+            f"{where}: on-board log ({board.gyro.t[0]:.1f} to {board.gyro.t[-1]:.1f} s) and capture have {max(0.0, end - begin):.1f} s "
+            "in common, at least 1 s is needed; check that both files are of the same flight"
+        )
+    at = grid(begin, end, rate)
+    columns: dict[str, np.ndarray] = {"t": at - at[0]}
+
+    gyro, force = resample(board.gyro.t, board.gyro.values, at), resample(board.force.t, board.force.values, at)
+    valid = gyro.covered & force.covered
+    for name in sorted(board.others):
+        track = board.others[name]
+        columns[name] = resample(track.t, track.values, at, smooth=False).values[:, 0]
+    if board.rotors is not None:
+        valid &= covered(board.rotors.t[np.isfinite(board.rotors.values).all(axis=1)], at)
+    acceleration, correction = force.values, _lever_arm(gyro.values, at, quadrotor, chosen, where, notes)
+    if correction is not None:
+        acceleration = acceleration - correction["term"]
+    columns |= {n: acceleration[:, i] for i, n in enumerate(("ax", "ay", "az"))}
+    columns |= {n: gyro.values[:, i] for i, n in enumerate("pqr")}
+
+    turned = multiply(exponential(np.array([0.0, 0.0, sync.yaw_offset if sync else 0.0])), board.attitude.values)
+    onboard = resample_attitude(board.attitude.t, turned, at)
+    seen = None
+    if capture is not None and "qw" in capture.values:
+        seen = resample_attitude(there, _stack(capture, ATTITUDE), at)
+    use_board = bool(chosen["use onboard attitude"]) or seen is None
+    attitude = onboard if use_board else seen
+    euler = to_euler(attitude.values)
+    columns |= {n: euler[:, i] for i, n in enumerate(("roll", "pitch", "yaw"))}
+    columns |= {f"onboard_{n}": a for n, a in zip(("roll", "pitch", "yaw"), to_euler(onboard.values).T)}
+
+    place, moving, sources = _motion(board, capture, there if capture is not None else None, at, chosen)
+    zeros = np.zeros(len(at), bool)
+    position_sample = velocity_sample = zeros
+    if place is not None:
+        columns |= {n: place.values[:, i] for i, n in enumerate(POSITION)}
+        position_sample = place.sample & place.covered
+    if moving is not None:
+        in_body = moving[0]
+        if sources["velocity source"] != "onboard, body axes":
+            # the capture's own attitude turns its velocity best, whichever attitude is handed on
+            in_body = rotate_inverse((seen or onboard).values, in_body)
+        columns |= {n: in_body[:, i] for i, n in enumerate(("u", "v", "w"))}
+        velocity_sample = moving[1]
+    columns |= {
+        "attitude_sample": (attitude.sample & attitude.covered).astype(float),
+        "position_sample": position_sample.astype(float),
+        "velocity_sample": velocity_sample.astype(float),
+        "onboard_valid": valid.astype(float),
+    }
+    facts = {
+        "attitude source": board.attitude_source if use_board else "capture",
+        "position source": sources["position source"],
+        "velocity source": sources["velocity source"].split(",")[0],
+        "start": {"value": float(at[0]), "unit": "s", "clock": "on board, since its first gyro sample"},
+        "corrections": {
+            f"{what} filter delay": {**board.delays[what], "applied": board.delays[what]["value"] > 0}
+            for what in ("gyro", "accelerometer")
+        }
+        | {
+            "imu position": correction["about"] if correction else None,
+        },
+        "velocity bandwidth": {"value": float(chosen["optitrack velocity Hz cutoff"]), "unit": "Hz"},
+    }
+    order = sorted(columns, key=lambda name: (_ORDER.index(name) if name in _ORDER else len(_ORDER), name))
+    return pd.DataFrame({name: columns[name] for name in order}), facts
+
+
+_ORDER = [
+    "t", *[f"w{i}" for i in range(1, 9)], *[f"command{i}" for i in range(1, 9)], *[f"w{i}_CMD" for i in range(1, 9)],
+    "ax", "ay", "az", "p", "q", "r", "roll", "pitch", "yaw", "x", "y", "z", "u", "v", "w",
+    "attitude_sample", "position_sample", "velocity_sample", "onboard_valid",
+]  # fmt: skip
+
+
+def _motion(
+    board: Onboard, capture: Series | None, there: np.ndarray | None, at: np.ndarray, chosen: Mapping[str, Any]
+) -> tuple[Any, tuple[np.ndarray, np.ndarray] | None, dict[str, str]]:
+    """Position on the grid, velocity (earth axes; body axes where logged so) with its flags, and where they come from."""
+    if capture is not None:
+        position = _stack(capture, POSITION)
+        place = resample(there, position, at)
+        speed, trusted = velocity(there, position, at, float(chosen["optitrack velocity Hz cutoff"]))
+        measured = fresh(there[np.isfinite(position).all(axis=1)], at)
+        return place, (speed, trusted & measured), {"position source": "capture", "velocity source": "capture position"}
+    place = resample(board.position.t, board.position.values, at) if board.position is not None else None
+    sources = {"position source": "onboard" if place else "none", "velocity source": "none"}
+    for track, name in ((board.velocity, "onboard"), (board.body_velocity, "onboard, body axes")):
+        if track is not None:
+            moving = resample(track.t, track.values, at)
+            return place, (moving.values, moving.sample & moving.covered), sources | {"velocity source": name}
+    return place, None, sources
+
+
+def _lever_arm(
+    rates: np.ndarray,
+    at: np.ndarray,
+    quadrotor: Mapping[str, Any],
+    chosen: Mapping[str, Any],
+    where: str,
+    notes: list[str],
+) -> dict[str, Any] | None:
+    """What an IMU away from the cg measures too much: wdot x r + w x (w x r); None when not asked for or not known."""
+    arm = _triple(quadrotor.get("imu position"), "imu position")
+    if not chosen["do onboard c.g. correction"]:
+        return None
+    if arm is None:
+        notes.append(
+            f"{where}: 'do onboard c.g. correction' is on, but the quadrotor configuration has no 'imu position' (x, y, z of the "
+            "IMU from the cg, m); nothing was corrected"
+        )
+        return None
+    spin_up = angular_acceleration(at, rates)
+    term = np.cross(spin_up, arm) + np.cross(rates, np.cross(rates, arm))
+    return {"term": term, "about": {"value": arm.tolist(), "unit": "m", "applied": True}}
+
+
+def _telemetry_age(board: Onboard) -> dict[str, Any] | None:
+    """How late rotor speeds are logged against the motion, as the motion shows it; not corrected."""
+    if board.rotors is None or board.rotors.values.shape[1] < 3:
+        return None
+    found = rotor_lag(board.rotors.t, board.rotors.values, board.gyro.t, board.gyro.values)
+    if found is None or found.explained < 0.3:
+        return None
+    return {
+        "age": {"value": -found.lag, "std": found.lag_std, "unit": "s"},
+        "explained variance": found.explained,
+        "applied": False,
+    }
+
+
+def _verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) -> dict[str, str]:
+    """One word and why."""
+    bad, care = [], []
+    valid = float(frame["onboard_valid"].mean())
+    duration = float(frame["t"].iloc[-1])
+    if valid < 0.5:
+        bad.append(f"the on-board log covers only {100 * valid:.0f} % of the flight")
+    elif valid < 0.98:
+        care.append(f"the on-board log lost {100 * (1 - valid):.1f} % of the flight")
+    if duration < 2.0:
+        bad.append(f"only {duration:.1f} s are common to all sources")
+    if "w1" not in frame:
+        care.append("the log holds no rotor speeds")
+    if metadata["position source"] == "none" and metadata["velocity source"] == "none":
+        care.append("there is neither position nor velocity")
+    if metadata["attitude source"] == "estimated on board":
+        care.append("the attitude is estimated from gyro and accelerometer alone")
+    if metadata["position source"] == "capture":
+        lost = 1 - float(
+            covered(frame["t"].to_numpy()[frame["position_sample"].to_numpy() > 0], frame["t"].to_numpy(), 0.1).mean()
+        )
+        if lost > 0.2:
+            care.append(f"the capture lost the quadrotor for {100 * lost:.0f} % of the flight")
+    sync = metadata["synchronisation"]
+    if sync and (sync["lag"]["std"] > 0.005 or min(sync["explained variance"].values()) < 0.5):
+        care.append(f"the capture's lag is known to {1e3 * sync['lag']['std']:.1f} ms only")
+    if board.rest_seconds < 1.0:
+        care.append("it has no rest before take-off, so sensor biases rest on the flight itself")
+    if bad:
+        return {"verdict": "unusable", "verdict because": "; ".join(bad + care)}
+    if care:
+        return {"verdict": "usable with care", "verdict because": "; ".join(care)}
+    return {"verdict": "good", "verdict because": "all sources are complete and agree"}

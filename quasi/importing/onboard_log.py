@@ -1,0 +1,157 @@
+"""What the on-board log holds, gathered from its series: gyro, accelerometer, attitude, motion estimates, everything else."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quasi.attitude import interpolate
+from quasi.errors import DataError, ReadError
+from quasi.importing.blackbox import read_blackbox
+from quasi.importing.decoded import read_decoded
+from quasi.importing.filter_delays import header_delays
+from quasi.importing.onboard_attitude import estimate_attitude
+from quasi.importing.series import Recording, Series
+from quasi.importing.synchronisation import Motion
+from quasi.importing.table_reader import read_table_log
+from quasi.tables import read_bytes
+
+RATES, FORCE = ("p", "q", "r"), ("ax", "ay", "az")
+ATTITUDE = ("qw", "qx", "qy", "qz")
+POSITION, VELOCITY, BODY_VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz"), ("u", "v", "w")
+_KNOWN = {*RATES, *FORCE, *ATTITUDE, *POSITION, *VELOCITY, *BODY_VELOCITY, "roll", "pitch", "yaw"}
+
+
+@dataclass(frozen=True)
+class Track:
+    """One quantity group on its own times: t (n,) s, values (n, k); NaN where missing."""
+
+    t: np.ndarray
+    values: np.ndarray
+
+
+@dataclass
+class Onboard:
+    """The on-board side of a flight, times in s since the gyro's first sample.
+
+    attitude_source  "onboard" (logged) or "estimated on board"; delays  of gyro and accelerometer by the controller's own
+    filters, s, taken off their times; others  {quantity: Track (n, 1)} of everything that is not motion
+    """
+
+    gyro: Track
+    force: Track
+    attitude: Track
+    attitude_source: str
+    rest_seconds: float
+    position: Track | None
+    velocity: Track | None
+    body_velocity: Track | None
+    others: dict[str, Track]
+    rotors: Track | None
+    delays: dict[str, Any] = field(default_factory=dict)
+
+    def motion(self) -> Motion:
+        """For the alignment: everything at the gyro's times."""
+        t = self.gyro.t
+        force = np.stack([np.interp(t, self.force.t, v) for v in self.force.values.T], axis=-1)
+        fine = np.isfinite(self.attitude.values).all(axis=1)
+        q = interpolate(self.attitude.values[fine], self.attitude.t[fine], t)
+        return Motion(t, self.gyro.values, force, q)
+
+
+def read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any], poles: int | None) -> Recording:
+    """Read the on-board file by the flight controller it is of, and by what it holds.
+
+    Raises ReadError for a controller that is not supported, or a file that is not what the logbook says.
+    """
+    controller = str(flight["flight controller"]).strip().lower()
+    path = Path(flight["onboard"])
+    if controller == "table":
+        mapping = quadrotor.get("table columns")
+        if not isinstance(mapping, Mapping):
+            raise ReadError(
+                f"{path}: the flight controller is 'table', but the quadrotor configuration has no section 'table columns'; "
+                "add it, so that columns can be told apart"
+            )
+        return read_table_log(path, mapping, poles)
+    if controller not in ("betaflight", "cleanflight", "indiflight"):
+        raise ReadError(f"{path}: flight controller '{controller}' cannot be read; use betaflight, indiflight or table")
+    binary = b"H Product:Blackbox" in bytes(read_bytes(path)[:4096])
+    if binary:
+        return read_blackbox(path, log_number=flight.get("log number"), poles=poles)
+    if controller == "indiflight":
+        raise ReadError(
+            f"{path} is no binary INDIflight log; give the binary log, or map its decoded columns with 'Flight controller' table"
+        )
+    return read_decoded(path, poles=poles)
+
+
+def _find(series: Mapping[str, Series], names: tuple[str, ...]) -> Track | None:
+    """The first on-board series that holds all of these."""
+    for name, one in series.items():
+        if name.startswith("onboard") and all(n in one.values for n in names):
+            return Track(one.t, np.stack([one.values[n] for n in names], axis=-1))
+    return None
+
+
+def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
+    """Sort the series of a recording; estimate the attitude on board data alone where the log has none.
+
+    Raises DataError when the log holds no usable gyro or accelerometer.
+    """
+    series = recording.series
+    gyro, force = _find(series, RATES), _find(series, FORCE)
+    for track, what in ((gyro, "body rates (gyro)"), (force, "specific force (accelerometer)")):
+        if track is None or np.count_nonzero(np.isfinite(track.values).all(axis=1)) < 20:
+            raise DataError(f"{where}: the on-board log holds no {what}; log it, nothing can be identified without")
+    gyro, force = _finite(gyro), _finite(force)
+    delays = header_delays(recording.metadata.get("header", {}))
+    attitude, source, rest = _find(series, ATTITUDE), "onboard", 0.0
+    at_gyro = np.stack([np.interp(gyro.t, force.t, v) for v in force.values.T], axis=-1)
+    estimate = estimate_attitude(gyro.t, gyro.values, at_gyro)
+    rest = estimate.rest_seconds
+    if attitude is None or np.count_nonzero(np.isfinite(attitude.values).all(axis=1)) < 20:
+        attitude, source = Track(gyro.t, estimate.quaternion), "estimated on board"
+        notes.append(
+            f"{where}: the log holds no attitude; it was estimated from gyro and accelerometer, levelled "
+            + (
+                f"over {rest:.1f} s at rest"
+                if estimate.levelled == "at rest"
+                else "over the flight, which begins in the air"
+            )
+        )
+    zero = gyro.t[0]
+
+    def moved(track: Track | None, delay: float = 0.0) -> Track | None:
+        return None if track is None else Track(track.t - zero - delay, track.values)
+
+    others: dict[str, Track] = {}
+    for name, one in series.items():
+        if name.startswith("onboard"):
+            for quantity, values in one.values.items():
+                if quantity not in _KNOWN and np.isfinite(values).any():
+                    others.setdefault(quantity, Track(one.t - zero, values[:, None]))
+    names = tuple(f"w{i}" for i in range(1, 9) if f"w{i}" in others)
+    rotors = _find(series, names) if names else None
+    late_gyro, late_force = delays["gyro"]["value"], delays["accelerometer"]["value"]
+    attitude = moved(attitude, late_gyro if source == "estimated on board" else 0.0)
+    return Onboard(
+        gyro=moved(gyro, late_gyro),
+        force=moved(force, late_force),
+        attitude=attitude,
+        attitude_source=source,
+        rest_seconds=rest,
+        position=moved(_find(series, POSITION)),
+        velocity=moved(_find(series, VELOCITY)),
+        body_velocity=moved(_find(series, BODY_VELOCITY)),
+        others=others,
+        rotors=moved(rotors),
+        delays=delays,
+    )
+
+
+def _finite(track: Track) -> Track:
+    fine = np.isfinite(track.values).all(axis=1) & np.isfinite(track.t)
+    return Track(track.t[fine], track.values[fine])

@@ -1,0 +1,191 @@
+"""The section "table columns" of a quadrotor configuration: which column of a table is which quantity.
+
+    {"time": {"column": "t", "unit": "s"},                       clock of the rows, for sources without stamps of their own
+     "sources": [
+       {"name": "state",                                          free name; one source holds p q r
+        "time": {"column": "stamp", "unit": "s"},                 its own clock, if it has one
+        "frame": "FLU" | "FRD", "world": "z-up" | "NED",          body and world axes (default FRD, NED)
+        "motion capture": false,
+        "columns": {"p": "gyro_x",                                the plain column name means: in SI
+                    "vx": {"column": ["vx", "vel_x"], "unit": "cm/s", "frame": "world" | "body", "optional": true}}}]}
+
+"z-up" is x forward, y left, z up. Of several names in "column" the first that the table has is taken.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from quasi.errors import ConfigError, nearest
+from quasi.importing.units import to_si
+
+VECTORS = {
+    "rates": ("p", "q", "r"),
+    "force": ("ax", "ay", "az"),
+    "velocity": ("vx", "vy", "vz"),
+    "body velocity": ("u", "v", "w"),
+    "position": ("x", "y", "z"),
+    "setpoint": ("setpoint_p", "setpoint_q", "setpoint_r"),
+}
+QUATERNION = ("qw", "qx", "qy", "qz")
+EULER = ("roll", "pitch", "yaw")
+ROTORS = range(1, 9)
+UNIT = {
+    **dict.fromkeys(VECTORS["rates"] + VECTORS["setpoint"], "rad/s"),
+    **dict.fromkeys(VECTORS["force"], "m/s2"),
+    **dict.fromkeys(VECTORS["velocity"] + VECTORS["body velocity"], "m/s"),
+    **dict.fromkeys(VECTORS["position"], "m"),
+    **dict.fromkeys(QUATERNION, "1"),
+    **dict.fromkeys(EULER, "rad"),
+    **{f"w{i}": "rad/s" for i in ROTORS},
+    **{f"w{i}_CMD": "rad/s" for i in ROTORS},
+    **{f"command{i}": "1" for i in ROTORS},
+    "throttle": "1",
+    "battery_voltage": "V",
+    "battery_current": "A",
+}
+_IN_BODY = {"rates": True, "force": True, "velocity": False, "body velocity": True, "position": False, "setpoint": True}
+_MAY_TURN = ("force", "velocity")
+
+
+@dataclass(frozen=True)
+class Column:
+    """aliases  names to look for, the first present wins; factor  to SI; body  axes of a vector; optional  may lack."""
+
+    aliases: tuple[str, ...]
+    factor: float
+    body: bool
+    optional: bool
+
+
+@dataclass(frozen=True)
+class Source:
+    """One group of columns that share a clock and axes; clock (column, factor to s) or None for the rows' clock."""
+
+    name: str
+    clock: tuple[str, float] | None
+    flu: bool
+    z_up: bool
+    capture: bool
+    columns: dict[str, Column]
+
+
+@dataclass(frozen=True)
+class TableMapping:
+    """The whole section: clock of the rows (column, factor to s) or None, and the sources."""
+
+    clock: tuple[str, float] | None
+    sources: list[Source]
+
+
+def _keys(section: Any, allowed: tuple[str, ...], needed: tuple[str, ...], where: str) -> None:
+    if not isinstance(section, Mapping):
+        raise ConfigError(f"{where} must be a section {{ ... }}, found {section!r}")
+    for key in section:
+        if key not in allowed and not str(key).startswith("//"):
+            raise ConfigError(f"{where}: unknown key '{key}'{nearest(key, allowed)}")
+    for key in needed:
+        if key not in section:
+            raise ConfigError(f"{where}: the key '{key}' is missing; add it")
+
+
+def _clock(section: Any, where: str) -> tuple[str, float]:
+    if isinstance(section, str):
+        section = {"column": section}
+    _keys(section, ("column", "unit"), ("column",), where)
+    if not isinstance(section["column"], str):
+        raise ConfigError(f"{where}: 'column' must name one column, found {section['column']!r}")
+    return section["column"], to_si(str(section.get("unit", "s")), "s", where)
+
+
+def _choice(section: Mapping[str, Any], key: str, allowed: tuple[str, ...], where: str) -> str:
+    value = section.get(key, allowed[0])
+    if value not in allowed:
+        raise ConfigError(f"{where}: '{key}' is {value!r}, expected {' or '.join(allowed)}")
+    return value
+
+
+def read_mapping(section: Any, poles: int | None, where: str) -> TableMapping:
+    """Check the section and resolve units.
+
+    section  its content; poles  magnets of a motor, or None; where  begins every message
+    Raises   ConfigError naming source, quantity and key
+    """
+    _keys(section, ("time", "sources"), ("sources",), where)
+    clock = _clock(section["time"], f"{where}, time") if "time" in section else None
+    if not isinstance(section["sources"], list) or not section["sources"]:
+        raise ConfigError(f"{where}: 'sources' must be a list of at least one source")
+    sources = [_source(item, poles, f"{where}, source {i + 1}") for i, item in enumerate(section["sources"])]
+    names = [s.name for s in sources]
+    if len(set(names)) < len(names):
+        raise ConfigError(
+            f"{where}: two sources are named '{next(n for n in names if names.count(n) > 1)}'; rename one"
+        )
+    for source in sources:
+        if source.clock is None and clock is None:
+            raise ConfigError(f"{where}, source '{source.name}': neither it nor the table has a 'time'; add one")
+    seen: dict[tuple[str, bool], str] = {}
+    for source in sources:
+        for quantity in source.columns:
+            other = seen.setdefault((quantity, source.capture), source.name)
+            if other != source.name:
+                raise ConfigError(f"{where}: sources '{other}' and '{source.name}' both map {quantity}; remove one")
+    if sum(s.capture for s in sources) > 1:
+        raise ConfigError(f"{where}: more than one source is motion capture; merge them into one")
+    if ("p", False) not in seen:
+        raise ConfigError(f"{where}: no source maps the body rates p, q, r; nothing can be identified without them")
+    return TableMapping(clock, sources)
+
+
+def _source(section: Any, poles: int | None, where: str) -> Source:
+    _keys(section, ("name", "time", "frame", "world", "motion capture", "columns"), ("name", "columns"), where)
+    name = str(section["name"])
+    where = f"{where} ('{name}')"
+    flu = _choice(section, "frame", ("FRD", "FLU"), where) == "FLU"
+    z_up = _choice(section, "world", ("NED", "z-up"), where) == "z-up"
+    capture = section.get("motion capture", False)
+    if not isinstance(capture, bool):
+        raise ConfigError(f"{where}: 'motion capture' is {capture!r}, expected true or false")
+    if not isinstance(section["columns"], Mapping) or not section["columns"]:
+        raise ConfigError(f"{where}: 'columns' must be a section that maps quantities to columns")
+    columns: dict[str, Column] = {}
+    for quantity, entry in section["columns"].items():
+        if str(quantity).startswith("//"):
+            continue
+        if quantity not in UNIT:
+            raise ConfigError(f"{where}: unknown quantity '{quantity}'{nearest(quantity, UNIT)}")
+        columns[quantity] = _column(entry, quantity, poles, f"{where}, {quantity}")
+    for members in (*VECTORS.values(), QUATERNION, EULER):
+        present = [m for m in members if m in columns]
+        if present and len(present) < len(members):
+            lacking = next(m for m in members if m not in columns)
+            raise ConfigError(
+                f"{where}: {present[0]} is mapped but {lacking} is not; map {', '.join(members)} together"
+            )
+        if present and len({columns[m].body for m in members}) > 1:
+            raise ConfigError(f"{where}: {', '.join(members)} must all have the same 'frame'")
+    return Source(
+        name, _clock(section["time"], f"{where}, time") if "time" in section else None, flu, z_up, capture, columns
+    )
+
+
+def _column(entry: Any, quantity: str, poles: int | None, where: str) -> Column:
+    if isinstance(entry, str | list):
+        entry = {"column": entry}
+    _keys(entry, ("column", "unit", "frame", "optional"), ("column",), where)
+    aliases = [entry["column"]] if isinstance(entry["column"], str) else entry["column"]
+    if not isinstance(aliases, list) or not aliases or not all(isinstance(a, str) for a in aliases):
+        raise ConfigError(f"{where}: 'column' must be a name or a list of names, found {entry['column']!r}")
+    factor = to_si(
+        str(entry.get("unit", UNIT[quantity])), UNIT[quantity], where, poles if quantity[1:2].isdigit() else None
+    )
+    vector = next((v for v, members in VECTORS.items() if quantity in members), None)
+    body = _IN_BODY.get(vector, True)
+    if "frame" in entry:
+        if vector is None:
+            raise ConfigError(f"{where}: '{quantity}' is no vector and has no 'frame'; remove the key")
+        chosen = _choice(entry, "frame", ("world", "body"), where) == "body"
+        if chosen != body and vector not in _MAY_TURN:
+            raise ConfigError(f"{where}: {quantity} is always in {'body' if body else 'world'} axes; remove 'frame'")
+        body = chosen
+    return Column(tuple(aliases), factor, body, bool(entry.get("optional", False)))

@@ -1,0 +1,395 @@
+"""Any table (CSV or Parquet) as a recording, by the section "table columns" of the quadrotor configuration.
+
+Each source of the table keeps its own samples: rows that only repeat a stamp are dropped, stamps that step back too, and
+sources on different clocks are brought onto the clock of the gyro's source, first by the rows they share, then by the
+motion that both saw.
+"""
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from quasi.airframe import DEFAULT_POLES
+from quasi.attitude import from_euler, interpolate, multiply, rotate_inverse
+from quasi.errors import ReadError, nearest
+from quasi.importing.artefacts import spikes
+from quasi.importing.clocks import ClockFit
+from quasi.importing.series import Recording, Series
+from quasi.importing.table_mapping import EULER, QUATERNION, VECTORS, Source, read_mapping
+from quasi.importing.telemetry import acceleration_lag, rotor_lag
+from quasi.tables import read_bytes, read_table
+
+HALF_TURN = np.array([1.0, -1.0, -1.0])  # half a turn about x: FLU to FRD, z-up to NED
+LONGEST_HOLD = 10  # rows; a row clock's values that stay the same for longer are believed (rest, coarse quantisation)
+STRAY = 1.0  # s; a few samples beyond a gap longer than this at either end are left out
+
+
+def read_table_log(
+    path: str | Path, mapping: Mapping[str, Any], poles: int | None = None, where: str = "table columns"
+) -> Recording:
+    """Read a table by a mapping (see `table_mapping`).
+
+    path     CSV or Parquet file; mapping  the section "table columns"; poles  magnets of a motor, for electrical speeds
+    Returns  Recording: "onboard" (the source of p q r), "onboard <name>" for further sources, "capture"; SI, earth NED,
+             body FRD; t in s from the gyro's first sample, on its clock
+    Raises   ConfigError for a wrong mapping, ReadError for a table that lacks a column or cannot be read
+    """
+    path = Path(path)
+    notes: list[str] = []
+    poles_from = "configuration"
+    if poles is None:
+        poles, poles_from = DEFAULT_POLES, "default"
+    plan = read_mapping(mapping, poles, where)
+    table = _open(path)
+    if len(table) < 20:
+        raise ReadError(f"{path} holds {len(table)} rows; at least 20 are needed, record or export the flight again")
+    raw = [_Raw(source, table, path, notes) for source in plan.sources]
+    main = next(r for r in raw if "p" in r.values and not r.source.capture)
+    rows = None
+    if plan.clock is not None and plan.clock[0] in table:
+        rows = _numbers(table[plan.clock[0]], path, plan.clock[0], notes) * plan.clock[1]
+    elif any(r.source.clock is None for r in raw):
+        raise _missing(path, [plan.clock[0]], "time of the rows", table)
+    about: dict[str, Any] = {}
+    for r in raw:
+        r.settle(rows, path, notes)
+    for r in raw:
+        about[r.source.name] = r.clock_against(main, rows, path, notes)
+    zero = float(main.t[0])
+    for r in raw:
+        r.t = r.t - zero
+        r.drop_strays(path, notes)
+    for r in raw:
+        r.to_standard_axes()
+        about[r.source.name]["spikes removed"] = r.remove_spikes(path, notes)
+    _move_late_sources(raw, main, about, path, notes)
+    for r in raw:
+        r.world_to_body(raw, path)
+    series: dict[str, Series] = {}
+    for r in raw:
+        key = "onboard" if r is main else "capture" if r.source.capture else f"onboard {r.source.name}"
+        series[key] = Series(r.t, r.values)
+        about[r.source.name] |= {"samples": len(r.t), "median interval": float(np.median(np.diff(r.t)))}
+    uses_poles = any("w1" in r.values for r in raw)
+    if uses_poles and poles_from == "default" and "eRPM" in str(mapping):
+        notes.append(
+            f"{path}: electrical rotor speeds were converted with {poles} poles, the default; set 'motor poles'"
+        )
+    metadata = {
+        "file": str(path), "format": "table", "rows": len(table), "sources": about,
+        "motor poles": {"value": poles, "source": poles_from},
+    }  # fmt: skip
+    return Recording(series, metadata, notes)
+
+
+def _open(path: Path) -> pd.DataFrame:
+    data = read_bytes(path)
+    if data[:4] == b"PAR1":
+        return read_table(path)
+    head = data[:65536].split(b"\n", 1)[0]
+    separator = max((b",", b";", b"\t"), key=head.count).decode()
+    try:
+        return pd.read_csv(
+            io.BytesIO(data), sep=separator, skipinitialspace=True, encoding="utf-8-sig", encoding_errors="replace",
+            on_bad_lines="skip", low_memory=False,
+        ).rename(columns=lambda c: str(c).strip())  # fmt: skip
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError) as error:
+        raise ReadError(f"{path} is not a readable table ({error}); export it again as CSV or Parquet") from None
+
+
+def _numbers(column: pd.Series, path: Path, name: str, notes: list[str]) -> np.ndarray:
+    if not pd.api.types.is_numeric_dtype(column):
+        numbers = pd.to_numeric(column, errors="coerce")
+        strange = numbers.isna() & column.notna()
+        if strange.all():
+            raise ReadError(
+                f"{path}: column '{name}' holds text ({column.iloc[0]!r}), expected numbers; map another one"
+            )
+        if strange.any():
+            row = int(np.argmax(strange.to_numpy())) + 2
+            notes.append(
+                f"{path}: column '{name}' holds text in {int(strange.sum())} rows (first in row {row}); left out"
+            )
+        column = numbers
+    values = column.to_numpy(float)
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def _missing(path: Path, aliases: list[str] | tuple[str, ...], meant: str, table: pd.DataFrame) -> ReadError:
+    names = " or ".join(f"'{a}'" for a in aliases)
+    return ReadError(
+        f"{path} has no column {names} ({meant}){nearest(aliases[0], table.columns)}; correct 'table columns' in the "
+        "quadrotor configuration"
+    )
+
+
+class _Raw:
+    """One source on its way from the table's columns to a series; each step changes it."""
+
+    def __init__(self, source: Source, table: pd.DataFrame, path: Path, notes: list[str]) -> None:
+        self.source = source
+        self.values: dict[str, np.ndarray] = {}
+        self.t = np.zeros(0)
+        self.stamps: np.ndarray | None = None
+        lacking = set()
+        for quantity, column in source.columns.items():
+            name = next((a for a in column.aliases if a in table.columns), None)
+            if name is None and not column.optional:
+                raise _missing(path, column.aliases, f"{quantity} of source '{source.name}'", table)
+            if name is None:
+                lacking.add(quantity)
+                continue
+            self.values[quantity] = _numbers(table[name], path, name, notes) * column.factor
+        for quantity, values in self.values.items():
+            if not np.isfinite(values).any() and source.columns[quantity].optional:
+                lacking.add(quantity)
+        for members in (*VECTORS.values(), QUATERNION, EULER):
+            if lacking & set(members):
+                lacking |= set(members) & set(source.columns)
+        if lacking:
+            notes.append(
+                f"{path}: source '{source.name}' has no {', '.join(sorted(lacking))} (optional, absent or empty)"
+            )
+        self.values = {k: v for k, v in self.values.items() if k not in lacking}
+        for quantity, values in self.values.items():
+            if not np.isfinite(values).any():
+                raise ReadError(
+                    f"{path}: the column mapped to {quantity} is empty; map another one or make it optional"
+                )
+        if source.clock is not None:
+            name, factor = source.clock
+            if name not in table.columns:
+                raise _missing(path, [name], f"time of source '{source.name}'", table)
+            self.stamps = _numbers(table[name], path, name, notes) * factor
+        self.report: dict[str, Any] = {
+            "clock": source.clock[0] if source.clock else "rows",
+            "motion capture": source.capture,
+        }
+
+    def settle(self, rows: np.ndarray | None, path: Path, notes: list[str]) -> None:
+        """Keep the rows that bring a new sample: stamp larger than any before, values not merely held."""
+        clock = self.stamps if self.stamps is not None else rows
+        known = np.isfinite(clock)
+        ahead = np.fmax.accumulate(np.where(known, clock, -np.inf))
+        before = np.concatenate([[-np.inf], ahead[:-1]])
+        new = known & (clock > before)
+        repeated = known & (clock == before)
+        back = known & (clock < before)
+        if np.count_nonzero(back) > 0.2 * len(clock):
+            raise ReadError(
+                f"{path}: the stamps of source '{self.source.name}' step back in {np.count_nonzero(back)} of {len(clock)} "
+                "rows; they are no clock, map another time column"
+            )
+        if back.any():
+            row = int(np.argmax(back))
+            notes.append(
+                f"{path}: {np.count_nonzero(back)} stamps of source '{self.source.name}' step back (first in row {row + 2}, "
+                f"{clock[row]:.6g} s after {before[row]:.6g} s); these rows were left out"
+            )
+        held = np.zeros(len(clock), bool)
+        if self.values and (self.stamps is None or self.source.capture):
+            stack = np.stack(list(self.values.values()))
+            same = np.concatenate([[False], np.all((stack[:, 1:] == stack[:, :-1]), axis=0)])
+            held = same & new
+            if not self.source.capture:
+                held &= ~_long_runs(same, LONGEST_HOLD)
+        new &= ~held
+        if np.count_nonzero(new) < 20:
+            raise ReadError(
+                f"{path}: source '{self.source.name}' has {np.count_nonzero(new)} samples of its own; map another time"
+            )
+        lost = int(np.count_nonzero(repeated) + np.count_nonzero(held))
+        if lost > 0.01 * len(clock):
+            notes.append(
+                f"{path}: {lost} of {len(clock)} rows only repeat an older sample of source '{self.source.name}'; dropped"
+            )
+        self.fresh = np.flatnonzero(new)
+        self.row_clock = rows
+        self.all_stamps = clock
+        self.t = clock[new]
+        self.values = {k: v[new] for k, v in self.values.items()}
+        spacing = np.diff(self.t)
+        gaps = spacing > max(0.05, 5 * float(np.median(spacing)))
+        self.report |= {
+            "repeated": int(np.count_nonzero(repeated)), "held": int(np.count_nonzero(held)), "stepped back": int(back.sum()),
+            "gaps": int(gaps.sum()), "longest gap": float(spacing.max()), "jitter": float(np.std(spacing[~gaps])),
+        }  # fmt: skip
+
+    def clock_against(self, main: "_Raw", rows: np.ndarray | None, path: Path, notes: list[str]) -> dict[str, Any]:
+        """Bring the stamps onto the main source's clock by the rows they share; report the disagreement."""
+        if self is main or (self.stamps is None and main.stamps is None):
+            return self.report
+        here = np.intersect1d(self.fresh, main.fresh)
+        if len(here) < 10:
+            here = self.fresh
+        difference = self.all_stamps[here] - main.all_stamps[here]
+        difference = difference[np.isfinite(difference)]
+        middle = float(np.median(difference))
+        low, high = np.quantile(difference, [0.05, 0.95])
+        self.report["stamps minus main stamps"] = {
+            "median": middle,
+            "5 %": float(low),
+            "95 %": float(high),
+            "unit": "s",
+        }
+        if self.stamps is None or abs(middle) > 0.5:
+            self.t = self.t - middle
+            self.all_stamps = self.all_stamps - middle
+            what = "rides on the rows' clock" if self.stamps is None else "keeps another time"
+            notes.append(
+                f"{path}: source '{self.source.name}' {what}; {middle:.3f} s were taken off (median over rows)"
+            )
+        elif max(abs(low), abs(high)) > 0.001:
+            notes.append(
+                f"{path}: stamps of source '{self.source.name}' differ from those of '{main.source.name}' in the same row by "
+                f"{1e3 * low:+.1f} to {1e3 * high:+.1f} ms (5 to 95 %, median {1e3 * middle:+.1f} ms); each source keeps its own"
+            )
+        return self.report
+
+    def drop_strays(self, path: Path, notes: list[str]) -> None:
+        """Leave out a handful of samples beyond a long gap at either end."""
+        keep = slice(0, len(self.t))
+        few = max(5, len(self.t) // 200)
+        wide = np.flatnonzero(np.diff(self.t) > STRAY)
+        if len(wide) and len(self.t) - 1 - wide[-1] <= few:
+            keep = slice(0, int(wide[-1]) + 1)
+        if len(wide) and wide[0] + 1 <= few and keep.stop > wide[0] + 1:
+            keep = slice(int(wide[0]) + 1, keep.stop)
+        lost = len(self.t) - (keep.stop - keep.start)
+        if lost:
+            notes.append(
+                f"{path}: {lost} samples of source '{self.source.name}' beyond a gap of more than {STRAY:g} s at its end were left out"
+            )
+            self.t = self.t[keep]
+            self.values = {k: v[keep] for k, v in self.values.items()}
+
+    def to_standard_axes(self) -> None:
+        """Earth NED and body FRD; Euler angles become a quaternion, its length one."""
+        body = HALF_TURN if self.source.flu else np.ones(3)
+        world = HALF_TURN if self.source.z_up else np.ones(3)
+        for members in VECTORS.values():
+            if members[0] in self.values:
+                axes = body if self.source.columns[members[0]].body else world
+                for name, sign in zip(members, axes):
+                    self.values[name] = sign * self.values[name]
+        if "qw" in self.values:
+            q = np.stack([self.values[n] for n in QUATERNION], axis=-1)
+            length = np.linalg.norm(q, axis=-1, keepdims=True)
+            q = np.where(length > 0.5, q / np.where(length > 0.5, length, 1.0), np.nan)
+        elif "roll" in self.values:
+            q = from_euler(*[self.values.pop(n) for n in EULER])
+        else:
+            return
+        for n in EULER:
+            self.values.pop(n, None)
+        half = np.array([0.0, 1.0, 0.0, 0.0])
+        if self.source.z_up:
+            q = multiply(half, q)
+        if self.source.flu:
+            q = multiply(q, -half)
+        q = np.where(q[:, :1] < 0, -q, q)
+        self.values |= {n: q[:, i] for i, n in enumerate(QUATERNION)}
+
+    def remove_spikes(self, path: Path, notes: list[str]) -> dict[str, int]:
+        """Rotor speeds that no rotor follows become NaN; returns how many per rotor."""
+        removed = {}
+        for name in [n for n in self.values if n[0] == "w" and n[1:].isdigit()]:
+            values = self.values[name].copy()
+            largest = float(np.nanquantile(values, 0.99))
+            bad = spikes(values, 0.3 * largest) | (values < 0)
+            if bad.any():
+                values[bad] = np.nan
+                self.values[name] = values
+                removed[name] = int(bad.sum())
+        if removed:
+            listed = ", ".join(f"{k}: {v}" for k, v in removed.items())
+            notes.append(f"{path}: spikes in the rotor speeds were removed ({listed})")
+        return removed
+
+    def world_to_body(self, raw: list["_Raw"], path: Path) -> None:
+        """Turn world-axis specific force by the attitude at its own times, body-axis velocity into u v w."""
+        if "vx" in self.values and self.source.columns["vx"].body:
+            for old, new in zip(VECTORS["velocity"], VECTORS["body velocity"]):
+                self.values[new] = self.values.pop(old)
+        if "ax" in self.values and not self.source.columns["ax"].body:
+            holder = (
+                self
+                if "qw" in self.values
+                else next((r for r in raw if "qw" in r.values and not r.source.capture), None)
+            )
+            if holder is None:
+                raise ReadError(
+                    f"{path}: ax, ay, az are in world axes but no on-board attitude is mapped to turn them; map one"
+                )
+            q = np.stack([holder.values[n] for n in QUATERNION], axis=-1)
+            fine = np.isfinite(q).all(axis=-1)
+            at = interpolate(q[fine], holder.t[fine], self.t)
+            force = rotate_inverse(at, np.stack([self.values[n] for n in VECTORS["force"]], axis=-1))
+            self.values |= {n: force[:, i] for i, n in enumerate(VECTORS["force"])}
+
+
+def _long_runs(same: np.ndarray, longest: int) -> np.ndarray:
+    """True inside runs of more than `longest` True in a row."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
+    result = np.zeros(len(same), bool)
+    for a, b in zip(edges[::2], edges[1::2]):
+        result[a:b] = b - a > longest
+    return result
+
+
+def _move_late_sources(
+    raw: list["_Raw"], main: "_Raw", about: dict[str, dict[str, Any]], path: Path, notes: list[str]
+) -> None:
+    """Find how late the main source stamps what another saw, and move the other's stamps where that is sure.
+
+    Sources with the same stamps came in the same messages and share one lag, the best known of theirs.
+    """
+    late = [r for r in raw if r is not main and r.stamps is not None and not r.source.capture]
+    late = [r for r in late if len(r.t) != len(main.t) or not np.array_equal(r.t, main.t)]
+    while late:
+        same = [r for r in late if len(r.t) == len(late[0].t) and np.array_equal(r.t, late[0].t)]
+        late = [r for r in late if r not in same]
+        found = [(r, *_motion_lag(r, main)) for r in same]
+        found = [f for f in found if f[1] is not None]
+        for r, clock, relation in found:
+            about[r.source.name]["lag of main stamps"] = {
+                "value": clock.lag, "std": clock.lag_std, "unit": "s", "from": relation,
+                "explained variance": clock.explained, "applied": False,
+            }  # fmt: skip
+        found = [f for f in found if f[1].explained > 0.5 and f[1].lag_std < 0.01]
+        if not found:
+            continue
+        r, clock, relation = min(found, key=lambda f: f[1].lag_std)
+        if abs(clock.lag) <= 3 * clock.lag_std:
+            continue
+        about[r.source.name]["lag of main stamps"]["applied"] = True
+        for moved in same:
+            moved.t = moved.t + clock.lag
+        names = " and ".join(f"'{m.source.name}'" for m in same)
+        notes.append(
+            f"{path}: source {names} is stamped {1e3 * abs(clock.lag):.1f} +- {1e3 * clock.lag_std:.1f} ms "
+            f"{'early' if clock.lag > 0 else 'late'} against '{main.source.name}' (from {relation}); the stamps were moved"
+        )
+
+
+def _motion_lag(r: "_Raw", main: "_Raw") -> tuple[ClockFit | None, str]:
+    """Lag of the main source's stamps behind those of `r`, and the relation it follows from."""
+    rotors = tuple(n for n in r.values if n[0] == "w" and n[1:].isdigit())
+    if (
+        "ax" in r.values and not r.source.columns["ax"].body and "vx" in main.values and not main.source.columns["vx"].body
+    ):  # fmt: skip
+        relation = "velocity derivative and acceleration"
+        return acceleration_lag(r.t, _stack(r, VECTORS["force"]), main.t, _stack(main, VECTORS["velocity"])), relation
+    if len(rotors) >= 3:
+        return rotor_lag(
+            r.t, _stack(r, rotors), main.t, _stack(main, VECTORS["rates"])
+        ), "angular acceleration and rotor speeds"
+    return None, ""
+
+
+def _stack(r: "_Raw", names: tuple[str, ...]) -> np.ndarray:
+    return np.stack([r.values[n] for n in names], axis=-1)
