@@ -1,0 +1,176 @@
+"""What the made vehicle's sensors say: inertial unit, filters on board, rotor telemetry, motion capture.
+
+The inertial part is compiled and runs inside the flight loop, because the controller flies on it.
+Filters: first-order low-pass (PT1) twice on the gyro; second-order (two PT1 in a row, corner corrected so that the pair is
+3 dB down at the stated frequency) on the accelerometer, as Betaflight 4.3 and later have them.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from quasi import attitude
+
+PT2_CORNER = 1.0 / math.sqrt(math.sqrt(2.0) - 1.0)  # corner of each of two PT1 for a pair 3 dB down
+
+
+class Inertial(NamedTuple):
+    """Errors and filters of gyro and accelerometer; measured = scale x (axes' x true) + bias + noise."""
+
+    position: np.ndarray  # (3,) m from the true cg, body axes
+    axes: np.ndarray  # (3, 3), columns: the true sensor axes in body axes
+    gyro_bias: np.ndarray  # (3,) rad/s
+    gyro_scale: np.ndarray  # (3,)
+    acc_bias: np.ndarray  # (3,) m/s2
+    acc_scale: np.ndarray  # (3,)
+    gyro_noise: float  # rad/s per sample of the loop
+    acc_noise: float  # m/s2 per sample of the loop
+    gyro_vibration: float  # rad/s of one rotor's line at hover speed
+    acc_vibration: float  # m/s2 of one rotor's line at hover speed
+    hover_speed: float  # rad/s
+    gyro_cut_1: float  # Hz
+    gyro_cut_2: float  # Hz
+    acc_cut: float  # Hz
+    gyro_range: float  # rad/s
+    acc_range: float  # m/s2
+
+
+class Telemetry(NamedTuple):
+    """Rotor speed as the speed controllers report it."""
+
+    age: float  # s, of a report when it is logged
+    interval: int  # loop steps between reports
+    scale: float  # logged / true
+    to_log: float  # eRPM/100 per rad/s
+
+
+@njit(cache=True)
+def read_inertial(rates, spin_up, force, speeds, phases, noise, s: Inertial, raw):
+    """One raw reading: raw (6,) is filled with gyro (rad/s) and specific force (m/s2) along the sensor's own axes.
+
+    rates, spin_up (angular acceleration), force (specific force at the cg), body axes; speeds (4,) rad/s, phases (4,) rad;
+    noise (6,) standard normal.
+    """
+    r = s.position
+    wx, wy, wz = rates[0], rates[1], rates[2]
+    ax, ay, az = spin_up[0], spin_up[1], spin_up[2]
+    dot = wx * r[0] + wy * r[1] + wz * r[2]
+    square = wx * wx + wy * wy + wz * wz
+    f = np.empty(3)
+    f[0] = force[0] + ay * r[2] - az * r[1] + wx * dot - square * r[0]
+    f[1] = force[1] + az * r[0] - ax * r[2] + wy * dot - square * r[1]
+    f[2] = force[2] + ax * r[1] - ay * r[0] + wz * dot - square * r[2]
+    shake = np.zeros(6)
+    for i in range(4):
+        level = (speeds[i] / s.hover_speed) ** 2
+        one, two = math.cos(phases[i] + i), math.sin(2.0 * phases[i] + 2.0 * i)
+        three, quarter = math.cos(3.0 * phases[i] + i), math.sin(phases[i] + i)
+        shake[0] += level * s.gyro_vibration * (one + 0.3 * two)
+        shake[1] += level * s.gyro_vibration * (quarter + 0.3 * three)
+        shake[2] += level * s.gyro_vibration * 0.4 * (one + 0.3 * two)
+        shake[3] += level * s.acc_vibration * (one + 0.5 * two)
+        shake[4] += level * s.acc_vibration * (quarter + 0.5 * three)
+        shake[5] += level * s.acc_vibration * (0.5 * one + 0.6 * three)
+    for k in range(3):
+        gyro = s.axes[0, k] * wx + s.axes[1, k] * wy + s.axes[2, k] * wz
+        acc = s.axes[0, k] * f[0] + s.axes[1, k] * f[1] + s.axes[2, k] * f[2]
+        gyro = s.gyro_scale[k] * gyro + s.gyro_bias[k] + s.gyro_noise * noise[k] + shake[k]
+        acc = s.acc_scale[k] * acc + s.acc_bias[k] + s.acc_noise * noise[3 + k] + shake[3 + k]
+        raw[k] = min(max(gyro, -s.gyro_range), s.gyro_range)
+        raw[3 + k] = min(max(acc, -s.acc_range), s.acc_range)
+
+
+@njit(cache=True)
+def low_pass_gain(cut, dt):
+    """Gain of a discrete PT1, y += gain (x - y), with corner `cut` Hz at steps of dt s; 0 Hz lets all through."""
+    if cut <= 0.0:
+        return 1.0
+    return dt / (dt + 1.0 / (2.0 * math.pi * cut))
+
+
+class Capture(NamedTuple):
+    """One motion-capture take, in the earth frame, on its own clock; NaN where the body was not seen."""
+
+    time: np.ndarray  # (N,) s
+    frame: np.ndarray  # (N,)
+    position: np.ndarray  # (N, 3) m, marker centroid, earth NED
+    quaternion: np.ndarray  # (N, 4) body to earth, w x y z
+    markers: np.ndarray  # (N, K, 3) m, earth NED
+    error: np.ndarray  # (N,) m, mean marker error
+    rate: float
+    faults: dict[str, list[list[float]]]
+
+
+class CaptureErrors(NamedTuple):
+    """What a capture system adds to the truth; angles rad, times s."""
+
+    rate: float
+    start: float  # onboard-independent true time at which the take begins
+    skew: float  # capture clock fast by this share
+    position_noise: float
+    attitude_noise: float
+    latency: float
+    rotation_delay: float
+    body_turn: np.ndarray  # (3,) assumed marker axes onto the true ones, body axes
+    room_turn: np.ndarray  # (3,) assumed room axes onto the true ones, earth axes
+    offset: np.ndarray  # (3,) marker centroid from the true cg, body axes
+    drop_outs: int
+    swaps: int
+
+
+MARKERS = np.array([[0.055, 0.030, -0.004], [0.050, -0.045, 0.006], [-0.060, -0.020, -0.002], [-0.045, 0.035, 0.0]])
+SEEN = MARKERS - MARKERS.mean(axis=0)  # m, about their centroid, body axes
+
+
+def capture(
+    t: np.ndarray, position: np.ndarray, quaternion: np.ndarray, errors: CaptureErrors, rng: np.random.Generator
+) -> Capture:
+    """A take of the flight whose true cg position (M, 3) and attitude (M, 4) are known at true times t (M,).
+
+    Outside the flight's span the vehicle rests where it was first or last seen.
+    """
+    n = int((t[-1] + 2.0 - errors.start) * errors.rate)
+    frame = np.arange(n)
+    clock = frame / errors.rate
+    true = errors.start + clock / (1.0 + errors.skew)
+    at = true - errors.latency
+    q = attitude.interpolate(quaternion, t, at)
+    place = np.column_stack([np.interp(at, t, position[:, k]) for k in range(3)])
+    place += attitude.rotate(q, errors.offset)
+    seen = attitude.interpolate(quaternion, t, at - errors.rotation_delay)
+    seen = attitude.multiply(seen, attitude.exponential(errors.body_turn))
+    room = attitude.conjugate(attitude.exponential(errors.room_turn))
+    place, seen = attitude.rotate(room, place), attitude.multiply(room, seen)
+    noise = errors.attitude_noise * rng.standard_normal((n, 3))
+    seen = attitude.multiply(seen, attitude.exponential(noise))
+    place = place + errors.position_noise * rng.standard_normal((n, 3))
+    markers = place[:, None, :] + np.stack([attitude.rotate(seen, m) for m in SEEN], axis=1)
+    markers += 0.5 * errors.position_noise * rng.standard_normal(markers.shape)
+    error = 1e-4 + 5e-5 * np.abs(rng.standard_normal(n)) * (errors.position_noise > 0)
+    faults: dict[str, list[list[float]]] = {"drop-outs": [], "swaps": [], "sign flips": []}
+
+    for _ in range(errors.swaps):  # two markers taken for each other: the body jumps for a few frames
+        i, width = int(rng.integers(0, n - 40)), int(rng.integers(2, 9))
+        axis = rng.standard_normal(3)
+        turn = attitude.exponential(rng.uniform(0.35, 1.6) * axis / np.linalg.norm(axis))
+        seen[i : i + width] = attitude.multiply(seen[i : i + width], turn)
+        place[i : i + width] += rng.normal(0.0, 0.03, 3)
+        error[i : i + width] += 0.012
+        faults["swaps"].append([float(clock[i]), float(clock[i + width])])
+    # trackers do not keep the quaternion's sign
+    flips = np.sort(rng.integers(0, n, rng.poisson(4) if errors.swaps else 0))
+    for i in flips:
+        seen[i:] *= -1.0
+        faults["sign flips"].append([float(clock[i])])
+    for _ in range(errors.drop_outs):
+        i = int(rng.integers(0, n - 60))
+        width = int(rng.integers(1, 8)) if rng.random() < 0.7 else int(rng.integers(12, 50))
+        place[i : i + width] = np.nan
+        seen[i : i + width] = np.nan
+        error[i : i + width] = np.nan
+        for k in rng.permutation(len(SEEN))[: rng.integers(2, len(SEEN) + 1)]:
+            markers[i : i + width, k] = np.nan
+        faults["drop-outs"].append([float(clock[i]), float(clock[i + width])])
+    return Capture(clock, frame, place, seen, markers, error, errors.rate, faults)
