@@ -37,7 +37,8 @@ class Frames:
     counts   good frames per kind, and what was dropped
     spans    (m, 4) int64: first damaged byte, byte behind, time before, time of the next good frame (-1 = none)
     events   (m, 4) int64: code, time, and its two numbers
-    slow     (changes, fields) of S frames that differ from the one before, with slow_time; gps (rows, fields) of G frames
+    slow     (changes, fields) of the S frames that differ from the one before, with slow_time
+    gps      (rows, fields) of the G frames
     ended    the log closes with its end-of-log event
     """
 

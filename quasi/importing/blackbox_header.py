@@ -72,7 +72,7 @@ def find_logs(data: bytes, path: str) -> list[Log]:
 def _log(data: bytes, number: int, start: int, end: int) -> Log:
     header, at, damage = _header_lines(data, start, end)
     end = _without_padding(data, at, end)
-    about = dict(number=number, start=start, data=at, end=end, header=header, damage=damage)
+    about = {"number": number, "start": start, "data": at, "end": end, "header": header, "damage": damage}
     try:
         version = header.get("Data version", "")
         if version != "2":

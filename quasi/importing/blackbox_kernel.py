@@ -179,7 +179,7 @@ def read_fields(data, at, end, layout, kind, n, raw):
 
 @njit(cache=True)
 def add_predictions(layout, kind, n, raw, history, before, before2, now, constants, skipped):
-    """history[now] = raw + prediction from rows `before` and `before2`, as 32-bit numbers, signed or not by the header."""
+    """history[now] = raw + prediction from rows `before` and `before2`, 32-bit, signed as the header says."""
     for i in range(n):
         how = layout[kind, PREDICTOR, i]
         value = raw[i]
@@ -252,14 +252,14 @@ def decode_frames(
     """Decode the frames data[start:end] of one log.
 
     data      (bytes,) uint8
-    layout    (5, 5, fields) int64: per kind I P S G H the encoding, predictor, argument, signedness, group of each field
+    layout    (5, 5, fields) int64: of each kind I P S G H the encoding, predictor, argument, sign, group of each field
     sizes     (5,) number of fields per kind; 0 = the log defines no such frame
     clock     (2,) index of the fields time and loopIteration (-1 = not logged)
     constants (7,) what predictors refer to; changed while reading
     skips     (I interval,) iterations left out after the iteration of that place in the interval
     keep      (k,) main fields to store
     Filled: main (k, frames) float64 and time (frames,) us, 64 bit; slow (changes, fields) with slow_time; gps (rows,
-    fields); spans (m, 4): first byte, byte behind, time before, time after (-1 = none); events (m, 4): code, time, a, b.
+    fields); spans (m, 4): first byte, byte behind, time before, time after (-1 = none); events (m, 4): code, time, a, b
     Returns   (TALLY,) counts of good frames per kind and of the rest, in the order of the names above.
     """
     tally = np.zeros(TALLY, np.int64)

@@ -256,9 +256,7 @@ def _rotor_speeds(raw, header, poles: int | None, known, out: Resolved) -> None:
     elif logged is not None and 2 <= logged <= 254:
         count, source = int(logged), "header"
         if count == DEFAULT_POLES:
-            out.notes.append(
-                "the header's 14 motor poles are Betaflight's default, which few people set; check the motors"
-            )
+            out.notes.append("the header's 14 motor poles are Betaflight's default, which few change; check the motors")
     else:
         count, source = DEFAULT_POLES, "assumed"
         out.notes.append("warning: neither configuration nor header state the motor poles; 14 are assumed")

@@ -220,14 +220,12 @@ def _known(raw: dict, units: dict[str, str], path: str, notes: list[str]) -> dic
         tenths = voltage[np.isfinite(voltage)] * 10
         if len(tenths) and np.median(tenths) > 300 and np.allclose(tenths, np.round(tenths), atol=1e-6):
             known["battery voltage"] = (0.1, "column unit V, ten times too large as older blackbox_decode prints it")
-            notes.append(
-                "the battery voltage of this CSV is ten times too large (a fault of older blackbox_decode); corrected"
-            )
+            notes.append("the battery voltage was divided by 10 (older blackbox_decode prints it ten times too large)")
     return known
 
 
 def _use_debug(raw: dict, header: dict[str, str], notes: list[str]) -> None:
-    """Leave the debug columns in only where they hold rotor speeds: by the header, else by how they follow the motors."""
+    """Keep the debug columns only where they hold rotor speeds: by the header, else by how they follow the motors."""
     mode = debug_mode(header)
     debug = [raw.get(f"debug[{i}]") for i in range(4)]
     motor = [raw.get(f"motor[{i}]") for i in range(4)]
