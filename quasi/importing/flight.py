@@ -204,8 +204,7 @@ def _fuse(
     columns |= {n: acceleration[:, i] for i, n in enumerate(("ax", "ay", "az"))}
     columns |= {n: gyro.values[:, i] for i, n in enumerate("pqr")}
 
-    turned = multiply(exponential(np.array([0.0, 0.0, sync.yaw_offset if sync else 0.0])), board.attitude.values)
-    onboard = resample_attitude(board.attitude.t, turned, at)
+    onboard = resample_attitude(board.attitude.t, _tied(board, sync), at)
     seen = None
     if capture is not None and "qw" in capture.values:
         seen = resample_attitude(there, _stack(capture, ATTITUDE), at)
@@ -250,6 +249,16 @@ def _fuse(
     }
     order = sorted(columns, key=lambda name: (_ORDER.index(name) if name in _ORDER else len(_ORDER), name))
     return pd.DataFrame({name: columns[name] for name in order}), facts
+
+
+def _tied(board: Onboard, sync: Synchronisation | None) -> np.ndarray:
+    """On-board attitude (n, 4) whose heading agrees with the capture's; an estimated one loses its heading drift too."""
+    if sync is None:
+        return board.attitude.values
+    t = board.attitude.t
+    drift = sync.yaw_drift if board.attitude_source == "estimated on board" else 0.0
+    yaw = sync.yaw_offset + drift * (t - sync.yaw_reference)
+    return multiply(exponential(np.stack([0 * t, 0 * t, yaw], axis=-1)), board.attitude.values)
 
 
 _ORDER = [

@@ -91,16 +91,22 @@ def rest_at_start(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray) -> int:
     width = int(np.searchsorted(t, t[0] + 0.5))
     if width < 5:
         return 0
-    end = 0
+    end, first = 0, np.median(accel[:width], axis=0)
     while end + width <= len(t):
         g, a = gyro[end : end + width], accel[end : end + width]
-        turning = np.max(np.std(g, axis=0)) > 0.1 or np.max(np.abs(g.mean(axis=0))) > 0.15
-        pushed = np.max(np.std(a, axis=0)) > 1.0 or abs(np.linalg.norm(a.mean(axis=0)) - GRAVITY) > 0.6
-        shifted = end > 0 and np.linalg.norm(a.mean(axis=0) - accel[:width].mean(axis=0)) > 0.5
-        if turning or pushed or shifted:
+        middle = np.median(a, axis=0)
+        # spreads by quantiles: the first samples of a log may come from filters that have not settled
+        turning = np.max(_spread(g)) > 0.1 or np.max(np.abs(np.median(g, axis=0))) > 0.15
+        pushed = np.max(_spread(a)) > 1.0 or abs(np.linalg.norm(middle) - GRAVITY) > 0.6
+        if turning or pushed or np.linalg.norm(middle - first) > 0.5:
             break
         end += width
     return end
+
+
+def _spread(values: np.ndarray) -> np.ndarray:
+    low, high = np.quantile(values, [0.16, 0.84], axis=0)
+    return 0.5 * (high - low)
 
 
 def estimate_attitude(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, time_constant: float = 8.0) -> Attitude:
@@ -120,7 +126,7 @@ def estimate_attitude(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, time_c
     rest_seconds = float(t[still - 1] - t[0]) if still else 0.0
     bias = gyro[:still].mean(axis=0) if still else np.zeros(3)
     if still:
-        start = _level(-accel[:still].mean(axis=0))
+        start = _level(-np.median(accel[:still], axis=0))
         levelled = "at rest"
     else:
         start = _level_over_flight(t, gyro, accel)

@@ -58,7 +58,14 @@ class Onboard:
         force = np.stack([np.interp(t, self.force.t, v) for v in self.force.values.T], axis=-1)
         fine = np.isfinite(self.attitude.values).all(axis=1)
         q = interpolate(self.attitude.values[fine], self.attitude.t[fine], t)
-        return Motion(t, self.gyro.values, force, q)
+        return Motion(
+            t,
+            self.gyro.values,
+            force,
+            q,
+            gyro_delay=self.delays["gyro"]["value"],
+            accelerometer_delay=self.delays["accelerometer"]["value"],
+        )
 
 
 def read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any], poles: int | None) -> Recording:

@@ -7,7 +7,7 @@ the accelerometer, turned by the on-board attitude.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ GRID = 200.0  # Hz, of the signals compared
 BAND = 15.0  # Hz, to which both sides are band-limited: less is motion, more is noise and vibration
 SLOW_BAND = 8.0  # Hz, for twice differentiated positions
 COARSE = 50.0  # Hz
+DELAY_DOUBT = 0.03  # share of the on-board filters' nominal delay that stays unknown
 
 
 @dataclass(frozen=True)
@@ -28,8 +29,8 @@ class Motion:
     """One side of the comparison, on its own clock.
 
     t (n,) s; rates (n, 3) rad/s and specific_force (n, 3) m/s2, body FRD, or None; quaternion (n, 4) body to earth or
-    None; position (n, 3) m earth NED or None; NaN where missing. gyro_delay, accelerometer_delay: s by which the on-board
-    filters make these signals late.
+    None; position (n, 3) m earth NED or None; NaN where missing. gyro_delay, accelerometer_delay: s, what was taken off the
+    times of these signals for the on-board filters; their doubt enters the standard error of the lag.
     """
 
     t: np.ndarray
@@ -43,7 +44,10 @@ class Motion:
 
 @dataclass(frozen=True)
 class Synchronisation:
-    """The clock fit, how it was found, and the heading of the on-board attitude against the capture's (rad)."""
+    """The clock fit, how it was found, and what to add to the on-board heading.
+
+    yaw_offset rad at on-board time yaw_reference s, changing by yaw_drift rad/s.
+    """
 
     fit: ClockFit
     method: str
@@ -51,6 +55,7 @@ class Synchronisation:
     correlation: float
     yaw_offset: float
     yaw_drift: float
+    yaw_reference: float
     notes: list[str] = field(default_factory=list)
 
     def to_onboard(self, tau: np.ndarray) -> np.ndarray:
@@ -69,7 +74,7 @@ class Synchronisation:
             "explained variance": f.by_pair,
             "common span": {"value": f.seconds, "unit": "s"},
             "yaw offset": {"value": self.yaw_offset, "unit": "rad"},
-            "yaw drift": {"value": self.yaw_drift, "unit": "rad/s"},
+            "yaw drift": {"value": self.yaw_drift, "unit": "rad/s", "from": self.yaw_reference},
         }
 
 
@@ -136,8 +141,13 @@ def synchronise(
         notes.append(
             f"{where}: the lag lies at the limit of {longest_lag:g} s; raise 'max permitted lag for optitrack'"
         )
-    offset, drift = _heading(onboard, capture, best) if capture.quaternion is not None else _course(pairs[0], best)
-    return Synchronisation(best, method, [name for name, _, _ in coarse], r, offset, drift, notes)
+    # the fit's own error, and that of the delay which was taken off the on-board signals
+    doubt = DELAY_DOUBT * (onboard.gyro_delay if capture.quaternion is not None else onboard.accelerometer_delay)
+    best = replace(best, lag_std=float(np.hypot(best.lag_std, doubt)))
+    offset, drift, when = (
+        _heading(onboard, capture, best) if capture.quaternion is not None else _course(pairs[0], best)
+    )
+    return Synchronisation(best, method, [name for name, _, _ in coarse], r, offset, drift, when, notes)
 
 
 def _refuse_still(onboard: Motion, capture: Motion, where: str) -> None:
@@ -177,16 +187,14 @@ def _signals(
         if a is not None and b is not None and np.std(b.values[b.good]) > 0 and np.std(a.values[a.good]) > 0:
             coarse.append((name, a, b))
 
-    force_t = onboard.t - onboard.accelerometer_delay
-    gyro_t = onboard.t - onboard.gyro_delay
     acceleration = _captured_acceleration(capture, min(SLOW_BAND, band))
     if capture.quaternion is not None:
         fine = np.isfinite(capture.quaternion).all(axis=1)
         t_cap, q_cap = capture.t[fine], continuous(capture.quaternion[fine])
         rates = _with_gaps(t_cap, body_rates(q_cap, t_cap))
-        add("body rates", gyro_t, onboard.rates, t_cap, rates, band)
+        add("body rates", onboard.t, onboard.rates, t_cap, rates, band)
         for i, name in enumerate("pqr"):
-            search(name, gyro_t, onboard.rates[:, i], t_cap, rates[:, i])
+            search(name, onboard.t, onboard.rates[:, i], t_cap, rates[:, i])
         if onboard.quaternion is not None:
             on_angles = np.unwrap(to_euler(continuous(onboard.quaternion)), axis=0)
             cap_angles = np.unwrap(to_euler(q_cap), axis=0)
@@ -197,10 +205,10 @@ def _signals(
             t_acc, a_earth = acceleration
             q_there = interpolate(q_cap, t_cap, t_acc)
             force = rotate_inverse(q_there, a_earth - np.array([0.0, 0.0, GRAVITY]))
-            add("specific force", force_t, onboard.specific_force, t_acc, force, min(SLOW_BAND, band))
+            add("specific force", onboard.t, onboard.specific_force, t_acc, force, min(SLOW_BAND, band))
             for i, name in enumerate(("ax", "ay", "az")):
                 if name in using:
-                    search(name, force_t, onboard.specific_force[:, i], t_acc, force[:, i])
+                    search(name, onboard.t, onboard.specific_force[:, i], t_acc, force[:, i])
         method = "body rates" + "".join(f", {s}" for s in using)
     else:
         if acceleration is None or onboard.quaternion is None:
@@ -210,11 +218,11 @@ def _signals(
         )
         t_acc, a_earth = acceleration
         sensed = rotate(onboard.quaternion, onboard.specific_force) + np.array([0.0, 0.0, GRAVITY])
-        add("earth acceleration", force_t, sensed, t_acc, a_earth, min(SLOW_BAND, band))
+        add("earth acceleration", onboard.t, sensed, t_acc, a_earth, min(SLOW_BAND, band))
         # heading may differ, so the search uses what does not depend on it
-        search("vertical acceleration", force_t, sensed[:, 2], t_acc, a_earth[:, 2])
+        search("vertical acceleration", onboard.t, sensed[:, 2], t_acc, a_earth[:, 2])
         search(
-            "horizontal acceleration", force_t, np.hypot(sensed[:, 0], sensed[:, 1]),
+            "horizontal acceleration", onboard.t, np.hypot(sensed[:, 0], sensed[:, 1]),
             t_acc, np.hypot(a_earth[:, 0], a_earth[:, 1]),
         )  # fmt: skip
         method = "earth-frame accelerations"
@@ -281,15 +289,15 @@ def _window(signal: Uniform, begin: float, end: float) -> Uniform:
     return Uniform(float(signal.t[i]), signal.step, signal.values[i:j], signal.good[i:j])
 
 
-def _heading(onboard: Motion, capture: Motion, clock: ClockFit) -> tuple[float, float]:
-    """What to add to the on-board heading, rad, and how fast the difference drifts, rad/s."""
+def _heading(onboard: Motion, capture: Motion, clock: ClockFit) -> tuple[float, float, float]:
+    """What to add to the on-board heading, rad; how fast that drifts, rad/s; and the on-board time of the former, s."""
     if onboard.quaternion is None:
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     fine = np.isfinite(capture.quaternion).all(axis=1)
     t = clock.to_first(capture.t[fine])
     inside = (t >= onboard.t[0]) & (t <= onboard.t[-1])
     if np.count_nonzero(inside) < 10:
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     captured = to_euler(capture.quaternion[fine][inside])
     sensed = to_euler(interpolate(onboard.quaternion, onboard.t, t[inside]))
     upright = (np.abs(captured[:, 1]) < 1.2) & (np.abs(captured[:, 0]) < 1.2)
@@ -300,10 +308,10 @@ def _heading(onboard: Motion, capture: Motion, clock: ClockFit) -> tuple[float, 
     rest = np.angle(np.exp(1j * (difference - offset)))
     when = t[inside][upright]
     drift = float(np.polyfit(when - when.mean(), rest, 1)[0]) if np.ptp(when) > 1 else 0.0
-    return offset, drift
+    return offset, drift, float(when.mean())
 
 
-def _course(pair: Pair, clock: ClockFit) -> tuple[float, float]:
+def _course(pair: Pair, clock: ClockFit) -> tuple[float, float, float]:
     """The same without a captured attitude: the turn that lays horizontal accelerations (earth axes) on each other."""
     tau = clock.to_other(pair.first.t)
     index = np.rint((tau - pair.other.start) / pair.other.step).astype(int)
@@ -314,4 +322,4 @@ def _course(pair: Pair, clock: ClockFit) -> tuple[float, float]:
     sensed, captured = sensed - sensed.mean(), captured - captured.mean()
     product = np.sum(captured * np.conj(sensed))
     alike = abs(product) / max(np.linalg.norm(sensed) * np.linalg.norm(captured), 1e-12)
-    return (float(np.angle(product)) if alike > 0.5 else 0.0), 0.0
+    return (float(np.angle(product)) if alike > 0.5 else 0.0), 0.0, 0.0
