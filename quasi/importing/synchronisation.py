@@ -46,7 +46,8 @@ class Motion:
 class Synchronisation:
     """The clock fit, how it was found, and what to add to the on-board heading.
 
-    yaw_offset rad at on-board time yaw_reference s, changing by yaw_drift rad/s.
+    moved       s, lag minus that of the two records laid side by side from their beginnings
+    yaw_offset  rad at on-board time yaw_reference s, changing by yaw_drift rad/s.
     """
 
     fit: ClockFit
@@ -56,6 +57,7 @@ class Synchronisation:
     yaw_offset: float
     yaw_drift: float
     yaw_reference: float
+    moved: float
     notes: list[str] = field(default_factory=list)
 
     def to_onboard(self, tau: np.ndarray) -> np.ndarray:
@@ -70,6 +72,7 @@ class Synchronisation:
             "signals": self.signals,
             "lag": {"value": f.lag, "std": f.lag_std, "unit": "s", "at capture time": f.reference},
             "clock rate": {"value": f.rate, "std": f.rate_std, "unit": "s/s"},
+            "moved from beginnings": {"value": self.moved, "unit": "s"},
             "correlation": self.correlation,
             "explained variance": f.by_pair,
             "common span": {"value": f.seconds, "unit": "s"},
@@ -147,7 +150,7 @@ def synchronise(
     offset, drift, when = (
         _heading(onboard, capture, best) if capture.quaternion is not None else _course(pairs[0], best)
     )
-    return Synchronisation(best, method, [name for name, _, _ in coarse], r, offset, drift, when, notes)
+    return Synchronisation(best, method, [name for name, _, _ in coarse], r, offset, drift, when, best.lag - centre, notes)
 
 
 def _refuse_still(onboard: Motion, capture: Motion, where: str) -> None:
