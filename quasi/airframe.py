@@ -48,6 +48,11 @@ class Airframe:
     rotor1_clockwise: bool = True
 
     @property
+    def logged_to_rad_s(self) -> float | None:
+        """Factor from the unit of idle_rpm and max_rpm (eRPM/100) to mechanical rad/s; None without a pole count."""
+        return erpm100_to_rad_s(self.poles) if self.poles else None
+
+    @property
     def left(self) -> np.ndarray:
         """+1 for rotors left of the cg, -1 for rotors right of it."""
         return np.where(self.hubs[:, 1] < 0, 1.0, -1.0)

@@ -9,6 +9,8 @@ rule standalone_model:
     input:
         axes=axis_parts,
         shared="results/identified/{model}/shared.json",
+        partition="results/identified/{model}/partition.parquet",
+        flights=training_flights,
     output:
         "results/parts/standalone/{model}/model.json",
     log:
@@ -31,10 +33,7 @@ rule standalone_scores:
     output:
         scores="results/parts/standalone/{model}/scores.parquet",
         summary="results/parts/standalone/{model}/summary.txt",
-        figures=[
-            f"results/parts/standalone/{{model}}/comparison_{a}.png"
-            for a in ("forces", "moments")
-        ],
+        figures=directory("results/parts/standalone/{model}/comparison"),
     log:
         "logs/standalone/{model}/scores.log",
     benchmark:
@@ -44,6 +43,9 @@ rule standalone_scores:
             role: [r.key for r in ask(FOLDER.model_flights, wildcards.model, role)]
             for role in ("training", "validation")
         },
+        options=lambda wildcards: ask(FOLDER.identification, wildcards.model)[
+            "data partitioning"
+        ],
         code=code("standalone_scores.py"),
     script:
         "../scripts/standalone_scores.py"
@@ -54,10 +56,7 @@ rule standalone:
         model="results/parts/standalone/{model}/model.json",
         scores="results/parts/standalone/{model}/scores.parquet",
         summary="results/parts/standalone/{model}/summary.txt",
-        figures=[
-            f"results/parts/standalone/{{model}}/comparison_{a}.png"
-            for a in ("forces", "moments")
-        ],
+        figures="results/parts/standalone/{model}/comparison",
     output:
         folder=directory("models/{model}/standalone"),
         model="models/{model}/standalone/model.json",

@@ -1,1 +1,38 @@
-"""todo"""
+"""Identify one axis of a model by stepwise regression on the training rows."""
+
+from pathlib import Path
+
+from quasi.airframe import from_plain
+from quasi.identification.candidates import read_specification
+from quasi.identification.fit import fit_axis
+from quasi.identification.partition import from_table
+from quasi.joblog import LOG, job
+from quasi.tables import read_json, read_table, write_json
+
+
+def main(flights: list[str], shared: str, partition: str, settings: dict, output: str) -> None:
+    """Read the training flights and what the axes share; write the axis."""
+    axis, found = settings["axis"], read_json(shared)
+    specification = read_specification(
+        {axis: settings["specification"]}, axis, settings["specification file"], settings["bias"]
+    )
+    tables = {Path(path).stem: read_table(path) for path in flights}
+    roles = from_table(read_table(partition), {key: len(table) for key, table in tables.items()})
+    result = fit_axis(axis, tables, roles, from_plain(found["airframe"]), found, settings, specification)
+    for step in result["log"]:
+        LOG.info("%s", step)
+    LOG.info("%s", result["stop reason"])
+    for note in result["notes"]:
+        LOG.warning("%s", note)
+    write_json(output, result)
+
+
+if __name__ == "__main__":
+    with job(snakemake.log[0], f"identification of {snakemake.wildcards.axis}"):
+        main(
+            snakemake.input.flights,
+            snakemake.input.shared,
+            snakemake.input.partition,
+            snakemake.params.settings,
+            snakemake.output[0],
+        )

@@ -1,1 +1,50 @@
-"""todo"""
+"""What the axes of a model share: which rows train and test, hover speed, simple model, actuator constants."""
+
+from pathlib import Path
+
+from quasi.airframe import read_airframe, to_plain
+from quasi.errors import ConfigError
+from quasi.identification.partition import UNITS as PARTITION_UNITS
+from quasi.identification.partition import partition, to_table
+from quasi.identification.shared import shared
+from quasi.joblog import LOG, job
+from quasi.tables import read_made, read_table, write_json, write_table
+
+
+def main(flights: list[str], settings: dict, shared_json: str, partition_parquet: str) -> None:
+    """Read the training flights; write what the axes share and the partition of their rows."""
+    if settings["problem"]:
+        raise ConfigError(settings["problem"])
+    airframe = read_airframe(settings["quadrotor"], settings["quadrotor"]["file"], settings["mass"])
+    tables = {Path(path).stem: read_table(path) for path in flights}
+    made = {Path(path).stem: read_made(path) for path in flights}
+    roles = partition(tables, options=settings["data partitioning"])
+    masses = {key: about["mass"] for key, about in made.items() if about.get("mass")}
+    found = shared(tables, roles, airframe, settings["gravity"], masses)
+    for note in found["notes"]:
+        LOG.warning("%s", note)
+    factors = {about.get("logged to rad/s") for about in made.values()} - {None}
+    if len(factors) > 1:
+        raise ConfigError(
+            f"the flights convert logged rotor speeds with different factors ({sorted(factors)}); "
+            "set 'motor poles' in the quadrotor configuration, so that all flights use one pole count"
+        )
+    about = {
+        "model": settings["model"],
+        "flights": {"training": list(tables)},
+        "airframe": to_plain(airframe),
+        "logged to rad/s": next(iter(factors), None),
+        "data partitioning": settings["data partitioning"],
+    }
+    write_table(partition_parquet, to_table(roles), PARTITION_UNITS, made=about)
+    write_json(shared_json, {**found, **about})
+
+
+if __name__ == "__main__":
+    with job(snakemake.log[0], f"identification of {snakemake.wildcards.model}"):
+        main(
+            snakemake.input.flights,
+            snakemake.params.settings,
+            snakemake.output.shared,
+            snakemake.output.partition,
+        )

@@ -1,1 +1,43 @@
-"""todo"""
+"""Assemble the identified axes of a model into one portable document."""
+
+from pathlib import Path
+
+from quasi.airframe import from_plain
+from quasi.identification.partition import TRAINING, from_table
+from quasi.joblog import job
+from quasi.standalone.build import assemble, envelope
+from quasi.tables import fingerprint, read_json, read_table, write_json
+
+
+def main(
+    axes: list[str], shared: str, partition: str, flights: list[str], roles: dict, model: str, output: str
+) -> None:
+    """Read the axes, what they share and the region their data covered; write the model."""
+    found = read_json(shared)
+    parts = {Path(path).stem: read_json(path) for path in axes}
+    airframe = from_plain(found["airframe"])
+    tables = {Path(path).stem: read_table(path) for path in flights}
+    roles_of_rows = from_table(read_table(partition), {key: len(table) for key, table in tables.items()})
+    rows = {key: codes == TRAINING for key, codes in roles_of_rows.items()}
+    meta = {
+        "id": model,
+        "airframe": airframe,
+        "logged to rad/s": found["logged to rad/s"],
+        "validation flights": roles["validation"],
+        "envelope": envelope(tables, rows, airframe, found["hover speed"]["value"], parts),
+        "provenance": {"axes": {axis: fingerprint(part) for axis, part in parts.items()}},
+    }
+    write_json(output, assemble(parts, found, meta))
+
+
+if __name__ == "__main__":
+    with job(snakemake.log[0], f"model {snakemake.wildcards.model}"):
+        main(
+            snakemake.input.axes,
+            snakemake.input.shared,
+            snakemake.input.partition,
+            snakemake.input.flights,
+            snakemake.params.flights,
+            snakemake.wildcards.model,
+            snakemake.output[0],
+        )

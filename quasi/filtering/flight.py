@@ -189,6 +189,7 @@ def filter_flight(
         "flight": imported_metadata.get("flight"),
         "quadrotor": imported_metadata.get("quadrotor"),
         "mass": airframe.mass,
+        "logged to rad/s": factor,
         "inertia": np.asarray(airframe.inertia).tolist(),
         "sampling": {"rate": rate, "samples": len(t)},
         "gravity": {

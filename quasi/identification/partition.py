@@ -57,9 +57,10 @@ def partition(
         else:
             codes[rows] = TRAINING
         roles[key] = codes
-    if not any((c == TRAINING).any() for c in roles.values()):
+    learning = [key for key in roles if key not in validation]
+    if learning and not any((roles[key] == TRAINING).any() for key in learning):
         raise DataError(
-            f"no training rows are left in the flights {', '.join(map(str, roles))}; "
+            f"no training rows are left in the flights {', '.join(map(str, learning))}; "
             "raise 'usable data ratio' or 'partition ratio', or name fewer validation flights"
         )
     return roles

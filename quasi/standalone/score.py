@@ -79,3 +79,21 @@ def _row(flight: str, role: str, axis: str, table: np.ndarray, model: Model) -> 
         "confidence": confidence,
         "interval_width": float(np.mean(upper - lower)),
     }
+
+
+def table_text(scores: pd.DataFrame, model: Model) -> str:
+    """The pooled scores as a table for reading: R2 and RMSE per axis on training, test and validation rows."""
+    pooled = scores[scores["flight"] == POOLED].set_index(["role", "axis"])
+    roles = [r for r in ("training", "test", "validation") if r in pooled.index.get_level_values("role")]
+    lines = [f"Model {model.id}: R2 and RMSE (forces N, moments N m)"]
+    lines.append("axis  " + "".join(f"{role:>22}" for role in roles))
+    for axis in model.axes:
+        cells = ""
+        for role in roles:
+            row = pooled.loc[(role, axis)]
+            cells += f"{row['r2']:>10.4f}{row['rmse']:>12.3e}"
+        lines.append(f"{axis:<6}{cells}")
+    for role in roles:
+        flights = sorted(set(scores[scores["role"] == role]["flight"]) - {POOLED})
+        lines.append(f"{role}: {', '.join(flights)}")
+    return "\n".join(lines) + "\n"
