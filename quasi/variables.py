@@ -84,7 +84,7 @@ def known_names(columns: Mapping[str, object] | set[str]) -> list[str]:
     """Names that these columns make possible, without |..|, sin[..] and cos[..], which every name allows."""
     have = {*columns, *(v for v, air in _AIR.items() if air in columns)}
     made = [name for name, needs in _MADE_FROM.items() if have.issuperset(needs)]
-    return [*made, *(n for n in columns if n not in made)]
+    return [*made, *(n for n in _AIR if n in have and n not in columns), *(n for n in columns if n not in made)]
 
 
 class Variables:

@@ -86,15 +86,15 @@ class Pool:
         n = self.rows
         z_mean = sum(float(np.sum(z)) for z in self._targets) / n
         fixed_mean = np.zeros(self.fixed)
-        for x, _ in self._chunks(program):
-            fixed_mean += x.sum(axis=1)
-        fixed_mean /= n
+        with np.errstate(all="ignore"):
+            for x, _ in self._chunks(program):
+                fixed_mean += x.sum(axis=1) / n
         self.total = sum(float(np.sum((z - z_mean) ** 2)) for z in self._targets)
         shift = z_mean if self.centred else 0.0
         if not self.centred:
             fixed_mean[:] = 0.0
         mean, spread = np.zeros(self.size), np.zeros(self.size)
-        products = np.zeros((self.size, self.fixed + 1))
+        products, sums = np.zeros((self.size, self.fixed + 1)), np.zeros(self.fixed + 1)
         self.target_square = 0.0
         done = 0
         with np.errstate(all="ignore"):
@@ -104,6 +104,7 @@ class Pool:
                 np.subtract(x[: self.fixed], fixed_mean[:, None], out=y[:-1])
                 y[-1] = z - shift
                 products += x @ y.T
+                sums += y.sum(axis=1)
                 self.target_square += float(y[-1] @ y[-1])
                 # means and spreads of chunks are combined without cancellation (Chan, Golub & LeVeque 1983)
                 local = x.mean(axis=1)
@@ -114,6 +115,9 @@ class Pool:
             self.mean = mean
             self.square = spread if self.centred else spread + n * mean**2
             # exactly constant columns leave rounding behind
+            if self.centred:
+                # what rounding of the subtracted means left
+                products -= np.outer(mean, sums)
             self.constant = spread <= 1e-24 * n * mean**2
         self.target = products[:, -1]
         for k in range(self.fixed):
@@ -133,11 +137,15 @@ class Pool:
             if promising is not None:
                 order = np.argsort(-promising)[: PREFETCH + len(self._cross)]
                 wanted += [int(k) for k in order if int(k) not in self._cross and k != column][: PREFETCH - 1]
-            result = np.zeros((self.size, len(wanted)))
+            result, sums = np.zeros((self.size, len(wanted))), np.zeros(len(wanted))
             mean = self.mean[wanted][:, None] if self.centred else 0.0
             with np.errstate(all="ignore"):
                 for x, _ in self._chunks(self._program):
-                    result += x @ (x[wanted] - mean).T
+                    y = x[wanted] - mean
+                    result += x @ y.T
+                    sums += y.sum(axis=1)
+                if self.centred:
+                    result -= np.outer(self.mean, sums)
             result[self._banned] = 0.0
             self._cross.update(zip(wanted, result.T))
         return self._cross[column]

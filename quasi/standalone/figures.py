@@ -60,7 +60,7 @@ def comparison(
     top.set_ylabel(f"{axis}, {unit}")
     bottom.set_ylabel(f"measured - model, {unit}")
     bottom.set_xlabel("time, flights one after another, s")
-    top.legend(loc="upper right", fontsize=8)
+    top.legend(loc="lower right", fontsize=8, ncols=3)
     return figure
 
 

@@ -1,0 +1,120 @@
+"""Polynomial specifications of the manual's syntax."""
+
+import math
+
+import pytest
+
+from quasi import tables
+from quasi.errors import ConfigError, ExpressionError
+from quasi.identification.candidates import AXES, read_specification
+
+FM = "config/polynomials/polyCands_DiffSys_quadraticU_symmetric_SIMPLE_FM.json"
+
+
+def section(*candidates, **more):
+    return {"Fx": {"candidates": list(candidates), **more}}
+
+
+def pool(*candidates, **more):
+    return [t.expression for t in read_specification(section(*candidates, **more), "Fx", "spec.json").candidates]
+
+
+def test_names_are_those_of_the_manual():
+    assert pool({"vars": ["u"], "degree": 2, "sets": [1, "w_tot"]}) == [
+        "(u^(1.0))",
+        "(u^(2.0))",
+        "(w_tot)*(u^(1.0))",
+        "(w_tot)*(u^(2.0))",
+    ]
+
+
+@pytest.mark.parametrize(("variables", "degree"), [(1, 4), (2, 2), (3, 4), (4, 3)])
+def test_all_monomials_up_to_the_degree_are_there(variables, degree):
+    found = pool({"vars": list("uvwp")[:variables], "degree": degree})
+    assert len(found) == math.comb(variables + degree, degree) - 1
+
+
+def test_the_two_spellings_of_the_manuals_equation_19_are_one():
+    compact = {"vars": ["x", "z"], "degree": 2, "sets": [1, "u"]}
+    apart = [{"vars": ["x", "z"], "degree": 2, "sets": [1]}, {"vars": ["x", "z"], "degree": 2, "sets": ["u"]}]
+    assert set(pool(compact)) == set(pool(*apart))
+
+
+def test_expressions_serve_as_vars_sets_and_fixed():
+    entry = {"vars": ["(u + v - w)", "q*q"], "degree": 1, "sets": ["U_q + 3.47"]}
+    found = read_specification(section(entry, fixed=["u*(sin[pitch]+u)*v"]), "Fx", "spec.json")
+XX
+    assert found.fixed[0].expression == "u*(sin[pitch]+u)*v"
+
+
+def test_duplicates_go_whether_equal_scaled_or_rearranged():
+    entries = [
+        {"vars": ["u", "v"], "degree": 2, "sets": [1, 2]},
+        {"vars": ["v*u", "3*u + 3*u", "|u|"], "degree": 2},
+        {"vars": ["w"], "degree": 1, "sets": ["u", 0]},
+        {"vars": ["u"], "degree": 1, "sets": ["w"]},
+    ]
+    found = read_specification(section(*entries, fixed=["v"]), "Fx", "spec.json")
+    assert "(v^(1.0))" not in [t.expression for t in found.candidates]
+    texts = [t.expression for t in found.candidates]
+    assert "(|u|^(1.0))" in texts
+    assert "(|u|^(2.0))" not in texts
+    assert "(2)*(u^(1.0))" not in texts
+    assert "(w)*(u^(1.0))" not in texts
+    assert ("(2)*(u^(1.0))", "(u^(1.0))") in found.duplicates
+    assert not any(t.startswith("(0)*") for t in texts)
+
+
+def test_zero_mean_candidates_are_not_mistaken_for_duplicates():
+    assert pool({"vars": ["p", "q", "r"], "degree": 1}) == ["(p^(1.0))", "(q^(1.0))", "(r^(1.0))"]
+
+
+def test_constants_are_no_candidates_beside_a_bias():
+    assert pool({"vars": ["2"], "degree": 1}) == []
+
+
+def test_no_bias_and_no_fixed_regressor_is_refused():
+    with pytest.raises(ConfigError, match=r"spec.json, Fx.*add bias term fx"):
+        read_specification(section({"vars": ["u"], "degree": 1}), "Fx", "spec.json", bias=False)
+
+
+def test_fixed_coefficients_belong_to_fixed_regressors():
+    found = read_specification(section(fixed=["u"], **{"fixed coefficients": {"u": 2}}), "Fx", "spec.json")
+    assert found.known == {"u": 2.0}
+    with pytest.raises(ConfigError, match="not under 'fixed'"):
+        read_specification(section(fixed=["u"], **{"fixed coefficients": {"w": 2}}), "Fx", "spec.json")
+
+
+@pytest.mark.parametrize(
+    ("entry", "hint"),
+    [
+        ({"vars": [], "degree": 1}, "'vars'"),
+        ({"vars": ["u"], "degree": 0}, "'degree' is 0"),
+        ({"vars": ["u"], "degree": 1, "sets": []}, "'sets'"),
+        ({"vars": [None], "degree": 1}, "None"),
+        ({"vars": ["sin(u)"], "degree": 1}, "nothing can be called"),
+        ({"vars": ["(" * 10_000 + "u"], "degree": 1}, "nested"),
+        ({"vars": list("uvwpqrxyz"), "degree": 20}, "candidates; lower a 'degree'"),
+    ],
+)
+def test_a_wrong_entry_is_a_sentence_with_file_and_place(entry, hint, monkeypatch):
+    monkeypatch.setattr("quasi.identification.candidates.LARGEST_POOL", 2000)
+    with pytest.raises((ConfigError, ExpressionError), match=r"spec\.json, Fx") as caught:
+        pool(entry)
+    assert hint in str(caught.value)
+
+
+@pytest.mark.parametrize("name", [FM, "config/polynomials/physical.json"])
+def test_the_standard_files_can_be_read(name):
+    document = tables.read_json(name)
+    for axis in AXES:
+        found = read_specification(document, axis, name)
+        assert found.candidates
+        assert found.fixed
+
+
+def test_the_standard_fm_pool_of_fz_has_the_printed_entries():
+    # 34 monomials of 3 variables to degree 4 times 8 sets, 19 of 3 to degree 3 times 2, 4 of 1, less the fixed w
+    found = read_specification(tables.read_json(FM), "Fz", FM)
+    assert len(found.candidates) == 34 * 8 + 19 * 2 + 4 - 1
+    assert found.duplicates == (("(w^(1.0))", "w"),)

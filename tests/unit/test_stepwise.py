@@ -1,0 +1,225 @@
+"""Selection on cross-products against a plain slow implementation of the manual's algorithm (6.2) and against numpy."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from quasi.errors import ConfigError, DataError
+from quasi.expressions import parse
+from quasi.identification import stepwise
+from quasi.identification.stepwise import Options, Pool, select
+
+
+def plain(fixed, candidates, z, bias, cap, f_in=4.0, f_out=4.0):
+    """Equations (2)-(12) word for word on whole matrices, with the differences that (6) and (10) print.
+
+    fixed (N, k), candidates (N, m). Without a bias nothing is centred. Returns candidates in order of entry, PSEs.
+    """
+    n = len(z)
+    # units chosen so that lstsq keeps its digits; nothing in the algorithm depends on them
+    fixed, candidates = fixed / np.linalg.norm(fixed, axis=0), candidates / np.linalg.norm(candidates, axis=0)
+
+    def matrix(chosen):
+        return np.column_stack([np.ones((n, int(bias))), fixed, candidates[:, chosen]])
+
+    def least_squares(a):
+        return np.linalg.lstsq(a, z, rcond=None)[0]
+
+    def regression_sum(a):
+        theta = least_squares(a)
+        return theta @ a.T @ z - n * z.mean() ** 2
+
+    def after(a, y):
+        return y - a @ np.linalg.lstsq(a, y, rcond=None)[0]
+
+    def error(a):
+        return np.sum((z - a @ least_squares(a)) ** 2)
+
+    def pse(a):
+        return error(a) / n + np.sum((z - z.mean()) ** 2) / n * a.shape[1] / n
+
+    chosen, scores = [], [pse(matrix([]))]
+    for _ in range(cap):
+        a = matrix(chosen)
+        rest = after(a, z)
+        best, pick = 0.0, None
+        for j in range(candidates.shape[1]):
+            if j in chosen:
+                continue
+            x = after(a, candidates[:, j])
+            if bias:
+                x, y = x - x.mean(), rest - rest.mean()
+            else:
+                y = rest
+            if x @ x < 1e-9 * np.sum((candidates[:, j] - bias * candidates[:, j].mean()) ** 2):
+                continue
+            r = abs(x @ y) / np.sqrt((x @ x) * (y @ y))
+            if r > best:
+                best, pick = r, j
+        if pick is None:
+            break
+        bigger = matrix([*chosen, pick])
+        s2 = error(bigger) / (n - a.shape[1] - 1)
+        if (regression_sum(bigger) - regression_sum(a)) / s2 <= f_in:
+            break
+        now = [*chosen, pick]
+        s2 = error(bigger) / (n - bigger.shape[1])
+        f = [(regression_sum(bigger) - regression_sum(matrix([c for c in now if c != k]))) / s2 for k in now]
+        if min(f) < f_out:
+            out = now[int(np.argmin(f))]
+            if out == pick:
+                break
+            now.remove(out)
+        if pse(matrix(now)) >= scores[-1]:
+            break
+        chosen = now
+        scores.append(pse(matrix(chosen)))
+        if scores[-1] < 1e-3 * scores[0]:
+            break
+    return chosen, scores
+
+
+def problem(seed, n=400, m=25, noise=0.3):
+    """Correlated candidates, some of which make the target."""
+    r = np.random.default_rng(seed)
+    base = r.standard_normal((n, 6)) @ r.standard_normal((6, m)) + r.uniform(0.2, 1.5) * r.standard_normal((n, m))
+    base = (base + r.uniform(-3, 3, m) * 10.0 ** r.uniform(-2, 1, m)) * 10.0 ** r.uniform(-3, 5, m)
+    scale = base.std(axis=0)
+    true = r.permutation(m)[: r.integers(2, 6)]
+    z = (base[:, true] / scale[true]) @ r.uniform(-2, 2, len(true)) + noise * r.standard_normal(n) + r.uniform(-2, 2)
+    return base, z
+
+
+def pool_of(base, z, fixed, bias, flights=3):
+    names = [f"c{k}" for k in range(base.shape[1])]
+    cuts = np.linspace(0, len(z), flights + 1).astype(int)
+    blocks = [{n: base[i:j, k] for k, n in enumerate(names)} for i, j in pairwise(cuts)]
+    targets = [z[i:j] for i, j in pairwise(cuts)]
+    return Pool([parse(n) for n in names], fixed, blocks, targets, bias), names
+
+
+@pytest.mark.parametrize("bias", [True, False])
+@pytest.mark.parametrize("seed", range(25))
+def test_structure_equals_the_plain_implementation(seed, bias, monkeypatch):
+    monkeypatch.setattr(stepwise, "CHUNK", 77)
+    monkeypatch.setattr(stepwise, "PREFETCH", 3)
+    base, z = problem(seed)
+    pool, names = pool_of(base, z, 2, bias)
+    cap = 8
+    found = select(pool, Options(cap=cap), names)
+    chosen, scores = plain(base[:, :2], base[:, 2:], z, bias, cap)
+    assert [k - 2 for k in found.chosen] == chosen
+    np.testing.assert_allclose([e["PSE"] for e in found.log], scores, rtol=1e-8)
+
+
+def test_backward_elimination_happens_and_equals_the_plain_implementation():
+    # the noisy sum of two true terms correlates best, enters first, and is redundant once both are in
+    seen = 0
+    for seed in range(12):
+        r = np.random.default_rng(seed)
+        base = r.standard_normal((600, 8))
+        base[:, 2] = base[:, 0] + base[:, 1] + 0.1 * r.standard_normal(600)
+        base = np.column_stack([r.standard_normal(600), base])
+        z = base[:, 1] + 1.6 * base[:, 2] + 0.05 * r.standard_normal(600)
+        pool, names = pool_of(base, z, 1, True)
+        found = select(pool, Options(cap=8), names)
+        chosen, scores = plain(base[:, :1], base[:, 1:], z, True, 8)
+        assert [k - 1 for k in found.chosen] == chosen
+        np.testing.assert_allclose([e["PSE"] for e in found.log], scores, rtol=1e-8)
+        seen += any(e["removed"] for e in found.log)
+    assert seen >= 10
+
+
+def test_a_pure_noise_candidate_is_turned_away_at_entry():
+    turned_away = 0
+    for seed in range(300):
+        r = np.random.default_rng(seed)
+        base = r.standard_normal((500, 2))
+        z = 3.0 + 2.0 * base[:, 0] + r.standard_normal(500)
+        pool, names = pool_of(base, z, 1, True)
+        found = select(pool, Options(cap=1), names)
+        turned_away += "partial F" in found.reason
+    # F(1, 497) exceeds 4 in 4.6 % of the draws
+    assert 0.92 < turned_away / 300 < 0.985
+
+
+def test_without_a_constant_nothing_is_centred():
+    x = np.linspace(0.0, 3.0, 301)
+    z = 3.0 + 2.0 * x
+    pool, _ = pool_of(x[:, None], z, 1, False)
+    assert pool.target[0] / pool.square[0] == pytest.approx(np.sum(x * z) / np.sum(x * x), rel=1e-12)
+    assert pool.target[0] / pool.square[0] > 2.5
+
+
+def test_large_means_cost_no_digits():
+    r = np.random.default_rng(1)
+    x = 1e6 + r.standard_normal(20_000)
+    base = np.column_stack([x, 1e5 + r.standard_normal(20_000)])
+    z = 1e4 + 2.0 * (x - 1e6) + 0.1 * r.standard_normal(20_000)
+    pool, _ = pool_of(base, z, 0, True)
+    centred = base - base.mean(axis=0)
+    np.testing.assert_allclose(pool.square, np.sum(centred**2, axis=0), rtol=1e-9)
+    np.testing.assert_allclose(pool.cross(0)[1], centred[:, 0] @ centred[:, 1], rtol=1e-6)
+
+
+def test_exact_copies_are_never_both_taken():
+    r = np.random.default_rng(2)
+    base = r.standard_normal((300, 4))
+    base[:, 2] = 5.0 * base[:, 1]
+    z = base[:, 1] + 0.1 * r.standard_normal(300)
+    pool, names = pool_of(base, z, 1, True)
+    found = select(pool, Options(cap=5), names)
+    assert len({1, 2} & set(found.chosen)) == 1
+
+
+def test_candidates_that_are_constant_or_not_finite_are_left_out_by_name():
+    r = np.random.default_rng(3)
+    base = r.standard_normal((300, 4))
+    base[:, 2], base[17, 3] = 7.0, np.inf
+    z = base[:, 0] + 0.5 * base[:, 1] + 0.1 * r.standard_normal(300)
+    pool, names = pool_of(base, z, 1, True)
+    found = select(pool, Options(cap=5), names)
+    assert found.chosen == [1]
+    assert "constant" in found.unusable[2]
+    assert "not finite" in found.unusable[3]
+
+
+@pytest.mark.parametrize(("spoil", "hint"), [("nan", "not finite"), ("constant", "constant"), ("copy", "combination")])
+def test_a_spoilt_fixed_regressor_is_refused_by_name(spoil, hint):
+    r = np.random.default_rng(4)
+    base = r.standard_normal((300, 3))
+    if spoil == "nan":
+        base[3, 1] = np.nan
+    else:
+        base[:, 1] = 2.0 if spoil == "constant" else 3.0 * base[:, 0]
+    pool, names = pool_of(base, base[:, 0] + r.standard_normal(300), 2, True)
+    with pytest.raises(DataError, match=f"fixed regressor 'c1' .*{hint}"):
+        select(pool, Options(), names)
+
+
+@pytest.mark.parametrize("stop", ["R2", "F"])
+def test_the_other_stop_criteria_stop_earlier(stop):
+    base, z = problem(5, noise=1.5)
+    pool, names = pool_of(base, z, 1, True)
+    usual = select(pool, Options(cap=20), names)
+    found = select(pool, Options(cap=20, stop=stop), names)
+    assert len(found.chosen) <= len(usual.chosen)
+    assert "would" in found.reason or "partial F" in found.reason
+
+
+def test_an_unknown_stop_criterion_is_refused():
+    with pytest.raises(ConfigError, match="'AIC'"):
+        Options(stop="AIC")
+
+
+def test_the_cap_counts_steps_and_too_few_rows_are_refused():
+    base, z = problem(6)
+    pool, names = pool_of(base, z, 1, True)
+    found = select(pool, Options(cap=2), names)
+    assert len(found.log) == 3
+    assert "cap of 2" in found.reason
+    assert select(pool, Options(cap=0), names).chosen == []
+    pool, names = pool_of(base[:6], z[:6], 5, True, flights=1)
+    with pytest.raises(DataError, match="6 training rows are too few"):
+        select(pool, Options(), names)
