@@ -34,7 +34,20 @@ def flight(seed, rows=8000, rate=500.0, noise=0.02):
     d = {"t": np.arange(rows) / rate}
     d |= {f"w{i}": HOVER + smooth(60.0) for i in range(1, 5)}
     d |= {f"w{i}_dot": np.gradient(d[f"w{i}"], 1 / rate) for i in range(1, 5)}
-    sizes = {"u": 3, "v": 3, "w": 1.5, "p": 2, "q": 2, "r": 1, "roll": 0.08, "pitch": 0.08, "yaw": 1, "x": 1, "y": 1, "z": 1}
+    sizes = {
+        "u": 3,
+        "v": 3,
+        "w": 1.5,
+        "p": 2,
+        "q": 2,
+        "r": 1,
+        "roll": 0.08,
+        "pitch": 0.08,
+        "yaw": 1,
+        "x": 1,
+        "y": 1,
+        "z": 1,
+    }
     d |= {name: smooth(size) for name, size in sizes.items()}
     w1, w2, w3, w4 = (d[f"w{i}"] for i in range(1, 5))
     total = w1 + w2 + w3 + w4

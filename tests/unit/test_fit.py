@@ -28,7 +28,8 @@ def roles(flights):
 
 
 def identify(axis, flights, roles, section, bias=True, **config):
-    return fit_axis(axis, flights, roles, AIRFRAME, SHARED, config, read_specification({axis: section}, axis, "s.json", bias))
+    specification = read_specification({axis: section}, axis, "s.json", bias)
+    return fit_axis(axis, flights, roles, AIRFRAME, SHARED, config, specification)
 
 
 def test_the_terms_of_the_truth_are_found_in_the_standard_pool(flights, roles):

@@ -12,7 +12,9 @@ def flight(rows=1000, **more):
     return pd.DataFrame({"t": np.arange(rows) / 100.0, **more})
 
 
-@pytest.mark.parametrize(("rows", "ratio", "start", "stop"), [(1000, 0.9, 50, 950), (1000, 1.0, 0, 1000), (7, 0.5, 2, 5)])
+@pytest.mark.parametrize(
+    ("rows", "ratio", "start", "stop"), [(1000, 0.9, 50, 950), (1000, 1.0, 0, 1000), (7, 0.5, 2, 5)]
+)
 def test_the_usable_part_is_centred(rows, ratio, start, stop):
     assert usable(rows, ratio) == slice(start, stop)
 
