@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from quasi import attitude
-from quasi.filtering.measurements import spans
+from quasi.filtering.measurements import coarseness, spans
 
 BLOCK = 0.1  # s
 LEAST_REST = 1.0  # s, shorter rests are refused
@@ -21,7 +21,8 @@ class Rest:
     """A stationary period: samples first..last (one past), and the means of gyro and accelerometer in it.
 
     gyro, gyro_std, accel, accel_std (3,): mean and standard error of the mean, from block means, so that coloured noise
-    counts; noise (6,) standard deviation per sample of white noise that would scatter the block means as much.
+    counts, and with what a log of coarse steps hides; noise (6,) standard deviation per sample of white noise that
+    would scatter the block means as much.
     """
 
     first: int
@@ -63,8 +64,13 @@ def _blocks(values: np.ndarray, size: int) -> np.ndarray:
     return values[: count * size].reshape(count, size, -1).mean(axis=1)
 
 
-def find_rest(gyro: np.ndarray, accel: np.ndarray, lost: np.ndarray, last: int, dt: float) -> Rest | None:
-    """The longest stretch before sample `last` in which the IMU is quiet; None if shorter than LEAST_REST."""
+def find_rest(
+    gyro: np.ndarray, accel: np.ndarray, lost: np.ndarray, step: np.ndarray, last: int, dt: float
+) -> Rest | None:
+    """The longest stretch before sample `last` in which the IMU is quiet; None if shorter than LEAST_REST.
+
+    gyro, accel (N, 3); lost (N,) bool; step (6,) steps of the log's numbers; dt s
+    """
     size = max(2, round(BLOCK / dt))
     if last < size * 3:
         return None
@@ -90,7 +96,8 @@ def find_rest(gyro: np.ndarray, accel: np.ndarray, lost: np.ndarray, last: int, 
     part = slice(first, first + length)
     w, a = _blocks(gyro[part], size), _blocks(accel[part], size)
     scatter = np.concatenate([w.std(axis=0, ddof=1), a.std(axis=0, ddof=1)])
-    error = scatter / np.sqrt(len(w))
+    coarse = coarseness(np.hstack([gyro, accel])[part], step)
+    error = np.hypot(scatter / np.sqrt(len(w)), coarse)
     return Rest(
         first,
         first + length,
@@ -160,6 +167,7 @@ def phases(
     gyro: np.ndarray,
     accel: np.ndarray,
     lost: np.ndarray,
+    step: np.ndarray,
     speeds: np.ndarray | None,
     position: np.ndarray | None,
     idle: float | None,
@@ -167,7 +175,8 @@ def phases(
 ) -> Phases:
     """Take-off, ground and rest of a flight.
 
-    gyro, accel (N, 3); lost (N,) bool; speeds (N, rotors) rad/s or None; position (N, 3) m or None; idle rad/s or None.
+    gyro, accel (N, 3); lost (N,) bool; step (6,) steps of the log's numbers; speeds (N, rotors) rad/s or None;
+    position (N, 3) m or None; idle rad/s or None.
     The take-off threshold is 1.5 times the idle speed, or 40 % of the flight's typical greatest speed.
     """
     notes: list[str] = []
@@ -195,7 +204,7 @@ def phases(
                 f"rotor {rotor} never reaches the take-off speed of {threshold:.0f} rad/s; check its telemetry"
             )
     ground = find_ground(gyro, accel, speeds, position, dt)
-    rest = find_rest(gyro, accel, lost, n if take_off is None else take_off, dt)
+    rest = find_rest(gyro, accel, lost, step, n if take_off is None else take_off, dt)
     if rest is None:
         notes.append(
             f"no rest of {LEAST_REST:g} s before take-off was found, so the biases cannot be estimated there; "

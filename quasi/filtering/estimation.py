@@ -175,6 +175,17 @@ def estimate(
     notes += noise_notes + measured.notes
     flying = ~found.on_ground
     level = np.tile(still, (n, 1))
+    both, step, hidden = np.hstack([imu.gyro, imu.accel]), measurements.resolution(metadata), np.zeros(6, bool)
+    for first, last in measurements.spans(found.on_ground):
+        coarse = measurements.coarseness(both[first:last], step)
+        # however long it lasts, the mean may be wrong by this much: as much white noise leaves the same doubt
+        level[first:last] = np.maximum(level[first:last], coarse * np.sqrt(last - first))
+        hidden |= coarse > 0
+    if hidden.any():
+        notes.append(
+            f"the log's steps of {', '.join(s for s, h in zip(SENSORS, hidden) if h)} are coarser than their noise at "
+            "rest, which therefore says little about their biases"
+        )
     rough = np.array([measurements.FLIGHT_STD[s] for s in SENSORS])
     moving = np.maximum(still, rough) if chosen["re-estimate noise"] else still
     level[flying] = moving
@@ -219,7 +230,8 @@ def estimate(
     deviation = ekf.deviations(final.covariance)
     early = ekf.deviations(forward.covariance)
 
-    applied, report = _apply(chosen["bias policy"], found, final, deviation, forward, early, flying, notes)
+    independent = all(measured.source[k].startswith("capture") for k in ("attitude", "position"))
+    applied, report = _apply(chosen["bias policy"], independent, found, final, deviation, forward, early, flying, notes)
     nis = noise.consistency(forward)
     consistent = all(entry.get("consistent", False) for entry in nis.values()) if nis else None
     for kind, entry in nis.items():
@@ -303,6 +315,7 @@ def _headings(inputs: ekf.Inputs) -> ekf.Inputs:
 
 def _apply(
     policy: str,
+    independent: bool,
     found: biases.Phases,
     final: ekf.Pass,
     deviation: np.ndarray,
@@ -334,8 +347,13 @@ def _apply(
             )
     if policy == "time varying":
         return final.state[:, 6:12].copy(), _bias_report(policy, whole, whole_std, evidence=evidence)
+    if policy == "automatic":
+        # at rest the accelerometer's bias is hidden by the tilt of the attitude source, in flight it is not; without a
+        # capture, in flight everything unmodelled goes into the biases
+        policy = "whole flight" if independent or found.rest is None else "rest"
+        evidence["chosen"] = "automatic"
     if policy == "rest" and found.rest is None:
-        notes.append("the biases are constants estimated over the whole flight, since there is no rest before take-off")
+        notes.append("the biases are estimated over the whole flight instead")
         policy = "whole flight"
     if policy == "rest":
         value, std = rest, rest_std

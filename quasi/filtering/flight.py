@@ -19,7 +19,7 @@ DEFAULTS: dict[str, Any] = {
     "run extended kalman filter": True,
     "add induced velocity": False,
     "smoother": True,
-    "bias policy": "rest",
+    "bias policy": "automatic",
     "low-pass cutoff Hz": 40.0,
     "re-estimate noise": True,
     "estimate attitude alignment": True,
@@ -27,7 +27,7 @@ DEFAULTS: dict[str, Any] = {
     "accelerometer bias random walk": 1e-4,
     "capture gap limit s": 1.0,
 }
-POLICIES = ("rest", "whole flight", "time varying")
+POLICIES = ("automatic", "rest", "whole flight", "time varying")
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,9 @@ def filter_flight(
     position = imported[["x", "y", "z"]].to_numpy(float) if {"x", "y", "z"} <= set(imported) else None
     factor = imported_metadata.get("logged to rad/s") or airframe.logged_to_rad_s
     idle = airframe.idle_rpm * factor if airframe.idle_rpm and factor else None
-    found = biases.phases(imu.gyro, imu.accel, imu.lost, speeds, position, idle, dt)
+    found = biases.phases(
+        imu.gyro, imu.accel, imu.lost, measurements.resolution(imported_metadata), speeds, position, idle, dt
+    )
     notes += found.notes
 
     find = estimation.estimate if chosen["run extended kalman filter"] else estimation.copy

@@ -101,6 +101,22 @@ def _saturated(values: np.ndarray, least: float) -> np.ndarray:
     return found
 
 
+def resolution(metadata: Mapping[str, Any]) -> np.ndarray:
+    """Steps (6,) of the log's numbers for gyro and accelerometer, rad/s and m/s2; 0 where the import named none."""
+    units = ((metadata.get("sources") or {}).get("onboard") or {}).get("units") or {}
+    steps = [abs(float((units.get(s) or {}).get("factor") or 0.0)) for s in ("gyro", "accelerometer")]
+    return np.repeat(steps, 3)
+
+
+def coarseness(values: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Standard deviation (m,) by which the mean of each column (N, m), logged in steps (m,), may be wrong for these.
+
+    Noise of half a step or more carries a mean across the steps (dither); with less, the mean sticks to them.
+    Source: Widrow & Kollar, Quantization Noise, 2008, chapter 19.
+    """
+    return np.where(values.std(axis=0) < 0.5 * step, step / np.sqrt(12.0), 0.0)
+
+
 def read_imu(frame: pd.DataFrame) -> Imu:
     """Gyro and accelerometer of an imported flight, filled where missing.
 
