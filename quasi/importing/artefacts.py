@@ -80,11 +80,11 @@ def _chain(
                 near = _turn(q[a], q[b]) <= floor_q + min(
                     0.1 + 0.5 * MAX_ANGULAR_ACCELERATION * gap * gap, MAX_RATE * gap
                 )
-            if (near or t[last[j]] - t[first[j]] > LONGEST_SWAP) and best[j] + size > best[k]:
-                # a long piece is the truth even where the next one starts elsewhere (the body was carried, unseen)
-                if near or t[last[k]] - t[first[k]] > LONGEST_SWAP:
-                    best[k] = best[j] + size
-                    before[k] = j
+            # a long piece is the truth even where the next one starts elsewhere (the body was carried, unseen)
+            both_long = t[last[j]] - t[first[j]] > LONGEST_SWAP and t[last[k]] - t[first[k]] > LONGEST_SWAP
+            if (near or both_long) and best[j] + size > best[k]:
+                best[k] = best[j] + size
+                before[k] = j
     kept = np.zeros(n, np.bool_)
     k = int(np.argmax(best))
     while k >= 0:

@@ -244,7 +244,7 @@ def fit(
 
 
 def _block_spread(scores: Sequence[tuple[np.ndarray, np.ndarray]], active: int) -> np.ndarray:
-    """Sum over blocks of the outer product of the block's score: the spread of the normal equations' right-hand side."""
+    """Sum over blocks of the outer product of the block's score: the spread of the right-hand side."""
     start = min(t[0] for t, _ in scores)
     blocks = np.zeros((int((max(t[-1] for t, _ in scores) - start) / BLOCK) + 1, active))
     for t, score in scores:

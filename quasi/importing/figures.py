@@ -15,7 +15,7 @@ ONBOARD, CAPTURE, BEFORE = "tab:blue", "tab:red", "0.7"
 def alignment_figure(frame: pd.DataFrame, metadata: Mapping[str, Any]) -> Figure:
     """Attitude, body rates and earth-frame accelerations: on board, captured, and captured as before the alignment.
 
-    frame, metadata  of `import_flight`. Before the alignment means: both records laid side by side from their beginnings.
+    frame, metadata  of `import_flight`. Before the alignment: both records side by side from their beginnings.
     Returns a figure of three rows and three columns; nothing is drawn for what the flight has no capture of.
     """
     figure = Figure(figsize=(13, 8.5), layout="constrained")

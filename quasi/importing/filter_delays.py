@@ -1,8 +1,9 @@
 """How late a flight controller's own filters make gyro and accelerometer, from the settings in the log's header.
 
-Constant group delays far below the cut-off: of a first-order lag 1/(2 pi f); of PTn (n equal lags in a row, each with its
-cut-off raised by 1/sqrt(2^(1/n) - 1) so that the whole has -3 dB at f) n times that of one; of a second-order Butterworth
-sqrt(2)/(2 pi f). Notches are left out: with their usual narrow bands they add a few tenths of a millisecond.
+Constant group delays far below the cut-off: of a first-order lag 1/(2 pi f); of PTn (n equal lags in a row, each with
+its cut-off raised by 1/sqrt(2^(1/n) - 1) so that the whole has -3 dB at f) n times that of one; of a second-order
+Butterworth sqrt(2)/(2 pi f). Notches are left out: with their usual narrow bands they add a few tenths of a
+millisecond.
 
 Source: Oppenheim & Schafer, Discrete-Time Signal Processing, 3rd ed., 2010, section 5.1.2 (group delay).
 """
@@ -31,7 +32,7 @@ def delay(kind: str, cutoff: float) -> float:
 
 
 def header_delays(header: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """{"gyro" | "accelerometer": {"value" s, "unit", "filters"}} from a blackbox header; settings it lacks count as off.
+    """{"gyro" | "accelerometer": {"value" s, "unit", "filters"}} from a blackbox header; what it lacks counts as off.
 
     A dynamic low-pass is taken at its lowest cut-off, where it sits at low throttle; the true delay is then smaller.
     """

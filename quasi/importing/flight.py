@@ -42,8 +42,8 @@ def import_flight(
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
     """One flight on a uniform grid, and how it was made.
 
-    flight     "flight" (key), "quadrotor", "flight controller", "rigid body", "onboard" (path), "capture" (path or None),
-               "log number" (or None)
+    flight     "flight" (key), "quadrotor", "flight controller", "rigid body", "onboard" (path), "capture" (path or
+               None), "log number" (or None)
     quadrotor  its configuration (the manual's listing 1 and our keys)
     options    "data importing" of the processing configuration; other keys are ignored
     Returns    columns of quasi.tables.COLUMNS (SI, earth NED, body FRD) from t = 0 at the first fused sample; flags
@@ -185,8 +185,9 @@ def _fuse(
     begin, end = max(s[0] for s in spans), min(s[-1] for s in spans)
     if end - begin < 1.0:
         raise DataError(
-            f"{where}: on-board log ({board.gyro.t[0]:.1f} to {board.gyro.t[-1]:.1f} s) and capture have {max(0.0, end - begin):.1f} s "
-            "in common, at least 1 s is needed; check that both files are of the same flight"
+            f"{where}: on-board log ({board.gyro.t[0]:.1f} to {board.gyro.t[-1]:.1f} s) and capture have "
+            f"{max(0.0, end - begin):.1f} s in common, at least 1 s is needed; "
+            "check that both files are of the same flight"
         )
     at = grid(begin, end, rate)
     columns: dict[str, np.ndarray] = {"t": at - at[0]}
@@ -252,7 +253,7 @@ def _fuse(
 
 
 def _tied(board: Onboard, sync: Synchronisation | None) -> np.ndarray:
-    """On-board attitude (n, 4) whose heading agrees with the capture's; an estimated one loses its heading drift too."""
+    """On-board attitude (n, 4) whose heading agrees with the capture's; an estimated one loses its drift too."""
     if sync is None:
         return board.attitude.values
     t = board.attitude.t
@@ -271,7 +272,7 @@ _ORDER = [
 def _motion(
     board: Onboard, capture: Series | None, there: np.ndarray | None, at: np.ndarray, chosen: Mapping[str, Any]
 ) -> tuple[Any, tuple[np.ndarray, np.ndarray] | None, dict[str, str]]:
-    """Position on the grid, velocity (earth axes; body axes where logged so) with its flags, and where they come from."""
+    """Position on the grid, velocity (earth axes; body axes if logged so) with its flags, and their sources."""
     if capture is not None:
         position = _stack(capture, POSITION)
         place = resample(there, position, at)
@@ -301,8 +302,8 @@ def _lever_arm(
         return None
     if arm is None:
         notes.append(
-            f"{where}: 'do onboard c.g. correction' is on, but the quadrotor configuration has no 'imu position' (x, y, z of the "
-            "IMU from the cg, m); nothing was corrected"
+            f"{where}: 'do onboard c.g. correction' is on, but the quadrotor configuration has no 'imu position' "
+            "(x, y, z of the IMU from the cg, m); nothing was corrected"
         )
         return None
     spin_up = angular_acceleration(at, rates)

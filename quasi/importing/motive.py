@@ -2,8 +2,8 @@
 
 The header is found by content: type, name, id, parent, quantity and axis rows may stand on other lines, with or without
 blank lines and labels between them. Time comes from the frame number and the export rate, for the printed times are
-rounded. Motive's axes are right-handed with y up; earth axes here: x_E = z_G, y_E = -x_G, z_E = -y_G, and the attitude is
-turned by the same change of basis on both sides, so that a body made while aligned with the room has zero attitude.
+rounded. Motive's axes are right-handed with y up; earth axes here: x_E = z_G, y_E = -x_G, z_E = -y_G, and the attitude
+is turned by the same change of basis on both sides, so that a body made while aligned with the room has zero attitude.
 """
 
 import csv
@@ -188,7 +188,7 @@ def _read_header(text: str, path: Path, rigid_body: str) -> _Header:
     missing = [axis for axis in "xyz" if ("position", axis) not in columns]
     if missing:
         raise ReadError(
-            f"{path} holds no position {missing[0].upper()} of rigid body '{chosen}'; export it from Motive with positions"
+            f"{path} holds no position {missing[0].upper()} of rigid body '{chosen}'; export it with positions"
         )
     # csv.reader joins lines inside quotes; header lines hold none, so rows and lines agree
     return _Header(facts, columns, chosen, bodies, axis_row + 1)
@@ -254,7 +254,8 @@ def _times(
         # the printed times are rounded to a millisecond or better, so over n frames they show the rate to 1e-3/duration
         if np.isfinite(slope) and abs(rate - slope) > 0.01 * slope + 2e-3 * slope**2 / max(1.0, np.ptp(frame)):
             notes.append(
-                f"{path}: the header says {rate:g} frames/s but the printed times run at {slope:.3f}; the times are believed"
+                f"{path}: the header says {rate:g} frames/s but the printed times run at {slope:.3f}; "
+                "the times are believed"
             )
             rate = float(slope)
     elif np.isfinite(slope):

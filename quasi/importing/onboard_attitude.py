@@ -1,8 +1,8 @@
 """Attitude from gyro and accelerometer alone: levelling, integration, slow correction by the direction of gravity.
 
 A complementary filter on the rotation group with gyro bias, run forwards and then backwards over the recorded flight;
-the mean of the two has no lag. Sustained accelerations tilt it (it believes the mean specific force to be vertical), and
-its heading drifts with what is left of the gyro bias.
+the mean of the two has no lag. Sustained accelerations tilt it (it believes the mean specific force to be vertical),
+and its heading drifts with what is left of the gyro bias.
 
 Source: Mahony, Hamel & Pflimlin, Nonlinear complementary filters on the special orthogonal group, IEEE TAC 53(5), 2008,
 the "explicit complementary filter with bias correction", eq. (48).
@@ -28,7 +28,9 @@ from quasi.errors import DataError
 
 
 class Attitude(NamedTuple):
-    """quaternion (n, 4) body to earth, heading 0 at the start; gyro_bias (3,) rad/s; levelled "at rest" or "whole flight"."""
+    """quaternion (n, 4) body to earth, heading 0 at the start; gyro_bias (3,) rad/s; levelled "at rest" or
+    "whole flight"; rest_seconds before take-off.
+    """
 
     quaternion: np.ndarray
     gyro_bias: np.ndarray

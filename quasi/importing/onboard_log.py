@@ -1,4 +1,4 @@
-"""What the on-board log holds, gathered from its series: gyro, accelerometer, attitude, motion estimates, everything else."""
+"""What the on-board log holds, gathered from its series: gyro, accelerometer, attitude, motion estimates, the rest."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -36,8 +36,9 @@ class Track:
 class Onboard:
     """The on-board side of a flight, times in s since the gyro's first sample.
 
-    attitude_source  "onboard" (logged) or "estimated on board"; delays  of gyro and accelerometer by the controller's own
-    filters, s, taken off their times; others  {quantity: Track (n, 1)} of everything that is not motion
+    attitude_source  "onboard" (logged) or "estimated on board"
+    delays           of gyro and accelerometer by the controller's own filters, s, taken off their times
+    others           {quantity: Track (n, 1)} of everything that is not motion
     """
 
     gyro: Track
@@ -79,8 +80,8 @@ def read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any], poles:
         mapping = quadrotor.get("table columns")
         if not isinstance(mapping, Mapping):
             raise ReadError(
-                f"{path}: the flight controller is 'table', but the quadrotor configuration has no section 'table columns'; "
-                "add it, so that columns can be told apart"
+                f"{path}: the flight controller is 'table', but the quadrotor configuration has no section "
+                "'table columns'; add it, so that columns can be told apart"
             )
         return read_table_log(path, mapping, poles)
     if controller not in ("betaflight", "cleanflight", "indiflight"):
@@ -90,7 +91,8 @@ def read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any], poles:
         return read_blackbox(path, log_number=flight.get("log number"), poles=poles)
     if controller == "indiflight":
         raise ReadError(
-            f"{path} is no binary INDIflight log; give the binary log, or map its decoded columns with 'Flight controller' table"
+            f"{path} is no binary INDIflight log; give the binary log, or map its decoded columns "
+            "with 'Flight controller' table"
         )
     return read_decoded(path, poles=poles)
 

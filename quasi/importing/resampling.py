@@ -147,7 +147,7 @@ def velocity(t: np.ndarray, position: np.ndarray, at: np.ndarray, cutoff: float)
 def low_pass(values: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
     """Zero-phase Butterworth low-pass (4th order, run both ways) with -3 dB at `cutoff` in total. values (n, k).
 
-    Source: Winter, Biomechanics and Motor Control of Human Movement, 4th ed., 2009, section 2.2.4.4 (cut-off of two passes).
+    Source: Winter, Biomechanics and Motor Control of Human Movement, 4th ed., 2009, section 2.2.4.4 (two passes).
     """
     if cutoff >= 0.45 * rate or len(values) < 12:
         return values

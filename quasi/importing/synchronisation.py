@@ -1,9 +1,9 @@
 """The capture's clock against the on-board clock, from the motion that both saw.
 
 t = tau + lag + rate (tau - reference): t on-board time, tau capture time. `rate` is positive when the on-board clock
-runs fast. The sharpest evidence is the gyro against the body rates of the captured attitude; to it come the signals that
-the configuration names. Without a captured attitude the earth-frame acceleration of the captured position stands against
-the accelerometer, turned by the on-board attitude.
+runs fast. The sharpest evidence is the gyro against the body rates of the captured attitude; to it come the signals
+that the configuration names. Without a captured attitude the earth-frame acceleration of the captured position stands
+against the accelerometer, turned by the on-board attitude.
 """
 
 from collections.abc import Sequence
@@ -29,8 +29,8 @@ class Motion:
     """One side of the comparison, on its own clock.
 
     t (n,) s; rates (n, 3) rad/s and specific_force (n, 3) m/s2, body FRD, or None; quaternion (n, 4) body to earth or
-    None; position (n, 3) m earth NED or None; NaN where missing. gyro_delay, accelerometer_delay: s, what was taken off the
-    times of these signals for the on-board filters; their doubt enters the standard error of the lag.
+    None; position (n, 3) m earth NED or None; NaN where missing. gyro_delay, accelerometer_delay: s, what was taken off
+    the times of these signals for the on-board filters; their doubt enters the standard error of the lag.
     """
 
     t: np.ndarray
@@ -138,7 +138,8 @@ def synchronise(
         notes.append(f"{where}: the lag of the capture is known to {1e3 * best.lag_std:.0f} ms only (standard error)")
     if best.explained < 0.5:
         notes.append(
-            f"{where}: the aligned signals explain only {100 * best.explained:.0f} % of each other; look at the alignment figure"
+            f"{where}: the aligned signals explain only {100 * best.explained:.0f} % of each other; "
+            "look at the alignment figure"
         )
     if abs(best.lag - centre) > longest_lag - 0.05:
         notes.append(
@@ -150,7 +151,8 @@ def synchronise(
     offset, drift, when = (
         _heading(onboard, capture, best) if capture.quaternion is not None else _course(pairs[0], best)
     )
-    return Synchronisation(best, method, [name for name, _, _ in coarse], r, offset, drift, when, best.lag - centre, notes)
+    names = [name for name, _, _ in coarse]
+    return Synchronisation(best, method, names, r, offset, drift, when, best.lag - centre, notes)
 
 
 def _refuse_still(onboard: Motion, capture: Motion, where: str) -> None:
@@ -164,8 +166,8 @@ def _refuse_still(onboard: Motion, capture: Motion, where: str) -> None:
         turned = float(np.degrees(np.std(np.linalg.norm(continuous(q) - q[0], axis=1)) * 2)) if len(q) else 0.0
     if moved < 0.005 and turned < 0.5:
         raise DataError(
-            f"{where}: the capture shows no motion (position within {1e3 * moved:.1f} mm, attitude within {turned:.2f} deg); "
-            "check the rigid body's name and that the take is of this flight"
+            f"{where}: the capture shows no motion (position within {1e3 * moved:.1f} mm, attitude within "
+            f"{turned:.2f} deg); check the rigid body's name and that the take is of this flight"
         )
 
 

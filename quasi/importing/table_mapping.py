@@ -1,6 +1,6 @@
 """The section "table columns" of a quadrotor configuration: which column of a table is which quantity.
 
-    {"time": {"column": "t", "unit": "s"},                       clock of the rows, for sources without stamps of their own
+    {"time": {"column": "t", "unit": "s"},                       clock of the rows, for sources without their own
      "sources": [
        {"name": "state",                                          free name; one source holds p q r
         "time": {"column": "stamp", "unit": "s"},                 its own clock, if it has one

@@ -1,8 +1,8 @@
 """Any table (CSV or Parquet) as a recording, by the section "table columns" of the quadrotor configuration.
 
-Each source of the table keeps its own samples: rows that only repeat a stamp are dropped, stamps that step back too, and
-sources on different clocks are brought onto the clock of the gyro's source, first by the rows they share, then by the
-motion that both saw.
+Each source of the table keeps its own samples: rows that only repeat a stamp are dropped, stamps that step back too,
+and sources on different clocks are brought onto the clock of the gyro's source, first by the rows they share, then by
+the motion that both saw.
 """
 
 import io
@@ -181,14 +181,14 @@ class _Raw:
         back = known & (clock < before)
         if np.count_nonzero(back) > 0.2 * len(clock):
             raise ReadError(
-                f"{path}: the stamps of source '{self.source.name}' step back in {np.count_nonzero(back)} of {len(clock)} "
-                "rows; they are no clock, map another time column"
+                f"{path}: the stamps of source '{self.source.name}' step back in "
+                f"{np.count_nonzero(back)} of {len(clock)} rows; they are no clock, map another time column"
             )
         if back.any():
             row = int(np.argmax(back))
             notes.append(
-                f"{path}: {np.count_nonzero(back)} stamps of source '{self.source.name}' step back (first in row {row + 2}, "
-                f"{clock[row]:.6g} s after {before[row]:.6g} s); these rows were left out"
+                f"{path}: {np.count_nonzero(back)} stamps of source '{self.source.name}' step back "
+                f"(first in row {row + 2}, {clock[row]:.6g} s after {before[row]:.6g} s); these rows were left out"
             )
         held = np.zeros(len(clock), bool)
         if self.values and (self.stamps is None or self.source.capture):
@@ -205,7 +205,8 @@ class _Raw:
         lost = int(np.count_nonzero(repeated) + np.count_nonzero(held))
         if lost > 0.01 * len(clock):
             notes.append(
-                f"{path}: {lost} of {len(clock)} rows only repeat an older sample of source '{self.source.name}'; dropped"
+                f"{path}: {lost} of {len(clock)} rows only repeat an older sample of source "
+                f"'{self.source.name}'; dropped"
             )
         self.fresh = np.flatnonzero(new)
         self.row_clock = rows
@@ -215,7 +216,9 @@ class _Raw:
         spacing = np.diff(self.t)
         gaps = spacing > max(0.05, 5 * float(np.median(spacing)))
         self.report |= {
-            "repeated": int(np.count_nonzero(repeated)), "held": int(np.count_nonzero(held)), "stepped back": int(back.sum()),
+            "repeated": int(np.count_nonzero(repeated)),
+            "held": int(np.count_nonzero(held)),
+            "stepped back": int(back.sum()),
             "gaps": int(gaps.sum()), "longest gap": float(spacing.max()), "jitter": float(np.std(spacing[~gaps])),
         }  # fmt: skip
 
@@ -245,8 +248,9 @@ class _Raw:
             )
         elif max(abs(low), abs(high)) > 0.001:
             notes.append(
-                f"{path}: stamps of source '{self.source.name}' differ from those of '{main.source.name}' in the same row by "
-                f"{1e3 * low:+.1f} to {1e3 * high:+.1f} ms (5 to 95 %, median {1e3 * middle:+.1f} ms); each source keeps its own"
+                f"{path}: stamps of source '{self.source.name}' differ from those of '{main.source.name}' in the same "
+                f"row by {1e3 * low:+.1f} to {1e3 * high:+.1f} ms (5 to 95 %, median {1e3 * middle:+.1f} ms); "
+                "each keeps its own"
             )
         return self.report
 
@@ -262,7 +266,8 @@ class _Raw:
         lost = len(self.t) - (keep.stop - keep.start)
         if lost:
             notes.append(
-                f"{path}: {lost} samples of source '{self.source.name}' beyond a gap of more than {STRAY:g} s at its end were left out"
+                f"{path}: {lost} samples of source '{self.source.name}' beyond a gap of more than "
+                f"{STRAY:g} s at its end were left out"
             )
             self.t = self.t[keep]
             self.values = {k: v[keep] for k, v in self.values.items()}
@@ -372,16 +377,15 @@ def _move_late_sources(
         names = " and ".join(f"'{m.source.name}'" for m in same)
         notes.append(
             f"{path}: source {names} is stamped {1e3 * abs(clock.lag):.1f} +- {1e3 * clock.lag_std:.1f} ms "
-            f"{'early' if clock.lag > 0 else 'late'} against '{main.source.name}' (from {relation}); the stamps were moved"
+            f"{'early' if clock.lag > 0 else 'late'} against '{main.source.name}' (from {relation}); moved"
         )
 
 
 def _motion_lag(r: "_Raw", main: "_Raw") -> tuple[ClockFit | None, str]:
     """Lag of the main source's stamps behind those of `r`, and the relation it follows from."""
     rotors = tuple(n for n in r.values if n[0] == "w" and n[1:].isdigit())
-    if (
-        "ax" in r.values and not r.source.columns["ax"].body and "vx" in main.values and not main.source.columns["vx"].body
-    ):  # fmt: skip
+    in_world = all(n in s.values and not s.source.columns[n].body for n, s in (("ax", r), ("vx", main)))
+    if in_world:
         relation = "velocity derivative and acceleration"
         return acceleration_lag(r.t, _stack(r, VECTORS["force"]), main.t, _stack(main, VECTORS["velocity"])), relation
     if len(rotors) >= 3:

@@ -1,4 +1,4 @@
-"""How old the telemetry of one on-board source is against another's: both saw the same motion, each stamps it its own way.
+"""How old the telemetry of one on-board source is against another's: both saw one motion, each stamps it its own way.
 
 Two relations hold whatever the airframe: roll and pitch acceleration are a mix of the squared rotor speeds; and the
 derivative of an estimated velocity is the measured acceleration in world axes. Rates of change of the rotor speeds stay
