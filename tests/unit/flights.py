@@ -23,7 +23,7 @@ HOVER = float(np.sqrt(AIRFRAME.mass * GRAVITY / (4 * THRUST)))
 
 
 def flight(seed, rows=8000, rate=500.0, noise=0.02):
-    """Columns t, w1..w4, w1_dot.., motion, Fx..Mz (as the accelerometer feels them); noise relative to each force's spread."""
+    """Columns t, w1..w4, w1_dot.., motion, Fx..Mz as the accelerometer feels them; noise as a share of their spread."""
     r = np.random.default_rng(seed)
     low = butter(2, 3.0, fs=rate, output="sos")
 

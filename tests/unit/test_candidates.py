@@ -43,7 +43,10 @@ def test_the_two_spellings_of_the_manuals_equation_19_are_one():
 def test_expressions_serve_as_vars_sets_and_fixed():
     entry = {"vars": ["(u + v - w)", "q*q"], "degree": 1, "sets": ["U_q + 3.47"]}
     found = read_specification(section(entry, fixed=["u*(sin[pitch]+u)*v"]), "Fx", "spec.json")
-XX
+    assert [t.expression for t in found.candidates] == [
+        "(U_q + 3.47)*(((u + v - w))^(1.0))",
+        "(U_q + 3.47)*((q*q)^(1.0))",
+    ]
     assert found.fixed[0].expression == "u*(sin[pitch]+u)*v"
 
 

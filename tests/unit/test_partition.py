@@ -64,7 +64,9 @@ def test_rows_flagged_unusable_take_no_part():
 
 def test_no_training_rows_is_an_error():
     with pytest.raises(DataError, match="no training rows are left in the flights a"):
-        partition({"a": flight()}, ["a"])
+        partition({"a": flight(valid=np.zeros(1000)), "b": flight()}, ["b"])
+    # held-out flights alone have none to lose
+    assert np.any(partition({"b": flight()}, ["b"])["b"] == VALIDATION)
 
 
 def test_the_table_gives_the_partition_back():

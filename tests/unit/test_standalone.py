@@ -240,8 +240,11 @@ def test_scores_equal_their_definitions(model):
     table = score(model, flights, codes, ROLES)
     assert list(table.columns) == list(UNITS)
     assert set(zip(table["flight"], table["role"])) == {
-        ("a", "training"), ("a", "test"), ("b", "validation"), ("all", "training"), ("all", "test"), ("all", "validation"),
-    }  # fmt: skip
+        ("a", "training"),
+        ("a", "test"),
+        ("b", "validation"),
+        *(("all", role) for role in ROLES),
+    }
     rows = flights["a"][codes["a"] == 1]
     error = rows["Fx"] - model.predict_columns(rows)["Fx"]
     entry = table.query("flight == 'a' and role == 'training' and axis == 'Fx'").iloc[0]
