@@ -28,7 +28,7 @@ def test_every_schema_is_valid_and_describes_every_key(name):
 def test_defaults_are_filled_in_and_comments_dropped():
     document, notices = configuration.check({**LOGBOOK, "// hint": "x", "data importing": {"//": 1}}, "processing", "p")
     assert document["data importing"]["resampling rate"] == 500
-    assert document["data filtering"]["bias policy"] == "rest"
+    assert document["data filtering"]["bias policy"] == "automatic"
     assert not any(k.startswith("//") for k in document)
     assert notices == []
 
@@ -81,7 +81,7 @@ def test_the_manuals_own_processing_file_is_accepted_word_for_word():
         ({}, "p.json: the file lacks the key 'logging file'"),
         ({**LOGBOOK, "data importing": {"resampling rat": 1}}, "in 'data importing'; did you mean 'resampling rate'?"),
         ({**LOGBOOK, "data importing": {"resampling rate": "5"}}, "'resampling rate' is '5', expected a number"),
-        ({**LOGBOOK, "data filtering": {"bias policy": "x"}}, "expected one of 'rest', 'whole flight', 'time varying'"),
+        ({**LOGBOOK, "data filtering": {"bias policy": "x"}}, "expected one of 'automatic', 'rest', 'whole flight'"),
         ([], "p.json: the file is [], expected a section"),
     ],
 )
