@@ -13,6 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
+from quasi.expressions import Program, parse
 from quasi.identification.partition import TRAINING
 from quasi.identification.regression import least_squares
 from quasi.variables import Variables
@@ -20,7 +21,8 @@ from quasi.variables import Variables
 UPRIGHT = 0.99  # share of gravity along body z from which a sample counts as hover
 LEAST_HOVER = 50  # samples
 ACTUATOR_CUTOFF = 10.0  # Hz
-GRAVITIES = ("withGravity", "noGravity")
+NEEDED = ("w1", "w2", "w3", "w4", "Fz", "Mx", "My", "Mz", "roll", "pitch", "u", "v", "w", "p", "q", "r")
+OPTIONAL = ("w1_dot", "w2_dot", "w3_dot", "w4_dot", "u_air", "v_air", "w_air")
 
 
 def shared(
@@ -42,13 +44,13 @@ def shared(
     prepared = {}
     for key, flight in training.items():
         rows = np.flatnonzero(partition[key] == TRAINING)
-        needed = ["w1", "w2", "w3", "w4", "Fz", "Mx", "My", "Mz", "roll", "pitch"]
-        missing = [c for c in needed if c not in flight]
+        missing = [c for c in NEEDED if c not in flight]
         if missing:
             raise DataError(f"flight {key} has no column '{missing[0]}', which every model needs; filter it anew")
-        part = flight[needed].iloc[rows]
+        chosen = [*NEEDED, *(c for c in OPTIONAL if c in flight)]
+        part = flight[chosen].iloc[rows]
         good = np.isfinite(part.to_numpy()).all(axis=1)
-        values = {c: part[c].to_numpy(float)[good] for c in needed}
+        values = {c: part[c].to_numpy(float)[good] for c in chosen}
         mass = (masses or {}).get(key, airframe.mass)
         values["upright"] = np.cos(values["roll"]) * np.cos(values["pitch"])
         if gravity == "noGravity":
@@ -104,34 +106,46 @@ def hover_speed(values: Mapping[str, np.ndarray], mass: float) -> float | None:
     return float(np.sqrt(mass * GRAVITY / (4 * factor))) if factor > 0 else None
 
 
+# factor: (regressor, target, unit); each is fitted together with what else acts on its axis, through the origin
+_FACTORS = {
+    "kappaFz": ("4*w_avg^2", "thrust", "N s2/rad2"),
+    "kappaMx": ("U_p", "Mx", "N m s2/rad2"),
+    "kappaMy": ("U_q", "My", "N m s2/rad2"),
+    "kappaMz": ("U_r", "Mz", "N m s2/rad2"),
+    "kappaFz_w": ("w_tot", "thrust", "N s/rad"),
+    "kappaMx_w": ("u_p", "Mx", "N m s/rad"),
+    "kappaMy_w": ("u_q", "My", "N m s/rad"),
+    "kappaMz_w": ("u_r", "Mz", "N m s/rad"),
+}
+_BESIDE = {
+    "thrust": ("w_tot*w", "u^2 + v^2"),
+    "Mx": ("p", "w_tot*v", "u_p_dot"),
+    "My": ("q", "w_tot*u", "u_q_dot"),
+    "Mz": ("r", "u_r_dot"),
+}
+
+
 def _simple(prepared: Mapping[str, tuple], airframe: Airframe) -> dict[str, Any]:
-    """Thrust and torque factors through the origin: kappaX on squared speeds, kappaX_w on speeds."""
-    columns: dict[str, list[np.ndarray]] = {}
-    series = []
-    for rows, values, _ in prepared.values():
-        variables = Variables(values, airframe, None)
-        series.append(rows)
-        columns.setdefault("thrust", []).append(-values["Fz"])
-        columns.setdefault("U", []).append(4 * variables["w_avg"] ** 2)
-        for name in ("w_tot", "U_p", "U_q", "U_r", "u_p", "u_q", "u_r"):
-            columns.setdefault(name, []).append(variables[name])
-        for name in ("Mx", "My", "Mz"):
-            columns.setdefault(name, []).append(values[name])
-    whole = {name: np.concatenate(parts) for name, parts in columns.items()}
-    fits = {
-        "kappaFz": ("U", "thrust", "N s2/rad2"),
-        "kappaMx": ("U_p", "Mx", "N m s2/rad2"),
-        "kappaMy": ("U_q", "My", "N m s2/rad2"),
-        "kappaMz": ("U_r", "Mz", "N m s2/rad2"),
-        "kappaFz_w": ("w_tot", "thrust", "N s/rad"),
-        "kappaMx_w": ("u_p", "Mx", "N m s/rad"),
-        "kappaMy_w": ("u_q", "My", "N m s/rad"),
-        "kappaMz_w": ("u_r", "Mz", "N m s/rad"),
-    }
+    """Thrust and torque factors: kappaX on squared speeds, kappaX_w on speeds, in still air with steady rotors.
+
+    Climb, airspeed, flapping, damping and the rotors' acceleration go together with the commands in flight; left out of the
+    fit, they would pass for thrust and torque. Their own coefficients are not kept.
+    """
+    lookups = [Variables(values, airframe, None) for _, values, _ in prepared.values()]
+    series = [rows for rows, _, _ in prepared.values()]
+    thrust = np.concatenate([-values["Fz"] for _, values, _ in prepared.values()])
+    moments = {m: np.concatenate([values[m] for _, values, _ in prepared.values()]) for m in ("Mx", "My", "Mz")}
+    accelerating = all("w1_dot" in values for _, values, _ in prepared.values())
     result = {}
-    for name, (x, z, unit) in fits.items():
-        fit = least_squares(whole[x][:, None], whole[z], series)
-        result[name] = {"value": float(fit.coefficients[0]), "std": float(np.sqrt(fit.covariance[0, 0])), "unit": unit}
+    for name, (regressor, target, unit) in _FACTORS.items():
+        texts = [regressor, *(e for e in _BESIDE[target] if accelerating or not e.endswith("_dot"))]
+        program = Program([parse(e) for e in texts])
+        columns = np.hstack([program.run(v.__getitem__, len(rows)) for v, rows in zip(lookups, series)]).T
+        used = [0, *(k for k in range(1, len(texts)) if columns[:, k].any())]
+        fit = least_squares(columns[:, used], thrust if target == "thrust" else moments[target], series)
+        std = float(np.sqrt(fit.covariance[0, 0]))
+        beside = [texts[k] for k in used[1:]]
+        result[name] = {"value": float(fit.coefficients[0]), "std": std, "unit": unit, "fitted beside": beside}
     return result
 
 
