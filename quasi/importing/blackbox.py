@@ -16,6 +16,7 @@ from quasi.tables import read_bytes
 MOST_SPANS = 2000
 MOST_EVENTS = 2000
 MOST_CHANGES = 2000
+MOST_GPS = 100_000
 GAP = 1.5  # times the usual step: a longer one is a gap
 EVENT_NAMES = {
     0: "beep",
@@ -58,13 +59,16 @@ def decode(data: bytes, log: Log, fields: set[str] | None = None) -> Frames:
     layout, sizes, header = log.layout, log.sizes, log.header
     names = log.names["I"]
     keep = [i for i, name in enumerate(names) if fields is None or name in fields]
-    capacity = (log.end - log.data) // log.shortest + 1
-    # untouched pages of these upper bounds cost no memory
+    size = log.end - log.data
+    capacity = size // log.shortest + 1
+    if 8 * len(keep) * capacity > 16 * size + 100_000:
+        # fields that take no bytes make the upper bound useless: count first
+        capacity = len(decode(data, log, set()).time) + 2
+    # otherwise untouched pages of the upper bound cost no memory
     main, time = np.empty((len(keep), capacity)), np.empty(capacity, np.int64)
     slow = np.zeros((MOST_CHANGES, max(1, sizes[2])), np.int64)
     slow_time = np.zeros(MOST_CHANGES, np.int64)
-    rows = (log.end - log.data) // 2 + 1 if sizes[3] else 1
-    gps = np.empty((rows, max(1, sizes[3])), np.int64)
+    gps = np.empty((MOST_GPS if sizes[3] else 1, max(1, sizes[3])), np.int64)
     spans, events = np.zeros((MOST_SPANS, 4), np.int64), np.zeros((MOST_EVENTS, 4), np.int64)
     constants = np.zeros(7, np.int64)
     constants[kernel.MIN_THROTTLE] = _whole(header.get("minthrottle"))

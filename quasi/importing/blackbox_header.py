@@ -1,5 +1,6 @@
 """The logs in a blackbox file and their headers: what each log's frames consist of."""
 
+import math
 import re
 import struct
 from collections.abc import Mapping
@@ -124,7 +125,9 @@ def _numbers(header: Mapping[str, str], key: str, count: int) -> list[int]:
     try:
         values = [int(x) for x in text.split(",")]
     except ValueError:
-        raise _Unreadable(f"its header line '{key}' is not a list of whole numbers") from None
+        values = [-1]
+    if not all(0 <= value < 1000 for value in values):
+        raise _Unreadable(f"its header line '{key}' is not a list of small whole numbers")
     if len(values) != count:
         raise _Unreadable(f"its header line '{key}' has {len(values)} entries, expected {count}")
     return values
@@ -206,6 +209,8 @@ def _skips(header: Mapping[str, str]) -> np.ndarray:
         raise _Unreadable("its header lines 'I interval' and 'P interval' are not whole numbers") from None
     if not 1 <= interval <= MOST_ITERATIONS:
         raise _Unreadable(f"its I interval is {interval}, expected 1 to {MOST_ITERATIONS}")
+    if not (0 <= numerator <= MOST_ITERATIONS and 0 <= denominator <= MOST_ITERATIONS):
+        raise _Unreadable(f"its P interval is {header['P interval']}, expected at most {MOST_ITERATIONS}")
     index = np.arange(interval)
     logged = index == 0
     if denominator > 0:
@@ -222,13 +227,17 @@ def version(header: Mapping[str, str]) -> tuple[int, ...] | None:
 
 
 def hex_float(text: str | None) -> float | None:
-    """A header number: plain, or the bits of a 32-bit float as 0x3f800000 (= 1.0); None if neither."""
+    """A header number: plain, or the bits of a 32-bit float as 0x3f800000 (= 1.0); None if neither or not finite."""
     try:
-        if text is not None and text.lower().startswith("0x"):
-            return struct.unpack(">f", int(text, 16).to_bytes(4, "big"))[0]
-        return float(text) if text is not None else None
+        if text is None:
+            return None
+        if text.lower().startswith("0x"):
+            number = struct.unpack(">f", int(text, 16).to_bytes(4, "big"))[0]
+        else:
+            number = float(text)
     except (ValueError, OverflowError):
         return None
+    return number if math.isfinite(number) else None
 
 
 def plain_header(header: Mapping[str, str]) -> dict[str, Any]:

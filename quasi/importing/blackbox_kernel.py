@@ -21,6 +21,7 @@ TALLY = 16
 _MASK = 0xFFFFFFFF
 _LONGEST = 1024  # bytes of one frame; the longest that firmware writes are about 300
 _JUMP = 10_000_000  # us; a longer step between frames needs a resume event or a second witness
+_MOST_STEPS = 320_000  # iterations in that time at 32 kHz
 _PATIENCE = 32  # bytes after an unknown event in which the next frame must begin
 _KIND_OF = np.full(256, -1, np.int64)
 _KIND_OF[[ord(letter) for letter in KINDS]] = np.arange(len(KINDS))
@@ -271,7 +272,7 @@ def decode_frames(
     clock_time, clock_iteration = clock[0], clock[1]
     valid = False
     last, witness, witness_iteration, resumed = -1, -1, 0, -1
-    iteration = 0
+    iteration, anchor, interval = 0, 0, skips.size
     lost, lost_time, patience = -1, -1, 0
     n, at = 0, start
     while at < end:
@@ -290,9 +291,11 @@ def decode_frames(
         if after < 0:
             if patience > 0:
                 patience -= 1
-            elif lost < 0:
-                lost, lost_time = at, last
-                valid = False
+            else:
+                witness = -1
+                if lost < 0:
+                    lost, lost_time = at, last
+                    valid = False
             at += 1
             continue
         patience = 0
@@ -302,7 +305,7 @@ def decode_frames(
                 good = False
                 tally[DROPPED_P] += 1
             else:
-                skipped = skips[iteration % skips.size] if kind == 1 else 0
+                skipped = skips[iteration % interval] if kind == 1 else 0
                 add_predictions(layout, kind, sizes[kind], raw, history, before, before2, now, constants, skipped)
                 stamp = history[now, clock_time] & _MASK
                 count = history[now, clock_iteration] if clock_iteration >= 0 else 0
@@ -312,19 +315,22 @@ def decode_frames(
                 elif last < 0:
                     step = stamp - last
                 else:
-                    good = 0 <= step < _JUMP and count >= iteration
-                    if not good and resumed >= 0 and 0 <= _signed(stamp - resumed, 32) < _JUMP:
+                    # amid damage, bytes that only look like a frame are found out by an iteration off the interval
+                    fits = lost < 0 or (count - anchor) % interval == 0
+                    good = fits and 0 <= step < _JUMP and 0 <= count - iteration < _MOST_STEPS
+                    if not good and fits and resumed >= 0 and 0 <= _signed(stamp - resumed, 32) < _JUMP:
                         step = (stamp - last) & _MASK
                         good = True
                     if not good and witness >= 0:
-                        good = 0 <= _signed(stamp - witness, 32) < _JUMP and count >= witness_iteration
-                        if good and step < 0:
-                            # two frames agree against what was read before: that was not of this log's time
-                            while n > 0 and time[n - 1] >= last + step:
-                                n -= 1
-                                tally[REJECTED] += 1
-                            if lost >= 0:
-                                lost_time = time[n - 1] if n > 0 else -1
+                        # the second I frame of an undamaged run confirms the first
+                        good = 0 <= _signed(stamp - witness, 32) < _JUMP
+                        good = good and (clock_iteration < 0 or count == witness_iteration + interval)
+                        if good and tally[0] == 1:
+                            # two I frames against the only one before: that one was wrong
+                            tally[REJECTED] += n
+                            n, lost_time, step = 0, -1, stamp - last
+                            tally[0], tally[1] = 0, 0
+                        good = good and (step >= 0 or n == 0)
                     if not good:
                         witness, witness_iteration = stamp, count
                 if not good:
@@ -332,6 +338,8 @@ def decode_frames(
             if good:
                 last += step
                 iteration, witness, resumed, valid = count, -1, -1, True
+                if kind == 0:
+                    anchor = count
                 constants[MAIN_TIME] = last & _MASK
                 if lost >= 0:
                     m = min(tally[SPANS], spans.shape[0] - 1)
@@ -368,8 +376,10 @@ def decode_frames(
                 tally[SLOW] += 1
         elif kind == 3:
             add_predictions(layout, 3, sizes[3], raw, other, 0, 0, 1, constants, 0)
-            gps[tally[GPS], : sizes[3]] = other[1, : sizes[3]]
-            tally[GPS] += 1
+            m = tally[GPS]
+            if m < gps.shape[0]:
+                gps[m, : sizes[3]] = other[1, : sizes[3]]
+                tally[GPS] += 1
             tally[3] += 1
         elif kind == 4:
             add_predictions(layout, 4, sizes[4], raw, other, 0, 0, 1, constants, 0)

@@ -210,7 +210,7 @@ def _motors(raw, header, out: Resolved) -> None:
     if source != "motorOutput":
         out.notes.append(f"the header lacks motorOutput; commands are scaled by {source} ({low:g} to {high:g})")
     features = hex_float(header.get("features")) or 0.0
-    three = bool(int(features) & FEATURE_3D) if math.isfinite(features) else False
+    three = bool(int(features) & FEATURE_3D)
     if three:
         out.notes.append("the 3D (reversible motors) feature is on; commands are scaled linearly over the whole range")
     out.about["units"]["motor"] = {"low": low, "high": high, "to": "1", "source": source, "3D": three}

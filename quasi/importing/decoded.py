@@ -160,26 +160,28 @@ def _samples(lines: list[str], names: list[str], path: str, notes: list[str]) ->
     width = max(len(names), max(line.count(",") for line in kept) + 1)
     if width > 10000:
         raise ReadError(f"{path} has a line of {width} cells, expected {len(names)}; decode the log again")
+    # a first line of empty cells states the width, for lines may be shorter or longer than the names
     frame = pd.read_csv(
-        io.StringIO("\n".join(kept)),
+        io.StringIO("\n".join(["," * (width - 1), *kept])),
         header=None,
         names=range(width),
         usecols=wanted,
         skipinitialspace=True,
         quoting=csv.QUOTE_NONE,
+        skip_blank_lines=False,
         low_memory=False,
-    )
+    ).iloc[1:]
     columns, strange = {}, 0
     for i in wanted:
         column = frame[i]
         numbers = column if column.dtype.kind in "iuf" else pd.to_numeric(column, errors="coerce")
-        strange += int((numbers.isna() & column.notna()).sum())
         values = numbers.to_numpy(float, copy=True)
-        values[~np.isfinite(values)] = np.nan
+        values[~(np.abs(values) < 1e15)] = np.nan
+        strange += int((np.isnan(values) & column.notna().to_numpy()).sum())
         if names[i] == "time" or not np.isnan(values).all():
             columns[names[i]] = values
     if strange:
-        notes.append(f"{strange} cells hold text where a number is expected; they count as missing")
+        notes.append(f"{strange} cells hold text or absurd numbers; they count as missing")
     return columns, {"samples": len(kept), "text lines": text}
 
 

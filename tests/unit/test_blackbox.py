@@ -334,10 +334,12 @@ def test_logging_resumed_allows_a_long_pause():
 
 def test_a_long_jump_without_resume_needs_a_second_witness():
     later = [intra_frame(96000 + 32 * i, 60_000_000 + 1000 * i) for i in range(3)]
-    frames = frames_of(log_bytes([], intra_frame(0, 1000) + b"".join(later) + END))
-    assert frames.time.tolist() == [1000, 60_001_000, 60_002_000]
+    before = intra_frame(0, 1000) + intra_frame(32, 2000)
+    frames = frames_of(log_bytes([], before + b"".join(later) + END))
+    assert frames.time.tolist() == [1000, 2000, 60_001_000, 60_002_000]
     assert frames.counts["rejected"] == 1
     frames = frames_of(log_bytes([], intra_frame(0, 1000) + later[0] + intra_frame(32, 2000) + END))
+    assert frames.counts["rejected"] == 1
     assert frames.time.tolist() == [1000, 2000]
 
 
@@ -382,6 +384,26 @@ def test_cut_anywhere_keeps_every_frame_before_the_cut(tmp_path):
         np.testing.assert_array_equal(frames.time[:whole], 1000 * np.arange(whole))
     (tmp_path / "cut.bbl").write_bytes(data[: offsets[200] + 2])
     assert any("end-of-log" in note for note in read_blackbox(tmp_path / "cut.bbl").notes)
+
+
+def test_much_garbage_neither_adds_frames_nor_unsays_those_before():
+    data, offsets = damaged_log()
+    rng = np.random.default_rng(1)
+    garbage = rng.integers(0, 256, 1_000_000, dtype=np.uint8).tobytes()
+    frames = frames_of(data[: offsets[640]] + garbage + data[offsets[640] :])
+    expected = [*range(639), *range(640, 1280)]  # the frame before the garbage is not followed by a letter
+    assert (frames.time // 1000).tolist() in (expected, sorted({*expected, 639}))
+    np.testing.assert_array_equal(frames.values["n"], frames.time // 1000)
+    assert len(frames.spans) == 1
+
+
+def test_a_wrong_first_frame_gives_way_to_the_two_that_follow():
+    data, offsets = damaged_log()
+    head = data[: offsets[0]]
+    wrong = intra_frame(7, 3_000_000_000, uvb(0))
+    frames = frames_of(head + wrong + data[offsets[32] :])
+    assert (frames.time // 1000).tolist() == list(range(64, 1280))
+    assert frames.counts["rejected"] == 2
 
 
 @pytest.mark.parametrize("padding", [b"\xff" * 5000, b"\x00" * 5000])
@@ -573,6 +595,8 @@ def test_longest_log_is_taken_and_any_can_be_chosen(tmp_path):
         (log_bytes([], intra_frame(0, 1)).replace(b"predictor:0,0", b"predictor:0,5", 1), "motor"),
         (log_bytes([], intra_frame(0, 1)).replace(b",time", b",tame"), "no time"),
         (log_bytes([], intra_frame(0, 1)).replace(b"I interval:32", b"I interval:0"), "I interval"),
+        (log_bytes([], intra_frame(0, 1)).replace(b"P interval:1", b"P interval:1/9" + b"9" * 30), "P interval"),
+        (log_bytes([], intra_frame(0, 1)).replace(b"signed:0,0", b"signed:0,9" + b"9" * 30), "small whole numbers"),
         (b"H Product:Blackbox\n" * 1500, "1500 log headers"),
     ],
 )
@@ -582,6 +606,15 @@ def test_unreadable_files_are_refused_in_a_sentence(tmp_path, content, words):
     with pytest.raises(ReadError, match="bad.bbl") as error:
         read_blackbox(path)
     assert words in str(error.value)
+
+
+def test_fields_that_take_no_bytes_do_not_blow_up_memory():
+    fields = [(f"f{i}", True) for i in range(200)]
+    body = intra_frame(0, 1) + inter_frame(1) + b"P\x00" * 5000
+    data = log_bytes(fields, body + END, intra=([9] * 200, [0] * 200), inter=([9] * 200, [1] * 200))
+    frames = frames_of(data)
+    assert len(frames.time) == 5002
+    assert frames.values["f199"].base.nbytes <= 8 * 202 * (len(frames.time) + 2)
 
 
 def test_absent_file_is_named(tmp_path):

@@ -110,6 +110,17 @@ def test_extra_cells_behind_the_named_columns_are_ignored(tmp_path):
     assert first(read(tmp_path, text))["p"] == pytest.approx(math.pi / 2)
 
 
+def test_lines_shorter_than_the_names_and_absurd_numbers_count_as_missing(tmp_path):
+    text = "loopIteration,time,gyroADC[0],gyroADC[1],accSmooth[0],rssi,heading\n" + "".join(
+        f"{i},{1000 * i},{5 if i else '1e300'},7\n" for i in range(5)
+    )
+    recording = read(tmp_path, text)
+    rate = recording.series["onboard"].values["p"]
+    assert np.isnan(rate[0])
+    assert rate[1:] == pytest.approx(math.radians(5))
+    assert any("1 cells hold text or absurd numbers" in note for note in recording.notes)
+
+
 VIEWER = (
     '"Product","Blackbox flight data recorder by Nicholas Sherlock"\n'
     '"firmwareType","3"\n"Firmware revision","Betaflight 4.5.1 (77d01ba3b) STM32F7X2"\n'
