@@ -70,6 +70,10 @@ class Folder:
     def _here(self, path: str | Path) -> Path:
         return self.root / path
 
+    def _settled(self, path: str | Path) -> Path:
+        """Path of a logbook or quadrotor configuration: the folder's own file first, else with `data/` replaced."""
+        return Path(path) if self._here(path).is_file() else self.place(str(path))
+
     def _read(self, path: str | Path, kind: str) -> dict[str, Any]:
         document, notices = configuration.read(self._here(path), kind, str(path))
         self.notices += [n for n in notices if n not in self.notices]
@@ -139,7 +143,7 @@ class Folder:
     @functools.cache  # noqa: B019
     def logbook(self, directory: str, filename: str) -> dict[int, Row]:
         """Rows of a logbook by number."""
-        path = self._logbook_path(directory, filename)
+        path = self._settled(self._logbook_path(directory, filename))
         try:
             return read_logbook(self._here(path))
         except QuasiError as error:
@@ -284,9 +288,8 @@ class Folder:
 
     def _quadrotor(self, row: Row) -> tuple[dict[str, Any], str | None]:
         name = row.cells["Drone Config File"]
-        path = self.place(row.cells["Drone Config Path"]) / name
-        if path.suffix.lower() != ".json":
-            path = path.with_name(path.name + ".json")
+        path = Path(row.cells["Drone Config Path"].replace("\\", "/")) / name
+        path = self._settled(path if path.suffix.lower() == ".json" else path.with_name(path.name + ".json"))
         if not self._here(path).is_file():
             known = [p.name for p in self._here(path.parent).glob("*.json")] if self._here(path.parent).is_dir() else []
             return {}, (
@@ -301,7 +304,7 @@ class Folder:
     def _part(self, row: Row, keys: tuple[str, ...]) -> dict[str, Any]:
         config, problem = self._quadrotor(row)
         part = {k: config[k] for k in keys if k in config}
-        part["file"] = str(self.place(row.cells["Drone Config Path"]) / row.cells["Drone Config File"])
+        part["file"] = row.cells["Drone Config File"]
         return {"quadrotor": part, "problem": problem}
 
     def importing(self, quadrotor: str, flight: str) -> dict[str, Any]:
