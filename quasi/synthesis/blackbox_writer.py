@@ -1,9 +1,9 @@
 """Write a Betaflight 4.5 blackbox log (data version 2): text headers, then I, P, S and E frames, compiled.
 
-Logged axes are x forward, y left, z up: gyroADC and accSmooth of y and z are minus ours. Rates are whole deg/s, acceleration
-2048 counts a g, rotor speed eRPM/100, voltage and current hundredths. An I frame every 32 ms holds whole values, the P frames
-between hold differences to predictions.
-Source: the format's public description (Sherlock, "Blackbox logging internals") and the behaviour of the crate blackbox-log.
+Logged axes are x forward, y left, z up: gyroADC and accSmooth of y and z are minus ours. Rates are whole deg/s,
+acceleration 2048 counts a g, rotor speed eRPM/100, voltage and current hundredths. An I frame every 32 ms holds whole
+values, the P frames between hold differences to predictions.
+Source: the format's public description (Sherlock, "Blackbox logging internals") and the crate blackbox-log (MIT).
 """
 
 import numpy as np
@@ -133,7 +133,7 @@ def slow_frame(flags: int, state: int) -> bytes:
 
 
 def event(kind: str, *values: int) -> bytes:
-    """An E frame: "sync beep" (time us), "resume" (iteration, time), "disarm" (reason), "flight mode" (now, before), "end"."""
+    """An E frame: "sync beep" (us), "resume" (iteration, us), "disarm" (reason), "flight mode" (now, before), "end"."""
     number = {"sync beep": 0, "resume": 14, "disarm": 15, "flight mode": 30, "end": 255}[kind]
     body = b"End of log\0" if kind == "end" else b"".join(_unsigned(v) for v in values)
     return b"E" + bytes([number]) + body
@@ -224,7 +224,7 @@ def _put_four(out, at, values, first):
 
 @njit(cache=True)
 def _put_tagged(out, at, values, first, count):
-    """TAG8_8SVB: a byte that marks which of up to eight values differ from 0, then these; a single value stands alone."""
+    """TAG8_8SVB: a byte marks which of up to eight values differ from 0, then these; a single value stands alone."""
     if count == 1:
         return _put_signed(out, at, values[first])
     tag = 0
@@ -247,8 +247,9 @@ def _halved(total):
 
 @njit(cache=True)
 def _encode(values, table, whole_every, step, reference, lowest, motor, places, blobs, ends, out):
-    """Frames of rows values (N, F), int64, into out (uint8); blob k (blobs[ends[k-1]:ends[k]]) comes before row places[k].
+    """Frames of rows values (N, F), int64, into out (uint8).
 
+    Blob k, blobs[ends[k-1]:ends[k]], comes before row places[k].
     A row whose iteration does not follow the one before by `step` waits for the next I frame, as a recorder that lost
     time does. Returns the number of bytes and of rows written.
     """
@@ -337,8 +338,8 @@ def encode_log(
 ) -> tuple[bytes, int]:
     """A whole log file, and how many rows of it were written.
 
-    values  (N, len(NAMES)) whole numbers in order of NAMES; loopIteration counts loops, rows lie `step` loops apart and an I
-    frame comes whenever it is a multiple of `whole_every`;
+    values  (N, len(NAMES)) whole numbers in order of NAMES; loopIteration counts loops, rows lie `step` loops apart and
+    an I frame comes whenever it is a multiple of `whole_every`;
     others  (row, bytes) frames of other kinds, in order, each put before that row;
     settings  further or other headers; reference  hundredths of a volt, the header's vbatref.
     """

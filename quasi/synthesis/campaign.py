@@ -90,10 +90,10 @@ def _valid(name: str, value: Any, where: str) -> Any:
 def read_campaign(config: Mapping[str, Any], name: str = "campaign") -> Campaign:
     """Check a campaign.
 
-    config  {"quadrotor", "seed", "flights": [{"key", "profile", "effects", ...}], "duration" s, "nuisance" and "noise" scales,
-    "log rate" and "capture rate" Hz, "effects"}; a flight may replace seed, duration, nuisance and noise, and adds its effects
-    to the campaign's (its own parameters win). A flight's seed follows from campaign seed and key unless given, so that adding
-    or moving flights changes no other.
+    config  {"quadrotor", "seed", "flights": [{"key", "profile", "effects", ...}], "duration" s, "nuisance" and "noise"
+    scales, "log rate" and "capture rate" Hz, "effects"}; a flight may replace seed, duration, nuisance and noise, and
+    adds its effects to the campaign's (its own parameters win). A flight's seed follows from campaign seed and key
+    unless given, so that adding or moving flights changes no other.
     Raises ConfigError naming the campaign, flight and key, with the nearest known one.
     """
     where = f"campaign '{name}'"
@@ -143,9 +143,17 @@ def flight_of(campaign: Campaign, key: str) -> Flight:
     )
 
 
-def _fly(
-    campaign: Campaign, flight: Flight
-) -> tuple[Setup, dict[str, object], np.ndarray, np.ndarray, Capture, bytes, Any]:
+class _Flown(NamedTuple):
+    setup: Setup
+    drawn: dict[str, object]
+    truth: np.ndarray
+    log: np.ndarray
+    take: Capture
+    onboard: bytes
+    found: dict[str, Any]
+
+
+def _fly(campaign: Campaign, flight: Flight) -> _Flown:
     """Everything random and compiled of one flight; see `make_flight`."""
     # one stream of random numbers for each purpose, so that one argument changes nothing but its own part
     streams = dict(
@@ -173,20 +181,21 @@ def _fly(
     )
     take = capture(truth[:, 0], truth[:, 1:4], truth[:, 7:11], setup.capture, streams["capture"])
     onboard, lost = record(log, truth[:, 0], campaign.quadrotor, campaign.log_rate, setup, streams["log"])
-    return setup, drawn, truth, log, take, onboard, {"lost spans": lost, "largest tilt": float(tilt)}
+    return _Flown(setup, drawn, truth, log, take, onboard, {"lost spans": lost, "largest tilt": float(tilt)})
 
 
 def make_flight(campaign: Campaign, flight: Flight) -> Made:
     """Fly one flight and write down what sensors and systems would have recorded. Deterministic in the flight's seed.
 
-    The truth's columns are those of a filtered flight where both have them (F = specific force x mass, M the total moment
-    about the true cg), on the on-board clock; its metadata holds the true parameters.
+    The truth's columns are those of a filtered flight where both have them (F = specific force x mass, M the total
+    moment about the true cg), on the on-board clock; its metadata holds the true parameters.
     """
-    setup, drawn, truth, _, take, onboard, found = _fly(campaign, flight)
-    metadata = {**_metadata(campaign, flight, setup, drawn, take), **found}
-    metadata["verdict"] = "flown" if found["largest tilt"] < math.radians(85.0) else "tumbled"
+    flown = _fly(campaign, flight)
+    metadata = {**_metadata(campaign, flight, flown.setup, flown.drawn, flown.take), **flown.found}
+    metadata["verdict"] = "flown" if flown.found["largest tilt"] < math.radians(85.0) else "tumbled"
     started = f"{DAY} {9 + zlib.crc32(flight.key.encode()) % 3:02d}.21.33.412 AM"
-    return Made(onboard, motive_csv(take, BODY, flight.key, started), _truth(truth, setup), metadata)
+    text = motive_csv(flown.take, BODY, flight.key, started)
+    return Made(flown.onboard, text, _truth(flown.truth, flown.setup), metadata)
 
 
 def write_flight(made_flight: Made, onboard: str | Path, capture_path: str | Path, truth: str | Path) -> None:
@@ -320,7 +329,7 @@ def logbook_csv(campaign: Campaign, data: str = "data") -> str:
 
 
 def quadrotor_configuration(campaign: Campaign) -> dict[str, Any]:
-    """The quadrotor configuration (the manual's listing 1, and "motor poles") as its lab would write it: configured values.
+    """The quadrotor configuration (the manual's listing 1, and "motor poles") as its lab would write it.
 
     The noise statistics are what a rest log of 20 s with idling rotors gives, never finer than the log's own steps.
     """
@@ -346,8 +355,9 @@ def quadrotor_configuration(campaign: Campaign) -> dict[str, Any]:
 def _rest_noise(campaign: Campaign) -> dict[str, dict[str, str]]:
     noise = campaign.flights[0].noise
     rest = Flight("rest", "rest", campaign.seed, {}, 20.0, 0.0, noise)
-    _, _, truth, log, take, _, _ = _fly(campaign, rest)
-    idle = truth[:, 0] > OFF_TIME + 1.0
+    flown = _fly(campaign, rest)
+    log, take = flown.log, flown.take
+    idle = flown.truth[:, 0] > OFF_TIME + 1.0
     degree, count = math.radians(1.0), attitude.GRAVITY / 2048.0
     angles = attitude.to_euler(take.quaternion[np.isfinite(take.error)])
     angles = angles[np.all(np.abs(angles - np.median(angles, axis=0)) < 0.02, axis=1)]  # without marker swaps

@@ -78,11 +78,10 @@ def steady_speed(command, idle, top, curvature):
 
 
 @njit(cache=True)
-def outer_loop(ref, position, velocity, quaternion, integral, dt, c: Control, rates, memory):
+def outer_loop(ref, position, velocity, quaternion, integral, dt, c: Control, rates):
     """Wanted body rates (filled into rates (3,), rad/s) and collective thrust, N, returned.
 
-    ref (16,) row of the pilot's table; position, velocity earth; integral (3,) m/s2 is updated; memory (4,) unused wishes
-    of the last call: the wanted attitude.
+    ref (16,) row of the pilot's table; position, velocity earth; integral (3,) m/s2 is updated.
     """
     wish = np.empty(3)
     for k in range(3):
@@ -111,7 +110,6 @@ def outer_loop(ref, position, velocity, quaternion, integral, dt, c: Control, ra
     ey = q[0] * dy + q[1] * dz - q[2] * dw - q[3] * dx
     ez = q[0] * dz - q[1] * dy + q[2] * dx - q[3] * dw
     sign = 2.0 if ew >= 0.0 else -2.0
-    memory[0], memory[1], memory[2], memory[3] = dw, dx, dy, dz
     rates[0] = c.attitude * sign * ex
     rates[1] = c.attitude * sign * ey
     rates[2] = 0.5 * c.attitude * sign * ez + ref[10] * zz

@@ -1,10 +1,11 @@
 """Effects that can be planted in a made flight: what a healthy vehicle and its base do not have.
 
-A planted value is the truth: what the flight has beyond the vehicle's own physics where the neutral value is 0 (added) or 1
-(multiplied); absolute for those marked so. Signs and references: mass and inertia absolute; cg_offset = true minus configured
-cg; lever arm = IMU minus configured cg; misalignments = the small rotation vector that carries the assumed axes onto the true
-ones (sensor and marker in body axes, room in earth axes); bias = measured minus true; scale = measured / true; delay positive
-when the named signal is late; clock rate positive when the on-board clock runs fast; wind = velocity of the air.
+A planted value is the truth: what the flight has beyond the vehicle's own physics where the neutral value is 0 (added)
+or 1 (multiplied); absolute for those marked so. Signs and references: mass and inertia absolute; cg_offset = true minus
+configured cg; lever arm = IMU minus configured cg; misalignments = the small rotation vector that carries the assumed
+axes onto the true ones (sensor and marker in body axes, room in earth axes); bias = measured minus true; scale =
+measured / true; delay positive when the named signal is late; clock rate positive when the on-board clock runs fast;
+wind = velocity of the air.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,7 +19,7 @@ from quasi.synthesis.nuisance import Setup
 
 
 class Parameter(NamedTuple):
-    """One parameter of an effect: unit, what an absent one means, allowed range, and whether it replaces the vehicle's own."""
+    """One parameter of an effect: unit, what an absent one means, range, and whether it replaces the vehicle's own."""
 
     unit: str
     neutral: float | None
@@ -59,7 +60,7 @@ def _four(values: Values) -> np.ndarray:
 
 
 def _tilt(setup: Setup, values: Values) -> Setup:
-    """Turn each thrust axis about the arm's outward direction; a positive angle makes thrust yaw to the right (Mz > 0)."""
+    """Turn each thrust axis about its arm's outward direction; a positive angle makes thrust yaw right (Mz > 0)."""
     p = setup.vehicle.physics
     arms = (p.hubs + setup.vehicle.cg_offset) * [1.0, 1.0, 0.0]
     arms /= np.linalg.norm(arms, axis=1, keepdims=True)

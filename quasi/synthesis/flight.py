@@ -5,8 +5,9 @@ import math
 import numpy as np
 from numba import njit
 
+from quasi.attitude import GRAVITY
 from quasi.synthesis.controller import Control, mix, outer_loop, rate_loop, steady_speed
-from quasi.synthesis.physics import STATES, advance, body_to_earth
+from quasi.synthesis.physics import CONTACT_STIFFNESS, STATES, advance, body_to_earth
 from quasi.synthesis.pilot import RATE
 from quasi.synthesis.sensors import PT2_CORNER, Inertial, Telemetry, low_pass_gain, read_inertial
 from quasi.synthesis.vehicle import Drive, Physics
@@ -64,7 +65,7 @@ def fly(steps, every, table, air, noise, p: Physics, d: Drive, c: Control, s: In
     """
     dt = 1.0 / LOOP
     x = np.zeros(STATES)
-    x[2] = table[0, 2]
+    x[2] = table[0, 2] + p.mass * GRAVITY / (4.0 * CONTACT_STIFFNESS)  # settled on its feet
     x[6] = 1.0
     x[21], x[22], x[23] = 0.0, 0.3, 0.0
     k1, k2, k3, k4, y = (np.empty(STATES), np.empty(STATES), np.empty(STATES), np.empty(STATES), np.empty(STATES))
@@ -76,14 +77,15 @@ def fly(steps, every, table, air, noise, p: Physics, d: Drive, c: Control, s: In
     commands, motor, erpm = np.zeros(4), np.zeros(4), np.zeros(4)
     sensed = np.array([1.0, 0.0, 0.0, 0.0])  # attitude as known on board
     integral, rate_integral, rates, wish, old = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
-    forward, terms, memory, ref = np.zeros(3), np.zeros((3, 3)), np.zeros(4), np.zeros(16)
+    forward, terms, ref = np.zeros(3), np.zeros((3, 3)), np.zeros(16)
     force, acceleration = np.zeros(3), np.zeros(3)
     gain_1, gain_2 = low_pass_gain(s.gyro_cut_1, dt), low_pass_gain(s.gyro_cut_2, dt)
     gain_a = low_pass_gain(s.acc_cut * PT2_CORNER, dt)
     used = d.capacity - d.charge
     voltage, current, collective, tilt = open_voltage(used / d.capacity, d), 0.5, 0.0, 0.0
-    hover = c.mass * 9.81
-    late, age, seen_late = int(round(d.command_delay * LOOP)), int(round(g.age * LOOP)), 32
+    hover = c.mass * GRAVITY
+    late, age = int(d.command_delay * LOOP + 0.5), int(g.age * LOOP + 0.5)
+    seen_late = 32  # loop steps, 8 ms, from a motion to the position the controller flies on
     row = 0
     for step in range(steps):
         t = step * dt
@@ -122,6 +124,10 @@ def fly(steps, every, table, air, noise, p: Physics, d: Drive, c: Control, s: In
             acceleration[k] = k1[10 + k]
             places[step % HISTORY, k], places[step % HISTORY, 3 + k] = before[k], before[3 + k]
         read_inertial(before[10:13], acceleration, force, before[13:17], phases, noise[step], s, raw)
+        if step == 0:  # the filters have been running since power came on
+            for k in range(3):
+                first[k] = gyro[k] = raw[k]
+                half[k] = acc[k] = raw[3 + k]
         for k in range(3):
             first[k] += gain_1 * (raw[k] - first[k])
             gyro[k] += gain_2 * (first[k] - gyro[k])
@@ -156,9 +162,7 @@ def fly(steps, every, table, air, noise, p: Physics, d: Drive, c: Control, s: In
             ref[15] = table[j, 15]
             if ref[15] > 1.5:
                 was = (step - seen_late) % HISTORY if step >= seen_late else step % HISTORY
-                collective = outer_loop(
-                    ref, places[was, :3], places[was, 3:], sensed, integral, OUTER * dt, c, rates, memory
-                )
+                collective = outer_loop(ref, places[was, :3], places[was, 3:], sensed, integral, OUTER * dt, c, rates)
                 collective += ref[14] * hover
                 for k in range(3):
                     new = rates[k] + ref[11 + k]
@@ -202,7 +206,6 @@ def fly(steps, every, table, air, noise, p: Physics, d: Drive, c: Control, s: In
                 log[row, 24 + k], log[row, 27 + k] = terms[1, k], terms[2, k]
             for k in range(6):
                 truth[row, 25 + k] = out[k]
-            # the moment that turns the body, whatever made it, is what an ideal sensor would see
             truth[row, 50], truth[row, 51] = voltage, current
             for k in range(4):
                 log[row, 9 + k], log[row, 13 + k] = motor[k], erpm[k]

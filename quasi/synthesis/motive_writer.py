@@ -1,7 +1,7 @@
 """Write a Motive CSV export (format version 1.23) of one rigid body with its markers.
 
-Motive's axes: y up; x_E = z_G, y_E = -x_G, z_E = -y_G between the capture frame G and earth E, so that a rotation about G's z
-is roll, about -x pitch, about -y yaw. Quaternions are written X Y Z W, lengths in metres.
+Motive's axes: y up; x_E = z_G, y_E = -x_G, z_E = -y_G between the capture frame G and earth E, so that a rotation about
+G's z is roll, about -x pitch, about -y yaw. Quaternions are written X Y Z W, lengths in metres.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ def to_motive(vectors: np.ndarray) -> np.ndarray:
 
 
 def quaternion_to_motive(quaternion: np.ndarray) -> np.ndarray:
-    """Attitudes (..., 4), w x y z body to earth, as Motive's X Y Z W; identity stays identity: the vector part turns alone."""
+    """Attitudes (..., 4), w x y z body to earth, as Motive's X Y Z W: a change of basis turns the vector part alone."""
     quaternion = np.asarray(quaternion, float)
     return np.concatenate([to_motive(quaternion[..., 1:]), quaternion[..., :1]], axis=-1)
 
@@ -26,8 +26,8 @@ def quaternion_to_motive(quaternion: np.ndarray) -> np.ndarray:
 def motive_csv(take: Capture, body: str, name: str, started: str) -> str:
     """The text of the export.
 
-    take  what the system saw; body  name of the rigid body; name  of the take; started  capture start as Motive prints it,
-    "2026-03-14 10.21.33.412 AM". Frames in which the body was not seen have empty cells.
+    take  what the system saw; body  name of the rigid body; name  of the take; started  capture start as Motive prints
+    it, "2026-03-14 10.21.33.412 AM". Frames in which the body was not seen have empty cells.
     """
     n, count = take.markers.shape[:2]
     labels = [f"{body}:Marker{k + 1}" for k in range(count)]

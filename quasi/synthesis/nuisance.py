@@ -82,7 +82,7 @@ def nominal(capture_rate: float, noise: float) -> Setup:
 def vary(setup: Setup, scale: float, rng: np.random.Generator) -> tuple[Setup, dict[str, object]]:
     """Draw one flight's variation at `scale` (0 none, 1 usual); returns the set-up and what was drawn.
 
-    All draws are made at every scale, so that the same seed differs in nothing but size. Clock offsets are drawn always.
+    All draws are made at every scale, so that a seed's flights differ in size alone. Clock offsets are drawn always.
     """
     unit = rng.standard_normal
     physics, drive = setup.vehicle.physics, setup.vehicle.drive
@@ -140,7 +140,7 @@ def air(seconds: float, rate: float, gust: float, rng: np.random.Generator) -> n
     Gusts have Dryden's forms: first order along the horizontal axes (correlation time 0.9 s), second order, shorter and
     weaker in the vertical; buffets are first order with 12 ms. Source: MIL-F-8785C, section 3.7.2.
     """
-    n = int(math.ceil(seconds * rate)) + 2
+    n = math.ceil(seconds * rate) + 2
     table = np.empty((n, 7))
     for k, (time, size) in enumerate([(0.9, 1.0), (0.9, 1.0), (0.5, 0.6), *[(0.012, 1.0)] * 4]):
         keep = math.exp(-1.0 / (rate * time))

@@ -38,8 +38,8 @@ LOAD_DAMPING = 1.0  # N s/m
 def induced_velocity(speed, climb, inplane, start, p: Physics):
     """Equilibrium induced velocity, m/s, of one rotor: blade-element thrust equals momentum thrust (Glauert).
 
-    speed rad/s; climb m/s along the thrust; inplane m/s; start m/s, first guess. On the branch that continues the normal
-    working state into descent; what the vortex ring costs beyond it is `vortex_loss`.
+    speed rad/s; climb m/s along the thrust; inplane m/s; start m/s, first guess. On the branch that continues the
+    normal working state into descent; what the vortex ring costs beyond it is `vortex_loss`.
     """
     area = math.pi * p.radius**2
     disc = 2.0 * p.density * area
@@ -65,7 +65,7 @@ def induced_velocity(speed, climb, inplane, start, p: Physics):
 
 @njit(cache=True)
 def vortex_loss(climb, inplane, hover_induced):
-    """Share of the vortex-ring depth felt: 0 outside descent ratios (0, 2), 1 at ratio 1; swept away by in-plane flow."""
+    """Share of the vortex-ring depth felt: 0 outside descent ratios (0, 2), 1 at 1; swept away by in-plane flow."""
     ratio = -climb / hover_induced
     if ratio <= 0.0 or ratio >= 2.0:
         return 0.0
@@ -220,7 +220,7 @@ def derivative(t, x, wanted, air, p: Physics, dx, out):
         dx[k] = 0.0
     if p.load_mass > 0.0:
         lx, ly, lz = x[21] - x[0], x[22] - x[1], x[23] - x[2]
-        length = math.sqrt(lx * lx + ly * ly + lz * lz) + 1e-9
+        length = max(math.sqrt(lx * lx + ly * ly + lz * lz), 1e-6)
         lx, ly, lz = lx / length, ly / length, lz / length
         rate = (x[24] - x[3]) * lx + (x[25] - x[4]) * ly + (x[26] - x[5]) * lz
         pull = LOAD_STIFFNESS * (length - p.load_length) + LOAD_DAMPING * rate

@@ -31,7 +31,7 @@ def smooth(n: int) -> np.ndarray:
 
 
 def _samples(seconds: float) -> int:
-    return max(int(round(seconds * RATE)), 2)
+    return max(round(seconds * RATE), 2)
 
 
 def _move(here: np.ndarray, there: np.ndarray, speed: float, least: float = 0.5) -> np.ndarray:
@@ -212,7 +212,7 @@ def pilot(profile: str, duration: float, rng: np.random.Generator) -> np.ndarray
     s = smooth(home)[:, None]
     table[first + stop : first + stop + home, :3] = position[-1] * (1 - s) + above * s
     touch = int(0.75 * down)
-    table[first + stop + home :, :3] = [0.0, 0.0, GROUND - 0.0]
+    table[first + stop + home :, :3] = [0.0, 0.0, GROUND]
     table[first + stop + home : first + stop + home + touch, 2] = above[2] + smooth(touch) * (GROUND - above[2])
     table[first + stop + home + touch :, 15] = IDLE
     table[first + stop :, 9] = angle[-1]

@@ -26,9 +26,9 @@ def record(
     step = int(LOOP) // log_rate
     values["loopIteration"] = 1024 + step * np.arange(n)  # a multiple of the I interval, so that the log begins whole
     clock = (setup.boot + t * (1.0 + setup.clock_rate)) * 1e6
-    values["time"] = (
-        clock + np.concatenate([[0.0], setup.jitter * 1e6 * rng.standard_normal(n - 1)]) if n > 1 else clock
-    )
+    late = setup.jitter * 1e6 * rng.standard_normal(n)
+    late[0] = 0.0  # the log's time begins here
+    values["time"] = clock + late
     degrees, counts = 180.0 / math.pi, 2048.0 / attitude.GRAVITY
     flip = (1.0, -1.0, -1.0)  # y left and z up in the log
     full = control_of(made.base_vehicle()).inertia * 400.0

@@ -1,8 +1,8 @@
 """What the made vehicle's sensors say: inertial unit, filters on board, rotor telemetry, motion capture.
 
 The inertial part is compiled and runs inside the flight loop, because the controller flies on it.
-Filters: first-order low-pass (PT1) twice on the gyro; second-order (two PT1 in a row, corner corrected so that the pair is
-3 dB down at the stated frequency) on the accelerometer, as Betaflight 4.3 and later have them.
+Filters: first-order low-pass (PT1) twice on the gyro; second-order (two PT1 in a row, corner corrected so that the pair
+is 3 dB down at the stated frequency) on the accelerometer, as Betaflight 4.3 and later have them.
 """
 
 import math
@@ -50,8 +50,8 @@ class Telemetry(NamedTuple):
 def read_inertial(rates, spin_up, force, speeds, phases, noise, s: Inertial, raw):
     """One raw reading: raw (6,) is filled with gyro (rad/s) and specific force (m/s2) along the sensor's own axes.
 
-    rates, spin_up (angular acceleration), force (specific force at the cg), body axes; speeds (4,) rad/s, phases (4,) rad;
-    noise (6,) standard normal.
+    rates, spin_up (angular acceleration), force (specific force at the cg), body axes; speeds (4,) rad/s, phases (4,)
+    rad; noise (6,) standard normal.
     """
     r = s.position
     wx, wy, wz = rates[0], rates[1], rates[2]
@@ -107,7 +107,7 @@ class CaptureErrors(NamedTuple):
     """What a capture system adds to the truth; angles rad, times s."""
 
     rate: float
-    start: float  # onboard-independent true time at which the take begins
+    start: float  # true time at which the take begins, s after the log's first frame
     skew: float  # capture clock fast by this share
     position_noise: float
     attitude_noise: float

@@ -136,16 +136,16 @@ def base_vehicle() -> Vehicle:
         pitch=blade_pitch(MASS * GRAVITY / 4.0, HOVER_SPEED, RADIUS, AIR_DENSITY, solidity, lift_slope),
         profile_drag=0.05,
         induced_factor=1.15,
-        inflow_lag=0.004,
+        inflow_lag=0.007,
         vortex_depth=0.3,
-        vortex_buffet=0.6,
+        vortex_buffet=0.9,
         h_force=1.5e-5,
         disc_tilt=0.8,
         flapping_moment=7.0e-8,
         flapping_damping=2.0e-8,
-        interference=0.09,
+        interference=0.06,
         body_drag=np.array([0.004, 0.005, 0.009]),
-        body_lift=0.004,
+        body_lift=0.009,
         drag_centre=np.array([0.0, 0.0, -0.004]),
         rotor_inertia=7.0e-7,
         gyroscopic_inertia=7.0e-7,
@@ -184,14 +184,14 @@ def base_vehicle() -> Vehicle:
 
 
 def hover_factors(physics: Physics) -> dict[str, float]:
-    """Thrust and torque of one healthy hovering rotor over the square of its speed: dT/d(W2), N s2, and dQ/d(W2), N m s2.
+    """Thrust and torque of one healthy hovering rotor over its speed squared: dT/d(W2), N s2, and dQ/d(W2), N m s2.
 
     In hover every speed in blade-element momentum theory is in proportion to W, so both are exactly ~ W2.
     """
     area = math.pi * physics.radius**2
     gain = (
         0.25 * physics.density * physics.lift_slope * physics.solidity * area * physics.radius
-    )  # T = gain W (c W - v)
+    )  # T = gain W (top W - v)
     top = 2.0 / 3.0 * physics.pitch * physics.radius
     # v = x W: 2 rho A x2 = gain (top - x)
     a = 2.0 * physics.density * area
