@@ -1,6 +1,6 @@
 """Identification of one axis: from filtered flights to terms with coefficients, errors and how they were chosen."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from quasi.errors import DataError, ExpressionError, nearest
 from quasi.expressions import Program
 from quasi.identification.candidates import Specification, names_of
 from quasi.identification.partition import TRAINING
-from quasi.identification.regression import Fit, least_squares
+from quasi.identification.regression import Fit, least_squares, probability_of_nothing
 from quasi.identification.stepwise import Options, Pool, Selection, select
 from quasi.variables import Variables, base_columns, unit_of
 
@@ -34,7 +34,9 @@ def fit_axis(
     axis           "Fx" .. "Mz", a column of the flights
     flights        {key: filtered flight}; partition {key: (n,) role codes}
     shared         what `shared` found (the hover speed is used)
-    config         "regressor cap", "F in", "F out", "stop criterion", "confidence level"; each has a default
+    config         "regressor cap", "F in", "F out", "stop criterion", "confidence level"; each has a default.
+                   "significance level" (say 0.05, of the whole pool) adds an entry test that counts the residuals'
+                   memory
     specification  fixed regressors and candidates, and whether a constant belongs to the model
     Returns plain data: terms, coefficients, units, standard errors, covariance, log, stop reason, sigma2, R2, n, ...
     Raises DataError or ExpressionError naming flight, column or regressor.
@@ -57,7 +59,10 @@ def fit_axis(
     total = float(np.sum((raw - raw.mean()) ** 2))
     if total <= 0:
         raise DataError(f"{axis} is constant over the training rows; there is nothing to fit")
-    selection = select(pool, options, names, total)
+    level = config.get("significance level")
+    doubt = None if level is None else _doubt(trees, blocks, targets, series, specification.bias)
+    share = float(level or 0.0) / max(len(specification.candidates), 1)
+    selection = select(pool, options, names, total, doubt, share)
     chosen = [*range(len(free)), *selection.chosen]
 
     columns = _columns(Program([trees[k] for k in chosen]), blocks, specification.bias)
@@ -144,6 +149,16 @@ def _columns(program: Program, blocks: list[dict], bias: bool) -> np.ndarray:
         part = program.run(block, rows).T
         parts.append(np.hstack([np.ones((rows, 1)), part]) if bias else part)
     return np.vstack(parts)
+
+
+def _doubt(trees, blocks, targets, series, bias: bool) -> Callable[[list[int]], float]:
+    """Entry test that counts the residuals' memory, for the last of some columns of the pool."""
+    z, rows = np.concatenate(targets), list(series.values())
+
+    def test(chosen: list[int]) -> float:
+        return probability_of_nothing(_columns(Program([trees[k] for k in chosen]), blocks, bias), z, rows)
+
+    return test
 
 
 def _terms(axis, specification, estimated, trees, free, fit: Fit) -> list[dict[str, Any]]:

@@ -128,8 +128,8 @@ _BESIDE = {
 def _simple(prepared: Mapping[str, tuple], airframe: Airframe) -> dict[str, Any]:
     """Thrust and torque factors: kappaX on squared speeds, kappaX_w on speeds, in still air with steady rotors.
 
-    Climb, airspeed, flapping, damping and the rotors' acceleration go together with the commands in flight; left out of the
-    fit, they would pass for thrust and torque. Their own coefficients are not kept.
+    Climb, airspeed, flapping, damping and the rotors' acceleration go together with the commands in flight; left out
+    of the fit, they would pass for thrust and torque. Their own coefficients are not kept.
     """
     lookups = [Variables(values, airframe, None) for _, values, _ in prepared.values()]
     series = [rows for rows, _, _ in prepared.values()]

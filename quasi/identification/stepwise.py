@@ -9,7 +9,7 @@ Source: Klein & Morelli, Aircraft System Identification, 2006, section 5.4; QuaS
 equations (3)-(12). The entry test is the partial F of equation (6); without a constant nothing is centred.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +20,7 @@ from quasi.expressions import Program, Tree
 
 CHUNK = 4096  # rows at a time: a pool of a thousand columns then takes 32 MB
 PREFETCH = 24  # columns whose cross-products are formed in one pass
+TRIES = 8  # candidates that may fail the test of doubt before a step gives up
 INDEPENDENT = 1e-9  # smallest share of a column that must be left after the selected ones
 
 
@@ -198,12 +199,22 @@ class _State:
         return self.pool.rows - len(self.columns) - self.pool.centred
 
 
-def select(pool: Pool, options: Options, describe: Sequence[str], total: float | None = None) -> Selection:
+def select(
+    pool: Pool,
+    options: Options,
+    describe: Sequence[str],
+    total: float | None = None,
+    doubt: Callable[[list[int]], float] | None = None,
+    level: float = 0.0,
+) -> Selection:
     """Forward selection by partial correlation with backward elimination.
 
     pool      cross-products; its first `fixed` columns start the model and stay
     describe  name of every column, for log and messages
     total     sum of squares of the target about its mean, for R2 and PSE, if not that of the pool's target
+    doubt     probability that the last of some columns is nothing beside the others, from a covariance that knows of
+              the residuals' memory; a candidate must stay below `level` beside the plain entry test, else the next
+              best is tried
     Raises DataError when a fixed regressor is not finite, constant or a combination of the others, or rows are too few.
     """
     total = pool.total if total is None else total
@@ -228,8 +239,12 @@ def select(pool: Pool, options: Options, describe: Sequence[str], total: float |
     chosen = list(state.columns)
     for number in range(1, options.cap + 1):
         gain = state.gain()
-        pick = int(np.argmax(gain)) if gain.size else -1
-        if pick < 0 or gain[pick] <= 0.0:
+        pick = _best(gain, state, doubt, level)
+        if pick is None:
+            best_left = describe[int(np.argmax(gain))]
+            reason = f"no candidate, {best_left} first, stands out once the residuals' memory is counted"
+            return Selection(chosen[pool.fixed :], log, reason, unusable)
+        if pick < 0:
             return Selection(chosen[pool.fixed :], log, "no independent candidate is left", unusable)
         freedom = state.freedom() - 1
         left = state.error - gain[pick]
@@ -259,6 +274,17 @@ def select(pool: Pool, options: Options, describe: Sequence[str], total: float |
         if now["PSE"] < 1e-3 * first["PSE"]:
             return Selection(chosen[pool.fixed :], log, "the PSE fell below a thousandth of its first value", unusable)
     return Selection(chosen[pool.fixed :], log, f"the regressor cap of {options.cap} steps is reached", unusable)
+
+
+def _best(gain: np.ndarray, state: _State, doubt: Callable[[list[int]], float] | None, level: float) -> int | None:
+    """Candidate with the largest gain that passes the test of doubt; -1 when none is left, None when none passes."""
+    order = np.argsort(-gain)[: TRIES if doubt else 1]
+    order = [int(k) for k in order if gain[k] > 0.0]
+    if not order:
+        return -1
+    if doubt is None:
+        return order[0]
+    return next((k for k in order if doubt([*state.columns, k]) < level), None)
 
 
 class _Scores:
@@ -306,7 +332,7 @@ def _unusable(pool: Pool) -> dict[int, str]:
 def _rival(state: _State, gain: np.ndarray, pick: int, describe: Sequence[str]) -> dict[str, Any] | None:
     """The second best candidate and its share of the best one's gain: near 1, the two can hardly be told apart."""
     others = gain.copy()
-    others[pick] = 0.0
+    others[others >= gain[pick]] = 0.0  # the pick itself, and those that a test turned away
     second = int(np.argmax(others))
     if others[second] <= 0.0:
         return None

@@ -132,3 +132,22 @@ def test_two_terms_that_do_the_same_are_reported_as_a_tie(flights, roles):
     section = {"fixed": [], "candidates": [{"vars": ["w", "twin"], "degree": 1}]}
     found = identify("Fz", twins, roles, section, **{"regressor cap": 1})
     assert any("hardly tell them apart" in n for n in found["notes"])
+
+
+def test_false_terms_stay_out_when_the_residuals_memory_is_counted():
+    from scipy.signal import butter, sosfiltfilt
+
+    low = butter(2, 1.0, fs=500.0, output="sos")
+    plain, counted = 0, 0
+    section = {"fixed": [], "candidates": [{"vars": ["u", "v", "w", "p", "q", "r"], "degree": 2}]}
+    for seed in range(6):
+        f = flight(seed, rows=6000)
+        slow = sosfiltfilt(low, np.random.default_rng(100 + seed).standard_normal(6000))
+        f["Fx"] = -0.1 * f["u"] + 0.1 * slow / slow.std()
+        roles = partition({"a": f})
+        plain += len(identify("Fx", {"a": f}, roles, section)["terms"])
+        found = identify("Fx", {"a": f}, roles, section, **{"significance level": 0.05})
+        assert "(u^(1.0))" in found["estimated"]
+        counted += len(found["terms"])
+    assert plain > 6 * 8  # every step finds something at a constant F of 4
+    assert counted <= 6 * 2 + 2
