@@ -46,7 +46,11 @@ class Pair:
 
 @dataclass(frozen=True)
 class ClockFit:
-    """lag s and rate s/s with standard errors; explained: share of the first record's variance; samples used."""
+    """lag s and rate s/s with standard errors.
+
+    explained, by_pair  share of the first record's variance that the other explains; seconds  of it that were used
+    mix                 (k, j) of the first pair: first = mix other + offset
+    """
 
     lag: float
     rate: float
@@ -56,6 +60,7 @@ class ClockFit:
     explained: float
     by_pair: dict[str, float]
     seconds: float
+    mix: np.ndarray
 
     def to_first(self, tau: np.ndarray) -> np.ndarray:
         """Times of the first clock for times of the other."""
@@ -178,7 +183,7 @@ def fit(
     for turn in range(rounds):
         normal, right = np.zeros((2, 2)), np.zeros(2)
         scores: list[tuple[np.ndarray, np.ndarray]] = []
-        seconds, by_pair, shares = 0.0, {}, []
+        seconds, by_pair, shares, first_mix = 0.0, {}, [], np.zeros((0, 0))
         for pair, spline in zip(pairs, splines):
             t = pair.first.t
             tau = (t - lag + rate * reference) / (1 + rate)
@@ -214,6 +219,7 @@ def fit(
             spread = np.mean((y - y.mean(axis=0)) ** 2, axis=0)
             share = 1.0 - np.sum(weight * residual**2) / max(np.sum(weight * (y - y.mean(axis=0)) ** 2), 1e-300)
             by_pair[pair.name] = float(share)
+            first_mix = mix[:-1].T if not first_mix.size else first_mix
             shares.append((float(share), float(np.sum(spread > 0)) * len(y)))
             seconds = max(seconds, len(y) * pair.first.step)
         if not scores:
@@ -230,7 +236,7 @@ def fit(
         result = ClockFit(
             lag, rate, reference,
             float(np.sqrt(covariance[0, 0])), float(np.sqrt(covariance[1, 1])) if fit_rate else 0.0,
-            float(np.average([s for s, _ in shares], weights=[w for _, w in shares])), by_pair, seconds,
+            float(np.average([s for s, _ in shares], weights=[w for _, w in shares])), by_pair, seconds, first_mix,
         )  # fmt: skip
         if abs(step[0]) < 1e-7 and abs(step[1]) < 1e-10:
             break

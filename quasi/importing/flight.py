@@ -9,6 +9,7 @@ import pandas as pd
 from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s
 from quasi.attitude import exponential, interpolate, multiply, rotate, rotate_inverse, to_euler
 from quasi.errors import ConfigError, DataError
+from quasi.importing.artefacts import flyable
 from quasi.importing.motive import read_motive
 from quasi.importing.onboard_log import ATTITUDE, POSITION, Onboard, gather, read_onboard
 from quasi.importing.resampling import (
@@ -59,11 +60,8 @@ def import_flight(
     poles, poles_source = _poles(quadrotor)
     recording = read_onboard(flight, quadrotor, poles)
     board = gather(recording, where, notes)
-    capture, captured = _read_capture(flight, quadrotor, chosen, recording, board)
+    capture, captured = _read_capture(flight, quadrotor, chosen, recording, board, notes)
     sync = _align(flight, board, capture, captured, chosen, where, notes)
-    if capture is not None and sync is None and "capture" not in recording.series:
-        capture = None
-
     frame, facts = _fuse(board, capture, sync, quadrotor, chosen, where, notes)
     said = recording.metadata.get("motor poles") or {"value": poles or DEFAULT_POLES, "source": poles_source}
     metadata = {
@@ -118,6 +116,7 @@ def _read_capture(
     chosen: Mapping[str, Any],
     recording: Recording,
     board: Onboard,
+    notes: list[str],
 ) -> tuple[Series | None, Recording | None]:
     """The capture's series (clock of its own, or the table's on the on-board clock) and the capture file as read."""
     offset = _triple(quadrotor.get("optitrack marker cg offset"), "optitrack marker cg offset")
@@ -131,6 +130,15 @@ def _read_capture(
     series = recording.series["capture"]
     main = recording.series["onboard"]
     series = Series(series.t - main.t[0], dict(series.values))
+    if chosen["filter optitrack outliers"]:
+        seen = np.isfinite(_stack(series, POSITION)).all(axis=1)
+        q = _stack(series, ATTITUDE)[seen] if "qw" in series.values else None
+        bad = np.flatnonzero(seen)[~flyable(series.t[seen], _stack(series, POSITION)[seen], q)]
+        for name, values in series.values.items():
+            series.values[name] = values.copy()
+            series.values[name][bad] = np.nan
+        if len(bad):
+            notes.append(f"{flight['flight']}: {len(bad)} captured samples were removed as impossible to fly")
     if offset is not None and np.any(offset):
         q = _stack(series, ATTITUDE) if "qw" in series.values else None
         if q is None:

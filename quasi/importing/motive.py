@@ -216,7 +216,7 @@ def _read_frames(
         raise ReadError(f"{path} holds a header but no frames; export the take from Motive again")
     strange = 0
     for column in use:
-        if table[column].dtype == object or not np.issubdtype(table[column].dtype, np.number):
+        if not pd.api.types.is_numeric_dtype(table[column]):
             numbers = pd.to_numeric(table[column], errors="coerce")
             strange += int((numbers.isna() & table[column].notna()).sum())
             table[column] = numbers

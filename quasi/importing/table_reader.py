@@ -25,6 +25,7 @@ from quasi.tables import read_bytes, read_table
 
 HALF_TURN = np.array([1.0, -1.0, -1.0])  # half a turn about x: FLU to FRD, z-up to NED
 LONGEST_HOLD = 10  # rows; a row clock's values that stay the same for longer are believed (rest, coarse quantisation)
+LONGEST_WAIT = 0.2  # s; messages that crowd after a longer wait are left where they are
 STRAY = 1.0  # s; a few samples beyond a gap longer than this at either end are left out
 
 
@@ -197,6 +198,21 @@ class _Raw:
             held = same & new
             if not self.source.capture:
                 held &= ~_long_runs(same, LONGEST_HOLD)
+        if self.stamps is not None and np.count_nonzero(new) > 20:
+            clock = clock.copy()
+            even = uncrowded(clock[new])
+            moved = clock[new] - even
+            clock[new] = even
+            self.report["crowded stamps"] = {
+                "moved": int(np.count_nonzero(moved > 1e-3)),
+                "largest": float(moved.max()),
+                "unit": "s",
+            }
+            if np.count_nonzero(moved > 1e-3) > 0.01 * len(moved):
+                notes.append(
+                    f"{path}: {np.count_nonzero(moved > 1e-3)} stamps of source '{self.source.name}' crowd behind a delay; "
+                    f"they were spread over it, by {1e3 * moved.max():.0f} ms at most"
+                )
         new &= ~held
         if np.count_nonzero(new) < 20:
             raise ReadError(
@@ -335,6 +351,18 @@ class _Raw:
             at = interpolate(q[fine], holder.t[fine], self.t)
             force = rotate_inverse(at, np.stack([self.values[n] for n in VECTORS["force"]], axis=-1))
             self.values |= {n: force[:, i] for i, n in enumerate(VECTORS["force"])}
+
+
+def uncrowded(t: np.ndarray) -> np.ndarray:
+    """Stamps (n,), s, of messages that waited and arrived in a burst, moved back to where they can have been sampled.
+
+    A message can be stamped late, not early; so of a crowd the last is right, and each before it was sampled at least 0.8
+    of the usual interval earlier. Nothing is moved by more than LONGEST_WAIT.
+    """
+    least = 0.8 * float(np.median(np.diff(t)))
+    steps = least * np.arange(len(t))
+    earlier = steps + np.minimum.accumulate((t - steps)[::-1])[::-1]
+    return np.where(t - earlier <= LONGEST_WAIT, earlier, t)
 
 
 def _long_runs(same: np.ndarray, longest: int) -> np.ndarray:

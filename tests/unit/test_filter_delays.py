@@ -1,0 +1,46 @@
+"""Group delays against measured ones of the filters themselves."""
+
+import math
+
+import numpy as np
+import pytest
+
+from quasi.importing.filter_delays import delay, header_delays
+
+
+def measured(kind, cutoff, rate=100000.0):
+    """Delay of a slow ramp behind itself, by stepping the filter's difference equation."""
+    order = {"PT1": 1, "PT2": 2, "PT3": 3}[kind]
+    corner = cutoff / math.sqrt(2 ** (1 / order) - 1)
+    rc, dt = 1 / (2 * math.pi * corner), 1 / rate
+    gain = dt / (rc + dt)
+    stages = np.zeros(order)
+    n = int(0.4 * rate)
+    for i in range(n):
+        x = i * dt
+        for k in range(order):
+            stages[k] += gain * (x - stages[k])
+            x = stages[k]
+    return (n - 1) * dt - stages[-1]
+
+
+@pytest.mark.parametrize(("kind", "cutoff"), [("PT1", 250.0), ("PT2", 100.0), ("PT3", 40.0)])
+def test_delay_equals_what_a_ramp_shows(kind, cutoff):
+    assert delay(kind, cutoff) == pytest.approx(measured(kind, cutoff), rel=1e-3)
+
+
+def test_butterworth_delay_equals_its_phase_slope():
+    f = 1e-3
+    s = 2j * math.pi * f / (2 * math.pi * 80.0)
+    phase = np.angle(1 / (s**2 + math.sqrt(2) * s + 1))
+    assert delay("biquad", 80.0) == pytest.approx(-phase / (2 * math.pi * f), rel=1e-6)
+
+
+def test_header_names_of_both_generations_are_understood():
+    old = header_delays({"gyro_lowpass_hz": 200, "gyro_lowpass_type": 0, "gyro_lowpass2_hz": 0, "acc_lpf_hz": 1000})
+    assert old["gyro"]["value"] == pytest.approx(1 / (2 * math.pi * 200))
+    assert old["accelerometer"]["filters"] == ["PT2 10 Hz"]
+    new = header_delays({"gyro_lpf1_static_hz": 250, "gyro_lpf1_dyn_hz": [0, 0], "gyro_lpf2_static_hz": 500})
+    assert new["gyro"]["value"] == pytest.approx((1 / 250 + 1 / 500) / (2 * math.pi))
+    assert new["accelerometer"]["value"] == 0.0
+    assert header_delays({})["gyro"]["value"] == 0.0

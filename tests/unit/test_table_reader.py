@@ -1,0 +1,276 @@
+"""The generic table reader: every unit, frame and clock against values known beforehand."""
+
+import copy
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from made_motion import body
+from scipy.spatial.transform import Rotation
+
+from quasi.attitude import matrix, rotate
+from quasi.errors import ConfigError, ReadError
+from quasi.importing.table_reader import read_table_log
+from quasi.importing.units import UNITS, to_si
+from quasi.tables import read_json
+
+ROOT = Path(__file__).parents[2]
+NANODRONE = ROOT.parent / "shared/data/nanodrone"
+HALF = np.array([1.0, -1.0, -1.0])
+
+PLAN = {
+    "time": {"column": "t", "unit": "s"},
+    "sources": [
+        {
+            "name": "state",
+            "time": {"column": "stamp", "unit": "ms"},
+            "frame": "FLU",
+            "world": "z-up",
+            "columns": {
+                "p": {"column": "wx", "unit": "deg/s"},
+                "q": {"column": "wy", "unit": "deg/s"},
+                "r": {"column": "wz", "unit": "deg/s"},
+                "ax": {"column": "fx", "unit": "g", "frame": "world"},
+                "ay": {"column": "fy", "unit": "g", "frame": "world"},
+                "az": {"column": "fz", "unit": "g", "frame": "world"},
+                "qw": "qw",
+                "qx": "qx",
+                "qy": "qy",
+                "qz": "qz",
+                "x": {"column": ["north", "px"], "unit": "mm"},
+                "y": {"column": ["east", "py"], "unit": "mm"},
+                "z": {"column": ["down", "pz"], "unit": "mm"},
+            },
+        },
+        {
+            "name": "motors",
+            "columns": {f"w{i}": {"column": f"m{i}", "unit": "eRPM/100"} for i in range(1, 5)}
+            | {"battery_voltage": {"column": "vbat", "unit": "mV", "optional": True}},
+        },
+    ],
+}
+
+
+@pytest.fixture
+def flown():
+    """Truth in NED and FRD, and the table that holds it in FLU, z-up, deg/s, g, mm, eRPM/100."""
+    truth = body(8.0, rate=100.0)
+    turn = Rotation.from_quat(truth.quaternion, scalar_first=True)
+    flip = Rotation.from_rotvec([np.pi, 0, 0])
+    logged = (flip * turn * flip.inv()).as_quat(scalar_first=True)
+    world = turn.apply(truth.force) * HALF
+    rotors = 800 + 50 * np.stack([np.sin(truth.t * (k + 2)) for k in range(4)], axis=-1)
+    columns = {"t": truth.t, "stamp": 1e3 * (truth.t + 5.0)}
+    columns |= dict(zip(("wx", "wy", "wz"), np.degrees(truth.rates * HALF).T))
+    columns |= dict(zip(("fx", "fy", "fz"), (world / 9.80665).T))
+    columns |= dict(zip(("qw", "qx", "qy", "qz"), logged.T))
+    columns |= dict(zip(("px", "py", "pz"), (1e3 * truth.position * HALF).T))
+    columns |= dict(zip(("m1", "m2", "m3", "m4"), (rotors * 60 / (2 * np.pi) * 7 / 100).T))
+    return truth, rotors, pd.DataFrame(columns)
+
+
+def saved(folder, table, name="log.csv"):
+    path = folder / name
+    if name.endswith("parquet"):
+        table.to_parquet(path)
+    else:
+        table.to_csv(path, index=False)
+    return path
+
+
+def stacked(series, *names):
+    return np.stack([series.values[n] for n in names], axis=-1)
+
+
+@pytest.mark.parametrize("name", ["log.csv", "log.parquet"])
+def test_units_and_axes_come_out_as_the_truth(tmp_path, flown, name):
+    truth, rotors, table = flown
+    recording = read_table_log(saved(tmp_path, table, name), PLAN, 14)
+    board = recording.series["onboard"]
+    assert board.t == pytest.approx(truth.t, abs=1e-9)
+    assert stacked(board, "p", "q", "r") == pytest.approx(truth.rates, abs=1e-9)
+    assert stacked(board, "ax", "ay", "az") == pytest.approx(truth.force, abs=1e-8)
+    assert stacked(board, "x", "y", "z") == pytest.approx(truth.position, abs=1e-9)
+    q = stacked(board, "qw", "qx", "qy", "qz")
+    assert matrix(q) == pytest.approx(Rotation.from_quat(truth.quaternion, scalar_first=True).as_matrix(), abs=1e-9)
+    motors = recording.series["onboard motors"]
+    assert stacked(motors, "w1", "w2", "w3", "w4") == pytest.approx(rotors, rel=1e-9)
+    assert any("battery_voltage" in n for n in recording.notes)
+
+
+def test_at_rest_the_specific_force_points_up(tmp_path, flown):
+    truth, _, table = flown
+    table[["fx", "fy"]] = 0.0
+    table["fz"] = 1.0  # a resting accelerometer, world axes, z up
+    table[["wx", "wy", "wz"]] = 0.0
+    series = read_table_log(saved(tmp_path, table), PLAN, 14).series["onboard"]
+    force = stacked(series, "ax", "ay", "az")
+    earth = rotate(stacked(series, "qw", "qx", "qy", "qz"), force)
+    assert earth == pytest.approx(np.tile([0, 0, -9.80665], (len(earth), 1)), abs=1e-9)
+
+
+def test_euler_angles_of_forward_left_up_change_the_sign_of_pitch_and_yaw(tmp_path, flown):
+    truth, _, table = flown
+    turn = Rotation.from_quat(table[["qw", "qx", "qy", "qz"]].to_numpy(), scalar_first=True)
+    yaw, pitch, roll = turn.as_euler("ZYX").T
+    table["R"], table["P"], table["Y"] = np.degrees(roll), np.degrees(pitch), np.degrees(yaw)
+    plan = copy.deepcopy(PLAN)
+    for n in ("qw", "qx", "qy", "qz"):
+        del plan["sources"][0]["columns"][n]
+    for n in "RPY":
+        quantity = {"R": "roll", "P": "pitch", "Y": "yaw"}[n]
+        plan["sources"][0]["columns"][quantity] = {"column": n, "unit": "deg"}
+    board = read_table_log(saved(tmp_path, table), plan, 14).series["onboard"]
+    want = Rotation.from_quat(truth.quaternion, scalar_first=True).as_matrix()
+    assert matrix(stacked(board, "qw", "qx", "qy", "qz")) == pytest.approx(want, abs=1e-9)
+
+
+def test_repeats_and_steps_back_are_dropped_counted_and_said(tmp_path, flown):
+    _, _, table = flown
+    table.loc[100:103, :] = table.loc[100].to_numpy()
+    table.loc[300, "stamp"] -= 500.0
+    recording = read_table_log(saved(tmp_path, table), PLAN, 14)
+    about = recording.metadata["sources"]["state"]
+    assert (about["repeated"], about["stepped back"]) == (3, 1)
+    assert len(recording.series["onboard"].t) == len(table) - 4
+    assert any("step back (first in row 302" in n for n in recording.notes)
+
+
+def test_a_clock_of_another_epoch_is_brought_over_by_the_shared_rows(tmp_path, flown):
+    truth, _, table = flown
+    plan = copy.deepcopy(PLAN)
+    plan["sources"][1]["time"] = {"column": "us", "unit": "us"}
+    table["us"] = 1e6 * (truth.t + 1234.5)
+    recording = read_table_log(saved(tmp_path, table), plan, 14)
+    assert recording.series["onboard motors"].t == pytest.approx(truth.t, abs=1e-6)
+    assert any("keeps another time" in n for n in recording.notes)
+
+
+def test_late_stamps_of_one_source_are_found_from_the_motion(tmp_path):
+    truth = body(30.0, rate=200.0, seed=4)
+    # four rotors that make the roll and pitch acceleration, logged with stamps 25 ms early
+    push = np.gradient(truth.rates, truth.t, axis=0)
+    squares = 640000 + 4000 * np.stack(
+        [s * push[:, 0] + f * push[:, 1] for s, f in ((1, 1), (1, -1), (-1, 1), (-1, -1))], 1
+    )
+    table = pd.DataFrame({"stamp": truth.t, "early": truth.t - 0.025})
+    for names, values in ((("p", "q", "r"), truth.rates), (("ax", "ay", "az"), truth.force)):
+        for n, v in zip(names, values.T):
+            table[n] = v
+    for i in range(4):
+        table[f"w{i + 1}"] = np.sqrt(squares[:, i])
+    plan = {
+        "sources": [
+            {"name": "imu", "time": "stamp", "columns": {n: n for n in ("p", "q", "r", "ax", "ay", "az")}},
+            {"name": "motors", "time": "early", "columns": {f"w{i}": f"w{i}" for i in range(1, 5)}},
+        ]
+    }
+    recording = read_table_log(saved(tmp_path, table), plan)
+    found = recording.metadata["sources"]["motors"]["lag of main stamps"]
+    assert found["value"] == pytest.approx(0.025, abs=5e-4)
+    assert found["applied"]
+    assert recording.series["onboard motors"].t == pytest.approx(truth.t, abs=5e-4)
+
+
+def test_spikes_in_rotor_speeds_are_removed_and_counted(tmp_path, flown):
+    _, rotors, table = flown
+    table.loc[[77, 400], "m2"] += 1300.0
+    recording = read_table_log(saved(tmp_path, table), PLAN, 14)
+    assert recording.metadata["sources"]["motors"]["spikes removed"] == {"w2": 2}
+    w2 = recording.series["onboard motors"].values["w2"]
+    assert np.flatnonzero(np.isnan(w2)).tolist() == [77, 400]
+
+
+def test_held_capture_values_are_no_samples(tmp_path, flown):
+    truth, _, table = flown
+    plan = copy.deepcopy(PLAN)
+    capture = {"name": "room", "motion capture": True, "columns": {"x": "cx", "y": "cy", "z": "cz"}}
+    plan["sources"].append(capture)
+    held = truth.position[(np.arange(len(truth.t)) // 3) * 3]
+    for n, v in zip(("cx", "cy", "cz"), held.T):
+        table[n] = v
+    recording = read_table_log(saved(tmp_path, table), plan, 14)
+    assert recording.series["capture"].t == pytest.approx(truth.t[::3], abs=1e-9)
+
+
+def edited(change):
+    plan = copy.deepcopy(PLAN)
+    change(plan)
+    return plan
+
+
+WRONG = {
+    "unknown unit 'deg/sec'; did you mean 'deg/s'": lambda p: p["sources"][0]["columns"]["p"].update(unit="deg/sec"),
+    "measures length, expected one of": lambda p: p["sources"][0]["columns"]["p"].update(unit="mm"),
+    "unknown quantity 'battery_volts'; did you mean 'battery_voltage'": lambda p: p["sources"][1]["columns"].update(
+        battery_volts="vbat"
+    ),
+    "expected FRD or FLU": lambda p: p["sources"][0].update(frame="flu"),
+    "expected NED or z-up": lambda p: p["sources"][0].update(world="ENU"),
+    "unknown key 'colums'; did you mean 'columns'": lambda p: p["sources"][0].update(colums={}),
+    "qz is not": lambda p: p["sources"][0]["columns"].pop("qz"),
+    "always in world axes": lambda p: p["sources"][0]["columns"]["x"].update(frame="body"),
+    "neither it nor the table has a 'time'": lambda p: p.pop("time"),
+    "no source maps the body rates": lambda p: [p["sources"][0]["columns"].pop(n) for n in "pqr"],
+}
+
+
+@pytest.mark.parametrize("message", WRONG)
+def test_a_wrong_mapping_is_refused_in_a_sentence(tmp_path, flown, message):
+    path = saved(tmp_path, flown[2])
+    with pytest.raises(ConfigError) as caught:
+        read_table_log(path, edited(WRONG[message]), 14)
+    assert message in str(caught.value)
+
+
+def test_a_missing_column_names_file_quantity_and_the_near_one(tmp_path, flown):
+    path = saved(tmp_path, flown[2].rename(columns={"wy": "w_y"}))
+    with pytest.raises(ReadError, match=r"log\.csv has no column 'wy' \(q of source 'state'\); did you mean 'w_y'"):
+        read_table_log(path, PLAN, 14)
+
+
+def test_a_column_of_text_is_refused_and_single_cells_are_noted(tmp_path, flown):
+    table = flown[2].astype({"wx": object})
+    table.loc[5, "wx"] = "n/a!"
+    recording = read_table_log(saved(tmp_path, table), PLAN, 14)
+    assert any("'wx' holds text in 1 rows (first in row 7)" in n for n in recording.notes)
+    table["wx"] = "text"
+    with pytest.raises(ReadError, match="holds text"):
+        read_table_log(saved(tmp_path, table), PLAN, 14)
+
+
+@pytest.mark.parametrize("content", [b"a,b\n", b"\x00\x01\x02\x03" * 50, b"PAR1junk", b"t;stamp\n1;2\n"])
+def test_what_is_no_table_is_refused(tmp_path, content):
+    path = tmp_path / "log.csv"
+    path.write_bytes(content)
+    with pytest.raises(ReadError, match=r"log\.csv"):
+        read_table_log(path, PLAN, 14)
+
+
+def test_electrical_speed_needs_the_pole_pairs():
+    # 14 magnets, 7 pairs: 100 eRPM x 7 = 700 electrical turns a minute are 100 mechanical ones
+    assert 7 * to_si("eRPM/100", "rad/s", "w1", 14) == pytest.approx(100 * 2 * np.pi / 60)
+    assert UNITS["deg"][1] == pytest.approx(np.pi / 180)
+
+
+@pytest.mark.skipif(not NANODRONE.is_dir(), reason="the nano-drone recordings are not on this machine")
+@pytest.mark.parametrize("run", [1, 2, 3])
+def test_real_nano_drone_flights_are_read_by_mapping_alone(run):
+    plan = read_json(ROOT / "examples/nanodrone/config/NanoDroneConfig.json")["table columns"]
+    recording = read_table_log(NANODRONE / f"square_run{run}.csv", plan, 12)
+    raw = pd.read_csv(NANODRONE / f"square_run{run}.csv")
+    board, force, motors = (recording.series[n] for n in ("onboard", "onboard accelerometer", "onboard motors"))
+    assert len(board.t) <= raw["ros_timestamp"].nunique()
+    assert len(board.t) >= raw["ros_timestamp"].nunique() - 3
+    high = np.interp(force.t, board.t, -board.values["z"]) > 0.4
+    # thrust acts along body z, drag is small: 0.7 m/s2 beside the raw row-wise turning of run 2
+    assert np.std(stacked(force, "ax", "ay")[high]) < 0.45
+    assert np.median(force.values["az"][high]) == pytest.approx(-9.9, abs=0.5)
+    assert 1500 < np.nanmedian(motors.values["w1"][np.nan_to_num(motors.values["w1"]) > 1000]) < 2000
+    about = recording.metadata["sources"]
+    lags = {1: ("motors", 0.033), 2: ("accelerometer", 0.022)}
+    if run in lags:
+        source, lag = lags[run]
+        assert about[source]["lag of main stamps"]["value"] == pytest.approx(lag, abs=0.003)
+        assert about[source]["lag of main stamps"]["applied"]
