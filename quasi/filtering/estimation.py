@@ -14,7 +14,7 @@ from quasi.filtering import bias as biases
 from quasi.filtering import ekf, measurements, noise
 from quasi.filtering.smoother import smooth
 
-DRIFTING = np.array([3e-4] * 3 + [3e-3] * 3)  # random walk of time-varying biases, per square root of a second
+DRIFTING = np.array([1e-3] * 3 + [1e-2] * 3)  # random walk of time-varying biases, per square root of a second
 DRIFT_SIGMAS = 4.0  # rest and flight that disagree by more are reported
 UNSURE_ATTITUDE, UNSURE_VELOCITY = np.radians(3.0), 0.3  # rad, m/s: states with a larger standard error are not valid
 SENSORS = ("p", "q", "r", "ax", "ay", "az")

@@ -6,11 +6,12 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import chi2
 
-from quasi.filtering.ekf import KINDS, Inputs, Pass, cost, forward, unpack
+from quasi.filtering.ekf import KINDS, POSITION, Inputs, Pass, cost, forward, unpack
 
 GATE = float(chi2.ppf(0.9999, 3))  # an honest measurement is thrown away once in ten thousand
 LOOSE_GATE = 400.0  # while the levels are not yet known
 WINDOW, WINDOWS = 5.0, 3  # s, number of stretches of flight in which the levels are asked
+SEEN = 0.7  # of the scatter that positions show by themselves, at least, is their noise
 CONSISTENT = (0.6, 1.6)  # mean normalised innovation squared per degree of freedom
 CORRELATED = 0.5  # autocorrelation from one innovation to the next that an honest model does not reach
 
@@ -50,19 +51,33 @@ def with_levels(inputs: Inputs, factors: np.ndarray, flying: np.ndarray) -> Inpu
     return inputs._replace(noise=noise, std=inputs.std * factors[2:, None])
 
 
+def scatter(t: np.ndarray, values: np.ndarray) -> float:
+    """Noise of samples (m, 3) at times t (m,), from third divided differences, which smooth motion leaves near zero."""
+    if len(t) < 20:
+        return 0.0
+    at = np.stack([t[i : len(t) - 3 + i] for i in range(4)], axis=1)
+    apart = at[:, :, None] - at[:, None, :] + np.eye(4)
+    weights = 1.0 / np.prod(apart, axis=2)
+    weights /= np.sqrt(np.sum(weights**2, axis=1, keepdims=True))
+    found = sum(weights[:, i, None] * values[i : len(t) - 3 + i] for i in range(4))
+    return float(np.median(np.abs(found)) / 0.6745)
+
+
 def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray) -> np.ndarray:
     """Factors (5,) on the noise of gyro, accelerometer, attitude, position, velocity, by maximum likelihood.
 
-    The likelihood of the innovations is maximised over stretches of flight; gated innovations count with the gate's
-    value, so outliers do not drive the levels. flying (N,) bool; floor (2,) least factors of gyro and accelerometer,
+    The likelihood of the innovations is maximised over stretches of flight; an outlier counts with the gate's value,
+    so that it does not drive the levels. flying (N,) bool; floor (2,) least factors of gyro and accelerometer,
     at which the noise equals that at rest.
     Source: Schweppe, Evaluation of likelihood functions for Gaussian signals, IEEE Trans. Inf. Theory 11(1), 1965.
     """
     present = np.array([True, True, *(inputs.used[flying].sum(axis=0) > 10)])
     if not present[2:].any():
         return np.ones(5)
-    low = np.log(np.concatenate([np.minimum(floor, 1.0), [0.1, 0.1, 0.1]]))
-    high = np.log(np.array([30.0, 30.0, 30.0, 50.0, 30.0]))
+    at = np.flatnonzero(inputs.used[:, POSITION] * flying)
+    seen = SEEN * scatter(at * inputs.dt, inputs.position[at]) / inputs.std[POSITION].mean()
+    low = np.log(np.concatenate([np.minimum(floor, 1.0), [0.1, float(np.clip(seen, 0.1, 10.0)), 0.1]]))
+    high = np.log(np.array([30.0, 10.0, 30.0, 50.0, 30.0]))
     wide = with_levels(inputs, np.array([2.0, 2.0, 3.0, 3.0, 3.0]), flying)._replace(gate=LOOSE_GATE)
     run = forward(wide)
     parts = [

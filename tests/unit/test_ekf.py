@@ -15,7 +15,7 @@ def inputs_of(motion, frame, **changes):
     used = np.zeros((n, 3), np.int8)
     used[:, ekf.ATTITUDE] = used[:, ekf.POSITION] = frame["attitude_sample"]
     deviation = np.repeat([0.02, 0.1, 0.01, 0.1, 0.5, 0.01], 3)
-    values = dict(
+    values = ekf.Inputs(
         dt=motion.t[1] - motion.t[0],
         gyro=frame[["p", "q", "r"]].to_numpy().copy(),
         accel=frame[["ax", "ay", "az"]].to_numpy().copy(),
@@ -33,7 +33,7 @@ def inputs_of(motion, frame, **changes):
         state=np.concatenate([np.zeros(12), [0.01, -0.02, 0.015]]),
         covariance=np.diag(deviation**2),
     )
-    return ekf.Inputs(**{**values, **changes})
+    return values._replace(**changes)
 
 
 def cross(v):
