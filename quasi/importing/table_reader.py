@@ -210,8 +210,8 @@ class _Raw:
             }
             if np.count_nonzero(moved > 1e-3) > 0.01 * len(moved):
                 notes.append(
-                    f"{path}: {np.count_nonzero(moved > 1e-3)} stamps of source '{self.source.name}' crowd behind a delay; "
-                    f"they were spread over it, by {1e3 * moved.max():.0f} ms at most"
+                    f"{path}: {np.count_nonzero(moved > 1e-3)} stamps of source '{self.source.name}' crowd behind a "
+                    f"delay; they were spread over it, by {1e3 * moved.max():.0f} ms at most"
                 )
         new &= ~held
         if np.count_nonzero(new) < 20:
@@ -356,8 +356,8 @@ class _Raw:
 def uncrowded(t: np.ndarray) -> np.ndarray:
     """Stamps (n,), s, of messages that waited and arrived in a burst, moved back to where they can have been sampled.
 
-    A message can be stamped late, not early; so of a crowd the last is right, and each before it was sampled at least 0.8
-    of the usual interval earlier. Nothing is moved by more than LONGEST_WAIT.
+    A message can be stamped late, not early; so of a crowd the last is right, and each before it was sampled at least
+    0.8 of the usual interval earlier. Nothing is moved by more than LONGEST_WAIT.
     """
     least = 0.8 * float(np.median(np.diff(t)))
     steps = least * np.arange(len(t))
