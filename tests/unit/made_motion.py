@@ -1,9 +1,9 @@
-"""A tumbling, travelling body with known truth, as a gyro and a capture system would see it. Helper of the import tests."""
+"""A tumbling, travelling body with known truth, as a gyro and a capture system would see it."""
 
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 G = 9.81
 
@@ -19,7 +19,7 @@ class Body(NamedTuple):
 
 
 def body(seconds: float = 40.0, rate: float = 1000.0, seed: int = 1, rest: float = 0.0) -> Body:
-    """Euler angles and position as random sums of sines; rates and specific force by fine central differences of them."""
+    """Euler angles and position as random sums of sines; rates and specific force by fine central differences."""
     rng = np.random.default_rng(seed)
     t = np.arange(int(seconds * rate)) / rate
 
@@ -48,8 +48,6 @@ def body(seconds: float = 40.0, rate: float = 1000.0, seed: int = 1, rest: float
 
 def at_times(truth: Body, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Position and quaternion of the truth at other times, by scipy's own interpolation."""
-    from scipy.spatial.transform import Slerp
-
     turn = Slerp(truth.t, Rotation.from_quat(truth.quaternion, scalar_first=True))
     t = np.clip(t, truth.t[0], truth.t[-1])
     return (
@@ -69,7 +67,7 @@ def motive_text(
 ) -> str:
     """A Motive export of a body whose earth NED pose is given; written column by column, by Motive's own axes.
 
-    style: blank (second line blank), labels, parent, unit, angles ("XYZ"), other (name of a second body), digits of time
+    style: blank (second line blank), labels, parent, unit, angles ("XYZ"), other (a second body's name), digits of time
     """
     unit = {"Meters": 1.0, "Centimeters": 100.0, "Millimeters": 1000.0}[style.get("unit", "Meters")]
     # Motive's axes: its z is our x, minus its x our y, minus its y our z
@@ -93,14 +91,8 @@ def motive_text(
     if style.get("other"):
         blocks.append(("Rigid Body", style["other"], body_axes, values + 1.0))
     blocks.append(("Rigid Body", name, body_axes, values))
-    blocks.append(
-        (
-            "Rigid Body Marker",
-            name,
-            [("Position", a) for a in "XYZ"] + [("Marker Quality", "")],
-            np.c_[room, room[:, 0]] - 3,
-        )
-    )
+    marker_axes = [("Position", a) for a in "XYZ"] + [("Marker Quality", "")]
+    blocks.append(("Rigid Body Marker", name, marker_axes, np.c_[room, room[:, 0]] - 3))
     blocks.append(("Bone", name, body_axes, values - 2.0))
     label = style.get("labels", False)
     rows = {
