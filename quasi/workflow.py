@@ -198,6 +198,7 @@ class Folder:
             )
         return found
 
+    @functools.cache  # noqa: B019
     def model_flights(self, name: str, role: str = "all") -> list[Row]:
         """Rows of a model's flights: "all", "training" or "validation". Raises LogbookError or ConfigError."""
         where = f"config/models/{name}.json"
@@ -287,13 +288,19 @@ class Folder:
     # settings of the jobs
 
     def _quadrotor(self, row: Row) -> tuple[dict[str, Any], str | None]:
-        name = row.cells["Drone Config File"]
-        path = Path(row.cells["Drone Config Path"].replace("\\", "/")) / name
+        config, problem = self._quadrotor_file(row.cells["Drone Config Path"], row.cells["Drone Config File"])
+        if problem and not config:
+            problem = f"{row.logbook} row {row.number}, flight {row.key}: {problem}"
+        return config, problem
+
+    @functools.cache  # noqa: B019
+    def _quadrotor_file(self, directory: str, name: str) -> tuple[dict[str, Any], str | None]:
+        path = Path(directory.replace("\\", "/")) / name
         path = self._settled(path if path.suffix.lower() == ".json" else path.with_name(path.name + ".json"))
         if not self._here(path).is_file():
-            known = [p.name for p in self._here(path.parent).glob("*.json")] if self._here(path.parent).is_dir() else []
+            known = [p.name for p in self._here(path.parent).glob("*.json")]
             return {}, (
-                f"{row.logbook} row {row.number}, flight {row.key}: quadrotor configuration {path} does not exist"
+                f"quadrotor configuration {path} does not exist"
                 f"{nearest(path.name, known)}; correct 'Drone Config File' or 'Drone Config Path'"
             )
         try:

@@ -172,7 +172,9 @@ class Model:
             part = slice(start, min(start + _CHUNK, rows))
             count = part.stop - part.start
             lookup = self._lookup({name: values[part] for name, values in columns.items()}, count)
-            wrench[:, part] = self._weights @ self._program.run(lookup, count)
+            # rows that hold NaN come out as NaN, which is no fault
+            with np.errstate(invalid="ignore"):
+                wrench[:, part] = self._weights @ self._program.run(lookup, count)
         wrench[self._lacking] = np.nan
         return wrench
 

@@ -1,0 +1,136 @@
+"""The made example against its truth: forces, thrust and torque factors, and whether the fit is a tautology.
+
+    python benchmarks/example.py
+
+1. Runs models/example/standalone if it is stale. Compares the model's Fz on the validation flight with the true one
+   (relative rms), and every other axis too; the same for the measured forces and moments that it was fitted to.
+2. Thrust and torque factors of the simple model against the truth in hover (dT/dW2, dQ/dW2 of one rotor).
+3. With sensor noise, nuisance and gusts off, fits the full candidate pool of the manual's listing 17 and the physical
+   pool to the true Fz on true states by least squares: the share of the Fz rms that no coefficients can explain.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from quasi.airframe import read_airframe
+from quasi.attitude import interpolate, to_euler
+from quasi.expressions import Program
+from quasi.identification.candidates import read_specification
+from quasi.standalone.model import read_model
+from quasi.synthesis.campaign import flight_of, make_flight, read_campaign
+from quasi.tables import read_json, read_made, read_table, write_json
+from quasi.variables import Variables
+
+ROOT = Path(__file__).parents[1]
+AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+POOLS = ("polyCands_DiffSys_quadraticU_symmetric_SIMPLE_FM", "physical")
+
+
+def rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(x))))
+
+
+def on_grid(truth: pd.DataFrame, t: np.ndarray) -> pd.DataFrame:
+    """The truth at other times (s, on-board clock)."""
+    columns = {c: np.interp(t, truth["t"], truth[c]) for c in truth.columns if c != "t"}
+    q = interpolate(truth[["qw", "qx", "qy", "qz"]].to_numpy(), truth["t"].to_numpy(), t)
+    columns |= dict(zip(("roll", "pitch", "yaw"), to_euler(q).T))
+    return pd.DataFrame({"t": t, **columns})
+
+
+def compare(model_id: str = "example") -> dict:
+    """Relative rms errors of model and measurement against the truth on the validation flights."""
+    model = read_model(ROOT / "models" / model_id / "standalone")
+    result = {}
+    for flight in model.document["flights"]["validation"]:
+        filtered = read_table(ROOT / f"results/filtered/MadeBeetle/withGravity/{flight}.parquet")
+        start = read_json(ROOT / f"results/imported/MadeBeetle/{flight}.json")["start"]["value"]
+        truth_path = ROOT / f"results/synthesis/example/truth/{flight}.parquet"
+        truth = on_grid(read_table(truth_path), filtered["t"].to_numpy() + start)
+        rows = (filtered["valid"] > 0.5) & (filtered["in_flight"] > 0.5)
+        predicted = model.predict_columns(filtered)
+        made = read_made(truth_path)
+        factors = made["hover factors"]
+        # pooled over flights the model estimates the mean vehicle, this flight's own draw is nuisance
+        simple = model.document["simple model"]
+        result[flight] = {
+            "model": {a: rms((predicted[a] - truth[a])[rows]) / rms(truth[a][rows]) for a in AXES},
+            "measured": {a: rms((filtered[a] - truth[a])[rows]) / rms(truth[a][rows]) for a in AXES},
+            "thrust factor": simple["kappaFz"]["value"] / factors["thrust"] - 1,
+            "torque factor": -simple["kappaMz"]["value"] / factors["torque"] - 1,
+        }
+    return result
+
+
+def factors_of_training(model_id: str = "example") -> dict:
+    """Simple model against the mean truth of the training flights."""
+    model = read_model(ROOT / "models" / model_id / "standalone")
+    made = [
+        read_made(ROOT / f"results/synthesis/example/truth/{f}.parquet")["hover factors"]
+        for f in model.document["flights"]["training"]
+    ]
+    simple = model.document["simple model"]
+    thrust, torque = (float(np.mean([m[k] for m in made])) for k in ("thrust", "torque"))
+    return {
+        "thrust factor": {
+            "identified": simple["kappaFz"]["value"], "truth": thrust, "error": simple["kappaFz"]["value"] / thrust - 1,
+        },
+        "torque factor": {
+            "identified": -simple["kappaMz"]["value"], "truth": torque,
+            "error": -simple["kappaMz"]["value"] / torque - 1,
+        },
+    }  # fmt: skip
+
+
+def unexplained() -> dict:
+    """Share of the true Fz rms that a full pool leaves, noise, nuisance and gusts off."""
+    config = {**read_json(ROOT / "config/synthesis/example.json"), "noise": 0.0, "nuisance": 0.0}
+    campaign = read_campaign(config, "example")
+    quadrotor = read_json(ROOT / "data/MadeBeetleConfig.json")
+    airframe = read_airframe(quadrotor, "MadeBeetleConfig.json")
+    result = {}
+    for key in ("example-01", "example-02", "example-08"):
+        truth = make_flight(campaign, flight_of(campaign, key)).truth
+        flying = truth["t"].between(truth["t"].iloc[-1] * 0.1, truth["t"].iloc[-1] * 0.9)
+        truth = truth[flying].iloc[::2]
+        columns = {c: truth[c].to_numpy() for c in truth.columns}
+        hover = float(np.sqrt(-truth["Fz"].mean() / np.mean(sum(truth[f"w{i}"] ** 2 for i in range(1, 5)))))
+        variables = Variables(columns, airframe, float(np.sqrt(airframe.mass * 9.81 / 4) / hover))
+        target = truth["Fz"].to_numpy()
+        for pool in POOLS:
+            document = read_json(ROOT / f"config/polynomials/{pool}.json")
+            specification = read_specification(document, "Fz", pool)
+            trees = [t.tree for t in (*specification.fixed, *specification.candidates)]
+            design = np.column_stack([*Program(trees).run(variables, len(target)), np.ones(len(target))])
+            design /= np.maximum(np.abs(design).max(axis=0), 1e-300)
+            # rank-revealing: hundreds of nearly alike columns
+            fit = design @ np.linalg.lstsq(design, target, rcond=1e-12)[0]
+            result.setdefault(pool, {})[key] = {"terms": len(trees) + 1, "left": rms(target - fit) / rms(target)}
+    return result
+
+
+def main() -> None:
+    command = [sys.executable, "-m", "snakemake", "-j2", "--quiet", "all", "--", "models/example/standalone"]
+    subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+    result = {"validation": compare(), "factors": factors_of_training(), "unexplained": unexplained()}
+    for flight, found in result["validation"].items():
+        print(f"{flight}: error over rms of the truth, in flight")
+        print(f"  {'':10}" + "".join(f"{a:>9}" for a in AXES))
+        for kind in ("model", "measured"):
+            print(f"  {kind:10}" + "".join(f"{100 * found[kind][a]:>8.2f}%" for a in AXES))
+    for name, found in result["factors"].items():
+        print(
+            f"{name}: identified {found['identified']:.4e}, truth {found['truth']:.4e}, off by {100 * found['error']:+.2f} %"
+        )
+    for pool, found in result["unexplained"].items():
+        for key, left in found.items():
+            print(f"{pool}, {key}: {left['terms']} terms leave {100 * left['left']:.2f} % of the Fz rms, noise off")
+    write_json(ROOT / "results/benchmarks/example.json", result)
+
+
+if __name__ == "__main__":
+    main()
