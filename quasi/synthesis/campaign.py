@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from quasi import attitude, tables
+from quasi import attitude
 from quasi.errors import ConfigError, nearest
 from quasi.synthesis import vehicle as made
 from quasi.synthesis.controller import control_of
@@ -24,6 +24,7 @@ from quasi.synthesis.nuisance import Setup, air, nominal, vary
 from quasi.synthesis.pilot import OFF_TIME, PROFILES, REST, pilot
 from quasi.synthesis.recorder import record
 from quasi.synthesis.sensors import Capture, capture
+from quasi.tables import write_bytes, write_table, write_text
 
 NAME = re.compile(r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*")
 BODY = "MadeBeetle"
@@ -200,9 +201,9 @@ def make_flight(campaign: Campaign, flight: Flight) -> Made:
 
 def write_flight(made_flight: Made, onboard: str | Path, capture_path: str | Path, truth: str | Path) -> None:
     """Write the raw files and the truth; the folders are made."""
-    tables.write_bytes(onboard, made_flight.onboard)
-    tables.write_text(capture_path, made_flight.capture)
-    tables.write_table(truth, made_flight.truth, units=TRUTH_UNITS, made=made_flight.metadata)
+    write_bytes(onboard, made_flight.onboard)
+    write_text(capture_path, made_flight.capture)
+    write_table(truth, made_flight.truth, units=TRUTH_UNITS, made=made_flight.metadata)
 
 
 def raw_paths(campaign: Campaign, key: str) -> dict[str, str]:

@@ -2,17 +2,19 @@
 
 import csv
 import io
+import itertools
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from plain_blackbox import Plain
 
 from quasi import attitude, tables
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
 from quasi.synthesis import campaign as campaigns
-from tests.unit.test_synthesis_blackbox import Plain
+from quasi.synthesis.vehicle import base_vehicle, hover_factors
 
 ROOT = Path(__file__).parents[2]
 SHORT = {"duration": 24, "nuisance": 0.0, "noise": 0.0}
@@ -207,3 +209,43 @@ def test_logbook_and_configuration_in_the_repository_are_what_the_example_campai
         paths = campaigns.raw_paths(campaign, flight.key)
         assert f"{row['OB Path']}/{row['Onboard Name']}.bbl" == paths["onboard"]
         assert f"{row['Raw OT Path']}/{row['Raw OptiTrack Name']}.csv" == paths["capture"]
+
+
+def monomials(variables: list[np.ndarray], degree: int) -> list[np.ndarray]:
+    found = []
+    for total in range(1, degree + 1):
+        for pick in itertools.combinations_with_replacement(variables, total):
+            found.append(np.prod(pick, axis=0))
+    return found
+
+
+def vertical_pool(truth) -> np.ndarray:
+    """Every candidate of the manual's listing 17 for Fz, and its fixed terms and bias; scaled columns."""
+    w = truth[["w1", "w2", "w3", "w4"]].to_numpy() / 2100.0
+    left, front, spin = np.array([-1, -1, 1, 1]), np.array([-1, 1, -1, 1]), np.array([1, -1, -1, 1])
+    u, v, down, p, q, r = (truth[c].to_numpy() / 5.0 for c in "uvwpqr")
+    one, d_tot = np.ones(len(w)), w.sum(axis=1) - 4.0
+    sets = [one, d_tot, *(abs(x) for x in (p, q, r, w**2 @ left, w**2 @ front, w**2 @ spin))]
+    columns = [one, down, (w**2).sum(axis=1)]
+    columns += [m * s for m in monomials([abs(u), abs(v), down], 4) for s in sets]
+    columns += [m * s for m in monomials([abs(p), abs(q), abs(r)], 3) for s in (one, d_tot)]
+    columns += monomials([d_tot], 4)
+    return np.column_stack(columns)
+
+
+@pytest.mark.slow
+def test_the_full_polynomial_pool_leaves_a_percent_of_fz_unexplained_and_hover_thrust_follows_the_factor():
+    config = tables.read_json(ROOT / "config/synthesis/example.json") | {"nuisance": 0.0, "noise": 0.0}
+    campaign = campaigns.read_campaign(config, "example")
+    parts = []
+    for flight in campaign.flights[:3]:
+        truth = campaigns.make_flight(campaign, flight).truth
+        parts.append(truth[(truth["t"] > 9) & (truth["t"] < 84)].iloc[::16])
+    pool = np.vstack([vertical_pool(part) for part in parts])
+    pool /= np.abs(pool).max(axis=0)
+    fz = np.concatenate([part["Fz"] for part in parts])
+    left = fz - pool @ np.linalg.lstsq(pool, fz, rcond=1e-10)[0]
+    assert np.sqrt(np.mean(left**2) / np.mean(fz**2)) > 0.01
+    squares = np.concatenate([(part[["w1", "w2", "w3", "w4"]] ** 2).sum(axis=1) for part in parts])
+    kappa = -(fz @ squares) / (squares @ squares)
+    assert kappa == pytest.approx(hover_factors(base_vehicle().physics)["thrust"], rel=0.02)
