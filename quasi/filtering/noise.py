@@ -11,6 +11,7 @@ from quasi.filtering.ekf import KINDS, POSITION, Inputs, Pass, cost, forward, un
 GATE = float(chi2.ppf(0.9999, 3))  # an honest measurement is thrown away once in ten thousand
 LOOSE_GATE = 400.0  # while the levels are not yet known
 WINDOW, WINDOWS = 5.0, 3  # s, number of stretches of flight in which the levels are asked
+PRIOR = 0.5  # standard deviation of the logarithm of a noise level before the innovations are asked
 SEEN = 0.7  # of the scatter that positions show by themselves, at least, is their noise
 CONSISTENT = (0.6, 1.6)  # mean normalised innovation squared per degree of freedom
 CORRELATED = 0.5  # autocorrelation from one innovation to the next that an honest model does not reach
@@ -91,6 +92,8 @@ def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray) -> np
         beyond = np.maximum(logs - high, 0.0) + np.maximum(low - logs, 0.0)
         factors = np.exp(np.clip(logs, low, high))
         total = sum(cost(with_levels(part, factors, inside)) for part, inside in parts)
+        # where the innovations hardly tell, the levels stay near where they began
+        total += float(np.sum((logs / PRIOR) ** 2))
         return total / scale + 10.0 * float(np.sum(beyond**2))
 
     begin = np.zeros(int(present.sum()))
@@ -99,7 +102,7 @@ def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray) -> np
         target,
         begin,
         method="Nelder-Mead",
-        options={"initial_simplex": simplex, "xatol": 0.03, "fatol": 3e-4, "maxfev": 120},
+        options={"initial_simplex": simplex, "xatol": 0.03, "fatol": 1e-4, "maxfev": 120},
     )
     logs = np.zeros(5)
     logs[present] = found.x

@@ -85,8 +85,7 @@ def move(seconds=30.0, rate=500.0, rest=3.0, seed=0, loops=True, size=1.0):
         q[k] = attitude.multiply(q[k - 1], whole[k - 1])
     q = attitude.normalise(q)
 
-    # position from polynomials in time where needed: sines switched on by the envelope, differentiated numerically in
-    # closed form through their own values on the fine grid would lose digits, so integrate acceleration by Simpson
+    # velocity and position from the acceleration by Simpson's rule
     waves = [
         [(rng.uniform(0.5, 2.0) * size, rng.uniform(0.15, 0.6) * 2 * np.pi, rng.uniform(0, 6)) for _ in range(3)]
         for _ in range(3)
