@@ -1,12 +1,13 @@
 """Make one flight of a campaign and write it as a raw on-board log, a capture export and the truth."""
 
 from quasi.joblog import job
-from quasi.synthesis.campaign import make_flight, write_flight
+from quasi.synthesis.campaign import flight_of, make_flight, read_campaign, write_flight
 
 
 def main(campaign: str, flight: str, settings: dict, onboard: str, capture: str, truth: str) -> None:
     """Make the flight `flight` of the campaign's settings and write its three files."""
-    write_flight(make_flight(settings, flight), onboard, capture, truth)
+    checked = read_campaign(settings, campaign)
+    write_flight(make_flight(checked, flight_of(checked, flight)), onboard, capture, truth)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ GRID = 200.0  # Hz, of the signals compared
 BAND = 15.0  # Hz, to which both sides are band-limited: less is motion, more is noise and vibration
 SLOW_BAND = 8.0  # Hz, for twice differentiated positions
 COARSE = 50.0  # Hz
-LARGEST_TURN = 0.5  # of any entry of the mix from what it has to be: scale, misalignment, noise in the capture
+LARGEST_TURN = 0.5  # of the mix from what it must be, weighted by how much each axis moves
 DELAY_DOUBT = 0.03  # share of the on-board filters' nominal delay that stays unknown
 
 
@@ -120,7 +120,8 @@ def synchronise(
         )
     good = [(lag, r) for lag, r in found if r >= 0.75 * found[0][1]]
     fits = [(r, f) for lag, r in good if (f := _refine(pairs, coarse, lag, same_clock)) is not None]
-    fits = [(r, f) for r, f in fits if _plausible(f, capture.quaternion is not None)]
+    spread = pairs[0].other.values[pairs[0].other.good].std(axis=0)
+    fits = [(r, f) for r, f in fits if _plausible(f, spread, capture.quaternion is not None)]
     if not fits:
         raise DataError(
             f"{where}: the capture's motion is nowhere like the on-board log's (best correlation {found[0][1]:.2f} at "
@@ -157,17 +158,19 @@ def synchronise(
     return Synchronisation(best, method, names, r, offset, drift, when, best.lag - centre, notes)
 
 
-def _plausible(clock: ClockFit, turned: bool) -> bool:
+def _plausible(clock: ClockFit, spread: np.ndarray, turned: bool) -> bool:
     """Whether the fit is of one motion seen twice: the mix near no turn (rates) or a turn about the vertical alone.
 
     Records of different flights can be laid on each other somewhere, but only by a mix that no sensor has.
+    spread  standard deviation of each captured signal: the mix of an axis that hardly moves is noise and does not count
     """
     expected = np.eye(3)
     if not turned:
         m = clock.mix
         yaw = np.arctan2(m[1, 0] - m[0, 1], m[0, 0] + m[1, 1])
         expected = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
-    return np.max(np.abs(clock.mix - expected)) < LARGEST_TURN and clock.explained > (0.3 if turned else 0.4)
+    away = np.abs(clock.mix - expected) * spread
+    return np.max(away) < LARGEST_TURN * np.max(spread) and clock.explained > (0.3 if turned else 0.4)
 
 
 def _refuse_still(onboard: Motion, capture: Motion, where: str) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from quasi.synthesis.campaign import logbook, quadrotor_configuration
+from quasi.synthesis.campaign import project_files, read_campaign
 
 ROOT = Path(__file__).parents[2]
 HOUSE = ("Snakefile", "rules", "scripts", "quasi", "config/schemas", "config/polynomials", "profiles")
@@ -105,7 +105,7 @@ def lay(base):
         source, target = ROOT / name, project.house / name
         target.parent.mkdir(parents=True, exist_ok=True)
         if source.is_dir():
-            shutil.copytree(source, target, ignore=shutil.ignore_patterns("*.nbi", "*.nbc"))
+            shutil.copytree(source, target)  # with its compiled kernels
         else:
             shutil.copy(source, target)
     for name in ("config/models", "config/synthesis", "data"):
@@ -113,8 +113,8 @@ def lay(base):
     (project.folder / "config/synthesis/small.json").write_text(json.dumps(CAMPAIGN))
     (project.folder / "config/models/small.json").write_text(json.dumps(MODEL))
     (project.folder / "config/processing.json").write_text(json.dumps(PROCESSING))
-    write_rows(project.folder / "data/small_file_log.csv", logbook("small", CAMPAIGN))
-    (project.folder / "data/MadeBeetleConfig.json").write_text(json.dumps(quadrotor_configuration(CAMPAIGN)))
+    for path, text in project_files(read_campaign(CAMPAIGN, "small")).items():
+        (project.folder / path).write_text(text)
     return project
 
 
