@@ -1,6 +1,8 @@
 """Import one flight: read its sources, tie their clocks, fuse them on one grid, say how far it can be trusted."""
 
+import re
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,7 @@ from quasi.attitude import exponential, interpolate, multiply, rotate, rotate_in
 from quasi.errors import ConfigError, DataError
 from quasi.importing.artefacts import flyable
 from quasi.importing.motive import read_motive
-from quasi.importing.onboard_log import ATTITUDE, POSITION, Onboard, gather, read_onboard
+from quasi.importing.onboard_log import ATTITUDE, POSITION, Onboard, Track, gather, read_onboard
 from quasi.importing.resampling import (
     angular_acceleration,
     covered,
@@ -23,7 +25,7 @@ from quasi.importing.resampling import (
 )
 from quasi.importing.series import Recording, Series
 from quasi.importing.synchronisation import Motion, Synchronisation, synchronise
-from quasi.importing.telemetry import rotor_lag
+from quasi.importing.telemetry import rotor_age
 
 DEFAULTS: dict[str, Any] = {
     "resampling rate": 500.0,
@@ -35,6 +37,7 @@ DEFAULTS: dict[str, Any] = {
     "max permitted lag for optitrack": 25.0,
 }
 SAME_CLOCK_LAG = 1.0  # s, the most that a capture logged on board may be late
+SHARP_AGE = 0.6e-3  # s, standard error up to which an age of the rotor telemetry is corrected
 SCHEMA = "quasi.imported/1"
 
 
@@ -62,6 +65,7 @@ def import_flight(
     board = gather(recording, where, notes)
     capture, captured = _read_capture(flight, quadrotor, chosen, recording, board, notes)
     sync = _align(flight, board, capture, captured, chosen, where, notes)
+    board, telemetry = _settle_telemetry(board, where, notes)
     frame, facts = _fuse(board, capture, sync, quadrotor, chosen, where, notes)
     said = recording.metadata.get("motor poles") or {"value": poles or DEFAULT_POLES, "source": poles_source}
     metadata = {
@@ -75,7 +79,7 @@ def import_flight(
         "motor poles": said,
         "logged to rad/s": erpm100_to_rad_s(int(said["value"])) if said.get("value") else None,
         "rest before take-off": {"value": board.rest_seconds, "unit": "s"},
-        "rotor telemetry": _telemetry_age(board),
+        "rotor telemetry": telemetry,
         "options": chosen,
         "notes": [*(captured.notes if captured else []), *recording.notes, *(sync.notes if sync else []), *notes],
     }
@@ -319,18 +323,32 @@ def _lever_arm(
     return {"term": term, "about": {"value": arm.tolist(), "unit": "m", "applied": True}}
 
 
-def _telemetry_age(board: Onboard) -> dict[str, Any] | None:
-    """How late rotor speeds are logged against the motion, as the motion shows it; not corrected."""
-    if board.rotors is None or board.rotors.values.shape[1] < 3:
-        return None
-    found = rotor_lag(board.rotors.t, board.rotors.values, board.gyro.t, board.gyro.values)
-    if found is None or found.explained < 0.3:
-        return None
-    return {
-        "age": {"value": -found.lag, "std": found.lag_std, "unit": "s"},
-        "explained variance": found.explained,
-        "applied": False,
+def _settle_telemetry(board: Onboard, where: str, notes: list[str]) -> tuple[Onboard, dict[str, Any] | None]:
+    """Take the age of the rotor telemetry off its times where the flight tells it sharply; and what was found."""
+    if board.rotors is None or board.rotors.values.shape[1] != 4:
+        return board, None
+    age = rotor_age(board.rotors.t, board.rotors.values, board.gyro.t, board.gyro.values)
+    if age is None:
+        notes.append(f"{where}: too little flying with all rotors to tell the age of the rotor telemetry; taken as 0")
+        return board, None
+    sharp = age.std < SHARP_AGE and age.explained > 0.8
+    about = {
+        "age": {"value": age.value, "std": age.std, "unit": "s"},
+        "explained variance": age.explained,
+        "applied": sharp,
     }
+    if not sharp:
+        notes.append(
+            f"{where}: the age of the rotor telemetry is not told by this flight ({1e3 * age.value:.1f} +- "
+            f"{1e3 * age.std:.1f} ms); taken as 0. Quick yaw inputs would tell it"
+        )
+        return board, about
+
+    def earlier(track: Track) -> Track:
+        return Track(track.t - age.value, track.values)
+
+    others = {n: earlier(k) if re.fullmatch(r"w[1-8]", n) else k for n, k in board.others.items()}
+    return replace(board, rotors=earlier(board.rotors), others=others), about
 
 
 def _verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) -> dict[str, str]:
