@@ -10,6 +10,7 @@ from quasi.errors import ReadError
 from quasi.importing import blackbox_kernel as kernel
 from quasi.importing.blackbox_header import Log, find_logs, hex_float, plain_header
 from quasi.importing.blackbox_units import WANTED, debug_mode, resolve
+from quasi.importing.external import external_series
 from quasi.importing.series import Recording, Series
 from quasi.tables import read_bytes
 
@@ -173,7 +174,8 @@ def read_blackbox(path: str | Path, log_number: int | None = None, poles: int | 
     poles       number of motor magnets from the quadrotor configuration; None takes the header's, else 14
 
     Quantities, as far as logged: p q r, ax ay az, w1.., command1.., setpoint_p/q/r, throttle, battery_voltage,
-    battery_current, qw qx qy qz. Time is the controller's own clock, s. Damage is skipped and stands in the metadata.
+    battery_current, qw qx qy qz, x y z, vx vy vz; the captured motion that INDIflight was sent is the series "capture".
+    Time is the controller's own clock, s. Damage is skipped and stands in the metadata.
     Raises ReadError when there is nothing to read.
     """
     path = str(path)
@@ -216,10 +218,12 @@ def read_blackbox(path: str | Path, log_number: int | None = None, poles: int | 
         "flight modes": _flight_modes(frames, log),
         **resolved.about,
     }
+    series = {"onboard": Series(t=t, values=resolved.values)}
+    series |= external_series(t, resolved.external, metadata, notes)
     notes = [*lost_notes, *notes, *resolved.notes]
     if log_number is None and len(logs) > 1:
         notes.append(f"the file holds {len(logs)} logs; the longest, number {log.number}, was taken")
-    return Recording(series={"onboard": Series(t=t, values=resolved.values)}, metadata=metadata, notes=notes)
+    return Recording(series=series, metadata=metadata, notes=notes)
 
 
 def _losses(frames: Frames, t: np.ndarray, log: Log) -> tuple[list[dict], list[dict], list[str]]:

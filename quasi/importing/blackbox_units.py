@@ -26,7 +26,7 @@ FEATURE_3D = 1 << 12
 WANTED = {
     *(
         f"{name}[{i}]"
-        for name in ("gyroADC", "accSmooth", "imuQuaternion", "setpoint", "extPos", "extVel")
+        for name in ("gyroADC", "accSmooth", "imuQuaternion", "setpoint", "extPos", "extVel", "pos", "vel")
         for i in _AXES
     ),
     *(f"{name}[{i}]" for name in ("gyroADCafterRpm", "accADCafterRpm") for i in _AXES),
@@ -41,9 +41,13 @@ WANTED = {
 
 @dataclass
 class Resolved:
-    """Quantities in SI units with what was assumed: values {quantity: (n,)}, about (plain data), notes (sentences)."""
+    """Quantities in SI units with what was assumed: values {quantity: (n,)}, about (plain data), notes (sentences).
+
+    external  captured position and velocity as the log repeats them in every row: see `external.external_series`
+    """
 
     values: dict[str, np.ndarray] = field(default_factory=dict)
+    external: dict[str, np.ndarray] = field(default_factory=dict)
     about: dict[str, Any] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
@@ -89,6 +93,9 @@ def resolve(
     out.about["body axes logged"] = "x forward, y right, z down" if indi else "x forward, y left, z up"
     out.about["units"] = {}
     fine = 10.0 if (hex_float(header.get("blackbox_high_resolution")) or 0) > 0 else 1.0
+    if indi:
+        # the firmware's own units, where the log comes without its header
+        header = {"gyro_scale": "1", "acc_1G": f"{STANDARD_ACC_1G:g}"} | dict(header)
     _gyro(raw, header, sign, fine, known, out)
     _acceleration(raw, header, sign, known, out)
     for i, rate in enumerate("pqr"):
@@ -106,10 +113,12 @@ def resolve(
         throttle -= 1.0
         out.values["throttle"] = throttle
     for i, axis in enumerate("xyz"):
-        if f"extPos[{i}]" in raw:
-            out.values[axis] = _scaled(raw[f"extPos[{i}]"], 1e-3)
-        if f"extVel[{i}]" in raw:
-            out.values[f"v{axis}"] = _scaled(raw[f"extVel[{i}]"], 1e-2)
+        for prefix, values in (("", out.values), ("ext", out.external)):
+            place, speed = (f"{prefix}{name}[{i}]" for name in (("Pos", "Vel") if prefix else ("pos", "vel")))
+            if place in raw:
+                values[axis] = _scaled(raw[place], 1e-3)
+            if speed in raw:
+                values[f"v{axis}"] = _scaled(raw[speed], 1e-2)
     return out
 
 
@@ -232,7 +241,11 @@ def _rotor_speeds(raw, header, poles: int | None, known, out: Resolved) -> None:
         out.about["debug mode"] = mode
     if "omegaUnfiltered[0]" in raw or "omega[0]" in raw:
         name = "omegaUnfiltered" if "omegaUnfiltered[0]" in raw else "omega"
-        _speeds(raw, name, _MOTORS, 1.0, name, out)
+        # the firmware has room for eight; places without a motor stay at zero
+        turning = [i for i in _MOTORS if f"{name}[{i}]" in raw and (i < 4 or np.nanmax(raw[f"{name}[{i}]"]) > 0)]
+        _speeds(raw, name, turning, 1.0, name, out)
+        out.about["motor poles"] = {"value": None, "source": "not needed, the log holds mechanical speeds"}
+        out.about["logged to rad/s"] = 1.0
         return
     if "eRPM[0]" in raw:
         name, motors = "eRPM", _MOTORS

@@ -21,6 +21,7 @@ from quasi.errors import ReadError
 from quasi.importing.blackbox import gaps_note, time_gaps
 from quasi.importing.blackbox_header import plain_header
 from quasi.importing.blackbox_units import DEG, WANTED, debug_mode, resolve
+from quasi.importing.external import external_series
 from quasi.importing.series import Recording, Series
 from quasi.tables import read_text
 
@@ -107,7 +108,8 @@ def read_decoded(path: str | Path, poles: int | None = None, header: Mapping[str
         "time gaps": gaps,
         **resolved.about,
     }
-    return Recording({"onboard": Series(t, resolved.values)}, metadata, [*notes, *resolved.notes])
+    series = {"onboard": Series(t, resolved.values)} | external_series(t, resolved.external, metadata, notes)
+    return Recording(series, metadata, [*notes, *resolved.notes])
 
 
 def _cells(line: str) -> list[str]:

@@ -77,7 +77,8 @@ def import_flight(
         **facts,
         "synchronisation": sync.metadata() if sync else None,
         "motor poles": said,
-        "logged to rad/s": erpm100_to_rad_s(int(said["value"])) if said.get("value") else None,
+        "logged to rad/s": recording.metadata.get("logged to rad/s")
+        or (erpm100_to_rad_s(int(said["value"])) if said.get("value") else None),
         "rest before take-off": {"value": board.rest_seconds, "unit": "s"},
         "rotor telemetry": telemetry,
         "options": chosen,

@@ -88,13 +88,21 @@ def read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any], poles:
         raise ReadError(f"{path}: flight controller '{controller}' cannot be read; use betaflight, indiflight or table")
     binary = b"H Product:Blackbox" in bytes(read_bytes(path)[:4096])
     if binary:
-        return read_blackbox(path, log_number=flight.get("log number"), poles=poles)
-    if controller == "indiflight":
+        recording = read_blackbox(path, log_number=flight.get("log number"), poles=poles)
+    else:
+        recording = read_decoded(path, poles=poles)
+    revision = recording.metadata["firmware"]["revision"]
+    from_indiflight = recording.metadata["body axes logged"].endswith("down")
+    if controller == "indiflight" and not from_indiflight:
         raise ReadError(
-            f"{path} is no binary INDIflight log; give the binary log, or map its decoded columns "
-            "with 'Flight controller' table"
+            f"{path} is not INDIflight's: it names the firmware '{revision}' and holds neither its quat nor its omega "
+            "fields, and body axes would be mixed up; correct 'Flight controller' in the logbook"
         )
-    return read_decoded(path, poles=poles)
+    if controller != "indiflight" and from_indiflight:
+        recording.notes.append(
+            f"{path} comes from INDIflight, and is read so, though the logbook says '{flight['flight controller']}'"
+        )
+    return recording
 
 
 def _find(series: Mapping[str, Series], names: tuple[str, ...]) -> Track | None:
@@ -117,6 +125,11 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
             raise DataError(f"{where}: the on-board log holds no {what}; log it, nothing can be identified without")
     gyro, force = _finite(gyro), _finite(force)
     delays = header_delays(recording.metadata.get("header", {}))
+    for quantity, about in delays.items():
+        field_used = recording.metadata.get("units", {}).get(quantity, {}).get("field", "")
+        if field_used.endswith("afterRpm"):
+            # taken before the low-pass filters
+            about |= {"value": 0.0, "filters": []}
     attitude, source, rest = _find(series, ATTITUDE), "onboard", 0.0
     at_gyro = np.stack([np.interp(gyro.t, force.t, v) for v in force.values.T], axis=-1)
     estimate = estimate_attitude(gyro.t, gyro.values, at_gyro)

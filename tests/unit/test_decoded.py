@@ -173,11 +173,13 @@ def test_debug_columns_are_rotor_speeds_only_if_they_follow_the_motors(tmp_path)
 def test_indiflight_csv_is_front_right_down_already(tmp_path):
     names = ["loopIteration", "time", *(f"gyroADC[{i}]" for i in range(3)), *(f"accSmooth[{i}]" for i in range(3))]
     names += [f"quat[{i}]" for i in range(4)] + [f"omega[{i}]" for i in range(4)] + [f"extPos[{i}]" for i in range(3)]
-    row = "0,{t},90,90,90,0,0,-2048,8127,0,0,0,1000,1100,1200,1300,1500,2500,-500\n"
-    text = ",".join(names) + "\n" + "".join(row.format(t=1000 * i) for i in range(10))
-    value = first(read(tmp_path, text))
-    assert (value["q"], value["az"], value["w2"]) == pytest.approx((math.pi / 2, -9.81, 1100.0))
-    assert (value["x"], value["y"], value["z"], value["qw"]) == pytest.approx((1.5, 2.5, -0.5, 1.0))
+    row = "0,{t},90,90,90,0,0,-2048,8127,0,0,0,1000,1100,1200,1300,{x},2500,-500\n"
+    text = ",".join(names) + "\n" + "".join(row.format(t=1000 * i, x=1500 + i) for i in range(10))
+    recording = read(tmp_path, text)
+    value = first(recording)
+    assert (value["q"], value["az"], value["w2"], value["qw"]) == pytest.approx((math.pi / 2, -9.81, 1100.0, 1.0))
+    seen = recording.series["capture"].values
+    assert (seen["x"][0], seen["y"][0], seen["z"][0]) == pytest.approx((1.5, 2.5, -0.5))
 
 
 @pytest.mark.parametrize(
