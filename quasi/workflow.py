@@ -16,6 +16,7 @@ from quasi.tables import read_json
 
 BINARY = (".bbl", ".BBL", ".bfl", ".BFL")
 TEXT = (".csv", ".CSV")
+WIND = (".lvm", ".LVM", ".txt", ".csv")
 TABLE = (".csv", ".CSV", ".parquet", ".Parquet")
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
@@ -261,6 +262,34 @@ class Folder:
             name = str(config.get("flight controller", "")).lower()
         return {"cleanflight": "betaflight"}.get(name, name)
 
+    def wind(self, row: Row) -> tuple[dict[str, Any] | None, str | None]:
+        """Wind of a flight: its record, static speed (m/s), clock offset (s) and direction; None in still air.
+
+        A static wind other than 0 counts even where 'Has OJF data' is no, for it needs no record. The second part is a
+        sentence when a cell cannot be read, or the record is absent and no static wind stands in.
+        """
+        try:
+            static = row.number_in("Static wind (m/s)")
+            if not row.has("Has OJF data") and not static:
+                return None, None
+            wind: dict[str, Any] = {
+                "file": None,
+                "file problem": None,
+                "static": static,
+                "time offset": row.number_in("OptiTrack time offset (s)") or 0.0,
+                "towards": row.number_in("Wind towards (deg)") or 0.0,
+            }
+        except LogbookError as error:
+            return None, str(error)
+        if row.has("Has OJF data") and row.cells.get("OJF name"):
+            wind["file"], wind["file problem"] = self._find(row, "OJF path", "OJF name", WIND)
+        elif static is None:
+            return None, (
+                f"{row.logbook} row {row.number}: 'Has OJF data' is yes, but neither 'OJF name' nor 'Static wind (m/s)' "
+                "is given; fill in one"
+            )
+        return wind, wind["file problem"] if static is None else None
+
     def _find(self, row: Row, folder: str, name: str, suffixes: tuple[str, ...]) -> tuple[str | None, str | None]:
         base = self.place(row.cells.get(folder, "")) / row.cells[name]
         if base.suffix in suffixes:
@@ -319,6 +348,7 @@ class Folder:
         row = self.row(quadrotor, flight)
         raw, part = self.raw(row), self._part(row, IMPORTING)
         log_number = row.cells.get("Log number", "")
+        wind, wind_problem = self.wind(row)
         return {
             "flight": {
                 "flight": row.key,
@@ -328,10 +358,11 @@ class Folder:
                 "onboard": raw["onboard"],
                 "capture": raw["capture"],
                 "log number": int(log_number) if log_number.isdigit() else None,
-            },
+            }
+            | ({"wind": wind} if wind else {}),
             "quadrotor": part["quadrotor"],
             "options": self.processing["data importing"],
-            "problem": part["problem"] or raw["problem"],
+            "problem": part["problem"] or raw["problem"] or wind_problem,
         }
 
     def filtering(self, quadrotor: str, flight: str) -> dict[str, Any]:
@@ -370,13 +401,15 @@ class Folder:
         """Settings that all axes of a model share."""
         config = self.model(name)
         training, everything = self.model_flights(name, "training"), self.model_flights(name)
-        part = self._part(training[0], IDENTIFICATION)
-        files = {r.cells["Drone Config File"] for r in everything}
+        # a row whose configuration is absent or faulty fails in its own jobs, with its own sentence
+        sound = [r for r in everything if self._quadrotor(r)[1] is None]
+        files = {r.cells["Drone Config File"] for r in sound}
         if len(files) > 1:
             raise ConfigError(
                 f"config/models/{name}.json: the rows name several quadrotor configurations "
                 f"({', '.join(sorted(files))}); a model needs one"
             )
+        part = self._part(next((r for r in training if r in sound), training[0]), IDENTIFICATION)
         self._refuse_mixed_batteries(name, everything)
         masses = [m for m, _ in map(self.mass, training) if m]
         return {
