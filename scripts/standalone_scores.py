@@ -7,7 +7,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from quasi.identification.partition import ROLES, from_table, partition
 from quasi.joblog import job
-from quasi.standalone.figures import comparison
+from quasi.standalone.figures import closeup, comparison
 from quasi.standalone.model import read_model
 from quasi.standalone.score import UNITS, score, table_text
 from quasi.tables import read_table, whole_file, write_table, write_text
@@ -26,9 +26,12 @@ def main(model: str, partition_parquet: str, flights: list[str], roles: dict, op
     write_table(output["scores"], scores, UNITS)
     write_text(output["summary"], table_text(scores, portable))
     used = {key: table[np.asarray(codes[key]) > 0] for key, table in tables.items()}
-    for axis in portable.axes:
-        with whole_file(Path(output["figures"]) / f"{axis}.png") as part:
-            FigureCanvasAgg(comparison(portable, used, axis, roles["validation"])).print_png(part)
+    folder = Path(output["figures"])
+    figures = {axis: comparison(portable, used, axis, roles["validation"]) for axis in portable.axes}
+    figures |= {f"closeup_{key}": closeup(portable, used[key], key) for key in roles["validation"] or roles["training"]}
+    for name, figure in figures.items():
+        with whole_file(folder / f"{name}.png") as part:
+            FigureCanvasAgg(figure).print_png(part)
 
 
 if __name__ == "__main__":

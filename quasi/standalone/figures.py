@@ -64,6 +64,37 @@ def comparison(
     return figure
 
 
+def closeup(model: Model, flight: pd.DataFrame, key: str, seconds: float = 4.0) -> Figure:
+    """Measured and predicted forces and moments of one flight, each axis where it moves most.
+
+    flight  rows that are used, with t (s); seconds  length of what is shown
+    """
+    figure = Figure(figsize=(11, 6.5), layout="constrained")
+    panels = figure.subplots(2, 3)
+    t = flight["t"].to_numpy()
+    rows = max(round(seconds / float(np.median(np.diff(t)))), 1)
+    predicted = model.predict_columns(flight)
+    for panel, axis in zip(panels.flat, ("Fx", "Fy", "Fz", "Mx", "My", "Mz")):
+        if axis not in model.axes:
+            panel.set_visible(False)
+            continue
+        measured = flight[axis].to_numpy()
+        power = np.convolve(np.square(measured - np.mean(measured)), np.ones(min(rows, len(t))), "valid")
+        # rows that are not used leave gaps in time: a window must not reach across one
+        power[t[rows - 1 :] - t[: len(power)] > 1.05 * seconds] = -1.0 if len(power) > 1 else power[0]
+        first = int(np.argmax(power))
+        part = slice(first, first + rows)
+        panel.plot(t[part], measured[part], color=MEASURED, lw=1.2, label="measured")
+        panel.plot(t[part], predicted[axis].to_numpy()[part], color=MODEL, lw=1.0, label="model")
+        panel.set_ylabel(f"{axis}, {model.document['axes'][axis]['unit']}")
+        panel.margins(x=0)
+    for panel in panels[1]:
+        panel.set_xlabel("time, s")
+    panels[0, 0].legend(loc="best", fontsize=9)
+    figure.suptitle(f"Model {model.id} on {key}", fontsize=11)
+    return figure
+
+
 def scatter(model: Model, flights: Mapping[str, pd.DataFrame], axis: str) -> Figure:
     """Predicted over measured values of one axis; a perfect model lies on the diagonal."""
     figure = Figure(figsize=(5, 5), layout="constrained")
