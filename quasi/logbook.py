@@ -25,6 +25,7 @@ OPTIONAL = (
     "OJF path",
     "OJF name",
     "Static wind (m/s)",
+    "Wind towards (deg)",
     "Indoor or Outdoor",
     "Batteries",
     "Mode",

@@ -279,14 +279,17 @@ class Folder:
                 "time offset": row.number_in("OptiTrack time offset (s)") or 0.0,
                 "towards": row.number_in("Wind towards (deg)") or 0.0,
             }
+            for column in ("Static wind (m/s)", "OptiTrack time offset (s)", "Wind towards (deg)"):
+                if not abs(row.number_in(column) or 0.0) < 1e6:
+                    raise LogbookError(f"{row.logbook} row {row.number}: '{column}' is not finite; correct the cell")
         except LogbookError as error:
             return None, str(error)
         if row.has("Has OJF data") and row.cells.get("OJF name"):
             wind["file"], wind["file problem"] = self._find(row, "OJF path", "OJF name", WIND)
         elif static is None:
             return None, (
-                f"{row.logbook} row {row.number}: 'Has OJF data' is yes, but neither 'OJF name' nor 'Static wind (m/s)' "
-                "is given; fill in one"
+                f"{row.logbook} row {row.number}: 'Has OJF data' is yes, but neither 'OJF name' nor "
+                "'Static wind (m/s)' is given; fill in one"
             )
         return wind, wind["file problem"] if static is None else None
 

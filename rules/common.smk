@@ -95,7 +95,8 @@ def axis_parts(wildcards):
 def raw_files(wildcards):
     raw = ask(FOLDER.importing, wildcards.quadrotor, wildcards.flight)["flight"]
     # an absent file is not an input: it fails this flight's job with a sentence, not the graph of all flights
-    return [raw[k] for k in ("onboard", "capture") if raw[k]]
+    wind = raw.get("wind", {}).get("file")
+    return [raw[k] for k in ("onboard", "capture") if raw[k]] + ([wind] if wind else [])
 
 
 def every_model(wildcards):

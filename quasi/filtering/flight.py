@@ -84,7 +84,7 @@ def _filled(frame: pd.DataFrame, names: list[str], notes: list[str]) -> tuple[di
                 "they are bridged by straight lines and marked invalid"
             )
             lost |= bad
-        elif np.ptp(values) == 0.0 and name[0] == "w":
+        elif np.ptp(values) == 0.0 and name[0] == "w" and name[1:2].isdigit():
             notes.append(
                 f"column '{name}' is constant ({values[0]:g}) all through the flight; check the sensor and its mapping"
             )
@@ -146,6 +146,12 @@ def filter_flight(
     edge[:reach] = edge[-reach:] = True
     lost = forces.spread(imu.lost | actuators_lost, reach) | edge
     valid = in_flight & ~lost & ~run.unsure
+    air, windless = _through_air(imported, body, run.quaternion)
+    if windless.any():
+        notes.append(
+            f"the wind is unknown in {100 * windless.mean():.2g} % of the flight; these rows are marked invalid"
+        )
+        valid &= ~windless
 
     table: dict[str, np.ndarray] = {"t": t}
     for name in rotors:
@@ -162,7 +168,6 @@ def filter_flight(
     table |= dict(zip(("roll", "pitch", "yaw"), attitude.to_euler(run.quaternion).T))
     table |= dict(zip("xyz", run.position.T))
     table |= dict(zip("uvw", body.T))
-    air = _through_air(imported, body, run.quaternion)
     if air is not None:
         table |= dict(zip(("u_air", "v_air", "w_air"), air.T))
     force = forces.forces(specific, airframe.mass)
@@ -218,15 +223,14 @@ def filter_flight(
     return Filtered(with_gravity, no_gravity, metadata, run.convergence)
 
 
-def _through_air(imported: pd.DataFrame, body: np.ndarray, quaternion: np.ndarray) -> np.ndarray | None:
-    """Velocity through the air (N, 3), body axes, where the import knew the wind; None where it did not."""
-    names = ["u_air", "v_air", "w_air"]
-    if not set(names) <= set(imported) or not {"u", "v", "w", "roll"} <= set(imported):
-        return None
-    ground, through = imported[["u", "v", "w"]].to_numpy(float), imported[names].to_numpy(float)
-    turned = attitude.from_euler(*imported[["roll", "pitch", "yaw"]].to_numpy(float).T)
-    wind = attitude.rotate(turned, ground - through)
-    if not np.isfinite(wind).any():
-        return None
+def _through_air(
+    imported: pd.DataFrame, body: np.ndarray, quaternion: np.ndarray
+) -> tuple[np.ndarray | None, np.ndarray]:
+    """Velocity through the air (N, 3), body axes, None without any wind; and True (N,) where a wind is not known."""
+    names = ["wind_north", "wind_east", "wind_down"]
+    wind = imported[names].to_numpy(float) if set(names) <= set(imported) else np.full((len(imported), 3), np.nan)
+    unknown = ~np.isfinite(wind).all(axis=1)
+    if unknown.all():
+        return None, np.zeros(len(imported), bool)
     wind = np.stack([measurements.fill(c) for c in wind.T], axis=1)
-    return body - attitude.rotate_inverse(quaternion, wind)
+    return body - attitude.rotate_inverse(quaternion, wind), unknown

@@ -26,6 +26,7 @@ from quasi.importing.resampling import (
 from quasi.importing.series import Recording, Series
 from quasi.importing.synchronisation import Motion, Synchronisation, synchronise
 from quasi.importing.telemetry import rotor_age
+from quasi.importing.wind import add_wind
 
 DEFAULTS: dict[str, Any] = {
     "resampling rate": 500.0,
@@ -47,7 +48,7 @@ def import_flight(
     """One flight on a uniform grid, and how it was made.
 
     flight     "flight" (key), "quadrotor", "flight controller", "rigid body", "onboard" (path), "capture" (path or
-               None), "log number" (or None)
+               None), "log number" (or None), "wind" (see `wind.add_wind`; absent in still air)
     quadrotor  its configuration (the manual's listing 1 and our keys)
     options    "data importing" of the processing configuration; other keys are ignored
     Returns    columns of quasi.tables.COLUMNS (SI, earth NED, body FRD) from t = 0 at the first fused sample; flags
@@ -67,6 +68,12 @@ def import_flight(
     sync = _align(flight, board, capture, captured, chosen, where, notes)
     board, telemetry = _settle_telemetry(board, where, notes)
     frame, facts = _fuse(board, capture, sync, quadrotor, chosen, where, notes)
+    if flight.get("wind"):
+        tau = None
+        if captured is not None and sync is not None:
+            at = frame["t"].to_numpy() + facts["start"]["value"]
+            tau = np.interp(at, sync.to_onboard(capture.t), capture.t)
+        frame, facts["wind"] = add_wind(frame, flight["wind"], captured, tau, where, notes)
     said = recording.metadata.get("motor poles") or {"value": poles or DEFAULT_POLES, "source": poles_source}
     metadata = {
         "schema": SCHEMA,
