@@ -122,10 +122,10 @@ class Folder:
 
     @functools.cache  # noqa: B019
     def campaign(self, name: str) -> dict[str, Any]:
-        """config/synthesis/<name>.json as it stands (the synthesis stage checks it). Raises ConfigError."""
+        """config/synthesis/<name>.json, checked, with defaults. Raises ConfigError."""
         if name not in self.campaigns:
             raise ConfigError(f"config/synthesis/{name}.json does not exist{nearest(name, self.campaigns)}")
-        return read_json(self._here(f"config/synthesis/{name}.json"))
+        return self._read(f"config/synthesis/{name}.json", "synthesis")
 
     def made_flight(self, campaign: str, flight: str) -> dict[str, Any]:
         """Settings of one made flight: the campaign's, and its own entry alone."""
@@ -448,7 +448,7 @@ class Folder:
         return {
             "axis": axis,
             "bias": parameters[f"add bias term {axis.lower()}"],
-            "regressor cap": parameters["polynomial"]["regressor cap"],
+            **parameters["polynomial"],
             "confidence level": parameters["prediction interval confidence level"],
             "specification": specification[axis],
             "specification file": path.name,

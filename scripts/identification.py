@@ -6,7 +6,7 @@ from quasi.airframe import from_plain
 from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis
 from quasi.identification.partition import from_table
-from quasi.joblog import LOG, job
+from quasi.joblog import LOG, job, progress
 from quasi.tables import read_json, read_table, write_json
 
 
@@ -16,7 +16,7 @@ def main(flights: list[str], shared: str, partition: str, settings: dict, output
     specification = read_specification(
         {axis: settings["specification"]}, axis, settings["specification file"], settings["bias"]
     )
-    tables = {Path(path).stem: read_table(path) for path in flights}
+    tables = {Path(path).stem: read_table(path) for path in progress(flights, "reading flights")}
     roles = from_table(read_table(partition), {key: len(table) for key, table in tables.items()})
     result = fit_axis(axis, tables, roles, from_plain(found["airframe"]), found, settings, specification)
     for step in result["log"]:

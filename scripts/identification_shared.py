@@ -7,7 +7,7 @@ from quasi.errors import ConfigError
 from quasi.identification.partition import UNITS as PARTITION_UNITS
 from quasi.identification.partition import partition, to_table
 from quasi.identification.shared import shared
-from quasi.joblog import LOG, job
+from quasi.joblog import LOG, job, progress
 from quasi.tables import read_made, read_table, write_json, write_table
 
 
@@ -16,7 +16,7 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
     if settings["problem"]:
         raise ConfigError(settings["problem"])
     airframe = read_airframe(settings["quadrotor"], settings["quadrotor"]["file"], settings["mass"])
-    tables = {Path(path).stem: read_table(path) for path in flights}
+    tables = {Path(path).stem: read_table(path) for path in progress(flights, "reading flights")}
     made = {Path(path).stem: read_made(path) for path in flights}
     roles = partition(tables, options=settings["data partitioning"])
     masses = {key: about["mass"] for key, about in made.items() if about.get("mass")}

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from quasi.identification.partition import ROLES, from_table, partition
-from quasi.joblog import job
+from quasi.joblog import job, progress
 from quasi.standalone.figures import closeup, comparison
 from quasi.standalone.model import read_model
 from quasi.standalone.score import UNITS, score, table_text
@@ -16,7 +16,7 @@ from quasi.tables import read_table, whole_file, write_table, write_text
 def main(model: str, partition_parquet: str, flights: list[str], roles: dict, options: dict, output: dict) -> None:
     """Read the model and all of its flights, held-out ones included; write scores, their table, figures."""
     portable = read_model(model)
-    tables = {Path(path).stem: read_table(path) for path in flights}
+    tables = {Path(path).stem: read_table(path) for path in progress(flights, "reading flights")}
     training = {key: tables[key] for key in roles["training"]}
     held_out = {key: tables[key] for key in roles["validation"]}
     codes = from_table(read_table(partition_parquet), {key: len(table) for key, table in training.items()})
@@ -29,7 +29,7 @@ def main(model: str, partition_parquet: str, flights: list[str], roles: dict, op
     folder = Path(output["figures"])
     figures = {axis: comparison(portable, used, axis, roles["validation"]) for axis in portable.axes}
     figures |= {f"closeup_{key}": closeup(portable, used[key], key) for key in roles["validation"] or roles["training"]}
-    for name, figure in figures.items():
+    for name, figure in progress(list(figures.items()), "drawing"):
         with whole_file(folder / f"{name}.png") as part:
             FigureCanvasAgg(figure).print_png(part)
 

@@ -103,3 +103,14 @@ def test_key_of_ones_own_in_a_quadrotor_is_allowed_but_a_near_miss_is_noticed():
     assert configuration.check({**beetle, "owner": "lab"}, "quadrotor", "q")[1] == []
     notices = configuration.check({**beetle, "motor pole": 14}, "quadrotor", "q")[1]
     assert notices == ["q: 'motor pole' is not a key of quasi; did you mean 'motor poles'?"]
+
+
+def test_campaign_schema_holds_the_keys_that_the_synthesis_takes():
+    from quasi.synthesis.campaign import FLIGHT_KEYS, KEYS
+
+    rules = configuration.schema("synthesis")["properties"]
+    assert set(rules) == set(KEYS)
+    assert set(rules["flights"]["items"]["properties"]) == set(FLIGHT_KEYS)
+    assert {k: v["default"] for k, v in rules.items() if "default" in v} == {
+        k: v[0] for k, v in KEYS.items() if v[0] is not None
+    }
