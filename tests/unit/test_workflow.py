@@ -1,0 +1,173 @@
+"""What the rules learn of a project folder."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from quasi.errors import ConfigError, LogbookError
+from quasi.workflow import Folder
+
+ROOT = Path(__file__).parents[2]
+MODEL = {
+    "logging file": {"filename": "log", "rows of flights to use (all)": ["2-4"], "rows of flights for validation": [4]},
+    "identification parameters": {"polynomial specification file": "physical"},
+}
+HEADER = "Quadrotor,Onboard Name,OB Path,Flight controller,Drone Config File,Drone Config Path,Has OT data"
+HEADER += ",Raw OptiTrack Name,Raw OT Path,Mass,Batteries"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    shutil.copytree(ROOT / "config/template", tmp_path, dirs_exist_ok=True)
+    (tmp_path / "config/models/my_model.json").unlink()
+    (tmp_path / "config/models/m.json").write_text(json.dumps(MODEL))
+    (tmp_path / "config/processing.json").write_text(json.dumps({"logging file": {"filename": "log"}}))
+    rows = [f"Beetle,{n},data/raw,betaflight,my_quadrotor,data,N,,,433,4S" for n in "abc"]
+    (tmp_path / "data/log.csv").write_text("\n".join([HEADER, *rows]) + "\n")
+    for name in ("a.bbl", "a.csv", "b.csv", "c.BFL"):
+        (tmp_path / "data/raw" / name).touch()
+    return tmp_path
+
+
+def edit(folder, old, new):
+    path = folder / "data/log.csv"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+
+
+def edit_model(folder, **sections):
+    path = folder / "config/models/m.json"
+    document = json.loads(path.read_text())
+    for name, values in sections.items():
+        document.setdefault(name.replace("_", " "), {}).update(values)
+    path.write_text(json.dumps(document))
+
+
+def test_raw_files_are_found_by_any_usual_ending_binary_before_decoded(folder):
+    project = Folder(folder)
+    found = {k: project.importing("Beetle", k)["flight"]["onboard"] for k in "abc"}
+    assert found == {"a": "data/raw/a.bbl", "b": "data/raw/b.csv", "c": "data/raw/c.BFL"}
+
+
+def test_data_prefix_is_replaced_for_raw_files_but_the_folders_own_configuration_stays(folder, tmp_path_factory):
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    shutil.move(folder / "data/raw", elsewhere / "raw")
+    settings = Folder(folder, data=elsewhere).importing("Beetle", "a")
+    assert settings["flight"]["onboard"] == str(elsewhere / "raw/a.bbl")
+    assert settings["problem"] is None
+
+
+def test_flights_settings_hold_its_own_row_only(folder):
+    before = {k: Folder(folder).importing("Beetle", k) for k in "abc"}
+    edit(folder, "Beetle,b,data/raw,betaflight,my_quadrotor,data,N", "Beetle,b,data/raw,betaflight,my_quadrotor,data,Y")
+    after = {k: Folder(folder).importing("Beetle", k) for k in "abc"}
+    assert before["a"] == after["a"]
+    assert before["c"] == after["c"]
+    assert "'Raw OptiTrack Name' is empty" in after["b"]["problem"]
+
+
+def test_mass_is_grams_in_the_logbook_and_else_the_quadrotors(folder):
+    edit(
+        folder,
+        "Beetle,a,data/raw,betaflight,my_quadrotor,data,N,,,433",
+        "Beetle,a,data/raw,betaflight,my_quadrotor,data,N,,,450",
+    )
+    edit(
+        folder,
+        "Beetle,b,data/raw,betaflight,my_quadrotor,data,N,,,433",
+        "Beetle,b,data/raw,betaflight,my_quadrotor,data,N,,,",
+    )
+    masses = {k: Folder(folder).filtering("Beetle", k)["mass"] for k in "abc"}
+    assert masses == {"a": pytest.approx(0.450), "b": pytest.approx(0.433), "c": pytest.approx(0.433)}
+
+
+def test_training_and_validation_flights_are_disjoint(folder):
+    project = Folder(folder)
+    assert [r.key for r in project.model_flights("m", "training")] == ["a", "b"]
+    assert [r.key for r in project.model_flights("m", "validation")] == ["c"]
+
+
+@pytest.mark.parametrize(
+    ("given", "kind"), [("data/processed/filtered/noGravity", "noGravity"), ("withGravity/", "withGravity")]
+)
+def test_kind_of_force_is_the_last_part_of_the_manuals_folder(folder, given, kind):
+    path = folder / "config/models/m.json"
+    path.write_text(json.dumps({**MODEL, "filtered data save directory": given}))
+    assert Folder(folder).gravity("m") == kind
+
+
+def test_candidate_file_of_the_project_comes_before_the_standard_one(folder):
+    assert "w_avg" in json.dumps(Folder(folder).specification("m")[1])
+    own = {"Fx": {"fixed": ["u"]}}
+    (folder / "config/polynomials/physical.json").write_text(json.dumps(own))
+    path, document = Folder(folder).specification("m")
+    assert path == Path("config/polynomials/physical.json")
+    assert document["Fx"]["fixed"] == ["u"]
+    with pytest.raises(ConfigError, match=r"physical\.json holds no section 'Fy'"):
+        Folder(folder).axis("m", "Fy")
+
+
+def test_path_of_the_manuals_candidate_file_means_the_standard_one_of_that_name(folder):
+    name = "polyCands_DiffSys_quadraticU_symmetric_SIMPLE_FM.json"
+    given = {"polynomial specification file": f"droneidentification/polynomialCandidates/{name}"}
+    edit_model(folder, identification_parameters=given)
+    assert Folder(folder).specification("m")[0].name == name
+
+
+def test_an_axis_depends_on_its_own_switches_only(folder):
+    before = {a: Folder(folder).axis("m", a) for a in ("Fx", "Fy")}
+    edit_model(folder, identification_parameters={"add bias term fx": False})
+    after = {a: Folder(folder).axis("m", a) for a in ("Fx", "Fy")}
+    assert before["Fy"] == after["Fy"]
+    assert before["Fx"] != after["Fx"]
+
+
+@pytest.mark.parametrize(
+    ("sections", "message"),
+    [
+        ({"saving_models": {"model ID": "other"}}, "'model ID' is 'other', but the file's name says 'm'"),
+        ({"data_normalization": {"normalize data": True}}, "not offered by this version"),
+        ({"logging_file": {"rows of flights for validation": ["2-4"]}}, "leave at least one for training"),
+        (
+            {"identification_parameters": {f"identify {a}": False for a in ("fx", "fy", "fz", "mx", "my", "mz")}},
+            "every 'identify ...' is false",
+        ),
+    ],
+)
+def test_faults_of_a_model_name_file_and_key(folder, sections, message):
+    edit_model(folder, **sections)
+    with pytest.raises(ConfigError, match=message) as error:
+        Folder(folder).identification("m")
+    assert "config/models/m.json" in str(error.value)
+
+
+def test_flights_of_different_batteries_are_not_mixed(folder):
+    edit(
+        folder,
+        "Beetle,a,data/raw,betaflight,my_quadrotor,data,N,,,433,4S",
+        "Beetle,a,data/raw,betaflight,my_quadrotor,data,N,,,433,6S",
+    )
+    with pytest.raises(ConfigError, match=r"different 'Batteries' \(4S, 6S\)"):
+        Folder(folder).identification("m")
+
+
+def test_unknown_flight_names_the_nearest(folder):
+    with pytest.raises(LogbookError, match="Beetle/d"):
+        Folder(folder).row("Beetle", "d")
+
+
+def test_broken_model_does_not_stop_the_others(folder):
+    (folder / "config/models/broken.json").write_text("{")
+    assert Folder(folder).axes("m") == ["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
+    assert Folder(folder).importing("Beetle", "a")["problem"] is None
+
+
+def test_selection_that_means_other_flights_than_the_model_was_made_from_is_told(folder):
+    project = Folder(folder)
+    assert project.changed_selection("m") is None
+    made = folder / "results/identified/m/shared.json"
+    made.parent.mkdir(parents=True)
+    made.write_text(json.dumps({"flights": {"training": ["a", "x"]}}))
+    assert "now mean the training flights a, b; it was made from a, x" in project.changed_selection("m")
