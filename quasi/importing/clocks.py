@@ -3,14 +3,20 @@
 Model: t = tau + lag + rate (tau - reference), with tau the time of the second ("other") record and t that of the first.
 A coarse lag comes from normalised cross-correlation; lag and rate then from least squares on the signals themselves,
 the first record's regressed on the second's, so that small turns of the axes, scales and offsets between the two do not
-matter. Standard errors come from blocks of the residuals, which are far from white.
+matter. The noisier record should be the first: noise of the regressors passes for motion, which blurs the fit and makes
+it look surer than it is.
+
+Standard errors: residuals are far from white, and what tells the time is often a few bursts of motion. The spread of
+the score is found twice: from the residuals' autocovariance over the whole record, which does not rest on these few
+bursts; and from blocks, which sees errors that grow with the motion or hit all signals at once. The larger one counts.
 
 Source: Golub & Pereyra, Separable nonlinear least squares: the variable projection method, Inverse Problems 19, 2003;
-Huber, Robust Statistics, 1981, ch. 7; Cameron, Gelbach & Miller (block-robust errors), J. Human Resources 50(2), 2015.
+Huber, Robust Statistics, 1981, ch. 7; Newey & West, Econometrica 55(3), 1987 (taper of the autocovariance); Cameron,
+Gelbach & Miller (block-robust errors), J. Human Resources 50(2), 2015.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -62,6 +68,16 @@ class ClockFit:
     seconds: float
     mix: np.ndarray
 
+    def inverted(self) -> "ClockFit":
+        """The same relation told from the other side: t and tau change places. `mix` stays as it was fitted."""
+        return replace(
+            self,
+            lag=-self.lag,
+            rate=-self.rate / (1 + self.rate),
+            reference=self.reference + self.lag,
+            rate_std=self.rate_std / (1 + self.rate) ** 2,
+        )
+
     def to_first(self, tau: np.ndarray) -> np.ndarray:
         """Times of the first clock for times of the other."""
         tau = np.asarray(tau, float)
@@ -73,7 +89,7 @@ class ClockFit:
 
 
 def uniform(t: np.ndarray, values: np.ndarray, rate: float, cutoff: float) -> Uniform | None:
-    """Band-limit a record for comparison: linear interpolation to a uniform grid, zero-phase low-pass.
+    """Band-limit a record for comparison: interpolation to a uniform grid, zero-phase low-pass.
 
     t       (n,) s, increasing; values (n,) or (n, k), NaN where missing; rate, cutoff  Hz
     Returns None when less than half a second is usable; `good` is false near gaps longer than two grid steps or three
@@ -98,7 +114,8 @@ def uniform(t: np.ndarray, values: np.ndarray, rate: float, cutoff: float) -> Un
         inner = _low_pass(inner, 1 / usual, cutoff)
         out = np.stack([np.interp(grid, dense, v) for v in inner.T], axis=1)
     else:
-        out = _low_pass(np.stack([np.interp(grid, t, v) for v in values.T], axis=1), rate, cutoff)
+        # straight lines between samples as coarse as these would weaken the faster motion
+        out = _low_pass(CubicSpline(t, values, axis=0)(grid), rate, cutoff)
     good = np.ones(len(grid), bool)
     for i in np.flatnonzero(spacing > max(2 * step, 3.1 * usual)):
         margin = 0.5 / cutoff
@@ -183,6 +200,7 @@ def fit(
     for turn in range(rounds):
         normal, right = np.zeros((2, 2)), np.zeros(2)
         scores: list[tuple[np.ndarray, np.ndarray]] = []
+        spread = np.zeros((2, 2))
         seconds, by_pair, shares, first_mix = 0.0, {}, [], np.zeros((0, 0))
         for pair, spline in zip(pairs, splines):
             t = pair.first.t
@@ -216,11 +234,13 @@ def fit(
                 score = w[:, None] * g * residual[:, k : k + 1]
                 right += score.sum(axis=0)
                 scores.append((t, score))
-            spread = np.mean((y - y.mean(axis=0)) ** 2, axis=0)
+                cell = np.rint((t - pair.first.start) / pair.first.step).astype(int)
+                spread += _stationary_spread(cell, w[:, None] * g, residual[:, k], scale[k], pair.first.step)
+            moving = np.count_nonzero(np.ptp(y, axis=0) > 0)
             share = 1.0 - np.sum(weight * residual**2) / max(np.sum(weight * (y - y.mean(axis=0)) ** 2), 1e-300)
             by_pair[pair.name] = float(share)
             first_mix = mix[:-1].T if not first_mix.size else first_mix
-            shares.append((float(share), float(np.sum(spread > 0)) * len(y)))
+            shares.append((float(share), float(moving) * len(y)))
             seconds = max(seconds, len(y) * pair.first.step)
         if not scores:
             return None
@@ -231,11 +251,11 @@ def fit(
         step = np.zeros(2)
         step[:active] = np.linalg.solve(part, right[:active])
         inverse = np.linalg.inv(part)
-        spread = _block_spread(scores, active)
-        covariance = inverse @ spread @ inverse
+        both = [np.diag(inverse @ s @ inverse) for s in (spread[:active, :active], _block_spread(scores, active))]
+        std = np.sqrt(np.maximum(*both))
         result = ClockFit(
             lag, rate, reference,
-            float(np.sqrt(covariance[0, 0])), float(np.sqrt(covariance[1, 1])) if fit_rate else 0.0,
+            float(std[0]), float(std[1]) if fit_rate else 0.0,
             float(np.average([s for s, _ in shares], weights=[w for _, w in shares])), by_pair, seconds, first_mix,
         )  # fmt: skip
         if abs(step[0]) < 1e-7 and abs(step[1]) < 1e-10:
@@ -247,6 +267,28 @@ def fit(
         if abs(lag - start) > 1.5 or abs(rate) > 0.2:
             return None
     return result
+
+
+def _stationary_spread(
+    cell: np.ndarray, weighted: np.ndarray, residual: np.ndarray, scale: float, step: float
+) -> np.ndarray:
+    """Spread (2, 2) of sum(weighted x residual) for residuals whose autocovariance is the same all along.
+
+    cell (n,) places on the grid of `step` s; weighted (n, 2); residual (n,), taken to within 4 `scale`.
+    """
+    cell = cell - cell[0]
+    reach, count = int(BLOCK / step), int(cell[-1]) + 1
+    size = next_fast_len(count + reach + 1, real=True)
+    lined = np.zeros((3, count))
+    lined[0, cell], lined[1:, cell] = np.clip(residual, -4 * scale, 4 * scale), weighted.T
+    r, *x = rfft(lined, size)
+    power = irfft(np.abs(r) ** 2, size)[: reach + 1] / len(cell) * (1 - np.arange(reach + 1) / (reach + 1))
+    power[1:] *= 2  # both signs of the lag
+    out = np.empty((2, 2))
+    for i in range(2):
+        for j in range(2):
+            out[i, j] = irfft(np.real(x[i] * np.conj(x[j])), size)[: reach + 1] @ power
+    return out
 
 
 def _block_spread(scores: Sequence[tuple[np.ndarray, np.ndarray]], active: int) -> np.ndarray:

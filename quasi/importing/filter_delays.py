@@ -2,14 +2,15 @@
 
 Constant group delays far below the cut-off: of a first-order lag 1/(2 pi f); of PTn (n equal lags in a row, each with
 its cut-off raised by 1/sqrt(2^(1/n) - 1) so that the whole has -3 dB at f) n times that of one; of a second-order
-Butterworth sqrt(2)/(2 pi f). Notches are left out: with their usual narrow bands they add a few tenths of a
-millisecond.
+Butterworth sqrt(2)/(2 pi f); of a notch of quality Q 1/(2 pi f Q). What moves in flight is known roughly: a dynamic
+low-pass between its two ends, notches that follow the rotors or the spectrum from where they may move. Their doubt
+is the standard error of the delay.
 
 Source: Oppenheim & Schafer, Discrete-Time Signal Processing, 3rd ed., 2010, section 5.1.2 (group delay).
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 KINDS = {0: "PT1", 1: "biquad", 2: "PT2", 3: "PT3"}
@@ -19,6 +20,11 @@ STAGES = (
     ("gyro_lowpass2_hz", "", "gyro_lowpass2_type"),
     ("gyro_lpf1_static_hz", "gyro_lpf1_dyn_hz", "gyro_lpf1_type"),
     ("gyro_lpf2_static_hz", "", "gyro_lpf2_type"),
+)
+# number of harmonics, quality in hundredths, lowest frequency, under the names up to version 4.2 and since 4.3
+RPM_NOTCHES = (
+    ("gyro_rpm_notch_harmonics", "gyro_rpm_notch_q", "gyro_rpm_notch_min"),
+    ("rpm_filter_harmonics", "rpm_filter_q", "rpm_filter_min_hz"),
 )
 
 
@@ -31,31 +37,65 @@ def delay(kind: str, cutoff: float) -> float:
     return order * lag * math.sqrt(2.0 ** (1.0 / order) - 1.0)
 
 
+def notch_delay(centre: float, quality: float) -> float:
+    """Group delay at low frequency, s, of a notch (s2 + w2) / (s2 + s w/Q + w2) at `centre` Hz."""
+    return 1.0 / (2 * math.pi * centre * quality)
+
+
 def header_delays(header: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """{"gyro" | "accelerometer": {"value" s, "unit", "filters"}} from a blackbox header; what it lacks counts as off.
+    """{"gyro" | "accelerometer": {"value" s, "std" s, "unit", "filters"}} from a blackbox header; what it lacks is off.
 
     A dynamic low-pass is taken at its lowest cut-off, where it sits at low throttle; the true delay is then smaller.
     """
     gyro: list[str] = []
-    total = 0.0
+    total = doubt = 0.0
     for static, moving, kind_key in STAGES:
         dynamic = header.get(moving)
-        low = _number(dynamic[0]) if isinstance(dynamic, list | tuple) and dynamic else 0.0
+        low, high = (
+            (_number(dynamic[0]), _number(dynamic[-1])) if isinstance(dynamic, list | tuple) and dynamic else (0, 0)
+        )
         cutoff = low or _number(header.get(static))
         if cutoff:
             kind = KINDS.get(int(_number(header.get(kind_key))), "PT1")
             gyro.append(f"{kind} {cutoff:g} Hz" + (" (dynamic, lowest)" if low else ""))
             total += delay(kind, cutoff)
+            doubt += 0.5 * (delay(kind, low) - delay(kind, high)) if high > low else 0.0
+    for name, late, unsure in _notches(header):
+        gyro.append(name)
+        total, doubt = total + late, doubt + unsure
     cutoff = _number(header.get("acc_lpf_hz"))
     cutoff = cutoff / 100 if cutoff > 500 else cutoff  # until version 4.2 the header holds hundredths of a hertz
     return {
-        "gyro": {"value": total, "unit": "s", "filters": gyro},
+        "gyro": {"value": total, "std": doubt, "unit": "s", "filters": gyro},
         "accelerometer": {
             "value": delay("PT2", cutoff) if cutoff else 0.0,
+            "std": 0.0,
             "unit": "s",
             "filters": [f"PT2 {cutoff:g} Hz"] if cutoff else [],
         },
     }
+
+
+def _notches(header: Mapping[str, Any]) -> Iterator[tuple[str, float, float]]:
+    """Name, delay s and its doubt s of the notches on the gyro: fixed, on peaks of the spectrum, on the rotors."""
+    centres, edges = header.get("gyro_notch_hz"), header.get("gyro_notch_cutoff")
+    if isinstance(centres, list | tuple) and isinstance(edges, list | tuple):
+        for centre, edge in zip(map(_number, centres), map(_number, edges)):
+            if centre > edge > 0:
+                yield f"notch {centre:g} Hz", notch_delay(centre, centre * edge / (centre**2 - edge**2)), 0.0
+    low, high = _number(header.get("dyn_notch_min_hz")), _number(header.get("dyn_notch_max_hz"))
+    quality = _number(header.get("dyn_notch_q")) / 100  # the header holds hundredths
+    count = int(_number(header.get("dyn_notch_count", 1)))
+    if count and low and high > low and quality:
+        least, most = (count * notch_delay(f, quality) for f in (high, low))
+        yield f"{count} dynamic notches {low:g} to {high:g} Hz", 0.5 * (least + most), 0.5 * (most - least)
+    for count_key, quality_key, least_key in RPM_NOTCHES:
+        harmonics, quality = int(_number(header.get(count_key))), _number(header.get(quality_key)) / 100
+        low = _number(header.get(least_key))
+        if harmonics and quality and low and _number(header.get("dshot_bidir", 1)):
+            # the rotors' frequency in flight lies between the least and some four times it
+            late = 4 * sum(notch_delay(k * low, quality) for k in range(1, harmonics + 1))
+            yield f"4 x {harmonics} notches on the rotors above {low:g} Hz", 0.625 * late, 0.375 * late
 
 
 def _number(value: Any) -> float:

@@ -64,8 +64,8 @@ class Onboard:
             self.gyro.values,
             force,
             q,
-            gyro_delay=self.delays["gyro"]["value"],
-            accelerometer_delay=self.delays["accelerometer"]["value"],
+            gyro_doubt=self.delays["gyro"]["std"],
+            accelerometer_doubt=self.delays["accelerometer"]["std"],
         )
 
 

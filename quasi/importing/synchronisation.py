@@ -22,7 +22,6 @@ BAND = 15.0  # Hz, to which both sides are band-limited: less is motion, more is
 SLOW_BAND = 8.0  # Hz, for twice differentiated positions
 COARSE = 50.0  # Hz
 LARGEST_TURN = 0.5  # of the mix from what it must be, weighted by how much each axis moves
-DELAY_DOUBT = 0.03  # share of the on-board filters' nominal delay that stays unknown
 
 
 @dataclass(frozen=True)
@@ -30,8 +29,8 @@ class Motion:
     """One side of the comparison, on its own clock.
 
     t (n,) s; rates (n, 3) rad/s and specific_force (n, 3) m/s2, body FRD, or None; quaternion (n, 4) body to earth or
-    None; position (n, 3) m earth NED or None; NaN where missing. gyro_delay, accelerometer_delay: s, what was taken off
-    the times of these signals for the on-board filters; their doubt enters the standard error of the lag.
+    None; position (n, 3) m earth NED or None; NaN where missing. gyro_doubt, accelerometer_doubt: s, standard errors of
+    what was taken off the times of these signals for the on-board filters; they enter that of the lag.
     """
 
     t: np.ndarray
@@ -39,8 +38,8 @@ class Motion:
     specific_force: np.ndarray | None = None
     quaternion: np.ndarray | None = None
     position: np.ndarray | None = None
-    gyro_delay: float = 0.0
-    accelerometer_delay: float = 0.0
+    gyro_doubt: float = 0.0
+    accelerometer_doubt: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -120,7 +119,7 @@ def synchronise(
         )
     good = [(lag, r) for lag, r in found if r >= 0.75 * found[0][1]]
     fits = [(r, f) for lag, r in good if (f := _refine(pairs, coarse, lag, same_clock)) is not None]
-    spread = pairs[0].other.values[pairs[0].other.good].std(axis=0)
+    spread = pairs[0].first.values[pairs[0].first.good].std(axis=0)
     fits = [(r, f) for r, f in fits if _plausible(f, spread, capture.quaternion is not None)]
     if not fits:
         raise DataError(
@@ -149,7 +148,7 @@ def synchronise(
             f"{where}: the lag lies at the limit of {longest_lag:g} s; raise 'max permitted lag for optitrack'"
         )
     # the fit's own error, and that of the delay which was taken off the on-board signals
-    doubt = DELAY_DOUBT * (onboard.gyro_delay if capture.quaternion is not None else onboard.accelerometer_delay)
+    doubt = onboard.gyro_doubt if capture.quaternion is not None else onboard.accelerometer_doubt
     best = replace(best, lag_std=float(np.hypot(best.lag_std, doubt)))
     offset, drift, when = (
         _heading(onboard, capture, best) if capture.quaternion is not None else _course(pairs[0], best)
@@ -162,7 +161,7 @@ def _plausible(clock: ClockFit, spread: np.ndarray, turned: bool) -> bool:
     """Whether the fit is of one motion seen twice: the mix near no turn (rates) or a turn about the vertical alone.
 
     Records of different flights can be laid on each other somewhere, but only by a mix that no sensor has.
-    spread  standard deviation of each captured signal: the mix of an axis that hardly moves is noise and does not count
+    spread  standard deviation of each on-board signal: the mix of an axis that hardly moves is noise and does not count
     """
     expected = np.eye(3)
     if not turned:
@@ -215,7 +214,7 @@ def _signals(
         fine = np.isfinite(capture.quaternion).all(axis=1)
         t_cap, q_cap = capture.t[fine], continuous(capture.quaternion[fine])
         rates = _with_gaps(t_cap, body_rates(q_cap, t_cap))
-        add("body rates", onboard.t, onboard.rates, t_cap, rates, band)
+        add("body rates", onboard.t, _turned_between(onboard.t, onboard.rates, spacing), t_cap, rates, band)
         for i, name in enumerate("pqr"):
             search(name, onboard.t, onboard.rates[:, i], t_cap, rates[:, i])
         if onboard.quaternion is not None:
@@ -254,6 +253,18 @@ def _signals(
     return coarse, pairs, method
 
 
+def _turned_between(t: np.ndarray, rates: np.ndarray, spacing: float) -> np.ndarray:
+    """Mean of the rates (n, 3) over `spacing` s to either side, as central differences of a captured attitude have it.
+
+    Compared with the rates as they are, every turn would look slower in the capture, and the sharper ones most.
+    """
+    angle = np.zeros_like(rates)
+    angle[1:] = np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(t)[:, None], axis=0)
+    after, before = np.minimum(t + spacing, t[-1]), np.maximum(t - spacing, t[0])
+    turned = [np.interp(after, t, a) - np.interp(before, t, a) for a in angle.T]
+    return np.stack(turned, axis=-1) / (after - before)[:, None]
+
+
 def _with_gaps(t: np.ndarray, values: np.ndarray) -> np.ndarray:
     """NaN beside gaps, where a difference spans what was not seen."""
     wide = np.flatnonzero(np.diff(t) > 3.1 * np.median(np.diff(t)))
@@ -284,7 +295,7 @@ def _refine(
     begin = max(first.start, other.start + lag)
     end = min(first.t[-1], other.t[-1] + lag)
     reference = 0.5 * (begin + end) - lag
-    result = fit(pairs, lag, 0.0, reference, fit_rate=end - begin > 10.0 and not same_clock)
+    result = _fit(pairs, lag, 0.0, reference, fit_rate=end - begin > 10.0 and not same_clock)
     if same_clock or (result is not None and result.explained > 0.8):
         return result
     # lags of windows of ten seconds, each searched near the coarse one, and a robust line through them
@@ -301,10 +312,20 @@ def _refine(
         i, j = np.triu_indices(len(c), 1)
         slope = float(np.median((o[j] - o[i]) / (c[j] - c[i])))
         middle = float(np.median(o - slope * (c - reference - lag)))
-        second = fit(pairs, middle, slope, reference)
+        second = _fit(pairs, middle, slope, reference)
         if second is not None and (result is None or second.explained > result.explained):
             result = second
     return result
+
+
+def _fit(pairs: Sequence[Pair], lag: float, rate: float, reference: float, fit_rate: bool = True) -> ClockFit | None:
+    """The clock fit with the captured signals regressed on the on-board ones.
+
+    A capture's noise grows with differentiation; as regressor it would pass for motion and blur the fit.
+    """
+    turned = [Pair(p.name, p.other, p.first) for p in pairs]
+    found = fit(turned, -lag, -rate / (1 + rate), reference + lag, fit_rate)
+    return None if found is None else found.inverted()
 
 
 def _window(signal: Uniform, begin: float, end: float) -> Uniform:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from quasi.importing.filter_delays import delay, header_delays
+from quasi.importing.filter_delays import delay, header_delays, notch_delay
 
 
 def measured(kind, cutoff, rate=100000.0):
@@ -44,3 +44,26 @@ def test_header_names_of_both_generations_are_understood():
     assert new["gyro"]["value"] == pytest.approx((1 / 250 + 1 / 500) / (2 * math.pi))
     assert new["accelerometer"]["value"] == 0.0
     assert header_delays({})["gyro"]["value"] == 0.0
+
+
+def test_notch_delay_equals_its_phase_slope():
+    f, centre, quality = 1e-2, 150.0, 2.5
+    s = 1j * f / centre
+    phase = np.angle((s**2 + 1) / (s**2 + s / quality + 1))
+    assert notch_delay(centre, quality) == pytest.approx(-phase / (2 * math.pi * f), rel=1e-5)
+
+
+def test_what_moves_in_flight_leaves_a_doubt_and_what_does_not_leaves_none():
+    assert header_delays({"gyro_lpf1_static_hz": 250, "acc_lpf_hz": 10})["gyro"]["std"] == 0.0
+    moving = header_delays({"gyro_lpf1_dyn_hz": [200, 500]})["gyro"]
+    assert moving["value"] == pytest.approx(delay("PT1", 200.0))
+    assert moving["std"] == pytest.approx(0.5 * (delay("PT1", 200.0) - delay("PT1", 500.0)))
+    rotors = {"gyro_rpm_notch_harmonics": 1, "gyro_rpm_notch_q": 500, "gyro_rpm_notch_min": 100, "dshot_bidir": 1}
+    found = header_delays(rotors)["gyro"]
+    # rotors turn at 100 to 400 Hz: four notches of one to a quarter of the delay at 100 Hz
+    assert found["value"] - found["std"] == pytest.approx(notch_delay(100.0, 5.0))
+    assert found["value"] + found["std"] == pytest.approx(4 * notch_delay(100.0, 5.0))
+    assert header_delays({**rotors, "dshot_bidir": 0})["gyro"] == header_delays({})["gyro"]
+    fixed = header_delays({"gyro_notch_hz": [150, 0], "gyro_notch_cutoff": [100, 0]})["gyro"]
+    assert fixed["value"] == pytest.approx(notch_delay(150.0, 150 * 100 / (150**2 - 100**2)))
+    assert fixed["std"] == 0.0

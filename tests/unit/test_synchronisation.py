@@ -5,10 +5,11 @@ import pytest
 from made_motion import at_times, body
 from scipy.spatial.transform import Rotation
 
+from quasi.attitude import body_rates
 from quasi.errors import DataError
-from quasi.importing.clocks import Uniform, correlation, peaks
+from quasi.importing.clocks import ClockFit, Uniform, correlation, peaks
 from quasi.importing.onboard_attitude import estimate_attitude
-from quasi.importing.synchronisation import Motion, synchronise
+from quasi.importing.synchronisation import Motion, _turned_between, synchronise
 
 BOTH = ["pitch", "yaw"]
 
@@ -55,6 +56,26 @@ def test_standard_errors_are_honest_over_draws():
     # eight draws: chi-square bounds of 99.9 % about 1 are 0.3 to 1.9
     assert (ratio > 0.3).all()
     assert (ratio < 1.9).all()
+
+
+def test_a_fit_told_from_the_other_side_is_the_same_relation():
+    fit = ClockFit(1.5, 2e-3, 40.0, 1e-3, 1e-5, 1.0, {}, 60.0, np.eye(3))
+    times = np.linspace(0.0, 100.0, 7)
+    assert fit.inverted().to_first(times) == pytest.approx(fit.to_other(times), abs=1e-12)
+    assert fit.inverted().to_other(times) == pytest.approx(fit.to_first(times), abs=1e-12)
+    assert fit.inverted().inverted().lag == pytest.approx(fit.lag)
+    assert fit.inverted().reference == fit.reference + fit.lag
+
+
+def test_rates_between_frames_are_what_a_coarse_capture_shows():
+    truth = body(20.0, rate=1000.0, seed=4)
+    frames = np.arange(0.1, 19.9, 1 / 60)
+    _, quaternion = at_times(truth, frames)
+    seen = body_rates(quaternion, frames)[1:-1]
+    like = _turned_between(truth.t, truth.rates, 1 / 60)
+    away = [np.interp(frames[1:-1], truth.t, w) - s for w, s in zip(like.T, seen.T)]
+    plain = [np.interp(frames[1:-1], truth.t, w) - s for w, s in zip(truth.rates.T, seen.T)]
+    assert np.std(away) < 0.25 * np.std(plain)
 
 
 def test_clocks_that_disagree_by_a_percent_are_still_tied():
