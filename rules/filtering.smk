@@ -1,7 +1,8 @@
 """States, biases, forces and moments of one flight.
 
 Needs  results/imported/{quadrotor}/{flight}.parquet and .json
-Makes  results/filtered/{quadrotor}/withGravity/{flight}.parquet and .json, noGravity/ alike
+Makes  results/filtered/{quadrotor}/withGravity/{flight}.parquet and .json, noGravity/ alike,
+       and the filter over time, results/filtered/{quadrotor}/convergence/{flight}.parquet
 """
 
 
@@ -14,6 +15,7 @@ rule filtering:
         with_gravity_metadata="results/filtered/{quadrotor}/withGravity/{flight}.json",
         no_gravity="results/filtered/{quadrotor}/noGravity/{flight}.parquet",
         no_gravity_metadata="results/filtered/{quadrotor}/noGravity/{flight}.json",
+        convergence="results/filtered/{quadrotor}/convergence/{flight}.parquet",
     log:
         "logs/filtering/{quadrotor}/{flight}.log",
     benchmark:

@@ -1,14 +1,15 @@
-"""Filter one imported flight: states, biases, forces and moments, with gravity and without."""
+"""Filter one imported flight: states, biases, forces and moments, with gravity and without; the filter's course."""
 
 from quasi.airframe import read_airframe
 from quasi.errors import ConfigError
-from quasi.filtering.flight import filter_flight
+from quasi.filtering.estimation import CONVERGENCE_UNITS
+from quasi.filtering.flight import course, filter_flight
 from quasi.joblog import LOG, job
 from quasi.tables import read_json, read_table, write_json, write_table
 
 
 def main(settings: dict, flight: str, metadata: str, output: dict[str, str]) -> None:
-    """Read the imported flight, filter it and write both kinds of force with their metadata."""
+    """Read the imported flight, filter it and write both kinds of force, their metadata and the filter's course."""
     if settings["problem"]:
         raise ConfigError(settings["problem"])
     airframe = read_airframe(settings["quadrotor"], settings["quadrotor"]["file"], settings["mass"])
@@ -19,6 +20,8 @@ def main(settings: dict, flight: str, metadata: str, output: dict[str, str]) -> 
         about = {**result.metadata, "forces": "withGravity" if kind == "with_gravity" else "noGravity"}
         write_table(output[kind], columns, made=about)
         write_json(output[f"{kind}_metadata"], about)
+    whole = bool(settings["options"]["save kalman filter convergence results"])
+    write_table(output["convergence"], course(result, whole), CONVERGENCE_UNITS, made=result.metadata["sampling"])
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ DEFAULTS: dict[str, Any] = {
     "accelerometer bias random walk": 1e-4,
     "capture gap limit s": 1.0,
 }
+COURSE_RATE = 50.0  # Hz, of the filter's course where it is not asked for whole
 POLICIES = ("automatic", "rest", "whole flight", "time varying")
 
 
@@ -43,6 +44,17 @@ class Filtered:
     no_gravity: pd.DataFrame
     metadata: dict[str, Any]
     convergence: pd.DataFrame | None
+
+
+def course(result: Filtered, whole: bool) -> pd.DataFrame:
+    """The filter over time as it is kept: every row if `whole`, else as many as COURSE_RATE asks for.
+
+    Without a filter a table of no rows. Innovations of rows between are lost; their statistics are in the metadata.
+    """
+    if result.convergence is None:
+        return pd.DataFrame({"t": np.zeros(0)})
+    every = 1 if whole else max(1, round(result.metadata["sampling"]["rate"] / COURSE_RATE))
+    return result.convergence.iloc[::every].reset_index(drop=True)
 
 
 def _options(options: Mapping[str, Any]) -> dict[str, Any]:

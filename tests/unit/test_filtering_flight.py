@@ -8,7 +8,7 @@ from quasi import attitude, tables
 from quasi.errors import ConfigError, DataError
 from quasi.filtering import forces
 from quasi.filtering.estimation import CONVERGENCE_UNITS
-from quasi.filtering.flight import filter_flight
+from quasi.filtering.flight import course, filter_flight
 
 BIAS = np.array([0.02, -0.03, 0.01, 0.1, -0.15, 0.2])
 STATISTICS = {
@@ -114,9 +114,20 @@ def test_time_varying_biases_follow_a_drift(motion):
 
 def test_filter_without_smoother_is_the_forward_pass(made):
     result = filter_flight(*made, AIRFRAME, {"smoother": False})
-    course = result.convergence
-    np.testing.assert_allclose(course["filter_roll"], result.with_gravity["roll"])
-    np.testing.assert_allclose(course["filter_bias_p"], course["bias_p"])
+    kept = result.convergence
+    np.testing.assert_allclose(kept["filter_roll"], result.with_gravity["roll"])
+    np.testing.assert_allclose(kept["filter_bias_p"], kept["bias_p"])
+
+
+def test_course_is_kept_thinned_unless_asked_for_whole(plain, made):
+    assert len(course(plain, whole=True)) == len(plain.convergence)
+    thin = course(plain, whole=False)
+    assert np.median(np.diff(thin["t"])) == pytest.approx(0.02)
+    np.testing.assert_array_equal(
+        thin["bias_p"], plain.convergence["bias_p"][:: round(0.02 / np.diff(made[0]["t"])[0])]
+    )
+    none = filter_flight(*made, AIRFRAME, {"run extended kalman filter": False})
+    assert len(course(none, whole=True)) == 0
 
 
 def test_without_filter_states_are_the_imported_and_biases_from_rest(made):

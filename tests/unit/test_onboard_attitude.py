@@ -48,6 +48,17 @@ def test_gyro_alone_is_integrated_exactly_for_a_steady_turn():
     assert np.unwrap(to_euler(found.quaternion)[:, 2]) == pytest.approx(1.3 * t, abs=1e-6)
 
 
+def test_rest_is_found_from_the_first_sample_though_filters_settle_and_rotors_idle():
+    truth = body(20.0, rate=500.0, rest=6.0)
+    rng = np.random.default_rng(5)
+    gyro = truth.rates + [0.03, -0.02, 0.01] + rng.normal(0, 0.04, truth.rates.shape)
+    force = truth.force + rng.normal(0, 0.4, truth.force.shape)
+    # the log begins while the accelerometer's low-pass rises from zero
+    force *= 1 - np.exp(-truth.t / 0.02)[:, None]
+    still = rest_at_start(truth.t, gyro, force)
+    assert 5.0 <= truth.t[still - 1] <= 6.6
+
+
 def test_a_tilted_rest_is_tilted():
     t = np.arange(0, 3, 0.002)
     true = Rotation.from_euler("ZYX", [0.0, 0.2, -0.1])
