@@ -135,11 +135,16 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> pd.Dat
             missing = [c for c in columns or () if c not in names]
             if missing:
                 raise DataError(f"{path} has no column '{missing[0]}'{nearest(missing[0], names)}")
-            return source.read(columns=list(columns) if columns is not None else None).to_pandas()
+            found = source.read(columns=list(columns) if columns is not None else None)
+            # what pandas notes about its index may be damaged, and is not needed
+            return found.to_pandas(ignore_metadata=True)
     except FileNotFoundError:
         raise ReadError(f"{path} does not exist; make it first, or correct the path") from None
-    except (pa.ArrowInvalid, OSError) as error:
-        raise ReadError(f"{path} is not a readable Parquet file ({error}); make or copy it anew") from None
+    except DataError:
+        raise
+    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise ReadError(f"{path} is not a readable Parquet file ({reason}); make or copy it anew") from None
 
 
 def read_fields(path: str | Path) -> dict[str, dict[str, str]]:

@@ -38,6 +38,7 @@ TYPES = {
     "device",
     "camera",
 }
+LARGEST = 1e10
 QUANTITIES = {"rotation", "position", "mean marker error", "error per marker", "marker quality", "marker error"}
 
 
@@ -222,15 +223,18 @@ def _read_frames(
             table[column] = numbers
     if strange:
         notes.append(f"{path}: {strange} cells hold text where numbers belong; they count as not seen")
-    table = table[table[0].notna()]
-    frame = table[0].to_numpy(float)
+    cells = table[use].to_numpy(float)
+    # numbers that no frame counter, clock or room holds count as missing too
+    cells[~(np.abs(cells) < LARGEST)] = np.nan
+    cells = cells[np.isfinite(cells[:, 0])]
+    frame = cells[:, 0]
     order = np.concatenate([[True], frame[1:] > np.maximum.accumulate(frame)[:-1]]) if len(frame) else np.zeros(0, bool)
     if len(frame) < 2 or np.count_nonzero(order) < 2:
         raise ReadError(f"{path} holds fewer than two frames in order; export the take from Motive again")
     if not order.all():
         notes.append(f"{path}: {int((~order).sum())} frames out of order were left out")
-    table = table[order]
-    return frame[order], table[1].to_numpy(float), {k: table[c].to_numpy(float) for k, c in wanted.items()}
+    cells = cells[order]
+    return cells[:, 0], cells[:, 1], {key: cells[:, use.index(column)].copy() for key, column in wanted.items()}
 
 
 def _times(

@@ -26,6 +26,7 @@ from quasi.tables import read_bytes, read_table
 HALF_TURN = np.array([1.0, -1.0, -1.0])  # half a turn about x: FLU to FRD, z-up to NED
 LONGEST_HOLD = 10  # rows; a row clock's values that stay the same for longer are believed (rest, coarse quantisation)
 LONGEST_WAIT = 0.2  # s; messages that crowd after a longer wait are left where they are
+ABSURD = 1e30  # beyond any unit and any clock
 STRAY = 1.0  # s; a few samples beyond a gap longer than this at either end are left out
 
 
@@ -102,13 +103,23 @@ def _open(path: Path) -> pd.DataFrame:
         raise ReadError(f"{path} is not a readable table ({error}); export it again as CSV or Parquet") from None
 
 
-def _numbers(column: pd.Series, path: Path, name: str, notes: list[str]) -> np.ndarray:
+def _numbers(column: pd.Series | pd.DataFrame, path: Path, name: str, notes: list[str]) -> np.ndarray:
+    if isinstance(column, pd.DataFrame):
+        raise ReadError(f"{path}: {column.shape[1]} columns are named '{name}'; rename all but the one that is meant")
     if not pd.api.types.is_numeric_dtype(column):
-        numbers = pd.to_numeric(column, errors="coerce")
+        try:
+            if column.dtype.kind in "mM":
+                raise TypeError
+            numbers = pd.to_numeric(column, errors="coerce")
+        except (TypeError, ValueError):
+            raise ReadError(
+                f"{path}: column '{name}' holds {column.dtype} such as {str(column.iloc[0])[:40]}, expected numbers; "
+                "export it as numbers"
+            ) from None
         strange = numbers.isna() & column.notna()
         if strange.all():
             raise ReadError(
-                f"{path}: column '{name}' holds text ({column.iloc[0]!r}), expected numbers; map another one"
+                f"{path}: column '{name}' holds text ({str(column.iloc[0])[:40]!r}), expected numbers; map another one"
             )
         if strange.any():
             row = int(np.argmax(strange.to_numpy())) + 2
@@ -117,7 +128,13 @@ def _numbers(column: pd.Series, path: Path, name: str, notes: list[str]) -> np.n
             )
         column = numbers
     values = column.to_numpy(float)
-    return np.where(np.isfinite(values), values, np.nan)
+    absurd = np.abs(values) >= ABSURD
+    if absurd.any():
+        notes.append(
+            f"{path}: column '{name}' holds {np.count_nonzero(absurd)} numbers beyond {ABSURD:g} (first in row "
+            f"{int(np.argmax(absurd)) + 2}); left out"
+        )
+    return np.where(np.isfinite(values) & ~absurd, values, np.nan)
 
 
 def _missing(path: Path, aliases: list[str] | tuple[str, ...], meant: str, table: pd.DataFrame) -> ReadError:
