@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -65,11 +66,14 @@ class Row:
         if not text:
             return None
         try:
-            return float(text.replace(",", ".")) if text.count(",") == 1 and "." not in text else float(text)
+            value = float(text.replace(",", ".")) if text.count(",") == 1 and "." not in text else float(text)
         except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
             raise LogbookError(
                 f"{self.logbook} row {self.number}: '{column}' is {text!r}, expected a number; correct the cell"
-            ) from None
+            )
+        return value
 
 
 def read_logbook(path: str | Path) -> dict[int, Row]:
@@ -112,12 +116,17 @@ def _row(path: str, number: int, cells: dict[str, str]) -> Row:
         elif not cells.get("Flight key"):
             key = f"{key}-{log_number}"
     quadrotor = cells["Quadrotor"]
-    for column, name in (("Flight key" if cells.get("Flight key") else "Onboard Name", key), ("Quadrotor", quadrotor)):
-        if not NAME.fullmatch(name):
-            problem = (
-                f"{path} row {number}: {column} {name!r} cannot name a flight; use letters, digits, . _ + - only "
-                "(the optional column 'Flight key' gives a flight another name than its file)"
-            )
+    named = "Flight key" if cells.get("Flight key") else "Onboard Name"
+    if not NAME.fullmatch(key):
+        problem = (
+            f"{path} row {number}: {named} {key!r} cannot name a flight; use letters, digits, . _ + - only "
+            "(the optional column 'Flight key' gives a flight another name than its file)"
+        )
+        key = _possible(key, number)
+    if not NAME.fullmatch(quadrotor):
+        what = f"{quadrotor!r} cannot name one" if quadrotor else "is empty"
+        problem = f"{path} row {number}: 'Quadrotor' {what}; write a name of letters, digits, . _ + - only"
+        quadrotor = _possible(quadrotor, number)
     controller = cells["Flight controller"].lower()
     controller = {"cleanflight": "betaflight"}.get(controller, controller)
     if controller and controller not in CONTROLLERS:
@@ -126,6 +135,11 @@ def _row(path: str, number: int, cells: dict[str, str]) -> Row:
             f"{nearest(controller, CONTROLLERS)}; correct the cell"
         )
     return Row(path, number, key, quadrotor, cells, problem)
+
+
+def _possible(name: str, number: int) -> str:
+    """A name that a target can have, so that the row fails in jobs of its own and the others go on."""
+    return re.sub(r"[^A-Za-z0-9._+-]+", "_", name).lstrip(".") or f"row-{number}"
 
 
 def _refuse_clashes(rows: Iterable[Row]) -> None:

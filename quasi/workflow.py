@@ -5,20 +5,18 @@ stage gets its own row, its own files and the part of the configuration that it 
 """
 
 import functools
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from quasi import configuration
 from quasi.errors import ConfigError, LogbookError, QuasiError, nearest
-from quasi.logbook import NAME, Row, pick, read_logbook
+from quasi.logbook import Row
+from quasi.project import AXES, Project, is_file, with_suffix
 from quasi.tables import read_json
 
 BINARY = (".bbl", ".BBL", ".bfl", ".BFL")
 TEXT = (".csv", ".CSV")
 WIND = (".lvm", ".LVM", ".txt", ".csv")
 TABLE = (".csv", ".CSV", ".parquet", ".Parquet")
-AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 # What of a quadrotor configuration each stage reads: a change elsewhere in the file reruns nothing.
 GEOMETRY = (
@@ -44,196 +42,11 @@ FILTERING = (*GEOMETRY, "motor poles", "idle RPM", "max RPM", "(estimated) imu s
 IDENTIFICATION = (*GEOMETRY, "motor poles", "idle RPM", "max RPM")
 
 
-class Folder:
-    """A project folder: config/ and data/ in, results/ and models/ out.
+LIGHTEST, HEAVIEST = 0.005, 100.0  # kg: outside lies a slip of unit, not a quadrotor
 
-    root  the folder; data  what replaces the prefix `data/` of raw paths (`--config data=PATH`), or None;
-    library  the folder that holds quasi's own config/polynomials.
-    """
 
-    def __init__(self, root: str | Path = ".", data: str | Path | None = None, library: str | Path | None = None):
-        self.root = Path(root)
-        self.data = str(data) if data else None
-        self.library = Path(library) if library else Path(__file__).parent.parent
-        self.notices: list[str] = []
-
-    # paths
-
-    def place(self, path: str) -> Path:
-        """A path of a configuration or logbook as the run sees it: relative to the folder, `data/` replaced."""
-        text = str(path).strip().replace("\\", "/")
-        while text.startswith("./"):
-            text = text[2:]
-        if self.data and (text == "data" or text.startswith("data/")):
-            return Path(self.data) / text.removeprefix("data").lstrip("/")
-        return Path(text)
-
-    def _here(self, path: str | Path) -> Path:
-        return self.root / path
-
-    def _settled(self, path: str | Path) -> Path:
-        """Path of a logbook or quadrotor configuration: the folder's own file first, else with `data/` replaced."""
-        return Path(path) if self._here(path).is_file() else self.place(str(path))
-
-    def _read(self, path: str | Path, kind: str) -> dict[str, Any]:
-        document, notices = configuration.read(self._here(path), kind, str(path))
-        self.notices += [n for n in notices if n not in self.notices]
-        return document
-
-    # configuration
-
-    @functools.cached_property
-    def processing(self) -> dict[str, Any]:
-        """config/processing.json, checked, with defaults."""
-        return self._read("config/processing.json", "processing")
-
-    @functools.cached_property
-    def models(self) -> list[str]:
-        """Model IDs that have a configuration."""
-        return sorted(p.stem for p in self._here("config/models").glob("*.json"))
-
-    @functools.cached_property
-    def campaigns(self) -> list[str]:
-        """Campaigns of made flights that have a configuration."""
-        return sorted(p.stem for p in self._here("config/synthesis").glob("*.json"))
-
-    @functools.cache  # noqa: B019 - a Folder lives as long as the run
-    def model(self, name: str) -> dict[str, Any]:
-        """config/models/<name>.json, checked, with defaults. Raises ConfigError."""
-        path = f"config/models/{name}.json"
-        if name not in self.models:
-            raise ConfigError(f"{path} does not exist{nearest(name, self.models)}")
-        if not NAME.fullmatch(name):
-            raise ConfigError(f"{path}: a model ID may hold letters, digits and . _ + - only; rename the file")
-        config = self._read(path, "model")
-        given = config.get("saving models", {}).get("model ID", name)
-        if given != name:
-            raise ConfigError(f"{path}: 'model ID' is '{given}', but the file's name says '{name}'; make them equal")
-        if config["data normalization"]["normalize data"]:
-            raise ConfigError(f"{path}: 'normalize data' true is not offered by this version; set it to false")
-        if config["manoeuvre excitations"]["isolate to regions of excitation"]:
-            raise ConfigError(
-                f"{path}: 'isolate to regions of excitation' true is not offered by this version; set it to false"
-            )
-        axes = [a for a in AXES if config["identification parameters"][f"identify {a.lower()}"]]
-        if not axes:
-            raise ConfigError(f"{path}: every 'identify ...' is false; switch at least one on")
-        return config
-
-    @functools.cache  # noqa: B019
-    def campaign(self, name: str) -> dict[str, Any]:
-        """config/synthesis/<name>.json, checked, with defaults. Raises ConfigError."""
-        if name not in self.campaigns:
-            raise ConfigError(f"config/synthesis/{name}.json does not exist{nearest(name, self.campaigns)}")
-        return self._read(f"config/synthesis/{name}.json", "synthesis")
-
-    def made_flight(self, campaign: str, flight: str) -> dict[str, Any]:
-        """Settings of one made flight: the campaign's, and its own entry alone."""
-        config = dict(self.campaign(campaign))
-        flights = {f.get("key"): f for f in config.get("flights", [])}
-        if flight not in flights:
-            raise ConfigError(
-                f"config/synthesis/{campaign}.json: no flight has the key '{flight}'"
-                f"{nearest(flight, filter(None, flights))}"
-            )
-        config["flights"] = [flights[flight]]
-        return {"campaign": campaign, "flight": flight, "settings": config}
-
-    # logbooks and flights
-
-    @functools.cache  # noqa: B019
-    def logbook(self, directory: str, filename: str) -> dict[int, Row]:
-        """Rows of a logbook by number."""
-        path = self._settled(self._logbook_path(directory, filename))
-        try:
-            return read_logbook(self._here(path))
-        except QuasiError as error:
-            raise type(error)(str(error).replace(str(self._here(path)), str(path))) from None
-
-    @staticmethod
-    def _logbook_path(directory: str, filename: str) -> Path:
-        path = Path(directory.replace("\\", "/")) / filename
-        return path if path.suffix.lower() == ".csv" else path.with_name(path.name + ".csv")
-
-    def _rows(self, section: Mapping[str, Any], key: str, where: str) -> list[Row]:
-        directory, filename = section["directory"], section["filename"]
-        book = self.logbook(directory, filename)
-        return pick(book, section[key], f"{where}, '{key}'", str(self._logbook_path(directory, filename)))
-
-    @functools.cached_property
-    def flights(self) -> dict[tuple[str, str], Row]:
-        """{(quadrotor, flight key): row} over every logbook that a configuration of the folder names."""
-        sections = []
-        if self._here("config/processing.json").is_file():
-            sections.append(self.processing["logging file"])
-        for name in self.models:
-            try:
-                sections.append(self.model(name)["logging file"])
-            except ConfigError:
-                continue  # a broken model stops those who ask for it, not the others
-        found: dict[tuple[str, str], Row] = {}
-        for directory, filename in dict.fromkeys((s["directory"], s["filename"]) for s in sections):
-            for row in self.logbook(directory, filename).values():
-                other = found.setdefault((row.quadrotor, row.key), row)
-                if other.logbook != row.logbook and other.cells != row.cells:
-                    raise LogbookError(
-                        f"{other.logbook} row {other.number} and {row.logbook} row {row.number} both mean flight "
-                        f"'{row.key}' of {row.quadrotor}; give one another name in the optional column 'Flight key'"
-                    )
-        return found
-
-    def processing_flights(self) -> list[Row]:
-        """The flights that config/processing.json selects (all of the logbook when it selects none)."""
-        section = self.processing["logging file"]
-        if "rows of flights to use (all)" in section:
-            return self._rows(section, "rows of flights to use (all)", "config/processing.json")
-        return list(self.logbook(section["directory"], section["filename"]).values())
-
-    def row(self, quadrotor: str, flight: str) -> Row:
-        """The logbook row of a flight. Raises LogbookError naming the near ones."""
-        found = self.flights.get((quadrotor, flight))
-        if found is None:
-            names = [f"{q}/{f}" for q, f in self.flights]
-            raise LogbookError(
-                f"no logbook row means flight {quadrotor}/{flight}{nearest(f'{quadrotor}/{flight}', names)}"
-            )
-        return found
-
-    @functools.cache  # noqa: B019
-    def model_flights(self, name: str, role: str = "all") -> list[Row]:
-        """Rows of a model's flights: "all", "training" or "validation". Raises LogbookError or ConfigError."""
-        where = f"config/models/{name}.json"
-        section = self.model(name)["logging file"]
-        everything = self._rows(section, "rows of flights to use (all)", where)
-        held = []
-        if section["rows of flights for validation"]:
-            held = self._rows(section, "rows of flights for validation", where)
-        numbers = {r.number for r in everything}
-        for row in held:
-            if row.number not in numbers:
-                raise ConfigError(
-                    f"{where}: validation row {row.number} is not among 'rows of flights to use (all)'; add it there"
-                )
-        out = {r.number for r in held}
-        training = [r for r in everything if r.number not in out]
-        if not training:
-            raise ConfigError(f"{where}: every row is held out for validation; leave at least one for training")
-        quadrotors = {r.quadrotor for r in everything}
-        if len(quadrotors) > 1:
-            raise ConfigError(
-                f"{where}: the rows mean several quadrotors ({', '.join(sorted(quadrotors))}); select one"
-            )
-        return {"all": everything, "training": training, "validation": held}[role]
-
-    def gravity(self, name: str) -> str:
-        """withGravity or noGravity, by the last part of the model's 'filtered data save directory'."""
-        text = self.model(name)["filtered data save directory"].replace("\\", "/").rstrip("/").rsplit("/", 1)[-1]
-        if text not in ("withGravity", "noGravity"):
-            raise ConfigError(
-                f"config/models/{name}.json: 'filtered data save directory' ends in '{text}', "
-                "expected withGravity or noGravity"
-            )
-        return text
+class Folder(Project):
+    """A project folder as the rules ask it: the raw files of a flight and the settings of each job."""
 
     # raw files of one flight
 
@@ -298,9 +111,9 @@ class Folder:
         if base.suffix in suffixes:
             candidates = [base]
         else:
-            candidates = [base.with_name(base.name + s) for s in suffixes]
+            candidates = [Path(f"{base}{s}") for s in suffixes]
         for path in candidates:
-            if self._here(path).is_file() or self._made(path):
+            if is_file(self._here(path)) or self._made(path):
                 return str(path), None
         expected = str(candidates[0]) if len(candidates) == 1 else f"{base}[{'|'.join(dict.fromkeys(suffixes))}]"
         return None, (
@@ -327,9 +140,10 @@ class Folder:
 
     @functools.cache  # noqa: B019
     def _quadrotor_file(self, directory: str, name: str) -> tuple[dict[str, Any], str | None]:
-        path = Path(directory.replace("\\", "/")) / name
-        path = self._settled(path if path.suffix.lower() == ".json" else path.with_name(path.name + ".json"))
-        if not self._here(path).is_file():
+        if not name:
+            return {}, "'Drone Config File' is empty; fill in the name of the quadrotor's JSON"
+        path = self._settled(with_suffix(Path(directory.replace("\\", "/")) / name, ".json"))
+        if not is_file(self._here(path)):
             known = [p.name for p in self._here(path.parent).glob("*.json")]
             return {}, (
                 f"quadrotor configuration {path} does not exist"
@@ -381,24 +195,33 @@ class Folder:
         }
 
     def mass(self, row: Row) -> tuple[float | None, str | None]:
-        """Mass in kg (the logbook's grams, else the quadrotor configuration's) and a sentence when there is none."""
+        """Mass in kg (the logbook's grams, else the quadrotor's), and a sentence when it cannot be used."""
+        flight = f"{row.logbook} row {row.number}, flight {row.key}"
         try:
             grams = row.number_in("Mass")
         except LogbookError as error:
             return None, str(error)
-        if grams is not None and grams > 0:
-            return grams * 1e-3, None
+        if grams is not None:
+            if LIGHTEST <= grams * 1e-3 <= HEAVIEST:
+                return grams * 1e-3, None
+            return None, f"{flight}: 'Mass' is {grams:g} grams, which no quadrotor weighs; the column holds grams"
         config, problem = self._quadrotor(row)
-        try:
-            mass = float(config.get("mass") or "nan")
-        except ValueError:
-            mass = float("nan")
-        if not mass > 0:
+        given = config.get("mass", "")
+        if given == "":
             return None, problem or (
-                f"{row.logbook} row {row.number}, flight {row.key}: no mass; fill in 'Mass' (grams) in the logbook "
+                f"{flight}: no mass; fill in 'Mass' (grams) in the logbook "
                 "or 'mass' (kg) in the quadrotor configuration"
             )
-        return mass, None
+        try:
+            mass = float(given)
+        except ValueError:
+            mass = float("nan")
+        if LIGHTEST <= mass <= HEAVIEST:
+            return mass, None
+        return None, (
+            f"{flight}: 'mass' is {str(given)[:40]!r} in {row.cells['Drone Config File']}, expected kg "
+            f"from {LIGHTEST:g} to {HEAVIEST:g}; correct it, or fill in 'Mass' (grams) in the logbook"
+        )
 
     def identification(self, name: str) -> dict[str, Any]:
         """Settings that all axes of a model share."""
@@ -459,16 +282,16 @@ class Folder:
         """Path and content of a model's polynomial specification file, the project's own before the standard ones."""
         given = self.model(name)["identification parameters"]["polynomial specification file"]
         base = self.place(given)
-        base = base if base.suffix.lower() == ".json" else base.with_name(base.name + ".json")
+        base = with_suffix(base, ".json")
         folders = (self.root, self.root / "config/polynomials", self.library / "config/polynomials")
         for folder in folders:
-            if (folder / base).is_file():
+            if is_file(folder / base):
                 path = folder / base
                 shown = path.relative_to(self.root) if path.is_relative_to(self.root) else path
                 return shown, self._read(path.resolve() if folder is self.library else shown, "polynomials")
         # the manual's own paths lead through its library; the standard file of that name is meant
         standard = self.library / "config/polynomials" / base.name
-        if standard.is_file():
+        if is_file(standard):
             return standard, self._read(standard.resolve(), "polynomials")
         known = [p.name for folder in folders[1:] for p in folder.glob("*.json")]
         raise ConfigError(

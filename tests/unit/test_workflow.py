@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from quasi.errors import ConfigError, LogbookError
+from quasi.errors import ConfigError, LogbookError, QuasiError
 from quasi.workflow import Folder
 
 ROOT = Path(__file__).parents[2]
@@ -171,3 +171,79 @@ def test_selection_that_means_other_flights_than_the_model_was_made_from_is_told
     made.parent.mkdir(parents=True)
     made.write_text(json.dumps({"flights": {"training": ["a", "x"]}}))
     assert "now mean the training flights a, b; it was made from a, x" in project.changed_selection("m")
+
+
+def test_absent_logbook_is_told_with_the_configuration_that_names_it(folder):
+    edit_model(folder, logging_file={"filename": "logg"})
+    words = r"config/models/m.json: logbook data/logg.csv does not exist; did you mean 'log.csv'\?; correct 'directory'"
+    with pytest.raises(ConfigError, match=words):
+        Folder(folder).model_flights("m")
+
+
+def test_absent_configuration_says_that_this_is_no_project_folder(folder):
+    (folder / "config/processing.json").unlink()
+    with pytest.raises(ConfigError, match="config/processing.json does not exist; run snakemake in a project folder"):
+        Folder(folder).importing("Beetle", "a")
+
+
+@pytest.mark.parametrize(
+    "content", ["", "{", json.dumps({**MODEL, "logging file": {**MODEL["logging file"], "filename": "no"}})]
+)
+def test_a_broken_model_stops_itself_and_no_other(folder, content):
+    (folder / "config/models/other.json").write_text(content)
+    project = Folder(folder)
+    assert project.importing("Beetle", "a")["problem"] is None
+    with pytest.raises(QuasiError, match="other.json"):
+        project.model_flights("other")
+
+
+def test_files_that_systems_leave_beside_a_configuration_are_no_models(folder):
+    (folder / "config/models/._m.json").write_bytes(b"\0\5")
+    assert Folder(folder).models == ["m"]
+
+
+def test_flight_whose_name_cannot_be_a_target_fails_alone(folder):
+    edit(folder, "Beetle,b,", "Beetle,flight b,")
+    edit(folder, "Beetle,c,", ",c,")
+    project = Folder(folder)
+    rows = {r.number: r for r in project.model_flights("m")}
+    assert "'flight b' cannot name a flight" in project.importing("Beetle", rows[3].key)["problem"]
+    assert "row 4: 'Quadrotor' is empty" in project.importing(rows[4].quadrotor, "c")["problem"]
+    assert project.importing("Beetle", "a")["problem"] is None
+
+
+@pytest.mark.parametrize("mass", ["-433", "0", "0.433", "1e9"])
+def test_mass_of_no_quadrotor_is_refused_with_its_row(folder, mass):
+    edit(
+        folder,
+        "Beetle,a,data/raw,betaflight,my_quadrotor,data,N,,,433",
+        f"Beetle,a,data/raw,betaflight,my_quadrotor,data,N,,,{mass}",
+    )
+    value, problem = Folder(folder).mass(Folder(folder).row("Beetle", "a"))
+    assert value is None
+    assert "data/log.csv row 2, flight a: 'Mass' is" in problem
+    assert "the column holds grams" in problem
+
+
+@pytest.mark.parametrize("mass", ["433", "-1", "abc", "nan"])
+def test_mass_of_a_quadrotor_configuration_is_checked_too(folder, mass):
+    edit(folder, ",433,", ",,")
+    path = folder / "data/my_quadrotor.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "mass": mass}))
+    value, problem = Folder(folder).mass(Folder(folder).row("Beetle", "a"))
+    assert value is None
+    assert f"'mass' is '{mass}' in my_quadrotor" in problem
+
+
+def test_empty_cells_and_names_that_no_file_can_have_are_sentences(folder):
+    edit(folder, "Beetle,a,data/raw,betaflight,my_quadrotor,data", "Beetle,a,data/raw,betaflight,,")
+    edit(folder, "Beetle,b,data/raw", f"Beetle,b,{'x' * 5000}")
+    project = Folder(folder)
+    assert "'Drone Config File' is empty" in project.importing("Beetle", "a")["problem"]
+    assert "does not exist" in project.importing("Beetle", "b")["problem"]
+
+
+def test_processing_an_empty_logbook_says_what_to_add(folder):
+    (folder / "data/log.csv").write_text(HEADER + "\n")
+    with pytest.raises(LogbookError, match="holds no flights yet; add one row"):
+        Folder(folder).processing_flights()
