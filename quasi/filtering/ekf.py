@@ -431,6 +431,18 @@ def _forward(
     return Q, X, C, whitened, outcome, cost, rows, first_row
 
 
+def innovation(inputs: Inputs, kind: int, k: int, q: np.ndarray, x: np.ndarray):
+    """Measured minus expected (3,) of one kind at sample k, its Jacobian's two 3 x 3 blocks and their first columns.
+
+    q (4,), x (15,)  nominal state. Where a kind has one block only, the second is zero.
+    """
+    y, one, two = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    first, second = _observe(
+        kind, k, q, x, inputs.attitude, inputs.position, inputs.velocity, inputs.body, y, one, two, np.empty((3, 3))
+    )
+    return y, one, two, first, second
+
+
 def forward(inputs: Inputs) -> Pass:
     """Filter forward in time; every sample's estimate uses the samples up to it."""
     return Pass(*_forward(*inputs, True))

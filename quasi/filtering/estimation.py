@@ -1,7 +1,8 @@
 """States and biases of one flight: by the filter and smoother, or as imported."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -225,7 +226,8 @@ def estimate(
             inputs, flying, np.array([np.max((still / moving)[:3]), np.max((still / moving)[3:])])
         )
         inputs = noise.with_levels(inputs, factors, flying & ~imu.lost)
-    forward = ekf.forward(inputs)
+    run_forward, engine = _engine(chosen["engine"])
+    forward = run_forward(inputs)
     final = smooth(inputs, forward) if chosen["smoother"] else forward
     deviation = ekf.deviations(final.covariance)
     early = ekf.deviations(forward.covariance)
@@ -271,7 +273,7 @@ def estimate(
         if measured.source[kind] != "none"
     }
     report = {
-        "engine": "compiled",
+        "engine": engine,
         "smoother": bool(chosen["smoother"]),
         "noise": {
             "sensors": origin,
@@ -300,6 +302,15 @@ def estimate(
         report,
         _course(t, forward, early, final, deviation),
     )
+
+
+def _engine(name: str) -> tuple[Callable[[ekf.Inputs], ekf.Pass], str]:
+    """The forward pass of an engine, and the engine's name with what it ran on."""
+    if name == "compiled":
+        return ekf.forward, name
+    from quasi.filtering import filterpy_engine
+
+    return filterpy_engine.forward, f"filterpy {version('filterpy')}"
 
 
 def _headings(inputs: ekf.Inputs) -> ekf.Inputs:

@@ -18,6 +18,7 @@ DEFAULTS: dict[str, Any] = {
     "use noise statistics in drone config": True,
     "run extended kalman filter": True,
     "add induced velocity": False,
+    "engine": "compiled",
     "smoother": True,
     "bias policy": "automatic",
     "low-pass cutoff Hz": 40.0,
@@ -28,6 +29,7 @@ DEFAULTS: dict[str, Any] = {
     "capture gap limit s": 1.0,
 }
 COURSE_RATE = 50.0  # Hz, of the filter's course where it is not asked for whole
+ENGINES = ("compiled", "filterpy")
 POLICIES = ("automatic", "rest", "whole flight", "time varying")
 
 
@@ -59,8 +61,9 @@ def course(result: Filtered, whole: bool) -> pd.DataFrame:
 
 def _options(options: Mapping[str, Any]) -> dict[str, Any]:
     chosen = {**DEFAULTS, **options}
-    if chosen["bias policy"] not in POLICIES:
-        raise ConfigError(f"'bias policy' is {chosen['bias policy']!r}, expected one of {', '.join(POLICIES)}")
+    for key, known in (("bias policy", POLICIES), ("engine", ENGINES)):
+        if chosen[key] not in known:
+            raise ConfigError(f"'{key}' is {chosen[key]!r}, expected one of {', '.join(known)}")
     for key in ("low-pass cutoff Hz", "capture gap limit s"):
         if not float(chosen[key]) > 0.0:
             raise ConfigError(f"'{key}' is {chosen[key]!r}, expected a positive number")
