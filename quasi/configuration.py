@@ -44,12 +44,15 @@ def check(document: Any, name: str, where: str) -> tuple[dict[str, Any], list[st
     Returns (document with defaults and without comments, notices). Raises ConfigError naming file and key.
     """
     rules = schema(name)
-    document = _uncomment(document)
-    errors = sorted(
-        jsonschema.Draft202012Validator(rules).iter_errors(document),
-        # a mistyped key is both unknown and missing: the unknown one names the remedy
-        key=lambda e: (e.validator != "additionalProperties", len(e.absolute_path), str(e.message)),
-    )
+    try:
+        document = _uncomment(document)
+        errors = sorted(
+            jsonschema.Draft202012Validator(rules).iter_errors(document),
+            # a mistyped key is both unknown and missing: the unknown one names the remedy
+            key=lambda e: (e.validator != "additionalProperties", len(e.absolute_path), str(e.message)),
+        )
+    except RecursionError:
+        raise ConfigError(f"{where} is nested too deeply to be a configuration; correct it") from None
     if errors:
         raise ConfigError(_sentence(errors[0], where))
     notices = [
@@ -126,6 +129,8 @@ def _sentence(error: jsonschema.ValidationError, where: str) -> str:
     if error.validator == "enum":
         wanted = ", ".join(map(repr, error.validator_value))
         return f"{head} is {shown}, expected one of {wanted}; {_say(error.schema)}"
+    if error.validator == "pattern" and {"number", "integer"} & set(error.schema.get("type", ())):
+        return f"{head} is {shown}, expected a number; {_say(error.schema)}"
     return f"{head} is {shown}, which does not fit ({error.message.splitlines()[0][:120]}); {_say(error.schema)}"
 
 

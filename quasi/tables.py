@@ -186,7 +186,10 @@ def write_json(path: str | Path, document: Any) -> None:
 
 
 def read_json(path: str | Path) -> Any:
-    """Read JSON. Raises ConfigError naming file, line and column; a key that stands twice is an error."""
+    """Read JSON. Raises ConfigError naming file, line and column; a key that stands twice is an error.
+
+    NaN and infinities are refused as JSON has none: they would slip through every range that is checked.
+    """
     path = Path(path)
     text = read_text(path)
 
@@ -198,8 +201,14 @@ def read_json(path: str | Path) -> Any:
             seen[key] = value
         return seen
 
+    def finite(written: str) -> float:
+        value = float(written) if len(written) < 400 else math.inf
+        if not math.isfinite(value):
+            raise ConfigError(f"{path} holds the number {written[:40]}, which is not finite; correct it")
+        return int(written) if written.lstrip("-").isdigit() else value
+
     try:
-        return json.loads(text, object_pairs_hook=unique)
+        return json.loads(text, object_pairs_hook=unique, parse_float=finite, parse_int=finite, parse_constant=finite)
     except json.JSONDecodeError as error:
         raise ConfigError(
             f"{path} is not valid JSON at line {error.lineno}, column {error.colno} ({error.msg}); "
@@ -227,6 +236,8 @@ def read_bytes(path: str | Path) -> bytes:
         raise ReadError(
             f"{path} does not exist; correct the name or path in the logbook, or copy the file there"
         ) from None
+    except ValueError:
+        raise ReadError(f"{str(path)!r} is no path; correct it") from None
     except OSError as error:
         raise ReadError(
             f"{path} cannot be read ({error.strerror}); check that it is a file and its permissions"

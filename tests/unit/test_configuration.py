@@ -114,3 +114,21 @@ def test_campaign_schema_holds_the_keys_that_the_synthesis_takes():
     assert {k: v["default"] for k, v in rules.items() if "default" in v} == {
         k: v[0] for k, v in KEYS.items() if v[0] is not None
     }
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("rotor radius", "3 inch"), ("max RPM", "-5"), ("mass", "nan"), ("optitrack marker cg offset", {"z": "1,5"})],
+)
+def test_text_of_a_quadrotor_where_a_number_is_meant_names_the_key(key, value):
+    given = read_json(configuration.SCHEMAS.parent / "template/data/my_quadrotor.json")
+    with pytest.raises(ConfigError, match=f"q.json: .*'{key}'.* expected a number"):
+        configuration.check({**given, key: value}, "quadrotor", "q.json")
+
+
+def test_nesting_beyond_reason_is_a_sentence():
+    document = 1
+    for _ in range(900):
+        document = {"a": document}
+    with pytest.raises(ConfigError, match="p.json is nested too deeply"):
+        configuration.check(document, "processing", "p.json")

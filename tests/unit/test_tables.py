@@ -86,3 +86,17 @@ def test_text_with_byte_order_mark_or_latin_letters_is_read(tmp_path):
     (tmp_path / "latin.csv").write_bytes("Größe".encode("latin-1"))
     assert read_text(tmp_path / "bom.csv") == "Time"
     assert read_text(tmp_path / "latin.csv") == "Größe"
+
+
+@pytest.mark.parametrize("number", ["NaN", "-Infinity", "1e999", "9" * 400, "9" * 5000])
+def test_json_number_that_is_not_finite_is_refused(tmp_path, number):
+    (tmp_path / "a.json").write_text(f'{{"a": {number}}}')
+    with pytest.raises(ConfigError, match="a.json holds the number .*not finite"):
+        read_json(tmp_path / "a.json")
+    (tmp_path / "a.json").write_text('{"a": [-3, 2.50, 12345678901234567890]}')
+    assert repr(read_json(tmp_path / "a.json")["a"]) == "[-3, 2.5, 12345678901234567890]"
+
+
+def test_name_that_no_path_can_have_is_a_sentence():
+    with pytest.raises(ReadError, match="is no path"):
+        read_bytes("a\0b")
