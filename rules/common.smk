@@ -57,6 +57,12 @@ def ask(question, *arguments):
     except QuasiError as fault:
         FAULTS.append(str(fault))
         raise WorkflowError(str(fault))
+    except Exception as fault:
+        FAULTS.append(
+            f"the project folder could not be understood ({type(fault).__name__}: {fault}); "
+            "undo your last change there, and please report this as a fault of quasi"
+        )
+        raise
 
 
 def code(script):
@@ -105,4 +111,5 @@ def every_model(wildcards):
 
 def every_processed_flight(wildcards):
     rows = ask(FOLDER.processing_flights)
-    return filtered(rows, "withGravity")
+    pages = [f"results/reports/{r.quadrotor}/{r.key}.html" for r in rows]
+    return filtered(rows, "withGravity") + pages

@@ -1,4 +1,4 @@
-"""The five figures of a filtered flight: attitude, velocity, position, gyro bias, accelerometer bias."""
+"""The figures of a filtered flight: attitude, velocity, position, forces, moments, gyro and accelerometer bias."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -99,14 +99,27 @@ def _bias(
     return figure
 
 
+def _wrench(title: str, names: list[str], unit: str, filtered: pd.DataFrame, metadata: Mapping[str, Any]) -> Figure:
+    figure, axes = _three(title, [f"{n}, {unit}" for n in names])
+    thin = _stride(len(filtered))
+    t, valid = filtered["t"].to_numpy()[thin], filtered["valid"].to_numpy()[thin] > 0
+    for axis, name in zip(axes, names):
+        values = filtered[name].to_numpy(float)[thin]
+        axis.plot(t, np.where(valid, np.nan, values), color=BEFORE, linewidth=0.8, label="not valid for identification")
+        axis.plot(t, np.where(valid, values, np.nan), color=AFTER, linewidth=0.8, label="valid")
+    _rest(axes, metadata)
+    axes[0].legend(loc="upper right", fontsize="small")
+    return figure
+
+
 def figures(
     imported: pd.DataFrame, filtered: pd.DataFrame, metadata: Mapping[str, Any], convergence: pd.DataFrame | None
 ) -> dict[str, Figure]:
-    """The figures of one flight by name: attitude, velocity, position, and gyro_bias, accelerometer_bias if a filter
-    ran.
+    """The figures of one flight by name: attitude, velocity, position, forces, moments, and gyro_bias and
+    accelerometer_bias if a filter ran.
 
     imported   the flight before; filtered  after (either kind of force); metadata  of the filtered flight
-    convergence  the filter's course; None leaves out the error bands and the two figures of the biases
+    convergence  the filter's course, whole or thinned; None leaves out the error bands and the biases
     """
     flight = metadata.get("flight") or "flight"
     kinds: list[tuple[str, list[str], list[str], bool]] = [
@@ -115,11 +128,17 @@ def figures(
         ("position", ["x", "y", "z"], ["x north, m", "y east, m", "z down, m"], False),
     ]
     result: dict[str, Figure] = {}
+    t = filtered["t"].to_numpy()
     for kind, names, labels, angle in kinds:
         std = None
         if convergence is not None and kind == "position":
-            std = convergence[[f"position_std_{a}" for a in "xyz"]].to_numpy()
+            kept = convergence["t"].to_numpy()
+            std = np.stack([np.interp(t, kept, convergence[f"position_std_{a}"].to_numpy()) for a in "xyz"], axis=1)
         result[kind] = _states(f"{flight}: {kind}", names, labels, imported, filtered, std, metadata, angle)
+    with_gravity = metadata.get("forces", "withGravity") == "withGravity"
+    said = "mass times specific force" if with_gravity else "net force"
+    result["forces"] = _wrench(f"{flight}: forces ({said})", ["Fx", "Fy", "Fz"], "N", filtered, metadata)
+    result["moments"] = _wrench(f"{flight}: moments", ["Mx", "My", "Mz"], "N m", filtered, metadata)
     if convergence is not None:
         for key, sensors, unit in (("gyro", ["p", "q", "r"], "rad/s"), ("accelerometer", ["ax", "ay", "az"], "m/s²")):
             result[f"{key}_bias"] = _bias(f"{flight}: {key} bias", key, sensors, unit, convergence, metadata)

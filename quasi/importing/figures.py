@@ -10,20 +10,47 @@ from matplotlib.figure import Figure
 from quasi.attitude import GRAVITY, body_rates, from_euler, rotate
 
 ONBOARD, CAPTURE, BEFORE = "tab:blue", "tab:red", "0.7"
+CLOSE = 8.0  # s
+MOST_POINTS = 8000  # a line drawn denser shows nothing more
 
 
 def alignment_figure(frame: pd.DataFrame, metadata: Mapping[str, Any]) -> Figure:
-    """Attitude, body rates and earth-frame accelerations: on board, captured, and captured as before the alignment.
+    """Attitude, body rates and earth-frame accelerations without gravity, on board and captured, as aligned.
 
-    frame, metadata  of `import_flight`. Before the alignment: both records side by side from their beginnings.
-    Returns a figure of three rows and three columns; nothing is drawn for what the flight has no capture of.
+    frame, metadata  of `import_flight`. Returns a figure of three rows and three columns; nothing is drawn for what the
+    flight has no capture of.
     """
+    return _draw(frame, metadata, None)
+
+
+def close_up(frame: pd.DataFrame, metadata: Mapping[str, Any]) -> Figure | None:
+    """The same over the CLOSE seconds that turn most, with the capture as before the alignment; None without one.
+
+    Before the alignment: both records laid side by side from their beginnings.
+    """
+    if not metadata.get("synchronisation"):
+        return None
+    t, turning = frame["t"].to_numpy(), np.sum(frame[["p", "q", "r"]].to_numpy() ** 2, axis=1)
+    seen = frame["position_sample"].to_numpy() > 0
+    step = t[1] - t[0]
+    width = min(len(t), max(2, round(CLOSE / step)))
+    near = np.convolve(seen, np.ones(round(0.3 / step) | 1), "same") > 0
+    # capped, so that one hard knock does not choose the window
+    total = np.convolve(np.minimum(turning, 4 * np.quantile(turning, 0.9)) * near, np.ones(width), "valid")
+    first = int(np.argmax(total))
+    return _draw(frame, metadata, (t[first], t[first + width - 1]))
+
+
+def _draw(frame: pd.DataFrame, metadata: Mapping[str, Any], window: tuple[float, float] | None) -> Figure:
     figure = Figure(figsize=(13, 8.5), layout="constrained")
     axes = figure.subplots(3, 3, sharex=True)
     t = frame["t"].to_numpy()
     sync = metadata.get("synchronisation")
-    shift = _shift(metadata) if sync else 0.0
     captured = metadata["attitude source"] == "capture"
+
+    def panel(axis: Any, lines: list[tuple[np.ndarray, str, str]], label: str) -> None:
+        before = float(sync["moved from beginnings"]["value"]) if sync and window else 0.0
+        _panel(axis, t, lines, before, window or (t[0], t[-1]), label)
 
     onboard = frame[["onboard_roll", "onboard_pitch", "onboard_yaw"]].to_numpy()
     chosen = frame[["roll", "pitch", "yaw"]].to_numpy()
@@ -34,15 +61,15 @@ def alignment_figure(frame: pd.DataFrame, metadata: Mapping[str, Any]) -> Figure
             angle = np.degrees(np.unwrap(chosen[:, i]))
             angle += 360.0 * np.round(np.median(lines[0][0] - angle) / 360.0)
             lines.append((angle, CAPTURE, "capture"))
-        _panel(axes[0, i], t, lines, shift, f"{name}, deg")
+        panel(axes[0, i], lines, f"{name}, deg")
 
     gyro = frame[["p", "q", "r"]].to_numpy()
     turned = _rates(t, chosen, seen) if captured else None
-    for i, name in enumerate("pqr"):
+    for i, name in enumerate(("roll rate p", "pitch rate q", "yaw rate r")):
         lines = [(gyro[:, i], ONBOARD, "gyro")]
         if turned is not None:
             lines.append((turned[:, i], CAPTURE, "capture"))
-        _panel(axes[1, i], t, lines, shift, f"{name}, rad/s")
+        panel(axes[1, i], lines, f"{name}, rad/s")
 
     force = frame[["ax", "ay", "az"]].to_numpy()
     attitude = from_euler(*chosen.T)
@@ -52,37 +79,40 @@ def alignment_figure(frame: pd.DataFrame, metadata: Mapping[str, Any]) -> Figure
         lines = [(_smooth(t, sensed[:, i]), ONBOARD, "accelerometer, gravity removed")]
         if moved is not None:
             lines.append((moved[:, i], CAPTURE, "capture"))
-        _panel(axes[2, i], t, lines, shift, f"acceleration {name}, m/s$^2$")
+        panel(axes[2, i], lines, f"acceleration {name}, m/s²")
         axes[2, i].set_xlabel("time, s")
+    for row in axes:
+        row[0].legend(loc="upper left", fontsize=8, framealpha=0.9)
     figure.suptitle(_title(metadata, sync))
     return figure
 
 
 def _title(metadata: Mapping[str, Any], sync: Mapping[str, Any] | None) -> str:
-    title = f"{metadata['quadrotor']}, {metadata['flight']}: {metadata['verdict']}"
+    title = f"{metadata['quadrotor']}, {metadata['flight']}"
     if not sync:
-        return f"{title}\nno capture was aligned"
+        return f"{title}: no capture was aligned"
     lag, rate = sync["lag"], sync["clock rate"]
-    return (
-        f"{title}\nlag {lag['value']:.4f} s (standard error {1e3 * lag['std']:.2f} ms), clock rate "
-        f"{1e6 * rate['value']:+.1f} ppm ({1e6 * rate['std']:.1f}), by {sync['method']}"
-    )
+    title = f"{title}: lag {1e3 * lag['value']:.2f} ms ± {1e3 * lag['std']:.2f}"
+    if rate["std"]:
+        title += f", clock rate {1e6 * rate['value']:+.1f} ppm ± {1e6 * rate['std']:.1f}"
+    return title + " (standard errors)"
 
 
-def _shift(metadata: Mapping[str, Any]) -> float:
-    """How far the alignment moved the capture, s, against both records laid side by side from their beginnings."""
-    return float(metadata["synchronisation"]["moved from beginnings"]["value"])
-
-
-def _panel(axis: Any, t: np.ndarray, lines: list[tuple[np.ndarray, str, str]], shift: float, label: str) -> None:
+def _panel(
+    axis: Any, t: np.ndarray, lines: list[tuple[np.ndarray, str, str]], shift: float, window: tuple[float, float],
+    label: str,
+) -> None:  # fmt: skip
+    """Lines within the window; the second of them, the capture's, also `shift` s earlier, as before the alignment."""
+    drawn = [(t, *line) for line in lines]
     if len(lines) > 1 and abs(shift) > 1e-3:
-        axis.plot(t - shift, lines[1][0], color=BEFORE, linewidth=0.7, label="capture before alignment")
-        axis.set_xlim(t[0], t[-1])
-    for values, colour, name in lines:
-        axis.plot(t, values, color=colour, linewidth=0.8, label=name)
+        drawn.insert(0, (t - shift, lines[1][0], BEFORE, "capture before alignment"))
+    for when, values, colour, name in drawn:
+        inside = (when >= window[0]) & (when <= window[1])
+        thin = slice(None, None, max(1, np.count_nonzero(inside) // MOST_POINTS))
+        axis.plot(when[inside][thin], values[inside][thin], color=colour, linewidth=0.9, label=name)
+    axis.set_xlim(*window)
     axis.set_ylabel(label)
     axis.grid(alpha=0.3)
-    axis.legend(loc="upper right", fontsize=7)
 
 
 def _rates(t: np.ndarray, euler: np.ndarray, seen: np.ndarray) -> np.ndarray | None:
@@ -107,3 +137,38 @@ def _smooth(t: np.ndarray, values: np.ndarray) -> np.ndarray:
     width = max(1, round(0.05 / (t[1] - t[0])))
     padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
     return np.convolve(padded, np.ones(width) / width, mode="valid")
+
+
+def trajectory_figure(frame: pd.DataFrame, metadata: Mapping[str, Any]) -> Figure | None:
+    """The flight from above and from the side, coloured by time; None where no position is known.
+
+    frame, metadata  of `import_flight`; what was not seen is left out.
+    """
+    if "x" not in frame:
+        return None
+    place = frame[["x", "y", "z"]].to_numpy(float)
+    seen = np.isfinite(place).all(axis=1)
+    if not seen.any():
+        return None
+    t = frame["t"].to_numpy()[seen]
+    x, y, z = place[seen].T
+    thin = slice(None, None, max(1, len(t) // 6000))
+    figure = Figure(figsize=(11, 5), layout="constrained")
+    above, side = figure.subplots(1, 2)
+    for axis, across, up, labels in (
+        (above, y, x, ("y east, m", "x north, m")),
+        (side, x, -z, ("x north, m", "height, m")),
+    ):
+        dots = axis.scatter(across[thin], up[thin], c=t[thin], s=2, cmap="viridis", rasterized=True)
+        axis.plot(across[0], up[0], "o", color="k", markersize=6, markerfacecolor="w", label="first seen")
+        axis.plot(across[-1], up[-1], "s", color="k", markersize=6, markerfacecolor="w", label="last seen")
+        axis.set_xlabel(labels[0])
+        axis.set_ylabel(labels[1])
+        axis.set_aspect("equal", adjustable="datalim")
+        axis.grid(alpha=0.3)
+    above.set_title("from above", fontsize="medium")
+    side.set_title("from the side", fontsize="medium")
+    above.legend(loc="best", fontsize="small")
+    figure.colorbar(dots, ax=[above, side], label="time, s", pad=0.01)
+    figure.suptitle(f"{metadata['flight']}: trajectory, position from {metadata['position source']}")
+    return figure

@@ -12,6 +12,7 @@ from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s
 from quasi.attitude import exponential, interpolate, multiply, rotate, rotate_inverse, to_euler
 from quasi.errors import ConfigError, DataError
 from quasi.importing.artefacts import flyable
+from quasi.importing.contradictions import refuse_wrong_lengths
 from quasi.importing.motive import read_motive
 from quasi.importing.onboard_log import ATTITUDE, POSITION, Onboard, Track, gather, read_onboard
 from quasi.importing.resampling import (
@@ -24,6 +25,7 @@ from quasi.importing.resampling import (
     velocity,
 )
 from quasi.importing.series import Recording, Series
+from quasi.importing.streams import stream
 from quasi.importing.synchronisation import Motion, Synchronisation, synchronise
 from quasi.importing.telemetry import rotor_age
 from quasi.importing.wind import add_wind
@@ -82,6 +84,7 @@ def import_flight(
         "sources": {"onboard": recording.metadata} | ({"capture": captured.metadata} if captured else {}),
         "sampling": {"rate": rate, "samples": len(frame), "duration": float(frame["t"].iloc[-1])},
         **facts,
+        "streams": _streams(board, capture, sync, facts["start"]["value"]),
         "synchronisation": sync.metadata() if sync else None,
         "motor poles": said,
         "logged to rad/s": recording.metadata.get("logged to rad/s")
@@ -93,6 +96,21 @@ def import_flight(
     }
     metadata |= _verdict(frame, board, metadata)
     return frame, metadata
+
+
+def _streams(
+    board: Onboard, capture: Series | None, sync: Synchronisation | None, zero: float
+) -> dict[str, dict[str, Any]]:
+    """Sampling of each source, in times of the fused flight."""
+    times = {"gyro": board.gyro.t, "accelerometer": board.force.t}
+    if board.rotors is not None:
+        times["rotor speeds"] = board.rotors.t[np.isfinite(board.rotors.values).all(axis=1)]
+    if board.attitude_source == "onboard":
+        times["on-board attitude"] = board.attitude.t[np.isfinite(board.attitude.values).all(axis=1)]
+    if capture is not None:
+        there = sync.to_onboard(capture.t) if sync else capture.t
+        times["capture"] = there[np.isfinite(capture.values["x"])]
+    return {name: found for name, t in times.items() if (found := stream(t, zero)) is not None}
 
 
 def _poles(quadrotor: Mapping[str, Any]) -> tuple[int | None, str]:
@@ -182,7 +200,10 @@ def _align(
     )
     using = list(chosen["align with optitrack using"])
     if captured is not None:
-        return synchronise(board.motion(), seen, using, float(chosen["max permitted lag for optitrack"]), where)
+        sync = synchronise(board.motion(), seen, using, float(chosen["max permitted lag for optitrack"]), where)
+        unit = captured.metadata["length unit"]
+        refuse_wrong_lengths(board.motion(), sync.to_onboard(capture.t), seen.position, unit, where)
+        return sync
     longest = min(SAME_CLOCK_LAG, float(chosen["max permitted lag for optitrack"]))
     try:
         return synchronise(board.motion(), seen, using, longest, where, same_clock=True)
@@ -208,6 +229,12 @@ def _fuse(
             f"{where}: on-board log ({board.gyro.t[0]:.1f} to {board.gyro.t[-1]:.1f} s) and capture have "
             f"{max(0.0, end - begin):.1f} s in common, at least 1 s is needed; "
             "check that both files are of the same flight"
+        )
+    logged = board.gyro.t[-1] - board.gyro.t[0]
+    if capture is not None and logged - (end - begin) > max(1.0, 0.1 * logged):
+        notes.append(
+            f"{where}: the sources share {end - begin:.1f} s of the {logged:.1f} s that were logged on board (from "
+            f"{begin - board.gyro.t[0]:.1f} s on); the rest is left out"
         )
     at = grid(begin, end, rate)
     columns: dict[str, np.ndarray] = {"t": at - at[0]}

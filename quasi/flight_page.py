@@ -1,0 +1,319 @@
+"""What the page of one flight says: verdict, what was read and lost, timing, ranges, biases; plain data to HTML."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from quasi import report
+from quasi.attitude import GRAVITY
+
+ORDER = ("good", "usable with care", "unusable")
+LEAST_VALID = 0.3  # share of the rows below which a flight teaches little
+SATURATED = 0.01  # share of the flight in saturation that calls for care
+FULL_SCALE = np.radians([2000.0, 4000.0])  # rad/s, at which flight controllers' gyros clip
+NEAR, HELD = 0.005, 3  # of the extreme value, and samples in a row, that count as clipped
+COMMAND_LOW, COMMAND_HIGH = 0.001, 0.999
+Section = Mapping[str, Any]
+
+
+def ranges(frame: pd.DataFrame, used: np.ndarray) -> list[tuple[str, str, float, float, float]]:
+    """Name, unit, least, median and largest of what was flown, over the rows `used` (n,)."""
+    one = frame[used] if used.any() else frame
+    found: list[tuple[str, str, np.ndarray]] = []
+
+    def add(name: str, unit: str, needs: Sequence[str], of: Any) -> None:
+        if set(needs) <= set(one):
+            found.append((name, unit, of(*(one[n].to_numpy(float) for n in needs))))
+
+    add("speed over ground", "m/s", "uvw", lambda u, v, w: np.sqrt(u * u + v * v + w * w))
+    add("speed through the air", "m/s", ["u_air", "v_air", "w_air"], lambda u, v, w: np.sqrt(u * u + v * v + w * w))
+    for name, axis in (("forward", "u"), ("right", "v"), ("down", "w")):
+        add(f"velocity {name} (body)", "m/s", [axis], lambda x: x)
+    for name, axis in (("roll", "p"), ("pitch", "q"), ("yaw", "r")):
+        add(f"{name} rate", "deg/s", [axis], np.degrees)
+    add("height above the origin", "m", ["z"], lambda z: -z)
+    add("tilt", "deg", ["roll", "pitch"], lambda a, b: np.degrees(np.arccos(np.clip(np.cos(a) * np.cos(b), -1, 1))))
+    add("load factor", "g", ["ax", "ay", "az"], lambda x, y, z: np.sqrt(x * x + y * y + z * z) / GRAVITY)
+    rotors = [c for c in one if c[0] == "w" and c[1:].isdigit()]
+    add("rotor speed", "rad/s", rotors or ["w1"], lambda *w: np.concatenate(w))
+    add("battery voltage", "V", ["battery_voltage"], lambda x: x)
+    add("battery current", "A", ["battery_current"], lambda x: x)
+    rows = []
+    for name, unit, values in found:
+        values = values[np.isfinite(values)]
+        if len(values):
+            rows.append((name, unit, float(values.min()), float(np.median(values)), float(values.max())))
+    return rows
+
+
+def saturation(imported: pd.DataFrame, used: np.ndarray) -> dict[str, float]:
+    """Share of the rows `used` (n,) in which a gyro axis is clipped, a motor command at its lower or upper limit.
+
+    A gyro counts as clipped where it stays for HELD samples within NEAR of a full scale that controllers have.
+    """
+    out = {}
+    rows = max(int(used.sum()), 1)
+    for axis in "pqr":
+        if axis in imported:
+            size = np.abs(imported[axis].to_numpy(float))
+            at = np.any([np.abs(size - full) < NEAR * full for full in FULL_SCALE], axis=0)
+            held = np.convolve(at, np.ones(HELD), "same") > HELD - 0.5
+            out[f"gyro {axis}"] = float(np.sum(held & used) / rows)
+    for name in [c for c in imported if c.startswith("command")]:
+        value = imported[name].to_numpy(float)
+        out[f"{name} at its lower limit"] = float(np.sum((value <= COMMAND_LOW) & used) / rows)
+        out[f"{name} at its upper limit"] = float(np.sum((value >= COMMAND_HIGH) & used) / rows)
+    return out
+
+
+def verdict(imported: Section, filtered: Section, saturated: Mapping[str, float]) -> tuple[str, str]:
+    """The import's verdict, made worse by what filtering and the motors say; and the reasons."""
+    word, reasons = imported["verdict"], [imported["verdict because"]]
+    doubts = []
+    valid = filtered["phases"]["valid share"]
+    if filtered.get("consistent") is False:
+        doubts.append("the filter's innovations are larger or smaller than its own standard errors say")
+    if 0 < valid < LEAST_VALID:
+        doubts.append(f"only {report.share(valid)} of the rows are valid for identification")
+    clipped = max((v for k, v in saturated.items() if k.startswith("gyro")), default=0.0)
+    if clipped > 0:
+        doubts.append(f"the gyro was clipped in {report.share(clipped)} of the flight")
+    full = max((v for k, v in saturated.items() if k.endswith("upper limit")), default=0.0)
+    if full > SATURATED:
+        doubts.append(f"a motor was at its upper limit in {report.share(full)} of the flight")
+    if valid == 0:
+        word, doubts = "unusable", ["no row is valid for identification", *doubts]
+    elif doubts and word == "good":
+        word = ORDER[1]
+    if doubts and imported["verdict"] == "good":
+        reasons = []
+    return word, "; ".join([*reasons, *doubts])
+
+
+def page(
+    imported: pd.DataFrame,
+    imported_metadata: Section,
+    filtered: pd.DataFrame,
+    filtered_metadata: Section,
+    pictures: Mapping[str, tuple[bytes, str]],
+) -> str:
+    """The page of a flight.
+
+    imported, filtered  the flight's tables with their metadata; pictures  {heading: (PNG, caption)} in order.
+    """
+    m, f = imported_metadata, filtered_metadata
+    flying = filtered["in_flight"].to_numpy() > 0
+    saturated = saturation(imported, flying)
+    word, because = verdict(m, f, saturated)
+    battery = _battery(filtered)
+    sections = [
+        report.section("What was read", report.facts(_read(m)), _streams(m)),
+        report.section("What was lost or assumed", _lost(m), report.sentences(m["notes"])),
+        report.section("Clocks and delays", report.facts(_timing(m))),
+        report.section(
+            "What was flown",
+            report.facts([("rows in flight", report.share(f["phases"]["in flight share"])), *battery]),
+            report.table(
+                ("between take-off and landing", "unit", "least", "median", "largest"),
+                [(n, u, *(f"{v:.4g}".replace("-", "−") for v in values)) for n, u, *values in ranges(filtered, flying)],
+            ),
+            report.facts(_saturation(saturated)),
+        ),
+        report.section(
+            "States and biases", report.facts(_filter(f)), _biases(f), _innovations(f), report.sentences(f["notes"])
+        ),
+        *(report.section(heading, report.picture(png, said)) for heading, (png, said) in pictures.items()),
+    ]
+    under = (
+        f"{m['quadrotor']} · {m['sampling']['duration']:.1f} s at {m['sampling']['rate']:g} Hz · mass {f['mass']:g} kg"
+    )
+    return report.page(f"Flight {m['flight']}", under, word, because, sections)
+
+
+def _read(m: Section) -> list[tuple[str, object]]:
+    board, capture, wind = (m["sources"].get(k) or {} for k in ("onboard", "capture", "wind"))
+    firmware = board.get("firmware") or {}
+    firmware = firmware.get("revision") if isinstance(firmware, Mapping) else firmware
+    board_name = (board.get("firmware") or {}).get("board") if isinstance(board.get("firmware"), Mapping) else None
+    poles = m.get("motor poles") or {}
+    return [
+        ("on-board log", board.get("path") or board.get("file")),
+        ("reader", board.get("reader") or board.get("format")),
+        ("firmware", ", ".join(t for t in (firmware, board_name) if t)),
+        ("logs in the file", _logs(board)),
+        ("fields", ", ".join(map(str, board.get("fields") or []))),
+        ("motion capture", capture.get("file") or capture.get("path")),
+        ("rigid body", _body(capture)),
+        ("capture", _capture(capture)),
+        ("wind", wind.get("path") or wind.get("file")),
+        ("attitude from", m["attitude source"]),
+        ("position from", m["position source"]),
+        ("velocity from", m["velocity source"]),
+        ("motor poles", f"{poles['value']} ({poles.get('source', '')})" if poles.get("value") else None),
+        ("rest before take-off", f"{report.number(m['rest before take-off']['value'])} s"),
+    ]
+
+
+def _logs(board: Section) -> str | None:
+    logs = board.get("logs") or []
+    if not logs:
+        return None
+    listed = "; ".join(
+        f"{log['number']}: {report.number(log.get('duration'))} s" + (f" ({log['fault']})" if log.get("fault") else "")
+        for log in logs[:20]
+    )
+    more = f" and {len(logs) - 20} more" if len(logs) > 20 else ""
+    return f"{len(logs)}; number {board.get('log')} was read" + (f" — {listed}{more}" if len(logs) > 1 else "")
+
+
+def _body(capture: Section) -> str | None:
+    if not capture.get("rigid body"):
+        return None
+    others = [b for b in capture.get("rigid bodies", []) if b != capture["rigid body"]]
+    return capture["rigid body"] + (f" (also in the take: {', '.join(others)})" if others else "")
+
+
+def _capture(capture: Section) -> str | None:
+    if not capture.get("frames"):
+        return None
+    parts = [
+        f"{capture['frames']} frames at {report.number(capture.get('export rate'), 4)} Hz",
+        f"format version {capture.get('format version')}",
+        f"rotation {capture.get('rotation')}",
+        f"lengths in {str(capture.get('length unit', '')).lower()}",
+    ]
+    return ", ".join(parts)
+
+
+def _streams(m: Section) -> str:
+    rows = [
+        (
+            name, s["samples"], report.number(s["rate"], 4), report.number(1e3 * s["jitter"], 2), s["gap count"],
+            report.number(s["lost"], 3),
+        )
+        for name, s in (m.get("streams") or {}).items()
+    ]  # fmt: skip
+    return report.table(("source", "samples", "rate, Hz", "jitter, ms", "gaps", "in gaps, s"), rows)
+
+
+def _lost(m: Section) -> str:
+    board, capture = (m["sources"].get(k) or {} for k in ("onboard", "capture"))
+    spans = board.get("corrupt spans") or []
+    said = [f"{s['start']:.3f} to {s['end']:.3f} s ({s.get('bytes', 0)} bytes)" for s in spans[:20]]
+    rows: list[tuple[str, object]] = [("damaged stretches of the log", "; ".join(said) if spans else None)]
+    for name, s in (m.get("streams") or {}).items():
+        longest = sorted(s["gaps"], key=lambda g: g[0] - g[1])[:8]
+        listed = ", ".join(f"{a:.2f} to {b:.2f}" for a, b in sorted(longest))
+        if s["gap count"]:
+            all_of_them = "at" if s["gap count"] <= len(longest) else "the longest at"
+            rows.append((f"gaps of {name}", f"{s['gap count']}, {all_of_them} {listed} s"))
+    if capture.get("frames"):
+        rows += [
+            ("frames without the body", f"{capture['frames lost']} of {capture['frames']}"),
+            ("frames removed as outliers", f"{capture['frames removed']} of {capture['frames']}"),
+            ("quaternion sign flips mended", capture.get("quaternion sign flips")),
+        ]
+    return report.facts(rows) or report.paragraph("Nothing was lost.")
+
+
+def _timing(m: Section) -> list[tuple[str, object]]:
+    sync = m.get("synchronisation")
+    rows: list[tuple[str, object]] = []
+    if sync:
+        lag, rate = sync["lag"], sync["clock rate"]
+        rows += [
+            ("lag of the capture", report.with_error(lag["value"], lag["std"], "ms", 1e3)),
+            ("clock rate", report.with_error(rate["value"], rate["std"], "ppm", 1e6) if rate["std"] else "not sought"),
+            ("found by", f"{sync['method']}, over {sync['common span']['value']:.1f} s"),
+            (
+                "explained of each other",
+                ", ".join(f"{k}: {report.share(v)}" for k, v in sync["explained variance"].items()),
+            ),
+            ("heading offset", f"{report.number(math.degrees(sync['yaw offset']['value']))} deg"),
+        ]
+    for name, c in m["corrections"].items():
+        if name.endswith("delay") and c and c["filters"]:
+            rows.append(
+                (name, f"{report.with_error(c['value'], c.get('std'), 'ms', 1e3)} undone ({', '.join(c['filters'])})")
+            )
+        elif name == "imu position" and c:
+            rows.append(("IMU position", f"{c['value']} m, corrected for"))
+    rotors = m.get("rotor telemetry")
+    if rotors and rotors.get("age"):
+        age = rotors["age"]
+        done = "taken off" if rotors.get("applied") else "not corrected"
+        rows.append(("age of rotor telemetry", f"{report.with_error(age['value'], age['std'], 'ms', 1e3)}, {done}"))
+    return rows
+
+
+def _battery(filtered: pd.DataFrame) -> list[tuple[str, object]]:
+    if "battery_voltage" not in filtered:
+        return []
+    t, volts = filtered["t"].to_numpy(), filtered["battery_voltage"].to_numpy(float)
+    fine = np.isfinite(volts)
+    if not fine.any():
+        return []
+    first, last = (float(np.median(volts[fine & part])) for part in (t <= t[fine][0] + 1, t >= t[fine][-1] - 1))
+    return [("battery, first and last second", f"{first:.2f} V to {last:.2f} V")]
+
+
+def _saturation(shares: Mapping[str, float]) -> list[tuple[str, object]]:
+    rows: list[tuple[str, object]] = []
+    for name, ends in (("gyro clipped", "gyro"), ("lower limit", "lower limit"), ("upper limit", "upper limit")):
+        found = {k: v for k, v in shares.items() if ends in k}
+        if found:
+            title = name if ends == "gyro" else f"motor command at its {name}"
+            each = ", ".join(f"{k.removeprefix('gyro ').split(' at ')[0]} {report.share(v)}" for k, v in found.items())
+            rows.append((title, each if any(found.values()) else "never"))
+    return rows
+
+
+def _filter(f: Section) -> list[tuple[str, object]]:
+    turned = f.get("attitude alignment") or {}
+    angles = [
+        f"{a} {report.with_error(turned[a]['value'], turned[a]['std'], 'deg', math.degrees(1))}"
+        for a in ("roll", "pitch", "yaw")
+        if a in turned
+    ]
+    phases = f["phases"]
+    rest = phases.get("rest")
+    return [
+        ("rows valid for identification", report.share(phases["valid share"])),
+        (
+            "take-off",
+            f"{phases['take-off']:.2f} s" if phases.get("take-off") is not None else "before the record begins",
+        ),
+        ("rest used", f"{rest[0]:.2f} to {rest[1]:.2f} s" if rest else "none"),
+        ("biases by", (f.get("biases") or {}).get("policy")),
+        ("capture's axes on the body's", ", ".join(angles)),
+        ("low-pass", f"{f['filters']['low-pass cutoff Hz']:g} Hz"),
+    ]
+
+
+def _biases(f: Section) -> str:
+    rows = []
+    for key, axes, scale, unit in (
+        ("gyro", ("p", "q", "r"), math.degrees(1), "deg/s"),
+        ("accelerometer", ("ax", "ay", "az"), 1.0, "m/s²"),
+    ):
+        bias = (f.get("biases") or {}).get(key)
+        if bias and bias.get("value"):
+            said = [report.with_error(v, s, "", scale) for v, s in zip(bias["value"], bias.get("std") or [None] * 3)]
+            rows.append((f"bias of {key} ({', '.join(axes)}), {unit}", *said))
+    return report.table(("± standard error", "x", "y", "z"), rows)
+
+
+def _innovations(f: Section) -> str:
+    rows = [
+        (
+            f"innovations of {kind}", n["measurements"], report.number(n["mean"]),
+            " to ".join(map(report.number, n["bounds"])), report.share(n["gated"]), report.number(n["whiteness"], 2),
+        )
+        for kind, n in (f.get("NIS") or {}).items()
+        if n and n.get("mean") is not None
+    ]  # fmt: skip
+    head = ("", "measurements", "NIS (1 if honest)", "95 % bounds of white ones", "gated", "autocorrelation")
+    return report.table(head, rows)

@@ -1,0 +1,33 @@
+"""How regularly each source was sampled, and where it has nothing: rates, jitter, gaps with their times."""
+
+from typing import Any
+
+import numpy as np
+
+GAP = 3.1  # usual intervals without a sample that count as a gap
+MOST_LISTED = 50
+
+
+def stream(t: np.ndarray, zero: float = 0.0) -> dict[str, Any] | None:
+    """Sampling of one source whose valid samples lie at times t (n,), s; None for fewer than three.
+
+    Returns samples, rate (Hz, of the median interval), jitter (s, standard deviation of the intervals outside gaps)
+            and gaps [[begin, end], ...] in s since `zero`, the longest MOST_LISTED of them in order; "lost" s in all
+    """
+    if len(t) < 3:
+        return None
+    interval = np.diff(t)
+    usual = float(np.median(interval))
+    wide = np.flatnonzero(interval > GAP * usual)
+    listed = np.sort(wide[np.argsort(-interval[wide], kind="stable")[:MOST_LISTED]])
+    return {
+        "samples": len(t),
+        "rate": 1.0 / usual if usual > 0 else None,
+        "jitter": float(np.std(interval[interval <= GAP * usual])),
+        "first": float(t[0] - zero),
+        "last": float(t[-1] - zero),
+        "gap count": len(wide),
+        "lost": float(np.sum(interval[wide] - usual)),
+        "gaps": [[float(t[i] - zero), float(t[i + 1] - zero)] for i in listed],
+        "unit": "s",
+    }

@@ -1,0 +1,128 @@
+"""HTML pages that need nothing else: text, tables and pictures in one file, no scripts, fit for print.
+
+Pure functions from plain data to HTML; every text is escaped here, so callers pass it as it is.
+"""
+
+import base64
+import html
+import math
+from collections.abc import Iterable, Sequence
+
+STYLE = """
+:root { --ink: #1c2329; --soft: #5b6770; --line: #d9dee2; --good: #1e7d46; --care: #a86200; --bad: #b3261e; }
+* { box-sizing: border-box; }
+body { font: 15px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; color: var(--ink); background: #fff;
+  max-width: 1080px; margin: 0 auto; padding: 28px 24px 60px; }
+h1 { font-size: 26px; margin: 0 0 2px; } h2 { font-size: 19px; margin: 34px 0 8px; }
+.under { color: var(--soft); margin: 0 0 18px; }
+.verdict { border-left: 6px solid var(--soft); padding: 10px 16px; background: #f6f8f9; font-size: 17px; }
+.verdict b { text-transform: capitalize; } .verdict.good { border-color: var(--good); }
+.verdict.care { border-color: var(--care); } .verdict.bad { border-color: var(--bad); }
+.verdict.good b { color: var(--good); } .verdict.care b { color: var(--care); } .verdict.bad b { color: var(--bad); }
+table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; margin: 6px 0 14px; }
+th, td { text-align: left; padding: 4px 14px 4px 0; border-bottom: 1px solid var(--line); vertical-align: top; }
+th { font-weight: 600; } thead th { color: var(--soft); font-weight: 500; }
+tbody th { width: 26%; font-weight: 500; } td.n, th.n { text-align: right; white-space: nowrap; }
+td { overflow-wrap: anywhere; }
+ul { margin: 6px 0 14px; padding-left: 20px; } li { margin: 2px 0; overflow-wrap: anywhere; }
+figure { margin: 14px 0 26px; break-inside: avoid; } img { width: 100%; height: auto; display: block; }
+figcaption { color: var(--soft); font-size: 13.5px; margin-top: 4px; }
+@media print { body { max-width: none; padding: 0; font-size: 11pt; } h2 { break-after: avoid; }
+  tr { break-inside: avoid; } .verdict { background: none; } @page { margin: 15mm; } }
+"""
+KINDS = {"good": "good", "usable with care": "care", "unusable": "bad"}
+
+
+def escape(text: object) -> str:
+    """Text as HTML."""
+    return html.escape(str(text))
+
+
+def number(value: object, digits: int = 3) -> str:
+    """A number to so many significant digits, without needless powers of ten; a dash for what is not there."""
+    if value is None or isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return "–"
+    if value == 0:
+        return "0"
+    places = digits - 1 - math.floor(math.log10(abs(value)))
+    if -6 <= places <= 7:
+        return f"{value:.{max(places, 0)}f}".replace("-", "−")
+    return f"{value:.{digits - 1}e}".replace("-", "−")
+
+
+def with_error(value: object, std: object, unit: str = "", scale: float = 1.0) -> str:
+    """A value ± its standard error, both to the second digit of the error; scale multiplies both."""
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        return "–"
+    if not isinstance(std, int | float) or not math.isfinite(std) or std <= 0:
+        return f"{number(value * scale, 4)} {unit}".rstrip()
+    places = min(max(1 - math.floor(math.log10(abs(std * scale))), 0), 9)
+    return f"{value * scale:.{places}f} ± {std * scale:.{places}f} {unit}".replace("-", "−").rstrip()
+
+
+def share(value: object) -> str:
+    """A share as percent."""
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        return "–"
+    if 0 < value < 1e-4:
+        return "below 0.01 %"
+    return f"{100 * value:.2f} %" if value < 0.1 else f"{100 * value:.1f} %"
+
+
+def facts(rows: Iterable[tuple[str, object]]) -> str:
+    """A table of names and what is said of them; rows that say nothing are left out."""
+    lines = [
+        f'<tr><th scope="row">{escape(name)}</th><td>{escape(said)}</td></tr>'
+        for name, said in rows
+        if said not in (None, "")
+    ]
+    return f"<table><tbody>{''.join(lines)}</tbody></table>" if lines else ""
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A table whose first column names the row and whose others hold numbers."""
+    top = "".join(f'<th scope="col"{" class=n" if i else ""}>{escape(h)}</th>' for i, h in enumerate(head))
+    lines = [
+        f'<tr><th scope="row">{escape(row[0])}</th>'
+        + "".join(f'<td class="n">{escape(c)}</td>' for c in row[1:])
+        + "</tr>"
+        for row in rows
+    ]
+    return f"<table><thead><tr>{top}</tr></thead><tbody>{''.join(lines)}</tbody></table>" if lines else ""
+
+
+def sentences(texts: Iterable[str]) -> str:
+    """A list of sentences."""
+    lines = [f"<li>{escape(t)}</li>" for t in texts]
+    return f"<ul>{''.join(lines)}</ul>" if lines else ""
+
+
+def paragraph(text: str) -> str:
+    """A paragraph."""
+    return f"<p>{escape(text)}</p>"
+
+
+def picture(png: bytes, caption: str) -> str:
+    """A PNG picture inside the page, with its caption."""
+    data = base64.b64encode(png).decode("ascii")
+    text = escape(caption)
+    return f'<figure><img alt="{text}" src="data:image/png;base64,{data}"><figcaption>{text}</figcaption></figure>'
+
+
+def section(title: str, *blocks: str) -> str:
+    """A titled part of the page; nothing where all blocks are empty."""
+    body = "".join(blocks)
+    return f"<section><h2>{escape(title)}</h2>{body}</section>" if body else ""
+
+
+def page(title: str, under: str, verdict: str, because: str, sections: Iterable[str]) -> str:
+    """The whole page: title, a line under it, the verdict and its reasons, then the sections."""
+    kind = KINDS.get(verdict, "")
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>"
+        f'<h1>{escape(title)}</h1><p class="under">{escape(under)}</p>'
+        f'<p class="verdict {kind}"><b>{escape(verdict)}:</b> {escape(because)}.</p>'
+        f"{''.join(sections)}</body></html>\n"
+    )

@@ -1,0 +1,59 @@
+"""The page of one flight, and its figures as files: what was read, lost, tied and estimated; can it be trusted?"""
+
+from io import BytesIO
+from pathlib import Path
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from quasi.filtering.figures import figures
+from quasi.flight_page import page
+from quasi.importing.figures import alignment_figure, close_up, trajectory_figure
+from quasi.joblog import job
+from quasi.tables import read_json, read_table, write_bytes, write_text
+
+# figure: heading, caption; in the order of the page
+PICTURES = {
+    "alignment": (
+        "Alignment",
+        "On board against captured: attitude, body rates, accelerations along earth axes with gravity removed.",
+    ),
+    "alignment_close_up": (
+        "Alignment before and after",
+        "The liveliest seconds. Before: both records laid side by side from their beginnings.",
+    ),
+    "trajectory": ("Trajectory", "Where the flight went, coloured by time."),
+    "attitude": ("Attitude", "Imported and filtered."),
+    "velocity": ("Velocity", "Body axes, over ground, imported and filtered."),
+    "position": ("Position", "Imported and filtered; the band is two standard errors to either side."),
+    "forces": ("Forces", "Body axes; grey where rows are on the ground, lost or unsure."),
+    "moments": ("Moments", "Body axes, about the centre of gravity."),
+    "gyro_bias": ("Gyro bias", "How the filter learnt it, with its bounds; red what was taken off."),
+    "accelerometer_bias": ("Accelerometer bias", "How the filter learnt it, with its bounds; red what was taken off."),
+}
+
+
+def main(source: dict[str, str], target: str, folder: str) -> None:
+    """Read the imported and filtered flight, draw it, write the page and each figure as PNG."""
+    imported, about = read_table(source["flight"]), read_json(source["metadata"])
+    filtered, filtered_about = read_table(source["filtered"]), read_json(source["filtered_metadata"])
+    course = read_table(source["convergence"])
+    drawn = {
+        "alignment": alignment_figure(imported, about),
+        "alignment_close_up": close_up(imported, about),
+        "trajectory": trajectory_figure(imported, about),
+        **figures(imported, filtered, filtered_about, course if len(course) else None),
+    }
+    pictures = {}
+    for name, (heading, caption) in PICTURES.items():
+        if drawn.get(name) is None:
+            continue
+        png = BytesIO()
+        FigureCanvasAgg(drawn[name]).print_png(png)
+        write_bytes(Path(folder) / f"{name}.png", png.getvalue())
+        pictures[heading] = (png.getvalue(), caption)
+    write_text(target, page(imported, about, filtered, filtered_about, pictures))
+
+
+if __name__ == "__main__":
+    with job(snakemake.log[0], f"report of {snakemake.wildcards.flight}"):
+        main(dict(snakemake.input.items()), snakemake.output.page, snakemake.output.figures)
