@@ -39,6 +39,7 @@ TYPES = {
     "camera",
 }
 LARGEST = 1e10
+LARGEST_ROOM = 150.0  # m
 QUANTITIES = {"rotation", "position", "mean marker error", "error per marker", "marker quality", "marker error"}
 
 
@@ -84,6 +85,13 @@ def read_motive(
             f"{path} never saw rigid body '{header.name}' ({len(t)} frames, all empty); check its name and export"
         )
 
+    low, high = np.quantile(position[seen], [0.02, 0.98], axis=0)
+    if np.max(high - low) > LARGEST_ROOM:
+        raise ReadError(
+            f"{path}: '{header.name}' moves through {np.max(high - low):.0f} m if lengths are in "
+            f"{header.facts.get('length units', 'Meters')} as the header says, more than any room; correct "
+            "'Length Units', or export it anew"
+        )
     lost = int(np.count_nonzero(~seen))
     removed = np.zeros(len(t), bool)
     flips = 0

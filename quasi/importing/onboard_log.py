@@ -132,7 +132,10 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
             about |= {"value": 0.0, "filters": []}
     attitude, source, rest = _find(series, ATTITUDE), "onboard", 0.0
     at_gyro = np.stack([np.interp(gyro.t, force.t, v) for v in force.values.T], axis=-1)
-    estimate = estimate_attitude(gyro.t, gyro.values, at_gyro)
+    try:
+        estimate = estimate_attitude(gyro.t, gyro.values, at_gyro)
+    except DataError as error:
+        raise DataError(f"{where}: the on-board log is too short: {error}") from None
     rest = estimate.rest_seconds
     if attitude is None or np.count_nonzero(np.isfinite(attitude.values).all(axis=1)) < 20:
         attitude, source = Track(gyro.t, estimate.quaternion), "estimated on board"

@@ -18,6 +18,7 @@ from quasi.attitude import from_euler, interpolate, multiply, rotate_inverse
 from quasi.errors import ReadError, nearest
 from quasi.importing.artefacts import spikes
 from quasi.importing.clocks import ClockFit
+from quasi.importing.contradictions import doubtful_units
 from quasi.importing.series import Recording, Series
 from quasi.importing.table_mapping import EULER, QUATERNION, VECTORS, Source, read_mapping
 from quasi.importing.telemetry import acceleration_lag, rotor_lag
@@ -71,6 +72,9 @@ def read_table_log(
     _move_late_sources(raw, main, about, path, notes)
     for r in raw:
         r.world_to_body(raw, path)
+    felt = next((r for r in raw if "ax" in r.values and not r.source.capture), None)
+    force = np.zeros((0, 3)) if felt is None else _stack(felt, VECTORS["force"])
+    notes += [f"{path}: {end} in 'table columns'" for end in doubtful_units(_stack(main, VECTORS["rates"]), force)]
     series: dict[str, Series] = {}
     for r in raw:
         key = "onboard" if r is main else "capture" if r.source.capture else f"onboard {r.source.name}"

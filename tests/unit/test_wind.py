@@ -341,7 +341,7 @@ def test_the_logbook_row_hands_its_wind_on(tmp_path):
         ),
         ({"Has OJF data": "Y"}, "neither 'OJF name' nor 'Static wind (m/s)' is given"),
         ({"Static wind (m/s)": "strong"}, "'Static wind (m/s)' is 'strong', expected a number"),
-        ({"Static wind (m/s)": "inf"}, "'Static wind (m/s)' is not finite"),
+        ({"Static wind (m/s)": "inf"}, "'Static wind (m/s)' is 'inf', expected a number"),
     ],
 )
 def test_faults_of_the_wind_columns_are_sentences_of_that_flight(tmp_path, cells, words):

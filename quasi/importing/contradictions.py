@@ -1,0 +1,65 @@
+"""Stated units against what the numbers do: a capture whose lengths are no metres, an accelerometer that feels no g."""
+
+import numpy as np
+
+from quasi.attitude import GRAVITY, rotate
+from quasi.errors import DataError
+from quasi.importing.clocks import uniform
+from quasi.importing.synchronisation import Motion
+
+RATE, BAND = 100.0, 3.0  # Hz
+LEAST_MOTION = 0.2  # m/s2, rms acceleration below which nothing can be said
+
+
+def length_ratio(onboard: Motion, t: np.ndarray, position: np.ndarray) -> float | None:
+    """How much a captured position accelerates over what the accelerometer feels; 1 where units agree.
+
+    onboard  needs specific_force and quaternion; t (n,) s on its clock, position (n, 3) m earth NED, NaN where unseen
+    None where the flight hardly moves or shares less than two seconds.
+    """
+    if onboard.quaternion is None:
+        return None
+    sensed = rotate(onboard.quaternion, onboard.specific_force) + np.array([0.0, 0.0, GRAVITY])
+    felt, seen = uniform(onboard.t, sensed, RATE, BAND), uniform(t, position, RATE, BAND)
+    if felt is None or seen is None:
+        return None
+    acceleration = np.gradient(np.gradient(seen.values, seen.step, axis=0), seen.step, axis=0)
+    # the filter's own ends are no motion
+    edge = int(RATE / BAND)
+    acceleration, at, good = acceleration[edge:-edge], seen.t[edge:-edge], seen.good[edge:-edge]
+    good = good & (at > felt.t[0] + 1.0) & (at < felt.t[-1] - 1.0)
+    if np.count_nonzero(good) < 2 * RATE:
+        return None
+    there = np.stack([np.interp(at[good], felt.t, v) for v in felt.values.T], axis=-1)
+    needed = float(np.sqrt(np.mean((there - there.mean(axis=0)) ** 2) * 3))
+    if needed < LEAST_MOTION:
+        return None
+    here = acceleration[good]
+    return float(np.sqrt(np.mean((here - here.mean(axis=0)) ** 2) * 3)) / needed
+
+
+def refuse_wrong_lengths(onboard: Motion, t: np.ndarray, position: np.ndarray, unit: str, where: str) -> None:
+    """Raise DataError where captured lengths contradict the accelerometer by thirty times or more.
+
+    Arguments as `length_ratio`; unit  what the capture states.
+    """
+    ratio = length_ratio(onboard, t, position)
+    if ratio is None or 0.03 < ratio < 30.0:
+        return
+    raise DataError(
+        f"{where}: the captured position accelerates {ratio:.2g} times as much as the accelerometer feels, so lengths "
+        f"that are stated in {unit} are in another unit; correct 'Length Units' in the export, or export it anew"
+    )
+
+
+def doubtful_units(rates: np.ndarray, force: np.ndarray) -> list[str]:
+    """Ends of sentences about body rates (n, 3), rad/s, and specific force (m, 3), m/s2, that no vehicle shows."""
+    found = []
+    fastest = float(np.nanmax(np.abs(rates), initial=0.0))
+    if fastest > np.radians(4500):
+        found.append(f"body rates reach {np.degrees(fastest):.0f} deg/s, beyond any gyro; check their unit")
+    felt = np.linalg.norm(force[np.isfinite(force).all(axis=1)], axis=1)
+    typical = float(np.median(felt)) / GRAVITY if len(felt) else 1.0
+    if not 0.2 < typical < 5.0:
+        found.append(f"the specific force is typically {typical:.3g} g, where a flight feels about 1; check its unit")
+    return found
