@@ -92,9 +92,6 @@ class Folder(Project):
                 "time offset": row.number_in("OptiTrack time offset (s)") or 0.0,
                 "towards": row.number_in("Wind towards (deg)") or 0.0,
             }
-            for column in ("Static wind (m/s)", "OptiTrack time offset (s)", "Wind towards (deg)"):
-                if not abs(row.number_in(column) or 0.0) < 1e6:
-                    raise LogbookError(f"{row.logbook} row {row.number}: '{column}' is not finite; correct the cell")
         except LogbookError as error:
             return None, str(error)
         if row.has("Has OJF data") and row.cells.get("OJF name"):
@@ -133,16 +130,20 @@ class Folder(Project):
     # settings of the jobs
 
     def _quadrotor(self, row: Row) -> tuple[dict[str, Any], str | None]:
-        config, problem = self._quadrotor_file(row.cells["Drone Config Path"], row.cells["Drone Config File"])
+        if not row.cells["Drone Config File"]:
+            empty = "'Drone Config File' is empty; fill in the name of the quadrotor's JSON"
+            return {}, f"{row.logbook} row {row.number}, flight {row.key}: {empty}"
+        config, problem = self._quadrotor_file(self._quadrotor_path(row))
         if problem and not config:
             problem = f"{row.logbook} row {row.number}, flight {row.key}: {problem}"
         return config, problem
 
+    def _quadrotor_path(self, row: Row) -> Path:
+        path = Path(row.cells["Drone Config Path"].replace("\\", "/")) / row.cells["Drone Config File"]
+        return self._settled(with_suffix(path, ".json"))
+
     @functools.cache  # noqa: B019
-    def _quadrotor_file(self, directory: str, name: str) -> tuple[dict[str, Any], str | None]:
-        if not name:
-            return {}, "'Drone Config File' is empty; fill in the name of the quadrotor's JSON"
-        path = self._settled(with_suffix(Path(directory.replace("\\", "/")) / name, ".json"))
+    def _quadrotor_file(self, path: Path) -> tuple[dict[str, Any], str | None]:
         if not is_file(self._here(path)):
             known = [p.name for p in self._here(path.parent).glob("*.json")]
             return {}, (
@@ -157,7 +158,7 @@ class Folder(Project):
     def _part(self, row: Row, keys: tuple[str, ...]) -> dict[str, Any]:
         config, problem = self._quadrotor(row)
         part = {k: config[k] for k in keys if k in config}
-        part["file"] = row.cells["Drone Config File"]
+        part["file"] = self._quadrotor_path(row).stem
         return {"quadrotor": part, "problem": problem}
 
     def importing(self, quadrotor: str, flight: str) -> dict[str, Any]:
@@ -229,7 +230,7 @@ class Folder(Project):
         training, everything = self.model_flights(name, "training"), self.model_flights(name)
         # a row whose configuration is absent or faulty fails in its own jobs, with its own sentence
         sound = [r for r in everything if self._quadrotor(r)[1] is None]
-        files = {r.cells["Drone Config File"] for r in sound}
+        files = {str(self._quadrotor_path(r)) for r in sound}
         if len(files) > 1:
             raise ConfigError(
                 f"config/models/{name}.json: the rows name several quadrotor configurations "
