@@ -208,7 +208,7 @@ def _align(
     try:
         return synchronise(board.motion(), seen, using, longest, where, same_clock=True)
     except DataError as error:
-        notes.append(f"{where}: the capture stays on the table's clock, lag 0, for none could be found ({error})")
+        notes.append(f"{where}: the capture stays on the log's own clock, lag 0, for none could be found ({error})")
         return None
 
 

@@ -145,6 +145,22 @@ def test_a_log_of_another_firmware_is_refused(tmp_path, flown):
         import_flight(as_csv(tmp_path, flown, fields), {}, {})
 
 
+def test_the_log_counts_more_than_the_logbook(tmp_path, flown):
+    flight = as_csv(tmp_path, flown) | {"flight controller": "betaflight"}
+    frame, about = import_flight(flight, {}, {})
+    check(flown, frame, about)
+    assert any("comes from INDIflight" in n for n in about["notes"])
+
+
+def test_captured_motion_that_never_changes_is_said(tmp_path, flown):
+    truth, speed, rotors, table = flown
+    still = table.copy()
+    still[:, [i for i, f in enumerate(FIELDS) if f.startswith("ext")]] = 0
+    _, about = import_flight(as_csv(tmp_path, (truth, speed, rotors, still)), {}, {})
+    assert about["position source"] == "onboard"
+    assert any("no captured motion reached the flight controller" in n for n in about["notes"])
+
+
 def test_repeated_rows_are_one_message_and_a_jump_after_a_pause_is_none():
     x = np.repeat([0.0, 0.01, 0.02, 0.02, 0.02, 0.02, 0.03, 0.04, 0.04, 0.04, 0.04, 0.5, 0.51], 4)[:, None]
     assert messages(x, np.array([0.02])).tolist() == [0, 4, 8, 12, 16, 20, 24, 28, 44, 48]
