@@ -1,6 +1,7 @@
 """The experiment file log: one row per flight (the manual's Table 1), row selection (its 9.1), flight keys."""
 
 import csv
+import difflib
 import io
 import math
 import re
@@ -39,6 +40,14 @@ OPTIONAL = (
 )
 NAME = re.compile(r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*")
 CONTROLLERS = ("betaflight", "indiflight", "table")
+
+
+def _plain(column: str) -> str:
+    return re.sub(r"[\W_]+", "", column).lower()
+
+
+# columns are known however their letters, spaces and signs are written, the mass also with its unit
+COLUMNS = {_plain(c): c for c in (*NEEDED, *OPTIONAL)} | dict.fromkeys(("massg", "massgram", "massgrams"), "Mass")
 
 
 @dataclass(frozen=True)
@@ -81,19 +90,25 @@ def read_logbook(path: str | Path) -> dict[int, Row]:
 
     Raises LogbookError for a missing column or two rows that mean the same flight key of one quadrotor.
     """
+    text = read_text(path)
+    if text.startswith("PK"):
+        raise LogbookError(f"{path} is a spreadsheet file, not text; save the logbook as CSV from the spreadsheet")
+    first = text.partition("\n")[0]
+    if not first.strip(" ,;\t\r"):
+        raise LogbookError(f"{path}: the first line is empty; it must hold the names of the columns")
+    separator = "," if "," in first else ";" if ";" in first else "\t"
     try:
-        lines = list(csv.reader(io.StringIO(read_text(path), newline=""), strict=False))
+        lines = list(csv.reader(io.StringIO(text, newline=""), delimiter=separator))
     except csv.Error as error:
         raise LogbookError(f"{path} is not a CSV file ({error}); save the logbook as comma-separated text") from None
-    header = [c.strip() for c in lines[0]] if lines else []
-    if len(header) == 1 and ";" in header[0]:
-        lines = list(csv.reader(io.StringIO(read_text(path), newline=""), delimiter=";"))
-        header = [c.strip() for c in lines[0]]
+    header = [c.strip() for c in lines[0]]
+    header = [COLUMNS.get(_plain(c), c) for c in header]
     for column in NEEDED:
         if column not in header:
             raise LogbookError(
                 f"{path} has no column '{column}'{nearest(column, header)}; add it to the first line of the logbook"
             )
+    _refuse_near_columns(header, str(path))
     doubled = {c for c in header if c and header.count(c) > 1}
     if doubled:
         raise LogbookError(f"{path} has the column '{sorted(doubled)[0]}' twice; rename or remove one")
@@ -104,6 +119,22 @@ def read_logbook(path: str | Path) -> dict[int, Row]:
             rows[index] = _row(str(path), index, cells)
     _refuse_clashes(rows.values())
     return rows
+
+
+def _refuse_near_columns(header: list[str], path: str) -> None:
+    """Raises LogbookError for a column whose content would be lost by a slip of spelling."""
+    known = {*NEEDED, *OPTIONAL}
+    absent = {_plain(c): c for c in OPTIONAL if c not in header}
+    for column in header:
+        if column in known or not column:
+            continue
+        if _plain(column).startswith("mass") and "mass" in absent:
+            raise LogbookError(f"{path}: the column '{column}' is not read; name it 'Mass' and write grams in it")
+        close = difflib.get_close_matches(_plain(column), absent, n=1, cutoff=0.85)
+        if close:
+            raise LogbookError(
+                f"{path}: the column '{column}' is not known; did you mean '{absent[close[0]]}'? rename it"
+            )
 
 
 def _row(path: str, number: int, cells: dict[str, str]) -> Row:

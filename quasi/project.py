@@ -78,6 +78,15 @@ class Project:
         """Model IDs that have a configuration."""
         return self._names("config/models")
 
+    def every_model(self) -> list[str]:
+        """Model IDs, each of a sound configuration. Raises ConfigError, also when there is none."""
+        if not self.models:
+            raise ConfigError(
+                "config/models holds no model; run snakemake in a project folder or name it with -d "
+                "(`quasi init FOLDER` lays one)"
+            )
+        return [name for name in self.models if self.model(name)]
+
     @functools.cached_property
     def campaigns(self) -> list[str]:
         """Campaigns of made flights that have a configuration."""

@@ -4,6 +4,7 @@ Writes are whole or not at all: a temporary file beside the target, then a renam
 Every column of a flight carries its unit and its frame in the Parquet field metadata; the file carries how it was made.
 """
 
+import codecs
 import hashlib
 import json
 import math
@@ -219,9 +220,11 @@ def read_json(path: str | Path) -> Any:
 
 
 def read_text(path: str | Path) -> str:
-    """Read a text file (UTF-8, with or without a byte order mark; else Latin-1)."""
+    """Read a text file (UTF-8, with or without a byte order mark; UTF-16 with one; else Latin-1)."""
     data = bytes(read_bytes(path))
     try:
+        if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            return data.decode("utf-16")
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         return data.decode("latin-1")

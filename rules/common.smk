@@ -106,7 +106,7 @@ def raw_files(wildcards):
 
 
 def every_model(wildcards):
-    return [f"models/{m}/standalone" for m in ask(lambda: FOLDER.models)]
+    return [f"models/{m}/standalone" for m in ask(FOLDER.every_model)]
 
 
 def every_processed_flight(wildcards):

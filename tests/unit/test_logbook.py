@@ -85,3 +85,51 @@ def test_text_where_a_number_is_wanted_names_the_cell(tmp_path):
     row = read_logbook(write(tmp_path / "log.csv", flight("a", Mass="heavy")))[2]
     with pytest.raises(LogbookError, match="row 2: 'Mass' is 'heavy', expected a number"):
         row.number_in("Mass")
+
+
+@pytest.mark.parametrize("name", ["Mass (grams)", "mass [g]", " MASS"])
+def test_columns_are_known_however_letters_and_spaces_are_written(tmp_path, name):
+    header = [{"Mass": name, "Onboard Name": "onboard  name", "Comments": "Weather"}.get(c, c) for c in HEADER]
+    line = ["Beetle", "a", "raw", "betaflight", "beetle", "data", "433", "", "", "sunny"]
+    path = tmp_path / "log.csv"
+    path.write_text(",".join(header) + "\n" + ",".join(line) + "\n")
+    row = read_logbook(path)[2]
+    assert (row.key, row.number_in("Mass"), row.cells["Weather"]) == ("a", 433, "sunny")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("Mass (kg)", "name it 'Mass' and write grams"),
+        ("Fligth key", "did you mean 'Flight key'"),
+        ("Has OT dat", "did"),
+    ],
+)
+def test_column_whose_content_would_be_lost_by_its_spelling_is_refused(tmp_path, name, words):
+    header = [c for c in HEADER if c not in ("Mass", "Flight key")] + [name]
+    with pytest.raises(LogbookError, match=words):
+        read_logbook(write(tmp_path / "log.csv", flight("a"), header=header))
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "latin-1"])
+def test_every_way_a_spreadsheet_saves_text_is_read(tmp_path, separator, encoding):
+    path = write(tmp_path / "log.csv", flight("a", Comments="caf\u00e9"), separator=separator)
+    lines = [line + 3 * separator for line in path.read_text(encoding="utf-8").splitlines()]
+    path.write_bytes("\r\n".join([*lines, "", 9 * separator, ""]).encode(encoding))
+    rows = read_logbook(path)
+    assert {n: (r.key, r.cells["Comments"]) for n, r in rows.items()} == {2: ("a", "caf\u00e9")}
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"PK\3\4 workbook", "spreadsheet file"),
+        (b"\nQuadrotor,Mass\n", "first line is empty"),
+        (b",,,\n", "first line"),
+    ],
+)
+def test_what_is_no_text_table_says_what_to_save(tmp_path, content, words):
+    (tmp_path / "log.csv").write_bytes(content)
+    with pytest.raises(LogbookError, match=words):
+        read_logbook(tmp_path / "log.csv")

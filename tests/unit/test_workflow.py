@@ -248,3 +248,26 @@ def test_processing_an_empty_logbook_says_what_to_add(folder):
     (folder / "data/log.csv").write_text(HEADER + "\n")
     with pytest.raises(LogbookError, match="holds no flights yet; add one row"):
         Folder(folder).processing_flights()
+
+
+def test_one_quadrotor_configuration_is_one_however_it_is_written(folder):
+    edit(
+        folder,
+        "Beetle,b,data/raw,betaflight,my_quadrotor,data",
+        "Beetle,b,data/raw,betaflight,my_quadrotor.json,./data/",
+    )
+    assert Folder(folder).identification("m")["quadrotor"]["file"] == "my_quadrotor"
+    (folder / "data/old").mkdir()
+    shutil.copy(folder / "data/my_quadrotor.json", folder / "data/old")
+    edit(folder, "my_quadrotor.json,./data/", "my_quadrotor,data/old")
+    with pytest.raises(ConfigError, match="several quadrotor configurations .*data/old/my_quadrotor.json"):
+        Folder(folder).identification("m")
+
+
+def test_folder_without_models_is_told_so(folder):
+    (folder / "config/models/m.json").unlink()
+    with pytest.raises(ConfigError, match="config/models holds no model; run snakemake in a project folder"):
+        Folder(folder).every_model()
+    shutil.copy(ROOT / "config/models/example.json", folder / "config/models/my model.json")
+    with pytest.raises(ConfigError, match="my model.json: a model ID may hold"):
+        Folder(folder).every_model()
