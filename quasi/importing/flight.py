@@ -12,7 +12,7 @@ from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s
 from quasi.attitude import exponential, interpolate, multiply, rotate, rotate_inverse, to_euler
 from quasi.errors import ConfigError, DataError
 from quasi.importing.artefacts import flyable
-from quasi.importing.contradictions import refuse_wrong_lengths
+from quasi.importing.contradictions import doubtful_units, refuse_wrong_lengths
 from quasi.importing.motive import read_motive
 from quasi.importing.onboard_log import ATTITUDE, POSITION, Onboard, Track, gather, read_onboard
 from quasi.importing.resampling import (
@@ -395,6 +395,7 @@ def _verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) -
         bad.append(f"the on-board log covers only {100 * valid:.0f} % of the flight")
     elif valid < 0.98:
         care.append(f"the on-board log lost {100 * (1 - valid):.1f} % of the flight")
+    bad += doubtful_units(board.gyro.values, board.force.values)
     if duration < 2.0:
         bad.append(f"only {duration:.1f} s are common to all sources")
     if "w1" not in frame:

@@ -263,5 +263,6 @@ def test_a_column_of_text_and_one_of_nothing(tmp_path):
 def test_units_that_contradict_the_numbers_of_a_table_are_noted(tmp_path):
     _, about = table(tmp_path, lambda f: f, unit="g")
     assert any("specific force is typically" in n and "check its unit" in n for n in about["notes"])
+    assert about["verdict"] == "unusable"
     _, about = table(tmp_path, lambda f: f.assign(p=np.degrees(f["p"]) * 3))
     assert any("beyond any gyro" in n for n in about["notes"])
