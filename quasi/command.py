@@ -1,7 +1,8 @@
-"""The `quasi` command: what a model holds, a project folder of one's own."""
+"""The `quasi` command: what a model holds, a project folder of one's own, the noise of sensors at rest."""
 
 import argparse
 import shutil
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,10 +29,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     init = commands.add_parser("init", help="lay a project folder: commented configuration and an empty logbook")
     init.add_argument("folder", help="folder to make; it must be empty or absent")
 
+    noise = commands.add_parser(
+        "noise",
+        help="noise of gyro and accelerometer from logs of a quadrotor at rest",
+        description="Mean and standard deviation of p q r ax ay az (and roll pitch yaw, where logged or captured), "
+        "pooled over logs of a quadrotor that stands still, best armed with idling rotors.",
+    )
+    noise.add_argument("quadrotor", help="quadrotor configuration, JSON")
+    noise.add_argument("logs", nargs="+", metavar="LOG", help="rest log, or motion-capture export of a rest")
+    noise.add_argument("--cut", type=float, default=0.1, help="share of a log left out at either end (0.1)")
+    noise.add_argument("--rigid-body", help="name of the rigid body in motion-capture exports")
+    noise.add_argument("--log-number", type=int, help="which log of a file that holds several")
+    noise.add_argument("--write", action="store_true", help="write the statistics into the quadrotor configuration")
+
     options = parser.parse_args(arguments)
+    if arguments is None and hasattr(signal, "SIGPIPE"):
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `quasi summary M | head` ends silently, as other commands do
     try:
         if options.command == "summary":
             print(summarise(options.model, Path(options.directory)))
+        elif options.command == "noise":
+            logs = [Path(log) for log in options.logs]
+            names = (options.cut, options.rigid_body, options.log_number, options.write)
+            print(noise_at_rest(Path(options.quadrotor), logs, *names))
         else:
             print(lay(Path(options.folder)))
     except QuasiError as error:
@@ -68,14 +88,65 @@ def lay(folder: Path) -> str:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ConfigError(f"{folder} already holds something; name a new or an empty folder")
     shutil.copytree(TEMPLATE, folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns(".gitkeep"))
+    beside = Path(sys.executable).parent / "snakemake"
+    snakemake = beside if beside.exists() and not shutil.which("snakemake") else "snakemake"
     return (
         f"Made {folder}:\n"
         f"  data/logbook.csv                 one row per flight; fill it in\n"
         f"  data/my_quadrotor.json           geometry, mass, inertia of your quadrotor\n"
         f"  config/processing.json           how flights are imported and filtered\n"
         f"  config/models/my_model.json      which flights make the model, which are held out\n"
-        f"Then:  snakemake -s {LIBRARY / 'Snakefile'} -d {folder} -j2 models/my_model/standalone"
+        f"Then:  {snakemake} -s {LIBRARY / 'Snakefile'} -d {folder} -j2 models/my_model/standalone"
     )
+
+
+def noise_at_rest(
+    quadrotor: Path,
+    logs: Sequence[Path],
+    cut: float = 0.1,
+    rigid_body: str | None = None,
+    log_number: int | None = None,
+    write: bool = False,
+) -> str:
+    """Noise statistics of rest logs as a table; with `write` they go into the quadrotor configuration as well.
+
+    Raises a QuasiError for a log that cannot be read or moves; the configuration is then left as it was.
+    """
+    import json
+
+    from quasi.configuration import check, read, with_section
+    from quasi.filtering.noise_statistics import ANGLES, RestLog, noise_statistics, section
+    from quasi.importing.rest import read_rest
+    from quasi.tables import read_bytes, write_bytes
+
+    configuration, _ = read(quadrotor, "quadrotor")
+    rests = {str(path): read_rest(path, configuration, rigid_body, log_number) for path in logs}
+    notes = [note for rest in rests.values() for note in rest.notes]
+    # a log's own attitude is what its noise is needed for; a capture's stands in where there is none
+    if any({"p", "roll"} <= set(rest.columns) for rest in rests.values()):
+        for name in [name for name, rest in rests.items() if set(rest.columns) == set(ANGLES)]:
+            notes.append(f"{name}: not used, the logs hold an attitude of their own")
+            del rests[name]
+    found = noise_statistics(
+        [RestLog(name, rest.t, rest.columns, rest.speeds, rest.step) for name, rest in rests.items()], cut
+    )
+    lines = [f"{'':6}{'standard deviation':>20}{'mean':>14}{'samples':>10}"]
+    for name, entry in found.values.items():
+        unit = "rad/s" if name in "pqr" else "rad" if name in ANGLES else "m/s2"
+        lines.append(f"{name:6}{entry['std']:>14.5g} {unit:<5}{entry['mean']:>14.4g}{found.samples[name]:>10}")
+    lines += [f"{seconds:.1f} s of {name}" for name, seconds in found.seconds.items()]
+    lines += [f"note: {note}" for note in [*notes, *found.notes]]
+    if not write:
+        return "\n".join([*lines, f"{quadrotor} is unchanged; --write writes them there"])
+    data = bytes(read_bytes(quadrotor))
+    try:
+        text, encoding = data.decode("utf-8"), "utf-8"
+    except UnicodeDecodeError:
+        text, encoding = data.decode("latin-1"), "latin-1"
+    text = with_section(text, "(estimated) imu sensor noise statistics", section(found))
+    check(json.loads(text.removeprefix("\ufeff")), "quadrotor", str(quadrotor))
+    write_bytes(quadrotor, text.encode(encoding))
+    return "\n".join([*lines, f"wrote them into {quadrotor}"])
 
 
 if __name__ == "__main__":

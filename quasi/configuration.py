@@ -6,6 +6,8 @@ for QuaSI, and the notice says what happens instead.
 """
 
 import functools
+import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -67,6 +69,43 @@ def check(document: Any, name: str, where: str) -> tuple[dict[str, Any], list[st
 def read(path: str | Path, name: str, where: str | None = None) -> tuple[dict[str, Any], list[str]]:
     """Read a configuration file and check it; see `check`."""
     return check(read_json(path), name, where or str(path))
+
+
+def with_section(text: str, key: str, value: Mapping[str, Any]) -> str:
+    """A configuration's text with one section put in or replaced; every other character stays.
+
+    text  JSON, one object; key  of the section. New lines are indented as the first key of the file is.
+    """
+    decoder, space = json.JSONDecoder(), re.compile(r"[ \t\r\n]*")
+
+    def skip(at: int) -> int:
+        return space.match(text, at).end()
+
+    begin = skip(text.startswith("\ufeff"))
+    at, end = skip(begin + 1), begin + 1
+    before = text[end:at]
+    indent = before.rpartition("\n")[2] if "\n" in before else None
+    found: tuple[int, int] | None = None
+    while text[at] != "}":
+        name, at = decoder.raw_decode(text, at)
+        at = skip(skip(at) + 1)  # the colon
+        _, end = decoder.raw_decode(text, at)
+        if name == key:
+            found = (at, end)
+        at = skip(end)
+        if text[at] == ",":
+            at = skip(at + 1)
+    if indent is None:
+        written = json.dumps(value, ensure_ascii=False)
+    else:
+        newline = "\r\n" if "\r\n" in text else "\n"
+        rows = ",\n".join(f"{indent * 2}{json.dumps(k)}: {json.dumps(v, ensure_ascii=False)}" for k, v in value.items())
+        written = ("{\n" + rows + "\n" + indent + "}").replace("\n", newline)
+    if found:
+        return text[: found[0]] + written + text[found[1] :]
+    comma = "," if end > begin + 1 else ""
+    gap = " " if indent is None else newline + indent
+    return f"{text[:end]}{comma}{gap}{json.dumps(key)}: {written}{text[end:]}"
 
 
 def _uncomment(document: Any) -> Any:
