@@ -16,6 +16,7 @@ SATURATED = 0.01  # share of the flight in saturation that calls for care
 FULL_SCALE = np.radians([2000.0, 4000.0])  # rad/s, at which flight controllers' gyros clip
 NEAR, HELD = 0.005, 3  # of the extreme value, and samples in a row, that count as clipped
 COMMAND_LOW, COMMAND_HIGH = 0.001, 0.999
+MOST_GAPS = 8
 Section = Mapping[str, Any]
 
 
@@ -111,14 +112,14 @@ def page(
     battery = _battery(filtered)
     sections = [
         report.section("What was read", report.facts(_read(m)), _streams(m)),
-        report.section("What was lost or assumed", _lost(m), report.sentences(m["notes"])),
+        report.section("What was lost or assumed", _lost(m), report.sentences(_notes(m))),
         report.section("Clocks and delays", report.facts(_timing(m))),
         report.section(
             "What was flown",
             report.facts([("rows in flight", report.share(f["phases"]["in flight share"])), *battery]),
             report.table(
                 ("between take-off and landing", "unit", "least", "median", "largest"),
-                [(n, u, *(f"{v:.4g}".replace("-", "−") for v in values)) for n, u, *values in ranges(filtered, flying)],
+                [(n, u, *report.row_of(values)) for n, u, *values in ranges(filtered, flying)],
             ),
             report.facts(_saturation(saturated)),
         ),
@@ -144,7 +145,7 @@ def _read(m: Section) -> list[tuple[str, object]]:
         ("reader", board.get("reader") or board.get("format")),
         ("firmware", ", ".join(t for t in (firmware, board_name) if t)),
         ("logs in the file", _logs(board)),
-        ("fields", ", ".join(map(str, board.get("fields") or []))),
+        ("fields", _fields(board.get("fields") or [])),
         ("motion capture", capture.get("file") or capture.get("path")),
         ("rigid body", _body(capture)),
         ("capture", _capture(capture)),
@@ -155,6 +156,27 @@ def _read(m: Section) -> list[tuple[str, object]]:
         ("motor poles", f"{poles['value']} ({poles.get('source', '')})" if poles.get("value") else None),
         ("rest before take-off", f"{report.number(m['rest before take-off']['value'])} s"),
     ]
+
+
+def _fields(names: Sequence[str]) -> str:
+    """Field names with numbered ones put together: motor[0..3]."""
+    last: dict[str, list[str]] = {}
+    for name in map(str, names):
+        base, bracket, index = name.partition("[")
+        last.setdefault(base if bracket else name, []).append(index.rstrip("]"))
+    return ", ".join(
+        base if i == [""] else f"{base}[{i[0]}]" if len(i) == 1 else f"{base}[{i[0]}..{i[-1]}]"
+        for base, i in last.items()
+    )
+
+
+def _notes(m: Section) -> list[str]:
+    """The import's sentences, with the files' names in place of their whole paths, which stand above."""
+    paths = [str(s.get(k)) for s in m["sources"].values() for k in ("path", "file") if s.get(k)]
+    told = list(m["notes"])
+    for path in paths:
+        told = [note.replace(path, path.rsplit("/", 1)[-1]) for note in told]
+    return told
 
 
 def _logs(board: Section) -> str | None:
@@ -204,12 +226,14 @@ def _lost(m: Section) -> str:
     spans = board.get("corrupt spans") or []
     said = [f"{s['start']:.3f} to {s['end']:.3f} s ({s.get('bytes', 0)} bytes)" for s in spans[:20]]
     rows: list[tuple[str, object]] = [("damaged stretches of the log", "; ".join(said) if spans else None)]
+    alike: dict[str, list[str]] = {}
     for name, s in (m.get("streams") or {}).items():
-        longest = sorted(s["gaps"], key=lambda g: g[0] - g[1])[:8]
-        listed = ", ".join(f"{a:.2f} to {b:.2f}" for a, b in sorted(longest))
         if s["gap count"]:
+            longest = sorted(s["gaps"], key=lambda g: g[0] - g[1])[:MOST_GAPS]
+            listed = ", ".join(f"{a:.2f} to {b:.2f}" for a, b in sorted(longest)).replace("-", "−")
             all_of_them = "at" if s["gap count"] <= len(longest) else "the longest at"
-            rows.append((f"gaps of {name}", f"{s['gap count']}, {all_of_them} {listed} s"))
+            alike.setdefault(f"{s['gap count']}, {all_of_them} {listed} s", []).append(name)
+    rows += [(f"gaps of {', '.join(names)}", said) for said, names in alike.items()]
     if capture.get("frames"):
         rows += [
             ("frames without the body", f"{capture['frames lost']} of {capture['frames']}"),
@@ -266,7 +290,9 @@ def _saturation(shares: Mapping[str, float]) -> list[tuple[str, object]]:
         found = {k: v for k, v in shares.items() if ends in k}
         if found:
             title = name if ends == "gyro" else f"motor command at its {name}"
-            each = ", ".join(f"{k.removeprefix('gyro ').split(' at ')[0]} {report.share(v)}" for k, v in found.items())
+            each = ", ".join(
+                f"{k.removeprefix('gyro ').split(' at ')[0]} {report.share(v)}" for k, v in found.items() if v
+            )
             rows.append((title, each if any(found.values()) else "never"))
     return rows
 

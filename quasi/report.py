@@ -16,7 +16,8 @@ body { font: 15px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; 
 h1 { font-size: 26px; margin: 0 0 2px; } h2 { font-size: 19px; margin: 34px 0 8px; }
 .under { color: var(--soft); margin: 0 0 18px; }
 .verdict { border-left: 6px solid var(--soft); padding: 10px 16px; background: #f6f8f9; font-size: 17px; }
-.verdict b { text-transform: capitalize; } .verdict.good { border-color: var(--good); }
+.verdict b { display: inline-block; } .verdict b::first-letter { text-transform: uppercase; }
+.verdict.good { border-color: var(--good); }
 .verdict.care { border-color: var(--care); } .verdict.bad { border-color: var(--bad); }
 .verdict.good b { color: var(--good); } .verdict.care b { color: var(--care); } .verdict.bad b { color: var(--bad); }
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; margin: 6px 0 14px; }
@@ -50,6 +51,14 @@ def number(value: object, digits: int = 3) -> str:
     return f"{value:.{digits - 1}e}".replace("-", "−")
 
 
+def row_of(values: Sequence[float], digits: int = 3) -> list[str]:
+    """Numbers of one kind, all to the place that gives the largest of them so many significant digits."""
+    top = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
+    places = min(max(digits - 1 - math.floor(math.log10(top)), 0), 9) if top > 0 else 0
+    said = (f"{v:.{places}f}" if math.isfinite(v) else "–" for v in values)
+    return [t.lstrip("-") if not t.strip("-0.") else t.replace("-", "−") for t in said]
+
+
 def with_error(value: object, std: object, unit: str = "", scale: float = 1.0) -> str:
     """A value ± its standard error, both to the second digit of the error; scale multiplies both."""
     if not isinstance(value, int | float) or not math.isfinite(value):
@@ -64,6 +73,8 @@ def share(value: object) -> str:
     """A share as percent."""
     if not isinstance(value, int | float) or not math.isfinite(value):
         return "–"
+    if value == 0:
+        return "0 %"
     if 0 < value < 1e-4:
         return "below 0.01 %"
     return f"{100 * value:.2f} %" if value < 0.1 else f"{100 * value:.1f} %"

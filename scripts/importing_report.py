@@ -15,7 +15,8 @@ from quasi.tables import read_json, read_table, write_bytes, write_text
 PICTURES = {
     "alignment": (
         "Alignment",
-        "On board against captured: attitude, body rates, accelerations along earth axes with gravity removed.",
+        "On board against captured: attitude, body rates, accelerations along earth axes with gravity removed. ± is "
+        "one standard error.",
     ),
     "alignment_close_up": (
         "Alignment before and after",

@@ -8,7 +8,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-BEFORE, AFTER, BAND = "0.6", "C0", "C0"
+BEFORE, AFTER, BAND, UNUSED = "C1", "C0", "C0", "0.6"
 MOST_POINTS = 8000  # a line drawn denser shows nothing more
 
 
@@ -26,19 +26,29 @@ def _wrapped(angle: np.ndarray) -> np.ndarray:
 def _three(title: str, labels: list[str]) -> tuple[Figure, list[Axes]]:
     figure = Figure(figsize=(9, 6.5), layout="constrained")
     axes = list(figure.subplots(3, 1, sharex=True))
-    figure.suptitle(title)
+    figure.suptitle(title, x=0.01, ha="left", fontsize="large")
     for axis, label in zip(axes, labels):
         axis.set_ylabel(label)
         axis.grid(alpha=0.3)
+        axis.margins(x=0)
     axes[-1].set_xlabel("time, s")
     return figure, axes
+
+
+def _legend(figure: Figure, axes: list[Axes]) -> None:
+    """One legend for all panels, above them, so that it hides nothing."""
+    named: dict[str, Any] = {}
+    for axis in axes:
+        for handle, label in zip(*axis.get_legend_handles_labels()):
+            named.setdefault(label, handle)
+    figure.legend(named.values(), named.keys(), loc="outside upper right", ncols=len(named), fontsize="small")
 
 
 def _rest(axes: list[Axes], metadata: Mapping[str, Any]) -> None:
     rest = (metadata.get("phases") or {}).get("rest")
     for axis in axes:
         if rest:
-            axis.axvline(rest[1], color="k", linestyle="--", linewidth=1, label="end of the stationary period")
+            axis.axvline(rest[1], color="k", linestyle="--", linewidth=1, label="end of rest")
 
 
 def _states(
@@ -56,20 +66,18 @@ def _states(
     show = _wrapped if angle else np.asarray
     t = filtered["t"].to_numpy()[thin]
     for i, (axis, name) in enumerate(zip(axes, names)):
-        after = show(filtered[name].to_numpy(float))[thin]
+        after = show(filtered[name].to_numpy(float)[thin])
         if name in imported and np.isfinite(imported[name].to_numpy(float)).any():
-            before = show(imported[name].to_numpy(float).copy())[thin]
-            axis.plot(
-                imported["t"].to_numpy()[thin], before, color=BEFORE, linestyle="--", linewidth=1, label="imported"
-            )
-        axis.plot(t, after, color=AFTER, linewidth=1, label="filtered")
+            before, when = show(imported[name].to_numpy(float)[thin].copy()), imported["t"].to_numpy()[thin]
+            axis.plot(when, before, color=BEFORE, linestyle="--", linewidth=0.9, label="imported", zorder=3)
+        axis.plot(t, after, color=AFTER, linewidth=1.4, label="filtered")
         if std is not None:
             half = 2.0 * (np.degrees(std[thin, i]) if angle else std[thin, i])
             axis.fill_between(
                 t, after - half, after + half, color=BAND, alpha=0.25, linewidth=0, label="± 2 standard errors"
             )
     _rest(axes, metadata)
-    axes[0].legend(loc="upper right", fontsize="small")
+    _legend(figure, axes)
     return figure
 
 
@@ -87,15 +95,15 @@ def _bias(
             label = "± 2 standard errors" if sign > 0 else None
             axis.plot(t, value + sign * std, color=BAND, alpha=0.5, linestyle="--", linewidth=1, label=label)
         if metadata["biases"]["policy"] == "time varying":
-            axis.plot(t, convergence[f"bias_{sensor}"].to_numpy()[thin], color="C3", linewidth=1, label="applied")
+            axis.plot(t, convergence[f"bias_{sensor}"].to_numpy()[thin], color="C3", linewidth=1, label="taken off")
         else:
-            axis.axhline(applied["value"][i], color="C3", linewidth=1, label="applied")
+            axis.axhline(applied["value"][i], color="C3", linewidth=1, label="taken off")
         # the first instants, before anything is known, would hide the rest
         late = slice(len(value) // 50, None)
         low, high = np.min((value - 3 * std)[late]), np.max((value + 3 * std)[late])
         axis.set_ylim(min(low, applied["value"][i]), max(high, applied["value"][i]))
     _rest(axes, metadata)
-    axes[0].legend(loc="upper right", fontsize="small")
+    _legend(figure, axes)
     return figure
 
 
@@ -105,10 +113,10 @@ def _wrench(title: str, names: list[str], unit: str, filtered: pd.DataFrame, met
     t, valid = filtered["t"].to_numpy()[thin], filtered["valid"].to_numpy()[thin] > 0
     for axis, name in zip(axes, names):
         values = filtered[name].to_numpy(float)[thin]
-        axis.plot(t, np.where(valid, np.nan, values), color=BEFORE, linewidth=0.8, label="not valid for identification")
+        axis.plot(t, np.where(valid, np.nan, values), color=UNUSED, linewidth=0.8, label="not valid for identification")
         axis.plot(t, np.where(valid, values, np.nan), color=AFTER, linewidth=0.8, label="valid")
     _rest(axes, metadata)
-    axes[0].legend(loc="upper right", fontsize="small")
+    _legend(figure, axes)
     return figure
 
 
@@ -124,7 +132,7 @@ def figures(
     flight = metadata.get("flight") or "flight"
     kinds: list[tuple[str, list[str], list[str], bool]] = [
         ("attitude", ["roll", "pitch", "yaw"], ["roll, deg", "pitch, deg", "yaw, deg"], True),
-        ("velocity", ["u", "v", "w"], ["u, m/s", "v, m/s", "w, m/s"], False),
+        ("velocity", ["u", "v", "w"], ["u forward, m/s", "v right, m/s", "w down, m/s"], False),
         ("position", ["x", "y", "z"], ["x north, m", "y east, m", "z down, m"], False),
     ]
     result: dict[str, Figure] = {}

@@ -5,12 +5,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from quasi.attitude import GRAVITY, body_rates, from_euler, rotate
 
 ONBOARD, CAPTURE, BEFORE = "tab:blue", "tab:red", "0.7"
 CLOSE = 8.0  # s
+NEAR = 0.05  # s
 MOST_POINTS = 8000  # a line drawn denser shows nothing more
 
 
@@ -34,9 +36,10 @@ def close_up(frame: pd.DataFrame, metadata: Mapping[str, Any]) -> Figure | None:
     seen = frame["position_sample"].to_numpy() > 0
     step = t[1] - t[0]
     width = min(len(t), max(2, round(CLOSE / step)))
-    near = np.convolve(seen, np.ones(round(0.3 / step) | 1), "same") > 0
-    # capped, so that one hard knock does not choose the window
-    total = np.convolve(np.minimum(turning, 4 * np.quantile(turning, 0.9)) * near, np.ones(width), "valid")
+    window = np.ones(width)
+    # capped, so that one hard knock does not choose the window; and rather where the capture saw all of it
+    total = np.convolve(np.minimum(turning, 4 * np.quantile(turning, 0.9)), window, "valid")
+    total *= np.convolve(_near(t, seen), window, "valid") ** 8
     first = int(np.argmax(total))
     return _draw(frame, metadata, (t[first], t[first + width - 1]))
 
@@ -55,18 +58,20 @@ def _draw(frame: pd.DataFrame, metadata: Mapping[str, Any], window: tuple[float,
     onboard = frame[["onboard_roll", "onboard_pitch", "onboard_yaw"]].to_numpy()
     chosen = frame[["roll", "pitch", "yaw"]].to_numpy()
     seen = frame["attitude_sample"].to_numpy() > 0
+    hidden = ~_near(t, seen)
     for i, name in enumerate(("roll", "pitch", "yaw")):
         lines = [(np.degrees(np.unwrap(onboard[:, i])), ONBOARD, "on board")]
         if captured:
             angle = np.degrees(np.unwrap(chosen[:, i]))
             angle += 360.0 * np.round(np.median(lines[0][0] - angle) / 360.0)
+            angle[hidden] = np.nan
             lines.append((angle, CAPTURE, "capture"))
         panel(axes[0, i], lines, f"{name}, deg")
 
     gyro = frame[["p", "q", "r"]].to_numpy()
     turned = _rates(t, chosen, seen) if captured else None
     for i, name in enumerate(("roll rate p", "pitch rate q", "yaw rate r")):
-        lines = [(gyro[:, i], ONBOARD, "gyro")]
+        lines = [(gyro[:, i], ONBOARD, "on board")]
         if turned is not None:
             lines.append((turned[:, i], CAPTURE, "capture"))
         panel(axes[1, i], lines, f"{name}, rad/s")
@@ -76,15 +81,26 @@ def _draw(frame: pd.DataFrame, metadata: Mapping[str, Any], window: tuple[float,
     sensed = rotate(attitude, force) + np.array([0.0, 0.0, GRAVITY])
     moved = _accelerations(t, frame, attitude) if metadata["velocity source"] == "capture position" else None
     for i, name in enumerate(("north", "east", "down")):
-        lines = [(_smooth(t, sensed[:, i]), ONBOARD, "accelerometer, gravity removed")]
+        lines = [(_smooth(t, sensed[:, i]), ONBOARD, "on board")]
         if moved is not None:
+            moved[~_near(t, frame["velocity_sample"].to_numpy() > 0), i] = np.nan
             lines.append((moved[:, i], CAPTURE, "capture"))
         panel(axes[2, i], lines, f"acceleration {name}, m/s²")
         axes[2, i].set_xlabel("time, s")
-    for row in axes:
-        row[0].legend(loc="upper left", fontsize=8, framealpha=0.9)
-    figure.suptitle(_title(metadata, sync))
+    fullest = max(axes.flat, key=lambda axis: len(axis.lines))
+    lines, names = fullest.get_legend_handles_labels()
+    figure.legend(lines, names, loc="outside upper right", ncols=len(names))
+    figure.suptitle(_title(metadata, sync), x=0.01, ha="left")
     return figure
+
+
+def _near(t: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Rows within NEAR s of a row where something was seen."""
+    at = t[seen]
+    if not len(at):
+        return np.zeros(len(t), bool)
+    i = np.clip(np.searchsorted(at, t), 1, max(len(at) - 1, 1))
+    return np.minimum(np.abs(t - at[i - 1]), np.abs(t - at[np.minimum(i, len(at) - 1)])) < NEAR
 
 
 def _title(metadata: Mapping[str, Any], sync: Mapping[str, Any] | None) -> str:
@@ -95,7 +111,7 @@ def _title(metadata: Mapping[str, Any], sync: Mapping[str, Any] | None) -> str:
     title = f"{title}: lag {1e3 * lag['value']:.2f} ms ± {1e3 * lag['std']:.2f}"
     if rate["std"]:
         title += f", clock rate {1e6 * rate['value']:+.1f} ppm ± {1e6 * rate['std']:.1f}"
-    return title + " (standard errors)"
+    return title
 
 
 def _panel(
@@ -148,27 +164,33 @@ def trajectory_figure(frame: pd.DataFrame, metadata: Mapping[str, Any]) -> Figur
         return None
     place = frame[["x", "y", "z"]].to_numpy(float)
     seen = np.isfinite(place).all(axis=1)
-    if not seen.any():
+    if np.count_nonzero(seen & (frame["position_sample"].to_numpy() > 0)) < 3:
         return None
-    t = frame["t"].to_numpy()[seen]
-    x, y, z = place[seen].T
-    thin = slice(None, None, max(1, len(t) // 6000))
+    t = frame["t"].to_numpy()
+    seen &= _near(t, frame["position_sample"].to_numpy() > 0)
+    thin = np.flatnonzero(seen)[:: max(1, np.count_nonzero(seen) // 5000)]
+    t, (x, y, z) = t[thin], place[thin].T
+    whole = np.diff(t) < max(0.2, 3 * np.median(np.diff(t)))
     figure = Figure(figsize=(11, 5), layout="constrained")
     above, side = figure.subplots(1, 2)
     for axis, across, up, labels in (
         (above, y, x, ("y east, m", "x north, m")),
         (side, x, -z, ("x north, m", "height, m")),
     ):
-        dots = axis.scatter(across[thin], up[thin], c=t[thin], s=2, cmap="viridis", rasterized=True)
-        axis.plot(across[0], up[0], "o", color="k", markersize=6, markerfacecolor="w", label="first seen")
-        axis.plot(across[-1], up[-1], "s", color="k", markersize=6, markerfacecolor="w", label="last seen")
+        ends = np.stack([across, up], axis=1)
+        pieces = LineCollection(np.stack([ends[:-1], ends[1:]], axis=1)[whole], cmap="viridis", linewidths=1.6)
+        pieces.set_array(t[:-1][whole])
+        axis.add_collection(pieces)
+        axis.plot(across[0], up[0], "o", color="k", markersize=7, markerfacecolor="w", label="first seen")
+        axis.plot(across[-1], up[-1], "s", color="k", markersize=5, markerfacecolor="C1", label="last seen")
+        axis.set_aspect("equal", adjustable="datalim")
+        axis.autoscale_view()
         axis.set_xlabel(labels[0])
         axis.set_ylabel(labels[1])
-        axis.set_aspect("equal", adjustable="datalim")
         axis.grid(alpha=0.3)
     above.set_title("from above", fontsize="medium")
     side.set_title("from the side", fontsize="medium")
-    above.legend(loc="best", fontsize="small")
-    figure.colorbar(dots, ax=[above, side], label="time, s", pad=0.01)
-    figure.suptitle(f"{metadata['flight']}: trajectory, position from {metadata['position source']}")
+    figure.legend(*above.get_legend_handles_labels(), loc="outside upper right", ncols=2, fontsize="small")
+    figure.colorbar(pieces, ax=[above, side], label="time, s", pad=0.01)
+    figure.suptitle(f"{metadata['flight']}: position from {metadata['position source']}", x=0.01, ha="left")
     return figure

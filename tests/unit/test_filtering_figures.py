@@ -1,4 +1,4 @@
-"""The five figures hold what they say."""
+"""The figures hold what they say."""
 
 import numpy as np
 import pytest
@@ -8,6 +8,8 @@ from rigid_body import measure, move, quadrotor
 from quasi.filtering.figures import figures
 from quasi.filtering.flight import filter_flight
 
+STATES = ["attitude", "velocity", "position", "forces", "moments"]
+
 
 @pytest.fixture(scope="module")
 def flown():
@@ -15,10 +17,10 @@ def flown():
     return frame, filter_flight(frame, metadata, quadrotor(), {"re-estimate noise": False})
 
 
-def test_five_figures_with_bounds_and_the_end_of_the_rest(flown):
+def test_figures_with_bounds_and_the_end_of_the_rest(flown):
     frame, result = flown
     made = figures(frame, result.with_gravity, result.metadata, result.convergence)
-    assert list(made) == ["attitude", "velocity", "position", "gyro_bias", "accelerometer_bias"]
+    assert list(made) == [*STATES, "gyro_bias", "accelerometer_bias"]
     end = result.metadata["phases"]["rest"][1]
     for name, figure in made.items():
         assert isinstance(figure, Figure) and len(figure.axes) == 3
@@ -32,6 +34,6 @@ def test_five_figures_with_bounds_and_the_end_of_the_rest(flown):
     np.testing.assert_allclose(upper - value, 2 * std[:: max(1, len(std) // 8000)])
 
 
-def test_without_filter_there_are_three_figures(flown):
+def test_without_filter_there_are_no_figures_of_biases(flown):
     frame, result = flown
-    assert list(figures(frame, result.with_gravity, result.metadata, None)) == ["attitude", "velocity", "position"]
+    assert list(figures(frame, result.with_gravity, result.metadata, None)) == STATES

@@ -1,0 +1,126 @@
+"""The page of a flight says what the data say, escapes what files bring, and needs nothing from outside."""
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from quasi import report
+from quasi.flight_page import page, ranges, saturation, verdict
+from quasi.importing.streams import stream
+
+N = 500
+T = np.arange(N) / 100.0
+
+
+@pytest.fixture
+def flight():
+    zero = np.zeros(N)
+    columns = {k: zero.copy() for k in ("p", "q", "r", "roll", "pitch", "u", "v", "w", "ax", "ay", "w2", "command1")}
+    filtered = pd.DataFrame(
+        {"t": T, **columns, "w1": 1000.0 + T, "az": zero - 9.81, "z": zero - 1.5, "in_flight": zero}
+    )
+    filtered["battery_voltage"] = 16.0 - 0.1 * T
+    filtered.loc[100:, "in_flight"] = 1.0
+    filtered.loc[100:, "u"] = 3.0
+    imported = {
+        "flight": "one <b>",
+        "quadrotor": "Q",
+        "sampling": {"duration": 4.99, "rate": 100.0},
+        "sources": {"onboard": {"path": "data/<log>.bbl", "fields": ["time", "motor[0]", "motor[1]"]}},
+        "streams": {"gyro": stream(np.delete(T, np.arange(200, 260)))},
+        "synchronisation": None,
+        "attitude source": "onboard",
+        "position source": "none",
+        "velocity source": "none",
+        "corrections": {"gyro filter delay": {"value": 1e-3, "std": 2e-4, "filters": ["PT1 160 Hz"]}},
+        "rest before take-off": {"value": 1.0},
+        "notes": ["data/<log>.bbl: 3 rows & more were lost"],
+        "verdict": "good",
+        "verdict because": "all sources are complete and agree",
+    }
+    about = {
+        "mass": 0.4,
+        "consistent": True,
+        "phases": {"valid share": 0.8, "in flight share": 0.8, "take-off": 1.0, "rest": [0.0, 0.9]},
+        "filters": {"low-pass cutoff Hz": 40.0},
+        "biases": {"policy": "rest", "gyro": {"value": [0.01, -0.02, 0.0], "std": [1e-3, 1e-3, 1e-3]}},
+        "NIS": {},
+        "notes": [],
+    }
+    return filtered, imported, about
+
+
+def test_page_is_whole_in_itself_and_escapes_what_files_bring(flight):
+    filtered, imported, about = flight
+    text = page(filtered, imported, filtered, about, {"Attitude": (b"\x89PNG", "roll & more")})
+    assert "<script" not in text and "http" not in text and "<link" not in text
+    assert re.findall(r'src="(\w+:\w+)', text) == ["data:image"]
+    assert "one &lt;b&gt;" in text and "<b>good:</b>" in text and "<log>" not in text
+    assert "&lt;log&gt;.bbl: 3 rows &amp; more were lost" in text
+    assert "time, motor[0..1]" in text
+    assert "1.00 ± 0.20 ms undone (PT1 160 Hz)" in text
+    assert "1, at 1.99 to 2.60 s" in text
+    assert "16.00 V to" not in text and "15.95 V to 15.55 V" in text
+    assert "0.573 ± 0.057" in text
+
+
+def test_ranges_are_of_the_rows_in_flight(flight):
+    filtered = flight[0]
+    found = {name: values for name, _, *values in ranges(filtered, filtered["in_flight"].to_numpy() > 0)}
+    assert found["speed over ground"] == [3.0, 3.0, 3.0]
+    assert found["load factor"] == pytest.approx([9.81 / 9.80665] * 3, rel=1e-3)
+    assert found["height above the origin"] == [1.5, 1.5, 1.5]
+    assert found["rotor speed"][2] == pytest.approx(1004.99)
+
+
+def test_saturation_counts_held_extremes_only():
+    flown = np.ones(N, bool)
+    p = np.zeros(N)
+    p[10], p[50:60] = np.radians(2000), np.radians(1999)
+    command = np.full(N, 0.5)
+    command[:5], command[5:30] = 0.0, 1.0
+    found = saturation(pd.DataFrame({"p": p, "command1": command}), flown)
+    # the two ends of a stretch have no neighbour on one side
+    assert found["gyro p"] == pytest.approx(8 / N)
+    assert found["command1 at its lower limit"] == pytest.approx(5 / N)
+    assert found["command1 at its upper limit"] == pytest.approx(25 / N)
+
+
+def test_verdict_gets_worse_by_what_filtering_finds_and_never_better(flight):
+    _, imported, about = flight
+    assert verdict(imported, about, {}) == ("good", "all sources are complete and agree")
+    word, why = verdict(imported, {**about, "consistent": False}, {"gyro p": 0.02})
+    assert word == "usable with care" and "innovations" in why and "2.00 %" in why and "agree" not in why
+    none = {**about, "phases": {**about["phases"], "valid share": 0.0}}
+    assert verdict(imported, none, {})[0] == "unusable"
+    bad = {**imported, "verdict": "unusable", "verdict because": "nothing was read"}
+    assert verdict(bad, {**about, "consistent": False}, {})[0] == "unusable"
+
+
+@pytest.mark.parametrize(
+    ("said", "expected"),
+    [
+        (report.with_error(-1.914417, 3.1e-5, "ms", 1e3), "−1914.417 ± 0.031 ms"),
+        (report.with_error(12.0, None, "V"), "12.00 V"),
+        (report.with_error(None, 1.0), "–"),
+        (report.number(float("nan")), "–"),
+        (report.number(0.00012345), "0.000123"),
+        (report.share(0.0), "0 %"),
+        (report.share(2e-5), "below 0.01 %"),
+        (", ".join(report.row_of([-5.414, 0.0002, 5.33])), "−5.41, 0.00, 5.33"),
+    ],
+)
+def test_numbers_are_said_to_their_error(said, expected):
+    assert said == expected
+
+
+def test_stream_tells_rate_jitter_and_gaps():
+    t = np.delete(T, np.arange(200, 260)) + 5.0
+    found = stream(t, zero=5.0)
+    assert found["rate"] == pytest.approx(100.0)
+    assert found["jitter"] < 1e-12
+    assert found["gap count"] == 1 and found["gaps"][0] == pytest.approx([1.99, 2.60])
+    assert found["lost"] == pytest.approx(0.60)
+    assert stream(t[:2]) is None
