@@ -5,9 +5,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from quasi import configuration
-from quasi.errors import ConfigError, LogbookError, QuasiError, nearest
+from quasi.errors import ConfigError, LogbookError, QuasiError, ReadError, nearest
 from quasi.logbook import NAME, Row, pick, read_logbook
+from quasi.tables import read_text
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
@@ -23,6 +26,23 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except OSError:
         return False
+
+
+def read_settings(path: str | Path) -> dict[str, Any]:
+    """What the folder's config.yaml sets; {} when it is absent or holds comments only. Raises ConfigError."""
+    if not is_file(Path(path)):
+        return {}
+    try:
+        settings = yaml.safe_load(read_text(path))
+    except (yaml.YAMLError, ReadError) as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f" at line {mark.line + 1}" if mark else ""
+        raise ConfigError(f"{path} is not valid YAML{line}; write lines like `data: /path/to/recordings`") from None
+    if settings is None:
+        return {}
+    if not isinstance(settings, dict) or not isinstance(settings.get("data", ""), str):
+        raise ConfigError(f"{path}: expected `data: /path/to/recordings`; correct it, or leave only comments")
+    return settings
 
 
 class Project:

@@ -12,11 +12,10 @@ sys.path.insert(0, LIBRARY)
 from quasi.errors import QuasiError
 from quasi.joblog import RUN, told
 from quasi.provenance import code_of
+from quasi.project import read_settings
 from quasi.workflow import Folder
 
-if Path("config/config.yaml").is_file():
-
-    configfile: "config/config.yaml"
+FAULTS = []
 
 
 wildcard_constraints:
@@ -28,14 +27,10 @@ wildcard_constraints:
     axis="Fx|Fy|Fz|Mx|My|Mz",
 
 
-FOLDER = Folder(".", data=config.get("data"), library=LIBRARY)
-FAULTS = []
-
-
 def tell_at_end():
     """The last line printed is the sentence that helps; before it, what was made."""
     sys.stdout.flush()
-    for notice in FOLDER.notices:
+    for notice in FOLDER.notices if "FOLDER" in globals() else ():
         print(f"[NOTICE] {notice}", file=sys.stderr)
     for text in told(os.environ[RUN], "made"):
         print(text, flush=True)
@@ -63,6 +58,13 @@ def ask(question, *arguments):
             "undo your last change there, and please report this as a fault of quasi"
         )
         raise
+
+
+# what the command line gives (--config) comes before the folder's own file
+for key, value in ask(read_settings, "config/config.yaml").items():
+    config.setdefault(key, value)
+
+FOLDER = Folder(".", data=config.get("data"), library=LIBRARY)
 
 
 def code(script):

@@ -133,3 +133,10 @@ def test_what_is_no_text_table_says_what_to_save(tmp_path, content, words):
     (tmp_path / "log.csv").write_bytes(content)
     with pytest.raises(LogbookError, match=words):
         read_logbook(tmp_path / "log.csv")
+
+
+def test_ending_of_the_file_is_no_part_of_the_flights_name(tmp_path):
+    rows = [flight(n) for n in ("a.bbl", "b.BFL", "c.v2.csv", "d.parquet", "e.1")]
+    assert [r.key for r in read_logbook(write(tmp_path / "log.csv", *rows)).values()] == ["a", "b", "c.v2", "d", "e.1"]
+    with pytest.raises(LogbookError, match="both mean flight 'a'"):
+        read_logbook(write(tmp_path / "log.csv", flight("a"), flight("a.bbl")))

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from quasi.errors import ConfigError, LogbookError, QuasiError
+from quasi.project import read_settings
 from quasi.workflow import Folder
 
 ROOT = Path(__file__).parents[2]
@@ -271,3 +272,26 @@ def test_folder_without_models_is_told_so(folder):
     shutil.copy(ROOT / "config/models/example.json", folder / "config/models/my model.json")
     with pytest.raises(ConfigError, match="my model.json: a model ID may hold"):
         Folder(folder).every_model()
+
+
+def test_settings_of_snakemake_may_be_absent_or_comments_alone(tmp_path):
+    path = tmp_path / "config.yaml"
+    assert read_settings(path) == {}
+    for text, settings in (("# nothing\n", {}), ("data: /a b/c\n", {"data": "/a b/c"}), ("{}", {})):
+        path.write_text(text)
+        assert read_settings(path) == settings
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "not valid"),
+        ("a: 1\ndata: {", "not valid YAML at line"),
+        ("data: [a]", "expected `data:"),
+        ("abc", "expected"),
+    ],
+)
+def test_faulty_settings_of_snakemake_name_the_file(tmp_path, text, words):
+    (tmp_path / "config.yaml").write_text(text)
+    with pytest.raises(ConfigError, match=f"config.yaml.*{words}"):
+        read_settings(tmp_path / "config.yaml")
