@@ -45,7 +45,7 @@ def _one_by_one(y: np.ndarray, S: np.ndarray, PHt: np.ndarray) -> tuple[np.ndarr
 
 
 def forward(inputs: Inputs) -> Pass:
-    """Filter forward in time; the same result as `ekf.forward`, some sixty times slower."""
+    """Filter forward in time; the same result as `ekf.forward`, some fifty times slower."""
     from filterpy.kalman import ExtendedKalmanFilter  # a second to import, for nothing else
 
     n, dt = len(inputs.gyro), float(inputs.dt)

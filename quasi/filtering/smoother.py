@@ -85,14 +85,11 @@ def _backward(dt, gyro, accel, Q, X, C, rows, first):
                 for j in range(STATES):
                     T[i, j] += p * L[m, j]
         for i in range(STATES):
-            for j in range(STATES):
-                Y[i, j] = P[i, j]
-            for m in range(STATES):
-                t = T[i, m]
-                for j in range(STATES):
-                    Y[i, j] -= t * P[m, j]
             for j in range(i + 1):
-                Cs[k, c] = Y[i, j]
+                value = P[i, j]
+                for m in range(STATES):
+                    value -= T[i, m] * P[j, m]
+                Cs[k, c] = value
                 c += 1
         Qs[k] = Q[k]
         _turn(Qs[k], delta[0], delta[1], delta[2], step)
