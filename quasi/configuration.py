@@ -152,7 +152,8 @@ def _sentence(error: jsonschema.ValidationError, where: str) -> str:
     head = f"{where}: {place}" if place else f"{where}: the file"
     if error.validator == "additionalProperties":
         known = error.schema.get("properties", {})
-        unknown = sorted(set(error.instance) - set(known))[0]
+        patterns = error.schema.get("patternProperties", {})
+        unknown = sorted(k for k in error.instance if k not in known and not any(re.search(p, k) for p in patterns))[0]
         inside = f" in {place}" if place else ""
         near = nearest(unknown, known)
         return f"{where}: unknown key '{unknown}'{inside}" + (near if near.endswith("?") else f"{near}; remove it")

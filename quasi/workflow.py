@@ -8,6 +8,7 @@ import functools
 from pathlib import Path
 from typing import Any
 
+from quasi.airframe import read_airframe
 from quasi.errors import ConfigError, LogbookError, QuasiError, nearest
 from quasi.logbook import Row
 from quasi.project import AXES, Project, is_file, with_suffix
@@ -151,9 +152,12 @@ class Folder(Project):
                 f"{nearest(path.name, known)}; correct 'Drone Config File' or 'Drone Config Path'"
             )
         try:
-            return self._read(path, "quadrotor"), None
+            config = self._read(path, "quadrotor")
+            # what no schema tells: rotor numbers, inertia, poles; the mass is the row's affair
+            read_airframe(config, str(path), mass=1.0)
         except QuasiError as error:
             return {}, str(error)
+        return config, None
 
     def _part(self, row: Row, keys: tuple[str, ...]) -> dict[str, Any]:
         config, problem = self._quadrotor(row)

@@ -132,3 +132,9 @@ def test_nesting_beyond_reason_is_a_sentence():
         document = {"a": document}
     with pytest.raises(ConfigError, match="p.json is nested too deeply"):
         configuration.check(document, "processing", "p.json")
+
+
+def test_unknown_key_beside_numbered_ones_is_the_one_that_is_named():
+    given = read_json(configuration.SCHEMAS.parent / "template/data/my_quadrotor.json")
+    with pytest.raises(ConfigError, match="unknown key '5' in 'rotor rotation directions'"):
+        configuration.check({**given, "rotor rotation directions": {"1": "CW", "5": "CW"}}, "quadrotor", "q.json")

@@ -295,3 +295,14 @@ def test_faulty_settings_of_snakemake_name_the_file(tmp_path, text, words):
     (tmp_path / "config.yaml").write_text(text)
     with pytest.raises(ConfigError, match=f"config.yaml.*{words}"):
         read_settings(tmp_path / "config.yaml")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("motor poles", 13), ("moment of inertia", "[nan, 0, 0; 0, 1, 0; 0, 0, 1]"), ("rotor radius", 0)],
+)
+def test_fault_of_a_quadrotor_configuration_names_its_file_and_the_row_that_uses_it(folder, key, value):
+    path = folder / "data/my_quadrotor.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))
+    problem = Folder(folder).importing("Beetle", "a")["problem"]
+    assert f"data/log.csv row 2, flight a: data/my_quadrotor.json: '{key}'" in problem
