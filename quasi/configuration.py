@@ -160,7 +160,8 @@ def _sentence(error: jsonschema.ValidationError, where: str) -> str:
     if error.validator == "required":
         missing = next(k for k in error.validator_value if k not in error.instance)
         return f"{head} lacks the key '{missing}'; add it ({_about(error.schema, missing)})"
-    shown = repr(error.instance)
+    value = error.instance
+    shown = json.dumps(value) if value is None or isinstance(value, bool) else repr(value)
     shown = shown if len(shown) < 60 else shown[:57] + "..."
     if error.validator == "type":
         kinds = error.validator_value if isinstance(error.validator_value, list) else [error.validator_value]

@@ -138,3 +138,9 @@ def test_unknown_key_beside_numbered_ones_is_the_one_that_is_named():
     given = read_json(configuration.SCHEMAS.parent / "template/data/my_quadrotor.json")
     with pytest.raises(ConfigError, match="unknown key '5' in 'rotor rotation directions'"):
         configuration.check({**given, "rotor rotation directions": {"1": "CW", "5": "CW"}}, "quadrotor", "q.json")
+
+
+@pytest.mark.parametrize(("value", "shown"), [(None, "null"), (True, "true")])
+def test_constants_are_shown_as_the_file_writes_them(value, shown):
+    with pytest.raises(ConfigError, match=f"'resampling rate' is {shown}, expected a number"):
+        configuration.check({**LOGBOOK, "data importing": {"resampling rate": value}}, "processing", "p.json")
