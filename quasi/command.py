@@ -57,6 +57,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except QuasiError as error:
         print(f"[ERROR] {error}", file=sys.stderr)
         return 1
+    except OSError as error:
+        print(f"[ERROR] {error.filename}: {error.strerror}; name another folder or correct it", file=sys.stderr)
+        return 1
     return 0
 
 

@@ -43,6 +43,12 @@ def job(log: str | Path, name: str = "") -> Iterator[logging.Logger]:
     except MemoryError:
         LOG.error("%s", traceback.format_exc())
         _fail(f"{name or path.stem} ran out of memory; free some, or run fewer jobs at once (-j1)")
+    except OSError as error:
+        LOG.error("%s", traceback.format_exc())
+        _fail(
+            f"{name or path.stem}: {error.strerror or error} ({error.filename or 'no file named'}); free space on the "
+            f"disk or correct the permissions, and run again; the traceback is in {path}"
+        )
     except Exception as error:
         LOG.error("%s", traceback.format_exc())
         _fail(f"{name or path.stem} failed unexpectedly ({type(error).__name__}: {error}); the traceback is in {path}")

@@ -16,6 +16,7 @@ from quasi.project import read_settings
 from quasi.workflow import Folder
 
 FAULTS = []
+STOPPED = []
 
 
 wildcard_constraints:
@@ -34,7 +35,10 @@ def tell_at_end():
         print(f"[NOTICE] {notice}", file=sys.stderr)
     for text in told(os.environ[RUN], "made"):
         print(text, flush=True)
-    for fault in dict.fromkeys(FAULTS + told(os.environ[RUN], "errors")):
+    faults = FAULTS + told(os.environ[RUN], "errors")
+    if STOPPED and not faults:
+        faults = STOPPED
+    for fault in dict.fromkeys(faults):
         print(f"[ERROR] {fault}", file=sys.stderr)
 
 
@@ -115,3 +119,10 @@ def every_processed_flight(wildcards):
     rows = ask(FOLDER.processing_flights)
     pages = [f"results/reports/{r.quadrotor}/{r.key}.html" for r in rows]
     return filtered(rows, "withGravity") + pages
+
+
+onerror:
+    STOPPED.append(
+        "a job ended before it could say why (interrupted, killed, or out of memory; see above); "
+        "nothing half-made was kept: run the same command again, with -j1 if memory is short"
+    )
