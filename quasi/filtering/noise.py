@@ -6,12 +6,13 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import chi2
 
-from quasi.filtering.ekf import KINDS, POSITION, Inputs, Pass, cost, forward, unpack
+from quasi.attitude import continuous
+from quasi.filtering.ekf import ATTITUDE, KINDS, POSITION, Inputs, Pass, cost, forward, unpack
 
 GATE = float(chi2.ppf(0.9999, 3))  # an honest measurement is thrown away once in ten thousand
 LOOSE_GATE = 400.0  # while the levels are not yet known
 WINDOW, WINDOWS = 5.0, 3  # s, number of stretches of flight in which the levels are asked
-PRIOR = 0.5  # standard deviation of the logarithm of a noise level before the innovations are asked
+PRIOR = 1.0  # standard deviation of the logarithm of a noise level before the innovations are asked
 SEEN = 0.7  # of the scatter that positions show by themselves, at least, is their noise
 CONSISTENT = (0.6, 1.6)  # mean normalised innovation squared per degree of freedom
 CORRELATED = 0.5  # autocorrelation from one innovation to the next that an honest model does not reach
@@ -96,14 +97,14 @@ def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray) -> np
         total += float(np.sum((logs / PRIOR) ** 2))
         return total / scale + 10.0 * float(np.sum(beyond**2))
 
-    begin = np.zeros(int(present.sum()))
-    simplex = np.vstack([begin, begin + 0.8 * np.eye(len(begin))])
-    found = minimize(
-        target,
-        begin,
-        method="Nelder-Mead",
-        options={"initial_simplex": simplex, "xatol": 0.03, "fatol": 1e-4, "maxfev": 120},
+    at = np.flatnonzero(inputs.used[:, ATTITUDE] * flying)
+    # four components of a quaternion share three halves of a rotation
+    turned = (
+        scatter(at * inputs.dt, continuous(inputs.attitude[at])) * 2.0 / np.sqrt(0.75) / inputs.std[ATTITUDE].mean()
     )
+    begin = np.clip(np.log([0.3, 0.3, max(turned, 1e-3), max(seen / SEEN, 1e-3), 1.0]), low, high)[present]
+    # one line search after the other: a simplex of five corners does not arrive in as many runs
+    found = minimize(target, begin, method="Powell", options={"xtol": 0.05, "ftol": 1e-4, "maxfev": 150})
     logs = np.zeros(5)
     logs[present] = found.x
     return np.exp(np.clip(logs, low, high))
