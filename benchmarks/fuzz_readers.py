@@ -150,7 +150,7 @@ def changed_table(rng: np.random.Generator) -> bytes:
     names, arrays = list(columns), list(columns.values())
     for _ in range(int(rng.integers(1, 5))):
         k, at = int(rng.integers(0, len(names))), int(rng.integers(0, len(frame) + 1))
-        values = frame[frame.columns[k % len(frame.columns)]].to_numpy(float)[: len(arrays[0])]
+        values = frame[frame.columns[k % len(frame.columns)]].to_numpy(float, copy=True)[: len(arrays[0])]
         kind = int(rng.integers(0, 11))
         if kind == 0:
             arrays[k] = pa.array([str(v) for v in values])
