@@ -8,7 +8,8 @@ and leaves one JSON in --out. A study that was stopped goes on where it was; a d
 settings is made anew. --nuisance 0 leaves out what no filter can know (how IMU and markers are seated, biases, gusts,
 clock rates); 1 is usual.
 
-The filter estimates the attitude of the IMU's axes; "body" errors are those of the true body axes, seating included.
+The filter estimates the attitude of the IMU's axes, and the position of the point that the configured marker offset
+names; "body" errors are those of the true body axes, seating included.
 NEES is the normalised estimation error squared of attitude, velocity and position together (9 degrees of freedom) at
 one moment, the middle of the flight; its 95 % bounds hold 95 of 100 seeds if standard errors are right.
 Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 5.4.
@@ -25,7 +26,7 @@ from scipy.stats import chi2
 from quasi import attitude
 from quasi.airframe import read_airframe
 from quasi.errors import QuasiError
-from quasi.filtering import ekf, estimation
+from quasi.filtering import ekf, estimation, timing
 from quasi.filtering.flight import filter_flight
 from quasi.importing.flight import import_flight
 from quasi.provenance import code_of
@@ -58,17 +59,17 @@ def fly(settings: dict, folder: str):
 
 def passes_of(frame, about, airframe, options):
     """A filtered flight, and the forward and the smoothed pass behind it with their whole covariances."""
-    kept, smooth = [], estimation.smooth
+    kept, widen = [], timing.widen
 
-    def keep(inputs, forward):
-        kept.extend([forward, smooth(inputs, forward)])
-        return kept[1]
+    def keep(*arguments):
+        kept.append(widen(*arguments))
+        return kept[-1]
 
-    estimation.smooth = keep
+    timing.widen = keep
     try:
         result = filter_flight(frame, about, airframe, options)
     finally:
-        estimation.smooth = smooth
+        timing.widen = widen
     return result, kept[0], kept[1]
 
 
@@ -78,17 +79,21 @@ def errors_of(run: ekf.Pass, truth: dict[str, np.ndarray]) -> np.ndarray:
     return np.hstack([turn, truth["v"] - run.state[:, :3], truth["p"] - run.state[:, 3:6]])
 
 
-def truth_of(made, frame, about) -> dict[str, np.ndarray]:
+def truth_of(made, frame, about, airframe) -> dict[str, np.ndarray]:
     """True attitude of body and IMU (N, 4), velocity and position (N, 3) at the import's samples."""
     at = frame["t"].to_numpy() + about["start"]["value"]
     t = made.truth["t"].to_numpy()
     body = attitude.interpolate(made.truth[["qw", "qx", "qy", "qz"]].to_numpy(), t, at)
     seat = attitude.from_matrix(np.array(made.metadata["inertial"]["axes"]))
+    # with the markers' axes turned against the body's, taking the marker offset off leaves a point beside the cg
+    taken = made.metadata["capture"]
+    offset = np.array(taken["offset"])
+    beside = offset - attitude.rotate(attitude.exponential(np.array(taken["body_turn"])), airframe.marker_offset)
     return {
         "body": body,
         "imu": attitude.multiply(body, seat),
         "v": np.stack([np.interp(at, t, made.truth[f"v{a}"]) for a in "xyz"], axis=1),
-        "p": np.stack([np.interp(at, t, made.truth[a]) for a in "xyz"], axis=1),
+        "p": np.stack([np.interp(at, t, made.truth[a]) for a in "xyz"], axis=1) + attitude.rotate(body, beside),
     }
 
 
@@ -100,7 +105,7 @@ def draw(settings: dict) -> dict:
             result, forward, final = passes_of(frame, about, airframe, {})
         except QuasiError as error:
             return {"refused": str(error)}
-    truth = truth_of(made, frame, about)
+    truth = truth_of(made, frame, about, airframe)
     valid = result.with_gravity["valid"].to_numpy() > 0.5
     inertial, b = made.metadata["inertial"], result.metadata["biases"]
     true_bias = np.concatenate([inertial["gyro_bias"], inertial["acc_bias"]])

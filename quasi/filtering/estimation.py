@@ -12,11 +12,13 @@ from quasi import attitude
 from quasi.airframe import Airframe
 from quasi.errors import DataError
 from quasi.filtering import bias as biases
-from quasi.filtering import ekf, measurements, noise
+from quasi.filtering import ekf, measurements, noise, timing
 from quasi.filtering.smoother import smooth
 
 DRIFTING = np.array([1e-3] * 3 + [1e-2] * 3)  # random walk of time-varying biases, per square root of a second
 DRIFT_SIGMAS = 4.0  # rest and flight that disagree by more are reported
+# Rounding to the log's steps errs alike for as long as a rate stays within one: as much white noise is greater by this
+ROUNDED = 1.5
 UNSURE_ATTITUDE, UNSURE_VELOCITY = np.radians(3.0), 0.3  # rad, m/s: states with a larger standard error are not valid
 SENSORS = ("p", "q", "r", "ax", "ay", "az")
 
@@ -188,7 +190,8 @@ def estimate(
             "rest, which therefore says little about their biases"
         )
     rough = np.array([measurements.FLIGHT_STD[s] for s in SENSORS])
-    moving = np.maximum(still, rough) if chosen["re-estimate noise"] else still
+    least = np.maximum(still, ROUNDED * step / np.sqrt(12.0))
+    moving = np.maximum(least, rough) if chosen["re-estimate noise"] else least
     level[flying] = moving
     level[imu.lost] = np.maximum(level[imu.lost], measurements.LOST_STD)
     walk = np.array(
@@ -223,12 +226,15 @@ def estimate(
     factors = np.ones(5)
     if chosen["re-estimate noise"]:
         factors = noise.estimate_levels(
-            inputs, flying, np.array([np.max((still / moving)[:3]), np.max((still / moving)[3:])])
+            inputs, flying, np.array([np.max((least / moving)[:3]), np.max((least / moving)[3:])])
         )
         inputs = noise.with_levels(inputs, factors, flying & ~imu.lost)
     run_forward, engine = _engine(chosen["engine"])
     forward = run_forward(inputs)
     final = smooth(inputs, forward) if chosen["smoother"] else forward
+    if measured.source["position"].startswith("capture"):
+        late = timing.doubt(metadata, t)
+        forward, final = (timing.widen(run, inputs, late) for run in (forward, final))
     deviation = ekf.deviations(final.covariance)
     early = ekf.deviations(forward.covariance)
 
