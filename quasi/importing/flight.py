@@ -398,6 +398,12 @@ def _verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) -
     bad += doubtful_units(board.gyro.values, board.force.values)
     if duration < 2.0:
         bad.append(f"only {duration:.1f} s are common to all sources")
+    onboard = metadata["sources"]["onboard"]
+    if onboard.get("ended") is False:
+        care.append("the on-board log ends without its end mark: it may be cut short")
+    stated = (onboard.get("header") or {}).get("motor_poles")
+    if stated and stated != DEFAULT_POLES and stated != metadata["motor poles"].get("value"):
+        care.append(f"its header states {stated} motor poles, the configuration {metadata['motor poles'].get('value')}")
     if "w1" not in frame:
         care.append("the log holds no rotor speeds")
     if metadata["position source"] == "none" and metadata["velocity source"] == "none":

@@ -86,8 +86,7 @@ def read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any], poles:
         return read_table_log(path, mapping, poles)
     if controller not in ("betaflight", "cleanflight", "indiflight"):
         raise ReadError(f"{path}: flight controller '{controller}' cannot be read; use betaflight, indiflight or table")
-    binary = b"H Product:Blackbox" in bytes(read_bytes(path)[:4096])
-    if binary:
+    if b"H Product:Blackbox" in bytes(read_bytes(path)[:4096]) or path.suffix.lower() in (".bbl", ".bfl"):
         recording = read_blackbox(path, log_number=flight.get("log number"), poles=poles)
     else:
         recording = read_decoded(path, poles=poles)

@@ -175,7 +175,10 @@ def _plausible(clock: ClockFit, spread: np.ndarray, turned: bool) -> bool:
 def _refuse_still(onboard: Motion, capture: Motion, where: str) -> None:
     for side, motion in (("the capture", capture), ("the on-board log", onboard)):
         if len(motion.t) < 20 or np.ptp(motion.t) < 2.0:
-            raise DataError(f"{where}: {side} is shorter than 2 s; nothing can be aligned with it")
+            raise DataError(
+                f"{where}: {side} is shorter than 2 s, too short to tie the two clocks; "
+                "check that the file is whole, or leave the flight out"
+            )
     moved = np.nanmax(np.nanstd(capture.position, axis=0)) if capture.position is not None else 0.0
     turned = 0.0
     if capture.quaternion is not None:

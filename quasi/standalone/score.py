@@ -86,14 +86,18 @@ def table_text(scores: pd.DataFrame, model: Model) -> str:
     pooled = scores[scores["flight"] == POOLED].set_index(["role", "axis"])
     roles = [r for r in ("training", "test", "validation") if r in pooled.index.get_level_values("role")]
     lines = [f"Model {model.id}: R2 and RMSE (forces N, moments N m)"]
-    lines.append("axis  " + "".join(f"{role:>22}" for role in roles))
+    lines.append("axis  " + "".join(f"{role:>24}" for role in roles))
     for axis in model.axes:
         cells = ""
         for role in roles:
             row = pooled.loc[(role, axis)]
-            cells += f"{row['r2']:>10.4f}{row['rmse']:>12.3e}"
+            # a held-out R2 far below zero needs no digits
+            r2 = f"{row['r2']:.4f}" if row["r2"] > -100 else f"{row['r2']:.1e}"
+            cells += f"{r2:>12}{row['rmse']:>12.3e}"
         lines.append(f"{axis:<6}{cells}")
+    said: dict[str, list[str]] = {}
     for role in roles:
         flights = sorted(set(scores[scores["role"] == role]["flight"]) - {POOLED})
-        lines.append(f"{role}: {', '.join(flights)}")
+        said.setdefault(", ".join(flights), []).append(role)
+    lines += [f"{' and '.join(of)}: {flights}" for flights, of in said.items()]
     return "\n".join(lines) + "\n"
