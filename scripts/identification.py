@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from quasi.airframe import from_plain
+from quasi.errors import DataError, ExpressionError
 from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis
 from quasi.identification.partition import from_table
@@ -18,7 +19,11 @@ def main(flights: list[str], shared: str, partition: str, settings: dict, output
     )
     tables = {Path(path).stem: read_table(path) for path in progress(flights, "reading flights")}
     roles = from_table(read_table(partition), {key: len(table) for key, table in tables.items()})
-    result = fit_axis(axis, tables, roles, from_plain(found["airframe"]), found, settings, specification)
+    try:
+        result = fit_axis(axis, tables, roles, from_plain(found["airframe"]), found, settings, specification)
+    except (DataError, ExpressionError) as error:
+        said = str(error).removeprefix(f"{axis}, ").removeprefix(f"{axis}: ")
+        raise type(error)(f"{settings['specification file']}, {axis}: {said}") from None
     for step in result["log"]:
         LOG.info("%s", step)
     LOG.info("%s", result["stop reason"])
