@@ -65,20 +65,31 @@ def _options(options: Mapping[str, Any]) -> dict[str, Any]:
         if chosen[key] not in known:
             raise ConfigError(f"'{key}' is {chosen[key]!r}, expected one of {', '.join(known)}")
     for key in ("low-pass cutoff Hz", "capture gap limit s"):
-        if not float(chosen[key]) > 0.0:
+        if not 0.0 < float(chosen[key]) < np.inf:
             raise ConfigError(f"'{key}' is {chosen[key]!r}, expected a positive number")
+    for key in ("gyro bias random walk", "accelerometer bias random walk"):
+        if not 0.0 <= float(chosen[key]) < np.inf:
+            raise ConfigError(f"'{key}' is {chosen[key]!r}, expected zero or a positive number")
     return chosen
 
 
-def _check(airframe: Airframe) -> None:
+def _check(airframe: Airframe, notes: list[str]) -> None:
     if airframe.mass is None:
         raise DataError(
             f"{airframe.name}: no mass is known; give 'Mass' in the logbook or 'mass' in the quadrotor configuration"
         )
+    if not 0.0 < airframe.mass < np.inf:
+        raise DataError(f"{airframe.name}: the mass is {airframe.mass:g} kg, expected a positive number; correct it")
     inertia = np.asarray(airframe.inertia, float)
-    if not np.all(np.isfinite(inertia)) or np.min(np.linalg.eigvalsh(0.5 * (inertia + inertia.T))) <= 0:
+    principal = np.linalg.eigvalsh(0.5 * (inertia + inertia.T)) if np.all(np.isfinite(inertia)) else np.full(3, -1.0)
+    if principal[0] <= 0:
         raise DataError(
             f"{airframe.name}: 'moment of inertia' is not positive definite; check its entries and units (kg m2)"
+        )
+    if principal[2] > 1.001 * (principal[0] + principal[1]):
+        notes.append(
+            f"{airframe.name}: 'moment of inertia' has principal moments of {', '.join(f'{m:.3g}' for m in principal)} "
+            "kg m2, of which the greatest exceeds the sum of the others: no body has such; measure it anew"
         )
 
 
@@ -119,16 +130,17 @@ def filter_flight(
     Raises     DataError where the flight cannot be filtered, ConfigError for an impossible option
     """
     chosen = _options(options)
-    _check(airframe)
+    notes: list[str] = []
+    _check(airframe, notes)
     t = imported["t"].to_numpy(float)
     dt = measurements.time_step(t)
     rate = 1.0 / dt
-    notes: list[str] = []
     imu = measurements.read_imu(imported)
     notes += imu.notes
     rotors = [c for c in imported if c[0] == "w" and c[1:].isdigit()]
     driven = [c for c in imported if c.startswith("command") or c.endswith("_CMD")]
-    actuators, actuators_lost = _filled(imported, [*rotors, *driven], notes)
+    logged = [*rotors, *driven]
+    actuators, actuators_lost = _filled(imported, logged, notes)
     rotors = [c for c in rotors if c in actuators]
 
     speeds = np.stack([actuators[c] for c in rotors], axis=1) if rotors else None
@@ -139,6 +151,9 @@ def filter_flight(
         imu.gyro, imu.accel, imu.lost, measurements.resolution(imported_metadata), speeds, position, idle, dt
     )
     notes += found.notes
+    stuck, stuck_notes = measurements.frozen(imu, found.on_ground, t, dt)
+    imu.lost |= stuck
+    notes += stuck_notes
 
     find = estimation.estimate if chosen["run extended kalman filter"] else estimation.copy
     run = find(imported, imported_metadata, airframe, chosen, imu, found, dt, notes)
@@ -197,10 +212,17 @@ def filter_flight(
                 "v_in is empty there"
             )
     extra = [c for c in imported if c in COLUMNS and c not in table and c not in ("vx", "vy", "vz") and "_air" not in c]
-    extra = [c for c in extra if not c.endswith("_sample") and c != "onboard_valid" and c not in driven]
+    extra = [c for c in extra if not c.endswith("_sample") and c not in ("onboard_valid", *logged)]
     table |= _filled(imported, extra, notes)[0]
     table["in_flight"], table["valid"] = in_flight.astype(float), valid.astype(float)
 
+    for name, values in table.items():
+        broken = ~np.isfinite(values)
+        if broken.any() and name != "v_in":
+            raise DataError(
+                f"the filter broke down: '{name}' is no number in {int(broken.sum())} samples, first at t = "
+                f"{t[int(np.argmax(broken))]:.3f} s; look for impossible values in the imported flight there"
+            )
     if not valid.any():
         notes.append("no row of this flight is valid for identification; see the other notes")
     with_gravity = pd.DataFrame(table)

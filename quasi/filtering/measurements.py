@@ -23,6 +23,9 @@ STILL_STD = 0.01  # m/s, of the velocity of a quadrotor that stands on the groun
 REST_STD = {"p": 0.015, "q": 0.015, "r": 0.015, "ax": 0.05, "ay": 0.05, "az": 0.05}
 # Vibration in flight on top of it, before the innovations are asked
 FLIGHT_STD = {"p": 0.05, "q": 0.05, "r": 0.05, "ax": 1.0, "ay": 1.0, "az": 1.0}
+LARGEST = {"gyro": 150.0, "accelerometer": 1000.0}  # rad/s, m/s2: no sensor of a quadrotor measures more
+FARTHEST, FASTEST = 1e4, 300.0  # m, m/s
+FROZEN = 0.1  # s in flight for which no channel of a sensor changes
 LOST_STD = np.array([3.0, 3.0, 3.0, 20.0, 20.0, 20.0])  # of an IMU sample that was filled in
 
 WARNING = (
@@ -136,6 +139,15 @@ def read_imu(frame: pd.DataFrame) -> Imu:
             )
         values = frame[name].to_numpy(float)
         bad = ~np.isfinite(values)
+        absurd = ~bad & (np.abs(values) > LARGEST[sensor])
+        if absurd.any():
+            first = int(np.argmax(absurd))
+            notes.append(
+                f"{sensor} channel '{name}' is {values[first]:.4g} at t = {t[first]:.3f} s, more than any sensor "
+                f"measures ({LARGEST[sensor]:g}), and so in {int(absurd.sum())} samples; they count as missing: check "
+                "its units"
+            )
+            bad |= absurd
         if bad.mean() > 0.5:
             raise DataError(
                 f"{sensor} channel '{name}' is missing in {100 * bad.mean():.0f} % of the flight, at most half may be; "
@@ -153,7 +165,7 @@ def read_imu(frame: pd.DataFrame) -> Imu:
                 "they are bridged by straight lines and marked invalid"
             )
             lost |= bad
-        values = fill(values)
+        values = fill(np.where(bad, np.nan, values))
         stuck = _saturated(values, 8.0 if name in GYRO else 30.0)
         if stuck.any():
             first = int(np.argmax(stuck))
@@ -173,6 +185,24 @@ def read_imu(frame: pd.DataFrame) -> Imu:
             lost |= out
     both = np.ascontiguousarray(np.stack(columns, axis=1))
     return Imu(np.ascontiguousarray(both[:, :3]), np.ascontiguousarray(both[:, 3:]), lost, notes)
+
+
+def frozen(imu: Imu, on_ground: np.ndarray, t: np.ndarray, dt: float) -> tuple[np.ndarray, list[str]]:
+    """True (N,) where a sensor in flight repeats all its three values for FROZEN s or more, and notes about it.
+
+    On the ground a log of coarse steps does so by nature.
+    """
+    found, notes = np.zeros(len(t), bool), []
+    for sensor, values in (("gyro", imu.gyro), ("accelerometer", imu.accel)):
+        same = np.concatenate([[False], (np.diff(values, axis=0) == 0.0).all(axis=1)])
+        for a, b in spans(same & ~on_ground & ~imu.lost):
+            if (b - a) * dt >= FROZEN:
+                notes.append(
+                    f"the {sensor} repeats its values from t = {t[a - 1]:.2f} s to {t[b - 1]:.2f} s; they are trusted "
+                    "little and marked invalid"
+                )
+                found[a - 1 : b] = True
+    return found, notes
 
 
 def sensor_noise(statistics: Mapping[str, Mapping[str, float]], wanted: bool) -> tuple[np.ndarray, list[str], str]:
@@ -240,9 +270,12 @@ def collect(
         said = str(metadata.get(f"{kind} source") or "none")
         column = f"{kind}_sample"
         fresh = frame[column].to_numpy(float) > 0.5 if column in frame else np.zeros(n, bool)
-        finite = np.isfinite(values[kind]).all(axis=1)
+        with np.errstate(invalid="ignore"):
+            finite = (np.abs(values[kind]) <= {"velocity": FASTEST}.get(kind, FARTHEST)).all(axis=1)
         if (fresh & ~finite).any():
-            notes.append(f"{int((fresh & ~finite).sum())} samples of {kind} are not finite and are left out")
+            notes.append(
+                f"{int((fresh & ~finite).sum())} samples of {kind} are not finite or beyond all reason and are left out"
+            )
         fresh &= finite
         capture = said.startswith("capture")
         if fresh.any() and np.ptp(values[kind][fresh], axis=0).max() == 0.0 and fresh.sum() > 10:

@@ -1,0 +1,152 @@
+"""Input that no sensor or body gives: each kind is a sentence, and no column of the result is silently empty."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rigid_body import measure, move, quadrotor
+
+from quasi import attitude
+from quasi.errors import ConfigError, DataError
+from quasi.filtering import flight, forces
+from quasi.filtering.flight import filter_flight
+
+AIRFRAME = quadrotor()
+HIT = slice(3000, 3500)
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return move(seconds=12.0, seed=4)
+
+
+@pytest.fixture
+def made(motion):
+    return measure(motion)
+
+
+def about(result, words):
+    return [note for note in result.metadata["notes"] if words in note]
+
+
+def spoil(frame, columns, value):
+    frame.loc[HIT.start : HIT.stop, columns] = value
+
+
+def attitude_error(result, motion):
+    q = attitude.from_euler(*result.with_gravity[["roll", "pitch", "yaw"]].to_numpy().T)
+    turn = attitude.logarithm(attitude.multiply(attitude.conjugate(q), motion.q))
+    return np.degrees(np.abs(turn[600:]).max())
+
+
+@pytest.mark.parametrize(
+    ("columns", "value", "words"),
+    [
+        ("p", np.inf, "'p' is missing in 501 samples"),
+        ("q", 1e30, "'q' is 1e+30 at t = 6.000 s, more than any sensor measures"),
+        ("az", -1e6, "'az' is -1e+06 at t = 6.000 s"),
+        (["p", "q", "r"], 0.3, "the gyro repeats its values from t = 6.00 s to 7.00 s"),
+        (["ax", "ay", "az"], [0.1, 0.2, -9.0], "the accelerometer repeats its values from t = 6.00 s to 7.00 s"),
+        ("x", np.nan, "samples of position are not finite"),
+        ("y", 1e30, "samples of position are not finite or beyond all reason"),
+        ("yaw", np.nan, "samples of attitude are not finite"),
+        (["w1", "w3"], np.inf, "'w3' is missing in 501 samples"),
+    ],
+)
+def test_impossible_spans_are_said_bridged_and_marked(motion, made, columns, value, words):
+    frame, metadata = made
+    spoil(frame, columns, value)
+    result = filter_flight(frame, metadata, AIRFRAME, {})
+    assert about(result, words)
+    table = result.with_gravity
+    assert np.isfinite(table.to_numpy()).all()
+    assert table["valid"][HIT].iloc[20:-20].max() == 0 and table["valid"].mean() > 0.5
+    after = slice(HIT.stop + 300, None)
+    assert np.abs(table[["x", "y", "z"]].to_numpy()[after] - motion.p[after]).max() < 0.01
+    if columns != "yaw":
+        assert attitude_error(result, motion) < 3.0
+
+
+def test_coarse_gyro_at_rest_is_not_called_stuck(made):
+    frame, metadata = made
+    step = np.radians(4.0)
+    frame[["p", "q", "r"]] = step * np.round(frame[["p", "q", "r"]] / step)
+    assert (np.diff(frame["p"][:1000]) == 0).mean() > 0.5
+    assert not about(filter_flight(frame, metadata, AIRFRAME, {}), "repeats its values")
+
+
+def test_capture_without_a_single_number_leaves_nothing_valid(made):
+    frame, metadata = made
+    frame[["x", "y", "z", "roll", "pitch", "yaw", "u", "v", "w"]] = np.nan
+    result = filter_flight(frame, metadata, AIRFRAME, {})
+    assert about(result, "no attitude source") and about(result, "no row of this flight is valid")
+    assert np.isfinite(result.with_gravity.to_numpy()).all()
+
+
+def test_log_lost_all_through_is_said(made):
+    frame, metadata = made
+    result = filter_flight(frame.assign(onboard_valid=0.0), metadata, AIRFRAME, {})
+    assert about(result, "the on-board log lost") and about(result, "no row of this flight is valid")
+
+
+def test_a_rotor_without_values_is_said_once(made):
+    frame, metadata = made
+    result = filter_flight(frame.assign(w1=np.nan), metadata, AIRFRAME, {})
+    assert len(about(result, "'w1' holds no value")) == 1 and "w1" not in result.with_gravity
+
+
+@pytest.mark.parametrize("inertia", [np.diag([1e-3, -1e-3, 1e-3]), np.full((3, 3), np.nan), np.zeros((3, 3))])
+def test_inertia_that_is_not_positive_definite_is_an_error(made, inertia):
+    with pytest.raises(DataError, match="'moment of inertia' is not positive definite"):
+        filter_flight(*made, replace(AIRFRAME, inertia=inertia), {})
+
+
+def test_inertia_that_no_body_has_is_said(made):
+    result = filter_flight(*made, replace(AIRFRAME, inertia=np.diag([1e-3, 1e-3, 3e-3])), {})
+    assert about(result, "the greatest exceeds the sum of the others")
+
+
+@pytest.mark.parametrize("mass", [0.0, -0.4, float("nan")])
+def test_mass_that_is_no_mass_is_an_error(made, mass):
+    with pytest.raises(DataError, match="the mass is"):
+        filter_flight(*made, replace(AIRFRAME, mass=mass), {})
+
+
+def test_noise_statistics_that_are_no_numbers_give_way_to_defaults(made):
+    broken = replace(AIRFRAME, noise={"p": {"mean": 0.0, "std": float("nan")}, "q": {"mean": 0.0, "std": 0.0}})
+    result = filter_flight(*made, broken, {})
+    assert len(about(result, "which no sensor has")) >= 2
+    assert result.metadata["noise"]["at rest"]["p"] >= 0.015
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"gyro bias random walk": -1.0},
+        {"low-pass cutoff Hz": float("nan")},
+        {"low-pass cutoff Hz": float("inf")},
+        {"capture gap limit s": 0},
+    ],
+)
+def test_options_that_are_no_such_numbers_are_errors(made, options):
+    with pytest.raises(ConfigError, match="expected .*a positive number"):
+        filter_flight(*made, AIRFRAME, options)
+
+
+def test_units_mixed_up_are_called_inconsistent(made):
+    frame, metadata = made
+    frame[["p", "q", "r"]] = np.degrees(frame[["p", "q", "r"]])
+    result = filter_flight(frame, metadata, AIRFRAME, {})
+    assert result.metadata["consistent"] is False
+    assert about(result, "more than any sensor measures (150)") and about(result, "is not consistent in attitude")
+
+
+def test_a_column_that_is_no_number_is_never_handed_on(made, monkeypatch):
+    def broken(specific, mass):
+        force = forces.forces(specific, mass)
+        force[77, 1] = np.nan
+        return force
+
+    monkeypatch.setattr(flight, "forces", type("F", (), {**vars(forces), "forces": staticmethod(broken)}))
+    with pytest.raises(DataError, match=r"'Fy' is no number in 1 samples, first at t = 0\.154 s"):
+        filter_flight(*made, AIRFRAME, {})
