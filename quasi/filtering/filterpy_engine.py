@@ -9,7 +9,7 @@ The result is that of `ekf.forward` to rounding, so that the smoother runs on ei
 import numpy as np
 
 from quasi import attitude
-from quasi.filtering.ekf import KINDS, STATES, Inputs, Pass, innovation, predict
+from quasi.filtering.ekf import KINDS, STATES, TAIL, Inputs, Pass, innovation, predict
 
 _LOWER = np.tril_indices(STATES)
 
@@ -77,7 +77,8 @@ def forward(inputs: Inputs) -> Pass:
             S = H @ PHt + R
             left, variance, gains, white = _one_by_one(y, S, PHt)
             nis = float(white @ white)
-            cost += min(nis, inputs.gate) + float(np.sum(np.log(variance)))
+            cost += nis if nis <= inputs.gate else inputs.gate + TAIL * np.log(nis / inputs.gate)
+            cost += float(np.sum(np.log(variance)))
             rejected[kind] = 0 if nis <= inputs.gate else rejected[kind] + 1
             result = 1 if nis <= inputs.gate else 3 if rejected[kind] > inputs.patience[kind] else 2
             whitened[k, kind], outcome[k, kind] = white, result

@@ -68,9 +68,9 @@ def scatter(t: np.ndarray, values: np.ndarray) -> float:
 def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray) -> np.ndarray:
     """Factors (5,) on the noise of gyro, accelerometer, attitude, position, velocity, by maximum likelihood.
 
-    The likelihood of the innovations is maximised over stretches of flight; an outlier counts with the gate's value,
-    so that it does not drive the levels. flying (N,) bool; floor (2,) least factors of gyro and accelerometer,
-    at which the noise equals that at rest.
+    The likelihood of the innovations is maximised over stretches of flight; an outlier counts little more than
+    the gate's value, so that it does not drive the levels. flying (N,) bool; floor (2,) least factors of gyro and
+    accelerometer, at which the noise equals that at rest.
     Source: Schweppe, Evaluation of likelihood functions for Gaussian signals, IEEE Trans. Inf. Theory 11(1), 1965.
     """
     present = np.array([True, True, *(inputs.used[flying].sum(axis=0) > 10)])
@@ -102,7 +102,7 @@ def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray) -> np
     turned = (
         scatter(at * inputs.dt, continuous(inputs.attitude[at])) * 2.0 / np.sqrt(0.75) / inputs.std[ATTITUDE].mean()
     )
-    begin = np.clip(np.log([0.3, 0.3, max(turned, 1e-3), max(seen / SEEN, 1e-3), 1.0]), low, high)[present]
+    begin = np.clip(np.log([1.0, 1.0, max(turned, 1e-3), max(seen / SEEN, 1e-3), 1.0]), low, high)[present]
     # one line search after the other: a simplex of five corners does not arrive in as many runs
     found = minimize(target, begin, method="Powell", options={"xtol": 0.05, "ftol": 1e-4, "maxfev": 150})
     logs = np.zeros(5)

@@ -298,3 +298,10 @@ def test_cost_is_least_at_the_true_noise(short):
     for scale in (0.5, 2.0):
         assert ekf.cost(inputs._replace(std=inputs.std * scale)) > right
         assert ekf.cost(inputs._replace(noise=inputs.noise * scale)) > right
+
+
+def test_noise_too_small_by_far_never_pays_by_rejecting_everything(short):
+    motion, frame = short
+    inputs = inputs_of(motion, frame, gate=25.0)
+    costs = [ekf.cost(inputs._replace(std=inputs.std * s, noise=inputs.noise * s)) for s in (1.0, 0.1, 0.01, 0.001)]
+    assert np.all(np.diff(costs) > 0)
