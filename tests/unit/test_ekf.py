@@ -304,4 +304,4 @@ def test_noise_too_small_by_far_never_pays_by_rejecting_everything(short):
     motion, frame = short
     inputs = inputs_of(motion, frame, gate=25.0)
     costs = [ekf.cost(inputs._replace(std=inputs.std * s, noise=inputs.noise * s)) for s in (1.0, 0.1, 0.01, 0.001)]
-    assert np.all(np.diff(costs) > 0)
+    assert min(costs[1:]) > costs[0] + 1e4
