@@ -222,7 +222,10 @@ def _skips(header: Mapping[str, str]) -> np.ndarray:
 
 def version(header: Mapping[str, str]) -> tuple[int, ...] | None:
     """Version number of a Betaflight log, (4, 2, 11); None for other firmware."""
-    found = re.match(r"Betaflight\s+(?:/\s*\S+\s+)?(\d+)\.(\d+)(?:\.(\d+))?", header.get("Firmware revision", ""))
+    found = re.match(
+        r"Betaflight\s+(?:/\s*\S+\s+)?([0-9]{1,6})\.([0-9]{1,6})(?:\.([0-9]{1,6}))?",
+        header.get("Firmware revision", ""),
+    )
     return tuple(int(x or 0) for x in found.groups()) if found else None
 
 
@@ -245,7 +248,7 @@ def plain_header(header: Mapping[str, str]) -> dict[str, Any]:
 
     def plain(text: str) -> Any:
         parts = text.split(",")
-        if all(re.fullmatch(r"\s*-?\d{1,18}\s*", part) for part in parts):
+        if all(re.fullmatch(r"[ \t]*-?[0-9]{1,18}[ \t]*", part) for part in parts):
             values = [int(part) for part in parts]
             return values if len(values) > 1 else values[0]
         return text

@@ -5,6 +5,7 @@ set-points. INDIflight logs FRD already.
 """
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -59,7 +60,7 @@ def debug_mode(header: Mapping[str, str]) -> dict[str, Any] | None:
     of 4.0 with two more dual-gyro modes have it at 47. Source: the tables of the crate blackbox-log (MIT, Apache-2.0).
     """
     text = header.get("debug_mode")
-    if text is None or not text.lstrip("-").isdigit():
+    if text is None or not re.fullmatch("-?[0-9]{1,9}", text):
         return None
     number, release = int(text), version(header)
     rpm = 47 if release is not None and release < (4, 1) else 45

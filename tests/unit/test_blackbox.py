@@ -11,6 +11,7 @@ import pytest
 
 from quasi.airframe import erpm100_to_rad_s
 from quasi.errors import ReadError
+from quasi.importing import blackbox_header, blackbox_units
 from quasi.importing.blackbox import decode, list_logs, read_blackbox
 from quasi.importing.blackbox_header import find_logs
 
@@ -678,3 +679,12 @@ def test_damaged_real_log_gives_the_two_frames_and_says_what_was_lost():
     (span,) = recording.metadata["corrupt spans"]
     assert span["end"] - span["start"] == pytest.approx(0.032079, abs=1e-6)
     assert recording.metadata["frames"]["P after damage"] == 5
+
+
+@pytest.mark.parametrize("text", ["8\x1e", "²", "9" * 5000, "4\u00a0", "--3"])
+def test_header_numbers_that_only_look_so_stay_text(text):
+    """Control characters and superscripts count as blanks and digits for Python, but are no numbers."""
+    header = {"looptime": text, "debug_mode": text, "Firmware revision": f"Betaflight {text}.{text}"}
+    assert blackbox_header.plain_header(header)["looptime"] == text
+    assert blackbox_units.debug_mode(header) is None
+    assert blackbox_header.version(header) is None
