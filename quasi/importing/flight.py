@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s
+from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s, read_airframe
 from quasi.attitude import exponential, interpolate, multiply, rotate, rotate_inverse, to_euler
 from quasi.errors import ConfigError, DataError
 from quasi.importing.artefacts import flyable
 from quasi.importing.contradictions import doubtful_units, refuse_wrong_lengths
+from quasi.importing.lever_arm import felt_too_much, hover_arm
 from quasi.importing.motive import read_motive
 from quasi.importing.onboard_log import ATTITUDE, POSITION, Onboard, Track, gather, read_onboard
 from quasi.importing.resampling import (
-    angular_acceleration,
     covered,
     fresh,
     grid,
@@ -246,7 +246,8 @@ def _fuse(
         columns[name] = resample(track.t, track.values, at, smooth=False).values[:, 0]
     if board.rotors is not None:
         valid &= covered(board.rotors.t[np.isfinite(board.rotors.values).all(axis=1)], at)
-    acceleration, correction = force.values, _lever_arm(gyro.values, at, quadrotor, chosen, where, notes)
+    acceleration = force.values
+    correction = _lever_arm(gyro.values, acceleration, at, columns, quadrotor, chosen, where, notes)
     if correction is not None:
         acceleration = acceleration - correction["term"]
     columns |= {n: acceleration[:, i] for i, n in enumerate(("ax", "ay", "az"))}
@@ -336,26 +337,35 @@ def _motion(
 
 
 def _lever_arm(
-    rates: np.ndarray,
-    at: np.ndarray,
-    quadrotor: Mapping[str, Any],
-    chosen: Mapping[str, Any],
-    where: str,
-    notes: list[str],
-) -> dict[str, Any] | None:
-    """What an IMU away from the cg measures too much: wdot x r + w x (w x r); None when not asked for or not known."""
-    arm = _triple(quadrotor.get("imu position"), "imu position")
+    rates: np.ndarray, force: np.ndarray, at: np.ndarray, columns: Mapping[str, np.ndarray],
+    quadrotor: Mapping[str, Any], chosen: Mapping[str, Any], where: str, notes: list[str],
+) -> dict[str, Any] | None:  # fmt: skip
+    """What an IMU away from the cg measures too much; None when not asked for or not known."""
     if not chosen["do onboard c.g. correction"]:
         return None
+    arm = _triple(quadrotor.get("imu position"), "imu position")
+    about: dict[str, Any] = {"source": "configuration"}
     if arm is None:
+        told = None
+        if all(f"w{i}" in columns for i in range(1, 5)) and "rotor config" in quadrotor:
+            hubs = read_airframe(quadrotor, str(quadrotor.get("file", where))).hubs
+            told = hover_arm(at, rates, force, np.stack([columns[f"w{i}"] for i in range(1, 5)], axis=1), hubs)
+        if told is None:
+            notes.append(
+                f"{where}: 'do onboard c.g. correction' is on, but the flight does not hover long enough to tell the "
+                "IMU's place and the quadrotor configuration has no 'imu position'; nothing was corrected"
+            )
+            return None
+        arm = told.position
+        about = {"source": "hover", "std": told.std.tolist(), "hover": {"value": told.seconds, "unit": "s"}}
         notes.append(
-            f"{where}: 'do onboard c.g. correction' is on, but the quadrotor configuration has no 'imu position' "
-            "(x, y, z of the IMU from the cg, m); nothing was corrected"
+            f"{where}: the IMU is taken to sit {1e3 * arm[0]:+.1f} mm ahead and {1e3 * arm[1]:+.1f} mm right of "
+            "the cg, from rotor speeds in hover; a weak rotor would look the same"
         )
-        return None
-    spin_up = angular_acceleration(at, rates)
-    term = np.cross(spin_up, arm) + np.cross(rates, np.cross(rates, arm))
-    return {"term": term, "about": {"value": arm.tolist(), "unit": "m", "applied": True}}
+    return {
+        "term": felt_too_much(at, rates, arm),
+        "about": {"value": arm.tolist(), "unit": "m", "applied": True, **about},
+    }
 
 
 def _settle_telemetry(board: Onboard, where: str, notes: list[str]) -> tuple[Onboard, dict[str, Any] | None]:
