@@ -60,7 +60,7 @@ def check(document: Any, name: str, where: str) -> tuple[dict[str, Any], list[st
     notices = [
         f"{where}: '{key}' is not a key of quasi{near}"
         for key in document
-        if key not in rules.get("properties", {}) and (near := nearest(key, rules["properties"])).endswith("?")
+        if key not in rules.get("properties", {}) and (near := nearest(key, rules["properties"])).endswith("?)")
     ]
     filled = _fill(document, rules, rules, where, notices)
     return filled, notices
@@ -156,7 +156,7 @@ def _sentence(error: jsonschema.ValidationError, where: str) -> str:
         unknown = sorted(k for k in error.instance if k not in known and not any(re.search(p, k) for p in patterns))[0]
         inside = f" in {place}" if place else ""
         near = nearest(unknown, known)
-        return f"{where}: unknown key '{unknown}'{inside}" + (near if near.endswith("?") else f"{near}; remove it")
+        return f"{where}: unknown key '{unknown}'{inside}" + (near if near.endswith("?)") else f"{near}; remove it")
     if error.validator == "required":
         missing = next(k for k in error.validator_value if k not in error.instance)
         return f"{head} lacks the key '{missing}'; add it ({_about(error.schema, missing)})"

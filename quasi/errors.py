@@ -33,17 +33,17 @@ class ExpressionError(QuasiError):
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Half a sentence that proposes the known name most like `name`: "; did you mean 'mass'?", or the list if short.
+    """An aside that proposes the known name most like `name`: " (did you mean 'mass'?)", or the list if short.
 
     >>> nearest("mas", ["mass", "b"])
-    "; did you mean 'mass'?"
+    " (did you mean 'mass'?)"
     """
     known = sorted(map(str, known))
     lowered = {k.lower(): k for k in known}
     close = difflib.get_close_matches(str(name).lower(), list(lowered), n=1, cutoff=0.6)
     if close:
-        return f"; did you mean '{lowered[close[0]]}'?"
+        return f" (did you mean '{lowered[close[0]]}'?)"
     if not known:
         return ""
     shown = ", ".join(f"'{k}'" for k in known[:12]) + (", ..." if len(known) > 12 else "")
-    return f"; known are {shown}"
+    return f" (known are {shown})"

@@ -77,9 +77,9 @@ def test_the_manuals_own_processing_file_is_accepted_word_for_word():
 @pytest.mark.parametrize(
     ("document", "message"),
     [
-        ({"loging file": {}}, "p.json: unknown key 'loging file'; did you mean 'logging file'?"),
+        ({"loging file": {}}, "p.json: unknown key 'loging file' (did you mean 'logging file'?)"),
         ({}, "p.json: the file lacks the key 'logging file'"),
-        ({**LOGBOOK, "data importing": {"resampling rat": 1}}, "in 'data importing'; did you mean 'resampling rate'?"),
+        ({**LOGBOOK, "data importing": {"resampling rat": 1}}, "in 'data importing' (did you mean 'resampling rate'?)"),
         ({**LOGBOOK, "data importing": {"resampling rate": "5"}}, "'resampling rate' is '5', expected a number"),
         ({**LOGBOOK, "data filtering": {"bias policy": "x"}}, "expected one of 'automatic', 'rest', 'whole flight'"),
         ([], "p.json: the file is [], expected a section"),
@@ -102,7 +102,7 @@ def test_key_of_ones_own_in_a_quadrotor_is_allowed_but_a_near_miss_is_noticed():
     }
     assert configuration.check({**beetle, "owner": "lab"}, "quadrotor", "q")[1] == []
     notices = configuration.check({**beetle, "motor pole": 14}, "quadrotor", "q")[1]
-    assert notices == ["q: 'motor pole' is not a key of quasi; did you mean 'motor poles'?"]
+    assert notices == ["q: 'motor pole' is not a key of quasi (did you mean 'motor poles'?)"]
 
 
 def test_campaign_schema_holds_the_keys_that_the_synthesis_takes():

@@ -201,14 +201,14 @@ def edited(change):
 
 
 WRONG = {
-    "unknown unit 'deg/sec'; did you mean 'deg/s'": lambda p: p["sources"][0]["columns"]["p"].update(unit="deg/sec"),
+    "unknown unit 'deg/sec' (did you mean 'deg/s'": lambda p: p["sources"][0]["columns"]["p"].update(unit="deg/sec"),
     "measures length, expected one of": lambda p: p["sources"][0]["columns"]["p"].update(unit="mm"),
-    "unknown quantity 'battery_volts'; did you mean 'battery_voltage'": lambda p: p["sources"][1]["columns"].update(
+    "unknown quantity 'battery_volts' (did you mean 'battery_voltage'": lambda p: p["sources"][1]["columns"].update(
         battery_volts="vbat"
     ),
     "expected FRD or FLU": lambda p: p["sources"][0].update(frame="flu"),
     "expected NED or z-up": lambda p: p["sources"][0].update(world="ENU"),
-    "unknown key 'colums'; did you mean 'columns'": lambda p: p["sources"][0].update(colums={}),
+    "unknown key 'colums' (did you mean 'columns'": lambda p: p["sources"][0].update(colums={}),
     "qz is not": lambda p: p["sources"][0]["columns"].pop("qz"),
     "always in world axes": lambda p: p["sources"][0]["columns"]["x"].update(frame="body"),
     "neither it nor the table has a 'time'": lambda p: p.pop("time"),
@@ -226,7 +226,7 @@ def test_a_wrong_mapping_is_refused_in_a_sentence(tmp_path, flown, message):
 
 def test_a_missing_column_names_file_quantity_and_the_near_one(tmp_path, flown):
     path = saved(tmp_path, flown[2].rename(columns={"wy": "w_y"}))
-    with pytest.raises(ReadError, match=r"log\.csv has no column 'wy' \(q of source 'state'\); did you mean 'w_y'"):
+    with pytest.raises(ReadError, match=r"log\.csv has no column 'wy' \(q of source 'state'\) .did you mean 'w_y'"):
         read_table_log(path, PLAN, 14)
 
 

@@ -176,7 +176,9 @@ def test_selection_that_means_other_flights_than_the_model_was_made_from_is_told
 
 def test_absent_logbook_is_told_with_the_configuration_that_names_it(folder):
     edit_model(folder, logging_file={"filename": "logg"})
-    words = r"config/models/m.json: logbook data/logg.csv does not exist; did you mean 'log.csv'\?; correct 'directory'"
+    words = (
+        r"config/models/m.json: logbook data/logg.csv does not exist .did you mean 'log.csv'\?.; correct 'directory'"
+    )
     with pytest.raises(ConfigError, match=words):
         Folder(folder).model_flights("m")
 

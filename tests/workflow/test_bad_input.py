@@ -66,7 +66,7 @@ def test_empty_or_damaged_log_is_one_sentence(project, make, words):
         (
             "config/processing.json",
             lambda c: c["data importing"].update({"resampling rte": 1}),
-            "unknown key 'resampling rte' in 'data importing'; did you mean 'resampling rate'?",
+            "unknown key 'resampling rte' in 'data importing' (did you mean 'resampling rate'?",
         ),
         (
             "config/models/small.json",
@@ -81,7 +81,7 @@ def test_empty_or_damaged_log_is_one_sentence(project, make, words):
         (
             "config/models/small.json",
             lambda c: c["identification parameters"].update({"polynomial specification file": "phisical"}),
-            "does not exist; did you mean 'physical.json'",
+            "does not exist (did you mean 'physical.json'",
         ),
         (
             "config/models/small.json",
@@ -107,7 +107,7 @@ def test_clashing_flight_keys_and_missing_column_stop_the_run(project):
     path.write_text(path.read_text().replace("Onboard Name", "Onbord Name"))
     code, text = project.snakemake("-j1", "models/small/standalone")
     assert code != 0
-    assert "no column 'Onboard Name'; did you mean 'Onbord Name'" in last_line(text)
+    assert "no column 'Onboard Name' (did you mean 'Onbord Name'" in last_line(text)
 
 
 def test_unknown_variable_in_a_specification_names_it(project):
@@ -131,4 +131,4 @@ def test_unknown_variable_in_a_specification_names_it(project):
 def test_unknown_model_names_the_known(project):
     code, text = project.snakemake("-n", "models/smal/standalone")
     assert code != 0
-    assert "config/models/smal.json does not exist; did you mean 'small'?" in last_line(text)
+    assert "config/models/smal.json does not exist (did you mean 'small'?" in last_line(text)
