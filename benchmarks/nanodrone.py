@@ -8,8 +8,9 @@ measured states with the measured rotor speeds, a start every 0.1 s above 0.4 m.
 after 0.1 s and 0.5 s, and their ratio to (a) holding the last state and (b) the authors' physics constants.
 
 "with trim" adds what the flight itself shows before each start: the mean of measured minus predicted force and moment
-over the 2 s that end 0.1 s before it (the filters look 0.1 s ahead at most). Nothing of the future enters. A battery
-put back half a millimetre off shifts the trim of a 45 g quadrotor by that much from one flight to the next.
+over the 2 s that end 0.1 s before it (the low-pass looks 0.1 s ahead at most; the constant IMU biases and the smoothed
+states rest on the whole flight, as those of every contender do). A battery put back half a millimetre off shifts the
+trim of a 45 g quadrotor by that much from one flight to the next.
 """
 
 import argparse
