@@ -1,0 +1,423 @@
+"""Quadrotors in 3-D figures: one drone, trajectories with stills, snapshots. Nothing is shown or saved here.
+
+Data coordinates of the axes are earth NED as everywhere. The y and z axes run backwards, which turns the picture half
+round about x: up is up, and nothing is mirrored, as it would be with the z axis alone turned round.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pandas as pd
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d import Axes3D
+from mpl_toolkits.mplot3d.art3d import Line3D, Line3DCollection, Poly3DCollection
+
+from quasi.airframe import Airframe
+from quasi.attitude import from_euler, rotate
+from quasi.errors import DataError, ShapeError
+
+FAINTEST = 0.2  # opacity of the oldest still
+SHARE = 0.13  # of the largest extent of a figure: the span of a drone that is drawn enlarged
+MOST_POINTS = 4000  # of a path; more cannot be seen
+_CORNERS = 28  # of a rotor disc
+_AXES_COLOURS = ("tab:red", "tab:green", "tab:blue")  # body x, y, z, as usual
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a drone is drawn: matplotlib colours, line width (points), and what is shown.
+
+    rotor_opacity  a disc's opacity is its rotor's speed as a share of the greatest one; otherwise all are alike
+    body_axes      x, y, z of the body as red, green, blue lines
+    """
+
+    frame: str = "black"
+    rotors: str = "black"
+    nose: str = "tab:red"
+    history: str = "turquoise"
+    thickness: float = 2.0
+    rotor_opacity: bool = True
+    body_axes: bool = False
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One drone's motion: t (N,) s; position (N, 3) m, earth NED; quaternion (N, 4) wxyz, body to earth;
+    rotor_speeds (N, 4) mechanical rad/s, or None; fastest rad/s that is drawn opaque, None for the airframe's limit or
+    else the fastest there is. Rows that are not finite are not drawn. Raises ShapeError or DataError.
+    """
+
+    airframe: Airframe
+    t: np.ndarray
+    position: np.ndarray
+    quaternion: np.ndarray
+    rotor_speeds: np.ndarray | None = None
+    name: str = ""
+    look: Look = field(default_factory=Look)
+    fastest: float | None = None
+
+    def __post_init__(self) -> None:
+        who = f"motion of {self.name}" if self.name else "motion"
+        t = np.asarray(self.t, float)
+        if t.ndim != 1 or not len(t):
+            raise ShapeError(f"{who}: t must be (N,) with N > 0, got {t.shape}")
+        object.__setattr__(self, "t", t)
+        for name, width in (("position", 3), ("quaternion", 4), ("rotor_speeds", 4)):
+            values = getattr(self, name)
+            if values is None and name == "rotor_speeds":
+                continue
+            values = np.asarray(values, float)
+            if values.shape != (len(t), width):
+                raise ShapeError(f"{who}: {name} must be ({len(t)}, {width}) like t, got {values.shape}")
+            object.__setattr__(self, name, values)
+        if not self.seen.any():
+            raise DataError(
+                f"{who} has no row with finite time, position and attitude; draw a flight whose position was measured"
+            )
+        if np.any(np.diff(t[np.isfinite(t)]) < 0):
+            raise DataError(f"{who}: time steps back; sort the rows by time")
+
+    @property
+    def seen(self) -> np.ndarray:
+        """Rows (N,) that can be drawn."""
+        attitude = np.linalg.norm(self.quaternion, axis=1)
+        return np.isfinite(self.t) & np.isfinite(self.position).all(axis=1) & np.isfinite(attitude) & (attitude > 0)
+
+    def row_at(self, time: float) -> int:
+        """The row that can be drawn nearest to a time, s."""
+        rows = np.flatnonzero(self.seen)
+        return int(rows[np.argmin(np.abs(self.t[rows] - time))])
+
+    def opacity(self, rows: np.ndarray) -> np.ndarray:
+        """Opacity (M, 4) of the rotor discs at rows (M,)."""
+        if self.rotor_speeds is None or not self.look.rotor_opacity:
+            return np.full((len(rows), 4), 0.35)
+        return np.clip(np.nan_to_num(self.rotor_speeds[rows]) / self.top, 0.0, 1.0)
+
+    @property
+    def top(self) -> float:
+        """Rotor speed that is drawn opaque, rad/s."""
+        if self.fastest:
+            return self.fastest
+        if self.airframe.max_rpm and self.airframe.logged_to_rad_s:
+            return self.airframe.max_rpm * self.airframe.logged_to_rad_s
+        speeds = self.rotor_speeds[np.isfinite(self.rotor_speeds)] if self.rotor_speeds is not None else np.zeros(0)
+        return float(speeds.max(initial=0.0)) or 1.0
+
+
+def motion_of(table: pd.DataFrame, airframe: Airframe, name: str = "", look: Look | None = None) -> Motion:
+    """The motion in a table with columns t, x, y, z, roll, pitch, yaw and, where present, w1 .. w4.
+
+    Raises DataError naming the column that is absent.
+    """
+    for column in ("t", "x", "y", "z", "roll", "pitch", "yaw"):
+        if column not in table:
+            raise DataError(f"{name or 'the table'} has no column '{column}', which a trajectory needs; make it anew")
+    wrapped = table[["roll", "pitch", "yaw"]].to_numpy(float)
+    rotors = [f"w{i}" for i in range(1, 5)]
+    speeds = table[rotors].to_numpy(float) if set(rotors) <= set(table.columns) else None
+    where = table[["x", "y", "z"]].to_numpy(float)
+    return Motion(airframe, table["t"].to_numpy(float), where, from_euler(*wrapped.T), speeds, name, look or Look())
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A drone's lines (S, 2, 3), rotor discs (4, C, 3) and nose (3, 3), body axes, m; body axes (3, 2, 3)."""
+
+    arms: np.ndarray
+    discs: np.ndarray
+    nose: np.ndarray
+    axes: np.ndarray
+    span: float
+
+
+def shape_of(airframe: Airframe, scale: float = 1.0) -> Shape:
+    """The outline of an airframe from its hubs and rotor radius, enlarged by `scale`."""
+    arms = np.stack([np.zeros((4, 3)), airframe.hubs], axis=1)
+    angle = np.linspace(0.0, 2.0 * np.pi, _CORNERS, endpoint=False)
+    circle = airframe.radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(_CORNERS)], axis=1)
+    reach = float(np.linalg.norm(airframe.hubs, axis=1).max())
+    nose = reach * np.array([[1.05, 0.0, 0.0], [0.55, -0.2, 0.0], [0.55, 0.2, 0.0]])
+    axes = np.stack([np.zeros((3, 3)), 1.6 * reach * np.eye(3)], axis=1)
+    discs = airframe.hubs[:, None, :] + circle
+    return Shape(scale * arms, scale * discs, scale * nose, scale * axes, 2.0 * scale * (reach + airframe.radius))
+
+
+def enlargement(motions: Sequence[Motion], share: float = SHARE) -> float:
+    """The factor by which drones are drawn so that they can be seen: 1 or more, to two digits."""
+    low, high = extent(motions)
+    span = min(shape_of(m.airframe).span for m in motions)
+    factor = share * float((high - low).max()) / span
+    if factor <= 1.0:
+        return 1.0
+    digits = 1 - math.floor(math.log10(factor))
+    return max(round(factor, digits), 1.0)
+
+
+def extent(motions: Sequence[Motion]) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest position (3,), (3,) of all motions, m, earth NED."""
+    where = np.concatenate([m.position[m.seen] for m in motions])
+    return where.min(axis=0), where.max(axis=0)
+
+
+def new_axes(figure: Figure, place: tuple[int, int, int] = (1, 1, 1)) -> Axes3D:
+    """3-D axes in a figure: NED coordinates with up shown as up; place  rows, columns, number of the panel."""
+    axes = figure.add_subplot(*place, projection="3d")
+    if place[:2] == (1, 1):
+        axes.set_position((0.05, 0.0, 0.93, 1.0))
+    axes.view_init(elev=24.0, azim=-128.0)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.set_pane_color((0.97, 0.97, 0.97))
+        axis._axinfo["grid"].update(color=(0.85, 0.85, 0.85), linewidth=0.6)
+    axes.tick_params(labelsize=8)
+    axes.set_xlabel("x north, m")
+    axes.set_ylabel("y east, m")
+    axes.set_zlabel("z down, m")
+    return axes
+
+
+def set_limits(axes: Axes3D, low: np.ndarray, high: np.ndarray, least: float = 0.45) -> None:
+    """Show the box from low (3,) to high (3,), m, NED, at one scale on all axes and with up shown as up.
+
+    least  a side shorter than this share of the longest is widened to it, so that a level flight stays readable
+    """
+    low, high = np.asarray(low, float), np.asarray(high, float)
+    size = np.maximum(high - low, 1e-6)
+    size = np.maximum(size, least * size.max())
+    centre = 0.5 * (low + high)
+    low, high = centre - 0.5 * size, centre + 0.5 * size
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(high[1], low[1])
+    axes.set_zlim(high[2], low[2])
+    # flat boxes leave room above and below, which a closer look makes use of
+    axes.set_box_aspect(size, zoom=1.0 + 0.1 * (1.0 - size.min() / size.max()))
+
+
+def get_limits(axes: Axes3D) -> tuple[np.ndarray, np.ndarray]:
+    """The box that is shown: low (3,) and high (3,), m, NED."""
+    sides = np.array([sorted(axes.get_xlim()), sorted(axes.get_ylim()), sorted(axes.get_zlim())])
+    return sides[:, 0], sides[:, 1]
+
+
+class Drone:
+    """A drone, or several stills of one, in 3-D axes, made to be moved: `pose` changes it without drawing anew."""
+
+    def __init__(self, axes: Axes3D, shape: Shape, look: Look | None = None) -> None:
+        self.shape, self.look = shape, look or Look()
+        self._lines = Line3DCollection([np.zeros((2, 3))], linewidths=self.look.thickness, capstyle="round")
+        self._faces = Poly3DCollection([np.zeros((3, 3))], linewidths=0.4 * self.look.thickness)
+        # limits are set on purpose: the drone's own points must not move them
+        axes.add_collection3d(self._lines, autolim=False)
+        axes.add_collection3d(self._faces, autolim=False)
+
+    @property
+    def artists(self) -> tuple[Line3DCollection, Poly3DCollection]:
+        """What is drawn, back to front."""
+        return self._lines, self._faces
+
+    def pose(
+        self, position: np.ndarray, quaternion: np.ndarray, opacity: np.ndarray, age: np.ndarray | None = None
+    ) -> None:
+        """Place one still per row: position (M, 3), quaternion (M, 4), opacity (M, 4) of the discs, age (M,) opacity
+        of the frame, 1 if not given."""
+        position, quaternion = np.atleast_2d(position), np.atleast_2d(quaternion)
+        quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+        opacity = np.atleast_2d(opacity)
+        m = len(position)
+        age = np.ones(m) if age is None else np.clip(age, 0.0, 1.0)
+
+        def placed(vertices: np.ndarray) -> np.ndarray:
+            flat = vertices.reshape(-1, 3)
+            turned = rotate(quaternion[:, None, :], flat[None]) + position[:, None, :]
+            return turned.reshape(m * (len(flat) // vertices.shape[-2]), vertices.shape[-2], 3)
+
+        def coloured(colour: str, alpha: np.ndarray) -> np.ndarray:
+            return np.column_stack([np.tile(to_rgb(colour), (alpha.size, 1)), alpha.reshape(-1)])
+
+        each = np.repeat(age, 4)
+        lines, line_colours = [placed(self.shape.arms)], [coloured(self.look.frame, each)]
+        if self.look.body_axes:
+            lines.append(placed(self.shape.axes))
+            three = np.array([to_rgb(c) for c in _AXES_COLOURS])
+            line_colours.append(np.column_stack([np.tile(three, (m, 1)), np.repeat(age, 3)]))
+        self._lines.set_segments(np.concatenate(lines))
+        self._lines.set_color(np.concatenate(line_colours))
+        faces = [*placed(self.shape.discs), *placed(self.shape.nose)]
+        self._faces.set_verts(faces)
+        self._faces.set_facecolor(np.concatenate([coloured(self.look.rotors, opacity), coloured(self.look.nose, age)]))
+        rims = np.concatenate([coloured(self.look.rotors, each), coloured(self.look.nose, age)])
+        self._faces.set_edgecolor(rims)
+
+
+def thinned(motion: Motion, until: float = math.inf) -> np.ndarray:
+    """The path (M, 3) up to a time, NaN where it cannot be drawn, no denser than can be seen."""
+    path = np.where(motion.seen[:, None], motion.position, np.nan)[motion.t <= until]
+    return path[:: max(1, len(path) // MOST_POINTS)]
+
+
+def path_line(axes: Axes3D, path: np.ndarray, colour: str, width: float = 1.2, **more: object) -> Line3D:
+    """Draw a path (M, 3) without moving the limits."""
+    line = Line3D(*path.T, color=colour, linewidth=width, **more)
+    axes.add_line(line)
+    return line
+
+
+def trajectories(
+    motions: Sequence[Motion],
+    stills: int = 5,
+    axes: Axes3D | None = None,
+    times: Sequence[float] | None = None,
+    scale: float | None = None,
+    limits: tuple[np.ndarray, np.ndarray] | None = None,
+    title: str = "",
+    labels: bool = True,
+    shadow: bool = True,
+) -> Figure:
+    """Paths of one or several drones with stills of each along it; the older a still, the fainter.
+
+    stills  drones drawn along each path, evenly in time; times  s, take their place where given
+    axes    3-D axes to draw in, None for a figure of its own; a second call widens the limits to hold both
+    scale   by which the drones are enlarged; None: so that they can be seen, and the figure says by how much
+    limits  low (3,) and high (3,), m, NED; None for all that is drawn
+    labels  the time, s, beside each still; shadow  the path as seen from above, grey on the floor of the box
+    Raises DataError when there is nothing to draw.
+    """
+    if not motions:
+        raise DataError("there is no motion to draw; give at least one")
+    if axes is None:
+        axes = new_axes(Figure(figsize=(8, 6.4)))
+    scale = enlargement(motions) if scale is None else scale
+    filled = axes.has_data()
+    for motion in motions:
+        shape = shape_of(motion.airframe, scale)
+        path_line(axes, thinned(motion), motion.look.history, label=motion.name or None)
+        rows = _still_rows(motion, stills, times)
+        if len(rows):
+            first, last = motion.t[motion.seen][[0, -1]]
+            age = FAINTEST + (1 - FAINTEST) * (motion.t[rows] - first) / max(last - first, 1e-9)
+            drone = Drone(axes, shape, motion.look)
+            drone.pose(motion.position[rows], motion.quaternion[rows], motion.opacity(rows), age)
+        if labels and len(rows) <= 12:
+            for row in rows:
+                where = motion.position[row] - [0.0, 0.0, 0.55 * shape.span]
+                axes.text(*where, f"{motion.t[row]:.1f} s", fontsize=7, color="0.35", ha="center", va="bottom")
+    if limits is None:
+        low, high = extent(motions)
+        room = 0.5 * max(shape_of(m.airframe, scale).span for m in motions)
+        low, high = low - room, high + room
+        if filled:
+            before = get_limits(axes)
+            low, high = np.minimum(low, before[0]), np.maximum(high, before[1])
+    else:
+        low, high = limits
+    set_limits(axes, low, high)
+    if shadow:
+        _shadows(axes, motions)
+    if len([m for m in motions if m.name]) > 1:
+        axes.legend(fontsize=8, loc="upper left")
+    caption(axes, title, scale)
+    return axes.figure
+
+
+def caption(axes: Axes3D, title: str, scale: float) -> None:
+    """Say in the upper left corner what is shown and by how much drones are enlarged, in place of what stood there."""
+    said = [title] if title else []
+    if scale > 1.0:
+        said.append(f"drones drawn {scale:g} times their size")
+    for text in [t for t in axes.texts if t.get_gid() == "caption"]:
+        text.remove()
+    if said:
+        axes.text2D(
+            0.02, 0.98, "\n".join(said), transform=axes.transAxes, fontsize=9, ha="left", va="top", gid="caption"
+        )
+
+
+def _shadows(axes: Axes3D, motions: Sequence[Motion]) -> None:
+    """The paths on the floor of the box; after the limits, and again where a second call has moved the floor."""
+    floor = get_limits(axes)[1][2]
+    for line in axes.lines:
+        if line.get_gid() == "shadow":
+            x, y, z = line.get_data_3d()
+            line.set_data_3d(x, y, np.full_like(z, floor))
+    for motion in motions:
+        path = thinned(motion)
+        path[:, 2] = np.where(np.isnan(path[:, 2]), np.nan, floor)
+        path_line(axes, path, "0.8", 0.9, gid="shadow")
+
+
+def trajectory(
+    axes: Axes3D | None,
+    airframe: Airframe,
+    t: np.ndarray,
+    position: np.ndarray,
+    quaternion: np.ndarray,
+    rotor_speeds: np.ndarray | None = None,
+    stills: int = 5,
+    look: Look | None = None,
+    scale: float | None = None,
+    title: str = "",
+    name: str = "",
+) -> Figure:
+    """The path of one drone with stills along it; the older a still the fainter, the slower a rotor the fainter.
+
+    axes  3-D axes of `new_axes`, or None; t (N,) s; position (N, 3) m, earth NED; quaternion (N, 4) wxyz, body to
+    earth; rotor_speeds (N, 4) mechanical rad/s, or None. Others as `trajectories`. Raises ShapeError, DataError.
+    """
+    motion = Motion(airframe, t, position, quaternion, rotor_speeds, name, look or Look())
+    return trajectories([motion], stills, axes, scale=scale, title=title)
+
+
+def snapshots(motions: Sequence[Motion], times: Sequence[float], scale: float | None = None, title: str = "") -> Figure:
+    """One panel per time, s, with the drones as they are and the paths they came by; the limits are the same in all.
+
+    Raises DataError when a time lies outside every motion.
+    """
+    if not motions or not len(times):
+        raise DataError("snapshots need at least one motion and one time; give both")
+    first, last = min(float(m.t[m.seen][0]) for m in motions), max(float(m.t[m.seen][-1]) for m in motions)
+    for time in times:
+        if not first <= time <= last:
+            raise DataError(f"there is nothing to draw at {time:g} s; choose times from {first:g} to {last:g} s")
+    columns = min(len(times), 3)
+    rows = math.ceil(len(times) / columns)
+    figure = Figure(figsize=(4.8 * columns, 4.2 * rows + 0.3))
+    figure.subplots_adjust(0.05, 0.02, 0.98, 0.93, wspace=0.16, hspace=0.02)
+    scale = enlargement(motions, 1.4 * SHARE) if scale is None else scale
+    low, high = extent(motions)
+    room = 0.5 * max(shape_of(m.airframe, scale).span for m in motions)
+    for number, time in enumerate(times, 1):
+        axes = new_axes(figure, (rows, columns, number))
+        until = [_before(m, time) for m in motions]
+        box = (low - room, high + room)
+        trajectories([m for m in until if m is not None], 0, axes, [time], scale, box, labels=False)
+        caption(axes, f"{time:g} s", 1.0)
+    said = [title] if title else []
+    if scale > 1.0:
+        said.append(f"drones drawn {scale:g} times their size")
+    figure.suptitle(", ".join(said), fontsize=10, x=0.01, ha="left")
+    return figure
+
+
+def _before(motion: Motion, time: float) -> Motion | None:
+    keep = motion.t <= time
+    if not (keep & motion.seen).any():
+        return None
+    speeds = motion.rotor_speeds[keep] if motion.rotor_speeds is not None else None
+    return replace(
+        motion,
+        t=motion.t[keep],
+        position=motion.position[keep],
+        quaternion=motion.quaternion[keep],
+        rotor_speeds=speeds,
+        fastest=motion.top,
+    )
+
+
+def _still_rows(motion: Motion, stills: int, times: Sequence[float] | None) -> np.ndarray:
+    if times is None:
+        first, last = motion.t[motion.seen][[0, -1]]
+        times = np.linspace(first, last, stills) if stills > 1 else [last][:stills]
+    return np.array(sorted({motion.row_at(time) for time in times}), int)
