@@ -135,6 +135,21 @@ def to_euler(q: np.ndarray) -> np.ndarray:
     return np.stack([roll, pitch, yaw], axis=-1)
 
 
+def to_jpl(q: np.ndarray) -> np.ndarray:
+    """JPL quaternions x y z w (..., 4) of Hamilton ones w x y z.
+
+    The numbers are the same, their order and meaning differ: a JPL quaternion carries earth vectors into body axes, and
+    JPL products are written the other way round. Source: Trawny & Roumeliotis, Indirect Kalman filter for 3D attitude
+    estimation, 2005.
+    """
+    return np.roll(np.asarray(q, float), -1, axis=-1)
+
+
+def from_jpl(q: np.ndarray) -> np.ndarray:
+    """Hamilton quaternions w x y z (..., 4) of JPL ones x y z w; inverse of `to_jpl`."""
+    return np.roll(np.asarray(q, float), 1, axis=-1)
+
+
 def exponential(rotation_vector: np.ndarray) -> np.ndarray:
     """Quaternion of a rotation vector (..., 3), rad; returns (..., 4)."""
     v = np.asarray(rotation_vector, float)

@@ -76,3 +76,16 @@ def test_interpolation_follows_a_constant_spin_and_holds_beyond_the_ends():
     expected = attitude.exponential(np.clip(at, 0, 1)[:, None] * rate)
     got = attitude.interpolate(-q, t, at)
     np.testing.assert_allclose(np.abs(np.sum(got * expected, -1)), 1.0, atol=1e-12)
+
+
+def test_jpl_quaternions_mean_the_same_attitude_by_their_own_formulas(quaternions):
+    # Trawny & Roumeliotis 2005, eq. (62): C(q) = (2 w^2 - 1) I - 2 w [v x] + 2 v v', earth to body
+    j = attitude.to_jpl(quaternions)
+    v, w = j[:, :3], j[:, 3]
+    zero = np.zeros(len(j))
+    skew = np.array([[zero, -v[:, 2], v[:, 1]], [v[:, 2], zero, -v[:, 0]], [-v[:, 1], v[:, 0], zero]])
+    c = (2 * w**2 - 1)[:, None, None] * np.eye(3) - 2 * w[:, None, None] * np.moveaxis(skew, -1, 0)
+    c += 2 * v[:, :, None] * v[:, None, :]
+    np.testing.assert_allclose(np.swapaxes(c, 1, 2), attitude.matrix(quaternions), atol=1e-14)
+    np.testing.assert_array_equal(attitude.from_jpl(j), quaternions)
+    np.testing.assert_array_equal(attitude.to_jpl([1.0, 0.0, 0.0, 0.0]), [0.0, 0.0, 0.0, 1.0])
