@@ -80,6 +80,14 @@ def base_columns(name: str) -> set[str]:
     return set(_MADE_FROM.get(name, (name,)))
 
 
+def split_function(name: str) -> tuple[str | None, str]:
+    """("abs", "sin" or "cos", name inside) of |name|, sin[name], cos[name]; (None, name) of any other."""
+    match = _OF.match(name)
+    if not match:
+        return None, name
+    return ("abs", match["abs"]) if match["abs"] else (match["function"], match["of"])
+
+
 def known_names(columns: Mapping[str, object] | set[str]) -> list[str]:
     """Names that these columns make possible, without |..|, sin[..] and cos[..], which every name allows."""
     have = {*columns, *(v for v, air in _AIR.items() if air in columns)}

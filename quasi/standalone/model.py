@@ -5,6 +5,7 @@ Reading a model runs nothing: its expressions go through the same parser as a ca
 
 import math
 from collections.abc import Iterable, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from quasi import tables
 from quasi.airframe import Airframe, from_plain
 from quasi.errors import ConfigError, ExpressionError, QuasiError, ReadError, ShapeError, nearest
 from quasi.expressions import Program, Tree, parse
+from quasi.standalone.graph import Graph, Value
+from quasi.standalone.kernel import INPUTS, Kernel, compile_outputs, wrench, wrench_rows
 from quasi.variables import Variables, base_columns
 
 SCHEMA = "quasi.model/1"
@@ -23,7 +26,6 @@ AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 STATE = ("roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z")
 ROTORS = ("w1", "w2", "w3", "w4")
 ACCELERATIONS = tuple(f"{w}_dot" for w in ROTORS)
-_CHUNK = 8192  # rows at a time, so that the intermediate columns stay in the cache
 _TOP = {"schema", "id", "gravity", "airframe", "hover speed", "axes"}
 
 
@@ -48,13 +50,30 @@ class Model:
         self.axes = tuple(a for a in AXES if a in document["axes"])
         self._trees = {a: _trees(document["axes"][a], a, where) for a in self.axes}
         distinct = list(dict.fromkeys(tree for trees in self._trees.values() for tree in trees))
-        self._program = Program(distinct)
-        self._weights = np.full((len(AXES), len(distinct)), 0.0)
-        for axis, trees in self._trees.items():
-            for tree, term in zip(trees, document["axes"][axis]["terms"]):
-                self._weights[AXES.index(axis), distinct.index(tree)] += term["coefficient"]
+        self._names = Program(distinct).names
         self._lacking = [k for k, axis in enumerate(AXES) if axis not in self.axes]
-        self.columns = tuple(sorted(set().union(*(base_columns(n) for n in self._program.names), set())))
+        self.columns = tuple(sorted(set().union(*(base_columns(n) for n in self._names), set())))
+        self.inputs = (*INPUTS, *(c for c in self.columns if c not in INPUTS))
+
+    def graph(self, held: Iterable[str] = ()) -> tuple[Graph, list[list[tuple[float, Value]]]]:
+        """The terms of Fx .. Mz as (coefficient, value) on one graph; `held` variables are independent in derivatives.
+
+        An axis that was not identified has no terms. Raises ExpressionError for d_w... without a hover speed.
+        """
+        graph = Graph(self.airframe, self.hover_speed, held)
+        return graph, [
+            [
+                (term["coefficient"], graph.value(tree))
+                for tree, term in zip(self._trees.get(axis, ()), self.document["axes"].get(axis, {}).get("terms", ()))
+            ]
+            for axis in AXES
+        ]
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        """The model for compiled loops, see `quasi.standalone.kernel`; its inputs are named by `inputs`."""
+        graph, terms = self.graph()
+        return compile_outputs(graph, [graph.combine(axis) for axis in terms], self.inputs, self._lacking)
 
     @property
     def with_gravity(self) -> bool:
@@ -84,6 +103,8 @@ class Model:
         Raises ShapeError, or ExpressionError for a missing column.
         """
         state, speeds = np.asarray(state, float), np.asarray(rotor_speeds, float)
+        if state.ndim == 1 and not extra:
+            return self._predict_row(state, speeds, rotor_accelerations)
         single = state.ndim == 1
         state, speeds = np.atleast_2d(state), np.atleast_2d(speeds)
         if state.ndim != 2 or state.shape[1] not in (9, 12):
@@ -101,16 +122,16 @@ class Model:
             columns |= {name: accelerations[:, k] for k, name in enumerate(ACCELERATIONS)}
         for name, values in (extra or {}).items():
             columns[name] = np.broadcast_to(np.asarray(values, float), (len(state),))
-        wrench = self._wrench(columns, len(state))
-        forces, moments = wrench[:3].T, wrench[3:].T
+        result = self._evaluate(columns, len(state))
+        forces, moments = result[:3].T, result[3:].T
         return (forces[0], moments[0]) if single else (forces, moments)
 
     def predict_columns(self, flight: pd.DataFrame | Mapping[str, np.ndarray]) -> pd.DataFrame:
         """Predictions of the identified axes, one column each, of a table with roll .. z, w1 .. w4 and so on."""
         columns, rows = _as_columns(flight)
-        wrench = self._wrench(columns, rows)
+        result = self._evaluate(columns, rows)
         index = flight.index if isinstance(flight, pd.DataFrame) else None
-        return pd.DataFrame({axis: wrench[AXES.index(axis)] for axis in self.axes}, index=index)
+        return pd.DataFrame({axis: result[AXES.index(axis)] for axis in self.axes}, index=index)
 
     def interval(self, flight: pd.DataFrame | Mapping[str, np.ndarray], level: float | None = None) -> pd.DataFrame:
         """Prediction intervals: columns <axis>, <axis>_lower, <axis>_upper for each identified axis.
@@ -161,22 +182,56 @@ class Model:
             lines.append(f"{part['n']} training rows, worth {part['effective rows']:.0f} independent ones")
         return "\n".join(lines)
 
-    def _lookup(self, columns: Mapping[str, np.ndarray], rows: int):
-        if self.uses_rotor_accelerations and not any(c in columns for c in ACCELERATIONS):
-            columns = {**columns, **dict.fromkeys(ACCELERATIONS, np.zeros(rows))}
-        return Variables(columns, self.airframe, self.hover_speed).__getitem__
+    def _predict_row(
+        self, state: np.ndarray, speeds: np.ndarray, accelerations: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        kernel, size = self.kernel, len(state)
+        if size not in (9, 12):
+            raise ShapeError(f"state must be (12,) or (9,), roll pitch yaw u v w p q r [x y z], got {state.shape}")
+        if speeds.shape not in ((4,), (1, 4)):
+            raise ShapeError(f"rotor_speeds must be (4,) like the one row of the state, got {speeds.shape}")
+        row = np.zeros(len(INPUTS))
+        row[:size] = state
+        row[12:16] = speeds.reshape(4)
+        if accelerations is not None:
+            accelerations = np.asarray(accelerations, float)
+            if accelerations.shape not in ((4,), (1, 4)):
+                raise ShapeError(f"rotor_accelerations must be (4,) like rotor_speeds, got {accelerations.shape}")
+            row[16:] = accelerations.reshape(4)
+        if len(self.inputs) > len(INPUTS) or (size == 9 and kernel.used[9:12].any()):
+            self._say_what_lacks(dict(zip(INPUTS[: 9 if size == 9 else 12], state)) | dict.fromkeys(INPUTS[12:], 0.0))
+        out = np.empty(len(AXES))
+        wrench(kernel, row, np.empty(len(kernel.work)), out)
+        return out[:3], out[3:]
 
-    def _wrench(self, columns: Mapping[str, np.ndarray], rows: int) -> np.ndarray:
-        wrench = np.empty((len(AXES), rows))
-        for start in range(0, rows, _CHUNK):
-            part = slice(start, min(start + _CHUNK, rows))
-            count = part.stop - part.start
-            lookup = self._lookup({name: values[part] for name, values in columns.items()}, count)
-            # rows that hold NaN come out as NaN, which is no fault
-            with np.errstate(invalid="ignore"):
-                wrench[:, part] = self._weights @ self._program.run(lookup, count)
-        wrench[self._lacking] = np.nan
-        return wrench
+    def _columns(self, columns: Mapping[str, np.ndarray], rows: int) -> dict[str, np.ndarray]:
+        """The columns as the terms' variables take them."""
+        if self.uses_rotor_accelerations and not any(c in columns for c in ACCELERATIONS):
+            return {**columns, **dict.fromkeys(ACCELERATIONS, np.zeros(rows))}
+        return dict(columns)
+
+    def _lookup(self, columns: Mapping[str, np.ndarray], rows: int):
+        return Variables(self._columns(columns, rows), self.airframe, self.hover_speed).__getitem__
+
+    def _say_what_lacks(self, columns: Mapping[str, Any]) -> None:
+        variables = Variables({name: np.zeros(1) for name in columns}, self.airframe, self.hover_speed)
+        with np.errstate(all="ignore"):
+            for name in self._names:
+                variables[name]
+
+    def _evaluate(self, columns: Mapping[str, np.ndarray], rows: int) -> np.ndarray:
+        """(6, rows) in the order of AXES."""
+        columns, kernel = self._columns(columns, rows), self.kernel
+        columns |= {name: columns[f"{name}_air"] for name in "uvw" if f"{name}_air" in columns}
+        wanted = [self.inputs[k] for k in kernel.gather]
+        if not all(name in columns for name in wanted):
+            self._say_what_lacks(columns)
+        values = np.empty((len(wanted), rows))
+        for k, name in enumerate(wanted):
+            values[k] = columns[name]
+        result = np.empty((len(AXES), rows))
+        wrench_rows(kernel, values, result)
+        return result
 
 
 def _as_columns(flight: pd.DataFrame | Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], int]:

@@ -126,11 +126,15 @@ def test_without_rotor_accelerations_their_terms_are_zero(model, data):
     np.testing.assert_array_equal(model.predict(states, speeds)[1], still)
 
 
-def test_long_batches_are_cut_without_a_seam(model, data, monkeypatch):
+@pytest.mark.parametrize("rows", [0, 1, 127, 128, 129, 300])
+def test_long_batches_are_cut_without_a_seam(model, data, rows):
     _, states, speeds = data
-    whole = model.predict(states, speeds)
-    monkeypatch.setattr("quasi.standalone.model._CHUNK", 64)
-    np.testing.assert_array_equal(model.predict(states, speeds)[0], whole[0])
+    forces, moments = model.predict(states[:rows], speeds[:rows])
+    assert forces.shape == moments.shape == (rows, 3)
+    for k in range(rows):
+        force, moment = model.predict(states[k], speeds[k])
+        np.testing.assert_allclose(forces[k], force, rtol=1e-14)
+        np.testing.assert_allclose(moments[k], moment, rtol=1e-14)
 
 
 def test_a_missing_axis_is_nan_never_zero(data):
