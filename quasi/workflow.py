@@ -38,9 +38,10 @@ IMPORTING = (
     "max RPM",
     "table columns",
     "betaflight raw acceleration correction factor",
+    "command map",
 )
 FILTERING = (*GEOMETRY, "motor poles", "idle RPM", "max RPM", "(estimated) imu sensor noise statistics")
-IDENTIFICATION = (*GEOMETRY, "motor poles", "idle RPM", "max RPM")
+IDENTIFICATION = (*GEOMETRY, "motor poles", "idle RPM", "max RPM", "command map")
 
 
 LIGHTEST, HEAVIEST = 0.005, 100.0  # kg: outside lies a slip of unit, not a quadrotor

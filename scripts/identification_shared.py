@@ -20,7 +20,7 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
     made = {Path(path).stem: read_made(path) for path in flights}
     roles = partition(tables, options=settings["data partitioning"])
     masses = {key: about["mass"] for key, about in made.items() if about.get("mass")}
-    found = shared(tables, roles, airframe, settings["gravity"], masses)
+    found = shared(tables, roles, airframe, settings["gravity"], masses, settings["quadrotor"].get("command map"))
     for note in found["notes"]:
         LOG.warning("%s", note)
     factors = {about.get("logged to rad/s") for about in made.values()} - {None}

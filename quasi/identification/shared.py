@@ -8,19 +8,18 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.signal import butter, sosfiltfilt
 
 from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.expressions import Program, parse
+from quasi.identification.actuators import actuators
 from quasi.identification.partition import TRAINING
 from quasi.identification.regression import least_squares
 from quasi.variables import Variables
 
 UPRIGHT = 0.99  # share of gravity along body z from which a sample counts as hover
 LEAST_HOVER = 50  # samples
-ACTUATOR_CUTOFF = 10.0  # Hz
 NEEDED = ("w1", "w2", "w3", "w4", "Fz", "Mx", "My", "Mz", "roll", "pitch", "u", "v", "w", "p", "q", "r")
 OPTIONAL = ("w1_dot", "w2_dot", "w3_dot", "w4_dot", "u_air", "v_air", "w_air")
 
@@ -31,12 +30,14 @@ def shared(
     airframe: Airframe,
     gravity: str = "withGravity",
     masses: Mapping[str, float] | None = None,
+    command_map: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Hover speed, simple model and actuator constants of the training rows, as plain data.
 
     flights    filtered flights; partition  roles of their rows
     gravity    what Fx..Fz hold: "withGravity" (mass x specific force) or "noGravity" (net force)
     masses     kg per flight, where they differ from the airframe's
+    command_map  the quadrotor's configured map from command to rotor speed, where there is one
     Raises DataError when a column or the mass is missing.
     """
     notes: list[str] = []
@@ -62,7 +63,7 @@ def shared(
         "training flights": list(training),
         "hover speed": _hover(prepared, notes),
         "simple model": _simple(prepared, airframe),
-        "actuators": _actuators(training, partition, notes),
+        "actuators": actuators(training, {k: partition[k] == TRAINING for k in training}, notes, command_map),
         "notes": notes,
     }
 
@@ -147,74 +148,3 @@ def _simple(prepared: Mapping[str, tuple], airframe: Airframe) -> dict[str, Any]
         beside = [texts[k] for k in used[1:]]
         result[name] = {"value": float(fit.coefficients[0]), "std": std, "unit": unit, "fitted beside": beside}
     return result
-
-
-def _actuators(
-    flights: Mapping[str, pd.DataFrame], partition: Mapping[str, np.ndarray], notes: list[str]
-) -> dict[str, Any] | None:
-    """Time constants of the four rotors, median over flights, and the map from command to speed where it was fitted."""
-    found = {}
-    for key, flight in flights.items():
-        rows = partition[key] == TRAINING
-        result = actuator_constants(flight, rows)
-        if result is None:
-            notes.append(f"flight {key} logs no rotor command; it does not enter the actuator constants")
-        else:
-            found[key] = result
-    usable = {key: r for key, r in found.items() if all(tau > 0 for tau in r["time constants"])}
-    for key in found.keys() - usable.keys():
-        notes.append(f"flight {key}: the rotors do not follow the command with a lag; it gives no actuator constants")
-    if not usable:
-        return None
-    taus = np.array([r["time constants"] for r in usable.values()])
-    maps = [r["command map"] for r in usable.values() if r["command map"] is not None]
-    return {
-        "time constants": {"value": np.median(taus, axis=0).tolist(), "unit": "s"},
-        "spread": np.std(taus, axis=0, ddof=1).tolist() if len(taus) > 1 else None,
-        "per flight": {key: r["time constants"] for key, r in usable.items()},
-        "command map": None
-        if not maps
-        else {"coefficients": np.median(maps, axis=0).tolist(), "powers": [0, 1, 2], "unit": "rad/s"},
-    }
-
-
-def actuator_constants(flight: pd.DataFrame, rows: np.ndarray) -> dict[str, Any] | None:
-    """Time constants (s) of dW/dt = (command - W)/tau, per rotor, or None when no command is logged.
-
-    Signals are low-passed alike at 10 Hz. Where only the share of the motor output is logged, its map to a speed,
-    a quadratic, is fitted with the time constant, rotor by rotor.
-    """
-    speeds = [f"w{i}_CMD" for i in range(1, 5)]
-    shares = [f"command{i}" for i in range(1, 5)]
-    direct = all(c in flight and np.isfinite(flight[c]).any() for c in speeds)
-    if not direct and not all(c in flight and np.isfinite(flight[c]).any() for c in shares):
-        return None
-    dt = float(np.median(np.diff(flight["t"].to_numpy())))
-    low = butter(2, min(ACTUATOR_CUTOFF, 0.2 / dt), fs=1 / dt, output="sos")
-
-    def smooth(x: np.ndarray) -> np.ndarray:
-        good = np.isfinite(x)
-        filled = np.interp(np.arange(len(x)), np.flatnonzero(good), x[good])
-        return sosfiltfilt(low, filled)
-
-    taus, maps = [], []
-    for i in range(1, 5):
-        speed = smooth(flight[f"w{i}"].to_numpy(float))
-        rate = np.gradient(speed, dt)
-        command = flight[speeds[i - 1] if direct else shares[i - 1]].to_numpy(float)
-        use = rows & np.isfinite(command)
-        if np.count_nonzero(use) < 20:
-            return None
-        command = smooth(command)
-        if direct:
-            difference = (command - speed)[use]
-            square = float(difference @ difference)
-            taus.append(square / float(difference @ rate[use]) if square > 0 and difference @ rate[use] else -1.0)
-            continue
-        columns = np.column_stack([-speed, np.ones_like(speed), command, command**2])[use]
-        scale = np.linalg.norm(columns, axis=0)
-        scale[scale == 0] = 1.0
-        solution = np.linalg.lstsq(columns / scale, rate[use], rcond=None)[0] / scale
-        taus.append(1.0 / solution[0] if solution[0] else -1.0)
-        maps.append(solution[1:] * taus[-1])
-    return {"time constants": [float(t) for t in taus], "command map": np.mean(maps, axis=0) if maps else None}

@@ -12,6 +12,7 @@ from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s, read_airframe
 from quasi.attitude import exponential, interpolate, multiply, rotate, rotate_inverse, to_euler
 from quasi.errors import ConfigError, DataError
 from quasi.importing.artefacts import flyable
+from quasi.importing.command_map import add_commanded_speeds
 from quasi.importing.contradictions import doubtful_units, refuse_wrong_lengths
 from quasi.importing.lever_arm import felt_too_much, hover_arm
 from quasi.importing.motive import read_motive
@@ -76,6 +77,7 @@ def import_flight(
             at = frame["t"].to_numpy() + facts["start"]["value"]
             tau = np.interp(at, sync.to_onboard(capture.t), capture.t)
         frame, facts["wind"] = add_wind(frame, flight["wind"], captured, tau, where, notes)
+    frame, facts["commanded speeds"] = add_commanded_speeds(frame, quadrotor.get("command map"), where, notes)
     said = recording.metadata.get("motor poles") or {"value": poles or DEFAULT_POLES, "source": poles_source}
     metadata = {
         "schema": SCHEMA,

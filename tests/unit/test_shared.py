@@ -7,7 +7,7 @@ from flights import AIRFRAME, HOVER, PITCH, ROLL, THRUST, YAW, flight
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.identification.partition import partition
-from quasi.identification.shared import actuator_constants, hover_speed, shared
+from quasi.identification.shared import hover_speed, shared
 
 
 @pytest.fixture(scope="module")
@@ -51,43 +51,6 @@ def test_the_simple_model_goes_through_the_origin_and_carries_the_weight(flights
     assert np.isfinite(speeds).all()
 
 
-def lagged(tau, rate=500.0, seconds=20, seed=3):
-    r = np.random.default_rng(seed)
-    t = np.arange(int(seconds * rate)) / rate
-    steps = np.repeat(r.uniform(0.2, 0.8, int(seconds * 5)), int(rate / 5))
-    return t, steps, tau
-
-
-def follow(command, tau, rate=500.0):
-    speed = np.empty_like(command)
-    speed[0] = command[0]
-    for k in range(len(command) - 1):  # exact for a command held over the step
-        speed[k + 1] = command[k] + (speed[k] - command[k]) * np.exp(-1 / (rate * tau))
-    return speed
-
-
-def test_time_constants_are_recovered_from_commanded_speeds(flights):
-    t, steps, _ = lagged(0.03)
-    data = {"t": t}
-    for i, tau in enumerate((0.02, 0.03, 0.04, 0.03), 1):
-        data[f"w{i}_CMD"] = 500 + 1000 * steps
-        data[f"w{i}"] = follow(data[f"w{i}_CMD"], tau)
-    found = actuator_constants(_frame(data), np.ones(len(t), bool))
-    assert found["time constants"] == pytest.approx([0.02, 0.03, 0.04, 0.03], rel=0.06)
-    assert found["command map"] is None
-
-
-def test_the_map_from_command_to_speed_is_recovered_with_the_time_constant():
-    t, steps, tau = lagged(0.03)
-    speed = follow(200 + 1500 * steps - 300 * steps**2, tau)
-    data = {"t": t} | {f"w{i}": speed for i in range(1, 5)} | {f"command{i}": steps for i in range(1, 5)}
-    found = actuator_constants(_frame(data), np.ones(len(t), bool))
-    assert found["time constants"] == pytest.approx([tau] * 4, rel=0.1)
-    at = np.array([0.3, 0.5, 0.7])
-    mapped = np.polyval(found["command map"][::-1], at)
-    np.testing.assert_allclose(mapped, 200 + 1500 * at - 300 * at**2, rtol=0.02)
-
-
 def test_flights_without_commands_are_a_note(flights):
     found = shared(flights, partition(flights), AIRFRAME)
     assert found["actuators"] is None
@@ -99,8 +62,3 @@ def test_a_missing_column_is_an_error(flights):
     with pytest.raises(DataError, match="flight a has no column 'Mz'"):
         shared(broken, partition(broken), AIRFRAME)
 
-
-def _frame(data):
-    import pandas as pd
-
-    return pd.DataFrame(data)

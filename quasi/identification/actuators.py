@@ -1,0 +1,345 @@
+"""How the rotors follow their commands: time constants up and down, delay, the map from command to speed.
+
+    dW/dt = (wanted(t - delay) - W) / tau,    tau = tau_up where wanted > W, else tau_down
+    wanted = commanded speed, or (V / V_ref)^n (a0 + a1 c + a2 c^2) of the commanded share c of the motor output range
+
+The equation is run over the flight and its speed compared with the measured one (output error), so that noise of the
+measured speed does not bias the constants, as it does where measured speeds stand on both sides of a regression.
+Commands and speeds must have gone through the same filter; a filter of both leaves the equation as it is.
+
+Source: QuaSI user manual V1.0.a, listing 4 ("show actuator constant estimation"); Klein & Morelli, Aircraft System
+Identification, 2006, section 6.3 (output error by modified Newton-Raphson).
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numba import njit
+
+from quasi.errors import DataError
+from quasi.identification.regression import least_squares
+
+SHORTEST, LONGEST = 0.002, 0.5  # s, of a time constant
+MOST_DELAY = 0.1  # s
+WARM_UP = 0.2  # s after the start of a stretch that is not compared: the starting speed is a noisy one
+COMPARED = 125.0  # Hz at which speeds are compared
+FEWEST = 100  # compared rows
+LIVELY = 0.02  # a rotor whose speed varies less than this share of its mean tells no time constant
+STEADY_VOLTAGE = 0.01  # relative variation below which a battery tells no exponent
+STEPS = 30
+POWERS = [0, 1, 2]
+ROTORS = range(1, 5)
+
+
+class Lag(NamedTuple):
+    """How one rotor follows its command.
+
+    tau, up, down, delay in s; std {name: standard error}, robust to autocorrelation; map (3,) rad/s and its voltage
+    exponent where only a share is commanded, gain and offset (rad/s) of the steady speed where a speed is;
+    explained: share of the speed's variance.
+    """
+
+    tau: float
+    up: float
+    down: float
+    delay: float
+    std: dict[str, float]
+    map: list[float] | None
+    exponent: float | None
+    explained: float
+
+
+@njit(cache=True)
+def follow(wanted, speed, start, late, dt, up, down, out):
+    """Speeds out (n,) of a rotor that follows wanted (n,) with its lag; wanted is linear between samples.
+
+    start (n,) nonzero where the equation starts anew from the measured speed; late  delay in samples, may be a fraction
+    """
+    n = len(wanted)
+    keep, first, last = np.empty(2), np.empty(2), np.empty(2)
+    for k in range(2):
+        tau = up if k else down
+        share = dt / tau
+        keep[k] = np.exp(-share)
+        last[k] = 1.0 - (1.0 - keep[k]) / share
+        first[k] = (1.0 - keep[k]) / share - keep[k]
+    whole = int(np.floor(late))
+    part = late - whole
+    y = speed[0]
+    before = wanted[0]
+    for i in range(n):
+        a, b = min(max(i - whole - 1, 0), n - 1), min(max(i - whole, 0), n - 1)
+        now = part * wanted[a] + (1.0 - part) * wanted[b]
+        if start[i]:
+            y = speed[i]
+        else:
+            k = 1 if 0.5 * (before + now) > y else 0
+            y = keep[k] * y + first[k] * before + last[k] * now
+        before = now
+        out[i] = y
+
+
+def rotor_lag(
+    t: np.ndarray,
+    command: np.ndarray,
+    speed: np.ndarray,
+    rows: np.ndarray,
+    commands_speed: bool,
+    voltage: np.ndarray | None = None,
+    reference: float = 1.0,
+) -> Lag | str:
+    """The lag of one rotor behind its command, or a few words why there is none.
+
+    t               (n,) s, uniform
+    command         (n,) commanded speed (rad/s) when commands_speed, else share of the motor output range
+    speed           (n,) measured, rad/s, filtered as the command is; rows (n,) bool, those to compare
+    voltage         (n,) V, beside a reference voltage, where the wanted speed may go with the battery
+    """
+    dt = float(np.median(np.diff(t)))
+    finite = np.isfinite(command) & np.isfinite(speed)
+    if voltage is not None:
+        finite &= np.isfinite(voltage) & (voltage > 0.1 * reference)
+        if np.std(voltage[finite & rows]) < STEADY_VOLTAGE * reference:
+            voltage = None
+    start = finite & ~np.concatenate([[False], finite[:-1]])
+    start |= ~finite
+    age = np.arange(len(t)) - np.maximum.accumulate(np.where(start, np.arange(len(t)), 0))
+    use = rows & finite & (age * dt > WARM_UP)
+    every = max(round(1.0 / (COMPARED * dt)), 1)
+    # one compared row per group of neighbours: where rows were drawn at random, whichever trains
+    groups, places = np.unique(np.flatnonzero(use) // every, return_index=True)
+    chosen = np.flatnonzero(use)[places]
+    if len(chosen) < FEWEST:
+        return f"has {len(chosen)} rows with command and speed"
+    target = speed[chosen]
+    if np.std(target) < LIVELY * np.mean(np.abs(target)):
+        return "hardly changes its speed"
+    command, speed = np.where(finite, command, 0.0), np.where(finite, speed, 0.0)
+    ratio = np.log(np.where(finite, voltage, reference) / reference) if voltage is not None else np.zeros(len(t))
+    scale = float(np.std(target))
+    out = np.empty(len(t))
+
+    def run(up: float, down: float, delay: float, shape: np.ndarray) -> np.ndarray:
+        values = shape[0] + shape[1] * command
+        if not commands_speed:
+            values = np.exp(shape[3] * ratio) * (values + shape[2] * command * command)
+        follow(values, speed, start, delay / dt, dt, up, down, out)
+        return out[chosen].copy()
+
+    shape = _first_map(command[chosen], ratio[chosen], target, commands_speed)
+    free_shape = len(shape) - (not commands_speed and voltage is None)
+    one = _fit(lambda x: run(x[0], x[0], x[1], _padded(x[2:], len(shape))), target, [0.03, 0.0, *shape[:free_shape]], 1)
+    if isinstance(one, str):
+        return one
+    begin = [one[0][0], *one[0]]
+    two = _fit(lambda x: run(x[0], x[1], x[2], _padded(x[3:], len(shape))), target, begin, 2)
+    if isinstance(two, str):
+        return two
+    values, jacobian, residual = two
+    try:
+        std = np.sqrt(np.diag(least_squares(jacobian, residual, [groups]).covariance))
+        alone = np.sqrt(np.diag(least_squares(one[1], one[2], [groups]).covariance))
+    except DataError:
+        return "moves too little to tell its constants apart"
+    found = _padded(values[3:], len(shape))
+    names = ["up", "down", "delay", "offset" if commands_speed else "a0", "gain" if commands_speed else "a1"]
+    names += [] if commands_speed else ["a2", "exponent"][: len(values) - 5]
+    return Lag(
+        tau=float(one[0][0]),
+        up=float(values[0]),
+        down=float(values[1]),
+        delay=float(values[2]),
+        std={"tau": float(alone[0]), **{name: float(s) for name, s in zip(names, std)}},
+        map=found[: 2 if commands_speed else 3].tolist(),
+        exponent=None if commands_speed else float(found[3]),
+        explained=1.0 - float(residual @ residual) / (scale**2 * len(target)),
+    )
+
+
+def _padded(shape: np.ndarray, length: int) -> np.ndarray:
+    return np.concatenate([shape, np.zeros(length - len(shape))])
+
+
+def _first_map(command: np.ndarray, ratio: np.ndarray, target: np.ndarray, commands_speed: bool) -> np.ndarray:
+    """Map of the steady state, as a start: the regression of speed on command."""
+    if commands_speed:
+        return np.array([0.0, 1.0])
+    columns = np.column_stack([np.ones_like(command), command, command**2])
+    return np.concatenate([np.linalg.lstsq(columns, target, rcond=None)[0], [0.0]])
+
+
+def _fit(run, target: np.ndarray, begin: list[float], lags: int) -> tuple[np.ndarray, np.ndarray, np.ndarray] | str:
+    """Least squares by damped Gauss-Newton steps: (values, Jacobian, residual), or why there are none.
+
+    The first `lags` values are time constants, the next the delay; what follows is free.
+    """
+    x = np.array(begin)
+    low = np.array([SHORTEST] * lags + [-0.25 * MOST_DELAY] + [-np.inf] * (len(x) - lags - 1))
+    high = np.array([LONGEST] * lags + [MOST_DELAY] + [np.inf] * (len(x) - lags - 1))
+    size = np.array([0.01] * lags + [0.005] + [max(abs(v), 0.1) for v in x[lags + 1 :]])
+    predicted = run(x)
+    cost = float(np.sum((target - predicted) ** 2))
+    damping = 1e-3
+    jacobian = np.empty((len(target), len(x)))
+    for _ in range(STEPS):
+        for k in range(len(x)):
+            moved = x.copy()
+            moved[k] += 1e-3 * size[k]
+            jacobian[:, k] = (run(moved) - predicted) / (1e-3 * size[k])
+        scaled = jacobian * size
+        normal, gradient = scaled.T @ scaled, scaled.T @ (target - predicted)
+        better = False
+        while damping < 1e6:
+            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12 * np.trace(normal)), gradient)
+            candidate = np.clip(x + step * size, low, high)
+            there = run(candidate)
+            new = float(np.sum((target - there) ** 2))
+            if new < cost:
+                better = True
+                break
+            damping *= 10
+        if not better:
+            break
+        gained, x, predicted, cost = cost - new, candidate, there, new
+        damping = max(damping / 10, 1e-6)
+        if gained < 1e-7 * cost:
+            break
+    if np.any(x[:lags] <= SHORTEST) or np.any(x[:lags] >= LONGEST) or x[lags] >= MOST_DELAY:
+        return "does not follow its command with a lag"
+    return x, jacobian, target - predicted
+
+
+def flight_lags(flight: pd.DataFrame, rows: np.ndarray, reference: float | None = None) -> list[Lag] | str:
+    """The lags of the four rotors of a flight, or a few words why there are none.
+
+    flight     columns t, w1.., and w1_CMD.. or command1..; battery_voltage is used where it is logged
+    rows       (n,) bool, those to compare; reference  voltage at which the map holds, V
+    """
+    direct = all(f"w{i}_CMD" in flight and np.isfinite(flight[f"w{i}_CMD"]).any() for i in ROTORS)
+    shares = all(f"command{i}" in flight and np.isfinite(flight[f"command{i}"]).any() for i in ROTORS)
+    if not direct and not shares:
+        return "logs no rotor command"
+    voltage = flight["battery_voltage"].to_numpy(float) if reference and "battery_voltage" in flight else None
+    lags = []
+    for i in ROTORS:
+        name = f"w{i}_CMD" if direct else f"command{i}"
+        lag = rotor_lag(
+            flight["t"].to_numpy(float), flight[name].to_numpy(float), flight[f"w{i}"].to_numpy(float),
+            np.asarray(rows, bool), direct, None if direct else voltage, reference or 1.0,
+        )  # fmt: skip
+        if isinstance(lag, str):
+            return f"rotor {i} {lag}"
+        lags.append(lag)
+    return lags
+
+
+def actuators(
+    flights: Mapping[str, pd.DataFrame],
+    rows: Mapping[str, np.ndarray],
+    notes: list[str],
+    configured: Mapping[str, Any] | None = None,
+) -> dict[str, Any] | None:
+    """Constants of the four rotors, medians over flights with their spread; None when no flight tells any.
+
+    flights     filtered training flights; rows {flight: (n,) bool} those to compare; notes  is added to
+    configured  the quadrotor's given map from command to speed, which stands instead of a fitted one
+    """
+    reference = _reference(flights, rows)
+    found: dict[str, list[Lag]] = {}
+    for key, flight in flights.items():
+        lags = flight_lags(flight, rows[key], reference)
+        if isinstance(lags, str):
+            notes.append(f"flight {key}: {lags}; it does not enter the actuator constants")
+        else:
+            found[key] = lags
+    given = None if configured is None else {**configured, "source": "configured"}
+    if not found:
+        return None
+    result: dict[str, Any] = {}
+    for name, field in (
+        ("time constants", "tau"),
+        ("time constants up", "up"),
+        ("time constants down", "down"),
+        ("delay", "delay"),
+    ):
+        values = np.array([[getattr(lag, field) for lag in lags] for lags in found.values()])
+        errors = np.array([[lag.std[field] for lag in lags] for lags in found.values()])
+        result[name] = {"value": np.median(values, axis=0).tolist(), "std": _std(values, errors), "unit": "s",
+                        "spread": _spread(values)}  # fmt: skip
+    result["spread"] = result["time constants"]["spread"]
+    result["per flight"] = {key: [lag.tau for lag in lags] for key, lags in found.items()}
+    result["flights"] = {key: _plain(lags) for key, lags in found.items()}
+    result["command map"] = given or _map(found, reference)
+    _warn(found, result, notes)
+    return result
+
+
+def _reference(flights: Mapping[str, pd.DataFrame], rows: Mapping[str, np.ndarray]) -> float | None:
+    medians = [
+        np.nanmedian(flight["battery_voltage"].to_numpy(float)[rows[key]])
+        for key, flight in flights.items()
+        if "battery_voltage" in flight and np.isfinite(flight["battery_voltage"].to_numpy(float)[rows[key]]).any()
+    ]
+    return float(np.median(medians)) if medians and np.median(medians) > 0 else None
+
+
+def _std(values: np.ndarray, errors: np.ndarray) -> list[float]:
+    """Standard errors (4,) of the medians: from the spread over flights where three or more tell it, else their own."""
+    if len(values) < 3:
+        return (np.linalg.norm(errors, axis=0) / len(values)).tolist()
+    return (1.2533 * np.std(values, axis=0, ddof=1) / np.sqrt(len(values))).tolist()
+
+
+def _spread(values: np.ndarray) -> list[float] | None:
+    return np.std(values, axis=0, ddof=1).tolist() if len(values) > 1 else None
+
+
+def _plain(lags: list[Lag]) -> dict[str, Any]:
+    names = {"time constants": "tau", "time constants up": "up", "time constants down": "down", "delay": "delay"}
+    return {
+        name: {"value": [getattr(lag, f) for lag in lags], "std": [lag.std[f] for lag in lags]}
+        for name, f in names.items()
+    } | {"explained": [lag.explained for lag in lags]}
+
+
+def _map(found: Mapping[str, list[Lag]], reference: float | None) -> dict[str, Any] | None:
+    lags = [lag for each in found.values() for lag in each if lag.exponent is not None]
+    if not lags:
+        return None
+    maps = np.array([[lag.map for lag in each] for each in found.values() if each[0].exponent is not None])
+    told = [lag for lag in lags if "exponent" in lag.std]
+    exponents = np.array([lag.exponent for lag in told])
+    return {
+        "coefficients": np.median(maps, axis=(0, 1)).tolist(),
+        "powers": POWERS,
+        "unit": "rad/s",
+        "per rotor": np.median(maps, axis=0).tolist(),
+        "voltage exponent": {
+            "value": float(np.median(exponents)) if len(told) else 0.0,
+            "std": float(np.std(exponents, ddof=1) / np.sqrt(len(told))) if len(told) > 1 else None,
+        },
+        "reference voltage": reference if told else None,
+        "source": f"fitted on {len(maps)} training flights",
+    }
+
+
+def _warn(found: Mapping[str, list[Lag]], result: Mapping[str, Any], notes: list[str]) -> None:
+    poor = [key for key, lags in found.items() if min(lag.explained for lag in lags) < 0.8]
+    if poor:
+        notes.append(
+            f"commands explain less than 80 % of the rotor speeds in {', '.join(poor)}; a first-order lag does not "
+            "describe these rotors"
+        )
+    early = [f"{i} ({d * 1e3:.1f} ms)" for i, d in enumerate(result["delay"]["value"], 1) if d < -1e-3]
+    if early:
+        notes.append(
+            f"rotors answer before their command: delay of rotor {', '.join(early)}; check the log's time stamps"
+        )
+    gains = [lag.map[1] for lags in found.values() for lag in lags if lag.exponent is None]
+    if gains and abs(np.median(gains) - 1.0) > 0.1:
+        notes.append(
+            f"rotors reach {100 * np.median(gains):.0f} % of what is added to their commanded speed; check the command "
+            "map or the pole count"
+        )
