@@ -4,14 +4,14 @@
     work, out = np.empty(len(kernel.work)), np.empty(6)
     wrench(kernel, inputs, work, out)                       one row, no allocation; out = Fx Fy Fz (N), Mx My Mz (N m)
 
-inputs (20 + E,), the order of INPUTS and then the model's extra columns, `model.inputs[20:]` (battery_voltage, v_in, ...):
+inputs (20 + E,), the order of INPUTS and then the model's extra columns, `model.inputs[20:]`, such as battery_voltage:
 
     0-2 roll pitch yaw, rad       3-5 u v w, m/s through the air     6-8 p q r, rad/s       9-11 x y z, m
     12-15 w1..w4, rad/s           16-19 w1_dot..w4_dot, rad/s2       20.. extra columns
 
-kernel.used (20 + E,) tells which of them are read, so that a caller may leave the others unset (and, for instance, need
-not form Euler angles when `kernel.used[:3]` is all false). An axis that the model lacks gives NaN. Nothing is allocated,
-so `work` may be shared by all calls of one thread.
+kernel.used (20 + E,) tells which of them are read, so that a caller may leave the others unset (and, for instance, form
+no Euler angles when `kernel.used[:3]` is all false). An axis that the model lacks gives NaN. Nothing is allocated, so
+`work` may serve all calls of one thread.
 
 The graph's nodes become two-operand instructions sorted into runs of one operation each, so that the machine decides
 once per run and not once per instruction; every instruction writes the slot after the one before. Products share the
