@@ -316,7 +316,20 @@ def _filter(f: Section) -> list[tuple[str, object]]:
         ("biases by", (f.get("biases") or {}).get("policy")),
         ("capture's axes on the body's", ", ".join(angles)),
         ("low-pass", f"{f['filters']['low-pass cutoff Hz']:g} Hz"),
+        ("notches at the rotors' harmonics", _notches(f["filters"].get("rotor notches"))),
     ]
+
+
+def _notches(about: Section | None) -> str | None:
+    if not about:
+        return None
+    lines = [
+        f"{line['harmonic']} ({line['frequency']['value']:.0f} Hz"
+        + (f", seen at {line['stands at']['value']:.0f} Hz" if line["folded share"] > 0.5 else "")
+        + f", in {report.share(line['taken out share'])} of the flight)"
+        for line in about["lines"]
+    ]
+    return ", ".join(lines)
 
 
 def _biases(f: Section) -> str:

@@ -10,6 +10,7 @@ import pandas as pd
 from quasi import attitude
 from quasi.airframe import Airframe
 from quasi.errors import ConfigError, DataError
+from quasi.filtering import band as bands
 from quasi.filtering import bias as biases
 from quasi.filtering import estimation, forces, measurements
 from quasi.tables import COLUMNS
@@ -22,6 +23,10 @@ DEFAULTS: dict[str, Any] = {
     "smoother": True,
     "bias policy": "automatic",
     "low-pass cutoff Hz": 40.0,
+    "rotor notch harmonics": 0,
+    "rotor notch centre": "measured speed",
+    "rotor notch width Hz": 10.0,
+    "rotor notch lowest Hz": 30.0,
     "re-estimate noise": True,
     "estimate attitude alignment": True,
     "gyro bias random walk": 1e-5,
@@ -64,12 +69,13 @@ def _options(options: Mapping[str, Any]) -> dict[str, Any]:
     for key, known in (("bias policy", POLICIES), ("engine", ENGINES)):
         if chosen[key] not in known:
             raise ConfigError(f"'{key}' is {chosen[key]!r}, expected one of {', '.join(known)}")
-    for key in ("low-pass cutoff Hz", "capture gap limit s"):
+    for key in ("low-pass cutoff Hz", "rotor notch width Hz", "rotor notch lowest Hz", "capture gap limit s"):
         if not 0.0 < float(chosen[key]) < np.inf:
             raise ConfigError(f"'{key}' is {chosen[key]!r}, expected a positive number")
     for key in ("gyro bias random walk", "accelerometer bias random walk"):
         if not 0.0 <= float(chosen[key]) < np.inf:
             raise ConfigError(f"'{key}' is {chosen[key]!r}, expected zero or a positive number")
+    bands.check(chosen)
     return chosen
 
 
@@ -158,20 +164,14 @@ def filter_flight(
     find = estimation.estimate if chosen["run extended kalman filter"] else estimation.copy
     run = find(imported, imported_metadata, airframe, chosen, imu, found, dt, notes)
 
-    cutoff = float(chosen["low-pass cutoff Hz"])
-    if cutoff > forces.HIGHEST * rate:
-        notes.append(
-            f"the low-pass cut-off of {cutoff:g} Hz is too high for a grid of {rate:g} Hz; "
-            f"{forces.HIGHEST * rate:g} Hz is used"
-        )
-        cutoff = forces.HIGHEST * rate
-    reach = forces.half_length(cutoff, rate)
-    gyro = imu.gyro - run.bias[:, :3]
-    rates, rates_dot = forces.low_pass(gyro, cutoff, rate), forces.derivative(gyro, cutoff, rate)
-    specific = forces.low_pass(imu.accel - run.bias[:, 3:], cutoff, rate)
+    in_flight = ~found.on_ground
+    log_rate = ((imported_metadata.get("streams") or {}).get("gyro") or {}).get("rate")
+    band = bands.choose(chosen, speeds, np.hstack([imu.gyro, imu.accel]), in_flight, log_rate, rate, notes)
+    reach = band.reach
+    rates, rates_dot = band.both(imu.gyro - run.bias[:, :3])
+    specific = band.low_pass(imu.accel - run.bias[:, 3:])
     body = attitude.rotate_inverse(run.quaternion, run.velocity)
 
-    in_flight = ~found.on_ground
     edge = np.zeros(len(t), bool)
     edge[:reach] = edge[-reach:] = True
     lost = forces.spread(imu.lost | actuators_lost, reach) | edge
@@ -184,12 +184,13 @@ def filter_flight(
         valid &= ~windless
 
     table: dict[str, np.ndarray] = {"t": t}
-    for name in rotors:
-        table[name] = forces.low_pass(actuators[name], cutoff, rate)
-        table[f"{name}_dot"] = forces.derivative(actuators[name], cutoff, rate)
-    for name in driven:
-        if name in actuators:
-            table[name] = forces.low_pass(actuators[name], cutoff, rate)
+    if speeds is not None:
+        smooth, slope = band.both(speeds)
+        for i, name in enumerate(rotors):
+            table[name], table[f"{name}_dot"] = smooth[:, i], slope[:, i]
+    driven = [c for c in driven if c in actuators]
+    if driven:
+        table |= dict(zip(driven, band.low_pass(np.stack([actuators[c] for c in driven], axis=1)).T))
     for i, name in enumerate("xyz"):
         table[f"a{name}"] = specific[:, i]
     for i, name in enumerate("pqr"):
@@ -242,11 +243,7 @@ def filter_flight(
             "value": attitude.GRAVITY,
         },
         **run.report,
-        "filters": {
-            "kind": "zero-phase Kaiser-windowed sinc, the same for rates, accelerations, rotor speeds and commands",
-            "low-pass cutoff Hz": cutoff,
-            "half length samples": reach,
-        },
+        "filters": {**band.metadata, "half length samples": reach},
         "phases": {
             "take-off": None if found.take_off is None or found.take_off >= len(t) else float(t[found.take_off]),
             "rest": None if found.rest is None else [float(t[found.rest.first]), float(t[found.rest.last - 1])],

@@ -1,0 +1,165 @@
+"""The one band of everything that a regression compares: rotor notches where asked for, then the low-pass filter.
+
+Rotor speeds, commands, rates, accelerations and their derivatives go through the same linear zero-phase operator, so
+that what holds between the signals holds between the filtered ones, delays and gains included.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from quasi.errors import ConfigError
+from quasi.filtering import forces, harmonics
+
+KIND = "zero-phase, the same for rates, accelerations, rotor speeds and commands: a Kaiser-windowed sinc"
+SELDOM = 0.05  # share of the flight below which a line in the wrong place is not worth a word
+
+
+@dataclass(frozen=True)
+class Band:
+    """cutoff Hz of the low-pass, rate Hz of the grid, the lines to take out or None; metadata, plain."""
+
+    cutoff: float
+    rate: float
+    lines: harmonics.Lines | None
+    metadata: dict[str, Any]
+
+    @property
+    def reach(self) -> int:
+        """Samples on either side that a filtered value depends on."""
+        ringing = harmonics.reach(self.lines.width, self.rate) if self.lines is not None else 0
+        return forces.half_length(self.cutoff, self.rate) + ringing
+
+    def without_lines(self, values: np.ndarray) -> np.ndarray:
+        """Columns (N, m), finite, through the notches alone."""
+        return values if self.lines is None else harmonics.take_out(values, self.lines)
+
+    def both(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Columns (N, m), finite, in the band, and their time derivatives, per second."""
+        clean = self.without_lines(values)
+        return forces.low_pass(clean, self.cutoff, self.rate), forces.derivative(clean, self.cutoff, self.rate)
+
+    def low_pass(self, values: np.ndarray) -> np.ndarray:
+        """Columns (N, m), finite, in the band."""
+        return forces.low_pass(self.without_lines(values), self.cutoff, self.rate)
+
+
+def check(chosen: Mapping[str, Any]) -> None:
+    """Raises ConfigError for options of the band that contradict themselves or each other."""
+    wanted = chosen["rotor notch harmonics"]
+    if not isinstance(wanted, int) or isinstance(wanted, bool) or not 0 <= wanted <= 20:
+        raise ConfigError(f"'rotor notch harmonics' is {wanted!r}, expected a whole number from 0 (none) to 20")
+    if chosen["rotor notch centre"] not in harmonics.CENTRES:
+        raise ConfigError(
+            f"'rotor notch centre' is {chosen['rotor notch centre']!r}, expected one of {', '.join(harmonics.CENTRES)}"
+        )
+    width, lowest = float(chosen["rotor notch width Hz"]), float(chosen["rotor notch lowest Hz"])
+    if wanted and width >= lowest:
+        raise ConfigError(
+            f"'rotor notch width Hz' is {width:g} and 'rotor notch lowest Hz' {lowest:g}; the width must be less, or "
+            "a notch reaches down to the motion itself"
+        )
+
+
+def choose(
+    chosen: Mapping[str, Any],
+    speeds: np.ndarray | None,
+    imu: np.ndarray,
+    flying: np.ndarray,
+    log_rate: float | None,
+    rate: float,
+    notes: list[str],
+) -> Band:
+    """The band of one flight.
+
+    speeds    (N, R) rad/s, finite, or None; imu (N, 6) gyro and accelerometer; flying (N,) bool
+    log_rate  Hz of the gyro in the log, None where it is not known (then that of the grid counts); rate  Hz, grid
+    notes     receives what was lowered, left in, or looks like a rotor's line inside the band
+    Raises    ConfigError, see `check`
+    """
+    check(chosen)
+    logged = float(log_rate or rate)
+    cutoff = _cutoff(float(chosen["low-pass cutoff Hz"]), logged, rate, notes)
+    wanted, width, lowest = (chosen[f"rotor notch {k}"] for k in ("harmonics", "width Hz", "lowest Hz"))
+    metadata: dict[str, Any] = {"kind": KIND, "low-pass cutoff Hz": cutoff, "rotor notches": None}
+    if speeds is None or not speeds.any():
+        if wanted:
+            notes.append("'rotor notch harmonics' asks for notches, but no rotor speed is known: none were made")
+        return Band(cutoff, rate, None, metadata)
+    if not 0.5 * rate - 2.0 * float(width) > float(lowest):
+        raise ConfigError(
+            f"no notch of 'rotor notch width Hz' {width:g} fits between 'rotor notch lowest Hz' {lowest:g} and half "
+            f"the grid's rate, {0.5 * rate:g} Hz; lower one of them"
+        )
+    smooth = forces.low_pass(speeds, cutoff, rate)
+    count = wanted or harmonics.LOOKED_FOR
+    found = harmonics.lines(
+        smooth, flying, count, chosen["rotor notch centre"], float(width), float(lowest), logged, rate
+    )
+    if not wanted:
+        _warn(found, imu, flying, cutoff, logged, notes)
+        return Band(cutoff, rate, None, metadata)
+    _left_in(found, flying, float(lowest), cutoff, logged, notes)
+    metadata["rotor notches"] = {
+        "centre": chosen["rotor notch centre"],
+        "lowest": {"value": float(lowest), "unit": "Hz"},
+        "log rate": {"value": logged, "unit": "Hz"},
+        **harmonics.report(found, imu, harmonics.take_out(imu, found), flying),
+    }
+    return Band(cutoff, rate, found, metadata)
+
+
+def _cutoff(wanted: float, logged: float, rate: float, notes: list[str]) -> float:
+    if wanted > forces.HIGHEST * rate:
+        notes.append(
+            f"the low-pass cut-off of {wanted:g} Hz is too high for a grid of {rate:g} Hz; "
+            f"{forces.HIGHEST * rate:g} Hz is used"
+        )
+        wanted = forces.HIGHEST * rate
+    if wanted > 0.5 * logged:
+        notes.append(
+            f"the low-pass cut-off of {wanted:g} Hz is beyond half the log's rate of {logged:.0f} Hz: nothing between "
+            "was measured; log faster, or lower 'low-pass cutoff Hz'"
+        )
+    return wanted
+
+
+def _in_band(found: harmonics.Lines, flying: np.ndarray, cutoff: float) -> np.ndarray:
+    """Share of the flight (L,) in which each line stands where the low-pass lets it through."""
+    part = flying if flying.any() else np.ones(len(flying), bool)
+    inside = (found.frequency < (1.0 + 0.5 * forces.TRANSITION) * cutoff) & (found.true > 0.0)
+    return inside[part].mean(axis=0)
+
+
+def _left_in(
+    found: harmonics.Lines, flying: np.ndarray, lowest: float, cutoff: float, logged: float, notes: list[str]
+) -> None:
+    """Say which harmonics stand below the lowest frequency of a notch in flight, as folded ones do."""
+    low = (found.frequency < lowest) & (found.true > lowest)
+    for order in np.unique(found.harmonic):
+        share = float(low[flying][:, found.harmonic == order].mean()) if flying.any() else 0.0
+        if share > SELDOM:
+            notes.append(
+                f"harmonic {order} of the rotors folds below {lowest:g} Hz at the log's rate of {logged:.0f} Hz in "
+                f"{100 * share:.2g} % of the flight, where motion is, and stays in; log at another rate"
+            )
+
+
+def _warn(
+    found: harmonics.Lines, imu: np.ndarray, flying: np.ndarray, cutoff: float, logged: float, notes: list[str]
+) -> None:
+    """Say which harmonics show up inside the band of the low-pass, where no notch was asked for."""
+    share = _in_band(found, flying, cutoff)
+    for order in np.unique(found.harmonic):
+        of = np.flatnonzero((found.harmonic == order) & (share > SELDOM))
+        if not len(of) or max(harmonics.clearness(imu, found, int(i), flying) for i in of) < harmonics.CLEAR:
+            continue
+        part = flying if flying.any() else np.ones(len(flying), bool)
+        stands, true = (float(np.median(x[part][:, of])) for x in (found.frequency, found.true))
+        where = f" (it folds from {true:.0f} Hz at the log's rate of {logged:.0f} Hz)" if true > stands + 1.0 else ""
+        notes.append(
+            f"a vibration at {stands:.0f} Hz moves with the rotors' speed, their harmonic {order}{where}, and passes "
+            f"the low-pass of {cutoff:g} Hz; lower 'low-pass cutoff Hz' or set 'rotor notch harmonics' to {order}"
+        )

@@ -1,0 +1,201 @@
+"""Notches at the harmonics of the rotors' speeds: the same zero-phase operator for everything a regression compares.
+
+A line of known angle is turned down to zero frequency, low-passed forward and backward, turned back and subtracted:
+x becomes x - 2 Re(E* w L w E x), with E the turning by the line's angle, w its weight and L the low-pass both ways.
+The lines are gone through from the first to the last and back again, so that the whole is a symmetric operator: it has
+no phase, also where the lines' frequencies move and cross. With a second-order Butterworth L the gain at a distance d
+from a line is (x^4 / (1 + x^4))^2 with x = 2 (1 + sqrt 2)^(1/4) d / width, one half at d = width / 2.
+
+Where a line stands in the log: sampling at a rate f_s shows a frequency f at its distance from the nearest multiple of
+f_s, so that at 500 Hz a line of 350 Hz stands at 150 Hz.
+Sources: Vold & Leuridan, High resolution order tracking at extreme slew rates, SAE 931288, 1993 (lines by their angle);
+Oppenheim & Schafer, Discrete-Time Signal Processing, 3rd ed., 2010, sections 4.2 (folding) and 7.3 (Butterworth).
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from scipy.signal import butter
+
+CENTRES = ("measured speed", "median speed")
+# a log denser than this many times the grid was low-passed at its import, below half the grid's rate
+DENSER = 4.0 / 3.0
+RAMP = 0.25  # of the lowest frequency: over which a line that rises from below is faded in
+RINGING = 3.0  # time constants after which a notch has forgotten
+CLEAR = 3.0  # power of a line over that of its neighbourhood from which it is called seen
+HALF = (1.0 + np.sqrt(2.0)) ** 0.25  # x where the gain is one half
+LOOKED_FOR = 3  # harmonics looked for where no notch is asked for
+
+
+class Lines(NamedTuple):
+    """Rotor lines over time, L of them: harmonic by harmonic, and rotor by rotor within.
+
+    harmonic, rotor  (L,) int, from 1; true (N, L) Hz, of the rotor's motion; frequency (N, L) Hz, where it stands on
+    the grid; weight (N, L) from 0 (left in) to 1 (taken out); width Hz, between the points of half gain; rate Hz
+    """
+
+    harmonic: np.ndarray
+    rotor: np.ndarray
+    true: np.ndarray
+    frequency: np.ndarray
+    weight: np.ndarray
+    width: float
+    rate: float
+
+
+def fold(frequency: np.ndarray, rate: float) -> np.ndarray:
+    """Frequency at which samples taken at `rate` Hz show `frequency` (any shape, Hz): from 0 to half the rate."""
+    frequency = np.asarray(frequency, float)
+    return np.abs(frequency - rate * np.round(frequency / rate))
+
+
+def _fade(distance: np.ndarray, over: float) -> np.ndarray:
+    """From 0 at distances <= 0 smoothly to 1 at `over`."""
+    s = np.clip(distance / over, 0.0, 1.0)
+    return s * s * (3.0 - 2.0 * s)
+
+
+def lines(
+    speeds: np.ndarray,
+    flying: np.ndarray,
+    harmonics: int,
+    centre: str,
+    width: float,
+    lowest: float,
+    log_rate: float,
+    rate: float,
+) -> Lines:
+    """Where the rotors' harmonics stand on the grid.
+
+    speeds    (N, R) rad/s, finite and smooth; flying (N,) bool; harmonics  from the first to this one
+    centre    one of CENTRES: every line follows its rotor, or stays at its rotor's median in flight
+    width     Hz, less than `lowest`, below which a line is left in; log_rate  Hz of the log; rate  Hz of the grid
+    """
+    turning = np.abs(np.asarray(speeds, float)) / (2.0 * np.pi)
+    if centre == "median speed":
+        part = flying if flying.any() else np.ones(len(turning), bool)
+        turning = np.tile(np.median(turning[part], axis=0), (len(turning), 1))
+    order, rotor = (
+        a.ravel() for a in np.meshgrid(np.arange(harmonics) + 1, np.arange(turning.shape[1]), indexing="ij")
+    )
+    true = turning[:, rotor] * order
+    logged = fold(true, log_rate)
+    frequency = fold(logged, rate)
+    weight = _fade(frequency - lowest, RAMP * lowest)
+    # nearer to half the rate a line and its mirror image fall into one notch
+    weight *= _fade(0.5 * rate - frequency - width, width)
+    if log_rate > DENSER * rate:
+        weight[logged > 0.5 * rate] = 0.0
+    return Lines(order, rotor + 1, true, frequency, weight, float(width), float(rate))
+
+
+def _low_pass(width: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    return butter(2, 0.5 * width / HALF, fs=rate)
+
+
+@njit(cache=True)
+def _line(values, frequency, weight, rate, b, a, out):
+    """The line of one frequency (N,) in each column of values (N, m), as its two slow parts out (2, N, m)."""
+    n, m = values.shape
+    angle = 0.0
+    cosine, sine = np.empty(n), np.empty(n)
+    for k in range(n):
+        if k > 0:
+            angle += np.pi * (frequency[k - 1] + frequency[k]) / rate
+        cosine[k] = np.cos(angle)
+        sine[k] = np.sin(angle)
+    for c in range(m):
+        for part in range(2):
+            s1 = 0.0
+            s2 = 0.0
+            for k in range(n):
+                x = weight[k] * values[k, c] * (cosine[k] if part == 0 else sine[k])
+                y = b[0] * x + s1
+                s1 = b[1] * x - a[1] * y + s2
+                s2 = b[2] * x - a[2] * y
+                out[part, k, c] = y
+            s1 = 0.0
+            s2 = 0.0
+            for k in range(n - 1, -1, -1):
+                x = out[part, k, c]
+                y = b[0] * x + s1
+                s1 = b[1] * x - a[1] * y + s2
+                s2 = b[2] * x - a[2] * y
+                out[part, k, c] = y
+    return cosine, sine
+
+
+def take_out(values: np.ndarray, found: Lines) -> np.ndarray:
+    """Columns (N, m), finite, without the lines; the same operator for each column. Same shape.
+
+    Within a time constant of the record's ends a line is taken out in part only; see `reach`.
+    """
+    values = np.array(values, float)
+    mean = values.mean(axis=0)  # a great constant would ring at both ends
+    values -= mean
+    b, a = _low_pass(found.width, found.rate)
+    slow = np.empty((2, *values.shape))
+    there = range(len(found.harmonic))
+    for i in (*there, *reversed(there)):
+        weight = np.ascontiguousarray(found.weight[:, i])
+        if not weight.any():
+            continue
+        cosine, sine = _line(values, np.ascontiguousarray(found.frequency[:, i]), weight, found.rate, b, a, slow)
+        values -= 2.0 * weight[:, None] * (cosine[:, None] * slow[0] + sine[:, None] * slow[1])
+    return values + mean
+
+
+def reach(width: float, rate: float) -> int:
+    """Samples on either side after which a notch of `width` Hz has forgotten a knock, to some 5 %."""
+    return int(np.ceil(RINGING * HALF * np.sqrt(2.0) / (np.pi * width) * rate))
+
+
+def clearness(values: np.ndarray, found: Lines, i: int, flying: np.ndarray) -> float:
+    """Power of line i in columns (N, m) over what its neighbourhood would give there; about 1 where there is no line.
+
+    flying  (N,) bool, the rows that count. The neighbourhood is that of three widths, without the line's own.
+    """
+    part = flying & (found.weight[:, i] > 0.5)
+    if not part.any():
+        return 0.0
+    values = np.ascontiguousarray(values - values.mean(axis=0))
+    frequency, weight = (np.ascontiguousarray(x[:, i]) for x in (found.frequency, found.weight))
+    power = []
+    for width in (found.width, 3.0 * found.width):
+        slow = np.empty((2, *values.shape))
+        _line(values, frequency, weight, found.rate, *_low_pass(width, found.rate), slow)
+        power.append(np.sum(slow**2, axis=0)[part].mean(axis=0))
+    around = np.maximum((power[1] - power[0]) / 2.0, 1e-300)
+    return float(np.max(power[0] / around))
+
+
+def report(found: Lines, before: np.ndarray, after: np.ndarray, flying: np.ndarray) -> dict[str, Any]:
+    """What the notches met, in flight: of each harmonic the frequency (median), where it stands on the grid, whether
+    it folds and in what share its lines were taken out; and what was taken out in all, rms.
+
+    before, after (N, 6) gyro and accelerometer without and with the notches; flying (N,) bool
+    """
+    part = flying if flying.any() else np.ones(len(flying), bool)
+    entries: list[dict[str, Any]] = []
+    for order in np.unique(found.harmonic):
+        of = found.harmonic == order
+        true, stands = found.true[part][:, of], found.frequency[part][:, of]
+        entries.append(
+            {
+                "harmonic": int(order),
+                "frequency": {"value": float(np.median(true)), "unit": "Hz"},
+                "stands at": {"value": float(np.median(stands)), "unit": "Hz"},
+                "folded share": float((true > stands + 1e-6).mean()),
+                "taken out share": float((found.weight[part][:, of] > 0.5).mean()),
+            }
+        )
+    taken = np.sqrt(np.mean((before - after)[part] ** 2, axis=0)).tolist()
+    return {
+        "width": {"value": found.width, "unit": "Hz"},
+        "lines": entries,
+        "taken out, rms": {
+            "gyro": {"value": taken[:3], "unit": "rad/s"},
+            "accelerometer": {"value": taken[3:], "unit": "m/s2"},
+        },
+    }
