@@ -130,10 +130,6 @@ class Project:
             raise ConfigError(f"{path}: 'model ID' is '{given}', but the file's name says '{name}'; make them equal")
         if config["data normalization"]["normalize data"]:
             raise ConfigError(f"{path}: 'normalize data' true is not offered by this version; set it to false")
-        if config["manoeuvre excitations"]["isolate to regions of excitation"]:
-            raise ConfigError(
-                f"{path}: 'isolate to regions of excitation' true is not offered by this version; set it to false"
-            )
         axes = [a for a in AXES if config["identification parameters"][f"identify {a.lower()}"]]
         if not axes:
             raise ConfigError(f"{path}: every 'identify ...' is false; switch at least one on")

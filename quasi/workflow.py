@@ -242,7 +242,7 @@ class Folder(Project):
                 f"({', '.join(sorted(files))}); a model needs one"
             )
         part = self._part(next((r for r in training if r in sound), training[0]), IDENTIFICATION)
-        self._refuse_mixed_batteries(name, everything)
+        batteries = self._batteries(name, everything)
         masses = [m for m, _ in map(self.mass, training) if m]
         return {
             "model": name,
@@ -252,16 +252,27 @@ class Folder(Project):
             "flights": [r.key for r in training],
             "gravity": self.gravity(name),
             "data partitioning": config["data partitioning"],
+            "isolation": self.isolation(name),
+            "mixed batteries": batteries,
             "problem": part["problem"],
         }
 
-    def _refuse_mixed_batteries(self, name: str, rows: list[Row]) -> None:
+    def isolation(self, name: str) -> dict[str, Any] | None:
+        """Settings of the isolation of manoeuvres; None where it is off."""
+        chosen = self.model(name)["manoeuvre excitations"]
+        if not chosen["isolate to regions of excitation"]:
+            return None
+        return {k: chosen[k] for k in ("excitation threshold", "spread")}
+
+    def _batteries(self, name: str, rows: list[Row]) -> list[str]:
+        """The battery types of a model's flights where they differ and may. Raises ConfigError where they may not."""
         kinds = sorted({r.cells.get("Batteries", "") for r in rows} - {""})
-        if len(kinds) > 1:
+        if len(kinds) > 1 and not self.model(name)["logging file"]["allow mixed batteries"]:
             raise ConfigError(
                 f"config/models/{name}.json: the flights were flown with different 'Batteries' ({', '.join(kinds)}); "
-                "select flights with one battery type"
+                "select flights with one battery type, or set 'allow mixed batteries' in 'logging file' to true"
             )
+        return kinds if len(kinds) > 1 else []
 
     def axes(self, name: str) -> list[str]:
         """Axes that a model identifies."""

@@ -18,7 +18,7 @@ def main(flights: list[str], shared: str, partition: str, settings: dict, output
         {axis: settings["specification"]}, axis, settings["specification file"], settings["bias"]
     )
     tables = {Path(path).stem: read_table(path) for path in progress(flights, "reading flights")}
-    roles = from_table(read_table(partition), {key: len(table) for key, table in tables.items()})
+    roles = from_table(read_table(partition), {key: len(table) for key, table in tables.items()}, axis)
     try:
         result = fit_axis(axis, tables, roles, from_plain(found["airframe"]), found, settings, specification)
     except (DataError, ExpressionError) as error:

@@ -4,11 +4,14 @@ from pathlib import Path
 
 from quasi.airframe import read_airframe, to_plain
 from quasi.errors import ConfigError
+from quasi.identification.isolation import excited
+from quasi.identification.partition import EXCITED, partition, to_table
 from quasi.identification.partition import UNITS as PARTITION_UNITS
-from quasi.identification.partition import partition, to_table
 from quasi.identification.shared import shared
 from quasi.joblog import LOG, job, progress
 from quasi.tables import read_made, read_table, write_json, write_table
+
+AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
 def main(flights: list[str], settings: dict, shared_json: str, partition_parquet: str) -> None:
@@ -21,6 +24,10 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
     roles = partition(tables, options=settings["data partitioning"])
     masses = {key: about["mass"] for key, about in made.items() if about.get("mass")}
     found = shared(tables, roles, airframe, settings["gravity"], masses, settings["quadrotor"].get("command map"))
+    if settings["mixed batteries"]:
+        kinds = ", ".join(settings["mixed batteries"])
+        found["notes"].append(f"the flights were flown with different batteries ({kinds}), as the configuration allows")
+    regions = excited(tables, roles, airframe, AXES, settings["isolation"]) if settings["isolation"] else {}
     for note in found["notes"]:
         LOG.warning("%s", note)
     factors = {about.get("logged to rad/s") for about in made.values()} - {None}
@@ -35,8 +42,11 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
         "airframe": to_plain(airframe),
         "logged to rad/s": next(iter(factors), None),
         "data partitioning": settings["data partitioning"],
+        "isolation": settings["isolation"],
     }
-    write_table(partition_parquet, to_table(roles), PARTITION_UNITS, made=about)
+    inside = ("", "", "inside a region that excites this axis")
+    units = PARTITION_UNITS | {f"{EXCITED}{axis}": inside for axis in regions}
+    write_table(partition_parquet, to_table(roles, regions), units, made=about)
     write_json(shared_json, {**found, **about})
 
 

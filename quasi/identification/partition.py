@@ -1,7 +1,7 @@
 """Which rows train, which test, which validate.
 
 The manual draws single samples at random. Neighbours of a 500 Hz log are nearly copies of each other, so that such a
-test set says little about new flights; drawing blocks, and whole validation flights, are the honest figures.
+test set says little about new flights; drawing blocks or whole flights, and validation flights, are the honest figures.
 
 Source: QuaSI user manual V1.0.a, listing 4 ("data partitioning").
 """
@@ -17,7 +17,12 @@ from quasi.errors import DataError
 
 UNUSED, TRAINING, TEST, VALIDATION = 0, 1, 2, 3
 ROLES = {"training": TRAINING, "test": TEST, "validation": VALIDATION}
-UNITS = {"flight": ("", "", "flight key"), "row": ("", "", "row of the filtered flight"), "role": ("", "", "role code")}
+UNITS = {
+    "flight": ("", "", "flight key"),
+    "row": ("", "", "row of the filtered flight"),
+    "role": ("", "", "role code: 1 training, 2 test, 3 validation"),
+}
+EXCITED = "excited_"  # prefix of the columns that isolation adds, one per axis
 
 
 def usable(rows: int, ratio: float) -> slice:
@@ -33,13 +38,17 @@ def partition(
 
     flights     filtered flights; rows whose column valid or in_flight is 0 are not used
     validation  flights that are kept whole for validation
-    options     "usable data ratio", "random partition", "partition ratio", "partition by" ("samples" or "blocks"),
-                "block length" (s), "seed"; the draw of a flight depends on the seed and its key alone
+    options     "usable data ratio", "random partition", "partition ratio", "partition by" ("samples", "blocks" or
+                "flights"), "block length" (s), "seed"; the draw inside a flight depends on the seed and its key alone
     Raises DataError when no training row is left.
     """
     options = dict(options or {})
     ratio = float(options.get("usable data ratio", 0.9))
     validation = set(validation)
+    learning = [key for key in flights if key not in validation]
+    whole = None
+    if options.get("random partition", True) and options.get("partition by", "samples") == "flights":
+        whole = draw_flights(learning, float(options.get("partition ratio", 0.75)), int(options.get("seed", 0)))
     roles = {}
     for key, flight in flights.items():
         codes = np.zeros(len(flight), np.int8)
@@ -50,6 +59,8 @@ def partition(
                 rows &= flight[flag].to_numpy() > 0.5
         if key in validation:
             codes[rows] = VALIDATION
+        elif whole is not None:
+            codes[rows] = TRAINING if key in whole else TEST
         elif options.get("random partition", True):
             train = _draw(flight, rows, options, key)
             codes[rows] = TEST
@@ -57,13 +68,28 @@ def partition(
         else:
             codes[rows] = TRAINING
         roles[key] = codes
-    learning = [key for key in roles if key not in validation]
     if learning and not any((roles[key] == TRAINING).any() for key in learning):
         raise DataError(
             f"no training rows are left in the flights {', '.join(map(str, learning))}; "
             "raise 'usable data ratio' or 'partition ratio', or name fewer validation flights"
         )
     return roles
+
+
+def draw_flights(keys: list[str], share: float, seed: int) -> set[str]:
+    """Keys of the flights that train when whole flights are drawn: a share of them, at least one, and not all of them
+    unless the share is 1. Each flight's place in the draw depends on the seed and its key alone.
+
+    Raises DataError when there is one flight only, which cannot both train and test.
+    """
+    if len(keys) == 1 and share < 1:
+        raise DataError(
+            f"'partition by' is 'flights', but there is one training flight only ({', '.join(keys)}); "
+            "add flights, or draw 'blocks'"
+        )
+    place = {key: np.random.default_rng([seed, zlib.crc32(key.encode())]).random() for key in keys}
+    count = len(keys) if share >= 1 else min(max(round(share * len(keys)), 1), len(keys) - 1)
+    return set(sorted(keys, key=place.__getitem__)[:count])
 
 
 def _draw(flight: pd.DataFrame, rows: np.ndarray, options: Mapping[str, Any], key: str) -> np.ndarray:
@@ -82,17 +108,38 @@ def _draw(flight: pd.DataFrame, rows: np.ndarray, options: Mapping[str, Any], ke
     return train
 
 
-def to_table(roles: Mapping[str, np.ndarray]) -> pd.DataFrame:
-    """The partition as a table with columns flight, row, role (codes), unused rows left out."""
+def to_table(
+    roles: Mapping[str, np.ndarray], excited: Mapping[str, Mapping[str, np.ndarray]] | None = None
+) -> pd.DataFrame:
+    """The partition as a table with columns flight, row, role (codes), unused rows left out.
+
+    excited  regions of excitation {axis: {flight: (n,) bool}}, one more column each
+    """
     parts = []
     for key, codes in roles.items():
         rows = np.flatnonzero(codes)
-        parts.append(pd.DataFrame({"flight": key, "row": rows.astype(np.int32), "role": codes[rows]}))
+        part = pd.DataFrame({"flight": key, "row": rows.astype(np.int32), "role": codes[rows]})
+        for axis, regions in (excited or {}).items():
+            part[f"{EXCITED}{axis}"] = regions[key][rows]
+        parts.append(part)
     return pd.concat(parts, ignore_index=True)
 
 
-def from_table(table: pd.DataFrame, rows: Mapping[str, int]) -> dict[str, np.ndarray]:
-    """Inverse of `to_table` for flights with the given numbers of rows. Raises DataError when a flight is shorter."""
+def from_table(table: pd.DataFrame, rows: Mapping[str, int], axis: str | None = None) -> dict[str, np.ndarray]:
+    """Inverse of `to_table` for flights with the given numbers of rows.
+
+    axis  whose training rows are asked for: where isolation applies, those outside its regions become unused
+    Raises DataError when a flight is shorter than its rows, or isolation leaves an axis no training rows.
+    """
+    region = f"{EXCITED}{axis}"
+    if axis is not None and region in table:
+        training = table["role"] == TRAINING
+        table = table[~training | table[region]]
+        if training.any() and not (table["role"] == TRAINING).any():
+            raise DataError(
+                f"{axis}: no training rows are left after isolation to regions of excitation; lower 'excitation "
+                "threshold', raise 'spread', or switch 'isolate to regions of excitation' off"
+            )
     roles = {}
     for key, count in rows.items():
         part = table[table["flight"] == key]

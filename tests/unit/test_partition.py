@@ -54,6 +54,30 @@ def test_blocks_stay_whole():
     assert np.count_nonzero(by_block[:, 0] == TRAINING) == 15
 
 
+def test_whole_flights_train_or_test():
+    flights = {f"f{k}": flight(200) for k in range(8)}
+    options = {"partition by": "flights", "partition ratio": 0.75, "usable data ratio": 1, "seed": 2}
+    roles = partition(flights, ["f7"], options)
+    kinds = {key: set(codes) for key, codes in roles.items()}
+    assert all(len(k) == 1 for k in kinds.values())
+    assert kinds["f7"] == {VALIDATION}
+    assert sum(k == {TRAINING} for k in kinds.values()) == 5  # of seven
+    assert sum(k == {TEST} for k in kinds.values()) == 2
+    again = partition(flights, ["f7"], options)
+    assert all(np.array_equal(roles[k], again[k]) for k in roles)
+    drawn = {frozenset(k for k, c in partition(flights, ["f7"], {**options, "seed": s}).items() if c[0] == TEST)
+             for s in range(8)}  # fmt: skip
+    assert len(drawn) > 3
+    two = partition({k: flights[k] for k in ("f0", "f1")}, [], {**options, "partition ratio": 0.99})
+    assert sorted(c[0] for c in two.values()) == [TRAINING, TEST]
+
+
+def test_one_flight_alone_cannot_be_drawn_whole():
+    with pytest.raises(DataError, match=r"one training flight only \(a\); add flights, or draw 'blocks'"):
+        partition({"a": flight(200)}, [], {"partition by": "flights"})
+    assert np.any(partition({"b": flight()}, ["b"], {"partition by": "flights"})["b"] == VALIDATION)
+
+
 def test_rows_flagged_unusable_take_no_part():
     flags = np.ones(1000)
     flags[200:300] = 0.0

@@ -150,8 +150,30 @@ def test_flights_of_different_batteries_are_not_mixed(folder):
         "Beetle,a,data/raw,betaflight,my_quadrotor,data,N,,,433,4S",
         "Beetle,a,data/raw,betaflight,my_quadrotor,data,N,,,433,6S",
     )
-    with pytest.raises(ConfigError, match=r"different 'Batteries' \(4S, 6S\)"):
+    with pytest.raises(ConfigError, match=r"different 'Batteries' \(4S, 6S\).*'allow mixed batteries'"):
         Folder(folder).identification("m")
+
+
+def test_different_batteries_are_mixed_when_the_model_says_so(folder):
+    assert Folder(folder).identification("m")["mixed batteries"] == []
+    edit(
+        folder,
+        "Beetle,a,data/raw,betaflight,my_quadrotor,data,N,,,433,4S",
+        "Beetle,a,data/raw,betaflight,my_quadrotor,data,N,,,433,6S",
+    )
+    section = Folder(folder).model("m")["logging file"]
+    edit_model(folder, **{"logging file": {**section, "allow mixed batteries": True}})
+    assert Folder(folder).identification("m")["mixed batteries"] == ["4S", "6S"]
+
+
+def test_isolation_is_handed_on_only_where_it_is_on(folder):
+    edit_model(folder, **{"manoeuvre excitations": {"excitation threshold": 0.3}})
+    assert Folder(folder).identification("m")["isolation"] is None
+    edit_model(
+        folder,
+        **{"manoeuvre excitations": {"isolate to regions of excitation": True, "excitation threshold": 0.3}},
+    )
+    assert Folder(folder).identification("m")["isolation"] == {"excitation threshold": 0.3, "spread": 0.02}
 
 
 def test_unknown_flight_names_the_nearest(folder):
