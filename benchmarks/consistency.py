@@ -16,45 +16,22 @@ Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking a
 """
 
 import argparse
-import sys
-import tempfile
 from pathlib import Path
 
 import numpy as np
 from scipy.stats import chi2
+from study import ROOT, fly, rms, run
 
 from quasi import attitude
 from quasi.airframe import read_airframe
 from quasi.errors import QuasiError
 from quasi.filtering import ekf, estimation, timing
 from quasi.filtering.flight import filter_flight
-from quasi.importing.flight import import_flight
-from quasi.provenance import code_of
-from quasi.synthesis.campaign import make_flight, quadrotor_configuration, read_campaign, write_flight
-from quasi.tables import read_json, write_json
 
-ROOT = Path(__file__).resolve().parents[1]
 LARGEST_ATTITUDE, LARGEST_VELOCITY, HONEST, INSIDE = 0.4, 0.03, (0.7, 1.4), 0.9
 BETTER_VELOCITY, BETTER_ATTITUDE = 0.7, 0.8
 PARTS = {"attitude": slice(0, 3), "velocity": slice(3, 6), "position": slice(6, 9)}
 SENSORS = estimation.SENSORS
-
-
-def fly(settings: dict, folder: str):
-    """A made flight and what the import makes of it: (made, frame, metadata, airframe)."""
-    flight = {"key": "a", "profile": settings["profile"], "seed": settings["seed"]}
-    campaign = read_campaign(
-        {"flights": [flight], "duration": settings["seconds"], "nuisance": settings["nuisance"]}, "consistency"
-    )
-    made, quadrotor = make_flight(campaign, campaign.flights[0]), quadrotor_configuration(campaign)
-    onboard, capture = f"{folder}/a.bbl", f"{folder}/a.csv"
-    write_flight(made, onboard, capture, f"{folder}/a.parquet")
-    source = {
-        "flight": "a", "quadrotor": campaign.quadrotor, "flight controller": "betaflight",
-        "rigid body": "MadeBeetle", "onboard": onboard, "capture": capture, "log number": None,
-    }  # fmt: skip
-    frame, about = import_flight(source, quadrotor, {})
-    return made, frame, about, read_airframe(quadrotor, "made")
 
 
 def passes_of(frame, about, airframe, options):
@@ -99,12 +76,14 @@ def truth_of(made, frame, about, airframe) -> dict[str, np.ndarray]:
 
 def draw(settings: dict) -> dict:
     """Make, import and filter one flight; errors and their standard errors."""
-    with tempfile.TemporaryDirectory() as folder:
-        try:
-            made, frame, about, airframe = fly(settings, folder)
-            result, forward, final = passes_of(frame, about, airframe, {})
-        except QuasiError as error:
-            return {"refused": str(error)}
+    try:
+        made, frame, about, quadrotor = fly(
+            "a", **{k: settings[k] for k in ("profile", "seed", "nuisance")}, duration=settings["seconds"]
+        )
+        airframe = read_airframe(quadrotor, "made")
+        result, forward, final = passes_of(frame, about, airframe, {})
+    except QuasiError as error:
+        return {"refused": str(error)}
     truth = truth_of(made, frame, about, airframe)
     valid = result.with_gravity["valid"].to_numpy() > 0.5
     inertial, b = made.metadata["inertial"], result.metadata["biases"]
@@ -121,26 +100,21 @@ def draw(settings: dict) -> dict:
         "noise": result.metadata["noise"]["in flight"],
         "notes": result.metadata["notes"],
     }
-    for name, run in (("smoother", final), ("filter", forward)):
-        error = errors_of(run, truth)
+    for name, one in (("smoother", final), ("filter", forward)):
+        error = errors_of(one, truth)
         out[name] = {k: rms(error[valid, s]) for k, s in PARTS.items()}
         every = flying[::250]
-        covariance = ekf.unpack(run.covariance[every])[:, :9, :9]
+        covariance = ekf.unpack(one.covariance[every])[:, :9, :9]
         out[name]["NEES along"] = {
             k: float(np.mean([e[s] @ np.linalg.solve(c[s, s], e[s]) for e, c in zip(error[every], covariance)]) / 3)
             for k, s in PARTS.items()
         }
-        c = ekf.unpack(run.covariance[middle])[:9, :9]
+        c = ekf.unpack(one.covariance[middle])[:9, :9]
         out[name]["NEES"] = float(error[middle] @ np.linalg.solve(c, error[middle]))
         out[name]["NEES of motion"] = float(error[middle, :6] @ np.linalg.solve(c[:6, :6], error[middle, :6]))
     seated = attitude.logarithm(attitude.multiply(attitude.conjugate(final.quaternion), truth["body"]))
     out["body attitude"] = rms(seated[valid])
     return out
-
-
-def rms(values: np.ndarray) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def table(results: list[dict]) -> bool:
@@ -200,23 +174,16 @@ def main() -> int:
     parser.add_argument("--nuisance", type=float, default=0.0)
     parser.add_argument("--out", type=Path, default=ROOT / "results/benchmarks/consistency")
     a = parser.parse_args()
-    code, results = code_of(Path(__file__).resolve(), ROOT), []
-    for i in range(a.seeds):
-        settings = {
+    many = [
+        {
             "seed": a.first + i,
             "profile": a.profiles[i % len(a.profiles)],
             "seconds": a.seconds,
             "nuisance": a.nuisance,
         }
-        name = "-".join(f"{v:g}" if isinstance(v, float) else str(v) for v in settings.values())
-        path = a.out / f"{name}.json"
-        result = read_json(path) if path.is_file() else {}
-        if result.get("code") != code or result.get("settings") != settings:
-            result = {"settings": settings, "code": code, **draw(settings)}
-            write_json(path, result)
-        results.append(result)
-        print(f"\r{i + 1} of {a.seeds}", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+        for i in range(a.seeds)
+    ]
+    results = run(many, draw, a.out, Path(__file__))
     return 0 if table(results) else 1
 
 

@@ -10,41 +10,21 @@ compilation. The best of the repeats counts; written to results/benchmarks/filte
 
 import argparse
 import sys
-import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from study import ROOT, fly
 
-from quasi.airframe import Airframe, read_airframe
+from quasi.airframe import read_airframe
 from quasi.filtering import bias, ekf, filterpy_engine, measurements, noise
 from quasi.filtering.flight import filter_flight
 from quasi.filtering.smoother import smooth
-from quasi.importing.flight import import_flight
-from quasi.synthesis.campaign import make_flight, quadrotor_configuration, read_campaign, write_flight
 from quasi.tables import write_json
 
-ROOT = Path(__file__).resolve().parents[1]
 FORWARD, BOTH, STAGE = 400_000.0, 150_000.0, 2.0  # targets: samples/s, samples/s, s
 PLAIN = 4_065.0  # samples/s of the published pipeline's filter, interpreted
-
-
-def flight(seconds: float) -> tuple[pd.DataFrame, dict, Airframe]:
-    """A made flight as the import leaves it."""
-    campaign = read_campaign({"flights": [{"key": "a", "profile": "mixed", "seed": 7}], "duration": seconds}, "speed")
-    made = make_flight(campaign, campaign.flights[0])
-    quadrotor = quadrotor_configuration(campaign)
-    with tempfile.TemporaryDirectory() as folder:
-        onboard, capture = f"{folder}/a.bbl", f"{folder}/a.csv"
-        write_flight(made, onboard, capture, f"{folder}/a.parquet")
-        source = {
-            "flight": "a", "quadrotor": campaign.quadrotor, "flight controller": "betaflight",
-            "rigid body": "MadeBeetle", "onboard": onboard, "capture": capture, "log number": None,
-        }  # fmt: skip
-        frame, about = import_flight(source, quadrotor, {})
-    return frame, about, read_airframe(quadrotor, "made")
 
 
 def inputs_of(frame: pd.DataFrame, about: dict) -> ekf.Inputs:
@@ -92,7 +72,8 @@ def main() -> int:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--skip-filterpy", action="store_true")
     options = parser.parse_args()
-    frame, about, airframe = flight(options.seconds)
+    _, frame, about, quadrotor = fly("a", profile="mixed", seed=7, duration=options.seconds)
+    airframe = read_airframe(quadrotor, "made")
     inputs, n = inputs_of(frame, about), len(frame)
     print(f"{n} samples, {inputs.dt * n:.1f} s, {int(inputs.used.sum())} measurements of three numbers")
     forward = n / best(lambda: ekf.forward(inputs), options.repeats)

@@ -10,40 +10,23 @@ with other settings is made anew. Printed: rms of the errors and of error / stan
 """
 
 import argparse
-import sys
-import tempfile
 from pathlib import Path
 
 import numpy as np
+from study import ROOT, fly, rms, run
 
 from quasi.errors import QuasiError
-from quasi.importing.flight import import_flight
-from quasi.provenance import code_of
-from quasi.synthesis.campaign import make_flight, quadrotor_configuration, read_campaign, write_flight
-from quasi.tables import read_json, write_json
 
-ROOT = Path(__file__).resolve().parents[1]
 LARGEST_LAG, LARGEST_RATE, HONEST = 1e-3, 5e-6, (0.7, 1.4)
 
 
 def draw(settings: dict) -> dict:
     """Make and import one flight; errors of lag (s, at the middle of the capture) and clock rate (s/s)."""
-    key = f"seed-{settings['seed']}"
-    flight = {"key": key, "profile": settings["profile"], "seed": settings["seed"]}
-    names = ("duration", "capture rate", "noise", "nuisance")
-    campaign = read_campaign({"flights": [flight], **{k: settings[k] for k in names}}, "synchronisation")
-    made = make_flight(campaign, campaign.flights[0])
-    with tempfile.TemporaryDirectory() as folder:
-        onboard, capture = f"{folder}/{key}.bbl", f"{folder}/{key}.csv"
-        write_flight(made, onboard, capture, f"{folder}/{key}.parquet")
-        source = {
-            "flight": key, "quadrotor": campaign.quadrotor, "flight controller": "betaflight",
-            "rigid body": "MadeBeetle", "onboard": onboard, "capture": capture, "log number": None,
-        }  # fmt: skip
-        try:
-            _, about = import_flight(source, quadrotor_configuration(campaign), {})
-        except QuasiError as error:
-            return {"refused": str(error)}
+    names = ("profile", "seed", "duration", "capture rate", "noise", "nuisance")
+    try:
+        made, _, about, _ = fly(f"seed-{settings['seed']}", **{k: settings[k] for k in names})
+    except QuasiError as error:
+        return {"refused": str(error)}
     sync, clock = about["synchronisation"], made.metadata["clock"]
     lag, rate = sync["lag"], sync["clock rate"]
     at = lag["at capture time"]
@@ -55,11 +38,6 @@ def draw(settings: dict) -> dict:
         "rate std": rate["std"],
         "explained": sync["explained variance"],
     }
-
-
-def rms(values: np.ndarray) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def table(results: list[dict]) -> bool:
@@ -100,9 +78,8 @@ def main() -> int:
     parser.add_argument("--nuisance", type=float, default=1.0)
     parser.add_argument("--out", type=Path, default=ROOT / "results/benchmarks/synchronisation")
     a = parser.parse_args()
-    code, results = code_of(Path(__file__).resolve(), ROOT), []
-    for i in range(a.seeds):
-        settings = {
+    many = [
+        {
             "seed": a.first + i,
             "profile": a.profiles[i % len(a.profiles)],
             "duration": float(round(np.interp(i, [0, max(a.seeds - 1, 1)], a.duration))),
@@ -110,15 +87,9 @@ def main() -> int:
             "noise": a.noise,
             "nuisance": a.nuisance,
         }
-        name = "-".join(f"{v:g}" if isinstance(v, float) else str(v) for v in settings.values())
-        path = a.out / f"{name}.json"
-        result = read_json(path) if path.is_file() else {}
-        if result.get("code") != code or result.get("settings") != settings:
-            result = {"settings": settings, "code": code, **draw(settings)}
-            write_json(path, result)
-        results.append(result)
-        print(f"\r{i + 1} of {a.seeds}", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+        for i in range(a.seeds)
+    ]
+    results = run(many, draw, a.out, Path(__file__))
     return 0 if table(results) else 1
 
 

@@ -3,22 +3,24 @@
 The study itself is benchmarks/consistency.py.
 """
 
-import importlib.util
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-ROOT = Path(__file__).parents[2]
+BENCHMARKS = str(Path(__file__).parents[2] / "benchmarks")
 
 
 @pytest.fixture(scope="module")
 def study():
-    spec = importlib.util.spec_from_file_location("consistency", ROOT / "benchmarks/consistency.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    sys.path.insert(0, BENCHMARKS)
+    try:
+        import consistency
+    finally:
+        sys.path.remove(BENCHMARKS)
+    return consistency
 
 
 @pytest.fixture(scope="module")
