@@ -5,7 +5,8 @@ from pathlib import Path
 from quasi.airframe import from_plain
 from quasi.identification.partition import TRAINING, from_table
 from quasi.joblog import job
-from quasi.standalone.build import assemble, envelope
+from quasi.standalone.build import assemble
+from quasi.standalone.envelope import covered
 from quasi.tables import fingerprint, read_json, read_table, write_json
 
 
@@ -24,7 +25,7 @@ def main(
         "airframe": airframe,
         "logged to rad/s": found["logged to rad/s"],
         "validation flights": roles["validation"],
-        "envelope": envelope(tables, rows, airframe, found["hover speed"]["value"], parts),
+        **covered(tables, rows, airframe, found["hover speed"]["value"], parts),
         "provenance": {"axes": {axis: fingerprint(part) for axis, part in parts.items()}},
     }
     write_json(output, assemble(parts, found, meta))

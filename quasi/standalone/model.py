@@ -17,6 +17,7 @@ from quasi import tables
 from quasi.airframe import Airframe, from_plain
 from quasi.errors import ConfigError, ExpressionError, QuasiError, ReadError, ShapeError, nearest
 from quasi.expressions import Program, Tree, parse
+from quasi.standalone.envelope import JOINT, Region, distances, make_region, values_of
 from quasi.standalone.graph import Graph, Value
 from quasi.standalone.kernel import INPUTS, Kernel, compile_outputs, wrench, wrench_rows
 from quasi.variables import Variables, base_columns
@@ -105,26 +106,10 @@ class Model:
         state, speeds = np.asarray(state, float), np.asarray(rotor_speeds, float)
         if state.ndim == 1 and not extra:
             return self._predict_row(state, speeds, rotor_accelerations)
-        single = state.ndim == 1
-        state, speeds = np.atleast_2d(state), np.atleast_2d(speeds)
-        if state.ndim != 2 or state.shape[1] not in (9, 12):
-            raise ShapeError(f"state must be (N, 12) or (N, 9), roll pitch yaw u v w p q r [x y z], got {state.shape}")
-        if speeds.shape != (len(state), 4):
-            raise ShapeError(f"rotor_speeds must be ({len(state)}, 4) like the state's rows, got {speeds.shape}")
-        columns = {name: state[:, k] for k, name in enumerate(STATE[: state.shape[1]])}
-        columns |= {name: speeds[:, k] for k, name in enumerate(ROTORS)}
-        if rotor_accelerations is not None:
-            accelerations = np.atleast_2d(np.asarray(rotor_accelerations, float))
-            if accelerations.shape != speeds.shape:
-                raise ShapeError(
-                    f"rotor_accelerations must be {speeds.shape} like rotor_speeds, got {accelerations.shape}"
-                )
-            columns |= {name: accelerations[:, k] for k, name in enumerate(ACCELERATIONS)}
-        for name, values in (extra or {}).items():
-            columns[name] = np.broadcast_to(np.asarray(values, float), (len(state),))
-        result = self._evaluate(columns, len(state))
+        columns, rows = _from_state(state, speeds, rotor_accelerations, extra)
+        result = self._evaluate(columns, rows)
         forces, moments = result[:3].T, result[3:].T
-        return (forces[0], moments[0]) if single else (forces, moments)
+        return (forces[0], moments[0]) if state.ndim == 1 else (forces, moments)
 
     def predict_columns(self, flight: pd.DataFrame | Mapping[str, np.ndarray]) -> pd.DataFrame:
         """Predictions of the identified axes, one column each, of a table with roll .. z, w1 .. w4 and so on."""
@@ -132,6 +117,61 @@ class Model:
         result = self._evaluate(columns, rows)
         index = flight.index if isinstance(flight, pd.DataFrame) else None
         return pd.DataFrame({axis: result[AXES.index(axis)] for axis in self.axes}, index=index)
+
+    def distance(
+        self,
+        state: np.ndarray,
+        rotor_speeds: np.ndarray,
+        rotor_accelerations: np.ndarray | None = None,
+        extra: Mapping[str, np.ndarray] | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """How far outside the region that the training data covered, and in which variable most.
+
+        Arguments as for `predict`. Returns (N,) distances, 0 inside, in units of the covered range (0.5: half of that
+        range beyond its end), and (N,) names of the worst variable, "" inside; `quasi.standalone.envelope` tells more.
+        One row gives a number and a name. A row that holds NaN has the distance NaN.
+        Raises ShapeError, ExpressionError, or ConfigError for a model that carries no region.
+        """
+        state = np.asarray(state, float)
+        columns, rows = _from_state(state, np.asarray(rotor_speeds, float), rotor_accelerations, extra)
+        found, worst = self._distances(columns, rows)
+        return (found[0], worst[0]) if state.ndim == 1 else (found, worst)
+
+    def distance_columns(self, flight: pd.DataFrame | Mapping[str, np.ndarray]) -> pd.DataFrame:
+        """Columns "distance" and "worst" as `distance` tells them, of a table with roll .. z, w1 .. w4 and so on."""
+        found, worst = self._distances(*_as_columns(flight))
+        index = flight.index if isinstance(flight, pd.DataFrame) else None
+        return pd.DataFrame({"distance": found, "worst": worst}, index=index)
+
+    @property
+    def region(self) -> Region:
+        """The region that the training data covered, for compiled loops, see `quasi.standalone.envelope`."""
+        return self._region[0]
+
+    @property
+    def region_names(self) -> tuple[str, ...]:
+        """What the numbers of a worst variable mean; the last is the ellipsoid of all together."""
+        return (*self._region[1], JOINT)
+
+    @cached_property
+    def _region(self) -> tuple[Region, tuple[str, ...]]:
+        if not self.document.get("envelope"):
+            raise ConfigError(f"model {self.id} carries no region that its data covered; make the model anew")
+        graph = Graph(self.airframe, self.hover_speed)
+        try:
+            return make_region(self.document, graph, self.inputs, self.kernel.used, self._names)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            said = f"model {self.id}: the region that its data covered is damaged ({error}); make the model anew"
+            raise ConfigError(said) from None
+
+    def _distances(self, columns: Mapping[str, np.ndarray], rows: int) -> tuple[np.ndarray, np.ndarray]:
+        region = self.region
+        columns = self._inputs_of(columns, rows)
+        table = np.zeros((rows, len(self.inputs)))
+        for k in np.flatnonzero(self.kernel.used):
+            table[:, k] = columns[self.inputs[k]]
+        found, worst = distances(region, table, values_of(region, table))
+        return found, np.array([*self.region_names, ""])[worst]
 
     def interval(self, flight: pd.DataFrame | Mapping[str, np.ndarray], level: float | None = None) -> pd.DataFrame:
         """Prediction intervals: columns <axis>, <axis>_lower, <axis>_upper for each identified axis.
@@ -219,19 +259,49 @@ class Model:
             for name in self._names:
                 variables[name]
 
+    def _inputs_of(self, columns: Mapping[str, np.ndarray], rows: int) -> dict[str, np.ndarray]:
+        """The columns under the names of the kernel's inputs. Raises ExpressionError for one that is missing."""
+        columns = self._columns(columns, rows)
+        columns |= {name: columns[f"{name}_air"] for name in "uvw" if f"{name}_air" in columns}
+        if not all(self.inputs[k] in columns for k in self.kernel.gather):
+            self._say_what_lacks(columns)
+        return columns
+
     def _evaluate(self, columns: Mapping[str, np.ndarray], rows: int) -> np.ndarray:
         """(6, rows) in the order of AXES."""
-        columns, kernel = self._columns(columns, rows), self.kernel
-        columns |= {name: columns[f"{name}_air"] for name in "uvw" if f"{name}_air" in columns}
+        columns = self._inputs_of(columns, rows)
+        kernel = self.kernel
         wanted = [self.inputs[k] for k in kernel.gather]
-        if not all(name in columns for name in wanted):
-            self._say_what_lacks(columns)
         values = np.empty((len(wanted), rows))
         for k, name in enumerate(wanted):
             values[k] = columns[name]
         result = np.empty((len(AXES), rows))
         wrench_rows(kernel, values, result)
         return result
+
+
+def _from_state(
+    state: np.ndarray,
+    speeds: np.ndarray,
+    accelerations: np.ndarray | None,
+    extra: Mapping[str, np.ndarray] | None,
+) -> tuple[dict[str, np.ndarray], int]:
+    """Columns and number of rows of what `predict` is given. Raises ShapeError."""
+    state, speeds = np.atleast_2d(state), np.atleast_2d(speeds)
+    if state.ndim != 2 or state.shape[1] not in (9, 12):
+        raise ShapeError(f"state must be (N, 12) or (N, 9), roll pitch yaw u v w p q r [x y z], got {state.shape}")
+    if speeds.shape != (len(state), 4):
+        raise ShapeError(f"rotor_speeds must be ({len(state)}, 4) like the state's rows, got {speeds.shape}")
+    columns = {name: state[:, k] for k, name in enumerate(STATE[: state.shape[1]])}
+    columns |= {name: speeds[:, k] for k, name in enumerate(ROTORS)}
+    if accelerations is not None:
+        accelerations = np.atleast_2d(np.asarray(accelerations, float))
+        if accelerations.shape != speeds.shape:
+            raise ShapeError(f"rotor_accelerations must be {speeds.shape} like rotor_speeds, got {accelerations.shape}")
+        columns |= {name: accelerations[:, k] for k, name in enumerate(ACCELERATIONS)}
+    for name, values in (extra or {}).items():
+        columns[name] = np.broadcast_to(np.asarray(values, float), (len(state),))
+    return columns, len(state)
 
 
 def _as_columns(flight: pd.DataFrame | Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], int]:

@@ -9,7 +9,8 @@ from flights import AIRFRAME, HOVER, flight
 
 from quasi import tables
 from quasi.errors import ConfigError, ExpressionError, QuasiError, ReadError, ShapeError
-from quasi.standalone.build import assemble, envelope
+from quasi.standalone.build import assemble
+from quasi.standalone.envelope import covered
 from quasi.standalone.figures import comparison, scatter
 from quasi.standalone.model import STATE, Model, read_model
 from quasi.standalone.score import UNITS, score
@@ -272,7 +273,7 @@ def test_intervals_of_a_true_model_cover_what_they_promise():
 def test_the_envelope_is_that_of_the_training_rows(data):
     f, _, _ = data
     rows = {"a": np.arange(300) < 100}
-    region = envelope({"a": f}, rows, AIRFRAME, HOVER, {"Fz": part("Fz", TERMS["Fz"])})
+    region = covered({"a": f}, rows, AIRFRAME, HOVER, {"Fz": part("Fz", TERMS["Fz"])})["envelope"]
     assert region["u"]["min"] == f["u"][:100].min()
     assert region["u"]["percentiles"]["50"] == pytest.approx(f["u"][:100].median())
     assert region["u"]["unit"] == "m/s"

@@ -1,0 +1,223 @@
+"""The region that a model's data covered, and how far outside of it a state lies.
+
+Two limits, both learnt from the training rows:
+
+- one range per variable: its 0.01 % to 99.99 % percentile. The variables are the base columns that the model reads and
+  those that its terms name (U_p, mu_x, ...), the latter because a combination may be new where each part is not. One
+  that never varied is not limited.
+- one ellipsoid for the base columns together: distance from their mean in units of their covariance (Mahalanobis),
+  limited to the 99.99 % percentile of the training rows. It finds what no single range shows, such as full forward
+  speed at the rotor speeds of hover.
+
+The distance is 0 inside; outside it is the largest overshoot over all limits, in units of the covered range: 0.5 means
+that a variable lies half of its covered range beyond the nearer end. The ellipsoid is measured alike: its diameter is
+its range. Polynomials turn wild quickly there: a figure above some tenths says that a prediction is not to be trusted.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numba as nb
+import numpy as np
+import pandas as pd
+
+from quasi.airframe import Airframe
+from quasi.expressions import names, parse
+from quasi.standalone.graph import Graph
+from quasi.standalone.kernel import INPUTS, Kernel, compile_outputs, wrench, wrench_rows
+from quasi.tables import COLUMNS
+from quasi.variables import SYNONYMS, Variables, base_columns, split_function
+
+STATE = INPUTS[:12]
+PERCENTILES = (0.01, 1, 5, 25, 50, 75, 95, 99, 99.99)
+LOW, HIGH = "0.01", "99.99"
+JOINT = "all together"
+_FLOOR = 1e-4  # share of a variable's own deviation that the others never explain: keeps the ellipsoid from being flat
+
+
+class Region(NamedTuple):
+    """The covered region as flat arrays, for compiled loops (see `distance_of_row`).
+
+    kernel  the variables' values; low, high (V,) their limits
+    joint   (J,) positions in the kernel's inputs; mean (J,); whitening (J, J) lower triangular; limit (1,), inf without
+    """
+
+    kernel: Kernel
+    low: np.ndarray
+    high: np.ndarray
+    joint: np.ndarray
+    mean: np.ndarray
+    whitening: np.ndarray
+    limit: np.ndarray
+
+
+@nb.njit(cache=True, error_model="numpy")
+def distance_of_row(region: Region, inputs: np.ndarray, work: np.ndarray, values: np.ndarray) -> tuple[float, int]:
+    """(distance, number of the worst variable): 0 and -1 inside; V stands for the ellipsoid; NaN and -1 for NaN input.
+
+    inputs (20 + E,) as for `quasi.standalone.kernel.wrench`; work (len(region.kernel.work),) and values (V,) scratch
+    """
+    wrench(region.kernel, inputs, work, values)
+    return _farthest(region, inputs, values)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _farthest(region: Region, inputs: np.ndarray, values: np.ndarray) -> tuple[float, int]:
+    farthest, worst, unknown = 0.0, -1, False
+    for k in range(len(values)):
+        low, high = region.low[k], region.high[k]
+        beyond = max(low - values[k], values[k] - high)
+        unknown |= np.isnan(values[k])
+        if beyond > farthest * (high - low):
+            farthest, worst = beyond / (high - low), k
+    square = 0.0
+    for i in range(len(region.joint)):
+        part = 0.0
+        for j in range(i + 1):
+            part += region.whitening[i, j] * (inputs[region.joint[j]] - region.mean[j])
+        square += part * part
+    unknown |= np.isnan(square)
+    joint = 0.5 * (np.sqrt(square) / region.limit[0] - 1.0)
+    if joint > farthest:
+        farthest, worst = joint, len(values)
+    return (np.nan, -1) if unknown else (farthest, worst)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def distances(region: Region, table: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance and worst variable of many rows: table (N, 20 + E), values (V, N) what the kernel gives for them."""
+    distance, worst = np.empty(len(table)), np.empty(len(table), np.int64)
+    row = np.empty(len(values))
+    for k in range(len(table)):
+        row[:] = values[:, k]
+        distance[k], worst[k] = _farthest(region, table[k], row)
+    return distance, worst
+
+
+def values_of(region: Region, table: np.ndarray) -> np.ndarray:
+    """(V, N) values of the limited variables, table (N, 20 + E)."""
+    values = np.empty((len(region.low), len(table)))
+    wrench_rows(region.kernel, np.ascontiguousarray(table[:, region.kernel.gather].T), values)
+    return values
+
+
+def make_region(
+    document: Mapping[str, Any], graph: Graph, inputs: Sequence[str], used: np.ndarray, named: Iterable[str]
+) -> tuple[Region, tuple[str, ...]]:
+    """Region of a model and the names of its limited variables.
+
+    document  the model as plain data; graph  a new graph of its airframe; inputs  names of the kernel's inputs
+    used (20 + E,) which of them the model reads; named  the variables of its terms
+    Variables for which the model holds no range are not limited.
+    """
+    ranges = document.get("envelope", {})
+    read = [name for name, reads in zip(inputs, used) if reads]
+    limits = {}
+    for name in [*read, *limited_names(named)]:
+        if name in ranges:
+            shares = ranges[name]["percentiles"]
+            low, high = shares.get(LOW, ranges[name]["min"]), shares.get(HIGH, ranges[name]["max"])
+            if low < high:
+                limits[name] = (low, high)
+    limited = tuple(limits)
+    kernel = compile_outputs(graph, [graph.combine([(1.0, graph.variable(name))]) for name in limited], inputs)
+    joint = document.get("joint envelope") or {"names": [], "mean": [], "whitening": [], "limit": None}
+    size = len(joint["names"])
+    region = Region(
+        kernel,
+        np.array([limits[name][0] for name in limited], float),
+        np.array([limits[name][1] for name in limited], float),
+        np.array([inputs.index(name) for name in joint["names"]], np.uint32),
+        np.array(joint["mean"], float),
+        np.array(joint["whitening"], float).reshape(size, size),
+        np.array([np.inf if joint["limit"] is None else joint["limit"]]),
+    )
+    return region, limited
+
+
+def limited_names(named: Iterable[str]) -> list[str]:
+    """Variables of terms as they are limited: without |..|, sin[..], cos[..], under one spelling; no squared speeds."""
+    found = []
+    for name in named:
+        function, inner = split_function(name)
+        while function:
+            function, inner = split_function(inner)
+        tree = SYNONYMS.get(inner, ("name", inner))
+        if tree[0] == "name" and tree[1] not in found:
+            found.append(tree[1])
+    return found
+
+
+# ---- from the training rows ----
+
+
+def covered(
+    flights: Mapping[str, pd.DataFrame],
+    rows: Mapping[str, np.ndarray],
+    airframe: Airframe,
+    hover_speed: float | None,
+    parts: Mapping[str, Mapping[str, Any]] | None = None,
+) -> dict[str, dict[str, Any]]:
+    """What the training data covered, as a model carries it: "envelope" and "joint envelope".
+
+    flights  filtered flights; rows {flight: (n,) bool} the training rows
+    parts    identified axes, whose terms' variables are included beside the state and the rotor speeds
+    "envelope" holds per variable its smallest and largest value and percentiles. "joint envelope" holds names, mean,
+    whitening (lower triangular, x - mean becomes uncorrelated with unit variance) and limit, the distance within which
+    99.99 % of the rows lie, of the base columns that the terms need; it is empty when no row holds all of them.
+    """
+    terms = [n for part in (parts or {}).values() for term in part["terms"] for n in names(parse(term["expression"]))]
+    base = sorted(set().union(*(base_columns(n) for n in terms), set()), key=_position)
+    wanted = list(dict.fromkeys([*STATE, "w1", "w2", "w3", "w4", *base, *terms, *limited_names(terms)]))
+    gathered: dict[str, list[np.ndarray]] = {}
+    together: list[np.ndarray] = []
+    for key, flight in flights.items():
+        use = np.asarray(rows[key], bool)
+        if not use.any():
+            continue
+        columns = {c: flight[c].to_numpy(float)[use] for c in flight if pd.api.types.is_numeric_dtype(flight[c])}
+        variables = Variables(columns, airframe, hover_speed)
+        for name in wanted:
+            if name in STATE and name not in columns:
+                continue
+            values = variables[name]
+            gathered.setdefault(name, []).append(values[np.isfinite(values)])
+        if base:
+            together.append(np.column_stack([variables[name] for name in base]))
+    ranges = {name: np.concatenate(chunks) for name, chunks in gathered.items()}
+    return {
+        "envelope": {name: _range(name, values) for name, values in ranges.items() if len(values)},
+        "joint envelope": _ellipsoid(base, np.vstack(together)) if together else {},
+    }
+
+
+def _position(name: str) -> tuple[int, str]:
+    return (INPUTS.index(name) if name in INPUTS else len(INPUTS), name)
+
+
+def _range(name: str, values: np.ndarray) -> dict[str, Any]:
+    shares = np.percentile(values, PERCENTILES)
+    return {
+        "min": float(values.min()),
+        "max": float(values.max()),
+        "percentiles": {f"{p:g}": float(s) for p, s in zip(PERCENTILES, shares)},
+    } | ({"unit": COLUMNS[name][0]} if name in COLUMNS else {})
+
+
+def _ellipsoid(base: list[str], table: np.ndarray) -> dict[str, Any]:
+    table = table[np.isfinite(table).all(axis=1)]
+    spread = table.std(axis=0) if len(table) > len(base) + 1 else np.zeros(len(base))
+    chosen = spread > 0
+    if not chosen.any():
+        return {}
+    mean, spread = table[:, chosen].mean(axis=0), spread[chosen]
+    scaled = (table[:, chosen] - mean) / spread
+    correlation = scaled.T @ scaled / len(scaled) + _FLOOR * np.eye(len(spread))
+    whitening = np.linalg.inv(np.linalg.cholesky(correlation)) / spread
+    size = np.sqrt(np.sum(((table[:, chosen] - mean) @ whitening.T) ** 2, axis=1))
+    return {
+        "names": [name for name, c in zip(base, chosen) if c],
+        "mean": mean.tolist(),
+        "whitening": np.tril(whitening).tolist(),
+        "limit": float(np.percentile(size, float(HIGH))),
+    }
