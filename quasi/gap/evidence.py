@@ -1,0 +1,242 @@
+"""One flight as the search for causes sees it: measured wrench beside the model's, at the rate of the analysis.
+
+Forces and angular accelerations that a cause is proportional to are taken from the model, not from the measurement:
+the measurement is the regression's target, and a regressor that shares its noise would explain it (errors in
+variables).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import pandas as pd
+
+from quasi import attitude
+from quasi.airframe import Airframe
+from quasi.attitude import AIR_DENSITY, GRAVITY
+from quasi.errors import DataError
+from quasi.standalone.model import AXES, ROTORS, Model
+
+NEEDED = (*ROTORS, *(f"{w}_dot" for w in ROTORS), "p", "q", "r", "roll", "pitch", "yaw", "u", "v", "w", *AXES)
+STEPS = {"u": 0.2, "v": 0.2, "w": 0.2, "p": 0.05, "q": 0.05, "r": 0.05, **dict.fromkeys(ROTORS, 5.0)}  # of gradients
+APART = 1.5  # samples: a longer step of time is a gap
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Valid rows of one filtered flight with what the model says about them. Body axes FRD, SI units.
+
+    key, airframe, model, mass (kg, as the flight was processed), inertia (3, 3)
+    columns   {name: (n,)} of the filtered flight
+    measured  (n, 6) forces (N) and moments (N m); predicted  (n, 6) the model's, alike
+    """
+
+    key: str
+    airframe: Airframe
+    model: Model
+    mass: float
+    inertia: np.ndarray
+    columns: Mapping[str, np.ndarray]
+    measured: np.ndarray
+    predicted: np.ndarray
+    metadata: Mapping[str, object] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.predicted)
+
+    @property
+    def residual(self) -> np.ndarray:
+        """What the model leaves of the measured wrench (n, 6)."""
+        return self.measured - self.predicted
+
+    @property
+    def t(self) -> np.ndarray:
+        """Time, s (n,)."""
+        return self.columns["t"]
+
+    @cached_property
+    def breaks(self) -> np.ndarray:
+        """(n,) bool: the first row, and each row that does not follow its predecessor without a gap."""
+        steps = np.diff(self.t)
+        return np.concatenate([[True], steps > APART * np.median(steps)])
+
+    def take(self, *names: str) -> np.ndarray:
+        """Columns side by side (n, len(names)). Raises DataError naming the missing one."""
+        for name in names:
+            if name not in self.columns:
+                raise DataError(f"flight {self.key} has no column '{name}'")
+        return np.stack([self.columns[name] for name in names], axis=1)
+
+    @cached_property
+    def speeds(self) -> np.ndarray:
+        """Rotor speeds, rad/s (n, 4)."""
+        return self.take(*ROTORS)
+
+    @cached_property
+    def spin_up(self) -> np.ndarray:
+        """Rotor accelerations, rad/s2 (n, 4)."""
+        return self.take(*(f"{w}_dot" for w in ROTORS))
+
+    @cached_property
+    def rates(self) -> np.ndarray:
+        """Body rates, rad/s (n, 3)."""
+        return self.take("p", "q", "r")
+
+    @cached_property
+    def velocity(self) -> np.ndarray:
+        """Velocity through the air where the wind is known, over ground otherwise; body axes, m/s (n, 3)."""
+        names = [f"{c}_air" if f"{c}_air" in self.columns else c for c in "uvw"]
+        return self.take(*names)
+
+    @cached_property
+    def position(self) -> np.ndarray:
+        """Earth NED, m (n, 3)."""
+        return self.take("x", "y", "z")
+
+    @cached_property
+    def quaternion(self) -> np.ndarray:
+        """Body to earth (n, 4)."""
+        return attitude.from_euler(*(self.columns[c] for c in ("roll", "pitch", "yaw")))
+
+    @cached_property
+    def force(self) -> np.ndarray:
+        """Aerodynamic force of the model, N (n, 3): mass x specific force."""
+        if self.model.with_gravity:
+            return self.predicted[:, :3]
+        return self.predicted[:, :3] - self.mass * GRAVITY * self.down
+
+    @cached_property
+    def down(self) -> np.ndarray:
+        """The earth's down direction in body axes (n, 3)."""
+        return attitude.rotate_inverse(self.quaternion, np.array([0.0, 0.0, 1.0]))
+
+    @cached_property
+    def angular_acceleration(self) -> np.ndarray:
+        """Of the model at the measured rates, rad/s2 (n, 3)."""
+        return np.linalg.solve(self.inertia, (self.predicted[:, 3:] - self.gyroscopic(self.inertia)).T).T
+
+    def gyroscopic(self, inertia: np.ndarray) -> np.ndarray:
+        """omega x I omega, N m (n, 3)."""
+        return np.cross(self.rates, self.rates @ inertia.T)
+
+    @property
+    def hubs(self) -> np.ndarray:
+        """Rotor hubs from the cg, m (4, 3)."""
+        return np.asarray(self.airframe.hubs, float)
+
+    @property
+    def spin(self) -> np.ndarray:
+        """+1 for rotors that turn clockwise seen from above (4,)."""
+        return np.asarray(self.airframe.spin, float)
+
+    @cached_property
+    def hub_velocity(self) -> np.ndarray:
+        """Velocity of each hub through the air, body axes, m/s (n, 4, 3)."""
+        return self.velocity[:, None] + np.cross(self.rates[:, None], self.hubs[None])
+
+    @cached_property
+    def hub_height(self) -> np.ndarray:
+        """Height of each hub above the floor (earth z = 0), m (n, 4)."""
+        turned = attitude.rotate(self.quaternion[:, None], np.broadcast_to(self.hubs, (len(self), 4, 3)))
+        return -(self.position[:, 2:3] + turned[..., 2])
+
+    @cached_property
+    def thrust(self) -> np.ndarray:
+        """Thrust of each rotor by the simple model k W^2, N (n, 4)."""
+        return self.model.document["simple model"]["kappaFz"]["value"] * self.speeds**2
+
+    @cached_property
+    def torque(self) -> np.ndarray:
+        """Shaft torque of each rotor by the simple model, N m (n, 4), positive against its spin."""
+        return abs(self.model.document["simple model"]["kappaMz"]["value"]) * self.speeds**2
+
+    @property
+    def hover_induced(self) -> float:
+        """Induced velocity in hover by momentum theory, m/s."""
+        area = 4.0 * np.pi * self.airframe.radius**2
+        return float(np.sqrt(self.mass * GRAVITY / (2.0 * AIR_DENSITY * area)))
+
+    def at_hubs(self, forces: np.ndarray) -> np.ndarray:
+        """Wrench (n, 6) about the cg of forces at the hubs (n, 4, 3), N, body axes."""
+        return np.hstack([forces.sum(axis=1), np.cross(self.hubs[None], forces).sum(axis=1)])
+
+    def upward(self, thrust: np.ndarray) -> np.ndarray:
+        """Wrench (n, 6) of thrusts (n, 4), N, along -z at the hubs."""
+        forces = np.zeros((len(self), 4, 3))
+        forces[:, :, 2] = -thrust
+        return self.at_hubs(forces)
+
+    def only(self, axis: str, values: np.ndarray | float) -> np.ndarray:
+        """Wrench (n, 6) with one component."""
+        wrench = np.zeros((len(self), 6))
+        wrench[:, AXES.index(axis)] = values
+        return wrench
+
+    def forces_only(self, forces: np.ndarray) -> np.ndarray:
+        """Wrench (n, 6) of forces at the cg (n, 3)."""
+        return np.hstack([forces, np.zeros((len(self), 3))])
+
+    def moments_only(self, moments: np.ndarray) -> np.ndarray:
+        """Wrench (n, 6) of pure moments (n, 3)."""
+        return np.hstack([np.zeros((len(self), 3)), moments])
+
+    def gradient(self, *names: str) -> np.ndarray:
+        """Slope of the model's wrench by columns (n, 6, len(names)), by central differences."""
+        return np.stack([self._slope(name) for name in names], axis=2)
+
+    def _slope(self, name: str) -> np.ndarray:
+        cache = self.__dict__.setdefault("_slopes", {})
+        if name not in cache:
+            here = f"{name}_air" if f"{name}_air" in self.columns else name
+            step = STEPS[name]
+            sides = [_predict(self.model, {**self.columns, here: self.columns[here] + s * step}) for s in (1, -1)]
+            cache[name] = (sides[0] - sides[1]) / (2.0 * step)
+        return cache[name]
+
+
+def _predict(model: Model, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+    predicted = model.predict_columns(pd.DataFrame(columns))
+    return predicted[list(AXES)].to_numpy()
+
+
+def gather(
+    key: str, flight: pd.DataFrame, metadata: Mapping[str, object], airframe: Airframe, model: Model, rate: float
+) -> Evidence:
+    """Evidence of a filtered flight, thinned to about `rate` Hz.
+
+    flight  filtered, of the kind (with or without gravity) that the model predicts; its forces are band-limited, so
+            that thinning to 2.5 times their cut-off loses nothing
+    Rows that are not valid or hold missing values are left out. Raises DataError when a column is missing or less than
+    a second is left.
+    """
+    missing = [c for c in NEEDED if c not in flight]
+    if missing:
+        raise DataError(f"flight {key} has no column '{missing[0]}', which a comparison with a model needs")
+    sampling = 1.0 / float(np.median(np.diff(flight["t"].to_numpy())))
+    every = max(int(sampling // rate), 1)
+    good = np.isfinite(flight[list(NEEDED)].to_numpy()).all(axis=1)
+    if "valid" in flight:
+        good &= flight["valid"].to_numpy() > 0.5
+    rows = np.flatnonzero(good)
+    rows = rows[rows % every == 0]
+    if len(rows) * every < sampling:
+        raise DataError(f"flight {key} has {len(rows) * every / sampling:.1f} s of valid data, expected more than 1 s")
+    columns = {
+        name: flight[name].to_numpy(float)[rows] for name in flight if pd.api.types.is_numeric_dtype(flight[name])
+    }
+    predicted = _predict(model, columns)
+    if not np.isfinite(predicted).all():
+        lacking = [a for k, a in enumerate(AXES) if not np.isfinite(predicted[:, k]).all()]
+        raise DataError(f"model {model.id} has no value for {', '.join(lacking)} on flight {key}")
+    return Evidence(
+        key,
+        airframe,
+        model,
+        float(metadata.get("mass") or airframe.mass or np.nan),
+        np.asarray(metadata.get("inertia", airframe.inertia), float),
+        columns,
+        np.stack([columns[a] for a in AXES], axis=1),
+        predicted,
+        metadata,
+    )

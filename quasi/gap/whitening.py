@@ -1,0 +1,85 @@
+"""Whitening of residuals, and the cross-products that everything after works on.
+
+Residuals of a flight remember: gusts last a second, filters a few samples. An autoregression per channel, fitted to
+what no column explains, turns them white, so that least squares after it is generalised least squares and its
+covariances are honest. Sources: Box, Jenkins & Reinsel, Time Series Analysis, 3rd ed., 1994, section 7.3 (Yule-Walker);
+Harvey, The Econometric Analysis of Time Series, 2nd ed., 1990, section 6.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_toeplitz
+from scipy.signal import lfilter
+
+RIDGE = 1e-6  # of the variance, so that a silent band does not make the recursion singular
+
+
+class Whitener(NamedTuple):
+    """coefficients (C, order + 1) with leading 1, scale (C,): the innovations' standard deviation."""
+
+    coefficients: np.ndarray
+    scale: np.ndarray
+
+
+def stretches(breaks: np.ndarray) -> list[slice]:
+    """Runs of rows between gaps. breaks (n,) bool, True where a run begins."""
+    starts = np.flatnonzero(breaks)
+    return [slice(a, b) for a, b in zip(starts, [*starts[1:], len(breaks)])]
+
+
+def autoregression(residuals: Sequence[np.ndarray], breaks: Sequence[np.ndarray], order: int) -> Whitener:
+    """One autoregression per channel for all flights. residuals (n, C) per flight, breaks (n,) bool per flight."""
+    channels = residuals[0].shape[1]
+    coefficients, scale = np.ones((channels, order + 1)), np.ones(channels)
+    for c in range(channels):
+        covariance, rows = np.zeros(order + 1), 0
+        for residual, gaps in zip(residuals, breaks):
+            for part in stretches(gaps):
+                x = residual[part, c]
+                rows += len(x)
+                for lag in range(min(order + 1, len(x))):
+                    covariance[lag] += x[lag:] @ x[: len(x) - lag]
+        covariance[0] *= 1.0 + RIDGE
+        if covariance[0] <= 0.0:
+            continue  # a channel without residual: nothing to whiten
+        weights = solve_toeplitz(covariance[:-1], covariance[1:])
+        coefficients[c, 1:] = -weights
+        scale[c] = np.sqrt((covariance[0] - weights @ covariance[1:]) / rows)
+    return Whitener(coefficients, scale)
+
+
+def whiten(columns: np.ndarray, breaks: np.ndarray, whitener: Whitener) -> tuple[np.ndarray, np.ndarray]:
+    """Whitened columns (m, C, P) of (n, C, P), and the rows (m,) that they belong to.
+
+    The first `order` rows after each gap only fill the filter and are left out.
+    """
+    order = whitener.coefficients.shape[1] - 1
+    parts, rows = [], []
+    for part in stretches(breaks):
+        if part.stop - part.start <= order:
+            continue
+        filtered = np.empty((part.stop - part.start - order, *columns.shape[1:]))
+        for c, (weights, scale) in enumerate(zip(whitener.coefficients, whitener.scale)):
+            filtered[:, c] = lfilter(weights, [scale], columns[part, c], axis=0)[order:]
+        parts.append(filtered)
+        rows.append(np.arange(part.start + order, part.stop))
+    if not parts:
+        return np.empty((0, *columns.shape[1:])), np.empty(0, int)
+    return np.concatenate(parts), np.concatenate(rows)
+
+
+def block_grams(
+    columns: np.ndarray, breaks: np.ndarray, whitener: Whitener, t: np.ndarray, seconds: float
+) -> np.ndarray:
+    """Cross-products (B, P, P) of the whitened columns, one for each block of `seconds`, all channels together."""
+    white, rows = whiten(columns, breaks, whitener)
+    if not len(rows):
+        return np.zeros((0, columns.shape[2], columns.shape[2]))
+    number = ((t[rows] - t[rows[0]]) / seconds).astype(int)
+    grams = []
+    for n in np.unique(number):
+        block = white[number == n].reshape(-1, columns.shape[2])
+        grams.append(block.T @ block)
+    return np.array(grams)
