@@ -78,10 +78,18 @@ def _wrench_of(kernel, rot, velocity, rates, position, speeds, slopes, inputs, w
 
 
 @njit(cache=True)
+def _root(square, sign):
+    return math.copysign(0.5 * math.sqrt(max(1.0 + square, 0.0)), sign)
+
+
+@njit(cache=True)
 def _loop(
     kind, p, memory, goals, dt, fine, kernel, constants, inertia, offset, rot, state, share, cap, fault, noise, log
 ):
-    """constants: mass, gravity to add, lag, lowest, highest; state (13,): x (3), v earth (3), rates (3), rotors (4)."""
+    """noise (N, 6) of velocity and rates.
+
+    constants: mass, gravity to add, lag, lowest, highest; state (13,): x (3), v earth (3), rates (3), rotors (4).
+    """
     mass, gravity, lag, lowest, highest = constants
     inverse = np.linalg.inv(inertia)
     inputs, work, out = np.zeros(64), kernel.work.copy(), np.zeros(6)
