@@ -30,7 +30,7 @@ from quasi.variables import Variables
 
 ROOT = Path(__file__).parents[1]
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
-POOLS = ("polyCands_DiffSys_quadraticU_symmetric_SIMPLE_FM", "physical")
+POOLS = ("manual_listing_17", "polyCands_DiffSys_quadraticU_symmetric_SIMPLE_FM", "physical")
 
 
 def rms(x: np.ndarray) -> float:

@@ -1,6 +1,7 @@
 """Identification of one axis: from filtered flights to terms with coefficients, errors and how they were chosen."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,15 +10,19 @@ import pandas as pd
 from quasi.airframe import Airframe
 from quasi.errors import DataError, ExpressionError, nearest
 from quasi.expressions import Program
-from quasi.identification.candidates import Specification, names_of
+from quasi.identification.candidates import BIAS, Specification, Term, names_of
+from quasi.identification.evidence import Totals, interchangeable
 from quasi.identification.partition import TRAINING
-from quasi.identification.regression import Fit, least_squares, probability_of_nothing
-from quasi.identification.stepwise import Options, Pool, Selection, select
+from quasi.identification.products import Pool
+from quasi.identification.regression import Fit, least_squares, memory_window
+from quasi.identification.stepwise import RIVALS, Options, Selection, select
+from quasi.identification.structure import inclusion, leave_one_flight_out
+from quasi.identification.warnings import warnings
 from quasi.variables import Variables, base_columns, unit_of
 
 UNITS = {**dict.fromkeys(("Fx", "Fy", "Fz"), "N"), **dict.fromkeys(("Mx", "My", "Mz"), "N m")}
-TIE = 0.98  # a runner-up with this share of the best candidate's gain is reported as a tie
-ILL_CONDITIONED = 1e4  # of the scaled columns; beyond it terms are interchangeable
+NEAR = 128  # candidates that came near being chosen, among which flights are left out and data resampled
+CONSTANT = Term(BIAS, ("number", 1.0))
 
 
 def fit_axis(
@@ -34,9 +39,9 @@ def fit_axis(
     axis           "Fx" .. "Mz", a column of the flights
     flights        {key: filtered flight}; partition {key: (n,) role codes}
     shared         what `shared` found (the hover speed is used)
-    config         "regressor cap", "F in", "F out", "stop criterion", "confidence level"; each has a default.
-                   "significance level" (say 0.05, of the whole pool) adds an entry test that counts the residuals'
-                   memory
+    config         "regressor cap", "entry test", "significance level", "F in", "F out", "stop criterion",
+                   "structure choice", "bootstrap", "confidence level"; see the schema of a model. Resampling is
+                   left out when "bootstrap" is
     specification  fixed regressors and candidates, and whether a constant belongs to the model
     Returns plain data: terms, coefficients, units, standard errors, covariance, log, stop reason, sigma2, R2, n, ...
     Raises DataError or ExpressionError naming flight, column or regressor.
@@ -44,33 +49,34 @@ def fit_axis(
     hover = shared.get("hover speed", {}).get("value")
     blocks, targets, series, dropped = _training_rows(axis, flights, partition, airframe, hover, specification)
     raw = np.concatenate(targets)
-    targets = _less_known(targets, blocks, specification)
-    free = [t for t in specification.fixed if t.expression not in specification.known]
-    terms = [*free, *specification.candidates]
-    trees, names = [t.tree for t in terms], [t.expression for t in terms]
-
-    pool = Pool(trees, len(free), blocks, targets, centred=specification.bias)
-    options = Options(
-        cap=int(config.get("regressor cap", 10)),
-        f_in=float(config.get("F in", 4.0)),
-        f_out=float(config.get("F out", 4.0)),
-        stop=str(config.get("stop criterion", "PSE")),
-    )
     total = float(np.sum((raw - raw.mean()) ** 2))
     if total <= 0:
         raise DataError(f"{axis} is constant over the training rows; there is nothing to fit")
-    level = config.get("significance level")
-    doubt = None if level is None else _doubt(trees, blocks, targets, series, specification.bias)
-    share = float(level or 0.0) / max(len(specification.candidates), 1)
-    selection = select(pool, options, names, total, doubt, share)
-    chosen = [*range(len(free)), *selection.chosen]
+    targets = _less_known(targets, blocks, specification)
+    free = [t for t in specification.fixed if t.expression not in specification.known]
+    first = [CONSTANT] if specification.bias else []
+    terms = [*first, *free, *specification.candidates]
+    trees, names = [t.tree for t in terms], [t.expression for t in terms]
+    if len(terms) == 0:
+        raise DataError(f"{axis}: every fixed coefficient is given and there is no candidate; there is nothing to fit")
 
-    columns = _columns(Program([trees[k] for k in chosen]), blocks, specification.bias)
-    if not columns.shape[1]:
+    rows = list(series.values())
+    fixed = len(first) + len(free)
+    pool = Pool(trees, fixed, blocks, targets, rows, specification.bias)
+    options = options_of(config, len(specification.candidates))
+    selection, near, held_out = choose(pool, options, config, names, total, rows)
+    chosen = [*range(fixed), *selection.chosen]
+    if not chosen:
         raise DataError(f"{axis}: every fixed coefficient is given and no candidate entered; there is nothing to fit")
-    fit = least_squares(columns, np.concatenate(targets), list(series.values()))
-    estimated = ["bias"] * specification.bias + [names[k] for k in chosen]
-    entries = _terms(axis, specification, estimated, [trees[k] for k in chosen], len(free), fit)
+
+    program = Program([trees[k] for k in chosen])
+    columns = np.vstack([program.run(block, len(z)).T for block, z in zip(blocks, targets)])
+    fit = least_squares(columns, np.concatenate(targets), rows)
+    estimated = [names[k] for k in chosen]
+    entries = _terms(axis, specification, terms, chosen, fixed, fit)
+    alike = interchangeable(Totals(pool), chosen, selection.bandwidth)
+    _add_rivals(entries, alike, names)
+    resampled = _resample(pool, near, selection, options, config, names, entries)
     error = float(fit.residuals @ fit.residuals)
     return {
         "schema": "quasi.identified/1",
@@ -88,15 +94,117 @@ def fit_axis(
         "bandwidth": fit.bandwidth,
         "condition number": fit.condition,
         "confidence level": float(config.get("confidence level", 0.95)),
+        "entry test": options.test,
         "log": selection.log,
         "stop reason": selection.reason,
+        "structure choice": held_out or {"by": "entry test"},
+        "bootstrap": resampled,
         "candidates": len(specification.candidates),
         "duplicates": [list(pair) for pair in specification.duplicates],
-        "unusable": {names[k]: why for k, why in selection.unusable.items()},
+        "unusable": {names[k]: why for k, why in pool.unusable.items()},
         "flights": {key: len(z) for key, z in zip(series, targets)},
         "dropped rows": dropped,
-        "notes": _notes(axis, entries, selection, fit, dropped, names),
+        "notes": _notes(axis, dropped, pool, names) + warnings(axis, entries, selection.log, fit, resampled),
     }
+
+
+def _notes(axis: str, dropped: dict[str, int], pool: Pool, names: list[str]) -> list[str]:
+    lost = [
+        f"{axis}: {rows} training rows of flight {key} hold missing values and are left out"
+        for key, rows in dropped.items()
+    ]
+    out = [f"{axis}: the candidate {names[k]} {why}; it is left out of the pool" for k, why in pool.unusable.items()]
+    return lost + out
+
+
+def options_of(config: Mapping[str, Any], candidates: int) -> Options:
+    """How to select, from a model's configuration.
+
+    A constant "F in" without a "significance level" is the manual's test; otherwise "entry test" decides, whose default
+    is the significance over the whole pool.
+    """
+    manual = "F in" in config and "significance level" not in config
+    return Options(
+        cap=int(config.get("regressor cap", 10)),
+        test=str(config.get("entry test", "F" if manual else "significance")),
+        level=float(config.get("significance level", 0.05)),
+        f_in=float(config.get("F in", 4.0)),
+        f_out=float(config.get("F out", 4.0)),
+        stop=str(config.get("stop criterion", "PSE")),
+        pool=max(candidates, 1),
+    )
+
+
+def choose(
+    pool: Pool, options: Options, config: Mapping[str, Any], names: list[str], total: float, series: list[np.ndarray]
+) -> tuple[Selection, list[int], dict[str, Any] | None]:
+    """Select the terms: (selection, columns that came near, what leaving flights out told or None)."""
+    known: dict[tuple[int, ...], int] = {}
+
+    def memory(columns: list[int]) -> int:
+        key = tuple(sorted(columns))
+        if key not in known:
+            known[key] = 1 + round(memory_window(pool.residuals(columns), series) / pool.length)
+        return known[key]
+
+    about = {"unusable": pool.unusable, "constant": pool.constant}
+    if config.get("structure choice", "entry test") == "entry test":
+        selection = select(pool, options, names, total, memory=memory, **about)
+        return selection, _near(pool, selection), None
+    bare = Options(cap=options.cap, f_in=0.0, f_out=0.0, stop="none")
+    near = _near(pool, select(pool, bare, names, total, **about))
+    found = leave_one_flight_out(pool.subset(near), options.cap, [names[k] for k in near], pool.constant)
+    selection = select(pool, replace(bare, cap=found["steps"]), names, total, **about)
+    reason = (
+        f"{found['steps']} steps predict left-out flights as well as any number up to {options.cap} "
+        f"(the smallest error is that of {found['smallest at']})"
+    )
+    bandwidth = memory([*range(pool.fixed), *selection.chosen])
+    return replace(selection, reason=reason, bandwidth=bandwidth), near, {"by": "leave one flight out", **found}
+
+
+def _near(pool: Pool, selection: Selection) -> list[int]:
+    order = sorted(selection.seen, key=lambda k: -selection.seen[k])[:NEAR]
+    return [*range(pool.fixed), *sorted(order)]
+
+
+def _resample(pool, near, selection, options, config, names, entries) -> dict[str, Any] | None:
+    resamples = int(config.get("bootstrap", 0))
+    if not resamples or len(near) == pool.fixed:
+        return None
+    if config.get("structure choice", "entry test") != "entry test":
+        options = Options(cap=len(selection.log) - 1, f_in=0.0, f_out=0.0, stop="none")
+    shown = [names[k] for k in near]
+    found = inclusion(pool.subset(near), options, shown, pool.constant, resamples, selection.bandwidth)
+    share = dict(zip(shown, found["share"]))
+    place = {name: i for i, name in enumerate(shown)}
+    for term in entries:
+        if not term["fixed"]:
+            rivals = [r["expression"] for r in term["interchangeable with"] if r["expression"] in place]
+            which = [place[term["name"]], *(place[r] for r in rivals)]
+            term["inclusion"] = float(share[term["name"]])
+            term["inclusion with rivals"] = float(found["together"][:, which].any(axis=1).mean())
+    taken = {t["name"] for t in entries}
+    others = sorted((n for n in shown if n not in taken and share[n] > 0.0), key=lambda n: -share[n])
+    return {
+        "resamples": found["resamples"],
+        "of": found["of"],
+        "units": found["units"],
+        "candidates": len(near) - pool.fixed,
+        "others": [{"expression": n, "inclusion": float(share[n])} for n in others[:10]],
+    }
+
+
+def _add_rivals(entries: list[dict[str, Any]], alike: dict[int, list[dict]], names: list[str]) -> None:
+    by_name = {names[k]: rivals for k, rivals in alike.items()}
+    for entry in entries:
+        if entry["name"] in by_name:
+            rivals = by_name[entry["name"]]
+            entry["interchangeable with"] = [
+                {"expression": names[r["column"]], "share of gain": r["share of gain"], "worse by": r["worse by"]}
+                for r in rivals[:RIVALS]
+            ]
+            entry["rivals"] = len(rivals)
 
 
 def _training_rows(axis, flights, partition, airframe, hover, specification) -> tuple[list, list, dict, dict]:
@@ -142,43 +250,22 @@ def _less_known(targets: list[np.ndarray], blocks: list[dict], specification: Sp
     return [z - weights @ program.run(block, len(z)) for z, block in zip(targets, blocks)]
 
 
-def _columns(program: Program, blocks: list[dict], bias: bool) -> np.ndarray:
-    parts = []
-    for block in blocks:
-        rows = len(next(iter(block.values()))) if block else 0
-        part = program.run(block, rows).T
-        parts.append(np.hstack([np.ones((rows, 1)), part]) if bias else part)
-    return np.vstack(parts)
-
-
-def _doubt(trees, blocks, targets, series, bias: bool) -> Callable[[list[int]], float]:
-    """Entry test that counts the residuals' memory, for the last of some columns of the pool."""
-    z, rows = np.concatenate(targets), list(series.values())
-
-    def test(chosen: list[int]) -> float:
-        return probability_of_nothing(_columns(Program([trees[k] for k in chosen]), blocks, bias), z, rows)
-
-    return test
-
-
-def _terms(axis, specification, estimated, trees, free, fit: Fit) -> list[dict[str, Any]]:
+def _terms(axis, specification, terms, chosen, fixed, fit: Fit) -> list[dict[str, Any]]:
     entries = []
-    bias = int(specification.bias)
-    for k, name in enumerate(estimated):
-        tree = ("number", 1.0) if bias and k == 0 else trees[k - bias]
-        std, plain = (float(np.sqrt(c[k, k])) for c in (fit.covariance, fit.plain_covariance))
-        value = float(fit.coefficients[k])
+    for i, k in enumerate(chosen):
+        std, plain = (float(np.sqrt(c[i, i])) for c in (fit.covariance, fit.plain_covariance))
+        value = float(fit.coefficients[i])
         entries.append(
             {
-                "name": name,
-                "expression": "1" if bias and k == 0 else name,
+                "name": terms[k].expression,
+                "expression": "1" if terms[k] is CONSTANT else terms[k].expression,
                 "coefficient": value,
                 "std": std,
                 "plain std": plain,
                 "t": value / std if std > 0 else None,
-                "unit": unit_of(tree, axis),
-                "fixed": k < free + bias,
-                "inflation": float(fit.inflation[k]),
+                "unit": unit_of(terms[k].tree, axis),
+                "fixed": k < fixed,
+                "inflation": float(fit.inflation[i]) if np.isfinite(fit.inflation[i]) else None,
             }
         )
     for term in specification.fixed:
@@ -197,25 +284,3 @@ def _terms(axis, specification, estimated, trees, free, fit: Fit) -> list[dict[s
                 }
             )
     return entries
-
-
-def _notes(axis: str, terms: list[dict], selection: Selection, fit: Fit, dropped: dict, names: list[str]) -> list[str]:
-    notes = [
-        f"{axis}: {rows} training rows of flight {key} hold missing values and are left out"
-        for key, rows in dropped.items()
-    ]
-    for column, why in selection.unusable.items():
-        notes.append(f"{axis}: the candidate {names[column]} {why}; it is left out of the pool")
-    for entry in selection.log[1:]:
-        rival = entry["runner up"]
-        if rival and rival["share of gain"] > TIE:
-            notes.append(
-                f"{axis}: step {entry['step']} took {entry['selected']}, but {rival['expression']} would do "
-                f"{100 * rival['share of gain']:.1f} % as well; the data hardly tell them apart"
-            )
-    weak = [t["name"] for t in terms if t["t"] is not None and abs(t["t"]) < 2 and not t["fixed"]]
-    if weak:
-        notes.append(f"{axis}: {', '.join(weak)} cannot be told from zero, the residuals' memory counted (|t| < 2)")
-    if fit.condition > ILL_CONDITIONED:
-        notes.append(f"{axis}: the terms are nearly interchangeable (condition number {fit.condition:.1e})")
-    return notes

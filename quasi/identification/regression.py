@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy import fft
 from scipy.linalg import qr, solve_triangular
-from scipy.special import stdtr
 
 from quasi.errors import DataError
 
@@ -26,7 +25,8 @@ class Fit(NamedTuple):
 
     coefficients (p,); covariance (p, p) robust to autocorrelation; plain_covariance (p, p) as if rows were independent;
     residuals (n,); sigma2, their variance; condition number of the scaled columns; inflation (p,) of each coefficient's
-    variance by the other columns; bandwidth in rows; effective_rows, independent rows that weigh as much as these.
+    variance by the other columns (about the means where one column is constant; nan for the constant itself);
+    bandwidth in rows; effective_rows, independent rows that weigh as much as these.
     """
 
     coefficients: np.ndarray
@@ -75,28 +75,20 @@ def least_squares(a: np.ndarray, z: np.ndarray, series: Sequence[np.ndarray], ba
         residuals=residuals,
         sigma2=sigma2,
         condition=float(singular[0] / singular[-1]),
-        inflation=np.diag(bread).copy(),
+        inflation=_inflation(a, scale, bread),
         bandwidth=int(bandwidth),
         effective_rows=float(np.clip(n * (residuals @ residuals) / variance, 1.0, n)) if variance > 0 else float(n),
     )
 
 
-def probability_of_nothing(a: np.ndarray, z: np.ndarray, series: Sequence[np.ndarray]) -> float:
-    """Probability of so large a coefficient of the last column of a (n, p) if it were nothing beside the others.
-
-    From the covariance robust to autocorrelation; Student's t with as many degrees of freedom as the data hold
-    bandwidths, since the variance itself is only known from so many independent pieces.
-    Source: as for `least_squares`; Kiefer & Vogelsang, Econometric Theory 21(6), 2005, on wide bandwidths.
-    """
-    q, _ = qr(a / np.linalg.norm(a, axis=0), mode="economic", check_finite=False)
-    along = q.T @ z
-    scores = (z - q @ along) * q[:, -1]
-    bandwidth = max(memory_window(scores, series), 1)
-    variance = bartlett(scores[:, None], series, bandwidth)[0, 0]
-    if variance <= 0:
-        return 0.0
-    freedom = max(len(z) / bandwidth - a.shape[1], 1.0)
-    return float(2.0 * stdtr(freedom, -abs(along[-1]) / np.sqrt(variance)))
+def _inflation(a: np.ndarray, scale: np.ndarray, bread: np.ndarray) -> np.ndarray:
+    constant = np.ptp(a, axis=0) == 0
+    inflation = np.diag(bread).copy()
+    if constant.any():
+        # next to a constant, only what varies about the mean counts
+        inflation *= a.var(axis=0) * len(a) / scale**2
+        inflation[constant] = np.nan
+    return inflation
 
 
 def bartlett(scores: np.ndarray, series: Sequence[np.ndarray], bandwidth: int) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Polynomial specifications of the manual's syntax."""
 
 import math
+from pathlib import Path
 
 import pytest
 
@@ -8,6 +9,7 @@ from quasi import tables
 from quasi.errors import ConfigError, ExpressionError
 from quasi.identification.candidates import AXES, read_specification
 
+LISTING = "config/polynomials/manual_listing_17.json"
 FM = "config/polynomials/polyCands_DiffSys_quadraticU_symmetric_SIMPLE_FM.json"
 
 
@@ -107,7 +109,7 @@ def test_a_wrong_entry_is_a_sentence_with_file_and_place(entry, hint, monkeypatc
     assert hint in str(caught.value)
 
 
-@pytest.mark.parametrize("name", [FM, "config/polynomials/physical.json"])
+@pytest.mark.parametrize("name", sorted(str(p) for p in Path("config/polynomials").glob("*.json")))
 def test_the_standard_files_can_be_read(name):
     document = tables.read_json(name)
     for axis in AXES:
@@ -116,8 +118,16 @@ def test_the_standard_files_can_be_read(name):
         assert found.fixed
 
 
-def test_the_standard_fm_pool_of_fz_has_the_printed_entries():
+def test_the_printed_pool_of_fz_has_the_printed_entries():
     # 34 monomials of 3 variables to degree 4 times 8 sets, 19 of 3 to degree 3 times 2, 4 of 1, less the fixed w
-    found = read_specification(tables.read_json(FM), "Fz", FM)
+    found = read_specification(tables.read_json(LISTING), "Fz", LISTING)
     assert len(found.candidates) == 34 * 8 + 19 * 2 + 4 - 1
     assert found.duplicates == (("(w^(1.0))", "w"),)
+
+
+def test_the_standard_fm_pool_of_fz_has_as_many_candidates_as_the_reference_counts():
+    # the printed pool, the same 34 x 8 in advance ratios, and 19 of the three differential thrusts times 2
+    found = read_specification(tables.read_json(FM), "Fz", FM)
+    assert len(found.candidates) == 623
+    printed = read_specification(tables.read_json(LISTING), "Fz", LISTING)
+    assert {t.expression for t in printed.candidates} <= {t.expression for t in found.candidates}

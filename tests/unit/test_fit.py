@@ -145,8 +145,8 @@ def test_false_terms_stay_out_when_the_residuals_memory_is_counted():
         slow = sosfiltfilt(low, np.random.default_rng(100 + seed).standard_normal(6000))
         f["Fx"] = -0.1 * f["u"] + 0.1 * slow / slow.std()
         roles = partition({"a": f})
-        plain += len(identify("Fx", {"a": f}, roles, section)["terms"])
-        found = identify("Fx", {"a": f}, roles, section, **{"significance level": 0.05})
+        plain += len(identify("Fx", {"a": f}, roles, section, **{"F in": 4})["terms"])
+        found = identify("Fx", {"a": f}, roles, section)
         assert "(u^(1.0))" in found["estimated"]
         counted += len(found["terms"])
     assert plain > 6 * 8  # every step finds something at a constant F of 4

@@ -6,7 +6,7 @@ import statsmodels.api as sm
 from scipy.signal import lfilter
 
 from quasi.errors import DataError
-from quasi.identification.regression import bartlett, least_squares, memory_window, probability_of_nothing
+from quasi.identification.regression import bartlett, least_squares, memory_window
 
 
 def autocorrelated(seed, n, memory):
@@ -93,16 +93,3 @@ def test_copies_and_too_few_rows_are_refused():
         least_squares(a[:3], a[:3, 0], [np.arange(3)])
     with pytest.raises(DataError, match="zero or not finite"):
         least_squares(np.column_stack([a, np.zeros(50)]), a[:, 0], [np.arange(50)])
-
-
-def test_the_probability_of_nothing_is_what_it_says():
-    # columns that are nothing, residuals with a memory: values below 0.05 in about 5 of 100 draws
-    found = []
-    for seed in range(200):
-        n = 2000
-        a = np.column_stack([np.ones(n), autocorrelated(3000 + seed, n, 0.8)])
-        found.append(probability_of_nothing(a, autocorrelated(seed, n, 0.8), [np.arange(n)]))
-    assert 0.01 <= np.mean(np.array(found) < 0.05) <= 0.1
-    x = autocorrelated(1, 2000, 0.8)
-    strong = 0.5 * x + autocorrelated(2, 2000, 0.8)
-    assert probability_of_nothing(np.column_stack([np.ones(2000), x]), strong, [np.arange(2000)]) < 1e-6

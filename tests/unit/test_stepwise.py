@@ -1,5 +1,6 @@
 """Selection on cross-products against a plain slow implementation of the manual's algorithm (6.2) and against numpy."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -7,8 +8,10 @@ import pytest
 
 from quasi.errors import ConfigError, DataError
 from quasi.expressions import parse
-from quasi.identification import stepwise
-from quasi.identification.stepwise import Options, Pool, select
+from quasi.identification import products
+from quasi.identification.evidence import Totals
+from quasi.identification.products import Pool
+from quasi.identification.stepwise import Options, select
 
 
 def plain(fixed, candidates, z, bias, cap, f_in=4.0, f_out=4.0):
@@ -96,18 +99,25 @@ def pool_of(base, z, fixed, bias, flights=3):
     cuts = np.linspace(0, len(z), flights + 1).astype(int)
     blocks = [{n: base[i:j, k] for k, n in enumerate(names)} for i, j in pairwise(cuts)]
     targets = [z[i:j] for i, j in pairwise(cuts)]
-    return Pool([parse(n) for n in names], fixed, blocks, targets, bias), names
+    trees = [*[parse("1")] * bias, *(parse(n) for n in names)]
+    return Pool(trees, fixed + bias, blocks, targets, constant=bias), ["bias"] * bias + names
+
+
+def choose(pool, options, names, **more):
+    """Selection with columns counted from the first after the constant."""
+    found = select(pool, options, names, unusable=pool.unusable, constant=pool.constant, **more)
+    return replace(found, chosen=[k - pool.constant for k in found.chosen])
 
 
 @pytest.mark.parametrize("bias", [True, False])
 @pytest.mark.parametrize("seed", range(25))
 def test_structure_equals_the_plain_implementation(seed, bias, monkeypatch):
-    monkeypatch.setattr(stepwise, "CHUNK", 77)
-    monkeypatch.setattr(stepwise, "PREFETCH", 3)
+    monkeypatch.setattr(products, "CHUNK", 77)
+    monkeypatch.setattr(products, "PREFETCH", 3)
     base, z = problem(seed)
     pool, names = pool_of(base, z, 2, bias)
     cap = 8
-    found = select(pool, Options(cap=cap), names)
+    found = choose(pool, Options(cap=cap), names)
     chosen, scores = plain(base[:, :2], base[:, 2:], z, bias, cap)
     assert [k - 2 for k in found.chosen] == chosen
     np.testing.assert_allclose([e["PSE"] for e in found.log], scores, rtol=1e-8)
@@ -123,7 +133,7 @@ def test_backward_elimination_happens_and_equals_the_plain_implementation():
         base = np.column_stack([r.standard_normal(600), base])
         z = base[:, 1] + 1.6 * base[:, 2] + 0.05 * r.standard_normal(600)
         pool, names = pool_of(base, z, 1, True)
-        found = select(pool, Options(cap=8), names)
+        found = choose(pool, Options(cap=8), names)
         chosen, scores = plain(base[:, :1], base[:, 1:], z, True, 8)
         assert [k - 1 for k in found.chosen] == chosen
         np.testing.assert_allclose([e["PSE"] for e in found.log], scores, rtol=1e-8)
@@ -138,7 +148,7 @@ def test_a_pure_noise_candidate_is_turned_away_at_entry():
         base = r.standard_normal((500, 2))
         z = 3.0 + 2.0 * base[:, 0] + r.standard_normal(500)
         pool, names = pool_of(base, z, 1, True)
-        found = select(pool, Options(cap=1), names)
+        found = choose(pool, Options(cap=1), names)
         turned_away += "partial F" in found.reason
     # F(1, 497) exceeds 4 in 4.6 % of the draws
     assert 0.92 < turned_away / 300 < 0.985
@@ -148,8 +158,9 @@ def test_without_a_constant_nothing_is_centred():
     x = np.linspace(0.0, 3.0, 301)
     z = 3.0 + 2.0 * x
     pool, _ = pool_of(x[:, None], z, 1, False)
-    assert pool.target[0] / pool.square[0] == pytest.approx(np.sum(x * z) / np.sum(x * x), rel=1e-12)
-    assert pool.target[0] / pool.square[0] > 2.5
+    slope = pool.target.sum() / pool.square.sum()
+    assert slope == pytest.approx(np.sum(x * z) / np.sum(x * x), rel=1e-12)
+    assert slope > 2.5
 
 
 def test_large_means_cost_no_digits():
@@ -159,8 +170,12 @@ def test_large_means_cost_no_digits():
     z = 1e4 + 2.0 * (x - 1e6) + 0.1 * r.standard_normal(20_000)
     pool, _ = pool_of(base, z, 0, True)
     centred = base - base.mean(axis=0)
-    np.testing.assert_allclose(pool.square, np.sum(centred**2, axis=0), rtol=1e-9)
-    np.testing.assert_allclose(pool.cross(0)[1], centred[:, 0] @ centred[:, 1], rtol=1e-6)
+    totals = Totals(pool)
+    mean = totals.cross(0) / totals.rows
+    square = totals.square - totals.rows * mean**2
+    np.testing.assert_allclose(square[1:], np.sum(centred**2, axis=0), rtol=1e-9)
+    product = totals.cross(1)[2] - totals.rows * mean[1] * mean[2]
+    np.testing.assert_allclose(product, centred[:, 0] @ centred[:, 1], rtol=1e-6)
 
 
 def test_exact_copies_are_never_both_taken():
@@ -169,7 +184,7 @@ def test_exact_copies_are_never_both_taken():
     base[:, 2] = 5.0 * base[:, 1]
     z = base[:, 1] + 0.1 * r.standard_normal(300)
     pool, names = pool_of(base, z, 1, True)
-    found = select(pool, Options(cap=5), names)
+    found = choose(pool, Options(cap=5), names)
     assert len({1, 2} & set(found.chosen)) == 1
 
 
@@ -179,10 +194,10 @@ def test_candidates_that_are_constant_or_not_finite_are_left_out_by_name():
     base[:, 2], base[17, 3] = 7.0, np.inf
     z = base[:, 0] + 0.5 * base[:, 1] + 0.1 * r.standard_normal(300)
     pool, names = pool_of(base, z, 1, True)
-    found = select(pool, Options(cap=5), names)
+    found = choose(pool, Options(cap=5), names)
     assert found.chosen == [1]
-    assert "constant" in found.unusable[2]
-    assert "not finite" in found.unusable[3]
+    assert "constant" in pool.unusable[3]
+    assert "not finite" in pool.unusable[4]
 
 
 @pytest.mark.parametrize(("spoil", "hint"), [("nan", "not finite"), ("constant", "constant"), ("copy", "combination")])
@@ -195,15 +210,15 @@ def test_a_spoilt_fixed_regressor_is_refused_by_name(spoil, hint):
         base[:, 1] = 2.0 if spoil == "constant" else 3.0 * base[:, 0]
     pool, names = pool_of(base, base[:, 0] + r.standard_normal(300), 2, True)
     with pytest.raises(DataError, match=f"fixed regressor 'c1' .*{hint}"):
-        select(pool, Options(), names)
+        choose(pool, Options(), names)
 
 
 @pytest.mark.parametrize("stop", ["R2", "F"])
 def test_the_other_stop_criteria_stop_earlier(stop):
     base, z = problem(5, noise=1.5)
     pool, names = pool_of(base, z, 1, True)
-    usual = select(pool, Options(cap=20), names)
-    found = select(pool, Options(cap=20, stop=stop), names)
+    usual = choose(pool, Options(cap=20), names)
+    found = choose(pool, Options(cap=20, stop=stop), names)
     assert len(found.chosen) <= len(usual.chosen)
     assert "would" in found.reason or "partial F" in found.reason
 
@@ -216,10 +231,10 @@ def test_an_unknown_stop_criterion_is_refused():
 def test_the_cap_counts_steps_and_too_few_rows_are_refused():
     base, z = problem(6)
     pool, names = pool_of(base, z, 1, True)
-    found = select(pool, Options(cap=2), names)
+    found = choose(pool, Options(cap=2), names)
     assert len(found.log) == 3
     assert "cap of 2" in found.reason
-    assert select(pool, Options(cap=0), names).chosen == []
+    assert choose(pool, Options(cap=0), names).chosen == []
     pool, names = pool_of(base[:6], z[:6], 5, True, flights=1)
     with pytest.raises(DataError, match="6 training rows are too few"):
-        select(pool, Options(), names)
+        choose(pool, Options(), names)
