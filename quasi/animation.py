@@ -246,9 +246,8 @@ def write_gif(path: Path, pictures: Iterable[np.ndarray], fps: float) -> int:
     """
     palette = _palette()
     shown = [Image.fromarray(p).quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
-    buffer = io.BytesIO()
-    duration = max(round(100.0 / fps), 2) * 10
-    shown[0].save(buffer, "GIF", save_all=True, append_images=shown[1:], duration=duration, loop=0, optimize=False)
+    more = {"save_all": True, "append_images": shown[1:], "loop": 0, "optimize": False}
+    shown[0].save(buffer := io.BytesIO(), "GIF", duration=max(round(100.0 / fps), 2) * 10, **more)
     write_bytes(path, buffer.getvalue())
     return len(shown)
 

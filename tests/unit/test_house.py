@@ -83,6 +83,7 @@ def test_only_tables_opens_files():
             if not isinstance(node, ast.Call) or name_of(node.func) not in OPENING - ours:
                 continue
             first = node.args[0] if node.args else None
+            first = first.value if isinstance(first, ast.NamedExpr) else first
             in_memory = isinstance(first, ast.Call) and name_of(first.func) in ("BytesIO", "StringIO")
             assert in_memory, f"{path}:{node.lineno} opens a file; only quasi.tables does"
 

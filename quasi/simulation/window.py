@@ -1,0 +1,116 @@
+"""The window in which a flight is seen: a box of air around the drone, moved on when the drone comes near its edge."""
+
+import os
+import sys
+from collections import deque
+
+import matplotlib
+import numpy as np
+
+from quasi import drawing
+from quasi.airframe import Airframe
+from quasi.animation import Scene
+from quasi.drawing import Look, Motion
+from quasi.errors import ConfigError
+from quasi.simulation.keyboard import Held
+
+HALF = 2.5  # m, of the box
+EDGE = 0.7  # of it: the drone's way from the middle before the box moves on
+TRAIL = 250  # points of the path that are kept
+_TOOLKITS = ("qtagg", "tkagg", "gtk4agg", "gtk3agg", "wxagg", "macosx")
+
+
+class Window:
+    """A live view; see `quasi.simulation.fly.View`. scale  by which the drone is enlarged.
+
+    Raises ConfigError where no window can be opened.
+    """
+
+    def __init__(self, airframe: Airframe, name: str, help_text: str = "", scale: float = 3.0) -> None:
+        self._pyplot = _pyplot()
+        self._airframe = airframe
+        self._events: deque[tuple[str, str]] = deque()
+        with matplotlib.rc_context({"toolbar": "None"}):
+            self._figure = self._pyplot.figure(f"quasi fly {name}", figsize=(8, 6.4))
+        canvas = self._figure.canvas
+        # keys fly the drone here; matplotlib's own meanings of them (s saves, q closes) would get in the way
+        canvas.mpl_disconnect(canvas.manager.key_press_handler_id)
+        canvas.mpl_connect("key_press_event", lambda event: self._events.append(("press", _name(event.key))))
+        canvas.mpl_connect("key_release_event", lambda event: self._events.append(("release", _name(event.key))))
+        axes = drawing.new_axes(self._figure)
+        drawing.caption(axes, f"{name}\n{help_text}" if help_text else name, scale)
+        self._middle = np.zeros(3)
+        drawing.set_limits(axes, self._middle - HALF, self._middle + HALF)
+        self._scene = Scene(axes, [(airframe, Look())], scale)
+        self._trail: deque[np.ndarray] = deque(maxlen=TRAIL)
+        self._figure.show()
+
+    def is_open(self) -> bool:
+        """Whether the window has not been closed."""
+        return self._pyplot.fignum_exists(self._figure.number)
+
+    def poll(self, held: Held, now: float) -> list[str]:
+        """Let the window work; keys held in it go into `held`, those pressed are returned."""
+        self._figure.canvas.flush_events()
+        pressed = []
+        while self._events:
+            kind, key = self._events.popleft()
+            if kind == "press":
+                held.press([key], now, ends=np.inf)
+                pressed.append(key)
+            else:
+                held.release(key, now)
+        return pressed
+
+    def show(self, t: float, state: np.ndarray, said: str) -> None:
+        """Draw the drone in this state (17,); said  stands in the corner."""
+        where = state[10:13]
+        if not np.isfinite(state).all() or not self.is_open():
+            return
+        if np.abs(where - self._middle).max() > EDGE * HALF:
+            self._middle = where.copy()
+            self._scene.limits(where - HALF, where + HALF)
+        self._trail.append(where.copy())
+        trail = np.array(self._trail)
+        trail = trail[(np.abs(trail - self._middle) <= HALF).all(axis=1)]
+        motion = Motion(self._airframe, [t], where[None], state[None, :4], state[None, 13:17])
+        self._scene.place(0, where, state[:4], motion.opacity(np.array([0]))[0], trail)
+        self._scene.clock.set_text(f"{said}   {t:.1f} s")
+        self._scene.draw()
+        self._figure.canvas.blit(self._figure.bbox)
+
+    def picture(self) -> np.ndarray:
+        """What the window shows: (height, width, 3) bytes."""
+        return self._scene.picture()
+
+    def close(self) -> None:
+        """Close the window."""
+        self._pyplot.close(self._figure)
+
+
+def _name(key: str | None) -> str:
+    return {" ": "space", None: ""}.get(key, key.lower() if key else "")
+
+
+def _pyplot():
+    """matplotlib's pyplot on a toolkit that can open windows, or a sentence."""
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ConfigError(
+            "no window can be opened: there is no display (neither DISPLAY nor WAYLAND_DISPLAY is set); run it in a "
+            "desktop session, or simulate with a configuration and look at the animation"
+        )
+    from matplotlib import pyplot
+
+    chosen = os.environ.get("MPLBACKEND", "").lower()
+    wanted = [chosen] if chosen in _TOOLKITS else list(_TOOLKITS)
+    for toolkit in wanted:
+        try:
+            pyplot.switch_backend(toolkit)
+            pyplot.close(pyplot.figure())  # some toolkits only now find that there is no display to be had
+            return pyplot
+        except Exception:
+            continue  # each toolkit fails in its own way; the next may do
+    raise ConfigError(
+        f"no window can be opened: matplotlib finds none of {', '.join(wanted)} at work; install tkinter (python3-tk) "
+        "or `pip install PyQt6`, and check the display"
+    )
