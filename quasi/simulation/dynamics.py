@@ -1,0 +1,222 @@
+"""The physics of a simulated quadrotor, once: rigid body, rotor lag and model as one compiled derivative.
+
+State x (17,): 0:4 attitude w x y z (body to earth); 4:7 u v w over ground (m/s, body); 7:10 p q r (rad/s);
+10:13 x y z (m, earth NED); 13:17 rotor speeds W1..W4 (rad/s), the states of the rotors.
+
+    dq/dt = q (0, omega) / 2
+    dv/dt = (F - F0)/m + R' g - omega x v            (R' g only where the model's forces leave gravity out)
+    domega/dt = I^-1 (M - M0 - omega x I omega)
+    dx/dt = R v
+    dW/dt = (target - W)/tau, tau by the direction, bounded by the rate limit; or a given slope
+
+F, M come from the compiled model at the velocity through the air v - R' wind, with the rotor speeds that act:
+W bounded by a fault's cap, times the root of the rotor's effectiveness (a rotor that makes a share e of the thrust and
+torque at its speed acts like a whole one at sqrt(e) W). Rotor accelerations go to the terms that ask for them.
+
+What does not change within a step stands in `held` (HELD + extras,), what never changes in `body` (BODY,); see the
+offsets below. Compiled functions take their arrays one by one: taking one out of a tuple counts a reference, and in a
+step of two microseconds that would cost more than the physics.
+Source: Stevens, Lewis & Johnson, Aircraft Control and Simulation, 3rd ed., 2016, section 1.7.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from quasi.compiling import njit
+from quasi.standalone.kernel import Kernel, wrench
+
+STATES = 17
+Q, V, OMEGA, POSITION, ROTORS = 0, 4, 7, 10, 13  # first entries in the state
+
+# first entries in `held`
+TARGET = 0  # (4,) rotor speeds that the rotors move to, rad/s
+SLOPE = 4  # (4,) rotor accelerations that are given for the step, rad/s2; NaN where the lag decides
+SHARE = 8  # (4,) square roots of the rotors' effectiveness
+CAP = 12  # (4,) greatest speeds that the rotors reach, rad/s; inf without a fault
+WIND = 16  # (3,) velocity of the air, m/s, earth NED
+EXTRAS = 19  # further inputs of the model, in the order of its kernel
+HELD = EXTRAS
+
+# first entries in `body`, the constants of the rigid body and its rotors
+MASS = 0  # kg
+GRAVITY_ADDED = 1  # m/s2, 0 where the model's forces hold gravity
+INERTIA = 2  # (9,) kg m2, row by row, body axes about the cg
+INVERSE = 11  # (9,) its inverse
+OFFSET = 20  # (6,) N, N m, subtracted from the model's forces and moments
+UP, DOWN = 26, 30  # (4,) s, time constants of the rotors when speeding up and slowing down; 0 for no lag
+RATE = 34  # rad/s2, the greatest |dW/dt|
+ANGLES = 35  # 1 where a term of the model asks for roll, pitch or yaw
+BODY = 36
+
+
+class Scratch(NamedTuple):
+    """Room that the derivative and the integrators work in, one for each thread; `scratch_of` makes it."""
+
+    inputs: np.ndarray
+    work: np.ndarray
+    loads: np.ndarray  # (6,) forces and moments at the step's beginning
+    last: np.ndarray  # (6,) and at its last stage
+    slopes: np.ndarray  # (4, 17) of the stages
+    middle: np.ndarray  # (17,)
+
+
+@njit(cache=True, error_model="numpy")
+def scratch_of(kernel: Kernel) -> Scratch:
+    """Room for one simulation of this model."""
+    return Scratch(
+        np.zeros(len(kernel.used)), kernel.work.copy(), np.zeros(6), np.zeros(6),
+        np.zeros((4, STATES)), np.zeros(STATES),
+    )  # fmt: skip
+
+
+def body_of(
+    mass: float,
+    inertia: np.ndarray,
+    kernel: Kernel,
+    gravity: float,
+    up: np.ndarray | float = 0.0,
+    down: np.ndarray | float = 0.0,
+    rate: float = math.inf,
+    offset: np.ndarray | float = 0.0,
+) -> np.ndarray:
+    """The constants of a rigid body and its rotors (BODY,).
+
+    mass kg; inertia (3, 3) kg m2; kernel  of the model; gravity m/s2, 0 where the model's forces hold it;
+    up, down (4,) s; rate rad/s2; offset (6,) N, N m
+    """
+    body = np.empty(BODY)
+    body[MASS], body[GRAVITY_ADDED], body[RATE] = mass, gravity, rate
+    body[INERTIA : INERTIA + 9] = np.asarray(inertia, float).ravel()
+    body[INVERSE : INVERSE + 9] = np.linalg.inv(np.asarray(inertia, float)).ravel()
+    body[OFFSET : OFFSET + 6] = offset
+    body[UP : UP + 4], body[DOWN : DOWN + 4] = up, down
+    body[ANGLES] = float(kernel.used[:3].any())
+    return body
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def rotor_slope(i, speed, held, body):
+    """Acceleration of rotor i at this speed, rad/s2."""
+    given = held[SLOPE + i]
+    if given == given:
+        return given
+    gap = held[TARGET + i] - speed
+    slope = gap / (body[UP + i] if gap > 0.0 else body[DOWN + i])
+    return min(max(slope, -body[RATE]), body[RATE])
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def euler_angles(q, out):
+    """Roll, pitch, yaw into out[0:3]; the same formulas as `attitude.to_euler`."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    out[0] = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    out[1] = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0))
+    out[2] = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def load(x, held, kernel, body, inputs, work, out):
+    """Forces and moments that act in this state, into out (6,), N and N m, body axes."""
+    if body[ANGLES] != 0.0:
+        euler_angles(x, inputs)
+    w, rx, ry, rz = x[0], x[1], x[2], x[3]
+    # wind into body axes by the conjugate quaternion
+    ax, ay, az = held[WIND], held[WIND + 1], held[WIND + 2]
+    tx, ty, tz = 2.0 * (rz * ay - ry * az), 2.0 * (rx * az - rz * ax), 2.0 * (ry * ax - rx * ay)
+    inputs[3] = x[4] - (ax + w * tx + rz * ty - ry * tz)
+    inputs[4] = x[5] - (ay + w * ty + rx * tz - rz * tx)
+    inputs[5] = x[6] - (az + w * tz + ry * tx - rx * ty)
+    for i in range(6):
+        inputs[6 + i] = x[7 + i]
+    for i in range(4):
+        speed, slope = x[ROTORS + i], rotor_slope(i, x[ROTORS + i], held, body)
+        if speed > held[CAP + i]:
+            speed, slope = held[CAP + i], 0.0
+        inputs[12 + i] = speed * held[SHARE + i]
+        inputs[16 + i] = slope
+    for i in range(20, len(inputs)):
+        inputs[i] = held[EXTRAS + i - 20]
+    wrench(kernel, inputs, work, out)
+    for i in range(6):
+        out[i] -= body[OFFSET + i]
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def equations(x, loads, held, body, slopes, row):
+    """State derivative from forces and moments: fills slopes[row] (17,)."""
+    w, rx, ry, rz = x[0], x[1], x[2], x[3]
+    vx, vy, vz = x[4], x[5], x[6]
+    p, q, r = x[7], x[8], x[9]
+    slopes[row, 0] = 0.5 * (-rx * p - ry * q - rz * r)
+    slopes[row, 1] = 0.5 * (w * p + ry * r - rz * q)
+    slopes[row, 2] = 0.5 * (w * q + rz * p - rx * r)
+    slopes[row, 3] = 0.5 * (w * r + rx * q - ry * p)
+    # gravity into body axes by the conjugate quaternion
+    mass, gravity = body[MASS], body[GRAVITY_ADDED]
+    tx, ty = -2.0 * ry * gravity, 2.0 * rx * gravity
+    slopes[row, 4] = loads[0] / mass - (q * vz - r * vy) + (w * tx + rz * ty)
+    slopes[row, 5] = loads[1] / mass - (r * vx - p * vz) + (w * ty - rz * tx)
+    slopes[row, 6] = loads[2] / mass - (p * vy - q * vx) + (gravity + ry * tx - rx * ty)
+    hx = body[INERTIA] * p + body[INERTIA + 1] * q + body[INERTIA + 2] * r
+    hy = body[INERTIA + 3] * p + body[INERTIA + 4] * q + body[INERTIA + 5] * r
+    hz = body[INERTIA + 6] * p + body[INERTIA + 7] * q + body[INERTIA + 8] * r
+    mx = loads[3] - (q * hz - r * hy)
+    my = loads[4] - (r * hx - p * hz)
+    mz = loads[5] - (p * hy - q * hx)
+    for k in range(3):
+        slopes[row, 7 + k] = (
+            body[INVERSE + 3 * k] * mx + body[INVERSE + 3 * k + 1] * my + body[INVERSE + 3 * k + 2] * mz
+        )
+    tx, ty, tz = 2.0 * (ry * vz - rz * vy), 2.0 * (rz * vx - rx * vz), 2.0 * (rx * vy - ry * vx)
+    slopes[row, 10] = vx + w * tx + ry * tz - rz * ty
+    slopes[row, 11] = vy + w * ty + rz * tx - rx * tz
+    slopes[row, 12] = vz + w * tz + rx * ty - ry * tx
+    for i in range(4):
+        slopes[row, ROTORS + i] = rotor_slope(i, x[ROTORS + i], held, body)
+
+
+@njit(cache=True, error_model="numpy")
+def derivative(x, held, kernel, body, inputs, work, loads, slopes):
+    """State derivative into slopes[0] (17,), forces and moments into loads (6,)."""
+    load(x, held, kernel, body, inputs, work, loads)
+    equations(x, loads, held, body, slopes, 0)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def unit(x):
+    """Scale the quaternion of a state to unit length."""
+    norm = math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2] + x[3] * x[3])
+    for i in range(4):
+        x[i] /= norm
+
+
+EULER, RK4 = 0, 1
+INTEGRATORS = {"euler": EULER, "rk4": RK4}
+
+
+@njit(cache=True, error_model="numpy")
+def advance(method, dt, x, held, kernel, body, inputs, work, loads, last, slopes, middle):
+    """One step of dt in place, Euler or classical Runge-Kutta; the last six arguments are a Scratch's.
+
+    loads are left as the forces and moments at its beginning, last as those at its end (of its last stage with RK4).
+    """
+    # one place that calls the model: the compiler then works it into the loop
+    for stage in range(4 if method == RK4 else 2):
+        share = 0.0 if stage == 0 else 0.5 * dt if method == RK4 and stage < 3 else dt
+        before = max(stage - 1, 0)
+        for i in range(STATES):
+            middle[i] = x[i] + share * slopes[before, i]
+        load(middle, held, kernel, body, inputs, work, last)
+        equations(middle, last, held, body, slopes, stage)
+        if stage == 0:
+            for i in range(6):
+                loads[i] = last[i]
+    if method == EULER:
+        for i in range(STATES):
+            x[i] += dt * slopes[0, i]
+    else:
+        for i in range(STATES):
+            x[i] += dt / 6.0 * (slopes[0, i] + 2.0 * slopes[1, i] + 2.0 * slopes[2, i] + slopes[3, i])
+    unit(x)
