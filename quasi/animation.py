@@ -138,6 +138,7 @@ def frames(
     """The pictures (height, width, 3) of an animation, one after another; arguments as `animate`."""
     if not motions:
         raise DataError("there is no motion to animate; give at least one")
+    motions = drawing.told_apart(motions)
     times = frame_times(motions, fps, speed_up)
     axes = _axes(axes, figure)
     moving_box = limits if callable(limits) else None

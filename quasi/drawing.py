@@ -123,6 +123,14 @@ def motion_of(table: pd.DataFrame, airframe: Airframe, name: str = "", look: Loo
     return Motion(airframe, table["t"].to_numpy(float), where, from_euler(*wrapped.T), speeds, name, look or Look())
 
 
+def told_apart(motions: Sequence[Motion]) -> list[Motion]:
+    """Several drones that nobody chose a look for get a colour each."""
+    if len(motions) < 2 or any(m.look != Look() for m in motions):
+        return list(motions)
+    colours = [f"C{k % 10}" for k in range(len(motions))]
+    return [replace(m, look=Look(frame=c, rotors=c, nose="black", history=c)) for m, c in zip(motions, colours)]
+
+
 @dataclass(frozen=True)
 class Shape:
     """A drone's lines (S, 2, 3), rotor discs (4, C, 3) and nose (3, 3), body axes, m; body axes (3, 2, 3)."""
@@ -287,6 +295,7 @@ def trajectories(
     """
     if not motions:
         raise DataError("there is no motion to draw; give at least one")
+    motions = told_apart(motions)
     if axes is None:
         axes = new_axes(Figure(figsize=(8, 6.4)))
     scale = enlargement(motions) if scale is None else scale
@@ -317,7 +326,7 @@ def trajectories(
     if shadow:
         _shadows(axes, motions)
     if len([m for m in motions if m.name]) > 1:
-        axes.legend(fontsize=8, loc="upper left")
+        axes.legend(fontsize=8, loc="upper right")
     caption(axes, title, scale)
     return axes.figure
 
@@ -377,6 +386,7 @@ def snapshots(motions: Sequence[Motion], times: Sequence[float], scale: float | 
     """
     if not motions or not len(times):
         raise DataError("snapshots need at least one motion and one time; give both")
+    motions = told_apart(motions)
     first, last = min(float(m.t[m.seen][0]) for m in motions), max(float(m.t[m.seen][-1]) for m in motions)
     for time in times:
         if not first <= time <= last:

@@ -197,3 +197,14 @@ def test_a_hover_on_the_spot_can_be_drawn(airframe):
     render(figure)
     low, high = drawing.get_limits(figure.axes[0])
     assert np.all(high - low >= 0.24 * 0.99)  # the drone itself fits
+
+
+def test_several_drones_that_nobody_chose_a_look_for_are_told_apart(turn, airframe):
+    away = Motion(airframe, turn.t, turn.position + [1.0, 0.0, 0.0], turn.quaternion, name="away")
+    colours = [m.look.history for m in drawing.told_apart([turn, away])]
+    assert len(set(colours)) == 2
+    chosen = Motion(airframe, turn.t, turn.position, turn.quaternion, look=Look(frame="red"))
+    assert [m.look for m in drawing.told_apart([turn, chosen])] == [turn.look, chosen.look]
+    assert drawing.told_apart([turn])[0].look == Look()
+    legend = trajectories([turn, away]).axes[0].get_legend()
+    assert [t.get_text() for t in legend.get_texts()] == ["made", "away"]
