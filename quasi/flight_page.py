@@ -13,8 +13,6 @@ from quasi.attitude import GRAVITY
 ORDER = ("good", "usable with care", "unusable")
 LEAST_VALID = 0.3  # share of the rows below which a flight teaches little
 SATURATED = 0.01  # share of the flight in saturation that calls for care
-FULL_SCALE = np.radians([2000.0, 4000.0])  # rad/s, at which flight controllers' gyros clip
-NEAR, HELD = 0.005, 3  # of the extreme value, and samples in a row, that count as clipped
 COMMAND_LOW, COMMAND_HIGH = 0.001, 0.999
 MOST_GAPS = 8
 Section = Mapping[str, Any]
@@ -51,18 +49,9 @@ def ranges(frame: pd.DataFrame, used: np.ndarray) -> list[tuple[str, str, float,
 
 
 def saturation(imported: pd.DataFrame, used: np.ndarray) -> dict[str, float]:
-    """Share of the rows `used` (n,) in which a gyro axis is clipped, a motor command at its lower or upper limit.
-
-    A gyro counts as clipped where it stays for HELD samples within NEAR of a full scale that controllers have.
-    """
+    """Share of the rows `used` (n,) in which a motor command is at its lower or upper limit."""
     out = {}
     rows = max(int(used.sum()), 1)
-    for axis in "pqr":
-        if axis in imported:
-            size = np.abs(imported[axis].to_numpy(float))
-            at = np.any([np.abs(size - full) < NEAR * full for full in FULL_SCALE], axis=0)
-            held = np.convolve(at, np.ones(HELD), "same") > HELD - 0.5
-            out[f"gyro {axis}"] = float(np.sum(held & used) / rows)
     for name in [c for c in imported if c.startswith("command")]:
         value = imported[name].to_numpy(float)
         out[f"{name} at its lower limit"] = float(np.sum((value <= COMMAND_LOW) & used) / rows)
@@ -79,9 +68,6 @@ def verdict(imported: Section, filtered: Section, saturated: Mapping[str, float]
         doubts.append("the filter's innovations are larger or smaller than its own standard errors say")
     if 0 < valid < LEAST_VALID:
         doubts.append(f"only {report.share(valid)} of the rows are valid for identification")
-    clipped = max((v for k, v in saturated.items() if k.startswith("gyro")), default=0.0)
-    if clipped > 0:
-        doubts.append(f"the gyro was clipped in {report.share(clipped)} of the flight")
     full = max((v for k, v in saturated.items() if k.endswith("upper limit")), default=0.0)
     if full > SATURATED:
         doubts.append(f"a motor was at its upper limit in {report.share(full)} of the flight")
@@ -121,7 +107,9 @@ def page(
                 ("between take-off and landing", "unit", "least", "median", "largest"),
                 [(n, u, *report.row_of(values)) for n, u, *values in ranges(filtered, flying)],
             ),
-            report.facts(_saturation(saturated)),
+            report.facts(
+                [("sensors at the end of their range", _clipped(m.get("saturation"))), *_saturation(saturated)]
+            ),
         ),
         report.section(
             "States and biases", report.facts(_filter(f)), _biases(f), _innovations(f), report.sentences(f["notes"])
@@ -284,16 +272,25 @@ def _battery(filtered: pd.DataFrame) -> list[tuple[str, object]]:
     return [("battery, first and last second", f"{first:.2f} V to {last:.2f} V")]
 
 
+def _clipped(facts: Section | None) -> str | None:
+    """None for an import that did not look."""
+    if facts is None:
+        return None
+    each = [
+        f"{key.split(' ')[0]} at {report.number(one['level']['value'])} {one['level']['unit']} for "
+        f"{report.number(one['seconds'], 2)} s in {one['span count']} spans"
+        for key, one in facts.items()
+    ]
+    return ", ".join(each) or "never"
+
+
 def _saturation(shares: Mapping[str, float]) -> list[tuple[str, object]]:
     rows: list[tuple[str, object]] = []
-    for name, ends in (("gyro clipped", "gyro"), ("lower limit", "lower limit"), ("upper limit", "upper limit")):
-        found = {k: v for k, v in shares.items() if ends in k}
+    for end in ("lower limit", "upper limit"):
+        found = {k: v for k, v in shares.items() if end in k}
         if found:
-            title = name if ends == "gyro" else f"motor command at its {name}"
-            each = ", ".join(
-                f"{k.removeprefix('gyro ').split(' at ')[0]} {report.share(v)}" for k, v in found.items() if v
-            )
-            rows.append((title, each if any(found.values()) else "never"))
+            each = ", ".join(f"{k.split(' at ')[0]} {report.share(v)}" for k, v in found.items() if v)
+            rows.append((f"motor command at its {end}", each if any(found.values()) else "never"))
     return rows
 
 

@@ -72,6 +72,7 @@ COLUMNS: dict[str, tuple[str, str, str]] = {
     "position_sample": ("1", "", "1 where a position was measured within half a step, else interpolated"),
     "velocity_sample": ("1", "", "1 where a velocity follows from a measurement within half a step, else interpolated"),
     "onboard_valid": ("1", "", "0 inside spans that the on-board log lost"),
+    "imu_clipped": ("1", "", "1 where gyro or accelerometer sat at the end of its range"),
     "onboard_roll": ("rad", "body to earth, 3-2-1", "roll angle of the on-board attitude"),
     "onboard_pitch": ("rad", "body to earth, 3-2-1", "pitch angle of the on-board attitude"),
     "onboard_yaw": ("rad", "body to earth, 3-2-1", "yaw angle of the on-board attitude, tied to the capture"),

@@ -141,7 +141,7 @@ def filter_flight(
     t = imported["t"].to_numpy(float)
     dt = measurements.time_step(t)
     rate = 1.0 / dt
-    imu = measurements.read_imu(imported)
+    imu = measurements.read_imu(imported, measurements.resolution(imported_metadata))
     notes += imu.notes
     rotors = [c for c in imported if c[0] == "w" and c[1:].isdigit()]
     driven = [c for c in imported if c.startswith("command") or c.endswith("_CMD")]
@@ -213,7 +213,7 @@ def filter_flight(
                 "v_in is empty there"
             )
     extra = [c for c in imported if c in COLUMNS and c not in table and c not in ("vx", "vy", "vz") and "_air" not in c]
-    extra = [c for c in extra if not c.endswith("_sample") and c not in ("onboard_valid", *logged)]
+    extra = [c for c in extra if not c.endswith("_sample") and c not in ("onboard_valid", "imu_clipped", *logged)]
     table |= _filled(imported, extra, notes)[0]
     table["in_flight"], table["valid"] = in_flight.astype(float), valid.astype(float)
 

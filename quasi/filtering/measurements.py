@@ -10,6 +10,7 @@ import pandas as pd
 from quasi import attitude
 from quasi.errors import DataError
 from quasi.filtering.ekf import ATTITUDE, KINDS, POSITION, STATES, VELOCITY
+from quasi.saturation import clipped
 
 GYRO, ACCEL = ("p", "q", "r"), ("ax", "ay", "az")
 
@@ -90,20 +91,6 @@ def time_step(t: np.ndarray) -> float:
     return float(dt)
 
 
-def _saturated(values: np.ndarray, least: float) -> np.ndarray:
-    """True where a signal (N,) stays at its own extreme for three samples or more, if that is beyond `least`."""
-    found = np.zeros(len(values), bool)
-    for sign in (1.0, -1.0):
-        top = np.max(sign * values)
-        if top < least:
-            continue
-        at_top = sign * values >= top - 1e-6 * abs(top)
-        for a, b in spans(at_top):
-            if b - a >= 3:
-                found[a:b] = True
-    return found
-
-
 def resolution(metadata: Mapping[str, Any]) -> np.ndarray:
     """Steps (6,) of the log's numbers for gyro and accelerometer, rad/s and m/s2; 0 where the import named none."""
     units = ((metadata.get("sources") or {}).get("onboard") or {}).get("units") or {}
@@ -122,15 +109,23 @@ def coarseness(values: np.ndarray, step: np.ndarray) -> np.ndarray:
     return np.where(spread < 0.5 * step, step / np.sqrt(12.0), 0.0)
 
 
-def read_imu(frame: pd.DataFrame) -> Imu:
+def read_imu(frame: pd.DataFrame, step: np.ndarray | None = None) -> Imu:
     """Gyro and accelerometer of an imported flight, filled where missing.
 
+    step  (6,) of the log's numbers, see `resolution`; without it they are taken for smooth
     Raises DataError for a channel that is absent, constant, or missing for more than half of the flight.
     """
     t = frame["t"].to_numpy(float)
     lost = np.zeros(len(frame), bool)
     notes: list[str] = []
-    columns = []
+    columns: list[np.ndarray] = []
+    known = frame["imu_clipped"].to_numpy(float) > 0.5 if "imu_clipped" in frame else np.zeros(len(frame), bool)
+    if known.any():
+        lost |= known
+        notes.append(
+            f"gyro or accelerometer sat at the end of its range in {int(known.sum())} samples, first at t = "
+            f"{t[int(np.argmax(known))]:.3f} s; they are trusted little and marked invalid"
+        )
     for name in (*GYRO, *ACCEL):
         sensor = "gyro" if name in GYRO else "accelerometer"
         if name not in frame:
@@ -166,14 +161,16 @@ def read_imu(frame: pd.DataFrame) -> Imu:
             )
             lost |= bad
         values = fill(np.where(bad, np.nan, values))
-        stuck = _saturated(values, 8.0 if name in GYRO else 30.0)
-        if stuck.any():
-            first = int(np.argmax(stuck))
-            notes.append(
-                f"{sensor} channel '{name}' is saturated at {abs(values[first]):.4g} in {int(stuck.sum())} samples, "
-                f"first at t = {t[first]:.3f} s; they are trusted little and marked invalid"
-            )
+        for end in clipped(values, sensor, 0.0 if step is None else float(step[len(columns)])):
+            stuck = end.where & ~known
             lost |= stuck
+            pieces = [(t[a], t[b - 1]) for a, b in spans(stuck)]
+            if pieces:
+                notes.append(
+                    f"{sensor} channel '{name}' is saturated at {end.level:.4g} in {int(stuck.sum())} samples in "
+                    f"{len(pieces)} spans, first from t = {pieces[0][0]:.3f} s to {pieces[0][1]:.3f} s; they are "
+                    "trusted little and marked invalid"
+                )
         columns.append(values)
     if "onboard_valid" in frame:
         out = ~(frame["onboard_valid"].to_numpy(float) > 0.5)

@@ -11,6 +11,7 @@ import pandas as pd
 from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s, read_airframe
 from quasi.attitude import exponential, interpolate, multiply, rotate, rotate_inverse, to_euler
 from quasi.errors import ConfigError, DataError
+from quasi.importing import limits
 from quasi.importing.artefacts import flyable
 from quasi.importing.command_map import add_commanded_speeds
 from quasi.importing.contradictions import doubtful_units, refuse_wrong_lengths
@@ -55,7 +56,8 @@ def import_flight(
     quadrotor  its configuration (the manual's listing 1 and our keys)
     options    "data importing" of the processing configuration; other keys are ignored
     Returns    columns of quasi.tables.COLUMNS (SI, earth NED, body FRD) from t = 0 at the first fused sample; flags
-               attitude_sample, position_sample, velocity_sample, onboard_valid as 0 or 1; and the metadata
+               attitude_sample, position_sample, velocity_sample, onboard_valid, and imu_clipped where a sensor left
+               its range, as 0 or 1; and the metadata
     Raises     ReadError, DataError or ConfigError: a sentence that names the file and the remedy
     """
     chosen = {**DEFAULTS, **{k: v for k, v in options.items() if k in DEFAULTS and v is not None}}
@@ -68,17 +70,26 @@ def import_flight(
     recording = read_onboard(flight, quadrotor, poles)
     board = gather(recording, where, notes)
     capture, captured = _read_capture(flight, quadrotor, chosen, recording, board, notes)
-    sync = _align(flight, board, capture, captured, chosen, where, notes)
+    ends = limits.clipped_ends(board, recording.metadata.get("units") or {})
+    try:
+        sync = _align(flight, board, capture, captured, chosen, where, notes)
+    except DataError as error:
+        if any(end.sensor == "gyro" for end in ends):
+            raise DataError(f"{error}; the gyro was clipped at the end of its range, which may be why") from None
+        raise
     board, telemetry = _settle_telemetry(board, where, notes)
     frame, facts = _fuse(board, capture, sync, quadrotor, chosen, where, notes)
+    at = frame["t"].to_numpy() + facts["start"]["value"]
+    facts["saturation"] = limits.facts(ends, at, where, notes)
+    if ends:
+        frame["imu_clipped"] = limits.spoiled(ends, at).astype(float)
     if flight.get("wind"):
         tau = None
         if captured is not None and sync is not None:
-            at = frame["t"].to_numpy() + facts["start"]["value"]
             tau = np.interp(at, sync.to_onboard(capture.t), capture.t)
         frame, facts["wind"] = add_wind(frame, flight["wind"], captured, tau, where, notes)
     frame, facts["commanded speeds"] = add_commanded_speeds(frame, quadrotor.get("command map"), where, notes)
-    said = recording.metadata.get("motor poles") or {"value": poles or DEFAULT_POLES, "source": poles_source}
+    magnets = recording.metadata.get("motor poles") or {"value": poles or DEFAULT_POLES, "source": poles_source}
     metadata = {
         "schema": SCHEMA,
         "flight": flight["flight"],
@@ -88,9 +99,9 @@ def import_flight(
         **facts,
         "streams": _streams(board, capture, sync, facts["start"]["value"]),
         "synchronisation": sync.metadata() if sync else None,
-        "motor poles": said,
+        "motor poles": magnets,
         "logged to rad/s": recording.metadata.get("logged to rad/s")
-        or (erpm100_to_rad_s(int(said["value"])) if said.get("value") else None),
+        or (erpm100_to_rad_s(int(magnets["value"])) if magnets.get("value") else None),
         "rest before take-off": {"value": board.rest_seconds, "unit": "s"},
         "rotor telemetry": telemetry,
         "options": chosen,
@@ -408,6 +419,7 @@ def _verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) -
     elif valid < 0.98:
         care.append(f"the on-board log lost {100 * (1 - valid):.1f} % of the flight")
     bad += doubtful_units(board.gyro.values, board.force.values)
+    care += limits.said(metadata["saturation"])
     if duration < 2.0:
         bad.append(f"only {duration:.1f} s are common to all sources")
     onboard = metadata["sources"]["onboard"]

@@ -37,6 +37,9 @@ def flight():
         "corrections": {"gyro filter delay": {"value": 1e-3, "std": 2e-4, "filters": ["PT1 160 Hz"]}},
         "rest before take-off": {"value": 1.0},
         "notes": ["data/<log>.bbl: 3 rows & more were lost"],
+        "saturation": {
+            "p +": {"level": {"value": 34.91, "unit": "rad/s"}, "seconds": 0.125, "span count": 3},
+        },
         "verdict": "good",
         "verdict because": "all sources are complete and agree",
     }
@@ -64,6 +67,7 @@ def test_page_is_whole_in_itself_and_escapes_what_files_bring(flight):
     assert "1, at 1.99 to 2.60 s" in text
     assert "16.00 V to" not in text and "15.95 V to 15.55 V" in text
     assert "0.573 ± 0.057" in text
+    assert "p at 34.9 rad/s for 0.13 s in 3 spans" in text or "p at 34.9 rad/s for 0.12 s in 3 spans" in text
 
 
 def test_ranges_are_of_the_rows_in_flight(flight):
@@ -75,15 +79,11 @@ def test_ranges_are_of_the_rows_in_flight(flight):
     assert found["rotor speed"][2] == pytest.approx(1004.99)
 
 
-def test_saturation_counts_held_extremes_only():
+def test_motor_commands_at_their_limits_are_counted():
     flown = np.ones(N, bool)
-    p = np.zeros(N)
-    p[10], p[50:60] = np.radians(2000), np.radians(1999)
     command = np.full(N, 0.5)
     command[:5], command[5:30] = 0.0, 1.0
-    found = saturation(pd.DataFrame({"p": p, "command1": command}), flown)
-    # the two ends of a stretch have no neighbour on one side
-    assert found["gyro p"] == pytest.approx(8 / N)
+    found = saturation(pd.DataFrame({"command1": command}), flown)
     assert found["command1 at its lower limit"] == pytest.approx(5 / N)
     assert found["command1 at its upper limit"] == pytest.approx(25 / N)
 
@@ -91,7 +91,7 @@ def test_saturation_counts_held_extremes_only():
 def test_verdict_gets_worse_by_what_filtering_finds_and_never_better(flight):
     _, imported, about = flight
     assert verdict(imported, about, {}) == ("good", "all sources are complete and agree")
-    word, why = verdict(imported, {**about, "consistent": False}, {"gyro p": 0.02})
+    word, why = verdict(imported, {**about, "consistent": False}, {"command1 at its upper limit": 0.02})
     assert word == "usable with care" and "innovations" in why and "2.00 %" in why and "agree" not in why
     none = {**about, "phases": {**about["phases"], "valid share": 0.0}}
     assert verdict(imported, none, {})[0] == "unusable"
