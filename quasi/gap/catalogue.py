@@ -1,0 +1,76 @@
+"""The catalogue of causes: every file of quasi/gap/effects, and those of a project's own folder."""
+
+import importlib
+import importlib.util
+import pkgutil
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from quasi.errors import ConfigError, nearest
+from quasi.expressions import Program, parse
+from quasi.gap import effects
+from quasi.gap.effect import Effect, Terms, Values, Vehicle
+from quasi.gap.evidence import Evidence
+from quasi.standalone.model import AXES
+from quasi.variables import Variables
+
+
+def catalogue(own: Iterable[str | Path] = ()) -> dict[str, Effect]:
+    """{id: cause}, the built-in ones and those that the user's Python files define.
+
+    own  paths of files that the user asks for by name; each is run, as any module is
+    Raises ConfigError naming the file for one that cannot be imported or defines no EFFECT, or an id given twice.
+    """
+    found: dict[str, Effect] = {}
+    for module in sorted(m.name for m in pkgutil.iter_modules(effects.__path__)):
+        effect = importlib.import_module(f"{effects.__name__}.{module}").EFFECT
+        found[effect.id] = effect
+    for path in map(Path, own):
+        spec = importlib.util.spec_from_file_location(f"quasi_own_effect_{path.stem}", path)
+        if spec is None or spec.loader is None:
+            raise ConfigError(f"effect file {path}: not a Python file; a cause is defined in Python")
+        module = importlib.util.module_from_spec(spec)
+        try:
+            spec.loader.exec_module(module)
+        except Exception as error:  # whatever the user's file does wrong
+            raise ConfigError(f"effect file {path}: {type(error).__name__}: {error}; correct the file") from error
+        effect = getattr(module, "EFFECT", None)
+        if not isinstance(effect, Effect):
+            raise ConfigError(f"effect file {path} defines no EFFECT = Effect(...); see quasi/gap/effects for examples")
+        if effect.id in found:
+            raise ConfigError(f"effect file {path}: the id '{effect.id}' is taken; choose another")
+        found[effect.id] = effect
+    return found
+
+
+def chosen(wanted: str | Iterable[str], offered: Mapping[str, Effect]) -> dict[str, Effect]:
+    """The causes that a configuration asks for: "all" or ids. Raises ConfigError naming an unknown one."""
+    if wanted == "all":
+        return dict(offered)
+    for name in wanted:
+        if name not in offered:
+            raise ConfigError(f"effect '{name}' is not in the catalogue{nearest(name, offered)}")
+    return {name: offered[name] for name in wanted}
+
+
+def columns_of(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Values) -> dict[str, np.ndarray]:
+    """Slope of the residual by each fitted parameter, {parameter: (n, 6)}.
+
+    Raises DataError or ExpressionError where the flight lacks a column.
+    """
+    if effect.columns is not None:
+        return effect.columns(evidence, values)
+    return {name: wrench_of(terms, evidence) for name, terms in effect.terms(vehicle).items()}
+
+
+def wrench_of(terms: Terms, evidence: Evidence) -> np.ndarray:
+    """Wrench (n, 6) of expressions on a flight."""
+    variables = Variables(evidence.columns, evidence.airframe, evidence.model.hover_speed)
+    result = np.zeros((len(evidence), 6))
+    for axis, text in terms.items():
+        program = Program([parse(text)])
+        values = {name: variables[name] for name in program.names}
+        result[:, AXES.index(axis)] = program.run(values, len(evidence))[0]
+    return result

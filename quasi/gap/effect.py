@@ -1,0 +1,218 @@
+"""What a cause is: one file of quasi/gap/effects defines one EFFECT made of the parts here.
+
+A cause that acts on the vehicle as a force or a moment is given as expressions, the same language as a candidate file:
+for each parameter, what one unit of it adds to each axis. The search evaluates them on the flights, the extended model
+keeps them as regressors, and so every simulation and export carries them. Causes of another kind (mass, wind, a
+swinging load) give arrays and say themselves how they extend a model.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from quasi.attitude import AIR_DENSITY, GRAVITY
+from quasi.errors import ConfigError
+from quasi.gap.evidence import Evidence
+from quasi.standalone.model import Model
+
+LEVELS = ("K", "A", "W")
+SCOPES = {"a": "airframe", "s": "session", "f": "flight"}
+Terms = dict[str, str]  # axis: expression, N or N m per unit of a parameter
+
+
+class Parameter(NamedTuple):
+    """unit; neutral value, None where it is the model's own (mass, time constant); scope a, s or f; physical range."""
+
+    unit: str
+    neutral: float | None
+    scope: str
+    low: float
+    high: float
+
+
+class Vehicle(NamedTuple):
+    """Numbers that a cause's expressions are made of: SI units, hubs (4, 3) from the cg, spin (4,) as in Airframe."""
+
+    hubs: np.ndarray
+    spin: np.ndarray
+    radius: float
+    thrust: float  # N s2, of one rotor: T = thrust W^2
+    torque: float  # N m s2, positive: Q = torque W^2 against the spin
+    mass: float
+    inertia: np.ndarray
+    hover_induced: float  # m/s
+    inflow: float  # N s2/rad2: one rotor's thrust is off by inflow W dW/dt tau when its inflow lags by tau
+
+
+@dataclass(frozen=True)
+class Extension:
+    """What a cause with its parameters adds to a model.
+
+    terms        {axis: [(expression, coefficient)]}
+    airframe     constants replaced: "mass", "inertia", "cg offset"
+    actuators    "time constant", "delay", "voltage exponent", "telemetry delay", "rotor speed scale"
+    environment  "wind" (north, east, down), m/s
+    states       parts with a memory of their own: "swinging load"
+    """
+
+    terms: dict[str, list[tuple[str, float]]] = field(default_factory=dict)
+    airframe: dict[str, object] = field(default_factory=dict)
+    actuators: dict[str, object] = field(default_factory=dict)
+    environment: dict[str, object] = field(default_factory=dict)
+    states: dict[str, object] = field(default_factory=dict)
+
+
+Values = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One cause.
+
+    id, level ("K", "A", "W"), sentence (what happens, for a pilot), equation, source
+    parameters    {name: Parameter}
+    channels      axes or signals where it shows
+    rivals        ids that it is confused with; tie_breaker  the manoeuvre that tells them apart
+    terms         vehicle -> {parameter: {axis: expression}} at the neutral values; or
+    columns       (evidence, values) -> {parameter: (n, 6)}: slope of the measured minus modelled wrench by each
+                  parameter at `values`
+    curved        (vehicle, values) -> {axis: expression}, the whole effect where it is not in proportion to its
+                  parameter
+    extension     (values, vehicle, model) -> Extension, where terms do not say it
+    scan          {parameter: values}: parameters that shape the columns and are searched over
+    absorbed      whether the model's own terms can mimic it exactly, so that only a change between flights shows it
+    finding       a stated finding, never fitted
+    """
+
+    id: str
+    level: str
+    sentence: str
+    equation: str
+    source: str
+    parameters: dict[str, Parameter] = field(default_factory=dict)
+    channels: tuple[str, ...] = ()
+    rivals: tuple[str, ...] = ()
+    tie_breaker: str = ""
+    terms: Callable[[Vehicle], dict[str, Terms]] | None = None
+    columns: Callable[[Evidence, Values], dict[str, np.ndarray]] | None = None
+    curved: Callable[[Vehicle, Values], Terms] | None = None
+    extension: Callable[[Values, Vehicle, Model], Extension] | None = None
+    scan: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    absorbed: bool = False
+    finding: bool = False
+
+    def __post_init__(self) -> None:
+        if self.level not in LEVELS:
+            raise ConfigError(f"effect '{self.id}': level is {self.level!r}, expected one of {', '.join(LEVELS)}")
+        for name, parameter in self.parameters.items():
+            if parameter.scope not in SCOPES or not parameter.low < parameter.high:
+                raise ConfigError(
+                    f"effect '{self.id}', parameter '{name}': expected a scope of {', '.join(SCOPES)} and a range "
+                    f"from low to high, got {parameter}"
+                )
+
+    @property
+    def fitted(self) -> list[str]:
+        """Parameters that a linear fit finds; the others are scanned."""
+        return [name for name in self.parameters if name not in self.scan]
+
+    def neutral(self, vehicle: Vehicle) -> dict[str, float]:
+        """Values that mean "nothing is there"; 0 where the model's own value is the reference."""
+        return {name: 0.0 if p.neutral is None else p.neutral for name, p in self.parameters.items()}
+
+
+def vehicle_of(model: Model, mass: float | None = None, inertia: np.ndarray | None = None) -> Vehicle:
+    """The numbers of a model's airframe and simple model. Raises ConfigError when the simple model is missing."""
+    frame, simple = model.airframe, model.document.get("simple model", {})
+    if "kappaFz" not in simple or "kappaMz" not in simple:
+        raise ConfigError(f"model {model.id} has no simple model, which the search for causes needs; identify it anew")
+    mass = frame.mass if mass is None else mass
+    area = 4.0 * np.pi * frame.radius**2
+    return Vehicle(
+        np.asarray(frame.hubs, float),
+        np.asarray(frame.spin, float),
+        float(frame.radius),
+        float(simple["kappaFz"]["value"]),
+        abs(float(simple["kappaMz"]["value"])),
+        float(mass),
+        np.asarray(frame.inertia if inertia is None else inertia, float),
+        float(np.sqrt(mass * GRAVITY / (2.0 * AIR_DENSITY * area))),
+        _inflow(model, mass),
+    )
+
+
+def _inflow(model: Model, mass: float) -> float:
+    """What a lag of the inflow makes of a change of rotor speed, from the model's own response to climbing.
+
+    Blade-element momentum theory of one hovering rotor: T = g (c W - V_climb - v) = 2 rho A v (v + V_climb). In
+    equilibrium thrust falls with climb by s = g b/(2 (b + g)), b = 4 rho A v, so g = 2 s b/(b - 2 s); at an inflow that
+    lags by tau, dT = g tau dv/dt with v in proportion to W. Source: Leishman, 2nd ed., 2006, sections 2.13 and 3.3.
+    """
+    area = np.pi * model.airframe.radius**2
+    induced = np.sqrt(mass * GRAVITY / (8.0 * AIR_DENSITY * area))
+    speed = np.sqrt(mass * GRAVITY / (4.0 * float(model.document["simple model"]["kappaFz"]["value"])))
+    state = np.zeros((2, 12))
+    state[:, 5] = -0.3, 0.3
+    forces, _ = model.predict(state, np.full((2, 4), speed))
+    slope = float(forces[0, 2] - forces[1, 2]) / 0.6 / 4.0  # climbing makes Fz less negative
+    stiff = 4.0 * AIR_DENSITY * area * induced
+    slope = float(np.clip(slope, 0.05 * stiff, 0.4 * stiff))
+    gain = 2.0 * slope * stiff / (stiff - 2.0 * slope)
+    return gain * induced / speed**2
+
+
+def number(value: float) -> str:
+    """A number as text of an expression, in brackets when negative."""
+    text = repr(float(value))
+    return f"({text})" if text.startswith("-") else text
+
+
+def hub_velocity(vehicle: Vehicle, rotor: int) -> tuple[str, str, str]:
+    """Velocity of a hub through the air along body x, y, z, as expressions. rotor  0..3."""
+    x, y, z = (number(v) for v in vehicle.hubs[rotor])
+    return f"(u + q*{z} - r*{y})", f"(v + r*{x} - p*{z})", f"(w + p*{y} - q*{x})"
+
+
+def hub_height(vehicle: Vehicle, rotor: int) -> str:
+    """Height of a hub above the floor, m, as an expression."""
+    x, y, z = (number(v) for v in vehicle.hubs[rotor])
+    return f"(x_down*{x} + y_down*{y} + z_down*{z} + z)".replace(
+        "x_down", "(-sin[pitch])"
+    ).replace("y_down", "(sin[roll]*cos[pitch])").replace("z_down", "(cos[roll]*cos[pitch])")  # fmt: skip
+
+
+def at_hubs(vehicle: Vehicle, forces: Sequence[tuple[str, str, str]]) -> Terms:
+    """Expressions of the wrench about the cg of forces at the four hubs, each (x, y, z), "" for none."""
+    parts: dict[str, list[str]] = {axis: [] for axis in ("Fx", "Fy", "Fz", "Mx", "My", "Mz")}
+    for (x, y, z), (fx, fy, fz) in zip(vehicle.hubs, forces):
+        for axis, force in zip(("Fx", "Fy", "Fz"), (fx, fy, fz)):
+            if force:
+                parts[axis].append(f"({force})")
+        for axis, pairs in {
+            "Mx": ((y, fz), (-z, fy)),
+            "My": ((z, fx), (-x, fz)),
+            "Mz": ((x, fy), (-y, fx)),
+        }.items():
+            parts[axis] += [f"{number(arm)}*({force})" for arm, force in pairs if force and arm]
+    return {axis: " + ".join(texts) for axis, texts in parts.items() if texts}
+
+
+def upward(vehicle: Vehicle, thrusts: Sequence[str]) -> Terms:
+    """Expressions of the wrench of additional thrusts along -z at the hubs, "" for none."""
+    return at_hubs(vehicle, [("", "", f"-({thrust})" if thrust else "") for thrust in thrusts])
+
+
+def total(parts: Sequence[Terms]) -> Terms:
+    """Sum of wrenches."""
+    summed: dict[str, list[str]] = {}
+    for part in parts:
+        for axis, text in part.items():
+            summed.setdefault(axis, []).append(text)
+    return {axis: " + ".join(texts) for axis, texts in summed.items()}
+
+
+def positive(text: str) -> str:
+    """max(text, 0)."""
+    return f"(0.5*(({text}) + (({text})^2)^0.5))"

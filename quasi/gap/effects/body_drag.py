@@ -1,0 +1,23 @@
+"""Drag of the frame, with the square of the speed."""
+
+from quasi.gap.effect import Effect, Parameter, Vehicle
+
+_SPEED = "(u^2 + v^2 + w^2)^0.5"
+
+
+def _terms(_: Vehicle) -> dict[str, dict[str, str]]:
+    return {"c": {"Fx": f"-{_SPEED}*u", "Fy": f"-{_SPEED}*v", "Fz": f"-{_SPEED}*w"}}
+
+
+EFFECT = Effect(
+    id="body_drag",
+    level="W",
+    sentence="the frame drags through the air with the square of the speed",
+    equation="F = -c |V| V",
+    source="Hoerner, Fluid-Dynamic Drag, 1965, chapter 3",
+    parameters={"c": Parameter("N s2/m2", 0.0, "a", -0.1, 0.5)},
+    channels=("Fx", "Fy", "Fz"),
+    rivals=("rotor_drag", "wind"),
+    tie_breaker="fly a 2:1 range of speeds with throttle changes",
+    terms=_terms,
+)

@@ -1,0 +1,21 @@
+"""The flow through the discs comes late."""
+
+from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, number, upward
+
+
+def _terms(vehicle: Vehicle) -> dict[str, Terms]:
+    return {"tau": upward(vehicle, [f"{number(vehicle.inflow)}*w{i}*w{i}_dot" for i in range(1, 5)])}
+
+
+EFFECT = Effect(
+    id="inflow_lag",
+    level="W",
+    sentence="thrust overshoots when a rotor changes speed, because the air through it follows late",
+    equation="dv_i/dt = (v_eq - v_i)/tau, to first order dT = g v/W tau dW/dt, g = -dT/dv at fixed speed",
+    source="Pitt & Peters, Theoretical prediction of dynamic-inflow derivatives, Vertica 5, 1981",
+    parameters={"tau": Parameter("s", 0.0, "a", 0.0, 0.1)},
+    channels=("Fz", "Mx", "My"),
+    rivals=("telemetry_delay", "rotor_acceleration_torque"),
+    tie_breaker="steps of throttle and of roll: a late rotor speed shows in yaw too",
+    terms=_terms,
+)

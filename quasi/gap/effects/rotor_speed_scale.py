@@ -1,0 +1,32 @@
+"""Rotor speeds in the wrong unit."""
+
+import numpy as np
+
+from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
+from quasi.gap.evidence import Evidence
+from quasi.standalone.model import ROTORS, Model
+
+
+def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
+    slope = evidence.gradient(*ROTORS)
+    return {"scale": -np.einsum("nij,nj->ni", slope, evidence.speeds)}
+
+
+def _extension(values: Values, _: Vehicle, __: Model) -> Extension:
+    return Extension(actuators={"rotor speed scale": values["scale"]})
+
+
+EFFECT = Effect(
+    id="rotor_speed_scale",
+    level="W",
+    sentence="rotor speeds are logged too high or too low by one factor (a wrong pole count)",
+    equation="W_log = scale W",
+    source="definition",
+    parameters={"scale": Parameter("1", 1.0, "a", 0.2, 5.0)},
+    channels=("Fz", "Mx", "My", "Mz"),
+    rivals=("thrust_factor",),
+    tie_breaker="a tachometer, or the vibration line against the logged speed",
+    columns=_columns,
+    extension=_extension,
+    absorbed=True,
+)

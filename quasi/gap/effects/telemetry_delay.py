@@ -1,0 +1,32 @@
+"""Rotor speeds that were logged late."""
+
+import numpy as np
+
+from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
+from quasi.gap.evidence import Evidence
+from quasi.standalone.model import ROTORS, Model
+
+
+def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
+    slope = evidence.gradient(*ROTORS)
+    return {"delay": np.einsum("nij,nj->ni", slope, evidence.spin_up)}
+
+
+def _extension(values: Values, _: Vehicle, __: Model) -> Extension:
+    return Extension(actuators={"telemetry delay": values["delay"]})
+
+
+EFFECT = Effect(
+    id="telemetry_delay",
+    level="W",
+    sentence="rotor speeds were logged late against the motion that they cause",
+    equation="W_log(t) = W(t - delay): residual delay dF/dW dW/dt, the same delay on every channel",
+    source="definition",
+    parameters={"delay": Parameter("s", 0.0, "f", -0.01, 0.1)},
+    channels=("Fz", "Mx", "My", "Mz"),
+    rivals=("inflow_lag", "command_delay", "rotor_acceleration_torque"),
+    tie_breaker="sharp doublets about all axes",
+    columns=_columns,
+    extension=_extension,
+    absorbed=True,
+)

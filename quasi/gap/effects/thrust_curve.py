@@ -1,0 +1,21 @@
+"""Thrust that is not the square of rotor speed."""
+
+from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, upward
+
+
+def _terms(vehicle: Vehicle) -> dict[str, Terms]:
+    return {"c1": upward(vehicle, [f"w{i}" for i in range(1, 5)]), "c0": upward(vehicle, ["1"] * 4)}
+
+
+EFFECT = Effect(
+    id="thrust_curve",
+    level="W",
+    sentence="thrust does not follow the square of rotor speed",
+    equation="T = c0 + c1 W + c2 W^2",
+    source="static thrust tests: Deters, Ananda & Selig, AIAA 2014-2151",
+    parameters={"c1": Parameter("N s/rad", 0.0, "a", -1e-3, 1e-3), "c0": Parameter("N", 0.0, "a", -1.0, 1.0)},
+    channels=("Fz", "Mx", "My"),
+    rivals=("battery_sag", "axial_inflow"),
+    tie_breaker="steps of throttle at rest in the air",
+    terms=_terms,
+)

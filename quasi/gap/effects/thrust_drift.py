@@ -1,0 +1,21 @@
+"""Thrust that fades with time."""
+
+from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, number, upward
+
+
+def _terms(vehicle: Vehicle) -> dict[str, Terms]:
+    return {"rate": upward(vehicle, [f"{number(vehicle.thrust)}*w{i}^2*t" for i in range(1, 5)])}
+
+
+EFFECT = Effect(
+    id="thrust_drift",
+    level="W",
+    sentence="thrust at the same rotor speed changes steadily during a flight (heating)",
+    equation="T = T0 (1 + rate t), t since the log began",
+    source="definition",
+    parameters={"rate": Parameter("1/s", 0.0, "a", -0.01, 0.01)},
+    channels=("Fz", "Mx", "My"),
+    rivals=("battery_sag", "thrust_factor"),
+    tie_breaker="a pause at rest: sag recovers and tracks volts, heating cools",
+    terms=_terms,
+)
