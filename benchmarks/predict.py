@@ -98,11 +98,11 @@ def main() -> None:
     compiled_in = time.perf_counter() - start
     rows = np.hstack([states, speeds, accelerations])[:1000]
     rows = np.hstack([rows, np.ones((1000, len(model.inputs) - len(INPUTS)))])
-    work, out = kernel.work.copy(), np.empty(6)
+    work, out = kernel.work, np.empty(6)
 
     figures = {
         "terms": sum(len(part["terms"]) for part in model.document["axes"].values()),
-        "instructions": len(kernel.left),
+        "instructions": int(kernel.code[3]),
         "kernel made, s": compiled_in,
         "evaluation in a compiled loop, s": best(lambda: loop(kernel, rows, work, out, 100), options.repeats) / 1e5,
         "predict of one row, s": best(

@@ -23,7 +23,7 @@ import pandas as pd
 
 from quasi.airframe import Airframe
 from quasi.expressions import names, parse
-from quasi.standalone.graph import Graph
+from quasi.standalone.graph import ONE, Graph
 from quasi.standalone.kernel import INPUTS, Kernel, compile_outputs, wrench, wrench_rows
 from quasi.tables import COLUMNS
 from quasi.variables import SYNONYMS, Variables, base_columns, split_function
@@ -35,70 +35,75 @@ JOINT = "all together"
 _FLOOR = 1e-4  # share of a variable's own deviation that the others never explain: keeps the ellipsoid from being flat
 
 
-class Region(NamedTuple):
-    """The covered region as flat arrays, for compiled loops (see `distance_of_row`).
+class Limits(NamedTuple):
+    """Limits of V variables, low and high (V,), and of the ellipsoid: whitening (J, J) lower triangular, limit (1,)."""
 
-    kernel  the variables' values; low, high (V,) their limits
-    joint   (J,) positions in the kernel's inputs; mean (J,); whitening (J, J) lower triangular; limit (1,), inf without
-    """
-
-    kernel: Kernel
     low: np.ndarray
     high: np.ndarray
-    joint: np.ndarray
-    mean: np.ndarray
     whitening: np.ndarray
     limit: np.ndarray
 
 
+class Region(NamedTuple):
+    """The covered region as flat arrays.
+
+    kernel  gives the V limited variables, then the J base columns of the ellipsoid less their mean
+    limits  what they are compared with
+    """
+
+    kernel: Kernel
+    limits: Limits
+
+
 @nb.njit(cache=True, error_model="numpy")
-def distance_of_row(region: Region, inputs: np.ndarray, work: np.ndarray, values: np.ndarray) -> tuple[float, int]:
+def distance_of_row(
+    kernel: Kernel, limits: Limits, inputs: np.ndarray, work: np.ndarray, values: np.ndarray
+) -> tuple[float, int]:
     """(distance, number of the worst variable): 0 and -1 inside; V stands for the ellipsoid; NaN and -1 for NaN input.
 
-    inputs (20 + E,) as for `quasi.standalone.kernel.wrench`; work (len(region.kernel.work),) and values (V,) scratch
+    kernel, limits  those of the region; inputs (20 + E,) as for `quasi.standalone.kernel.wrench`
+    work (len(kernel.work),) and values (kernel.outputs,) are scratch
     """
-    wrench(region.kernel, inputs, work, values)
-    return _farthest(region, inputs, values)
+    wrench(kernel, inputs, work, values)
+    return _farthest(limits.low, limits.high, limits.whitening, limits.limit, values)
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _farthest(region: Region, inputs: np.ndarray, values: np.ndarray) -> tuple[float, int]:
-    farthest, worst, unknown = 0.0, -1, False
-    for k in range(len(values)):
-        low, high = region.low[k], region.high[k]
-        beyond = max(low - values[k], values[k] - high)
-        unknown |= np.isnan(values[k])
-        if beyond > farthest * (high - low):
-            farthest, worst = beyond / (high - low), k
-    square = 0.0
-    for i in range(len(region.joint)):
+def _farthest(
+    low: np.ndarray, high: np.ndarray, whitening: np.ndarray, limit: np.ndarray, values: np.ndarray
+) -> tuple[float, int]:
+    farthest, worst, total, square = 0.0, -1, 0.0, 0.0
+    first = len(low)
+    for k in range(first):
+        value = values[k]
+        total += value
+        beyond = max(low[k] - value, value - high[k])
+        if beyond > 0.0 and beyond > farthest * (high[k] - low[k]):
+            farthest, worst = beyond / (high[k] - low[k]), k
+    for i in range(len(whitening)):
         part = 0.0
         for j in range(i + 1):
-            part += region.whitening[i, j] * (inputs[region.joint[j]] - region.mean[j])
+            part += whitening[i, j] * values[first + j]
         square += part * part
-    unknown |= np.isnan(square)
-    joint = 0.5 * (np.sqrt(square) / region.limit[0] - 1.0)
+    joint = 0.5 * (np.sqrt(square) / limit[0] - 1.0)
     if joint > farthest:
-        farthest, worst = joint, len(values)
-    return (np.nan, -1) if unknown else (farthest, worst)
+        farthest, worst = joint, first
+    return (np.nan, -1) if np.isnan(total + square) else (farthest, worst)
 
 
 @nb.njit(cache=True, error_model="numpy")
-def distances(region: Region, table: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance and worst variable of many rows: table (N, 20 + E), values (V, N) what the kernel gives for them."""
-    distance, worst = np.empty(len(table)), np.empty(len(table), np.int64)
-    row = np.empty(len(values))
-    for k in range(len(table)):
-        row[:] = values[:, k]
-        distance[k], worst[k] = _farthest(region, table[k], row)
+def distances(kernel: Kernel, limits: Limits, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance and worst variable of many rows: columns (G, N), the inputs of `kernel.gather`."""
+    rows = columns.shape[1]
+    values = np.empty((kernel.code[4], rows))
+    wrench_rows(kernel, columns, values)
+    low, high, whitening, limit = limits.low, limits.high, limits.whitening, limits.limit
+    distance, worst, row = np.empty(rows), np.empty(rows, np.int64), np.empty(len(values))
+    for k in range(rows):
+        for m in range(len(values)):
+            row[m] = values[m, k]
+        distance[k], worst[k] = _farthest(low, high, whitening, limit, row)
     return distance, worst
-
-
-def values_of(region: Region, table: np.ndarray) -> np.ndarray:
-    """(V, N) values of the limited variables, table (N, 20 + E)."""
-    values = np.empty((len(region.low), len(table)))
-    wrench_rows(region.kernel, np.ascontiguousarray(table[:, region.kernel.gather].T), values)
-    return values
 
 
 def make_region(
@@ -112,27 +117,26 @@ def make_region(
     """
     ranges = document.get("envelope", {})
     read = [name for name, reads in zip(inputs, used) if reads]
-    limits = {}
+    ends = {}
     for name in [*read, *limited_names(named)]:
         if name in ranges:
             shares = ranges[name]["percentiles"]
             low, high = shares.get(LOW, ranges[name]["min"]), shares.get(HIGH, ranges[name]["max"])
             if low < high:
-                limits[name] = (low, high)
-    limited = tuple(limits)
-    kernel = compile_outputs(graph, [graph.combine([(1.0, graph.variable(name))]) for name in limited], inputs)
-    joint = document.get("joint envelope") or {"names": [], "mean": [], "whitening": [], "limit": None}
+                ends[name] = (low, high)
+    limited = tuple(ends)
+    joint = document.get("joint envelope") or {"names": [], "mean": [], "whitening": [], "limit": 1.0}
     size = len(joint["names"])
-    region = Region(
-        kernel,
-        np.array([limits[name][0] for name in limited], float),
-        np.array([limits[name][1] for name in limited], float),
-        np.array([inputs.index(name) for name in joint["names"]], np.uint32),
-        np.array(joint["mean"], float),
+    outputs = [graph.combine([(1.0, graph.variable(name))]) for name in limited]
+    for name, mean in zip(joint["names"], joint["mean"], strict=True):
+        outputs.append(graph.combine([(1.0, graph.variable(name)), (-mean, (1.0, ONE))]))
+    limits = Limits(
+        np.array([ends[name][0] for name in limited], float),
+        np.array([ends[name][1] for name in limited], float),
         np.array(joint["whitening"], float).reshape(size, size),
-        np.array([np.inf if joint["limit"] is None else joint["limit"]]),
+        np.array([joint["limit"]], float),
     )
-    return region, limited
+    return Region(compile_outputs(graph, outputs, inputs), limits), limited
 
 
 def limited_names(named: Iterable[str]) -> list[str]:

@@ -1,7 +1,7 @@
 """Compiled evaluation of a model: flat arrays and one small machine that runs them, per row or for many rows.
 
     kernel = model.kernel                                   arrays only: an argument of any @njit function
-    work, out = np.empty(len(kernel.work)), np.empty(6)
+    work, out = kernel.work, np.empty(6)
     wrench(kernel, inputs, work, out)                       one row, no allocation; out = Fx Fy Fz (N), Mx My Mz (N m)
 
 inputs (20 + E,), the order of INPUTS and then the model's extra columns, `model.inputs[20:]`, such as battery_voltage:
@@ -33,46 +33,66 @@ INPUTS = (
 )  # fmt: skip
 MULTIPLY, ADD, SUBTRACT, DIVIDE, ABS, SQRT, SIN, COS, POWER, LOG, SIGN, WRAP = range(12)
 _OF_KIND = {"abs": ABS, "sqrt": SQRT, "sin": SIN, "cos": COS, "log": LOG, "sign": SIGN, "wrap": WRAP}
+_HEAD = 7  # sizes at the beginning of the code
+
 _BLOCK = 128  # rows that are worked at a time: their slots stay in the nearest cache
 
 
 class Kernel(NamedTuple):
-    """A model as flat arrays.
+    """A model as two flat arrays (an argument of many arrays would cost each call more than its work).
 
-    used       (20 + E,) bool, which inputs are read
-    gather     (G,) their positions; slots 0..G-1 take their values
-    work       (S,) the slots' starting content: zeros, and the constants in their places
-    fill       (2,) first and last-plus-one slot that holds constants
-    runs       (R, 3) operation, first and last-plus-one instruction
-    left       (I,) slot of the first operand; right of the second; instruction k writes slot fill[1] + k
-    ends       (M + 1,) where the terms of each output begin; terms (T,) their slots; weights (T,) their factors
-    offsets    (M,) constants of the outputs
+    code     the sizes G, C, R, I, M, T and the number of inputs; then, one after another,
+             gather (G,) positions of the inputs that slots 0..G-1 take
+             runs (R, 3) operation, first and last-plus-one instruction
+             left (I,) and right (I,) slots of the operands; instruction k writes slot G + C + k
+             ends (M + 1,) where the terms of each output begin; terms (T,) their slots
+    numbers  constants (C,), which slots G..G+C-1 take; weights (T,) of the terms; offsets (M,) of the outputs
     """
 
-    used: np.ndarray
-    gather: np.ndarray
-    work: np.ndarray
-    fill: np.ndarray
-    runs: np.ndarray
-    left: np.ndarray
-    right: np.ndarray
-    ends: np.ndarray
-    terms: np.ndarray
-    weights: np.ndarray
-    offsets: np.ndarray
+    code: np.ndarray
+    numbers: np.ndarray
+
+    @property
+    def gather(self) -> np.ndarray:
+        """(G,) positions of the inputs that are read."""
+        return self.code[_HEAD : _HEAD + self.code[0]]
+
+    @property
+    def used(self) -> np.ndarray:
+        """(20 + E,) bool, which inputs are read."""
+        used = np.zeros(self.code[6], bool)
+        used[self.gather] = True
+        return used
+
+    @property
+    def work(self) -> np.ndarray:
+        """(S,) zeros: a new scratch array."""
+        return np.zeros(int(self.code[0]) + int(self.code[1]) + int(self.code[3]))
+
+    @property
+    def outputs(self) -> int:
+        """Number of outputs."""
+        return int(self.code[4])
 
 
-@nb.njit(cache=True, error_model="numpy", inline="never")
+@nb.njit(cache=True, error_model="numpy")
 def wrench(kernel: Kernel, inputs: np.ndarray, work: np.ndarray, out: np.ndarray) -> None:
     """Evaluate one row: `out` (M,) from `inputs` (20 + E,); `work` (S,) is scratch. See the head of the module."""
-    gather, left, right, runs = kernel.gather, kernel.left, kernel.right, kernel.runs
-    for k in range(len(gather)):
-        work[k] = inputs[gather[k]]
-    base = kernel.fill[1]
-    for k in range(kernel.fill[0], base):
-        work[k] = kernel.work[k]
-    for run in range(len(runs)):
-        operation, start, stop = runs[run, 0], runs[run, 1], runs[run, 2]
+    code, numbers = kernel.code, kernel.numbers
+    gathered, constants = int(code[0]), int(code[1])
+    at = _HEAD + gathered
+    runs, at = code[at : at + 3 * code[2]], at + 3 * code[2]
+    left, at = code[at : at + code[3]], at + code[3]
+    right, at = code[at : at + code[3]], at + code[3]
+    ends, terms = code[at : at + code[4] + 1], code[at + code[4] + 1 :]
+    weights, offsets = numbers[constants:], numbers[constants + code[5] :]
+    for k in range(gathered):
+        work[k] = inputs[code[_HEAD + k]]
+    for k in range(constants):
+        work[gathered + k] = numbers[k]
+    base = gathered + constants
+    for run in range(0, len(runs), 3):
+        operation, start, stop = runs[run], runs[run + 1], runs[run + 2]
         if operation == MULTIPLY:
             for k in range(start, stop):
                 work[base + k] = work[left[k]] * work[right[k]]
@@ -91,9 +111,8 @@ def wrench(kernel: Kernel, inputs: np.ndarray, work: np.ndarray, out: np.ndarray
         else:
             for k in range(start, stop):
                 work[base + k] = _seldom(operation, work[left[k]], work[right[k]])
-    ends, terms, weights = kernel.ends, kernel.terms, kernel.weights
     for m in range(len(ends) - 1):
-        total = kernel.offsets[m]
+        total = offsets[m]
         for k in range(ends[m], ends[m + 1]):
             total += weights[k] * work[terms[k]]
         out[m] = total
@@ -119,19 +138,26 @@ def _seldom(operation: int, a: float, b: float) -> float:
 @nb.njit(cache=True, error_model="numpy")
 def wrench_rows(kernel: Kernel, columns: np.ndarray, out: np.ndarray) -> None:
     """Evaluate many rows: columns (G, N), the used inputs in the order of `kernel.gather`; out (M, N)."""
-    left, right, runs, base = kernel.left, kernel.right, kernel.runs, kernel.fill[1]
-    ends, terms, weights = kernel.ends, kernel.terms, kernel.weights
-    work = np.empty((len(kernel.work), _BLOCK))
-    for k in range(kernel.fill[0], base):
-        work[k] = kernel.work[k]
+    code, numbers = kernel.code, kernel.numbers
+    gathered, constants = int(code[0]), int(code[1])
+    at = _HEAD + gathered
+    runs, at = code[at : at + 3 * code[2]], at + 3 * code[2]
+    left, at = code[at : at + code[3]], at + code[3]
+    right, at = code[at : at + code[3]], at + code[3]
+    ends, terms = code[at : at + code[4] + 1], code[at + code[4] + 1 :]
+    weights, offsets = numbers[constants:], numbers[constants + code[5] :]
+    base = gathered + constants
+    work = np.empty((base + len(left), _BLOCK))
+    for k in range(constants):
+        work[gathered + k] = numbers[k]
     rows = out.shape[1]
     for first in range(0, rows, _BLOCK):
         n = min(_BLOCK, rows - first)
-        for k in range(len(columns)):
+        for k in range(gathered):
             work[k, :n] = columns[k, first : first + n]
-        for run in range(len(runs)):
-            operation = runs[run, 0]
-            for k in range(runs[run, 1], runs[run, 2]):
+        for run in range(0, len(runs), 3):
+            operation = runs[run]
+            for k in range(runs[run + 1], runs[run + 2]):
                 a, b, to = work[left[k]], work[right[k]], work[base + k]
                 if operation == MULTIPLY:
                     for i in range(n):
@@ -150,7 +176,7 @@ def wrench_rows(kernel: Kernel, columns: np.ndarray, out: np.ndarray) -> None:
                         to[i] = abs(a[i]) if operation == ABS else _seldom(operation, a[i], b[i])
         for m in range(len(ends) - 1):
             total = out[m, first : first + n]
-            total[:] = kernel.offsets[m]
+            total[:] = offsets[m]
             for k in range(ends[m], ends[m + 1]):
                 term, weight = work[terms[k]], weights[k]
                 for i in range(n):
@@ -178,19 +204,10 @@ def compile_outputs(
         offsets.append(combination.get(ONE, 0.0))
     for m in lacking:
         offsets[m] = np.nan
-    work = np.zeros(len(gather) + len(constants) + len(left))
-    work[len(gather) : len(gather) + len(constants)] = constants
-    used = np.zeros(len(inputs), bool)
-    used[gather] = True
-
-    def index(values: Iterable[int]) -> np.ndarray:  # unsigned: no test for negative indices in the inner loops
-        return np.array(list(values), np.uint32)
-
-    return Kernel(
-        used, index(gather), work, index([len(gather), len(gather) + len(constants)]),
-        np.array(runs, np.uint32).reshape(-1, 3), index(left), index(right),
-        index(ends), index(terms), np.array(weights, float), np.array(offsets, float),
-    )  # fmt: skip
+    head = [len(gather), len(constants), len(runs), len(left), len(outputs), len(terms), len(inputs)]
+    flat = [*head, *gather, *(n for run in runs for n in run), *left, *right, *ends, *terms]
+    # unsigned: no test for negative indices in the inner loops
+    return Kernel(np.array(flat, np.uint32), np.array([*constants, *weights, *offsets], float))
 
 
 class _Code:

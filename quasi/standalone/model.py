@@ -17,7 +17,7 @@ from quasi import tables
 from quasi.airframe import Airframe, from_plain
 from quasi.errors import ConfigError, ExpressionError, QuasiError, ReadError, ShapeError, nearest
 from quasi.expressions import Program, Tree, parse
-from quasi.standalone.envelope import JOINT, Region, distances, make_region, values_of
+from quasi.standalone.envelope import JOINT, Region, distances, make_region
 from quasi.standalone.graph import Graph, Value
 from quasi.standalone.kernel import INPUTS, Kernel, compile_outputs, wrench, wrench_rows
 from quasi.variables import Variables, base_columns
@@ -167,10 +167,7 @@ class Model:
     def _distances(self, columns: Mapping[str, np.ndarray], rows: int) -> tuple[np.ndarray, np.ndarray]:
         region = self.region
         columns = self._inputs_of(columns, rows)
-        table = np.zeros((rows, len(self.inputs)))
-        for k in np.flatnonzero(self.kernel.used):
-            table[:, k] = columns[self.inputs[k]]
-        found, worst = distances(region, table, values_of(region, table))
+        found, worst = distances(*region, self._table(region.kernel, columns, rows))
         return found, np.array([*self.region_names, ""])[worst]
 
     def interval(self, flight: pd.DataFrame | Mapping[str, np.ndarray], level: float | None = None) -> pd.DataFrame:
@@ -241,7 +238,7 @@ class Model:
         if len(self.inputs) > len(INPUTS) or (size == 9 and kernel.used[9:12].any()):
             self._say_what_lacks(dict(zip(INPUTS[: 9 if size == 9 else 12], state)) | dict.fromkeys(INPUTS[12:], 0.0))
         out = np.empty(len(AXES))
-        wrench(kernel, row, np.empty(len(kernel.work)), out)
+        wrench(kernel, row, kernel.work, out)
         return out[:3], out[3:]
 
     def _columns(self, columns: Mapping[str, np.ndarray], rows: int) -> dict[str, np.ndarray]:
@@ -269,15 +266,17 @@ class Model:
 
     def _evaluate(self, columns: Mapping[str, np.ndarray], rows: int) -> np.ndarray:
         """(6, rows) in the order of AXES."""
-        columns = self._inputs_of(columns, rows)
-        kernel = self.kernel
-        wanted = [self.inputs[k] for k in kernel.gather]
-        values = np.empty((len(wanted), rows))
-        for k, name in enumerate(wanted):
-            values[k] = columns[name]
+        columns, kernel = self._inputs_of(columns, rows), self.kernel
         result = np.empty((len(AXES), rows))
-        wrench_rows(kernel, values, result)
+        wrench_rows(kernel, self._table(kernel, columns, rows), result)
         return result
+
+    def _table(self, kernel: Kernel, columns: Mapping[str, np.ndarray], rows: int) -> np.ndarray:
+        """(G, rows) what a kernel gathers."""
+        table = np.empty((len(kernel.gather), rows))
+        for k, position in enumerate(kernel.gather):
+            table[k] = columns[self.inputs[position]]
+        return table
 
 
 def _from_state(

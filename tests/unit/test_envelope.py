@@ -5,8 +5,8 @@ import copy
 import numpy as np
 import pytest
 from flights import AIRFRAME, HOVER, flight
+from made_model import SHARED, TERMS, part
 from scipy.spatial.distance import mahalanobis
-from test_standalone import SHARED, TERMS, part
 
 from quasi.errors import ConfigError
 from quasi.standalone.build import assemble
@@ -104,10 +104,10 @@ def test_the_compiled_form_gives_the_same(model, training):
     states, speeds, accelerations = arrays(table.iloc[::100])
     distance, worst = model.distance(states, speeds, accelerations)
     region, names = model.region, (*model.region_names, "")
-    work, values = region.kernel.work.copy(), np.empty(len(region.low))
+    work, values = region.kernel.work, np.empty(region.kernel.outputs)
     assert (distance > 0).any()
     for k, row in enumerate(np.hstack([states, speeds, accelerations])):
-        d, number = distance_of_row(region, row, work, values)
+        d, number = distance_of_row(*region, row, work, values)
         assert d == pytest.approx(distance[k], rel=1e-12)
         assert names[number] == worst[k]
 

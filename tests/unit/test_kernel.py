@@ -37,7 +37,7 @@ def compiled(terms, data):
     kernel = compile_outputs(graph, outputs, names)
     rows = len(data["u"])
     table = np.column_stack([data[name] if kernel.used[k] else np.full(rows, np.nan) for k, name in enumerate(names)])
-    result, work = np.empty((len(terms), rows)), np.empty(len(kernel.work))
+    result, work = np.empty((len(terms), rows)), kernel.work
     for k in range(rows):
         out = np.empty(len(terms))
         wrench(kernel, table[k], work, out)
@@ -122,7 +122,7 @@ def test_equal_parts_are_computed_once():
         for t in ("(w1^2 + w2^2)*u*v*p", "u*v*p*(w1^2+w2^2)*q", "3*p*v*u*(w1^2 + w2^2)*r", "w1^2")
     ]
     kernel = compile_outputs(graph, outputs, INPUTS)
-    assert len(kernel.left) == 2 + 1 + 3 + 2  # two squares, their sum, one common product, times q, times r
+    assert kernel.code[3] == 2 + 1 + 3 + 2  # two squares, their sum, one common product, times q, times r
 
 
 def test_used_tells_which_inputs_are_read():
