@@ -3,7 +3,6 @@
 Only what moves is drawn anew; axes, grid and labels are kept as a picture until the limits or the view change.
 """
 
-import io
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -13,7 +12,7 @@ from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
-from PIL import Image
+from PIL import GifImagePlugin, Image
 
 from quasi import drawing
 from quasi.airframe import Airframe
@@ -186,7 +185,8 @@ def animate(
 ) -> int:
     """Write an animation of one or several drones to a file; returns the number of frames.
 
-    path      .mp4 (needs the extra "animation") or .gif; fps  frames per second; speed_up  2 shows twice as fast
+    path      .mp4 (needs the extra "animation") or .gif; speed_up  2 shows twice as fast
+    fps       frames per second; a GIF takes the nearest whose frames last whole hundredths of a second
     axes      3-D axes in a figure of the user's; figure  draws in its last axes; neither: a figure of its own
     wrapper   called for each frame with the time, s, and the axes, after the drones were moved: it may draw more, in
               other axes of the figure too; it returns what it moved, or None to have the whole figure drawn anew
@@ -197,8 +197,11 @@ def animate(
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"animation {path}: '{path.suffix}' is no format of animations; name it .mp4 or .gif")
+    gif = path.suffix.lower() == ".gif"
+    if gif and math.isfinite(fps) and fps > 0:
+        fps = 100.0 / gif_hundredths(fps)  # so that the speed stays true
     pictures = frames(motions, fps, speed_up, axes, figure, wrapper, limits, trail, scale, title)
-    return write_mp4(path, pictures, fps) if path.suffix.lower() == ".mp4" else write_gif(path, pictures, fps)
+    return write_gif(path, pictures, fps) if gif else write_mp4(path, pictures, fps)
 
 
 def can_write_mp4() -> bool:
@@ -241,16 +244,33 @@ def write_mp4(path: Path, pictures: Iterable[np.ndarray], fps: float) -> int:
 
 
 def write_gif(path: Path, pictures: Iterable[np.ndarray], fps: float) -> int:
-    """Write pictures (height, width, 3) as an endless GIF, whose frames last whole hundredths of a second.
+    """Write pictures (height, width, 3) as an endless GIF; returns their number.
 
-    Returns their number. One palette for all lets the file hold only what changed from frame to frame.
+    Each frame holds only the rectangle that changed, and no more than two pictures are kept in memory at a time.
     """
-    palette = _palette()
-    shown = [Image.fromarray(p).quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
-    more = {"save_all": True, "append_images": shown[1:], "loop": 0, "optimize": False}
-    shown[0].save(buffer := io.BytesIO(), "GIF", duration=max(round(100.0 / fps), 2) * 10, **more)
-    write_bytes(path, buffer.getvalue())
-    return len(shown)
+    palette, hundredths = _palette(), gif_hundredths(fps)
+    parts: list[bytes] = []
+    before, count = np.zeros((0, 0), np.uint8), 0
+    for picture in pictures:
+        image = Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
+        now = np.asarray(image)
+        box = (0, 0, *image.size)
+        if not count:
+            parts += GifImagePlugin.getheader(image, info={"loop": 0})[0]
+        elif (changed := now != before).any():
+            rows, columns = np.flatnonzero(changed.any(axis=1)), np.flatnonzero(changed.any(axis=0))
+            box = (int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1)
+        else:
+            box = (0, 0, 1, 1)
+        parts += GifImagePlugin.getdata(image.crop(box), box[:2], duration=10 * hundredths)
+        before, count = now, count + 1
+    write_bytes(path, b"".join([*parts, b";"]))
+    return count
+
+
+def gif_hundredths(fps: float) -> int:
+    """How long a GIF's frame lasts: whole hundredths of a second, and no less than players show."""
+    return max(round(100.0 / fps), 2)
 
 
 def _palette() -> Image.Image:

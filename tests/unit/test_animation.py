@@ -84,6 +84,29 @@ def test_a_gif_plays_at_its_rate_and_moves(flight, tmp_path):
     assert (np.abs(first - last).max(axis=2) > 60).mean() > 0.005
 
 
+def test_a_gif_holds_every_picture_whole(tmp_path):
+    # colours of the palette, so that nothing is rounded; a part that changes, none, and all of it
+    rng = np.random.default_rng(1)
+    first = 51 * rng.integers(0, 6, (40, 60, 3)).astype(np.uint8)
+    second = first.copy()
+    second[10:20, 30:50] = (255, 0, 51)
+    made = [first, second, second, 255 - second, first]
+    assert animation.write_gif(tmp_path / "a.gif", made, 20.0) == 5
+    with Image.open(tmp_path / "a.gif") as image:
+        for k, picture in enumerate(made):
+            image.seek(k)
+            # the palette is searched coarsely: a grey may stand for one 5 shades away
+            np.testing.assert_allclose(np.asarray(image.convert("RGB"), int), picture.astype(int), atol=8)
+            assert image.info["duration"] == 50
+
+
+def test_a_gif_keeps_true_time_at_rates_that_it_cannot_play(flight, tmp_path):
+    # 30 frames/s would last 3.33 hundredths of a second each; 3 are played, so frames are made for that
+    count = animate([flight], tmp_path / "flight.gif", fps=30, axes=small())
+    with Image.open(tmp_path / "flight.gif") as image:
+        assert (count - 1) * image.info["duration"] / 1e3 == pytest.approx(2.0, abs=0.03)
+
+
 def test_colours_survive_the_gif(flight, tmp_path):
     animate([flight], tmp_path / "flight.gif", fps=2, axes=small())
     with Image.open(tmp_path / "flight.gif") as image:
