@@ -73,12 +73,12 @@ def default_gains(kind: int, known: ControlModel, step: float = 0.004) -> dict[s
     rates = 2.0 * unseen
     attitude, velocity, position = 2.0 * rates, 4.0 * rates, 8.0 * rates
     yaw = 1.5 * rates
-    if kind == PID and known.yaw_reaction.any():
-        # the torque of the rotors' acceleration leads, and is not part of the plain mixer
-        yaw *= 1.0 + yaw_lead(known) / unseen
+    if kind == PID:
+        # the torque of the rotors' acceleration adds gain that the plain mixer does not know
+        yaw *= max(0.5 * yaw_lead(known) / unseen, 1.0)
     gains = {
         "position": {"time constant": position},
-        "velocity": {"time constant": velocity, "integral time": 8.0 * velocity},
+        "velocity": {"time constant": velocity, "integral time": (16.0 if kind == NDI else 8.0) * velocity},
         "attitude": {"time constant": attitude, "yaw time constant": 2.0 * yaw},
         "rates": {
             "time constant": rates,

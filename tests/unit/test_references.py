@@ -58,7 +58,7 @@ SAMPLES = {"t": np.array([1.0, 1.7, 2.0, 3.1, 4.0]), "x": np.array([0, 1.0, -2, 
         ({"kind": "figure eight", "amplitude": 2.0, "angular speed": 1.7, "yaw rate": 0.4}, None),
         ({"kind": "figure eight", "hold": [1.0, -2.0, 0.5], "transition": 4.0}, None),
         (
-            {"kind": "position steps", "steps": [[0, 0, 0, 0, 0], [2, 1, 2, -3, 1.0], [6, 0, 0, 0]], "transition": 2.5},
+            {"kind": "position steps", "steps": [[0, 0, 0, 0, 0], [2, 1, 2, -3, 1.0], [6, 0, 0, 0]], "transition": 2},
             None,
         ),
         ({"kind": "table"}, SAMPLES),
