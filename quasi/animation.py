@@ -108,9 +108,7 @@ def following(motion: Motion, half: float = 1.0) -> Callable[[float], Limits]:
 
 def frame_times(motions: Sequence[Motion], fps: float, speed_up: float) -> np.ndarray:
     """The times, s, that the frames of an animation show, from the first to the last that can be drawn."""
-    for name, value in (("fps", fps), ("speed up factor", speed_up)):
-        if not (math.isfinite(value) and value > 0):
-            raise ConfigError(f"animation: '{name}' is {value!r}, expected a positive number")
+    _check_rates(fps, speed_up)
     first = min(float(m.t[m.seen][0]) for m in motions)
     last = max(float(m.t[m.seen][-1]) for m in motions)
     count = math.floor((last - first) * fps / speed_up + 1e-9) + 1
@@ -197,8 +195,9 @@ def animate(
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"animation {path}: '{path.suffix}' is no format of animations; name it .mp4 or .gif")
+    _check_rates(fps, speed_up)
     gif = path.suffix.lower() == ".gif"
-    if gif and math.isfinite(fps) and fps > 0:
+    if gif:
         fps = 100.0 / gif_hundredths(fps)  # so that the speed stays true
     pictures = frames(motions, fps, speed_up, axes, figure, wrapper, limits, trail, scale, title)
     return write_gif(path, pictures, fps) if gif else write_mp4(path, pictures, fps)
@@ -301,6 +300,12 @@ class _Course:
         now = self.times[k]
         behind = self.path[(self.path_t <= now) & (self.path_t >= now - self.trail)]
         return self.position[k], self.quaternion[k], self.opacity[k], np.vstack([behind, self.position[k]])
+
+
+def _check_rates(fps: float, speed_up: float) -> None:
+    for name, value in (("fps", fps), ("speed up factor", speed_up)):
+        if not (math.isfinite(value) and value > 0):
+            raise ConfigError(f"animation: '{name}' is {value!r}, expected a positive number")
 
 
 def _axes(axes: Axes3D | None, figure: Figure | None) -> Axes3D:
