@@ -193,13 +193,17 @@ class Pool(Products):
 
     def _form(self, wanted: list[int]) -> None:
         result = np.zeros((len(wanted), len(self.rows), self.size))
-        shift = self.shift[:, None]
+        sums = np.zeros((len(wanted), len(self.rows)))
+        shift = self.shift[wanted][:, None]
         with np.errstate(all="ignore"):
             for x, _, parts in self._chunks(self._program):
-                x -= shift
-                y = x[wanted]
+                y = x[wanted] - shift
                 for cell, rows in parts:
                     result[:, cell] += y[:, rows] @ x[:, rows].T
+                    sums[:, cell] += y[:, rows].sum(axis=1)
+            # one of two factors about its mean is enough for the digits
+            for products, own in zip(result, sums):
+                products -= np.outer(own, self.shift)
         for k, products in zip(wanted, result):
             self._blank(products)
             self.crossed[k] = products

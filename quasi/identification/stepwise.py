@@ -14,6 +14,7 @@ equations (3)-(12); Miller, Subset Selection in Regression, 2002, section 3.6 (s
 """
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -94,13 +95,37 @@ class State:
         self.factor = np.vstack([self.factor, row])
         self.columns.append(column)
 
-    def without(self, *out: int) -> "State":
-        """The model without some columns."""
+    def copy(self) -> "State":
+        """The same model, to be gone on with apart."""
+        state = copy(self)
+        state.columns = list(self.columns)
+        return state
+
+    def without(self, out: int) -> "State":
+        """The model without a column."""
         state = State(self.totals)
+        state.scale = self.scale
         for k in self.columns:
-            if k not in out:
+            if k != out:
                 state.add(k)
         return state
+
+    def gains_in_place_of(self, columns: Sequence[int]) -> np.ndarray:
+        """As `gain`, (q, m), of the models without one of some columns each; that of the column itself among them.
+
+        What is left of a column after the others is orthogonal to them: taking it out gives its part back.
+        """
+        inverse = self.totals.inverse(self.columns)
+        rows = [self.columns.index(k) for k in columns]
+        apart = inverse[rows] / np.diag(inverse)[rows, None]
+        square = 1.0 / np.diag(inverse)[rows, None]
+        products = apart @ np.array([self.totals.cross(k) for k in self.columns])
+        with_target = self.with_target + products * (apart @ self.totals.target[self.columns])[:, None] / square
+        left = self.left + products**2 / square
+        usable = left > INDEPENDENT * self.scale
+        usable[:, self.columns] = False
+        usable[np.arange(len(rows)), columns] = True
+        return np.where(usable, with_target**2 / np.where(usable, left, 1.0), 0.0)
 
     def partial_f(self) -> np.ndarray:
         """Partial F of each column in the model (p,), the statistic of equation (10)."""
@@ -138,16 +163,14 @@ class _Search:
         self.state, self.options, self.describe, self.total = state, options, describe, total
         self.memory, self.fixed = memory, state.totals.fixed
         self.share = options.level / max(options.pool or state.totals.size - self.fixed, 1)
-        self.scale = state.scale
-        self.seen: dict[int, float] = {}
+        self.near = np.zeros(state.totals.size)
         self.log = [self.entry(state, 0)]
         self.bandwidth = 1
         self.waiting: list[int] = []  # terms on trial
 
     def remember(self, columns: np.ndarray, gain: np.ndarray) -> None:
-        for k in columns.tolist():
-            if gain[k] > 0.0:
-                self.seen[k] = max(self.seen.get(k, 0.0), float(gain[k] / gain.max()))
+        if len(columns):
+            self.near[columns] = np.maximum(self.near[columns], gain[columns] / max(gain.max(), 1e-300))
 
     def entry(self, state: State, number: int, pick: int | None = None, removed: int | None = None) -> dict[str, Any]:
         n, p = state.totals.rows, len(state.columns)
@@ -161,11 +184,6 @@ class _Search:
             "R2": float(r2),
             "F": float(overall),
         }
-
-    def rebuilt(self, *out: int) -> State:
-        state = self.state.without(*out)
-        state.scale = self.scale
-        return state
 
     def judge_candidates(self) -> np.ndarray:
         if self.memory is not None:
@@ -214,7 +232,7 @@ class _Search:
             return f"the best candidate, {describe[pick]}, has a partial F of {partial:.3g}, not above {o.f_in:g}"
         correlation = float(np.sign(state.with_target[pick]) * np.sqrt(min(gain[pick] / state.error, 1.0)))
         rivals = _rivals(gain, pick, describe)
-        before = self.rebuilt()
+        before = state.copy()
         state.add(pick, gain)
         removed = None
         f = state.partial_f()[self.fixed :]
@@ -224,7 +242,7 @@ class _Search:
             if removed == pick:
                 self.state = before
                 return f"{describe[pick]} was added and removed again"
-            self.state = self.rebuilt(removed)
+            self.state = state.without(removed)
         now = self.entry(self.state, number, pick, removed)
         now |= {"partial F": float(partial), "partial correlation": correlation}
         now |= {"runner up": rivals[0] if rivals else None, **more}
@@ -248,28 +266,28 @@ class _Search:
             if chance[weakest] < self.share:
                 return went
             out = self.state.columns[self.fixed + weakest]
-            self.state, went = self.rebuilt(out), True
+            self.state, went = self.state.without(out), True
             note = {"t": float(t[self.fixed + weakest]), "degrees of freedom": float(freedom[self.fixed + weakest])}
             self.log.append(self.entry(self.state, self.log[-1]["step"] + 1, None, out) | note)
         return went
 
     def exchange(self) -> bool:
         """Replace one term by the candidate that does better in its place. True when one was."""
-        best, swap = 1e-9 * self.state.error, None
-        for out in self.state.columns[self.fixed :]:
-            state = self.rebuilt(out)
-            gain = state.gain()
-            new = int(np.argmax(gain))
-            self.remember(np.argsort(-gain)[:NEAR], gain)
-            if new != out and gain[new] - gain[out] > best:
-                best, swap = gain[new] - gain[out], (out, new, gain)
-        if swap is None:
+        free = self.state.columns[self.fixed :]
+        if not free:
             return False
-        out, new, gain = swap
-        state = self.rebuilt(out)
-        state.add(new, gain)
-        self.state = state
-        self.log.append(self.entry(state, self.log[-1]["step"] + 1, new, out))
+        gains = self.state.gains_in_place_of(free)
+        new = np.argmax(gains, axis=1)
+        rows = np.arange(len(free))
+        better = gains[rows, new] - gains[rows, free]
+        for gain in gains:
+            self.remember(np.argpartition(-gain, min(NEAR, len(gain) - 1))[:NEAR], gain)
+        best = int(np.argmax(better))
+        if better[best] <= 1e-9 * self.state.error:
+            return False
+        self.state = self.state.without(free[best])
+        self.state.add(int(new[best]), gains[best])
+        self.log.append(self.entry(self.state, self.log[-1]["step"] + 1, int(new[best]), free[best]))
         return True
 
     def settle(self) -> None:
@@ -316,7 +334,8 @@ def select(
     if options.test == "significance":
         search.settle()
     chosen = search.state.columns[products.fixed :]
-    return Selection(chosen, search.log, reason, search.bandwidth, search.seen | dict.fromkeys(chosen, 2.0))
+    seen = {int(k): float(search.near[k]) for k in np.flatnonzero(search.near > 0.0)} | dict.fromkeys(chosen, 2.0)
+    return Selection(chosen, search.log, reason, search.bandwidth, seen)
 
 
 def _worse(before: dict[str, Any], now: dict[str, Any], criterion: str) -> str | None:

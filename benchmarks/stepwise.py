@@ -1,0 +1,108 @@
+"""Time and memory of the stepwise regression on large pools, and what resampling it costs.
+
+    python benchmarks/stepwise.py [--cases usual large] [--out results/benchmarks/stepwise.json]
+
+usual   200,000 rows (eight made flights) x the 623 candidates of the Fz pool of the manual's FM file, 3 steps: with the
+        manual's constant F, with the significance over the pool, and with 100 resamples of it
+large   1,000,000 rows x about 2,000 candidates, 10 steps, significance
+Each case runs in a process of its own, so that the peak memory is its own. Time is that of the fit of one axis: pool,
+selection, coefficients, standard errors, rivals; flights are in memory.
+"""
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import recovery
+from study import ROOT
+
+from quasi.identification.candidates import read_specification
+from quasi.identification.fit import fit_axis
+from quasi.identification.partition import TRAINING
+from quasi.tables import read_json, write_json
+
+SMALL, LARGE = (8, 25_000), (20, 50_000)
+CASES = {
+    "usual": {"F": {"F in": 4}, "significance": {}, "100 resamples": {"bootstrap": 100}},
+    "large": {"significance": {}},
+}
+TARGETS = {("usual", "F"): (3.0, 1.2), ("usual", "significance"): (3.0, 1.2), ("large", "significance"): (60.0, 4.0)}
+
+
+def document(case: str) -> dict:
+    """The pool of a case."""
+    pool = read_json(ROOT / f"config/polynomials/{recovery.POOL}.json")["Fz"]
+    if case == "large":
+        more = ["u_p", "u_q", "u_r", "p*q", "q*r", "p*r", "|u_p|", "|u_q|", "|u_r|", "w_avg", "r^2", "p^2", "q^2"]
+        for entry in pool["candidates"]:
+            entry["sets"] += more if len(entry["sets"]) > 1 else []
+    return {"Fz": pool}
+
+
+def one(case: str, way: str) -> dict:
+    """Run one case in this process."""
+    specification = read_specification(document(case), "Fz", case)
+    flights, rows = SMALL if case == "usual" else LARGE
+    generator = np.random.default_rng(1)
+    made = {}
+    for i in range(flights):
+        flight = recovery.motion(generator, rows)
+        squares = sum(flight[f"w{k}"] ** 2 for k in range(1, 5))
+        flight["Fz"] = (
+            -3e-7 * squares - 0.05 * flight["w"] - 0.01 * flight["u"].abs() * flight["w"] - 2e-3 * flight["v"] ** 2
+            + 2e-5 * (squares / 4) ** 0.5 * flight["w"] ** 2 + 0.3 * recovery.noise(generator, rows, 0.1)
+        )  # fmt: skip
+        made[f"flight-{i}"] = flight
+    roles = {key: np.full(rows, TRAINING, np.int8) for key in made}
+    base = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    config = {"regressor cap": 3 if case == "usual" else 10, **CASES[case][way]}
+    begin = time.perf_counter()
+    found = fit_axis("Fz", made, roles, recovery.airframe(), recovery.SHARED, config, specification)
+    took = time.perf_counter() - begin
+    return {
+        "rows": found["n"],
+        "candidates": found["candidates"],
+        "terms": len(found["terms"]),
+        "seconds": took,
+        "peak GB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
+        "GB before": base,
+    }
+
+
+def main() -> int:
+    """Run the cases, each in a process of its own."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", nargs="+", default=list(CASES), choices=list(CASES))
+    parser.add_argument("--one", nargs=2, metavar=("CASE", "WAY"), help=argparse.SUPPRESS)
+    parser.add_argument("--out", type=Path, default=ROOT / "results/benchmarks/stepwise.json")
+    a = parser.parse_args()
+    if a.one:
+        print(json.dumps(one(*a.one)))
+        return 0
+    results, missed = {}, False
+    for case in a.cases:
+        for way in CASES[case]:
+            command = [sys.executable, str(Path(__file__).resolve()), "--one", case, way]
+            found = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+            results[f"{case}, {way}"] = found
+            seconds, memory = TARGETS.get((case, way), (np.inf, np.inf))
+            late = found["seconds"] > seconds or found["peak GB"] > memory
+            missed |= late
+            aim = f"  (at most {seconds:g} s, {memory:g} GB) {'MISSED' if late else ''}" if np.isfinite(seconds) else ""
+            print(f"{case + ', ' + way:24}{found['rows']:9,d} x {found['candidates']:5,d}  {found['terms']:3d} terms"
+                  f"{found['seconds']:8.2f} s{found['peak GB']:7.2f} GB{aim}", flush=True)  # fmt: skip
+    if "usual" in a.cases:
+        factor = results["usual, 100 resamples"]["seconds"] / results["usual, significance"]["seconds"]
+        missed |= factor > 6.0
+        print(f"100 resamples cost {factor - 1:.2f} times a fit  (at most 5) {'MISSED' if factor > 6 else ''}")
+    write_json(a.out, results)
+    return int(missed)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
