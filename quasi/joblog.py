@@ -5,7 +5,7 @@ import os
 import sys
 import time
 import traceback
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sized
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,6 +16,7 @@ from quasi.errors import QuasiError
 
 RUN = "QUASI_RUN"  # environment variable: folder in which the jobs of one run leave what it tells at its end
 LOG = logging.getLogger("quasi")
+EVERY = 5.0  # s between two lines of progress in a job's log
 T = TypeVar("T")
 
 
@@ -53,6 +54,7 @@ def job(log: str | Path, name: str = "") -> Iterator[logging.Logger]:
         LOG.error("%s", traceback.format_exc())
         _fail(f"{name or path.stem} failed unexpectedly ({type(error).__name__}: {error}); the traceback is in {path}")
     finally:
+        LOG.handlers = []
         handler.close()
 
 
@@ -79,5 +81,23 @@ def told(folder: str | Path, kind: str) -> list[str]:
 
 
 def progress(things: Iterable[T], what: str, **options: Any) -> Iterable[T]:
-    """A progress bar on a terminal, silence elsewhere."""
+    """The same things, one by one, with their progress: in a job a line in its log every EVERY seconds, else a bar on
+    a terminal, and silence where there is none.
+
+    what  is being done, for bar and log; options  of tqdm
+    """
+    if LOG.handlers:
+        return _lines(things, what)
     return tqdm.tqdm(things, desc=what, disable=not sys.stderr.isatty(), leave=False, **options)
+
+
+def _lines(things: Iterable[T], what: str) -> Iterator[T]:
+    whole = len(things) if isinstance(things, Sized) else None
+    started = told_at = time.perf_counter()
+    for done, thing in enumerate(things):
+        now = time.perf_counter()
+        if now - told_at >= EVERY:
+            told_at = now
+            of = f" of {whole} ({100 * done // whole} %)" if whole else ""
+            LOG.info("%s: %d%s in %.0f s, %.0f a second", what, done, of, now - started, done / (now - started))
+        yield thing

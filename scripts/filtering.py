@@ -1,10 +1,12 @@
 """Filter one imported flight: states, biases, forces and moments, with gravity and without; the filter's course."""
 
+import time
+
 from quasi.airframe import read_airframe
 from quasi.errors import ConfigError
 from quasi.filtering.estimation import CONVERGENCE_UNITS
 from quasi.filtering.flight import course, filter_flight
-from quasi.joblog import LOG, job
+from quasi.joblog import LOG, job, progress
 from quasi.tables import read_json, read_table, write_json, write_table
 
 
@@ -13,7 +15,10 @@ def main(settings: dict, flight: str, metadata: str, output: dict[str, str]) -> 
     if settings["problem"]:
         raise ConfigError(settings["problem"])
     airframe = read_airframe(settings["quadrotor"], settings["quadrotor"]["file"], settings["mass"])
-    result = filter_flight(read_table(flight), read_json(metadata), airframe, settings["options"])
+    imported, began = read_table(flight), time.perf_counter()
+    result = filter_flight(imported, read_json(metadata), airframe, settings["options"], progress)
+    seconds = time.perf_counter() - began
+    LOG.info("%d samples filtered in %.1f s, %.0f a second", len(imported), seconds, len(imported) / seconds)
     for note in result.metadata["notes"]:
         LOG.warning("%s", note)
     for kind, columns in (("with_gravity", result.with_gravity), ("no_gravity", result.no_gravity)):

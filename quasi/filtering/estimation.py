@@ -1,6 +1,6 @@
 """States and biases of one flight: by the filter and smoother, or as imported."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
@@ -165,8 +165,9 @@ def estimate(
     found: biases.Phases,
     dt: float,
     notes: list[str],
+    watch: ekf.Watch | None = None,
 ) -> Run:
-    """States and biases by the filter, smoothed when asked."""
+    """States and biases by the filter, smoothed when asked. watch  see `filterpy_engine.forward`."""
     n = len(frame)
     t = frame["t"].to_numpy(float)
     still, noise_notes, origin = measurements.sensor_noise(
@@ -229,8 +230,7 @@ def estimate(
             inputs, flying, np.array([np.max((least / moving)[:3]), np.max((least / moving)[3:])])
         )
         inputs = noise.with_levels(inputs, factors, flying & ~imu.lost)
-    run_forward, engine = _engine(chosen["engine"])
-    forward = run_forward(inputs)
+    engine, forward = _forward(chosen["engine"], inputs, watch)
     final = smooth(inputs, forward) if chosen["smoother"] else forward
     if measured.source["position"].startswith("capture"):
         late = timing.doubt(metadata, t)
@@ -310,13 +310,13 @@ def estimate(
     )
 
 
-def _engine(name: str) -> tuple[Callable[[ekf.Inputs], ekf.Pass], str]:
-    """The forward pass of an engine, and the engine's name with what it ran on."""
-    if name == "compiled":
-        return ekf.forward, name
+def _forward(name: str, inputs: ekf.Inputs, watch: ekf.Watch | None) -> tuple[str, ekf.Pass]:
+    """The forward pass by an engine, and the engine's name with what it ran on."""
+    if name == "compiled":  # done in a tenth of a second, so that there is nothing to watch
+        return name, ekf.forward(inputs)
     from quasi.filtering import filterpy_engine
 
-    return filterpy_engine.forward, f"filterpy {version('filterpy')}"
+    return f"filterpy {version('filterpy')}", filterpy_engine.forward(inputs, watch)
 
 
 def _headings(inputs: ekf.Inputs) -> ekf.Inputs:

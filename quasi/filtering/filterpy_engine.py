@@ -9,7 +9,7 @@ The result is that of `ekf.forward` to rounding, so that the smoother runs on ei
 import numpy as np
 
 from quasi import attitude
-from quasi.filtering.ekf import KINDS, STATES, TAIL, Inputs, Pass, innovation, predict
+from quasi.filtering.ekf import KINDS, STATES, TAIL, Inputs, Pass, Watch, innovation, predict
 
 _LOWER = np.tril_indices(STATES)
 
@@ -44,8 +44,11 @@ def _one_by_one(y: np.ndarray, S: np.ndarray, PHt: np.ndarray) -> tuple[np.ndarr
     return white * size, size**2, np.linalg.solve(root, PHt.T) / size[:, None], white
 
 
-def forward(inputs: Inputs) -> Pass:
-    """Filter forward in time; the same result as `ekf.forward`, some fifty times slower."""
+def forward(inputs: Inputs, watch: Watch | None = None) -> Pass:
+    """Filter forward in time; the same result as `ekf.forward`, some fifty times slower.
+
+    watch  hands on the numbers of the samples one by one and may tell how far they are (`joblog.progress`)
+    """
     from filterpy.kalman import ExtendedKalmanFilter  # a second to import, for nothing else
 
     n, dt = len(inputs.gyro), float(inputs.dt)
@@ -59,7 +62,7 @@ def forward(inputs: Inputs) -> Pass:
     rejected = np.zeros(3, np.int64)
     cost = 0.0
     blocks, work = np.empty((5, 3, 3)), np.empty((4, 3, 3))
-    for k in range(n):
+    for k in watch(range(n), "filtering samples") if watch else range(n):
         if k > 0:
             predict(q, x, inputs.gyro[k - 1], inputs.gyro[k], inputs.accel[k - 1], inputs.accel[k], dt, blocks, work)
             error.F = transition(blocks, dt)

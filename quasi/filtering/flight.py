@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from quasi.airframe import Airframe
 from quasi.errors import ConfigError, DataError
 from quasi.filtering import band as bands
 from quasi.filtering import bias as biases
-from quasi.filtering import estimation, forces, measurements
+from quasi.filtering import ekf, estimation, forces, measurements
 from quasi.tables import COLUMNS
 
 DEFAULTS: dict[str, Any] = {
@@ -125,13 +126,18 @@ def _filled(frame: pd.DataFrame, names: list[str], notes: list[str]) -> tuple[di
 
 
 def filter_flight(
-    imported: pd.DataFrame, imported_metadata: Mapping[str, Any], airframe: Airframe, options: Mapping[str, Any]
+    imported: pd.DataFrame,
+    imported_metadata: Mapping[str, Any],
+    airframe: Airframe,
+    options: Mapping[str, Any],
+    watch: ekf.Watch | None = None,
 ) -> Filtered:
     """Estimate states and biases of one flight and derive its forces and moments.
 
     imported   standard columns on a uniform grid, with attitude_sample, position_sample, velocity_sample and
                onboard_valid as 0 or 1; imported_metadata  its metadata (sources, rate, "logged to rad/s")
     airframe   mass and inertia must be known; options  the section "data filtering" of the processing configuration
+    watch      tells how far a slow engine is (`joblog.progress`); the compiled one is done at once
     Returns    Filtered; every row of the import is kept, column `valid` is 1 where a row may be used for identification
     Raises     DataError where the flight cannot be filtered, ConfigError for an impossible option
     """
@@ -161,7 +167,7 @@ def filter_flight(
     imu.lost |= stuck
     notes += stuck_notes
 
-    find = estimation.estimate if chosen["run extended kalman filter"] else estimation.copy
+    find = partial(estimation.estimate, watch=watch) if chosen["run extended kalman filter"] else estimation.copy
     run = find(imported, imported_metadata, airframe, chosen, imu, found, dt, notes)
 
     in_flight = ~found.on_ground

@@ -93,3 +93,18 @@ def test_a_flight_is_filtered_alike_by_either_engine():
     np.testing.assert_allclose(through.with_gravity, compiled.with_gravity, atol=1e-6, rtol=1e-8)
     with pytest.raises(ConfigError, match="'engine' is 'matlab', expected one of compiled, filterpy"):
         filter_flight(*made, quadrotor(), {"engine": "matlab"})
+
+
+def test_its_progress_can_be_watched_sample_by_sample(inputs):
+    part = inputs._replace(gyro=inputs.gyro[:60])
+    seen = []
+
+    def watch(samples, what):
+        assert what == "filtering samples"
+        for k in samples:
+            seen.append(k)
+            yield k
+
+    watched, alone = filterpy_engine.forward(part, watch), filterpy_engine.forward(part)
+    assert seen == list(range(60))
+    np.testing.assert_array_equal(watched.covariance, alone.covariance)
