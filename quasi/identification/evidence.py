@@ -10,7 +10,7 @@ errors; here for one regressor after the others are taken out); Newey & West, Ec
 cells); Vuong, Econometrica 57(2), 1989 (comparing two models by the scatter of their difference).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.special import stdtr
@@ -71,15 +71,22 @@ def _judge(totals: Totals, scores, energy, bandwidth: int) -> tuple[np.ndarray, 
     # what is left once the column is in, freed of the part that each cell bends the fit towards itself
     left = (scores - share * total) / np.sqrt(1.0 - share)
     left[np.broadcast_to(weights == 0.0, left.shape)] = 0.0
-    variance = totals.weights @ left**2
-    flight = totals.products.flight
-    for lag in range(1, min(bandwidth, len(flight))):
-        near = (flight[lag:] == flight[:-lag])[:, None]
-        variance += 2.0 * (1.0 - lag / bandwidth) * np.sum(left[lag:] * left[:-lag] * near, axis=0)
-    freedom = np.maximum(1.0 / np.maximum(totals.weights @ share**2, 1e-12) - 1.0, 0.1) * min(1.0, 1.5 / bandwidth)
+    variance, shared = totals.weights @ left**2, totals.weights @ share**2
+    for weight, later, before in _neighbours(totals, bandwidth):
+        variance += 2.0 * weight * np.einsum("bq,bq->q", left[later], left[before])
+        # Satterthwaite: of a weighted sum of products, squares of the weights count
+        shared += 2.0 * weight**2 * np.einsum("bq,bq->q", share[later], share[before])
     with np.errstate(all="ignore"):
         t = np.where(variance > 0.0, total / np.sqrt(variance), 0.0)
-    return t, freedom
+    return t, np.maximum(1.0 / np.maximum(shared, 1e-12) - 1.0, 0.1)
+
+
+def _neighbours(totals: Totals, bandwidth: int) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
+    # Bartlett weight, and the cells that lie so far apart within one flight
+    flight = totals.products.flight
+    for lag in range(1, min(bandwidth, len(flight))):
+        before = np.flatnonzero(flight[lag:] == flight[:-lag])
+        yield 1.0 - lag / bandwidth, before + lag, before
 
 
 def entering(totals: Totals, columns: list[int], bandwidth: int = 1) -> tuple[np.ndarray, np.ndarray]:
@@ -148,12 +155,10 @@ def interchangeable(totals: Totals, columns: list[int], bandwidth: int = 1) -> d
         change = -2.0 * slope * scores + slope**2 * energy
         worse = change - change[:, [taken]]
         mean = totals.weights @ worse
-        spread = totals.weights @ (worse - mean / totals.weights.sum()) ** 2
-        flight = products.flight
         centred = worse - mean / totals.weights.sum()
-        for lag in range(1, min(bandwidth, len(flight))):
-            near = (flight[lag:] == flight[:-lag])[:, None]
-            spread += 2.0 * (1.0 - lag / bandwidth) * np.sum(centred[lag:] * centred[:-lag] * near, axis=0)
+        spread = totals.weights @ centred**2
+        for weight, later, before in _neighbours(totals, bandwidth):
+            spread += 2.0 * weight * np.einsum("bq,bq->q", centred[later], centred[before])
         with np.errstate(all="ignore"):
             distance = np.where(spread > 0.0, mean / np.sqrt(spread), np.where(mean > 0.0, np.inf, 0.0))
         alike = usable & (distance < ALIKE) & (gain > 0.5 * gain[taken])
