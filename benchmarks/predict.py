@@ -17,8 +17,9 @@ import numba as nb
 import numpy as np
 
 from quasi.airframe import read_airframe, to_plain
+from quasi.standalone.document import SCHEMA
 from quasi.standalone.kernel import INPUTS, Kernel, wrench
-from quasi.standalone.model import SCHEMA, Model, read_model
+from quasi.standalone.model import Model, read_model
 from quasi.tables import write_json
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -5,7 +5,8 @@ from typing import Any
 
 from quasi.airframe import to_plain
 from quasi.errors import ConfigError
-from quasi.standalone.model import AXES, SCHEMA, Model
+from quasi.standalone.document import AXES, SCHEMA
+from quasi.standalone.model import Model
 
 
 def assemble(

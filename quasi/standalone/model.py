@@ -3,7 +3,6 @@
 Reading a model runs nothing: its expressions go through the same parser as a candidate file; there is no code in it.
 """
 
-import math
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -14,20 +13,19 @@ import pandas as pd
 from scipy.special import ndtri, stdtrit
 
 from quasi import tables
-from quasi.airframe import Airframe, from_plain
-from quasi.errors import ConfigError, ExpressionError, QuasiError, ReadError, ShapeError, nearest
-from quasi.expressions import Program, Tree, parse
+from quasi.airframe import Airframe
+from quasi.errors import ConfigError, ReadError, ShapeError, nearest
+from quasi.expressions import Program, names
+from quasi.standalone.differential import Jacobian, held_back, held_of, split_jacobian
+from quasi.standalone.document import AXES, airframe_of, check_document, trees_of
 from quasi.standalone.envelope import JOINT, Region, distances, make_region
 from quasi.standalone.graph import Graph, Value
 from quasi.standalone.kernel import INPUTS, Kernel, compile_outputs, wrench, wrench_rows
 from quasi.variables import Variables, base_columns
 
-SCHEMA = "quasi.model/1"
-AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 STATE = ("roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z")
 ROTORS = ("w1", "w2", "w3", "w4")
 ACCELERATIONS = tuple(f"{w}_dot" for w in ROTORS)
-_TOP = {"schema", "id", "gravity", "airframe", "hover speed", "axes"}
 
 
 class Model:
@@ -42,18 +40,19 @@ class Model:
     """
 
     def __init__(self, document: Mapping[str, Any], where: str = "model") -> None:
-        _check(document, where)
+        check_document(document, where)
         self.document = dict(document)
         self.id: str = document["id"]
         self.gravity: str = document["gravity"]
-        self.airframe: Airframe = _airframe(document["airframe"], where)
+        self.airframe: Airframe = airframe_of(document["airframe"], where)
         self.hover_speed: float | None = document["hover speed"]["value"]
         self.axes = tuple(a for a in AXES if a in document["axes"])
-        self._trees = {a: _trees(document["axes"][a], a, where) for a in self.axes}
+        self._trees = {a: trees_of(document["axes"][a], a, where) for a in self.axes}
         distinct = list(dict.fromkeys(tree for trees in self._trees.values() for tree in trees))
         self._names = Program(distinct).names
         self._lacking = [k for k, axis in enumerate(AXES) if axis not in self.axes]
         self.columns = tuple(sorted(set().union(*(base_columns(n) for n in self._names), set())))
+        self._derivatives: dict[tuple[str, ...], Kernel] = {}
         self.inputs = (*INPUTS, *(c for c in self.columns if c not in INPUTS))
 
     def graph(self, held: Iterable[str] = ()) -> tuple[Graph, list[list[tuple[float, Value]]]]:
@@ -106,17 +105,63 @@ class Model:
         state, speeds = np.asarray(state, float), np.asarray(rotor_speeds, float)
         if state.ndim == 1 and not extra:
             return self._predict_row(state, speeds, rotor_accelerations)
-        columns, rows = _from_state(state, speeds, rotor_accelerations, extra)
-        result = self._evaluate(columns, rows)
+        result = self.run(self.kernel, state, speeds, rotor_accelerations, extra)
         forces, moments = result[:3].T, result[3:].T
         return (forces[0], moments[0]) if state.ndim == 1 else (forces, moments)
 
     def predict_columns(self, flight: pd.DataFrame | Mapping[str, np.ndarray]) -> pd.DataFrame:
         """Predictions of the identified axes, one column each, of a table with roll .. z, w1 .. w4 and so on."""
         columns, rows = _as_columns(flight)
-        result = self._evaluate(columns, rows)
+        result = self._run(self.kernel, columns, rows)
         index = flight.index if isinstance(flight, pd.DataFrame) else None
         return pd.DataFrame({axis: result[AXES.index(axis)] for axis in self.axes}, index=index)
+
+    def jacobian(
+        self,
+        state: np.ndarray,
+        rotor_speeds: np.ndarray,
+        rotor_accelerations: np.ndarray | None = None,
+        extra: Mapping[str, np.ndarray] | None = None,
+    ) -> Jacobian:
+        """Exact derivatives of forces and moments by the state, the rotor speeds and the rotor accelerations.
+
+        Arguments as for `predict`. Returns arrays (N, 6, 12), (N, 6, 4) and (N, 6, 4), rows Fx .. Mz; one row drops the
+        leading axis. An axis that the model lacks is NaN. Raises ShapeError or ExpressionError.
+        """
+        kernel = self.derivative_kernel(INPUTS)
+        found = split_jacobian(self.run(kernel, state, rotor_speeds, rotor_accelerations, extra))
+        return Jacobian(*(part[0] for part in found)) if np.ndim(state) == 1 else found
+
+    def run(
+        self,
+        kernel: Kernel,
+        state: np.ndarray,
+        rotor_speeds: np.ndarray,
+        rotor_accelerations: np.ndarray | None = None,
+        extra: Mapping[str, np.ndarray] | None = None,
+    ) -> np.ndarray:
+        """Outputs (M, N) of one of the model's kernels; the other arguments as for `predict`."""
+        state, speeds = np.asarray(state, float), np.asarray(rotor_speeds, float)
+        return self._run(kernel, *_from_state(state, speeds, rotor_accelerations, extra))
+
+    def held_constant(self, u: Iterable[str]) -> list[str]:
+        """Variables of the moments that move with the inputs u of a differential form but are kept constant in it."""
+        moments = [names(tree) for axis in AXES[3:] for tree in self._trees.get(axis, ())]
+        return held_back([n for found in moments for n in found], u)
+
+    def derivative_kernel(self, by: Iterable[str]) -> Kernel:
+        """Derivatives of Fx .. Mz by some variables for compiled loops: outputs (6, len(by)), axis after axis.
+
+        by  base columns, or variables such as U_p, by which derivatives treat everything else as constant
+        """
+        by = tuple(by)
+        if by not in self._derivatives:
+            graph, terms = self.graph(held_of(by))
+            wrt = [graph.independent(name) for name in by]
+            outputs = [graph.combine(axis, node) for axis in terms for node in wrt]
+            lacking = [len(by) * m + k for m in self._lacking for k in range(len(by))]
+            self._derivatives[by] = compile_outputs(graph, outputs, self.inputs, lacking)
+        return self._derivatives[by]
 
     def distance(
         self,
@@ -167,7 +212,7 @@ class Model:
     def _distances(self, columns: Mapping[str, np.ndarray], rows: int) -> tuple[np.ndarray, np.ndarray]:
         region = self.region
         columns = self._inputs_of(columns, rows)
-        found, worst = distances(*region, self._table(region.kernel, columns, rows))
+        found, worst = distances(*region, self._gathered(region.kernel, columns, rows))
         return found, np.array([*self.region_names, ""])[worst]
 
     def interval(self, flight: pd.DataFrame | Mapping[str, np.ndarray], level: float | None = None) -> pd.DataFrame:
@@ -264,14 +309,13 @@ class Model:
             self._say_what_lacks(columns)
         return columns
 
-    def _evaluate(self, columns: Mapping[str, np.ndarray], rows: int) -> np.ndarray:
-        """(6, rows) in the order of AXES."""
-        columns, kernel = self._inputs_of(columns, rows), self.kernel
-        result = np.empty((len(AXES), rows))
-        wrench_rows(kernel, self._table(kernel, columns, rows), result)
+    def _run(self, kernel: Kernel, columns: Mapping[str, np.ndarray], rows: int) -> np.ndarray:
+        """(outputs, rows) of one of the model's kernels. Raises ExpressionError for a missing column."""
+        result = np.empty((kernel.outputs, rows))
+        wrench_rows(kernel, self._gathered(kernel, self._inputs_of(columns, rows), rows), result)
         return result
 
-    def _table(self, kernel: Kernel, columns: Mapping[str, np.ndarray], rows: int) -> np.ndarray:
+    def _gathered(self, kernel: Kernel, columns: Mapping[str, np.ndarray], rows: int) -> np.ndarray:
         """(G, rows) what a kernel gathers."""
         table = np.empty((len(kernel.gather), rows))
         for k, position in enumerate(kernel.gather):
@@ -322,75 +366,3 @@ def read_model(path: str | Path) -> Model:
     if not file.is_file():
         raise ReadError(f"{path} holds no model.json; make the model first, or give its folder")
     return Model(tables.read_json(file), str(file))
-
-
-def _check(document: Any, where: str) -> None:
-    if not isinstance(document, Mapping) or document.get("schema") != SCHEMA:
-        found = document.get("schema") if isinstance(document, Mapping) else type(document).__name__
-        raise ConfigError(
-            f"{where} is not a model of this version (schema {found!r}, expected '{SCHEMA}'); make it anew"
-        )
-    missing = sorted(_TOP - set(document))
-    if missing:
-        raise ConfigError(f"{where} lacks the key '{missing[0]}'; make the model anew")
-    if document["gravity"] not in ("withGravity", "noGravity"):
-        raise ConfigError(f"{where}: 'gravity' is {document['gravity']!r}, expected 'withGravity' or 'noGravity'")
-    hover = document["hover speed"]
-    if not isinstance(hover, Mapping) or not (hover.get("value") is None or _finite(hover["value"])):
-        raise ConfigError(f"{where}: 'hover speed' must hold a number of rad/s under 'value'; make the model anew")
-    axes = document["axes"]
-    if not isinstance(axes, Mapping) or not axes or set(axes) - set(AXES):
-        raise ConfigError(f"{where}: 'axes' must hold some of {', '.join(AXES)}; make the model anew")
-    for axis, part in axes.items():
-        _check_axis(part, f"{where}, {axis}")
-
-
-def _check_axis(part: Any, where: str) -> None:
-    if not isinstance(part, Mapping) or not isinstance(part.get("terms"), list) or not part["terms"]:
-        raise ConfigError(f"{where} holds no terms; make the model anew")
-    for number, term in enumerate(part["terms"], 1):
-        if not isinstance(term, Mapping) or not isinstance(term.get("expression"), str):
-            raise ConfigError(f"{where}, term {number} has no expression; make the model anew")
-        for key in ("coefficient", "std"):
-            if not _finite(term.get(key)):
-                raise ConfigError(
-                    f"{where}, term '{term['expression']}': '{key}' is {term.get(key)!r}, expected a finite number; "
-                    "make the model anew"
-                )
-    covariance = part.get("covariance")
-    try:
-        covariance = np.array(covariance, float)
-    except (TypeError, ValueError):
-        covariance = np.zeros(0)
-    estimated = sum(not t.get("given", False) for t in part["terms"])
-    if covariance.shape != (estimated, estimated) or not np.all(np.isfinite(covariance)):
-        raise ConfigError(
-            f"{where}: 'covariance' must be {estimated} x {estimated} finite numbers; make the model anew"
-        )
-    for key in ("sigma2", "effective rows", "confidence level", "R2", "RMSE", "n"):
-        if not _finite(part.get(key)):
-            raise ConfigError(f"{where}: '{key}' is {part.get(key)!r}, expected a finite number; make the model anew")
-
-
-def _finite(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _airframe(plain: Any, where: str) -> Airframe:
-    try:
-        frame = from_plain(plain)
-        good = frame.hubs.shape == (4, 3) and frame.spin.shape == (4,) and frame.inertia.shape == (3, 3)
-    except QuasiError:
-        raise
-    except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError(f"{where}: 'airframe' is damaged ({error}); make the model anew") from None
-    if not good:
-        raise ConfigError(f"{where}: 'airframe' has hubs, spins or inertia of the wrong shape; make the model anew")
-    return frame
-
-
-def _trees(part: Mapping[str, Any], axis: str, where: str) -> list[Tree]:
-    try:
-        return [parse(t["expression"]) for t in part["terms"]]
-    except ExpressionError as error:
-        raise ExpressionError(f"{where}, {axis}: {error}") from None
