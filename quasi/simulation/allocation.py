@@ -13,7 +13,7 @@ SCRATCH = 64  # numbers of scratch that `allocate` needs
 _REGULAR = 1e-8  # weight of the squared distance from the preferred input, against weight 1 of a wanted row
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def invert(a, inverse):
     """Inverse of a (4, 4) matrix, flat row by row in `a` (16,), into `inverse` (16,); Gauss-Jordan, partial pivots."""
     work = np.empty((4, 8))
@@ -41,7 +41,7 @@ def invert(a, inverse):
             inverse[4 * i + j] = work[i, 4 + j]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def allocate(effect, wanted, weights, low, high, scale, u, scratch):
     """Fill u (4,) with the inputs in [low, high] (4,) that minimise sum of (weights (effect u - wanted))^2.
 
@@ -115,7 +115,7 @@ def allocate(effect, wanted, weights, low, high, scale, u, scratch):
         u[i] = min(max(x[i] * scale, low[i]), high[i])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _solve_free(h, g, x, side, scratch):
     """Solution of h x = g over the rotors with side 0, the others as in x, into scratch[28:32]; Cholesky."""
     best, chol = scratch[28:32], scratch[32:48]

@@ -5,7 +5,8 @@ rotor speeds for a wanted angular acceleration nu and thrust T. With u the squar
 
     PID   B u = I (nu + integral - derivative), Fz of hover + B_z (u - u_hover) = -T; B from geometry, one thrust factor
     NDI   M(x, W) + B (u - W^2) = I nu + omega x I omega;  F(x, W) likewise; M and F being the whole model's
-    INDI  B (u - W^2_f) = I (nu - omega_dot_f); T from the measured specific force likewise; f: the same low-pass filter
+    INDI  B (u - W^2_f) = I (nu - omega_dot_f) + the change of omega x I omega since omega_f;
+          T from the measured specific force likewise; f: the same low-pass filter
 
 The yaw moment of rotor accelerations is part of B u where the model has it: B u + D du/dt, solved for the u of this
 step. INDI: Smeur, Chu, de Croon, Adaptive incremental nonlinear dynamic inversion for attitude control of micro air
@@ -32,7 +33,7 @@ from quasi.errors import DataError
 from quasi.simulation import gains as g
 from quasi.simulation.allocation import allocate, invert
 from quasi.simulation.control_model import by_geometry, control_model, extras
-from quasi.simulation.outer_loop import WISH, outer_loop, rotation
+from quasi.simulation.outer_loop import KIND, RATES_GOAL, WISH, outer_loop, rotation
 from quasi.standalone.kernel import Kernel, wrench
 from quasi.standalone.model import Model
 
@@ -71,7 +72,7 @@ def make_controller(
     return kind, np.concatenate([parameters, packed]), INPUTS + len(model.inputs) + len(model.kernel.work)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def controller_step(kind, parameters, memory, t, dt, seen, goal, commands):
     """One step of the controller `kind`: fills commands (4,), rad/s, and carries memory on."""
     if memory[STARTED] == 0.0:
@@ -85,7 +86,7 @@ def controller_step(kind, parameters, memory, t, dt, seen, goal, commands):
     _send(parameters, memory, dt, seen, commands)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _start(kind, p, m, dt, seen):
     """First step: filters begin at what is seen, and the effectiveness of one step is inverted."""
     for k in range(16):
@@ -102,7 +103,7 @@ def _start(kind, p, m, dt, seen):
     m[STARTED] = 1.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _filter(p, m, at, dt, value):
     """Second-order low-pass filter by the trapezoidal rule; m[at:at+3]: output, its derivative, last input."""
     w, h = p[g.CUT_OFF], 0.5 * dt
@@ -114,7 +115,7 @@ def _filter(p, m, at, dt, value):
     m[at + 2] = value
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _thrust_force(p, u0, u1, u2, u3):
     """Fz of the rotors, N, of squared speeds: the hover's, and the effectiveness for what differs from it."""
     e, h2 = g.EFFECT + 12, p[g.HOVER] ** 2
@@ -124,7 +125,7 @@ def _thrust_force(p, u0, u1, u2, u3):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _want(p, m, dt, mx, my, mz, thrust):
     """Right-hand side for u: moments of B u + D du/dt, N m, and thrust, N."""
     e = g.EFFECT + 12
@@ -135,14 +136,7 @@ def _want(p, m, dt, mx, my, mz, thrust):
     m[WANTED + 2] = mz
 
 
-@njit(cache=True)
-def _turn(p, m, seen):
-    """Wanted angular accelerations into m[NU:NU+3], from the wanted rates."""
-    for k in range(3):
-        m[NU + k] = p[g.RATES + k] * (m[WISH + k] - seen[7 + k])
-
-
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _moment(p, a, b, c):
     """Inertia times an angular acceleration."""
     i = g.INERTIA
@@ -153,7 +147,34 @@ def _moment(p, a, b, c):
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+def _turn(p, m, seen):
+    """Wanted angular accelerations into m[NU:NU+3], from the wanted rates."""
+    for k in range(3):
+        m[NU + k] = p[g.RATES + k] * (m[WISH + k] - seen[7 + k])
+
+
+@njit(cache=True, error_model="numpy")
+def _moment_to_turn(p, m, seen, goal):
+    """Moments for the wanted angular accelerations of a body that spins: I nu + omega x I omega.
+
+    What is wanted stands still in earth axes and so turns in the body's, against its yaw rate: the wanted rates change
+    by themselves, and the rotors' lag is led by its own share of a turn (exact for a steady spin).
+    """
+    p_, q, r = seen[7], seen[8], seen[9]
+    if goal[KIND] != RATES_GOAL:
+        m[NU] += r * m[WISH + 1]
+        m[NU + 1] -= r * m[WISH]
+    mx, my, mz = _moment(p, m[NU], m[NU + 1], m[NU + 2])
+    hx, hy, hz = _moment(p, p_, q, r)
+    mx, my, mz = mx + q * hz - r * hy, my + r * hx - p_ * hz, mz + p_ * hy - q * hx
+    if goal[KIND] == RATES_GOAL:
+        return mx, my, mz
+    lead = min(max(p[g.LAG] * r, -1.0), 1.0)
+    return mx + lead * my, my - lead * mx, mz
+
+
+@njit(cache=True, error_model="numpy")
 def _pid(p, m, dt, seen, goal):
     thrust = outer_loop(p, m, dt, seen, goal, 0.0, 0.0, 0.0)
     _turn(p, m, seen)
@@ -170,7 +191,7 @@ def _pid(p, m, dt, seen, goal):
     _want(p, m, dt, mx, my, mz, thrust)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _indi(p, m, dt, seen, goal):
     # acceleration that is not the thrust's, by accelerometer and rotor speeds of the same moment, filtered alike
     u0, u1, u2, u3 = seen[13] ** 2, seen[14] ** 2, seen[15] ** 2, seen[16] ** 2
@@ -186,7 +207,13 @@ def _indi(p, m, dt, seen, goal):
         _filter(p, m, RATES + 3 * k, dt, seen[7 + k])
     for i in range(4):
         _filter(p, m, SQUARES + 3 * i, dt, seen[13 + i] ** 2)
-    mx, my, mz = _moment(p, m[NU] - m[RATES + 1], m[NU + 1] - m[RATES + 4], m[NU + 2] - m[RATES + 7])
+    mx, my, mz = _moment_to_turn(p, m, seen, goal)
+    # moments that are neither the rotors' nor the spinning body's, by rates and rotor speeds filtered alike
+    ax, ay, az = _moment(p, m[RATES + 1], m[RATES + 4], m[RATES + 7])
+    hx, hy, hz = _moment(p, m[RATES], m[RATES + 3], m[RATES + 6])
+    mx -= ax + m[RATES + 3] * hz - m[RATES + 6] * hy
+    my -= ay + m[RATES + 6] * hx - m[RATES] * hz
+    mz -= az + m[RATES] * hy - m[RATES + 3] * hx
     e = g.EFFECT
     for i in range(4):
         u, slope = m[SQUARES + 3 * i], m[SQUARES + 3 * i + 1]
@@ -196,11 +223,11 @@ def _indi(p, m, dt, seen, goal):
     _want(p, m, dt, mx, my, mz, thrust)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _ndi(p, m, dt, seen, goal):
     kernel, offset, further = _unpack_model(p)
-    inputs = m[INPUTS : INPUTS + len(kernel.used)]
-    work = m[INPUTS + len(kernel.used) :]
+    inputs = m[INPUTS : INPUTS + 20 + len(further)]
+    work = m[INPUTS + 20 + len(further) :]
     out = m[MODEL_OUT : MODEL_OUT + 6]
     w, x, y, z = seen[0], seen[1], seen[2], seen[3]
     inputs[0] = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
@@ -228,11 +255,8 @@ def _ndi(p, m, dt, seen, goal):
         r[0] * ax + r[1] * ay + r[2] * az, r[3] * ax + r[4] * ay + r[5] * az, r[6] * ax + r[7] * ay + r[8] * az,
     )  # fmt: skip
     _turn(p, m, seen)
-    mx, my, mz = _moment(p, m[NU], m[NU + 1], m[NU + 2])
-    hx, hy, hz = _moment(p, seen[7], seen[8], seen[9])
-    mx += seen[8] * hz - seen[9] * hy - out[3]
-    my += seen[9] * hx - seen[7] * hz - out[4]
-    mz += seen[7] * hy - seen[8] * hx - out[5]
+    mx, my, mz = _moment_to_turn(p, m, seen, goal)
+    mx, my, mz = mx - out[3], my - out[4], mz - out[5]
     e = g.EFFECT
     for i in range(4):
         u = seen[13 + i] ** 2
@@ -242,7 +266,7 @@ def _ndi(p, m, dt, seen, goal):
     _want(p, m, dt, mx, my, mz, thrust)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _send(p, m, dt, seen, commands):
     """Rotor speeds for what is wanted, within the rotors' limits; watches whether the rotors follow."""
     if p[g.LEARN] > 0.0:
@@ -274,7 +298,7 @@ def _send(p, m, dt, seen, commands):
         commands[i] = math.sqrt(u[i])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _learn_limits(p, m, dt, seen):
     """Upper limits of the rotors, rad/s, from how they follow the commands sent through the actuators' lag."""
     follow = 1.0 - math.exp(-dt / p[g.LAG])
@@ -293,63 +317,19 @@ def _learn_limits(p, m, dt, seen):
 def _pack_model(model: Model, offset: np.ndarray) -> np.ndarray:
     """The model as float64: 1 or 0 for forces without or with weight in them, offset (6,), lengths, extras, arrays.
 
-    Arrays of whole numbers are laid into the floats' bytes; `_unpack_model` reads them in place.
+    The code's whole numbers are laid into the floats' bytes, two to a float; `_unpack_model` reads them in place.
     """
-    kernel = model.kernel
-    further = extras(model)
-    arrays = [further, kernel.used, kernel.gather, kernel.work, kernel.fill, kernel.runs, kernel.left, kernel.right,
-              kernel.ends, kernel.terms, kernel.weights, kernel.offsets]  # fmt: skip
-    parts = [np.array([float(model.with_gravity), *offset, *(a.size for a in arrays)])]
-    for array in arrays:
-        flat = np.ascontiguousarray(array).ravel()
-        room = -flat.nbytes % 8 // flat.itemsize
-        parts.append(np.concatenate([flat, np.zeros(room, flat.dtype)]).view(np.float64))
-    return np.concatenate(parts)
+    kernel, further = model.kernel, extras(model)
+    code = np.concatenate([kernel.code, np.zeros(len(kernel.code) % 2, np.uint32)]).astype(np.uint32)
+    head = [float(model.with_gravity), *offset, len(further), len(kernel.code), len(kernel.numbers)]
+    return np.concatenate([head, further, kernel.numbers, code.view(np.float64)])
 
 
-@njit(cache=True)
-def _whole(p, at, n):
-    return p[at : at + (n + 1) // 2].view(np.uint32)[:n]
-
-
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _unpack_model(p):
     """Kernel, offset (6,) and extras that `_pack_model` laid down, without a copy."""
-    offset = p[g.MODEL + 1 : g.MODEL + 7]
-    sizes = p[g.MODEL + 7 : g.MODEL + 19]
-    n = int(sizes[0])
-    at = g.MODEL + 19
-    further = p[at : at + n]
-    at += n
-    n = int(sizes[1])
-    used = p[at : at + (n + 7) // 8].view(np.bool_)[:n]
-    at += (n + 7) // 8
-    n = int(sizes[2])
-    gather = _whole(p, at, n)
-    at += (n + 1) // 2
-    n = int(sizes[3])
-    work = p[at : at + n]
-    at += n
-    n = int(sizes[4])
-    fill = _whole(p, at, n)
-    at += (n + 1) // 2
-    n = int(sizes[5])
-    runs = _whole(p, at, n).reshape((n // 3, 3))
-    at += (n + 1) // 2
-    n = int(sizes[6])
-    left = _whole(p, at, n)
-    at += (n + 1) // 2
-    n = int(sizes[7])
-    right = _whole(p, at, n)
-    at += (n + 1) // 2
-    n = int(sizes[8])
-    ends = _whole(p, at, n)
-    at += (n + 1) // 2
-    n = int(sizes[9])
-    terms = _whole(p, at, n)
-    at += (n + 1) // 2
-    n = int(sizes[10])
-    weights = p[at : at + n]
-    at += n
-    offsets = p[at : at + int(sizes[11])]
-    return Kernel(used, gather, work, fill, runs, left, right, ends, terms, weights, offsets), offset, further
+    at = g.MODEL + 10
+    extra, whole, numbers = int(p[at - 3]), int(p[at - 2]), int(p[at - 1])
+    begin = at + extra + numbers
+    code = p[begin : begin + (whole + 1) // 2].view(np.uint32)[:whole]
+    return Kernel(code, p[at + extra : begin]), p[g.MODEL + 1 : g.MODEL + 7], p[at : at + extra]

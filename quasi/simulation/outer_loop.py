@@ -28,7 +28,7 @@ INTEGRAL, LAST_FORWARD, WISH = 49, 55, 168
 _JERK = 80.0  # m/s3; beyond it a change of the fed forward acceleration is a jump, which has no rate
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def rotation(q):
     """Rotation matrix body to earth, row by row, of a quaternion w x y z."""
     w, x, y, z = q[0], q[1], q[2], q[3]
@@ -39,7 +39,7 @@ def rotation(q):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def turn_towards(r, d, parameters, out):
     """Body rates (into out (3,), rad/s) that turn from the attitude r to d, both nine entries row by row."""
     # e = r' d, the wanted axes in body axes
@@ -62,24 +62,24 @@ def turn_towards(r, d, parameters, out):
     out[2] = parameters[g.YAW] * math.atan2(e10 - e01, e00 + e11)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def attitude_of_thrust(sx, sy, sz, yaw):
     """Attitude (nine entries row by row) whose z axis is against the thrust s and whose heading is yaw (3-2-1)."""
     size = math.sqrt(sx * sx + sy * sy + sz * sz)
     zx, zy, zz = -sx / size, -sy / size, -sz / size
     cy, sy_ = math.cos(yaw), math.sin(yaw)
-    # y = z x (heading), which is level and right of the heading
-    yx, yy, yz = -zz * sy_, zz * cy, zx * sy_ - zy * cy
-    norm = math.sqrt(yx * yx + yy * yy + yz * yz)
-    yx, yy, yz = yx / norm, yy / norm, yz / norm
+    # x lies above or below the heading: across z and across the level axis to the right of the heading
+    xx, xy, xz = cy * zz, sy_ * zz, -sy_ * zy - cy * zx
+    norm = math.sqrt(xx * xx + xy * xy + xz * xz)
+    xx, xy, xz = xx / norm, xy / norm, xz / norm
     return (
-        yy * zz - yz * zy, yx, zx,
-        yz * zx - yx * zz, yy, zy,
-        yx * zy - yy * zx, yz, zz,
+        xx, zy * xz - zz * xy, zx,
+        xy, zz * xx - zx * xz, zy,
+        xz, zx * xy - zy * xx, zz,
     )  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def attitude_of_angles(roll, pitch, yaw):
     """Attitude (nine entries row by row) of Euler angles 3-2-1."""
     cr, sr, cp, sp, cy, sy = (
@@ -92,13 +92,13 @@ def attitude_of_angles(roll, pitch, yaw):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _shorten(x, y, most):
     size = math.sqrt(x * x + y * y)
     return (x, y) if size <= most else (x * most / size, y * most / size)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def outer_loop(parameters, memory, dt, seen, goal, dx, dy, dz):
     """Wanted body rates into memory[WISH:WISH+3], rad/s; returns the wanted thrust, N, upwards in the body.
 
@@ -172,7 +172,7 @@ def outer_loop(parameters, memory, dt, seen, goal, dx, dy, dz):
     return max(-mass * (sx * r[2] + sy * r[5] + sz * r[8]), 0.0)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _limit_rates(p, wish):
     wish[0], wish[1] = _shorten(wish[0], wish[1], p[g.RATE])
     wish[2] = min(max(wish[2], -p[g.YAW_RATE]), p[g.YAW_RATE])

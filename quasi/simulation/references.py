@@ -211,7 +211,7 @@ def _of_table(chosen: Mapping[str, Any], columns: Mapping[str, Any]) -> tuple[in
     return TABLE, np.array([number, float(chosen["end"] == "repeat")]), table
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def goal_at(kind, parameters, table, t, goal):
     """Fill goal (20,) with what is wanted at time t, s; see outer_loop.py for its entries."""
     for k in range(GOAL):
@@ -229,7 +229,7 @@ def goal_at(kind, parameters, table, t, goal):
         _table_at(parameters, table, t, goal)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _row_at(table, t):
     """The last row at or before t; the first where t lies before all."""
     low, high = 0, len(table)
@@ -242,7 +242,7 @@ def _row_at(table, t):
     return low
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _ease(x, duration):
     """Share of a transition at the part x of it, and its first two derivatives by time."""
     if x >= 1.0 or duration <= 0.0:
@@ -252,7 +252,7 @@ def _ease(x, duration):
     return s, d, 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / (duration * duration)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _steps_at(parameters, table, t, goal):
     row = _row_at(table, t)
     for k in range(1, GOAL):
@@ -273,7 +273,7 @@ def _steps_at(parameters, table, t, goal):
         goal[YAW_RATE] = d * way
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _eight_at(parameters, t, goal):
     """x = A cos(phi), y = A sin(phi) cos(phi) about the centre, as the manual's "circle"; eased in from "hold"."""
     a, w, start, duration, yaw, turn = parameters[:6]
@@ -301,7 +301,7 @@ def _eight_at(parameters, t, goal):
         goal[FORWARD + k] = dd * (place - hold) + 2.0 * d * speed + s * bend
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _table_at(parameters, table, t, goal):
     """Between rows: fifth-degree polynomials through position, velocity and acceleration; the rest linear.
 

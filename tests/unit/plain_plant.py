@@ -17,19 +17,19 @@ G = 9.81
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
-def made_model(hover=1500.0, asymmetric=False, lag=0.03, reaction=6e-7, gravity="withGravity"):
+def made_model(hover=1500.0, asymmetric=False, lag=0.03, reaction=6e-7, damping=5e-4, gravity="withGravity"):
     """A six-axis quadrotor model of a dozen terms, with drag, damping and the moment of rotor accelerations."""
     mass = 0.43
     hubs = [[-0.0544, 0.0544, 0], [0.0544, 0.0544, 0], [-0.0544, -0.0544, 0], [0.0544, -0.0544, 0]]
     thrust = mass * G / (4 * hover**2)
-    bias = 1.0 if asymmetric else 0.0
+    bias = float(asymmetric)
     terms = {
         "Fx": {"1": 0.0, "u": -0.12},
         "Fy": {"1": 0.0, "v": -0.12},
         "Fz": {"1": 0.0, "w": -0.15, "w2_1 + w2_2 + w2_3 + w2_4": -thrust},
         "Mx": {"1": 1.5e-3 * bias, "p": -8e-4, "U_p": 0.0544 * thrust, "v": -2e-3},
         "My": {"1": -1e-3 * bias, "q": -8e-4, "U_q": 0.0544 * thrust, "u": 2e-3},
-        "Mz": {"1": 3e-4 * bias, "r": -5e-4, "U_r": -0.012 * thrust, "u_r_dot": -reaction},
+        "Mz": {"1": 3e-4 * bias, "r": -damping, "U_r": -0.012 * thrust, "u_r_dot": -reaction},
     }
     if gravity == "noGravity":
         # net force: the weight in body axes, in the model's own variables
@@ -92,7 +92,7 @@ def _loop(
     """
     mass, gravity, lag, lowest, highest = constants
     inverse = np.linalg.inv(inertia)
-    inputs, work, out = np.zeros(64), kernel.work.copy(), np.zeros(6)
+    inputs, work, out = np.zeros(64), np.zeros(len(kernel.code) + len(kernel.numbers)), np.zeros(6)
     seen, command, slopes, acting = np.zeros(26), np.zeros(4), np.zeros(4), np.zeros(4)
     turn, target = np.eye(3), state[9:13].copy()
     h = dt / fine
