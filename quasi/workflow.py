@@ -274,6 +274,12 @@ class Folder(Project):
             )
         return kinds if len(kinds) > 1 else []
 
+    def standalone(self, name: str) -> dict[str, Any]:
+        """Settings of the assembly of a model."""
+        chosen = self.model(name)["standalone"]
+        u = chosen["DiffSys u"] if chosen["make moment DiffSys"] else None
+        return {"file": f"config/models/{name}.json", "u": u}
+
     def axes(self, name: str) -> list[str]:
         """Axes that a model identifies."""
         parameters = self.model(name)["identification parameters"]

@@ -20,6 +20,7 @@ rule standalone_model:
             role: [r.key for r in ask(FOLDER.model_flights, wildcards.model, role)]
             for role in ("training", "validation")
         },
+        settings=lambda wildcards: ask(FOLDER.standalone, wildcards.model),
         code=code("standalone_model.py"),
     script:
         "../scripts/standalone_model.py"

@@ -5,13 +5,20 @@ from pathlib import Path
 from quasi.airframe import from_plain
 from quasi.identification.partition import TRAINING, from_table
 from quasi.joblog import job
-from quasi.standalone.build import assemble
+from quasi.standalone.build import assemble, with_differential_form
 from quasi.standalone.envelope import covered
 from quasi.tables import fingerprint, read_json, read_table, write_json
 
 
 def main(
-    axes: list[str], shared: str, partition: str, flights: list[str], roles: dict, model: str, output: str
+    axes: list[str],
+    shared: str,
+    partition: str,
+    flights: list[str],
+    roles: dict,
+    settings: dict,
+    model: str,
+    output: str,
 ) -> None:
     """Read the axes, what they share and the region their data covered; write the model."""
     found = read_json(shared)
@@ -28,7 +35,10 @@ def main(
         **covered(tables, rows, airframe, found["hover speed"]["value"], parts),
         "provenance": {"axes": {axis: fingerprint(part) for axis, part in parts.items()}},
     }
-    write_json(output, assemble(parts, found, meta))
+    document = assemble(parts, found, meta)
+    if settings["u"] is not None:
+        document = with_differential_form(document, settings["u"], f"{settings['file']}, 'DiffSys u'")
+    write_json(output, document)
 
 
 if __name__ == "__main__":
@@ -39,6 +49,7 @@ if __name__ == "__main__":
             snakemake.input.partition,
             snakemake.input.flights,
             snakemake.params.flights,
+            snakemake.params.settings,
             snakemake.wildcards.model,
             snakemake.output[0],
         )

@@ -1,10 +1,13 @@
 """From identified axes to a model: assembly of the plain data."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
+
+import numpy as np
 
 from quasi.airframe import to_plain
 from quasi.errors import ConfigError
+from quasi.standalone.differential import RATES, inputs_of_system
 from quasi.standalone.document import AXES, SCHEMA
 from quasi.standalone.model import Model
 
@@ -50,3 +53,30 @@ def assemble(
     }
     Model(document, f"model {meta['id']}")
     return document
+
+
+def with_differential_form(document: Mapping[str, Any], u: Iterable[str], where: str) -> dict[str, Any]:
+    """The model with the inputs of its differential form, and notes on what it keeps constant or never uses.
+
+    Raises ConfigError for inputs that cannot be, or when a moment was not identified.
+    """
+    model = Model(document, where)
+    u = inputs_of_system(u, where)
+    lacking = [axis for axis in AXES[3:] if axis not in model.axes]
+    if lacking:
+        raise ConfigError(
+            f"{where}: a differential form needs all three moments, but {', '.join(lacking)} is not identified; "
+            "identify it or set 'make moment DiffSys' to false"
+        )
+    kept, kernel = model.held_constant(u), model.derivative_kernel(u)
+    notes = []
+    if kept:
+        notes.append(
+            f"differential form: {', '.join(kept)} move with the rotor speeds too and are kept constant in B; "
+            "the inputs w1, w2, w3, w4 keep nothing constant"
+        )
+    for k, name in enumerate(u):
+        if not kernel.depends(np.arange(3, 6) * len(u) + k):
+            notes.append(f"differential form: no moment depends on {name}; its column of B is zero")
+    form = {"x": list(RATES), "u": list(u), "kept constant": kept}
+    return {**document, "differential form": form, "notes": [*document["notes"], *notes]}

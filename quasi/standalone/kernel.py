@@ -74,6 +74,13 @@ class Kernel(NamedTuple):
         """Number of outputs."""
         return int(self.code[4])
 
+    def depends(self, outputs: Iterable[int]) -> bool:
+        """Whether one of these outputs is anything but the number 0."""
+        at = _HEAD + int(self.code[0]) + 3 * int(self.code[2]) + 2 * int(self.code[3])
+        ends = self.code[at : at + self.outputs + 1]
+        offsets = self.numbers[len(self.numbers) - self.outputs :]
+        return any(ends[m + 1] > ends[m] or offsets[m] != 0.0 for m in outputs)
+
 
 @nb.njit(cache=True, error_model="numpy")
 def wrench(kernel: Kernel, inputs: np.ndarray, work: np.ndarray, out: np.ndarray) -> None:

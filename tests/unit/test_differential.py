@@ -11,7 +11,7 @@ from made_model import SHARED, TERMS, document, part
 from quasi.airframe import to_plain
 from quasi.errors import ConfigError
 from quasi.expressions import parse
-from quasi.standalone.build import assemble
+from quasi.standalone.build import assemble, with_differential_form
 from quasi.standalone.differential import cross_matrix, differential_system, inputs_of_system
 from quasi.standalone.kernel import INPUTS, wrench
 from quasi.standalone.model import Model
@@ -232,3 +232,17 @@ def test_without_a_configured_form_the_inputs_are_asked_for(data):
     only = assemble({"Fz": part("Fz", TERMS["Fz"])}, SHARED, {"id": "m", "airframe": AIRFRAME})
     with pytest.raises(ConfigError, match="lacks Mx, My, Mz"):
         differential_system(Model(only), data[0, :12], data[0, 12:16], ["U_p"])
+
+
+def test_a_configured_form_tells_what_it_keeps_constant_and_what_it_never_uses():
+    made = with_differential_form(rich().document, ["U_p", "U_q", "battery_voltage"], "config/models/m.json")
+    assert made["differential form"]["u"] == ["U_p", "U_q", "battery_voltage"]
+    assert made["differential form"]["kept constant"] == ["w_tot", "u_r", "U_r", "w_avg"]
+    said = " ".join(made["notes"])
+    assert "w_tot, u_r, U_r, w_avg move with the rotor speeds" in said
+    assert "no moment depends on battery_voltage" in said
+    assert "depends on U_" not in said
+    with pytest.raises(ConfigError, match="Mx, Mz is not identified"):
+        with_differential_form(
+            assemble({"My": part("My", TERMS["My"])}, SHARED, {"id": "m", "airframe": AIRFRAME}), ["U_q"], "here"
+        )
