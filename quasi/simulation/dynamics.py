@@ -63,10 +63,17 @@ class Scratch(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
+def inputs_of(kernel: Kernel) -> int:
+    """Number of inputs of a kernel."""
+    return int(kernel.code[6])
+
+
+@njit(cache=True, error_model="numpy")
 def scratch_of(kernel: Kernel) -> Scratch:
     """Room for one simulation of this model."""
+    code = kernel.code
     return Scratch(
-        np.zeros(len(kernel.used)), kernel.work.copy(), np.zeros(6), np.zeros(6),
+        np.zeros(inputs_of(kernel)), np.zeros(int(code[0]) + int(code[1]) + int(code[3])), np.zeros(6), np.zeros(6),
         np.zeros((4, STATES)), np.zeros(STATES),
     )  # fmt: skip
 

@@ -37,9 +37,9 @@ class Sensors(NamedTuple):
     acceleration: float
 
 
-# A wind (9,): steady (3,) m/s; standard deviations of gusts (3,) m/s; their correlation times (3,) s, each a first-order
-# Gauss-Markov process. Earth axes. A table (T, 4) of time s and three velocities, or (0, 4), adds to it: linear between
-# rows, held beyond the ends.
+# A wind (9,): steady (3,) m/s; standard deviations of gusts (3,) m/s; their correlation times (3,) s, each a
+# first-order Gauss-Markov process. Earth axes. A table (T, 4) of time s and three velocities, or (0, 4), adds to it:
+# linear between rows, held beyond the ends.
 STEADY, GUST, TIME = 0, 3, 6
 
 

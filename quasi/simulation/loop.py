@@ -1,15 +1,14 @@
 """The closed loop, compiled: reference, sensors, controller, actuator, model, equations of motion, integrator.
 
-Each of its parts is a function of its own that the Python loop (`quasi.simulation.quadrotor`) calls as well, in the same
-order and on the same arrays, so that both ways give the same numbers. `fly` runs one simulation, `fly_many` a batch in
-parallel. What stays the same during a run stands in a Machine, what changes in a Live and a Scratch.
+Each of its parts is a function of its own that the Python loop (`quasi.simulation.quadrotor`) calls as well, in the
+same order and on the same arrays, so that both ways give the same numbers. `fly` runs one simulation, `fly_some` a
+part of a batch. What stays the same during a run stands in a Machine, what changes in a Live and a Scratch.
 """
 
 import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 
 from quasi.attitude import GRAVITY
 from quasi.compiling import njit
@@ -29,6 +28,7 @@ from quasi.simulation.dynamics import (
     UP,
     WIND,
     advance,
+    inputs_of,
     load,
     rotor_slope,
     scratch_of,
@@ -70,7 +70,8 @@ class Battery(NamedTuple):
 
     start V at the beginning; drain V/s; sag V at the power of hover, growing with the third power of the rotor speeds;
     hover rad/s; reference V at which a command is the speed that a rotor settles at; exponent: that speed grows with
-    (voltage / reference) ** exponent, 0 for a governed motor; place of the voltage among the model's extra inputs, or -1
+    (voltage / reference) ** exponent, 0 for a governed motor; place of the voltage among the model's extra inputs, -1
+    where it is none
     """
 
     start: float
@@ -131,8 +132,8 @@ class Live(NamedTuple):
 @njit(cache=True, error_model="numpy")
 def live_of(machine, x, memory, noise_seed, gust_seed):
     """What changes during a simulation that begins in state x (17,), the rotors in balance with their commands."""
-    held = np.zeros(HELD + len(machine.kernel.used) - 20)
-    rows = int(math.floor(machine.drive.delay / machine.dt + 1e-9)) + 2
+    held = np.zeros(HELD + inputs_of(machine.kernel) - 20)
+    rows = math.floor(machine.drive.delay / machine.dt + 1e-9) + 2
     ring = np.empty((rows, 4))
     random = np.empty(2, np.uint64)
     random[SENSOR_ROW], random[GUST_ROW] = seeded(noise_seed, 0), seeded(gust_seed, 1)
@@ -168,7 +169,7 @@ def environment(t, wind, wind_table, fault, battery, x, held, gust, air, speeds,
 
 @njit(cache=True, error_model="numpy")
 def observe(body, sensors, x, last, speeds, random, draws, seen):
-    """What the sensors read now, into seen (26,); the accelerometer feels the forces of the step that has just ended."""
+    """What the sensors read now, into seen (26,); the accelerometer feels the forces at the end of the last step."""
     fx, fy, fz = last[0] / body[MASS], last[1] / body[MASS], last[2] / body[MASS]
     if body[GRAVITY_ADDED] == 0.0:  # the model's forces are net forces
         w, rx, ry, rz = x[0], x[1], x[2], x[3]
@@ -183,7 +184,7 @@ def actuate(k, dt, drive, battery, body, x, held, ring, commands, voltage, speed
     """From commanded rotor speeds to what the rotors do during step k: delay, battery, saturation, lag."""
     size = len(ring)
     whole = drive.delay / dt
-    late = int(math.floor(whole + 1e-9))
+    late = math.floor(whole + 1e-9)
     share = max(whole - late, 0.0)
     factor = 1.0
     if battery.exponent != 0.0:
@@ -249,7 +250,6 @@ def fly(machine, live, scratch, first, steps, every, log, close):
     x, held, commands, ring, goal, seen, memory, speeds, gust, air, voltage, random, draws = live
     inputs, work, loads, last, slopes, middle = scratch
     begin = np.empty(6)
-    before = np.empty(STATES)
     row = 0
     for k in range(first, first + steps + (1 if close else 0)):
         t = k * dt
@@ -315,8 +315,11 @@ def one_of_many(machine, draws, b, memory, steps, every, log):
     return status, done
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
-def fly_many(machine, draws, memory, steps, every, logs, status, done):
-    """Run a batch on all threads: logs (B, rows, SHORT_LOG or LOG), status (B,) and done (B,) are filled."""
-    for b in prange(len(status)):
+@njit(cache=True, error_model="numpy", nogil=True)
+def fly_some(machine, draws, first, stop, memory, steps, every, logs, status, done):
+    """Simulations first .. stop - 1 of a batch: logs (B, rows, SHORT_LOG or LOG), status (B,), done (B,) are filled.
+
+    It holds no lock of Python's, so that several threads can work at a batch, each on simulations of its own.
+    """
+    for b in range(first, stop):
         status[b], done[b] = one_of_many(machine, draws, b, memory, steps, every, logs[b])

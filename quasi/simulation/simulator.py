@@ -9,8 +9,8 @@ Order of a step k (QuaSI user manual V1.0.a, figure 23), with what each writes t
     equations_of_motion   bus.state_derivative[k + 1]
     integrator            bus.state[k + 1]
 
-Each is a function that takes the bus alone, and may be replaced: simulator.steps["actuator"] = my_actuator. The step that
-was there stays at hand as bus.actuator and so on, so that a new one can wrap it. Further steps go between them by
+Each is a function that takes the bus alone, and may be replaced: simulator.steps["actuator"] = my_actuator. The step
+that was there stays at hand as bus.actuator and so on, so that a new one can wrap it. Further steps go between them by
 `add_step`. Signals of the user's own go on the bus by `add_signal`.
 """
 
@@ -54,6 +54,8 @@ class Bus:
         self.integrator: Step | None = None
         self.integrator_options: dict[str, Any] = {}
         self.signals: dict[str, Any] = {}
+        self.setup: Any = None  # of a quadrotor: see quasi.simulation.quadrotor
+        self.live: Any = None
 
     def __getitem__(self, name: str) -> Any:
         if name not in self.signals:
@@ -99,6 +101,7 @@ class Simulator:
         self.run_mode = run_mode
         self.stopped: str | None = None  # why the simulation ended before its time
         self.limits: np.ndarray | None = None
+        self._latest: tuple[np.ndarray, ...] = (np.zeros(3), np.zeros(3))  # forces and moments last asked for
         self.state_names: list[str] = []
         own = {
             "begin": None,
@@ -181,7 +184,7 @@ class Simulator:
     def run(self) -> Bus:
         """Run to the end, or until the termination condition says so; returns the bus.
 
-        A state that leaves its limits stops the simulation: `stopped` says when and which, and the rows up to then stay.
+        A state that leaves its limits stops the simulation: `stopped` says when and which, the rows up to then stay.
         Raises ConfigError when something is not set, DataError naming the step when a step gives NaN or a wrong shape.
         """
         bus = self.bus
@@ -247,7 +250,8 @@ class Simulator:
                 f"{self._who('forces_and_moments', bus)} returned {found!r}, expected forces (3,) and moments (3,)"
             ) from None
         zero = bus.forces[0]
-        return self._sound(forces, "forces_and_moments", zero), self._sound(moments, "forces_and_moments", zero)
+        self._latest = tuple(self._sound(part, "forces_and_moments", zero) for part in (forces, moments))
+        return self._latest
 
     def _next_state(self, bus: Bus) -> np.ndarray:
         if self.steps["integrator"] is self._own["integrator"] and self._method != "own":

@@ -1,0 +1,259 @@
+"""What a simulation gives: its table with units, and a summary in plain data."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from quasi import attitude
+from quasi.errors import ConfigError
+from quasi.simulation.loop import (
+    AIMED,
+    AIR,
+    COMMANDS,
+    FINE,
+    LOADS,
+    NO_COMMAND,
+    SEEN_AT,
+    SLOPES,
+    SPEEDS,
+    VOLTAGE,
+    X,
+)
+from quasi.simulation.outer_loop import (
+    ANGLES,
+    ATTITUDE_GOAL,
+    KIND,
+    PLACE,
+    POSITION_GOAL,
+    RATES,
+    RATES_GOAL,
+    SPEED,
+    THRUST,
+    VELOCITY_GOAL,
+    YAW_RATE,
+)
+from quasi.simulation.setup import STATE_NAMES, Setup
+from quasi.tables import COLUMNS
+
+SCHEMA = "quasi.simulation/1"
+_AT_LIMIT = 1e-6  # relative distance from a limit at which a command counts as being there
+UNITS: dict[str, tuple[str, str, str]] = {
+    **{
+        f"{n}_ref": (COLUMNS[n][0], COLUMNS[n][1], f"reference of {n}")
+        for n in ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw", "p", "q", "r")
+    },
+    "yaw_rate_ref": ("rad/s", "earth NED", "reference of the turn about the vertical"),
+    "thrust_ref": ("N", "body FRD", "reference of the thrust, upwards in the body"),
+    **{
+        f"{n}_measured": (COLUMNS[n][0], COLUMNS[n][1], f"{n} as the controller sees it")
+        for n in ("x", "y", "z", "u", "v", "w", "roll", "pitch", "yaw", "p", "q", "r", "ax", "ay", "az", "w1", "w2",
+                  "w3", "w4")
+    },
+    **{f"q{c}": ("1", "body to earth, Hamilton", f"attitude quaternion, {c}") for c in "wxyz"},
+    "distance": ("1", "", "distance outside the region of the model's data, in units of the covered range"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Result:
+    """A simulation that has run.
+
+    table    one row per logged step: t; position, attitude, velocity, rates; rotor speeds, commands; forces, moments;
+             references, where there are any; what the controller saw; wind
+    status   FINE, or what stopped it; stopped: the sentence that says so, else None
+    steps    how many were done; setup: what was simulated
+    """
+
+    setup: Setup
+    table: pd.DataFrame
+    status: int
+    steps: int
+    stopped: str | None
+
+    @property
+    def units(self) -> dict[str, tuple[str, str, str]]:
+        """{column: (unit, frame, meaning)} of the columns that `tables.COLUMNS` does not know."""
+        return {name: UNITS[name] for name in self.table if name in UNITS}
+
+    def summary(self) -> dict[str, Any]:
+        """Tracking errors, saturation, time outside the region of the model's data: plain data."""
+        setup, table = self.setup, self.table
+        machine = setup.machine
+        notes = list(setup.notes)
+        flown = float(table["t"].iloc[-1]) if len(table) else 0.0
+        summary = {
+            "schema": SCHEMA,
+            "simulation": setup.name,
+            "model": setup.model.id,
+            "ended": self.stopped,
+            "duration": {"asked": setup.steps * machine.dt, "simulated": self.steps * machine.dt, "unit": "s"},
+            "steps": self.steps,
+            "tracking": tracking(table),
+            "saturation": self._saturation(),
+            "outside the model's region": self._outside(notes),
+            "rotor limits": {"lowest": machine.drive.low, "highest": machine.drive.high, "unit": "rad/s"},
+            "fault time": float(machine.fault[0]) if np.isfinite(machine.fault[0]) else None,
+            "settings": setup.settings,
+            "notes": notes,
+        }
+        if machine.battery.start > 0.0 and len(table):
+            summary["battery"] = {"lowest voltage": float(table["battery_voltage"].min()), "unit": "V", "at": flown}
+        return summary
+
+    def _saturation(self) -> dict[str, Any]:
+        drive = self.setup.machine.drive
+        shares = {}
+        for i in range(1, 5):
+            command = self.table[f"w{i}_CMD"].to_numpy()
+            high = float(np.mean(command >= drive.high * (1.0 - _AT_LIMIT))) if len(command) else 0.0
+            low = float(np.mean(command <= drive.low * (1.0 + _AT_LIMIT))) if len(command) else 0.0
+            shares[f"rotor {i}"] = {"share of time at highest": high, "share of time at lowest": low}
+        return shares
+
+    def _outside(self, notes: list[str]) -> dict[str, Any] | None:
+        """Share of time in which a variable lies outside what the training flights covered."""
+        table, model = self.table, self.setup.model
+        finite = np.isfinite(table[list(STATE_NAMES)].to_numpy()).all(axis=1)
+        used = table[finite]
+        try:
+            found = model.distance_columns(air_columns(used))
+        except ConfigError as error:
+            notes.append(str(error))
+            return None
+        distance = found["distance"].to_numpy()
+        outside = distance > 0.0
+        worst = found["worst"][outside].value_counts()
+        return {
+            "share of time": float(outside.mean()) if len(outside) else 0.0,
+            "greatest distance": float(distance.max()) if len(distance) else 0.0,
+            "where": {str(name): float(count / len(used)) for name, count in worst.items()},
+        }
+
+
+def tracking(table: pd.DataFrame) -> dict[str, Any]:
+    """Root mean square and greatest error of what is referred to; position and velocity as vectors."""
+    result: dict[str, Any] = {}
+    q = table[["qw", "qx", "qy", "qz"]].to_numpy() if len(table) else np.zeros((0, 4))
+    for what, names, unit in (
+        ("position", ("x", "y", "z"), "m"),
+        ("velocity", ("vx", "vy", "vz"), "m/s"),
+        ("attitude", ("roll", "pitch", "yaw"), "rad"),
+        ("rates", ("p", "q", "r"), "rad/s"),
+    ):
+        wanted = [f"{n}_ref" for n in names]
+        if not set(wanted) <= set(table):
+            continue
+        reference = table[wanted].to_numpy()
+        rows = np.isfinite(reference).all(axis=1) & np.isfinite(q).all(axis=1)
+        if what == "velocity":
+            rows &= ~np.isfinite(table["x_ref"].to_numpy()) if "x_ref" in table else True
+            actual = attitude.rotate(q, table[["u", "v", "w"]].to_numpy())
+        else:
+            actual = table[list(names)].to_numpy()
+        if not rows.any():
+            continue
+        if what == "attitude":
+            cosine = np.abs(np.sum(attitude.from_euler(*reference[rows].T) * q[rows], axis=1))
+            size = 2.0 * np.arccos(np.minimum(cosine, 1.0))
+        else:
+            size = np.linalg.norm(actual[rows] - reference[rows], axis=1)
+        result[what] = {"rms": float(np.sqrt(np.mean(size**2))), "greatest": float(size.max()), "unit": unit}
+    return result
+
+
+def air_columns(table: pd.DataFrame) -> pd.DataFrame:
+    """The table with u v w through the air, where it knows them, as the model's variables mean them."""
+    if "u_air" not in table:
+        return table
+    return table.assign(**{n: table[f"{n}_air"] for n in "uvw"})
+
+
+def result_of(setup: Setup, log: np.ndarray, status: int, steps: int) -> Result:
+    """A result from the rows of a full log (see `loop.note`)."""
+    columns: dict[str, np.ndarray] = {"t": log[:, 0]}
+    x, seen, goal = log[:, X : X + 17], log[:, SEEN_AT : SEEN_AT + 20], log[:, AIMED : AIMED + 20]
+    columns |= {name: x[:, 10 + k] for k, name in enumerate("xyz")}
+    columns |= dict(zip(("roll", "pitch", "yaw"), attitude.to_euler(x[:, :4]).T))
+    columns |= {name: x[:, k] for k, name in enumerate(STATE_NAMES[:10])}
+    columns |= {f"w{i + 1}": log[:, SPEEDS + i] for i in range(4)}
+    columns |= {f"w{i + 1}_CMD": log[:, COMMANDS + i] for i in range(4)}
+    columns |= {f"w{i + 1}_dot": log[:, SLOPES + i] for i in range(4)}
+    columns |= {name: log[:, LOADS + k] for k, name in enumerate(("Fx", "Fy", "Fz", "Mx", "My", "Mz"))}
+    air = log[:, AIR : AIR + 3]
+    if np.any(air != 0.0):
+        columns |= dict(zip(("wind_north", "wind_east", "wind_down"), air.T))
+        columns |= dict(zip(("u_air", "v_air", "w_air"), (x[:, 4:7] - attitude.rotate_inverse(x[:, :4], air)).T))
+    if setup.machine.battery.start > 0.0:
+        columns["battery_voltage"] = log[:, VOLTAGE]
+    columns |= _references(goal)
+    columns |= {f"{n}_measured": seen[:, 10 + k] for k, n in enumerate("xyz")}
+    columns |= dict(zip(("roll_measured", "pitch_measured", "yaw_measured"), attitude.to_euler(seen[:, :4]).T))
+    names = (*STATE_NAMES[4:10], *STATE_NAMES[13:], "ax", "ay", "az")
+    places = (*range(4, 10), *range(13, 20))
+    columns |= {f"{name}_measured": seen[:, place] for name, place in zip(names, places)}
+    return Result(setup, pd.DataFrame(columns), status, steps, sentence(setup, status, steps, x))
+
+
+def _references(goal: np.ndarray) -> dict[str, np.ndarray]:
+    """Columns of what is referred to at all; NaN in the rows in which it is not."""
+    kind = goal[:, KIND]
+    position, velocity = kind == POSITION_GOAL, kind == VELOCITY_GOAL
+    angles, rates = kind == ATTITUDE_GOAL, kind == RATES_GOAL
+    parts = [
+        (("x_ref", "y_ref", "z_ref"), PLACE, position),
+        (("vx_ref", "vy_ref", "vz_ref"), SPEED, position | velocity),
+        (("roll_ref", "pitch_ref"), ANGLES, angles),
+        (("yaw_ref",), ANGLES + 2, position | velocity | angles),
+        (("yaw_rate_ref",), YAW_RATE, position | velocity | angles),
+        (("p_ref", "q_ref", "r_ref"), RATES, rates),
+        (("thrust_ref",), THRUST, angles | rates),
+    ]
+    columns = {}
+    for names, first, rows in parts:
+        if rows.any():
+            columns |= {n: np.where(rows, goal[:, first + k], np.nan) for k, n in enumerate(names)}
+    if "yaw_ref" in columns:
+        columns["yaw_ref"] = np.arctan2(np.sin(columns["yaw_ref"]), np.cos(columns["yaw_ref"]))
+    return columns
+
+
+def sentence(setup: Setup, status: int, steps: int, x: np.ndarray) -> str | None:
+    """Why a simulation ended before its time; None where it did not."""
+    if status == FINE:
+        return None
+    t = steps * setup.dt
+    if status == NO_COMMAND:
+        return f"the controller gave a command that is no number at t = {t:.4g} s; the simulation ended there"
+    name = STATE_NAMES[status - 1]
+    limit = setup.machine.limits[status - 1]
+    return f"diverged at t = {t:.4g} s: {name} left its limit of {limit:g} {_unit(name)}; what came before is kept"
+
+
+def _unit(name: str) -> str:
+    return COLUMNS[name][0] if name in COLUMNS else "1"
+
+
+def report(summary: Mapping[str, Any]) -> str:
+    """A summary in a few lines of text."""
+    duration = summary["duration"]
+    lines = [
+        f"Simulation {summary['simulation']}: model {summary['model']}, {duration['simulated']:g} s of "
+        f"{duration['asked']:g} s simulated"
+    ]
+    if summary["ended"]:
+        lines.append(f"  ended early: {summary['ended']}")
+    for what, error in summary["tracking"].items():
+        lines.append(f"  {what} error {error['rms']:.3g} {error['unit']} rms, {error['greatest']:.3g} at most")
+    shares = [s for part in summary["saturation"].values() for s in part.values()]
+    if any(shares):
+        lines.append(f"  a rotor's command at its limit up to {100 * max(shares):.1f} % of the time")
+    outside = summary["outside the model's region"]
+    if outside:
+        worst = next(iter(outside["where"]), None)
+        where = f", mostly by {worst}" if worst else ""
+        lines.append(f"  outside the region of the model's data {100 * outside['share of time']:.1f} % of time{where}")
+    lines += [f"  note: {note}" for note in summary["notes"]]
+    return "\n".join(lines)

@@ -1,0 +1,173 @@
+"""Ways to run a closed loop: whole, in chunks, and as a batch.
+
+result = simulate(setup)                                            compiled
+result = simulate(setup, steps={"actuator": my_actuator})           in Python, with a step of the user's own
+many = simulate_many(setup, 1000, x=..., mass=...)                  compiled, on all threads
+"""
+
+import os
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from quasi.errors import ConfigError, ShapeError, nearest
+from quasi.simulation.dynamics import INERTIA, INVERSE, MASS, STATES, scratch_of
+from quasi.simulation.loop import EXTERNAL, FAULT, LOG, SHORT_LOG, Draws, X, fly, fly_some
+from quasi.simulation.result import Result, result_of, sentence
+from quasi.simulation.setup import STATE_NAMES, Setup
+
+
+def simulate(
+    setup: Setup,
+    steps: Mapping[str, Callable] | None = None,
+    between: Mapping[str, Callable] | None = None,
+) -> Result:
+    """Run a closed loop to its end, or until it diverges.
+
+    steps    functions of the bus that take the place of steps, {"actuator": function}; see `quasi.simulation.simulator`
+    between  functions of the bus called after a step, {"controller": function}
+    With either the loop runs in Python, else compiled; both give the same numbers.
+    """
+    if steps or between:
+        from quasi.simulation.quadrotor import QuadrotorSimulator
+
+        simulator = QuadrotorSimulator(setup)
+        simulator.steps |= dict(steps or {})
+        for after, function in (between or {}).items():
+            simulator.add_step(after, function)
+        return simulator.fly()
+    log = np.empty((setup.steps // setup.every + 1, LOG))
+    live, scratch = setup.live(), scratch_of(setup.machine.kernel)
+    status, done, rows = fly(setup.machine, live, scratch, 0, setup.steps, setup.every, log, True)
+    return result_of(setup, log[:rows], status, done)
+
+
+class Session:
+    """A simulation that goes on in chunks, its goal set from outside: what live flying needs.
+
+    dt s, one step; t s, now; weight N
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = replace(setup, machine=setup.machine._replace(reference=EXTERNAL))
+        self.dt = setup.dt
+        self.weight = float(setup.airframe.mass) * 9.81
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin again."""
+        self._live, self._scratch = self._setup.live(), scratch_of(self._setup.machine.kernel)
+        self._steps = 0
+
+    @property
+    def t(self) -> float:
+        """Simulated time, s."""
+        return self._steps * self.dt
+
+    def state(self) -> np.ndarray:
+        """(17,) attitude w x y z, u v w, p q r, x y z, rotor speeds."""
+        return self._live.x.copy()
+
+    def advance(self, goal: np.ndarray, steps: int) -> str | None:
+        """Go on by so many steps with this goal (20,); a sentence when the simulation cannot go on."""
+        self._live.goal[:] = goal
+        log = np.empty((steps, SHORT_LOG))
+        status, done, _ = fly(self._setup.machine, self._live, self._scratch, self._steps, steps, 1, log, False)
+        self._steps += done
+        return sentence(self._setup, status, self._steps, self._live.x[None])
+
+
+@dataclass(frozen=True)
+class Many:
+    """A batch that has run: t (R,) s; states (B, R, 17); status, steps (B,); rows beyond a divergence hold NaN."""
+
+    t: np.ndarray
+    states: np.ndarray
+    status: np.ndarray
+    steps: np.ndarray
+
+    def stopped(self, setup: Setup, b: int) -> str | None:
+        """Why simulation b ended before its time, or None."""
+        return sentence(setup, int(self.status[b]), int(self.steps[b]), self.states[b])
+
+
+VARIED = {
+    "x": (STATES,),
+    "mass": (),
+    "inertia": (3, 3),
+    "fault_time": (),
+    "effectiveness": (4,),
+    "cap": (4,),
+    "wind": (3,),
+    "gusts": (3,),
+    "gains": None,
+    "path": None,
+}
+
+
+def simulate_many(
+    setup: Setup, count: int, seeds: np.ndarray | None = None, every: int | None = None, **varied: np.ndarray
+) -> Many:
+    """Run a batch of simulations that differ from a setup, on all threads.
+
+    count   B simulations; seeds (B,) of noise and gusts, else the setup's seed and those after it
+    every   steps between two rows of the result, else such that there are about 100
+    varied  rows that replace the setup's own, (B, ...): x (17,) initial state; mass kg; inertia (3, 3) kg m2;
+            fault_time s, effectiveness (4,), cap (4,) rad/s of a fault; wind, gusts (3,) m/s;
+            gains of the controller, path of the reference (their parameters, see `controllers`, `references`)
+    Raises ConfigError for an unknown name, ShapeError for rows of a wrong shape.
+    """
+    machine = setup.machine
+    for name, rows in varied.items():
+        if name not in VARIED:
+            raise ConfigError(f"a batch cannot vary '{name}'{nearest(name, VARIED)}")
+        shape = VARIED[name] if VARIED[name] is not None else getattr(machine, name).shape
+        if np.shape(rows) != (count, *shape):
+            raise ShapeError(f"'{name}' of a batch must be {(count, *shape)}, got {np.shape(rows)}")
+        if not np.all(np.isfinite(rows)) and name not in ("fault_time", "cap"):
+            raise ShapeError(f"'{name}' of a batch holds a number that is not finite")
+
+    def rows_of(own: np.ndarray) -> np.ndarray:
+        return np.tile(np.asarray(own, float), (count, *[1] * np.ndim(own)))
+
+    body, fault, wind = rows_of(machine.body), rows_of(machine.fault), rows_of(machine.wind)
+    if "mass" in varied:
+        body[:, MASS] = varied["mass"]
+    if "inertia" in varied:
+        inertia = np.asarray(varied["inertia"], float)
+        body[:, INERTIA : INERTIA + 9] = inertia.reshape(count, 9)
+        body[:, INVERSE : INVERSE + 9] = np.linalg.inv(inertia).reshape(count, 9)
+    for name, part in (("fault_time", 0), ("effectiveness", slice(1, 5)), ("cap", slice(5, FAULT))):
+        if name in varied:
+            fault[:, part] = varied[name]
+    if "wind" in varied:
+        wind[:, :3] = varied["wind"]
+    if "gusts" in varied:
+        wind[:, 3:6] = varied["gusts"]
+    first = np.arange(count, dtype=np.uint64)
+    if seeds is None:
+        both = np.column_stack([first + np.uint64(setup.seeds[0]), first + np.uint64(setup.seeds[1])])
+    else:
+        both = np.column_stack([np.asarray(seeds, np.uint64)] * 2)
+    draws = Draws(
+        np.ascontiguousarray(varied.get("x", rows_of(setup.start)), float), np.ascontiguousarray(both), body, fault,
+        wind, np.ascontiguousarray(varied.get("gains", rows_of(machine.gains)), float),
+        np.ascontiguousarray(varied.get("path", rows_of(machine.path)), float),
+    )  # fmt: skip
+    every = max(setup.steps // 100, 1) if every is None else every
+    logs = np.full((count, setup.steps // every + 1, SHORT_LOG), np.nan)
+    status, done = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    threads = max(min(os.cpu_count() or 1, count), 1)
+    part = max(count // (8 * threads), 1)
+
+    def work(begin: int) -> None:
+        end = min(begin + part, count)
+        fly_some(machine, draws, begin, end, setup.memory, setup.steps, every, logs, status, done)
+
+    work(0)  # the first part alone, so that it is compiled once and not by every thread
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(work, range(part, count, part)))
+    t = np.arange(logs.shape[1]) * every * machine.dt
+    return Many(t, logs[:, :, X : X + len(STATE_NAMES)], status, done)

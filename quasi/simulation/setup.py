@@ -1,0 +1,360 @@
+"""From a model and a configuration to a closed loop that is ready to run.
+
+    setup = make_setup({"model": {"model ID": "example"}, "references": {"do circle track": True}}, model)
+    result = simulate(setup)
+
+The configuration is the manual's droneSimConfig.json with what it lacks, see config/schemas/simulation.schema.json.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from quasi import attitude, configuration
+from quasi.airframe import Airframe
+from quasi.attitude import GRAVITY
+from quasi.errors import ConfigError, DataError, nearest
+from quasi.simulation.control_model import DEFAULT_LAG, hover_speed
+from quasi.simulation.controllers import make_controller
+from quasi.simulation.dynamics import (
+    CAP,
+    GRAVITY_ADDED,
+    HELD,
+    INTEGRATORS,
+    MASS,
+    ROTORS,
+    SHARE,
+    SLOPE,
+    STATES,
+    TARGET,
+    UP,
+    body_of,
+    derivative,
+    load,
+    scratch_of,
+)
+from quasi.simulation.environment import Sensors
+from quasi.simulation.loop import Battery, Drive, Live, Machine, live_of
+from quasi.simulation.references import make_reference
+from quasi.simulation.variants import extended, simple_model
+from quasi.standalone.model import Model
+
+STATE_NAMES = ("qw", "qx", "qy", "qz", "u", "v", "w", "p", "q", "r", "x", "y", "z", "w1", "w2", "w3", "w4")
+# beyond these no polynomial means anything: m/s, rad/s, m, rad/s of a rotor
+_LIMITS = np.array([2.0] * 4 + [300.0] * 3 + [300.0] * 3 + [1e5] * 3 + [2e4] * 4)
+_V1_RATE = 5e4  # logged units (eRPM/100) per second: the rate limit of the manual's rotorDynamicsV1
+_ACCURATE = {"rk4": 0.7, "euler": 0.2}  # fastest rate x step beyond which a method follows a mode badly
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A closed loop with where it begins and how long it runs.
+
+    model        what is flown, extensions and simplifications included
+    machine      the compiled loop's constants; memory: the size of the controller's
+    start        (17,) initial state
+    seeds        of noise and of gusts
+    steps        of machine.dt; every: how many of them between two logged rows
+    settings     the checked configuration; notes: what was assumed
+    """
+
+    name: str
+    model: Model
+    machine: Machine
+    memory: int
+    start: np.ndarray
+    seeds: tuple[int, int]
+    steps: int
+    every: int
+    settings: dict[str, Any]
+    notes: tuple[str, ...]
+
+    @property
+    def airframe(self) -> Airframe:
+        """Geometry and mass properties of what is flown."""
+        return self.model.airframe
+
+    @property
+    def dt(self) -> float:
+        """s, between two commands."""
+        return self.machine.dt
+
+    def live(self) -> Live:
+        """What changes during the simulation, at its beginning."""
+        return live_of(self.machine, self.start, self.memory, *map(np.uint64, self.seeds))
+
+
+def make_setup(
+    settings: Mapping[str, Any],
+    model: Model,
+    wind: pd.DataFrame | Mapping[str, np.ndarray] | None = None,
+    reference: pd.DataFrame | Mapping[str, np.ndarray] | None = None,
+    name: str = "simulation",
+) -> Setup:
+    """Put a closed loop together.
+
+    settings   the configuration, checked here; what it leaves out takes its default
+    model      the model that it names
+    wind       t (s), wind_north, wind_east, wind_down (m/s): what "wind" / "file" names
+    reference  what "references" / "file" names, see `references.make_reference`
+    Raises ConfigError naming the key, DataError for a model that cannot fly.
+    """
+    settings, _ = configuration.check(settings, "simulation", name)
+    notes: list[str] = []
+    asked = settings["model"]
+    model = extended(model) if asked["use identified model"] else simple_model(model)
+    if len(model.axes) < 6:
+        lacking = [a for a in ("Fx", "Fy", "Fz", "Mx", "My", "Mz") if a not in model.axes]
+        raise DataError(f"model {model.id} lacks {', '.join(lacking)}; a simulation needs all six axes")
+    airframe = model.airframe
+    if airframe.mass is None:
+        raise DataError(f"model {model.id} knows no mass; fill in 'Mass' in the logbook and make it anew")
+    dt, substeps = float(settings["simulation"]["time step"]), int(settings["simulation"]["substeps"])
+    steps = round(settings["simulation"]["duration"] / dt)
+    if steps < 1:
+        raise ConfigError(
+            f"{name}: 'duration' {settings['simulation']['duration']:g} s is shorter than the 'time step' {dt:g} s"
+        )
+    drive, up, down, rate = _actuator(settings["actuator"], model, notes, name)
+    hover = hover_speed(model, drive.high if math.isfinite(drive.high) else None)
+    if not drive.low <= hover <= drive.high:
+        raise ConfigError(
+            f"{name}: hover takes rotor speeds of {hover:.0f} rad/s, but the actuator allows {drive.low:.0f} to "
+            f"{drive.high:.0f}; correct 'lowest speed' and 'highest speed', or the airframe's 'idle RPM', 'max RPM' "
+            "and 'motor poles'"
+        )
+    battery = _battery(settings["battery"], model, hover, notes, name)
+    kernel = model.kernel
+    gravity = GRAVITY if model.with_gravity else 0.0
+    body = body_of(airframe.mass, airframe.inertia, kernel, gravity, up, down, rate)
+    held = still(len(model.inputs), hover)
+    if battery.place >= 0:
+        held[HELD + battery.place] = battery.start
+    offset = np.zeros(6)
+    if asked["correct for moment asymmetries"]:
+        offset = asymmetry(kernel, body, held, hover)
+        body = body_of(airframe.mass, airframe.inertia, kernel, gravity, up, down, rate, offset)
+    start = _start(settings["initial state conditions"], hover)
+    _check_step(body, kernel, held, hover, dt / substeps, settings["simulation"]["integrator"], notes, name)
+
+    asked = settings["controller"]
+    actuators = {"time constants": np.maximum(up, 1e-4), "delay": drive.delay, "lowest": drive.low,
+                 "highest": drive.high if math.isfinite(drive.high) else None}  # fmt: skip
+    kind, gains, memory = make_controller({**asked, "time step": dt}, model, actuators, offset)
+    wanted = dict(settings["references"])
+    if not any(wanted.get(k) for k in ("do position track", "do circle track", "kind")):
+        here, yaw = [float(c) for c in start[10:13]], float(attitude.to_euler(start[:4])[2])
+        wanted |= {"kind": "hover", "position": here, "yaw": yaw}
+    aim, path, table = make_reference(wanted, reference)
+    noise = settings["noise"]
+    names = ("attitude", "velocity", "rates", "position", "rotor speeds", "specific force")
+    sensors = Sensors(*(float(noise[n]) if noise["add"] else 0.0 for n in names))
+    air = settings["wind"]
+    machine = Machine(
+        kernel, body, drive, battery, _fault(settings["faults"], drive), sensors,
+        np.array([*air["steady"], *air["gusts"], *[air["correlation time"]] * 3], float), _wind_table(wind, air, name),
+        kind, gains, aim, path, table, dt, substeps, INTEGRATORS[settings["simulation"]["integrator"]], _LIMITS.copy(),
+    )  # fmt: skip
+    seeds = (noise["seed"], noise["seed"] if air["seed"] is None else air["seed"])
+    every = settings["simulation"]["log every"]
+    return Setup(name, model, machine, memory, start, seeds, steps, every, settings, tuple(notes))
+
+
+def still(inputs: int, speed: float) -> np.ndarray:
+    """What is held over a step in still air with whole rotors that keep a speed, rad/s; `inputs` of the model."""
+    held = np.zeros(HELD + inputs - 20)
+    held[TARGET : TARGET + 4], held[SHARE : SHARE + 4], held[CAP : CAP + 4] = speed, 1.0, np.inf
+    return held
+
+
+def asymmetry(kernel: Any, body: np.ndarray, held: np.ndarray, hover: float) -> np.ndarray:
+    """Forces and moments (6,) in hover with four equal rotor speeds, beyond the force that carries the weight."""
+    x = np.zeros(STATES)
+    x[0], x[ROTORS:] = 1.0, hover
+    scratch = scratch_of(kernel)
+    found = np.zeros(6)
+    load(x, held, kernel, body, scratch.inputs, scratch.work, found)
+    # where gravity is part of the forces they balance in hover
+    found[2] += body[MASS] * body[GRAVITY_ADDED]
+    return found
+
+
+def _actuator(
+    asked: Mapping[str, Any], model: Model, notes: list[str], name: str
+) -> tuple[Drive, np.ndarray, np.ndarray, float]:
+    kind, airframe = asked["actuator"], model.airframe
+    known = model.document.get("actuators") or {}
+
+    def of_model(*keys: str) -> Any:
+        for key in keys:
+            value = (known.get(key) or {}).get("value")
+            if value is not None:
+                return value
+        return None
+
+    up = down = np.zeros(4)
+    if kind == "rotorDynamicsV2":
+        first = asked["time constants"]
+        if first is None:
+            first = of_model("time constants up", "time constants")
+            if first is None:
+                first = DEFAULT_LAG
+                notes.append(f"the model knows no time constants of the rotors; {DEFAULT_LAG:.4f} s is taken")
+        second = asked["time constants down"]
+        if second is None:
+            second = of_model("time constants down") if asked["time constants"] is None else None
+        up = np.broadcast_to(np.asarray(first, float), 4).copy()
+        down = up.copy() if second is None else np.broadcast_to(np.asarray(second, float), 4).copy()
+    factor = airframe.logged_to_rad_s or model.document.get("logged to rad/s")
+    rate = asked["rate limit"]
+    if rate is None and kind == "rotorDynamicsV1":
+        if factor is None:
+            raise ConfigError(
+                f"{name}: the manual's rate limit is in logged units, and the airframe's 'motor poles' are unknown; "
+                "give 'rate limit' in rad/s2"
+            )
+        rate = _V1_RATE * factor
+    bounds = []
+    for key, logged, free in (("lowest speed", airframe.idle_rpm, 0.0), ("highest speed", airframe.max_rpm, math.inf)):
+        value = asked[key]
+        if value is None and logged is not None and factor is not None:
+            value = logged * factor
+        if value is None and kind != "none":
+            what = "idle RPM" if key == "lowest speed" else "max RPM"
+            notes.append(f"the airframe's '{what}' or 'motor poles' is unknown: commands have no {key}")
+        bounds.append(free if value is None or kind == "none" else float(value))
+    if bounds[0] >= bounds[1]:
+        raise ConfigError(
+            f"{name}: the rotors' lowest speed {bounds[0]:g} rad/s is not below the highest {bounds[1]:g}; correct them"
+        )
+    late = asked["delay"]
+    if late is None:
+        late = of_model("delay")
+        late = 0.0 if late is None or kind == "none" else max(float(np.mean(late)), 0.0)
+    return Drive(bounds[0], bounds[1], float(late)), up, down, math.inf if rate is None else float(rate)
+
+
+def _battery(asked: Mapping[str, Any], model: Model, hover: float, notes: list[str], name: str) -> Battery:
+    extras = list(model.inputs[20:])
+    unknown = [n for n in extras if n != "battery_voltage"]
+    if unknown:
+        raise ConfigError(
+            f"{name}: model {model.id} has terms in '{unknown[0]}', which a simulation cannot know; "
+            "identify it without that variable"
+        )
+    place = extras.index("battery_voltage") if extras else -1
+    start = asked["voltage"]
+    if start is None and place >= 0:
+        covered = (model.document.get("envelope") or {}).get("battery_voltage", {})
+        start = covered.get("percentiles", {}).get("50")
+        if start is None:
+            raise ConfigError(f"{name}: model {model.id} has terms in the battery voltage; give 'battery' / 'voltage'")
+        notes.append(f"the battery begins at {start:.2f} V, the median of the model's training flights")
+    if start is None:
+        if asked["exponent"] or asked["drain"] or asked["sag"]:
+            raise ConfigError(f"{name}: 'battery' names 'exponent', 'drain' or 'sag' but no 'voltage'; add it")
+        start = 0.0
+    reference = start if asked["reference voltage"] is None else asked["reference voltage"]
+    return Battery(
+        float(start), float(asked["drain"]), float(asked["sag"]), hover, float(reference), float(asked["exponent"]),
+        place,
+    )  # fmt: skip
+
+
+def _fault(asked: Mapping[str, Any], drive: Drive) -> np.ndarray:
+    if not asked["inject failure"]:
+        return np.array([math.inf, *[1.0] * 4, *[math.inf] * 4])
+    health = asked["rotor health after failure"]
+    if min(health) < 1.0 and not math.isfinite(drive.high):
+        raise ConfigError(
+            "faults: 'rotor health after failure' is a share of the highest rotor speed, which is unknown; "
+            "give 'actuator' / 'highest speed'"
+        )
+    caps = [h * drive.high if h < 1.0 else math.inf for h in health]
+    return np.array([asked["time of failure"], *asked["rotor effectiveness after failure"], *caps], float)
+
+
+def _start(asked: Mapping[str, Any], hover: float) -> np.ndarray:
+    x = np.zeros(STATES)
+    x[:4] = attitude.from_euler(*asked["attitude"])
+    x[4:7] = attitude.rotate_inverse(x[:4], np.array(asked["velocity"], float))
+    x[7:10], x[10:13] = asked["rates"], asked["position"]
+    x[ROTORS:] = hover if asked["rotor speeds"] is None else asked["rotor speeds"]
+    return x
+
+
+def _wind_table(wind: Any, asked: Mapping[str, Any], name: str) -> np.ndarray:
+    if wind is None:
+        if asked["file"]:
+            raise ConfigError(f"{name}: the wind's table '{asked['file']}' was not read; hand it to make_setup")
+        return np.zeros((0, 4))
+    columns = ("t", "wind_north", "wind_east", "wind_down")
+    missing = [c for c in columns if c not in wind]
+    if missing:
+        raise DataError(f"the wind's table lacks the column '{missing[0]}'{nearest(missing[0], list(wind))}")
+    table = np.column_stack([np.asarray(wind[c], float) for c in columns])
+    for k, column in enumerate(columns):
+        bad = np.flatnonzero(~np.isfinite(table[:, k]))
+        if len(bad):
+            raise DataError(f"the wind's table holds no number in column '{column}', row {bad[0] + 1}; fill it in")
+    if not len(table) or np.any(np.diff(table[:, 0]) <= 0.0):
+        raise DataError("the wind's table has no rows, or its times do not grow; correct its column 't'")
+    return np.ascontiguousarray(table)
+
+
+def linearised(body: np.ndarray, kernel: Any, held: np.ndarray, hover: float) -> np.ndarray:
+    """Jacobian (17, 17) of the state derivative in hover, rotors commanded to stay, by central differences."""
+    scratch = scratch_of(kernel)
+    x = np.zeros(STATES)
+    x[0], x[ROTORS:] = 1.0, hover
+    at = held.copy()
+    at[SLOPE : SLOPE + 4] = np.where(body[UP : UP + 4] > 0.0, np.nan, 0.0)
+    result = np.empty((STATES, STATES))
+    for k in range(STATES):
+        step = 1e-4 * hover if k >= ROTORS else 1e-4
+        both = []
+        for sign in (1.0, -1.0):
+            y = x.copy()
+            y[k] += sign * step
+            derivative(y, at, kernel, body, scratch.inputs, scratch.work, scratch.loads, scratch.slopes)
+            both.append(scratch.slopes[0].copy())
+        result[:, k] = (both[0] - both[1]) / (2.0 * step)
+    return result
+
+
+def _check_step(
+    body: np.ndarray, kernel: Any, held: np.ndarray, hover: float, h: float, method: str, notes: list[str], name: str
+) -> None:
+    """Refuse a step at which the method makes a mode grow that decays; note one that it follows badly.
+
+    Growth per step: |1 + z| for Euler, |1 + z + z^2/2 + z^3/6 + z^4/24| for Runge-Kutta, z = mode x step.
+    Source: Hairer & Wanner, Solving Ordinary Differential Equations II, 2nd ed., 1996, section IV.2.
+    """
+    modes = np.linalg.eigvals(linearised(body, kernel, held, hover))
+    decaying = modes[modes.real < -1e-2 * np.abs(modes).max()]
+    if not len(decaying):
+        return
+
+    def growth(step: float) -> float:
+        z = decaying * step
+        return float(np.max(np.abs(1 + z if method == "euler" else 1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24)))
+
+    fastest = float(np.max(np.abs(decaying)))
+    if growth(h) > 1.0:
+        longest = h
+        while growth(longest) > 1.0:
+            longest *= 0.98
+        raise ConfigError(
+            f"{name}: a step of {h:g} s is unstable: the fastest motion (rotor lag or damping, time constant "
+            f"{1.0 / fastest:.4g} s) grows with '{method}'; use a 'time step' of at most {longest:.3g} s or more "
+            "'substeps'"
+        )
+    if fastest * h > _ACCURATE[method]:
+        notes.append(
+            f"a step of {h:g} s follows the fastest motion (time constant {1.0 / fastest:.4g} s) badly with "
+            f"'{method}'; use a shorter 'time step' or more 'substeps'"
+        )
