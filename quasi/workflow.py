@@ -231,7 +231,6 @@ class Folder(Project):
 
     def identification(self, name: str) -> dict[str, Any]:
         """Settings that all axes of a model share."""
-        config = self.model(name)
         training, everything = self.model_flights(name, "training"), self.model_flights(name)
         # a row whose configuration is absent or faulty fails in its own jobs, with its own sentence
         sound = [r for r in everything if self._quadrotor(r)[1] is None]
@@ -251,11 +250,15 @@ class Folder(Project):
             "mass": sum(masses) / len(masses) if masses else None,
             "flights": [r.key for r in training],
             "gravity": self.gravity(name),
-            "data partitioning": config["data partitioning"],
+            "data partitioning": self.partitioning(name),
             "isolation": self.isolation(name),
             "mixed batteries": batteries,
             "problem": part["problem"],
         }
+
+    def partitioning(self, name: str) -> dict[str, Any]:
+        """How the rows of a model's flights are drawn."""
+        return self.model(name)["data partitioning"]
 
     def isolation(self, name: str) -> dict[str, Any] | None:
         """Settings of the isolation of manoeuvres; None where it is off."""
@@ -274,11 +277,30 @@ class Folder(Project):
             )
         return kinds if len(kinds) > 1 else []
 
+    def trajectories(self, name: str) -> dict[str, Any]:
+        """Settings of the trajectory figures of a model."""
+        row = self.model_flights(name, "training")[0]
+        part, chosen = self._part(row, GEOMETRY), self.model(name)["plotting"]
+        return {
+            "quadrotor": part["quadrotor"],
+            "problem": part["problem"],
+            "mass": self.mass(row)[0],
+            "stills": chosen["number of drone stills"],
+            "animate": chosen["show animation"],
+            "speed up": chosen["animation speed up factor"],
+        }
+
+    def roles(self, name: str) -> dict[str, list[str]]:
+        """Keys of a model's training and validation flights."""
+        return {role: [r.key for r in self.model_flights(name, role)] for role in ("training", "validation")}
+
     def standalone(self, name: str) -> dict[str, Any]:
         """Settings of the assembly of a model."""
         chosen = self.model(name)["standalone"]
-        u = chosen["DiffSys u"] if chosen["make moment DiffSys"] else None
-        return {"file": f"config/models/{name}.json", "u": u}
+        return {
+            "file": f"config/models/{name}.json",
+            "u": chosen["DiffSys u"] if chosen["make moment DiffSys"] else None,
+        }
 
     def axes(self, name: str) -> list[str]:
         """Axes that a model identifies."""

@@ -1,6 +1,6 @@
-"""The portable model: one JSON file that needs nothing else, its scores and figures.
+"""The portable model: one JSON file that needs nothing else, its scores, its page and figures.
 
-Needs  results/identified/{model}/*.json; the filtered flights, held-out ones included, for the scores only
+Needs  results/identified/{model}/*.json; the filtered flights, held-out ones included, for judging only
 Makes  results/parts/standalone/{model}/*, gathered into models/{model}/standalone
 """
 
@@ -16,10 +16,7 @@ rule standalone_model:
     log:
         "logs/standalone/{model}/model.log",
     params:
-        flights=lambda wildcards: {
-            role: [r.key for r in ask(FOLDER.model_flights, wildcards.model, role)]
-            for role in ("training", "validation")
-        },
+        flights=lambda wildcards: ask(FOLDER.roles, wildcards.model),
         settings=lambda wildcards: ask(FOLDER.standalone, wildcards.model),
         code=code("standalone_model.py"),
     script:
@@ -33,35 +30,95 @@ rule standalone_scores:
         flights=all_flights,
     output:
         scores="results/parts/standalone/{model}/scores.parquet",
+        diagnosis="results/parts/standalone/{model}/diagnostics.json",
+        coverage="results/parts/standalone/{model}/coverage.parquet",
+        rows="results/parts/standalone/{model}/comparison.parquet",
         summary="results/parts/standalone/{model}/summary.txt",
-        figures=directory("results/parts/standalone/{model}/comparison"),
+        summary_json="results/parts/standalone/{model}/summary.json",
+        summary_latex="results/parts/standalone/{model}/summary.tex",
     log:
         "logs/standalone/{model}/scores.log",
     benchmark:
         "results/benchmarks/standalone/{model}/scores.tsv"
     params:
-        flights=lambda wildcards: {
-            role: [r.key for r in ask(FOLDER.model_flights, wildcards.model, role)]
-            for role in ("training", "validation")
-        },
-        options=lambda wildcards: ask(FOLDER.identification, wildcards.model)[
-            "data partitioning"
-        ],
+        flights=lambda wildcards: ask(FOLDER.roles, wildcards.model),
+        options=lambda wildcards: ask(FOLDER.partitioning, wildcards.model),
         code=code("standalone_scores.py"),
     script:
         "../scripts/standalone_scores.py"
 
 
+rule standalone_figures:
+    input:
+        model="results/parts/standalone/{model}/model.json",
+        partition="results/identified/{model}/partition.parquet",
+        flights=all_flights,
+    output:
+        directory("results/parts/standalone/{model}/figures"),
+    log:
+        "logs/standalone/{model}/figures.log",
+    benchmark:
+        "results/benchmarks/standalone/{model}/figures.tsv"
+    params:
+        flights=lambda wildcards: ask(FOLDER.roles, wildcards.model),
+        options=lambda wildcards: ask(FOLDER.partitioning, wildcards.model),
+        code=code("standalone_figures.py"),
+    script:
+        "../scripts/standalone_figures.py"
+
+
+rule standalone_trajectories:
+    input:
+        flights=all_flights,
+    output:
+        directory("results/parts/standalone/{model}/trajectories"),
+    log:
+        "logs/standalone/{model}/trajectories.log",
+    benchmark:
+        "results/benchmarks/standalone/{model}/trajectories.tsv"
+    params:
+        settings=lambda wildcards: ask(FOLDER.trajectories, wildcards.model),
+        code=code("standalone_trajectories.py"),
+    script:
+        "../scripts/standalone_trajectories.py"
+
+
+rule standalone_report:
+    input:
+        model="results/parts/standalone/{model}/model.json",
+        summary_json="results/parts/standalone/{model}/summary.json",
+        diagnosis="results/parts/standalone/{model}/diagnostics.json",
+        coverage="results/parts/standalone/{model}/coverage.parquet",
+        rows="results/parts/standalone/{model}/comparison.parquet",
+    output:
+        "results/parts/standalone/{model}/report.html",
+    log:
+        "logs/standalone/{model}/report.log",
+    params:
+        code=code("standalone_report.py"),
+    script:
+        "../scripts/standalone_report.py"
+
+
 rule standalone:
     input:
         model="results/parts/standalone/{model}/model.json",
+        report="results/parts/standalone/{model}/report.html",
         scores="results/parts/standalone/{model}/scores.parquet",
+        diagnosis="results/parts/standalone/{model}/diagnostics.json",
+        coverage="results/parts/standalone/{model}/coverage.parquet",
+        rows="results/parts/standalone/{model}/comparison.parquet",
         summary="results/parts/standalone/{model}/summary.txt",
-        figures="results/parts/standalone/{model}/comparison",
+        summary_json="results/parts/standalone/{model}/summary.json",
+        summary_latex="results/parts/standalone/{model}/summary.tex",
+        figures="results/parts/standalone/{model}/figures",
+        trajectories="results/parts/standalone/{model}/trajectories",
     output:
         folder=directory("models/{model}/standalone"),
         model="models/{model}/standalone/model.json",
+        report="models/{model}/standalone/report.html",
         scores="models/{model}/standalone/scores.parquet",
+        diagnosis="models/{model}/standalone/diagnostics.json",
         summary="models/{model}/standalone/summary.txt",
     log:
         "logs/standalone/{model}/standalone.log",

@@ -125,6 +125,38 @@ def to_table(
     return pd.concat(parts, ignore_index=True)
 
 
+def isolated(table: pd.DataFrame, rows: Mapping[str, int]) -> dict[str, dict[str, np.ndarray]]:
+    """Regions of excitation {axis: {flight: (n,) bool}} that a partition's table holds; {} without isolation.
+
+    rows  {flight: number of rows}; only used rows lie in a region
+    """
+    found: dict[str, dict[str, np.ndarray]] = {}
+    for column in (c for c in table if c.startswith(EXCITED)):
+        regions = found[column.removeprefix(EXCITED)] = {key: np.zeros(count, bool) for key, count in rows.items()}
+        for key, part in table.groupby("flight", sort=False):
+            if key in regions:
+                regions[key][part["row"].to_numpy()] = part[column].to_numpy(bool)
+    return found
+
+
+def judged_rows(
+    table: pd.DataFrame, flights: Mapping[str, pd.DataFrame], validation: Iterable[str], options: Mapping[str, Any]
+) -> tuple[dict[str, np.ndarray], dict[str, dict[str, np.ndarray]]]:
+    """Roles of the rows of all flights of a model, and per axis the training rows that isolation sets aside.
+
+    table  the partition of the training flights; flights  all of them; validation  keys of those held out
+    Returns ({flight: (n,) codes}, {axis: {flight: (n,) bool}}).
+    """
+    held = {key: flight for key, flight in flights.items() if key in set(validation)}
+    counts = {key: len(flight) for key, flight in flights.items() if key not in held}
+    codes = from_table(table, counts)
+    aside = {
+        axis: {key: (codes[key] == TRAINING) & ~region for key, region in regions.items()}
+        for axis, regions in isolated(table, counts).items()
+    }
+    return codes | (partition(held, validation=held, options=options) if held else {}), aside
+
+
 def from_table(table: pd.DataFrame, rows: Mapping[str, int], axis: str | None = None) -> dict[str, np.ndarray]:
     """Inverse of `to_table` for flights with the given numbers of rows.
 

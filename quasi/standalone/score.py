@@ -1,6 +1,7 @@
 """How well a model does: errors and interval coverage per flight and role, and over all flights of a role."""
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -24,38 +25,94 @@ UNITS = {
 }
 
 
+class Judged(NamedTuple):
+    """One axis of a model beside its measurements, over the used rows of all flights one after another.
+
+    keys of the flights; flight (n,) number of each row's flight; t (n,) s; role (n,) codes of this axis, 0 where
+    isolation sets a training row aside; measured, predicted, lower, upper (n,) N or N m, NaN where one is unknown.
+    """
+
+    keys: tuple[str, ...]
+    flight: np.ndarray
+    t: np.ndarray
+    role: np.ndarray
+    measured: np.ndarray
+    predicted: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+def judge(
+    model: Model,
+    flights: Mapping[str, pd.DataFrame],
+    partition: Mapping[str, np.ndarray],
+    aside: Mapping[str, Mapping[str, np.ndarray]] | None = None,
+) -> dict[str, Judged]:
+    """Measurements, predictions and intervals of every axis, {axis: Judged}.
+
+    flights  filtered flights with the measured Fx .. Mz; partition {flight: (n,) role codes}, 0 for unused rows
+    aside    {axis: {flight: (n,) bool}} rows that isolation sets aside
+    Raises DataError when a measured axis is missing.
+    """
+    pieces: dict[str, list[tuple[np.ndarray, ...]]] = {axis: [] for axis in model.axes}
+    for number, (key, flight) in enumerate(flights.items()):
+        codes = np.asarray(partition[key])
+        used = codes > 0
+        chosen = flight[used]
+        missing = [axis for axis in model.axes if axis not in flight]
+        if missing:
+            raise DataError(f"flight {key} has no column '{missing[0]}' to compare with; filter it anew")
+        if not len(chosen):
+            continue
+        bands = model.interval(chosen)
+        for axis in model.axes:
+            role = codes[used].astype(np.int8)
+            if aside and key in aside.get(axis, {}):
+                role = np.where(aside[axis][key][used], 0, role)
+            columns = (chosen[axis], bands[axis], bands[f"{axis}_lower"], bands[f"{axis}_upper"])
+            pieces[axis].append(
+                (
+                    np.full(len(chosen), number, np.int16), chosen["t"].to_numpy(float), role,
+                    *(c.to_numpy(float) for c in columns),
+                )
+            )  # fmt: skip
+    keys = tuple(flights)
+    nothing = (np.zeros(0, np.int16), np.zeros(0), np.zeros(0, np.int8), *(np.zeros(0) for _ in range(4)))
+    return {axis: Judged(keys, *map(np.concatenate, zip(*(found or [nothing])))) for axis, found in pieces.items()}
+
+
 def score(
     model: Model,
     flights: Mapping[str, pd.DataFrame],
     partition: Mapping[str, np.ndarray],
     roles: Mapping[str, int],
 ) -> pd.DataFrame:
+    """Errors of a model on flights: `score_judged` of what `judge` finds."""
+    return score_judged(judge(model, flights, partition), model, roles)
+
+
+def score_judged(judged: Mapping[str, Judged], model: Model, roles: Mapping[str, int]) -> pd.DataFrame:
     """Errors of a model. One row per flight, role and axis, then one per role and axis over all flights ("all").
 
-    flights    filtered flights with the measured Fx .. Mz; partition {flight: (n,) role codes}
-    roles      {name: code}, for example {"training": 1, "test": 2, "validation": 3}
+    roles    {name: code}, for example {"training": 1, "test": 2, "validation": 3}
     Returns columns flight, role, axis, n, rmse, relative_rmse, r2, bias, coverage, confidence, interval_width.
-    Raises DataError when a measured axis is missing.
     """
-    pieces: dict[tuple[str, str], list[np.ndarray]] = {}
-    rows = []
-    for key, flight in flights.items():
-        codes = np.asarray(partition[key])
+    rows, pooled = [], []
+    for axis, found in judged.items():
+        table = np.column_stack([found.measured, found.predicted, found.lower, found.upper])
+        finite = np.isfinite(table).all(axis=1)
         for role, code in roles.items():
-            chosen = flight[codes == code]
-            if not len(chosen):
+            of_role = found.role == code
+            if not of_role.any():
                 continue
-            bands = model.interval(chosen)
-            for axis in model.axes:
-                if axis not in chosen:
-                    raise DataError(f"flight {key} has no column '{axis}' to compare with; filter it anew")
-                table = np.column_stack([chosen[axis], bands[axis], bands[f"{axis}_lower"], bands[f"{axis}_upper"]])
-                table = table[np.isfinite(table).all(axis=1)]
-                pieces.setdefault((role, axis), []).append(table)
-                rows.append(_row(key, role, axis, table, model))
-    for (role, axis), tables in pieces.items():
-        rows.append(_row(POOLED, role, axis, np.vstack(tables), model))
-    return pd.DataFrame(rows, columns=list(UNITS))
+            for number, key in enumerate(found.keys):
+                here = of_role & (found.flight == number)
+                if here.any():
+                    rows.append(_row(key, role, axis, table[here & finite], model))
+            pooled.append(_row(POOLED, role, axis, table[of_role & finite], model))
+    order = {role: k for k, role in enumerate(roles)}
+    pooled.sort(key=lambda row: order[row["role"]])
+    return pd.DataFrame([*rows, *pooled], columns=list(UNITS))
 
 
 def _row(flight: str, role: str, axis: str, table: np.ndarray, model: Model) -> dict:

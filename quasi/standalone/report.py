@@ -1,0 +1,374 @@
+"""The page of a model: verdict first, then scores, a comparison to zoom into, coverage, terms, actuators, warnings.
+
+One HTML file that needs nothing else and no network. Plain data in, text out; only the comparison runs a script, ours.
+"""
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from quasi import report
+from quasi.standalone.chart import SCRIPT, STYLE
+from quasi.standalone.diagnostics import ANY
+from quasi.standalone.score import Judged
+
+MOST_POINTS = 24_000  # rows of the comparison in the page; half of them are the held-out flights'
+FINEST = 125.0  # Hz
+UNKNOWN = 65535
+COLOURS = {"training": "#59636b", "test": "#d97706", "validation": "#1d6fb8"}
+BANDS = ("#fde8e6", "#eef5ec", "#e6effa")
+
+
+def thin(judged: Mapping[str, Judged], validation: Sequence[str]) -> pd.DataFrame:
+    """Rows of all axes for the page, every so many of a flight.
+
+    judged  {axis: rows of `judge`}; validation  held-out flights, which get half of the rows
+    Returns columns flight, t (s), start (1 after a gap), held (1 on held-out flights), and per axis its measurement
+    under its name, <axis>_model, and <axis>_half, half the width of its interval.
+    """
+    some = next(iter(judged.values()))
+    of_flight = [np.flatnonzero(some.flight == k) for k in range(len(some.keys))]
+    held = [key in validation for key in some.keys]
+    counts = {h: sum(len(rows) for rows, is_held in zip(of_flight, held) if is_held == h) for h in (True, False)}
+    most = MOST_POINTS // 2 if counts[True] and counts[False] else MOST_POINTS
+    picked, start = [np.zeros(0, int)], [np.zeros(0, bool)]
+    for rows, is_held in zip(of_flight, held):
+        if len(rows) < 2:
+            continue
+        step = float(np.median(np.diff(some.t[rows])))
+        every = max(-(-counts[is_held] // most), round(1.0 / (FINEST * step)), 1)
+        picked.append(rows[::every])
+        start.append(np.concatenate([[True], np.diff(some.t[picked[-1]]) > 8 * every * step]))
+    chosen, starts = np.concatenate(picked), np.concatenate(start)
+    number = some.flight[chosen]
+    table: dict[str, Any] = {
+        "flight": np.array(some.keys, object)[number],
+        "t": some.t[chosen],
+        "start": starts.astype(float),
+        "held": np.array(held, float)[number],
+    }
+    for axis, found in judged.items():
+        table[axis] = found.measured[chosen]
+        table[f"{axis}_model"] = found.predicted[chosen]
+        table[f"{axis}_half"] = 0.5 * (found.upper - found.lower)[chosen]
+    return pd.DataFrame(table)
+
+
+def thinned_units(axes: Sequence[str]) -> dict[str, tuple[str, str, str]]:
+    """Units of the columns of `thin`."""
+    return {
+        "flight": ("", "", "flight key"),
+        "start": ("1", "", "1 on the first row after a gap"),
+        "held": ("1", "", "1 on held-out flights"),
+    } | {
+        f"{axis}_{what}": ("N" if axis[0] == "F" else "N m", "body FRD", said)
+        for axis in axes
+        for what, said in (("model", "prediction"), ("half", "half the width of the prediction interval"))
+    }
+
+
+def page(
+    model: Mapping[str, Any],
+    summary: Mapping[str, Any],
+    diagnosis: Mapping[str, Any],
+    coverage: pd.DataFrame,
+    rows: pd.DataFrame,
+) -> str:
+    """The page as HTML.
+
+    model      the model's document; summary, diagnosis  as plain data; coverage  of `diagnostics.covered_share`
+    rows       of `thin`
+    """
+    flights = model["flights"]
+    under = (
+        f"airframe {model['airframe']['name']} · {model['gravity']} · training {', '.join(flights['training'])}"
+        f" · validation {', '.join(flights['validation']) or 'none'}"
+    )
+    note = diagnosis["partition"]["note"]
+    sections = [
+        f"<style>{STYLE}</style>",
+        report.section("Axes", _verdicts(diagnosis), report.paragraph(_sentence(note)) if note else ""),
+        report.section("Scores", _scores(summary), _differences(diagnosis)),
+        report.section("Measured and modelled", _comparison(rows, summary)),
+        report.section("Along the measured range", _quartiles(diagnosis)),
+        report.section("Coverage of the validation flights by the training flights", _coverage(coverage)),
+        report.section("Terms", *(_terms(axis, part) for axis, part in model["axes"].items())),
+        report.section("Rotors", _rotors(model)),
+        report.section("Warnings", report.sentences(model["notes"]) or report.paragraph("None.")),
+    ]
+    because = "; ".join(diagnosis["summary"]).rstrip(".")
+    return report.page(f"Model {model['id']}", under, diagnosis["verdict"], because, sections)
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:] + "."
+
+
+def _verdicts(diagnosis: Mapping[str, Any]) -> str:
+    lines = []
+    for axis, facts in diagnosis["axes"].items():
+        kind = report.KINDS[facts["verdict"]]
+        said = facts["said"].removeprefix(f"{axis}: ")
+        remedies = "".join(f"<br><i>{report.escape(_sentence(r))}</i>" for r in facts["what to do"])
+        mark = {"good": "#1e7d46", "care": "#a86200", "bad": "#b3261e"}[kind]
+        lines.append(
+            f'<tr><th scope="row" style="width:9%;border-left:5px solid {mark};padding-left:10px">{axis}</th>'
+            f"<td>{report.escape(said)}{remedies}</td></tr>"
+        )
+    return f"<table><tbody>{''.join(lines)}</tbody></table>"
+
+
+def _roles(summary: Mapping[str, Any]) -> list[str]:
+    known = {role for axis in summary["axes"].values() for role in axis["scores"]}
+    return [r for r in ("training", "test", "validation") if r in known]
+
+
+def _scores(summary: Mapping[str, Any]) -> str:
+    roles = _roles(summary)
+
+    def of(titles: Mapping[str, str], shown: Any) -> str:
+        head = ["", *(f"{title}, {role}" for role in roles for title in titles.values())]
+        rows = []
+        for axis, facts in summary["axes"].items():
+            found = [facts["scores"].get(role, {}) for role in roles]
+            name = f"{axis}, {facts['unit']}".replace(" ", "\u00a0")
+            rows.append([name, *(shown(s.get(what)) for s in found for what in titles)])
+        return report.table(head, rows)
+
+    return of({"r2": "R²", "rmse": "RMSE"}, lambda v: report.number(v, 4)) + of(
+        {"relative_rmse": "error of rms", "coverage": "in interval"}, report.share
+    )
+
+
+def _differences(diagnosis: Mapping[str, Any]) -> str:
+    head = ("relative difference in RMSE, %", "test and training", "test and validation", "validation above training")
+    rows = []
+    for axis, facts in diagnosis["axes"].items():
+        found = facts["relative difference"]
+        warned = facts["warnings"]
+        marks = (warned["test"], warned["validation"], False)
+        cells = ["–" if found[k] is None else f"{found[k]:.1f}".replace("-", "−") for k in head[1:]]
+        rows.append([axis, *(c + (" !" if m else "") for c, m in zip(cells, marks))])
+    said = (
+        "100 (1 − training / test) and 100 (1 − validation / test); ! beyond 10 % on the side that means overfitting."
+    )
+    return report.table(head, rows) + f"<p class=under>{report.escape(said)}</p>"
+
+
+# ---- the comparison ----
+
+
+def _packed(values: np.ndarray, low: float, step: float) -> str:
+    steps = np.where(np.isfinite(values), np.clip(np.round((values - low) / step), 0, UNKNOWN - 1), UNKNOWN)
+    return base64.b64encode(steps.astype("<u2").tobytes()).decode("ascii")
+
+
+def _comparison(rows: pd.DataFrame, summary: Mapping[str, Any]) -> str:
+    if len(rows) < 2:
+        return ""
+    t, flights, offset, begin = np.empty(len(rows)), [], 0.0, 0
+    keys = rows["flight"].to_numpy()
+    for end in [*(np.flatnonzero(keys[1:] != keys[:-1]) + 1).tolist(), len(rows)]:
+        own = rows["t"].to_numpy()[begin:end]
+        t[begin:end] = own - own[0] + offset
+        role = "validation" if rows["held"].iloc[begin] > 0 else "training"
+        flights.append({"key": keys[begin], "role": role, "from": begin, "to": end, "begins": float(own[0])})
+        offset, begin = float(t[end - 1]) + 0.5, end
+    axes = {}
+    for axis, facts in summary["axes"].items():
+        three = [rows[name].to_numpy(float) for name in (axis, f"{axis}_model", f"{axis}_half")]
+        low = float(min(np.nanmin(three[0]), np.nanmin(three[1])))
+        high = float(max(np.nanmax(three[0]), np.nanmax(three[1]), low + np.nanmax(three[2])))
+        step = (high - low) / (UNKNOWN - 1) or 1.0
+        axes[axis] = {
+            "unit": facts["unit"], "low": low, "step": step, "measured": _packed(three[0], low, step),
+            "model": _packed(three[1], low, step), "half": _packed(three[2], 0.0, step),
+        }  # fmt: skip
+    data = {
+        "t": base64.b64encode(t.astype("<f4").tobytes()).decode("ascii"),
+        "starts": np.flatnonzero(rows["start"].to_numpy() > 0).tolist(), "flights": flights, "axes": axes,
+    }  # fmt: skip
+    # no text of the data may end the element that holds it
+    text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
+    buttons = "".join(f'<button data-axis="{a}">{a}</button>' for a in axes)
+    held = {True: " class=held", False: ""}
+    places = "".join(
+        f'<button data-flight="{k}"{held[f["role"] == "validation"]}>{report.escape(f["key"])}</button>'
+        for k, f in enumerate(flights)
+    )
+    return (
+        f'<div class="chart" id="chart"><div class="bar">{buttons}'
+        '<span class="key" style="background:#3b444b"></span>measured'
+        '<span class="key" style="background:#d62728"></span>model'
+        '<span class="key" style="background:#f6d3d3;height:10px"></span>prediction interval</div>'
+        '<canvas tabindex="0" role="img" aria-label="Measured and modelled forces and moments over time"></canvas>'
+        f'<div class="readout">Wheel or + and − zoom, drag or arrow keys move, double click shows all.</div>'
+        f'<div class="bar"><button data-flight="all">all flights</button>{places}</div>'
+        "<noscript>The comparison needs a browser that runs the page's script; the figures beside this page show the "
+        "same.</noscript></div>"
+        f'<script type="application/json" id="rows">{text}</script><script>{SCRIPT}</script>'
+    )
+
+
+# ---- pictures drawn as SVG ----
+
+
+def _quartiles(diagnosis: Mapping[str, Any]) -> str:
+    rows, pictures, roles = [], [], []
+    for axis, facts in diagnosis["axes"].items():
+        roles = list(facts["histogram"]["density"]) or roles
+        for band in facts["quartiles"]:
+            bounds = f"{report.number(band['from'])} to {report.number(band['to'])} {facts['unit']}"
+            ratios = ("–" if band[k] is None else f"{band[k]:.2f}" for k in ("X/T", "V/T"))
+            rows.append(
+                (f"{axis}, {band['band']}", bounds, *(report.number(band["rmse"].get(r)) for r in roles), *ratios)
+            )
+        pictures.append(_histogram(axis, facts))
+    said = (
+        "How the measured values of each kind of row are spread (logarithmic); colours part the lower 25 %, middle "
+        "50 % and upper 25 %."
+    )
+    head = ("RMSE by quartile", "measured", *roles, "training/test", "validation/test")
+    return report.table(head, rows) + f"<figure>{''.join(pictures)}<figcaption>{said}</figcaption></figure>"
+
+
+def _histogram(axis: str, facts: Mapping[str, Any]) -> str:
+    """How the rows of each role are spread over the measured range, logarithmic; the quartiles in colour."""
+    edges, density = np.array(facts["histogram"]["edges"]), facts["histogram"]["density"]
+    top = max((max(d) for d in density.values()), default=0.0)
+    if not len(edges) or top <= 0:
+        return ""
+    least = top * 1e-4
+    width, height = 1000, 84
+    low, span = edges[0], edges[-1] - edges[0]
+
+    def x(value: float) -> float:
+        return float(np.clip((value - low) / span, 0, 1)) * width
+
+    def y(value: float) -> float:
+        return height - 14 - (np.log(max(value, least) / least) / np.log(top / least)) * (height - 20)
+
+    parts = []
+    for k, (band, colour) in enumerate(zip(facts["quartiles"], BANDS)):
+        a, b = x(band["from"]) if k else 0.0, x(band["to"]) if k < 2 else float(width)
+        parts.append(f'<rect x="{a:.1f}" y="0" width="{max(b - a, 0.5):.1f}" height="{height - 14}" fill="{colour}"/>')
+    for role, values in density.items():
+        steps = " ".join(f"{x(edges[k + side]):.1f},{y(v):.1f}" for k, v in enumerate(values) for side in (0, 1))
+        parts.append(f'<polyline points="{steps}" fill="none" stroke="{COLOURS[role]}" stroke-width="1.5"/>')
+    for place, anchor in ((low, "start"), (edges[-1], "end")):
+        parts.append(
+            f'<text x="{x(place):.0f}" y="{height - 2}" font-size="12" fill="#5b6770" text-anchor="{anchor}">'
+            f"{report.number(float(place))} {report.escape(facts['unit'])}</text>"
+        )
+    parts.append(f'<text x="6" y="15" font-size="13" fill="#1c2329">{axis}</text>')
+    key = " · ".join(f'<tspan fill="{COLOURS[r]}">{r}</tspan>' for r in density)
+    parts.append(f'<text x="{width / 2}" y="{height - 2}" font-size="12" text-anchor="middle">{key}</text>')
+    return f'<svg viewBox="0 0 {width} {height}" width="100%" role="img">{"".join(parts)}</svg>'
+
+
+def _coverage(coverage: pd.DataFrame) -> str:
+    if not len(coverage):
+        return report.paragraph("No validation flights.")
+    beyond = [
+        f"{line.variable.removeprefix(ANY)} {report.share(line.above)}"
+        for line in coverage.itertuples()
+        if line.variable.startswith(ANY)
+    ]
+    lines = [line for line in coverage.itertuples() if not line.variable.startswith(ANY)]
+    lines = [line for line in lines if line.training_max > line.training_min]
+    height, left, right = 24, 130, 110
+    width = 1000
+    parts = []
+
+    def x(line: Any, value: float) -> float:
+        share = (value - line.training_min) / (line.training_max - line.training_min)
+        return left + float(np.clip(0.1 + 0.8 * share, 0, 1)) * (width - left - right)
+
+    for k, line in enumerate(lines):
+        y = k * height
+        for a, b, top, tall, colour in (
+            (line.training_min, line.training_max, 4, 16, "#e7eaed"),
+            (line.training_p1, line.training_p99, 4, 16, "#c3cad0"),
+            (line.min, line.max, 11, 2, COLOURS["validation"]),
+            (line.p1, line.p99, 9, 6, COLOURS["validation"]),
+        ):
+            parts.append(
+                f'<rect x="{x(line, a):.1f}" y="{y + top}" width="{max(x(line, b) - x(line, a), 1):.1f}" '
+                f'height="{tall}" fill="{colour}"/>'
+            )
+        share = line.below + line.above
+        said = report.share(share) + " beyond" if share > 5e-4 else ""
+        parts.append(
+            f'<text x="{left - 8}" y="{y + 16}" font-size="13" text-anchor="end">{report.escape(line.variable)}</text>'
+            f'<text x="{width}" y="{y + 16}" font-size="12" fill="#b3261e" text-anchor="end">{said}</text>'
+        )
+    drawn = f'<svg viewBox="0 0 {width} {height * len(lines)}" width="100%" role="img">{"".join(parts)}</svg>'
+    said = (
+        "Grey: range of the training rows, dark its 1 to 99 %. Blue: the validation rows, thick their 1 to 99 %. "
+        "Validation rows with some variable beyond the training rows' 0.1 to 99.9 %: " + ", ".join(beyond) + "."
+    )
+    return f"<figure>{drawn}<figcaption>{report.escape(said)}</figcaption></figure>"
+
+
+# ---- tables ----
+
+
+def _terms(axis: str, part: Mapping[str, Any]) -> str:
+    often = any("inclusion frequency" in term for term in part["terms"])
+    head = [f"{axis}", "coefficient", "std. error", "|t|", *(["inclusion"] if often else []), "unit"]
+    rows = []
+    for term in part["terms"]:
+        t = term.get("t")
+        cells = [
+            term["name"], f"{term['coefficient']:.4e}".replace("-", "−"),
+            "given" if term.get("given") else f"{term['std']:.1e}".replace("-", "−"),
+            "–" if t is None else f"{abs(t):.1f}",
+        ]  # fmt: skip
+        if often:
+            cells.append(report.share(term.get("inclusion frequency")))
+        rows.append([*cells, term["unit"]])
+    return report.table(head, rows)
+
+
+def _rotors(model: Mapping[str, Any]) -> str:
+    found = model.get("actuators")
+    hover = model["hover speed"]
+    speed = report.with_error(hover["value"], hover.get("std"), "rad/s") if hover["value"] else "unknown"
+    facts = [("hover speed", speed)]
+    for name, entry in model.get("simple model", {}).items():
+        if not name.endswith("_w"):
+            digits = f"{entry['value']:.4g} ± {entry['std']:.1g} {entry['unit']}"
+            facts.append((name, digits.replace("-", "−")))
+    if not found:
+        return report.facts(facts) + report.paragraph("No flight told the rotors' time constants.")
+    rows = []
+    for title, key in (
+        ("time constant, up", "time constants up"), ("time constant, down", "time constants down"),
+        ("one time constant for both", "time constants"), ("delay", "delay"),
+    ):  # fmt: skip
+        entry = found.get(key)
+        if entry:
+            std = entry.get("std") or [None] * 4
+            spread = entry.get("spread")
+            between = report.number(1e3 * float(np.mean(spread)), 2) if spread else "–"
+            rows.append(
+                [f"{title}, ms", *(report.with_error(v, s, "", 1e3) for v, s in zip(entry["value"], std)), between]
+            )
+    mapped = found.get("command map")
+    if mapped:
+        terms = " + ".join(
+            f"{c:.5g}" + ("" if k == 0 else " c" if k == 1 else f" c^{k}") for k, c in enumerate(mapped["coefficients"])
+        )
+        exponent = mapped.get("voltage exponent")
+        exponent = exponent["value"] if isinstance(exponent, Mapping) else exponent
+        volts = mapped.get("reference voltage")
+        law = f"({terms}) rad/s".replace("+ -", "− ")
+        if exponent and volts:
+            law += f" x (V / {volts:.2f} V)^{exponent:.2f}"
+        facts.append(("speed for command c (0 to 1)", f"{law}, {mapped.get('source', '')}".rstrip(", ")))
+    head = ("rotor", "1", "2", "3", "4", "spread over flights")
+    return report.facts(facts) + report.table(head, rows)

@@ -1,0 +1,41 @@
+"""Everything that judges a model, in one go: predictions beside measurements, scores, coverage, diagnosis."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from quasi.standalone.diagnostics import covered_share, diagnose
+from quasi.standalone.model import Model
+from quasi.standalone.score import Judged, judge, score_judged
+
+
+class Review(NamedTuple):
+    """judged {axis: Judged}; scores, coverage as tables; diagnosis as plain data."""
+
+    judged: dict[str, Judged]
+    scores: pd.DataFrame
+    coverage: pd.DataFrame
+    diagnosis: dict[str, Any]
+
+
+def review(
+    model: Model,
+    flights: Mapping[str, pd.DataFrame],
+    partition: Mapping[str, np.ndarray],
+    roles: Mapping[str, int],
+    aside: Mapping[str, Mapping[str, np.ndarray]] | None = None,
+    partitioning: Mapping[str, Any] | None = None,
+) -> Review:
+    """Judge a model on its training, test and validation rows.
+
+    flights  filtered flights; partition {flight: (n,) role codes}; roles {name: code}
+    aside    {axis: {flight: (n,) bool}} training rows that isolation sets aside; partitioning  how rows were drawn
+    """
+    judged = judge(model, flights, partition, aside)
+    scores = score_judged(judged, model, roles)
+    held = {key: np.asarray(partition[key]) == roles["validation"] for key in flights}
+    held = {key: rows for key, rows in held.items() if rows.any()}
+    coverage = covered_share(model, {key: flights[key] for key in held}, held)
+    return Review(judged, scores, coverage, diagnose(model, judged, scores, coverage, roles, partitioning))

@@ -1,0 +1,144 @@
+"""What the diagnostics of an axis mean, in words: verdict, reasons, what to do.
+
+A larger RMSE alone does not condemn a model: a livelier flight has larger errors in proportion. The verdict therefore
+also looks at the RMSE relative to the measurement, at constant offsets (another trim: centre of gravity, mass, wind)
+and at whether the validation data leave the region that the training data covered.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+ORDER = ("good", "usable with care", "unusable")
+RULE = 10.0  # %, relative difference in RMSE from which it is significant
+SHORT = 0.05  # coverage below the confidence level by which intervals are too narrow
+OUTSIDE = 0.05  # share of the validation rows beyond the training data from which it is the likely reason
+OFFSET = 0.5  # share of the RMSE that is a constant offset
+WEAK = 0.5  # R2 on the training rows below which an axis is hardly explained
+LOPSIDED = 1.5  # of one outer quartile's RMSE over the other's, beyond what the training rows show
+FEWER = "remove regressors (a lower 'regressor cap', fewer candidates) or train on more flights"
+
+
+def verdict(axis: str, facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Verdict of one axis: "verdict", "overfits", "because" and "what to do" (sentences), "said" (all in one).
+
+    facts  "rmse", "relative rmse", "r2", "bias" {role: value}, "relative difference", "warnings", "quartiles",
+           "interval", "outside", "unit", as the diagnostics hold them
+    """
+    because: list[str] = []
+    remedies: list[str] = []
+    level = 0
+    difference, interval = facts["relative difference"], facts["interval"]
+    holdout = next((r for r in ("validation", "test") if r in facts["rmse"]), None)
+    r2 = facts["r2"].get("training")
+    if r2 is not None and r2 < WEAK:
+        level = 1
+        because.append(f"explains {percent(r2)} of the variance of its training rows only")
+        remedies.append(f"fly manoeuvres that excite {axis}, offer richer candidates, or isolate regions of excitation")
+    overfits = facts["warnings"]["test"]
+    if overfits:
+        level = 1
+        because.append(f"test RMSE {difference['test above training']:.0f} % above training")
+        remedies.append(FEWER)
+    if holdout == "validation":
+        worse, beyond = _validation(axis, facts, because, remedies)
+        level, overfits = max(level, worse), overfits or beyond
+    elif holdout is None:
+        level = max(level, 1)
+        because.append("no test or validation rows judge it")
+        remedies.append("name 'rows of flights for validation'")
+    coverage, wanted = interval["coverage"], interval["confidence"]
+    for role in ("test", "validation"):
+        if coverage.get(role) is not None and coverage[role] < wanted - SHORT:
+            level = max(level, 1)
+            because.append(f"its {percent(wanted)} intervals hold {percent(coverage[role])} of the {role} rows")
+    # the manual's sign of overfitting: intervals that fit the training rows and not the test rows
+    if None not in (coverage.get("test"), coverage.get("training")):
+        overfits = overfits or coverage["training"] - coverage["test"] > SHORT
+    because += _lopsided(facts["quartiles"], holdout)
+    word = ORDER[level]
+    return {
+        "verdict": word,
+        "overfits": bool(overfits),
+        "because": because,
+        "what to do": list(dict.fromkeys(remedies)),
+        "said": _said(axis, word, bool(overfits), because, facts, holdout),
+    }
+
+
+def _validation(axis: str, facts: Mapping[str, Any], because: list[str], remedies: list[str]) -> tuple[int, bool]:
+    """Level that the validation rows give, 0 good to 2 unusable, and whether they show overfitting."""
+    difference = facts["relative difference"]
+    above, scaled = difference["validation above training"], difference["validation above training, relative"]
+    outside, r2 = facts["outside"], facts["r2"].get("validation")
+    level, overfits = 0, False
+    if above is not None and above > RULE and (scaled is None or scaled > RULE):
+        level = 1
+        because.append(f"validation RMSE {above:.0f} % above training")
+        if outside["share"] is not None and outside["share"] > OUTSIDE:
+            worst = list(outside["variables"].items())[:3]
+            named = ", ".join(f"{n} in {percent(s)} of them" for n, s in worst)
+            because.append(f"{percent(outside['share'])} of the validation rows lie beyond the training data ({named})")
+            remedies.append(f"train on flights that reach further in {', '.join(n for n, _ in worst)}")
+        else:
+            overfits = True
+            remedies.append(FEWER)
+    elif above is not None and above > RULE:
+        because.append(f"validation RMSE {above:.0f} % above training, in proportion to a livelier flight")
+    bias, rmse = facts["bias"].get("validation"), facts["rmse"].get("validation")
+    if bias is not None and rmse and abs(bias) > OFFSET * rmse:
+        level, overfits = max(level, 1), False
+        share = percent((bias / rmse) ** 2)
+        because.append(f"{share} of its squared validation error is a constant offset of {bias:.3g} {facts['unit']}")
+        remedies.append("look for another trim there: mass (Fz), centre of gravity (Mx, My), wind, sensor bias")
+    if r2 is not None and r2 < 0:
+        level = 2
+        because.append(f"the mean of the validation rows would do better (R2 {r2:.2f})")
+        remedies.append(f"do not use {axis} beyond its training flights")
+    return level, overfits
+
+
+def _lopsided(bands: list[Mapping[str, Any]], holdout: str | None) -> list[str]:
+    """Words for an error that lies on one side of the measured range and did not do so in training."""
+    if holdout is None or len(bands) < 3:
+        return []
+    low, high = bands[0]["rmse"], bands[-1]["rmse"]
+    if not all(band.get(role) for band in (low, high) for role in ("training", holdout)):
+        return []
+    now, before = low[holdout] / high[holdout], low["training"] / high["training"]
+    sides = ((now, now / before, "lower", "upper"), (1 / now, before / now, "upper", "lower"))
+    for ratio, change, here, there in sides:
+        if ratio > LOPSIDED and change > LOPSIDED:
+            return [f"{holdout} errors are {ratio:.1f} times as large in the {here} quartile as in the {there}"]
+    return []
+
+
+def _said(
+    axis: str, word: str, overfits: bool, because: list[str], facts: Mapping[str, Any], holdout: str | None
+) -> str:
+    reasons = "; ".join(because)
+    if word != "good":
+        kind = "overfits" if overfits and word != "unusable" else word
+        return f"{axis}: {kind}: {reasons}"
+    roles = [r for r in ("training", "test", "validation") if r in facts["rmse"]]
+    share = facts["relative rmse"].get(holdout)
+    error = "" if share is None else f", {holdout} error {percent(share)} of the rms value"
+    on = " and ".join(roles) if len(roles) < 3 else "all"
+    return f"{axis}: good on {on}{error}" + (f"; {reasons}" if reasons else "")
+
+
+def headline(axes: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """One sentence for all good axes, one with its remedy for each other."""
+    good = [axis for axis, facts in axes.items() if facts["verdict"] == "good"]
+    lines = []
+    if good:
+        roles = [r for r in ("training", "test", "validation") if any(r in axes[a]["rmse"] for a in good)]
+        lines.append(f"{', '.join(good)}: good on {' and '.join(roles) if len(roles) < 3 else 'all'}")
+    for facts in axes.values():
+        if facts["verdict"] != "good":
+            lines.append("; ".join([facts["said"], *facts["what to do"]]))
+    return lines
+
+
+def percent(share: float) -> str:
+    """A share as percent, with a digit behind the point below ten."""
+    return f"{100 * share:.1f} %" if abs(share) < 0.0995 else f"{100 * share:.0f} %"

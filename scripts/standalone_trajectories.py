@@ -1,0 +1,40 @@
+"""Where the flights of a model went: each trajectory with stills of the quadrotor, and its animation when asked for."""
+
+from pathlib import Path
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from quasi.airframe import read_airframe
+from quasi.animation import animate, can_write_mp4
+from quasi.drawing import motion_of, trajectories
+from quasi.errors import ConfigError, DataError
+from quasi.joblog import LOG, job, progress
+from quasi.tables import read_table, whole_file
+
+
+def main(flights: list[str], settings: dict, folder: str) -> None:
+    """Read the flights; write one PNG each, and an animation each where the configuration asks for it."""
+    if settings["problem"]:
+        raise ConfigError(settings["problem"])
+    airframe = read_airframe(settings["quadrotor"], settings["quadrotor"]["file"], settings["mass"])
+    target = Path(folder)
+    target.mkdir(parents=True, exist_ok=True)
+    for path in progress(flights, "drawing"):
+        key, flight = Path(path).stem, read_table(path)
+        flying = flight[flight["in_flight"] > 0.5] if "in_flight" in flight else flight
+        try:
+            motion = motion_of(flying, airframe, key)
+            figure = trajectories([motion], stills=settings["stills"], title=key)
+        except DataError as error:
+            LOG.warning("flight %s has no trajectory: %s", key, error)
+            continue
+        with whole_file(target / f"{key}.png") as part:
+            FigureCanvasAgg(figure).print_png(part)
+        if settings["animate"]:
+            kind = "mp4" if can_write_mp4() else "gif"
+            animate([motion], target / f"{key}.{kind}", speed_up=settings["speed up"], trail=5.0, title=key)
+
+
+if __name__ == "__main__":
+    with job(snakemake.log[0], f"trajectories of {snakemake.wildcards.model}"):
+        main(snakemake.input.flights, snakemake.params.settings, snakemake.output[0])
