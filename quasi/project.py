@@ -112,6 +112,11 @@ class Project:
         """Campaigns of made flights that have a configuration."""
         return self._names("config/synthesis")
 
+    @functools.cached_property
+    def simulations(self) -> list[str]:
+        """Names of the simulations that have a configuration."""
+        return self._names("config/simulations")
+
     def _names(self, folder: str) -> list[str]:
         # names with a leading dot are what systems and editors leave beside a file
         return sorted(p.stem for p in self._here(folder).glob("*.json") if not p.name.startswith("."))
@@ -128,8 +133,6 @@ class Project:
         given = config.get("saving models", {}).get("model ID", name)
         if given != name:
             raise ConfigError(f"{path}: 'model ID' is '{given}', but the file's name says '{name}'; make them equal")
-        if config["data normalization"]["normalize data"]:
-            raise ConfigError(f"{path}: 'normalize data' true is not offered by this version; set it to false")
         axes = [a for a in AXES if config["identification parameters"][f"identify {a.lower()}"]]
         if not axes:
             raise ConfigError(f"{path}: every 'identify ...' is false; switch at least one on")
@@ -141,6 +144,14 @@ class Project:
         if name not in self.campaigns:
             raise ConfigError(f"config/synthesis/{name}.json does not exist{nearest(name, self.campaigns)}")
         return self._read(f"config/synthesis/{name}.json", "synthesis")
+
+    @functools.cache  # noqa: B019
+    def simulation_settings(self, name: str) -> dict[str, Any]:
+        """config/simulations/<name>.json, checked, with defaults. Raises ConfigError."""
+        path = f"config/simulations/{name}.json"
+        if name not in self.simulations:
+            raise ConfigError(f"{path} does not exist{nearest(name, self.simulations)}")
+        return self._read(path, "simulation")
 
     def made_flight(self, campaign: str, flight: str) -> dict[str, Any]:
         """Settings of one made flight: the campaign's, and its own entry alone."""

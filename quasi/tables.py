@@ -6,6 +6,7 @@ Every column of a flight carries its unit and its frame in the Parquet field met
 
 import codecs
 import hashlib
+import io
 import json
 import math
 import os
@@ -147,6 +148,29 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> pd.Dat
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:
         reason = " ".join(str(error).split())[:200]
         raise ReadError(f"{path} is not a readable Parquet file ({reason}); make or copy it anew") from None
+
+
+def read_numbers(path: str | Path) -> pd.DataFrame:
+    """A table of numbers: Parquet, or CSV whose first line names the columns. Raises ReadError or DataError."""
+    path = Path(path)
+    if path.suffix.lower() != ".csv":
+        return read_table(path)
+    try:
+        table = pd.read_csv(io.StringIO(read_text(path)), skipinitialspace=True)
+    except (ValueError, pd.errors.ParserError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise ReadError(f"{path} is not a readable CSV table ({reason}); correct it") from None
+    table.columns = [str(name).strip() for name in table.columns]
+    for name in table.columns:
+        values = pd.to_numeric(table[name], errors="coerce")
+        bad = np.flatnonzero(values.isna() & table[name].notna())
+        if len(bad):
+            raise DataError(
+                f"{path}, column '{name}', line {bad[0] + 2}: {str(table[name].iloc[bad[0]])[:40]!r} is no number; "
+                "correct it"
+            )
+        table[name] = values
+    return table
 
 
 def read_fields(path: str | Path) -> dict[str, dict[str, str]]:

@@ -320,7 +320,40 @@ class Folder(Project):
             "confidence level": parameters["prediction interval confidence level"],
             "specification": specification[axis],
             "specification file": path.name,
+            "normalise": self.model(name)["data normalization"]["normalize data"],
+            "model file": f"config/models/{name}.json",
         }
+
+    def simulation(self, name: str) -> dict[str, Any]:
+        """Settings of one simulation, and the paths of its model and tables ("wind", "reference", or None)."""
+        settings = {k: v for k, v in self.simulation_settings(name).items() if k != "animation"}
+        chosen, where = settings["model"], f"config/simulations/{name}.json"
+        model = chosen["model ID"]
+        folder = self.place(chosen["model path"]) / model
+        path = folder / "standalone" / "model.json"
+        if is_file(self._here(folder / "model.json")):
+            path = folder / "model.json"
+        elif folder.parts[:-1] == ("models",) and model not in self.models:
+            if not is_file(self._here(path)):
+                raise ConfigError(
+                    f"{where}: 'model ID' is '{model}', but neither config/models/{model}.json nor {path} exists"
+                    f"{nearest(model, self.models)}"
+                )
+            path = self._here(path).absolute()  # it was put there: no rule makes it
+        elif folder.parts[:-1] == ("models",):
+            pass  # the model is made when it is not there
+        elif not is_file(self._here(path)):
+            raise ConfigError(f"{where}: {path} does not exist; correct 'model path' or 'model ID'")
+        tables = {"wind": settings["wind"]["file"], "reference": settings["references"].get("file")}
+        found = {kind: str(self.place(file)) if file else None for kind, file in tables.items()}
+        for kind, file in found.items():
+            if file and not is_file(self._here(file)):
+                raise ConfigError(f"{where}: the {kind}'s table {file} does not exist; correct 'file', or put it there")
+        return {"name": name, "settings": settings, "model": path.as_posix(), **found}
+
+    def animation(self, name: str) -> dict[str, Any]:
+        """Settings of the animation of a simulation."""
+        return self.simulation_settings(name)["animation"]
 
     @functools.cache  # noqa: B019
     def specification(self, name: str) -> tuple[Path, dict[str, Any]]:

@@ -24,6 +24,7 @@ wildcard_constraints:
     flight=r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*",
     model=r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*",
     campaign=r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*",
+    simulation=r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*",
     gravity="withGravity|noGravity",
     axis="Fx|Fy|Fz|Mx|My|Mz",
 
@@ -109,6 +110,11 @@ def raw_files(wildcards):
     # an absent file is not an input: it fails this flight's job with a sentence, not the graph of all flights
     wind = raw.get("wind", {}).get("file")
     return [raw[k] for k in ("onboard", "capture") if raw[k]] + ([wind] if wind else [])
+
+
+def simulation_files(wildcards):
+    asked = ask(FOLDER.simulation, wildcards.simulation)
+    return [asked[k] for k in ("model", "wind", "reference") if asked[k]]
 
 
 def every_model(wildcards):

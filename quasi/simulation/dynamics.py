@@ -124,7 +124,7 @@ def euler_angles(q, out):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def load(x, held, kernel, body, inputs, work, out):
+def loads_at(x, held, kernel, body, inputs, work, out):
     """Forces and moments that act in this state, into out (6,), N and N m, body axes."""
     if body[ANGLES] != 0.0:
         euler_angles(x, inputs)
@@ -187,7 +187,7 @@ def equations(x, loads, held, body, slopes, row):
 @njit(cache=True, error_model="numpy")
 def derivative(x, held, kernel, body, inputs, work, loads, slopes):
     """State derivative into slopes[0] (17,), forces and moments into loads (6,)."""
-    load(x, held, kernel, body, inputs, work, loads)
+    loads_at(x, held, kernel, body, inputs, work, loads)
     equations(x, loads, held, body, slopes, 0)
 
 
@@ -215,7 +215,7 @@ def advance(method, dt, x, held, kernel, body, inputs, work, loads, last, slopes
         before = max(stage - 1, 0)
         for i in range(STATES):
             middle[i] = x[i] + share * slopes[before, i]
-        load(middle, held, kernel, body, inputs, work, last)
+        loads_at(middle, held, kernel, body, inputs, work, last)
         equations(middle, last, held, body, slopes, stage)
         if stage == 0:
             for i in range(6):

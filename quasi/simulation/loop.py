@@ -29,7 +29,7 @@ from quasi.simulation.dynamics import (
     WIND,
     advance,
     inputs_of,
-    load,
+    loads_at,
     rotor_slope,
     scratch_of,
 )
@@ -255,7 +255,7 @@ def fly(machine, live, scratch, first, steps, every, log, close):
         t = k * dt
         environment(t, wind, wind_table, fault, battery, x, held, gust, air, speeds, voltage)
         if k == 0:
-            load(x, held, kernel, body, inputs, work, last)
+            loads_at(x, held, kernel, body, inputs, work, last)
         observe(body, sensors, x, last, speeds, random, draws, seen)
         if reference != EXTERNAL:
             goal_at(reference, path, table, t, goal)
@@ -268,7 +268,7 @@ def fly(machine, live, scratch, first, steps, every, log, close):
         if wanted:
             note(t, body, x, held, goal, commands, loads, air, voltage, speeds, seen, log, row)
         if k == first + steps:
-            load(x, held, kernel, body, inputs, work, begin)
+            loads_at(x, held, kernel, body, inputs, work, begin)
         else:
             for part in range(substeps):
                 advance(method, dt / substeps, x, held, kernel, body, inputs, work, loads, last, slopes, middle)

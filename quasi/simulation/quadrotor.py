@@ -26,7 +26,7 @@ from quasi.simulation.dynamics import (
     UP,
     advance,
     equations,
-    load,
+    loads_at,
     rotor_slope,
     scratch_of,
 )
@@ -112,7 +112,7 @@ class QuadrotorSimulator(Simulator):
             live.voltage,
         )  # fmt: skip
         if k == 0:
-            load(live.x, live.held, m.kernel, m.body, s.inputs, s.work, s.last)
+            loads_at(live.x, live.held, m.kernel, m.body, s.inputs, s.work, s.last)
         observe(m.body, m.sensors, live.x, s.last, live.speeds, live.random, live.draws, live.seen)
         bus.measured_state[k] = live.seen[:20]
         if m.reference != EXTERNAL:
@@ -152,7 +152,7 @@ class QuadrotorSimulator(Simulator):
     def _forces_and_moments(self, bus: Bus) -> tuple[np.ndarray, np.ndarray]:
         """Forces (3,) N and moments (3,) N m of the model in bus.state[k]."""
         m, s = self.setup.machine, self._scratch
-        load(bus.state[bus.step], bus.live.held, m.kernel, m.body, s.inputs, s.work, s.last)
+        loads_at(bus.state[bus.step], bus.live.held, m.kernel, m.body, s.inputs, s.work, s.last)
         return s.last[:3].copy(), s.last[3:].copy()
 
     def _equations(self, bus: Bus) -> np.ndarray:

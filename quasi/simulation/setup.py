@@ -34,7 +34,7 @@ from quasi.simulation.dynamics import (
     UP,
     body_of,
     derivative,
-    load,
+    loads_at,
     scratch_of,
 )
 from quasi.simulation.environment import Sensors
@@ -177,7 +177,7 @@ def asymmetry(kernel: Any, body: np.ndarray, held: np.ndarray, hover: float) -> 
     x[0], x[ROTORS:] = 1.0, hover
     scratch = scratch_of(kernel)
     found = np.zeros(6)
-    load(x, held, kernel, body, scratch.inputs, scratch.work, found)
+    loads_at(x, held, kernel, body, scratch.inputs, scratch.work, found)
     # where gravity is part of the forces they balance in hover
     found[2] += body[MASS] * body[GRAVITY_ADDED]
     return found

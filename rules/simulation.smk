@@ -1,0 +1,40 @@
+"""Simulations of a model in closed loop.
+
+Needs  config/simulations/{simulation}.json, models/{model}/standalone/model.json, tables of wind and reference if named
+Makes  results/parts/simulation/{simulation}/*, gathered into results/simulations/{simulation}
+"""
+
+
+rule simulation_flight:
+    input:
+        simulation_files,
+    output:
+        table="results/parts/simulation/{simulation}/flight.parquet",
+        summary="results/parts/simulation/{simulation}/summary.json",
+        text="results/parts/simulation/{simulation}/summary.txt",
+    log:
+        "logs/simulation/{simulation}/flight.log",
+    benchmark:
+        "results/benchmarks/simulation/{simulation}.tsv"
+    params:
+        asked=lambda wildcards: ask(FOLDER.simulation, wildcards.simulation),
+        code=code("simulation_flight.py"),
+    script:
+        "../scripts/simulation_flight.py"
+
+
+rule simulation:
+    input:
+        table="results/parts/simulation/{simulation}/flight.parquet",
+        summary="results/parts/simulation/{simulation}/summary.json",
+        text="results/parts/simulation/{simulation}/summary.txt",
+    output:
+        folder=directory("results/simulations/{simulation}"),
+        table="results/simulations/{simulation}/flight.parquet",
+        summary="results/simulations/{simulation}/summary.json",
+    log:
+        "logs/simulation/{simulation}/simulation.log",
+    params:
+        code=code("simulation.py"),
+    script:
+        "../scripts/simulation.py"

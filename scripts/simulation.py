@@ -1,0 +1,25 @@
+"""Gather a finished simulation, its summary and pictures into the folder that is handed over."""
+
+import shutil
+from pathlib import Path
+
+from quasi.joblog import job, tell
+from quasi.tables import read_text
+
+
+def main(files: list[str], folder: str) -> None:
+    """Copy files and folders into the folder and say what was made."""
+    target = Path(folder)
+    target.mkdir(parents=True, exist_ok=True)
+    for path in map(Path, files):
+        if path.is_dir():
+            shutil.copytree(path, target / path.name, dirs_exist_ok=True)
+        else:
+            shutil.copy(path, target / path.name)
+    made = ", ".join(sorted(Path(p).name for p in files))
+    tell(f"{read_text(target / 'summary.txt').rstrip()}\nMade {folder}: {made}")
+
+
+if __name__ == "__main__":
+    with job(snakemake.log[0], f"simulation {snakemake.wildcards.simulation}"):
+        main(snakemake.input, snakemake.output.folder)
