@@ -325,8 +325,9 @@ def _notches(about: Section | None) -> str | None:
         + (f", seen at {line['stands at']['value']:.0f} Hz" if line["folded share"] > 0.5 else "")
         + f", in {report.share(line['taken out share'])} of the flight)"
         for line in about["lines"]
+        if line["taken out share"] > 0
     ]
-    return ", ".join(lines)
+    return ", ".join(lines) or "none needed"
 
 
 def _biases(f: Section) -> str:

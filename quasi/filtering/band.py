@@ -49,7 +49,7 @@ class Band:
 def check(chosen: Mapping[str, Any]) -> None:
     """Raises ConfigError for options of the band that contradict themselves or each other."""
     wanted = chosen["rotor notch harmonics"]
-    if not isinstance(wanted, int) or isinstance(wanted, bool) or not 0 <= wanted <= 20:
+    if isinstance(wanted, bool) or not 0 <= float(wanted) <= 20 or float(wanted) % 1.0:
         raise ConfigError(f"'rotor notch harmonics' is {wanted!r}, expected a whole number from 0 (none) to 20")
     if chosen["rotor notch centre"] not in harmonics.CENTRES:
         raise ConfigError(
@@ -82,29 +82,28 @@ def choose(
     check(chosen)
     logged = float(log_rate or rate)
     cutoff = _cutoff(float(chosen["low-pass cutoff Hz"]), logged, rate, notes)
-    wanted, width, lowest = (chosen[f"rotor notch {k}"] for k in ("harmonics", "width Hz", "lowest Hz"))
+    width, lowest = float(chosen["rotor notch width Hz"]), float(chosen["rotor notch lowest Hz"])
+    wanted = int(chosen["rotor notch harmonics"])
     metadata: dict[str, Any] = {"kind": KIND, "low-pass cutoff Hz": cutoff, "rotor notches": None}
     if speeds is None or not speeds.any():
         if wanted:
             notes.append("'rotor notch harmonics' asks for notches, but no rotor speed is known: none were made")
         return Band(cutoff, rate, None, metadata)
-    if not 0.5 * rate - 2.0 * float(width) > float(lowest):
+    if not 0.5 * rate - 2.0 * width > lowest:
         raise ConfigError(
             f"no notch of 'rotor notch width Hz' {width:g} fits between 'rotor notch lowest Hz' {lowest:g} and half "
             f"the grid's rate, {0.5 * rate:g} Hz; lower one of them"
         )
     smooth = forces.low_pass(speeds, cutoff, rate)
     count = wanted or harmonics.LOOKED_FOR
-    found = harmonics.lines(
-        smooth, flying, count, chosen["rotor notch centre"], float(width), float(lowest), logged, rate
-    )
+    found = harmonics.lines(smooth, flying, count, chosen["rotor notch centre"], width, lowest, logged, rate)
     if not wanted:
         _warn(found, imu, flying, cutoff, logged, notes)
         return Band(cutoff, rate, None, metadata)
-    _left_in(found, flying, float(lowest), cutoff, logged, notes)
+    _left_in(found, flying, lowest, cutoff, logged, notes)
     metadata["rotor notches"] = {
         "centre": chosen["rotor notch centre"],
-        "lowest": {"value": float(lowest), "unit": "Hz"},
+        "lowest": {"value": lowest, "unit": "Hz"},
         "log rate": {"value": logged, "unit": "Hz"},
         **harmonics.report(found, imu, harmonics.take_out(imu, found), flying),
     }
