@@ -41,7 +41,7 @@ from quasi.standalone.model import Model
 STARTED, INVERSE, EFFECT, SENT, EXPECTED, HIGHEST, LATE = 0, 1, 17, 33, 37, 41, 45
 RATE_INTEGRAL, RATES, SQUARES, OTHER = 52, 58, 67, 79
 WANTED, LOW, HIGH, INPUT, SCRATCH = 88, 92, 96, 100, 104
-NU, MODEL_OUT, INPUTS = 171, 174, 180
+NU, MODEL_OUT, SPEEDS, KEEP, GAIN, FOLLOW, INPUTS = 171, 174, 180, 184, 185, 186, 188
 _LATE = 0.05  # s that a rotor may stay behind before its limit is learnt
 _RECOVER = 0.5  # s in which a learnt limit that holds no longer grows by its own size
 
@@ -94,23 +94,28 @@ def _start(kind, p, m, dt, seen):
     for i in range(4):
         m[EFFECT + 8 + i] += p[g.REACTION + i] / (2.0 * p[g.HOVER] * dt)
         m[SENT + i] = seen[13 + i] ** 2
-        m[EXPECTED + i] = seen[13 + i]
+        m[EXPECTED + i] = m[SPEEDS + i] = seen[13 + i]
         m[HIGHEST + i] = p[g.HIGHEST]
         m[SQUARES + 3 * i] = m[SQUARES + 3 * i + 2] = seen[13 + i] ** 2
     for k in range(3):
         m[RATES + 3 * k] = m[RATES + 3 * k + 2] = seen[7 + k]
     invert(m[EFFECT : EFFECT + 16], m[INVERSE : INVERSE + 16])
+    w, half = p[g.CUT_OFF], 0.5 * dt
+    damp, stiff = 2.0 * p[g.DAMPING] * w * half, (w * half) ** 2
+    m[KEEP], m[GAIN] = (1.0 - damp - stiff) / (1.0 + damp + stiff), w * w * half / (1.0 + damp + stiff)
+    m[FOLLOW] = 1.0 - math.exp(-dt / p[g.LAG])
     m[STARTED] = 1.0
 
 
 @njit(cache=True, error_model="numpy")
-def _filter(p, m, at, dt, value):
-    """Second-order low-pass filter by the trapezoidal rule; m[at:at+3]: output, its derivative, last input."""
-    w, h = p[g.CUT_OFF], 0.5 * dt
+def _filter(m, at, half, value):
+    """Second-order low-pass filter by the trapezoidal rule over two halves of a step, s.
+
+    m[at:at+3]: output, its derivative, last input; m[KEEP], m[GAIN] from `_start`.
+    """
     y, v = m[at], m[at + 1]
-    damp, stiff = 2.0 * p[g.DAMPING] * w * h, (w * h) ** 2
-    new = (v * (1.0 - damp - stiff) + w * w * h * (m[at + 2] + value - 2.0 * y)) / (1.0 + damp + stiff)
-    m[at] = y + h * (v + new)
+    new = m[KEEP] * v + m[GAIN] * (m[at + 2] + value - 2.0 * y)
+    m[at] = y + half * (v + new)
     m[at + 1] = new
     m[at + 2] = value
 
@@ -179,7 +184,7 @@ def _pid(p, m, dt, seen, goal):
     thrust = outer_loop(p, m, dt, seen, goal, 0.0, 0.0, 0.0)
     _turn(p, m, seen)
     for k in range(3):
-        _filter(p, m, RATES + 3 * k, dt, seen[7 + k])
+        _filter(m, RATES + 3 * k, 0.5 * dt, seen[7 + k])
         error = m[WISH + k] - seen[7 + k]
         # no integration further into a limit of the rotors
         if m[STARTED] == 1.0 or error * m[RATE_INTEGRAL + k] < 0.0:
@@ -198,15 +203,15 @@ def _indi(p, m, dt, seen, goal):
     ax, ay = seen[17], seen[18]
     az = seen[19] - _thrust_force(p, u0, u1, u2, u3) / p[g.MASS]
     r = rotation(seen)
-    _filter(p, m, OTHER, dt, r[0] * ax + r[1] * ay + r[2] * az)
-    _filter(p, m, OTHER + 3, dt, r[3] * ax + r[4] * ay + r[5] * az)
-    _filter(p, m, OTHER + 6, dt, r[6] * ax + r[7] * ay + r[8] * az)
+    _filter(m, OTHER, 0.5 * dt, r[0] * ax + r[1] * ay + r[2] * az)
+    _filter(m, OTHER + 3, 0.5 * dt, r[3] * ax + r[4] * ay + r[5] * az)
+    _filter(m, OTHER + 6, 0.5 * dt, r[6] * ax + r[7] * ay + r[8] * az)
     thrust = outer_loop(p, m, dt, seen, goal, m[OTHER], m[OTHER + 3], m[OTHER + 6])
     _turn(p, m, seen)
     for k in range(3):
-        _filter(p, m, RATES + 3 * k, dt, seen[7 + k])
+        _filter(m, RATES + 3 * k, 0.5 * dt, seen[7 + k])
     for i in range(4):
-        _filter(p, m, SQUARES + 3 * i, dt, seen[13 + i] ** 2)
+        _filter(m, SQUARES + 3 * i, 0.5 * dt, seen[13 + i] ** 2)
     mx, my, mz = _moment_to_turn(p, m, seen, goal)
     # moments that are neither the rotors' nor the spinning body's, by rates and rotor speeds filtered alike
     ax, ay, az = _moment(p, m[RATES + 1], m[RATES + 4], m[RATES + 7])
@@ -295,15 +300,14 @@ def _send(p, m, dt, seen, commands):
     m[STARTED] = 1.0 if inside else 2.0
     for i in range(4):
         m[SENT + i] = u[i]
-        commands[i] = math.sqrt(u[i])
+        commands[i] = m[SPEEDS + i] = math.sqrt(u[i])
 
 
 @njit(cache=True, error_model="numpy")
 def _learn_limits(p, m, dt, seen):
     """Upper limits of the rotors, rad/s, from how they follow the commands sent through the actuators' lag."""
-    follow = 1.0 - math.exp(-dt / p[g.LAG])
     for i in range(4):
-        m[EXPECTED + i] += (math.sqrt(m[SENT + i]) - m[EXPECTED + i]) * follow
+        m[EXPECTED + i] += (m[SPEEDS + i] - m[EXPECTED + i]) * m[FOLLOW]
         behind = m[EXPECTED + i] - seen[13 + i] > 0.03 * p[g.HOVER]
         m[LATE + i] = max(m[LATE + i] + (dt if behind else -dt), 0.0)
         if m[LATE + i] > _LATE:

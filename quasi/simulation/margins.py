@@ -13,7 +13,8 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import expm, schur, solve_triangular
+from numba import njit
+from scipy.linalg import expm, schur
 
 from quasi.attitude import GRAVITY, exponential, rotate_inverse
 from quasi.errors import ConfigError
@@ -226,10 +227,28 @@ def _response(loop: Loop, frequencies: np.ndarray) -> np.ndarray:
     """Loop transfer (F, 4, 4), negative feedback counted in: -1 is the critical point."""
     # one Schur form serves all frequencies, and does not mind repeated eigenvalues (rows of integrators)
     triangle, turn = schur(loop.a, output="complex")
-    left, right = turn.conj().T @ loop.b, loop.c @ turn
-    identity = np.eye(len(triangle))
-    z = np.exp(1j * frequencies * loop.dt)
-    return np.array([-right @ solve_triangular(at * identity - triangle, left, check_finite=False) for at in z])
+    out = np.empty((len(frequencies), 4, 4), complex)
+    _solve_at(triangle, turn.conj().T @ loop.b, loop.c @ turn, np.exp(1j * frequencies * loop.dt), out)
+    return out
+
+
+@njit(cache=True)
+def _solve_at(triangle, left, right, z, out):
+    """out[f] = -right (z[f] - triangle)^-1 left, triangle (n, n) upper triangular."""
+    n = len(triangle)
+    x = np.empty((n, left.shape[1]), np.complex128)
+    for f in range(len(z)):
+        for j in range(left.shape[1]):
+            for i in range(n - 1, -1, -1):
+                value = left[i, j]
+                for k in range(i + 1, n):
+                    value += triangle[i, k] * x[k, j]
+                x[i, j] = value / (z[f] - triangle[i, i])
+            for i in range(len(right)):
+                value = 0j
+                for k in range(n):
+                    value -= right[i, k] * x[k, j]
+                out[f, i, j] = value
 
 
 def _one_open(loop: np.ndarray, k: int) -> np.ndarray:
