@@ -13,8 +13,9 @@ from quasi.attitude import exponential, interpolate, multiply, rotate, rotate_in
 from quasi.errors import ConfigError, DataError
 from quasi.importing import limits
 from quasi.importing.artefacts import flyable
+from quasi.importing.calibration import calibrated_capture, calibrated_onboard
 from quasi.importing.command_map import add_commanded_speeds
-from quasi.importing.contradictions import doubtful_units, refuse_wrong_lengths
+from quasi.importing.contradictions import refuse_wrong_lengths
 from quasi.importing.lever_arm import felt_too_much, hover_arm
 from quasi.importing.motive import read_motive
 from quasi.importing.onboard_log import ATTITUDE, POSITION, Onboard, Track, gather, read_onboard
@@ -30,6 +31,7 @@ from quasi.importing.series import Recording, Series
 from quasi.importing.streams import stream
 from quasi.importing.synchronisation import Motion, Synchronisation, synchronise
 from quasi.importing.telemetry import rotor_age
+from quasi.importing.verdict import verdict
 from quasi.importing.wind import add_wind
 
 DEFAULTS: dict[str, Any] = {
@@ -47,7 +49,10 @@ SCHEMA = "quasi.imported/1"
 
 
 def import_flight(
-    flight: Mapping[str, Any], quadrotor: Mapping[str, Any], options: Mapping[str, Any]
+    flight: Mapping[str, Any],
+    quadrotor: Mapping[str, Any],
+    options: Mapping[str, Any],
+    calibration: Mapping[str, Any] | None = None,
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
     """One flight on a uniform grid, and how it was made.
 
@@ -55,6 +60,7 @@ def import_flight(
                None), "log number" (or None), "wind" (see `wind.add_wind`; absent in still air)
     quadrotor  its configuration (the manual's listing 1 and our keys)
     options    "data importing" of the processing configuration; other keys are ignored
+    calibration  of the sensors, applied to the raw streams (see `quasi.importing.calibration`); None for none
     Returns    columns of quasi.tables.COLUMNS (SI, earth NED, body FRD) from t = 0 at the first fused sample; flags
                attitude_sample, position_sample, velocity_sample, onboard_valid, and imu_clipped where a sensor left
                its range, as 0 or 1; and the metadata
@@ -71,6 +77,9 @@ def import_flight(
     board = gather(recording, where, notes)
     capture, captured = _read_capture(flight, quadrotor, chosen, recording, board, notes)
     ends = limits.clipped_ends(board, recording.metadata.get("units") or {})
+    if calibration is not None:
+        marker = _triple(quadrotor.get("optitrack marker cg offset"), "optitrack marker cg offset")
+        board, capture = calibrated_onboard(board, calibration), calibrated_capture(capture, marker, calibration)
     try:
         sync = _align(flight, board, capture, captured, chosen, where, notes)
     except DataError as error:
@@ -105,9 +114,10 @@ def import_flight(
         "rest before take-off": {"value": board.rest_seconds, "unit": "s"},
         "rotor telemetry": telemetry,
         "options": chosen,
+        "calibration": calibration,
         "notes": [*(captured.notes if captured else []), *recording.notes, *(sync.notes if sync else []), *notes],
     }
-    metadata |= _verdict(frame, board, metadata)
+    metadata |= verdict(frame, board, metadata)
     return frame, metadata
 
 
@@ -407,46 +417,3 @@ def _settle_telemetry(board: Onboard, where: str, notes: list[str]) -> tuple[Onb
 
     others = {n: earlier(k) if re.fullmatch(r"w[1-8]", n) else k for n, k in board.others.items()}
     return replace(board, rotors=earlier(board.rotors), others=others), about
-
-
-def _verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) -> dict[str, str]:
-    """One word and why."""
-    bad, care = [], []
-    valid = float(frame["onboard_valid"].mean())
-    duration = float(frame["t"].iloc[-1])
-    if valid < 0.5:
-        bad.append(f"the on-board log covers only {100 * valid:.0f} % of the flight")
-    elif valid < 0.98:
-        care.append(f"the on-board log lost {100 * (1 - valid):.1f} % of the flight")
-    bad += doubtful_units(board.gyro.values, board.force.values)
-    care += limits.said(metadata["saturation"])
-    if duration < 2.0:
-        bad.append(f"only {duration:.1f} s are common to all sources")
-    onboard = metadata["sources"]["onboard"]
-    if onboard.get("ended") is False:
-        care.append("the on-board log ends without its end mark: it may be cut short")
-    stated = (onboard.get("header") or {}).get("motor_poles")
-    if stated and stated != DEFAULT_POLES and stated != metadata["motor poles"].get("value"):
-        care.append(f"its header states {stated} motor poles, the configuration {metadata['motor poles'].get('value')}")
-    if "w1" not in frame:
-        care.append("the log holds no rotor speeds")
-    if metadata["position source"] == "none" and metadata["velocity source"] == "none":
-        care.append("there is neither position nor velocity")
-    if metadata["attitude source"] == "estimated on board":
-        care.append("the attitude is estimated from gyro and accelerometer alone")
-    if metadata["position source"] == "capture":
-        lost = 1 - float(
-            covered(frame["t"].to_numpy()[frame["position_sample"].to_numpy() > 0], frame["t"].to_numpy(), 0.1).mean()
-        )
-        if lost > 0.2:
-            care.append(f"the capture lost the quadrotor for {100 * lost:.0f} % of the flight")
-    sync = metadata["synchronisation"]
-    if sync and (sync["lag"]["std"] > 0.005 or min(sync["explained variance"].values()) < 0.5):
-        care.append(f"the capture's lag is known to {1e3 * sync['lag']['std']:.1f} ms only")
-    if board.rest_seconds < 1.0:
-        care.append("it has no rest before take-off, so sensor biases rest on the flight itself")
-    if bad:
-        return {"verdict": "unusable", "verdict because": "; ".join(bad + care)}
-    if care:
-        return {"verdict": "usable with care", "verdict because": "; ".join(care)}
-    return {"verdict": "good", "verdict because": "all sources are complete and agree"}

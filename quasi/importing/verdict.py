@@ -1,0 +1,55 @@
+"""How far an imported flight can be trusted."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import pandas as pd
+
+from quasi.airframe import DEFAULT_POLES
+from quasi.importing import limits
+from quasi.importing.contradictions import doubtful_units
+from quasi.importing.onboard_log import Onboard
+from quasi.importing.resampling import covered
+
+
+def verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) -> dict[str, str]:
+    """One word and why."""
+    bad, care = [], []
+    valid = float(frame["onboard_valid"].mean())
+    duration = float(frame["t"].iloc[-1])
+    if valid < 0.5:
+        bad.append(f"the on-board log covers only {100 * valid:.0f} % of the flight")
+    elif valid < 0.98:
+        care.append(f"the on-board log lost {100 * (1 - valid):.1f} % of the flight")
+    bad += doubtful_units(board.gyro.values, board.force.values)
+    care += limits.said(metadata["saturation"])
+    if duration < 2.0:
+        bad.append(f"only {duration:.1f} s are common to all sources")
+    onboard = metadata["sources"]["onboard"]
+    if onboard.get("ended") is False:
+        care.append("the on-board log ends without its end mark: it may be cut short")
+    stated = (onboard.get("header") or {}).get("motor_poles")
+    if stated and stated != DEFAULT_POLES and stated != metadata["motor poles"].get("value"):
+        care.append(f"its header states {stated} motor poles, the configuration {metadata['motor poles'].get('value')}")
+    if "w1" not in frame:
+        care.append("the log holds no rotor speeds")
+    if metadata["position source"] == "none" and metadata["velocity source"] == "none":
+        care.append("there is neither position nor velocity")
+    if metadata["attitude source"] == "estimated on board":
+        care.append("the attitude is estimated from gyro and accelerometer alone")
+    if metadata["position source"] == "capture":
+        lost = 1 - float(
+            covered(frame["t"].to_numpy()[frame["position_sample"].to_numpy() > 0], frame["t"].to_numpy(), 0.1).mean()
+        )
+        if lost > 0.2:
+            care.append(f"the capture lost the quadrotor for {100 * lost:.0f} % of the flight")
+    sync = metadata["synchronisation"]
+    if sync and (sync["lag"]["std"] > 0.005 or min(sync["explained variance"].values()) < 0.5):
+        care.append(f"the capture's lag is known to {1e3 * sync['lag']['std']:.1f} ms only")
+    if board.rest_seconds < 1.0:
+        care.append("it has no rest before take-off, so sensor biases rest on the flight itself")
+    if bad:
+        return {"verdict": "unusable", "verdict because": "; ".join(bad + care)}
+    if care:
+        return {"verdict": "usable with care", "verdict because": "; ".join(care)}
+    return {"verdict": "good", "verdict because": "all sources are complete and agree"}
