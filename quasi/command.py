@@ -26,6 +26,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     summary.add_argument("model", help="model ID, or the path of a standalone model")
     summary.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
 
+    fly = commands.add_parser(
+        "fly",
+        help="fly a model by hand, in a live view",
+        description="w a s d fly, arrows turn and change height, q or closing the window ends. Keys work in the "
+        "terminal and in the window.",
+    )
+    fly.add_argument("model", nargs="?", help="model ID, or the path of a standalone model; the only one if left out")
+    fly.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
+    fly.add_argument("--simulation", help="controller, wind and so on as in config/simulations/SIMULATION.json")
+
     init = commands.add_parser("init", help="lay a project folder: commented configuration and an empty logbook")
     init.add_argument("folder", help="folder to make; it must be empty or absent")
 
@@ -48,6 +58,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if options.command == "summary":
             print(summarise(options.model, Path(options.directory)))
+        elif options.command == "fly":
+            print(fly_by_hand(options.model, Path(options.directory), options.simulation))
         elif options.command == "noise":
             logs = [Path(log) for log in options.logs]
             names = (options.cut, options.rigid_body, options.log_number, options.write)
@@ -65,9 +77,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def summarise(model: str, directory: Path) -> str:
     """The summary of a model given by ID or path, with its scores when they stand beside it."""
-    from quasi.errors import ReadError, nearest
     from quasi.standalone.model import read_model
     from quasi.tables import read_text
+
+    path = model_place(model, directory)
+    text = read_model(path).summary()
+    scores = (path if path.is_dir() else path.parent) / "summary.txt"
+    if scores.is_file():
+        text += "\n\n" + read_text(scores).rstrip()
+    return text
+
+
+def model_place(model: str, directory: Path) -> Path:
+    """Where a model given by ID or path is. Raises ReadError when it is nowhere."""
+    from quasi.errors import ReadError, nearest
 
     named = directory / "models" / model / "standalone"
     path = named if named.is_dir() else directory / model
@@ -77,11 +100,57 @@ def summarise(model: str, directory: Path) -> str:
             f"no model '{model}': neither {named} nor {directory / model} exists{nearest(model, made)}; "
             f"make it with `snakemake -j2 models/{model}/standalone`"
         )
-    text = read_model(path).summary()
-    scores = (path if path.is_dir() else path.parent) / "summary.txt"
-    if scores.is_file():
-        text += "\n\n" + read_text(scores).rstrip()
-    return text
+    return path
+
+
+def fly_by_hand(model: str | None, directory: Path, simulation: str | None = None) -> str:
+    """Fly a model by hand until q is pressed or the window closes; returns a sentence on the flight.
+
+    model  ID or path; None for that of the simulation, or the only one there is
+    Raises a QuasiError where there is no such model or no window can be opened.
+    """
+    from contextlib import ExitStack
+
+    from quasi.errors import ConfigError, ReadError, nearest
+    from quasi.simulation import fly
+    from quasi.simulation.keyboard import Terminal
+    from quasi.simulation.run import Session
+    from quasi.simulation.setup import make_setup
+    from quasi.simulation.window import Window
+    from quasi.standalone.model import read_model
+    from quasi.tables import read_numbers
+    from quasi.workflow import Folder
+
+    wind, settings = None, {"initial state conditions": {"position": [0, 0, -1.5]}}
+    if simulation is not None:
+        asked = Folder(directory).simulation(simulation)
+        settings = asked["settings"] | {"references": {}}  # the keys take its place
+        wind = read_numbers(directory / asked["wind"]) if asked["wind"] else None
+        model = model or asked["model"]
+    if model is None:
+        made = sorted(p.parent.name for p in directory.glob("models/*/standalone"))
+        if len(made) != 1:
+            raise ReadError(
+                f"{directory / 'models'} holds {len(made) or 'no'} models{nearest('', made) if made else ''}; "
+                + ("name the one to fly" if made else "make one first, or name a project folder with -d")
+            )
+        model = made[0]
+    flown = read_model(model_place(model, directory))
+    settings["model"] = {**settings.get("model", {}), "model ID": flown.id}
+    session = Session(make_setup(settings, flown, wind, name=simulation or f"flight of {flown.id}"))
+    with ExitStack() as open_things:
+        window = Window(flown.airframe, flown.id, fly.HELP)
+        open_things.callback(window.close)
+        keys: fly.Keys | None = None
+        try:
+            keys = open_things.enter_context(Terminal())
+        except ConfigError:
+            print("standard input is no terminal: press the keys in the window")
+        print("getting ready (half a minute the first time) ...", flush=True)
+        session.advance(fly.Pilot(session.weight).goal(set(), session.dt), 1)
+        session.restart()
+        print(fly.HELP, flush=True)
+        return fly.fly(session, window, keys)
 
 
 def lay(folder: Path) -> str:

@@ -117,6 +117,12 @@ def simulation_files(wildcards):
     return [asked[k] for k in ("model", "wind", "reference") if asked[k]]
 
 
+def simulation_pictures(wildcards):
+    parts = f"results/parts/simulation/{wildcards.simulation}"
+    saved = ask(FOLDER.animation, wildcards.simulation)["save"]
+    return [f"{parts}/figures"] + ([f"{parts}/animation"] if saved else [])
+
+
 def every_model(wildcards):
     return [f"models/{m}/standalone" for m in ask(FOLDER.every_model)]
 

@@ -23,11 +23,42 @@ rule simulation_flight:
         "../scripts/simulation_flight.py"
 
 
+rule simulation_figures:
+    input:
+        table="results/parts/simulation/{simulation}/flight.parquet",
+        summary="results/parts/simulation/{simulation}/summary.json",
+        model=lambda wildcards: ask(FOLDER.simulation, wildcards.simulation)["model"],
+    output:
+        directory("results/parts/simulation/{simulation}/figures"),
+    log:
+        "logs/simulation/{simulation}/figures.log",
+    params:
+        code=code("simulation_figures.py"),
+    script:
+        "../scripts/simulation_figures.py"
+
+
+rule simulation_animation:
+    input:
+        table="results/parts/simulation/{simulation}/flight.parquet",
+        model=lambda wildcards: ask(FOLDER.simulation, wildcards.simulation)["model"],
+    output:
+        directory("results/parts/simulation/{simulation}/animation"),
+    log:
+        "logs/simulation/{simulation}/animation.log",
+    params:
+        settings=lambda wildcards: ask(FOLDER.animation, wildcards.simulation),
+        code=code("simulation_animation.py"),
+    script:
+        "../scripts/simulation_animation.py"
+
+
 rule simulation:
     input:
         table="results/parts/simulation/{simulation}/flight.parquet",
         summary="results/parts/simulation/{simulation}/summary.json",
         text="results/parts/simulation/{simulation}/summary.txt",
+        pictures=simulation_pictures,
     output:
         folder=directory("results/simulations/{simulation}"),
         table="results/simulations/{simulation}/flight.parquet",

@@ -229,7 +229,7 @@ def _error(name: str, error: np.ndarray) -> np.ndarray:
 
 
 def _trajectory(table: pd.DataFrame, airframe: Airframe, about: Mapping[str, Any]) -> Figure:
-    figure = trajectories([motion_of(_in_sight(table), airframe)], about.get("stills", 6), title=_title("path", about))
+    figure = trajectories([motion_of(in_sight(table), airframe)], about.get("stills", 6), title=_title("path", about))
     wanted = [f"{axis}_ref" for axis in "xyz"]
     if set(wanted) <= set(table.columns):
         aim = table[wanted].to_numpy(float)[_stride(len(table))]
@@ -239,7 +239,7 @@ def _trajectory(table: pd.DataFrame, airframe: Airframe, about: Mapping[str, Any
     return figure
 
 
-def _in_sight(table: pd.DataFrame) -> pd.DataFrame:
+def in_sight(table: pd.DataFrame) -> pd.DataFrame:
     """Without the last rows of a simulation that flew off to where nothing else could be seen."""
     where = table[["x", "y", "z"]].to_numpy(float)
     away = np.linalg.norm(where - np.nanmedian(where, axis=0), axis=1)

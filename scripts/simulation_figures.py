@@ -1,0 +1,32 @@
+"""Draw the figures of a simulation from its table."""
+
+from pathlib import Path
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from quasi.joblog import job, progress
+from quasi.simulation.figures import simulation_figures
+from quasi.standalone.model import read_model
+from quasi.tables import read_json, read_table, whole_file
+
+
+def main(table: str, summary: str, model: str, folder: str) -> None:
+    """Read the table and what is said of it; write one PNG per figure."""
+    said = read_json(summary)
+    about = {
+        "name": said["simulation"],
+        "speed limits": [said["rotor limits"]["lowest"], said["rotor limits"]["highest"]],
+        "fault time": said["fault time"],
+        "ended": said["ended"],
+    }
+    figures = simulation_figures(read_table(table), read_model(model).airframe, about)
+    target = Path(folder)
+    target.mkdir(parents=True, exist_ok=True)
+    for name, figure in progress(list(figures.items()), "drawing"):
+        with whole_file(target / f"{name}.png") as part:
+            FigureCanvasAgg(figure).print_png(part)
+
+
+if __name__ == "__main__":
+    with job(snakemake.log[0], f"figures of simulation {snakemake.wildcards.simulation}"):
+        main(snakemake.input.table, snakemake.input.summary, snakemake.input.model, snakemake.output[0])
