@@ -28,7 +28,7 @@ WEIGHTS, METHOD, LEARN = 34, 38, 39
 POSITION, VELOCITY, VELOCITY_INTEGRAL, ATTITUDE, YAW = 40, 41, 42, 43, 44
 RATES, RATES_INTEGRAL, RATES_DERIVATIVE = 45, 48, 51  # three each
 CUT_OFF, DAMPING = 54, 55
-TILT, SPEED, CLIMB, ACCELERATION, RATE, YAW_RATE, INTEGRAL = 56, 57, 58, 59, 60, 61, 62
+TILT, SPEED, CLIMB, ACCELERATION, RATE, YAW_RATE, INTEGRAL, SLOPE = 56, 57, 58, 59, 60, 61, 62, 63
 MODEL = 64  # from here on, for NDI, the compiled model; see `packing`
 
 _TIME = (lambda v: v > 0.0, "a positive number of seconds")
@@ -160,6 +160,7 @@ def pack(settled: Mapping[str, Any], known: ControlModel) -> np.ndarray:
     for place, key in ((TILT, "tilt"), (SPEED, "speed"), (CLIMB, "climb"), (ACCELERATION, "acceleration"),
                        (RATE, "rate"), (YAW_RATE, "yaw rate"), (INTEGRAL, "integral")):  # fmt: skip
         out[place] = limits[key]
+    out[SLOPE] = math.tan(limits["tilt"])
     return out
 
 

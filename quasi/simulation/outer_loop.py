@@ -140,7 +140,7 @@ def outer_loop(parameters, memory, dt, seen, goal, dx, dy, dz):
     # thrust per mass; at least a fifth of the weight upwards, and no more tilt than allowed
     sz = min(az - GRAVITY - dz, -0.2 * GRAVITY)
     wide_x, wide_y = ax - dx, ay - dy
-    sx, sy = _shorten(wide_x, wide_y, -sz * math.tan(p[g.TILT]))
+    sx, sy = _shorten(wide_x, wide_y, -sz * p[g.SLOPE])
     turn_towards(r, attitude_of_thrust(sx, sy, sz, goal[ANGLES + 2]), p, wish)
 
     # rates that the fed forward acceleration and heading ask for by themselves
