@@ -40,12 +40,13 @@ def diagnose(
     judged: Mapping[str, Judged],
     scores: pd.DataFrame,
     coverage: pd.DataFrame,
+    beyond: Mapping[str, np.ndarray],
     roles: Mapping[str, int],
     partitioning: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """The checks of every axis and a verdict in words, as plain data ("quasi.diagnostics/1").
 
-    judged, scores  of the same rows (`judge`, `score_judged`); coverage  of `covered_share`
+    judged, scores  of the same rows (`judge`, `score_judged`); coverage, beyond  of `covered_share`
     roles           {name: code}; partitioning  the model's "data partitioning"
     """
     axes = {}
@@ -55,7 +56,7 @@ def diagnose(
         facts["quartiles"] = quartiles(judged[axis], roles)
         facts["histogram"] = histogram(judged[axis], roles)
         facts["interval"] = _interval(judged[axis], pooled, roles)
-        facts["outside"] = _outside(model, axis, coverage)
+        facts["outside"] = _outside(model, axis, coverage, beyond.get(axis), judged[axis], roles)
         facts["unit"] = model.document["axes"][axis]["unit"]
         facts |= verdict(axis, facts)
         axes[axis] = facts
@@ -175,13 +176,16 @@ def _interval(found: Judged, pooled: pd.DataFrame, roles: Mapping[str, int]) -> 
     }
 
 
-def covered_share(model: Model, flights: Mapping[str, pd.DataFrame], rows: Mapping[str, np.ndarray]) -> pd.DataFrame:
+def covered_share(
+    model: Model, flights: Mapping[str, pd.DataFrame], rows: Mapping[str, np.ndarray]
+) -> tuple[pd.DataFrame, dict[str, np.ndarray]]:
     """How far the training data cover these rows, one line per variable of the model's terms.
 
     flights  held-out flights; rows {flight: (n,) bool} those to look at
-    Returns columns variable, below, above (shares of the rows beyond the 0.1 % and 99.9 % percentiles of the training
-    rows), the training rows' and these rows' least, largest, 1 % and 99 % percentile; empty without rows. A last line,
-    "any of Fx" and so on, holds under `above` the share of rows with some variable of an axis beyond.
+    Returns a table and {axis: (m,) bool}, those of all these rows with some variable of the axis beyond the training
+    rows' 0.1 % to 99.9 % percentiles. The table's columns: variable; below, above (shares of the rows beyond them); the
+    training rows' and these rows' least, largest, 1 % and 99 % percentile. Its last lines, "any of Fx" and so on, hold
+    under `above` the share of rows with some variable of that axis beyond. Empty without rows.
     """
     known = model.document["envelope"]
     of_axis = {axis: [n for n in _variables(model, axis) if LOW in known.get(n, {}).get("percentiles", {})]
@@ -198,7 +202,7 @@ def covered_share(model: Model, flights: Mapping[str, pd.DataFrame], rows: Mappi
         for name in wanted:
             values[name].append(lookup[name])
     if not flights or not sum(map(len, next(iter(values.values()), []))):
-        return pd.DataFrame(columns=list(COVERAGE_UNITS))
+        return pd.DataFrame(columns=list(COVERAGE_UNITS)), {}
     lines, out = [], {}
     for name in wanted:
         here = np.concatenate(values[name])
@@ -216,10 +220,13 @@ def covered_share(model: Model, flights: Mapping[str, pd.DataFrame], rows: Mappi
                 "p1": float(shares[0]), "p99": float(shares[1]),
             }
         )  # fmt: skip
-    for axis, some in of_axis.items():
-        beyond = np.any([out[n] for n in some], axis=0) if some else np.zeros(1)
-        lines.append({"variable": f"{ANY}{axis}", "below": 0.0, "above": float(np.mean(beyond))})
-    return pd.DataFrame(lines, columns=list(COVERAGE_UNITS))
+    count = sum(int(np.count_nonzero(r)) for r in rows.values())
+    beyond = {
+        axis: np.any([out[n] for n in some], axis=0) if some else np.zeros(count, bool)
+        for axis, some in of_axis.items()
+    }
+    lines += [{"variable": f"{ANY}{a}", "below": 0.0, "above": float(np.mean(b))} for a, b in beyond.items()]
+    return pd.DataFrame(lines, columns=list(COVERAGE_UNITS)), beyond
 
 
 def _variables(model: Model, axis: str) -> list[str]:
@@ -227,17 +234,29 @@ def _variables(model: Model, axis: str) -> list[str]:
     return limited_names(n for term in terms for n in names(parse(term["expression"])))
 
 
-def _outside(model: Model, axis: str, coverage: pd.DataFrame) -> dict[str, Any]:
-    if not len(coverage):
-        return {"share": None, "variables": {}}
+def _outside(
+    model: Model,
+    axis: str,
+    coverage: pd.DataFrame,
+    beyond: np.ndarray | None,
+    found: Judged,
+    roles: Mapping[str, int],
+) -> dict[str, Any]:
+    """Share of the validation rows beyond the training data, the variables that say so, the RMSE of the others."""
+    if beyond is None or not len(beyond):
+        return {"share": None, "variables": {}, "rmse inside": None}
     lines = coverage.set_index("variable")
-    beyond = {
+    shares = {
         name: float(lines.loc[name, "below"] + lines.loc[name, "above"])
         for name in _variables(model, axis)
         if name in lines.index
     }
-    worst = dict(sorted(((n, s) for n, s in beyond.items() if s > 0.002), key=lambda pair: -pair[1])[:5])
-    return {"share": float(lines.loc[f"{ANY}{axis}", "above"]), "variables": worst}
+    worst = dict(sorted(((n, s) for n, s in shares.items() if s > 0.002), key=lambda pair: -pair[1])[:5])
+    held = found.role == roles["validation"]
+    square = (found.measured[held] - found.predicted[held])[~beyond] ** 2
+    square = square[np.isfinite(square)]
+    inside = float(np.sqrt(np.mean(square))) if len(square) else None
+    return {"share": float(beyond.mean()), "variables": worst, "rmse inside": inside}
 
 
 def _leak(partitioning: Mapping[str, Any], scores: pd.DataFrame) -> dict[str, Any]:

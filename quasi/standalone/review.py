@@ -37,5 +37,5 @@ def review(
     scores = score_judged(judged, model, roles)
     held = {key: np.asarray(partition[key]) == roles["validation"] for key in flights}
     held = {key: rows for key, rows in held.items() if rows.any()}
-    coverage = covered_share(model, {key: flights[key] for key in held}, held)
-    return Review(judged, scores, coverage, diagnose(model, judged, scores, coverage, roles, partitioning))
+    coverage, beyond = covered_share(model, {key: flights[key] for key in held}, held)
+    return Review(judged, scores, coverage, diagnose(model, judged, scores, coverage, beyond, roles, partitioning))

@@ -14,8 +14,7 @@ KEPT = ("name", "expression", "coefficient", "std", "t", "unit", "fixed", "given
 _TEX = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "%": r"\%", "#": r"\#", "_": r"\_",
     "^": r"\textasciicircum{}", "~": r"\textasciitilde{}", "<": r"\textless{}", ">": r"\textgreater{}",
-    "|": r"\textbar{}", '"': r"\textquotedbl{}", "'": r"\textquotesingle{}", "`": r"\textasciigrave{}",
-    "*": r"$\cdot$", "-": r"$-$", "±": r"$\pm$",
+    "|": r"\textbar{}", '"': r"{\char34}", "'": r"{\char39}", "`": r"{\char96}",
 }  # fmt: skip
 
 
@@ -123,8 +122,8 @@ def _terms(model: Model, axis: str) -> list[str]:
 
 
 def tex(text: object) -> str:
-    """Text that LaTeX sets as it is."""
-    return "".join(_TEX.get(c, c) if c.isprintable() else " " for c in str(text))
+    """Text that LaTeX sets as it is; what lies outside ASCII becomes a question mark."""
+    return "".join(_TEX.get(c, c) if " " <= c <= "~" else "?" for c in str(text))
 
 
 def number(value: float, digits: int) -> str:
@@ -144,7 +143,7 @@ def unit(text: str) -> str:
     """A unit such as "N s2/rad2" with its powers raised."""
     out, digits = [], ""
     for c in [*text, ""]:
-        if c.isdigit() and (digits or (out and out[-1].isalpha())):
+        if (c.isdigit() and (digits or (out and out[-1].isalpha()))) or (c == "." and digits):
             digits += c
             continue
         if digits:

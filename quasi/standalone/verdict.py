@@ -11,7 +11,6 @@ from typing import Any
 ORDER = ("good", "usable with care", "unusable")
 RULE = 10.0  # %, relative difference in RMSE from which it is significant
 SHORT = 0.05  # coverage below the confidence level by which intervals are too narrow
-OUTSIDE = 0.05  # share of the validation rows beyond the training data from which it is the likely reason
 OFFSET = 0.5  # share of the RMSE that is a constant offset
 WEAK = 0.5  # R2 on the training rows below which an axis is hardly explained
 LOPSIDED = 1.5  # of one outer quartile's RMSE over the other's, beyond what the training rows show
@@ -70,26 +69,31 @@ def _validation(axis: str, facts: Mapping[str, Any], because: list[str], remedie
     difference = facts["relative difference"]
     above, scaled = difference["validation above training"], difference["validation above training, relative"]
     outside, r2 = facts["outside"], facts["r2"].get("validation")
+    rmse, before, bias = facts["rmse"].get("validation"), facts["rmse"].get("training"), facts["bias"].get("validation")
     level, overfits = 0, False
+    offset = bool(rmse and bias is not None and abs(bias) > OFFSET * rmse)
+    if offset:
+        level = 1
+        share = percent((bias / rmse) ** 2)
+        because.append(f"{share} of its squared validation error is a constant offset of {bias:.3g} {facts['unit']}")
+        remedies.append("look for another trim there: mass (Fz), centre of gravity (Mx, My), wind, sensor bias")
     if above is not None and above > RULE and (scaled is None or scaled > RULE):
         level = 1
-        because.append(f"validation RMSE {above:.0f} % above training")
-        if outside["share"] is not None and outside["share"] > OUTSIDE:
+        because.insert(0, f"validation RMSE {above:.0f} % above training")
+        inside = outside["rmse inside"]
+        if outside["variables"] and inside is not None and inside <= (1 + RULE / 100) * before:
             worst = list(outside["variables"].items())[:3]
             named = ", ".join(f"{n} in {percent(s)} of them" for n, s in worst)
-            because.append(f"{percent(outside['share'])} of the validation rows lie beyond the training data ({named})")
+            because.append(
+                f"the {percent(outside['share'])} of the validation rows that lie beyond the training data ({named}) "
+                "make the difference"
+            )
             remedies.append(f"train on flights that reach further in {', '.join(n for n, _ in worst)}")
-        else:
+        elif not offset or rmse**2 - bias**2 > ((1 + RULE / 100) * before) ** 2:
             overfits = True
             remedies.append(FEWER)
     elif above is not None and above > RULE:
         because.append(f"validation RMSE {above:.0f} % above training, in proportion to a livelier flight")
-    bias, rmse = facts["bias"].get("validation"), facts["rmse"].get("validation")
-    if bias is not None and rmse and abs(bias) > OFFSET * rmse:
-        level, overfits = max(level, 1), False
-        share = percent((bias / rmse) ** 2)
-        because.append(f"{share} of its squared validation error is a constant offset of {bias:.3g} {facts['unit']}")
-        remedies.append("look for another trim there: mass (Fz), centre of gravity (Mx, My), wind, sensor bias")
     if r2 is not None and r2 < 0:
         level = 2
         because.append(f"the mean of the validation rows would do better (R2 {r2:.2f})")
