@@ -125,13 +125,6 @@ def _cutoff(wanted: float, logged: float, rate: float, notes: list[str]) -> floa
     return wanted
 
 
-def _in_band(found: harmonics.Lines, flying: np.ndarray, cutoff: float) -> np.ndarray:
-    """Share of the flight (L,) in which each line stands where the low-pass lets it through."""
-    part = flying if flying.any() else np.ones(len(flying), bool)
-    inside = (found.frequency < (1.0 + 0.5 * forces.TRANSITION) * cutoff) & (found.true > 0.0)
-    return inside[part].mean(axis=0)
-
-
 def _left_in(
     found: harmonics.Lines, flying: np.ndarray, lowest: float, cutoff: float, logged: float, notes: list[str]
 ) -> None:
@@ -150,15 +143,19 @@ def _warn(
     found: harmonics.Lines, imu: np.ndarray, flying: np.ndarray, cutoff: float, logged: float, notes: list[str]
 ) -> None:
     """Say which harmonics show up inside the band of the low-pass, where no notch was asked for."""
-    share = _in_band(found, flying, cutoff)
+    inside = (found.frequency < (1.0 + 0.5 * forces.TRANSITION) * cutoff) & (found.weight > 0.5) & flying[:, None]
+    often = inside.sum(axis=0) > SELDOM * max(int(flying.sum()), 1)
     for order in np.unique(found.harmonic):
-        of = np.flatnonzero((found.harmonic == order) & (share > SELDOM))
-        if not len(of) or max(harmonics.clearness(imu, found, int(i), flying) for i in of) < harmonics.CLEAR:
+        seen = [
+            int(i)
+            for i in np.flatnonzero((found.harmonic == order) & often)
+            if harmonics.clearness(imu, found, int(i), inside[:, i]) > harmonics.CLEAR
+        ]
+        if not seen:
             continue
-        part = flying if flying.any() else np.ones(len(flying), bool)
-        stands, true = (float(np.median(x[part][:, of])) for x in (found.frequency, found.true))
+        stands, true = (float(np.median(x[:, seen][inside[:, seen]])) for x in (found.frequency, found.true))
         where = f" (it folds from {true:.0f} Hz at the log's rate of {logged:.0f} Hz)" if true > stands + 1.0 else ""
         notes.append(
-            f"a vibration at {stands:.0f} Hz moves with the rotors' speed, their harmonic {order}{where}, and passes "
+            f"a vibration near {stands:.0f} Hz moves with the rotors' speed, their harmonic {order}{where}, and passes "
             f"the low-pass of {cutoff:g} Hz; lower 'low-pass cutoff Hz' or set 'rotor notch harmonics' to {order}"
         )

@@ -151,14 +151,12 @@ def reach(width: float, rate: float) -> int:
     return int(np.ceil(RINGING * HALF * np.sqrt(2.0) / (np.pi * width) * rate))
 
 
-def clearness(values: np.ndarray, found: Lines, i: int, flying: np.ndarray) -> float:
+def clearness(values: np.ndarray, found: Lines, i: int, part: np.ndarray) -> float:
     """Power of line i in columns (N, m) over what its neighbourhood would give there; about 1 where there is no line.
 
-    flying  (N,) bool, the rows that count. The neighbourhood is that of three widths, without the line's own.
+    part  (N,) bool, the rows that count, at least one. The neighbourhood is that of three widths, without the line's
+    own. The greatest of the columns.
     """
-    part = flying & (found.weight[:, i] > 0.5)
-    if not part.any():
-        return 0.0
     values = np.ascontiguousarray(values - values.mean(axis=0))
     frequency, weight = (np.ascontiguousarray(x[:, i]) for x in (found.frequency, found.weight))
     power = []
