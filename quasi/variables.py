@@ -23,7 +23,8 @@ import numpy as np
 
 from quasi.airframe import Airframe
 from quasi.errors import ExpressionError, nearest
-from quasi.expressions import Tree, names
+from quasi.expressions import Tree, evaluate, names
+from quasi.normalisation import Normalisation
 
 SYNONYMS: dict[str, Tree] = {
     "wtot": ("name", "w_tot"),
@@ -66,17 +67,19 @@ _TARGETS = {
 }
 
 
-def columns_of(tree: Tree) -> set[str]:
+def columns_of(tree: Tree, normalisation: Normalisation | None = None) -> set[str]:
     """Base columns that an expression needs. Velocities stand as u, v, w, whether through the air or over ground."""
-    return set().union(*(base_columns(name) for name in names(tree)), set())
+    return set().union(*(base_columns(name, normalisation) for name in names(tree)), set())
 
 
-def base_columns(name: str) -> set[str]:
+def base_columns(name: str, normalisation: Normalisation | None = None) -> set[str]:
     """Base columns that a variable is made from; a name outside the table is a column of its own."""
     name = SYNONYMS[name][1] if name in SYNONYMS and SYNONYMS[name][0] == "name" else name
     match = _OF.match(name)
     if match:
-        return base_columns(match["abs"] or match["of"])
+        return base_columns(match["abs"] or match["of"], normalisation)
+    if normalisation and name in normalisation.trees:
+        return columns_of(normalisation.trees[name])
     return set(_MADE_FROM.get(name, (name,)))
 
 
@@ -86,6 +89,14 @@ def split_function(name: str) -> tuple[str | None, str]:
     if not match:
         return None, name
     return ("abs", match["abs"]) if match["abs"] else (match["function"], match["of"])
+
+
+def plain_name(name: str) -> str:
+    """The variable inside |..|, sin[..], cos[..], under one spelling (wtot is w_tot)."""
+    function, name = split_function(name)
+    while function:
+        function, name = split_function(name)
+    return SYNONYMS[name][1] if name in SYNONYMS and SYNONYMS[name][0] == "name" else name
 
 
 def known_names(columns: Mapping[str, object] | set[str]) -> list[str]:
@@ -101,13 +112,22 @@ class Variables:
     columns      {name: (n,)} base columns in SI units: w1..w4, u v w, p q r, roll pitch yaw, and what else there is
     airframe     signs of the rotors and the rotor radius
     hover_speed  rad/s, one rotor's speed in hover; None when unknown (then d_w... cannot be asked)
+    normalisation  the non-dimensional scheme, under which names stand for other quantities; None for SI
     """
 
-    def __init__(self, columns: Mapping[str, np.ndarray], airframe: Airframe, hover_speed: float | None) -> None:
+    def __init__(
+        self,
+        columns: Mapping[str, np.ndarray],
+        airframe: Airframe,
+        hover_speed: float | None,
+        normalisation: Normalisation | None = None,
+    ) -> None:
         self._columns = columns
         self._airframe = airframe
         self._hover = hover_speed
         self._values: dict[str, np.ndarray] = {}
+        self._trees = normalisation.trees if normalisation else {}
+        self._plain = Variables(columns, airframe, hover_speed) if normalisation else self
 
     def known(self) -> list[str]:
         """Names that can be asked, without |..|, sin[..] and cos[..], which every name allows."""
@@ -120,11 +140,12 @@ class Variables:
             self._values[name] = self._make(name)
         return self._values[name]
 
-    def _column(self, name: str, of: str) -> np.ndarray:
+    def column(self, name: str, of: str | None = None) -> np.ndarray:
+        """A base column, for the variable `of`. Raises ExpressionError when it is missing."""
         name = _AIR[name] if name in _AIR and _AIR[name] in self._columns else name
         if name not in self._columns:
             raise ExpressionError(
-                f"variable '{of}' needs the column '{name}', which this data lacks; leave it out or log it"
+                f"variable '{of or name}' needs the column '{name}', which this data lacks; leave it out or log it"
             )
         return np.asarray(self._columns[name], float)
 
@@ -134,33 +155,35 @@ class Variables:
             if match["abs"]:
                 return np.abs(self[match["abs"]])
             return (np.sin if match["function"] == "sin" else np.cos)(self[match["of"]])
+        if name in self._trees:
+            return evaluate(self._trees[name], self._plain.__getitem__)
         if name in SYNONYMS and SYNONYMS[name][0] == "name":
             return self[SYNONYMS[name][1]]
         if name in _MADE_FROM:
             return self._derived(name)
         if name in ("roll", "pitch", "yaw"):
-            angle = self._column(name, name)
+            angle = self.column(name, name)
             return angle - 2 * np.pi * np.round(angle / (2 * np.pi))
         if name in _UNITS or name in self._columns:
-            return self._column(name, name)
+            return self.column(name, name)
         raise ExpressionError(f"unknown variable '{name}'{nearest(name, self.known())}")
 
     def _derived(self, name: str) -> np.ndarray:
         if name.startswith("mu_"):
             velocity = {"mu_x": "u", "mu_y": "v", "mu_z": "w", "mu_vin": "v_in"}[name]
-            return self._column(velocity, name) / (self["w_avg"] * self._airframe.radius)
+            return self.column(velocity, name) / (self["w_avg"] * self._airframe.radius)
         if name.endswith("_dot"):
-            speeds = [self._column(c, name) for c in _DOTS]
+            speeds = [self.column(c, name) for c in _DOTS]
             return self._weighted(name.removesuffix("_dot"), speeds)
         if name.startswith("w2_"):
-            return self._column(f"w{name[3:]}", name) ** 2
+            return self.column(f"w{name[3:]}", name) ** 2
         if name.startswith("d_w"):
             if self._hover is None:
                 raise ExpressionError(
                     f"variable '{name}' needs the hover speed, which is unknown; give a flight that hovers"
                 )
-            return self["w_tot"] - 4 * self._hover if name == "d_w_tot" else self._column(name[2:], name) - self._hover
-        speeds = [self._column(c, name) for c in _ROTORS]
+            return self["w_tot"] - 4 * self._hover if name == "d_w_tot" else self.column(name[2:], name) - self._hover
+        speeds = [self.column(c, name) for c in _ROTORS]
         if name == "w_avg":
             return np.sqrt(sum(w * w for w in speeds) / 4.0)
         if name[0] == "U":

@@ -8,6 +8,7 @@ from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis
 from quasi.identification.partition import from_table
 from quasi.joblog import LOG, job, progress
+from quasi.normalisation import normalisation_of
 from quasi.tables import read_json, read_table, write_json
 
 
@@ -19,8 +20,12 @@ def main(flights: list[str], shared: str, partition: str, settings: dict, output
     )
     tables = {Path(path).stem: read_table(path) for path in progress(flights, "reading flights")}
     roles = from_table(read_table(partition), {key: len(table) for key, table in tables.items()}, axis)
+    airframe = from_plain(found["airframe"])
+    scheme = None
+    if settings["normalise"]:
+        scheme = normalisation_of(airframe, found["logged to rad/s"], settings["model file"])
     try:
-        result = fit_axis(axis, tables, roles, from_plain(found["airframe"]), found, settings, specification)
+        result = fit_axis(axis, tables, roles, airframe, found, settings, specification, scheme)
     except (DataError, ExpressionError) as error:
         said = str(error).removeprefix(f"{axis}, ").removeprefix(f"{axis}: ")
         raise type(error)(f"{settings['specification file']}, {axis}: {said}") from None

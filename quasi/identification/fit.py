@@ -18,9 +18,11 @@ from quasi.identification.regression import Fit, least_squares, memory_window
 from quasi.identification.stepwise import RIVALS, Options, Selection, select
 from quasi.identification.structure import inclusion, leave_one_flight_out
 from quasi.identification.warnings import warnings
+from quasi.normalisation import Normalisation
 from quasi.variables import Variables, base_columns, unit_of
 
 UNITS = {**dict.fromkeys(("Fx", "Fy", "Fz"), "N"), **dict.fromkeys(("Mx", "My", "Mz"), "N m")}
+ROTORS = ("w1", "w2", "w3", "w4")
 NEAR = 128  # candidates that came near being chosen, among which flights are left out and data resampled
 CONSTANT = Term(BIAS, ("number", 1.0))
 
@@ -33,6 +35,7 @@ def fit_axis(
     shared: Mapping[str, Any],
     config: Mapping[str, Any],
     specification: Specification,
+    normalisation: Normalisation | None = None,
 ) -> dict[str, Any]:
     """Choose and fit the terms of one axis on the training rows.
 
@@ -43,11 +46,15 @@ def fit_axis(
                    "structure choice", "bootstrap", "confidence level"; see the schema of a model. Resampling is
                    left out when "bootstrap" is
     specification  fixed regressors and candidates, and whether a constant belongs to the model
+    normalisation  the non-dimensional scheme, or None; under it coefficients, covariance and sigma2 are those of F / N
+                   or M / (N b), while R2 and RMSE compare the forces and moments themselves
     Returns plain data: terms, coefficients, units, standard errors, covariance, log, stop reason, sigma2, R2, n, ...
     Raises DataError or ExpressionError naming flight, column or regressor.
     """
     hover = shared.get("hover speed", {}).get("value")
-    blocks, targets, series, dropped = _training_rows(axis, flights, partition, airframe, hover, specification)
+    blocks, targets, series, dropped, scales = _training_rows(
+        axis, flights, partition, airframe, hover, specification, normalisation
+    )
     raw = np.concatenate(targets)
     total = float(np.sum((raw - raw.mean()) ** 2))
     if total <= 0:
@@ -74,14 +81,18 @@ def fit_axis(
     fit = least_squares(columns, np.concatenate(targets), rows)
     estimated = [names[k] for k in chosen]
     entries = _terms(axis, specification, terms, chosen, fixed, fit)
+    if normalisation:
+        entries = [{**entry, "unit": "1"} for entry in entries]
     alike = interchangeable(Totals(pool), chosen, selection.bandwidth)
     _add_rivals(entries, alike, names)
     resampled = _resample(pool, near, selection, options, config, names, entries)
-    error = float(fit.residuals @ fit.residuals)
+    measured, residuals = (raw, fit.residuals) if scales is None else (raw * scales, fit.residuals * scales)
+    error, total = float(residuals @ residuals), float(np.sum((measured - measured.mean()) ** 2))
     return {
         "schema": "quasi.identified/1",
         "axis": axis,
         "unit": UNITS[axis],
+        "normalisation": normalisation.to_plain() if normalisation else None,
         "terms": entries,
         "estimated": estimated,
         "covariance": fit.covariance.tolist(),
@@ -207,10 +218,12 @@ def _add_rivals(entries: list[dict[str, Any]], alike: dict[int, list[dict]], nam
             entry["rivals"] = len(rivals)
 
 
-def _training_rows(axis, flights, partition, airframe, hover, specification) -> tuple[list, list, dict, dict]:
+def _training_rows(
+    axis, flights, partition, airframe, hover, specification, normalisation
+) -> tuple[list, list, dict, dict, np.ndarray | None]:
     wanted = names_of(specification)
-    needed = sorted(set().union(*(base_columns(n) for n in wanted), set()))
-    blocks, targets, series, dropped = [], [], {}, {}
+    needed = sorted(set().union(*(base_columns(n, normalisation) for n in wanted), ROTORS if normalisation else ()))
+    blocks, targets, series, dropped, scales = [], [], {}, {}, []
     for key, flight in flights.items():
         rows = np.flatnonzero(partition[key] == TRAINING)
         if not len(rows):
@@ -218,8 +231,9 @@ def _training_rows(axis, flights, partition, airframe, hover, specification) -> 
         if axis not in flight:
             raise DataError(f"flight {key} has no column '{axis}'{nearest(axis, flight.columns)}; filter it anew")
         columns = {name: flight[name].to_numpy(float)[rows] for name in flight.columns if name != "t"}
-        variables = Variables(columns, airframe, hover)
+        variables = Variables(columns, airframe, hover, normalisation)
         try:
+            scale = normalisation.scale_of(axis, {w: variables.column(w) for w in ROTORS}) if normalisation else 1.0
             values = {name: variables[name] for name in wanted}
         except ExpressionError as error:
             raise ExpressionError(f"{axis}, flight {key}: {error}") from None
@@ -231,14 +245,16 @@ def _training_rows(axis, flights, partition, airframe, hover, specification) -> 
         if not good.all():
             dropped[key] = int(np.count_nonzero(~good))
         blocks.append({name: np.ascontiguousarray(v[good]) for name, v in values.items()})
-        targets.append(columns[axis][good])
+        targets.append((columns[axis] / scale)[good])
+        if normalisation:
+            scales.append(scale[good])
         series[key] = rows[good]
     if not sum(map(len, targets)):
         raise DataError(
             f"{axis}: no training rows are left in the flights {', '.join(map(str, flights))} "
             f"({sum(dropped.values())} lost to missing values); check the columns that the specification names"
         )
-    return blocks, targets, series, dropped
+    return blocks, targets, series, dropped, np.concatenate(scales) if scales else None
 
 
 def _less_known(targets: list[np.ndarray], blocks: list[dict], specification: Specification) -> list[np.ndarray]:

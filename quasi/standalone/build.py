@@ -41,6 +41,7 @@ def assemble(
             "validation": list(meta.get("validation flights", [])),
         },
         "axes": {axis: {k: parts[axis][k] for k in keep if k in parts[axis]} for axis in AXES if axis in parts},
+        "normalisation": _scheme(parts, meta["id"]),
         "envelope": dict(meta.get("envelope", {})),
         "joint envelope": dict(meta.get("joint envelope", {})),
         "extensions": [],
@@ -53,6 +54,13 @@ def assemble(
     }
     Model(document, f"model {meta['id']}")
     return document
+
+
+def _scheme(parts: Mapping[str, Mapping[str, Any]], name: str) -> dict[str, float] | None:
+    schemes = [part.get("normalisation") for part in parts.values()]
+    if any(scheme != schemes[0] for scheme in schemes):
+        raise ConfigError(f"model {name}: its axes are not normalised alike; identify all of them anew")
+    return schemes[0]
 
 
 def with_differential_form(document: Mapping[str, Any], u: Iterable[str], where: str) -> dict[str, Any]:

@@ -23,7 +23,7 @@ import numpy as np
 from quasi.errors import ConfigError, nearest
 from quasi.standalone.kernel import INPUTS
 from quasi.tables import COLUMNS
-from quasi.variables import SYNONYMS, base_columns, known_names, split_function
+from quasi.variables import SYNONYMS, base_columns, known_names, plain_name, split_function
 
 RATES = ("p", "q", "r")
 
@@ -164,9 +164,7 @@ def held_back(names: Iterable[str], u: Iterable[str]) -> list[str]:
     columns = set().union(*(base_columns(n) for n in held), set())
     found = []
     for name in names:
-        while split_function(name)[0]:
-            name = split_function(name)[1]
-        plain = SYNONYMS[name][1] if SYNONYMS.get(name, ("",))[0] == "name" else name
+        plain = plain_name(name)
         if plain not in held and base_columns(plain) & columns and plain not in found:
             found.append(plain)
     return found

@@ -26,12 +26,13 @@ from quasi.expressions import names, parse
 from quasi.standalone.graph import ONE, Graph
 from quasi.standalone.kernel import INPUTS, Kernel, compile_outputs, wrench, wrench_rows
 from quasi.tables import COLUMNS
-from quasi.variables import SYNONYMS, Variables, base_columns, split_function
+from quasi.variables import SYNONYMS, Variables, base_columns, plain_name
 
 STATE = INPUTS[:12]
 PERCENTILES = (0.01, 1, 5, 25, 50, 75, 95, 99, 99.99)
 LOW, HIGH = "0.01", "99.99"
 JOINT = "all together"
+_NOT_LIMITED = ("F_den", "M_den")  # of the non-dimensional scheme; functions of the rotor speeds alone
 _FLOOR = 1e-4  # share of a variable's own deviation that the others never explain: keeps the ellipsoid from being flat
 
 
@@ -141,15 +142,8 @@ def make_region(
 
 def limited_names(named: Iterable[str]) -> list[str]:
     """Variables of terms as they are limited: without |..|, sin[..], cos[..], under one spelling; no squared speeds."""
-    found = []
-    for name in named:
-        function, inner = split_function(name)
-        while function:
-            function, inner = split_function(inner)
-        tree = SYNONYMS.get(inner, ("name", inner))
-        if tree[0] == "name" and tree[1] not in found:
-            found.append(tree[1])
-    return found
+    plain = dict.fromkeys(plain_name(name) for name in named)
+    return [name for name in plain if name not in SYNONYMS and name not in _NOT_LIMITED]
 
 
 # ---- from the training rows ----
@@ -170,8 +164,14 @@ def covered(
     whitening (lower triangular, x - mean becomes uncorrelated with unit variance) and limit, the distance within which
     99.99 % of the rows lie, of the base columns that the terms need; it is empty when no row holds all of them.
     """
-    terms = [n for part in (parts or {}).values() for term in part["terms"] for n in names(parse(term["expression"]))]
-    base = sorted(set().union(*(base_columns(n) for n in terms), set()), key=_position)
+    terms = [
+        n for part in (parts or {}).values() for term in part["terms"] for n in names(parse(term["expression"]))
+        if n not in _NOT_LIMITED
+    ]  # fmt: skip
+    # under the non-dimensional scheme every term needs the rotor speeds
+    scheme = any(part.get("normalisation") for part in (parts or {}).values())
+    speeds = {"w1", "w2", "w3", "w4"} if scheme else set()
+    base = sorted(set().union(*(base_columns(n) for n in terms), speeds), key=_position)
     wanted = list(dict.fromkeys([*STATE, "w1", "w2", "w3", "w4", *base, *terms, *limited_names(terms)]))
     gathered: dict[str, list[np.ndarray]] = {}
     together: list[np.ndarray] = []

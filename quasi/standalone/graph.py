@@ -25,6 +25,7 @@ from collections.abc import Iterable, Mapping
 from quasi.airframe import Airframe
 from quasi.errors import ExpressionError
 from quasi.expressions import Tree
+from quasi.normalisation import Normalisation
 from quasi.variables import SYNONYMS, split_function
 
 Value = tuple[float, int]
@@ -39,15 +40,24 @@ class Graph:
     airframe     signs of the rotors and the rotor radius
     hover_speed  rad/s, or None when unknown (then d_w... cannot be asked)
     held         variables, such as U_p, that derivatives treat as independent of everything else
+    normalisation  the non-dimensional scheme, under which names stand for other quantities; None for SI
     """
 
-    def __init__(self, airframe: Airframe, hover_speed: float | None, held: Iterable[str] = ()) -> None:
+    def __init__(
+        self,
+        airframe: Airframe,
+        hover_speed: float | None,
+        held: Iterable[str] = (),
+        normalisation: Normalisation | None = None,
+    ) -> None:
         self.nodes: list[tuple] = []
         self._known: dict[tuple, int] = {}
         self._airframe = airframe
         self._hover = hover_speed
         self._held = frozenset(held)
-        self._named: dict[str, Value] = {}
+        self._trees = normalisation.trees if normalisation else {}
+        self._plain = False  # whether names stand for their SI quantities at the moment
+        self._named: dict[tuple[str, bool], Value] = {}
         self._derivatives: dict[tuple[int, int], Combination] = {}
         self.node("one")
 
@@ -82,12 +92,20 @@ class Graph:
 
     def variable(self, name: str) -> Value:
         """Value of a candidate variable; a name outside the manual's table is a base column."""
-        if name not in self._named:
+        key = (name, self._plain)
+        if key not in self._named:
             value = self._define(name)
-            if name in self._held:
+            if name in self._held and (self._plain or not self._trees):
                 value = (1.0, self.node("held", name, self.plain(value)))
-            self._named[name] = value
-        return self._named[name]
+            self._named[key] = value
+        return self._named[key]
+
+    def in_si(self, tree: Tree) -> Value:
+        """Value of an expression whose names stand for their SI quantities, whatever the scheme."""
+        before, self._plain = self._plain, True
+        value = self.value(tree)
+        self._plain = before
+        return value
 
     def times(self, a: Value, b: Value) -> Value:
         """Product of two values."""
@@ -160,6 +178,8 @@ class Graph:
         function, inner = split_function(name)
         if function:
             return self.function(function, self.variable(inner))
+        if name in self._trees and not self._plain:
+            return self.in_si(self._trees[name])
         if name in SYNONYMS:
             return self.value(SYNONYMS[name])
         if name in ("roll", "pitch", "yaw"):
@@ -195,7 +215,7 @@ class Graph:
 
     def independent(self, name: str) -> int:
         """Node with respect to which one differentiates: a base column, or a variable that is held."""
-        node = self.variable(name)[1]
+        node = self.in_si(("name", name))[1]
         return self.nodes[node][1] if self.nodes[node][0] == "wrap" else node
 
     def derivative(self, node: int, wrt: int) -> Combination:

@@ -16,12 +16,13 @@ from quasi import tables
 from quasi.airframe import Airframe
 from quasi.errors import ConfigError, ReadError, ShapeError, nearest
 from quasi.expressions import Program, names
+from quasi.normalisation import from_plain as normalisation_from_plain
 from quasi.standalone.differential import Jacobian, held_back, held_of, split_jacobian
 from quasi.standalone.document import AXES, airframe_of, check_document, trees_of
 from quasi.standalone.envelope import JOINT, Region, distances, make_region
 from quasi.standalone.graph import Graph, Value
 from quasi.standalone.kernel import INPUTS, Kernel, compile_outputs, wrench, wrench_rows
-from quasi.variables import Variables, base_columns
+from quasi.variables import Variables, base_columns, plain_name
 
 STATE = ("roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z")
 ROTORS = ("w1", "w2", "w3", "w4")
@@ -51,7 +52,10 @@ class Model:
         distinct = list(dict.fromkeys(tree for trees in self._trees.values() for tree in trees))
         self._names = Program(distinct).names
         self._lacking = [k for k, axis in enumerate(AXES) if axis not in self.axes]
-        self.columns = tuple(sorted(set().union(*(base_columns(n) for n in self._names), set())))
+        self.normalisation = normalisation_from_plain(document.get("normalisation"), where)
+        scheme = self.normalisation
+        needed = set().union(*(base_columns(n, scheme) for n in self._names), set(ROTORS) if scheme else set())
+        self.columns = tuple(sorted(needed))
         self._derivatives: dict[tuple[str, ...], Kernel] = {}
         self.inputs = (*INPUTS, *(c for c in self.columns if c not in INPUTS))
 
@@ -60,14 +64,16 @@ class Model:
 
         An axis that was not identified has no terms. Raises ExpressionError for d_w... without a hover speed.
         """
-        graph = Graph(self.airframe, self.hover_speed, held)
-        return graph, [
-            [
-                (term["coefficient"], graph.value(tree))
-                for tree, term in zip(self._trees.get(axis, ()), self.document["axes"].get(axis, {}).get("terms", ()))
-            ]
-            for axis in AXES
-        ]
+        graph = Graph(self.airframe, self.hover_speed, held, self.normalisation)
+        found = []
+        for axis in AXES:
+            terms = self.document["axes"].get(axis, {}).get("terms", ())
+            values = [graph.value(tree) for tree in self._trees.get(axis, ())]
+            if self.normalisation:
+                scale = graph.in_si(self.normalisation.scale(axis))
+                values = [graph.times(value, scale) for value in values]
+            found.append([(term["coefficient"], value) for term, value in zip(terms, values)])
+        return graph, found
 
     @cached_property
     def kernel(self) -> Kernel:
@@ -146,8 +152,11 @@ class Model:
 
     def held_constant(self, u: Iterable[str]) -> list[str]:
         """Variables of the moments that move with the inputs u of a differential form but are kept constant in it."""
-        moments = [names(tree) for axis in AXES[3:] for tree in self._trees.get(axis, ())]
-        return held_back([n for found in moments for n in found], u)
+        found = [n for axis in AXES[3:] for tree in self._trees.get(axis, ()) for n in names(tree)]
+        if self.normalisation:
+            trees = [self.normalisation.trees.get(plain_name(n), ("name", n)) for n in found]
+            found = [n for tree in [*trees, self.normalisation.scale("Mx")] for n in names(tree)]
+        return held_back(found, u)
 
     def derivative_kernel(self, by: Iterable[str]) -> Kernel:
         """Derivatives of Fx .. Mz by some variables for compiled loops: outputs (6, len(by)), axis after axis.
@@ -237,6 +246,9 @@ class Model:
             share = 0.5 * (1.0 + confidence)
             width = (stdtrit(freedom, share) if freedom >= 1 else ndtri(share)) * np.sqrt(variance)
             centre = coefficients @ values
+            if self.normalisation:
+                scale = self.normalisation.scale_of(axis, columns)
+                centre, width = centre * scale, width * scale
             result |= {axis: centre, f"{axis}_lower": centre - width, f"{axis}_upper": centre + width}
         return pd.DataFrame(result, index=flight.index if isinstance(flight, pd.DataFrame) else None)
 
@@ -293,10 +305,12 @@ class Model:
         return dict(columns)
 
     def _lookup(self, columns: Mapping[str, np.ndarray], rows: int):
-        return Variables(self._columns(columns, rows), self.airframe, self.hover_speed).__getitem__
+        found = self._columns(columns, rows)
+        return Variables(found, self.airframe, self.hover_speed, self.normalisation).__getitem__
 
     def _say_what_lacks(self, columns: Mapping[str, Any]) -> None:
-        variables = Variables({name: np.zeros(1) for name in columns}, self.airframe, self.hover_speed)
+        zeros = {name: np.zeros(1) for name in columns}
+        variables = Variables(zeros, self.airframe, self.hover_speed, self.normalisation)
         with np.errstate(all="ignore"):
             for name in self._names:
                 variables[name]

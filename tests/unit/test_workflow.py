@@ -129,7 +129,6 @@ def test_an_axis_depends_on_its_own_switches_only(folder):
     ("sections", "message"),
     [
         ({"saving_models": {"model ID": "other"}}, "'model ID' is 'other', but the file's name says 'm'"),
-        ({"data_normalization": {"normalize data": True}}, "not offered by this version"),
         ({"logging_file": {"rows of flights for validation": ["2-4"]}}, "leave at least one for training"),
         (
             {"identification_parameters": {f"identify {a}": False for a in ("fx", "fy", "fz", "mx", "my", "mz")}},
@@ -142,6 +141,15 @@ def test_faults_of_a_model_name_file_and_key(folder, sections, message):
     with pytest.raises(ConfigError, match=message) as error:
         Folder(folder).identification("m")
     assert "config/models/m.json" in str(error.value)
+
+
+def test_normalisation_and_differential_form_reach_their_jobs(folder):
+    assert Folder(folder).axis("m", "Fx")["normalise"] is False
+    assert Folder(folder).standalone("m") == {"file": "config/models/m.json", "u": None}
+    chosen = {"make moment DiffSys": True, "DiffSys u": ["U_p", "U_r"]}
+    edit_model(folder, data_normalization={"normalize data": True}, standalone=chosen)
+    assert Folder(folder).axis("m", "Fx")["normalise"] is True
+    assert Folder(folder).standalone("m")["u"] == ["U_p", "U_r"]
 
 
 def test_flights_of_different_batteries_are_not_mixed(folder):

@@ -1,0 +1,236 @@
+"""Non-dimensional models: the scheme by hand, SI predictions from normalised coefficients, rotors at rest."""
+
+import copy
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from flights import AIRFRAME, HOVER, flight
+from made_model import SHARED
+
+from quasi.errors import ConfigError
+from quasi.identification.candidates import read_specification
+from quasi.identification.fit import fit_axis
+from quasi.identification.partition import partition
+from quasi.normalisation import Normalisation, from_plain, normalisation_of
+from quasi.standalone.build import assemble
+from quasi.standalone.differential import differential_system
+from quasi.standalone.envelope import covered
+from quasi.standalone.kernel import INPUTS, wrench
+from quasi.standalone.model import Model
+from quasi.variables import Variables, base_columns
+
+RADIUS, ARM, TOP, IDLE = AIRFRAME.radius, AIRFRAME.arm, 2000.0, 200.0
+SCHEME = Normalisation(TOP, IDLE, RADIUS, ARM)
+
+# what a truth is made of, in normalised variables; a bias is a force of N times a number
+TRUTH = {
+    "Fx": {"1": 1e-4, "mu_x": -0.02},
+    "Fy": {"mu_y": -0.02, "v": 1e-4},
+    "Fz": {"1": -0.02, "w_tot": -0.01, "|mu_z|*mu_z": 0.3},
+    "Mx": {"U_p": 2e-3, "p": -2e-3},
+    "My": {"U_q": 2e-3, "q": -2e-3, "w2_1": 1e-4},
+    "Mz": {"U_r": 3e-4, "u_r_dot": 1e-3, "r*w3": -1e-3},
+}
+
+
+def scheme_by_hand(row):
+    """Normalised variables and N of one row in plain arithmetic."""
+    w = [row[f"w{i}"] for i in range(1, 5)]
+    average = math.sqrt(sum(s * s for s in w) / 4)
+    a, speed = max(average, IDLE), max(math.sqrt(row["u"] ** 2 + row["v"] ** 2 + row["w"] ** 2), 0.01)
+    n = 0.5 * 1.225 * (4 * math.pi * RADIUS**2) * (RADIUS * TOP**2 / (TOP + average)) ** 2
+    right = (1, 1, -1, -1)  # rotors 3 and 4 lie left
+    made = {f"w{i}": s / a for i, s in enumerate(w, 1)}
+    made |= {"w2_2": (w[1] / a) ** 2, "w_tot": sum(w) / TOP, "w_avg": average / TOP}
+    made |= {"u_p": -sum(s * x for s, x in zip(right, w)) / a, "U_p": -sum(s * x * x for s, x in zip(right, w)) / a**2}
+    made |= {"p": row["p"] * ARM / (a * RADIUS), "r": row["r"] * ARM / (a * RADIUS)}
+    made |= {"mu_x": row["u"] / (a * RADIUS), "u": row["u"] / speed, "d_w_tot": (sum(w) - 4 * HOVER) / TOP}
+    made |= {
+        "u_r_dot": (row["w1_dot"] + row["w4_dot"] - row["w2_dot"] - row["w3_dot"]) / a**2,
+        "w2_dot": row["w2_dot"] / a**2,
+    }
+    made |= {"roll": row["roll"], "z": row["z"], "F_den": n, "M_den": n * ARM}
+    return made | {"|u|": abs(made["u"]), "sin[p]": math.sin(made["p"])}, n
+
+
+@pytest.fixture(scope="module")
+def flights():
+    made = {key: flight(seed) for seed, key in enumerate("ab")}
+    for table in made.values():
+        columns = {name: table[name].to_numpy() for name in table}
+        variables = Variables(columns, AIRFRAME, HOVER, SCHEME)
+        for axis, terms in TRUTH.items():
+            total = sum(c * (1.0 if e == "1" else value(variables, e)) for e, c in terms.items())
+            table[axis] = total * SCHEME.scale_of(axis, columns)
+    return made
+
+
+def value(variables, expression):
+    return math.prod(variables[name] for name in expression.split("*"))
+
+
+def identify(flights, section, axis, scheme, bias):
+    specification = read_specification({axis: section}, axis, "s.json", bias)
+    shared = {"hover speed": {"value": HOVER}}
+    return fit_axis(axis, flights, partition(flights, []), AIRFRAME, shared, {}, specification, scheme)
+
+
+@pytest.fixture(scope="module")
+def parts(flights):
+    return {
+        axis: identify(flights, {"fixed": [e for e in terms if e != "1"], "candidates": []}, axis, SCHEME, "1" in terms)
+        for axis, terms in TRUTH.items()
+    }
+
+
+@pytest.fixture(scope="module")
+def model(parts, flights):
+    rows = {key: np.ones(len(f), bool) for key, f in flights.items()}
+    region = covered(flights, rows, AIRFRAME, HOVER, parts)
+    return Model(assemble(parts, SHARED, {"id": "m", "airframe": AIRFRAME, **region}))
+
+
+def test_variables_are_those_of_the_scheme():
+    table = flight(3, rows=20)
+    table.loc[5, ["w1", "w2", "w3", "w4"]] = [50.0, 60.0, 70.0, 80.0]  # below idle
+    table.loc[6, ["u", "v", "w"]] = [0.001, 0.002, -0.001]
+    variables = Variables({n: table[n].to_numpy() for n in table}, AIRFRAME, HOVER, SCHEME)
+    for k in range(20):
+        expected, n = scheme_by_hand(table.iloc[k])
+        for name, number in expected.items():
+            assert variables[name][k] == pytest.approx(number, rel=1e-12), name
+        assert SCHEME.scale_of("Fz", table)[k] == pytest.approx(n, rel=1e-12)
+        assert SCHEME.scale_of("My", table)[k] == pytest.approx(n * ARM, rel=1e-12)
+
+
+def test_n_lies_between_a_quarter_and_the_whole_of_its_value_at_rest():
+    # the manual's remark under equation (18)
+    whole = 0.5 * 1.225 * 4 * math.pi * RADIUS**2 * (RADIUS * TOP) ** 2
+    speeds = {f"w{i}": np.array([0.0, TOP]) for i in range(1, 5)}
+    np.testing.assert_allclose(SCHEME.scale_of("Fx", speeds), [whole, whole / 4], rtol=1e-12)
+
+
+def test_a_normalised_variable_needs_the_rotor_speeds():
+    assert base_columns("p", SCHEME) == {"p", "w1", "w2", "w3", "w4"}
+    assert base_columns("|u|", SCHEME) == {"u", "v", "w"}
+    assert base_columns("roll", SCHEME) == {"roll"}
+
+
+def test_the_truth_is_recovered_and_predictions_are_in_si(model, parts, flights):
+    for axis, terms in TRUTH.items():
+        found = {t["expression"]: t["coefficient"] for t in parts[axis]["terms"]}
+        assert found == pytest.approx(terms, rel=1e-6)
+        assert {t["unit"] for t in parts[axis]["terms"]} == {"1"}
+        assert parts[axis]["RMSE"] < 1e-6 * np.std(flights["a"][axis])
+    table = flights["b"]
+    predicted = model.predict_columns(table)
+    for axis in TRUTH:
+        np.testing.assert_allclose(predicted[axis], table[axis], rtol=1e-6, atol=1e-7 * table[axis].std())
+    row = table.iloc[100][list(INPUTS)].to_numpy(float)
+    forces, moments = model.predict(row[:12], row[12:16], row[16:])
+    np.testing.assert_allclose([*forces, *moments], predicted.iloc[100], rtol=1e-12)
+
+
+def test_an_equivalent_dimensional_pool_predicts_the_same(flights):
+    normalised = identify(flights, {"fixed": ["U_p", "p"], "candidates": []}, "Mx", SCHEME, False)
+    n = f"(1/({TOP!r} + w_avg)^2)"
+    same = [f"{n}*U_p/w_avg^2", f"{n}*p/w_avg"]  # no row is below idle speed
+    plain = identify(flights, {"fixed": same, "candidates": []}, "Mx", None, False)
+    models = [
+        Model(assemble({"Mx": found}, SHARED, {"id": "m", "airframe": AIRFRAME})) for found in (normalised, plain)
+    ]
+    table = flights["a"]
+    a, b = (m.predict_columns(table)["Mx"] for m in models)
+    np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-10 * b.std())
+
+
+def test_intervals_are_in_si_and_hold_their_share(flights):
+    r = np.random.default_rng(5)
+    noisy = {key: f.copy() for key, f in flights.items()}
+    for table in noisy.values():
+        table["Fz"] += r.normal(size=len(table)) * 0.02 * SCHEME.scale_of("Fz", table)
+    fixed = {"fixed": ["w_tot", "|mu_z|*mu_z"], "candidates": []}
+    found = identify(noisy, fixed, "Fz", SCHEME, True)
+    model = Model(assemble({"Fz": found}, SHARED, {"id": "m", "airframe": AIRFRAME}))
+    table = noisy["b"]
+    bands = model.interval(table)
+    inside = (table["Fz"] >= bands["Fz_lower"]) & (table["Fz"] <= bands["Fz_upper"])
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.01)
+    scale = SCHEME.scale_of("Fz", table)
+    np.testing.assert_allclose((bands["Fz_upper"] - bands["Fz"]) / (0.02 * scale), 1.96, rtol=0.05)
+    np.testing.assert_allclose(bands["Fz"], model.predict_columns(table)["Fz"], rtol=1e-12)
+    error = table["Fz"] - bands["Fz"]
+    pooled = np.concatenate([f["Fz"] - model.predict_columns(f)["Fz"] for f in noisy.values()])
+    assert found["RMSE"] == pytest.approx(np.sqrt(np.mean(pooled**2)), rel=0.02)
+    assert found["R2"] == pytest.approx(1 - np.var(error) / np.var(table["Fz"]), abs=0.05)
+
+
+def test_derivatives_follow_the_predictions(model, flights):
+    table = flights["a"].iloc[::400]
+    states, speeds = table[list(INPUTS[:12])].to_numpy(), table[list(INPUTS[12:16])].to_numpy()
+    jacobian = model.jacobian(states, speeds)
+    r = np.random.default_rng(2)
+    step = r.normal(size=(len(table), 16)) * np.r_[[1e-5] * 12, [1e-2] * 4]
+    ends = [np.hstack(model.predict(states + s * step[:, :12], speeds + s * step[:, 12:])) for s in (0.5, -0.5)]
+    expected = np.einsum("nij,nj->ni", jacobian.state, step[:, :12])
+    expected += np.einsum("nij,nj->ni", jacobian.rotor_speeds, step[:, 12:])
+    size = np.abs(expected).max(axis=0)
+    np.testing.assert_allclose((ends[0] - ends[1]) / size, expected / size, atol=1e-6)
+    # held variables are the dimensional ones: dMx/dU_p = N b c / a^2
+    row, w = states[3], speeds[3]
+    form = differential_system(model, row, w, ["U_p"])
+    a2 = np.mean(w**2)
+    n = SCHEME.scale_of("Mx", dict(zip(("w1", "w2", "w3", "w4"), w[:, None])))[0]
+    assert form.moments_u[0, 0] == pytest.approx(n * 2e-3 / a2, rel=1e-6)
+    assert "w_avg" in model.held_constant(["U_p"])
+
+
+def test_rotors_at_rest_and_hover_give_finite_forces(model):
+    forces, moments = model.predict(np.zeros(12), np.zeros(4))
+    assert np.isfinite(forces).all()
+    assert np.isfinite(moments).all()
+
+
+def test_the_kernel_holds_the_scheme(model, flights):
+    row = flights["b"].iloc[7][list(INPUTS)].to_numpy(float)
+    kernel, out = model.kernel, np.empty(6)
+    wrench(kernel, row, kernel.work, out)
+    np.testing.assert_allclose(out, model.predict_columns(flights["b"].iloc[7:8]).to_numpy()[0], rtol=1e-12)
+    assert kernel.used[12:16].all()
+
+
+def test_the_region_of_a_normalised_model_is_that_of_the_quantities_themselves(model, flights):
+    assert {"u", "p", "w1", "w4", "U_p", "w_tot"} <= set(model.region_names)
+    assert np.mean(model.distance_columns(flights["a"])["distance"] == 0) > 0.98
+
+
+def test_axes_that_are_not_normalised_alike_make_no_model(parts, flights):
+    other = copy.deepcopy(parts)
+    other["Mz"]["normalisation"] = None
+    with pytest.raises(ConfigError, match="not normalised alike"):
+        assemble(other, SHARED, {"id": "m", "airframe": AIRFRAME})
+
+
+@pytest.mark.parametrize("damage", [{}, {"top": "2000"}, {"top": -1}, [], {"top": True}])
+def test_a_damaged_scheme_is_refused(damage, model):
+    plain = damage if not damage else SCHEME.to_plain() | damage
+    with pytest.raises(ConfigError, match="'normalisation' must hold"):
+        from_plain(plain, "model.json")
+    with pytest.raises(ConfigError, match="'normalisation' must hold"):
+        Model({**model.document, "normalisation": plain})
+
+
+def test_what_the_quadrotor_lacks_is_named():
+    full = dataclasses.replace(AIRFRAME, max_rpm=2100.0, idle_rpm=200.0, poles=14)
+    assert normalisation_of(full, None, "m").top == pytest.approx(2100 * 100 / 7 * 2 * math.pi / 60)
+    assert normalisation_of(full, 1.0, "m").idle == 200.0
+    for change, said in (
+        ({"max_rpm": None}, "needs 'max RPM'"),
+        ({"idle_rpm": None}, "needs 'idle RPM'"),
+        ({"poles": None}, "needs 'motor poles'"),
+        ({"idle_rpm": 3000.0}, "not below"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            normalisation_of(dataclasses.replace(full, **change), None, "config/models/m.json")
