@@ -10,13 +10,14 @@ Classical Runge-Kutta of fourth order, all windows together, one call of the mod
 between their samples. Source: Stevens, Lewis & Johnson, Aircraft Control and Simulation, 3rd ed., 2016, section 1.7.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from quasi.attitude import GRAVITY, from_euler, multiply, normalise, rotate, rotate_inverse, to_euler
 from quasi.errors import DataError, ShapeError
+from quasi.simulation.replay import replay, steps_of, twelve
 from quasi.standalone.model import Model
 
 Wrench = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -60,17 +61,24 @@ def rollout(
     starts: np.ndarray,
     horizon: float,
     substeps: int = 1,
+    wind: np.ndarray | None = None,
+    extra: Mapping[str, np.ndarray] | None = None,
 ) -> np.ndarray:
     """Simulate from measured states with measured rotor speeds.
 
-    model         a model, or a Body with any function for its forces and moments
+    model         a model (compiled, see `replay`), or a Body with any function for its forces and moments
     t             (N,) s, evenly spaced; states (N, 12) roll pitch yaw u v w p q r x y z; rotor_speeds (N, 4) rad/s
     starts        (S,) row numbers at which a window starts; horizon s, rounded to whole samples
     substeps      integration steps per sample
+    wind          (N, 3) velocity of the air, m/s, earth axes; extra {name: (N,)} further inputs; both of models alone
     Returns (S, steps + 1, 12): the first is the measured state, the last lies `horizon` later; angles in (-pi, pi].
     A window that diverges holds inf or NaN from there on. Raises ShapeError, or DataError for windows beyond the data.
     """
-    body = body_of(model) if isinstance(model, Model) else model
+    if isinstance(model, Model):
+        return twelve(replay(model, t, states, rotor_speeds, starts, horizon, None, None, wind, extra, None, substeps))
+    if wind is not None or extra is not None:
+        raise DataError("wind and further inputs can be given with a model, not with a Body; put them into its wrench")
+    body = model
     t, states, speeds = np.asarray(t, float), np.asarray(states, float), np.asarray(rotor_speeds, float)
     starts = np.asarray(starts, int)
     if states.shape != (len(t), 12) or speeds.shape != (len(t), 4):
@@ -103,14 +111,6 @@ def rollout(
 def hold(states: np.ndarray, starts: np.ndarray, steps: int) -> np.ndarray:
     """Baseline that keeps the whole state of the start, (S, steps + 1, 12)."""
     return np.repeat(np.asarray(states, float)[np.asarray(starts, int)][:, None], steps + 1, axis=1)
-
-
-def steps_of(t: np.ndarray, horizon: float) -> int:
-    """Samples in a horizon (s), at least one. Raises DataError when time does not run evenly."""
-    dt = np.diff(np.asarray(t, float))
-    if not len(dt) or dt.min() <= 0 or dt.max() - dt.min() > 0.01 * dt.mean():
-        raise DataError("a roll-out needs evenly spaced samples; resample the flight first")
-    return max(round(horizon / float(dt.mean())), 1)
 
 
 def errors(predicted: np.ndarray, states: np.ndarray, starts: np.ndarray) -> dict[str, np.ndarray]:
