@@ -18,7 +18,7 @@ from scipy.special import stdtr
 from quasi.identification.products import Products
 
 INDEPENDENT = 1e-9  # smallest share of a column that must be left after the selected ones
-ALIKE = 2.0  # standard errors by which a replacement must be worse to be told apart
+ALIKE = 3.0  # standard errors by which a replacement must be worse to be told apart
 
 
 class Totals:

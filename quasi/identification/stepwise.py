@@ -28,6 +28,7 @@ TRIALS = 6  # steps in a row that may be taken on trial
 ROUNDS = 4  # of dropping, exchanging and adding at the end
 RIVAL = 0.98  # share of the best candidate's gain from which another is a rival
 RIVALS = 10  # most that are listed
+ROUNDING = 1e-13  # share of a sum of squares that is no more than rounding
 NEAR = 30  # candidates of a step that are remembered as near
 
 
@@ -153,8 +154,9 @@ def start(totals: Totals, unusable: dict[int, str], describe: Sequence[str], con
             raise DataError(f"the fixed regressor '{describe[k]}' {why}; remove or correct it")
         state.add(k)
         if constant and k == 0:
-            # how far a mean lies from zero says nothing about how much of a column is left
-            state.scale = state.left.copy()
+            # how far a mean lies from zero says nothing about how much of a column is left; where nothing but rounding
+            # is, the column is constant
+            state.scale = np.where(state.left > ROUNDING * state.scale, state.left, np.inf)
     return state
 
 

@@ -1,6 +1,7 @@
 """Identification of one axis: the truth is found, and what the data lack is said."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -8,9 +9,9 @@ import statsmodels.api as sm
 from flights import AIRFRAME, HOVER, THRUST, flight
 
 from quasi import tables
-from quasi.errors import DataError, ExpressionError
+from quasi.errors import ConfigError, DataError, ExpressionError, QuasiError
 from quasi.identification.candidates import read_specification
-from quasi.identification.fit import fit_axis
+from quasi.identification.fit import fit_axis, options_of
 from quasi.identification.partition import TRAINING, partition
 
 SHARED = {"hover speed": {"value": HOVER}}
@@ -151,3 +152,93 @@ def test_false_terms_stay_out_when_the_residuals_memory_is_counted():
         counted += len(found["terms"])
     assert plain > 6 * 8  # every step finds something at a constant F of 4
     assert counted <= 6 * 2 + 2
+
+
+def test_a_constant_f_is_the_manuals_test_and_significance_the_default():
+    assert options_of({}, 10).test == "significance"
+    assert options_of({"F in": 4}, 10).test == "F"
+    assert options_of({"F in": 4, "significance level": 0.01}, 10).test == "significance"
+    assert options_of({"entry test": "F"}, 10).f_in == 4.0
+    with pytest.raises(ConfigError, match="entry test is 'AIC'"):
+        options_of({"entry test": "AIC"}, 10)
+
+
+SECTION = {"fixed": ["u"], "candidates": [{"vars": ["u", "v", "q"], "degree": 2, "sets": [1, "w_tot"]}]}
+
+
+def test_resampling_tells_how_often_each_term_is_chosen(flights, roles):
+    found = identify("Fx", flights, roles, SECTION, bootstrap=20)
+    drag = next(t for t in found["terms"] if t["name"] == "(w_tot)*(u^(1.0))")
+    assert drag["inclusion"] > 0.9
+    assert drag["inclusion with rivals"] >= drag["inclusion"]
+    assert found["bootstrap"]["resamples"] == 20
+    assert found["bootstrap"]["of"] == "stretches"
+    assert all(0 < other["inclusion"] <= 1 for other in found["bootstrap"]["others"])
+    again = identify("Fx", flights, roles, SECTION, bootstrap=20)
+    assert again == found
+    json.dumps(found, allow_nan=False)
+
+
+def test_the_structure_can_be_chosen_by_flights_left_out(flights, roles):
+    found = identify("Fx", flights, roles, SECTION, **{"structure choice": "leave one flight out", "regressor cap": 4})
+    assert found["structure choice"]["by"] == "leave one flight out"
+    assert len(found["structure choice"]["RMSE"]) == 5
+    chosen = [t["name"] for t in found["terms"] if not t["fixed"]]
+    assert len(chosen) == found["structure choice"]["steps"]
+    assert "(w_tot)*(u^(1.0))" in chosen
+    with pytest.raises(DataError, match="one training flight"):
+        identify("Fx", {"a": flights["a"]}, roles, SECTION, **{"structure choice": "leave one flight out"})
+
+
+def test_interchangeable_terms_are_named_as_data_and_in_words(flights, roles):
+    twins = {k: f.assign(twin=f["w"] + 1e-3 * np.sin(f["t"])) for k, f in flights.items()}
+    section = {"fixed": ["w2_1 + w2_2 + w2_3 + w2_4"], "candidates": [{"vars": ["w", "twin"], "degree": 1}]}
+    found = identify("Fz", twins, roles, section, **{"regressor cap": 1})
+    taken = found["terms"][-1]
+    other = {"(w^(1.0))": "(twin^(1.0))", "(twin^(1.0))": "(w^(1.0))"}[taken["name"]]
+    assert [r["expression"] for r in taken["interchangeable with"]] == [other]
+    assert [r["expression"] for r in found["log"][1]["rivals"]] == [other]
+    assert any(f"{other} could stand for {taken['name']} without the data noticing" in n for n in found["notes"])
+
+
+def test_variances_inflated_by_another_term_are_said_with_its_name(flights, roles):
+    twins = {k: f.assign(twin=f["u"] + 0.05 * f["v"]) for k, f in flights.items()}
+    found = identify("Fx", twins, roles, {"fixed": ["u", "twin"], "candidates": []})
+    note = next(n for n in found["notes"] if "the variance of the coefficient of u is" in n)
+    assert "moves with twin" in note
+    # next to a constant only what varies about the mean counts: regression of u on the others, by hand
+    rows = [twins[k].iloc[roles[k] == TRAINING] for k in "ab"]
+    u, twin = (np.concatenate([f[c] for f in rows]) for c in ("u", "twin"))
+    share = np.corrcoef(u, twin)[0, 1] ** 2
+    assert found["terms"][1]["inflation"] == pytest.approx(1 / (1 - share), rel=1e-8)
+    assert found["terms"][0]["inflation"] is None
+
+
+@pytest.mark.parametrize(
+    ("change", "section", "hint"),
+    [
+        ({"q": 0.0}, {"fixed": ["q"], "candidates": []}, "fixed regressor 'q' is zero"),
+        ({"q": 0.3}, {"fixed": ["q"], "candidates": []}, "fixed regressor 'q' is constant"),
+        ({}, {"fixed": ["u", "2*u + 0*v"], "candidates": []}, "is a multiple of 'u'"),
+        ({"twin": "u"}, {"fixed": ["u", "twin"], "candidates": []}, "'twin' is a combination of the other fixed"),
+        ({"Fx": np.nan}, {"fixed": ["u"], "candidates": []}, "no training rows are left"),
+        ({}, {"fixed": ["u/(v - v)"], "candidates": []}, "is not finite in some rows"),
+        ({}, {"fixed": ["(u)(v)"], "candidates": []}, "expected an operator"),
+        ({}, {"fixed": ["__import__(u)"], "candidates": []}, "nothing can be called"),
+        ({}, {"fixed": ["(" * 10_000 + "u" + ")" * 10_000], "candidates": []}, "nested deeper"),
+        ({}, {"fixed": ["wind"], "candidates": []}, "unknown variable 'wind'"),
+    ],
+)
+def test_bad_input_is_one_sentence(flights, roles, change, section, hint):
+    spoilt = {
+        k: f.assign(**{c: f[v] if isinstance(v, str) else v for c, v in change.items()}) for k, f in flights.items()
+    }
+    with pytest.raises(QuasiError, match=re.escape(hint)) as caught:
+        identify("Fx", spoilt, roles, section)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_section_that_leaves_nothing_to_fit_is_said(flights, roles):
+    section = {"fixed": ["u"], "candidates": [], "fixed coefficients": {"u": 1.0}}
+    with pytest.raises(DataError, match="there is nothing to fit"):
+        identify("Fx", flights, roles, section, bias=False)
