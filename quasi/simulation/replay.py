@@ -49,29 +49,13 @@ class Rotors(NamedTuple):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def run_windows(
-    kernel,
-    body,
-    dt,
-    substeps,
-    begin,
-    speeds,
-    commands,
-    late,
-    low,
-    high,
-    wind,
-    extras,
-    offsets,
-    starts,
-    first,
-    stop,
-    out,
+    kernel, body, t, substeps, begin, speeds, commands, late, low, high, wind, extras, offsets, starts, first, stop, out
 ):
     """Windows first .. stop - 1: fills out (S, steps + 1, 17).
 
-    t (N,) s; begin (S, 17) states at the starts; speeds (N, 4) measured, or (0, 4) where commands (N, 4) drive the rotors, the
-    latter `late` samples late, within low .. high; wind (N, 3) or (0, 3); extras (N, E); offsets (S, 6) or (0, 6) is
-    subtracted from forces and moments
+    t (N,) s; begin (S, 17) states at the starts; speeds (N, 4) measured, or (0, 4) where commands (N, 4) drive the
+    rotors, the latter `late` samples late, within low .. high; wind (N, 3) or (0, 3); extras (N, E); offsets (S, 6) or
+    (0, 6) are subtracted from forces and moments
     """
     inputs, work, loads, last, slopes, middle = scratch_of(kernel)
     held = np.zeros(HELD + inputs_of(kernel) - 20)
