@@ -85,8 +85,12 @@ def closeup(judged: Mapping[str, Judged], key: str, units: Mapping[str, str], se
         found = judged[axis]
         here = found.flight == found.keys.index(key)
         t, measured, predicted = found.t[here], found.measured[here], found.predicted[here]
-        rows = max(round(seconds / float(np.median(np.diff(t)))), 1)
-        power = np.convolve(np.square(measured - np.mean(measured)), np.ones(min(rows, len(t))), "valid")
+        if len(t) < 2:
+            panel.set_visible(False)
+            continue
+        rows = min(max(round(seconds / float(np.median(np.diff(t)))), 1), len(t))
+        moved = np.nan_to_num(np.square(measured - np.nanmean(measured)))
+        power = np.convolve(moved, np.ones(rows), "valid")
         # rows that are not used leave gaps in time: a window must not reach across one
         power[t[rows - 1 :] - t[: len(power)] > 1.05 * seconds] = -1.0 if len(power) > 1 else power[0]
         first = int(np.argmax(power))
@@ -97,7 +101,8 @@ def closeup(judged: Mapping[str, Judged], key: str, units: Mapping[str, str], se
         panel.margins(x=0)
     for panel in panels[1]:
         panel.set_xlabel("time, s")
-    panels[0, 0].legend(loc="best", fontsize=9)
+    for panel in [p for p in panels.flat if p.get_visible()][:1]:
+        panel.legend(loc="best", fontsize=9)
     figure.suptitle(f"Measured and modelled on {key}", fontsize=11)
     return figure
 

@@ -12,7 +12,6 @@ from quasi import tables
 from quasi.errors import ConfigError, ExpressionError, QuasiError, ReadError, ShapeError
 from quasi.standalone.build import assemble
 from quasi.standalone.envelope import covered
-from quasi.standalone.figures import comparison, scatter
 from quasi.standalone.model import STATE, Model, read_model
 from quasi.standalone.score import UNITS, score
 
@@ -230,11 +229,3 @@ def test_the_envelope_is_that_of_the_training_rows(data):
     assert region["u"]["percentiles"]["50"] == pytest.approx(f["u"][:100].median())
     assert region["u"]["unit"] == "m/s"
     assert {"mu_z", "d_w_tot", "w3", "roll"} <= set(region)
-
-
-def test_figures_are_returned_with_quantities_and_units(model):
-    flights = {"a": flight(1, rows=400), "b": flight(2, rows=200)}
-    figure = comparison(model, flights, "Fz", ["b"])
-    assert figure.axes[0].get_ylabel() == "Fz, N"
-    assert any("b (validation)" in t.get_text() for t in figure.axes[0].texts)
-    assert scatter(model, flights, "Mx").axes[0].get_xlabel() == "measured Mx, N m"

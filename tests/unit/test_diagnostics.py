@@ -1,0 +1,202 @@
+"""Verdicts on flights that were made to deserve them, and every figure against plain arithmetic."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from judged import TERMS, columns, made
+
+from quasi.errors import DataError
+from quasi.identification.partition import ROLES, TRAINING
+from quasi.standalone.score import judge, score, score_judged
+from quasi.standalone.verdict import headline, verdict
+
+
+@pytest.fixture(scope="module")
+def good():
+    return made()
+
+
+def plain(model, flights, codes, axis, role):
+    """Measured and predicted rows of a role, by hand."""
+    theta = [t["coefficient"] for t in model.document["axes"][axis]["terms"]]
+    measured, predicted = [], []
+    for key, f in flights.items():
+        here = codes[key] == ROLES[role]
+        measured.append(f[axis].to_numpy()[here])
+        predicted.append((columns(axis, f) @ theta)[here])
+    return np.concatenate(measured), np.concatenate(predicted)
+
+
+def codes_of(judged):
+    found = judged["Fz"]
+    return {key: found.role[found.flight == k] for k, key in enumerate(found.keys)}
+
+
+def test_a_model_that_holds_is_good_on_all(good):
+    _, _, found = good
+    diagnosis = found.diagnosis
+    assert diagnosis["verdict"] == "good"
+    assert diagnosis["summary"] == ["Fz, My: good on all"]
+    assert all(not any(f["warnings"].values()) for f in diagnosis["axes"].values())
+    assert diagnosis["axes"]["Fz"]["interval"]["coverage"]["validation"] == pytest.approx(0.95, abs=0.02)
+
+
+@pytest.mark.parametrize("axis", list(TERMS))
+def test_rmse_differences_and_quartiles_equal_plain_arithmetic(good, axis):
+    model, flights, found = good
+    facts, codes = found.diagnosis["axes"][axis], codes_of(found.judged)
+    rms = {}
+    everything = np.concatenate([plain(model, flights, codes, axis, r)[0] for r in ROLES])
+    low, high = np.quantile(everything, [0.25, 0.75])
+    for role in ROLES:
+        z, y = plain(model, flights, codes, axis, role)
+        rms[role] = np.sqrt(np.mean((z - y) ** 2))
+        assert facts["rmse"][role] == pytest.approx(rms[role], rel=1e-9)
+        assert facts["relative rmse"][role] == pytest.approx(rms[role] / np.sqrt(np.mean(z**2)), rel=1e-9)
+        for band, inside in zip(facts["quartiles"], (z <= low, (z > low) & (z <= high), z > high)):
+            assert band["rmse"][role] == pytest.approx(np.sqrt(np.mean((z - y)[inside] ** 2)), rel=1e-9)
+            assert band["share"][role] == pytest.approx(inside.mean())
+    difference = facts["relative difference"]
+    assert difference["test and training"] == pytest.approx(100 - 100 * rms["training"] / rms["test"])
+    assert difference["test and validation"] == pytest.approx(100 - 100 * rms["validation"] / rms["test"])
+    ratios = facts["quartiles"][0]
+    assert ratios["X/T"] == pytest.approx(ratios["rmse"]["training"] / ratios["rmse"]["test"])
+    edges, density = np.array(facts["histogram"]["edges"]), facts["histogram"]["density"]
+    for values in density.values():
+        assert np.sum(np.array(values) * np.diff(edges)) == pytest.approx(1.0)
+
+
+def test_scores_are_those_of_the_judged_rows(good):
+    model, flights, found = good
+    codes = codes_of(found.judged)
+    pd.testing.assert_frame_equal(score(model, flights, codes, ROLES), found.scores)
+    z, y = plain(model, flights, codes, "My", "validation")
+    row = found.scores.query("flight == 'all' and role == 'validation' and axis == 'My'").iloc[0]
+    assert row["r2"] == pytest.approx(1 - np.mean((z - y) ** 2) / np.var(z))
+    assert row["n"] == len(z) == len(flights["c"])
+
+
+def test_noise_of_another_kind_is_told_with_its_share_and_remedy():
+    r = np.random.default_rng(0)
+    _, _, found = made(lambda f: f.assign(My=f["My"] + 1.2e-3 * r.standard_normal(len(f))))
+    facts = found.diagnosis["axes"]["My"]
+    assert found.diagnosis["verdict"] == "usable with care"
+    assert facts["overfits"]
+    assert facts["said"].startswith("My: overfits: validation RMSE ")
+    assert "% above training" in facts["said"]
+    assert any("remove regressors" in r for r in facts["what to do"])
+    assert found.diagnosis["summary"][0] == "Fz: good on all"
+    assert facts["warnings"] == {"test": False, "validation": True}
+    assert any("intervals hold" in b for b in facts["because"])
+
+
+def test_an_offset_is_told_as_another_trim_not_as_overfitting():
+    _, _, found = made(lambda f: f.assign(My=f["My"] + 2e-3))
+    facts = found.diagnosis["axes"]["My"]
+    assert not facts["overfits"]
+    assert any("is a constant offset of 0.0019" in b for b in facts["because"])
+    assert any("centre of gravity" in r for r in facts["what to do"])
+
+
+def test_rows_beyond_the_training_data_are_the_reason_given():
+    def faster(f):
+        f["u"] = 3.0 * f["u"]
+        f["Fz"] = f["Fz"] - 0.01 * (8 / 9) * f["u"] ** 2  # the same law, as flights.flight has it
+        f["Fz"] = f["Fz"] - 0.01 * np.maximum(np.abs(f["u"]) - 10, 0) ** 2  # and another where nobody trained
+        return f
+
+    _, _, found = made(faster)
+    facts = found.diagnosis["axes"]["Fz"]
+    assert facts["outside"]["share"] > 0.05
+    assert next(iter(facts["outside"]["variables"])) == "u"
+    assert any("beyond the training data (u in" in b and "make the difference" in b for b in facts["because"])
+    assert facts["outside"]["rmse inside"] < 1.1 * facts["rmse"]["training"] < facts["rmse"]["validation"]
+    assert any("reach further in u" in r for r in facts["what to do"])
+    line = found.coverage.set_index("variable").loc["u"]
+    assert line["below"] + line["above"] == pytest.approx(facts["outside"]["variables"]["u"])
+    assert line["max"] > line["training_max"]
+
+
+def test_a_livelier_flight_with_errors_in_proportion_is_no_fault():
+    facts = {
+        "rmse": {"training": 1.0, "validation": 1.5},
+        "relative rmse": {"training": 0.1, "validation": 0.1},
+        "r2": {"training": 0.9, "validation": 0.9},
+        "bias": {"training": 0.0, "validation": 0.0},
+        "relative difference": {
+            "validation above training": 50.0,
+            "validation above training, relative": 0.0,
+            "test above training": None,
+        },
+        "warnings": {"test": False, "validation": False},
+        "quartiles": [],
+        "interval": {"confidence": 0.95, "coverage": {"training": 0.95, "validation": 0.94}},
+        "outside": {"share": 0.0, "variables": {}, "rmse inside": 1.5},
+        "unit": "N",
+    }
+    said = verdict("Fx", facts)
+    assert said["verdict"] == "good"
+    assert "in proportion to a livelier flight" in said["said"]
+    worse = verdict("Fx", {**facts, "r2": {"training": 0.3, "validation": -0.4}})
+    assert worse["verdict"] == "unusable"
+    assert "explains 30 % of the variance" in worse["said"]
+    assert headline({"Fx": {**said, "rmse": facts["rmse"]}, "My": {**worse, "rmse": facts["rmse"]}}) == [
+        "Fx: good on training and validation",
+        "; ".join([worse["said"], *worse["what to do"]]),
+    ]
+
+
+def test_lopsided_errors_are_told_as_in_the_manuals_example():
+    def bent(f):
+        return f.assign(My=np.where(f["My"] < -0.02, 1.5 * f["My"], f["My"]))
+
+    _, _, found = made(bent)
+    because = found.diagnosis["axes"]["My"]["because"]
+    assert any("times as large in the lower quartile as in the upper" in b for b in because)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({}, "leak"),
+        ({"partition by": "blocks", "block length": 0.2}, None),
+        ({"random partition": False}, "no test rows were drawn"),
+    ],
+    ids=["samples", "blocks", "none"],
+)
+def test_what_the_test_rows_are_worth_is_said(options, words):
+    note = made(options=options, rows=600)[2].diagnosis["partition"]["note"]
+    assert note is None if words is None else words in note
+
+
+def test_without_validation_flights_the_test_rows_judge():
+    _, _, found = made(validation=(), options={"partition by": "blocks", "block length": 0.2})
+    assert found.coverage.empty
+    assert found.diagnosis["summary"] == ["Fz, My: good on training and test"]
+    assert found.diagnosis["axes"]["My"]["outside"]["share"] is None
+    _, _, alone = made(validation=(), options={"random partition": False}, rows=600)
+    assert "no test or validation rows judge it" in alone.diagnosis["axes"]["Fz"]["because"]
+
+
+def test_rows_set_aside_neither_train_nor_test():
+    _, flights, whole = made(rows=600)
+    codes = codes_of(whole.judged)
+    aside = {"My": {"a": codes["a"] == TRAINING}}
+    model, _, found = made(rows=600, aside=aside)
+    counts = found.scores[found.scores["role"] == "training"].set_index(["axis", "flight"])["n"]
+    assert ("My", "a") not in counts.index
+    assert counts["Fz", "a"] == np.count_nonzero(codes["a"] == TRAINING)
+    assert counts["My", "all"] == counts["My", "b"]
+    with pytest.raises(DataError, match="flight c has no column 'My'"):
+        judge(model, {**flights, "c": flights["c"].drop(columns="My")}, codes)
+
+
+def test_rows_with_missing_values_are_left_out_of_the_scores():
+    _, _, whole = made(rows=600)
+    model, flights, _ = made(rows=600)
+    flights["c"].loc[10:20, "Fz"] = np.nan
+    judged = judge(model, flights, codes_of(whole.judged))
+    table = score_judged(judged, model, ROLES)
+    row = table.query("flight == 'c' and axis == 'Fz'").iloc[0]
+    assert row["n"] == 589
+    assert np.isfinite(row["rmse"])

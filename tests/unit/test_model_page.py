@@ -1,0 +1,267 @@
+"""Summaries, figures and the page of a model: what they say is what was computed, and nothing breaks them."""
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from judged import made
+from matplotlib.figure import Figure
+
+from quasi.identification.isolation import excited
+from quasi.standalone.diagnostics import ANY
+from quasi.standalone.figures import closeup, comparison, coverage_figure, isolation_figure, quartile_figure
+from quasi.standalone.report import MOST_POINTS, page, thin
+from quasi.standalone.score import judge
+from quasi.standalone.summary import number, summary_json, summary_latex, summary_text, tex, unit
+
+
+@pytest.fixture(scope="module")
+def found():
+    return made()
+
+
+@pytest.fixture(scope="module")
+def html(found):
+    model, _, done = found
+    summary = summary_json(model, done.scores, done.diagnosis)
+    return page(model.document, summary, done.diagnosis, done.coverage, thin(done.judged, ["c"]))
+
+
+# ---- summaries ----
+
+
+def test_the_text_says_the_verdict_first_and_what_random_samples_are_worth(found):
+    model, _, done = found
+    text = summary_text(model, done.scores, done.diagnosis)
+    assert text.startswith("Verdict: good\n  Fz, My: good on all\nModel made_up")
+    assert text.rstrip().splitlines()[-1].startswith("note: the test rows are single samples whose neighbours train")
+
+
+def test_the_json_holds_every_term_and_score_and_is_plain(found):
+    model, _, done = found
+    summary = json.loads(json.dumps(summary_json(model, done.scores, done.diagnosis), allow_nan=False))
+    for axis, part in model.document["axes"].items():
+        said = summary["axes"][axis]
+        assert [t["coefficient"] for t in said["terms"]] == [t["coefficient"] for t in part["terms"]]
+        assert all(t["inclusion frequency"] == 0.9 for t in said["terms"])
+        row = done.scores.query("flight == 'all' and role == 'validation' and axis == @axis").iloc[0]
+        assert said["scores"]["validation"]["rmse"] == row["rmse"]
+
+
+def test_latex_escapes_every_sign_and_keeps_its_braces_in_balance(found):
+    model, _, done = found
+    text = summary_latex(model, done.scores, done.diagnosis)
+    assert r"made\_up" in text
+    assert r"\texttt{w*w\_tot}" in text
+    assert r"u\textasciicircum{}2" in text
+    assert r"90\,\%" in text
+    bare = re.sub(r"\\[{}$&%#_]", "", text)
+    assert bare.count("{") == bare.count("}")
+    assert bare.count("$") % 2 == 0
+    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 3
+    for line in text.splitlines():
+        if line.endswith(r"\\"):
+            columns = 6 if "texttt" in line or line.startswith("term") else None
+            assert columns is None or len(re.findall(r"(?<!\\)&", line)) == columns - 1
+
+
+def test_latex_of_any_text_compiles_where_a_compiler_is(found, tmp_path):
+    model, _, done = found
+    every = "".join(map(chr, range(32, 127))) + "µ\n"
+    assert not re.search(r"(?<!\\)[&%#_]", tex(every))
+    if not shutil.which("pdflatex"):
+        return
+    body = summary_latex(model, done.scores, done.diagnosis) + tex(every) + r" \texttt{" + tex(every) + "}\n"
+    (tmp_path / "a.tex").write_text("\\documentclass{article}\\begin{document}\n" + body + "\\end{document}\n")
+    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "a.tex"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, errors="replace")
+    assert done.returncode == 0, done.stdout[-800:]
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "said"),
+    [
+        (0.0123, 2, "$0.012$"), (12345.6, 5, "$12346$"), (-1.25e-9, 3, r"$-1.25\times10^{-9}$"), (0, 3, "$0$"),
+        (float("nan"), 3, "--"), (123456.0, 3, r"$1.23\times10^{5}$"),
+    ],
+)  # fmt: skip
+def test_numbers_in_latex(value, digits, said):
+    assert number(value, digits) == said
+
+
+def test_units_in_latex():
+    assert unit("N s2/(m rad2)") == r"N\,s$^{2}$/(m\,rad$^{2}$)"
+    assert unit("N s0.5") == "N\\,s$^{0.5}$"
+    assert unit("1") == "1"
+
+
+# ---- figures ----
+
+
+def test_comparison_delimits_flights_and_shades_validation(found):
+    _, _, done = found
+    figure = comparison(done.judged["Fz"], "Fz", "N", ["c"])
+    top, bottom = figure.axes
+    assert top.get_ylabel() == "Fz, N"
+    assert [t.get_text() for t in top.texts] == ["a", "b", "c (validation)"]
+    ends = [line.get_xdata()[0] for line in top.lines if line.get_color() == "0.6"]
+    assert ends == pytest.approx([4.0, 8.0, 12.0], abs=0.05)  # 2000 rows at 500 Hz each
+    shaded = [p for p in top.patches if p.get_facecolor()[:3] != (1, 1, 1)]
+    assert len(shaded) == 1
+    assert shaded[0].get_x() == pytest.approx(8.0, abs=0.05)
+    residual = bottom.lines[0].get_ydata()
+    assert np.nanstd(residual) == pytest.approx(0.05, rel=0.1)
+
+
+def test_comparison_does_not_bridge_gaps(found):
+    _, _, done = found
+    held = done.judged["Fz"]
+    cut = held._replace(**{
+        name: getattr(held, name)[(held.t < 1) | (held.t > 3)]
+        for name in ("flight", "t", "role", "measured", "predicted", "lower", "upper")
+    })  # fmt: skip
+    line = comparison(cut, "Fz", "N").axes[0].lines[0]
+    assert np.isnan(line.get_ydata()).sum() == 1
+
+
+def test_every_figure_is_drawn(found):
+    _, flights, done = found
+    drawn = [
+        quartile_figure(done.judged["My"], "My", done.diagnosis["axes"]["My"]),
+        coverage_figure(done.coverage),
+        closeup(done.judged, "c", {"Fz": "N", "My": "N m"}),
+    ]
+    assert all(isinstance(f, Figure) for f in drawn)
+    assert "validation" in drawn[0].axes[0].get_title(loc="left")
+    lines = done.coverage[~done.coverage["variable"].str.startswith(ANY)]
+    assert [t.get_text() for t in drawn[1].axes[0].get_yticklabels()] == list(lines["variable"])
+    assert coverage_figure(done.coverage.iloc[:0]) is None
+
+
+def test_a_close_up_shows_the_liveliest_seconds_and_stands_short_flights(found):
+    _, flights, done = found
+    panel = next(p for p in closeup(done.judged, "c", {"Fz": "N", "My": "N m"}, 0.5).axes if p.get_visible())
+    shown = panel.lines[0].get_xdata()
+    square = (flights["c"]["Fz"] - flights["c"]["Fz"].mean()) ** 2
+    liveliest = int(square.rolling(250).sum().idxmax()) - 249
+    assert shown[0] == pytest.approx(liveliest / 500, abs=1e-9)
+    short = {axis: j._replace(**{n: getattr(j, n)[-60:] for n in j._fields[1:]}) for axis, j in done.judged.items()}
+    assert isinstance(closeup(short, "c", {"Fz": "N", "My": "N m"}), Figure)
+
+
+def test_isolation_shades_its_regions(found):
+    model, flights, done = found
+    codes = {k: np.ones(len(f), int) for k, f in flights.items()}
+    options = {"excitation threshold": 0.7, "spread": 0.01}
+    regions = excited(flights, codes, model.airframe, ["Fz"], options)["Fz"]
+    panel = isolation_figure(flights, regions, "Fz", "N").axes[0]
+    stretches = sum(int(np.sum(np.diff(np.r_[0, r.astype(int)]) == 1)) for r in regions.values())
+    assert len(panel.patches) == stretches > 0
+    share = np.mean(np.concatenate(list(regions.values())))
+    assert f"{100 * share:.0f} % of the rows" in panel.get_xlabel()
+
+
+# ---- the page ----
+
+
+class Page(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.open, self.links, self.data, self.inside = [], [], "", None
+
+    def handle_starttag(self, tag, attributes):
+        attributes = dict(attributes)
+        self.links += [v for k, v in attributes.items() if k in ("src", "href") and v]
+        if tag not in ("meta", "br", "img", "rect", "polyline"):
+            self.open.append(tag)
+        self.inside = attributes.get("id") if tag == "script" else None
+
+    def handle_endtag(self, tag):
+        if tag not in ("rect", "polyline"):
+            assert self.open.pop() == tag
+
+    def handle_startendtag(self, tag, attributes):
+        pass
+
+    def handle_data(self, text):
+        if self.inside == "rows":
+            self.data += text
+
+
+def read(html):
+    parsed = Page()
+    parsed.feed(html)
+    assert parsed.open == []
+    return parsed
+
+
+def test_the_page_is_whole_needs_nothing_else_and_escapes(html):
+    parsed = read(html)
+    assert parsed.links == []
+    assert "http" not in html.replace("http://www.w3.org", "")
+    assert "a &lt;note&gt; &amp; more" in html
+    assert html.index("good") < html.index("Scores") < html.index("Measured and modelled") < html.index("Terms")
+
+
+def test_the_pages_rows_are_the_measurements_to_the_16th_bit(html, found):
+    _, flights, _ = found
+    data = json.loads(read(html).data)
+    held = [f for f in data["flights"] if f["role"] == "validation"]
+    assert [f["key"] for f in data["flights"]] == ["a", "b", "c"]
+    assert [f["key"] for f in held] == ["c"]
+    for axis, about in data["axes"].items():
+        steps = np.frombuffer(base64.b64decode(about["measured"]), "<u2")
+        values = (about["low"] + about["step"] * steps)[held[0]["from"] : held[0]["to"]]
+        every = round(500 / 125)
+        np.testing.assert_allclose(values, flights["c"][axis].to_numpy()[::every], atol=0.51 * about["step"])
+    t = np.frombuffer(base64.b64decode(data["t"]), "<f4")
+    assert np.all(np.diff(t) > 0)
+
+
+def test_a_missing_value_stays_unknown_in_the_page(found):
+    model, flights, done = found
+    holed = {k: f.copy() for k, f in flights.items()}
+    holed["c"].loc[:40, "My"] = np.nan
+    held = done.judged["Fz"]
+    codes = {key: held.role[held.flight == k] for k, key in enumerate(held.keys)}
+    rows = thin(judge(model, holed, codes), ["c"])
+    text = page(model.document, summary_json(model, done.scores, done.diagnosis), done.diagnosis, done.coverage, rows)
+    about = json.loads(read(text).data)["axes"]["My"]
+    assert np.sum(np.frombuffer(base64.b64decode(about["measured"]), "<u2") == 65535) == 11
+
+
+def test_rows_are_thinned_to_what_a_page_can_hold_and_gaps_are_marked():
+    _, _, done = made(rows=60_000)
+    rows = thin(done.judged, ["c"])
+    assert 0.4 * MOST_POINTS < len(rows) <= 1.01 * MOST_POINTS
+    assert rows["start"].sum() == 3
+    held = rows[rows["held"] > 0]
+    assert set(held["flight"]) == {"c"}
+    assert len(held) <= MOST_POINTS // 2
+
+
+def test_a_model_without_rotors_validation_or_test_rows_has_a_page():
+    model, _, done = made(validation=(), options={"random partition": False}, rows=600)
+    document = {**model.document, "actuators": None, "hover speed": {"value": None}, "simple model": {}}
+    summary = summary_json(model, done.scores, done.diagnosis)
+    text = page(document, summary, done.diagnosis, done.coverage, thin(done.judged, []))
+    assert "No validation flights." in text
+    assert "No flight told the rotors" in text
+    assert "no test or validation rows judge it" in text
+    read(text)
+
+
+def test_names_cannot_break_out_of_the_page(found):
+    model, _, done = found
+    evil = "</script><b>"
+    held = {axis: j._replace(keys=("a", "b", evil)) for axis, j in done.judged.items()}
+    document = {**model.document, "flights": {"training": ["a", "b"], "validation": [evil]}}
+    summary = summary_json(model, done.scores, done.diagnosis)
+    text = page(document, summary, done.diagnosis, done.coverage, thin(held, [evil]))
+    assert evil not in text
+    assert json.loads(read(text).data)["flights"][2]["key"] == evil
