@@ -23,6 +23,7 @@ FAINTEST = 0.2  # opacity of the oldest still
 SHARE = 0.13  # of the largest extent of a figure: the span of a drone that is drawn enlarged
 MOST_POINTS = 4000  # of a path; more cannot be seen
 _CORNERS = 28  # of a rotor disc
+_ELEVATION, _AZIMUTH = 24.0, -128.0  # deg, from which figures are seen at first
 _AXES_COLOURS = ("tab:red", "tab:green", "tab:blue")  # body x, y, z, as usual
 
 
@@ -176,7 +177,7 @@ def new_axes(figure: Figure, place: tuple[int, int, int] = (1, 1, 1)) -> Axes3D:
     axes = figure.add_subplot(*place, projection="3d")
     if place[:2] == (1, 1):
         axes.set_position((0.05, 0.0, 0.93, 1.0))
-    axes.view_init(elev=24.0, azim=-128.0)
+    axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_pane_color((0.97, 0.97, 0.97))
         axis._axinfo["grid"].update(color=(0.85, 0.85, 0.85), linewidth=0.6)
@@ -200,8 +201,11 @@ def set_limits(axes: Axes3D, low: np.ndarray, high: np.ndarray, least: float = 0
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(high[1], low[1])
     axes.set_zlim(high[2], low[2])
-    # flat boxes leave room above and below, which a closer look makes use of
-    axes.set_box_aspect(size, zoom=1.0 + 0.1 * (1.0 - size.min() / size.max()))
+    # height and width of the box in the picture; matplotlib gives every box the same diagonal
+    side, up, round_ = size / np.linalg.norm(size), math.radians(_ELEVATION), math.radians(_AZIMUTH)
+    across = np.abs([math.cos(round_), math.sin(round_)])
+    tall = side[2] * math.cos(up) + side[:2] @ across * math.sin(up)
+    axes.set_box_aspect(size, zoom=min(0.84 / tall, 0.92 / (side[:2] @ across[::-1])))
 
 
 def get_limits(axes: Axes3D) -> tuple[np.ndarray, np.ndarray]:
@@ -290,7 +294,8 @@ def trajectories(
     axes    3-D axes to draw in, None for a figure of its own; a second call widens the limits to hold both
     scale   by which the drones are enlarged; None: so that they can be seen, and the figure says by how much
     limits  low (3,) and high (3,), m, NED; None for all that is drawn
-    labels  the time, s, beside each still; shadow  the path as seen from above, grey on the floor of the box
+    labels  the time, s, beside each still, the last one's where several stand in one place
+    shadow  the path as seen from above, grey on the floor of the box
     Raises DataError when there is nothing to draw.
     """
     if not motions:
@@ -310,7 +315,10 @@ def trajectories(
             drone = Drone(axes, shape, motion.look)
             drone.pose(motion.position[rows], motion.quaternion[rows], motion.opacity(rows), age)
         if labels and len(rows) <= 12:
-            for row in rows:
+            for k, row in enumerate(rows):
+                later = np.linalg.norm(motion.position[rows[k + 1 :]] - motion.position[row], axis=1)
+                if np.any(later < 0.5 * shape.span):
+                    continue  # it would stand on another; the later one says the time
                 where = motion.position[row] - [0.0, 0.0, 0.55 * shape.span]
                 axes.text(*where, f"{motion.t[row]:.1f} s", fontsize=7, color="0.35", ha="center", va="bottom")
     if limits is None:

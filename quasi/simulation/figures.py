@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from quasi.airframe import Airframe
 from quasi.attitude import from_euler, rotate_inverse
-from quasi.drawing import motion_of, path_line, trajectories
+from quasi.drawing import get_limits, motion_of, path_line, trajectories
 from quasi.errors import DataError
 
 STATE, REFERENCE, LIMIT, FAULT = "C0", "k", "0.5", "C3"
@@ -232,7 +232,9 @@ def _trajectory(table: pd.DataFrame, airframe: Airframe, about: Mapping[str, Any
     figure = trajectories([motion_of(in_sight(table), airframe)], about.get("stills", 6), title=_title("path", about))
     wanted = [f"{axis}_ref" for axis in "xyz"]
     if set(wanted) <= set(table.columns):
-        aim = table[wanted].to_numpy(float)[_stride(len(table))]
+        aim = table[wanted].to_numpy(float)[_stride(len(table))].copy()
+        low, high = get_limits(figure.axes[0])
+        aim[~((aim >= low) & (aim <= high)).all(axis=1)] = np.nan  # a step to where the drone has not come yet
         if np.isfinite(aim).all(axis=1).any():
             path_line(figure.axes[0], aim, REFERENCE, 0.8, linestyle="--", label="reference")
             figure.axes[0].legend(fontsize=8, loc="upper right")

@@ -208,3 +208,26 @@ def test_several_drones_that_nobody_chose_a_look_for_are_told_apart(turn, airfra
     assert drawing.told_apart([turn])[0].look == Look()
     legend = trajectories([turn, away]).axes[0].get_legend()
     assert [t.get_text() for t in legend.get_texts()] == ["made", "away"]
+
+
+@pytest.mark.parametrize("size", [(1, 1, 1), (8, 6, 0.1), (0.1, 0.1, 30), (0.1, 50, 2), (5, 5, 2)])
+def test_the_whole_box_is_in_the_picture_whatever_its_shape(size):
+    figure = Figure(figsize=(8, 6.4), dpi=100)
+    axes = new_axes(figure)
+    set_limits(axes, np.zeros(3), np.array(size, float))
+    figure.canvas.draw()
+    low, high = drawing.get_limits(axes)
+    corners = np.array(np.meshgrid(*zip(low, high))).reshape(3, -1)
+    x, y, _ = proj3d.proj_transform(*corners, axes.get_proj())
+    pixels = axes.transData.transform(np.column_stack([x, y]))
+    assert pixels.min() > 0
+    assert np.all(pixels.max(axis=0) < [800, 640])
+
+
+def test_where_stills_stand_in_one_place_the_last_one_says_the_time(airframe):
+    t = np.linspace(0.0, 4.0, 41)
+    where = np.zeros((41, 3))
+    where[30:, 0] = 5.0
+    figure = trajectory(None, airframe, t, where, np.tile(LEVEL, (41, 1)), stills=5)
+    said = [text.get_text() for text in figure.axes[0].texts if text.get_text().endswith(" s")]
+    assert said == ["2.0 s", "4.0 s"]
