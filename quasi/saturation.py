@@ -23,6 +23,7 @@ NEAR = 0.005  # of a full scale: filters on board let a clipped signal creep up 
 EXACT = 1e-6  # of the extreme, where the full scale is not known
 HELD, TOGETHER = 3, 6  # samples of one flat top, and of all flat tops of a level together, at least
 STEPS, SHARE = 6.0, 0.01  # of the log and of the extreme: what a clipped signal falls by beside a flat top, at least
+ROUND = 8.0  # times the width of the band that counts as the top: a smooth peak falls by 4 widths there
 LONGER = 3.0  # than the values of the same signal elsewhere are held, at least
 # or, where noise keeps the tops short: separate visits of the extreme, and how many more samples it has than the values
 # next to it (2.4 at the top of a smooth peak)
@@ -83,11 +84,12 @@ def clipped(values: np.ndarray, sensor: str, step: float = 0.0) -> list[Clipped]
         if top < LEAST[sensor]:
             continue
         full = next((r for r in RANGES[sensor] if abs(top - r) <= OFF * r), None)
-        at_top = signal >= top - (NEAR * full if full is not None else EXACT * top)
+        within = NEAR * full if full is not None else EXACT * top
+        at_top = signal >= top - within
         first, last = _runs(at_top)
         long = last - first >= max(HELD, LONGER * _usual_hold(signal, top, at_top))
         first, last = first[long], last[long]
-        steep = _falls(signal, first, last, top) > max(STEPS * step, SHARE * top)
+        steep = _falls(signal, first, last, top) > max(STEPS * step, SHARE * top, ROUND * within)
         together = int(np.sum((last - first)[steep]))
         if together >= (TOGETHER if full is None else HELD) or _piled(signal, top, at_top, step):
             found.append(Clipped(sign * top, full, at_top))

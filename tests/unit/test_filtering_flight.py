@@ -170,12 +170,14 @@ def test_ground_and_flight_are_told_apart(motion, plain):
     assert plain.metadata["phases"]["rest"][1] < 3.0
 
 
-def test_no_rest_is_said_and_biases_come_from_the_whole_flight(made):
+@pytest.mark.parametrize("policy", ["automatic", "rest"])
+def test_no_rest_is_said_and_biases_come_from_the_whole_flight(made, policy):
     frame, metadata = made
     late = frame[frame["t"] > 5.0].reset_index(drop=True)
-    result = filter_flight(late, metadata, AIRFRAME, {"bias policy": "rest"})
-    assert result.metadata["biases"]["policy"] == "whole flight"
-    assert about(result.metadata, "no rest") and about(result.metadata, "over the whole flight instead")
+    result = filter_flight(late, metadata, AIRFRAME, {"bias policy": policy})
+    assert result.metadata["biases"]["policy"] == "whole flight" and result.metadata["phases"]["rest"] is None
+    assert about(result.metadata, "no rest of 1 s before take-off was found")
+    assert len(about(result.metadata, "over the whole flight instead")) == (policy == "rest")
     value, std = applied(result)
     assert np.abs((value - BIAS) / std).max() < 4.0
 

@@ -46,6 +46,16 @@ def test_peaks_are_not_clipped_however_coarse_the_log(seed, size, noise):
         assert clipped(seen, "gyro", step) == []
 
 
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("degrees", [125.0, 250.0, 500.0, 2000.0])
+@pytest.mark.parametrize("share", [0.993, 0.999, 1.004])
+def test_a_peak_that_happens_to_reach_a_usual_full_scale_is_none(seed, degrees, share):
+    seen = motion(seed, noise=0.0)
+    seen *= share * np.radians(degrees) / np.abs(seen).max()
+    for step in (0.0, STEP):
+        assert clipped(step * np.round(seen / step) if step else seen, "gyro", step) == []
+
+
 def test_values_held_between_slow_updates_are_not_clipped():
     slow = motion(3)[::10]
     for step in (0.0, STEP):
