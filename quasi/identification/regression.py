@@ -44,7 +44,8 @@ def least_squares(a: np.ndarray, z: np.ndarray, series: Sequence[np.ndarray], ba
     """Least squares of z (n,) on the columns of a (n, p) by QR of the scaled columns.
 
     series     per flight the row numbers (n_b,) in its time order, increasing; together they cover the n rows in order
-    bandwidth  Bartlett bandwidth in rows; from the residuals' memory when None
+    bandwidth  Bartlett bandwidth in rows (Newey & West); when None, from the residuals' memory, with full weight up to
+               half of it
     Raises DataError when columns are combinations of each other or rows are too few.
     """
     n, p = a.shape
@@ -66,8 +67,11 @@ def least_squares(a: np.ndarray, z: np.ndarray, series: Sequence[np.ndarray], ba
     scores = scaled * residuals[:, None]
     if bandwidth is None:
         bandwidth = max(memory_window(residuals, series), *(memory_window(s, series) for s in scores.T))
-    meat = bartlett(scores, series, bandwidth)
-    variance = bartlett(residuals[:, None], series, bandwidth)[0, 0]
+        meat = flat_top(scores, series, bandwidth)
+        variance = flat_top(residuals[:, None], series, bandwidth)[0, 0]
+    else:
+        meat = bartlett(scores, series, bandwidth)
+        variance = bartlett(residuals[:, None], series, bandwidth)[0, 0]
     return Fit(
         coefficients=theta / scale,
         covariance=bread @ meat @ bread / np.outer(scale, scale),
@@ -110,6 +114,21 @@ def bartlett(scores: np.ndarray, series: Sequence[np.ndarray], bandwidth: int) -
         windows = running[bandwidth:] - running[:-bandwidth]
         total += windows.T @ windows / bandwidth
     return total
+
+
+def flat_top(scores: np.ndarray, series: Sequence[np.ndarray], bandwidth: int) -> np.ndarray:
+    """As `bartlett`, but lags up to half the bandwidth count fully, and weights fall to zero from there.
+
+    Bartlett's weights take a fifth off the variance when the bandwidth is five times the memory. The price is that a
+    variance may come out negative; then Bartlett's matrix is returned.
+    Source: Politis & Romano, Journal of Time Series Analysis 16(1), 1995.
+    """
+    half = (bandwidth + 1) // 2
+    whole = bartlett(scores, series, 2 * half)
+    sharper = 2.0 * whole - bartlett(scores, series, half)
+    scale = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    least = np.linalg.eigvalsh(sharper / np.outer(scale, scale))[0]
+    return sharper if least > 0.0 else whole
 
 
 def memory_window(values: np.ndarray, series: Sequence[np.ndarray]) -> int:

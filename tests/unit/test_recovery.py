@@ -27,7 +27,7 @@ def study():
 
 @pytest.fixture(scope="module")
 def draws():
-    # one thread for matrix products, as a job of the workflow has: those of several jobs on few cores wait for each other
+    # one thread for matrix products, as a job of the workflow has; threads of several jobs wait for each other
     code = "import json, recovery as r; print(json.dumps([r.draw({'seed': k, 'pool': r.POOL}) for k in range(1, 6)]))"
     run = subprocess.run(
         [sys.executable, "-c", code],

@@ -6,7 +6,7 @@ import statsmodels.api as sm
 from scipy.signal import lfilter
 
 from quasi.errors import DataError
-from quasi.identification.regression import bartlett, least_squares, memory_window
+from quasi.identification.regression import bartlett, flat_top, least_squares, memory_window
 
 
 def autocorrelated(seed, n, memory):
@@ -93,3 +93,38 @@ def test_copies_and_too_few_rows_are_refused():
         least_squares(a[:3], a[:3, 0], [np.arange(3)])
     with pytest.raises(DataError, match="zero or not finite"):
         least_squares(np.column_stack([a, np.zeros(50)]), a[:, 0], [np.arange(50)])
+
+
+def test_the_flat_top_loses_less_of_a_known_variance_than_bartlett():
+    # a first order process: long-run variance of its mean, against the two estimates at five times its memory
+    memory, n = 0.9, 20_000
+    truth = n * (1 + memory) / (1 - memory)
+    window = int(5 * (1 + memory) / (1 - memory))
+    noise = [autocorrelated(seed, n, memory)[:, None] for seed in range(30)]
+    flat = np.mean([flat_top(x, [np.arange(n)], window)[0, 0] for x in noise]) / truth
+    usual = np.mean([bartlett(x, [np.arange(n)], window)[0, 0] for x in noise]) / truth
+    assert usual < 0.95
+    assert flat == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_flat_top_is_the_sum_over_lags_with_full_and_falling_weights():
+    r = np.random.default_rng(12)
+    scores = r.standard_normal((50, 2))
+    for bandwidth in (1, 6, 7):
+        half = (bandwidth + 1) // 2
+        expected = np.zeros((2, 2))
+        for i in range(50):
+            for j in range(50):
+                weight = min(1.0, max(2.0 - abs(i - j) / half, 0.0))
+                expected += weight * np.outer(scores[i], scores[j])
+        found = flat_top(scores, [np.arange(50)], bandwidth)
+        if np.linalg.eigvalsh(expected)[0] > 0:
+            np.testing.assert_allclose(found, expected, atol=1e-10)
+        else:
+            np.testing.assert_allclose(found, bartlett(scores, [np.arange(50)], 2 * half), atol=1e-10)
+
+
+def test_a_variance_that_would_be_negative_falls_back():
+    alternating = np.tile([1.0, -1.0], 20)[:, None] + 0.0
+    found = flat_top(alternating, [np.arange(40)], 2)
+    assert found[0, 0] >= 0.0
