@@ -7,10 +7,11 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d import Axes3D
 
 from quasi.airframe import Airframe
 from quasi.attitude import from_euler, rotate_inverse
-from quasi.drawing import get_limits, motion_of, path_line, trajectories
+from quasi.drawing import get_limits, motion_of, new_axes, path_line, trajectories
 from quasi.errors import DataError
 
 STATE, REFERENCE, LIMIT, FAULT = "C0", "k", "0.5", "C3"
@@ -26,8 +27,7 @@ LOADS = (
 
 
 def simulation_figures(table: pd.DataFrame, airframe: Airframe, about: Mapping[str, Any]) -> dict[str, Figure]:
-    """Figures by name: states, rotor_speeds, forces_and_moments, trajectory, and tracking_error where there is a
-    reference.
+    """Figures by name: overview, states, rotor_speeds, forces_and_moments, trajectory; tracking_error with a reference.
 
     table  t; x y z; roll pitch yaw; u v w; p q r; w1..w4; Fx..Mz (SI, rad); where present w1_CMD..w4_CMD and references
            <name>_ref of any of these, vx_ref vy_ref vz_ref (m/s, earth) among them; NaN where nothing is referred to
@@ -45,6 +45,7 @@ def simulation_figures(table: pd.DataFrame, airframe: Airframe, about: Mapping[s
     columns |= _body_velocity_reference(columns)
     columns = {name: values[_stride(len(table))] for name, values in columns.items()}
     figures = {
+        "overview": _overview(table, columns, airframe, about),
         "states": _states(columns, about),
         "rotor_speeds": _rotor_speeds(columns, airframe, about),
         "forces_and_moments": _loads(columns, about),
@@ -228,8 +229,44 @@ def _error(name: str, error: np.ndarray) -> np.ndarray:
     return np.degrees(error) if name in ("p", "q", "r") else error
 
 
-def _trajectory(table: pd.DataFrame, airframe: Airframe, about: Mapping[str, Any]) -> Figure:
-    figure = trajectories([motion_of(in_sight(table), airframe)], about.get("stills", 6), title=_title("path", about))
+def _overview(
+    table: pd.DataFrame, columns: Mapping[str, np.ndarray], airframe: Airframe, about: Mapping[str, Any]
+) -> Figure:
+    """The path, and beside it position, attitude and rotor speeds over time."""
+    figure = Figure(figsize=(12, 5.2))
+    _trajectory(table, airframe, about, new_axes(figure, (1, 2, 1)))
+    figure.axes[0].set_position((0.01, -0.02, 0.54, 1.02))
+    groups = (
+        ([name for name, _ in POSITION], "position, m"),
+        ([name for name, _ in ATTITUDE], "attitude, deg"),
+        (_rotors(), "rotor speed, rad/s"),
+    )
+    for k, (names, label) in enumerate(groups):
+        axis = figure.add_axes((0.6, 0.7 - 0.295 * k, 0.33, 0.255))
+        every = []
+        for colour, name in zip(("C0", "C1", "C2", "C4"), names):
+            every.append(_shown(name, columns[name].copy()))
+            axis.plot(columns["t"], every[-1], color=colour, linewidth=1.2, label=name)
+            wanted = columns.get(f"{name}_ref")
+            if wanted is not None and np.isfinite(wanted).any():
+                axis.plot(columns["t"], _shown(name, wanted.copy()), color=REFERENCE, linewidth=0.8, linestyle="--")
+        _keep_in_sight(axis, np.concatenate(every))
+        axis.set_ylabel(label, fontsize=9)
+        _marks(axis, about)
+        axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, frameon=False)
+        if k < 2:
+            axis.set_xticklabels([])
+    axis.set_xlabel("time, s", fontsize=9)
+    return figure
+
+
+def _trajectory(
+    table: pd.DataFrame, airframe: Airframe, about: Mapping[str, Any], axes: Axes3D | None = None
+) -> Figure:
+    motion = motion_of(in_sight(table), airframe)
+    figure = trajectories(
+        [motion], about.get("stills", 6), axes, title=_title("path" if axes is None else "flight", about)
+    )
     wanted = [f"{axis}_ref" for axis in "xyz"]
     if set(wanted) <= set(table.columns):
         aim = table[wanted].to_numpy(float)[_stride(len(table))].copy()

@@ -48,7 +48,7 @@ def panel(figure, label):
 
 def test_lines_hold_the_table_in_the_units_of_their_labels(table, airframe):
     figures = simulation_figures(table, airframe, {"name": "made"})
-    assert set(figures) == {"states", "rotor_speeds", "forces_and_moments", "trajectory"}
+    assert set(figures) == {"overview", "states", "rotor_speeds", "forces_and_moments", "trajectory"}
     states = figures["states"]
     np.testing.assert_array_equal(line(panel(states, "north x, m"), "simulated"), table["x"])
     np.testing.assert_allclose(line(panel(states, "roll rate p, deg/s"), "simulated"), table["p"] * 180 / np.pi)
