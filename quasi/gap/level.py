@@ -1,0 +1,197 @@
+"""What the levels below aerodynamics share: flights as imported and filtered, their finding, and how causes are chosen.
+
+A cause is taken when it stays significant beside all that is taken already, at a family-wise error rate. Of two causes
+that explain the same, one beats the other when it stays significant with the other given and the other does not with
+it given; when both lose, this data cannot tell them apart, and they are reported as a tie.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from quasi.airframe import Airframe
+from quasi.gap.mixed import Mixed, Offer, Test
+
+MOST_TIED = 3
+MOST_CAUSES = 8
+DRAWS = 40  # resamples of a flight's blocks
+
+
+@dataclass(frozen=True)
+class Flown:
+    """One flight as it went through import and filter.
+
+    compared  False for a reference flight, which is believed clean
+    imported, filtered        their tables, row by row alike; metadata, filtered_metadata  what came with them
+    """
+
+    key: str
+    compared: bool
+    imported: pd.DataFrame
+    metadata: Mapping[str, Any]
+    filtered: pd.DataFrame
+    filtered_metadata: Mapping[str, Any]
+    airframe: Airframe
+
+
+@dataclass
+class Level:
+    """What one level found; plain data but for the tables, written as the diagnosis writes it.
+
+    effects           accepted causes, strongest first: id, since, parameters, p, wald, tau, evidence
+    ties              ids that this data cannot split, with separability and tie_breaker
+    findings          stated faults that are no cause
+    candidates        causes that lost: id, since, score (Wald statistic), why_not
+    cannot_be_asked   id and why
+    tables            {name: table} of residuals for the report
+    noise_floor       {channel: rms} that no cause of this level can explain
+    """
+
+    level: str
+    effects: list[dict[str, Any]] = field(default_factory=list)
+    ties: list[dict[str, Any]] = field(default_factory=list)
+    findings: list[dict[str, Any]] = field(default_factory=list)
+    candidates: list[dict[str, Any]] = field(default_factory=list)
+    cannot_be_asked: list[dict[str, Any]] = field(default_factory=list)
+    tables: dict[str, pd.DataFrame] = field(default_factory=dict)
+    noise_floor: dict[str, float] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass
+class Choice:
+    """Causes taken, the tie that each is in (alone if none), and the marginal test of every one that was offered."""
+
+    taken: list[Offer] = field(default_factory=list)
+    tied: dict[Offer, list[Offer]] = field(default_factory=dict)
+    marginal: dict[Offer, Test] = field(default_factory=dict)
+    why_not: dict[Offer, str] = field(default_factory=dict)
+
+    @property
+    def given(self) -> list[Offer]:
+        """Everything that later tests have to stand beside: the taken causes and those tied with them."""
+        return [offer for taken in self.taken for offer in self.tied[taken]]
+
+
+def pooled_for(mixed: Mixed, since: str) -> list[str]:
+    """Causes fitted to all flights alike, unclaimed, while one is tested for a change between the groups."""
+    return list(mixed.columns.causes) if since == "changed" else []
+
+
+def offers_of(mixed: Mixed, since: str) -> list[Offer]:
+    """Every cause with all its parameters."""
+    return [Offer(cause, since, tuple(range(len(columns)))) for cause, columns in mixed.columns.causes.items()]
+
+
+def choose(
+    mixed: Mixed, threshold: float, twinned: Sequence[frozenset[str]] = (), doubtful: Mixed | None = None
+) -> Choice:
+    """Take causes one after the other while the best is less probable by chance than `threshold`.
+
+    twinned  pairs of causes whose signatures are nearly the same: both stand in the tie unless one beats the other
+    doubtful  the same tests with wider nuisances, which alone may tell twins apart in what all flights have in common
+    Changes between reference and compared flights are settled before what all flights have in common.
+    """
+    choice = Choice()
+    stages = ["always"] if mixed.compared.all() else ["changed", "always"]
+    for since in stages:
+        pooled = pooled_for(mixed, since)
+        while len(choice.taken) < MOST_CAUSES:
+            offers = [o for o in offers_of(mixed, since) if o not in choice.given]
+            tests = [mixed.test(offer, choice.given, pooled) for offer in offers]
+            for test in tests:
+                choice.marginal.setdefault(test.offer, test)
+            found = sorted((t for t in tests if t.p < threshold), key=lambda t: (t.p, -t.wald))
+            if not found:
+                break
+            judge = mixed if doubtful is None or since == "changed" else doubtful
+            best, tie = _duel(mixed, judge, found, choice, threshold, twinned)
+            choice.taken.append(best)
+            choice.tied[best] = tie
+            _drop(mixed, choice, threshold)
+    for offer, test in choice.marginal.items():
+        if offer not in choice.given and offer not in choice.why_not:
+            last = mixed.test(offer, choice.given, pooled_for(mixed, offer.since))
+            choice.why_not[offer] = (
+                f"explained by {', '.join(sorted({o.cause for o in choice.given}))}"
+                if test.p < threshold
+                else f"p = {last.p:.2g}, not below {threshold:.2g}"
+            )
+    return choice
+
+
+def _duel(
+    mixed: Mixed, judge: Mixed, found: Sequence[Test], choice: Choice, threshold: float,
+    twinned: Sequence[frozenset[str]],
+) -> tuple[Offer, list[Offer]]:  # fmt: skip
+    """The winner of the significant causes by the nested rule, and all that are tied with it, itself first."""
+
+    def stands(offer: Offer, beside: Offer) -> bool:
+        tests = judge if frozenset({offer.cause, beside.cause}) in twinned else mixed
+        return tests.test(offer, [*choice.given, beside], pooled_for(mixed, offer.since)).p < threshold
+
+    champion = found[0].offer
+    for rival in (t.offer for t in found[1:]):
+        if stands(rival, champion) and not stands(champion, rival):
+            choice.why_not[champion] = f"{rival.cause} explains the same and more"
+            champion = rival
+    tie = [champion]
+    offers = [t.offer for t in found]
+    # a twin that fell short by a little is a twin all the same
+    twins = {c for pair in twinned if champion.cause in pair for c in pair}
+    offers += [o for o in offers_of(mixed, champion.since) if o.cause in twins and o not in offers]
+    for rival in offers:
+        if rival == champion or rival in choice.given or len(tie) == MOST_TIED:
+            continue
+        own, other = stands(champion, rival), stands(rival, champion)
+        if not own and not other:
+            tie.append(rival)
+        elif own and not other:
+            choice.why_not[rival] = f"{champion.cause} explains the same and more"
+    return champion, tie
+
+
+def _drop(mixed: Mixed, choice: Choice, threshold: float) -> None:
+    """Take back causes that later ones made needless."""
+    for offer in choice.taken[:-1]:
+        tie = choice.tied[offer]
+        others = [g for g in choice.given if g not in tie]
+        if mixed.test(offer, others, pooled_for(mixed, offer.since)).p >= threshold:
+            choice.taken.remove(offer)
+            del choice.tied[offer]
+            choice.why_not[offer] = f"needless beside {choice.taken[-1].cause}"
+
+
+def final_test(mixed: Mixed, choice: Choice, offer: Offer) -> Test:
+    """A cause beside all others that were taken, those of its own tie left out."""
+    own = next(tie for tie in choice.tied.values() if offer in tie)
+    return mixed.test(offer, [g for g in choice.given if g not in own], pooled_for(mixed, offer.since))
+
+
+def separability(mixed: Mixed, choice: Choice, first: Offer, second: Offer) -> float:
+    """Standard errors by which the first stands out with the second given as well."""
+    own = next(tie for tie in choice.tied.values() if first in tie)
+    others = [g for g in choice.given if g not in own]
+    return float(np.sqrt(max(mixed.test(first, [*others, second], pooled_for(mixed, first.since)).wald, 0.0)))
+
+
+def probability(
+    blocks: Sequence[np.ndarray], build: Callable[[list[np.ndarray]], Mixed], choice: Choice, threshold: float,
+    seed: int = 0,
+) -> dict[Offer, float]:  # fmt: skip
+    """Share of resamples, each flight's blocks drawn anew, in which each taken cause is significant again.
+
+    blocks  per flight (B, P, P) cross-products of its blocks; build  makes the tests of per-flight cross-products
+    """
+    rng = np.random.default_rng(seed)
+    counts = dict.fromkeys(choice.taken, 0)
+    if not counts:
+        return {}
+    for _ in range(DRAWS):
+        drawn = build([b[rng.integers(0, len(b), len(b))].sum(axis=0) for b in blocks])
+        for offer in counts:
+            counts[offer] += final_test(drawn, choice, offer).p < threshold
+    return {offer: count / DRAWS for offer, count in counts.items()}
