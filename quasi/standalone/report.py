@@ -151,12 +151,16 @@ def _differences(diagnosis: Mapping[str, Any]) -> str:
         found = facts["relative difference"]
         warned = facts["warnings"]
         marks = (warned["test"], warned["validation"], False)
-        cells = ["–" if found[k] is None else f"{found[k]:.1f}".replace("-", "−") for k in head[1:]]
+        cells = ["–" if found[k] is None else _tenths(found[k]) for k in head[1:]]
         rows.append([axis, *(c + (" !" if m else "") for c, m in zip(cells, marks))])
     said = (
         "100 (1 − training / test) and 100 (1 − validation / test); ! beyond 10 % on the side that means overfitting."
     )
     return report.table(head, rows) + f"<p class=under>{report.escape(said)}</p>"
+
+
+def _tenths(value: float) -> str:
+    return f"{round(value, 1) + 0.0:.1f}".replace("-", "−")
 
 
 # ---- the comparison ----

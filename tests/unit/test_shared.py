@@ -51,6 +51,20 @@ def test_the_simple_model_goes_through_the_origin_and_carries_the_weight(flights
     assert np.isfinite(speeds).all()
 
 
+def test_factors_are_not_centred_about_their_means():
+    made = flight(5, rows=3000)
+    still = made.assign(u=0.0, v=0.0, w=0.0)
+    squares = sum(still[f"w{i}"] ** 2 for i in range(1, 5)).to_numpy()
+    still["Fz"] = -(THRUST * squares + 0.8)  # a line that misses the origin
+    simple = shared({"a": still}, {"a": np.ones(3000, int)}, AIRFRAME)["simple model"]["kappaFz"]
+    origin = float(squares @ -still["Fz"]) / float(squares @ squares)
+    centred = np.polyfit(squares, -still["Fz"], 1)[0]
+    assert simple["value"] == pytest.approx(origin, rel=1e-9)
+    assert centred == pytest.approx(THRUST, rel=1e-6)
+    assert simple["value"] > 1.1 * centred  # what centring loses of the weight carried in hover
+    assert simple["fitted beside"] == []
+
+
 def test_flights_without_commands_are_a_note(flights):
     found = shared(flights, partition(flights), AIRFRAME)
     assert found["actuators"] is None
@@ -61,4 +75,3 @@ def test_a_missing_column_is_an_error(flights):
     broken = {"a": flights["a"].drop(columns="Mz")}
     with pytest.raises(DataError, match="flight a has no column 'Mz'"):
         shared(broken, partition(broken), AIRFRAME)
-
