@@ -254,6 +254,7 @@ class QuadrotorSimulator(Simulator):
         """What is seen, commanded and felt at the end, without a step after it."""
         k = bus.step
         self.steps["begin"](bus)
+        self._also("begin", bus)
         for name, to in (("controller", bus.commanded_inputs), ("actuator", bus.inputs)):
             step = self.steps[name]
             to[k + 1] = step(bus) if step is not None else bus.commanded_inputs[k + (name == "actuator")]

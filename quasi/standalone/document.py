@@ -50,7 +50,7 @@ def _check_axis(part: Any, where: str) -> None:
                 )
     covariance = part.get("covariance")
     try:
-        covariance = np.array(covariance, float)
+        covariance = np.array(covariance, float) if covariance else np.zeros((0, 0))
     except (TypeError, ValueError):
         covariance = np.zeros(0)
     estimated = sum(not t.get("given", False) for t in part["terms"])
