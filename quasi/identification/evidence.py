@@ -66,7 +66,8 @@ def _judge(totals: Totals, scores, energy, bandwidth: int) -> tuple[np.ndarray, 
     # scores (B, q) of single columns with the residuals of a model without them, energy (B, q) of the columns per cell
     weights = totals.weights[:, None]
     total = np.einsum("bq,bq->q", scores, np.broadcast_to(weights, scores.shape))
-    whole = np.maximum(totals.weights @ energy, 1e-300)
+    whole = totals.weights @ energy
+    whole = np.where(whole > 0.0, whole, np.inf)
     share = np.clip(energy / whole, 0.0, 1.0 - 1e-9)
     # what is left once the column is in, freed of the part that each cell bends the fit towards itself
     left = (scores - share * total) / np.sqrt(1.0 - share)
