@@ -36,6 +36,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     fly.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
     fly.add_argument("--simulation", help="controller, wind and so on as in config/simulations/SIMULATION.json")
 
+    reach = commands.add_parser(
+        "reach",
+        help="where a quadrotor can be after a while",
+        description="Flies from the start of config/simulations/SIMULATION.json to targets on a sphere about it, "
+        "all at once, and writes results/reach/SIMULATION: positions, extremes, and a figure of the hull.",
+    )
+    reach.add_argument("simulation", help="name of the simulation; its reference and duration do not count")
+    reach.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
+    reach.add_argument("--horizon", type=float, default=1.0, help="s (default 1)")
+    reach.add_argument("--radius", type=float, default=4.0, help="of the sphere of targets, m (default 4)")
+    reach.add_argument("--spacing", type=float, default=20.0, help="angle between targets, degrees (default 20)")
+
     init = commands.add_parser("init", help="lay a project folder: commented configuration and an empty logbook")
     init.add_argument("folder", help="folder to make; it must be empty or absent")
 
@@ -52,6 +64,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     noise.add_argument("--log-number", type=int, help="which log of a file that holds several")
     noise.add_argument("--write", action="store_true", help="write the statistics into the quadrotor configuration")
 
+    published = commands.add_parser(
+        "import-model",
+        help="make a model from a JSON file that QuaSI published",
+        description="Writes models/NAME/standalone/model.json. Nothing from the file is run.",
+    )
+    published.add_argument("file", help="JSON file of the published model")
+    published.add_argument("name", help="model ID that it gets")
+    published.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
+    published.add_argument("--motor-poles", type=int, help="magnets of its motors, which the file does not tell (14)")
+
     options = parser.parse_args(arguments)
     if arguments is None and hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `quasi summary M | head` ends silently, as other commands do
@@ -60,10 +82,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(summarise(options.model, Path(options.directory)))
         elif options.command == "fly":
             print(fly_by_hand(options.model, Path(options.directory), options.simulation))
+        elif options.command == "reach":
+            asked = (options.horizon, options.radius, options.spacing)
+            print(reach_of(options.simulation, Path(options.directory), *asked))
         elif options.command == "noise":
             logs = [Path(log) for log in options.logs]
             names = (options.cut, options.rigid_body, options.log_number, options.write)
             print(noise_at_rest(Path(options.quadrotor), logs, *names))
+        elif options.command == "import-model":
+            print(import_model(Path(options.file), options.name, Path(options.directory), options.motor_poles))
         else:
             print(lay(Path(options.folder)))
     except QuasiError as error:
@@ -151,6 +178,54 @@ def fly_by_hand(model: str | None, directory: Path, simulation: str | None = Non
         session.restart()
         print(fly.HELP, flush=True)
         return fly.fly(session, window, keys)
+
+
+def reach_of(simulation: str, directory: Path, horizon: float, radius: float, spacing: float) -> str:
+    """Write where a simulation's quadrotor can be after the horizon, s; returns what was found in a sentence.
+
+    radius m and spacing deg of the targets. Raises a QuasiError where simulation or model are absent or cannot fly.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    from quasi.simulation.reach import UNITS, reach
+    from quasi.simulation.reach_figure import reach_figure
+    from quasi.standalone.model import read_model
+    from quasi.tables import read_numbers, whole_file, write_json, write_table
+    from quasi.workflow import Folder
+
+    asked = Folder(directory).simulation(simulation)
+    wind = read_numbers(directory / asked["wind"]) if asked["wind"] else None
+    model = read_model(model_place(asked["model"], directory))
+    found = reach(asked["settings"], model, horizon, radius, spacing, wind, simulation)
+    folder, summary = directory / "results/reach" / simulation, found.summary()
+    write_table(folder / "positions.parquet", found.table(), UNITS, {"simulation": simulation, "model": model.id})
+    write_json(folder / "summary.json", summary)
+    with whole_file(folder / "reach.png") as part:
+        FigureCanvasAgg(reach_figure(found)).print_png(part)
+    ends = summary["at the horizon"]["extremes"] if summary["at the horizon"] else {}
+    spans = ", ".join(f"{a} {ends[a]['min']:.2f} to {ends[a]['max']:.2f} m" for a in ends)
+    lost = f"; {len(found.ended)} of {len(found.targets)} simulations did not last" if found.ended else ""
+    return f"After {horizon:g} s: {spans}{lost}. Made {folder}: positions.parquet, summary.json, reach.png"
+
+
+def import_model(file: Path, name: str, directory: Path, poles: int | None = None) -> str:
+    """Write a published model as models/NAME/standalone/model.json; returns what was made and what to know.
+
+    Raises a QuasiError for a file that is no such model, for a name that cannot be or that is taken.
+    """
+    from quasi.errors import ConfigError
+    from quasi.standalone.published import read_published
+    from quasi.tables import write_json
+
+    model = read_published(file, name, poles)
+    folder = directory / "models" / name / "standalone"
+    configured = directory / "config" / "models" / f"{name}.json"
+    for taken in (folder, configured):
+        if taken.exists():
+            raise ConfigError(f"{taken} exists already; choose another name than '{name}'")
+    write_json(folder / "model.json", model.document)
+    made = f"Made {folder / 'model.json'}: {', '.join(model.axes)}, forces {model.gravity}"
+    return "\n".join([made, *(f"note: {note}" for note in model.document["notes"])])
 
 
 def lay(folder: Path) -> str:
