@@ -6,10 +6,10 @@ from quasi.identification.partition import ROLES, judged_rows
 from quasi.joblog import LOG, job, progress
 from quasi.standalone.diagnostics import COVERAGE_UNITS
 from quasi.standalone.model import read_model
-from quasi.standalone.report import thin, thinned_units
 from quasi.standalone.review import review
 from quasi.standalone.score import UNITS
 from quasi.standalone.summary import summary_json, summary_latex, summary_text
+from quasi.standalone.thinning import thin, thinned_units
 from quasi.tables import read_table, write_json, write_table, write_text
 
 

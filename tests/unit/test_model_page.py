@@ -15,9 +15,10 @@ from matplotlib.figure import Figure
 from quasi.identification.isolation import excited
 from quasi.standalone.diagnostics import ANY
 from quasi.standalone.figures import closeup, comparison, coverage_figure, isolation_figure, quartile_figure
-from quasi.standalone.report import MOST_POINTS, page, thin
+from quasi.standalone.report import page
 from quasi.standalone.score import judge
 from quasi.standalone.summary import number, summary_json, summary_latex, summary_text, tex, unit
+from quasi.standalone.thinning import MOST_POINTS, thin
 
 
 @pytest.fixture(scope="module")

@@ -1,21 +1,32 @@
 """What reruns and why: only what is stale, and a validation flight never refits a model."""
 
+import json
+
+import pandas as pd
 import pytest
 
 pytestmark = pytest.mark.workflow
 
-AXES_AND_AFTER = {"identification": 6, "standalone_model": 1, "standalone_scores": 1, "standalone": 1}
+JUDGED = {"standalone_scores": 1, "standalone_figures": 1, "standalone_report": 1, "standalone": 1}
+AXES_AND_AFTER = {"identification": 6, "standalone_model": 1, **JUDGED}
+TRAJECTORIES = {"standalone_trajectories": 1}
 
 
 def test_run_makes_the_model_and_tells_where_with_its_scores(finished):
     project, text = finished
     folder = project.folder / "models/small/standalone"
-    assert {p.name for p in folder.iterdir()} >= {"model.json", "scores.parquet", "summary.txt"}
+    made = {p.relative_to(folder).as_posix() for p in folder.rglob("*.*")}
+    assert made >= {"model.json", "scores.parquet", "diagnostics.json", "coverage.parquet", "comparison.parquet"}
+    assert made >= {"report.html", "summary.txt", "summary.json", "summary.tex"}
+    assert made >= {"figures/Fz.png", "figures/quartiles_My.png", "figures/coverage.png", "figures/closeup_small-3.png"}
+    assert made >= {"trajectories/small-1.png", "trajectories/small-3.png"}
     tail = text[text.index("100%") :]
     assert "models/small/standalone" in tail
     for axis in ("Fx", "Fy", "Fz", "Mx", "My", "Mz"):
         assert axis in tail
     assert "validation" in tail
+    assert "Verdict: " in tail
+    assert "single samples whose neighbours train" in tail
 
 
 def test_second_run_does_nothing(finished):
@@ -38,12 +49,12 @@ def test_mass_of_a_flight_that_the_model_does_not_use_reruns_nothing(project):
 
 def test_mass_of_a_training_flight_filters_that_flight_and_refits(project):
     project.edit_logbook(lambda rows: rows[0].update(Mass="500"))
-    assert project.would_run() == {"filtering": 1, "identification_shared": 1, **AXES_AND_AFTER}
+    assert project.would_run() == {"filtering": 1, "identification_shared": 1, **TRAJECTORIES, **AXES_AND_AFTER}
 
 
 def test_validation_flight_never_refits(project):
     project.edit_logbook(lambda rows: rows[2].update(Mass="500"))
-    assert project.would_run() == {"filtering": 1, "standalone_scores": 1, "standalone": 1}
+    assert project.would_run() == {"filtering": 1, **TRAJECTORIES, **JUDGED}
 
 
 def test_regressor_cap_identifies_anew_and_nothing_before(project):
@@ -62,6 +73,54 @@ def test_bias_switch_of_one_axis_refits_that_axis_alone(project):
     assert project.would_run() == {**AXES_AND_AFTER, "identification": 1}
 
 
+def test_options_that_do_not_apply_rerun_nothing(project):
+    def change(config):
+        config["manoeuvre excitations"] = {"excitation threshold": 0.3, "show isolation results": False}
+        config["logging file"]["allow mixed batteries"] = True
+
+    project.edit_json("config/models/small.json", change)
+    assert project.would_run() == {}
+
+
+def test_partition_draws_and_refits_and_processes_no_flight(project):
+    project.edit_json("config/models/small.json", lambda c: c.update({"data partitioning": {"partition by": "blocks"}}))
+    assert project.would_run() == {"identification_shared": 1, **AXES_AND_AFTER}
+
+
+def test_stills_draw_the_trajectories_alone(project):
+    project.edit_json("config/models/small.json", lambda c: c.update({"plotting": {"number of drone stills": 2}}))
+    assert project.would_run() == {**TRAJECTORIES, "standalone": 1}
+
+
+def test_isolation_trains_each_axis_on_its_own_rows_and_no_rows_left_is_a_sentence(project):
+    def isolate(config):
+        config["manoeuvre excitations"] = {"isolate to regions of excitation": True, "excitation threshold": 0.3}
+        config["identification parameters"] |= {f"identify {a}": False for a in ("fx", "fy", "mx", "my")}
+
+    project.edit_json("config/models/small.json", isolate)
+    code, text = project.snakemake("-j2", "models/small/standalone")
+    assert code == 0, text
+    folder = project.folder / "models/small/standalone"
+    assert (folder / "figures/isolation_Fz.png").is_file()
+    rows = {axis: json.loads((folder / "model.json").read_text())["axes"][axis]["n"] for axis in ("Fz", "Mz")}
+    partition = pd.read_parquet(project.folder / "results/identified/small/partition.parquet")
+    training = partition[partition["role"] == 1]
+    for axis, n in rows.items():
+        assert n == training[f"excited_{axis}"].sum() < len(training)
+    scores = pd.read_parquet(folder / "scores.parquet").query("flight == 'all' and role == 'training'")
+    assert dict(zip(scores["axis"], scores["n"])) == rows
+
+    def nothing_left(config):
+        config["manoeuvre excitations"]["excitation threshold"] = 1.0
+        config["manoeuvre excitations"]["spread"] = 0.0
+        config["data partitioning"] = {"partition ratio": 0.001}
+
+    project.edit_json("config/models/small.json", nothing_left)
+    code, text = project.snakemake("-j1", "models/small/standalone")
+    assert code != 0
+    assert "no training rows are left after isolation to regions of excitation; lower" in text.rstrip().splitlines()[-1]
+
+
 def test_importing_option_processes_the_models_flights_anew(project):
     project.edit_json("config/processing.json", lambda c: c["data importing"].update({"resampling rate": 200}))
     assert project.would_run()["importing"] == 3
@@ -70,7 +129,14 @@ def test_importing_option_processes_the_models_flights_anew(project):
 @pytest.mark.parametrize(
     ("module", "stages"),
     [
-        ("quasi/filtering/forces.py", {"filtering": 3, "identification_shared": 1, **AXES_AND_AFTER}),
+        (
+            "quasi/filtering/forces.py",
+            {"filtering": 3, "identification_shared": 1, **TRAJECTORIES, **AXES_AND_AFTER},
+        ),
+        ("quasi/identification/isolation.py", {"identification_shared": 1, **AXES_AND_AFTER}),
+        ("quasi/standalone/verdict.py", JUDGED),
+        ("quasi/standalone/chart.py", {"standalone_report": 1, "standalone": 1}),
+        ("quasi/animation.py", {**TRAJECTORIES, "standalone": 1}),
         ("quasi/identification/stepwise.py", AXES_AND_AFTER),
     ],
 )
