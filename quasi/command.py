@@ -74,6 +74,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     published.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
     published.add_argument("--motor-poles", type=int, help="magnets of its motors, which the file does not tell (14)")
 
+    published = commands.add_parser(
+        "import-model",
+        help="make a model from a JSON file that QuaSI published",
+        description="Writes models/NAME/standalone/model.json. Nothing from the file is run.",
+    )
+    published.add_argument("file", help="JSON file of the published model")
+    published.add_argument("name", help="model ID that it gets")
+    published.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
+    published.add_argument("--motor-poles", type=int, help="magnets of its motors, which the file does not tell (14)")
+
     options = parser.parse_args(arguments)
     if arguments is None and hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `quasi summary M | head` ends silently, as other commands do
@@ -89,6 +99,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             logs = [Path(log) for log in options.logs]
             names = (options.cut, options.rigid_body, options.log_number, options.write)
             print(noise_at_rest(Path(options.quadrotor), logs, *names))
+        elif options.command == "import-model":
+            print(import_model(Path(options.file), options.name, Path(options.directory), options.motor_poles))
         elif options.command == "import-model":
             print(import_model(Path(options.file), options.name, Path(options.directory), options.motor_poles))
         else:
@@ -206,6 +218,26 @@ def reach_of(simulation: str, directory: Path, horizon: float, radius: float, sp
     spans = ", ".join(f"{a} {ends[a]['min']:.2f} to {ends[a]['max']:.2f} m" for a in ends)
     lost = f"; {len(found.ended)} of {len(found.targets)} simulations did not last" if found.ended else ""
     return f"After {horizon:g} s: {spans}{lost}. Made {folder}: positions.parquet, summary.json, reach.png"
+
+
+def import_model(file: Path, name: str, directory: Path, poles: int | None = None) -> str:
+    """Write a published model as models/NAME/standalone/model.json; returns what was made and what to know.
+
+    Raises a QuasiError for a file that is no such model, for a name that cannot be or that is taken.
+    """
+    from quasi.errors import ConfigError
+    from quasi.standalone.published import read_published
+    from quasi.tables import write_json
+
+    model = read_published(file, name, poles)
+    folder = directory / "models" / name / "standalone"
+    configured = directory / "config" / "models" / f"{name}.json"
+    for taken in (folder, configured):
+        if taken.exists():
+            raise ConfigError(f"{taken} exists already; choose another name than '{name}'")
+    write_json(folder / "model.json", model.document)
+    made = f"Made {folder / 'model.json'}: {', '.join(model.axes)}, forces {model.gravity}"
+    return "\n".join([made, *(f"note: {note}" for note in model.document["notes"])])
 
 
 def import_model(file: Path, name: str, directory: Path, poles: int | None = None) -> str:

@@ -228,6 +228,7 @@ class Model:
         """Prediction intervals: columns <axis>, <axis>_lower, <axis>_upper for each identified axis.
 
         level  share of measurements that should fall inside; None takes the model's own
+        An axis whose coefficients came without data has NaN bounds.
         Variance = residual variance + a C a', C being the coefficients' covariance robust to autocorrelation;
         quantile of Student's t with the effective number of rows less the number of terms.
         """
@@ -241,10 +242,13 @@ class Model:
             values = Program(trees).run(lookup, rows)
             coefficients = np.array([t["coefficient"] for t in part["terms"]])
             a = values[[not t.get("given", False) for t in part["terms"]]]
-            variance = part["sigma2"] + np.einsum("in,ij,jn->n", a, np.array(part["covariance"]), a, optimize=True)
+            covariance = np.array(part["covariance"], float).reshape(len(a), len(a))
+            variance = part["sigma2"] + np.einsum("in,in->n", a, covariance @ a)
             freedom = part["effective rows"] - len(part["covariance"])
             share = 0.5 * (1.0 + confidence)
             width = (stdtrit(freedom, share) if freedom >= 1 else ndtri(share)) * np.sqrt(variance)
+            if not part["n"]:  # coefficients that came without data tell nothing of their errors
+                width = np.full(rows, np.nan)
             centre = coefficients @ values
             if self.normalisation:
                 scale = self.normalisation.scale_of(axis, columns)
@@ -272,8 +276,11 @@ class Model:
                 )
             lines.append("-" * (width + 48))
             lines.append(f"Total number of terms {len(part['terms'])}")
-            lines.append(f"R2 {part['R2']:.4f}, RMSE {part['RMSE']:.4g} {part['unit']} on the training rows")
-            lines.append(f"{part['n']} training rows, worth {part['effective rows']:.0f} independent ones")
+            if part["n"]:
+                lines.append(f"R2 {part['R2']:.4f}, RMSE {part['RMSE']:.4g} {part['unit']} on the training rows")
+                lines.append(f"{part['n']} training rows, worth {part['effective rows']:.0f} independent ones")
+            else:
+                lines.append("Coefficients as given; nothing is known of their errors")
         return "\n".join(lines)
 
     def _predict_row(
