@@ -193,8 +193,8 @@ def _resample(pool, near, selection, options, config, names, entries) -> dict[st
         if not term["fixed"]:
             rivals = [r["expression"] for r in term["interchangeable with"] if r["expression"] in place]
             which = [place[term["name"]], *(place[r] for r in rivals)]
-            term["inclusion"] = float(share[term["name"]])
-            term["inclusion with rivals"] = float(found["together"][:, which].any(axis=1).mean())
+            term["inclusion frequency"] = float(share[term["name"]])
+            term["inclusion frequency with rivals"] = float(found["together"][:, which].any(axis=1).mean())
     taken = {t["name"] for t in entries}
     others = sorted((n for n in shown if n not in taken and share[n] > 0.0), key=lambda n: -share[n])
     return {
@@ -202,7 +202,7 @@ def _resample(pool, near, selection, options, config, names, entries) -> dict[st
         "of": found["of"],
         "units": found["units"],
         "candidates": len(near) - pool.fixed,
-        "others": [{"expression": n, "inclusion": float(share[n])} for n in others[:10]],
+        "others": [{"expression": n, "inclusion frequency": float(share[n])} for n in others[:10]],
     }
 
 

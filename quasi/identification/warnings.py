@@ -44,10 +44,10 @@ def warnings(
     if resampled:
         what = f"{resampled['resamples']} resamples of {resampled['units']} {resampled['of']}"
         for term in terms:
-            if term.get("inclusion with rivals", 1.0) < RARE:
+            if term.get("inclusion frequency with rivals", 1.0) < RARE:
                 notes.append(
                     f"{axis}: {term['name']} or a rival of it is chosen in only "
-                    f"{100 * term['inclusion with rivals']:.0f} % of {what}; do not read physics into it"
+                    f"{100 * term['inclusion frequency with rivals']:.0f} % of {what}; do not read physics into it"
                 )
     return notes
 

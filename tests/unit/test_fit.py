@@ -169,11 +169,11 @@ SECTION = {"fixed": ["u"], "candidates": [{"vars": ["u", "v", "q"], "degree": 2,
 def test_resampling_tells_how_often_each_term_is_chosen(flights, roles):
     found = identify("Fx", flights, roles, SECTION, bootstrap=20)
     drag = next(t for t in found["terms"] if t["name"] == "(w_tot)*(u^(1.0))")
-    assert drag["inclusion"] > 0.9
-    assert drag["inclusion with rivals"] >= drag["inclusion"]
+    assert drag["inclusion frequency"] > 0.9
+    assert drag["inclusion frequency with rivals"] >= drag["inclusion frequency"]
     assert found["bootstrap"]["resamples"] == 20
     assert found["bootstrap"]["of"] == "stretches"
-    assert all(0 < other["inclusion"] <= 1 for other in found["bootstrap"]["others"])
+    assert all(0 < other["inclusion frequency"] <= 1 for other in found["bootstrap"]["others"])
     again = identify("Fx", flights, roles, SECTION, bootstrap=20)
     assert again == found
     json.dumps(found, allow_nan=False)
