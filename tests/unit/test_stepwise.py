@@ -8,9 +8,10 @@ import pytest
 
 from quasi.errors import ConfigError, DataError
 from quasi.expressions import parse
-from quasi.identification import products
-from quasi.identification.evidence import Totals
+from quasi.identification import products, stepwise
+from quasi.identification.evidence import Totals, probability, standing
 from quasi.identification.products import Pool
+from quasi.identification.regression import least_squares
 from quasi.identification.stepwise import Options, select
 
 
@@ -121,6 +122,11 @@ def test_structure_equals_the_plain_implementation(seed, bias, monkeypatch):
     chosen, scores = plain(base[:, :2], base[:, 2:], z, bias, cap)
     assert [k - 2 for k in found.chosen] == chosen
     np.testing.assert_allclose([e["PSE"] for e in found.log], scores, rtol=1e-8)
+    a = np.column_stack([np.ones((len(z), int(bias))), base[:, :2], base[:, found.chosen]])
+    scale = np.linalg.norm(a, axis=0)
+    expected = np.linalg.lstsq(a / scale, z, rcond=None)[0]
+    fit = least_squares(a, z, [np.arange(len(z))])
+    np.testing.assert_allclose(fit.coefficients * scale, expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max())
 
 
 def test_backward_elimination_happens_and_equals_the_plain_implementation():
@@ -238,3 +244,60 @@ def test_the_cap_counts_steps_and_too_few_rows_are_refused():
     pool, names = pool_of(base[:6], z[:6], 5, True, flights=1)
     with pytest.raises(DataError, match="6 training rows are too few"):
         choose(pool, Options(), names)
+
+
+BY_SIGNIFICANCE = Options(cap=8, test="significance")
+
+
+def test_a_mixture_that_enters_first_makes_way_for_the_true_terms():
+    right = 0
+    for seed in range(20):
+        r = np.random.default_rng(seed)
+        base = r.standard_normal((3000, 12))
+        base[:, 5] = base[:, 2] + base[:, 3] + 0.3 * r.standard_normal(3000)
+        z = base[:, 2] + base[:, 3] + 0.5 * r.standard_normal(3000)
+        pool, names = pool_of(base, z, 1, True)
+        found = choose(pool, BY_SIGNIFICANCE, names)
+        assert found.log[1]["selected"] == "c5"
+        right += sorted(found.chosen) == [2, 3]
+    assert right >= 18
+
+
+def test_two_terms_that_hide_each_other_enter_on_trial_and_stand(monkeypatch):
+    # the target is their small difference: either alone tells little (t about 2.7 beside 40 others), both tell it all
+    def share():
+        right = 0
+        for seed in range(20):
+            r = np.random.default_rng(seed)
+            base = r.standard_normal((4000, 40))
+            small = 0.06 * r.standard_normal(4000)
+            base[:, 3] = base[:, 4] + small
+            z = small / 0.06 + r.standard_normal(4000)
+            pool, names = pool_of(base, z, 0, True)
+            right += sorted(choose(pool, BY_SIGNIFICANCE, names).chosen) == [3, 4]
+        return right / 20
+
+    with_trials = share()
+    assert with_trials >= 0.65  # the partial F of the first must still exceed 4
+    monkeypatch.setattr(stepwise, "TRIALS", 0)
+    assert share() <= with_trials - 0.3
+
+
+def test_nothing_of_a_pool_of_noise_is_let_in_more_often_than_the_level_says():
+    let_in = 0
+    for seed in range(100):
+        r = np.random.default_rng(seed)
+        base, z = r.standard_normal((800, 40)), r.standard_normal(800)
+        pool, names = pool_of(base, z, 0, True)
+        let_in += bool(choose(pool, BY_SIGNIFICANCE, names).chosen)
+    assert let_in <= 12  # 5 expected; 12 or more happens in 1 of 200 studies
+
+
+def test_every_chosen_term_stands_by_itself_at_the_end():
+    for seed in range(10):
+        base, z = problem(seed, n=600, m=25)
+        pool, names = pool_of(base, z, 1, True)
+        found = choose(pool, BY_SIGNIFICANCE, names)
+        columns = [0, 1, *(k + 1 for k in found.chosen)]
+        t, freedom = standing(Totals(pool), columns)
+        assert np.all(probability(t, freedom)[2:] < 0.05 / 24)
