@@ -17,7 +17,8 @@ from PIL import GifImagePlugin, Image
 from quasi import drawing
 from quasi.airframe import Airframe
 from quasi.attitude import interpolate
-from quasi.drawing import Drone, Look, Motion, shape_of
+from quasi.drawing import Motion
+from quasi.drone import Drone, Look, caption, get_limits, new_axes, path_line, set_limits, shape_of
 from quasi.errors import ConfigError, DataError
 from quasi.tables import whole_file, write_bytes
 
@@ -30,7 +31,7 @@ SUFFIXES = (".mp4", ".gif")
 class Scene:
     """Drones with their trails in 3-D axes, redrawn many times.
 
-    axes    of `drawing.new_axes`, with their limits set; the canvas of their figure must be an Agg one
+    axes    of `drone.new_axes`, with their limits set; the canvas of their figure must be an Agg one
     drones  airframe and look of each; scale  by which they are enlarged
     """
 
@@ -39,8 +40,8 @@ class Scene:
         self.canvas = axes.figure.canvas
         self.drones = [Drone(axes, shape_of(airframe, scale), look) for airframe, look in drones]
         nowhere = np.full((1, 3), np.nan)
-        self._trails = [drawing.path_line(axes, nowhere, look.history) for _, look in drones]
-        self._shadows = [drawing.path_line(axes, nowhere, "0.8", 0.9) for _ in drones]
+        self._trails = [path_line(axes, nowhere, look.history) for _, look in drones]
+        self._shadows = [path_line(axes, nowhere, "0.8", 0.9) for _ in drones]
         self.clock = axes.text2D(0.98, 0.98, "", transform=axes.transAxes, fontsize=9, ha="right", va="top")
         self._moving: list[Artist] = [*self._shadows, *self._trails, self.clock]
         for artist in (*self._moving, *(a for d in self.drones for a in d.artists)):
@@ -57,12 +58,12 @@ class Scene:
         """Move a drone to position (3,) m, quaternion (4,), discs' opacity (4,); trail (M, 3) is the path behind it."""
         self.drones[number].pose(position, quaternion, opacity)
         self._trails[number].set_data_3d(*trail.T)
-        floor = drawing.get_limits(self.axes)[1][2]
+        floor = get_limits(self.axes)[1][2]
         self._shadows[number].set_data_3d(trail[:, 0], trail[:, 1], np.where(np.isnan(trail[:, 2]), np.nan, floor))
 
     def limits(self, low: np.ndarray, high: np.ndarray) -> None:
         """Show another box, m, NED."""
-        drawing.set_limits(self.axes, low, high)
+        set_limits(self.axes, low, high)
         self._background = None
 
     def draw(self, more: Iterable[Artist] = (), anew: bool = False) -> None:
@@ -145,11 +146,11 @@ def frames(
     if limits is None:
         room = 0.5 * max(shape_of(m.airframe, scale).span for m in motions)
         low, high = low - room, high + room
-    drawing.set_limits(axes, low, high)
+    set_limits(axes, low, high)
     shown_on = axes.figure.canvas
     FigureCanvasAgg(axes.figure)
     said = f"{title}{', ' if title else ''}speed x {speed_up:g}" if speed_up != 1 else title
-    drawing.caption(axes, said, scale)
+    caption(axes, said, scale)
     scene = Scene(axes, [(m.airframe, m.look) for m in motions], scale)
     courses = [_Course(m, times, trail) for m in motions]
     try:
@@ -157,6 +158,7 @@ def frames(
             if moving_box:
                 scene.limits(*moving_box(float(time)))
             for number, course in enumerate(courses):
+                scene.drones[number].wear(motions[number].look_at(float(time)))
                 scene.place(number, *course.at(k))
             scene.clock.set_text(f"{time:.2f} s")
             more = wrapper(float(time), axes) if wrapper else ()
@@ -312,10 +314,10 @@ def _axes(axes: Axes3D | None, figure: Figure | None) -> Axes3D:
     if axes is None and figure is not None and figure.axes:
         axes = figure.axes[-1]
     if axes is None:
-        return drawing.new_axes(figure or Figure(figsize=(7.2, 5.76), dpi=100))
+        return new_axes(figure or Figure(figsize=(7.2, 5.76), dpi=100))
     if not isinstance(axes, Axes3D):
         raise ConfigError(
             "animation: the axes are not three-dimensional; make them with "
-            "`quasi.drawing.new_axes`, or put them last in the figure"
+            "`quasi.drone.new_axes`, or put them last in the figure"
         )
     return axes

@@ -11,7 +11,8 @@ from mpl_toolkits.mplot3d import Axes3D
 
 from quasi.airframe import Airframe
 from quasi.attitude import from_euler, rotate_inverse
-from quasi.drawing import get_limits, motion_of, new_axes, path_line, trajectories
+from quasi.drawing import motion_of, trajectories
+from quasi.drone import get_limits, new_axes, path_line
 from quasi.errors import DataError
 
 STATE, REFERENCE, LIMIT, FAULT = "C0", "k", "0.5", "C3"

@@ -7,10 +7,10 @@ from collections import deque
 import matplotlib
 import numpy as np
 
-from quasi import drawing
 from quasi.airframe import Airframe
 from quasi.animation import Scene
-from quasi.drawing import Look, Motion
+from quasi.drawing import Motion
+from quasi.drone import Look, caption, new_axes, set_limits
 from quasi.errors import ConfigError
 from quasi.simulation.keyboard import Held
 
@@ -37,10 +37,10 @@ class Window:
         canvas.mpl_disconnect(canvas.manager.key_press_handler_id)
         canvas.mpl_connect("key_press_event", lambda event: self._events.append(("press", _name(event.key))))
         canvas.mpl_connect("key_release_event", lambda event: self._events.append(("release", _name(event.key))))
-        axes = drawing.new_axes(self._figure)
-        drawing.caption(axes, f"{name}\n{help_text}" if help_text else name, scale)
+        axes = new_axes(self._figure)
+        caption(axes, f"{name}\n{help_text}" if help_text else name, scale)
         self._middle = np.zeros(3)
-        drawing.set_limits(axes, self._middle - HALF, self._middle + HALF)
+        set_limits(axes, self._middle - HALF, self._middle + HALF)
         self._scene = Scene(axes, [(airframe, Look())], scale)
         self._trail: deque[np.ndarray] = deque(maxlen=TRAIL)
         self._figure.show()

@@ -232,3 +232,15 @@ def test_flat_axes_and_no_motion_are_told(flight, tmp_path):
         animate([flight], tmp_path / "a.gif", figure=figure)
     with pytest.raises(DataError, match="no motion to animate"):
         animate([], tmp_path / "a.gif")
+
+
+def test_a_look_changes_in_the_middle_of_an_animation(flight):
+    axes = small()
+    changed = Motion(
+        flight.airframe, flight.t, flight.position, flight.quaternion, changes=[(3.0, Look(frame="red", thickness=7.0))]
+    )
+    seen = []
+    for _ in frames([changed], fps=2, axes=axes):
+        lines = axes.collections[0]
+        seen.append((lines.get_linewidth()[0], lines.get_colors()[0, 0]))
+    assert seen == [(2.0, 0.0)] * 2 + [(7.0, 1.0)] * 3

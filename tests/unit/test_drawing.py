@@ -7,12 +7,12 @@ import pandas as pd
 import pytest
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d import proj3d
 
 from quasi import drawing
 from quasi.airframe import read_airframe
 from quasi.attitude import from_euler
-from quasi.drawing import Drone, Look, Motion, motion_of, new_axes, set_limits, shape_of, trajectories, trajectory
+from quasi.drawing import Motion, motion_of, trajectories, trajectory
+from quasi.drone import Look, new_axes
 from quasi.errors import DataError, ShapeError
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -45,58 +45,10 @@ def turn(airframe):
     return Motion(airframe, t, where, attitude, speeds, "made")
 
 
-def on_screen(axes, point):
-    axes.figure.canvas.draw() if axes.figure.canvas else None
-    x, y, _ = proj3d.proj_transform(*point, axes.get_proj())
-    return np.array([x, y])
-
-
 def render(figure):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         figure.canvas.draw()
-
-
-def test_up_is_up_and_the_picture_is_no_mirror_image():
-    axes = new_axes(Figure())
-    set_limits(axes, -np.ones(3), np.ones(3))
-    centre = on_screen(axes, (0, 0, 0))
-    assert on_screen(axes, (0, 0, -1))[1] > centre[1]  # NED: negative z is above
-    axes.view_init(elev=90, azim=-128)
-    north, east = on_screen(axes, (1, 0, 0)) - centre, on_screen(axes, (0, 1, 0)) - centre
-    # from above, east lies a right angle clockwise of north, as on a map
-    assert north[0] * east[1] - north[1] * east[0] < -0.5 * np.linalg.norm(north) * np.linalg.norm(east)
-
-
-def test_a_metre_is_as_long_along_every_axis():
-    axes = new_axes(Figure())
-    set_limits(axes, np.array([-3.0, -1.0, -2.0]), np.array([3.0, 1.0, -1.5]))
-    low, high = drawing.get_limits(axes)
-    aspect = np.array(axes._box_aspect)
-    np.testing.assert_allclose(aspect / (high - low), (aspect / (high - low))[0])
-    np.testing.assert_allclose(0.5 * (low + high), [0.0, 0.0, -1.75])
-
-
-def test_discs_stand_on_the_hubs_with_the_rotor_radius(airframe):
-    shape = shape_of(airframe, 3.0)
-    np.testing.assert_allclose(shape.discs.mean(axis=1), 3.0 * airframe.hubs, atol=1e-15)
-    np.testing.assert_allclose(np.linalg.norm(shape.discs - 3.0 * airframe.hubs[:, None], axis=2), 0.12)
-    assert shape.span == pytest.approx(2 * 3 * (0.08 + 0.04))
-    assert shape.nose[0, 0] > shape.nose[1:, 0].max()  # the arrow points forward
-
-
-def test_a_posed_drone_stands_where_the_rotation_matrix_puts_it(airframe):
-    drone = Drone(new_axes(Figure()), shape_of(airframe))
-    # nose east (yaw 90 deg): body x is earth y, body y is earth -x
-    drone.pose([5.0, 6.0, -7.0], from_euler(0.0, 0.0, np.pi / 2), np.ones(4))
-    plain = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    hubs = np.array([face[:-1].mean(axis=0) if len(face) == 29 else face.mean(axis=0) for face in _faces(drone)[:4]])
-    np.testing.assert_allclose(hubs, airframe.hubs @ plain.T + [5.0, 6.0, -7.0], atol=1e-12)
-
-
-def _faces(drone):
-    faces = drone.artists[1]._faces
-    return [np.asarray(face)[~np.asarray(np.ma.getmaskarray(face)).any(axis=1)] for face in faces]
 
 
 def test_the_faster_a_rotor_the_more_opaque_and_the_limit_is_opaque(airframe, turn):
@@ -210,20 +162,6 @@ def test_several_drones_that_nobody_chose_a_look_for_are_told_apart(turn, airfra
     assert [t.get_text() for t in legend.get_texts()] == ["made", "away"]
 
 
-@pytest.mark.parametrize("size", [(1, 1, 1), (8, 6, 0.1), (0.1, 0.1, 30), (0.1, 50, 2), (5, 5, 2)])
-def test_the_whole_box_is_in_the_picture_whatever_its_shape(size):
-    figure = Figure(figsize=(8, 6.4), dpi=100)
-    axes = new_axes(figure)
-    set_limits(axes, np.zeros(3), np.array(size, float))
-    figure.canvas.draw()
-    low, high = drawing.get_limits(axes)
-    corners = np.array(np.meshgrid(*zip(low, high))).reshape(3, -1)
-    x, y, _ = proj3d.proj_transform(*corners, axes.get_proj())
-    pixels = axes.transData.transform(np.column_stack([x, y]))
-    assert pixels.min() > 0
-    assert np.all(pixels.max(axis=0) < [800, 640])
-
-
 def test_where_stills_stand_in_one_place_the_last_one_says_the_time(airframe):
     t = np.linspace(0.0, 4.0, 41)
     where = np.zeros((41, 3))
@@ -231,3 +169,15 @@ def test_where_stills_stand_in_one_place_the_last_one_says_the_time(airframe):
     figure = trajectory(None, airframe, t, where, np.tile(LEVEL, (41, 1)), stills=5)
     said = [text.get_text() for text in figure.axes[0].texts if text.get_text().endswith(" s")]
     assert said == ["2.0 s", "4.0 s"]
+
+
+def test_a_look_may_change_on_the_way(turn):
+    broken = Look(rotors=("red", "black", "black", "black"), history="turquoise")
+    motion = drawing.replace(turn, changes=[(6.0, broken)])
+    assert motion.look_at(5.9) == turn.look
+    assert motion.look_at(6.0) == broken
+    figure = trajectories([motion], stills=3)
+    before, after = [c for c in figure.axes[0].collections if hasattr(c, "_faces")]
+    assert not np.any(before._facecolor3d[:4, 0] == 1.0)
+    assert after._facecolor3d[0, 0] == 1.0
+    assert len(after._facecolor3d) == 2 * 5  # the stills at 6 s and 9 s
