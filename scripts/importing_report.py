@@ -30,6 +30,11 @@ PICTURES = {
     "moments": ("Moments", "Body axes, about the centre of gravity."),
     "gyro_bias": ("Gyro bias", "How the filter learnt it, with its bounds; red what was taken off."),
     "accelerometer_bias": ("Accelerometer bias", "How the filter learnt it, with its bounds; red what was taken off."),
+    "vibration": (
+        "Vibration",
+        "Spectra in flight before and after the filters that everything goes through, and where the rotors' first "
+        "harmonics stand at the log's rate (the middle 80 % of the flight).",
+    ),
 }
 
 

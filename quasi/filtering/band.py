@@ -29,7 +29,7 @@ class Band:
     @property
     def reach(self) -> int:
         """Samples on either side that a filtered value depends on."""
-        ringing = harmonics.reach(self.lines.width, self.rate) if self.lines is not None else 0
+        ringing = harmonics.reach(self.lines) if self.lines is not None else 0
         return forces.half_length(self.cutoff, self.rate) + ringing
 
     def without_lines(self, values: np.ndarray) -> np.ndarray:

@@ -1,12 +1,16 @@
-"""The figures of a filtered flight: attitude, velocity, position, forces, moments, gyro and accelerometer bias."""
+"""The figures of a filtered flight: states, forces, moments, gyro and accelerometer bias, vibration."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from scipy.signal import welch
+
+from quasi.filtering import harmonics
+from quasi.filtering.measurements import fill
 
 BEFORE, AFTER, BAND, UNUSED = "C1", "C0", "C0", "0.6"
 MOST_POINTS = 8000  # a line drawn denser shows nothing more
@@ -120,11 +124,53 @@ def _wrench(title: str, names: list[str], unit: str, filtered: pd.DataFrame, met
     return figure
 
 
+def _density(frame: pd.DataFrame, names: Sequence[str], flying: np.ndarray, rate: float) -> tuple[np.ndarray, ...]:
+    """Frequencies (Hz) and amplitude density of some columns together, in flight, per square root of a Hz."""
+    power = 0.0
+    for name in names:
+        values = fill(frame[name].to_numpy(float))[flying]
+        frequency, each = welch(values, rate, nperseg=min(len(values), round(4.0 * rate)))
+        power = power + each
+    return frequency[1:], np.sqrt(np.asarray(power)[1:])
+
+
+def _vibration(imported: pd.DataFrame, filtered: pd.DataFrame, metadata: Mapping[str, Any]) -> Figure | None:
+    """Spectra of gyro and accelerometer before and after the band's filters, and where the rotors' lines stand."""
+    flying = filtered["in_flight"].to_numpy() > 0
+    sensors = (("pqr", "gyro, rad/s/√Hz"), (("ax", "ay", "az"), "accelerometer, m/s²/√Hz"))
+    if flying.sum() < 100 or any(imported[name].isna().all() for names, _ in sensors for name in names):
+        return None
+    rate = float(metadata["sampling"]["rate"])
+    gyro = ((metadata.get("imported") or {}).get("streams") or {}).get("gyro") or {}
+    figure = Figure(figsize=(9, 5), layout="constrained")
+    axes = list(figure.subplots(2, 1, sharex=True))
+    figure.suptitle(f"{metadata.get('flight') or 'flight'}: vibration", x=0.01, ha="left", fontsize="large")
+    rotors = [c for c in filtered if c[0] == "w" and c[1:].isdigit()]
+    turning = filtered[rotors].to_numpy()[flying] / (2.0 * np.pi)
+    for axis, (names, label) in zip(axes, sensors):
+        axis.semilogy(*_density(imported, names, flying, rate), color=BEFORE, linewidth=0.9, label="imported")
+        frequency, after = _density(filtered, names, flying, rate)
+        axis.semilogy(frequency, after, color=AFTER, linewidth=1.4, label="filtered")
+        for order in range(1, harmonics.LOOKED_FOR + 1):
+            stands, there = harmonics.on_grid(order * turning, float(gyro.get("rate") or rate), rate)
+            if there.sum() > 0.2 * max(there.size, 1):
+                low, high = np.quantile(stands[there], [0.1, 0.9])
+                axis.axvspan(low, high, color=f"C{1 + order}", alpha=0.12, label=f"harmonic {order}")
+        axis.axvline(metadata["filters"]["low-pass cutoff Hz"], color="k", linestyle=":", linewidth=1, label="cut-off")
+        axis.set_ylabel(label)
+        axis.set_ylim(max(1e-4 * after.max(), 1e-12))  # what the filters leave far beyond the cut-off is rounding
+        axis.grid(alpha=0.3)
+        axis.margins(x=0)
+    axes[-1].set_xlabel("frequency, Hz")
+    _legend(figure, axes)
+    return figure
+
+
 def figures(
     imported: pd.DataFrame, filtered: pd.DataFrame, metadata: Mapping[str, Any], convergence: pd.DataFrame | None
 ) -> dict[str, Figure]:
-    """The figures of one flight by name: attitude, velocity, position, forces, moments, and gyro_bias and
-    accelerometer_bias if a filter ran.
+    """The figures of one flight by name: attitude, velocity, position, forces, moments, gyro_bias and
+    accelerometer_bias if a filter ran, and vibration if the flight is long enough for a spectrum.
 
     imported   the flight before; filtered  after (either kind of force); metadata  of the filtered flight
     convergence  the filter's course, whole or thinned; None leaves out the error bands and the biases
@@ -150,4 +196,7 @@ def figures(
     if convergence is not None:
         for key, sensors, unit in (("gyro", ["p", "q", "r"], "rad/s"), ("accelerometer", ["ax", "ay", "az"], "m/s²")):
             result[f"{key}_bias"] = _bias(f"{flight}: {key} bias", key, sensors, unit, convergence, metadata)
+    vibration = _vibration(imported, filtered, metadata)
+    if vibration is not None:
+        result["vibration"] = vibration
     return result

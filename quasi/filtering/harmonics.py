@@ -3,8 +3,10 @@
 A line of known angle is turned down to zero frequency, low-passed forward and backward, turned back and subtracted:
 x becomes x - 2 Re(E* w L w E x), with E the turning by the line's angle, w its weight and L the low-pass both ways.
 The lines are gone through from the first to the last and back again, so that the whole is a symmetric operator: it has
-no phase, also where the lines' frequencies move and cross. With a second-order Butterworth L the gain at a distance d
-from a line is (x^4 / (1 + x^4))^2 with x = 2 (1 + sqrt 2)^(1/4) d / width, one half at d = width / 2.
+no phase, also where the lines' frequencies move and cross. All this is done to what lies above the lowest frequency of
+a notch, and what it takes out is confined to there, for a notch that sweeps would shake off sidebands of the motion,
+which is a thousand times stronger. With a second-order Butterworth L the gain at a distance d from a line is
+(x^4 / (1 + x^4))^2 with x = 2 (1 + sqrt 2)^(1/4) d / width, one half at d = width / 2.
 
 Where a line stands in the log: sampling at a rate f_s shows a frequency f at its distance from the nearest multiple of
 f_s, so that at 500 Hz a line of 350 Hz stands at 150 Hz.
@@ -17,6 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 from scipy.signal import butter
+
+from quasi.filtering import forces
 
 CENTRES = ("measured speed", "median speed")
 # a log denser than this many times the grid was low-passed at its import, below half the grid's rate
@@ -32,7 +36,8 @@ class Lines(NamedTuple):
     """Rotor lines over time, L of them: harmonic by harmonic, and rotor by rotor within.
 
     harmonic, rotor  (L,) int, from 1; true (N, L) Hz, of the rotor's motion; frequency (N, L) Hz, where it stands on
-    the grid; weight (N, L) from 0 (left in) to 1 (taken out); width Hz, between the points of half gain; rate Hz
+    the grid; weight (N, L) from 0 (left in) to 1 (taken out); width Hz, between the points of half gain; lowest Hz,
+    below which nothing is touched; rate Hz
     """
 
     harmonic: np.ndarray
@@ -41,6 +46,7 @@ class Lines(NamedTuple):
     frequency: np.ndarray
     weight: np.ndarray
     width: float
+    lowest: float
     rate: float
 
 
@@ -48,6 +54,12 @@ def fold(frequency: np.ndarray, rate: float) -> np.ndarray:
     """Frequency at which samples taken at `rate` Hz show `frequency` (any shape, Hz): from 0 to half the rate."""
     frequency = np.asarray(frequency, float)
     return np.abs(frequency - rate * np.round(frequency / rate))
+
+
+def on_grid(frequency: np.ndarray, log_rate: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where a line (any shape, Hz) of a log stands on the grid, Hz, and whether the import has left it there."""
+    logged = fold(frequency, log_rate)
+    return fold(logged, rate), (logged <= 0.5 * rate) | (log_rate <= DENSER * rate)
 
 
 def _fade(distance: np.ndarray, over: float) -> np.ndarray:
@@ -80,14 +92,12 @@ def lines(
         a.ravel() for a in np.meshgrid(np.arange(harmonics) + 1, np.arange(turning.shape[1]), indexing="ij")
     )
     true = turning[:, rotor] * order
-    logged = fold(true, log_rate)
-    frequency = fold(logged, rate)
+    frequency, there = on_grid(true, log_rate, rate)
     weight = _fade(frequency - lowest, RAMP * lowest)
     # nearer to half the rate a line and its mirror image fall into one notch
     weight *= _fade(0.5 * rate - frequency - width, width)
-    if log_rate > DENSER * rate:
-        weight[logged > 0.5 * rate] = 0.0
-    return Lines(order, rotor + 1, true, frequency, weight, float(width), float(rate))
+    weight[~there] = 0.0
+    return Lines(order, rotor + 1, true, frequency, weight, float(width), float(lowest), float(rate))
 
 
 def _low_pass(width: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
@@ -126,28 +136,34 @@ def _line(values, frequency, weight, rate, b, a, out):
     return cosine, sine
 
 
+def _above(values: np.ndarray, lowest: float, rate: float) -> np.ndarray:
+    """What of columns (N, m) lies above the lowest frequency of a notch, zero phase."""
+    return values - forces.low_pass(values, lowest / (1.0 + 0.5 * forces.TRANSITION), rate)
+
+
 def take_out(values: np.ndarray, found: Lines) -> np.ndarray:
     """Columns (N, m), finite, without the lines; the same operator for each column. Same shape.
 
     Within a time constant of the record's ends a line is taken out in part only; see `reach`.
+    Raises DataError for a record shorter than the filter that sets motion apart.
     """
-    values = np.array(values, float)
-    mean = values.mean(axis=0)  # a great constant would ring at both ends
-    values -= mean
+    values = np.asarray(values, float)
     b, a = _low_pass(found.width, found.rate)
-    slow = np.empty((2, *values.shape))
+    high = _above(values, found.lowest, found.rate)
+    left, slow = high.copy(), np.empty((2, *values.shape))
     there = range(len(found.harmonic))
     for i in (*there, *reversed(there)):
         weight = np.ascontiguousarray(found.weight[:, i])
         if not weight.any():
             continue
-        cosine, sine = _line(values, np.ascontiguousarray(found.frequency[:, i]), weight, found.rate, b, a, slow)
-        values -= 2.0 * weight[:, None] * (cosine[:, None] * slow[0] + sine[:, None] * slow[1])
-    return values + mean
+        cosine, sine = _line(left, np.ascontiguousarray(found.frequency[:, i]), weight, found.rate, b, a, slow)
+        left -= 2.0 * weight[:, None] * (cosine[:, None] * slow[0] + sine[:, None] * slow[1])
+    return values - _above(high - left, found.lowest, found.rate)
 
 
-def reach(width: float, rate: float) -> int:
-    """Samples on either side after which a notch of `width` Hz has forgotten a knock, to some 5 %."""
+def reach(found: Lines) -> int:
+    """Samples on either side after which the notches have forgotten a knock, to some 5 %."""
+    width, rate = found.width, found.rate
     return int(np.ceil(RINGING * HALF * np.sqrt(2.0) / (np.pi * width) * rate))
 
 
@@ -157,7 +173,7 @@ def clearness(values: np.ndarray, found: Lines, i: int, part: np.ndarray) -> flo
     part  (N,) bool, the rows that count, at least one. The neighbourhood is that of three widths, without the line's
     own. The greatest of the columns.
     """
-    values = np.ascontiguousarray(values - values.mean(axis=0))
+    values = _above(values, found.lowest, found.rate)
     frequency, weight = (np.ascontiguousarray(x[:, i]) for x in (found.frequency, found.weight))
     power = []
     for width in (found.width, 3.0 * found.width):
