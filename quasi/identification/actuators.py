@@ -18,8 +18,7 @@ import numpy as np
 import pandas as pd
 from numba import njit
 
-from quasi.errors import DataError
-from quasi.identification.regression import least_squares
+from quasi.identification.regression import bartlett, memory_window
 
 SHORTEST, LONGEST = 0.002, 0.5  # s, of a time constant
 MOST_DELAY = 0.1  # s
@@ -28,6 +27,7 @@ COMPARED = 125.0  # Hz at which speeds are compared
 FEWEST = 100  # compared rows
 LIVELY = 0.02  # a rotor whose speed varies less than this share of its mean tells no time constant
 STEADY_VOLTAGE = 0.01  # relative variation below which a battery tells no exponent
+WORST_CONDITION = 1e14  # of the normal equations of scaled columns
 STEPS = 30
 POWERS = [0, 1, 2]
 ROTORS = range(1, 5)
@@ -138,10 +138,8 @@ def rotor_lag(
     if isinstance(two, str):
         return two
     values, jacobian, residual = two
-    try:
-        std = np.sqrt(np.diag(least_squares(jacobian, residual, [groups]).covariance))
-        alone = np.sqrt(np.diag(least_squares(one[1], one[2], [groups]).covariance))
-    except DataError:
+    std, alone = standard_errors(jacobian, residual, groups), standard_errors(one[1], one[2], groups)
+    if std is None or alone is None:
         return "moves too little to tell its constants apart"
     found = _padded(values[3:], len(shape))
     names = ["up", "down", "delay", "offset" if commands_speed else "a0", "gain" if commands_speed else "a1"]
@@ -156,6 +154,25 @@ def rotor_lag(
         exponent=None if commands_speed else float(found[3]),
         explained=1.0 - float(residual @ residual) / (scale**2 * len(target)),
     )
+
+
+def standard_errors(jacobian: np.ndarray, residual: np.ndarray, rows: np.ndarray) -> np.ndarray | None:
+    """Standard errors (p,) of least-squares values, robust to autocorrelation; None when they cannot be told apart.
+
+    jacobian (n, p) of the prediction; residual (n,); rows (n,) their places in time, increasing
+    """
+    scale = np.linalg.norm(jacobian, axis=0)
+    if not np.all(scale > 0):
+        return None
+    scaled = jacobian / scale
+    normal = scaled.T @ scaled
+    if np.linalg.cond(normal) > WORST_CONDITION:
+        return None
+    bread = np.linalg.inv(normal)
+    scores = scaled * residual[:, None]
+    bandwidth = max(memory_window(s, [rows]) for s in (residual, *scores.T))
+    covariance = bread @ bartlett(scores, [rows], bandwidth) @ bread
+    return np.sqrt(np.diag(covariance)) / scale
 
 
 def _padded(shape: np.ndarray, length: int) -> np.ndarray:
