@@ -1,8 +1,11 @@
 """The window in which a flight is seen: a box of air around the drone, moved on when the drone comes near its edge."""
 
+import math
 import os
 import sys
+import time
 from collections import deque
+from collections.abc import Callable
 
 import matplotlib
 import numpy as np
@@ -13,6 +16,7 @@ from quasi.drawing import Motion
 from quasi.drone import Look, caption, new_axes, set_limits
 from quasi.errors import ConfigError
 from quasi.simulation.keyboard import Held
+from quasi.simulation.simulator import Bus
 
 HALF = 2.5  # m, of the box
 EDGE = 0.7  # of it: the drone's way from the middle before the box moves on
@@ -75,7 +79,7 @@ class Window:
         trail = trail[(np.abs(trail - self._middle) <= HALF).all(axis=1)]
         motion = Motion(self._airframe, [t], where[None], state[None, :4], state[None, 13:17])
         self._scene.place(0, where, state[:4], motion.opacity(np.array([0]))[0], trail)
-        self._scene.clock.set_text(f"{said}   {t:.1f} s")
+        self._scene.clock.set_text(f"{said}   {t:.1f} s".lstrip())
         self._scene.draw()
         self._figure.canvas.blit(self._figure.bbox)
 
@@ -86,6 +90,52 @@ class Window:
     def close(self) -> None:
         """Close the window."""
         self._pyplot.close(self._figure)
+
+
+class Animator:
+    """A step that shows a quadrotor while it is simulated in Python, in real time; closing the window ends it.
+
+        animator = Animator(Window(setup.airframe, setup.name))
+        simulator.add_step("integrator", animator)
+        simulator.set_termination(animator.going)
+
+    window  where it is shown; rate  pictures per second at most; speed  times real time, None as fast as it goes;
+    clock s; rest  waits s
+    """
+
+    def __init__(
+        self,
+        window: Window,
+        rate: float = 25.0,
+        speed: float | None = 1.0,
+        clock: Callable[[], float] = time.perf_counter,
+        rest: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.window, self.rate, self.speed = window, rate, speed
+        self._clock, self._rest = clock, rest
+        self._began: float | None = None
+        self._shown = -math.inf
+
+    def __call__(self, bus: Bus) -> None:
+        """Show the state at the end of the step, unless a picture was shown a moment ago."""
+        t, now = float(bus.time[bus.step + 1]), self._clock()
+        if self._began is None:
+            self._began = now - (t / self.speed if self.speed else 0.0)
+        if self.speed:
+            ahead = self._began + t / self.speed - now
+            if ahead > 0.0:
+                self._rest(ahead)
+                now += ahead
+            elif ahead < -0.2:
+                self._began -= ahead  # too slow for real time: what is lost is not made up for
+        if now - self._shown >= 1.0 / self.rate:
+            self._shown = now
+            self.window.poll(Held(), now)
+            self.window.show(t, bus.state[bus.step + 1], "")
+
+    def going(self, bus: Bus) -> bool:
+        """Whether the window is still open."""
+        return self.window.is_open()
 
 
 def _name(key: str | None) -> str:

@@ -12,7 +12,7 @@ from quasi.attitude import from_euler, rotate
 from quasi.errors import ConfigError
 from quasi.simulation import window
 from quasi.simulation.fly import ATTITUDE, SLOWEST, VELOCITY, Handling, Pace, Pilot, fly
-from quasi.simulation.window import Window
+from quasi.simulation.window import Animator, Window
 
 WEIGHT = 5.0
 
@@ -237,6 +237,27 @@ def test_keys_of_the_window_count_while_they_are_down(opened):
     canvas.callbacks.process("key_release_event", KeyEvent("key_release_event", canvas, "w"))
     assert opened.poll(held, 61.0) == []
     assert "w" not in held.at(61.2)
+
+
+def test_an_animator_shows_an_endless_simulation_in_real_time_until_its_window_is_closed(opened):
+    from plain_plant import made_model
+
+    from quasi.simulation.quadrotor import QuadrotorSimulator
+    from quasi.simulation.setup import make_setup
+
+    setup = make_setup({"model": {"model ID": "made"}}, made_model())
+    clock = Clock()
+    simulator = QuadrotorSimulator(setup, run_mode="infinite")
+    animator = Animator(opened, rate=10.0, clock=clock, rest=clock.rest)
+    times = []
+    show = opened.show
+    opened.show = lambda t, state, said: (times.append(t), show(t, state, said), len(times) == 6 and opened.close())
+    simulator.add_step("integrator", animator)
+    simulator.set_termination(animator.going)
+    bus = simulator.run()
+    np.testing.assert_allclose(np.diff(times), 0.1, atol=0.0041)  # ten pictures a second of simulated time
+    assert bus.time[bus.step] == pytest.approx(times[-1])
+    assert clock.now == pytest.approx(times[-1] - times[0])  # as long as it would have taken
 
 
 def test_a_closed_window_is_noticed(opened):
