@@ -261,6 +261,8 @@ class Model:
         lines = [f"Model {self.id} ({self.gravity}, airframe {self.airframe.name})"]
         if self.hover_speed is not None:
             lines.append(f"Hover speed {self.hover_speed:.1f} rad/s")
+        if self.normalisation:
+            lines.append("Coefficients are those of F / N and M / (N b); predictions are in N and N m")
         for axis in self.axes if axes is None else axes:
             if axis not in self.axes:
                 raise ConfigError(f"model {self.id} has no axis '{axis}'{nearest(axis, self.axes)}")

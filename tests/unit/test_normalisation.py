@@ -187,6 +187,10 @@ def test_derivatives_follow_the_predictions(model, flights):
     assert "w_avg" in model.held_constant(["U_p"])
 
 
+def test_the_summary_says_what_the_coefficients_are(model):
+    assert "Coefficients are those of F / N and M / (N b)" in model.summary()
+
+
 def test_rotors_at_rest_and_hover_give_finite_forces(model):
     forces, moments = model.predict(np.zeros(12), np.zeros(4))
     assert np.isfinite(forces).all()

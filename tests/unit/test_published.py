@@ -131,6 +131,21 @@ def test_parameters_are_mechanical_and_in_si(tmp_path):
     assert "14 are assumed" in " ".join(read_published(written(tmp_path)).document["notes"])
 
 
+def test_the_simple_model_of_a_published_model_carries_what_was_reported_of_it(tmp_path):
+    # HDBeetle-14: its thrust factor carries 3.44 N in hover, where the quadrotor weighs 4.25 N
+    document = copy.deepcopy(DOCUMENT)
+    document["droneParams"] |= {
+        "wHover (rad/s)": 114.36692325451668,
+        "simpleModel": {"kappaFz_w_2": 6.568989586902552e-05},
+    }
+    model = read_published(written(tmp_path, document), "beetle")
+    thrust = 4 * model.document["simple model"]["kappaFz"]["value"] * model.hover_speed**2
+    assert round(thrust, 2) == 3.44
+    assert round(model.airframe.mass * 9.81, 2) == 4.25
+    # 1092 in the log is hover, 14 poles
+    assert model.hover_speed == pytest.approx(1092.1236697300658 * model.document["logged to rad/s"])
+
+
 def test_nothing_is_known_of_its_errors(tmp_path):
     model = read_published(written(tmp_path))
     states, erpm100 = rows()
