@@ -6,7 +6,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from quasi.identification.partition import ROLES, TRAINING, isolated, judged_rows
 from quasi.joblog import job, progress
-from quasi.standalone.figures import closeup, comparison, coverage_figure, isolation_figure, quartile_figure
+from quasi.standalone.figures import (
+    actuator_figure,
+    closeup,
+    comparison,
+    coverage_figure,
+    isolation_figure,
+    quartile_figure,
+)
 from quasi.standalone.model import read_model
 from quasi.standalone.review import review
 from quasi.tables import read_table, whole_file
@@ -28,6 +35,7 @@ def main(model: str, partition: str, flights: list[str], roles: dict, options: d
         if (codes[key] > 0).any():
             drawings[f"closeup_{key}"] = (closeup, found.judged, key, units)
     drawings["coverage"] = (coverage_figure, found.coverage)
+    drawings["actuators"] = (actuator_figure, portable.document.get("actuators"))
     training = {key: t[codes[key] > 0] for key, t in tables.items() if (codes[key] == TRAINING).any()}
     for axis, regions in isolated(table, {key: len(t) for key, t in tables.items()}).items():
         if axis in portable.axes:

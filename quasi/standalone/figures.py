@@ -212,3 +212,26 @@ def isolation_figure(
     share = 100 * kept / max(total, 1)
     panel.set_xlabel(f"time, training flights one after another, s; shaded: {share:.0f} % of the rows")
     return figure
+
+
+def actuator_figure(actuators: Mapping[str, Any] | None) -> Figure | None:
+    """Time constants and delay of each rotor over the flights, as boxes and points; None where none are known.
+
+    actuators  of the model's document
+    """
+    flights = (actuators or {}).get("flights")
+    if not flights:
+        return None
+    figure = Figure(figsize=(10, 3.4), layout="constrained")
+    titles = {"time constants up": "time constant up", "time constants down": "time constant down", "delay": "delay"}
+    for panel, (name, title) in zip(figure.subplots(1, 3), titles.items()):
+        values = 1e3 * np.array([flight[name]["value"] for flight in flights.values()])
+        errors = 1e3 * np.array([flight[name]["std"] for flight in flights.values()])
+        panel.boxplot(values, positions=range(1, 5), widths=0.5, showfliers=False, medianprops={"color": MODEL})
+        places = np.arange(1, 5) + np.linspace(-0.15, 0.15, len(values))[:, None]
+        panel.errorbar(places.ravel(), values.ravel(), errors.ravel(), fmt=".", ms=4, lw=0.8, color=MEASURED)
+        panel.set_xticks(range(1, 5))
+        panel.set_xlabel("rotor")
+        panel.set_ylabel(f"{title}, ms")
+    figure.suptitle(f"How the rotors follow their commands, {len(flights)} flights", fontsize=10)
+    return figure

@@ -14,7 +14,14 @@ from matplotlib.figure import Figure
 
 from quasi.identification.isolation import excited
 from quasi.standalone.diagnostics import ANY
-from quasi.standalone.figures import closeup, comparison, coverage_figure, isolation_figure, quartile_figure
+from quasi.standalone.figures import (
+    actuator_figure,
+    closeup,
+    comparison,
+    coverage_figure,
+    isolation_figure,
+    quartile_figure,
+)
 from quasi.standalone.report import page
 from quasi.standalone.score import judge
 from quasi.standalone.summary import number, summary_json, summary_latex, summary_text, tex, unit
@@ -153,6 +160,19 @@ def test_a_close_up_shows_the_liveliest_seconds_and_stands_short_flights(found):
     assert shown[0] == pytest.approx(liveliest / 500, abs=1e-9)
     short = {axis: j._replace(**{n: getattr(j, n)[-60:] for n in j._fields[1:]}) for axis, j in done.judged.items()}
     assert isinstance(closeup(short, "c", {"Fz": "N", "My": "N m"}), Figure)
+
+
+def test_actuator_boxes_hold_every_flight():
+    values = {"time constants up": 0.02, "time constants down": 0.03, "delay": 0.001}
+    flights = {
+        key: {name: {"value": [v * f] * 4, "std": [1e-4] * 4} for name, v in values.items()}
+        for key, f in (("a", 0.9), ("b", 1.0), ("c", 1.1))
+    }
+    panels = actuator_figure({"flights": flights}).axes
+    assert [p.get_ylabel() for p in panels] == ["time constant up, ms", "time constant down, ms", "delay, ms"]
+    points = max((line for line in panels[1].lines), key=lambda line: len(line.get_xdata()))
+    assert sorted(points.get_ydata()) == pytest.approx(sorted([27.0, 30.0, 33.0] * 4))
+    assert actuator_figure(None) is None
 
 
 def test_isolation_shades_its_regions(found):
