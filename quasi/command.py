@@ -48,6 +48,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     reach.add_argument("--radius", type=float, default=4.0, help="of the sphere of targets, m (default 4)")
     reach.add_argument("--spacing", type=float, default=20.0, help="angle between targets, degrees (default 20)")
 
+    fresh = commands.add_parser(
+        "new-simulation",
+        help="lay a simulation of a system of your own: a runnable Python file and its settings",
+        description="Writes NAME/NAME.py and NAME/NAME.json: a mass on a spring, to be replaced part by part.",
+    )
+    fresh.add_argument("name", help="name of the simulation")
+    fresh.add_argument("-d", "--directory", default=".", help="folder in which NAME is made (default: here)")
+
     init = commands.add_parser("init", help="lay a project folder: commented configuration and an empty logbook")
     init.add_argument("folder", help="folder to make; it must be empty or absent")
 
@@ -74,16 +82,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     published.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
     published.add_argument("--motor-poles", type=int, help="magnets of its motors, which the file does not tell (14)")
 
-    published = commands.add_parser(
-        "import-model",
-        help="make a model from a JSON file that QuaSI published",
-        description="Writes models/NAME/standalone/model.json. Nothing from the file is run.",
-    )
-    published.add_argument("file", help="JSON file of the published model")
-    published.add_argument("name", help="model ID that it gets")
-    published.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
-    published.add_argument("--motor-poles", type=int, help="magnets of its motors, which the file does not tell (14)")
-
     options = parser.parse_args(arguments)
     if arguments is None and hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `quasi summary M | head` ends silently, as other commands do
@@ -95,12 +93,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         elif options.command == "reach":
             asked = (options.horizon, options.radius, options.spacing)
             print(reach_of(options.simulation, Path(options.directory), *asked))
+        elif options.command == "new-simulation":
+            print(new_simulation(options.name, Path(options.directory)))
         elif options.command == "noise":
             logs = [Path(log) for log in options.logs]
             names = (options.cut, options.rigid_body, options.log_number, options.write)
             print(noise_at_rest(Path(options.quadrotor), logs, *names))
-        elif options.command == "import-model":
-            print(import_model(Path(options.file), options.name, Path(options.directory), options.motor_poles))
         elif options.command == "import-model":
             print(import_model(Path(options.file), options.name, Path(options.directory), options.motor_poles))
         else:
@@ -240,24 +238,25 @@ def import_model(file: Path, name: str, directory: Path, poles: int | None = Non
     return "\n".join([made, *(f"note: {note}" for note in model.document["notes"])])
 
 
-def import_model(file: Path, name: str, directory: Path, poles: int | None = None) -> str:
-    """Write a published model as models/NAME/standalone/model.json; returns what was made and what to know.
-
-    Raises a QuasiError for a file that is no such model, for a name that cannot be or that is taken.
-    """
+def new_simulation(name: str, directory: Path) -> str:
+    """Lay a simulation of a user's own system; returns what to do next. Raises ConfigError for an unfit name."""
     from quasi.errors import ConfigError
-    from quasi.standalone.published import read_published
-    from quasi.tables import write_json
+    from quasi.tables import read_text, write_text
 
-    model = read_published(file, name, poles)
-    folder = directory / "models" / name / "standalone"
-    configured = directory / "config" / "models" / f"{name}.json"
-    for taken in (folder, configured):
-        if taken.exists():
-            raise ConfigError(f"{taken} exists already; choose another name than '{name}'")
-    write_json(folder / "model.json", model.document)
-    made = f"Made {folder / 'model.json'}: {', '.join(model.axes)}, forces {model.gravity}"
-    return "\n".join([made, *(f"note: {note}" for note in model.document["notes"])])
+    if not name.isidentifier() or name == "NAME":
+        raise ConfigError(f"a simulation cannot be called '{name}'; use letters, digits and _, a letter first")
+    folder = directory / name
+    if folder.exists():
+        raise ConfigError(f"{folder} already exists; choose another name")
+    for suffix in (".py", ".json"):
+        text = read_text(LIBRARY / "config" / "new_simulation" / f"simulation{suffix}")
+        write_text(folder / f"{name}{suffix}", text.replace("NAME", name))
+    return (
+        f"Made {folder}:\n"
+        f"  {name}.py    the system: model, controller, actuator, forces, equations of motion; replace them by yours\n"
+        f"  {name}.json  its settings\n"
+        f"Then:  python {folder / name}.py"
+    )
 
 
 def lay(folder: Path) -> str:

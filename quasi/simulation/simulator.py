@@ -23,6 +23,7 @@ import numpy as np
 from quasi.errors import ConfigError, DataError, ShapeError, nearest
 
 ORDER = ("begin", "controller", "actuator", "forces_and_moments", "equations_of_motion", "integrator")
+_LARGEST = 1e12  # a state beyond it has diverged, whatever its unit
 _GROW = 1024  # rows that a simulation without an end gains at a time
 Step = Callable[["Bus"], Any]
 
@@ -332,7 +333,7 @@ class Simulator:
 
     def _check_state(self, bus: Bus) -> None:
         state = bus.state[bus.step + 1]
-        limits = np.inf if self.limits is None else self.limits
+        limits = _LARGEST if self.limits is None else self.limits
         bad = ~(np.abs(state) <= limits) | ~np.isfinite(state)
         if bad.any():
             entry = int(np.flatnonzero(bad)[0])
