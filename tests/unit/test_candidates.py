@@ -7,6 +7,7 @@ import pytest
 
 from quasi import tables
 from quasi.errors import ConfigError, ExpressionError
+from quasi.expressions import Program
 from quasi.identification.candidates import AXES, read_specification
 
 LISTING = "config/polynomials/manual_listing_17.json"
@@ -131,3 +132,26 @@ def test_the_standard_fm_pool_of_fz_has_as_many_candidates_as_the_reference_coun
     assert len(found.candidates) == 623
     printed = read_specification(tables.read_json(LISTING), "Fz", LISTING)
     assert {t.expression for t in printed.candidates} <= {t.expression for t in found.candidates}
+
+
+def test_the_manuals_printed_formulation_is_read_whole_and_evaluates():
+    # section 9.2: 69 monomials of 4 expressions to degree 4 times 4 sets, 9 of 2 to degree 3 times 2
+    entries = [
+        {
+            "vars": ["(u + v - w)", "u", "w1 - w2 + w3 - w4", "sin[roll]"],
+            "degree": 4,
+            "sets": [1, "w_tot", "q^(10 - p*r)", "U_q + 3.47"],
+        },
+        {"vars": ["q/(p - r)", "q*q"], "degree": 3, "sets": [1, "w_tot*((u + v)^(w-2))"]},
+    ]
+    fixed = "u*(sin[pitch]+u)*v + w^(u/(v) + p*r + q)"
+    found = read_specification(section(*entries, fixed=[fixed]), "Fx", "spec.json")
+    assert len(found.candidates) == 69 * 4 + 9 * 2
+    at = {"u": 2.0, "v": 1.0, "w": 2.5, "p": 0.5, "q": 1.5, "r": -0.5, "w1": 9.0, "w2": 8.0, "w3": 7.0, "w4": 6.0}
+    at |= {"sin[roll]": 0.1, "sin[pitch]": 0.2, "w_tot": 30.0, "U_q": 4.0}
+    values = dict(zip([fixed, *(t.expression for t in found.candidates)], Program(found.trees).run(at, 1)[:, 0]))
+    assert values[fixed] == pytest.approx(2 * 2.2 * 1 + 2.5 ** (2 - 0.25 + 1.5))
+    last = "(w_tot*((u + v)^(w-2)))*((q/(p - r))^(1.0) * (q*q)^(2.0))"
+    assert values[last] == pytest.approx(30 * 3**0.5 * 1.5 * 1.5**4)
+    powered = "(q^(10 - p*r))*(((u + v - w))^(1.0) * u^(3.0))"
+    assert values[powered] == pytest.approx(1.5**10.25 * 0.5 * 8)
