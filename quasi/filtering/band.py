@@ -145,17 +145,20 @@ def _warn(
     """Say which harmonics show up inside the band of the low-pass, where no notch was asked for."""
     inside = (found.frequency < (1.0 + 0.5 * forces.TRANSITION) * cutoff) & (found.weight > 0.5) & flying[:, None]
     often = inside.sum(axis=0) > SELDOM * max(int(flying.sum()), 1)
+    told = []
     for order in np.unique(found.harmonic):
         seen = [
             int(i)
             for i in np.flatnonzero((found.harmonic == order) & often)
             if harmonics.clearness(imu, found, int(i), inside[:, i]) > harmonics.CLEAR
         ]
-        if not seen:
-            continue
-        stands, true = (float(np.median(x[:, seen][inside[:, seen]])) for x in (found.frequency, found.true))
-        where = f" (it folds from {true:.0f} Hz at the log's rate of {logged:.0f} Hz)" if true > stands + 1.0 else ""
+        if seen:
+            stands, true = (float(np.median(x[:, seen][inside[:, seen]])) for x in (found.frequency, found.true))
+            folded = f", folded from {true:.0f} Hz" if true > stands + 1.0 else ""
+            told.append(f"harmonic {order} near {stands:.0f} Hz{folded}")
+    if told:
         notes.append(
-            f"a vibration near {stands:.0f} Hz moves with the rotors' speed, their harmonic {order}{where}, and passes "
-            f"the low-pass of {cutoff:g} Hz; lower 'low-pass cutoff Hz' or set 'rotor notch harmonics' to {order}"
+            f"vibration that moves with the rotors' speed ({'; '.join(told)}; the log's rate is {logged:.0f} Hz) "
+            f"passes the low-pass of {cutoff:g} Hz; lower 'low-pass cutoff Hz' or set 'rotor notch harmonics' to "
+            f"{told[-1].split(' ')[1]}"
         )
