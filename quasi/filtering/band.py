@@ -90,6 +90,8 @@ def choose(
             notes.append("'rotor notch harmonics' asks for notches, but no rotor speed is known: none were made")
         return Band(cutoff, rate, None, metadata)
     if not 0.5 * rate - 2.0 * width > lowest:
+        if not wanted:  # nothing to look for on so slow a grid
+            return Band(cutoff, rate, None, metadata)
         raise ConfigError(
             f"no notch of 'rotor notch width Hz' {width:g} fits between 'rotor notch lowest Hz' {lowest:g} and half "
             f"the grid's rate, {0.5 * rate:g} Hz; lower one of them"
