@@ -15,6 +15,12 @@ OFFSET = 0.5  # share of the RMSE that is a constant offset
 WEAK = 0.5  # R2 on the training rows below which an axis is hardly explained
 LOPSIDED = 1.5  # of one outer quartile's RMSE over the other's, beyond what the training rows show
 FEWER = "remove regressors (a lower 'regressor cap', fewer candidates) or train on more flights"
+TRIM = {
+    **dict.fromkeys(("Fx", "Fy"), "accelerometer bias or mounting, wind"),
+    "Fz": "mass, propellers, accelerometer bias, wind",
+    **dict.fromkeys(("Mx", "My"), "centre of gravity, a weaker rotor"),
+    "Mz": "a tilted or weaker rotor",
+}
 
 
 def verdict(axis: str, facts: Mapping[str, Any]) -> dict[str, Any]:
@@ -76,7 +82,7 @@ def _validation(axis: str, facts: Mapping[str, Any], because: list[str], remedie
         level = 1
         share = percent((bias / rmse) ** 2)
         because.append(f"{share} of its squared validation error is a constant offset of {bias:.3g} {facts['unit']}")
-        remedies.append("look for another trim there: mass (Fz), centre of gravity (Mx, My), wind, sensor bias")
+        remedies.append(f"look for another trim there: {TRIM[axis]}")
     if above is not None and above > RULE and (scaled is None or scaled > RULE):
         level = 1
         because.insert(0, f"validation RMSE {above:.0f} % above training")
