@@ -56,6 +56,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     fresh.add_argument("name", help="name of the simulation")
     fresh.add_argument("-d", "--directory", default=".", help="folder in which NAME is made (default: here)")
 
+    margins = commands.add_parser(
+        "margins",
+        help="gains and stability margins of a simulation's controller",
+        description="The gains in force, which may be copied into config/simulations/SIMULATION.json and changed, and "
+        "how much gain, phase and delay the loop about hover can bear in each direction.",
+    )
+    margins.add_argument("simulation", help="name of the simulation")
+    margins.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
+
     init = commands.add_parser("init", help="lay a project folder: commented configuration and an empty logbook")
     init.add_argument("folder", help="folder to make; it must be empty or absent")
 
@@ -90,6 +99,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(summarise(options.model, Path(options.directory)))
         elif options.command == "fly":
             print(fly_by_hand(options.model, Path(options.directory), options.simulation))
+        elif options.command == "margins":
+            print(margins_of(options.simulation, Path(options.directory)))
         elif options.command == "reach":
             asked = (options.horizon, options.radius, options.spacing)
             print(reach_of(options.simulation, Path(options.directory), *asked))
@@ -188,6 +199,20 @@ def fly_by_hand(model: str | None, directory: Path, simulation: str | None = Non
         session.restart()
         print(fly.HELP, flush=True)
         return fly.fly(session, window, keys)
+
+
+def margins_of(simulation: str, directory: Path) -> str:
+    """Gains and margins of a simulation's controller as text. Raises a QuasiError where it or its model are absent."""
+    from quasi.simulation.margins import margins_of_setup
+    from quasi.simulation.setup import make_setup
+    from quasi.standalone.model import read_model
+    from quasi.tables import read_numbers
+    from quasi.workflow import Folder
+
+    asked = Folder(directory).simulation(simulation)
+    wind, reference = (read_numbers(directory / asked[k]) if asked[k] else None for k in ("wind", "reference"))
+    model = read_model(model_place(asked["model"], directory))
+    return margins_of_setup(make_setup(asked["settings"], model, wind, reference, simulation))
 
 
 def reach_of(simulation: str, directory: Path, horizon: float, radius: float, spacing: float) -> str:

@@ -137,7 +137,7 @@ def pack(settled: Mapping[str, Any], known: ControlModel) -> np.ndarray:
     """Parameters (MODEL,) of the kernels, from settled settings and what is known of the vehicle."""
     gains, limits, allocation = settled["gains"], settled["limits"], settled["allocation"]
     out = np.zeros(MODEL)
-    out[MASS], out[HOVER], out[LAG] = known.mass, known.hover_speed, known.lag
+    out[MASS], out[HOVER], out[LAG] = known.mass, known.hover_speed, known.lag + known.delay
     out[LOWEST], out[HIGHEST] = known.lowest, known.highest
     out[INERTIA : INERTIA + 9] = known.inertia.ravel()
     out[EFFECT : EFFECT + 16] = known.effectiveness.ravel()

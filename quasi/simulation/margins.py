@@ -21,7 +21,9 @@ from quasi.errors import ConfigError
 from quasi.simulation import controllers as c
 from quasi.simulation import gains as g
 from quasi.simulation.control_model import control_model, extras
+from quasi.simulation.dynamics import UP
 from quasi.simulation.outer_loop import GOAL, INTEGRAL, THRUST
+from quasi.simulation.setup import Setup
 from quasi.standalone.model import Model
 
 DIRECTIONS = ("roll", "pitch", "yaw", "thrust")
@@ -92,6 +94,37 @@ def margins(
     sensitivity = np.linalg.inv(identity + mixed)
     together = 1.0 / np.max(np.linalg.norm(sensitivity - 0.5 * identity, ord=2, axis=(-2, -1)))
     return Margins(largest < 1.0, damping, largest, found, float(together))
+
+
+def margins_of_setup(setup: Setup) -> str:
+    """Gains in force and margins of a simulation's controller, as text."""
+    machine = setup.machine
+    actuators = {
+        "time constants": np.maximum(machine.body[UP : UP + 4], 1e-4),
+        "delay": machine.drive.delay,
+        "lowest": machine.drive.low,
+        "highest": machine.drive.high if math.isfinite(machine.drive.high) else None,
+    }
+    asked = {**setup.settings["controller"], "time step": setup.dt}
+    settled = g.settle(asked, control_model(setup.model, actuators))
+    found = margins(asked, setup.model, setup.dt, actuators)
+    said = "stable" if found.stable else "NOT STABLE"
+    lines = [
+        f"{settled['controller']} on {setup.model.id}, every {1e3 * setup.dt:g} ms: {said} about hover, least damping "
+        f"{found.least_damping:.2f}",
+        "gains, s",
+    ]
+    for block, values in settled["gains"].items():
+        lines.append(f"  {block:<10}" + ", ".join(f"{key} {value:.3g}" for key, value in values.items()))
+    lines.append(f"{'margins':<12}{'gain up':>9}{'gain down':>11}{'phase':>8}{'delay':>9}{'disk':>7}{'crossover':>12}")
+    for name, margin in found.by_direction.items():
+        up, down = (f"{v:.1f} dB" if math.isfinite(v) else "none" for v in (margin.gain_up, margin.gain_down))
+        lines.append(
+            f"  {name:<10}{up:>9}{down:>11}{margin.phase:>6.0f} °{margin.delay:>6.0f} ms{margin.disk:>7.2f}"
+            f"{margin.crossover:>6.1f} rad/s"
+        )
+    lines.append(f"disk margin of all four at once {found.all_at_once:.2f}")
+    return "\n".join(lines)
 
 
 def linearise(

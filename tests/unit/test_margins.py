@@ -8,7 +8,8 @@ import pytest
 from scipy import signal
 
 from quasi.errors import ConfigError
-from quasi.simulation.margins import DIRECTIONS, _margin, linearise, margins
+from quasi.simulation.margins import DIRECTIONS, _margin, linearise, margins, margins_of_setup
+from quasi.simulation.setup import make_setup
 
 KINDS = ("PID", "NDI", "INDI")
 
@@ -129,6 +130,23 @@ def test_slow_actuators_and_delay_cost_margin(model):
     fixed = {"controller": "INDI", "gains": {k: {"time constant": v} for k, v in frozen.items()}}
     a, b = (margins(fixed, model, actuators={"delay": d}).by_direction["roll"].delay for d in (0.0, 0.012))
     assert a - b == pytest.approx(12.0, abs=6.0)
+
+
+@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize(("lag", "delay", "dt"), [(0.005, 0.0, 0.004), (0.015, 0.03, 0.001), (0.05, 0.0, 0.01)])
+def test_default_gains_suit_quick_and_slow_rotors(name, lag, delay, dt):
+    found = margins({"controller": name, "time step": dt}, plain.made_model(lag=lag), dt, {"delay": delay})
+    assert found.stable
+    for margin in found.by_direction.values():
+        assert min(margin.gain_up, margin.gain_down) > 5.5 and margin.phase > 30.0
+
+
+def test_the_text_tells_gains_and_margins(model):
+    setup = make_setup({"model": {"model ID": "made"}, "controller": {"controller": "drone_PID"}}, model)
+    text = margins_of_setup(setup)
+    assert text.startswith("PID on made, every 4 ms: stable") and "integral time" in text
+    roll = margins({"controller": "PID", "time step": 0.004}, model).by_direction["roll"]
+    assert f"{roll.gain_down:.1f} dB" in text and f"{roll.crossover:.1f} rad/s" in text
 
 
 def test_an_impossible_time_step_is_named(model):
