@@ -27,6 +27,11 @@ def extended(model: Model) -> Model:
         _refuse_states(model, extensions)
         return model
     _refuse_states(model, extensions)
+    if model.normalisation:
+        raise ConfigError(
+            f"model {model.id} is normalised, while its extensions are in N and N m; identify it with 'normalize data' "
+            "false"
+        )
     document = {**model.document, "axes": {a: dict(part) for a, part in model.document["axes"].items()}}
     for extension in extensions:
         where = f"model {model.id}, extension '{extension.get('id')}'"
@@ -69,5 +74,5 @@ def simple_model(model: Model) -> Model:
             "unit": "N" if axis[0] == "F" else "N m", "terms": [given_term(expression, value)], "covariance": [],
             "sigma2": 0.0, "R2": 0.0, "RMSE": 0.0, "n": 0, "effective rows": 0.0, "confidence level": 0.95,
         }  # fmt: skip
-    document = {**model.document, "axes": axes, "extensions": []}
+    document = {**model.document, "axes": axes, "extensions": [], "normalisation": None}
     return Model(document, f"simple model of {model.id}")

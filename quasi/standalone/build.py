@@ -80,7 +80,7 @@ def with_differential_form(document: Mapping[str, Any], u: Iterable[str], where:
     notes = []
     if kept:
         notes.append(
-            f"differential form: {', '.join(kept)} move with the rotor speeds too and are kept constant in B; "
+            f"differential form: B keeps constant what else depends on the rotor speeds ({', '.join(kept)}); "
             "the inputs w1, w2, w3, w4 keep nothing constant"
         )
     for k, name in enumerate(u):

@@ -239,9 +239,9 @@ def test_a_configured_form_tells_what_it_keeps_constant_and_what_it_never_uses()
     assert made["differential form"]["u"] == ["U_p", "U_q", "battery_voltage"]
     assert made["differential form"]["kept constant"] == ["w_tot", "u_r", "U_r", "w_avg"]
     said = " ".join(made["notes"])
-    assert "w_tot, u_r, U_r, w_avg move with the rotor speeds" in said
+    assert "depends on the rotor speeds (w_tot, u_r, U_r, w_avg)" in said
     assert "no moment depends on battery_voltage" in said
-    assert "depends on U_" not in said
+    assert "no moment depends on U_" not in said
     with pytest.raises(ConfigError, match="Mx, Mz is not identified"):
         with_differential_form(
             assemble({"My": part("My", TERMS["My"])}, SHARED, {"id": "m", "airframe": AIRFRAME}), ["U_q"], "here"

@@ -14,6 +14,8 @@ from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis
 from quasi.identification.partition import partition
 from quasi.normalisation import Normalisation, from_plain, normalisation_of
+from quasi.simulation.rollout import Body, rollout
+from quasi.simulation.variants import extended, simple_model
 from quasi.standalone.build import assemble
 from quasi.standalone.differential import differential_system
 from quasi.standalone.envelope import covered
@@ -238,3 +240,45 @@ def test_what_the_quadrotor_lacks_is_named():
     ):
         with pytest.raises(ConfigError, match=said):
             normalisation_of(dataclasses.replace(full, **change), None, "config/models/m.json")
+
+
+def test_a_simulation_flies_it_as_arithmetic_by_hand_does(model, flights):
+    table = flights["a"].iloc[200:260].reset_index(drop=True)
+    states, speeds = table[list(INPUTS[:12])].to_numpy(), table[list(INPUTS[12:16])].to_numpy()
+
+    def one(row):
+        _, _, _, u, v, w, p, q, r = row[:9]
+        mean = math.sqrt(sum(x * x for x in row[12:16]) / 4)  # far above idle, and fast enough through the air
+        _, n = scheme_by_hand(dict(zip(INPUTS, row)))
+        s1, s2, s3, s4 = ((x / mean) ** 2 for x in row[12:16])
+        tip, dots = mean * RADIUS, row[16:]
+        forces = [
+            1e-4 - 0.02 * u / tip,
+            -0.02 * v / tip + 1e-4 * v / math.sqrt(u * u + v * v + w * w),
+            -0.02 - 0.01 * sum(row[12:16]) / TOP + 0.3 * abs(w) * w / tip**2,
+        ]
+        moments = [
+            2e-3 * (s3 + s4 - s1 - s2) - 2e-3 * p * ARM / tip,
+            2e-3 * (s2 + s4 - s1 - s3) - 2e-3 * q * ARM / tip + 1e-4 * s1,
+            3e-4 * (s1 + s4 - s2 - s3) + 1e-3 * (dots[0] + dots[3] - dots[1] - dots[2]) / mean**2
+            - 1e-3 * r * ARM / tip * row[14] / mean,
+        ]  # fmt: skip
+        return [n * f for f in forces], [n * ARM * m for m in moments]
+
+    def wrench(rows, speeds, accelerations):
+        found = [one(row) for row in np.hstack([rows, speeds, accelerations])]
+        return np.array([f for f, _ in found]), np.array([m for _, m in found])
+
+    body = Body(AIRFRAME.mass, AIRFRAME.inertia, wrench, True)
+    starts = np.array([0, 20])
+    found, expected = (rollout(m, table["t"].to_numpy(), states, speeds, starts, 0.05) for m in (model, body))
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-7)
+
+
+def test_other_models_made_of_it_are_in_si(model):
+    factors = {f"kappa{a}": {"value": v} for a, v in zip(("Fz", "Mx", "My", "Mz"), (1e-6, 1e-8, 1e-8, -1e-9))}
+    simple = simple_model(Model({**model.document, "simple model": factors}))
+    assert simple.predict(np.zeros(12), np.full(4, 1000.0))[0][2] == pytest.approx(-4.0)
+    terms = {"Fz": [{"expression": "u", "coefficient": 1.0}]}
+    with pytest.raises(ConfigError, match="is normalised"):
+        extended(Model({**model.document, "extensions": [{"id": "x", "terms": terms}]}))

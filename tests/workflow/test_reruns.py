@@ -73,6 +73,19 @@ def test_bias_switch_of_one_axis_refits_that_axis_alone(project):
     assert project.would_run() == {**AXES_AND_AFTER, "identification": 1}
 
 
+def test_differential_form_assembles_the_model_anew_and_refits_nothing(project):
+    def change(config):
+        config["standalone"] = {"make moment DiffSys": True, "DiffSys u": ["U_p", "U_q"]}
+
+    project.edit_json("config/models/small.json", change)
+    assert project.would_run() == {"standalone_model": 1, **JUDGED}
+
+
+def test_normalisation_refits_every_axis_and_nothing_before(project):
+    project.edit_json("config/models/small.json", lambda c: c.update({"data normalization": {"normalize data": True}}))
+    assert project.would_run() == AXES_AND_AFTER
+
+
 def test_options_that_do_not_apply_rerun_nothing(project):
     def change(config):
         config["manoeuvre excitations"] = {"excitation threshold": 0.3, "show isolation results": False}
