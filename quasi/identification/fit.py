@@ -167,8 +167,8 @@ def choose(
     found = leave_one_flight_out(pool.subset(near), options.cap, [names[k] for k in near], pool.constant)
     selection = select(pool, replace(bare, cap=found["steps"]), names, total, **about)
     reason = (
-        f"{found['steps']} steps predict left-out flights as well as any number up to {options.cap} "
-        f"(the smallest error is that of {found['smallest at']})"
+        f"left-out flights are predicted as well after {found['steps']} steps as after any number up to {options.cap} "
+        f"(the smallest error is that after {found['smallest at']})"
     )
     bandwidth = memory([*range(pool.fixed), *selection.chosen])
     return replace(selection, reason=reason, bandwidth=bandwidth), near, {"by": "leave one flight out", **found}

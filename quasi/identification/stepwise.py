@@ -92,7 +92,8 @@ class State:
         step = self.with_target[column] / pivot
         self.left = self.left - row**2
         self.with_target = self.with_target - row * step
-        self.error -= step**2
+        # of a perfect fit rounding is left, of either sign
+        self.error = max(self.error - step**2, ROUNDING * self.totals.target_square)
         self.factor = np.vstack([self.factor, row])
         self.columns.append(column)
 
@@ -177,14 +178,14 @@ class _Search:
     def entry(self, state: State, number: int, pick: int | None = None, removed: int | None = None) -> dict[str, Any]:
         n, p = state.totals.rows, len(state.columns)
         r2 = 1.0 - state.error / self.total if self.total > 0 else float("nan")
-        overall = (n - p) / (p - 1) * r2 / (1 - r2) if p > 1 and r2 < 1 else float("inf")
+        overall = float((n - p) / (p - 1) * r2 / (1 - r2)) if p > 1 and r2 < 1 else None
         return {
             "step": number,
             "selected": None if pick is None else self.describe[pick],
             "removed": None if removed is None else self.describe[removed],
             "PSE": float(state.error / n + self.total / n * p / n),
             "R2": float(r2),
-            "F": float(overall),
+            "F": overall,
         }
 
     def judge_candidates(self) -> np.ndarray:
@@ -201,7 +202,7 @@ class _Search:
             stop = self.step(number, trial=True)
             if stop:
                 return stop
-            if self.log[-1]["PSE"] < 1e-3 * self.log[0]["PSE"]:
+            if o.stop != "none" and self.log[-1]["PSE"] < 1e-3 * self.log[0]["PSE"]:
                 return "the PSE fell below a thousandth of its first value"
         return f"the regressor cap of {o.cap} steps is reached"
 
@@ -228,8 +229,8 @@ class _Search:
             }
             self.waiting = [] if len(passing) else [*self.waiting, pick]
         freedom = state.freedom() - 1
-        left = state.error - gain[pick]
-        partial = gain[pick] / (left / freedom) if left > 0 and freedom > 0 else np.inf
+        left = max(state.error - gain[pick], ROUNDING * state.totals.target_square)
+        partial = gain[pick] / left * max(freedom, 0)
         if partial <= o.f_in:
             return f"the best candidate, {describe[pick]}, has a partial F of {partial:.3g}, not above {o.f_in:g}"
         correlation = float(np.sign(state.with_target[pick]) * np.sqrt(min(gain[pick] / state.error, 1.0)))
@@ -345,7 +346,7 @@ def _worse(before: dict[str, Any], now: dict[str, Any], criterion: str) -> str |
         return f"the next step, adding {now['selected']}, would not lower the PSE"
     if criterion == "R2" and now["R2"] <= 1.005 * before["R2"]:
         return f"the next step, adding {now['selected']}, would raise R2 by less than 0.5 %"
-    if criterion == "F" and before["step"] > 0 and now["F"] <= before["F"]:
+    if criterion == "F" and before["step"] > 0 and before["F"] is not None and now["F"] <= before["F"]:
         return f"the next step, adding {now['selected']}, would not raise the overall F"
     return None
 

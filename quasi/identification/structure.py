@@ -60,7 +60,7 @@ def _errors(products: Products, held: np.ndarray, cap: int, describe: Sequence[s
             state.add(pick)
         theta = train.inverse(state.columns) @ train.target[state.columns]
         fitted = theta @ test.gram(state.columns) @ theta - 2.0 * theta @ test.target[state.columns]
-        errors.append(test.target_square + fitted)
+        errors.append(max(test.target_square + fitted, 0.0))
     return np.array(errors)
 
 

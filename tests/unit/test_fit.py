@@ -238,6 +238,30 @@ def test_bad_input_is_one_sentence(flights, roles, change, section, hint):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("config", [{}, {"F in": 4}, {"structure choice": "leave one flight out"}])
+def test_a_force_without_any_noise_is_found_exactly(config):
+    clean = {key: flight(seed, noise=0.0) for seed, key in enumerate("ab")}
+    found = identify("Fx", clean, partition(clean), SECTION, bootstrap=5, **config)
+    coefficients = {t["name"]: t["coefficient"] for t in found["terms"]}
+    assert coefficients["u"] == pytest.approx(-0.01, rel=1e-6)
+    assert coefficients["(w_tot)*(u^(1.0))"] == pytest.approx(-2e-5, rel=1e-6)
+    assert len(coefficients) == 3
+
+
+@pytest.mark.parametrize("rows", [4, 30])
+@pytest.mark.parametrize("config", [{}, {"F in": 4}, {"structure choice": "leave one flight out"}])
+def test_a_handful_of_rows_makes_a_model_or_a_sentence(flights, rows, config):
+    short = {key: f.iloc[3000 : 3000 + rows].reset_index(drop=True) for key, f in flights.items()}
+    every = dict.fromkeys(short, np.full(rows, TRAINING, np.int8))
+    try:
+        found = identify("Fx", short, every, SECTION, bootstrap=5, **config)
+    except DataError as error:
+        assert "few" in str(error)
+    else:
+        assert found["n"] == 3 * rows
+        assert len(found["terms"]) < found["n"]
+
+
 def test_a_section_that_leaves_nothing_to_fit_is_said(flights, roles):
     section = {"fixed": ["u"], "candidates": [], "fixed coefficients": {"u": 1.0}}
     with pytest.raises(DataError, match="there is nothing to fit"):
