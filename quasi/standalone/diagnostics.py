@@ -18,7 +18,7 @@ from quasi.expressions import names, parse
 from quasi.standalone.envelope import HIGH, LOW, limited_names
 from quasi.standalone.model import Model
 from quasi.standalone.score import POOLED, Judged
-from quasi.standalone.verdict import ORDER, headline, verdict
+from quasi.standalone.verdict import ORDER, headline, shortly, verdict
 from quasi.variables import Variables
 
 SCHEMA = "quasi.diagnostics/1"
@@ -65,6 +65,7 @@ def diagnose(
         "schema": SCHEMA,
         "model": model.id,
         "verdict": worst,
+        "shortly": shortly(axes),
         "summary": headline(axes),
         "partition": _leak(partitioning or {}, scores),
         "axes": axes,

@@ -49,8 +49,7 @@ def page(
         report.section("Rotors", _rotors(model)),
         report.section("Warnings", report.sentences(model["notes"]) or report.paragraph("None.")),
     ]
-    because = "; ".join(diagnosis["summary"]).rstrip(".")
-    return report.page(f"Model {model['id']}", under, diagnosis["verdict"], because, sections)
+    return report.page(f"Model {model['id']}", under, diagnosis["verdict"], diagnosis["shortly"], sections)
 
 
 def _sentence(text: str) -> str:
@@ -94,18 +93,19 @@ def _scores(summary: Mapping[str, Any]) -> str:
 
 
 def _differences(diagnosis: Mapping[str, Any]) -> str:
-    head = ("relative difference in RMSE, %", "test and training", "test and validation", "validation above training")
+    columns = ("test and training", "test and validation", "validation above training")
+    some = [c for c in columns if any(f["relative difference"][c] is not None for f in diagnosis["axes"].values())]
     rows = []
     for axis, facts in diagnosis["axes"].items():
+        marks = {"test and training": facts["warnings"]["test"], "test and validation": facts["warnings"]["validation"]}
         found = facts["relative difference"]
-        warned = facts["warnings"]
-        marks = (warned["test"], warned["validation"], False)
-        cells = ["–" if found[k] is None else _tenths(found[k]) for k in head[1:]]
-        rows.append([axis, *(c + (" !" if m else "") for c, m in zip(cells, marks))])
+        cells = (("–" if found[c] is None else _tenths(found[c])) + (" !" if marks.get(c) else "") for c in some)
+        rows.append([axis, *cells])
     said = (
         "100 (1 − training / test) and 100 (1 − validation / test); ! beyond 10 % on the side that means overfitting."
     )
-    return report.table(head, rows) + f"<p class=under>{report.escape(said)}</p>"
+    note = f"<p class=under>{report.escape(said)}</p>" if set(some) & set(columns[:2]) else ""
+    return report.table(("relative difference in RMSE, %", *some), rows) + note if some else ""
 
 
 def _tenths(value: float) -> str:
@@ -176,7 +176,7 @@ def _quartiles(diagnosis: Mapping[str, Any]) -> str:
         roles = list(facts["histogram"]["density"]) or roles
         for band in facts["quartiles"]:
             bounds = f"{report.number(band['from'])} to {report.number(band['to'])} {facts['unit']}"
-            ratios = ("–" if band[k] is None else f"{band[k]:.2f}" for k in ("X/T", "V/T"))
+            ratios = [f"{band[k]:.2f}" if band[k] is not None else "–" for k in ("X/T", "V/T") if "test" in roles]
             rows.append(
                 (f"{axis}, {band['band']}", bounds, *(report.number(band["rmse"].get(r)) for r in roles), *ratios)
             )
@@ -185,7 +185,8 @@ def _quartiles(diagnosis: Mapping[str, Any]) -> str:
         "How the measured values of each kind of row are spread (logarithmic); colours part the lower 25 %, middle "
         "50 % and upper 25 %."
     )
-    head = ("RMSE by quartile", "measured", *roles, "training/test", "validation/test")
+    head = ["RMSE by quartile", "measured", *roles]
+    head += ["training/test", "validation/test"] if "test" in roles else []
     return report.table(head, rows) + f"<figure>{''.join(pictures)}<figcaption>{said}</figcaption></figure>"
 
 

@@ -31,7 +31,7 @@ def verdict(axis: str, facts: Mapping[str, Any]) -> dict[str, Any]:
     """
     because: list[str] = []
     remedies: list[str] = []
-    level = 0
+    level, found = 0, []
     difference, interval = facts["relative difference"], facts["interval"]
     holdout = next((r for r in ("validation", "test") if r in facts["rmse"]), None)
     r2 = facts["r2"].get("training")
@@ -45,8 +45,8 @@ def verdict(axis: str, facts: Mapping[str, Any]) -> dict[str, Any]:
         because.append(f"test RMSE {difference['test above training']:.0f} % above training")
         remedies.append(FEWER)
     if holdout == "validation":
-        worse, beyond = _validation(axis, facts, because, remedies)
-        level, overfits = max(level, worse), overfits or beyond
+        worse, found = _validation(axis, facts, because, remedies)
+        level, overfits = max(level, worse), overfits or "overfit" in found
     elif holdout is None:
         level = max(level, 1)
         because.append("no test or validation rows judge it")
@@ -57,29 +57,34 @@ def verdict(axis: str, facts: Mapping[str, Any]) -> dict[str, Any]:
             level = max(level, 1)
             because.append(f"its {percent(wanted)} intervals hold {percent(coverage[role])} of the {role} rows")
     # the manual's sign of overfitting: intervals that fit the training rows and not the test rows
-    if None not in (coverage.get("test"), coverage.get("training")):
-        overfits = overfits or coverage["training"] - coverage["test"] > SHORT
+    if None not in (coverage.get("test"), coverage.get("training")) and coverage["training"] - coverage["test"] > SHORT:
+        level, overfits = max(level, 1), True
+        because.append(
+            f"intervals hold {percent(coverage['training'])} of training, {percent(coverage['test'])} of test"
+        )
     because += _lopsided(facts["quartiles"], holdout)
     word = ORDER[level]
     return {
         "verdict": word,
         "overfits": bool(overfits),
+        "kind": _kind(level, [*found, *(["overfit"] if overfits else [])], r2),
         "because": because,
         "what to do": list(dict.fromkeys(remedies)),
         "said": _said(axis, word, bool(overfits), because, facts, holdout),
     }
 
 
-def _validation(axis: str, facts: Mapping[str, Any], because: list[str], remedies: list[str]) -> tuple[int, bool]:
-    """Level that the validation rows give, 0 good to 2 unusable, and whether they show overfitting."""
+def _validation(axis: str, facts: Mapping[str, Any], because: list[str], remedies: list[str]) -> tuple[int, list[str]]:
+    """Level that the validation rows give, 0 good to 2 unusable, and what they show: "trim", "beyond", "overfit"."""
     difference = facts["relative difference"]
     above, scaled = difference["validation above training"], difference["validation above training, relative"]
     outside, r2 = facts["outside"], facts["r2"].get("validation")
     rmse, before, bias = facts["rmse"].get("validation"), facts["rmse"].get("training"), facts["bias"].get("validation")
-    level, overfits = 0, False
+    level, found = 0, []
     offset = bool(rmse and bias is not None and abs(bias) > OFFSET * rmse)
     if offset:
         level = 1
+        found.append("trim")
         share = percent((bias / rmse) ** 2)
         because.append(f"{share} of its squared validation error is a constant offset of {bias:.3g} {facts['unit']}")
         remedies.append(f"look for another trim there: {TRIM[axis]}")
@@ -94,9 +99,10 @@ def _validation(axis: str, facts: Mapping[str, Any], because: list[str], remedie
                 f"the {percent(outside['share'])} of the validation rows that lie beyond the training data ({named}) "
                 "make the difference"
             )
+            found.append("beyond")
             remedies.append(f"train on flights that reach further in {', '.join(n for n, _ in worst)}")
         elif not offset or rmse**2 - bias**2 > ((1 + RULE / 100) * before) ** 2:
-            overfits = True
+            found.append("overfit")
             remedies.append(FEWER)
     elif above is not None and above > RULE:
         because.append(f"validation RMSE {above:.0f} % above training, in proportion to a livelier flight")
@@ -104,7 +110,33 @@ def _validation(axis: str, facts: Mapping[str, Any], because: list[str], remedie
         level = 2
         because.append(f"the mean of the validation rows would do better (R2 {r2:.2f})")
         remedies.append(f"do not use {axis} beyond its training flights")
-    return level, overfits
+    return level, found
+
+
+KINDS = {
+    "good": "hold on all that judges them",
+    "trim": "a constant offset, another trim on the validation flights",
+    "beyond": "the validation flights go beyond the training flights",
+    "overfit": "overfitted",
+    "weak": "hardly explained",
+    "care": "to be used with care",
+    "unusable": "not usable beyond the training flights",
+}
+
+
+def _kind(level: int, found: list[str], r2: float | None) -> str:
+    """What an axis suffers from first, a key of KINDS."""
+    if level in (0, 2):
+        return "unusable" if level else "good"
+    return next(
+        (k for k in ("trim", "beyond", "overfit") if k in found), "weak" if r2 is not None and r2 < WEAK else "care"
+    )
+
+
+def shortly(axes: Mapping[str, Mapping[str, Any]]) -> str:
+    """All axes in one sentence, gathered by what they suffer from."""
+    groups = {kind: [axis for axis, facts in axes.items() if facts["kind"] == kind] for kind in KINDS}
+    return "; ".join(f"{', '.join(members)}: {KINDS[kind]}" for kind, members in groups.items() if members)
 
 
 def _lopsided(bands: list[Mapping[str, Any]], holdout: str | None) -> list[str]:

@@ -37,6 +37,7 @@ def test_a_model_that_holds_is_good_on_all(good):
     diagnosis = found.diagnosis
     assert diagnosis["verdict"] == "good"
     assert diagnosis["summary"] == ["Fz, My: good on all"]
+    assert diagnosis["shortly"] == "Fz, My: hold on all that judges them"
     assert all(not any(f["warnings"].values()) for f in diagnosis["axes"].values())
     assert diagnosis["axes"]["Fz"]["interval"]["coverage"]["validation"] == pytest.approx(0.95, abs=0.02)
 
@@ -94,6 +95,7 @@ def test_an_offset_is_told_as_another_trim_not_as_overfitting():
     _, _, found = made(lambda f: f.assign(My=f["My"] + 2e-3))
     facts = found.diagnosis["axes"]["My"]
     assert not facts["overfits"]
+    assert found.diagnosis["shortly"].endswith("My: a constant offset, another trim on the validation flights")
     assert any("is a constant offset of 0.0019" in b for b in facts["because"])
     assert any("centre of gravity" in r for r in facts["what to do"])
 
@@ -112,6 +114,7 @@ def test_rows_beyond_the_training_data_are_the_reason_given():
     assert any("beyond the training data (u in" in b and "make the difference" in b for b in facts["because"])
     assert facts["outside"]["rmse inside"] < 1.1 * facts["rmse"]["training"] < facts["rmse"]["validation"]
     assert any("reach further in u" in r for r in facts["what to do"])
+    assert facts["kind"] in ("beyond", "unusable")
     line = found.coverage.set_index("variable").loc["u"]
     assert line["below"] + line["above"] == pytest.approx(facts["outside"]["variables"]["u"])
     assert line["max"] > line["training_max"]
@@ -138,7 +141,9 @@ def test_a_livelier_flight_with_errors_in_proportion_is_no_fault():
     assert said["verdict"] == "good"
     assert "in proportion to a livelier flight" in said["said"]
     worse = verdict("Fx", {**facts, "r2": {"training": 0.3, "validation": -0.4}})
-    assert worse["verdict"] == "unusable"
+    assert worse["verdict"] == worse["kind"] == "unusable"
+    short = {**facts, "interval": {"confidence": 0.95, "coverage": {"training": 0.96, "test": 0.905}}}
+    assert verdict("Fx", short)["overfits"]  # the manual's second sign: five points between training and test
     assert "explains 30 % of the variance" in worse["said"]
     assert headline({"Fx": {**said, "rmse": facts["rmse"]}, "My": {**worse, "rmse": facts["rmse"]}}) == [
         "Fx: good on training and validation",
