@@ -39,6 +39,8 @@ class Window:
         canvas = self._figure.canvas
         # keys fly the drone here; matplotlib's own meanings of them (s saves, q closes) would get in the way
         canvas.mpl_disconnect(canvas.manager.key_press_handler_id)
+        self._closed = False
+        canvas.mpl_connect("close_event", self._close)
         canvas.mpl_connect("key_press_event", lambda event: self._events.append(("press", _name(event.key))))
         canvas.mpl_connect("key_release_event", lambda event: self._events.append(("release", _name(event.key))))
         axes = new_axes(self._figure)
@@ -51,7 +53,10 @@ class Window:
 
     def is_open(self) -> bool:
         """Whether the window has not been closed."""
-        return self._pyplot.fignum_exists(self._figure.number)
+        return not self._closed and self._pyplot.fignum_exists(self._figure.number)
+
+    def _close(self, event: object) -> None:
+        self._closed = True
 
     def poll(self, held: Held, now: float) -> list[str]:
         """Let the window work; keys held in it go into `held`, those pressed are returned."""
