@@ -13,8 +13,8 @@ import pandas as pd
 
 from quasi.errors import DataError
 from quasi.gap.kinematic_columns import ANGLES, CHANNELS, RATE, Weak, corrected_already, straightened, weak_form
-from quasi.gap.level import Choice, Flown, Level, choose, final_test, probability, separability
-from quasi.gap.mixed import Columns, Mixed, Offer
+from quasi.gap.level import Choice, Flown, Level, Tests, choose, final_test, probability, separability
+from quasi.gap.mixed import Columns, Offer
 from quasi.gap.sensor_findings import shaken, torn
 from quasi.gap.whitening import Whitener, autoregression, block_grams, whiten
 from quasi.importing.calibration import check
@@ -114,7 +114,7 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
     compared = np.array([f.compared for f in used])
     stages = 1 if compared.all() else 2
 
-    def build(grams: list[np.ndarray], lever: float = SPREAD["imu_lever_arm"]) -> Mixed:
+    def build(grams: list[np.ndarray], lever: float = SPREAD["imu_lever_arm"]) -> Tests:
         return _mixed(grams, compared, names, asked, {**SPREAD, "imu_lever_arm": lever}, turning)
 
     applied = [np.zeros(len(names)) for _ in used]
@@ -138,7 +138,7 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
     return level
 
 
-def _bent(mixed: Mixed, choice: Choice, names: Sequence[str], flag: bool) -> np.ndarray:
+def _bent(mixed: Tests, choice: Choice, names: Sequence[str], flag: bool) -> np.ndarray:
     """(P,) values of the accepted causes whose columns hold for small sizes only, for a compared flight or another."""
     values = np.zeros(len(names))
     for offer in choice.taken:
@@ -219,7 +219,7 @@ def _mixed(
     asked: Sequence[str],
     usual: Mapping[str, float],
     turning: bool,
-) -> Mixed:
+) -> Tests:
     """Tests on the cross-products: nuisances in every flight, causes beside them."""
     causes: dict[str, list[int]] = {}
     nuisance, spread = [], []
@@ -234,9 +234,7 @@ def _mixed(
             spread.append(size / (np.sqrt(2.0) if cause in causes else 1.0))
     place = list(range(len(names))) + nuisance
     columns = Columns([], list(range(len(names), len(place))), np.array(spread), causes)
-    mixed = Mixed([g[np.ix_(place, place)] for g in grams], compared, columns)
-    mixed.freedom += PRIOR_FREEDOM - 4.0
-    return mixed
+    return Tests([g[np.ix_(place, place)] for g in grams], compared, columns, PRIOR_FREEDOM)
 
 
 def _true(cause: str, value: np.ndarray, std: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -246,7 +244,7 @@ def _true(cause: str, value: np.ndarray, std: np.ndarray) -> tuple[np.ndarray, n
     return 1.0 / (1.0 - value), std / (1.0 - value) ** 2
 
 
-def _parameters(names: Sequence[str], mixed: Mixed, choice: Choice, offer: Offer) -> dict[str, dict[str, Any]]:
+def _parameters(names: Sequence[str], mixed: Tests, choice: Choice, offer: Offer) -> dict[str, dict[str, Any]]:
     cause = offer.cause
     test = final_test(mixed, choice, offer)
     value, std = _true(cause, test.value, test.std)
@@ -256,7 +254,7 @@ def _parameters(names: Sequence[str], mixed: Mixed, choice: Choice, offer: Offer
     }
 
 
-def _report(level: Level, mixed: Mixed, choice: Choice, shares: Mapping[Offer, float], names: Sequence[str]) -> None:
+def _report(level: Level, mixed: Tests, choice: Choice, shares: Mapping[Offer, float], names: Sequence[str]) -> None:
     for offer in choice.taken:
         tie = choice.tied[offer]
         test = final_test(mixed, choice, offer)
@@ -296,7 +294,7 @@ def _report(level: Level, mixed: Mixed, choice: Choice, shares: Mapping[Offer, f
 
 def _tables(
     level: Level, used: Sequence[Flown], weak: Sequence[Weak], whiteners: Sequence[Whitener], names: Sequence[str],
-    choice: Choice, mixed: Mixed,
+    choice: Choice, mixed: Tests,
 ) -> None:  # fmt: skip
     """Residuals as they are, with the causes taken off, and with everything taken off that the level knows: the floor.
 

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.airframe import Airframe
-from quasi.gap.mixed import Mixed, Offer, Test
+from quasi.gap.mixed import Columns, Mixed, Offer, Test
 
 MOST_TIED = 3
 MOST_CAUSES = 8
@@ -76,18 +76,35 @@ class Choice:
         return [offer for taken in self.taken for offer in self.tied[taken]]
 
 
-def pooled_for(mixed: Mixed, since: str) -> list[str]:
+class Tests(Mixed):
+    """Tests whose nuisances have spreads known from many flights, not told by the few at hand.
+
+    freedom   degrees of freedom that those spreads stand for, beside the flights' own
+    unpooled  causes that the base holds already, with what is known of them
+    """
+
+    def __init__(
+        self, grams: Sequence[np.ndarray], compared: Sequence[bool], columns: Columns, freedom: float,
+        prior: np.ndarray | None = None, unpooled: Sequence[str] = (),
+    ) -> None:  # fmt: skip
+        super().__init__(grams, compared, columns, prior)
+        groups = 1 if self.compared.all() else 2
+        self.freedom = max(len(grams) - groups, 1) + freedom
+        self.unpooled = tuple(unpooled)
+
+
+def pooled_for(mixed: Tests, since: str) -> list[str]:
     """Causes fitted to all flights alike, unclaimed, while one is tested for a change between the groups."""
-    return list(mixed.columns.causes) if since == "changed" else []
+    return [c for c in mixed.columns.causes if c not in mixed.unpooled] if since == "changed" else []
 
 
-def offers_of(mixed: Mixed, since: str) -> list[Offer]:
+def offers_of(mixed: Tests, since: str) -> list[Offer]:
     """Every cause with all its parameters."""
     return [Offer(cause, since, tuple(range(len(columns)))) for cause, columns in mixed.columns.causes.items()]
 
 
 def choose(
-    mixed: Mixed, threshold: float, twinned: Sequence[frozenset[str]] = (), doubtful: Mixed | None = None
+    mixed: Tests, threshold: float, twinned: Sequence[frozenset[str]] = (), doubtful: Tests | None = None
 ) -> Choice:
     """Take causes one after the other while the best is less probable by chance than `threshold`.
 
@@ -124,7 +141,7 @@ def choose(
 
 
 def _duel(
-    mixed: Mixed, judge: Mixed, found: Sequence[Test], choice: Choice, threshold: float,
+    mixed: Tests, judge: Tests, found: Sequence[Test], choice: Choice, threshold: float,
     twinned: Sequence[frozenset[str]],
 ) -> tuple[Offer, list[Offer]]:  # fmt: skip
     """The winner of the significant causes by the nested rule, and all that are tied with it, itself first."""
@@ -154,7 +171,7 @@ def _duel(
     return champion, tie
 
 
-def _drop(mixed: Mixed, choice: Choice, threshold: float) -> None:
+def _drop(mixed: Tests, choice: Choice, threshold: float) -> None:
     """Take back causes that later ones made needless."""
     for offer in choice.taken[:-1]:
         tie = choice.tied[offer]
@@ -165,13 +182,13 @@ def _drop(mixed: Mixed, choice: Choice, threshold: float) -> None:
             choice.why_not[offer] = f"needless beside {choice.taken[-1].cause}"
 
 
-def final_test(mixed: Mixed, choice: Choice, offer: Offer) -> Test:
+def final_test(mixed: Tests, choice: Choice, offer: Offer) -> Test:
     """A cause beside all others that were taken, those of its own tie left out."""
     own = next(tie for tie in choice.tied.values() if offer in tie)
     return mixed.test(offer, [g for g in choice.given if g not in own], pooled_for(mixed, offer.since))
 
 
-def separability(mixed: Mixed, choice: Choice, first: Offer, second: Offer) -> float:
+def separability(mixed: Tests, choice: Choice, first: Offer, second: Offer) -> float:
     """Standard errors by which the first stands out with the second given as well."""
     own = next(tie for tie in choice.tied.values() if first in tie)
     others = [g for g in choice.given if g not in own]
@@ -179,7 +196,7 @@ def separability(mixed: Mixed, choice: Choice, first: Offer, second: Offer) -> f
 
 
 def probability(
-    blocks: Sequence[np.ndarray], build: Callable[[list[np.ndarray]], Mixed], choice: Choice, threshold: float,
+    blocks: Sequence[np.ndarray], build: Callable[[list[np.ndarray]], Tests], choice: Choice, threshold: float,
     seed: int = 0,
 ) -> dict[Offer, float]:  # fmt: skip
     """Share of resamples, each flight's blocks drawn anew, in which each taken cause is significant again.
