@@ -43,6 +43,7 @@ class Vehicle(NamedTuple):
     mass: float
     inertia: np.ndarray
     hover_induced: float  # m/s
+    drawn: float  # N m s2: the part of the torque that goes into the flow and falls with the thrust, dQ = dT v/W
     inflow: float  # N s2/rad2: one rotor's thrust is off by inflow W dW/dt tau when its inflow lags by tau
 
 
@@ -81,6 +82,7 @@ class Effect:
     curved        (vehicle, values) -> {axis: expression}, the whole effect where it is not in proportion to its
                   parameter
     extension     (values, vehicle, model) -> Extension, where terms do not say it
+    parts         how parameters may be found: "any" one alone or all; "all" only together; "first" the first few
     scan          {parameter: values}: parameters that shape the columns and are searched over
     absorbed      whether the model's own terms can mimic it exactly, so that only a change between flights shows it
     finding       a stated finding, never fitted
@@ -100,6 +102,7 @@ class Effect:
     curved: Callable[[Vehicle, Values], Terms] | None = None
     extension: Callable[[Values, Vehicle, Model], Extension] | None = None
     scan: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    parts: str = "any"
     absorbed: bool = False
     finding: bool = False
 
@@ -139,8 +142,15 @@ def vehicle_of(model: Model, mass: float | None = None, inertia: np.ndarray | No
         float(mass),
         np.asarray(frame.inertia if inertia is None else inertia, float),
         float(np.sqrt(mass * GRAVITY / (2.0 * AIR_DENSITY * area))),
+        _drawn(simple, mass, frame.radius),
         _inflow(model, mass),
     )
+
+
+def _drawn(simple: Mapping[str, Mapping[str, float]], mass: float, radius: float) -> float:
+    thrust, torque = simple["kappaFz"]["value"], abs(simple["kappaMz"]["value"])
+    induced = np.sqrt(mass * GRAVITY / (8.0 * AIR_DENSITY * np.pi * radius**2))
+    return float(min(thrust * induced / np.sqrt(mass * GRAVITY / (4.0 * thrust)), torque))
 
 
 def _inflow(model: Model, mass: float) -> float:
@@ -160,7 +170,7 @@ def _inflow(model: Model, mass: float) -> float:
     stiff = 4.0 * AIR_DENSITY * area * induced
     slope = float(np.clip(slope, 0.05 * stiff, 0.4 * stiff))
     gain = 2.0 * slope * stiff / (stiff - 2.0 * slope)
-    return gain * induced / speed**2
+    return float(gain * induced / speed**2)
 
 
 def number(value: float) -> str:

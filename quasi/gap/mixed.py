@@ -16,17 +16,25 @@ Sources: Pinheiro & Bates, Mixed-Effects Models in S and S-PLUS, 2000, sections 
 likelihood approaches to variance component estimation, JASA 72, 1977.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import f as f_distribution
 
 SPREADS = 2.0 ** np.arange(0, 11)  # tau, in standard errors that one flight alone would give
+SPANNED = 0.02  # share of a column that others leave
+CERTAIN = 1e-3  # as good as no spread
+MOST_FREEDOM = 40.0  # the known spreads are not that well known
 RIDGE = 1e-9  # of scaled columns, so that interchangeable ones share instead of breaking the solution
-PRIOR_FREEDOM = 4.0  # degrees of freedom that the floor of tau stands for
 
-Offer = tuple[str, str]  # cause and "always" or "changed"
+
+class Offer(NamedTuple):
+    """A cause, the flights it is offered to ("always": all, "changed": the compared ones), which of its parameters."""
+
+    cause: str
+    since: str
+    which: tuple[int, ...]
 
 
 class Columns(NamedTuple):
@@ -39,7 +47,10 @@ class Columns(NamedTuple):
 
 
 class Test(NamedTuple):
-    """One cause beside what is given: parameters (m,), their covariance, Wald statistic, probability of nothing."""
+    """One cause beside what is given: parameters (m,), their covariance, Wald statistic, probability of nothing.
+
+    p counts that the best of several selections of the cause's parameters was taken.
+    """
 
     offer: Offer
     value: np.ndarray
@@ -67,13 +78,21 @@ class Mixed:
     """Flights' cross-products and the tests on them.
 
     grams     (P, P) per flight; compared  (F,) bool, False for reference flights; columns  what is where
+    prior     precision (S, S) of the shared columns' coefficients about 0, where they are known from elsewhere
     """
 
-    def __init__(self, grams: Sequence[np.ndarray], compared: Sequence[bool], columns: Columns) -> None:
+    def __init__(
+        self,
+        grams: Sequence[np.ndarray],
+        compared: Sequence[bool],
+        columns: Columns,
+        prior: np.ndarray | None = None,
+    ) -> None:
         self.columns = columns
+        self.prior = prior
         self.compared = np.asarray(compared, bool)
         self.grams = [marginal(g, columns.nuisance, columns.spread) for g in grams]
-        self.freedom = max(len(grams) - (1 if self.compared.all() else 2), 1) + PRIOR_FREEDOM
+        self.freedom = max(len(grams) - (1 if self.compared.all() else 2), 1)
 
     def offered(self, since: str) -> np.ndarray:
         """(F,) bool: flights that a cause is offered to."""
@@ -82,19 +101,21 @@ class Mixed:
     def test(self, offer: Offer, given: Sequence[Offer] = (), pooled: Sequence[str] = ()) -> Test:
         """A cause beside what is given.
 
-        offer   (cause, since); given  offers already accepted; pooled  causes whose columns belong to the base here:
-                fitted in all flights alike, without being claimed
+        given   offers already accepted; pooled  causes whose columns belong to the base here: fitted in all flights
+                alike, without being claimed
         """
-        cause, since = offer
-        own = self.columns.causes[cause]
-        others = [(self.columns.causes[c], self.offered(s)) for c, s in given]
-        others += [(self.columns.causes[c], self.offered("always")) for c in pooled if (c, "always") not in given]
+        own = self._of(offer)
+        others = [(self._of(o), self.offered(o.since)) for o in given]
+        known = {c for columns, offered in others if offered.all() for c in columns}
+        for cause in pooled:
+            free = [c for c in self.columns.causes[cause] if c not in known]
+            others += [(free, self.offered("always"))] if free else []
         # a pooled cause under test is offered twice: to all, and to the compared flights
-        blocks = [*others, (own, self.offered(since))]
+        blocks = [*others, (own, self.offered(offer.since))]
         typical = sum(g[own, own] for g in self.grams) / len(self.grams)
         unit = 1.0 / np.sqrt(np.maximum(typical, 1e-300))
-        best = None
-        for tau in SPREADS:
+        best = certain = None
+        for tau in (CERTAIN, *SPREADS):
             spread = tau * unit
             grams, logs = [], 0.0
             for g in self.grams:
@@ -102,13 +123,43 @@ class Mixed:
                 logs += np.linalg.slogdet(inner * np.outer(spread, spread))[1]
                 grams.append(g - g[:, own] @ np.linalg.solve(inner, g[own, :]))
             left, value, covariance, information = self._solve(grams, blocks)
+            if certain is None:
+                certain = covariance[-len(own) :, -len(own) :]
+                continue
             criterion = left + logs + information
             if best is None or criterion < best[0]:
                 best = criterion, tau, value[-len(own) :], covariance[-len(own) :, -len(own) :]
         _, tau, value, covariance = best
         wald = float(value @ np.linalg.solve(covariance, value))
-        p = float(f_distribution.sf(wald / len(own), len(own), self.freedom))
+        # only the part of the variance that rests on tau is uncertain for want of flights (Satterthwaite)
+        share = 1.0 - float(np.mean(np.diag(certain) / np.diag(covariance)))
+        freedom = min(self.freedom / max(share, 1e-3) ** 2, MOST_FREEDOM)
+        p = float(f_distribution.sf(wald / len(own), len(own), freedom))
         return Test(offer, value, covariance, float(tau), wald, p)
+
+    def spans(self, wide: Offer, narrow: Offer, given: Sequence[Offer] = ()) -> bool:
+        """Whether the columns of one offer hold those of another, base and given taken out of both."""
+        of_wide, of_narrow = self._of(wide), self._of(narrow)
+        use = self.offered(wide.since) & self.offered(narrow.since)
+        total = sum(g for g, used in zip(self.grams, use) if used)
+        scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
+        total = total / np.outer(scale, scale)
+        # the base fits what all flights have alike; it cannot take up what the compared ones alone have
+        base = self.columns.shared if wide.since == "always" else []
+        known = list(dict.fromkeys([*base, *(c for o in given for c in self._of(o))]))
+
+        def left(columns: list[int], of: list[int]) -> np.ndarray:
+            inner = total[np.ix_(columns, columns)] + RIDGE * np.eye(len(columns))
+            cross = total[np.ix_(columns, of)]
+            return np.diag(total[np.ix_(of, of)] - cross.T @ np.linalg.solve(inner, cross))
+
+        before = left(known, of_narrow)
+        after = left([*known, *(c for c in of_wide if c not in of_narrow)], of_narrow)
+        return bool(np.all(after < SPANNED * before))
+
+    def _of(self, offer: Offer) -> list[int]:
+        columns = self.columns.causes[offer.cause]
+        return [columns[k] for k in offer.which]
 
     def _solve(self, grams: Sequence[np.ndarray], blocks: Sequence[tuple[list[int], np.ndarray]]) -> tuple:
         """Squared error left, the blocks' coefficients with covariance, log determinant of the information."""
@@ -124,6 +175,9 @@ class Mixed:
                     place += range(at, at + len(columns))
                 at += len(columns)
             total[np.ix_(place, place)] += gram[np.ix_(source, source)]
+        if self.prior is not None:
+            own = slice(1, 1 + len(base))
+            total[own, own] += self.prior
         scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
         scaled = total / np.outer(scale, scale)
         inner = scaled[1:, 1:] + RIDGE * np.eye(size - 1)
@@ -135,10 +189,37 @@ class Mixed:
         information = float(np.linalg.slogdet(inner)[1] + 2.0 * np.log(scale[1:]).sum())
         return left, solution[part] * scale[0] / unit, inverse[part, part] / np.outer(unit, unit), information
 
+    def best(
+        self, cause: str, since: str, given: Sequence[Offer] = (), pooled: Sequence[str] = (), parts: str = "any"
+    ) -> Test | None:
+        """The most significant selection of a cause's parameters that are not given yet; None when all are given.
+
+        parts  "any": all of them, or one alone; "all": only together; "first": the first, or the first few
+        """
+        taken = {k for o in given if o.cause == cause and o.since == since for k in o.which}
+        free = tuple(k for k in range(len(self.columns.causes[cause])) if k not in taken)
+        if not free:
+            return None
+        selections = [free]
+        if parts == "any" and len(free) > 1:
+            selections += [(k,) for k in free]
+        elif parts == "first":
+            selections = [free[: n + 1] for n in range(len(free))]
+        tests = [self.test(Offer(cause, since, which), given, pooled) for which in selections]
+        best = min(tests, key=lambda test: test.p)
+        return best._replace(p=min(best.p * len(selections), 1.0))
+
 
 def ranked(
-    mixed: Mixed, offers: Sequence[Offer], given: Sequence[Offer] = (), pooled: Sequence[str] = ()
+    mixed: Mixed,
+    causes: Sequence[tuple[str, str]],
+    given: Sequence[Offer] = (),
+    pooled: Sequence[str] = (),
+    parts: Mapping[str, str] | None = None,
 ) -> list[Test]:
-    """Tests of several offers, the least probable to be nothing first."""
-    tests = [mixed.test(offer, given, pooled) for offer in offers if offer not in given]
-    return sorted(tests, key=lambda test: (test.p, -test.wald))
+    """Tests of (cause, since) pairs, the least probable to be nothing first.
+
+    parts  {cause: how its parameters may be selected}, see Mixed.best
+    """
+    tests = [mixed.best(cause, since, given, pooled, (parts or {}).get(cause, "any")) for cause, since in causes]
+    return sorted((t for t in tests if t is not None), key=lambda test: (test.p, -test.wald))

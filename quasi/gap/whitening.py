@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_toeplitz
-from scipy.signal import lfilter
+from scipy.signal import fftconvolve, firwin, lfilter
 
 RIDGE = 1e-6  # of the variance, so that a silent band does not make the recursion singular
 
@@ -27,6 +27,36 @@ def stretches(breaks: np.ndarray) -> list[slice]:
     """Runs of rows between gaps. breaks (n,) bool, True where a run begins."""
     starts = np.flatnonzero(breaks)
     return [slice(a, b) for a, b in zip(starts, [*starts[1:], len(breaks)])]
+
+
+class Thinned(NamedTuple):
+    """Columns (m, C, P) in a lower band, breaks (m,) bool, and the rows (m,) that they stand at."""
+
+    columns: np.ndarray
+    breaks: np.ndarray
+    rows: np.ndarray
+
+
+def thin(columns: np.ndarray, breaks: np.ndarray, t: np.ndarray, band: float, least: int) -> Thinned:
+    """Low-pass all columns (n, C, P) alike with zero phase and keep every sample that the band (Hz) needs.
+
+    A linear relation between columns stays what it is. Stretches that leave fewer than `least` samples are left out.
+    Above the band the model's errors of timing would outweigh all else.
+    """
+    rate = 1.0 / float(np.median(np.diff(t)))
+    every = max(int(rate / (2.8 * band)), 1)
+    half = round(rate / band)
+    weights = firwin(2 * half + 1, band, fs=rate, window=("kaiser", 5.0))[:, None, None]
+    parts, starts, rows = [], [], []
+    for part in stretches(breaks):
+        if part.stop - part.start < 2 * half + every * least:
+            continue
+        parts.append(fftconvolve(columns[part], weights, mode="valid", axes=0)[::every])
+        starts.append(np.arange(len(parts[-1])) == 0)
+        rows.append(np.arange(part.start + half, part.stop - half)[::every])
+    if not parts:
+        return Thinned(np.empty((0, *columns.shape[1:])), np.empty(0, bool), np.empty(0, int))
+    return Thinned(np.concatenate(parts), np.concatenate(starts), np.concatenate(rows))
 
 
 def autoregression(residuals: Sequence[np.ndarray], breaks: Sequence[np.ndarray], order: int) -> Whitener:

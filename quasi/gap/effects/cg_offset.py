@@ -33,4 +33,5 @@ EFFECT = Effect(
     tie_breaker="heave with a large range of thrust; must agree with the lever arm",
     columns=_columns,
     extension=_extension,
+    parts="all",
 )

@@ -29,4 +29,5 @@ EFFECT = Effect(
     rivals=("body_drag", "wind", "blade_flapping"),
     tie_breaker="fly the same speeds at different throttle, out and back",
     terms=_terms,
+    parts="first",
 )

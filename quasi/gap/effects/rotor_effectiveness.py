@@ -1,6 +1,6 @@
 """One rotor weaker than the others."""
 
-from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, number, upward
+from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, number, total, upward
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
@@ -8,7 +8,8 @@ def _terms(vehicle: Vehicle) -> dict[str, Terms]:
     for i in range(1, 5):
         thrusts = ["", "", "", ""]
         thrusts[i - 1] = f"{number(vehicle.thrust)}*w{i}^2"
-        result[f"rotor{i}"] = upward(vehicle, thrusts)
+        yaw = {"Mz": f"{number(-vehicle.spin[i - 1] * vehicle.drawn)}*w{i}^2"}
+        result[f"rotor{i}"] = total([upward(vehicle, thrusts), yaw])
     return result
 
 
@@ -16,7 +17,7 @@ EFFECT = Effect(
     id="rotor_effectiveness",
     level="W",
     sentence="one rotor makes less thrust than its speed says (chipped or wrong propeller)",
-    equation="T_i = e_i T0_i: dFz : dMx : dMy in the ratio of the hub's place",
+    equation="T_i = e_i T0_i: dFz : dMx : dMy in the ratio of the hub's place, dMz by the power saved",
     source="definition",
     parameters={f"rotor{i}": Parameter("1", 1.0, "s", 0.3, 2.0) for i in range(1, 5)},
     channels=("Fz", "Mx", "My"),

@@ -4,7 +4,9 @@ from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, number, upward
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
-    return {"factor": upward(vehicle, [f"{number(vehicle.thrust)}*w{i}^2" for i in range(1, 5)])}
+    up = upward(vehicle, [f"{number(vehicle.thrust)}*w{i}^2" for i in range(1, 5)])
+    yaw = " + ".join(f"{number(-s * vehicle.drawn)}*w{i}^2" for i, s in enumerate(vehicle.spin, 1))
+    return {"factor": {**up, "Mz": yaw}}
 
 
 EFFECT = Effect(

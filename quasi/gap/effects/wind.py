@@ -35,4 +35,5 @@ EFFECT = Effect(
     tie_breaker="out and back, and a yaw sweep",
     columns=_columns,
     extension=_extension,
+    parts="all",
 )

@@ -1,0 +1,178 @@
+"""Which causes a residual has: forward selection with dominance, removal, ties.
+
+A cause is accepted when it is significant beside what was accepted before, at the false alarm rate shared by all tests
+of the step, and when it dominates its rivals: it stays significant with a rival given, and the rival does not with it
+given. Two causes that explain each other away are a tie; none of them is named. Whatever was accepted must stay
+significant beside all others accepted later.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from quasi.gap.effect import Effect
+from quasi.gap.mixed import Mixed, Offer, Test, ranked
+
+RIVALS = 6  # of the most significant causes that are weighed against each other
+MOST = 6  # causes that one search names
+
+
+class Rival(NamedTuple):
+    """A cause that was significant when another was named: p of each beside the other."""
+
+    id: str
+    p: float
+    beside_named: float
+    named_beside: float
+
+
+class Named(NamedTuple):
+    """An accepted cause, the test beside everything else accepted, and the rivals it beat."""
+
+    test: Test
+    rivals: list[Rival]
+
+
+class Tie(NamedTuple):
+    """Causes that explain each other away; tests of each alone beside what else is accepted."""
+
+    tests: list[Test]
+    separability: float  # |t| of the first beside its nearest rival
+
+
+class Names(NamedTuple):
+    """Result of the search: accepted causes strongest first, ties, the last ranking; p had to pass level."""
+
+    named: list[Named]
+    ties: list[Tie]
+    ranking: list[Test]
+    level: float
+    tests: int
+
+
+def search(
+    mixed: Mixed,
+    effects: Mapping[str, Effect],
+    since: Sequence[str],
+    rate: float,
+    lacking: Sequence[str] = (),
+    within: Mapping[str, Sequence[tuple[float, float]]] | None = None,
+) -> Names:
+    """Name the causes of the residual.
+
+    effects  the catalogue; since  "changed", "always" or both; rate  family-wise false alarm rate
+    lacking  causes that cannot be asked
+    within   {cause: [(low, high) of the deviation of each parameter]}: physical ranges; an estimate outside by more
+             than three standard errors disqualifies the cause
+    """
+    asked = [name for name in mixed.columns.causes if name not in lacking]
+    pairs = [(name, s) for s in since for name in asked if not (s == "always" and effects[name].absorbed)]
+    level = rate / max(len(pairs), 1)
+    parts = {name: effects[name].parts for name in asked}
+    given: list[Offer] = []
+    found: dict[Offer, list[Rival]] = {}
+    ties: list[Tie] = []
+    tied: set[str] = set()
+    ranking: list[Test] = []
+    while len(given) < MOST:
+        pooled = _pooled(mixed, effects, since)
+        ranking = ranked(mixed, pairs, given, pooled, parts)
+        open_ = [t for t in ranking if t.p < level and t.offer.cause not in tied and _possible(t, within)]
+        if not open_:
+            break
+        best, rivals, tie = _dominant(mixed, open_[:RIVALS], given, pooled, level)
+        if tie is not None:
+            # a further parameter of a cause that is there anyway needs no new cause
+            more = next((t for t in tie.tests if any(g.cause == t.offer.cause for g in found)), None)
+            if more is not None:
+                best, rivals, tie = more, [], None
+        if tie is not None:
+            ties.append(tie)
+            tied |= {t.offer.cause for t in tie.tests}
+            given.append(tie.tests[0].offer)  # so that the search goes on with what the tie explains taken out
+            continue
+        given.append(best.offer)
+        found[best.offer] = rivals
+    named = _confirmed(mixed, effects, since, found, given, level)
+    return Names(named, ties, ranking, level, len(pairs))
+
+
+def _pooled(mixed: Mixed, effects: Mapping[str, Effect], since: Sequence[str]) -> list[str]:
+    """Causes whose columns belong to the base: with reference flights, what all flights have alike is not a change."""
+    if "changed" not in since:
+        return []
+    return [name for name in mixed.columns.causes if not effects[name].absorbed]
+
+
+def _possible(test: Test, within: Mapping[str, Sequence[tuple[float, float]]] | None) -> bool:
+    ranges = (within or {}).get(test.offer.cause)
+    if ranges is None:
+        return True
+    return all(
+        ranges[k][0] - 3.0 * std <= value <= ranges[k][1] + 3.0 * std
+        for k, value, std in zip(test.offer.which, test.value, test.std)
+    )
+
+
+def _dominant(
+    mixed: Mixed, tests: Sequence[Test], given: Sequence[Offer], pooled: Sequence[str], level: float
+) -> tuple[Test | None, list[Rival], Tie | None]:
+    """The cause that explains the others away, or the tie of those that explain each other away."""
+    beside = {
+        (a.offer, b.offer): mixed.test(a.offer, [*given, b.offer], pooled) for a in tests for b in tests if a is not b
+    }
+
+    def stands(a: Test, b: Test) -> bool:
+        return beside[a.offer, b.offer].p < level
+
+    def merit(a: Test) -> tuple[int, float]:
+        others = [b for b in tests if b is not a]
+        return sum(stands(a, b) - stands(b, a) for b in others), -a.p
+
+    best = max(tests, key=merit)
+    # a cause whose columns hold those of a simpler one explains no more than that one: the simpler is named
+    for simple in sorted(tests, key=lambda t: len(t.offer.which)):
+        fewer = len(simple.offer.which) < len(best.offer.which)
+        if fewer and not stands(best, simple) and mixed.spans(best.offer, simple.offer, given):
+            best = simple
+            break
+    others = [b for b in tests if b is not best]
+    # a rival ties when neither stands beside the other, and also when it is the rival that stands
+    equal = [
+        b
+        for b in others
+        if not stands(best, b)
+        and not (
+            len(b.offer.which) > len(best.offer.which)
+            and not stands(b, best)
+            and mixed.spans(b.offer, best.offer, given)
+        )
+    ]
+    if equal:
+        nearest = min(equal, key=lambda b: beside[best.offer, b.offer].wald)
+        separability = (beside[best.offer, nearest.offer].wald / len(best.offer.which)) ** 0.5
+        return None, [], Tie([best, *sorted(equal, key=lambda b: b.p)[:2]], float(separability))
+    rivals = [
+        Rival(b.offer.cause, b.p, beside[b.offer, best.offer].p, beside[best.offer, b.offer].p)
+        for b in sorted(others, key=lambda b: b.p)
+        if not stands(b, best)
+    ]
+    return best, rivals, None
+
+
+def _confirmed(
+    mixed: Mixed,
+    effects: Mapping[str, Effect],
+    since: Sequence[str],
+    found: Mapping[Offer, list[Rival]],
+    given: Sequence[Offer],
+    level: float,
+) -> list[Named]:
+    """Backward removal: every accepted cause must stay significant beside all the others."""
+    kept, pooled = list(given), _pooled(mixed, effects, since)
+    while True:
+        tests = {o: mixed.test(o, [g for g in kept if g != o], pooled) for o in kept if o in found}
+        weak = [o for o, test in tests.items() if test.p >= level]
+        if not weak:
+            order = sorted(tests.values(), key=lambda test: test.p)
+            return [Named(test, found[test.offer]) for test in order]
+        kept.remove(max(weak, key=lambda o: tests[o].p))

@@ -1,0 +1,130 @@
+"""Cross-products of all flights of a gap: the model's terms, nuisances, causes, and where a residual may live."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from quasi.errors import DataError, ExpressionError
+from quasi.expressions import Program, parse
+from quasi.gap.catalogue import columns_of
+from quasi.gap.effect import Effect, Vehicle
+from quasi.gap.evidence import Evidence
+from quasi.gap.mixed import Columns, Mixed
+from quasi.gap.nuisance import nuisances
+from quasi.gap.whitening import Thinned, Whitener, autoregression, block_grams, thin
+from quasi.standalone.model import AXES
+from quasi.variables import Variables
+
+BAND = 10.0  # Hz
+ORDER = 6  # of the autoregression
+BLOCK = 5.0  # s, longer than the memory of gusts
+LIGHT = 1e-6  # ridge of the per-flight fit whose residual tells the noise
+
+
+class Study(NamedTuple):
+    """Everything the search works on.
+
+    flights   evidence, in order; thinned  their columns (m, 6, P) in the band of the analysis
+    columns   what is what in them; names  of all columns
+    blocks    per flight (B, P, P) whitened cross-products of its blocks
+    raw       per flight (6, P, P) plain cross-products per channel, for mean squared errors
+    whitener  of the residuals; lacking {cause: why it cannot be asked}
+    """
+
+    flights: list[Evidence]
+    thinned: list[Thinned]
+    columns: Columns
+    names: list[str]
+    blocks: list[np.ndarray]
+    raw: list[np.ndarray]
+    whitener: Whitener
+    lacking: dict[str, str]
+
+    def mixed(self, use: Sequence[int], compared: Sequence[bool], prior: np.ndarray | None = None) -> Mixed:
+        """The mixed model of some of the flights. prior  precision (shared, shared) of the model's own terms."""
+        return Mixed([self.blocks[f].sum(axis=0) for f in use], compared, self.columns, prior)
+
+
+def base_columns(evidence: Evidence) -> list[tuple[str, np.ndarray]]:
+    """Columns (n, 6) of the model's own terms."""
+    variables = Variables(evidence.columns, evidence.airframe, evidence.model.hover_speed)
+    result = []
+    for axis in AXES:
+        for term in evidence.model.document["axes"].get(axis, {"terms": []})["terms"]:
+            program = Program([parse(term["expression"])])
+            values = program.run({n: variables[n] for n in program.names}, len(evidence))[0]
+            result.append((f"{axis}: {term['expression']}", evidence.only(axis, values)))
+    return result
+
+
+def gather_study(
+    flights: Sequence[Evidence],
+    effects: Mapping[str, Effect],
+    vehicle: Vehicle,
+    values: Mapping[str, Mapping[str, float]] | None = None,
+) -> Study:
+    """Build the cross-products of all flights.
+
+    effects  causes to be asked; values {cause: {parameter: value}} to linearise at, where not neutral
+    A cause whose columns a flight cannot give is left out, with the reason in `lacking`.
+    """
+    lacking: dict[str, str] = {}
+    asked = {name: e for name, e in effects.items() if e.terms is not None or e.columns is not None}
+    for name, effect in list(asked.items()):
+        try:
+            for flight in flights:
+                columns_of(effect, _first(flight), vehicle, effect.neutral(vehicle))
+        except (DataError, ExpressionError) as error:
+            lacking[name] = str(error)
+            del asked[name]
+    thinned, names, layout = [], [], None
+    for flight in flights:
+        parts = [("residual", flight.residual)]
+        shared = base_columns(flight)
+        own = nuisances(flight)
+        parts += shared + [(n, c) for n, c, _ in own]
+        causes: dict[str, list[int]] = {}
+        for name, effect in asked.items():
+            at = (values or {}).get(name) or effect.neutral(vehicle)
+            for parameter, column in columns_of(effect, flight, vehicle, at).items():
+                causes.setdefault(name, []).append(len(parts))
+                parts.append((f"{name}: {parameter}", column))
+        stack = np.stack([column for _, column in parts], axis=2)
+        thinned.append(thin(stack, flight.breaks, flight.t, BAND, 2 * ORDER))
+        if not len(thinned[-1].rows):
+            raise DataError(f"flight {flight.key} has no second of valid data without a gap; fly longer")
+        names = [name for name, _ in parts]
+        first = 1 + len(shared)
+        layout = Columns(
+            list(range(1, first)), list(range(first, first + len(own))), np.array([s for *_, s in own]), causes
+        )
+    breaks = [part.breaks for part in thinned]
+    whitener = autoregression([_unexplained(part.columns, layout) for part in thinned], breaks, ORDER)
+    blocks = [
+        block_grams(part.columns, part.breaks, whitener, flight.t[part.rows], BLOCK)
+        for part, flight in zip(thinned, flights)
+    ]
+    raw = [np.einsum("nki,nkj->kij", part.columns, part.columns) for part in thinned]
+    return Study(list(flights), thinned, layout, names, blocks, raw, whitener, lacking)
+
+
+def _first(flight: Evidence) -> Evidence:
+    """The first rows alone, enough to see whether a cause can be asked."""
+    columns = {name: values[:2] for name, values in flight.columns.items()}
+    return Evidence(
+        flight.key, flight.airframe, flight.model, flight.mass, flight.inertia, columns,
+        flight.measured[:2], flight.predicted[:2], flight.metadata,
+    )  # fmt: skip
+
+
+def _unexplained(stack: np.ndarray, layout: Columns) -> np.ndarray:
+    """What each flight's own fit of base and nuisances leaves (n, 6)."""
+    columns = [*layout.shared, *layout.nuisance]
+    left = np.empty(stack.shape[:2])
+    for k in range(stack.shape[1]):
+        x, y = stack[:, k, columns], stack[:, k, 0]
+        scale = np.sqrt(np.einsum("ni,ni->i", x, x))
+        x = x[:, scale > 0] / scale[scale > 0]
+        left[:, k] = y - x @ np.linalg.solve(x.T @ x + LIGHT * np.eye(x.shape[1]), x.T @ y)
+    return left

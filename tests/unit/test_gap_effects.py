@@ -1,0 +1,241 @@
+"""Each cause's columns against independent physics: the made vehicle with the cause planted, per rotor, and without."""
+
+import numpy as np
+import pytest
+from made_model import part
+
+from quasi import attitude
+from quasi.airframe import read_airframe
+from quasi.attitude import GRAVITY
+from quasi.errors import ConfigError
+from quasi.gap.catalogue import catalogue, chosen, columns_of, wrench_of
+from quasi.gap.effect import Effect, Parameter, vehicle_of
+from quasi.gap.evidence import Evidence
+from quasi.standalone.build import assemble
+from quasi.standalone.model import AXES, Model
+from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
+from quasi.synthesis.effects import check, plant
+from quasi.synthesis.nuisance import nominal
+from quasi.synthesis.physics import STATES, derivative, induced_velocity
+from quasi.synthesis.vehicle import HUB_HEIGHT, hover_factors
+
+ROWS = 400
+CATALOGUE = catalogue()
+
+
+def states(rng, spread=1.0):
+    """Random flight states: position, attitude, velocity through still air, rates, rotor speeds and accelerations."""
+    n = ROWS
+    return {
+        "t": np.arange(n) * 0.01 + 5.0,
+        "x": rng.uniform(-2, 2, n), "y": rng.uniform(-2, 2, n), "z": -rng.uniform(0.08, 2.0, n),
+        "roll": 0.3 * spread * rng.standard_normal(n), "pitch": 0.3 * spread * rng.standard_normal(n),
+        "yaw": rng.uniform(-3, 3, n),
+        **{a: s * spread * rng.standard_normal(n) for a, s in (("u", 2.0), ("v", 2.0), ("w", 1.0))},
+        **{a: s * spread * rng.standard_normal(n) for a, s in (("p", 2.0), ("q", 2.0), ("r", 1.0))},
+        **{f"w{i}": 2100.0 + 150.0 * spread * rng.standard_normal(n) for i in range(1, 5)},
+        **{f"w{i}_dot": 3000.0 * spread * rng.standard_normal(n) for i in range(1, 5)},
+    }  # fmt: skip
+
+
+def physics(columns, setup):
+    """Wrench about the true cg (n, 6) and angular acceleration (n, 3) of the made vehicle."""
+    p = setup.vehicle.physics
+    quaternion = attitude.from_euler(columns["roll"], columns["pitch"], columns["yaw"])
+    velocity = attitude.rotate(quaternion, np.stack([columns[a] for a in "uvw"], axis=1))
+    wrench, turning = np.empty((ROWS, 6)), np.empty((ROWS, 3))
+    dx, out = np.empty(STATES), np.empty(14)
+    for k in range(ROWS):
+        x = np.zeros(STATES)
+        x[:3] = [columns[a][k] for a in "xyz"]
+        x[3:6], x[6:10] = velocity[k], quaternion[k]
+        x[10:13] = [columns[a][k] for a in "pqr"]
+        x[13:17] = [columns[f"w{i}"][k] for i in range(1, 5)]
+        change = np.array([columns[f"w{i}_dot"][k] for i in range(1, 5)])
+        wanted = x[13:17] + change * np.where(change > 0, p.lag_up, p.lag_down)
+        through = np.array([columns[a][k] for a in "uvw"])
+        for i in range(4):
+            at = through + np.cross(x[10:13], p.hubs[i])
+            climb, inplane = float(-at[2]), float(np.hypot(at[0], at[1]))
+            x[17 + i] = induced_velocity(x[13 + i], climb, inplane, 9.7, p)
+        derivative(columns["t"][k], x, wanted, np.zeros(7), p, dx, out)
+        wrench[k], turning[k] = out[:6], dx[10:13]
+    return wrench, turning
+
+
+def measured(columns, setup, mass, inertia):
+    """What the instruments say (n, 6), mass and inertia as configured, accelerometer carried to the configured cg."""
+    wrench, turning = physics(columns, setup)
+    p = setup.vehicle.physics
+    rates = np.stack([columns[a] for a in "pqr"], axis=1)
+    back = -np.broadcast_to(setup.vehicle.cg_offset, (ROWS, 3))
+    specific = wrench[:, :3] / p.mass + np.cross(turning, back) + np.cross(rates, np.cross(rates, back))
+    moment = turning @ inertia.T + np.cross(rates, rates @ inertia.T)
+    return np.hstack([mass * specific, moment])
+
+
+def simple_model(airframe, factors):
+    thrust, torque, arm = factors["thrust"], factors["torque"], abs(airframe.hubs[0, 0])
+    terms = {
+        "Fx": {"u": -0.15}, "Fy": {"v": -0.15}, "Fz": {"(w1^2 + w2^2 + w3^2 + w4^2)": -thrust, "w": -0.15},
+        "Mx": {"U_p": thrust * arm}, "My": {"U_q": thrust * arm}, "Mz": {"U_r": -torque},
+    }  # fmt: skip
+    shared = {
+        "gravity": "withGravity", "hover speed": {"value": 2110.0, "unit": "rad/s"}, "actuators": None,
+        "simple model": {"kappaFz": {"value": thrust}, "kappaMz": {"value": -torque}},
+        "training flights": ["a"], "notes": [],
+    }  # fmt: skip
+    return Model(assemble({a: part(a, t) for a, t in terms.items()}, shared, {"id": "m", "airframe": airframe}))
+
+
+@pytest.fixture(scope="module")
+def ground():
+    campaign = read_campaign({"flights": [{"key": "a", "profile": "mixed", "seed": 1}], "duration": 30}, "t")
+    airframe = read_airframe(quadrotor_configuration(campaign), "made")
+    setup = nominal(120.0, 0.0)
+    return airframe, setup, simple_model(airframe, hover_factors(setup.vehicle.physics))
+
+
+def residual_of(ground, effects, seed=3, spread=1.0):
+    """Evidence whose model is the physics without the effect, measured with it: only the effect is left."""
+    airframe, setup, model = ground
+    columns = states(np.random.default_rng(seed), spread)
+    healthy, _ = physics(columns, setup)
+    planted = plant(setup, check(effects, "test"))
+    mass, inertia = airframe.mass or setup.vehicle.physics.mass, np.asarray(airframe.inertia)
+    columns |= {axis: healthy[:, k] for k, axis in enumerate(AXES)}
+    evidence = Evidence(
+        "a", airframe, model, mass, inertia, columns, measured(columns, planted, mass, inertia), healthy
+    )
+    # the healthy vehicle's own mass and inertia are the configured ones
+    np.testing.assert_allclose(measured(columns, setup, mass, inertia), healthy, atol=2e-3 * GRAVITY)
+    return evidence
+
+
+CASES = {
+    "rotor_drag": ({"k": 1e-5}, {"k": 1e-5, "lever": 1e-5 * HUB_HEIGHT}, 0.02),
+    "body_drag": ({"c": 0.02}, {"c": 0.02}, 0.1),
+    "blade_flapping": ({"k": 3e-7}, {"k": 3e-7}, 0.02),
+    "translational_lift": ({"k": 0.01}, {"k": 0.01}, 0.02),
+    "axial_inflow": ({"k": 3e-5}, {"k": 3e-5}, 0.05),
+    "thrust_curve": ({"c1": 3e-5, "c0": 0.02}, {"c1": 3e-5, "c0": 0.02}, 0.05),
+    "thrust_factor": ({"factor": 0.97}, {"factor": -0.03}, 0.2),
+    "thrust_drift": ({"rate": -0.002}, {"rate": -0.002}, 0.2),
+    "rotor_effectiveness": ({"rotor2": 0.95}, {"rotor2": -0.05}, 0.2),
+    "rotor_tilt": ({"rotor1": 0.03}, {"rotor1": 0.03}, 0.3),
+    "rotor_gyroscopic": ({"inertia": 2e-6}, {"inertia": 2e-6}, 0.02),
+    "rotor_acceleration_torque": ({"inertia": 2e-6}, {"inertia": 2e-6}, 0.02),
+    "rotor_interference": ({"k": 0.1}, {"k": 0.1}, 0.2),
+    "tether": ({"k": 0.2}, {"k": 0.2}, 0.02),
+    "ground_effect": ({"c": 2.0}, {"c": 2.0}, 0.25),
+    "mass": ({"mass": 0.44}, None, 0.03),
+    "inertia": ({"Ixx": 9e-4, "Ixz": 2e-5}, None, 0.1),
+    "cg_offset": ({"x": 0.002, "y": -0.001, "z": 0.001}, {"x": 0.002, "y": -0.001, "z": 0.001}, 0.1),
+    "vortex_ring": ({"depth": 0.1}, {"depth": 0.1}, 0.6),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_columns_have_the_sign_and_size_of_independent_physics(ground, name):
+    planted, expected, tolerance = CASES[name]
+    airframe, setup, model = ground
+    evidence = residual_of(ground, {name: planted})
+    vehicle = vehicle_of(model, evidence.mass, evidence.inertia)
+    effect = CATALOGUE[name]
+    columns = columns_of(effect, evidence, vehicle, effect.neutral(vehicle))
+    if name == "mass":
+        expected = {"mass": planted["mass"] - evidence.mass}
+    if name == "inertia":
+        expected = {"Ixx": planted["Ixx"] - evidence.inertia[0, 0], "Ixz": planted["Ixz"]}
+    predicted = sum(columns[p] * value for p, value in expected.items())
+    scale = np.array([1.0, 1.0, 1.0, 20.0, 20.0, 20.0])  # N and N m side by side
+    residual = evidence.residual * scale
+    error = residual - predicted * scale
+    share = np.sqrt(np.mean(error**2) / np.mean(residual**2))
+    assert share < tolerance, f"{name}: columns leave {share:.2f} of what the physics makes"
+
+
+def test_every_wrench_cause_of_the_catalogue_is_tested_for_its_sign():
+    elsewhere = {"inflow_lag", "telemetry_delay", "rotor_speed_scale", "wind"}
+    wrench = {name for name, e in CATALOGUE.items() if e.level == "W" and not e.finding}
+    assert wrench - elsewhere <= set(CASES)
+
+
+@pytest.mark.parametrize("name", ["wind", "telemetry_delay", "rotor_speed_scale"])
+def test_columns_through_the_model_follow_from_differences(ground, name):
+    """Wind, late and mis-scaled speeds act through the model's own arguments: shift those and subtract."""
+    airframe, setup, model = ground
+    columns = states(np.random.default_rng(4))
+    speeds = np.stack([columns[f"w{i}"] for i in range(1, 5)], axis=1)
+    dots = np.stack([columns[f"w{i}_dot"] for i in range(1, 5)], axis=1)
+
+    def wrench(velocity, rotors):
+        state = np.zeros((ROWS, 9))
+        state[:, 3:6], state[:, 6:] = velocity, np.stack([columns[a] for a in "pqr"], axis=1)
+        return np.hstack(model.predict(state, rotors))
+
+    velocity = np.stack([columns[a] for a in "uvw"], axis=1)
+    now = wrench(velocity, speeds)
+    if name == "wind":
+        value, parameter = 0.1, "east"
+        quaternion = attitude.from_euler(columns["roll"], columns["pitch"], columns["yaw"])
+        true = wrench(velocity - attitude.rotate_inverse(quaternion, np.array([0.0, value, 0.0])), speeds)
+    elif name == "telemetry_delay":
+        value, parameter = 1e-4, "delay"
+        true = wrench(velocity, speeds + dots * value)  # the true speed is ahead of the logged one
+    else:
+        value, parameter = 1e-4, "scale"
+        true = wrench(velocity, speeds / (1.0 + value))
+    evidence = Evidence("a", airframe, model, 0.433, np.asarray(airframe.inertia), columns, true, now)
+    effect, vehicle = CATALOGUE[name], vehicle_of(model, 0.433)
+    column = columns_of(effect, evidence, vehicle, effect.neutral(vehicle))[parameter]
+    np.testing.assert_allclose(
+        column * value, evidence.residual, rtol=2e-2, atol=2e-3 * np.abs(evidence.residual).max()
+    )
+
+
+def test_inflow_that_lags_makes_thrust_overshoot_as_the_physics_say(ground):
+    """Ramp of rotor speed in hover: the induced velocity follows by its own equation, thrust is ahead."""
+    airframe, setup, model = ground
+    p = setup.vehicle.physics
+    tau, rate, speed = 0.004, 2000.0, 2110.0
+    gain = 0.25 * p.density * p.lift_slope * p.solidity * np.pi * p.radius**2 * speed * p.radius
+    equilibrium = [induced_velocity(s, 0.0, 0.0, 9.7, p) for s in (speed - 1.0, speed + 1.0)]
+    behind = -tau * rate * (equilibrium[1] - equilibrium[0]) / 2.0  # a ramp is followed tau late
+    surplus = -gain * behind  # of one rotor
+    vehicle = vehicle_of(model, 0.433)
+    assert vehicle.inflow * speed * rate * tau == pytest.approx(surplus, rel=0.35)
+
+
+def test_a_curved_effect_starts_with_its_slope(ground):
+    evidence = residual_of(ground, {})
+    vehicle = vehicle_of(ground[2], evidence.mass)
+    effect = CATALOGUE["ground_effect"]
+    slope = columns_of(effect, evidence, vehicle, {"c": 0.0})["c"]
+    small = wrench_of(effect.curved(vehicle, {"c": 1e-4}), evidence)
+    np.testing.assert_allclose(small, slope * 1e-4, rtol=1e-2, atol=1e-12)
+
+
+def test_a_user_adds_a_cause_with_one_file(tmp_path):
+    path = tmp_path / "sticky.py"
+    path.write_text(
+        "from quasi.gap.effect import Effect, Parameter\n"
+        "EFFECT = Effect(id='sticky', level='W', sentence='s', equation='e', source='s',\n"
+        "    parameters={'k': Parameter('N', 0.0, 'a', 0.0, 1.0)}, terms=lambda vehicle: {'k': {'Fx': '1'}})\n"
+    )
+    assert "sticky" in catalogue([path])
+    path.write_text("EFFECT = 3\n")
+    with pytest.raises(ConfigError, match=r"sticky\.py defines no EFFECT"):
+        catalogue([path])
+    path.write_text("def (:\n")
+    with pytest.raises(ConfigError, match=r"sticky\.py: SyntaxError"):
+        catalogue([path])
+
+
+def test_wrong_effects_are_refused_with_a_sentence():
+    with pytest.raises(ConfigError, match="did you mean 'ground_effect'"):
+        chosen(["ground_efect"], CATALOGUE)
+    with pytest.raises(ConfigError, match="level is 'Q'"):
+        Effect("a", "Q", "", "", "")
+    with pytest.raises(ConfigError, match="parameter 'k'"):
+        Effect("a", "W", "", "", "", {"k": Parameter("1", 0.0, "x", 0.0, 1.0)})

@@ -1,0 +1,151 @@
+"""Mixed models on cross-products against a plain solution, against known truths, and when nothing is there."""
+
+import numpy as np
+import pytest
+
+from quasi.gap.effect import Effect, Parameter
+from quasi.gap.mixed import Columns, Mixed, Offer
+from quasi.gap.naming import search
+from quasi.gap.whitening import autoregression, block_grams, thin, whiten
+
+LAYOUT = Columns([1, 2], [3], np.array([0.5]), {"a": [4], "b": [5], "c": [6, 7]})
+
+
+def flights(rng, number, effect=None, compared=None, rows=400, spread=0.0):
+    """Cross-products of made flights: base 2 columns, one nuisance, causes a, b and c (two columns), white noise."""
+    grams, data = [], []
+    for f in range(number):
+        x = rng.standard_normal((rows, 7))
+        x[:, 4] += 0.9 * x[:, 3]  # b resembles a
+        y = x[:, 0] - 2.0 * x[:, 1] + 0.5 * rng.standard_normal() * x[:, 2] + rng.standard_normal(rows)
+        if effect is not None and (compared is None or compared[f]):
+            for column, value in effect.items():
+                y = y + (value + spread * rng.standard_normal()) * x[:, column]
+        z = np.column_stack([y, x])
+        grams.append(z.T @ z)
+        data.append(z)
+    return grams, data
+
+
+def test_estimate_and_covariance_equal_generalised_least_squares():
+    """tau at its floor is known; then the whole model is y ~ N(X b, V) with V written out."""
+    rng = np.random.default_rng(1)
+    grams, data = flights(rng, 4, {3: 0.3})
+    mixed = Mixed(grams, [True] * 4, LAYOUT)
+    test = mixed.test(Offer("a", "always", (0,)))
+    unit = 1.0 / np.sqrt(np.mean([g[4, 4] for g in mixed.grams]))
+    information, right = np.zeros((3, 3)), np.zeros(3)
+    for z in data:
+        v = np.eye(len(z)) + 0.25 * np.outer(z[:, 3], z[:, 3]) + (test.tau * unit) ** 2 * np.outer(z[:, 4], z[:, 4])
+        x = z[:, [1, 2, 4]]
+        information += x.T @ np.linalg.solve(v, x)
+        right += x.T @ np.linalg.solve(v, z[:, 0])
+    covariance = np.linalg.inv(information)
+    assert test.value[0] == pytest.approx((covariance @ right)[2], rel=1e-6)
+    assert test.std[0] == pytest.approx(np.sqrt(covariance[2, 2]), rel=1e-6)
+
+
+def test_truth_lies_within_its_standard_errors():
+    inside = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        compared = [False] * 4 + [True] * 4
+        grams, _ = flights(rng, 8, {3: 0.4}, compared, spread=0.1)
+        test = Mixed(grams, compared, LAYOUT).test(Offer("a", "changed", (0,)), pooled=["a", "b", "c"])
+        inside += abs(test.value[0] - 0.4) < 2.0 * test.std[0]
+    assert 52 <= inside <= 60
+
+
+def test_p_values_are_no_smaller_than_chance_when_flights_merely_differ():
+    """Every flight has its own value of the cause, compared or not: nothing has changed."""
+    p = []
+    for seed in range(240):
+        rng = np.random.default_rng(1000 + seed)
+        compared = [False] * 4 + [True] * 4
+        column, cause = ((3, "a"), (4, "b"))[seed % 2]
+        grams, _ = flights(rng, 8, {column: 0.0}, None, rows=100, spread=0.3)
+        p.append(Mixed(grams, compared, LAYOUT).test(Offer(cause, "changed", (0,)), pooled=[cause]).p)
+    p = np.array(p)
+    assert np.mean(p < 0.1) < 0.15
+    assert np.mean(p < 0.01) < 0.025
+
+
+def effects(**parts):
+    p = Parameter("1", 0.0, "a", -10.0, 10.0)
+    return {
+        c: Effect(c, "W", "", "", "", {str(k): p for k in range(len(LAYOUT.causes[c]))}, parts=parts.get(c, "any"))
+        for c in LAYOUT.causes
+    }
+
+
+@pytest.mark.parametrize("since", ["changed", "always"])
+def test_the_planted_cause_is_named_and_its_lookalike_is_not(since):
+    rng = np.random.default_rng(5)
+    compared = [False] * 4 + [True] * 4 if since == "changed" else [True] * 8
+    grams, _ = flights(rng, 8, {3: 0.5}, compared)
+    names = search(Mixed(grams, compared, LAYOUT), effects(), (since,), 0.01)
+    assert [n.test.offer.cause for n in names.named] == ["a"]
+    assert not names.ties
+    assert [r.id for r in names.named[0].rivals] == ["b"]
+    assert names.named[0].test.value[0] == pytest.approx(0.5, abs=3.0 * names.named[0].test.std[0])
+
+
+def test_causes_that_the_data_cannot_split_are_a_tie():
+    rng = np.random.default_rng(6)
+    grams, data = flights(rng, 6)
+    twins = []
+    for z in data:
+        z[:, 5] = z[:, 4] + 1e-3 * rng.standard_normal(len(z))
+        z[:, 0] += 0.5 * z[:, 4]
+        twins.append(z.T @ z)
+    names = search(Mixed(twins, [True] * 6, LAYOUT), effects(), ("always",), 0.01)
+    assert not names.named
+    assert {t.offer.cause for t in names.ties[0].tests} == {"a", "b"}
+    assert names.ties[0].separability < 3.0
+
+
+def test_two_causes_at_once_are_both_named():
+    rng = np.random.default_rng(7)
+    grams, _ = flights(rng, 6, {3: 0.5, 6: -0.4})
+    names = search(Mixed(grams, [True] * 6, LAYOUT), effects(), ("always",), 0.01)
+    assert {(n.test.offer.cause, n.test.offer.which) for n in names.named} == {("a", (0,)), ("c", (1,))}
+
+
+def test_an_estimate_outside_its_physical_range_is_not_named():
+    rng = np.random.default_rng(8)
+    grams, _ = flights(rng, 6, {3: 0.5})
+    names = search(Mixed(grams, [True] * 6, LAYOUT), effects(), ("always",), 0.01, within={"a": [(-0.1, 0.1)]})
+    assert "a" not in [n.test.offer.cause for n in names.named]
+
+
+def test_whitening_makes_coloured_noise_white_and_leaves_out_gaps():
+    rng = np.random.default_rng(9)
+    noise = rng.standard_normal(6000)
+    y = np.zeros(6000)
+    for k in range(2, 6000):
+        y[k] = 1.6 * y[k - 1] - 0.7 * y[k - 2] + noise[k]
+    breaks = np.arange(6000) == 0
+    breaks[3000] = True
+    whitener = autoregression([y[:, None]], [breaks], 4)
+    np.testing.assert_allclose(whitener.coefficients[0, 1:3], [-1.6, 0.7], atol=0.05)
+    white, rows = whiten(y[:, None, None], breaks, whitener)
+    assert len(rows) == 6000 - 2 * 4
+    assert not set(range(3000, 3004)) & set(rows.tolist())
+    e = white[:, 0, 0]
+    assert e.std() == pytest.approx(1.0, abs=0.05)
+    assert abs(np.corrcoef(e[1:], e[:-1])[0, 1]) < 0.04
+    grams = block_grams(y[:, None, None], breaks, whitener, np.arange(6000) * 0.01, 5.0)
+    assert len(grams) == 12
+    assert grams.sum() == pytest.approx(e @ e, rel=1e-12)
+
+
+def test_thinning_keeps_slow_signals_and_their_relations():
+    t = np.arange(3000) * 0.01
+    slow, fast = np.sin(2 * np.pi * 2.0 * t), np.sin(2 * np.pi * 30.0 * t)
+    columns = np.stack([slow + fast, 2.0 * slow, fast], axis=1)[:, None, :]
+    breaks = np.arange(3000) == 0
+    part = thin(columns, breaks, t, 10.0, 10)
+    kept = np.sin(2 * np.pi * 2.0 * t[part.rows])
+    np.testing.assert_allclose(part.columns[:, 0, 1], 2.0 * kept, atol=0.02)
+    np.testing.assert_allclose(part.columns[:, 0, 0], kept, atol=0.02)
+    np.testing.assert_allclose(part.columns[:, 0, 0], 0.5 * part.columns[:, 0, 1] + part.columns[:, 0, 2], atol=1e-12)
