@@ -57,11 +57,10 @@ def verdict(axis: str, facts: Mapping[str, Any]) -> dict[str, Any]:
             level = max(level, 1)
             because.append(f"its {percent(wanted)} intervals hold {percent(coverage[role])} of the {role} rows")
     # the manual's sign of overfitting: intervals that fit the training rows and not the test rows
-    if None not in (coverage.get("test"), coverage.get("training")) and coverage["training"] - coverage["test"] > SHORT:
+    trained, tested = coverage.get("training"), coverage.get("test")
+    if trained is not None and tested is not None and trained - tested > SHORT:
         level, overfits = max(level, 1), True
-        because.append(
-            f"intervals hold {percent(coverage['training'])} of training, {percent(coverage['test'])} of test"
-        )
+        because.append(f"intervals hold {percent(trained)} of the training rows, {percent(tested)} of the test rows")
     because += _lopsided(facts["quartiles"], holdout)
     word = ORDER[level]
     return {
@@ -114,7 +113,7 @@ def _validation(axis: str, facts: Mapping[str, Any], because: list[str], remedie
 
 
 KINDS = {
-    "good": "hold on all that judges them",
+    "good": "good",
     "trim": "a constant offset, another trim on the validation flights",
     "beyond": "the validation flights go beyond the training flights",
     "overfit": "overfitted",

@@ -37,7 +37,7 @@ def test_a_model_that_holds_is_good_on_all(good):
     diagnosis = found.diagnosis
     assert diagnosis["verdict"] == "good"
     assert diagnosis["summary"] == ["Fz, My: good on all"]
-    assert diagnosis["shortly"] == "Fz, My: hold on all that judges them"
+    assert diagnosis["shortly"] == "Fz, My: good"
     assert all(not any(f["warnings"].values()) for f in diagnosis["axes"].values())
     assert diagnosis["axes"]["Fz"]["interval"]["coverage"]["validation"] == pytest.approx(0.95, abs=0.02)
 
