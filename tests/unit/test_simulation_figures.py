@@ -125,3 +125,16 @@ def test_a_table_that_lacks_something_is_told(table, airframe):
         simulation_figures(table.drop(columns="w3"), airframe, {})
     with pytest.raises(DataError, match="no rows"):
         simulation_figures(table.iloc[:0], airframe, {})
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_a_simulation_that_ended_at_once_has_figures_as_well(table, airframe, rows):
+    table["x_ref"] = 1.0
+    for figure in simulation_figures(table.iloc[:rows].copy(), airframe, {"ended": "diverged at 0.004 s"}).values():
+        figure.canvas.draw()
+
+
+def test_rows_that_are_no_numbers_are_left_blank(table, airframe):
+    table.loc[table.index[200:], ["u", "v", "w", "x", "y", "z", "roll", "pitch", "yaw"]] = np.nan
+    for figure in simulation_figures(table, airframe, {}).values():
+        figure.canvas.draw()
