@@ -442,3 +442,31 @@ def test_impossible_actuators_are_named(model):
         make_controller({"controller": "INDI"}, model, {"time constants": [0.03, 0.03, 0.0, 0.03]})
     with pytest.raises(ConfigError, match="0 s or more"):
         make_controller({"controller": "INDI"}, model, {"delay": -1.0})
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_whatever_is_seen_and_wanted_the_commands_are_speeds_that_rotors_can_have(name, model):
+    kind, p, size = make_controller({"controller": name}, model)
+    rng = np.random.default_rng(6)
+    for _ in range(300):
+        memory, out = np.zeros(size), np.zeros(4)
+        for _ in range(5):
+            seen, goal = np.zeros(26), np.zeros(20)
+            seen[:4] = rng.normal(size=4)
+            seen[:4] /= np.linalg.norm(seen[:4])
+            seen[4:13] = rng.normal(size=9) * 10 ** rng.uniform(-2, 3)
+            seen[13:17], seen[17:20] = rng.uniform(0, 3000, 4), rng.normal(size=3) * 50
+            goal[0], goal[1:18] = rng.integers(4), rng.normal(size=17) * 10 ** rng.uniform(-2, 3)
+            goal[13] = np.nan if rng.random() < 0.3 else goal[13]
+            controller_step(kind, p, memory, 0.0, 0.004, seen, goal, out)
+            assert np.all(np.isfinite(out)), "no number"
+            assert p[g.LOWEST] * (1 - 1e-9) <= out.min() and out.max() <= p[g.HIGHEST] * (1 + 1e-9)
+
+
+def test_what_is_no_number_is_passed_on_and_not_hidden(model):
+    for name in KINDS:
+        kind, p, size = make_controller({"controller": name}, model)
+        seen, goal, memory, out = np.zeros(26), np.zeros(20), np.zeros(size), np.zeros(4)
+        seen[0], seen[13:17], seen[19], seen[7] = 1.0, 1500.0, -9.81, np.nan
+        controller_step(kind, p, memory, 0.0, 0.004, seen, goal, out)
+        assert not np.all(np.isfinite(out))
