@@ -186,8 +186,9 @@ class QuadrotorSimulator(Simulator):
             first = None
             for _ in range(m.substeps):
                 advance(m.method, m.dt / m.substeps, live.x, live.held, m.kernel, m.body, *s)
-                first = s.loads.copy() if first is None else first
-            bus.forces[k + 1], bus.moments[k + 1] = first[:3], first[3:]
+                first = (s.loads.copy(), s.slopes[0].copy()) if first is None else first
+            bus.forces[k + 1], bus.moments[k + 1] = first[0][:3], first[0][3:]
+            bus.state_derivative[k + 1] = first[1]
             result = live.x.copy()
         else:
             if m.substeps > 1:

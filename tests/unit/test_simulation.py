@@ -75,6 +75,17 @@ def test_a_users_actuator_gives_the_speeds_at_the_end_of_each_step(model):
     np.testing.assert_allclose(own.table["x"], built_in.table["x"], atol=2e-3)
 
 
+@pytest.mark.parametrize("hook", ["begin", "equations_of_motion"])
+def test_the_bus_holds_state_derivatives_and_forces_of_each_step(model, hook):
+    simulator = QuadrotorSimulator(setup_of(model, duration=0.1, noise={"add": False}, wind={"steady": [2, 0, 0]}))
+    simulator.add_step(hook, lambda bus: None)
+    bus, k = simulator.run(), 12
+    ahead = (bus.state[k + 1] - bus.state[k - 1]) / (2 * bus.time_step)
+    np.testing.assert_allclose(bus.state_derivative[k + 1][4:13], ahead[4:13], atol=0.02)
+    np.testing.assert_allclose(bus.quaternion[k], bus.state[k, :4])
+    assert bus.forces[k + 1, 2] == pytest.approx(-0.43 * 9.81, rel=0.05)
+
+
 def test_an_adaptive_integrator_confirms_the_fixed_step(model):
     setup = setup_of(model, duration=0.4, noise={"add": False}, references=ROUGH["references"])
     reference = QuadrotorSimulator(setup, integrator="DOP853").fly()
