@@ -20,6 +20,7 @@ from quasi.simulation.simulator import Bus
 
 HALF = 2.5  # m, of the box
 EDGE = 0.7  # of it: the drone's way from the middle before the box moves on
+WINDOW_REPEAT = 1.0  # s, within which a desktop repeats a key that is down; a window out of focus sees no release
 TRAIL = 250  # points of the path that are kept
 _TOOLKITS = ("qtagg", "tkagg", "gtk4agg", "gtk3agg", "wxagg", "macosx")
 
@@ -65,7 +66,7 @@ class Window:
         while self._events:
             kind, key = self._events.popleft()
             if kind == "press":
-                held.press([key], now, ends=np.inf)
+                held.press([key], now, WINDOW_REPEAT)
                 pressed.append(key)
             else:
                 held.release(key, now)
