@@ -33,15 +33,20 @@ from quasi.errors import DataError
 from quasi.simulation import gains as g
 from quasi.simulation.allocation import allocate, invert
 from quasi.simulation.control_model import by_geometry, control_model, extras
-from quasi.simulation.outer_loop import KIND, RATES_GOAL, WISH, outer_loop, rotation
+from quasi.simulation.outer_loop import KIND, RATES_GOAL, RUNNING, SATURATED, STARTED, WISH, outer_loop, rotation
 from quasi.standalone.kernel import Kernel, wrench
 from quasi.standalone.model import Model
 
-# places in the memory; STARTED holds 2 where the last step's rotors were at their limits
-STARTED, INVERSE, EFFECT, SENT, EXPECTED, HIGHEST, LATE = 0, 1, 17, 33, 37, 41, 45
-RATE_INTEGRAL, RATES, SQUARES, OTHER = 52, 58, 67, 79
-WANTED, LOW, HIGH, INPUT, SCRATCH = 88, 92, 96, 100, 104
-NU, MODEL_OUT, SPEEDS, KEEP, GAIN, FOLLOW, INPUTS = 171, 174, 180, 184, 185, 186, 188
+# first entries in the memory, beside those of outer_loop.py
+INVERSE, EFFECT = 1, 17  # (16,) inverse and effectiveness of one step, row by row
+SENT, SPEEDS = 33, 180  # (4,) the last commands, squared and as they are
+EXPECTED, HIGHEST, LATE = 37, 41, 45  # (4,) speeds by the rotors' lag, their limits, how long they have been behind, s
+RATE_INTEGRAL = 52  # (3,) rad/s2
+RATES, SQUARES, OTHER = 58, 67, 79  # filters, three numbers each: of 3 rates, 4 squared speeds, 3 accelerations
+WANTED, LOW, HIGH, INPUT, SCRATCH = 88, 92, 96, 100, 104  # of the allocation
+NU, MODEL_OUT = 171, 174  # (3,) wanted angular accelerations; (6,) forces and moments of the model
+KEEP, GAIN, FOLLOW = 184, 185, 186  # what filters and rotors do within one step
+INPUTS = 188  # from here on what NDI's model works in
 _LATE = 0.05  # s that a rotor may stay behind before its limit is learnt
 _RECOVER = 0.5  # s in which a learnt limit that holds no longer grows by its own size
 
@@ -104,7 +109,7 @@ def _start(kind, p, m, dt, seen):
     damp, stiff = 2.0 * p[g.DAMPING] * w * half, (w * half) ** 2
     m[KEEP], m[GAIN] = (1.0 - damp - stiff) / (1.0 + damp + stiff), w * w * half / (1.0 + damp + stiff)
     m[FOLLOW] = 1.0 - math.exp(-dt / p[g.LAG])
-    m[STARTED] = 1.0
+    m[STARTED] = RUNNING
 
 
 @njit(cache=True, error_model="numpy")
@@ -187,7 +192,7 @@ def _pid(p, m, dt, seen, goal):
         _filter(m, RATES + 3 * k, 0.5 * dt, seen[7 + k])
         error = m[WISH + k] - seen[7 + k]
         # no integration further into a limit of the rotors
-        if m[STARTED] == 1.0 or error * m[RATE_INTEGRAL + k] < 0.0:
+        if m[STARTED] == RUNNING or error * m[RATE_INTEGRAL + k] < 0.0:
             most = p[g.RATES + k] * p[g.RATE]
             total = m[RATE_INTEGRAL + k] + p[g.RATES_INTEGRAL + k] * error * dt
             m[RATE_INTEGRAL + k] = min(max(total, -most), most)
@@ -297,7 +302,7 @@ def _send(p, m, dt, seen, commands):
         else:
             for i in range(4):
                 u[i] = min(max(u[i], low[i]), high[i])
-    m[STARTED] = 1.0 if inside else 2.0
+    m[STARTED] = RUNNING if inside else SATURATED
     for i in range(4):
         m[SENT + i] = u[i]
         commands[i] = m[SPEEDS + i] = math.sqrt(u[i])

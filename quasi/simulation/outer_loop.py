@@ -23,7 +23,9 @@ GOAL = 20
 POSITION_GOAL, VELOCITY_GOAL, ATTITUDE_GOAL, RATES_GOAL = 0.0, 1.0, 2.0, 3.0
 KIND, PLACE, SPEED, ANGLES, RATES, THRUST, YAW_RATE, FORWARD = 0, 1, 4, 7, 10, 13, 14, 15
 
-# places in the memory that belong to these loops; see controllers.py for the others
+# places in the memory that belong to these loops; see controllers.py for the others. STARTED holds 0 before the first
+# step, then RUNNING, or SATURATED where the last step's commands met a limit of the rotors
+STARTED, RUNNING, SATURATED = 0, 1.0, 2.0
 INTEGRAL, LAST_FORWARD, WISH = 49, 55, 168
 _JERK = 80.0  # m/s3; beyond it a change of the fed forward acceleration is a jump, which has no rate
 
@@ -165,7 +167,7 @@ def outer_loop(parameters, memory, dt, seen, goal, dx, dy, dz):
         if inside or ex * wide_x + ey * wide_y < 0.0:
             x, y = _shorten(memory[INTEGRAL] + gain * ex, memory[INTEGRAL + 1] + gain * ey, p[g.INTEGRAL])
             memory[INTEGRAL], memory[INTEGRAL + 1] = x, y
-        if (sz < -0.2 * GRAVITY or ez < 0.0) and memory[0] != 2.0:
+        if (sz < -0.2 * GRAVITY or ez < 0.0) and memory[STARTED] != SATURATED:
             z = memory[INTEGRAL + 2] + gain * ez
             memory[INTEGRAL + 2] = min(max(z, -p[g.INTEGRAL]), p[g.INTEGRAL])
     # thrust along the present axis only: none of it is spent sideways while the body still turns
