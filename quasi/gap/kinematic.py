@@ -118,19 +118,27 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
         return _mixed(grams, compared, names, asked, {**SPREAD, "imu_lever_arm": lever}, turning)
 
     applied = [np.zeros(len(names)) for _ in used]
-    for _ in range(LOOKS):
+    offsets = [0.0 for _ in used]
+    late, turn_late = names.index("clock.offset"), names.index("mocap_delay.delay")
+    for look in range(LOOKS):
         whiteners = [_whitener(w) for w in weak]
         blocks = [_added(_blocks(w, whitener), corrected_already(f, names) + known)
                   for f, w, whitener, known in zip(used, weak, whiteners, applied)]  # fmt: skip
-        mixed = build([b.sum(axis=0) for b in blocks])
+        grams = [b.sum(axis=0) for b in blocks]
+        mixed = build(grams)
         threshold = float(options.get("false alarm rate", 0.01)) / (stages * max(len(mixed.columns.causes), 1))
-        doubtful = build([b.sum(axis=0) for b in blocks], MARKERS_KNOWN * np.sqrt(len(blocks)))
+        doubtful = build(grams, MARKERS_KNOWN * np.sqrt(len(blocks)))
         choice = choose(mixed, threshold, [TURNED], doubtful)
         wanted = [_bent(mixed, choice, names, flag) for flag in compared]
-        if not turning or max(_apart(a, b, names) for a, b in zip(wanted, applied)) < 1.0:
+        if not turning or look == LOOKS - 1 or max(_apart(a, b, names) for a, b in zip(wanted, applied)) < 1.0:
             break
+        for k, (gram, target) in enumerate(zip(grams, wanted)):
+            own, _ = _alone(gram, names)
+            # the rotation's place on the log's clock is sharp, whatever part of it is the whole capture's
+            offsets[k] += own[late] + own[turn_late] - target[turn_late]
         applied = wanted
-        weak = [weak_form(straightened(f, _set_right(values, names))) for f, values in zip(used, applied)]
+        weak = [weak_form(straightened(f, _set_right(values, names), offset))
+                for f, values, offset in zip(used, applied, offsets)]  # fmt: skip
         weak = [w._replace(columns=w.columns[:, :, [w.names.index(n) for n in names]], names=names) for w in weak]
     shares = probability(blocks, build, choice, threshold)
     _report(level, mixed, choice, shares, names)
@@ -203,6 +211,20 @@ def _blocks(weak: Weak, whitener: Whitener) -> np.ndarray:
     if not len(blocks):
         raise DataError(f"flight {weak.key} has no {ORDER / RATE:.1f} s without gaps between sensors and capture")
     return blocks
+
+
+def _alone(gram: np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """One flight's own values of the columns (P,), and standard errors, 0 where left out.
+
+    A turned IMU and turned markers look alike in one flight; they are stated as the markers' turn.
+    """
+    single = [i for i, n in enumerate(names) if i > 0 and n.split(".")[0] not in ("imu_misalignment", "drawn")]
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))[single]
+    inverse = np.linalg.inv(gram[np.ix_(single, single)] / np.outer(scale, scale) + RIDGE * np.eye(len(single)))
+    values, std = np.zeros(len(names)), np.zeros(len(names))
+    values[single] = inverse @ (gram[single, 0] / scale) / scale
+    std[single] = np.sqrt(np.diag(inverse)) / scale
+    return values, std
 
 
 def _added(blocks: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -303,16 +325,10 @@ def _tables(
     """
     fitted = {offer: final_test(mixed, choice, offer) for offer in choice.taken}
     rows, channels, parameters, floors = [], [], [], []
-    # a turned IMU and turned markers look alike in one flight; the table states them as the markers' turn
-    single = [i for i, n in enumerate(names) if i > 0 and n.split(".")[0] not in ("imu_misalignment", "drawn")]
     for flown, one, whitener in zip(used, weak, whiteners):
         coefficients = _fit(one.columns)
         gram = _blocks(one, whitener).sum(axis=0)
-        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))[single]
-        inner = gram[np.ix_(single, single)] / np.outer(scale, scale) + RIDGE * np.eye(len(scale))
-        inverse = np.linalg.inv(inner)
-        own = inverse @ (gram[single, 0] / scale) / scale
-        std = np.sqrt(np.diag(inverse)) / scale
+        own, std = _alone(gram, names)
         y = one.columns[:, :, 0]
         explained = np.zeros_like(y)
         for offer, test in fitted.items():
@@ -338,7 +354,8 @@ def _tables(
         parameters += [
             {"flight": flown.key, "compared": flown.compared, "id": n.split(".")[0], "parameter": n.split(".")[1],
              "value": v, "std": s, "unit": UNITS.get(n.split(".")[0], "s")}
-            for n, v, s in zip([names[i] for i in single], own, std)
+            for n, v, s in zip(names[1:], own[1:], std[1:])
+            if s > 0
         ]  # fmt: skip
     level.tables = {
         "residuals": pd.concat(rows, ignore_index=True),

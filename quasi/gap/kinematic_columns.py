@@ -87,11 +87,11 @@ def lean(specific: np.ndarray, rate: float) -> np.ndarray:
     return lfilter([1.0 - keep], [1.0, -keep], pull, axis=0) / LAGGED
 
 
-def straightened(flown: Flown, calibration: Mapping[str, Mapping[str, np.ndarray]]) -> Flown:
+def straightened(flown: Flown, calibration: Mapping[str, Mapping[str, np.ndarray]], late: float) -> Flown:
     """The flight with turned axes, scales, the room and a late rotation set right, as far as they were found.
 
-    Columns are first-order in such faults; a second look at a flight that shows little of them is exact. The clocks
-    were tied by rotation, so of a late rotation it is the position that moves.
+    Columns are first-order in such faults; a second look at a flight that shows little of them is exact.
+    late  s, of the captured position on the log's clock (clocks are tied by rotation: minus the rotation's delay)
     """
     frame = flown.imported.copy()
     gyro, force = true_inertial(frame[list("pqr")].to_numpy(float), frame[["ax", "ay", "az"]].to_numpy(float),
@@ -99,10 +99,14 @@ def straightened(flown: Flown, calibration: Mapping[str, Mapping[str, np.ndarray
     t, place = frame["t"].to_numpy(float), frame[list(AXES)].to_numpy(float)
     q = attitude.from_euler(*frame[list(ANGLES)].to_numpy(float).T)
     arm = np.asarray(flown.airframe.marker_offset, float)
-    late = float(calibration["capture"]["rotation delay"][0])
     if late:
         offset = attitude.rotate(q, arm)
-        place = CubicSpline(t, place + offset)(np.clip(t - late, t[0], t[-1])) - offset
+        place = CubicSpline(t, place + offset)(np.clip(t + late, t[0], t[-1])) - offset
+    turn = late + float(calibration["capture"]["rotation delay"][0])
+    if turn:
+        marker = place + attitude.rotate(q, arm)
+        q = attitude.interpolate(q, t, t + turn)
+        place = marker - attitude.rotate(q, arm)
     capture = {**calibration["capture"], "rotation delay": np.zeros(1)}
     place, turned = true_pose(t, place, q, arm, capture)
     frame[list("pqr")], frame[["ax", "ay", "az"]], frame[list(AXES)] = gyro, force, place

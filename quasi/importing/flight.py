@@ -81,6 +81,8 @@ def import_flight(
     if calibration is not None:
         marker = _triple(quadrotor.get("optitrack marker cg offset"), "optitrack marker cg offset")
         board, capture = calibrated_onboard(board, calibration), calibrated_capture(capture, marker, calibration)
+        if (calibration.get("imu") or {}).get("lever arm") and "imu position" not in quadrotor:
+            chosen["do onboard c.g. correction"] = False  # what hover would tell is in the calibration
     try:
         sync = _align(flight, board, capture, captured, chosen, where, notes)
     except DataError as error:

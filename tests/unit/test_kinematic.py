@@ -1,0 +1,198 @@
+"""Level K: each fault planted by its own definition in an analytic motion, found under its name with its size."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from made_motion import at_times, body
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, Slerp
+
+from quasi import attitude
+from quasi.airframe import Airframe
+from quasi.errors import DataError
+from quasi.gap.kinematic import examine
+from quasi.gap.kinematic_columns import weak_form, windows
+from quasi.gap.level import Flown
+from quasi.gap.sensor_findings import shaken, torn
+
+RATE, CAPTURED, SECONDS = 500.0, 120.0, 24.0
+ARM = np.array([0.0, -0.01, -0.048])
+FRAME = Airframe("Made", 0.43, np.eye(3) * 1e-3, 0.04, 0.08, np.zeros((4, 3)), np.ones(4), marker_offset=ARM)
+TRUTH = {seed: body(SECONDS + 1.0, 1000.0, seed) for seed in (1, 2, 3)}
+
+
+def flown(seed, compared=True, removed=0.0, onboard_gain=None, **fault):
+    """One flight: gyro and accelerometer at 500 Hz, capture at 120 Hz, faults as design and effects define them."""
+    rng = np.random.default_rng(seed)
+    truth = TRUTH[seed]
+    spin_up = np.gradient(truth.rates, truth.t, axis=0)
+    arm = np.array(fault.get("lever", (0, 0, 0)))
+    force = truth.force + np.cross(spin_up, arm) + np.cross(truth.rates, np.cross(truth.rates, arm))
+    axes = Rotation.from_rotvec(fault.get("imu", (0, 0, 0)))  # carries the assumed axes onto the true ones
+    gyro = axes.inv().apply(truth.rates) * fault.get("gyro_scale", 1.0) + fault.get("gyro_bias", 0.0)
+    force = axes.inv().apply(force) * fault.get("force_scale", 1.0) + fault.get("force_bias", 0.0)
+    clock = fault.get("clock", 0.0)
+    t = np.arange(0.25, SECONDS, 1.0 / RATE)  # what the on-board clock shows
+    real = t / (1.0 + clock)
+
+    def at(values):
+        return np.stack([np.interp(real, truth.t, v) for v in values.T], axis=1)
+
+    gyro = at(gyro) + 0.01 * rng.standard_normal((len(t), 3))
+    force = at(force) + 0.05 * rng.standard_normal((len(t), 3))
+    # capture times on its own clock, and where import puts them on the on-board one when it takes `removed` off
+    seen = np.arange(0.2, SECONDS + 0.1, 1.0 / CAPTURED)
+    there = seen * (1.0 + removed)
+    place, turned = at_times(truth, seen)
+    late = at_times(truth, seen - fault.get("rotation_late", 0.0))[1]
+    turned, late = (Rotation.from_quat(q, scalar_first=True) for q in (turned, late))
+    room = Rotation.from_rotvec([*fault.get("room", (0, 0)), 0.0])
+    marked = late * Rotation.from_rotvec(fault.get("markers", (0, 0, 0)))
+    noise = Rotation.from_rotvec(np.radians(0.07) * rng.standard_normal((len(seen), 3)))
+    marked = room.inv() * marked * noise
+    centroid = room.inv().apply(place + turned.apply(ARM)) + 2e-4 * rng.standard_normal(place.shape)
+    position = CubicSpline(there, centroid - marked.apply(ARM))(t)
+    q = Slerp(there, marked)(t).as_quat(scalar_first=True)
+    if onboard_gain is not None:
+        acceleration = at(np.gradient(np.gradient(truth.position, truth.t, axis=0), truth.t, axis=0))
+        leaning, state = np.zeros((len(t), 3)), np.zeros(3)
+        for i, a in enumerate(acceleration):  # follows the apparent vertical with a time constant of 1 s
+            state = state + (np.array([-a[1], a[0], 0.0]) / 9.81 - state) / RATE
+            leaning[i] = state
+        q = (Rotation.from_rotvec(onboard_gain * leaning)
+             * Rotation.from_quat(at_times(truth, real)[1], scalar_first=True)).as_quat(scalar_first=True)  # fmt: skip
+    euler = attitude.to_euler(q)
+    fresh = (np.min(np.abs(t[:, None] - there[None, np.searchsorted(there, t)[:, None] - [0, 1]][0]), axis=1)
+             <= 0.5 / RATE).astype(float)  # fmt: skip
+    frame = pd.DataFrame(
+        {"t": t - t[0]} | dict(zip("pqr", gyro.T)) | dict(zip(("ax", "ay", "az"), force.T))
+        | dict(zip(("roll", "pitch", "yaw"), euler.T)) | dict(zip("xyz", position.T))
+        | {"attitude_sample": fresh, "position_sample": fresh, "onboard_valid": np.ones(len(t))}
+    )  # fmt: skip
+    metadata = {
+        "attitude source": "capture" if onboard_gain is None else "estimated on board",
+        "position source": "capture",
+        "synchronisation": {"clock rate": {"value": removed, "std": 1e-6}},
+    }
+    return Flown(f"f{seed}", compared, frame, metadata, pd.DataFrame({"in_flight": np.ones(len(t))}), {}, FRAME)
+
+
+def found(level, cause):
+    named = {e["id"]: e for e in level.effects}
+    assert list(named) == [cause], (list(named), level.ties)
+    assert not level.ties
+    return {name: (p["value"], p["std"]) for name, p in named[cause]["parameters"].items()}
+
+
+def close(parameters, expected, loose=0.05):
+    for (value, std), truth in zip(parameters.values(), expected):
+        assert abs(value - truth) < 4.0 * std, (parameters, expected)
+        assert abs(value - truth) < loose * np.max(np.abs(np.array(expected) - np.round(np.mean(expected)))) + 2 * std
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return examine([flown(s) for s in (1, 2, 3)], {})
+
+
+def test_windows_keep_a_constant_and_differentiate_a_parabola_exactly():
+    window, slope, bend = windows(0.05, 500.0)
+    t = (np.arange(2001) - 1000) / 500.0
+    parabola = 3.0 + 2.0 * t + 0.5 * 7.0 * t**2
+    for kernel, expected in ((slope, 2.0 + 7.0 * t), (bend, np.full(len(t), 7.0))):
+        there = np.convolve(parabola, kernel, "same")[300:-300]
+        np.testing.assert_allclose(there, expected[300:-300], atol=1e-8)
+    assert window.sum() == pytest.approx(1.0)
+
+
+def test_a_clean_flight_shows_nothing_and_its_floor_is_white(clean):
+    assert not clean.effects
+    assert not clean.ties
+    assert not clean.findings
+    assert clean.tables["channels"]["whiteness"].abs().max() < 0.2
+    assert clean.noise_floor["p"] < 0.01
+    assert clean.noise_floor["down"] < 0.05
+
+
+@pytest.mark.parametrize(
+    ("cause", "fault", "expected"),
+    [
+        ("gyro_bias", {"gyro_bias": np.array([0.08, 0.0, -0.05])}, [0.08, 0.0, -0.05]),
+        ("gyro_scale", {"gyro_scale": np.array([1.03, 1.0, 0.98])}, [1.03, 1.0, 0.98]),
+        ("accelerometer_bias", {"force_bias": np.array([0.5, -0.4, 0.0])}, [0.5, -0.4, 0.0]),
+        ("accelerometer_scale", {"force_scale": np.array([1.0, 0.98, 1.03])}, [1.0, 0.98, 1.03]),
+        ("imu_lever_arm", {"lever": (0.02, -0.01, 0.005)}, [0.02, -0.01, 0.005]),
+        ("room_tilt", {"room": (0.02, -0.01)}, [0.02, -0.01]),
+        ("mocap_delay", {"rotation_late": 0.01}, [0.01]),
+    ],
+)
+def test_a_planted_fault_is_found_alone_with_its_size_and_sign(cause, fault, expected):
+    level = examine([flown(s, **fault) for s in (1, 2, 3)], {})
+    close(found(level, cause), expected)
+
+
+@pytest.mark.parametrize("removed", [0.0, 1.0])
+def test_a_fast_clock_is_found_whether_import_followed_it_or_not(removed):
+    rate = 2e-3 if removed else 4e-4
+    level = examine([flown(s, clock=rate, removed=removed * rate) for s in (1, 2, 3)], {})
+    close(found(level, "clock_drift"), [rate], loose=0.1)
+
+
+@pytest.mark.parametrize(("cause", "fault"), [("imu_misalignment", "imu"), ("mocap_misalignment", "markers")])
+def test_turned_sensors_and_turned_markers_are_a_tie_that_holds_the_true_one(cause, fault):
+    turn = (0.03, -0.02, 0.015)
+    level = examine([flown(s, **{fault: turn}) for s in (1, 2, 3)], {})
+    assert not level.effects
+    (tie,) = level.ties
+    assert set(tie["ids"]) == {"imu_misalignment", "mocap_misalignment"}
+    parameters = {n: (p["value"], p["std"]) for n, p in tie["parameters"][cause].items()}
+    close(parameters, turn, loose=0.25)
+
+
+def test_against_reference_flights_only_the_change_is_named_as_changed():
+    references = [flown(s, compared=False, room=(0.02, 0.0)) for s in (1, 2)]
+    level = examine([*references, *(flown(s, room=(0.02, 0.0), lever=(0.0, 0.02, 0.0)) for s in (2, 3))], {})
+    since = {e["id"]: e["since"] for e in level.effects}
+    assert since == {"imu_lever_arm": "changed", "room_tilt": "always"}
+
+
+def test_an_attitude_that_leans_after_the_apparent_vertical_is_named():
+    level = examine([flown(s, onboard_gain=0.5) for s in (1, 2, 3)], {})
+    value, std = found(level, "attitude_error")["gain"]
+    assert abs(value - 0.5) < 4 * std + 0.03
+    assert {c["id"] for c in level.cannot_be_asked} >= {"gyro_scale", "mocap_misalignment", "room_tilt"}
+
+
+def test_without_capture_nothing_of_this_level_can_be_asked():
+    bare = flown(1)
+    bare.metadata["position source"] = "none"
+    with pytest.raises(DataError, match="no motion capture"):
+        weak_form(bare)
+    level = examine([bare], {})
+    assert not level.effects
+    assert {c["id"] for c in level.cannot_be_asked} >= {"gyro_bias", "room_tilt", "clock_drift"}
+    assert "f1" in level.notes[0]
+
+
+def test_too_short_a_flight_says_so():
+    short = flown(1)
+    cut = short.imported.iloc[:1200]
+    with pytest.raises(DataError, match="expected at least 3 s"):
+        weak_form(Flown("f", True, cut, short.metadata, pd.DataFrame({"in_flight": np.ones(1200)}), {}, FRAME))
+
+
+def test_gaps_of_the_log_are_a_finding_and_vibration_beyond_the_reference_flights_too():
+    one = flown(1)
+    one.metadata["streams"] = {
+        "gyro": {"rate": 1000.0, "gap count": 2, "lost": 0.4, "jitter": 1e-6, "gaps": [[3.0, 3.2]]}
+    }
+    (finding,) = torn(one)
+    assert finding["id"] == "timestamp_fault"
+    assert "0.40 s in 2 gaps, the first at 3.00 s" in finding["text"]
+    shaking = [flown(s) for s in (1, 2, 3)]
+    rng = np.random.default_rng(0)
+    for f in shaking:
+        f.imported[["ax", "ay", "az"]] += 0.12 * rng.standard_normal((len(f.imported), 3))
+    references = [flown(s, compared=False) for s in (1, 2, 3)]
+    assert [f["id"] for f in shaken([*references, *shaking])] == ["vibration"]
+    assert not shaken([*references, *(flown(s) for s in (1, 2, 3))])
