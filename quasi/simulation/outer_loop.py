@@ -14,9 +14,8 @@ the body; NaN carries the weight); yaw rate (rad/s, about the vertical); ax ay a
 
 import math
 
-from numba import njit
-
 from quasi.attitude import GRAVITY
+from quasi.compiling import njit
 from quasi.simulation import gains as g
 
 GOAL = 20
@@ -27,6 +26,7 @@ KIND, PLACE, SPEED, ANGLES, RATES, THRUST, YAW_RATE, FORWARD = 0, 1, 4, 7, 10, 1
 # step, then RUNNING, or SATURATED where the last step's commands met a limit of the rotors
 STARTED, RUNNING, SATURATED = 0, 1.0, 2.0
 INTEGRAL, LAST_FORWARD, WISH = 49, 55, 168
+_BRAKE = 0.4  # share of the greatest acceleration (vertically: of gravity's) that is counted on to stop
 _JERK = 80.0  # m/s3; beyond it a change of the fed forward acceleration is a jump, which has no rate
 
 
@@ -101,6 +101,14 @@ def _shorten(x, y, most):
 
 
 @njit(cache=True, error_model="numpy")
+def _approach(distance, gain, brake, most):
+    """Wanted speed per distance, 1/s: the gain when near; when far no more than can be braked, nor than `most`, m/s."""
+    linear = brake / (gain * gain)
+    speed = gain * distance if distance <= linear else math.sqrt(2.0 * brake * distance - brake * linear)
+    return min(speed, most) / distance if distance > 0.0 else gain
+
+
+@njit(cache=True, error_model="numpy")
 def outer_loop(parameters, memory, dt, seen, goal, dx, dy, dz):
     """Wanted body rates into memory[WISH:WISH+3], rad/s; returns the wanted thrust, N, upwards in the body.
 
@@ -127,11 +135,10 @@ def outer_loop(parameters, memory, dt, seen, goal, dx, dy, dz):
     vz = r[6] * seen[4] + r[7] * seen[5] + r[8] * seen[6]
     wx, wy, wz = goal[SPEED], goal[SPEED + 1], goal[SPEED + 2]
     if kind == POSITION_GOAL:
-        # never faster towards the goal than the limits, however far it is, nor than the deceleration allows
-        ex, ey = _shorten(goal[PLACE] - seen[10], goal[PLACE + 1] - seen[11], p[g.SPEED] / p[g.POSITION])
-        most = p[g.CLIMB] / p[g.POSITION]
-        ez = min(max(goal[PLACE + 2] - seen[12], -most), most)
-        wx, wy, wz = wx + p[g.POSITION] * ex, wy + p[g.POSITION] * ey, wz + p[g.POSITION] * ez
+        ex, ey, ez = goal[PLACE] - seen[10], goal[PLACE + 1] - seen[11], goal[PLACE + 2] - seen[12]
+        near = _approach(math.sqrt(ex * ex + ey * ey), p[g.POSITION], _BRAKE * p[g.ACCELERATION], p[g.SPEED])
+        climb = _approach(abs(ez), p[g.POSITION], _BRAKE * GRAVITY, p[g.CLIMB])
+        wx, wy, wz = wx + near * ex, wy + near * ey, wz + climb * ez
     ex, ey, ez = wx - vx, wy - vy, wz - vz
     fx, fy, fz = goal[FORWARD], goal[FORWARD + 1], goal[FORWARD + 2]
     ax, ay = _shorten(
