@@ -32,6 +32,7 @@ Value = tuple[float, int]
 Combination = dict[int, float]  # {node: factor}: the sum of factor x node
 ONE = 0
 _WHOLE = 32  # the largest power that is formed by multiplying
+_FACTORS = 64  # the most factors that a product is taken apart into
 
 
 class Graph:
@@ -152,19 +153,32 @@ class Graph:
             if n == 0.5:
                 return self.function("sqrt", base)
             if n == int(n) and abs(n) <= _WHOLE:
-                whole: Value = base
-                for _ in range(abs(int(n)) - 1):
-                    whole = self.times(whole, base)
+                whole = self._whole_power(base, abs(int(n)))
                 return whole if n > 0 else self.over((1.0, ONE), whole)
         return 1.0, self.node("power", self.plain(base), self.plain(self.value(exponent)))
 
+    def _whole_power(self, base: Value, n: int) -> Value:
+        try:
+            factor = base[0] ** n
+        except OverflowError:
+            factor = math.inf
+        if not math.isfinite(factor) or (factor == 0.0 and base[0]):
+            return 1.0, self._product([(self.plain(base), n)])
+        return factor, self._product([(base[1], n)])
+
     def _product(self, factors: Iterable[tuple[int, int]]) -> int:
+        factors = list(factors)
         powers: dict[int, int] = {}
         for node, n in factors:
             inner = self.nodes[node][1] if self.nodes[node][0] == "product" else ((node, 1),)
             for part, m in inner:
                 if part != ONE:
                     powers[part] = powers.get(part, 0) + n * m
+        if sum(powers.values()) > _FACTORS:  # powers of powers stay what they are: as lists of factors they explode
+            powers = {}
+            for node, n in factors:
+                if node != ONE:
+                    powers[node] = powers.get(node, 0) + n
         if not powers:
             return ONE
         if len(powers) == 1 and next(iter(powers.values())) == 1:

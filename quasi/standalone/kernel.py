@@ -20,6 +20,7 @@ pairs of factors that most products hold. No code is generated, and nothing from
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from heapq import heapify, heappop, heappush
 from typing import NamedTuple
 
 import numba as nb
@@ -218,39 +219,45 @@ def compile_outputs(
 
 
 class _Code:
-    """Two-operand instructions of the nodes that some outputs need."""
+    """Two-operand instructions of the nodes that some outputs need.
+
+    Everything that holds a value (input, constant, result of an instruction) is a number, the place of its key in
+    `_keys`: ("input", name), ("constant", c) or (operation, number, number).
+    """
 
     def __init__(self, graph: Graph, outputs: Sequence[Mapping[int, float]]) -> None:
         self._graph = graph
         self.inputs: list[str] = []
-        self._constants: dict[float, tuple] = {}
-        self._instructions: dict[tuple, None] = {}  # (operation, operand, operand), operands being such keys themselves
-        self._of_node: dict[int, tuple] = {}
+        self._keys: list[tuple] = []
+        self._numbers: dict[tuple, int] = {}
+        self._of_node: dict[int, int] = {}
+        self._of_pair: dict[int, int] = {}
+        self._place: dict[int, int] = {}
         needed = graph.reachable(outputs)
-        pairs = _shared_products(graph, needed)
+        products, self._pairs = _shared_products(graph, needed)
         for node in needed:
-            self._of_node[node] = self._lower(node, pairs)
-        self._place: dict[tuple, int] = {}
+            self._of_node[node] = self._lower(node, products)
 
     def slot(self, node: int) -> int:
         return self._place[self._of_node[node]]
 
-    def _constant(self, value: float) -> tuple:
-        return self._constants.setdefault(value, ("constant", value))
+    def _number(self, *key) -> int:
+        if key not in self._numbers:
+            self._numbers[key] = len(self._keys)
+            self._keys.append(key)
+        return self._numbers[key]
 
-    def _do(self, operation: int, a: tuple, b: tuple | None = None) -> tuple:
-        key = (operation, a, b if b is not None else a)
-        self._instructions.setdefault(key)
-        return key
+    def _do(self, operation: int, a: int, b: int | None = None) -> int:
+        return self._number(operation, a, a if b is None else b)
 
-    def _lower(self, node: int, pairs: Mapping[int, tuple]) -> tuple:
+    def _lower(self, node: int, products: Mapping[int, int]) -> int:
         kind, *given = self._graph.nodes[node]
         of = self._of_node
         if kind == "input":
             self.inputs.append(given[0])
-            return ("input", given[0])
+            return self._number("input", given[0])
         if kind in ("one", "constant"):
-            return self._constant(given[0] if given else 1.0)
+            return self._number("constant", given[0] if given else 1.0)
         if kind == "held":
             return of[given[1]]
         if kind == "quotient":
@@ -258,96 +265,107 @@ class _Code:
         if kind == "power":
             return self._do(POWER, of[given[0]], of[given[1]])
         if kind == "product":
-            return self._multiply(pairs[node])
+            return self._multiply(products[node])
         if kind == "sum":
             return self._sum(given[0])
         return self._do(_OF_KIND[kind], of[given[0]])
 
-    def _multiply(self, pair: tuple | int) -> tuple:
-        if isinstance(pair, int):
-            return self._of_node[pair]
-        return self._do(MULTIPLY, self._multiply(pair[0]), self._multiply(pair[1]))
+    def _multiply(self, factor: int) -> int:
+        if factor >= 0:
+            return self._of_node[factor]
+        if factor not in self._of_pair:
+            a, b = self._pairs[-factor - 1]
+            self._of_pair[factor] = self._do(MULTIPLY, self._multiply(a), self._multiply(b))
+        return self._of_pair[factor]
 
-    def _sum(self, parts: Iterable[tuple[int, float]]) -> tuple:
+    def _sum(self, parts: Iterable[tuple[int, float]]) -> int:
         total = None
-        for node, factor in sorted(
-            parts, key=lambda part: part[1] != 1.0
-        ):  # begins with a factor of 1, if there is one
+        for node, factor in sorted(parts, key=lambda part: part[1] != 1.0):  # a factor of 1 begins, if there is one
             if node == ONE:
-                term, negative = self._constant(factor), False
+                term, negative = self._number("constant", factor), False
             else:
                 negative = factor < 0 and total is not None
                 size = -factor if negative else factor
                 term = self._of_node[node]
                 if size != 1.0:
-                    term = self._do(MULTIPLY, self._constant(size), term)
+                    term = self._do(MULTIPLY, self._number("constant", size), term)
             total = term if total is None else self._do(SUBTRACT if negative else ADD, total, term)
         return total
 
     def arranged(self) -> tuple[list[float], list[tuple[int, int, int]], list[int], list[int]]:
         """Constants, runs, and operands' slots; gives every input, constant and instruction its slot."""
-        for name in self.inputs:
-            self._place[("input", name)] = len(self._place)
-        for key in self._constants.values():
-            self._place[key] = len(self._place)
-        waiting = list(self._instructions)
+        constants = [key[1] for key in self._keys if key[0] == "constant"]
+        for key in [("input", name) for name in self.inputs] + [("constant", c) for c in constants]:
+            self._place[self._numbers[key]] = len(self._place)
+        waiting = [n for n, key in enumerate(self._keys) if len(key) == 3]
         runs, left, right = [], [], []
         while waiting:
             # the operation of which most can be done in a row; within a run one may build on another
-            best: list[tuple] = []
-            for operation in sorted({key[0] for key in waiting}):
-                done: dict[tuple, None] = {}
-                for key in waiting:
-                    ready = all(a in self._place or a in done for a in key[1:])
-                    if key[0] == operation and ready:
-                        done[key] = None
+            best: list[int] = []
+            for operation in sorted({self._keys[n][0] for n in waiting}):
+                done: dict[int, None] = {}
+                for n in waiting:
+                    kind, a, b = self._keys[n]
+                    if kind == operation and (a in self._place or a in done) and (b in self._place or b in done):
+                        done[n] = None
                 if len(done) > len(best):
                     best = list(done)
-            runs.append((best[0][0], len(left), len(left) + len(best)))
-            for key in best:
-                self._place[key] = len(self._place)
-                left.append(self._place[key[1]])
-                right.append(self._place[key[2]])
+            runs.append((self._keys[best[0]][0], len(left), len(left) + len(best)))
+            for n in best:
+                self._place[n] = len(self._place)
+                left.append(self._place[self._keys[n][1]])
+                right.append(self._place[self._keys[n][2]])
             taken = set(best)
-            waiting = [key for key in waiting if key not in taken]
-        return list(self._constants), runs, left, right
+            waiting = [n for n in waiting if n not in taken]
+        return constants, runs, left, right
 
 
-def _shared_products(graph: Graph, nodes: Iterable[int]) -> dict[int, tuple]:
-    """{product node: nested pairs of nodes}: again and again the pair of factors that most products hold is formed."""
-    rows: dict[int, list] = {}
+def _shared_products(graph: Graph, nodes: Iterable[int]) -> tuple[dict[int, int], list[tuple[int, int]]]:
+    """Products as pairs: again and again the pair of factors that most products hold is formed, and stands for both.
+
+    Returns {product node: factor} and the pairs. A factor that is 0 or more is a node, another, -1 - k, is pair k.
+    """
+    rows: dict[int, list[int]] = {}
     for node in nodes:
         kind, *given = graph.nodes[node]
         if kind == "product":
             rows[node] = [part for part, n in given[0] for _ in range(n)]
-    order: dict = {}  # factors get numbers in order of first appearance, so that the outcome does not vary
 
-    def number(factor) -> int:
-        return order.setdefault(factor, len(order))
-
-    def pairs_of(row: list) -> set[tuple]:
+    def pairs_of(row: list[int]) -> set[tuple[int, int]]:
         count = Counter(row)
-        factors = sorted(count, key=number)
+        factors = sorted(count)
         found = {(a, b) for i, a in enumerate(factors) for b in factors[i + 1 :]}
         return found | {(a, a) for a in factors if count[a] > 1}
 
-    holders: dict[tuple, set[int]] = {}
+    holders: dict[tuple[int, int], set[int]] = {}
     for node, row in rows.items():
         for pair in pairs_of(row):
             holders.setdefault(pair, set()).add(node)
-    while holders:
-        pair = max(holders, key=lambda p: (len(holders[p]), -number(p[0]), -number(p[1])))
+    # most holders first; an entry whose count has changed since is passed over
+    queue = [(-len(found), *pair) for pair, found in holders.items()]
+    heapify(queue)
+    pairs: list[tuple[int, int]] = []
+    while queue:
+        size, *pair = heappop(queue)
+        a, b = pair = tuple(pair)
+        if -size != len(holders[pair]) or not size:
+            continue
+        pairs.append(pair)
+        changed: set[tuple[int, int]] = set()
         for node in sorted(holders[pair]):
-            for old in pairs_of(rows[node]):
-                holders[old].discard(node)
-                if not holders[old] and old != pair:
-                    del holders[old]
             row = rows[node]
-            while row.count(pair[0]) >= 1 + (pair[0] == pair[1]) and pair[1] in row:
-                row.remove(pair[0])
-                row.remove(pair[1])
-                row.append(pair)
-            for new in pairs_of(row):
+            before = pairs_of(row)
+            times = row.count(a) // 2 if a == b else min(row.count(a), row.count(b))
+            for _ in range(times):
+                row.remove(a)
+                row.remove(b)
+            row.extend([-len(pairs)] * times)
+            after = pairs_of(row)
+            for old in before - after:
+                holders[old].discard(node)
+            for new in after - before:
                 holders.setdefault(new, set()).add(node)
-        holders.pop(pair, None)
-    return {node: row[0] for node, row in rows.items()}
+            changed |= before ^ after
+        for other in changed:
+            heappush(queue, (-len(holders[other]), *other))
+    return {node: row[0] for node, row in rows.items()}, pairs

@@ -328,20 +328,26 @@ class Model:
         """The columns under the names of the kernel's inputs. Raises ExpressionError for one that is missing."""
         columns = self._columns(columns, rows)
         columns |= {name: columns[f"{name}_air"] for name in "uvw" if f"{name}_air" in columns}
-        if not all(self.inputs[k] in columns for k in self.kernel.gather):
+        if not all(self.inputs[k] in columns for k in self.kernel.gather.tolist()):
             self._say_what_lacks(columns)
         return columns
 
     def _run(self, kernel: Kernel, columns: Mapping[str, np.ndarray], rows: int) -> np.ndarray:
         """(outputs, rows) of one of the model's kernels. Raises ExpressionError for a missing column."""
         result = np.empty((kernel.outputs, rows))
-        wrench_rows(kernel, self._gathered(kernel, self._inputs_of(columns, rows), rows), result)
+        table = self._gathered(kernel, self._inputs_of(columns, rows), rows)
+        if rows == 1:  # the machine for many rows works on blocks of them
+            inputs = np.zeros(len(self.inputs))
+            inputs[kernel.gather] = table[:, 0]
+            wrench(kernel, inputs, kernel.work, result[:, 0])
+        else:
+            wrench_rows(kernel, table, result)
         return result
 
     def _gathered(self, kernel: Kernel, columns: Mapping[str, np.ndarray], rows: int) -> np.ndarray:
         """(G, rows) what a kernel gathers."""
         table = np.empty((len(kernel.gather), rows))
-        for k, position in enumerate(kernel.gather):
+        for k, position in enumerate(kernel.gather.tolist()):
             table[k] = columns[self.inputs[position]]
         return table
 

@@ -62,7 +62,8 @@ OPERATIONS = [
     "1", "-2.5", "u + v - w", "u*v/w*p", "u/v/w", "-u^2", "u^-3", "u^32", "u^0", "2^u", "|u|^0.5", "|u|^1.7", "u^0.5",
     "(u + v)^3", "(2*u)^-2", "3*(u - 1)*(u - 1)", "(u*v)^2*(v*u)^3", "u - u", "0*u", "u^2^0.5", "1/(1 + U_p^2/1e12)",
     "(u + 2*v)*(u + 2*v)", "sin[u]*cos[v] - cos[u]*sin[v]", "|u|*|u|*u", "u^40", "(-2)^3*u", "(u*1e200)*1e200*1e-200",
-    "1e-200*1e-200*U_p^5", "u/0.5", "(((u)))", "-(-(u))", "|u|^|v|", "(u^2 + v^2 + w^2)^0.5*u",
+    "1e-200*1e-200*U_p^5", "((u/9)^32)^32", "((((u/9)^2*v)^3*w)^2)^9",
+    "u/0.5", "(((u)))", "-(-(u))", "|u|^|v|", "(u^2 + v^2 + w^2)^0.5*u",
 ]  # fmt: skip
 
 
@@ -123,6 +124,15 @@ def test_equal_parts_are_computed_once():
     ]
     kernel = compile_outputs(graph, outputs, INPUTS)
     assert kernel.code[3] == 2 + 1 + 3 + 2  # two squares, their sum, one common product, times q, times r
+
+
+def test_powers_of_powers_stay_small():
+    graph = Graph(AIRFRAME, HOVER)
+    kernel = compile_outputs(graph, [graph.combine([(1.0, graph.value(parse("((((u^32)^32)^32)^32)^32")))])], INPUTS)
+    assert kernel.code[3] == 25  # five squarings per level
+    out = np.empty(1)
+    wrench(kernel, np.full(20, 1.0 + 1e-9), kernel.work, out)
+    assert out[0] == pytest.approx((1.0 + 1e-9) ** (32**5), rel=1e-6)
 
 
 def test_used_tells_which_inputs_are_read():
