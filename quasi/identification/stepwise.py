@@ -25,7 +25,8 @@ from quasi.identification.evidence import INDEPENDENT, Totals, entering, probabi
 from quasi.identification.products import Products
 
 TRIALS = 6  # steps in a row that may be taken on trial
-ROUNDS = 4  # of dropping, exchanging and adding at the end
+ROUNDS = 4  # of exchanging, adding and dropping at the end
+PROPOSALS = 3  # exchanges that are tried before none is found
 RIVAL = 0.98  # share of the best candidate's gain from which another is a rival
 RIVALS = 10  # most that are listed
 ROUNDING = 1e-13  # share of a sum of squares that is no more than rounding
@@ -257,25 +258,32 @@ class _Search:
         self.log.append(now)
         return None
 
+    def weakest(self, state: State) -> tuple[int, float, dict[str, float]]:
+        """Of the terms that are not fixed the least sure: column, probability that it is nothing, t and its freedom."""
+        t, freedom = standing(state.totals, state.columns, self.bandwidth)
+        chance = probability(t, freedom)[self.fixed :]
+        place = int(np.argmax(chance))
+        at = self.fixed + place
+        return state.columns[at], float(chance[place]), {"t": float(t[at]), "degrees of freedom": float(freedom[at])}
+
     def drop(self) -> bool:
         """Remove terms that do not stand by themselves, weakest first. True when something went."""
         went = False
         while len(self.state.columns) > self.fixed:
             if self.memory is not None:
                 self.bandwidth = self.memory(self.state.columns)
-            t, freedom = standing(self.state.totals, self.state.columns, self.bandwidth)
-            chance = probability(t, freedom)[self.fixed :]
-            weakest = int(np.argmax(chance))
-            if chance[weakest] < self.share:
+            out, chance, note = self.weakest(self.state)
+            if chance < self.share:
                 return went
-            out = self.state.columns[self.fixed + weakest]
             self.state, went = self.state.without(out), True
-            note = {"t": float(t[self.fixed + weakest]), "degrees of freedom": float(freedom[self.fixed + weakest])}
             self.log.append(self.entry(self.state, self.log[-1]["step"] + 1, None, out) | note)
         return went
 
-    def exchange(self) -> bool:
-        """Replace one term by the candidate that does better in its place. True when one was."""
+    def exchange(self, strict: bool) -> bool:
+        """Replace one term by the candidate that does better in its place. True when one was.
+
+        strict  all terms must stand by themselves afterwards
+        """
         free = self.state.columns[self.fixed :]
         if not free:
             return False
@@ -285,27 +293,45 @@ class _Search:
         better = gains[rows, new] - gains[rows, free]
         for gain in gains:
             self.remember(np.argpartition(-gain, min(NEAR, len(gain) - 1))[:NEAR], gain)
-        best = int(np.argmax(better))
-        if better[best] <= 1e-9 * self.state.error:
-            return False
-        self.state = self.state.without(free[best])
-        self.state.add(int(new[best]), gains[best])
-        self.log.append(self.entry(self.state, self.log[-1]["step"] + 1, int(new[best]), free[best]))
-        return True
+        for row in np.argsort(-better)[: PROPOSALS if strict else 1]:
+            if better[row] <= 1e-9 * self.state.error:
+                return False
+            state = self.state.without(free[row])
+            state.add(int(new[row]), gains[row])
+            if not strict or self.weakest(state)[1] < self.share:
+                self.state = state
+                self.log.append(self.entry(state, self.log[-1]["step"] + 1, int(new[row]), free[row]))
+                return True
+        return False
 
-    def settle(self) -> None:
-        """Drop, exchange and add until nothing changes."""
+    def settle(self) -> str:
+        """Drop, exchange and add until nothing changes. Returns what was done, in words."""
+        before = len(self.log)
+        self._settle()
+        done = self.log[before:]
+        added = sum(e["removed"] is None for e in done)
+        dropped = sum(e["selected"] is None for e in done)
+        counts = {"dropped": dropped, "added": added, "exchanged": len(done) - added - dropped}
+        said = ", ".join(f"{n} {what}" for what, n in counts.items() if n)
+        return f"; terms afterwards: {said}" if said else ""
+
+    def _settle(self) -> None:
+        # terms on trial help once to find what belongs in their place
+        for _ in range(2 * len(self.state.columns)):
+            if not self.exchange(strict=False):
+                break
+        self.drop()
         for _ in range(ROUNDS):
             changed = False
             for _ in range(2 * len(self.state.columns)):
-                if not self.exchange():
+                if not self.exchange(strict=True):
                     break
                 changed = True
-            changed |= self.drop()
             while len(self.state.columns) - self.fixed < self.options.cap:
                 if self.step(self.log[-1]["step"] + 1, trial=False):
                     break
                 changed = True
+            changed |= self.drop()
             if not changed:
                 return
 
@@ -335,7 +361,7 @@ def select(
     search = _Search(state, options, describe, totals.spread if total is None else total, memory)
     reason = search.forward()
     if options.test == "significance":
-        search.settle()
+        reason += search.settle()
     chosen = search.state.columns[products.fixed :]
     seen = {int(k): float(search.near[k]) for k in np.flatnonzero(search.near > 0.0)} | dict.fromkeys(chosen, 2.0)
     return Selection(chosen, search.log, reason, search.bandwidth, seen)

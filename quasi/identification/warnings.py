@@ -21,10 +21,10 @@ def warnings(
 
     terms  entries of the axis, the estimated ones first and in the order of the fit; log  steps of the selection
     """
-    notes = []
+    notes, kept = [], {t["name"] for t in terms}
     for entry in log[1:]:
         close = [r for r in entry.get("rivals", []) if r["share of gain"] > RIVAL]
-        if close:
+        if close and entry["selected"] in kept:
             best = 100 * close[0]["share of gain"]
             notes.append(
                 f"{axis}: step {entry['step']} took {entry['selected']}, but {_list(r['expression'] for r in close)} "
