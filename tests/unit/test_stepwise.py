@@ -295,7 +295,7 @@ def test_nothing_of_a_pool_of_noise_is_let_in_more_often_than_the_level_says():
 
 @pytest.mark.parametrize("seed", range(10))
 def test_every_chosen_term_stands_by_itself_at_the_end(seed):
-    # odd powers of four signals and their products: near copies of each other, the higher ones with few telling moments
+    # odd powers of four signals and their products: near copies, the higher ones with few telling moments
     r = np.random.default_rng(seed)
     x = r.standard_normal((1500, 4))
     base = np.column_stack([x, x * np.abs(x), x**3, x**5, x * x[:, [1, 2, 3, 0]], x**3 * np.abs(x[:, [1, 2, 3, 0]])])
