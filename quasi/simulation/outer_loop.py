@@ -27,6 +27,7 @@ KIND, PLACE, SPEED, ANGLES, RATES, THRUST, YAW_RATE, FORWARD = 0, 1, 4, 7, 10, 1
 STARTED, RUNNING, SATURATED = 0, 1.0, 2.0
 INTEGRAL, LAST_FORWARD, WISH = 49, 55, 168
 _BRAKE = 0.4  # share of the greatest acceleration (vertically: of gravity's) that is counted on to stop
+_SLIGHT = 0.4  # m/s, greatest error of velocity that an integral counts
 _JERK = 80.0  # m/s3; beyond it a change of the fed forward acceleration is a jump, which has no rate
 
 
@@ -167,15 +168,17 @@ def outer_loop(parameters, memory, dt, seen, goal, dx, dy, dz):
         wish[k] += r[6 + k] * goal[YAW_RATE]
     _limit_rates(p, wish)
 
-    # integrals stand still where more of them would only push further against a limit
+    # integrals stand still where more of them would only push further against a limit, and count large errors, which
+    # are those of a manoeuvre, as small ones
     gain = p[g.VELOCITY_INTEGRAL] * dt
     if gain > 0.0:
         inside = sx == wide_x and sy == wide_y
         if inside or ex * wide_x + ey * wide_y < 0.0:
+            ex, ey = _shorten(ex, ey, _SLIGHT)
             x, y = _shorten(memory[INTEGRAL] + gain * ex, memory[INTEGRAL + 1] + gain * ey, p[g.INTEGRAL])
             memory[INTEGRAL], memory[INTEGRAL + 1] = x, y
         if (sz < -0.2 * GRAVITY or ez < 0.0) and memory[STARTED] != SATURATED:
-            z = memory[INTEGRAL + 2] + gain * ez
+            z = memory[INTEGRAL + 2] + gain * min(max(ez, -_SLIGHT), _SLIGHT)
             memory[INTEGRAL + 2] = min(max(z, -p[g.INTEGRAL]), p[g.INTEGRAL])
     # thrust along the present axis only: none of it is spent sideways while the body still turns
     return max(-mass * (sx * r[2] + sy * r[5] + sz * r[8]), 0.0)

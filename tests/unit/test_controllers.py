@@ -13,7 +13,7 @@ from quasi.simulation import controllers as c
 from quasi.simulation import gains as g
 from quasi.simulation.control_model import by_geometry, control_model, hover_speed, trim
 from quasi.simulation.controllers import controller_step, make_controller
-from quasi.simulation.outer_loop import attitude_of_angles, attitude_of_thrust, rotation, turn_towards
+from quasi.simulation.outer_loop import _approach, attitude_of_angles, attitude_of_thrust, rotation, turn_towards
 from quasi.standalone.kernel import wrench
 
 KINDS = ("PID", "NDI", "INDI")
@@ -274,13 +274,24 @@ def test_filtered_rates_and_rotor_speeds_are_of_the_same_moment(model):
     assert np.std(late[100:]) < 0.05 * np.std(early[100:])
 
 
+def test_a_far_goal_is_approached_no_faster_than_can_be_braked():
+    gain, brake, most = 1.7, 4.0, 8.0
+    way = np.linspace(0.0, 40.0, 400001)
+    speed = np.array([_approach(d, gain, brake, most) * d for d in way])
+    slowing = np.gradient(0.5 * speed**2, way)  # dv/dt = v dv/dx
+    assert slowing.max() <= brake * (1 + 1e-6) and speed.max() == most
+    assert np.allclose(speed[way < brake / gain**2], gain * way[way < brake / gain**2])
+    assert np.all(np.diff(speed) >= -1e-9) and np.max(np.diff(speed)) < 2 * gain * 1e-4
+    assert _approach(0.0, gain, brake, most) == gain
+
+
 # limits and faults
 
 
 def test_integrals_stay_within_their_limit_and_do_not_wind_up_on_a_long_way(model):
     goals = plain.still(4000, (60.0, 0.0, -8.0))
     log = plain.fly({"controller": "PID"}, model, goals)
-    assert np.max(log[:, 0]) < 62.0 and abs(log[-1, 0] - 60.0) < 0.3
+    assert np.max(log[:, 0]) < 60.6 and abs(log[-1, 0] - 60.0) < 0.3
     assert np.max(np.hypot(log[:, 3], log[:, 4])) < 8.6, "the speed limit holds"
     assert np.degrees(np.arccos(np.min(log[:, UPRIGHT]))) < 60.0
 
