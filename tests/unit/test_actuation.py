@@ -1,0 +1,149 @@
+"""Level A: rotors integrated by a plain loop, each fault of the drive found under its name with its size."""
+
+import functools
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from quasi.airframe import Airframe
+from quasi.gap.actuation import examine
+from quasi.gap.drive_findings import saturated
+from quasi.gap.drive_fit import Belief, belief_of, fit_drive
+from quasi.gap.level import Flown
+
+RATE, SECONDS, FINER = 500.0, 14.0, 4
+MAP, VOLTS, UP, DOWN = (380.0, 4650.0, -1200.0), 15.2, 0.022, 0.030
+FRAME = Airframe("Made", 0.43, np.eye(3) * 1e-3, 0.04, 0.08, np.zeros((4, 3)), np.ones(4))
+MODEL = {
+    "id": "made",
+    "actuators": {
+        "time constants": {"value": [0.026] * 4},
+        "time constants up": {"value": [UP] * 4},
+        "time constants down": {"value": [DOWN] * 4},
+        "delay": {"value": [0.0] * 4},
+        "command map": {
+            "coefficients": list(MAP), "powers": [0, 1, 2], "reference voltage": VOLTS,
+            "voltage exponent": {"value": 1.0},
+        },
+    },
+}  # fmt: skip
+
+
+@functools.cache
+def flown(
+    seed, compared=True, up=UP, down=DOWN, late=0.0, age=0.002, told=False, exponent=1.0, limit=1.0,
+    gains=(1.0, 1.0, 1.0, 1.0), voltage=True,
+):  # fmt: skip
+    """One flight; every rotor follows dW/dt = (wanted - W) / tau by Euler steps at four times the rate."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, SECONDS, 1.0 / RATE)
+    fine = np.arange(0.0, SECONDS, 1.0 / (FINER * RATE))
+    volts = 16.4 - 1.2 * t / SECONDS + 0.05 * np.sin(3.0 * t)
+    columns = {"t": t, "valid": np.ones(len(t))}
+    spread = rng.normal(1.0, 0.02)  # motors differ from flight to flight
+    for i in range(4):
+        f, a, phase = rng.uniform(0.2, 9.0, 12), rng.uniform(0.01, 0.04, 12), rng.uniform(0, 6.28, 12)
+        asked = 0.4 + sum(ai * np.sin(6.2832 * fi * fine + pi) for ai, fi, pi in zip(a, f, phase))
+        asked = np.clip(asked, 0.02, limit)
+        delayed = np.interp(fine - late, fine, asked)
+        factor = gains[i] * (np.interp(fine, t, volts) / VOLTS) ** exponent
+        wanted = factor * (MAP[0] + MAP[1] * delayed + MAP[2] * delayed**2)
+        speed = np.empty(len(fine))
+        now = wanted[0]
+        for k, target in enumerate(wanted):
+            speed[k] = now
+            now += (target - now) / (spread * (up if target > now else down)) / (FINER * RATE)
+        logged = np.interp(t - age, fine, speed) + 2.0 * rng.standard_normal(len(t))
+        columns[f"w{i + 1}"] = np.interp(t + age, t, logged) if told else logged
+        columns[f"command{i + 1}"] = np.interp(t, fine, asked)
+    if voltage:
+        columns["battery_voltage"] = volts
+    telemetry = {"age": {"value": age, "std": 1e-4}, "explained variance": 0.99, "applied": True} if told else None
+    frame = pd.DataFrame(columns)
+    return Flown(f"f{seed}", compared, frame, {"rotor telemetry": telemetry}, frame, {}, FRAME)
+
+
+def only(level):
+    assert not level.ties, level.ties
+    (effect,) = level.effects
+    return effect["id"], effect["since"], {n: (p["value"], p["std"]) for n, p in effect["parameters"].items()}
+
+
+def test_the_fit_recovers_what_the_plain_loop_was_given():
+    fit = fit_drive(
+        flown(1, up=0.03, down=0.045, late=0.006, age=0.0, exponent=0.8), "shares", belief_of(MODEL, "shares")
+    )
+    ratio = fit.values[1] / fit.values[0]
+    assert ratio == pytest.approx(1.5, rel=0.02)
+    assert fit.values[2] == pytest.approx(0.006, abs=3e-4)
+    assert fit.values[6] == pytest.approx(0.8, abs=0.02)
+    assert fit.residual.std() < 3.0
+
+
+def test_rotors_that_do_what_the_model_says_show_nothing():
+    level = examine([flown(s) for s in (1, 2, 3)], MODEL, {})
+    assert not level.effects
+    assert not level.ties
+    assert not level.findings
+    assert level.noise_floor["w1"] < 3.0
+
+
+@pytest.mark.parametrize("references", [(), (11, 12)])
+@pytest.mark.parametrize(
+    ("fault", "cause", "name", "truth"),
+    [
+        ({"up": 0.04, "down": 0.04}, "motor_lag", "time_constant", 0.04),
+        ({"exponent": 0.5}, "battery_sag", "exponent", 0.5),
+    ],
+)
+def test_a_fault_of_the_drive_is_found_with_its_size(fault, cause, name, truth, references):
+    flights = [flown(s, compared=False) for s in references] + [flown(s, **fault) for s in (1, 2, 3)]
+    found, since, parameters = only(examine(flights, MODEL, {}))
+    assert (found, since) == (cause, "changed" if references else "always")
+    value, std = parameters[name]
+    assert abs(value - truth) < 3 * std + 0.02 * truth
+
+
+def test_late_commands_and_late_telemetry_are_a_tie_unless_the_motion_told_the_age():
+    level = examine([flown(s, late=0.008) for s in (1, 2, 3)], MODEL, {})
+    assert not level.effects
+    assert set(level.ties[0]["ids"]) == {"command_delay", "telemetry_delay"}
+    assert "yaw" in level.ties[0]["tie_breaker"]
+    for fault, cause in (({"late": 0.008}, "command_delay"), ({"age": 0.010}, "telemetry_delay")):
+        found, _, parameters = only(examine([flown(s, told=True, **fault) for s in (1, 2, 3)], MODEL, {}))
+        assert found == cause
+        value, std = parameters["delay"]
+        assert abs(value - 0.008) < 3 * std
+
+
+def test_commands_at_a_limit_and_a_slow_motor_are_findings():
+    limited = [flown(s, limit=0.48) for s in (1, 2)]
+    (finding,) = saturated(limited, "shares")
+    assert finding["evidence"]["limit"] == pytest.approx(0.48, abs=0.003)
+    at = np.mean([[np.mean(f.imported[f"command{i}"] > 0.4785) for i in range(1, 5)] for f in limited], axis=0)
+    np.testing.assert_allclose(list(finding["evidence"]["share"].values()), at, atol=0.03)
+    assert not saturated([flown(s) for s in (1, 2)], "shares")
+    level = examine([flown(s, gains=(1.0, 0.94, 1.0, 1.0)) for s in (1, 2, 3)], MODEL, {})
+    (weak,) = level.findings
+    assert weak["evidence"]["rotor"] == 2
+    assert weak["evidence"]["speed"] == pytest.approx(0.94, abs=0.01)
+
+
+def test_what_is_not_logged_cannot_be_asked():
+    bare = flown(1)
+    without = bare.filtered.drop(columns=[f"command{i}" for i in range(1, 5)])
+    level = examine([Flown("f", True, without, {}, without, {}, FRAME)], MODEL, {})
+    assert {c["id"] for c in level.cannot_be_asked} >= {"motor_lag", "command_delay", "actuator_saturation"}
+    level = examine([flown(s, voltage=False) for s in (1, 2)], MODEL, {})
+    assert [c["id"] for c in level.cannot_be_asked] == ["battery_sag"]
+    level = examine([flown(1)], {"id": "bare"}, {})
+    assert "does not say how its rotors follow" in level.notes[0]
+    assert not level.effects
+
+
+def test_a_model_that_tells_speeds_holds_gain_one():
+    belief = belief_of(MODEL, "speeds")
+    assert isinstance(belief, Belief)
+    np.testing.assert_allclose(belief.values[:7], [UP, DOWN, 0, 0, 1, 0, 0])
+    assert belief_of({}, "shares") is None
