@@ -33,7 +33,7 @@ from quasi.simulation.dynamics import (
     inputs_of,
     scratch_of,
 )
-from quasi.simulation.variants import extended
+from quasi.simulation.variants import actuators_of, extended
 from quasi.standalone.model import Model
 
 
@@ -197,6 +197,10 @@ def rotors_of(model: Model) -> Rotors:
     high = frame.max_rpm * factor if frame.max_rpm is not None and factor else math.inf
     late = value("delay")
     late = 0.0 if late is None else max(float(np.mean(late)), 0.0)
+    of_causes = actuators_of(model)
+    late = of_causes.get("delay", late)
+    if "time constant" in of_causes:
+        up = down = of_causes["time constant"]
     lag = 1.0 / 35.0
     return Rotors(
         np.array(lag if up is None else up, float), np.array(lag if down is None else down, float), late, low, high

@@ -40,7 +40,7 @@ from quasi.simulation.dynamics import (
 from quasi.simulation.environment import Sensors
 from quasi.simulation.loop import Battery, Drive, Live, Machine, live_of
 from quasi.simulation.references import make_reference
-from quasi.simulation.variants import extended, simple_model
+from quasi.simulation.variants import actuators_of, extended, simple_model, wind_of
 from quasi.standalone.model import Model
 
 STATE_NAMES = ("qw", "qx", "qy", "qz", "u", "v", "w", "p", "q", "r", "x", "y", "z", "w1", "w2", "w3", "w4")
@@ -154,9 +154,12 @@ def make_setup(
     names = ("attitude", "velocity", "rates", "position", "rotor speeds", "specific force")
     sensors = Sensors(*(float(noise[n]) if noise["add"] else 0.0 for n in names))
     air = settings["wind"]
+    steady = np.array(air["steady"], float) + wind_of(model)
+    if np.any(wind_of(model)):
+        notes.append("the wind that the model's extensions found in its flights blows, too")
     machine = Machine(
         kernel, body, drive, battery, _fault(settings["faults"], drive), sensors,
-        np.array([*air["steady"], *air["gusts"], *[air["correlation time"]] * 3], float), _wind_table(wind, air, name),
+        np.array([*steady, *air["gusts"], *[air["correlation time"]] * 3], float), _wind_table(wind, air, name),
         kind, gains, aim, path, table, dt, substeps, INTEGRATORS[settings["simulation"]["integrator"]], _LIMITS.copy(),
     )  # fmt: skip
     seeds = (noise["seed"], noise["seed"] if air["seed"] is None else air["seed"])
@@ -187,7 +190,13 @@ def _actuator(
     asked: Mapping[str, Any], model: Model, notes: list[str], name: str
 ) -> tuple[Drive, np.ndarray, np.ndarray, float]:
     kind, airframe = asked["actuator"], model.airframe
-    known = model.document.get("actuators") or {}
+    known = dict(model.document.get("actuators") or {})
+    of_causes = actuators_of(model)
+    if "time constant" in of_causes:
+        known = {**known, "time constants": {"value": of_causes["time constant"]}}
+        known = {k: v for k, v in known.items() if k not in ("time constants up", "time constants down")}
+    if "delay" in of_causes:
+        known["delay"] = {"value": of_causes["delay"]}
 
     def of_model(*keys: str) -> Any:
         for key in keys:
@@ -258,9 +267,12 @@ def _battery(asked: Mapping[str, Any], model: Model, hover: float, notes: list[s
         if asked["exponent"] or asked["drain"] or asked["sag"]:
             raise ConfigError(f"{name}: 'battery' names 'exponent', 'drain' or 'sag' but no 'voltage'; add it")
         start = 0.0
+    exponent = asked["exponent"]
+    if not exponent and start:
+        exponent = actuators_of(model).get("voltage exponent", 0.0)
     reference = start if asked["reference voltage"] is None else asked["reference voltage"]
     return Battery(
-        float(start), float(asked["drain"]), float(asked["sag"]), hover, float(reference), float(asked["exponent"]),
+        float(start), float(asked["drain"]), float(asked["sag"]), hover, float(reference), float(exponent),
         place,
     )  # fmt: skip
 

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from quasi.errors import ConfigError, DataError
 from quasi.standalone.model import AXES, Model
 
@@ -17,42 +19,59 @@ def given_term(expression: str, coefficient: float, unit: str = "") -> dict[str,
 
 
 def extended(model: Model) -> Model:
-    """The model with the terms of its extensions added to its axes; the model itself where it has none.
+    """The model with the terms of its extensions in its axes; the model itself where they stand there already.
 
-    document["extensions"] is a list of {"id": ..., "terms": {axis: [{"expression", "coefficient"}]}, ...}
-    Raises ConfigError for an extension that cannot be understood or needs a state of its own.
+    document["extensions"] is a list of sections: "id"; optional "terms" {axis: [{"expression", "coefficient"}]};
+    "actuators" and "environment", see `actuators_of` and `wind_of`; "states", parts with a memory of their own.
+    Raises ConfigError for an extension that cannot be understood or has such states.
     """
-    extensions = model.document.get("extensions") or []
-    if not any(isinstance(e, Mapping) and e.get("terms") for e in extensions):
-        _refuse_states(model, extensions)
-        return model
-    _refuse_states(model, extensions)
-    if model.normalisation:
-        raise ConfigError(
-            f"model {model.id} is normalised, while its extensions are in N and N m; identify it with 'normalize data' "
-            "false"
-        )
     document = {**model.document, "axes": {a: dict(part) for a, part in model.document["axes"].items()}}
-    for extension in extensions:
-        where = f"model {model.id}, extension '{extension.get('id')}'"
-        for axis, terms in extension.get("terms", {}).items():
-            if axis not in document["axes"]:
-                raise ConfigError(f"{where} adds to {axis}, which the model lacks; identify that axis too")
-            added = [given_term(t["expression"], t["coefficient"], t.get("unit", "")) for t in terms]
-            part = document["axes"][axis]
-            part["terms"] = [*part["terms"], *added]
-    return Model(document, f"model {model.id} with its extensions")
-
-
-def _refuse_states(model: Model, extensions: list[Any]) -> None:
-    for extension in extensions:
-        if not isinstance(extension, Mapping):
-            raise ConfigError(f"model {model.id} holds an extension that is no section; make the model anew")
+    changed = False
+    for extension in extensions_of(model):
+        name = extension.get("id")
         if extension.get("states"):
             raise ConfigError(
-                f"model {model.id}, extension '{extension.get('id')}' has states of its own, which this version cannot "
-                "simulate; take it out of the model"
+                f"model {model.id}, extension '{name}' has states of its own ({', '.join(extension['states'])}), which "
+                "the simulator does not know; extend the model without it"
             )
+        for axis, terms in (extension.get("terms") or {}).items():
+            if axis not in document["axes"]:
+                raise ConfigError(
+                    f"model {model.id}, extension '{name}' adds to {axis}, which the model lacks; identify that axis"
+                )
+            part = document["axes"][axis]
+            if any(term.get("extension") == name for term in part["terms"]):
+                continue  # they stand among the axis's own terms
+            added = [given_term(t["expression"], t["coefficient"], t.get("unit", "")) for t in terms]
+            part["terms"] = [*part["terms"], *added]
+            changed = True
+    return Model(document, f"model {model.id} with its extensions") if changed else model
+
+
+def extensions_of(model: Model) -> list[Mapping[str, Any]]:
+    """The extensions of a model. Raises ConfigError where they are damaged."""
+    found = model.document.get("extensions") or []
+    if not all(isinstance(e, Mapping) for e in found):
+        raise ConfigError(f"model {model.id} holds an extension that is no section; make the model anew")
+    return list(found)
+
+
+def actuators_of(model: Model) -> dict[str, float]:
+    """What extensions say of the rotors: "time constant" (s), "delay" (s), "voltage exponent"; {} without any."""
+    found: dict[str, float] = {}
+    for extension in extensions_of(model):
+        for key, value in (extension.get("actuators") or {}).items():
+            if key in ("time constant", "delay", "voltage exponent"):
+                found[key] = float(value)
+    return found
+
+
+def wind_of(model: Model) -> np.ndarray:
+    """Velocity of the air (3,), m/s, north east down, that the model's extensions found in its flights."""
+    wind = np.zeros(3)
+    for extension in extensions_of(model):
+        wind = wind + np.asarray((extension.get("environment") or {}).get("wind", np.zeros(3)), float)
+    return wind
 
 
 def simple_model(model: Model) -> Model:

@@ -323,6 +323,30 @@ def test_the_simple_model_flies_and_an_extension_adds_its_terms(model):
     speeds = np.full(4, 1500.0)
     difference = heavier.model.predict(state, speeds)[0][0] - model.predict(state, speeds)[0][0]
     assert difference == pytest.approx(-0.5 * 9.0)
+    # terms that stand among the axis's own are not added again
+    again = make_setup({"model": {"model ID": "made"}}, Model({**heavier.model.document, "axes": {
+        a: {**p, "terms": [{**t, "extension": "body_drag"} for t in p["terms"]]}
+        for a, p in heavier.model.document["axes"].items()}}))  # fmt: skip
+    np.testing.assert_array_equal(again.model.predict(state, speeds), heavier.model.predict(state, speeds))
+
+
+def test_extensions_change_rotors_and_wind_and_one_with_states_is_refused_by_name(model):
+    extensions = [
+        {"id": "motor_lag", "actuators": {"time constant": 0.05}},
+        {"id": "command_delay", "actuators": {"delay": 0.012}},
+        {"id": "wind", "environment": {"wind": [1.0, 0.0, -0.5]}},
+    ]
+    other = Model({**model.document, "extensions": extensions})
+    setup = make_setup({"model": {"model ID": "made"}, "wind": {"steady": [0, 2, 0]}}, other)
+    machine = setup.machine
+    np.testing.assert_array_equal(machine.body[26:34], 0.05)
+    assert machine.drive.delay == 0.012
+    np.testing.assert_array_equal(machine.wind[:3], [1.0, 2.0, -0.5])
+    own = make_setup({"model": {"model ID": "made"}, "actuator": {"delay": 0.0, "time constants": 0.02}}, other).machine
+    assert own.drive.delay == 0.0 and (own.body[26:34] == 0.02).all()
+    load = {"id": "payload_swing", "states": {"swinging load": {"mass": 0.05, "length": 0.5}}}
+    with pytest.raises(ConfigError, match=r"'payload_swing' has states of its own \(swinging load\)"):
+        make_setup({"model": {"model ID": "made"}}, Model({**model.document, "extensions": [load]}))
 
 
 @pytest.mark.parametrize(
