@@ -58,11 +58,29 @@ def chosen(wanted: str | Iterable[str], offered: Mapping[str, Effect]) -> dict[s
 def columns_of(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Values) -> dict[str, np.ndarray]:
     """Slope of the residual by each fitted parameter, {parameter: (n, 6)}.
 
+    values  deviations from neutral to linearise at; only curved effects ask for them
     Raises DataError or ExpressionError where the flight lacks a column.
     """
     if effect.columns is not None:
         return effect.columns(evidence, values)
+    if effect.curved is not None and any(values.get(n, 0.0) for n in effect.parameters):
+        return {name: _slope(effect, evidence, vehicle, values, name) for name in effect.parameters}
     return {name: wrench_of(terms, evidence) for name, terms in effect.terms(vehicle).items()}
+
+
+def _slope(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Values, name: str) -> np.ndarray:
+    """Slope of a curved effect at `values` by one parameter, by central differences."""
+    step = 1e-3 * max(abs(values[name]), 1e-2 * (effect.parameters[name].high - effect.parameters[name].low))
+    sides = [wrench_of(effect.curved(vehicle, {**values, name: values[name] + s * step}), evidence) for s in (1, -1)]
+    return (sides[0] - sides[1]) / (2.0 * step)
+
+
+def beyond_slope(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Values) -> np.ndarray:
+    """What a curved effect at `values` is more than its slope there times the values (n, 6); 0 for straight ones."""
+    if effect.curved is None or not any(values.get(n, 0.0) for n in effect.parameters):
+        return np.zeros((len(evidence), 6))
+    whole = wrench_of(effect.curved(vehicle, values), evidence)
+    return whole - sum(_slope(effect, evidence, vehicle, values, n) * values[n] for n in effect.parameters)
 
 
 def wrench_of(terms: Terms, evidence: Evidence) -> np.ndarray:

@@ -121,9 +121,18 @@ class Effect:
         """Parameters that a linear fit finds; the others are scanned."""
         return [name for name in self.parameters if name not in self.scan]
 
-    def neutral(self, vehicle: Vehicle) -> dict[str, float]:
-        """Values that mean "nothing is there"; 0 where the model's own value is the reference."""
-        return {name: 0.0 if p.neutral is None else p.neutral for name, p in self.parameters.items()}
+    def limits(self, vehicle: Vehicle) -> list[tuple[float, float]]:
+        """Physical range of each fitted parameter's deviation from neutral; masses and inertias from the configured."""
+        own = {"mass": vehicle.mass}
+        own |= {f"I{a}{a}": float(vehicle.inertia[k, k]) for k, a in enumerate("xyz")}
+        result = []
+        for name in self.fitted:
+            p = self.parameters[name]
+            neutral = p.neutral if p.neutral is not None else 0.0
+            low = p.low - neutral
+            # nothing weighs less than nothing
+            result.append((max(low, -own[name]) if p.neutral is None and name in own else low, p.high - neutral))
+        return result
 
 
 def vehicle_of(model: Model, mass: float | None = None, inertia: np.ndarray | None = None) -> Vehicle:

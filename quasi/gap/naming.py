@@ -56,6 +56,7 @@ def search(
     rate: float,
     lacking: Sequence[str] = (),
     within: Mapping[str, Sequence[tuple[float, float]]] | None = None,
+    known: Sequence[Offer] = (),
 ) -> Names:
     """Name the causes of the residual.
 
@@ -68,12 +69,12 @@ def search(
     pairs = [(name, s) for s in since for name in asked if not (s == "always" and effects[name].absorbed)]
     level = rate / max(len(pairs), 1)
     parts = {name: effects[name].parts for name in asked}
-    given: list[Offer] = []
+    given: list[Offer] = list(known)
     found: dict[Offer, list[Rival]] = {}
     ties: list[Tie] = []
     tied: set[str] = set()
     ranking: list[Test] = []
-    while len(given) < MOST:
+    while len(given) < len(known) + MOST:
         pooled = _pooled(mixed, effects, since)
         ranking = ranked(mixed, pairs, given, pooled, parts)
         open_ = [t for t in ranking if t.p < level and t.offer.cause not in tied and _possible(t, within)]

@@ -7,7 +7,7 @@ import numpy as np
 
 from quasi.errors import DataError, ExpressionError
 from quasi.expressions import Program, parse
-from quasi.gap.catalogue import columns_of
+from quasi.gap.catalogue import beyond_slope, columns_of
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.mixed import Columns, Mixed
@@ -66,7 +66,7 @@ def gather_study(
 ) -> Study:
     """Build the cross-products of all flights.
 
-    effects  causes to be asked; values {cause: {parameter: value}} to linearise at, where not neutral
+    effects  causes to be asked; values {cause: {parameter: deviation}} to linearise at, where not neutral
     A cause whose columns a flight cannot give is left out, with the reason in `lacking`.
     """
     lacking: dict[str, str] = {}
@@ -74,19 +74,23 @@ def gather_study(
     for name, effect in list(asked.items()):
         try:
             for flight in flights:
-                columns_of(effect, _first(flight), vehicle, effect.neutral(vehicle))
+                columns_of(effect, _first(flight), vehicle, dict.fromkeys(effect.parameters, 0.0))
         except (DataError, ExpressionError) as error:
             lacking[name] = str(error)
             del asked[name]
     thinned, names, layout = [], [], None
     for flight in flights:
-        parts = [("residual", flight.residual)]
+        straight = flight.residual
+        for name, at in (values or {}).items():
+            if name in asked:
+                straight = straight - beyond_slope(asked[name], flight, vehicle, at)
+        parts = [("residual", straight)]
         shared = base_columns(flight)
         own = nuisances(flight)
         parts += shared + [(n, c) for n, c, _ in own]
         causes: dict[str, list[int]] = {}
         for name, effect in asked.items():
-            at = (values or {}).get(name) or effect.neutral(vehicle)
+            at = (values or {}).get(name) or dict.fromkeys(effect.parameters, 0.0)
             for parameter, column in columns_of(effect, flight, vehicle, at).items():
                 causes.setdefault(name, []).append(len(parts))
                 parts.append((f"{name}: {parameter}", column))

@@ -13,7 +13,7 @@ def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
 
 
 def _extension(values: Values, _: Vehicle, __: Model) -> Extension:
-    return Extension(actuators={"rotor speed scale": values["scale"]})
+    return Extension(actuators={"rotor speed scale": 1.0 + values["scale"]})
 
 
 EFFECT = Effect(

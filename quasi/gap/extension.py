@@ -1,0 +1,131 @@
+"""A model extended by named causes: still plain data, so that it predicts, simulates and exports like any other.
+
+Parameters are deviations from a cause's neutral value here: kg more than configured, a share more than 1, and so on.
+"""
+
+import copy
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from quasi import attitude
+from quasi.errors import ConfigError
+from quasi.gap.effect import Effect, Extension, Values, Vehicle
+from quasi.gap.evidence import Evidence
+from quasi.standalone.model import AXES, Model
+
+
+def extension_of(effect: Effect, values: Values, vehicle: Vehicle, model: Model) -> Extension:
+    """What a cause adds to a model. values  {parameter: deviation from neutral}; parameters left out are neutral."""
+    values = dict.fromkeys(effect.parameters, 0.0) | dict(values)
+    if effect.extension is not None:
+        return effect.extension(values, vehicle, model)
+    if effect.curved is not None:
+        return Extension(terms={axis: [(text, 1.0)] for axis, text in effect.curved(vehicle, values).items()})
+    terms: dict[str, list[tuple[str, float]]] = {}
+    for name, parts in effect.terms(vehicle).items():
+        if values[name]:
+            for axis, text in parts.items():
+                terms.setdefault(axis, []).append((text, float(values[name])))
+    return Extension(terms=terms)
+
+
+def extend(
+    model: Model, causes: Sequence[tuple[Effect, Values]], vehicle: Vehicle, name: str, where: str
+) -> dict[str, Any]:
+    """The extended model as plain data ("quasi.model/1").
+
+    causes  (cause, {parameter: deviation}); name  the new model's ID; where  what found them, for provenance
+    Raises ConfigError for a cause that this model cannot carry, by name.
+    """
+    document = copy.deepcopy(model.document)
+    document["id"] = name
+    document["extensions"] = []
+    if model.normalisation and causes:
+        raise ConfigError(f"model {model.id} is normalised; identify it with 'normalize data' false to extend it")
+    for effect, values in causes:
+        extension = extension_of(effect, values, vehicle, model)
+        terms = {axis: list(parts) for axis, parts in extension.terms.items()}
+        if "cg offset" in extension.airframe:
+            for axis, parts in _moments_of(model, np.asarray(extension.airframe["cg offset"]), effect.id).items():
+                terms.setdefault(axis, []).extend(parts)
+        for axis, parts in terms.items():
+            if axis not in document["axes"]:
+                raise ConfigError(
+                    f"cause '{effect.id}' adds to {axis}, which model {model.id} lacks; identify that axis too"
+                )
+            document["axes"][axis]["terms"] += [_term(effect.id, text, value, axis) for text, value in parts]
+        for key in ("mass", "inertia"):
+            if key in extension.airframe:
+                document["airframe"][key] = extension.airframe[key]
+        if extension.environment:
+            document["environment"] = {**document.get("environment", {}), **extension.environment}
+        document["extensions"].append(
+            {
+                "id": effect.id,
+                "parameters": {n: {"value": float(v), "unit": effect.parameters[n].unit} for n, v in values.items()},
+                "sentence": effect.sentence,
+                "airframe": extension.airframe,
+                "actuators": extension.actuators,
+                "environment": extension.environment,
+                "states": extension.states,
+            }
+        )
+    ids = ", ".join(effect.id for effect, _ in causes) or "nothing"
+    document["notes"] = [*document.get("notes", []), f"{where}: model {model.id} extended by {ids}"]
+    document["provenance"] = {**document.get("provenance", {}), "extended from": model.id, "by": where}
+    Model(document, f"model {name}")
+    return document
+
+
+def _term(cause: str, expression: str, coefficient: float, axis: str) -> dict[str, Any]:
+    unit = "N" if axis.startswith("F") else "N m"
+    return {
+        "name": f"{cause}: {expression if len(expression) <= 40 else expression[:37] + '...'}",
+        "expression": expression, "coefficient": coefficient, "std": 0.0, "plain std": 0.0, "t": None, "unit": unit,
+        "fixed": True, "given": True, "extension": cause,
+    }  # fmt: skip
+
+
+def _moments_of(model: Model, shift: np.ndarray, cause: str) -> dict[str, list[tuple[str, float]]]:
+    """-shift x F, term by term: moments about a cg that lies `shift` beside the configured one."""
+    if not model.with_gravity:
+        raise ConfigError(
+            f"cause '{cause}' needs a model whose forces leave gravity out; identify {model.id} withGravity"
+        )
+    x, y, z = shift
+    result: dict[str, list[tuple[str, float]]] = {}
+    for axis, pairs in {
+        "Mx": (("Fz", -y), ("Fy", z)),
+        "My": (("Fx", -z), ("Fz", x)),
+        "Mz": (("Fy", -x), ("Fx", y)),
+    }.items():
+        for force, arm in pairs:
+            for term in model.document["axes"][force]["terms"]:
+                if arm:
+                    result.setdefault(axis, []).append((term["expression"], arm * term["coefficient"]))
+    return result
+
+
+def shown(extended: Model, base: Model, flight: Evidence) -> np.ndarray:
+    """Wrench (n, 6) that the instruments, read with the configured constants, would show if the model were right."""
+    columns: Mapping[str, np.ndarray] = dict(flight.columns)
+    wind = extended.document.get("environment", {}).get("wind")
+    if wind is not None:
+        along = attitude.rotate_inverse(flight.quaternion, np.asarray(wind, float))
+        columns = {**columns, **{f"{a}_air": flight.velocity[:, k] - along[:, k] for k, a in enumerate("uvw")}}
+    wrench = extended.predict_columns(pd.DataFrame(columns))[list(AXES)].to_numpy()
+    mass = base.airframe.mass if extended.airframe.mass is None else extended.airframe.mass
+    configured = base.airframe.mass if base.airframe.mass is not None else mass
+    inertia, own = np.asarray(extended.airframe.inertia), flight.inertia
+    turning = np.linalg.solve(inertia, (wrench[:, 3:] - flight.gyroscopic(inertia)).T).T
+    force = wrench[:, :3] * (configured / mass if mass else 1.0)
+    shift = np.zeros(3)
+    for extension in extended.document.get("extensions", []):
+        shift = shift + np.asarray(extension.get("airframe", {}).get("cg offset", np.zeros(3)), float)
+    if shift.any():
+        rates = flight.rates
+        force = force - flight.mass * (np.cross(turning, shift) + np.cross(rates, np.cross(rates, shift)))
+    return np.hstack([force, turning @ own.T + flight.gyroscopic(own)])

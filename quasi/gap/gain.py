@@ -1,0 +1,148 @@
+"""What an extended model gains, on flights that had no part in choosing or fitting it.
+
+What flights merely differ by (mass, thrust, seating, constant errors) is estimated on the first half of a held-out
+flight, with its usual spread as the prior, and taken off the second half, before and after alike; the second half is
+scored.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from quasi.gap.evidence import Evidence
+from quasi.gap.extension import shown
+from quasi.gap.nuisance import nuisances
+from quasi.gap.study import BAND, ORDER
+from quasi.gap.whitening import thin
+from quasi.simulation.rollout import errors, rollout, steps_of
+from quasi.standalone.model import AXES, STATE, Model
+
+BLOCK = 5.0  # s
+DRAWS = 200
+LEVEL = 0.95
+
+
+class Score(NamedTuple):
+    """Mean squared error in a block; blocks of all flights one after another. values (B, C), weight (B,) samples."""
+
+    values: np.ndarray
+    weight: np.ndarray
+
+    def mean(self) -> np.ndarray:
+        """(C,) over all blocks."""
+        return self.weight @ self.values / self.weight.sum()
+
+
+def wrench_score(flights: Sequence[Evidence], residual: Callable[[Evidence], np.ndarray]) -> Score:
+    """Squared residuals of the wrench in the band of the analysis, by blocks. residual  flight -> (n, 6)."""
+    values, weight = [], []
+    for flight in flights:
+        own = nuisances(flight)
+        stack = np.stack([residual(flight), *(column for _, column, _ in own)], axis=2)
+        part = thin(stack, flight.breaks, flight.t, BAND, 2 * ORDER)
+        if not len(part.rows):
+            continue
+        t = flight.t[part.rows]
+        middle = 0.5 * (t[0] + t[-1])
+        first, second = t < middle, t >= middle
+        spread = np.array([s for *_, s in own])
+        left = part.columns[second][:, :, 0] - part.columns[second][:, :, 1:] @ _nuisance(part.columns[first], spread)
+        number = ((t[second] - middle) / BLOCK).astype(int)
+        for n in np.unique(number):
+            rows = number == n
+            values.append(np.mean(left[rows] ** 2, axis=0))
+            weight.append(np.count_nonzero(rows))
+    return Score(np.array(values), np.array(weight, float))
+
+
+def _nuisance(columns: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Most probable nuisances (m,) of a flight's half, channels weighted by their own residual."""
+    level = np.sqrt(np.mean(columns[:, :, 0] ** 2, axis=0))
+    level = np.where(level > 0, level, 1.0) * np.sqrt(MEMORY)
+    x = (columns[:, :, 1:] / level[None, :, None]).reshape(-1, len(spread))
+    y = (columns[:, :, 0] / level).reshape(-1)
+    return np.linalg.solve(x.T @ x + np.diag(1.0 / spread**2), x.T @ y)
+
+
+MEMORY = 20.0  # samples that a residual remembers: information is counted that much lower
+
+
+def before(flight: Evidence) -> np.ndarray:
+    """Residual of the model as it is (n, 6)."""
+    return flight.residual
+
+
+def after(extended: Model, base: Model) -> Callable[[Evidence], np.ndarray]:
+    """Residual of an extended model."""
+    return lambda flight: flight.measured - shown(extended, base, flight)
+
+
+def fraction(
+    old: Score, new: Score, floor: np.ndarray | None = None, seed: int = 0
+) -> dict[str, dict[str, float | None]]:
+    """Share of the removable squared error that is gone, per axis, with its interval over resampled blocks.
+
+    floor (6,) mean squared noise; the share is None where the floor holds 90 % of the old error.
+    """
+    rng = np.random.default_rng(seed)
+    noise = np.zeros(old.values.shape[1]) if floor is None else floor
+    draws = []
+    for _ in range(DRAWS):
+        pick = rng.integers(0, len(old.weight), len(old.weight))
+        w = old.weight[pick]
+        draws.append([w @ s.values[pick] / w.sum() for s in (old, new)])
+    result = {}
+    for k, axis in enumerate(AXES[: len(noise)]):
+        first, last = old.mean()[k], new.mean()[k]
+        if noise[k] >= 0.9 * first:
+            result[axis] = {"value": None, "low": None, "high": None}
+            continue
+        shares = [(d[0][k] - d[1][k]) / max(d[0][k] - noise[k], 0.1 * d[0][k]) for d in draws]
+        low, high = np.quantile(shares, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
+        result[axis] = {"value": float((first - last) / (first - noise[k])), "low": float(low), "high": float(high)}
+    return result
+
+
+def rollout_errors(
+    model: Model,
+    flights: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]],
+    horizons: Sequence[float],
+    extra: Sequence[Mapping[str, np.ndarray]] | None = None,
+) -> dict[float, dict[str, np.ndarray]]:
+    """Errors at the end of open-loop roll-outs with measured rotor speeds, {horizon: {quantity: (windows,)}}.
+
+    flights  (t (N,), states (N, 12), rotor speeds (N, 4), valid (N,) bool) of each; windows start every 0.1 s where all
+             of the window is valid; quantities as in `quasi.simulation.rollout.errors`
+    """
+    wind = model.document.get("environment", {}).get("wind")
+    result: dict[float, dict[str, np.ndarray]] = {}
+    for horizon in horizons:
+        gathered: dict[str, list[np.ndarray]] = {}
+        for number, (t, states, speeds, valid) in enumerate(flights):
+            steps = steps_of(t, horizon)
+            sums = np.concatenate([[0], np.cumsum(~valid)])
+            every = max(round(0.1 / float(np.median(np.diff(t)))), 1)
+            starts = np.arange(0, len(t) - steps - 1, every)
+            starts = starts[sums[starts + steps + 1] == sums[starts]]
+            if not len(starts):
+                continue
+            air = None if wind is None else np.broadcast_to(np.asarray(wind, float), (len(t), 3))
+            given = {"t": t, **(extra[number] if extra else {})}
+            given = {name: given[name] for name in model.inputs[20:] if name in given}
+            rolled = rollout(model, t, states, speeds, starts, horizon, wind=air, extra=given or None)
+            for quantity, values in errors(rolled, states, starts).items():
+                gathered.setdefault(quantity, []).append(values[:, -1])
+        result[horizon] = {quantity: np.concatenate(parts) for quantity, parts in gathered.items()}
+    return result
+
+
+def states_of(flight: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """What a roll-out starts from and is judged by, of a filtered flight."""
+    states = np.stack([np.asarray(flight[name], float) for name in STATE], axis=1)
+    speeds = np.stack([np.asarray(flight[f"w{i}"], float) for i in range(1, 5)], axis=1)
+    valid = np.isfinite(states).all(axis=1) & np.isfinite(speeds).all(axis=1)
+    if "valid" in flight:
+        valid &= np.asarray(flight["valid"], float) > 0.5
+    states, speeds = (np.where(np.isfinite(part), part, 0.0) for part in (states, speeds))
+    return np.asarray(flight["t"], float), states, speeds, valid

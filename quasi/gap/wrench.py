@@ -1,0 +1,266 @@
+"""Level W: causes of what the model leaves of measured forces and moments, and what they gain on held-out flights."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from quasi.errors import ConfigError
+from quasi.gap.catalogue import columns_of
+from quasi.gap.effect import Effect, Vehicle
+from quasi.gap.evidence import Evidence
+from quasi.gap.extension import extend
+from quasi.gap.gain import Score, after, before, fraction, wrench_score
+from quasi.gap.mixed import Mixed, Offer, Test
+from quasi.gap.naming import Named, Tie, search
+from quasi.gap.study import Study, base_columns, gather_study
+from quasi.standalone.model import AXES, Model
+
+LOOKS = 3  # how often curved causes are linearised anew
+RICH = 1e-3  # ridge of the fit of everything at once, on scaled columns
+DRAWS = 40  # resamples of the flights' blocks
+Deviations = dict[str, float]
+
+
+@dataclass
+class Cause:
+    """An accepted cause: deviations from neutral with standard errors, the test, rivals it beat, gain per axis."""
+
+    effect: Effect
+    since: str
+    value: Deviations
+    std: Deviations
+    test: Test
+    rivals: list[Any]
+    gain: dict[str, dict[str, float | None]] = field(default_factory=dict)
+    probability: float = 0.0
+
+
+@dataclass
+class Found:
+    """Result of the level. scores {"before", "after", ...}: mean squares per axis on held-out flights."""
+
+    causes: list[Cause]
+    ties: list[tuple[str, Tie]]
+    immaterial: list[Cause]
+    ranking: list[Test]
+    level: float
+    lacking: dict[str, str]
+    study: Study
+    scores: dict[str, np.ndarray]
+    wrong: str | None
+    extended: dict[str, Any]
+
+
+def examine(
+    flights: Sequence[Evidence],
+    compared: Sequence[bool],
+    held: Sequence[Evidence],
+    model: Model,
+    effects: Mapping[str, Effect],
+    vehicle: Vehicle,
+    rate: float,
+    share: float,
+    name: str,
+    where: str,
+) -> Found:
+    """Name the causes in `flights`, extend the model and measure the gain on `held` flights.
+
+    compared  (F,) bool, False for reference flights; rate  family-wise false alarm rate; share  least share of the
+    removable error of some axis that a cause must remove on held-out flights to be material
+    name      of the extended model; where  what asked, for provenance
+    Raises ConfigError without two compared flights to learn from, or without a held-out one.
+    """
+    compared = np.asarray(compared, bool)
+    if compared.sum() < 2:
+        raise ConfigError(
+            f"{compared.sum()} compared flights are left to learn from, expected at least 2; one flight cannot tell a "
+            "cause from what flights merely differ by"
+        )
+    if not held:
+        raise ConfigError("no flight is held out; name at least one in 'rows of flights held out'")
+    asked = {n: e for n, e in effects.items() if e.level == "W" and not e.finding}
+    within = {n: e.limits(vehicle) for n, e in asked.items()}
+    values: dict[str, Deviations] = {}
+    for _ in range(LOOKS):
+        study = gather_study(flights, asked, vehicle, values)
+        mixed = study.mixed(range(len(flights)), compared)
+        named, ties, ranking, level = _search(mixed, asked, compared, rate, study, within)
+        causes = _merged(named, asked, mixed, _given(named, ties))
+        curved = {c.effect.id: dict(c.value) for c in causes if c.effect.curved is not None}
+        moved = curved.keys() != values.keys() or any(
+            abs(curved[n][p] - values[n].get(p, 0.0)) > 0.02 * abs(curved[n][p]) for n in curved for p in curved[n]
+        )
+        values = curved
+        if not moved:
+            break
+    _count(causes, study, asked, compared, level)
+    old = wrench_score(held, before)
+    floor = _floor(study, asked, vehicle, compared, values, held, old)
+    kept, immaterial = _material(causes, model, vehicle, held, old, floor, share)
+    extended = extend(model, [(c.effect, c.value) for c in kept], vehicle, name, where)
+    new = wrench_score(held, after(Model(extended, name), model))
+    scores = {"before": old.mean(), "after": new.mean(), "noise_floor": np.minimum(floor, new.mean())}
+    wrong = None
+    if kept:
+        wrong, scores["best_wrong_cause"] = _best_wrong(mixed, kept, ranking, asked, model, vehicle, held, old)
+    return Found(kept, ties, immaterial, ranking, level, study.lacking, study, scores, wrong, extended)
+
+
+def _search(
+    mixed: Mixed, asked: Mapping[str, Effect], compared: np.ndarray, rate: float, study: Study,
+    within: Mapping[str, list[tuple[float, float]]],
+) -> tuple[list[Named], list[tuple[str, Tie]], list[Test], float]:  # fmt: skip
+    """First what changed, then what all flights have alike; the false alarm rate is shared between the two."""
+    stages = ["always"] if compared.all() else ["changed", "always"]
+    named: list[Named] = []
+    ties: list[tuple[str, Tie]] = []
+    rankings: list[Test] = []
+    level = rate
+    for since in stages:
+        names = search(mixed, asked, (since,), rate / len(stages), tuple(study.lacking), within, _given(named, ties))
+        named += names.named
+        ties += [(since, tie) for tie in names.ties]
+        rankings += names.ranking
+        level = names.level
+    return named, ties, sorted(rankings, key=lambda test: test.p), level
+
+
+def _given(named: Sequence[Named], ties: Sequence[tuple[str, Tie]]) -> list[Offer]:
+    return [*(n.test.offer for n in named), *(tie.tests[0].offer for _, tie in ties)]
+
+
+def _merged(named: Sequence[Named], asked: Mapping[str, Effect], mixed: Mixed, given: Sequence[Offer]) -> list[Cause]:
+    """One cause for each (id, since), its parameters estimated together beside all other causes."""
+    which: dict[tuple[str, str], list[int]] = {}
+    rivals: dict[tuple[str, str], list[Any]] = {}
+    for n in named:
+        key = n.test.offer.cause, n.test.offer.since
+        which.setdefault(key, []).extend(n.test.offer.which)
+        rivals.setdefault(key, []).extend(n.rivals)
+    causes = []
+    for (cause, since), picked in which.items():
+        offer = Offer(cause, since, tuple(sorted(picked)))
+        others = [g for g in given if (g.cause, g.since) != (cause, since)]
+        pooled = [c for c in mixed.columns.causes if not asked[c].absorbed] if since == "changed" else []
+        test = mixed.test(offer, others, pooled)
+        names = [asked[cause].fitted[k] for k in offer.which]
+        causes.append(
+            Cause(
+                asked[cause],
+                since,
+                dict(zip(names, map(float, test.value))),
+                dict(zip(names, map(float, test.std))),
+                test,
+                rivals[cause, since],
+            )
+        )
+    return sorted(causes, key=lambda c: c.test.p)
+
+
+def _count(
+    causes: Sequence[Cause],
+    study: Study,
+    asked: Mapping[str, Effect],
+    compared: np.ndarray,
+    level: float,
+    seed: int = 0,
+) -> None:
+    """Share of resamples, each flight's blocks drawn anew, in which each cause is significant again."""
+    if not causes:
+        return
+    rng = np.random.default_rng(seed)
+    counts = np.zeros(len(causes))
+    offers = [c.test.offer for c in causes]
+    for _ in range(DRAWS):
+        grams = [b[rng.integers(0, len(b), len(b))].sum(axis=0) for b in study.blocks]
+        mixed = Mixed(grams, compared, study.columns)
+        for k, offer in enumerate(offers):
+            pooled = [c for c in study.columns.causes if not asked[c].absorbed] if offer.since == "changed" else []
+            counts[k] += mixed.test(offer, [o for o in offers if o != offer], pooled).p < level
+    for cause, count in zip(causes, counts):
+        cause.probability = float(count / DRAWS)
+
+
+def _floor(
+    study: Study, asked: Mapping[str, Effect], vehicle: Vehicle, compared: np.ndarray,
+    values: Mapping[str, Deviations], held: Sequence[Evidence], old: Score,
+) -> np.ndarray:  # fmt: skip
+    """Mean square (6,) that the model's terms and all causes together, fitted to the other flights, leave."""
+    mixed = study.mixed(range(len(study.flights)), compared)
+    use = [*study.columns.shared, *(c for cause in study.columns.causes.values() for c in cause)]
+    # of the compared flights alone: what they have is what a held-out one has
+    total = sum(g for g, c in zip(mixed.grams, compared) if c)
+    scale = np.sqrt(np.maximum(np.diag(total)[use], 1e-300))
+    inner = total[np.ix_(use, use)] / np.outer(scale, scale) + RICH * np.eye(len(use))
+    coefficients = np.linalg.solve(inner, total[use, 0] / scale) / scale
+
+    def residual(flight: Evidence) -> np.ndarray:
+        columns = [c for _, c in base_columns(flight)]
+        for cause in study.columns.causes:
+            at = values.get(cause) or dict.fromkeys(asked[cause].parameters, 0.0)
+            columns += list(columns_of(asked[cause], flight, vehicle, at).values())
+        return flight.residual - np.einsum("k,knj->nj", coefficients, np.array(columns))
+
+    return np.minimum(wrench_score(held, residual).mean(), old.mean())
+
+
+def _material(
+    causes: Sequence[Cause], model: Model, vehicle: Vehicle, held: Sequence[Evidence], old: Score,
+    floor: np.ndarray, share: float,
+) -> tuple[list[Cause], list[Cause]]:  # fmt: skip
+    """Causes whose leaving out costs at least `share` of the removable error on some axis, and the others."""
+    kept, dropped = list(causes), []
+    while kept:
+
+        def score(of: Sequence[Cause]) -> Score:
+            document = extend(model, [(c.effect, c.value) for c in of], vehicle, "trial", "trial")
+            return wrench_score(held, after(Model(document, "trial"), model))
+
+        whole = score(kept)
+        least, worst = None, np.inf
+        for cause in kept:
+            without = score([c for c in kept if c is not cause])
+            # judged against what there was to remove at first
+            removable = np.maximum(old.mean() - floor, 0.0)
+            worth = np.where(
+                removable > 0.1 * old.mean(), (without.mean() - whole.mean()) / np.maximum(removable, 1e-300), 0.0
+            )
+            cause.gain = fraction(without, whole, floor)
+            if worth.max() < worst:
+                least, worst = cause, float(worth.max())
+        if worst >= share:
+            break
+        kept.remove(least)
+        dropped.append(least)
+    return kept, dropped
+
+
+def _best_wrong(
+    mixed: Mixed, kept: Sequence[Cause], ranking: Sequence[Test], asked: Mapping[str, Effect], model: Model,
+    vehicle: Vehicle, held: Sequence[Evidence], old: Score,
+) -> tuple[str | None, np.ndarray]:  # fmt: skip
+    """The best that any other cause alone gains: its id and its mean squares (6,)."""
+    named = {c.effect.id for c in kept}
+    since = kept[0].since
+    best, least = None, old.mean()
+    for cause in mixed.columns.causes:
+        if cause in named:
+            continue
+        pooled = [c for c in mixed.columns.causes if not asked[c].absorbed] if since == "changed" else []
+        test = mixed.best(cause, since, (), pooled, asked[cause].parts)
+        values = {asked[cause].fitted[k]: float(v) for k, v in zip(test.offer.which, test.value)}
+        try:
+            document = extend(model, [(asked[cause], values)], vehicle, "wrong", "trial")
+        except ConfigError:
+            continue
+        mean = wrench_score(held, after(Model(document, "wrong"), model)).mean()
+        if np.mean(mean / old.mean()) < np.mean(least / old.mean()):
+            best, least = cause, mean
+    return best, least
+
+
+def axes_of(values: np.ndarray) -> dict[str, float]:
+    """{axis: root mean square} of mean squares (6,)."""
+    return {axis: float(np.sqrt(v)) for axis, v in zip(AXES, values)}
