@@ -128,7 +128,9 @@ def reach(
     path = np.column_stack([targets, np.full(len(targets), yaw)])
     if setup.machine.reference != HOVER:
         raise ConfigError("reach: the simulation's reference could not be replaced by places to fly to")
-    many = simulate_many(setup, len(targets), path=path, every=max(setup.steps // 50, 1))
+    # the last logged instant is the horizon itself
+    every = max(d for d in range(1, max(setup.steps // 50, 1) + 1) if setup.steps % d == 0)
+    many = simulate_many(setup, len(targets), path=path, every=every)
     ended = {b: many.stopped(setup, b) for b in range(len(targets)) if many.stopped(setup, b)}
     if len(ended) == len(targets):
         raise DataError(f"reach: no simulation lasted: {ended[0]}")
