@@ -39,6 +39,11 @@ def extended(model: Model) -> Model:
                 raise ConfigError(
                     f"model {model.id}, extension '{name}' adds to {axis}, which the model lacks; identify that axis"
                 )
+            if model.normalisation:
+                raise ConfigError(
+                    f"model {model.id} is normalised, while extension '{name}' is in N and N m; identify the model "
+                    "with 'normalize data' false"
+                )
             part = document["axes"][axis]
             if any(term.get("extension") == name for term in part["terms"]):
                 continue  # they stand among the axis's own terms

@@ -71,8 +71,10 @@ def form_system(values: np.ndarray, rates: np.ndarray, inertia: np.ndarray, u: S
     moments_x, moments_u = table[:, 3:, :3], table[:, 3:, 3:]
     gyroscopic = cross_matrix(rates) @ inertia - cross_matrix(rates @ inertia.T)
     inverse = np.linalg.inv(inertia)
+    with np.errstate(invalid="ignore"):  # rows that have no derivative come out as NaN
+        a, b = inverse @ (moments_x - gyroscopic), inverse @ moments_u
     return DifferentialSystem(
-        inverse @ (moments_x - gyroscopic), inverse @ moments_u,
+        a, b,
         moments_x, moments_u, table[:, :3, :3], table[:, :3, 3:], tuple(u),
     )  # fmt: skip
 
@@ -128,6 +130,8 @@ def inputs_of_system(u: Iterable[str], where: str) -> tuple[str, ...]:
     known = [n for n in known_names(everything) if not n.startswith("w2_")]
     cannot = "cannot be an input of the differential form"
     for name in u:
+        if not isinstance(name, str):
+            raise ConfigError(f"{where}: {name!r} {cannot}, expected the name of a variable such as U_p")
         inner = split_function(name)[1]
         if inner != name:
             raise ConfigError(f"{where}: '{name}' {cannot}; name '{inner}'")

@@ -9,6 +9,7 @@ import numpy as np
 from quasi.airframe import Airframe, from_plain
 from quasi.errors import ConfigError, ExpressionError, QuasiError
 from quasi.expressions import Tree, parse
+from quasi.logbook import NAME
 
 SCHEMA = "quasi.model/1"
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -16,6 +17,7 @@ _TOP = {"schema", "id", "gravity", "airframe", "hover speed", "axes"}
 
 
 def check_document(document: Any, where: str) -> None:
+    """Check the plain data of a model. Raises ConfigError naming `where` and the key."""
     if not isinstance(document, Mapping) or document.get("schema") != SCHEMA:
         found = document.get("schema") if isinstance(document, Mapping) else type(document).__name__
         raise ConfigError(
@@ -24,6 +26,10 @@ def check_document(document: Any, where: str) -> None:
     missing = sorted(_TOP - set(document))
     if missing:
         raise ConfigError(f"{where} lacks the key '{missing[0]}'; make the model anew")
+    if not isinstance(document["id"], str) or not NAME.fullmatch(document["id"]):
+        raise ConfigError(
+            f"{where}: 'id' is {document['id']!r}, expected a name of letters, digits and . _ + -; make the model anew"
+        )
     if document["gravity"] not in ("withGravity", "noGravity"):
         raise ConfigError(f"{where}: 'gravity' is {document['gravity']!r}, expected 'withGravity' or 'noGravity'")
     hover = document["hover speed"]
@@ -34,18 +40,26 @@ def check_document(document: Any, where: str) -> None:
         raise ConfigError(f"{where}: 'axes' must hold some of {', '.join(AXES)}; make the model anew")
     for axis, part in axes.items():
         _check_axis(part, f"{where}, {axis}")
+    if document.get("normalisation") is not None and any("extension" in t for p in axes.values() for t in p["terms"]):
+        raise ConfigError(
+            f"{where} is normalised, while terms of an extension are in N and N m; identify it with 'normalize data' "
+            "false"
+        )
 
 
 def _check_axis(part: Any, where: str) -> None:
     if not isinstance(part, Mapping) or not isinstance(part.get("terms"), list) or not part["terms"]:
         raise ConfigError(f"{where} holds no terms; make the model anew")
     for number, term in enumerate(part["terms"], 1):
-        if not isinstance(term, Mapping) or not isinstance(term.get("expression"), str):
-            raise ConfigError(f"{where}, term {number} has no expression; make the model anew")
+        for key in ("expression", "name", "unit"):
+            if not isinstance(term, Mapping) or not isinstance(term.get(key), str):
+                raise ConfigError(f"{where}, term {number} has no {key}; make the model anew")
+        if term.get("t") is not None and not _finite(term["t"]):
+            raise ConfigError(f"{where}, term {number}: 't' is {term['t']!r}, expected a number; make the model anew")
         for key in ("coefficient", "std"):
             if not _finite(term.get(key)):
                 raise ConfigError(
-                    f"{where}, term '{term['expression']}': '{key}' is {term.get(key)!r}, expected a finite number; "
+                    f"{where}, term {term['expression']!r}: '{key}' is {term.get(key)!r}, expected a finite number; "
                     "make the model anew"
                 )
     covariance = part.get("covariance")
@@ -61,6 +75,8 @@ def _check_axis(part: Any, where: str) -> None:
     for key in ("sigma2", "effective rows", "confidence level", "R2", "RMSE", "n"):
         if not _finite(part.get(key)):
             raise ConfigError(f"{where}: '{key}' is {part.get(key)!r}, expected a finite number; make the model anew")
+    if part.get("unit") not in ("N", "N m"):
+        raise ConfigError(f"{where}: 'unit' is {part.get('unit')!r}, expected 'N' or 'N m'; make the model anew")
 
 
 def _finite(value: Any) -> bool:
@@ -68,20 +84,27 @@ def _finite(value: Any) -> bool:
 
 
 def airframe_of(plain: Any, where: str) -> Airframe:
+    """Airframe of a model. Raises ConfigError when it is damaged."""
     try:
         frame = from_plain(plain)
         good = frame.hubs.shape == (4, 3) and frame.spin.shape == (4,) and frame.inertia.shape == (3, 3)
+        lengths = _finite(frame.radius) and _finite(frame.arm) and frame.radius > 0 and frame.arm > 0
+        weighs = frame.mass is None or (_finite(frame.mass) and frame.mass > 0)
+        tensor = np.all(np.isfinite(frame.inertia)) and np.min(np.linalg.eigvalsh(frame.inertia)) > 0
     except QuasiError:
         raise
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(f"{where}: 'airframe' is damaged ({error}); make the model anew") from None
     if not good:
         raise ConfigError(f"{where}: 'airframe' has hubs, spins or inertia of the wrong shape; make the model anew")
+    if not (lengths and weighs and tensor and np.all(np.isfinite(frame.hubs)) and np.all(np.abs(frame.spin) == 1.0)):
+        raise ConfigError(f"{where}: 'airframe' has impossible lengths, mass, spins or inertia; make the model anew")
     return frame
 
 
 def trees_of(part: Mapping[str, Any], axis: str, where: str) -> list[Tree]:
+    """Expressions of an axis. Raises ExpressionError naming `where` and the axis."""
     try:
         return [parse(t["expression"]) for t in part["terms"]]
     except ExpressionError as error:
-        raise ExpressionError(f"{where}, {axis}: {error}") from None
+        raise ExpressionError(f"{where}, {axis}: {' '.join(str(error).split())}") from None

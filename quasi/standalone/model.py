@@ -243,13 +243,15 @@ class Model:
             coefficients = np.array([t["coefficient"] for t in part["terms"]])
             a = values[[not t.get("given", False) for t in part["terms"]]]
             covariance = np.array(part["covariance"], float).reshape(len(a), len(a))
-            variance = part["sigma2"] + np.einsum("in,in->n", a, covariance @ a)
+            with np.errstate(invalid="ignore", over="ignore"):
+                variance = part["sigma2"] + np.einsum("in,in->n", a, covariance @ a)
+                deviation = np.sqrt(variance)
+                centre = coefficients @ values
             freedom = part["effective rows"] - len(part["covariance"])
             share = 0.5 * (1.0 + confidence)
-            width = (stdtrit(freedom, share) if freedom >= 1 else ndtri(share)) * np.sqrt(variance)
+            width = (stdtrit(freedom, share) if freedom >= 1 else ndtri(share)) * deviation
             if not part["n"]:  # coefficients that came without data tell nothing of their errors
                 width = np.full(rows, np.nan)
-            centre = coefficients @ values
             if self.normalisation:
                 scale = self.normalisation.scale_of(axis, columns)
                 centre, width = centre * scale, width * scale

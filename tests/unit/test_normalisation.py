@@ -282,3 +282,7 @@ def test_other_models_made_of_it_are_in_si(model):
     terms = {"Fz": [{"expression": "u", "coefficient": 1.0}]}
     with pytest.raises(ConfigError, match="is normalised"):
         extended(Model({**model.document, "extensions": [{"id": "x", "terms": terms}]}))
+    merged = copy.deepcopy(model.document)
+    merged["axes"]["Fz"]["terms"][0]["extension"] = "x"
+    with pytest.raises(ConfigError, match="is normalised"):
+        Model(merged)

@@ -229,3 +229,30 @@ def test_the_envelope_is_that_of_the_training_rows(data):
     assert region["u"]["percentiles"]["50"] == pytest.approx(f["u"][:100].median())
     assert region["u"]["unit"] == "m/s"
     assert {"mu_z", "d_w_tot", "w3", "roll"} <= set(region)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda d: d.update(id="../x"),
+        lambda d: d.update(id="a\nb"),
+        lambda d: d.update(id=None),
+        lambda d: d["axes"]["Fx"]["terms"][0].pop("name"),
+        lambda d: d["axes"]["Fx"]["terms"][0].update(unit=3),
+        lambda d: d["axes"]["Fx"]["terms"][0].update(t="large"),
+        lambda d: d["axes"]["Fx"]["terms"][0].update(expression="u\n; import os"),
+        lambda d: d["axes"]["Fx"].update(unit="lbf"),
+        lambda d: d["airframe"].update({"rotor radius": "0.04"}),
+        lambda d: d["airframe"].update(b=-1.0),
+        lambda d: d["airframe"].update(spin=[1, 1, -1, 0]),
+        lambda d: d["airframe"].update(inertia=[[0.0] * 3] * 3),
+        lambda d: d["airframe"].update(mass="heavy"),
+    ],
+)
+def test_hostile_or_impossible_entries_are_one_sentence(damage):
+    tampered = copy.deepcopy(document())
+    damage(tampered)
+    with pytest.raises((ConfigError, ExpressionError)) as error:
+        Model(tampered, "model.json")
+    assert str(error.value).startswith("model.json")
+    assert "\n" not in str(error.value)
