@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from quasi.errors import ConfigError, ShapeError, nearest
-from quasi.simulation.dynamics import INERTIA, INVERSE, MASS, STATES, scratch_of
+from quasi.simulation.dynamics import INERTIA, INTEGRATORS, INVERSE, MASS, STATES, scratch_of
 from quasi.simulation.loop import EXTERNAL, FAULT, LOG, SHORT_LOG, Draws, X, fly, fly_some
 from quasi.simulation.result import Result, result_of, sentence
 from quasi.simulation.setup import STATE_NAMES, Setup
@@ -28,12 +28,14 @@ def simulate(
 
     steps    functions of the bus that take the place of steps, {"actuator": function}; see `quasi.simulation.simulator`
     between  functions of the bus called after a step, {"controller": function}
-    With either the loop runs in Python, else compiled; both give the same numbers.
+    With either, or an adaptive integrator, the loop runs in Python, else compiled; both give the same numbers.
     """
-    if steps or between:
+    method = setup.settings["simulation"]["integrator"]
+    adaptive = None if method in INTEGRATORS else method
+    if steps or between or adaptive:
         from quasi.simulation.quadrotor import QuadrotorSimulator
 
-        simulator = QuadrotorSimulator(setup)
+        simulator = QuadrotorSimulator(setup, adaptive)
         simulator.steps |= dict(steps or {})
         for after, function in (between or {}).items():
             simulator.add_step(after, function)
@@ -120,6 +122,8 @@ def simulate_many(
     Raises ConfigError for an unknown name, ShapeError for rows of a wrong shape.
     """
     machine = setup.machine
+    if setup.settings["simulation"]["integrator"] not in INTEGRATORS:
+        raise ConfigError("a batch needs the integrator 'rk4' or 'euler'; choose one of them")
     for name, rows in varied.items():
         if name not in VARIED:
             raise ConfigError(f"a batch cannot vary '{name}'{nearest(name, VARIED)}")

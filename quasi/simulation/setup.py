@@ -26,6 +26,7 @@ from quasi.simulation.dynamics import (
     HELD,
     INTEGRATORS,
     MASS,
+    RK4,
     ROTORS,
     SHARE,
     SLOPE,
@@ -139,7 +140,10 @@ def make_setup(
         offset = asymmetry(kernel, body, held, hover)
         body = body_of(airframe.mass, airframe.inertia, kernel, gravity, up, down, rate, offset)
     start = _start(settings["initial state conditions"], hover)
-    _check_step(body, kernel, held, hover, dt / substeps, settings["simulation"]["integrator"], notes, name)
+    method = settings["simulation"]["integrator"]
+    if method not in INTEGRATORS and substeps > 1:
+        raise ConfigError(f"{name}: '{method}' finds its own steps; leave 'substeps' out")
+    _check_step(body, kernel, held, hover, dt / substeps, method, notes, name)
 
     asked = settings["controller"]
     actuators = {"time constants": np.maximum(up, 1e-4), "delay": drive.delay, "lowest": drive.low,
@@ -160,7 +164,7 @@ def make_setup(
     machine = Machine(
         kernel, body, drive, battery, _fault(settings["faults"], drive), sensors,
         np.array([*steady, *air["gusts"], *[air["correlation time"]] * 3], float), _wind_table(wind, air, name),
-        kind, gains, aim, path, table, dt, substeps, INTEGRATORS[settings["simulation"]["integrator"]], _LIMITS.copy(),
+        kind, gains, aim, path, table, dt, substeps, INTEGRATORS.get(method, RK4), _LIMITS.copy(),
     )  # fmt: skip
     seeds = (noise["seed"], noise["seed"] if air["seed"] is None else air["seed"])
     every = settings["simulation"]["log every"]
@@ -346,6 +350,8 @@ def _check_step(
     Growth per step: |1 + z| for Euler, |1 + z + z^2/2 + z^3/6 + z^4/24| for Runge-Kutta, z = mode x step.
     Source: Hairer & Wanner, Solving Ordinary Differential Equations II, 2nd ed., 1996, section IV.2.
     """
+    if method not in INTEGRATORS:
+        return  # it chooses its steps itself
     modes = np.linalg.eigvals(linearised(body, kernel, held, hover))
     decaying = modes[modes.real < -1e-2 * np.abs(modes).max()]
     if not len(decaying):

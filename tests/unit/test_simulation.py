@@ -88,7 +88,8 @@ def test_the_bus_holds_state_derivatives_and_forces_of_each_step(model, hook):
 
 def test_an_adaptive_integrator_confirms_the_fixed_step(model):
     setup = setup_of(model, duration=0.4, noise={"add": False}, references=ROUGH["references"])
-    reference = QuadrotorSimulator(setup, integrator="DOP853").fly()
+    reference = simulate(setup_of(model, duration=0.4, noise={"add": False}, references=ROUGH["references"],
+                                  simulation={"integrator": "DOP853"}))  # fmt: skip
     columns = ["x", "y", "z", "u", "v", "w", "p", "q", "r", "roll", "pitch", "yaw"]
     np.testing.assert_allclose(simulate(setup).table[columns], reference.table[columns], atol=3e-5)
 
@@ -182,6 +183,8 @@ def test_a_batch_equals_its_members_alone_and_varies_what_is_varied(model):
 
 
 def test_a_batch_refuses_what_it_cannot_vary(model):
+    with pytest.raises(ConfigError, match="a batch needs the integrator 'rk4' or 'euler'"):
+        simulate_many(setup_of(model, 0.1, simulation={"integrator": "RK45"}), 2)
     setup = setup_of(model, 0.1)
     with pytest.raises(ConfigError, match="cannot vary 'masss'.*mass"):
         simulate_many(setup, 2, masss=np.ones(2))
