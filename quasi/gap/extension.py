@@ -33,16 +33,26 @@ def extension_of(effect: Effect, values: Values, vehicle: Vehicle, model: Model)
 
 
 def extend(
-    model: Model, causes: Sequence[tuple[Effect, Values]], vehicle: Vehicle, name: str, where: str
+    model: Model,
+    causes: Sequence[tuple[Effect, Values]],
+    vehicle: Vehicle,
+    name: str,
+    where: str,
+    changes: np.ndarray | None = None,
 ) -> dict[str, Any]:
     """The extended model as plain data ("quasi.model/1").
 
     causes  (cause, {parameter: deviation}); name  the new model's ID; where  what found them, for provenance
+    changes  (terms,) added to the coefficients of the model's own terms, axis after axis, where they were fitted anew
     Raises ConfigError for a cause that this model cannot carry, by name.
     """
     document = copy.deepcopy(model.document)
     document["id"] = name
     document["extensions"] = []
+    if changes is not None:
+        own = [term for axis in AXES for term in document["axes"].get(axis, {"terms": []})["terms"]]
+        for term, change in zip(own, changes, strict=True):
+            term["coefficient"] += float(change)
     if model.normalisation and causes:
         raise ConfigError(f"model {model.id} is normalised; identify it with 'normalize data' false to extend it")
     for effect, values in causes:

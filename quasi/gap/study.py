@@ -10,7 +10,7 @@ from quasi.expressions import Program, parse
 from quasi.gap.catalogue import beyond_slope, columns_of
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
-from quasi.gap.mixed import Columns, Mixed
+from quasi.gap.mixed import Columns, Mixed, marginal
 from quasi.gap.nuisance import nuisances
 from quasi.gap.whitening import Thinned, Whitener, autoregression, block_grams, thin
 from quasi.standalone.model import AXES
@@ -44,6 +44,36 @@ class Study(NamedTuple):
     def mixed(self, use: Sequence[int], compared: Sequence[bool], prior: np.ndarray | None = None) -> Mixed:
         """The mixed model of some of the flights. prior  precision (shared, shared) of the model's own terms."""
         return Mixed([self.blocks[f].sum(axis=0) for f in use], compared, self.columns, prior)
+
+
+MEMORY = 20.0  # samples that a residual remembers: information is counted that much lower
+
+
+def refit(
+    study: Study, use: Sequence[int], compared: Sequence[bool], values: Mapping[tuple[str, str], Mapping[int, float]]
+) -> np.ndarray:
+    """Changes (S,) of the model's own coefficients once causes are taken out, by least squares in plain residuals.
+
+    values  {(cause, since): {position of the parameter: deviation}}
+    Unwhitened, every axis by its own residual: what a simulation needs is a small error, not a white one. Flights'
+    nuisances are integrated out. Beside a cause, the terms that had to stand in for it find their own values.
+    """
+    columns, size = study.columns, len(study.names)
+    level = sum(np.einsum("kii->ki", study.raw[f])[:, 0] for f in use)
+    weight = sum(len(study.thinned[f].rows) for f in use) / np.maximum(level, 1e-300) / MEMORY
+    inner, right = np.zeros((len(columns.shared),) * 2), np.zeros(len(columns.shared))
+    for f, flag in zip(use, compared):
+        gram = marginal(np.einsum("k,kij->ij", weight, study.raw[f]), columns.nuisance, columns.spread)
+        target = np.zeros(size)
+        target[0] = 1.0
+        for (cause, since), deviations in values.items():
+            if flag or since == "always":
+                for position, deviation in deviations.items():
+                    target[columns.causes[cause][position]] -= deviation
+        inner += gram[np.ix_(columns.shared, columns.shared)]
+        right += gram[columns.shared] @ target
+    scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    return np.linalg.solve(inner / np.outer(scale, scale) + LIGHT * np.eye(len(scale)), right / scale) / scale
 
 
 def base_columns(evidence: Evidence) -> list[tuple[str, np.ndarray]]:

@@ -1,6 +1,6 @@
 """Level W: causes of what the model leaves of measured forces and moments, and what they gain on held-out flights."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +14,7 @@ from quasi.gap.extension import extend
 from quasi.gap.gain import Score, after, before, fraction, wrench_score
 from quasi.gap.mixed import Mixed, Offer, Test
 from quasi.gap.naming import Named, Tie, search
-from quasi.gap.study import Study, base_columns, gather_study
+from quasi.gap.study import Study, base_columns, gather_study, refit
 from quasi.standalone.model import AXES, Model
 
 LOOKS = 3  # how often curved causes are linearised anew
@@ -98,8 +98,18 @@ def examine(
     _count(causes, study, asked, compared, level)
     old = wrench_score(held, before)
     floor = _floor(study, asked, vehicle, compared, values, held, old)
-    kept, immaterial = _material(causes, model, vehicle, held, old, floor, share)
-    extended = extend(model, [(c.effect, c.value) for c in kept], vehicle, name, where)
+
+    def made(of: Sequence[Cause], ident: str, fitted_anew: bool) -> dict[str, Any]:
+        changes = None
+        if fitted_anew:
+            own = {(c.effect.id, c.since): {c.effect.fitted.index(n): v for n, v in c.value.items()} for c in of}
+            changes = refit(study, range(len(flights)), compared, own)
+        return extend(model, [(c.effect, c.value) for c in of], vehicle, ident, where, changes)
+
+    # what all flights have in common, the model's own terms were fitted to as well: they are fitted anew beside it
+    common = any(c.since == "always" for c in causes)
+    kept, immaterial = _material(causes, lambda of: made(of, "trial", common), model, held, old, floor, share)
+    extended = made(kept, name, any(c.since == "always" for c in kept))
     new = wrench_score(held, after(Model(extended, name), model))
     scores = {"before": old.mean(), "after": new.mean(), "noise_floor": np.minimum(floor, new.mean())}
     wrong = None
@@ -207,33 +217,33 @@ def _floor(
 
 
 def _material(
-    causes: Sequence[Cause], model: Model, vehicle: Vehicle, held: Sequence[Evidence], old: Score,
-    floor: np.ndarray, share: float,
-) -> tuple[list[Cause], list[Cause]]:  # fmt: skip
+    causes: Sequence[Cause],
+    made: Callable[[Sequence[Cause]], dict[str, Any]],
+    model: Model,
+    held: Sequence[Evidence],
+    old: Score,
+    floor: np.ndarray,
+    share: float,
+) -> tuple[list[Cause], list[Cause]]:
     """Causes whose leaving out costs at least `share` of the removable error on some axis, and the others."""
+
+    def score(of: Sequence[Cause]) -> Score:
+        return wrench_score(held, after(Model(made(of), "trial"), model))
+
     kept, dropped = list(causes), []
+    removable = np.maximum(old.mean() - floor, 0.0)
+    there = removable > 0.1 * old.mean()
     while kept:
-
-        def score(of: Sequence[Cause]) -> Score:
-            document = extend(model, [(c.effect, c.value) for c in of], vehicle, "trial", "trial")
-            return wrench_score(held, after(Model(document, "trial"), model))
-
         whole = score(kept)
-        least, worst = None, np.inf
+        worth = []
         for cause in kept:
             without = score([c for c in kept if c is not cause])
-            # judged against what there was to remove at first
-            removable = np.maximum(old.mean() - floor, 0.0)
-            worth = np.where(
-                removable > 0.1 * old.mean(), (without.mean() - whole.mean()) / np.maximum(removable, 1e-300), 0.0
-            )
             cause.gain = fraction(without, whole, floor)
-            if worth.max() < worst:
-                least, worst = cause, float(worth.max())
-        if worst >= share:
+            gone = (without.mean() - whole.mean()) / np.where(there, removable, np.inf)
+            worth.append(float(gone.max()))
+        if min(worth) >= share:
             break
-        kept.remove(least)
-        dropped.append(least)
+        dropped.append(kept.pop(int(np.argmin(worth))))
     return kept, dropped
 
 
