@@ -299,6 +299,7 @@ def lay(folder: Path) -> str:
         f"  data/my_quadrotor.json           geometry, mass, inertia of your quadrotor\n"
         f"  config/processing.json           how flights are imported and filtered\n"
         f"  config/models/my_model.json      which flights make the model, which are held out\n"
+        f"  config/simulations/my_simulation.json  how the model is flown in a simulation\n"
         f"Then:  {snakemake} -s {LIBRARY / 'Snakefile'} -d {folder} -j2 models/my_model/standalone"
     )
 
