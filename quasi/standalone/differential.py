@@ -71,7 +71,7 @@ def form_system(values: np.ndarray, rates: np.ndarray, inertia: np.ndarray, u: S
     moments_x, moments_u = table[:, 3:, :3], table[:, 3:, 3:]
     gyroscopic = cross_matrix(rates) @ inertia - cross_matrix(rates @ inertia.T)
     inverse = np.linalg.inv(inertia)
-    with np.errstate(invalid="ignore"):  # rows that have no derivative come out as NaN
+    with np.errstate(invalid="ignore", over="ignore"):  # rows that have no derivative come out as NaN
         a, b = inverse @ (moments_x - gyroscopic), inverse @ moments_u
     return DifferentialSystem(
         a, b,

@@ -126,18 +126,29 @@ def make_region(
             if low < high:
                 ends[name] = (low, high)
     limited = tuple(ends)
-    joint = document.get("joint envelope") or {"names": [], "mean": [], "whitening": [], "limit": 1.0}
-    size = len(joint["names"])
+    names, mean, whitening, limit = _joint(document.get("joint envelope"), read)
     outputs = [graph.combine([(1.0, graph.variable(name))]) for name in limited]
-    for name, mean in zip(joint["names"], joint["mean"], strict=True):
-        outputs.append(graph.combine([(1.0, graph.variable(name)), (-mean, (1.0, ONE))]))
+    outputs += [graph.combine([(1.0, graph.variable(n)), (-m, (1.0, ONE))]) for n, m in zip(names, mean, strict=True)]
     limits = Limits(
         np.array([ends[name][0] for name in limited], float),
         np.array([ends[name][1] for name in limited], float),
-        np.array(joint["whitening"], float).reshape(size, size),
-        np.array([joint["limit"]], float),
+        whitening,
+        np.array([limit], float),
     )
     return Region(compile_outputs(graph, outputs, inputs), limits), limited
+
+
+def _joint(plain: Mapping[str, Any] | None, read: Sequence[str]) -> tuple[list[str], list[float], np.ndarray, float]:
+    """The ellipsoid in the columns that a model reads; of others its shadow is taken, which never reaches further."""
+    if not plain:
+        return [], [], np.zeros((0, 0)), 1.0
+    chosen = [k for k, name in enumerate(plain["names"]) if name in read]
+    size = len(plain["names"])
+    whitening = np.array(plain["whitening"], float).reshape(size, size)
+    if len(chosen) < size:
+        spread = np.linalg.inv(whitening)
+        whitening = np.linalg.inv(np.linalg.cholesky((spread @ spread.T)[np.ix_(chosen, chosen)]))
+    return [plain["names"][k] for k in chosen], [plain["mean"][k] for k in chosen], whitening, plain["limit"]
 
 
 def limited_names(named: Iterable[str]) -> list[str]:

@@ -214,7 +214,7 @@ class Model:
         graph = Graph(self.airframe, self.hover_speed)
         try:
             return make_region(self.document, graph, self.inputs, self.kernel.used, self._names)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (LookupError, TypeError, ValueError, AttributeError, np.linalg.LinAlgError) as error:
             said = f"model {self.id}: the region that its data covered is damaged ({error}); make the model anew"
             raise ConfigError(said) from None
 

@@ -146,3 +146,24 @@ def test_a_model_without_its_region_says_so(model):
 def test_every_base_column_of_the_terms_is_limited(model):
     assert set(READ) <= set(model.region_names)
     assert {"w_tot", "d_w_tot", "mu_z", "U_p", "u_r", "U_q", "U_r", "u_r_dot"} <= set(model.region_names)
+
+
+def test_a_model_that_reads_less_keeps_the_shadow_of_the_ellipsoid(model):
+    # without yaw moments nothing reads the rotors' accelerations
+    document = copy.deepcopy(model.document)
+    del document["axes"]["Mz"]
+    less = Model(document)
+    assert not less.uses_rotor_accelerations
+    joint = document["joint envelope"]
+    state, speeds = centre(model)
+    state[3] += 30.0
+    found, worst = less.distance(state, speeds)
+    kept = [k for k, name in enumerate(joint["names"]) if not name.endswith("_dot")]
+    x = dict(zip(STATE, state)) | dict.fromkeys(ROTORS, HOVER)
+    covariance = np.linalg.inv(np.array(joint["whitening"]).T @ np.array(joint["whitening"]))[np.ix_(kept, kept)]
+    away = np.array([x[joint["names"][k]] - joint["mean"][k] for k in kept])
+    together = 0.5 * (np.sqrt(away @ np.linalg.solve(covariance, away)) / joint["limit"] - 1)
+    shares = document["envelope"]["u"]["percentiles"]
+    alone = (state[3] - shares["99.99"]) / (shares["99.99"] - shares["0.01"])
+    assert found == pytest.approx(max(together, alone), rel=1e-9)
+    assert worst == ("u" if alone > together else "all together")
