@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.optimize import brentq
 
 from quasi import attitude, configuration
 from quasi.airframe import Airframe
@@ -135,6 +136,9 @@ def make_setup(
     held = still(len(model.inputs), hover)
     if battery.place >= 0:
         held[HELD + battery.place] = battery.start
+        hover = _hover_at(kernel, body, held, hover, f"{name}: model {model.id} at {battery.start:g} V")
+        battery = battery._replace(hover=hover)
+        held[TARGET : TARGET + 4] = hover
     offset = np.zeros(6)
     if asked["correct for moment asymmetries"]:
         offset = asymmetry(kernel, body, held, hover)
@@ -176,6 +180,21 @@ def still(inputs: int, speed: float) -> np.ndarray:
     held = np.zeros(HELD + inputs - 20)
     held[TARGET : TARGET + 4], held[SHARE : SHARE + 4], held[CAP : CAP + 4] = speed, 1.0, np.inf
     return held
+
+
+def _hover_at(kernel: Any, body: np.ndarray, held: np.ndarray, guess: float, what: str) -> float:
+    """Common rotor speed, rad/s, that carries the weight with what is held: the battery's voltage among it."""
+    scratch, found, x = scratch_of(kernel), np.zeros(6), np.zeros(STATES)
+    x[0] = 1.0
+
+    def lack(speed: float) -> float:
+        x[ROTORS:] = speed
+        loads_at(x, held, kernel, body, scratch.inputs, scratch.work, found)
+        return float(found[2] + body[MASS] * body[GRAVITY_ADDED])
+
+    if lack(0.3 * guess) <= 0.0 or lack(2.0 * guess) >= 0.0:
+        raise ConfigError(f"{what} carries its weight at no common rotor speed; correct 'battery' / 'voltage'")
+    return float(brentq(lack, 0.3 * guess, 2.0 * guess, xtol=1e-9))
 
 
 def asymmetry(kernel: Any, body: np.ndarray, held: np.ndarray, hover: float) -> np.ndarray:

@@ -309,6 +309,25 @@ def test_a_falling_voltage_slows_the_rotors_by_its_power(model):
     np.testing.assert_allclose(table["w2"], table["w2_CMD"] * ((16.0 - table["t"]) / 16.0) ** 0.8, rtol=1e-9)
 
 
+def test_terms_in_the_battery_voltage_follow_it_and_hover_is_that_of_the_voltage_at_the_start(model):
+    part = model.document["axes"]["Fz"]
+    term = {"name": "b", "expression": "battery_voltage", "coefficient": -0.05, "std": 0.0, "unit": "", "given": True}
+    axes = {**model.document["axes"], "Fz": {**part, "terms": [*part["terms"], term]}}
+    volts = Model({**model.document, "axes": axes})
+    asked = {"model": {"model ID": "made"}, "noise": {"add": False}, "simulation": {"duration": 1}}
+    with pytest.raises(ConfigError, match="has terms in the battery voltage; give 'battery' / 'voltage'"):
+        make_setup(asked, volts)
+    table = simulate(make_setup({**asked, "battery": {"voltage": 16.0}}, volts)).table
+    # 0.8 N of lift come with the voltage, the rest from the rotors: u = (m g - 0.8) / (m g) u_hover
+    weight = 0.43 * 9.81
+    assert table["w1"].iloc[0] == pytest.approx(1500.0 * math.sqrt((weight - 0.8) / weight), rel=1e-9)
+    np.testing.assert_allclose(table[["w1", "w2", "w3", "w4"]], table["w1"].iloc[0], rtol=1e-3)
+    assert table["z"].abs().max() < 1e-3
+    drained = simulate(make_setup({**asked, "battery": {"voltage": 16.0, "drain": 2.0}}, volts)).table
+    np.testing.assert_allclose(drained["battery_voltage"], 16.0 - 2.0 * drained["t"], atol=1e-9)
+    assert drained["w1"].iloc[-1] > table["w1"].iloc[-1] + 5.0
+
+
 def test_the_simple_model_flies_and_an_extension_adds_its_terms(model):
     document = {**model.document, "simple model": {
         "kappaFz": {"value": 4.7e-7}, "kappaMx": {"value": 2.5e-8}, "kappaMy": {"value": 2.5e-8},
