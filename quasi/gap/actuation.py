@@ -92,8 +92,10 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     ages = [_age(f) for f in used]
     blocks = [_blocks(d, reference, age) for d, age in zip(fits, ages)]
 
+    doubt = _doubt(document)
+
     def build(grams: list[np.ndarray]) -> Tests:
-        return _mixed(grams, compared, asked, reference, ages)
+        return _mixed(grams, compared, asked, reference, doubt)
 
     mixed = build([b.sum(axis=0) for b in blocks])
     stages = 1 if compared.all() else 2
@@ -153,6 +155,14 @@ def _fits(flights: Sequence[Flown], kind: str, start: Belief, level: Level) -> t
     return used, fits
 
 
+def _doubt(document: Mapping[str, Any]) -> float:
+    """How many times BELIEVED the model's time constants may be wrong, by their standard errors."""
+    held = document.get("actuators") or {}
+    shares = [max(held[n]["std"]) / np.mean(held[n]["value"])
+              for n in ("time constants up", "time constants down") if held.get(n, {}).get("std")]  # fmt: skip
+    return float(np.hypot(1.0, max(shares, default=0.0) / BELIEVED["up"]))
+
+
 def _age(flown: Flown) -> tuple[float, float, float | None]:
     """Seconds that import took off the rotor telemetry; what the motion says of its age, total, and the doubt."""
     found = flown.metadata.get("rotor telemetry") or {}
@@ -187,7 +197,7 @@ def _blocks(fit: DriveFit, reference: Belief, age: tuple[float, float, float | N
 
 def _mixed(
     grams: Sequence[np.ndarray], compared: np.ndarray, asked: Sequence[str], reference: Belief,
-    ages: Sequence[tuple[float, float, float | None]],
+    doubt: float,
 ) -> Tests:  # fmt: skip
     place = {name: 1 + i for i, name in enumerate([*NAMES, "late"])}
     scale = {"up": reference.values[0], "down": reference.values[1]}
@@ -198,7 +208,7 @@ def _mixed(
     spread = [s * scale.get(n, 1.0) / (np.sqrt(2.0) if n in own else 1.0) for n, s in SPREAD.items()]
     nuisance = list(range(width, width + len(SPREAD)))
     shared = list(range(width + len(SPREAD), len(source)))
-    believed = np.array([s * scale.get(n, 1.0) for n, s in BELIEVED.items()])
+    believed = np.array([s * scale.get(n, 1.0) * (doubt if n in scale else 1.0) for n, s in BELIEVED.items()])
     columns = Columns(shared, nuisance, np.array(spread), {c: [place[n] for n in CAUSES[c]] for c in asked})
     prior = np.diag(1.0 / believed**2)
     return Tests([g[np.ix_(source, source)] for g in grams], compared, columns, PRIOR_FREEDOM, prior, UNPOOLED)

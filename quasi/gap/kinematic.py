@@ -5,23 +5,21 @@ to exceed it. What import corrected on its own (clock rate, a lever arm told by 
 it is evidence for the same causes.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from quasi.errors import DataError
-from quasi.gap.kinematic_columns import ANGLES, CHANNELS, RATE, Weak, corrected_already, straightened, weak_form
+from quasi.gap.kinematic_columns import ANGLES, Weak, corrected_already, straightened, weak_form
+from quasi.gap.kinematic_products import added, alone, blocks_of, whitener_of
+from quasi.gap.kinematic_tables import tables
 from quasi.gap.level import Choice, Flown, Level, Tests, choose, final_test, probability, separability
 from quasi.gap.mixed import Columns, Offer
 from quasi.gap.sensor_findings import shaken, torn
-from quasi.gap.whitening import Whitener, autoregression, block_grams, whiten
+from quasi.gap.whitening import Whitener
 from quasi.importing.calibration import check
 
-ORDER = 8  # of the autoregression: what correlates over 0.4 s
-BLOCK = 5.0  # s
-RIDGE = 1e-9
 # Freedom that the spreads below stand for: they are known from many flights, not told by the few at hand
 PRIOR_FREEDOM = 16.0
 # Standard deviations of what differs between healthy flights. Biases after turning on, seating of the IMU (0.2 deg) and
@@ -44,12 +42,21 @@ BENT = {"imu_misalignment": 0.01, "mocap_misalignment": 0.01, "room_tilt": 0.02,
         "accelerometer_scale": 0.01, "mocap_delay": 0.003}  # fmt: skip
 LOOKS = 3
 MARKERS_KNOWN = 1.5e-3  # m, how well the marker offset is measured: turned markers move the tracked point by less
-LEVELLED = 0.02  # rad, how upright an attitude estimated on board is taken to be
+# where the attitude is one estimated on board: how upright it is, how late, and what it hides along x and y
+WITHOUT_TURNING = {"room_tilt": 0.02, "mocap_delay": 0.02, "accelerometer_scale": 0.3}
+UNHIDDEN = ("accelerometer_scale.z",)
 UNITS = {
     "gyro_bias": "rad/s", "gyro_scale": "1", "accelerometer_bias": "m/s2", "accelerometer_scale": "1",
     "imu_lever_arm": "m", "imu_misalignment": "rad", "mocap_misalignment": "rad", "room_tilt": "rad",
     "mocap_delay": "s", "clock_drift": "s/s", "attitude_error": "s",
 }  # fmt: skip
+# how far from neutral a parameter can physically be
+LARGEST = {
+    "gyro_bias": 1.0, "gyro_scale": 0.3, "accelerometer_bias": 5.0, "accelerometer_scale": 0.3, "imu_lever_arm": 0.15,
+    "imu_misalignment": 0.5, "mocap_misalignment": 0.5, "room_tilt": 0.3, "mocap_delay": 0.1, "clock_drift": 0.05,
+    "attitude_error": 5.0,
+}  # fmt: skip
+SURE = 2.0  # standard errors beyond that
 NEUTRAL = {"gyro_scale": 1.0, "accelerometer_scale": 1.0}
 SHOWS = {
     "gyro_bias": ("p", "q", "r"), "gyro_scale": ("p", "q", "r"), "accelerometer_bias": ("ax", "ay", "az"),
@@ -106,44 +113,93 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
         weak = [w._replace(columns=_only_forces(w.columns), turning=False) for w in weak]
     names = [n for n in weak[0].names if all(n in w.names for w in weak)]
     weak = [w._replace(columns=w.columns[:, :, [w.names.index(n) for n in names]], names=names) for w in weak]
-    level.cannot_be_asked.append(
-        {"id": "mocap_delay", "why": "a delay of the whole capture is the same as an offset between its clock and the "
-                                     "log's; only its rotation against its position is asked"}
-    )  # fmt: skip
+    level.notes.append(
+        "a delay of the whole capture is the same as an offset between its clock and the log's and cannot be told; "
+        "mocap_delay is that of its rotation against its position"
+    )
+    alarm = float(options.get("false alarm rate", 0.01))
+    while True:
+        search = _search(used, weak, asked, turning, alarm)
+        impossible = _impossible(search)
+        if not impossible:
+            break
+        asked = [c for c in asked if c not in impossible]
+        level.candidates += [
+            {"id": cause, "since": "always", "score": 0.0, "p": 1.0, "why_not": why}
+            for cause, why in impossible.items()
+        ]
+    shares = probability(search.blocks, search.build, search.choice, search.threshold)
+    _report(level, search.mixed, search.choice, shares, names)
+    fitted = {o: final_test(search.mixed, search.choice, o) for o in search.choice.taken}
+    usual = SPREAD if turning else SPREAD | WITHOUT_TURNING
+    level.tables, level.noise_floor = tables(
+        used, search.weak, search.whiteners, search.known, fitted, search.mixed.columns.causes, usual, UNITS
+    )
+    return level
 
+
+class Search(NamedTuple):
+    """What one search found: the flights as they were last looked at, the tests on them, and the causes taken."""
+
+    weak: list[Weak]
+    whiteners: list[Whitener]
+    blocks: list[np.ndarray]
+    known: list[np.ndarray]
+    mixed: Tests
+    choice: Choice
+    threshold: float
+    build: Callable[..., Tests]
+
+    @property
+    def names(self) -> list[str]:
+        """Columns."""
+        return self.weak[0].names
+
+
+def _search(used: Sequence[Flown], weak: Sequence[Weak], asked: Sequence[str], turning: bool, alarm: float) -> Search:
+    """Choose causes; where large ones are found, set the flights right and look again."""
+    names = weak[0].names
     compared = np.array([f.compared for f in used])
-    stages = 1 if compared.all() else 2
+    usual = SPREAD if turning else SPREAD | WITHOUT_TURNING
 
     def build(grams: list[np.ndarray], lever: float = SPREAD["imu_lever_arm"]) -> Tests:
-        return _mixed(grams, compared, names, asked, {**SPREAD, "imu_lever_arm": lever}, turning)
+        return _mixed(grams, compared, names, asked, {**usual, "imu_lever_arm": lever}, turning)
 
     applied = [np.zeros(len(names)) for _ in used]
     offsets = [0.0 for _ in used]
     late, turn_late = names.index("clock.offset"), names.index("mocap_delay.delay")
     for look in range(LOOKS):
-        whiteners = [_whitener(w) for w in weak]
-        blocks = [_added(_blocks(w, whitener), corrected_already(f, names) + known)
-                  for f, w, whitener, known in zip(used, weak, whiteners, applied)]  # fmt: skip
+        whiteners = [whitener_of(w) for w in weak]
+        known = [corrected_already(f, names) + values for f, values in zip(used, applied)]
+        blocks = [added(blocks_of(w, by), values) for w, by, values in zip(weak, whiteners, known)]
         grams = [b.sum(axis=0) for b in blocks]
         mixed = build(grams)
-        threshold = float(options.get("false alarm rate", 0.01)) / (stages * max(len(mixed.columns.causes), 1))
+        threshold = alarm / ((1 if compared.all() else 2) * max(len(asked), 1))
         doubtful = build(grams, MARKERS_KNOWN * np.sqrt(len(blocks)))
         choice = choose(mixed, threshold, [TURNED], doubtful)
         wanted = [_bent(mixed, choice, names, flag) for flag in compared]
         if not turning or look == LOOKS - 1 or max(_apart(a, b, names) for a, b in zip(wanted, applied)) < 1.0:
             break
         for k, (gram, target) in enumerate(zip(grams, wanted)):
-            own, _ = _alone(gram, names)
+            own, _ = alone(gram, names)
             # the rotation's place on the log's clock is sharp, whatever part of it is the whole capture's
             offsets[k] += own[late] + own[turn_late] - target[turn_late]
         applied = wanted
         weak = [weak_form(straightened(f, _set_right(values, names), offset))
                 for f, values, offset in zip(used, applied, offsets)]  # fmt: skip
         weak = [w._replace(columns=w.columns[:, :, [w.names.index(n) for n in names]], names=names) for w in weak]
-    shares = probability(blocks, build, choice, threshold)
-    _report(level, mixed, choice, shares, names)
-    _tables(level, used, weak, whiteners, names, choice, mixed)
-    return level
+    return Search(list(weak), whiteners, blocks, known, mixed, choice, threshold, build)
+
+
+def _impossible(search: Search) -> dict[str, str]:
+    """Causes that were taken with values that no sensor has, {cause: why not}: something else is at work."""
+    refused = {}
+    for offer in search.choice.given:
+        for name, p in _parameters(search.names, search.mixed, search.choice, offer).items():
+            away = abs(p["value"] - NEUTRAL.get(offer.cause, 0.0)) - SURE * p["std"]
+            if away > LARGEST[offer.cause]:
+                refused[offer.cause] = f"its {name} would be {p['value']:.3g} {p['unit']}, which no sensor has"
+    return refused
 
 
 def _bent(mixed: Tests, choice: Choice, names: Sequence[str], flag: bool) -> np.ndarray:
@@ -190,50 +246,6 @@ def _only_forces(columns: np.ndarray) -> np.ndarray:
     return kept
 
 
-def _fit(columns: np.ndarray) -> np.ndarray:
-    """Least squares of the residual on all other columns, channels weighted alike; coefficients (P - 1,)."""
-    weight = columns[:, :, 0].std(axis=0)
-    flat = (columns / np.where(weight > 0, weight, 1.0)[None, :, None]).reshape(-1, columns.shape[2])
-    gram = flat.T @ flat
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    inner = (gram / np.outer(scale, scale))[1:, 1:] + RIDGE * np.eye(len(gram) - 1)
-    return np.linalg.solve(inner, gram[1:, 0] / scale[1:]) / scale[1:]
-
-
-def _whitener(weak: Weak) -> Whitener:
-    """Each flight has a noise of its own: vibration, captures of different quality."""
-    left = weak.columns[:, :, 0] - weak.columns[:, :, 1:] @ _fit(weak.columns)
-    return autoregression([left], [weak.breaks], ORDER)
-
-
-def _blocks(weak: Weak, whitener: Whitener) -> np.ndarray:
-    blocks = block_grams(weak.columns, weak.breaks, whitener, weak.t, BLOCK)
-    if not len(blocks):
-        raise DataError(f"flight {weak.key} has no {ORDER / RATE:.1f} s without gaps between sensors and capture")
-    return blocks
-
-
-def _alone(gram: np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-    """One flight's own values of the columns (P,), and standard errors, 0 where left out.
-
-    A turned IMU and turned markers look alike in one flight; they are stated as the markers' turn.
-    """
-    single = [i for i, n in enumerate(names) if i > 0 and n.split(".")[0] not in ("imu_misalignment", "drawn")]
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))[single]
-    inverse = np.linalg.inv(gram[np.ix_(single, single)] / np.outer(scale, scale) + RIDGE * np.eye(len(single)))
-    values, std = np.zeros(len(names)), np.zeros(len(names))
-    values[single] = inverse @ (gram[single, 0] / scale) / scale
-    std[single] = np.sqrt(np.diag(inverse)) / scale
-    return values, std
-
-
-def _added(blocks: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Cross-products with the residual raised by known values of the columns."""
-    change = np.eye(len(values))
-    change[:, 0] += values
-    return change.T @ blocks @ change
-
-
 def _mixed(
     grams: Sequence[np.ndarray],
     compared: np.ndarray,
@@ -247,12 +259,12 @@ def _mixed(
     nuisance, spread = [], []
     for i, name in enumerate(names[1:], 1):
         cause = name.split(".")[0]
-        if cause in asked:
+        if cause in asked and (turning or cause != "accelerometer_scale" or name in UNHIDDEN):
             causes.setdefault(cause, []).append(i)
         if cause in usual:
             nuisance.append(i)
             # the least spread between flights that a test allows for is as large again as a flight's own doubt
-            size = usual[cause] if turning or cause != "room_tilt" else LEVELLED
+            size = SPREAD[cause] if name in UNHIDDEN else usual[cause]
             spread.append(size / (np.sqrt(2.0) if cause in causes else 1.0))
     place = list(range(len(names))) + nuisance
     columns = Columns([], list(range(len(names), len(place))), np.array(spread), causes)
@@ -312,59 +324,3 @@ def _report(level: Level, mixed: Tests, choice: Choice, shares: Mapping[Offer, f
             {"id": offer.cause, "since": offer.since, "score": choice.marginal[offer].wald,
              "p": choice.marginal[offer].p, "why_not": why}
         )  # fmt: skip
-
-
-def _tables(
-    level: Level, used: Sequence[Flown], weak: Sequence[Weak], whiteners: Sequence[Whitener], names: Sequence[str],
-    choice: Choice, mixed: Tests,
-) -> None:  # fmt: skip
-    """Residuals as they are, with the causes taken off, and with everything taken off that the level knows: the floor.
-
-    Tables: "residuals" (rows), "channels" (rms per flight and channel, and whether the floor is white), "parameters"
-    (each flight's own best values, nuisances included, beyond what import corrected).
-    """
-    fitted = {offer: final_test(mixed, choice, offer) for offer in choice.taken}
-    rows, channels, parameters, floors = [], [], [], []
-    for flown, one, whitener in zip(used, weak, whiteners):
-        coefficients = _fit(one.columns)
-        gram = _blocks(one, whitener).sum(axis=0)
-        own, std = _alone(gram, names)
-        y = one.columns[:, :, 0]
-        explained = np.zeros_like(y)
-        for offer, test in fitted.items():
-            if offer.since == "always" or flown.compared:
-                explained += one.columns[:, :, mixed.columns.causes[offer.cause]] @ test.value
-        explained -= one.columns @ corrected_already(flown, list(names))
-        left = y - one.columns[:, :, 1:] @ coefficients
-        white, _ = whiten(left[:, :, None], one.breaks, whitener)
-        floors.append((left**2).mean(axis=0))
-        table = pd.DataFrame({"t": one.t})
-        for c, channel in enumerate(CHANNELS):
-            table[f"{channel}_residual"] = y[:, c]
-            table[f"{channel}_after"] = y[:, c] - explained[:, c]
-            table[f"{channel}_floor"] = left[:, c]
-            n = white[:, c, 0]
-            channels.append(
-                {"flight": flown.key, "compared": flown.compared, "channel": channel,
-                 "unit": "rad/s" if c < 3 else "m/s2", "before": _rms(y[:, c]),
-                 "after": _rms(y[:, c] - explained[:, c]), "floor": _rms(left[:, c]),
-                 "whiteness": float(n[1:] @ n[:-1] / max(n @ n, 1e-300)) if len(n) > 1 else np.nan}
-            )  # fmt: skip
-        rows.append(table.assign(flight=flown.key))
-        parameters += [
-            {"flight": flown.key, "compared": flown.compared, "id": n.split(".")[0], "parameter": n.split(".")[1],
-             "value": v, "std": s, "unit": UNITS.get(n.split(".")[0], "s")}
-            for n, v, s in zip(names[1:], own[1:], std[1:])
-            if s > 0
-        ]  # fmt: skip
-    level.tables = {
-        "residuals": pd.concat(rows, ignore_index=True),
-        "channels": pd.DataFrame(channels),
-        "parameters": pd.DataFrame(parameters),
-    }
-    floor = np.sqrt(np.mean(floors, axis=0))
-    level.noise_floor = dict(zip(CHANNELS, floor.tolist()))
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
