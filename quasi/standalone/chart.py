@@ -101,8 +101,11 @@ SCRIPT = """
       pen.save(); pen.translate(13, at); pen.rotate(-Math.PI / 2); pen.fillText(word, 0, 0); pen.restore();
     }
     pen.textAlign = "right";
-    ticks(low, high, Math.max((mid - TOP) / 45, 2), function (v, d) { line(L, Y(v), w - R, Y(v)); pen.fillText(said(v, d), L - 6, Y(v) + 4); });
-    ticks(-worst, worst, Math.max((h - FOOT - mid) / 18, 1.5), function (v, d) { line(L, E(v), w - R, E(v)); pen.fillText(said(v, d), L - 6, E(v) + 4); });
+    function level(place) {
+      return function (v, d) { line(L, place(v), w - R, place(v)); pen.fillText(said(v, d), L - 6, place(v) + 4); };
+    }
+    ticks(low, high, Math.max((mid - TOP) / 45, 2), level(Y));
+    ticks(-worst, worst, Math.max((h - FOOT - mid) / 18, 1.5), level(E));
     pen.textAlign = "center";
     ticks(view[0], view[1], Math.max((w - L - R) / 95, 2), function (v, d) {
       line(X(v), TOP, X(v), h - FOOT);

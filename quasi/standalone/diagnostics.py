@@ -28,8 +28,8 @@ BANDS = ("lower 25 %", "middle 50 %", "upper 25 %")
 ANY = "any of "
 COVERAGE_UNITS = {
     "variable": ("", "", "variable of the model's terms; 'any of Fx' all of that axis"),
-    "below": ("1", "", "share of validation rows below the 0.1 % percentile of the training rows"),
-    "above": ("1", "", "share of validation rows above the 99.9 % percentile of the training rows"),
+    "below": ("1", "", "share of validation rows below the 0.01 % percentile of the training rows"),
+    "above": ("1", "", "share of validation rows above the 99.99 % percentile of the training rows"),
     **{f"training_{c}": ("SI", "", f"{c} of the training rows") for c in ("min", "max", "p1", "p99")},
     **{c: ("SI", "", f"{c} of the validation rows") for c in ("min", "max", "p1", "p99")},
 }
@@ -184,8 +184,8 @@ def covered_share(
 
     flights  held-out flights; rows {flight: (n,) bool} those to look at
     Returns a table and {axis: (m,) bool}, those of all these rows with some variable of the axis beyond the training
-    rows' 0.1 % to 99.9 % percentiles. The table's columns: variable; below, above (shares of the rows beyond them); the
-    training rows' and these rows' least, largest, 1 % and 99 % percentile. Its last lines, "any of Fx" and so on, hold
+    rows' 0.01 % to 99.99 % percentiles. The table's columns: variable; below, above (shares of the rows beyond them);
+    the training rows' and these rows' least, largest, 1 % and 99 % percentile. Its last lines, "any of Fx" and so on, hold
     under `above` the share of rows with some variable of that axis beyond. Empty without rows.
     """
     known = model.document["envelope"]
