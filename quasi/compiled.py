@@ -6,11 +6,13 @@ would go on with the old one after a change there; so each state of all kernel f
 
 import hashlib
 import os
+import re
 import shutil
 import sys
 import time
 from pathlib import Path
 
+_IMPORT = re.compile(rb"^from (quasi[\w.]*) import (\([^)]*\)|[^\n(]*)", re.M)
 KEPT = 2 * 86400.0  # s, how long folders of other states stay
 
 
@@ -39,12 +41,18 @@ def own_cache() -> Path | None:
 
 
 def _state(package: Path) -> str:
-    """Digest of every file of the package that holds a kernel."""
+    """Digest of every file of the package that holds a kernel, or constants that such a file imports."""
+    contents = {path: path.read_bytes() for path in sorted(package.rglob("*.py"))}
+    kept = {path for path, content in contents.items() if b"njit" in content}
+    for path in list(kept):
+        for module, names in _IMPORT.findall(contents[path]):
+            base = package.joinpath(*module.decode().split(".")[1:])
+            for name in re.findall(r"(\w+)(?: as \w+)?", names.decode()):
+                # a constant of a module, or a module of constants: both are frozen into the compiled code
+                kept.add(base.with_suffix(".py") if name.isupper() else base / f"{name}.py")
     digest = hashlib.sha256()
-    for path in sorted(package.rglob("*.py")):
-        content = path.read_bytes()
-        if b"njit" in content:
-            digest.update(str(path.relative_to(package)).encode() + b"\0" + content)
+    for path in sorted(kept & set(contents)):
+        digest.update(str(path.relative_to(package)).encode() + b"\0" + contents[path])
     return digest.hexdigest()[:16]
 
 

@@ -26,9 +26,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numba import njit
 
 from quasi.attitude import GRAVITY
-from quasi.compiling import njit
 from quasi.errors import DataError
 from quasi.simulation import gains as g
 from quasi.simulation.allocation import allocate, invert

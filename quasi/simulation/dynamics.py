@@ -23,8 +23,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
-from quasi.compiling import njit
 from quasi.standalone.kernel import Kernel, wrench
 
 STATES = 17

@@ -11,8 +11,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
-from quasi.compiling import njit
 from quasi.simulation.dynamics import STATES
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)

@@ -9,9 +9,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from quasi.attitude import GRAVITY
-from quasi.compiling import njit
 from quasi.simulation.controllers import controller_step
 from quasi.simulation.dynamics import (
     CAP,

@@ -14,8 +14,9 @@ the body; NaN carries the weight); yaw rate (rad/s, about the vertical); ax ay a
 
 import math
 
+from numba import njit
+
 from quasi.attitude import GRAVITY
-from quasi.compiling import njit
 from quasi.simulation import gains as g
 
 GOAL = 20

@@ -13,9 +13,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from numba import njit
 from scipy.interpolate import CubicSpline
 
-from quasi.compiling import njit
 from quasi.errors import ConfigError, DataError, nearest
 from quasi.simulation.outer_loop import (
     ANGLES,

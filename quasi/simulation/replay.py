@@ -12,9 +12,9 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 
 from quasi.attitude import GRAVITY, from_euler, to_euler
-from quasi.compiling import njit
 from quasi.errors import DataError, ShapeError
 from quasi.simulation.dynamics import (
     CAP,
