@@ -26,7 +26,8 @@ def assemble(
     if not parts:
         raise ConfigError(f"model {meta['id']} has no identified axis; switch at least one 'identify ...' on")
     keep = ("unit", "terms", "estimated", "covariance", "sigma2", "R2", "RMSE", "n", "effective rows", "bandwidth",
-            "condition number", "confidence level", "log", "stop reason", "candidates", "flights")  # fmt: skip
+            "condition number", "confidence level", "log", "stop reason", "candidates", "flights", "bootstrap",
+            "structure choice", "entry test")  # fmt: skip
     document = {
         "schema": SCHEMA,
         "id": meta["id"],
