@@ -185,8 +185,8 @@ def covered_share(
     flights  held-out flights; rows {flight: (n,) bool} those to look at
     Returns a table and {axis: (m,) bool}, those of all these rows with some variable of the axis beyond the training
     rows' 0.01 % to 99.99 % percentiles. The table's columns: variable; below, above (shares of the rows beyond them);
-    the training rows' and these rows' least, largest, 1 % and 99 % percentile. Its last lines, "any of Fx" and so on, hold
-    under `above` the share of rows with some variable of that axis beyond. Empty without rows.
+    the training rows' and these rows' least, largest, 1 % and 99 % percentile. Its last lines, "any of Fx" and so on,
+    hold under `above` the share of rows with some variable of that axis beyond. Empty without rows.
     """
     known = model.document["envelope"]
     of_axis = {axis: [n for n in _variables(model, axis) if LOW in known.get(n, {}).get("percentiles", {})]
