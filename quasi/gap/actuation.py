@@ -1,12 +1,12 @@
 """Level A: how the rotors follow what they were told, from commands and measured rotor speeds alone.
 
-Each flight's constants are found by output error; then flights are compared with the model and with one another on the
-slopes of that fit, whitened, with what motors and telemetry differ in between flights as nuisance. A late command and
+Each flight's constants are found by output error, as a model's are; then they are compared with the model's and with
+one another, with what motors and telemetry differ in between flights as nuisance. A late command and
 late telemetry look the same here; what import found of the telemetry's age on its own, from the motion, splits them.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -16,11 +16,10 @@ from quasi.gap.drive_findings import saturated, weak
 from quasi.gap.drive_fit import NAMES, Belief, DriveFit, belief_of, commanded, fit_drive, reference_voltage
 from quasi.gap.level import Choice, Flown, Level, Tests, choose, final_test, probability, separability
 from quasi.gap.mixed import Columns, Offer
-from quasi.gap.whitening import autoregression, block_grams, whiten
+from quasi.gap.whitening import autoregression, whiten
 
 ORDER = 12  # of the autoregression at the rate of the residuals
 BLOCK = 5.0  # s
-RIDGE = 1e-9
 PRIOR_FREEDOM = 16.0
 CAUSES = {"motor_lag": ("up", "down"), "command_delay": ("delay",), "telemetry_delay": ("late",),
           "battery_sag": ("exponent",)}  # fmt: skip
@@ -89,19 +88,18 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     level.findings += weak(used, fits)
 
     compared = np.array([f.compared for f in used])
-    ages = [_age(f) for f in used]
-    blocks = [_blocks(d, reference, age) for d, age in zip(fits, ages)]
+    products = [_products(f, d, reference) for f, d in zip(used, fits)]
 
     doubt = _doubt(document)
 
     def build(grams: list[np.ndarray]) -> Tests:
         return _mixed(grams, compared, asked, reference, doubt)
 
-    mixed = build([b.sum(axis=0) for b in blocks])
+    mixed = build([p.gram() for p in products])
     stages = 1 if compared.all() else 2
     threshold = float(options.get("false alarm rate", 0.01)) / (stages * max(len(asked), 1))
     choice = choose(mixed, threshold, [LATE])
-    shares = probability(blocks, build, choice, threshold)
+    shares = probability(lambda rng: [p.gram(rng) for p in products], build, choice, threshold)
     _report(level, mixed, choice, shares, [d for d, flag in zip(fits, compared) if flag])
     _tables(level, used, fits, reference)
     return level
@@ -172,27 +170,36 @@ def _age(flown: Flown) -> tuple[float, float, float | None]:
     return value, value, std if found.get("explained variance", 0.0) > YAW_EXPLAINED else None
 
 
-def _blocks(fit: DriveFit, reference: Belief, age: tuple[float, float, float | None]) -> np.ndarray:
-    """Whitened cross-products (B, P, P): residual against the reference, slopes by NAMES, and late telemetry.
+class Products(NamedTuple):
+    """One flight's constants against the reference: apart (11,), its precision (11, 11), what blocks add (B, 11)."""
 
-    What import took off the times is added to the delay again, less what any telemetry is late; and what the motion
-    told of the telemetry alone is a measurement of its own, shared out over the blocks.
-    """
-    columns = np.concatenate([fit.residual[:, :, None], fit.slopes, fit.slopes[:, :, 2:3]], axis=2)
-    whitener = autoregression([fit.residual], [fit.breaks], ORDER)
-    blocks = block_grams(columns, fit.breaks, whitener, fit.t, BLOCK)
-    if not len(blocks):
-        raise DataError(f"flight {fit.key} has no stretch of commands and speeds without gaps")
-    off, seen, doubt = age
-    change = np.eye(columns.shape[2])
-    change[1:-1, 0] = fit.values - reference.values
-    change[3, 0] += off - USUAL_AGE
-    blocks = change.T @ blocks @ change
-    if doubt is not None:
-        row = np.zeros(columns.shape[2])
-        row[0], row[-1] = (seen - USUAL_AGE) / doubt, 1.0 / doubt
-        blocks = blocks + np.outer(row, row) / len(blocks)
-    return blocks
+    apart: np.ndarray
+    precision: np.ndarray
+    moves: np.ndarray
+    age: tuple[float, float, float | None]
+
+    def gram(self, rng: np.random.Generator | None = None) -> np.ndarray:
+        """Cross-products (13, 13) of: difference from the reference, constants by NAMES, late telemetry.
+
+        What import took off the rotors' times is added to the delay again, less what any telemetry is late; and what
+        the motion told of the telemetry alone is a measurement of its own. rng  draws the flight's blocks anew.
+        """
+        apart = self.apart.copy()
+        if rng is not None:
+            apart += self.moves[rng.integers(0, len(self.moves), len(self.moves))].sum(axis=0)
+        off, seen, doubt = self.age
+        apart[2] += off - USUAL_AGE
+        columns = np.column_stack([apart, np.eye(len(NAMES)), np.eye(len(NAMES))[:, 2]])
+        gram = columns.T @ self.precision @ columns
+        if doubt is not None:
+            row = np.zeros(len(gram))
+            row[0], row[-1] = (seen - USUAL_AGE) / doubt, 1.0 / doubt
+            gram += np.outer(row, row)
+        return gram
+
+
+def _products(flown: Flown, fit: DriveFit, reference: Belief) -> Products:
+    return Products(fit.values - reference.values, np.linalg.inv(fit.covariance()), fit.moves(BLOCK), _age(flown))
 
 
 def _mixed(

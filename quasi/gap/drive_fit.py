@@ -20,6 +20,7 @@ RATE = 100.0  # Hz at which residuals are kept
 WARM_UP = 0.2  # s after a gap that only settle the lag
 STEPS = 12
 FEWEST = 300  # rows
+MEMORY = 0.3  # s over which residuals are taken to remember
 SHORTEST, LONGEST, EARLIEST, LATEST = 0.002, 0.4, -0.03, 0.1  # s
 LOW_VOLTAGE = 0.1  # of the reference, below which a reading is none
 # parameters in order: time constants, delay, map, battery exponent, each rotor's speed relative to the common map
@@ -40,6 +41,7 @@ class DriveFit(NamedTuple):
     """One flight at its best constants.
 
     values (11,) by NAMES; t (n,) s; breaks (n,) bool; residual (n, 4) rad/s; slopes (n, 4, 11) of the modelled speed
+    held (11,) rad2/s2 per unit squared: how strongly each value was held where the fit began
     """
 
     key: str
@@ -49,6 +51,34 @@ class DriveFit(NamedTuple):
     residual: np.ndarray
     slopes: np.ndarray
     has_voltage: bool
+    held: np.ndarray
+
+    def covariance(self) -> np.ndarray:
+        """Of the values (11, 11), whatever the residuals remember and however they depart from a lag of first order.
+
+        Source: Newey & West, Econometrica 55, 1987 (scores summed over lags with falling weights).
+        """
+        inverse = self._inverse()
+        scores = np.einsum("ncp,nc->np", self.slopes, self.residual)
+        meat = scores.T @ scores
+        reach = round(MEMORY * RATE)
+        for lag in range(1, min(reach, len(scores) - 1)):
+            cross = scores[lag:].T @ scores[:-lag]
+            meat += (1.0 - lag / reach) * (cross + cross.T)
+        return inverse @ (meat + np.diag(self.held)) @ inverse
+
+    def moves(self, seconds: float) -> np.ndarray:
+        """What each block of the flight adds to the values (B, 11), to first order; they sum to nothing much."""
+        scores = np.einsum("ncp,nc->np", self.slopes, self.residual)
+        number = ((self.t - self.t[0]) / seconds).astype(int)
+        parts = np.array([scores[number == n].sum(axis=0) for n in np.unique(number)])
+        return (parts - parts.mean(axis=0)) @ self._inverse()
+
+    def _inverse(self) -> np.ndarray:
+        flat = self.slopes.reshape(-1, len(NAMES))
+        normal = flat.T @ flat + np.diag(self.held)
+        scale = np.sqrt(np.diag(normal))
+        return np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
 
 
 def commanded(flown: Flown) -> str:
@@ -189,4 +219,6 @@ def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
         if gained < 1e-6 * value:
             break
     breaks = np.concatenate([[True], np.diff(rows) > every])
-    return DriveFit(flown.key, x, t[rows], breaks, target - here, slopes_at(x, here), volts is not None)
+    return DriveFit(
+        flown.key, x, t[rows], breaks, target - here, slopes_at(x, here), volts is not None, (noise / loose) ** 2
+    )

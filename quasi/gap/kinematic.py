@@ -14,7 +14,7 @@ from quasi.errors import DataError
 from quasi.gap.kinematic_columns import ANGLES, Weak, corrected_already, straightened, weak_form
 from quasi.gap.kinematic_products import added, alone, blocks_of, whitener_of
 from quasi.gap.kinematic_tables import tables
-from quasi.gap.level import Choice, Flown, Level, Tests, choose, final_test, probability, separability
+from quasi.gap.level import Choice, Flown, Level, Tests, choose, final_test, probability, resampled, separability
 from quasi.gap.mixed import Columns, Offer
 from quasi.gap.sensor_findings import shaken, torn
 from quasi.gap.whitening import Whitener
@@ -57,6 +57,7 @@ LARGEST = {
     "attitude_error": 5.0,
 }  # fmt: skip
 SURE = 2.0  # standard errors beyond that
+ONE_SIDED = ("attitude_error",)  # an estimate can only lean after the apparent vertical, not away from it
 NEUTRAL = {"gyro_scale": 1.0, "accelerometer_scale": 1.0}
 SHOWS = {
     "gyro_bias": ("p", "q", "r"), "gyro_scale": ("p", "q", "r"), "accelerometer_bias": ("ax", "ay", "az"),
@@ -128,7 +129,7 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
             {"id": cause, "since": "always", "score": 0.0, "p": 1.0, "why_not": why}
             for cause, why in impossible.items()
         ]
-    shares = probability(search.blocks, search.build, search.choice, search.threshold)
+    shares = probability(resampled(search.blocks), search.build, search.choice, search.threshold)
     _report(level, search.mixed, search.choice, shares, names)
     fitted = {o: final_test(search.mixed, search.choice, o) for o in search.choice.taken}
     usual = SPREAD if turning else SPREAD | WITHOUT_TURNING
@@ -196,9 +197,9 @@ def _impossible(search: Search) -> dict[str, str]:
     refused = {}
     for offer in search.choice.given:
         for name, p in _parameters(search.names, search.mixed, search.choice, offer).items():
-            away = abs(p["value"] - NEUTRAL.get(offer.cause, 0.0)) - SURE * p["std"]
-            if away > LARGEST[offer.cause]:
-                refused[offer.cause] = f"its {name} would be {p['value']:.3g} {p['unit']}, which no sensor has"
+            away = p["value"] - NEUTRAL.get(offer.cause, 0.0)
+            if abs(away) - SURE * p["std"] > LARGEST[offer.cause] or (offer.cause in ONE_SIDED and away < 0.0):
+                refused[offer.cause] = f"its {name} would be {p['value']:.3g} {p['unit']}, which cannot be"
     return refused
 
 

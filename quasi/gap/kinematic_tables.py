@@ -14,7 +14,8 @@ from quasi.gap.whitening import Whitener, whiten
 
 def tables(
     flights: Sequence[Flown], weak: Sequence[Weak], whiteners: Sequence[Whitener], known: Sequence[np.ndarray],
-    fitted: Mapping[Offer, Test], causes: Mapping[str, Sequence[int]], usual: Mapping[str, float], units: Mapping[str, str],
+    fitted: Mapping[Offer, Test], causes: Mapping[str, Sequence[int]], usual: Mapping[str, float],
+    units: Mapping[str, str],
 ) -> tuple[dict[str, pd.DataFrame], dict[str, float]]:  # fmt: skip
     """Tables "residuals" (rows), "channels" (rms per flight and channel) and "parameters"; and the noise floor.
 

@@ -196,19 +196,24 @@ def separability(mixed: Tests, choice: Choice, first: Offer, second: Offer) -> f
 
 
 def probability(
-    blocks: Sequence[np.ndarray], build: Callable[[list[np.ndarray]], Tests], choice: Choice, threshold: float,
-    seed: int = 0,
+    draw: Callable[[np.random.Generator], list[np.ndarray]], build: Callable[[list[np.ndarray]], Tests], choice: Choice,
+    threshold: float, seed: int = 0,
 ) -> dict[Offer, float]:  # fmt: skip
     """Share of resamples, each flight's blocks drawn anew, in which each taken cause is significant again.
 
-    blocks  per flight (B, P, P) cross-products of its blocks; build  makes the tests of per-flight cross-products
+    draw  makes per-flight cross-products (P, P) of one resample; build  makes the tests of them
     """
     rng = np.random.default_rng(seed)
     counts = dict.fromkeys(choice.taken, 0)
     if not counts:
         return {}
     for _ in range(DRAWS):
-        drawn = build([b[rng.integers(0, len(b), len(b))].sum(axis=0) for b in blocks])
+        drawn = build(draw(rng))
         for offer in counts:
             counts[offer] += final_test(drawn, choice, offer).p < threshold
     return {offer: count / DRAWS for offer, count in counts.items()}
+
+
+def resampled(blocks: Sequence[np.ndarray]) -> Callable[[np.random.Generator], list[np.ndarray]]:
+    """Draws of flights whose cross-products are sums over blocks (B, P, P)."""
+    return lambda rng: [b[rng.integers(0, len(b), len(b))].sum(axis=0) for b in blocks]
