@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, ShapeError, nearest
 from quasi.simulation.dynamics import INERTIA, INTEGRATORS, INVERSE, MASS, STATES, scratch_of
 from quasi.simulation.loop import EXTERNAL, FAULT, LOG, SHORT_LOG, Draws, X, fly, fly_some
@@ -55,7 +56,7 @@ class Session:
     def __init__(self, setup: Setup) -> None:
         self._setup = replace(setup, machine=setup.machine._replace(reference=EXTERNAL))
         self.dt = setup.dt
-        self.weight = float(setup.airframe.mass) * 9.81
+        self.weight = float(setup.airframe.mass) * GRAVITY
         self.restart()
 
     def restart(self) -> None:
