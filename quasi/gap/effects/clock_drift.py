@@ -1,0 +1,15 @@
+"""An on-board clock that runs fast or slow."""
+
+from quasi.gap.effect import Effect, Parameter
+
+EFFECT = Effect(
+    id="clock_drift",
+    level="K",
+    sentence="the on-board clock runs fast",
+    equation="t_board = (1 + rate) t",
+    source="definition",
+    parameters={"rate": Parameter("s/s", 0.0, "f", -0.05, 0.05)},
+    channels=("clock",),
+    rivals=("gyro_scale",),
+    tie_breaker="a longer flight",
+)

@@ -1,0 +1,26 @@
+"""Commands that reach the rotors late."""
+
+import numpy as np
+
+from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
+from quasi.standalone.model import Model
+
+
+def _extension(values: Values, _: Vehicle, model: Model) -> Extension:
+    """The delay found is beyond what the model has."""
+    held = (model.document.get("actuators") or {}).get("delay")
+    return Extension(actuators={"delay": values["delay"] + (float(np.mean(held["value"])) if held else 0.0)})
+
+
+EFFECT = Effect(
+    id="command_delay",
+    level="A",
+    sentence="commands reach the rotors late",
+    equation="W(t) = f(W_wanted(t - delay)), one delay for all rotors",
+    source="definition",
+    parameters={"delay": Parameter("s", 0.0, "a", -0.05, 0.1)},
+    channels=("w1", "w2", "w3", "w4"),
+    rivals=("motor_lag", "telemetry_delay"),
+    tie_breaker="quick yaw inputs: the motion tells how late the telemetry is",
+    extension=_extension,
+)

@@ -1,0 +1,15 @@
+"""A constant error of the gyro."""
+
+from quasi.gap.effect import Effect, Parameter
+
+EFFECT = Effect(
+    id="gyro_bias",
+    level="K",
+    sentence="the gyro reads a constant too much",
+    equation="measured = true + bias, body axes",
+    source="Titterton & Weston, 2nd ed., 2004, section 4.4",
+    parameters={axis: Parameter("rad/s", 0.0, "f", -1.0, 1.0) for axis in ("x", "y", "z")},
+    channels=("p", "q", "r"),
+    rivals=(),
+    tie_breaker="",
+)

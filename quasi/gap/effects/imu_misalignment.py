@@ -1,0 +1,15 @@
+"""An IMU turned against the body."""
+
+from quasi.gap.effect import Effect, Parameter
+
+EFFECT = Effect(
+    id="imu_misalignment",
+    level="K",
+    sentence="accelerometer and gyro are turned against the body",
+    equation="measured = exp(misalignment)' true",
+    source="Titterton & Weston, 2nd ed., 2004, section 4.4",
+    parameters={axis: Parameter("rad", 0.0, "s", -0.5, 0.5) for axis in ("roll", "pitch", "yaw")},
+    channels=("p", "q", "r", "ax", "ay", "az"),
+    rivals=("mocap_misalignment", "rotor_tilt"),
+    tie_breaker="correct either and compare what the model leaves of forces and moments",
+)

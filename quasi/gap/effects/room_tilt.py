@@ -1,0 +1,15 @@
+"""A room whose axes are tilted against gravity."""
+
+from quasi.gap.effect import Effect, Parameter
+
+EFFECT = Effect(
+    id="room_tilt",
+    level="K",
+    sentence="the capture's axes are tilted against gravity",
+    equation="captured = exp(-tilt) true, earth axes",
+    source="rigid-body kinematics",
+    parameters={axis: Parameter("rad", 0.0, "s", -0.3, 0.3) for axis in ("roll", "pitch")},
+    channels=("ax", "ay"),
+    rivals=("accelerometer_bias", "wind", "mocap_misalignment"),
+    tie_breaker="turn through all headings in hover",
+)

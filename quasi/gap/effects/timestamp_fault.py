@@ -1,0 +1,13 @@
+"""Torn or uneven time stamps."""
+
+from quasi.gap.effect import Effect
+
+EFFECT = Effect(
+    id="timestamp_fault",
+    level="K",
+    sentence="a recording has gaps or uneven time stamps",
+    equation="gaps and jitter of each source's samples",
+    source="definition",
+    channels=("clock",),
+    finding=True,
+)
