@@ -9,6 +9,7 @@ from quasi.airframe import read_airframe
 from quasi.errors import ConfigError
 from quasi.filtering.flight import filter_flight
 from quasi.gap import actuation, calibration, kinematic
+from quasi.gap.catalogue import catalogue
 from quasi.gap.level import Flown, Level
 from quasi.importing.calibration import check, is_identity, true_inertial, true_pose
 from quasi.importing.flight import import_flight
@@ -24,6 +25,17 @@ ACTUATORS = {  # of the vehicle that made flights are of
         "voltage exponent": {"value": 0.994},
     },
 }  # fmt: skip
+
+
+def test_what_is_examined_and_corrected_bears_the_catalogues_names_and_units():
+    causes = catalogue()
+    for cause, unit in kinematic.UNITS.items():
+        assert causes[cause].level == "K"
+        assert {p.unit for p in causes[cause].parameters.values()} == {unit}
+        assert {p.neutral for p in causes[cause].parameters.values()} == {kinematic.NEUTRAL.get(cause, 0.0)}
+    assert set(actuation.CAUSES) <= set(causes)
+    for cause, (_, _, names) in calibration.CORRECTS.items():
+        assert tuple(causes[cause].parameters) == names
 
 
 def test_an_unknown_part_a_wrong_number_and_an_impossible_scale_are_one_sentence_each():
