@@ -13,9 +13,10 @@ import pandas as pd
 
 from quasi.errors import DataError
 from quasi.gap.drive_findings import saturated, weak
-from quasi.gap.drive_fit import NAMES, Belief, DriveFit, belief_of, commanded, fit_drive, reference_voltage
+from quasi.gap.drive_fit import NAMES, RATE, Belief, DriveFit, belief_of, commanded, fit_drive, reference_voltage
 from quasi.gap.level import Choice, Flown, Level, Tests, choose, final_test, probability, separability
 from quasi.gap.mixed import Columns, Offer
+from quasi.gap.residual_tables import beside, spectra
 from quasi.gap.whitening import autoregression, whiten
 
 ORDER = 12  # of the autoregression at the rate of the residuals
@@ -269,15 +270,15 @@ def _report(
 
 
 def _tables(level: Level, used: Sequence[Flown], fits: Sequence[DriveFit], reference: Belief) -> None:
-    """Tables "residuals" (measured minus modelled speed), "channels" (rms and whiteness), "parameters" per flight."""
+    """Tables "residuals" (measured minus modelled speed), "channels" (rms, whiteness), "parameters" and "spectra"."""
     rows, channels, parameters, floors = [], [], [], []
     for flown, fit in zip(used, fits):
         before = fit.residual + fit.slopes @ (fit.values - reference.values)
         white, _ = whiten(fit.residual[:, :, None], fit.breaks, autoregression([fit.residual], [fit.breaks], ORDER))
-        table = pd.DataFrame({"t": fit.t, "flight": flown.key})
+        table = pd.DataFrame({"t": fit.t, "flight": flown.key, **beside(flown, fit.t)})
         for i in range(4):
             name, n = f"w{i + 1}", white[:, i, 0]
-            table[f"{name}_residual"], table[f"{name}_floor"] = before[:, i], fit.residual[:, i]
+            table[f"{name}_before"], table[f"{name}_floor"] = before[:, i], fit.residual[:, i]
             channels.append(
                 {"flight": flown.key, "compared": flown.compared, "channel": name, "unit": "rad/s",
                  "before": _rms(before[:, i]), "floor": _rms(fit.residual[:, i]),
@@ -297,6 +298,7 @@ def _tables(level: Level, used: Sequence[Flown], fits: Sequence[DriveFit], refer
         "residuals": pd.concat(rows, ignore_index=True),
         "channels": pd.DataFrame(channels),
         "parameters": pd.DataFrame(parameters),
+        "spectra": spectra(rows, [d.breaks for d in fits], RATE),
     }
     level.noise_floor = {f"w{i + 1}": float(v) for i, v in enumerate(np.sqrt(np.mean(floors, axis=0)))}
 

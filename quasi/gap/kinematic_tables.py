@@ -5,10 +5,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from quasi.gap.kinematic_columns import CHANNELS, Weak
+from quasi.gap.kinematic_columns import CHANNELS, RATE, Weak
 from quasi.gap.kinematic_products import added, alone, blocks_of, least_squares
 from quasi.gap.level import Flown
 from quasi.gap.mixed import Offer, Test
+from quasi.gap.residual_tables import beside, spectra
 from quasi.gap.whitening import Whitener, whiten
 
 
@@ -17,7 +18,7 @@ def tables(
     fitted: Mapping[Offer, Test], causes: Mapping[str, Sequence[int]], usual: Mapping[str, float],
     units: Mapping[str, str],
 ) -> tuple[dict[str, pd.DataFrame], dict[str, float]]:  # fmt: skip
-    """Tables "residuals" (rows), "channels" (rms per flight and channel) and "parameters"; and the noise floor.
+    """Tables "residuals" (rows), "channels" (rms per flight and channel), "parameters", "spectra"; the noise floor.
 
     known   (P,) per flight: values of the columns that were taken off before, and are added again here
     fitted  causes taken; causes {cause: columns}; usual  {cause: spread} of nuisances
@@ -47,7 +48,7 @@ def tables(
         left = one.columns[:, :, 0] - one.columns[:, :, 1:] @ least_squares(one.columns)
         white, _ = whiten(left[:, :, None], one.breaks, whitener)
         floors.append((left**2).mean(axis=0))
-        table = pd.DataFrame({"t": one.t, "flight": flown.key})
+        table = pd.DataFrame({"t": one.t, "flight": flown.key, **beside(flown, one.t)})
         for c in shown:
             channel, n = CHANNELS[c], white[:, c, 0]
             table[f"{channel}_before"], table[f"{channel}_after"] = series["before"][:, c], series["after"][:, c]
@@ -67,8 +68,12 @@ def tables(
             if std[i] > 0 and gram[i, i] > 0
         ]  # fmt: skip
     floor = np.sqrt(np.mean(floors, axis=0))
-    found = {"residuals": pd.concat(rows, ignore_index=True), "channels": pd.DataFrame(channels),
-             "parameters": pd.DataFrame(parameters)}  # fmt: skip
+    found = {
+        "residuals": pd.concat(rows, ignore_index=True),
+        "channels": pd.DataFrame(channels),
+        "parameters": pd.DataFrame(parameters),
+        "spectra": spectra(rows, [w.breaks for w in weak], RATE),
+    }
     return found, {CHANNELS[c]: float(floor[c]) for c in shown}
 
 

@@ -149,6 +149,20 @@ def test_turned_sensors_and_turned_markers_are_a_tie_that_holds_the_true_one(cau
     close(parameters, turn, loose=0.25)
 
 
+def test_tables_tell_where_residuals_live_and_what_a_cause_took_off():
+    flights = [flown(s, gyro_scale=np.array([1.1, 1.0, 1.0])) for s in (1, 2, 3)]
+    tables = examine(flights, {}).tables
+    p = tables["channels"].query("channel == 'p'")
+    assert (p["before"] > 1.5 * p["after"]).all(), p
+    np.testing.assert_allclose(p["after"], p["floor"], rtol=0.05)
+    assert {"t", "flight", "height", "heading", "p_before", "down_floor"} <= set(tables["residuals"])
+    roll = tables["spectra"].query("channel == 'p'")
+    step = np.diff(roll["frequency"])[0]
+    # Parseval: the density's integral is the variance
+    variance = tables["residuals"].groupby("flight")["p_before"].var().mean()
+    assert roll["before"].sum() * step == pytest.approx(variance, rel=0.2)
+
+
 def test_against_reference_flights_only_the_change_is_named_as_changed():
     references = [flown(s, compared=False, room=(0.02, 0.0)) for s in (1, 2)]
     level = examine([*references, *(flown(s, room=(0.02, 0.0), lever=(0.0, 0.02, 0.0)) for s in (2, 3))], {})
