@@ -8,7 +8,7 @@ swinging load) give arrays and say themselves how they extend a model.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,36 @@ class Parameter(NamedTuple):
     high: float
 
 
+class Room(NamedTuple):
+    """Where walls and ceiling are: lowest and highest earth x and y, m; height of the ceiling, m, None without one."""
+
+    north: tuple[float, float]
+    east: tuple[float, float]
+    height: float | None
+
+
+def room_of(config: Mapping[str, Any] | None) -> Room | None:
+    """The room of a configuration: {"north": [low, high], "east": [low, high], "height": m or left out}.
+
+    Raises ConfigError for anything else.
+    """
+    if config is None:
+        return None
+    try:
+        sides = [tuple(map(float, config[key])) for key in ("north", "east")]
+        height = None if config.get("height") is None else float(config["height"])
+        good = all(len(s) == 2 and -np.inf < s[0] < s[1] < np.inf for s in sides)
+        good &= set(config) <= {"north", "east", "height"} and (height is None or 0.0 < height < np.inf)
+    except (KeyError, TypeError, ValueError, AttributeError):
+        good = False
+    if not good:
+        raise ConfigError(
+            f"'room' is {config!r}, expected walls in m such as "
+            '{"north": [-5, 5], "east": [-4, 4], "height": 6}; measure them from the origin of the motion capture'
+        )
+    return Room(sides[0], sides[1], height)
+
+
 class Vehicle(NamedTuple):
     """Numbers that a cause's expressions are made of: SI units, hubs (4, 3) from the cg, spin (4,) as in Airframe."""
 
@@ -45,6 +75,7 @@ class Vehicle(NamedTuple):
     hover_induced: float  # m/s
     drawn: float  # N m s2: the part of the torque that goes into the flow and falls with the thrust, dQ = dT v/W
     inflow: float  # N s2/rad2: one rotor's thrust is off by inflow W dW/dt tau when its inflow lags by tau
+    room: Room | None = None
 
 
 @dataclass(frozen=True)
@@ -135,7 +166,9 @@ class Effect:
         return result
 
 
-def vehicle_of(model: Model, mass: float | None = None, inertia: np.ndarray | None = None) -> Vehicle:
+def vehicle_of(
+    model: Model, mass: float | None = None, inertia: np.ndarray | None = None, room: Room | None = None
+) -> Vehicle:
     """The numbers of a model's airframe and simple model. Raises ConfigError when the simple model is missing."""
     frame, simple = model.airframe, model.document.get("simple model", {})
     if "kappaFz" not in simple or "kappaMz" not in simple:
@@ -153,6 +186,7 @@ def vehicle_of(model: Model, mass: float | None = None, inertia: np.ndarray | No
         float(np.sqrt(mass * GRAVITY / (2.0 * AIR_DENSITY * area))),
         _drawn(simple, mass, frame.radius),
         _inflow(model, mass),
+        room,
     )
 
 
@@ -194,12 +228,25 @@ def hub_velocity(vehicle: Vehicle, rotor: int) -> tuple[str, str, str]:
     return f"(u + q*{z} - r*{y})", f"(v + r*{x} - p*{z})", f"(w + p*{y} - q*{x})"
 
 
+EARTH = {  # rows of the rotation from body to earth, 3-2-1 angles
+    "x": ("cos[pitch]*cos[yaw]", "(sin[roll]*sin[pitch]*cos[yaw] - cos[roll]*sin[yaw])",
+          "(cos[roll]*sin[pitch]*cos[yaw] + sin[roll]*sin[yaw])"),
+    "y": ("cos[pitch]*sin[yaw]", "(sin[roll]*sin[pitch]*sin[yaw] + cos[roll]*cos[yaw])",
+          "(cos[roll]*sin[pitch]*sin[yaw] - sin[roll]*cos[yaw])"),
+    "z": ("(-sin[pitch])", "(sin[roll]*cos[pitch])", "(cos[roll]*cos[pitch])"),
+}  # fmt: skip
+
+
+def hub_position(vehicle: Vehicle, rotor: int) -> tuple[str, str, str]:
+    """Place of a hub in the room, earth NED, m, as expressions."""
+    arms = [number(v) for v in vehicle.hubs[rotor]]
+    rows = [" + ".join(f"{part}*{arm}" for part, arm in zip(EARTH[axis], arms)) for axis in "xyz"]
+    return tuple(f"({row} + {axis})" for row, axis in zip(rows, "xyz"))
+
+
 def hub_height(vehicle: Vehicle, rotor: int) -> str:
-    """Height of a hub above the floor, m, as an expression."""
-    x, y, z = (number(v) for v in vehicle.hubs[rotor])
-    return f"(x_down*{x} + y_down*{y} + z_down*{z} + z)".replace(
-        "x_down", "(-sin[pitch])"
-    ).replace("y_down", "(sin[roll]*cos[pitch])").replace("z_down", "(cos[roll]*cos[pitch])")  # fmt: skip
+    """Place of a hub along earth z (down), m, as an expression: minus its height above the floor."""
+    return hub_position(vehicle, rotor)[2]
 
 
 def at_hubs(vehicle: Vehicle, forces: Sequence[tuple[str, str, str]]) -> Terms:

@@ -7,9 +7,10 @@ from made_model import part
 from quasi import attitude
 from quasi.airframe import read_airframe
 from quasi.attitude import GRAVITY
-from quasi.errors import ConfigError
+from quasi.errors import ConfigError, DataError
+from quasi.gap.calibration import CORRECTS
 from quasi.gap.catalogue import catalogue, chosen, columns_of, wrench_of
-from quasi.gap.effect import Effect, Parameter, vehicle_of
+from quasi.gap.effect import Effect, Parameter, room_of, vehicle_of
 from quasi.gap.evidence import Evidence
 from quasi.standalone.build import assemble
 from quasi.standalone.model import AXES, Model
@@ -21,6 +22,17 @@ from quasi.synthesis.vehicle import HUB_HEIGHT, hover_factors
 
 ROWS = 400
 CATALOGUE = catalogue()
+ROOM = room_of({"north": [-5, 5], "east": [-5, 5], "height": 5})
+LEVELS = {  # what the catalogue promises
+    "W": "rotor_drag body_drag blade_flapping translational_lift axial_inflow vortex_ring ground_effect proximity "
+    "rotor_interference thrust_curve thrust_factor inflow_lag rotor_speed_scale thrust_drift rotor_effectiveness "
+    "rotor_tilt rotor_gyroscopic rotor_acceleration_torque mass inertia cg_offset wind gusts payload_swing tether "
+    "telemetry_delay",
+    "A": "battery_sag motor_lag command_delay actuator_saturation",
+    "K": "imu_lever_arm imu_misalignment accelerometer_bias accelerometer_scale gyro_bias gyro_scale "
+    "mocap_misalignment room_tilt mocap_delay clock_drift attitude_error timestamp_fault vibration",
+}
+FINDINGS = {"gusts", "vibration", "timestamp_fault", "actuator_saturation"}
 
 
 def states(rng, spread=1.0):
@@ -100,6 +112,8 @@ def residual_of(ground, effects, seed=3, spread=1.0):
     """Evidence whose model is the physics without the effect, measured with it: only the effect is left."""
     airframe, setup, model = ground
     columns = states(np.random.default_rng(seed), spread)
+    if "proximity" in effects:  # beside the north wall
+        columns["x"] = columns["x"] + 2.6
     healthy, _ = physics(columns, setup)
     planted = plant(setup, check(effects, "test"))
     mass, inertia = airframe.mass or setup.vehicle.physics.mass, np.asarray(airframe.inertia)
@@ -132,6 +146,7 @@ CASES = {
     "inertia": ({"Ixx": 9e-4, "Ixz": 2e-5}, None, 0.1),
     "cg_offset": ({"x": 0.002, "y": -0.001, "z": 0.001}, {"x": 0.002, "y": -0.001, "z": 0.001}, 0.1),
     "vortex_ring": ({"depth": 0.1}, {"depth": 0.1}, 0.6),
+    "proximity": ({"gain": 0.2}, {"gain": 0.2}, 0.2),
 }
 
 
@@ -140,7 +155,7 @@ def test_columns_have_the_sign_and_size_of_independent_physics(ground, name):
     planted, expected, tolerance = CASES[name]
     airframe, setup, model = ground
     evidence = residual_of(ground, {name: planted})
-    vehicle = vehicle_of(model, evidence.mass, evidence.inertia)
+    vehicle = vehicle_of(model, evidence.mass, evidence.inertia, ROOM)
     effect = CATALOGUE[name]
     columns = columns_of(effect, evidence, vehicle, dict.fromkeys(effect.parameters, 0.0))
     if name == "mass":
@@ -205,6 +220,61 @@ def test_inflow_that_lags_makes_thrust_overshoot_as_the_physics_say(ground):
     surplus = -gain * behind  # of one rotor
     vehicle = vehicle_of(model, 0.433)
     assert vehicle.inflow * speed * rate * tau == pytest.approx(surplus, rel=0.35)
+
+
+def test_the_catalogue_is_complete():
+    promised = {name: level for level, names in LEVELS.items() for name in names.split()}
+    assert {name: effect.level for name, effect in CATALOGUE.items()} == promised
+    assert {name for name, effect in CATALOGUE.items() if effect.finding} == FINDINGS
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_a_definition_says_everything(name):
+    effect = CATALOGUE[name]
+    for text in (effect.sentence, effect.equation, effect.source, effect.tie_breaker):
+        assert text and len(text) < 250
+    assert not effect.sentence.endswith(".") and effect.channels
+    assert effect.rivals and set(effect.rivals) <= set(CATALOGUE) - {name}
+    for parameter in effect.parameters.values():
+        assert parameter.neutral is None or parameter.low <= parameter.neutral <= parameter.high
+    if effect.finding:
+        assert not effect.parameters and effect.terms is None and effect.columns is None
+    elif effect.level == "W":
+        assert effect.terms is not None or (effect.columns is not None and effect.extension is not None)
+    elif effect.level == "A":
+        assert effect.parameters and effect.extension is not None
+    else:  # a sensor's fault is corrected by import; how an estimate leans is not undone there
+        assert effect.parameters and (name in CORRECTS or name == "attitude_error")
+        if name in CORRECTS:
+            assert tuple(effect.parameters) == CORRECTS[name][2]
+
+
+def test_walls_and_ceiling_by_a_plain_loop(ground):
+    """Thrust of each rotor by where its hub is, one row after the other."""
+    evidence = residual_of(ground, {"proximity": {"gain": 0.1}})
+    vehicle = vehicle_of(ground[2], evidence.mass, None, room_of({"north": [-1, 5.5], "east": [-5, 4], "height": 2.2}))
+    columns = columns_of(CATALOGUE["proximity"], evidence, vehicle, {})
+    quaternion = evidence.quaternion
+    for k in range(0, ROWS, 29):
+        wall = ceiling = 0.0
+        for i in range(4):
+            x, y, z = evidence.position[k] + attitude.matrix(quaternion[k]) @ vehicle.hubs[i]
+            distance = max(min(x + 1.0, 5.5 - x, y + 5.0, 4.0 - y), 0.0)
+            thrust = vehicle.thrust * evidence.speeds[k, i] ** 2
+            wall += thrust * np.exp(-(distance**2))
+            ceiling -= thrust * (vehicle.radius / (4.0 * max(2.2 + z, 0.2 * vehicle.radius))) ** 2
+        assert columns["gain"][k, 2] == pytest.approx(wall, rel=1e-9)
+        assert columns["ceiling"][k, 2] == pytest.approx(ceiling, rel=1e-9)
+
+
+def test_without_a_room_nobody_asks_for_walls(ground):
+    evidence = residual_of(ground, {})
+    with pytest.raises(DataError, match="nothing says where the walls are"):
+        columns_of(CATALOGUE["proximity"], evidence, vehicle_of(ground[2], evidence.mass), {})
+    for wrong in ({"north": [5, -5], "east": [0, 1]}, {"north": [0, 1]}, {"north": "ab", "east": [0, 1]}, 3):
+        with pytest.raises(ConfigError, match="expected walls in m"):
+            room_of(wrong)
+    assert room_of(None) is None
 
 
 def test_a_curved_effect_starts_with_its_slope(ground):

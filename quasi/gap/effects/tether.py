@@ -1,19 +1,11 @@
 """A cable that pulls."""
 
-from quasi.gap.effect import Effect, Parameter, Terms, Vehicle
-
-_R = {  # rows of the rotation from body to earth, 3-2-1 angles
-    "x": ("cos[pitch]*cos[yaw]", "(sin[roll]*sin[pitch]*cos[yaw] - cos[roll]*sin[yaw])",
-          "(cos[roll]*sin[pitch]*cos[yaw] + sin[roll]*sin[yaw])"),
-    "y": ("cos[pitch]*sin[yaw]", "(sin[roll]*sin[pitch]*sin[yaw] + cos[roll]*cos[yaw])",
-          "(cos[roll]*sin[pitch]*sin[yaw] - sin[roll]*cos[yaw])"),
-    "z": ("(-sin[pitch])", "(sin[roll]*cos[pitch])", "(cos[roll]*cos[pitch])"),
-}  # fmt: skip
+from quasi.gap.effect import EARTH, Effect, Parameter, Terms, Vehicle
 
 
 def _terms(_: Vehicle) -> dict[str, Terms]:
     axes = ("Fx", "Fy", "Fz")
-    return {"k": {axis: " + ".join(f"-{e}*{_R[e][k]}" for e in "xyz") for k, axis in enumerate(axes)}}
+    return {"k": {axis: " + ".join(f"-{e}*{EARTH[e][k]}" for e in "xyz") for k, axis in enumerate(axes)}}
 
 
 EFFECT = Effect(

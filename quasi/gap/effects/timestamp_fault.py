@@ -9,5 +9,7 @@ EFFECT = Effect(
     equation="gaps and jitter of each source's samples",
     source="definition",
     channels=("clock",),
+    rivals=("clock_drift",),
+    tie_breaker="log at a lower rate, or on a faster card",
     finding=True,
 )

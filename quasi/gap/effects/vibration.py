@@ -9,5 +9,7 @@ EFFECT = Effect(
     equation="rms of the specific force above any motion's band",
     source="definition",
     channels=("ax", "ay", "az"),
+    rivals=("thrust_curve", "accelerometer_bias"),
+    tie_breaker="steps of throttle: the line tracks rotor speed modulo the sampling rate",
     finding=True,
 )
