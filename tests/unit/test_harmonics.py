@@ -262,3 +262,13 @@ def test_defaults_are_those_of_the_schema():
     keys = read_json("config/schemas/processing.schema.json")["properties"]["data filtering"]["properties"]
     assert {k: keys[k]["default"] for k in DEFAULTS} == DEFAULTS
     assert bands.check(DEFAULTS) is None
+
+
+@pytest.mark.parametrize("every", [5, 10])
+def test_a_slow_grid_is_filtered_where_no_notch_is_asked_for_and_refused_where_none_fits(made, every):
+    frame, metadata = made
+    slow = frame.iloc[::every].reset_index(drop=True)
+    result = filter_flight(slow, metadata, AIRFRAME, {})
+    assert result.metadata["filters"]["rotor notches"] is None and np.isfinite(result.with_gravity.to_numpy()).all()
+    with pytest.raises(ConfigError, match="no notch of 'rotor notch width Hz' 10 fits"):
+        filter_flight(slow, metadata, AIRFRAME, {"rotor notch harmonics": 1})
