@@ -12,6 +12,7 @@ include: "rules/filtering.smk"
 include: "rules/identification.smk"
 include: "rules/standalone.smk"
 include: "rules/simulation.smk"
+include: "rules/gap.smk"
 
 
 # without a target: every model of the folder

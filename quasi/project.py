@@ -198,10 +198,15 @@ class Project:
     def flights(self) -> dict[tuple[str, str], Row]:
         """{(quadrotor, flight key): row} over every logbook that a configuration of the folder names."""
         books: dict[tuple[str, str], dict[int, Row]] = {}
-        for name in (None, *self.models):
-            where = f"config/models/{name}.json" if name else "config/processing.json"
+        asked = (
+            [("processing", "")]
+            + [("models", m) for m in self.models]
+            + [("gaps", g) for g in self._names("config/gaps")]
+        )
+        for kind, name in asked:
+            where = f"config/{kind}/{name}.json" if name else "config/processing.json"
             try:
-                section = (self.model(name) if name else self.processing)["logging file"]
+                section = self._section(kind, name)
                 chosen = (section["directory"], section["filename"])
                 books[chosen] = self.logbook(*chosen, where)
             except QuasiError:
@@ -218,6 +223,12 @@ class Project:
                         f"'{row.key}' of {row.quadrotor}; give one another name in the optional column 'Flight key'"
                     )
         return found
+
+    def _section(self, kind: str, name: str) -> Mapping[str, Any]:
+        """The part of a configuration that names logbook and rows."""
+        if kind == "gaps":
+            return self._read(f"config/gaps/{name}.json", "gap")["logging file"]
+        return (self.model(name) if kind == "models" else self.processing)["logging file"]
 
     def processing_flights(self) -> list[Row]:
         """The flights that config/processing.json selects (all of the logbook when it selects none)."""

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from quasi.airframe import read_airframe
+from quasi.comparisons import HELD, Comparisons
 from quasi.errors import ConfigError, LogbookError, QuasiError, nearest
 from quasi.logbook import Row
-from quasi.project import AXES, Project, is_file, with_suffix
+from quasi.project import AXES, is_file, with_suffix
 from quasi.tables import read_json
 
 BINARY = (".bbl", ".BBL", ".bfl", ".BFL")
@@ -44,10 +45,11 @@ FILTERING = (*GEOMETRY, "motor poles", "idle RPM", "max RPM", "(estimated) imu s
 IDENTIFICATION = (*GEOMETRY, "motor poles", "idle RPM", "max RPM", "command map")
 
 
+STILLS = {"number of drone stills": 5, "show animation": False, "animation speed up factor": 1}
 LIGHTEST, HEAVIEST = 0.005, 100.0  # kg: outside lies a slip of unit, not a quadrotor
 
 
-class Folder(Project):
+class Folder(Comparisons):
     """A project folder as the rules ask it: the raw files of a flight and the settings of each job."""
 
     # raw files of one flight
@@ -258,6 +260,8 @@ class Folder(Project):
 
     def partitioning(self, name: str) -> dict[str, Any]:
         """How the rows of a model's flights are drawn."""
+        if self.extended(name):
+            return {"random partition": False}
         return self.model(name)["data partitioning"]
 
     def isolation(self, name: str) -> dict[str, Any] | None:
@@ -279,8 +283,10 @@ class Folder(Project):
 
     def trajectories(self, name: str) -> dict[str, Any]:
         """Settings of the trajectory figures of a model."""
-        row = self.model_flights(name, "training")[0]
-        part, chosen = self._part(row, GEOMETRY), self.model(name)["plotting"]
+        gap = self.extended(name)
+        row = self.gap_rows(gap)[0] if gap else self.model_flights(name, "training")[0]
+        part = self._part(row, GEOMETRY)
+        chosen = (self.configured(name) or {"plotting": STILLS})["plotting"]
         return {
             "quadrotor": part["quadrotor"],
             "problem": part["problem"],
@@ -290,15 +296,29 @@ class Folder(Project):
             "speed up": chosen["animation speed up factor"],
         }
 
+    def configured(self, name: str) -> dict[str, Any] | None:
+        """Configuration of a model, or of the one that it extends; None where that was put there."""
+        root = self._lineage(name)[-1]
+        return self.model(root) if root in self.models or not self.extended(name) else None
+
     def roles(self, name: str) -> dict[str, list[str]]:
         """Keys of a model's training and validation flights."""
+        if gap := self.extended(name):
+            roles = self.gap_roles(gap)
+            return {
+                "training": [k for k, role in roles.items() if role != HELD],
+                "validation": [k for k, role in roles.items() if role == HELD],
+            }
         return {role: [r.key for r in self.model_flights(name, role)] for role in ("training", "validation")}
 
     def standalone(self, name: str) -> dict[str, Any]:
         """Settings of the assembly of a model."""
-        chosen = self.model(name)["standalone"]
+        config = self.configured(name)
+        if config is None:
+            return {"file": None, "u": None}
+        chosen = config["standalone"]
         return {
-            "file": f"config/models/{name}.json",
+            "file": f"config/models/{self._lineage(name)[-1]}.json",
             "u": chosen["DiffSys u"] if chosen["make moment DiffSys"] else None,
         }
 
@@ -333,7 +353,7 @@ class Folder(Project):
         path = folder / "standalone" / "model.json"
         if is_file(self._here(folder / "model.json")):
             path = folder / "model.json"
-        elif folder.parts[:-1] == ("models",) and model not in self.models:
+        elif folder.parts[:-1] == ("models",) and model not in self.models and not self.extended(model):
             if not is_file(self._here(path)):
                 raise ConfigError(
                     f"{where}: 'model ID' is '{model}', but neither config/models/{model}.json nor {path} exists"
@@ -354,6 +374,31 @@ class Folder(Project):
     def animation(self, name: str) -> dict[str, Any]:
         """Settings of the animation of a simulation."""
         return self.simulation_settings(name)["animation"]
+
+    def gap(self, name: str) -> dict[str, Any]:
+        """Settings of a gap's jobs: its own, its flights by role, the airframe and its on-board logs."""
+        settings = {k: v for k, v in self.gap_settings(name).items() if k != "logging file"}
+        rows, trained = self.gap_rows(name), self.gap_trained(name)
+        part = self._part(rows[0], IDENTIFICATION)
+        held = self.gap_flights(name)[HELD]
+        return {
+            "name": name,
+            "file": f"config/gaps/{name}.json",
+            "settings": settings,
+            "effect files": [str(self.place(p)) for p in settings["effect files"]],
+            "roles": self.gap_roles(name),
+            "gravity": self.gap_gravity(name),
+            "quadrotor": part["quadrotor"],
+            "masses": {r.key: self.mass(r)[0] for r in rows},
+            "held": {f"{r.logbook} row {r.number}": log for r in held if (log := self._log_of(r))},
+            "trained": {f"{r.logbook} row {r.number}": log for r in trained if (log := self._log_of(r))},
+            "problem": part["problem"],
+        }
+
+    def _log_of(self, row: Row) -> list[str] | None:
+        """On-board file of a row and the number of the log in it; None where the file is absent."""
+        path = self.raw(row)["onboard"]
+        return [path, row.cells.get("Log number", "")] if path else None
 
     @functools.cache  # noqa: B019
     def specification(self, name: str) -> tuple[Path, dict[str, Any]]:

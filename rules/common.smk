@@ -17,6 +17,8 @@ from quasi.workflow import Folder
 
 FAULTS = []
 STOPPED = []
+LEARN = ("reference", "compared")  # roles of flights that choose and fit
+HELD = ("held out",)
 
 
 wildcard_constraints:
@@ -25,6 +27,7 @@ wildcard_constraints:
     model=r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*",
     campaign=r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*",
     simulation=r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*",
+    gap=r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*",
     gravity="withGravity|noGravity",
     axis="Fx|Fy|Fz|Mx|My|Mz",
 
@@ -82,6 +85,9 @@ def filtered(rows, gravity):
 
 
 def training_flights(wildcards):
+    gap = ask(FOLDER.extended, wildcards.model)
+    if gap:
+        return calibrated(gap, ("compared", "reference"))
     notice = ask(FOLDER.changed_selection, wildcards.model)
     if notice and notice not in FOLDER.notices:
         FOLDER.notices.append(notice)
@@ -92,7 +98,58 @@ def training_flights(wildcards):
     )
 
 
+def calibrated(gap, roles=("reference", "compared", "held out"), gravity=None, kind="parquet"):
+    """Flights of a gap as processed anew; those without gravity's part named are the imported ones."""
+    flights = ask(FOLDER.gap_flights, gap)
+    gravity = gravity or ask(FOLDER.gap_gravity, gap)
+    stage = "imported/{}" if gravity == "imported" else f"filtered/{{}}/{gravity}"
+    return [
+        f"results/calibrated/{gap}/{stage.format(r.quadrotor)}/{r.key}.{kind}"
+        for role in roles
+        for r in flights[role]
+    ]
+
+
+def as_processed(gap, roles, stage, kind="parquet"):
+    """Flights of a gap before any calibration."""
+    flights = ask(FOLDER.gap_flights, gap)
+    place = "imported/{}" if stage == "imported" else f"filtered/{{}}/{stage}"
+    return [
+        f"results/{place.format(r.quadrotor)}/{r.key}.{kind}"
+        for role in roles
+        for r in flights[role]
+    ]
+
+
+def gap_recordings(wildcards):
+    asked = ask(FOLDER.gap, wildcards.gap)
+    return [log[0] for logs in (asked["held"], asked["trained"]) for log in logs.values()]
+
+
+def model_sources(wildcards):
+    """Of an extended model its gap's; else the identified parts, what they share, and the training flights."""
+    gap = ask(FOLDER.extended, wildcards.model)
+    if gap:
+        return {"extended": f"results/parts/gap/{gap}/model.json"}
+    return {
+        "axes": axis_parts(wildcards),
+        "shared": f"results/identified/{wildcards.model}/shared.json",
+        "partition": f"results/identified/{wildcards.model}/partition.parquet",
+        "flights": training_flights(wildcards),
+    }
+
+
+def partition_of(wildcards):
+    gap = ask(FOLDER.extended, wildcards.model)
+    if gap:
+        return f"results/parts/gap/{gap}/partition.parquet"
+    return f"results/identified/{wildcards.model}/partition.parquet"
+
+
 def all_flights(wildcards):
+    gap = ask(FOLDER.extended, wildcards.model)
+    if gap:
+        return calibrated(gap)
     return filtered(
         ask(FOLDER.model_flights, wildcards.model), ask(FOLDER.gravity, wildcards.model)
     )

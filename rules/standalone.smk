@@ -1,16 +1,13 @@
 """The portable model: one JSON file that needs nothing else, its scores, its page and figures.
 
-Needs  results/identified/{model}/*.json; the filtered flights, held-out ones included, for judging only
+Needs  results/identified/{model}/*.json, or of an extended model results/parts/gap/{gap}/model.json; the filtered flights, held-out ones included, for judging only
 Makes  results/parts/standalone/{model}/*, gathered into models/{model}/standalone
 """
 
 
 rule standalone_model:
     input:
-        axes=axis_parts,
-        shared="results/identified/{model}/shared.json",
-        partition="results/identified/{model}/partition.parquet",
-        flights=training_flights,
+        unpack(model_sources),
     output:
         "results/parts/standalone/{model}/model.json",
     log:
@@ -26,7 +23,7 @@ rule standalone_model:
 rule standalone_scores:
     input:
         model="results/parts/standalone/{model}/model.json",
-        partition="results/identified/{model}/partition.parquet",
+        partition=partition_of,
         flights=all_flights,
     output:
         scores="results/parts/standalone/{model}/scores.parquet",
@@ -51,7 +48,7 @@ rule standalone_scores:
 rule standalone_figures:
     input:
         model="results/parts/standalone/{model}/model.json",
-        partition="results/identified/{model}/partition.parquet",
+        partition=partition_of,
         flights=all_flights,
     output:
         directory("results/parts/standalone/{model}/figures"),

@@ -10,6 +10,14 @@ from quasi.standalone.envelope import covered
 from quasi.tables import fingerprint, read_json, read_table, write_json
 
 
+def extended(source: str, settings: dict, output: str) -> None:
+    """Take over the model that a gap extended; its differential form, where it has one, is made anew."""
+    document = read_json(source)
+    if settings["u"] is not None:
+        document = with_differential_form(document, settings["u"], f"{settings['file']}, 'DiffSys u'")
+    write_json(output, document)
+
+
 def main(
     axes: list[str],
     shared: str,
@@ -43,13 +51,17 @@ def main(
 
 if __name__ == "__main__":
     with job(snakemake.log[0], f"model {snakemake.wildcards.model}"):
-        main(
-            snakemake.input.axes,
-            snakemake.input.shared,
-            snakemake.input.partition,
-            snakemake.input.flights,
-            snakemake.params.flights,
-            snakemake.params.settings,
-            snakemake.wildcards.model,
-            snakemake.output[0],
-        )
+        source = dict(snakemake.input.items())
+        if "extended" in source:
+            extended(source["extended"], snakemake.params.settings, snakemake.output[0])
+        else:
+            main(
+                source["axes"],
+                source["shared"],
+                source["partition"],
+                source["flights"],
+                snakemake.params.flights,
+                snakemake.params.settings,
+                snakemake.wildcards.model,
+                snakemake.output[0],
+            )

@@ -1,0 +1,168 @@
+"""What a project folder says of its gaps: a model, the flights it is compared with, and the name it is extended under."""
+
+import functools
+import hashlib
+from collections.abc import Mapping
+from typing import Any
+
+from quasi.errors import ConfigError, QuasiError, nearest
+from quasi.logbook import NAME, Row
+from quasi.project import Project, is_file
+from quasi.tables import read_bytes, read_json
+
+HELD, COMPARED, REFERENCE = "held out", "compared", "reference"
+
+
+class Comparisons(Project):
+    """A project folder that compares models with flights."""
+
+    @functools.cached_property
+    def gaps(self) -> list[str]:
+        """Names of the gaps that have a configuration."""
+        return self._names("config/gaps")
+
+    @functools.cache  # noqa: B019 - a Folder lives as long as the run
+    def gap_settings(self, name: str) -> dict[str, Any]:
+        """config/gaps/<name>.json, checked, with defaults. Raises ConfigError."""
+        path = f"config/gaps/{name}.json"
+        if name not in self.gaps:
+            raise ConfigError(f"{path} does not exist{nearest(name, self.gaps)}")
+        if not NAME.fullmatch(name):
+            raise ConfigError(f"{path}: the name of a gap may hold letters, digits and . _ + - only; rename the file")
+        settings = self._read(path, "gap")
+        if settings["extended model ID"] is None:
+            settings["extended model ID"] = f"{settings['model']}-{name}"
+        ident = settings["extended model ID"]
+        if not NAME.fullmatch(ident):
+            raise ConfigError(f"{path}: 'extended model ID' is {ident!r}; use letters, digits and . _ + - only")
+        if ident in self.models:
+            raise ConfigError(
+                f"{path}: 'extended model ID' is '{ident}', but config/models/{ident}.json makes a model of that name; "
+                "choose another"
+            )
+        if isinstance(settings["effects"], str) and settings["effects"] != "all":
+            raise ConfigError(
+                f"{path}: 'effects' is '{settings['effects']}', expected \"all\" or a list of ids like "
+                '["ground_effect"]'
+            )
+        return settings
+
+    @functools.cache  # noqa: B019
+    def extended(self, model: str) -> str | None:
+        """The gap that makes a model, or None. Raises ConfigError where several would make it."""
+        makers = []
+        for gap in self.gaps:
+            try:
+                if self.gap_settings(gap)["extended model ID"] == model:
+                    makers.append(gap)
+            except QuasiError:
+                continue  # a broken gap stops those who ask for it
+        if len(makers) > 1:
+            raise ConfigError(
+                f"config/gaps/{makers[0]}.json and config/gaps/{makers[1]}.json both make the model '{model}'; "
+                "give one another 'extended model ID'"
+            )
+        return makers[0] if makers else None
+
+    @functools.cache  # noqa: B019
+    def gap_flights(self, name: str) -> dict[str, list[Row]]:
+        """Rows by role: "compared" (to learn from), "held out", "reference". Raises LogbookError or ConfigError."""
+        where = f"config/gaps/{name}.json"
+        section = self.gap_settings(name)["logging file"]
+        everything = self._rows(section, "rows of flights to compare (all)", where)
+        numbers = {r.number for r in everything}
+        held, reference = (
+            self._rows(section, key, where) if section[key] else []
+            for key in ("rows of flights held out", "rows of reference flights")
+        )
+        for row in held:
+            if row.number not in numbers:
+                raise ConfigError(
+                    f"{where}: held-out row {row.number} is not among 'rows of flights to compare (all)'; add it there"
+                )
+        for row in reference:
+            if row.number in numbers:
+                raise ConfigError(
+                    f"{where}: row {row.number} is compared and a reference flight; a flight can be one of both only"
+                )
+        out = {r.number for r in held}
+        quadrotors = {r.quadrotor for r in (*everything, *reference) if not r.problem}
+        if len(quadrotors) > 1:
+            raise ConfigError(
+                f"{where}: the rows mean several quadrotors ({', '.join(sorted(quadrotors))}); select one"
+            )
+        learning = [r for r in everything if r.number not in out]
+        return {COMPARED: learning, HELD: held, REFERENCE: reference}
+
+    def gap_roles(self, name: str) -> dict[str, str]:
+        """{flight key: role}, reference flights first."""
+        flights = self.gap_flights(name)
+        return {r.key: role for role in (REFERENCE, COMPARED, HELD) for r in flights[role]}
+
+    def gap_rows(self, name: str) -> list[Row]:
+        """All rows of a gap, reference flights first."""
+        flights = self.gap_flights(name)
+        return [r for role in (REFERENCE, COMPARED, HELD) for r in flights[role]]
+
+    def gap_model(self, name: str) -> str:
+        """Path of the model that a gap looks at. Raises ConfigError where nothing makes it."""
+        model = self.gap_settings(name)["model"]
+        path = f"models/{model}/standalone/model.json"
+        if model == self.gap_settings(name)["extended model ID"]:
+            raise ConfigError(f"config/gaps/{name}.json: the extended model would be the model itself; rename it")
+        if model in self.models or self.extended(model):
+            self._lineage(model)
+            return path
+        if is_file(self._here(path)):
+            return self._here(path).absolute().as_posix()  # it was put there: no rule makes it
+        raise ConfigError(
+            f"config/gaps/{name}.json: 'model' is '{model}', but neither config/models/{model}.json nor {path} exists"
+            f"{nearest(model, [*self.models, *(self.gap_settings(g)['extended model ID'] for g in self.gaps)])}"
+        )
+
+    def _lineage(self, model: str) -> list[str]:
+        """A model and those that it extends, itself first. Raises ConfigError for a circle."""
+        line = [model]
+        while (gap := self.extended(line[-1])) is not None:
+            line.append(self.gap_settings(gap)["model"])
+            if line[-1] in line[:-1]:
+                raise ConfigError(
+                    f"config/gaps/{gap}.json: the models {', '.join(line)} extend each other in a circle; "
+                    "change one 'extended model ID'"
+                )
+        return line
+
+    def gap_gravity(self, name: str) -> str:
+        """withGravity or noGravity: the forces that a gap's model predicts."""
+        root = self._lineage(self.gap_settings(name)["model"])[-1]
+        if root in self.models:
+            return self.gravity(root)
+        try:
+            return str(read_json(self._here(f"models/{root}/standalone/model.json"))["gravity"])
+        except (QuasiError, KeyError, TypeError):
+            return "withGravity"  # the job that reads the model says what is wrong with it
+
+    def gap_trained(self, name: str) -> list[Row]:
+        """Rows that trained the model, or chose and fitted what it was extended by."""
+        rows: list[Row] = []
+        for model in self._lineage(self.gap_settings(name)["model"]):
+            gap = self.extended(model)
+            if gap is not None:
+                flights = self.gap_flights(gap)
+                rows += flights[COMPARED] + flights[REFERENCE]
+            elif model in self.models:
+                rows += self.model_flights(model, "training")
+        return rows
+
+
+def same_recordings(held: Mapping[str, list[str]], trained: Mapping[str, list[str]]) -> tuple[str, str] | None:
+    """The first held-out row whose recording also trained, by content, and that row; None where there is none.
+
+    held, trained  {row: [path of its on-board log, number of the log in it]}
+    """
+    known = {_content(*log): row for row, log in trained.items()}
+    return next(((row, known[c]) for row, log in held.items() if (c := _content(*log)) in known), None)
+
+
+def _content(path: str, number: str) -> tuple[str, str]:
+    return hashlib.sha256(read_bytes(path)).hexdigest(), number

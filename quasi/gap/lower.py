@@ -1,0 +1,62 @@
+"""Levels K and A together: sensors, frames, clocks and the rotors' drive, settled before anything aerodynamic."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pandas as pd
+
+from quasi.gap import actuation, kinematic
+from quasi.gap.calibration import document
+from quasi.gap.effect import Effect
+from quasi.gap.level import Flown, Level
+from quasi.tables import COLUMNS
+
+UNITS = {
+    "p": "rad/s", "q": "rad/s", "r": "rad/s", "ax": "m/s2", "ay": "m/s2", "az": "m/s2", "Fx": "N", "Fy": "N",
+    "Fz": "N", "Mx": "N m", "My": "N m", "Mz": "N m", "w1": "rad/s", "w2": "rad/s", "w3": "rad/s", "w4": "rad/s",
+    "height": "m", "speed": "m/s", "volts": "V", "frequency": "Hz", "rotor": "rad/s", "heading": "rad", "time": "s",
+    "position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s", "horizon": "s", "start": "s", "room": "m",
+}  # fmt: skip
+
+
+def examine(
+    flights: Sequence[Flown], model: Mapping[str, Any], settings: Mapping[str, Any], effects: Mapping[str, Effect]
+) -> tuple[dict[str, Any], list[Level]]:
+    """The calibration of a gap with what both levels found as plain data under "levels", and the levels themselves.
+
+    flights  those that may choose and fit; model  document; settings  of the gap; effects  that are asked, by id
+    """
+    options = {"false alarm rate": settings["false alarm rate"] / 3.0, "effects": list(effects)}
+    levels = [kinematic.examine(flights, options), actuation.examine(flights, model, options)]
+    told = document(levels)
+    return {**told, "levels": {level.level: plain(level) for level in levels}}, levels
+
+
+def plain(level: Level) -> dict[str, Any]:
+    """A level without its tables."""
+    return {
+        "effects": level.effects,
+        "ties": level.ties,
+        "findings": level.findings,
+        "candidates": level.candidates,
+        "cannot_be_asked": level.cannot_be_asked,
+        "noise_floor": level.noise_floor,
+        "notes": level.notes,
+    }
+
+
+def judged(flights: Sequence[Flown], model: Mapping[str, Any], effects: Sequence[str] = ()) -> dict[str, pd.DataFrame]:
+    """{"K", "A": table of "channels"} of flights, nothing being searched: rms "before" and "floor" per channel."""
+    options = {"false alarm rate": 0.01, "effects": list(effects)}
+    found = {}
+    for level in (kinematic.examine(flights, options), actuation.examine(flights, model, options)):
+        if "channels" in level.tables:
+            found[level.level] = level.tables["channels"]
+    return found
+
+
+def units_of(table: pd.DataFrame) -> dict[str, tuple[str, str]]:
+    """Units of the columns of a residual table, by the quantity that a name begins with."""
+    return {
+        name: (UNITS.get(name, UNITS.get(name.split("_")[0], "")), "") for name in table.columns if name not in COLUMNS
+    }

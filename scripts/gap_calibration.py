@@ -1,0 +1,51 @@
+"""What the sensors and the rotors' drive of a gap's flights are wrong by, before anything aerodynamic is asked."""
+
+from pathlib import Path
+
+from quasi.airframe import read_airframe
+from quasi.comparisons import same_recordings
+from quasi.errors import ConfigError
+from quasi.gap.catalogue import catalogue, chosen
+from quasi.gap.level import Flown
+from quasi.gap.lower import examine, units_of
+from quasi.joblog import LOG, job, progress
+from quasi.standalone.model import read_model
+from quasi.tables import read_json, read_table, write_json, write_table
+
+
+def main(source: dict, asked: dict, output: dict[str, str]) -> None:
+    """Read the flights that may choose and fit; write what levels K and A found, and their tables."""
+    if asked["problem"]:
+        raise ConfigError(asked["problem"])
+    twice = same_recordings(asked["held"], asked["trained"])
+    if twice:
+        raise ConfigError(
+            f"{asked['file']}: held-out {twice[0]} has the recording of {twice[1]}, which trained model "
+            f"{asked['settings']['model']}; hold out a flight that the model has never seen"
+        )
+    effects = chosen(asked["settings"]["effects"], catalogue(asked["effect files"]))
+    flights = []
+    names = ("imported", "imported_metadata", "filtered", "filtered_metadata")
+    for paths in progress(list(zip(*(source[n] for n in names), strict=True)), "reading flights"):
+        key = Path(paths[0]).stem
+        airframe = read_airframe(asked["quadrotor"], asked["quadrotor"]["file"], asked["masses"][key])
+        imported, about, filtered, filtered_about = (
+            read_table(p) if p.endswith(".parquet") else read_json(p) for p in paths
+        )
+        compared = asked["roles"][key] != "reference"
+        flights.append(Flown(key, compared, imported, about, filtered, filtered_about, airframe))
+    result, levels = examine(flights, read_model(source["model"]).document, asked["settings"], effects)
+    folder = Path(output["tables"])
+    folder.mkdir(parents=True, exist_ok=True)
+    for level in levels:
+        LOG.info("level %s: %s", level.level, ", ".join(e["id"] for e in level.effects) or "nothing")
+        for note in level.notes:
+            LOG.info("%s", note)
+        for name, table in level.tables.items():
+            write_table(folder / f"{level.level}_{name}.parquet", table, units_of(table))
+    write_json(output["calibration"], result)
+
+
+if __name__ == "__main__":
+    with job(snakemake.log[0], f"calibration of gap {snakemake.wildcards.gap}"):
+        main(dict(snakemake.input.items()), snakemake.params.asked, dict(snakemake.output.items()))
