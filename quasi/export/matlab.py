@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from scipy.io import savemat
 
-from quasi import tables
 from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.errors import ConfigError
 from quasi.export.matlab_terms import axis_file, differential_file, matlab_name, wrench_file
@@ -26,6 +25,7 @@ from quasi.normalisation import LEAST_AIRSPEED
 from quasi.standalone.differential import differential_system, inputs_of_system
 from quasi.standalone.kernel import INPUTS
 from quasi.standalone.model import AXES, Model
+from quasi.tables import read_text, write_bytes, write_text
 
 FILES = Path(__file__).parent / "matlab_files"
 _UNKNOWN = float("nan")
@@ -52,9 +52,9 @@ def write_matlab(
     if u is not None:
         texts["get_PQRDiffSys.m"] = differential_file(model, u)
     for path in sorted(FILES.glob("*.m")):
-        texts[path.name] = tables.read_text(path)
+        texts[path.name] = read_text(path)
     for name, text in texts.items():
-        tables.write_text(folder / name, text)
+        write_text(folder / name, text)
     _write_mat(folder / "modelParams.mat", {"modelParams": model_parameters(model, u)})
     _write_mat(folder / "droneParams.mat", {"droneParams": drone_parameters(model)})
     _write_mat(folder / "reference.mat", {"reference": reference_rows(model, u)})
@@ -74,7 +74,7 @@ def _refuse(model: Model) -> None:
 def model_parameters(model: Model, u: Iterable[str] | None) -> dict[str, Any]:
     """modelParams: what getFM and getDroneInputs need to know of the model."""
     scheme = model.normalisation
-    extra = [c for c in model.inputs[len(INPUTS) :]]
+    extra = list(model.inputs[len(INPUTS) :])
     found = {
         "modelID": model.id,
         "isNormalized": bool(scheme),
@@ -192,4 +192,4 @@ def _number(value: float | None) -> float:
 def _write_mat(path: Path, content: dict[str, Any]) -> None:
     buffer = io.BytesIO()
     savemat(buffer, content, oned_as="row", do_compression=True, long_field_names=True)
-    tables.write_bytes(path, buffer.getvalue())
+    write_bytes(path, buffer.getvalue())
