@@ -81,9 +81,9 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         )
     else:
         reference = belief
-    if kind == "speeds" or not all(d.has_voltage for d in fits):
+    if kind == "speeds" or not any(d.volts_vary for f, d in zip(used, fits) if f.compared):
         why = ("commands are speeds, which the speed controllers hold whatever the battery" if kind == "speeds"
-               else "not every flight logs the battery's voltage")  # fmt: skip
+               else "no compared flight logs a battery voltage that varies")  # fmt: skip
         level.cannot_be_asked.append({"id": "battery_sag", "why": why})
         asked = [c for c in asked if c != "battery_sag"]
     level.findings += weak(used, fits)

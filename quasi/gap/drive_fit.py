@@ -20,6 +20,8 @@ RATE = 100.0  # Hz at which residuals are kept
 WARM_UP = 0.2  # s after a gap that only settle the lag
 STEPS = 12
 FEWEST = 300  # rows
+SHARPEST = 0.1  # rad/s: no residual is known better
+STEADY = 0.003  # natural log of the voltage: a battery that varies less in a flight tells no exponent
 MEMORY = 0.3  # s over which residuals are taken to remember
 SHORTEST, LONGEST, EARLIEST, LATEST = 0.002, 0.4, -0.03, 0.1  # s
 LOW_VOLTAGE = 0.1  # of the reference, below which a reading is none
@@ -50,7 +52,7 @@ class DriveFit(NamedTuple):
     breaks: np.ndarray
     residual: np.ndarray
     slopes: np.ndarray
-    has_voltage: bool
+    volts_vary: bool
     held: np.ndarray
 
     def covariance(self) -> np.ndarray:
@@ -65,7 +67,8 @@ class DriveFit(NamedTuple):
         for lag in range(1, min(reach, len(scores) - 1)):
             cross = scores[lag:].T @ scores[:-lag]
             meat += (1.0 - lag / reach) * (cross + cross.T)
-        return inverse @ (meat + np.diag(self.held)) @ inverse
+        flat = self.slopes.reshape(-1, len(NAMES))
+        return inverse @ (meat + SHARPEST**2 * flat.T @ flat + np.diag(self.held)) @ inverse
 
     def moves(self, seconds: float) -> np.ndarray:
         """What each block of the flight adds to the values (B, 11), to first order; they sum to nothing much."""
@@ -219,6 +222,5 @@ def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
         if gained < 1e-6 * value:
             break
     breaks = np.concatenate([[True], np.diff(rows) > every])
-    return DriveFit(
-        flown.key, x, t[rows], breaks, target - here, slopes_at(x, here), volts is not None, (noise / loose) ** 2
-    )
+    vary = volts is not None and float(np.std(ratio[rows])) > STEADY
+    return DriveFit(flown.key, x, t[rows], breaks, target - here, slopes_at(x, here), vary, (noise / loose) ** 2)

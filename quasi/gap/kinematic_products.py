@@ -11,6 +11,7 @@ from quasi.gap.whitening import Whitener, autoregression, block_grams
 ORDER = 8  # of the autoregression: what correlates over 0.4 s
 BLOCK = 5.0  # s
 RIDGE = 1e-9
+SHARPEST = np.array([1e-5] * 3 + [1e-4] * 3)  # rad/s, m/s2: no averaged residual is known better
 
 
 def least_squares(columns: np.ndarray) -> np.ndarray:
@@ -26,7 +27,8 @@ def least_squares(columns: np.ndarray) -> np.ndarray:
 def whitener_of(weak: Weak) -> Whitener:
     """Each flight has a noise of its own: vibration, captures of different quality."""
     left = weak.columns[:, :, 0] - weak.columns[:, :, 1:] @ least_squares(weak.columns)
-    return autoregression([left], [weak.breaks], ORDER)
+    found = autoregression([left], [weak.breaks], ORDER)
+    return found._replace(scale=np.fmax(found.scale, SHARPEST))
 
 
 def blocks_of(weak: Weak, whitener: Whitener) -> np.ndarray:
