@@ -1,0 +1,227 @@
+"""What every export carries besides the arithmetic: constants, inputs, words at its head, and what is refused."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from quasi.airframe import Airframe
+from quasi.attitude import GRAVITY
+from quasi.errors import ConfigError
+from quasi.export.naming import identifier, shown
+from quasi.standalone.differential import inputs_of_system
+from quasi.standalone.kernel import INPUTS
+from quasi.standalone.model import AXES, Model
+
+PREFIX = "quasi_"
+ROTORS = ("w1", "w2", "w3", "w4")
+DEFAULT_LAG = 1.0 / 35.0  # s, the rotors' time constant where a model knows none; the same as a simulation takes
+
+
+class Actuators(NamedTuple):
+    """The rotors of a model: time constants (4,) s speeding up and slowing down, delay s, lowest and highest rad/s.
+
+    highest is inf and lowest 0 where the airframe does not tell; notes: what was assumed
+    """
+
+    up: np.ndarray
+    down: np.ndarray
+    delay: float
+    lowest: float
+    highest: float
+    notes: tuple[str, ...]
+
+
+def name_in_source(model: Model) -> str:
+    """The identifier that everything of a model begins with: quasi_ and its mapped ID."""
+    return identifier(model.id, PREFIX)
+
+
+def extras_of(model: Model) -> tuple[str, ...]:
+    """Columns that a model reads beyond state, rotor speeds and rotor accelerations."""
+    return model.inputs[len(INPUTS) :]
+
+
+def check_exportable(model: Model) -> None:
+    """Raises ConfigError naming an extension that no export can carry: one that has states of its own."""
+    for extension in _extensions(model):
+        if extension.get("states"):
+            states = ", ".join(shown(s) for s in extension["states"])
+            raise ConfigError(
+                f"model {model.id}: its extension '{shown(extension.get('id'))}' has states of its own ({states}), "
+                "which an export cannot carry; export the model without it"
+            )
+        missing = [a for a in extension.get("terms") or {} if not _stands(model, a, extension.get("id"))]
+        if missing:
+            raise ConfigError(
+                f"model {model.id}: the terms of its extension '{shown(extension.get('id'))}' do not stand among those "
+                f"of {shown(missing[0])}, so that predictions leave them out; make the extended model anew"
+            )
+
+
+def differential_inputs(model: Model) -> tuple[str, ...]:
+    """Inputs u of the differential form: those that the model was configured with, else the four rotor speeds.
+
+    () for a model that lacks a moment. Raises ConfigError for inputs that cannot be.
+    """
+    if any(axis not in model.axes for axis in AXES[3:]):
+        return ()
+    chosen = model.document.get("differential form")
+    u = chosen.get("u") if isinstance(chosen, Mapping) else None
+    return inputs_of_system(u, f"model {model.id}") if isinstance(u, list) and u else ROTORS
+
+
+def actuators_of(model: Model) -> Actuators:
+    """Constants of the rotors, those of extensions before the model's own. Raises ConfigError for damaged ones."""
+    known = dict(model.document.get("actuators") or {})
+    for extension in _extensions(model):
+        found = extension.get("actuators") or {}
+        if "time constant" in found:
+            known = {k: v for k, v in known.items() if not k.startswith("time constants")}
+            known["time constants"] = {"value": found["time constant"]}
+        if "delay" in found:
+            known["delay"] = {"value": found["delay"]}
+    notes: list[str] = []
+
+    def value(*keys: str) -> Any:
+        for key in keys:
+            section = known.get(key) or {}
+            if isinstance(section, Mapping) and section.get("value") is not None:
+                return _numbers(section["value"], f"model {model.id}: '{key}' of 'actuators'")
+        return None
+
+    up = value("time constants up", "time constants")
+    if up is None:
+        up = DEFAULT_LAG
+        notes.append(f"the model knows no time constants of its rotors; {DEFAULT_LAG:.4f} s is taken")
+    down = value("time constants down")
+    up = np.broadcast_to(up, 4).copy()
+    down = up.copy() if down is None else np.broadcast_to(down, 4).copy()
+    if np.min([up, down]) <= 0.0:
+        raise ConfigError(f"model {model.id}: time constants must be positive, found {up}, {down}; correct them")
+    late = value("delay")
+    frame, limits = model.airframe, []
+    factor = frame.logged_to_rad_s or model.document.get("logged to rad/s")
+    for key, logged, free in (("idle RPM", frame.idle_rpm, 0.0), ("max RPM", frame.max_rpm, np.inf)):
+        if logged is None or factor is None:
+            notes.append(f"the airframe's '{key}' or 'motor poles' is unknown: commands have no such limit")
+        limits.append(free if logged is None or factor is None else float(logged * factor))
+    delay = 0.0 if late is None else max(float(np.mean(late)), 0.0)
+    return Actuators(up, down, delay, limits[0], limits[1], tuple(notes))
+
+
+def wind_of(model: Model) -> np.ndarray:
+    """Velocity of the air (3,), m/s, north east down, that a model's extensions found in its flights."""
+    wind = np.zeros(3)
+    for extension in _extensions(model):
+        found = (extension.get("environment") or {}).get("wind")
+        if found is not None:
+            wind = wind + np.broadcast_to(_numbers(found, f"model {model.id}: 'wind' of an extension"), 3)
+    return wind
+
+
+def head(model: Model) -> list[str]:
+    """The words at the head of every export, harmless in any comment: what it is, units, frames, order, signs."""
+    frame = model.airframe
+    spins = ", ".join(f"{i} {'clockwise' if s > 0 else 'counter-clockwise'}" for i, s in enumerate(frame.spin, 1))
+    lacking = [axis for axis in AXES if axis not in model.axes]
+    told = [
+        f"Aerodynamic model {shown(model.id)} of quadrotor {shown(frame.name)}. Made by quasi; do not edit.",
+        "",
+        "Forces Fx Fy Fz in N and moments Mx My Mz in N m, about the centre of gravity, in body axes:",
+        "x forward, y right, z down. Earth axes: x north or forward, y east or right, z down.",
+    ]
+    told += (
+        [
+            "Forces are mass times specific force (hover: Fz = -mass times gravity): in a simulation gravity is to be",
+            "added.",
+        ]
+        if model.with_gravity
+        else ["Forces are net forces: gravity is part of them (hover: Fz = 0), a simulation must not add it."]
+    )
+    told += [f"Not identified, and NaN: {', '.join(lacking)}."] if lacking else []
+    told += [
+        "",
+        "Inputs, SI:",
+        "state                roll pitch yaw (rad, yaw about z first, then pitch, then roll), u v w (m/s, velocity",
+        "                     through the air, body axes), p q r (rad/s, body axes), x y z (m, earth axes)",
+        "rotor speeds         w1 w2 w3 w4, mechanical rad/s",
+        "rotor accelerations  rad/s2" + ("" if model.uses_rotor_accelerations else "; not used by this model"),
+    ]
+    extras = extras_of(model)
+    told += [f"extra inputs         {', '.join(shown(name) for name in extras)}"] if extras else []
+    told += ["", f"Rotors, seen from above: {spins}.", "Hubs, m, body axes:"]
+    told += [f"    rotor {i}  x {h[0]:+.6g}  y {h[1]:+.6g}  z {h[2]:+.6g}" for i, h in enumerate(frame.hubs, 1)]
+    factor = frame.logged_to_rad_s or model.document.get("logged to rad/s")
+    if factor:
+        told.append(f"Where a flight controller logs eRPM/100: mechanical rad/s = {factor:.12g} times that number.")
+    extensions = [shown(e.get("id")) for e in _extensions(model)]
+    told += [f"Extensions among the terms: {', '.join(extensions)}."] if extensions else []
+    return told
+
+
+def terms_of(model: Model, axis: str) -> list[str]:
+    """The terms of an axis as text for a comment: coefficient and expression."""
+    scaled = " (of the non-dimensional quantity)" if model.normalisation else ""
+    return [
+        f"{term['coefficient']:+.6e}  {shown(term['expression'], 90)}{scaled}"
+        for term in model.document["axes"].get(axis, {}).get("terms", ())
+    ]
+
+
+def constants_of(model: Model) -> dict[str, float | list[float]]:
+    """Numbers of the quadrotor under plain names, SI; NaN where the model does not know them."""
+    frame: Airframe = model.airframe
+    rotors = actuators_of(model)
+    return {
+        "mass": float("nan") if frame.mass is None else float(frame.mass),
+        "gravity": GRAVITY,
+        "inertia": np.asarray(frame.inertia, float).ravel().tolist(),
+        "rotor_radius": float(frame.radius),
+        "hubs": np.asarray(frame.hubs, float).ravel().tolist(),
+        "spin": np.asarray(frame.spin, float).tolist(),
+        "hover_speed": float("nan") if model.hover_speed is None else float(model.hover_speed),
+        "time_constants_up": rotors.up.tolist(),
+        "time_constants_down": rotors.down.tolist(),
+        "delay": rotors.delay,
+        "lowest_speed": rotors.lowest,
+        "highest_speed": rotors.highest,
+    }
+
+
+MEANINGS = {
+    "mass": "kg",
+    "gravity": "m/s2",
+    "inertia": "kg m2, about the centre of gravity, body axes, row by row",
+    "rotor_radius": "m",
+    "hubs": "m, of rotors 1 to 4, x y z each, from the centre of gravity, body axes",
+    "spin": "+1 where a rotor turns clockwise seen from above, else -1",
+    "hover_speed": "rad/s",
+    "time_constants_up": "s, of rotors 1 to 4 when they speed up",
+    "time_constants_down": "s, of rotors 1 to 4 when they slow down",
+    "delay": "s, before a command acts",
+    "lowest_speed": "rad/s, of a command",
+    "highest_speed": "rad/s, of a command; infinite where unknown",
+}
+
+
+def _extensions(model: Model) -> list[Mapping[str, Any]]:
+    found = model.document.get("extensions") or []
+    if not isinstance(found, list) or not all(isinstance(e, Mapping) for e in found):
+        raise ConfigError(f"model {model.id} holds an extension that is no section; make the model anew")
+    return found
+
+
+def _stands(model: Model, axis: str, name: Any) -> bool:
+    terms = model.document["axes"].get(axis, {}).get("terms", ())
+    return any(term.get("extension") == name for term in terms)
+
+
+def _numbers(value: Any, where: str) -> np.ndarray:
+    try:
+        found = np.asarray(value, float)
+    except (TypeError, ValueError):
+        found = np.full(1, np.nan)
+    if found.size not in (1, 3, 4) or not np.all(np.isfinite(found)):
+        raise ConfigError(f"{where} is {shown(value, 60)}, expected finite numbers; make the model anew")
+    return found
