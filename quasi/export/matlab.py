@@ -20,6 +20,7 @@ from scipy.io import savemat
 
 from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.errors import ConfigError
+from quasi.export.matlab_simulation import write_simulation
 from quasi.export.matlab_terms import axis_file, differential_file, matlab_name, wrench_file
 from quasi.normalisation import LEAST_AIRSPEED
 from quasi.standalone.differential import differential_system, inputs_of_system
@@ -58,6 +59,8 @@ def write_matlab(
     _write_mat(folder / "modelParams.mat", {"modelParams": model_parameters(model, u)})
     _write_mat(folder / "droneParams.mat", {"droneParams": drone_parameters(model)})
     _write_mat(folder / "reference.mat", {"reference": reference_rows(model, u)})
+    if loop is not None:
+        write_simulation(model, folder, loop, FILES)
     return notes
 
 
