@@ -11,6 +11,7 @@ include: "rules/importing.smk"
 include: "rules/filtering.smk"
 include: "rules/identification.smk"
 include: "rules/standalone.smk"
+include: "rules/export.smk"
 include: "rules/simulation.smk"
 include: "rules/gap.smk"
 

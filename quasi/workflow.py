@@ -322,6 +322,17 @@ class Folder(Comparisons):
             "u": chosen["DiffSys u"] if chosen["make moment DiffSys"] else None,
         }
 
+    def portable(self, name: str) -> str:
+        """Path of a model's model.json, which rules make or a user has put there."""
+        path = Path("models") / name / "standalone" / "model.json"
+        if name in self.models or self.extended(name):
+            return path.as_posix()
+        if not is_file(self._here(path)):
+            raise ConfigError(
+                f"neither config/models/{name}.json nor {path} exists{nearest(name, self.models)}; make the model first"
+            )
+        return self._here(path).absolute().as_posix()  # no rule makes it
+
     def axes(self, name: str) -> list[str]:
         """Axes that a model identifies."""
         parameters = self.model(name)["identification parameters"]

@@ -98,7 +98,9 @@ def training_flights(wildcards):
     )
 
 
-def calibrated(gap, roles=("reference", "compared", "held out"), gravity=None, kind="parquet"):
+def calibrated(
+    gap, roles=("reference", "compared", "held out"), gravity=None, kind="parquet"
+):
     """Flights of a gap as processed anew; those without gravity's part named are the imported ones."""
     flights = ask(FOLDER.gap_flights, gap)
     gravity = gravity or ask(FOLDER.gap_gravity, gap)
@@ -123,7 +125,9 @@ def as_processed(gap, roles, stage, kind="parquet"):
 
 def gap_recordings(wildcards):
     asked = ask(FOLDER.gap, wildcards.gap)
-    return [log[0] for logs in (asked["held"], asked["trained"]) for log in logs.values()]
+    return [
+        log[0] for logs in (asked["held"], asked["trained"]) for log in logs.values()
+    ]
 
 
 def model_sources(wildcards):
@@ -178,6 +182,10 @@ def simulation_pictures(wildcards):
     parts = f"results/parts/simulation/{wildcards.simulation}"
     saved = ask(FOLDER.animation, wildcards.simulation)["save"]
     return [f"{parts}/figures"] + ([f"{parts}/animation"] if saved else [])
+
+
+def model_to_export(wildcards):
+    return ask(FOLDER.portable, wildcards.model)
 
 
 def every_model(wildcards):

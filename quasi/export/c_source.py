@@ -243,7 +243,7 @@ def _differential_form(model: Model, listing: Listing, u: Sequence[str], p: str,
         f"    static const real inverse[9] = {_row(np.linalg.inv(inertia).ravel())};",
         f"    real d[{3 * width}]; /* derivatives of Mx My Mz by p q r and u, row by row */",
         "    const real x[3] = {state[6], state[7], state[8]};",
-        "    real h[3]; /* angular momentum I x */",
+        "    real h[3], gyroscopic[9]; /* angular momentum I x, and what it adds to the derivatives */",
         "    int i, k, j;",
         "",
     ]
@@ -258,16 +258,21 @@ def _differential_form(model: Model, listing: Listing, u: Sequence[str], p: str,
     }}
     /* less d(x cross I x)/dx = [x cross] I - [(I x) cross] */
     for (k = 0; k < 3; k++) {{
-        d[k] -= x[1]*I[6 + k] - x[2]*I[3 + k];
-        d[{width} + k] -= x[2]*I[k] - x[0]*I[6 + k];
-        d[{2 * width} + k] -= x[0]*I[3 + k] - x[1]*I[k];
+        gyroscopic[k] = x[1]*I[6 + k] - x[2]*I[3 + k];
+        gyroscopic[3 + k] = x[2]*I[k] - x[0]*I[6 + k];
+        gyroscopic[6 + k] = x[0]*I[3 + k] - x[1]*I[k];
     }}
-    d[1] -= h[2];
-    d[2] += h[1];
-    d[{width}] += h[2];
-    d[{width + 2}] -= h[0];
-    d[{2 * width}] -= h[1];
-    d[{2 * width + 1}] += h[0];
+    gyroscopic[1] += h[2];
+    gyroscopic[2] -= h[1];
+    gyroscopic[3] -= h[2];
+    gyroscopic[5] += h[0];
+    gyroscopic[6] += h[1];
+    gyroscopic[7] -= h[0];
+    for (i = 0; i < 3; i++) {{
+        for (k = 0; k < 3; k++) {{
+            d[{width}*i + k] -= gyroscopic[3*i + k];
+        }}
+    }}
     for (i = 0; i < 3; i++) {{
         for (k = 0; k < {width}; k++) {{
             real sum = 0;

@@ -1,0 +1,37 @@
+"""Models in other languages, each compared with the model itself before it is handed over.
+
+Needs  models/{model}/standalone/model.json
+Makes  models/{model}/c, python: sources and agreement.json, agreement.txt
+"""
+
+
+rule export_c:
+    input:
+        model=model_to_export,
+    output:
+        folder=directory("models/{model}/c"),
+        report="models/{model}/c/agreement.json",
+    log:
+        "logs/export/{model}/c.log",
+    benchmark:
+        "results/benchmarks/export/{model}/c.tsv"
+    params:
+        code=code("export_c.py"),
+    script:
+        "../scripts/export_c.py"
+
+
+rule export_python:
+    input:
+        model=model_to_export,
+    output:
+        folder=directory("models/{model}/python"),
+        report="models/{model}/python/agreement.json",
+    log:
+        "logs/export/{model}/python.log",
+    benchmark:
+        "results/benchmarks/export/{model}/python.tsv"
+    params:
+        code=code("export_python.py"),
+    script:
+        "../scripts/export_python.py"
