@@ -32,6 +32,9 @@ CONTACT_DAMPING = 9.0  # N s/m per foot
 CONTACT_FRICTION = 6.0  # N s/m per foot
 LOAD_STIFFNESS = 900.0  # N/m, of the line
 LOAD_DAMPING = 1.0  # N s/m
+BEAT = 0.4  # Hz, of the pull that comes and goes
+FAN = (1.2, -0.8)  # m north and east, place of the fan
+FAN_WIDTH = 1.0  # m
 
 
 @njit(cache=True)
@@ -111,6 +114,7 @@ def derivative(t, x, wanted, air, p: Physics, dx, out):
     hover = math.sqrt(p.mass * GRAVITY / (8.0 * p.density * area))
     wake = plane / hover
     wake = wake * wake / (0.16 + wake * wake)
+    heading = math.sin(2.0 * math.atan2(rot[1, 0], rot[0, 0]))
     for i in range(4):
         rx, ry, rz = p.hubs[i, 0], p.hubs[i, 1], p.hubs[i, 2]
         nx, ny, nz = p.thrust_axis[i, 0], p.thrust_axis[i, 1], p.thrust_axis[i, 2]
@@ -145,6 +149,8 @@ def derivative(t, x, wanted, air, p: Physics, dx, out):
         if p.proximity_gain != 0.0:
             wall = min(p.room[0] - abs(hub_x), p.room[1] - abs(hub_y))
             factor *= 1.0 - p.proximity_gain * math.exp(-(max(wall, 0.0) ** 2))
+        if p.unlisted[0] != 0.0:  # thrust that depends on the heading
+            factor *= 1.0 + p.unlisted[0] * heading
         thrust *= factor
 
         # torque on the shaft: profile, and the power that thrust takes from the flow through the disc
@@ -188,7 +194,14 @@ def derivative(t, x, wanted, air, p: Physics, dx, out):
     my += c[2] * bx - c[0] * bz
     mz += c[0] * by - c[1] * bx
 
-    ex = ey = ez = 0.0  # what acts in earth axes: feet on the floor, tether, load
+    ex = ey = ez = 0.0  # what acts in earth axes: feet on the floor, tether, load, and what no known cause explains
+    if p.unlisted[1] != 0.0:  # a push along body y that grows with height
+        fy -= p.unlisted[1] * x[2]
+    if p.unlisted[2] != 0.0:  # a pull northwards that comes and goes with time
+        ex += p.unlisted[2] * math.sin(2.0 * math.pi * BEAT * t)
+    if p.unlisted[3] != 0.0:  # a fan below one place of the room
+        away = (x[0] - FAN[0]) ** 2 + (x[1] - FAN[1]) ** 2
+        ez -= p.unlisted[3] * math.exp(-away / FAN_WIDTH**2)
     if -x[2] < 0.3:
         for foot in range(4):
             rx = p.leg[0] if foot < 2 else -p.leg[0]

@@ -208,3 +208,25 @@ def test_an_inertia_that_no_body_can_have_is_refused():
 def test_the_base_vehicle_is_of_the_stated_class():
     assert NOMINAL.vehicle.physics.mass == MASS == 0.433
     assert 1900 <= HOVER_SPEED <= 2300
+
+
+def test_what_is_in_no_catalogue_acts_as_it_is_described():
+    """Heading, height, time and place each by its own formula, at rest in the air."""
+    still = {"velocity": NONE, "rates": NONE}
+    base = loads(NOMINAL, **still)[0]
+    thrust = -base[2]
+    assert loads(planted(unlisted_heading={"size": 0.1}), **still)[0][2] == pytest.approx(-thrust)  # nose north
+    east = planted(unlisted_height={"size": 0.2})
+    assert loads(east, z=-3.0, **still)[0][1] - base[1] == pytest.approx(0.6)
+    beat = planted(unlisted_beat={"size": 0.3})
+    assert loads(beat, t=0.3, **still)[0][0] - base[0] == pytest.approx(0.3 * math.sin(0.8 * math.pi * 0.3))
+    fan = planted(unlisted_fan={"size": 0.5})
+    above = loads(fan, place=physics.FAN, **still)[0][2] - base[2]
+    beside = loads(fan, place=(physics.FAN[0] + 1.0, physics.FAN[1]), **still)[0][2] - base[2]
+    assert (above, beside) == (pytest.approx(-0.5), pytest.approx(-0.5 * math.exp(-1.0)))
+    x = np.zeros(physics.STATES)
+    x[2], x[6], x[9], x[13:17], x[17:21] = -2.0, math.cos(math.pi / 8), math.sin(math.pi / 8), HOVER_SPEED, 9.5
+    dx, out = np.empty(physics.STATES), np.empty(14)
+    turned = planted(unlisted_heading={"size": 0.1}).vehicle.physics  # nose to the north-east
+    physics.derivative(0.0, x, x[13:17].copy(), np.zeros(7), turned, dx, out)
+    assert -out[2] == pytest.approx(1.1 * thrust)

@@ -1,0 +1,278 @@
+"""Flights with a hidden cause: what is drawn from a seed, made as raw logs, imported and filtered.
+
+A draw says which causes of which size are planted in the flights of the made vehicle, which are healthy, and nothing
+of it is known to whoever looks for the causes. Healthy flights and the model that was identified from some of them are
+made once and kept.
+"""
+
+import dataclasses
+import functools
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from quasi.airframe import Airframe, read_airframe
+from quasi.filtering.flight import filter_flight
+from quasi.gap.level import Flown
+from quasi.identification.candidates import read_specification
+from quasi.identification.fit import fit_axis
+from quasi.identification.partition import partition
+from quasi.identification.shared import shared
+from quasi.importing.flight import import_flight
+from quasi.standalone.build import assemble
+from quasi.standalone.model import AXES, Model
+from quasi.synthesis.campaign import make_flight, quadrotor_configuration, read_campaign, write_flight
+from quasi.synthesis.effects import OFFERED, UNLISTED
+from quasi.synthesis.vehicle import INERTIA, MASS, base_vehicle
+from quasi.tables import read_json, read_table, write_json, write_table
+
+ROOT = Path(__file__).resolve().parents[1]
+SECONDS = 30.0
+PROFILES = ("mixed", "aggressive", "speed", "heave")
+LEARNED, REFERENCE = range(400, 406), range(500, 508)  # seeds of healthy flights
+KINDS = {"single": 0.62, "clean": 0.14, "pair": 0.12, "unlisted": 0.12}
+RANGE = 30.0  # largest over smallest size of a cause
+
+
+class Hidden(NamedTuple):
+    """How a cause is drawn: parameters, which of them ("one": the first, "pick": one of them, "vector": a direction),
+    typical deviation from neutral, neutral value, whether both signs occur."""
+
+    names: tuple[str, ...]
+    which: str
+    typical: float
+    neutral: float = 0.0
+    signed: bool = True
+
+
+_P = base_vehicle().physics
+XYZ, RPY = ("x", "y", "z"), ("roll", "pitch", "yaw")
+ROTORS = tuple(f"rotor{i}" for i in range(1, 5))
+WRENCH = {
+    "rotor_drag": Hidden(("k",), "one", 8e-6),
+    "body_drag": Hidden(("c",), "one", 0.02),
+    "blade_flapping": Hidden(("k",), "one", 3e-7),
+    "translational_lift": Hidden(("k",), "one", 0.01),
+    "axial_inflow": Hidden(("k",), "one", 2e-5),
+    "vortex_ring": Hidden(("depth",), "one", 0.3, 0.0, False),
+    "ground_effect": Hidden(("c",), "one", 4.0, 0.0, False),
+    "proximity": Hidden(("gain",), "one", 0.3, 0.0, False),
+    "rotor_interference": Hidden(("k",), "one", 0.1),
+    "thrust_curve": Hidden(("c1",), "one", 3e-5),
+    "thrust_factor": Hidden(("factor",), "one", 0.04, 1.0),
+    "inflow_lag": Hidden(("tau",), "one", 0.006, _P.inflow_lag, False),
+    "rotor_speed_scale": Hidden(("scale",), "one", 0.05, 1.0),
+    "thrust_drift": Hidden(("rate",), "one", 0.001),
+    "rotor_effectiveness": Hidden(ROTORS, "pick", 0.05, 1.0),
+    "rotor_tilt": Hidden(ROTORS, "pick", 0.03),
+    "rotor_gyroscopic": Hidden(("inertia",), "one", 1e-6),
+    "rotor_acceleration_torque": Hidden(("inertia",), "one", 7e-7),
+    "mass": Hidden(("mass",), "one", 0.04 * MASS, MASS),
+    "inertia": Hidden(("Ixx", "Iyy", "Izz"), "pick", 0.1),
+    "cg_offset": Hidden(XYZ, "vector", 0.003),
+    "wind": Hidden(("north", "east"), "vector", 1.0),
+    "payload_swing": Hidden(("mass",), "one", 0.015, 0.0, False),
+    "tether": Hidden(("k",), "one", 0.15, 0.0, False),
+}
+SENSORS = {
+    "imu_lever_arm": Hidden(XYZ, "vector", 0.008),
+    "imu_misalignment": Hidden(RPY, "vector", 0.017),
+    "accelerometer_bias": Hidden(XYZ, "vector", 0.4),
+    "accelerometer_scale": Hidden(XYZ, "pick", 0.01, 1.0),
+    "gyro_bias": Hidden(XYZ, "vector", 0.05),
+    "gyro_scale": Hidden(XYZ, "pick", 0.01, 1.0),
+    "mocap_misalignment": Hidden(RPY, "vector", 0.025),
+    "room_tilt": Hidden(("roll", "pitch"), "vector", 0.008),
+    "mocap_delay": Hidden(("delay",), "one", 0.004, 0.0, False),
+    "clock_drift": Hidden(("rate",), "one", 3e-4),
+}
+DRIVE = {
+    "battery_sag": Hidden(("exponent",), "one", 0.25, 1.0),
+    "motor_lag": Hidden(("time_constant",), "one", 0.008, 0.026),
+    "command_delay": Hidden(("delay",), "one", 0.007, 0.0, False),
+    "telemetry_delay": Hidden(("delay",), "one", 0.006, 0.0, False),
+}
+STRANGE = {
+    "unlisted_heading": Hidden(("size",), "one", 0.02),
+    "unlisted_height": Hidden(("size",), "one", 0.06),
+    "unlisted_beat": Hidden(("size",), "one", 0.15),
+    "unlisted_fan": Hidden(("size",), "one", 0.3, 0.0, False),
+}
+ALL = WRENCH | SENSORS | DRIVE | STRANGE
+SHOWS = {
+    "unlisted_heading": ("Fz",),
+    "unlisted_height": ("Fy",),
+    "unlisted_beat": ("Fx", "Fy"),
+    "unlisted_fan": ("Fz",),
+}
+
+
+def drawn(seed: int) -> dict[str, Any]:
+    """What is hidden in the flights of a seed: {"kind", "design", "effects": {id: {parameter: value}}, "factors"}.
+
+    Sizes are log-uniform over a factor of RANGE around the typical one. design  "reference": healthy flights are given
+    as well; "all": every flight is affected.
+    """
+    rng = np.random.default_rng([seed, 7])
+    kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
+    design = str(rng.choice(["reference", "all"], p=[0.7, 0.3]))
+    listed = [*WRENCH, *SENSORS, *DRIVE]
+    ids = {
+        "clean": [],
+        "single": [listed[seed % len(listed)]],  # every cause is hidden about as often
+        "pair": [str(n) for n in rng.choice(listed, 2, replace=False)],
+        "unlisted": [list(STRANGE)[seed % len(STRANGE)]],
+    }[kind]
+    factors = {name: float(RANGE ** rng.uniform(-0.5, 0.5)) for name in ids}
+    return {
+        "kind": kind,
+        "design": design,
+        "effects": {name: values_of(name, factors[name], rng) for name in ids},
+        "factors": factors,
+    }
+
+
+def values_of(name: str, factor: float, rng: np.random.Generator) -> dict[str, float]:
+    """Parameters of a cause of `factor` times its typical size, as they are planted."""
+    how = ALL[name]
+    size = factor * how.typical * (rng.choice([-1.0, 1.0]) if how.signed else 1.0)
+    if how.which == "vector":
+        direction = rng.standard_normal(len(how.names))
+        deviations = dict(zip(how.names, size * direction / np.linalg.norm(direction)))
+    else:
+        deviations = {str(rng.choice(how.names)) if how.which == "pick" else how.names[0]: size}
+    limits = (OFFERED | UNLISTED)[name][0]
+    values = {}
+    for key, deviation in deviations.items():
+        neutral = _own_inertia(key) if name == "inertia" else how.neutral
+        if name == "inertia":
+            deviation *= neutral
+        values[key] = float(np.clip(neutral + deviation, limits[key].low, limits[key].high))
+    if name == "payload_swing":
+        values["length"] = float(rng.uniform(0.2, 0.9))
+    return values
+
+
+def _own_inertia(name: str) -> float:
+    k = "xyz".index(name[1])
+    return float(INERTIA[k, k])
+
+
+def deviation(name: str, values: Mapping[str, float]) -> dict[str, float]:
+    """Planted values as deviations from what the vehicle has anyway."""
+    how = ALL[name]
+    return {k: v - (_own_inertia(k) if name == "inertia" else how.neutral) for k, v in values.items() if k in how.names}
+
+
+class Recorded(NamedTuple):
+    """A flight's raw files and how they are read."""
+
+    source: dict[str, Any]
+    quadrotor: dict[str, Any]
+
+
+def record(folder: Path, key: str, profile: str, seed: int, effects: Mapping[str, Any], seconds: float) -> Recorded:
+    """Make a flight with nuisance and write its raw log and capture into the folder."""
+    config = {
+        "flights": [{"key": key, "profile": profile, "seed": seed, "effects": effects}],
+        "duration": seconds,
+        "nuisance": 1.0,
+    }
+    campaign = read_campaign(config, key)
+    made = make_flight(campaign, campaign.flights[0])
+    onboard, capture = str(folder / f"{key}.bbl"), str(folder / f"{key}.csv")
+    write_flight(made, onboard, capture, folder / f"{key}.truth.parquet")
+    (folder / f"{key}.truth.parquet").unlink()
+    source = {
+        "flight": key, "quadrotor": campaign.quadrotor, "flight controller": "betaflight", "rigid body": "MadeBeetle",
+        "onboard": onboard, "capture": capture, "log number": None,
+    }  # fmt: skip
+    return Recorded(source, quadrotor_configuration(campaign))
+
+
+def processed(recorded: Recorded, compared: bool, calibration: Mapping[str, Any] | None = None) -> Flown:
+    """Import and filter a flight."""
+    airframe = read_airframe(recorded.quadrotor, "made")
+    frame, about = import_flight(recorded.source, recorded.quadrotor, {}, calibration)
+    filtered = filter_flight(frame, about, airframe, {})
+    return Flown(recorded.source["flight"], compared, frame, about, filtered.with_gravity, filtered.metadata, airframe)
+
+
+def affected(folder: Path, seed: int, effects: Mapping[str, Any], seconds: float) -> list[Recorded]:
+    """Four flights with the same causes."""
+    return [
+        record(folder, f"flight-{k}", profile, 100_000 + seed * 10 + k, effects, seconds)
+        for k, profile in enumerate(PROFILES)
+    ]
+
+
+def healthy(folder: Path, seed: int) -> tuple[Recorded, Flown]:
+    """A flight without causes, made once and kept in the folder."""
+    key = f"healthy-{seed}"
+    recorded = folder / f"{key}.json"
+    if recorded.is_file():
+        kept = read_json(recorded)
+        airframe = read_airframe(kept["quadrotor"], "made")
+        tables = [read_table(folder / f"{key}.{kind}.parquet") for kind in ("imported", "filtered")]
+        flown = Flown(key, False, tables[0], kept["imported"], tables[1], kept["filtered"], airframe)
+        return Recorded(kept["source"], kept["quadrotor"]), flown
+    folder.mkdir(parents=True, exist_ok=True)
+    made = record(folder, key, PROFILES[seed % len(PROFILES)], seed, {}, SECONDS)
+    flown = processed(made, False)
+    for kind, table in (("imported", flown.imported), ("filtered", flown.filtered)):
+        write_table(folder / f"{key}.{kind}.parquet", table, dict.fromkeys(table, ("", "")))
+    about = {"imported": flown.metadata, "filtered": flown.filtered_metadata}
+    write_json(recorded, json.loads(json.dumps({**made._asdict(), **about}, default=_plain)))
+    return made, flown
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if hasattr(value, "tolist") else str(value)
+
+
+@functools.cache
+def healthy_model(folder: Path) -> Model:
+    """The model that the bundled example's settings make of healthy flights, identified once and kept."""
+    path = folder / "model.json"
+    if not path.is_file():
+        flights = {}
+        for seed in LEARNED:
+            _, flown = healthy(folder, seed)
+            flights[flown.key] = flown.filtered
+        write_json(path, _identified(flights, flown.airframe))
+    return Model(read_json(path))
+
+
+def _identified(flights: Mapping[str, Any], airframe: Airframe) -> dict[str, Any]:
+    settings = read_json(ROOT / "config/models/example.json")
+    asked = settings["identification parameters"]
+    specification = read_json(ROOT / f"config/polynomials/{asked['polynomial specification file']}.json")
+    roles = partition(flights, (), settings["data partitioning"])
+    common = shared(flights, roles, airframe)
+    parts = {
+        axis: fit_axis(
+            axis, flights, roles, airframe, common, {**asked["polynomial"], "bootstrap": 0},
+            read_specification(specification, axis, "specification"),
+        )
+        for axis in AXES
+    }  # fmt: skip
+    return assemble(parts, common, {"id": "healthy", "airframe": airframe})
+
+
+def references(folder: Path, seed: int, number: int = 4) -> list[tuple[Recorded, Flown]]:
+    """Some healthy flights that did not make the model, one of each profile."""
+    first = [
+        list(REFERENCE)[k] for k in np.random.default_rng([seed, 8]).integers(0, 2, number) * 4 + np.arange(number)
+    ]
+    return [healthy(folder, s) for s in first]
+
+
+def again(recorded: Sequence[Recorded], flown: Sequence[Flown], calibrations: Sequence[Any]) -> list[Flown]:
+    """The flights processed anew, those with a calibration."""
+    return [
+        f if c is None else dataclasses.replace(processed(r, f.compared, c), compared=f.compared)
+        for r, f, c in zip(recorded, flown, calibrations, strict=True)
+    ]
