@@ -333,6 +333,15 @@ class Folder(Comparisons):
             )
         return self._here(path).absolute().as_posix()  # no rule makes it
 
+    def matlab(self, name: str) -> dict[str, Any]:
+        """Settings of the MATLAB export: inputs "u" of the differential form or None, and the "file" that says so."""
+        if name not in self.models:  # a model that was put there
+            return {"file": None, "u": ["U_p", "U_q", "U_r"]}
+        config = self.model(name)
+        chosen = config["matlab"]
+        u = chosen.get("DiffSys u", config["standalone"]["DiffSys u"])
+        return {"file": f"config/models/{name}.json", "u": u if chosen["make moment DiffSys"] else None}
+
     def axes(self, name: str) -> list[str]:
         """Axes that a model identifies."""
         parameters = self.model(name)["identification parameters"]

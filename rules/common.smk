@@ -188,6 +188,12 @@ def model_to_export(wildcards):
     return ask(FOLDER.portable, wildcards.model)
 
 
+def matlab_files(wildcards):
+    # what the export copies as it stands: no import tells the digest of the code of them
+    folder = Path(LIBRARY) / "quasi/export/matlab_files"
+    return sorted(str(p) for p in folder.rglob("*") if p.is_file())
+
+
 def every_model(wildcards):
     return [f"models/{m}/standalone" for m in ask(FOLDER.every_model)]
 

@@ -1,7 +1,7 @@
 """Models in other languages, each compared with the model itself before it is handed over.
 
 Needs  models/{model}/standalone/model.json
-Makes  models/{model}/c, python: sources and agreement.json, agreement.txt
+Makes  models/{model}/c, python, matlab: sources and agreement.json, agreement.txt
 """
 
 
@@ -35,3 +35,21 @@ rule export_python:
         code=code("export_python.py"),
     script:
         "../scripts/export_python.py"
+
+
+rule export_matlab:
+    input:
+        model=model_to_export,
+        files=matlab_files,
+    output:
+        folder=directory("models/{model}/matlab"),
+        report="models/{model}/matlab/agreement.json",
+    log:
+        "logs/export/{model}/matlab.log",
+    benchmark:
+        "results/benchmarks/export/{model}/matlab.tsv"
+    params:
+        settings=lambda wildcards: ask(FOLDER.matlab, wildcards.model),
+        code=code("export_matlab.py"),
+    script:
+        "../scripts/export_matlab.py"

@@ -13,13 +13,14 @@ Source: QuaSI user manual V1.0.a, chapter 8.
 import io
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.io import savemat
 
 from quasi.attitude import AIR_DENSITY, GRAVITY
-from quasi.errors import ConfigError
+from quasi.export.agreement import states_of
+from quasi.export.contents import check_exportable
 from quasi.export.matlab_simulation import write_simulation
 from quasi.export.matlab_terms import axis_file, differential_file, matlab_name, wrench_file
 from quasi.normalisation import LEAST_AIRSPEED
@@ -32,17 +33,24 @@ FILES = Path(__file__).parent / "matlab_files"
 _UNKNOWN = float("nan")
 
 
+class Written(NamedTuple):
+    """What was written: inputs of the differential form, None without one, and notes on what was left out."""
+
+    u: tuple[str, ...] | None
+    notes: tuple[str, ...]
+
+
 def write_matlab(
     model: Model, folder: str | Path, u: Iterable[str] | None = None, loop: Mapping[str, Any] | None = None
-) -> list[str]:
-    """Write the folder; returns notes on what it lacks.
+) -> Written:
+    """Write the folder.
 
     u     inputs of the differential form; None leaves get_PQRDiffSys.m out
     loop  the constants of a closed loop (`quasi.simulation.portable.loop_constants`); None leaves the simulation out
     Raises ConfigError for what cannot be exported, by name.
     """
     folder, notes = Path(folder), []
-    _refuse(model)
+    check_exportable(model)
     u = inputs_of_system(u, f"model {model.id}") if u is not None else None
     lacking = [axis for axis in AXES[3:] if axis not in model.axes]
     if u is not None and lacking:
@@ -56,22 +64,12 @@ def write_matlab(
         texts[path.name] = read_text(path)
     for name, text in texts.items():
         write_text(folder / name, text)
-    _write_mat(folder / "modelParams.mat", {"modelParams": model_parameters(model, u)})
-    _write_mat(folder / "droneParams.mat", {"droneParams": drone_parameters(model)})
-    _write_mat(folder / "reference.mat", {"reference": reference_rows(model, u)})
+    write_mat(folder / "modelParams.mat", {"modelParams": model_parameters(model, u)})
+    write_mat(folder / "droneParams.mat", {"droneParams": drone_parameters(model)})
+    write_mat(folder / "reference.mat", {"reference": reference_rows(model, u)})
     if loop is not None:
         write_simulation(model, folder, loop, FILES)
-    return notes
-
-
-def _refuse(model: Model) -> None:
-    for extension in model.document.get("extensions") or []:
-        name = extension.get("id")
-        if extension.get("states"):
-            raise ConfigError(
-                f"model {model.id}, extension '{name}' has states of its own ({', '.join(extension['states'])}), which "
-                "the MATLAB export cannot carry; export the model without it"
-            )
+    return Written(u, tuple(notes))
 
 
 def model_parameters(model: Model, u: Iterable[str] | None) -> dict[str, Any]:
@@ -151,33 +149,15 @@ def drone_parameters(model: Model) -> dict[str, Any]:
 
 def reference_rows(model: Model, u: Iterable[str] | None, rows: int = 200) -> dict[str, Any]:
     """States, rotor speeds and what `predict` (and the differential form) gives for them, for check_model.m."""
-    state, speeds, slopes, extra = sample(model, rows)
-    forces, moments = model.predict(state, speeds, slopes, extra)
-    columns = {matlab_name(name): values[:, None] for name, values in extra.items()}
-    columns |= {f"w{i + 1}_dot": slopes[:, i : i + 1] for i in range(4)}
-    found = {"state": state, "inputs": speeds, "extra": columns, "F": forces, "M": moments}
+    at = states_of(model, rows)
+    forces, moments = model.predict(at.state, at.speeds, at.accelerations, at.extra)
+    columns = {matlab_name(name): values[:, None] for name, values in at.extra.items()}
+    columns |= {f"w{i + 1}_dot": at.accelerations[:, i : i + 1] for i in range(4)}
+    found = {"state": at.state, "inputs": at.speeds, "extra": columns, "F": forces, "M": moments}
     if u is not None:
-        form = differential_system(model, state, speeds, u, slopes, extra)
+        form = differential_system(model, at.state, at.speeds, u, at.accelerations, at.extra)
         found |= {"A": np.moveaxis(form.A, 0, 2), "B": np.moveaxis(form.B, 0, 2)}
     return found
-
-
-def sample(model: Model, rows: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-    """Random states (N, 12), rotor speeds (N, 4), their accelerations (N, 4) and further columns of ordinary flight."""
-    random = np.random.default_rng(seed)
-    hover = model.hover_speed or 1500.0
-    size = np.array([1.0, 0.7, 3.0, 6.0, 6.0, 4.0, 4.0, 4.0, 3.0, 5.0, 5.0, 5.0])
-    state = random.uniform(-1.0, 1.0, (rows, 12)) * size
-    speeds = hover * random.uniform(0.4, 1.6, (rows, 4))
-    slopes = hover * random.uniform(-5.0, 5.0, (rows, 4))
-    extra = {name: _usual(name, model, random, rows) for name in model.inputs[len(INPUTS) :]}
-    return state, speeds, slopes, extra
-
-
-def _usual(name: str, model: Model, random: np.random.Generator, rows: int) -> np.ndarray:
-    covered = (model.document.get("envelope") or {}).get(name, {}).get("percentiles", {})
-    low, high = covered.get("5", 1.0), covered.get("95", 2.0)
-    return random.uniform(low, high, rows)
 
 
 def cells(rows: list[list[str]], columns: int) -> np.ndarray:
@@ -192,7 +172,8 @@ def _number(value: float | None) -> float:
     return _UNKNOWN if value is None else float(value)
 
 
-def _write_mat(path: Path, content: dict[str, Any]) -> None:
+def write_mat(path: Path, content: dict[str, Any]) -> None:
+    """Write a .mat file (version 5, compressed)."""
     buffer = io.BytesIO()
     savemat(buffer, content, oned_as="row", do_compression=True, long_field_names=True)
     write_bytes(path, buffer.getvalue())

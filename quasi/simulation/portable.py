@@ -1,6 +1,7 @@
 """A closed loop as plain named numbers, for exports that fly it elsewhere.
 
-Only what such an export can carry: the INDI controller, rotors with lag, delay and limits, steady wind, a battery at rest.
+Only what such an export can carry: the INDI controller, rotors with lag, delay and limits, steady wind, a battery at
+rest.
 """
 
 import math

@@ -4,7 +4,7 @@ function worst = check_model(tolerance)
 %   worst = check_model()             greatest relative differences, fields F M A B
 %   worst = check_model(tolerance)    an error where one is greater (default 1e-12)
 %
-%   Differences are relative to the greatest of the forces, moments or entries compared.
+%   Differences are relative to each number, or to a thousandth of the greatest of its kind where that is more.
 if nargin < 1
     tolerance = 1e-12;
 end
@@ -24,7 +24,7 @@ names = fieldnames(worst);
 for k = 1:numel(names)
     fprintf('%s: greatest relative difference %.3g\n', names{k}, worst.(names{k}));
     if worst.(names{k}) > tolerance
-        error('quasi:check', '%s of model %s differs by %.3g of its greatest value, more than %.3g', names{k}, ...
+        error('quasi:check', '%s of model %s differs by %.3g of its value, more than %.3g', names{k}, ...
             modelParams.modelID, worst.(names{k}), tolerance);
     end
 end
@@ -35,10 +35,22 @@ if ~isequal(size(a), size(b)) || ~isequal(isfinite(a), isfinite(b)) || ~isequal(
     worst = Inf;
     return
 end
-good = isfinite(b);
-scale = max(abs(b(good)));
-if isempty(scale) || scale == 0
-    scale = 1;
+a = columns(a);
+b = columns(b);
+worst = 0;
+for k = 1:size(b, 2)
+    good = isfinite(b(:, k));
+    value = b(good, k);
+    scale = max(abs(value), 1e-3*max([abs(value); 0]));
+    error_ = abs(a(good, k) - value);
+    error_(error_ > 0) = error_(error_ > 0)./scale(error_ > 0);
+    worst = max([worst; error_]);
 end
-worst = max([0; abs(a(good) - b(good))])/scale;
+end
+
+function x = columns(x)
+% pages of matrices as rows
+if ndims(x) > 2
+    x = reshape(x, [], size(x, 3)).';
+end
 end

@@ -1,0 +1,37 @@
+"""Write a model for MATLAB and GNU Octave with its simulation environment, and compare it with the model in Octave."""
+
+from pathlib import Path
+
+from quasi.errors import QuasiError
+from quasi.export.agreement import hand_over
+from quasi.export.matlab import write_matlab
+from quasi.export.matlab_check import NO_OCTAVE, check_matlab, find_octave
+from quasi.joblog import job, tell
+from quasi.simulation.portable import loop_constants, portable_setup
+from quasi.standalone.model import read_model
+
+
+def main(model: str, settings: dict, folder: str) -> None:
+    """Read the model; write functions, parameters, simulation and agreement report."""
+    portable = read_model(model)
+    notes, loop = [], None
+    try:
+        setup = portable_setup(portable)
+        loop = loop_constants(setup)
+        notes += setup.notes
+    except QuasiError as reason:
+        notes.append(f"the simulation environment is left out: {reason}")
+    written = write_matlab(portable, folder, settings["u"], loop)
+    notes += written.notes
+    checks = []
+    if find_octave():
+        checks = check_matlab(portable, folder, written.u)
+    else:
+        notes.append(f"not compared: {NO_OCTAVE}")
+    files = sorted({p.relative_to(folder).parts[0] for p in Path(folder).rglob("*.m*")})
+    tell(hand_over(folder, portable, "MATLAB", checks, notes, files))
+
+
+if __name__ == "__main__":
+    with job(snakemake.log[0], f"MATLAB export of {snakemake.wildcards.model}"):
+        main(snakemake.input.model, snakemake.params.settings, snakemake.output.folder)
