@@ -114,7 +114,7 @@ def compare(
     size = np.abs(np.where(finite, reference, 0.0))
     floor = np.maximum(size, _FLOOR * size.max(axis=0, initial=0.0))
     both = finite & np.isfinite(found) & ~same
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         error[both] = (np.abs(found - reference)[both]) / floor[both]
     worst = error.max(axis=0, initial=0.0)
     k = int(np.argmax(worst))
