@@ -67,6 +67,7 @@ SHOWS = {
     "attitude_error": ("ax", "ay"),
 }  # fmt: skip
 TURNED = frozenset({"imu_misalignment", "mocap_misalignment"})
+WITNESS = {TURNED: "imu_lever_arm"}  # turned markers displace the tracked point, a turned IMU does not
 BREAKERS = {
     TURNED: "correct either and compare what the model leaves of forces and moments; the smaller residual wins",
     frozenset({"accelerometer_bias", "room_tilt"}): "turn through all headings in hover",
@@ -177,7 +178,7 @@ def _search(used: Sequence[Flown], weak: Sequence[Weak], asked: Sequence[str], t
         mixed = build(grams)
         threshold = alarm / ((1 if compared.all() else 2) * max(len(asked), 1))
         doubtful = build(grams, MARKERS_KNOWN * np.sqrt(len(blocks)))
-        choice = choose(mixed, threshold, [TURNED], doubtful)
+        choice = choose(mixed, threshold, witness=WITNESS, doubtful=doubtful)
         wanted = [_bent(mixed, choice, names, flag) for flag in compared]
         if not turning or look == LOOKS - 1 or max(_apart(a, b, names) for a, b in zip(wanted, applied)) < 1.0:
             break

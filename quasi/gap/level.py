@@ -69,11 +69,36 @@ class Choice:
     tied: dict[Offer, list[Offer]] = field(default_factory=dict)
     marginal: dict[Offer, Test] = field(default_factory=dict)
     why_not: dict[Offer, str] = field(default_factory=dict)
+    witness: Mapping[frozenset[str], str] = field(default_factory=dict)
 
     @property
     def given(self) -> list[Offer]:
-        """Everything that later tests have to stand beside: the taken causes and those tied with them."""
+        """The taken causes and those tied with them."""
         return [offer for taken in self.taken for offer in self.tied[taken]]
+
+    def rules_out(self, offer: Offer) -> bool:
+        """Whether the offer is taken, or its twin is: only one of them is there."""
+        return offer in self.given or any(
+            offer.since == g.since and frozenset({offer.cause, g.cause}) in self.witness for g in self.given
+        )
+
+    def alternatives(self, without: Sequence[Offer] = ()) -> list[list[Offer]]:
+        """What a test has to stand beside: of twins that are tied, one or the other."""
+        ways: list[list[Offer]] = [[]]
+        for taken in self.taken:
+            tie = self.tied[taken]
+            if any(o in without for o in tie):
+                continue
+            twins = [o for o in tie if any(frozenset({o.cause, t.cause}) in self.witness for t in tie)]
+            others = [o for o in tie if o not in twins]
+            ways = [[*way, *others, *one] for way in ways for one in ([[t] for t in twins] or [[]])]
+        return ways
+
+    def test(self, mixed: "Tests", offer: Offer, beside: Sequence[Offer] = (), without: Sequence[Offer] = ()) -> Test:
+        """The offer beside everything taken, the least favourable of the alternatives."""
+        pooled = pooled_for(mixed, offer.since)
+        tests = [mixed.test(offer, [*way, *beside], pooled) for way in self.alternatives(without)]
+        return max(tests, key=lambda test: (test.p, -test.wald))
 
 
 class Tests(Mixed):
@@ -104,34 +129,36 @@ def offers_of(mixed: Tests, since: str) -> list[Offer]:
 
 
 def choose(
-    mixed: Tests, threshold: float, twinned: Sequence[frozenset[str]] = (), doubtful: Tests | None = None
-) -> Choice:
+    mixed: Tests, threshold: float, twinned: Sequence[frozenset[str]] = (),
+    witness: Mapping[frozenset[str], str] | None = None, doubtful: Tests | None = None,
+) -> Choice:  # fmt: skip
     """Take causes one after the other while the best is less probable by chance than `threshold`.
 
-    twinned  pairs of causes whose signatures are nearly the same: both stand in the tie unless one beats the other
-    doubtful  the same tests with wider nuisances, which alone may tell twins apart in what all flights have in common
+    twinned   pairs of causes whose signatures are nearly the same: both stand in the tie unless one beats the other
+    witness   {pair: cause}: twins of which only one can be there; one beats the other when, with the other given, this
+              third cause is needed too, and with itself given it is not
+    doubtful  the same tests with wider nuisances, which alone hear witnesses in what all flights have in common
     Changes between reference and compared flights are settled before what all flights have in common.
     """
-    choice = Choice()
+    choice = Choice(witness=witness or {})
     stages = ["always"] if mixed.compared.all() else ["changed", "always"]
     for since in stages:
-        pooled = pooled_for(mixed, since)
+        judge = mixed if doubtful is None or since == "changed" else doubtful
         while len(choice.taken) < MOST_CAUSES:
-            offers = [o for o in offers_of(mixed, since) if o not in choice.given]
-            tests = [mixed.test(offer, choice.given, pooled) for offer in offers]
+            offers = [o for o in offers_of(mixed, since) if not choice.rules_out(o)]
+            tests = [choice.test(mixed, offer) for offer in offers]
             for test in tests:
                 choice.marginal.setdefault(test.offer, test)
             found = sorted((t for t in tests if t.p < threshold), key=lambda t: (t.p, -t.wald))
             if not found:
                 break
-            judge = mixed if doubtful is None or since == "changed" else doubtful
-            best, tie = _duel(mixed, judge, found, choice, threshold, twinned)
+            best, tie = _duel(mixed, judge, found, choice, threshold, [*twinned, *choice.witness])
             choice.taken.append(best)
             choice.tied[best] = tie
             _drop(mixed, choice, threshold)
     for offer, test in choice.marginal.items():
         if offer not in choice.given and offer not in choice.why_not:
-            last = mixed.test(offer, choice.given, pooled_for(mixed, offer.since))
+            last = choice.test(mixed, offer)
             choice.why_not[offer] = (
                 f"explained by {', '.join(sorted({o.cause for o in choice.given}))}"
                 if test.p < threshold
@@ -147,8 +174,14 @@ def _duel(
     """The winner of the significant causes by the nested rule, and all that are tied with it, itself first."""
 
     def stands(offer: Offer, beside: Offer) -> bool:
-        tests = judge if frozenset({offer.cause, beside.cause}) in twinned else mixed
-        return tests.test(offer, [*choice.given, beside], pooled_for(mixed, offer.since)).p < threshold
+        third = choice.witness.get(frozenset({offer.cause, beside.cause}))
+        if third is None:
+            return choice.test(mixed, offer, [beside]).p < threshold
+        called = next(o for o in offers_of(mixed, offer.since) if o.cause == third)
+        if called in choice.given:
+            return False  # it is there anyway and tells nothing
+        needed = [choice.test(judge, called, [o]).p < threshold for o in (beside, offer)]
+        return needed[0] and not needed[1]
 
     champion = found[0].offer
     for rival in (t.offer for t in found[1:]):
@@ -161,7 +194,7 @@ def _duel(
     twins = {c for pair in twinned if champion.cause in pair for c in pair}
     offers += [o for o in offers_of(mixed, champion.since) if o.cause in twins and o not in offers]
     for rival in offers:
-        if rival == champion or rival in choice.given or len(tie) == MOST_TIED:
+        if rival == champion or choice.rules_out(rival) or len(tie) == MOST_TIED:
             continue
         own, other = stands(champion, rival), stands(rival, champion)
         if not own and not other:
@@ -174,9 +207,7 @@ def _duel(
 def _drop(mixed: Tests, choice: Choice, threshold: float) -> None:
     """Take back causes that later ones made needless."""
     for offer in choice.taken[:-1]:
-        tie = choice.tied[offer]
-        others = [g for g in choice.given if g not in tie]
-        if mixed.test(offer, others, pooled_for(mixed, offer.since)).p >= threshold:
+        if choice.test(mixed, offer, without=choice.tied[offer]).p >= threshold:
             choice.taken.remove(offer)
             del choice.tied[offer]
             choice.why_not[offer] = f"needless beside {choice.taken[-1].cause}"
@@ -185,14 +216,13 @@ def _drop(mixed: Tests, choice: Choice, threshold: float) -> None:
 def final_test(mixed: Tests, choice: Choice, offer: Offer) -> Test:
     """A cause beside all others that were taken, those of its own tie left out."""
     own = next(tie for tie in choice.tied.values() if offer in tie)
-    return mixed.test(offer, [g for g in choice.given if g not in own], pooled_for(mixed, offer.since))
+    return choice.test(mixed, offer, without=own)
 
 
 def separability(mixed: Tests, choice: Choice, first: Offer, second: Offer) -> float:
     """Standard errors by which the first stands out with the second given as well."""
     own = next(tie for tie in choice.tied.values() if first in tie)
-    others = [g for g in choice.given if g not in own]
-    return float(np.sqrt(max(mixed.test(first, [*others, second], pooled_for(mixed, first.since)).wald, 0.0)))
+    return float(np.sqrt(max(choice.test(mixed, first, [second], own).wald, 0.0)))
 
 
 def probability(
