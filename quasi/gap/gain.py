@@ -1,8 +1,7 @@
 """What an extended model gains, on flights that had no part in choosing or fitting it.
 
-What flights merely differ by (mass, thrust, seating, constant errors) is estimated on the first half of a held-out
-flight, with its usual spread as the prior, and taken off the second half, before and after alike; the second half is
-scored.
+What flights merely differ by (mass, thrust, seating, constant errors) stays in the error, before and after alike: it is
+part of what no model of other flights can know.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -12,7 +11,6 @@ import numpy as np
 
 from quasi.gap.evidence import Evidence
 from quasi.gap.extension import shown
-from quasi.gap.nuisance import nuisances
 from quasi.gap.study import BAND, ORDER
 from quasi.gap.whitening import thin
 from quasi.simulation.rollout import errors, rollout, steps_of
@@ -38,34 +36,16 @@ def wrench_score(flights: Sequence[Evidence], residual: Callable[[Evidence], np.
     """Squared residuals of the wrench in the band of the analysis, by blocks. residual  flight -> (n, 6)."""
     values, weight = [], []
     for flight in flights:
-        own = nuisances(flight)
-        stack = np.stack([residual(flight), *(column for _, column, _ in own)], axis=2)
-        part = thin(stack, flight.breaks, flight.t, BAND, 2 * ORDER)
+        part = thin(residual(flight)[:, :, None], flight.breaks, flight.t, BAND, 2 * ORDER)
         if not len(part.rows):
             continue
         t = flight.t[part.rows]
-        middle = 0.5 * (t[0] + t[-1])
-        first, second = t < middle, t >= middle
-        spread = np.array([s for *_, s in own])
-        left = part.columns[second][:, :, 0] - part.columns[second][:, :, 1:] @ _nuisance(part.columns[first], spread)
-        number = ((t[second] - middle) / BLOCK).astype(int)
+        number = ((t - t[0]) / BLOCK).astype(int)
         for n in np.unique(number):
             rows = number == n
-            values.append(np.mean(left[rows] ** 2, axis=0))
+            values.append(np.mean(part.columns[rows, :, 0] ** 2, axis=0))
             weight.append(np.count_nonzero(rows))
     return Score(np.array(values), np.array(weight, float))
-
-
-def _nuisance(columns: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """Most probable nuisances (m,) of a flight's half, channels weighted by their own residual."""
-    level = np.sqrt(np.mean(columns[:, :, 0] ** 2, axis=0))
-    level = np.where(level > 0, level, 1.0) * np.sqrt(MEMORY)
-    x = (columns[:, :, 1:] / level[None, :, None]).reshape(-1, len(spread))
-    y = (columns[:, :, 0] / level).reshape(-1)
-    return np.linalg.solve(x.T @ x + np.diag(1.0 / spread**2), x.T @ y)
-
-
-MEMORY = 20.0  # samples that a residual remembers: information is counted that much lower
 
 
 def before(flight: Evidence) -> np.ndarray:

@@ -74,10 +74,22 @@ def marginal(gram: np.ndarray, columns: Sequence[int], spread: np.ndarray) -> np
     return gram - gram[:, columns] @ np.linalg.solve(inner, gram[columns, :])
 
 
+def _integrated(grams: np.ndarray, columns: Sequence[int], spread: np.ndarray) -> tuple[np.ndarray, float]:
+    """Sum (P, P) of cross-products (K, P, P), each with the columns' random coefficients integrated out, and the log
+    determinant that this leaves in the likelihood."""
+    columns = list(columns)
+    cross = grams[:, columns, :]
+    inner = cross[:, :, columns] + np.diag(1.0 / spread**2)
+    log = float(np.linalg.slogdet(inner * np.outer(spread, spread))[1].sum())
+    weighted = np.linalg.solve(inner, cross)
+    return grams.sum(axis=0) - np.einsum("kmi,kmj->ij", cross, weighted, optimize=True), log
+
+
 class Mixed:
     """Flights' cross-products and the tests on them.
 
-    grams     (P, P) per flight; compared  (F,) bool, False for reference flights; columns  what is where
+    grams     (P, P) per flight, or (K, P, P) where a flight is cut into K stretches, each with a deviation of its own;
+              compared  (F,) bool, False for reference flights; columns  what is where
     prior     precision (S, S) of the shared columns' coefficients about 0, where they are known from elsewhere
     """
 
@@ -91,8 +103,10 @@ class Mixed:
         self.columns = columns
         self.prior = prior
         self.compared = np.asarray(compared, bool)
-        self.grams = [marginal(g, columns.nuisance, columns.spread) for g in grams]
-        self.freedom = max(len(grams) - (1 if self.compared.all() else 2), 1)
+        self._stretches = [g[None] if g.ndim == 2 else g for g in map(np.asarray, grams)]
+        self.grams = [marginal(g.sum(axis=0), columns.nuisance, columns.spread) for g in self._stretches]
+        self.count = sum(len(g) for g in self._stretches)
+        self.freedom = max(self.count - (1 if self.compared.all() else 2), 1)
 
     def offered(self, since: str) -> np.ndarray:
         """(F,) bool: flights that a cause is offered to."""
@@ -112,16 +126,19 @@ class Mixed:
             others += [(free, self.offered("always"))] if free else []
         # a pooled cause under test is offered twice: to all, and to the compared flights
         blocks = [*others, (own, self.offered(offer.since))]
-        typical = sum(g[own, own] for g in self.grams) / len(self.grams)
+        typical = sum(g[own, own] for g in self.grams) / self.count
         unit = 1.0 / np.sqrt(np.maximum(typical, 1e-300))
         best = certain = None
         for tau in (CERTAIN, *SPREADS):
             spread = tau * unit
             grams, logs = [], 0.0
-            for g in self.grams:
-                inner = g[np.ix_(own, own)] + np.diag(1.0 / spread**2)
-                logs += np.linalg.slogdet(inner * np.outer(spread, spread))[1]
-                grams.append(g - g[:, own] @ np.linalg.solve(inner, g[own, :]))
+            for stretches in self._stretches:
+                rest, log = _integrated(stretches, own, spread)
+                if self.columns.nuisance:
+                    rest, more = _integrated(rest[None], self.columns.nuisance, self.columns.spread)
+                    log += more
+                grams.append(rest)
+                logs += log
             left, value, covariance, information = self._solve(grams, blocks)
             if certain is None:
                 certain = covariance[-len(own) :, -len(own) :]

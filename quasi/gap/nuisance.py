@@ -6,13 +6,14 @@ a degree, in what is left of biases and of the rotor telemetry's age after impor
 
 import numpy as np
 
+from quasi.gap.effect import vehicle_of
 from quasi.gap.evidence import Evidence
 from quasi.standalone.model import AXES, ROTORS
 
-MASS, THRUST = 0.01, 0.01  # shares
+MASS, THRUST, TORQUE = 0.01, 0.01, 0.01  # shares
 SEATING, MARKERS = 0.0035, 0.0052  # rad, about each axis
 FORCE_BIAS, MOMENT_BIAS = 0.005, 0.0005  # of m g, and of m g times the arm: what filtering leaves of constant errors
-TELEMETRY = 0.0007  # s
+TELEMETRY = 0.003  # s, where the flight could not tell it
 
 
 def nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]:
@@ -23,7 +24,11 @@ def nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]:
         spread = FORCE_BIAS * weight if k < 3 else MOMENT_BIAS * weight * evidence.airframe.arm * 10.0
         result.append((f"constant {axis}", evidence.only(axis, 1.0), spread))
     result.append(("mass", evidence.forces_only(-evidence.force), MASS))
-    result.append(("thrust", evidence.upward(evidence.thrust), THRUST))
+    vehicle = vehicle_of(evidence.model, evidence.mass, evidence.inertia)
+    thrust = evidence.upward(evidence.thrust)
+    thrust[:, 5] -= vehicle.drawn * (evidence.spin * evidence.speeds**2).sum(axis=1)  # the power goes with the thrust
+    result.append(("thrust", thrust, THRUST))
+    result.append(("torque", evidence.only("Mz", -(evidence.spin * evidence.torque).sum(axis=1)), TORQUE))
     by_velocity, by_rates = evidence.gradient("u", "v", "w"), evidence.gradient("p", "q", "r")
     for k, name in enumerate(("roll", "pitch", "yaw")):
         axis = np.eye(3)[k]

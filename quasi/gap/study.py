@@ -1,6 +1,7 @@
 """Cross-products of all flights of a gap: the model's terms, nuisances, causes, and where a residual may live."""
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from quasi.variables import Variables
 BAND = 10.0  # Hz
 ORDER = 6  # of the autoregression
 BLOCK = 5.0  # s, longer than the memory of gusts
+STRETCH = 2  # blocks, about a manoeuvre
 LIGHT = 1e-6  # ridge of the per-flight fit whose residual tells the noise
 
 
@@ -42,8 +44,19 @@ class Study(NamedTuple):
     lacking: dict[str, str]
 
     def mixed(self, use: Sequence[int], compared: Sequence[bool], prior: np.ndarray | None = None) -> Mixed:
-        """The mixed model of some of the flights. prior  precision (shared, shared) of the model's own terms."""
-        return Mixed([self.blocks[f].sum(axis=0) for f in use], compared, self.columns, prior)
+        """The mixed model of some of the flights. prior  precision (shared, shared) of the model's own terms.
+
+        A model errs with the manoeuvre, and manoeuvres change within a flight: a cause's apparent parameters deviate
+        from stretch to stretch. What differs between whole flights has known spreads, the nuisances.
+        """
+        return Mixed([in_stretches(self.blocks[f]) for f in use], compared, self.columns, prior)
+
+
+def in_stretches(blocks: np.ndarray) -> np.ndarray:
+    """Cross-products (K, P, P) of stretches of STRETCH blocks each; the last takes what is over."""
+    count = max(len(blocks) // STRETCH, 1)
+    ends = [0, *(STRETCH * (k + 1) for k in range(count - 1)), len(blocks)]
+    return np.array([blocks[a:b].sum(axis=0) for a, b in pairwise(ends)])
 
 
 MEMORY = 20.0  # samples that a residual remembers: information is counted that much lower

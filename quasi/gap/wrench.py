@@ -14,11 +14,12 @@ from quasi.gap.extension import extend
 from quasi.gap.gain import Score, after, before, fraction, wrench_score
 from quasi.gap.mixed import Mixed, Offer, Test
 from quasi.gap.naming import Named, Tie, search
-from quasi.gap.study import Study, base_columns, gather_study, refit
+from quasi.gap.study import Study, base_columns, gather_study, in_stretches, refit
 from quasi.standalone.model import AXES, Model
 
 LOOKS = 3  # how often curved causes are linearised anew
 RICH = 1e-3  # ridge of the fit of everything at once, on scaled columns
+COMMON = 0.2  # share of the false alarm rate for what reference and compared flights have in common
 DRAWS = 40  # resamples of the flights' blocks
 Deviations = dict[str, float]
 
@@ -106,9 +107,10 @@ def examine(
             changes = refit(study, range(len(flights)), compared, own)
         return extend(model, [(c.effect, c.value) for c in of], vehicle, ident, where, changes)
 
-    # what all flights have in common, the model's own terms were fitted to as well: they are fitted anew beside it
-    common = any(c.since == "always" for c in causes)
-    kept, immaterial = _material(causes, lambda of: made(of, "trial", common), model, held, old, floor, share)
+    def score(of: Sequence[Cause], fitted_anew: bool) -> Score:
+        return wrench_score(held, after(Model(made(of, "trial", fitted_anew), "trial"), model))
+
+    kept, immaterial = _material(causes, score, old, floor, share)
     extended = made(kept, name, any(c.since == "always" for c in kept))
     new = wrench_score(held, after(Model(extended, name), model))
     scores = {"before": old.mean(), "after": new.mean(), "noise_floor": np.minimum(floor, new.mean())}
@@ -123,13 +125,13 @@ def _search(
     within: Mapping[str, list[tuple[float, float]]],
 ) -> tuple[list[Named], list[tuple[str, Tie]], list[Test], float]:  # fmt: skip
     """First what changed, then what all flights have alike; the false alarm rate is shared between the two."""
-    stages = ["always"] if compared.all() else ["changed", "always"]
+    stages = {"always": 1.0} if compared.all() else {"changed": 1.0 - COMMON, "always": COMMON}
     named: list[Named] = []
     ties: list[tuple[str, Tie]] = []
     rankings: list[Test] = []
     level = rate
-    for since in stages:
-        names = search(mixed, asked, (since,), rate / len(stages), tuple(study.lacking), within, _given(named, ties))
+    for since, part in stages.items():
+        names = search(mixed, asked, (since,), rate * part, tuple(study.lacking), within, _given(named, ties))
         named += names.named
         ties += [(since, tie) for tie in names.ties]
         rankings += names.ranking
@@ -184,7 +186,7 @@ def _count(
     counts = np.zeros(len(causes))
     offers = [c.test.offer for c in causes]
     for _ in range(DRAWS):
-        grams = [b[rng.integers(0, len(b), len(b))].sum(axis=0) for b in study.blocks]
+        grams = [in_stretches(b[rng.integers(0, len(b), len(b))]) for b in study.blocks]
         mixed = Mixed(grams, compared, study.columns)
         for k, offer in enumerate(offers):
             pooled = [c for c in study.columns.causes if not asked[c].absorbed] if offer.since == "changed" else []
@@ -218,33 +220,39 @@ def _floor(
 
 def _material(
     causes: Sequence[Cause],
-    made: Callable[[Sequence[Cause]], dict[str, Any]],
-    model: Model,
-    held: Sequence[Evidence],
+    score: Callable[[Sequence[Cause], bool], Score],
     old: Score,
     floor: np.ndarray,
     share: float,
 ) -> tuple[list[Cause], list[Cause]]:
-    """Causes whose leaving out costs at least `share` of the removable error on some axis, and the others."""
+    """Causes whose leaving out costs at least `share` of the removable error on some axis, and the others.
 
-    def score(of: Sequence[Cause]) -> Score:
-        return wrench_score(held, after(Model(made(of), "trial"), model))
-
-    kept, dropped = list(causes), []
+    What all flights have in common, the model's own terms were fitted to as well: they are fitted anew beside such
+    causes, and all of them together have to do better than the model as it was.
+    """
     removable = np.maximum(old.mean() - floor, 0.0)
-    there = removable > 0.1 * old.mean()
-    while kept:
-        whole = score(kept)
-        worth = []
-        for cause in kept:
-            without = score([c for c in kept if c is not cause])
-            cause.gain = fraction(without, whole, floor)
-            gone = (without.mean() - whole.mean()) / np.where(there, removable, np.inf)
-            worth.append(float(gone.max()))
-        if min(worth) >= share:
-            break
-        dropped.append(kept.pop(int(np.argmin(worth))))
-    return kept, dropped
+    removable = np.where(removable > 0.1 * old.mean(), removable, np.inf)
+
+    def thinned_out(own: list[Cause], beside: list[Cause], anew: bool) -> list[Cause]:
+        while own:
+            whole, worth = score([*beside, *own], anew), []
+            for cause in own:
+                without = score([*beside, *(c for c in own if c is not cause)], anew)
+                cause.gain = fraction(without, whole, floor)
+                worth.append(float(((without.mean() - whole.mean()) / removable).max()))
+            if min(worth) >= share:
+                break
+            own = [c for k, c in enumerate(own) if k != int(np.argmin(worth))]
+        return own
+
+    kept = thinned_out([c for c in causes if c.since == "changed"], [], False)
+    common = thinned_out([c for c in causes if c.since == "always"], kept, True)
+    if common:
+        plain, whole = score(kept, False).mean(), score([*kept, *common], True).mean()
+        if ((plain - whole) / removable).max() < share or np.mean(whole / plain) >= 1.0:
+            common = []
+    kept = sorted([*kept, *common], key=lambda c: c.test.p)
+    return kept, [c for c in causes if c not in kept]
 
 
 def _best_wrong(
