@@ -1,7 +1,7 @@
 """Models in other languages, each compared with the model itself before it is handed over.
 
 Needs  models/{model}/standalone/model.json
-Makes  models/{model}/c, python, matlab: sources and agreement.json, agreement.txt
+Makes  models/{model}/c, fmu, python, matlab: sources and agreement.json, agreement.txt
 """
 
 
@@ -19,6 +19,32 @@ rule export_c:
         code=code("export_c.py"),
     script:
         "../scripts/export_c.py"
+
+
+rule export_fmu:
+    input:
+        model=model_to_export,
+        sources=expand(
+            f"{LIBRARY}/quasi/export/fmu_files/{{file}}",
+            file=[
+                "interface.h",
+                "instance.h",
+                "fmu.c",
+                "forces_and_moments.c",
+                "vehicle.c",
+            ],
+        ),
+    output:
+        folder=directory("models/{model}/fmu"),
+        report="models/{model}/fmu/agreement.json",
+    log:
+        "logs/export/{model}/fmu.log",
+    benchmark:
+        "results/benchmarks/export/{model}/fmu.tsv"
+    params:
+        code=code("export_fmu.py"),
+    script:
+        "../scripts/export_fmu.py"
 
 
 rule export_python:

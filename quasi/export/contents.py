@@ -32,6 +32,17 @@ class Actuators(NamedTuple):
     notes: tuple[str, ...]
 
 
+class Voltage(NamedTuple):
+    """The battery of a model that reads its voltage: V at the start, V at which commands are true, and the exponent.
+
+    Rotor speeds grow with (voltage / reference) ^ exponent; 0 and 1 for a model that reads no voltage
+    """
+
+    start: float
+    reference: float
+    exponent: float
+
+
 def name_in_source(model: Model) -> str:
     """The identifier that everything of a model begins with: quasi_ and its mapped ID."""
     return identifier(model.id, PREFIX)
@@ -108,6 +119,27 @@ def actuators_of(model: Model) -> Actuators:
         limits.append(free if logged is None or factor is None else float(logged * factor))
     delay = 0.0 if late is None else max(float(np.mean(late)), 0.0)
     return Actuators(up, down, delay, limits[0], limits[1], tuple(notes))
+
+
+def voltage_of(model: Model) -> Voltage:
+    """The battery of a model: the median voltage of its training flights, and what extensions say of the rotors.
+
+    Raises ConfigError for a model that reads the voltage but does not know what its flights had.
+    """
+    if "battery_voltage" not in extras_of(model):
+        return Voltage(0.0, 1.0, 0.0)
+    covered = (model.document.get("envelope") or {}).get("battery_voltage", {})
+    start = covered.get("percentiles", {}).get("50")
+    if start is None:
+        raise ConfigError(
+            f"model {model.id} reads the battery voltage but does not tell that of its flights; make the model anew"
+        )
+    exponent = 0.0
+    for extension in _extensions(model):
+        found = (extension.get("actuators") or {}).get("voltage exponent")
+        if found is not None:
+            exponent = float(np.mean(_numbers(found, f"model {model.id}: 'voltage exponent'")))
+    return Voltage(float(start), float(start), exponent)
 
 
 def wind_of(model: Model) -> np.ndarray:

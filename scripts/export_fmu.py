@@ -1,0 +1,40 @@
+"""Write a model as two FMUs, forces and moments alone and the whole vehicle, and compare both with the model."""
+
+import tempfile
+from pathlib import Path
+
+from quasi.errors import ConfigError
+from quasi.export.agreement import hand_over
+from quasi.export.compiler import NO_COMPILER
+from quasi.export.contents import actuators_of
+from quasi.export.fmu_archive import write_fmu
+from quasi.export.fmu_running import check_forces, check_vehicle
+from quasi.export.fmu_source import forces_fmu, vehicle_fmu
+from quasi.joblog import job, tell
+from quasi.standalone.model import read_model
+
+
+def main(model: str, folder: str) -> None:
+    """Read the model; write its FMUs and their agreement report."""
+    portable = read_model(model)
+    notes = [*actuators_of(portable).notes]
+    made = [(forces_fmu(portable), check_forces)]
+    try:
+        made.append((vehicle_fmu(portable), check_vehicle))
+    except ConfigError as error:  # the force-and-moment model is of use without it
+        notes.append(f"no vehicle was made: {error}")
+    checks, files = [], []
+    with tempfile.TemporaryDirectory(prefix="quasi-export-") as scratch:
+        for fmu, check in made:
+            files.append(f"{fmu.identifier}.fmu")
+            library = write_fmu(Path(folder) / files[-1], fmu, scratch)
+            if library:
+                checks += check(portable, fmu, library)
+    if not checks:
+        notes.append(f"the FMUs hold sources alone and were not compared: {NO_COMPILER}")
+    tell(hand_over(folder, portable, "FMU", checks, notes, files))
+
+
+if __name__ == "__main__":
+    with job(snakemake.log[0], f"FMU export of {snakemake.wildcards.model}"):
+        main(snakemake.input.model, snakemake.output.folder)
