@@ -95,10 +95,12 @@ class Choice:
         return ways
 
     def test(self, mixed: "Tests", offer: Offer, beside: Sequence[Offer] = (), without: Sequence[Offer] = ()) -> Test:
-        """The offer beside everything taken, the least favourable of the alternatives."""
+        """The offer beside everything taken: the least favourable alternative, with what they differ in as doubt."""
         pooled = pooled_for(mixed, offer.since)
         tests = [mixed.test(offer, [*way, *beside], pooled) for way in self.alternatives(without)]
-        return max(tests, key=lambda test: (test.p, -test.wald))
+        worst = max(tests, key=lambda test: (test.p, -test.wald))
+        apart = np.array([test.value - worst.value for test in tests])
+        return worst._replace(covariance=worst.covariance + apart.T @ apart)
 
 
 class Tests(Mixed):
