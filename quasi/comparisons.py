@@ -1,4 +1,4 @@
-"""What a project folder says of its gaps: a model, the flights it is compared with, and the name it is extended under."""
+"""What a folder says of its gaps: a model, the flights it is compared with, the name it is extended under."""
 
 import functools
 import hashlib

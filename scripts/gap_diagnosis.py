@@ -1,1 +1,75 @@
-"""To be written in a moment."""
+"""Compare a model with a gap's flights: causes, what is left, the extended model, its gain; all as tables and data."""
+
+from pathlib import Path
+
+import pandas as pd
+from threadpoolctl import threadpool_limits
+
+from quasi.airframe import read_airframe
+from quasi.errors import ConfigError, DataError
+from quasi.gap.catalogue import catalogue, chosen
+from quasi.gap.diagnosis import diagnose
+from quasi.gap.evidence import gather
+from quasi.gap.level import Flown
+from quasi.gap.lower import units_of
+from quasi.identification.partition import UNITS, partition, to_table
+from quasi.joblog import LOG, job, progress
+from quasi.standalone.model import read_model
+from quasi.tables import read_json, read_table, write_json, write_table
+
+RATE = 100.0  # Hz, of the comparison of forces and moments
+
+
+def main(source: dict, asked: dict, output: dict[str, str]) -> None:
+    """Read model, calibration and flights; write the diagnosis, the extended model and the tables."""
+    if asked["problem"]:
+        raise ConfigError(asked["problem"])
+    model, roles = read_model(source["model"]), asked["roles"]
+    effects = chosen(asked["settings"]["effects"], catalogue(asked["effect files"]))
+    flights, evidence, airframes, lost = {}, {}, {}, []
+    for path, about in progress(list(zip(source["flights"], source["metadata"], strict=True)), "reading flights"):
+        key = Path(path).stem
+        airframes[key] = read_airframe(asked["quadrotor"], asked["quadrotor"]["file"], asked["masses"][key])
+        table = read_table(path)
+        try:
+            evidence[key] = gather(key, table, read_json(about), airframes[key], model, RATE)
+            flights[key] = table
+        except DataError as error:
+            lost.append(f"{error}; it is left out of the comparison of forces and moments")
+    if not evidence:
+        raise DataError(f"{asked['file']}: no flight can be compared with the model: {lost[0] if lost else ''}")
+    held = [_flown(source, prefix, airframes) for prefix in ("first", "held")]
+    calibration = read_json(source["calibration"])
+    with threadpool_limits(1):  # many small matrices: threads would only wait for each other
+        found = diagnose(
+            model, calibration, evidence, flights, roles, effects, asked["settings"], tuple(held), asked["name"], lost
+        )
+    LOG.info("%s: %s", found.document["verdict"], found.document["summary"])
+    folder = Path(output["tables"])
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, table in found.tables.items():
+        write_table(folder / f"{name}.parquet", table, units_of(table))
+    write_table(output["partition"], _partition(flights, roles), UNITS)
+    write_json(output["model"], found.model)
+    write_json(output["diagnosis"], found.document)
+
+
+def _partition(flights: dict[str, pd.DataFrame], roles: dict[str, str]) -> pd.DataFrame:
+    """Which rows the extended model may be judged on as training and as validation."""
+    held = [k for k in flights if roles[k] == "held out"]
+    return to_table(partition(flights, held, {"random partition": False}))
+
+
+def _flown(source: dict, prefix: str, airframes: dict) -> list[Flown]:
+    names = [f"{prefix}_{n}" for n in ("imported", "imported_metadata", "filtered", "filtered_metadata")]
+    result = []
+    for paths in zip(*(source[n] for n in names), strict=True):
+        key = Path(paths[0]).stem
+        parts = [read_table(p) if p.endswith(".parquet") else read_json(p) for p in paths]
+        result.append(Flown(key, True, *parts, airframes[key]))
+    return result
+
+
+if __name__ == "__main__":
+    with job(snakemake.log[0], f"diagnosis of gap {snakemake.wildcards.gap}"):
+        main(dict(snakemake.input.items()), snakemake.params.asked, dict(snakemake.output.items()))

@@ -1,0 +1,348 @@
+"""The whole diagnosis of a gap: what is wrong, why, what is left, and what the extended model gains; and its tables."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from quasi.gap import generic, rollouts, unexplained
+from quasi.gap.effect import Effect, Vehicle, vehicle_of
+from quasi.gap.evidence import Evidence
+from quasi.gap.extension import extend
+from quasi.gap.gain import after, before, fraction, wrench_score
+from quasi.gap.level import Flown
+from quasi.gap.lower import judged
+from quasi.gap.study import refit
+from quasi.gap.wording import summary
+from quasi.gap.wrench import Cause, Found, examine
+from quasi.gap.wrench_tables import wrench_tables
+from quasi.standalone.model import AXES, Model
+
+SCHEMA = "quasi.gap/1"
+SURE = 0.8  # share of resamples in which a cause must be found again
+FORCES = ("Fx", "Fy", "Fz")
+
+
+@dataclass
+class Diagnosis:
+    """document "quasi.gap/1"; model  the extended model's document; tables  by name."""
+
+    document: dict[str, Any]
+    model: dict[str, Any]
+    tables: dict[str, pd.DataFrame] = field(default_factory=dict)
+
+
+def diagnose(
+    model: Model,
+    calibration: Mapping[str, Any],
+    evidence: Mapping[str, Evidence],
+    flights: Mapping[str, pd.DataFrame],
+    roles: Mapping[str, str],
+    effects: Mapping[str, Effect],
+    settings: Mapping[str, Any],
+    lower: tuple[Sequence[Flown], Sequence[Flown]],
+    name: str,
+    lost: Sequence[str] = (),
+) -> Diagnosis:
+    """Compare a model with flights.
+
+    calibration  what levels K and A found, with "levels"; evidence, flights  by key, processed with that calibration,
+    of the kind of force that the model predicts; roles {key: "compared", "held out", "reference"}
+    settings     of the gap; lower  the held-out flights before and after calibration; name  of the gap
+    lost         sentences on flights that could not be used
+    """
+    vehicle, ident = vehicle_of(model), settings["extended model ID"]
+    groups = {r: [e for k, e in evidence.items() if roles[k] == r] for r in ("reference", "compared", "held out")}
+    learning = [*groups["reference"], *groups["compared"]]
+    compared = [False] * len(groups["reference"]) + [True] * len(groups["compared"])
+    held, rate, share = groups["held out"], settings["false alarm rate"] / 3.0, settings["material share"]
+    levels = calibration["levels"]
+    said: dict[str, Any] = {"candidates": [], "unexplained": [], "cannot_be_asked": [], "notes": list(lost)}
+    unable = _unable(groups)
+    found, kept = None, []
+    if unable:
+        asked = [n for n, e in effects.items() if e.level == "W"]
+        said["cannot_be_asked"] += [{"id": n, "why": unable} for n in asked]
+    else:
+        found = examine(learning, compared, held, model, effects, vehicle, rate, share, ident, f"gap {name}")
+        kept = [c for c in found.causes if c.probability >= SURE]
+        said["candidates"] += _candidates(found, kept, share)
+        said["cannot_be_asked"] += [{"id": n, "why": why} for n, why in found.lacking.items()]
+    drive = [(effects[e["id"]], _deviations(effects[e["id"]], e["parameters"]))
+             for e in levels["A"]["effects"] if e["id"] in effects and effects[e["id"]].extension]  # fmt: skip
+    document = _extended(model, kept, drive, found, compared, vehicle, ident, f"gap {name}")
+    extended = Model(document, f"model {ident}")
+    rolled = _rollouts(model, extended, flights, held, settings["horizons"])
+    gap, scores = _gap(model, extended, found, kept, held, learning, compared, rolled, lower, document)
+    effects_said = [_wrench_effect(c, vehicle) for c in kept]
+    _rollout_gains(effects_said, kept, model, drive, found, compared, vehicle, flights, held, settings, rolled)
+    if found is not None:
+        accepted = [(c.effect, c.test.offer, c.value) for c in [*found.causes, *found.immaterial]]
+        tied = [(effects[t.tests[0].offer.cause], t.tests[0].offer, {}) for _, t in found.ties]
+        left = after(extended, model)
+        said["unexplained"], _ = unexplained.search(
+            learning, compared, held, [*accepted, *tied], left, found.scores["noise_floor"], vehicle, rate, share
+        )
+    lower_effects = [_lower_effect(e, level, gap) for level in ("K", "A") for e in levels[level]["effects"]]
+    ties = [t for level in ("K", "A") for t in levels[level]["ties"]]
+    ties += [_tie(since, tie, effects, vehicle) for since, tie in (found.ties if found else [])]
+    for level in ("K", "A"):
+        said["candidates"] += levels[level]["candidates"]
+        said["cannot_be_asked"] += levels[level]["cannot_be_asked"]
+        said["notes"] += levels[level]["notes"]
+    result = {
+        "schema": SCHEMA,
+        "gap": gap,
+        "model": settings["model"],
+        "verdict": _verdict([*lower_effects, *effects_said], ties, said["unexplained"]),
+        "summary": "",
+        "effects": [*lower_effects, *effects_said],
+        "ties": ties,
+        "findings": [f for level in ("K", "A") for f in levels[level]["findings"]],
+        **said,
+        "extended_model": ident,
+        "flights": dict(roles),
+        "name": name,
+        "material share": share,
+        "false alarm rate": settings["false alarm rate"],
+        "horizons": list(settings["horizons"]),
+        "rollouts": rolled["fell"],
+        "scores": scores,
+        "calibration": {k: calibration[k] for k in ("compared", "reference", "causes", "notes") if k in calibration},
+    }
+    result["summary"] = summary(result, effects)
+    tables = wrench_tables(evidence, roles, after(extended, model), vehicle)
+    tables |= {k: t for k, t in rolled.items() if isinstance(t, pd.DataFrame)}
+    return Diagnosis(result, document, tables)
+
+
+def _unable(groups: Mapping[str, Sequence[Evidence]]) -> str:
+    """Why no force or moment can be told from another, or nothing."""
+    if len(groups["compared"]) < 2:
+        count = len(groups["compared"])
+        return (
+            f"{count or 'no'} compared flight{'s' * (count != 1)} {'is' if count == 1 else 'are'} left to learn from, "
+            "and a cause needs at least 2 beside those held out"
+        )
+    if not groups["held out"]:
+        return "no flight is held out, so that no gain can be measured; name one in 'rows of flights held out'"
+    return ""
+
+
+def _extended(
+    model: Model, kept: Sequence[Cause], drive: Sequence[tuple[Effect, Mapping[str, float]]], found: Found | None,
+    compared: Sequence[bool], vehicle: Vehicle, ident: str, where: str,
+) -> dict[str, Any]:  # fmt: skip
+    """The extended model's document; the model's own terms are fitted anew beside causes that were always there."""
+    changes = None
+    if found is not None and any(c.since == "always" for c in kept):
+        own = {(c.effect.id, c.since): {c.effect.fitted.index(n): v for n, v in c.value.items()} for c in kept}
+        changes = refit(found.study, range(len(compared)), compared, own)
+    document = extend(model, [*((c.effect, c.value) for c in kept), *drive], vehicle, ident, where, changes)
+    document.pop("differential form", None)
+    return document
+
+
+def _deviations(effect: Effect, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    return {n: p["value"] - (effect.parameters[n].neutral or 0.0) for n, p in parameters.items()}
+
+
+def _truth(effect: Effect, name: str, deviation: float, vehicle: Vehicle) -> float:
+    """A parameter as it is, of its deviation from neutral; masses and inertias from the configured ones."""
+    neutral = effect.parameters[name].neutral
+    if neutral is not None:
+        return neutral + deviation
+    if name == "mass":
+        return vehicle.mass + deviation
+    if len(name) == 3 and name[0] == "I":
+        return float(vehicle.inertia["xyz".index(name[1]), "xyz".index(name[2])]) + deviation
+    return deviation
+
+
+def _parameters(effect: Effect, value: Mapping[str, float], std: Mapping[str, float], vehicle: Vehicle) -> dict:
+    return {
+        n: {"value": float(_truth(effect, n, v, vehicle)), "std": float(std[n]), "unit": effect.parameters[n].unit}
+        for n, v in value.items()
+    }
+
+
+def _wrench_effect(cause: Cause, vehicle: Vehicle) -> dict[str, Any]:
+    gains = {a: g for a, g in cause.gain.items() if g["value"] is not None}
+    shown = [a for a in cause.effect.channels if a in gains] or list(gains)
+    best = max(shown, key=lambda a: gains[a]["value"], default=None)
+    return {
+        "id": cause.effect.id,
+        "level": "W",
+        "since": cause.since,
+        "probability": cause.probability,
+        "channels": list(cause.effect.channels),
+        "parameters": _parameters(cause.effect, cause.value, cause.std, vehicle),
+        "gain": {"wrench": gains[best]["value"] if best else None, "rollout": None},
+        "gain channel": best,
+        "gains": cause.gain,
+        "confused_with": [r.id for r in cause.rivals],
+        "rivals": [r._asdict() for r in cause.rivals],
+        "evidence": {"p": cause.test.p, "wald": cause.test.wald, "between flights": cause.test.tau},
+    }
+
+
+def _lower_effect(effect: Mapping[str, Any], level: str, gap: Mapping[str, Any]) -> dict[str, Any]:
+    """An effect of level K or A; its gain on held-out flights is that of its channel where most could be removed."""
+    best: tuple[float, float | None] = (0.0, None)
+    for channel in effect["channels"]:
+        old, new, floor = (gap[k].get(level, {}).get(channel, {}).get("0") for k in ("before", "after", "noise_floor"))
+        if old is None or new is None or floor is None or floor**2 >= 0.9 * old**2:
+            continue
+        gone = (old**2 - new**2) / (old**2 - floor**2)
+        if (old**2 - floor**2) / old**2 > best[0]:
+            best = ((old**2 - floor**2) / old**2, float(gone))
+    return {**effect, "level": level, "gain": {"wrench": best[1], "rollout": None}, "confused_with": []}
+
+
+def _tie(since: str, tie: Any, effects: Mapping[str, Effect], vehicle: Vehicle) -> dict[str, Any]:
+    ids = [t.offer.cause for t in tie.tests]
+    parameters = {}
+    for test in tie.tests:
+        effect = effects[test.offer.cause]
+        names = [effect.fitted[k] for k in test.offer.which]
+        value, std = dict(zip(names, test.value)), dict(zip(names, test.std))
+        parameters[effect.id] = _parameters(effect, value, std, vehicle)
+    breaker = next((b for i in ids if (b := effects[i].tie_breaker)), "")
+    return {"ids": ids, "since": since, "separability": tie.separability, "tie_breaker": breaker,
+            "parameters": parameters}  # fmt: skip
+
+
+def _candidates(found: Found, kept: Sequence[Cause], share: float) -> list[dict[str, Any]]:
+    """Causes that were asked and are not named, the most significant first, with the reason."""
+    out = {(c.effect.id, c.since) for c in kept} | {(t.offer.cause, s) for s, tie in found.ties for t in tie.tests}
+    said = []
+
+    def add(cause: str, since: str, test: Any, why: str) -> None:
+        if (cause, since) not in out:
+            out.add((cause, since))
+            said.append({"id": cause, "since": since, "score": test.wald, "p": test.p, "why_not": why})
+
+    for c in found.causes:
+        why = f"found again in {100 * c.probability:.0f} % of the resamples only, expected {100 * SURE:.0f} %"
+        add(c.effect.id, c.since, c.test, why)
+    for c in found.immaterial:
+        why = f"there, but it removes less than {100 * share:.0f} % of the removable error on held-out flights"
+        add(c.effect.id, c.since, c.test, why)
+    for c in kept:
+        for r in c.rivals:
+            why = f"beside {c.effect.id} it adds nothing (p = {r.beside_named:.2g}); {c.effect.id} stays beside it"
+            if (r.id, c.since) not in out:
+                out.add((r.id, c.since))
+                said.append({"id": r.id, "since": c.since, "score": None, "p": r.p, "why_not": why})
+    named = ", ".join(sorted({c.effect.id for c in found.causes})) or "the model's own terms"
+    for test in found.ranking:
+        why = f"p = {test.p:.2g} beside {named}, not below {found.level:.2g}"
+        if test.p < found.level:
+            why = "its size would be outside what is physical, or others explain it"
+        add(test.offer.cause, test.offer.since, test, why)
+    return said
+
+
+def _rollouts(
+    model: Model, extended: Model, flights: Mapping[str, pd.DataFrame], held: Sequence[Evidence],
+    horizons: Sequence[float],
+) -> dict[str, Any]:  # fmt: skip
+    """End errors before, after and at the floor, with measured rotor speeds and with commands; overlays of windows."""
+    ready = [rollouts.flight_of(e.key, flights[e.key]) for e in held]
+    whole: dict[str, Any] = {"fell": {}, "rms": {"before": {}, "after": {}, "noise_floor": {}}}
+    parts = []
+    for driven in (rollouts.MEASURED, rollouts.TOLD):
+        old, new = (rollouts.end_errors(m, ready, horizons, driven) for m in (model, extended))
+        if not len(old):
+            continue
+        whole["rms"]["before"][driven], whole["rms"]["after"][driven] = rollouts.rms(old), rollouts.rms(new)
+        whole["fell"][driven] = rollouts.fell(old, new)
+        parts += [t.assign(driven=driven, model=word) for word, t in (("before", old), ("after", new))]
+    if parts:
+        floor = rollouts.floor_errors(extended, ready, horizons)
+        least, new = rollouts.rms(floor), whole["rms"]["after"][rollouts.MEASURED]
+        whole["rms"]["noise_floor"][rollouts.MEASURED] = {
+            q: {h: min(v, new[q][h]) for h, v in by.items()} for q, by in least.items()
+        }
+        parts.append(floor.assign(driven=rollouts.MEASURED, model="floor"))
+        whole["R_errors"] = pd.concat(parts, ignore_index=True)
+        whole["R_overlays"] = rollouts.overlays({"before": model, "after": extended}, ready, max(horizons))
+    return whole
+
+
+def _rollout_gains(
+    said: Sequence[dict[str, Any]], kept: Sequence[Cause], model: Model, drive: Sequence, found: Found | None,
+    compared: Sequence[bool], vehicle: Vehicle, flights: Mapping[str, pd.DataFrame], held: Sequence[Evidence],
+    settings: Mapping[str, Any], rolled: Mapping[str, Any],
+) -> None:  # fmt: skip
+    """Fill in what each cause is worth in roll-outs: of velocity or rate at the longest horizon, left out alone."""
+    if not rolled["rms"]["noise_floor"]:
+        return
+    longest = max(settings["horizons"])
+    for entry, cause in zip(said, kept):
+        force = (entry["gain channel"] or entry["channels"][0]) in FORCES
+        quantity, horizon = "velocity" if force else "rate", f"{longest:g}"
+        old, new, floor = (
+            rolled["rms"][k][rollouts.MEASURED][quantity][horizon] for k in ("before", "after", "noise_floor")
+        )
+        if len(kept) > 1:
+            rest = _extended(model, [c for c in kept if c is not cause], drive, found, compared, vehicle, "rest", "gap")
+            ready = [rollouts.flight_of(e.key, flights[e.key]) for e in held]
+            without = rollouts.end_errors(Model(rest, "rest"), ready, [longest], rollouts.MEASURED)
+            old = rollouts.rms(without)[quantity][horizon]
+        removable = old**2 - floor**2
+        entry["gain"]["rollout"] = float((old**2 - new**2) / removable) if floor**2 < 0.9 * old**2 else None
+        entry["rollout channel"] = quantity
+
+
+def _gap(
+    model: Model, extended: Model, found: Found | None, kept: Sequence[Cause], held: Sequence[Evidence],
+    learning: Sequence[Evidence], compared: Sequence[bool], rolled: Mapping[str, Any],
+    lower: tuple[Sequence[Flown], Sequence[Flown]], document: Mapping[str, Any],
+) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
+    """Root mean squares before, after and at the floor by level, channel and horizon; shares of W with intervals."""
+    gap: dict[str, Any] = {k: {} for k in ("before", "after", "noise_floor", "best_wrong_cause", "generic_polynomial")}
+    for key in ("before", "after", "noise_floor"):
+        gap[key] |= rolled["rms"][key]
+    scores: dict[str, Any] = {}
+    if held:
+        old, new = wrench_score(held, before), wrench_score(held, after(extended, model))
+        if len(old.weight):
+            floor = np.minimum(found.scores["noise_floor"] if found else new.mean(), new.mean())
+            gap["before"]["W"], gap["after"]["W"] = _axes(old.mean()), _axes(new.mean())
+            if found:
+                gap["noise_floor"]["W"] = _axes(floor)
+                scores["removed"] = fraction(old, new, floor)
+                if kept:
+                    size = sum(len(c.value) for c in kept)
+                    students = [e for e, flag in zip(learning, compared) if flag]
+                    other = wrench_score(held, generic.polynomial(students, size))
+                    gap["generic_polynomial"]["W"] = _axes(other.mean())
+                    scores["generic polynomial"] = {"terms": size, "removed": fraction(old, other, floor)}
+                    if found.wrong:
+                        gap["best_wrong_cause"]["W"] = _axes(found.scores["best_wrong_cause"])
+                        scores["best wrong cause"] = found.wrong
+    first, last = lower
+    if first:
+        for word, table in (("before", judged(first, model.document)), ("after", judged(last, document))):
+            for level, channels in table.items():
+                mean = {c: float(np.sqrt(np.mean(t["before"] ** 2))) for c, t in channels.groupby("channel")}
+                gap[word][level] = {c: {"0": v} for c, v in mean.items()}
+                if word == "after":
+                    least = {c: float(np.sqrt(np.mean(t["floor"] ** 2))) for c, t in channels.groupby("channel")}
+                    gap["noise_floor"][level] = {c: {"0": min(v, mean[c])} for c, v in least.items()}
+    return gap, scores
+
+
+def _axes(values: np.ndarray) -> dict[str, dict[str, float]]:
+    return {axis: {"0": float(np.sqrt(v))} for axis, v in zip(AXES, values)}
+
+
+def _verdict(effects: Sequence[Any], ties: Sequence[Any], left: Sequence[Any]) -> str:
+    if effects:
+        return "partly explained" if ties or left else "explained"
+    if ties:
+        return "partly explained"
+    return "unexplained" if left else "agrees"

@@ -1,0 +1,184 @@
+"""Level R: open-loop simulations of models over held-out flights, and how far they end from what was measured."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from quasi.gap.gain import states_of
+from quasi.simulation.replay import replay, steps_of, twelve
+from quasi.simulation.rollout import errors
+from quasi.standalone.model import AXES, Model
+
+EVERY = 0.2  # s between the starts of two windows
+COMMANDED = tuple(f"w{i}_CMD" for i in range(1, 5))
+QUANTITIES = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
+MEASURED, TOLD = "R", "R commands"  # driven by measured rotor speeds, by commands
+BLOCK, DRAWS = 5.0, 200
+
+
+class Flight(NamedTuple):
+    """A held-out flight: its table, and what roll-outs need of it."""
+
+    key: str
+    table: pd.DataFrame
+    t: np.ndarray
+    states: np.ndarray
+    speeds: np.ndarray
+    valid: np.ndarray
+    commands: np.ndarray | None
+
+
+def flight_of(key: str, table: pd.DataFrame) -> Flight:
+    """A filtered flight made ready. Commands are taken where all four are known in most of it."""
+    t, states, speeds, valid = states_of(table)
+    commands = None
+    if all(c in table for c in COMMANDED):
+        commands = table[list(COMMANDED)].to_numpy(float)
+        if np.isfinite(commands).all(axis=1)[valid].mean() < 0.5:
+            commands = None
+    return Flight(key, table, t, states, speeds, valid, commands)
+
+
+def windows(flight: Flight, horizon: float, driven: str) -> np.ndarray:
+    """Rows at which windows start: all of a window is valid, and its commands are known where they drive."""
+    good = flight.valid
+    if driven == TOLD:
+        good = good & np.isfinite(flight.commands).all(axis=1)
+    steps = steps_of(flight.t, horizon)
+    sums = np.concatenate([[0], np.cumsum(~good)])
+    every = max(round(EVERY / float(np.median(np.diff(flight.t)))), 1)
+    starts = np.arange(0, len(flight.t) - steps - 1, every)
+    return starts[sums[starts + steps + 1] == sums[starts]]
+
+
+def simulated(
+    model: Model, flight: Flight, starts: np.ndarray, horizon: float, driven: str = MEASURED,
+    offsets: np.ndarray | None = None,
+) -> np.ndarray:  # fmt: skip
+    """States (S, steps + 1, 12) of a model from the measured ones at `starts`."""
+    wind = model.document.get("environment", {}).get("wind")
+    air = None if wind is None else np.ascontiguousarray(np.broadcast_to(np.asarray(wind, float), (len(flight.t), 3)))
+    extra = {n: np.nan_to_num(flight.table[n].to_numpy(float)) for n in model.inputs[20:] if n in flight.table}
+    commands = np.nan_to_num(flight.commands) if driven == TOLD else None
+    run = replay(
+        model, flight.t, flight.states, flight.speeds, starts, horizon, commands, None, air, extra or None, offsets
+    )
+    return twelve(run)
+
+
+def end_errors(model: Model, flights: Sequence[Flight], horizons: Sequence[float], driven: str) -> pd.DataFrame:
+    """Errors at the end of windows: flight, start (s), horizon (s), and one column for each of QUANTITIES."""
+    rows = []
+    for flight in flights:
+        if driven == TOLD and flight.commands is None:
+            continue
+        longest = max(horizons)
+        starts = windows(flight, longest, driven)
+        if not len(starts):
+            continue
+        found = errors(simulated(model, flight, starts, longest, driven), flight.states, starts)
+        for horizon in horizons:
+            at = steps_of(flight.t, horizon)
+            ends = {q: found[q][:, at] for q in QUANTITIES}
+            rows.append(
+                pd.DataFrame({"flight": flight.key, "start": flight.t[starts], "horizon": float(horizon), **ends})
+            )
+    columns = ["flight", "start", "horizon", *QUANTITIES]
+    return pd.concat(rows, ignore_index=True) if rows else pd.DataFrame(columns=columns)
+
+
+def floor_errors(model: Model, flights: Sequence[Flight], horizons: Sequence[float]) -> pd.DataFrame:
+    """As `end_errors`, each window with its own mean error of force and moment taken off.
+
+    What is left then no model could take away that is constant over a window: noise of the starts, and quick gusts.
+    """
+    rows = []
+    for flight in flights:
+        starts = windows(flight, max(horizons), MEASURED)
+        if not len(starts):
+            continue
+        predicted = model.predict_columns(flight.table)[list(AXES)].to_numpy()
+        wrong = np.nan_to_num(flight.table[list(AXES)].to_numpy(float) - predicted)
+        sums = np.vstack([np.zeros(6), np.cumsum(wrong, axis=0)])
+        for horizon in horizons:
+            steps = steps_of(flight.t, horizon)
+            offsets = (sums[starts + steps + 1] - sums[starts]) / (steps + 1)
+            found = errors(simulated(model, flight, starts, horizon, MEASURED, offsets), flight.states, starts)
+            ends = {q: found[q][:, -1] for q in QUANTITIES}
+            rows.append(
+                pd.DataFrame({"flight": flight.key, "start": flight.t[starts], "horizon": float(horizon), **ends})
+            )
+    return pd.concat(rows, ignore_index=True) if rows else pd.DataFrame(columns=["horizon", *QUANTITIES])
+
+
+def rms(table: pd.DataFrame) -> dict[str, dict[str, float]]:
+    """{quantity: {horizon: root mean square}} of end errors; diverged windows count with the largest finite error."""
+    result: dict[str, dict[str, float]] = {}
+    for horizon, part in table.groupby("horizon"):
+        for quantity in QUANTITIES:
+            result.setdefault(quantity, {})[f"{horizon:g}"] = float(np.sqrt(np.mean(_finite(part[quantity]) ** 2)))
+    return result
+
+
+def fell(old: pd.DataFrame, new: pd.DataFrame, seed: int = 0) -> list[dict[str, object]]:
+    """By how much each error fell: horizon, quantity, share of the root mean square with its interval (95 %).
+
+    Windows are drawn anew in blocks of BLOCK seconds of a flight, the same ones before and after.
+    """
+    rng = np.random.default_rng(seed)
+    rows = []
+    for horizon, first in old.groupby("horizon"):
+        last = new[new["horizon"] == horizon]
+        block = first["flight"] + [f" {n}" for n in (first["start"] / BLOCK).astype(int)]
+        number = block.astype("category").cat.codes.to_numpy()
+        count = np.bincount(number).astype(float)
+        for quantity in QUANTITIES:
+            sums = [np.bincount(number, weights=_finite(part[quantity]) ** 2) for part in (first, last)]
+            draws = []
+            for _ in range(DRAWS):
+                pick = rng.integers(0, len(count), len(count))
+                draws.append(1.0 - np.sqrt(sums[1][pick].sum() / max(sums[0][pick].sum(), 1e-300)))
+            low, high = np.quantile(draws, [0.025, 0.975])
+            rows.append(
+                {"horizon": float(horizon), "quantity": quantity, "low": float(low), "high": float(high),
+                 "value": float(1.0 - np.sqrt(sums[1].sum() / max(sums[0].sum(), 1e-300))),
+                 "before": float(np.sqrt(sums[0].sum() / count.sum())),
+                 "after": float(np.sqrt(sums[1].sum() / count.sum()))}
+            )  # fmt: skip
+    return rows
+
+
+def overlays(models: Mapping[str, Model], flights: Sequence[Flight], horizon: float, count: int = 3) -> pd.DataFrame:
+    """A few windows state by state: window, flight, t, each state as <state>_measured and <state>_<model's word>.
+
+    Taken are the windows whose velocity error under the first model is the greatest, one of the greatest tenth, and a
+    median one.
+    """
+    found = []
+    first = next(iter(models.values()))
+    for number, flight in enumerate(flights):
+        starts = windows(flight, horizon, MEASURED)
+        if len(starts):
+            end = errors(simulated(first, flight, starts, horizon), flight.states, starts)["velocity"][:, -1]
+            found += [(e, number, s) for e, s in zip(_finite(end), starts)]
+    found.sort(reverse=True)
+    parts = []
+    for window, place in enumerate([0, len(found) // 10, len(found) // 2][:count] if found else []):
+        _, number, start = found[place]
+        flight = flights[number]
+        rows = slice(start, start + steps_of(flight.t, horizon) + 1)
+        table = {"window": window, "flight": flight.key, "t": flight.t[rows]}
+        runs = {"measured": flight.states[rows]}
+        runs |= {word: simulated(m, flight, np.array([start]), horizon)[0] for word, m in models.items()}
+        for k, name in enumerate(("roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z")):
+            table |= {f"{name}_{word}": run[:, k] for word, run in runs.items()}
+        parts.append(pd.DataFrame(table))
+    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame({"window": [], "flight": [], "t": []})
+
+
+def _finite(values: np.ndarray | pd.Series) -> np.ndarray:
+    values = np.asarray(values, float)
+    fine = np.isfinite(values)
+    return np.where(fine, values, values[fine].max() if fine.any() else 0.0)

@@ -1,0 +1,159 @@
+"""The words of a diagnosis: sentences that a pilot understands, with the numbers that an engineer checks."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from quasi.gap.effect import Effect
+
+CHANNELS = {
+    "Fx": "forward force", "Fy": "sideward force", "Fz": "vertical force", "Mx": "roll moment", "My": "pitch moment",
+    "Mz": "yaw moment", "p": "roll rate", "q": "pitch rate", "r": "yaw rate", "ax": "forward acceleration",
+    "ay": "sideward acceleration", "az": "vertical acceleration", "position": "position", "velocity": "velocity",
+    "attitude": "attitude", "rate": "body rate",
+}  # fmt: skip
+SINCE = {
+    "changed": "this is new since the reference flights",
+    "always": "the model lacks it in every flight",
+}
+
+
+def name_of(ident: str) -> str:
+    """An id as words."""
+    return ident.replace("_", " ")
+
+
+def value_of(parameter: Mapping[str, Any]) -> str:
+    """A value ± its standard error with the unit, to the error's second digit."""
+    value, std, unit = parameter["value"], parameter.get("std") or 0.0, parameter.get("unit") or ""
+    unit = "" if unit == "1" else f" {unit}"
+    if not std > 0 or not math.isfinite(std):
+        return f"{value:.4g}{unit}"
+    power = math.floor(math.log10(abs(value))) if value else 0
+    if power < -3:
+        digits = max(power - math.floor(math.log10(std)) + 1, 0)
+        return f"({value / 10.0**power:.{digits}f} ± {std / 10.0**power:.{digits}f})e{power}{unit}"
+    places = max(1 - math.floor(math.log10(std)), 0)
+    return f"{value:.{places}f} ± {std:.{places}f}{unit}"
+
+
+def parameters_of(parameters: Mapping[str, Mapping[str, Any]]) -> str:
+    """Parameters as a list in words."""
+    return ", ".join(f"{name_of(n)} = {value_of(p)}" for n, p in parameters.items())
+
+
+def percent(share: float | None) -> str:
+    """A share in whole percent, at most all of it."""
+    return "–" if share is None else f"{100 * min(share, 1.0):.0f} %"
+
+
+def flights_of(roles: Mapping[str, str], role: str) -> str:
+    """How many flights of a role there are, in words."""
+    count = sum(1 for r in roles.values() if r == role)
+    return f"the {role.replace('held out', 'held-out')} flight{'s' * (count != 1)}"
+
+
+def cause_sentence(effect: Mapping[str, Any], known: Mapping[str, Effect], roles: Mapping[str, str]) -> str:
+    """What a named cause is, how large, since when, and what it explains."""
+    sentence = known[effect["id"]].sentence if effect["id"] in known else name_of(effect["id"])
+    text = f"{sentence[:1].upper()}{sentence[1:]} ({name_of(effect['id'])}: {parameters_of(effect['parameters'])})"
+    text += f"; {SINCE[effect['since']]}"
+    gain, channel = effect["gain"]["wrench"], effect.get("gain channel")
+    if gain is not None and channel:
+        text += (
+            f". It explains {percent(gain)} of the removable {CHANNELS.get(channel, channel)} error ({channel}) on "
+            f"{flights_of(roles, 'held out')}"
+        )
+    elif gain is not None:
+        text += f". Corrected at import, it takes {percent(gain)} of the removable error away there"
+    if effect["gain"].get("rollout") is not None:
+        text += f" and {percent(effect['gain']['rollout'])} of that of the simulated {effect['rollout channel']}"
+    return text + "."
+
+
+def rivals_sentence(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
+    """Which rivals of the named causes were tested, and how they lost."""
+    texts = []
+    for effect in diagnosis["effects"]:
+        listed = known[effect["id"]].rivals if effect["id"] in known else ()
+        named = {e["id"] for e in diagnosis["effects"]}
+        lost = {c["id"]: c for c in diagnosis["candidates"]}
+        names = dict.fromkeys([*effect.get("confused_with", []), *listed])
+        tested = [i for i in names if i in lost and i not in named]
+        if tested:
+            texts.append(
+                f"{_listed([name_of(i) for i in tested])} {'were' if len(tested) > 1 else 'was'} tested in place of "
+                f"{name_of(effect['id'])} and lost{_first_reason(lost[tested[0]])}"
+            )
+    return ". ".join(f"{t[:1].upper()}{t[1:]}" for t in texts) + ("." if texts else "")
+
+
+def _first_reason(candidate: Mapping[str, Any]) -> str:
+    p = candidate.get("p")
+    return f" ({name_of(candidate['id'])}: p = {p:.2g})" if isinstance(p, float) else ""
+
+
+def tie_sentence(tie: Mapping[str, Any]) -> str:
+    """A tie and what would break it."""
+    return (
+        f"{_listed([name_of(i) for i in tie['ids']], 'or')}: this data cannot tell which "
+        f"(separability {tie['separability']:.1f} standard errors)"
+        + (f"; to settle it: {tie['tie_breaker']}" if tie["tie_breaker"] else "")
+        + "."
+    )
+
+
+def left_sentence(left: Mapping[str, Any]) -> str:
+    """An unexplained residual and where it lives."""
+    return (
+        f"The {CHANNELS.get(left['channel'], left['channel'])} ({left['channel']}) is off along {left['where']}: "
+        f"{percent(left['share'])} of its removable error, which no cause explains."
+    )
+
+
+def rollout_sentence(diagnosis: Mapping[str, Any]) -> str:
+    """How much nearer the extended model's simulation stays, at the longest horizon."""
+    rows = diagnosis["rollouts"].get("R") or []
+    rows = [r for r in rows if r["quantity"] in ("velocity", "rate")]
+    if not rows:
+        return ""
+    longest = max(r["horizon"] for r in rows)
+    units = {"velocity": "m/s", "rate": "rad/s"}
+    texts = [
+        f"{CHANNELS[r['quantity']]} {r['before']:.2g} to {r['after']:.2g} {units[r['quantity']]}"
+        for r in rows
+        if r["horizon"] == longest
+    ]
+    return f"Simulated for {longest:g} s, the error changes in {_listed(texts)}."
+
+
+def summary(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
+    """The first paragraph of the report."""
+    roles, effects = diagnosis["flights"], diagnosis["effects"]
+    texts = [cause_sentence(e, known, roles) for e in effects]
+    if effects:
+        texts.append(rivals_sentence(diagnosis, known))
+    texts += [tie_sentence(t) for t in diagnosis["ties"]]
+    texts += [left_sentence(u) for u in diagnosis["unexplained"][:3]]
+    if len(diagnosis["unexplained"]) > 3:
+        texts.append(f"{len(diagnosis['unexplained']) - 3} more residuals are listed in the report.")
+    if effects:
+        texts.append(rollout_sentence(diagnosis))
+    if not texts:
+        asked = [c for c in diagnosis["cannot_be_asked"] if "learn from" in c["why"] or "held out" in c["why"]]
+        if asked:
+            texts.append(
+                f"Nothing is wrong with sensors, clocks and rotor drive as far as this data tells; forces and moments "
+                f"could not be asked: {asked[0]['why']}."
+            )
+        else:
+            texts.append(
+                "Simulation and flights agree: nothing in the catalogue, and nothing outside it, is both significant "
+                f"and at least {100 * diagnosis['material share']:.0f} % of the error that could be removed."
+            )
+    return " ".join(t for t in texts if t)
+
+
+def _listed(texts: Sequence[str], last: str = "and") -> str:
+    texts = list(texts)
+    return texts[0] if len(texts) == 1 else f"{', '.join(texts[:-1])} {last} {texts[-1]}"
