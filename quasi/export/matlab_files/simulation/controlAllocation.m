@@ -2,8 +2,8 @@ function [omegaCommand, memory] = controlAllocation(dt, seen, moments, thrust, m
 %CONTROLALLOCATION  Rotor speeds, 1 x 4 rad/s, for moments (N m) and thrust (N), within the rotors' limits.
 %
 %   Where the rotors cannot give all, roll and pitch are kept, then thrust, and yaw is given up first: weighted least
-%   squares by an active set (Harkegard, CDC 2002). A rotor that stays behind what its lag explains for 50 ms is taken to
-%   have reached its limit.
+%   squares by an active set (Harkegard, CDC 2002). A rotor that stays behind what its lag explains for 50 ms is taken
+%   to have reached its limit.
 c = simParams.controller;
 wanted = [moments, -thrust + c.mass*simParams.g + c.hoverSpeed^2*sum(c.effectiveness(4, :))].';
 wanted(3) = wanted(3) + (c.yawReaction*memory.sent.')/(2*c.hoverSpeed*dt);
