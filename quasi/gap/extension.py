@@ -14,6 +14,7 @@ from quasi import attitude
 from quasi.errors import ConfigError
 from quasi.gap.effect import Effect, Extension, Values, Vehicle
 from quasi.gap.evidence import Evidence
+from quasi.gap.pendulum import pull_of
 from quasi.standalone.model import AXES, Model
 
 
@@ -132,6 +133,10 @@ def shown(extended: Model, base: Model, flight: Evidence) -> np.ndarray:
     inertia, own = np.asarray(extended.airframe.inertia), flight.inertia
     turning = np.linalg.solve(inertia, (wrench[:, 3:] - flight.gyroscopic(inertia)).T).T
     force = wrench[:, :3] * (configured / mass if mass else 1.0)
+    for extension in extended.document.get("extensions", []):
+        load = extension.get("states", {}).get("swinging load")
+        if load:
+            force = force + load["mass"] * pull_of(flight, load["length"])
     shift = np.zeros(3)
     for extension in extended.document.get("extensions", []):
         shift = shift + np.asarray(extension.get("airframe", {}).get("cg offset", np.zeros(3)), float)

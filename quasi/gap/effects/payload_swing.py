@@ -1,0 +1,40 @@
+"""A load that swings below the vehicle."""
+
+import numpy as np
+
+from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
+from quasi.gap.evidence import Evidence
+from quasi.gap.pendulum import pull_of
+from quasi.standalone.model import Model
+
+# m; a length between two of them shows in the next shorter one
+LENGTHS = {f"mass at {length:g} m": length for length in (0.12, 0.2, 0.32, 0.5, 0.8, 1.3)}
+
+
+def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
+    return {name: evidence.forces_only(pull_of(evidence, length)) for name, length in LENGTHS.items()}
+
+
+def _extension(values: Values, _: Vehicle, __: Model) -> Extension:
+    masses = {length: values[name] for name, length in LENGTHS.items() if values.get(name)}
+    total = sum(masses.values())
+    if total <= 0.0:
+        return Extension()
+    middle = float(np.exp(sum(m * np.log(length) for length, m in masses.items()) / total))
+    length = float(np.clip(middle, min(LENGTHS.values()), max(LENGTHS.values())))
+    return Extension(states={"swinging load": {"mass": float(total), "length": length}})
+
+
+EFFECT = Effect(
+    id="payload_swing",
+    level="W",
+    sentence="a load hangs below the vehicle and swings",
+    equation="L n'' = f - (f.n) n - L |n'|^2 n, f = g - a; pull m (f.n + L |n'|^2) along the string n",
+    source="Goodarzi, Lee & Lee, Geometric control of a quadrotor UAV transporting a payload, IJCAS 13(6), 2015",
+    parameters={name: Parameter("kg", 0.0, "s", 0.0, 0.5) for name in LENGTHS},
+    channels=("Fx", "Fy", "Fz"),
+    rivals=("mass", "wind", "tether"),
+    tie_breaker="stop sharply and hover: a load goes on swinging",
+    columns=_columns,
+    extension=_extension,
+)
