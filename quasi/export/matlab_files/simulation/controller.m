@@ -1,5 +1,5 @@
 function [omegaCommand, memory] = controller(dt, seen, goal, memory, simParams)
-%CONTROLLER  Rotor speeds, 1 x 4 rad/s, that fly towards a goal: position and velocity by PID, attitude and rates by INDI.
+%CONTROLLER  Rotor speeds, 1 x 4 rad/s, that fly towards a goal: outer loops by PID, inner loops by INDI.
 %
 %   seen    see measure; goal: position, velocity, acceleration (1 x 3, earth axes), yaw (rad), yawRate (rad/s)
 %   memory  from controllerStart, carried from step to step

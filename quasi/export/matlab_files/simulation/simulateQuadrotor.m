@@ -1,4 +1,5 @@
-function simdata = simulateQuadrotor(Tmax, dt, initialState, initialOmega, reference, modelParams, droneParams, simParams)
+function simdata = simulateQuadrotor(Tmax, dt, initialState, initialOmega, reference, modelParams, ...
+    droneParams, simParams)
 %SIMULATEQUADROTOR  Closed loop of controller and quadrotor model, from initial conditions to an end time.
 %
 %   Tmax, dt       s
