@@ -11,6 +11,7 @@ from quasi import configuration
 from quasi.errors import ConfigError, LogbookError, QuasiError, ReadError, nearest
 from quasi.logbook import NAME, Row, pick, read_logbook
 from quasi.tables import read_text
+from quasi.variables import check_expression
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
@@ -43,6 +44,18 @@ def read_settings(path: str | Path) -> dict[str, Any]:
     if not isinstance(settings, dict) or not isinstance(settings.get("data", ""), str):
         raise ConfigError(f"{path}: expected `data: /path/to/recordings`; correct it, or leave only comments")
     return settings
+
+
+def check_specification(document: dict[str, Any], where: str) -> None:
+    """Refuse a polynomial specification with an expression that means nothing, before flights are processed for it."""
+    for axis in AXES:
+        section = document.get(axis, {})
+        parts = {"fixed": section.get("fixed", [])}
+        for number, entry in enumerate(section.get("candidates", []), 1):
+            parts |= {f"candidates entry {number}, {key}": entry.get(key, []) for key in ("vars", "sets")}
+        for part, expressions in parts.items():
+            for text in expressions:
+                check_expression(str(text), f"{where}, {axis}, {part}")
 
 
 class Project:

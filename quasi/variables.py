@@ -23,8 +23,9 @@ import numpy as np
 
 from quasi.airframe import Airframe
 from quasi.errors import ExpressionError, nearest
-from quasi.expressions import Tree, evaluate, names
+from quasi.expressions import Tree, evaluate, names, parse
 from quasi.normalisation import Normalisation
+from quasi.tables import COLUMNS
 
 SYNONYMS: dict[str, Tree] = {
     "wtot": ("name", "w_tot"),
@@ -104,6 +105,21 @@ def known_names(columns: Mapping[str, object] | set[str]) -> list[str]:
     have = {*columns, *(v for v, air in _AIR.items() if air in columns)}
     made = [name for name, needs in _MADE_FROM.items() if have.issuperset(needs)]
     return [*made, *(n for n in _AIR if n in have and n not in columns), *(n for n in columns if n not in made)]
+
+
+def check_expression(text: str, place: str) -> None:
+    """Refuse an expression that cannot be read, or names a variable that no flight can hold.
+
+    Whether the flights at hand hold it shows only once they are read. Raises ExpressionError beginning with `place`.
+    """
+    known = {*_MADE_FROM, *_UNITS, *SYNONYMS, *COLUMNS}
+    try:
+        found = names(parse(text))
+    except ExpressionError as error:
+        raise ExpressionError(f"{place}: {error}") from None
+    for name in found:
+        if plain_name(name) not in known:
+            raise ExpressionError(f"{place}: unknown variable '{name}'{nearest(plain_name(name), known)}")
 
 
 class Variables:

@@ -12,7 +12,7 @@ from quasi.airframe import read_airframe
 from quasi.comparisons import HELD, Comparisons
 from quasi.errors import ConfigError, LogbookError, QuasiError, nearest
 from quasi.logbook import Row
-from quasi.project import AXES, is_file, with_suffix
+from quasi.project import AXES, check_specification, is_file, with_suffix
 from quasi.tables import read_json
 
 BINARY = (".bbl", ".BBL", ".bfl", ".BFL")
@@ -431,7 +431,9 @@ class Folder(Comparisons):
             if is_file(folder / base):
                 path = folder / base
                 shown = path.relative_to(self.root) if path.is_relative_to(self.root) else path
-                return shown, self._read(path.resolve() if folder is self.library else shown, "polynomials")
+                document = self._read(path.resolve() if folder is self.library else shown, "polynomials")
+                check_specification(document, str(shown))
+                return shown, document
         # the manual's own paths lead through its library; the standard file of that name is meant
         standard = self.library / "config/polynomials" / base.name
         if is_file(standard):

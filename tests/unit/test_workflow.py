@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from quasi.errors import ConfigError, LogbookError, QuasiError
+from quasi.errors import ConfigError, ExpressionError, LogbookError, QuasiError
 from quasi.project import read_settings
 from quasi.workflow import Folder
 
@@ -108,6 +108,24 @@ def test_candidate_file_of_the_project_comes_before_the_standard_one(folder):
     assert document["Fx"]["fixed"] == ["u"]
     with pytest.raises(ConfigError, match=r"physical\.json holds no section 'Fy'"):
         Folder(folder).axis("m", "Fy")
+
+
+@pytest.mark.parametrize(
+    "axis, sentence",
+    [
+        ({"fixed": ["w_tott"]}, r"mine\.json, Fz, fixed: unknown variable 'w_tott' \(did you mean 'w_tot'"),
+        ({"candidates": [{"vars": ["u", "sin[rol]"], "degree": 1}]}, r"entry 1, vars: .*'sin\[rol\]'.*'roll'"),
+        ({"candidates": [{"vars": ["u"], "degree": 1, "sets": [1, "(" * 10_000 + "u" + ")" * 10_000]}]}, "nested"),
+        ({"candidates": [{"vars": ["__import__('os')"], "degree": 1}]}, "nothing can be called"),
+    ],
+)
+def test_an_expression_that_means_nothing_is_refused_before_anything_runs(folder, axis, sentence):
+    document = {a: {"fixed": ["u", "|battery_voltage|"]} for a in ("Fx", "Fy", "Mx", "My", "Mz")} | {"Fz": axis}
+    (folder / "config/polynomials/mine.json").write_text(json.dumps(document))
+    edit_model(folder, identification_parameters={"polynomial specification file": "mine"})
+    with pytest.raises(ExpressionError, match=sentence) as error:
+        Folder(folder).axis("m", "Fx")
+    assert "\n" not in str(error.value)
 
 
 def test_path_of_the_manuals_candidate_file_means_the_standard_one_of_that_name(folder):
