@@ -77,7 +77,7 @@ def states_of(model: Model, rows: int = ROWS, seed: int = 8) -> States:
     for name in INPUTS[:12]:
         columns[name][0] = 0.0
     for k, name in enumerate(INPUTS[3:9]):
-        columns[name][1 + k] = 0.0
+        columns[name][1 + k : 2 + k] = 0.0
     table = np.column_stack([columns[name] for name in INPUTS])
     return States(table[:, :12], table[:, 12:16], table[:, 16:], {n: columns[n] for n in model.inputs[20:]})
 
