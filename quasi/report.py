@@ -31,7 +31,10 @@ figcaption { color: var(--soft); font-size: 13.5px; margin-top: 4px; }
 @media print { body { max-width: none; padding: 0; font-size: 11pt; } h2 { break-after: avoid; }
   tr { break-inside: avoid; } .verdict { background: none; } @page { margin: 15mm; } }
 """
-KINDS = {"good": "good", "usable with care": "care", "unusable": "bad"}
+KINDS = {
+    "good": "good", "usable with care": "care", "unusable": "bad", "agrees": "good", "explained": "good",
+    "partly explained": "care", "unexplained": "bad",
+}  # fmt: skip
 
 
 def escape(text: object) -> str:

@@ -125,6 +125,7 @@ rule gap_report:
     log:
         "logs/gap/{gap}/report.log",
     params:
+        files=lambda w: ask(FOLDER.gap, w.gap)["effect files"],
         code=code("gap_report.py"),
     script:
         "../scripts/gap_report.py"

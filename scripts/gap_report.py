@@ -1,1 +1,27 @@
-"""To be written in a moment."""
+"""The page of a diagnosis: the sentence, what is wrong, why, and what the extended model gains."""
+
+from pathlib import Path
+
+from quasi.gap.catalogue import catalogue
+from quasi.gap.report import page
+from quasi.joblog import job
+from quasi.tables import read_bytes, read_json, read_table, write_text
+
+
+def main(diagnosis: str, tables: str, figures: str, files: list[str], target: str) -> None:
+    """Read the diagnosis, its rows and its figures; write one HTML file."""
+    rows = Path(tables) / "W_residuals.parquet"
+    pictures = {p.stem: read_bytes(p) for p in sorted(Path(figures).glob("*.png"))}
+    residuals = read_table(rows) if rows.is_file() else None
+    write_text(target, page(read_json(diagnosis), catalogue(files), residuals, pictures))
+
+
+if __name__ == "__main__":
+    with job(snakemake.log[0], f"report of gap {snakemake.wildcards.gap}"):
+        main(
+            snakemake.input.diagnosis,
+            snakemake.input.tables,
+            snakemake.input.figures,
+            snakemake.params.files,
+            snakemake.output[0],
+        )

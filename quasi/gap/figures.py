@@ -1,0 +1,110 @@
+"""Figures of a diagnosis, from its tables. Functions return a figure, or None where its table has nothing to show."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+BEFORE, AFTER, FLOOR, MEASURED = "tab:red", "tab:blue", "0.6", "0.15"
+AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+PLACES = {
+    "speed": "speed, m/s", "height": "height, m", "heading": "heading, rad", "room_x": "room x, m",
+    "room_y": "room y, m", "t": "time, s", "volts": "battery, V", "rotor_speed": "mean rotor speed, rad/s",
+    "descent_ratio": "descent / induced speed",
+}  # fmt: skip
+UNITS = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
+STATES = {"u": "m/s", "v": "m/s", "w": "m/s", "roll": "rad", "pitch": "rad", "z": "m"}
+
+
+def figures(tables: Mapping[str, pd.DataFrame]) -> dict[str, Figure]:
+    """{name: figure} of what the tables hold."""
+    drawn = {
+        "where": where_figure(tables.get("W_where")),
+        "spectra": spectra_figure(tables.get("W_spectra")),
+        "horizons": horizons_figure(tables.get("R_errors")),
+        "overlays": overlays_figure(tables.get("R_overlays")),
+    }
+    return {name: figure for name, figure in drawn.items() if figure is not None}
+
+
+def where_figure(table: pd.DataFrame | None) -> Figure | None:
+    """Mean residual of each channel along each place, before and after, on compared and held-out flights."""
+    if table is None or not len(table):
+        return None
+    places = [p for p in PLACES if (table["where"] == p).any()]
+    figure = Figure(figsize=(2.1 * len(places) + 0.6, 10.5), layout="constrained")
+    panels = figure.subplots(len(AXES), len(places), sharey="row", squeeze=False)
+    for row, axis in zip(panels, AXES):
+        for panel, place in zip(row, places):
+            part = table[(table["channel"] == axis) & (table["where"] == place)]
+            panel.axhline(0.0, color="0.8", lw=0.8)
+            for word, colour in (("before", BEFORE), ("after", AFTER)):
+                panel.plot(part["middle"], part[f"mean_{word}"], ".-", color=colour, lw=1.2, ms=4, label=word)
+            panel.tick_params(labelsize=7)
+            panel.ticklabel_format(axis="y", scilimits=(-3, 3))
+            if axis == AXES[-1]:
+                panel.set_xlabel(PLACES[place], fontsize=8)
+        row[0].set_ylabel(f"{axis}, {'N' if axis[0] == 'F' else 'N m'}", fontsize=8)
+    panels[0, 0].legend(fontsize=7, frameon=False)
+    return figure
+
+
+def spectra_figure(table: pd.DataFrame | None) -> Figure | None:
+    """Power density of the residuals of the held-out flights, or of the compared ones."""
+    if table is None or not len(table):
+        return None
+    role = "held out" if (table["role"] == "held out").any() else "compared"
+    figure = Figure(figsize=(10.5, 5.2), layout="constrained")
+    for k, (panel, axis) in enumerate(zip(figure.subplots(2, 3, sharex=True).flat, AXES)):
+        part = table[(table["role"] == role) & (table["channel"] == axis) & (table["frequency"] > 0)]
+        for word, colour in (("before", BEFORE), ("after", AFTER)):
+            panel.loglog(part["frequency"], part[f"density_{word}"], color=colour, lw=1.0, label=word)
+        panel.set_title(axis, fontsize=9)
+        panel.tick_params(labelsize=7)
+        panel.set_ylabel("N²/Hz" if k < 3 else "(N m)²/Hz", fontsize=8)
+        if k >= 3:
+            panel.set_xlabel("Hz", fontsize=8)
+    figure.axes[0].legend(fontsize=8, frameon=False)
+    return figure
+
+
+def horizons_figure(table: pd.DataFrame | None) -> Figure | None:
+    """Root mean square errors at the end of roll-outs over their length."""
+    if table is None or not len(table):
+        return None
+    figure = Figure(figsize=(10.5, 3.0), layout="constrained")
+    styles = {"R": "-", "R commands": "--"}
+    colours = {"before": BEFORE, "after": AFTER, "floor": FLOOR}
+    for panel, (quantity, unit) in zip(figure.subplots(1, 4), UNITS.items()):
+        for (driven, model), part in table.groupby(["driven", "model"]):
+            found = part.groupby("horizon")[quantity].apply(lambda v: np.sqrt(np.nanmean(np.square(v))))
+            label = model + (", commands" if driven == "R commands" else "")
+            panel.plot(found.index, found.to_numpy(), styles[driven], marker=".", color=colours[model], label=label)
+        panel.set(xlabel="horizon, s", yscale="log")
+        panel.set_title(f"{quantity}, {unit}", fontsize=9)
+        panel.tick_params(labelsize=7)
+    figure.axes[0].legend(fontsize=7, frameon=False)
+    return figure
+
+
+def overlays_figure(table: pd.DataFrame | None) -> Figure | None:
+    """A few windows: what was flown, and what the model and the extended model make of the same rotor speeds."""
+    if table is None or not len(table):
+        return None
+    numbers = sorted(table["window"].unique())
+    figure = Figure(figsize=(3.5 * len(numbers), 8.5), layout="constrained")
+    panels = figure.subplots(len(STATES), len(numbers), sharex="col", squeeze=False)
+    words = ("greatest error", "one of the greatest tenth", "median error")
+    for column, number in enumerate(numbers):
+        part = table[table["window"] == number]
+        for row, (state, unit) in enumerate(STATES.items()):
+            panel = panels[row, column]
+            for word, colour in (("measured", MEASURED), ("before", BEFORE), ("after", AFTER)):
+                panel.plot(part["t"], part[f"{state}_{word}"], color=colour, lw=1.3, label=word)
+            panel.tick_params(labelsize=7)
+            panel.set_ylabel(f"{state}, {unit}", fontsize=8)
+        panels[0, column].set_title(f"{part['flight'].iloc[0]}: {words[column % 3]}", fontsize=9)
+        panels[-1, column].set_xlabel("s", fontsize=8)
+    panels[0, 0].legend(fontsize=7, frameon=False)
+    return figure

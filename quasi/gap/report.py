@@ -1,0 +1,247 @@
+"""The page of a diagnosis: one sentence first, then what is wrong, why, the rivals, and what the extension gains.
+
+One HTML file that needs nothing else and no network. Plain data and tables in, text out.
+"""
+
+import base64
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from quasi import report
+from quasi.gap.effect import Effect
+from quasi.gap.wording import CHANNELS, SINCE, left_sentence, name_of, percent, tie_sentence, value_of
+from quasi.standalone.chart import SCRIPT, STYLE
+
+AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+UNKNOWN = 65535
+THIN = 2  # every so many rows of the comparison are shown
+UNITS = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
+MOST = 15  # of the causes that are not named
+CAPTIONS = {
+    "overlays": "Simulated from measured states with measured rotor speeds, before (red) and after (blue) the "
+    "extension, beside the flight (black).",
+    "horizons": "Errors at the end of simulations of held-out flights over their length; dashed where commands drove "
+    "the rotors; grey what is left where each window's mean error is taken off.",
+    "where": "Mean error of forces and moments where it was found, compared and held-out flights together.",
+    "spectra": "Power of the errors over frequency.",
+}
+
+
+def page(
+    diagnosis: Mapping[str, Any],
+    effects: Mapping[str, Effect],
+    residuals: pd.DataFrame | None,
+    pictures: Mapping[str, bytes],
+) -> str:
+    """The page as HTML.
+
+    diagnosis  "quasi.gap/1"; effects  the catalogue; residuals  the table W_residuals; pictures {name: PNG}
+    """
+    roles = diagnosis["flights"]
+    listed = {r: [k for k, role in roles.items() if role == r] for r in ("compared", "held out", "reference")}
+    under = f"model {diagnosis['model']} · " + " · ".join(f"{r} {', '.join(k) or 'none'}" for r, k in listed.items())
+    shown = {n: report.picture(pictures[n], caption) for n, caption in CAPTIONS.items() if n in pictures}
+    sections = [
+        f"<style>{STYLE}</style>",
+        report.section("What is wrong", _forces(diagnosis), _rollouts(diagnosis), _lower(diagnosis)),
+        report.section("Why", *(_cause(e, effects) for e in diagnosis["effects"]), _rivals(diagnosis)),
+        report.section("What cannot be told apart", _ties(diagnosis)),
+        report.section("What no cause explains", report.sentences(left_sentence(u) for u in diagnosis["unexplained"])),
+        report.section("The extended model", _extended(diagnosis)),
+        report.section("Simulated and flown", shown.get("overlays", ""), shown.get("horizons", "")),
+        report.section("Forces and moments over time", _chart(residuals)),
+        report.section("Where the errors live", shown.get("where", ""), shown.get("spectra", "")),
+        report.section("Other findings", report.sentences(f["text"] for f in diagnosis["findings"])),
+        report.section("What could not be asked", _unasked(diagnosis)),
+        report.section("Notes", report.sentences(dict.fromkeys([*diagnosis["notes"], _rules(diagnosis)]))),
+    ]
+    return report.page(
+        f"Gap {diagnosis['name']}", under, diagnosis["verdict"], diagnosis["summary"].rstrip("."), sections
+    )
+
+
+def _rules(diagnosis: Mapping[str, Any]) -> str:
+    return (
+        f"a cause is named at a family-wise false alarm rate of {diagnosis['false alarm rate']:g}, a third of it for "
+        f"each of the levels K, A and W, when it removes at least {100 * diagnosis['material share']:g} % of the "
+        "removable error on held-out flights and comes again in at least 80 % of resamples of the flights' blocks"
+    )
+
+
+def _value(diagnosis: Mapping[str, Any], key: str, level: str, channel: str, horizon: str = "0") -> float | None:
+    return diagnosis["gap"][key].get(level, {}).get(channel, {}).get(horizon)
+
+
+def _forces(diagnosis: Mapping[str, Any]) -> str:
+    if "W" not in diagnosis["gap"]["before"]:
+        return report.paragraph("Forces and moments have no held-out flight to be judged on.")
+    removed, rows = diagnosis["scores"].get("removed", {}), []
+    other = diagnosis["scores"].get("generic polynomial", {}).get("removed", {})
+    for axis in AXES:
+        three = [_value(diagnosis, k, "W", axis) for k in ("before", "after", "noise_floor")]
+        unit = "N" if axis[0] == "F" else "N m"
+        rows.append(
+            [f"{CHANNELS[axis]} ({axis}), {unit}", *map(report.number, three), _share(removed.get(axis)),
+             _share(other.get(axis))]
+        )  # fmt: skip
+    wrong = diagnosis["scores"].get("best wrong cause")
+    tail = f" The best wrong cause would have been {name_of(wrong)}." if wrong else ""
+    return report.table(
+        ["root mean square on held-out flights", "before", "after", "noise floor", "removed", "same-size polynomial"],
+        rows,
+    ) + report.paragraph(
+        "Removed: share of the error above the noise floor (squared) that is gone, with its 95 % interval; a dash "
+        "where the floor holds nine tenths of the error." + tail
+    )
+
+
+def _share(found: Mapping[str, float | None] | None) -> str:
+    if not found or found["value"] is None:
+        return "–"
+    return f"{100 * found['value']:.0f} % ({100 * found['low']:.0f} to {100 * found['high']:.0f})".replace("-", "−")
+
+
+def _rollouts(diagnosis: Mapping[str, Any]) -> str:
+    blocks = []
+    for driven, title in (("R", "measured rotor speeds"), ("R commands", "commands")):
+        rows = [
+            [f"{r['quantity']}, {UNITS[r['quantity']]}, after {r['horizon']:g} s", report.number(r["before"]),
+             report.number(r["after"]),
+             report.number(_value(diagnosis, "noise_floor", driven, r["quantity"], f"{r['horizon']:g}")), _share(r)]
+            for quantity in UNITS
+            for r in diagnosis["rollouts"].get(driven, [])
+            if r["quantity"] == quantity
+        ]  # fmt: skip
+        if rows:
+            head = [f"simulated with {title}", "before", "after", "noise floor", "error falls by"]
+            blocks.append(report.table(head, rows))
+    return "".join(blocks)
+
+
+def _lower(diagnosis: Mapping[str, Any]) -> str:
+    rows = []
+    for level, word in (("K", "sensors against capture"), ("A", "rotor speeds against commands")):
+        for channel in diagnosis["gap"]["before"].get(level, {}):
+            three = [_value(diagnosis, k, level, channel) for k in ("before", "after", "noise_floor")]
+            rows.append([f"{word}: {channel}", *map(report.number, three)])
+    return report.table(["sensors and drive", "before", "after", "noise floor"], rows)
+
+
+def _cause(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
+    about = known.get(effect["id"])
+    gains = [f"{a} {_share(g)}" for a, g in effect.get("gains", {}).items() if g["value"] is not None]
+    evidence = effect["evidence"]
+    return f"<h3>{report.escape(name_of(effect['id']))}</h3>" + report.facts(
+        [
+            ("what happens", about.sentence if about else ""),
+            ("equation", about.equation if about else ""),
+            ("source", about.source if about else ""),
+            ("since", SINCE[effect["since"]]),
+            *((name_of(n), value_of(p)) for n, p in effect["parameters"].items()),
+            ("seen in", ", ".join(effect["channels"])),
+            ("removable error it removes", ", ".join(gains) or percent(effect["gain"]["wrench"])),
+            ("of the simulated motion", percent(effect["gain"]["rollout"])),
+            ("probability of nothing", f"{evidence['p']:.1e}" if "p" in evidence else ""),
+            ("named again in resamples", percent(effect.get("probability"))),
+            ("rivals that it beat", ", ".join(map(name_of, effect["confused_with"]))),
+        ]
+    )
+
+
+def _rivals(diagnosis: Mapping[str, Any]) -> str:
+    lost = sorted(diagnosis["candidates"], key=lambda c: c["p"] if c.get("p") is not None else 1.0)[:MOST]
+    rows = [[name_of(c["id"]), SINCE[c["since"]] if c.get("since") else "", c["why_not"]] for c in lost]
+    return report.table(["tested and not named", "asked as", "why not"], rows)
+
+
+def _ties(diagnosis: Mapping[str, Any]) -> str:
+    blocks = [report.paragraph(tie_sentence(t)) for t in diagnosis["ties"]]
+    for tie in diagnosis["ties"]:
+        blocks.append(
+            report.facts(
+                (name_of(i), ", ".join(f"{name_of(n)} = {value_of(p)}" for n, p in found.items()))
+                for i, found in tie["parameters"].items()
+            )
+        )
+    return "".join(blocks)
+
+
+def _extended(diagnosis: Mapping[str, Any]) -> str:
+    ident = diagnosis["extended_model"]
+    own = [name_of(e["id"]) for e in diagnosis["effects"] if e["level"] in ("W", "A")]
+    sensors = [name_of(e["id"]) for e in diagnosis["effects"] if e["level"] == "K"]
+    said = (
+        f"{ident} is {diagnosis['model']} with {', '.join(own)}."
+        if own
+        else f"Nothing was added: {ident} is {diagnosis['model']}."
+    )
+    if sensors:
+        said += f" The flights were processed anew with what was found of {', '.join(sensors)}."
+    return report.paragraph(f"{said} Make it, as any model, with the target models/{ident}/standalone.")
+
+
+def _unasked(diagnosis: Mapping[str, Any]) -> str:
+    reasons: dict[str, list[str]] = {}
+    for entry in diagnosis["cannot_be_asked"]:
+        reasons.setdefault(entry["why"], []).append(name_of(entry["id"]))
+    return report.sentences(f"{', '.join(dict.fromkeys(ids))}: {why}" for why, ids in reasons.items())
+
+
+def _packed(values: np.ndarray, low: float, step: float) -> str:
+    steps = np.where(np.isfinite(values), np.clip(np.round((values - low) / step), 0, UNKNOWN - 1), UNKNOWN)
+    return base64.b64encode(steps.astype("<u2").tobytes()).decode("ascii")
+
+
+def _chart(table: pd.DataFrame | None) -> str:
+    """Measured against each model over time, to zoom into; held-out flights are shaded."""
+    if table is None:
+        return ""
+    rows = table[table["role"] != "reference"].iloc[::THIN].reset_index(drop=True)
+    if len(rows) < 2:
+        return ""
+    t, flights, offset, starts = np.empty(len(rows)), [], 0.0, []
+    for key, part in rows.groupby("flight", sort=False):
+        place = part.index.to_numpy()
+        own = part["t"].to_numpy()
+        t[place] = own - own[0] + offset
+        role = "validation" if part["role"].iloc[0] == "held out" else "training"
+        first, last = int(place[0]), int(place[-1]) + 1
+        flights.append({"key": key, "role": role, "from": first, "to": last, "begins": float(own[0])})
+        starts += [first, *(first + np.flatnonzero(np.diff(own) > 5 * np.median(np.diff(own))) + 1).tolist()]
+        offset = float(t[place[-1]]) + 0.5
+    axes = {}
+    for axis in AXES:
+        measured = rows[f"{axis}_measured"].to_numpy(float)
+        for word in ("before", "after"):
+            model = measured - rows[f"{axis}_{word}"].to_numpy(float)
+            low, high = float(min(measured.min(), model.min())), float(max(measured.max(), model.max()))
+            step = (high - low) / (UNKNOWN - 1) or 1.0
+            axes[f"{axis} {word}"] = {
+                "unit": "N" if axis[0] == "F" else "N m", "low": low, "step": step,
+                "measured": _packed(measured, low, step), "model": _packed(model, low, step),
+                "half": _packed(np.full(len(model), np.nan), 0.0, step),
+            }  # fmt: skip
+    data = {"t": base64.b64encode(t.astype("<f4").tobytes()).decode("ascii"), "starts": starts, "flights": flights,
+            "axes": axes}  # fmt: skip
+    text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")  # no text may end the element that holds it
+    buttons = "".join(f'<button data-axis="{a}">{a}</button>' for a in axes)
+    held = {True: " class=held", False: ""}
+    places = "".join(
+        f'<button data-flight="{k}"{held[f["role"] == "validation"]}>{report.escape(f["key"])}</button>'
+        for k, f in enumerate(flights)
+    )
+    return (
+        f'<div class="chart" id="chart"><div class="bar">{buttons}'
+        '<span class="key" style="background:#3b444b"></span>measured'
+        '<span class="key" style="background:#d62728"></span>model</div>'
+        '<canvas tabindex="0" role="img" aria-label="Measured and modelled forces and moments over time"></canvas>'
+        '<div class="readout">Wheel or + and − zoom, drag or arrow keys move, double click shows all.</div>'
+        f'<div class="bar"><button data-flight="all">all flights</button>{places}</div>'
+        "<noscript>The comparison needs a browser that runs the page's script; the tables beside this page hold the "
+        "same.</noscript></div>"
+        f'<script type="application/json" id="rows">{text}</script><script>{SCRIPT}</script>'
+    )
