@@ -102,12 +102,8 @@ STRANGE = {
     "unlisted_fan": Hidden(("size",), "one", 0.3, 0.0, False),
 }
 ALL = WRENCH | SENSORS | DRIVE | STRANGE
-SHOWS = {
-    "unlisted_heading": ("Fz",),
-    "unlisted_height": ("Fy",),
-    "unlisted_beat": ("Fx", "Fy"),
-    "unlisted_fan": ("Fz",),
-}
+# channel in which an effect of no catalogue shows
+SHOWS = {"unlisted_heading": "Fz", "unlisted_height": "Fy", "unlisted_beat": "Fx", "unlisted_fan": "Fz"}
 
 
 def drawn(seed: int) -> dict[str, Any]:

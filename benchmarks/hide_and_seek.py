@@ -23,18 +23,33 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from hidden import ALL, DRIVE, SENSORS, SHOWS, STRANGE, Recorded, affected, again, deviation, drawn, healthy_model
-from hidden import processed, references
+from hidden import (
+    ALL,
+    DRIVE,
+    SENSORS,
+    SHOWS,
+    STRANGE,
+    Recorded,
+    affected,
+    again,
+    deviation,
+    drawn,
+    healthy_model,
+    processed,
+    references,
+)
 from study import run
 
-from quasi.gap import actuation, kinematic, lower, wrench
+from quasi.gap import actuation, kinematic, lower, unexplained, wrench
 from quasi.gap.calibration import for_flight
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import Effect, room_of, vehicle_of
 from quasi.gap.evidence import Evidence, gather
+from quasi.gap.gain import after
 from quasi.gap.level import Flown
-from quasi.gap.mixed import Mixed, Offer
+from quasi.gap.mixed import Offer
 from quasi.standalone.model import Model
+from quasi.synthesis.physics import BEAT, FAN, FAN_WIDTH
 from quasi.synthesis.vehicle import base_vehicle
 from quasi.tables import read_json, write_text
 
@@ -83,6 +98,12 @@ def seek(learned: Sequence[tuple[Recorded, Flown]], held: tuple[Recorded, Flown]
     asked = wrench.examine(
         evidence[:-1], compared, evidence[-1:], model, effects, vehicle, RATE / 3.0, SHARE, "X", "hide and seek"
     )
+    accepted = [(c.effect, c.test.offer, c.value) for c in [*asked.causes, *asked.immaterial]]
+    accepted += [(effects[t.tests[0].offer.cause], t.tests[0].offer, {}) for _, t in asked.ties]
+    left, _ = unexplained.search(
+        evidence[:-1], compared, evidence[-1:], accepted, after(Model(asked.extended), model),
+        asked.scores["noise_floor"], vehicle, RATE / 3.0, SHARE,
+    )  # fmt: skip
     names, ties = [], []
     for level in levels:
         for e in level.effects:
@@ -98,6 +119,7 @@ def seek(learned: Sequence[tuple[Recorded, Flown]], held: tuple[Recorded, Flown]
     return {
         "names": names,
         "ties": ties,
+        "unexplained": left,
         "findings": [f["id"] for level in levels for f in level.findings],
         "immaterial": [c.effect.id for c in asked.immaterial],
         "ranking": [{"id": t.offer.cause, "since": t.offer.since, "p": t.p} for t in asked.ranking[:6]],
@@ -158,18 +180,23 @@ def _strange(name: str, values: Mapping[str, float], study: tuple) -> float:
     for flight, flag in zip(examined.flights, compared):
         if not flag:
             continue
-        c, size = flight.columns, values["size"]
-        force = {
-            "unlisted_heading": lambda: size * np.sin(2.0 * c["yaw"]) * flight.force[:, 2],
-            "unlisted_height": lambda: -size * c["z"],
-            "unlisted_beat": lambda: size * np.sin(2.0 * np.pi * 0.4 * c["t"]),
-            "unlisted_fan": lambda: -size * np.exp(-((c["x"] - 1.2) ** 2) - (c["y"] + 0.8) ** 2),
-        }[name]()
-        channel = {"unlisted_heading": 2, "unlisted_height": 1, "unlisted_beat": 0, "unlisted_fan": 2}[name]
+        force, channel = _strange_force(name, values["size"], flight)
         noise = np.std(flight.residual[:, channel])
         # gusts are remembered for about a second
-        total += np.var(force) / noise**2 * (c["t"][-1] - c["t"][0]) / 2.0
+        total += np.var(force) / noise**2 * (flight.t[-1] - flight.t[0]) / 2.0
     return float(np.sqrt(total))
+
+
+def _strange_force(name: str, size: float, flight: Evidence) -> tuple[np.ndarray, int]:
+    """Force of an effect without a name and its channel, as `quasi.synthesis.physics` has it."""
+    c = flight.columns
+    if name == "unlisted_heading":
+        return size * np.sin(2.0 * c["yaw"]) * flight.force[:, 2], 2
+    if name == "unlisted_height":
+        return -size * c["z"], 1
+    if name == "unlisted_beat":
+        return size * np.sin(2.0 * np.pi * BEAT * c["t"]), 0
+    return -size * np.exp(-((c["x"] - FAN[0]) ** 2 + (c["y"] - FAN[1]) ** 2) / FAN_WIDTH**2), 2
 
 
 def judge(result: Mapping[str, Any]) -> dict[str, Any]:
@@ -208,8 +235,18 @@ def judge(result: Mapping[str, Any]) -> dict[str, Any]:
                 value, std = n["parameters"][main]
                 error = value - (beyond[main] if n["level"] == "W" else planted[main])
                 errors[n["id"]] = {"relative": error / abs(beyond[main]), "in std": error / std}
-    return {"outcome": outcome, "wrong": wrong, "model's own": own, "tied": [t["ids"] for t in ties], "found": sorted(found),
-            "errors": errors}  # fmt: skip
+    tied = [t["ids"] for t in ties]
+    if result["kind"] == "unlisted" and outcome == "agrees":
+        shown = {u["channel"] for u in result["unexplained"]}
+        outcome = "unexplained" if SHOWS[next(iter(result["effects"]))] in shown else "missed"
+    return {
+        "outcome": outcome,
+        "wrong": wrong,
+        "model's own": own,
+        "tied": tied,
+        "found": sorted(found),
+        "errors": errors,
+    }
 
 
 def group_of(result: Mapping[str, Any]) -> str:
@@ -238,8 +275,8 @@ GROUPS = {  # group: outcomes that are right, share that should be
     "single, below 3": (("hit", "missed"), 0.97),
     "pair, both above 10": (("hit",), 0.85),
     "pair, below 10": (("hit", "partly", "missed"), None),
-    "in no catalogue, above 10": (("agrees",), 0.95),
-    "in no catalogue, below 10": (("agrees",), 0.95),
+    "in no catalogue, above 10": (("unexplained",), 0.90),
+    "in no catalogue, below 10": (("unexplained", "missed"), 0.95),
 }
 
 
@@ -258,9 +295,10 @@ def page(results: Sequence[Mapping[str, Any]]) -> str:
     median = float(np.median([r["seconds"]["whole"] for r in results]))
     lines = [
         "# Hide and seek", "",
-        "Causes drawn from a seed are hidden in made flights; raw logs are imported and filtered, all levels asked, and",
-        "only then are the names compared with the truth. Made by `python benchmarks/hide_and_seek.py --table`.", "",
-        f"{len(results)} draws, seeds {min(seeds)} to {max(seeds)}, none left out; {median:.0f} s per draw (median).", "",
+        "Causes drawn from a seed are hidden in made flights; raw logs are imported and filtered, all levels asked,",
+        "and only then are the names compared with the truth. Made by `python benchmarks/hide_and_seek.py --table`.",
+        "",
+        f"{len(results)} draws, seeds {min(seeds)} to {max(seeds)}, none left out; median {median:.0f} s per draw.", "",
         "| draws | right | of | share | 95 % interval | to reach | a wrong name |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]  # fmt: skip

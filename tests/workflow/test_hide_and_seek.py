@@ -1,0 +1,122 @@
+"""Hide and seek with fixed causes: raw logs in, names out; and the judge that compares them with the truth."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+from hidden import ALL, STRANGE, deviation, drawn
+from hide_and_seek import draw as hide_and_seek
+from hide_and_seek import group_of, judge, page, wilson
+
+from quasi.gap.catalogue import catalogue
+from quasi.synthesis.effects import check
+
+MASS = 0.433
+CASES = {  # every level, pairs, clean, one that is in no catalogue; with healthy flights and without
+    "ground effect": ("reference", {"ground_effect": {"c": 12.0}}),
+    "weak rotor": ("reference", {"rotor_effectiveness": {"rotor2": 0.9}}),
+    "moved battery": ("reference", {"cg_offset": {"x": 0.004, "y": -0.003}}),
+    "heavier": ("reference", {"mass": {"mass": 1.15 * MASS}}),
+    "tether": ("reference", {"tether": {"k": 0.4}}),
+    "drag": ("reference", {"rotor_drag": {"k": 2.5e-5}}),
+    "lever arm": ("reference", {"imu_lever_arm": {"x": 0.015, "y": -0.01}}),
+    "tilted room, every flight": ("all", {"room_tilt": {"roll": 0.015, "pitch": -0.01}}),
+    "slow motors": ("reference", {"motor_lag": {"time_constant": 0.045}}),
+    "gyro scale and weak rotor": (
+        "reference",
+        {"gyro_scale": {"z": 1.03}, "rotor_effectiveness": {"rotor4": 0.9}},
+    ),
+    "slow motors and tether": ("reference", {"motor_lag": {"time_constant": 0.045}, "tether": {"k": 0.4}}),
+    "nothing": ("reference", {}),
+    "nothing again": ("reference", {}),
+    "fan": ("reference", {"unlisted_fan": {"size": 0.6}}),
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("hide")
+
+
+@pytest.mark.workflow
+@pytest.mark.parametrize("name", CASES)
+def test_what_is_hidden_is_named_and_nothing_else(name, folder):
+    design, effects = CASES[name]
+    kind = "clean" if not effects else "unlisted" if set(effects) <= set(STRANGE) else "single"
+    hide = {"kind": kind, "design": design, "effects": effects, "factors": dict.fromkeys(effects, 1.0)}
+    result = hide_and_seek({"seed": 50_000 + list(CASES).index(name), "hide": hide}, folder=folder)
+    assert not result["wrong"], result["wrong"]
+    if kind == "unlisted":
+        assert result["outcome"] in ("unexplained", "missed")
+    else:
+        assert result["outcome"] == ("hit" if effects else "agrees"), (result["names"], result["ties"])
+    assert result["seconds"]["whole"] < 120.0
+
+
+def said(truth, names=(), ties=(), design="reference", kind="single"):
+    since = "changed" if design == "reference" else "always"
+    return {
+        "kind": kind, "design": design, "effects": truth, "unexplained": [],
+        "names": [{"id": n, "level": "W", "since": since, "probability": 1.0, "parameters": p} for n, p in names],
+        "ties": [{"ids": list(t), "since": since} for t in ties],
+    }  # fmt: skip
+
+
+def test_a_swapped_truth_turns_a_hit_into_a_wrong_name():
+    names = [("mass", {"mass": (0.043, 0.002)})]
+    right = judge(said({"mass": {"mass": MASS + 0.04}}, names))
+    assert right["outcome"] == "hit"
+    assert right["errors"]["mass"]["relative"] == pytest.approx(0.003 / 0.04)
+    assert right["errors"]["mass"]["in std"] == pytest.approx(1.5)
+    swapped = judge(said({"tether": {"k": 0.2}}, names))
+    assert (swapped["outcome"], swapped["wrong"]) == ("wrong", ["mass"])
+
+
+def test_the_judge_knows_ties_misses_and_what_the_model_lacks():
+    truth = {"wind": {"north": 1.0, "east": 0.0}}
+    assert judge(said(truth, ties=[("wind", "tether")]))["outcome"] == "hit"
+    assert judge(said(truth, ties=[("mass", "tether")]))["outcome"] == "tied elsewhere"
+    assert judge(said(truth))["outcome"] == "missed"
+    assert judge(said(truth, [("wind", {}), ("mass", {})]))["outcome"] == "extra"
+    assert judge(said({}, [("rotor_drag", {})], design="all", kind="clean"))["outcome"] == "model's own"
+    assert judge(said({}, [("rotor_drag", {})], kind="clean"))["outcome"] == "false"
+    assert judge(said({}, kind="clean"))["outcome"] == "agrees"
+    strange = {"unlisted_fan": {"size": 1.0}}
+    assert judge(said(strange, kind="unlisted"))["outcome"] == "missed"
+    assert judge({**said(strange, kind="unlisted"), "unexplained": [{"channel": "Fz"}]})["outcome"] == "unexplained"
+    assert judge(said(strange, [("mass", {})], kind="unlisted"))["outcome"] == "false"
+
+
+def test_draws_come_from_their_seed_alone_and_spread_over_everything():
+    draws = [drawn(seed) for seed in range(400)]
+    assert draws[17] == drawn(17)
+    hidden = {name for d in draws for name in d["effects"]}
+    causes = {n for n, e in catalogue().items() if not e.finding} - {"attitude_error"}  # needs flights without capture
+    assert hidden == causes | set(STRANGE) == set(ALL)
+    factors = np.array([f for d in draws for f in d["factors"].values()])
+    assert 30**-0.5 < factors.min() < 0.25
+    assert 4.0 < factors.max() < 30**0.5
+    for d in draws:
+        check(d["effects"], "draw")  # all can be planted
+        for name, values in d["effects"].items():
+            assert any(deviation(name, values).values())
+
+
+def test_shares_have_wilsons_interval_and_the_page_every_draw():
+    assert wilson(9, 10) == (pytest.approx(0.596, abs=1e-3), pytest.approx(0.982, abs=1e-3))
+    size = {"detectability": 20.0, "separability": 15.0, "nearest": "tether"}
+    hit = said({"mass": {"mass": MASS + 0.04}}, [("mass", {"mass": (0.04, 0.002)})])
+    miss = said({"wind": {"north": 1.0, "east": 0.0}}, [("tether", {})])
+    results = []
+    for seed, result in enumerate((hit, miss)):
+        whole = {**result, "settings": {"seed": seed}, "sizes": dict.fromkeys(result["effects"], size),
+                 "factors": dict.fromkeys(result["effects"], 1.0), "seconds": {"whole": 20.0}}  # fmt: skip
+        results.append({**whole, **judge(whole)})
+    assert {group_of(r) for r in results} == {"single, above 10, separable"}
+    text = page(results)
+    assert "| single, above 10, separable | 1 | 2 | 0.50 |" in text
+    assert "| wind | 1 | 0 | tether 1 |" in text
