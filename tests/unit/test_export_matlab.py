@@ -1,5 +1,6 @@
 """The MATLAB export, run in GNU Octave: the same numbers as the model, the same closed loop as the simulator."""
 
+import importlib.util
 import io
 import re
 import shutil
@@ -24,8 +25,9 @@ from quasi.simulation.run import simulate
 from quasi.simulation.setup import make_setup
 from quasi.standalone.build import assemble
 from quasi.standalone.model import Model
-from quasi.tables import read_bytes, read_json, read_text, write_text
+from quasi.tables import read_bytes, read_json, read_text, write_json, write_text
 from quasi.variables import Variables
+from quasi.workflow import Folder
 
 ROOT = Path(__file__).parents[2]
 U = ["U_p", "U_q", "U_r"]
@@ -157,6 +159,7 @@ def test_main_flies_the_loop_of_the_simulator(tmp_path):
     loop = loop_constants(portable_setup(model))
     write_matlab(model, tmp_path, U, loop)
     main = read_text(tmp_path / "main.m").replace("Tmax = 15;", f"Tmax = {duration};")
+    main = main.replace("plotTrajectory(simdata, droneParams);", "error('nothing to draw on');")
     main += "save('-v7', 'found.mat', 'simdata');\n"
     write_text(tmp_path / "short_main.m", main)
     found = run_octave(tmp_path, "short_main;")["simdata"]
@@ -414,3 +417,56 @@ def test_the_fixed_files_are_copied_as_they_stand(tmp_path):
     for path in FILES.rglob("*.m"):
         assert read_text(tmp_path / path.relative_to(FILES)) == read_text(path)
     assert shutil.which("sh")  # the folder is plain files: nothing of ours is needed to use it
+
+
+def export(document, folder, settings=None):
+    script = load_script("export_matlab")
+    write_json(folder / "model.json", document)
+    script.main(str(folder / "model.json"), settings or {"file": None, "u": U}, str(folder / "matlab"))
+    return read_json(folder / "matlab/agreement.json"), {p.name for p in (folder / "matlab").iterdir()}
+
+
+def load_script(name):
+    found = importlib.util.spec_from_file_location(name, ROOT / f"scripts/{name}.py")
+    module = importlib.util.module_from_spec(found)
+    found.loader.exec_module(module)
+    return module
+
+
+@octave
+def test_the_job_compares_and_says_what_is_left_out(tmp_path, capsys):
+    found = flown().document
+    found["axes"]["Fx"]["terms"][0]["expression"] = "v_in*u"
+    report, files = export(found, tmp_path)
+    assert report["agrees"] is True and [c["rows"] for c in report["checks"]] == [10_000, 10_000]
+    (note,) = [n for n in report["notes"] if "left out" in n]
+    assert "simulation environment" in note and "'v_in'" in note
+    assert "getFM.m" in files and "main.m" not in files and "simulation" not in files
+    assert note in capsys.readouterr().out
+
+
+def test_without_octave_nothing_is_claimed(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("OCTAVE", raising=False)
+    report, files = export(flown().document, tmp_path, {"file": None, "u": None})
+    assert report["agrees"] is None and "GNU Octave was not found" in report["notes"][-1]
+    assert {"main.m", "simulation", "check_model.m", "reference.mat"} <= files and "get_PQRDiffSys.m" not in files
+
+
+def test_the_configuration_chooses_the_differential_form(tmp_path):
+    folder = Folder(tmp_path)
+    assert folder.matlab("imported")["u"] == U
+    for section, u in (({}, ["U_p"]), ({"DiffSys u": ["w1"]}, ["w1"]), ({"make moment DiffSys": False}, None)):
+        (tmp_path / "config/models").mkdir(parents=True, exist_ok=True)
+        config = read_json(ROOT / "config/models/example.json")
+        config["matlab"] = {"model ID": "X", "droneConfig path": "data", **section}
+        config["standalone"] = {"DiffSys u": ["U_p"]}
+            "matlab": {"model ID": "X", "droneConfig path": "data", **section},
+            "standalone": {"DiffSys u": ["U_p"]},
+        }
+        write_json(tmp_path / "config/models/X.json", config)
+        assert Folder(tmp_path).matlab("X") == {"file": "config/models/X.json", "u": u}
+    config["matlab"] = {"DiffSys": True}
+    write_json(tmp_path / "config/models/X.json", config)
+    with pytest.raises(ConfigError, match="'DiffSys'.*did you mean 'DiffSys u'"):
+        Folder(tmp_path).matlab("X")
