@@ -461,9 +461,6 @@ def test_the_configuration_chooses_the_differential_form(tmp_path):
         config = read_json(ROOT / "config/models/example.json")
         config["matlab"] = {"model ID": "X", "droneConfig path": "data", **section}
         config["standalone"] = {"DiffSys u": ["U_p"]}
-            "matlab": {"model ID": "X", "droneConfig path": "data", **section},
-            "standalone": {"DiffSys u": ["U_p"]},
-        }
         write_json(tmp_path / "config/models/X.json", config)
         assert Folder(tmp_path).matlab("X") == {"file": "config/models/X.json", "u": u}
     config["matlab"] = {"DiffSys": True}
