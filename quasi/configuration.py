@@ -7,6 +7,7 @@ for QuaSI, and the notice says what happens instead.
 
 import functools
 import json
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -57,6 +58,9 @@ def check(document: Any, name: str, where: str) -> tuple[dict[str, Any], list[st
         raise ConfigError(f"{where} is nested too deeply to be a configuration; correct it") from None
     if errors:
         raise ConfigError(_sentence(errors[0], where))
+    odd = _not_finite(document)
+    if odd:
+        raise ConfigError(f"{where}: {_place(odd[0])} is {odd[1]}, expected a finite number; correct it")
     notices = [
         f"{where}: '{key}' is not a key of quasi{near}"
         for key in document
@@ -114,6 +118,15 @@ def _uncomment(document: Any) -> Any:
     if isinstance(document, list):
         return [_uncomment(v) for v in document]
     return document
+
+
+def _not_finite(document: Any, path: tuple = ()) -> tuple[tuple, float] | None:
+    """Place and value of the first number that is not finite: no file holds one, but settings made in Python may."""
+    if isinstance(document, float):
+        return None if math.isfinite(document) else (path, document)
+    inside = document.items() if isinstance(document, Mapping) else ()
+    inside = enumerate(document) if isinstance(document, list) else inside
+    return next(filter(None, (_not_finite(value, (*path, key)) for key, value in inside)), None)
 
 
 def _resolve(rules: Mapping[str, Any], root: Mapping[str, Any]) -> Mapping[str, Any]:

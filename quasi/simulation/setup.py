@@ -7,7 +7,8 @@ The configuration is the manual's droneSimConfig.json with what it lacks, see co
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,6 +50,7 @@ STATE_NAMES = ("qw", "qx", "qy", "qz", "u", "v", "w", "p", "q", "r", "x", "y", "
 # beyond these no polynomial means anything: m/s, rad/s, m, rad/s of a rotor
 _LIMITS = np.array([2.0] * 4 + [300.0] * 3 + [300.0] * 3 + [1e5] * 3 + [2e4] * 4)
 _V1_RATE = 5e4  # logged units (eRPM/100) per second: the rate limit of the manual's rotorDynamicsV1
+LARGEST_LOG = 5_000_000  # rows, of some 700 bytes each
 _ACCURATE = {"rk4": 0.7, "euler": 0.2}  # fastest rate x step beyond which a method follows a mode badly
 
 
@@ -121,6 +123,11 @@ def make_setup(
         raise ConfigError(
             f"{name}: 'duration' {settings['simulation']['duration']:g} s is shorter than the 'time step' {dt:g} s"
         )
+    if steps // settings["simulation"]["log every"] > LARGEST_LOG:
+        raise ConfigError(
+            f"{name}: {steps:,} steps are more rows than memory holds ({LARGEST_LOG:,}); use a longer 'time step' or "
+            "'log every', or a shorter 'duration'"
+        )
     drive, up, down, rate = _actuator(settings["actuator"], model, notes, name)
     hover = hover_speed(model, drive.high if math.isfinite(drive.high) else None)
     if not drive.low <= hover <= drive.high:
@@ -144,6 +151,7 @@ def make_setup(
         offset = asymmetry(kernel, body, held, hover)
         body = body_of(airframe.mass, airframe.inertia, kernel, gravity, up, down, rate, offset)
     start = _start(settings["initial state conditions"], hover)
+    _check_start(start, kernel, body, held, name)
     method = settings["simulation"]["integrator"]
     if method not in INTEGRATORS and substeps > 1:
         raise ConfigError(f"{name}: '{method}' finds its own steps; leave 'substeps' out")
@@ -152,12 +160,14 @@ def make_setup(
     asked = settings["controller"]
     actuators = {"time constants": np.maximum(up, 1e-4), "delay": drive.delay, "lowest": drive.low,
                  "highest": drive.high if math.isfinite(drive.high) else None}  # fmt: skip
-    kind, gains, memory = make_controller({**asked, "time step": dt}, model, actuators, offset)
+    with _within(name):
+        kind, gains, memory = make_controller({**asked, "time step": dt}, model, actuators, offset)
     wanted = dict(settings["references"])
     if not any(wanted.get(k) for k in ("do position track", "do circle track", "kind")):
         here, yaw = [float(c) for c in start[10:13]], float(attitude.to_euler(start[:4])[2])
         wanted |= {"kind": "hover", "position": here, "yaw": yaw}
-    aim, path, table = make_reference(wanted, reference)
+    with _within(name if reference is None else f"{name}, {wanted.get('file', 'table handed over')}"):
+        aim, path, table = make_reference(wanted, reference)
     noise = settings["noise"]
     names = ("attitude", "velocity", "rates", "position", "rotor speeds", "specific force")
     sensors = Sensors(*(float(noise[n]) if noise["add"] else 0.0 for n in names))
@@ -166,13 +176,22 @@ def make_setup(
     if np.any(wind_of(model)):
         notes.append("the wind that the model's extensions found in its flights blows, too")
     machine = Machine(
-        kernel, body, drive, battery, _fault(settings["faults"], drive), sensors,
+        kernel, body, drive, battery, _fault(settings["faults"], drive, steps * dt, notes, name), sensors,
         np.array([*steady, *air["gusts"], *[air["correlation time"]] * 3], float), _wind_table(wind, air, name),
         kind, gains, aim, path, table, dt, substeps, INTEGRATORS.get(method, RK4), _LIMITS.copy(),
     )  # fmt: skip
     seeds = (noise["seed"], noise["seed"] if air["seed"] is None else air["seed"])
     every = settings["simulation"]["log every"]
     return Setup(name, model, machine, memory, start, seeds, steps, every, settings, tuple(notes))
+
+
+@contextmanager
+def _within(where: str) -> Iterator[None]:
+    """Faults that are found inside begin with where they stand."""
+    try:
+        yield
+    except (ConfigError, DataError) as error:
+        raise type(error)(f"{where}: {error}") from None
 
 
 def still(inputs: int, speed: float) -> np.ndarray:
@@ -213,7 +232,9 @@ def _actuator(
     asked: Mapping[str, Any], model: Model, notes: list[str], name: str
 ) -> tuple[Drive, np.ndarray, np.ndarray, float]:
     kind, airframe = asked["actuator"], model.airframe
-    known = dict(model.document.get("actuators") or {})
+    known = model.document.get("actuators") or {}
+    if not isinstance(known, Mapping):
+        raise DataError(f"model {model.id}: 'actuators' is {known!r:.60}, expected a section; make the model anew")
     of_causes = actuators_of(model)
     if "time constant" in of_causes:
         known = {**known, "time constants": {"value": of_causes["time constant"]}}
@@ -223,9 +244,21 @@ def _actuator(
 
     def of_model(*keys: str) -> Any:
         for key in keys:
-            value = (known.get(key) or {}).get("value")
-            if value is not None:
-                return value
+            about = known.get(key) or {}
+            try:
+                value = about.get("value")
+                if value is None:
+                    continue
+                # an identified delay may come out a little below zero
+                least = np.min(np.broadcast_to(np.asarray(value, float), 4))
+                if least > 0.0 or (key == "delay" and np.isfinite(least)):
+                    return value
+            except (AttributeError, TypeError, ValueError):
+                pass
+            raise DataError(
+                f"model {model.id}: 'actuators' / '{key}' is {about!r:.60}, expected seconds under 'value'; "
+                "make the model anew"
+            )
         return None
 
     up = down = np.zeros(4)
@@ -300,17 +333,24 @@ def _battery(asked: Mapping[str, Any], model: Model, hover: float, notes: list[s
     )  # fmt: skip
 
 
-def _fault(asked: Mapping[str, Any], drive: Drive) -> np.ndarray:
+def _fault(asked: Mapping[str, Any], drive: Drive, duration: float, notes: list[str], name: str) -> np.ndarray:
+    health, effectiveness = asked["rotor health after failure"], asked["rotor effectiveness after failure"]
+    whole = min(health) == min(effectiveness) == 1.0
     if not asked["inject failure"]:
+        if not whole:
+            notes.append("'faults' names rotors, but 'inject failure' is false: nothing fails")
         return np.array([math.inf, *[1.0] * 4, *[math.inf] * 4])
-    health = asked["rotor health after failure"]
+    if whole:
+        notes.append("'inject failure' is true, but every rotor keeps its health and effectiveness: nothing fails")
+    elif asked["time of failure"] >= duration:
+        notes.append(f"the failure at {asked['time of failure']:g} s comes after the end at {duration:g} s")
     if min(health) < 1.0 and not math.isfinite(drive.high):
         raise ConfigError(
-            "faults: 'rotor health after failure' is a share of the highest rotor speed, which is unknown; "
+            f"{name}: 'rotor health after failure' is a share of the highest rotor speed, which is unknown; "
             "give 'actuator' / 'highest speed'"
         )
     caps = [h * drive.high if h < 1.0 else math.inf for h in health]
-    return np.array([asked["time of failure"], *asked["rotor effectiveness after failure"], *caps], float)
+    return np.array([asked["time of failure"], *effectiveness, *caps], float)
 
 
 def _start(asked: Mapping[str, Any], hover: float) -> np.ndarray:
@@ -322,22 +362,37 @@ def _start(asked: Mapping[str, Any], hover: float) -> np.ndarray:
     return x
 
 
+def _check_start(x: np.ndarray, kernel: Any, body: np.ndarray, held: np.ndarray, name: str) -> None:
+    scratch, found = scratch_of(kernel), np.zeros(6)
+    loads_at(x, held, kernel, body, scratch.inputs, scratch.work, found)
+    if not np.all(np.isfinite(found)):
+        speeds = ", ".join(f"{w:g}" for w in x[ROTORS:])
+        raise ConfigError(
+            f"{name}: the model's forces and moments are no numbers in the initial state (rotor speeds {speeds} "
+            "rad/s); correct 'initial state conditions'"
+        )
+
+
 def _wind_table(wind: Any, asked: Mapping[str, Any], name: str) -> np.ndarray:
     if wind is None:
         if asked["file"]:
             raise ConfigError(f"{name}: the wind's table '{asked['file']}' was not read; hand it to make_setup")
         return np.zeros((0, 4))
+    what = f"{name}: the wind's table {asked['file']}" if asked["file"] else f"{name}: the wind's table"
     columns = ("t", "wind_north", "wind_east", "wind_down")
     missing = [c for c in columns if c not in wind]
     if missing:
-        raise DataError(f"the wind's table lacks the column '{missing[0]}'{nearest(missing[0], list(wind))}")
+        raise DataError(f"{what} lacks the column '{missing[0]}'{nearest(missing[0], list(wind))}")
     table = np.column_stack([np.asarray(wind[c], float) for c in columns])
     for k, column in enumerate(columns):
         bad = np.flatnonzero(~np.isfinite(table[:, k]))
         if len(bad):
-            raise DataError(f"the wind's table holds no number in column '{column}', row {bad[0] + 1}; fill it in")
-    if not len(table) or np.any(np.diff(table[:, 0]) <= 0.0):
-        raise DataError("the wind's table has no rows, or its times do not grow; correct its column 't'")
+            raise DataError(f"{what} holds no number in column '{column}', data row {bad[0] + 1}; fill it in")
+    if not len(table):
+        raise DataError(f"{what} has no rows; fill it in")
+    back = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
+    if len(back):
+        raise DataError(f"{what} goes back in time, or stands still, in data row {back[0] + 2}; correct its column 't'")
     return np.ascontiguousarray(table)
 
 

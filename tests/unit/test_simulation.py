@@ -384,12 +384,58 @@ def test_extensions_change_rotors_and_wind_and_one_with_states_is_refused_by_nam
         ({"references": {"do circle track": True, "kind": "hover"}}, "only one of"),
         ({"wind": {"file": "wind.csv"}}, "was not read"),
         ({"battery": {"exponent": 1.0}}, "no 'voltage'"),
-        ({"controller": {"controller": "INDI", "gains": {"rates": {}}}}, "lacks the block 'position'"),
+        ({"controller": {"controller": "INDI", "gains": {"rates": {}}}}, "my_sim: .*lacks the block 'position'"),
+        ({"references": {"kind": "position steps", "steps": [[1, 0, 0]]}}, "my_sim: reference steps of .*row 1"),
+        ({"simulation": {"time step": math.nan}}, "my_sim: 'simulation' / 'time step' is nan, expected a finite"),
+        ({"simulation": {"duration": math.inf}}, "my_sim: 'simulation' / 'duration' is inf, expected a finite"),
+        ({"controller": {"gains": {"rates": {"time constant": math.nan}}}}, "'rates' / 'time constant' is nan"),
+        ({"simulation": {"time step": 1e-9, "duration": 1e6}}, "more rows than memory holds"),
+        ({"initial state conditions": {"rotor speeds": [1e200] * 4}}, "are no numbers in the initial state"),
     ],
 )
 def test_faults_of_a_configuration_are_sentences(model, settings, sentence):
     with pytest.raises((ConfigError, DataError), match=sentence):
-        make_setup({"model": {"model ID": "made"}, **settings}, model)
+        make_setup({"model": {"model ID": "made"}, **settings}, model, name="my_sim")
+
+
+WIND = {"t": [0.0, 1.0], "wind_north": [0.0, 1.0], "wind_east": [0.0, 0.0], "wind_down": [0.0, 0.0]}
+
+
+@pytest.mark.parametrize(
+    "change, sentence",
+    [
+        ({"wind_nort": WIND["wind_north"], "wind_north": None}, "gust.csv lacks the column 'wind_north' .*'wind_nort'"),
+        ({"wind_east": [0.0, math.nan]}, "gust.csv holds no number in column 'wind_east', data row 2"),
+        ({"t": [1.0, 1.0]}, "gust.csv goes back in time, or stands still, in data row 2"),
+        (dict.fromkeys(WIND, ()), "gust.csv has no rows"),
+    ],
+)
+def test_faults_of_a_wind_table_name_the_simulation_and_the_file(model, change, sentence):
+    table = {k: v for k, v in {**WIND, **change}.items() if v is not None}
+    with pytest.raises(DataError, match="my_sim: the wind's table data/" + sentence):
+        make_setup({"model": {"model ID": "made"}, "wind": {"file": "data/gust.csv"}}, model, table, name="my_sim")
+
+
+@pytest.mark.parametrize(
+    "faults, note",
+    [
+        ({"rotor effectiveness after failure": [0.5, 1, 1, 1]}, "'inject failure' is false: nothing fails"),
+        ({"inject failure": True}, "every rotor keeps its health"),
+        ({"inject failure": True, "time of failure": 9, "rotor health after failure": [0.1, 1, 1, 1]}, "after the end"),
+    ],
+)
+def test_a_fault_that_cannot_be_seen_is_told(model, faults, note):
+    assert note in setup_of(model, faults=faults).notes[-1]
+
+
+@pytest.mark.parametrize(
+    "actuators",
+    ["fast", {"time constants": 0.02}, {"time constants up": {"value": "fast"}}, {"delay": {"value": [1, 2]}},
+     {"time constants": {"value": [0.02, 0.02, -0.02, 0.02]}}],
+)  # fmt: skip
+def test_damaged_actuators_of_a_model_are_a_sentence(model, actuators):
+    with pytest.raises(DataError, match="'actuators'.*make the model anew"):
+        setup_of(Model({**model.document, "actuators": actuators}))
 
 
 def test_a_summary_is_plain_data_with_tracking_saturation_and_region(model):
