@@ -49,6 +49,10 @@ STILLS = {"number of drone stills": 5, "show animation": False, "animation speed
 LIGHTEST, HEAVIEST = 0.005, 100.0  # kg: outside lies a slip of unit, not a quadrotor
 
 
+def _named(row: Row) -> str:
+    return f"row {row.number} of {Path(row.logbook).name}"
+
+
 class Folder(Comparisons):
     """A project folder as the rules ask it: the raw files of a flight and the settings of each job."""
 
@@ -410,8 +414,8 @@ class Folder(Comparisons):
             "gravity": self.gap_gravity(name),
             "quadrotor": part["quadrotor"],
             "masses": {r.key: self.mass(r)[0] for r in rows},
-            "held": {f"{r.logbook} row {r.number}": log for r in held if (log := self._log_of(r))},
-            "trained": {f"{r.logbook} row {r.number}": log for r in trained if (log := self._log_of(r))},
+            "held": {_named(r): log for r in held if (log := self._log_of(r))},
+            "trained": {_named(r): log for r in trained if (log := self._log_of(r))},
             "problem": part["problem"],
         }
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.gap import generic, rollouts, unexplained
-from quasi.gap.effect import Effect, Vehicle, vehicle_of
+from quasi.gap.effect import Effect, Vehicle, room_of, vehicle_of
 from quasi.gap.evidence import Evidence
 from quasi.gap.extension import extend
 from quasi.gap.gain import after, before, fraction, wrench_score
@@ -53,7 +53,8 @@ def diagnose(
     settings     of the gap; lower  the held-out flights before and after calibration; name  of the gap
     lost         sentences on flights that could not be used
     """
-    vehicle, ident = vehicle_of(model), settings["extended model ID"]
+    vehicle = vehicle_of(model, room=room_of(settings["room"]))
+    ident = settings["extended model ID"]
     groups = {r: [e for k, e in evidence.items() if roles[k] == r] for r in ("reference", "compared", "held out")}
     learning = [*groups["reference"], *groups["compared"]]
     compared = [False] * len(groups["reference"]) + [True] * len(groups["compared"])
@@ -179,7 +180,7 @@ def _wrench_effect(cause: Cause, vehicle: Vehicle) -> dict[str, Any]:
         "probability": cause.probability,
         "channels": list(cause.effect.channels),
         "parameters": _parameters(cause.effect, cause.value, cause.std, vehicle),
-        "gain": {"wrench": gains[best]["value"] if best else None, "rollout": None},
+        "gain": {"wrench": min(gains[best]["value"], 1.0) if best else None, "rollout": None},
         "gain channel": best,
         "gains": cause.gain,
         "confused_with": [r.id for r in cause.rivals],

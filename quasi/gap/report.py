@@ -155,7 +155,9 @@ def _cause(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
 def _rivals(diagnosis: Mapping[str, Any]) -> str:
     lost = sorted(diagnosis["candidates"], key=lambda c: c["p"] if c.get("p") is not None else 1.0)[:MOST]
     rows = [[name_of(c["id"]), SINCE[c["since"]] if c.get("since") else "", c["why_not"]] for c in lost]
-    return report.table(["tested and not named", "asked as", "why not"], rows)
+    head = "".join(f'<th scope="col">{h}</th>' for h in ("tested and not named", "asked as", "why not"))
+    lines = "".join("<tr>" + "".join(f"<td>{report.escape(c)}</td>" for c in row) + "</tr>" for row in rows)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table>" if rows else ""
 
 
 def _ties(diagnosis: Mapping[str, Any]) -> str:

@@ -95,8 +95,9 @@ def _first_reason(candidate: Mapping[str, Any]) -> str:
 
 def tie_sentence(tie: Mapping[str, Any]) -> str:
     """A tie and what would break it."""
+    names = _listed([name_of(i) for i in tie["ids"]], "or")
     return (
-        f"{_listed([name_of(i) for i in tie['ids']], 'or')}: this data cannot tell which "
+        f"{names[:1].upper()}{names[1:]}: this data cannot tell which "
         f"(separability {tie['separability']:.1f} standard errors)"
         + (f"; to settle it: {tie['tie_breaker']}" if tie["tie_breaker"] else "")
         + "."
@@ -120,11 +121,11 @@ def rollout_sentence(diagnosis: Mapping[str, Any]) -> str:
     longest = max(r["horizon"] for r in rows)
     units = {"velocity": "m/s", "rate": "rad/s"}
     texts = [
-        f"{CHANNELS[r['quantity']]} {r['before']:.2g} to {r['after']:.2g} {units[r['quantity']]}"
+        f"{CHANNELS[r['quantity']]} from {r['before']:.3g} to {r['after']:.3g} {units[r['quantity']]}"
         for r in rows
         if r["horizon"] == longest
     ]
-    return f"Simulated for {longest:g} s, the error changes in {_listed(texts)}."
+    return f"Simulated for {longest:g} s, the error goes in {_listed(texts)}."
 
 
 def summary(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:

@@ -1,0 +1,130 @@
+"""What a folder says of its gaps: flights by role, names of extended models, and what is refused with a sentence."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from quasi.comparisons import same_recordings
+from quasi.errors import ConfigError, LogbookError, QuasiError
+from quasi.workflow import Folder
+
+ROOT = Path(__file__).parents[2]
+MODEL = {
+    "logging file": {"filename": "log", "rows of flights to use (all)": ["2-3"]},
+    "identification parameters": {"polynomial specification file": "physical"},
+}
+GAP = {
+    "model": "m",
+    "logging file": {
+        "filename": "log",
+        "rows of flights to compare (all)": ["4-6"],
+        "rows of flights held out": [6],
+        "rows of reference flights": [2],
+    },
+}
+HEADER = "Quadrotor,Onboard Name,OB Path,Flight controller,Drone Config File,Drone Config Path,Has OT data,Mass"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    shutil.copytree(ROOT / "config/template", tmp_path, dirs_exist_ok=True)
+    (tmp_path / "config/models/my_model.json").unlink()
+    (tmp_path / "config/models/m.json").write_text(json.dumps(MODEL))
+    (tmp_path / "config/processing.json").write_text(json.dumps({"logging file": {"filename": "log"}}))
+    (tmp_path / "config/gaps").mkdir(exist_ok=True)
+    rows = [f"Beetle,{n},data/raw,betaflight,my_quadrotor,data,N,433" for n in "abcdef"]
+    (tmp_path / "data/log.csv").write_text("\n".join([HEADER, *rows]) + "\n")
+    for n in "abcdef":
+        (tmp_path / f"data/raw/{n}.bbl").write_text(n)
+    write(tmp_path)
+    return tmp_path
+
+
+def write(folder, name="g", rows=None, **changes):
+    document = {**GAP, **changes, "logging file": {**GAP["logging file"], **(rows or {})}}
+    (folder / f"config/gaps/{name}.json").write_text(json.dumps(document))
+
+
+def test_flights_have_one_role_each_and_the_extended_model_a_name(folder):
+    project = Folder(folder)
+    assert project.gap_roles("g") == {"a": "reference", "c": "compared", "d": "compared", "e": "held out"}
+    assert project.extended("m-g") == "g" and project.extended("m") is None
+    assert project.gap_model("g") == "models/m/standalone/model.json"
+    assert project.gap_gravity("g") == "withGravity"
+    asked = project.gap("g")
+    assert asked["settings"]["false alarm rate"] == 0.01 and asked["settings"]["material share"] == 0.05
+    assert set(asked["trained"]) == {"row 2 of log.csv", "row 3 of log.csv"}
+    assert project.roles("m-g") == {"training": ["a", "c", "d"], "validation": ["e"]}
+    assert project.partitioning("m-g") == {"random partition": False}
+
+
+def test_flights_of_a_gap_alone_are_known_to_the_folder(folder):
+    header, *rows = (folder / "data/log.csv").read_text().splitlines()
+    (folder / "data/other.csv").write_text("\n".join([header, rows[0].replace(",a,", ",z,")]) + "\n")
+    (folder / "data/raw/z.bbl").touch()
+    places = {"filename": "other", "rows of flights to compare (all)": [2], "rows of flights held out": [],
+              "rows of reference flights": []}  # fmt: skip
+    write(folder, rows=places)
+    assert Folder(folder).importing("Beetle", "z")["flight"]["onboard"] == "data/raw/z.bbl"
+
+
+def test_an_extended_model_may_be_compared_again_and_remembers_who_trained_it(folder):
+    rows = {"rows of flights to compare (all)": [7], "rows of flights held out": [], "rows of reference flights": []}
+    write(folder, "h", rows, model="m-g")
+    project = Folder(folder)
+    assert project.gap_model("h") == "models/m-g/standalone/model.json"
+    assert {r.key for r in project.gap_trained("h")} == {"a", "b", "c", "d"}
+
+
+@pytest.mark.parametrize(
+    "rows, changes, sentence",
+    [
+        ({"rows of flights held out": [3]}, {}, "held-out row 3 is not among 'rows of flights to compare (all)'"),
+        ({"rows of reference flights": [4]}, {}, "row 4 is compared and a reference flight"),
+        ({"rows of flights to compare (all)": ["4-60"]}, {}, "row 8 is selected"),
+        ({}, {"model": "mm"}, "neither config/models/mm.json nor models/mm/standalone/model.json exists"),
+        ({}, {"extended model ID": "m"}, "config/models/m.json makes a model of that name"),
+        ({}, {"extended model ID": "../m"}, "use letters, digits and . _ + - only"),
+        ({}, {"effects": "al"}, "expected \"all\" or a list of ids"),
+        ({}, {"horizon": [1]}, "unknown key 'horizon' (did you mean 'horizons'?)"),
+        ({}, {"horizons": []}, "'horizons'"),
+        ({}, {"false alarm rate": 0}, "'false alarm rate'"),
+    ],
+)  # fmt: skip
+def test_a_faulty_configuration_is_told_in_one_sentence(folder, rows, changes, sentence):
+    write(folder, "g", rows, **changes)
+    with pytest.raises((ConfigError, LogbookError)) as told:
+        Folder(folder).gap_model("g")
+        Folder(folder).gap("g")
+    assert sentence in str(told.value) and "\n" not in str(told.value)
+
+
+def test_two_gaps_may_not_make_the_same_model(folder):
+    write(folder, "h", **{"extended model ID": "m-g"})
+    with pytest.raises(ConfigError, match="g.json and config/gaps/h.json both make the model 'm-g'"):
+        Folder(folder).extended("m-g")
+
+
+def test_models_may_not_extend_each_other_in_a_circle(folder):
+    write(folder, "g", model="two", **{"extended model ID": "one"})
+    write(folder, "h", model="one", **{"extended model ID": "two"})
+    with pytest.raises(ConfigError, match="in a circle"):
+        Folder(folder).gap_model("g")
+
+
+def test_an_unknown_gap_names_the_nearest(folder):
+    write(folder, "hover")
+    with pytest.raises(QuasiError, match=r"config/gaps/hoover.json does not exist \(did you mean 'hover'\?\)"):
+        Folder(folder).gap_settings("hoover")
+
+
+def test_a_recording_that_trained_is_known_by_its_content_whatever_its_name(tmp_path):
+    for name, text in {"a": "one", "b": "two", "copy": "one"}.items():
+        (tmp_path / name).write_text(text)
+    at = {name: [str(tmp_path / name), ""] for name in ("a", "b", "copy")}
+    assert same_recordings({"row 4": at["copy"]}, {"row 2": at["a"], "row 3": at["b"]}) == ("row 4", "row 2")
+    assert same_recordings({"row 4": at["b"]}, {"row 2": at["a"]}) is None
+    # another log of the same file is another flight
+    assert same_recordings({"row 4": [at["a"][0], "2"]}, {"row 2": [at["a"][0], "1"]}) is None
