@@ -104,11 +104,14 @@ class Result:
         return summary
 
     def _saturation(self) -> dict[str, Any]:
-        drive = self.setup.machine.drive
+        drive, fault = self.setup.machine.drive, self.setup.machine.fault
+        failed = self.table["t"].to_numpy() >= fault[0] - 1e-9
         shares = {}
         for i in range(1, 5):
             command = self.table[f"w{i}_CMD"].to_numpy()
-            high = float(np.mean(command >= drive.high * (1.0 - _AT_LIMIT))) if len(command) else 0.0
+            # a rotor that has failed reaches its cap at most
+            top = np.where(failed, np.minimum(drive.high, fault[4 + i]), drive.high)
+            high = float(np.mean(command >= top * (1.0 - _AT_LIMIT))) if len(command) else 0.0
             low = float(np.mean(command <= drive.low * (1.0 + _AT_LIMIT))) if len(command) else 0.0
             shares[f"rotor {i}"] = {"share of time at highest": high, "share of time at lowest": low}
         return shares
@@ -247,9 +250,10 @@ def report(summary: Mapping[str, Any]) -> str:
         lines.append(f"  ended early: {summary['ended']}")
     for what, error in summary["tracking"].items():
         lines.append(f"  {what} error {error['rms']:.3g} {error['unit']} rms, {error['greatest']:.3g} at most")
-    shares = [s for part in summary["saturation"].values() for s in part.values()]
-    if any(shares):
-        lines.append(f"  a rotor's command at its limit up to {100 * max(shares):.1f} % of the time")
+    shares = {rotor: max(part.values()) for rotor, part in summary["saturation"].items()}
+    worst = max(shares, key=lambda rotor: shares[rotor])
+    if shares[worst]:
+        lines.append(f"  {worst}'s command at or beyond its limit {100 * shares[worst]:.1f} % of the time")
     outside = summary["outside the model's region"]
     if outside:
         worst = next(iter(outside["where"]), None)

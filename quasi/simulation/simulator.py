@@ -180,6 +180,10 @@ class Simulator:
         """Call a function of the bus after one of ORDER in every step; what it returns is not used."""
         if after not in ORDER:
             raise ConfigError(f"no step is called '{after}'{nearest(after, ORDER)}")
+        if not callable(function):
+            raise ConfigError(
+                f"what is called after the step '{after}' is {function!r}, expected a function of the bus"
+            )
         self._between[after].append(function)
 
     def run(self) -> Bus:
@@ -196,6 +200,9 @@ class Simulator:
         unknown = [name for name in self.steps if name not in ORDER]
         if unknown:
             raise ConfigError(f"no step is called '{unknown[0]}'{nearest(unknown[0], ORDER)}")
+        for name, step in self.steps.items():
+            if step is not None and not callable(step):
+                raise ConfigError(f"the step '{name}' is {step!r}, expected a function of the bus")
         while True:
             self._one_step(bus)
             last = self._steps is not None and bus.step >= self._steps

@@ -33,8 +33,12 @@ def check_document(document: Any, where: str) -> None:
     if document["gravity"] not in ("withGravity", "noGravity"):
         raise ConfigError(f"{where}: 'gravity' is {document['gravity']!r}, expected 'withGravity' or 'noGravity'")
     hover = document["hover speed"]
-    if not isinstance(hover, Mapping) or not (hover.get("value") is None or _finite(hover["value"])):
-        raise ConfigError(f"{where}: 'hover speed' must hold a number of rad/s under 'value'; make the model anew")
+    if not isinstance(hover, Mapping) or not (
+        hover.get("value") is None or (_finite(hover["value"]) and hover["value"] > 0.0)
+    ):
+        raise ConfigError(
+            f"{where}: 'hover speed' must hold a positive number of rad/s under 'value'; make the model anew"
+        )
     axes = document["axes"]
     if not isinstance(axes, Mapping) or not axes or set(axes) - set(AXES):
         raise ConfigError(f"{where}: 'axes' must hold some of {', '.join(AXES)}; make the model anew")

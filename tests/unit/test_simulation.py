@@ -449,3 +449,15 @@ def test_a_summary_is_plain_data_with_tracking_saturation_and_region(model):
     assert summary["outside the model's region"] is None and any("no region" in n for n in summary["notes"])
     assert set(summary["saturation"]) == {f"rotor {i}" for i in range(1, 5)}
     assert "position error" in report(summary)
+
+
+def test_a_rotor_that_failed_counts_as_saturated_beyond_its_cap(model):
+    faults = {"inject failure": True, "time of failure": 0.5, "rotor health after failure": [1, 1, 0.3, 1]}
+    result = simulate(setup_of(model, 1.0, controller={"controller": "NDI"}, faults=faults))
+    high = result.setup.machine.drive.high
+    command, t = result.table["w3_CMD"].to_numpy(), result.table["t"].to_numpy()
+    beyond = np.mean(command >= np.where(t >= 0.5, 0.3 * high, high) * (1 - 1e-6))
+    summary = result.summary()
+    assert beyond > 0.3 and np.all(command < high)
+    assert summary["saturation"]["rotor 3"]["share of time at highest"] == pytest.approx(beyond)
+    assert f"rotor 3's command at or beyond its limit {100 * beyond:.1f} % of the time" in report(summary)

@@ -149,6 +149,7 @@ TAMPERED = {
     "airframe text": (lambda d: d.update(airframe="fast"), "'airframe'"),
     "airframe shape": (lambda d: d["airframe"].update(hubs=[[0, 0, 0]]), "'airframe'"),
     "hover": (lambda d: d.update({"hover speed": {"value": "fast"}}), "'hover speed'"),
+    "hover backwards": (lambda d: d.update({"hover speed": {"value": -2000.0}}), "'hover speed' must hold a positive"),
     "coefficient": (lambda d: d["axes"]["Fx"]["terms"][1].update(coefficient="2"), "'coefficient' is '2'"),
     "infinite": (lambda d: d["axes"]["Fx"]["terms"][1].update(coefficient=math.inf), "'coefficient' is inf"),
     "true": (lambda d: d["axes"]["Fx"]["terms"][1].update(std=True), "'std' is True"),
