@@ -238,7 +238,7 @@ def _description(
     root = ElementTree.Element(
         "fmiModelDescription",
         fmiVersion="2.0", modelName=identifier, guid=guid, description=" ".join(line for line in head(model)[:1]),
-        generationTool="quasi", variableNamingConvention="structured", numberOfEventIndicators="0",
+        generationTool="quasi", variableNamingConvention="flat", numberOfEventIndicators="0",
     )  # fmt: skip
     shared = {"modelIdentifier": identifier, "canGetAndSetFMUstate": "true", "canSerializeFMUstate": "true",
               "canNotUseMemoryManagementFunctions": "true"}  # fmt: skip

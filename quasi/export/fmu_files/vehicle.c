@@ -238,7 +238,8 @@ static void make_unit(double *x)
     }
 }
 
-/* Co-simulation: classical Runge-Kutta steps, the commands held over the communication step. */
+/* Co-simulation: classical Runge-Kutta steps. Commands are held over the communication step; where they come late, each
+ * part of it takes their mean over its own time. */
 static fmi2Status advance(Instance *fmu, double step)
 {
     double *value = fmu->data.value, *x = value + AT_X, *target = fmu->data.memory.target;
@@ -251,13 +252,14 @@ static fmi2Status advance(Instance *fmu, double step)
     if (delay > 0.0 && note(fmu, fmu->data.time) != fmi2OK) {
         return fmi2Error;
     }
-    for (k = 0; k < 4; k++) {
-        const double command =
-            delay > 0.0 ? mean_command(&fmu->data.memory, k, from, from + step) : value[AT_COMMANDS + k];
-        target[k] = settled(fmu, command);
-    }
     fmu->data.memory.stepped = 1;
     for (n = 0; n < count; n++) {
+        for (k = 0; k < 4; k++) {
+            const double command = delay > 0.0
+                ? mean_command(&fmu->data.memory, k, from + n*dt, n + 1 == count ? from + step : from + (n + 1)*dt)
+                : value[AT_COMMANDS + k];
+            target[k] = settled(fmu, command);
+        }
         for (stage = 0; stage < 4; stage++) {
             const double share = stage == 0 ? 0.0 : stage == 3 ? dt : 0.5*dt;
             for (k = 0; k < 17; k++) {

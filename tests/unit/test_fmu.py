@@ -1,0 +1,330 @@
+"""FMUs: valid by FMPy, and equal to the model, to the simulator and to equations of motion written plainly."""
+
+import ctypes
+import importlib.util
+import zipfile
+from pathlib import Path
+from xml.etree import ElementTree
+
+import fmpy
+import numpy as np
+import pytest
+from export_models import EVERY_FUNCTION, MODELS, model, normalised
+from fmpy.fmi2 import FMU2Slave
+from fmpy.validation import validate_fmu
+from made_model import TERMS, document
+
+from quasi import attitude
+from quasi.errors import ConfigError
+from quasi.export.agreement import states_of, wrench_of
+from quasi.export.compiler import find_compiler, shared_library, write_files
+from quasi.export.fmu_archive import compile_fmu, platform_folder, write_fmu
+from quasi.export.fmu_running import CO_SIMULATION, Instance, check_forces, check_vehicle, slopes
+from quasi.export.fmu_source import STATE_NAMES, forces_fmu, vehicle_fmu
+from quasi.simulation.quadrotor import QuadrotorSimulator
+from quasi.simulation.setup import make_setup
+from quasi.standalone.model import AXES, Model
+from quasi.tables import read_json, write_json
+
+pytestmark = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
+
+
+def with_rotors(**more):
+    """The made model with unlike rotors, limits and a delay that is no whole number of steps."""
+    plain = document()
+    plain["actuators"] = {
+        "time constants up": {"value": [0.02, 0.025, 0.03, 0.035]},
+        "time constants down": {"value": [0.04, 0.045, 0.05, 0.055]},
+        "delay": {"value": 0.0065},
+    }
+    plain["airframe"] |= {"idle RPM": 300.0, "max RPM": 900.0, "motor poles": 14}
+    plain["airframe"]["inertia"] = [[9e-4, 2e-5, -1e-5], [2e-5, 1.1e-3, 3e-5], [-1e-5, 3e-5, 1.7e-3]]
+    return Model({**plain, **more})
+
+
+def on_battery():
+    """A model that reads the battery's voltage, and whose rotors slow down as it falls."""
+    terms = {**EVERY_FUNCTION, "Mz": TERMS["Mz"], "Fy": TERMS["Fy"]}
+    extension = {"id": "sag", "actuators": {"voltage exponent": 0.7}, "environment": {"wind": [1.0, -2.0, 0.5]}}
+    envelope = {"battery_voltage": {"min": 14.0, "max": 17.0, "percentiles": {"50": 15.5}}}
+    return model(terms, "battery", extensions=[extension], envelope=envelope)
+
+
+@pytest.fixture(scope="module")
+def vehicle(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("vehicle")
+    made = with_rotors()
+    fmu = vehicle_fmu(made)
+    library = write_fmu(folder / "vehicle.fmu", fmu, folder)
+    return made, fmu, library, folder / "vehicle.fmu"
+
+
+@pytest.mark.parametrize("make", [*MODELS.values(), normalised, on_battery])
+def test_fmus_are_valid_and_give_the_model_s_numbers(make, tmp_path):
+    made = make()
+    for describe, check in ((forces_fmu, check_forces), (vehicle_fmu, check_vehicle)):
+        try:
+            fmu = describe(made)
+        except ConfigError as error:
+            assert "v_in" in str(error) and describe is vehicle_fmu
+            continue
+        path = tmp_path / f"{fmu.identifier}.fmu"
+        library = write_fmu(path, fmu, tmp_path)
+        assert validate_fmu(str(path)) == []
+        for found in check(made, fmu, library):
+            assert found.agrees and found.limit == 1e-12, found
+
+
+def test_fmpy_simulates_the_force_and_moment_model(tmp_path):
+    made = MODELS["bundled"]()
+    fmu = forces_fmu(made)
+    write_fmu(tmp_path / "forces.fmu", fmu, tmp_path)
+    at, dt = states_of(made, 101), 0.01
+    names = [v.name for v in fmu.variables if v.causality == "input"]
+    columns = [at.table[:, made.inputs.index(name)] for name in names]
+    signals = np.array(list(zip(np.arange(101) * dt, *columns)), dtype=[(n, float) for n in ("time", *names)])
+    reference = wrench_of(made, at)
+    result = fmpy.simulate_fmu(
+        str(tmp_path / "forces.fmu"), stop_time=1.0, step_size=dt, output_interval=dt, input=signals, output=list(AXES),
+        fmi_type="CoSimulation",
+    )  # fmt: skip
+    found = np.column_stack([result[axis] for axis in AXES])
+    # the row of an instant holds what the inputs of the step before it gave
+    np.testing.assert_allclose(found[1:], reference[:-1], rtol=1e-9, atol=1e-9 * np.abs(reference).max(axis=0).min())
+
+
+def flown_by_the_simulator(made, commands, dt, wind=(0.0, 0.0, 0.0)):
+    """States (N + 1, 17) of the simulator in Python whose controller gives these commands."""
+    settings = {
+        "model": {"model ID": made.id, "correct for moment asymmetries": False},
+        "simulation": {"time step": dt, "duration": len(commands) * dt},
+        "noise": {"add": False},
+        "wind": {"steady": list(wind)},
+    }
+    simulator = QuadrotorSimulator(make_setup(settings, made))
+    simulator.steps["controller"] = lambda bus: commands[min(bus.step, len(commands) - 1)]
+    return simulator.run().state[: len(commands) + 1].copy()
+
+
+def test_vehicle_flies_as_the_simulator_does(vehicle):
+    made, fmu, _, path = vehicle
+    dt, steps, wind = 0.002, 500, (2.0, -1.0, 0.5)
+    random = np.random.default_rng(4)
+    hover = made.hover_speed
+    commands = hover + np.repeat(random.normal(0.0, 60.0, (steps // 10, 4)), 10, axis=0)
+    commands[200:210] = 3000.0  # beyond the limit
+    expected = flown_by_the_simulator(made, commands, dt, wind)
+    description = fmpy.read_model_description(str(path))
+    at = {v.name: v.valueReference for v in description.modelVariables}
+    instance = FMU2Slave(
+        guid=description.guid, unzipDirectory=fmpy.extract(str(path), path.parent / "unzipped"),
+        modelIdentifier=description.coSimulation.modelIdentifier, instanceName="vehicle",
+    )  # fmt: skip
+    instance.instantiate()
+    instance.setupExperiment(startTime=0.0)
+    instance.enterInitializationMode()
+    instance.setReal([at[n] for n in STATE_NAMES], expected[0])
+    instance.exitInitializationMode()
+    inputs = [at[n] for n in ("w1_CMD", "w2_CMD", "w3_CMD", "w4_CMD", "wind_north", "wind_east", "wind_down")]
+    states = [at[n] for n in STATE_NAMES]
+    found, kept, blob = [expected[0]], None, None
+    for k in range(steps):
+        if k == 250:
+            kept = instance.getFMUstate()
+            blob = instance.serializeFMUstate(kept)
+        instance.setReal(inputs, [*commands[k], *wind])
+        instance.doStep(k * dt, dt)
+        found.append(np.array(instance.getReal(states)))
+    found = np.array(found)
+    assert np.abs(expected[-1, 4:7]).max() > 1.0 and np.abs(expected[:, 7:10]).max() > 0.5
+    scale = np.abs(expected).max(axis=0)
+    np.testing.assert_allclose(found / scale, expected / scale, atol=1e-12, rtol=0.0)
+    # back to a kept state, which also went through bytes, and on as before
+    for restored in (kept, instance.deSerializeFMUstate(blob)):
+        instance.setFMUstate(restored)
+        for k in range(250, 300):
+            instance.setReal(inputs, [*commands[k], *wind])
+            instance.doStep(k * dt, dt)
+        np.testing.assert_array_equal(instance.getReal(states), found[300])
+        instance.freeFMUstate(restored)
+    instance.terminate()
+    instance.freeInstance()
+
+
+def test_vehicle_by_model_exchange_agrees_with_co_simulation(vehicle):
+    _, fmu, _, path = vehicle
+    at = {v.name: v.start for v in fmu.variables}
+    speed, names = at["w1_CMD"], ["x", "y", "z", "w", "p", "w1", "qw", "ax"]
+    times = np.array([0.0, 0.05, 0.05, 0.3])
+    step = np.array([0.0, 0.0, 30.0, 30.0])
+    signals = np.array(
+        [(t, speed + s, speed + s, speed + s, speed) for t, s in zip(times, step)],
+        dtype=[(n, float) for n in ("time", "w1_CMD", "w2_CMD", "w3_CMD", "w4_CMD")],
+    )
+    common = {"stop_time": 0.3, "output_interval": 0.005, "input": signals, "output": names}
+    exchanged = fmpy.simulate_fmu(
+        str(path), fmi_type="ModelExchange", solver="CVode", relative_tolerance=1e-9, **common
+    )
+    stepped = fmpy.simulate_fmu(str(path), fmi_type="CoSimulation", **common)
+    assert abs(stepped["p"][-1]) > 0.01
+    for name in names:
+        pairs = np.interp(stepped["time"], exchanged["time"], exchanged[name])
+        np.testing.assert_allclose(pairs, stepped[name], atol=2e-4 * max(1.0, np.abs(pairs).max()))
+
+
+def test_communication_steps_of_any_length_give_the_same_flight(vehicle):
+    _, fmu, library, _ = vehicle
+    speed = next(v.start for v in fmu.variables if v.name == "w1_CMD")
+    found = []
+    for dt in (0.002, 0.01, 0.05):
+        with Instance(fmu, library, CO_SIMULATION) as instance:
+            instance.set(["w1_CMD", "w2_CMD", "w3_CMD", "w4_CMD"], [speed + 20, speed - 20, speed, speed + 5])
+            for k in range(round(0.2 / dt)):
+                instance.step(k * dt, dt)
+            found.append(instance.get(STATE_NAMES))
+    assert np.abs(found[0][7:10]).max() > 0.1
+    for other in found[1:]:
+        np.testing.assert_allclose(other, found[0], rtol=1e-9, atol=1e-12)
+
+
+def test_planted_sign_errors_are_found(vehicle, tmp_path):
+    made, fmu, *_ = vehicle
+    for number, (old, new) in enumerate(
+        (
+            ("state[4] = vy - (ay", "state[4] = vy + (ay"),
+            ("mx = loads[3] - (q*hz - r*hy)", "mx = loads[3] + (q*hz - r*hy)"),
+            ("slope[6] = loads[2]/mass - (p*vy", "slope[6] = loads[2]/mass + (p*vy"),
+            ("hx = i[0]*p + i[3]*q", "hx = i[0]*p - i[3]*q"),
+        )
+    ):
+        source = fmu.files["sources/vehicle.c"]
+        assert old in source
+        wrong = fmu._replace(files={**fmu.files, "sources/vehicle.c": source.replace(old, new)})
+        (tmp_path / str(number)).mkdir()
+        library = compile_fmu(wrong, tmp_path / str(number))
+        assert not all(check.agrees for check in check_vehicle(made, wrong, library))
+    forces = forces_fmu(made)
+    source = forces.files["sources/quasi_m.c"].replace("Mx += N(1e-07)*U_p", "Mx -= N(1e-07)*U_p")
+    wrong = forces._replace(files={**forces.files, "sources/quasi_m.c": source})
+    (check,) = check_forces(made, wrong, compile_fmu(wrong, tmp_path))
+    assert not check.agrees and check.where == "Mx"
+
+
+def test_plain_equations_keep_energy_and_angular_momentum_in_empty_space():
+    bare = model({axis: {"u": 0.0} for axis in AXES})
+    x = np.array([[1.0, 0.0, 0.0, 0.0, 3.0, -2.0, 1.0, 2.0, -1.0, 0.5, 0.0, 0.0, 0.0, *[900.0] * 4]])
+    rate = slopes(bare, x, x[:, 13:], np.zeros((1, 3)))[0]
+    inertia, omega = bare.airframe.inertia, x[0, 7:10]
+    assert omega @ inertia @ rate[7:10] == pytest.approx(0.0, abs=1e-15)  # rotational energy
+    np.testing.assert_allclose(inertia @ rate[7:10] + np.cross(omega, inertia @ omega), 0.0, atol=1e-15)
+    np.testing.assert_allclose(rate[4:7] + np.cross(omega, x[0, 4:7]), [0.0, 0.0, 9.81], atol=1e-14)
+    np.testing.assert_array_equal(rate[10:13], x[0, 4:7])
+
+
+def test_vehicle_outputs_specific_force_and_attitude(vehicle):
+    made, fmu, library, _ = vehicle
+    net = Model({**made.document, "gravity": "noGravity"})
+    with Instance(fmu, library, CO_SIMULATION) as instance:
+        loads, felt = instance.get(AXES[:3]), instance.get(["ax", "ay", "az"])
+        np.testing.assert_allclose(felt, loads / made.airframe.mass, rtol=1e-12)
+    q = np.array([0.9, 0.1, -0.2, 0.3]) / np.linalg.norm([0.9, 0.1, -0.2, 0.3])
+    other = vehicle_fmu(net)
+    folder = library.parent / "net"
+    folder.mkdir()
+    with Instance(other, compile_fmu(other, folder), CO_SIMULATION, dict(zip(("qw", "qx", "qy", "qz"), q))) as instance:
+        down = attitude.rotate_inverse(q, np.array([0.0, 0.0, 9.81]))
+        loads, felt = instance.get(AXES[:3]), instance.get(["ax", "ay", "az"])
+        np.testing.assert_allclose(felt, loads / net.airframe.mass - down, rtol=1e-12)
+        np.testing.assert_allclose(instance.get(["roll", "pitch", "yaw"]), attitude.to_euler(q), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "start",
+    [{"mass": 0.0}, {"inertia_zz": -1.0}, {"inertia_xy": 1.0}, {"delay": -0.1}, {"time_constant_up_3": 0.0},
+     {"lowest_speed": 1e6}, {"longest_step": 0.0}, {"qw": 0.0}, {"mass": float("nan")}],
+)  # fmt: skip
+def test_impossible_parameters_are_refused(vehicle, start):
+    _, fmu, library, _ = vehicle
+    with pytest.raises(ValueError, match="fmi2ExitInitializationMode"):
+        Instance(fmu, library, CO_SIMULATION, start)
+
+
+def test_what_cannot_be_set_or_asked_is_refused(vehicle):
+    _, fmu, library, _ = vehicle
+    with Instance(fmu, library, CO_SIMULATION) as instance:
+        with pytest.raises(ValueError, match="fmi2SetReal"):
+            instance.set(["Fx"], [1.0])
+        with pytest.raises(ValueError, match="fmi2DoStep"):
+            instance.step(0.0, -1.0)
+    with pytest.raises(ValueError, match="cannot be instantiated"):
+        Instance(fmu._replace(guid="{0}"), library, CO_SIMULATION)
+
+
+def test_vehicle_needs_what_a_vehicle_knows():
+    with pytest.raises(ConfigError, match="'v_in', which a vehicle cannot supply"):
+        vehicle_fmu(model({**TERMS, "Mz": {"r*v_in": 1.0}}))
+    with pytest.raises(ConfigError, match="lacks Mz"):
+        vehicle_fmu(model({axis: TERMS[axis] for axis in AXES[:5]}))
+    with pytest.raises(ConfigError, match="knows no mass"):
+        vehicle_fmu(Model({**document(), "airframe": {**document()["airframe"], "mass": None}}))
+    with pytest.raises(ConfigError, match="does not tell that of its flights"):
+        vehicle_fmu(model({**TERMS, "Mz": {"r*battery_voltage": 1.0}}))
+    named = [v.name for v in forces_fmu(model({"Fz": TERMS["Fz"], "Mz": {"r*v_in": 1.0}})).variables]
+    assert "v_in" in named and "Mz" in named and "Fx" not in named
+
+
+def test_script_hands_over_what_can_be_made_and_says_what_cannot(tmp_path, capsys):
+    spec = importlib.util.spec_from_file_location("export_fmu", Path(__file__).parents[2] / "scripts/export_fmu.py")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    few = model({"Fz": TERMS["Fz"]}, "few")
+    write_json(tmp_path / "model.json", few.document)
+    script.main(str(tmp_path / "model.json"), str(tmp_path / "fmu"))
+    found = read_json(tmp_path / "fmu/agreement.json")
+    assert found["agrees"] is True and any("no vehicle was made: model few lacks" in n for n in found["notes"])
+    assert [p.name for p in (tmp_path / "fmu").glob("*.fmu")] == ["quasi_few_forces_and_moments.fmu"]
+    assert "no vehicle was made" in capsys.readouterr().out
+
+
+def test_sources_inside_are_complete_and_compile_without_a_warning(vehicle, tmp_path):
+    _, fmu, _, path = vehicle
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+        archive.extractall(tmp_path)
+    assert f"binaries/{platform_folder()}/{fmu.identifier}.so" in names
+    root = ElementTree.parse(tmp_path / "modelDescription.xml").getroot()
+    files = [f.get("name") for f in root.iter("File")]
+    assert sorted(set(files)) == sorted(fmu.units) and len(files) == 2 * len(fmu.units)
+    strict = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared")
+    prefix = f"FMI2_FUNCTION_PREFIX={fmu.identifier}_"
+    library = shared_library(tmp_path / "sources", sorted(set(files)), "static.so", [prefix], strict)
+    assert hasattr(ctypes.CDLL(str(library)), f"{fmu.identifier}_fmi2DoStep")
+
+
+def test_the_same_model_gives_the_same_archive(vehicle, tmp_path):
+    made, fmu, _, path = vehicle
+    again = vehicle_fmu(made)
+    assert again.guid == fmu.guid
+    write_fmu(tmp_path / "again.fmu", again, tmp_path)
+    with zipfile.ZipFile(path) as one, zipfile.ZipFile(tmp_path / "again.fmu") as other:
+        assert one.namelist() == other.namelist()
+        for name in one.namelist():
+            if not name.startswith("binaries"):
+                assert one.read(name) == other.read(name)
+    changed = Model({**made.document, "hover speed": {"value": made.hover_speed + 1.0}})
+    assert vehicle_fmu(changed).guid != fmu.guid
+
+
+def test_hostile_names_stay_in_attributes(tmp_path):
+    hostile = '"/><script>&amp;</x>\n]]>'
+    plain = model({"Fz": {"a|b[c]": 1.0, "real": 1.0}}, "a.b+c-d").document
+    plain["airframe"]["name"] = hostile
+    fmu = forces_fmu(Model(plain))
+    root = ElementTree.fromstring(fmu.files["modelDescription.xml"].encode())
+    assert fmu.identifier == "quasi_a_x2e_b_x2b_c_x2d_d_forces_and_moments" and fmu.identifier.isidentifier()
+    assert {v.get("name") for v in root.iter("ScalarVariable")} >= {"a|b[c]", "real", "Fz"}
+    assert not list(root.iter("script"))
+    write_fmu(tmp_path / "hostile.fmu", fmu, tmp_path)
+    assert validate_fmu(str(tmp_path / "hostile.fmu")) == []
+    write_files(tmp_path / "inside", {"../../escape.txt": "x"})
+    assert (tmp_path / "inside/escape.txt").is_file()
