@@ -123,7 +123,7 @@ def test_faults_name_what_to_do():
         simulator.set_initial([np.nan], [0.0], 0.1, 1.0)
     with pytest.raises(ConfigError, match="no step is called 'force'.*forces_and_moments"):
         simulator.add_step("force", print)
-    with pytest.raises(ConfigError, match="after the step 'begin' comes 5, expected a function"):
+    with pytest.raises(ConfigError, match="after the step 'begin' is 5, expected a function of"):
         simulator.add_step("begin", 5)
     simulator = mass_on_a_spring()
     simulator.steps["controller"] = 5
