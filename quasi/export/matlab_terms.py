@@ -10,20 +10,22 @@ from collections.abc import Mapping
 import numpy as np
 
 from quasi.errors import ConfigError
+from quasi.export.contents import head
 from quasi.export.naming import identifier, name_of, shown
 from quasi.expressions import Tree, names
 from quasi.standalone.differential import held_of
 from quasi.standalone.document import trees_of
 from quasi.standalone.graph import ONE, Graph
 from quasi.standalone.kernel import INPUTS
-from quasi.standalone.model import Model
+from quasi.standalone.model import AXES, Model
 from quasi.tables import COLUMNS
 from quasi.variables import known_names, plain_name, split_function
 
 EXTRA = "x_"  # before the identifiers of columns that are not known
 _LONGEST = 63  # characters that MATLAB tells names apart by
-_WHOLE = 32
-_KNOWN = frozenset({*known_names({*INPUTS, "v_in"}), *INPUTS, "F_den", "M_den", *COLUMNS} - {"t"})
+_WHOLE = 32  # the largest power that is not left to powerOf
+_DEEPEST = 28  # brackets within brackets: MATLAB reads 32, and a line adds some
+_KNOWN = frozenset({*known_names({*INPUTS, "v_in"}), *INPUTS, "F_den", "M_den", *COLUMNS} - {"t", *AXES})
 _CALLS = {"abs": "abs", "sign": "sign", "sqrt": "rootOf", "sin": "sin", "cos": "cos", "log": "logOf",
           "wrap": "wrapAngle"}  # fmt: skip
 
@@ -138,9 +140,22 @@ def axis_file(model: Model, axis: str) -> str:
     ]
     for term, tree in zip(part["terms"], _trees(model, axis)):
         value, text = number(term["coefficient"]), expression(tree)
+        if _depth(text) > _DEEPEST:
+            raise ConfigError(
+                f"model {model.id}, {axis}: term '{shown(term['expression'], 60)}' nests brackets deeper than "
+                f"MATLAB reads ({_DEEPEST}); split it into several terms, or write it with fewer brackets"
+            )
         added = value if text == "1" else f"{value}*{_atom(tree)}"
         lines.append(f"{axis} = {axis} + ({added});  % {shown(term['name'], 80)}, {shown(term['unit'], 40)}")
     return "\n".join([*lines, "end", ""])
+
+
+def _depth(text: str) -> int:
+    deepest = depth = 0
+    for character in text:
+        depth += (character == "(") - (character == ")")
+        deepest = max(deepest, depth)
+    return deepest
 
 
 def _gravity_lines(model: Model, axis: str) -> list[str]:
@@ -160,13 +175,12 @@ def wrench_file(model: Model) -> str:
         "%   [F, M] = getFM(state, inputs, modelParams, droneParams)",
         "%   [F, M] = getFM(state, inputs, modelParams, droneParams, extra)",
         "%",
-        "%   state   N x 12: roll pitch yaw (rad), u v w (m/s, body axes, through the air), p q r (rad/s), x y z (m)",
-        "%   inputs  N x 4 rotor speeds 1 .. 4, mechanical rad/s",
-        "%   extra   optional struct, see getDroneInputs",
-        "%   F, M    N x 3 forces, N, and moments, N m, in body axes (x forward, y right, z down); 3 x 1 where state",
-        "%           is a column. An axis that was not identified is NaN.",
+        "%   state   N x 12 (or N x 9 without x y z), inputs N x 4: rotor speeds 1 to 4, mechanical rad/s; see below",
+        "%   extra   optional struct of further columns, see getDroneInputs",
+        "%   F, M    N x 3; 3 x 1 where state is a column",
         "%   d       the variables, see getDroneInputs",
-        *_gravity_lines(model, "F"),
+        "%",
+        *(f"%   {line}".rstrip() for line in head(model)),
         "",
         "if nargin < 5",
         "    extra = struct();",

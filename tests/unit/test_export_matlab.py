@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flights import AIRFRAME
 from made_model import SHARED, document, part
 from scipy.io import loadmat
 from test_normalisation import SCHEME, TRUTH
@@ -20,6 +21,7 @@ from quasi.export.matlab_check import check_matlab, find_octave, run_octave
 from quasi.export.matlab_terms import axis_file, expression, matlab_name, original_name
 from quasi.expressions import Program, parse
 from quasi.identification.candidates import read_specification
+from quasi.simulation import gains
 from quasi.simulation.portable import loop_constants, portable_setup
 from quasi.simulation.run import simulate
 from quasi.simulation.setup import make_setup
@@ -187,18 +189,34 @@ def test_main_flies_the_loop_of_the_simulator(tmp_path):
     assert np.abs(found.state[-1, 9:] - [0.0, 0.0, -2.0]).max() < 0.3
 
 
+def net():
+    """The made model with gravity in its forces, thrust that grows with the voltage, and limits to its rotors."""
+    voltage = {"min": 14.0, "max": 16.0, "percentiles": {"50": 15.0}}
+    found = flown().document | {"gravity": "noGravity", "envelope": {"battery_voltage": voltage}}
+    weight = AIRFRAME.mass * 9.81
+    for axis, text, value in (
+        ("Fx", "sin[pitch]", -weight), ("Fy", "sin[roll]*cos[pitch]", weight), ("Fz", "cos[roll]*cos[pitch]", weight)
+    ):  # fmt: skip
+        term = {"name": "weight", "expression": text, "coefficient": value, "std": 0, "unit": "N", "given": True}
+        found["axes"][axis]["terms"].append(term)
+    found["axes"]["Fz"]["terms"][0]["expression"] = "w_avg^2*battery_voltage/15*4"
+    return Model(found)
+
+
 @octave
-def test_the_blocks_follow_other_settings_of_the_simulator(tmp_path):
-    # Euler, substeps, wind, no lag, an integral, the plain inverse: what the example does not reach
-    model = flown()
+@pytest.mark.parametrize("make", [flown, net])
+def test_the_blocks_follow_other_settings_of_the_simulator(make, tmp_path):
+    # Euler, substeps, wind, no lag, an integral, the plain inverse, net forces: what the example does not reach
+    model = make()
     base = {
-        "model": {"model ID": "m"}, "simulation": {"time step": 0.01, "duration": 1.0, "integrator": "euler",
-                                                   "substeps": 2},
+        "model": {"model ID": "m"},
+        "simulation": {"time step": 0.01, "duration": 1.0, "integrator": "euler", "substeps": 2},
         "controller": {"controller": "drone_INDI", "allocation": {"method": "inverse"}}, "noise": {"add": False},
         "actuator": {"actuator": "rotorDynamicsV1"}, "wind": {"steady": [2.0, -1.0, 0.5]},
         "references": {"kind": "position steps", "steps": [[0, 3, -2, -1, 0.7], [0.5, 0, 0, 0, -0.7]]},
     }  # fmt: skip
     setup = make_setup(base, model)
+    setup.machine.gains[gains.VELOCITY_INTEGRAL] = 0.8
     write_matlab(model, tmp_path, None, loop_constants(setup))
     script = """addpath('simulation');
 [modelParams, droneParams] = model_init('m');
@@ -211,8 +229,31 @@ save('-v7', 'found.mat', 'simdata');
 """
     found = run_octave(tmp_path, script % tuple(float(w) for w in setup.start[13:]))["simdata"]
     table = simulate(setup).table
+    assert np.ptp(table["x"]) > 0.1
     assert np.abs(found.state[:, 3:] - table[["u", "v", "w", "p", "q", "r", "x", "y", "z"]].to_numpy()).max() < 1e-9
     assert np.abs(found.omegaCommand - table[[f"w{i}_CMD" for i in range(1, 5)]].to_numpy()).max() < 1e-6
+
+
+@octave
+def test_the_simple_model_maps_forces_to_rotor_speeds(tmp_path):
+    simple = {"kappaFz": 1.3e-6, "kappaMx": 1e-7, "kappaMy": 1.1e-7, "kappaMz": 2e-8}
+    found = document() | {"simple model": {k: {"value": v} for k, v in simple.items()}}
+    write_matlab(Model(found), tmp_path, None)
+    script = "[m, d] = model_init();\nsquares = d.FM2OmegaMapping*[0.01 0.02 0.003 -4]';\n"
+    script += "save('-v7', 'found.mat', 'squares');"
+    squares = run_octave(tmp_path, script)["squares"]
+    assert AIRFRAME.left @ squares * 1e-7 == pytest.approx(0.01)
+    assert AIRFRAME.front @ squares * 1.1e-7 == pytest.approx(0.02)
+    assert AIRFRAME.spin @ squares * 2e-8 == pytest.approx(0.003)
+    assert -1.3e-6 * squares.sum() == pytest.approx(-4)
+
+
+def test_brackets_deeper_than_matlab_reads_are_refused(tmp_path):
+    found = document()
+    found["axes"]["Fx"]["terms"][0]["expression"] = "(u + v*" * 29 + "w" + ")" * 29
+    with pytest.raises(ConfigError, match="Fx: term .* nests brackets deeper than MATLAB reads"):
+        write_matlab(Model(found), tmp_path, None)
+    assert not list(tmp_path.iterdir())
 
 
 @octave
@@ -341,7 +382,7 @@ def test_every_expression_is_made_of_known_parts():
     assert expression(parse("u^-2")) == "1./(u.^2)"
 
 
-NAMES = ["end", "function", "pi", "abs", "_x", "a|b", "a[b]", "x_y", "x__", "_x5f_", "rootOf", "n1", "d", "Fx_", "ans"]
+NAMES = ["end", "function", "pi", "abs", "_x", "a|b", "a[b]", "x_y", "x__", "_x5f_", "rootOf", "n1", "d", "Fx", "ans"]
 
 
 def test_other_names_become_identifiers_and_back():
