@@ -82,7 +82,8 @@ def _integrated(grams: np.ndarray, columns: Sequence[int], spread: np.ndarray) -
     inner = cross[:, :, columns] + np.diag(1.0 / spread**2)
     log = float(np.linalg.slogdet(inner * np.outer(spread, spread))[1].sum())
     weighted = np.linalg.solve(inner, cross)
-    return grams.sum(axis=0) - np.einsum("kmi,kmj->ij", cross, weighted, optimize=True), log
+    size = grams.shape[-1]
+    return grams.sum(axis=0) - cross.reshape(-1, size).T @ weighted.reshape(-1, size), log
 
 
 class Mixed:
