@@ -95,7 +95,6 @@ def overlays_figure(table: pd.DataFrame | None) -> Figure | None:
     numbers = sorted(table["window"].unique())
     figure = Figure(figsize=(3.5 * len(numbers), 8.5), layout="constrained")
     panels = figure.subplots(len(STATES), len(numbers), sharex="col", squeeze=False)
-    words = ("greatest error", "one of the greatest tenth", "median error")
     for column, number in enumerate(numbers):
         part = table[table["window"] == number]
         for row, (state, unit) in enumerate(STATES.items()):
@@ -104,7 +103,7 @@ def overlays_figure(table: pd.DataFrame | None) -> Figure | None:
                 panel.plot(part["t"], part[f"{state}_{word}"], color=colour, lw=1.3, label=word)
             panel.tick_params(labelsize=7)
             panel.set_ylabel(f"{state}, {unit}", fontsize=8)
-        panels[0, column].set_title(f"{part['flight'].iloc[0]}: {words[column % 3]}", fontsize=9)
+        panels[0, column].set_title(f"{part['flight'].iloc[0]}: {part['why'].iloc[0]}", fontsize=9)
         panels[-1, column].set_xlabel("s", fontsize=8)
     panels[0, 0].legend(fontsize=7, frameon=False)
     return figure

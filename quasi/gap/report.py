@@ -102,7 +102,8 @@ def _forces(diagnosis: Mapping[str, Any]) -> str:
 def _share(found: Mapping[str, float | None] | None) -> str:
     if not found or found["value"] is None:
         return "–"
-    return f"{100 * found['value']:.0f} % ({100 * found['low']:.0f} to {100 * found['high']:.0f})".replace("-", "−")
+    three = (f"{round(100 * found[k]) + 0:d}" for k in ("value", "low", "high"))
+    return "{} % ({} to {})".format(*three).replace("-", "−")
 
 
 def _rollouts(diagnosis: Mapping[str, Any]) -> str:

@@ -150,32 +150,40 @@ def fell(old: pd.DataFrame, new: pd.DataFrame, seed: int = 0) -> list[dict[str, 
     return rows
 
 
-def overlays(models: Mapping[str, Model], flights: Sequence[Flight], horizon: float, count: int = 3) -> pd.DataFrame:
-    """A few windows state by state: window, flight, t, each state as <state>_measured and <state>_<model's word>.
+def overlays(models: Mapping[str, Model], flights: Sequence[Flight], horizon: float) -> pd.DataFrame:
+    """A few windows state by state: window, flight, why, t, each state as <state>_measured and <state>_<model's word>.
 
-    Taken are the windows whose velocity error under the first model is the greatest, one of the greatest tenth, and a
-    median one.
+    Taken are the window whose velocity error fell most from the first model to the last, one where it fell as much as
+    in the median, and the one whose error was the greatest under the first model.
     """
     found = []
-    first = next(iter(models.values()))
     for number, flight in enumerate(flights):
         starts = windows(flight, horizon, MEASURED)
         if len(starts):
-            end = errors(simulated(first, flight, starts, horizon), flight.states, starts)["velocity"][:, -1]
-            found += [(e, number, s) for e, s in zip(_finite(end), starts)]
-    found.sort(reverse=True)
+            ends = [
+                _finite(errors(simulated(m, flight, starts, horizon), flight.states, starts)["velocity"][:, -1])
+                for m in (next(iter(models.values())), list(models.values())[-1])
+            ]
+            found += [(old - new, old, number, s) for old, new, s in zip(*ends, starts)]
+    if not found:
+        return pd.DataFrame({"window": [], "flight": [], "t": []})
+    by_gain = sorted(found, reverse=True)
+    chosen = {
+        "the error falls most": by_gain[0],
+        "it falls as in the median": by_gain[len(by_gain) // 2],
+        "it was the greatest": max(found, key=lambda f: f[1]),
+    }
     parts = []
-    for window, place in enumerate([0, len(found) // 10, len(found) // 2][:count] if found else []):
-        _, number, start = found[place]
+    for window, (why, (_, _, number, start)) in enumerate(chosen.items()):
         flight = flights[number]
         rows = slice(start, start + steps_of(flight.t, horizon) + 1)
-        table = {"window": window, "flight": flight.key, "t": flight.t[rows]}
+        table = {"window": window, "flight": flight.key, "why": why, "t": flight.t[rows]}
         runs = {"measured": flight.states[rows]}
         runs |= {word: simulated(m, flight, np.array([start]), horizon)[0] for word, m in models.items()}
         for k, name in enumerate(("roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z")):
             table |= {f"{name}_{word}": run[:, k] for word, run in runs.items()}
         parts.append(pd.DataFrame(table))
-    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame({"window": [], "flight": [], "t": []})
+    return pd.concat(parts, ignore_index=True)
 
 
 def _finite(values: np.ndarray | pd.Series) -> np.ndarray:

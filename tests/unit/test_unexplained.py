@@ -1,0 +1,116 @@
+"""What no cause explains is found where it was planted, noise is nothing; and the polynomial of a cause's size."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from made_model import part
+from scipy.signal import lfilter
+
+from quasi.airframe import read_airframe
+from quasi.gap.effect import vehicle_of
+from quasi.gap.evidence import Evidence
+from quasi.gap.generic import polynomial
+from quasi.gap.unexplained import places, search
+from quasi.standalone.build import assemble
+from quasi.standalone.model import AXES, Model
+from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
+
+RATE, SECONDS = 100.0, 40.0
+ROWS = int(RATE * SECONDS)
+NOISE = np.array([0.03, 0.03, 0.03, 5e-4, 5e-4, 1e-4])
+
+
+def smooth(rng, size, seconds=1.5):
+    a = np.exp(-1.0 / (RATE * seconds))
+    x = lfilter([1.0], [1.0, -2 * a, a * a], rng.standard_normal(ROWS))
+    return size * (x - x.mean()) / x.std()
+
+
+@pytest.fixture(scope="module")
+def ground():
+    campaign = read_campaign({"flights": [{"key": "a"}]}, "t")
+    airframe = read_airframe(quadrotor_configuration(campaign), "made", 0.433)
+    arm, thrust = abs(airframe.hubs[0, 0]), 0.433 * 9.81 / (4 * 2110.0**2)
+    terms = {
+        "Fx": {"u": -0.15}, "Fy": {"v": -0.15}, "Fz": {"(w1^2 + w2^2 + w3^2 + w4^2)": -thrust, "w": -0.15},
+        "Mx": {"U_p": thrust * arm}, "My": {"U_q": thrust * arm}, "Mz": {"U_r": -0.01 * thrust},
+    }  # fmt: skip
+    shared = {
+        "gravity": "withGravity", "hover speed": {"value": 2110.0, "unit": "rad/s"}, "actuators": None,
+        "simple model": {"kappaFz": {"value": thrust}, "kappaMz": {"value": -0.01 * thrust}},
+        "training flights": ["a"], "notes": [],
+    }  # fmt: skip
+    return airframe, Model(
+        assemble({a: part(a, t) for a, t in terms.items()}, shared, {"id": "m", "airframe": airframe})
+    )
+
+
+def flight(ground, seed, planted=None):
+    """A smooth random flight; planted(columns) -> (n, 6) is what the model does not know, beside coloured noise."""
+    airframe, model = ground
+    rng = np.random.default_rng(seed)
+    columns = {"t": np.arange(ROWS) / RATE}
+    sizes = {"u": 2.0, "v": 2.0, "w": 0.5, "p": 1.0, "q": 1.0, "r": 1.0, "roll": 0.2, "pitch": 0.2, "yaw": 1.5}
+    columns |= {name: smooth(rng, size) for name, size in sizes.items()}
+    columns |= {"x": smooth(rng, 1.5), "y": smooth(rng, 1.5), "z": -1.2 + smooth(rng, 0.4)}
+    columns |= {f"w{i}": 2110.0 + smooth(rng, 80.0, 0.2) for i in range(1, 5)}
+    columns |= {f"w{i}_dot": np.gradient(columns[f"w{i}"]) * RATE for i in range(1, 5)}
+
+    predicted = model.predict_columns(pd.DataFrame(columns))[list(AXES)].to_numpy()
+    wrong = planted(columns) if planted else np.zeros((ROWS, 6))
+    noise = np.stack([smooth(rng, s, 0.02) for s in NOISE], axis=1)
+    return Evidence(f"f{seed}", airframe, model, 0.433, airframe.inertia, columns, predicted + wrong + noise, predicted)
+
+
+def only(k, values):
+    wrench = np.zeros((len(values), 6))
+    wrench[:, k] = values
+    return wrench
+
+
+def found(ground, planted, references=0):
+    flights = [flight(ground, s, planted if s >= references else None) for s in range(references + 5)]
+    held = [flight(ground, 90, planted)]
+    compared = [s >= references for s in range(references + 5)]
+    floor = np.full(6, np.inf)
+    vehicle = vehicle_of(ground[1])
+    return search(flights, compared, held, [], lambda f: f.residual, floor, vehicle, 0.01, 0.05)[0]
+
+
+def test_noise_alone_is_nothing(ground):
+    assert found(ground, None) == []
+
+
+def test_a_residual_is_found_in_its_channel_along_its_variable(ground):
+    said = found(ground, lambda c: only(1, 0.1 * np.tanh(3.0 * (-c["z"] - 1.2))))
+    assert (said[0]["channel"], said[0]["where"], said[0]["since"]) == ("Fy", "height", "always")
+    assert said[0]["share"] > 0.8 and len(said) == 1
+
+
+def test_a_residual_along_the_heading_is_periodic(ground):
+    said = found(ground, lambda c: only(5, 4e-4 * np.sin(c["yaw"] + 1.0)))
+    assert [(u["channel"], u["where"]) for u in said] == [("Mz", "heading")]
+
+
+def test_beside_reference_flights_it_is_told_what_changed(ground):
+    said = found(ground, lambda c: only(2, 0.1 * np.tanh(c["x"])), references=4)
+    assert (said[0]["channel"], said[0]["where"], said[0]["since"]) == ("Fz", "room x", "changed")
+
+
+def test_places_are_what_their_names_say(ground):
+    one = flight(ground, 1)
+    at = places(one)
+    np.testing.assert_allclose(at["speed"], np.sqrt(sum(one.columns[a] ** 2 for a in "uvw")))
+    np.testing.assert_allclose(at["height"], -one.columns["z"])
+    level = np.flatnonzero(np.hypot(one.columns["roll"], one.columns["pitch"]) < 0.02)
+    sinking = level[one.columns["w"][level] > 0.3]
+    np.testing.assert_allclose(at["descent ratio"][sinking] * one.hover_induced, one.columns["w"][sinking], atol=0.12)
+
+
+def test_a_polynomial_of_the_right_size_takes_away_what_is_one(ground):
+    learn = [flight(ground, s, lambda c: only(3, 0.01 * c["u"] * c["v"])) for s in (1, 2)]
+    held = flight(ground, 9, lambda c: only(3, 0.01 * c["u"] * c["v"]))
+    left = polynomial(learn, 1)(held)
+    assert np.std(held.residual[:, 3]) > 0.02
+    np.testing.assert_allclose(np.std(left[:, 3]), NOISE[3], rtol=0.2)
+    np.testing.assert_array_equal(left[:, 0], held.residual[:, 0])

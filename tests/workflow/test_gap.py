@@ -1,0 +1,96 @@
+"""Gaps as targets: what they make, the extended model like any other, what reruns, and what is refused."""
+
+import json
+
+import pytest
+
+pytestmark = pytest.mark.workflow
+GAP = {
+    "model": "small",
+    "logging file": {
+        "directory": "data",
+        "filename": "small_file_log",
+        "rows of flights to compare (all)": [2, 3, 4],
+        "rows of flights held out": [4],
+        "rows of reference flights": [5],
+    },
+    "horizons": [0.1, 0.5],
+    "effects": ["ground_effect", "tether", "mass", "gyro_scale", "command_delay"],
+}
+TARGET, EXTENDED = "results/gaps/near", "models/small-near/standalone"
+
+
+def configure(project, name="near", **changes):
+    places = {**GAP["logging file"], **changes.pop("rows", {})}
+    (project.folder / "config/gaps").mkdir(exist_ok=True)
+    (project.folder / f"config/gaps/{name}.json").write_text(json.dumps({**GAP, **changes, "logging file": places}))
+
+
+def last_line(text):
+    return text.rstrip().splitlines()[-1]
+
+
+def test_a_gap_makes_diagnosis_report_and_a_model_and_a_second_run_does_nothing(project):
+    configure(project)
+    code, text = project.snakemake("-j2", TARGET, EXTENDED)
+    assert code == 0, text
+    folder = project.folder / TARGET
+    made = {p.relative_to(folder).as_posix() for p in folder.rglob("*.*")}
+    assert made >= {"diagnosis.json", "report.html", "model.json", "calibration.json", "tables/W_residuals.parquet",
+                    "tables/W_where.parquet", "tables/R_errors.parquet", "figures/where.png"}  # fmt: skip
+    found = json.loads((folder / "diagnosis.json").read_text())
+    assert found["schema"] == "quasi.gap/1" and found["model"] == "small" and found["extended_model"] == "small-near"
+    assert found["verdict"] in ("agrees", "explained", "partly explained", "unexplained") and found["summary"]
+    assert set(found["gap"]["before"]["R"]["velocity"]) == {"0.1", "0.5"}
+    assert set(found["gap"]["before"]["W"]) == {"Fx", "Fy", "Fz", "Mx", "My", "Mz"}
+    page = (folder / "report.html").read_text()
+    assert found["verdict"] in page and "http://" not in page and "https://" not in page
+    model = json.loads((project.folder / EXTENDED / "model.json").read_text())
+    assert model["id"] == "small-near" and model["provenance"]["extended from"] == "small"
+    assert {e["id"] for e in model["extensions"]} == {e["id"] for e in found["effects"] if e["level"] in ("W", "A")}
+    assert (project.folder / EXTENDED / "report.html").is_file()
+
+    assert project.would_run(TARGET) == {} and project.would_run(EXTENDED) == {}
+    # nothing that stands below a gap hears of it
+    project.edit_json("config/gaps/near.json", lambda d: d.update({"horizons": [0.2]}))
+    again = project.would_run(TARGET)
+    assert again["gap_diagnosis"] == 1 and not {"importing", "filtering", "identification"} & set(again)
+
+
+def test_a_held_out_flight_whose_recording_trained_the_model_is_refused(project):
+    configure(project, rows={"rows of flights held out": [3]})
+    code, text = project.snakemake("-j1", "results/calibrations/near.json")
+    assert code != 0
+    line = last_line(text)
+    assert "held-out row 3 of small_file_log.csv has the recording of row 3 of small_file_log.csv" in line
+    assert "hold out a flight that the model has never seen" in line
+
+
+@pytest.mark.parametrize(
+    "changes, sentence",
+    [
+        ({"model": "smal"}, "neither config/models/smal.json nor models/smal/standalone/model.json exists (did you"),
+        (
+            {"effects": ["ground_efect"]},
+            "effect 'ground_efect' is not in the catalogue (did you mean",
+        ),
+        ({"extended model ID": "small"}, "config/models/small.json makes a model of that name"),
+        ({"effect files": ["data/mine.py"]}, "effect file data/mine.py: "),
+    ],
+)
+def test_a_faulty_configuration_ends_with_its_sentence(project, changes, sentence):
+    (project.folder / "data/mine.py").write_text("EFFECT = 1 / 0\n")
+    configure(project, **changes)
+    code, text = project.snakemake("-j1", "results/calibrations/near.json")
+    assert code != 0
+    assert sentence in last_line(text)
+
+
+def test_without_a_held_out_flight_forces_are_not_asked_and_the_rest_is(project):
+    configure(project, rows={"rows of flights held out": []})
+    code, text = project.snakemake("-j2", TARGET)
+    assert code == 0, text
+    found = json.loads((project.folder / TARGET / "diagnosis.json").read_text())
+    why = {c["id"]: c["why"] for c in found["cannot_be_asked"]}
+    assert "no flight is held out" in why["ground_effect"] and "gyro_scale" not in why
+    assert "forces and moments could not be asked" in found["summary"]
