@@ -257,6 +257,54 @@ def test_brackets_deeper_than_matlab_reads_are_refused(tmp_path):
 
 
 @octave
+def test_the_trajectory_is_drawn_unmirrored(tmp_path):
+    # functions that draw are replaced by ones that note what they are given
+    write_matlab(flown(), tmp_path, None, loop_constants(portable_setup(flown())))
+    for name in ("figure", "hold", "grid", "axis", "view", "xlabel", "ylabel", "zlabel", "legend"):
+        write_text(tmp_path / f"{name}.m", f"function {name}(varargin)\nend\n")
+    note = "function plot3(x, y, z, varargin)\nglobal drawn\ndrawn{end + 1} = [x(:) y(:) z(:)];\nend\n"
+    write_text(tmp_path / "plot3.m", note)
+    script = """warning('off', 'all');
+addpath('simulation');
+global drawn
+drawn = {};
+[m, d] = model_init();
+simdata.state = [zeros(2, 9), [1 2 -3; 4 6 -5]];
+simdata.reference = [7 8 -9 0; 7 8 -9 0];
+simdata.quaternion = [1 0 0 0; 1 0 0 0];
+plotTrajectory(simdata, d);
+save('-v7', 'found.mat', 'drawn');
+"""
+    drawn = run_octave(tmp_path, script)["drawn"]
+    assert np.array_equal(drawn[0], [[8, 7, 9], [8, 7, 9]])  # east, north, height
+    assert np.array_equal(drawn[1], [[2, 1, 3], [6, 4, 5]])
+    first, second = drawn[2][1] - drawn[2][0], drawn[3][1] - drawn[3][0]
+    # rotors 1 and 2 are those at the back and in front on the right: east of the centre, rotor 2 further north
+    assert first[0] > 0 > first[1] and second[0] > 0 and second[1] > 0 and len(drawn) == 2 + 12 * 4
+
+
+@octave
+@pytest.mark.parametrize(("change", "says"), [
+    ("reference.signals.values = zeros(3, 4);", "reference.signals.values is 3 x 4, expected 2 x 4"),
+    ("start = zeros(11, 1);", "must be 12 finite numbers"),
+    ("start(3) = NaN;", "must be 12 finite numbers"),
+    ("start(7) = 400;", "diverged at t = 0 s"),
+])  # fmt: skip
+def test_a_simulation_that_cannot_be_is_refused(change, says, tmp_path):
+    write_matlab(flown(), tmp_path, None, loop_constants(portable_setup(flown())))
+    script = f"""addpath('simulation');
+[m, d] = model_init();
+reference.time = [0; 1];
+reference.signals.values = zeros(2, 4);
+start = zeros(12, 1);
+{change}
+simulateQuadrotor(0.02, 0.004, start, 900*ones(4, 1), reference, m, d, simParameters());
+"""
+    with pytest.raises(DataError, match=re.escape(says)):
+        run_octave(tmp_path, script)
+
+
+@octave
 def test_helpers_follow_the_conventions(tmp_path):
     random = np.random.default_rng(4)
     angles = random.uniform(-1.4, 1.4, (50, 3)) * [2.0, 1.0, 2.0]
