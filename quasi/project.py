@@ -1,6 +1,7 @@
 """A project folder: its configuration, checked, its logbooks, and the flights that a selection of rows means."""
 
 import functools
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,15 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except OSError:
         return False
+
+
+def check_writable(folder: str | Path) -> None:
+    """Raise ConfigError for a folder into which nothing can be written."""
+    if not os.access(folder, os.W_OK):
+        raise ConfigError(
+            f"nothing can be written into {Path(folder).absolute()}; change its permissions, or copy the project to a "
+            "folder of your own"
+        )
 
 
 def read_settings(path: str | Path) -> dict[str, Any]:

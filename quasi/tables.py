@@ -151,12 +151,19 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> pd.Dat
 
 
 def read_numbers(path: str | Path) -> pd.DataFrame:
-    """A table of numbers: Parquet, or CSV whose first line names the columns. Raises ReadError or DataError."""
+    """A table of numbers: Parquet, or CSV (comma or semicolon) whose first line names the columns.
+
+    Raises ReadError or DataError.
+    """
     path = Path(path)
     if path.suffix.lower() != ".csv":
         return read_table(path)
     try:
-        table = pd.read_csv(io.StringIO(read_text(path)), skipinitialspace=True)
+        text = read_text(path)
+        head = text.partition("\n")[0]
+        # as spreadsheets write it where the comma is the decimal sign
+        marks = {"sep": ";", "decimal": ","} if ";" in head and "," not in head else {}
+        table = pd.read_csv(io.StringIO(text), skipinitialspace=True, **marks)
     except (ValueError, pd.errors.ParserError) as error:
         reason = " ".join(str(error).split())[:200]
         raise ReadError(f"{path} is not a readable CSV table ({reason}); correct it") from None

@@ -379,9 +379,10 @@ class Folder(Comparisons):
             path = folder / "model.json"
         elif folder.parts[:-1] == ("models",) and model not in self.models and not self.extended(model):
             if not is_file(self._here(path)):
+                known = {*self.models, *(p.parts[-3] for p in self.root.glob("models/*/standalone/model.json"))}
                 raise ConfigError(
                     f"{where}: 'model ID' is '{model}', but neither config/models/{model}.json nor {path} exists"
-                    f"{nearest(model, self.models)}"
+                    f"{nearest(model, known)}"
                 )
             path = self._here(path).absolute()  # it was put there: no rule makes it
         elif folder.parts[:-1] == ("models",):

@@ -12,7 +12,7 @@ sys.path.insert(0, LIBRARY)
 from quasi.errors import QuasiError
 from quasi.joblog import RUN, told
 from quasi.provenance import code_of
-from quasi.project import read_settings
+from quasi.project import check_writable, read_settings
 from quasi.workflow import Folder
 
 FAULTS = []
@@ -67,6 +67,8 @@ def ask(question, *arguments):
         )
         raise
 
+
+ask(check_writable, ".")
 
 # what the command line gives (--config) comes before the folder's own file
 for key, value in ask(read_settings, "config/config.yaml").items():

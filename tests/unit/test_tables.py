@@ -10,6 +10,7 @@ from quasi.tables import (
     read_fields,
     read_json,
     read_made,
+    read_numbers,
     read_table,
     read_text,
     write_json,
@@ -100,3 +101,13 @@ def test_json_number_that_is_not_finite_is_refused(tmp_path, number):
 def test_name_that_no_path_can_have_is_a_sentence():
     with pytest.raises(ReadError, match="is no path"):
         read_bytes("a\0b")
+
+
+def test_a_csv_as_spreadsheets_write_it_where_the_comma_is_the_decimal_sign_is_read(tmp_path):
+    for text in ("t;x\n0;0,5\n1;-2\n", "t;x\n0;0.5\n1;-2\n", "t, x\n0, 0.5\n1, -2\n"):
+        (tmp_path / "wind.csv").write_text(text)
+        table = read_numbers(tmp_path / "wind.csv")
+        assert list(table) == ["t", "x"] and table["x"].tolist() == [0.5, -2.0]
+    (tmp_path / "wind.csv").write_text("t;x\n0;1\n1;calm\n")
+    with pytest.raises(DataError, match="column 'x', line 3: 'calm' is no number"):
+        read_numbers(tmp_path / "wind.csv")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from quasi.errors import ConfigError, ExpressionError, LogbookError, QuasiError
-from quasi.project import read_settings
+from quasi.project import check_writable, read_settings
 from quasi.workflow import Folder
 
 ROOT = Path(__file__).parents[2]
@@ -356,3 +356,19 @@ def test_fault_of_a_quadrotor_configuration_names_its_file_and_the_row_that_uses
     path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))
     problem = Folder(folder).importing("Beetle", "a")["problem"]
     assert f"data/log.csv row 2, flight a: data/my_quadrotor.json: '{key}'" in problem
+
+
+def test_a_folder_that_cannot_be_written_is_a_sentence(tmp_path, monkeypatch):
+    check_writable(tmp_path)
+    monkeypatch.setattr("os.access", lambda path, mode: False)
+    with pytest.raises(ConfigError, match="nothing can be written into .*change its permissions"):
+        check_writable(tmp_path)
+
+
+def test_a_mistyped_model_of_a_simulation_is_answered_with_models_that_were_put_there(folder):
+    (folder / "models/beetle/standalone").mkdir(parents=True)
+    (folder / "models/beetle/standalone/model.json").write_text("{}")
+    (folder / "config/simulations").mkdir(exist_ok=True)
+    (folder / "config/simulations/s.json").write_text(json.dumps({"model": {"model ID": "beetel"}}))
+    with pytest.raises(ConfigError, match=r"'model ID' is 'beetel'.*did you mean 'beetle'"):
+        Folder(folder).simulation("s")
