@@ -33,10 +33,7 @@ class Actuators(NamedTuple):
 
 
 class Voltage(NamedTuple):
-    """The battery of a model that reads its voltage: V at the start, V at which commands are true, and the exponent.
-
-    Rotor speeds grow with (voltage / reference) ^ exponent; 0 and 1 for a model that reads no voltage
-    """
+    """A battery: V at the start and where commands are true; speeds grow with (voltage / reference) ^ exponent."""
 
     start: float
     reference: float
@@ -121,25 +118,29 @@ def actuators_of(model: Model) -> Actuators:
     return Actuators(up, down, delay, limits[0], limits[1], tuple(notes))
 
 
-def voltage_of(model: Model) -> Voltage:
+def voltage_of(model: Model) -> Voltage | None:
     """The battery of a model: the median voltage of its training flights, and what extensions say of the rotors.
 
-    Raises ConfigError for a model that reads the voltage but does not know what its flights had.
+    None for a model that has nothing to do with it. Where the flights' voltage is unknown start and reference are 1 V,
+    so that commands are true until both are given.
+    Raises ConfigError for a model that reads the voltage in its terms but does not know what its flights had.
     """
-    if "battery_voltage" not in extras_of(model):
-        return Voltage(0.0, 1.0, 0.0)
-    covered = (model.document.get("envelope") or {}).get("battery_voltage", {})
-    start = covered.get("percentiles", {}).get("50")
-    if start is None:
-        raise ConfigError(
-            f"model {model.id} reads the battery voltage but does not tell that of its flights; make the model anew"
-        )
     exponent = 0.0
     for extension in _extensions(model):
         found = (extension.get("actuators") or {}).get("voltage exponent")
         if found is not None:
             exponent = float(np.mean(_numbers(found, f"model {model.id}: 'voltage exponent'")))
-    return Voltage(float(start), float(start), exponent)
+    reads = "battery_voltage" in extras_of(model)
+    if not reads and not exponent:
+        return None
+    covered = (model.document.get("envelope") or {}).get("battery_voltage", {})
+    start = covered.get("percentiles", {}).get("50")
+    if start is None and reads:
+        raise ConfigError(
+            f"model {model.id} reads the battery voltage but does not tell that of its flights; make the model anew"
+        )
+    start = 1.0 if start is None else float(start)
+    return Voltage(start, start, exponent)
 
 
 def wind_of(model: Model) -> np.ndarray:

@@ -140,10 +140,10 @@ def vehicle_fmu(model: Model) -> Fmu:
         wind_of(model),
         "velocity of the air, earth axes",
     )
-    if "battery_voltage" in extras_of(model):
+    if voltage:
         add("AT_VOLTAGE", ["battery_voltage"], put, "V", [voltage.start], "battery voltage")
     else:
-        places["AT_VOLTAGE"] = 0  # the model reads none
+        places |= {"AT_VOLTAGE": 0, "AT_EXPONENT": 0, "AT_REFERENCE_VOLTAGE": 0}  # nothing reads them
     given = "parameter fixed"
     inertia = np.asarray(model.airframe.inertia, float)
     add("AT_MASS", ["mass"], given, "kg", [model.airframe.mass], "mass")
@@ -155,9 +155,10 @@ def vehicle_fmu(model: Model) -> Fmu:
     highest = rotors.highest if math.isfinite(rotors.highest) else NO_LIMIT
     add("AT_LOWEST", ["lowest_speed"], given, "rad/s", [rotors.lowest], "least rotor speed that is taken")
     add("AT_HIGHEST", ["highest_speed"], given, "rad/s", [highest], "greatest rotor speed that is taken")
-    add("AT_EXPONENT", ["voltage_exponent"], given, "1", [voltage.exponent],
-        "rotor speeds grow with (voltage / reference_voltage) ^ this")  # fmt: skip
-    add("AT_REFERENCE_VOLTAGE", ["reference_voltage"], given, "V", [voltage.reference], "at which commands are true")
+    if voltage:
+        meaning = "rotor speeds grow with (battery_voltage / reference_voltage) ^ this"
+        add("AT_EXPONENT", ["voltage_exponent"], given, "1", [voltage.exponent], meaning)
+        add("AT_REFERENCE_VOLTAGE", ["reference_voltage"], given, "V", [voltage.reference], "where commands are true")
     add("AT_LONGEST", ["longest_step"], given, "s", [LONGEST_STEP], "of the integration within a communication step")
     start = [1.0, *[0.0] * 12, *[speed] * 4]
     add("AT_X", STATE_NAMES, "output state", "", start, "")
@@ -217,6 +218,7 @@ def _fmu(model: Model, kind: str, variables: Sequence[Variable], places: dict[st
         f"#define MODEL(name) {p}_##name",
         f'#define BEHAVIOUR "{kind}.c"',
         f"#define GRAVITY_ADDED {int(model.with_gravity)}",
+        f"#define BATTERY {int('battery_voltage' in [v.name for v in variables])}",
         "enum {\n" + "".join(f"    {name} = {at},\n" for name, at in places.items()).rstrip(",\n") + "\n};",
         "#define START_VALUES {" + ", ".join(repr(v) for v in starts) + "}",
     ]

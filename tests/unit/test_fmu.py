@@ -93,13 +93,14 @@ def test_fmpy_simulates_the_force_and_moment_model(tmp_path):
     np.testing.assert_allclose(found[1:], reference[:-1], rtol=1e-9, atol=1e-9 * np.abs(reference).max(axis=0).min())
 
 
-def flown_by_the_simulator(made, commands, dt, wind=(0.0, 0.0, 0.0)):
+def flown_by_the_simulator(made, commands, dt, wind=(0.0, 0.0, 0.0), **sections):
     """States (N + 1, 17) of the simulator in Python whose controller gives these commands."""
     settings = {
         "model": {"model ID": made.id, "correct for moment asymmetries": False},
         "simulation": {"time step": dt, "duration": len(commands) * dt},
         "noise": {"add": False},
         "wind": {"steady": list(wind)},
+        **sections,
     }
     simulator = QuadrotorSimulator(make_setup(settings, made))
     simulator.steps["controller"] = lambda bus: commands[min(bus.step, len(commands) - 1)]
@@ -149,6 +150,28 @@ def test_vehicle_flies_as_the_simulator_does(vehicle):
         instance.freeFMUstate(restored)
     instance.terminate()
     instance.freeInstance()
+
+
+@pytest.mark.parametrize("reads", [True, False])
+def test_battery_slows_the_rotors_as_in_the_simulator(reads, tmp_path):
+    made = on_battery()
+    if not reads:
+        made = model(TERMS, "plain", extensions=[{"id": "sag", "actuators": {"voltage exponent": 0.7}}])
+    fmu = vehicle_fmu(made)
+    start = {v.name: v.start for v in fmu.variables}
+    assert (start["battery_voltage"], start["voltage_exponent"]) == ((15.5, 0.7) if reads else (1.0, 0.7))
+    assert start["wind_east"] == (-2.0 if reads else 0.0)
+    battery = {"voltage": 14.6, "reference voltage": 15.5, "exponent": 0.7}
+    commands = np.tile(made.hover_speed * np.array([1.05, 1.0, 1.02, 1.1]), (100, 1))
+    expected = flown_by_the_simulator(made, commands, 0.002, battery=battery)
+    given = {"reference_voltage": 15.5, "battery_voltage": 14.6, **dict(zip(STATE_NAMES, expected[0]))}
+    with Instance(fmu, compile_fmu(fmu, tmp_path), CO_SIMULATION, given) as instance:
+        for k, command in enumerate(commands):
+            instance.set(["w1_CMD", "w2_CMD", "w3_CMD", "w4_CMD"], command)
+            instance.step(k * 0.002, 0.002)
+        found = instance.get(STATE_NAMES)
+    assert found[13] < 0.99 * commands[0, 0]
+    np.testing.assert_allclose(found, expected[-1], rtol=1e-11, atol=1e-11)
 
 
 def test_vehicle_by_model_exchange_agrees_with_co_simulation(vehicle):

@@ -131,7 +131,7 @@ static double settled(const Instance *fmu, double command)
 {
     const double *value = fmu->data.value;
     double factor = 1.0, low, high;
-    if (value[AT_EXPONENT] != 0.0) {
+    if (BATTERY && value[AT_EXPONENT] != 0.0) {
         const double voltage = value[AT_VOLTAGE] > 0.0 ? value[AT_VOLTAGE] : 0.0;
         factor = pow(voltage/value[AT_REFERENCE_VOLTAGE], value[AT_EXPONENT]);
     }

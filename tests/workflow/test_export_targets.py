@@ -1,0 +1,53 @@
+"""Exports as targets: what they make, what reruns, and what is said of a model that is not there."""
+
+import json
+import shutil
+import sys
+
+import pytest
+from conftest import HOUSE, ROOT, Project
+
+sys.path.insert(0, str(ROOT / "tests" / "unit"))
+from made_model import document
+
+from quasi.export.compiler import find_compiler
+
+pytestmark = [pytest.mark.workflow, pytest.mark.skipif(find_compiler() is None, reason="no C compiler")]
+TARGETS = ("models/m/c", "models/m/fmu", "models/m/python")
+FILES = {
+    "c": {"quasi_m.h", "quasi_m.c"},
+    "fmu": {"quasi_m_forces_and_moments.fmu", "quasi_m_vehicle.fmu"},
+    "python": {"quasi_m.py"},
+}
+
+
+def test_exports_are_made_once_and_again_when_the_model_changes(tmp_path):
+    for part in HOUSE:
+        source, target = ROOT / part, tmp_path / "house" / part
+        target.parent.mkdir(parents=True, exist_ok=True)
+        (shutil.copytree if source.is_dir() else shutil.copy)(source, target)
+    model = tmp_path / "project/models/m/standalone/model.json"
+    model.parent.mkdir(parents=True)
+    (tmp_path / "project/config").mkdir()
+    model.write_text(json.dumps(document()))
+    project = Project(tmp_path)
+    code, printed = project.snakemake(*TARGETS)
+    assert code == 0, printed
+    for kind, files in FILES.items():
+        folder = tmp_path / "project/models/m" / kind
+        assert {p.name for p in folder.iterdir() if not p.name.startswith(".")} == {
+            *files, "agreement.json", "agreement.txt"
+        }  # fmt: skip
+        assert json.loads((folder / "agreement.json").read_text())["agrees"] is True
+        assert f"Made models/m/{kind}: " in printed
+    code, printed = project.snakemake(*TARGETS)
+    assert code == 0 and "Nothing to be done" in printed
+
+    hostile = {**document(), "id": "../m"}
+    model.write_text(json.dumps(hostile))
+    code, printed = project.snakemake("models/m/c")
+    assert code != 0 and "'id' is '../m'" in printed.strip().splitlines()[-1]
+
+    code, printed = project.snakemake("models/n/python")
+    last = printed.strip().splitlines()[-1]
+    assert code != 0 and "neither config/models/n.json nor models/n/standalone/model.json exists" in last
