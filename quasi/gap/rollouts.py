@@ -9,10 +9,12 @@ import pandas as pd
 from quasi.gap.gain import states_of
 from quasi.simulation.replay import replay, steps_of, twelve
 from quasi.simulation.rollout import errors
+from quasi.simulation.variants import actuators_of
 from quasi.standalone.model import AXES, Model
 
 EVERY = 0.2  # s between the starts of two windows
 COMMANDED = tuple(f"w{i}_CMD" for i in range(1, 5))
+SHARES = tuple(f"command{i}" for i in range(1, 5))
 QUANTITIES = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
 MEASURED, TOLD = "R", "R commands"  # driven by measured rotor speeds, by commands
 BLOCK, DRAWS = 5.0, 200
@@ -27,25 +29,43 @@ class Flight(NamedTuple):
     states: np.ndarray
     speeds: np.ndarray
     valid: np.ndarray
-    commands: np.ndarray | None
 
 
 def flight_of(key: str, table: pd.DataFrame) -> Flight:
-    """A filtered flight made ready. Commands are taken where all four are known in most of it."""
-    t, states, speeds, valid = states_of(table)
-    commands = None
+    """A filtered flight made ready."""
+    return Flight(key, table, *states_of(table))
+
+
+def commands_of(model: Model, flight: Flight) -> np.ndarray | None:
+    """Commanded rotor speeds (N, 4), rad/s: logged, or by the model's command map; None where neither is there.
+
+    The map is (V / reference voltage)^exponent times a polynomial of the command; an extension may replace the
+    exponent. Without a voltage, or a reference for it, the map holds as it is.
+    """
+    table = flight.table
     if all(c in table for c in COMMANDED):
         commands = table[list(COMMANDED)].to_numpy(float)
-        if np.isfinite(commands).all(axis=1)[valid].mean() < 0.5:
-            commands = None
-    return Flight(key, table, t, states, speeds, valid, commands)
+    else:
+        held = (model.document.get("actuators") or {}).get("command map")
+        if not held or not all(c in table for c in SHARES):
+            return None
+        shares = table[list(SHARES)].to_numpy(float)
+        powers = held.get("powers", range(len(held["coefficients"])))
+        commands = sum(c * shares**k for c, k in zip(held["coefficients"], powers))
+        own = (held.get("voltage exponent") or {}).get("value") or 0.0
+        exponent, reference = actuators_of(model).get("voltage exponent", own), held.get("reference voltage")
+        if exponent and reference and "battery_voltage" in table:
+            ratio = table["battery_voltage"].to_numpy(float) / float(reference)
+            commands = commands * np.where(ratio > 0, ratio, np.nan)[:, None] ** exponent
+    known = np.isfinite(commands).all(axis=1)
+    return commands if known[flight.valid].mean() > 0.5 else None
 
 
-def windows(flight: Flight, horizon: float, driven: str) -> np.ndarray:
+def windows(flight: Flight, horizon: float, commands: np.ndarray | None = None) -> np.ndarray:
     """Rows at which windows start: all of a window is valid, and its commands are known where they drive."""
     good = flight.valid
-    if driven == TOLD:
-        good = good & np.isfinite(flight.commands).all(axis=1)
+    if commands is not None:
+        good = good & np.isfinite(commands).all(axis=1)
     steps = steps_of(flight.t, horizon)
     sums = np.concatenate([[0], np.cumsum(~good)])
     every = max(round(EVERY / float(np.median(np.diff(flight.t)))), 1)
@@ -54,14 +74,17 @@ def windows(flight: Flight, horizon: float, driven: str) -> np.ndarray:
 
 
 def simulated(
-    model: Model, flight: Flight, starts: np.ndarray, horizon: float, driven: str = MEASURED,
+    model: Model, flight: Flight, starts: np.ndarray, horizon: float, commands: np.ndarray | None = None,
     offsets: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
-    """States (S, steps + 1, 12) of a model from the measured ones at `starts`."""
+    """States (S, steps + 1, 12) of a model from the measured ones at `starts`; offsets (S, 6) as of `replay`.
+
+    commands  (N, 4) rad/s that drive the rotors; None takes the measured rotor speeds
+    """
     wind = model.document.get("environment", {}).get("wind")
     air = None if wind is None else np.ascontiguousarray(np.broadcast_to(np.asarray(wind, float), (len(flight.t), 3)))
     extra = {n: np.nan_to_num(flight.table[n].to_numpy(float)) for n in model.inputs[20:] if n in flight.table}
-    commands = np.nan_to_num(flight.commands) if driven == TOLD else None
+    commands = None if commands is None else np.nan_to_num(commands)
     run = replay(
         model, flight.t, flight.states, flight.speeds, starts, horizon, commands, None, air, extra or None, offsets
     )
@@ -72,13 +95,14 @@ def end_errors(model: Model, flights: Sequence[Flight], horizons: Sequence[float
     """Errors at the end of windows: flight, start (s), horizon (s), and one column for each of QUANTITIES."""
     rows = []
     for flight in flights:
-        if driven == TOLD and flight.commands is None:
+        commands = commands_of(model, flight) if driven == TOLD else None
+        if driven == TOLD and commands is None:
             continue
         longest = max(horizons)
-        starts = windows(flight, longest, driven)
+        starts = windows(flight, longest, commands)
         if not len(starts):
             continue
-        found = errors(simulated(model, flight, starts, longest, driven), flight.states, starts)
+        found = errors(simulated(model, flight, starts, longest, commands), flight.states, starts)
         for horizon in horizons:
             at = steps_of(flight.t, horizon)
             ends = {q: found[q][:, at] for q in QUANTITIES}
@@ -96,7 +120,7 @@ def floor_errors(model: Model, flights: Sequence[Flight], horizons: Sequence[flo
     """
     rows = []
     for flight in flights:
-        starts = windows(flight, max(horizons), MEASURED)
+        starts = windows(flight, max(horizons))
         if not len(starts):
             continue
         predicted = model.predict_columns(flight.table)[list(AXES)].to_numpy()
@@ -105,7 +129,7 @@ def floor_errors(model: Model, flights: Sequence[Flight], horizons: Sequence[flo
         for horizon in horizons:
             steps = steps_of(flight.t, horizon)
             offsets = (sums[starts + steps + 1] - sums[starts]) / (steps + 1)
-            found = errors(simulated(model, flight, starts, horizon, MEASURED, offsets), flight.states, starts)
+            found = errors(simulated(model, flight, starts, horizon, None, offsets), flight.states, starts)
             ends = {q: found[q][:, -1] for q in QUANTITIES}
             rows.append(
                 pd.DataFrame({"flight": flight.key, "start": flight.t[starts], "horizon": float(horizon), **ends})
@@ -158,7 +182,7 @@ def overlays(models: Mapping[str, Model], flights: Sequence[Flight], horizon: fl
     """
     found = []
     for number, flight in enumerate(flights):
-        starts = windows(flight, horizon, MEASURED)
+        starts = windows(flight, horizon)
         if len(starts):
             ends = [
                 _finite(errors(simulated(m, flight, starts, horizon), flight.states, starts)["velocity"][:, -1])

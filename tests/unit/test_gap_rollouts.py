@@ -1,0 +1,106 @@
+"""Roll-outs of a gap: exact where the model is, commands by map and voltage, and shares that fall as they should."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from plain_plant import made_model
+
+from quasi.gap import rollouts
+from quasi.gap.figures import figures
+from quasi.simulation.rollout import rollout
+from quasi.standalone.model import Model
+
+RATE, SECONDS = 200.0, 6.0
+N = int(RATE * SECONDS)
+
+
+def flown(model, lag=0.0):
+    """A flight that the model itself flew with given rotor speeds, from hover."""
+    t = np.arange(N) / RATE
+    states = np.zeros((N, 12))
+    speeds = 1500.0 + 15.0 * np.sin(2.1 * t)[:, None] + 2.0 * np.sin(5.0 * t)[:, None] * np.array([1, -1, 1, -1])
+    states = rollout(model, t, states, speeds, np.array([0]), t[-1] - 0.5 / RATE)[0]
+    t, speeds = t[: len(states)], speeds[: len(states)]
+    names = ("roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z")
+    table = pd.DataFrame({"t": t, **dict(zip(names, states.T)), **{f"w{i + 1}": speeds[:, i] for i in range(4)}})
+    rows = model.predict_columns(table.assign(**{f"w{i}_dot": np.gradient(table[f"w{i}"], t) for i in range(1, 5)}))
+    return table.assign(**{a: rows[a] for a in ("Fx", "Fy", "Fz", "Mx", "My", "Mz")}, valid=1.0)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return made_model(reaction=0.0)
+
+
+def heavier(model, share):
+    document = {**model.document, "axes": {**model.document["axes"]}}
+    axis = document["axes"]["Fz"]
+    terms = [
+        {**t, "coefficient": t["coefficient"] * (share if "w2_1" in t["expression"] else 1)} for t in axis["terms"]
+    ]
+    document["axes"]["Fz"] = {**axis, "terms": terms}
+    return Model(document)
+
+
+def test_the_model_that_flew_makes_no_error_and_another_makes_the_error_of_its_thrust(model):
+    flight = rollouts.flight_of("a", flown(model))
+    right = rollouts.rms(rollouts.end_errors(model, [flight], [0.2, 0.5], rollouts.MEASURED))
+    assert right["velocity"]["0.5"] < 1e-6
+    wrong = rollouts.rms(rollouts.end_errors(heavier(model, 1.02), [flight], [0.2, 0.5], rollouts.MEASURED))
+    # 2 % of the weight too much thrust, against drag of 0.15 N per m/s on 0.43 kg: dv = a (1 - exp(-c t))/c
+    a, c = 0.02 * 9.81, 0.15 / 0.43
+    assert wrong["velocity"]["0.5"] == pytest.approx(a * (1 - np.exp(-c * 0.5)) / c, rel=0.08)
+    assert wrong["position"]["0.5"] == pytest.approx(a * (0.5 - (1 - np.exp(-c * 0.5)) / c) / c, rel=0.08)
+
+
+def test_a_constant_error_is_taken_off_at_the_floor(model):
+    flight = rollouts.flight_of("a", flown(model))
+    wrong = heavier(model, 1.02)
+    old = rollouts.rms(rollouts.end_errors(wrong, [flight], [0.5], rollouts.MEASURED))
+    floor = rollouts.rms(rollouts.floor_errors(wrong, [flight], [0.5]))
+    assert floor["velocity"]["0.5"] < 0.1 * old["velocity"]["0.5"]
+
+
+def test_the_share_that_fell_is_that_of_the_root_mean_squares(model):
+    flight = rollouts.flight_of("a", flown(model))
+    old, new = (rollouts.end_errors(heavier(model, k), [flight], [0.5], rollouts.MEASURED) for k in (1.02, 1.01))
+    row = next(r for r in rollouts.fell(old, new) if r["quantity"] == "velocity")
+    assert row["value"] == pytest.approx(0.5, abs=0.02) and row["low"] <= row["value"] <= row["high"]
+    assert row["value"] == pytest.approx(1.0 - row["after"] / row["before"])
+
+
+def test_commands_are_the_logged_speeds_or_what_the_map_and_the_voltage_make_of_shares(model):
+    table = flown(model)
+    logged = table.assign(**{f"w{i}_CMD": table[f"w{i}"] + 1.0 for i in range(1, 5)})
+    found = rollouts.commands_of(model, rollouts.flight_of("a", logged))
+    np.testing.assert_allclose(found, logged[[f"w{i}" for i in range(1, 5)]] + 1.0)
+    assert rollouts.commands_of(Model({**model.document, "actuators": None}), rollouts.flight_of("a", table)) is None
+    mapped = {"command map": {"coefficients": [400.0, 3000.0, -500.0], "powers": [0, 1, 2],
+                              "voltage exponent": {"value": 0.5}, "reference voltage": 16.0}}  # fmt: skip
+    other = Model({**model.document, "actuators": {**(model.document["actuators"] or {}), **mapped}})
+    shares = table.assign(**{f"command{i}": 0.1 * i for i in range(1, 5)}, battery_voltage=14.0)
+    found = rollouts.commands_of(other, rollouts.flight_of("a", shares))
+    expected = [(400 + 300 * i - 5 * i**2) * (14 / 16) ** 0.5 for i in range(1, 5)]
+    np.testing.assert_allclose(found[7], expected)
+    extended = Model({**other.document, "extensions": [{"id": "battery_sag", "actuators": {"voltage exponent": 1.0}}]})
+    found = rollouts.commands_of(extended, rollouts.flight_of("a", shares))
+    np.testing.assert_allclose(found[7], np.array(expected) * (14 / 16) ** 0.5)
+
+
+def test_windows_avoid_rows_that_are_not_valid(model):
+    table = flown(model)
+    table.loc[400:420, "valid"] = 0.0
+    flight = rollouts.flight_of("a", table)
+    starts, steps = rollouts.windows(flight, 0.5), 100
+    assert len(starts) and not any(s <= 420 and s + steps >= 400 for s in starts)
+
+
+def test_overlays_show_the_window_that_gained_most_and_are_drawn(model):
+    flight = rollouts.flight_of("a", flown(model))
+    found = rollouts.overlays({"before": heavier(model, 1.02), "after": model}, [flight], 0.5)
+    first = found[found["window"] == 0]
+    assert first["why"].iloc[0] == "the error falls most"
+    np.testing.assert_allclose(first["w_after"], first["w_measured"], atol=1e-6)
+    assert abs(first["w_before"].iloc[-1] - first["w_measured"].iloc[-1]) > 0.05
+    drawn = figures({"R_overlays": found})
+    assert list(drawn) == ["overlays"] and len(drawn["overlays"].axes) == 18
