@@ -73,7 +73,7 @@ def test_the_summary_names_cause_size_share_rivals_ties_and_what_is_left():
         "The rotors make more thrust near the floor (ground effect: c = 5.64 ± 0.48); this is new since the reference",
         "explains 86 % of the removable vertical force error (Fz) on the held-out flight and 30 % of that of the",
         "Tether was tested in place of ground effect and lost (tether: p = 0.69)",
-        "Mass or thrust factor: this data cannot tell which (separability 1.3 standard errors); to settle it: weigh it.",
+        "Mass or thrust factor: this data cannot tell which (separability 1.3 standard errors); to settle it: weigh",
         "The yaw moment (Mz) is off along heading: 40 % of its removable error, which no cause explains.",
     ):
         assert words in text
