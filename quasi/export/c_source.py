@@ -18,6 +18,7 @@ from quasi.export.contents import (
     constants_of,
     differential_inputs,
     extras_of,
+    has_region,
     head,
     name_in_source,
     terms_of,
@@ -117,7 +118,7 @@ def _header(model: Model, p: str) -> str:
             )
             + f"void {p}_differential_form(\n    {arguments},\n    {p}_real A[9], {p}_real B[{3 * len(u)}]);\n"
         )
-    if model.document.get("envelope"):
+    if has_region(model):
         parts.append(
             _comment(
                 [
@@ -157,7 +158,7 @@ def _source(model: Model, p: str) -> str:
     forces = of_model(model)
     u = differential_inputs(model)
     derivatives = of_derivatives(model, (*RATES, *u)) if u else None
-    region = of_region(model) if model.document.get("envelope") else None
+    region = of_region(model) if has_region(model) else None
     used = set().union(*(part.functions for part in (forces, derivatives, region) if part is not None))
     used |= {"exp", "floor"} | ({"rint"} if "wrap" in used else set()) | ({"sqrt"} if region else set())
     maths = sorted(_MATHS[f] for f in used if f in _MATHS)

@@ -79,6 +79,11 @@ def differential_inputs(model: Model) -> tuple[str, ...]:
     return inputs_of_system(u, f"model {model.id}") if isinstance(u, list) and u else ROTORS
 
 
+def has_region(model: Model) -> bool:
+    """Whether a model carries the region that its training data covered, and that region has a limit."""
+    return bool(model.document.get("envelope")) and model.region.kernel.outputs > 0
+
+
 def actuators_of(model: Model) -> Actuators:
     """Constants of the rotors, those of extensions before the model's own. Raises ConfigError for damaged ones."""
     known = dict(model.document.get("actuators") or {})

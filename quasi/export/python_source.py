@@ -14,18 +14,19 @@ from quasi.export.contents import (
     constants_of,
     differential_inputs,
     extras_of,
+    has_region,
     head,
     name_in_source,
     terms_of,
 )
-from quasi.export.listing import Listing, Output, Writer, of_derivatives, of_model, of_region, weighted
+from quasi.export.listing import Expression, Listing, Output, Writer, of_derivatives, of_model, of_region, weighted
 from quasi.export.naming import identifier, shown
 from quasi.standalone.differential import RATES
 from quasi.standalone.kernel import INPUTS
 from quasi.standalone.model import AXES, Model
 
 _FUNCTIONS = {"abs": "np.abs", "sqrt": "np.sqrt", "sin": "np.sin", "cos": "np.cos", "log": "np.log",
-              "power": "np.power", "sign": "np.sign", "wrap": "_wrap"}  # fmt: skip
+              "power": "np.power", "divide": "np.divide", "sign": "np.sign", "wrap": "_wrap"}  # fmt: skip
 _WIDTH = 110
 
 
@@ -82,7 +83,7 @@ def python_file(model: Model) -> tuple[str, str]:
         parts.append(
             _body("_derivatives", "Derivatives of Mx, My, Mz by p, q, r and u, axis after axis.", listing, labels)
         )
-    if model.document.get("envelope"):
+    if has_region(model):
         parts.append(_region(model))
     parts.append(_COLUMNS)
     if "_wrap(" in "".join(parts):
@@ -119,8 +120,33 @@ def _by_axis(model: Model) -> list[tuple[str, list[str]]]:
             for m, axis in enumerate(AXES)]  # fmt: skip
 
 
+def _guarded(listing: Listing) -> Listing:
+    """The listing with every division by a constant as numpy's: Python's own raises an error for 0."""
+    constants: set[str] = set()
+
+    def fixed(e: Expression) -> bool:
+        if e[0] in ("input", "number", "step"):
+            return e[0] == "number" or e[1] in constants
+        return all(fixed(part) for part in e[1:])
+
+    def visit(e: Expression) -> Expression:
+        if e[0] in ("input", "number", "step"):
+            return e
+        kind = "divide" if e[0] == "/" and fixed(e[2]) else e[0]
+        return (kind, *(visit(part) for part in e[1:]))
+
+    steps = []
+    for name, expression in listing.steps:
+        if fixed(expression):
+            constants.add(name)
+        steps.append((name, visit(expression)))
+    outputs = [Output(o.offset, tuple((weight, visit(e)) for weight, e in o.terms)) for o in listing.outputs]
+    return Listing(listing.inputs, tuple(steps), tuple(outputs))
+
+
 def _body(name: str, what: str, listing: Listing, outputs: Sequence[tuple[str, Sequence[str]]]) -> str:
     """A function of columns (a dict of arrays) that returns the outputs, each under its name and comment."""
+    listing = _guarded(listing)
     lines = [f"def {name}(columns):", f'    """{what}"""']
     lines += [f'    {local(n)} = columns["{n}"]' for n in listing.inputs]
     lines += [f"    {step} = {WRITER.text(e)}" for step, e in listing.steps]

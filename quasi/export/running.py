@@ -14,6 +14,7 @@ from quasi.errors import DataError
 from quasi.export.agreement import (
     LIMIT,
     LIMIT_FLOAT32,
+    ROWS,
     Check,
     States,
     compare,
@@ -23,7 +24,7 @@ from quasi.export.agreement import (
     wrench_of,
 )
 from quasi.export.compiler import shared_library, write_files
-from quasi.export.contents import differential_inputs, name_in_source
+from quasi.export.contents import differential_inputs, has_region, name_in_source
 from quasi.standalone.model import Model
 
 
@@ -57,7 +58,7 @@ def run_python(
     model: Model, name: str, text: str, at: States
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
     """Wrench (N, 6), differential form (N, 9 + 3 K) or None, and distance (N, 1) or None of an exported Python file."""
-    u, limited = differential_inputs(model), bool(model.document.get("envelope"))
+    u, limited = differential_inputs(model), has_region(model)
     with tempfile.TemporaryDirectory(prefix="quasi-export-") as folder:
         write_files(folder, {name: text})
         asked = [sys.executable, "-c", _ASK, folder, Path(name).stem, str(len(at.state))]
@@ -77,7 +78,7 @@ def _split(found: np.ndarray, inputs: int, limited: bool) -> Found:
 
 def run_c(model: Model, files: Mapping[str, str], at: States, float32: bool = False) -> Found:
     """What an exported C file gives, compiled here. Raises DataError without a compiler."""
-    p, u, limited = name_in_source(model), differential_inputs(model), bool(model.document.get("envelope"))
+    p, u, limited = name_in_source(model), differential_inputs(model), has_region(model)
     real = ctypes.c_float if float32 else ctypes.c_double
     with tempfile.TemporaryDirectory(prefix="quasi-export-") as folder:
         write_files(folder, files)
@@ -106,15 +107,15 @@ def run_c(model: Model, files: Mapping[str, str], at: States, float32: bool = Fa
     return _split(found.astype(float), len(u), limited)
 
 
-def check_python(model: Model, name: str, text: str) -> list[Check]:
+def check_python(model: Model, name: str, text: str, rows: int = ROWS) -> list[Check]:
     """Compare an exported Python file with its model."""
-    at = states_of(model)
+    at = states_of(model, rows)
     return _checks(model, at, run_python(model, name, text, at), "Python")
 
 
-def check_c(model: Model, files: Mapping[str, str]) -> list[Check]:
+def check_c(model: Model, files: Mapping[str, str], rows: int = ROWS) -> list[Check]:
     """Compare an exported C file with its model, as double and as float. Raises DataError without a compiler."""
-    at = states_of(model)
+    at = states_of(model, rows)
     double = _checks(model, at, run_c(model, files, at), "C, double")
     return double + _checks(model, at, run_c(model, files, at, True), "C, float", LIMIT_FLOAT32)[:1]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from export_models import EVERY_FUNCTION, MODELS, model, normalised
+from export_models import EVERY_FUNCTION, MODELS, bundled, model, normalised
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_model import TERMS, document
@@ -28,6 +28,7 @@ from quasi.simulation.control_model import DEFAULT_LAG
 from quasi.standalone.model import Model, read_model
 from quasi.tables import read_json, write_json
 
+ROOT = Path(__file__).parents[2]
 compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
 
 
@@ -57,11 +58,37 @@ def test_python_file_gives_the_model_s_numbers_without_quasi(exported):
 @pytest.mark.parametrize("make", [normalised, lambda: model({"Fz": TERMS["Fz"], "My": TERMS["My"]})])
 def test_normalised_models_and_models_of_few_axes_are_exported(make):
     made = make()
-    for check in [*check_c(made, c_files(made)), *check_python(made, *python_file(made))]:
+    for check in [*check_c(made, c_files(made), 500), *check_python(made, *python_file(made), 500)]:
         assert check.agrees, check
     wrench = run_c(made, c_files(made), states_of(made, 3)).wrench
     lacking = [k for k, axis in enumerate(("Fx", "Fy", "Fz", "Mx", "My", "Mz")) if axis not in made.axes]
     assert np.isnan(wrench[:, lacking]).all() and np.isfinite(np.delete(wrench, lacking, 1)).all()
+
+
+COVERED = {n: {"min": 0.0, "max": 2000.0, "percentiles": {"0.01": 1.0, "99.99": 1900.0}} for n in ("w1", "x")}
+ODD = {
+    "constants alone": lambda: model({axis: {"1": 0.5} for axis in TERMS}, envelope=COVERED),
+    "one constant axis": lambda: model({**EVERY_FUNCTION, "Fx": {"1": 0.5}}, envelope=COVERED),
+    "zero": lambda: model({axis: {"u": 0.0} for axis in TERMS}),
+    "beyond the floats": lambda: model(
+        {**EVERY_FUNCTION, "Fx": {"u*1e300*1e300": 1.0, "1/0*v": 1.0, "0/0*w": 1.0, "(u^20)^20": 1e-300, "2^u^v": 1.0}}
+    ),
+    "undefined here and there": lambda: model(
+        {**EVERY_FUNCTION, "Fx": {"(0-1)^0.5*u": 1.0, "yaw^2": 1.0, "1e-320*u": 1.0, "u^-3": 1.0, "(u*v)^0.5": 2.0}}
+    ),
+    "deep": lambda: model({**EVERY_FUNCTION, "Fx": {"(" * 50 + "u" + "+1)" * 50: 1.0}}),
+    "a pool of another kind": lambda: bundled(
+        ROOT / "config/polynomials/polyCands_DiffSys_quadraticU_symmetric_SIMPLE_FM.json"
+    ),
+}
+
+
+@compiler
+@pytest.mark.parametrize("kind", ODD)
+def test_odd_models_are_exported_like_any_other(kind):
+    made = ODD[kind]()
+    for check in [*check_c(made, c_files(made), 500), *check_python(made, *python_file(made), 500)]:
+        assert check.agrees or "float" in check.what, check
 
 
 @compiler
@@ -332,7 +359,7 @@ def test_damaged_actuators_are_refused(actuators):
 
 
 def test_without_a_compiler_the_sources_are_written_and_the_report_says_so(tmp_path, monkeypatch, capsys):
-    spec = importlib.util.spec_from_file_location("export_c", Path(__file__).parents[2] / "scripts/export_c.py")
+    spec = importlib.util.spec_from_file_location("export_c", ROOT / "scripts/export_c.py")
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
     monkeypatch.setenv("PATH", str(tmp_path))
