@@ -121,11 +121,11 @@ def rollout_sentence(diagnosis: Mapping[str, Any]) -> str:
     longest = max(r["horizon"] for r in rows)
     units = {"velocity": "m/s", "rate": "rad/s"}
     texts = [
-        f"{CHANNELS[r['quantity']]} from {r['before']:.3g} to {r['after']:.3g} {units[r['quantity']]}"
+        f"the {CHANNELS[r['quantity']]} error goes from {r['before']:.3g} to {r['after']:.3g} {units[r['quantity']]}"
         for r in rows
         if r["horizon"] == longest
     ]
-    return f"Simulated for {longest:g} s, the error goes in {_listed(texts)}."
+    return f"Simulated for {longest:g} s, {_listed(texts)}."
 
 
 def summary(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
