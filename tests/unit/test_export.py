@@ -138,6 +138,16 @@ def test_planted_sign_errors_are_found():
     assert [c.where for c in wrong] == ["Mz"]
 
 
+@compiler
+def test_what_float_cannot_hold_is_told_and_does_not_spoil_the_export():
+    made = model({**TERMS, "Fx": {"u^20*w_tot^9": 1e-40}})
+    checks = check_c(made, c_files(made), 200)
+    found = agreement.report(made, "C", checks, [])
+    agreement.insist(found)
+    assert found["agrees"] is True and not checks[-1].agrees and not checks[-1].binding
+    assert "DIFFERS  C, float: forces and moments: 200 rows" in agreement.as_text(found)
+
+
 def test_comparison_takes_nan_for_nan_and_for_nothing_else():
     nan, inf = math.nan, math.inf
     assert compare("x", np.array([[nan, inf, 1.0]]), np.array([[nan, inf, 1.0]]), "abc").largest == 0.0
