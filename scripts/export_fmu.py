@@ -6,7 +6,7 @@ from pathlib import Path
 from quasi.errors import ConfigError
 from quasi.export.agreement import hand_over
 from quasi.export.compiler import NO_COMPILER
-from quasi.export.contents import actuators_of
+from quasi.export.contents import actuators_of, wind_of
 from quasi.export.fmu_archive import write_fmu
 from quasi.export.fmu_running import check_forces, check_vehicle
 from quasi.export.fmu_source import forces_fmu, vehicle_fmu
@@ -18,6 +18,8 @@ def main(model: str, folder: str) -> None:
     """Read the model; write its FMUs and their agreement report."""
     portable = read_model(model)
     notes = [*actuators_of(portable).notes]
+    if wind_of(portable).any():
+        notes.append("the wind that the model's extensions found in its flights is the start value of the wind inputs")
     made = [(forces_fmu(portable), check_forces)]
     try:
         made.append((vehicle_fmu(portable), check_vehicle))
