@@ -16,6 +16,7 @@ import numpy as np
 
 from quasi.airframe import Airframe, read_airframe
 from quasi.filtering.flight import filter_flight
+from quasi.gap.effects.payload_swing import LENGTHS
 from quasi.gap.level import Flown
 from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis
@@ -158,7 +159,10 @@ def _own_inertia(name: str) -> float:
 
 
 def deviation(name: str, values: Mapping[str, float]) -> dict[str, float]:
-    """Planted values as deviations from what the vehicle has anyway."""
+    """Planted values as deviations from what the vehicle has anyway; a load at the length that the catalogue has."""
+    if name == "payload_swing":
+        shown = min(LENGTHS, key=lambda n: abs(np.log(LENGTHS[n] / (0.85 * values["length"]))))
+        return {shown: values["mass"]}
     how = ALL[name]
     return {k: v - (_own_inertia(k) if name == "inertia" else how.neutral) for k, v in values.items() if k in how.names}
 
