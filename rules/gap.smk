@@ -7,8 +7,22 @@ Makes  results/calibrations/{gap}.json, what sensors and rotor drive were found 
 """
 
 
+# the catalogue finds its causes in their folder, not by imports that the digest of a script could follow
+CATALOGUE = [
+    code_of(str(path), LIBRARY)
+    for path in sorted(Path(LIBRARY, "quasi/gap/effects").glob("*.py"))
+]
+
+
+def own_effects(wildcards):
+    files = ask(FOLDER.gap, wildcards.gap)["effect files"]
+    # an absent one fails the job with a sentence
+    return [path for path in files if Path(path).is_file()]
+
+
 rule gap_calibration:
     input:
+        own=own_effects,
         model=lambda w: ask(FOLDER.gap_model, w.gap),
         imported=lambda w: as_processed(w.gap, LEARN, "imported"),
         imported_metadata=lambda w: as_processed(w.gap, LEARN, "imported", "json"),
@@ -25,6 +39,7 @@ rule gap_calibration:
     params:
         asked=lambda w: ask(FOLDER.gap, w.gap),
         code=code("gap_calibration.py"),
+        causes=CATALOGUE,
     script:
         "../scripts/gap_calibration.py"
 
@@ -72,6 +87,7 @@ rule gap_filtering:
 
 rule gap_diagnosis:
     input:
+        own=own_effects,
         model=lambda w: ask(FOLDER.gap_model, w.gap),
         calibration="results/calibrations/{gap}.json",
         flights=lambda w: calibrated(w.gap),
@@ -96,6 +112,7 @@ rule gap_diagnosis:
     params:
         asked=lambda w: ask(FOLDER.gap, w.gap),
         code=code("gap_diagnosis.py"),
+        causes=CATALOGUE,
     script:
         "../scripts/gap_diagnosis.py"
 
@@ -116,6 +133,7 @@ rule gap_figures:
 
 rule gap_report:
     input:
+        own=own_effects,
         diagnosis="results/parts/gap/{gap}/diagnosis.json",
         model="results/parts/gap/{gap}/model.json",
         tables="results/parts/gap/{gap}/tables",
@@ -127,6 +145,7 @@ rule gap_report:
     params:
         files=lambda w: ask(FOLDER.gap, w.gap)["effect files"],
         code=code("gap_report.py"),
+        causes=CATALOGUE,
     script:
         "../scripts/gap_report.py"
 
