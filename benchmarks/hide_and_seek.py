@@ -215,7 +215,7 @@ def judge(result: Mapping[str, Any]) -> dict[str, Any]:
     ties = [t for t in result["ties"] if t["since"] == since]
     named = [n["id"] for n in said]
     found = {c for c in truth if c in named or any(c in t["ids"] and len(t["ids"]) <= 3 for t in ties)}
-    own = [n for n in named if n not in truth and since == "always" and n in INHERENT and result["kind"] != "unlisted"]
+    own = [n for n in named if n not in truth and since == "always" and n in INHERENT]
     wrong = [n for n in named if n not in truth and n not in own]
     strange_ties = [t["ids"] for t in ties if not truth & set(t["ids"])]
     if not truth:
