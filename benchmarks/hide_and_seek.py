@@ -237,7 +237,7 @@ def judge(result: Mapping[str, Any]) -> dict[str, Any]:
                 error = value - (beyond[main] if n["level"] == "W" else planted[main])
                 errors[n["id"]] = {"relative": error / abs(beyond[main]), "in std": error / std}
     tied = [t["ids"] for t in ties]
-    if result["kind"] == "unlisted" and outcome == "agrees":
+    if result["kind"] == "unlisted" and outcome in ("agrees", "model's own"):
         shown = {u["channel"] for u in result["unexplained"]}
         outcome = "unexplained" if SHOWS[next(iter(result["effects"]))] in shown else "missed"
     return {
