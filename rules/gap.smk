@@ -6,7 +6,6 @@ Makes  results/calibrations/{gap}.json, what sensors and rotor drive were found 
        results/gaps/{gap}; models/{extended model ID}/standalone is made as any model is
 """
 
-
 # the catalogue finds its causes in their folder, not by imports that the digest of a script could follow
 CATALOGUE = [
     code_of(str(path), LIBRARY)
@@ -99,7 +98,9 @@ rule gap_diagnosis:
         first_imported=lambda w: as_processed(w.gap, HELD, "imported"),
         first_imported_metadata=lambda w: as_processed(w.gap, HELD, "imported", "json"),
         first_filtered=lambda w: as_processed(w.gap, HELD, "withGravity"),
-        first_filtered_metadata=lambda w: as_processed(w.gap, HELD, "withGravity", "json"),
+        first_filtered_metadata=lambda w: as_processed(
+            w.gap, HELD, "withGravity", "json"
+        ),
     output:
         diagnosis="results/parts/gap/{gap}/diagnosis.json",
         model="results/parts/gap/{gap}/model.json",

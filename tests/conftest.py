@@ -1,0 +1,11 @@
+"""Tests run on two cores: whole files stay together, and so do all that share the workflow's made project."""
+
+import pytest
+
+OWN_PROJECT = {"test_hide_and_seek.py"}  # makes what it needs itself
+
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        shared = item.path.parent.name == "workflow" and item.path.name not in OWN_PROJECT
+        item.add_marker(pytest.mark.xdist_group("workflow" if shared else item.path.stem))
