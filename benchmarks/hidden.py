@@ -101,10 +101,14 @@ STRANGE = {
     "unlisted_height": Hidden(("size",), "one", 0.06),
     "unlisted_beat": Hidden(("size",), "one", 0.15),
     "unlisted_fan": Hidden(("size",), "one", 0.3, 0.0, False),
+    "unlisted_twist": Hidden(("size",), "one", 4e-4),
+    "unlisted_brake": Hidden(("size",), "one", 2e-5),
+    "unlisted_shift": Hidden(("size",), "one", 2e-3),
 }
 ALL = WRENCH | SENSORS | DRIVE | STRANGE
 # channel in which an effect of no catalogue shows
-SHOWS = {"unlisted_heading": "Fz", "unlisted_height": "Fy", "unlisted_beat": "Fx", "unlisted_fan": "Fz"}
+SHOWS = {"unlisted_heading": "Fz", "unlisted_height": "Fy", "unlisted_beat": "Fx", "unlisted_fan": "Fz",
+         "unlisted_twist": "Mz", "unlisted_brake": "My", "unlisted_shift": "Mx"}  # fmt: skip
 
 
 def drawn(seed: int) -> dict[str, Any]:

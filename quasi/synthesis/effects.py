@@ -283,6 +283,9 @@ UNLISTED: dict[str, tuple[dict[str, Parameter], Change]] = {
     "unlisted_height": ({"size": Parameter("N/m", 0.0, -2.0, 2.0)}, _unlisted(1)),
     "unlisted_beat": ({"size": Parameter("N", 0.0, -2.0, 2.0)}, _unlisted(2)),
     "unlisted_fan": ({"size": Parameter("N", 0.0, -4.0, 4.0)}, _unlisted(3)),
+    "unlisted_twist": ({"size": Parameter("N m/m", 0.0, -0.05, 0.05)}, _unlisted(4)),
+    "unlisted_brake": ({"size": Parameter("N m s3/rad3", 0.0, -0.002, 0.002)}, _unlisted(5)),
+    "unlisted_shift": ({"size": Parameter("N m", 0.0, -0.1, 0.1)}, _unlisted(6)),
 }
 _ALL = OFFERED | UNLISTED
 

@@ -35,6 +35,7 @@ LOAD_DAMPING = 1.0  # N s/m
 BEAT = 0.4  # Hz, of the pull that comes and goes
 FAN = (1.2, -0.8)  # m north and east, place of the fan
 FAN_WIDTH = 1.0  # m
+SHIFT = 14.0  # s, when something comes loose
 
 
 @njit(cache=True)
@@ -194,6 +195,10 @@ def derivative(t, x, wanted, air, p: Physics, dx, out):
     my += c[2] * bx - c[0] * bz
     mz += c[0] * by - c[1] * bx
 
+    mz += p.unlisted[4] * x[0]  # a yaw moment that grows northwards
+    my -= p.unlisted[5] * wy * wy * wy  # pitching is braked by the cube of its rate
+    if t > SHIFT:  # something comes loose and from then on rolls the vehicle
+        mx += p.unlisted[6]
     ex = ey = ez = 0.0  # what acts in earth axes: feet on the floor, tether, load, and what no known cause explains
     if p.unlisted[1] != 0.0:  # a push along body y that grows with height
         fy -= p.unlisted[1] * x[2]

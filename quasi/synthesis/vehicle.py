@@ -61,7 +61,7 @@ class Physics(NamedTuple):
     lag_up: float  # s, motor lag when speeding up
     lag_down: float  # s, motor lag when slowing down
     leg: np.ndarray  # (3,) m, |x|, |y| and z of the four feet from the true cg
-    unlisted: np.ndarray  # (4,) sizes of what belongs to no known cause, see `quasi.synthesis.physics`
+    unlisted: np.ndarray  # (7,) sizes of what belongs to no known cause, see `quasi.synthesis.physics`
 
 
 class Drive(NamedTuple):
@@ -166,7 +166,7 @@ def base_vehicle() -> Vehicle:
         lag_up=0.022,
         lag_down=0.030,
         leg=np.array([0.06, 0.06, 0.03]),
-        unlisted=np.zeros(4),
+        unlisted=np.zeros(7),
     )
     drive = Drive(
         idle_speed=370.0,

@@ -213,7 +213,7 @@ def test_the_base_vehicle_is_of_the_stated_class():
 def test_what_is_in_no_catalogue_acts_as_it_is_described():
     """Heading, height, time and place each by its own formula, at rest in the air."""
     still = {"velocity": NONE, "rates": NONE}
-    base = loads(NOMINAL, **still)[0]
+    base, base_moment = loads(NOMINAL, **still)[:2]
     thrust = -base[2]
     assert loads(planted(unlisted_heading={"size": 0.1}), **still)[0][2] == pytest.approx(-thrust)  # nose north
     east = planted(unlisted_height={"size": 0.2})
@@ -224,6 +224,14 @@ def test_what_is_in_no_catalogue_acts_as_it_is_described():
     above = loads(fan, place=physics.FAN, **still)[0][2] - base[2]
     beside = loads(fan, place=(physics.FAN[0] + 1.0, physics.FAN[1]), **still)[0][2] - base[2]
     assert (above, beside) == (pytest.approx(-0.5), pytest.approx(-0.5 * math.exp(-1.0)))
+    twist = planted(unlisted_twist={"size": 3e-3})
+    assert loads(twist, place=(2.0, 1.0), **still)[1][2] - base_moment[2] == pytest.approx(6e-3)
+    brake, turning = planted(unlisted_brake={"size": 1e-4}), {"velocity": NONE, "rates": (0.0, 3.0, 0.0)}
+    difference = loads(brake, **turning)[1] - loads(NOMINAL, **turning)[1]
+    np.testing.assert_allclose(difference, [0.0, -1e-4 * 27.0, 0.0], atol=1e-12)
+    loose = planted(unlisted_shift={"size": 4e-3})
+    early, late = (loads(loose, t=physics.SHIFT + s, **still)[1][0] - base_moment[0] for s in (-0.1, 0.1))
+    assert (early, late) == (pytest.approx(0.0, abs=1e-12), pytest.approx(4e-3))
     x = np.zeros(physics.STATES)
     x[2], x[6], x[9], x[13:17], x[17:21] = -2.0, math.cos(math.pi / 8), math.sin(math.pi / 8), HOVER_SPEED, 9.5
     dx, out = np.empty(physics.STATES), np.empty(14)
