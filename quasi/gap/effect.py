@@ -23,13 +23,18 @@ Terms = dict[str, str]  # axis: expression, N or N m per unit of a parameter
 
 
 class Parameter(NamedTuple):
-    """unit; neutral value, None where it is the model's own (mass, time constant); scope a, s or f; physical range."""
+    """unit; neutral value, None where it is the model's own (mass, time constant); scope a, s or f; physical range.
+
+    typical  deviation from neutral that a flight should be able to show, a number or made of a Vehicle; None where the
+             parameter only accompanies others
+    """
 
     unit: str
     neutral: float | None
     scope: str
     low: float
     high: float
+    typical: "float | Callable[[Vehicle], float] | None" = None
 
 
 class Room(NamedTuple):
@@ -76,6 +81,26 @@ class Vehicle(NamedTuple):
     drawn: float  # N m s2: the part of the torque that goes into the flow and falls with the thrust, dQ = dT v/W
     inflow: float  # N s2/rad2: one rotor's thrust is off by inflow W dW/dt tau when its inflow lags by tau
     room: Room | None = None
+
+    @property
+    def weight(self) -> float:
+        """N."""
+        return self.mass * GRAVITY
+
+    @property
+    def hover_speed(self) -> float:
+        """Of each rotor by the simple model, rad/s."""
+        return float(np.sqrt(self.weight / (4.0 * self.thrust)))
+
+    @property
+    def arm(self) -> float:
+        """Mean distance of a hub from the vertical through the cg, m."""
+        return float(np.hypot(self.hubs[:, 0], self.hubs[:, 1]).mean())
+
+    @property
+    def flow(self) -> float:
+        """Airspeed times the sum of rotor speeds in forward flight at half the hover's induced speed, m rad/s2."""
+        return 2.0 * self.hover_induced * self.hover_speed
 
 
 @dataclass(frozen=True)
@@ -151,6 +176,11 @@ class Effect:
     def fitted(self) -> list[str]:
         """Parameters that a linear fit finds; the others are scanned."""
         return [name for name in self.parameters if name not in self.scan]
+
+    def typical(self, vehicle: Vehicle) -> dict[str, float]:
+        """{parameter: typical deviation from neutral} of the parameters that have one."""
+        sizes = {name: p.typical for name, p in self.parameters.items() if p.typical is not None}
+        return {name: float(size(vehicle) if callable(size) else size) for name, size in sizes.items()}
 
     def limits(self, vehicle: Vehicle) -> list[tuple[float, float]]:
         """Physical range of each fitted parameter's deviation from neutral; masses and inertias from the configured."""

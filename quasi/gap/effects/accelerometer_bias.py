@@ -8,7 +8,7 @@ EFFECT = Effect(
     sentence="the accelerometer reads a constant too much",
     equation="measured = true + bias, body axes",
     source="Titterton & Weston, 2nd ed., 2004, section 6.3",
-    parameters={axis: Parameter("m/s2", 0.0, "f", -5.0, 5.0) for axis in ("x", "y", "z")},
+    parameters={axis: Parameter("m/s2", 0.0, "f", -5.0, 5.0, 0.2) for axis in ("x", "y", "z")},
     channels=("ax", "ay", "az"),
     rivals=("room_tilt", "wind", "mocap_misalignment"),
     tie_breaker="turn through all headings in hover",

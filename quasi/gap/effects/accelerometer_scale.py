@@ -8,7 +8,7 @@ EFFECT = Effect(
     sentence="the accelerometer reads too much in proportion",
     equation="measured_i = scale_i true_i, body axes",
     source="Titterton & Weston, 2nd ed., 2004, section 6.3",
-    parameters={axis: Parameter("1", 1.0, "a", 0.7, 1.3) for axis in ("x", "y", "z")},
+    parameters={axis: Parameter("1", 1.0, "a", 0.7, 1.3, 0.01) for axis in ("x", "y", "z")},
     channels=("ax", "ay", "az"),
     rivals=("mass", "thrust_factor", "accelerometer_bias"),
     tie_breaker="climbs and dives with a large range of thrust",

@@ -13,7 +13,11 @@ EFFECT = Effect(
     sentence="the rotors lose thrust in a climb and win it in a descent",
     equation="dT = -k W V_climb at each hub, V_climb = -w",
     source="Leishman, Principles of Helicopter Aerodynamics, 2nd ed., 2006, section 3.3",
-    parameters={"k": Parameter("N s2/(m rad)", 0.0, "a", -1e-3, 1e-3)},
+    parameters={
+        "k": Parameter(
+            "N s2/(m rad)", 0.0, "a", -1e-3, 1e-3, lambda v: 0.35 * v.weight / (4.0 * v.hover_speed * v.hover_induced)
+        )
+    },
     channels=("Fz", "Mx", "My"),
     rivals=("body_drag", "vortex_ring"),
     tie_breaker="a vertical sine at two amplitudes",

@@ -14,7 +14,7 @@ EFFECT = Effect(
     sentence="rotor speeds at the same command follow the battery's voltage otherwise than the model says",
     equation="W = map(command) (V / V_ref)^exponent",
     source="steady speed of an open-loop speed controller",
-    parameters={"exponent": Parameter("1", None, "a", -1.0, 3.0)},
+    parameters={"exponent": Parameter("1", None, "a", -1.0, 3.0, 0.3)},
     channels=("w1", "w2", "w3", "w4"),
     rivals=("thrust_drift",),
     tie_breaker="a long flight, or batteries of different charge",

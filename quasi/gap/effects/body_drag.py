@@ -15,7 +15,7 @@ EFFECT = Effect(
     sentence="the frame drags through the air with the square of the speed",
     equation="F = -c |V| V",
     source="Hoerner, Fluid-Dynamic Drag, 1965, chapter 3",
-    parameters={"c": Parameter("N s2/m2", 0.0, "a", -0.1, 0.5)},
+    parameters={"c": Parameter("N s2/m2", 0.0, "a", -0.1, 0.5, lambda v: 0.12 * v.weight / v.hover_induced**2)},
     channels=("Fx", "Fy", "Fz"),
     rivals=("rotor_drag", "wind"),
     tie_breaker="fly a 2:1 range of speeds with throttle changes",

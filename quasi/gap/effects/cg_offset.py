@@ -27,7 +27,9 @@ EFFECT = Effect(
     sentence="the centre of gravity lies beside the configured one (battery moved)",
     equation="dM = -r x F, r = true minus configured cg",
     source="statics",
-    parameters={name: Parameter("m", 0.0, "s", -0.04, 0.04) for name in "xyz"},
+    parameters={
+        name: Parameter("m", 0.0, "s", -0.04, 0.04, None if name == "z" else lambda v: 0.026 * v.arm) for name in "xyz"
+    },
     channels=("Mx", "My"),
     rivals=("rotor_effectiveness", "imu_lever_arm"),
     tie_breaker="heave with a large range of thrust; must agree with the lever arm",

@@ -8,7 +8,7 @@ EFFECT = Effect(
     sentence="the on-board clock runs fast",
     equation="t_board = (1 + rate) t",
     source="definition",
-    parameters={"rate": Parameter("s/s", 0.0, "f", -0.05, 0.05)},
+    parameters={"rate": Parameter("s/s", 0.0, "f", -0.05, 0.05, 3e-4)},
     channels=("clock",),
     rivals=("gyro_scale",),
     tie_breaker="a longer flight",

@@ -18,7 +18,7 @@ EFFECT = Effect(
     sentence="commands reach the rotors late",
     equation="W(t) = f(W_wanted(t - delay)), one delay for all rotors",
     source="definition",
-    parameters={"delay": Parameter("s", 0.0, "a", -0.05, 0.1)},
+    parameters={"delay": Parameter("s", 0.0, "a", -0.05, 0.1, 0.008)},
     channels=("w1", "w2", "w3", "w4"),
     rivals=("motor_lag", "telemetry_delay"),
     tie_breaker="quick yaw inputs: the motion tells how late the telemetry is",

@@ -30,7 +30,7 @@ EFFECT = Effect(
     sentence="the rotors make more thrust near the floor",
     equation="T/T0 = 1/(1 - c (R/4h)^2), h height of each hub",
     source="Cheeseman & Bennett, The effect of the ground on a helicopter rotor in forward flight, ARC R&M 3021, 1955",
-    parameters={"c": Parameter("1", 0.0, "a", 0.0, 20.0)},
+    parameters={"c": Parameter("1", 0.0, "a", 0.0, 20.0, 3.0)},
     channels=("Fz", "Mx", "My"),
     rivals=("tether", "proximity"),
     tie_breaker="a staircase of hovers from 2 cm to 50 cm",

@@ -8,7 +8,7 @@ EFFECT = Effect(
     sentence="the gyro reads a constant too much",
     equation="measured = true + bias, body axes",
     source="Titterton & Weston, 2nd ed., 2004, section 4.4",
-    parameters={axis: Parameter("rad/s", 0.0, "f", -1.0, 1.0) for axis in ("x", "y", "z")},
+    parameters={axis: Parameter("rad/s", 0.0, "f", -1.0, 1.0, 0.03) for axis in ("x", "y", "z")},
     channels=("p", "q", "r"),
     rivals=("gyro_scale", "mocap_misalignment"),
     tie_breaker="some seconds of rest, and turns both ways",

@@ -8,7 +8,7 @@ EFFECT = Effect(
     sentence="the gyro reads too much in proportion",
     equation="measured_i = scale_i true_i, body axes",
     source="Titterton & Weston, 2nd ed., 2004, section 4.4",
-    parameters={axis: Parameter("1", 1.0, "a", 0.7, 1.3) for axis in ("x", "y", "z")},
+    parameters={axis: Parameter("1", 1.0, "a", 0.7, 1.3, 0.01) for axis in ("x", "y", "z")},
     channels=("p", "q", "r"),
     rivals=("inertia", "clock_drift"),
     tie_breaker="sharp turns about all axes",

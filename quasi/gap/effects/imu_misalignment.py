@@ -8,7 +8,7 @@ EFFECT = Effect(
     sentence="accelerometer and gyro are turned against the body",
     equation="measured = exp(misalignment)' true",
     source="Titterton & Weston, 2nd ed., 2004, section 4.4",
-    parameters={axis: Parameter("rad", 0.0, "s", -0.5, 0.5) for axis in ("roll", "pitch", "yaw")},
+    parameters={axis: Parameter("rad", 0.0, "s", -0.5, 0.5, 0.0175) for axis in ("roll", "pitch", "yaw")},
     channels=("p", "q", "r", "ax", "ay", "az"),
     rivals=("mocap_misalignment", "rotor_tilt"),
     tie_breaker="correct either and compare what the model leaves of forces and moments",

@@ -1,5 +1,7 @@
 """Other moments of inertia than configured."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
@@ -15,6 +17,10 @@ def change(name: str) -> np.ndarray:
     tensor = np.zeros((3, 3))
     tensor[i, j] = tensor[j, i] = 1.0 if i == j else -1.0
     return tensor
+
+
+def _tenth(i: int, j: int) -> Callable[[Vehicle], float]:
+    return lambda vehicle: 0.1 * float(vehicle.inertia[i, j])
 
 
 def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
@@ -37,7 +43,10 @@ EFFECT = Effect(
     sentence="the moments of inertia are not the configured ones",
     equation="dM = dI domega/dt + omega x dI omega",
     source="Euler's equations",
-    parameters={name: Parameter("kg m2", None, "s", -0.05, 0.05) for name in ENTRIES},
+    parameters={
+        name: Parameter("kg m2", None, "s", -0.05, 0.05, _tenth(*entry) if entry[0] == entry[1] else None)
+        for name, entry in ENTRIES.items()
+    },
     channels=("Mx", "My", "Mz"),
     rivals=("gyro_scale", "rotor_gyroscopic"),
     tie_breaker="excite the three axes together; a bifilar pendulum test",

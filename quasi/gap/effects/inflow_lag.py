@@ -13,7 +13,7 @@ EFFECT = Effect(
     sentence="thrust overshoots when a rotor changes speed, because the air through it follows late",
     equation="dv_i/dt = (v_eq - v_i)/tau, to first order dT = g v/W tau dW/dt, g = -dT/dv at fixed speed",
     source="Pitt & Peters, Theoretical prediction of dynamic-inflow derivatives, Vertica 5, 1981",
-    parameters={"tau": Parameter("s", 0.0, "a", 0.0, 0.1)},
+    parameters={"tau": Parameter("s", 0.0, "a", 0.0, 0.1, 0.004)},
     channels=("Fz", "Mx", "My"),
     rivals=("telemetry_delay", "rotor_acceleration_torque"),
     tie_breaker="steps of throttle and of roll: a late rotor speed shows in yaw too",

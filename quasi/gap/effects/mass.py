@@ -22,7 +22,7 @@ EFFECT = Effect(
     sentence="the vehicle is heavier or lighter than configured",
     equation="F = m a: all of dF along the specific force",
     source="Newton's second law",
-    parameters={"mass": Parameter("kg", None, "s", -0.5, 2.0)},
+    parameters={"mass": Parameter("kg", None, "s", -0.5, 2.0, lambda v: 0.03 * v.mass)},
     channels=("Fx", "Fy", "Fz"),
     rivals=("thrust_factor", "accelerometer_scale", "payload_swing"),
     tie_breaker="weigh it; or roll and pitch doublets with a rich thrust range",

@@ -8,7 +8,7 @@ EFFECT = Effect(
     sentence="the capture's rotation is late behind its position",
     equation="captured attitude(t) = true attitude(t - delay)",
     source="definition",
-    parameters={"delay": Parameter("s", 0.0, "s", -0.1, 0.1)},
+    parameters={"delay": Parameter("s", 0.0, "s", -0.1, 0.1, 0.01)},
     channels=("p", "q", "r", "ax", "ay", "az"),
     rivals=("clock_drift",),
     tie_breaker="sharp turns about all axes",

@@ -8,7 +8,7 @@ EFFECT = Effect(
     sentence="the markers' frame is turned against the body",
     equation="captured attitude = true attitude exp(misalignment)",
     source="rigid-body kinematics",
-    parameters={axis: Parameter("rad", 0.0, "s", -0.5, 0.5) for axis in ("roll", "pitch", "yaw")},
+    parameters={axis: Parameter("rad", 0.0, "s", -0.5, 0.5, 0.0175) for axis in ("roll", "pitch", "yaw")},
     channels=("p", "q", "r", "ax", "ay", "az"),
     rivals=("imu_misalignment", "room_tilt"),
     tie_breaker="correct either and compare what the model leaves of forces and moments",

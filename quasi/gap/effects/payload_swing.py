@@ -31,7 +31,10 @@ EFFECT = Effect(
     sentence="a load hangs below the vehicle and swings",
     equation="L n'' = f - (f.n) n - L |n'|^2 n, f = g - a; pull m (f.n + L |n'|^2) along the string n",
     source="Goodarzi, Lee & Lee, Geometric control of a quadrotor UAV transporting a payload, IJCAS 13(6), 2015",
-    parameters={name: Parameter("kg", 0.0, "s", 0.0, 0.5) for name in LENGTHS},
+    parameters={
+        name: Parameter("kg", 0.0, "s", 0.0, 0.5, (lambda v: 0.035 * v.mass) if length == 0.5 else None)
+        for name, length in LENGTHS.items()
+    },
     channels=("Fx", "Fy", "Fz"),
     rivals=("mass", "wind", "tether"),
     tie_breaker="stop sharply and hover: a load goes on swinging",

@@ -48,7 +48,7 @@ EFFECT = Effect(
     equation="T = T0 (1 - gain exp(-(d/1 m)^2) + ceiling (R/4h)^2), d to the nearest wall, h to the ceiling, each hub",
     source="ceiling: Hsiao & Chirarattananon, Ceiling effects for hybrid aerial-surface locomotion of small "
     "rotorcraft, IEEE/ASME T-Mech 24(5), 2019; the wall's form is empirical",
-    parameters={"gain": Parameter("1", 0.0, "s", -0.9, 0.9), "ceiling": Parameter("1", 0.0, "s", 0.0, 20.0)},
+    parameters={"gain": Parameter("1", 0.0, "s", -0.9, 0.9, 0.1), "ceiling": Parameter("1", 0.0, "s", 0.0, 20.0)},
     channels=("Fz", "Mx", "My"),
     rivals=("ground_effect", "tether"),
     tie_breaker="hover at the same height in the middle of the room and at its walls",

@@ -8,7 +8,7 @@ EFFECT = Effect(
     sentence="the capture's axes are tilted against gravity",
     equation="captured = exp(-tilt) true, earth axes",
     source="rigid-body kinematics",
-    parameters={axis: Parameter("rad", 0.0, "s", -0.3, 0.3) for axis in ("roll", "pitch")},
+    parameters={axis: Parameter("rad", 0.0, "s", -0.3, 0.3, 0.0175) for axis in ("roll", "pitch")},
     channels=("ax", "ay"),
     rivals=("accelerometer_bias", "wind", "mocap_misalignment"),
     tie_breaker="turn through all headings in hover",

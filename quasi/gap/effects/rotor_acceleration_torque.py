@@ -14,7 +14,7 @@ EFFECT = Effect(
     sentence="rotors that speed up turn the vehicle the other way",
     equation="dMz = -J_r sum(s_i dW_i/dt)",
     source="Stevens, Lewis & Johnson, Aircraft Control and Simulation, 3rd ed., 2016, section 1.7",
-    parameters={"inertia": Parameter("kg m2", 0.0, "a", -1e-4, 1e-4)},
+    parameters={"inertia": Parameter("kg m2", 0.0, "a", -1e-4, 1e-4, lambda v: 1.6e-3 * v.mass * v.radius**2)},
     channels=("Mz",),
     rivals=("telemetry_delay", "inertia"),
     tie_breaker="sharp yaw doublets",

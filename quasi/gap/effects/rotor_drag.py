@@ -22,7 +22,7 @@ EFFECT = Effect(
     equation="H_i = -k W_i V_i,xy at each hub; lever = k times the height of the rotor plane above the configured hubs",
     source="Mahony, Kumar & Corke, Multirotor aerial vehicles, IEEE RAM 19(3), 2012, equation 11",
     parameters={
-        "k": Parameter("N s2/(m rad)", 0.0, "a", -1e-3, 1e-3),
+        "k": Parameter("N s2/(m rad)", 0.0, "a", -1e-3, 1e-3, lambda v: 0.15 * v.weight / v.flow),
         "lever": Parameter("N m s2/(m rad)", 0.0, "a", -5e-5, 5e-5),
     },
     channels=("Fx", "Fy", "Mx", "My"),

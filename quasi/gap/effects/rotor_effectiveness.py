@@ -19,7 +19,7 @@ EFFECT = Effect(
     sentence="one rotor makes less thrust than its speed says (chipped or wrong propeller)",
     equation="T_i = e_i T0_i: dFz : dMx : dMy in the ratio of the hub's place, dMz by the power saved",
     source="definition",
-    parameters={f"rotor{i}": Parameter("1", 1.0, "s", 0.3, 2.0) for i in range(1, 5)},
+    parameters={f"rotor{i}": Parameter("1", 1.0, "s", 0.3, 2.0, 0.1) for i in range(1, 5)},
     channels=("Fz", "Mx", "My"),
     rivals=("cg_offset", "rotor_tilt"),
     tie_breaker="heave with a large range of thrust, and steps of each axis",

@@ -14,7 +14,7 @@ EFFECT = Effect(
     sentence="the spinning rotors act as gyroscopes when the vehicle turns",
     equation="M = -omega x h, h = J_r sum(s_i W_i) z",
     source="Stevens, Lewis & Johnson, Aircraft Control and Simulation, 3rd ed., 2016, section 1.7",
-    parameters={"inertia": Parameter("kg m2", 0.0, "a", -1e-4, 1e-4)},
+    parameters={"inertia": Parameter("kg m2", 0.0, "a", -1e-4, 1e-4, lambda v: 1.6e-3 * v.mass * v.radius**2)},
     channels=("Mx", "My"),
     rivals=("inertia",),
     tie_breaker="yaw and pitch together",

@@ -22,7 +22,7 @@ EFFECT = Effect(
     sentence="rotor speeds are logged too high or too low by one factor (a wrong pole count)",
     equation="W_log = scale W",
     source="definition",
-    parameters={"scale": Parameter("1", 1.0, "a", 0.2, 5.0)},
+    parameters={"scale": Parameter("1", 1.0, "a", 0.2, 5.0, 1.0 / 6.0)},
     channels=("Fz", "Mx", "My", "Mz"),
     rivals=("thrust_factor",),
     tie_breaker="a tachometer, or the vibration line against the logged speed",

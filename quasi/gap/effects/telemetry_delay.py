@@ -22,7 +22,7 @@ EFFECT = Effect(
     sentence="rotor speeds were logged late against the motion that they cause",
     equation="W_log(t) = W(t - delay): residual delay dF/dW dW/dt, the same delay on every channel",
     source="definition",
-    parameters={"delay": Parameter("s", 0.0, "f", -0.01, 0.1)},
+    parameters={"delay": Parameter("s", 0.0, "f", -0.01, 0.1, 0.005)},
     channels=("Fz", "Mx", "My", "Mz"),
     rivals=("inflow_lag", "command_delay", "rotor_acceleration_torque"),
     tie_breaker="sharp doublets about all axes",

@@ -14,7 +14,7 @@ EFFECT = Effect(
     sentence="a cable pulls towards the place where it is fixed, the origin of the room",
     equation="F = -k (x, y, z) in earth axes",
     source="Hooke's law",
-    parameters={"k": Parameter("N/m", 0.0, "s", 0.0, 5.0)},
+    parameters={"k": Parameter("N/m", 0.0, "s", 0.0, 5.0, lambda v: 0.047 * v.weight)},
     channels=("Fx", "Fy", "Fz"),
     rivals=("ground_effect", "wind", "mass"),
     tie_breaker="slow climbs to several heights, at several places",

@@ -13,7 +13,10 @@ EFFECT = Effect(
     sentence="thrust does not follow the square of rotor speed",
     equation="T = c0 + c1 W + c2 W^2",
     source="static thrust tests: Deters, Ananda & Selig, AIAA 2014-2151",
-    parameters={"c1": Parameter("N s/rad", 0.0, "a", -1e-3, 1e-3), "c0": Parameter("N", 0.0, "a", -1.0, 1.0)},
+    parameters={
+        "c1": Parameter("N s/rad", 0.0, "a", -1e-3, 1e-3, lambda v: 0.03 * v.thrust * v.hover_speed),
+        "c0": Parameter("N", 0.0, "a", -1.0, 1.0),
+    },
     channels=("Fz", "Mx", "My"),
     rivals=("battery_sag", "axial_inflow"),
     tie_breaker="steps of throttle at rest in the air",

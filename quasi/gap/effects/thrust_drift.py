@@ -13,7 +13,7 @@ EFFECT = Effect(
     sentence="thrust at the same rotor speed changes steadily during a flight (heating)",
     equation="T = T0 (1 + rate t), t since the log began",
     source="definition",
-    parameters={"rate": Parameter("1/s", 0.0, "a", -0.01, 0.01)},
+    parameters={"rate": Parameter("1/s", 0.0, "a", -0.01, 0.01, 5e-4)},
     channels=("Fz", "Mx", "My"),
     rivals=("battery_sag", "thrust_factor"),
     tie_breaker="a pause at rest: sag recovers and tracks volts, heating cools",

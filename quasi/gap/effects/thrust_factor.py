@@ -15,7 +15,7 @@ EFFECT = Effect(
     sentence="all rotors make more or less thrust than before (other propellers, thinner air)",
     equation="T_i = factor T0_i, roll and pitch effectiveness with it",
     source="Leishman, Principles of Helicopter Aerodynamics, 2nd ed., 2006, equation 2.30",
-    parameters={"factor": Parameter("1", 1.0, "s", 0.3, 3.0)},
+    parameters={"factor": Parameter("1", 1.0, "s", 0.3, 3.0, 0.03)},
     channels=("Fz", "Mx", "My"),
     rivals=("mass", "rotor_speed_scale", "accelerometer_scale"),
     tie_breaker="roll and pitch doublets: a mass leaves their effectiveness alone",

@@ -18,7 +18,7 @@ EFFECT = Effect(
     sentence="thrust is lost in a fast descent, in the rotors' own wake",
     equation="T = T0 (1 - depth b(w/v_h)), b = (x (2 - x))^2 for 0 < x < 2",
     source="Leishman, Principles of Helicopter Aerodynamics, 2nd ed., 2006, section 2.13.6",
-    parameters={"depth": Parameter("1", 0.0, "a", -1.0, 1.0)},
+    parameters={"depth": Parameter("1", 0.0, "a", -1.0, 1.0, 0.3)},
     channels=("Fz", "Mx", "My"),
     rivals=("gusts", "axial_inflow", "thrust_drift"),
     tie_breaker="descents at several speeds; the residual's variance grows with descent ratio alone",

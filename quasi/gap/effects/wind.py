@@ -29,7 +29,7 @@ EFFECT = Effect(
     sentence="a steady wind blows through the room",
     equation="V = V_ground - R' W",
     source="definition of airspeed",
-    parameters={name: Parameter("m/s", 0.0, "f", -15.0, 15.0) for name in NAMES},
+    parameters={name: Parameter("m/s", 0.0, "f", -15.0, 15.0, None if name == "down" else 1.0) for name in NAMES},
     channels=("Fx", "Fy"),
     rivals=("accelerometer_bias", "room_tilt", "tether"),
     tie_breaker="out and back, and a yaw sweep",
