@@ -46,6 +46,7 @@ DEFAULTS: dict[str, Any] = {
 SAME_CLOCK_LAG = 1.0  # s, the most that a capture logged on board may be late
 SHARP_AGE = 0.6e-3  # s, standard error up to which an age of the rotor telemetry is corrected
 YAW_EXPLAINED = 0.96  # share of yaw that it explains; where less is, the best age can be centiseconds wrong
+LEAST_AGE = -1e-3  # s: telemetry cannot run ahead of the motion by more than filter delays are uncertain
 SCHEMA = "quasi.imported/1"
 
 
@@ -402,7 +403,7 @@ def _settle_telemetry(board: Onboard, where: str, notes: list[str]) -> tuple[Onb
     if age is None:
         notes.append(f"{where}: too little flying with all rotors to tell the age of the rotor telemetry; taken as 0")
         return board, None
-    sharp = age.std < SHARP_AGE and age.explained > YAW_EXPLAINED
+    sharp = age.std < SHARP_AGE and age.explained > YAW_EXPLAINED and age.value > LEAST_AGE
     about = {
         "age": {"value": age.value, "std": age.std, "unit": "s"},
         "explained variance": age.explained,
