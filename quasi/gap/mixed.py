@@ -23,6 +23,7 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 SPREADS = 2.0 ** np.arange(0, 11)  # tau, in standard errors that one flight alone would give
+PATIENCE = 3  # spreads in a row that are less likely before the search for the likeliest ends
 SPANNED = 0.02  # share of a column that others leave
 CERTAIN = 1e-3  # as good as no spread
 MOST_FREEDOM = 40.0  # the known spreads are not that well known
@@ -75,15 +76,14 @@ def marginal(gram: np.ndarray, columns: Sequence[int], spread: np.ndarray) -> np
 
 
 def _integrated(grams: np.ndarray, columns: Sequence[int], spread: np.ndarray) -> tuple[np.ndarray, float]:
-    """Sum (P, P) of cross-products (K, P, P), each with the columns' random coefficients integrated out, and the log
+    """Cross-products (..., n, n) with the columns' random coefficients integrated out, each its own, and the log
     determinant that this leaves in the likelihood."""
-    columns = list(columns)
-    cross = grams[:, columns, :]
-    inner = cross[:, :, columns] + np.diag(1.0 / spread**2)
-    log = float(np.linalg.slogdet(inner * np.outer(spread, spread))[1].sum())
-    weighted = np.linalg.solve(inner, cross)
-    size = grams.shape[-1]
-    return grams.sum(axis=0) - cross.reshape(-1, size).T @ weighted.reshape(-1, size), log
+    cross = grams[..., columns, :]
+    inner = cross[..., columns] * np.outer(spread, spread) + np.eye(len(columns))
+    root = np.linalg.cholesky(inner)
+    weighted = np.linalg.solve(root, cross * spread[:, None])
+    log = 2.0 * float(np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum())
+    return grams - np.swapaxes(weighted, -1, -2) @ weighted, log
 
 
 class Mixed:
@@ -106,6 +106,12 @@ class Mixed:
         self.compared = np.asarray(compared, bool)
         self._stretches = [g[None] if g.ndim == 2 else g for g in map(np.asarray, grams)]
         self.grams = [marginal(g.sum(axis=0), columns.nuisance, columns.spread) for g in self._stretches]
+        self._typical = sum(np.diag(g) for g in self.grams)
+        # flights side by side; those with fewer stretches have empty ones, which say nothing
+        most = max(len(g) for g in self._stretches)
+        self._all = np.zeros((len(self._stretches), most, *self._stretches[0].shape[1:]))
+        for padded, stretches in zip(self._all, self._stretches):
+            padded[: len(stretches)] = stretches
         self.count = sum(len(g) for g in self._stretches)
         self.freedom = max(self.count - (1 if self.compared.all() else 2), 1)
 
@@ -127,26 +133,21 @@ class Mixed:
             others += [(free, self.offered("always"))] if free else []
         # a pooled cause under test is offered twice: to all, and to the compared flights
         blocks = [*others, (own, self.offered(offer.since))]
-        typical = sum(g[own, own] for g in self.grams) / self.count
-        unit = 1.0 / np.sqrt(np.maximum(typical, 1e-300))
-        best = certain = None
-        for tau in (CERTAIN, *SPREADS):
-            spread = tau * unit
-            grams, logs = [], 0.0
-            for stretches in self._stretches:
-                rest, log = _integrated(stretches, own, spread)
-                if self.columns.nuisance:
-                    rest, more = _integrated(rest[None], self.columns.nuisance, self.columns.spread)
-                    log += more
-                grams.append(rest)
-                logs += log
-            left, value, covariance, information = self._solve(grams, blocks)
-            if certain is None:
-                certain = covariance[-len(own) :, -len(own) :]
-                continue
-            criterion = left + logs + information
+        unit = 1.0 / np.sqrt(np.maximum(self._typical[own] / self.count, 1e-300))
+        use = list(dict.fromkeys([0, *self.columns.shared, *self.columns.nuisance, *(c for b, _ in blocks for c in b)]))
+        place = {column: k for k, column in enumerate(use)}
+        grams = self._all[:, :, use][:, :, :, use]
+        mine = [place[c] for c in own]
+        certain = self._fitted(grams, mine, CERTAIN * unit, blocks, place)[2]
+        best, worse = None, 0
+        for tau in SPREADS:
+            criterion, value, covariance = self._fitted(grams, mine, tau * unit, blocks, place)
             if best is None or criterion < best[0]:
-                best = criterion, tau, value[-len(own) :], covariance[-len(own) :, -len(own) :]
+                best, worse = (criterion, tau, value, covariance), 0
+            else:
+                worse += 1
+            if worse == PATIENCE:
+                break
         _, tau, value, covariance = best
         wald = float(value @ np.linalg.solve(covariance, value))
         # only the part of the variance that rests on tau is uncertain for want of flights (Satterthwaite)
@@ -179,20 +180,42 @@ class Mixed:
         columns = self.columns.causes[offer.cause]
         return [columns[k] for k in offer.which]
 
-    def _solve(self, grams: Sequence[np.ndarray], blocks: Sequence[tuple[list[int], np.ndarray]]) -> tuple:
+    def _fitted(
+        self, grams: np.ndarray, own: Sequence[int], spread: np.ndarray, blocks: Sequence[tuple[list[int], np.ndarray]],
+        place: Mapping[int, int],
+    ) -> tuple[float, np.ndarray, np.ndarray]:  # fmt: skip
+        """Restricted likelihood (-2 log) at a spread of the cause under test, its coefficients and covariance.
+
+        grams (F, K, n, n) of the columns in use, place {column: position among them}, own  positions of the cause's
+        """
+        rest, log = _integrated(grams, own, spread)
+        rest = rest.sum(axis=1)
+        if self.columns.nuisance:
+            rest, more = _integrated(rest, [place[c] for c in self.columns.nuisance], self.columns.spread)
+            log += more
+        left, value, covariance, information = self._solve(rest, blocks, place)
+        own = slice(len(value) - len(own), len(value))
+        return left + log + information, value[own], covariance[own, own]
+
+    def _solve(
+        self, rest: np.ndarray, blocks: Sequence[tuple[list[int], np.ndarray]], place: Mapping[int, int]
+    ) -> tuple:
         """Squared error left, the blocks' coefficients with covariance, log determinant of the information."""
-        base = self.columns.shared
+        base = [place[c] for c in self.columns.shared]
         size = 1 + len(base) + sum(len(c) for c, _ in blocks)
         total = np.zeros((size, size))
-        for f, gram in enumerate(grams):
-            source, place = [0, *base], list(range(1 + len(base)))
-            at = len(place)
-            for columns, offered in blocks:
-                if offered[f]:
-                    source += columns
-                    place += range(at, at + len(columns))
-                at += len(columns)
-            total[np.ix_(place, place)] += gram[np.ix_(source, source)]
+        groups: dict[tuple[bool, ...], list[int]] = {}
+        for f in range(len(rest)):
+            groups.setdefault(tuple(bool(offered[f]) for _, offered in blocks), []).append(f)
+        for pattern, flights in groups.items():
+            source, at = [0, *base], list(range(1 + len(base)))
+            first = len(at)
+            for (columns, _), offered in zip(blocks, pattern):
+                if offered:
+                    source += [place[c] for c in columns]
+                    at += range(first, first + len(columns))
+                first += len(columns)
+            total[np.ix_(at, at)] += rest[flights].sum(axis=0)[np.ix_(source, source)]
         if self.prior is not None:
             own = slice(1, 1 + len(base))
             total[own, own] += self.prior

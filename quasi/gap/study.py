@@ -31,7 +31,7 @@ class Study(NamedTuple):
     columns   what is what in them; names  of all columns
     blocks    per flight (B, P, P) whitened cross-products of its blocks
     raw       per flight (6, P, P) plain cross-products per channel, for mean squared errors
-    whitener  of the residuals; lacking {cause: why it cannot be asked}
+    whitener  of the residuals; lacking {cause: why it cannot be asked}; values  that causes are linearised at
     """
 
     flights: list[Evidence]
@@ -42,6 +42,7 @@ class Study(NamedTuple):
     raw: list[np.ndarray]
     whitener: Whitener
     lacking: dict[str, str]
+    values: Mapping[str, Mapping[str, float]]
 
     def mixed(self, use: Sequence[int], compared: Sequence[bool], prior: np.ndarray | None = None) -> Mixed:
         """The mixed model of some of the flights. prior  precision (shared, shared) of the model's own terms.
@@ -123,11 +124,7 @@ def gather_study(
             del asked[name]
     thinned, names, layout = [], [], None
     for flight in flights:
-        straight = flight.residual
-        for name, at in (values or {}).items():
-            if name in asked:
-                straight = straight - beyond_slope(asked[name], flight, vehicle, at)
-        parts = [("residual", straight)]
+        parts = [("residual", _straight(flight, asked, vehicle, values or {}))]
         shared = base_columns(flight)
         own = nuisances(flight)
         parts += shared + [(n, c) for n, c, _ in own]
@@ -137,8 +134,7 @@ def gather_study(
             for parameter, column in columns_of(effect, flight, vehicle, at).items():
                 causes.setdefault(name, []).append(len(parts))
                 parts.append((f"{name}: {parameter}", column))
-        stack = np.stack([column for _, column in parts], axis=2)
-        thinned.append(thin(stack, flight.breaks, flight.t, BAND, 2 * ORDER))
+        thinned.append(_thinned(flight, [column for _, column in parts]))
         if not len(thinned[-1].rows):
             raise DataError(f"flight {flight.key} has no second of valid data without a gap; fly longer")
         names = [name for name, _ in parts]
@@ -148,12 +144,49 @@ def gather_study(
         )
     breaks = [part.breaks for part in thinned]
     whitener = autoregression([_unexplained(part.columns, layout) for part in thinned], breaks, ORDER)
+    return _study(flights, thinned, layout, names, whitener, lacking, values or {})
+
+
+def moved(study: Study, effects: Mapping[str, Effect], vehicle: Vehicle, values: Mapping[str, Mapping[str, float]]) -> Study:  # fmt: skip
+    """The study with its curved causes linearised at other values; nothing else is computed anew."""
+    changed = [n for n in study.columns.causes if n in values or n in study.values]
+    thinned = []
+    for flight, old in zip(study.flights, study.thinned):
+        place, parts = [0], [_straight(flight, effects, vehicle, values)]
+        for name in changed:
+            at = values.get(name) or dict.fromkeys(effects[name].parameters, 0.0)
+            place += study.columns.causes[name]
+            parts += columns_of(effects[name], flight, vehicle, at).values()
+        columns = old.columns.copy()
+        columns[:, :, place] = _thinned(flight, parts).columns
+        thinned.append(old._replace(columns=columns))
+    return _study(study.flights, thinned, study.columns, study.names, study.whitener, study.lacking, values)
+
+
+def _straight(
+    flight: Evidence, effects: Mapping[str, Effect], vehicle: Vehicle, values: Mapping[str, Mapping[str, float]]
+) -> np.ndarray:
+    """Residual (n, 6) less what curved causes at their values are more than their slopes."""
+    return flight.residual - sum(
+        (beyond_slope(effects[n], flight, vehicle, at) for n, at in values.items() if n in effects),
+        np.zeros((len(flight), 6)),
+    )
+
+
+def _thinned(flight: Evidence, columns: Sequence[np.ndarray]) -> Thinned:
+    return thin(np.stack(columns, axis=2), flight.breaks, flight.t, BAND, 2 * ORDER)
+
+
+def _study(
+    flights: Sequence[Evidence], thinned: list[Thinned], layout: Columns, names: list[str], whitener: Whitener,
+    lacking: dict[str, str], values: Mapping[str, Mapping[str, float]],
+) -> Study:  # fmt: skip
     blocks = [
         block_grams(part.columns, part.breaks, whitener, flight.t[part.rows], BLOCK)
         for part, flight in zip(thinned, flights)
     ]
-    raw = [np.einsum("nki,nkj->kij", part.columns, part.columns) for part in thinned]
-    return Study(list(flights), thinned, layout, names, blocks, raw, whitener, lacking)
+    raw = [np.einsum("nki,nkj->kij", part.columns, part.columns, optimize=True) for part in thinned]
+    return Study(list(flights), thinned, layout, names, blocks, raw, whitener, lacking, values)
 
 
 def _first(flight: Evidence) -> Evidence:

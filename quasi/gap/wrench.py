@@ -14,7 +14,7 @@ from quasi.gap.extension import extend
 from quasi.gap.gain import Score, after, before, fraction, wrench_score
 from quasi.gap.mixed import Mixed, Offer, Test
 from quasi.gap.naming import Named, Tie, search
-from quasi.gap.study import Study, base_columns, gather_study, in_stretches, refit
+from quasi.gap.study import Study, base_columns, gather_study, in_stretches, moved, refit
 from quasi.standalone.model import AXES, Model
 
 LOOKS = 3  # how often curved causes are linearised anew
@@ -84,17 +84,18 @@ def examine(
     asked = {n: e for n, e in effects.items() if e.level == "W" and not e.finding}
     within = {n: e.limits(vehicle) for n, e in asked.items()}
     values: dict[str, Deviations] = {}
-    for _ in range(LOOKS):
-        study = gather_study(flights, asked, vehicle, values)
+    study = gather_study(flights, asked, vehicle)
+    for look in range(LOOKS):
+        study = moved(study, asked, vehicle, values) if look else study
         mixed = study.mixed(range(len(flights)), compared)
         named, ties, ranking, level = _search(mixed, asked, compared, rate, study, within)
         causes = _merged(named, asked, mixed, _given(named, ties))
         curved = {c.effect.id: dict(c.value) for c in causes if c.effect.curved is not None}
-        moved = curved.keys() != values.keys() or any(
+        elsewhere = curved.keys() != values.keys() or any(
             abs(curved[n][p] - values[n].get(p, 0.0)) > 0.02 * abs(curved[n][p]) for n in curved for p in curved[n]
         )
         values = curved
-        if not moved:
+        if not elsewhere:
             break
     _count(causes, study, asked, compared, level)
     old = wrench_score(held, before)
