@@ -8,8 +8,8 @@ which nothing else reads. One JSON per draw; a study that was stopped goes on wh
 docs/hide-and-seek.md of the files that are there, without drawing.
 
 Detectability is the |t| that the true size has, given the noise of the flights, after the model's own terms and what
-flights differ by were projected out; separability the same with the nearest other cause projected out as well. For
-causes of levels K and A, where samples are plentiful, it is the true size over the usual spread between flights.
+flights differ by were projected out; separability the same with the nearest other cause of its level projected out as
+well.
 """
 
 import argparse
@@ -46,7 +46,7 @@ from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import Effect, room_of, vehicle_of
 from quasi.gap.evidence import Evidence, gather
 from quasi.gap.gain import after
-from quasi.gap.level import Flown
+from quasi.gap.level import Flown, Level, clear
 from quasi.gap.mixed import Offer
 from quasi.standalone.model import Model
 from quasi.synthesis.physics import BEAT, FAN, FAN_WIDTH
@@ -57,13 +57,14 @@ ROOT = Path(__file__).resolve().parents[1]
 OUT = ROOT / "results/benchmarks/hide_and_seek"
 RATE, SHARE, SAMPLING = 0.01, 0.05, 100.0  # family-wise false alarms, materiality, Hz
 SURE = 0.8  # share of resamples in which a named cause must stand
-_ROOM = base_vehicle().physics.room
+_P = base_vehicle().physics
+_ROOM = _P.room
+HEALTHY = {"up": _P.lag_up, "down": _P.lag_down, "exponent": 1.0}  # the made vehicle's drive
 ROOM = {"north": [-_ROOM[0], _ROOM[0]], "east": [-_ROOM[1], _ROOM[1]], "height": _ROOM[2]}
 CLEAR, VISIBLE = 10.0, 3.0
 # what the made vehicle has anyway and a fitted model may lack: named without healthy flights, it is no wrong name
 INHERENT = {"rotor_drag", "body_drag", "blade_flapping", "axial_inflow", "vortex_ring", "rotor_interference",
             "inflow_lag", "rotor_gyroscopic", "rotor_acceleration_torque", "translational_lift"}  # fmt: skip
-TWINS = ({"imu_misalignment", "mocap_misalignment"}, {"command_delay", "telemetry_delay"})
 
 
 def draw(settings: dict[str, Any], seconds: float = 30.0, folder: Path = OUT) -> dict[str, Any]:
@@ -125,7 +126,7 @@ def seek(learned: Sequence[tuple[Recorded, Flown]], held: tuple[Recorded, Flown]
         "immaterial": [c.effect.id for c in asked.immaterial],
         "ranking": [{"id": t.offer.cause, "since": t.offer.since, "p": t.p} for t in asked.ranking[:6]],
         "processed anew": any(c is not None for c in anew),
-        "study": (asked.study, np.array(compared), effects),
+        "study": (asked.study, np.array(compared), effects, levels),
     }
 
 
@@ -135,15 +136,11 @@ def _evidence(flown: Flown, model: Model) -> Evidence:
 
 def _size(name: str, values: Mapping[str, float], study: tuple, hidden: Mapping[str, Any]) -> dict[str, Any]:
     """Detectability and separability of a planted cause; None where no column of the catalogue has its form."""
-    examined, compared, effects = study
+    examined, compared, effects, levels = study
     since = "changed" if hidden["design"] == "reference" else "always"
     true = deviation(name, values)
     if name in SENSORS or name in DRIVE:
-        count = np.sqrt(1.0 / compared.sum() + (1.0 / (~compared).sum() if (~compared).any() else 0.0))
-        size = float(np.sqrt(sum(v**2 for v in true.values())))
-        clear = size / (_usual(name, values) * count)
-        twin = any(name in pair for pair in TWINS)
-        return {"detectability": clear, "separability": 0.0 if twin else clear, "nearest": None}
+        return _lower_size(name, values, levels, since)
     if name in STRANGE:
         return {"detectability": _strange(name, values, study), "separability": None, "nearest": None}
     effect: Effect | None = effects.get(name)
@@ -166,17 +163,19 @@ def _size(name: str, values: Mapping[str, float], study: tuple, hidden: Mapping[
     return {"detectability": shown([]), "separability": beside[nearest], "nearest": nearest}
 
 
-def _usual(name: str, values: Mapping[str, float]) -> float:
-    """Usual spread of a cause of level K or A between healthy flights, in its own unit."""
-    if name in SENSORS:
-        return kinematic.SPREAD[name]
-    return {"motor_lag": 0.05 * 0.026, "command_delay": actuation.SPREAD["delay"], "battery_sag":
-            actuation.SPREAD["exponent"], "telemetry_delay": actuation.AGE_SPREAD}[name]  # fmt: skip
+def _lower_size(name: str, values: Mapping[str, float], levels: Sequence[Level], since: str) -> dict[str, Any]:
+    """Of a cause of level K or A, by the tests of that level."""
+    level = next(x for x in levels if x.level == ("K" if name in SENSORS else "A"))
+    if level.tests is None or name not in level.tests.columns.causes:
+        return {"detectability": 0.0, "separability": 0.0, "nearest": None}
+    size = kinematic.size_of(name, values) if name in SENSORS else actuation.size_of(name, values, HEALTHY)
+    shown = clear(level.tests, name, since, size)
+    return {"detectability": shown.detectability, "separability": shown.separability, "nearest": shown.nearest}
 
 
 def _strange(name: str, values: Mapping[str, float], study: tuple) -> float:
     """Of an effect without a name: its true force over the noise of the channel, memory counted."""
-    examined, compared, _ = study
+    examined, compared, *_ = study
     total = 0.0
     for flight, flag in zip(examined.flights, compared):
         if not flag:

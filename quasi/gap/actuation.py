@@ -97,6 +97,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         return _mixed(grams, compared, asked, reference, doubt)
 
     mixed = build([p.gram() for p in products])
+    level.tests = mixed
     stages = 1 if compared.all() else 2
     threshold = float(options.get("false alarm rate", 0.01)) / (stages * max(len(asked), 1))
     choice = choose(mixed, threshold, [LATE])
@@ -220,6 +221,18 @@ def _mixed(
     columns = Columns(shared, nuisance, np.array(spread), {c: [place[n] for n in CAUSES[c]] for c in asked})
     prior = np.diag(1.0 / believed**2)
     return Tests([g[np.ix_(source, source)] for g in grams], compared, columns, PRIOR_FREEDOM, prior, UNPOOLED)
+
+
+def size_of(cause: str, values: Mapping[str, float], healthy: Mapping[str, float]) -> np.ndarray:
+    """Deviation from healthy (m,) of parameters as they are stated, in the units of the cause's columns.
+
+    healthy  {"up", "down": s, "exponent": 1} of the reference that flights are compared with
+    """
+    if cause == "motor_lag":
+        return np.array([values["time_constant"] - healthy[name] for name in ("up", "down")])
+    if cause == "battery_sag":
+        return np.array([values["exponent"] - healthy["exponent"]])
+    return np.array([values["delay"]])
 
 
 def _parameters(mixed: Tests, choice: Choice, offer: Offer, fits: Sequence[DriveFit]) -> dict[str, dict[str, Any]]:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quasi.errors import DataError
-from quasi.gap.kinematic_columns import ANGLES, Weak, corrected_already, straightened, weak_form
+from quasi.gap.kinematic_columns import ANGLES, AXES, Weak, corrected_already, straightened, weak_form
 from quasi.gap.kinematic_products import added, alone, blocks_of, whitener_of
 from quasi.gap.kinematic_tables import tables
 from quasi.gap.level import Choice, Flown, Level, Tests, choose, final_test, probability, resampled, separability
@@ -59,6 +59,10 @@ LARGEST = {
 SURE = 2.0  # standard errors beyond that
 ONE_SIDED = ("attitude_error",)  # an estimate can only lean after the apparent vertical, not away from it
 NEUTRAL = {"gyro_scale": 1.0, "accelerometer_scale": 1.0}
+LABELS = dict.fromkeys(UNITS, AXES) | {
+    "imu_misalignment": ANGLES, "mocap_misalignment": ANGLES, "room_tilt": ANGLES[:2], "mocap_delay": ("delay",),
+    "clock_drift": ("rate",), "attitude_error": ("gain",),
+}  # fmt: skip
 SHOWS = {
     "gyro_bias": ("p", "q", "r"), "gyro_scale": ("p", "q", "r"), "accelerometer_bias": ("ax", "ay", "az"),
     "accelerometer_scale": ("ax", "ay", "az"), "imu_lever_arm": ("ax", "ay", "az"),
@@ -130,6 +134,7 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
             {"id": cause, "since": "always", "score": 0.0, "p": 1.0, "why_not": why}
             for cause, why in impossible.items()
         ]
+    level.tests = search.mixed
     shares = probability(resampled(search.blocks), search.build, search.choice, search.threshold)
     _report(level, search.mixed, search.choice, shares, names)
     fitted = {o: final_test(search.mixed, search.choice, o) for o in search.choice.taken}
@@ -278,6 +283,13 @@ def _true(cause: str, value: np.ndarray, std: np.ndarray) -> tuple[np.ndarray, n
     if cause not in NEUTRAL:
         return value, std
     return 1.0 / (1.0 - value), std / (1.0 - value) ** 2
+
+
+def size_of(cause: str, values: Mapping[str, float]) -> np.ndarray:
+    """Deviation from healthy (m,) of parameters as they are stated, in the units of the cause's columns."""
+    neutral = NEUTRAL.get(cause, 0.0)
+    stated = np.array([values.get(label, neutral) for label in LABELS[cause]])
+    return 1.0 - 1.0 / stated if neutral else stated
 
 
 def _parameters(names: Sequence[str], mixed: Tests, choice: Choice, offer: Offer) -> dict[str, dict[str, Any]]:

@@ -7,7 +7,7 @@ it given; when both lose, this data cannot tell them apart, and they are reporte
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -48,6 +48,7 @@ class Level:
     cannot_be_asked   id and why
     tables            {name: table} of residuals for the report
     noise_floor       {channel: rms} that no cause of this level can explain
+    tests             what causes were tested on, None where nothing could be asked
     """
 
     level: str
@@ -59,6 +60,7 @@ class Level:
     tables: dict[str, pd.DataFrame] = field(default_factory=dict)
     noise_floor: dict[str, float] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    tests: "Tests | None" = None
 
 
 @dataclass
@@ -219,6 +221,39 @@ def final_test(mixed: Tests, choice: Choice, offer: Offer) -> Test:
     """A cause beside all others that were taken, those of its own tie left out."""
     own = next(tie for tie in choice.tied.values() if offer in tie)
     return choice.test(mixed, offer, without=own)
+
+
+class Clear(NamedTuple):
+    """Standard errors by which a cause of some size stands out: alone, and beside each rival that is offered too."""
+
+    detectability: float
+    beside: dict[str, float]
+
+    @property
+    def nearest(self) -> str | None:
+        """The rival beside which it stands out least."""
+        return min(self.beside, key=self.beside.get, default=None)
+
+    @property
+    def separability(self) -> float:
+        """Standard errors beside the nearest rival."""
+        return self.beside[self.nearest] if self.beside else self.detectability
+
+
+def clear(mixed: Tests, cause: str, since: str, size: np.ndarray) -> Clear:
+    """How clearly a cause of a given size (m,) shows in the flights: sqrt(size' covariance^-1 size).
+
+    size  deviation from healthy in the units of the cause's columns. The covariance is that of the cause's parameters
+    once base, nuisances and the spread between flights are projected out, then the rival too.
+    """
+    offer = next(o for o in offers_of(mixed, since) if o.cause == cause)
+    pooled = pooled_for(mixed, since)
+
+    def shown(given: Sequence[Offer]) -> float:
+        covariance = mixed.test(offer, given, pooled).covariance
+        return float(np.sqrt(max(size @ np.linalg.solve(covariance, size), 0.0)))
+
+    return Clear(shown([]), {o.cause: shown([o]) for o in offers_of(mixed, since) if o.cause != cause})
 
 
 def separability(mixed: Tests, choice: Choice, first: Offer, second: Offer) -> float:
