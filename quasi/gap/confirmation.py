@@ -1,0 +1,211 @@
+"""Confirmation by roll-out: does a named cause, put into the simulator, lower the open-loop error on held-out flights?
+
+Windows of the held-out flights are simulated with all causes and with one left out. With that cause the simulation
+moves by D; without it the measurement deviates by
+
+    e = b D + S_nu nu + r,     nu, r as in `output_error`, their covariances from the learning flights
+
+b is 1 where the cause acts as it was named, 0 where nothing of it is there, below 0 where its sign is wrong. The
+squared error falls by (2 b - 1) D'D, so b = 1/2 divides gain from loss. How well b is known, given noise, nuisance and
+how much the flights excite the cause, is known before looking: where the standard error is large a missing gain says
+nothing.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from quasi.errors import ConfigError, DataError
+from quasi.gap import output_error
+from quasi.gap.effect import Effect, Vehicle
+from quasi.gap.evidence import Evidence
+from quasi.gap.extension import extend
+from quasi.gap.mixed import Columns, Mixed, Offer
+from quasi.gap.nuisance import nuisances
+from quasi.gap.output_error import Course, Fitted, Values
+from quasi.gap.study import BAND, ORDER, in_stretches, refit
+from quasi.gap.whitening import thin
+from quasi.gap.wrench import Cause, Found
+from quasi.standalone.model import Model
+
+CONFIRMED, REFUTED, UNJUDGED = "confirmed", "not confirmed", "cannot be judged"
+BETTER, WORSE = 1.64, 2.58  # one-sided 5 %: it gains; 0.5 %: it loses, or a gain would have been seen
+
+
+class Confirmation(NamedTuple):
+    """outcome; amplitude b with its standard error; predicted  |t| that the cause would show if it acts as named."""
+
+    outcome: str
+    amplitude: float
+    std: float
+    predicted: float
+    why: str = ""
+
+    def document(self) -> dict[str, Any]:
+        """As plain data."""
+        seen = self.std < np.inf
+        return {"outcome": self.outcome, "amplitude": {"value": self.amplitude, "std": self.std} if seen else None,
+                "predicted t": self.predicted, "window": output_error.WINDOW, "why": self.why}  # fmt: skip
+
+
+def outcome_of(amplitude: float, std: float) -> str:
+    """What an amplitude with its standard error says."""
+    if (amplitude - 0.5) / std > BETTER:
+        return CONFIRMED
+    visible = 0.5 / std > WORSE
+    if (amplitude - 0.5) / std < -WORSE or (visible and amplitude <= 0.5):
+        return REFUTED
+    return UNJUDGED
+
+
+def confirm(
+    held: Sequence[Evidence], tables: Mapping[str, pd.DataFrame], noise: np.ndarray, whole: Model,
+    without: Sequence[Model],
+) -> list[Confirmation]:  # fmt: skip
+    """Judge each cause on held-out flights.
+
+    held   evidence; tables {key: filtered flight}; noise  R of the learning flights, see `output_error.Fitted`
+    whole  model with all causes; without  for each cause the model with all but that one
+    Raises ConfigError for a model that cannot be simulated.
+    """
+    courses, other = [], []
+    spread = np.zeros(0)
+    for flight in held:
+        own = nuisances(flight)
+        spread = np.array([s for *_, s in own])
+        part = thin(np.stack([c for _, c, _ in own], axis=2), flight.breaks, flight.t, BAND, 2 * ORDER)
+        if len(part.rows):
+            courses.append(output_error.course_of(flight, tables[flight.key], part))
+            other.append(output_error.responses(courses[-1], part.columns))
+    if not sum(len(c.starts) for c in courses):
+        nothing = Confirmation(UNJUDGED, 0.0, np.inf, 0.0, "no held-out flight has a valid window")
+        return [nothing] * len(without)
+    best = [output_error.deviations(c, whole) for c in courses]
+    return [_judged(courses, other, spread, noise, best, model) for model in without]
+
+
+def _judged(
+    courses: Sequence[Course], other: Sequence[np.ndarray], spread: np.ndarray, noise: np.ndarray,
+    best: Sequence[np.ndarray], without: Model,
+) -> Confirmation:  # fmt: skip
+    grams, moved = [], 0.0
+    for course, columns, last in zip(courses, other, best):
+        error = output_error.deviations(course, without)
+        stack = np.concatenate([error[:, :, None], columns, (error - last)[:, :, None]], axis=2)
+        moved = max(moved, float(np.abs(np.nan_to_num(error - last)).max(initial=0.0)))
+        blocks = output_error.blocks_of(stack, noise, course.blocks)
+        if len(blocks):
+            grams.append(in_stretches(blocks))
+    if not grams or moved == 0.0:
+        return Confirmation(UNJUDGED, 0.0, np.inf, 0.0, "it does not act on the held-out flights")
+    size = len(spread)
+    layout = Columns([], list(range(1, size + 1)), spread, {"cause": [size + 1]})
+    test = Mixed(grams, [True] * len(grams), layout).test(Offer("cause", "always", (0,)))
+    amplitude, std = float(test.value[0]), float(test.std[0])
+    outcome = outcome_of(amplitude, std)
+    why = ""
+    if outcome == REFUTED:
+        why = (
+            f"put into the simulator, it does not lower the open-loop error on held-out flights: {amplitude:.2f} "
+            f"+- {std:.2f} of its motion is there, expected 1"
+        )
+    return Confirmation(outcome, amplitude, std, 1.0 / std, why)
+
+
+class Settled(NamedTuple):
+    """causes with the parameters to be used; what was dropped with the reason; by (id, since): both estimates' fit."""
+
+    causes: list[Cause]
+    dropped: list[tuple[Cause, Confirmation]]
+    confirmations: dict[tuple[str, str], Confirmation]
+    wrench: dict[tuple[str, str], tuple[Values, Values]]
+    fitted: Fitted | None
+    notes: list[str]
+
+
+def settle(
+    found: Found,
+    causes: Sequence[Cause],
+    model: Model,
+    compared: Sequence[bool],
+    effects: Mapping[str, Effect],
+    vehicle: Vehicle,
+    held: Sequence[Evidence],
+    tables: Mapping[str, pd.DataFrame],
+) -> Settled:
+    """Fit the causes of level W by output error and drop those that roll-outs of the held-out flights refute.
+
+    found, causes  of `wrench.examine` and those of its causes that are to be named; compared  flags of found.study's
+    flights; tables {key: filtered flight} of these and of the held-out ones
+    A cause that cannot be simulated keeps its estimate and cannot be judged.
+    """
+    kept, dropped, notes = list(causes), [], []
+    own = {_key(c): (dict(c.value), dict(c.std)) for c in causes}
+    if not kept:
+        return Settled([], [], {}, {}, None, [])
+    ranges = {n: e.limits(vehicle) for n, e in effects.items()}
+    pooled = [n for n in found.study.columns.causes if not effects[n].absorbed]
+    try:
+        course = output_error.courses_of(found.study, tables)
+        while kept:
+            anew = any(c.since == "always" for c in kept)
+            maker = Maker(model, found, kept, compared, vehicle, anew)
+            fitted = output_error.fit(found.study, compared, kept, maker, course, ranges, pooled)
+            now = [
+                replace(c, value=v, std=s) if used else c
+                for c, v, s, used in zip(kept, fitted.values, fitted.std, fitted.used)
+            ]
+            values = [c.value for c in now]
+            rest = [
+                Maker(model, found, _but(now, c), compared, vehicle, anew)(_but(values, v), True)
+                for c, v in zip(now, values)
+            ]
+            said = confirm(held, tables, fitted.noise, maker(values, True), rest)
+            refuted = [k for k, s in enumerate(said) if s.outcome == REFUTED]
+            if not refuted:
+                told = {_key(c): s for c, s in zip(now, said)}
+                return Settled(now, dropped, told, own, fitted, [*notes, *fitted.notes])
+            worst = min(refuted, key=lambda k: (said[k].amplitude - 0.5) / said[k].std)
+            dropped.append((kept.pop(worst), said[worst]))
+    except (ConfigError, DataError) as error:
+        notes.append(f"causes are not confirmed by roll-outs: {error}")
+        nothing = Confirmation(UNJUDGED, 0.0, np.inf, 0.0, str(error))
+        return Settled(kept, dropped, {_key(c): nothing for c in kept}, own, None, notes)
+    return Settled([], dropped, {}, own, None, notes)
+
+
+def _key(cause: Cause) -> tuple[str, str]:
+    return cause.effect.id, cause.since
+
+
+def _but(items: Sequence[Any], one: Any) -> list[Any]:
+    return [i for i in items if i is not one]
+
+
+class Maker:
+    """Models with causes of given parameters.
+
+    anew  whether the model's own terms are fitted anew beside the causes: what all flights have in common they had to
+    stand in for, and with and without such a cause alike
+    """
+
+    def __init__(
+        self, model: Model, found: Found, causes: Sequence[Cause], compared: Sequence[bool], vehicle: Vehicle,
+        anew: bool,
+    ) -> None:  # fmt: skip
+        self.model, self.found, self.causes = model, found, list(causes)
+        self.compared, self.vehicle, self.anew = list(compared), vehicle, anew
+
+    def __call__(self, values: Sequence[Values], changed: bool) -> Model:
+        """changed  whether what changed acts as well as what was always there."""
+        pairs = list(zip(self.causes, values))
+        changes = None
+        if self.anew:
+            own = {_key(c): {c.effect.fitted.index(n): x for n, x in v.items()} for c, v in pairs}
+            changes = refit(self.found.study, range(len(self.compared)), self.compared, own)
+        acting = [(c.effect, v) for c, v in pairs if changed or c.since == "always"]
+        name = "+".join([self.model.id, *(c.id for c, _ in acting)])
+        return Model(extend(self.model, acting, self.vehicle, name, "roll-outs", changes), f"model {name}")
