@@ -35,7 +35,7 @@ SPREAD = {"up": 0.05, "down": 0.05, "delay": 7e-4, "a0": 8.0, "a1": 40.0, "a2": 
 BELIEVED = {
     "up": 0.03,
     "down": 0.03,
-    "delay": 7e-4,
+    "delay": 1.2e-3,
     "a0": 40.0,
     "a1": 200.0,
     "a2": 200.0,
@@ -72,15 +72,19 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         why = "no compared flight has enough flying with commands and measured rotor speeds"
         level.cannot_be_asked += [{"id": c, "why": why} for c in asked]
         return level
+    whole = [_whole(f, d) for f, d in zip(used, fits)]
     if belief is None or not told:
-        middle = np.median([d.values for f, d in zip(used, fits) if not f.compared] or [d.values for d in fits], axis=0)
+        middle = np.median([v for f, v in zip(used, whole) if not f.compared] or whole, axis=0)
         reference = Belief(middle, reference_voltage(used))
         level.notes.append(
             f"the model {document.get('id', '')} does not say how its rotors follow commands; only changes between "
             "reference and compared flights can show there"
         )
     else:
-        reference = belief
+        # its delay was found with the age of the telemetry taken off or not, and does not say which
+        at = belief.values.copy()
+        at[2] += 0.5 * USUAL_AGE
+        reference = belief._replace(values=at)
     if kind == "speeds" or not any(d.volts_vary for f, d in zip(used, fits) if f.compared):
         why = ("commands are speeds, which the speed controllers hold whatever the battery" if kind == "speeds"
                else "no compared flight logs a battery voltage that varies")  # fmt: skip
@@ -89,7 +93,10 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     level.findings += weak(used, fits)
 
     compared = np.array([f.compared for f in used])
-    products = [_products(f, d, reference) for f, d in zip(used, fits)]
+    products = [
+        Products(v - reference.values, np.linalg.inv(d.covariance()), d.moves(BLOCK), _age(f))
+        for f, v, d in zip(used, whole, fits)
+    ]
 
     doubt = _doubt(document)
 
@@ -103,7 +110,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     choice = choose(mixed, threshold, [LATE])
     shares = probability(lambda rng: [p.gram(rng) for p in products], build, choice, threshold)
     _report(level, mixed, choice, shares, [d for d, flag in zip(fits, compared) if flag])
-    _tables(level, used, fits, reference)
+    _tables(level, used, fits, [v - reference.values for v in whole])
     return level
 
 
@@ -183,14 +190,13 @@ class Products(NamedTuple):
     def gram(self, rng: np.random.Generator | None = None) -> np.ndarray:
         """Cross-products (13, 13) of: difference from the reference, constants by NAMES, late telemetry.
 
-        What import took off the rotors' times is added to the delay again, less what any telemetry is late; and what
-        the motion told of the telemetry alone is a measurement of its own. rng  draws the flight's blocks anew.
+        The delay is that of command and telemetry together; what the motion told of the telemetry alone is a
+        measurement of its own. rng  draws the flight's blocks anew.
         """
         apart = self.apart.copy()
         if rng is not None:
             apart += self.moves[rng.integers(0, len(self.moves), len(self.moves))].sum(axis=0)
-        off, seen, doubt = self.age
-        apart[2] += off - USUAL_AGE
+        _, seen, doubt = self.age
         columns = np.column_stack([apart, np.eye(len(NAMES)), np.eye(len(NAMES))[:, 2]])
         gram = columns.T @ self.precision @ columns
         if doubt is not None:
@@ -200,8 +206,11 @@ class Products(NamedTuple):
         return gram
 
 
-def _products(flown: Flown, fit: DriveFit, reference: Belief) -> Products:
-    return Products(fit.values - reference.values, np.linalg.inv(fit.covariance()), fit.moves(BLOCK), _age(flown))
+def _whole(flown: Flown, fit: DriveFit) -> np.ndarray:
+    """A flight's constants (11,), the age that import took off the rotor telemetry added to the delay again."""
+    values = fit.values.copy()
+    values[2] += _age(flown)[0]
+    return values
 
 
 def _mixed(
@@ -282,11 +291,14 @@ def _report(
         )  # fmt: skip
 
 
-def _tables(level: Level, used: Sequence[Flown], fits: Sequence[DriveFit], reference: Belief) -> None:
-    """Tables "residuals" (measured minus modelled speed), "channels" (rms, whiteness), "parameters" and "spectra"."""
+def _tables(level: Level, used: Sequence[Flown], fits: Sequence[DriveFit], apart: Sequence[np.ndarray]) -> None:
+    """Tables "residuals" (measured minus modelled speed), "channels" (rms, whiteness), "parameters" and "spectra".
+
+    apart  (11,) per flight: its constants minus the reference's
+    """
     rows, channels, parameters, floors = [], [], [], []
-    for flown, fit in zip(used, fits):
-        before = fit.residual + fit.slopes @ (fit.values - reference.values)
+    for flown, fit, away in zip(used, fits, apart):
+        before = fit.residual + fit.slopes @ away
         white, _ = whiten(fit.residual[:, :, None], fit.breaks, autoregression([fit.residual], [fit.breaks], ORDER))
         table = pd.DataFrame({"t": fit.t, "flight": flown.key, **beside(flown, fit.t)})
         for i in range(4):
