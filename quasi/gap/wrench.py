@@ -201,6 +201,14 @@ def _floor(
     values: Mapping[str, Deviations], held: Sequence[Evidence], old: Score,
 ) -> np.ndarray:  # fmt: skip
     """Mean square (6,) that the model's terms and all causes together, fitted to the other flights, leave."""
+    return np.minimum(wrench_score(held, everything(study, asked, vehicle, compared, values)).mean(), old.mean())
+
+
+def everything(
+    study: Study, asked: Mapping[str, Effect], vehicle: Vehicle, compared: Sequence[bool],
+    values: Mapping[str, Deviations],
+) -> Callable[[Evidence], np.ndarray]:  # fmt: skip
+    """Fit the model's terms and all causes together; returns flight -> (n, 6), what they leave of its wrench."""
     mixed = study.mixed(range(len(study.flights)), compared)
     use = [*study.columns.shared, *(c for cause in study.columns.causes.values() for c in cause)]
     # of the compared flights alone: what they have is what a held-out one has
@@ -216,7 +224,7 @@ def _floor(
             columns += list(columns_of(asked[cause], flight, vehicle, at).values())
         return flight.residual - np.einsum("k,knj->nj", coefficients, np.array(columns))
 
-    return np.minimum(wrench_score(held, residual).mean(), old.mean())
+    return residual
 
 
 def _material(
