@@ -12,7 +12,6 @@ nothing.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,9 +22,10 @@ from quasi.gap import output_error
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.extension import extend
+from quasi.gap.linear_response import Course
 from quasi.gap.mixed import Columns, Mixed, Offer
 from quasi.gap.nuisance import nuisances
-from quasi.gap.output_error import Course, Fitted, Values
+from quasi.gap.output_error import Fitted, Values
 from quasi.gap.study import BAND, ORDER, in_stretches, refit
 from quasi.gap.whitening import thin
 from quasi.gap.wrench import Cause, Found
@@ -33,6 +33,8 @@ from quasi.standalone.model import Model
 
 CONFIRMED, REFUTED, UNJUDGED = "confirmed", "not confirmed", "cannot be judged"
 BETTER, WORSE = 1.64, 2.58  # one-sided 5 %: it gains; 0.5 %: it loses, or a gain would have been seen
+
+TWICE = 2.0  # a cause that would have to act twice as strongly as it was named is another one
 
 
 class Confirmation(NamedTuple):
@@ -53,12 +55,10 @@ class Confirmation(NamedTuple):
 
 def outcome_of(amplitude: float, std: float) -> str:
     """What an amplitude with its standard error says."""
-    if (amplitude - 0.5) / std > BETTER:
-        return CONFIRMED
     visible = 0.5 / std > WORSE
-    if (amplitude - 0.5) / std < -WORSE or (visible and amplitude <= 0.5):
+    if (amplitude - 0.5) / std < -WORSE or (visible and amplitude <= 0.5) or (amplitude - TWICE) / std > WORSE:
         return REFUTED
-    return UNJUDGED
+    return CONFIRMED if (amplitude - 0.5) / std > BETTER else UNJUDGED
 
 
 def confirm(
@@ -78,8 +78,8 @@ def confirm(
         spread = np.array([s for *_, s in own])
         part = thin(np.stack([c for _, c, _ in own], axis=2), flight.breaks, flight.t, BAND, 2 * ORDER)
         if len(part.rows):
-            courses.append(output_error.course_of(flight, tables[flight.key], part))
-            other.append(output_error.responses(courses[-1], part.columns))
+            courses.append(output_error.windows_in(flight, tables[flight.key], part))
+            other.append(output_error.sensitivities(courses[-1], part.columns))
     if not sum(len(c.starts) for c in courses):
         nothing = Confirmation(UNJUDGED, 0.0, np.inf, 0.0, "no held-out flight has a valid window")
         return [nothing] * len(without)
@@ -96,7 +96,7 @@ def _judged(
         error = output_error.deviations(course, without)
         stack = np.concatenate([error[:, :, None], columns, (error - last)[:, :, None]], axis=2)
         moved = max(moved, float(np.abs(np.nan_to_num(error - last)).max(initial=0.0)))
-        blocks = output_error.blocks_of(stack, noise, course.blocks)
+        blocks = output_error.blocks_of(stack, noise, output_error.blocks_in(course))
         if len(blocks):
             grams.append(in_stretches(blocks))
     if not grams or moved == 0.0:
@@ -109,19 +109,27 @@ def _judged(
     why = ""
     if outcome == REFUTED:
         why = (
-            f"put into the simulator, it does not lower the open-loop error on held-out flights: {amplitude:.2f} "
-            f"+- {std:.2f} of its motion is there, expected 1"
+            f"roll-outs of the held-out flights do not confirm it: they show {amplitude:.2f} +- {std:.2f} of the "
+            "motion that it makes in the simulator, expected 1"
         )
     return Confirmation(outcome, amplitude, std, 1.0 / std, why)
 
 
+class Estimate(NamedTuple):
+    """Parameters by output error: deviations from neutral, standard errors, whether they agree with the cause's own."""
+
+    value: Values
+    std: Values
+    agrees: bool
+
+
 class Settled(NamedTuple):
-    """causes with the parameters to be used; what was dropped with the reason; by (id, since): both estimates' fit."""
+    """causes that stand, as they came; those dropped, with the reason; by (id, since): what roll-outs say of each."""
 
     causes: list[Cause]
     dropped: list[tuple[Cause, Confirmation]]
     confirmations: dict[tuple[str, str], Confirmation]
-    wrench: dict[tuple[str, str], tuple[Values, Values]]
+    estimates: dict[tuple[str, str], Estimate]
     fitted: Fitted | None
     notes: list[str]
 
@@ -140,49 +148,58 @@ def settle(
 
     found, causes  of `wrench.examine` and those of its causes that are to be named; compared  flags of found.study's
     flights; tables {key: filtered flight} of these and of the held-out ones
-    A cause that cannot be simulated keeps its estimate and cannot be judged.
+    Parameters by output error are put into the simulator to confirm a cause, where they agree with its own; the cause
+    keeps those of the forces and moments. Causes that cannot be simulated cannot be judged, and stand.
     """
-    kept, dropped, notes = list(causes), [], []
-    own = {_key(c): (dict(c.value), dict(c.std)) for c in causes}
+    kept, dropped = list(causes), []
     if not kept:
         return Settled([], [], {}, {}, None, [])
     ranges = {n: e.limits(vehicle) for n, e in effects.items()}
     pooled = [n for n in found.study.columns.causes if not effects[n].absorbed]
     try:
-        course = output_error.courses_of(found.study, tables)
+        windows = output_error.windows_of(found.study, tables)
         while kept:
             anew = any(c.since == "always" for c in kept)
             maker = Maker(model, found, kept, compared, vehicle, anew)
-            fitted = output_error.fit(found.study, compared, kept, maker, course, ranges, pooled)
-            now = [
-                replace(c, value=v, std=s) if used else c
-                for c, v, s, used in zip(kept, fitted.values, fitted.std, fitted.used)
-            ]
-            values = [c.value for c in now]
+            fitted = output_error.fit(found.study, compared, kept, maker, windows, ranges, pooled)
+            values = [v if used else c.value for c, v, used in zip(kept, fitted.values, fitted.used)]
             rest = [
-                Maker(model, found, _but(now, c), compared, vehicle, anew)(_but(values, v), True)
-                for c, v in zip(now, values)
+                Maker(model, found, _but(kept, k), compared, vehicle, anew)(_but(values, k), True)
+                for k in range(len(kept))
             ]
             said = confirm(held, tables, fitted.noise, maker(values, True), rest)
+            said = [_lenient(s) if _of_flight(c) else s for c, s in zip(kept, said)]
             refuted = [k for k, s in enumerate(said) if s.outcome == REFUTED]
             if not refuted:
-                told = {_key(c): s for c, s in zip(now, said)}
-                return Settled(now, dropped, told, own, fitted, [*notes, *fitted.notes])
+                estimates = {_key(c): Estimate(*e) for c, *e in zip(kept, fitted.values, fitted.std, fitted.used)}
+                told = {_key(c): s for c, s in zip(kept, said)}
+                return Settled(kept, dropped, told, estimates, fitted, fitted.notes)
             worst = min(refuted, key=lambda k: (said[k].amplitude - 0.5) / said[k].std)
             dropped.append((kept.pop(worst), said[worst]))
     except (ConfigError, DataError) as error:
-        notes.append(f"causes are not confirmed by roll-outs: {error}")
         nothing = Confirmation(UNJUDGED, 0.0, np.inf, 0.0, str(error))
-        return Settled(kept, dropped, {_key(c): nothing for c in kept}, own, None, notes)
-    return Settled([], dropped, {}, own, None, notes)
+        note = f"the named causes could not be confirmed by roll-outs: {error}"
+        return Settled(kept, dropped, {_key(c): nothing for c in kept}, {}, None, [note])
+    return Settled([], dropped, {}, {}, None, [])
+
+
+def _of_flight(cause: Cause) -> bool:
+    return any(cause.effect.parameters[n].scope == "f" for n in cause.value)
+
+
+def _lenient(said: Confirmation) -> Confirmation:
+    """What every flight has its own value of cannot be refuted by a flight that has another one."""
+    if said.outcome != REFUTED:
+        return said
+    return said._replace(outcome=UNJUDGED, why="each flight has its own value of it")
 
 
 def _key(cause: Cause) -> tuple[str, str]:
     return cause.effect.id, cause.since
 
 
-def _but(items: Sequence[Any], one: Any) -> list[Any]:
-    return [i for i in items if i is not one]
+def _but(items: Sequence[Any], one: int) -> list[Any]:
+    return [item for k, item in enumerate(items) if k != one]
 
 
 class Maker:

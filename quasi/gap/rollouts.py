@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from quasi.attitude import conjugate, from_euler, logarithm, multiply, rotate, rotate_inverse
 from quasi.gap.gain import states_of
 from quasi.simulation.replay import replay, steps_of, twelve
 from quasi.simulation.rollout import errors
@@ -16,6 +17,8 @@ EVERY = 0.2  # s between the starts of two windows
 COMMANDED = tuple(f"w{i}_CMD" for i in range(1, 5))
 SHARES = tuple(f"command{i}" for i in range(1, 5))
 QUANTITIES = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
+OUTPUTS = 12  # of `vectors`
+CHANNELS = {"Fx": "velocity x", "Fy": "velocity y", "Fz": "velocity z", "Mx": "rate x", "My": "rate y", "Mz": "rate z"}
 MEASURED, TOLD = "R", "R commands"  # driven by measured rotor speeds, by commands
 BLOCK, DRAWS = 5.0, 200
 
@@ -85,10 +88,41 @@ def simulated(
     air = None if wind is None else np.ascontiguousarray(np.broadcast_to(np.asarray(wind, float), (len(flight.t), 3)))
     extra = {n: np.nan_to_num(flight.table[n].to_numpy(float)) for n in model.inputs[20:] if n in flight.table}
     commands = None if commands is None else np.nan_to_num(commands)
-    run = replay(
-        model, flight.t, flight.states, flight.speeds, starts, horizon, commands, None, air, extra or None, offsets
+    shift, states = _shift_of(model), flight.states
+    if shift.any():  # what is measured at the configured cg, at the true one
+        states = states.copy()
+        states[:, 3:6] += np.cross(states[:, 6:9], shift)
+        states[:, 9:] += rotate(from_euler(*states[:, :3].T), shift)
+    run = twelve(
+        replay(model, flight.t, states, flight.speeds, starts, horizon, commands, None, air, extra or None, offsets)
     )
-    return twelve(run)
+    if shift.any():
+        run[..., 3:6] -= np.cross(run[..., 6:9], shift)
+        run[..., 9:] -= rotate(from_euler(*np.moveaxis(run[..., :3], -1, 0)), shift)
+    return run
+
+
+def _shift_of(model: Model) -> np.ndarray:
+    """True minus configured cg (3,), m, body axes, by the model's extensions."""
+    found = [(e.get("airframe") or {}).get("cg offset") for e in model.document.get("extensions") or []]
+    return np.sum([np.zeros(3), *(np.asarray(f, float) for f in found if f is not None)], axis=0)
+
+
+def vectors(run: np.ndarray, flight: Flight, starts: np.ndarray, lags: np.ndarray) -> np.ndarray:
+    """Measured minus simulated at `lags` rows after the starts (S, K, OUTPUTS), along the measured body axes.
+
+    run  (S, steps + 1, 12) of `simulated`
+    Velocity in the earth frame, m/s; attitude as a rotation vector, rad; rates, rad/s; position, m. NaN where a window
+    has diverged.
+    """
+    run, measured = run[:, lags], flight.states[np.asarray(starts, int)[:, None] + lags]
+    q, wanted = (from_euler(*np.moveaxis(s[..., :3], -1, 0)) for s in (run, measured))
+    with np.errstate(invalid="ignore", over="ignore"):
+        velocity = measured[..., 3:6] - rotate_inverse(wanted, rotate(q, run[..., 3:6]))
+        turn = logarithm(multiply(conjugate(q), wanted))
+        position = rotate_inverse(wanted, measured[..., 9:] - run[..., 9:])
+        found = np.concatenate([velocity, turn, measured[..., 6:9] - run[..., 6:9], position], axis=-1)
+    return np.where(np.isfinite(found).all(axis=(1, 2))[:, None, None], found, np.nan)
 
 
 def end_errors(model: Model, flights: Sequence[Flight], horizons: Sequence[float], driven: str) -> pd.DataFrame:
