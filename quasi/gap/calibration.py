@@ -21,6 +21,7 @@ CORRECTS: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "accelerometer_scale": ("imu", "accelerometer scale", ("x", "y", "z")),
     "imu_misalignment": ("imu", "misalignment", ("roll", "pitch", "yaw")),
     "imu_lever_arm": ("imu", "lever arm", ("x", "y", "z")),
+    "marker_offset": ("capture", "marker offset", ("x", "y", "z")),
     "mocap_misalignment": ("capture", "misalignment", ("roll", "pitch", "yaw")),
     "room_tilt": ("capture", "room tilt", ("roll", "pitch")),
     "mocap_delay": ("capture", "rotation delay", ("delay",)),

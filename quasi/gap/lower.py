@@ -5,10 +5,11 @@ from typing import Any
 
 import pandas as pd
 
-from quasi.gap import actuation, kinematic
+from quasi.gap import actuation, kinematic, points
 from quasi.gap.calibration import document
 from quasi.gap.effect import Effect
 from quasi.gap.level import Flown, Level
+from quasi.standalone.model import Model
 from quasi.tables import COLUMNS
 
 UNITS = {
@@ -28,6 +29,8 @@ def examine(
     """
     options = {"false alarm rate": settings["false alarm rate"] / 3.0, "effects": list(effects)}
     levels = [kinematic.examine(flights, options), actuation.examine(flights, model, options)]
+    if points.MARKERS in effects:
+        points.settle(levels[0], flights, Model(model, "the compared model"))
     told = document(levels)
     return {**told, "levels": {level.level: plain(level) for level in levels}}, levels
 

@@ -5,7 +5,8 @@ A document (schema "quasi.calibration/1") states the truth about the sensors; no
               true), misalignment (3: rotation vector that carries the assumed sensor axes onto the true ones), lever
               arm (3: IMU minus cg, m)
     capture   misalignment (3: assumed marker axes onto the true ones), room tilt (2: roll and pitch that carry the
-              assumed room axes onto the true ones), rotation delay (s that the rotation is late behind the position)
+              assumed room axes onto the true ones), rotation delay (s that the rotation is late behind the position),
+              marker offset (3: tracked point minus where it is configured, m, body axes)
     clock     rate (by which the on-board clock runs fast)
     telemetry age (s that rotor speeds are logged late)
 Measured = scale x (true axes' x true) + bias, so true = turned(misalignment) ((measured - bias) / scale).
@@ -36,7 +37,7 @@ KNOWN: dict[str, dict[str, tuple[int, float]]] = {
         "misalignment": (3, 0.0),
         "lever arm": (3, 0.0),
     },
-    "capture": {"misalignment": (3, 0.0), "room tilt": (2, 0.0), "rotation delay": (1, 0.0)},
+    "capture": {"misalignment": (3, 0.0), "room tilt": (2, 0.0), "rotation delay": (1, 0.0), "marker offset": (3, 0.0)},
     "clock": {"rate": (1, 0.0)},
     "telemetry": {"age": (1, 0.0)},
 }

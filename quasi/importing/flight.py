@@ -77,10 +77,14 @@ def import_flight(
     poles, poles_source = _poles(quadrotor)
     recording = read_onboard(flight, quadrotor, poles)
     board = gather(recording, where, notes)
+    marker = _triple(quadrotor.get("optitrack marker cg offset"), "optitrack marker cg offset")
+    moved = ((calibration or {}).get("capture") or {}).get("marker offset")
+    if moved is not None:
+        marker = np.asarray(moved, float) + (np.zeros(3) if marker is None else marker)
+        quadrotor = {**quadrotor, "optitrack marker cg offset": marker.tolist()}
     capture, captured = _read_capture(flight, quadrotor, chosen, recording, board, notes)
     ends = limits.clipped_ends(board, recording.metadata.get("units") or {})
     if calibration is not None:
-        marker = _triple(quadrotor.get("optitrack marker cg offset"), "optitrack marker cg offset")
         board, capture = calibrated_onboard(board, calibration), calibrated_capture(capture, marker, calibration)
         if (calibration.get("imu") or {}).get("lever arm") and "imu position" not in quadrotor:
             chosen["do onboard c.g. correction"] = False  # what hover would tell is in the calibration

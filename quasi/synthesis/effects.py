@@ -223,6 +223,10 @@ OFFERED: dict[str, tuple[dict[str, Parameter], Change]] = {
         _axes("x y z", "m", 0.0, -0.1, 0.1),
         lambda s, v: _inertial(s, position=s.inertial.position + _vector(v)),
     ),
+    "marker_offset": (
+        _axes("x y z", "m", 0.0, -0.1, 0.1),
+        lambda s, v: _capture(s, offset=s.capture.offset + _vector(v)),
+    ),
     "imu_misalignment": (
         _axes("roll pitch yaw", "rad", 0.0, -0.5, 0.5),
         lambda s, v: _inertial(s, axes=_turn(s.inertial.axes, v)),

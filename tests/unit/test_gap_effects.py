@@ -29,7 +29,7 @@ LEVELS = {  # what the catalogue promises
     "rotor_tilt rotor_gyroscopic rotor_acceleration_torque mass inertia cg_offset wind gusts payload_swing tether "
     "telemetry_delay",
     "A": "battery_sag motor_lag command_delay actuator_saturation",
-    "K": "imu_lever_arm imu_misalignment accelerometer_bias accelerometer_scale gyro_bias gyro_scale "
+    "K": "imu_lever_arm marker_offset imu_misalignment accelerometer_bias accelerometer_scale gyro_bias gyro_scale "
     "mocap_misalignment room_tilt mocap_delay clock_drift attitude_error timestamp_fault vibration",
 }
 FINDINGS = {"gusts", "vibration", "timestamp_fault", "actuator_saturation"}
