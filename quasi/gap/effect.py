@@ -111,7 +111,8 @@ class Extension:
     airframe     constants replaced: "mass", "inertia", "cg offset"
     actuators    "time constant", "delay", "voltage exponent", "telemetry delay", "rotor speed scale"
     environment  "wind" (north, east, down), m/s
-    states       parts with a memory of their own: "swinging load"
+    states       parts with states of their own: "swinging load" (mass kg, length m), "inflow lag" (time constant s,
+                 gain N s2); terms of the cause stand in for such a part where its states are not carried
     """
 
     terms: dict[str, list[tuple[str, float]]] = field(default_factory=dict)

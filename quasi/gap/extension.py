@@ -11,11 +11,12 @@ import numpy as np
 import pandas as pd
 
 from quasi import attitude
+from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
-from quasi.gap.effect import Effect, Extension, Values, Vehicle
+from quasi.gap.effect import EARTH, Effect, Extension, Values, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.pendulum import pull_of
-from quasi.standalone.model import AXES, Model
+from quasi.standalone.model import AXES, ROTORS, Model
 
 
 def extension_of(effect: Effect, values: Values, vehicle: Vehicle, model: Model) -> Extension:
@@ -62,12 +63,13 @@ def extend(
         if "cg offset" in extension.airframe:
             for axis, parts in _moments_of(model, np.asarray(extension.airframe["cg offset"]), effect.id).items():
                 terms.setdefault(axis, []).extend(parts)
+        stands = "inflow lag" if "inflow lag" in extension.states else None
         for axis, parts in terms.items():
             if axis not in document["axes"]:
                 raise ConfigError(
                     f"cause '{effect.id}' adds to {axis}, which model {model.id} lacks; identify that axis too"
                 )
-            document["axes"][axis]["terms"] += [_term(effect.id, text, value, axis) for text, value in parts]
+            document["axes"][axis]["terms"] += [_term(effect.id, text, value, axis, stands) for text, value in parts]
         for key in ("mass", "inertia"):
             if key in extension.airframe:
                 document["airframe"][key] = extension.airframe[key]
@@ -84,6 +86,9 @@ def extend(
                 "states": extension.states,
             }
         )
+    for section in document["extensions"]:
+        if "swinging load" in section["states"]:
+            _hang(document, float(section["states"]["swinging load"]["mass"]), section["id"])
     ids = ", ".join(effect.id for effect, _ in causes) or "nothing"
     document["notes"] = [*document.get("notes", []), f"{where}: model {model.id} extended by {ids}"]
     document["provenance"] = {**document.get("provenance", {}), "extended from": model.id, "by": where}
@@ -91,9 +96,28 @@ def extend(
     return document
 
 
-def _term(cause: str, expression: str, coefficient: float, axis: str) -> dict[str, Any]:
+def _hang(document: dict[str, Any], load: float, cause: str) -> None:
+    """Terms for a load that hangs at rest along the apparent vertical, in predictions without its swing.
+
+    It takes the share load/(mass + load) off the aerodynamic force: as if it were fixed at the cg.
+    """
+    mass, axes = document["airframe"]["mass"], document["axes"]
+    if mass is None or any(axis not in axes for axis in AXES[:3]):
+        lacks = "mass; fill in 'Mass' in the logbook" if mass is None else "force along x, y or z; identify all three"
+        raise ConfigError(f"cause '{cause}' is a load that pulls at the vehicle, but the model knows no {lacks}")
+    share = load / (mass + load)
+    for axis, upright in zip(AXES[:3], EARTH["z"]):
+        terms = [(t["expression"], -share * t["coefficient"]) for t in axes[axis]["terms"] if t["coefficient"]]
+        if document["gravity"] != "withGravity":
+            terms.append((upright, share * mass * GRAVITY))
+        axes[axis]["terms"] += [_term(cause, text, value, axis, "swinging load") for text, value in terms]
+
+
+def _term(cause: str, expression: str, coefficient: float, axis: str, stands: str | None = None) -> dict[str, Any]:
+    """A term of a cause. stands  the part with states of its own that it stands in for in quasi-steady predictions."""
     unit = "N" if axis.startswith("F") else "N m"
     return {
+        **({"stands for": stands} if stands else {}),
         "name": f"{cause}: {expression if len(expression) <= 40 else expression[:37] + '...'}",
         "expression": expression, "coefficient": coefficient, "std": 0.0, "plain std": 0.0, "t": None, "unit": unit,
         "fixed": True, "given": True, "extension": cause,
@@ -120,9 +144,25 @@ def _moments_of(model: Model, shift: np.ndarray, cause: str) -> dict[str, list[t
     return result
 
 
+def _true_speeds(extended: Model, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """A flight's columns with the rotor speeds as they were, where extensions say how the recorded ones are wrong."""
+    result = dict(columns)
+    for extension in extended.document.get("extensions", []):
+        said = extension.get("actuators", {})
+        late, scale = said.get("telemetry delay", 0.0), said.get("rotor speed scale", 1.0)
+        if late or scale != 1.0:
+            for name in ROTORS:
+                result[name] = (result[name] + late * result[f"{name}_dot"]) / scale
+                result[f"{name}_dot"] = result[f"{name}_dot"] / scale
+    return result
+
+
 def shown(extended: Model, base: Model, flight: Evidence) -> np.ndarray:
-    """Wrench (n, 6) that the instruments, read with the configured constants, would show if the model were right."""
-    columns: Mapping[str, np.ndarray] = dict(flight.columns)
+    """Wrench (n, 6) that the instruments, read with the configured constants, would show if the model were right.
+
+    Of parts with states of their own a load swings here, see `pendulum`; air that follows late does so to first order.
+    """
+    columns = _true_speeds(extended, flight.columns)
     wind = extended.document.get("environment", {}).get("wind")
     if wind is not None:
         along = attitude.rotate_inverse(flight.quaternion, np.asarray(wind, float))
@@ -132,11 +172,14 @@ def shown(extended: Model, base: Model, flight: Evidence) -> np.ndarray:
     configured = base.airframe.mass if base.airframe.mass is not None else mass
     inertia, own = np.asarray(extended.airframe.inertia), flight.inertia
     turning = np.linalg.solve(inertia, (wrench[:, 3:] - flight.gyroscopic(inertia)).T).T
-    force = wrench[:, :3] * (configured / mass if mass else 1.0)
+    scale = configured / mass if mass else 1.0
+    force = wrench[:, :3] * scale
     for extension in extended.document.get("extensions", []):
         load = extension.get("states", {}).get("swinging load")
-        if load:
-            force = force + load["mass"] * pull_of(flight, load["length"])
+        if load:  # it swings instead of hanging at rest
+            weight = 0.0 if extended.with_gravity else mass * GRAVITY * flight.down
+            bare = (wrench[:, :3] - weight) * (mass + load["mass"]) / mass + weight
+            force = bare * scale + load["mass"] * pull_of(flight, load["length"])
     shift = np.zeros(3)
     for extension in extended.document.get("extensions", []):
         shift = shift + np.asarray(extension.get("airframe", {}).get("cg offset", np.zeros(3)), float)

@@ -1,7 +1,8 @@
 """The physics of a simulated quadrotor, once: rigid body, rotor lag and model as one compiled derivative.
 
 State x (17,): 0:4 attitude w x y z (body to earth); 4:7 u v w over ground (m/s, body); 7:10 p q r (rad/s);
-10:13 x y z (m, earth NED); 13:17 rotor speeds W1..W4 (rad/s), the states of the rotors.
+10:13 x y z (m, earth NED); 13:17 rotor speeds W1..W4 (rad/s), the states of the rotors. Where parts of the vehicle have
+states of their own, these stand behind (`parts`).
 
     dq/dt = q (0, omega) / 2
     dv/dt = (F - F0)/m + R' g - omega x v            (R' g only where the model's forces leave gravity out)
@@ -13,8 +14,8 @@ F, M come from the compiled model at the velocity through the air v - R' wind, w
 W bounded by a fault's cap, times the root of the rotor's effectiveness (a rotor that makes a share e of the thrust and
 torque at its speed acts like a whole one at sqrt(e) W). Rotor accelerations go to the terms that ask for them.
 
-What does not change within a step stands in `held` (HELD + extras,), what never changes in `body` (BODY,); see the
-offsets below. Compiled functions take their arrays one by one: taking one out of a tuple counts a reference, and in a
+What does not change within a step stands in `held` (HELD + extras,), what never changes in `body` (BODY,); where, says
+`layout`. Compiled functions take their arrays one by one: taking one out of a tuple counts a reference, and in a
 step of two microseconds that would cost more than the physics.
 Source: Stevens, Lewis & Johnson, Aircraft Control and Simulation, 3rd ed., 2016, section 1.7.
 """
@@ -25,30 +26,29 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from quasi.simulation.layout import (
+    ANGLES,
+    BODY,
+    CAP,
+    DOWN,
+    EXTRAS,
+    GRAVITY_ADDED,
+    INERTIA,
+    INVERSE,
+    MASS,
+    OFFSET,
+    OWN,
+    RATE,
+    ROTORS,
+    SHARE,
+    SLOPE,
+    STATES,
+    TARGET,
+    UP,
+    WIND,
+)
+from quasi.simulation.parts import own_loads, own_slopes, settle, straighten
 from quasi.standalone.kernel import Kernel, wrench
-
-STATES = 17
-Q, V, OMEGA, POSITION, ROTORS = 0, 4, 7, 10, 13  # first entries in the state
-
-# first entries in `held`
-TARGET = 0  # (4,) rotor speeds that the rotors move to, rad/s
-SLOPE = 4  # (4,) rotor accelerations that are given for the step, rad/s2; NaN where the lag decides
-SHARE = 8  # (4,) square roots of the rotors' effectiveness
-CAP = 12  # (4,) greatest speeds that the rotors reach, rad/s; inf without a fault
-WIND = 16  # (3,) velocity of the air, m/s, earth NED
-EXTRAS = 19  # further inputs of the model, in the order of its kernel
-HELD = EXTRAS
-
-# first entries in `body`, the constants of the rigid body and its rotors
-MASS = 0  # kg
-GRAVITY_ADDED = 1  # m/s2, 0 where the model's forces hold gravity
-INERTIA = 2  # (9,) kg m2, row by row, body axes about the cg
-INVERSE = 11  # (9,) its inverse
-OFFSET = 20  # (6,) N, N m, subtracted from the model's forces and moments
-UP, DOWN = 26, 30  # (4,) s, time constants of the rotors when speeding up and slowing down; 0 for no lag
-RATE = 34  # rad/s2, the greatest |dW/dt|
-ANGLES = 35  # 1 where a term of the model asks for roll, pitch or yaw
-BODY = 36
 
 
 class Scratch(NamedTuple):
@@ -58,8 +58,8 @@ class Scratch(NamedTuple):
     work: np.ndarray
     loads: np.ndarray  # (6,) forces and moments at the step's beginning
     last: np.ndarray  # (6,) and at its last stage
-    slopes: np.ndarray  # (4, 17) of the stages
-    middle: np.ndarray  # (17,)
+    slopes: np.ndarray  # (4, 17 + own states) of the stages
+    middle: np.ndarray  # (17 + own states,)
 
 
 @njit(cache=True, error_model="numpy")
@@ -69,12 +69,12 @@ def inputs_of(kernel: Kernel) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def scratch_of(kernel: Kernel) -> Scratch:
-    """Room for one simulation of this model."""
+def scratch_of(kernel: Kernel, own: int = 0) -> Scratch:
+    """Room for one simulation of this model. own  number of states beyond the seventeen."""
     code = kernel.code
     return Scratch(
         np.zeros(inputs_of(kernel)), np.zeros(int(code[0]) + int(code[1]) + int(code[3])), np.zeros(6), np.zeros(6),
-        np.zeros((4, STATES)), np.zeros(STATES),
+        np.zeros((4, STATES + own)), np.zeros(STATES + own),
     )  # fmt: skip
 
 
@@ -93,7 +93,7 @@ def body_of(
     mass kg; inertia (3, 3) kg m2; kernel  of the model; gravity m/s2, 0 where the model's forces hold it;
     up, down (4,) s; rate rad/s2; offset (6,) N, N m
     """
-    body = np.empty(BODY)
+    body = np.zeros(BODY)
     body[MASS], body[GRAVITY_ADDED], body[RATE] = mass, gravity, rate
     body[INERTIA : INERTIA + 9] = np.asarray(inertia, float).ravel()
     body[INVERSE : INVERSE + 9] = np.linalg.inv(np.asarray(inertia, float)).ravel()
@@ -148,6 +148,27 @@ def loads_at(x, held, kernel, body, inputs, work, out):
     wrench(kernel, inputs, work, out)
     for i in range(6):
         out[i] -= body[OFFSET + i]
+    if body[OWN] != 0.0:
+        own_loads(x, body, inputs, out)
+
+
+@njit(cache=True, error_model="numpy")
+def rest(x, held, kernel, body, inputs, work, out):
+    """Put the states of the parts in x (17 + own,) to rest, see `parts.settle`; the others stay. out (6,) is room."""
+    if body[OWN] != 0.0:
+        bare = body.copy()
+        bare[OWN] = 0.0
+        loads_at(x, held, kernel, bare, inputs, work, out)
+        settle(x, inputs, out, body)
+
+
+def with_rest(x: np.ndarray, held: np.ndarray, kernel: Kernel, body: np.ndarray) -> np.ndarray:
+    """The state x (17,) followed by the states of the parts at rest; (17 + own,)."""
+    own = int(body[OWN])
+    whole = np.concatenate([np.asarray(x, float), np.zeros(own)])
+    scratch = scratch_of(kernel, own)
+    rest(whole, held, kernel, body, scratch.inputs, scratch.work, scratch.loads)
+    return whole
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -182,6 +203,8 @@ def equations(x, loads, held, body, slopes, row):
     slopes[row, 12] = vz + w * tz + rx * ty - ry * tx
     for i in range(4):
         slopes[row, ROTORS + i] = rotor_slope(i, x[ROTORS + i], held, body)
+    if body[OWN] != 0.0:
+        own_slopes(x, loads, held, body, slopes, row)
 
 
 @njit(cache=True, error_model="numpy")
@@ -215,6 +238,8 @@ def advance(method, dt, x, held, kernel, body, inputs, work, loads, last, slopes
         before = max(stage - 1, 0)
         for i in range(STATES):
             middle[i] = x[i] + share * slopes[before, i]
+        for i in range(STATES, len(x)):
+            middle[i] = x[i] + share * slopes[before, i]
         loads_at(middle, held, kernel, body, inputs, work, last)
         equations(middle, last, held, body, slopes, stage)
         if stage == 0:
@@ -223,7 +248,13 @@ def advance(method, dt, x, held, kernel, body, inputs, work, loads, last, slopes
     if method == EULER:
         for i in range(STATES):
             x[i] += dt * slopes[0, i]
+        for i in range(STATES, len(x)):
+            x[i] += dt * slopes[0, i]
     else:
         for i in range(STATES):
             x[i] += dt / 6.0 * (slopes[0, i] + 2.0 * slopes[1, i] + 2.0 * slopes[2, i] + slopes[3, i])
+        for i in range(STATES, len(x)):
+            x[i] += dt / 6.0 * (slopes[0, i] + 2.0 * slopes[1, i] + 2.0 * slopes[2, i] + slopes[3, i])
     unit(x)
+    if body[OWN] != 0.0:
+        straighten(x, body)

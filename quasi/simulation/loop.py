@@ -13,7 +13,19 @@ from numba import njit
 
 from quasi.attitude import GRAVITY
 from quasi.simulation.controllers import controller_step
-from quasi.simulation.dynamics import (
+from quasi.simulation.dynamics import advance, inputs_of, loads_at, rotor_slope, scratch_of
+from quasi.simulation.environment import (
+    GUST_ROW,
+    SEEN,
+    SENSOR_ROW,
+    Sensors,
+    blow,
+    first_gust,
+    next_gust,
+    seeded,
+    sense,
+)
+from quasi.simulation.layout import (
     CAP,
     EXTRAS,
     GRAVITY_ADDED,
@@ -27,22 +39,6 @@ from quasi.simulation.dynamics import (
     TARGET,
     UP,
     WIND,
-    advance,
-    inputs_of,
-    loads_at,
-    rotor_slope,
-    scratch_of,
-)
-from quasi.simulation.environment import (
-    GUST_ROW,
-    SEEN,
-    SENSOR_ROW,
-    Sensors,
-    blow,
-    first_gust,
-    next_gust,
-    seeded,
-    sense,
 )
 from quasi.simulation.references import goal_at
 from quasi.standalone.kernel import Kernel
@@ -89,7 +85,7 @@ class Machine(NamedTuple):
     kernel, body  see `dynamics`; fault (9,); wind (9,), wind_table (T, 4), see `environment`
     controller, gains, reference, path, table  see `controllers` and `references`
     dt s, between two commands; substeps of the integrator within it; method EULER or RK4
-    limits (17,): a state beyond them has diverged
+    limits (17,): a state beyond them has diverged; clock: place of the time among the model's extra inputs, -1 for none
     """
 
     kernel: Kernel
@@ -109,12 +105,13 @@ class Machine(NamedTuple):
     substeps: int
     method: int
     limits: np.ndarray
+    clock: int
 
 
 class Live(NamedTuple):
     """What changes during a simulation; `live_of` makes it."""
 
-    x: np.ndarray  # (17,)
+    x: np.ndarray  # (17 + own,)
     held: np.ndarray
     commands: np.ndarray  # (4,) rad/s
     ring: np.ndarray  # (D, 4) the latest commands
@@ -131,7 +128,7 @@ class Live(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def live_of(machine, x, memory, noise_seed, gust_seed):
-    """What changes during a simulation that begins in state x (17,), the rotors in balance with their commands."""
+    """What changes during a simulation that begins in state x (17 + own,), rotors in balance with commands."""
     held = np.zeros(HELD + inputs_of(machine.kernel) - 20)
     rows = math.floor(machine.drive.delay / machine.dt + 1e-9) + 2
     ring = np.empty((rows, 4))
@@ -143,14 +140,14 @@ def live_of(machine, x, memory, noise_seed, gust_seed):
         held[TARGET + i], held[SLOPE + i], held[SHARE + i], held[CAP + i] = x[ROTORS + i], 0.0, 1.0, np.inf
     first_gust(machine.wind, random, draws, gust)
     return Live(
-        x.copy(), held, x[ROTORS:].copy(), ring, np.zeros(GOAL), np.zeros(SEEN), np.zeros(memory), np.zeros(4),
+        x.copy(), held, x[ROTORS:STATES].copy(), ring, np.zeros(GOAL), np.zeros(SEEN), np.zeros(memory), np.zeros(4),
         gust, np.zeros(3), np.zeros(1), random, draws,
     )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
-def environment(t, wind, wind_table, fault, battery, x, held, gust, air, speeds, voltage):
-    """Wind, faults and battery at time t: what is held over a step, apart from the commands."""
+def environment(t, wind, wind_table, fault, battery, clock, x, held, gust, air, speeds, voltage):
+    """Wind, faults, battery and time itself at time t: what is held over a step, apart from the commands."""
     blow(wind, wind_table, t, gust, air)
     for i in range(3):
         held[WIND + i] = air[i]
@@ -165,6 +162,8 @@ def environment(t, wind, wind_table, fault, battery, x, held, gust, air, speeds,
     voltage[0] = battery.start - battery.drain * t - battery.sag * power / (4.0 * battery.hover**3)
     if battery.place >= 0:
         held[EXTRAS + battery.place] = voltage[0]
+    if clock >= 0:
+        held[EXTRAS + clock] = t
 
 
 @njit(cache=True, error_model="numpy")
@@ -236,24 +235,26 @@ def note(t, body, x, held, goal, commands, loads, air, voltage, speeds, seen, lo
         log[row, COMMANDS + i] = commands[i]
         log[row, SPEEDS + i] = speeds[i]
         log[row, SLOPES + i] = rotor_slope(i, x[ROTORS + i], held, body) if x[ROTORS + i] <= held[CAP + i] else 0.0
+    for i in range(log.shape[1] - LOG):
+        log[row, LOG + i] = x[STATES + i]
 
 
 @njit(cache=True, error_model="numpy")
 def fly(machine, live, scratch, first, steps, every, log, close):
     """Run `steps` steps from step number `first` on; returns (status, steps done, rows written).
 
-    log    (rows, LOG) or, for time and state alone, (rows, SHORT_LOG): every `every`-th step
+    log    (rows, LOG + own) or, for time and the seventeen states, (rows, SHORT_LOG): every `every`-th step
     close  whether the last instant is looked at and logged too: at the end of a run, not between chunks of one
     """
     kernel, body, drive, battery, fault, sensors, wind, wind_table = machine[:8]
-    kind, gains, reference, path, table, dt, substeps, method, limits = machine[8:]
+    kind, gains, reference, path, table, dt, substeps, method, limits, clock = machine[8:]
     x, held, commands, ring, goal, seen, memory, speeds, gust, air, voltage, random, draws = live
     inputs, work, loads, last, slopes, middle = scratch
     begin = np.empty(6)
     row = 0
     for k in range(first, first + steps + (1 if close else 0)):
         t = k * dt
-        environment(t, wind, wind_table, fault, battery, x, held, gust, air, speeds, voltage)
+        environment(t, wind, wind_table, fault, battery, clock, x, held, gust, air, speeds, voltage)
         if k == 0:
             loads_at(x, held, kernel, body, inputs, work, last)
         observe(body, sensors, x, last, speeds, random, draws, seen)
@@ -276,7 +277,7 @@ def fly(machine, live, scratch, first, steps, every, log, close):
                     begin[:] = loads
             next_gust(wind, dt, random, draws, gust)
         if wanted:
-            if log.shape[1] == LOG:
+            if log.shape[1] >= LOG:
                 for i in range(6):
                     log[row, LOADS + i] = begin[i]
             row += 1
@@ -289,7 +290,7 @@ def fly(machine, live, scratch, first, steps, every, log, close):
 class Draws(NamedTuple):
     """What differs between the simulations of a batch, one row each.
 
-    x (B, 17) initial states; seeds (B, 2) uint64 of noise and gusts; body (B, BODY); fault (B, 9); wind (B, 9);
+    x (B, 17 + own) initial states; seeds (B, 2) uint64 of noise and gusts; body (B, BODY); fault (B, 9); wind (B, 9);
     gains (B, G) of the controller; path (B, R) parameters of the reference
     """
 
@@ -308,10 +309,10 @@ def one_of_many(machine, draws, b, memory, steps, every, log):
     mine = Machine(
         machine.kernel, draws.body[b], machine.drive, machine.battery, draws.fault[b], machine.sensors, draws.wind[b],
         machine.wind_table, machine.controller, draws.gains[b], machine.reference, draws.path[b], machine.table,
-        machine.dt, machine.substeps, machine.method, machine.limits,
+        machine.dt, machine.substeps, machine.method, machine.limits, machine.clock,
     )  # fmt: skip
     live = live_of(mine, draws.x[b], memory, draws.seeds[b, 0], draws.seeds[b, 1])
-    status, done, _ = fly(mine, live, scratch_of(machine.kernel), 0, steps, every, log, True)
+    status, done, _ = fly(mine, live, scratch_of(machine.kernel, len(live.x) - STATES), 0, steps, every, log, True)
     return status, done
 
 

@@ -11,9 +11,11 @@ import numpy as np
 
 from quasi.errors import ConfigError
 from quasi.simulation import gains as g
-from quasi.simulation.dynamics import DOWN, GRAVITY_ADDED, INERTIA, INVERSE, MASS, OFFSET, RATE, RK4, ROTORS, UP
+from quasi.simulation.dynamics import RK4
 from quasi.simulation.environment import GUST, STEADY
+from quasi.simulation.layout import DOWN, GRAVITY_ADDED, INERTIA, INVERSE, MASS, OFFSET, RATE, ROTORS, STATES, UP
 from quasi.simulation.setup import Setup, make_setup
+from quasi.simulation.variants import named, parts_of
 from quasi.standalone.model import Model
 
 
@@ -58,7 +60,7 @@ def loop_constants(setup: Setup) -> dict[str, Any]:
         "delay": machine.drive.delay,
         "wind": machine.wind[STEADY : STEADY + 3],
         "battery voltage": machine.battery.start if machine.battery.place >= 0 else None,
-        "start speeds": setup.start[ROTORS:],
+        "start speeds": setup.start[ROTORS:STATES],
         "controller": {
             "mass": gains[g.MASS],
             "inertia": gains[g.INERTIA : g.INERTIA + 9].reshape(3, 3),
@@ -99,6 +101,8 @@ def _refuse(setup: Setup) -> None:
         "gusts": bool(np.any(machine.wind[GUST : GUST + 3])),
         "a wind that changes": len(machine.wind_table) > 0,
         "a rotor fault": math.isfinite(machine.fault[0]),
+        **{f"the {what} of the model's extensions": True for what in named(parts_of(setup.model))},
+        "a term in the time": machine.clock >= 0,
         "a battery that moves the rotor speeds or empties": bool(battery.exponent or battery.drain or battery.sag),
     }
     for what, there in found.items():

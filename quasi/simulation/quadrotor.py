@@ -1,8 +1,9 @@
 """The closed loop of a quadrotor in Python, through the same compiled parts, so that any step can be the user's own.
 
-State (17,) and goal (20,) as in the compiled loop (`dynamics`, `outer_loop`); inputs are the four rotor speeds, rad/s.
-Beside what every bus holds (`quasi.simulation.simulator`): bus.model (the model), bus.setup, bus.live (arrays of the
-compiled loop: wind as bus.live.air, ...), bus.measured_state[k] (what the controller sees), bus.reference[k] (goal).
+State (17,), longer where parts have states of their own (`parts`), and goal (20,) as in the compiled loop (`dynamics`,
+`outer_loop`); inputs are the four rotor speeds, rad/s. Beside what every bus holds (`quasi.simulation.simulator`):
+bus.model (the model), bus.setup, bus.live (arrays of the compiled loop: wind as bus.live.air, ...),
+bus.measured_state[k] (what the controller sees), bus.reference[k] (goal).
 
 With the built-in actuator the rotors follow their lag within the step; a user's actuator gives the rotor speeds at the
 end of the step, and they change evenly until then. Steps that call a built-in one and change what it returns work, too.
@@ -14,23 +15,9 @@ from typing import Any
 import numpy as np
 
 from quasi.errors import DataError
-from quasi.simulation.dynamics import (
-    CAP,
-    DOWN,
-    RATE,
-    RK4,
-    ROTORS,
-    SLOPE,
-    STATES,
-    TARGET,
-    UP,
-    advance,
-    equations,
-    loads_at,
-    rotor_slope,
-    scratch_of,
-)
+from quasi.simulation.dynamics import RK4, advance, equations, loads_at, rotor_slope, scratch_of
 from quasi.simulation.environment import next_gust
+from quasi.simulation.layout import CAP, DOWN, RATE, ROTORS, SLOPE, STATES, TARGET, UP
 from quasi.simulation.loop import (
     AIMED,
     AIR,
@@ -54,6 +41,7 @@ from quasi.simulation.loop import (
     observe,
     status_of,
 )
+from quasi.simulation.parts import straighten
 from quasi.simulation.result import Result, result_of
 from quasi.simulation.setup import STATE_NAMES, Setup
 from quasi.simulation.simulator import Bus, Simulator
@@ -87,16 +75,16 @@ class QuadrotorSimulator(Simulator):
             quaternion=0,
         )
         self.steps["begin"] = self._own["begin"] = self._begin
-        self.setup, self.state_names = setup, list(STATE_NAMES)
+        self.setup, self.state_names = setup, [*STATE_NAMES, *(f"own {i + 1}" for i in range(setup.own))]
         self._compiled = integrator is None
         self.bus.setup = setup
         duration = setup.steps * machine.dt if run_mode == "finite" else None
-        self.set_initial(setup.start, setup.start[ROTORS:], machine.dt, duration, np.zeros(GOAL))
+        self.set_initial(setup.start, setup.start[ROTORS:STATES], machine.dt, duration, np.zeros(GOAL))
         bus = self.bus
         bus.measured_state = np.zeros((len(bus.time), 20))
         bus.live = setup.live()
-        self._scratch = scratch_of(machine.kernel)
-        self._stage = np.empty((1, STATES))
+        self._scratch = scratch_of(machine.kernel, setup.own)
+        self._stage = np.empty((1, len(setup.start)))
         self._log: list[np.ndarray] = []
         self.status = FINE
 
@@ -108,7 +96,7 @@ class QuadrotorSimulator(Simulator):
         t = k * m.dt
         live.x[:] = bus.state[k]
         environment(
-            t, m.wind, m.wind_table, m.fault, m.battery, live.x, live.held, live.gust, live.air, live.speeds,
+            t, m.wind, m.wind_table, m.fault, m.battery, m.clock, live.x, live.held, live.gust, live.air, live.speeds,
             live.voltage,
         )  # fmt: skip
         if k == 0:
@@ -136,7 +124,7 @@ class QuadrotorSimulator(Simulator):
         actuate(
             k, m.dt, m.drive, m.battery, m.body, live.x, live.held, live.ring, live.commands, live.voltage, live.speeds
         )
-        bus.state[k, ROTORS:] = live.x[ROTORS:]  # rotors without lag are at once where they are wanted
+        bus.state[k, ROTORS:STATES] = live.x[ROTORS:STATES]  # rotors without lag are at once where they are wanted
         end = np.empty(4)
         for i in range(4):
             speed, target = live.x[ROTORS + i], live.held[TARGET + i]
@@ -169,7 +157,7 @@ class QuadrotorSimulator(Simulator):
             k, live, dt = bus.step, bus.live, self.setup.machine.dt
             if self.steps["actuator"] is None:
                 bus.inputs[k + 1] = bus.commanded_inputs[k + 1]
-            live.held[SLOPE : SLOPE + 4] = (bus.inputs[k + 1] - bus.state[k, ROTORS:]) / dt
+            live.held[SLOPE : SLOPE + 4] = (bus.inputs[k + 1] - bus.state[k, ROTORS:STATES]) / dt
         if not self._whole():
             super()._physics(bus)
 
@@ -197,6 +185,7 @@ class QuadrotorSimulator(Simulator):
                     "use a shorter 'time step'"
                 )
             result = super()._next_state(bus)
+            straighten(result, m.body)
             # what the accelerometer feels next: Runge-Kutta's last stage lies at the end of the step by itself
             if self._method == "euler":
                 self.slope(bus.state[k] + m.dt * bus.state_derivative[k + 1])
@@ -211,10 +200,10 @@ class QuadrotorSimulator(Simulator):
         k, live, body = bus.step, bus.live, self.setup.machine.body
         if k % self.setup.every:
             return
-        row = np.zeros(LOG)
+        row = np.zeros(LOG + self.setup.own)
         x = bus.state[k]
         row[T] = bus.time[k]
-        row[X : X + STATES] = x
+        row[X : X + STATES], row[LOG:] = x[:STATES], x[STATES:]
         row[AIMED : AIMED + GOAL], row[SEEN_AT : SEEN_AT + 20] = bus.reference[k], bus.measured_state[k]
         row[COMMANDS : COMMANDS + 4] = bus.commanded_inputs[k + 1]
         row[LOADS : LOADS + 3], row[LOADS + 3 : LOADS + 6] = bus.forces[k + 1], bus.moments[k + 1]
@@ -244,7 +233,7 @@ class QuadrotorSimulator(Simulator):
         bus = self.bus
         if self.stopped is None:
             self._last_instant(bus)
-        result = result_of(self.setup, np.array(self._log).reshape(-1, LOG), self.status, bus.step)
+        result = result_of(self.setup, np.array(self._log).reshape(-1, LOG + self.setup.own), self.status, bus.step)
         for name, values in self._recorded.items():
             array = np.array(values)
             if array.ndim == 1:
@@ -261,7 +250,8 @@ class QuadrotorSimulator(Simulator):
             to[k + 1] = step(bus) if step is not None else bus.commanded_inputs[k + (name == "actuator")]
             self._also(name, bus)
         if self.steps["actuator"] is not self._own["actuator"]:
-            bus.live.held[SLOPE : SLOPE + 4] = (bus.inputs[k + 1] - bus.state[k, ROTORS:]) / self.setup.machine.dt
+            change = bus.inputs[k + 1] - bus.state[k, ROTORS:STATES]
+            bus.live.held[SLOPE : SLOPE + 4] = change / self.setup.machine.dt
         if self.steps["forces_and_moments"] is not None:
             bus.forces[k + 1], bus.moments[k + 1] = self._loads(bus)
         self._write_log(bus)

@@ -16,24 +16,10 @@ from numba import njit
 
 from quasi.attitude import GRAVITY, from_euler, to_euler
 from quasi.errors import DataError, ShapeError
-from quasi.simulation.dynamics import (
-    CAP,
-    EXTRAS,
-    HELD,
-    OFFSET,
-    RK4,
-    ROTORS,
-    SHARE,
-    SLOPE,
-    STATES,
-    TARGET,
-    WIND,
-    advance,
-    body_of,
-    inputs_of,
-    scratch_of,
-)
-from quasi.simulation.variants import actuators_of, extended
+from quasi.simulation.dynamics import RK4, advance, body_of, inputs_of, rest, scratch_of
+from quasi.simulation.layout import CAP, EXTRAS, HELD, OFFSET, ROTORS, SHARE, SLOPE, STATES, TARGET, WIND
+from quasi.simulation.parts import put
+from quasi.simulation.variants import actuators_of, extended, parts_of, wind_of, with_parts
 from quasi.standalone.model import Model
 
 
@@ -53,13 +39,13 @@ def run_windows(
 ):
     """Windows first .. stop - 1: fills out (S, steps + 1, 17).
 
-    t (N,) s; begin (S, 17) states at the starts; speeds (N, 4) measured, or (0, 4) where commands (N, 4) drive the
-    rotors, the latter `late` samples late, within low .. high; wind (N, 3) or (0, 3); extras (N, E); offsets (S, 6) or
-    (0, 6) are subtracted from forces and moments
+    t (N,) s; begin (S, 17 + own) states at the starts, the parts not yet at rest; speeds (N, 4) measured, or (0, 4)
+    where commands (N, 4) drive the rotors, the latter `late` samples late, within low .. high; wind (N, 3) or (0, 3);
+    extras (N, E); offsets (S, 6) or (0, 6) are subtracted from forces and moments
     """
-    inputs, work, loads, last, slopes, middle = scratch_of(kernel)
+    inputs, work, loads, last, slopes, middle = scratch_of(kernel, begin.shape[1] - STATES)
     held = np.zeros(HELD + inputs_of(kernel) - 20)
-    x = np.empty(STATES)
+    x = np.empty(begin.shape[1])
     mine = body.copy()
     whole = math.floor(late + 1e-9)
     part = max(late - whole, 0.0)
@@ -67,8 +53,9 @@ def run_windows(
         held[SHARE + i], held[CAP + i] = 1.0, np.inf
     steps = out.shape[1] - 1
     for s in range(first, stop):
-        for i in range(STATES):
+        for i in range(len(x)):
             x[i] = begin[s, i]
+        for i in range(STATES):
             out[s, 0, i] = x[i]
         if len(offsets):
             for i in range(6):
@@ -91,6 +78,8 @@ def run_windows(
                         wanted = (1.0 - part) * wanted + part * commands[max(k - whole - 1, 0), i]
                     held[TARGET + i] = min(max(wanted, low), high)
                     held[SLOPE + i] = np.nan
+            if n == 0:
+                rest(x, held, kernel, mine, inputs, work, loads)
             for _ in range(substeps):
                 advance(RK4, dt / substeps, x, held, kernel, mine, inputs, work, loads, last, slopes, middle)
             for i in range(STATES):
@@ -114,16 +103,24 @@ def replay(
 ) -> np.ndarray:
     """Roll-outs of a model with its extensions; returns (S, steps + 1, 17), the simulator's states.
 
+    What the extensions say of recorded rotor speeds (late by, too high by) is taken off them, and off the commands what
+    they are too high by. Parts with states of their own begin at rest: how a load swings when a window begins is not
+    measured, so that it begins still along the apparent vertical of the model's forces, the air through the discs
+    behind the present change of rotor speed.
+
     t             (N,) s, evenly spaced; states (N, 12) roll pitch yaw u v w (over ground) p q r x y z
     rotor_speeds  (N, 4) measured, rad/s; with `commands` those of the starts alone are used
     starts        (S,) rows; horizon s, rounded to whole samples, at least one
     commands      (N, 4) commanded speeds, rad/s, that drive the rotors instead; rotors: how, None takes the model's
-    wind          (N, 3) velocity of the air, m/s, earth axes; extra {name: (N,)} further inputs of the model
+    wind          (N, 3) velocity of the air, m/s, earth axes; None takes that of the model's extensions
+    extra         {name: (N,)} further inputs of the model; the time "t" is known
     offsets       (S, 6) N, N m, added to the model's forces and moments in each window
     threads       that share the windows, None takes all cores
     A window that diverges holds inf or NaN from there on. Raises ShapeError or DataError.
     """
     model = extended(model)
+    parts, recorded, blows = parts_of(model), actuators_of(model), wind_of(model)
+    model = with_parts(model)
     if len(model.axes) < 6:
         lacking = [a for a in ("Fx", "Fy", "Fz", "Mx", "My", "Mz") if a not in model.axes]
         raise DataError(f"model {model.id} lacks {', '.join(lacking)}; a roll-out needs all six axes")
@@ -141,14 +138,21 @@ def replay(
         raise DataError(
             f"a window of {horizon:g} s that starts at row {starts.max()} leaves the {n} rows; start earlier"
         )
-    begin = np.empty((count, STATES))
+    scale, aged = recorded.get("rotor speed scale", 1.0), recorded.get("telemetry delay", 0.0)
+    speeds = _earlier(speeds, aged / dt) / scale
+    begin = np.zeros((count, STATES + parts.states))
     begin[:, :4] = from_euler(*states[starts, :3].T)
-    begin[:, 4:13], begin[:, ROTORS:] = states[starts, 3:], speeds[starts]
+    begin[:, 4:13], begin[:, ROTORS:STATES] = states[starts, 3:], speeds[starts]
     given = rotors or rotors_of(model)
-    orders = np.zeros((0, 4)) if commands is None else _rows(commands, "commands", (n, 4))
+    if parts.inflow_lag:
+        substeps = max(substeps, math.ceil(dt / parts.inflow_lag))
+    orders = np.zeros((0, 4)) if commands is None else _rows(commands, "commands", (n, 4)) / scale
+    if wind is None and blows.any():
+        wind = np.tile(blows, (n, 1))
     air = np.zeros((0, 3)) if wind is None else _rows(wind, "wind", (n, 3))
     names = model.inputs[20:]
-    missing = [name for name in names if name not in (extra or {})]
+    extra = {"t": t, **(extra or {})}
+    missing = [name for name in names if name not in extra]
     if missing:
         raise DataError(f"model {model.id} needs '{missing[0]}' for a roll-out; give it in `extra`")
     extras = np.zeros((n, 0)) if not names else np.column_stack([np.asarray(extra[m], float) for m in names])
@@ -156,6 +160,7 @@ def replay(
     frame = model.airframe
     gravity = GRAVITY if model.with_gravity else 0.0
     body = body_of(frame.mass, frame.inertia, model.kernel, gravity, given.up, given.down)
+    put(parts, frame.hubs, body)
     out = np.empty((count, steps + 1, STATES))
     measured = speeds if commands is None else np.zeros((0, 4))
 
@@ -193,12 +198,14 @@ def rotors_of(model: Model) -> Rotors:
     up, down = (value(f"time constants {way}", "time constants") for way in ("up", "down"))
     frame = model.airframe
     factor = frame.logged_to_rad_s or model.document.get("logged to rad/s")
+    of_causes = actuators_of(model)
+    # the limits are in what is recorded, too
+    factor = factor and factor / of_causes.get("rotor speed scale", 1.0)
     low = frame.idle_rpm * factor if frame.idle_rpm is not None and factor else 0.0
     high = frame.max_rpm * factor if frame.max_rpm is not None and factor else math.inf
     late = value("delay")
     late = 0.0 if late is None else max(float(np.mean(late)), 0.0)
-    of_causes = actuators_of(model)
-    late = of_causes.get("delay", late)
+    late = max(of_causes.get("delay", late), 0.0)
     if "time constant" in of_causes:
         up = down = of_causes["time constant"]
     lag = 1.0 / 35.0
@@ -213,6 +220,14 @@ def steps_of(t: np.ndarray, horizon: float) -> int:
     if not len(dt) or dt.min() <= 0 or dt.max() - dt.min() > 0.01 * dt.mean():
         raise DataError("a roll-out needs evenly spaced samples; resample the flight first")
     return max(round(horizon / float(dt.mean())), 1)
+
+
+def _earlier(values: np.ndarray, samples: float) -> np.ndarray:
+    """Rows (N, 4) as they were recorded so many samples later, linear between them, held beyond the ends."""
+    if not samples:
+        return values
+    rows = np.arange(len(values), dtype=float)
+    return np.column_stack([np.interp(rows + samples, rows, column) for column in values.T])
 
 
 def _rows(values: np.ndarray, name: str, shape: tuple[int, int]) -> np.ndarray:

@@ -9,12 +9,14 @@ import pandas as pd
 
 from quasi import attitude
 from quasi.errors import ConfigError
+from quasi.simulation.layout import LOAD_LENGTH, LOAD_MASS
 from quasi.simulation.loop import (
     AIMED,
     AIR,
     COMMANDS,
     FINE,
     LOADS,
+    LOG,
     NO_COMMAND,
     SEEN_AT,
     SLOPES,
@@ -53,6 +55,7 @@ UNITS: dict[str, tuple[str, str, str]] = {
                   "w3", "w4")
     },
     **{f"q{c}": ("1", "body to earth, Hamilton", f"attitude quaternion, {c}") for c in "wxyz"},
+    **{f"load_{a}": ("m", "earth NED", f"{a} of the load that swings below") for a in "xyz"},
     "distance": ("1", "", "distance outside the region of the model's data, in units of the covered range"),
 }  # fmt: skip
 
@@ -191,6 +194,11 @@ def result_of(setup: Setup, log: np.ndarray, status: int, steps: int) -> Result:
         columns |= dict(zip(("u_air", "v_air", "w_air"), (x[:, 4:7] - attitude.rotate_inverse(x[:, :4], air)).T))
     if setup.machine.battery.start > 0.0:
         columns["battery_voltage"] = log[:, VOLTAGE]
+    body = setup.machine.body
+    if body[LOAD_MASS] > 0.0:
+        first = LOG + setup.own - 6  # the load's direction from the cg, earth axes
+        below = x[:, 10:13] + body[LOAD_LENGTH] * log[:, first : first + 3]
+        columns |= {f"load_{name}": below[:, k] for k, name in enumerate("xyz")}
     columns |= _references(goal)
     columns |= {f"{n}_measured": seen[:, 10 + k] for k, n in enumerate("xyz")}
     columns |= dict(zip(("roll_measured", "pitch_measured", "yaw_measured"), attitude.to_euler(seen[:, :4]).T))

@@ -14,7 +14,8 @@ import numpy as np
 
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, ShapeError, nearest
-from quasi.simulation.dynamics import INERTIA, INTEGRATORS, INVERSE, MASS, STATES, scratch_of
+from quasi.simulation.dynamics import INTEGRATORS, scratch_of, with_rest
+from quasi.simulation.layout import INERTIA, INVERSE, MASS, STATES
 from quasi.simulation.loop import EXTERNAL, FAULT, LOG, SHORT_LOG, Draws, X, fly, fly_some
 from quasi.simulation.result import Result, result_of, sentence
 from quasi.simulation.setup import STATE_NAMES, Setup
@@ -41,8 +42,8 @@ def simulate(
         for after, function in (between or {}).items():
             simulator.add_step(after, function)
         return simulator.fly()
-    log = np.empty((setup.steps // setup.every + 1, LOG))
-    live, scratch = setup.live(), scratch_of(setup.machine.kernel)
+    log = np.empty((setup.steps // setup.every + 1, LOG + setup.own))
+    live, scratch = setup.live(), scratch_of(setup.machine.kernel, setup.own)
     status, done, rows = fly(setup.machine, live, scratch, 0, setup.steps, setup.every, log, True)
     return result_of(setup, log[:rows], status, done)
 
@@ -61,7 +62,8 @@ class Session:
 
     def restart(self) -> None:
         """Begin again."""
-        self._live, self._scratch = self._setup.live(), scratch_of(self._setup.machine.kernel)
+        self._live = self._setup.live()
+        self._scratch = scratch_of(self._setup.machine.kernel, self._setup.own)
         self._steps = 0
 
     @property
@@ -71,7 +73,7 @@ class Session:
 
     def state(self) -> np.ndarray:
         """(17,) attitude w x y z, u v w, p q r, x y z, rotor speeds."""
-        return self._live.x.copy()
+        return self._live.x[:STATES].copy()
 
     def advance(self, goal: np.ndarray, steps: int) -> str | None:
         """Go on by so many steps with this goal (20,); a sentence when the simulation cannot go on."""
@@ -79,7 +81,7 @@ class Session:
         log = np.empty((steps, SHORT_LOG))
         status, done, _ = fly(self._setup.machine, self._live, self._scratch, self._steps, steps, 1, log, False)
         self._steps += done
-        return sentence(self._setup, status, self._steps, self._live.x[None])
+        return sentence(self._setup, status, self._steps, self._live.x[None, :STATES])
 
 
 @dataclass(frozen=True)
@@ -151,13 +153,17 @@ def simulate_many(
         wind[:, :3] = varied["wind"]
     if "gusts" in varied:
         wind[:, 3:6] = varied["gusts"]
+    starts = rows_of(setup.start)
+    if "x" in varied:
+        held = setup.held()
+        starts = np.array([with_rest(x, held, machine.kernel, b) for x, b in zip(varied["x"], body)])
     first = np.arange(count, dtype=np.uint64)
     if seeds is None:
         both = np.column_stack([first + np.uint64(setup.seeds[0]), first + np.uint64(setup.seeds[1])])
     else:
         both = np.column_stack([np.asarray(seeds, np.uint64)] * 2)
     draws = Draws(
-        np.ascontiguousarray(varied.get("x", rows_of(setup.start)), float), np.ascontiguousarray(both), body, fault,
+        np.ascontiguousarray(starts, float), np.ascontiguousarray(both), body, fault,
         wind, np.ascontiguousarray(varied.get("gains", rows_of(machine.gains)), float),
         np.ascontiguousarray(varied.get("path", rows_of(machine.path)), float),
     )  # fmt: skip

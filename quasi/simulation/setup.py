@@ -22,28 +22,25 @@ from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError, nearest
 from quasi.simulation.control_model import DEFAULT_LAG, hover_speed
 from quasi.simulation.controllers import make_controller
-from quasi.simulation.dynamics import (
+from quasi.simulation.dynamics import INTEGRATORS, RK4, body_of, loads_at, scratch_of, with_rest
+from quasi.simulation.environment import Sensors
+from quasi.simulation.layout import (
     CAP,
     GRAVITY_ADDED,
     HELD,
-    INTEGRATORS,
     MASS,
-    RK4,
+    OFFSET,
+    OWN,
     ROTORS,
     SHARE,
-    SLOPE,
     STATES,
     TARGET,
-    UP,
-    body_of,
-    derivative,
-    loads_at,
-    scratch_of,
 )
-from quasi.simulation.environment import Sensors
 from quasi.simulation.loop import Battery, Drive, Live, Machine, live_of
+from quasi.simulation.parts import put
 from quasi.simulation.references import make_reference
-from quasi.simulation.variants import actuators_of, extended, simple_model, wind_of
+from quasi.simulation.stability import check_step
+from quasi.simulation.variants import actuators_of, extended, parts_of, simple_model, wind_of, with_parts
 from quasi.standalone.model import Model
 
 STATE_NAMES = ("qw", "qx", "qy", "qz", "u", "v", "w", "p", "q", "r", "x", "y", "z", "w1", "w2", "w3", "w4")
@@ -51,7 +48,6 @@ STATE_NAMES = ("qw", "qx", "qy", "qz", "u", "v", "w", "p", "q", "r", "x", "y", "
 _LIMITS = np.array([2.0] * 4 + [300.0] * 3 + [300.0] * 3 + [1e5] * 3 + [2e4] * 4)
 _V1_RATE = 5e4  # logged units (eRPM/100) per second: the rate limit of the manual's rotorDynamicsV1
 LARGEST_LOG = 5_000_000  # rows, of some 700 bytes each
-_ACCURATE = {"rk4": 0.7, "euler": 0.2}  # fastest rate x step beyond which a method follows a mode badly
 
 
 @dataclass(frozen=True)
@@ -60,7 +56,7 @@ class Setup:
 
     model        what is flown, extensions and simplifications included
     machine      the compiled loop's constants; memory: the size of the controller's
-    start        (17,) initial state
+    start        (17 + own,) initial state, the parts that have states of their own at rest
     seeds        of noise and of gusts
     steps        of machine.dt; every: how many of them between two logged rows
     settings     the checked configuration; notes: what was assumed
@@ -86,6 +82,19 @@ class Setup:
     def dt(self) -> float:
         """s, between two commands."""
         return self.machine.dt
+
+    @property
+    def own(self) -> int:
+        """Number of states beyond the seventeen."""
+        return int(self.machine.body[OWN])
+
+    def held(self) -> np.ndarray:
+        """What is held over a step at the beginning: rotors in balance with their speeds, in still air."""
+        held = still(int(self.machine.kernel.code[6]), 0.0)
+        held[TARGET : TARGET + 4] = self.start[ROTORS:STATES]
+        if self.machine.battery.place >= 0:
+            held[HELD + self.machine.battery.place] = self.machine.battery.start
+        return held
 
     def live(self) -> Live:
         """What changes during the simulation, at its beginning."""
@@ -128,6 +137,8 @@ def make_setup(
             f"{name}: {steps:,} steps are more rows than memory holds ({LARGEST_LOG:,}); use a longer 'time step' or "
             "'log every', or a shorter 'duration'"
         )
+    parts = parts_of(model)
+    flown = with_parts(model)
     drive, up, down, rate = _actuator(settings["actuator"], model, notes, name)
     hover = hover_speed(model, drive.high if math.isfinite(drive.high) else None)
     if not drive.low <= hover <= drive.high:
@@ -136,26 +147,32 @@ def make_setup(
             f"{drive.high:.0f}; correct 'lowest speed' and 'highest speed', or the airframe's 'idle RPM', 'max RPM' "
             "and 'motor poles'"
         )
-    battery = _battery(settings["battery"], model, hover, notes, name)
-    kernel = model.kernel
+    battery, clock = _battery(settings["battery"], flown, hover, notes, name)
+    kernel = flown.kernel
     gravity = GRAVITY if model.with_gravity else 0.0
     body = body_of(airframe.mass, airframe.inertia, kernel, gravity, up, down, rate)
-    held = still(len(model.inputs), hover)
+    put(parts, airframe.hubs, body)
+    held = still(len(flown.inputs), hover)
     if battery.place >= 0:
         held[HELD + battery.place] = battery.start
-        hover = _hover_at(kernel, body, held, hover, f"{name}: model {model.id} at {battery.start:g} V")
+    if battery.place >= 0 or parts.states:
+        volts = f" at {battery.start:g} V" if battery.place >= 0 else ""
+        hover = _hover_at(kernel, body, held, hover, f"{name}: model {model.id}{volts}")
         battery = battery._replace(hover=hover)
         held[TARGET : TARGET + 4] = hover
     offset = np.zeros(6)
     if asked["correct for moment asymmetries"]:
         offset = asymmetry(kernel, body, held, hover)
-        body = body_of(airframe.mass, airframe.inertia, kernel, gravity, up, down, rate, offset)
+        body[OFFSET : OFFSET + 6] = offset
     start = _start(settings["initial state conditions"], hover)
     _check_start(start, kernel, body, held, name)
+    start = with_rest(start, held, kernel, body)
+    if parts.load_mass:
+        notes.append(f"a load of {parts.load_mass:.3g} kg swings {parts.load_length:.3g} m below the centre of gravity")
     method = settings["simulation"]["integrator"]
     if method not in INTEGRATORS and substeps > 1:
         raise ConfigError(f"{name}: '{method}' finds its own steps; leave 'substeps' out")
-    _check_step(body, kernel, held, hover, dt / substeps, method, notes, name)
+    check_step(body, kernel, held, hover, dt / substeps, method, notes, name)
 
     asked = settings["controller"]
     actuators = {"time constants": np.maximum(up, 1e-4), "delay": drive.delay, "lowest": drive.low,
@@ -178,7 +195,7 @@ def make_setup(
     machine = Machine(
         kernel, body, drive, battery, _fault(settings["faults"], drive, steps * dt, notes, name), sensors,
         np.array([*steady, *air["gusts"], *[air["correlation time"]] * 3], float), _wind_table(wind, air, name),
-        kind, gains, aim, path, table, dt, substeps, INTEGRATORS.get(method, RK4), _LIMITS.copy(),
+        kind, gains, aim, path, table, dt, substeps, INTEGRATORS.get(method, RK4), _LIMITS.copy(), clock,
     )  # fmt: skip
     seeds = (noise["seed"], noise["seed"] if air["seed"] is None else air["seed"])
     every = settings["simulation"]["log every"]
@@ -203,16 +220,17 @@ def still(inputs: int, speed: float) -> np.ndarray:
 
 def _hover_at(kernel: Any, body: np.ndarray, held: np.ndarray, guess: float, what: str) -> float:
     """Common rotor speed, rad/s, that carries the weight with what is held: the battery's voltage among it."""
-    scratch, found, x = scratch_of(kernel), np.zeros(6), np.zeros(STATES)
-    x[0] = 1.0
+    scratch, found, level = scratch_of(kernel), np.zeros(6), np.zeros(STATES)
+    level[0] = 1.0
 
     def lack(speed: float) -> float:
-        x[ROTORS:] = speed
+        level[ROTORS:] = speed
+        x = with_rest(level, held, kernel, body)
         loads_at(x, held, kernel, body, scratch.inputs, scratch.work, found)
         return float(found[2] + body[MASS] * body[GRAVITY_ADDED])
 
     if lack(0.3 * guess) <= 0.0 or lack(2.0 * guess) >= 0.0:
-        raise ConfigError(f"{what} carries its weight at no common rotor speed; correct 'battery' / 'voltage'")
+        raise ConfigError(f"{what} carries its weight at no common rotor speed; correct the voltage, or the load")
     return float(brentq(lack, 0.3 * guess, 2.0 * guess, xtol=1e-9))
 
 
@@ -220,6 +238,7 @@ def asymmetry(kernel: Any, body: np.ndarray, held: np.ndarray, hover: float) -> 
     """Forces and moments (6,) in hover with four equal rotor speeds, beyond the force that carries the weight."""
     x = np.zeros(STATES)
     x[0], x[ROTORS:] = 1.0, hover
+    x = with_rest(x, held, kernel, body)
     scratch = scratch_of(kernel)
     found = np.zeros(6)
     loads_at(x, held, kernel, body, scratch.inputs, scratch.work, found)
@@ -303,15 +322,16 @@ def _actuator(
     return Drive(bounds[0], bounds[1], float(late)), up, down, math.inf if rate is None else float(rate)
 
 
-def _battery(asked: Mapping[str, Any], model: Model, hover: float, notes: list[str], name: str) -> Battery:
+def _battery(asked: Mapping[str, Any], model: Model, hover: float, notes: list[str], name: str) -> tuple[Battery, int]:
+    """The battery, and the place of the time among the model's extra inputs."""
     extras = list(model.inputs[20:])
-    unknown = [n for n in extras if n != "battery_voltage"]
+    unknown = [n for n in extras if n not in ("battery_voltage", "t")]
     if unknown:
         raise ConfigError(
             f"{name}: model {model.id} has terms in '{unknown[0]}', which a simulation cannot know; "
             "identify it without that variable"
         )
-    place = extras.index("battery_voltage") if extras else -1
+    place, clock = (extras.index(n) if n in extras else -1 for n in ("battery_voltage", "t"))
     start = asked["voltage"]
     if start is None and place >= 0:
         covered = (model.document.get("envelope") or {}).get("battery_voltage", {})
@@ -324,13 +344,21 @@ def _battery(asked: Mapping[str, Any], model: Model, hover: float, notes: list[s
             raise ConfigError(f"{name}: 'battery' names 'exponent', 'drain' or 'sag' but no 'voltage'; add it")
         start = 0.0
     exponent = asked["exponent"]
-    if not exponent and start:
-        exponent = actuators_of(model).get("voltage exponent", 0.0)
+    of_causes = actuators_of(model)
+    if not exponent and "voltage exponent" in of_causes:
+        if start:
+            exponent = of_causes["voltage exponent"]
+        else:
+            notes.append(
+                "rotor speeds follow the battery's voltage by the model's extensions, but no voltage is given: the "
+                "battery stays as it was; give 'battery' / 'voltage'"
+            )
+    if {"telemetry delay", "rotor speed scale"} & set(of_causes):
+        notes.append("what the model's extensions say of recorded rotor speeds plays no part here: nothing is recorded")
     reference = start if asked["reference voltage"] is None else asked["reference voltage"]
     return Battery(
-        float(start), float(asked["drain"]), float(asked["sag"]), hover, float(reference), float(exponent),
-        place,
-    )  # fmt: skip
+        float(start), float(asked["drain"]), float(asked["sag"]), hover, float(reference), float(exponent), place,
+    ), clock  # fmt: skip
 
 
 def _fault(asked: Mapping[str, Any], drive: Drive, duration: float, notes: list[str], name: str) -> np.ndarray:
@@ -364,7 +392,7 @@ def _start(asked: Mapping[str, Any], hover: float) -> np.ndarray:
 
 def _check_start(x: np.ndarray, kernel: Any, body: np.ndarray, held: np.ndarray, name: str) -> None:
     scratch, found = scratch_of(kernel), np.zeros(6)
-    loads_at(x, held, kernel, body, scratch.inputs, scratch.work, found)
+    loads_at(with_rest(x, held, kernel, body), held, kernel, body, scratch.inputs, scratch.work, found)
     if not np.all(np.isfinite(found)):
         speeds = ", ".join(f"{w:g}" for w in x[ROTORS:])
         raise ConfigError(
@@ -394,59 +422,3 @@ def _wind_table(wind: Any, asked: Mapping[str, Any], name: str) -> np.ndarray:
     if len(back):
         raise DataError(f"{what} goes back in time, or stands still, in data row {back[0] + 2}; correct its column 't'")
     return np.ascontiguousarray(table)
-
-
-def linearised(body: np.ndarray, kernel: Any, held: np.ndarray, hover: float) -> np.ndarray:
-    """Jacobian (17, 17) of the state derivative in hover, rotors commanded to stay, by central differences."""
-    scratch = scratch_of(kernel)
-    x = np.zeros(STATES)
-    x[0], x[ROTORS:] = 1.0, hover
-    at = held.copy()
-    at[SLOPE : SLOPE + 4] = np.where(body[UP : UP + 4] > 0.0, np.nan, 0.0)
-    result = np.empty((STATES, STATES))
-    for k in range(STATES):
-        step = 1e-4 * hover if k >= ROTORS else 1e-4
-        both = []
-        for sign in (1.0, -1.0):
-            y = x.copy()
-            y[k] += sign * step
-            derivative(y, at, kernel, body, scratch.inputs, scratch.work, scratch.loads, scratch.slopes)
-            both.append(scratch.slopes[0].copy())
-        result[:, k] = (both[0] - both[1]) / (2.0 * step)
-    return result
-
-
-def _check_step(
-    body: np.ndarray, kernel: Any, held: np.ndarray, hover: float, h: float, method: str, notes: list[str], name: str
-) -> None:
-    """Refuse a step at which the method makes a mode grow that decays; note one that it follows badly.
-
-    Growth per step: |1 + z| for Euler, |1 + z + z^2/2 + z^3/6 + z^4/24| for Runge-Kutta, z = mode x step.
-    Source: Hairer & Wanner, Solving Ordinary Differential Equations II, 2nd ed., 1996, section IV.2.
-    """
-    if method not in INTEGRATORS:
-        return  # it chooses its steps itself
-    modes = np.linalg.eigvals(linearised(body, kernel, held, hover))
-    decaying = modes[modes.real < -1e-2 * np.abs(modes).max()]
-    if not len(decaying):
-        return
-
-    def growth(step: float) -> float:
-        z = decaying * step
-        return float(np.max(np.abs(1 + z if method == "euler" else 1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24)))
-
-    fastest = float(np.max(np.abs(decaying)))
-    if growth(h) > 1.0:
-        longest = h
-        while growth(longest) > 1.0:
-            longest *= 0.98
-        raise ConfigError(
-            f"{name}: a step of {h:g} s is unstable: the fastest motion (rotor lag or damping, time constant "
-            f"{1.0 / fastest:.4g} s) grows with '{method}'; use a 'time step' of at most {longest:.3g} s or more "
-            "'substeps'"
-        )
-    if fastest * h > _ACCURATE[method]:
-        notes.append(
-            f"a step of {h:g} s follows the fastest motion (time constant {1.0 / fastest:.4g} s) badly with "
-            f"'{method}'; use a shorter 'time step' or more 'substeps'"
-        )

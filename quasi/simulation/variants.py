@@ -1,15 +1,20 @@
 """Other models made of a model: with its extensions in place, or the simple one that was identified beside it."""
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from quasi.errors import ConfigError, DataError
+from quasi.errors import ConfigError, DataError, nearest
+from quasi.simulation.parts import Parts
 from quasi.standalone.model import AXES, Model
 
 _SIMPLE = {"Fz": ("w2_1 + w2_2 + w2_3 + w2_4", "kappaFz", -1.0), "Mx": ("U_p", "kappaMx", 1.0),
            "My": ("U_q", "kappaMy", 1.0), "Mz": ("U_r", "kappaMz", 1.0)}  # fmt: skip
+
+
+_ROTORS = ("time constant", "delay", "voltage exponent", "telemetry delay", "rotor speed scale")
 
 
 def given_term(expression: str, coefficient: float, unit: str = "") -> dict[str, Any]:
@@ -22,18 +27,13 @@ def extended(model: Model) -> Model:
     """The model with the terms of its extensions in its axes; the model itself where they stand there already.
 
     document["extensions"] is a list of sections: "id"; optional "terms" {axis: [{"expression", "coefficient"}]};
-    "actuators" and "environment", see `actuators_of` and `wind_of`; "states", parts with a memory of their own.
-    Raises ConfigError for an extension that cannot be understood or has such states.
+    "actuators" and "environment", see `actuators_of` and `wind_of`; "states", parts with a memory of their own, see
+    `parts_of`. Raises ConfigError for an extension that cannot be understood.
     """
     document = {**model.document, "axes": {a: dict(part) for a, part in model.document["axes"].items()}}
     changed = False
     for extension in extensions_of(model):
         name = extension.get("id")
-        if extension.get("states"):
-            raise ConfigError(
-                f"model {model.id}, extension '{name}' has states of its own ({', '.join(extension['states'])}), which "
-                "the simulator does not know; extend the model without it"
-            )
         for axis, terms in (extension.get("terms") or {}).items():
             if axis not in document["axes"]:
                 raise ConfigError(
@@ -53,6 +53,61 @@ def extended(model: Model) -> Model:
     return Model(document, f"model {model.id} with its extensions") if changed else model
 
 
+_PARTS = {  # name of the part: {key in the model: constant of `Parts`}
+    "inflow lag": {"time constant": "inflow_lag", "gain": "inflow_gain"},
+    "swinging load": {"mass": "load_mass", "length": "load_length", "damping ratio": "load_damping"},
+}
+
+
+def parts_of(model: Model) -> Parts:
+    """Parts with states of their own that the model's extensions found; the simulator carries them.
+
+    Raises ConfigError naming the extension for a part that the simulator does not know, or a second one of a kind.
+    """
+    constants: dict[str, float] = {}
+    for extension in extensions_of(model):
+        what = f"model {model.id}, extension '{extension.get('id')}'"
+        states = extension.get("states") or {}
+        for part in states:
+            if part not in _PARTS:
+                raise ConfigError(
+                    f"{what} has states of its own ({part}), which the simulator does not know; extend the model "
+                    f"without it{nearest(str(part), _PARTS)}"
+                )
+            try:
+                found = {_PARTS[part][key]: float(value) for key, value in states[part].items()}
+            except (KeyError, TypeError, ValueError, AttributeError):
+                found = {}
+            least = {name: 0.0 if name == "load_damping" else 1e-9 for name in _PARTS[part].values()}
+            lacking = set(least) - {"load_damping"} - set(found)
+            if lacking or not all(least[n] <= v < np.inf for n, v in found.items()):
+                given = states[part] if isinstance(states, Mapping) else states
+                raise ConfigError(
+                    f"{what}: '{part}' is {given!r}, expected positive numbers for {', '.join(_PARTS[part])}; make the "
+                    "extended model anew"
+                )
+            if set(found) & set(constants):
+                raise ConfigError(f"{what} is the second {part} of the model, which has room for one; extend it anew")
+            constants |= found
+    return Parts(**constants)
+
+
+def named(parts: Parts) -> list[str]:
+    """The names of the parts that are there."""
+    return [n for n, there in (("inflow lag", parts.inflow_lag), ("swinging load", parts.load_mass)) if there > 0.0]
+
+
+def with_parts(model: Model) -> Model:
+    """The model less the terms that stand in for a part in quasi-steady predictions: the simulator carries the part."""
+    parts = named(parts_of(model))
+    axes = model.document["axes"]
+    kept = {a: [t for t in part["terms"] if t.get("stands for") not in parts] for a, part in axes.items()}
+    if all(len(kept[a]) == len(axes[a]["terms"]) for a in axes):
+        return model
+    document = {**model.document, "axes": {a: {**part, "terms": kept[a]} for a, part in axes.items()}}
+    return Model(document, f"model {model.id} with its parts")
+
+
 def extensions_of(model: Model) -> list[Mapping[str, Any]]:
     """The extensions of a model. Raises ConfigError where they are damaged."""
     found = model.document.get("extensions") or []
@@ -62,12 +117,25 @@ def extensions_of(model: Model) -> list[Mapping[str, Any]]:
 
 
 def actuators_of(model: Model) -> dict[str, float]:
-    """What extensions say of the rotors: "time constant" (s), "delay" (s), "voltage exponent"; {} without any."""
+    """What extensions say of the rotors and their logs; {} without any. Raises ConfigError for anything else.
+
+    "time constant" s; "delay" s; "voltage exponent" of the settled speed; and of the flights' recordings, which play a
+    part where recorded speeds drive a roll-out: "telemetry delay" s that they are late by, "rotor speed scale" that
+    they are too high by
+    """
     found: dict[str, float] = {}
     for extension in extensions_of(model):
         for key, value in (extension.get("actuators") or {}).items():
-            if key in ("time constant", "delay", "voltage exponent"):
-                found[key] = float(value)
+            what = f"model {model.id}, extension '{extension.get('id')}'"
+            if key not in _ROTORS:
+                raise ConfigError(f"{what} changes the rotors' '{key}', which the simulator does not know"
+                                  f"{nearest(key, _ROTORS)}; extend the model without it")  # fmt: skip
+            number = float(value) if isinstance(value, int | float) else math.nan
+            positive = key in ("time constant", "rotor speed scale")
+            if not math.isfinite(number) or (positive and number <= 0.0):
+                raise ConfigError(f"{what}: '{key}' is {value!r}, expected a {'positive' if positive else 'finite'} "
+                                  "number; make the extended model anew")  # fmt: skip
+            found[key] = number
     return found
 
 

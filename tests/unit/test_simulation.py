@@ -353,7 +353,7 @@ def test_the_simple_model_flies_and_an_extension_adds_its_terms(model):
     np.testing.assert_array_equal(again.model.predict(state, speeds), heavier.model.predict(state, speeds))
 
 
-def test_extensions_change_rotors_and_wind_and_one_with_states_is_refused_by_name(model):
+def test_extensions_change_rotors_and_wind_and_unknown_states_are_refused_by_name(model):
     extensions = [
         {"id": "motor_lag", "actuators": {"time constant": 0.05}},
         {"id": "command_delay", "actuators": {"delay": 0.012}},
@@ -367,9 +367,10 @@ def test_extensions_change_rotors_and_wind_and_one_with_states_is_refused_by_nam
     np.testing.assert_array_equal(machine.wind[:3], [1.0, 2.0, -0.5])
     own = make_setup({"model": {"model ID": "made"}, "actuator": {"delay": 0.0, "time constants": 0.02}}, other).machine
     assert own.drive.delay == 0.0 and (own.body[26:34] == 0.02).all()
-    load = {"id": "payload_swing", "states": {"swinging load": {"mass": 0.05, "length": 0.5}}}
-    with pytest.raises(ConfigError, match=r"'payload_swing' has states of its own \(swinging load\)"):
-        make_setup({"model": {"model ID": "made"}}, Model({**model.document, "extensions": [load]}))
+    for states in ({"swinging lode": {"mass": 0.05, "length": 0.5}}, ["swinging lode"]):
+        load = {"id": "payload_swing", "states": states}
+        with pytest.raises(ConfigError, match=r"'payload_swing' has states of its own \(swinging lode\).*mean 'swinging"):
+            make_setup({"model": {"model ID": "made"}}, Model({**model.document, "extensions": [load]}))
 
 
 @pytest.mark.parametrize(

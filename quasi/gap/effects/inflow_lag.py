@@ -1,10 +1,20 @@
 """The flow through the discs comes late."""
 
-from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, number, upward
+from quasi.gap.effect import Effect, Extension, Parameter, Terms, Values, Vehicle, number, upward
+from quasi.standalone.model import Model
+
+SHORTEST = 5e-4  # s: a shorter lag is over within a step of any simulation, and its first order is all of it
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
     return {"tau": upward(vehicle, [f"{number(vehicle.inflow)}*w{i}*w{i}_dot" for i in range(1, 5)])}
+
+
+def _extension(values: Values, vehicle: Vehicle, _: Model) -> Extension:
+    tau = values["tau"]
+    terms = {axis: [(text, tau)] for axis, text in _terms(vehicle)["tau"].items()} if tau else {}
+    states = {"inflow lag": {"time constant": tau, "gain": vehicle.inflow}} if tau >= SHORTEST else {}
+    return Extension(terms=terms, states=states)
 
 
 EFFECT = Effect(
@@ -18,4 +28,5 @@ EFFECT = Effect(
     rivals=("telemetry_delay", "rotor_acceleration_torque"),
     tie_breaker="steps of throttle and of roll: a late rotor speed shows in yaw too",
     terms=_terms,
+    extension=_extension,
 )
