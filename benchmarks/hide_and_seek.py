@@ -90,7 +90,10 @@ def seek(learned: Sequence[tuple[Recorded, Flown]], held: tuple[Recorded, Flown]
     """What the levels say of the flights, without any knowledge of what is hidden."""
     effects = catalogue()
     recorded, flown = [list(part) for part in zip(*learned)]
-    told, levels = lower.examine(flown, model.document, {"false alarm rate": RATE}, effects)
+    raw = {f.key: r for r, f in learned}
+    told, levels = lower.examine(
+        flown, model.document, {"false alarm rate": RATE}, effects, lambda f, c: again([raw[f.key]], [f], [c])[0]
+    )
     anew = [for_flight(told, f.compared) for f in [*flown, held[1]]]
     everything = again([*recorded, held[0]], [*flown, held[1]], anew)
     evidence = [_evidence(f, model) for f in everything]

@@ -175,6 +175,25 @@ def raw_files(wildcards):
     return [raw[k] for k in ("onboard", "capture") if raw[k]] + ([wind] if wind else [])
 
 
+def learning_settings(gap):
+    """Settings of import and filter of the flights that a gap learns from, by key."""
+    return {
+        r.key: {
+            "importing": ask(FOLDER.importing, r.quadrotor, r.key),
+            "filtering": ask(FOLDER.filtering, r.quadrotor, r.key),
+        }
+        for role in LEARN
+        for r in ask(FOLDER.gap_flights, gap)[role]
+    }
+
+
+def learning_files(wildcards):
+    """Raw files of the flights that a gap learns from: ties are settled by processing them anew."""
+    made = [s["importing"]["flight"] for s in learning_settings(wildcards.gap).values()]
+    winds = [raw["wind"]["file"] for raw in made if raw.get("wind", {}).get("file")]
+    return [raw[k] for raw in made for k in ("onboard", "capture") if raw[k]] + winds
+
+
 def simulation_files(wildcards):
     asked = ask(FOLDER.simulation, wildcards.simulation)
     return [asked[k] for k in ("model", "wind", "reference") if asked[k]]

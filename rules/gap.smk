@@ -28,6 +28,7 @@ rule gap_calibration:
         filtered=lambda w: as_processed(w.gap, LEARN, "withGravity"),
         filtered_metadata=lambda w: as_processed(w.gap, LEARN, "withGravity", "json"),
         recordings=gap_recordings,
+        raw=learning_files,
     output:
         calibration="results/calibrations/{gap}.json",
         tables=directory("results/parts/gap/{gap}/sensors"),
@@ -37,6 +38,7 @@ rule gap_calibration:
         "results/benchmarks/gap/{gap}/calibration.tsv"
     params:
         asked=lambda w: ask(FOLDER.gap, w.gap),
+        settings=lambda w: learning_settings(w.gap),
         code=code("gap_calibration.py"),
         causes=CATALOGUE,
     script:

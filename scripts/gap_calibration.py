@@ -1,19 +1,24 @@
 """What the sensors and the rotors' drive of a gap's flights are wrong by, before anything aerodynamic is asked."""
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from quasi.airframe import read_airframe
 from quasi.comparisons import same_recordings
 from quasi.errors import ConfigError
+from quasi.filtering.flight import filter_flight
 from quasi.gap.catalogue import catalogue, chosen
 from quasi.gap.level import Flown
 from quasi.gap.lower import examine, units_of
+from quasi.importing.flight import import_flight
 from quasi.joblog import LOG, job, progress
 from quasi.standalone.model import read_model
 from quasi.tables import read_json, read_table, write_json, write_table
 
 
-def main(source: dict, asked: dict, output: dict[str, str]) -> None:
+def main(source: dict, asked: dict, settings: dict, output: dict[str, str]) -> None:
     """Read the flights that may choose and fit; write what levels K and A found, and their tables."""
     if asked["problem"]:
         raise ConfigError(asked["problem"])
@@ -34,7 +39,11 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
         )
         compared = asked["roles"][key] != "reference"
         flights.append(Flown(key, compared, imported, about, filtered, filtered_about, airframe))
-    result, levels = examine(flights, read_model(source["model"]).document, asked["settings"], effects)
+
+    def process(flown: Flown, calibration: Mapping[str, Any] | None) -> Flown:
+        return anew(flown, settings[flown.key], calibration)
+
+    result, levels = examine(flights, read_model(source["model"]).document, asked["settings"], effects, process)
     folder = Path(output["tables"])
     folder.mkdir(parents=True, exist_ok=True)
     for level in levels:
@@ -46,6 +55,23 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
     write_json(output["calibration"], result)
 
 
+def anew(flown: Flown, settings: dict, calibration: Mapping[str, Any] | None) -> Flown:
+    """A flight imported and filtered again with a calibration. Raises ConfigError for faulty settings."""
+    for stage in ("importing", "filtering"):
+        if settings[stage]["problem"]:
+            raise ConfigError(settings[stage]["problem"])
+    of = settings["importing"]
+    imported, about = import_flight(of["flight"], of["quadrotor"], of["options"], calibration)
+    result = filter_flight(imported, about, flown.airframe, settings["filtering"]["options"])
+    return replace(flown, imported=imported, metadata=about, filtered=result.with_gravity,
+                   filtered_metadata=result.metadata)  # fmt: skip
+
+
 if __name__ == "__main__":
     with job(snakemake.log[0], f"calibration of gap {snakemake.wildcards.gap}"):
-        main(dict(snakemake.input.items()), snakemake.params.asked, dict(snakemake.output.items()))
+        main(
+            dict(snakemake.input.items()),
+            snakemake.params.asked,
+            snakemake.params.settings,
+            dict(snakemake.output.items()),
+        )

@@ -9,6 +9,7 @@ from quasi.gap import actuation, kinematic, points
 from quasi.gap.calibration import document
 from quasi.gap.effect import Effect
 from quasi.gap.level import Flown, Level
+from quasi.gap.settling import Process, settle
 from quasi.standalone.model import Model
 from quasi.tables import COLUMNS
 
@@ -21,16 +22,20 @@ UNITS = {
 
 
 def examine(
-    flights: Sequence[Flown], model: Mapping[str, Any], settings: Mapping[str, Any], effects: Mapping[str, Effect]
-) -> tuple[dict[str, Any], list[Level]]:
+    flights: Sequence[Flown], model: Mapping[str, Any], settings: Mapping[str, Any], effects: Mapping[str, Effect],
+    process: Process | None = None,
+) -> tuple[dict[str, Any], list[Level]]:  # fmt: skip
     """The calibration of a gap with what both levels found as plain data under "levels", and the levels themselves.
 
     flights  those that may choose and fit; model  document; settings  of the gap; effects  that are asked, by id
+    process  imports and filters a flight anew with a calibration; without it ties stay ties
     """
     options = {"false alarm rate": settings["false alarm rate"] / 3.0, "effects": list(effects)}
     levels = [kinematic.examine(flights, options), actuation.examine(flights, model, options)]
     if points.MARKERS in effects:
         points.settle(levels[0], flights, Model(model, "the compared model"))
+    if process is not None:
+        settle(levels, flights, Model(model, "the compared model"), options["false alarm rate"], process)
     told = document(levels)
     return {**told, "levels": {level.level: plain(level) for level in levels}}, levels
 
