@@ -1,0 +1,214 @@
+"""What flights could show before they are flown: the standard error that each cause's parameter would have.
+
+The same mixed model that names causes (`quasi.gap.mixed`): the model's own terms fitted anew, what flights differ by
+with its usual spread, and a deviation of the cause from stretch to stretch whose size restricted maximum likelihood
+finds. Flights that are repeats of each other are worked out once and counted as often as they are flown.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from quasi.gap.effect import Effect
+from quasi.gap.mixed import CERTAIN, MOST_FREEDOM, RIDGE, SPREADS, Columns, Mixed, Offer, marginal
+
+POWER = 1.28  # standard errors above the threshold: nine of ten repeats are named
+
+
+class Repeated(NamedTuple):
+    """One flight's stretches (K, P, P) as often as it is flown."""
+
+    stretches: np.ndarray
+    compared: int
+    reference: int
+
+
+class Sight(NamedTuple):
+    """What is expected of one parameter.
+
+    size (its unit), std (alike), t = size/std of it alone; beside (t with the nearest rival given too) and that rival
+    needed  t at which nine of ten repeats are named; None of t and beside where the model's own terms take it up
+    """
+
+    cause: str
+    parameter: str
+    size: float
+    t: float
+    beside: float
+    rival: str | None
+    needed: float
+    absorbed: bool = False
+
+    @property
+    def verdict(self) -> str:
+        """ "seen", "tie" or "not seen"."""
+        if self.absorbed or self.t < self.needed:
+            return "not seen"
+        return "seen" if self.beside >= self.needed else "tie"
+
+
+class Row(NamedTuple):
+    """One cause. sight  of its least visible parameter; all  of every one that has a typical size"""
+
+    effect: Effect
+    sight: Sight
+    all: tuple[Sight, ...]
+
+
+class Outlook:
+    """Expected tests on repeated flights.
+
+    flights   what is flown how often; columns  what is what in them; targets  places of the residuals
+    effects   the causes of the columns; rate  false alarm rate shared by them
+    together  whether a cause is always tested with all its parameters, as the levels below aerodynamics do
+    freedom   degrees of freedom that the nuisances' spreads stand for beside the flights' own
+    prior     precision (S, S) of the shared columns' coefficients about 0
+    """
+
+    def __init__(
+        self,
+        flights: Sequence[Repeated],
+        columns: Columns,
+        targets: Sequence[int],
+        effects: Mapping[str, Effect],
+        rate: float,
+        together: bool = False,
+        freedom: float = 0.0,
+        prior: np.ndarray | None = None,
+    ) -> None:
+        self.together, self.prior = together, prior
+        self.flights, self.columns, self.targets, self.effects = list(flights), columns, list(targets), effects
+        self.since = "changed" if any(f.reference for f in flights) else "always"
+        self.asked = [c for c in columns.causes if not self.absorbed(c)]
+        self.level = rate / max(len(self.asked), 1)
+        count = sum((f.compared + f.reference) * len(f.stretches) for f in self.flights)
+        self.freedom = max(count - (2 if self.since == "changed" else 1), 1) + freedom
+        self._whole = Mixed([f.stretches for f in self.flights], [True] * len(self.flights), columns)
+
+    def absorbed(self, cause: str) -> bool:
+        """Whether the model's own terms take the cause up, so that without reference flights nothing is left of it."""
+        return self.since == "always" and self.effects[cause].absorbed
+
+    def sight(self, cause: str, parameter: str, size: float) -> Sight:
+        """What is expected of a parameter of a cause at a size, the nearest rival looked for among all causes."""
+        offer = self.offer(cause, parameter)
+        if self.absorbed(cause):
+            return Sight(cause, parameter, size, 0.0, 0.0, None, np.inf, True)
+        tau, covariance, share = self.test(offer)
+        nearest, least = None, np.inf
+        for other in self.asked:
+            if other == cause or self._simpler(offer, other):
+                continue
+            t = self._t(offer, parameter, size, self.covariance(offer, tau, self.whole(other)))
+            nearest, least = (other, t) if t < least else (nearest, least)
+        t = self._t(offer, parameter, size, covariance)
+        return Sight(cause, parameter, size, t, min(least, t), nearest, self.needed(offer, share))
+
+    def look(self, cause: str, parameter: str, size: float, rivals: Sequence[str]) -> Sight:
+        """As `sight`, among some rivals alone: for comparing many plans."""
+        rivals = [r for r in rivals if r in self.asked]
+        offer = self.offer(cause, parameter)
+        tau, covariance, share = self.test(offer)
+        t = self._t(offer, parameter, size, covariance)
+        beside = {r: self._t(offer, parameter, size, self.covariance(offer, tau, self.whole(r))) for r in rivals}
+        nearest = min(beside, key=beside.get, default=None)
+        return Sight(cause, parameter, size, t, min([t, *beside.values()]), nearest, self.needed(offer, share))
+
+    def offer(self, cause: str, parameter: str) -> Offer:
+        """The parameter alone, or all of a cause whose parameters are found together."""
+        effect = self.effects[cause]
+        names = effect.fitted
+        if self.together or effect.parts == "all":
+            return self.whole(cause)
+        return Offer(cause, self.since, (names.index(parameter),))
+
+    def whole(self, cause: str) -> Offer:
+        """A cause with all its parameters."""
+        return Offer(cause, self.since, tuple(range(len(self.columns.causes[cause]))))
+
+    def needed(self, offer: Offer, share: float) -> float:
+        """|t| at which nine of ten repeats pass the threshold of naming. share  of the variance that rests on tau."""
+        effect, m = self.effects[offer.cause], len(offer.which)
+        n = len(effect.fitted)
+        selections = 1 if self.together else {"any": n + 1 if n > 1 else 1, "first": n, "all": 1}[effect.parts]
+        freedom = min(self.freedom / max(share, 1e-3) ** 2, MOST_FREEDOM)
+        return float(np.sqrt(m * f_distribution.isf(self.level / selections, m, freedom)) + POWER)
+
+    def _t(self, offer: Offer, parameter: str, size: float, covariance: np.ndarray) -> float:
+        theta = np.zeros(len(offer.which))
+        theta[offer.which.index(self.effects[offer.cause].fitted.index(parameter))] = size
+        return float(np.sqrt(max(theta @ np.linalg.solve(covariance, theta), 0.0)))
+
+    def _simpler(self, offer: Offer, other: str) -> bool:
+        """Whether the other is no rival because it only holds this one among more parameters: the simpler is named."""
+        wide = self.whole(other)
+        return len(wide.which) > len(offer.which) and self._whole.spans(wide, offer)
+
+    def test(self, offer: Offer) -> tuple[float, np.ndarray, float]:
+        """tau, covariance (m, m) of the parameters and the share of the variance that rests on tau."""
+        _, certain = self._solve(offer, CERTAIN, None)
+        best = None
+        for tau in SPREADS:
+            criterion, covariance = self._solve(offer, tau, None)
+            if best is None or criterion < best[0]:
+                best = criterion, float(tau), covariance
+        return best[1], best[2], 1.0 - float(np.mean(np.diag(certain) / np.diag(best[2])))
+
+    def covariance(self, offer: Offer, tau: float, given: Offer) -> np.ndarray:
+        """Covariance (m, m) of the parameters beside another cause, at a spread that is known."""
+        return self._solve(offer, tau, given)[1]
+
+    def _solve(self, offer: Offer, tau: float, given: Offer | None) -> tuple[float, np.ndarray]:
+        """-2 log likelihood, averaged over the residuals, and covariance."""
+        columns = self.columns
+        own = [columns.causes[offer.cause][k] for k in offer.which]
+        others = [] if given is None else [columns.causes[given.cause][k] for k in given.which]
+        pooled = []
+        if self.since == "changed":
+            pooled = [c for n, part in columns.causes.items() if not self.effects[n].absorbed for c in part]
+        common = [*columns.shared, *pooled]
+        # those that all flights have, then what is offered to the compared ones alone
+        source = [*self.targets, *common, *others, *own]
+        head = len(self.targets)
+        count = sum(len(f.stretches) * (f.compared + f.reference) for f in self.flights)
+        typical = sum((f.compared + f.reference) * self._whole.grams[k][own, own] for k, f in enumerate(self.flights))
+        spread = tau / np.sqrt(np.maximum(typical / count, 1e-300))
+        total, logs = np.zeros((len(source),) * 2), 0.0
+        for flight in self.flights:
+            gram, log = _left(flight.stretches, own, spread, columns)
+            total += flight.compared * gram[np.ix_(source, source)]
+            kept = source[: head + len(common)]
+            total[: len(kept), : len(kept)] += flight.reference * gram[np.ix_(kept, kept)]
+            logs += (flight.compared + flight.reference) * log
+        if self.prior is not None:
+            base = slice(head, head + len(columns.shared))
+            total[base, base] += self.prior
+        scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
+        scaled = total / np.outer(scale, scale)
+        inner = scaled[head:, head:] + RIDGE * np.eye(len(source) - head)
+        inverse = np.linalg.inv(inner)
+        explained = np.einsum("ij,jk,ik->i", scaled[:head, head:], inverse, scaled[:head, head:])
+        squares = float(np.mean(scale[:head] ** 2 * (1.0 - explained)))
+        information = float(np.linalg.slogdet(inner)[1] + 2.0 * np.log(scale[head:]).sum())
+        part = slice(len(source) - head - len(own), None)
+        unit = scale[len(source) - len(own) :]
+        return squares + logs + information, inverse[part, part] / np.outer(unit, unit)
+
+
+def _left(stretches: np.ndarray, own: Sequence[int], spread: np.ndarray, columns: Columns) -> tuple[np.ndarray, float]:
+    """A flight's cross-products once the stretches' deviations and the flight's nuisances are integrated out."""
+    rest, log = np.zeros(stretches.shape[1:]), 0.0
+    for gram in stretches:
+        log += _log(gram, own, spread)
+        rest += marginal(gram, own, spread)
+    if columns.nuisance:
+        log += _log(rest, columns.nuisance, columns.spread)
+        rest = marginal(rest, columns.nuisance, columns.spread)
+    return rest, log
+
+
+def _log(gram: np.ndarray, columns: Sequence[int], spread: np.ndarray) -> float:
+    columns = list(columns)
+    return float(np.linalg.slogdet(np.eye(len(columns)) + gram[np.ix_(columns, columns)] * np.outer(spread, spread))[1])
