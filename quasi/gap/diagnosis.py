@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from quasi.gap import generic, rollouts, unexplained
+from quasi.gap import generic, rollout_gain, unexplained
+from quasi.gap.confirmation import Settled, settle
 from quasi.gap.effect import Effect, Vehicle, room_of, vehicle_of
 from quasi.gap.evidence import Evidence
 from quasi.gap.extension import extend
@@ -16,13 +17,13 @@ from quasi.gap.level import Flown
 from quasi.gap.lower import judged
 from quasi.gap.study import refit
 from quasi.gap.wording import summary
-from quasi.gap.wrench import Cause, Found, examine
+from quasi.gap.wrench import Cause, Found, everything, examine
 from quasi.gap.wrench_tables import wrench_tables
 from quasi.standalone.model import AXES, Model
 
 SCHEMA = "quasi.gap/1"
 SURE = 0.8  # share of resamples in which a cause must be found again
-FORCES = ("Fx", "Fy", "Fz")
+HORIZON = 0.5  # s, at which a gain in roll-outs is told
 
 
 @dataclass
@@ -63,24 +64,37 @@ def diagnose(
     said: dict[str, Any] = {"candidates": [], "unexplained": [], "cannot_be_asked": [], "notes": list(lost)}
     unable = _unable(groups)
     found, kept = None, []
+    settled = Settled([], [], {}, {}, None, [])
     if unable:
         asked = [n for n, e in effects.items() if e.level == "W"]
         said["cannot_be_asked"] += [{"id": n, "why": unable} for n in asked]
     else:
         found = examine(learning, compared, held, model, effects, vehicle, rate, share, ident, f"gap {name}")
-        kept = [c for c in found.causes if c.probability >= SURE]
-        said["candidates"] += _candidates(found, kept, share)
+        sure = [c for c in found.causes if c.probability >= SURE]
+        settled = settle(found, sure, model, compared, effects, vehicle, held, flights)
+        kept = settled.causes
+        said["notes"] += settled.notes
+        said["candidates"] += _candidates(found, settled, share)
         said["cannot_be_asked"] += [{"id": n, "why": why} for n, why in found.lacking.items()]
     drive = [(effects[e["id"]], _deviations(effects[e["id"]], e["parameters"]))
              for e in levels["A"]["effects"] if e["id"] in effects and effects[e["id"]].extension]  # fmt: skip
     document = _extended(model, kept, drive, found, compared, vehicle, ident, f"gap {name}")
     extended = Model(document, f"model {ident}")
-    rolled = _rollouts(model, extended, flights, held, settings["horizons"])
-    gap, scores = _gap(model, extended, found, kept, held, learning, compared, rolled, lower, document)
-    effects_said = [_wrench_effect(c, vehicle) for c in kept]
-    _rollout_gains(effects_said, kept, model, drive, found, compared, vehicle, flights, held, settings, rolled)
+    students = [e for e, flag in zip(learning, compared) if flag]
+    yardstick = generic.polynomial(students, sum(len(c.value) for c in kept)) if kept else None
+    wrong = _wrong_model(found, kept, model, compared, effects, vehicle) if kept else None
+    floor = None if found is None else everything(found.study, effects, vehicle, compared, found.study.values)
+    rolled = rollout_gain.score(model, extended, flights, held, settings["horizons"], floor, wrong, yardstick)
+    gap, scores = _gap(model, extended, found, kept, held, yardstick, rolled, lower, document)
+    effects_said = [_wrench_effect(c, vehicle, settled) for c in kept]
     if found is not None:
-        accepted = [(c.effect, c.test.offer, c.value) for c in [*found.causes, *found.immaterial]]
+        _rollout_gains(effects_said, kept, model, drive, found, compared, vehicle, settings["horizons"], rolled)
+        refuted = [c for c, _ in settled.dropped]
+        accepted = [
+            (c.effect, c.test.offer, c.value)
+            for c in [*found.causes, *found.immaterial]
+            if not any(c is r for r in refuted)
+        ]
         tied = [(effects[t.tests[0].offer.cause], t.tests[0].offer, {}) for _, t in found.ties]
         left = after(extended, model)
         said["unexplained"], _ = unexplained.search(
@@ -134,16 +148,23 @@ def _unable(groups: Mapping[str, Sequence[Evidence]]) -> str:
 
 def _extended(
     model: Model, kept: Sequence[Cause], drive: Sequence[tuple[Effect, Mapping[str, float]]], found: Found | None,
-    compared: Sequence[bool], vehicle: Vehicle, ident: str, where: str,
+    compared: Sequence[bool], vehicle: Vehicle, ident: str, where: str, anew: bool | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """The extended model's document; the model's own terms are fitted anew beside causes that were always there."""
+    """The extended model's document; the model's own terms are fitted anew beside causes that were always there.
+
+    anew  whether they are in any case, or are not
+    """
     changes = None
-    if found is not None and any(c.since == "always" for c in kept):
+    if found is not None and (_anew(kept) if anew is None else anew):
         own = {(c.effect.id, c.since): {c.effect.fitted.index(n): v for n, v in c.value.items()} for c in kept}
         changes = refit(found.study, range(len(compared)), compared, own)
     document = extend(model, [*((c.effect, c.value) for c in kept), *drive], vehicle, ident, where, changes)
     document.pop("differential form", None)
     return document
+
+
+def _anew(causes: Sequence[Cause]) -> bool:
+    return any(c.since == "always" for c in causes)
 
 
 def _deviations(effect: Effect, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
@@ -169,7 +190,9 @@ def _parameters(effect: Effect, value: Mapping[str, float], std: Mapping[str, fl
     }
 
 
-def _wrench_effect(cause: Cause, vehicle: Vehicle) -> dict[str, Any]:
+def _wrench_effect(cause: Cause, vehicle: Vehicle, settled: Settled) -> dict[str, Any]:
+    key = cause.effect.id, cause.since
+    rolled = settled.estimates.get(key)
     gains = {a: g for a, g in cause.gain.items() if g["value"] is not None}
     shown = [a for a in cause.effect.channels if a in gains] or list(gains)
     best = max(shown, key=lambda a: gains[a]["value"], default=None)
@@ -186,7 +209,10 @@ def _wrench_effect(cause: Cause, vehicle: Vehicle) -> dict[str, Any]:
         "confused_with": [r.id for r in cause.rivals],
         "rivals": [r._asdict() for r in cause.rivals],
         "evidence": {"p": cause.test.p, "wald": cause.test.wald, "between flights": cause.test.tau},
-    }
+        "confirmation": settled.confirmations[key].document(),
+        "output error": rolled and {"agrees": rolled.agrees,
+                                    "parameters": _parameters(cause.effect, rolled.value, rolled.std, vehicle)},
+    }  # fmt: skip
 
 
 def _lower_effect(effect: Mapping[str, Any], level: str, gap: Mapping[str, Any]) -> dict[str, Any]:
@@ -215,8 +241,9 @@ def _tie(since: str, tie: Any, effects: Mapping[str, Effect], vehicle: Vehicle) 
             "parameters": parameters}  # fmt: skip
 
 
-def _candidates(found: Found, kept: Sequence[Cause], share: float) -> list[dict[str, Any]]:
+def _candidates(found: Found, settled: Settled, share: float) -> list[dict[str, Any]]:
     """Causes that were asked and are not named, the most significant first, with the reason."""
+    kept = settled.causes
     out = {(c.effect.id, c.since) for c in kept} | {(t.offer.cause, s) for s, tie in found.ties for t in tie.tests}
     said = []
 
@@ -225,6 +252,8 @@ def _candidates(found: Found, kept: Sequence[Cause], share: float) -> list[dict[
             out.add((cause, since))
             said.append({"id": cause, "since": since, "score": test.wald, "p": test.p, "why_not": why})
 
+    for c, told in settled.dropped:
+        add(c.effect.id, c.since, c.test, told.why)
     for c in found.causes:
         why = f"found again in {100 * c.probability:.0f} % of the resamples only, expected {100 * SURE:.0f} %"
         add(c.effect.id, c.since, c.test, why)
@@ -246,67 +275,54 @@ def _candidates(found: Found, kept: Sequence[Cause], share: float) -> list[dict[
     return said
 
 
-def _rollouts(
-    model: Model, extended: Model, flights: Mapping[str, pd.DataFrame], held: Sequence[Evidence],
-    horizons: Sequence[float],
-) -> dict[str, Any]:  # fmt: skip
-    """End errors before, after and at the floor, with measured rotor speeds and with commands; overlays of windows."""
-    ready = [rollouts.flight_of(e.key, flights[e.key]) for e in held]
-    whole: dict[str, Any] = {"fell": {}, "rms": {"before": {}, "after": {}, "noise_floor": {}}}
-    parts = []
-    for driven in (rollouts.MEASURED, rollouts.TOLD):
-        old, new = (rollouts.end_errors(m, ready, horizons, driven) for m in (model, extended))
-        if not len(old):
-            continue
-        whole["rms"]["before"][driven], whole["rms"]["after"][driven] = rollouts.rms(old), rollouts.rms(new)
-        whole["fell"][driven] = rollouts.fell(old, new)
-        parts += [t.assign(driven=driven, model=word) for word, t in (("before", old), ("after", new))]
-    if parts:
-        floor = rollouts.floor_errors(extended, ready, horizons)
-        least, new = rollouts.rms(floor), whole["rms"]["after"][rollouts.MEASURED]
-        whole["rms"]["noise_floor"][rollouts.MEASURED] = {
-            q: {h: min(v, new[q][h]) for h, v in by.items()} for q, by in least.items()
-        }
-        parts.append(floor.assign(driven=rollouts.MEASURED, model="floor"))
-        whole["R_errors"] = pd.concat(parts, ignore_index=True)
-        whole["R_overlays"] = rollouts.overlays({"before": model, "after": extended}, ready, max(horizons))
-    return whole
+def _wrong_model(
+    found: Found, kept: Sequence[Cause], model: Model, compared: Sequence[bool], effects: Mapping[str, Effect],
+    vehicle: Vehicle,
+) -> Model | None:  # fmt: skip
+    """The model extended by the best wrong cause of level W alone."""
+    if found.wrong is None:
+        return None
+    study, since, effect = found.study, kept[0].since, effects[found.wrong]
+    pooled = [c for c in study.columns.causes if not effects[c].absorbed] if since == "changed" else []
+    test = study.mixed(range(len(compared)), compared).best(effect.id, since, (), pooled, effect.parts)
+    values = {effect.fitted[k]: float(v) for k, v in zip(test.offer.which, test.value)}
+    return Model(extend(model, [(effect, values)], vehicle, "wrong", "trial"), "the best wrong cause")
 
 
 def _rollout_gains(
-    said: Sequence[dict[str, Any]], kept: Sequence[Cause], model: Model, drive: Sequence, found: Found | None,
-    compared: Sequence[bool], vehicle: Vehicle, flights: Mapping[str, pd.DataFrame], held: Sequence[Evidence],
-    settings: Mapping[str, Any], rolled: Mapping[str, Any],
+    said: Sequence[dict[str, Any]], kept: Sequence[Cause], model: Model, drive: Sequence, found: Found,
+    compared: Sequence[bool], vehicle: Vehicle, horizons: Sequence[float], rolled: Mapping[str, Any],
 ) -> None:  # fmt: skip
-    """Fill in what each cause is worth in roll-outs: of velocity or rate at the longest horizon, left out alone."""
-    if not rolled["rms"]["noise_floor"]:
+    """Fill in what each cause is worth in roll-outs, left out alone, in the quantities where it acts.
+
+    The one figure is that of the quantity and line where it moves the simulation most, beside the error, after HORIZON
+    or the nearest that there is.
+    """
+    if "noise_floor" not in rolled["ends"]:
         return
-    longest = max(settings["horizons"])
     for entry, cause in zip(said, kept):
-        force = (entry["gain channel"] or entry["channels"][0]) in FORCES
-        quantity, horizon = "velocity" if force else "rate", f"{longest:g}"
-        old, new, floor = (
-            rolled["rms"][k][rollouts.MEASURED][quantity][horizon] for k in ("before", "after", "noise_floor")
-        )
+        old = rolled["errors"]["before"]
         if len(kept) > 1:
-            rest = _extended(model, [c for c in kept if c is not cause], drive, found, compared, vehicle, "rest", "gap")
-            ready = [rollouts.flight_of(e.key, flights[e.key]) for e in held]
-            without = rollouts.end_errors(Model(rest, "rest"), ready, [longest], rollouts.MEASURED)
-            old = rollouts.rms(without)[quantity][horizon]
-        removable = old**2 - floor**2
-        entry["gain"]["rollout"] = float((old**2 - new**2) / removable) if floor**2 < 0.9 * old**2 else None
-        entry["rollout channel"] = quantity
+            rest = [c for c in kept if c is not cause]
+            beside = _extended(model, rest, drive, found, compared, vehicle, "rest", "gap", anew=_anew(kept))
+            old = rollout_gain.simulated_errors(rolled["tracks"], Model(beside, "rest"), model)
+        rows = rollout_gain.worth(rolled, old, cause.effect.channels, horizons)
+        told = [row for row in rows if row["value"] is not None]
+        best = min(told, key=lambda row: (abs(row["horizon"] - HORIZON), -row["moved"]), default=None)
+        entry["gain"]["rollout"] = best and best["value"]
+        entry["rollout channel"] = best and best["quantity"]
+        entry["rollout gain"], entry["rollout gains"] = best, rows
 
 
 def _gap(
     model: Model, extended: Model, found: Found | None, kept: Sequence[Cause], held: Sequence[Evidence],
-    learning: Sequence[Evidence], compared: Sequence[bool], rolled: Mapping[str, Any],
+    yardstick: rollout_gain.Residual | None, rolled: Mapping[str, Any],
     lower: tuple[Sequence[Flown], Sequence[Flown]], document: Mapping[str, Any],
 ) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
     """Root mean squares before, after and at the floor by level, channel and horizon; shares of W with intervals."""
     gap: dict[str, Any] = {k: {} for k in ("before", "after", "noise_floor", "best_wrong_cause", "generic_polynomial")}
-    for key in ("before", "after", "noise_floor"):
-        gap[key] |= rolled["rms"][key]
+    for key in gap:
+        gap[key] |= rolled["rms"].get(key, {})
     scores: dict[str, Any] = {}
     if held:
         old, new = wrench_score(held, before), wrench_score(held, after(extended, model))
@@ -316,10 +332,9 @@ def _gap(
             if found:
                 gap["noise_floor"]["W"] = _axes(floor)
                 scores["removed"] = fraction(old, new, floor)
-                if kept:
+                if yardstick is not None:
                     size = sum(len(c.value) for c in kept)
-                    students = [e for e, flag in zip(learning, compared) if flag]
-                    other = wrench_score(held, generic.polynomial(students, size))
+                    other = wrench_score(held, yardstick)
                     gap["generic_polynomial"]["W"] = _axes(other.mean())
                     scores["generic polynomial"] = {"terms": size, "removed": fraction(old, other, floor)}
                     if found.wrong:

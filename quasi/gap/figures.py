@@ -74,12 +74,16 @@ def horizons_figure(table: pd.DataFrame | None) -> Figure | None:
     if table is None or not len(table):
         return None
     figure = Figure(figsize=(10.5, 3.0), layout="constrained")
-    styles = {"R": "-", "R commands": "--"}
-    colours = {"before": BEFORE, "after": AFTER, "floor": FLOOR}
+    styles, said = (
+        {"R": "-", "R with trim": ":", "R commands": "--"},
+        {"R with trim": ", trim", "R commands": ", commands"},
+    )
+    colours = {"before": BEFORE, "after": AFTER, "noise_floor": FLOOR}
+    table = table[table["model"].isin(list(colours))]
     for panel, (quantity, unit) in zip(figure.subplots(1, 4), UNITS.items()):
         for (driven, model), part in table.groupby(["driven", "model"]):
             found = part.groupby("horizon")[quantity].apply(lambda v: np.sqrt(np.nanmean(np.square(v))))
-            label = model + (", commands" if driven == "R commands" else "")
+            label = model.replace("_", " ") + said.get(driven, "")
             panel.plot(found.index, found.to_numpy(), styles[driven], marker=".", color=colours[model], label=label)
         panel.set(xlabel="horizon, s", yscale="log")
         panel.set_title(f"{quantity}, {unit}", fontsize=9)

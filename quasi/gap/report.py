@@ -13,7 +13,17 @@ import pandas as pd
 
 from quasi import report
 from quasi.gap.effect import Effect
-from quasi.gap.wording import CHANNELS, SINCE, left_sentence, name_of, percent, tie_sentence, value_of
+from quasi.gap.wording import (
+    CHANNELS,
+    SINCE,
+    confirmation_of,
+    left_sentence,
+    name_of,
+    percent,
+    rollout_of,
+    tie_sentence,
+    value_of,
+)
 from quasi.standalone.chart import SCRIPT, STYLE
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -25,7 +35,7 @@ CAPTIONS = {
     "overlays": "Simulated from measured states with measured rotor speeds, before (red) and after (blue) the "
     "extension, beside the flight (black).",
     "horizons": "Errors at the end of simulations of held-out flights over their length; dashed where commands drove "
-    "the rotors; grey what is left where each window's mean error is taken off.",
+    "the rotors, dotted with trim; grey what the model's terms and all causes, fitted to the other flights, leave.",
     "where": "Mean error of forces and moments where it was found, compared and held-out flights together.",
     "spectra": "Power of the errors over frequency.",
 }
@@ -108,7 +118,14 @@ def _share(found: Mapping[str, float | None] | None) -> str:
 
 def _rollouts(diagnosis: Mapping[str, Any]) -> str:
     blocks = []
-    for driven, title in (("R", "measured rotor speeds"), ("R commands", "commands")):
+    for driven, title in (
+        ("R", "measured rotor speeds"),
+        (
+            "R with trim",
+            "measured rotor speeds, trim of the 2 s before each window taken up",
+        ),
+        ("R commands", "commands"),
+    ):
         rows = [
             [f"{r['quantity']}, {UNITS[r['quantity']]}, after {r['horizon']:g} s", report.number(r["before"]),
              report.number(r["after"]),
@@ -145,7 +162,8 @@ def _cause(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
             *((name_of(n), value_of(p)) for n, p in effect["parameters"].items()),
             ("seen in", ", ".join(effect["channels"])),
             ("removable error it removes", ", ".join(gains) or percent(effect["gain"]["wrench"])),
-            ("of the simulated motion", percent(effect["gain"]["rollout"])),
+            ("of the simulated motion", percent(effect["gain"]["rollout"]) + rollout_of(effect)),
+            ("roll-outs of held-out flights", confirmation_of(effect)),
             ("probability of nothing", f"{evidence['p']:.1e}" if "p" in evidence else ""),
             ("named again in resamples", percent(effect.get("probability"))),
             ("rivals that it beat", ", ".join(map(name_of, effect["confused_with"]))),

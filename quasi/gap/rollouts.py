@@ -11,7 +11,7 @@ from quasi.gap.gain import states_of
 from quasi.simulation.replay import replay, steps_of, twelve
 from quasi.simulation.rollout import errors
 from quasi.simulation.variants import actuators_of
-from quasi.standalone.model import AXES, Model
+from quasi.standalone.model import Model
 
 EVERY = 0.2  # s between the starts of two windows
 COMMANDED = tuple(f"w{i}_CMD" for i in range(1, 5))
@@ -19,6 +19,7 @@ SHARES = tuple(f"command{i}" for i in range(1, 5))
 QUANTITIES = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
 OUTPUTS = 12  # of `vectors`
 CHANNELS = {"Fx": "velocity x", "Fy": "velocity y", "Fz": "velocity z", "Mx": "rate x", "My": "rate y", "Mz": "rate z"}
+COLUMN = dict(zip(CHANNELS, (0, 1, 2, 6, 7, 8)))  # of `vectors`
 MEASURED, TOLD = "R", "R commands"  # driven by measured rotor speeds, by commands
 BLOCK, DRAWS = 5.0, 200
 
@@ -112,7 +113,7 @@ def vectors(run: np.ndarray, flight: Flight, starts: np.ndarray, lags: np.ndarra
     """Measured minus simulated at `lags` rows after the starts (S, K, OUTPUTS), along the measured body axes.
 
     run  (S, steps + 1, 12) of `simulated`
-    Velocity in the earth frame, m/s; attitude as a rotation vector, rad; rates, rad/s; position, m. NaN where a window
+    Velocity in the earth frame, m/s; attitude as a rotation vector, rad; rates, rad/s; position, m. NaN once a window
     has diverged.
     """
     run, measured = run[:, lags], flight.states[np.asarray(starts, int)[:, None] + lags]
@@ -122,11 +123,11 @@ def vectors(run: np.ndarray, flight: Flight, starts: np.ndarray, lags: np.ndarra
         turn = logarithm(multiply(conjugate(q), wanted))
         position = rotate_inverse(wanted, measured[..., 9:] - run[..., 9:])
         found = np.concatenate([velocity, turn, measured[..., 6:9] - run[..., 6:9], position], axis=-1)
-    return np.where(np.isfinite(found).all(axis=(1, 2))[:, None, None], found, np.nan)
+    return np.where(np.isfinite(found).all(axis=-1, keepdims=True), found, np.nan)
 
 
 def end_errors(model: Model, flights: Sequence[Flight], horizons: Sequence[float], driven: str) -> pd.DataFrame:
-    """Errors at the end of windows: flight, start (s), horizon (s), and one column for each of QUANTITIES."""
+    """Errors at the end of windows, see `table_of`. driven  MEASURED or TOLD."""
     rows = []
     for flight in flights:
         commands = commands_of(model, flight) if driven == TOLD else None
@@ -134,49 +135,38 @@ def end_errors(model: Model, flights: Sequence[Flight], horizons: Sequence[float
             continue
         longest = max(horizons)
         starts = windows(flight, longest, commands)
-        if not len(starts):
-            continue
-        found = errors(simulated(model, flight, starts, longest, commands), flight.states, starts)
-        for horizon in horizons:
-            at = steps_of(flight.t, horizon)
-            ends = {q: found[q][:, at] for q in QUANTITIES}
-            rows.append(
-                pd.DataFrame({"flight": flight.key, "start": flight.t[starts], "horizon": float(horizon), **ends})
-            )
-    columns = ["flight", "start", "horizon", *QUANTITIES]
+        if len(starts):
+            lags = np.array([steps_of(flight.t, h) for h in horizons])
+            found = vectors(simulated(model, flight, starts, longest, commands), flight, starts, lags)
+            rows.append(table_of(flight, starts, found, horizons))
+    return joined(rows)
+
+
+def table_of(flight: Flight, starts: np.ndarray, errors: np.ndarray, horizons: Sequence[float]) -> pd.DataFrame:
+    """Errors (S, K, OUTPUTS) after each of the horizons as rows: flight, start (s), horizon (s), and `sizes`."""
+    about = {"flight": flight.key, "start": flight.t[starts]}
+    return joined([pd.DataFrame({**about, "horizon": float(h), **sizes(errors[:, k])}) for k, h in enumerate(horizons)])
+
+
+def joined(rows: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Tables of errors under one another."""
+    columns = ["flight", "start", "horizon", *QUANTITIES, *CHANNELS.values()]
     return pd.concat(rows, ignore_index=True) if rows else pd.DataFrame(columns=columns)
 
 
-def floor_errors(model: Model, flights: Sequence[Flight], horizons: Sequence[float]) -> pd.DataFrame:
-    """As `end_errors`, each window with its own mean error of force and moment taken off.
-
-    What is left then no model could take away that is constant over a window: noise of the starts, and quick gusts.
-    """
-    rows = []
-    for flight in flights:
-        starts = windows(flight, max(horizons))
-        if not len(starts):
-            continue
-        predicted = model.predict_columns(flight.table)[list(AXES)].to_numpy()
-        wrong = np.nan_to_num(flight.table[list(AXES)].to_numpy(float) - predicted)
-        sums = np.vstack([np.zeros(6), np.cumsum(wrong, axis=0)])
-        for horizon in horizons:
-            steps = steps_of(flight.t, horizon)
-            offsets = (sums[starts + steps + 1] - sums[starts]) / (steps + 1)
-            found = errors(simulated(model, flight, starts, horizon, None, offsets), flight.states, starts)
-            ends = {q: found[q][:, -1] for q in QUANTITIES}
-            rows.append(
-                pd.DataFrame({"flight": flight.key, "start": flight.t[starts], "horizon": float(horizon), **ends})
-            )
-    return pd.concat(rows, ignore_index=True) if rows else pd.DataFrame(columns=["horizon", *QUANTITIES])
+def sizes(errors: np.ndarray) -> dict[str, np.ndarray]:
+    """{quantity: (S,)} of errors (S, OUTPUTS): the norms of QUANTITIES and the absolute values of CHANNELS."""
+    groups = {"velocity": slice(0, 3), "attitude": slice(3, 6), "rate": slice(6, 9), "position": slice(9, 12)}
+    norms = {q: np.linalg.norm(errors[:, groups[q]], axis=1) for q in QUANTITIES}
+    return norms | dict(zip(CHANNELS.values(), np.abs(errors[:, list(COLUMN.values())]).T))
 
 
 def rms(table: pd.DataFrame) -> dict[str, dict[str, float]]:
     """{quantity: {horizon: root mean square}} of end errors; diverged windows count with the largest finite error."""
     result: dict[str, dict[str, float]] = {}
     for horizon, part in table.groupby("horizon"):
-        for quantity in QUANTITIES:
-            result.setdefault(quantity, {})[f"{horizon:g}"] = float(np.sqrt(np.mean(_finite(part[quantity]) ** 2)))
+        for quantity in (*QUANTITIES, *CHANNELS.values()):
+            result.setdefault(quantity, {})[f"{horizon:g}"] = float(np.sqrt(np.mean(finite(part[quantity]) ** 2)))
     return result
 
 
@@ -189,11 +179,10 @@ def fell(old: pd.DataFrame, new: pd.DataFrame, seed: int = 0) -> list[dict[str, 
     rows = []
     for horizon, first in old.groupby("horizon"):
         last = new[new["horizon"] == horizon]
-        block = first["flight"] + [f" {n}" for n in (first["start"] / BLOCK).astype(int)]
-        number = block.astype("category").cat.codes.to_numpy()
+        number = blocks_of(first)
         count = np.bincount(number).astype(float)
         for quantity in QUANTITIES:
-            sums = [np.bincount(number, weights=_finite(part[quantity]) ** 2) for part in (first, last)]
+            sums = [np.bincount(number, weights=finite(part[quantity]) ** 2) for part in (first, last)]
             draws = []
             for _ in range(DRAWS):
                 pick = rng.integers(0, len(count), len(count))
@@ -208,6 +197,12 @@ def fell(old: pd.DataFrame, new: pd.DataFrame, seed: int = 0) -> list[dict[str, 
     return rows
 
 
+def blocks_of(table: pd.DataFrame) -> np.ndarray:
+    """(rows,) number of the flight and block of BLOCK seconds that each window belongs to."""
+    block = table["flight"] + [f" {n}" for n in (table["start"] / BLOCK).astype(int)]
+    return block.astype("category").cat.codes.to_numpy()
+
+
 def overlays(models: Mapping[str, Model], flights: Sequence[Flight], horizon: float) -> pd.DataFrame:
     """A few windows state by state: window, flight, why, t, each state as <state>_measured and <state>_<model's word>.
 
@@ -219,7 +214,7 @@ def overlays(models: Mapping[str, Model], flights: Sequence[Flight], horizon: fl
         starts = windows(flight, horizon)
         if len(starts):
             ends = [
-                _finite(errors(simulated(m, flight, starts, horizon), flight.states, starts)["velocity"][:, -1])
+                finite(errors(simulated(m, flight, starts, horizon), flight.states, starts)["velocity"][:, -1])
                 for m in (next(iter(models.values())), list(models.values())[-1])
             ]
             found += [(old - new, old, number, s) for old, new, s in zip(*ends, starts)]
@@ -244,7 +239,8 @@ def overlays(models: Mapping[str, Model], flights: Sequence[Flight], horizon: fl
     return pd.concat(parts, ignore_index=True)
 
 
-def _finite(values: np.ndarray | pd.Series) -> np.ndarray:
+def finite(values: np.ndarray | pd.Series) -> np.ndarray:
+    """Errors, those of diverged windows replaced by the largest finite one."""
     values = np.asarray(values, float)
     fine = np.isfinite(values)
     return np.where(fine, values, values[fine].max() if fine.any() else 0.0)

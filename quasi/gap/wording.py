@@ -10,7 +10,8 @@ CHANNELS = {
     "Fx": "forward force", "Fy": "sideward force", "Fz": "vertical force", "Mx": "roll moment", "My": "pitch moment",
     "Mz": "yaw moment", "p": "roll rate", "q": "pitch rate", "r": "yaw rate", "ax": "forward acceleration",
     "ay": "sideward acceleration", "az": "vertical acceleration", "position": "position", "velocity": "velocity",
-    "attitude": "attitude", "rate": "body rate",
+    "attitude": "attitude", "rate": "body rate", "velocity x": "forward velocity", "velocity y": "sideward velocity",
+    "velocity z": "vertical velocity", "rate x": "roll rate", "rate y": "pitch rate", "rate z": "yaw rate",
 }  # fmt: skip
 SINCE = {
     "changed": "this is new since the reference flights",
@@ -67,8 +68,37 @@ def cause_sentence(effect: Mapping[str, Any], known: Mapping[str, Effect], roles
     elif gain is not None:
         text += f". Corrected at import, it takes {percent(gain)} of the removable error away there"
     if effect["gain"].get("rollout") is not None:
-        text += f" and {percent(effect['gain']['rollout'])} of that of the simulated {effect['rollout channel']}"
+        text += f" and {percent(effect['gain']['rollout'])} of that{rollout_of(effect)}"
     return text + "."
+
+
+def rollout_of(effect: Mapping[str, Any]) -> str:
+    """Which simulated quantity a cause's gain in roll-outs is told of."""
+    channel, at = effect.get("rollout channel"), effect.get("rollout gain") or {}
+    if not channel:
+        return ""
+    text = f" of the simulated {CHANNELS.get(channel, channel)}"
+    return (
+        text
+        + (f" after {at['horizon']:g} s" if at else "")
+        + (", trim taken up" if "trim" in at.get("line", "") else "")
+    )
+
+
+def confirmation_of(effect: Mapping[str, Any]) -> str:
+    """What roll-outs of the held-out flights say of a cause, and its parameters by output error."""
+    told, other = effect.get("confirmation"), effect.get("output error")
+    if not told:
+        return ""
+    text = told["outcome"]
+    if told["amplitude"]:
+        text += f": {value_of(told['amplitude'])} of the motion that it should make is there"
+    elif told["why"]:
+        text += f": {told['why']}"
+    if other:
+        text += f"; by output error {parameters_of(other['parameters'])}"
+        text += "" if other["agrees"] else ", which does not agree"
+    return text
 
 
 def rivals_sentence(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:

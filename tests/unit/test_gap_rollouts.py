@@ -53,14 +53,6 @@ def test_the_model_that_flew_makes_no_error_and_another_makes_the_error_of_its_t
     assert wrong["position"]["0.5"] == pytest.approx(a * (0.5 - (1 - np.exp(-c * 0.5)) / c) / c, rel=0.08)
 
 
-def test_a_constant_error_is_taken_off_at_the_floor(model):
-    flight = rollouts.flight_of("a", flown(model))
-    wrong = heavier(model, 1.02)
-    old = rollouts.rms(rollouts.end_errors(wrong, [flight], [0.5], rollouts.MEASURED))
-    floor = rollouts.rms(rollouts.floor_errors(wrong, [flight], [0.5]))
-    assert floor["velocity"]["0.5"] < 0.1 * old["velocity"]["0.5"]
-
-
 def test_the_share_that_fell_is_that_of_the_root_mean_squares(model):
     flight = rollouts.flight_of("a", flown(model))
     old, new = (rollouts.end_errors(heavier(model, k), [flight], [0.5], rollouts.MEASURED) for k in (1.02, 1.01))
