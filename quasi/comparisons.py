@@ -2,7 +2,7 @@
 
 import functools
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from quasi.errors import ConfigError, QuasiError, nearest
@@ -11,6 +11,7 @@ from quasi.project import Project, is_file
 from quasi.tables import read_bytes, read_json
 
 HELD, COMPARED, REFERENCE = "held out", "compared", "reference"
+FEWEST = 4  # training flights that stand for reference flights
 
 
 class Comparisons(Project):
@@ -92,7 +93,29 @@ class Comparisons(Project):
                 f"{where}: the rows mean several quadrotors ({', '.join(sorted(quadrotors))}); select one"
             )
         learning = [r for r in everything if r.number not in out]
+        if not reference and section["training flights as reference"]:
+            reference = self._trained_beside(name, everything, quadrotors)
         return {COMPARED: learning, HELD: held, REFERENCE: reference}
+
+    def _trained_beside(self, name: str, compared: Sequence[Row], quadrotors: set[str]) -> list[Row]:
+        """Some of the flights that made the model and are not compared themselves: as many as those, at least FEWEST,
+        evenly taken from all. What these show as well, the model has always lacked."""
+        try:
+            trained = self.gap_trained(name)
+        except QuasiError:
+            return []  # who makes the model says what is wrong with it
+        keys = {r.key for r in compared}
+        beside = {r.key: r for r in trained if not r.problem and r.quadrotor in quadrotors and r.key not in keys}
+        rows, most = list(beside.values()), max(len(compared), FEWEST)
+        if len(rows) <= most:
+            return rows
+        return [rows[round(k * (len(rows) - 1) / (most - 1))] for k in range(most)]
+
+    def gap_references(self, name: str) -> str:
+        """Where reference flights come from: "given", "training" or "none"."""
+        if self.gap_settings(name)["logging file"]["rows of reference flights"]:
+            return "given"
+        return "training" if self.gap_flights(name)[REFERENCE] else "none"
 
     def gap_roles(self, name: str) -> dict[str, str]:
         """{flight key: role}, reference flights first."""

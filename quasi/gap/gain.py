@@ -11,8 +11,9 @@ import numpy as np
 
 from quasi.gap.evidence import Evidence
 from quasi.gap.extension import shown
+from quasi.gap.nuisance import nuisances
 from quasi.gap.study import BAND, ORDER
-from quasi.gap.whitening import thin
+from quasi.gap.whitening import Whitener, thin, whiten
 from quasi.simulation.rollout import errors, rollout, steps_of
 from quasi.standalone.model import AXES, STATE, Model
 
@@ -46,6 +47,34 @@ def wrench_score(flights: Sequence[Evidence], residual: Callable[[Evidence], np.
             values.append(np.mean(part.columns[rows, :, 0] ** 2, axis=0))
             weight.append(np.count_nonzero(rows))
     return Score(np.array(values), np.array(weight, float))
+
+
+class Likelihood:
+    """How likely residuals of flights are, whatever nuisances these flights have: -2 log, up to a constant.
+
+    A constant error of a moment, say, is as likely after an extension as before, and tells nothing about it.
+    """
+
+    def __init__(self, flights: Sequence[Evidence], whitener: Whitener) -> None:
+        self.flights, self.whitener = flights, whitener
+        self._known: list[tuple[np.ndarray, np.ndarray]] = []
+        for flight in flights:
+            own = nuisances(flight)
+            columns = self._white(flight, np.stack([column for _, column, _ in own], axis=2))
+            inner = columns.T @ columns + np.diag([1.0 / spread**2 for *_, spread in own])
+            self._known.append((columns, np.linalg.inv(inner)))
+
+    def __call__(self, residual: Callable[[Evidence], np.ndarray]) -> float:
+        total = 0.0
+        for flight, (columns, inverse) in zip(self.flights, self._known):
+            left = self._white(flight, residual(flight)[:, :, None])[:, 0]
+            cross = columns.T @ left
+            total += float(left @ left - cross @ inverse @ cross)
+        return total
+
+    def _white(self, flight: Evidence, columns: np.ndarray) -> np.ndarray:
+        part = thin(columns, flight.breaks, flight.t, BAND, 2 * ORDER)
+        return whiten(part.columns, part.breaks, self.whitener)[0].reshape(-1, columns.shape[2])
 
 
 def before(flight: Evidence) -> np.ndarray:

@@ -147,7 +147,9 @@ def gather_study(
     return _study(flights, thinned, layout, names, whitener, lacking, values or {})
 
 
-def moved(study: Study, effects: Mapping[str, Effect], vehicle: Vehicle, values: Mapping[str, Mapping[str, float]]) -> Study:  # fmt: skip
+def moved(
+    study: Study, effects: Mapping[str, Effect], vehicle: Vehicle, values: Mapping[str, Mapping[str, float]]
+) -> Study:
     """The study with its curved causes linearised at other values; nothing else is computed anew."""
     changed = [n for n in study.columns.causes if n in values or n in study.values]
     thinned = []

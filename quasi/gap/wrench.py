@@ -11,36 +11,25 @@ from quasi.gap.catalogue import columns_of
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.extension import extend
-from quasi.gap.gain import Score, after, before, fraction, wrench_score
+from quasi.gap.gain import Likelihood, Score, after, before, wrench_score
 from quasi.gap.mixed import Mixed, Offer, Test
 from quasi.gap.naming import Named, Tie, search
 from quasi.gap.study import Study, base_columns, gather_study, in_stretches, moved, refit
+from quasi.gap.worth import EXCITED, Cause, Deviations, material, strength
 from quasi.standalone.model import AXES, Model
 
 LOOKS = 3  # how often curved causes are linearised anew
-RICH = 1e-3  # ridge of the fit of everything at once, on scaled columns
+RIDGES = (1e-3, 1e-2, 1e-1)  # of fits of everything at once, on scaled columns
 COMMON = 0.2  # share of the false alarm rate for what reference and compared flights have in common
 DRAWS = 40  # resamples of the flights' blocks
-Deviations = dict[str, float]
-
-
-@dataclass
-class Cause:
-    """An accepted cause: deviations from neutral with standard errors, the test, rivals it beat, gain per axis."""
-
-    effect: Effect
-    since: str
-    value: Deviations
-    std: Deviations
-    test: Test
-    rivals: list[Any]
-    gain: dict[str, dict[str, float | None]] = field(default_factory=dict)
-    probability: float = 0.0
 
 
 @dataclass
 class Found:
-    """Result of the level. scores {"before", "after", ...}: mean squares per axis on held-out flights."""
+    """Result of the level. scores {"before", "after", ...}: mean squares per axis on held-out flights.
+
+    unjudged  those of the causes that the held-out flights do not excite
+    """
 
     causes: list[Cause]
     ties: list[tuple[str, Tie]]
@@ -52,6 +41,7 @@ class Found:
     scores: dict[str, np.ndarray]
     wrong: str | None
     extended: dict[str, Any]
+    unjudged: list[Cause] = field(default_factory=list)
 
 
 def examine(
@@ -98,6 +88,7 @@ def examine(
         if not elsewhere:
             break
     _count(causes, study, asked, compared, level)
+    stand_ins = _merged([Named(tie.tests[0], []) for _, tie in ties], asked, mixed, _given(named, ties))
     old = wrench_score(held, before)
     floor = _floor(study, asked, vehicle, compared, values, held, old)
 
@@ -108,17 +99,31 @@ def examine(
             changes = refit(study, range(len(flights)), compared, own)
         return extend(model, [(c.effect, c.value) for c in of], vehicle, ident, where, changes)
 
-    def score(of: Sequence[Cause], fitted_anew: bool) -> Score:
-        return wrench_score(held, after(Model(made(of, "trial", fitted_anew), "trial"), model))
+    likelihood = Likelihood(held, study.whitener)
 
-    kept, immaterial = _material(causes, score, old, floor, share)
+    def score(of: Sequence[Cause], fitted_anew: bool) -> tuple[Score, float]:
+        left = after(Model(made(of, "trial", fitted_anew), "trial"), model)
+        return wrench_score(held, left), likelihood(left)
+
+    def excited(cause: Cause) -> bool:
+        there = [f for f, flag in zip(flights, compared) if flag]
+        return strength(cause, held, vehicle) > EXCITED * strength(cause, there, vehicle)
+
+    kept, immaterial, unjudged = material([*causes, *stand_ins], score, excited, old, floor, share)
+    ties = [(since, tie) for since, tie in ties if any(c in kept for c in stand_ins if _stands_for(c, since, tie))]
+    immaterial = [c for c in immaterial if not any(_stands_for(c, *tie) for tie in ties)]
+    kept = [c for c in kept if c not in stand_ins]
     extended = made(kept, name, any(c.since == "always" for c in kept))
     new = wrench_score(held, after(Model(extended, name), model))
     scores = {"before": old.mean(), "after": new.mean(), "noise_floor": np.minimum(floor, new.mean())}
     wrong = None
     if kept:
         wrong, scores["best_wrong_cause"] = _best_wrong(mixed, kept, ranking, asked, model, vehicle, held, old)
-    return Found(kept, ties, immaterial, ranking, level, study.lacking, study, scores, wrong, extended)
+    return Found(kept, ties, immaterial, ranking, level, study.lacking, study, scores, wrong, extended, unjudged)
+
+
+def _stands_for(cause: Cause, since: str, tie: Tie) -> bool:
+    return (cause.effect.id, cause.since) == (tie.tests[0].offer.cause, since)
 
 
 def _search(
@@ -200,21 +205,28 @@ def _floor(
     study: Study, asked: Mapping[str, Effect], vehicle: Vehicle, compared: np.ndarray,
     values: Mapping[str, Deviations], held: Sequence[Evidence], old: Score,
 ) -> np.ndarray:  # fmt: skip
-    """Mean square (6,) that the model's terms and all causes together, fitted to the other flights, leave."""
-    return np.minimum(wrench_score(held, everything(study, asked, vehicle, compared, values)).mean(), old.mean())
+    """Mean square (6,) that the model's terms and all causes together, fitted to the other flights, leave at best."""
+    least = old.mean()
+    for ridge in RIDGES:
+        left = wrench_score(held, everything(study, asked, vehicle, compared, values, ridge))
+        least = np.minimum(least, left.mean())
+    return least
 
 
 def everything(
     study: Study, asked: Mapping[str, Effect], vehicle: Vehicle, compared: Sequence[bool],
-    values: Mapping[str, Deviations],
+    values: Mapping[str, Deviations], ridge: float = RIDGES[0],
 ) -> Callable[[Evidence], np.ndarray]:  # fmt: skip
-    """Fit the model's terms and all causes together; returns flight -> (n, 6), what they leave of its wrench."""
+    """Fit the model's terms and all causes together; returns flight -> (n, 6), what they leave of its wrench.
+
+    ridge  of the fit, on scaled columns
+    """
     mixed = study.mixed(range(len(study.flights)), compared)
     use = [*study.columns.shared, *(c for cause in study.columns.causes.values() for c in cause)]
     # of the compared flights alone: what they have is what a held-out one has
     total = sum(g for g, c in zip(mixed.grams, compared) if c)
     scale = np.sqrt(np.maximum(np.diag(total)[use], 1e-300))
-    inner = total[np.ix_(use, use)] / np.outer(scale, scale) + RICH * np.eye(len(use))
+    inner = total[np.ix_(use, use)] / np.outer(scale, scale) + ridge * np.eye(len(use))
     coefficients = np.linalg.solve(inner, total[use, 0] / scale) / scale
 
     def residual(flight: Evidence) -> np.ndarray:
@@ -225,43 +237,6 @@ def everything(
         return flight.residual - np.einsum("k,knj->nj", coefficients, np.array(columns))
 
     return residual
-
-
-def _material(
-    causes: Sequence[Cause],
-    score: Callable[[Sequence[Cause], bool], Score],
-    old: Score,
-    floor: np.ndarray,
-    share: float,
-) -> tuple[list[Cause], list[Cause]]:
-    """Causes whose leaving out costs at least `share` of the removable error on some axis, and the others.
-
-    What all flights have in common, the model's own terms were fitted to as well: they are fitted anew beside such
-    causes, and all of them together have to do better than the model as it was.
-    """
-    removable = np.maximum(old.mean() - floor, 0.0)
-    removable = np.where(removable > 0.1 * old.mean(), removable, np.inf)
-
-    def thinned_out(own: list[Cause], beside: list[Cause], anew: bool) -> list[Cause]:
-        while own:
-            whole, worth = score([*beside, *own], anew), []
-            for cause in own:
-                without = score([*beside, *(c for c in own if c is not cause)], anew)
-                cause.gain = fraction(without, whole, floor)
-                worth.append(float(((without.mean() - whole.mean()) / removable).max()))
-            if min(worth) >= share:
-                break
-            own = [c for k, c in enumerate(own) if k != int(np.argmin(worth))]
-        return own
-
-    kept = thinned_out([c for c in causes if c.since == "changed"], [], False)
-    common = thinned_out([c for c in causes if c.since == "always"], kept, True)
-    if common:
-        plain, whole = score(kept, False).mean(), score([*kept, *common], True).mean()
-        if ((plain - whole) / removable).max() < share or np.mean(whole / plain) >= 1.0:
-            common = []
-    kept = sorted([*kept, *common], key=lambda c: c.test.p)
-    return kept, [c for c in causes if c not in kept]
 
 
 def _best_wrong(

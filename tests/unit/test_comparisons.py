@@ -60,6 +60,22 @@ def test_flights_have_one_role_each_and_the_extended_model_a_name(folder):
     assert project.partitioning("m-g") == {"random partition": False}
 
 
+def test_without_reference_rows_flights_that_trained_the_model_and_are_not_compared_stand_for_them(folder):
+    write(folder, rows={"rows of reference flights": []})
+    project = Folder(folder)
+    assert project.gap_references("g") == "training"
+    assert project.gap_roles("g") == {
+        "a": "reference", "b": "reference", "c": "compared", "d": "compared", "e": "held out"
+    }  # fmt: skip
+    write(folder, rows={"rows of reference flights": [], "rows of flights to compare (all)": ["2-6"]})
+    again = Folder(folder)  # the compared flights trained it: none is left beside them
+    assert again.gap_references("g") == "none" and "reference" not in again.gap_roles("g").values()
+    write(folder, rows={"rows of reference flights": [], "training flights as reference": False})
+    assert Folder(folder).gap_references("g") == "none"
+    write(folder)
+    assert Folder(folder).gap_references("g") == "given"
+
+
 def test_flights_of_a_gap_alone_are_known_to_the_folder(folder):
     header, *rows = (folder / "data/log.csv").read_text().splitlines()
     (folder / "data/other.csv").write_text("\n".join([header, rows[0].replace(",a,", ",z,")]) + "\n")

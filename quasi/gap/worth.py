@@ -1,0 +1,116 @@
+"""Whether a cause matters: what it removes of the error of flights that had no part in finding it.
+
+Real airframes never match a fitted family exactly, and with enough samples everything is significant. What flights
+have in common is judged harder than what changed: the model was fitted to such flights, and what its terms leave there
+is mostly the form of the terms.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from quasi.gap.catalogue import columns_of, wrench_of
+from quasi.gap.effect import Effect, Vehicle
+from quasi.gap.evidence import Evidence
+from quasi.gap.gain import Score, before, fraction, wrench_score
+from quasi.gap.mixed import Test
+
+EXCITED = 0.25  # of its strength in the compared flights, that a held-out one must show to be judged by
+SMALL = {"changed": 0.01, "always": 0.1}  # least share of a channel's error that counts as removable
+Deviations = dict[str, float]
+
+
+@dataclass
+class Cause:
+    """An accepted cause: deviations from neutral with standard errors, the test, rivals it beat, gain per axis."""
+
+    effect: Effect
+    since: str
+    value: Deviations
+    std: Deviations
+    test: Test
+    rivals: list[Any]
+    gain: dict[str, dict[str, float | None]] = field(default_factory=dict)
+    probability: float = 0.0
+
+
+def strength(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle) -> float:
+    """Mean square of what the cause makes, each channel over what the model leaves there."""
+    left = wrench_score(flights, before).mean()
+
+    def contribution(flight: Evidence) -> np.ndarray:
+        if cause.effect.curved is not None:
+            whole = dict.fromkeys(cause.effect.parameters, 0.0) | cause.value
+            return wrench_of(cause.effect.curved(vehicle, whole), flight)
+        columns = columns_of(cause.effect, flight, vehicle, dict.fromkeys(cause.effect.parameters, 0.0))
+        return sum(columns[name] * value for name, value in cause.value.items())
+
+    return float((wrench_score(flights, contribution).mean() / np.maximum(left, 1e-300)).sum())
+
+
+def material(
+    causes: Sequence[Cause],
+    score: Callable[[Sequence[Cause], bool], tuple[Score, float]],
+    excited: Callable[[Cause], bool],
+    old: Score,
+    floor: np.ndarray,
+    share: float,
+) -> tuple[list[Cause], list[Cause], list[Cause]]:
+    """Causes that matter, those that do not, and those of the first that these flights could not judge.
+
+    score    of held-out flights with some causes taken into account, the model's own terms fitted anew or not: errors
+             and `Likelihood`
+    excited  whether the held-out flights show a cause at all; old, floor  errors (blocks, 6) before, at best (6,)
+    share    least share of the removable error of some axis that leaving a cause out must cost
+    """
+    unjudged = [c for c in causes if c.since == "changed" and not excited(c)]
+    kept = [c for c in causes if c.since == "changed"]
+    while kept:
+        (whole, likeliest), worth = score(kept, False), []
+        for cause in kept:
+            without, likely = score([c for c in kept if c is not cause], False)
+            cause.gain = fraction(without, whole, floor)
+            part = float(((without.mean() - whole.mean()) / _removable(old, floor, "changed")).max())
+            worth.append(part if likely > likeliest else min(part, 0.0))
+        poor = [w if c not in unjudged else np.inf for c, w in zip(kept, worth)]
+        if min(poor) >= share:
+            break
+        kept.pop(int(np.argmin(poor)))
+    common = _common([c for c in causes if c.since == "always"], kept, score, old, floor, share)
+    kept = sorted([*kept, *common], key=lambda c: c.test.p)
+    return kept, [c for c in causes if c not in kept], [c for c in unjudged if c in kept]
+
+
+def _common(
+    causes: list[Cause], beside: list[Cause], score: Callable[[Sequence[Cause], bool], tuple[Score, float]], old: Score,
+    floor: np.ndarray, share: float,
+) -> list[Cause]:  # fmt: skip
+    """Causes that all flights have alike: the model's own terms, fitted anew beside them, must do better by `share`,
+    beyond doubt, than the model as it was and than its own terms fitted anew without them."""
+    removable = _removable(old, floor, "always")
+
+    def beyond_doubt(first: Score, last: Score) -> bool:
+        gains = fraction(first, last, old.mean() - removable)
+        return any(g["low"] is not None and g["low"] > share for g in gains.values())
+
+    (plain, likely), (anew, _) = score(beside, False), score(beside, True)
+    while causes:
+        (whole, likeliest), worth = score([*beside, *causes], True), []
+        if not (beyond_doubt(plain, whole) and beyond_doubt(anew, whole) and likeliest < likely):
+            return []
+        for cause in causes:
+            without, _ = score([*beside, *(c for c in causes if c is not cause)], True)
+            cause.gain = fraction(without, whole, floor)
+            worth.append(float(((without.mean() - whole.mean()) / removable).max()))
+        if min(worth) >= share:
+            return causes
+        causes = [c for k, c in enumerate(causes) if k != int(np.argmin(worth))]
+    return []
+
+
+def _removable(old: Score, floor: np.ndarray, since: str) -> np.ndarray:
+    """Error (6,) above the floor; infinite where that is too small a part to speak of, for what all flights have."""
+    gone, small = np.maximum(old.mean() - floor, 0.0), SMALL[since] * old.mean()
+    return np.where(gone > small, gone, np.inf if since == "always" else small)
