@@ -8,8 +8,8 @@ import pandas as pd
 
 from quasi.gap.effect import Vehicle
 from quasi.gap.evidence import Evidence
+from quasi.gap.places import places
 from quasi.gap.study import BAND
-from quasi.gap.unexplained import places
 from quasi.gap.whitening import stretches
 from quasi.standalone.model import AXES
 

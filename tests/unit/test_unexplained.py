@@ -10,7 +10,8 @@ from quasi.airframe import read_airframe
 from quasi.gap.effect import vehicle_of
 from quasi.gap.evidence import Evidence
 from quasi.gap.generic import polynomial
-from quasi.gap.unexplained import places, search
+from quasi.gap.places import places
+from quasi.gap.unexplained import search
 from quasi.standalone.build import assemble
 from quasi.standalone.model import AXES, Model
 from quasi.synthesis.campaign import quadrotor_configuration, read_campaign

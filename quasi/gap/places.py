@@ -1,0 +1,123 @@
+"""Where a residual may live, and the smooth functions of it that are offered to what no cause explains."""
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from quasi.gap.evidence import Evidence
+
+EDGES = (0.01, 0.99)  # quantiles between which a variable is scaled; beyond, the functions are constant
+APART = 0.02  # a variable whose scaled spread is smaller is as good as constant
+HEADING, ROOM = "heading", "room place"
+# what a model's terms depend on; the voltage falls with what the rotors draw
+OWN = ("speed", "rotor speed", "descent ratio", "roll rate", "pitch rate", "yaw rate", "volts")
+SPOTS = (1.0, 2.0)  # m, width of a bump over the room's floor: a fan, a rotor's wake returning, a corner
+APART_SPOTS = 0.8  # of the width
+SEEN = 0.02  # share of the time that must be spent near a place of the room
+UNITS = {
+    "speed": "m/s", "height": "m", HEADING: "rad", ROOM: "m", "room x": "m", "room y": "m", "time": "s", "volts": "V",
+    "rotor speed": "rad/s", "descent ratio": "", "roll rate": "rad/s", "pitch rate": "rad/s", "yaw rate": "rad/s",
+    "frequency": "Hz",
+}  # fmt: skip
+
+
+def places(flight: Evidence) -> dict[str, np.ndarray]:
+    """Where a residual may live, {name: (n,)}: SI units, heading rad, the descent ratio without unit."""
+    down = np.einsum("ni,ni->n", flight.velocity, flight.down)
+    found = {
+        "speed": np.linalg.norm(flight.velocity, axis=1),
+        HEADING: flight.columns["yaw"],
+        "time": flight.t,
+        "rotor speed": flight.speeds.mean(axis=1),
+        "descent ratio": np.maximum(down, 0.0) / flight.hover_induced,
+        "roll rate": flight.rates[:, 0],
+        "pitch rate": flight.rates[:, 1],
+        "yaw rate": flight.rates[:, 2],
+    }
+    if "z" in flight.columns:
+        x, y, z = flight.position.T
+        found |= {"height": -z, "room x": x, "room y": y}
+    if "battery_voltage" in flight.columns:
+        found["volts"] = flight.columns["battery_voltage"]
+    return {name: values for name, values in found.items() if np.isfinite(values).all()}
+
+
+class Choice(NamedTuple):
+    """One way to be smooth along a place: which of the basis functions."""
+
+    where: str
+    which: tuple[int, ...]
+
+
+class Basis(NamedTuple):
+    """Smooth functions of the places that all flights know.
+
+    scales {place: (low, high)}; choices  what is offered; spots  places x, y of the room with a width, m
+    """
+
+    scales: dict[str, tuple[float, float]]
+    choices: list[Choice]
+    spots: list[tuple[float, float, float]]
+
+    @property
+    def first_spot(self) -> int:
+        """Index of the first bump among the functions."""
+        return 1 + sum(4 if where == HEADING else 3 for where in self.scales)
+
+    def functions(self, flight: Evidence) -> np.ndarray:
+        """(n, L) values of all basis functions on a flight."""
+        known, columns = places(flight), []
+        scaled = {}
+        for where, (low, high) in self.scales.items():
+            if where == HEADING:
+                yaw = known[where]
+                columns += [np.sin(yaw), np.cos(yaw), np.sin(2 * yaw), np.cos(2 * yaw)]
+                continue
+            x = np.clip(2.0 * (known[where] - low) / (high - low) - 1.0, -1.0, 1.0)
+            scaled[where] = x
+            columns += [x, 1.5 * x**2 - 0.5, 2.5 * x**3 - 1.5 * x]
+        if self.spots:
+            columns.append(scaled["room x"] * scaled["room y"])
+            x, y = known["room x"], known["room y"]
+            columns += [np.exp(-((x - a) ** 2 + (y - b) ** 2) / s**2) for a, b, s in self.spots]
+        return np.stack(columns, axis=1)
+
+
+def basis_of(flights: Sequence[Evidence]) -> Basis:
+    """The functions to offer on these flights: along each place that all know and that varies.
+
+    Along an ordinary place: a straight line, or Legendre polynomials to the third degree. Along the heading: one wave a
+    turn, two, or both. Over the room's floor: polynomials of x and y to the second degree, or one bump at a place.
+    """
+    known = [places(f) for f in flights]
+    scales: dict[str, tuple[float, float]] = {}
+    choices, at, first = [], 0, {}
+    for where in known[0]:
+        if not all(where in k for k in known):
+            continue
+        low, high = (float(q) for q in np.quantile(np.concatenate([k[where] for k in known]), EDGES))
+        if where != HEADING and not high - low > APART * max(abs(high), abs(low), 1e-9):
+            continue
+        scales[where], first[where] = (low, high), at
+        if where == HEADING:
+            options = [(0, 1), (2, 3), (0, 1, 2, 3)]
+        else:
+            options = [(0,), (0, 1, 2)]
+        choices += [Choice(where, tuple(at + k for k in option)) for option in options]
+        at += max(max(option) for option in options) + 1
+    spots: list[tuple[float, float, float]] = []
+    if "room x" in scales and "room y" in scales:
+        x, y = first["room x"], first["room y"]
+        choices.append(Choice(ROOM, (x, x + 1, y, y + 1, at)))
+        flown = [np.concatenate([k[f"room {a}"] for k in known]) for a in "xy"]
+        for width in SPOTS:
+            sides = [np.arange(*(q + 0.5 * s * width for q, s in zip(scales[f"room {a}"], (1, -1))),
+                               APART_SPOTS * width) for a in "xy"]  # fmt: skip
+            for a, b in itertools.product(*sides):
+                near = np.hypot(flown[0] - a, flown[1] - b) < width
+                if SEEN < near.mean() < 1.0 - SEEN:
+                    spots.append((float(a), float(b), width))
+                    choices.append(Choice(ROOM, (at + len(spots),)))
+    return Basis(scales, choices, spots)
