@@ -73,7 +73,7 @@ def windows_in(evidence: Evidence, table: pd.DataFrame, thinned: Thinned, window
 def sensitivities(course: Course, columns: np.ndarray) -> np.ndarray:
     """What columns (m, 6, C) make of the outputs that are fitted (S, D, C)."""
     found = responses(course, columns)[:, :, :OUTPUTS]
-    return found.reshape(len(found), -1, found.shape[-1])
+    return found.reshape(len(found), found.shape[1] * OUTPUTS, found.shape[3])
 
 
 def deviations(course: Course, model: Model) -> np.ndarray:
@@ -95,7 +95,10 @@ def blocks_in(course: Course) -> np.ndarray:
 def covariance_of(errors: Sequence[np.ndarray], nuisance: Sequence[np.ndarray], spread: np.ndarray) -> np.ndarray:
     """Covariance R (D, D) within a window, of errors (S, D) per flight once flights' nuisances (S, D, N) are out."""
     level = np.concatenate(errors)
-    level = np.sqrt(np.mean(level[np.isfinite(level).all(axis=1)] ** 2, axis=0))
+    level = level[np.isfinite(level).all(axis=1)]
+    if len(level) < LEAST:
+        raise DataError(f"{len(level)} windows of {WINDOW:g} s can be simulated, expected at least {LEAST}; fly longer")
+    level = np.sqrt(np.mean(level**2, axis=0))
     left = []
     for error, columns in zip(errors, nuisance):
         good = np.isfinite(error).all(axis=1)
@@ -103,8 +106,6 @@ def covariance_of(errors: Sequence[np.ndarray], nuisance: Sequence[np.ndarray], 
         x = (columns[good] / level[:, None]).reshape(len(y), -1) * spread
         left.append((y - x @ np.linalg.solve(x.T @ x + np.eye(x.shape[1]), x.T @ y)).reshape(-1, len(level)))
     left = np.concatenate(left)
-    if len(left) < LEAST:
-        raise DataError(f"{len(left)} windows of {WINDOW:g} s can be simulated, expected at least {LEAST}; fly longer")
     inner = left.T @ left / len(left)
     inner = (1.0 - SHRUNK) * inner + SHRUNK * np.diag(np.diag(inner))
     return inner * np.outer(level, level)

@@ -142,8 +142,8 @@ def shares(
                "value": None, "low": None, "high": None}  # fmt: skip
         if least < HOLDS * was:
             picks = rng.integers(0, len(sums[0]), (DRAWS, len(sums[0])))
-            gone = [(sums[0][p].sum(), sums[1][p].sum(), sums[2][p].sum()) for p in picks]
-            draws = [(a - b) / max(a - min(c, b), (1.0 - HOLDS) * a) for a, b, c in gone]
+            # the share that can be removed at all is taken as known: of a few blocks it may be next to nothing
+            draws = (1.0 - sums[1][picks].sum(axis=1) / sums[0][picks].sum(axis=1)) / row["removable"]
             low, high = np.quantile(draws, [0.025, 0.975])
             row |= {"value": float((was - now) / (was - least)), "low": float(low), "high": float(high)}
         rows.append(row)

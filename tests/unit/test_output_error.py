@@ -1,0 +1,299 @@
+"""Output error and confirmation: flights of a plain simulation written apart, with nuisance, gusts and noise.
+
+The vehicle: attitude as a matrix turned by Rodrigues' formula, velocity in earth axes, steps of Heun; thrust and drag
+rotor by rotor. It is held near hover by a plain controller and shaken by known references.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from plain_plant import made_model
+
+from quasi.errors import DataError
+from quasi.gap import mixed, output_error, rollouts
+from quasi.gap.catalogue import catalogue
+from quasi.gap.confirmation import CONFIRMED, REFUTED, UNJUDGED, Maker, confirm, outcome_of, settle
+from quasi.gap.effect import vehicle_of
+from quasi.gap.evidence import gather
+from quasi.gap.linear_response import course_of, responses
+from quasi.gap.study import gather_study
+from quasi.gap.wrench import Cause
+from quasi.standalone.model import Model
+
+G, RATE, SECONDS = 9.81, 200.0, 20.0
+EFFECTS = {n: catalogue()[n] for n in ("rotor_effectiveness", "cg_offset", "body_drag", "tether")}
+
+
+@pytest.fixture(scope="module")
+def model():
+    made = made_model(reaction=0.0)
+    thrust = -next(t["coefficient"] for t in made.document["axes"]["Fz"]["terms"] if "w2_1" in t["expression"])
+    simple = {"kappaFz": {"value": thrust, "std": 0.0}, "kappaMz": {"value": -0.012 * thrust, "std": 0.0}}
+    return Model({**made.document, "simple model": simple}, "made")
+
+
+def turned(axis, angle):
+    """Rodrigues' formula."""
+    x, y, z = axis
+    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + math.sin(angle) * k + (1 - math.cos(angle)) * k @ k
+
+
+def angles(turn):
+    """Roll, pitch, yaw of a matrix, 3-2-1."""
+    return math.atan2(turn[2, 1], turn[2, 2]), -math.asin(turn[2, 0]), math.atan2(turn[1, 0], turn[0, 0])
+
+
+def across(a, b):
+    """Vector product."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def flown(model, seed, share=1.0, drag=0.0, seconds=SECONDS):
+    """A filtered flight: rotor 2 makes `share` of its thrust; `drag` N s2/m2 |V| V on top of the model's own."""
+    rng = np.random.default_rng(seed)
+    of = {a: {t["expression"]: t["coefficient"] for t in p["terms"]} for a, p in model.document["axes"].items()}
+    frame = model.airframe
+    mass, inertia, hubs = frame.mass, np.asarray(frame.inertia), np.asarray(frame.hubs)
+    spin, k, arm = np.asarray(frame.spin), -of["Fz"]["w2_1 + w2_2 + w2_3 + w2_4"], 0.0544
+    inverse, dt, n = np.linalg.inv(inertia), 1.0 / RATE, int(seconds * RATE)
+    own = rng.standard_normal(6) * np.r_[np.full(3, 0.004), np.full(3, 3e-5)]  # constant, this flight's
+    heavier = 1.0 + 0.005 * rng.standard_normal()
+    gust, shape = np.zeros(6), np.r_[np.full(3, 0.03), np.full(3, 3e-4)]
+    phase, tone = rng.uniform(0, 6.3, (2, 4, 3))
+
+    def wrench(turn, v, w, speeds, gust):
+        u = turn.T @ v
+        thrust = k * speeds**2
+        thrust[1] *= share
+        force = np.array([of["Fx"]["u"] * u[0], of["Fy"]["v"] * u[1], of["Fz"]["w"] * u[2] - thrust.sum()])
+        moment = np.array([
+            of["Mx"]["p"] * w[0] + of["Mx"]["v"] * u[1] - hubs[:, 1] @ thrust,
+            of["My"]["q"] * w[1] + of["My"]["u"] * u[0] + hubs[:, 0] @ thrust,
+            of["Mz"]["r"] * w[2] - 0.012 * k * (spin @ speeds**2),
+        ])  # fmt: skip
+        force = force - drag * np.linalg.norm(u) * u
+        extra = own + gust
+        return force + extra[:3], moment + extra[3:]
+
+    def slope(turn, v, w, speeds, gust):
+        force, moment = wrench(turn, v, w, speeds, gust)
+        return turn @ force / (mass * heavier) + [0, 0, G], inverse @ (moment - across(w, inertia @ w)), force, moment
+
+    turn, v, w, x = np.eye(3), np.zeros(3), np.zeros(3), np.array([0.0, 0.0, -1.0])
+    speeds, rows = np.full(4, 1500.0), []
+    for i in range(n):
+        t = i * dt
+        swing = np.array([np.sin(0.9 * (j + 1) * t * (1 + 0.1 * tone[j]) + phase[j]) for j in range(4)]).sum(axis=0)
+        wanted = np.array([0.12, 0.12, 0.3]) * swing
+        roll, pitch, _ = angles(turn)
+        back = np.clip(turn.T @ (0.25 * (-x - np.array([0, 0, 1.0])) - 0.35 * v), -0.5, 0.5)
+        aim = np.array([wanted[0] + 0.3 * back[1], wanted[1] - 0.3 * back[0]])
+        command = np.array([60 * (aim[0] - roll), 60 * (aim[1] - pitch), 8 * (wanted[2] - w[2])]) - [15, 15, 0] * w
+        need = inertia @ command
+        lift = mass * (G + 1.5 * swing[2] * 0.6 - 4 * back[2]) / max(turn[2, 2], 0.5)
+        squares = lift / (4 * k) + (
+            -np.sign(hubs[:, 1]) * need[0] / arm + np.sign(hubs[:, 0]) * need[1] / arm - spin * need[2] / 0.012
+        ) / (4 * k)
+        new = speeds + (np.sqrt(np.clip(squares, 4e5, 6e6)) - speeds) * dt / 0.03
+        a, b, force, moment = slope(turn, v, w, speeds, gust)
+        rows.append([t, *angles(turn), *(turn.T @ v), *w, *x, *speeds, *((new - speeds) / dt),
+                     *(mass / (mass * heavier) * force), *moment])  # fmt: skip
+        rate = np.linalg.norm(w)
+        after = turn @ turned(w / rate, rate * dt) if rate > 1e-9 else turn
+        c, d, *_ = slope(after, v + dt * a, w + dt * b, new, gust)
+        middle = w + 0.25 * dt * (b + d)
+        rate = np.linalg.norm(middle)
+        turn = turn @ turned(middle / rate, rate * dt) if rate > 1e-9 else turn
+        x = x + dt * v + 0.25 * dt**2 * (a + c)
+        v, w, speeds = v + 0.5 * dt * (a + c), w + 0.5 * dt * (b + d), new
+        gust = gust - gust * dt / 0.5 + shape * math.sqrt(2 * dt / 0.5) * rng.standard_normal(6)
+    names = ["t", "roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z"]
+    names += [f"w{i}" for i in range(1, 5)] + [f"w{i}_dot" for i in range(1, 5)] + ["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
+    table = pd.DataFrame(rows, columns=names).assign(valid=1.0)
+    noise = {
+        "roll": 1e-3,
+        "pitch": 1e-3,
+        "yaw": 1e-3,
+        "u": 0.005,
+        "v": 0.005,
+        "w": 0.005,
+        "p": 0.01,
+        "q": 0.01,
+        "r": 0.01,
+    }
+    for name, size in noise.items():
+        table[name] += size * rng.standard_normal(n)
+    return table
+
+
+@pytest.fixture(scope="module")
+def weak(model):
+    """Three flights to learn from and one held out, rotor 2 at 95 %."""
+    return {f"f{k}": flown(model, k, share=0.95) for k in range(4)}
+
+
+@pytest.fixture(scope="module")
+def evidence(model, weak):
+    about = {"mass": model.airframe.mass, "inertia": model.airframe.inertia}
+    return {k: gather(k, t, about, model.airframe, model, 100.0) for k, t in weak.items()}
+
+
+@pytest.fixture(scope="module")
+def study(model, evidence):
+    return gather_study([evidence[f"f{k}"] for k in range(3)], EFFECTS, vehicle_of(model))
+
+
+def cause(name, values, std, since="always"):
+    effect = EFFECTS[name]
+    which = tuple(effect.fitted.index(n) for n in values)
+    covariance = np.diag([std[n] ** 2 for n in values])
+    test = mixed.Test(mixed.Offer(name, since, which), np.array(list(values.values())), covariance, 1.0, 100.0, 1e-9)
+    return Cause(effect, since, dict(values), dict(std), test, [])
+
+
+@dataclasses.dataclass
+class Searched:
+    """What `settle` and `Maker` take of the search at level W."""
+
+    study: object
+
+
+def made(model, study, causes, anew=False):
+    return Maker(model, Searched(study), causes, [True] * 3, vehicle_of(model), anew)
+
+
+def test_the_linear_response_is_what_the_simulator_makes_of_a_small_force_or_moment(model, weak, evidence, study):
+    known = cause("rotor_effectiveness", {"rotor2": -0.05}, {"rotor2": 0.01})
+    true = made(model, study, [known])([known.value], True)
+    flight = rollouts.flight_of("f0", weak["f0"])
+    course = course_of(evidence["f0"], flight, [0.1, 0.4], 1.0)
+    units = np.broadcast_to(np.eye(6), (len(evidence["f0"]), 6, 6))
+    found = responses(course, units)
+    horizon = flight.t[course.lags[-1]] - flight.t[0]
+    size = np.array([1e-2, 1e-2, 1e-2, 1e-5, 1e-5, 1e-5])
+    for k in range(6):
+        offsets = np.zeros((len(course.starts), 6))
+        offsets[:, k] = size[k]
+        plain, moved = (
+            rollouts.vectors(
+                rollouts.simulated(true, flight, course.starts, horizon, None, o), flight, course.starts, course.lags
+            )
+            for o in (None, offsets)
+        )
+        exact = (plain - moved) / size[k]
+        scale = np.abs(exact).max(axis=(0, 1))
+        np.testing.assert_allclose(found[..., k], exact, atol=0.03 * scale.max(), rtol=0.05)
+        assert np.abs(exact).max() > 0.1
+
+
+def test_the_response_to_a_cause_is_that_of_the_extended_model(model, weak, evidence, study):
+    course = output_error.windows_in(evidence["f0"], weak["f0"], study.thinned[0])
+    columns = study.thinned[0].columns
+    near = cause("rotor_effectiveness", {"rotor2": -0.05}, {"rotor2": 0.01})
+    maker = made(model, study, [near])
+    first, last = (output_error.deviations(course, maker([{"rotor2": v}], True)) for v in (-0.0495, -0.0505))
+    moved = first - last
+    place = study.columns.causes["rotor_effectiveness"][1]
+    told = output_error.sensitivities(course, columns[:, :, [place]])[..., 0] * -1e-3
+    assert np.corrcoef(moved.ravel(), told.ravel())[0, 1] > 0.999
+    assert np.std(moved - told) < 0.05 * np.std(moved)
+
+
+def fitted(model, weak, study, causes):
+    windows = output_error.windows_of(study, weak)
+    ranges = {n: e.limits(vehicle_of(model)) for n, e in EFFECTS.items()}
+    return output_error.fit(study, [True] * 3, causes, made(model, study, causes), windows, ranges)
+
+
+def test_output_error_finds_a_known_effectiveness_from_a_start_that_is_off(model, weak, study):
+    start = cause("rotor_effectiveness", {"rotor2": -0.03}, {"rotor2": 0.02})
+    found = fitted(model, weak, study, [start])
+    value, std = found.values[0]["rotor2"], found.std[0]["rotor2"]
+    assert found.converged and found.used == [True]
+    assert value == pytest.approx(-0.05, abs=0.006) and abs(value + 0.05) < 3 * std < 0.03
+
+
+def test_two_estimates_that_contradict_each_other_are_told_and_not_used(model, weak, study):
+    sure = cause("rotor_effectiveness", {"rotor2": 0.05}, {"rotor2": 0.001})
+    found = fitted(model, weak, study, [sure])
+    assert found.used == [False] and "standard errors off" in found.notes[0]
+    unphysical = {"rotor_effectiveness": [(-0.7, 1.0), (-0.01, 1.0), (-0.7, 1.0), (-0.7, 1.0)]}
+    windows = output_error.windows_of(study, weak)
+    start = cause("rotor_effectiveness", {"rotor2": -0.05}, {"rotor2": 0.01})
+    found = output_error.fit(study, [True] * 3, [start], made(model, study, [start]), windows, unphysical)
+    assert found.used == [False] and "outside what is physical" in found.notes[0]
+
+
+def judged(model, weak, evidence, study, one):
+    noise = fitted(model, weak, study, [one]).noise
+    whole, without = made(model, study, [one])([one.value], True), made(model, study, [])([], True)
+    return confirm([evidence["f3"]], weak, noise, whole, [without])[0]
+
+
+def test_the_true_cause_is_confirmed_and_its_opposite_is_not(model, weak, evidence, study):
+    right = judged(model, weak, evidence, study, cause("rotor_effectiveness", {"rotor2": -0.05}, {"rotor2": 0.01}))
+    assert right.outcome == CONFIRMED and right.amplitude == pytest.approx(1.0, abs=4 * right.std)
+    assert right.predicted > 5
+    swapped = judged(model, weak, evidence, study, cause("rotor_effectiveness", {"rotor2": 0.05}, {"rotor2": 0.01}))
+    assert swapped.outcome == REFUTED and swapped.amplitude < -0.5 and "do not confirm" in swapped.why
+
+
+def test_a_wrong_cause_is_not_confirmed_and_one_too_small_to_be_seen_cannot_be_judged(model, weak, evidence, study):
+    # a load of drag that the flights do not have
+    wrong = judged(model, weak, evidence, study, cause("body_drag", {"c": 0.1}, {"c": 0.01}))
+    assert wrong.outcome == REFUTED and abs(wrong.amplitude) < 0.3
+    nothing = judged(model, weak, evidence, study, cause("body_drag", {"c": 1e-4}, {"c": 1e-5}))
+    assert nothing.outcome == UNJUDGED and nothing.predicted < 1
+
+
+def test_a_cause_that_the_held_out_flights_refute_is_dropped_and_the_other_stays(model, weak, evidence, study):
+    both = [
+        cause("rotor_effectiveness", {"rotor2": -0.05}, {"rotor2": 0.01}),
+        cause("tether", {"k": 0.4}, {"k": 0.005}),
+    ]
+    settled = settle(
+        Searched(study), both, model, [True] * 3, EFFECTS, vehicle_of(model), [evidence["f3"]], weak
+    )  # fmt: skip
+    assert [c.effect.id for c in settled.causes] == ["rotor_effectiveness"]
+    assert [(c.effect.id, s.outcome) for c, s in settled.dropped] == [("tether", REFUTED)]
+    assert settled.confirmations["rotor_effectiveness", "always"].outcome == CONFIRMED
+    assert settled.estimates["rotor_effectiveness", "always"].agrees
+
+
+def test_what_cannot_be_simulated_is_neither_confirmed_nor_dropped(model, weak, evidence, study):
+    one = cause("rotor_effectiveness", {"rotor2": -0.05}, {"rotor2": 0.01})
+    short = {k: t.assign(valid=np.where(np.arange(len(t)) % 60 == 0, 0.0, 1.0)) for k, t in weak.items()}
+    settled = settle(
+        Searched(study), [one], model, [True] * 3, EFFECTS, vehicle_of(model), [evidence["f3"]], short
+    )  # fmt: skip
+    assert settled.causes == [one] and "0 windows" in settled.notes[0]
+    assert settled.confirmations["rotor_effectiveness", "always"].outcome == UNJUDGED
+
+
+def test_too_few_windows_are_an_error_that_says_so():
+    with pytest.raises(DataError, match="3 windows .* expected at least 8"):
+        output_error.covariance_of([np.ones((3, 4))], [np.ones((3, 4, 2))], np.ones(2))
+
+
+def test_half_the_motion_divides_gain_from_loss():
+    # a gain is there with 95 %, a loss must be sure with 99.5 %, and a missing gain must have been visible
+    assert outcome_of(1.0, 0.1) == CONFIRMED
+    assert outcome_of(1.0, 0.35) == UNJUDGED
+    assert outcome_of(0.4, 0.15) == REFUTED
+    assert outcome_of(0.4, 0.3) == UNJUDGED
+    assert outcome_of(-1.0, 0.5) == REFUTED
+    assert outcome_of(8.0, 1.0) == REFUTED
+    assert outcome_of(0.6, 0.1) == UNJUDGED
+
+
+def test_windows_of_a_shifted_centre_of_gravity_begin_in_the_state_of_the_true_one(model, weak):
+    """Rigid-body kinematics: a point at r moves with v + w x r; without forces the end must be carried back as well."""
+    shift = np.array([0.004, -0.003, 0.001])
+    document = {**model.document, "extensions": [{"id": "cg_offset", "airframe": {"cg offset": shift.tolist()}}]}
+    flight = rollouts.flight_of("f0", weak["f0"])
+    run = rollouts.simulated(Model(document, "shifted"), flight, np.array([400]), 0.005)
+    np.testing.assert_allclose(run[0, 0], flight.states[400], atol=1e-12)
