@@ -135,9 +135,15 @@ def read_airframe(config: Mapping[str, Any], where: str, mass: float | None = No
         if value is None or value <= 0:
             raise ConfigError(f"{where}: '{key}' must be a positive length in m, found {config.get(key)!r}")
 
+    height = number(config, "rotor hub height", where, 0.0)
+    if abs(height) > arm:
+        raise ConfigError(
+            f"{where}: 'rotor hub height' is {height:g} m, farther from the cg than the arms are long ({arm:g} m); "
+            "give m, upwards positive, or each hub's place in 'rotor positions'"
+        )
     hubs = np.zeros((4, 3))
     for place, (front, right) in POSITIONS.items():
-        hubs[numbers[place] - 1] = arm / math.sqrt(2) * np.array([front, right, 0.0])
+        hubs[numbers[place] - 1] = *(arm / math.sqrt(2) * np.array([front, right])), -height
     for key, position in (config.get("rotor positions") or {}).items():
         hubs[int(key) - 1] = [float(c) for c in position]
 

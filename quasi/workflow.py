@@ -27,6 +27,7 @@ GEOMETRY = (
     "rotor radius",
     "b",
     "moment of inertia",
+    "rotor hub height",
     "rotor positions",
     "rotor rotation directions",
 )

@@ -341,6 +341,7 @@ def quadrotor_configuration(campaign: Campaign) -> dict[str, Any]:
         "rotor1 rotation direction": made.ROTOR_1,
         "rotor radius": f"{made.RADIUS:g}",
         "b": f"{made.ARM:g}",
+        "rotor hub height": f"{made.HUB_HEIGHT:g}",
         "optitrack marker cg offset": {k: f"{v:g}" for k, v in zip("xyz", made.MARKER_OFFSET)},
         "idle RPM": "250",
         "max RPM": "2500",

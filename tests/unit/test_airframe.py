@@ -37,6 +37,18 @@ def test_hubs_stand_at_the_arm_under_45_degrees():
     assert np.all(np.sign(-frame.hubs[:, 1]) == frame.left)
 
 
+def test_hubs_stand_as_high_above_the_cg_as_configured():
+    frame = read_airframe({**BEETLE, "rotor hub height": "0.012"}, "beetle")
+    np.testing.assert_array_equal(frame.hubs[:, 2], -0.012)  # z points down
+    np.testing.assert_array_equal(frame.hubs[:, :2], read_airframe(BEETLE, "beetle").hubs[:, :2])
+    placed = {"rotor positions": {"1": [-0.05, 0.06, 0.002]}, "rotor hub height": 0.01}
+    np.testing.assert_array_equal(read_airframe({**BEETLE, **placed}, "beetle").hubs[0], [-0.05, 0.06, 0.002])
+    with pytest.raises(ConfigError, match="'rotor hub height' is 12 m, farther from the cg than the arms"):
+        read_airframe({**BEETLE, "rotor hub height": 12}, "beetle")
+    with pytest.raises(ConfigError, match="'rotor hub height' is 'high', expected a number"):
+        read_airframe({**BEETLE, "rotor hub height": "high"}, "beetle")
+
+
 def test_spin_of_every_layout_is_alike_on_diagonals_and_opposite_beside():
     places = ["front left", "front right", "aft right", "aft left"]
     for turn in range(4):

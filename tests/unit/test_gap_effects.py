@@ -18,7 +18,7 @@ from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
 from quasi.synthesis.effects import check, plant
 from quasi.synthesis.nuisance import nominal
 from quasi.synthesis.physics import STATES, derivative, induced_velocity
-from quasi.synthesis.vehicle import HUB_HEIGHT, hover_factors
+from quasi.synthesis.vehicle import hover_factors
 
 ROWS = 400
 CATALOGUE = catalogue()
@@ -127,7 +127,7 @@ def residual_of(ground, effects, seed=3, spread=1.0):
 
 
 CASES = {
-    "rotor_drag": ({"k": 1e-5}, {"k": 1e-5, "lever": 1e-5 * HUB_HEIGHT}, 0.02),
+    "rotor_drag": ({"k": 1e-5}, {"k": 1e-5, "lever": 0.0}, 0.02),  # the hubs' height is configured
     "body_drag": ({"c": 0.02}, {"c": 0.02}, 0.1),
     "blade_flapping": ({"k": 3e-7}, {"k": 3e-7}, 0.02),
     "translational_lift": ({"k": 0.01}, {"k": 0.01}, 0.02),
@@ -141,7 +141,7 @@ CASES = {
     "rotor_acceleration_torque": ({"inertia": 2e-6}, {"inertia": 2e-6}, 0.02),
     "rotor_interference": ({"k": 0.1}, {"k": 0.1}, 0.2),
     "tether": ({"k": 0.2}, {"k": 0.2}, 0.02),
-    "ground_effect": ({"c": 2.0}, {"c": 2.0}, 0.25),
+    "ground_effect": ({"c": 2.0}, {"c": 2.0}, 0.15),
     "mass": ({"mass": 0.44}, None, 0.03),
     "inertia": ({"Ixx": 9e-4, "Ixz": 2e-5}, None, 0.1),
     "cg_offset": ({"x": 0.002, "y": -0.001, "z": 0.001}, {"x": 0.002, "y": -0.001, "z": 0.001}, 0.1),
