@@ -15,6 +15,7 @@ from quasi.standalone.model import AXES, Model
 
 PREFIX = "quasi_"
 ROTORS = ("w1", "w2", "w3", "w4")
+LATE_AIR = "inflow lag"  # the part of an extension with states of its own that its terms hold to first order
 DEFAULT_LAG = 1.0 / 35.0  # s, the rotors' time constant where a model knows none; the same as a simulation takes
 
 
@@ -51,19 +52,34 @@ def extras_of(model: Model) -> tuple[str, ...]:
 
 
 def check_exportable(model: Model) -> None:
-    """Raises ConfigError naming an extension that no export can carry: one that has states of its own."""
+    """Raises ConfigError naming an extension that no export can carry: one that has states of its own.
+
+    Air through the discs that follows late is carried to first order, by its terms in the rotors' accelerations.
+    """
     for extension in _extensions(model):
-        if extension.get("states"):
-            states = ", ".join(shown(s) for s in extension["states"])
+        states = [s for s in extension.get("states") or () if s != LATE_AIR]
+        if states:
             raise ConfigError(
-                f"model {model.id}: its extension '{shown(extension.get('id'))}' has states of its own ({states}), "
-                "which an export cannot carry; export the model without it"
+                f"model {model.id}: its extension '{shown(extension.get('id'))}' has states of its own "
+                f"({', '.join(map(shown, states))}), which an export cannot carry; export the model without it, or "
+                "simulate it here"
             )
         missing = [a for a in extension.get("terms") or {} if not _stands(model, a, extension.get("id"))]
         if missing:
             raise ConfigError(
                 f"model {model.id}: the terms of its extension '{shown(extension.get('id'))}' do not stand among those "
                 f"of {shown(missing[0])}, so that predictions leave them out; make the extended model anew"
+            )
+
+
+def check_vehicle(model: Model) -> None:
+    """Raises ConfigError naming an extension that a whole vehicle, which moves by itself, would need states for."""
+    check_exportable(model)
+    for extension in _extensions(model):
+        if LATE_AIR in (extension.get("states") or ()):
+            raise ConfigError(
+                f"model {model.id}: its extension '{shown(extension.get('id'))}' has states of its own ({LATE_AIR}), "
+                "which an exported vehicle cannot carry; use the forces and moments alone, or simulate it here"
             )
 
 
@@ -194,7 +210,12 @@ def head(model: Model) -> list[str]:
     if factor:
         told.append(f"Where a flight controller logs eRPM/100: mechanical rad/s = {factor:.12g} times that number.")
     extensions = [shown(e.get("id")) for e in _extensions(model)]
-    told += [f"Extensions among the terms: {', '.join(extensions)}."] if extensions else []
+    told += [f"Extensions: {', '.join(extensions)}."] if extensions else []
+    if any(LATE_AIR in (e.get("states") or ()) for e in _extensions(model)):
+        told += [
+            "Air through the discs that follows late stands here to first order in the rotor accelerations; with these",
+            "zero, forces and moments are the quasi-steady part.",
+        ]
     return told
 
 

@@ -22,6 +22,7 @@ from quasi.export.c_source import c_files
 from quasi.export.contents import (
     actuators_of,
     check_exportable,
+    check_vehicle,
     extras_of,
     head,
     name_in_source,
@@ -101,7 +102,7 @@ def vehicle_fmu(model: Model) -> Fmu:
 
     Raises ConfigError for a model that lacks an axis or the mass, or that reads what a vehicle does not know, by name.
     """
-    check_exportable(model)
+    check_vehicle(model)
     lacking = [axis for axis in AXES if axis not in model.axes]
     if lacking:
         raise ConfigError(f"model {model.id} lacks {', '.join(lacking)}; a vehicle needs all six axes")
