@@ -142,8 +142,8 @@ def shares(
                "value": None, "low": None, "high": None}  # fmt: skip
         if least < HOLDS * was:
             picks = rng.integers(0, len(sums[0]), (DRAWS, len(sums[0])))
-            # the share that can be removed at all is taken as known: of a few blocks it may be next to nothing
-            draws = (1.0 - sums[1][picks].sum(axis=1) / sums[0][picks].sum(axis=1)) / row["removable"]
+            # what can be removed at all is taken as known: of a few blocks it may be next to nothing
+            draws = (sums[0] - sums[1])[picks].sum(axis=1) / (was - least)
             low, high = np.quantile(draws, [0.025, 0.975])
             row |= {"value": float((was - now) / (was - least)), "low": float(low), "high": float(high)}
         rows.append(row)

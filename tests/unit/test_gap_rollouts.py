@@ -5,7 +5,8 @@ import pandas as pd
 import pytest
 from plain_plant import made_model
 
-from quasi.gap import rollouts
+from quasi.gap import rollout_gain, rollouts
+from quasi.gap.evidence import gather
 from quasi.gap.figures import figures
 from quasi.simulation.rollout import rollout
 from quasi.standalone.model import Model
@@ -96,3 +97,78 @@ def test_overlays_show_the_window_that_gained_most_and_are_drawn(model):
     assert abs(first["w_before"].iloc[-1] - first["w_measured"].iloc[-1]) > 0.05
     drawn = figures({"R_overlays": found})
     assert list(drawn) == ["overlays"] and len(drawn["overlays"].axes) == 18
+
+
+def evidence_of(model, table):
+    about = {"mass": model.airframe.mass, "inertia": model.airframe.inertia}
+    dots = {f"w{i}_dot": np.gradient(table[f"w{i}"], table["t"]) for i in range(1, 5)}
+    return gather("a", table.assign(**dots), about, model.airframe, model, 100.0)
+
+
+def moved(model, of):
+    """The model whose Fz is off by `of` N."""
+    axes = {**model.document["axes"]}
+    axes["Fz"] = {
+        **axes["Fz"],
+        "terms": [*axes["Fz"]["terms"], {**axes["Fz"]["terms"][0], "coefficient": of, "given": True}],
+    }
+    return Model({**model.document, "axes": axes})
+
+
+def test_a_constant_error_goes_into_the_trim_of_the_seconds_before(model):
+    wrong, table = moved(model, 0.05), flown(model)
+    tracks = rollout_gain.tracks_of([evidence_of(wrong, table)], {"a": table}, [0.5])
+    found = rollout_gain.simulated_errors(tracks, wrong, wrong)
+    plain, trimmed = (rollout_gain.end_table(tracks, found[line], [0.5]) for line in rollout_gain.LINES)
+    # 0.05 N on 0.43 kg against drag of 0.15 N per m/s
+    c = 0.15 / 0.43
+    assert plain["velocity"].mean() == pytest.approx(0.05 / 0.43 * (1 - np.exp(-0.5 * c)) / c, rel=0.08)
+    later = trimmed["start"] > rollout_gain.TRIM + rollout_gain.MARGIN
+    assert later.any() and trimmed["velocity z"][later].max() < 0.02 * plain["velocity z"].mean()
+    # before that only what was flown until then counts; without half a second of it there is no trim
+    first = trimmed["start"] < rollout_gain.MARGIN
+    np.testing.assert_allclose(trimmed["velocity z"][first], plain["velocity z"][first])
+
+
+def test_errors_that_a_change_of_forces_moves_are_those_of_the_changed_model(model):
+    wrong, table = moved(model, 0.05), flown(model)
+    tracks = rollout_gain.tracks_of([evidence_of(wrong, table)], {"a": table}, [0.2, 0.5])
+    errors = rollout_gain.simulated_errors(tracks, wrong, wrong)
+    better = rollout_gain.moved_errors(
+        tracks, errors, lambda flight: flight.residual, lambda flight: flight.measured - predicted(model, flight)
+    )
+    for line in rollout_gain.LINES:
+        assert np.abs(better[line][0]).max() < 0.02 * np.abs(errors["R"][0]).max()
+
+
+def predicted(model, flight):
+    return model.predict_columns(pd.DataFrame(flight.columns))[["Fx", "Fy", "Fz", "Mx", "My", "Mz"]].to_numpy()
+
+
+def test_shares_are_of_what_can_be_removed_and_silent_where_the_floor_holds_it_all():
+    table = pd.DataFrame({"flight": "a", "start": np.arange(40) * 1.0, "horizon": 0.5, "rate x": 1.0})
+    half, floor = table.assign(**{"rate x": 0.8**0.5}), table.assign(**{"rate x": 0.6**0.5})
+    row = rollout_gain.shares(table, half, floor, "rate x")[0]
+    assert row["removable"] == pytest.approx(0.4)
+    assert [row[k] for k in ("value", "low", "high")] == pytest.approx([0.5] * 3)
+    assert rollout_gain.shares(table, half, table.assign(**{"rate x": 0.99}), "rate x")[0]["value"] == 1.0
+    assert rollout_gain.shares(table, table, table.assign(**{"rate x": 0.99}), "rate x")[0]["value"] is None
+    worse = rollout_gain.shares(table, table.assign(**{"rate x": 1.2}), floor, "rate x")[0]
+    assert worse["value"] == pytest.approx((1 - 1.44) / 0.4)
+
+
+def test_what_a_cause_is_worth_is_told_by_line_channel_and_horizon(model):
+    wrong, table = moved(model, 0.05), flown(model)
+    evidence = evidence_of(wrong, table)
+    rolled = rollout_gain.score(
+        wrong, model, {"a": table}, [evidence], [0.2, 0.5], lambda f: f.measured - predicted(model, f), None, None
+    )
+    rows = rollout_gain.worth(rolled, rolled["errors"]["before"], ("Fz", "My"), [0.2, 0.5])
+    assert len(rows) == 8
+    best = next(r for r in rows if (r["line"], r["quantity"], r["horizon"]) == ("R", "velocity z", 0.5))
+    assert best["value"] == pytest.approx(1.0, abs=0.01) and best["moved"] == pytest.approx(1.0, abs=0.01)
+    assert set(rolled["rms"]) == {"before", "after", "noise_floor"}
+    assert (
+        rolled["rms"]["noise_floor"]["R with trim"]["velocity z"]["0.5"]
+        <= (rolled["rms"]["after"]["R with trim"]["velocity z"]["0.5"])
+    )
