@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from quasi.gap import generic, rollout_gain, unexplained
+from quasi.gap import generic, halves, rollout_gain, unexplained
 from quasi.gap.confirmation import Settled, settle
 from quasi.gap.effect import Effect, Vehicle, room_of, vehicle_of
 from quasi.gap.evidence import Evidence
@@ -78,17 +78,20 @@ def diagnose(
         said["cannot_be_asked"] += [{"id": n, "why": why} for n, why in found.lacking.items()]
     drive = [(effects[e["id"]], _deviations(effects[e["id"]], e["parameters"]))
              for e in levels["A"]["effects"] if e["id"] in effects and effects[e["id"]].extension]  # fmt: skip
-    document = _extended(model, kept, drive, found, compared, vehicle, ident, f"gap {name}")
+    again = _anew(kept) or _corrected(model, calibration, learning)
+    document = _extended(model, kept, drive, found, compared, vehicle, ident, f"gap {name}", anew=again)
     extended = Model(document, f"model {ident}")
     students = [e for e, flag in zip(learning, compared) if flag]
     yardstick = generic.polynomial(students, sum(len(c.value) for c in kept)) if kept else None
     wrong = _wrong_model(found, kept, model, compared, effects, vehicle) if kept else None
     floor = None if found is None else everything(found.study, effects, vehicle, compared, found.study.values)
     rolled = rollout_gain.score(model, extended, flights, held, settings["horizons"], floor, wrong, yardstick)
+    causes = [*((c.effect, c.value) for c in kept), *drive]
+    own = halves.judge(held, flights, learning, model, extended, causes, vehicle, settings["horizons"])
     gap, scores = _gap(model, extended, found, kept, held, yardstick, rolled, lower, document)
     effects_said = [_wrench_effect(c, vehicle, settled) for c in kept]
     if found is not None:
-        _rollout_gains(effects_said, kept, model, drive, found, compared, vehicle, settings["horizons"], rolled)
+        _rollout_gains(effects_said, kept, model, drive, found, compared, vehicle, settings["horizons"], rolled, again)
         refuted = [c for c, _ in settled.dropped]
         accepted = [
             (c.effect, c.test.offer, c.value)
@@ -124,6 +127,8 @@ def diagnose(
         "false alarm rate": settings["false alarm rate"],
         "horizons": list(settings["horizons"]),
         "rollouts": rolled["fell"],
+        "halves": own,
+        "fitted anew": found is not None and again,
         "scores": scores,
         "calibration": {k: calibration[k] for k in ("compared", "reference", "causes", "notes") if k in calibration},
     }
@@ -165,6 +170,13 @@ def _extended(
 
 def _anew(causes: Sequence[Cause]) -> bool:
     return any(c.since == "always" for c in causes)
+
+
+def _corrected(model: Model, calibration: Mapping[str, Any], learning: Sequence[Evidence]) -> bool:
+    """Whether flights that the model was identified from were corrected: its terms hold what their sensors faked."""
+    trained = set((model.document.get("flights") or {}).get("training") or ())
+    always = any(c["since"] == "always" for c in calibration.get("causes", ()))
+    return always and any(e.key in trained for e in learning)
 
 
 def _deviations(effect: Effect, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
@@ -291,7 +303,7 @@ def _wrong_model(
 
 def _rollout_gains(
     said: Sequence[dict[str, Any]], kept: Sequence[Cause], model: Model, drive: Sequence, found: Found,
-    compared: Sequence[bool], vehicle: Vehicle, horizons: Sequence[float], rolled: Mapping[str, Any],
+    compared: Sequence[bool], vehicle: Vehicle, horizons: Sequence[float], rolled: Mapping[str, Any], again: bool,
 ) -> None:  # fmt: skip
     """Fill in what each cause is worth in roll-outs, left out alone, in the quantities where it acts.
 
@@ -304,7 +316,7 @@ def _rollout_gains(
         old = rolled["errors"]["before"]
         if len(kept) > 1:
             rest = [c for c in kept if c is not cause]
-            beside = _extended(model, rest, drive, found, compared, vehicle, "rest", "gap", anew=_anew(kept))
+            beside = _extended(model, rest, drive, found, compared, vehicle, "rest", "gap", anew=again)
             old = rollout_gain.simulated_errors(rolled["tracks"], Model(beside, "rest"), model)
         rows = rollout_gain.worth(rolled, old, cause.effect.channels, horizons)
         told = [row for row in rows if row["value"] is not None]

@@ -57,7 +57,9 @@ def page(
     shown = {n: report.picture(pictures[n], caption) for n, caption in CAPTIONS.items() if n in pictures}
     sections = [
         f"<style>{STYLE}</style>",
-        report.section("What is wrong", _forces(diagnosis), _rollouts(diagnosis), _lower(diagnosis)),
+        report.section(
+            "What is wrong", _forces(diagnosis), _rollouts(diagnosis), _halves(diagnosis), _lower(diagnosis)
+        ),
         report.section("Why", *(_cause(e, effects) for e in diagnosis["effects"]), _rivals(diagnosis)),
         report.section("What cannot be told apart", _ties(diagnosis)),
         report.section("What no cause explains", report.sentences(left_sentence(u) for u in diagnosis["unexplained"])),
@@ -140,6 +142,29 @@ def _rollouts(diagnosis: Mapping[str, Any]) -> str:
     return "".join(blocks)
 
 
+def _halves(diagnosis: Mapping[str, Any]) -> str:
+    """Errors on the second halves of held-out flights, with what their first halves tell of their own."""
+    found = diagnosis.get("halves") or {}
+    if not found:
+        return ""
+    errors = found["errors"]
+    rows = [
+        [f"{q}, {unit}, after {float(h):g} s", *(report.number(errors[who][q][h]) for who in errors)]
+        for q, unit in UNITS.items()
+        for h in [max(errors["before"][q], key=float)]
+    ]
+    trims = [
+        f"{axis} = {t['before']:.2g} {'N' if axis[0] == 'F' else 'N m'} in {key}"
+        for key, about in found["flights"].items()
+        for axis, t in about["trim"].items()
+        if abs(t["before"]) > 3.0 * t["std"]
+    ]
+    return report.table(["second halves of the held-out flights", *errors], rows) + report.paragraph(
+        "Trim, a constant force and moment, and a flight's own parameters of the named causes are told by its first "
+        f"half. The model lacks {', '.join(trims) or 'no trim'}."
+    )
+
+
 def _lower(diagnosis: Mapping[str, Any]) -> str:
     rows = []
     for level, word in (("K", "sensors against capture"), ("A", "rotor speeds against commands")):
@@ -200,6 +225,8 @@ def _extended(diagnosis: Mapping[str, Any]) -> str:
         if own
         else f"Nothing was added: {ident} is {diagnosis['model']}."
     )
+    if diagnosis.get("fitted anew"):
+        said += " Its own terms were fitted anew to the flights."
     if sensors:
         said += f" The flights were processed anew with what was found of {', '.join(sensors)}."
     return report.paragraph(f"{said} Make it, as any model, with the target models/{ident}/standalone.")
