@@ -143,7 +143,7 @@ def gather_study(
             list(range(1, first)), list(range(first, first + len(own))), np.array([s for *_, s in own]), causes
         )
     breaks = [part.breaks for part in thinned]
-    whitener = autoregression([_unexplained(part.columns, layout) for part in thinned], breaks, ORDER)
+    whitener = autoregression([own_fit(part.columns, layout) for part in thinned], breaks, ORDER)
     return _study(flights, thinned, layout, names, whitener, lacking, values or {})
 
 
@@ -200,7 +200,7 @@ def _first(flight: Evidence) -> Evidence:
     )  # fmt: skip
 
 
-def _unexplained(stack: np.ndarray, layout: Columns) -> np.ndarray:
+def own_fit(stack: np.ndarray, layout: Columns) -> np.ndarray:
     """What each flight's own fit of base and nuisances leaves (n, 6)."""
     columns = [*layout.shared, *layout.nuisance]
     left = np.empty(stack.shape[:2])
