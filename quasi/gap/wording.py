@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from quasi.gap.effect import Effect
+from quasi.gap.places import UNITS
 
 CHANNELS = {
     "Fx": "forward force", "Fy": "sideward force", "Fz": "vertical force", "Mx": "roll moment", "My": "pitch moment",
@@ -136,10 +137,32 @@ def tie_sentence(tie: Mapping[str, Any]) -> str:
 
 def left_sentence(left: Mapping[str, Any]) -> str:
     """An unexplained residual and where it lives."""
-    return (
-        f"The {CHANNELS.get(left['channel'], left['channel'])} ({left['channel']}) is off along {left['where']}: "
-        f"{percent(left['share'])} of its removable error, which no cause explains."
+    channel, where = left["channel"], left["where"]
+    size = f" by {left['size']:.2g} {left['unit']} rms" if "size" in left else ""
+    at = f", mostly {_ranges(where, left['mostly'])}" if left.get("mostly") and where != "frequency" else ""
+    along = (
+        f"around {left['mostly'][0][0]:.2f} to {left['mostly'][0][1]:.2f} Hz"
+        if where == "frequency" and at == "" and left.get("mostly")
+        else f"along {where}"
     )
+    share = (
+        "which cannot be judged on the held-out flights, for they do not go there"
+        if left["share"] is None
+        else f"{percent(left['share'])} of its removable error"
+    )
+    return (
+        f"The {CHANNELS.get(channel, channel)} ({channel}) is off{size} {along}{at}: {share}, which no cause explains."
+    )
+
+
+def _ranges(where: str, mostly: Sequence[Sequence[float]]) -> str:
+    """Where along a place, in words."""
+    if where == "room place":
+        x, y = mostly[0]
+        return f"near x = {x:.1f} m, y = {y:.1f} m"
+    factor, unit = (math.degrees(1.0), "deg") if where == "heading" else (1.0, UNITS.get(where, ""))
+    texts = [f"{low * factor:.3g} to {high * factor:.3g}" for low, high in mostly[:3]]
+    return f"at {_listed(texts)}{' ' if unit else ''}{unit}"
 
 
 def rollout_sentence(diagnosis: Mapping[str, Any]) -> str:
