@@ -96,6 +96,7 @@ def seek(learned: Sequence[tuple[Recorded, Flown]], held: tuple[Recorded, Flown]
     )
     anew = [for_flight(told, f.compared) for f in [*flown, held[1]]]
     everything = again([*recorded, held[0]], [*flown, held[1]], anew)
+    lower.material_ones(levels, [held[1]], everything[-1:], SHARE)
     evidence = [_evidence(f, model) for f in everything]
     frame = everything[0].airframe
     vehicle = vehicle_of(model, evidence[0].mass, np.asarray(frame.inertia), room_of(ROOM))

@@ -72,9 +72,9 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         why = "no compared flight has enough flying with commands and measured rotor speeds"
         level.cannot_be_asked += [{"id": c, "why": why} for c in asked]
         return level
-    whole = [_whole(f, d) for f, d in zip(used, fits)]
+    constants = [whole(f, d) for f, d in zip(used, fits)]
     if belief is None or not told:
-        middle = np.median([v for f, v in zip(used, whole) if not f.compared] or whole, axis=0)
+        middle = np.median([v for f, v in zip(used, constants) if not f.compared] or constants, axis=0)
         reference = Belief(middle, reference_voltage(used))
         level.notes.append(
             f"the model {document.get('id', '')} does not say how its rotors follow commands; only changes between "
@@ -95,7 +95,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     compared = np.array([f.compared for f in used])
     products = [
         Products(v - reference.values, np.linalg.inv(d.covariance()), d.moves(BLOCK), _age(f))
-        for f, v, d in zip(used, whole, fits)
+        for f, v, d in zip(used, constants, fits)
     ]
 
     doubt = _doubt(document)
@@ -105,12 +105,13 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
 
     mixed = build([p.gram() for p in products])
     level.tests = mixed
+    level.healthy = {"values": reference.values.tolist(), "voltage": reference.voltage}
     stages = 1 if compared.all() else 2
     threshold = float(options.get("false alarm rate", 0.01)) / (stages * max(len(asked), 1))
     choice = choose(mixed, threshold, [LATE])
     shares = probability(lambda rng: [p.gram(rng) for p in products], build, choice, threshold)
     _report(level, mixed, choice, shares, [d for d, flag in zip(fits, compared) if flag])
-    _tables(level, used, fits, [v - reference.values for v in whole])
+    _tables(level, used, fits, [v - reference.values for v in constants])
     return level
 
 
@@ -206,7 +207,7 @@ class Products(NamedTuple):
         return gram
 
 
-def _whole(flown: Flown, fit: DriveFit) -> np.ndarray:
+def whole(flown: Flown, fit: DriveFit) -> np.ndarray:
     """A flight's constants (11,), the age that import took off the rotor telemetry added to the delay again."""
     values = fit.values.copy()
     values[2] += _age(flown)[0]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from quasi.gap import generic, halves, rollout_gain, unexplained
+from quasi.gap import generic, halves, material, rollout_gain, unexplained
 from quasi.gap.confirmation import Settled, settle
 from quasi.gap.effect import Effect, Vehicle, room_of, vehicle_of
 from quasi.gap.evidence import Evidence
@@ -61,6 +61,7 @@ def diagnose(
     compared = [False] * len(groups["reference"]) + [True] * len(groups["compared"])
     held, rate, share = groups["held out"], settings["false alarm rate"] / 3.0, settings["material share"]
     levels = calibration["levels"]
+    material.judge(levels, *lower, share)
     said: dict[str, Any] = {"candidates": [], "unexplained": [], "cannot_be_asked": [], "notes": list(lost)}
     unable = _unable(groups)
     found, kept = None, []
@@ -230,6 +231,9 @@ def _wrench_effect(cause: Cause, vehicle: Vehicle, settled: Settled) -> dict[str
 def _lower_effect(effect: Mapping[str, Any], level: str, gap: Mapping[str, Any]) -> dict[str, Any]:
     """An effect of level K or A; its gain on held-out flights is that of its channel where most could be removed."""
     best: tuple[float, float | None] = (0.0, None)
+    if effect.get("removed"):
+        return {**effect, "level": level, "gain": {"wrench": min(max(effect["removed"].values()), 1.0), "rollout": None},
+                "confused_with": []}  # fmt: skip
     for channel in effect["channels"]:
         old, new, floor = (gap[k].get(level, {}).get(channel, {}).get("0") for k in ("before", "after", "noise_floor"))
         if old is None or new is None or floor is None or floor**2 >= 0.9 * old**2:

@@ -49,6 +49,8 @@ class Level:
     tables            {name: table} of residuals for the report
     noise_floor       {channel: rms} that no cause of this level can explain
     tests             what causes were tested on, None where nothing could be asked
+    found_on          what `material` needs to know of the flights that causes were found on
+    healthy           of level A: constants ("values") and voltage that flights were compared with
     """
 
     level: str
@@ -61,6 +63,8 @@ class Level:
     noise_floor: dict[str, float] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     tests: "Tests | None" = None
+    found_on: dict[str, Any] = field(default_factory=dict)
+    healthy: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass

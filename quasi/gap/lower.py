@@ -5,7 +5,7 @@ from typing import Any
 
 import pandas as pd
 
-from quasi.gap import actuation, kinematic, points
+from quasi.gap import actuation, kinematic, material, points
 from quasi.gap.calibration import document
 from quasi.gap.effect import Effect
 from quasi.gap.level import Flown, Level
@@ -36,6 +36,8 @@ def examine(
         points.settle(levels[0], flights, Model(model, "the compared model"))
     if process is not None:
         settle(levels, flights, Model(model, "the compared model"), options["false alarm rate"], process)
+    for level in levels:
+        level.found_on = material.found_on(level, flights)
     told = document(levels)
     return {**told, "levels": {level.level: plain(level) for level in levels}}, levels
 
@@ -50,7 +52,17 @@ def plain(level: Level) -> dict[str, Any]:
         "cannot_be_asked": level.cannot_be_asked,
         "noise_floor": level.noise_floor,
         "notes": level.notes,
+        "found on": level.found_on,
     }
+
+
+def material_ones(
+    levels: Sequence[Level], first: Sequence[Flown], last: Sequence[Flown], share: float
+) -> Sequence[Level]:
+    """The levels without the names that do not matter on held-out flights, see `material.judge`."""
+    for level in levels:
+        material.judge({level.level: plain(level)}, first, last, share)
+    return levels
 
 
 def judged(flights: Sequence[Flown], model: Mapping[str, Any], effects: Sequence[str] = ()) -> dict[str, pd.DataFrame]:

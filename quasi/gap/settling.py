@@ -5,7 +5,8 @@ residual is compared. Between two such hypotheses the ratio of their likelihoods
 exceeds 1 / a with a probability of at most a, whatever else is true (Markov). What flights differ by anyway (seating
 of IMU and markers, biases, telemetry) is integrated out with its usual spread, and the model's own terms are fitted
 anew to all flights under each hypothesis. The mean over the flights is taken for one flight's evidence, for what a
-session has in common would else be counted as often as it was flown; and every flight has to favour the same member.
+session has in common would else be counted as often as it was flown; the flight that favours the winner most is not
+needed for it, and none speaks against it as clearly as it takes to choose.
 
 A turn that stands in all flights may stand in those that the model was identified from: its own terms may hold it, and
 no residual tells what is turned. Such a tie stays. Timing is not for a model of rotor speeds to hold; late telemetry
@@ -63,13 +64,14 @@ def settle(
         except (ConfigError, DataError) as error:
             level.notes.append(f"{names} stay a tie: {error}")
             continue
-        winner, odds, agree = judged(left)
+        winner, each, odds = judged(left)
         needed = float(np.log(len(ties) / alarm))
         best, other = tie["ids"][winner], tie["ids"][1 - winner]
+        agree = each.min() > -needed
         if odds < needed or not agree:
             level.notes.append(
                 f"{names} stay a tie: of forces and moments the model leaves nearly as much with either corrected (the "
-                f"odds for {best} are e^{odds:.1f}, expected e^{needed:.1f}{'' if agree else '; flights disagree'})"
+                f"odds for {best} are e^{odds:.1f}, expected e^{needed:.1f}{'' if agree else ', and flights disagree'})"
             )
             continue
         winners.append(best)
@@ -88,15 +90,17 @@ def settle(
     return winners
 
 
-def judged(left: np.ndarray) -> tuple[int, float, bool]:
-    """The better of two hypotheses, its log odds by one flight's evidence, whether all flights favour it.
+def judged(left: np.ndarray) -> tuple[int, np.ndarray, float]:
+    """The better of two hypotheses, its log odds by each flight (F,), and those of one flight that counts.
 
     left  (F, 2) whitened squared errors of the flights
+    What counts is the mean over the flights, or over all but the one that favours the winner most, if that is less.
     """
-    lead = left[:, 1] - left[:, 0]
-    winner = 0 if lead.mean() > 0 else 1
-    lead = lead if winner == 0 else -lead
-    return winner, float(lead.mean() / 2.0), bool((lead > 0).all())
+    odds = 0.5 * (left[:, 1] - left[:, 0])
+    winner = 0 if odds.mean() > 0 else 1
+    odds = odds if winner == 0 else -odds
+    rest = np.sort(odds)[:-1]
+    return winner, odds, float(min(odds.mean(), rest.mean() if len(rest) else np.inf))
 
 
 def compare(
