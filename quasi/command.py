@@ -65,6 +65,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     margins.add_argument("simulation", help="name of the simulation")
     margins.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
 
+    plan = commands.add_parser(
+        "plan",
+        help="which causes of disagreement a trajectory could reveal, and which manoeuvres are missing",
+        description="For every cause in the catalogue, at its typical size: the expected t after all that could "
+        "stand in for it, what it would be confused with, and the manoeuvres that would show more.",
+    )
+    plan.add_argument("model", help="model ID, or the path of a standalone model")
+    described = "filtered flight, simulation, or table of t x y z yaw (s, m, z down, rad); several are flown in turn"
+    plan.add_argument("trajectories", nargs="+", metavar="TRAJECTORY", help=described)
+    plan.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
+    plan.add_argument("--flights", type=int, default=4, help="flights to compare (4)")
+    plan.add_argument("--references", type=int, default=0, help="reference flights beside them, believed clean (0)")
+    plan.add_argument("--gap", help="take the noise, the room and further causes from this gap")
+    plan.add_argument("--out", help="folder for the card: plan.json and plan.html")
+
     init = commands.add_parser("init", help="lay a project folder: commented configuration and an empty logbook")
     init.add_argument("folder", help="folder to make; it must be empty or absent")
 
@@ -104,6 +119,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         elif options.command == "reach":
             asked = (options.horizon, options.radius, options.spacing)
             print(reach_of(options.simulation, Path(options.directory), *asked))
+        elif options.command == "plan":
+            flown = (options.flights, options.references, options.gap, options.out)
+            print(plan_of(options.model, options.trajectories, Path(options.directory), *flown))
         elif options.command == "new-simulation":
             print(new_simulation(options.name, Path(options.directory)))
         elif options.command == "noise":
@@ -241,6 +259,46 @@ def reach_of(simulation: str, directory: Path, horizon: float, radius: float, sp
     spans = ", ".join(f"{a} {ends[a]['min']:.2f} to {ends[a]['max']:.2f} m" for a in ends)
     lost = f"; {len(found.ended)} of {len(found.targets)} simulations did not last" if found.ended else ""
     return f"After {horizon:g} s: {spans}{lost}. Made {folder}: positions.parquet, summary.json, reach.png"
+
+
+def plan_of(
+    model: str,
+    trajectories: Sequence[str],
+    directory: Path,
+    flights: int = 4,
+    references: int = 0,
+    gap: str | None = None,
+    out: str | None = None,
+) -> str:
+    """The flight card as text, and in the folder `out` as plan.json and plan.html.
+
+    Raises a QuasiError where model, trajectory or gap are absent, or the vehicle cannot fly the trajectory.
+    """
+    from quasi.gap import flight_card
+    from quasi.gap.catalogue import catalogue, chosen
+    from quasi.gap.effect import room_of
+    from quasi.gap.plan import examine
+    from quasi.gap.plan_input import flights_of, noise_of
+    from quasi.standalone.model import read_model
+    from quasi.tables import write_json, write_text
+    from quasi.workflow import Folder
+
+    used = read_model(model_place(model, directory))
+    flown, about = flights_of(trajectories, used, directory)
+    effects, noise, room, rate = catalogue(), None, None, 0.01
+    if gap is not None:
+        asked = Folder(directory).gap(gap)
+        settings = asked["settings"]
+        effects = chosen(settings["effects"], catalogue(directory / p for p in asked["effect files"]))
+        room, rate, noise = room_of(settings["room"]), settings["false alarm rate"], noise_of(gap, directory)
+    card = examine(flown, used, effects, flights, references, rate, noise, metadata=about, room=room)
+    text = flight_card.text(card)
+    if out is not None:
+        folder = directory / out
+        write_json(folder / "plan.json", flight_card.data(card))
+        write_text(folder / "plan.html", flight_card.page(card))
+        text += f"\n\nMade {folder}: plan.json, plan.html"
+    return text
 
 
 def import_model(file: Path, name: str, directory: Path, poles: int | None = None) -> str:

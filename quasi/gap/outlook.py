@@ -12,17 +12,25 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from quasi.gap.effect import Effect
-from quasi.gap.mixed import CERTAIN, MOST_FREEDOM, RIDGE, SPREADS, Columns, Mixed, Offer, marginal
+from quasi.gap.mixed import CERTAIN, MOST_FREEDOM, RIDGE, SPANNED, SPREADS, Columns, Mixed, Offer, marginal
 
 POWER = 1.28  # standard errors above the threshold: nine of ten repeats are named
 
 
 class Repeated(NamedTuple):
-    """One flight's stretches (K, P, P) as often as it is flown."""
+    """Stretches (K, P + D N, ...) of one flight that is flown N = compared + reference times.
+
+    The first P columns are those of the study (the first is not used); after them the residuals, N for each of D draws.
+    """
 
     stretches: np.ndarray
     compared: int
     reference: int
+
+    @property
+    def count(self) -> int:
+        """How often it is flown."""
+        return self.compared + self.reference
 
 
 class Sight(NamedTuple):
@@ -60,7 +68,7 @@ class Row(NamedTuple):
 class Outlook:
     """Expected tests on repeated flights.
 
-    flights   what is flown how often; columns  what is what in them; targets  places of the residuals
+    flights   what is flown how often; columns  what is what in them; size, draws  P and D of `Repeated`
     effects   the causes of the columns; rate  false alarm rate shared by them
     together  whether a cause is always tested with all its parameters, as the levels below aerodynamics do
     freedom   degrees of freedom that the nuisances' spreads stand for beside the flights' own
@@ -71,7 +79,8 @@ class Outlook:
         self,
         flights: Sequence[Repeated],
         columns: Columns,
-        targets: Sequence[int],
+        size: int,
+        draws: int,
         effects: Mapping[str, Effect],
         rate: float,
         together: bool = False,
@@ -79,11 +88,11 @@ class Outlook:
         prior: np.ndarray | None = None,
     ) -> None:
         self.together, self.prior = together, prior
-        self.flights, self.columns, self.targets, self.effects = list(flights), columns, list(targets), effects
+        self.flights, self.columns, self.size, self.draws, self.effects = list(flights), columns, size, draws, effects
         self.since = "changed" if any(f.reference for f in flights) else "always"
         self.asked = [c for c in columns.causes if not self.absorbed(c)]
         self.level = rate / max(len(self.asked), 1)
-        count = sum((f.compared + f.reference) * len(f.stretches) for f in self.flights)
+        count = sum(f.count * len(f.stretches) for f in self.flights)
         self.freedom = max(count - (2 if self.since == "changed" else 1), 1) + freedom
         self._whole = Mixed([f.stretches for f in self.flights], [True] * len(self.flights), columns)
 
@@ -91,10 +100,24 @@ class Outlook:
         """Whether the model's own terms take the cause up, so that without reference flights nothing is left of it."""
         return self.since == "always" and self.effects[cause].absorbed
 
+    def taken_up(self, offer: Offer) -> bool:
+        """Whether terms that the model has anyway hold the cause's columns: fitted anew, they leave nothing of them."""
+        if self.since == "changed" or not self.columns.shared:
+            return False
+        own = [self.columns.causes[offer.cause][k] for k in offer.which]
+        total = sum(g * f.count for g, f in zip(self._whole.grams, self.flights))
+        scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
+        total = total / np.outer(scale, scale)
+        base = self.columns.shared
+        inner = total[np.ix_(base, base)] + RIDGE * np.eye(len(base))
+        cross = total[np.ix_(base, own)]
+        left = np.diag(total[np.ix_(own, own)] - cross.T @ np.linalg.solve(inner, cross))
+        return bool(np.all(left < SPANNED))
+
     def sight(self, cause: str, parameter: str, size: float) -> Sight:
         """What is expected of a parameter of a cause at a size, the nearest rival looked for among all causes."""
         offer = self.offer(cause, parameter)
-        if self.absorbed(cause):
+        if self.absorbed(cause) or (self.prior is None and self.taken_up(offer)):
             return Sight(cause, parameter, size, 0.0, 0.0, None, np.inf, True)
         tau, covariance, share = self.test(offer)
         nearest, least = None, np.inf
@@ -169,31 +192,33 @@ class Outlook:
         if self.since == "changed":
             pooled = [c for n, part in columns.causes.items() if not self.effects[n].absorbed for c in part]
         common = [*columns.shared, *pooled]
-        # those that all flights have, then what is offered to the compared ones alone
-        source = [*self.targets, *common, *others, *own]
-        head = len(self.targets)
-        count = sum(len(f.stretches) * (f.compared + f.reference) for f in self.flights)
-        typical = sum((f.compared + f.reference) * self._whole.grams[k][own, own] for k, f in enumerate(self.flights))
+        count = sum(len(f.stretches) * f.count for f in self.flights)
+        typical = sum(f.count * self._whole.grams[k][own, own] for k, f in enumerate(self.flights))
         spread = tau / np.sqrt(np.maximum(typical / count, 1e-300))
-        total, logs = np.zeros((len(source),) * 2), 0.0
+        # those that all flights have, then what is offered to the compared ones alone
+        source, head, wide = [*common, *others, *own], self.draws, len(common)
+        total, logs = np.zeros((head + len(source),) * 2), 0.0
         for flight in self.flights:
             gram, log = _left(flight.stretches, own, spread, columns)
-            total += flight.compared * gram[np.ix_(source, source)]
-            kept = source[: head + len(common)]
-            total[: len(kept), : len(kept)] += flight.reference * gram[np.ix_(kept, kept)]
-            logs += (flight.compared + flight.reference) * log
+            logs += flight.count * log
+            total[head:, head:] += flight.compared * gram[np.ix_(source, source)]
+            total[head : head + wide, head : head + wide] += flight.reference * gram[np.ix_(common, common)]
+            at = self.size + np.arange(head * flight.count).reshape(head, flight.count)
+            total[range(head), range(head)] += gram[at, at].sum(axis=1)
+            cross = gram[at][:, :, source]
+            cross[:, flight.compared :, wide:] = 0.0
+            total[:head, head:] += cross.sum(axis=1)
         if self.prior is not None:
             base = slice(head, head + len(columns.shared))
             total[base, base] += self.prior
         scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
         scaled = total / np.outer(scale, scale)
-        inner = scaled[head:, head:] + RIDGE * np.eye(len(source) - head)
+        inner = scaled[head:, head:] + RIDGE * np.eye(len(source))
         inverse = np.linalg.inv(inner)
         explained = np.einsum("ij,jk,ik->i", scaled[:head, head:], inverse, scaled[:head, head:])
-        squares = float(np.mean(scale[:head] ** 2 * (1.0 - explained)))
+        squares = float(np.sum(scale[:head] ** 2 * (1.0 - explained))) / max(head, 1)
         information = float(np.linalg.slogdet(inner)[1] + 2.0 * np.log(scale[head:]).sum())
-        part = slice(len(source) - head - len(own), None)
-        unit = scale[len(source) - len(own) :]
+        part, unit = slice(len(source) - len(own), None), scale[-len(own) :]
         return squares + logs + information, inverse[part, part] / np.outer(unit, unit)
 
 

@@ -24,6 +24,7 @@ from quasi.standalone.model import AXES, ROTORS, Model
 
 RATE = 100.0  # Hz of the evidence
 WORTH = 1.2  # a manoeuvre is proposed where it raises what is expected by this factor at least
+HALFWAY = 0.5  # of what is needed: less is no help
 SEED = 0
 USUAL = "usual for made flights with gusts of 0.1-0.4 m/s, in shares of weight and of weight times arm"
 OWN = "what the model leaves of these flights' own forces and moments"
@@ -68,12 +69,12 @@ class Card:
 
 
 class Judge(NamedTuple):
-    """One level: its causes, cross-products (K, P, P) of each flight, those of a further manoeuvre, how they are put
-    together within a flight, and the tests on them."""
+    """One level: its causes, cross-products (K, ...) of each flight, those of a further manoeuvre as if flown in each,
+    how they are put together within a flight, and the tests on them."""
 
     effects: Mapping[str, Effect]
     flights: list[np.ndarray]
-    of: Callable[[Manoeuvre], np.ndarray]
+    of: Callable[[Manoeuvre], list[np.ndarray]]
     joined: Callable[[Sequence[np.ndarray]], np.ndarray]
     outlook: Callable[[Sequence[Repeated]], Outlook]
 
@@ -138,7 +139,7 @@ def examine(
     }
     if len({f.measured for f in flights}) > 1:
         card.notes.append("the flown flights' own forces are not used, for the others have not flown yet")
-    judges = [_wrench(flights, evidence, model, asked, vehicle, rate / 3.0, noise, card)]
+    judges = [_wrench(flights, evidence, shares, model, asked, vehicle, rate / 3.0, noise, card)]
     for make in (_sensors, _drives):
         judge = make(flights, model, asked, rate / 3.0, card)
         judges += [judge] if judge else []
@@ -151,8 +152,8 @@ def examine(
 
 
 def _wrench(
-    flights: Sequence[Flight], evidence: Sequence[Evidence], model: Model, asked: Mapping[str, Effect],
-    vehicle: Vehicle, rate: float, noise: tuple[Whitener, str] | None, card: Card,
+    flights: Sequence[Flight], evidence: Sequence[Evidence], shares: Sequence[tuple[int, int]], model: Model,
+    asked: Mapping[str, Effect], vehicle: Vehicle, rate: float, noise: tuple[Whitener, str] | None, card: Card,
 ) -> Judge:  # fmt: skip
     effects = {n: e for n, e in asked.items() if e.level == "W"}
     study = gather_study(evidence, effects, vehicle)
@@ -166,31 +167,36 @@ def _wrench(
     card.not_asked |= study.lacking
     extra = {c: float(np.median(v)) for c, v in evidence[0].columns.items()}
 
-    def of(manoeuvre: Manoeuvre) -> np.ndarray:
+    numbers = [plan_noise.DRAWS * sum(share) for share in shares]
+    rng = np.random.default_rng(SEED)
+
+    def of(manoeuvre: Manoeuvre) -> list[np.ndarray]:
         flight = manoeuvre.flight
         flight = flight.assign(**{c: v for c, v in extra.items() if c not in flight})
         one = gather(manoeuvre.name, flight, evidence[0].metadata, model.airframe, model, RATE)
-        return _stretches(gather_study([one], effects, vehicle), 0, whitener, False, model)
+        own = gather_study([one], effects, vehicle)
+        return [_stretches(own, 0, whitener, False, model, number, rng) for number in numbers]
 
     return Judge(
         effects,
-        [_stretches(study, k, whitener, measured, model) for k in range(len(flights))],
+        [_stretches(study, k, whitener, measured, model, number, rng) for k, number in enumerate(numbers)],
         of,
         np.concatenate,
-        lambda flown: Outlook(flown, study.columns, plan_noise.targets(len(study.names)), effects, rate),
+        lambda flown: Outlook(flown, study.columns, len(study.names), plan_noise.DRAWS, effects, rate),
     )
 
 
-def _stretches(study: Study, k: int, whitener: Whitener, measured: bool, model: Model) -> np.ndarray:
-    """Cross-products of a flight's stretches with measured or drawn residuals."""
-    part, t = study.thinned[k], study.flights[k].t
+def _stretches(
+    study: Study, k: int, whitener: Whitener, measured: bool, model: Model, number: int, rng: np.random.Generator
+) -> np.ndarray:
+    """Cross-products of a flight's stretches with `number` residuals like its own, or drawn ones."""
+    part, t, columns = study.thinned[k], study.flights[k].t, study.columns
     whole = in_stretches(block_grams(part.columns, part.breaks, whitener, t[part.rows], BLOCK))
     if measured:
-        return np.array([plan_noise.repeated(gram) for gram in whole])
+        return plan_noise.repeated(whole, columns.shared, columns.nuisance, columns.spread, number, rng)
     rows = 6 * max(len(part.rows) - ORDER, 1) // len(whole)
-    rng = np.random.default_rng([SEED, k])
     doubt = plan_noise.doubts(model)
-    return np.array([plan_noise.drawn(gram, rows, study.columns.shared, doubt, rng) for gram in whole])
+    return np.array([plan_noise.drawn(gram, rows, columns.shared, doubt, number, rng) for gram in whole])
 
 
 def _sensors(
@@ -209,7 +215,7 @@ def _sensors(
     return Judge(
         effects,
         [gram for gram, _ in found],
-        lambda manoeuvre: plan_lower.sensed(manoeuvre.flight, model)[0],
+        lambda manoeuvre: [plan_lower.sensed(manoeuvre.flight, model)[0]] * len(flights),
         lambda parts: np.sum(parts, axis=0),
         lambda flown: plan_lower.sensor_outlook(flown, names, effects, rate),
     )
@@ -229,16 +235,16 @@ def _drives(
     return Judge(
         effects,
         [plan_lower.driven(f.columns, model) for f in flights],
-        lambda manoeuvre: plan_lower.driven(manoeuvre.flight, model),
+        lambda manoeuvre: [plan_lower.driven(manoeuvre.flight, model)] * len(flights),
         lambda parts: np.sum(parts, axis=0),
         lambda flown: plan_lower.drive_outlook(flown, model, effects, rate),
     )
 
 
-def _look(judge: Judge, shares: Sequence[tuple[int, int]], extra: Sequence[np.ndarray]) -> Outlook:
-    """The tests of a level with manoeuvres added to every flight."""
-    flown = [Repeated(judge.joined([s, *extra]), *share) for s, share in zip(judge.flights, shares) if any(share)]
-    return judge.outlook(flown)
+def _look(judge: Judge, shares: Sequence[tuple[int, int]], extra: Sequence[Sequence[np.ndarray]]) -> Outlook:
+    """The tests of a level with manoeuvres added to every flight. extra  (manoeuvre, flight)"""
+    parts = [[own, *(part[k] for part in extra)] for k, own in enumerate(judge.flights)]
+    return judge.outlook([Repeated(judge.joined(p), *share) for p, share in zip(parts, shares) if any(share)])
 
 
 def _rows(outlook: Outlook, effects: Mapping[str, Effect], vehicle: Vehicle, only: Sequence[str] = ()) -> list[Row]:
@@ -258,6 +264,10 @@ def _sorted(rows: Sequence[Row]) -> list[Row]:
 def _merit(sight: Sight) -> float:
     """What is expected over what is needed, alone or beside the rival, whichever is less."""
     return min(sight.t, sight.beside) / sight.needed
+
+
+def _helps(before: Sight, after: Sight) -> bool:
+    return _merit(after) > max(WORTH * _merit(before), HALFWAY)
 
 
 def _propose(
@@ -286,7 +296,7 @@ def _propose(
     best = {n: max(chosen, key=lambda k: _merit(looks[k][n])) for n in open_} if chosen else {}
     for k in chosen:
         raises = {n: (open_[n].sight, looks[k][n]) for n in open_ if best[n] == k}
-        raises = {n: (a, b) for n, (a, b) in raises.items() if _merit(b) > WORTH * _merit(a)}
+        raises = {n: (a, b) for n, (a, b) in raises.items() if _helps(a, b)}
         if raises:
             card.proposals.append(Proposal(options[k], raises))
     flown = [options.index(p.manoeuvre) for p in card.proposals] if card.proposals else []
@@ -313,6 +323,6 @@ def _chosen(open_: Mapping[str, Row], looks: Sequence[Mapping[str, Sight]]) -> l
         left -= shown[best]
     for cause in sorted(left):
         best = max(range(len(looks)), key=lambda k: _merit(looks[k][cause]))
-        if best not in chosen and _merit(looks[best][cause]) > WORTH * _merit(open_[cause].sight):
+        if best not in chosen and _helps(open_[cause].sight, looks[best][cause]):
             chosen.append(best)
     return chosen

@@ -106,7 +106,7 @@ def _outlook(
     own = list(range(width, width + len(nuisance)))
     columns = Columns(list(range(width + len(own), len(place))), own, np.array(spread), dict(causes))
     wide = [f._replace(stretches=f.stretches[:, place][:, :, place]) for f in flights]
-    return Outlook(wide, columns, [0], effects, rate, True, freedom, prior)
+    return Outlook(wide, columns, len(place), 0, effects, rate, True, freedom, prior)
 
 
 def _lag(model: Model) -> float:

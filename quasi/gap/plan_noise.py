@@ -15,7 +15,8 @@ from scipy.signal import firwin, freqz
 
 from quasi.errors import DataError
 from quasi.gap.effect import Vehicle
-from quasi.gap.study import BAND, ORDER
+from quasi.gap.mixed import marginal
+from quasi.gap.study import BAND, LIGHT, ORDER
 from quasi.gap.whitening import RIDGE, Whitener, autoregression, thin
 from quasi.standalone.model import AXES, Model
 
@@ -26,7 +27,7 @@ WHITE = np.array([9e-7, 9e-7, 2e-6, 7e-7, 7e-7, 6e-8])
 # shares by which the model's terms differ from stretch to stretch: of forces, of moments, and of the rotors' reaction
 # to being accelerated, which hangs on the timing of the rotor telemetry
 FORCES, MOMENTS, SLOPES = 0.002, 0.02, 0.1
-DRAWS = 8  # residuals that a plan is judged by
+DRAWS = 6  # residuals that a plan is judged by
 GRID = 2048  # frequencies of the integral
 
 
@@ -72,9 +73,9 @@ def of_residuals(table: pd.DataFrame, where: str) -> Whitener:
 
 
 def drawn(
-    gram: np.ndarray, rows: int, shared: Sequence[int], doubt: np.ndarray, rng: np.random.Generator
+    gram: np.ndarray, rows: int, shared: Sequence[int], doubt: np.ndarray, number: int, rng: np.random.Generator
 ) -> np.ndarray:
-    """Cross-products (P + DRAWS - 1, ...) of one stretch with residuals drawn in place of column 0 and at the end.
+    """Cross-products (P + number, ...) of one stretch with residuals drawn and put behind the columns.
 
     gram  (P, P) of whitened columns; rows  numbers in each of them; shared  the model's own terms; doubt  how
     much their coefficients are off in a stretch, standard deviations
@@ -84,29 +85,48 @@ def drawn(
     unit = np.sqrt(np.maximum(np.diag(known), 1e-300))
     values, vectors = np.linalg.eigh(known / np.outer(unit, unit))
     root = unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    result = np.zeros((size + DRAWS - 1,) * 2)
-    result[1:size, 1:size] = known
-    own = np.array(shared) - 1
-    for place in targets(size):
-        noise = rng.standard_normal(size - 1)
-        off = np.zeros(size - 1)
-        off[own] = doubt * rng.standard_normal(len(own))
-        cross = known @ off + root @ noise
-        result[place, 1:size] = result[1:size, place] = cross
-        beyond = max(rows - (size - 1), 0)
-        result[place, place] = noise @ noise + beyond + off @ known @ off + 2.0 * off @ root @ noise
+    noise = rng.standard_normal((size - 1, number))
+    off = np.zeros((size - 1, number))
+    off[np.array(shared) - 1] = doubt[:, None] * rng.standard_normal((len(shared), number))
+    beyond = max(rows - (size - 1), 0)
+    squares = (noise**2).sum(axis=0) + beyond + (off * (known @ off)).sum(axis=0) + 2.0 * (off * (root @ noise)).sum(0)
+    return _behind(gram, known @ off + root @ noise, squares)
+
+
+def repeated(
+    grams: np.ndarray, shared: Sequence[int], nuisance: Sequence[int], spread: np.ndarray, number: int,
+    rng: np.random.Generator,
+) -> np.ndarray:  # fmt: skip
+    """Cross-products (K, P + number, ...) of a flight's stretches with its own residual for other flights put behind.
+
+    What the model's terms and the flight's nuisances, fitted to it, leave is taken with a sign drawn for each stretch:
+    other flights err as much, not alike. Source of the signs: Wu, Jackknife, bootstrap and other resampling methods,
+    Annals of Statistics 14, 1986, section 7.
+    """
+    total = marginal(grams.sum(axis=0), nuisance, spread)
+    scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
+    base = list(shared)
+    inner = (total / np.outer(scale, scale))[np.ix_(base, base)] + LIGHT * np.eye(len(base))
+    change = np.eye(len(total))
+    change[base, 0] = -np.linalg.solve(inner, total[base, 0] / scale[base]) / scale[base]
+    result = []
+    for gram in grams:
+        left = change.T @ gram @ change
+        signs = rng.choice([-1.0, 1.0], number)
+        result.append(_behind(gram, np.outer(left[1:, 0], signs), np.full(number, left[0, 0])))
+    return np.array(result)
+
+
+def _behind(gram: np.ndarray, cross: np.ndarray, squares: np.ndarray) -> np.ndarray:
+    """Cross-products with N residuals behind the columns: cross (P - 1, N) with the others, squares (N,)."""
+    size, number = len(gram), len(squares)
+    result = np.zeros((size + number,) * 2)
+    result[1:size, 1:size] = gram[1:, 1:]
+    result[1:size, size:] = cross
+    result[size:, 1:size] = cross.T
+    # different residuals are never combined
+    result[range(size, size + number), range(size, size + number)] = squares
     return result
-
-
-def repeated(gram: np.ndarray) -> np.ndarray:
-    """Cross-products of a stretch whose residual was measured, laid out as those of `drawn`."""
-    place = [*range(len(gram)), *[0] * (DRAWS - 1)]
-    return gram[np.ix_(place, place)]
-
-
-def targets(size: int) -> list[int]:
-    """Places of the residuals among the columns of `drawn`. size  P, of the columns that there are"""
-    return [0, *range(size, size + DRAWS - 1)]
 
 
 def doubts(model: Model) -> np.ndarray:
