@@ -318,7 +318,7 @@ def _rollout_gains(
         return
     for entry, cause in zip(said, kept):
         old = rolled["errors"]["before"]
-        if len(kept) > 1:
+        if len(kept) > 1 or again:
             rest = [c for c in kept if c is not cause]
             beside = _extended(model, rest, drive, found, compared, vehicle, "rest", "gap", anew=again)
             old = rollout_gain.simulated_errors(rolled["tracks"], Model(beside, "rest"), model)
