@@ -232,8 +232,8 @@ def _lower_effect(effect: Mapping[str, Any], level: str, gap: Mapping[str, Any])
     """An effect of level K or A; its gain on held-out flights is that of its channel where most could be removed."""
     best: tuple[float, float | None] = (0.0, None)
     if effect.get("removed"):
-        return {**effect, "level": level, "gain": {"wrench": min(max(effect["removed"].values()), 1.0), "rollout": None},
-                "confused_with": []}  # fmt: skip
+        gain = {"wrench": min(max(effect["removed"].values()), 1.0), "rollout": None}
+        return {**effect, "level": level, "gain": gain, "confused_with": []}
     for channel in effect["channels"]:
         old, new, floor = (gap[k].get(level, {}).get(channel, {}).get("0") for k in ("before", "after", "noise_floor"))
         if old is None or new is None or floor is None or floor**2 >= 0.9 * old**2:
