@@ -18,6 +18,7 @@ from quasi.gap.lower import judged
 from quasi.gap.study import refit
 from quasi.gap.wording import summary
 from quasi.gap.wrench import Cause, Found, everything, examine
+from quasi.gap.wrench_findings import gusts
 from quasi.gap.wrench_tables import wrench_tables
 from quasi.standalone.model import AXES, Model
 
@@ -65,6 +66,7 @@ def diagnose(
     said: dict[str, Any] = {"candidates": [], "unexplained": [], "cannot_be_asked": [], "notes": list(lost)}
     unable = _unable(groups)
     found, kept = None, []
+    lives, restless = pd.DataFrame(), []
     settled = Settled([], [], {}, {}, None, [])
     if unable:
         asked = [n for n, e in effects.items() if e.level == "W"]
@@ -101,9 +103,11 @@ def diagnose(
         ]
         tied = [(effects[t.tests[0].offer.cause], t.tests[0].offer, {}) for _, t in found.ties]
         left = after(extended, model)
-        said["unexplained"], _ = unexplained.search(
+        said["unexplained"], lives = unexplained.search(
             learning, compared, held, [*accepted, *tied], left, found.scores["noise_floor"], vehicle, rate, share
         )
+        if not any(u["channel"] in FORCES for u in said["unexplained"]):
+            restless = gusts(found.study, compared, [c.effect.id for c in kept])
     lower_effects = [_lower_effect(e, level, gap) for level in ("K", "A") for e in levels[level]["effects"]]
     ties = [t for level in ("K", "A") for t in levels[level]["ties"]]
     ties += [_tie(since, tie, effects, vehicle) for since, tie in (found.ties if found else [])]
@@ -119,7 +123,7 @@ def diagnose(
         "summary": "",
         "effects": [*lower_effects, *effects_said],
         "ties": ties,
-        "findings": [f for level in ("K", "A") for f in levels[level]["findings"]],
+        "findings": [*(f for level in ("K", "A") for f in levels[level]["findings"]), *restless],
         **said,
         "extended_model": ident,
         "flights": dict(roles),
@@ -135,6 +139,8 @@ def diagnose(
     }
     result["summary"] = summary(result, effects)
     tables = wrench_tables(evidence, roles, after(extended, model), vehicle)
+    if len(lives):
+        tables["W_unexplained"] = lives
     tables |= {k: t for k, t in rolled.items() if isinstance(t, pd.DataFrame)}
     return Diagnosis(result, document, tables)
 

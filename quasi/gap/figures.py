@@ -6,6 +6,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from quasi.gap.places import UNITS as UNITS_AT
+
 BEFORE, AFTER, FLOOR, MEASURED = "tab:red", "tab:blue", "0.6", "0.15"
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 PLACES = {
@@ -20,6 +22,7 @@ STATES = {"u": "m/s", "v": "m/s", "w": "m/s", "roll": "rad", "pitch": "rad", "z"
 def figures(tables: Mapping[str, pd.DataFrame]) -> dict[str, Figure]:
     """{name: figure} of what the tables hold."""
     drawn = {
+        "unexplained": unexplained_figure(tables.get("W_unexplained")),
         "where": where_figure(tables.get("W_where")),
         "spectra": spectra_figure(tables.get("W_spectra")),
         "horizons": horizons_figure(tables.get("R_errors")),
@@ -47,6 +50,27 @@ def where_figure(table: pd.DataFrame | None) -> Figure | None:
                 panel.set_xlabel(PLACES[place], fontsize=8)
         row[0].set_ylabel(f"{axis}, {'N' if axis[0] == 'F' else 'N m'}", fontsize=8)
     panels[0, 0].legend(fontsize=7, frameon=False)
+    return figure
+
+
+def unexplained_figure(table: pd.DataFrame | None) -> Figure | None:
+    """What no cause explains, along the place where it lives: mean errors with their standard errors, and the fit."""
+    if table is None or not len(table):
+        return None
+    kinds = list(table[["channel", "where"]].drop_duplicates().itertuples(index=False))
+    figure = Figure(figsize=(3.6 * len(kinds), 3.0), layout="constrained")
+    for panel, (channel, where) in zip(figure.subplots(1, len(kinds), squeeze=False)[0], kinds):
+        part = table[(table["channel"] == channel) & (table["where"] == where)].sort_values("middle")
+        panel.axhline(0.0, color="0.8", lw=0.8)
+        panel.errorbar(part["middle"], part["mean"], part["std"], fmt=".", color=MEASURED, lw=1.0, label="error")
+        panel.plot(part["middle"], part["fit"], color=BEFORE, lw=1.2, label="smooth")
+        unit = UNITS_AT.get(where, "")
+        label = "distance from the place in the room" if where == "room place" else where
+        panel.set_xlabel(f"{label}, {unit}" if unit else label, fontsize=8)
+        panel.set_ylabel(f"{channel}, {'N' if channel[0] == 'F' else 'N m'}", fontsize=8)
+        panel.ticklabel_format(axis="y", scilimits=(-3, 3))
+        panel.tick_params(labelsize=7)
+    figure.axes[0].legend(fontsize=7, frameon=False)
     return figure
 
 

@@ -36,6 +36,8 @@ CAPTIONS = {
     "extension, beside the flight (black).",
     "horizons": "Errors at the end of simulations of held-out flights over their length; dashed where commands drove "
     "the rotors, dotted with trim; grey what the model's terms and all causes, fitted to the other flights, leave.",
+    "unexplained": "What no cause explains, where it lives: mean errors with standard errors (black) and the smooth "
+    "function that stands for them (red), compared and held-out flights together.",
     "where": "Mean error of forces and moments where it was found, compared and held-out flights together.",
     "spectra": "Power of the errors over frequency.",
 }
@@ -62,7 +64,11 @@ def page(
         ),
         report.section("Why", *(_cause(e, effects) for e in diagnosis["effects"]), _rivals(diagnosis)),
         report.section("What cannot be told apart", _ties(diagnosis)),
-        report.section("What no cause explains", report.sentences(left_sentence(u) for u in diagnosis["unexplained"])),
+        report.section(
+            "What no cause explains",
+            report.sentences(left_sentence(u) for u in diagnosis["unexplained"]),
+            shown.get("unexplained", ""),
+        ),
         report.section("The extended model", _extended(diagnosis)),
         report.section("Simulated and flown", shown.get("overlays", ""), shown.get("horizons", "")),
         report.section("Forces and moments over time", _chart(residuals)),

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.stats import chi2
 
 from quasi.gap import rhythm
@@ -19,7 +20,7 @@ from quasi.gap.gain import wrench_score
 from quasi.gap.mixed import Columns, Mixed, Offer, Test, marginal
 from quasi.gap.places import OWN, Basis, Choice, basis_of
 from quasi.gap.study import BAND, BLOCK, LIGHT, ORDER, Study, base_columns, gather_study, refit
-from quasi.gap.whereabouts import whereabouts
+from quasi.gap.whereabouts import profile, whereabouts
 from quasi.gap.whitening import thin, whiten
 from quasi.standalone.model import AXES
 
@@ -66,8 +67,8 @@ def search(
     vehicle: Vehicle,
     rate: float,
     share: float,
-) -> tuple[list[dict[str, Any]], np.ndarray]:
-    """What stays unexplained, as the diagnosis says it, and the mean squares (6,) that the extended model leaves.
+) -> tuple[list[dict[str, Any]], pd.DataFrame]:
+    """What stays unexplained, as the diagnosis says it, and a table of it along its places.
 
     causes  accepted ones and those of ties: effect, offer, values to linearise at; left  flight -> (n, 6), the residual
     of the extended model; floor (6,) mean squares; rate  family-wise false alarm rate, half of it for places, half for
@@ -90,6 +91,8 @@ def search(
         part = gone / max(before - min(floor[channel], before - gone), 1e-300)
         return float(part) if gone > LEAST * before and part >= share else None
 
+    profiles: list[pd.DataFrame] = []
+
     def say(channel: int, where: str, part: float | None, size: float, **rest: Any) -> None:
         said.append({"channel": AXES[channel], "where": where, "share": part, "size": float(size),
                      "unit": "N" if channel < 3 else "N m", **rest})  # fmt: skip
@@ -107,6 +110,11 @@ def search(
             part = material(k, max(2.0 * slope - 1.0, 0.0) * here**2, float(whole[k]))
         unjudged = here < VISITED * usual and where not in OWN
         if part is not None or unjudged:
+            shown = [f for f, flag in zip(flights, compared) if flag] + list(held)
+            rest = joint._replace(functions=[(p, v) for p, v in joint.functions if p != place])
+            left_of = [_residual(f, rest, vehicle)[:, k] for f in shown]
+            table = profile(grounds.basis, place.choice, test.value, shown, left_of)
+            profiles.append(table.assign(channel=AXES[k], where=where))
             say(k, where, None if unjudged else part, usual, since=place.since,
                 mostly=whereabouts(grounds.basis, place.choice, test.value, flights, compared),
                 evidence={"p": test.p, "wald": test.wald})  # fmt: skip
@@ -118,7 +126,8 @@ def search(
             if part is not None:
                 say(k, "frequency", part, np.sqrt(power[k]), since=line.since, mostly=[[line.low, line.high]],
                     evidence={"p": line.p, "seen along": line.view})  # fmt: skip
-    return sorted(said, key=lambda u: -(u["share"] or 0.0)), whole
+    table = pd.concat(profiles, ignore_index=True) if profiles else pd.DataFrame({"channel": [], "where": []})
+    return sorted(said, key=lambda u: -(u["share"] or 0.0)), table
 
 
 class Joint(NamedTuple):
@@ -293,7 +302,8 @@ def _grounds(
         )
         white, rows = whiten(columns, part.breaks, study.whitener)
         number = ((flight.t[part.rows][rows] - flight.t[part.rows][rows[0]]) / BLOCK).astype(int)
-        blocks = [np.einsum("nki,nkj->kij", white[number == n], white[number == n]) for n in np.unique(number)]
+        white = white.transpose(1, 0, 2)
+        blocks = [w.transpose(0, 2, 1) @ w for w in (white[:, number == n] for n in np.unique(number))]
         parts.append(np.array(blocks))
     return Grounds(study, basis, parts, thinned)
 

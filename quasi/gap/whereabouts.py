@@ -1,8 +1,10 @@
-"""Where along a place a smooth function is large: ranges that a pilot can go and look at."""
+"""Where along a place a smooth function is large: ranges that a pilot can go and look at, and a figure's numbers."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
+import pandas as pd
 
 from quasi.gap.evidence import Evidence
 from quasi.gap.places import HEADING, ROOM, Basis, Choice, places
@@ -48,3 +50,38 @@ def whereabouts(
     if choice.where == HEADING and len(ranges) > 1 and large[0] and large[-1]:
         ranges[0][0] = ranges.pop()[0] - 2.0 * np.pi  # one range across the south
     return ranges
+
+
+def profile(
+    basis: Basis, choice: Choice, value: np.ndarray, flights: Sequence[Evidence], left: Sequence[np.ndarray]
+) -> pd.DataFrame:
+    """Mean of a residual and of the function that stands for it in cells along a place: middle, mean, std, fit.
+
+    left (n,) of each flight: what everything but this function leaves of the channel. Both count from each flight's
+    mean. std  of the mean, from that of the flights' parts in the cell. Of a place in the room: over the distance.
+    """
+    parts = []
+    middle = whereabouts(basis, choice, value, flights, [True] * len(flights))
+    for number, (flight, rest) in enumerate(zip(flights, left)):
+        known = places(flight)
+        if choice.where == ROOM:
+            [[x, y]] = middle
+            along = np.hypot(known["room x"] - x, known["room y"] - y)
+        else:
+            along = known[choice.where]
+        along = np.angle(np.exp(1j * along)) if choice.where == HEADING else along
+        function = basis.functions(flight)[:, list(choice.which)] @ value
+        block = number * 10_000 + ((flight.t - flight.t[0]) / 5.0).astype(int)
+        parts.append(
+            pd.DataFrame({"at": along, "mean": rest - rest.mean(), "fit": function - function.mean(), "block": block})
+        )
+    table = pd.concat(parts, ignore_index=True)
+    edges = np.unique(np.quantile(table["at"], np.linspace(0.0, 1.0, CELLS // 2 + 1)))
+    rows = []
+    for low, high in pairwise(edges):
+        cell = table[(table["at"] >= low) & (table["at"] <= high)]
+        blocks = cell.groupby("block")["mean"].mean()
+        spread = float(blocks.std() / np.sqrt(len(blocks))) if len(blocks) > 1 else float("nan")
+        rows.append({"middle": float(cell["at"].median()), "mean": float(cell["mean"].mean()), "std": spread,
+                     "fit": float(cell["fit"].mean()), "rows": len(cell)})  # fmt: skip
+    return pd.DataFrame(rows)
