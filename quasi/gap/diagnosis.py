@@ -106,7 +106,7 @@ def diagnose(
         said["unexplained"], lives = unexplained.search(
             learning, compared, held, [*accepted, *tied], left, found.scores["noise_floor"], vehicle, rate, share
         )
-        if not any(u["channel"] in FORCES for u in said["unexplained"]):
+        if not any(u["channel"][0] == "F" for u in said["unexplained"]):
             restless = gusts(found.study, compared, [c.effect.id for c in kept])
     lower_effects = [_lower_effect(e, level, gap) for level in ("K", "A") for e in levels[level]["effects"]]
     ties = [t for level in ("K", "A") for t in levels[level]["ties"]]
