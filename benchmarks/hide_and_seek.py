@@ -3,13 +3,13 @@
     python benchmarks/hide_and_seek.py [--first 1000] [--draws 200] [--out results/benchmarks/hide_and_seek] [--table]
 
 Each draw makes four flights of 30 s, imports and filters the raw logs, settles levels K and A, processes the flights
-anew with what these found, asks level W on three of them (one is held out), and compares the names with the truth,
-which nothing else reads. One JSON per draw; a study that was stopped goes on where it was. --table makes
+anew with what these found, diagnoses them (one is held out) as the workflow does, and compares the diagnosis with the
+truth, which nothing else reads. One JSON per draw; a study that was stopped goes on where it was. --table makes
 docs/hide-and-seek.md of the files that are there, without drawing.
 
-Detectability is the |t| that the true size has, given the noise of the flights, after the model's own terms and what
-flights differ by were projected out; separability the same with the nearest other cause of its level projected out as
-well.
+The model was identified from sixteen other healthy flights. Half and more of the draws have four healthy reference
+flights beside the affected ones ("reference"); in the others every flight is affected, and four of those that made the
+model stand for reference flights ("all"). How clearly what is hidden shows is told by `clarity`.
 """
 
 import argparse
@@ -23,10 +23,9 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from clarity import Asked, clarity
 from hidden import (
     ALL,
-    DRIVE,
-    SENSORS,
     SHOWS,
     STRANGE,
     Recorded,
@@ -37,32 +36,31 @@ from hidden import (
     healthy_model,
     processed,
     references,
+    trained,
 )
 from study import run
 
-from quasi.gap import actuation, kinematic, lower, unexplained, wrench
+from quasi.gap import lower
 from quasi.gap.calibration import for_flight
 from quasi.gap.catalogue import catalogue
-from quasi.gap.effect import Effect, room_of, vehicle_of
-from quasi.gap.evidence import Evidence, gather
-from quasi.gap.gain import after
-from quasi.gap.level import Flown, Level, clear
-from quasi.gap.mixed import Offer
+from quasi.gap.diagnosis import diagnose
+from quasi.gap.evidence import gather
+from quasi.gap.level import Flown
 from quasi.standalone.model import Model
-from quasi.synthesis.physics import BEAT, FAN, FAN_WIDTH
 from quasi.synthesis.vehicle import base_vehicle
 from quasi.tables import read_json, write_text
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT = ROOT / "results/benchmarks/hide_and_seek"
-RATE, SHARE, SAMPLING = 0.01, 0.05, 100.0  # family-wise false alarms, materiality, Hz
-SURE = 0.8  # share of resamples in which a named cause must stand
-_P = base_vehicle().physics
-_ROOM = _P.room
-HEALTHY = {"up": _P.lag_up, "down": _P.lag_down, "exponent": 1.0}  # the made vehicle's drive
-ROOM = {"north": [-_ROOM[0], _ROOM[0]], "east": [-_ROOM[1], _ROOM[1]], "height": _ROOM[2]}
+SAMPLING = 100.0  # Hz, of the comparison of forces and moments
+_ROOM = base_vehicle().physics.room
+SETTINGS = {
+    "model": "healthy", "extended model ID": "healthy-extended", "horizons": [0.1, 0.5], "false alarm rate": 0.01,
+    "material share": 0.05,
+    "room": {"north": [-_ROOM[0], _ROOM[0]], "east": [-_ROOM[1], _ROOM[1]], "height": _ROOM[2]},
+}  # fmt: skip
 CLEAR, VISIBLE = 10.0, 3.0
-# what the made vehicle has anyway and a fitted model may lack: named without healthy flights, it is no wrong name
+# what the made vehicle has anyway and a fitted model may lack: said of every flight, it is no wrong name
 INHERENT = {"rotor_drag", "body_drag", "blade_flapping", "axial_inflow", "vortex_ring", "rotor_interference",
             "inflow_lag", "rotor_gyroscopic", "rotor_acceleration_torque", "translational_lift"}  # fmt: skip
 
@@ -76,170 +74,64 @@ def draw(settings: dict[str, Any], seconds: float = 30.0, folder: Path = OUT) ->
     with tempfile.TemporaryDirectory() as raw:
         recorded = affected(Path(raw), seed, hidden["effects"], seconds)
         flown = [processed(r, True) for r in recorded]
-        given = references(folder / "healthy", seed) if hidden["design"] == "reference" else []
+        healthy = references if hidden["design"] == "reference" else trained
         made = time.perf_counter() - begin
         # the first flight has manoeuvres of every kind: what is material shows there
-        found = seek([*given, *zip(recorded[1:], flown[1:])], (recorded[0], flown[0]), model)
-    study = found.pop("study")
-    sizes = {n: _size(n, hidden["effects"][n], study, hidden) for n in hidden["effects"]}
-    result = {**hidden, **found, "sizes": sizes, "seconds": {"made": made, "whole": time.perf_counter() - begin}}
+        learned = [*healthy(folder / "healthy", seed), *zip(recorded[1:], flown[1:])]
+        given = "given" if hidden["design"] == "reference" else "training"
+        document, asked = seek(learned, (recorded[0], flown[0]), model, given)
+    sizes = {name: clarity(name, hidden["effects"][name], asked) for name in hidden["effects"]}
+    kept = ("verdict", "summary", "ties", "unexplained", "findings", "candidates", "notes")
+    result = {**hidden, "effects said": document["effects"], **{k: document[k] for k in kept}, "sizes": sizes}
+    result["seconds"] = {"made": made, "whole": time.perf_counter() - begin}
     return {**result, **judge(result)}
 
 
-def seek(learned: Sequence[tuple[Recorded, Flown]], held: tuple[Recorded, Flown], model: Model) -> dict[str, Any]:
-    """What the levels say of the flights, without any knowledge of what is hidden."""
+def seek(
+    learned: Sequence[tuple[Recorded, Flown]], held: tuple[Recorded, Flown], model: Model, given: str
+) -> tuple[dict[str, Any], Asked]:
+    """The diagnosis of flights, without any knowledge of what is hidden, and what it was made of."""
     effects = catalogue()
     recorded, flown = [list(part) for part in zip(*learned)]
     raw = {f.key: r for r, f in learned}
     told, levels = lower.examine(
-        flown, model.document, {"false alarm rate": RATE}, effects, lambda f, c: again([raw[f.key]], [f], [c])[0]
+        flown, model.document, SETTINGS, effects, lambda f, c: again([raw[f.key]], [f], [c])[0]
     )
-    anew = [for_flight(told, f.compared) for f in [*flown, held[1]]]
-    everything = again([*recorded, held[0]], [*flown, held[1]], anew)
-    lower.material_ones(levels, [held[1]], everything[-1:], SHARE)
-    evidence = [_evidence(f, model) for f in everything]
-    frame = everything[0].airframe
-    vehicle = vehicle_of(model, evidence[0].mass, np.asarray(frame.inertia), room_of(ROOM))
-    compared = [f.compared for f in flown]
-    asked = wrench.examine(
-        evidence[:-1], compared, evidence[-1:], model, effects, vehicle, RATE / 3.0, SHARE, "X", "hide and seek"
-    )
-    accepted = [(c.effect, c.test.offer, c.value) for c in [*asked.causes, *asked.immaterial]]
-    accepted += [(effects[t.tests[0].offer.cause], t.tests[0].offer, {}) for _, t in asked.ties]
-    left, _ = unexplained.search(
-        evidence[:-1], compared, evidence[-1:], accepted, after(Model(asked.extended), model),
-        asked.scores["noise_floor"], vehicle, RATE / 3.0, SHARE,
+    calibrations = [for_flight(told, f.compared) for f in [*flown, held[1]]]
+    everything = again([*recorded, held[0]], [*flown, held[1]], calibrations)
+    roles = {f.key: "compared" if f.compared else "reference" for f in everything}
+    roles[held[1].key] = "held out"
+    evidence = {f.key: gather(f.key, f.filtered, f.filtered_metadata, f.airframe, model, SAMPLING) for f in everything}
+    found = diagnose(
+        model, told, evidence, {f.key: f.filtered for f in everything}, roles, effects, SETTINGS,
+        ([held[1]], [everything[-1]]), "hidden", (), given,
     )  # fmt: skip
-    names, ties = [], []
-    for level in levels:
-        for e in level.effects:
-            values = {k: (v["value"], v["std"]) for k, v in e["parameters"].items()}
-            names.append({"id": e["id"], "level": level.level, "since": e["since"], "p": e["evidence"]["p"],
-                          "probability": e["probability"], "parameters": values})  # fmt: skip
-        ties += [{"ids": t["ids"], "level": level.level, "since": t["since"]} for t in level.ties]
-    for cause in asked.causes:
-        values = {k: (v, cause.std[k]) for k, v in cause.value.items()}
-        names.append({"id": cause.effect.id, "level": "W", "since": cause.since, "p": cause.test.p,
-                      "probability": cause.probability, "parameters": values})  # fmt: skip
-    ties += [{"ids": [t.offer.cause for t in tie.tests], "level": "W", "since": s} for s, tie in asked.ties]
-    return {
-        "names": names,
-        "ties": ties,
-        "unexplained": left,
-        "findings": [f["id"] for level in levels for f in level.findings],
-        "immaterial": [c.effect.id for c in asked.immaterial],
-        "ranking": [{"id": t.offer.cause, "since": t.offer.since, "p": t.p} for t in asked.ranking[:6]],
-        "processed anew": any(c is not None for c in anew),
-        "study": (asked.study, np.array(compared), effects, levels),
-    }
-
-
-def _evidence(flown: Flown, model: Model) -> Evidence:
-    return gather(flown.key, flown.filtered, flown.filtered_metadata, flown.airframe, model, SAMPLING)
-
-
-def _size(name: str, values: Mapping[str, float], study: tuple, hidden: Mapping[str, Any]) -> dict[str, Any]:
-    """Detectability and separability of a planted cause; None where no column of the catalogue has its form."""
-    examined, compared, effects, levels = study
-    since = "changed" if hidden["design"] == "reference" else "always"
-    true = deviation(name, values)
-    if name in SENSORS or name in DRIVE:
-        return _lower_size(name, values, levels, since)
-    if name in STRANGE:
-        return {"detectability": _strange(name, values, study), "separability": None, "nearest": None}
-    effect: Effect | None = effects.get(name)
-    if effect is None or name not in examined.columns.causes or (effect.absorbed and since == "always"):
-        return {"detectability": 0.0, "separability": 0.0, "nearest": None}
-    mixed = examined.mixed(range(len(compared)), compared)
-    pooled = [c for c in examined.columns.causes if not effects[c].absorbed] if since == "changed" else []
-    which = tuple(effect.fitted.index(k) for k in true if k in effect.fitted)
-    theta = np.array([true[effect.fitted[k]] for k in which])
-
-    def shown(given: Sequence[Offer]) -> float:
-        test = mixed.test(Offer(name, since, which), given, pooled)
-        return float(np.sqrt(max(theta @ np.linalg.solve(test.covariance, theta), 0.0)))
-
-    beside = {}
-    for other, columns in examined.columns.causes.items():
-        if other != name and not (effects[other].absorbed and since == "always"):
-            beside[other] = shown([Offer(other, since, tuple(range(len(columns))))])
-    nearest = min(beside, key=beside.get)
-    return {"detectability": shown([]), "separability": beside[nearest], "nearest": nearest}
-
-
-def _lower_size(name: str, values: Mapping[str, float], levels: Sequence[Level], since: str) -> dict[str, Any]:
-    """Of a cause of level K or A, by the tests of that level."""
-    level = next(x for x in levels if x.level == ("K" if name in SENSORS else "A"))
-    if level.tests is None or name not in level.tests.columns.causes:
-        return {"detectability": 0.0, "separability": 0.0, "nearest": None}
-    size = kinematic.size_of(name, values) if name in SENSORS else actuation.size_of(name, values, HEALTHY)
-    shown = clear(level.tests, name, since, size)
-    return {"detectability": shown.detectability, "separability": shown.separability, "nearest": shown.nearest}
-
-
-def _strange(name: str, values: Mapping[str, float], study: tuple) -> float:
-    """Of an effect without a name: its true force over the noise of the channel, memory counted."""
-    examined, compared, *_ = study
-    total = 0.0
-    for flight, flag in zip(examined.flights, compared):
-        if not flag:
-            continue
-        force, channel = _strange_force(name, values["size"], flight)
-        noise = np.std(flight.residual[:, channel])
-        # gusts are remembered for about a second
-        total += np.var(force) / noise**2 * (flight.t[-1] - flight.t[0]) / 2.0
-    return float(np.sqrt(total))
-
-
-def _strange_force(name: str, size: float, flight: Evidence) -> tuple[np.ndarray, int]:
-    """Force of an effect without a name and its channel, as `quasi.synthesis.physics` has it."""
-    c = flight.columns
-    if name == "unlisted_heading":
-        return size * np.sin(2.0 * c["yaw"]) * flight.force[:, 2], 2
-    if name == "unlisted_height":
-        return -size * c["z"], 1
-    if name == "unlisted_beat":
-        return size * np.sin(2.0 * np.pi * BEAT * c["t"]), 0
-    return -size * np.exp(-((c["x"] - FAN[0]) ** 2 + (c["y"] - FAN[1]) ** 2) / FAN_WIDTH**2), 2
+    return found.document, Asked(found.found.study, np.array([f.compared for f in flown]), effects, levels)
 
 
 def judge(result: Mapping[str, Any]) -> dict[str, Any]:
-    """Compare what was said with the truth: {"outcome", "wrong", "model's own", "tied", "found", "errors"}.
+    """Compare what was said with the truth: {"outcome", "wrong", "model's own", "tied", "found", "first", "errors"}.
 
     outcome  "hit": every hidden cause is named or in a tie of at most three, nothing else is; "extra": named, and
     something else beside it; "partly": some are; "wrong": something else only; "tied elsewhere": a tie without it;
     "missed": nothing; "agrees": nothing, rightly; "false": of clean flights, something; "model's own": of clean
-    flights, what the vehicle has and the model lacks
-    With healthy flights given only changes count: what all flights have in common is missing in the model, not hidden.
+    flights, what the vehicle has in every flight and the model lacks
     """
-    since = "changed" if result["design"] == "reference" else "always"
     truth = set(result["effects"]) - set(STRANGE)
-    said = [n for n in result["names"] if n["since"] == since and n["probability"] >= SURE]
-    ties = [t for t in result["ties"] if t["since"] == since]
-    named = [n["id"] for n in said]
-    found = {c for c in truth if c in named or any(c in t["ids"] and len(t["ids"]) <= 3 for t in ties)}
-    own = [n for n in named if n not in truth and since == "always" and n in INHERENT]
+    named = [e["id"] for e in result["effects said"]]
+    ties = [t["ids"] for t in result["ties"]]
+    found = {c for c in truth if c in named or any(c in t and len(t) <= 3 for t in ties)}
+    own = [e["id"] for e in result["effects said"] if e["id"] not in truth and e["id"] in INHERENT and in_all(e)]
     wrong = [n for n in named if n not in truth and n not in own]
-    strange_ties = [t["ids"] for t in ties if not truth & set(t["ids"])]
+    strange_ties = [t["ids"] for t in result["ties"] if not truth & set(t["ids"]) and not in_all(t)]
     if not truth:
-        outcome = "false" if wrong or strange_ties else "model's own" if own else "agrees"
+        outcome = "false" if wrong or strange_ties else "agrees" if result["verdict"] == "agrees" else "model's own"
     elif found == truth:
         outcome = "extra" if wrong or strange_ties else "hit"
     elif wrong:
         outcome = "wrong"
     else:
         outcome = "partly" if found else "tied elsewhere" if strange_ties else "missed"
-    errors = {}
-    for n in said:
-        if n["id"] in truth:
-            planted = result["effects"][n["id"]]
-            beyond = deviation(n["id"], planted)
-            main = max((k for k in beyond if k in n["parameters"]), key=lambda k: abs(beyond[k]), default=None)
-            if main is not None and beyond[main]:
-                value, std = n["parameters"][main]
-                error = value - (beyond[main] if n["level"] == "W" else planted[main])
-                errors[n["id"]] = {"relative": error / abs(beyond[main]), "in std": error / std}
-    tied = [t["ids"] for t in ties]
     if result["kind"] == "unlisted" and outcome in ("agrees", "model's own"):
         shown = {u["channel"] for u in result["unexplained"]}
         outcome = "unexplained" if SHOWS[next(iter(result["effects"]))] in shown else "missed"
@@ -247,10 +139,32 @@ def judge(result: Mapping[str, Any]) -> dict[str, Any]:
         "outcome": outcome,
         "wrong": wrong,
         "model's own": own,
-        "tied": tied,
+        "tied": ties,
         "found": sorted(found),
-        "errors": errors,
+        "first": bool(named) and named[0] in truth,
+        "errors": {e["id"]: error for e in result["effects said"] if (error := _error(e, result["effects"]))},
     }
+
+
+def in_all(entry: Mapping[str, Any]) -> bool:
+    """Whether healthy flights show it as well."""
+    return entry.get("in training flights", entry["since"] == "always")
+
+
+def _error(said: Mapping[str, Any], planted: Mapping[str, Mapping[str, float]]) -> dict[str, float] | None:
+    """Of the main parameter of a rightly named cause, relative and in standard errors; None where there is none."""
+    if said["id"] not in planted:
+        return None
+    beyond = deviation(said["id"], planted[said["id"]])
+    main = max((k for k in beyond if k in said["parameters"]), key=lambda k: abs(beyond[k]), default=None)
+    if main is None or not beyond[main]:
+        return None
+    value, std = said["parameters"][main]["value"], said["parameters"][main]["std"]
+    true = planted[said["id"]].get(main, beyond[main])
+    if said["level"] == "W" and said["id"] == "inflow_lag":
+        true = beyond[main]  # told beyond what the model has
+    error = value - true
+    return {"relative": error / abs(beyond[main]), "in std": error / max(std, 1e-300)}
 
 
 def group_of(result: Mapping[str, Any]) -> str:

@@ -413,6 +413,7 @@ class Folder(Comparisons):
             "settings": settings,
             "effect files": [str(self.place(p)) for p in settings["effect files"]],
             "roles": self.gap_roles(name),
+            "references": self.gap_references(name),
             "gravity": self.gap_gravity(name),
             "quadrotor": part["quadrotor"],
             "masses": {r.key: self.mass(r)[0] for r in rows},

@@ -46,7 +46,17 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
     held = [_flown(source, prefix, airframes) for prefix in ("first", "held")]
     calibration = read_json(source["calibration"])
     found = diagnose(
-        model, calibration, evidence, flights, roles, effects, asked["settings"], tuple(held), asked["name"], lost
+        model,
+        calibration,
+        evidence,
+        flights,
+        roles,
+        effects,
+        asked["settings"],
+        tuple(held),
+        asked["name"],
+        lost,
+        asked["references"],
     )
     LOG.info("%s: %s", found.document["verdict"], found.document["summary"])
     folder = Path(output["tables"])

@@ -23,17 +23,19 @@ from quasi.gap.wrench_tables import wrench_tables
 from quasi.standalone.model import AXES, Model
 
 SCHEMA = "quasi.gap/1"
-SURE = 0.8  # share of resamples in which a cause must be found again
+FORCES = ("Fx", "Fy", "Fz")
+SURE = 0.5  # a cause must be found again in more than this share of resamples
 HORIZON = 0.5  # s, at which a gain in roll-outs is told
 
 
 @dataclass
 class Diagnosis:
-    """document "quasi.gap/1"; model  the extended model's document; tables  by name."""
+    """document "quasi.gap/1"; model  the extended model's document; tables  by name; found  all that level W found."""
 
     document: dict[str, Any]
     model: dict[str, Any]
     tables: dict[str, pd.DataFrame] = field(default_factory=dict)
+    found: Found | None = None
 
 
 def diagnose(
@@ -47,6 +49,7 @@ def diagnose(
     lower: tuple[Sequence[Flown], Sequence[Flown]],
     name: str,
     lost: Sequence[str] = (),
+    references: str = "given",
 ) -> Diagnosis:
     """Compare a model with flights.
 
@@ -54,6 +57,7 @@ def diagnose(
     of the kind of force that the model predicts; roles {key: "compared", "held out", "reference"}
     settings     of the gap; lower  the held-out flights before and after calibration; name  of the gap
     lost         sentences on flights that could not be used
+    references   "given", "training" where flights that made the model stand for reference flights, "none"
     """
     vehicle = vehicle_of(model, room=room_of(settings["room"]))
     ident = settings["extended model ID"]
@@ -73,7 +77,7 @@ def diagnose(
         said["cannot_be_asked"] += [{"id": n, "why": unable} for n in asked]
     else:
         found = examine(learning, compared, held, model, effects, vehicle, rate, share, ident, f"gap {name}")
-        sure = [c for c in found.causes if c.probability >= SURE]
+        sure = [c for c in found.causes if c.probability > SURE]
         settled = settle(found, sure, model, compared, effects, vehicle, held, flights)
         kept = settled.causes
         said["notes"] += settled.notes
@@ -137,12 +141,24 @@ def diagnose(
         "scores": scores,
         "calibration": {k: calibration[k] for k in ("compared", "reference", "causes", "notes") if k in calibration},
     }
+    _since_when(result, references)
     result["summary"] = summary(result, effects)
     tables = wrench_tables(evidence, roles, after(extended, model), vehicle)
     if len(lives):
         tables["W_unexplained"] = lives
     tables |= {k: t for k, t in rolled.items() if isinstance(t, pd.DataFrame)}
-    return Diagnosis(result, document, tables)
+    return Diagnosis(result, document, tables, found)
+
+
+def _since_when(result: dict[str, Any], references: str) -> None:
+    """Without reference flights of the user's choice nothing is said to be new; whether flights that made the model
+    show a cause as well stands beside it."""
+    result["reference flights"] = references
+    if references == "training":
+        for part in ("effects", "ties", "candidates", "unexplained"):
+            for entry in result[part]:
+                if "since" in entry:
+                    entry["in training flights"], entry["since"] = entry["since"] == "always", "always"
 
 
 def _unable(groups: Mapping[str, Sequence[Evidence]]) -> str:
@@ -277,7 +293,7 @@ def _candidates(found: Found, settled: Settled, share: float) -> list[dict[str, 
     for c, told in settled.dropped:
         add(c.effect.id, c.since, c.test, told.why)
     for c in found.causes:
-        why = f"found again in {100 * c.probability:.0f} % of the resamples only, expected {100 * SURE:.0f} %"
+        why = f"found again in {100 * c.probability:.0f} % of the resamples only, expected more than {100 * SURE:.0f} %"
         add(c.effect.id, c.since, c.test, why)
     for c in found.immaterial:
         why = f"there, but it removes less than {100 * share:.0f} % of the removable error on held-out flights"

@@ -33,18 +33,24 @@ class Score(NamedTuple):
         return self.weight @ self.values / self.weight.sum()
 
 
-def wrench_score(flights: Sequence[Evidence], residual: Callable[[Evidence], np.ndarray]) -> Score:
-    """Squared residuals of the wrench in the band of the analysis, by blocks. residual  flight -> (n, 6)."""
+def wrench_score(
+    flights: Sequence[Evidence], residual: Callable[[Evidence], np.ndarray], centred: bool = False
+) -> Score:
+    """Squared residuals of the wrench in the band of the analysis, by blocks.
+
+    residual  flight -> (n, 6); centred  each flight's mean taken off: constant errors are what flights differ by
+    """
     values, weight = [], []
     for flight in flights:
         part = thin(residual(flight)[:, :, None], flight.breaks, flight.t, BAND, 2 * ORDER)
         if not len(part.rows):
             continue
+        left = part.columns[:, :, 0] - (part.columns[:, :, 0].mean(axis=0) if centred else 0.0)
         t = flight.t[part.rows]
         number = ((t - t[0]) / BLOCK).astype(int)
         for n in np.unique(number):
             rows = number == n
-            values.append(np.mean(part.columns[rows, :, 0] ** 2, axis=0))
+            values.append(np.mean(left[rows] ** 2, axis=0))
             weight.append(np.count_nonzero(rows))
     return Score(np.array(values), np.array(weight, float))
 

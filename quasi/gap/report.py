@@ -15,12 +15,12 @@ from quasi import report
 from quasi.gap.effect import Effect
 from quasi.gap.wording import (
     CHANNELS,
-    SINCE,
     confirmation_of,
     left_sentence,
     name_of,
     percent,
     rollout_of,
+    since_of,
     tie_sentence,
     value_of,
 )
@@ -189,7 +189,7 @@ def _cause(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
             ("what happens", about.sentence if about else ""),
             ("equation", about.equation if about else ""),
             ("source", about.source if about else ""),
-            ("since", SINCE[effect["since"]]),
+            ("since", since_of(effect)),
             *((name_of(n), value_of(p)) for n, p in effect["parameters"].items()),
             ("seen in", ", ".join(effect["channels"])),
             ("removable error it removes", ", ".join(gains) or percent(effect["gain"]["wrench"])),
@@ -204,7 +204,7 @@ def _cause(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
 
 def _rivals(diagnosis: Mapping[str, Any]) -> str:
     lost = sorted(diagnosis["candidates"], key=lambda c: c["p"] if c.get("p") is not None else 1.0)[:MOST]
-    rows = [[name_of(c["id"]), SINCE[c["since"]] if c.get("since") else "", c["why_not"]] for c in lost]
+    rows = [[name_of(c["id"]), since_of(c) if c.get("since") else "", c["why_not"]] for c in lost]
     head = "".join(f'<th scope="col">{h}</th>' for h in ("tested and not named", "asked as", "why not"))
     lines = "".join("<tr>" + "".join(f"<td>{report.escape(c)}</td>" for c in row) + "</tr>" for row in rows)
     return f"<table><thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table>" if rows else ""

@@ -20,6 +20,13 @@ SINCE = {
 }
 
 
+def since_of(entry: Mapping[str, Any]) -> str:
+    """Since when a cause is there, in words."""
+    if "in training flights" in entry and not entry["in training flights"]:
+        return "flights that the model was made from do not show it"
+    return SINCE[entry["since"]]
+
+
 def name_of(ident: str) -> str:
     """An id as words."""
     return ident.replace("_", " ")
@@ -59,7 +66,7 @@ def cause_sentence(effect: Mapping[str, Any], known: Mapping[str, Effect], roles
     """What a named cause is, how large, since when, and what it explains."""
     sentence = known[effect["id"]].sentence if effect["id"] in known else name_of(effect["id"])
     text = f"{sentence[:1].upper()}{sentence[1:]} ({name_of(effect['id'])}: {parameters_of(effect['parameters'])})"
-    text += f"; {SINCE[effect['since']]}"
+    text += f"; {since_of(effect)}"
     gain, channel = effect["gain"]["wrench"], effect.get("gain channel")
     if gain is not None and channel:
         text += (

@@ -7,7 +7,7 @@ is mostly the form of the terms.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,6 +36,14 @@ class Cause:
     probability: float = 0.0
 
 
+class Judged(NamedTuple):
+    """How flights look under a model: errors, the same with constant ones taken off, -2 log likelihood."""
+
+    errors: Score
+    centred: Score
+    unlikely: float
+
+
 def strength(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle) -> float:
     """Mean square of what the cause makes, each channel over what the model leaves there."""
     left = wrench_score(flights, before).mean()
@@ -52,7 +60,7 @@ def strength(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle) -> flo
 
 def material(
     causes: Sequence[Cause],
-    score: Callable[[Sequence[Cause], bool], tuple[Score, float]],
+    score: Callable[[Sequence[Cause], bool], Judged],
     excited: Callable[[Cause], bool],
     old: Score,
     floor: np.ndarray,
@@ -60,20 +68,20 @@ def material(
 ) -> tuple[list[Cause], list[Cause], list[Cause]]:
     """Causes that matter, those that do not, and those of the first that these flights could not judge.
 
-    score    of held-out flights with some causes taken into account, the model's own terms fitted anew or not: errors
-             and `Likelihood`
+    score    of held-out flights with some causes taken into account, the model's own terms fitted anew or not
     excited  whether the held-out flights show a cause at all; old, floor  errors (blocks, 6) before, at best (6,)
     share    least share of the removable error of some axis that leaving a cause out must cost
     """
     unjudged = [c for c in causes if c.since == "changed" and not excited(c)]
     kept = [c for c in causes if c.since == "changed"]
     while kept:
-        (whole, likeliest), worth = score(kept, False), []
+        whole, worth = score(kept, False), []
         for cause in kept:
-            without, likely = score([c for c in kept if c is not cause], False)
-            cause.gain = fraction(without, whole, floor)
-            part = float(((without.mean() - whole.mean()) / _removable(old, floor, "changed")).max())
-            worth.append(part if likely > likeliest else min(part, 0.0))
+            without = score([c for c in kept if c is not cause], False)
+            cause.gain = fraction(without.errors, whole.errors, floor)
+            gone = without.errors.mean() - whole.errors.mean()
+            part = float((gone / _removable(old, floor, "changed")).max())
+            worth.append(part if without.unlikely > whole.unlikely else min(part, 0.0))
         poor = [w if c not in unjudged else np.inf for c, w in zip(kept, worth)]
         if min(poor) >= share:
             break
@@ -84,26 +92,33 @@ def material(
 
 
 def _common(
-    causes: list[Cause], beside: list[Cause], score: Callable[[Sequence[Cause], bool], tuple[Score, float]], old: Score,
+    causes: list[Cause], beside: list[Cause], score: Callable[[Sequence[Cause], bool], Judged], old: Score,
     floor: np.ndarray, share: float,
 ) -> list[Cause]:  # fmt: skip
     """Causes that all flights have alike: the model's own terms, fitted anew beside them, must do better by `share`,
-    beyond doubt, than the model as it was and than its own terms fitted anew without them."""
+    beyond doubt, than the model as it was and than its own terms fitted anew without them; and so must each of them.
+
+    Constant errors are left out of it, which fitting anew moves and flights differ by.
+    """
+    if not causes:
+        return []
     removable = _removable(old, floor, "always")
+    plain, anew = score(beside, False), score(beside, True)
 
-    def beyond_doubt(first: Score, last: Score) -> bool:
-        gains = fraction(first, last, old.mean() - removable)
-        return any(g["low"] is not None and g["low"] > share for g in gains.values())
+    def better(first: Judged, last: Judged) -> float:
+        """The surest share of the removable error that goes on any axis."""
+        gains = fraction(first.centred, last.centred, plain.centred.mean() - removable)
+        return max((g["low"] for g in gains.values() if g["low"] is not None), default=0.0)
 
-    (plain, likely), (anew, _) = score(beside, False), score(beside, True)
     while causes:
-        (whole, likeliest), worth = score([*beside, *causes], True), []
-        if not (beyond_doubt(plain, whole) and beyond_doubt(anew, whole) and likeliest < likely):
+        whole = score([*beside, *causes], True)
+        if min(better(plain, whole), better(anew, whole)) < share or whole.unlikely >= plain.unlikely:
             return []
+        worth = []
         for cause in causes:
-            without, _ = score([*beside, *(c for c in causes if c is not cause)], True)
-            cause.gain = fraction(without, whole, floor)
-            worth.append(float(((without.mean() - whole.mean()) / removable).max()))
+            without = score([*beside, *(c for c in causes if c is not cause)], True)
+            cause.gain = fraction(without.errors, whole.errors, floor)
+            worth.append(better(without, whole))
         if min(worth) >= share:
             return causes
         causes = [c for k, c in enumerate(causes) if k != int(np.argmin(worth))]

@@ -15,7 +15,7 @@ from quasi.gap.gain import Likelihood, Score, after, before, wrench_score
 from quasi.gap.mixed import Mixed, Offer, Test
 from quasi.gap.naming import Named, Tie, search
 from quasi.gap.study import Study, base_columns, gather_study, in_stretches, moved, refit
-from quasi.gap.worth import EXCITED, Cause, Deviations, material, strength
+from quasi.gap.worth import EXCITED, Cause, Deviations, Judged, material, strength
 from quasi.standalone.model import AXES, Model
 
 LOOKS = 3  # how often curved causes are linearised anew
@@ -101,9 +101,9 @@ def examine(
 
     likelihood = Likelihood(held, study.whitener)
 
-    def score(of: Sequence[Cause], fitted_anew: bool) -> tuple[Score, float]:
+    def score(of: Sequence[Cause], fitted_anew: bool) -> Judged:
         left = after(Model(made(of, "trial", fitted_anew), "trial"), model)
-        return wrench_score(held, left), likelihood(left)
+        return Judged(wrench_score(held, left), wrench_score(held, left, True), likelihood(left))
 
     def excited(cause: Cause) -> bool:
         there = [f for f, flag in zip(flights, compared) if flag]

@@ -1,0 +1,115 @@
+"""How clearly what was hidden in flights shows, computed from the truth: detectability and separability.
+
+Detectability is the |t| that the true size has, given the noise of the flights, once the model's own terms, what
+flights differ by and the spread of the cause between manoeuvres are projected out; separability is the same with the
+nearest other cause of its level projected out as well.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from hidden import DRIVE, SENSORS, STRANGE, deviation
+
+from quasi import attitude
+from quasi.gap import actuation, kinematic
+from quasi.gap.effect import Effect
+from quasi.gap.evidence import Evidence
+from quasi.gap.level import Level, clear
+from quasi.gap.mixed import Offer, marginal
+from quasi.gap.study import BAND, ORDER, Study
+from quasi.gap.whitening import thin, whiten
+from quasi.synthesis.physics import BEAT, FAN, FAN_WIDTH, SHIFT
+from quasi.synthesis.vehicle import base_vehicle
+
+_P = base_vehicle().physics
+HEALTHY = {"up": _P.lag_up, "down": _P.lag_down, "exponent": 1.0}  # the made vehicle's drive
+NOTHING = {"detectability": 0.0, "separability": 0.0, "nearest": None}
+
+
+class Asked(NamedTuple):
+    """What the search worked on: columns and flights of level W, which flights are compared, levels K and A."""
+
+    study: Study
+    compared: np.ndarray
+    effects: Mapping[str, Effect]
+    levels: Sequence[Level]
+
+
+def clarity(name: str, values: Mapping[str, float], asked: Asked) -> dict[str, Any]:
+    """{"detectability", "separability", "nearest"} of a planted cause; separability None for what has no name."""
+    since = "always" if asked.compared.all() else "changed"
+    if name in SENSORS or name in DRIVE:
+        return _lower(name, values, asked.levels, since)
+    if name in STRANGE:
+        return {"detectability": _strange(name, values["size"], asked), "separability": None, "nearest": None}
+    effect, columns = asked.effects.get(name), asked.study.columns
+    if effect is None or name not in columns.causes or (effect.absorbed and since == "always"):
+        return NOTHING
+    mixed = asked.study.mixed(range(len(asked.compared)), asked.compared)
+    pooled = [c for c in columns.causes if not asked.effects[c].absorbed] if since == "changed" else []
+    true = deviation(name, values)
+    which = tuple(effect.fitted.index(k) for k in true if k in effect.fitted)
+    theta = np.array([true[effect.fitted[k]] for k in which])
+
+    def shown(given: Sequence[Offer]) -> float:
+        test = mixed.test(Offer(name, since, which), given, pooled)
+        return float(np.sqrt(max(theta @ np.linalg.solve(test.covariance, theta), 0.0)))
+
+    beside = {
+        other: shown([Offer(other, since, tuple(range(len(own))))])
+        for other, own in columns.causes.items()
+        if other != name and not (asked.effects[other].absorbed and since == "always")
+    }
+    nearest = min(beside, key=beside.get)
+    return {"detectability": shown([]), "separability": beside[nearest], "nearest": nearest}
+
+
+def _lower(name: str, values: Mapping[str, float], levels: Sequence[Level], since: str) -> dict[str, Any]:
+    """Of a cause of level K or A, by the tests of that level."""
+    level = next(x for x in levels if x.level == ("K" if name in SENSORS else "A"))
+    if level.tests is None or name not in level.tests.columns.causes:
+        return NOTHING
+    size = kinematic.size_of(name, values) if name in SENSORS else actuation.size_of(name, values, HEALTHY)
+    shown = clear(level.tests, name, since, size)
+    return {"detectability": shown.detectability, "separability": shown.separability, "nearest": shown.nearest}
+
+
+def _strange(name: str, size: float, asked: Asked) -> float:
+    """Of an effect without a name, whose form is told by the truth alone."""
+    layout = asked.study.columns
+    own = [*layout.shared, *layout.nuisance]
+    last = len(own)
+    total = np.zeros((last + 1, last + 1))
+    for flight, thinned, flag in zip(asked.study.flights, asked.study.thinned, asked.compared):
+        force = strange_force(name, size, flight) if flag else np.zeros((len(flight), 6))
+        shape = thin(force[:, :, None], flight.breaks, flight.t, BAND, 2 * ORDER).columns
+        columns = np.concatenate([thinned.columns[:, :, own], shape], axis=2)
+        white = whiten(columns, thinned.breaks, asked.study.whitener)[0].reshape(-1, last + 1)
+        total += marginal(white.T @ white, range(len(layout.shared), last), layout.spread)
+    base = np.arange(len(layout.shared))
+    inner, cross = total[np.ix_(base, base)], total[base, last]
+    scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    solved = np.linalg.solve(inner / np.outer(scale, scale) + 1e-9 * np.eye(len(base)), cross / scale)
+    return float(np.sqrt(max(total[last, last] - cross / scale @ solved, 0.0)))
+
+
+def strange_force(name: str, size: float, flight: Evidence) -> np.ndarray:
+    """Wrench (n, 6) of an effect without a name, as `quasi.synthesis.physics` has it."""
+    c = flight.columns
+    if name == "unlisted_heading":
+        return flight.forces_only(np.outer(size * np.sin(2.0 * c["yaw"]) * flight.force[:, 2], [0.0, 0.0, 1.0]))
+    if name == "unlisted_height":
+        return flight.only("Fy", -size * c["z"])
+    if name == "unlisted_twist":
+        return flight.only("Mz", size * c["x"])
+    if name == "unlisted_brake":
+        return flight.only("My", -size * c["q"] ** 3)
+    if name == "unlisted_shift":
+        return flight.only("Mx", np.where(c["t"] - c["t"][0] > SHIFT, size, 0.0))
+    earth = np.zeros((len(flight), 3))
+    if name == "unlisted_beat":
+        earth[:, 0] = size * np.sin(2.0 * np.pi * BEAT * c["t"])
+    else:
+        earth[:, 2] = -size * np.exp(-((c["x"] - FAN[0]) ** 2 + (c["y"] - FAN[1]) ** 2) / FAN_WIDTH**2)
+    return flight.forces_only(attitude.rotate_inverse(flight.quaternion, earth))
