@@ -150,11 +150,25 @@ def extras(model: Model) -> np.ndarray:
     return np.array([covered.get(name, {}).get("percentiles", {}).get("50", 0.0) for name in model.inputs[20:]])
 
 
+def usual_place(model: Model) -> np.ndarray:
+    """Where a vehicle hovers (3,), m, earth NED: the middle of the training data, else a metre above the floor.
+
+    It matters to a model with terms in the position alone (ground effect, walls); the origin to any other.
+    """
+    if not model.kernel.used[9:12].any():
+        return np.zeros(3)
+    covered = model.document.get("envelope") or {}
+    free = {"x": 0.0, "y": 0.0, "z": -1.0}
+    return np.array([covered.get(n, {}).get("percentiles", {}).get("50", value) for n, value in free.items()])
+
+
 def _predict(model: Model, speeds: np.ndarray, accelerations: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
     """Forces and moments (N, 3) at rest, level, at these rotor speeds (N, 4)."""
     turn = np.zeros_like(speeds) if accelerations is None else accelerations
     further = dict(zip(model.inputs[20:], extras(model)))
-    return model.predict(np.zeros((len(speeds), 12)), speeds, turn, further)
+    state = np.zeros((len(speeds), 12))
+    state[:, 9:] = usual_place(model)
+    return model.predict(state, speeds, turn, further)
 
 
 def _slopes(model: Model, hover: float) -> tuple[np.ndarray, np.ndarray]:

@@ -31,6 +31,7 @@ from quasi.simulation.layout import (
     MASS,
     OFFSET,
     OWN,
+    POSITION,
     ROTORS,
     SHARE,
     STATES,
@@ -155,14 +156,15 @@ def make_setup(
     held = still(len(flown.inputs), hover)
     if battery.place >= 0:
         held[HELD + battery.place] = battery.start
-    if battery.place >= 0 or parts.states:
+    place = np.array(settings["initial state conditions"]["position"], float)
+    if battery.place >= 0 or parts.states or kernel.used[9:12].any():
         volts = f" at {battery.start:g} V" if battery.place >= 0 else ""
-        hover = _hover_at(kernel, body, held, hover, f"{name}: model {model.id}{volts}")
+        hover = _hover_at(kernel, body, held, hover, place, f"{name}: model {model.id}{volts}")
         battery = battery._replace(hover=hover)
         held[TARGET : TARGET + 4] = hover
     offset = np.zeros(6)
     if asked["correct for moment asymmetries"]:
-        offset = asymmetry(kernel, body, held, hover)
+        offset = asymmetry(kernel, body, held, hover, place)
         body[OFFSET : OFFSET + 6] = offset
     start = _start(settings["initial state conditions"], hover)
     _check_start(start, kernel, body, held, name)
@@ -172,7 +174,7 @@ def make_setup(
     method = settings["simulation"]["integrator"]
     if method not in INTEGRATORS and substeps > 1:
         raise ConfigError(f"{name}: '{method}' finds its own steps; leave 'substeps' out")
-    check_step(body, kernel, held, hover, dt / substeps, method, notes, name)
+    check_step(body, kernel, held, hovering(hover, place), dt / substeps, method, notes, name)
 
     asked = settings["controller"]
     actuators = {"time constants": np.maximum(up, 1e-4), "delay": drive.delay, "lowest": drive.low,
@@ -218,14 +220,19 @@ def still(inputs: int, speed: float) -> np.ndarray:
     return held
 
 
-def _hover_at(kernel: Any, body: np.ndarray, held: np.ndarray, guess: float, what: str) -> float:
-    """Common rotor speed, rad/s, that carries the weight with what is held: the battery's voltage among it."""
-    scratch, found, level = scratch_of(kernel), np.zeros(6), np.zeros(STATES)
-    level[0] = 1.0
+def hovering(speed: float, place: np.ndarray) -> np.ndarray:
+    """State (17,) of a level vehicle that keeps its place, m, all rotors at one speed, rad/s."""
+    x = np.zeros(STATES)
+    x[0], x[POSITION : POSITION + 3], x[ROTORS:] = 1.0, place, speed
+    return x
+
+
+def _hover_at(kernel: Any, body: np.ndarray, held: np.ndarray, guess: float, place: np.ndarray, what: str) -> float:
+    """Common rotor speed, rad/s, that carries the weight there, with what is held: the battery's voltage among it."""
+    scratch, found = scratch_of(kernel), np.zeros(6)
 
     def lack(speed: float) -> float:
-        level[ROTORS:] = speed
-        x = with_rest(level, held, kernel, body)
+        x = with_rest(hovering(speed, place), held, kernel, body)
         loads_at(x, held, kernel, body, scratch.inputs, scratch.work, found)
         return float(found[2] + body[MASS] * body[GRAVITY_ADDED])
 
@@ -234,11 +241,9 @@ def _hover_at(kernel: Any, body: np.ndarray, held: np.ndarray, guess: float, wha
     return float(brentq(lack, 0.3 * guess, 2.0 * guess, xtol=1e-9))
 
 
-def asymmetry(kernel: Any, body: np.ndarray, held: np.ndarray, hover: float) -> np.ndarray:
-    """Forces and moments (6,) in hover with four equal rotor speeds, beyond the force that carries the weight."""
-    x = np.zeros(STATES)
-    x[0], x[ROTORS:] = 1.0, hover
-    x = with_rest(x, held, kernel, body)
+def asymmetry(kernel: Any, body: np.ndarray, held: np.ndarray, hover: float, place: np.ndarray) -> np.ndarray:
+    """Forces and moments (6,) in hover there with four equal rotor speeds, beyond the force that carries the weight."""
+    x = with_rest(hovering(hover, place), held, kernel, body)
     scratch = scratch_of(kernel)
     found = np.zeros(6)
     loads_at(x, held, kernel, body, scratch.inputs, scratch.work, found)

@@ -14,18 +14,16 @@ from quasi.simulation.layout import INFLOW_LAG, OWN, ROTORS, SLOPE, STATES, UP
 _ACCURATE = {"rk4": 0.7, "euler": 0.2}  # fastest rate x step beyond which a method follows a mode badly
 
 
-def linearised(body: np.ndarray, kernel: Any, held: np.ndarray, hover: float) -> np.ndarray:
-    """Jacobian of the state derivative (17 + own,) in hover, rotors commanded to stay, by central differences."""
+def linearised(body: np.ndarray, kernel: Any, held: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Jacobian of the state derivative (17 + own,) in hover x (17,), rotors commanded to stay: central differences."""
     scratch = scratch_of(kernel, int(body[OWN]))
-    x = np.zeros(STATES)
-    x[0], x[ROTORS:] = 1.0, hover
     x = with_rest(x, held, kernel, body)
     at = held.copy()
     at[SLOPE : SLOPE + 4] = np.where(body[UP : UP + 4] > 0.0, np.nan, 0.0)
     result = np.empty((len(x), len(x)))
     late = STATES + 4 * (body[INFLOW_LAG] > 0.0)  # rotor speeds and those that the air belongs to
     for k in range(len(x)):
-        step = 1e-4 * hover if ROTORS <= k < late else 1e-4
+        step = 1e-4 * x[ROTORS] if ROTORS <= k < late else 1e-4
         both = []
         for sign in (1.0, -1.0):
             y = x.copy()
@@ -37,7 +35,7 @@ def linearised(body: np.ndarray, kernel: Any, held: np.ndarray, hover: float) ->
 
 
 def check_step(
-    body: np.ndarray, kernel: Any, held: np.ndarray, hover: float, h: float, method: str, notes: list[str], name: str
+    body: np.ndarray, kernel: Any, held: np.ndarray, x: np.ndarray, h: float, method: str, notes: list[str], name: str
 ) -> None:
     """Refuse a step at which the method makes a mode grow that decays; note one that it follows badly.
 
@@ -45,7 +43,7 @@ def check_step(
     """
     if method not in INTEGRATORS:
         return  # it chooses its steps itself
-    modes = np.linalg.eigvals(linearised(body, kernel, held, hover))
+    modes = np.linalg.eigvals(linearised(body, kernel, held, x))
     decaying = modes[modes.real < -1e-2 * np.abs(modes).max()]
     if not len(decaying):
         return

@@ -17,6 +17,7 @@ from quasi.airframe import Airframe
 from quasi.errors import ConfigError, ReadError, ShapeError, nearest
 from quasi.expressions import Program, names
 from quasi.normalisation import from_plain as normalisation_from_plain
+from quasi.standalone.causes import where_it_acts
 from quasi.standalone.differential import Jacobian, held_back, held_of, split_jacobian
 from quasi.standalone.document import AXES, airframe_of, check_document, trees_of
 from quasi.standalone.envelope import JOINT, Region, distances, make_region
@@ -98,7 +99,10 @@ class Model:
         rotor_accelerations: np.ndarray | None = None,
         extra: Mapping[str, np.ndarray] | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Forces (N, 3), N, and moments (N, 3), N m, in body axes.
+        """Forces (N, 3), N, and moments (N, 3), N m, in body axes: the quasi-steady part of the model.
+
+        What has states of its own (a load that swings, air that follows late, the rotors' lag and delay) moves in the
+        simulator; here a load hangs at rest along the apparent vertical, and the rotors have the speeds given.
 
         state                (N, 12) roll pitch yaw (rad), u v w (m/s, through the air), p q r (rad/s), x y z (m);
                              or (N, 9) without the position where no term needs it
@@ -265,6 +269,8 @@ class Model:
             lines.append(f"Hover speed {self.hover_speed:.1f} rad/s")
         if self.normalisation:
             lines.append("Coefficients are those of F / N and M / (N b); predictions are in N and N m")
+        for extension in self.document.get("extensions") or []:
+            lines.append(f"Extended by {extension.get('id')}: {where_it_acts(extension)}")
         for axis in self.axes if axes is None else axes:
             if axis not in self.axes:
                 raise ConfigError(f"model {self.id} has no axis '{axis}'{nearest(axis, self.axes)}")

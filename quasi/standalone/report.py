@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from quasi import report
+from quasi.standalone.causes import where_it_acts
 from quasi.standalone.chart import SCRIPT, STYLE
 from quasi.standalone.diagnostics import ANY
 
@@ -45,6 +46,7 @@ def page(
         report.section("Measured and modelled", _comparison(rows, summary)),
         report.section("Along the measured range", _quartiles(diagnosis)),
         report.section("Coverage of the validation flights by the training flights", _coverage(coverage)),
+        _causes(model),
         report.section("Terms", *(_terms(axis, part) for axis, part in model["axes"].items())),
         report.section("Rotors", _rotors(model)),
         report.section("Warnings", report.sentences(model["notes"]) or report.paragraph("None.")),
@@ -269,6 +271,20 @@ def _coverage(coverage: pd.DataFrame) -> str:
 
 
 # ---- tables ----
+
+
+def _causes(model: Mapping[str, Any]) -> str:
+    """What extends the model, and where it acts; nothing for a model that nothing extends."""
+    rows = []
+    for extension in model.get("extensions") or ():
+        found = extension.get("parameters") or {}
+        values = [f"{n} {report.number(p['value'], 4)} {p['unit']}" for n, p in found.items() if p["value"]]
+        said = [extension.get("sentence"), ", ".join(values), f"where it acts: {where_it_acts(extension)}"]
+        rows.append((str(extension.get("id")), ". ".join(_sentence(part)[:-1] for part in said if part) + "."))
+    if not rows:
+        return ""
+    told = "Numbers are deviations from what the model said before; predictions are its quasi-steady part."
+    return report.section("Causes that extend it", report.facts(rows), report.paragraph(told))
 
 
 def _terms(axis: str, part: Mapping[str, Any]) -> str:

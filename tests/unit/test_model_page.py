@@ -229,6 +229,21 @@ def test_the_page_is_whole_needs_nothing_else_and_escapes(html):
     assert html.index("good") < html.index("Scores") < html.index("Measured and modelled") < html.index("Terms")
 
 
+def test_the_page_tells_where_the_causes_that_extend_the_model_act(found):
+    model, _, done = found
+    found_sizes = {"mass at 0.5 m": {"value": 0.021, "unit": "kg"}, "mass at 0.2 m": {"value": 0.0, "unit": "kg"}}
+    load = {"id": "payload_swing", "sentence": "a load hangs <below>", "states": {"swinging load": {}},
+            "parameters": found_sizes}  # fmt: skip
+    document = {**model.document, "extensions": [load]}
+    summary = summary_json(model, done.scores, done.diagnosis)
+    text = page(document, summary, done.diagnosis, done.coverage, thin(done.judged, []))
+    assert "Causes that extend it" in text and "A load hangs &lt;below&gt;. Mass at 0.5 m 0.02100 kg. Where" in text
+    assert "predictions hold its quasi-steady part" in text and "0.2 m" not in text.split("Causes that extend")[1][:600]
+    assert "Causes that extend it" not in page(
+        model.document, summary, done.diagnosis, done.coverage, thin(done.judged, [])
+    )
+
+
 def test_the_pages_rows_are_the_measurements_to_the_16th_bit(html, found):
     _, flights, _ = found
     data = json.loads(read(html).data)
