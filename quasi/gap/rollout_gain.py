@@ -142,8 +142,10 @@ def shares(
                "value": None, "low": None, "high": None}  # fmt: skip
         if least < HOLDS * was:
             picks = rng.integers(0, len(sums[0]), (DRAWS, len(sums[0])))
-            # what can be removed at all is taken as known: of a few blocks it may be next to nothing
-            draws = (sums[0] - sums[1])[picks].sum(axis=1) / (was - least)
+            a, b, c = (part[picks].sum(axis=1) for part in sums)
+            # of a few blocks what can be removed may be next to nothing
+            some = np.maximum(a - np.minimum(c, b), 0.5 * row["removable"] * np.maximum(a, 1e-3 * was))
+            draws = (a - b) / some
             low, high = np.quantile(draws, [0.025, 0.975])
             row |= {"value": float((was - now) / (was - least)), "low": float(low), "high": float(high)}
         rows.append(row)
