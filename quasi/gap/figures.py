@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from quasi.gap.places import UNITS as UNITS_AT
@@ -94,26 +95,42 @@ def spectra_figure(table: pd.DataFrame | None) -> Figure | None:
 
 
 def horizons_figure(table: pd.DataFrame | None) -> Figure | None:
-    """Root mean square errors at the end of roll-outs over their length."""
+    """Root mean square errors at the end of roll-outs over their length: norms, and along the axes with trim."""
     if table is None or not len(table):
         return None
-    figure = Figure(figsize=(10.5, 3.0), layout="constrained")
-    styles, said = (
-        {"R": "-", "R with trim": ":", "R commands": "--"},
-        {"R with trim": ", trim", "R commands": ", commands"},
-    )
-    colours = {"before": BEFORE, "after": AFTER, "noise_floor": FLOOR}
-    table = table[table["model"].isin(list(colours))]
-    for panel, (quantity, unit) in zip(figure.subplots(1, 4), UNITS.items()):
-        for (driven, model), part in table.groupby(["driven", "model"]):
-            found = part.groupby("horizon")[quantity].apply(lambda v: np.sqrt(np.nanmean(np.square(v))))
-            label = model.replace("_", " ") + said.get(driven, "")
-            panel.plot(found.index, found.to_numpy(), styles[driven], marker=".", color=colours[model], label=label)
-        panel.set(xlabel="horizon, s", yscale="log")
-        panel.set_title(f"{quantity}, {unit}", fontsize=9)
-        panel.tick_params(labelsize=7)
-    figure.axes[0].legend(fontsize=7, frameon=False)
+    figure = Figure(figsize=(10.5, 6.6), layout="constrained")
+    panels = figure.subplots(3, 4)
+    styles = {"R": "-", "R with trim": ":", "R commands": "--"}
+    said = {"R with trim": ", trim", "R commands": ", commands"}
+    for panel, (quantity, unit) in zip(panels[0], UNITS.items()):
+        for driven, style in styles.items():
+            _horizons(panel, table[table["driven"] == driven], quantity, unit, style, said.get(driven, ""))
+    along = [(f"{q} {a}", UNITS[q]) for q in ("velocity", "rate") for a in "xyz"]
+    line = "R with trim" if (table["driven"] == "R with trim").any() else "R"
+    for panel, (quantity, unit) in zip(panels[1:, :3].flat, along):
+        _horizons(panel, table[table["driven"] == line], quantity, unit, styles[line], said.get(line, ""))
+    for panel in panels[1:, 3]:
+        panel.axis("off")
+    panels[1, 3].legend(*panels[0, 0].get_legend_handles_labels(), fontsize=8, frameon=False, loc="upper left")
     return figure
+
+
+def _horizons(panel: Axes, table: pd.DataFrame, quantity: str, unit: str, style: str, said: str) -> None:
+    """Before, after and floor of one quantity; the floor is not above what was reached."""
+    reached = None
+    for word, colour in (("before", BEFORE), ("after", AFTER), ("noise_floor", FLOOR)):
+        part = table[table["model"] == word]
+        if quantity not in part or not len(part):
+            continue
+        found = part.groupby("horizon")[quantity].apply(lambda v: np.sqrt(np.nanmean(np.square(v))))
+        if word == "noise_floor" and reached is not None:
+            found = np.minimum(found, reached)
+        reached = found
+        panel.plot(found.index, found.to_numpy(), style, marker=".", color=colour, label=word.replace("_", " ") + said)
+    panel.set(yscale="log")
+    panel.set_xlabel("horizon, s", fontsize=8)
+    panel.set_title(f"{quantity}, {unit}", fontsize=9)
+    panel.tick_params(labelsize=7)
 
 
 def overlays_figure(table: pd.DataFrame | None) -> Figure | None:
