@@ -61,26 +61,37 @@ def columns_of(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Val
     values  deviations from neutral to linearise at; only curved effects ask for them
     Raises DataError or ExpressionError where the flight lacks a column.
     """
+    if effect.bends and any(values.get(n, 0.0) for n in effect.parameters):
+        return {name: _slope(effect, evidence, vehicle, values, name) for name in effect.fitted}
     if effect.columns is not None:
         return effect.columns(evidence, values)
-    if effect.curved is not None and any(values.get(n, 0.0) for n in effect.parameters):
-        return {name: _slope(effect, evidence, vehicle, values, name) for name in effect.parameters}
     return {name: wrench_of(terms, evidence) for name, terms in effect.terms(vehicle).items()}
 
 
+def whole_of(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Values) -> np.ndarray:
+    """All that a cause of these deviations adds to the residual (n, 6)."""
+    full = dict.fromkeys(effect.parameters, 0.0) | dict(values)
+    if effect.whole is not None:
+        return effect.whole(evidence, vehicle, full)
+    if effect.curved is not None:
+        return wrench_of(effect.curved(vehicle, full), evidence)
+    columns = columns_of(effect, evidence, vehicle, dict.fromkeys(effect.parameters, 0.0))
+    return sum((columns[name] * value for name, value in values.items()), np.zeros((len(evidence), 6)))
+
+
 def _slope(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Values, name: str) -> np.ndarray:
-    """Slope of a curved effect at `values` by one parameter, by central differences."""
+    """Slope of a bending effect at `values` by one parameter, by central differences."""
     step = 1e-3 * max(abs(values[name]), 1e-2 * (effect.parameters[name].high - effect.parameters[name].low))
-    sides = [wrench_of(effect.curved(vehicle, {**values, name: values[name] + s * step}), evidence) for s in (1, -1)]
+    sides = [whole_of(effect, evidence, vehicle, {**values, name: values[name] + s * step}) for s in (1, -1)]
     return (sides[0] - sides[1]) / (2.0 * step)
 
 
 def beyond_slope(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Values) -> np.ndarray:
-    """What a curved effect at `values` is more than its slope there times the values (n, 6); 0 for straight ones."""
-    if effect.curved is None or not any(values.get(n, 0.0) for n in effect.parameters):
+    """What a bending effect at `values` is more than its slope there times the values (n, 6); 0 for straight ones."""
+    if not effect.bends or not any(values.get(n, 0.0) for n in effect.parameters):
         return np.zeros((len(evidence), 6))
-    whole = wrench_of(effect.curved(vehicle, values), evidence)
-    return whole - sum(_slope(effect, evidence, vehicle, values, n) * values[n] for n in effect.parameters)
+    slopes = columns_of(effect, evidence, vehicle, dict.fromkeys(effect.parameters, 0.0) | dict(values))
+    return whole_of(effect, evidence, vehicle, values) - sum(slopes[n] * values[n] for n in values)
 
 
 def wrench_of(terms: Terms, evidence: Evidence) -> np.ndarray:

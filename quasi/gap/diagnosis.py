@@ -77,7 +77,8 @@ def diagnose(
         said["cannot_be_asked"] += [{"id": n, "why": unable} for n in asked]
     else:
         found = examine(learning, compared, held, model, effects, vehicle, rate, share, ident, f"gap {name}")
-        sure = [c for c in found.causes if c.probability > SURE]
+        # one cause alone stands by its significance; of several, one may only mend what another leaves
+        sure = [c for c in found.causes if c.probability > SURE or len(found.causes) == 1]
         settled = settle(found, sure, model, compared, effects, vehicle, held, flights)
         kept = settled.causes
         said["notes"] += settled.notes

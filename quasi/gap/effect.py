@@ -137,7 +137,8 @@ class Effect:
     columns       (evidence, values) -> {parameter: (n, 6)}: slope of the measured minus modelled wrench by each
                   parameter at `values`
     curved        (vehicle, values) -> {axis: expression}, the whole effect where it is not in proportion to its
-                  parameter
+                  parameter; or
+    whole         (evidence, vehicle, values) -> (n, 6), the same where no expression can say it
     extension     (values, vehicle, model) -> Extension, where terms do not say it
     parts         how parameters may be found: "any" one alone or all; "all" only together; "first" the first few
     scan          {parameter: values}: parameters that shape the columns and are searched over
@@ -157,6 +158,7 @@ class Effect:
     terms: Callable[[Vehicle], dict[str, Terms]] | None = None
     columns: Callable[[Evidence, Values], dict[str, np.ndarray]] | None = None
     curved: Callable[[Vehicle, Values], Terms] | None = None
+    whole: Callable[[Evidence, Vehicle, Values], np.ndarray] | None = None
     extension: Callable[[Values, Vehicle, Model], Extension] | None = None
     scan: dict[str, tuple[float, ...]] = field(default_factory=dict)
     parts: str = "any"
@@ -172,6 +174,11 @@ class Effect:
                     f"effect '{self.id}', parameter '{name}': expected a scope of {', '.join(SCOPES)} and a range "
                     f"from low to high, got {parameter}"
                 )
+
+    @property
+    def bends(self) -> bool:
+        """Whether the effect is not in proportion to its parameters."""
+        return self.curved is not None or self.whole is not None
 
     @property
     def fitted(self) -> list[str]:

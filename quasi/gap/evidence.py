@@ -185,6 +185,10 @@ class Evidence:
         """Slope of the model's wrench by columns (n, 6, len(names)), by central differences."""
         return np.stack([self._slope(name) for name in names], axis=2)
 
+    def predicted_with(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Wrench of the model (n, 6) with some of the flight's columns replaced."""
+        return _predict(self.model, {**self.columns, **columns})
+
     def _slope(self, name: str) -> np.ndarray:
         cache = self.__dict__.setdefault("_slopes", {})
         if name not in cache:

@@ -15,6 +15,7 @@ from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
 from quasi.gap.effect import EARTH, Effect, Extension, Values, Vehicle
 from quasi.gap.evidence import Evidence
+from quasi.gap.inflow import overshoot
 from quasi.gap.pendulum import pull_of
 from quasi.standalone.model import AXES, ROTORS, Model
 
@@ -160,7 +161,7 @@ def _true_speeds(extended: Model, columns: Mapping[str, np.ndarray]) -> dict[str
 def shown(extended: Model, base: Model, flight: Evidence) -> np.ndarray:
     """Wrench (n, 6) that the instruments, read with the configured constants, would show if the model were right.
 
-    Of parts with states of their own a load swings here, see `pendulum`; air that follows late does so to first order.
+    Parts with states of their own act: a load swings, see `pendulum`, and air follows late, see `inflow`.
     """
     columns = _true_speeds(extended, flight.columns)
     wind = extended.document.get("environment", {}).get("wind")
@@ -180,6 +181,13 @@ def shown(extended: Model, base: Model, flight: Evidence) -> np.ndarray:
             weight = 0.0 if extended.with_gravity else mass * GRAVITY * flight.down
             bare = (wrench[:, :3] - weight) * (mass + load["mass"]) / mass + weight
             force = bare * scale + load["mass"] * pull_of(flight, load["length"])
+    for extension in extended.document.get("extensions", []):
+        late = extension.get("states", {}).get("inflow lag")
+        if late:  # its terms hold the first order
+            gain, lag = late["gain"], late["time constant"]
+            beyond = overshoot(flight, gain, lag) - lag * flight.upward(gain * flight.speeds * flight.spin_up)
+            force = force + scale * beyond[:, :3]
+            turning = turning + np.linalg.solve(inertia, beyond[:, 3:].T).T
     shift = np.zeros(3)
     for extension in extended.document.get("extensions", []):
         shift = shift + np.asarray(extension.get("airframe", {}).get("cg offset", np.zeros(3)), float)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quasi.gap.catalogue import columns_of, wrench_of
+from quasi.gap.catalogue import whole_of
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.gain import Score, before, fraction, wrench_score
@@ -49,11 +49,7 @@ def strength(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle) -> flo
     left = wrench_score(flights, before).mean()
 
     def contribution(flight: Evidence) -> np.ndarray:
-        if cause.effect.curved is not None:
-            whole = dict.fromkeys(cause.effect.parameters, 0.0) | cause.value
-            return wrench_of(cause.effect.curved(vehicle, whole), flight)
-        columns = columns_of(cause.effect, flight, vehicle, dict.fromkeys(cause.effect.parameters, 0.0))
-        return sum(columns[name] * value for name, value in cause.value.items())
+        return whole_of(cause.effect, flight, vehicle, cause.value)
 
     return float((wrench_score(flights, contribution).mean() / np.maximum(left, 1e-300)).sum())
 

@@ -80,7 +80,7 @@ def examine(
         mixed = study.mixed(range(len(flights)), compared)
         named, ties, ranking, level = _search(mixed, asked, compared, rate, study, within)
         causes = _merged(named, asked, mixed, _given(named, ties))
-        curved = {c.effect.id: dict(c.value) for c in causes if c.effect.curved is not None}
+        curved = {c.effect.id: dict(c.value) for c in causes if c.effect.bends}
         elsewhere = curved.keys() != values.keys() or any(
             abs(curved[n][p] - values[n].get(p, 0.0)) > 0.02 * abs(curved[n][p]) for n in curved for p in curved[n]
         )

@@ -1,13 +1,19 @@
 """The flow through the discs comes late."""
 
-from quasi.gap.effect import Effect, Extension, Parameter, Terms, Values, Vehicle, number, upward
-from quasi.standalone.model import Model
+import numpy as np
 
-SHORTEST = 5e-4  # s: a shorter lag is over within a step of any simulation, and its first order is all of it
+from quasi.gap.effect import Effect, Extension, Parameter, Terms, Values, Vehicle, number, upward
+from quasi.gap.evidence import Evidence
+from quasi.gap.inflow import SHORTEST, overshoot
+from quasi.standalone.model import Model
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
     return {"tau": upward(vehicle, [f"{number(vehicle.inflow)}*w{i}*w{i}_dot" for i in range(1, 5)])}
+
+
+def _whole(evidence: Evidence, vehicle: Vehicle, values: Values) -> np.ndarray:
+    return overshoot(evidence, vehicle.inflow, values["tau"])
 
 
 def _extension(values: Values, vehicle: Vehicle, _: Model) -> Extension:
@@ -28,5 +34,6 @@ EFFECT = Effect(
     rivals=("telemetry_delay", "rotor_acceleration_torque"),
     tie_breaker="steps of throttle and of roll: a late rotor speed shows in yaw too",
     terms=_terms,
+    whole=_whole,
     extension=_extension,
 )
