@@ -77,7 +77,11 @@ def search(
     while len(given) < len(known) + MOST:
         pooled = _pooled(mixed, effects, since)
         ranking = ranked(mixed, pairs, given, pooled, parts)
-        open_ = [t for t in ranking if t.p < level and t.offer.cause not in tied and _possible(t, within)]
+        open_ = [
+            t
+            for t in ranking
+            if t.p < level and t.offer.cause not in tied and _possible(t, within) and _leads(t, effects)
+        ]
         if not open_:
             break
         best, rivals, tie = _dominant(mixed, open_[:RIVALS], given, pooled, level)
@@ -112,6 +116,17 @@ def _possible(test: Test, within: Mapping[str, Sequence[tuple[float, float]]] | 
         ranges[k][0] - 3.0 * std <= value <= ranges[k][1] + 3.0 * std
         for k, value, std in zip(test.offer.which, test.value, test.std)
     )
+
+
+def _leads(test: Test, effects: Mapping[str, Effect]) -> bool:
+    """Whether a parameter that the cause is about differs from neutral, not only those that accompany it.
+
+    Air that is still but for a draught downwards, or a cg that is off in height alone, stand in for something else.
+    """
+    effect = effects[test.offer.cause]
+    about = [effect.parameters[effect.fitted[k]].typical is not None for k in test.offer.which]
+    far = [abs(value) > 3.0 * std for value, std in zip(test.value, test.std)]
+    return not any(about) or any(a and f for a, f in zip(about, far))
 
 
 def _dominant(

@@ -118,6 +118,17 @@ def test_an_estimate_outside_its_physical_range_is_not_named():
     assert "a" not in [n.test.offer.cause for n in names.named]
 
 
+@pytest.mark.parametrize("about", [0, 1])
+def test_a_cause_is_named_by_a_parameter_that_it_is_about_not_by_one_that_accompanies(about):
+    rng = np.random.default_rng(10)
+    grams, _ = flights(rng, 6, {6: -0.5})
+    known = effects(c="all")
+    for k in (0, 1):
+        known["c"].parameters[str(k)] = Parameter("1", 0.0, "a", -10.0, 10.0, 1.0 if k == about else None)
+    names = search(Mixed(grams, [True] * 6, LAYOUT), known, ("always",), 0.01)
+    assert [n.test.offer.cause for n in names.named] == (["c"] if about == 1 else [])
+
+
 def test_whitening_makes_coloured_noise_white_and_leaves_out_gaps():
     rng = np.random.default_rng(9)
     noise = rng.standard_normal(6000)

@@ -36,6 +36,7 @@ def test_what_the_real_flights_sensors_are_wrong_by_is_named_and_nothing_aerodyn
             assert abs(parameters[axis]["value"] - value) < 3.0 * parameters[axis]["std"] + 1e-3, (axis, parameters)
     assert "cg_offset" not in effects  # what a correction of the IMU alone would have made of it
     assert "proximity" in {c["id"] for c in found["cannot_be_asked"]}
+    assert found["fitted anew"]  # the flights that the model was identified from had the same sensors
     (about,) = found["halves"]["flights"].values()
     assert about["windows"] > 10 and set(about["trim"]) == {"Fx", "Fy", "Fz", "Mx", "My", "Mz"}
     assert (tmp_path / "results/gaps/nanodrone-13/report.html").is_file()
