@@ -10,11 +10,12 @@ from quasi.gap.evidence import Evidence
 
 EDGES = (0.01, 0.99)  # quantiles between which a variable is scaled; beyond, the functions are constant
 APART = 0.02  # a variable whose scaled spread is smaller is as good as constant
-HEADING, ROOM = "heading", "room place"
+HEADING, ROOM, EVERYWHERE = "heading", "room place", "everywhere"
 # what a model's terms depend on; the voltage falls with what the rotors draw
 OWN = ("speed", "rotor speed", "descent ratio", "roll rate", "pitch rate", "yaw rate", "volts")
 SPOTS = (1.0, 2.0)  # m, width of a bump over the room's floor: a fan, a rotor's wake returning, a corner
 APART_SPOTS = 0.8  # of the width
+STEPS = 6  # parts of a flight between which something may come loose
 SEEN = 0.02  # share of the time that must be spent near a place of the room
 UNITS = {
     "speed": "m/s", "height": "m", HEADING: "rad", ROOM: "m", "room x": "m", "room y": "m", "time": "s", "volts": "V",
@@ -45,30 +46,27 @@ def places(flight: Evidence) -> dict[str, np.ndarray]:
 
 
 class Choice(NamedTuple):
-    """One way to be smooth along a place: which of the basis functions."""
+    """One way to depend on a place: which of the functions; of a bump where it is (x, y, m), of a step when (s)."""
 
     where: str
     which: tuple[int, ...]
+    at: tuple[float, ...] = ()
 
 
 class Basis(NamedTuple):
-    """Smooth functions of the places that all flights know.
+    """Functions of the places that all flights know.
 
-    scales {place: (low, high)}; choices  what is offered; spots  places x, y of the room with a width, m
+    scales {place: (low, high)}; choices  what is offered; spots  places x, y of the room with a width, m; steps  times
     """
 
     scales: dict[str, tuple[float, float]]
     choices: list[Choice]
     spots: list[tuple[float, float, float]]
-
-    @property
-    def first_spot(self) -> int:
-        """Index of the first bump among the functions."""
-        return 1 + sum(4 if where == HEADING else 3 for where in self.scales)
+    steps: list[float]
 
     def functions(self, flight: Evidence) -> np.ndarray:
-        """(n, L) values of all basis functions on a flight."""
-        known, columns = places(flight), []
+        """(n, L) values of all functions on a flight."""
+        known, columns = places(flight), [np.ones(len(flight))]
         scaled = {}
         for where, (low, high) in self.scales.items():
             if where == HEADING:
@@ -78,22 +76,24 @@ class Basis(NamedTuple):
             x = np.clip(2.0 * (known[where] - low) / (high - low) - 1.0, -1.0, 1.0)
             scaled[where] = x
             columns += [x, 1.5 * x**2 - 0.5, 2.5 * x**3 - 1.5 * x]
-        if self.spots:
+        if {"room x", "room y"} <= set(scaled):
             columns.append(scaled["room x"] * scaled["room y"])
             x, y = known["room x"], known["room y"]
             columns += [np.exp(-((x - a) ** 2 + (y - b) ** 2) / s**2) for a, b, s in self.spots]
+        columns += [(flight.t > step).astype(float) for step in self.steps]
         return np.stack(columns, axis=1)
 
 
 def basis_of(flights: Sequence[Evidence]) -> Basis:
     """The functions to offer on these flights: along each place that all know and that varies.
 
-    Along an ordinary place: a straight line, or Legendre polynomials to the third degree. Along the heading: one wave a
-    turn, two, or both. Over the room's floor: polynomials of x and y to the second degree, or one bump at a place.
+    Everywhere alike. Along an ordinary place: a straight line, or Legendre polynomials to the third degree. Along the
+    heading: one wave a turn, two, or both. Over the room's floor: polynomials of x and y to the second degree, or one
+    bump at a place. In time a step, too.
     """
     known = [places(f) for f in flights]
     scales: dict[str, tuple[float, float]] = {}
-    choices, at, first = [], 0, {}
+    choices, at, first = [Choice(EVERYWHERE, (0,))], 1, {}
     for where in known[0]:
         if not all(where in k for k in known):
             continue
@@ -108,7 +108,7 @@ def basis_of(flights: Sequence[Evidence]) -> Basis:
         choices += [Choice(where, tuple(at + k for k in option)) for option in options]
         at += max(max(option) for option in options) + 1
     spots: list[tuple[float, float, float]] = []
-    if "room x" in scales and "room y" in scales:
+    if {"room x", "room y"} <= set(scales):
         x, y = first["room x"], first["room y"]
         choices.append(Choice(ROOM, (x, x + 1, y, y + 1, at)))
         flown = [np.concatenate([k[f"room {a}"] for k in known]) for a in "xy"]
@@ -119,5 +119,9 @@ def basis_of(flights: Sequence[Evidence]) -> Basis:
                 near = np.hypot(flown[0] - a, flown[1] - b) < width
                 if SEEN < near.mean() < 1.0 - SEEN:
                     spots.append((float(a), float(b), width))
-                    choices.append(Choice(ROOM, (at + len(spots),)))
-    return Basis(scales, choices, spots)
+                    choices.append(Choice(ROOM, (at + len(spots),), (float(a), float(b))))
+        at += 1 + len(spots)
+    low, high = scales["time"]
+    steps = [low + k / STEPS * (high - low) for k in range(1, STEPS)]
+    choices += [Choice("time", (at + k,), (step,)) for k, step in enumerate(steps)]
+    return Basis(scales, choices, spots, steps)

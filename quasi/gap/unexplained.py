@@ -18,7 +18,7 @@ from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.gain import wrench_score
 from quasi.gap.mixed import Columns, Mixed, Offer, Test, marginal
-from quasi.gap.places import OWN, Basis, Choice, basis_of
+from quasi.gap.places import EVERYWHERE, OWN, Basis, Choice, basis_of
 from quasi.gap.study import BAND, BLOCK, LIGHT, ORDER, Study, base_columns, gather_study, refit
 from quasi.gap.whereabouts import profile, whereabouts
 from quasi.gap.whitening import thin, whiten
@@ -110,11 +110,12 @@ def search(
             part = material(k, max(2.0 * slope - 1.0, 0.0) * here**2, float(whole[k]))
         unjudged = here < VISITED * usual and where not in OWN
         if part is not None or unjudged:
-            shown = [f for f, flag in zip(flights, compared) if flag] + list(held)
-            rest = joint._replace(functions=[(p, v) for p, v in joint.functions if p != place])
-            left_of = [_residual(f, rest, vehicle)[:, k] for f in shown]
-            table = profile(grounds.basis, place.choice, test.value, shown, left_of)
-            profiles.append(table.assign(channel=AXES[k], where=where))
+            if where != EVERYWHERE:
+                shown = [f for f, flag in zip(flights, compared) if flag] + list(held)
+                rest = joint._replace(functions=[(p, v) for p, v in joint.functions if p != place])
+                left_of = [_residual(f, rest, vehicle)[:, k] for f in shown]
+                table = profile(grounds.basis, place.choice, test.value, shown, left_of)
+                profiles.append(table.assign(channel=AXES[k], where=where))
             say(k, where, None if unjudged else part, usual, since=place.since,
                 mostly=whereabouts(grounds.basis, place.choice, test.value, flights, compared),
                 evidence={"p": test.p, "wald": test.wald})  # fmt: skip
@@ -277,10 +278,11 @@ def _signals(grounds: Grounds, joint: Joint, flights: Sequence[Evidence]) -> lis
 def _sizes(
     grounds: Grounds, compared: Sequence[bool], place: Place, value: np.ndarray, held: Sequence[Evidence]
 ) -> tuple[float, float]:
-    """Root mean square about its mean of a function, on the compared flights and on the held-out ones."""
+    """Root mean square of a function about its mean, on the compared flights and on the held-out ones."""
     which = list(place.choice.which)
-    usual = np.mean([np.var(b[:, which] @ value) for b, flag in zip(grounds.thinned, compared) if flag])
-    here = np.mean([np.var(grounds.basis.functions(f)[:, which] @ value) for f in held])
+    measure = (lambda v: np.mean(v**2)) if place.choice.where == EVERYWHERE else np.var
+    usual = np.mean([measure(b[:, which] @ value) for b, flag in zip(grounds.thinned, compared) if flag])
+    here = np.mean([measure(grounds.basis.functions(f)[:, which] @ value) for f in held])
     return float(np.sqrt(usual)), float(np.sqrt(here))
 
 

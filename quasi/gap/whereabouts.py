@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.gap.evidence import Evidence
-from quasi.gap.places import HEADING, ROOM, Basis, Choice, places
+from quasi.gap.places import EVERYWHERE, HEADING, ROOM, Basis, Choice, places
 
 CELLS = 24  # along a place
 MOSTLY = 0.7  # of the largest value
@@ -21,12 +21,16 @@ def whereabouts(
 
     value  of the function's parameters. The function counts from its mean, for a constant is a flight's own affair.
     """
+    if choice.where == EVERYWHERE:
+        return []
     use = [f for f, flag in zip(flights, compared) if flag] or list(flights)
     function = np.concatenate([basis.functions(f)[:, list(choice.which)] @ value for f in use])
     function = np.abs(function - function.mean())
     known = [places(f) for f in use]
-    if choice.where == ROOM and len(choice.which) == 1:
-        return [list(basis.spots[choice.which[0] - basis.first_spot][:2])]
+    if choice.where == ROOM and choice.at:
+        return [list(choice.at)]
+    if choice.at:
+        return [[choice.at[0], max(float(f.t[-1]) for f in use)]]
     if choice.where == ROOM:
         x, y = (np.concatenate([k[f"room {a}"] for k in known]) for a in "xy")
         top = function >= np.quantile(function, 0.95)

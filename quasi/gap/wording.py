@@ -147,11 +147,10 @@ def left_sentence(left: Mapping[str, Any]) -> str:
     channel, where = left["channel"], left["where"]
     size = f" by {left['size']:.2g} {left['unit']} rms" if "size" in left else ""
     at = f", mostly {_ranges(where, left['mostly'])}" if left.get("mostly") and where != "frequency" else ""
-    along = (
-        f"around {left['mostly'][0][0]:.2f} to {left['mostly'][0][1]:.2f} Hz"
-        if where == "frequency" and at == "" and left.get("mostly")
-        else f"along {where}"
-    )
+    along = where if where == "everywhere" else f"along the {where}"
+    if where == "frequency" and left.get("mostly"):
+        low, high = left["mostly"][0]
+        along = f"in time, at {low:.2f} to {high:.2f} Hz"
     share = (
         "which cannot be judged on the held-out flights, for they do not go there"
         if left["share"] is None
