@@ -116,6 +116,8 @@ class Tests(Mixed):
     unpooled  causes that the base holds already, with what is known of them
     """
 
+    informed = False
+
     def __init__(
         self, grams: Sequence[np.ndarray], compared: Sequence[bool], columns: Columns, freedom: float,
         prior: np.ndarray | None = None, unpooled: Sequence[str] = (),

@@ -2,13 +2,15 @@
 
 Whitened residual y of flight f:
 
-    y_f = B beta + N_f nu_f + C (theta g_f + e_f) + noise,   nu_f ~ N(0, S),  e_f ~ N(0, tau^2 D)
+    y_f = B beta + N_f nu_f + C (theta g_f + e_f) + noise,   nu_f ~ N(0, S),  e_f ~ N(0, tau^2 D_f)
 
 B: the model's own terms, fitted anew, common to all flights. N: nuisances that each flight has its own value of, with
 known spread (mass, thrust factor, seating, biases). C: the columns of a cause, theta its parameters; g_f = 1 where the
 cause is offered (all flights, or the compared ones alone). e_f: how much the cause's apparent parameters differ between
 flights; the size of that spread, tau, is estimated by restricted maximum likelihood. It is the spread between flights,
-not that between samples, that decides whether a cause is there.
+not that between samples, that decides whether a cause is there. Its form is the likelier of two: D alike for all, where
+the thing itself differs from flight to flight, or D_f in proportion to the inverse of the flight's own information,
+where a model that errs a little looks like a large parameter in flights that hardly excite it.
 
 Everything works on per-flight cross-products of the columns (y, B, N, C...), so that a test costs small linear algebra
 however long the flights are.
@@ -23,6 +25,7 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 SPREADS = 2.0 ** np.arange(0, 11)  # tau, in standard errors that one flight alone would give
+FAINT = 1e-6  # of the usual information, that a flight without any is taken to have
 PATIENCE = 3  # spreads in a row that are less likely before the search for the likeliest ends
 SPANNED = 0.02  # share of a column that others leave
 CERTAIN = 1e-3  # as good as no spread
@@ -75,14 +78,17 @@ def marginal(gram: np.ndarray, columns: Sequence[int], spread: np.ndarray) -> np
     return gram - gram[:, columns] @ np.linalg.solve(inner, gram[columns, :])
 
 
-def _integrated(grams: np.ndarray, columns: Sequence[int], spread: np.ndarray) -> tuple[np.ndarray, float]:
-    """Cross-products (..., n, n) with the columns' random coefficients integrated out, each its own, and the log
-    determinant that this leaves in the likelihood."""
+def _integrated(grams: np.ndarray, columns: Sequence[int], precision: np.ndarray) -> tuple[np.ndarray, float]:
+    """Cross-products (..., n, n) with the columns' random coefficients of this precision (..., m, m) integrated out,
+    each its own, and the log determinant that this leaves in the likelihood."""
     cross = grams[..., columns, :]
-    inner = cross[..., columns] * np.outer(spread, spread) + np.eye(len(columns))
+    size = np.sqrt(np.diagonal(precision, axis1=-2, axis2=-1))
+    scaled = precision / (size[..., :, None] * size[..., None, :])
+    inner = cross[..., columns] / (size[..., :, None] * size[..., None, :]) + scaled
     root = np.linalg.cholesky(inner)
-    weighted = np.linalg.solve(root, cross * spread[:, None])
+    weighted = np.linalg.solve(root, cross / size[..., :, None])
     log = 2.0 * float(np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum())
+    log -= float(np.linalg.slogdet(scaled)[1].sum()) * (root.size // scaled.size)
     return grams - np.swapaxes(weighted, -1, -2) @ weighted, log
 
 
@@ -92,7 +98,10 @@ class Mixed:
     grams     (P, P) per flight, or (K, P, P) where a flight is cut into K stretches, each with a deviation of its own;
               compared  (F,) bool, False for reference flights; columns  what is where
     prior     precision (S, S) of the shared columns' coefficients about 0, where they are known from elsewhere
+    informed  whether a spread in proportion to a flight's information is considered as well
     """
+
+    informed = True
 
     def __init__(
         self,
@@ -138,16 +147,22 @@ class Mixed:
         place = {column: k for k, column in enumerate(use)}
         grams = self._all[:, :, use][:, :, :, use]
         mine = [place[c] for c in own]
-        certain = self._fitted(grams, mine, CERTAIN * unit, blocks, place)[2]
-        best, worse = None, 0
-        for tau in SPREADS:
-            criterion, value, covariance = self._fitted(grams, mine, tau * unit, blocks, place)
-            if best is None or criterion < best[0]:
-                best, worse = (criterion, tau, value, covariance), 0
-            else:
-                worse += 1
-            if worse == PATIENCE:
-                break
+        alike = np.broadcast_to(np.diag(1.0 / unit**2), (*grams.shape[:2], len(own), len(own)))
+        forms = [alike]
+        if self.informed:
+            forms.append(grams[:, :, mine][:, :, :, mine] + FAINT * alike)
+        certain = self._fitted(grams, mine, alike / CERTAIN**2, blocks, place)[2]
+        best = None
+        for form in forms:
+            least, worse = np.inf, 0
+            for tau in SPREADS:
+                criterion, value, covariance = self._fitted(grams, mine, form / tau**2, blocks, place)
+                if best is None or criterion < best[0]:
+                    best = criterion, tau, value, covariance
+                worse = 0 if criterion < least else worse + 1
+                least = min(least, criterion)
+                if worse == PATIENCE:
+                    break
         _, tau, value, covariance = best
         wald = float(value @ np.linalg.solve(covariance, value))
         # only the part of the variance that rests on tau is uncertain for want of flights (Satterthwaite)
@@ -181,17 +196,19 @@ class Mixed:
         return [columns[k] for k in offer.which]
 
     def _fitted(
-        self, grams: np.ndarray, own: Sequence[int], spread: np.ndarray, blocks: Sequence[tuple[list[int], np.ndarray]],
-        place: Mapping[int, int],
+        self, grams: np.ndarray, own: Sequence[int], precision: np.ndarray,
+        blocks: Sequence[tuple[list[int], np.ndarray]], place: Mapping[int, int],
     ) -> tuple[float, np.ndarray, np.ndarray]:  # fmt: skip
         """Restricted likelihood (-2 log) at a spread of the cause under test, its coefficients and covariance.
 
-        grams (F, K, n, n) of the columns in use, place {column: position among them}, own  positions of the cause's
+        grams (F, K, n, n) of the columns in use, place {column: position among them}, own  positions of the cause's,
+        precision (F, K, m, m) of its deviations
         """
-        rest, log = _integrated(grams, own, spread)
+        rest, log = _integrated(grams, own, precision)
         rest = rest.sum(axis=1)
         if self.columns.nuisance:
-            rest, more = _integrated(rest, [place[c] for c in self.columns.nuisance], self.columns.spread)
+            known = np.diag(1.0 / self.columns.spread**2)
+            rest, more = _integrated(rest, [place[c] for c in self.columns.nuisance], known)
             log += more
         left, value, covariance, information = self._solve(rest, blocks, place)
         own = slice(len(value) - len(own), len(value))
