@@ -12,7 +12,7 @@ from quasi.gap.effect import Vehicle
 from quasi.gap.figures import figures
 from quasi.gap.lower import units_of
 from quasi.gap.report import page
-from quasi.gap.wording import summary, value_of
+from quasi.gap.wording import left_sentence, summary, value_of
 
 KNOWN = catalogue()
 ROLES = {"ref-1": "reference", "new-1": "compared", "new-2": "compared", "new-3": "held out"}
@@ -67,6 +67,17 @@ def test_the_verdict_says_what_there_is(parts, verdict):
     assert document(**parts)["verdict"] == verdict
 
 
+def test_an_unexplained_residual_is_told_with_its_size_and_where_it_lives():
+    left = {"channel": "Fz", "share": 0.5, "size": 0.123, "unit": "N", "since": "changed"}
+    at = left_sentence({**left, "where": "heading", "mostly": [[0.7, 1.05], [2.0, 2.1]]})
+    assert "is off by 0.12 N rms along the heading, mostly at 40.1 to 60.2 and 115 to 120 deg: 50 % of its" in at
+    place = left_sentence({**left, "where": "room place", "mostly": [[1.2, -0.8]]})
+    assert "along the room place, mostly near x = 1.2 m, y = -0.8 m" in place
+    assert "rms in time, at 0.38 to 0.42 Hz" in left_sentence({**left, "where": "frequency", "mostly": [[0.38, 0.42]]})
+    nowhere = left_sentence({**left, "where": "everywhere", "mostly": [], "share": None})
+    assert "rms everywhere: which cannot be judged on the held-out flights" in nowhere
+
+
 def test_the_summary_names_cause_size_share_rivals_ties_and_what_is_left():
     text = document([EFFECT], [TIE], [LEFT])["summary"]
     for words in (
@@ -74,7 +85,7 @@ def test_the_summary_names_cause_size_share_rivals_ties_and_what_is_left():
         "explains 86 % of the removable vertical force error (Fz) on the held-out flight and 30 % of that of the",
         "Tether was tested in place of ground effect and lost (tether: p = 0.69)",
         "Mass or thrust factor: this data cannot tell which (separability 1.3 standard errors); to settle it: weigh",
-        "The yaw moment (Mz) is off along heading: 40 % of its removable error, which no cause explains.",
+        "The yaw moment (Mz) is off along the heading: 40 % of its removable error, which no cause explains.",
     ):
         assert words in text
     assert "agree" in document()["summary"] and "5 %" in document()["summary"]
