@@ -95,7 +95,20 @@ def simulated(
         states[:, 3:6] += np.cross(states[:, 6:9], shift)
         states[:, 9:] += rotate(from_euler(*states[:, :3].T), shift)
     run = twelve(
-        replay(model, flight.t, states, flight.speeds, starts, horizon, commands, None, air, extra or None, offsets)
+        replay(
+            model,
+            flight.t,
+            states,
+            flight.speeds,
+            starts,
+            horizon,
+            commands,
+            None,
+            air,
+            extra or None,
+            offsets,
+            floor=0.0,
+        )  # fmt: skip
     )
     if shift.any():
         run[..., 3:6] -= np.cross(run[..., 6:9], shift)

@@ -17,7 +17,7 @@ from numba import njit
 from quasi.attitude import GRAVITY, from_euler, to_euler
 from quasi.errors import DataError, ShapeError
 from quasi.simulation.dynamics import RK4, advance, body_of, inputs_of, rest, scratch_of
-from quasi.simulation.layout import CAP, EXTRAS, HELD, OFFSET, ROTORS, SHARE, SLOPE, STATES, TARGET, WIND
+from quasi.simulation.layout import CAP, EXTRAS, HELD, LOAD_MASS, OFFSET, ROTORS, SHARE, SLOPE, STATES, TARGET, WIND
 from quasi.simulation.parts import put
 from quasi.simulation.variants import actuators_of, extended, parts_of, wind_of, with_parts
 from quasi.standalone.model import Model
@@ -35,13 +35,30 @@ class Rotors(NamedTuple):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def run_windows(
-    kernel, body, t, substeps, begin, speeds, commands, late, low, high, wind, extras, offsets, starts, first, stop, out
+    kernel,
+    body,
+    t,
+    substeps,
+    begin,
+    speeds,
+    commands,
+    late,
+    low,
+    high,
+    wind,
+    extras,
+    offsets,
+    lying,
+    starts,
+    first,
+    stop,
+    out,
 ):
     """Windows first .. stop - 1: fills out (S, steps + 1, 17).
 
     t (N,) s; begin (S, 17 + own) states at the starts, the parts not yet at rest; speeds (N, 4) measured, or (0, 4)
     where commands (N, 4) drive the rotors, the latter `late` samples late, within low .. high; wind (N, 3) or (0, 3);
-    extras (N, E); offsets (S, 6) or (0, 6) are subtracted from forces and moments
+    extras (N, E); offsets (S, 6) or (0, 6) are subtracted from forces and moments; lying (S,) whether a load lies still
     """
     inputs, work, loads, last, slopes, middle = scratch_of(kernel, begin.shape[1] - STATES)
     held = np.zeros(HELD + inputs_of(kernel) - 20)
@@ -57,6 +74,7 @@ def run_windows(
             x[i] = begin[s, i]
         for i in range(STATES):
             out[s, 0, i] = x[i]
+        mine[LOAD_MASS] = 0.0 if lying[s] else body[LOAD_MASS]
         if len(offsets):
             for i in range(6):
                 mine[OFFSET + i] = body[OFFSET + i] + offsets[s, i]
@@ -100,6 +118,7 @@ def replay(
     offsets: np.ndarray | None = None,
     substeps: int = 1,
     threads: int | None = None,
+    floor: float | None = None,
 ) -> np.ndarray:
     """Roll-outs of a model with its extensions; returns (S, steps + 1, 17), the simulator's states.
 
@@ -116,6 +135,7 @@ def replay(
     extra         {name: (N,)} further inputs of the model; the time "t" is known
     offsets       (S, 6) N, N m, added to the model's forces and moments in each window
     threads       that share the windows, None takes all cores
+    floor         z of the floor, m: a load that lies on it when a window begins does nothing in it; None for no floor
     A window that diverges holds inf or NaN from there on. Raises ShapeError or DataError.
     """
     model = extended(model)
@@ -161,13 +181,14 @@ def replay(
     gravity = GRAVITY if model.with_gravity else 0.0
     body = body_of(frame.mass, frame.inertia, model.kernel, gravity, given.up, given.down)
     put(parts, frame.hubs, body)
+    lying = np.zeros(count, bool) if floor is None else states[starts, 11] > floor - parts.load_length
     out = np.empty((count, steps + 1, STATES))
     measured = speeds if commands is None else np.zeros((0, 4))
 
     def work(part: tuple[int, int]) -> None:
         run_windows(
             model.kernel, body, t, substeps, begin, measured, orders, given.delay / dt, given.lowest, given.highest,
-            air, extras, added, starts, *part, out,
+            air, extras, added, lying, starts, *part, out,
         )  # fmt: skip
 
     workers = max(min(threads or os.cpu_count() or 1, count), 1)

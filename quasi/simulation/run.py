@@ -119,7 +119,8 @@ def simulate_many(
 
     count   B simulations; seeds (B,) of noise and gusts, else the setup's seed and those after it
     every   steps between two rows of the result, else such that there are about 100
-    varied  rows that replace the setup's own, (B, ...): x (17,) initial state; mass kg; inertia (3, 3) kg m2;
+    varied  rows that replace the setup's own, (B, ...): x (17,) initial state, parts with states of their own at rest,
+            or (17 + own,) with these; mass kg; inertia (3, 3) kg m2;
             fault_time s, effectiveness (4,), cap (4,) rad/s of a fault; wind, gusts (3,) m/s;
             gains of the controller, path of the reference (their parameters, see `controllers`, `references`)
     Raises ConfigError for an unknown name, ShapeError for rows of a wrong shape.
@@ -131,6 +132,8 @@ def simulate_many(
         if name not in VARIED:
             raise ConfigError(f"a batch cannot vary '{name}'{nearest(name, VARIED)}")
         shape = VARIED[name] if VARIED[name] is not None else getattr(machine, name).shape
+        if name == "x" and np.shape(rows) == (count, len(setup.start)):
+            shape = setup.start.shape
         if np.shape(rows) != (count, *shape):
             raise ShapeError(f"'{name}' of a batch must be {(count, *shape)}, got {np.shape(rows)}")
         if not np.all(np.isfinite(rows)) and name not in ("fault_time", "cap"):
@@ -154,7 +157,9 @@ def simulate_many(
     if "gusts" in varied:
         wind[:, 3:6] = varied["gusts"]
     starts = rows_of(setup.start)
-    if "x" in varied:
+    if "x" in varied and np.shape(varied["x"])[1] == len(setup.start):
+        starts = varied["x"]
+    elif "x" in varied:
         held = setup.held()
         starts = np.array([with_rest(x, held, machine.kernel, b) for x, b in zip(varied["x"], body)])
     first = np.arange(count, dtype=np.uint64)

@@ -246,6 +246,8 @@ def test_compiled_python_batch_session_and_an_accurate_integrator_agree_on_both_
     np.testing.assert_allclose(exact["load_x"], whole.table["load_x"][:101], atol=1e-5)
     many = simulate_many(setup, 2, every=1, x=np.array([setup.start[:STATES]] * 2))
     np.testing.assert_array_equal(many.states[1, :, 10], whole.table["x"])
+    whole_starts = simulate_many(setup, 2, every=1, x=np.tile(setup.start, (2, 1)))
+    np.testing.assert_array_equal(whole_starts.states, many.states)
     session = Session(setup)
     goal = np.zeros(20)
     goal[13] = np.nan
@@ -279,6 +281,20 @@ def test_a_flight_is_replayed_with_the_part_and_not_without(model, extension):
     end = table[["u", "v", "w"]].to_numpy()[450]
     right, wrong = (np.linalg.norm(run[450, 4:7] - end) for run in runs)
     assert right < 2e-3 and wrong > 5 * right
+
+
+def test_a_load_that_lies_on_the_floor_does_nothing(model):
+    t, speeds = 0.002 * np.arange(300), np.full((300, 4), 1550.0)
+    states = np.zeros((300, 12))
+    states[:, 11] = np.where(np.arange(300) < 10, -0.2, -0.6)  # 0.2 m and 0.6 m above the floor, the string has 0.45 m
+    starts = np.array([0, 20])
+    hung = replay(of(model, HUNG), t, states, speeds, starts, 0.4, floor=0.0)
+    bare = replay(model, t, states, speeds, starts, 0.4)
+    np.testing.assert_array_equal(hung[0], bare[0])
+    assert np.abs(hung[1] - bare[1]).max() > 0.1
+    both = replay(of(model, HUNG), t, states, speeds, starts, 0.4)
+    np.testing.assert_array_equal(hung[1], both[1])
+    assert np.abs(both[0] - bare[0]).max() > 0.1
 
 
 def test_recorded_rotor_speeds_are_put_right_before_they_drive(model):
