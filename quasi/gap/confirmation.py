@@ -167,8 +167,9 @@ def settle(
                 Maker(model, found, _but(kept, k), compared, vehicle, anew)(_but(values, k), True)
                 for k in range(len(kept))
             ]
-            said = confirm(held, tables, fitted.noise, maker(values, True), rest)
-            said = [_lenient(s) if _of_flight(c) else s for c, s in zip(kept, said)]
+            whole = maker(values, True)
+            said = confirm(held, tables, fitted.noise, whole, rest)
+            said = [_lenient(s, c, whole) for c, s in zip(kept, said)]
             refuted = [k for k, s in enumerate(said) if s.outcome == REFUTED]
             if not refuted:
                 estimates = {_key(c): Estimate(*e) for c, *e in zip(kept, fitted.values, fitted.std, fitted.used)}
@@ -183,15 +184,16 @@ def settle(
     return Settled([], dropped, {}, {}, None, [])
 
 
-def _of_flight(cause: Cause) -> bool:
-    return any(cause.effect.parameters[n].scope == "f" for n in cause.value)
-
-
-def _lenient(said: Confirmation) -> Confirmation:
-    """What every flight has its own value of cannot be refuted by a flight that has another one."""
+def _lenient(said: Confirmation, cause: Cause, whole: Model) -> Confirmation:
+    """What held-out flights cannot refute: a value that each flight has of its own, a load whose swing is not known."""
     if said.outcome != REFUTED:
         return said
-    return said._replace(outcome=UNJUDGED, why="each flight has its own value of it")
+    states = [e.get("states") or {} for e in whole.document["extensions"] if e["id"] == cause.effect.id]
+    if any("swinging load" in s for s in states):
+        return said._replace(outcome=UNJUDGED, why="how the load swings when a window begins is not measured")
+    if any(cause.effect.parameters[n].scope == "f" for n in cause.value):
+        return said._replace(outcome=UNJUDGED, why="each flight has its own value of it")
+    return said
 
 
 def _key(cause: Cause) -> tuple[str, str]:

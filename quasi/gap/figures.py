@@ -126,11 +126,13 @@ def _horizons(panel: Axes, table: pd.DataFrame, quantity: str, unit: str, style:
         if word == "noise_floor" and reached is not None:
             found = np.minimum(found, reached)
         reached = found
-        panel.plot(found.index, found.to_numpy(), style, marker=".", color=colour, label=word.replace("_", " ") + said)
+        order = 1 if word == "noise_floor" else 2  # what was reached is seen where it is the floor
+        label = word.replace("_", " ") + said
+        panel.plot(found.index, found.to_numpy(), style, marker=".", color=colour, label=label, zorder=order)
     panel.set(yscale="log")
     panel.set_xlabel("horizon, s", fontsize=8)
     panel.set_title(f"{quantity}, {unit}", fontsize=9)
-    panel.tick_params(labelsize=7)
+    panel.tick_params(labelsize=7, which="both")
 
 
 def overlays_figure(table: pd.DataFrame | None) -> Figure | None:

@@ -123,15 +123,15 @@ def blocks_of(stack: np.ndarray, noise: np.ndarray, blocks: np.ndarray) -> np.nd
 class Fitted:
     """Parameters by output error, cause by cause: deviations from neutral, standard errors, and what speaks against.
 
-    used  whether an estimate converged, lies in the physical range and agrees with that of the forces and moments
-    noise (D, D) covariance within a window, for `confirm`
+    used  whether an estimate settled, lies in the physical range and agrees with that of the forces and moments
+    noise (D, D) covariance within a window, for `confirm`; steps  of Gauss-Newton; settled  whether all did
     """
 
     values: list[Values]
     std: list[Values]
     used: list[bool]
     notes: list[str]
-    converged: bool
+    settled: bool
     noise: np.ndarray
     steps: int = 0
 
@@ -160,7 +160,7 @@ def fit(
     courses, slopes = [list(part) for part in zip(*windows)]
     own = [k - 1 for k in study.columns.nuisance]
     values = [dict(c.value) for c in causes]
-    noise, tests, steps, converged = np.zeros((0, 0)), [], 0, not causes
+    tests, steps, moved = [], 0, np.zeros(len(causes))
 
     def errors(of: Sequence[Values]) -> list[np.ndarray]:
         models = {flag: make(of, flag) for flag in set(flags.tolist())}
@@ -175,23 +175,21 @@ def fit(
         for cause in causes:
             others = [o.test.offer for o in causes if o is not cause]
             tests.append(mixed.test(cause.test.offer, others, pooled if cause.since == "changed" else []))
-        largest = 0.0
-        for value, cause, test in zip(values, causes, tests):
-            for n, step, std in zip(_names(cause), test.value, test.std):
+        for k, (value, cause, test) in enumerate(zip(values, causes, tests)):
+            moved[k] = np.max(np.abs(test.value) / test.std)
+            for n, step in zip(_names(cause), test.value):
                 value[n] = value.get(n, 0.0) + float(step)
-                largest = max(largest, abs(step) / std)
-        found = errors(values)
-        if largest < SMALL:
-            converged = True
+        if moved.max() < SMALL:
             break
+        found = errors(values)
     std = [dict(zip(_names(c), map(float, t.std))) for c, t in zip(causes, tests)]
     used, notes = [], []
-    for cause, value, error in zip(causes, values, std):
-        why = _against(cause, value, error, converged, ranges.get(cause.effect.id))
+    for cause, value, error, last in zip(causes, values, std, moved):
+        why = _against(cause, value, error, last < SMALL, ranges.get(cause.effect.id))
         used.append(not why)
         if why:
-            notes.append(f"{cause.effect.id}: {why}; what the forces and moments tell is used")
-    return Fitted(values, std, used, notes, converged, noise, steps)
+            notes.append(f"{cause.effect.id}: {why}; it was judged in roll-outs as forces and moments tell it")
+    return Fitted(values, std, used, notes, bool(np.all(moved < SMALL)), noise, steps)
 
 
 def _names(cause: Cause) -> list[str]:
@@ -212,10 +210,10 @@ def _mixed(
 
 
 def _against(
-    cause: Cause, value: Values, std: Values, converged: bool, limits: Sequence[tuple[float, float]] | None
+    cause: Cause, value: Values, std: Values, settled: bool, limits: Sequence[tuple[float, float]] | None
 ) -> str:
     """Why an estimate by output error is not to be used, or nothing."""
-    if not converged:
+    if not settled:
         return f"its fit by output error did not settle in {STEPS} steps"
     for n in _names(cause):
         apart = abs(value[n] - cause.value[n]) / np.hypot(std[n], cause.std[n])

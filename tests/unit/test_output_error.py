@@ -213,7 +213,7 @@ def test_output_error_finds_a_known_effectiveness_from_a_start_that_is_off(model
     start = cause("rotor_effectiveness", {"rotor2": -0.03}, {"rotor2": 0.02})
     found = fitted(model, weak, study, [start])
     value, std = found.values[0]["rotor2"], found.std[0]["rotor2"]
-    assert found.converged and found.used == [True]
+    assert found.settled and found.used == [True]
     assert value == pytest.approx(-0.05, abs=0.006) and abs(value + 0.05) < 3 * std < 0.03
 
 
