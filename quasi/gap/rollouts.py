@@ -94,22 +94,8 @@ def simulated(
         states = states.copy()
         states[:, 3:6] += np.cross(states[:, 6:9], shift)
         states[:, 9:] += rotate(from_euler(*states[:, :3].T), shift)
-    run = twelve(
-        replay(
-            model,
-            flight.t,
-            states,
-            flight.speeds,
-            starts,
-            horizon,
-            commands,
-            None,
-            air,
-            extra or None,
-            offsets,
-            floor=0.0,
-        )  # fmt: skip
-    )
+    driven = (commands, None, air, extra or None, offsets)
+    run = twelve(replay(model, flight.t, states, flight.speeds, starts, horizon, *driven, floor=0.0))
     if shift.any():
         run[..., 3:6] -= np.cross(run[..., 6:9], shift)
         run[..., 9:] -= rotate(from_euler(*np.moveaxis(run[..., :3], -1, 0)), shift)
