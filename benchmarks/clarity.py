@@ -17,13 +17,14 @@ from quasi.gap.effect import Effect
 from quasi.gap.evidence import Evidence
 from quasi.gap.level import Level, clear
 from quasi.gap.mixed import Offer, marginal
-from quasi.gap.study import BAND, ORDER, Study
+from quasi.gap.study import BAND, BLOCK, ORDER, Study
 from quasi.gap.whitening import thin, whiten
 from quasi.synthesis.physics import BEAT, FAN, FAN_WIDTH, SHIFT
 from quasi.synthesis.vehicle import base_vehicle
 
 _P = base_vehicle().physics
 HEALTHY = {"up": _P.lag_up, "down": _P.lag_down, "exponent": 1.0}  # the made vehicle's drive
+LENGTHS = (10.0, 15.0, 20.0)  # s, of the beginnings of flights
 NOTHING = {"detectability": 0.0, "separability": 0.0, "nearest": None}
 
 
@@ -46,23 +47,30 @@ def clarity(name: str, values: Mapping[str, float], asked: Asked) -> dict[str, A
     effect, columns = asked.effects.get(name), asked.study.columns
     if effect is None or name not in columns.causes or (effect.absorbed and since == "always"):
         return NOTHING
-    mixed = asked.study.mixed(range(len(asked.compared)), asked.compared)
     pooled = [c for c in columns.causes if not asked.effects[c].absorbed] if since == "changed" else []
     true = deviation(name, values)
     which = tuple(effect.fitted.index(k) for k in true if k in effect.fitted)
     theta = np.array([true[effect.fitted[k]] for k in which])
 
-    def shown(given: Sequence[Offer]) -> float:
+    def shown(given: Sequence[Offer], study: Study) -> float:
+        mixed = study.mixed(range(len(asked.compared)), asked.compared)
         test = mixed.test(Offer(name, since, which), given, pooled)
         return float(np.sqrt(max(theta @ np.linalg.solve(test.covariance, theta), 0.0)))
 
     beside = {
-        other: shown([Offer(other, since, tuple(range(len(own))))])
+        other: shown([Offer(other, since, tuple(range(len(own))))], asked.study)
         for other, own in columns.causes.items()
         if other != name and not (asked.effects[other].absorbed and since == "always")
     }
     nearest = min(beside, key=beside.get)
-    return {"detectability": shown([]), "separability": beside[nearest], "nearest": nearest}
+    shorter = {f"{t:g}": shown([], _begun(asked.study, t)) for t in LENGTHS}
+    return {"detectability": shown([], asked.study), "separability": beside[nearest], "nearest": nearest,
+            "of shorter flights": shorter}  # fmt: skip
+
+
+def _begun(study: Study, seconds: float) -> Study:
+    """The study of the beginnings of its flights."""
+    return study._replace(blocks=[b[: round(seconds / BLOCK)] for b in study.blocks])
 
 
 def _lower(name: str, values: Mapping[str, float], levels: Sequence[Level], since: str) -> dict[str, Any]:

@@ -60,6 +60,7 @@ SETTINGS = {
     "room": {"north": [-_ROOM[0], _ROOM[0]], "east": [-_ROOM[1], _ROOM[1]], "height": _ROOM[2]},
 }  # fmt: skip
 CLEAR, VISIBLE = 10.0, 3.0
+SEEN = 5.0  # |t| at which a cause is usually named
 # what the made vehicle has anyway and a fitted model may lack: said of every flight, it is no wrong name
 INHERENT = {"rotor_drag", "body_drag", "blade_flapping", "axial_inflow", "vortex_ring", "rotor_interference",
             "inflow_lag", "rotor_gyroscopic", "rotor_acceleration_torque", "translational_lift"}  # fmt: skip
@@ -248,6 +249,7 @@ def page(results: Sequence[Mapping[str, Any]]) -> str:
                     said[word] = said.get(word, 0) + 1
             told = ", ".join(f"{w} {n}" for w, n in sorted(said.items(), key=lambda item: -item[1]))
             lines.append(f"| {name} | {len(own)} | {sum(r['outcome'] == 'hit' for r in own)} | {told} |")
+    lines += _smallest(results)
     lines += ["", "## Every draw that was not right", "",
               "| seed | design | hidden | times typical | detectability | separability | said |",
               "| --- | --- | --- | --- | --- | --- | --- |"]  # fmt: skip
@@ -262,6 +264,25 @@ def page(results: Sequence[Mapping[str, Any]]) -> str:
                 f"{', '.join(numbers[0])} | {', '.join(numbers[1])} | {said} |"
             )
     return "\n".join(lines) + "\n"
+
+
+def _smallest(results: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Sizes that would show with |t| = SEEN, against the length of the four flights."""
+    told = f"Times the typical size, for |t| = {SEEN:g} in three flights of this length (median over the draws)."
+    lines = ["", "## Smallest sizes that show", "", told, ""]
+    found: dict[str, dict[float, list[float]]] = {}
+    for r in results:
+        for name, size in r["sizes"].items():
+            lengths = {**size.get("of shorter flights", {}), "30": size["detectability"]}
+            for seconds, shown in lengths.items():
+                if shown and size.get("of shorter flights"):
+                    found.setdefault(name, {}).setdefault(float(seconds), []).append(SEEN * r["factors"][name] / shown)
+    lengths = sorted({t for by in found.values() for t in by})
+    lines += ["| cause | " + " | ".join(f"{t:g} s" for t in lengths) + " |", "| --- |" + " --- |" * len(lengths)]
+    for name in [n for n in ALL if n in found]:
+        cells = [f"{np.median(found[name][t]):.2f}" if t in found[name] else "-" for t in lengths]
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return lines if found else []
 
 
 def main() -> None:

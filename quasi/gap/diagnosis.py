@@ -24,7 +24,7 @@ from quasi.standalone.model import AXES, Model
 
 SCHEMA = "quasi.gap/1"
 FORCES = ("Fx", "Fy", "Fz")
-SURE = 0.5  # a cause must be found again in more than this share of resamples
+SURE, BESIDE = 0.5, 0.8  # shares of resamples in which the strongest of several causes, another, is found again
 HORIZON = 0.5  # s, at which a gain in roll-outs is told
 
 
@@ -77,8 +77,7 @@ def diagnose(
         said["cannot_be_asked"] += [{"id": n, "why": unable} for n in asked]
     else:
         found = examine(learning, compared, held, model, effects, vehicle, rate, share, ident, f"gap {name}")
-        # one cause alone stands by its significance; of several, one may only mend what another leaves
-        sure = [c for c in found.causes if c.probability > SURE or len(found.causes) == 1]
+        sure = [c for c in found.causes if c.probability >= _needed(c, found)]
         settled = settle(found, sure, model, compared, effects, vehicle, held, flights)
         kept = settled.causes
         said["notes"] += settled.notes
@@ -149,6 +148,15 @@ def diagnose(
         tables["W_unexplained"] = lives
     tables |= {k: t for k, t in rolled.items() if isinstance(t, pd.DataFrame)}
     return Diagnosis(result, document, tables, found)
+
+
+def _needed(cause: Cause, found: Found) -> float:
+    """Share of resamples in which a cause must be found again. One alone stands by its significance; beside a stronger
+    one, it may only mend what that one leaves."""
+    others = [c for c in found.causes if c.since == cause.since and c is not cause]
+    if not others:
+        return 0.0
+    return SURE if cause.test.p < min(c.test.p for c in others) else BESIDE
 
 
 def _since_when(result: dict[str, Any], references: str) -> None:
@@ -294,7 +302,8 @@ def _candidates(found: Found, settled: Settled, share: float) -> list[dict[str, 
     for c, told in settled.dropped:
         add(c.effect.id, c.since, c.test, told.why)
     for c in found.causes:
-        why = f"found again in {100 * c.probability:.0f} % of the resamples only, expected more than {100 * SURE:.0f} %"
+        again, needed = 100 * c.probability, 100 * _needed(c, found)
+        why = f"found again in {again:.0f} % of the resamples only, expected {needed:.0f} %"
         add(c.effect.id, c.since, c.test, why)
     for c in found.immaterial:
         why = f"there, but it removes less than {100 * share:.0f} % of the removable error on held-out flights"

@@ -16,6 +16,7 @@ from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.gain import Score, before, fraction, wrench_score
 from quasi.gap.mixed import Test
+from quasi.standalone.model import AXES
 
 EXCITED = 0.25  # of its strength in the compared flights, that a held-out one must show to be judged by
 SMALL = {"changed": 0.01, "always": 0.1}  # least share of a channel's error that counts as removable
@@ -76,7 +77,7 @@ def material(
             without = score([c for c in kept if c is not cause], False)
             cause.gain = fraction(without.errors, whole.errors, floor)
             gone = without.errors.mean() - whole.errors.mean()
-            part = float((gone / _removable(old, floor, "changed")).max())
+            part = float((gone / _removable(old, floor, "changed"))[_seen_in(cause.effect)].max())
             worth.append(part if without.unlikely > whole.unlikely else min(part, 0.0))
         poor = [w if c not in unjudged else np.inf for c, w in zip(kept, worth)]
         if min(poor) >= share:
@@ -119,6 +120,11 @@ def _common(
             return causes
         causes = [c for k, c in enumerate(causes) if k != int(np.argmin(worth))]
     return []
+
+
+def _seen_in(effect: Effect) -> list[int]:
+    """Axes in which a cause shows; all where it names none."""
+    return [k for k, axis in enumerate(AXES) if axis in effect.channels] or list(range(len(AXES)))
 
 
 def _removable(old: Score, floor: np.ndarray, since: str) -> np.ndarray:

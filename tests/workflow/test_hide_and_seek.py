@@ -8,7 +8,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
-from hidden import ALL, STRANGE, deviation, drawn
+from hidden import ALL, STRANGE, deviation, drawn, healthy_model
 from hide_and_seek import draw as hide_and_seek
 from hide_and_seek import group_of, judge, page, wilson
 
@@ -39,7 +39,10 @@ CASES = {  # every level, pairs, clean, one that is in no catalogue; with health
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("hide")
+    """Where healthy flights and the model that they made are kept."""
+    made = tmp_path_factory.mktemp("hide")
+    healthy_model(made / "healthy")
+    return made
 
 
 @pytest.mark.workflow
