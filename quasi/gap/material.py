@@ -50,15 +50,18 @@ def worth(sides: Sequence[Side], sizes: Mapping[str, np.ndarray]) -> dict[str, W
         return sum((p**2).sum(axis=0) for p in parts) / rows
 
     before = mean([s.before for s in sides])
-    removable = before - mean([s.floor for s in sides])
-    removable = np.where(removable > DROWNED * before, removable, np.nan)
+    above = before - mean([s.floor for s in sides])
     moves = {c: [s.columns @ v for s in sides] for c, v in sizes.items()}
     after = [s.before - sum(m[k] for m in moves.values()) for k, s in enumerate(sides)]
     left = mean(after)
-    return {
-        c: Worth((mean([a + m for a, m in zip(after, own)]) - left) / removable, mean(own) / removable)
-        for c, own in moves.items()
-    }
+    found = {}
+    for cause, own in moves.items():
+        # a cause that is not there leaves nothing to remove, but would do harm of its own size
+        most = mean(own)
+        removable = np.maximum(above, most)
+        removable = np.where(removable > DROWNED * before, removable, np.nan)
+        found[cause] = Worth((mean([a + m for a, m in zip(after, own)]) - left) / removable, most / removable)
+    return found
 
 
 def judge(
