@@ -14,7 +14,7 @@ from quasi.gap.evidence import Evidence
 from quasi.gap.extension import extend
 from quasi.gap.gain import after, before, fraction, wrench_score
 from quasi.gap.level import Flown
-from quasi.gap.lower import judged
+from quasi.gap.lower import SEARCHES, judged
 from quasi.gap.study import refit
 from quasi.gap.wording import summary
 from quasi.gap.wrench import Cause, Found, everything, examine
@@ -64,7 +64,7 @@ def diagnose(
     groups = {r: [e for k, e in evidence.items() if roles[k] == r] for r in ("reference", "compared", "held out")}
     learning = [*groups["reference"], *groups["compared"]]
     compared = [False] * len(groups["reference"]) + [True] * len(groups["compared"])
-    held, rate, share = groups["held out"], settings["false alarm rate"] / 3.0, settings["material share"]
+    held, rate, share = groups["held out"], settings["false alarm rate"] / SEARCHES, settings["material share"]
     levels = calibration["levels"]
     material.judge(levels, *lower, share)
     said: dict[str, Any] = {"candidates": [], "unexplained": [], "cannot_be_asked": [], "notes": list(lost)}

@@ -13,6 +13,7 @@ from quasi.gap.settling import Process, settle
 from quasi.standalone.model import Model
 from quasi.tables import COLUMNS
 
+SEARCHES = 4  # that share the false alarm rate: levels K, A and W, and for what no cause explains
 UNITS = {
     "p": "rad/s", "q": "rad/s", "r": "rad/s", "ax": "m/s2", "ay": "m/s2", "az": "m/s2", "Fx": "N", "Fy": "N",
     "Fz": "N", "Mx": "N m", "My": "N m", "Mz": "N m", "w1": "rad/s", "w2": "rad/s", "w3": "rad/s", "w4": "rad/s",
@@ -30,7 +31,7 @@ def examine(
     flights  those that may choose and fit; model  document; settings  of the gap; effects  that are asked, by id
     process  imports and filters a flight anew with a calibration; without it ties stay ties
     """
-    options = {"false alarm rate": settings["false alarm rate"] / 3.0, "effects": list(effects)}
+    options = {"false alarm rate": settings["false alarm rate"] / SEARCHES, "effects": list(effects)}
     levels = [kinematic.examine(flights, options), actuation.examine(flights, model, options)]
     if points.MARKERS in effects:
         points.settle(levels[0], flights, Model(model, "the compared model"))
