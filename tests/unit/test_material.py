@@ -1,0 +1,87 @@
+"""What sensor and drive causes are worth on held-out flights: by hand on plain arrays, and on planted faults."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_actuation import MODEL, VOLTS
+from test_actuation import flown as driven
+from test_kinematic import flown as moved
+
+from quasi.gap import actuation, kinematic, lower, material
+from quasi.gap.material import Side, worth
+
+SHARE = 0.05
+
+
+def settle_on(level, flights):
+    """The level as the calibration's file holds it."""
+    level.found_on = material.found_on(level, flights)
+    return {level.level: json.loads(json.dumps(lower.plain(level)))}
+
+
+def test_what_leaving_a_cause_out_costs_by_hand():
+    t = np.arange(1000) / 1000.0
+    one, two = np.sin(2 * np.pi * 3 * t), np.cos(2 * np.pi * 5 * t)  # orthogonal, mean square one half
+    noise = 0.01 * np.sin(2 * np.pi * 40 * t)
+    columns = np.stack([np.stack([one, two], axis=1), np.zeros((1000, 2))], axis=1)  # the second channel feels nothing
+    before = np.stack([3.0 * one + 1.0 * two + noise, noise], axis=1)
+    side = Side(before, np.stack([noise, noise], axis=1), columns)
+    found = worth([side], {"a": np.array([3.0, 0.0]), "b": np.array([0.0, 0.5])})
+    # a takes off all of 9/2; b leaves a half of its amplitude: of 1/2 goes 1/2 - 1/8
+    np.testing.assert_allclose([found["a"].removed[0], found["b"].removed[0]], [9 / 10, (1 - 0.25) / 10], rtol=1e-6)
+    np.testing.assert_allclose([found["a"].most[0], found["b"].most[0]], [9 / 10, 0.25 / 10], rtol=1e-6)
+    assert np.isnan(found["a"].removed[1])  # its error is all floor
+
+
+@pytest.fixture(scope="module")
+def biased():
+    flights = [moved(s, gyro_bias=np.array([0.08, 0.0, -0.05])) for s in (1, 2)]
+    level = kinematic.examine(flights, {})
+    assert [e["id"] for e in level.effects] == ["gyro_bias"]
+    return settle_on(level, flights)
+
+
+def test_a_bias_that_held_out_flights_have_too_keeps_its_name_with_its_share(biased):
+    levels = json.loads(json.dumps(biased))
+    material.judge(levels, [], [moved(3)], SHARE)  # held out and corrected: nothing is left of it
+    (effect,) = levels["K"]["effects"]
+    assert effect["removed"]["p"] > 0.95 and effect["removed"]["r"] > 0.95
+    assert set(effect["removed"]) <= set("pqr")
+
+
+def test_a_bias_that_held_out_flights_do_not_have_loses_its_name_and_says_why(biased):
+    levels = json.loads(json.dumps(biased))
+    wrongly = moved(3, gyro_bias=-np.array([0.08, 0.0, -0.05]))  # corrected for what it never had
+    material.judge(levels, [], [wrongly], SHARE)
+    assert not levels["K"]["effects"]
+    (lost,) = [c for c in levels["K"]["candidates"] if c["id"] == "gyro_bias"]
+    assert "removes 0 % of the removable error on held-out flights, expected 5 %" in lost["why_not"]
+    assert any("stay corrected for it" in n for n in levels["K"]["notes"])
+
+
+def test_without_a_held_out_flight_with_capture_it_is_not_asked(biased):
+    levels = json.loads(json.dumps(biased))
+    material.judge(levels, [], [], SHARE)
+    assert [e["id"] for e in levels["K"]["effects"]] == ["gyro_bias"]
+    assert any("no flight is held out" in n for n in levels["K"]["notes"])
+
+
+def test_a_voltage_that_stays_cannot_show_what_it_does():
+    flights = [driven(s, exponent=0.5) for s in (1, 2)]
+    level = actuation.examine(flights, MODEL, {})
+    assert [e["id"] for e in level.effects] == ["battery_sag"]
+    levels = settle_on(level, flights)
+    assert levels["A"]["found on"]["worth"]["battery_sag"] > 0.9
+    steady = driven(3, exponent=0.0)  # as good as a battery that stays
+    still = steady.filtered.assign(battery_voltage=VOLTS)
+    for held, shown in ((driven(4, exponent=0.5), True), (replace(steady, filtered=still, imported=still), False)):
+        anew = json.loads(json.dumps(levels))
+        material.judge(anew, [held], [], SHARE)
+        (effect,) = anew["A"]["effects"]
+        assert (max(effect["removed"].values(), default=0.0) > 0.9) == shown
+        assert any("cannot be told" in n for n in anew["A"]["notes"]) != shown
+    other = json.loads(json.dumps(levels))
+    material.judge(other, [driven(5)], [], SHARE)  # follows the battery as the model says
+    assert not other["A"]["effects"]
