@@ -12,7 +12,7 @@ from quasi.gap.effect import Vehicle
 from quasi.gap.figures import figures
 from quasi.gap.lower import units_of
 from quasi.gap.report import page
-from quasi.gap.wording import left_sentence, summary, value_of
+from quasi.gap.wording import confirmation_of, left_sentence, rollout_of, summary, value_of
 
 KNOWN = catalogue()
 ROLES = {"ref-1": "reference", "new-1": "compared", "new-2": "compared", "new-3": "held out"}
@@ -147,3 +147,20 @@ def test_tables_without_rows_draw_nothing_and_every_column_has_a_unit():
     assert figures({"W_where": pd.DataFrame(), "R_overlays": pd.DataFrame({"window": []})}) == {}
     units = units_of(rows())
     assert units["Fz_before"] == ("N", "") and units["My_after"] == ("N m", "") and "t" not in units
+
+
+def test_the_page_tells_what_roll_outs_say_of_a_cause():
+    told = {
+        **EFFECT, "rollout channel": "velocity z", "rollout gain": {"horizon": 0.5, "line": "R with trim"},
+        "confirmation": {"outcome": "confirmed", "amplitude": {"value": 0.93, "std": 0.11}, "why": ""},
+        "output error": {"agrees": False, "parameters": {"c": {"value": 9.1, "std": 0.98, "unit": "1"}}},
+    }  # fmt: skip
+    assert rollout_of(told) == " of the simulated vertical velocity after 0.5 s, trim taken up"
+    expected = "confirmed: 0.93 ± 0.11 of the motion that it should make is there; by output error c = 9.10 ± 0.98"
+    assert confirmation_of(told) == f"{expected}, which does not agree"
+    text = page(document([told]), KNOWN, None, {})
+    assert expected in text and "30 % of the simulated vertical velocity" in text
+    blind = {"outcome": "cannot be judged", "amplitude": None, "why": "each flight has its own"}
+    assert confirmation_of({**told, "confirmation": blind, "output error": None}) == (
+        "cannot be judged: each flight has its own"
+    )

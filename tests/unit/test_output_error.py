@@ -15,7 +15,17 @@ from plain_plant import made_model
 from quasi.errors import DataError
 from quasi.gap import mixed, output_error, rollouts
 from quasi.gap.catalogue import catalogue
-from quasi.gap.confirmation import CONFIRMED, REFUTED, UNJUDGED, Maker, confirm, outcome_of, settle
+from quasi.gap.confirmation import (
+    CONFIRMED,
+    REFUTED,
+    UNJUDGED,
+    Confirmation,
+    Maker,
+    _lenient,
+    confirm,
+    outcome_of,
+    settle,
+)
 from quasi.gap.effect import vehicle_of
 from quasi.gap.evidence import gather
 from quasi.gap.linear_response import course_of, responses
@@ -297,3 +307,19 @@ def test_windows_of_a_shifted_centre_of_gravity_begin_in_the_state_of_the_true_o
     flight = rollouts.flight_of("f0", weak["f0"])
     run = rollouts.simulated(Model(document, "shifted"), flight, np.array([400]), 0.005)
     np.testing.assert_allclose(run[0, 0], flight.states[400], atol=1e-12)
+
+
+def test_a_value_that_each_flight_has_of_its_own_and_an_unknown_swing_cannot_be_refuted(model):
+    refuted = Confirmation(REFUTED, 0.1, 0.1, 10.0, "why")
+    everything = catalogue()
+
+    def of(name, states):
+        effect = everything[name]
+        one = Cause(effect, "always", {effect.fitted[0]: 0.1}, {}, None, [])
+        section = {"id": name, "states": states}
+        return _lenient(refuted, one, Model({**model.document, "extensions": [section]}, "extended"))
+
+    assert of("tether", {}) == refuted
+    assert of("wind", {}).outcome == UNJUDGED and "its own value" in of("wind", {}).why
+    load = of("payload_swing", {"swinging load": {"mass": 0.02, "length": 0.4}})
+    assert load.outcome == UNJUDGED and "not measured" in load.why
