@@ -274,6 +274,10 @@ def plan_of(
 
     Raises a QuasiError where model, trajectory or gap are absent, or the vehicle cannot fly the trajectory.
     """
+    import os
+
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # many small matrices: threads would only wait for each other
+
     from quasi.gap import flight_card
     from quasi.gap.catalogue import catalogue, chosen
     from quasi.gap.effect import room_of

@@ -200,7 +200,7 @@ class Evidence:
 
 
 def _predict(model: Model, columns: Mapping[str, np.ndarray]) -> np.ndarray:
-    predicted = model.predict_columns(pd.DataFrame(columns))
+    predicted = model.predict_columns(columns)
     return predicted[list(AXES)].to_numpy()
 
 

@@ -11,6 +11,7 @@ from quasi.gap.plan import Card, Proposal
 from quasi.gap.wording import name_of
 
 SCHEMA = "quasi.plan/1"
+MORE = "What to fly as well, one of these after the trajectory in each flight"
 HEAD = ("cause", "typical size", "expected t", "beside rival", "needed", "nearest rival", "verdict")
 
 
@@ -68,19 +69,29 @@ def steps(proposal: Proposal) -> list[str]:
     return lines
 
 
-def hopeless(card: Card) -> list[tuple[Row, str]]:
-    """Causes that stay hidden with all proposals flown, and what would show them."""
+def hopeless(card: Card) -> list[str]:
+    """Causes that no manoeuvre of the library shows, and what would."""
     result = []
     for row in card.rows:
-        if row.sight.verdict == "seen" or row.sight.absorbed:
+        sight = card.best.get(row.effect.id, row.sight)
+        if sight.verdict == "seen" or sight.absorbed:
             continue
-        now = card.after.get(row.effect.id, row)
-        if now.sight.verdict != "seen":
-            text = f"{name_of(row.effect.id)}: t = {_t(now.sight.t)} of {_t(now.sight.needed)} needed"
-            if now.sight.verdict == "tie":
-                text = f"{name_of(row.effect.id)}: {verdict_of(now.sight)}"
-            result.append((now, f"{text}; what would tell: {row.effect.tie_breaker}"))
+        told = f"t = {_t(sight.t)} of {_t(sight.needed)} needed" if sight.verdict != "tie" else verdict_of(sight)
+        result.append(f"{name_of(row.effect.id)}: {told}; what would tell: {row.effect.tie_breaker}")
     return result
+
+
+def together(card: Card) -> str:
+    """What all proposals in the same flights show; nothing where there are none."""
+    if not card.proposals:
+        return ""
+    count = sum(r.sight.verdict == "seen" for r in card.rows) + sum(s.verdict == "seen" for s in card.after.values())
+    lost = [n for n, s in card.after.items() if card.best[n].verdict == "seen" and s.verdict != "seen"]
+    text = f"All of it in the same flights would show {count} of {len(card.rows)} causes."
+    if lost:
+        text += f" {', '.join(map(name_of, lost))}: fly the manoeuvre in flights of its own and compare those alone; "
+        text += "stretches that hardly show a cause add their errors to it."
+    return text
 
 
 def text(card: Card) -> str:
@@ -93,14 +104,14 @@ def text(card: Card) -> str:
         cells = [c.rjust(w) if k in right else c.ljust(w) for k, (c, w) in enumerate(zip(r, widths))]
         lines.append("  ".join(cells).rstrip())
     if card.proposals:
-        lines += ["", "What to fly as well, after the trajectory in each flight:"]
+        lines += ["", f"{MORE}:"]
         for k, proposal in enumerate(card.proposals, 1):
             lines.append(f"{k}. {proposal.manoeuvre.name}: {proposal.manoeuvre.text}")
             lines += [f"     {step}" for step in steps(proposal)]
+        lines += ["", together(card)]
     left = hopeless(card)
     if left:
-        lines += ["", "Still hidden with all of it:" if card.proposals else "No manoeuvre of the library shows:"]
-        lines += [f"  {said}" for _, said in left]
+        lines += ["", "No manoeuvre of the library shows:", *(f"  {said}" for said in left)]
     if card.not_asked:
         lines += ["", "Not judged:", *(f"  {name_of(n)}: {why}" for n, why in sorted(card.not_asked.items()))]
     lines += [f"note: {note}" for note in card.notes]
@@ -127,7 +138,8 @@ def data(card: Card) -> dict[str, Any]:
             }
             for p in card.proposals
         ],
-        "with all proposals": [_row(r) for r in card.after.values()],
+        "with the best manoeuvre": {n: _sight(s) for n, s in card.best.items()},
+        "with all proposals": {n: _sight(s) for n, s in card.after.items()},
         "not judged": [{"id": n, "why": why} for n, why in sorted(card.not_asked.items())],
         "notes": card.notes,
     }
@@ -172,12 +184,9 @@ def page(card: Card) -> str:
         "Outlook",
         headline(card),
         [
-            report.section("What to fly as well, after the trajectory in each flight", *proposals),
+            report.section(MORE, *proposals, report.paragraph(together(card)) if proposals else ""),
             report.section("Causes", report.table(HEAD, [_cells(r) for r in card.rows]), report.paragraph(about)),
-            report.section(
-                "Still hidden with all of it" if card.proposals else "No manoeuvre of the library shows",
-                report.sentences(said for _, said in hopeless(card)),
-            ),
+            report.section("No manoeuvre of the library shows", report.sentences(hopeless(card))),
             report.section(
                 "Not judged", report.sentences(f"{name_of(n)}: {why}" for n, why in sorted(card.not_asked.items()))
             ),

@@ -12,8 +12,21 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from quasi.gap.effect import Effect
-from quasi.gap.mixed import CERTAIN, MOST_FREEDOM, RIDGE, SPANNED, SPREADS, Columns, Mixed, Offer, marginal
+from quasi.gap.mixed import (
+    CERTAIN,
+    FAINT,
+    MOST_FREEDOM,
+    PATIENCE,
+    RIDGE,
+    SPANNED,
+    SPREADS,
+    Columns,
+    Mixed,
+    Offer,
+    marginal,
+)
 
+TINY = 1e-70  # of a column that is nothing
 POWER = 1.28  # standard errors above the threshold: nine of ten repeats are named
 
 
@@ -31,6 +44,14 @@ class Repeated(NamedTuple):
     def count(self) -> int:
         """How often it is flown."""
         return self.compared + self.reference
+
+
+class Spread(NamedTuple):
+    """Size of a cause's deviations between stretches, in standard errors of one; informed  in proportion to each
+    stretch's own information, otherwise alike."""
+
+    tau: float
+    informed: bool
 
 
 class Sight(NamedTuple):
@@ -106,7 +127,7 @@ class Outlook:
             return False
         own = [self.columns.causes[offer.cause][k] for k in offer.which]
         total = sum(g * f.count for g, f in zip(self._whole.grams, self.flights))
-        scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
+        scale = np.maximum(np.sqrt(np.maximum(np.diag(total), 0.0)), TINY)
         total = total / np.outer(scale, scale)
         base = self.columns.shared
         inner = total[np.ix_(base, base)] + RIDGE * np.eye(len(base))
@@ -119,12 +140,12 @@ class Outlook:
         offer = self.offer(cause, parameter)
         if self.absorbed(cause) or (self.prior is None and self.taken_up(offer)):
             return Sight(cause, parameter, size, 0.0, 0.0, None, np.inf, True)
-        tau, covariance, share = self.test(offer)
+        spread, covariance, share = self.test(offer)
         nearest, least = None, np.inf
         for other in self.asked:
             if other == cause or self._simpler(offer, other):
                 continue
-            t = self._t(offer, parameter, size, self.covariance(offer, tau, self.whole(other)))
+            t = self._t(offer, parameter, size, self.covariance(offer, spread, self.whole(other)))
             nearest, least = (other, t) if t < least else (nearest, least)
         t = self._t(offer, parameter, size, covariance)
         return Sight(cause, parameter, size, t, min(least, t), nearest, self.needed(offer, share))
@@ -133,9 +154,9 @@ class Outlook:
         """As `sight`, among some rivals alone: for comparing many plans."""
         rivals = [r for r in rivals if r in self.asked]
         offer = self.offer(cause, parameter)
-        tau, covariance, share = self.test(offer)
+        spread, covariance, share = self.test(offer)
         t = self._t(offer, parameter, size, covariance)
-        beside = {r: self._t(offer, parameter, size, self.covariance(offer, tau, self.whole(r))) for r in rivals}
+        beside = {r: self._t(offer, parameter, size, self.covariance(offer, spread, self.whole(r))) for r in rivals}
         nearest = min(beside, key=beside.get, default=None)
         return Sight(cause, parameter, size, t, min([t, *beside.values()]), nearest, self.needed(offer, share))
 
@@ -169,21 +190,34 @@ class Outlook:
         wide = self.whole(other)
         return len(wide.which) > len(offer.which) and self._whole.spans(wide, offer)
 
-    def test(self, offer: Offer) -> tuple[float, np.ndarray, float]:
-        """tau, covariance (m, m) of the parameters and the share of the variance that rests on tau."""
-        _, certain = self._solve(offer, CERTAIN, None)
+    def test(self, offer: Offer) -> tuple[Spread, np.ndarray, float]:
+        """The spread, covariance (m, m) of the parameters and the share of the variance that rests on the spread."""
+        spread, covariance = self.spread(offer)
+        _, certain = self._solve(offer, Spread(CERTAIN, False), None)
+        return spread, covariance, 1.0 - float(np.mean(np.diag(certain) / np.diag(covariance)))
+
+    def spread(self, offer: Offer) -> tuple[Spread, np.ndarray]:
+        """The most likely of the spreads that the search tries, and the covariance there."""
         best = None
-        for tau in SPREADS:
-            criterion, covariance = self._solve(offer, tau, None)
-            if best is None or criterion < best[0]:
-                best = criterion, float(tau), covariance
-        return best[1], best[2], 1.0 - float(np.mean(np.diag(certain) / np.diag(best[2])))
+        # without residuals nothing speaks for more than the least
+        for informed in (False, True) if self.draws else (False,):
+            least, worse = np.inf, 0
+            for tau in SPREADS if self.draws else SPREADS[:1]:
+                spread = Spread(float(tau), informed)
+                criterion, covariance = self._solve(offer, spread, None)
+                if best is None or criterion < best[0]:
+                    best = criterion, spread, covariance
+                worse = 0 if criterion < least else worse + 1
+                least = min(least, criterion)
+                if worse == PATIENCE:
+                    break
+        return best[1], best[2]
 
-    def covariance(self, offer: Offer, tau: float, given: Offer) -> np.ndarray:
+    def covariance(self, offer: Offer, spread: Spread, given: Offer) -> np.ndarray:
         """Covariance (m, m) of the parameters beside another cause, at a spread that is known."""
-        return self._solve(offer, tau, given)[1]
+        return self._solve(offer, spread, given)[1]
 
-    def _solve(self, offer: Offer, tau: float, given: Offer | None) -> tuple[float, np.ndarray]:
+    def _solve(self, offer: Offer, assumed: Spread, given: Offer | None) -> tuple[float, np.ndarray]:
         """-2 log likelihood, averaged over the residuals, and covariance."""
         columns = self.columns
         own = [columns.causes[offer.cause][k] for k in offer.which]
@@ -194,12 +228,15 @@ class Outlook:
         common = [*columns.shared, *pooled]
         count = sum(len(f.stretches) * f.count for f in self.flights)
         typical = sum(f.count * self._whole.grams[k][own, own] for k, f in enumerate(self.flights))
-        spread = tau / np.sqrt(np.maximum(typical / count, 1e-300))
+        alike = np.diag(np.maximum(typical / count, TINY**2))
         # those that all flights have, then what is offered to the compared ones alone
         source, head, wide = [*common, *others, *own], self.draws, len(common)
         total, logs = np.zeros((head + len(source),) * 2), 0.0
         for flight in self.flights:
-            gram, log = _left(flight.stretches, own, spread, columns)
+            precision = np.broadcast_to(alike, (len(flight.stretches), *alike.shape))
+            if assumed.informed:
+                precision = flight.stretches[:, own][:, :, own] + FAINT * alike
+            gram, log = _left(flight.stretches, own, precision / assumed.tau**2, columns)
             logs += flight.count * log
             total[head:, head:] += flight.compared * gram[np.ix_(source, source)]
             total[head : head + wide, head : head + wide] += flight.reference * gram[np.ix_(common, common)]
@@ -211,7 +248,7 @@ class Outlook:
         if self.prior is not None:
             base = slice(head, head + len(columns.shared))
             total[base, base] += self.prior
-        scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
+        scale = np.maximum(np.sqrt(np.maximum(np.diag(total), 0.0)), TINY)
         scaled = total / np.outer(scale, scale)
         inner = scaled[head:, head:] + RIDGE * np.eye(len(source))
         inverse = np.linalg.inv(inner)
@@ -222,18 +259,20 @@ class Outlook:
         return squares + logs + information, inverse[part, part] / np.outer(unit, unit)
 
 
-def _left(stretches: np.ndarray, own: Sequence[int], spread: np.ndarray, columns: Columns) -> tuple[np.ndarray, float]:
-    """A flight's cross-products once the stretches' deviations and the flight's nuisances are integrated out."""
-    rest, log = np.zeros(stretches.shape[1:]), 0.0
-    for gram in stretches:
-        log += _log(gram, own, spread)
-        rest += marginal(gram, own, spread)
+def _left(
+    stretches: np.ndarray, own: Sequence[int], precision: np.ndarray, columns: Columns
+) -> tuple[np.ndarray, float]:
+    """A flight's cross-products once the stretches' deviations, of this precision (K, m, m), and the flight's nuisances
+    are integrated out; the log determinant that this leaves."""
+    own = list(own)
+    cross = stretches[:, own, :]
+    inner = cross[:, :, own] + precision
+    size = stretches.shape[-1]
+    weighted = np.linalg.solve(inner, cross).reshape(-1, size)
+    rest = stretches.sum(axis=0) - cross.reshape(-1, size).T @ weighted
+    log = float(np.linalg.slogdet(inner)[1].sum() - np.linalg.slogdet(precision)[1].sum())
     if columns.nuisance:
-        log += _log(rest, columns.nuisance, columns.spread)
+        part = rest[np.ix_(columns.nuisance, columns.nuisance)] * np.outer(columns.spread, columns.spread)
+        log += float(np.linalg.slogdet(np.eye(len(part)) + part)[1])
         rest = marginal(rest, columns.nuisance, columns.spread)
     return rest, log
-
-
-def _log(gram: np.ndarray, columns: Sequence[int], spread: np.ndarray) -> float:
-    columns = list(columns)
-    return float(np.linalg.slogdet(np.eye(len(columns)) + gram[np.ix_(columns, columns)] * np.outer(spread, spread))[1])

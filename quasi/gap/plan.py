@@ -51,7 +51,8 @@ class Card:
     """What a plan could reveal.
 
     seconds    of a flight; compared, reference  how many are flown; noise  where it is from
-    rows       in the order of verdict and expected |t|; after  {id: row} once all proposals are flown as well
+    rows       in the order of verdict and expected |t|
+    best       {id: what is expected with the manoeuvre that helps most}; after  alike with all proposals flown
     not_asked  {id: why}; notes  sentences
     """
 
@@ -63,7 +64,8 @@ class Card:
     noise: str
     rows: list[Row]
     proposals: list[Proposal] = field(default_factory=list)
-    after: dict[str, Row] = field(default_factory=dict)
+    best: dict[str, Sight] = field(default_factory=dict)
+    after: dict[str, Sight] = field(default_factory=dict)
     not_asked: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
@@ -295,17 +297,26 @@ def _propose(
     chosen = _chosen(open_, looks)
     best = {n: max(chosen, key=lambda k: _merit(looks[k][n])) for n in open_} if chosen else {}
     for k in chosen:
-        raises = {n: (open_[n].sight, looks[k][n]) for n in open_ if best[n] == k}
-        raises = {n: (a, b) for n, (a, b) in raises.items() if _helps(a, b)}
+        names = [n for n in open_ if best[n] == k and _helps(open_[n].sight, looks[k][n])]
+        # every rival is asked where one is told
+        rows = []
+        for judge, parts in zip(judges, added):
+            asked = [
+                n for n in judge.effects if n in names or (n in plan_lower.LATE and set(plan_lower.LATE) & set(names))
+            ]
+            rows += _rows(_look(judge, shares, [parts[k]]), judge.effects, vehicle, asked) if asked else []
+        looks[k] |= {r.effect.id: r.sight for r in plan_lower.told_by_motion(rows) if r.effect.id in names}
+        raises = {n: (open_[n].sight, looks[k][n]) for n in names if _helps(open_[n].sight, looks[k][n])}
         if raises:
             card.proposals.append(Proposal(options[k], raises))
+    card.best = {n: max([open_[n].sight, *(looks[k][n] for k in chosen)], key=_merit) for n in open_}
     flown = [options.index(p.manoeuvre) for p in card.proposals] if card.proposals else []
-    rows: list[Row] = []
+    rows = []
     for judge, parts in zip(judges, added):
         names = [n for n in judge.effects if n in open_ or n in plan_lower.LATE]
         if flown and names:
             rows += _rows(_look(judge, shares, [parts[k] for k in flown]), judge.effects, vehicle, names)
-    card.after = {r.effect.id: r for r in plan_lower.told_by_motion(rows) if r.effect.id in open_}
+    card.after = {r.effect.id: r.sight for r in plan_lower.told_by_motion(rows) if r.effect.id in open_}
 
 
 def _chosen(open_: Mapping[str, Row], looks: Sequence[Mapping[str, Sight]]) -> list[int]:
