@@ -100,7 +100,8 @@ def confirmation_of(effect: Mapping[str, Any]) -> str:
         return ""
     text = told["outcome"]
     if told["amplitude"]:
-        text += f": {value_of(told['amplitude'])} of the motion that it should make is there"
+        share = {**told["amplitude"], "unit": "1"}
+        text += f": {value_of(share)} of the motion that it should make is there"
     elif told["why"]:
         text += f": {told['why']}"
     if other:
