@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 
 from quasi.airframe import Airframe
-from quasi.gap.actuation import examine
+from quasi.gap.actuation import SPREAD, examine, size_of
 from quasi.gap.drive_findings import saturated
 from quasi.gap.drive_fit import Belief, belief_of, fit_drive
-from quasi.gap.level import Flown
+from quasi.gap.level import Flown, clear
 
 RATE, SECONDS, FINER = 500.0, 14.0, 4
 MAP, VOLTS, UP, DOWN = (380.0, 4650.0, -1200.0), 15.2, 0.022, 0.030
@@ -115,6 +115,28 @@ def test_late_commands_and_late_telemetry_are_a_tie_unless_the_motion_told_the_a
         assert found == cause
         value, std = parameters["delay"]
         assert abs(value - 0.008) < 3 * std
+
+
+@pytest.mark.parametrize("held", [0.0, 0.002])
+def test_a_model_whose_delay_holds_the_age_of_the_telemetry_or_not_makes_no_healthy_flight_late(held):
+    document = {**MODEL, "actuators": {**MODEL["actuators"], "delay": {"value": [held] * 4}}}
+    for told in (False, True):
+        level = examine([flown(s, told=told) for s in (1, 2, 3)], document, {})
+        assert not level.effects and not level.ties
+        late = {c["id"]: c["p"] for c in level.candidates}
+        assert min(late["command_delay"], late["telemetry_delay"]) > 0.05
+
+
+def test_how_clearly_a_size_shows_by_level_a():
+    level = examine([flown(s) for s in (1, 2, 3)], MODEL, {})
+    healthy = {"up": UP, "down": DOWN, "exponent": 1.0}
+    sag = clear(level.tests, "battery_sag", "always", size_of("battery_sag", {"exponent": 0.7}, healthy))
+    # spread between three flights, and as much doubt about the model's own exponent
+    assert sag.detectability == pytest.approx(0.3 / np.hypot(SPREAD["exponent"] / np.sqrt(3.0), 0.03), rel=0.3)
+    late = clear(level.tests, "command_delay", "always", size_of("command_delay", {"delay": 0.008}, healthy))
+    assert late.nearest == "telemetry_delay"
+    assert late.separability < 0.3 * late.detectability
+    np.testing.assert_allclose(size_of("motor_lag", {"time_constant": 0.04}, healthy), [0.04 - UP, 0.04 - DOWN])
 
 
 def test_commands_at_a_limit_and_a_slow_motor_are_findings():

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation, Slerp
 from quasi import attitude
 from quasi.airframe import Airframe
 from quasi.errors import DataError
-from quasi.gap.kinematic import examine
+from quasi.gap.kinematic import SPREAD, examine, size_of
 from quasi.gap.kinematic_columns import weak_form, windows
-from quasi.gap.level import Flown
+from quasi.gap.level import Flown, clear
 from quasi.gap.sensor_findings import shaken, torn
 
 RATE, CAPTURED, SECONDS = 500.0, 120.0, 24.0
@@ -129,6 +129,29 @@ def test_a_clean_flight_shows_nothing_and_its_floor_is_white(clean):
 def test_a_planted_fault_is_found_alone_with_its_size_and_sign(cause, fault, expected):
     level = examine([flown(s, **fault) for s in (1, 2, 3)], {})
     close(found(level, cause), expected)
+
+
+def test_how_clearly_a_size_shows_follows_from_what_flights_differ_by(clean):
+    """Biases are seen sharply in each flight, so that the spread between the three is all the doubt there is."""
+    for cause, size in (("gyro_bias", 0.05), ("accelerometer_bias", 0.4)):
+        shown = clear(clean.tests, cause, "always", size_of(cause, {"x": size}))
+        assert shown.detectability == pytest.approx(size / (SPREAD[cause] / np.sqrt(3.0)), rel=0.25)
+        assert shown.separability == pytest.approx(shown.detectability, rel=0.1)
+        twice = clear(clean.tests, cause, "always", size_of(cause, {"x": 2.0 * size}))
+        assert twice.detectability == pytest.approx(2.0 * shown.detectability)
+
+
+def test_beside_its_twin_a_turn_shows_least(clean):
+    for cause, twin in (("imu_misalignment", "mocap_misalignment"), ("mocap_misalignment", "imu_misalignment")):
+        shown = clear(clean.tests, cause, "always", size_of(cause, {"roll": 0.03, "yaw": 0.02}))
+        assert shown.nearest == twin
+        assert shown.separability < 0.8 * shown.detectability
+        assert all(v <= 1.001 * shown.detectability for v in shown.beside.values())
+
+
+def test_a_stated_scale_is_what_it_takes_off_the_measurement():
+    np.testing.assert_allclose(size_of("gyro_scale", {"y": 1.25}), [0.0, 0.2, 0.0])
+    np.testing.assert_allclose(size_of("room_tilt", {"pitch": 0.01}), [0.0, 0.01])
 
 
 @pytest.mark.parametrize("removed", [0.0, 1.0])

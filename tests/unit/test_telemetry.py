@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from quasi.importing.telemetry import rotor_age
+from quasi.importing import flight as importing
+from quasi.importing.onboard_log import Onboard, Track
+from quasi.importing.telemetry import Age, rotor_age
 
 RATE = 1000.0
 SPIN = np.array([1.0, -1.0, -1.0, 1.0])
@@ -50,3 +52,17 @@ def test_short_or_grounded_record_tells_nothing():
     t_rotor, speeds, t, rates = flight(0.003)
     speeds = np.where(t_rotor[:, None] < 38.0, 0.0, speeds)
     assert rotor_age(t_rotor, speeds, t, rates) is None
+
+
+@pytest.mark.parametrize(("age", "taken"), [(0.004, True), (-0.0005, True), (-0.0099, False)])
+def test_telemetry_that_would_run_ahead_of_the_motion_is_not_corrected(age, taken, monkeypatch):
+    t = np.arange(100) / 100.0
+    track = Track(t, np.zeros((100, 4)))
+    board = Onboard(track, track, track, "onboard", 0.0, None, None, None, {"w1": track}, track)
+    monkeypatch.setattr(importing, "rotor_age", lambda *_: Age(age, 1e-4, 0.99))
+    notes = []
+    settled, about = importing._settle_telemetry(board, "here", notes)
+    assert about["applied"] == taken and bool(notes) != taken
+    expected = t - (age if taken else 0.0)
+    np.testing.assert_allclose(settled.rotors.t, expected)
+    np.testing.assert_allclose(settled.others["w1"].t, expected)
