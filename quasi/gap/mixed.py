@@ -85,11 +85,11 @@ def _integrated(grams: np.ndarray, columns: Sequence[int], precision: np.ndarray
     size = np.sqrt(np.diagonal(precision, axis1=-2, axis2=-1))
     scaled = precision / (size[..., :, None] * size[..., None, :])
     inner = cross[..., columns] / (size[..., :, None] * size[..., None, :]) + scaled
-    root = np.linalg.cholesky(inner)
-    weighted = np.linalg.solve(root, cross / size[..., :, None])
-    log = 2.0 * float(np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum())
-    log -= float(np.linalg.slogdet(scaled)[1].sum()) * (root.size // scaled.size)
-    return grams - np.swapaxes(weighted, -1, -2) @ weighted, log
+    cross = cross / size[..., :, None]
+    weighted = np.linalg.solve(inner, cross)
+    log = float(np.linalg.slogdet(inner)[1].sum())
+    log -= float(np.linalg.slogdet(scaled)[1].sum()) * (inner.size // scaled.size)
+    return grams - np.swapaxes(cross, -1, -2) @ weighted, log
 
 
 class Mixed:
