@@ -12,6 +12,7 @@ from quasi.gap.wording import name_of
 
 SCHEMA = "quasi.plan/1"
 MORE = "What to fly as well, one of these after the trajectory in each flight"
+MANY = 5.0  # times the flights asked for: beyond, another manoeuvre is meant
 HEAD = ("cause", "typical size", "expected t", "beside rival", "needed", "nearest rival", "verdict")
 
 
@@ -19,6 +20,8 @@ def verdict_of(sight: Sight) -> str:
     """The verdict in words."""
     if sight.absorbed:
         return "not seen: the model takes it up; fly reference flights"
+    if sight.taken:
+        return "not seen: here the model takes it up"
     if sight.verdict == "tie":
         return f"only as a tie with {name_of(sight.rival or '')}"
     return {"seen": "would be seen", "not seen": "not seen"}[sight.verdict]
@@ -77,8 +80,22 @@ def hopeless(card: Card) -> list[str]:
         if sight.verdict == "seen" or sight.absorbed:
             continue
         told = f"t = {_t(sight.t)} of {_t(sight.needed)} needed" if sight.verdict != "tie" else verdict_of(sight)
+        count = more_flights(card, sight)
+        if count is not None:
+            told += f"; about {count} flights{' of each kind' if card.reference else ''} would show it"
+        if sight.taken:
+            told += "; the model takes it up unless there are reference flights"
         result.append(f"{name_of(row.effect.id)}: {told}; what would tell: {row.effect.tie_breaker}")
     return result
+
+
+def more_flights(card: Card, sight: Sight) -> int | None:
+    """How many such flights would show a cause, t growing with the root of their number; None beyond MANY times."""
+    t = min(sight.t, sight.beside)
+    share = sight.needed / t if t > 0.0 else math.inf
+    if sight.verdict == "tie" or share > math.sqrt(MANY) or t < 0.8 * sight.t:
+        return None
+    return max(math.ceil(card.compared * share**2), card.compared + 1)
 
 
 def together(card: Card) -> str:

@@ -58,7 +58,8 @@ class Sight(NamedTuple):
     """What is expected of one parameter.
 
     size (its unit), std (alike), t = size/std of it alone; beside (t with the nearest rival given too) and that rival
-    needed  t at which nine of ten repeats are named; None of t and beside where the model's own terms take it up
+    needed  t at which nine of ten repeats are named
+    absorbed  whether the model's own terms take the cause up whatever is flown; taken  whether they do here
     """
 
     cause: str
@@ -69,6 +70,7 @@ class Sight(NamedTuple):
     rival: str | None
     needed: float
     absorbed: bool = False
+    taken: bool = False
 
     @property
     def verdict(self) -> str:
@@ -138,7 +140,7 @@ class Outlook:
     def sight(self, cause: str, parameter: str, size: float) -> Sight:
         """What is expected of a parameter of a cause at a size, the nearest rival looked for among all causes."""
         offer = self.offer(cause, parameter)
-        if self.absorbed(cause) or (self.prior is None and self.taken_up(offer)):
+        if self.absorbed(cause):
             return Sight(cause, parameter, size, 0.0, 0.0, None, np.inf, True)
         spread, covariance, share = self.test(offer)
         nearest, least = None, np.inf
@@ -148,7 +150,9 @@ class Outlook:
             t = self._t(offer, parameter, size, self.covariance(offer, spread, self.whole(other)))
             nearest, least = (other, t) if t < least else (nearest, least)
         t = self._t(offer, parameter, size, covariance)
-        return Sight(cause, parameter, size, t, min(least, t), nearest, self.needed(offer, share))
+        needed = self.needed(offer, share)
+        taken = t < needed and self.prior is None and self.taken_up(offer)
+        return Sight(cause, parameter, size, t, min(least, t), nearest, needed, False, taken)
 
     def look(self, cause: str, parameter: str, size: float, rivals: Sequence[str]) -> Sight:
         """As `sight`, among some rivals alone: for comparing many plans."""

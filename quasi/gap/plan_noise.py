@@ -26,7 +26,7 @@ CORNER = np.array([0.6, 0.6, 1.2, 0.7, 0.7, 1.0])  # Hz
 WHITE = np.array([9e-7, 9e-7, 2e-6, 7e-7, 7e-7, 6e-8])
 # shares by which the model's terms differ from stretch to stretch: of forces, of moments, and of the rotors' reaction
 # to being accelerated, which hangs on the timing of the rotor telemetry
-FORCES, MOMENTS, SLOPES = 0.002, 0.02, 0.05
+FORCES, MOMENTS, SLOPES = 0.005, 0.03, 0.05
 DRAWS = 4  # residuals that a plan is judged by
 GRID = 2048  # frequencies of the integral
 

@@ -323,7 +323,8 @@ def test_what_the_model_takes_up_needs_reference_flights(cards):
         assert cards["alone"][cause].absorbed and cards["alone"][cause].verdict == "not seen"
         assert not cards["straight"][cause].absorbed
     # a term of the model's own is as good as absorbed, though the catalogue does not know
-    assert cards["alone"]["axial_inflow"].absorbed and not cards["alone"]["tether"].absorbed
+    assert cards["alone"]["axial_inflow"].taken and cards["alone"]["axial_inflow"].t < 1.0
+    assert not cards["alone"]["tether"].taken and not cards["straight"]["axial_inflow"].taken
 
 
 def test_expected_t_grows_with_the_size_and_the_number_of_flights():
@@ -445,6 +446,16 @@ def test_the_card_reads_the_same_as_text_page_and_data(card):
     assert "<script" not in page and "http" not in page
     tied = [r for r in card.rows if r.sight.verdict == "tie"]
     assert all(f"only as a tie with {r.sight.rival.replace('_', ' ')}" in text for r in tied)
+
+
+def test_the_number_of_flights_that_would_show_a_cause_does():
+    table = eight(30.0)
+    few = card_of(table, reference=4)
+    sight = rows_of(few)["gyro_bias"]
+    count = flight_card.more_flights(few, sight)
+    assert sight.verdict == "not seen" and 5 < count < 20
+    assert rows_of(card_of(table, compared=count, reference=count))["gyro_bias"].verdict == "seen"
+    assert flight_card.more_flights(few, sight._replace(t=0.1, beside=0.1)) is None
 
 
 @pytest.fixture(scope="module")
