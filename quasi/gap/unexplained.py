@@ -16,7 +16,7 @@ from quasi.gap import rhythm
 from quasi.gap.catalogue import beyond_slope, columns_of
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
-from quasi.gap.gain import wrench_score
+from quasi.gap.gain import fraction, wrench_score
 from quasi.gap.mixed import Columns, Mixed, Offer, Test, marginal
 from quasi.gap.places import EVERYWHERE, OWN, Basis, Choice, basis_of
 from quasi.gap.study import BAND, BLOCK, LIGHT, ORDER, Study, base_columns, gather_study, refit
@@ -109,6 +109,9 @@ def search(
             slope, _ = _slope(grounds, compared, judge.parts, joint, place)
             part = material(k, max(2.0 * slope - 1.0, 0.0) * here**2, float(whole[k]))
         unjudged = here < VISITED * usual and where not in OWN
+        if place.since == "always" and not _beyond_doubt(grounds, compared, causes, found, joint, place, held, vehicle,
+                                                         floor, share):  # fmt: skip
+            continue
         if part is not None or unjudged:
             if where != EVERYWHERE:
                 shown = [f for f, flag in zip(flights, compared) if flag] + list(held)
@@ -131,6 +134,19 @@ def search(
     return sorted(said, key=lambda u: -(u["share"] or 0.0)), table
 
 
+def _beyond_doubt(
+    grounds: Grounds, compared: Sequence[bool], causes: Sequence[Cause], found: Sequence[tuple[Place, Test]],
+    joint: "Joint", place: Place, held: Sequence[Evidence], vehicle: Vehicle, floor: np.ndarray, share: float,
+) -> bool:  # fmt: skip
+    """Whether held-out flights gain the share for sure by what all flights have alike, as `worth` asks of causes."""
+    others = _joint(grounds, compared, causes, [(p, t) for p, t in found if p != place])
+    first, last = (wrench_score(held, lambda f, j=j: _residual(f, j, vehicle), True) for j in (others, joint))
+    k = place.channel
+    least = np.minimum(np.minimum(floor, last.mean()), (1.0 - LEAST) * first.mean())
+    low = fraction(first, last, least)[AXES[k]]["low"]
+    return low is not None and low > share
+
+
 class Joint(NamedTuple):
     """Everything fitted together: what the terms change by (S,), causes with values, functions with values."""
 
@@ -141,7 +157,7 @@ class Joint(NamedTuple):
 
 
 def _curved(causes: Sequence[Cause]) -> dict[str, Mapping[str, float]]:
-    return {e.id: v for e, _, v in causes if e.curved is not None}
+    return {e.id: v for e, _, v in causes if e.bends}
 
 
 def _joint(
@@ -243,7 +259,7 @@ def _residual(flight: Evidence, joint: Joint, vehicle: Vehicle) -> np.ndarray:
     if joint.base is not None:
         left = left - sum(b * column for b, (_, column) in zip(joint.base, base_columns(flight)))
     for effect, _, at, own in joint.causes:
-        at = at if effect.curved is not None and at else dict.fromkeys(effect.parameters, 0.0)
+        at = at if effect.bends and at else dict.fromkeys(effect.parameters, 0.0)
         columns = columns_of(effect, flight, vehicle, at)
         left = left - beyond_slope(effect, flight, vehicle, at) - sum(columns[n] * v for n, v in own.items())
     functions = joint.basis.functions(flight)
