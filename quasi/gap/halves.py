@@ -114,6 +114,40 @@ def with_own(
     return Model(extend(base, pairs, vehicle, extended.id, "its own parameters", np.array(changes)), extended.id)
 
 
+def gain(
+    held: Sequence[Evidence], tables: Mapping[str, pd.DataFrame], learning: Sequence[Evidence], base: Model,
+    sides: Sequence[tuple[Model, Sequence[tuple[Effect, Values]]]], vehicle: Vehicle, quantity: str, horizon: float,
+) -> float | None:  # fmt: skip
+    """Share of the squared error of a quantity that the second of two extended models removes on second halves.
+
+    sides  (extended model, its causes), each with the flights' own parameters of its causes, told by the first halves
+    None where no held-out flight has both halves. Other arguments as for `judge`.
+    """
+    sums = np.zeros(2)
+    for evidence in held:
+        flight = rollouts.flight_of(evidence.key, tables[evidence.key])
+        for k, (model, causes) in enumerate(sides):
+            level = wrench_score(learning, after(model, base)).mean()
+            found = own(evidence, model, base, causes, vehicle, level)
+            if found is None:
+                break
+            starts = _late(flight, found.until, horizon)
+            if not len(starts):
+                break
+            fitted = with_own(model, base, causes, found, vehicle) if found.parameters else model
+            lags = np.array([steps_of(flight.t, horizon)])
+            errors = rollouts.vectors(rollouts.simulated(fitted, flight, starts, horizon), flight, starts, lags)
+            ends = rollouts.table_of(flight, starts, errors, [horizon])[quantity]
+            sums[k] += float((rollouts.finite(ends) ** 2).sum())
+    return 1.0 - float(sums[1] / sums[0]) if sums[0] > 0.0 else None
+
+
+def _late(flight: rollouts.Flight, until: float, horizon: float) -> np.ndarray:
+    """Rows at which windows of the second half start."""
+    starts = rollouts.windows(flight, horizon)
+    return starts[flight.t[starts] > until + REACH]
+
+
 def judge(
     held: Sequence[Evidence],
     tables: Mapping[str, pd.DataFrame],
@@ -139,10 +173,9 @@ def judge(
         bare = own(evidence, base, base, (), vehicle, old)
         mine = own(evidence, extended, base, causes, vehicle, new)
         flight = rollouts.flight_of(evidence.key, tables[evidence.key])
-        starts = rollouts.windows(flight, max(horizons))
         if bare is None or mine is None:
             continue
-        starts = starts[flight.t[starts] > bare.until + REACH]
+        starts = _late(flight, bare.until, max(horizons))
         if not len(starts):
             continue
         fitted = with_own(extended, base, causes, mine, vehicle) if mine.parameters else extended

@@ -70,6 +70,18 @@ def test_a_flights_own_thrust_is_told_by_its_first_half_and_cures_the_second(bas
     assert row["value"] == pytest.approx(1.0 - error["after, trimmed"] / error["before"])
 
 
+def test_a_cause_gains_where_it_is_there_and_loses_where_it_is_not(base):
+    _, other = flown(stronger(base, LEARNED), base, seed=1)
+    causes = [(catalogue()["thrust_factor"], {"factor": LEARNED})]
+    learned, vehicle = stronger(base, LEARNED), vehicle_of(base)
+    for truth, there in ((stronger(base, 0.05), True), (base, False)):
+        table, evidence = flown(truth, base)
+        share = halves.gain(
+            [evidence], {"a": table}, [other], base, [(base, []), (learned, causes)], vehicle, "velocity", 0.5
+        )
+        assert (share > 0.9) if there else (share < 0.0), share
+
+
 def test_the_second_half_tells_nothing(base):
     truth = stronger(base, TRUE)
     _, evidence = flown(truth, base)
