@@ -39,6 +39,7 @@ from quasi.standalone.model import Model
 WINDOW = 0.4  # s; at this length the start is not forgotten and the response still about linear
 PARTS = 4  # places of a window that are compared, its end among them
 OUTPUTS = 9  # velocity, attitude, rate; a position says what the velocities before it said
+NEXT = 4  # windows after one that may still remember it
 SHRUNK = 0.1  # share of the covariance within a window that is drawn to its diagonal
 STEPS = 5  # of Gauss-Newton, at most
 SMALL = 0.1  # standard errors: a smaller step ends it
@@ -105,10 +106,22 @@ def covariance_of(errors: Sequence[np.ndarray], nuisance: Sequence[np.ndarray], 
         y = (error[good] / level).ravel()
         x = (columns[good] / level[:, None]).reshape(len(y), -1) * spread
         left.append((y - x @ np.linalg.solve(x.T @ x + np.eye(x.shape[1]), x.T @ y)).reshape(-1, len(level)))
-    left = np.concatenate(left)
-    inner = left.T @ left / len(left)
+    whole = np.concatenate(left)
+    inner = whole.T @ whole / len(whole)
     inner = (1.0 - SHRUNK) * inner + SHRUNK * np.diag(np.diag(inner))
-    return inner * np.outer(level, level)
+    return inner * np.outer(level, level) * _repeated(left, inner)
+
+
+def _repeated(left: Sequence[np.ndarray], inner: np.ndarray) -> float:
+    """How many windows in a row tell the same: 1 + 2 (sum of the correlations with the next ones), gusts outlast them.
+
+    Source: Box, Jenkins & Reinsel, Time Series Analysis, 3rd ed., 1994, section 2.1.5: variance of a mean.
+    """
+    root = np.linalg.cholesky(inner)
+    white = [np.linalg.solve(root, part.T).T for part in left]
+    power = sum(float(np.sum(part**2)) for part in white)
+    after = [sum(float(np.sum(part[lag:] * part[:-lag])) for part in white) for lag in range(1, NEXT + 1)]
+    return max(1.0 + 2.0 * sum(after) / power, 1.0)
 
 
 def blocks_of(stack: np.ndarray, noise: np.ndarray, blocks: np.ndarray) -> np.ndarray:

@@ -323,3 +323,18 @@ def test_a_value_that_each_flight_has_of_its_own_and_an_unknown_swing_cannot_be_
     assert of("wind", {}).outcome == UNJUDGED and "its own value" in of("wind", {}).why
     load = of("payload_swing", {"swinging load": {"mass": 0.02, "length": 0.4}})
     assert load.outcome == UNJUDGED and "not measured" in load.why
+
+
+def test_windows_that_remember_each_other_count_for_fewer():
+    # correlations of a first-order process, 0.5 and its powers, over the next four: 1 + 2 (1/2 + 1/4 + 1/8 + 1/16)
+    rng, flights = np.random.default_rng(3), []
+    for _ in range(2):
+        noise = rng.standard_normal((6000, 3))
+        series = np.zeros_like(noise)
+        for k in range(1, len(noise)):
+            series[k] = 0.5 * series[k - 1] + noise[k]
+        flights.append(series)
+    whole = np.concatenate(flights)
+    assert output_error._repeated(flights, whole.T @ whole / len(whole)) == pytest.approx(2.875, rel=0.05)
+    white = [rng.standard_normal((6000, 3))]
+    assert output_error._repeated(white, np.eye(3)) == pytest.approx(1.0, abs=0.05)
