@@ -177,12 +177,22 @@ def flown(motion: Motion, model: Model, where: str) -> pd.DataFrame:
 
 
 def with_forces(flight: pd.DataFrame, model: Model) -> pd.DataFrame:
-    """The table with forces and moments as the model has them. Raises ConfigError for a model that lacks an axis."""
+    """The table with forces and moments as the model has them, and the specific force where it lacks that.
+
+    Raises ConfigError for a model that lacks an axis.
+    """
     lacking = [axis for axis in AXES if axis not in model.axes]
     if lacking:
         raise ConfigError(f"model {model.id} has no {lacking[0]}; identify all six axes to plan with it")
     own = model.predict_columns(flight)
-    return flight.assign(**{axis: own[axis].to_numpy() for axis in AXES})
+    flight = flight.assign(**{axis: own[axis].to_numpy() for axis in AXES})
+    if not {"ax", "ay", "az"} <= set(flight):
+        felt = flight[["Fx", "Fy", "Fz"]].to_numpy() / mass_of(model)
+        if not model.with_gravity:
+            turned = attitude.from_euler(*(flight[a].to_numpy(float) for a in ("roll", "pitch", "yaw")))
+            felt = felt - attitude.rotate_inverse(turned, GRAVITY * DOWN)
+        flight = flight.assign(**dict(zip(("ax", "ay", "az"), felt.T)))
+    return flight
 
 
 def _speeds(

@@ -27,6 +27,13 @@ def verdict_of(sight: Sight) -> str:
     return {"seen": "would be seen", "not seen": "not seen"}[sight.verdict]
 
 
+def word_of(sight: Sight) -> str:
+    """The verdict in a word or two; the rival stands beside it."""
+    if sight.absorbed or sight.taken:
+        return "taken up"
+    return {"seen": "seen", "tie": "tie", "not seen": "not seen"}[sight.verdict]
+
+
 def size_of(effect: Effect, sight: Sight) -> str:
     """The size of the least visible parameter with its name and unit."""
     unit = effect.parameters[sight.parameter].unit
@@ -193,7 +200,8 @@ def page(card: Card) -> str:
     about = (
         "Expected t: a cause's typical size over its standard error once the model's own terms, and what flights "
         "differ by anyway, are taken out; beside rival: with the most similar other cause taken out as well. "
-        f"At the t needed, nine of ten repeats of these flights would name it. Noise: {card.noise}."
+        f"At the t needed, nine of ten repeats of these flights would name it; taken up: the model's own terms can stand in for it. "
+        f"Noise: {card.noise}."
     )
     return report.page(
         "Flight card",
@@ -202,7 +210,11 @@ def page(card: Card) -> str:
         headline(card),
         [
             report.section(MORE, *proposals, report.paragraph(together(card)) if proposals else ""),
-            report.section("Causes", report.table(HEAD, [_cells(r) for r in card.rows]), report.paragraph(about)),
+            report.section(
+                "Causes",
+                report.table(HEAD, [[*_cells(r)[:-1], word_of(r.sight)] for r in card.rows]),
+                report.paragraph(about),
+            ),
             report.section("No manoeuvre of the library shows", report.sentences(hopeless(card))),
             report.section(
                 "Not judged", report.sentences(f"{name_of(n)}: {why}" for n, why in sorted(card.not_asked.items()))

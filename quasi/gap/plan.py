@@ -141,6 +141,13 @@ def examine(
     }
     if len({f.measured for f in flights}) > 1:
         card.notes.append("the flown flights' own forces are not used, for the others have not flown yet")
+    for one in evidence:
+        low = np.flatnonzero(one.columns["z"] > -model.airframe.radius)
+        if len(low):
+            card.notes.append(
+                f"{one.key}: the vehicle is less than a rotor's radius above the floor (z = 0) at t = "
+                f"{one.t[low[0]]:.1f} s; where it stands, ground effect and what is near the floor are not to be trusted"
+            )
     judges = [_wrench(flights, evidence, shares, model, asked, vehicle, rate / 3.0, noise, card)]
     for make in (_sensors, _drives):
         judge = make(flights, model, asked, rate / 3.0, card)

@@ -503,6 +503,25 @@ def test_a_flown_flight_is_judged_by_its_own_residual(folder):
         plan.read_flight(loud.assign(t=0.0), MODEL, "a")
 
 
+def test_a_simulation_feels_what_its_forces_say_and_the_floor_is_told():
+    """The specific force of a table without one is that of the path; for models of net forces, too."""
+    flight = follow(eight(15.0))
+    bare = flight.drop(columns=["ax", "ay", "az"])
+    for gravity in ("withGravity", "noGravity"):
+        model = model_of(gravity=gravity)
+        if gravity == "noGravity":  # a net force has the weight in it
+            bare = bare.drop(columns=list(AXES))
+        found = plan.read_flight(bare, model, "s", simulated=True).columns
+        down = attitude.rotate_inverse(
+            attitude.from_euler(*(flight[a].to_numpy() for a in ("roll", "pitch", "yaw"))),
+            np.array([0.0, 0.0, GRAVITY]),
+        )
+        felt = found[["Fx", "Fy", "Fz"]].to_numpy() / MASS - (down if gravity == "noGravity" else 0.0)
+        np.testing.assert_allclose(found[["ax", "ay", "az"]], felt)
+    notes = card_of(eight(15.0, height=0.02, size=0.05)).notes
+    assert "less than a rotor's radius above the floor" in notes[0]
+
+
 def test_flights_of_the_other_kind_of_forces_are_refused(folder):
     from quasi.gap.plan_input import flights_of
 
