@@ -200,7 +200,8 @@ def page(card: Card) -> str:
     about = (
         "Expected t: a cause's typical size over its standard error once the model's own terms, and what flights "
         "differ by anyway, are taken out; beside rival: with the most similar other cause taken out as well. "
-        f"At the t needed, nine of ten repeats of these flights would name it; taken up: the model's own terms can stand in for it. "
+        f"At the t needed, nine of ten repeats of these flights would name it; taken up: the model's own "
+        "terms can stand in for it. "
         f"Noise: {card.noise}."
     )
     return report.page(

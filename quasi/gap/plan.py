@@ -146,7 +146,7 @@ def examine(
         if len(low):
             card.notes.append(
                 f"{one.key}: the vehicle is less than a rotor's radius above the floor (z = 0) at t = "
-                f"{one.t[low[0]]:.1f} s; where it stands, ground effect and what is near the floor are not to be trusted"
+                f"{one.t[low[0]]:.1f} s; what is said of ground effect is not to be trusted there"
             )
     judges = [_wrench(flights, evidence, shares, model, asked, vehicle, rate / 3.0, noise, card)]
     for make in (_sensors, _drives):

@@ -1,0 +1,43 @@
+"""What a plan expects against what made flights measure: raw logs, synchronisation, filters, gusts and all."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+from hidden import affected, healthy_model, processed, references
+
+from quasi.gap import plan
+from quasi.gap.catalogue import catalogue
+from quasi.gap.effect import vehicle_of
+from quasi.gap.evidence import gather
+from quasi.gap.mixed import Offer
+from quasi.gap.study import gather_study
+
+CAUSE, PARAMETER = "tether", "k"
+
+
+@pytest.mark.workflow
+def test_a_made_flight_with_a_cause_of_expected_t_10_measures_about_10(tmp_path):
+    """Expected from four healthy flights with another four beside them; measured on four flights with the cause."""
+    model = healthy_model(tmp_path)
+    healthy = [f for _, f in references(tmp_path, 0)]
+    effects = {n: e for n, e in catalogue().items() if e.level == "W" and n != "proximity"}
+    flights = [plan.read_flight(f.filtered, model, f.key) for f in healthy]
+    card = plan.examine(flights, model, effects, 4, 4, propose=False)
+    sight = next(r.sight for r in card.rows if r.effect.id == CAUSE)
+    size = sight.size * 10.0 / sight.t
+    planted = [processed(r, True) for r in affected(tmp_path, 7, {CAUSE: {PARAMETER: size}}, 30.0)]
+    vehicle = vehicle_of(model)
+    evidence = [gather(f.key, f.filtered, f.filtered_metadata, f.airframe, model, 100.0) for f in [*planted, *healthy]]
+    study = gather_study(evidence, effects, vehicle)
+    flags = np.array([True] * 4 + [False] * 4)
+    pooled = [n for n in study.columns.causes if not effects[n].absorbed]
+    test = study.mixed(range(8), flags).test(Offer(CAUSE, "changed", (0,)), (), pooled)
+    print(
+        f"expected 10, measured {test.wald**0.5:.1f}; size {size:.3g}, found {test.value[0]:.3g} +- {test.std[0]:.2g}"
+    )
+    assert 5.0 < test.wald**0.5 < 20.0, told
