@@ -1,5 +1,7 @@
 """What no cause explains is found where it was planted, noise is nothing; and the polynomial of a cause's size."""
 
+import functools
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -46,9 +48,9 @@ def ground():
     )
 
 
-def flight(ground, seed, planted=None):
-    """A smooth random flight; planted(columns) -> (n, 6) is what the model does not know, beside coloured noise."""
-    airframe, model = ground
+@functools.cache
+def flown(seed):
+    """Columns and noise of a smooth random flight."""
     rng = np.random.default_rng(seed)
     columns = {"t": np.arange(ROWS) / RATE}
     sizes = {"u": 2.0, "v": 2.0, "w": 0.5, "p": 1.0, "q": 1.0, "r": 1.0, "roll": 0.2, "pitch": 0.2, "yaw": 1.5}
@@ -56,11 +58,22 @@ def flight(ground, seed, planted=None):
     columns |= {"x": smooth(rng, 1.5), "y": smooth(rng, 1.5), "z": -1.2 + smooth(rng, 0.4)}
     columns |= {f"w{i}": 2110.0 + smooth(rng, 80.0, 0.2) for i in range(1, 5)}
     columns |= {f"w{i}_dot": np.gradient(columns[f"w{i}"]) * RATE for i in range(1, 5)}
+    return columns, np.stack([smooth(rng, s, 0.02) for s in NOISE], axis=1)
 
+
+SLOPES: dict[int, dict] = {}  # of the model, which knows nothing of place and heading, by flight
+
+
+def flight(ground, seed, planted=None):
+    """A flight; planted(columns) -> (n, 6) is what the model does not know, beside coloured noise."""
+    airframe, model = ground
+    columns, noise = flown(seed)
+    columns = {name: values.copy() for name, values in columns.items()}
     predicted = model.predict_columns(pd.DataFrame(columns))[list(AXES)].to_numpy()
     wrong = planted(columns) if planted else np.zeros((ROWS, 6))
-    noise = np.stack([smooth(rng, s, 0.02) for s in NOISE], axis=1)
-    return Evidence(f"f{seed}", airframe, model, 0.433, airframe.inertia, columns, predicted + wrong + noise, predicted)
+    made = Evidence(f"f{seed}", airframe, model, 0.433, airframe.inertia, columns, predicted + wrong + noise, predicted)
+    made.__dict__["_slopes"] = SLOPES.setdefault(seed, {})
+    return made
 
 
 def only(k, values):
@@ -115,3 +128,64 @@ def test_a_polynomial_of_the_right_size_takes_away_what_is_one(ground):
     assert np.std(held.residual[:, 3]) > 0.02
     np.testing.assert_allclose(np.std(left[:, 3]), NOISE[3], rtol=0.2)
     np.testing.assert_array_equal(left[:, 0], held.residual[:, 0])
+
+
+def test_a_fan_is_found_at_its_place_in_the_room(ground):
+    def fan(c):
+        return only(2, -0.3 * np.exp(-((c["x"] - 1.2) ** 2 + (c["y"] + 0.8) ** 2)))
+
+    flights, held = [flight(ground, s, fan) for s in range(5)], [flight(ground, s, fan) for s in (90, 91)]
+    vehicle, floor = vehicle_of(ground[1]), np.full(6, np.inf)
+    said = search(flights, [True] * 5, held, [], lambda f: f.residual, floor, vehicle, 0.01, 0.05)[0]
+    assert (said[0]["channel"], said[0]["where"]) == ("Fz", "room place")
+    np.testing.assert_allclose(said[0]["mostly"][0], (1.2, -0.8), atol=0.6)
+
+
+def test_what_comes_loose_is_found_in_time(ground):
+    said = found(ground, lambda c: only(3, 3e-3 * (c["t"] > 20.0)), references=3)
+    assert (said[0]["channel"], said[0]["where"], said[0]["since"]) == ("Mx", "time", "changed")
+    assert said[0]["mostly"][0][0] == pytest.approx(20.0, abs=1.0)
+
+
+def test_a_pull_alike_everywhere_is_told_beside_reference_flights(ground):
+    said = found(ground, lambda c: only(1, np.full(ROWS, 0.4)), references=4)
+    assert [(u["channel"], u["where"], u["since"]) for u in said] == [("Fy", "everywhere", "changed")]
+
+
+def test_a_place_that_each_flight_had_to_itself_is_not_blamed(ground):
+    """Each flight turns once, to a heading of its own, and is off from then on by something of its own."""
+
+    def own(c):
+        rng = np.random.default_rng(int(1e6 * abs(c["u"][0])))
+        late = c["t"] > 20.0
+        c["yaw"][:] = 0.05 * c["yaw"] + np.where(late, rng.uniform(-3.0, 3.0), 0.0)
+        return only(5, np.where(late, rng.choice([-1.0, 1.0]) * 1e-3, 0.0))
+
+    assert not [u for u in found(ground, own, references=4) if u["where"] == "heading"]
+
+
+def test_a_held_out_flight_that_does_not_go_there_cannot_judge(ground):
+    def push(c):
+        return only(5, 4e-4 * c["x"])
+
+    def still(c):
+        c["x"][:] = 0.3
+        return push(c)
+
+    flights, held = [flight(ground, s, push if s > 3 else None) for s in range(8)], [flight(ground, 90, still)]
+    vehicle, floor = vehicle_of(ground[1]), np.full(6, np.inf)
+    compared = [s > 3 for s in range(8)]
+    said = search(flights, compared, held, [], lambda f: f.residual, floor, vehicle, 0.01, 0.05)[0]
+    assert [(u["channel"], u["where"], u["share"]) for u in said] == [("Mz", "room x", None)]
+
+
+def test_two_flights_are_enough(ground):
+    flights = [flight(ground, s, lambda c: only(5, 4e-4 * c["x"])) for s in (1, 2)]
+    held = [flight(ground, 90, lambda c: only(5, 4e-4 * c["x"]))]
+    vehicle, floor = vehicle_of(ground[1]), np.full(6, np.inf)
+    said, table = search(flights, [True] * 2, held, [], lambda f: f.residual, floor, vehicle, 0.01, 0.05)
+    assert (said[0]["channel"], said[0]["where"]) == ("Mz", "room x")
+    # the mean error in each cell is what was planted there, from each flight's mean
+    own = table[(table["channel"] == "Mz") & (table["where"] == "room x")]
+    slope = np.polyfit(own["middle"], own["mean"], 1)[0]
+    assert slope == pytest.approx(4e-4, rel=0.1) and np.corrcoef(own["mean"], own["fit"])[0, 1] > 0.98
