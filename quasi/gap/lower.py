@@ -19,6 +19,7 @@ UNITS = {
     "Fz": "N", "Mx": "N m", "My": "N m", "Mz": "N m", "w1": "rad/s", "w2": "rad/s", "w3": "rad/s", "w4": "rad/s",
     "height": "m", "speed": "m/s", "volts": "V", "frequency": "Hz", "rotor": "rad/s", "heading": "rad", "time": "s",
     "position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s", "horizon": "s", "start": "s", "room": "m",
+    "roll_rate": "rad/s", "pitch_rate": "rad/s", "yaw_rate": "rad/s",
 }  # fmt: skip
 
 
