@@ -42,6 +42,7 @@ from hidden import (
 )
 from study import run
 
+from quasi.errors import DataError
 from quasi.gap import lower
 from quasi.gap.calibration import for_flight
 from quasi.gap.catalogue import catalogue
@@ -76,7 +77,10 @@ def draw(settings: dict[str, Any], seconds: float = 30.0, folder: Path = OUT) ->
     model = healthy_model(folder / "healthy")
     with tempfile.TemporaryDirectory() as raw:
         recorded = affected(Path(raw), seed, hidden["effects"], seconds)
-        flown = [processed(r, True) for r in recorded]
+        try:
+            flown = [processed(r, True) for r in recorded]
+        except DataError as error:  # the vehicle was lost, or its log cannot be read
+            return {**hidden, "outcome": "lost", "why": str(error), "sizes": {}, "seconds": {"whole": 0.0}}
         healthy = references if hidden["design"] == "reference" else trained
         made = time.perf_counter() - begin
         # the first flight has manoeuvres of every kind: what is material shows there
@@ -213,6 +217,8 @@ def wilson(k: int, n: int, z: float = 1.96) -> tuple[float, float]:
 def page(results: Sequence[Mapping[str, Any]]) -> str:
     """The table of all draws in Markdown."""
     seeds = [r["settings"]["seed"] for r in results]
+    lost = [r for r in results if r["outcome"] == "lost"]
+    results = [r for r in results if r["outcome"] != "lost"]
     absent = sorted(set(range(min(seeds), max(seeds) + 1)) - set(seeds))
     missing = f"not drawn yet: {', '.join(map(str, absent))}" if absent else "none left out"
     median = float(np.median([r["seconds"]["whole"] for r in results]))
@@ -221,7 +227,7 @@ def page(results: Sequence[Mapping[str, Any]]) -> str:
         "Causes drawn from a seed are hidden in made flights; raw logs are imported and filtered, all levels asked,",
         "and only then are the names compared with the truth. Made by `python benchmarks/hide_and_seek.py --table`.",
         "",
-        f"{len(results)} draws, seeds {min(seeds)} to {max(seeds)}, {missing}; median {median:.0f} s per draw.", "",
+        f"{len(seeds)} draws, seeds {min(seeds)} to {max(seeds)}, {missing}; median {median:.0f} s per draw.", "",
         "| draws | right | of | share | 95 % interval | to reach | a wrong name |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]  # fmt: skip
@@ -252,6 +258,11 @@ def page(results: Sequence[Mapping[str, Any]]) -> str:
             told = ", ".join(f"{w} {n}" for w, n in sorted(said.items(), key=lambda item: -item[1]))
             lines.append(f"| {name} | {len(own)} | {sum(r['outcome'] == 'hit' for r in own)} | {told} |")
     lines += _smallest(results)
+    if lost:
+        lines += ["", "## Flights that could not be read", "",
+                  "The vehicle was lost, or its log could not be tied to the capture; these are in no table above.", "",
+                  "| seed | hidden | why |", "| --- | --- | --- |"]  # fmt: skip
+        lines += [f"| {r['settings']['seed']} | {', '.join(r['effects']) or 'nothing'} | {r['why']} |" for r in lost]
     lines += ["", "## Every draw that was not right", "",
               "| seed | design | hidden | times typical | detectability | separability | said |",
               "| --- | --- | --- | --- | --- | --- | --- |"]  # fmt: skip
@@ -297,7 +308,8 @@ def main() -> None:
     arguments = parser.parse_args()
     folder = arguments.out / "draws"
     if arguments.table:
-        results = [{**r, **judge(r)} for r in (read_json(p) for p in sorted(folder.glob("*.json")))]
+        read = [read_json(p) for p in sorted(folder.glob("*.json"))]
+        results = [{**r, **judge(r)} if r["outcome"] != "lost" else r for r in read]
     else:
         many = [{"seed": arguments.first + k} for k in range(arguments.draws)]
         results = run(many, lambda s: draw(s, folder=arguments.out), folder, Path(__file__))
