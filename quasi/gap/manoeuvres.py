@@ -124,8 +124,11 @@ def _heave(model: Model, start: np.ndarray, yaw: float, size: float) -> Made:
         up += [span * np.sin(1.5 * np.arange(n) / RATE) * grow, _still(0.5)]
     way = np.concatenate([_still(REST), *up])
     place = start - [0.0, 0.0, max(0.0, rates[1] / 1.5 + 0.5 + start[2])]
-    text = f"sines up and down at 1.5 rad/s, {rates[0]:.2g} and {rates[1]:.2g} m/s at most, {len(way) / RATE:.0f} s"
-    return "vertical sines", text, _flown(model, place, yaw, -way[:, None] * [0, 0, 1.0], 0.0 * way, "vertical sines")
+    flight = _flown(model, place, yaw, -way[:, None] * [0, 0, 1.0], 0.0 * way, "vertical sines")
+    half = len(up[0])
+    most = [float(flight["w"].abs()[part].max()) for part in (slice(None, half), slice(half, None))]
+    text = f"sines up and down at 1.5 rad/s, {most[0]:.2g} and {most[1]:.2g} m/s at most, {len(way) / RATE:.0f} s"
+    return "vertical sines", text, flight
 
 
 def _descents(model: Model, start: np.ndarray, yaw: float, size: float) -> Made:
