@@ -10,51 +10,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
 
 from quasi.gap import rhythm
 from quasi.gap.catalogue import beyond_slope, columns_of
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.gain import fraction, wrench_score
-from quasi.gap.mixed import Columns, Mixed, Offer, Test, marginal
-from quasi.gap.places import EVERYWHERE, OWN, Basis, Choice, basis_of
-from quasi.gap.study import BAND, BLOCK, LIGHT, ORDER, Study, base_columns, gather_study, refit
+from quasi.gap.mixed import Offer, Test, marginal
+from quasi.gap.places import EVERYWHERE, OWN, Basis
+from quasi.gap.smooth import Cause, Grounds, Place, grounds_of, mixed_of, select, tested
+from quasi.gap.study import LIGHT, base_columns, refit
 from quasi.gap.whereabouts import profile, whereabouts
-from quasi.gap.whitening import thin, whiten
+from quasi.gap.whitening import whiten
 from quasi.standalone.model import AXES
 
-MOST = 6
 LEAST = 0.1  # of the squared error, below which nothing is left to be removed
 BESIDE = 0.3  # of the power along its first axis that a peak has along another one where that is told too
 AGAIN = 0.5  # of what other flights tell that a flight must show
 VISITED = 0.3  # share of the function's usual size below which a held-out flight cannot judge it
-Cause = tuple[Effect, Offer, Mapping[str, float]]
-
-
-class Place(NamedTuple):
-    """A smooth function offered to one channel of all flights ("always") or of the compared ones ("changed")."""
-
-    channel: int
-    choice: Choice
-    since: str
-
-    @property
-    def name(self) -> str:
-        """Unique."""
-        return f"{AXES[self.channel]} along {self.choice.where} {self.choice.which}"
-
-
-class Grounds(NamedTuple):
-    """What the tests work on: cross-products of the model's terms, nuisances, causes and smooth functions.
-
-    parts  per flight (K, 6, P, P): of each stretch and channel, whitened; the study's columns first, then the basis
-    """
-
-    study: Study
-    basis: Basis
-    parts: list[np.ndarray]
-    thinned: list[np.ndarray]  # per flight (m, L): the basis in the band of the analysis
 
 
 def search(
@@ -74,14 +47,14 @@ def search(
     of the extended model; floor (6,) mean squares; rate  family-wise false alarm rate, half of it for places, half for
     frequencies; share  least material one
     """
-    grounds = _grounds(flights, causes, vehicle)
+    grounds = grounds_of(flights, causes, vehicle)
     given = [offer for _, offer, _ in causes]
-    found = _found(grounds, compared, given, 0.5 * rate)
+    found = select(grounds, compared, given, 0.5 * rate)
     joint = _joint(grounds, compared, causes, found)
     found = [(p, t) for p, t in found if _comes_again(grounds, compared, given, joint, p)]
     joint = _joint(grounds, compared, causes, found)
     lines = rhythm.search(_signals(grounds, joint, flights), compared, 0.5 * rate)
-    judge = _grounds(held, causes, vehicle, grounds)
+    judge = grounds_of(held, causes, vehicle, grounds)
     whole = wrench_score(held, left).mean()
     said: list[dict[str, Any]] = []
 
@@ -156,10 +129,6 @@ class Joint(NamedTuple):
     basis: Basis
 
 
-def _curved(causes: Sequence[Cause]) -> dict[str, Mapping[str, float]]:
-    return {e.id: v for e, _, v in causes if e.bends}
-
-
 def _joint(
     grounds: Grounds, compared: Sequence[bool], causes: Sequence[Cause], found: Sequence[tuple[Place, Test]]
 ) -> Joint:
@@ -169,7 +138,7 @@ def _joint(
     for effect, offer, values in causes:
         own = {effect.fitted[k]: values[effect.fitted[k]] for k in offer.which if effect.fitted[k] in values}
         if not own:
-            test = _mixed(grounds, compared, given, []).test(offer, [g for g in given if g != offer])
+            test = mixed_of(grounds, compared, given, []).test(offer, [g for g in given if g != offer])
             own = {effect.fitted[k]: float(v) for k, v in zip(offer.which, test.value)}
         fitted.append((effect, offer, values, own))
     functions = [(p, t.value) for p, t in found]
@@ -245,7 +214,7 @@ def _comes_again(
     for out in np.flatnonzero(compared):
         keep = [k for k in range(len(compared)) if k != out]
         fewer, flags = grounds._replace(parts=[grounds.parts[k] for k in keep]), [compared[k] for k in keep]
-        value = _tested(fewer, flags, given, others, place).value
+        value = tested(fewer, flags, given, others, place).value
         told = joint._replace(functions=[(p, value if p == place else v) for p, v in joint.functions])
         slope, weight = _slope(fewer, flags, [grounds.parts[out]], told, place)
         slopes.append(slope)
@@ -300,155 +269,3 @@ def _sizes(
     usual = np.mean([measure(b[:, which] @ value) for b, flag in zip(grounds.thinned, compared) if flag])
     here = np.mean([measure(grounds.basis.functions(f)[:, which] @ value) for f in held])
     return float(np.sqrt(usual)), float(np.sqrt(here))
-
-
-def _grounds(
-    flights: Sequence[Evidence], causes: Sequence[Cause], vehicle: Vehicle, like: Grounds | None = None
-) -> Grounds:
-    """like  those whose functions and noise are taken over: held-out flights choose neither."""
-    effects = {e.id: e for e, *_ in causes}
-    study = gather_study(flights, effects, vehicle, _curved(causes))
-    if like is not None:
-        study = study._replace(whitener=like.study.whitener)
-    basis = basis_of(flights) if like is None else like.basis
-    parts, thinned = [], []
-    for flight, part in zip(flights, study.thinned):
-        functions = thin(basis.functions(flight)[:, None], flight.breaks, flight.t, BAND, 2 * ORDER).columns[:, 0]
-        thinned.append(functions)
-        columns = np.concatenate(
-            [part.columns, np.broadcast_to(functions[:, None], (len(functions), 6, functions.shape[1]))], axis=2
-        )
-        white, rows = whiten(columns, part.breaks, study.whitener)
-        number = ((flight.t[part.rows][rows] - flight.t[part.rows][rows[0]]) / BLOCK).astype(int)
-        white = white.transpose(1, 0, 2)
-        blocks = [w.transpose(0, 2, 1) @ w for w in (white[:, number == n] for n in np.unique(number))]
-        parts.append(np.array(blocks))
-    return Grounds(study, basis, parts, thinned)
-
-
-def _mixed(grounds: Grounds, compared: Sequence[bool], given: Sequence[Offer], places: Sequence[Place]) -> Mixed:
-    """The mixed model with nothing but what is given and some smooth functions, a matter of small matrices."""
-    layout, size = grounds.study.columns, len(grounds.study.names)
-    names = dict.fromkeys(g.cause for g in given)
-    use = [0, *layout.shared, *layout.nuisance, *(c for n in names for c in layout.causes[n])]
-    place = {c: i for i, c in enumerate(use)}
-    causes = {n: [place[c] for c in layout.causes[n]] for n in names}
-    at = len(use)
-    for p in places:
-        causes[p.name] = list(range(at, at + len(p.choice.which)))
-        at += len(p.choice.which)
-    grams = []
-    for part in grounds.parts:
-        gram = np.zeros((len(part), at, at))
-        gram[:, : len(use), : len(use)] = part[:, :, use][:, :, :, use].sum(axis=1)
-        for p in places:
-            own, source = causes[p.name], [size + k for k in p.choice.which]
-            cross = part[:, p.channel][:, use][:, :, source]
-            gram[:, : len(use), own[0] : own[-1] + 1] = cross
-            gram[:, own[0] : own[-1] + 1, : len(use)] = cross.transpose(0, 2, 1)
-            for q in places:
-                if q.channel == p.channel:
-                    other, beside = causes[q.name], [size + k for k in q.choice.which]
-                    gram[:, own[0] : own[-1] + 1, other[0] : other[-1] + 1] = part[:, p.channel][:, source][
-                        :, :, beside
-                    ]
-        grams.append(gram)
-    return Mixed(
-        grams,
-        compared,
-        Columns([place[c] for c in layout.shared], [place[c] for c in layout.nuisance], layout.spread, causes),
-    )
-
-
-def _offer(place: Place) -> Offer:
-    return Offer(place.name, place.since, tuple(range(len(place.choice.which))))
-
-
-def _tested(
-    grounds: Grounds, compared: Sequence[bool], given: Sequence[Offer], others: Sequence[Place], place: Place
-) -> Test:
-    mixed = _mixed(grounds, compared, given, [*others, place])
-    # the functions of a place share one spread, which is known as many times better
-    mixed.freedom *= len(place.choice.which)
-    pooled = [place.name] if place.since == "changed" else []
-    return mixed.test(_offer(place), [*given, *(_offer(o) for o in others)], pooled)
-
-
-def _found(grounds: Grounds, compared: Sequence[bool], given: Sequence[Offer], rate: float) -> list[tuple[Place, Test]]:
-    """Forward selection with backward removal at a family-wise rate; first what changed, then what all have alike."""
-    stages = ["always"] if all(compared) else ["changed", "always"]
-    choices = [(k, choice) for k in range(6) for choice in grounds.basis.choices]
-    level = rate / max(len(stages) * len(choices), 1)
-    found: list[Place] = []
-    for since in stages:
-        while len(found) < MOST:
-            taken = {(p.channel, p.choice.where) for p in found}
-            offered = [Place(k, c, since) for k, c in choices if (k, c.where) not in taken]
-            certain = _certain(grounds, compared, given, found, offered)
-            open_ = sorted((p for p in offered if certain[p] < level), key=certain.get)
-            tests = [(p, _tested(grounds, compared, given, found, p)) for p in open_]
-            best = min(tests, key=lambda pair: pair[1].p, default=None)
-            if best is None or best[1].p >= level:
-                break
-            found.append(best[0])
-    while True:
-        tests = [(p, _tested(grounds, compared, given, [f for f in found if f != p], p)) for p in found]
-        weak = max(tests, key=lambda pair: pair[1].p, default=None)
-        if weak is None or weak[1].p < level:
-            return tests
-        found.remove(weak[0])
-
-
-def _certain(
-    grounds: Grounds, compared: Sequence[bool], given: Sequence[Offer], found: Sequence[Place], offered: Sequence[Place]
-) -> dict[Place, float]:
-    """Probability of nothing of each offer if flights did not differ: a lower bound, so that few need the full test."""
-    layout, size = grounds.study.columns, len(grounds.study.names)
-    base = [*layout.shared]
-    alike = [*base, *(layout.causes[g.cause][k] for g in given if g.since == "always" for k in g.which)]
-    new = [layout.causes[g.cause][k] for g in given if g.since == "changed" for k in g.which]
-    result = {}
-    for channel in dict.fromkeys(p.channel for p in offered):
-        beside = [p for p in found if p.channel == channel]
-        width = grounds.parts[0].shape[-1] - size
-        for since in dict.fromkeys(p.since for p in offered):
-            total = 0.0
-            for part, flag in zip(grounds.parts, compared):
-                summed = part.sum(axis=0)
-                gram = np.zeros((size + width, size + width))
-                gram[:size, :size] = summed[:, :size, :size].sum(axis=0)
-                gram[size:, :] = summed[channel][size:, :]
-                gram[:, size:] = summed[channel][:, size:]
-                gram = marginal(gram, layout.nuisance, layout.spread)
-                use = [0, *alike, *new, *(size + k for k in range(width))]
-                whole = gram[np.ix_(use, use)]
-                if not flag:
-                    off = slice(1 + len(alike), 1 + len(alike) + len(new))
-                    whole[off, :] = whole[:, off] = 0.0
-                # the functions twice: of all flights, and of the compared ones alone
-                own = slice(1 + len(alike) + len(new), None)
-                again = whole[:, own] * flag
-                corner = whole[own, own] * flag
-                total = total + np.block([[whole, again], [again.T, corner]])
-            scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
-            total = total / np.outer(scale, scale)
-            start = 1 + len(alike) + len(new)
-            known = list(range(1, start))
-            for p in beside:
-                shift = width if p.since == "changed" else 0
-                known += [start + k + shift for k in p.choice.which]
-            for p in offered:
-                if p.channel != channel or p.since != since:
-                    continue
-                shift = width if since == "changed" else 0
-                pooled = [start + k for k in p.choice.which] if since == "changed" else []
-                fixed = list(dict.fromkeys([*known, *pooled]))
-                own = [c for c in (start + k + shift for k in p.choice.which) if c not in fixed]
-                inner = total[np.ix_(fixed, fixed)] + 1e-9 * np.eye(len(fixed))
-                use = [0, *own]
-                rest = total[np.ix_(use, use)] - total[np.ix_(use, fixed)] @ np.linalg.solve(
-                    inner, total[np.ix_(fixed, use)]
-                )
-                gain = rest[0, 1:] @ np.linalg.solve(rest[1:, 1:] + 1e-9 * np.eye(len(own)), rest[1:, 0])
-                result[p] = float(chi2.sf(gain * scale[0] ** 2, len(own)))
-    return result
