@@ -142,6 +142,7 @@ class Effect:
     extension     (values, vehicle, model) -> Extension, where terms do not say it
     parts         how parameters may be found: "any" one alone or all; "all" only together; "first" the first few
     scan          {parameter: values}: parameters that shape the columns and are searched over
+    indistinct    ids that differ from it by so little that a model's own errors would decide: always a tie with them
     absorbed      whether the model's own terms can mimic it exactly, so that only a change between flights shows it
     finding       a stated finding, never fitted
     """
@@ -162,6 +163,7 @@ class Effect:
     extension: Callable[[Values, Vehicle, Model], Extension] | None = None
     scan: dict[str, tuple[float, ...]] = field(default_factory=dict)
     parts: str = "any"
+    indistinct: tuple[str, ...] = ()
     absorbed: bool = False
     finding: bool = False
 

@@ -84,7 +84,7 @@ def search(
         ]
         if not open_:
             break
-        best, rivals, tie = _dominant(mixed, open_[:RIVALS], given, pooled, level)
+        best, rivals, tie = _dominant(mixed, open_[:RIVALS], given, pooled, level, effects)
         if tie is not None:
             # a further parameter of a cause that is there anyway needs no new cause
             more = next((t for t in tie.tests if any(g.cause == t.offer.cause for g in found)), None)
@@ -130,8 +130,9 @@ def _leads(test: Test, effects: Mapping[str, Effect]) -> bool:
 
 
 def _dominant(
-    mixed: Mixed, tests: Sequence[Test], given: Sequence[Offer], pooled: Sequence[str], level: float
-) -> tuple[Test | None, list[Rival], Tie | None]:
+    mixed: Mixed, tests: Sequence[Test], given: Sequence[Offer], pooled: Sequence[str], level: float,
+    effects: Mapping[str, Effect],
+) -> tuple[Test | None, list[Rival], Tie | None]:  # fmt: skip
     """The cause that explains the others away, or the tie of those that explain each other away."""
     beside = {
         (a.offer, b.offer): mixed.test(a.offer, [*given, b.offer], pooled) for a in tests for b in tests if a is not b
@@ -156,11 +157,14 @@ def _dominant(
     equal = [
         b
         for b in others
-        if not stands(best, b)
-        and not (
-            len(b.offer.which) > len(best.offer.which)
-            and not stands(b, best)
-            and mixed.spans(b.offer, best.offer, given)
+        if b.offer.cause in effects[best.offer.cause].indistinct
+        or (
+            not stands(best, b)
+            and not (
+                len(b.offer.which) > len(best.offer.which)
+                and not stands(b, best)
+                and mixed.spans(b.offer, best.offer, given)
+            )
         )
     ]
     if equal:

@@ -7,6 +7,7 @@ is mostly the form of the terms.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,8 +19,9 @@ from quasi.gap.gain import Score, before, fraction, wrench_score
 from quasi.gap.mixed import Test
 from quasi.standalone.model import AXES
 
+MOST_WEIGHED = 5  # causes of which every selection is tried
 EXCITED = 0.25  # of its strength in the compared flights, that a held-out one must show to be judged by
-SMALL = {"changed": 0.01, "always": 0.1}  # least share of a channel's error that counts as removable
+SMALL = {"changed": 0.01, "spoken of": 0.1, "always": 0.25}  # least share of a channel's error that counts as removable
 Deviations = dict[str, float]
 
 
@@ -88,6 +90,34 @@ def material(
     return kept, [c for c in causes if c not in kept], [c for c in unjudged if c in kept]
 
 
+def simplest(
+    causes: Sequence[Cause],
+    estimated: Callable[[Sequence[Cause]], list[Cause]],
+    score: Callable[[Sequence[Cause]], Judged],
+    old: Score,
+    floor: np.ndarray,
+    share: float,
+) -> list[Cause]:
+    """The fewest of the causes that leave less than `share` of the removable error more than all of them do.
+
+    Two causes that mend each other's mistakes are needed both as long as both are there.
+    estimated  some causes -> the same with their parameters found without the others; score  of held-out flights
+    """
+    if not 1 < len(causes) <= MOST_WEIGHED:
+        return list(causes)
+    removable, whole = _removable(old, floor, "spoken of"), score(causes).errors.mean()
+    for size in range(1, len(causes)):
+        tried = [estimated(some) for some in combinations(causes, size)]
+        losses = [float(((score(some).errors.mean() - whole) / removable).max()) for some in tried]
+        if min(losses) < share:
+            best = tried[int(np.argmin(losses))]
+            before = {c.effect.id: c for c in causes}
+            for cause in best:
+                cause.gain, cause.probability = before[cause.effect.id].gain, before[cause.effect.id].probability
+            return best
+    return list(causes)
+
+
 def _common(
     causes: list[Cause], beside: list[Cause], score: Callable[[Sequence[Cause], bool], Judged], old: Score,
     floor: np.ndarray, share: float,
@@ -128,6 +158,6 @@ def _seen_in(effect: Effect) -> list[int]:
 
 
 def _removable(old: Score, floor: np.ndarray, since: str) -> np.ndarray:
-    """Error (6,) above the floor; infinite where that is too small a part to speak of, for what all flights have."""
+    """Error (6,) above the floor; infinite where that is too small a part to speak of, but for single changes."""
     gone, small = np.maximum(old.mean() - floor, 0.0), SMALL[since] * old.mean()
-    return np.where(gone > small, gone, np.inf if since == "always" else small)
+    return np.where(gone > small, gone, small if since == "changed" else np.inf)

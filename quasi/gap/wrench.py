@@ -15,12 +15,13 @@ from quasi.gap.gain import Likelihood, Score, after, before, wrench_score
 from quasi.gap.mixed import Mixed, Offer, Test
 from quasi.gap.naming import Named, Tie, search
 from quasi.gap.study import Study, base_columns, gather_study, in_stretches, moved, refit
-from quasi.gap.worth import EXCITED, Cause, Deviations, Judged, material, strength
+from quasi.gap.worth import EXCITED, Cause, Deviations, Judged, material, simplest, strength
 from quasi.standalone.model import AXES, Model
 
 LOOKS = 3  # how often curved causes are linearised anew
 RIDGES = (1e-3, 1e-2, 1e-1)  # of fits of everything at once, on scaled columns
 COMMON = 0.2  # share of the false alarm rate for what reference and compared flights have in common
+KNOWN = 0.02  # share to which the vehicle's constants are known, of which columns are made: thrust, hubs, own drag
 DRAWS = 40  # resamples of the flights' blocks
 
 
@@ -112,7 +113,18 @@ def examine(
     kept, immaterial, unjudged = material([*causes, *stand_ins], score, excited, old, floor, share)
     ties = [(since, tie) for since, tie in ties if any(c in kept for c in stand_ins if _stands_for(c, since, tie))]
     immaterial = [c for c in immaterial if not any(_stands_for(c, *tie) for tie in ties)]
-    kept = [c for c in kept if c not in stand_ins]
+    beside = [c for c in kept if c in stand_ins or c.since == "always"]
+
+    def estimated(of: Sequence[Cause]) -> list[Cause]:
+        offers = [_given([], ties), [c.test.offer for c in (*of, *beside)]]
+        again = [Named(c.test, c.rivals) for c in of]
+        return _merged(again, asked, mixed, [o for part in offers for o in part])
+
+    changed = [c for c in kept if c.since == "changed" and c not in stand_ins]
+    fewer = simplest(changed, estimated, lambda of: score([*beside, *of], any(c.since == "always" for c in beside)),
+                     old, floor, share)  # fmt: skip
+    immaterial += [c for c in changed if not any(c.effect.id == f.effect.id for f in fewer)]
+    kept = sorted([*fewer, *(c for c in beside if c not in stand_ins)], key=lambda c: c.test.p)
     extended = made(kept, name, any(c.since == "always" for c in kept))
     new = wrench_score(held, after(Model(extended, name), model))
     scores = {"before": old.mean(), "after": new.mean(), "noise_floor": np.minimum(floor, new.mean())}
@@ -169,7 +181,7 @@ def _merged(named: Sequence[Named], asked: Mapping[str, Effect], mixed: Mixed, g
                 asked[cause],
                 since,
                 dict(zip(names, map(float, test.value))),
-                dict(zip(names, map(float, test.std))),
+                dict(zip(names, map(float, np.hypot(test.std, KNOWN * test.value)))),
                 test,
                 rivals[cause, since],
             )

@@ -69,7 +69,7 @@ def said(truth, names=(), ties=(), design="reference", kind="single", everywhere
     tied = [{"ids": list(t), **about} for t in ties]
     verdict = "explained" if effects else "partly explained" if tied else "agrees"
     return {"kind": kind, "design": design, "effects": truth, "unexplained": [], "effects said": effects, "ties": tied,
-            "verdict": verdict}  # fmt: skip
+            "verdict": verdict, "sizes": {}}  # fmt: skip
 
 
 def heavier(value, std):
@@ -88,6 +88,8 @@ def test_a_swapped_truth_turns_a_hit_into_a_wrong_name():
 def test_the_judge_knows_ties_misses_and_what_the_model_lacks():
     truth = {"wind": {"north": 1.0, "east": 0.0}}
     assert judge(said(truth, ties=[("wind", "tether")]))["outcome"] == "hit"
+    told_apart = {**said(truth, ties=[("wind", "tether")]), "sizes": {"wind": {"separability": 20.0}}}
+    assert judge(told_apart)["outcome"] == "missed"
     assert judge(said(truth, ties=[("mass", "tether")]))["outcome"] == "tied elsewhere"
     assert judge(said(truth))["outcome"] == "missed"
     assert judge(said(truth, [("wind", {}), ("mass", {})]))["outcome"] == "extra"

@@ -28,5 +28,6 @@ EFFECT = Effect(
     tie_breaker="a tachometer, or the vibration line against the logged speed",
     columns=_columns,
     extension=_extension,
+    indistinct=("thrust_factor",),
     absorbed=True,
 )

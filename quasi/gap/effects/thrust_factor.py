@@ -20,5 +20,6 @@ EFFECT = Effect(
     rivals=("mass", "rotor_speed_scale", "accelerometer_scale"),
     tie_breaker="roll and pitch doublets: a mass leaves their effectiveness alone",
     terms=_terms,
+    indistinct=("rotor_speed_scale",),
     absorbed=True,
 )
