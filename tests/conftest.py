@@ -1,5 +1,9 @@
 """Tests run on two cores: whole files stay together, and so do all that share the workflow's made project."""
 
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # many small matrices: threads of a linear algebra library would only wait
+
 import pytest
 
 OWN_PROJECT = {"test_hide_and_seek.py"}  # makes what it needs itself

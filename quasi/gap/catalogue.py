@@ -61,7 +61,8 @@ def columns_of(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Val
     values  deviations from neutral to linearise at; only curved effects ask for them
     Raises DataError or ExpressionError where the flight lacks a column.
     """
-    if effect.bends and any(values.get(n, 0.0) for n in effect.parameters):
+    values = dict.fromkeys(effect.parameters, 0.0) | dict(values)
+    if effect.bends and any(values.values()):
         return {name: _slope(effect, evidence, vehicle, values, name) for name in effect.fitted}
     if effect.columns is not None:
         return effect.columns(evidence, values)

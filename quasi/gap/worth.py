@@ -78,9 +78,11 @@ def material(
         for cause in kept:
             without = score([c for c in kept if c is not cause], False)
             cause.gain = fraction(without.errors, whole.errors, floor)
-            gone = without.errors.mean() - whole.errors.mean()
-            part = float((gone / _removable(old, floor, "changed"))[_seen_in(cause.effect)].max())
-            worth.append(part if without.unlikely > whole.unlikely else min(part, 0.0))
+            first, last, own = without.errors.mean(), whole.errors.mean(), _seen_in(cause.effect)
+            part = float(((first - last) / _removable(old, floor, "changed"))[own].max())
+            # a form that is not quite right may make a flight less likely although it takes the error away
+            better = without.unlikely > whole.unlikely or np.log(last / first)[own].sum() < 0.0
+            worth.append(part if better else min(part, 0.0))
         poor = [w if c not in unjudged else np.inf for c, w in zip(kept, worth)]
         if min(poor) >= share:
             break
