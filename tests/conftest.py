@@ -2,7 +2,7 @@
 
 import os
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # many small matrices: threads of a linear algebra library would only wait
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # many small matrices: more threads would only wait
 
 import pytest
 
