@@ -16,6 +16,7 @@ from quasi.gap import plan_lower, plan_noise
 from quasi.gap.effect import Effect, Room, Vehicle, vehicle_of
 from quasi.gap.evidence import NEEDED, Evidence, gather
 from quasi.gap.flatness import planned, read_plan, with_forces
+from quasi.gap.lower import SEARCHES
 from quasi.gap.manoeuvres import Manoeuvre, library
 from quasi.gap.outlook import Outlook, Repeated, Row, Sight
 from quasi.gap.study import BLOCK, ORDER, Study, gather_study, in_stretches
@@ -116,7 +117,7 @@ def examine(
     """Make the card.
 
     flights    flown in turn until there are `compared` ones that may hold a cause, and `reference` ones believed clean
-    rate       false alarm rate of the diagnosis, a third each for the levels K, A and W
+    rate       false alarm rate of the diagnosis, shared as `lower` has it
     noise      whitener of what is left of forces and moments and a sentence on it; without one, of the flights'
                own residuals where all are measured, else the usual one
     metadata   of the flights as processed: "mass", "inertia"
@@ -148,9 +149,9 @@ def examine(
                 f"{one.key}: the vehicle is less than a rotor's radius above the floor (z = 0) at t = "
                 f"{one.t[low[0]]:.1f} s; what is said of ground effect is not to be trusted there"
             )
-    judges = [_wrench(flights, evidence, shares, model, asked, vehicle, rate / 3.0, noise, card)]
+    judges = [_wrench(flights, evidence, shares, model, asked, vehicle, rate / SEARCHES, noise, card)]
     for make in (_sensors, _drives):
-        judge = make(flights, model, asked, rate / 3.0, card)
+        judge = make(flights, model, asked, rate / SEARCHES, card)
         judges += [judge] if judge else []
     rows = [row for judge in judges for row in _rows(_look(judge, shares, []), judge.effects, vehicle)]
     card.rows = _sorted(plan_lower.told_by_motion(rows))
