@@ -12,6 +12,7 @@ from quasi.gap.calibration import CORRECTS
 from quasi.gap.catalogue import catalogue, chosen, columns_of, wrench_of
 from quasi.gap.effect import Effect, Parameter, room_of, vehicle_of
 from quasi.gap.evidence import Evidence
+from quasi.gap.inflow import overshoot
 from quasi.standalone.build import assemble
 from quasi.standalone.model import AXES, Model
 from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
@@ -220,6 +221,35 @@ def test_inflow_that_lags_makes_thrust_overshoot_as_the_physics_say(ground):
     surplus = -gain * behind  # of one rotor
     vehicle = vehicle_of(model, 0.433)
     assert vehicle.inflow * speed * rate * tau == pytest.approx(surplus, rel=0.35)
+
+
+def test_late_inflow_overshoots_as_a_plain_integration_of_its_lag(ground):
+    """Squares of rotor speed less what a first-order lag makes of them, step by step."""
+    airframe, _, model = ground
+    lag, gain = 0.03, 2e-8
+    t = 0.01 * np.arange(120)
+    t[60:] += 0.5  # a gap
+    speeds = 2000.0 + 300.0 * np.sin(np.outer(t, [9.0, 14.0, 20.0, 31.0]))
+    dots = 300.0 * np.array([9.0, 14.0, 20.0, 31.0]) * np.cos(np.outer(t, [9.0, 14.0, 20.0, 31.0]))
+    columns = {"t": t} | {f"w{i + 1}": speeds[:, i] for i in range(4)} | {f"w{i + 1}_dot": dots[:, i] for i in range(4)}
+    nothing = np.zeros((len(t), 6))
+    evidence = Evidence("a", airframe, model, 0.433, np.asarray(airframe.inertia), columns, nothing, nothing)
+    late = np.empty_like(evidence.speeds)
+    late[0] = evidence.speeds[0] ** 2
+    step = float(np.median(np.diff(evidence.t)))
+    fine = 200
+    for k in range(1, len(evidence)):
+        state = late[k - 1].copy()
+        for j in range(fine):
+            share = (j + 0.5) / fine
+            target = (1.0 - share) * evidence.speeds[k - 1] ** 2 + share * evidence.speeds[k] ** 2
+            state += step / fine * (target - state) / lag
+        late[k] = speeds[k] ** 2 if evidence.breaks[k] else state
+    expected = evidence.upward(0.5 * gain * (evidence.speeds**2 - late))
+    np.testing.assert_allclose(overshoot(evidence, gain, lag), expected, atol=1e-3 * np.abs(expected).max())
+    small = overshoot(evidence, gain, 4.9e-4)
+    first = evidence.upward(gain * 4.9e-4 * evidence.speeds * evidence.spin_up)
+    np.testing.assert_allclose(small, first)
 
 
 def test_the_catalogue_is_complete():

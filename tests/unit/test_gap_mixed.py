@@ -1,5 +1,7 @@
 """Mixed models on cross-products against a plain solution, against known truths, and when nothing is there."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -102,6 +104,40 @@ def test_causes_that_the_data_cannot_split_are_a_tie():
     assert not names.named
     assert {t.offer.cause for t in names.ties[0].tests} == {"a", "b"}
     assert names.ties[0].separability < 3.0
+
+
+def test_indistinct_causes_are_a_tie_however_clear_one_of_them_is():
+    rng = np.random.default_rng(6)
+    compared = [False] * 4 + [True] * 4
+    grams, _ = flights(rng, 8, {3: 0.6}, compared)
+    mixed = Mixed(grams, compared, LAYOUT)
+    plain = effects()
+    assert search(mixed, plain, ("changed",), 0.01).named[0].test.offer.cause == "a"
+    alike = plain | {"a": replace(plain["a"], indistinct=("b",))}
+    found = search(mixed, alike, ("changed",), 0.01)
+    assert found.named == [] and {t.offer.cause for t in found.ties[0].tests} == {"a", "b"}
+
+
+def test_a_flight_that_hardly_excites_a_cause_does_not_hide_it():
+    """Seven flights agree; an eighth, whose column is a twentieth, has a model error that looks huge."""
+    rng = np.random.default_rng(7)
+    compared = [False] * 4 + [True] * 4
+    grams = []
+    for f in range(8):
+        x = rng.standard_normal((400, 7))
+        x[:, 3] *= 0.05 if f == 7 else 1.0
+        value = -12.0 if f == 7 else 2.0 if compared[f] else 0.0
+        y = x[:, 0] - 2.0 * x[:, 1] + value * x[:, 3] + rng.standard_normal(400)
+        z = np.column_stack([y, x])
+        grams.append(z.T @ z)
+    offer = Offer("a", "changed", (0,))
+    test = Mixed(grams, compared, LAYOUT).test(offer, pooled=["a"])
+    assert test.value[0] == pytest.approx(2.0, abs=0.2) and test.p < 1e-4
+
+    class Alike(Mixed):
+        informed = False
+
+    assert Alike(grams, compared, LAYOUT).test(offer, pooled=["a"]).p > 0.01
 
 
 def test_two_causes_at_once_are_both_named():

@@ -369,7 +369,8 @@ def test_extensions_change_rotors_and_wind_and_unknown_states_are_refused_by_nam
     assert own.drive.delay == 0.0 and (own.body[26:34] == 0.02).all()
     for states in ({"swinging lode": {"mass": 0.05, "length": 0.5}}, ["swinging lode"]):
         load = {"id": "payload_swing", "states": states}
-        with pytest.raises(ConfigError, match=r"'payload_swing' has states of its own \(swinging lode\).*mean 'swinging"):
+        told = r"'payload_swing' has states of its own \(swinging lode\).*mean 'swinging"
+        with pytest.raises(ConfigError, match=told):
             make_setup({"model": {"model ID": "made"}}, Model({**model.document, "extensions": [load]}))
 
 

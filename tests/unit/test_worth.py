@@ -1,0 +1,84 @@
+"""Which significant causes matter on held-out flights: with errors that are known exactly."""
+
+import numpy as np
+import pytest
+
+from quasi.gap import mixed
+from quasi.gap.effect import Effect
+from quasi.gap.gain import Score
+from quasi.gap.worth import Cause, Judged, material, simplest
+
+SHARE = 0.05
+BLOCKS = 40
+
+
+def cause(name, since="changed", channels=("Fz",), p=1e-9):
+    effect = Effect(name, "W", "", "", "", channels=channels)
+    return Cause(
+        effect, since, {}, {}, mixed.Test(mixed.Offer(name, since, (0,)), np.zeros(1), np.eye(1), 1.0, 50.0, p), []
+    )
+
+
+def judged(errors, unlikely=None):
+    """Errors (6,), alike in every block up to 10 %; as unlikely as the errors are large unless told."""
+    wobble = 1.0 + 0.1 * np.sin(np.arange(BLOCKS))[:, None]
+    score = Score(np.asarray(errors, float) * wobble, np.ones(BLOCKS))
+    return Judged(score, score, float(np.sum(errors)) if unlikely is None else unlikely)
+
+
+def scored(table, default):
+    """Errors by the names of the causes that are taken into account."""
+    return lambda of, anew=False: judged(table.get(frozenset(c.effect.id for c in of), default))
+
+
+OLD = np.array([1.0, 1.0, 4.0, 1.0, 1.0, 1.0])
+FLOOR = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+
+
+def fz(value):
+    return np.array([1.0, 1.0, value, 1.0, 1.0, 1.0])
+
+
+def test_a_cause_that_takes_its_channels_error_away_is_kept_and_one_that_brings_nothing_is_not():
+    a, b = cause("a"), cause("b")
+    score = scored({frozenset("ab"): fz(1.0), frozenset("a"): fz(1.01), frozenset("b"): fz(4.0)}, OLD)
+    kept, out, unjudged = material([a, b], score, lambda c: True, judged(OLD).errors, FLOOR, SHARE)
+    assert [c.effect.id for c in kept] == ["a"] and out == [b] and unjudged == []
+    assert a.gain["Fz"]["value"] == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_gain_in_channels_that_a_cause_does_not_act_on_counts_nothing():
+    score = scored({frozenset("a"): fz(1.0)}, OLD)
+    elsewhere = cause("a", channels=("Mz",))
+    assert material([elsewhere], score, lambda c: True, judged(OLD).errors, FLOOR, SHARE)[0] == []
+
+
+def test_a_cause_that_makes_held_out_flights_worse_and_less_likely_is_left_out():
+    a = cause("a", channels=("Fz", "Mx"))
+    worse = np.array([1.0, 1.0, 3.9, 3.0, 1.0, 1.0])
+    assert (
+        material([a], scored({frozenset("a"): worse}, OLD), lambda c: True, judged(OLD).errors, FLOOR, SHARE)[0] == []
+    )
+
+
+def test_what_held_out_flights_do_not_excite_they_cannot_refute():
+    a = cause("a")
+    kept, _, unjudged = material([a], scored({}, OLD), lambda c: False, judged(OLD).errors, FLOOR, SHARE)
+    assert kept == [a] and unjudged == [a]
+
+
+def test_what_all_flights_have_must_gain_on_a_channel_that_is_not_at_its_floor():
+    a = cause("a", "always")
+    noisy = fz(1.2)  # a sixth of the error could go at best
+    for old, new, there in ((OLD, fz(1.0), True), (noisy, fz(1.0), False), (OLD, fz(3.99), False)):
+        score = scored({frozenset("a"): new}, old)
+        kept = material([a], score, lambda c: True, judged(old).errors, FLOOR, SHARE)[0]
+        assert (kept == [a]) is there
+
+
+def test_two_causes_that_mend_each_other_are_told_by_the_one_that_does_alone():
+    a, b = cause("a"), cause("b")
+    score = scored({frozenset("ab"): fz(1.0), frozenset("a"): fz(1.05), frozenset("b"): fz(3.0)}, OLD)
+    assert simplest([a, b], list, score, judged(OLD).errors, FLOOR, SHARE) == [a]
+    both = scored({frozenset("ab"): fz(1.0), frozenset("a"): fz(2.0), frozenset("b"): fz(2.0)}, OLD)
+    assert simplest([a, b], list, both, judged(OLD).errors, FLOOR, SHARE) == [a, b]
