@@ -1,0 +1,84 @@
+"""How long a whole diagnosis takes: four flights at 500 Hz, levels K, A, W and R, figures and report, one process.
+
+    python benchmarks/gap.py [--seconds 90] [--references]
+
+Flights with a weak rotor are made, imported and filtered first, which is not counted. --references adds four of the
+flights that made the model, as the workflow does. Printed are wall and CPU seconds of each part and the peak memory.
+"""
+
+import argparse
+import os
+import resource
+import tempfile
+import time
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from hidden import affected, again, healthy_model, processed, trained
+from hide_and_seek import OUT, SAMPLING, SETTINGS
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from quasi.gap import lower
+from quasi.gap.calibration import for_flight
+from quasi.gap.catalogue import catalogue
+from quasi.gap.diagnosis import diagnose
+from quasi.gap.evidence import gather
+from quasi.gap.figures import figures
+from quasi.gap.report import page
+
+
+def main() -> None:
+    """Make the flights, diagnose them, print the times."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=90.0)
+    parser.add_argument("--references", action="store_true")
+    arguments = parser.parse_args()
+    model, effects = healthy_model(OUT / "healthy"), catalogue()
+    with tempfile.TemporaryDirectory() as raw:
+        made = affected(Path(raw), 60_000, {"rotor_effectiveness": {"rotor2": 0.92}}, arguments.seconds)
+        flown = [processed(r, True) for r in made]
+        learned = [*(trained(OUT / "healthy", 0) if arguments.references else []), *zip(made[1:], flown[1:])]
+        recorded, learning = [list(part) for part in zip(*learned)]
+        files = {f.key: r for r, f in learned}
+        clock = [(time.perf_counter(), time.process_time())]
+
+        def tick(what: str) -> None:
+            clock.append((time.perf_counter(), time.process_time()))
+            wall, cpu = np.diff(clock[-2:], axis=0)[0]
+            print(f"{what:32s} {wall:6.1f} s, CPU {cpu:6.1f} s", flush=True)
+
+        told, _ = lower.examine(
+            learning, model.document, SETTINGS, effects, lambda f, c: again([files[f.key]], [f], [c])[0]
+        )
+        tick("levels K and A")
+        corrections = [for_flight(told, f.compared) for f in [*learning, flown[0]]]
+        everything = again([*recorded, made[0]], [*learning, flown[0]], corrections)
+        tick("flights processed anew")
+    roles = {f.key: "compared" if f.compared else "reference" for f in everything}
+    roles[flown[0].key] = "held out"
+    evidence = {f.key: gather(f.key, f.filtered, f.filtered_metadata, f.airframe, model, SAMPLING) for f in everything}
+    found = diagnose(
+        model, told, evidence, {f.key: f.filtered for f in everything}, roles, effects,
+        {**SETTINGS, "horizons": [0.1, 0.25, 0.5, 1.0]}, ([flown[0]], [everything[-1]]), "benchmark", (),
+        "training" if arguments.references else "none",
+    )  # fmt: skip
+    tick("levels W and R, gain")
+    pictures = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name, figure in figures(found.tables).items():
+            FigureCanvasAgg(figure).print_png(f"{folder}/{name}.png")
+            pictures[name] = Path(f"{folder}/{name}.png").read_bytes()
+        text = page(found.document, effects, found.tables["W_residuals"], pictures)
+    tick("figures and report")
+    wall, cpu = np.subtract(clock[-1], clock[0])
+    rows = sum(len(f.filtered) for f in everything)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0**2
+    print(f"{'whole diagnosis':32s} {wall:6.1f} s, CPU {cpu:6.1f} s; {len(everything)} flights, {rows} rows at 500 Hz; "
+          f"peak memory {memory:.2f} GB, page {len(text) / 1e6:.1f} MB")  # fmt: skip
+    print(f"target 120 s and 4 GB: {wall / 120.0:.2f} and {memory / 4.0:.2f} of it; {found.document['verdict']}")
+
+
+if __name__ == "__main__":
+    main()
