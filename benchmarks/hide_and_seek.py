@@ -218,6 +218,18 @@ def wilson(k: int, n: int, z: float = 1.96) -> tuple[float, float]:
     return float((middle - half) / d), float((middle + half) / d)
 
 
+HEAD = """# Hide and seek
+
+Causes drawn from a seed are hidden in made flights; raw logs are imported and filtered, all levels asked, and only then
+are the names compared with the truth. Made by `python benchmarks/hide_and_seek.py --table`.
+
+The model is identified from sixteen healthy flights of 30 s. Four flights hold the cause, one of them held out; beside
+them are four other healthy ones (`reference`), or four of those that made the model (`all`). Detectability and
+separability are the |t| of the true size, alone and beside its nearest rival. Clean flights are right only where the
+verdict is `agrees`; a cause that is told apart (separability above 10) only where it is named, not in a tie.
+"""
+
+
 def _ranges(numbers: Sequence[int]) -> str:
     """Sorted numbers as text, runs as first to last."""
     runs: list[list[int]] = []
@@ -238,14 +250,7 @@ def page(results: Sequence[Mapping[str, Any]]) -> str:
     missing = f"not drawn yet: {_ranges(absent)}" if absent else "none left out"
     median = float(np.median([r["seconds"]["whole"] for r in results]))
     lines = [
-        "# Hide and seek", "",
-        "Causes drawn from a seed are hidden in made flights; raw logs are imported and filtered, all levels asked,",
-        "and only then are the names compared with the truth. Made by `python benchmarks/hide_and_seek.py --table`.", "",
-        "The model is identified from sixteen healthy flights of 30 s. Four flights hold the cause, one of them held out; beside",
-        "them are four other healthy ones (`reference`), or four of those that made the model (`all`). Detectability and",
-        "separability are the |t| of the true size, alone and beside its nearest rival. Clean flights are right only where the",
-        "verdict is `agrees`; a cause that is told apart (separability above 10) only where it is named, not in a tie.",
-        "",
+        HEAD,
         f"{len(seeds)} draws, seeds {min(seeds)} to {max(seeds)}, {missing}; median {median:.0f} s per draw.", "",
         "| draws | right | of | share | 95 % interval | to reach | a wrong name |",
         "| --- | --- | --- | --- | --- | --- | --- |",
