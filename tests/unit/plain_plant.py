@@ -15,6 +15,9 @@ from quasi.standalone.model import Model
 
 G = 9.81
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+KINDS = ("PID", "NDI", "INDI")
+# columns of what fly() returns
+POSITION, RATES, TARGETS, UPRIGHT, YAW = slice(0, 3), slice(6, 9), slice(13, 17), 17, 18
 
 
 def made_model(hover=1500.0, asymmetric=False, lag=0.03, reaction=6e-7, damping=5e-4, gravity="withGravity"):
@@ -202,4 +205,13 @@ def still(n, place=(0.0, 0.0, 0.0), yaw=0.0):
     goals[:, 1:4] = place
     goals[:, 9] = yaw
     goals[:, 13] = np.nan
+    return goals
+
+
+def rate_goals(n, **rates):
+    """Goals (n, 20) of body rates, from the first step on."""
+    goals = still(n)
+    goals[:, 0] = 3.0
+    for name, value in rates.items():
+        goals[:, 10 + "pqr".index(name)] = value
     return goals

@@ -2,11 +2,10 @@
 
 import gzip
 import math
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
+from recordings import SHARED, needs_real
 
 from quasi.airframe import erpm100_to_rad_s
 from quasi.attitude import body_rates, to_euler
@@ -14,12 +13,7 @@ from quasi.errors import ReadError
 from quasi.importing.blackbox import read_blackbox
 from quasi.importing.decoded import read_decoded
 
-SHARED = Path(os.environ.get("QUASI_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data")) / "blackbox"
 REAL = SHARED / "betaflight-4.2.11-stm32f7"
-needs_real = pytest.mark.skipif(
-    not SHARED.is_dir(),
-    reason=f"real recordings are not at {SHARED}; set QUASI_SHARED_DATA to the folder that holds them",
-)
 
 TOOL_NAMES = (
     "loopIteration, time (us), setpoint[0], setpoint[1], setpoint[2], setpoint[3], vbatLatest (V), amperageLatest (A), "

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from blackbox_writer import END, intra_frame, log_bytes, svb
 from made_motion import at_times, body
 from scipy.spatial.transform import Rotation
-from test_blackbox import END, intra_frame, log_bytes, svb
 
 from quasi.attitude import from_euler
 from quasi.errors import ReadError

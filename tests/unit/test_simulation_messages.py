@@ -1,0 +1,121 @@
+"""What a simulation tells: faults of its configuration and tables in sentences, and its summary."""
+
+import math
+
+import numpy as np
+import pytest
+from plain_plant import made_model
+from simulations import setup_of
+
+from quasi.errors import ConfigError, DataError
+from quasi.simulation.result import report
+from quasi.simulation.run import simulate
+from quasi.simulation.setup import make_setup
+from quasi.standalone.model import Model
+
+
+@pytest.fixture(scope="module")
+def model():
+    return made_model(asymmetric=True)
+
+
+def test_a_time_step_that_the_integrator_cannot_take_is_refused(model):
+    with pytest.raises(ConfigError, match="a step of 0.1 s is unstable.*time constant 0.03.*use a 'time step' of at"):
+        setup_of(model, step=0.1, simulation={"integrator": "euler"})
+    # 2 tau is the bound of Euler for a lag
+    with pytest.raises(ConfigError):
+        setup_of(model, step=0.0602, simulation={"integrator": "euler"})
+    fine = setup_of(model, step=0.0598, simulation={"integrator": "euler"})
+    assert any("badly" in note for note in fine.notes)
+    assert not setup_of(model, step=0.1, simulation={"substeps": 20}).notes
+
+
+@pytest.mark.parametrize(
+    "settings, sentence",
+    [
+        ({"controler": {}}, "unknown key 'controler'.*did you mean 'controller'"),
+        ({"controller": {"controller": "drone_LQR"}}, "drone_LQR"),
+        ({"actuator": {"actuator": "rotorDynamicsV3"}}, "expected one of"),
+        ({"actuator": {"lowest speed": 3000}}, "not below the highest|leave no room|hover takes"),
+        ({"simulation": {"duration": 0.001}}, "shorter than the 'time step'"),
+        ({"references": {"kind": "figure eigth"}}, "figure eight"),
+        ({"references": {"do circle track": True, "kind": "hover"}}, "only one of"),
+        ({"wind": {"file": "wind.csv"}}, "was not read"),
+        ({"battery": {"exponent": 1.0}}, "no 'voltage'"),
+        ({"controller": {"controller": "INDI", "gains": {"rates": {}}}}, "my_sim: .*lacks the block 'position'"),
+        ({"references": {"kind": "position steps", "steps": [[1, 0, 0]]}}, "my_sim: reference steps of .*row 1"),
+        ({"simulation": {"time step": math.nan}}, "my_sim: 'simulation' / 'time step' is nan, expected a finite"),
+        ({"simulation": {"duration": math.inf}}, "my_sim: 'simulation' / 'duration' is inf, expected a finite"),
+        ({"controller": {"gains": {"rates": {"time constant": math.nan}}}}, "'rates' / 'time constant' is nan"),
+        ({"simulation": {"time step": 1e-9, "duration": 1e6}}, "more rows than memory holds"),
+        ({"initial state conditions": {"rotor speeds": [1e200] * 4}}, "are no numbers in the initial state"),
+    ],
+)
+def test_faults_of_a_configuration_are_sentences(model, settings, sentence):
+    with pytest.raises((ConfigError, DataError), match=sentence):
+        make_setup({"model": {"model ID": "made"}, **settings}, model, name="my_sim")
+
+
+WIND = {"t": [0.0, 1.0], "wind_north": [0.0, 1.0], "wind_east": [0.0, 0.0], "wind_down": [0.0, 0.0]}
+
+
+@pytest.mark.parametrize(
+    "change, sentence",
+    [
+        ({"wind_nort": WIND["wind_north"], "wind_north": None}, "gust.csv lacks the column 'wind_north' .*'wind_nort'"),
+        ({"wind_east": [0.0, math.nan]}, "gust.csv holds no number in column 'wind_east', data row 2"),
+        ({"t": [1.0, 1.0]}, "gust.csv goes back in time, or stands still, in data row 2"),
+        (dict.fromkeys(WIND, ()), "gust.csv has no rows"),
+    ],
+)
+def test_faults_of_a_wind_table_name_the_simulation_and_the_file(model, change, sentence):
+    table = {k: v for k, v in {**WIND, **change}.items() if v is not None}
+    with pytest.raises(DataError, match="my_sim: the wind's table data/" + sentence):
+        make_setup({"model": {"model ID": "made"}, "wind": {"file": "data/gust.csv"}}, model, table, name="my_sim")
+
+
+@pytest.mark.parametrize(
+    "faults, note",
+    [
+        ({"rotor effectiveness after failure": [0.5, 1, 1, 1]}, "'inject failure' is false: nothing fails"),
+        ({"inject failure": True}, "every rotor keeps its health"),
+        ({"inject failure": True, "time of failure": 9, "rotor health after failure": [0.1, 1, 1, 1]}, "after the end"),
+    ],
+)
+def test_a_fault_that_cannot_be_seen_is_told(model, faults, note):
+    assert note in setup_of(model, faults=faults).notes[-1]
+
+
+@pytest.mark.parametrize(
+    "actuators",
+    ["fast", {"time constants": 0.02}, {"time constants up": {"value": "fast"}}, {"delay": {"value": [1, 2]}},
+     {"time constants": {"value": [0.02, 0.02, -0.02, 0.02]}}],
+)  # fmt: skip
+def test_damaged_actuators_of_a_model_are_a_sentence(model, actuators):
+    with pytest.raises(DataError, match="'actuators'.*make the model anew"):
+        setup_of(Model({**model.document, "actuators": actuators}))
+
+
+def test_a_summary_is_plain_data_with_tracking_saturation_and_region(model):
+    result = simulate(setup_of(model, 3.0, references={"kind": "figure eight", "start": 0.5}))
+    summary = result.summary()
+    error = np.linalg.norm(
+        result.table[["x", "y", "z"]].to_numpy() - result.table[["x_ref", "y_ref", "z_ref"]].to_numpy(), axis=1
+    )
+    assert summary["tracking"]["position"]["rms"] == pytest.approx(math.sqrt(np.mean(error**2)))
+    assert summary["tracking"]["position"]["greatest"] == pytest.approx(error.max())
+    assert summary["outside the model's region"] is None and any("no region" in n for n in summary["notes"])
+    assert set(summary["saturation"]) == {f"rotor {i}" for i in range(1, 5)}
+    assert "position error" in report(summary)
+
+
+def test_a_rotor_that_failed_counts_as_saturated_beyond_its_cap(model):
+    faults = {"inject failure": True, "time of failure": 0.5, "rotor health after failure": [1, 1, 0.3, 1]}
+    result = simulate(setup_of(model, 1.0, controller={"controller": "NDI"}, faults=faults))
+    high = result.setup.machine.drive.high
+    command, t = result.table["w3_CMD"].to_numpy(), result.table["t"].to_numpy()
+    beyond = np.mean(command >= np.where(t >= 0.5, 0.3 * high, high) * (1 - 1e-6))
+    summary = result.summary()
+    assert beyond > 0.3 and np.all(command < high)
+    assert summary["saturation"]["rotor 3"]["share of time at highest"] == pytest.approx(beyond)
+    assert f"rotor 3's command at or beyond its limit {100 * beyond:.1f} % of the time" in report(summary)
