@@ -13,12 +13,11 @@ from hidden import DRIVE, SENSORS, STRANGE, deviation
 
 from quasi import attitude
 from quasi.gap import actuation, kinematic
-from quasi.gap.effect import Effect
+from quasi.gap.effect import Effect, Parameter, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.level import Level, clear
-from quasi.gap.mixed import Offer, marginal
-from quasi.gap.study import BAND, BLOCK, ORDER, Study
-from quasi.gap.whitening import thin, whiten
+from quasi.gap.mixed import Offer
+from quasi.gap.study import BLOCK, Study, gather_study
 from quasi.synthesis.physics import BEAT, FAN, FAN_WIDTH, SHIFT
 from quasi.synthesis.vehicle import base_vehicle
 
@@ -32,6 +31,7 @@ class Asked(NamedTuple):
     """What the search worked on: columns and flights of level W, which flights are compared, levels K and A."""
 
     study: Study
+    vehicle: Vehicle
     compared: np.ndarray
     effects: Mapping[str, Effect]
     levels: Sequence[Level]
@@ -43,19 +43,16 @@ def clarity(name: str, values: Mapping[str, float], asked: Asked) -> dict[str, A
     if name in SENSORS or name in DRIVE:
         return _lower(name, values, asked.levels, since)
     if name in STRANGE:
-        return {"detectability": _strange(name, values["size"], asked), "separability": None, "nearest": None}
+        return {"detectability": _strange(name, values["size"], since, asked), "separability": None, "nearest": None}
     effect, columns = asked.effects.get(name), asked.study.columns
     if effect is None or name not in columns.causes or (effect.absorbed and since == "always"):
         return NOTHING
-    pooled = [c for c in columns.causes if not asked.effects[c].absorbed] if since == "changed" else []
     true = deviation(name, values)
     which = tuple(effect.fitted.index(k) for k in true if k in effect.fitted)
     theta = np.array([true[effect.fitted[k]] for k in which])
 
     def shown(given: Sequence[Offer], study: Study) -> float:
-        mixed = study.mixed(range(len(asked.compared)), asked.compared)
-        test = mixed.test(Offer(name, since, which), given, pooled)
-        return float(np.sqrt(max(theta @ np.linalg.solve(test.covariance, theta), 0.0)))
+        return _shown(study, Offer(name, since, which), theta, asked, given)
 
     beside = {
         other: shown([Offer(other, since, tuple(range(len(own))))], asked.study)
@@ -68,6 +65,14 @@ def clarity(name: str, values: Mapping[str, float], asked: Asked) -> dict[str, A
             "of shorter flights": shorter}  # fmt: skip
 
 
+def _shown(study: Study, offer: Offer, theta: np.ndarray, asked: Asked, given: Sequence[Offer]) -> float:
+    """|t| of the true deviations theta of an offer, beside others that are given."""
+    known = [c for c in study.columns.causes if c in asked.effects and not asked.effects[c].absorbed]
+    mixed = study.mixed(range(len(asked.compared)), asked.compared)
+    test = mixed.test(offer, given, known if offer.since == "changed" else [])
+    return float(np.sqrt(max(theta @ np.linalg.solve(test.covariance, theta), 0.0)))
+
+
 def _begun(study: Study, seconds: float) -> Study:
     """The study of the beginnings of its flights."""
     return study._replace(blocks=[b[: round(seconds / BLOCK)] for b in study.blocks])
@@ -75,6 +80,10 @@ def _begun(study: Study, seconds: float) -> Study:
 
 def _lower(name: str, values: Mapping[str, float], levels: Sequence[Level], since: str) -> dict[str, Any]:
     """Of a cause of level K or A, by the tests of that level."""
+    if name == "marker_offset":
+        # level K sees the distance between markers and IMU; which of the two is off, only forces tell
+        turned = _lower("imu_lever_arm", {k: -v for k, v in values.items()}, levels, since)
+        return {**turned, "separability": 0.0, "nearest": "imu_lever_arm"}
     level = next(x for x in levels if x.level == ("K" if name in SENSORS else "A"))
     if level.tests is None or name not in level.tests.columns.causes:
         return NOTHING
@@ -83,23 +92,15 @@ def _lower(name: str, values: Mapping[str, float], levels: Sequence[Level], sinc
     return {"detectability": shown.detectability, "separability": shown.separability, "nearest": shown.nearest}
 
 
-def _strange(name: str, size: float, asked: Asked) -> float:
-    """Of an effect without a name, whose form is told by the truth alone."""
-    layout = asked.study.columns
-    own = [*layout.shared, *layout.nuisance]
-    last = len(own)
-    total = np.zeros((last + 1, last + 1))
-    for flight, thinned, flag in zip(asked.study.flights, asked.study.thinned, asked.compared):
-        force = strange_force(name, size, flight) if flag else np.zeros((len(flight), 6))
-        shape = thin(force[:, :, None], flight.breaks, flight.t, BAND, 2 * ORDER).columns
-        columns = np.concatenate([thinned.columns[:, :, own], shape], axis=2)
-        white = whiten(columns, thinned.breaks, asked.study.whitener)[0].reshape(-1, last + 1)
-        total += marginal(white.T @ white, range(len(layout.shared), last), layout.spread)
-    base = np.arange(len(layout.shared))
-    inner, cross = total[np.ix_(base, base)], total[base, last]
-    scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-    solved = np.linalg.solve(inner / np.outer(scale, scale) + 1e-9 * np.eye(len(base)), cross / scale)
-    return float(np.sqrt(max(total[last, last] - cross / scale @ solved, 0.0)))
+def _strange(name: str, size: float, since: str, asked: Asked) -> float:
+    """Of an effect without a name: the test that a cause of its true form would meet, were it in the catalogue."""
+    form = Effect(
+        name, "W", "", "", "", {"size": Parameter("1", 0.0, "a", -np.inf, np.inf)},
+        columns=lambda flight, _: {"size": strange_force(name, 1.0, flight)},
+    )  # fmt: skip
+    known = {n: asked.effects[n] for n in asked.study.columns.causes}
+    study = gather_study(asked.study.flights, {**known, name: form}, asked.vehicle, asked.study.values)
+    return _shown(study, Offer(name, since, (0,)), np.array([size]), asked, [])
 
 
 def strange_force(name: str, size: float, flight: Evidence) -> np.ndarray:

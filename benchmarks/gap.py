@@ -50,7 +50,7 @@ def main() -> None:
             print(f"{what:32s} {wall:6.1f} s, CPU {cpu:6.1f} s", flush=True)
 
         told, _ = lower.examine(
-            learning, model.document, SETTINGS, effects, lambda f, c: again([files[f.key]], [f], [c])[0]
+            learning, model.document, SETTINGS, effects, lambda f, c: again([files[f.key]], [f], [c])[0], 1
         )
         tick("levels K and A")
         corrections = [for_flight(told, f.compared) for f in [*learning, flown[0]]]

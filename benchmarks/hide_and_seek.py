@@ -1,8 +1,8 @@
 """Hide and seek: causes drawn from a seed are hidden in raw logs; are they named, and nothing else?
 
-    python benchmarks/hide_and_seek.py [--first 5000] [--draws 200] [--out results/benchmarks/hide_and_seek] [--table]
+    python benchmarks/hide_and_seek.py [--first 6000] [--draws 240] [--out results/benchmarks/hide_and_seek] [--table]
 
-The study has the seeds 5000 to 5199. Seeds 1000 to 4199, 50000 to 50013 and 70000 and more were used while building.
+The study has the seeds 6000 to 6239. Seeds 1000 to 5199, 50000 to 50013 and 70000 and more were used while building.
 
 Each draw makes four flights of 30 s, imports and filters the raw logs, settles levels K and A, processes the flights
 anew with what these found, diagnoses them (one is held out) as the workflow does, and compares the diagnosis with the
@@ -10,8 +10,9 @@ truth, which nothing else reads. One JSON per draw; a study that was stopped goe
 docs/hide-and-seek.md of the files that are there, without drawing.
 
 The model was identified from sixteen other healthy flights. Half and more of the draws have four healthy reference
-flights beside the affected ones ("reference"); in the others every flight is affected, and four of those that made the
-model stand for reference flights ("all"). How clearly what is hidden shows is told by `clarity`.
+flights beside the affected ones ("reference"); in others every flight is affected, and four of those that made the
+model stand for reference flights ("all"), or the model was identified from the affected flights themselves ("own").
+How clearly what is hidden shows is told by `clarity`.
 """
 
 import argparse
@@ -28,6 +29,7 @@ import numpy as np
 from clarity import Asked, clarity
 from hidden import (
     ALL,
+    OWN,
     SHOWS,
     STRANGE,
     Recorded,
@@ -36,6 +38,7 @@ from hidden import (
     deviation,
     drawn,
     healthy_model,
+    identified,
     processed,
     references,
     trained,
@@ -47,6 +50,7 @@ from quasi.gap import lower
 from quasi.gap.calibration import for_flight
 from quasi.gap.catalogue import catalogue
 from quasi.gap.diagnosis import diagnose
+from quasi.gap.effect import room_of, vehicle_of
 from quasi.gap.evidence import gather
 from quasi.gap.level import Flown
 from quasi.standalone.model import Model
@@ -75,18 +79,23 @@ def draw(settings: dict[str, Any], seconds: float = 30.0, folder: Path = OUT) ->
     seed = settings["seed"]
     hidden = settings.get("hide") or drawn(seed)
     begin = time.perf_counter()
-    model = healthy_model(folder / "healthy")
     with tempfile.TemporaryDirectory() as raw:
-        recorded = affected(Path(raw), seed, hidden["effects"], seconds)
+        own = hidden["design"] == "own"
+        recorded = affected(Path(raw), seed, hidden["effects"], seconds, OWN if own else 4)
         try:
             flown = [processed(r, True) for r in recorded]
         except DataError as error:  # the vehicle was lost, or its log cannot be read
             return {**hidden, "outcome": "lost", "why": str(error), "sizes": {}, "seconds": {"whole": 0.0}}
-        healthy = references if hidden["design"] == "reference" else trained
+        beside, given = {"reference": (references, "given"), "all": (trained, "training"), "own": (None, "none")}[
+            hidden["design"]
+        ]
         made = time.perf_counter() - begin
         # the first flight has manoeuvres of every kind: what is material shows there
-        learned = [*healthy(folder / "healthy", seed), *zip(recorded[1:], flown[1:])]
-        given = "given" if hidden["design"] == "reference" else "training"
+        learned = [*(beside(folder / "healthy", seed) if beside else ()), *zip(recorded[1:], flown[1:])]
+        if own:
+            model = Model(identified({f.key: f.filtered for f in flown[1:]}, flown[0].airframe))
+        else:
+            model = healthy_model(folder / "healthy")
         document, asked = seek(learned, (recorded[0], flown[0]), model, given)
     sizes = {name: clarity(name, hidden["effects"][name], asked) for name in hidden["effects"]}
     kept = ("verdict", "summary", "ties", "unexplained", "findings", "candidates", "notes")
@@ -103,7 +112,7 @@ def seek(
     recorded, flown = [list(part) for part in zip(*learned)]
     raw = {f.key: r for r, f in learned}
     told, levels = lower.examine(
-        flown, model.document, SETTINGS, effects, lambda f, c: again([raw[f.key]], [f], [c])[0]
+        flown, model.document, SETTINGS, effects, lambda f, c: again([raw[f.key]], [f], [c])[0], 1
     )
     calibrations = [for_flight(told, f.compared) for f in [*flown, held[1]]]
     everything = again([*recorded, held[0]], [*flown, held[1]], calibrations)
@@ -114,7 +123,8 @@ def seek(
         model, told, evidence, {f.key: f.filtered for f in everything}, roles, effects, SETTINGS,
         ([held[1]], [everything[-1]]), "hidden", (), given,
     )  # fmt: skip
-    return found.document, Asked(found.found.study, np.array([f.compared for f in flown]), effects, levels)
+    vehicle = vehicle_of(model, room=room_of(SETTINGS["room"]))
+    return found.document, Asked(found.found.study, vehicle, np.array([f.compared for f in flown]), effects, levels)
 
 
 def judge(result: Mapping[str, Any]) -> dict[str, Any]:
@@ -209,6 +219,15 @@ GROUPS = {  # group: outcomes that are right, share that should be
 }
 
 
+SAID_OF = {"reference": "healthy reference flights beside the affected ones",
+           "all": "every flight affected, the model from healthy ones",
+           "own": "every flight affected, the model from these same flights"}  # fmt: skip
+
+
+def _right(result: Mapping[str, Any]) -> bool:
+    return result["outcome"] in GROUPS[group_of(result)][0]
+
+
 def wilson(k: int, n: int, z: float = 1.96) -> tuple[float, float]:
     """Interval of a share. Source: Wilson, JASA 22, 1927."""
     if n == 0:
@@ -224,9 +243,11 @@ Causes drawn from a seed are hidden in made flights; raw logs are imported and f
 are the names compared with the truth. Made by `python benchmarks/hide_and_seek.py --table`.
 
 The model is identified from sixteen healthy flights of 30 s. Four flights hold the cause, one of them held out; beside
-them are four other healthy ones (`reference`), or four of those that made the model (`all`). Detectability and
-separability are the |t| of the true size, alone and beside its nearest rival. Clean flights are right only where the
-verdict is `agrees`; a cause that is told apart (separability above 10) only where it is named, not in a tie.
+them are four other healthy ones (`reference`), or four of those that made the model (`all`). With `own` six flights
+hold the cause, one of them held out, and the model is identified from the other five. Detectability and separability
+are the |t| of the true size, alone and beside its nearest rival, the spread between manoeuvres in it. Clean flights
+are right only where the verdict is `agrees`; a cause that is told apart (separability above 10) only where it is named,
+not in a tie.
 """
 
 
@@ -269,7 +290,12 @@ def page(results: Sequence[Mapping[str, Any]]) -> str:
         low, high = wilson(inside, len(errors))
         lines += ["", f"Main parameter of {len(errors)} named causes: median error {100 * relative:.1f} %; the truth "
                   f"within two standard errors in {inside} ({low:.2f} to {high:.2f})."]  # fmt: skip
-    lines += ["", "## What was hidden and what was said", "", "| hidden | draws | hit | named or tied as |",
+    lines += ["", "| flights | right | of | a wrong name |", "| --- | --- | --- | --- |"]
+    for design, words in SAID_OF.items():
+        own = [r for r in results if r["design"] == design]
+        good, bad = sum(_right(r) for r in own), sum(bool(r["wrong"]) for r in own)
+        lines.append(f"| `{design}`: {words} | {good} | {len(own)} | {bad} |")
+    lines += ["", "## What was hidden and what was said", "", "| hidden | draws | right | named or tied as |",
               "| --- | --- | --- | --- |"]  # fmt: skip
     for name in [*ALL, "nothing"]:
         own = [r for r in results if r["kind"] != "pair" and (list(r["effects"]) or ["nothing"]) == [name]]
@@ -277,10 +303,12 @@ def page(results: Sequence[Mapping[str, Any]]) -> str:
             said: dict[str, int] = {}
             for r in own:
                 words = r["wrong"] + r["found"] + ["/".join(t) for t in r["tied"] if not set(t) & set(r["found"])]
+                words += ["unexplained"] if r["outcome"] == "unexplained" else []
+                words += ["a lack of the model"] if r["outcome"] == "model's own" else []
                 for word in words or ["nothing"]:
                     said[word] = said.get(word, 0) + 1
             told = ", ".join(f"{w} {n}" for w, n in sorted(said.items(), key=lambda item: -item[1]))
-            lines.append(f"| {name} | {len(own)} | {sum(r['outcome'] == 'hit' for r in own)} | {told} |")
+            lines.append(f"| {name} | {len(own)} | {sum(_right(r) for r in own)} | {told} |")
     lines += _smallest(results)
     if lost:
         lines += ["", "## Flights that could not be read", "",
@@ -291,7 +319,7 @@ def page(results: Sequence[Mapping[str, Any]]) -> str:
               "| seed | design | hidden | times typical | detectability | separability | said |",
               "| --- | --- | --- | --- | --- | --- | --- |"]  # fmt: skip
     for r in results:
-        if r["outcome"] not in GROUPS[group_of(r)][0]:
+        if not _right(r):
             numbers = [[f"{s[k]:.1f}" if s[k] is not None else "-" for s in r["sizes"].values()]
                        for k in ("detectability", "separability")]  # fmt: skip
             factors = ", ".join(f"{f:.2f}" for f in r["factors"].values())
@@ -325,8 +353,8 @@ def _smallest(results: Sequence[Mapping[str, Any]]) -> list[str]:
 def main() -> None:
     """Draw, or make the table of what was drawn."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--first", type=int, default=5000)
-    parser.add_argument("--draws", type=int, default=200)
+    parser.add_argument("--first", type=int, default=6000)
+    parser.add_argument("--draws", type=int, default=240)
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--table", action="store_true", help="the table alone, of the draws that are there")
     arguments = parser.parse_args()

@@ -43,7 +43,8 @@ def main(source: dict, asked: dict, settings: dict, output: dict[str, str]) -> N
     def process(flown: Flown, calibration: Mapping[str, Any] | None) -> Flown:
         return anew(flown, settings[flown.key], calibration)
 
-    result, levels = examine(flights, read_model(source["model"]).document, asked["settings"], effects, process)
+    model = read_model(source["model"]).document
+    result, levels = examine(flights, model, asked["settings"], effects, process, len(asked["held"]))
     folder = Path(output["tables"])
     folder.mkdir(parents=True, exist_ok=True)
     for level in levels:

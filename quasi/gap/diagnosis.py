@@ -14,7 +14,7 @@ from quasi.gap.evidence import Evidence
 from quasi.gap.extension import extend
 from quasi.gap.gain import after, before, fraction, wrench_score
 from quasi.gap.level import Flown
-from quasi.gap.lower import SEARCHES, judged
+from quasi.gap.lower import SEARCHES, judged, rate_of
 from quasi.gap.study import refit
 from quasi.gap.wording import summary
 from quasi.gap.wrench import Cause, Found, everything, examine
@@ -24,7 +24,8 @@ from quasi.standalone.model import AXES, Model
 
 SCHEMA = "quasi.gap/1"
 FORCES = ("Fx", "Fy", "Fz")
-SURE, BESIDE = 0.5, 0.8  # shares of resamples in which the strongest of several causes, another, is found again
+# shares of resamples in which a cause alone, the strongest of several, another one must be found again
+ALONE, SURE, BESIDE = 0.25, 0.5, 0.8
 HORIZON = 0.5  # s, at which a gain in roll-outs is told
 
 
@@ -64,7 +65,8 @@ def diagnose(
     groups = {r: [e for k, e in evidence.items() if roles[k] == r] for r in ("reference", "compared", "held out")}
     learning = [*groups["reference"], *groups["compared"]]
     compared = [False] * len(groups["reference"]) + [True] * len(groups["compared"])
-    held, rate, share = groups["held out"], settings["false alarm rate"] / SEARCHES, settings["material share"]
+    held, share = groups["held out"], settings["material share"]
+    rate = rate_of(settings["false alarm rate"], sum(compared), len(held))
     levels = calibration["levels"]
     material.judge(levels, *lower, share)
     said: dict[str, Any] = {"candidates": [], "unexplained": [], "cannot_be_asked": [], "notes": list(lost)}
@@ -114,7 +116,15 @@ def diagnose(
         tied = [(effects[t.tests[0].offer.cause], t.tests[0].offer, {}) for _, t in found.ties]
         left = after(extended, model)
         said["unexplained"], lives = unexplained.search(
-            learning, compared, held, [*accepted, *tied], left, found.scores["noise_floor"], vehicle, rate, share
+            learning,
+            compared,
+            held,
+            [*accepted, *tied],
+            left,
+            found.scores["noise_floor"],
+            vehicle,
+            settings["false alarm rate"] / SEARCHES,
+            share,
         )
         if not any(u["channel"][0] == "F" for u in said["unexplained"]):
             restless = gusts(found.study, compared, [c.effect.id for c in kept])
@@ -157,11 +167,11 @@ def diagnose(
 
 
 def _needed(cause: Cause, found: Found) -> float:
-    """Share of resamples in which a cause must be found again. One alone stands by its significance; beside a stronger
-    one, it may only mend what that one leaves."""
+    """Share of resamples in which a cause must be found again. One alone stands by its significance, unless a few
+    seconds of flight make all of it; beside a stronger one, it may only mend what that one leaves."""
     others = [c for c in found.causes if c.since == cause.since and c is not cause]
     if not others:
-        return 0.0
+        return ALONE
     return SURE if cause.test.p < min(c.test.p for c in others) else BESIDE
 
 

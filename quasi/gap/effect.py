@@ -140,7 +140,8 @@ class Effect:
                   parameter; or
     whole         (evidence, vehicle, values) -> (n, 6), the same where no expression can say it
     extension     (values, vehicle, model) -> Extension, where terms do not say it
-    parts         how parameters may be found: "any" one alone or all; "all" only together; "first" the first few
+    parts         how parameters may be found: "any" one alone or all; "all" only together; "first" the first few;
+                  "one" a single one, the likeliest
     scan          {parameter: values}: parameters that shape the columns and are searched over
     indistinct    ids that differ from it by so little that a model's own errors would decide: always a tie with them
     absorbed      whether the model's own terms can mimic it exactly, so that only a change between flights shows it

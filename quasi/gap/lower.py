@@ -3,7 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import pandas as pd
+from scipy.stats import norm
 
 from quasi.gap import actuation, kinematic, material, points
 from quasi.gap.calibration import document
@@ -14,6 +16,7 @@ from quasi.standalone.model import Model
 from quasi.tables import COLUMNS
 
 SEARCHES = 4  # that share the false alarm rate: levels K, A and W, and for what no cause explains
+FAINTEST = 4.0  # |t| of what chance makes look like a cause
 UNITS = {
     "p": "rad/s", "q": "rad/s", "r": "rad/s", "ax": "m/s2", "ay": "m/s2", "az": "m/s2", "Fx": "N", "Fy": "N",
     "Fz": "N", "Mx": "N m", "My": "N m", "Mz": "N m", "w1": "rad/s", "w2": "rad/s", "w3": "rad/s", "w4": "rad/s",
@@ -25,14 +28,16 @@ UNITS = {
 
 def examine(
     flights: Sequence[Flown], model: Mapping[str, Any], settings: Mapping[str, Any], effects: Mapping[str, Effect],
-    process: Process | None = None,
+    process: Process | None = None, held: int = 0,
 ) -> tuple[dict[str, Any], list[Level]]:  # fmt: skip
     """The calibration of a gap with what both levels found as plain data under "levels", and the levels themselves.
 
     flights  those that may choose and fit; model  document; settings  of the gap; effects  that are asked, by id
     process  imports and filters a flight anew with a calibration; without it ties stay ties
+    held     how many flights that are held out will judge the names
     """
-    options = {"false alarm rate": settings["false alarm rate"] / SEARCHES, "effects": list(effects)}
+    rate = rate_of(settings["false alarm rate"], sum(f.compared for f in flights), held)
+    options = {"false alarm rate": rate, "effects": list(effects)}
     levels = [kinematic.examine(flights, options), actuation.examine(flights, model, options)]
     if points.MARKERS in effects:
         points.settle(levels[0], flights, Model(model, "the compared model"))
@@ -42,6 +47,17 @@ def examine(
         level.found_on = material.found_on(level, flights)
     told = document(levels)
     return {**told, "levels": {level.level: plain(level) for level in levels}}, levels
+
+
+def rate_of(rate: float, compared: int, held: int) -> float:
+    """The false alarm rate of one search, so that all searches together name something by chance at `rate`.
+
+    A name also has to gain on the held-out flights, where any have a say. What chance made of `compared` flights with
+    |t| is theta = |t| s sqrt(1/compared) for a spread s of single flights; it gains on `held` others when these show
+    more than theta/2, which has the probability of a normal deviate above |t|/2 sqrt(held/compared).
+    """
+    passes = float(norm.sf(0.5 * FAINTEST * np.sqrt(held / max(compared, 1)))) if held else 1.0
+    return rate / SEARCHES / max(passes, 1.0 / SEARCHES)
 
 
 def plain(level: Level) -> dict[str, Any]:

@@ -62,6 +62,7 @@ class Test(NamedTuple):
     tau: float
     wald: float
     p: float
+    unlikely: float = 0.0  # -2 log likelihood at this spread, up to a constant: for choosing between selections
 
     @property
     def std(self) -> np.ndarray:
@@ -156,20 +157,20 @@ class Mixed:
         for form in forms:
             least, worse = np.inf, 0
             for tau in SPREADS:
-                criterion, value, covariance = self._fitted(grams, mine, form / tau**2, blocks, place)
+                criterion, *fit = self._fitted(grams, mine, form / tau**2, blocks, place)
                 if best is None or criterion < best[0]:
-                    best = criterion, tau, value, covariance
+                    best = criterion, tau, *fit
                 worse = 0 if criterion < least else worse + 1
                 least = min(least, criterion)
                 if worse == PATIENCE:
                     break
-        _, tau, value, covariance = best
+        _, tau, value, covariance, unlikely = best
         wald = float(value @ np.linalg.solve(covariance, value))
         # only the part of the variance that rests on tau is uncertain for want of flights (Satterthwaite)
         share = 1.0 - float(np.mean(np.diag(certain) / np.diag(covariance)))
         freedom = min(self.freedom / max(share, 1e-3) ** 2, MOST_FREEDOM)
         p = float(f_distribution.sf(wald / len(own), len(own), freedom))
-        return Test(offer, value, covariance, float(tau), wald, p)
+        return Test(offer, value, covariance, float(tau), wald, p, float(unlikely))
 
     def spans(self, wide: Offer, narrow: Offer, given: Sequence[Offer] = ()) -> bool:
         """Whether the columns of one offer hold those of another, base and given taken out of both."""
@@ -198,8 +199,8 @@ class Mixed:
     def _fitted(
         self, grams: np.ndarray, own: Sequence[int], precision: np.ndarray,
         blocks: Sequence[tuple[list[int], np.ndarray]], place: Mapping[int, int],
-    ) -> tuple[float, np.ndarray, np.ndarray]:  # fmt: skip
-        """Restricted likelihood (-2 log) at a spread of the cause under test, its coefficients and covariance.
+    ) -> tuple[float, np.ndarray, np.ndarray, float]:  # fmt: skip
+        """At a spread of the cause under test: restricted likelihood (-2 log), coefficients, covariance, likelihood.
 
         grams (F, K, n, n) of the columns in use, place {column: position among them}, own  positions of the cause's,
         precision (F, K, m, m) of its deviations
@@ -212,7 +213,7 @@ class Mixed:
             log += more
         left, value, covariance, information = self._solve(rest, blocks, place)
         own = slice(len(value) - len(own), len(value))
-        return left + log + information, value[own], covariance[own, own]
+        return left + log + information, value[own], covariance[own, own], left + log
 
     def _solve(
         self, rest: np.ndarray, blocks: Sequence[tuple[list[int], np.ndarray]], place: Mapping[int, int]
@@ -252,7 +253,8 @@ class Mixed:
     ) -> Test | None:
         """The most significant selection of a cause's parameters that are not given yet; None when all are given.
 
-        parts  "any": all of them, or one alone; "all": only together; "first": the first, or the first few
+        parts  "any": all of them, or one alone; "all": only together; "first": the first, or the first few; "one": one
+        alone, the likeliest
         """
         taken = {k for o in given if o.cause == cause and o.since == since for k in o.which}
         free = tuple(k for k in range(len(self.columns.causes[cause])) if k not in taken)
@@ -261,10 +263,12 @@ class Mixed:
         selections = [free]
         if parts == "any" and len(free) > 1:
             selections += [(k,) for k in free]
+        elif parts == "one":
+            selections = [(k,) for k in free]
         elif parts == "first":
             selections = [free[: n + 1] for n in range(len(free))]
         tests = [self.test(Offer(cause, since, which), given, pooled) for which in selections]
-        best = min(tests, key=lambda test: test.p)
+        best = min(tests, key=lambda test: test.unlikely if parts == "one" else test.p)
         return best._replace(p=min(best.p * len(selections), 1.0))
 
 

@@ -14,6 +14,7 @@ from quasi.gap.mixed import Mixed, Offer, Test, ranked
 
 RIVALS = 6  # of the most significant causes that are weighed against each other
 MOST = 6  # causes that one search names
+SUSPECT = 0.01  # probability of nothing below which a rival that is likelier cannot be ruled out
 
 
 class Rival(NamedTuple):
@@ -85,6 +86,8 @@ def search(
         if not open_:
             break
         best, rivals, tie = _dominant(mixed, open_[:RIVALS], given, pooled, level, effects)
+        if tie is None:
+            tie = _doubt(mixed, best, ranking, given, pooled, effects)
         if tie is not None:
             # a further parameter of a cause that is there anyway needs no new cause
             more = next((t for t in tie.tests if any(g.cause == t.offer.cause for g in found)), None)
@@ -99,6 +102,20 @@ def search(
         found[best.offer] = rivals
     named = _confirmed(mixed, effects, since, found, given, level)
     return Names(named, ties, ranking, level, len(pairs))
+
+
+def _doubt(
+    mixed: Mixed, best: Test, ranking: Sequence[Test], given: Sequence[Offer], pooled: Sequence[str],
+    effects: Mapping[str, Effect],
+) -> Tie | None:  # fmt: skip
+    """A tie with a rival that makes the flights likelier, although its size differs so much between them that it is
+    not significant itself: a load whose swing is only roughly known beside a mass, say."""
+    for rival in ranking:
+        likelier = rival.p < SUSPECT and rival.unlikely < best.unlikely
+        if likelier and rival.offer.cause in effects[best.offer.cause].rivals:
+            beside = mixed.test(best.offer, [*given, rival.offer], pooled)
+            return Tie([best, rival], float((beside.wald / len(best.offer.which)) ** 0.5))
+    return None
 
 
 def _pooled(mixed: Mixed, effects: Mapping[str, Effect], since: Sequence[str]) -> list[str]:

@@ -8,7 +8,8 @@ import numpy as np
 
 from quasi.gap.evidence import Evidence
 
-EDGES = (0.01, 0.99)  # quantiles between which a variable is scaled; beyond, the functions are constant
+# quantiles of the flight that goes furthest, between which a variable is scaled; beyond, the functions are constant
+EDGES = (0.01, 0.99)
 APART = 0.02  # a variable whose scaled spread is smaller is as good as constant
 HEADING, ROOM, EVERYWHERE = "heading", "room place", "everywhere"
 # what a model's terms depend on; the voltage falls with what the rotors draw
@@ -97,7 +98,9 @@ def basis_of(flights: Sequence[Evidence]) -> Basis:
     for where in known[0]:
         if not all(where in k for k in known):
             continue
-        low, high = (float(q) for q in np.quantile(np.concatenate([k[where] for k in known]), EDGES))
+        # what one flight does all the time counts, be it the only one
+        ends = np.array([np.quantile(k[where], EDGES) for k in known])
+        low, high = float(ends[:, 0].min()), float(ends[:, 1].max())
         if where != HEADING and not high - low > APART * max(abs(high), abs(low), 1e-9):
             continue
         scales[where], first[where] = (low, high), at

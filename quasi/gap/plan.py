@@ -16,7 +16,7 @@ from quasi.gap import plan_lower, plan_noise
 from quasi.gap.effect import Effect, Room, Vehicle, vehicle_of
 from quasi.gap.evidence import NEEDED, Evidence, gather
 from quasi.gap.flatness import planned, read_plan, with_forces
-from quasi.gap.lower import SEARCHES
+from quasi.gap.lower import rate_of
 from quasi.gap.manoeuvres import Manoeuvre, library
 from quasi.gap.outlook import Outlook, Repeated, Row, Sight
 from quasi.gap.study import BLOCK, ORDER, Study, gather_study, in_stretches
@@ -149,9 +149,10 @@ def examine(
                 f"{one.key}: the vehicle is less than a rotor's radius above the floor (z = 0) at t = "
                 f"{one.t[low[0]]:.1f} s; what is said of ground effect is not to be trusted there"
             )
-    judges = [_wrench(flights, evidence, shares, model, asked, vehicle, rate / SEARCHES, noise, card)]
+    rate = rate_of(rate, compared, 1)  # one more flight like these is held out
+    judges = [_wrench(flights, evidence, shares, model, asked, vehicle, rate, noise, card)]
     for make in (_sensors, _drives):
-        judge = make(flights, model, asked, rate / SEARCHES, card)
+        judge = make(flights, model, asked, rate, card)
         judges += [judge] if judge else []
     rows = [row for judge in judges for row in _rows(_look(judge, shares, []), judge.effects, vehicle)]
     card.rows = _sorted(plan_lower.told_by_motion(rows))

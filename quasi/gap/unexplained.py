@@ -56,6 +56,8 @@ def search(
     lines = rhythm.search(_signals(grounds, joint, flights), compared, 0.5 * rate)
     judge = grounds_of(held, causes, vehicle, grounds)
     whole = wrench_score(held, left).mean()
+    # a flight's constant error, which flights differ by, must not outweigh what depends on a place
+    centred = wrench_score(held, left, True).mean()
     said: list[dict[str, Any]] = []
 
     def material(channel: int, gone: float, before: float) -> float | None:
@@ -75,12 +77,13 @@ def search(
         usual, here = _sizes(grounds, compared, place, test.value, held)
         if where in OWN:
             others = _joint(grounds, compared, causes, [(p, t) for p, t in found if p != place])
-            without, beside = (wrench_score(held, lambda f, j=j: _residual(f, j, vehicle)).mean()
+            without, beside = (wrench_score(held, lambda f, j=j: _residual(f, j, vehicle), True).mean()
                                for j in (others, joint))  # fmt: skip
             part = material(k, max(float(without[k] - beside[k]), 0.0), float(without[k]))
         else:
             slope, _ = _slope(grounds, compared, judge.parts, joint, place)
-            part = material(k, max(2.0 * slope - 1.0, 0.0) * here**2, float(whole[k]))
+            before = whole if where == EVERYWHERE else centred
+            part = material(k, max(2.0 * slope - 1.0, 0.0) * here**2, float(before[k]))
         unjudged = here < VISITED * usual and where not in OWN
         if place.since == "always" and not _beyond_doubt(grounds, compared, causes, found, joint, place, held, vehicle,
                                                          floor, share):  # fmt: skip

@@ -75,16 +75,18 @@ def examine(
     asked = {n: e for n, e in effects.items() if e.level == "W" and not e.finding}
     within = {n: e.limits(vehicle) for n, e in asked.items()}
     values: dict[str, Deviations] = {}
+    gone: set[str] = set()  # curved causes that were not there any more once looked at where they were found
     study = gather_study(flights, asked, vehicle)
     for look in range(LOOKS):
         study = moved(study, asked, vehicle, values) if look else study
         mixed = study.mixed(range(len(flights)), compared)
-        named, ties, ranking, level = _search(mixed, asked, compared, rate, study, within)
+        named, ties, ranking, level = _search(mixed, asked, compared, rate, (*study.lacking, *gone), within)
         causes = _merged(named, asked, mixed, _given(named, ties))
         curved = {c.effect.id: dict(c.value) for c in causes if c.effect.bends}
         elsewhere = curved.keys() != values.keys() or any(
             abs(curved[n][p] - values[n].get(p, 0.0)) > 0.02 * abs(curved[n][p]) for n in curved for p in curved[n]
         )
+        gone |= set(values) - set(curved)
         values = curved
         if not elsewhere:
             break
@@ -139,7 +141,7 @@ def _stands_for(cause: Cause, since: str, tie: Tie) -> bool:
 
 
 def _search(
-    mixed: Mixed, asked: Mapping[str, Effect], compared: np.ndarray, rate: float, study: Study,
+    mixed: Mixed, asked: Mapping[str, Effect], compared: np.ndarray, rate: float, lacking: Sequence[str],
     within: Mapping[str, list[tuple[float, float]]],
 ) -> tuple[list[Named], list[tuple[str, Tie]], list[Test], float]:  # fmt: skip
     """First what changed, then what all flights have alike; the false alarm rate is shared between the two."""
@@ -149,7 +151,7 @@ def _search(
     rankings: list[Test] = []
     level = rate
     for since, part in stages.items():
-        names = search(mixed, asked, (since,), rate * part, tuple(study.lacking), within, _given(named, ties))
+        names = search(mixed, asked, (since,), rate * part, lacking, within, _given(named, ties))
         named += names.named
         ties += [(since, tie) for tie in names.ties]
         rankings += names.ranking

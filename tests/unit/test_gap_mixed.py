@@ -118,6 +118,43 @@ def test_indistinct_causes_are_a_tie_however_clear_one_of_them_is():
     assert found.named == [] and {t.offer.cause for t in found.ties[0].tests} == {"a", "b"}
 
 
+def test_of_alternatives_the_likeliest_is_taken_although_it_differs_more_between_flights():
+    """The true column acts with a size of its own in each flight; a neighbour correlates with it and looks steadier."""
+    right = 0
+    for seed in range(20):
+        rng = np.random.default_rng(200 + seed)
+        compared = [False] * 4 + [True] * 4
+        grams = []
+        for f in range(8):
+            x = rng.standard_normal((400, 7))
+            x[:, 6] = 0.6 * x[:, 5] + 0.8 * x[:, 6]
+            y = x[:, 0] + rng.standard_normal(400) + compared[f] * (0.6 + 0.2 * rng.standard_normal()) * x[:, 5]
+            z = np.column_stack([y, x])
+            grams.append(z.T @ z)
+        test = Mixed(grams, compared, LAYOUT).best("c", "changed", (), ["a", "b", "c"], "one")
+        assert len(test.offer.which) == 1
+        right += test.offer.which == (0,)
+    assert right >= 19
+
+
+def test_a_declared_rival_that_is_likelier_though_unsteady_makes_a_tie():
+    """What truly acts has another size in each flight; its rival shows half of it, steadily."""
+    rng = np.random.default_rng(3)
+    compared = [False] * 4 + [True] * 4
+    grams = []
+    for flag, size in zip(compared, [0.0, 0.0, 0.0, 0.0, 0.6, 1.6, 0.7, 1.5]):
+        x = rng.standard_normal((400, 7))
+        y = x[:, 0] + 0.5 * rng.standard_normal(400) + flag * (size * x[:, 3] + 0.35 * x[:, 4])
+        z = np.column_stack([y, x])
+        grams.append(z.T @ z)
+    mixed = Mixed(grams, compared, LAYOUT)
+    plain = effects()
+    assert search(mixed, plain, ("changed",), 1e-4).named[0].test.offer.cause == "b"
+    rivals = plain | {"b": replace(plain["b"], rivals=("a",))}
+    found = search(mixed, rivals, ("changed",), 1e-4)
+    assert not found.named and [t.offer.cause for t in found.ties[0].tests] == ["b", "a"]
+
+
 def test_a_flight_that_hardly_excites_a_cause_does_not_hide_it():
     """Seven flights agree; an eighth, whose column is a twentieth, has a model error that looks huge."""
     rng = np.random.default_rng(7)

@@ -6,6 +6,7 @@ rotor by rotor. It is held near hover by a plain controller and shaken by known 
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -21,6 +22,7 @@ from quasi.gap.confirmation import (
     UNJUDGED,
     Confirmation,
     Maker,
+    _honest,
     _lenient,
     confirm,
     outcome_of,
@@ -161,7 +163,8 @@ def cause(name, values, std, since="always"):
     effect = EFFECTS[name]
     which = tuple(effect.fitted.index(n) for n in values)
     covariance = np.diag([std[n] ** 2 for n in values])
-    test = mixed.Test(mixed.Offer(name, since, which), np.array(list(values.values())), covariance, 1.0, 100.0, 1e-9)
+    wald = sum((v / std[n]) ** 2 for n, v in values.items())
+    test = mixed.Test(mixed.Offer(name, since, which), np.array(list(values.values())), covariance, 1.0, wald, 1e-9)
     return Cause(effect, since, dict(values), dict(std), test, [])
 
 
@@ -262,7 +265,7 @@ def test_a_wrong_cause_is_not_confirmed_and_one_too_small_to_be_seen_cannot_be_j
 
 def test_a_cause_that_the_held_out_flights_refute_is_dropped_and_the_other_stays(model, weak, evidence, study):
     both = [
-        cause("rotor_effectiveness", {"rotor2": -0.05}, {"rotor2": 0.01}),
+        cause("rotor_effectiveness", {"rotor2": -0.05}, {"rotor2": 0.002}),
         cause("tether", {"k": 0.4}, {"k": 0.005}),
     ]
     settled = settle(
@@ -287,6 +290,20 @@ def test_what_cannot_be_simulated_is_neither_confirmed_nor_dropped(model, weak, 
 def test_too_few_windows_are_an_error_that_says_so():
     with pytest.raises(DataError, match="3 windows .* expected at least 8"):
         output_error.covariance_of([np.ones((3, 4))], [np.ones((3, 4, 2))], np.ones(2))
+
+
+def test_one_held_out_flight_refutes_no_more_than_flights_differ_by():
+    """A faint cause, |t| = 4 in four flights, shows nothing in one flight: that is chance. A clear one, |t| = 20, is
+    not there."""
+    told = Confirmation(REFUTED, 0.0, 0.15, 1.0 / 0.15, "why")
+
+    def seen(t):
+        cause = SimpleNamespace(test=SimpleNamespace(wald=t**2))
+        return _honest(told, cause, 4.0)
+
+    assert seen(4.0).outcome == UNJUDGED and seen(4.0).why == ""
+    assert seen(4.0).std == pytest.approx(np.sqrt(1.0 / 16.0 + 4.0 / 16.0))
+    assert seen(20.0).outcome == REFUTED and "0.00 +- 0.16" in seen(20.0).why
 
 
 def test_half_the_motion_divides_gain_from_loss():

@@ -38,6 +38,7 @@ EFFECT = Effect(
     channels=("Fx", "Fy", "Fz"),
     rivals=("mass", "wind", "tether"),
     tie_breaker="stop sharply and hover: a load goes on swinging",
+    parts="one",
     columns=_columns,
     extension=_extension,
 )
