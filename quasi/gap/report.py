@@ -3,8 +3,6 @@
 One HTML file that needs nothing else and no network. Plain data and tables in, text out.
 """
 
-import base64
-import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -24,10 +22,9 @@ from quasi.gap.wording import (
     tie_sentence,
     value_of,
 )
-from quasi.standalone.chart import SCRIPT, STYLE
+from quasi.standalone.chart import STYLE, chart, packed, step_of
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
-UNKNOWN = 65535
 THIN = 2  # every so many rows of the comparison are shown
 UNITS = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
 MOST = 15  # of the causes that are not named
@@ -245,11 +242,6 @@ def _unasked(diagnosis: Mapping[str, Any]) -> str:
     return report.sentences(f"{', '.join(dict.fromkeys(ids))}: {why}" for why, ids in reasons.items())
 
 
-def _packed(values: np.ndarray, low: float, step: float) -> str:
-    steps = np.where(np.isfinite(values), np.clip(np.round((values - low) / step), 0, UNKNOWN - 1), UNKNOWN)
-    return base64.b64encode(steps.astype("<u2").tobytes()).decode("ascii")
-
-
 def _chart(table: pd.DataFrame | None) -> str:
     """Measured against each model over time, to zoom into; held-out flights are shaded."""
     if table is None:
@@ -273,29 +265,10 @@ def _chart(table: pd.DataFrame | None) -> str:
         for word in ("before", "after"):
             model = measured - rows[f"{axis}_{word}"].to_numpy(float)
             low, high = float(min(measured.min(), model.min())), float(max(measured.max(), model.max()))
-            step = (high - low) / (UNKNOWN - 1) or 1.0
+            step = step_of(low, high)
             axes[f"{axis} {word}"] = {
                 "unit": "N" if axis[0] == "F" else "N m", "low": low, "step": step,
-                "measured": _packed(measured, low, step), "model": _packed(model, low, step),
-                "half": _packed(np.full(len(model), np.nan), 0.0, step),
+                "measured": packed(measured, low, step), "model": packed(model, low, step),
+                "half": packed(np.full(len(model), np.nan), 0.0, step),
             }  # fmt: skip
-    data = {"t": base64.b64encode(t.astype("<f4").tobytes()).decode("ascii"), "starts": starts, "flights": flights,
-            "axes": axes}  # fmt: skip
-    text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")  # no text may end the element that holds it
-    buttons = "".join(f'<button data-axis="{a}">{a}</button>' for a in axes)
-    held = {True: " class=held", False: ""}
-    places = "".join(
-        f'<button data-flight="{k}"{held[f["role"] == "validation"]}>{report.escape(f["key"])}</button>'
-        for k, f in enumerate(flights)
-    )
-    return (
-        f'<div class="chart" id="chart"><div class="bar">{buttons}'
-        '<span class="key" style="background:#3b444b"></span>measured'
-        '<span class="key" style="background:#d62728"></span>model</div>'
-        '<canvas tabindex="0" role="img" aria-label="Measured and modelled forces and moments over time"></canvas>'
-        '<div class="readout">Wheel or + and − zoom, drag or arrow keys move, double click shows all.</div>'
-        f'<div class="bar"><button data-flight="all">all flights</button>{places}</div>'
-        "<noscript>The comparison needs a browser that runs the page's script; the tables beside this page hold the "
-        "same.</noscript></div>"
-        f'<script type="application/json" id="rows">{text}</script><script>{SCRIPT}</script>'
-    )
+    return chart(t, starts, flights, axes, "the tables beside this page hold the same")

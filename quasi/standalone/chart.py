@@ -1,9 +1,19 @@
-"""Style and script of the comparison that can be zoomed, in the page of a model. No library, no network.
+"""The comparison that can be zoomed, in the pages of models and gaps: its element, style and script. No network.
 
 The page holds the rows as JSON: times and, per axis, measurement, prediction and half width of the interval as 16-bit
 steps of the axis's range (65535 stands for unknown). The script draws them on a canvas.
 """
 
+import base64
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from quasi import report
+
+UNKNOWN = 65535
 STYLE = """
 .chart { margin: 10px 0 26px; } .chart canvas { width: 100%; height: 420px; display: block; cursor: grab;
   border: 1px solid var(--line); touch-action: none; }
@@ -223,3 +233,52 @@ SCRIPT = """
   draw();
 })();
 """
+
+
+def step_of(low: float, high: float) -> float:
+    """The step by which values from low to high are packed."""
+    return (high - low) / (UNKNOWN - 1) or 1.0
+
+
+def packed(values: np.ndarray, low: float, step: float) -> str:
+    """Values as 16-bit steps above low, in base 64; what is not finite is unknown."""
+    steps = np.where(np.isfinite(values), np.clip(np.round((values - low) / step), 0, UNKNOWN - 1), UNKNOWN)
+    return base64.b64encode(steps.astype("<u2").tobytes()).decode("ascii")
+
+
+def chart(
+    t: np.ndarray,
+    starts: Sequence[int],
+    flights: Iterable[Mapping[str, Any]],
+    axes: Mapping[str, Mapping[str, Any]],
+    elsewhere: str,
+    interval: bool = False,
+) -> str:
+    """The comparison as HTML.
+
+    t          (N,) s, flight behind flight; starts  rows at which a line begins
+    flights    each {"key", "role" ("validation" is marked), "from", "to", "begins"}
+    axes       {name: {"unit", "low", "step", "measured", "model", "half"}}, the last three packed
+    elsewhere  where readers without scripts find the same; interval  whether "half" is that of a prediction interval
+    """
+    flights = list(flights)
+    data = {"t": base64.b64encode(t.astype("<f4").tobytes()).decode("ascii"), "starts": starts, "flights": flights,
+            "axes": axes}  # fmt: skip
+    text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")  # no text may end the element that holds it
+    buttons = "".join(f'<button data-axis="{a}">{a}</button>' for a in axes)
+    held = {True: " class=held", False: ""}
+    places = "".join(
+        f'<button data-flight="{k}"{held[f["role"] == "validation"]}>{report.escape(f["key"])}</button>'
+        for k, f in enumerate(flights)
+    )
+    band = '<span class="key" style="background:#f6d3d3;height:10px"></span>prediction interval' if interval else ""
+    return (
+        f'<div class="chart" id="chart"><div class="bar">{buttons}'
+        '<span class="key" style="background:#3b444b"></span>measured'
+        f'<span class="key" style="background:#d62728"></span>model{band}</div>'
+        '<canvas tabindex="0" role="img" aria-label="Measured and modelled forces and moments over time"></canvas>'
+        '<div class="readout">Wheel or + and − zoom, drag or arrow keys move, double click shows all.</div>'
+        f'<div class="bar"><button data-flight="all">all flights</button>{places}</div>'
+        f"<noscript>The comparison needs a browser that runs the page's script; {elsewhere}.</noscript></div>"
+        f'<script type="application/json" id="rows">{text}</script><script>{SCRIPT}</script>'
+    )

@@ -3,8 +3,6 @@
 One HTML file that needs nothing else and no network. Plain data in, text out; only the comparison runs a script, ours.
 """
 
-import base64
-import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,10 +11,9 @@ import pandas as pd
 
 from quasi import report
 from quasi.standalone.causes import where_it_acts
-from quasi.standalone.chart import SCRIPT, STYLE
+from quasi.standalone.chart import STYLE, chart, packed, step_of
 from quasi.standalone.diagnostics import ANY
 
-UNKNOWN = 65535
 COLOURS = {"training": "#59636b", "test": "#d97706", "validation": "#1d6fb8"}
 BANDS = ("#fde8e6", "#eef5ec", "#e6effa")
 
@@ -117,11 +114,6 @@ def _tenths(value: float) -> str:
 # ---- the comparison ----
 
 
-def _packed(values: np.ndarray, low: float, step: float) -> str:
-    steps = np.where(np.isfinite(values), np.clip(np.round((values - low) / step), 0, UNKNOWN - 1), UNKNOWN)
-    return base64.b64encode(steps.astype("<u2").tobytes()).decode("ascii")
-
-
 def _comparison(rows: pd.DataFrame, summary: Mapping[str, Any]) -> str:
     if len(rows) < 2:
         return ""
@@ -138,35 +130,13 @@ def _comparison(rows: pd.DataFrame, summary: Mapping[str, Any]) -> str:
         three = [rows[name].to_numpy(float) for name in (axis, f"{axis}_model", f"{axis}_half")]
         low = float(min(np.nanmin(three[0]), np.nanmin(three[1])))
         high = float(max(np.nanmax(three[0]), np.nanmax(three[1]), low + np.nanmax(three[2])))
-        step = (high - low) / (UNKNOWN - 1) or 1.0
+        step = step_of(low, high)
         axes[axis] = {
-            "unit": facts["unit"], "low": low, "step": step, "measured": _packed(three[0], low, step),
-            "model": _packed(three[1], low, step), "half": _packed(three[2], 0.0, step),
+            "unit": facts["unit"], "low": low, "step": step, "measured": packed(three[0], low, step),
+            "model": packed(three[1], low, step), "half": packed(three[2], 0.0, step),
         }  # fmt: skip
-    data = {
-        "t": base64.b64encode(t.astype("<f4").tobytes()).decode("ascii"),
-        "starts": np.flatnonzero(rows["start"].to_numpy() > 0).tolist(), "flights": flights, "axes": axes,
-    }  # fmt: skip
-    # no text of the data may end the element that holds it
-    text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
-    buttons = "".join(f'<button data-axis="{a}">{a}</button>' for a in axes)
-    held = {True: " class=held", False: ""}
-    places = "".join(
-        f'<button data-flight="{k}"{held[f["role"] == "validation"]}>{report.escape(f["key"])}</button>'
-        for k, f in enumerate(flights)
-    )
-    return (
-        f'<div class="chart" id="chart"><div class="bar">{buttons}'
-        '<span class="key" style="background:#3b444b"></span>measured'
-        '<span class="key" style="background:#d62728"></span>model'
-        '<span class="key" style="background:#f6d3d3;height:10px"></span>prediction interval</div>'
-        '<canvas tabindex="0" role="img" aria-label="Measured and modelled forces and moments over time"></canvas>'
-        f'<div class="readout">Wheel or + and − zoom, drag or arrow keys move, double click shows all.</div>'
-        f'<div class="bar"><button data-flight="all">all flights</button>{places}</div>'
-        "<noscript>The comparison needs a browser that runs the page's script; the figures beside this page show the "
-        "same.</noscript></div>"
-        f'<script type="application/json" id="rows">{text}</script><script>{SCRIPT}</script>'
-    )
+    starts = np.flatnonzero(rows["start"].to_numpy() > 0).tolist()
+    return chart(t, starts, flights, axes, "the figures beside this page show the same", interval=True)
 
 
 # ---- pictures drawn as SVG ----
