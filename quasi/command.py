@@ -22,28 +22,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    summary = commands.add_parser("summary", help="print a model: its terms, coefficients, standard errors and scores")
+    place = argparse.ArgumentParser(add_help=False)
+    place.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
+
+    summary = commands.add_parser(
+        "summary", parents=[place], help="print a model: its terms, coefficients, standard errors and scores"
+    )
     summary.add_argument("model", help="model ID, or the path of a standalone model")
-    summary.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
 
     fly = commands.add_parser(
         "fly",
+        parents=[place],
         help="fly a model by hand, in a live view",
         description="w a s d fly, arrows turn and change height, q or closing the window ends. Keys work in the "
         "terminal and in the window.",
     )
     fly.add_argument("model", nargs="?", help="model ID, or the path of a standalone model; the only one if left out")
-    fly.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
     fly.add_argument("--simulation", help="controller, wind and so on as in config/simulations/SIMULATION.json")
 
     reach = commands.add_parser(
         "reach",
+        parents=[place],
         help="where a quadrotor can be after a while",
         description="Flies from the start of config/simulations/SIMULATION.json to targets on a sphere about it, "
         "all at once, and writes results/reach/SIMULATION: positions, extremes, and a figure of the hull.",
     )
     reach.add_argument("simulation", help="name of the simulation; its reference and duration do not count")
-    reach.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
     reach.add_argument("--horizon", type=float, default=1.0, help="s (default 1)")
     reach.add_argument("--radius", type=float, default=4.0, help="of the sphere of targets, m (default 4)")
     reach.add_argument("--spacing", type=float, default=20.0, help="angle between targets, degrees (default 20)")
@@ -58,15 +62,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     margins = commands.add_parser(
         "margins",
+        parents=[place],
         help="gains and stability margins of a simulation's controller",
         description="The gains in force, which may be copied into config/simulations/SIMULATION.json and changed, and "
         "how much gain, phase and delay the loop about hover can bear in each direction.",
     )
     margins.add_argument("simulation", help="name of the simulation")
-    margins.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
 
     plan = commands.add_parser(
         "plan",
+        parents=[place],
         help="which causes of disagreement a trajectory could reveal, and which manoeuvres are missing",
         description="For every cause in the catalogue, at its typical size: the expected t after all that could "
         "stand in for it, what it would be confused with, and the manoeuvres that would show more.",
@@ -74,7 +79,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     plan.add_argument("model", help="model ID, or the path of a standalone model")
     described = "filtered flight, simulation, or table of t x y z yaw (s, m, z down, rad); several are flown in turn"
     plan.add_argument("trajectories", nargs="+", metavar="TRAJECTORY", help=described)
-    plan.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
     plan.add_argument("--flights", type=int, default=4, help="flights to compare (4)")
     plan.add_argument("--references", type=int, default=0, help="reference flights beside them, believed clean (0)")
     plan.add_argument("--gap", help="take the noise, the room and further causes from this gap")
@@ -98,12 +102,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     published = commands.add_parser(
         "import-model",
+        parents=[place],
         help="make a model from a JSON file that QuaSI published",
         description="Writes models/NAME/standalone/model.json. Nothing from the file is run.",
     )
     published.add_argument("file", help="JSON file of the published model")
     published.add_argument("name", help="model ID that it gets")
-    published.add_argument("-d", "--directory", default=".", help="project folder (default: here)")
     published.add_argument("--motor-poles", type=int, help="magnets of its motors, which the file does not tell (14)")
 
     options = parser.parse_args(arguments)
