@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from airframes import BEETLE
 from flights import AIRFRAME
 from made_model import SHARED, document, part
 
@@ -45,12 +46,9 @@ def bundled(file=Path(__file__).parents[2] / "config/polynomials/physical_large.
 
 
 def normalised():
-    frame = read_airframe(
-        {"rotor config": {"front left": 4, "front right": 2, "aft right": 1, "aft left": 3},
-         "rotor1 rotation direction": "CW", "b": 0.077, "rotor radius": 0.0381, "mass": 0.433, "motor poles": 14,
-         "idle RPM": 250, "max RPM": 2500, "moment of inertia": "[8.65e-4, 1e-5, 0; 1e-5, 1.07e-3, 0; 0, 0, 1.71e-3]"},
-        "test",
-    )  # fmt: skip
+    inertia = "[8.65e-4, 1e-5, 0; 1e-5, 1.07e-3, 0; 0, 0, 1.71e-3]"
+    limits = {"mass": 0.433, "motor poles": 14, "idle RPM": 250, "max RPM": 2500}
+    frame = read_airframe({**BEETLE, "moment of inertia": inertia, **limits}, "test")
     scheme = normalisation_of(frame, None, "test").to_plain()
     parts = {
         axis: {**part(axis, {"U_p": 0.3, "mu_x*w_avg": -0.1, "u": 0.2, "F_den^0.5": 1e-3}), "normalisation": scheme}

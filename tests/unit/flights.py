@@ -2,22 +2,13 @@
 
 import numpy as np
 import pandas as pd
+from airframes import BEETLE
 from scipy.signal import butter, sosfiltfilt
 
 from quasi.airframe import read_airframe
 from quasi.attitude import GRAVITY
 
-AIRFRAME = read_airframe(
-    {
-        "rotor config": {"front left": 4, "front right": 2, "aft right": 1, "aft left": 3},
-        "rotor1 rotation direction": "CW",
-        "b": 0.077,
-        "rotor radius": 0.0381,
-        "mass": 0.433,
-        "moment of inertia": "[8.65e-4, 0, 0; 0, 1.07e-3, 0; 0, 0, 1.71e-3]",
-    },
-    "test",
-)
+AIRFRAME = read_airframe({**BEETLE, "mass": 0.433}, "test")
 THRUST, ROLL, PITCH, YAW = 1.3e-6, 1.0e-7, 1.1e-7, 2.0e-8
 HOVER = float(np.sqrt(AIRFRAME.mass * GRAVITY / (4 * THRUST)))
 

@@ -4,6 +4,7 @@ import numpy as np
 from flights import AIRFRAME, HOVER
 
 from quasi.standalone.build import assemble
+from quasi.standalone.model import Model
 
 TERMS = {
     "Fx": {"1": 0.02, "(w_tot)*(u^(1.0))": -2e-5},
@@ -54,3 +55,18 @@ SHARED = {
 def document(**more):
     parts = {axis: part(axis, terms) for axis, terms in TERMS.items()}
     return assemble(parts, SHARED, {"id": "m", "airframe": AIRFRAME, **more})
+
+
+def simple_model(airframe, thrust, torque, **more):
+    """Thrust and torque by the squares of the rotor speeds, drag, and no damping but what `more` adds by axis."""
+    arm = abs(airframe.hubs[0, 0])
+    terms = {
+        "Fx": {"u": -0.15}, "Fy": {"v": -0.15}, "Fz": {"(w1^2 + w2^2 + w3^2 + w4^2)": -thrust, "w": -0.15},
+        "Mx": {"U_p": thrust * arm}, "My": {"U_q": thrust * arm}, "Mz": {"U_r": -torque},
+    }  # fmt: skip
+    shared = {
+        **SHARED, "hover speed": {"value": 2110.0, "unit": "rad/s"}, "notes": [],
+        "simple model": {"kappaFz": {"value": thrust}, "kappaMz": {"value": -torque}},
+    }  # fmt: skip
+    parts = {axis: part(axis, {**of, **more.get(axis, {})}) for axis, of in terms.items()}
+    return Model(assemble(parts, shared, {"id": "m", "airframe": airframe}))

@@ -4,22 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from airframes import BEETLE
 
 from quasi import attitude
 from quasi.airframe import read_airframe
 
 MASS = 0.43
 INERTIA = np.diag([8.65e-4, 1.07e-3, 1.71e-3])
-CONFIG = {
-    "rotor config": {"front left": 4, "front right": 2, "aft right": 1, "aft left": 3},
-    "rotor1 rotation direction": "CW",
-    "b": 0.077,
-    "rotor radius": 0.0381,
-    "moment of inertia": INERTIA.tolist(),
-    "idle RPM": 200,
-    "max RPM": 2100,
-    "mass": MASS,
-}
+CONFIG = {**BEETLE, "moment of inertia": INERTIA.tolist(), "idle RPM": 200, "max RPM": 2100, "mass": MASS}
 
 
 def quadrotor(**changes):

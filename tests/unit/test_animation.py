@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from airframes import to_draw
 from matplotlib.figure import Figure
 from PIL import Image
 
 from quasi import animation, drawing
-from quasi.airframe import read_airframe
 from quasi.animation import Scene, animate, following, frame_times, frames
 from quasi.attitude import from_euler
 from quasi.drawing import Look, Motion
@@ -15,16 +15,7 @@ from quasi.errors import ConfigError, DataError
 
 @pytest.fixture
 def airframe():
-    return read_airframe(
-        {
-            "rotor config": {"front left": 4, "front right": 2, "aft right": 1, "aft left": 3},
-            "rotor1 rotation direction": "CW",
-            "rotor radius": 0.04,
-            "b": 0.08,
-            "moment of inertia": "[1e-3, 0, 0; 0, 1e-3, 0; 0, 0, 2e-3]",
-        },
-        "drone.json",
-    )
+    return to_draw()
 
 
 @pytest.fixture

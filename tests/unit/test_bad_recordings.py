@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from made_motion import at_times, body, motive_text
+from made_recordings import written
 
 from quasi.errors import QuasiError
 from quasi.importing.flight import import_flight
@@ -22,12 +23,7 @@ def made():
 @pytest.fixture
 def asked(tmp_path, made):
     """The flight's settings; both files are fresh copies."""
-    write_bytes(tmp_path / "bad-1.bbl", made.onboard)
-    write_text(tmp_path / "bad-1.csv", made.capture)
-    return {
-        "flight": "bad-1", "quadrotor": "Made", "flight controller": "betaflight", "rigid body": "MadeBeetle",
-        "onboard": str(tmp_path / "bad-1.bbl"), "capture": str(tmp_path / "bad-1.csv"), "log number": None,
-    }  # fmt: skip
+    return written(tmp_path, "bad-1", made)
 
 
 def load(asked, **options):

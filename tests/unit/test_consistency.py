@@ -3,31 +3,17 @@
 The study itself is benchmarks/consistency.py.
 """
 
-import sys
-from pathlib import Path
-
+import consistency
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-BENCHMARKS = str(Path(__file__).parents[2] / "benchmarks")
-
 
 @pytest.fixture(scope="module")
-def study():
-    sys.path.insert(0, BENCHMARKS)
-    try:
-        import consistency
-    finally:
-        sys.path.remove(BENCHMARKS)
-    return consistency
-
-
-@pytest.fixture(scope="module")
-def draws(study):
+def draws():
     seeds = ((1, "mixed", 0.0), (2, "aggressive", 0.0), (3, "mixed", 0.0), (1, "mixed", 1.0), (2, "aggressive", 1.0))
     return [
-        study.draw({"seed": seed, "profile": profile, "seconds": 40.0, "nuisance": nuisance})
+        consistency.draw({"seed": seed, "profile": profile, "seconds": 40.0, "nuisance": nuisance})
         for seed, profile, nuisance in seeds
     ]
 

@@ -5,11 +5,11 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
+from airframes import to_draw
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 from quasi import drawing
-from quasi.airframe import read_airframe
 from quasi.attitude import from_euler
 from quasi.drawing import Motion, motion_of, trajectories, trajectory
 from quasi.drone import Look, new_axes
@@ -20,18 +20,7 @@ LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 
 @pytest.fixture
 def airframe():
-    return read_airframe(
-        {
-            "rotor config": {"front left": 4, "front right": 2, "aft right": 1, "aft left": 3},
-            "rotor1 rotation direction": "CW",
-            "rotor radius": 0.04,
-            "b": 0.08,
-            "moment of inertia": "[1e-3, 0, 0; 0, 1e-3, 0; 0, 0, 2e-3]",
-            "max RPM": 2500,
-            "motor poles": 14,
-        },
-        "drone.json",
-    )
+    return to_draw(**{"max RPM": 2500, "motor poles": 14})
 
 
 @pytest.fixture

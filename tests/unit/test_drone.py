@@ -2,29 +2,18 @@
 
 import numpy as np
 import pytest
+from airframes import to_draw
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import proj3d
 
-from quasi.airframe import read_airframe
 from quasi.attitude import from_euler
 from quasi.drone import Drone, Look, get_limits, new_axes, set_limits, shape_of
 
 
 @pytest.fixture
 def airframe():
-    return read_airframe(
-        {
-            "rotor config": {"front left": 4, "front right": 2, "aft right": 1, "aft left": 3},
-            "rotor1 rotation direction": "CW",
-            "rotor radius": 0.04,
-            "b": 0.08,
-            "moment of inertia": "[1e-3, 0, 0; 0, 1e-3, 0; 0, 0, 2e-3]",
-            "max RPM": 2500,
-            "motor poles": 14,
-        },
-        "drone.json",
-    )
+    return to_draw(**{"max RPM": 2500, "motor poles": 14})
 
 
 def on_screen(axes, point):

@@ -1,7 +1,6 @@
 """Exports as C and as a Python file: the same numbers as the model; nothing in a model leaves its place in source."""
 
 import ast
-import importlib.util
 import math
 import re
 import subprocess
@@ -13,6 +12,7 @@ from export_models import EVERY_FUNCTION, MODELS, bundled, model, normalised
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_model import TERMS, document
+from programs import script
 
 from quasi.errors import ConfigError, DataError
 from quasi.export import agreement, contents
@@ -369,13 +369,10 @@ def test_damaged_actuators_are_refused(actuators):
 
 
 def test_without_a_compiler_the_sources_are_written_and_the_report_says_so(tmp_path, monkeypatch, capsys):
-    spec = importlib.util.spec_from_file_location("export_c", ROOT / "scripts/export_c.py")
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
     write_json(tmp_path / "model.json", document())
-    script.main(str(tmp_path / "model.json"), str(tmp_path / "c"))
+    script("export_c").main(str(tmp_path / "model.json"), str(tmp_path / "c"))
     found = read_json(tmp_path / "c/agreement.json")
     assert found["agrees"] is None and found["checks"] == [] and "no C compiler was found" in found["notes"][-1]
     assert (tmp_path / "c/quasi_m.c").is_file() and "not compared" in capsys.readouterr().out

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from made_motion import at_times, body, motive_text
+from made_recordings import written
 from scipy.spatial.transform import Rotation
 
 from quasi.attitude import from_euler
@@ -13,7 +14,7 @@ from quasi.errors import ConfigError, DataError, ReadError
 from quasi.importing.figures import alignment_figure
 from quasi.importing.flight import import_flight
 from quasi.synthesis.campaign import make_flight, read_campaign
-from quasi.tables import COLUMNS, read_json, write_bytes, write_text
+from quasi.tables import COLUMNS, read_json
 
 ROOT = Path(__file__).parents[2]
 NANODRONE = ROOT.parent / "shared/data/nanodrone"
@@ -34,18 +35,8 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("made")
     campaign = read_campaign({"seed": 5, "duration": 30.0, "flights": [{"key": "made-01"}]})
     flight = make_flight(campaign, campaign.flights[0])
-    write_bytes(folder / "made-01.bbl", flight.onboard)
-    write_text(folder / "made-01.csv", flight.capture)
+    asked = written(folder, "made-01", flight)
     offset = flight.metadata["capture"]["offset"]
-    asked = {
-        "flight": "made-01",
-        "quadrotor": "Made",
-        "flight controller": "betaflight",
-        "rigid body": "MadeBeetle",
-        "onboard": str(folder / "made-01.bbl"),
-        "capture": str(folder / "made-01.csv"),
-        "log number": None,
-    }
     quadrotor = {"motor poles": "14", "optitrack marker cg offset": dict(zip("xyz", map(str, offset)))}
     return asked, quadrotor, flight, *import_flight(asked, quadrotor, {"resampling rate": 500})
 

@@ -5,9 +5,9 @@ import warnings
 
 import numpy as np
 import pytest
+from airframes import to_draw
 from matplotlib.backend_bases import KeyEvent
 
-from quasi.airframe import read_airframe
 from quasi.attitude import from_euler, rotate
 from quasi.errors import ConfigError
 from quasi.simulation import window
@@ -185,16 +185,7 @@ def test_a_simulation_out_of_control_stops_says_so_and_begins_again_with_r():
 
 @pytest.fixture
 def airframe():
-    return read_airframe(
-        {
-            "rotor config": {"front left": 4, "front right": 2, "aft right": 1, "aft left": 3},
-            "rotor1 rotation direction": "CW",
-            "rotor radius": 0.04,
-            "b": 0.08,
-            "moment of inertia": "[1e-3, 0, 0; 0, 1e-3, 0; 0, 0, 2e-3]",
-        },
-        "drone.json",
-    )
+    return to_draw()
 
 
 @pytest.fixture

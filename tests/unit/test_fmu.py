@@ -1,9 +1,7 @@
 """FMUs: valid by FMPy, and equal to the model, to the simulator and to equations of motion written plainly."""
 
 import ctypes
-import importlib.util
 import zipfile
-from pathlib import Path
 from xml.etree import ElementTree
 
 import fmpy
@@ -13,6 +11,7 @@ from export_models import EVERY_FUNCTION, MODELS, model, normalised
 from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
 from made_model import TERMS, document
+from programs import script
 
 from quasi import attitude
 from quasi.errors import ConfigError
@@ -297,12 +296,9 @@ def test_vehicle_needs_what_a_vehicle_knows():
 
 
 def test_script_hands_over_what_can_be_made_and_says_what_cannot(tmp_path, capsys):
-    spec = importlib.util.spec_from_file_location("export_fmu", Path(__file__).parents[2] / "scripts/export_fmu.py")
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
     few = model({"Fz": TERMS["Fz"]}, "few")
     write_json(tmp_path / "model.json", few.document)
-    script.main(str(tmp_path / "model.json"), str(tmp_path / "fmu"))
+    script("export_fmu").main(str(tmp_path / "model.json"), str(tmp_path / "fmu"))
     found = read_json(tmp_path / "fmu/agreement.json")
     assert found["agrees"] is True and any("no vehicle was made: model few lacks" in n for n in found["notes"])
     assert [p.name for p in (tmp_path / "fmu").glob("*.fmu")] == ["quasi_few_forces_and_moments.fmu"]

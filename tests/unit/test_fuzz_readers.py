@@ -1,19 +1,10 @@
 """A sample of what the fuzzer of the readers does: damaged files raise nothing but the readers' own error."""
 
-import importlib.util
-import sys
-from pathlib import Path
-
+import fuzz_readers as fuzzer
 import numpy as np
 import pytest
 
 from quasi.errors import QuasiError
-
-_PATH = Path(__file__).parents[2] / "benchmarks/fuzz_readers.py"
-_spec = importlib.util.spec_from_file_location("fuzz_readers", _PATH)
-fuzzer = importlib.util.module_from_spec(_spec)
-sys.modules["fuzz_readers"] = fuzzer
-_spec.loader.exec_module(fuzzer)
 
 
 @pytest.mark.parametrize("name", list(fuzzer.READERS))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from made_model import part
+from made_model import simple_model
 
 from quasi import attitude
 from quasi.airframe import read_airframe
@@ -13,8 +13,7 @@ from quasi.gap.catalogue import catalogue, chosen, columns_of, wrench_of
 from quasi.gap.effect import Effect, Parameter, room_of, vehicle_of
 from quasi.gap.evidence import Evidence
 from quasi.gap.inflow import overshoot
-from quasi.standalone.build import assemble
-from quasi.standalone.model import AXES, Model
+from quasi.standalone.model import AXES
 from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
 from quasi.synthesis.effects import check, plant
 from quasi.synthesis.nuisance import nominal
@@ -87,26 +86,13 @@ def measured(columns, setup, mass, inertia):
     return np.hstack([mass * specific, moment])
 
 
-def simple_model(airframe, factors):
-    thrust, torque, arm = factors["thrust"], factors["torque"], abs(airframe.hubs[0, 0])
-    terms = {
-        "Fx": {"u": -0.15}, "Fy": {"v": -0.15}, "Fz": {"(w1^2 + w2^2 + w3^2 + w4^2)": -thrust, "w": -0.15},
-        "Mx": {"U_p": thrust * arm}, "My": {"U_q": thrust * arm}, "Mz": {"U_r": -torque},
-    }  # fmt: skip
-    shared = {
-        "gravity": "withGravity", "hover speed": {"value": 2110.0, "unit": "rad/s"}, "actuators": None,
-        "simple model": {"kappaFz": {"value": thrust}, "kappaMz": {"value": -torque}},
-        "training flights": ["a"], "notes": [],
-    }  # fmt: skip
-    return Model(assemble({a: part(a, t) for a, t in terms.items()}, shared, {"id": "m", "airframe": airframe}))
-
-
 @pytest.fixture(scope="module")
 def ground():
     campaign = read_campaign({"flights": [{"key": "a", "profile": "mixed", "seed": 1}], "duration": 30}, "t")
     airframe = read_airframe(quadrotor_configuration(campaign), "made")
     setup = nominal(120.0, 0.0)
-    return airframe, setup, simple_model(airframe, hover_factors(setup.vehicle.physics))
+    factors = hover_factors(setup.vehicle.physics)
+    return airframe, setup, simple_model(airframe, factors["thrust"], factors["torque"])
 
 
 def residual_of(ground, effects, seed=3, spread=1.0):

@@ -1,12 +1,11 @@
 """Rotor notches: planted lines go away, motion stays as it is, everything compared gets the same operator."""
 
 import re
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from rigid_body import measure, move, quadrotor
+from study import fly
 
 from quasi.airframe import read_airframe
 from quasi.errors import ConfigError
@@ -140,11 +139,6 @@ def test_what_the_import_took_out_is_not_looked_for_where_it_would_fold():
 
 def test_notches_bring_a_slow_log_nearer_to_the_truth():
     # at 250 Hz the rotors' lines near 330 Hz fold to 80 Hz; from the raw log on
-    sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-    try:
-        from study import fly
-    finally:
-        sys.path.pop(0)
     made, frame, about, quad = fly("a", profile="mixed", seed=3, duration=20.0, nuisance=0.0, **{"log rate": 250})
     at, t = frame["t"].to_numpy() + about["start"]["value"], made.truth["t"].to_numpy()
     error = {}

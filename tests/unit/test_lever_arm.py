@@ -2,17 +2,11 @@
 
 import numpy as np
 import pytest
+from airframes import BEETLE
 
 from quasi.airframe import read_airframe
 from quasi.importing.lever_arm import felt_too_much, hover_arm
 
-BEETLE = {
-    "rotor config": {"front left": 4, "front right": 2, "aft right": 1, "aft left": 3},
-    "rotor1 rotation direction": "CW",
-    "rotor radius": "0.0381",
-    "b": "0.077",
-    "moment of inertia": "[0.000865, 0, 0; 0, 0.00107, 0; 0, 0, 0.00171]",
-}
 HUBS = read_airframe(BEETLE, "beetle").hubs
 
 

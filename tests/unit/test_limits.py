@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from made_recordings import written
 
 from quasi.errors import DataError
 from quasi.importing.flight import import_flight
 from quasi.importing.limits import End, facts, said, spoiled
 from quasi.synthesis import campaign as campaigns
-from quasi.tables import write_bytes, write_text
 
 
 def flown(folder, monkeypatch, limit):
@@ -23,13 +23,7 @@ def flown(folder, monkeypatch, limit):
         {"duration": 40.0, "nuisance": 0.0, "flights": [{"key": "a", "profile": "aggressive", "seed": 5}]}
     )
     flight = campaigns.make_flight(campaign, campaign.flights[0])
-    write_bytes(folder / "a.bbl", flight.onboard)
-    write_text(folder / "a.csv", flight.capture)
-    asked = {
-        "flight": "a", "quadrotor": "Made", "flight controller": "betaflight", "rigid body": "MadeBeetle",
-        "onboard": str(folder / "a.bbl"), "capture": str(folder / "a.csv"), "log number": None,
-    }  # fmt: skip
-    return flight, asked, campaigns.quadrotor_configuration(campaign)
+    return flight, written(folder, "a", flight), campaigns.quadrotor_configuration(campaign)
 
 
 def test_a_clipped_gyro_is_named_with_times_in_notes_metadata_and_verdict(tmp_path, monkeypatch):

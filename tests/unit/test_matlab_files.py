@@ -1,6 +1,5 @@
 """What the MATLAB export writes: one dialect, hostile text, what is refused, and the job that makes the folder."""
 
-import importlib.util
 import io
 import re
 import shutil
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 from made_model import document
 from matlab_models import GRAMMAR, ROOT, U, flown, octave
+from programs import script
 from scipy.io import loadmat
 
 from quasi.errors import ConfigError, ExpressionError
@@ -117,17 +117,9 @@ def test_the_fixed_files_are_copied_as_they_stand(tmp_path):
 
 
 def export(document, folder, settings=None):
-    script = load_script("export_matlab")
     write_json(folder / "model.json", document)
-    script.main(str(folder / "model.json"), settings or {"file": None, "u": U}, str(folder / "matlab"))
+    script("export_matlab").main(str(folder / "model.json"), settings or {"file": None, "u": U}, str(folder / "matlab"))
     return read_json(folder / "matlab/agreement.json"), {p.name for p in (folder / "matlab").iterdir()}
-
-
-def load_script(name):
-    found = importlib.util.spec_from_file_location(name, ROOT / f"scripts/{name}.py")
-    module = importlib.util.module_from_spec(found)
-    found.loader.exec_module(module)
-    return module
 
 
 @octave

@@ -3,28 +3,16 @@
 import numpy as np
 import pandas as pd
 import pytest
+from airframes import to_draw
 from scipy.spatial.transform import Rotation
 
-from quasi.airframe import read_airframe
 from quasi.errors import DataError
 from quasi.simulation.figures import simulation_figures
 
 
 @pytest.fixture
 def airframe():
-    return read_airframe(
-        {
-            "rotor config": {"front left": 4, "front right": 2, "aft right": 1, "aft left": 3},
-            "rotor1 rotation direction": "CW",
-            "rotor radius": 0.04,
-            "b": 0.08,
-            "moment of inertia": "[1e-3, 0, 0; 0, 1e-3, 0; 0, 0, 2e-3]",
-            "idle RPM": 250,
-            "max RPM": 2500,
-            "motor poles": 14,
-        },
-        "drone.json",
-    )
+    return to_draw(**{"idle RPM": 250, "max RPM": 2500, "motor poles": 14})
 
 
 @pytest.fixture

@@ -1,18 +1,14 @@
 """The scripts that draw and animate a simulation, on a simulation that has run."""
 
-import sys
-from pathlib import Path
-
 import pytest
 from PIL import Image
 from plain_plant import made_model
+from programs import script
 
 from quasi import animation
 from quasi.simulation.run import simulate
 from quasi.simulation.setup import make_setup
 from quasi.tables import write_json, write_table
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 
 
 @pytest.fixture(scope="module")
@@ -29,16 +25,14 @@ def made(tmp_path_factory):
 
 
 def test_every_figure_becomes_a_file(made, tmp_path):
-    from simulation_figures import main
-
+    main = script("simulation_figures").main
     main(made / "flight.parquet", made / "summary.json", made / "model.json", tmp_path / "figures")
     names = {"overview", "states", "rotor_speeds", "forces_and_moments", "trajectory", "tracking_error"}
     assert {p.stem for p in (tmp_path / "figures").glob("*.png")} == names
 
 
 def test_without_an_encoder_the_animation_is_a_gif(made, tmp_path, monkeypatch):
-    import simulation_animation
-
+    simulation_animation = script("simulation_animation")
     monkeypatch.setattr(simulation_animation, "can_write_mp4", lambda: False)
     monkeypatch.setattr(animation, "can_write_mp4", lambda: False)
     settings = {"save": True, "speed": 2.0, "frames per second": 10}

@@ -1,26 +1,13 @@
 """A study goes on where it stopped, and trusts no file of other code or settings."""
 
 import json
-import sys
-from pathlib import Path
 
 import pytest
-
-BENCHMARKS = str(Path(__file__).parents[2] / "benchmarks")
-
-
-@pytest.fixture(scope="module")
-def study():
-    sys.path.insert(0, BENCHMARKS)
-    try:
-        import study
-    finally:
-        sys.path.remove(BENCHMARKS)
-    return study
+import study
 
 
-def test_a_study_goes_on_where_it_was_and_tables_come_from_the_files(study, tmp_path):
-    program = Path(BENCHMARKS) / "consistency.py"
+def test_a_study_goes_on_where_it_was_and_tables_come_from_the_files(tmp_path):
+    program = study.HERE.parent / "consistency.py"
     made = []
 
     def draw(settings):
@@ -46,12 +33,12 @@ def test_a_study_goes_on_where_it_was_and_tables_come_from_the_files(study, tmp_
     assert study.run(many, draw, tmp_path, program) == results
 
 
-def test_other_programs_do_not_share_draws(study, tmp_path):
+def test_other_programs_do_not_share_draws(tmp_path):
     settings = [{"seed": 1}]
-    study.run(settings, lambda s: {"found": "a"}, tmp_path, Path(BENCHMARKS) / "consistency.py")
-    (other,) = study.run(settings, lambda s: {"found": "b"}, tmp_path, Path(BENCHMARKS) / "synchronisation.py")
+    study.run(settings, lambda s: {"found": "a"}, tmp_path, study.HERE.parent / "consistency.py")
+    (other,) = study.run(settings, lambda s: {"found": "b"}, tmp_path, study.HERE.parent / "synchronisation.py")
     assert other["found"] == "b"
 
 
-def test_root_mean_square(study):
+def test_root_mean_square():
     assert study.rms([3.0, -4.0]) == pytest.approx(12.5**0.5)

@@ -1,33 +1,21 @@
 """The job that draws the flights of a model: stills, an animation on demand, flights without a position."""
 
-import importlib.util
-from pathlib import Path
-
 import pytest
+from airframes import BEETLE
 from flights import flight
 from PIL import Image
+from programs import script
 
 from quasi.errors import ConfigError
 from quasi.tables import write_table
 
-SCRIPT = Path(__file__).parents[2] / "scripts/standalone_trajectories.py"
-QUADROTOR = {
-    "file": "test",
-    "rotor config": {"front left": 4, "front right": 2, "aft right": 1, "aft left": 3},
-    "rotor1 rotation direction": "CW",
-    "b": 0.077,
-    "rotor radius": 0.0381,
-    "moment of inertia": "[8.65e-4, 0, 0; 0, 1.07e-3, 0; 0, 0, 1.71e-3]",
-}
+QUADROTOR = {"file": "test", **BEETLE}
 SETTINGS = {"quadrotor": QUADROTOR, "problem": None, "mass": 0.4, "stills": 3, "animate": False, "speed up": 10}
 
 
 @pytest.fixture(scope="module")
 def main():
-    found = importlib.util.spec_from_file_location("standalone_trajectories", SCRIPT)
-    module = importlib.util.module_from_spec(found)
-    found.loader.exec_module(module)
-    return module.main
+    return script("standalone_trajectories").main
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import pandas as pd
 import pytest
-from made_model import part
+from made_model import simple_model
 from scipy.signal import lfilter
 
 from quasi.airframe import read_airframe
@@ -14,8 +14,7 @@ from quasi.gap.evidence import Evidence
 from quasi.gap.generic import polynomial
 from quasi.gap.places import places
 from quasi.gap.unexplained import search
-from quasi.standalone.build import assemble
-from quasi.standalone.model import AXES, Model
+from quasi.standalone.model import AXES
 from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
 
 RATE, SECONDS = 100.0, 40.0
@@ -33,19 +32,8 @@ def smooth(rng, size, seconds=1.5):
 def ground():
     campaign = read_campaign({"flights": [{"key": "a"}]}, "t")
     airframe = read_airframe(quadrotor_configuration(campaign), "made", 0.433)
-    arm, thrust = abs(airframe.hubs[0, 0]), 0.433 * 9.81 / (4 * 2110.0**2)
-    terms = {
-        "Fx": {"u": -0.15}, "Fy": {"v": -0.15}, "Fz": {"(w1^2 + w2^2 + w3^2 + w4^2)": -thrust, "w": -0.15},
-        "Mx": {"U_p": thrust * arm}, "My": {"U_q": thrust * arm}, "Mz": {"U_r": -0.01 * thrust},
-    }  # fmt: skip
-    shared = {
-        "gravity": "withGravity", "hover speed": {"value": 2110.0, "unit": "rad/s"}, "actuators": None,
-        "simple model": {"kappaFz": {"value": thrust}, "kappaMz": {"value": -0.01 * thrust}},
-        "training flights": ["a"], "notes": [],
-    }  # fmt: skip
-    return airframe, Model(
-        assemble({a: part(a, t) for a, t in terms.items()}, shared, {"id": "m", "airframe": airframe})
-    )
+    thrust = 0.433 * 9.81 / (4 * 2110.0**2)
+    return airframe, simple_model(airframe, thrust, 0.01 * thrust)
 
 
 @functools.cache

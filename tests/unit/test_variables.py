@@ -2,20 +2,14 @@
 
 import numpy as np
 import pytest
+from airframes import BEETLE
 
 from quasi.airframe import read_airframe
 from quasi.errors import ExpressionError
 from quasi.expressions import parse
 from quasi.variables import Variables, base_columns, known_names, unit_of
 
-CONFIG = {
-    "rotor config": {"front left": 4, "front right": 2, "aft right": 1, "aft left": 3},
-    "rotor1 rotation direction": "CW",
-    "b": 0.077,
-    "rotor radius": 0.0381,
-    "mass": 0.433,
-    "moment of inertia": "[8.65e-4, 0, 0; 0, 1.07e-3, 0; 0, 0, 1.71e-3]",
-}
+CONFIG = {**BEETLE, "mass": 0.433}
 HDBEETLE = read_airframe(CONFIG, "HDBeetle")
 SPEEDS = {f"w{i}": np.array([700.0 + 31 * i, 900.0 - 7 * i**2]) for i in range(1, 5)}
 MOTION = {"u": np.array([2.0, -1.0]), "v": np.array([-0.5, 0.4]), "w": np.array([0.1, -0.3])}

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from made_recordings import written
 
 from quasi.airframe import read_airframe
 from quasi.attitude import from_euler, matrix
@@ -15,7 +16,7 @@ from quasi.importing.flight import import_flight
 from quasi.importing.series import Recording
 from quasi.importing.wind import add_wind, read_lvm
 from quasi.synthesis.campaign import make_flight, read_campaign
-from quasi.tables import COLUMNS, read_json, write_bytes, write_text
+from quasi.tables import COLUMNS, read_json, write_text
 from quasi.variables import Variables
 from quasi.workflow import Folder
 
@@ -232,15 +233,12 @@ def flown(tmp_path_factory):
         }
     )
     flight = make_flight(campaign, campaign.flights[0])
-    write_bytes(folder / "blown-1.bbl", flight.onboard)
-    write_text(folder / "blown-1.csv", flight.capture)
     began = read_day_time(flight.capture.split("Capture Start Time,")[1].split(",")[0]).seconds[0]
     write_text(folder / "wind.lvm", lvm(start=clock(began - 20), speed=lambda t: 4.0 + 0.01 * np.sin(t)))
     asked = {
-        "flight": "blown-1", "quadrotor": "Made", "flight controller": "betaflight", "rigid body": "MadeBeetle",
-        "onboard": str(folder / "blown-1.bbl"), "capture": str(folder / "blown-1.csv"), "log number": None,
+        **written(folder, "blown-1", flight),
         "wind": {"file": str(folder / "wind.lvm"), "static": None, "time offset": 0.0, "towards": 0.0},
-    }  # fmt: skip
+    }
     quadrotor = read_json(ROOT / "data/MadeBeetleConfig.json")
     quadrotor["optitrack marker cg offset"] = dict(zip("xyz", flight.metadata["capture"]["offset"]))
     imported, about = import_flight(asked, quadrotor, {})
