@@ -3,11 +3,13 @@
 import functools
 import hashlib
 from collections.abc import Mapping, Sequence
+from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 from quasi.errors import ConfigError, QuasiError, nearest
 from quasi.logbook import NAME, Row
-from quasi.project import Project, is_file
+from quasi.project import AXES, Project, is_file
 from quasi.tables import read_bytes, read_json
 
 HELD, COMPARED, REFERENCE = "held out", "compared", "reference"
@@ -41,12 +43,34 @@ class Comparisons(Project):
                 f"{path}: 'extended model ID' is '{ident}', but config/models/{ident}.json makes a model of that name; "
                 "choose another"
             )
-        if isinstance(settings["effects"], str) and settings["effects"] != "all":
-            raise ConfigError(
-                f"{path}: 'effects' is '{settings['effects']}', expected \"all\" or a list of ids like "
-                '["ground_effect"]'
-            )
+        for side, walls in (settings["room"] or {}).items():
+            if side != "height" and not walls[0] < walls[1]:
+                raise ConfigError(
+                    f"{path}: 'room' / '{side}' goes from {walls[0]} to {walls[1]} m, expected [low, high]; "
+                    "measure the walls from the origin of the motion capture"
+                )
+        self._refuse_effects(settings, path)
         return settings
+
+    def _refuse_effects(self, settings: Mapping[str, Any], path: str) -> None:
+        """Raises ConfigError for causes that do not exist, as far as that shows without running a user's files."""
+        wanted, own = settings["effects"], settings["effect files"]
+        for file in own:
+            if not is_file(self._here(self.place(file))):
+                raise ConfigError(
+                    f"{path}: effect file {self.place(file)} does not exist; correct 'effect files', or put it there"
+                )
+        if isinstance(wanted, str) and wanted != "all":
+            raise ConfigError(
+                f"{path}: 'effects' is '{wanted}', expected \"all\" or a list of ids like [\"ground_effect\"]"
+            )
+        if "all" in wanted and wanted != "all":
+            raise ConfigError(f"{path}: 'effects' lists 'all'; write \"effects\": \"all\", or the ids without it")
+        # each file is called by its id
+        known = {p.stem for p in (Path(__file__).parent / "gap/effects").glob("*.py")} - {"__init__"}
+        for name in [] if own or wanted == "all" else wanted:
+            if name not in known:
+                raise ConfigError(f"{path}: effect '{name}' is not in the catalogue{nearest(name, known)}")
 
     @functools.cache  # noqa: B019
     def extended(self, model: str) -> str | None:
@@ -93,6 +117,11 @@ class Comparisons(Project):
                 f"{where}: the rows mean several quadrotors ({', '.join(sorted(quadrotors))}); select one"
             )
         learning = [r for r in everything if r.number not in out]
+        if not learning:
+            raise ConfigError(
+                f"{where}: every compared row is held out; leave some to learn from (two or more, that forces and "
+                "moments can be asked)"
+            )
         if not reference and section["training flights as reference"]:
             reference = self._trained_beside(name, everything, quadrotors)
         return {COMPARED: learning, HELD: held, REFERENCE: reference}
@@ -129,12 +158,14 @@ class Comparisons(Project):
 
     def gap_model(self, name: str) -> str:
         """Path of the model that a gap looks at. Raises ConfigError where nothing makes it."""
-        model = self.gap_settings(name)["model"]
+        model, ident = (self.gap_settings(name)[key] for key in ("model", "extended model ID"))
         path = f"models/{model}/standalone/model.json"
-        if model == self.gap_settings(name)["extended model ID"]:
+        if model == ident:
             raise ConfigError(f"config/gaps/{name}.json: the extended model would be the model itself; rename it")
+        self.extended(ident)  # another gap must not make it as well
+        self._refuse_overwriting(name, ident)
         if model in self.models or self.extended(model):
-            self._lineage(model)
+            self._refuse_half_models(name, self._lineage(model)[-1])
             return path
         if is_file(self._here(path)):
             return self._here(path).absolute().as_posix()  # it was put there: no rule makes it
@@ -142,6 +173,32 @@ class Comparisons(Project):
             f"config/gaps/{name}.json: 'model' is '{model}', but neither config/models/{model}.json nor {path} exists"
             f"{nearest(model, [*self.models, *(self.gap_settings(g)['extended model ID'] for g in self.gaps)])}"
         )
+
+    def _refuse_half_models(self, name: str, root: str) -> None:
+        """Raises ConfigError for a model without some of the six axes, before anything is computed for it."""
+        chosen = self.model(root)["identification parameters"] if root in self.models else {}
+        lacking = [a for a in AXES if not chosen.get(f"identify {a.lower()}", True)]
+        if lacking:
+            raise ConfigError(
+                f"config/gaps/{name}.json: model '{root}' does not identify {', '.join(lacking)}, but a comparison "
+                f"with flights needs all six axes; switch 'identify {lacking[0].lower()}' on in "
+                f"config/models/{root}.json"
+            )
+
+    def _refuse_overwriting(self, name: str, ident: str) -> None:
+        """Raises ConfigError where a model that no gap made stands under the extended model's name."""
+        path = f"models/{ident}/standalone/model.json"
+        if not is_file(self._here(path)):
+            return
+        try:
+            made = "extended from" in read_json(self._here(path)).get("provenance", {})
+        except (QuasiError, AttributeError, TypeError):
+            made = False
+        if not made:
+            raise ConfigError(
+                f"config/gaps/{name}.json: 'extended model ID' is '{ident}', but {path} holds a model that no gap "
+                "made; choose another, or remove that folder"
+            )
 
     def _lineage(self, model: str) -> list[str]:
         """A model and those that it extends, itself first. Raises ConfigError for a circle."""
@@ -183,9 +240,25 @@ def same_recordings(held: Mapping[str, list[str]], trained: Mapping[str, list[st
 
     held, trained  {row: [path of its on-board log, number of the log in it]}
     """
-    known = {_content(*log): row for row, log in trained.items()}
-    return next(((row, known[c]) for row, log in held.items() if (c := _content(*log)) in known), None)
+    known = {row: _content(*log) for row, log in trained.items()}
+    for row, log in held.items():
+        content = _content(*log)
+        for other, its in known.items():
+            if _alike(content, its):
+                return row, other
+    return None
+
+
+def recorded_twice(rows: Mapping[str, list[str]]) -> tuple[str, str] | None:
+    """The first two rows that have one recording, by content; None where all differ. rows  as above"""
+    contents = {row: _content(*log) for row, log in rows.items()}
+    return next((pair for pair in combinations(contents, 2) if _alike(*(contents[row] for row in pair))), None)
 
 
 def _content(path: str, number: str) -> tuple[str, str]:
     return hashlib.sha256(read_bytes(path)).hexdigest(), number
+
+
+def _alike(one: tuple[str, str], other: tuple[str, str]) -> bool:
+    """Whether two logs are one: without a number it is the longest of its file, which any number may be."""
+    return one[0] == other[0] and (one[1] == other[1] or not one[1] or not other[1])

@@ -14,6 +14,7 @@ from quasi.logbook import NAME, Row, pick, read_logbook
 from quasi.tables import read_text
 from quasi.variables import check_expression
 
+MADE = ("results", "models", "logs")  # folders that runs write into
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
@@ -31,12 +32,15 @@ def is_file(path: Path) -> bool:
 
 
 def check_writable(folder: str | Path) -> None:
-    """Raise ConfigError for a folder into which nothing can be written."""
-    if not os.access(folder, os.W_OK):
-        raise ConfigError(
-            f"nothing can be written into {Path(folder).absolute()}; change its permissions, or copy the project to a "
-            "folder of your own"
-        )
+    """Raise ConfigError for a project folder into which, or into whose folders of results, nothing can be written."""
+    for place in (Path(folder), *(Path(folder) / made for made in MADE)):
+        if place.exists() and not place.is_dir():
+            raise ConfigError(f"{place.absolute()} is a file, expected a folder for what is made; move it away")
+        if place.exists() and not os.access(place, os.W_OK):
+            raise ConfigError(
+                f"nothing can be written into {place.absolute()}; change its permissions, or copy the project to a "
+                "folder of your own"
+            )
 
 
 def read_settings(path: str | Path) -> dict[str, Any]:

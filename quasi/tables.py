@@ -164,6 +164,8 @@ def read_numbers(path: str | Path) -> pd.DataFrame:
         # as spreadsheets write it where the comma is the decimal sign
         marks = {"sep": ";", "decimal": ","} if ";" in head and "," not in head else {}
         table = pd.read_csv(io.StringIO(text), skipinitialspace=True, **marks)
+    except ReadError:
+        raise
     except (ValueError, pd.errors.ParserError) as error:
         reason = " ".join(str(error).split())[:200]
         raise ReadError(f"{path} is not a readable CSV table ({reason}); correct it") from None

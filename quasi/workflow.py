@@ -193,6 +193,7 @@ class Folder(Recordings):
     def gap(self, name: str) -> dict[str, Any]:
         """Settings of a gap's jobs: its own, its flights by role, the airframe and its on-board logs."""
         settings = {k: v for k, v in self.gap_settings(name).items() if k != "logging file"}
+        self.gap_model(name)
         rows, trained = self.gap_rows(name), self.gap_trained(name)
         part = self._part(rows[0], IDENTIFICATION)
         held = self.gap_flights(name)[HELD]
@@ -206,6 +207,7 @@ class Folder(Recordings):
             "gravity": self.gap_gravity(name),
             "quadrotor": part["quadrotor"],
             "masses": {r.key: self.mass(r)[0] for r in rows},
+            "recordings": {_named(r): log for r in rows if (log := self._log_of(r))},
             "held": {_named(r): log for r in held if (log := self._log_of(r))},
             "trained": {_named(r): log for r in trained if (log := self._log_of(r))},
             "problem": part["problem"],

@@ -128,7 +128,7 @@ def as_processed(gap, roles, stage, kind="parquet"):
 def gap_recordings(wildcards):
     asked = ask(FOLDER.gap, wildcards.gap)
     return [
-        log[0] for logs in (asked["held"], asked["trained"]) for log in logs.values()
+        log[0] for part in ("recordings", "trained") for log in asked[part].values()
     ]
 
 

@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from quasi.airframe import read_airframe
-from quasi.comparisons import same_recordings
+from quasi.comparisons import recorded_twice, same_recordings
 from quasi.errors import ConfigError
 from quasi.filtering.flight import filter_flight
 from quasi.gap.catalogue import catalogue, chosen
+from quasi.gap.evidence import refuse_another_vehicle
 from quasi.gap.level import Flown
 from quasi.gap.lower import examine, units_of
 from quasi.importing.flight import import_flight
@@ -28,12 +29,19 @@ def main(source: dict, asked: dict, settings: dict, output: dict[str, str]) -> N
             f"{asked['file']}: held-out {twice[0]} has the recording of {twice[1]}, which trained model "
             f"{asked['settings']['model']}; hold out a flight that the model has never seen"
         )
+    twice = recorded_twice(asked["recordings"])
+    if twice:
+        raise ConfigError(
+            f"{asked['file']}: {twice[0]} and {twice[1]} have the same recording, but each flight counts once and has "
+            "one role; leave one out (a row without 'Log number' means the longest log of its file)"
+        )
     effects = chosen(asked["settings"]["effects"], catalogue(asked["effect files"]))
-    flights = []
+    model, flights = read_model(source["model"]), []
     names = ("imported", "imported_metadata", "filtered", "filtered_metadata")
     for paths in progress(list(zip(*(source[n] for n in names), strict=True)), "reading flights"):
         key = Path(paths[0]).stem
         airframe = read_airframe(asked["quadrotor"], asked["quadrotor"]["file"], asked["masses"][key])
+        refuse_another_vehicle(f"{asked['file']}: flight {key}", airframe, model)
         imported, about, filtered, filtered_about = (
             read_table(p) if p.endswith(".parquet") else read_json(p) for p in paths
         )
@@ -43,8 +51,7 @@ def main(source: dict, asked: dict, settings: dict, output: dict[str, str]) -> N
     def process(flown: Flown, calibration: Mapping[str, Any] | None) -> Flown:
         return anew(flown, settings[flown.key], calibration)
 
-    model = read_model(source["model"]).document
-    result, levels = examine(flights, model, asked["settings"], effects, process, len(asked["held"]))
+    result, levels = examine(flights, model.document, asked["settings"], effects, process, len(asked["held"]))
     folder = Path(output["tables"])
     folder.mkdir(parents=True, exist_ok=True)
     for level in levels:

@@ -17,6 +17,7 @@ from quasi.gap.diagnosis import diagnose
 from quasi.gap.evidence import gather
 from quasi.gap.level import Flown
 from quasi.gap.lower import units_of
+from quasi.gap.rollouts import flight_of, windows
 from quasi.identification.partition import UNITS, partition, to_table
 from quasi.joblog import LOG, job, progress
 from quasi.standalone.model import read_model
@@ -43,6 +44,7 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
             lost.append(f"{error}; it is left out of the comparison of forces and moments")
     if not evidence:
         raise DataError(f"{asked['file']}: no flight can be compared with the model: {lost[0] if lost else ''}")
+    lost += too_short(flights, roles, max(asked["settings"]["horizons"]))
     held = [_flown(source, prefix, airframes) for prefix in ("first", "held")]
     calibration = read_json(source["calibration"])
     found = diagnose(
@@ -66,6 +68,16 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
     write_table(output["partition"], _partition(flights, roles), UNITS)
     write_json(output["model"], found.model)
     write_json(output["diagnosis"], found.document)
+
+
+def too_short(flights: dict[str, pd.DataFrame], roles: dict[str, str], horizon: float) -> list[str]:
+    """Sentences on held-out flights that no simulation of the longest horizon, s, fits into."""
+    return [
+        f"flight {key} has no {horizon:g} s of valid data without a gap and is left out of the simulations; "
+        "shorten 'horizons' to see it there"
+        for key, table in flights.items()
+        if roles[key] == "held out" and not len(windows(flight_of(key, table), horizon))
+    ]
 
 
 def _partition(flights: dict[str, pd.DataFrame], roles: dict[str, str]) -> pd.DataFrame:

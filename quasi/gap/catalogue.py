@@ -1,18 +1,18 @@
 """The catalogue of causes: every file of quasi/gap/effects, and those of a project's own folder."""
 
 import importlib
-import importlib.util
 import pkgutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
 
-from quasi.errors import ConfigError, nearest
+from quasi.errors import ConfigError, DataError, QuasiError, nearest
 from quasi.expressions import Program, parse
 from quasi.gap import effects
 from quasi.gap.effect import Effect, Terms, Values, Vehicle
 from quasi.gap.evidence import Evidence
+from quasi.gap.own_effect import effect_of
 from quasi.standalone.model import AXES
 from quasi.variables import Variables
 
@@ -21,24 +21,14 @@ def catalogue(own: Iterable[str | Path] = ()) -> dict[str, Effect]:
     """{id: cause}, the built-in ones and those that the user's Python files define.
 
     own  paths of files that the user asks for by name; each is run, as any module is
-    Raises ConfigError naming the file for one that cannot be imported or defines no EFFECT, or an id given twice.
+    Raises ConfigError naming the file for one that cannot be run or defines no sound EFFECT, or an id given twice.
     """
     found: dict[str, Effect] = {}
     for module in sorted(m.name for m in pkgutil.iter_modules(effects.__path__)):
         effect = importlib.import_module(f"{effects.__name__}.{module}").EFFECT
         found[effect.id] = effect
     for path in map(Path, own):
-        spec = importlib.util.spec_from_file_location(f"quasi_own_effect_{path.stem}", path)
-        if spec is None or spec.loader is None:
-            raise ConfigError(f"effect file {path}: not a Python file; a cause is defined in Python")
-        module = importlib.util.module_from_spec(spec)
-        try:
-            spec.loader.exec_module(module)
-        except Exception as error:  # whatever the user's file does wrong
-            raise ConfigError(f"effect file {path}: {type(error).__name__}: {error}; correct the file") from error
-        effect = getattr(module, "EFFECT", None)
-        if not isinstance(effect, Effect):
-            raise ConfigError(f"effect file {path} defines no EFFECT = Effect(...); see quasi/gap/effects for examples")
+        effect = effect_of(path)
         if effect.id in found:
             raise ConfigError(f"effect file {path}: the id '{effect.id}' is taken; choose another")
         found[effect.id] = effect
@@ -59,14 +49,37 @@ def columns_of(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Val
     """Slope of the residual by each fitted parameter, {parameter: (n, 6)}.
 
     values  deviations from neutral to linearise at; only curved effects ask for them
-    Raises DataError or ExpressionError where the flight lacks a column.
+    Raises DataError or ExpressionError where the flight lacks a column, or the cause makes no numbers of it.
     """
     values = dict.fromkeys(effect.parameters, 0.0) | dict(values)
-    if effect.bends and any(values.values()):
-        return {name: _slope(effect, evidence, vehicle, values, name) for name in effect.fitted}
-    if effect.columns is not None:
-        return effect.columns(evidence, values)
-    return {name: wrench_of(terms, evidence) for name, terms in effect.terms(vehicle).items()}
+    try:
+        if effect.bends and any(values.values()):
+            columns = {name: _slope(effect, evidence, vehicle, values, name) for name in effect.fitted}
+        elif effect.columns is not None:
+            columns = effect.columns(evidence, values)
+        else:
+            columns = {name: wrench_of(terms, evidence) for name, terms in effect.terms(vehicle).items()}
+        shapes = {name: np.shape(column) for name, column in columns.items()}
+    except QuasiError:
+        raise
+    except Exception as error:  # whatever a user's file does wrong
+        raise DataError(
+            f"effect '{effect.id}' on flight {evidence.key}: {type(error).__name__}: {error}; correct its file"
+        ) from error
+    expected = dict.fromkeys(effect.fitted or columns, (len(evidence), 6))
+    if shapes != expected:
+        raise DataError(
+            f"effect '{effect.id}' on flight {evidence.key} gives columns of the shapes {shapes}, expected {expected}; "
+            "correct its file"
+        )
+    for name, column in columns.items():
+        bad = np.flatnonzero(~np.isfinite(column).all(axis=1))
+        if len(bad):
+            raise DataError(
+                f"effect '{effect.id}', parameter '{name}', is no finite number at t = {evidence.t[bad[0]]:.2f} s of "
+                f"flight {evidence.key}; correct what it divides by or takes a root of, or leave it out of 'effects'"
+            )
+    return columns
 
 
 def whole_of(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Values) -> np.ndarray:

@@ -146,6 +146,8 @@ def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
     frame = flown.filtered
     t = frame["t"].to_numpy(float)
     dt = float(np.median(np.diff(t)))
+    if commanded(flown) != kind or not kind:
+        raise DataError(f"flight {flown.key} has no rotor commands of the kind that the others log")
     command = np.stack([frame[f"w{i}_CMD" if kind == "speeds" else f"command{i}"] for i in ROTORS], axis=1)
     if not all(f"w{i}" in frame for i in ROTORS):
         raise DataError(f"flight {flown.key} has no measured rotor speeds")

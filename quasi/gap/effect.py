@@ -13,11 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quasi.attitude import AIR_DENSITY, GRAVITY
-from quasi.errors import ConfigError
+from quasi.errors import ConfigError, nearest
 from quasi.gap.evidence import Evidence
+from quasi.logbook import NAME
 from quasi.standalone.model import Model
 
 LEVELS = ("K", "A", "W")
+PARTS = ("any", "all", "first", "one")
 SCOPES = {"a": "airframe", "s": "session", "f": "flight"}
 Terms = dict[str, str]  # axis: expression, N or N m per unit of a parameter
 
@@ -169,14 +171,35 @@ class Effect:
     finding: bool = False
 
     def __post_init__(self) -> None:
+        said = f"effect {self.id!r}"
+        if not isinstance(self.id, str) or not NAME.fullmatch(self.id):
+            raise ConfigError(f"{said}: the id may hold letters, digits and . _ + - only, and no path; choose another")
+        for word in ("sentence", "equation", "source"):
+            if not isinstance(getattr(self, word), str):
+                raise ConfigError(f"{said}: {word} is {getattr(self, word)!r}, expected text")
         if self.level not in LEVELS:
-            raise ConfigError(f"effect '{self.id}': level is {self.level!r}, expected one of {', '.join(LEVELS)}")
+            raise ConfigError(f"{said}: level is {self.level!r}, expected one of {', '.join(LEVELS)}")
+        if self.parts not in PARTS:
+            raise ConfigError(f"{said}: parts is {self.parts!r}, expected one of {', '.join(PARTS)}")
         for name, parameter in self.parameters.items():
+            if not isinstance(parameter, Parameter):
+                raise ConfigError(
+                    f"{said}, parameter '{name}' is {parameter!r}, expected Parameter(unit, neutral, ...)"
+                )
             if parameter.scope not in SCOPES or not parameter.low < parameter.high:
                 raise ConfigError(
-                    f"effect '{self.id}', parameter '{name}': expected a scope of {', '.join(SCOPES)} and a range "
-                    f"from low to high, got {parameter}"
+                    f"{said}, parameter '{name}': expected a scope of {', '.join(SCOPES)} and a range from low to "
+                    f"high, got {parameter}"
                 )
+            neutral = parameter.neutral
+            if neutral is not None and not parameter.low <= neutral <= parameter.high:
+                raise ConfigError(
+                    f"{said}, parameter '{name}': neutral is {neutral}, expected a value from {parameter.low} to "
+                    f"{parameter.high}; a cause that is not there lies in its range too"
+                )
+        for name in self.scan:
+            if name not in self.parameters:
+                raise ConfigError(f"{said}: '{name}' is scanned but no parameter{nearest(name, self.parameters)}")
 
     @property
     def bends(self) -> bool:

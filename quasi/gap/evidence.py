@@ -15,11 +15,14 @@ import pandas as pd
 from quasi import attitude
 from quasi.airframe import Airframe
 from quasi.attitude import AIR_DENSITY, GRAVITY
-from quasi.errors import DataError
+from quasi.errors import ConfigError, DataError, ExpressionError
 from quasi.standalone.model import AXES, ROTORS, Model
 
 NEEDED = (*ROTORS, *(f"{w}_dot" for w in ROTORS), "p", "q", "r", "roll", "pitch", "yaw", "u", "v", "w", *AXES)
 STEPS = {"u": 0.2, "v": 0.2, "w": 0.2, "p": 0.05, "q": 0.05, "r": 0.05, **dict.fromkeys(ROTORS, 5.0)}  # of gradients
+HEAVIER = 2.0  # a factor of mass that no load explains
+ELSEWHERE = 0.5  # of the arm: rotors are numbered otherwise, or it is another frame
+SECOND = 1.0  # s: what low-pass filters and whiteners leave of less is nothing
 APART = 1.5  # samples: a longer step of time is a gap
 
 
@@ -204,6 +207,29 @@ def _predict(model: Model, columns: Mapping[str, np.ndarray]) -> np.ndarray:
     return predicted[list(AXES)].to_numpy()
 
 
+def refuse_another_vehicle(where: str, airframe: Airframe, model: Model) -> None:
+    """Raise ConfigError where a flight cannot be of the quadrotor that the model describes.
+
+    Loads, batteries and shifted rotors are what a comparison looks for; this is about mistaken configurations.
+    """
+    ours, head = model.airframe, f"{where} is not of the quadrotor that model {model.id} describes"
+    remedy = "compare it with its own model, or correct the quadrotor's configuration or 'Mass' in the logbook"
+    if ours.mass and airframe.mass and not 1.0 / HEAVIER < airframe.mass / ours.mass < HEAVIER:
+        raise ConfigError(
+            f"{head}: its mass is {airframe.mass:g} kg, the model's {ours.mass:g} kg, expected less than a factor of "
+            f"{HEAVIER:g} between them; {remedy}"
+        )
+    far = np.linalg.norm(np.asarray(airframe.hubs) - np.asarray(ours.hubs), axis=1)
+    rotor = int(np.argmax(far))
+    if far[rotor] > ELSEWHERE * ours.arm:
+        raise ConfigError(
+            f"{head}: rotor {rotor + 1} lies {far[rotor]:.3f} m from where the model has it, expected less than "
+            f"{ELSEWHERE * ours.arm:.3f} m; {remedy}"
+        )
+    if not np.array_equal(np.sign(airframe.spin), np.sign(ours.spin)):
+        raise ConfigError(f"{head}: its rotors turn the other way; {remedy}")
+
+
 def gather(
     key: str, flight: pd.DataFrame, metadata: Mapping[str, object], airframe: Airframe, model: Model, rate: float
 ) -> Evidence:
@@ -212,8 +238,14 @@ def gather(
     flight  filtered, of the kind (with or without gravity) that the model predicts; its forces are band-limited, so
             that thinning to 2.5 times their cut-off loses nothing
     Rows that are not valid or hold missing values are left out. Raises DataError when a column is missing or less than
-    a second is left.
+    a second is left, ConfigError for a model without some of the six axes.
     """
+    unknown = [a for a in AXES if a not in model.axes]
+    if unknown:
+        raise ConfigError(
+            f"model {model.id} says nothing of {', '.join(unknown)}, which a comparison with flights needs; identify "
+            "all six axes"
+        )
     missing = [c for c in NEEDED if c not in flight]
     if missing:
         raise DataError(f"flight {key} has no column '{missing[0]}', which a comparison with a model needs")
@@ -224,12 +256,21 @@ def gather(
         good &= flight["valid"].to_numpy() > 0.5
     rows = np.flatnonzero(good)
     rows = rows[rows % every == 0]
-    if len(rows) * every < sampling:
+    if len(rows) * every < SECOND * sampling:
         raise DataError(f"flight {key} has {len(rows) * every / sampling:.1f} s of valid data, expected more than 1 s")
+    ends = np.flatnonzero(np.append(np.diff(rows) > APART * every, True))
+    longest = int(np.max(np.diff(ends, prepend=-1))) * every / sampling
+    if longest < SECOND:
+        raise DataError(
+            f"flight {key} has {longest:.1f} s of valid data without a gap, expected more than {SECOND:g} s; fly longer"
+        )
     columns = {
         name: flight[name].to_numpy(float)[rows] for name in flight if pd.api.types.is_numeric_dtype(flight[name])
     }
-    predicted = _predict(model, columns)
+    try:
+        predicted = _predict(model, columns)
+    except ExpressionError as error:
+        raise DataError(f"flight {key} cannot be compared with model {model.id}: {error}") from None
     if not np.isfinite(predicted).all():
         lacking = [a for k, a in enumerate(AXES) if not np.isfinite(predicted[:, k]).all()]
         raise DataError(f"model {model.id} has no value for {', '.join(lacking)} on flight {key}")

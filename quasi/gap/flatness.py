@@ -20,6 +20,7 @@ from quasi.errors import ConfigError, DataError, nearest
 from quasi.standalone.model import AXES, ROTORS, Model
 
 RATE = 100.0  # Hz of what is worked out
+LONGEST = 1800.0  # s of a trajectory: more than a battery gives, and more columns than memory holds
 LEANS = 6  # rounds of attitude and side force
 SOLVES = 12  # Newton steps for the rotor speeds
 CLOSE = 1e-6  # of the weight, or of weight times arm: good enough
@@ -63,6 +64,11 @@ def read_plan(table: pd.DataFrame, where: str) -> tuple[np.ndarray, np.ndarray, 
     if len(back):
         raise DataError(
             f"{where}: time goes from {t[back[0]]:g} to {t[back[0] + 1]:g} s in row {back[0] + 2}; times must grow"
+        )
+    if t[-1] - t[0] > LONGEST:
+        raise DataError(
+            f"{where}: the trajectory lasts {t[-1] - t[0]:.0f} s, expected {LONGEST:.0f} s at most; times are in s, "
+            "and a part of a long flight tells as much"
         )
     yaw = np.unwrap(table["yaw"].to_numpy(float)) if "yaw" in table else np.zeros(len(t))
     return t, table[["x", "y", "z"]].to_numpy(float), yaw
@@ -225,9 +231,12 @@ def _speeds(
         k = int(first[0])
         rotor = int(np.argmax(np.maximum(speeds[k] - high, low - speeds[k])))
         bounds = f"{low:.0f} to {high:.0f}" if math.isfinite(high) else f"{low:.0f} or more"
+        found = f"rotor {rotor + 1} at {speeds[k, rotor]:.0f} rad/s, expected {bounds} rad/s"
+        if low <= speeds[k].min() and speeds[k].max() <= high:
+            found = "no rotor speeds make its force and moments"
         raise DataError(
-            f"{where}: the trajectory asks more than the rotors give at {_when(t, place, k)}: rotor {rotor + 1} at "
-            f"{speeds[k, rotor]:.0f} rad/s, expected {bounds} rad/s; fly it slower or smoother"
+            f"{where}: the trajectory asks more than the rotors give at {_when(t, place, k)}: {found}; fly it slower "
+            "or smoother"
         )
     return speeds
 

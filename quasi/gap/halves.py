@@ -164,8 +164,11 @@ def judge(
     them, with the values that the other flights tell
     Returns {"flights": {key: {"until", "windows", "parameters", "trim"}}, "errors": {who: {quantity: {horizon: rms}}},
     "fell": {who: rows of `rollouts.fell` against "before"}}; who is "before", "after", "after, own parameters" where a
-    cause has any, "before, trimmed", "after, trimmed". Empty where no flight has enough of both halves.
+    cause has any, "before, trimmed", "after, trimmed". Empty where no flight has enough of both
+    halves, or none is left to learn from.
     """
+    if not learning:
+        return {}  # nothing tells the noise
     old, new = (wrench_score(learning, after(m, base)).mean() for m in (base, extended))
     flights: dict[str, Any] = {}
     parts: dict[str, list[pd.DataFrame]] = {}

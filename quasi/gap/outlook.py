@@ -117,7 +117,8 @@ class Outlook:
         self.level = rate / max(len(self.asked), 1)
         count = sum(f.count * len(f.stretches) for f in self.flights)
         self.freedom = max(count - (2 if self.since == "changed" else 1), 1) + freedom
-        self._whole = Mixed([f.stretches for f in self.flights], [True] * len(self.flights), columns)
+        alone = [f.stretches[:, :size, :size] for f in self.flights]  # how many residuals follow depends on the flight
+        self._whole = Mixed(alone, [True] * len(self.flights), columns)
 
     def absorbed(self, cause: str) -> bool:
         """Whether the model's own terms take the cause up, so that without reference flights nothing is left of it."""

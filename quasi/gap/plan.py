@@ -25,6 +25,8 @@ from quasi.standalone.model import AXES, ROTORS, Model
 
 RATE = 100.0  # Hz of the evidence
 WORTH = 1.2  # a manoeuvre is proposed where it raises what is expected by this factor at least
+HEIGHT = 1.5  # m, at which manoeuvres are tried where the flights do not tell where they were
+MOST = 200  # flights: what is drawn for each stands in one matrix
 HALFWAY = 0.5  # of what is needed: less is no help
 SEED = 0
 USUAL = "usual for made flights with gusts of 0.1-0.4 m/s, in shares of weight and of weight times arm"
@@ -128,6 +130,15 @@ def examine(
             f"a plan for {compared} compared and {reference} reference flights, expected at least 2 and 0: one flight "
             "cannot tell a cause from what flights merely differ by"
         )
+    if compared + reference > MOST:
+        raise ConfigError(
+            f"a plan for {compared} compared and {reference} reference flights, expected at most {MOST} together"
+        )
+    if len(flights) > max(compared, reference):
+        raise ConfigError(
+            f"{len(flights)} trajectories are planned for {compared} compared and {reference} reference flights, "
+            "expected no more trajectories than flights; raise --flights, or leave trajectories out"
+        )
     about = dict(metadata or {})
     inertia = np.asarray(about["inertia"], float) if "inertia" in about else None
     vehicle = vehicle_of(model, about.get("mass"), inertia, room)
@@ -143,6 +154,9 @@ def examine(
     if len({f.measured for f in flights}) > 1:
         card.notes.append("the flown flights' own forces are not used, for the others have not flown yet")
     for one in evidence:
+        if "z" not in one.columns:
+            card.notes.append(f"{one.key} tells no place: what depends on height or place is not asked")
+            continue
         low = np.flatnonzero(one.columns["z"] > -model.airframe.radius)
         if len(low):
             card.notes.append(
@@ -157,7 +171,8 @@ def examine(
     rows = [row for judge in judges for row in _rows(_look(judge, shares, []), judge.effects, vehicle)]
     card.rows = _sorted(plan_lower.told_by_motion(rows))
     if propose:
-        place = np.median(evidence[0].take("x", "y", "z"), axis=0)
+        told = {"x", "y", "z"} <= set(evidence[0].columns)
+        place = np.median(evidence[0].take("x", "y", "z"), axis=0) if told else np.array([0.0, 0.0, -HEIGHT])
         _propose(card, judges, shares, library(model, place, float(evidence[0].columns["yaw"][0])), vehicle)
     return card
 

@@ -1,15 +1,19 @@
 """What `quasi plan` reads: flown flights, simulations or planned trajectories, and the noise that a gap found."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from quasi.errors import ConfigError, ReadError, nearest
 from quasi.gap import plan_noise
+from quasi.gap.evidence import refuse_another_vehicle
 from quasi.gap.plan import Flight, read_flight
 from quasi.gap.whitening import Whitener
 from quasi.standalone.model import Model
 from quasi.tables import read_json, read_numbers, read_table
+
+TABLES = (".csv", ".parquet")
 
 
 def flights_of(names: Sequence[str], model: Model, directory: Path) -> tuple[list[Flight], dict[str, Any]]:
@@ -24,6 +28,8 @@ def flights_of(names: Sequence[str], model: Model, directory: Path) -> tuple[lis
         told = read_json(beside) if path.suffix == ".parquet" and beside.is_file() else {}
         if told.get("schema") == "quasi.filtered/1":
             _same_kind(told, model, path)
+            if told.get("mass"):
+                refuse_another_vehicle(path.as_posix(), replace(model.airframe, mass=float(told["mass"])), model)
             about = about or {k: told[k] for k in ("mass", "inertia") if told.get(k) is not None}
         flights.append(read_flight(read_numbers(path), model, path.as_posix(), simulated))
     return flights, about
@@ -35,6 +41,11 @@ def _place(name: str, directory: Path) -> tuple[Path, bool]:
     for path in places:
         if path.is_dir() and (path / "flight.parquet").is_file():
             return path / "flight.parquet", True
+        if path.is_file() and path.suffix.lower() not in TABLES:
+            raise ReadError(
+                f"trajectory {path} is no table: its name ends in '{path.suffix}', expected {' or '.join(TABLES)}; a "
+                "raw log has to be imported and filtered first"
+            )
         if path.is_file():
             return path, _simulated(path)
     made = [p.parent.name for p in directory.glob("results/simulations/*/flight.parquet")]

@@ -172,6 +172,9 @@ def _times(flown: Flown) -> np.ndarray:
 def _good(flown: Flown) -> np.ndarray:
     """(n,) 1 where a row can be compared, 0 elsewhere."""
     frame = flown.filtered
+    missing = [c for c in NEEDED if c not in frame]
+    if missing:
+        raise DataError(f"flight {flown.key} has no column '{missing[0]}', which forces and moments need")
     fine = np.isfinite(frame[list(NEEDED)].to_numpy(float)).all(axis=1)
     return (fine & (frame["valid"].to_numpy() > 0.5) if "valid" in frame else fine).astype(float)
 

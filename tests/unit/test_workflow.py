@@ -360,8 +360,17 @@ def test_fault_of_a_quadrotor_configuration_names_its_file_and_the_row_that_uses
 
 def test_a_folder_that_cannot_be_written_is_a_sentence(tmp_path, monkeypatch):
     check_writable(tmp_path)
+    (tmp_path / "results").mkdir()
+    monkeypatch.setattr("os.access", lambda path, mode: Path(path).name != "results")
+    with pytest.raises(ConfigError, match="nothing can be written into .*results; change its permissions"):
+        check_writable(tmp_path)
     monkeypatch.setattr("os.access", lambda path, mode: False)
     with pytest.raises(ConfigError, match="nothing can be written into .*change its permissions"):
+        check_writable(tmp_path)
+    (tmp_path / "results").rmdir()
+    (tmp_path / "results").touch()
+    monkeypatch.setattr("os.access", lambda path, mode: True)
+    with pytest.raises(ConfigError, match="results is a file, expected a folder"):
         check_writable(tmp_path)
 
 

@@ -1,0 +1,147 @@
+"""Gaps and plans on what they cannot use: flights too short or of another vehicle, models of fewer axes, odd tables."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_plan import CATALOGUE, MODEL, card_of, eight, follow, rows_of
+from test_actuation import MODEL as DRIVES
+from test_actuation import flown
+
+from quasi.errors import ConfigError, DataError, QuasiError
+from quasi.gap import actuation, halves, material, plan, settling
+from quasi.gap.evidence import gather, refuse_another_vehicle
+from quasi.gap.level import Flown
+from quasi.gap.plan_input import flights_of
+from quasi.standalone.model import Model
+from quasi.tables import read_numbers, write_json, write_table
+
+FRAME = MODEL.airframe
+
+
+@pytest.fixture(scope="module")
+def flight():
+    """15 s that follow a planned figure, 100 Hz."""
+    return follow(eight(15.0))
+
+
+def evidence_of(table, model=MODEL):
+    return gather("a", table, {}, FRAME, model, 100.0)
+
+
+def fewer_axes():
+    document = json.loads(json.dumps(MODEL.document))
+    document["axes"] = {"Fz": document["axes"]["Fz"]}
+    return Model(document, "model small")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"mass": 10.0 * FRAME.mass}, r"flight a .* its mass is 4\.\d+ kg, the model's 0\.4\d* kg, expected less"),
+        ({"hubs": FRAME.hubs[[1, 0, 2, 3]]}, r"rotor 1 lies 0\.\d+ m from where the model has it"),
+        ({"spin": -FRAME.spin}, "its rotors turn the other way"),
+    ],
+)
+def test_flights_of_another_quadrotor_are_refused_with_what_differs(change, words):
+    with pytest.raises(ConfigError, match=words):
+        refuse_another_vehicle("flight a", replace(FRAME, **change), MODEL)
+    refuse_another_vehicle("flight a", replace(FRAME, mass=1.5 * FRAME.mass), MODEL)  # with a load
+
+
+def test_a_model_of_fewer_axes_is_refused_by_name(flight):
+    with pytest.raises(ConfigError, match="model small says nothing of Fx, Fy, Mx, My, Mz, which a comparison"):
+        evidence_of(flight, fewer_axes())
+
+
+def test_a_model_of_a_quantity_that_a_flight_lacks_leaves_that_flight_out_by_name(flight):
+    document = json.loads(json.dumps(MODEL.document))
+    document["axes"]["Fx"]["terms"][-1]["expression"] = "battery_voltage"
+    with pytest.raises(DataError, match="flight a cannot be compared with model small: .*battery_voltage"):
+        evidence_of(flight, Model(document, "model small"))
+
+
+def test_a_flight_without_a_second_in_one_piece_is_told(flight):
+    torn = flight.assign(valid=(np.arange(len(flight)) % 90 > 0).astype(float))
+    with pytest.raises(DataError, match=r"flight a has 0\.9 s of valid data without a gap, expected more than 1 s"):
+        evidence_of(torn)
+    whole = flight.assign(valid=(np.arange(len(flight)) % 110 > 0).astype(float))
+    assert len(evidence_of(whole)) == np.count_nonzero(whole["valid"])
+
+
+def test_without_any_flight_to_learn_from_halves_tell_nothing(flight):
+    held = evidence_of(flight)
+    assert halves.judge([held], {"a": flight}, [], MODEL, MODEL, (), None, [0.5]) == {}
+
+
+def test_a_held_out_flight_without_commands_cannot_tell_whether_a_drive_matters():
+    level = actuation.examine([flown(s, up=0.04, down=0.05) for s in (1, 2)], DRIVES, {"effects": ["motor_lag"]})
+    levels = {"A": json.loads(json.dumps({
+        "effects": level.effects, "ties": [], "candidates": [], "notes": [],
+        "found on": {"channels": ["w1", "w2", "w3", "w4"], "healthy": level.healthy, "worth": {}},
+    }))}  # fmt: skip
+    assert [e["id"] for e in level.effects] == ["motor_lag"]
+    bare = flown(3).filtered.drop(columns=[f"command{i}" for i in range(1, 5)])
+    material.judge(levels, [Flown("f3", True, bare, {}, bare, {}, FRAME)], [], 0.05)
+    assert [e["id"] for e in levels["A"]["effects"]] == ["motor_lag"]
+    assert "flight f3 has no rotor commands" in levels["A"]["notes"][0]
+
+
+def test_a_tie_that_a_flight_without_rotor_speeds_cannot_settle_says_so(flight):
+    bare = flight.drop(columns="w2")
+    with pytest.raises(DataError, match="flight f has no column 'w2', which forces and moments need"):
+        settling._good(Flown("f", True, bare, {}, bare, {}, FRAME))
+
+
+# plans
+
+
+def test_a_flight_that_tells_no_place_is_asked_what_needs_none(flight):
+    card = card_of(flight.drop(columns=["x", "y", "z"]))
+    assert "tells no place" in card.notes[0]
+    assert "'x'" in card.not_asked["tether"] and "rotor_drag" in rows_of(card)
+
+
+def test_any_number_of_trajectories_is_shared_by_the_flights(flight):
+    """Three trajectories, four flights: the first is flown twice."""
+    effects = {n: CATALOGUE[n] for n in ("tether", "wind", "body_drag")}
+    three = [plan.read_flight(t, MODEL, n) for t, n in ((eight(15.0), "a"), (eight(12.0), "b"), (flight, "c"))]
+    card = plan.examine(three, MODEL, effects, 4, propose=False)
+    assert set(rows_of(card)) == set(effects) and all(np.isfinite(s.t) for s in rows_of(card).values())
+    with pytest.raises(ConfigError, match="3 trajectories are planned for 2 compared and 1 reference flights"):
+        plan.examine(three, MODEL, effects, 2, 1)
+    with pytest.raises(ConfigError, match="100000 compared and 0 reference flights, expected at most 200 together"):
+        plan.examine(three, MODEL, effects, 100_000)
+
+
+def test_a_trajectory_longer_than_any_battery_is_refused_before_memory_is():
+    long = eight(15.0)
+    with pytest.raises(DataError, match=r"lasts 14900 s, expected 1800 s at most; times are in s"):
+        plan.read_flight(long.assign(t=1000.0 * long["t"]), MODEL, "a plan")
+
+
+def test_what_no_rotor_speed_can_make_is_told_without_bounds():
+    wide = eight(15.0)
+    with pytest.raises(DataError, match="m: no rotor speeds make its force and moments; fly it slower"):
+        follow(wide.assign(x=1000.0 * wide["x"]))
+
+
+@pytest.mark.parametrize("name", ["flight.bbl", "flight.json"])
+def test_a_raw_log_is_no_trajectory(tmp_path, name):
+    (tmp_path / name).write_text("H Product:Blackbox\n")
+    with pytest.raises(QuasiError, match=r"is no table: its name ends in .*, expected \.csv or \.parquet; a raw log"):
+        flights_of([name], MODEL, tmp_path)
+
+
+def test_a_flown_flight_of_another_quadrotor_is_refused(tmp_path, flight):
+    write_table(tmp_path / "flown.parquet", flight, dict.fromkeys(flight, ("", "")))
+    write_json(tmp_path / "flown.json", {"schema": "quasi.filtered/1", "forces": "withGravity", "mass": 4.3})
+    with pytest.raises(ConfigError, match=r"flown\.parquet is not of the quadrotor that model small describes"):
+        flights_of(["flown.parquet"], MODEL, tmp_path)
+
+
+def test_an_empty_table_is_said_to_be_empty_once(tmp_path):
+    (tmp_path / "a.csv").write_bytes(b"")
+    with pytest.raises(QuasiError, match=r"a\.csv is empty \(0 bytes\); copy it from its source again$"):
+        read_numbers(tmp_path / "a.csv")

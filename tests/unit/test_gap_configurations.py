@@ -1,0 +1,100 @@
+"""Faults of a gap's configuration: each is told with file and remedy before anything is computed."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from quasi.comparisons import recorded_twice, same_recordings
+from quasi.errors import ConfigError, QuasiError
+from quasi.workflow import Folder
+
+ROOT = Path(__file__).parents[2]
+HEADER = "Quadrotor,Onboard Name,OB Path,Flight controller,Drone Config File,Drone Config Path,Mass"
+ROWS, HELD, REFERENCE = ("rows of flights to compare (all)", "rows of flights held out", "rows of reference flights")
+BASE = {"model": "m", "logging file": {"filename": "log", ROWS: ["5-7"], HELD: [7]}}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    shutil.copytree(ROOT / "config/template", tmp_path, dirs_exist_ok=True)
+    (tmp_path / "config/models/my_model.json").unlink()
+    model = {
+        "logging file": {"filename": "log", "rows of flights to use (all)": ["2-4"]},
+        "identification parameters": {"polynomial specification file": "physical"},
+    }
+    (tmp_path / "config/models/m.json").write_text(json.dumps(model))
+    rows = [f"Beetle,{n},data/raw,betaflight,my_quadrotor,data,433" for n in "abcdef"]
+    (tmp_path / "data/log.csv").write_text("\n".join([HEADER, *rows]) + "\n")
+    (tmp_path / "data/raw").mkdir(exist_ok=True)
+    for name in "abcdef":
+        (tmp_path / f"data/raw/{name}.bbl").write_text(name)
+    (tmp_path / "config/gaps").mkdir(exist_ok=True)
+    return tmp_path
+
+
+def gap(folder, name="g", rows=(), **changes):
+    document = {**BASE, **changes, "logging file": {**BASE["logging file"], **dict(rows)}}
+    (folder / f"config/gaps/{name}.json").write_text(json.dumps(document))
+    return Folder(folder).gap(name)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"rows": {HELD: ["5-7"]}}, "every compared row is held out; leave some to learn from"),
+        ({"rows": {REFERENCE: [4, 5]}}, "row 5 is compared and a reference flight"),
+        ({"rows": {HELD: [4]}}, "held-out row 4 is not among"),
+        ({"rows": {ROWS: ["5-12"]}}, "row 8 is selected, but data/log.csv has flights in rows 2-7"),
+        ({"effects": ["ground_efect"]}, "effect 'ground_efect' is not in the catalogue (did you mean 'gr"),
+        ({"effects": ["all"]}, "'effects' lists 'all'"),
+        ({"effect files": ["data/mine.py"]}, "effect file data/mine.py does not exist; correct 'effect files'"),
+        ({"room": {"north": [-5, 5]}}, "'room' lacks the key 'east'"),
+        ({"room": {"north": [-5, 5], "east": [-4, 4], "hight": 3}}, "unknown key 'hight' in 'room' (did you mean"),
+        ({"room": {"north": [-5, 5], "east": [4, -4]}}, "'room' / 'east' goes from 4 to -4 m, expected [low, high]"),
+        ({"extended model ID": "m"}, "config/models/m.json makes a model of that name"),
+        ({"extended model ID": "../m"}, "use letters, digits and . _ + - only"),
+    ],
+)
+def test_a_fault_of_a_gap_names_file_and_remedy(folder, changes, words):
+    with pytest.raises(QuasiError) as caught:
+        gap(folder, **changes)
+    assert "config/gaps/g.json" in str(caught.value) and words in str(caught.value)
+
+
+def test_causes_of_a_users_file_may_be_listed(folder):
+    (folder / "data/mine.py").write_text("# defines sticky\n")
+    asked = gap(folder, **{"effects": ["sticky"], "effect files": ["data/mine.py"]})
+    assert asked["effect files"] == ["data/mine.py"]
+
+
+def test_two_gaps_that_make_one_model_are_refused_before_either_is_computed(folder):
+    gap(folder, "first", **{"extended model ID": "better"})
+    with pytest.raises(ConfigError, match="both make the model 'better'; give one another 'extended model ID'"):
+        gap(folder, "second", **{"extended model ID": "better"})
+
+
+def test_a_model_that_was_put_there_is_not_overwritten_and_one_of_a_gap_is(folder):
+    place = folder / "models/better/standalone/model.json"
+    place.parent.mkdir(parents=True)
+    place.write_text(json.dumps({"id": "better", "provenance": {}}))
+    with pytest.raises(ConfigError, match=r"'better', but models/better/standalone/model\.json holds a model that no"):
+        gap(folder, **{"extended model ID": "better"})
+    place.write_text(json.dumps({"id": "better", "provenance": {"extended from": "m", "by": "gap g"}}))
+    assert gap(folder, **{"extended model ID": "better"})["name"] == "g"
+
+
+def test_recordings_are_told_apart_by_content_and_number(folder):
+    raw = folder / "data/raw"
+    shutil.copy(raw / "e.bbl", raw / "d.bbl")  # row 5 is then row 6
+    asked = gap(folder)
+    logs = {row: [str(folder / path), number] for row, (path, number) in asked["recordings"].items()}
+    assert set(asked["recordings"]) == {f"row {n} of log.csv" for n in range(2, 8)}  # the training flights as reference
+    assert recorded_twice(logs) == ("row 5 of log.csv", "row 6 of log.csv")
+    one, other = logs["row 5 of log.csv"][0], logs["row 7 of log.csv"][0]
+    assert recorded_twice({"a": [one, "1"], "b": [one, "2"], "c": [other, ""]}) is None
+    # without a number the longest log is read, which may be that of any number
+    assert recorded_twice({"a": [one, "1"], "b": [one, ""]}) == ("a", "b")
+    assert same_recordings({"a": [one, ""]}, {"b": [other, ""], "c": [one, "1"]}) == ("a", "c")
+    assert same_recordings({"a": [one, ""]}, {"b": [other, ""]}) is None

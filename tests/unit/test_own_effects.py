@@ -1,0 +1,101 @@
+"""A cause of a user's own: what is wrong with its file is told before any flight is read."""
+
+import os
+
+import numpy as np
+import pytest
+from made_plan import MODEL, VEHICLE, eight, follow
+
+from quasi.errors import ConfigError, DataError
+from quasi.gap.catalogue import catalogue, columns_of
+from quasi.gap.effect import Effect, Parameter
+from quasi.gap.evidence import gather
+from quasi.gap.own_effect import effect_of
+
+SOUND = {
+    "id": "'sticky'", "level": "'W'", "sentence": "'s'", "equation": "'e'", "source": "'s'", "channels": "('Fx',)",
+    "parameters": "{'k': Parameter('N', 0.0, 'a', 0.0, 1.0, 0.1)}", "terms": "lambda vehicle: {'k': {'Fx': 'u'}}",
+}  # fmt: skip
+
+
+def text(**changes):
+    parts = ", ".join(f"{key}={value}" for key, value in {**SOUND, **changes}.items() if value)
+    return f"from quasi.gap.effect import Effect, Parameter\nEFFECT = Effect({parts})\n"
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "sticky.py"
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("import sys; sys.exit(3)\n", "SystemExit: 3"),
+        (text(id="'../../evil'"), "effect '../../evil': the id may hold letters, digits"),
+        (text(id="'<b>'"), "effect '<b>': the id may hold letters"),
+        (text(id="None"), "effect None: the id may hold letters"),
+        (text(id="'tether'"), "the id 'tether' is taken; choose another"),
+        (text(level="'K'"), "level is 'K', expected 'W'"),
+        (text(sentence="3"), "sentence is 3, expected text"),
+        (text(parts="'some'"), "parts is 'some', expected one of any, all, first, one"),
+        (text(channels="('fx',)"), "channel 'fx' is no axis (did you mean 'Fx'?)"),
+        (text(parameters="{'k': ('N', 0, 'a', 0, 1)}"), "expected Parameter(unit, neutral, ...)"),
+        (text(parameters="{'k': Parameter('N', 5.0, 'a', 0.0, 1.0)}"), "neutral is 5.0, expected a value from 0"),
+        (text(parameters="{'k': Parameter('N', 0.0, 'a', 0.0, 1.0, 0.0)}"), "its typical size is 0.0"),
+        (text(parameters="{'k': Parameter('N', 0.0, 'a', 0.0, 1.0, lambda v: v.mas)}"), "no attribute 'mas'"),
+        (text(scan="{'q': (1, 2)}"), "'q' is scanned but no parameter (known are 'k')"),
+        (text(scan="{'k': (1, 2)}"), "no parameter is left to be fitted"),
+        (text(terms=None), "expected either terms or columns"),
+        (text(terms="{'k': {'Fx': 'u'}}"), "expected a function"),
+        (text(terms="lambda vehicle: 1 / 0"), "ZeroDivisionError: division by zero"),
+        (text(terms="lambda vehicle: {'q': {'Fx': 'u'}}"), "expected {parameter: ...} for k"),
+        (text(terms="lambda vehicle: {'k': 'u'}"), "parameter 'k' gives 'u', expected {axis: expression}"),
+        (text(terms="lambda vehicle: {'k': {'FX': 'u'}}"), "'FX' is no axis (did you mean 'Fx'?)"),
+        (text(terms="lambda vehicle: {'k': {'Fx': 'heigt'}}"), "Fx: unknown variable 'heigt'"),
+        (text(terms="lambda vehicle: {'k': {'Fx': 'u**'}}"), "'**' is not an operator"),
+        (text(curved="lambda vehicle, values: {'Fx': 'k*'}"), "curved(vehicle, values), Fx: "),
+        (text(terms=None, columns="lambda evidence, values: {}"), "columns need an extension beside them"),
+    ],
+)
+def test_a_faulty_file_is_refused_with_its_name_and_a_sentence(path, content, words):
+    path.write_text(content)
+    with pytest.raises(ConfigError) as caught:
+        catalogue([path])
+    assert f"effect file {path}: " in str(caught.value) and words in str(caught.value)
+
+
+def test_an_absent_file_is_told_as_such(path):
+    with pytest.raises(ConfigError, match=r"sticky\.py does not exist; correct 'effect files'"):
+        effect_of(path)
+
+
+def test_a_file_counts_as_it_stands_and_nothing_is_left_beside_it(path):
+    for sentence in ("'one'", "'two'"):  # as long as each other, and of the same second
+        path.write_text(text(sentence=sentence))
+        os.utime(path, (1e9, 1e9))
+        assert effect_of(path).sentence == sentence.strip("'")
+    assert [p.name for p in path.parent.iterdir()] == ["sticky.py"]
+
+
+def test_every_cause_of_forces_and_moments_in_the_catalogue_would_pass_as_a_users(path):
+    for name, effect in catalogue().items():
+        if effect.level == "W" and not effect.finding:
+            path.write_text(f"from quasi.gap.effects.{name} import EFFECT\n")
+            assert effect_of(path) is effect
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        (lambda evidence, values: {"k": evidence.nothing}, "AttributeError"),
+        (lambda evidence, values: {"k": evidence.t}, r"shapes \{'k': \(\d+,\)\}, expected \{'k': \(\d+, 6\)\}"),
+        (lambda evidence, values: {"q": evidence.only("Fx", 1.0)}, r"expected \{'k': "),
+        (lambda evidence, values: {"k": evidence.only("Fx", np.nan)}, r"no finite number at t = 0\.00 s of flight a"),
+    ],
+)
+def test_columns_that_are_none_are_told_with_cause_and_flight(columns, words):
+    effect = Effect("sticky", "W", "s", "e", "s", {"k": Parameter("N", 0.0, "a", 0.0, 1.0)}, columns=columns)
+    with pytest.raises(DataError, match=words) as caught:
+        columns_of(effect, gather("a", follow(eight(3.0)), {}, MODEL.airframe, MODEL, 100.0), VEHICLE, {})
+    assert "effect 'sticky'" in str(caught.value)
