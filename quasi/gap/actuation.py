@@ -105,10 +105,16 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
 
     mixed = build([p.gram() for p in products])
     level.tests = mixed
-    level.healthy = {"values": reference.values.tolist(), "voltage": reference.voltage}
+    learned = np.mean([d.values for d, flag in zip(fits, compared) if flag], axis=0)
+    level.healthy = {
+        "values": reference.values.tolist(), "voltage": reference.voltage,
+        "learned": {"kind": kind, "values": learned.tolist(), "voltage": belief and belief.voltage},
+    }  # fmt: skip
     stages = 1 if compared.all() else 2
     threshold = float(options.get("false alarm rate", 0.01)) / (stages * max(len(asked), 1))
     choice = choose(mixed, threshold, [LATE])
+    alone = sorted(choice.marginal.values(), key=lambda test: test.wald)
+    level.healthy["alone"] = {test.offer.cause: test.value.tolist() for test in alone}
     shares = probability(lambda rng: [p.gram(rng) for p in products], build, choice, threshold)
     _report(level, mixed, choice, shares, [d for d, flag in zip(fits, compared) if flag])
     _tables(level, used, fits, [v - reference.values for v in constants])

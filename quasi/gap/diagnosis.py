@@ -7,20 +7,21 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from quasi.gap import generic, halves, material, rollout_gain, unexplained
+from quasi.gap import commanded, generic, halves, material, rollout_gain, unexplained
 from quasi.gap.confirmation import REFUTED, Settled, settle
 from quasi.gap.effect import Effect, Vehicle, room_of, vehicle_of
 from quasi.gap.evidence import Evidence
 from quasi.gap.extension import extend
-from quasi.gap.gain import after, before, fraction, wrench_score
+from quasi.gap.gain import Squares, after, removed, wrench_squares
 from quasi.gap.level import Flown
-from quasi.gap.lower import SEARCHES, judged, rate_of
+from quasi.gap.lower import SEARCHES, rate_of
+from quasi.gap.scores import scored
 from quasi.gap.study import refit
 from quasi.gap.wording import summary
 from quasi.gap.wrench import Cause, Found, everything, examine
 from quasi.gap.wrench_findings import gusts
 from quasi.gap.wrench_tables import wrench_tables
-from quasi.standalone.model import AXES, Model
+from quasi.standalone.model import Model
 
 SCHEMA = "quasi.gap/1"
 FORCES = ("Fx", "Fy", "Fz")
@@ -97,16 +98,27 @@ def diagnose(
     document = _extended(model, kept, drive, found, compared, vehicle, ident, f"gap {name}", anew=again)
     extended = Model(document, f"model {ident}")
     students = [e for e, flag in zip(learning, compared) if flag]
-    yardstick = generic.polynomial(students, sum(len(c.value) for c in kept)) if kept else None
+    sizes = [sum(len(c.value) for c in kept), sum(len(v) for _, v in drive)]
+    yardstick = generic.polynomial(students, sizes[0]) if kept else None
     wrong = _wrong_model(found, kept, model, compared, effects, vehicle) if kept else None
     floor = None if found is None else everything(found.study, effects, vehicle, compared, found.study.values)
-    rolled = rollout_gain.score(model, extended, flights, held, settings["horizons"], floor, wrong, yardstick)
+    healthy = levels["A"]["found on"].get("healthy") or {}
+    beside = rollout_gain.Beside(
+        floor,
+        {found.wrong: wrong} if wrong else {},
+        yardstick,
+        healthy.get("learned"),
+        commanded.wrong_ones(healthy, [e.id for e, _ in drive], effects, model, vehicle) if kept or drive else {},
+        generic.polynomial(students, sum(sizes)) if drive and students else None,
+    )
+    rolled = rollout_gain.score(model, extended, flights, held, settings["horizons"], beside)
     causes = [*((c.effect, c.value) for c in kept), *drive]
     own = halves.judge(held, flights, learning, model, extended, causes, vehicle, settings["horizons"])
-    gap, scores = _gap(model, extended, found, kept, held, yardstick, rolled, lower, document)
+    gap, scores, errors = scored(model, extended, found, kept, held, yardstick, floor, rolled, lower, document)
     effects_said = [_wrench_effect(c, vehicle, settled) for c in kept]
     if found is not None:
-        _rollout_gains(effects_said, kept, model, drive, found, compared, vehicle, settings["horizons"], rolled, again)
+        _gains(effects_said, kept, model, drive, found, compared, vehicle, settings["horizons"], rolled, again, held,
+               errors)  # fmt: skip
         refuted = [c for c, _ in settled.dropped]
         accepted = [
             (c.effect, c.test.offer, c.value)
@@ -280,9 +292,6 @@ def _parameters(effect: Effect, value: Mapping[str, float], std: Mapping[str, fl
 def _wrench_effect(cause: Cause, vehicle: Vehicle, settled: Settled) -> dict[str, Any]:
     key = cause.effect.id, cause.since
     rolled = settled.estimates.get(key)
-    gains = {a: g for a, g in cause.gain.items() if g["value"] is not None}
-    shown = [a for a in cause.effect.channels if a in gains] or list(gains)
-    best = max(shown, key=lambda a: gains[a]["value"], default=None)
     return {
         "id": cause.effect.id,
         "level": "W",
@@ -290,9 +299,7 @@ def _wrench_effect(cause: Cause, vehicle: Vehicle, settled: Settled) -> dict[str
         "probability": cause.probability,
         "channels": list(cause.effect.channels),
         "parameters": _parameters(cause.effect, cause.value, cause.std, vehicle),
-        "gain": {"wrench": min(gains[best]["value"], 1.0) if best else None, "rollout": None},
-        "gain channel": best,
-        "gains": cause.gain,
+        **_told(cause, cause.gain),
         "confused_with": [r.id for r in cause.rivals],
         "rivals": [r._asdict() for r in cause.rivals],
         "evidence": {"p": cause.test.p, "wald": cause.test.wald, "between flights": cause.test.tau},
@@ -300,6 +307,14 @@ def _wrench_effect(cause: Cause, vehicle: Vehicle, settled: Settled) -> dict[str
         "output error": rolled and {"agrees": rolled.agrees,
                                     "parameters": _parameters(cause.effect, rolled.value, rolled.std, vehicle)},
     }  # fmt: skip
+
+
+def _told(cause: Cause, gains: Mapping[str, Mapping[str, float | None]]) -> dict[str, Any]:
+    """What a cause removes of forces and moments, and the one figure: that of its channel where it removes most."""
+    seen = [a for a, g in gains.items() if g["value"] is not None]
+    best = max([a for a in cause.effect.channels if a in seen] or seen, key=lambda a: gains[a]["value"], default=None)
+    share = min(gains[best]["value"], 1.0) if best else None
+    return {"gain": {"wrench": share, "rollout": None}, "gain channel": best, "gains": gains}
 
 
 def _lower_effect(effect: Mapping[str, Any], level: str, gap: Mapping[str, Any]) -> dict[str, Any]:
@@ -380,71 +395,34 @@ def _wrong_model(
     return Model(extend(model, [(effect, values)], vehicle, "wrong", "trial"), "the best wrong cause")
 
 
-def _rollout_gains(
+def _gains(
     said: Sequence[dict[str, Any]], kept: Sequence[Cause], model: Model, drive: Sequence, found: Found,
     compared: Sequence[bool], vehicle: Vehicle, horizons: Sequence[float], rolled: Mapping[str, Any], again: bool,
+    held: Sequence[Evidence], best: tuple[Squares, Squares, np.ndarray] | None,
 ) -> None:  # fmt: skip
-    """Fill in what each cause is worth in roll-outs, left out alone, in the quantities where it acts.
+    """Fill in what each cause is worth, left out alone: of forces and moments, and of roll-outs in the quantities where
+    it acts.
 
-    The one figure is that of the quantity and line where it moves the simulation most, beside the error, after HORIZON
-    or the nearest that there is.
+    The one figure of roll-outs is that of the quantity and line where it moves the simulation most, beside the error,
+    after HORIZON or the nearest that there is. best  squared errors with all causes, at the floor, its mean
     """
     if "noise_floor" not in rolled["ends"]:
         return
     for entry, cause in zip(said, kept):
-        old = rolled["errors"]["before"]
+        old, without = rolled["errors"]["before"], model
         if len(kept) > 1 or again:
             rest = [c for c in kept if c is not cause]
             beside = _extended(model, rest, drive, found, compared, vehicle, "rest", "gap", anew=again)
-            old = rollout_gain.simulated_errors(rolled["tracks"], Model(beside, "rest"), model)
+            without = Model(beside, "rest")
+            old = rollout_gain.simulated_errors(rolled["tracks"], without, model)
+        if best is not None:
+            entry |= _told(cause, removed(wrench_squares(held, after(without, model)), *best))
         rows = rollout_gain.worth(rolled, old, cause.effect.channels, horizons)
         told = [row for row in rows if row["value"] is not None]
-        best = min(told, key=lambda row: (abs(row["horizon"] - HORIZON), -row["moved"]), default=None)
-        entry["gain"]["rollout"] = best and best["value"]
-        entry["rollout channel"] = best and best["quantity"]
-        entry["rollout gain"], entry["rollout gains"] = best, rows
-
-
-def _gap(
-    model: Model, extended: Model, found: Found | None, kept: Sequence[Cause], held: Sequence[Evidence],
-    yardstick: rollout_gain.Residual | None, rolled: Mapping[str, Any],
-    lower: tuple[Sequence[Flown], Sequence[Flown]], document: Mapping[str, Any],
-) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
-    """Root mean squares before, after and at the floor by level, channel and horizon; shares of W with intervals."""
-    gap: dict[str, Any] = {k: {} for k in ("before", "after", "noise_floor", "best_wrong_cause", "generic_polynomial")}
-    for key in gap:
-        gap[key] |= rolled["rms"].get(key, {})
-    scores: dict[str, Any] = {}
-    if held:
-        old, new = wrench_score(held, before), wrench_score(held, after(extended, model))
-        if len(old.weight):
-            floor = np.minimum(found.scores["noise_floor"] if found else new.mean(), new.mean())
-            gap["before"]["W"], gap["after"]["W"] = _axes(old.mean()), _axes(new.mean())
-            if found:
-                gap["noise_floor"]["W"] = _axes(floor)
-                scores["removed"] = fraction(old, new, floor)
-                if yardstick is not None:
-                    size = sum(len(c.value) for c in kept)
-                    other = wrench_score(held, yardstick)
-                    gap["generic_polynomial"]["W"] = _axes(other.mean())
-                    scores["generic polynomial"] = {"terms": size, "removed": fraction(old, other, floor)}
-                    if found.wrong:
-                        gap["best_wrong_cause"]["W"] = _axes(found.scores["best_wrong_cause"])
-                        scores["best wrong cause"] = found.wrong
-    first, last = lower
-    if first:
-        for word, table in (("before", judged(first, model.document)), ("after", judged(last, document))):
-            for level, channels in table.items():
-                mean = {c: float(np.sqrt(np.mean(t["before"] ** 2))) for c, t in channels.groupby("channel")}
-                gap[word][level] = {c: {"0": v} for c, v in mean.items()}
-                if word == "after":
-                    least = {c: float(np.sqrt(np.mean(t["floor"] ** 2))) for c, t in channels.groupby("channel")}
-                    gap["noise_floor"][level] = {c: {"0": min(v, mean[c])} for c, v in least.items()}
-    return gap, scores
-
-
-def _axes(values: np.ndarray) -> dict[str, dict[str, float]]:
-    return {axis: {"0": float(np.sqrt(v))} for axis, v in zip(AXES, values)}
+        main = min(told, key=lambda row: (abs(row["horizon"] - HORIZON), -row["moved"]), default=None)
+        entry["gain"]["rollout"] = main and main["value"]
+        entry["rollout channel"] = main and main["quantity"]
+        entry["rollout gain"], entry["rollout gains"] = main, rows
 
 
 def _verdict(effects: Sequence[Any], ties: Sequence[Any], left: Sequence[Any]) -> str:

@@ -27,6 +27,11 @@ from quasi.standalone.chart import STYLE, chart, packed, step_of
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 THIN = 2  # every so many rows of the comparison are shown
 UNITS = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
+LINES = {
+    "R": "measured rotor speeds",
+    "R with trim": "measured rotor speeds, trim of the 2 s before each window taken up",
+    "R commands": "commands",
+}
 MOST = 15  # of the causes that are not named
 CAPTIONS = {
     "overlays": "Simulated from measured states with measured rotor speeds, before (red) and after (blue) the "
@@ -122,26 +127,42 @@ def _share(found: Mapping[str, float | None] | None) -> str:
 
 
 def _rollouts(diagnosis: Mapping[str, Any]) -> str:
-    blocks = []
-    for driven, title in (
-        ("R", "measured rotor speeds"),
-        (
-            "R with trim",
-            "measured rotor speeds, trim of the 2 s before each window taken up",
-        ),
-        ("R commands", "commands"),
-    ):
-        rows = [
-            [f"{r['quantity']}, {UNITS[r['quantity']]}, after {r['horizon']:g} s", report.number(r["before"]),
-             report.number(r["after"]),
-             report.number(_value(diagnosis, "noise_floor", driven, r["quantity"], f"{r['horizon']:g}")), _share(r)]
-            for quantity in UNITS
-            for r in diagnosis["rollouts"].get(driven, [])
-            if r["quantity"] == quantity
-        ]  # fmt: skip
+    """Errors of simulations by line, and what of their removable part the extension and its yardsticks remove."""
+    blocks, yardsticks = [], False
+    for driven, title in LINES.items():
+        rows = []
+        for quantity in UNITS:
+            for r in diagnosis["rollouts"].get(driven, []):
+                if r["quantity"] == quantity:
+                    three = [
+                        report.number(r[k]) if r.get(k) is not None else "–" for k in ("before", "after", "noise_floor")
+                    ]
+                    rows.append(
+                        [f"{quantity}, {UNITS[quantity]}, after {r['horizon']:g} s", *three, _share(r),
+                         *(_share(r.get(k)) for k in ("removed", "best_wrong_cause", "generic_polynomial"))]
+                    )  # fmt: skip
+                    yardsticks |= "removed" in r
         if rows:
-            head = [f"simulated with {title}", "before", "after", "noise floor", "error falls by"]
-            blocks.append(report.table(head, rows))
+            head = [
+                "before",
+                "after",
+                "noise floor",
+                "error falls by",
+                "removed",
+                "best wrong cause",
+                "same-size polynomial",
+            ]
+            blocks.append(report.table([f"simulated with {title}", *head], rows))
+    if yardsticks:
+        wrong = diagnosis["scores"].get("best wrong cause with commands")
+        told = f" With commands, the best wrong cause would have been {name_of(wrong)}." if wrong else ""
+        blocks.append(
+            report.paragraph(
+                "Removed, and what the best wrong cause and the polynomial would have removed: shares of the squared "
+                "error above the noise floor, with 95 % intervals; a dash where the floor holds nine tenths of the "
+                "error. The floor with commands knows the rotors' drive as the other flights tell it." + told
+            )
+        )
     return "".join(blocks)
 
 

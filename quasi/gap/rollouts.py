@@ -7,8 +7,9 @@ import numpy as np
 import pandas as pd
 
 from quasi.attitude import conjugate, from_euler, logarithm, multiply, rotate, rotate_inverse
+from quasi.gap import blocks
 from quasi.gap.gain import states_of
-from quasi.simulation.replay import replay, steps_of, twelve
+from quasi.simulation.replay import Rotors, replay, steps_of, twelve
 from quasi.simulation.rollout import errors
 from quasi.simulation.variants import actuators_of
 from quasi.standalone.model import Model
@@ -20,8 +21,7 @@ QUANTITIES = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "ra
 OUTPUTS = 12  # of `vectors`
 CHANNELS = {"Fx": "velocity x", "Fy": "velocity y", "Fz": "velocity z", "Mx": "rate x", "My": "rate y", "Mz": "rate z"}
 COLUMN = dict(zip(CHANNELS, (0, 1, 2, 6, 7, 8)))  # of `vectors`
-MEASURED, TOLD = "R", "R commands"  # driven by measured rotor speeds, by commands
-BLOCK, DRAWS = 5.0, 200
+PLAIN, TRIMMED, TOLD = "R", "R with trim", "R commands"  # measured rotor speeds drive, with trim; commands drive
 
 
 class Flight(NamedTuple):
@@ -65,13 +65,10 @@ def commands_of(model: Model, flight: Flight) -> np.ndarray | None:
     return commands if known[flight.valid].mean() > 0.5 else None
 
 
-def windows(flight: Flight, horizon: float, commands: np.ndarray | None = None) -> np.ndarray:
-    """Rows at which windows start: all of a window is valid, and its commands are known where they drive."""
-    good = flight.valid
-    if commands is not None:
-        good = good & np.isfinite(commands).all(axis=1)
+def windows(flight: Flight, horizon: float) -> np.ndarray:
+    """Rows at which windows start: all of a window is valid."""
     steps = steps_of(flight.t, horizon)
-    sums = np.concatenate([[0], np.cumsum(~good)])
+    sums = np.concatenate([[0], np.cumsum(~flight.valid)])
     every = max(round(EVERY / float(np.median(np.diff(flight.t)))), 1)
     starts = np.arange(0, len(flight.t) - steps - 1, every)
     return starts[sums[starts + steps + 1] == sums[starts]]
@@ -79,11 +76,12 @@ def windows(flight: Flight, horizon: float, commands: np.ndarray | None = None) 
 
 def simulated(
     model: Model, flight: Flight, starts: np.ndarray, horizon: float, commands: np.ndarray | None = None,
-    offsets: np.ndarray | None = None,
+    offsets: np.ndarray | None = None, rotors: Rotors | None = None,
 ) -> np.ndarray:  # fmt: skip
     """States (S, steps + 1, 12) of a model from the measured ones at `starts`; offsets (S, 6) as of `replay`.
 
-    commands  (N, 4) rad/s that drive the rotors; None takes the measured rotor speeds
+    commands  (N, 4) rad/s that drive the rotors; None takes the measured rotor speeds; rotors  how they follow them,
+              None takes what the model knows
     """
     wind = model.document.get("environment", {}).get("wind")
     air = None if wind is None else np.ascontiguousarray(np.broadcast_to(np.asarray(wind, float), (len(flight.t), 3)))
@@ -94,7 +92,7 @@ def simulated(
         states = states.copy()
         states[:, 3:6] += np.cross(states[:, 6:9], shift)
         states[:, 9:] += rotate(from_euler(*states[:, :3].T), shift)
-    driven = (commands, None, air, extra or None, offsets)
+    driven = (commands, rotors, air, extra or None, offsets)
     run = twelve(replay(model, flight.t, states, flight.speeds, starts, horizon, *driven, floor=0.0))
     if shift.any():
         run[..., 3:6] -= np.cross(run[..., 6:9], shift)
@@ -125,22 +123,6 @@ def vectors(run: np.ndarray, flight: Flight, starts: np.ndarray, lags: np.ndarra
     return np.where(np.isfinite(found).all(axis=-1, keepdims=True), found, np.nan)
 
 
-def end_errors(model: Model, flights: Sequence[Flight], horizons: Sequence[float], driven: str) -> pd.DataFrame:
-    """Errors at the end of windows, see `table_of`. driven  MEASURED or TOLD."""
-    rows = []
-    for flight in flights:
-        commands = commands_of(model, flight) if driven == TOLD else None
-        if driven == TOLD and commands is None:
-            continue
-        longest = max(horizons)
-        starts = windows(flight, longest, commands)
-        if len(starts):
-            lags = np.array([steps_of(flight.t, h) for h in horizons])
-            found = vectors(simulated(model, flight, starts, longest, commands), flight, starts, lags)
-            rows.append(table_of(flight, starts, found, horizons))
-    return joined(rows)
-
-
 def table_of(flight: Flight, starts: np.ndarray, errors: np.ndarray, horizons: Sequence[float]) -> pd.DataFrame:
     """Errors (S, K, OUTPUTS) after each of the horizons as rows: flight, start (s), horizon (s), and `sizes`."""
     about = {"flight": flight.key, "start": flight.t[starts]}
@@ -169,37 +151,30 @@ def rms(table: pd.DataFrame) -> dict[str, dict[str, float]]:
     return result
 
 
+def squares(table: pd.DataFrame, quantities: Sequence[str]) -> np.ndarray:
+    """Squared end errors (windows, len(quantities)) of one horizon; diverged ones count as the largest finite one."""
+    return np.stack([finite(table[q]) ** 2 for q in quantities], axis=1)
+
+
 def fell(old: pd.DataFrame, new: pd.DataFrame, seed: int = 0) -> list[dict[str, object]]:
     """By how much each error fell: horizon, quantity, share of the root mean square with its interval (95 %).
 
-    Windows are drawn anew in blocks of BLOCK seconds of a flight, the same ones before and after.
+    Windows are drawn anew in blocks of the flights, the same ones before and after, see `blocks`.
     """
-    rng = np.random.default_rng(seed)
+    names = (*QUANTITIES, *CHANNELS.values())
     rows = []
     for horizon, first in old.groupby("horizon"):
-        last = new[new["horizon"] == horizon]
-        number = blocks_of(first)
-        count = np.bincount(number).astype(float)
-        for quantity in QUANTITIES:
-            sums = [np.bincount(number, weights=finite(part[quantity]) ** 2) for part in (first, last)]
-            draws = []
-            for _ in range(DRAWS):
-                pick = rng.integers(0, len(count), len(count))
-                draws.append(1.0 - np.sqrt(sums[1][pick].sum() / max(sums[0][pick].sum(), 1e-300)))
-            low, high = np.quantile(draws, [0.025, 0.975])
+        both = np.stack([squares(first, names), squares(new[new["horizon"] == horizon], names)], axis=1)
+        found = blocks.drawn(first["flight"].to_numpy(), first["start"].to_numpy(), both, seed)
+        mean, draws = np.sqrt(both.mean(axis=0)), np.sqrt(found.sums)
+        gone, drawn = (1.0 - part[..., 1, :] / np.maximum(part[..., 0, :], 1e-150) for part in (mean, draws))
+        for k, quantity in enumerate(names):
+            low, high = blocks.interval(float(gone[k]), drawn[:, k], found.wider)
             rows.append(
-                {"horizon": float(horizon), "quantity": quantity, "low": float(low), "high": float(high),
-                 "value": float(1.0 - np.sqrt(sums[1].sum() / max(sums[0].sum(), 1e-300))),
-                 "before": float(np.sqrt(sums[0].sum() / count.sum())),
-                 "after": float(np.sqrt(sums[1].sum() / count.sum()))}
+                {"horizon": float(horizon), "quantity": quantity, "low": low, "high": high,
+                 "value": float(gone[k]), "before": float(mean[0, k]), "after": float(mean[1, k])}
             )  # fmt: skip
     return rows
-
-
-def blocks_of(table: pd.DataFrame) -> np.ndarray:
-    """(rows,) number of the flight and block of BLOCK seconds that each window belongs to."""
-    block = table["flight"] + [f" {n}" for n in (table["start"] / BLOCK).astype(int)]
-    return block.astype("category").cat.codes.to_numpy()
 
 
 def overlays(models: Mapping[str, Model], flights: Sequence[Flight], horizon: float) -> pd.DataFrame:

@@ -164,3 +164,19 @@ def test_the_page_tells_what_roll_outs_say_of_a_cause():
     assert confirmation_of({**told, "confirmation": blind, "output error": None}) == (
         "cannot be judged: each flight has its own"
     )
+
+
+def test_the_page_tells_roll_outs_with_commands_beside_wrong_cause_and_polynomial():
+    shares = {"removed": GAIN, "best_wrong_cause": {"rms": 0.48, "value": 0.12, "low": -0.03, "high": 0.2},
+              "generic_polynomial": {"rms": 0.5, "value": None, "low": None, "high": None}}  # fmt: skip
+    row = {"horizon": 0.5, "quantity": "velocity", "before": 0.52, "after": 0.41, "noise_floor": 0.39, **GAIN, **shares}
+    made = document([EFFECT])
+    made["rollouts"]["R commands"] = [row, {**row, "quantity": "velocity z"}]
+    made["scores"]["best wrong cause with commands"] = "motor_lag"
+    text = page(made, KNOWN, None, {})
+    table = text[text.index("simulated with commands") :]
+    cells = re.findall(r"<t[hd][^>]*>([^<]*)</t[hd]>", table[table.index("velocity, m/s, after 0.5 s") - 40 :])[:8]
+    assert cells == ["velocity, m/s, after 0.5 s", "0.520", "0.410", "0.390", "86 % (70 to 95)", "86 % (70 to 95)",
+                     "12 % (−3 to 20)", "–"]  # fmt: skip
+    assert table.count("after 0.5 s</") == 1  # along the axes they are in the table R_gains
+    assert "With commands, the best wrong cause would have been motor lag." in text

@@ -33,6 +33,14 @@ def model():
     return made_model(reaction=0.0)
 
 
+def ends_of(model, flight, horizons):
+    """End errors with measured rotor speeds."""
+    starts = rollouts.windows(flight, max(horizons))
+    lags = np.array([round(h * RATE) for h in horizons])
+    run = rollouts.simulated(model, flight, starts, max(horizons))
+    return rollouts.table_of(flight, starts, rollouts.vectors(run, flight, starts, lags), horizons)
+
+
 def heavier(model, share):
     document = {**model.document, "axes": {**model.document["axes"]}}
     axis = document["axes"]["Fz"]
@@ -45,9 +53,9 @@ def heavier(model, share):
 
 def test_the_model_that_flew_makes_no_error_and_another_makes_the_error_of_its_thrust(model):
     flight = rollouts.flight_of("a", flown(model))
-    right = rollouts.rms(rollouts.end_errors(model, [flight], [0.2, 0.5], rollouts.MEASURED))
+    right = rollouts.rms(ends_of(model, flight, [0.2, 0.5]))
     assert right["velocity"]["0.5"] < 1e-6
-    wrong = rollouts.rms(rollouts.end_errors(heavier(model, 1.02), [flight], [0.2, 0.5], rollouts.MEASURED))
+    wrong = rollouts.rms(ends_of(heavier(model, 1.02), flight, [0.2, 0.5]))
     # 2 % of the weight too much thrust, against drag of 0.15 N per m/s on 0.43 kg: dv = a (1 - exp(-c t))/c
     a, c = 0.02 * 9.81, 0.15 / 0.43
     assert wrong["velocity"]["0.5"] == pytest.approx(a * (1 - np.exp(-c * 0.5)) / c, rel=0.08)
@@ -56,7 +64,7 @@ def test_the_model_that_flew_makes_no_error_and_another_makes_the_error_of_its_t
 
 def test_the_share_that_fell_is_that_of_the_root_mean_squares(model):
     flight = rollouts.flight_of("a", flown(model))
-    old, new = (rollouts.end_errors(heavier(model, k), [flight], [0.5], rollouts.MEASURED) for k in (1.02, 1.01))
+    old, new = (ends_of(heavier(model, k), flight, [0.5]) for k in (1.02, 1.01))
     row = next(r for r in rollouts.fell(old, new) if r["quantity"] == "velocity")
     assert row["value"] == pytest.approx(0.5, abs=0.02) and row["low"] <= row["value"] <= row["high"]
     assert row["value"] == pytest.approx(1.0 - row["after"] / row["before"])
@@ -147,22 +155,27 @@ def predicted(model, flight):
 
 def test_shares_are_of_what_can_be_removed_and_silent_where_the_floor_holds_it_all():
     table = pd.DataFrame({"flight": "a", "start": np.arange(40) * 1.0, "horizon": 0.5, "rate x": 1.0})
-    half, floor = table.assign(**{"rate x": 0.8**0.5}), table.assign(**{"rate x": 0.6**0.5})
-    row = rollout_gain.shares(table, half, floor, "rate x")[0]
+
+    def share(last, floor, reached=None):
+        tables = [table, *(table.assign(**{"rate x": e}) for e in (last, floor)), reached]
+        return rollout_gain.shares(*tables[:3], ["rate x"], tables[3])[0]
+
+    row = share(0.8**0.5, 0.6**0.5)
     assert row["removable"] == pytest.approx(0.4)
     assert [row[k] for k in ("value", "low", "high")] == pytest.approx([0.5] * 3)
-    assert rollout_gain.shares(table, half, table.assign(**{"rate x": 0.99}), "rate x")[0]["value"] == 1.0
-    assert rollout_gain.shares(table, table, table.assign(**{"rate x": 0.99}), "rate x")[0]["value"] is None
-    worse = rollout_gain.shares(table, table.assign(**{"rate x": 1.2}), floor, "rate x")[0]
-    assert worse["value"] == pytest.approx((1 - 1.44) / 0.4)
+    assert share(0.8**0.5, 0.99)["value"] == 1.0
+    assert share(1.0, 0.99)["value"] is None
+    assert share(1.2, 0.6**0.5)["value"] == pytest.approx((1 - 1.44) / 0.4)
+    # a yardstick is measured against the same removable error as the extension, which reached less than the floor here
+    row = share(0.9**0.5, 0.99, table.assign(**{"rate x": 0.5**0.5}))
+    assert row["removable"] == pytest.approx(0.5) and row["value"] == pytest.approx(0.2)
 
 
 def test_what_a_cause_is_worth_is_told_by_line_channel_and_horizon(model):
     wrong, table = moved(model, 0.05), flown(model)
     evidence = evidence_of(wrong, table)
-    rolled = rollout_gain.score(
-        wrong, model, {"a": table}, [evidence], [0.2, 0.5], lambda f: f.measured - predicted(model, f), None, None
-    )
+    beside = rollout_gain.Beside(lambda f: f.measured - predicted(model, f))
+    rolled = rollout_gain.score(wrong, model, {"a": table}, [evidence], [0.2, 0.5], beside)
     rows = rollout_gain.worth(rolled, rolled["errors"]["before"], ("Fz", "My"), [0.2, 0.5])
     assert len(rows) == 8
     best = next(r for r in rows if (r["line"], r["quantity"], r["horizon"]) == ("R", "velocity z", 0.5))

@@ -1,0 +1,62 @@
+"""Errors of every level on held-out flights before and after, at the floor and of the yardsticks, as told."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from quasi.gap.evidence import Evidence
+from quasi.gap.gain import Squares, after, before, removed, wrench_squares
+from quasi.gap.level import Flown
+from quasi.gap.lower import judged
+from quasi.gap.rollout_gain import Residual
+from quasi.gap.rollouts import TOLD
+from quasi.gap.wrench import Cause, Found
+from quasi.standalone.model import AXES, Model
+
+
+def scored(
+    model: Model, extended: Model, found: Found | None, kept: Sequence[Cause], held: Sequence[Evidence],
+    yardstick: Residual | None, everything_left: Residual | None, rolled: Mapping[str, Any],
+    lower: tuple[Sequence[Flown], Sequence[Flown]], document: Mapping[str, Any],
+) -> tuple[dict[str, Any], dict[str, Any], tuple[Squares, Squares, np.ndarray] | None]:  # fmt: skip
+    """Root mean squares before, after and at the floor by level, channel and horizon; shares of W with intervals; and
+    the squared errors of W after, at the floor, and its mean."""
+    gap: dict[str, Any] = {k: {} for k in ("before", "after", "noise_floor", "best_wrong_cause", "generic_polynomial")}
+    for key in gap:
+        gap[key] |= rolled["rms"].get(key, {})
+    scores: dict[str, Any] = {}
+    best = None
+    if held:
+        old, new = wrench_squares(held, before), wrench_squares(held, after(extended, model))
+        if len(old.t):
+            floor = np.minimum(found.scores["noise_floor"] if found else new.mean(), new.mean())
+            gap["before"]["W"], gap["after"]["W"] = _axes(old.mean()), _axes(new.mean())
+            if found:
+                gap["noise_floor"]["W"] = _axes(floor)
+                best = new, wrench_squares(held, everything_left), floor
+                scores["removed"] = removed(old, *best)
+                if yardstick is not None:
+                    size = sum(len(c.value) for c in kept)
+                    other = wrench_squares(held, yardstick)
+                    gap["generic_polynomial"]["W"] = _axes(other.mean())
+                    scores["generic polynomial"] = {"terms": size, "removed": removed(old, other, *best[1:], new)}
+                    if found.wrong:
+                        gap["best_wrong_cause"]["W"] = _axes(found.scores["best_wrong_cause"])
+                        scores["best wrong cause"] = found.wrong
+    first, last = lower
+    if first:
+        for word, table in (("before", judged(first, model.document)), ("after", judged(last, document))):
+            for level, channels in table.items():
+                mean = {c: float(np.sqrt(np.mean(t["before"] ** 2))) for c, t in channels.groupby("channel")}
+                gap[word][level] = {c: {"0": v} for c, v in mean.items()}
+                if word == "after":
+                    least = {c: float(np.sqrt(np.mean(t["floor"] ** 2))) for c, t in channels.groupby("channel")}
+                    gap["noise_floor"][level] = {c: {"0": min(v, mean[c])} for c, v in least.items()}
+    if TOLD in rolled["wrong"]:
+        scores["best wrong cause with commands"] = rolled["wrong"][TOLD]
+    return gap, scores, best
+
+
+def _axes(values: np.ndarray) -> dict[str, dict[str, float]]:
+    return {axis: {"0": float(np.sqrt(v))} for axis, v in zip(AXES, values)}
