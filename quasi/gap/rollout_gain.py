@@ -47,6 +47,7 @@ from quasi.gap.rollouts import (
 from quasi.standalone.model import Model
 
 TRIM, MARGIN, LEAST = 2.0, 0.1, 0.5  # s before a window; s that low-pass filters look ahead; s that must be valid
+TINY = 1e-12  # squared error, SI units, that is none
 LINES = (PLAIN, TRIMMED)
 YARDSTICKS = ("best_wrong_cause", "generic_polynomial")
 Residual = Callable[[Evidence], np.ndarray]
@@ -303,7 +304,7 @@ def _ratio(table: pd.DataFrame, old: pd.DataFrame) -> float:
     names, parts = (*QUANTITIES, *CHANNELS.values()), []
     for horizon, first in old.groupby("horizon"):
         new, was = (squares(t, names).mean(axis=0) for t in (table[table["horizon"] == horizon], first))
-        parts.append(new / np.maximum(was, 1e-300))
+        parts.append((new + TINY) / (was + TINY))
     return float(np.mean(parts))
 
 
