@@ -2,18 +2,15 @@
 
 import numpy as np
 import pytest
+from made_recordings import planted
 from scipy.spatial.transform import Rotation
 
 from quasi import attitude
-from quasi.airframe import read_airframe
 from quasi.errors import ConfigError
-from quasi.filtering.flight import filter_flight
 from quasi.gap import actuation, calibration, kinematic
 from quasi.gap.catalogue import catalogue
-from quasi.gap.level import Flown, Level
+from quasi.gap.level import Level
 from quasi.importing.calibration import check, is_identity, true_inertial, true_pose
-from quasi.importing.flight import import_flight
-from quasi.synthesis.campaign import make_flight, quadrotor_configuration, read_campaign, write_flight
 
 ACTUATORS = {  # of the vehicle that made flights are of
     "time constants": {"value": [0.026] * 4},
@@ -122,28 +119,10 @@ EFFECTS = {
 
 
 def test_eight_faults_at_once_are_told_from_raw_logs_and_gone_when_these_are_processed_anew(tmp_path):
-    sources = []
-    for k, profile in enumerate(("mixed", "aggressive")):
-        config = {"flights": [{"key": f"a{k}", "profile": profile, "seed": 900 + k, "effects": EFFECTS}],
-                  "duration": 24.0, "nuisance": 0.3}  # fmt: skip
-        campaign = read_campaign(config, "test")
-        made, quadrotor = make_flight(campaign, campaign.flights[0]), quadrotor_configuration(campaign)
-        write_flight(made, tmp_path / f"{k}.bbl", tmp_path / f"{k}.csv", tmp_path / f"{k}.parquet")
-        sources.append(
-            {"flight": f"a{k}", "quadrotor": "MadeBeetle", "flight controller": "betaflight",
-             "rigid body": "MadeBeetle", "onboard": str(tmp_path / f"{k}.bbl"), "capture": str(tmp_path / f"{k}.csv"),
-             "log number": None}
-        )  # fmt: skip
-    airframe = read_airframe(quadrotor, "made")
+    process, _ = planted(tmp_path, EFFECTS, 900, 24.0)
 
     def levels(applied):
-        flights = []
-        for source in sources:
-            imported, about = import_flight(source, quadrotor, {}, applied)
-            filtered = filter_flight(imported, about, airframe, {})
-            flights.append(
-                Flown(source["flight"], True, imported, about, filtered.with_gravity, filtered.metadata, airframe)
-            )
+        flights = process(applied)
         return kinematic.examine(flights, {}), actuation.examine(flights, {"id": "made", "actuators": ACTUATORS}, {})
 
     sensors, drive = levels(None)

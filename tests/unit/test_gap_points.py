@@ -2,17 +2,12 @@
 
 import numpy as np
 import pytest
-from made_model import part
+from made_model import simple_model
+from made_recordings import planted
 
-from quasi.airframe import read_airframe
-from quasi.filtering.flight import filter_flight
 from quasi.gap import calibration, kinematic
-from quasi.gap.level import Flown, Level
+from quasi.gap.level import Level
 from quasi.gap.points import APART, TAKEN_UP, settle, weigh
-from quasi.importing.flight import import_flight
-from quasi.standalone.build import assemble
-from quasi.standalone.model import Model
-from quasi.synthesis.campaign import make_flight, quadrotor_configuration, read_campaign, write_flight
 from quasi.synthesis.nuisance import nominal
 from quasi.synthesis.vehicle import hover_factors
 
@@ -20,50 +15,14 @@ PLANTED = {"imu_lever_arm": {"y": -0.007}, "marker_offset": {"x": -0.009, "z": 0
 STD = np.full(3, 4e-4)
 
 
-def model_of(airframe):
-    factors = hover_factors(nominal(120.0, 0.0).vehicle.physics)
-    thrust, torque, arm = factors["thrust"], factors["torque"], abs(airframe.hubs[0, 0])
-    terms = {
-        "Fx": {"u": -0.15}, "Fy": {"v": -0.15}, "Fz": {"(w1^2 + w2^2 + w3^2 + w4^2)": -thrust, "w": -0.15},
-        "Mx": {"U_p": thrust * arm, "p": -1e-4}, "My": {"U_q": thrust * arm, "q": -1e-4}, "Mz": {"U_r": -torque},
-    }  # fmt: skip
-    shared = {
-        "gravity": "withGravity", "hover speed": {"value": 2110.0, "unit": "rad/s"}, "actuators": None,
-        "simple model": {"kappaFz": {"value": thrust}, "kappaMz": {"value": -torque}},
-        "training flights": ["a"], "notes": [],
-    }  # fmt: skip
-    return Model(assemble({a: part(a, t) for a, t in terms.items()}, shared, {"id": "m", "airframe": airframe}))
-
-
 def test_arm_and_markers_are_told_apart_from_raw_logs_and_gone_when_these_are_imported_anew(tmp_path):
-    sources = []
-    for k, profile in enumerate(("mixed", "aggressive")):
-        config = {"flights": [{"key": f"a{k}", "profile": profile, "seed": 770 + k, "effects": PLANTED}],
-                  "duration": 20.0, "nuisance": 0.3}  # fmt: skip
-        campaign = read_campaign(config, "test")
-        made, quadrotor = make_flight(campaign, campaign.flights[0]), quadrotor_configuration(campaign)
-        write_flight(made, tmp_path / f"{k}.bbl", tmp_path / f"{k}.csv", tmp_path / f"{k}.parquet")
-        sources.append(
-            {"flight": f"a{k}", "quadrotor": "MadeBeetle", "flight controller": "betaflight",
-             "rigid body": "MadeBeetle", "onboard": str(tmp_path / f"{k}.bbl"), "capture": str(tmp_path / f"{k}.csv"),
-             "log number": None}
-        )  # fmt: skip
-    airframe = read_airframe(quadrotor, "made")
-
-    def flown(applied):
-        flights = []
-        for source in sources:
-            imported, about = import_flight(source, quadrotor, {}, applied)
-            filtered = filter_flight(imported, about, airframe, {})
-            flights.append(
-                Flown(source["flight"], True, imported, about, filtered.with_gravity, filtered.metadata, airframe)
-            )
-        return flights
-
-    flights = flown(None)
+    process, airframe = planted(tmp_path, PLANTED, 770, 20.0)
+    flights = process(None)
     level = kinematic.examine(flights, {})
     assert [e["id"] for e in level.effects] == ["imu_lever_arm"]  # level K alone cannot know
-    settle(level, flights, model_of(airframe))
+    factors = hover_factors(nominal(120.0, 0.0).vehicle.physics)
+    model = simple_model(airframe, factors["thrust"], factors["torque"], Mx={"p": -1e-4}, My={"q": -1e-4})
+    settle(level, flights, model)
     found = {e["id"]: e["parameters"] for e in level.effects}
     assert set(found) == set(PLANTED)
     for cause, parameters in found.items():
@@ -71,7 +30,7 @@ def test_arm_and_markers_are_told_apart_from_raw_logs_and_gone_when_these_are_im
             assert abs(p["value"] - PLANTED[cause].get(axis, 0.0)) < min(4.0 * p["std"], 1.5e-3), (cause, axis, p)
     whole = calibration.document([level])
     assert whole["compared"]["capture"]["marker offset"][0] == found["marker_offset"]["x"]["value"]
-    assert not kinematic.examine(flown(calibration.for_flight(whole, True)), {}).effects
+    assert not kinematic.examine(process(calibration.for_flight(whole, True)), {}).effects
 
 
 @pytest.mark.parametrize("arm", [(0.01, 0.0, 0.0), (0.0, -0.004, 0.02)])
