@@ -17,6 +17,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from stopwatch import best
 
 from quasi import tables
 from quasi.importing.blackbox import Frames, decode, read_blackbox
@@ -71,16 +72,6 @@ def made_log(seconds: float, rate: int = 1000) -> bytes:
     motors = [i for i, name in enumerate(NAMES) if name.startswith("motor[")]
     values[:, motors] = np.maximum(values[:, motors], 158)
     return encode_log(values, [(0, event("sync beep", 9_999_000))])[0] + event("end")
-
-
-def fastest(action, repeat: int) -> float:
-    """Seconds of the fastest of several runs."""
-    times = []
-    for _ in range(repeat):
-        start = time.perf_counter()
-        action()
-        times.append(time.perf_counter() - start)
-    return min(times)
 
 
 def memory_added(path: Path, number: int | None) -> float | None:
@@ -180,9 +171,9 @@ def main() -> int:
         log = find_logs(data, str(path))[number - 1]
         frames = decode(data, log)
         count = len(frames.time)
-        kernel_all = fastest(lambda: decode(data, log), given.repeat)
-        kernel = fastest(lambda: decode(data, log, WANTED), given.repeat)
-        reading = fastest(lambda: read_blackbox(path, log_number=number), given.repeat)
+        kernel_all = best(lambda: decode(data, log), given.repeat)
+        kernel = best(lambda: decode(data, log, WANTED), given.repeat)
+        reading = best(lambda: read_blackbox(path, log_number=number), given.repeat)
         added = memory_added(path, given.log)
         result = {
             "log": str(given.path or f"made, {given.seconds:g} s"),

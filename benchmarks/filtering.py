@@ -11,10 +11,10 @@ compilation. The best of the repeats counts; written to results/benchmarks/filte
 import argparse
 import sys
 import time
-from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
+from stopwatch import best
 from study import ROOT, fly
 
 from quasi.airframe import read_airframe
@@ -54,17 +54,6 @@ def inputs_of(frame: pd.DataFrame, about: dict) -> ekf.Inputs:
     )
 
 
-def best(work: Callable[[], object], repeats: int) -> float:
-    """Least process time of some runs, s; the first, which may compile, does not count."""
-    work()
-    found = []
-    for _ in range(repeats):
-        begin = time.process_time()
-        work()
-        found.append(time.process_time() - begin)
-    return min(found)
-
-
 def main() -> int:
     """Run the benchmark; 0 where the targets are met."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -76,9 +65,9 @@ def main() -> int:
     airframe = read_airframe(quadrotor, "made")
     inputs, n = inputs_of(frame, about), len(frame)
     print(f"{n} samples, {inputs.dt * n:.1f} s, {int(inputs.used.sum())} measurements of three numbers")
-    forward = n / best(lambda: ekf.forward(inputs), options.repeats)
-    both = n / best(lambda: smooth(inputs, ekf.forward(inputs)), options.repeats)
-    stage = best(lambda: filter_flight(frame, about, airframe, {}), min(options.repeats, 3))
+    forward = n / best(lambda: ekf.forward(inputs), options.repeats, time.process_time)
+    both = n / best(lambda: smooth(inputs, ekf.forward(inputs)), options.repeats, time.process_time)
+    stage = best(lambda: filter_flight(frame, about, airframe, {}), min(options.repeats, 3), time.process_time)
     result = {"forward": forward, "forward and smoother": both, "stage s": stage}
     rows = [
         ("forward filter", forward, "samples/s", FORWARD, forward / FORWARD),
@@ -89,8 +78,8 @@ def main() -> int:
         print(f"{name:32}{figure:>12,.4g} {unit:<10} target {target:>9,.6g}: {ratio:.2f} times as good")
     print(f"{'forward filter':32}{forward / PLAIN:>12.0f} times the published pipeline's {PLAIN:,.0f} samples/s")
     if not options.skip_filterpy:
-        slow = n / best(lambda: filterpy_engine.forward(inputs), 1)
-        staged = best(lambda: filter_flight(frame, about, airframe, {"engine": "filterpy"}), 1)
+        slow = n / best(lambda: filterpy_engine.forward(inputs), 1, time.process_time)
+        staged = best(lambda: filter_flight(frame, about, airframe, {"engine": "filterpy"}), 1, time.process_time)
         result |= {"filterpy forward": slow, "filterpy stage s": staged}
         print(f"{'engine filterpy, forward':32}{slow:>12,.4g} samples/s, 1/{forward / slow:.0f} of the compiled")
         print(f"{'engine filterpy, stage':32}{staged:>12.3g} s, {staged / stage:.1f} times the compiled")

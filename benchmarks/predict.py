@@ -10,11 +10,11 @@ results/benchmarks/predict.json.
 
 import argparse
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numba as nb
 import numpy as np
+from stopwatch import best
 
 from quasi.airframe import read_airframe, to_plain
 from quasi.standalone.document import SCHEMA
@@ -70,17 +70,6 @@ def loop(kernel: Kernel, rows: np.ndarray, work: np.ndarray, out: np.ndarray, ti
             wrench(kernel, rows[k], work, out)
             total += out[2]
     return total
-
-
-def best(work: Callable[[], object], repeats: int) -> float:
-    """Least time of some runs, s; the first, which may compile, does not count."""
-    work()
-    found = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        work()
-        found.append(time.perf_counter() - start)
-    return min(found)
 
 
 def main() -> None:

@@ -9,9 +9,9 @@ Runge-Kutta; rotorpy: about 1,280 steps/s in open loop, 631 in closed loop.
 
 import argparse
 import os
-import time
 
 import numpy as np
+from stopwatch import best
 
 from quasi.simulation.dynamics import scratch_of
 from quasi.simulation.loop import LOG, fly
@@ -19,16 +19,6 @@ from quasi.simulation.replay import replay
 from quasi.simulation.run import simulate, simulate_many
 from quasi.simulation.setup import make_setup
 from quasi.standalone.model import read_model
-
-
-def best(work, runs: int) -> float:
-    """Shortest time of some runs, s."""
-    times = []
-    for _ in range(runs):
-        started = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - started)
-    return min(times)
 
 
 def main() -> None:
