@@ -374,8 +374,9 @@ def _candidates(found: Found, settled: Settled, share: float) -> list[dict[str, 
                 said.append({"id": r.id, "since": c.since, "score": None, "p": r.p, "why_not": why})
     named = ", ".join(sorted({c.effect.id for c in found.causes})) or "the model's own terms"
     for test in found.ranking:
-        why = f"p = {test.p:.2g} beside {named}, not below {found.level:.2g}"
-        if test.p < found.level:
+        level = found.level[test.offer.since]
+        why = f"p = {test.p:.2g} beside {named}, not below {level:.2g}"
+        if test.p < level:
             why = "its size would be outside what is physical, only what accompanies it differs, or others explain it"
         add(test.offer.cause, test.offer.since, test, why)
     return said

@@ -81,7 +81,11 @@ def search(
         open_ = [
             t
             for t in ranking
-            if t.p < level and t.offer.cause not in tied and _possible(t, within) and _leads(t, effects)
+            if t.p < level
+            and t.offer.cause not in tied
+            and not _mends(mixed, t.offer, given, effects)
+            and _possible(t, within)
+            and _leads(t, effects)
         ]
         if not open_:
             break
@@ -104,6 +108,15 @@ def search(
     return Names(named, ties, ranking, level, len(pairs))
 
 
+def _mends(mixed: Mixed, offer: Offer, given: Sequence[Offer], effects: Mapping[str, Effect]) -> bool:
+    """Whether an offer is, or holds, what is indistinct from a cause taken already: the two of them, large and
+    opposite, would only mend the model's form."""
+    alike = {name for g in given if g.cause in effects for name in effects[g.cause].indistinct}
+    columns = mixed.columns.causes
+    whole = [Offer(n, offer.since, tuple(range(len(columns[n])))) for n in alike if n in columns]
+    return any(o.cause == offer.cause or mixed.spans(offer, o, given) for o in whole)
+
+
 def _doubt(
     mixed: Mixed, best: Test, ranking: Sequence[Test], given: Sequence[Offer], pooled: Sequence[str],
     effects: Mapping[str, Effect],
@@ -112,6 +125,8 @@ def _doubt(
     not significant itself: a load whose swing is only roughly known beside a mass, say."""
     for rival in ranking:
         likelier = rival.p < SUSPECT and rival.unlikely < best.unlikely
+        # a spread in many parameters can take up anything
+        likelier &= len(rival.offer.which) <= len(best.offer.which)
         if likelier and rival.offer.cause in effects[best.offer.cause].rivals:
             beside = mixed.test(best.offer, [*given, rival.offer], pooled)
             return Tie([best, rival], float((beside.wald / len(best.offer.which)) ** 0.5))

@@ -27,7 +27,8 @@ DRAWS = 40  # resamples of the flights' blocks
 
 @dataclass
 class Found:
-    """Result of the level. scores {"before", "after", ...}: mean squares per axis on held-out flights.
+    """Result of the level. level {since: p that had to be passed}; scores {"before", "after", ...}: mean squares per
+    axis on held-out flights.
 
     unjudged  those of the causes that the held-out flights do not excite
     """
@@ -36,7 +37,7 @@ class Found:
     ties: list[tuple[str, Tie]]
     immaterial: list[Cause]
     ranking: list[Test]
-    level: float
+    level: dict[str, float]
     lacking: dict[str, str]
     study: Study
     scores: dict[str, np.ndarray]
@@ -125,6 +126,8 @@ def examine(
     changed = [c for c in kept if c.since == "changed" and c not in stand_ins]
     fewer = simplest(changed, estimated, lambda of: score([*beside, *of], any(c.since == "always" for c in beside)),
                      old, floor, share)  # fmt: skip
+    # one that was significant beside another that is needless may not be without it
+    fewer = [c for c in fewer if c.test.p < level["changed"]]
     immaterial += [c for c in changed if not any(c.effect.id == f.effect.id for f in fewer)]
     kept = sorted([*fewer, *(c for c in beside if c not in stand_ins)], key=lambda c: c.test.p)
     extended = made(kept, name, any(c.since == "always" for c in kept))
@@ -143,19 +146,19 @@ def _stands_for(cause: Cause, since: str, tie: Tie) -> bool:
 def _search(
     mixed: Mixed, asked: Mapping[str, Effect], compared: np.ndarray, rate: float, lacking: Sequence[str],
     within: Mapping[str, list[tuple[float, float]]],
-) -> tuple[list[Named], list[tuple[str, Tie]], list[Test], float]:  # fmt: skip
+) -> tuple[list[Named], list[tuple[str, Tie]], list[Test], dict[str, float]]:  # fmt: skip
     """First what changed, then what all flights have alike; the false alarm rate is shared between the two."""
     stages = {"always": 1.0} if compared.all() else {"changed": 1.0 - COMMON, "always": COMMON}
     named: list[Named] = []
     ties: list[tuple[str, Tie]] = []
     rankings: list[Test] = []
-    level = rate
+    level: dict[str, float] = {}
     for since, part in stages.items():
         names = search(mixed, asked, (since,), rate * part, lacking, within, _given(named, ties))
         named += names.named
         ties += [(since, tie) for tie in names.ties]
         rankings += names.ranking
-        level = names.level
+        level[since] = names.level
     return named, ties, sorted(rankings, key=lambda test: test.p), level
 
 
@@ -196,7 +199,7 @@ def _count(
     study: Study,
     asked: Mapping[str, Effect],
     compared: np.ndarray,
-    level: float,
+    level: Mapping[str, float],
     seed: int = 0,
 ) -> None:
     """Share of resamples, each flight's blocks drawn anew, in which each cause is significant again."""
@@ -210,7 +213,7 @@ def _count(
         mixed = Mixed(grams, compared, study.columns)
         for k, offer in enumerate(offers):
             pooled = [c for c in study.columns.causes if not asked[c].absorbed] if offer.since == "changed" else []
-            counts[k] += mixed.test(offer, [o for o in offers if o != offer], pooled).p < level
+            counts[k] += mixed.test(offer, [o for o in offers if o != offer], pooled).p < level[offer.since]
     for cause, count in zip(causes, counts):
         cause.probability = float(count / DRAWS)
 

@@ -10,6 +10,7 @@ from test_actuation import flown as driven
 from test_kinematic import flown as moved
 
 from quasi.gap import actuation, kinematic, lower, material
+from quasi.gap.lower import FAINTEST, SEARCHES, rate_of
 from quasi.gap.material import Side, worth
 
 SHARE = 0.05
@@ -85,3 +86,22 @@ def test_a_voltage_that_stays_cannot_show_what_it_does():
     other = json.loads(json.dumps(levels))
     material.judge(other, [driven(5)], [], SHARE)  # follows the battery as the model says
     assert not other["A"]["effects"]
+
+
+@pytest.mark.parametrize("compared, held", [(3, 1), (8, 1), (4, 4)])
+def test_chance_is_named_at_the_false_alarm_rate_once_held_out_flights_have_judged(compared, held):
+    """Flights whose apparent parameters differ and mean nothing: named where |t| passes, kept where others gain."""
+    rng = np.random.default_rng(compared + held)
+    count, named, kept = 3_000_000, 0, 0
+    for _ in range(3):
+        theta = rng.standard_normal(count) / np.sqrt(compared)
+        other = rng.standard_normal(count) / np.sqrt(held)
+        passed = np.abs(theta) * np.sqrt(compared) > FAINTEST
+        gains = other**2 > (other - theta) ** 2
+        named, kept = named + passed.sum(), kept + (passed & gains).sum()
+    assert named > 300
+    rate = rate_of(0.01, compared, held)
+    assert 0.0025 <= rate <= 0.01
+    # four searches at this rate, of which this share is kept
+    assert SEARCHES * rate * kept / named < 0.0115
+    assert rate_of(0.01, compared, 0) == 0.01 / SEARCHES
