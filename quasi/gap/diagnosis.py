@@ -83,6 +83,8 @@ def diagnose(
     else:
         found = examine(learning, compared, held, model, effects, vehicle, rate, share, ident, f"gap {name}")
         sure = [c for c in found.causes if c.probability >= _needed(c, found)]
+        rare = [c for c in found.stand_ins if c.probability < _needed(c, found)]
+        found.ties = [t for t in found.ties if not any(c.effect.id == t[1].tests[0].offer.cause for c in rare)]
         settled = settle(found, sure, model, compared, effects, vehicle, held, flights)
         corrected = _corrected(model, calibration, learning)
 
@@ -181,7 +183,7 @@ def diagnose(
 def _needed(cause: Cause, found: Found) -> float:
     """Share of resamples in which a cause must be found again. One alone stands by its significance, unless a few
     seconds of flight make all of it; beside a stronger one, it may only mend what that one leaves."""
-    others = [c for c in found.causes if c.since == cause.since and c is not cause]
+    others = [c for c in [*found.causes, *found.stand_ins] if c.since == cause.since and c is not cause]
     if not others:
         return ALONE
     return SURE if cause.test.p < min(c.test.p for c in others) else BESIDE
@@ -366,6 +368,8 @@ def _candidates(found: Found, settled: Settled, share: float) -> list[dict[str, 
     for c in found.immaterial:
         why = f"there, but it removes less than {100 * share:.0f} % of the removable error on held-out flights"
         add(c.effect.id, c.since, c.test, why)
+    for name, (test, why) in found.contradicted.items():
+        add(name, test.offer.since, test, why)
     for c in kept:
         for r in c.rivals:
             why = f"beside {c.effect.id} it adds nothing (p = {r.beside_named:.2g}); {c.effect.id} stays beside it"

@@ -91,7 +91,8 @@ def search(
             break
         best, rivals, tie = _dominant(mixed, open_[:RIVALS], given, pooled, level, effects)
         if tie is None:
-            tie = _doubt(mixed, best, ranking, given, pooled, effects)
+            free = [t for t in ranking if t.offer.cause not in tied and not _mends(mixed, t.offer, given, effects)]
+            tie = _doubt(mixed, best, free, given, pooled, effects)
         if tie is not None:
             # a further parameter of a cause that is there anyway needs no new cause
             more = next((t for t in tie.tests if any(g.cause == t.offer.cause for g in found)), None)

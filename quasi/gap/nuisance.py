@@ -2,7 +2,7 @@
 
 Sizes: real flights of one vehicle differ in mass and thrust by 1 %, in how IMU and markers are seated by a fraction of
 a degree, in what is left of biases and of the rotor telemetry's age after import and filtering. The rotors' torque
-differs by twice as much as the thrust: it follows thrust and inflow, and healthy flights show 1.5 to 2 %.
+differs by more than the thrust: it follows thrust and inflow, and healthy made flights show 1.5 to 2 %.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from quasi.gap.effect import vehicle_of
 from quasi.gap.evidence import Evidence
 from quasi.standalone.model import AXES, ROTORS
 
-MASS, THRUST, TORQUE = 0.01, 0.01, 0.02  # shares
+MASS, THRUST, TORQUE = 0.01, 0.01, 0.015  # shares
 SEATING, MARKERS = 0.0035, 0.0052  # rad, about each axis
 FORCE_BIAS, MOMENT_BIAS = 0.005, 0.0005  # of m g, and of m g times the arm: what filtering leaves of constant errors
 TELEMETRY = 0.003  # s, where the flight could not tell it

@@ -124,13 +124,26 @@ def tested(
     return mixed.test(_offer(place), [*given, *(_offer(o) for o in others)], pooled)
 
 
+def stages_of(compared: Sequence[bool]) -> list[str]:
+    """What can be asked of these flights, in order."""
+    return ["always"] if all(compared) else ["changed", "always"]
+
+
+def level_of(grounds: Grounds, compared: Sequence[bool], rate: float) -> float:
+    """p that a function must pass, of a family-wise rate."""
+    return rate / (len(stages_of(compared)) * 6 * len(grounds.basis.choices))
+
+
 def select(grounds: Grounds, compared: Sequence[bool], given: Sequence[Offer], rate: float) -> list[tuple[Place, Test]]:
-    """Forward selection with backward removal at a family-wise rate; first what changed, then what all have alike."""
-    stages = ["always"] if all(compared) else ["changed", "always"]
+    """Forward selection with backward removal at a family-wise rate; first what changed, then what all have alike.
+
+    What changed is not taken back for what all flights have alike: a model's own errors of form can follow anything.
+    """
     choices = [(k, choice) for k in range(6) for choice in grounds.basis.choices]
-    level = rate / max(len(stages) * len(choices), 1)
-    found: list[Place] = []
+    level, stages = level_of(grounds, compared, rate), stages_of(compared)
+    settled: list[tuple[Place, Test]] = []
     for since in stages:
+        found = [place for place, _ in settled]
         while len(found) < MOST:
             taken = {(p.channel, p.choice.where) for p in found}
             offered = [Place(k, c, since) for k, c in choices if (k, c.where) not in taken]
@@ -141,12 +154,15 @@ def select(grounds: Grounds, compared: Sequence[bool], given: Sequence[Offer], r
             if best is None or best[1].p >= level:
                 break
             found.append(best[0])
-    while True:
-        tests = [(p, tested(grounds, compared, given, [f for f in found if f != p], p)) for p in found]
-        weak = max(tests, key=lambda pair: pair[1].p, default=None)
-        if weak is None or weak[1].p < level:
-            return tests
-        found.remove(weak[0])
+        while True:
+            new = [p for p in found if p.since == since]
+            tests = [(p, tested(grounds, compared, given, [f for f in found if f != p], p)) for p in new]
+            weak = max(tests, key=lambda pair: pair[1].p, default=None)
+            if weak is None or weak[1].p < level:
+                settled += tests
+                break
+            found.remove(weak[0])
+    return settled
 
 
 def _certain(

@@ -18,15 +18,17 @@ from quasi.gap.evidence import Evidence
 from quasi.gap.gain import fraction, wrench_score
 from quasi.gap.mixed import Offer, Test, marginal
 from quasi.gap.places import EVERYWHERE, OWN, Basis
-from quasi.gap.smooth import Cause, Grounds, Place, grounds_of, mixed_of, select, tested
+from quasi.gap.smooth import Cause, Grounds, Place, grounds_of, level_of, mixed_of, select, tested
 from quasi.gap.study import LIGHT, base_columns, refit
 from quasi.gap.whereabouts import profile, whereabouts
 from quasi.gap.whitening import whiten
+from quasi.gap.worth import ASIDE, SMALL
 from quasi.standalone.model import AXES
 
-LEAST = 0.1  # of the squared error, below which nothing is left to be removed
+LEAST = 0.05  # of the squared error, below which nothing is left to be removed, by what changed
 BESIDE = 0.3  # of the power along its first axis that a peak has along another one where that is told too
 AGAIN = 0.5  # of what other flights tell that a flight must show
+ELSE = 2  # other functions of a place that are tried
 VISITED = 0.3  # share of the function's usual size below which a held-out flight cannot judge it
 
 
@@ -47,11 +49,19 @@ def search(
     of the extended model; floor (6,) mean squares; rate  family-wise false alarm rate, half of it for places, half for
     frequencies; share  least material one
     """
+    # what healthy flights show as well is mostly the form of the model's own terms
+    least = {"changed": LEAST, "always": LEAST if all(compared) else SMALL["always"]}
     grounds = grounds_of(flights, causes, vehicle)
     given = [offer for _, offer, _ in causes]
     found = select(grounds, compared, given, 0.5 * rate)
     joint = _joint(grounds, compared, causes, found)
-    found = [(p, t) for p, t in found if _comes_again(grounds, compared, given, joint, p)]
+    found = _again(grounds, compared, given, joint, found, 0.5 * rate)
+    joint = _joint(grounds, compared, causes, found)
+    # what healthy flights show as well and is not sure must not stand beside what changed
+    found = [
+        (p, t) for p, t in found if p.since == "changed"
+        or _beyond_doubt(grounds, compared, causes, found, joint, p, held, vehicle, floor, share, least["always"])
+    ]  # fmt: skip
     joint = _joint(grounds, compared, causes, found)
     lines = rhythm.search(_signals(grounds, joint, flights), compared, 0.5 * rate)
     judge = grounds_of(held, causes, vehicle, grounds)
@@ -60,11 +70,11 @@ def search(
     centred = wrench_score(held, left, True).mean()
     said: list[dict[str, Any]] = []
 
-    def material(channel: int, gone: float, before: float) -> float | None:
+    def material(channel: int, gone: float, before: float, since: str) -> float | None:
         """The share of the removable squared error that is gone; nothing where that is too little."""
         before = max(before, gone)
         part = gone / max(before - min(floor[channel], before - gone), 1e-300)
-        return float(part) if gone > LEAST * before and part >= share else None
+        return float(part) if gone > least[since] * before and part >= share else None
 
     profiles: list[pd.DataFrame] = []
 
@@ -79,15 +89,12 @@ def search(
             others = _joint(grounds, compared, causes, [(p, t) for p, t in found if p != place])
             without, beside = (wrench_score(held, lambda f, j=j: _residual(f, j, vehicle), True).mean()
                                for j in (others, joint))  # fmt: skip
-            part = material(k, max(float(without[k] - beside[k]), 0.0), float(without[k]))
+            part = material(k, max(float(without[k] - beside[k]), 0.0), float(without[k]), place.since)
         else:
             slope, _ = _slope(grounds, compared, judge.parts, joint, place)
             before = whole if where == EVERYWHERE else centred
-            part = material(k, max(2.0 * slope - 1.0, 0.0) * here**2, float(before[k]))
+            part = material(k, max(2.0 * slope - 1.0, 0.0) * here**2, float(before[k]), place.since)
         unjudged = here < VISITED * usual and where not in OWN
-        if place.since == "always" and not _beyond_doubt(grounds, compared, causes, found, joint, place, held, vehicle,
-                                                         floor, share):  # fmt: skip
-            continue
         if part is not None or unjudged:
             if where != EVERYWHERE:
                 shown = [f for f, flag in zip(flights, compared) if flag] + list(held)
@@ -102,7 +109,7 @@ def search(
     for line in lines:
         power = np.mean([rhythm.amplitudes(line, s) for s in signals], axis=0)
         for k in np.flatnonzero(power > BESIDE * power.max()):
-            part = material(k, float(power[k]), float(whole[k]))
+            part = material(k, float(power[k]), float(whole[k]), line.since)
             if part is not None:
                 say(k, "frequency", part, np.sqrt(power[k]), since=line.since, mostly=[[line.low, line.high]],
                     evidence={"p": line.p, "seen along": line.view})  # fmt: skip
@@ -113,14 +120,15 @@ def search(
 def _beyond_doubt(
     grounds: Grounds, compared: Sequence[bool], causes: Sequence[Cause], found: Sequence[tuple[Place, Test]],
     joint: "Joint", place: Place, held: Sequence[Evidence], vehicle: Vehicle, floor: np.ndarray, share: float,
+    small: float,
 ) -> bool:  # fmt: skip
     """Whether held-out flights gain the share for sure by what all flights have alike, as `worth` asks of causes."""
     others = _joint(grounds, compared, causes, [(p, t) for p, t in found if p != place])
     first, last = (wrench_score(held, lambda f, j=j: _residual(f, j, vehicle), True) for j in (others, joint))
     k = place.channel
-    least = np.minimum(np.minimum(floor, last.mean()), (1.0 - LEAST) * first.mean())
+    least = np.minimum(np.minimum(floor, last.mean()), (1.0 - small) * first.mean())
     low = fraction(first, last, least)[AXES[k]]["low"]
-    return low is not None and low > share
+    return low is not None and low > (share if all(compared) else max(share, ASIDE))
 
 
 class Joint(NamedTuple):
@@ -203,6 +211,26 @@ def _slope(
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
     inverse = np.linalg.inv(inner / np.outer(scale, scale) + LIGHT * np.eye(len(scale)))
     return float(inverse[-1] @ (right / scale) / scale[-1]), float(scale[-1] ** 2 / inverse[-1, -1])
+
+
+def _again(
+    grounds: Grounds, compared: Sequence[bool], given: Sequence[Offer], joint: "Joint",
+    found: Sequence[tuple[Place, Test]], rate: float,
+) -> list[tuple[Place, Test]]:  # fmt: skip
+    """The functions that come again in each flight; another function of the same place, significant too, where the most
+    significant one does not: a bent one may follow a single flight."""
+    level, kept = level_of(grounds, compared, rate), []
+    for place, test in found:
+        others = [p for p, _ in found if p != place]
+        choices = [c for c in grounds.basis.choices if c.where == place.choice.where and c != place.choice]
+        tests = [(p, tested(grounds, compared, given, others, p)) for p in (place._replace(choice=c) for c in choices)]
+        near = sorted((pair for pair in tests if pair[1].p < level), key=lambda pair: pair[1].p)[:ELSE]
+        for other, seen in [(place, test), *near]:
+            told = joint._replace(functions=[(other, seen.value) if p == place else (p, v) for p, v in joint.functions])
+            if _comes_again(grounds, compared, given, told, other):
+                kept.append((other, seen))
+                break
+    return kept
 
 
 def _comes_again(

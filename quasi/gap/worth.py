@@ -22,6 +22,8 @@ from quasi.standalone.model import AXES
 MOST_WEIGHED = 5  # causes of which every selection is tried
 EXCITED = 0.25  # of its strength in the compared flights, that a held-out one must show to be judged by
 SMALL = {"changed": 0.01, "spoken of": 0.1, "always": 0.25}  # least share of a channel's error that counts as removable
+SIMPLER = 2.0  # times the material share that a simpler explanation may leave
+ASIDE = 0.2  # share that what healthy flights show as well must gain beyond doubt
 Deviations = dict[str, float]
 
 
@@ -64,12 +66,14 @@ def material(
     old: Score,
     floor: np.ndarray,
     share: float,
+    surely: float,
 ) -> tuple[list[Cause], list[Cause], list[Cause]]:
     """Causes that matter, those that do not, and those of the first that these flights could not judge.
 
     score    of held-out flights with some causes taken into account, the model's own terms fitted anew or not
     excited  whether the held-out flights show a cause at all; old, floor  errors (blocks, 6) before, at best (6,)
-    share    least share of the removable error of some axis that leaving a cause out must cost
+    share    least share of the removable error of some axis that leaving a cause out must cost; surely  that of what
+             flights have in common, beyond doubt
     """
     unjudged = [c for c in causes if c.since == "changed" and not excited(c)]
     kept = [c for c in causes if c.since == "changed"]
@@ -87,7 +91,7 @@ def material(
         if min(poor) >= share:
             break
         kept.pop(int(np.argmin(poor)))
-    common = _common([c for c in causes if c.since == "always"], kept, score, old, floor, share)
+    common = _common([c for c in causes if c.since == "always"], kept, score, old, floor, surely)
     kept = sorted([*kept, *common], key=lambda c: c.test.p)
     return kept, [c for c in causes if c not in kept], [c for c in unjudged if c in kept]
 
@@ -100,7 +104,7 @@ def simplest(
     floor: np.ndarray,
     share: float,
 ) -> list[Cause]:
-    """The fewest of the causes that leave less than `share` of the removable error more than all of them do.
+    """The fewest of the causes that leave less than SIMPLER times `share` of the removable error more than all do.
 
     Two causes that mend each other's mistakes are needed both as long as both are there.
     estimated  some causes -> the same with their parameters found without the others; score  of held-out flights
@@ -111,7 +115,7 @@ def simplest(
     for size in range(1, len(causes)):
         tried = [estimated(some) for some in combinations(causes, size)]
         losses = [float(((score(some).errors.mean() - whole) / removable).max()) for some in tried]
-        if min(losses) < share:
+        if min(losses) < SIMPLER * share:
             best = tried[int(np.argmin(losses))]
             before = {c.effect.id: c for c in causes}
             for cause in best:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from quasi.errors import ConfigError
+from quasi.gap.agreement import contradiction, voices
 from quasi.gap.catalogue import columns_of
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
@@ -15,10 +16,10 @@ from quasi.gap.gain import Likelihood, Score, after, before, wrench_score
 from quasi.gap.mixed import Mixed, Offer, Test
 from quasi.gap.naming import Named, Tie, search
 from quasi.gap.study import Study, base_columns, gather_study, in_stretches, moved, refit
-from quasi.gap.worth import EXCITED, Cause, Deviations, Judged, material, simplest, strength
+from quasi.gap.worth import ASIDE, EXCITED, Cause, Deviations, Judged, material, simplest, strength
 from quasi.standalone.model import AXES, Model
 
-LOOKS = 3  # how often curved causes are linearised anew
+LOOKS = 4  # how often curved causes are linearised anew, and contradicted ones left out
 RIDGES = (1e-3, 1e-2, 1e-1)  # of fits of everything at once, on scaled columns
 COMMON = 0.2  # share of the false alarm rate for what reference and compared flights have in common
 KNOWN = 0.02  # share to which the vehicle's constants are known, of which columns are made: thrust, hubs, own drag
@@ -30,7 +31,8 @@ class Found:
     """Result of the level. level {since: p that had to be passed}; scores {"before", "after", ...}: mean squares per
     axis on held-out flights.
 
-    unjudged  those of the causes that the held-out flights do not excite
+    unjudged  those of the causes that the held-out flights do not excite; contradicted {cause: test, why}: those whose
+    axes do not agree; stand_ins  the first cause of each tie
     """
 
     causes: list[Cause]
@@ -44,6 +46,8 @@ class Found:
     wrong: str | None
     extended: dict[str, Any]
     unjudged: list[Cause] = field(default_factory=list)
+    contradicted: dict[str, tuple[Test, str]] = field(default_factory=dict)
+    stand_ins: list[Cause] = field(default_factory=list)
 
 
 def examine(
@@ -77,6 +81,7 @@ def examine(
     within = {n: e.limits(vehicle) for n, e in asked.items()}
     values: dict[str, Deviations] = {}
     gone: set[str] = set()  # curved causes that were not there any more once looked at where they were found
+    contradicted: dict[str, tuple[Test, str]] = {}
     study = gather_study(flights, asked, vehicle)
     for look in range(LOOKS):
         study = moved(study, asked, vehicle, values) if look else study
@@ -89,10 +94,15 @@ def examine(
         )
         gone |= set(values) - set(curved)
         values = curved
-        if not elsewhere:
+        torn = _contradicted(causes, ties, asked, mixed, study, compared)
+        contradicted |= torn
+        gone |= set(torn)
+        if not elsewhere and not torn:
             break
-    _count(causes, study, asked, compared, level)
+    causes = [c for c in causes if c.effect.id not in contradicted]
+    ties = [(s, tie) for s, tie in ties if not any(t.offer.cause in contradicted for t in tie.tests)]
     stand_ins = _merged([Named(tie.tests[0], []) for _, tie in ties], asked, mixed, _given(named, ties))
+    _count([*causes, *stand_ins], study, asked, compared, min(level.values()))
     old = wrench_score(held, before)
     floor = _floor(study, asked, vehicle, compared, values, held, old)
 
@@ -113,7 +123,9 @@ def examine(
         there = [f for f, flag in zip(flights, compared) if flag]
         return strength(cause, held, vehicle) > EXCITED * strength(cause, there, vehicle)
 
-    kept, immaterial, unjudged = material([*causes, *stand_ins], score, excited, old, floor, share)
+    kept, immaterial, unjudged = material(
+        [*causes, *stand_ins], score, excited, old, floor, share, share if compared.all() else max(share, ASIDE)
+    )
     ties = [(since, tie) for since, tie in ties if any(c in kept for c in stand_ins if _stands_for(c, since, tie))]
     immaterial = [c for c in immaterial if not any(_stands_for(c, *tie) for tie in ties)]
     beside = [c for c in kept if c in stand_ins or c.since == "always"]
@@ -136,7 +148,35 @@ def examine(
     wrong = None
     if kept:
         wrong, scores["best_wrong_cause"] = _best_wrong(mixed, kept, ranking, asked, model, vehicle, held, old)
-    return Found(kept, ties, immaterial, ranking, level, study.lacking, study, scores, wrong, extended, unjudged)
+    return Found(
+        kept, ties, immaterial, ranking, level, study.lacking, study, scores, wrong, extended, unjudged, contradicted,
+        [c for c in stand_ins if any(_stands_for(c, *tie) for tie in ties)],
+    )  # fmt: skip
+
+
+def _contradicted(
+    causes: Sequence[Cause], ties: Sequence[tuple[str, Tie]], asked: Mapping[str, Effect], mixed: Mixed, study: Study,
+    compared: np.ndarray,
+) -> dict[str, tuple[Test, str]]:  # fmt: skip
+    """Of causes and ties, those that one axis wants and another does not; what healthy flights show as well is no
+    matter of names alone, and not asked where others are compared with them."""
+    since = "always" if compared.all() else "changed"
+    pooled = [c for c in mixed.columns.causes if not asked[c].absorbed] if since == "changed" else []
+    tests = [c.test for c in causes] + [test for _, tie in ties for test in tie.tests]
+    given = [*(c.test.offer for c in causes), *(tie.tests[0].offer for _, tie in ties)]
+    torn = {}
+    for test in tests:
+        if test.offer.since == since:
+            others = [g for g in given if g.cause != test.offer.cause]
+            others = [g for g in others if not _tied_with(g.cause, test.offer.cause, ties)]
+            why = contradiction(voices(study, compared, test, pooled, others))
+            if why:
+                torn[test.offer.cause] = test, why
+    return torn
+
+
+def _tied_with(one: str, other: str, ties: Sequence[tuple[str, Tie]]) -> bool:
+    return any({one, other} <= {t.offer.cause for t in tie.tests} for _, tie in ties)
 
 
 def _stands_for(cause: Cause, since: str, tie: Tie) -> bool:
@@ -199,7 +239,7 @@ def _count(
     study: Study,
     asked: Mapping[str, Effect],
     compared: np.ndarray,
-    level: Mapping[str, float],
+    level: float,
     seed: int = 0,
 ) -> None:
     """Share of resamples, each flight's blocks drawn anew, in which each cause is significant again."""
@@ -213,7 +253,7 @@ def _count(
         mixed = Mixed(grams, compared, study.columns)
         for k, offer in enumerate(offers):
             pooled = [c for c in study.columns.causes if not asked[c].absorbed] if offer.since == "changed" else []
-            counts[k] += mixed.test(offer, [o for o in offers if o != offer], pooled).p < level[offer.since]
+            counts[k] += mixed.test(offer, [o for o in offers if o != offer], pooled).p < level
     for cause, count in zip(causes, counts):
         cause.probability = float(count / DRAWS)
 

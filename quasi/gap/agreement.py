@@ -1,0 +1,67 @@
+"""Whether the axes of force and moment tell the same of a cause.
+
+A cause acts on several axes with one value. Something else that resembles it on one axis wants another value, or the
+other sign, on the next: what a name made of it explains here it spoils there.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from quasi.gap.mixed import Mixed, Offer, Test
+from quasi.gap.study import BLOCK, Study, in_stretches
+from quasi.gap.whitening import block_grams
+from quasi.standalone.model import AXES
+
+SURE = 3.0  # |t| of an axis that speaks against a cause, and that it must show of the cause to have a say
+HEARD = 2.5  # |t| of at least one axis alone
+OPPOSITE = 0.3  # of what the cause is taken to be, with the other sign, that contradicts it
+
+
+class Voice(NamedTuple):
+    """What one axis alone tells: how much of the cause is there, 1 for all of it, with its standard error."""
+
+    axis: str
+    amount: float
+    std: float
+
+
+def voices(
+    study: Study, compared: Sequence[bool], test: Test, pooled: Sequence[str], given: Sequence[Offer] = ()
+) -> list[Voice]:
+    """What each axis alone tells of a cause as a test found it, beside what is given.
+
+    pooled  causes whose columns belong to the base, as in `Mixed.test`
+    """
+    own = [study.columns.causes[test.offer.cause][k] for k in test.offer.which]
+    size = len(study.names)
+    grams, there = [], np.zeros(len(AXES), bool)
+    for flight, part in zip(study.flights, study.thinned):
+        made = part.columns[:, :, own] @ test.value
+        there |= (made**2).any(axis=0)
+        columns = np.concatenate([part.columns, made[:, :, None] * np.eye(len(AXES))], axis=2)
+        blocks = block_grams(columns, part.breaks, study.whitener, flight.t[part.rows], BLOCK)
+        grams.append(in_stretches(blocks))
+    names: Mapping[str, list[int]] = {a: [size + k] for k, a in enumerate(AXES) if there[k]}
+    mixed = Mixed(grams, compared, study.columns._replace(causes=study.columns.causes | names))
+    result = []
+    for axis in names:
+        found = mixed.test(Offer(axis, test.offer.since, (0,)), given, pooled)
+        result.append(Voice(axis, float(found.value[0]), float(found.std[0])))
+    return result
+
+
+def contradiction(heard: Sequence[Voice]) -> str:
+    """Why the axes do not tell of one cause, or nothing: none wants it, or one wants it and another its opposite."""
+    first = max(heard, key=lambda v: v.amount / v.std)
+    if first.amount < HEARD * first.std:
+        return f"no axis alone shows it: {first.axis}, which shows it best, {first.amount:.2f} +- {first.std:.2f} of it"
+    against = [v for v in heard if v.amount < min(-OPPOSITE, -SURE * v.std) and SURE * v.std < 1.0]
+    if not against:
+        return ""
+    last = min(against, key=lambda v: v.amount / v.std)
+    return (
+        f"{first.axis} shows {first.amount:.2f} +- {first.std:.2f} of it and {last.axis} {last.amount:.2f} +- "
+        f"{last.std:.2f}: one cause acts on both alike"
+    )
