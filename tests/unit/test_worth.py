@@ -42,7 +42,7 @@ def fz(value):
 def test_a_cause_that_takes_its_channels_error_away_is_kept_and_one_that_brings_nothing_is_not():
     a, b = cause("a"), cause("b")
     score = scored({frozenset("ab"): fz(1.0), frozenset("a"): fz(1.01), frozenset("b"): fz(4.0)}, OLD)
-    kept, out, unjudged = material([a, b], score, lambda c: True, judged(OLD).errors, FLOOR, SHARE)
+    kept, out, unjudged = material([a, b], score, lambda c: True, judged(OLD).errors, FLOOR, SHARE, SHARE)
     assert [c.effect.id for c in kept] == ["a"] and out == [b] and unjudged == []
     assert a.gain["Fz"]["value"] == pytest.approx(1.0, abs=0.02)
 
@@ -50,20 +50,21 @@ def test_a_cause_that_takes_its_channels_error_away_is_kept_and_one_that_brings_
 def test_a_gain_in_channels_that_a_cause_does_not_act_on_counts_nothing():
     score = scored({frozenset("a"): fz(1.0)}, OLD)
     elsewhere = cause("a", channels=("Mz",))
-    assert material([elsewhere], score, lambda c: True, judged(OLD).errors, FLOOR, SHARE)[0] == []
+    assert material([elsewhere], score, lambda c: True, judged(OLD).errors, FLOOR, SHARE, SHARE)[0] == []
 
 
 def test_a_cause_that_makes_held_out_flights_worse_and_less_likely_is_left_out():
     a = cause("a", channels=("Fz", "Mx"))
     worse = np.array([1.0, 1.0, 3.9, 3.0, 1.0, 1.0])
     assert (
-        material([a], scored({frozenset("a"): worse}, OLD), lambda c: True, judged(OLD).errors, FLOOR, SHARE)[0] == []
+        material([a], scored({frozenset("a"): worse}, OLD), lambda c: True, judged(OLD).errors, FLOOR, SHARE, SHARE)[0]
+        == []
     )
 
 
 def test_what_held_out_flights_do_not_excite_they_cannot_refute():
     a = cause("a")
-    kept, _, unjudged = material([a], scored({}, OLD), lambda c: False, judged(OLD).errors, FLOOR, SHARE)
+    kept, _, unjudged = material([a], scored({}, OLD), lambda c: False, judged(OLD).errors, FLOOR, SHARE, SHARE)
     assert kept == [a] and unjudged == [a]
 
 
@@ -72,7 +73,7 @@ def test_what_all_flights_have_must_gain_on_a_channel_that_is_not_at_its_floor()
     noisy = fz(1.2)  # a sixth of the error could go at best
     for old, new, there in ((OLD, fz(1.0), True), (noisy, fz(1.0), False), (OLD, fz(3.99), False)):
         score = scored({frozenset("a"): new}, old)
-        kept = material([a], score, lambda c: True, judged(old).errors, FLOOR, SHARE)[0]
+        kept = material([a], score, lambda c: True, judged(old).errors, FLOOR, SHARE, SHARE)[0]
         assert (kept == [a]) is there
 
 
