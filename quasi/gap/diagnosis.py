@@ -73,7 +73,7 @@ def diagnose(
     said: dict[str, Any] = {"candidates": [], "unexplained": [], "cannot_be_asked": [], "notes": list(lost)}
     drive = [(effects[e["id"]], _deviations(effects[e["id"]], e["parameters"]))
              for e in levels["A"]["effects"] if e["id"] in effects and effects[e["id"]].extension]  # fmt: skip
-    unable = _unable(groups)
+    unable = _unable(groups, roles)
     found, kept = None, []
     lives, restless = pd.DataFrame(), []
     settled = Settled([], [], {}, {}, None, [])
@@ -200,7 +200,7 @@ def _since_when(result: dict[str, Any], references: str) -> None:
                     entry["in training flights"], entry["since"] = entry["since"] == "always", "always"
 
 
-def _unable(groups: Mapping[str, Sequence[Evidence]]) -> str:
+def _unable(groups: Mapping[str, Sequence[Evidence]], roles: Mapping[str, str]) -> str:
     """Why no force or moment can be told from another, or nothing."""
     if len(groups["compared"]) < 2:
         count = len(groups["compared"])
@@ -209,6 +209,10 @@ def _unable(groups: Mapping[str, Sequence[Evidence]]) -> str:
             "and a cause needs at least 2 beside those held out"
         )
     if not groups["held out"]:
+        if "held out" in roles.values():
+            return (
+                "no held-out flight could be used, as the notes say; hold out another one, so that a gain is measured"
+            )
         return "no flight is held out, so that no gain can be measured; name one in 'rows of flights held out'"
     return ""
 

@@ -115,23 +115,24 @@ def gather_study(
     """
     lacking: dict[str, str] = {}
     asked = {name: e for name, e in effects.items() if e.terms is not None or e.columns is not None}
+    made: list[dict[str, dict[str, np.ndarray]]] = [{} for _ in flights]
     for name, effect in list(asked.items()):
+        at = (values or {}).get(name) or dict.fromkeys(effect.parameters, 0.0)
         try:
-            for flight in flights:
-                columns_of(effect, _first(flight), vehicle, dict.fromkeys(effect.parameters, 0.0))
+            for flight, columns in zip(flights, made):
+                columns[name] = columns_of(effect, flight, vehicle, at)
         except (DataError, ExpressionError) as error:
             lacking[name] = str(error)
             del asked[name]
     thinned, names, layout = [], [], None
-    for flight in flights:
+    for flight, columns in zip(flights, made):
         parts = [("residual", _straight(flight, asked, vehicle, values or {}))]
         shared = base_columns(flight)
         own = nuisances(flight)
         parts += shared + [(n, c) for n, c, _ in own]
         causes: dict[str, list[int]] = {}
-        for name, effect in asked.items():
-            at = (values or {}).get(name) or dict.fromkeys(effect.parameters, 0.0)
-            for parameter, column in columns_of(effect, flight, vehicle, at).items():
+        for name in asked:
+            for parameter, column in columns.pop(name).items():
                 causes.setdefault(name, []).append(len(parts))
                 parts.append((f"{name}: {parameter}", column))
         thinned.append(_thinned(flight, [column for _, column in parts]))
@@ -189,15 +190,6 @@ def _study(
     ]
     raw = [np.einsum("nki,nkj->kij", part.columns, part.columns, optimize=True) for part in thinned]
     return Study(list(flights), thinned, layout, names, blocks, raw, whitener, lacking, values)
-
-
-def _first(flight: Evidence) -> Evidence:
-    """The first rows alone, enough to see whether a cause can be asked."""
-    columns = {name: values[:2] for name, values in flight.columns.items()}
-    return Evidence(
-        flight.key, flight.airframe, flight.model, flight.mass, flight.inertia, columns,
-        flight.measured[:2], flight.predicted[:2], flight.metadata,
-    )  # fmt: skip
 
 
 def own_fit(stack: np.ndarray, layout: Columns) -> np.ndarray:

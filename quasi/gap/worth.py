@@ -23,7 +23,7 @@ MOST_WEIGHED = 5  # causes of which every selection is tried
 EXCITED = 0.25  # of its strength in the compared flights, that a held-out one must show to be judged by
 SMALL = {"changed": 0.01, "spoken of": 0.1, "always": 0.25}  # least share of a channel's error that counts as removable
 SIMPLER = 2.0  # times the material share that a simpler explanation may leave
-ASIDE = 0.2  # share that what healthy flights show as well must gain beyond doubt
+ASIDE = 0.4  # share that what healthy flights show as well must gain beyond doubt
 Deviations = dict[str, float]
 
 
