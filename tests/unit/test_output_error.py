@@ -15,6 +15,7 @@ from plain_plant import made_model
 
 from quasi.errors import DataError
 from quasi.gap import mixed, output_error, rollouts
+from quasi.gap.agreement import Voice, contradiction, voices
 from quasi.gap.catalogue import catalogue
 from quasi.gap.confirmation import (
     CONFIRMED,
@@ -355,3 +356,32 @@ def test_windows_that_remember_each_other_count_for_fewer():
     assert output_error._repeated(flights, whole.T @ whole / len(whole)) == pytest.approx(2.875, rel=0.05)
     white = [rng.standard_normal((6000, 3))]
     assert output_error._repeated(white, np.eye(3)) == pytest.approx(1.0, abs=0.05)
+
+
+def heard(study, values, which):
+    offer = mixed.Offer("rotor_effectiveness", "always", which)
+    test = mixed.Test(offer, np.array(values), np.eye(len(which)), 1.0, 1.0, 0.0)
+    return {v.axis: v for v in voices(study, [True] * 3, test, [])}
+
+
+def test_axes_agree_on_the_true_cause_and_contradict_one_that_resembles_it(model, study):
+    """Rotor 2 lacks 5 %: lift and both moments tell it. Of rotor 1 as weak, the lift would tell the same, the moment
+    about the axis that the two rotors lie on either side of the opposite."""
+    true = heard(study, [-0.05], (1,))
+    for axis in ("Mx", "My"):
+        assert true[axis].amount == pytest.approx(1.0, abs=4.0 * true[axis].std)
+        assert true[axis].std < 0.2
+    assert contradiction(list(true.values())) == ""
+    hubs = np.asarray(model.airframe.hubs)
+    assert hubs[0, 0] * hubs[1, 0] < 0 or hubs[0, 1] * hubs[1, 1] < 0
+    opposite = heard(study, [-0.05], (0,))
+    assert min(v.amount for v in opposite.values()) < -0.8
+    assert "one cause acts on both alike" in contradiction(list(opposite.values()))
+
+
+def test_what_contradicts_a_cause_is_a_sure_axis_with_the_other_sign():
+    assert contradiction([Voice("Fz", 1.0, 0.1), Voice("My", -0.9, 0.1)])
+    assert not contradiction([Voice("Fz", 1.0, 0.1), Voice("My", -0.9, 0.4)])  # could not have seen it
+    assert not contradiction([Voice("Fz", 1.0, 0.1), Voice("My", -0.2, 0.05)])  # sure, but small
+    assert not contradiction([Voice("Fz", 1.0, 0.3), Voice("My", 0.0, 0.05)])
+    assert "no axis alone shows it" in contradiction([Voice("Fz", 0.6, 0.3), Voice("My", 0.5, 0.25)])

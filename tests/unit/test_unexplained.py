@@ -99,6 +99,33 @@ def test_beside_reference_flights_it_is_told_what_changed(ground):
     assert (said[0]["channel"], said[0]["where"], said[0]["since"]) == ("Fz", "room x", "changed")
 
 
+def test_what_changed_is_told_although_all_flights_lack_something_in_the_same_channel(ground):
+    def all_lack(c):
+        return 0.05 * np.tanh(np.hypot(c["u"], c["v"]) - 1.5)
+
+    flights = [
+        flight(ground, s, lambda c, on=s >= 4: only(2, all_lack(c) + on * 0.05 * np.tanh(c["x"]))) for s in range(8)
+    ]
+    held = [flight(ground, 90, lambda c: only(2, all_lack(c) + 0.05 * np.tanh(c["x"])))]
+    compared = [s >= 4 for s in range(8)]
+    said = search(flights, compared, held, [], lambda f: f.residual, np.full(6, np.inf), vehicle_of(ground[1]), 0.01,
+                  0.05)[0]  # fmt: skip
+    assert ("Fz", "room x", "changed") in {(u["channel"], u["where"], u["since"]) for u in said}
+
+
+def test_a_constant_error_of_the_held_out_flight_does_not_hide_what_is_wrong_there(ground):
+    def planted(c, constant=0.0):
+        return only(3, 1.2e-3 * np.tanh(c["x"]) + constant)
+
+    flights = [flight(ground, s, planted if s >= 4 else None) for s in range(9)]
+    held = [flight(ground, 90, lambda c: planted(c, 8e-3))]
+    compared = [s >= 4 for s in range(9)]
+    said = search(flights, compared, held, [], lambda f: f.residual, np.full(6, np.inf), vehicle_of(ground[1]), 0.01,
+                  0.05)[0]  # fmt: skip
+    assert [(u["channel"], u["where"], u["since"]) for u in said] == [("Mx", "room x", "changed")]
+    assert said[0]["share"] > 0.5
+
+
 def test_places_are_what_their_names_say(ground):
     one = flight(ground, 1)
     at = places(one)
