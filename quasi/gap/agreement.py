@@ -15,7 +15,6 @@ from quasi.gap.whitening import block_grams
 from quasi.standalone.model import AXES
 
 SURE = 3.0  # |t| of an axis that speaks against a cause, and that it must show of the cause to have a say
-HEARD = 2.5  # |t| of at least one axis alone
 OPPOSITE = 0.3  # of what the cause is taken to be, with the other sign, that contradicts it
 
 
@@ -53,14 +52,12 @@ def voices(
 
 
 def contradiction(heard: Sequence[Voice]) -> str:
-    """Why the axes do not tell of one cause, or nothing: none wants it, or one wants it and another its opposite."""
-    first = max(heard, key=lambda v: v.amount / v.std)
-    if first.amount < HEARD * first.std:
-        return f"no axis alone shows it: {first.axis}, which shows it best, {first.amount:.2f} +- {first.std:.2f} of it"
+    """Why the axes do not tell of one cause, or nothing: one wants it, another its opposite, both surely."""
+    wanted = [v for v in heard if v.amount > SURE * v.std]
     against = [v for v in heard if v.amount < min(-OPPOSITE, -SURE * v.std) and SURE * v.std < 1.0]
-    if not against:
+    if not wanted or not against:
         return ""
-    last = min(against, key=lambda v: v.amount / v.std)
+    first, last = max(wanted, key=lambda v: v.amount / v.std), min(against, key=lambda v: v.amount / v.std)
     return (
         f"{first.axis} shows {first.amount:.2f} +- {first.std:.2f} of it and {last.axis} {last.amount:.2f} +- "
         f"{last.std:.2f}: one cause acts on both alike"

@@ -14,6 +14,7 @@ from quasi.gap.mixed import Mixed, Offer, Test, ranked
 
 RIVALS = 6  # of the most significant causes that are weighed against each other
 MOST = 6  # causes that one search names
+FORM = 0.05  # of what a simple cause explains, that one which holds it has to explain beyond it
 SUSPECT = 0.01  # probability of nothing below which a rival that is likelier cannot be ruled out
 
 
@@ -75,6 +76,7 @@ def search(
     ties: list[Tie] = []
     tied: set[str] = set()
     ranking: list[Test] = []
+    clear: list[Test] = []  # as they were found
     while len(given) < len(known) + MOST:
         pooled = _pooled(mixed, effects, since)
         ranking = ranked(mixed, pairs, given, pooled, parts)
@@ -84,6 +86,7 @@ def search(
             if t.p < level
             and t.offer.cause not in tied
             and not _mends(mixed, t.offer, given, effects)
+            and not any(_is_form(mixed, t, c, [g for g in given if g != c.offer], pooled, level) for c in clear)
             and _possible(t, within)
             and _leads(t, effects)
         ]
@@ -103,6 +106,7 @@ def search(
             tied |= {t.offer.cause for t in tie.tests}
             given.append(tie.tests[0].offer)  # so that the search goes on with what the tie explains taken out
             continue
+        clear.append(best)
         given.append(best.offer)
         found[best.offer] = rivals
     named = _confirmed(mixed, effects, since, found, given, level)
@@ -116,6 +120,17 @@ def _mends(mixed: Mixed, offer: Offer, given: Sequence[Offer], effects: Mapping[
     columns = mixed.columns.causes
     whole = [Offer(n, offer.since, tuple(range(len(columns[n])))) for n in alike if n in columns]
     return any(o.cause == offer.cause or mixed.spans(offer, o, given) for o in whole)
+
+
+def _is_form(
+    mixed: Mixed, wide: Test, simple: Test, given: Sequence[Offer], pooled: Sequence[str], level: float
+) -> bool:
+    """Whether a cause with more parameters that explains away a clear simpler one explains but a little beside it,
+    which may be the simple one's form that is not quite right. wide  its test beside the simple one and what is given
+    """
+    if len(wide.offer.which) <= len(simple.offer.which) or wide.wald >= FORM * simple.wald:
+        return False
+    return mixed.test(simple.offer, [*given, wide.offer], pooled).p >= level
 
 
 def _doubt(
@@ -178,11 +193,16 @@ def _dominant(
         others = [b for b in tests if b is not a]
         return sum(stands(a, b) - stands(b, a) for b in others), -a.p
 
+    def more(wide: Test, simple: Test) -> bool:
+        """Whether a cause whose columns hold those of a simpler one explains more."""
+        if _is_form(mixed, beside[wide.offer, simple.offer], simple, given, pooled, level):
+            return False
+        return stands(wide, simple) or not mixed.spans(wide.offer, simple.offer, given)
+
     best = max(tests, key=merit)
     # a cause whose columns hold those of a simpler one explains no more than that one: the simpler is named
     for simple in sorted(tests, key=lambda t: len(t.offer.which)):
-        fewer = len(simple.offer.which) < len(best.offer.which)
-        if fewer and not stands(best, simple) and mixed.spans(best.offer, simple.offer, given):
+        if len(simple.offer.which) < len(best.offer.which) and not more(best, simple):
             best = simple
             break
     others = [b for b in tests if b is not best]
@@ -191,14 +211,7 @@ def _dominant(
         b
         for b in others
         if b.offer.cause in effects[best.offer.cause].indistinct
-        or (
-            not stands(best, b)
-            and not (
-                len(b.offer.which) > len(best.offer.which)
-                and not stands(b, best)
-                and mixed.spans(b.offer, best.offer, given)
-            )
-        )
+        or (not stands(best, b) and (len(b.offer.which) <= len(best.offer.which) or more(b, best)))
     ]
     if equal:
         nearest = min(equal, key=lambda b: beside[best.offer, b.offer].wald)

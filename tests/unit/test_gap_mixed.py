@@ -233,3 +233,21 @@ def test_thinning_keeps_slow_signals_and_their_relations():
     np.testing.assert_allclose(part.columns[:, 0, 1], 2.0 * kept, atol=0.02)
     np.testing.assert_allclose(part.columns[:, 0, 0], kept, atol=0.02)
     np.testing.assert_allclose(part.columns[:, 0, 0], 0.5 * part.columns[:, 0, 1] + part.columns[:, 0, 2], atol=1e-12)
+
+
+def test_beside_a_clear_simple_cause_a_wider_one_needs_more_than_a_little():
+    """c nearly holds a's column and has one more, significant, that explains a hundredth as much: the form of a."""
+    for size, name in ((0.11, "a"), (1.0, "c")):
+        rng = np.random.default_rng(11)
+        compared = [False] * 4 + [True] * 4
+        grams = []
+        for flag in compared:
+            x = rng.standard_normal((1500, 7))
+            x[:, 5] = x[:, 3] + 0.02 * x[:, 5]
+            y = x[:, 0] + 0.3 * rng.standard_normal(1500) + flag * (x[:, 3] + size * x[:, 6])
+            z = np.column_stack([y, x])
+            grams.append(z.T @ z)
+        mixed = Mixed(grams, compared, LAYOUT)
+        beside = mixed.test(Offer("c", "changed", (0, 1)), [Offer("a", "changed", (0,))], ["a", "b", "c"])
+        assert beside.p < 0.01 / 3
+        assert search(mixed, effects(c="all"), ("changed",), 0.01).named[0].test.offer.cause == name
