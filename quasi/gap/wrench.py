@@ -80,23 +80,23 @@ def examine(
     asked = {n: e for n, e in effects.items() if e.level == "W" and not e.finding}
     within = {n: e.limits(vehicle) for n, e in asked.items()}
     values: dict[str, Deviations] = {}
-    gone: set[str] = set()  # curved causes that were not there any more once looked at where they were found
+    neutral: set[str] = set()  # curved causes whose slope where they were found does not show them any more
     contradicted: dict[str, tuple[Test, str]] = {}
     study = gather_study(flights, asked, vehicle)
     for look in range(LOOKS):
         study = moved(study, asked, vehicle, values) if look else study
         mixed = study.mixed(range(len(flights)), compared)
-        named, ties, ranking, level = _search(mixed, asked, compared, rate, (*study.lacking, *gone), within)
+        named, ties, ranking, level = _search(mixed, asked, compared, rate, (*study.lacking, *contradicted), within)
         causes = _merged(named, asked, mixed, _given(named, ties))
-        curved = {c.effect.id: dict(c.value) for c in causes if c.effect.bends}
+        bent = {c.effect.id: dict(c.value) for c in causes if c.effect.bends}
+        neutral |= set(values) - set(bent)
+        curved = {n: v for n, v in bent.items() if n not in neutral}
         elsewhere = curved.keys() != values.keys() or any(
             abs(curved[n][p] - values[n].get(p, 0.0)) > 0.02 * abs(curved[n][p]) for n in curved for p in curved[n]
         )
-        gone |= set(values) - set(curved)
         values = curved
         torn = _contradicted(causes, ties, asked, mixed, study, compared)
         contradicted |= torn
-        gone |= set(torn)
         if not elsewhere and not torn:
             break
     causes = [c for c in causes if c.effect.id not in contradicted]
