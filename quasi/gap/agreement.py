@@ -51,6 +51,24 @@ def voices(
     return result
 
 
+def disagreement(heard: Sequence[Voice]) -> float:
+    """How many times further apart the axes are than their standard errors say, 1 where they are not.
+
+    Axes that hardly tell of the cause are left out, which would hide that the others differ.
+    Source: Particle Data Group, Review of Particle Physics 2024, Introduction, section 5.2.2 (scale factor S).
+    """
+    if len(heard) < 2:
+        return 1.0
+    whole = sum(1.0 / v.std**2 for v in heard) ** -0.5
+    told = [v for v in heard if v.std < 3.0 * len(heard) ** 0.5 * whole]
+    if len(told) < 2:
+        return 1.0
+    weights = [1.0 / v.std**2 for v in told]
+    mean = sum(w * v.amount for w, v in zip(weights, told)) / sum(weights)
+    spread = sum(w * (v.amount - mean) ** 2 for w, v in zip(weights, told)) / (len(told) - 1)
+    return max(spread**0.5, 1.0)
+
+
 def contradiction(heard: Sequence[Voice]) -> str:
     """Why the axes do not tell of one cause, or nothing: one wants it, another its opposite, both surely."""
     wanted = [v for v in heard if v.amount > SURE * v.std]

@@ -168,7 +168,7 @@ def shown(extended: Model, base: Model, flight: Evidence) -> np.ndarray:
     if wind is not None:
         along = attitude.rotate_inverse(flight.quaternion, np.asarray(wind, float))
         columns = {**columns, **{f"{a}_air": flight.velocity[:, k] - along[:, k] for k, a in enumerate("uvw")}}
-    wrench = extended.predict_columns(pd.DataFrame(columns))[list(AXES)].to_numpy()
+    wrench = extended.predict_columns(columns)[list(AXES)].to_numpy()
     mass = base.airframe.mass if extended.airframe.mass is None else extended.airframe.mass
     configured = base.airframe.mass if base.airframe.mass is not None else mass
     inertia, own = np.asarray(extended.airframe.inertia), flight.inertia

@@ -79,18 +79,41 @@ def marginal(gram: np.ndarray, columns: Sequence[int], spread: np.ndarray) -> np
     return gram - gram[:, columns] @ np.linalg.solve(inner, gram[columns, :])
 
 
-def _integrated(grams: np.ndarray, columns: Sequence[int], precision: np.ndarray) -> tuple[np.ndarray, float]:
-    """Cross-products (..., n, n) with the columns' random coefficients of this precision (..., m, m) integrated out,
-    each its own, and the log determinant that this leaves in the likelihood."""
-    cross = grams[..., columns, :]
-    size = np.sqrt(np.diagonal(precision, axis1=-2, axis2=-1))
-    scaled = precision / (size[..., :, None] * size[..., None, :])
-    inner = cross[..., columns] / (size[..., :, None] * size[..., None, :]) + scaled
-    cross = cross / size[..., :, None]
-    weighted = np.linalg.solve(inner, cross)
-    log = float(np.linalg.slogdet(inner)[1].sum())
-    log -= float(np.linalg.slogdet(scaled)[1].sum()) * (inner.size // scaled.size)
-    return grams - np.swapaxes(cross, -1, -2) @ weighted, log
+class _Given(NamedTuple):
+    """What a test is made beside: the model's terms, given and pooled causes, ready to be taken out.
+
+    source (z,) their columns; acting (z, F) 1 where a flight is offered one; size (z,) for scaling; root (z, z) inverse
+    of the lower Cholesky factor of their scaled cross-products; target (z,) root times their products with the target
+    """
+
+    source: np.ndarray
+    acting: np.ndarray
+    size: np.ndarray
+    root: np.ndarray
+    target: np.ndarray
+
+
+class _Spectrum(NamedTuple):
+    """A cause with deviations of one form, all that is given taken out, in the directions in which these are apart.
+
+    known (n,) information on the deviations in units of their precision at tau = 1; cross (n, 1 + m) products of the
+    deviations with target and cause; inner (1 + m, 1 + m) products of target and cause
+    """
+
+    known: np.ndarray
+    cross: np.ndarray
+    inner: np.ndarray
+
+    def at(self, tau: float) -> tuple[float, np.ndarray, np.ndarray, float]:
+        """-2 log restricted likelihood but for a constant, coefficients (m,), covariance (m, m), squared error left."""
+        rest = self.inner - self.cross.T @ (self.cross / (self.known + 1.0 / tau**2)[:, None])
+        size = np.sqrt(np.diag(rest)[1:])
+        scaled = rest[1:, 1:] / np.outer(size, size)
+        inverse = np.linalg.inv(scaled) / np.outer(size, size)
+        value = inverse @ rest[1:, 0]
+        left = float(rest[0, 0] - rest[1:, 0] @ value)
+        information = float(np.log1p(self.known * tau**2).sum() + np.linalg.slogdet(scaled)[1] + 2 * np.log(size).sum())
+        return left + information, value, inverse, left
 
 
 class Mixed:
@@ -114,16 +137,26 @@ class Mixed:
         self.columns = columns
         self.prior = prior
         self.compared = np.asarray(compared, bool)
-        self._stretches = [g[None] if g.ndim == 2 else g for g in map(np.asarray, grams)]
-        self.grams = [marginal(g.sum(axis=0), columns.nuisance, columns.spread) for g in self._stretches]
-        self._typical = sum(np.diag(g) for g in self.grams)
-        # flights side by side; those with fewer stretches have empty ones, which say nothing
-        most = max(len(g) for g in self._stretches)
-        self._all = np.zeros((len(self._stretches), most, *self._stretches[0].shape[1:]))
-        for padded, stretches in zip(self._all, self._stretches):
-            padded[: len(stretches)] = stretches
-        self.count = sum(len(g) for g in self._stretches)
+        parts = [g[None] if g.ndim == 2 else g for g in map(np.asarray, grams)]
+        self._flight = np.repeat(np.arange(len(parts)), [len(g) for g in parts])
+        self._stretch = np.concatenate(parts)
+        self.count = len(self._stretch)
         self.freedom = max(self.count - (1 if self.compared.all() else 2), 1)
+        # nuisances integrated out: what they take of a stretch, by half, is what couples the stretches of a flight
+        own, size = columns.nuisance, self._stretch.shape[-1]
+        whole = np.array([g.sum(axis=0) for g in parts])
+        self._half = np.zeros((self.count, len(own), size))
+        if own:
+            inner = whole[:, own][:, :, own] + np.diag(1.0 / columns.spread**2)
+            scale = np.sqrt(np.einsum("fii->fi", inner))
+            root = np.linalg.inv(np.linalg.cholesky(inner / (scale[:, :, None] * scale[:, None, :])))
+            self._half = (root / scale[:, None, :])[self._flight] @ self._stretch[:, own, :]
+        halves = np.zeros((len(parts), len(own), size))
+        np.add.at(halves, self._flight, self._half)
+        self._beside = self._stretch - np.swapaxes(self._half, 1, 2) @ halves[self._flight]  # stretch against flight
+        self.grams = whole - np.swapaxes(halves, 1, 2) @ halves
+        self._typical = np.einsum("fii->i", self.grams)
+        self._taken_out: dict[tuple, _Given] = {}
 
     def offered(self, since: str) -> np.ndarray:
         """(F,) bool: flights that a cause is offered to."""
@@ -135,42 +168,37 @@ class Mixed:
         given   offers already accepted; pooled  causes whose columns belong to the base here: fitted in all flights
                 alike, without being claimed
         """
-        own = self._of(offer)
-        others = [(self._of(o), self.offered(o.since)) for o in given]
-        known = {c for columns, offered in others if offered.all() for c in columns}
-        for cause in pooled:
-            free = [c for c in self.columns.causes[cause] if c not in known]
-            others += [(free, self.offered("always"))] if free else []
-        # a pooled cause under test is offered twice: to all, and to the compared flights
-        blocks = [*others, (own, self.offered(offer.since))]
+        own, flags = self._of(offer), self.offered(offer.since)
+        key = tuple(given), tuple(pooled)
+        if key not in self._taken_out:
+            self._taken_out[key] = self._given(given, pooled)
         unit = 1.0 / np.sqrt(np.maximum(self._typical[own] / self.count, 1e-300))
-        use = list(dict.fromkeys([0, *self.columns.shared, *self.columns.nuisance, *(c for b, _ in blocks for c in b)]))
-        place = {column: k for k, column in enumerate(use)}
-        grams = self._all[:, :, use][:, :, :, use]
-        mine = [place[c] for c in own]
-        alike = np.broadcast_to(np.diag(1.0 / unit**2), (*grams.shape[:2], len(own), len(own)))
+        alike = np.broadcast_to(np.eye(len(own)), (self.count, len(own), len(own)))
         forms = [alike]
         if self.informed:
-            forms.append(grams[:, :, mine][:, :, :, mine] + FAINT * alike)
-        certain = self._fitted(grams, mine, alike / CERTAIN**2, blocks, place)[2]
+            seen = self._stretch[:, own][:, :, own] * np.outer(unit, unit)
+            forms.append(seen + FAINT * alike)
+        spectra = self._spectra(own, unit, flags, self._taken_out[key], forms)
         best = None
-        for form in forms:
+        for form, spectrum in zip(forms, spectra):
             least, worse = np.inf, 0
             for tau in SPREADS:
-                criterion, *fit = self._fitted(grams, mine, form / tau**2, blocks, place)
+                criterion, *fit = spectrum.at(tau)
                 if best is None or criterion < best[0]:
-                    best = criterion, tau, *fit
+                    best = criterion, tau, form, *fit
                 worse = 0 if criterion < least else worse + 1
                 least = min(least, criterion)
                 if worse == PATIENCE:
                     break
-        _, tau, value, covariance, unlikely = best
+        _, tau, form, value, covariance, left = best
         wald = float(value @ np.linalg.solve(covariance, value))
         # only the part of the variance that rests on tau is uncertain for want of flights (Satterthwaite)
+        certain = spectra[0].at(CERTAIN)[2]
         share = 1.0 - float(np.mean(np.diag(certain) / np.diag(covariance)))
         freedom = min(self.freedom / max(share, 1e-3) ** 2, MOST_FREEDOM)
         p = float(f_distribution.sf(wald / len(own), len(own), freedom))
-        return Test(offer, value, covariance, float(tau), wald, p, float(unlikely))
+        unlikely = left + self._spread_out(own, unit, form / tau**2)
+        return Test(offer, value * unit, covariance * np.outer(unit, unit), float(tau), wald, p, unlikely)
 
     def spans(self, wide: Offer, narrow: Offer, given: Sequence[Offer] = ()) -> bool:
         """Whether the columns of one offer hold those of another, base and given taken out of both."""
@@ -196,57 +224,77 @@ class Mixed:
         columns = self.columns.causes[offer.cause]
         return [columns[k] for k in offer.which]
 
-    def _fitted(
-        self, grams: np.ndarray, own: Sequence[int], precision: np.ndarray,
-        blocks: Sequence[tuple[list[int], np.ndarray]], place: Mapping[int, int],
-    ) -> tuple[float, np.ndarray, np.ndarray, float]:  # fmt: skip
-        """At a spread of the cause under test: restricted likelihood (-2 log), coefficients, covariance, likelihood.
-
-        grams (F, K, n, n) of the columns in use, place {column: position among them}, own  positions of the cause's,
-        precision (F, K, m, m) of its deviations
-        """
-        rest, log = _integrated(grams, own, precision)
-        rest = rest.sum(axis=1)
-        if self.columns.nuisance:
-            known = np.diag(1.0 / self.columns.spread**2)
-            rest, more = _integrated(rest, [place[c] for c in self.columns.nuisance], known)
-            log += more
-        left, value, covariance, information = self._solve(rest, blocks, place)
-        own = slice(len(value) - len(own), len(value))
-        return left + log + information, value[own], covariance[own, own], left + log
-
-    def _solve(
-        self, rest: np.ndarray, blocks: Sequence[tuple[list[int], np.ndarray]], place: Mapping[int, int]
-    ) -> tuple:
-        """Squared error left, the blocks' coefficients with covariance, log determinant of the information."""
-        base = [place[c] for c in self.columns.shared]
-        size = 1 + len(base) + sum(len(c) for c, _ in blocks)
-        total = np.zeros((size, size))
-        groups: dict[tuple[bool, ...], list[int]] = {}
-        for f in range(len(rest)):
-            groups.setdefault(tuple(bool(offered[f]) for _, offered in blocks), []).append(f)
-        for pattern, flights in groups.items():
-            source, at = [0, *base], list(range(1 + len(base)))
-            first = len(at)
-            for (columns, _), offered in zip(blocks, pattern):
-                if offered:
-                    source += [place[c] for c in columns]
-                    at += range(first, first + len(columns))
-                first += len(columns)
-            total[np.ix_(at, at)] += rest[flights].sum(axis=0)[np.ix_(source, source)]
+    def _given(self, given: Sequence[Offer], pooled: Sequence[str]) -> _Given:
+        """The model's terms, given and pooled causes, ready to be taken out."""
+        everywhere = np.ones(len(self.compared), bool)
+        blocks = [(self.columns.shared, everywhere), *((self._of(o), self.offered(o.since)) for o in given)]
+        known = {c for columns, offered in blocks[1:] if offered.all() for c in columns}
+        # a pooled cause under test is offered twice: to all, and to the compared flights
+        blocks += [([c for c in self.columns.causes[p] if c not in known], everywhere) for p in pooled]
+        source = np.array([c for columns, _ in blocks for c in columns], int)
+        if not len(source):
+            nothing = np.zeros(0)
+            return _Given(source, np.zeros((0, len(everywhere))), nothing, np.zeros((0, 0)), nothing)
+        acting = np.array([offered for columns, offered in blocks for _ in columns], float)
+        total = np.einsum("if,jf,fij->ij", acting, acting, self.grams[:, source][:, :, source], optimize=True)
         if self.prior is not None:
-            own = slice(1, 1 + len(base))
-            total[own, own] += self.prior
-        scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
-        scaled = total / np.outer(scale, scale)
-        inner = scaled[1:, 1:] + RIDGE * np.eye(size - 1)
-        inverse = np.linalg.inv(inner)
-        solution = inverse @ scaled[1:, 0]
-        left = scale[0] ** 2 * float(1.0 - scaled[1:, 0] @ solution)
-        part = slice(len(base), size - 1)
-        unit = scale[1:][part]
-        information = float(np.linalg.slogdet(inner)[1] + 2.0 * np.log(scale[1:]).sum())
-        return left, solution[part] * scale[0] / unit, inverse[part, part] / np.outer(unit, unit), information
+            first = len(self.columns.shared)
+            total[:first, :first] += self.prior
+        size = np.sqrt(np.maximum(np.diag(total), 1e-300))
+        root = np.linalg.inv(np.linalg.cholesky(total / np.outer(size, size) + RIDGE * np.eye(len(size))))
+        target = root @ (np.einsum("if,fi->i", acting, self.grams[:, 0][:, source]) / size)
+        return _Given(source, acting, size, root, target)
+
+    def _spectra(
+        self, own: Sequence[int], unit: np.ndarray, flags: np.ndarray, given: _Given, forms: Sequence[np.ndarray]
+    ) -> list[_Spectrum]:  # fmt: skip
+        """The cause of columns `own`, scaled by unit, offered to the flights of flags, beside what is given.
+
+        forms  (K, m, m) precision of each stretch's deviation at tau = 1
+        """
+        place, m = [0, *own], len(own)
+        scale = np.array([1.0, *unit])
+        act = np.hstack([np.ones((len(flags), 1)), np.repeat(flags[:, None], m, axis=1)])  # (F, 1 + m)
+        inner = np.einsum("fi,fj,fij->ij", act, act, self.grams[:, place][:, :, place]) * np.outer(scale, scale)
+        inner[range(1, m + 1), range(1, m + 1)] *= 1.0 + RIDGE
+        rows = self._beside[:, own] * unit[:, None]  # (K, m, P)
+        deviations = (rows[:, :, place] * (act * scale)[self._flight][:, None, :]).reshape(-1, 1 + m)
+        among = self._among(own, unit)
+        if len(given.source):
+            with_own = np.einsum("if,f,fij->ij", given.acting, flags, self.grams[:, given.source][:, :, own])
+            taken = np.column_stack([given.target, given.root @ (with_own * unit / given.size[:, None])])
+            mixed = rows[:, :, given.source] * (given.acting.T / given.size)[self._flight][:, None, :]
+            taking = mixed.reshape(-1, len(given.source)) @ given.root.T
+            inner = inner - taken.T @ taken
+            deviations = deviations - taking @ taken
+            among = among - taking @ taking.T
+        result = []
+        for form in forms:
+            root = np.linalg.inv(np.linalg.cholesky(form))  # (K, m, m)
+            half = (root @ among.reshape(self.count, m, -1)).reshape(among.shape)
+            whole = (root @ half.T.reshape(self.count, m, -1)).reshape(among.shape)
+            known, directions = np.linalg.eigh(whole)
+            cross = (root @ deviations.reshape(self.count, m, -1)).reshape(deviations.shape)
+            result.append(_Spectrum(np.maximum(known, 0.0), directions.T @ cross, inner))
+        return result
+
+    def _among(self, own: Sequence[int], unit: np.ndarray) -> np.ndarray:
+        """Products (K m, K m) of the columns of every stretch with those of every other, nuisances integrated out."""
+        m = len(own)
+        half = self._half[:, :, own] * unit
+        same = self._flight[:, None] == self._flight[None, :]
+        among = -np.einsum("ani,bnj->aibj", half, half, optimize=True) * same[:, None, :, None]
+        each = np.arange(self.count)
+        among[each, :, each] += self._stretch[:, own][:, :, own] * np.outer(unit, unit)
+        return among.reshape(self.count * m, self.count * m)
+
+    def _spread_out(self, own: Sequence[int], unit: np.ndarray, precision: np.ndarray) -> float:
+        """Log determinant that deviations of this precision (K, m, m) leave in the likelihood."""
+        root = np.linalg.inv(np.linalg.cholesky(precision))
+        m = len(own)
+        half = (root @ self._among(own, unit).reshape(self.count, m, -1)).reshape(self.count * m, -1)
+        whole = (root @ half.T.reshape(self.count, m, -1)).reshape(self.count * m, -1)
+        return float(np.linalg.slogdet(np.eye(len(whole)) + whole)[1])
 
     def best(
         self, cause: str, since: str, given: Sequence[Offer] = (), pooled: Sequence[str] = (), parts: str = "any"

@@ -15,7 +15,7 @@ from quasi.gap.mixed import Mixed, Offer, Test, ranked
 RIVALS = 6  # of the most significant causes that are weighed against each other
 MOST = 6  # causes that one search names
 FORM = 0.05  # of what a simple cause explains, that one which holds it has to explain beyond it
-SUSPECT = 0.01  # probability of nothing below which a rival that is likelier cannot be ruled out
+SUSPECT = 0.01  # probability of nothing below which a declared rival has to be ruled out
 
 
 class Rival(NamedTuple):
@@ -95,7 +95,7 @@ def search(
         best, rivals, tie = _dominant(mixed, open_[:RIVALS], given, pooled, level, effects)
         if tie is None:
             free = [t for t in ranking if t.offer.cause not in tied and not _mends(mixed, t.offer, given, effects)]
-            tie = _doubt(mixed, best, free, given, pooled, effects)
+            tie = _doubt(mixed, best, free, given, pooled, level, effects)
         if tie is not None:
             # a further parameter of a cause that is there anyway needs no new cause
             more = next((t for t in tie.tests if any(g.cause == t.offer.cause for g in found)), None)
@@ -134,19 +134,29 @@ def _is_form(
 
 
 def _doubt(
-    mixed: Mixed, best: Test, ranking: Sequence[Test], given: Sequence[Offer], pooled: Sequence[str],
+    mixed: Mixed, best: Test, ranking: Sequence[Test], given: Sequence[Offer], pooled: Sequence[str], level: float,
     effects: Mapping[str, Effect],
 ) -> Tie | None:  # fmt: skip
-    """A tie with a rival that makes the flights likelier, although its size differs so much between them that it is
-    not significant itself: a load whose swing is only roughly known beside a mass, say."""
+    """A tie with declared rivals that are not ruled out although they are not significant themselves.
+
+    Those are: one that is indistinct from the cause; one beside which the cause is not significant any more; and one
+    that makes the flights likelier, but whose size differs too much between them: a load whose swing is only roughly
+    known beside a mass, say.
+    """
+    effect, open_, wald = effects[best.offer.cause], [], best.wald
     for rival in ranking:
-        likelier = rival.p < SUSPECT and rival.unlikely < best.unlikely
+        name = rival.offer.cause
+        declared = name in (*effect.rivals, *effect.indistinct) or best.offer.cause in effects[name].rivals
+        if rival.p >= SUSPECT or name == best.offer.cause or not declared:
+            continue
+        beside = mixed.test(best.offer, [*given, rival.offer], pooled)
         # a spread in many parameters can take up anything
-        likelier &= len(rival.offer.which) <= len(best.offer.which)
-        if likelier and rival.offer.cause in effects[best.offer.cause].rivals:
-            beside = mixed.test(best.offer, [*given, rival.offer], pooled)
-            return Tie([best, rival], float((beside.wald / len(best.offer.which)) ** 0.5))
-    return None
+        simple = len(rival.offer.which) <= len(best.offer.which)
+        likelier = simple and rival.unlikely < best.unlikely
+        if name in effect.indistinct or likelier or (simple and beside.p >= level):
+            open_.append(rival)
+            wald = min(wald, beside.wald)
+    return Tie([best, *open_[:2]], float((wald / len(best.offer.which)) ** 0.5)) if open_ else None
 
 
 def _pooled(mixed: Mixed, effects: Mapping[str, Effect], since: Sequence[str]) -> list[str]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quasi.gap.effect import Effect, Parameter
-from quasi.gap.mixed import Columns, Mixed, Offer
+from quasi.gap.mixed import SPREADS, Columns, Mixed, Offer
 from quasi.gap.naming import search
 from quasi.gap.whitening import autoregression, block_grams, thin, whiten
 
@@ -45,6 +45,58 @@ def test_estimate_and_covariance_equal_generalised_least_squares():
     covariance = np.linalg.inv(information)
     assert test.value[0] == pytest.approx((covariance @ right)[2], rel=1e-6)
     assert test.std[0] == pytest.approx(np.sqrt(covariance[2, 2]), rel=1e-6)
+
+
+def test_stretches_spread_and_likelihood_equal_those_of_the_covariance_written_out():
+    """Two parameters that differ between the stretches of a flight, a nuisance per flight, a cause given."""
+    rng = np.random.default_rng(11)
+    compared = [False, False, True, True]
+    grams, data = [], []
+    for flag in compared:
+        x = rng.standard_normal((240, 7))
+        y = x[:, 0] + 0.5 * rng.standard_normal() * x[:, 2] + rng.standard_normal(240)
+        for part in (slice(0, 80), slice(80, 160), slice(160, 240)):
+            sizes = flag * np.array([0.4, -0.3]) + 0.6 * rng.standard_normal(2)
+            y[part] += x[part][:, 5:] @ sizes
+        z = np.column_stack([y, x])
+        data.append(z)
+        grams.append(np.array([z[part].T @ z[part] for part in (slice(0, 80), slice(80, 160), slice(160, 240))]))
+
+    class Alike(Mixed):
+        informed = False
+
+    mixed = Alike(grams, compared, LAYOUT)
+    given = [Offer("a", "always", (0,))]
+
+    def written_out(columns, tau):
+        """-2 log restricted likelihood, -2 log likelihood, estimate and covariance, both likelihoods up to constants."""
+        unit = 1.0 / np.sqrt(sum(g[columns, columns] for g in mixed.grams) / 12)
+        size = 3 + len(columns)
+        information, right, left, log = np.zeros((size, size)), np.zeros(size), 0.0, 0.0
+        for z, flag in zip(data, compared):
+            v = np.eye(240) + 0.25 * np.outer(z[:, 3], z[:, 3])
+            for part in (slice(0, 80), slice(80, 160), slice(160, 240)):
+                own = z[part][:, columns] * unit
+                v[part, part] += tau**2 * own @ own.T
+            x = np.column_stack([z[:, [1, 2, 4]], z[:, columns] * flag])
+            information += x.T @ np.linalg.solve(v, x)
+            right += x.T @ np.linalg.solve(v, z[:, 0])
+            left += z[:, 0] @ np.linalg.solve(v, z[:, 0])
+            log += np.linalg.slogdet(v)[1]
+        value = np.linalg.solve(information, right)
+        left -= right @ value
+        restricted = left + log + np.linalg.slogdet(information)[1]
+        return restricted, left + log, value[3:], np.linalg.inv(information)[3:, 3:]
+
+    unlikely = []
+    for cause in ("c", "b"):
+        test = mixed.test(Offer(cause, "changed", tuple(range(len(LAYOUT.causes[cause])))), given)
+        expected = {tau: written_out(LAYOUT.causes[cause], tau) for tau in SPREADS}
+        assert test.tau == min(expected, key=lambda tau: expected[tau][0])
+        assert test.value == pytest.approx(expected[test.tau][2], rel=1e-6)
+        assert test.covariance == pytest.approx(expected[test.tau][3], rel=1e-6)
+        unlikely.append(test.unlikely - expected[test.tau][1])
+    assert unlikely[0] == pytest.approx(unlikely[1], abs=1e-5)
 
 
 def test_truth_lies_within_its_standard_errors():
