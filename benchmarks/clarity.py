@@ -28,18 +28,24 @@ NOTHING = {"detectability": 0.0, "separability": 0.0, "nearest": None}
 
 
 class Asked(NamedTuple):
-    """What the search worked on: columns and flights of level W, which flights are compared, levels K and A."""
+    """What the search worked on: columns and flights of level W, which flights are compared, levels K and A.
+
+    own  whether the model was made of the compared flights: then it holds their drive as it was
+    """
 
     study: Study
     vehicle: Vehicle
     compared: np.ndarray
     effects: Mapping[str, Effect]
     levels: Sequence[Level]
+    own: bool
 
 
 def clarity(name: str, values: Mapping[str, float], asked: Asked) -> dict[str, Any]:
     """{"detectability", "separability", "nearest"} of a planted cause; separability None for what has no name."""
     since = "always" if asked.compared.all() else "changed"
+    if name in DRIVE and asked.own:
+        return NOTHING
     if name in SENSORS or name in DRIVE:
         return _lower(name, values, asked.levels, since)
     if name in STRANGE:

@@ -69,7 +69,7 @@ def test_stretches_spread_and_likelihood_equal_those_of_the_covariance_written_o
     given = [Offer("a", "always", (0,))]
 
     def written_out(columns, tau):
-        """-2 log restricted likelihood, -2 log likelihood, estimate and covariance, both likelihoods up to constants."""
+        """-2 log restricted likelihood and likelihood, up to constants, estimate and covariance."""
         unit = 1.0 / np.sqrt(sum(g[columns, columns] for g in mixed.grams) / 12)
         size = 3 + len(columns)
         information, right, left, log = np.zeros((size, size)), np.zeros(size), 0.0, 0.0
