@@ -97,17 +97,19 @@ class _Spectrum(NamedTuple):
     """A cause with deviations of one form, all that is given taken out, in the directions in which these are apart.
 
     known (n,) information on the deviations in units of their precision at tau = 1; cross (n, 1 + m) products of the
-    deviations with target and cause; inner (1 + m, 1 + m) products of target and cause
+    deviations with target and cause; inner (1 + m, 1 + m) products of target and cause; least (m,) that rounding
+    leaves of the cause's own
     """
 
     known: np.ndarray
     cross: np.ndarray
     inner: np.ndarray
+    least: np.ndarray
 
     def at(self, tau: float) -> tuple[float, np.ndarray, np.ndarray, float]:
         """-2 log restricted likelihood but for a constant, coefficients (m,), covariance (m, m), squared error left."""
         rest = self.inner - self.cross.T @ (self.cross / (self.known + 1.0 / tau**2)[:, None])
-        size = np.sqrt(np.diag(rest)[1:])
+        size = np.sqrt(np.maximum(np.diag(rest)[1:], self.least))
         scaled = rest[1:, 1:] / np.outer(size, size)
         inverse = np.linalg.inv(scaled) / np.outer(size, size)
         value = inverse @ rest[1:, 0]
@@ -139,12 +141,13 @@ class Mixed:
         self.compared = np.asarray(compared, bool)
         parts = [g[None] if g.ndim == 2 else g for g in map(np.asarray, grams)]
         self._flight = np.repeat(np.arange(len(parts)), [len(g) for g in parts])
-        self._stretch = np.concatenate(parts)
+        self._stretch = np.concatenate([0.5 * (g + np.swapaxes(g, 1, 2)) for g in parts])
         self.count = len(self._stretch)
         self.freedom = max(self.count - (1 if self.compared.all() else 2), 1)
         # nuisances integrated out: what they take of a stretch, by half, is what couples the stretches of a flight
         own, size = columns.nuisance, self._stretch.shape[-1]
-        whole = np.array([g.sum(axis=0) for g in parts])
+        whole = np.zeros((len(parts), size, size))
+        np.add.at(whole, self._flight, self._stretch)
         self._half = np.zeros((self.count, len(own), size))
         if own:
             inner = whole[:, own][:, :, own] + np.diag(1.0 / columns.spread**2)
@@ -256,7 +259,8 @@ class Mixed:
         scale = np.array([1.0, *unit])
         act = np.hstack([np.ones((len(flags), 1)), np.repeat(flags[:, None], m, axis=1)])  # (F, 1 + m)
         inner = np.einsum("fi,fj,fij->ij", act, act, self.grams[:, place][:, :, place]) * np.outer(scale, scale)
-        inner[range(1, m + 1), range(1, m + 1)] *= 1.0 + RIDGE
+        least = RIDGE * np.diag(inner)[1:]
+        inner[range(1, m + 1), range(1, m + 1)] += least
         rows = self._beside[:, own] * unit[:, None]  # (K, m, P)
         deviations = (rows[:, :, place] * (act * scale)[self._flight][:, None, :]).reshape(-1, 1 + m)
         among = self._among(own, unit)
@@ -275,7 +279,7 @@ class Mixed:
             whole = (root @ half.T.reshape(self.count, m, -1)).reshape(among.shape)
             known, directions = np.linalg.eigh(whole)
             cross = (root @ deviations.reshape(self.count, m, -1)).reshape(deviations.shape)
-            result.append(_Spectrum(np.maximum(known, 0.0), directions.T @ cross, inner))
+            result.append(_Spectrum(np.maximum(known, 0.0), directions.T @ cross, inner, np.maximum(least, 1e-300)))
         return result
 
     def _among(self, own: Sequence[int], unit: np.ndarray) -> np.ndarray:

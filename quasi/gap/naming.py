@@ -88,7 +88,7 @@ def search(
             and not _mends(mixed, t.offer, given, effects)
             and not any(_is_form(mixed, t, c, [g for g in given if g != c.offer], pooled, level) for c in clear)
             and _possible(t, within)
-            and _leads(t, effects)
+            and leads(t, effects)
         ]
         if not open_:
             break
@@ -176,7 +176,7 @@ def _possible(test: Test, within: Mapping[str, Sequence[tuple[float, float]]] | 
     )
 
 
-def _leads(test: Test, effects: Mapping[str, Effect]) -> bool:
+def leads(test: Test, effects: Mapping[str, Effect]) -> bool:
     """Whether a parameter that the cause is about differs from neutral, not only those that accompany it.
 
     Air that is still but for a draught downwards, or a cg that is off in height alone, stand in for something else.

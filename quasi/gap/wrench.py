@@ -14,7 +14,7 @@ from quasi.gap.evidence import Evidence
 from quasi.gap.extension import extend
 from quasi.gap.gain import Likelihood, Score, after, before, wrench_score
 from quasi.gap.mixed import Mixed, Offer, Test
-from quasi.gap.naming import Named, Tie, search
+from quasi.gap.naming import Named, Tie, leads, search
 from quasi.gap.study import Study, base_columns, gather_study, in_stretches, moved, refit
 from quasi.gap.worth import ASIDE, EXCITED, Cause, Deviations, Judged, material, simplest, strength
 from quasi.standalone.model import AXES, Model
@@ -139,7 +139,7 @@ def examine(
     fewer = simplest(changed, estimated, lambda of: score([*beside, *of], any(c.since == "always" for c in beside)),
                      old, floor, share)  # fmt: skip
     # one that was significant beside another that is needless may not be without it
-    fewer = [c for c in fewer if c.test.p < level["changed"]]
+    fewer = [c for c in fewer if c.test.p < level["changed"] and leads(c.test, asked)]
     immaterial += [c for c in changed if not any(c.effect.id == f.effect.id for f in fewer)]
     kept = sorted([*fewer, *(c for c in beside if c not in stand_ins)], key=lambda c: c.test.p)
     extended = made(kept, name, any(c.since == "always" for c in kept))

@@ -12,6 +12,13 @@ def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
     return {"scale": -np.einsum("nij,nj->ni", slope, evidence.speeds)}
 
 
+def _whole(evidence: Evidence, _: Vehicle, values: Values) -> np.ndarray:
+    scale = 1.0 + values["scale"]
+    turned = [name for rotor in ROTORS for name in (rotor, f"{rotor}_dot") if name in evidence.columns]
+    true = evidence.predicted_with({name: evidence.columns[name] / scale for name in turned})
+    return true - evidence.predicted
+
+
 def _extension(values: Values, _: Vehicle, __: Model) -> Extension:
     return Extension(actuators={"rotor speed scale": 1.0 + values["scale"]})
 
@@ -27,6 +34,7 @@ EFFECT = Effect(
     rivals=("thrust_factor",),
     tie_breaker="a tachometer, or the vibration line against the logged speed",
     columns=_columns,
+    whole=_whole,
     extension=_extension,
     indistinct=("thrust_factor",),
     absorbed=True,
