@@ -181,11 +181,12 @@ def diagnose(
 
 
 def _needed(cause: Cause, found: Found) -> float:
-    """Share of resamples in which a cause must be found again. One alone stands by its significance, unless a few
-    seconds of flight make all of it; beside a stronger one, it may only mend what that one leaves."""
+    """Share of resamples in which a cause must be found again. One alone stands by its significance and by what held-
+    out flights say, unless a few seconds of flight make all of it; beside a stronger one, it may only mend what that
+    one leaves."""
     others = [c for c in [*found.causes, *found.stand_ins] if c.since == cause.since and c is not cause]
     if not others:
-        return ALONE
+        return SURE if cause in found.unjudged else ALONE
     return SURE if cause.test.p < min(c.test.p for c in others) else BESIDE
 
 

@@ -14,7 +14,7 @@ from quasi.gap.mixed import Mixed, Offer, Test, ranked
 
 RIVALS = 6  # of the most significant causes that are weighed against each other
 MOST = 6  # causes that one search names
-FORM = 0.05  # of what a simple cause explains, that one which holds it has to explain beyond it
+FORM = 0.05  # of what a cause explains, that another has to explain beyond it: no form is quite right
 SUSPECT = 0.01  # probability of nothing below which a declared rival has to be ruled out
 
 
@@ -77,6 +77,7 @@ def search(
     tied: set[str] = set()
     ranking: list[Test] = []
     clear: list[Test] = []  # as they were found
+    strong: list[Test] = []  # these, and the first of each tie
     while len(given) < len(known) + MOST:
         pooled = _pooled(mixed, effects, since)
         ranking = ranked(mixed, pairs, given, pooled, parts)
@@ -87,6 +88,7 @@ def search(
             and t.offer.cause not in tied
             and not _mends(mixed, t.offer, given, effects)
             and not any(_is_form(mixed, t, c, [g for g in given if g != c.offer], pooled, level) for c in clear)
+            and not (t.offer.since == "changed" and any(t.wald < FORM * c.wald for c in strong))
             and _possible(t, within)
             and leads(t, effects)
         ]
@@ -104,9 +106,11 @@ def search(
         if tie is not None:
             ties.append(tie)
             tied |= {t.offer.cause for t in tie.tests}
+            strong.append(tie.tests[0])
             given.append(tie.tests[0].offer)  # so that the search goes on with what the tie explains taken out
             continue
         clear.append(best)
+        strong.append(best)
         given.append(best.offer)
         found[best.offer] = rivals
     named = _confirmed(mixed, effects, since, found, given, level)
@@ -146,8 +150,9 @@ def _doubt(
     effect, open_, wald = effects[best.offer.cause], [], best.wald
     for rival in ranking:
         name = rival.offer.cause
-        declared = name in (*effect.rivals, *effect.indistinct) or best.offer.cause in effects[name].rivals
-        if rival.p >= SUSPECT or name == best.offer.cause or not declared:
+        declared = name in effect.rivals or best.offer.cause in effects[name].rivals
+        suspect = declared and rival.p < SUSPECT
+        if name == best.offer.cause or not (suspect or name in effect.indistinct):
             continue
         beside = mixed.test(best.offer, [*given, rival.offer], pooled)
         # a spread in many parameters can take up anything

@@ -15,12 +15,12 @@ import numpy as np
 from quasi.gap.catalogue import whole_of
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
-from quasi.gap.gain import Score, before, fraction, wrench_score
+from quasi.gap.gain import Score, fraction, wrench_score
 from quasi.gap.mixed import Test
 from quasi.standalone.model import AXES
 
 MOST_WEIGHED = 5  # causes of which every selection is tried
-EXCITED = 0.25  # of its strength in the compared flights, that a held-out one must show to be judged by
+EXCITED = 0.1  # of its mean square in the compared flights, that a held-out one must show to be judged by
 SMALL = {"changed": 0.01, "spoken of": 0.1, "always": 0.25}  # least share of a channel's error that counts as removable
 SIMPLER = 2.0  # times the material share that a simpler explanation may leave
 ASIDE = 0.4  # share that what healthy flights show as well must gain beyond doubt
@@ -49,9 +49,8 @@ class Judged(NamedTuple):
     unlikely: float
 
 
-def strength(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle) -> float:
-    """Mean square of what the cause makes, each channel over what the model leaves there."""
-    left = wrench_score(flights, before).mean()
+def strength(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle, left: np.ndarray) -> float:
+    """Mean square of what the cause makes in these flights, each channel over `left` (6,)."""
 
     def contribution(flight: Evidence) -> np.ndarray:
         return whole_of(cause.effect, flight, vehicle, cause.value)

@@ -121,7 +121,8 @@ def examine(
 
     def excited(cause: Cause) -> bool:
         there = [f for f, flag in zip(flights, compared) if flag]
-        return strength(cause, held, vehicle) > EXCITED * strength(cause, there, vehicle)
+        here, usual = (strength(cause, some, vehicle, old.mean()) for some in (held, there))
+        return here > EXCITED * usual
 
     kept, immaterial, unjudged = material(
         [*causes, *stand_ins], score, excited, old, floor, share, share if compared.all() else max(share, ASIDE)
