@@ -215,9 +215,14 @@ def _cause(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
             ("roll-outs of held-out flights", confirmation_of(effect)),
             ("probability of nothing", f"{evidence['p']:.1e}" if "p" in evidence else ""),
             ("named again in resamples", percent(effect.get("probability"))),
+            ("standard errors widened, the axes differ", _times(evidence.get("axes apart", 1.0))),
             ("rivals that it beat", ", ".join(map(name_of, effect["confused_with"]))),
         ]
     )
+
+
+def _times(factor: float) -> str:
+    return f"{factor:.1f} times" if factor > 1.0 else ""
 
 
 def _rivals(diagnosis: Mapping[str, Any]) -> str:

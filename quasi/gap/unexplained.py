@@ -94,7 +94,8 @@ def search(
             slope, _ = _slope(grounds, compared, judge.parts, joint, place)
             before = whole if where == EVERYWHERE else centred
             part = material(k, max(2.0 * slope - 1.0, 0.0) * here**2, float(before[k]), place.since)
-        unjudged = here < VISITED * usual and where not in OWN
+        # what a model's own terms depend on may be their form, unless healthy flights do not show it
+        unjudged = here < VISITED * usual and (where not in OWN or place.since == "changed")
         if part is not None or unjudged:
             if where != EVERYWHERE:
                 shown = [f for f, flag in zip(flights, compared) if flag] + list(held)

@@ -29,7 +29,10 @@ Deviations = dict[str, float]
 
 @dataclass
 class Cause:
-    """An accepted cause: deviations from neutral with standard errors, the test, rivals it beat, gain per axis."""
+    """An accepted cause: deviations from neutral with standard errors, the test, rivals it beat, gain per axis.
+
+    apart  how many times further apart the axes are than they should be, by which `std` is widened
+    """
 
     effect: Effect
     since: str
@@ -39,6 +42,7 @@ class Cause:
     rivals: list[Any]
     gain: dict[str, dict[str, float | None]] = field(default_factory=dict)
     probability: float = 0.0
+    apart: float = 1.0
 
 
 class Judged(NamedTuple):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from quasi.errors import ConfigError
-from quasi.gap.agreement import contradiction, voices
+from quasi.gap.agreement import contradiction, disagreement, voices
 from quasi.gap.catalogue import columns_of
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
@@ -143,6 +143,7 @@ def examine(
     fewer = [c for c in fewer if c.test.p < level["changed"] and leads(c.test, asked)]
     immaterial += [c for c in changed if not any(c.effect.id == f.effect.id for f in fewer)]
     kept = sorted([*fewer, *(c for c in beside if c not in stand_ins)], key=lambda c: c.test.p)
+    _widen(kept, ties, asked, mixed, study, compared)
     extended = made(kept, name, any(c.since == "always" for c in kept))
     new = wrench_score(held, after(Model(extended, name), model))
     scores = {"before": old.mean(), "after": new.mean(), "noise_floor": np.minimum(floor, new.mean())}
@@ -153,6 +154,19 @@ def examine(
         kept, ties, immaterial, ranking, level, study.lacking, study, scores, wrong, extended, unjudged, contradicted,
         [c for c in stand_ins if any(_stands_for(c, *tie) for tie in ties)],
     )  # fmt: skip
+
+
+def _widen(
+    causes: Sequence[Cause], ties: Sequence[tuple[str, Tie]], asked: Mapping[str, Effect], mixed: Mixed, study: Study,
+    compared: np.ndarray,
+) -> None:  # fmt: skip
+    """Widen standard errors where the axes of a cause differ by more: then its form is not quite right, and which axis
+    has the say decides on the value."""
+    for cause in causes:
+        pooled = [c for c in mixed.columns.causes if not asked[c].absorbed] if cause.since == "changed" else []
+        others = [c.test.offer for c in causes if c is not cause] + _given([], ties)
+        cause.apart = disagreement(voices(study, compared, cause.test, pooled, others))
+        cause.std = {name: cause.apart * std for name, std in cause.std.items()}
 
 
 def _contradicted(
