@@ -9,7 +9,7 @@ from quasi.airframe import read_airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
 from quasi.gap.calibration import CORRECTS
-from quasi.gap.catalogue import catalogue, chosen, columns_of, wrench_of
+from quasi.gap.catalogue import catalogue, chosen, columns_of, whole_of, wrench_of
 from quasi.gap.effect import Effect, Parameter, room_of, vehicle_of
 from quasi.gap.evidence import Evidence
 from quasi.gap.inflow import overshoot
@@ -194,6 +194,22 @@ def test_columns_through_the_model_follow_from_differences(ground, name):
     np.testing.assert_allclose(
         column * value, evidence.residual, rtol=2e-2, atol=2e-3 * np.abs(evidence.residual).max()
     )
+
+
+def test_a_large_wrong_scale_of_rotor_speeds_bends(ground):
+    """Twelve poles for fourteen: thrust goes with the square, which a slope alone misses by a fifth."""
+    airframe, _, model = ground
+    columns = states(np.random.default_rng(4))
+    speeds = np.stack([columns[f"w{i}"] for i in range(1, 5)], axis=1)
+    state = np.zeros((ROWS, 9))
+    state[:, 3:6] = np.stack([columns[a] for a in "uvw"], axis=1)
+    state[:, 6:] = np.stack([columns[a] for a in "pqr"], axis=1)
+    now, true = (np.hstack(model.predict(state, rotors)) for rotors in (speeds, speeds / (12.0 / 14.0)))
+    evidence = Evidence("a", airframe, model, 0.433, np.asarray(airframe.inertia), columns, true, now)
+    effect, vehicle, value = CATALOGUE["rotor_speed_scale"], vehicle_of(model, 0.433), {"scale": 12.0 / 14.0 - 1.0}
+    np.testing.assert_allclose(whole_of(effect, evidence, vehicle, value), evidence.residual, atol=1e-9)
+    slope = columns_of(effect, evidence, vehicle, {"scale": 0.0})["scale"] * value["scale"]
+    assert np.abs(slope[:, 2]).mean() < 0.85 * np.abs(evidence.residual[:, 2]).mean()
 
 
 def test_inflow_that_lags_makes_thrust_overshoot_as_the_physics_say(ground):

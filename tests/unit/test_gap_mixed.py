@@ -207,6 +207,52 @@ def test_a_declared_rival_that_is_likelier_though_unsteady_makes_a_tie():
     assert not found.named and [t.offer.cause for t in found.ties[0].tests] == ["b", "a"]
 
 
+def stretched(rng, compared, make, stretches=5, rows=400):
+    """Cross-products of the stretches of flights; make(x, flag) -> y of columns x, which it may change."""
+    grams = []
+    for flag in compared:
+        x = rng.standard_normal((rows * stretches, 7))
+        z = np.column_stack([make(x, flag), x])
+        grams.append(np.array([part.T @ part for part in np.split(z, stretches)]))
+    return Mixed(grams, compared, LAYOUT)
+
+
+def test_a_declared_rival_beside_which_a_cause_is_not_significant_makes_a_tie():
+    """b shows four fifths of what a does: suspicious alone, not significant itself, and a does not stand beside it."""
+    rng = np.random.default_rng(6)
+
+    def made(x, flag):
+        x[:, 4] = 0.8 * x[:, 3] + 0.6 * x[:, 4]
+        return x[:, 0] + rng.standard_normal(len(x)) + flag * 0.13 * x[:, 3]
+
+    mixed = stretched(rng, [False] * 4 + [True] * 4, made)
+    pooled, level = ["a", "b", "c"], 5e-5
+    a, b = (Offer(name, "changed", (0,)) for name in "ab")
+    assert mixed.test(a, (), pooled).p < level < mixed.test(b, (), pooled).p < 0.01
+    assert mixed.test(a, [b], pooled).p > level
+    plain = effects()
+    assert search(mixed, plain, ("changed",), 3 * level).named[0].test.offer.cause == "a"
+    for declaring in "ab":  # either file may say so
+        other = "b" if declaring == "a" else "a"
+        known = plain | {declaring: replace(plain[declaring], rivals=(other,))}
+        tie = search(mixed, known, ("changed",), 3 * level).ties[0]
+        assert [t.offer.cause for t in tie.tests] == ["a", "b"] and tie.separability < 5.0
+
+
+@pytest.mark.parametrize(("since", "named"), [("changed", {"a"}), ("always", {"a", "c"})])
+def test_beside_a_clear_change_a_faint_one_may_be_its_form(since, named):
+    """c explains a hundredth of what a does, and that surely."""
+    rng = np.random.default_rng(12)
+    compared = [False] * 4 + [True] * 4 if since == "changed" else [True] * 8
+    mixed = stretched(
+        rng, compared, lambda x, flag: x[:, 0] + rng.standard_normal(len(x)) + flag * (1.2 * x[:, 3] + 0.13 * x[:, 5])
+    )
+    pooled = ["a", "b", "c"] if since == "changed" else []
+    assert mixed.test(Offer("c", since, (0,)), [Offer("a", since, (0,))], pooled).p < 1e-4
+    found = search(mixed, effects(), (since,), 0.01).named
+    assert {n.test.offer.cause for n in found} == named
+
+
 def test_a_flight_that_hardly_excites_a_cause_does_not_hide_it():
     """Seven flights agree; an eighth, whose column is a twentieth, has a model error that looks huge."""
     rng = np.random.default_rng(7)

@@ -15,7 +15,7 @@ from plain_plant import made_model
 
 from quasi.errors import DataError
 from quasi.gap import mixed, output_error, rollouts
-from quasi.gap.agreement import Voice, contradiction, voices
+from quasi.gap.agreement import Voice, contradiction, disagreement, voices
 from quasi.gap.catalogue import catalogue
 from quasi.gap.confirmation import (
     CONFIRMED,
@@ -384,3 +384,12 @@ def test_what_contradicts_a_cause_is_a_sure_axis_with_the_other_sign():
     assert not contradiction([Voice("Fz", 1.0, 0.1), Voice("My", -0.9, 0.4)])  # could not have seen it
     assert not contradiction([Voice("Fz", 1.0, 0.1), Voice("My", -0.2, 0.05)])  # sure, but small
     assert not contradiction([Voice("Fz", 1.0, 0.3), Voice("My", 0.0, 0.05)])
+
+
+def test_axes_that_differ_widen_standard_errors_by_how_much_they_do():
+    """Two axes 0.6 apart, each known to 0.1: chi-square of the mean is 18 for one degree of freedom."""
+    apart = [Voice("Fx", 1.0, 0.1), Voice("Fz", 0.4, 0.1)]
+    assert disagreement(apart) == pytest.approx(18.0**0.5)
+    assert disagreement([*apart, Voice("Mz", 0.7, 5.0)]) == pytest.approx(18.0**0.5)  # which says nothing
+    assert disagreement([Voice("Fx", 1.0, 0.1), Voice("Fz", 0.9, 0.1)]) == 1.0
+    assert disagreement([Voice("Fx", 1.0, 0.1)]) == 1.0

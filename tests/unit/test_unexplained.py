@@ -194,6 +194,28 @@ def test_a_held_out_flight_that_does_not_go_there_cannot_judge(ground):
     assert [(u["channel"], u["where"], u["share"]) for u in said] == [("Mz", "room x", None)]
 
 
+def test_what_changed_along_own_motions_is_told_though_the_held_out_flight_cannot_judge(ground):
+    """A brake of pitch: beside healthy flights it is no form of the model's own terms."""
+
+    def brake(c):
+        return only(4, -1e-3 * c["q"])
+
+    def still(c):
+        c["q"][:] = 0.01
+        return brake(c)
+
+    held, vehicle, floor = [flight(ground, 90, still)], vehicle_of(ground[1]), np.full(6, np.inf)
+
+    def said(healthy):
+        flights = [flight(ground, s, brake if s >= healthy else None) for s in range(8)]
+        compared = [s >= healthy for s in range(8)]
+        told = search(flights, compared, held, [], lambda f: f.residual, floor, vehicle, 0.01, 0.05)[0]
+        return [(u["channel"], u["where"], u["since"], u["share"]) for u in told]
+
+    assert said(4) == [("My", "pitch rate", "changed", None)]
+    assert said(0) == []
+
+
 def test_two_flights_are_enough(ground):
     flights = [flight(ground, s, lambda c: only(5, 4e-4 * c["x"])) for s in (1, 2)]
     held = [flight(ground, 90, lambda c: only(5, 4e-4 * c["x"]))]

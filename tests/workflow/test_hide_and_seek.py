@@ -8,6 +8,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
+from clarity import NOTHING, Asked, clarity
 from hidden import ALL, STRANGE, deviation, drawn, healthy_model
 from hide_and_seek import draw as hide_and_seek
 from hide_and_seek import group_of, judge, page, wilson
@@ -145,3 +146,11 @@ def test_shares_have_wilsons_interval_and_the_page_every_draw():
     text = page(results)
     assert "| single, above 10, separable | 1 | 2 | 0.50 |" in text
     assert "| wind | 1 | 0 | tether 1 |" in text
+
+
+def test_a_model_holds_the_drive_of_the_flights_that_it_was_made_of():
+    """What is hidden in their motors' lag leaves no gap, and counts as not shown."""
+    asked = Asked(None, None, np.array([True]), {}, (), True)
+    assert clarity("motor_lag", {"time_constant": 0.045}, asked) == NOTHING
+    with pytest.raises(StopIteration):  # of other flights, level A is asked
+        clarity("motor_lag", {"time_constant": 0.045}, asked._replace(own=False))
