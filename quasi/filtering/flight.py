@@ -182,6 +182,8 @@ def filter_flight(
     edge[:reach] = edge[-reach:] = True
     lost = forces.spread(imu.lost | actuators_lost, reach) | edge
     valid = in_flight & ~lost & ~run.unsure
+    if speeds is not None:  # a jolt of the IMU while no rotor turns is no flight
+        valid &= (speeds > 0.0).any(axis=1)
     air, windless = _through_air(imported, body, run.quaternion)
     if windless.any():
         notes.append(

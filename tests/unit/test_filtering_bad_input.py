@@ -150,3 +150,21 @@ def test_a_column_that_is_no_number_is_never_handed_on(made, monkeypatch):
     monkeypatch.setattr(flight, "forces", type("F", (), {**vars(forces), "forces": staticmethod(broken)}))
     with pytest.raises(DataError, match=r"'Fy' is no number in 1 samples, first at t = 0\.154 s"):
         filter_flight(*made, AIRFRAME, {})
+
+
+def test_lifted_by_hand_while_no_rotor_turns_is_no_flight(made):
+    """Rows of it would be compared with a model that divides by rotor speeds of nothing."""
+    frame, metadata = made
+    frame = frame.copy()
+    still = frame.index[frame["t"] < 2.5]
+    frame.loc[still, [f"w{i}" for i in range(1, 5)]] = 0.0
+    s = np.clip((frame["t"] - 0.5) / 1.5, 0.0, 1.0).to_numpy()
+    height = 0.4 * np.sin(np.pi * s) ** 4
+    frame["z"] -= height
+    frame["w"] -= np.gradient(height, frame["t"])
+    frame["az"] -= np.gradient(np.gradient(height, frame["t"]), frame["t"])
+    table = filter_flight(frame, metadata, AIRFRAME, {}).with_gravity
+    lifted = table["t"].between(1.0, 1.5)
+    assert (table.loc[lifted, "in_flight"] > 0.5).any()  # the IMU and the capture would have it fly
+    assert not (table.loc[table["t"] < 2.0, "valid"] > 0.5).any()
+    assert (table["valid"] > 0.5).mean() > 0.5
