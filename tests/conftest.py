@@ -10,6 +10,8 @@ OWN_PROJECT = {"test_hide_and_seek.py"}  # makes what it needs itself
 
 
 def pytest_collection_modifyitems(items):
+    # the two longest groups first, side by side: at the end only short files are left for either core
+    items.sort(key=lambda item: item.path.parent.name != "workflow")
     for item in items:
         shared = item.path.parent.name == "workflow" and item.path.name not in OWN_PROJECT
         item.add_marker(pytest.mark.xdist_group("workflow" if shared else item.path.stem))
