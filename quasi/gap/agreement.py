@@ -41,7 +41,7 @@ def voices(
         there |= (made**2).any(axis=0)
         columns = np.concatenate([part.columns, made[:, :, None] * np.eye(len(AXES))], axis=2)
         blocks = block_grams(columns, part.breaks, study.whitener, flight.t[part.rows], BLOCK)
-        grams.append(in_stretches(blocks))
+        grams.append(in_stretches(blocks, len(study.flights)))
     names: Mapping[str, list[int]] = {a: [size + k] for k, a in enumerate(AXES) if there[k]}
     mixed = Mixed(grams, compared, study.columns._replace(causes=study.columns.causes | names))
     result = []

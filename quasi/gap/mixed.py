@@ -79,11 +79,20 @@ def marginal(gram: np.ndarray, columns: Sequence[int], spread: np.ndarray) -> np
     return gram - gram[:, columns] @ np.linalg.solve(inner, gram[columns, :])
 
 
+def _inverse_root(matrix: np.ndarray) -> np.ndarray:
+    """R with R matrix R' = 1; where rounding makes the matrix indefinite, its least eigenvalues are raised to RIDGE."""
+    try:
+        return np.linalg.inv(np.linalg.cholesky(matrix))
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(matrix)
+        return (vectors / np.sqrt(np.maximum(values, RIDGE))).T
+
+
 class _Given(NamedTuple):
     """What a test is made beside: the model's terms, given and pooled causes, ready to be taken out.
 
-    source (z,) their columns; acting (z, F) 1 where a flight is offered one; size (z,) for scaling; root (z, z) inverse
-    of the lower Cholesky factor of their scaled cross-products; target (z,) root times their products with the target
+    source (z,) their columns; acting (z, F) 1 where a flight is offered one; size (z,) for scaling; root (z, z) that
+    makes their scaled cross-products one; target (z,) root times their products with the target
     """
 
     source: np.ndarray
@@ -244,7 +253,7 @@ class Mixed:
             first = len(self.columns.shared)
             total[:first, :first] += self.prior
         size = np.sqrt(np.maximum(np.diag(total), 1e-300))
-        root = np.linalg.inv(np.linalg.cholesky(total / np.outer(size, size) + RIDGE * np.eye(len(size))))
+        root = _inverse_root(total / np.outer(size, size) + RIDGE * np.eye(len(size)))
         target = root @ (np.einsum("if,fi->i", acting, self.grams[:, 0][:, source]) / size)
         return _Given(source, acting, size, root, target)
 

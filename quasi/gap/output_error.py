@@ -218,7 +218,7 @@ def _mixed(
         stack = np.concatenate([error[:, :, None], slope], axis=2)
         size = stack.shape[2]
         blocks = blocks_of(stack, noise, blocks_in(course)) if len(stack) else np.zeros((0, size, size))
-        grams.append(in_stretches(blocks) if len(blocks) else np.zeros((1, size, size)))
+        grams.append(in_stretches(blocks, len(courses)) if len(blocks) else np.zeros((1, size, size)))
     return Mixed(grams, compared, columns)
 
 

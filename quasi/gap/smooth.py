@@ -10,7 +10,8 @@ from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.mixed import Columns, Mixed, Offer, Test, marginal
 from quasi.gap.places import Basis, Choice, basis_of
-from quasi.gap.study import BAND, BLOCK, ORDER, Study, gather_study
+from quasi.gap.study import BAND, BLOCK, ORDER, Study, gather_study, joined
+from quasi.gap.study import MOST as MOST_STRETCHES
 from quasi.gap.whitening import thin, whiten
 from quasi.standalone.model import AXES
 
@@ -71,7 +72,7 @@ def grounds_of(
         number = ((flight.t[part.rows][rows] - flight.t[part.rows][rows[0]]) / BLOCK).astype(int)
         white = white.transpose(1, 0, 2)
         blocks = [w.transpose(0, 2, 1) @ w for w in (white[:, number == n] for n in np.unique(number))]
-        parts.append(np.array(blocks))
+        parts.append(joined(np.array(blocks), MOST_STRETCHES // len(flights)))
     return Grounds(study, basis, parts, thinned)
 
 

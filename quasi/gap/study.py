@@ -21,6 +21,7 @@ BAND = 10.0  # Hz
 ORDER = 6  # of the autoregression
 BLOCK = 5.0  # s, longer than the memory of gusts
 STRETCH = 2  # blocks, about a manoeuvre
+MOST = 160  # stretches of all flights together: the time of a test grows with their cube
 LIGHT = 1e-6  # ridge of the per-flight fit whose residual tells the noise
 
 
@@ -50,13 +51,19 @@ class Study(NamedTuple):
         A model errs with the manoeuvre, and manoeuvres change within a flight: a cause's apparent parameters deviate
         from stretch to stretch. What differs between whole flights has known spreads, the nuisances.
         """
-        return Mixed([in_stretches(self.blocks[f]) for f in use], compared, self.columns, prior)
+        return Mixed([in_stretches(self.blocks[f], len(use)) for f in use], compared, self.columns, prior)
 
 
-def in_stretches(blocks: np.ndarray) -> np.ndarray:
-    """Cross-products (K, P, P) of stretches of STRETCH blocks each; the last takes what is over."""
-    count = max(len(blocks) // STRETCH, 1)
-    ends = [0, *(STRETCH * (k + 1) for k in range(count - 1)), len(blocks)]
+def in_stretches(blocks: np.ndarray, flights: int = 1) -> np.ndarray:
+    """Cross-products (K, P, P) of stretches of STRETCH blocks each, of more where there are many flights."""
+    return joined(blocks, min(len(blocks) // STRETCH, MOST // flights))
+
+
+def joined(blocks: np.ndarray, count: int) -> np.ndarray:
+    """Sums (count, ...) of consecutive blocks (B, ...), all equally many but for the last, which takes what is over."""
+    count = max(min(count, len(blocks)), 1)
+    length = len(blocks) // count
+    ends = [0, *(length * (k + 1) for k in range(count - 1)), len(blocks)]
     return np.array([blocks[a:b].sum(axis=0) for a, b in pairwise(ends)])
 
 

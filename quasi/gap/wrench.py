@@ -264,7 +264,7 @@ def _count(
     counts = np.zeros(len(causes))
     offers = [c.test.offer for c in causes]
     for _ in range(DRAWS):
-        grams = [in_stretches(b[rng.integers(0, len(b), len(b))]) for b in study.blocks]
+        grams = [in_stretches(b[rng.integers(0, len(b), len(b))], len(study.blocks)) for b in study.blocks]
         mixed = Mixed(grams, compared, study.columns)
         for k, offer in enumerate(offers):
             pooled = [c for c in study.columns.causes if not asked[c].absorbed] if offer.since == "changed" else []

@@ -8,6 +8,7 @@ import pytest
 from quasi.gap.effect import Effect, Parameter
 from quasi.gap.mixed import SPREADS, Columns, Mixed, Offer
 from quasi.gap.naming import search
+from quasi.gap.study import in_stretches, joined
 from quasi.gap.whitening import autoregression, block_grams, thin, whiten
 
 LAYOUT = Columns([1, 2], [3], np.array([0.5]), {"a": [4], "b": [5], "c": [6, 7]})
@@ -349,3 +350,29 @@ def test_beside_a_clear_simple_cause_a_wider_one_needs_more_than_a_little():
         beside = mixed.test(Offer("c", "changed", (0, 1)), [Offer("a", "changed", (0,))], ["a", "b", "c"])
         assert beside.p < 0.01 / 3
         assert search(mixed, effects(c="all"), ("changed",), 0.01).named[0].test.offer.cause == name
+
+
+def test_of_many_flights_the_stretches_get_longer_and_lose_nothing():
+    blocks = np.arange(19.0)[:, None, None] * np.ones((1, 2, 2))
+    few, many = in_stretches(blocks), in_stretches(blocks, 40)
+    assert few[:, 0, 0].tolist() == [1, 5, 9, 13, 17, 21, 25, 29, 16 + 17 + 18]
+    assert len(many) == 4 and many[0, 0, 0] == 0 + 1 + 2 + 3
+    assert few.sum() == many.sum() == blocks.sum()
+    assert len(in_stretches(blocks, 1000)) == 1 and len(joined(blocks[:2], 5)) == 2
+
+
+def test_a_known_part_that_rounding_makes_indefinite_does_not_stop_a_test():
+    """Twice the same column among the terms, its products off by rounding: as good as known once."""
+    rng = np.random.default_rng(13)
+    grams, _ = flights(rng, 6, {3: 0.5})
+    doubled = []
+    for g in grams:
+        g = g.copy()
+        g[2], g[:, 2] = g[1], g[:, 1]
+        g[2, 2] = g[1, 1] * (1.0 - 1e-7)
+        doubled.append(g)
+    offer = Offer("a", "always", (0,))
+    once = Mixed(grams, [True] * 6, LAYOUT._replace(shared=[1])).test(offer)
+    twice = Mixed(doubled, [True] * 6, LAYOUT).test(offer)
+    assert twice.value == pytest.approx(once.value, abs=0.1 * once.std[0])
+    assert twice.std == pytest.approx(once.std, rel=0.05)
