@@ -387,7 +387,10 @@ def _candidates(found: Found, settled: Settled, share: float) -> list[dict[str, 
         level = found.level[test.offer.since]
         why = f"p = {test.p:.2g} beside {named}, not below {level:.2g}"
         if test.p < level:
-            why = "its size would be outside what is physical, only what accompanies it differs, or others explain it"
+            why = (
+                "its size would be outside what is physical, only what accompanies it differs, others explain it, or "
+                "it is so little beside a clear cause that it may be that one's form"
+            )
         add(test.offer.cause, test.offer.since, test, why)
     return said
 

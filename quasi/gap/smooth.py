@@ -10,8 +10,7 @@ from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.mixed import Columns, Mixed, Offer, Test, marginal
 from quasi.gap.places import Basis, Choice, basis_of
-from quasi.gap.study import BAND, BLOCK, ORDER, Study, gather_study, joined
-from quasi.gap.study import MOST as MOST_STRETCHES
+from quasi.gap.study import BAND, BLOCK, MOST_STRETCHES, ORDER, Study, gather_study, joined
 from quasi.gap.whitening import thin, whiten
 from quasi.standalone.model import AXES
 

@@ -21,7 +21,7 @@ BAND = 10.0  # Hz
 ORDER = 6  # of the autoregression
 BLOCK = 5.0  # s, longer than the memory of gusts
 STRETCH = 2  # blocks, about a manoeuvre
-MOST = 160  # stretches of all flights together: the time of a test grows with their cube
+MOST_STRETCHES = 160  # stretches of all flights together: the time of a test grows with their cube
 LIGHT = 1e-6  # ridge of the per-flight fit whose residual tells the noise
 
 
@@ -56,7 +56,7 @@ class Study(NamedTuple):
 
 def in_stretches(blocks: np.ndarray, flights: int = 1) -> np.ndarray:
     """Cross-products (K, P, P) of stretches of STRETCH blocks each, of more where there are many flights."""
-    return joined(blocks, min(len(blocks) // STRETCH, MOST // flights))
+    return joined(blocks, min(len(blocks) // STRETCH, MOST_STRETCHES // flights))
 
 
 def joined(blocks: np.ndarray, count: int) -> np.ndarray:
