@@ -2,7 +2,8 @@
 
 A tracker that swaps markers or sees a reflection shows the body elsewhere or turned for some frames and then lets it
 jump back. Each valid frame is compared with the motion of its neighbours; where the step between two frames cannot be
-flown, the record is cut, and of the pieces the chain is kept that holds the most frames and can be flown throughout.
+flown, and where frames are missing, the record is cut, and of the pieces the chain is kept that holds the most frames
+and can be flown throughout.
 """
 
 import numba
@@ -13,6 +14,7 @@ MAX_ANGULAR_ACCELERATION = 1500.0  # rad/s2, above a 3-inch racer's
 MAX_SPEED = 40.0  # m/s
 MAX_RATE = 45.0  # rad/s
 LONGEST_SWAP = 2.0  # s; a piece longer than this is believed, and so is what follows it
+MISSING = 1.5  # usual steps: a longer one has frames missing, and a swap may end unseen in it
 
 
 @numba.njit(cache=True)
@@ -114,9 +116,9 @@ def flyable(t: np.ndarray, position: np.ndarray, quaternion: np.ndarray | None) 
     cut = odd > floor_x + 2.0 * MAX_ACCELERATION * usual**2
     if turns:
         cut |= turned > floor_q + 2.0 * MAX_ANGULAR_ACCELERATION * usual**2
-    edges = np.flatnonzero(cut)
-    if len(edges) == 0:
+    if not cut.any():
         return np.ones(n, bool)
+    edges = np.flatnonzero(cut | (dt > MISSING * np.median(dt)))
     first = np.concatenate([[0], edges + 1])
     last = np.concatenate([edges, [n - 1]])
     kept = _chain(first, last, t, x, q, turns, floor_x, floor_q)

@@ -3,6 +3,7 @@
 import numpy as np
 from made_motion import body
 
+from quasi.attitude import exponential, multiply
 from quasi.importing.artefacts import flyable, spikes
 
 
@@ -19,6 +20,17 @@ def test_a_body_carried_away_unseen_is_believed():
     t, x, q = truth.t[::8], truth.position[::8].copy(), truth.quaternion[::8]
     x[1250:] += [2.0, 0.0, 0.0]
     assert flyable(t, x, q).all()
+
+
+def test_a_swap_that_ends_in_a_drop_out_is_found_alone():
+    """Two swapped frames at the start, then eight that are missing: the first second is not thrown away for them."""
+    truth = body(20.0)
+    t, x, q = truth.t[::8], truth.position[::8].copy(), truth.quaternion[::8].copy()
+    bad = [134, 135]
+    x[bad] += [0.02, 0.0, -0.02]
+    q[bad] = multiply(q[bad], exponential(np.array([0.3, 0.9, 0.6])))
+    seen = np.r_[0:136, 144 : len(t)]
+    assert np.flatnonzero(~flyable(t[seen], x[seen], q[seen])).tolist() == bad
 
 
 def test_spikes_are_found_and_steps_are_not():
