@@ -388,8 +388,8 @@ def _candidates(found: Found, settled: Settled, share: float) -> list[dict[str, 
         why = f"p = {test.p:.2g} beside {named}, not below {level:.2g}"
         if test.p < level:
             why = (
-                "its size would be outside what is physical, only what accompanies it differs, others explain it, or "
-                "it is so little beside a clear cause that it may be that one's form"
+                "its size would be outside what is physical, only what accompanies it differs, others explain it, "
+                "flights differ too much in it, or it is so little beside a clear cause that it may be that one's form"
             )
         add(test.offer.cause, test.offer.since, test, why)
     return said

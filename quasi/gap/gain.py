@@ -145,6 +145,18 @@ def fraction(
     return result
 
 
+def surely(old: Score, new: Score, removable: np.ndarray, seed: int = 0) -> np.ndarray:
+    """Lower ends (6,) of the intervals of the squared error that is gone, as shares of what is removable.
+
+    removable (6,) mean square, held: blocks in which there is little to remove say little, whatever their share is
+    """
+    rng = np.random.default_rng(seed)
+    picks = rng.integers(0, len(old.weight), (DRAWS, len(old.weight)))
+    weight = old.weight[picks]
+    gone = np.einsum("db,dbc->dc", weight, (old.values - new.values)[picks]) / weight.sum(axis=1)[:, None]
+    return np.quantile(gone, 0.5 - 0.5 * LEVEL, axis=0) / removable
+
+
 def removed(
     old: Squares, new: Squares, floor: Squares, least: np.ndarray, reached: Squares | None = None
 ) -> dict[str, dict[str, float | None]]:

@@ -69,6 +69,11 @@ class Test(NamedTuple):
         """Standard errors (m,)."""
         return np.sqrt(np.diag(self.covariance))
 
+    @property
+    def odds(self) -> float:
+        """Probability of nothing were the spread as well known as the nuisances': few flights are not held against it."""
+        return float(f_distribution.sf(self.wald / len(self.offer.which), len(self.offer.which), MOST_FREEDOM))
+
 
 def marginal(gram: np.ndarray, columns: Sequence[int], spread: np.ndarray) -> np.ndarray:
     """Cross-products (P, P) once the columns' random coefficients, N(0, spread^2), are integrated out."""

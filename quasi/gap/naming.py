@@ -16,6 +16,7 @@ RIVALS = 6  # of the most significant causes that are weighed against each other
 MOST = 6  # causes that one search names
 FORM = 0.05  # of what a cause explains, that another has to explain beyond it: no form is quite right
 SUSPECT = 0.01  # probability of nothing below which a declared rival has to be ruled out
+BETWEEN = 0.002  # probability of nothing that whole flights as witnesses must leave as well, |t| = 3.3
 
 
 class Rival(NamedTuple):
@@ -59,6 +60,7 @@ def search(
     lacking: Sequence[str] = (),
     within: Mapping[str, Sequence[tuple[float, float]]] | None = None,
     known: Sequence[Offer] = (),
+    between: Mixed | None = None,
 ) -> Names:
     """Name the causes of the residual.
 
@@ -66,6 +68,7 @@ def search(
     lacking  causes that cannot be asked
     within   {cause: [(low, high) of the deviation of each parameter]}: physical ranges; an estimate outside by more
              than three standard errors disqualifies the cause
+    between  the same with whole flights as witnesses, before which a cause has to stand as well
     """
     asked = [name for name in mixed.columns.causes if name not in lacking]
     pairs = [(name, s) for s in since for name in asked if not (s == "always" and effects[name].absorbed)]
@@ -91,6 +94,7 @@ def search(
             and not (t.offer.since == "changed" and any(t.wald < FORM * c.wald for c in strong))
             and _possible(t, within)
             and leads(t, effects)
+            and (between is None or between.test(t.offer, given, pooled).odds < BETWEEN)
         ]
         if not open_:
             break

@@ -53,6 +53,13 @@ class Study(NamedTuple):
         """
         return Mixed([in_stretches(self.blocks[f], len(use)) for f in use], compared, self.columns, prior)
 
+    def between(self, use: Sequence[int], compared: Sequence[bool]) -> Mixed:
+        """The mixed model in which whole flights are what a cause's apparent parameters deviate in.
+
+        Manoeuvres of one flight may err alike, and then are no independent witnesses.
+        """
+        return Mixed([self.blocks[f].sum(axis=0)[None] for f in use], compared, self.columns)
+
 
 def in_stretches(blocks: np.ndarray, flights: int = 1) -> np.ndarray:
     """Cross-products (K, P, P) of stretches of STRETCH blocks each, of more where there are many flights."""

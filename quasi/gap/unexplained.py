@@ -15,7 +15,7 @@ from quasi.gap import rhythm
 from quasi.gap.catalogue import beyond_slope, columns_of
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
-from quasi.gap.gain import fraction, wrench_score
+from quasi.gap.gain import surely, wrench_score
 from quasi.gap.mixed import Offer, Test, marginal
 from quasi.gap.places import EVERYWHERE, OWN, Basis
 from quasi.gap.smooth import Cause, Grounds, Place, grounds_of, level_of, mixed_of, select, tested
@@ -128,8 +128,8 @@ def _beyond_doubt(
     first, last = (wrench_score(held, lambda f, j=j: _residual(f, j, vehicle), True) for j in (others, joint))
     k = place.channel
     least = np.minimum(np.minimum(floor, last.mean()), (1.0 - small) * first.mean())
-    low = fraction(first, last, least)[AXES[k]]["low"]
-    return low is not None and low > (share if all(compared) else max(share, ASIDE))
+    low = surely(first, last, first.mean() - least)[k]
+    return bool(low > (share if all(compared) else max(share, ASIDE)))
 
 
 class Joint(NamedTuple):

@@ -15,7 +15,7 @@ import numpy as np
 from quasi.gap.catalogue import whole_of
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
-from quasi.gap.gain import Score, fraction, wrench_score
+from quasi.gap.gain import Score, fraction, surely, wrench_score
 from quasi.gap.mixed import Test
 from quasi.standalone.model import AXES
 
@@ -143,8 +143,7 @@ def _common(
 
     def better(first: Judged, last: Judged) -> float:
         """The surest share of the removable error that goes on any axis."""
-        gains = fraction(first.centred, last.centred, plain.centred.mean() - removable)
-        return max((g["low"] for g in gains.values() if g["low"] is not None), default=0.0)
+        return float(surely(first.centred, last.centred, removable).max())
 
     while causes:
         whole = score([*beside, *causes], True)

@@ -86,7 +86,9 @@ def examine(
     for look in range(LOOKS):
         study = moved(study, asked, vehicle, values) if look else study
         mixed = study.mixed(range(len(flights)), compared)
-        named, ties, ranking, level = _search(mixed, asked, compared, rate, (*study.lacking, *contradicted), within)
+        between = study.between(range(len(flights)), compared)
+        lacking = (*study.lacking, *contradicted)
+        named, ties, ranking, level = _search(mixed, between, asked, compared, rate, lacking, within)
         causes = _merged(named, asked, mixed, _given(named, ties))
         bent = {c.effect.id: dict(c.value) for c in causes if c.effect.bends}
         neutral |= set(values) - set(bent)
@@ -199,8 +201,8 @@ def _stands_for(cause: Cause, since: str, tie: Tie) -> bool:
 
 
 def _search(
-    mixed: Mixed, asked: Mapping[str, Effect], compared: np.ndarray, rate: float, lacking: Sequence[str],
-    within: Mapping[str, list[tuple[float, float]]],
+    mixed: Mixed, between: Mixed, asked: Mapping[str, Effect], compared: np.ndarray, rate: float,
+    lacking: Sequence[str], within: Mapping[str, list[tuple[float, float]]],
 ) -> tuple[list[Named], list[tuple[str, Tie]], list[Test], dict[str, float]]:  # fmt: skip
     """First what changed, then what all flights have alike; the false alarm rate is shared between the two."""
     stages = {"always": 1.0} if compared.all() else {"changed": 1.0 - COMMON, "always": COMMON}
@@ -209,7 +211,7 @@ def _search(
     rankings: list[Test] = []
     level: dict[str, float] = {}
     for since, part in stages.items():
-        names = search(mixed, asked, (since,), rate * part, lacking, within, _given(named, ties))
+        names = search(mixed, asked, (since,), rate * part, lacking, within, _given(named, ties), between)
         named += names.named
         ties += [(since, tie) for tie in names.ties]
         rankings += names.ranking

@@ -254,6 +254,27 @@ def test_beside_a_clear_change_a_faint_one_may_be_its_form(since, named):
     assert {n.test.offer.cause for n in found} == named
 
 
+@pytest.mark.parametrize(("alike", "named"), [(True, []), (False, ["a"])])
+def test_manoeuvres_of_one_flight_that_err_alike_are_one_witness(alike, named):
+    """Three flights whose eight stretches each err by one size, by chance mostly to one side; a cause errs by none."""
+    rng = np.random.default_rng(14)
+    sizes = [0.9, 0.5, -0.1] if alike else [0.45, 0.4, 0.5]
+    grams = []
+    for size in [0.0, 0.1, -0.1, 0.05, *sizes]:
+        own = []
+        for _ in range(8):
+            x = rng.standard_normal((50, 7))
+            y = x[:, 0] + size * x[:, 3] + rng.standard_normal(50)
+            z = np.column_stack([y, x])
+            own.append(z.T @ z)
+        grams.append(np.array(own))
+    compared = [False] * 4 + [True] * 3
+    mixed, between = Mixed(grams, compared, LAYOUT), Mixed([g.sum(axis=0) for g in grams], compared, LAYOUT)
+    assert [n.test.offer.cause for n in search(mixed, effects(), ("changed",), 0.01).named] == ["a"]
+    found = search(mixed, effects(), ("changed",), 0.01, between=between).named
+    assert [n.test.offer.cause for n in found] == named
+
+
 def test_a_flight_that_hardly_excites_a_cause_does_not_hide_it():
     """Seven flights agree; an eighth, whose column is a twentieth, has a model error that looks huge."""
     rng = np.random.default_rng(7)

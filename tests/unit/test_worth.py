@@ -5,7 +5,7 @@ import pytest
 
 from quasi.gap import mixed
 from quasi.gap.effect import Effect
-from quasi.gap.gain import Score
+from quasi.gap.gain import Score, surely
 from quasi.gap.worth import Cause, Judged, material, simplest
 
 SHARE = 0.05
@@ -83,3 +83,13 @@ def test_two_causes_that_mend_each_other_are_told_by_the_one_that_does_alone():
     assert simplest([a, b], list, score, judged(OLD).errors, FLOOR, SHARE) == [a]
     both = scored({frozenset("ab"): fz(1.0), frozenset("a"): fz(2.0), frozenset("b"): fz(2.0)}, OLD)
     assert simplest([a, b], list, both, judged(OLD).errors, FLOOR, SHARE) == [a, b]
+
+
+def test_what_is_sure_to_go_is_a_share_of_all_that_can():
+    """Half of it goes in every block, but most of it lies in three of six: less than half is sure, and more than none."""
+    old = Score(np.array([[8.0], [1.0], [9.0], [2.0], [7.0], [1.5]]) * np.ones(6), np.ones(6))
+    new = old._replace(values=0.5 * old.values)
+    low = surely(old, new, old.mean())
+    assert np.all(low < 0.5) and np.all(low > 0.2)
+    one = old._replace(values=old.values * np.array([0.5, 1.0, 1.0, 1.0, 1.0, 1.0])[:, None])
+    assert np.all(surely(old, one, old.mean()) == 0.0)  # a single block may be chance
