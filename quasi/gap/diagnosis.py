@@ -26,7 +26,7 @@ from quasi.standalone.model import Model
 SCHEMA = "quasi.gap/1"
 FORCES = ("Fx", "Fy", "Fz")
 # shares of resamples in which a cause alone, the strongest of several, another one must be found again
-ALONE, SURE, BESIDE = 0.4, 0.5, 0.8
+ALONE, SURE, BESIDE = 0.35, 0.5, 0.8
 HORIZON = 0.5  # s, at which a gain in roll-outs is told
 
 
@@ -186,7 +186,7 @@ def _needed(cause: Cause, found: Found) -> float:
     one leaves."""
     others = [c for c in [*found.causes, *found.stand_ins] if c.since == cause.since and c is not cause]
     if not others:
-        return SURE if cause in found.unjudged else ALONE
+        return ALONE
     return SURE if cause.test.p < min(c.test.p for c in others) else BESIDE
 
 
