@@ -103,7 +103,10 @@ def diagnose(
     sizes = [sum(len(c.value) for c in kept), sum(len(v) for _, v in drive)]
     yardstick = generic.polynomial(students, sizes[0]) if kept else None
     wrong = _wrong_model(found, kept, model, compared, effects, vehicle) if kept else None
-    floor = None if found is None else everything(found.study, effects, vehicle, compared, found.study.values)
+    floor = None
+    if found is not None:
+        at = found.study.values[compared.index(True)]
+        floor = everything(found.study, effects, vehicle, compared, at)
     healthy = levels["A"]["found on"].get("healthy") or {}
     beside = rollout_gain.Beside(
         floor,

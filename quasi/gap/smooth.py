@@ -43,20 +43,22 @@ class Grounds(NamedTuple):
     thinned: list[np.ndarray]  # per flight (m, L): the basis in the band of the analysis
 
 
-def _curved(causes: Sequence[Cause]) -> dict[str, Mapping[str, float]]:
-    return {e.id: v for e, _, v in causes if e.bends}
+def _curved(causes: Sequence[Cause], compared: bool) -> dict[str, Mapping[str, float]]:
+    """Values to linearise a compared flight at, or a reference flight, which has none of what changed."""
+    return {e.id: v for e, offer, v in causes if e.bends and (compared or offer.since == "always")}
 
 
 def grounds_of(
-    flights: Sequence[Evidence], causes: Sequence[Cause], vehicle: Vehicle, like: Grounds | None = None
-) -> Grounds:
+    flights: Sequence[Evidence], compared: Sequence[bool], causes: Sequence[Cause], vehicle: Vehicle,
+    like: Grounds | None = None,
+) -> Grounds:  # fmt: skip
     """Cross-products of the flights' blocks with the causes' columns and all smooth functions.
 
     causes  effect, offer, values to linearise at; like  those whose functions and noise are taken over: held-out
     flights choose neither
     """
     effects = {e.id: e for e, *_ in causes}
-    study = gather_study(flights, effects, vehicle, _curved(causes))
+    study = gather_study(flights, effects, vehicle, [_curved(causes, bool(flag)) for flag in compared])
     if like is not None:
         study = study._replace(whitener=like.study.whitener)
     basis = basis_of(flights) if like is None else like.basis

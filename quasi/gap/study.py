@@ -23,6 +23,7 @@ BLOCK = 5.0  # s, longer than the memory of gusts
 STRETCH = 2  # blocks, about a manoeuvre
 MOST_STRETCHES = 160  # stretches of all flights together: the time of a test grows with their cube
 LIGHT = 1e-6  # ridge of the per-flight fit whose residual tells the noise
+Values = Mapping[str, Mapping[str, float]]  # {cause: {parameter: deviation}}
 
 
 class Study(NamedTuple):
@@ -32,7 +33,8 @@ class Study(NamedTuple):
     columns   what is what in them; names  of all columns
     blocks    per flight (B, P, P) whitened cross-products of its blocks
     raw       per flight (6, P, P) plain cross-products per channel, for mean squared errors
-    whitener  of the residuals; lacking {cause: why it cannot be asked}; values  that causes are linearised at
+    whitener  of the residuals; lacking {cause: why it cannot be asked}
+    values    per flight, that causes are linearised at: a reference flight has none of what changed
     """
 
     flights: list[Evidence]
@@ -43,7 +45,7 @@ class Study(NamedTuple):
     raw: list[np.ndarray]
     whitener: Whitener
     lacking: dict[str, str]
-    values: Mapping[str, Mapping[str, float]]
+    values: Sequence[Values]
 
     def mixed(self, use: Sequence[int], compared: Sequence[bool], prior: np.ndarray | None = None) -> Mixed:
         """The mixed model of some of the flights. prior  precision (shared, shared) of the model's own terms.
@@ -120,27 +122,28 @@ def gather_study(
     flights: Sequence[Evidence],
     effects: Mapping[str, Effect],
     vehicle: Vehicle,
-    values: Mapping[str, Mapping[str, float]] | None = None,
+    values: Sequence[Values] | None = None,
 ) -> Study:
     """Build the cross-products of all flights.
 
-    effects  causes to be asked; values {cause: {parameter: deviation}} to linearise at, where not neutral
+    effects  causes to be asked; values  per flight, to linearise at where not neutral
     A cause whose columns a flight cannot give is left out, with the reason in `lacking`.
     """
     lacking: dict[str, str] = {}
+    values = values or [{} for _ in flights]
     asked = {name: e for name, e in effects.items() if e.terms is not None or e.columns is not None}
     made: list[dict[str, dict[str, np.ndarray]]] = [{} for _ in flights]
     for name, effect in list(asked.items()):
-        at = (values or {}).get(name) or dict.fromkeys(effect.parameters, 0.0)
         try:
-            for flight, columns in zip(flights, made):
+            for flight, columns, own in zip(flights, made, values):
+                at = own.get(name) or dict.fromkeys(effect.parameters, 0.0)
                 columns[name] = columns_of(effect, flight, vehicle, at)
         except (DataError, ExpressionError) as error:
             lacking[name] = str(error)
             del asked[name]
     thinned, names, layout = [], [], None
-    for flight, columns in zip(flights, made):
-        parts = [("residual", _straight(flight, asked, vehicle, values or {}))]
+    for flight, columns, at in zip(flights, made, values):
+        parts = [("residual", _straight(flight, asked, vehicle, at))]
         shared = base_columns(flight)
         own = nuisances(flight)
         parts += shared + [(n, c) for n, c, _ in own]
@@ -159,19 +162,17 @@ def gather_study(
         )
     breaks = [part.breaks for part in thinned]
     whitener = autoregression([own_fit(part.columns, layout) for part in thinned], breaks, ORDER)
-    return _study(flights, thinned, layout, names, whitener, lacking, values or {})
+    return _study(flights, thinned, layout, names, whitener, lacking, values)
 
 
-def moved(
-    study: Study, effects: Mapping[str, Effect], vehicle: Vehicle, values: Mapping[str, Mapping[str, float]]
-) -> Study:
-    """The study with its curved causes linearised at other values; nothing else is computed anew."""
-    changed = [n for n in study.columns.causes if n in values or n in study.values]
+def moved(study: Study, effects: Mapping[str, Effect], vehicle: Vehicle, values: Sequence[Values]) -> Study:
+    """The study with its curved causes linearised at other values, per flight; nothing else is computed anew."""
+    changed = [n for n in study.columns.causes if any(n in own for own in (*values, *study.values))]
     thinned = []
-    for flight, old in zip(study.flights, study.thinned):
-        place, parts = [0], [_straight(flight, effects, vehicle, values)]
+    for flight, old, own in zip(study.flights, study.thinned, values):
+        place, parts = [0], [_straight(flight, effects, vehicle, own)]
         for name in changed:
-            at = values.get(name) or dict.fromkeys(effects[name].parameters, 0.0)
+            at = own.get(name) or dict.fromkeys(effects[name].parameters, 0.0)
             place += study.columns.causes[name]
             parts += columns_of(effects[name], flight, vehicle, at).values()
         columns = old.columns.copy()
@@ -180,9 +181,7 @@ def moved(
     return _study(study.flights, thinned, study.columns, study.names, study.whitener, study.lacking, values)
 
 
-def _straight(
-    flight: Evidence, effects: Mapping[str, Effect], vehicle: Vehicle, values: Mapping[str, Mapping[str, float]]
-) -> np.ndarray:
+def _straight(flight: Evidence, effects: Mapping[str, Effect], vehicle: Vehicle, values: Values) -> np.ndarray:
     """Residual (n, 6) less what curved causes at their values are more than their slopes."""
     return flight.residual - sum(
         (beyond_slope(effects[n], flight, vehicle, at) for n, at in values.items() if n in effects),
@@ -196,7 +195,7 @@ def _thinned(flight: Evidence, columns: Sequence[np.ndarray]) -> Thinned:
 
 def _study(
     flights: Sequence[Evidence], thinned: list[Thinned], layout: Columns, names: list[str], whitener: Whitener,
-    lacking: dict[str, str], values: Mapping[str, Mapping[str, float]],
+    lacking: dict[str, str], values: Sequence[Values],
 ) -> Study:  # fmt: skip
     blocks = [
         block_grams(part.columns, part.breaks, whitener, flight.t[part.rows], BLOCK)

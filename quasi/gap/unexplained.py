@@ -51,7 +51,7 @@ def search(
     """
     # what healthy flights show as well is mostly the form of the model's own terms
     least = {"changed": LEAST, "always": LEAST if all(compared) else SMALL["always"]}
-    grounds = grounds_of(flights, causes, vehicle)
+    grounds = grounds_of(flights, compared, causes, vehicle)
     given = [offer for _, offer, _ in causes]
     found = select(grounds, compared, given, 0.5 * rate)
     joint = _joint(grounds, compared, causes, found)
@@ -64,7 +64,7 @@ def search(
     ]  # fmt: skip
     joint = _joint(grounds, compared, causes, found)
     lines = rhythm.search(_signals(grounds, joint, flights), compared, 0.5 * rate)
-    judge = grounds_of(held, causes, vehicle, grounds)
+    judge = grounds_of(held, [True] * len(held), causes, vehicle, grounds)
     whole = wrench_score(held, left).mean()
     # a flight's constant error, which flights differ by, must not outweigh what depends on a place
     centred = wrench_score(held, left, True).mean()

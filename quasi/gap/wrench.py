@@ -8,7 +8,7 @@ import numpy as np
 
 from quasi.errors import ConfigError
 from quasi.gap.agreement import contradiction, disagreement, voices
-from quasi.gap.catalogue import columns_of
+from quasi.gap.catalogue import beyond_slope, columns_of
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.extension import extend
@@ -79,23 +79,21 @@ def examine(
         raise ConfigError("no flight is held out; name at least one in 'rows of flights held out'")
     asked = {n: e for n, e in effects.items() if e.level == "W" and not e.finding}
     within = {n: e.limits(vehicle) for n, e in asked.items()}
-    values: dict[str, Deviations] = {}
+    values: dict[bool, dict[str, Deviations]] = {True: {}, False: {}}  # of compared flights and of reference flights
     neutral: set[str] = set()  # curved causes whose slope where they were found does not show them any more
     contradicted: dict[str, tuple[Test, str]] = {}
     study = gather_study(flights, asked, vehicle)
     for look in range(LOOKS):
-        study = moved(study, asked, vehicle, values) if look else study
+        study = moved(study, asked, vehicle, [values[bool(flag)] for flag in compared]) if look else study
         mixed = study.mixed(range(len(flights)), compared)
         between = study.between(range(len(flights)), compared)
         lacking = (*study.lacking, *contradicted)
         named, ties, ranking, level = _search(mixed, between, asked, compared, rate, lacking, within)
         causes = _merged(named, asked, mixed, _given(named, ties))
-        bent = {c.effect.id: dict(c.value) for c in causes if c.effect.bends}
-        neutral |= set(values) - set(bent)
-        curved = {n: v for n, v in bent.items() if n not in neutral}
-        elsewhere = curved.keys() != values.keys() or any(
-            abs(curved[n][p] - values[n].get(p, 0.0)) > 0.02 * abs(curved[n][p]) for n in curved for p in curved[n]
-        )
+        bent = [c for c in causes if c.effect.bends]
+        neutral |= set(values[True]) - {c.effect.id for c in bent}
+        curved = {flag: _sizes([c for c in bent if c.effect.id not in neutral], flag) for flag in (True, False)}
+        elsewhere = any(_elsewhere(curved[flag], values[flag]) for flag in (True, False))
         values = curved
         torn = _contradicted(causes, ties, asked, mixed, study, compared)
         contradicted |= torn
@@ -106,7 +104,7 @@ def examine(
     stand_ins = _merged([Named(tie.tests[0], []) for _, tie in ties], asked, mixed, _given(named, ties))
     _count([*causes, *stand_ins], study, asked, compared, min(level.values()))
     old = wrench_score(held, before)
-    floor = _floor(study, asked, vehicle, compared, values, held, old)
+    floor = _floor(study, asked, vehicle, compared, values[True], held, old)
 
     def made(of: Sequence[Cause], ident: str, fitted_anew: bool) -> dict[str, Any]:
         changes = None
@@ -156,6 +154,24 @@ def examine(
         kept, ties, immaterial, ranking, level, study.lacking, study, scores, wrong, extended, unjudged, contradicted,
         [c for c in stand_ins if any(_stands_for(c, *tie) for tie in ties)],
     )  # fmt: skip
+
+
+def _sizes(causes: Sequence[Cause], compared: bool) -> dict[str, Deviations]:
+    """Deviations that the causes give a compared flight, or a reference flight."""
+    sizes: dict[str, Deviations] = {}
+    for cause in causes:
+        if compared or cause.since == "always":
+            own = sizes.setdefault(cause.effect.id, {})
+            for name, value in cause.value.items():
+                own[name] = own.get(name, 0.0) + value
+    return sizes
+
+
+def _elsewhere(new: Mapping[str, Deviations], old: Mapping[str, Deviations]) -> bool:
+    """Whether causes have to be linearised anew."""
+    return new.keys() != old.keys() or any(
+        abs(value - old[n].get(p, 0.0)) > 0.02 * abs(value) for n, own in new.items() for p, value in own.items()
+    )
 
 
 def _widen(
@@ -293,7 +309,7 @@ def everything(
 ) -> Callable[[Evidence], np.ndarray]:  # fmt: skip
     """Fit the model's terms and all causes together; returns flight -> (n, 6), what they leave of its wrench.
 
-    ridge  of the fit, on scaled columns
+    values  that the study's compared flights are linearised at; ridge  of the fit, on scaled columns
     """
     mixed = study.mixed(range(len(study.flights)), compared)
     use = [*study.columns.shared, *(c for cause in study.columns.causes.values() for c in cause)]
@@ -305,10 +321,12 @@ def everything(
 
     def residual(flight: Evidence) -> np.ndarray:
         columns = [c for _, c in base_columns(flight)]
+        bent = np.zeros((len(flight), len(AXES)))
         for cause in study.columns.causes:
             at = values.get(cause) or dict.fromkeys(asked[cause].parameters, 0.0)
             columns += list(columns_of(asked[cause], flight, vehicle, at).values())
-        return flight.residual - np.einsum("k,knj->nj", coefficients, np.array(columns))
+            bent += beyond_slope(asked[cause], flight, vehicle, at)
+        return flight.residual - bent - np.einsum("k,knj->nj", coefficients, np.array(columns))
 
     return residual
 
