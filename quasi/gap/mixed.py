@@ -71,7 +71,7 @@ class Test(NamedTuple):
 
     @property
     def odds(self) -> float:
-        """Probability of nothing were the spread as well known as the nuisances': few flights are not held against it."""
+        """Probability of nothing were the spread as well known as nuisances are, however few flights there are."""
         return float(f_distribution.sf(self.wald / len(self.offer.which), len(self.offer.which), MOST_FREEDOM))
 
 

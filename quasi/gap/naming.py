@@ -92,7 +92,7 @@ def search(
             and not _mends(mixed, t.offer, given, effects)
             and not any(_is_form(mixed, t, c, [g for g in given if g != c.offer], pooled, level) for c in clear)
             and not (t.offer.since == "changed" and any(t.wald < FORM * c.wald for c in strong))
-            and _possible(t, within)
+            and possible(t, within)
             and leads(t, effects)
             and (between is None or between.test(t.offer, given, pooled).odds < BETWEEN)
         ]
@@ -175,7 +175,8 @@ def _pooled(mixed: Mixed, effects: Mapping[str, Effect], since: Sequence[str]) -
     return [name for name in mixed.columns.causes if not effects[name].absorbed]
 
 
-def _possible(test: Test, within: Mapping[str, Sequence[tuple[float, float]]] | None) -> bool:
+def possible(test: Test, within: Mapping[str, Sequence[tuple[float, float]]] | None) -> bool:
+    """Whether the parameters lie in their physical ranges, give or take three standard errors."""
     ranges = (within or {}).get(test.offer.cause)
     if ranges is None:
         return True
@@ -185,14 +186,15 @@ def _possible(test: Test, within: Mapping[str, Sequence[tuple[float, float]]] | 
     )
 
 
-def leads(test: Test, effects: Mapping[str, Effect]) -> bool:
+def leads(test: Test, effects: Mapping[str, Effect], errors: float = 3.0) -> bool:
     """Whether a parameter that the cause is about differs from neutral, not only those that accompany it.
 
     Air that is still but for a draught downwards, or a cg that is off in height alone, stand in for something else.
+    errors  standard errors that it must differ by
     """
     effect = effects[test.offer.cause]
     about = [effect.parameters[effect.fitted[k]].typical is not None for k in test.offer.which]
-    far = [abs(value) > 3.0 * std for value, std in zip(test.value, test.std)]
+    far = [abs(value) > errors * std for value, std in zip(test.value, test.std)]
     return not any(about) or any(a and f for a, f in zip(about, far))
 
 

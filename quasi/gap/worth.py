@@ -101,7 +101,7 @@ def material(
 
 def simplest(
     causes: Sequence[Cause],
-    estimated: Callable[[Sequence[Cause]], list[Cause]],
+    estimated: Callable[[Sequence[Cause]], list[Cause] | None],
     score: Callable[[Sequence[Cause]], Judged],
     old: Score,
     floor: np.ndarray,
@@ -110,13 +110,16 @@ def simplest(
     """The fewest of the causes that leave less than SIMPLER times `share` of the removable error more than all do.
 
     Two causes that mend each other's mistakes are needed both as long as both are there.
-    estimated  some causes -> the same with their parameters found without the others; score  of held-out flights
+    estimated  some causes -> the same with their parameters found without the others, None where these are impossible
+    score      of held-out flights
     """
     if not 1 < len(causes) <= MOST_WEIGHED:
         return list(causes)
     removable, whole = _removable(old, floor, "spoken of"), score(causes).errors.mean()
     for size in range(1, len(causes)):
-        tried = [estimated(some) for some in combinations(causes, size)]
+        tried = [own for some in combinations(causes, size) if (own := estimated(some)) is not None]
+        if not tried:
+            continue
         losses = [float(((score(some).errors.mean() - whole) / removable).max()) for some in tried]
         if min(losses) < SIMPLER * share:
             best = tried[int(np.argmin(losses))]

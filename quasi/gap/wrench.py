@@ -14,11 +14,13 @@ from quasi.gap.evidence import Evidence
 from quasi.gap.extension import extend
 from quasi.gap.gain import Likelihood, Score, after, before, wrench_score
 from quasi.gap.mixed import Mixed, Offer, Test
-from quasi.gap.naming import Named, Tie, leads, search
+from quasi.gap.naming import Named, Tie, leads, possible, search
 from quasi.gap.study import Study, base_columns, gather_study, in_stretches, moved, refit
 from quasi.gap.worth import ASIDE, EXCITED, Cause, Deviations, Judged, material, simplest, strength
 from quasi.standalone.model import AXES, Model
 
+SURELY = 2.0  # standard errors, widened, that some parameter must differ by
+ASTRAY = 0.5  # of its size, that a cause may move when it is linearised there
 LOOKS = 4  # how often curved causes are linearised anew, and contradicted ones left out
 RIDGES = (1e-3, 1e-2, 1e-1)  # of fits of everything at once, on scaled columns
 COMMON = 0.2  # share of the false alarm rate for what reference and compared flights have in common
@@ -90,9 +92,10 @@ def examine(
         lacking = (*study.lacking, *contradicted)
         named, ties, ranking, level = _search(mixed, between, asked, compared, rate, lacking, within)
         causes = _merged(named, asked, mixed, _given(named, ties))
-        bent = [c for c in causes if c.effect.bends]
-        neutral |= set(values[True]) - {c.effect.id for c in bent}
-        curved = {flag: _sizes([c for c in bent if c.effect.id not in neutral], flag) for flag in (True, False)}
+        found = [(c.effect, c.since, c.value) for c in causes] + [_as_found(tie, since, asked) for since, tie in ties]
+        bent = [(e.id, since, sizes) for e, since, sizes in found if e.bends]
+        neutral |= {n for n, old in values[True].items() if _astray(_sizes(bent, True).get(n, {}), old)}
+        curved = {flag: _sizes([b for b in bent if b[0] not in neutral], flag) for flag in (True, False)}
         elsewhere = any(_elsewhere(curved[flag], values[flag]) for flag in (True, False))
         values = curved
         torn = _contradicted(causes, ties, asked, mixed, study, compared)
@@ -101,7 +104,8 @@ def examine(
             break
     causes = [c for c in causes if c.effect.id not in contradicted]
     ties = [(s, tie) for s, tie in ties if not any(t.offer.cause in contradicted for t in tie.tests)]
-    stand_ins = _merged([Named(tie.tests[0], []) for _, tie in ties], asked, mixed, _given(named, ties))
+    firsts = [Named(tie.tests[0], []) for _, tie in ties]
+    stand_ins = _merged(firsts, asked, mixed, _given(named, ties))
     _count([*causes, *stand_ins], study, asked, compared, min(level.values()))
     old = wrench_score(held, before)
     floor = _floor(study, asked, vehicle, compared, values[True], held, old)
@@ -131,10 +135,11 @@ def examine(
     immaterial = [c for c in immaterial if not any(_stands_for(c, *tie) for tie in ties)]
     beside = [c for c in kept if c in stand_ins or c.since == "always"]
 
-    def estimated(of: Sequence[Cause]) -> list[Cause]:
+    def estimated(of: Sequence[Cause]) -> list[Cause] | None:
         offers = [_given([], ties), [c.test.offer for c in (*of, *beside)]]
         again = [Named(c.test, c.rivals) for c in of]
-        return _merged(again, asked, mixed, [o for part in offers for o in part])
+        found = _merged(again, asked, mixed, [o for part in offers for o in part])
+        return found if all(possible(c.test, within) for c in found) else None
 
     changed = [c for c in kept if c.since == "changed" and c not in stand_ins]
     fewer = simplest(changed, estimated, lambda of: score([*beside, *of], any(c.since == "always" for c in beside)),
@@ -143,7 +148,8 @@ def examine(
     fewer = [c for c in fewer if c.test.p < level["changed"] and leads(c.test, asked)]
     immaterial += [c for c in changed if not any(c.effect.id == f.effect.id for f in fewer)]
     kept = sorted([*fewer, *(c for c in beside if c not in stand_ins)], key=lambda c: c.test.p)
-    _widen(kept, ties, asked, mixed, study, compared)
+    kept, vague = _widened(kept, ties, asked, mixed, study, compared)
+    contradicted |= vague
     extended = made(kept, name, any(c.since == "always" for c in kept))
     new = wrench_score(held, after(Model(extended, name), model))
     scores = {"before": old.mean(), "after": new.mean(), "noise_floor": np.minimum(floor, new.mean())}
@@ -156,15 +162,27 @@ def examine(
     )  # fmt: skip
 
 
-def _sizes(causes: Sequence[Cause], compared: bool) -> dict[str, Deviations]:
-    """Deviations that the causes give a compared flight, or a reference flight."""
-    sizes: dict[str, Deviations] = {}
-    for cause in causes:
-        if compared or cause.since == "always":
-            own = sizes.setdefault(cause.effect.id, {})
-            for name, value in cause.value.items():
-                own[name] = own.get(name, 0.0) + value
-    return sizes
+def _as_found(tie: Tie, since: str, asked: Mapping[str, Effect]) -> tuple[Effect, str, Deviations]:
+    """The first cause of a tie, with its sizes as they were when the tie was met: later causes may resemble it."""
+    test = tie.tests[0]
+    effect = asked[test.offer.cause]
+    return effect, since, {effect.fitted[k]: float(v) for k, v in zip(test.offer.which, test.value)}
+
+
+def _sizes(causes: Sequence[tuple[str, str, Deviations]], compared: bool) -> dict[str, Deviations]:
+    """Deviations that causes (id, since, sizes) give a compared flight, or a reference flight."""
+    found: dict[str, Deviations] = {}
+    for name, since, sizes in causes:
+        if compared or since == "always":
+            own = found.setdefault(name, {})
+            for parameter, value in sizes.items():
+                own[parameter] = own.get(parameter, 0.0) + value
+    return found
+
+
+def _astray(new: Deviations, old: Deviations) -> bool:
+    """Whether a cause that was linearised at its sizes is found elsewhere altogether, or not at all."""
+    return any(abs(new.get(p, 0.0) - value) > ASTRAY * abs(value) for p, value in old.items())
 
 
 def _elsewhere(new: Mapping[str, Deviations], old: Mapping[str, Deviations]) -> bool:
@@ -174,17 +192,40 @@ def _elsewhere(new: Mapping[str, Deviations], old: Mapping[str, Deviations]) -> 
     )
 
 
-def _widen(
+def _widened(
     causes: Sequence[Cause], ties: Sequence[tuple[str, Tie]], asked: Mapping[str, Effect], mixed: Mixed, study: Study,
     compared: np.ndarray,
-) -> None:  # fmt: skip
-    """Widen standard errors where the axes of a cause differ by more: then its form is not quite right, and which axis
-    has the say decides on the value."""
-    for cause in causes:
-        pooled = [c for c in mixed.columns.causes if not asked[c].absorbed] if cause.since == "changed" else []
-        others = [c.test.offer for c in causes if c is not cause] + _given([], ties)
-        cause.apart = disagreement(voices(study, compared, cause.test, pooled, others))
+) -> tuple[list[Cause], dict[str, tuple[Test, str]]]:  # fmt: skip
+    """The causes with wider standard errors where the axes of a cause differ by more: then its form is not quite right,
+    and which axis has the say decides on the value. Where nothing of a cause is sure any more, it is left out, with
+    the reason, and the others are estimated without it.
+    """
+    kept, vague = list(causes), {}
+    while True:
+        for cause in kept:
+            pooled = [c for c in mixed.columns.causes if not asked[c].absorbed] if cause.since == "changed" else []
+            others = [c.test.offer for c in kept if c is not cause] + _given([], ties)
+            if vague:
+                again = mixed.test(cause.test.offer, others, pooled)
+                cause.test, cause.value, cause.std = again, *_estimate(again, cause.effect)
+            cause.apart = disagreement(voices(study, compared, cause.test, pooled, others))
+        unsure = [c for c in kept if c.apart > 1.0 and not leads(c.test, asked, SURELY * c.apart)]
+        if not unsure:
+            break
+        worst = max(unsure, key=lambda c: c.apart)
+        kept = [c for c in kept if c is not worst]
+        why = f"its axes differ by {worst.apart:.1f} times their standard errors, so that none of it is sure"
+        vague[worst.effect.id] = worst.test, why
+    for cause in kept:
         cause.std = {name: cause.apart * std for name, std in cause.std.items()}
+    return kept, vague
+
+
+def _estimate(test: Test, effect: Effect) -> tuple[Deviations, Deviations]:
+    """Deviations and standard errors by name; how well the vehicle's constants are known in these."""
+    names = [effect.fitted[k] for k in test.offer.which]
+    value, std = map(float, test.value), map(float, np.hypot(test.std, KNOWN * test.value))
+    return dict(zip(names, value)), dict(zip(names, std))
 
 
 def _contradicted(
@@ -253,17 +294,7 @@ def _merged(named: Sequence[Named], asked: Mapping[str, Effect], mixed: Mixed, g
         others = [g for g in given if (g.cause, g.since) != (cause, since)]
         pooled = [c for c in mixed.columns.causes if not asked[c].absorbed] if since == "changed" else []
         test = mixed.test(offer, others, pooled)
-        names = [asked[cause].fitted[k] for k in offer.which]
-        causes.append(
-            Cause(
-                asked[cause],
-                since,
-                dict(zip(names, map(float, test.value))),
-                dict(zip(names, map(float, np.hypot(test.std, KNOWN * test.value)))),
-                test,
-                rivals[cause, since],
-            )
-        )
+        causes.append(Cause(asked[cause], since, *_estimate(test, asked[cause]), test, rivals[cause, since]))
     return sorted(causes, key=lambda c: c.test.p)
 
 

@@ -86,7 +86,7 @@ def test_two_causes_that_mend_each_other_are_told_by_the_one_that_does_alone():
 
 
 def test_what_is_sure_to_go_is_a_share_of_all_that_can():
-    """Half of it goes in every block, but most of it lies in three of six: less than half is sure, and more than none."""
+    """Half of it goes in every block, but most of it lies in three of six: less than half is sure, but not none."""
     old = Score(np.array([[8.0], [1.0], [9.0], [2.0], [7.0], [1.5]]) * np.ones(6), np.ones(6))
     new = old._replace(values=0.5 * old.values)
     low = surely(old, new, old.mean())

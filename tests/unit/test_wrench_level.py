@@ -1,0 +1,70 @@
+"""Level W on flights whose causes are known exactly: large bent ones, and one that shows along one axis only."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from test_unexplained import RATE, ROWS, flight, ground, smooth  # noqa: F401
+
+from quasi.gap.catalogue import catalogue, whole_of
+from quasi.gap.effect import vehicle_of
+from quasi.gap.wrench import everything, examine
+from quasi.standalone.model import Model
+
+EFFECTS = {n: catalogue()[n] for n in ("ground_effect", "mass", "thrust_factor", "rotor_speed_scale", "body_drag")}
+
+
+def low(ground, seed, has, values, affected):  # noqa: F811
+    """A flight between 8 cm and a metre above the floor, with a cause exactly as its equation has it."""
+    plain = flight(ground, seed)
+    heights = 0.1 + 0.35 * np.abs(smooth(np.random.default_rng([seed, 5]), 1.0))
+    plain = dataclasses.replace(plain, columns={**plain.columns, "z": -heights})
+    if not affected:
+        return plain
+    whole = whole_of(EFFECTS[has], plain, vehicle_of(ground[1]), values)
+    return dataclasses.replace(plain, measured=plain.measured + whole)
+
+
+@pytest.mark.parametrize(
+    ("has", "values", "references"),
+    [("ground_effect", {"c": 8.0}, 0), ("ground_effect", {"c": 8.0}, 4), ("rotor_speed_scale", {"scale": 0.15}, 4)],
+)
+def test_a_large_cause_is_estimated_right_with_and_without_reference_flights(ground, has, values, references):  # noqa: F811
+    compared = [k >= references for k in range(references + 4)]
+    flights = [low(ground, k, has, values, flag) for k, flag in enumerate(compared)]
+    held = [low(ground, 90, has, values, True)]
+    model = Model(ground[1].document, "test")
+    vehicle = vehicle_of(model)
+    found = examine(flights, compared, held, model, EFFECTS, vehicle, 0.01, 0.05, "more", "test")
+    stand_in = {c.effect.id: c for c in (*found.causes, *found.stand_ins)}
+    assert list(stand_in) == [has], [t.offer.cause for t in found.ranking[:3]]
+    [(name, size)] = values.items()
+    cause = stand_in[has]
+    assert cause.since == ("changed" if references else "always")
+    assert cause.value[name] == pytest.approx(size, rel=0.08)
+    assert abs(cause.value[name] - size) < 3.0 * cause.std[name]
+    # and the best that all causes together leave is what noise leaves, the bend of the cause included
+    left = everything(found.study, EFFECTS, vehicle, compared, found.study.values[-1])(held[0])
+    noise = low(ground, 90, has, values, False).residual
+    assert np.mean(left[:, 2] ** 2) < 1.3 * np.mean(noise[:, 2] ** 2)
+
+
+def test_a_cause_that_one_axis_has_and_another_has_not_is_no_name(ground):  # noqa: F811
+    """Drag along x alone: as body drag, half of it along each axis, it would be wrong along both."""
+
+    def forward(k, share):
+        plain = flight(ground, k)
+        if k < 4:
+            return plain
+        drag = whole_of(EFFECTS["body_drag"], plain, vehicle_of(ground[1]), {"c": 0.03})
+        return dataclasses.replace(plain, measured=plain.measured + drag * np.array([1.0, share, share, 1.0, 1.0, 1.0]))
+
+    model = Model(ground[1].document, "test")
+    for share in (1.0, 0.0):
+        flights, held = [forward(k, share) for k in range(8)], [forward(90, share)]
+        found = examine(
+            flights, [k >= 4 for k in range(8)], held, model, EFFECTS, vehicle_of(model), 0.01, 0.05, "more", "test"
+        )
+        assert [c.effect.id for c in found.causes] == (["body_drag"] if share else [])
+        if not share:
+            assert "axes differ" in found.contradicted["body_drag"][1]
