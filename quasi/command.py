@@ -297,7 +297,7 @@ def plan_of(
     if gap is not None:
         asked = Folder(directory).gap(gap)
         settings = asked["settings"]
-        effects = chosen(settings["effects"], catalogue(directory / p for p in asked["effect files"]))
+        effects = chosen(settings["effects"], catalogue(directory / p for p in asked["effect files"]), asked["file"])
         room, rate, noise = room_of(settings["room"]), settings["false alarm rate"], noise_of(gap, directory)
     card = examine(flown, used, effects, flights, references, rate, noise, metadata=about, room=room)
     text = flight_card.text(card)

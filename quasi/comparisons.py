@@ -57,8 +57,9 @@ class Comparisons(Project):
         wanted, own = settings["effects"], settings["effect files"]
         for file in own:
             if not is_file(self._here(self.place(file))):
+                found = "is a folder" if Path(self._here(self.place(file))).is_dir() else "does not exist"
                 raise ConfigError(
-                    f"{path}: effect file {self.place(file)} does not exist; correct 'effect files', or put it there"
+                    f"{path}: effect file {self.place(file)} {found}; correct 'effect files', or put the file there"
                 )
         if isinstance(wanted, str) and wanted != "all":
             raise ConfigError(

@@ -5,11 +5,12 @@ Keys that begin with "//" are comments. A key marked "x-notice" in its schema is
 for QuaSI, and the notice says what happens instead.
 """
 
+import difflib
 import functools
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ import jsonschema
 from quasi.errors import ConfigError, nearest
 from quasi.tables import read_json
 
+SLIP = 0.87  # likeness from which an unknown key is a known one misspelt
 SCHEMAS = Path(__file__).parent.parent / "config" / "schemas"
 
 _WORDS = {
@@ -61,6 +63,13 @@ def check(document: Any, name: str, where: str) -> tuple[dict[str, Any], list[st
     odd = _not_finite(document)
     if odd:
         raise ConfigError(f"{where}: {_place(odd[0])} is {odd[1]}, expected a finite number; correct it")
+    for key in document:
+        # keys of one's own are free, a slip of the pen would leave the default in force
+        if key not in rules.get("properties", {}) and (meant := _slip(key, rules["properties"])):
+            raise ConfigError(
+                f"{where}: '{key}' is not a key of quasi (did you mean '{meant}'?); correct it, or give a key of your "
+                "own another name"
+            )
     notices = [
         f"{where}: '{key}' is not a key of quasi{near}"
         for key in document
@@ -68,6 +77,11 @@ def check(document: Any, name: str, where: str) -> tuple[dict[str, Any], list[st
     ]
     filled = _fill(document, rules, rules, where, notices)
     return filled, notices
+
+
+def _slip(key: str, known: Iterable[str]) -> str | None:
+    """The known key that another one is but a letter or two away from."""
+    return next(iter(difflib.get_close_matches(key.lower(), list(known), n=1, cutoff=SLIP)), None)
 
 
 def read(path: str | Path, name: str, where: str | None = None) -> tuple[dict[str, Any], list[str]]:

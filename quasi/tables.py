@@ -10,6 +10,7 @@ import io
 import json
 import math
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -102,6 +103,13 @@ def whole_file(path: str | Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def copy_whole(source: str | Path, path: str | Path) -> None:
+    """Copy a table or a JSON document that can be read. Raises ReadError naming the source where it is damaged."""
+    _ = read_table(source) if str(source).endswith(".parquet") else read_json(source)
+    with whole_file(path) as temporary:
+        shutil.copyfile(source, temporary)
+
+
 def write_table(
     path: str | Path,
     frame: pd.DataFrame,
@@ -147,7 +155,10 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> pd.Dat
         raise
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:
         reason = " ".join(str(error).split())[:200]
-        raise ReadError(f"{path} is not a readable Parquet file ({reason}); make or copy it anew") from None
+        raise ReadError(
+            f"{path} is not a readable Parquet file ({reason}); copy it anew, or, where a run made it, delete it and "
+            "run again"
+        ) from None
 
 
 def read_numbers(path: str | Path) -> pd.DataFrame:

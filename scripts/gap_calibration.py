@@ -35,7 +35,7 @@ def main(source: dict, asked: dict, settings: dict, output: dict[str, str]) -> N
             f"{asked['file']}: {twice[0]} and {twice[1]} have the same recording, but each flight counts once and has "
             "one role; leave one out (a row without 'Log number' means the longest log of its file)"
         )
-    effects = chosen(asked["settings"]["effects"], catalogue(asked["effect files"]))
+    effects = chosen(asked["settings"]["effects"], catalogue(asked["effect files"]), asked["file"])
     model, flights = read_model(source["model"]), []
     names = ("imported", "imported_metadata", "filtered", "filtered_metadata")
     for paths in progress(list(zip(*(source[n] for n in names), strict=True)), "reading flights"):

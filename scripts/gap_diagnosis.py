@@ -31,7 +31,7 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
     if asked["problem"]:
         raise ConfigError(asked["problem"])
     model, roles = read_model(source["model"]), asked["roles"]
-    effects = chosen(asked["settings"]["effects"], catalogue(asked["effect files"]))
+    effects = chosen(asked["settings"]["effects"], catalogue(asked["effect files"]), asked["file"])
     flights, evidence, airframes, lost = {}, {}, {}, []
     for path, about in progress(list(zip(source["flights"], source["metadata"], strict=True)), "reading flights"):
         key = Path(path).stem
@@ -41,9 +41,10 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
             evidence[key] = gather(key, table, read_json(about), airframes[key], model, RATE)
             flights[key] = table
         except DataError as error:
-            lost.append(f"{error}; it is left out of the comparison of forces and moments")
+            lost.append(str(error))
     if not evidence:
-        raise DataError(f"{asked['file']}: no flight can be compared with the model: {lost[0] if lost else ''}")
+        raise DataError(f"{asked['file']}: no flight can be compared with {source['model']}: {lost[0]}")
+    lost = [f"{said}; it is left out of the comparison of forces and moments" for said in lost]
     lost += too_short(flights, roles, max(asked["settings"]["horizons"]))
     held = [_flown(source, prefix, airframes) for prefix in ("first", "held")]
     calibration = read_json(source["calibration"])

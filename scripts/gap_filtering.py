@@ -1,12 +1,10 @@
 """Filter a flight of a gap that was imported anew; where nothing was corrected, take it as it is."""
 
-import shutil
-
 from quasi.airframe import read_airframe
 from quasi.errors import ConfigError
 from quasi.filtering.flight import filter_flight
 from quasi.joblog import LOG, job, progress
-from quasi.tables import read_json, read_table, write_json, write_table
+from quasi.tables import copy_whole, read_json, read_table, write_json, write_table
 
 
 def main(source: dict[str, str], settings: dict, output: dict[str, str]) -> None:
@@ -14,7 +12,7 @@ def main(source: dict[str, str], settings: dict, output: dict[str, str]) -> None
     about = read_json(source["metadata"])
     if not about.get("calibration"):
         for name, path in output.items():
-            shutil.copyfile(source[name], path)
+            copy_whole(source[name], path)
         return
     if settings["problem"]:
         raise ConfigError(settings["problem"])

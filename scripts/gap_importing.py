@@ -1,20 +1,18 @@
 """Import a flight of a gap anew with the calibration that was found; where that corrects nothing, take it as it is."""
 
-import shutil
-
 from quasi.errors import ReadError
 from quasi.gap.calibration import for_flight
 from quasi.importing.flight import import_flight
 from quasi.joblog import LOG, job
-from quasi.tables import read_json, write_json, write_table
+from quasi.tables import copy_whole, read_json, write_json, write_table
 
 
 def main(source: dict[str, str], settings: dict, role: str, flight: str, metadata: str) -> None:
     """Read the calibration and the raw files; write the flight and its metadata."""
     calibration = for_flight(read_json(source["calibration"]), role != "reference")
     if calibration is None:
-        shutil.copyfile(source["flight"], flight)
-        shutil.copyfile(source["metadata"], metadata)
+        copy_whole(source["flight"], flight)
+        copy_whole(source["metadata"], metadata)
         return
     if settings["problem"]:
         raise ReadError(settings["problem"])

@@ -24,24 +24,26 @@ def catalogue(own: Iterable[str | Path] = ()) -> dict[str, Effect]:
     Raises ConfigError naming the file for one that cannot be run or defines no sound EFFECT, or an id given twice.
     """
     found: dict[str, Effect] = {}
+    source: dict[str, str] = {}
     for module in sorted(m.name for m in pkgutil.iter_modules(effects.__path__)):
         effect = importlib.import_module(f"{effects.__name__}.{module}").EFFECT
         found[effect.id] = effect
     for path in map(Path, own):
         effect = effect_of(path)
         if effect.id in found:
-            raise ConfigError(f"effect file {path}: the id '{effect.id}' is taken; choose another")
-        found[effect.id] = effect
+            by = source.get(effect.id, "a built-in cause")
+            raise ConfigError(f"effect file {path}: the id '{effect.id}' is taken by {by}; choose another")
+        found[effect.id], source[effect.id] = effect, str(path)
     return found
 
 
-def chosen(wanted: str | Iterable[str], offered: Mapping[str, Effect]) -> dict[str, Effect]:
-    """The causes that a configuration asks for: "all" or ids. Raises ConfigError naming an unknown one."""
+def chosen(wanted: str | Iterable[str], offered: Mapping[str, Effect], where: str) -> dict[str, Effect]:
+    """The causes that a configuration asks for: "all" or ids. Raises ConfigError naming file and unknown id."""
     if wanted == "all":
         return dict(offered)
     for name in wanted:
         if name not in offered:
-            raise ConfigError(f"effect '{name}' is not in the catalogue{nearest(name, offered)}")
+            raise ConfigError(f"{where}: effect '{name}' is not in the catalogue{nearest(name, offered)}")
     return {name: offered[name] for name in wanted}
 
 
@@ -85,10 +87,17 @@ def columns_of(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Val
 def whole_of(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Values) -> np.ndarray:
     """All that a cause of these deviations adds to the residual (n, 6)."""
     full = dict.fromkeys(effect.parameters, 0.0) | dict(values)
-    if effect.whole is not None:
-        return effect.whole(evidence, vehicle, full)
-    if effect.curved is not None:
-        return wrench_of(effect.curved(vehicle, full), evidence)
+    if effect.bends:
+        if effect.whole is not None:
+            made = effect.whole(evidence, vehicle, full)
+        else:
+            made = wrench_of(effect.curved(vehicle, full), evidence)
+        if not np.isfinite(made).all():
+            raise DataError(
+                f"effect '{effect.id}' with {', '.join(f'{n} = {v:.3g}' for n, v in full.items())} is no finite number "
+                f"on flight {evidence.key}; correct what it divides by or takes a root of"
+            )
+        return made
     columns = columns_of(effect, evidence, vehicle, dict.fromkeys(effect.parameters, 0.0))
     return sum((columns[name] * value for name, value in values.items()), np.zeros((len(evidence), 6)))
 

@@ -73,7 +73,7 @@ def diagnose(
     said: dict[str, Any] = {"candidates": [], "unexplained": [], "cannot_be_asked": [], "notes": list(lost)}
     drive = [(effects[e["id"]], _deviations(effects[e["id"]], e["parameters"]))
              for e in levels["A"]["effects"] if e["id"] in effects and effects[e["id"]].extension]  # fmt: skip
-    unable = _unable(groups, roles)
+    unable = _unable(groups, roles, lost)
     found, kept = None, []
     lives, restless = pd.DataFrame(), []
     settled = Settled([], [], {}, {}, None, [])
@@ -156,7 +156,7 @@ def diagnose(
         "schema": SCHEMA,
         "gap": gap,
         "model": settings["model"],
-        "verdict": _verdict([*lower_effects, *effects_said], ties, said["unexplained"]),
+        "verdict": _verdict([*lower_effects, *effects_said], ties, said["unexplained"], unable),
         "summary": "",
         "effects": [*lower_effects, *effects_said],
         "ties": ties,
@@ -165,6 +165,8 @@ def diagnose(
         "extended_model": ident,
         "flights": dict(roles),
         "name": name,
+        "unable": unable,
+        "effects asked": settings.get("effects", "all"),
         "material share": share,
         "false alarm rate": settings["false alarm rate"],
         "horizons": list(settings["horizons"]),
@@ -204,8 +206,8 @@ def _since_when(result: dict[str, Any], references: str) -> None:
                     entry["in training flights"], entry["since"] = entry["since"] == "always", "always"
 
 
-def _unable(groups: Mapping[str, Sequence[Evidence]], roles: Mapping[str, str]) -> str:
-    """Why no force or moment can be told from another, or nothing."""
+def _unable(groups: Mapping[str, Sequence[Evidence]], roles: Mapping[str, str], lost: Sequence[str]) -> str:
+    """Why no force or moment can be told from another, or nothing. lost  sentences on flights that could not be used"""
     if len(groups["compared"]) < 2:
         count = len(groups["compared"])
         return (
@@ -214,9 +216,11 @@ def _unable(groups: Mapping[str, Sequence[Evidence]], roles: Mapping[str, str]) 
         )
     if not groups["held out"]:
         if "held out" in roles.values():
-            return (
-                "no held-out flight could be used, as the notes say; hold out another one, so that a gain is measured"
+            keys = [k for k, role in roles.items() if role == "held out"]
+            why = next(
+                (said.split("; ")[0] for said in lost if any(f"flight {k} " in said for k in keys)), "see the notes"
             )
+            return f"no held-out flight could be used ({why}); hold out another one, so that a gain is measured"
         return "no flight is held out, so that no gain can be measured; name one in 'rows of flights held out'"
     return ""
 
@@ -442,9 +446,10 @@ def _gains(
         entry["rollout gain"], entry["rollout gains"] = main, rows
 
 
-def _verdict(effects: Sequence[Any], ties: Sequence[Any], left: Sequence[Any]) -> str:
+def _verdict(effects: Sequence[Any], ties: Sequence[Any], left: Sequence[Any], unable: str = "") -> str:
+    """In a word; unable  why forces and moments could not be asked: then nothing found is no agreement."""
     if effects:
         return "partly explained" if ties or left else "explained"
     if ties:
         return "partly explained"
-    return "unexplained" if left else "agrees"
+    return "unexplained" if left else "not judged" if unable else "agrees"

@@ -24,6 +24,7 @@ HEAVIER = 2.0  # a factor of mass that no load explains
 ELSEWHERE = 0.5  # of the arm: rotors are numbered otherwise, or it is another frame
 SECOND = 1.0  # s: what low-pass filters and whiteners leave of less is nothing
 APART = 1.5  # samples: a longer step of time is a gap
+SENSELESS = 1e4  # times the weight, and the weight at the arm: no model of a quadrotor means that
 
 
 @dataclass(frozen=True)
@@ -271,6 +272,22 @@ def gather(
         predicted = _predict(model, columns)
     except ExpressionError as error:
         raise DataError(f"flight {key} cannot be compared with model {model.id}: {error}") from None
+    still = [name for name in ROTORS if not np.ptp(columns[name])]
+    if still:
+        raise DataError(
+            f"flight {key} holds {columns[still[0]][0]:g} rad/s as the speed of rotor {still[0][1:]} throughout, where "
+            "that of a flying rotor changes; check its telemetry"
+        )
+    weight = GRAVITY * (model.airframe.mass or 1.0)
+    most = np.array([SENSELESS * weight] * 3 + [SENSELESS * weight * max(model.airframe.arm, 0.1)] * 3)
+    worst = np.abs(predicted).max(axis=0) / most
+    if np.isfinite(predicted).all() and worst.max() > 1.0:
+        k = int(np.argmax(worst))
+        raise DataError(
+            f"flight {key} cannot be compared with model {model.id}: it predicts {AXES[k]} up to "
+            f"{np.abs(predicted[:, k]).max():.3g} {'N' if k < 3 else 'N m'}, which no quadrotor makes; correct the "
+            f"coefficients of {AXES[k]} in its model.json, or make the model anew"
+        )
     if not np.isfinite(predicted).all():
         lacking = [a for k, a in enumerate(AXES) if not np.isfinite(predicted[:, k]).all()]
         raise DataError(f"model {model.id} has no value for {', '.join(lacking)} on flight {key}")

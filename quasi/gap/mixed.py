@@ -125,6 +125,8 @@ class _Spectrum(NamedTuple):
         rest = self.inner - self.cross.T @ (self.cross / (self.known + 1.0 / tau**2)[:, None])
         size = np.sqrt(np.maximum(np.diag(rest)[1:], self.least))
         scaled = rest[1:, 1:] / np.outer(size, size)
+        # what the compared flights do not show at all has no slope: nothing is known of it
+        scaled[np.diag_indices_from(scaled)] = np.maximum(np.diag(scaled), RIDGE)
         inverse = np.linalg.inv(scaled) / np.outer(size, size)
         value = inverse @ rest[1:, 0]
         left = float(rest[0, 0] - rest[1:, 0] @ value)
@@ -293,7 +295,7 @@ class Mixed:
             whole = (root @ half.T.reshape(self.count, m, -1)).reshape(among.shape)
             known, directions = np.linalg.eigh(whole)
             cross = (root @ deviations.reshape(self.count, m, -1)).reshape(deviations.shape)
-            result.append(_Spectrum(np.maximum(known, 0.0), directions.T @ cross, inner, np.maximum(least, 1e-300)))
+            result.append(_Spectrum(np.maximum(known, 0.0), directions.T @ cross, inner, np.maximum(least, 1e-200)))
         return result
 
     def _among(self, own: Sequence[int], unit: np.ndarray) -> np.ndarray:

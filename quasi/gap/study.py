@@ -138,6 +138,8 @@ def gather_study(
             for flight, columns, own in zip(flights, made, values):
                 at = own.get(name) or dict.fromkeys(effect.parameters, 0.0)
                 columns[name] = columns_of(effect, flight, vehicle, at)
+            if not any(column.any() for columns in made for column in columns[name].values()):
+                raise DataError(f"effect '{name}' adds no force or moment at all in these flights")
         except (DataError, ExpressionError) as error:
             lacking[name] = str(error)
             del asked[name]

@@ -14,6 +14,7 @@ from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.expressions import Program, parse
 from quasi.identification.actuators import actuators
+from quasi.identification.geometry import contradictions
 from quasi.identification.partition import TRAINING
 from quasi.identification.regression import least_squares
 from quasi.variables import Variables
@@ -32,7 +33,8 @@ def shared(
     masses: Mapping[str, float] | None = None,
     command_map: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Hover speed, simple model and actuator constants of the training rows, as plain data.
+    """Hover speed, simple model and actuator constants of the training rows, as plain data; and "contradictions",
+    sentences on rotors that seem to sit or turn otherwise than configured.
 
     flights    filtered flights; partition  roles of their rows
     gravity    what Fx..Fz hold: "withGravity" (mass x specific force) or "noGravity" (net force)
@@ -57,13 +59,17 @@ def shared(
         if gravity == "noGravity":
             values["Fz"] = values["Fz"] - _mass(mass, key) * GRAVITY * values["upright"]
         prepared[key] = (rows[good], values, mass)
+    simple = _simple(prepared, airframe)
+    wrong = contradictions(prepared, airframe, simple["kappaFz"]["value"])
+    notes += wrong
     return {
         "schema": "quasi.shared/1",
         "gravity": gravity,
         "training flights": list(training),
         "hover speed": _hover(prepared, notes),
-        "simple model": _simple(prepared, airframe),
+        "simple model": simple,
         "actuators": actuators(training, {k: partition[k] == TRAINING for k in training}, notes, command_map),
+        "contradictions": wrong,
         "notes": notes,
     }
 

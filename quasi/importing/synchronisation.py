@@ -186,8 +186,9 @@ def _refuse_still(onboard: Motion, capture: Motion, where: str) -> None:
         turned = float(np.degrees(np.std(np.linalg.norm(continuous(q) - q[0], axis=1)) * 2)) if len(q) else 0.0
     if moved < 0.005 and turned < 0.5:
         raise DataError(
-            f"{where}: the capture shows no motion (position within {1e3 * moved:.1f} mm, attitude within "
-            f"{turned:.2f} deg); check the rigid body's name and that the take is of this flight"
+            f"{where}: the capture shows no motion in its {np.ptp(capture.t):.1f} s (position within "
+            f"{1e3 * moved:.1f} mm, attitude within {turned:.2f} deg), while the log lasts {np.ptp(onboard.t):.1f} s; "
+            "check that the export is whole, the rigid body's name, and that the take is of this flight"
         )
 
 

@@ -46,6 +46,7 @@ def assemble(
         "envelope": dict(meta.get("envelope", {})),
         "joint envelope": dict(meta.get("joint envelope", {})),
         "extensions": [],
+        "contradictions": list(shared.get("contradictions", [])),
         "notes": [
             *meta.get("notes", []),
             *shared["notes"],

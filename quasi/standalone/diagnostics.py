@@ -58,15 +58,19 @@ def diagnose(
         facts["interval"] = _interval(judged[axis], pooled, roles)
         facts["outside"] = _outside(model, axis, coverage, beyond.get(axis), judged[axis], roles)
         facts["unit"] = model.document["axes"][axis]["unit"]
-        facts |= verdict(axis, facts)
+        facts |= verdict(axis, facts, bool(model.document.get("extensions")))
         axes[axis] = facts
     worst = max((facts["verdict"] for facts in axes.values()), key=ORDER.index)
+    # scores do not show it: a polynomial fits whatever the rotors are called
+    wrong = model.document.get("contradictions") or []
+    if wrong:
+        worst = max(worst, ORDER[1], key=ORDER.index)
     return {
         "schema": SCHEMA,
         "model": model.id,
         "verdict": worst,
-        "shortly": shortly(axes),
-        "summary": headline(axes),
+        "shortly": "; ".join([*wrong, shortly(axes)]),
+        "summary": [*wrong, *headline(axes)],
         "partition": _leak(partitioning or {}, scores),
         "axes": axes,
     }

@@ -14,6 +14,7 @@ SHORT = 0.05  # coverage below the confidence level by which intervals are too n
 OFFSET = 0.5  # share of the RMSE that is a constant offset
 WEAK = 0.5  # R2 on the training rows below which an axis is hardly explained
 LOPSIDED = 1.5  # of one outer quartile's RMSE over the other's, beyond what the training rows show
+EXTENDED = "the gap that made it tells what it gains over the model that it extends"
 FEWER = "remove regressors (a lower 'regressor cap', fewer candidates) or train on more flights"
 TRIM = {
     **dict.fromkeys(("Fx", "Fy"), "accelerometer bias or mounting, wind"),
@@ -23,9 +24,10 @@ TRIM = {
 }
 
 
-def verdict(axis: str, facts: Mapping[str, Any]) -> dict[str, Any]:
+def verdict(axis: str, facts: Mapping[str, Any], extended: bool = False) -> dict[str, Any]:
     """Verdict of one axis: "verdict", "overfits", "because" and "what to do" (sentences), "said" (all in one).
 
+    extended  whether a gap made the model: its regressors were chosen elsewhere
     facts  "rmse", "relative rmse", "r2", "bias" {role: value}, "relative difference", "warnings", "quartiles",
            "interval", "outside", "unit", as the diagnostics hold them
     """
@@ -62,6 +64,8 @@ def verdict(axis: str, facts: Mapping[str, Any]) -> dict[str, Any]:
         level, overfits = max(level, 1), True
         because.append(f"intervals hold {percent(trained)} of the training rows, {percent(tested)} of the test rows")
     because += _lopsided(facts["quartiles"], holdout)
+    if extended and remedies:
+        remedies = [*(r for r in remedies if r.startswith("look for another trim")), EXTENDED]
     word = ORDER[level]
     return {
         "verdict": word,

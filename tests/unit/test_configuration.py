@@ -92,7 +92,7 @@ def test_faults_are_sentences(document, message):
     assert "\n" not in str(error.value)
 
 
-def test_key_of_ones_own_in_a_quadrotor_is_allowed_but_a_near_miss_is_noticed():
+def test_key_of_ones_own_in_a_quadrotor_is_allowed_but_a_slip_of_the_pen_is_refused():
     beetle = {
         "rotor config": {"front left": 4, "front right": 2, "aft right": 1, "aft left": 3},
         "rotor1 rotation direction": "CW",
@@ -101,8 +101,11 @@ def test_key_of_ones_own_in_a_quadrotor_is_allowed_but_a_near_miss_is_noticed():
         "moment of inertia": "[1, 0, 0; 0, 1, 0; 0, 0, 1]",
     }
     assert configuration.check({**beetle, "owner": "lab"}, "quadrotor", "q")[1] == []
-    notices = configuration.check({**beetle, "motor pole": 14}, "quadrotor", "q")[1]
-    assert notices == ["q: 'motor pole' is not a key of quasi (did you mean 'motor poles'?)"]
+    notices = configuration.check({**beetle, "rotor": 14}, "quadrotor", "q")[1]
+    assert len(notices) == 1 and notices[0].startswith("q: 'rotor' is not a key of quasi (did you mean 'rotor")
+    for slip, meant in (("motor pole", "motor poles"), ("rotor hub hight", "rotor hub height")):
+        with pytest.raises(ConfigError, match=f"q: '{slip}' is not a key of quasi .did you mean '{meant}'"):
+            configuration.check({**beetle, slip: 14}, "quadrotor", "q")
 
 
 def test_campaign_schema_holds_the_keys_that_the_synthesis_takes():

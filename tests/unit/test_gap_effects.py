@@ -336,7 +336,7 @@ def test_a_user_adds_a_cause_with_one_file(tmp_path):
 
 def test_wrong_effects_are_refused_with_a_sentence():
     with pytest.raises(ConfigError, match="did you mean 'ground_effect'"):
-        chosen(["ground_efect"], CATALOGUE)
+        chosen(["ground_efect"], CATALOGUE, "config/gaps/g.json")
     with pytest.raises(ConfigError, match="level is 'Q'"):
         Effect("a", "Q", "", "", "")
     with pytest.raises(ConfigError, match="parameter 'k'"):

@@ -35,7 +35,7 @@ def path(tmp_path):
         (text(id="'../../evil'"), "effect '../../evil': the id may hold letters, digits"),
         (text(id="'<b>'"), "effect '<b>': the id may hold letters"),
         (text(id="None"), "effect None: the id may hold letters"),
-        (text(id="'tether'"), "the id 'tether' is taken; choose another"),
+        (text(id="'tether'"), "the id 'tether' is taken by a built-in cause; choose another"),
         (text(level="'K'"), "level is 'K', expected 'W'"),
         (text(sentence="3"), "sentence is 3, expected text"),
         (text(parts="'some'"), "parts is 'some', expected one of any, all, first, one"),

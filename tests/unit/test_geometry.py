@@ -1,0 +1,41 @@
+"""A rotor that is elsewhere, or turns the other way, than configured shows in what its speed does to the moments."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from flights import AIRFRAME, flight
+
+from quasi.identification.partition import partition
+from quasi.identification.shared import shared
+
+FLIGHTS = {key: flight(seed, rows=6000) for seed, key in enumerate("ab")}
+# where the made flights' moments put the rotors, and how they turn: drag against the sense
+TRUE = dataclasses.replace(
+    AIRFRAME, hubs=AIRFRAME.hubs * np.array([1.0, 1.0, 0.0]), spin=np.array([-1.0, 1.0, 1.0, -1.0])
+)
+
+
+def told(airframe):
+    notes = shared(FLIGHTS, partition(FLIGHTS), airframe)["notes"]
+    return [n for n in notes if "rotor" in n and "configuration" in n]
+
+
+def test_rotors_that_are_where_they_are_said_to_be_are_not_remarked():
+    assert told(TRUE) == []
+
+
+@pytest.mark.parametrize("pair", [(0, 3), (0, 1), (2, 3)])
+def test_exchanged_rotors_are_told_with_both_places(pair):
+    order = list(range(4))
+    order[pair[0]], order[pair[1]] = pair[1], pair[0]
+    [note] = told(dataclasses.replace(TRUE, hubs=TRUE.hubs[order]))
+    assert all(f"rotor {k + 1} pushes as if it were" in note for k in pair)
+    assert all(f"rotor {k + 1} " not in note for k in range(4) if k not in pair)
+
+
+def test_the_wrong_sense_of_one_rotor_or_of_all_is_told():
+    [note] = told(dataclasses.replace(TRUE, spin=-TRUE.spin))
+    assert note.startswith("the faster rotors 1, 2, 3, 4, the more the body turns")
+    [note] = told(dataclasses.replace(TRUE, spin=TRUE.spin * np.array([1.0, -1.0, 1.0, 1.0])))
+    assert note.startswith("the faster rotor 2, the more")
