@@ -101,8 +101,8 @@ def test_key_of_ones_own_in_a_quadrotor_is_allowed_but_a_slip_of_the_pen_is_refu
         "moment of inertia": "[1, 0, 0; 0, 1, 0; 0, 0, 1]",
     }
     assert configuration.check({**beetle, "owner": "lab"}, "quadrotor", "q")[1] == []
-    notices = configuration.check({**beetle, "rotor": 14}, "quadrotor", "q")[1]
-    assert len(notices) == 1 and notices[0].startswith("q: 'rotor' is not a key of quasi (did you mean 'rotor")
+    notices = configuration.check({**beetle, "rotor size": 14}, "quadrotor", "q")[1]
+    assert len(notices) == 1 and notices[0].startswith("q: 'rotor size' is not a key of quasi (did you mean 'rotor")
     for slip, meant in (("motor pole", "motor poles"), ("rotor hub hight", "rotor hub height")):
         with pytest.raises(ConfigError, match=f"q: '{slip}' is not a key of quasi .did you mean '{meant}'"):
             configuration.check({**beetle, slip: 14}, "quadrotor", "q")

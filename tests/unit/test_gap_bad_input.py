@@ -11,9 +11,14 @@ from test_actuation import flown
 
 from quasi.errors import ConfigError, DataError, QuasiError
 from quasi.gap import actuation, halves, material, plan, settling
+from quasi.gap.catalogue import whole_of
+from quasi.gap.diagnosis import _unable, _verdict
+from quasi.gap.effect import vehicle_of
 from quasi.gap.evidence import gather, refuse_another_vehicle
 from quasi.gap.level import Flown
+from quasi.gap.mixed import Offer
 from quasi.gap.plan_input import flights_of
+from quasi.gap.study import gather_study
 from quasi.standalone.model import Model
 from quasi.tables import read_numbers, write_json, write_table
 
@@ -60,6 +65,48 @@ def test_a_model_of_a_quantity_that_a_flight_lacks_leaves_that_flight_out_by_nam
     document["axes"]["Fx"]["terms"][-1]["expression"] = "battery_voltage"
     with pytest.raises(DataError, match="flight a cannot be compared with model small: .*battery_voltage"):
         evidence_of(flight, Model(document, "model small"))
+
+
+def test_a_rotor_without_telemetry_and_a_model_beyond_sense_are_told_by_name(flight):
+    with pytest.raises(DataError, match="flight a holds 0 rad/s as the speed of rotor 3 throughout, where that of a"):
+        evidence_of(flight.assign(w3=0.0, w3_dot=0.0))
+    document = json.loads(json.dumps(MODEL.document))
+    document["axes"]["Mx"]["terms"][-1]["coefficient"] = 1e300
+    with pytest.raises(
+        DataError, match=r"it predicts Mx up to \S+e\+\d+ N m, which no quadrotor makes; correct the coef"
+    ):
+        evidence_of(flight, Model(document, "model small"))
+
+
+def test_a_cause_that_adds_nothing_or_no_number_is_not_asked_and_says_so(flight):
+    evidence, vehicle = evidence_of(flight), vehicle_of(MODEL)
+    good = CATALOGUE["body_drag"]
+    still = replace(good, id="still", terms=lambda v: {"c": {"Fz": "0*u"}})
+    study = gather_study([evidence], {"still": still, "body_drag": good}, vehicle)
+    assert study.lacking == {"still": "effect 'still' adds no force or moment at all in these flights"}
+    odd = replace(good, id="odd", curved=lambda v, values: {"Fz": "(u - 100)^0.5"})
+    with pytest.raises(DataError, match="effect 'odd' with c = 1 is no finite number on flight a"):
+        whole_of(odd, evidence, vehicle, {"c": 1.0})
+
+
+def test_a_change_that_the_compared_flights_do_not_show_is_no_crash(flight):
+    """A cause that only reference flights excite: nothing is known of a change of it."""
+    evidence, vehicle = evidence_of(flight), vehicle_of(MODEL)
+    study = gather_study([evidence] * 4, {"body_drag": CATALOGUE["body_drag"]}, vehicle)
+    place = study.columns.causes["body_drag"]
+    for blocks in study.blocks[2:]:
+        blocks[:, place] = blocks[:, :, place] = 0.0
+    test = study.mixed(range(4), [False, False, True, True]).test(Offer("body_drag", "changed", (0,)))
+    assert test.p > 0.99 and test.value[0] == 0.0
+
+
+def test_where_forces_could_not_be_asked_nothing_found_is_no_agreement():
+    assert _verdict([], [], [], "no flight is held out") == "not judged"
+    assert _verdict([], [], []) == "agrees" and _verdict([{}], [], [], "no flight is held out") == "explained"
+    roles = {"a": "compared", "b": "compared", "h": "held out"}
+    groups = {"compared": [1, 2], "held out": []}
+    said = _unable(groups, roles, ["flight c has no rows; remedy", "flight h has 0.0 s of valid data; fly longer"])
+    assert said.startswith("no held-out flight could be used (flight h has 0.0 s of valid data); hold out another")
 
 
 def test_a_flight_without_a_second_in_one_piece_is_told(flight):
