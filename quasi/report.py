@@ -25,6 +25,7 @@ th, td { text-align: left; padding: 4px 14px 4px 0; border-bottom: 1px solid var
 th { font-weight: 600; } thead th { color: var(--soft); font-weight: 500; }
 tbody th { width: 26%; font-weight: 500; } td.n, th.n { text-align: right; white-space: nowrap; }
 td { overflow-wrap: anywhere; }
+details { margin: 6px 0 14px; } summary { cursor: pointer; color: var(--soft); }
 ul { margin: 6px 0 14px; padding-left: 20px; } li { margin: 2px 0; overflow-wrap: anywhere; }
 figure { margin: 14px 0 26px; break-inside: avoid; } img { width: 100%; height: auto; display: block; }
 figcaption { color: var(--soft); font-size: 13.5px; margin-top: 4px; }
@@ -33,7 +34,7 @@ figcaption { color: var(--soft); font-size: 13.5px; margin-top: 4px; }
 """
 KINDS = {
     "good": "good", "usable with care": "care", "unusable": "bad", "agrees": "good", "explained": "good",
-    "partly explained": "care", "unexplained": "bad",
+    "partly explained": "care", "unexplained": "bad", "not judged": "care",
 }  # fmt: skip
 
 
@@ -114,6 +115,11 @@ def sentences(texts: Iterable[str]) -> str:
 def paragraph(text: str) -> str:
     """A paragraph."""
     return f"<p>{escape(text)}</p>"
+
+
+def details(title: str, body: str) -> str:
+    """What only opens when it is asked for; nothing where the body is empty."""
+    return f"<details><summary>{escape(title)}</summary>{body}</details>" if body else ""
 
 
 def picture(png: bytes, caption: str) -> str:

@@ -1,6 +1,7 @@
 """Figures of a diagnosis, from its tables. Functions return a figure, or None where its table has nothing to show."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -8,7 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from quasi.gap.places import UNITS as UNITS_AT
+from quasi.gap.wording import CHANNELS
 
+WIDTH = 10.5  # in, which the page shows at its own size: smaller figures would be blown up, larger ones shrunk
+SMALL = 9  # pt, of all that is to be read
 BEFORE, AFTER, FLOOR, MEASURED = "tab:red", "tab:blue", "0.6", "0.15"
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 PLACES = {
@@ -17,6 +21,17 @@ PLACES = {
     "descent_ratio": "descent / induced speed",
 }  # fmt: skip
 UNITS = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
+# "before" is broad and pale, "after" thin and above it: both are seen where they are the same
+DRAWN: dict[str, dict[str, Any]] = {
+    "before": {"color": BEFORE, "lw": 3.2, "alpha": 0.45, "zorder": 2},
+    "after": {"color": AFTER, "lw": 1.2, "zorder": 3},
+}
+PANELS, COLUMNS = 9, 3  # of the figure of places
+MOSTLY = 6  # of its panels at most for where before and after differ, where the error stands out elsewhere too
+LEAST = 3  # of its panels that are drawn in any case
+VISIBLE = 0.05  # of the largest error of a panel: a difference that is seen
+OUT = 4.0  # standard errors by which an error stands out
+PIECE, PIECES = 2.0, 6  # s, of pieces whose means are as good as independent; how many tell a standard error
 STATES = {"u": "m/s", "v": "m/s", "w": "m/s", "roll": "rad", "pitch": "rad", "z": "m"}
 
 
@@ -24,7 +39,7 @@ def figures(tables: Mapping[str, pd.DataFrame]) -> dict[str, Figure]:
     """{name: figure} of what the tables hold."""
     drawn = {
         "unexplained": unexplained_figure(tables.get("W_unexplained")),
-        "where": where_figure(tables.get("W_where")),
+        "where": where_figure(tables.get("W_where"), tables.get("W_residuals")),
         "spectra": spectra_figure(tables.get("W_spectra")),
         "horizons": horizons_figure(tables.get("R_errors")),
         "overlays": overlays_figure(tables.get("R_overlays")),
@@ -32,26 +47,100 @@ def figures(tables: Mapping[str, pd.DataFrame]) -> dict[str, Figure]:
     return {name: figure for name, figure in drawn.items() if figure is not None}
 
 
-def where_figure(table: pd.DataFrame | None) -> Figure | None:
-    """Mean residual of each channel along each place, before and after, on compared and held-out flights."""
+def where_figure(table: pd.DataFrame | None, rows: pd.DataFrame | None = None) -> Figure | None:
+    """Mean residual of channels along places, before and after, on compared and held-out flights, where it matters.
+
+    rows  the table W_residuals, which tells the standard errors
+    Drawn are the panels where before and after differ visibly and those where what is left stands out, PANELS at most.
+    """
     if table is None or not len(table):
         return None
-    places = [p for p in PLACES if (table["where"] == p).any()]
-    figure = Figure(figsize=(2.1 * len(places) + 0.6, 10.5), layout="constrained")
-    panels = figure.subplots(len(AXES), len(places), sharey="row", squeeze=False)
-    for row, axis in zip(panels, AXES):
-        for panel, place in zip(row, places):
-            part = table[(table["channel"] == axis) & (table["where"] == place)]
-            panel.axhline(0.0, color="0.8", lw=0.8)
-            for word, colour in (("before", BEFORE), ("after", AFTER)):
-                panel.plot(part["middle"], part[f"mean_{word}"], ".-", color=colour, lw=1.2, ms=4, label=word)
-            panel.tick_params(labelsize=7)
-            panel.ticklabel_format(axis="y", scilimits=(-3, 3))
-            if axis == AXES[-1]:
-                panel.set_xlabel(PLACES[place], fontsize=8)
-        row[0].set_ylabel(f"{axis}, {'N' if axis[0] == 'F' else 'N m'}", fontsize=8)
-    panels[0, 0].legend(fontsize=7, frameon=False)
+    table = with_errors(table, rows)
+    kinds = telling(table)
+    figure, panels = _grid(len(kinds))
+    for panel, (axis, place) in zip(panels, kinds):
+        part = table[(table["channel"] == axis) & (table["where"] == place)].sort_values("middle")
+        panel.axhline(0.0, color="0.8", lw=0.8)
+        for word in ("before", "after"):
+            look = DRAWN[word] | {"label": word, "elinewidth": DRAWN[word]["lw"] / 1.5, "ms": 2 * DRAWN[word]["lw"]}
+            panel.errorbar(part["middle"], part[f"mean_{word}"], part[f"std_{word}"], fmt=".-", **look)
+        _labelled(panel, PLACES[place], f"{axis}, {_unit(axis)}")
+        panel.set_title(f"{CHANNELS[axis]} by {PLACES[place].split(',')[0]}", fontsize=SMALL)
+        panel.ticklabel_format(axis="y", scilimits=(-3, 3))
+    panels[0].legend(fontsize=SMALL, frameon=False)
     return figure
+
+
+def with_errors(table: pd.DataFrame, rows: pd.DataFrame | None) -> pd.DataFrame:
+    """Bins with "std_before" and "std_after", standard errors of their means; NaN where too few pieces tell them.
+
+    Neighbouring rows err alike, so each flight's pieces of PIECE seconds count as one draw, weighed by their rows.
+    """
+    table = table.assign(std_before=np.nan, std_after=np.nan)
+    if rows is None or not len(rows):
+        return table
+    rows = rows[rows["role"] != "reference"]
+    pieces = pd.factorize(rows["flight"].astype(str) + " " + np.floor(rows["t"] / PIECE).astype(str))[0]
+    bins = table[table["where"].isin([c for c in rows if c in PLACES])]
+    for (where, low, high), part in bins.groupby(["where", "low", "high"]):
+        inside = rows[where].between(low, high).to_numpy()
+        count = np.bincount(pieces[inside])
+        if np.count_nonzero(count) < PIECES:
+            continue
+        share = np.count_nonzero(count) / (np.count_nonzero(count) - 1)
+        for index, axis in part["channel"].items():
+            for word in ("before", "after"):
+                values = rows[f"{axis}_{word}"].to_numpy()[inside]
+                away = np.bincount(pieces[inside], values - values.mean())
+                table.loc[index, f"std_{word}"] = np.sqrt(share * float(away @ away)) / count.sum()
+    return table
+
+
+def telling(table: pd.DataFrame) -> list[tuple[str, str]]:
+    """Channels and places worth a panel, in the order of channels and places.
+
+    First where before and after differ most, then where the error that is left stands out most from its standard error;
+    the strongest LEAST in any case.
+    """
+    found = []
+    for (axis, place), part in table[table["where"].isin(PLACES)].groupby(["channel", "where"]):
+        both = part[["mean_before", "mean_after"]].abs().to_numpy()
+        scale = max(float(np.sqrt(np.mean(part["rms_before"] ** 2))), 1e-300)
+        differs = float((part["mean_before"] - part["mean_after"]).abs().max())
+        out = float((part["mean_after"].abs() / part["std_after"]).max())
+        seen = differs > VISIBLE * max(float(both.max()), 1e-300) and differs > VISIBLE * scale
+        found.append(((axis, place), differs / scale if seen else 0.0, out if out > OUT else 0.0, both.max() / scale))
+    differ = [k for k, d, _, _ in sorted(found, key=lambda f: -f[1]) if d > 0.0]
+    stands = [k for k, _, o, _ in sorted(found, key=lambda f: -f[2]) if o > 0.0]
+    first = differ[: max(MOSTLY, PANELS - len([k for k in stands if k not in differ]))]
+    chosen = list(dict.fromkeys([*first, *stands, *differ]))[:PANELS]
+    if len(chosen) < LEAST:
+        chosen = list(dict.fromkeys([*chosen, *(k for k, *_ in sorted(found, key=lambda f: -f[3]))]))[:LEAST]
+    order = list(PLACES)
+    return sorted(chosen, key=lambda k: (AXES.index(k[0]), order.index(k[1])))
+
+
+def _grid(count: int, height: float = 2.6) -> tuple[Figure, list[Axes]]:
+    """A figure of the page's width with so many panels, COLUMNS in a row."""
+    columns = min(count, COLUMNS)
+    lines = -(-count // columns)
+    figure = Figure(figsize=(WIDTH, height * lines + 0.3), layout="constrained")
+    panels = list(figure.subplots(lines, columns, squeeze=False).flat)
+    for panel in panels[count:]:
+        panel.axis("off")
+    return figure, panels[:count]
+
+
+def _labelled(panel: Axes, across: str, up: str) -> None:
+    """Labels and ticks that can be read at the page's width."""
+    panel.set_xlabel(across, fontsize=SMALL)
+    panel.set_ylabel(up, fontsize=SMALL)
+    panel.tick_params(labelsize=SMALL, which="both")
+    panel.yaxis.get_offset_text().set_fontsize(SMALL)
+
+
+def _unit(axis: str) -> str:
+    return "N" if axis[0] == "F" else "N m"
 
 
 def unexplained_figure(table: pd.DataFrame | None) -> Figure | None:
@@ -59,19 +148,17 @@ def unexplained_figure(table: pd.DataFrame | None) -> Figure | None:
     if table is None or not len(table):
         return None
     kinds = list(table[["channel", "where"]].drop_duplicates().itertuples(index=False))
-    figure = Figure(figsize=(3.6 * len(kinds), 3.0), layout="constrained")
-    for panel, (channel, where) in zip(figure.subplots(1, len(kinds), squeeze=False)[0], kinds):
+    figure, panels = _grid(len(kinds), 3.0)
+    for panel, (channel, where) in zip(panels, kinds):
         part = table[(table["channel"] == channel) & (table["where"] == where)].sort_values("middle")
         panel.axhline(0.0, color="0.8", lw=0.8)
         panel.errorbar(part["middle"], part["mean"], part["std"], fmt=".", color=MEASURED, lw=1.0, label="error")
         panel.plot(part["middle"], part["fit"], color=BEFORE, lw=1.2, label="smooth")
         unit = UNITS_AT.get(where, "")
         label = "distance from the place in the room" if where == "room place" else where
-        panel.set_xlabel(f"{label}, {unit}" if unit else label, fontsize=8)
-        panel.set_ylabel(f"{channel}, {'N' if channel[0] == 'F' else 'N m'}", fontsize=8)
+        _labelled(panel, f"{label}, {unit}" if unit else label, f"{channel}, {_unit(channel)}")
         panel.ticklabel_format(axis="y", scilimits=(-3, 3))
-        panel.tick_params(labelsize=7)
-    figure.axes[0].legend(fontsize=7, frameon=False)
+    panels[0].legend(fontsize=SMALL, frameon=False)
     return figure
 
 
@@ -80,17 +167,14 @@ def spectra_figure(table: pd.DataFrame | None) -> Figure | None:
     if table is None or not len(table):
         return None
     role = "held out" if (table["role"] == "held out").any() else "compared"
-    figure = Figure(figsize=(10.5, 5.2), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 5.4), layout="constrained")
     for k, (panel, axis) in enumerate(zip(figure.subplots(2, 3, sharex=True).flat, AXES)):
         part = table[(table["role"] == role) & (table["channel"] == axis) & (table["frequency"] > 0)]
-        for word, colour in (("before", BEFORE), ("after", AFTER)):
-            panel.loglog(part["frequency"], part[f"density_{word}"], color=colour, lw=1.0, label=word)
-        panel.set_title(axis, fontsize=9)
-        panel.tick_params(labelsize=7)
-        panel.set_ylabel("N²/Hz" if k < 3 else "(N m)²/Hz", fontsize=8)
-        if k >= 3:
-            panel.set_xlabel("Hz", fontsize=8)
-    figure.axes[0].legend(fontsize=8, frameon=False)
+        for word, look in DRAWN.items():
+            panel.loglog(part["frequency"], part[f"density_{word}"], label=word, **look)
+        panel.set_title(f"{CHANNELS[axis]} ({axis})", fontsize=SMALL)
+        _labelled(panel, "frequency, Hz" if k >= 3 else "", "N²/Hz" if k < 3 else "(N m)²/Hz")
+    figure.axes[0].legend(fontsize=SMALL, frameon=False)
     return figure
 
 
@@ -98,27 +182,29 @@ def horizons_figure(table: pd.DataFrame | None) -> Figure | None:
     """Root mean square errors at the end of roll-outs over their length: norms, and along the axes with trim."""
     if table is None or not len(table):
         return None
-    figure = Figure(figsize=(10.5, 6.6), layout="constrained")
-    panels = figure.subplots(3, 4)
-    styles = {"R": "-", "R with trim": ":", "R commands": "--"}
-    said = {"R with trim": ", trim", "R commands": ", commands"}
-    for panel, (quantity, unit) in zip(panels[0], UNITS.items()):
-        for driven, style in styles.items():
-            _horizons(panel, table[table["driven"] == driven], quantity, unit, style, said.get(driven, ""))
-    along = [(f"{q} {a}", UNITS[q]) for q in ("velocity", "rate") for a in "xyz"]
+    figure = Figure(figsize=(WIDTH, 9.6), layout="constrained")
+    panels = figure.subplots(4, 3)
+    norms = [*panels[0], panels[1, 0]]
+    for panel, (quantity, unit) in zip(norms, UNITS.items()):
+        for driven, style in (("R", "-"), ("R commands", "--")):
+            _horizons(panel, table[table["driven"] == driven], quantity, style, driven == "R commands")
+        _framed(panel, f"error of {CHANNELS[quantity]}", unit)
     line = "R with trim" if (table["driven"] == "R with trim").any() else "R"
-    for panel, (quantity, unit) in zip(panels[1:, :3].flat, along):
-        _horizons(panel, table[table["driven"] == line], quantity, unit, styles[line], said.get(line, ""))
-    for panel in panels[1:, 3]:
+    for panel, quantity in zip(panels[2:].flat, [f"{q} {a}" for q in ("velocity", "rate") for a in "xyz"]):
+        _horizons(panel, table[table["driven"] == line], quantity, "-", False)
+        tail = ", trim taken up" if line == "R with trim" else ""
+        _framed(panel, f"error of {CHANNELS[quantity]}{tail}", UNITS[quantity.split()[0]])
+    for panel in panels[1, 1:]:
         panel.axis("off")
-    panels[1, 3].legend(*panels[0, 0].get_legend_handles_labels(), fontsize=8, frameon=False, loc="upper left")
+    panels[1, 1].legend(*panels[0, 0].get_legend_handles_labels(), fontsize=SMALL, frameon=False, loc="upper left")
     return figure
 
 
-def _horizons(panel: Axes, table: pd.DataFrame, quantity: str, unit: str, style: str, said: str) -> None:
+def _horizons(panel: Axes, table: pd.DataFrame, quantity: str, style: str, commands: bool) -> None:
     """Before, after and floor of one quantity; the floor is not above what was reached."""
     reached = None
-    for word, colour in (("before", BEFORE), ("after", AFTER), ("noise_floor", FLOOR)):
+    floor = {"color": FLOOR, "lw": 1.2, "zorder": 1}  # what was reached is seen where it is the floor
+    for word, look in (*DRAWN.items(), ("noise_floor", floor)):
         part = table[table["model"] == word]
         if quantity not in part or not len(part):
             continue
@@ -126,13 +212,17 @@ def _horizons(panel: Axes, table: pd.DataFrame, quantity: str, unit: str, style:
         if word == "noise_floor" and reached is not None:
             found = np.minimum(found, reached)
         reached = found
-        order = 1 if word == "noise_floor" else 2  # what was reached is seen where it is the floor
-        label = word.replace("_", " ") + said
-        panel.plot(found.index, found.to_numpy(), style, marker=".", color=colour, label=label, zorder=order)
-    panel.set(yscale="log")
-    panel.set_xlabel("horizon, s", fontsize=8)
-    panel.set_title(f"{quantity}, {unit}", fontsize=9)
-    panel.tick_params(labelsize=7, which="both")
+        label = word.replace("_", " ") if not commands else "the same, with commands" if word == "after" else None
+        panel.plot(found.index, found.to_numpy(), style, marker=".", label=label, **look)
+
+
+def _framed(panel: Axes, title: str, unit: str) -> None:
+    """Axes that begin at nothing, so that a small gain looks small."""
+    panel.set_title(title, fontsize=SMALL)
+    _labelled(panel, "time simulated, s", f"error, {unit}")
+    tops = [np.nanmax(line.get_ydata()) for line in panel.get_lines() if np.isfinite(line.get_ydata()).any()]
+    panel.set_xlim(left=0.0)
+    panel.set_ylim(0.0, 1.08 * max(tops) if tops and max(tops) > 0.0 else None)
 
 
 def overlays_figure(table: pd.DataFrame | None) -> Figure | None:
@@ -140,17 +230,16 @@ def overlays_figure(table: pd.DataFrame | None) -> Figure | None:
     if table is None or not len(table):
         return None
     numbers = sorted(table["window"].unique())
-    figure = Figure(figsize=(3.5 * len(numbers), 8.5), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 9.5), layout="constrained")
     panels = figure.subplots(len(STATES), len(numbers), sharex="col", squeeze=False)
     for column, number in enumerate(numbers):
         part = table[table["window"] == number]
         for row, (state, unit) in enumerate(STATES.items()):
             panel = panels[row, column]
-            for word, colour in (("measured", MEASURED), ("before", BEFORE), ("after", AFTER)):
-                panel.plot(part["t"], part[f"{state}_{word}"], color=colour, lw=1.3, label=word)
-            panel.tick_params(labelsize=7)
-            panel.set_ylabel(f"{state}, {unit}", fontsize=8)
-        panels[0, column].set_title(f"{part['flight'].iloc[0]}: {part['why'].iloc[0]}", fontsize=9)
-        panels[-1, column].set_xlabel("s", fontsize=8)
-    panels[0, 0].legend(fontsize=7, frameon=False)
+            measured: dict[str, dict[str, Any]] = {"measured": {"color": MEASURED, "lw": 1.4, "zorder": 2.5}}
+            for word, look in (measured | DRAWN).items():
+                panel.plot(part["t"], part[f"{state}_{word}"], label=word, **look)
+            _labelled(panel, "time, s" if state == [*STATES][-1] else "", f"{state}, {unit}")
+        panels[0, column].set_title(f"{part['flight'].iloc[0]}: {part['why'].iloc[0]}", fontsize=SMALL)
+    panels[0, 0].legend(fontsize=SMALL, frameon=False)
     return figure

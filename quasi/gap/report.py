@@ -3,7 +3,7 @@
 One HTML file that needs nothing else and no network. Plain data and tables in, text out.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,16 +11,21 @@ import pandas as pd
 
 from quasi import report
 from quasi.gap.effect import Effect
+from quasi.gap.lower import UNITS as UNITS_OF
+from quasi.gap.next_steps import steps
 from quasi.gap.wording import (
     CHANNELS,
     confirmation_of,
     left_sentence,
+    listed,
     name_of,
     percent,
     rollout_of,
+    share_of,
     since_of,
     tie_sentence,
     value_of,
+    words_of,
 )
 from quasi.standalone.chart import STYLE, chart, packed, step_of
 
@@ -33,15 +38,23 @@ LINES = {
     "R commands": "commands",
 }
 MOST = 15  # of the causes that are not named
+SHOWN = 0.5  # s: rows of the horizon nearest to it, and of the longest, stand on the page; the others open on demand
+FLOORS = 3.0  # times its floor that a channel of sensors or drive may keep unmentioned
+ROOM = ("north", "east", "down")  # accelerations along the room's axes
+LEVELS = {"K": "sensors against capture", "A": "rotor speeds against commands"}
 CAPTIONS = {
-    "overlays": "Simulated from measured states with measured rotor speeds, before (red) and after (blue) the "
-    "extension, beside the flight (black).",
-    "horizons": "Errors at the end of simulations of held-out flights over their length; dashed where commands drove "
-    "the rotors, dotted with trim; grey what the model's terms and all causes, fitted to the other flights, leave.",
+    "overlays": "Simulated from measured states with measured rotor speeds, before (pale red) and after (blue) the "
+    "extension, beside the flight (black); where only blue is seen with a red rim, nothing has changed.",
+    "horizons": "Errors at the end of simulations of held-out flights over their length, before (pale red) and after "
+    "(blue); dashed where commands drove the rotors. The lower panels are along the axes. Grey: what the model's terms "
+    "and all causes, fitted to the other flights, leave. The table R_errors holds all lines.",
     "unexplained": "What no cause explains, where it lives: mean errors with standard errors (black) and the smooth "
     "function that stands for them (red), compared and held-out flights together.",
-    "where": "Mean error of forces and moments where it was found, compared and held-out flights together.",
-    "spectra": "Power of the errors over frequency.",
+    "where": "Mean error of forces and moments where it was found, compared and held-out flights together, before "
+    "(pale red) and after (blue), with standard errors of pieces of 2 s where there are enough. Shown are the places "
+    "where the two differ most and where the error stands out most from these; the table W_where holds all channels "
+    "and places.",
+    "spectra": "Power of the errors over frequency, before (pale red) and after (blue) the extension.",
 }
 
 
@@ -56,15 +69,14 @@ def page(
     diagnosis  "quasi.gap/1"; effects  the catalogue; residuals  the table W_residuals; pictures {name: PNG}
     """
     roles = diagnosis["flights"]
-    listed = {r: [k for k, role in roles.items() if role == r] for r in ("compared", "held out", "reference")}
-    under = f"model {diagnosis['model']} · " + " · ".join(f"{r} {', '.join(k) or 'none'}" for r, k in listed.items())
+    keys = {r: [k for k, role in roles.items() if role == r] for r in ("compared", "held out", "reference")}
+    under = f"model {diagnosis['model']} · " + " · ".join(f"{r} {', '.join(k) or 'none'}" for r, k in keys.items())
     shown = {n: report.picture(pictures[n], caption) for n, caption in CAPTIONS.items() if n in pictures}
     sections = [
         f"<style>{STYLE}</style>",
-        report.section(
-            "What is wrong", _forces(diagnosis), _rollouts(diagnosis), _halves(diagnosis), _lower(diagnosis)
-        ),
-        report.section("Why", *(_cause(e, effects) for e in diagnosis["effects"]), _rivals(diagnosis)),
+        report.section("What to do next", report.sentences(steps(diagnosis, effects))),
+        report.section("What is wrong", _forces(diagnosis), _lower(diagnosis)),
+        report.section("Why", *(_cause(e, effects) for e in diagnosis["effects"]), _rivals(diagnosis, effects)),
         report.section("What cannot be told apart", _ties(diagnosis)),
         report.section(
             "What no cause explains",
@@ -72,12 +84,21 @@ def page(
             shown.get("unexplained", ""),
         ),
         report.section("The extended model", _extended(diagnosis)),
-        report.section("Simulated and flown", shown.get("overlays", ""), shown.get("horizons", "")),
+        report.section(
+            "Simulated and flown",
+            shown.get("overlays", ""),
+            _rollouts(diagnosis),
+            _halves(diagnosis),
+            shown.get("horizons", ""),
+        ),
         report.section("Forces and moments over time", _chart(residuals)),
         report.section("Where the errors live", shown.get("where", ""), shown.get("spectra", "")),
-        report.section("Other findings", report.sentences(f["text"] for f in diagnosis["findings"])),
-        report.section("What could not be asked", _unasked(diagnosis)),
-        report.section("Notes", report.sentences(dict.fromkeys([*diagnosis["notes"], _rules(diagnosis)]))),
+        report.section("Other findings", report.sentences(words_of(f["text"], effects) for f in diagnosis["findings"])),
+        report.section("What could not be asked", _unasked(diagnosis, effects)),
+        report.section(
+            "Notes",
+            report.sentences(words_of(n, effects) for n in dict.fromkeys([*diagnosis["notes"], _rules(diagnosis)])),
+        ),
     ]
     return report.page(
         f"Gap {diagnosis['name']}", under, diagnosis["verdict"], diagnosis["summary"].rstrip("."), sections
@@ -128,32 +149,24 @@ def _share(found: Mapping[str, float | None] | None) -> str:
 
 
 def _rollouts(diagnosis: Mapping[str, Any]) -> str:
-    """Errors of simulations by line, and what of their removable part the extension and its yardsticks remove."""
-    blocks, yardsticks = [], False
+    """Errors of simulations by line, and what of their removable part the extension and its yardsticks remove.
+
+    On the page stand the horizon nearest to SHOWN and the longest one; the others open on demand.
+    """
+    blocks, rest, yardsticks = [], [], False
     for driven, title in LINES.items():
-        rows = []
-        for quantity in UNITS:
-            for r in diagnosis["rollouts"].get(driven, []):
-                if r["quantity"] == quantity:
-                    three = [
-                        report.number(r[k]) if r.get(k) is not None else "–" for k in ("before", "after", "noise_floor")
-                    ]
-                    rows.append(
-                        [f"{quantity}, {UNITS[quantity]}, after {r['horizon']:g} s", *three, _share(r),
-                         *(_share(r.get(k)) for k in ("removed", "best_wrong_cause", "generic_polynomial"))]
-                    )  # fmt: skip
-                    yardsticks |= "removed" in r
-        if rows:
-            head = [
-                "before",
-                "after",
-                "noise floor",
-                "error falls by",
-                "removed",
-                "best wrong cause",
-                "same-size polynomial",
-            ]
-            blocks.append(report.table([f"simulated with {title}", *head], rows))
+        lines = [r for r in diagnosis["rollouts"].get(driven, []) if r["quantity"] in UNITS]
+        if not lines:
+            continue
+        horizons = sorted({r["horizon"] for r in lines})
+        seen = {min(horizons, key=lambda h: abs(h - SHOWN)), horizons[-1]}
+        yardsticks |= any("removed" in r for r in lines)
+        for into, part in (
+            (blocks, [r for r in lines if r["horizon"] in seen]),
+            (rest, [r for r in lines if r["horizon"] not in seen]),
+        ):
+            into.append(_rollout_table(title, part))
+    blocks.append(report.details("Other lengths of the simulation", "".join(rest)))
     if yardsticks:
         wrong = diagnosis["scores"].get("best wrong cause with commands")
         told = f" With commands, the best wrong cause would have been {name_of(wrong)}." if wrong else ""
@@ -165,6 +178,19 @@ def _rollouts(diagnosis: Mapping[str, Any]) -> str:
             )
         )
     return "".join(blocks)
+
+
+def _rollout_table(title: str, lines: Sequence[Mapping[str, Any]]) -> str:
+    rows = [
+        [f"{quantity}, {unit}, after {r['horizon']:g} s",
+         *(report.number(r.get(k)) for k in ("before", "after", "noise_floor")), _share(r),
+         *(_share(r.get(k)) for k in ("removed", "best_wrong_cause", "generic_polynomial"))]
+        for quantity, unit in UNITS.items()
+        for r in lines
+        if r["quantity"] == quantity
+    ]  # fmt: skip
+    head = ["before", "after", "noise floor", "error falls by", "removed", "best wrong cause", "same-size polynomial"]
+    return report.table([f"simulated with {title}", *head], rows)
 
 
 def _halves(diagnosis: Mapping[str, Any]) -> str:
@@ -191,12 +217,45 @@ def _halves(diagnosis: Mapping[str, Any]) -> str:
 
 
 def _lower(diagnosis: Mapping[str, Any]) -> str:
-    rows = []
-    for level, word in (("K", "sensors against capture"), ("A", "rotor speeds against commands")):
+    """Errors of sensors and of the rotors' drive on the held-out flights, and what of them stays without a name."""
+    blocks = []
+    for level, word in LEVELS.items():
+        rows = []
         for channel in diagnosis["gap"]["before"].get(level, {}):
             three = [_value(diagnosis, k, level, channel) for k in ("before", "after", "noise_floor")]
-            rows.append([f"{word}: {channel}", *map(report.number, three)])
-    return report.table(["sensors and drive", "before", "after", "noise floor"], rows)
+            name = CHANNELS.get(channel, channel) + ("" if channel in ROOM else f" ({channel})")
+            rows.append([f"{name}, {_unit(channel)}", *map(report.number, three)])
+        blocks.append(report.table([word, "before", "after", "noise floor"], rows))
+        above = _above(diagnosis, level, word)
+        blocks.append(report.paragraph(above) if above else "")
+    return "".join(blocks)
+
+
+def _unit(channel: str) -> str:
+    """Unit of a channel of sensors or drive; north, east and down are accelerations there."""
+    return "m/s2" if channel in ROOM else UNITS_OF.get(channel, "")
+
+
+def _above(diagnosis: Mapping[str, Any], level: str, word: str) -> str:
+    """What stays far above its floor though no cause is named there: a finding without a name, not to be missed."""
+    named = {c for e in diagnosis["effects"] if e["level"] == level for c in e["channels"]}
+    if named & {"ax", "ay", "az"}:
+        named |= {*ROOM}  # the same readings, along the room's axes
+    texts = []
+    for channel in diagnosis["gap"]["before"].get(level, {}):
+        left, floor = (_value(diagnosis, k, level, channel) for k in ("after", "noise_floor"))
+        if left is not None and floor and left > FLOORS * floor and channel not in named:
+            texts.append(
+                f"{channel} {left / floor:.1f} times ({report.number(left)} against {report.number(floor)} "
+                f"{_unit(channel)})"
+            )
+    if not texts:
+        return ""
+    return (
+        f"{word[:1].upper()}{word[1:]} stay above their noise floor, and no cause is named there: {listed(texts)}. The "
+        "floor is what is left when all that is known to go wrong there is fitted to each flight by itself; what is "
+        "above it fits no single cause, or differs from flight to flight."
+    )
 
 
 def _cause(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
@@ -212,8 +271,11 @@ def _cause(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
             *((name_of(n), value_of(p)) for n, p in effect["parameters"].items()),
             ("seen in", ", ".join(effect["channels"])),
             ("removable error it removes", ", ".join(gains) or percent(effect["gain"]["wrench"])),
-            ("of the simulated motion", percent(effect["gain"]["rollout"]) + rollout_of(effect)),
-            ("roll-outs of held-out flights", confirmation_of(effect)),
+            (
+                "of the simulated motion",
+                share_of(effect["gain"]["rollout"], effect.get("rollout gain")) + rollout_of(effect),
+            ),
+            ("roll-outs of held-out flights", words_of(confirmation_of(effect), known)),
             ("probability of nothing", f"{evidence['p']:.1e}" if "p" in evidence else ""),
             ("named again in resamples", percent(effect.get("probability"))),
             ("standard errors widened, the axes differ", _times(evidence.get("axes apart", 1.0))),
@@ -226,9 +288,9 @@ def _times(factor: float) -> str:
     return f"{factor:.1f} times" if factor > 1.0 else ""
 
 
-def _rivals(diagnosis: Mapping[str, Any]) -> str:
+def _rivals(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     lost = sorted(diagnosis["candidates"], key=lambda c: c["p"] if c.get("p") is not None else 1.0)[:MOST]
-    rows = [[name_of(c["id"]), since_of(c) if c.get("since") else "", c["why_not"]] for c in lost]
+    rows = [[name_of(c["id"]), since_of(c) if c.get("since") else "", words_of(c["why_not"], known)] for c in lost]
     head = "".join(f'<th scope="col">{h}</th>' for h in ("tested and not named", "asked as", "why not"))
     lines = "".join("<tr>" + "".join(f"<td>{report.escape(c)}</td>" for c in row) + "</tr>" for row in rows)
     return f"<table><thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table>" if rows else ""
@@ -262,11 +324,11 @@ def _extended(diagnosis: Mapping[str, Any]) -> str:
     return report.paragraph(f"{said} Make it, as any model, with the target models/{ident}/standalone.")
 
 
-def _unasked(diagnosis: Mapping[str, Any]) -> str:
+def _unasked(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     reasons: dict[str, list[str]] = {}
     for entry in diagnosis["cannot_be_asked"]:
         reasons.setdefault(entry["why"], []).append(name_of(entry["id"]))
-    return report.sentences(f"{', '.join(dict.fromkeys(ids))}: {why}" for why, ids in reasons.items())
+    return report.sentences(f"{', '.join(dict.fromkeys(ids))}: {words_of(why, known)}" for why, ids in reasons.items())
 
 
 def _chart(table: pd.DataFrame | None) -> str:

@@ -197,8 +197,8 @@ def overlays(models: Mapping[str, Model], flights: Sequence[Flight], horizon: fl
     by_gain = sorted(found, reverse=True)
     chosen = {
         "the error falls most": by_gain[0],
-        "it falls as in the median": by_gain[len(by_gain) // 2],
-        "it was the greatest": max(found, key=lambda f: f[1]),
+        "the error falls as in the median": by_gain[len(by_gain) // 2],
+        "the error was greatest": max(found, key=lambda f: f[1]),
     }
     parts = []
     for window, (why, (_, _, number, start)) in enumerate(chosen.items()):

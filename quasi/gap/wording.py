@@ -1,6 +1,7 @@
 """The words of a diagnosis: sentences that a pilot understands, with the numbers that an engineer checks."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,7 +14,12 @@ CHANNELS = {
     "ay": "sideward acceleration", "az": "vertical acceleration", "position": "position", "velocity": "velocity",
     "attitude": "attitude", "rate": "body rate", "velocity x": "forward velocity", "velocity y": "sideward velocity",
     "velocity z": "vertical velocity", "rate x": "roll rate", "rate y": "pitch rate", "rate z": "yaw rate",
+    "north": "northward acceleration", "east": "eastward acceleration", "down": "downward acceleration",
+    "w1": "speed of rotor 1", "w2": "speed of rotor 2", "w3": "speed of rotor 3", "w4": "speed of rotor 4",
 }  # fmt: skip
+STAYS = 0.02  # share of a simulated error by which it has to change to be said to change
+REMOVABLE = "Removable is what is above the error that sensors and gusts leave."
+LINES = {"R": "", "R commands": " from commands"}
 SINCE = {
     "changed": "this is new since the reference flights",
     "always": "the model lacks it in every flight",
@@ -30,6 +36,12 @@ def since_of(entry: Mapping[str, Any]) -> str:
 def name_of(ident: str) -> str:
     """An id as words."""
     return ident.replace("_", " ")
+
+
+def words_of(text: str, known: Mapping[str, Effect]) -> str:
+    """A text with the ids in it as words; what is part of a longer name stays."""
+    ids = [i for i in known if "_" in i]
+    return re.sub(rf"(?<![\w/-])({'|'.join(ids)})(?![\w/-])", lambda m: name_of(m[0]), text) if ids else text
 
 
 def value_of(parameter: Mapping[str, Any]) -> str:
@@ -62,22 +74,54 @@ def flights_of(roles: Mapping[str, str], role: str) -> str:
     return f"the {role.replace('held out', 'held-out')} flight{'s' * (count != 1)}"
 
 
+def share_of(gain: float | None, found: Mapping[str, Any] | None) -> str:
+    """A share in whole percent, with its 95 % interval where there is one."""
+    if not found or found.get("value") is None or found.get("low") is None or found.get("high") is None:
+        return percent(gain)
+    return f"{percent(found['value'])} (95 %: {100 * found['low']:.0f} to {100 * found['high']:.0f})"
+
+
 def cause_sentence(effect: Mapping[str, Any], known: Mapping[str, Effect], roles: Mapping[str, str]) -> str:
-    """What a named cause is, how large, since when, and what it explains."""
+    """What a named cause is, how large and since when; then what it explains and how sure that is."""
     sentence = known[effect["id"]].sentence if effect["id"] in known else name_of(effect["id"])
     text = f"{sentence[:1].upper()}{sentence[1:]} ({name_of(effect['id'])}: {parameters_of(effect['parameters'])})"
-    text += f"; {since_of(effect)}"
+    text += f"; {since_of(effect)}."
+    return " ".join(t for t in (text, _explained(effect, roles), _sentence(_sureness(effect))) if t)
+
+
+def _explained(effect: Mapping[str, Any], roles: Mapping[str, str]) -> str:
     gain, channel = effect["gain"]["wrench"], effect.get("gain channel")
-    if gain is not None and channel:
-        text += (
-            f". It explains {percent(gain)} of the removable {CHANNELS.get(channel, channel)} error ({channel}) on "
-            f"{flights_of(roles, 'held out')}"
-        )
-    elif gain is not None:
-        text += f". Corrected at import, it takes {percent(gain)} of the removable error away there"
+    if gain is None:
+        return ""
+    if not channel:
+        if effect["level"] == "A":
+            return f"It is {percent(gain)} of the removable error of rotor speeds at given commands."
+        return f"Corrected at import, it takes {percent(gain)} of the removable error away there."
+    text = (
+        f"On {flights_of(roles, 'held out')} it explains {share_of(gain, effect.get('gains', {}).get(channel))} of the "
+        f"removable {CHANNELS.get(channel, channel)} error ({channel})"
+    )
     if effect["gain"].get("rollout") is not None:
-        text += f" and {percent(effect['gain']['rollout'])} of that{rollout_of(effect)}"
-    return text + "."
+        share = share_of(effect["gain"]["rollout"], effect.get("rollout gain"))
+        text += f" and {share} of that{rollout_of(effect)}"
+    return f"{text}."
+
+
+def _sureness(effect: Mapping[str, Any]) -> str:
+    """What else speaks for a cause: roll-outs of held-out flights, and resamples."""
+    told, parts = effect.get("confirmation") or {}, []
+    if told.get("outcome") == "confirmed" and told.get("amplitude"):
+        there = value_of({**told["amplitude"], "unit": "1"})
+        parts.append(f"confirmed in simulation: {there} of the motion it should make is there")
+    elif told.get("outcome"):
+        parts.append(f"in simulation it {told['outcome']}" + (f" ({told['why']})" if told.get("why") else ""))
+    if effect.get("probability") is not None:
+        parts.append(f"named again in {percent(effect['probability'])} of resamples")
+    return "; ".join(parts)
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}." if text else ""
 
 
 def rollout_of(effect: Mapping[str, Any]) -> str:
@@ -114,14 +158,14 @@ def rivals_sentence(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -
     """Which rivals of the named causes were tested, and how they lost."""
     texts = []
     for effect in diagnosis["effects"]:
-        listed = known[effect["id"]].rivals if effect["id"] in known else ()
+        rivals = known[effect["id"]].rivals if effect["id"] in known else ()
         named = {e["id"] for e in diagnosis["effects"]}
         lost = {c["id"]: c for c in diagnosis["candidates"]}
-        names = dict.fromkeys([*effect.get("confused_with", []), *listed])
+        names = dict.fromkeys([*effect.get("confused_with", []), *rivals])
         tested = [i for i in names if i in lost and i not in named]
         if tested:
             texts.append(
-                f"{_listed([name_of(i) for i in tested])} {'were' if len(tested) > 1 else 'was'} tested in place of "
+                f"{listed([name_of(i) for i in tested])} {'were' if len(tested) > 1 else 'was'} tested in place of "
                 f"{name_of(effect['id'])} and lost{_first_reason(lost[tested[0]])}"
             )
     return ". ".join(f"{t[:1].upper()}{t[1:]}" for t in texts) + ("." if texts else "")
@@ -134,7 +178,7 @@ def _first_reason(candidate: Mapping[str, Any]) -> str:
 
 def tie_sentence(tie: Mapping[str, Any]) -> str:
     """A tie and what would break it."""
-    names = _listed([name_of(i) for i in tie["ids"]], "or")
+    names = listed([name_of(i) for i in tie["ids"]], "or")
     return (
         f"{names[:1].upper()}{names[1:]}: this data cannot tell which "
         f"(separability {tie['separability']:.1f} standard errors)"
@@ -147,7 +191,7 @@ def left_sentence(left: Mapping[str, Any]) -> str:
     """An unexplained residual and where it lives."""
     channel, where = left["channel"], left["where"]
     size = f" by {left['size']:.2g} {left['unit']} rms" if "size" in left else ""
-    at = f", mostly {_ranges(where, left['mostly'])}" if left.get("mostly") and where != "frequency" else ""
+    at = f", mostly {ranges_of(where, left['mostly'])}" if left.get("mostly") and where != "frequency" else ""
     along = where if where == "everywhere" else f"along the {where}"
     if where == "frequency" and left.get("mostly"):
         low, high = left["mostly"][0]
@@ -162,30 +206,65 @@ def left_sentence(left: Mapping[str, Any]) -> str:
     )
 
 
-def _ranges(where: str, mostly: Sequence[Sequence[float]]) -> str:
+def ranges_of(where: str, mostly: Sequence[Sequence[float]]) -> str:
     """Where along a place, in words."""
     if where == "room place":
         x, y = mostly[0]
         return f"near x = {x:.1f} m, y = {y:.1f} m"
     factor, unit = (math.degrees(1.0), "deg") if where == "heading" else (1.0, UNITS.get(where, ""))
     texts = [f"{low * factor:.3g} to {high * factor:.3g}" for low, high in mostly[:3]]
-    return f"at {_listed(texts)}{' ' if unit else ''}{unit}"
+    return f"at {listed(texts)}{' ' if unit else ''}{unit}"
 
 
 def rollout_sentence(diagnosis: Mapping[str, Any]) -> str:
-    """How much nearer the extended model's simulation stays, at the longest horizon."""
-    rows = diagnosis["rollouts"].get("R") or []
-    rows = [r for r in rows if r["quantity"] in ("velocity", "rate")]
+    """How much nearer the extended model's simulation stays, at the longest horizon; nothing where it has nothing new.
+
+    Causes of the rotors' drive alone act only where commands drive the simulation.
+    """
+    levels = {e["level"] for e in diagnosis["effects"]}
+    if not levels & {"W", "A"} and not diagnosis.get("fitted anew"):
+        return ""
+    line = "R" if "W" in levels or diagnosis.get("fitted anew") else "R commands"
+    rows = [r for r in diagnosis["rollouts"].get(line) or [] if r["quantity"] in ("velocity", "rate")]
     if not rows:
         return ""
     longest = max(r["horizon"] for r in rows)
     units = {"velocity": "m/s", "rate": "rad/s"}
-    texts = [
-        f"the {CHANNELS[r['quantity']]} error goes from {r['before']:.3g} to {r['after']:.3g} {units[r['quantity']]}"
-        for r in rows
-        if r["horizon"] == longest
+    stay, change = [], []
+    for r in rows:
+        if r["horizon"] != longest:
+            continue
+        name, unit = CHANNELS[r["quantity"]], units[r["quantity"]]
+        if abs(r["after"] - r["before"]) < STAYS * r["before"]:
+            stay.append(f"{name} ({r['before']:.3g} {unit})")
+        else:
+            change.append(f"the {name} error goes from {r['before']:.3g} to {r['after']:.3g} {unit}")
+    texts = list(change)
+    if len(stay) > 1:
+        texts.append(f"{listed(stay)} errors stay as they are: something else makes them")
+    elif stay:
+        texts.append(f"the error of {stay[0]} stays as it is: something else makes it")
+    return f"Simulated{LINES[line]} for {longest:g} s, {listed(texts)}."
+
+
+def unasked(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
+    """Why forces and moments could not be asked, of a diagnosis that is not judged."""
+    whys = [c["why"] for c in diagnosis["cannot_be_asked"] if c["id"] in known and known[c["id"]].level == "W"]
+    return diagnosis.get("unable") or (whys[0] if whys else "the flights hold too little")
+
+
+def asked_in_vain(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str]:
+    """Sentences on causes that the gap names itself and that could not be asked; not on those nobody named."""
+    wanted, reasons = diagnosis.get("effects asked") or (), {}
+    for entry in diagnosis["cannot_be_asked"]:
+        if not isinstance(wanted, str) and entry["id"] in wanted:
+            reasons.setdefault(entry["why"], []).append(name_of(entry["id"]))
+    if diagnosis.get("verdict") == "not judged":
+        reasons.pop(unasked(diagnosis, known), None)
+    return [
+        _sentence(f"{listed(list(dict.fromkeys(names)))} could not be asked: {words_of(why, known)}")
+        for why, names in reasons.items()
     ]
-    return f"Simulated for {longest:g} s, {_listed(texts)}."
 
 
 def summary(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
@@ -200,21 +279,24 @@ def summary(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
         texts.append(f"{len(diagnosis['unexplained']) - 3} more residuals are listed in the report.")
     if effects:
         texts.append(rollout_sentence(diagnosis))
-    if not texts:
-        asked = [c for c in diagnosis["cannot_be_asked"] if "learn from" in c["why"] or "held out" in c["why"]]
-        if asked:
-            texts.append(
-                f"Nothing is wrong with sensors, clocks and rotor drive as far as this data tells; forces and moments "
-                f"could not be asked: {asked[0]['why']}."
-            )
-        else:
-            texts.append(
-                "Simulation and flights agree: nothing in the catalogue, and nothing outside it, is both significant "
-                f"and at least {100 * diagnosis['material share']:.0f} % of the error that could be removed."
-            )
-    return " ".join(t for t in texts if t)
+    nothing, missing = not texts, asked_in_vain(diagnosis, known)
+    if nothing and diagnosis.get("verdict") == "not judged":
+        texts.append(
+            f"Nothing is wrong with sensors, clocks and rotor drive as far as this data tells; forces and moments "
+            f"could not be asked: {unasked(diagnosis, known)}."
+        )
+    texts += missing
+    if nothing and diagnosis.get("verdict") != "not judged":
+        begin = "Nothing else that was asked" if missing else "Simulation and flights agree: nothing in the catalogue"
+        texts.append(
+            f"{begin}, and nothing outside it, is both significant and at least "
+            f"{100 * diagnosis['material share']:.0f} % of the error that could be removed."
+        )
+    text = " ".join(t for t in texts if t)
+    return f"{text} {REMOVABLE}" if "removable" in text else text
 
 
-def _listed(texts: Sequence[str], last: str = "and") -> str:
+def listed(texts: Sequence[str], last: str = "and") -> str:
+    """Texts as a list in words."""
     texts = list(texts)
     return texts[0] if len(texts) == 1 else f"{', '.join(texts[:-1])} {last} {texts[-1]}"
