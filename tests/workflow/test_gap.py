@@ -93,4 +93,4 @@ def test_without_a_held_out_flight_forces_are_not_asked_and_the_rest_is(project)
     found = json.loads((project.folder / TARGET / "diagnosis.json").read_text())
     why = {c["id"]: c["why"] for c in found["cannot_be_asked"]}
     assert "no flight is held out" in why["ground_effect"] and "gyro_scale" not in why
-    assert "forces and moments could not be asked" in found["summary"]
+    assert "forces and moments could not be asked" in found["summary"] and found["verdict"] == "not judged"
