@@ -46,17 +46,8 @@ def folder(tmp_path_factory):
     return made
 
 
-LACKING = {"nothing": "the model lacks the rotors' gyroscopic moment, and these flights show it: named of every flight"}
-
-
-def _case(name):
-    """A case, expected to fail where it is known to."""
-    known = [pytest.mark.xfail(reason=LACKING[name], strict=True)] if name in LACKING else []
-    return pytest.param(name, marks=known)
-
-
 @pytest.mark.workflow
-@pytest.mark.parametrize("name", [_case(name) for name in CASES])
+@pytest.mark.parametrize("name", CASES)
 def test_what_is_hidden_is_named_and_nothing_else(name, folder):
     design, effects = CASES[name]
     kind = "clean" if not effects else "unlisted" if set(effects) <= set(STRANGE) else "single"
