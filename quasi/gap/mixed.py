@@ -70,7 +70,7 @@ class Test(NamedTuple):
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def odds(self) -> float:
+    def p_known_spread(self) -> float:
         """Probability of nothing were the spread as well known as nuisances are, however few flights there are."""
         return float(f_distribution.sf(self.wald / len(self.offer.which), len(self.offer.which), MOST_FREEDOM))
 

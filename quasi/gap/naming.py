@@ -94,7 +94,7 @@ def search(
             and not (t.offer.since == "changed" and any(t.wald < FORM * c.wald for c in strong))
             and possible(t, within)
             and leads(t, effects)
-            and (between is None or between.test(t.offer, given, pooled).odds < BETWEEN)
+            and (between is None or between.test(t.offer, given, pooled).p_known_spread < BETWEEN)
         ]
         if not open_:
             break

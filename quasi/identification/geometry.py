@@ -17,7 +17,8 @@ from quasi.variables import Variables
 
 SURE = 5.0  # standard errors
 APART = 0.6  # of the arm, between where a rotor is said to be and where it seems to be
-_BESIDE = {
+# what acts on a moment beside the rotors' thrusts and drag
+BESIDE = {
     "Mx": ("p", "w_tot*v", "u_p_dot"),
     "My": ("q", "w_tot*u", "u_q_dot"),
     "Mz": ("r", "u_r_dot"),
@@ -31,7 +32,7 @@ def contradictions(prepared: Mapping[str, tuple], airframe: Airframe, thrust: fl
     """
     if not thrust > 0.0:
         return []
-    slopes = {axis: _slopes(prepared, airframe, axis) for axis in _BESIDE}
+    slopes = {axis: _slopes(prepared, airframe, axis) for axis in BESIDE}
     places = []
     for i, (x, y, _) in enumerate(airframe.hubs):
         if slopes["Mx"] is None or slopes["My"] is None:
@@ -65,7 +66,7 @@ def contradictions(prepared: Mapping[str, tuple], airframe: Airframe, thrust: fl
 def _slopes(prepared: Mapping[str, tuple], airframe: Airframe, axis: str) -> tuple[np.ndarray, np.ndarray] | None:
     """Slope of a moment by each rotor's squared speed (4,) with standard errors; None where these flights tell none."""
     accelerating = all("w1_dot" in values for _, values, _ in prepared.values())
-    beside = [e for e in _BESIDE[axis] if accelerating or not e.endswith("_dot")]
+    beside = [e for e in BESIDE[axis] if accelerating or not e.endswith("_dot")]
     program = Program([parse(e) for e in (*(f"w{i}^2" for i in range(1, 5)), *beside)])
     columns, target, series = [], [], []
     for rows, values, _ in prepared.values():

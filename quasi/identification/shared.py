@@ -14,7 +14,7 @@ from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.expressions import Program, parse
 from quasi.identification.actuators import actuators
-from quasi.identification.geometry import contradictions
+from quasi.identification.geometry import BESIDE, contradictions
 from quasi.identification.partition import TRAINING
 from quasi.identification.regression import least_squares
 from quasi.variables import Variables
@@ -124,12 +124,7 @@ _FACTORS = {
     "kappaMy_w": ("u_q", "My", "N m s/rad"),
     "kappaMz_w": ("u_r", "Mz", "N m s/rad"),
 }
-_BESIDE = {
-    "thrust": ("w_tot*w", "u^2 + v^2"),
-    "Mx": ("p", "w_tot*v", "u_p_dot"),
-    "My": ("q", "w_tot*u", "u_q_dot"),
-    "Mz": ("r", "u_r_dot"),
-}
+_BESIDE = {"thrust": ("w_tot*w", "u^2 + v^2"), **BESIDE}
 
 
 def _simple(prepared: Mapping[str, tuple], airframe: Airframe) -> dict[str, Any]:

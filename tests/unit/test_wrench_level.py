@@ -8,6 +8,8 @@ from test_unexplained import RATE, ROWS, flight, ground, smooth  # noqa: F401
 
 from quasi.gap.catalogue import catalogue, whole_of
 from quasi.gap.effect import vehicle_of
+from quasi.gap.mixed import Offer
+from quasi.gap.study import gather_study
 from quasi.gap.wrench import everything, examine
 from quasi.standalone.model import Model
 
@@ -68,3 +70,23 @@ def test_a_cause_that_one_axis_has_and_another_has_not_is_no_name(ground):  # no
         assert [c.effect.id for c in found.causes] == (["body_drag"] if share else [])
         if not share:
             assert "axes differ" in found.contradicted["body_drag"][1]
+
+
+def test_flights_that_differ_too_much_are_no_cause_however_alike_their_manoeuvres(ground):  # noqa: F811
+    """Drag that each flight has its own size of: every stretch of a flight agrees, the flights do not."""
+    model = Model(ground[1].document, "test")
+    drag = EFFECTS["body_drag"]
+
+    def made(k, size):
+        plain = flight(ground, k)
+        whole = whole_of(drag, plain, vehicle_of(model), {"c": size})
+        return dataclasses.replace(plain, measured=plain.measured + whole)
+
+    for sizes, named in (([0.0] * 4 + [0.030, 0.017, -0.003, 0.015], []), ([0.0] * 4 + [0.015] * 4, ["body_drag"])):
+        flights = [made(k, size) for k, size in enumerate(sizes)]
+        compared, held = [k >= 4 for k in range(8)], [made(90, 0.015)]
+        study = gather_study(flights, {"body_drag": drag}, vehicle_of(model))
+        offer = Offer("body_drag", "changed", (0,))
+        assert study.mixed(range(8), compared).test(offer, (), ["body_drag"]).p < 0.005
+        found = examine(flights, compared, held, model, {"body_drag": drag}, vehicle_of(model), 0.01, 0.05, "m", "test")
+        assert [c.effect.id for c in found.causes] == named
