@@ -1,6 +1,7 @@
 """What all rules share: the project folder, wildcards, what is told at the end. No rules."""
 
 import atexit
+import logging
 import os
 import sys
 import tempfile
@@ -13,10 +14,12 @@ from quasi.errors import QuasiError
 from quasi.joblog import RUN, told
 from quasi.provenance import code_of
 from quasi.project import check_writable, read_settings
+from quasi.terminal import Terminal
 from quasi.workflow import Folder
 
 FAULTS = []
 STOPPED = []
+TERMINALS = []
 LEARN = ("reference", "compared")  # roles of flights that choose and fit
 HELD = ("held out",)
 
@@ -37,6 +40,9 @@ def tell_at_end():
     sys.stdout.flush()
     for notice in FOLDER.notices if "FOLDER" in globals() else ():
         print(f"[NOTICE] {notice}", file=sys.stderr)
+    for terminal in TERMINALS:
+        if summary := terminal.summary():
+            print(summary, flush=True)
     for text in told(os.environ[RUN], "made"):
         print(text, flush=True)
     faults = FAULTS + told(os.environ[RUN], "errors")
@@ -51,6 +57,12 @@ if RUN not in os.environ:
     scratch = tempfile.TemporaryDirectory(prefix="quasi-run-")
     os.environ[RUN] = scratch.name
     atexit.register(tell_at_end)
+    if not (workflow.output_settings.dryrun or workflow.output_settings.verbose):
+        # a dry run is asked for Snakemake's own account; the log file of a run keeps it whole
+        for handler in logging.getLogger("snakemake.logging").handlers:
+            if handler.name == "DefaultStreamHandler":
+                TERMINALS.append(Terminal(os.environ[RUN], handler.stream))
+                handler.addFilter(TERMINALS[-1])
 
 
 def ask(question, *arguments):

@@ -38,7 +38,7 @@ def main(flights: list[str], shared: str, partition: str, settings: dict, output
 
 
 if __name__ == "__main__":
-    with job(snakemake.log[0], f"identification of {snakemake.wildcards.axis}"):
+    with job(snakemake.log[0], f"identification of {snakemake.wildcards.axis} of {snakemake.wildcards.model}"):
         main(
             snakemake.input.flights,
             snakemake.input.shared,

@@ -51,7 +51,7 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
 
 
 if __name__ == "__main__":
-    with job(snakemake.log[0], f"identification of {snakemake.wildcards.model}"):
+    with job(snakemake.log[0], f"what the axes of {snakemake.wildcards.model} share"):
         main(
             snakemake.input.flights,
             snakemake.params.settings,

@@ -2,7 +2,7 @@
 
 from quasi.errors import ReadError
 from quasi.importing.flight import import_flight
-from quasi.joblog import LOG, job
+from quasi.joblog import LOG, job, judge
 from quasi.tables import write_json, write_table
 
 
@@ -11,6 +11,8 @@ def main(settings: dict, flight: str, metadata: str) -> None:
     if settings["problem"]:
         raise ReadError(settings["problem"])
     columns, about = import_flight(settings["flight"], settings["quadrotor"], settings["options"])
+    if about["verdict"] != "good":
+        judge(about["verdict"], about["verdict because"])
     for note in about["notes"]:
         LOG.warning("%s", note)
     write_table(flight, columns, made=about)

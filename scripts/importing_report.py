@@ -61,5 +61,5 @@ def main(source: dict[str, str], target: str, folder: str) -> None:
 
 
 if __name__ == "__main__":
-    with job(snakemake.log[0], f"report of {snakemake.wildcards.flight}"):
+    with job(snakemake.log[0], f"page of {snakemake.wildcards.flight}", snakemake.output.page):
         main(dict(snakemake.input.items()), snakemake.output.page, snakemake.output.figures)

@@ -21,5 +21,5 @@ def main(asked: dict, output: dict) -> None:
 
 
 if __name__ == "__main__":
-    with job(snakemake.log[0], f"simulation {snakemake.wildcards.simulation}"):
+    with job(snakemake.log[0], f"flight of simulation {snakemake.wildcards.simulation}"):
         main(snakemake.params.asked, dict(snakemake.output.items()))

@@ -50,7 +50,7 @@ def main(
 
 
 if __name__ == "__main__":
-    with job(snakemake.log[0], f"model {snakemake.wildcards.model}"):
+    with job(snakemake.log[0], f"assembly of model {snakemake.wildcards.model}"):
         source = dict(snakemake.input.items())
         if "extended" in source:
             extended(source["extended"], snakemake.params.settings, snakemake.output[0])

@@ -19,10 +19,11 @@ _TEX = {
 
 
 def summary_text(model: Model, scores: pd.DataFrame, diagnosis: Mapping[str, Any]) -> str:
-    """Verdict first, then the scores; what the test rows are worth is said under them."""
+    """Verdict first, then the scores; under them what the test rows are worth, where no held-out flight judges."""
     lines = [f"Verdict: {diagnosis['verdict']}", *(f"  {line}" for line in diagnosis["summary"]), ""]
     text = "\n".join(lines) + table_text(scores, model)
-    note = diagnosis["partition"]["note"]
+    # the page says it always; a verdict by held-out flights leaves nothing to do about it
+    note = None if (scores["role"] == "validation").any() else diagnosis["partition"]["note"]
     return text + (f"note: {note}\n" if note else "")
 
 

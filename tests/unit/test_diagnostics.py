@@ -8,6 +8,7 @@ from judged import TERMS, columns, made
 from quasi.errors import DataError
 from quasi.identification.partition import ROLES, TRAINING
 from quasi.standalone.score import judge, score, score_judged
+from quasi.standalone.summary import summary_text
 from quasi.standalone.verdict import headline, verdict
 
 
@@ -205,3 +206,10 @@ def test_rows_with_missing_values_are_left_out_of_the_scores():
     row = table.query("flight == 'c' and axis == 'Fz'").iloc[0]
     assert row["n"] == 589
     assert np.isfinite(row["rmse"])
+
+
+@pytest.mark.parametrize("validation", [(), ("c",)], ids=["none held out", "one held out"])
+def test_summary_advises_on_test_rows_only_where_they_have_to_judge(validation):
+    model, _, found = made(rows=600, validation=validation)
+    text = summary_text(model, found.scores, found.diagnosis)
+    assert ("single samples whose neighbours train" in text) == (not validation)

@@ -1,6 +1,7 @@
 """What reruns and why: only what is stale, and a validation flight never refits a model."""
 
 import json
+import re
 
 import pandas as pd
 import pytest
@@ -20,13 +21,28 @@ def test_run_makes_the_model_and_tells_where_with_its_scores(finished):
     assert made >= {"report.html", "summary.txt", "summary.json", "summary.tex"}
     assert made >= {"figures/Fz.png", "figures/quartiles_My.png", "figures/coverage.png", "figures/closeup_small-3.png"}
     assert made >= {"trajectories/small-1.png", "trajectories/small-3.png"}
-    tail = text[text.index("100%") :]
+    tail = text[text.index("Elapsed time") :]
     assert "models/small/standalone" in tail
     for axis in ("Fx", "Fy", "Fz", "Mx", "My", "Mz"):
         assert axis in tail
     assert "validation" in tail
     assert "Verdict: " in tail
-    assert "single samples whose neighbours train" in tail
+    assert "single samples whose neighbours train" not in text  # a flight was held out and judges
+    assert "single samples whose neighbours train" in (folder / "report.html").read_text()
+
+
+def test_run_is_a_line_per_job_with_what_was_noted(finished):
+    _, text = finished
+    lines = text.splitlines()
+    jobs = next(int(m[1]) for line in lines if (m := re.match(r"(\d+) jobs: synthesis 3, ", line)))
+    told = [line for line in lines if re.match(rf"\[ *\d+/{jobs}\] ", line)]
+    assert len(told) == jobs
+    assert sum(" import of small-" in line for line in told) == 3
+    assert "the log holds no attitude; it was estimated from gyro and accelerometer" in text
+    assert "`snakemake results/reports/MadeBeetle/small-1.html`" in text
+    assert not re.search(r"^ *(input|output|jobid|reason|wildcards|resources):|localrule|Finished jobid", text, re.M)
+    notes = sum(line.startswith("    - ") for line in lines)
+    assert len(lines) < jobs + notes + 25
 
 
 def test_second_run_does_nothing(finished):

@@ -1,0 +1,119 @@
+"""What a run prints: a line per job with its notes, every failure whole; what it does not know is not held back."""
+
+import io
+import logging
+
+import pytest
+
+from quasi.errors import ReadError
+from quasi.joblog import LOG, RUN, job, judge
+from quasi.terminal import Terminal
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """(terminal, its stream, say(event, text, **about): True where Snakemake's own message is printed)."""
+    monkeypatch.setenv(RUN, str(tmp_path / "run"))
+    monkeypatch.chdir(tmp_path)
+    stream = io.StringIO()
+    terminal = Terminal(str(tmp_path / "run"), stream)
+
+    def say(event, text="", **about):
+        record = logging.makeLogRecord({"msg": text, **({"event": event} if event else {}), **about})
+        return terminal.filter(record)
+
+    return terminal, stream, say
+
+
+def begin(say, number, flight, rule="importing"):
+    log = f"logs/{rule}/Q/{flight}.log"
+    wildcards = {"quadrotor": "Q", "flight": flight}
+    assert not say("job_info", jobid=number, rule_name=rule, log=[log], wildcards=wildcards)
+    return log
+
+
+def test_a_job_is_a_line_and_a_note_that_flights_have_alike_is_told_once(run):
+    terminal, stream, say = run
+    assert not say("run_info", "Job stats: ...", stats={"importing": 2, "total": 2})
+    for number, flight in enumerate(("a", "b"), 1):
+        with job(begin(say, number, flight), f"import of {flight}"):
+            LOG.warning("%s", f"logs/{flight}.bbl: vibration near {40 + number} Hz")
+        assert not say("job_finished", job_id=number)
+        assert not say("progress", done=number, total=2)
+    lines = stream.getvalue().splitlines()
+    assert lines[0] == "2 jobs: importing 2"
+    assert lines[1].startswith("[1/2] import of a: 0.") and lines[1].endswith(" s, 1 note, logs/importing/Q/a.log")
+    assert lines[2] == "    - logs/a.bbl: vibration near 41 Hz"
+    assert lines[3].endswith("1 note (told above), logs/importing/Q/b.log") and len(lines) == 4
+    assert "`snakemake results/reports/Q/a.html`" in terminal.summary()
+
+
+def test_many_notes_are_counted_and_those_not_told_come_with_a_later_job(run):
+    _, stream, say = run
+    for number, flight in enumerate(("a", "b"), 1):
+        with job(begin(say, number, flight), f"import of {flight}"):
+            for letter in "tuvwxyz":
+                LOG.warning("%s", f"note {letter}")
+        say("job_finished", job_id=number)
+    text = stream.getvalue()
+    assert "    - and 2 more in logs/importing/Q/a.log" in text
+    assert "7 notes (5 told above)" in text
+    assert all(text.count(f"    - note {letter}\n") == 1 for letter in "tuvwxyz")
+
+
+def test_many_notes_of_a_model_are_left_to_its_page_and_counted(run):
+    _, stream, say = run
+    with job(begin(say, 1, "Fz", "identification"), "identification of Fz"):
+        for letter in "xyz":
+            LOG.warning("%s", f"note {letter}")
+    say("job_finished", job_id=1)
+    assert stream.getvalue().endswith(" s, 3 notes, logs/identification/Q/Fz.log\n")
+
+
+def test_a_doubtful_verdict_stands_in_every_flights_own_line(run):
+    _, stream, say = run
+    for number, flight in enumerate(("a", "b"), 1):
+        with job(begin(say, number, flight), f"import of {flight}"):
+            judge("unusable", f"only {number}.0 s are common to all sources")
+        say("job_finished", job_id=number)
+    assert stream.getvalue().count("unusable (only ") == 2
+
+
+def test_a_failure_is_told_at_once_in_its_own_sentence_and_once(run):
+    terminal, stream, say = run
+    log = begin(say, 1, "a")
+    with pytest.raises(SystemExit), job(log, "import of a"):
+        raise ReadError("a.bbl is empty; copy it again")
+    assert not say("error", "RuleException:\nCalledProcessError in file ...")
+    assert not say("job_error", jobid=1, log=[log]) and not say("job_error", jobid=1, log=[log])
+    assert stream.getvalue().count("a.bbl is empty; copy it again") == 1
+    assert stream.getvalue().startswith("[FAILED] import of a after 0.")
+    assert terminal.summary() == "" and "RuleException" not in stream.getvalue()
+
+
+def test_a_job_that_was_killed_keeps_snakemakes_whole_account(run):
+    _, stream, say = run
+    log = begin(say, 1, "a")
+    say("error", "RuleException:\nCalledProcessError in file x, died with <Signals.SIGKILL: 9>")
+    assert say("job_error", jobid=1, log=[log])
+    assert "SIGKILL" in stream.getvalue()
+
+
+def test_a_job_that_left_nothing_is_still_told(run):
+    _, stream, say = run
+    begin(say, 1, "a")
+    say("job_finished", job_id=1)
+    assert stream.getvalue() == "[1/?] importing Q, a\n"
+
+
+@pytest.mark.parametrize(
+    ("event", "text"),
+    [(None, "Nothing to be done"), (None, "Error: lock"), ("error", "MissingRuleException: x"), ("to_come", "new")],
+)
+def test_what_is_not_known_passes(run, event, text):
+    assert run[2](event, text)
+
+
+@pytest.mark.parametrize("text", ["Select jobs to execute...", "Execute 2 jobs...", "Using shell: /bin/bash"])
+def test_snakemakes_housekeeping_does_not(run, text):
+    assert not run[2](None, text)
