@@ -60,9 +60,9 @@ def saturation(imported: pd.DataFrame, used: np.ndarray) -> dict[str, float]:
 
 
 def verdict(imported: Section, filtered: Section, saturated: Mapping[str, float]) -> tuple[str, str]:
-    """The import's verdict, made worse by what filtering and the motors say; and the reasons."""
+    """The import's verdict, made worse by what filtering, its doubts and the motors say; and the reasons."""
     word, reasons = imported["verdict"], [imported["verdict because"]]
-    doubts = []
+    doubts = list(filtered.get("doubts", []))
     valid = filtered["phases"]["valid share"]
     if filtered.get("consistent") is False:
         doubts.append("the filter's innovations are larger or smaller than its own standard errors say")

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from quasi import attitude
+from quasi.doubt import doubt
 from quasi.filtering.measurements import coarseness, spans
 
 BLOCK = 0.1  # s
@@ -193,15 +194,16 @@ def phases(
         if idle is not None and 1.5 * idle < 0.8 * top:
             threshold = 1.5 * idle
         elif idle is not None:
-            notes.append(
+            doubt(
+                notes,
                 f"the idle speed of the quadrotor configuration is {idle:.0f} rad/s where the rotors turn at "
                 f"{top:.0f} rad/s "
-                "in flight, so take-off is looked for at 40 % of the latter; check 'idle RPM' and 'motor poles'"
+                "in flight, so take-off is looked for at 40 % of the latter; check 'idle RPM' and 'motor poles'",
             )
         take_off, never = take_off_sample(speeds, threshold, max(2, round(0.02 / dt)))
         for rotor in never:
-            notes.append(
-                f"rotor {rotor} never reaches the take-off speed of {threshold:.0f} rad/s; check its telemetry"
+            doubt(
+                notes, f"rotor {rotor} never reaches the take-off speed of {threshold:.0f} rad/s; check its telemetry"
             )
     ground = find_ground(gyro, accel, speeds, position, dt)
     rest = find_rest(gyro, accel, lost, step, n if take_off is None else take_off, dt)

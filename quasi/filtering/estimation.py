@@ -10,6 +10,7 @@ import pandas as pd
 
 from quasi import attitude
 from quasi.airframe import Airframe
+from quasi.doubt import doubt
 from quasi.errors import DataError
 from quasi.filtering import bias as biases
 from quasi.filtering import ekf, measurements, noise, timing
@@ -357,10 +358,11 @@ def _apply(
         }
         apart = np.abs(rest - whole) / np.hypot(rest_std, whole_std)
         for i in np.flatnonzero(apart > DRIFT_SIGMAS):
-            notes.append(
+            doubt(
+                notes,
                 f"the bias of {SENSORS[i]} differs between the rest ({rest[i]:.4g}) and the whole flight "
                 f"({whole[i]:.4g}) by "
-                f"{apart[i]:.1f} standard errors: it drifts, or something unmodelled is taken for it"
+                f"{apart[i]:.1f} standard errors: it drifts, or something unmodelled is taken for it",
             )
     if policy == "time varying":
         return final.state[:, 6:12].copy(), _bias_report(policy, whole, whole_std, evidence=evidence)

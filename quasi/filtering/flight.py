@@ -10,6 +10,7 @@ import pandas as pd
 
 from quasi import attitude
 from quasi.airframe import Airframe
+from quasi.doubt import doubt, doubts
 from quasi.errors import ConfigError, DataError
 from quasi.filtering import band as bands
 from quasi.filtering import bias as biases
@@ -94,9 +95,10 @@ def _check(airframe: Airframe, notes: list[str]) -> None:
             f"{airframe.name}: 'moment of inertia' is not positive definite; check its entries and units (kg m2)"
         )
     if principal[2] > 1.001 * (principal[0] + principal[1]):
-        notes.append(
+        doubt(
+            notes,
             f"{airframe.name}: 'moment of inertia' has principal moments of {', '.join(f'{m:.3g}' for m in principal)} "
-            "kg m2, of which the greatest exceeds the sum of the others: no body has such; measure it anew"
+            "kg m2, of which the greatest exceeds the sum of the others: no body has such; measure it anew",
         )
 
 
@@ -261,6 +263,7 @@ def filter_flight(
         "imported": dict(imported_metadata),
         "options": chosen,
         "notes": notes,
+        "doubts": doubts(notes),
     }
     return Filtered(with_gravity, no_gravity, metadata, run.convergence)
 

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from quasi import attitude
+from quasi.doubt import doubt
 from quasi.errors import DataError
 from quasi.filtering.ekf import ATTITUDE, KINDS, POSITION, STATES, VELOCITY
 from quasi.saturation import clipped
@@ -137,10 +138,11 @@ def read_imu(frame: pd.DataFrame, step: np.ndarray | None = None) -> Imu:
         absurd = ~bad & (np.abs(values) > LARGEST[sensor])
         if absurd.any():
             first = int(np.argmax(absurd))
-            notes.append(
+            doubt(
+                notes,
                 f"{sensor} channel '{name}' is {values[first]:.4g} at t = {t[first]:.3f} s, more than any sensor "
                 f"measures ({LARGEST[sensor]:g}), and so in {int(absurd.sum())} samples; they count as missing: check "
-                "its units"
+                "its units",
             )
             bad |= absurd
         if bad.mean() > 0.5:
@@ -270,13 +272,15 @@ def collect(
         with np.errstate(invalid="ignore"):
             finite = (np.abs(values[kind]) <= {"velocity": FASTEST}.get(kind, FARTHEST)).all(axis=1)
         if (fresh & ~finite).any():
-            notes.append(
-                f"{int((fresh & ~finite).sum())} samples of {kind} are not finite or beyond all reason and are left out"
+            doubt(
+                notes,
+                f"{int((fresh & ~finite).sum())} samples of {kind} are not finite or beyond all reason and are left "
+                "out",
             )
         fresh &= finite
         capture = said.startswith("capture")
         if fresh.any() and np.ptp(values[kind][fresh], axis=0).max() == 0.0 and fresh.sum() > 10:
-            notes.append(f"the measured {kind} is constant all through the flight and is left out; check its source")
+            doubt(notes, f"the measured {kind} is constant all through the flight and is left out; check its source")
             fresh[:] = False
         if kind == "velocity" and used[:, POSITION].any() and capture:
             fresh[:] = False  # the same information as the position
@@ -299,9 +303,10 @@ def collect(
     body = not known.all()
     velocity = uvw if body else attitude.rotate(quaternion, uvw)
     if source["attitude"] == "none":
-        notes.append(
+        doubt(
+            notes,
             "no attitude source: attitude is estimated from gyro, accelerometer and the measured motion; "
-            "its heading is only as good as the manoeuvres make it"
+            "its heading is only as good as the manoeuvres make it",
         )
     if source["position"] == "none" and source["velocity"] == "none":
         still = _thin(on_ground, max(1, round(0.1 / dt)))
@@ -309,11 +314,12 @@ def collect(
         velocity, body = np.zeros((n, 3)), False
         std[VELOCITY] = STILL_STD
         source["velocity"] = "standing still" if still.any() else "none"
-        notes.append(
-            "no position and no velocity source: velocity is integrated from the accelerometer and drifts in flight"
+        doubt(
+            notes,
+            "no position and no velocity source: velocity is integrated from the accelerometer and drifts in flight",
         )
     elif source["position"] == "none":
-        notes.append("no position source: position is integrated from velocity and drifts")
+        doubt(notes, "no position source: position is integrated from velocity and drifts")
     return Measurements(
         used,
         np.ascontiguousarray(quaternion),

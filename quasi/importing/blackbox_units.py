@@ -14,6 +14,7 @@ import numpy as np
 
 from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s
 from quasi.attitude import GRAVITY
+from quasi.doubt import doubt
 from quasi.importing.blackbox_header import hex_float, version
 
 _AXES = range(3)
@@ -273,7 +274,7 @@ def _rotor_speeds(raw, header, poles: int | None, known, out: Resolved) -> None:
             out.notes.append("the header's 14 motor poles are Betaflight's default, which few change; check the motors")
     else:
         count, source = DEFAULT_POLES, "assumed"
-        out.notes.append("warning: neither configuration nor header state the motor poles; 14 are assumed")
+        doubt(out.notes, "warning: neither configuration nor header state the motor poles; 14 are assumed")
     out.about["motor poles"] = {"value": count, "source": source}
     _speeds(raw, name, motors, erpm100_to_rad_s(count), name, out)
 

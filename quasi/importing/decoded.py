@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.attitude import GRAVITY, from_euler
+from quasi.doubt import doubt
 from quasi.errors import ReadError
 from quasi.importing.blackbox import gaps_note, time_gaps
 from quasi.importing.blackbox_header import plain_header
@@ -243,9 +244,10 @@ def _use_debug(raw: dict, header: dict[str, str], notes: list[str]) -> None:
             if np.median(speeds) > 20 and follow > 0.4:
                 # 45 is DSHOT_RPM_TELEMETRY for firmware without a stated version
                 header["debug_mode"] = "45"
-                notes.append(
+                doubt(
+                    notes,
                     "warning: the CSV does not say what its debug columns hold; they follow the motor commands "
-                    f"(correlation {follow:.2f}) and are taken as eRPM/100"
+                    f"(correlation {follow:.2f}) and are taken as eRPM/100",
                 )
     mode = debug_mode(header)
     if mode is None or mode["name"] != "DSHOT_RPM_TELEMETRY":

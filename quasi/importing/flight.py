@@ -10,6 +10,7 @@ import pandas as pd
 
 from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s, read_airframe
 from quasi.attitude import exponential, interpolate, multiply, rotate, rotate_inverse, to_euler
+from quasi.doubt import doubt
 from quasi.errors import ConfigError, DataError
 from quasi.importing import limits
 from quasi.importing.artefacts import flyable
@@ -239,7 +240,7 @@ def _align(
     try:
         return synchronise(board.motion(), seen, using, longest, where, same_clock=True)
     except DataError as error:
-        notes.append(f"{where}: the capture stays on the log's own clock, lag 0, for none could be found ({error})")
+        doubt(notes, f"{where}: the capture stays on the log's own clock, lag 0, for none could be found ({error})")
         return None
 
 

@@ -6,6 +6,7 @@ from typing import Any
 import pandas as pd
 
 from quasi.airframe import DEFAULT_POLES
+from quasi.doubt import doubts
 from quasi.importing import limits
 from quasi.importing.contradictions import doubtful_units
 from quasi.importing.onboard_log import Onboard
@@ -48,6 +49,7 @@ def verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) ->
         care.append(f"the capture's lag is known to {1e3 * sync['lag']['std']:.1f} ms only")
     if board.rest_seconds < 1.0:
         care.append("it has no rest before take-off, so sensor biases rest on the flight itself")
+    care += doubts(metadata["notes"])
     if bad:
         return {"verdict": "unusable", "verdict because": "; ".join(bad + care)}
     if care:

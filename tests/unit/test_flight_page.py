@@ -99,6 +99,15 @@ def test_verdict_gets_worse_by_what_filtering_finds_and_never_better(flight):
     assert verdict(bad, {**about, "consistent": False}, {})[0] == "unusable"
 
 
+def test_colour_follows_the_worst_warning_on_the_page(flight):
+    filtered, imported, about = flight
+    shakes = "vibration that moves with the rotors' speed passes the low-pass"
+    calm = page(filtered, imported, filtered, {**about, "notes": ["3 samples are bridged"]}, {})
+    shaken = page(filtered, imported, filtered, {**about, "notes": [shakes], "doubts": [shakes]}, {})
+    assert 'class="verdict good"' in calm and "<b>good:</b>" in calm
+    assert 'class="verdict care"' in shaken and "<b>usable with care:</b> vibration that moves" in shaken
+
+
 @pytest.mark.parametrize(
     ("said", "expected"),
     [

@@ -193,6 +193,7 @@ def test_a_folded_harmonic_inside_the_band_is_named_and_taken_out(made):
     said = [note for note in plain.metadata["notes"] if "passes the low-pass" in note]
     assert len(said) == 1 and re.search(r"harmonic 2 near 5[0-4] Hz, folded from 4[45]\d Hz; the log's rate", said[0])
     assert "harmonic 1" not in said[0] and said[0].endswith("'rotor notch harmonics' to 2")
+    assert plain.metadata["doubts"] == said and quiet.metadata["doubts"] == []
     assert not any("passes the low-pass" in note for note in quiet.metadata["notes"])
     asked = options | {"rotor notch harmonics": 2}
     silent, notched = (filter_flight(f, metadata, AIRFRAME, asked) for f in (frame, hurt))
