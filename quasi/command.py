@@ -182,6 +182,7 @@ def fly_by_hand(model: str | None, directory: Path, simulation: str | None = Non
     from contextlib import ExitStack
 
     from quasi.errors import ConfigError, ReadError, nearest
+    from quasi.project import check_project
     from quasi.simulation import fly
     from quasi.simulation.keyboard import Terminal
     from quasi.simulation.run import Session
@@ -193,6 +194,7 @@ def fly_by_hand(model: str | None, directory: Path, simulation: str | None = Non
 
     wind, settings = None, {"initial state conditions": {"position": [0, 0, -1.5]}}
     if simulation is not None:
+        check_project(directory)
         asked = Folder(directory).simulation(simulation)
         settings = asked["settings"] | {"references": {}}  # the keys take its place
         wind = read_numbers(directory / asked["wind"]) if asked["wind"] else None
@@ -225,12 +227,14 @@ def fly_by_hand(model: str | None, directory: Path, simulation: str | None = Non
 
 def margins_of(simulation: str, directory: Path) -> str:
     """Gains and margins of a simulation's controller as text. Raises a QuasiError where it or its model are absent."""
+    from quasi.project import check_project
     from quasi.simulation.margins import margins_of_setup
     from quasi.simulation.setup import make_setup
     from quasi.standalone.model import read_model
     from quasi.tables import read_numbers
     from quasi.workflow import Folder
 
+    check_project(directory)
     asked = Folder(directory).simulation(simulation)
     wind, reference = (read_numbers(directory / asked[k]) if asked[k] else None for k in ("wind", "reference"))
     model = read_model(model_place(asked["model"], directory))
@@ -244,12 +248,14 @@ def reach_of(simulation: str, directory: Path, horizon: float, radius: float, sp
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+    from quasi.project import check_project
     from quasi.simulation.reach import UNITS, reach
     from quasi.simulation.reach_figure import reach_figure
     from quasi.standalone.model import read_model
     from quasi.tables import read_numbers, whole_file, write_json, write_table
     from quasi.workflow import Folder
 
+    check_project(directory)
     asked = Folder(directory).simulation(simulation)
     wind = read_numbers(directory / asked["wind"]) if asked["wind"] else None
     model = read_model(model_place(asked["model"], directory))

@@ -43,6 +43,22 @@ def check_writable(folder: str | Path) -> None:
             )
 
 
+def check_project(folder: str | Path) -> None:
+    """Raise ConfigError for a folder that is no project's, as a slip in what -d names gives."""
+    place = Path(folder).absolute()
+    if any((place / name).is_dir() for name in ("config", "models")):
+        return
+    found = "holds neither config/ nor models/"
+    if not place.is_dir():
+        found = "does not exist"
+    elif all(p.name == ".snakemake" for p in place.iterdir()):
+        found = "is empty"  # Snakemake makes the folder that -d names
+    raise ConfigError(
+        f"{place} is no project folder: it {found}, expected config/ with the configuration and data/ with the "
+        "logbook; correct what -d names, run in the project's folder, or lay one with `quasi init FOLDER`"
+    )
+
+
 def read_settings(path: str | Path) -> dict[str, Any]:
     """What the folder's config.yaml sets; {} when it is absent or holds comments only. Raises ConfigError."""
     if not is_file(Path(path)):
@@ -106,8 +122,8 @@ class Project:
     def _read(self, path: str | Path, kind: str) -> dict[str, Any]:
         if not is_file(self._here(path)):
             raise ConfigError(
-                f"{path} does not exist; run snakemake in a project folder or name it with -d "
-                "(`quasi init FOLDER` lays one)"
+                f"{path} does not exist in {self.root.absolute()}; run snakemake in a project folder or name it with "
+                "-d (`quasi init FOLDER` lays one)"
             )
         document, notices = configuration.read(self._here(path), kind, str(path))
         self.notices += [n for n in notices if n not in self.notices]
@@ -129,8 +145,8 @@ class Project:
         """Model IDs, each of a sound configuration. Raises ConfigError, also when there is none."""
         if not self.models:
             raise ConfigError(
-                "config/models holds no model; run snakemake in a project folder or name it with -d "
-                "(`quasi init FOLDER` lays one)"
+                f"{self.root.absolute() / 'config/models'} holds no model; run snakemake in a project folder or name "
+                "it with -d (`quasi init FOLDER` lays one)"
             )
         return [name for name in self.models if self.model(name)]
 

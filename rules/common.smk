@@ -13,7 +13,7 @@ sys.path.insert(0, LIBRARY)
 from quasi.errors import QuasiError
 from quasi.joblog import RUN, told
 from quasi.provenance import code_of
-from quasi.project import check_writable, read_settings
+from quasi.project import check_project, check_writable, read_settings
 from quasi.terminal import Terminal
 from quasi.workflow import Folder
 
@@ -80,6 +80,7 @@ def ask(question, *arguments):
         raise
 
 
+ask(check_project, ".")
 ask(check_writable, ".")
 
 # what the command line gives (--config) comes before the folder's own file

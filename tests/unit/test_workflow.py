@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from quasi.command import main
 from quasi.errors import ConfigError, ExpressionError, LogbookError, QuasiError
-from quasi.project import check_writable, read_settings
+from quasi.project import check_project, check_writable, read_settings
 from quasi.workflow import Folder
 
 ROOT = Path(__file__).parents[2]
@@ -233,7 +234,9 @@ def test_absent_logbook_is_told_with_the_configuration_that_names_it(folder):
 
 def test_absent_configuration_says_that_this_is_no_project_folder(folder):
     (folder / "config/processing.json").unlink()
-    with pytest.raises(ConfigError, match="config/processing.json does not exist; run snakemake in a project folder"):
+    with pytest.raises(
+        ConfigError, match="config/processing.json does not exist in .*; run snakemake in a project folder"
+    ):
         Folder(folder).importing("Beetle", "a")
 
 
@@ -381,3 +384,27 @@ def test_a_mistyped_model_of_a_simulation_is_answered_with_models_that_were_put_
     (folder / "config/simulations/s.json").write_text(json.dumps({"model": {"model ID": "beetel"}}))
     with pytest.raises(ConfigError, match=r"'model ID' is 'beetel'.*did you mean 'beetle'"):
         Folder(folder).simulation("s")
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda place: None, "does not exist"),
+        (lambda place: (place / ".snakemake").mkdir(parents=True), "is empty"),
+        (lambda place: (place / "data").mkdir(parents=True), "holds neither config/ nor models/"),
+    ],
+    ids=["absent", "as snakemake makes it", "another folder"],
+)
+def test_a_slip_in_the_folder_names_it_and_what_belongs_there(tmp_path, capsys, make, words):
+    place = tmp_path / "my_lap"
+    make(place)
+    with pytest.raises(ConfigError, match=f"my_lap is no project folder: it {words}, expected config/ with the"):
+        check_project(place)
+    assert main(["margins", "-d", str(place), "mine"]) == 1
+    assert "my_lap is no project folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["config", "models"])
+def test_a_folder_of_a_configuration_or_of_models_alone_is_a_project(tmp_path, name):
+    (tmp_path / name).mkdir()
+    check_project(tmp_path)

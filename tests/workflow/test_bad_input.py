@@ -1,6 +1,7 @@
 """Faults of one flight stop that flight, faults of shared configuration stop the run; the last line is the remedy."""
 
 import pytest
+from conftest import ROOT, Project
 
 pytestmark = pytest.mark.workflow
 
@@ -132,3 +133,11 @@ def test_unknown_model_names_the_known(project):
     code, text = project.snakemake("-n", "models/smal/standalone")
     assert code != 0
     assert "config/models/smal.json does not exist (did you mean 'small'?" in last_line(text)
+
+
+def test_a_slip_in_the_folders_name_is_told_with_the_folder(tmp_path):
+    slip = Project(tmp_path)
+    slip.house.symlink_to(ROOT)
+    code, text = slip.snakemake("-n", "models/small/standalone")
+    assert code != 0
+    assert f"[ERROR] {slip.folder} is no project folder: it is empty, expected config/" in last_line(text)
