@@ -9,7 +9,7 @@ from typing import Any
 
 from quasi.errors import ConfigError, QuasiError, nearest
 from quasi.logbook import NAME, Row
-from quasi.project import AXES, Project, is_file
+from quasi.project import AXES, Project, check_model_file, is_file
 from quasi.tables import read_bytes, read_json
 
 HELD, COMPARED, REFERENCE = "held out", "compared", "reference"
@@ -169,6 +169,7 @@ class Comparisons(Project):
             self._refuse_half_models(name, self._lineage(model)[-1])
             return path
         if is_file(self._here(path)):
+            check_model_file(self._here(path), path)
             return self._here(path).absolute().as_posix()  # it was put there: no rule makes it
         raise ConfigError(
             f"config/gaps/{name}.json: 'model' is '{model}', but neither config/models/{model}.json nor {path} exists"

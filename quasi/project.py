@@ -11,8 +11,8 @@ import yaml
 from quasi import configuration
 from quasi.errors import ConfigError, LogbookError, QuasiError, ReadError, nearest
 from quasi.logbook import NAME, Row, pick, read_logbook
-from quasi.tables import read_text
-from quasi.variables import check_expression
+from quasi.tables import read_json, read_text
+from quasi.variables import check_expression, check_terms
 
 MADE = ("results", "models", "logs")  # folders that runs write into
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -86,6 +86,11 @@ def check_specification(document: dict[str, Any], where: str) -> None:
         for part, expressions in parts.items():
             for text in expressions:
                 check_expression(str(text), f"{where}, {axis}, {part}")
+
+
+def check_model_file(path: Path, shown: str) -> None:
+    """Refuse a model that was put into the folder and has a term that means nothing, before anything runs with it."""
+    check_terms(read_json(path), shown)
 
 
 class Project:

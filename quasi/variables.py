@@ -122,6 +122,20 @@ def check_expression(text: str, place: str) -> None:
             raise ExpressionError(f"{place}: unknown variable '{name}'{nearest(plain_name(name), known)}")
 
 
+def check_terms(document: object, where: str) -> None:
+    """Refuse a model's plain data with a term that means nothing; damaged data is left to whoever reads it whole.
+
+    Raises ExpressionError naming `where`, axis and term.
+    """
+    axes = document.get("axes") if isinstance(document, Mapping) else None
+    for axis, part in axes.items() if isinstance(axes, Mapping) else ():
+        terms = part.get("terms") if isinstance(part, Mapping) else None
+        for term in terms if isinstance(terms, list) else ():
+            text = term.get("expression") if isinstance(term, Mapping) else None
+            if isinstance(text, str):
+                check_expression(text, f"{where}, {axis}, term '{text}'")
+
+
 class Variables:
     """Candidate variables by name, each computed when first asked for.
 

@@ -11,7 +11,7 @@ from typing import Any
 from quasi.comparisons import HELD
 from quasi.errors import ConfigError, QuasiError, nearest
 from quasi.logbook import Row
-from quasi.project import AXES, check_specification, is_file, with_suffix
+from quasi.project import AXES, check_model_file, check_specification, is_file, with_suffix
 from quasi.recordings import GEOMETRY, IDENTIFICATION, Recordings
 from quasi.tables import read_json
 
@@ -125,6 +125,7 @@ class Folder(Recordings):
             raise ConfigError(
                 f"neither config/models/{name}.json nor {path} exists{nearest(name, self.models)}; make the model first"
             )
+        check_model_file(self._here(path), str(path))
         return self._here(path).absolute().as_posix()  # no rule makes it
 
     def matlab(self, name: str) -> dict[str, Any]:

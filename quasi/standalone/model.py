@@ -23,7 +23,7 @@ from quasi.standalone.document import AXES, airframe_of, check_document, trees_o
 from quasi.standalone.envelope import JOINT, Region, distances, make_region
 from quasi.standalone.graph import Graph, Value
 from quasi.standalone.kernel import INPUTS, Kernel, compile_outputs, wrench, wrench_rows
-from quasi.variables import Variables, base_columns, plain_name
+from quasi.variables import Variables, base_columns, check_terms, plain_name
 
 STATE = ("roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z")
 ROTORS = ("w1", "w2", "w3", "w4")
@@ -396,10 +396,14 @@ def _is_number(values: Any) -> bool:
 def read_model(path: str | Path) -> Model:
     """Read a model from its folder or its model.json.
 
-    Raises ReadError when there is none, ConfigError or ExpressionError naming file and key when it was damaged.
+    Raises ReadError when there is none, ConfigError or ExpressionError naming file and key when it was damaged, or a
+    term names a variable that no flight holds.
     """
     path = Path(path)
     file = path / "model.json" if path.is_dir() else path
     if not file.is_file():
         raise ReadError(f"{path} holds no model.json; make the model first, or give its folder")
-    return Model(tables.read_json(file), str(file))
+    document = tables.read_json(file)
+    model = Model(document, str(file))
+    check_terms(document, str(file))
+    return model

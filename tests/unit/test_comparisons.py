@@ -144,3 +144,15 @@ def test_a_recording_that_trained_is_known_by_its_content_whatever_its_name(tmp_
     assert same_recordings({"row 4": at["b"]}, {"row 2": at["a"]}) is None
     # another log of the same file is another flight
     assert same_recordings({"row 4": [at["a"][0], "2"]}, {"row 2": [at["a"][0], "1"]}) is None
+
+
+def test_a_model_put_there_with_an_unknown_variable_is_refused_before_anything_runs(folder):
+    place = folder / "models/given/standalone/model.json"
+    place.parent.mkdir(parents=True)
+    place.write_text(json.dumps({"axes": {"Fz": {"terms": [{"expression": "U_p"}, {"expression": "w_tot*spede"}]}}}))
+    write(folder, model="given")
+    for ask in (Folder(folder).gap_model, Folder(folder).gap):
+        with pytest.raises(QuasiError, match=r"given/standalone/model.json, Fz, term 'w_tot\*spede': unknown variable"):
+            ask("g")
+    with pytest.raises(QuasiError, match="unknown variable 'spede'"):
+        Folder(folder).portable("given")

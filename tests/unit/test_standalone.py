@@ -158,6 +158,10 @@ TAMPERED = {
     "code": (lambda d: d["axes"]["Fx"]["terms"][1].update(expression="__import__('os')"), "nothing can be called"),
     "brackets": (lambda d: d["axes"]["Fx"]["terms"][1].update(expression="(" * 9999), "nested"),
     "sigma": (lambda d: d["axes"]["Fx"].update(sigma2=None), "'sigma2' is None"),
+    "variable": (
+        lambda d: d["axes"]["Fx"]["terms"][1].update(expression="w_tott*u"),
+        "Fx, term 'w_tott*u': unknown variable 'w_tott' (did you mean 'w_tot'?)",
+    ),
 }
 
 
