@@ -70,6 +70,9 @@ def job(log: str | Path, name: str = "", page: str | None = None) -> Iterator[lo
     except QuasiError as error:
         LOG.error("%s", error)
         fail(str(error))
+    except SystemExit as error:  # or a job that was left half-way would count as done
+        LOG.error("%s", traceback.format_exc())
+        fail(f"{name or path.stem} was ended from within (SystemExit: {error}); the traceback is in {path}")
     except MemoryError:
         LOG.error("%s", traceback.format_exc())
         fail(f"{name or path.stem} ran out of memory; free some, or run fewer jobs at once (-j1)")

@@ -1,6 +1,11 @@
 """Causes of a user's own: a Python file is run, and what it defines is tried before hours are spent on flights."""
 
-from collections.abc import Mapping
+import functools
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
 from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -14,6 +19,7 @@ from quasi.gap.effect import Effect, Room, Vehicle
 from quasi.standalone.model import AXES
 from quasi.variables import check_expression
 
+FUNCTIONS = ("terms", "columns", "curved", "whole", "extension")  # of an effect, which a user writes
 ARM = 0.06  # m
 # about that of the bundled example: what an effect makes of it is not used, only whether it makes sense
 TRIED = Vehicle(
@@ -39,6 +45,49 @@ class Fresh(SourceFileLoader):
         return self.source_to_code(self.get_data(self.path), self.path)
 
 
+@contextmanager
+def _own_code(where: str = "") -> Iterator[None]:
+    """Run a user's code: where it would end the program, it raises a ConfigError instead. A Ctrl-C stays one.
+
+    where  what the error begins with; without it the caller says where and how to mend it
+    """
+    pressed: list[int] = []
+    before = signal.getsignal(signal.SIGINT)
+    # only the main thread is told of a Ctrl-C, and only where a handler makes an exception of it
+    watched = threading.current_thread() is threading.main_thread() and callable(before)
+
+    def press(number: int, frame: Any) -> None:
+        pressed.append(number)
+        before(number, frame)
+
+    if watched:
+        signal.signal(signal.SIGINT, press)
+    try:
+        yield
+    except Exception:
+        raise
+    except BaseException as error:
+        if pressed and isinstance(error, KeyboardInterrupt):
+            raise
+        said = f"{type(error).__name__}: {error}".removesuffix(": ")
+        remedy = "; correct the file" if where else ""
+        raise ConfigError(f"{where}it would end the whole program ({said}){remedy}") from error
+    finally:
+        if watched:
+            signal.signal(signal.SIGINT, before)
+
+
+def _guarded(function: Callable[..., Any], where: str) -> Callable[..., Any]:
+    """The same function, which cannot end the program when it is called on a flight."""
+
+    @functools.wraps(function)
+    def call(*arguments: Any, **named: Any) -> Any:
+        with _own_code(f"{where}: "):
+            return function(*arguments, **named)
+
+    return call
+
+
 def effect_of(path: Path) -> Effect:
     """The cause that a file defines as EFFECT; the file is run. Raises ConfigError naming it and what is wrong."""
     if not path.is_file():
@@ -46,19 +95,22 @@ def effect_of(path: Path) -> Effect:
     name = f"quasi_own_effect_{path.stem}"
     module = module_from_spec(spec_from_file_location(name, path, loader=Fresh(name, str(path))))
     try:
-        module.__spec__.loader.exec_module(module)
-    except (Exception, SystemExit) as error:  # whatever the file does wrong
+        with _own_code():
+            module.__spec__.loader.exec_module(module)
+    except Exception as error:  # whatever the file does wrong
         raise ConfigError(f"effect file {path}: {_words(error)}; correct the file") from error
     effect = getattr(module, "EFFECT", None)
     if not isinstance(effect, Effect):
         raise ConfigError(f"effect file {path} defines no EFFECT = Effect(...); see quasi/gap/effects for examples")
     try:
-        problem = _fault(effect)
+        with _own_code():
+            problem = _fault(effect)
     except Exception as error:  # its functions are the user's
         problem = _words(error)
     if problem:
         raise ConfigError(f"effect file {path}: effect '{effect.id}': {problem}; correct the file")
-    return effect
+    own = {word: getattr(effect, word) for word in FUNCTIONS if getattr(effect, word) is not None}
+    return replace(effect, **{word: _guarded(f, f"effect file {path}, {word}") for word, f in own.items()})
 
 
 def _words(error: BaseException) -> str:
@@ -75,7 +127,7 @@ def _fault(effect: Effect) -> str:
         return "no parameter is left to be fitted; give one that is not in 'scan'"
     if (effect.terms is None) == (effect.columns is None):
         return "expected either terms or columns, which say what each parameter adds to forces and moments"
-    for word in ("terms", "columns", "curved", "whole", "extension"):
+    for word in FUNCTIONS:
         given = getattr(effect, word)
         if given is not None and not callable(given):
             return f"{word} is {given!r}, expected a function"

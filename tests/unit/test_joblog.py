@@ -17,6 +17,7 @@ from quasi.joblog import LOG, RUN, job, progress, told
         (ReadError("a.bbl is empty; copy it again"), "a.bbl is empty; copy it again"),
         (OSError(errno.ENOSPC, "No space left on device", "a.part"), "No space left on device (a.part); free space"),
         (MemoryError(), "ran out of memory; free some"),
+        (SystemExit(0), "was ended from within (SystemExit: 0); the traceback is in"),
         (KeyError("x"), "failed unexpectedly (KeyError: 'x'); the traceback is in"),
     ],
 )

@@ -1,6 +1,8 @@
 """A cause of a user's own: what is wrong with its file is told before any flight is read."""
 
 import os
+import signal
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from quasi.errors import ConfigError, DataError
 from quasi.gap.catalogue import catalogue, columns_of
 from quasi.gap.effect import Effect, Parameter
 from quasi.gap.evidence import gather
-from quasi.gap.own_effect import effect_of
+from quasi.gap.own_effect import FUNCTIONS, effect_of
 
 SOUND = {
     "id": "'sticky'", "level": "'W'", "sentence": "'s'", "equation": "'e'", "source": "'s'", "channels": "('Fx',)",
@@ -31,7 +33,10 @@ def path(tmp_path):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("import sys; sys.exit(3)\n", "SystemExit: 3"),
+        ("import sys; sys.exit(3)\n", "it would end the whole program (SystemExit: 3); correct the file"),
+        ("raise KeyboardInterrupt\n", "it would end the whole program (KeyboardInterrupt); correct the file"),
+        (text(terms="lambda vehicle: exit(0)"), "effect 'sticky': it would end the whole program (SystemExit: 0)"),
+        (text(parameters="{'k': Parameter('N', 0.0, 'a', 0.0, 1.0, lambda v: exit(1))}"), "(SystemExit: 1)"),
         (text(id="'../../evil'"), "effect '../../evil': the id may hold letters, digits"),
         (text(id="'<b>'"), "effect '<b>': the id may hold letters"),
         (text(id="None"), "effect None: the id may hold letters"),
@@ -82,7 +87,8 @@ def test_every_cause_of_forces_and_moments_in_the_catalogue_would_pass_as_a_user
     for name, effect in catalogue().items():
         if effect.level == "W" and not effect.finding:
             path.write_text(f"from quasi.gap.effects.{name} import EFFECT\n")
-            assert effect_of(path) is effect
+            own = effect_of(path)
+            assert {f.name for f in fields(Effect) if getattr(own, f.name) != getattr(effect, f.name)} <= {*FUNCTIONS}
 
 
 @pytest.mark.parametrize(
@@ -99,3 +105,29 @@ def test_columns_that_are_none_are_told_with_cause_and_flight(columns, words):
     with pytest.raises(DataError, match=words) as caught:
         columns_of(effect, gather("a", follow(eight(3.0)), {}, MODEL.airframe, MODEL, 100.0), VEHICLE, {})
     assert "effect 'sticky'" in str(caught.value)
+
+
+@pytest.mark.parametrize("ends", ["exit(0)", "(_ for _ in ()).throw(KeyboardInterrupt)"])
+def test_a_function_that_would_end_the_program_on_a_flight_is_told_with_its_file(path, ends):
+    functions = f"lambda evidence, values: {ends}"
+    path.write_text(text(terms=None, columns=functions, extension="lambda values, vehicle, model: None"))
+    flight = gather("a", follow(eight(3.0)), {}, MODEL.airframe, MODEL, 100.0)
+    with pytest.raises(ConfigError, match=r"sticky\.py, columns: it would end the whole program \((Sys|Key)"):
+        columns_of(effect_of(path), flight, VEHICLE, {})
+
+
+@pytest.mark.parametrize("while_reading", [True, False])
+def test_a_real_ctrl_c_in_a_users_file_stays_one(path, while_reading):
+    before = signal.getsignal(signal.SIGINT)
+    press = "import signal\nsignal.raise_signal(signal.SIGINT)\n"
+    if while_reading:
+        path.write_text(press)
+        with pytest.raises(KeyboardInterrupt):
+            effect_of(path)
+    else:
+        called = "lambda evidence, values: __import__('signal').raise_signal(2)"
+        path.write_text(text(terms=None, columns=called, extension="lambda values, vehicle, model: None"))
+        flight = gather("a", follow(eight(3.0)), {}, MODEL.airframe, MODEL, 100.0)
+        with pytest.raises(KeyboardInterrupt):
+            columns_of(effect_of(path), flight, VEHICLE, {})
+    assert signal.getsignal(signal.SIGINT) is before
