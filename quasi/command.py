@@ -372,6 +372,7 @@ def lay(folder: Path) -> str:
         f"  config/processing.json           how flights are imported and filtered\n"
         f"  config/models/my_model.json      which flights make the model, which are held out\n"
         f"  config/simulations/my_simulation.json  how the model is flown in a simulation\n"
+        f"  config/gaps/my_gap.json          which flights the model is compared with, to see what it gets wrong\n"
         f"Then:  {snakemake} -s {LIBRARY / 'Snakefile'} -d {folder} -j2 models/my_model/standalone"
     )
 

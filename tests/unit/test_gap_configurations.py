@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from quasi.command import main
 from quasi.comparisons import recorded_twice, same_recordings
 from quasi.errors import ConfigError, QuasiError
 from quasi.workflow import Folder
@@ -98,3 +99,37 @@ def test_recordings_are_told_apart_by_content_and_number(folder):
     assert recorded_twice({"a": [one, "1"], "b": [one, ""]}) == ("a", "b")
     assert same_recordings({"a": [one, ""]}, {"b": [other, ""], "c": [one, "1"]}) == ("a", "c")
     assert same_recordings({"a": [one, ""]}, {"b": [other, ""]}) is None
+
+
+@pytest.fixture
+def laid(tmp_path, capsys):
+    """A folder as `quasi init` lays it, and fill(n): a logbook of n flights."""
+    assert main(["init", str(tmp_path / "lab")]) == 0
+    assert "config/gaps/my_gap.json" in capsys.readouterr().out
+    folder = tmp_path / "lab"
+
+    def fill(flights):
+        (folder / "data/raw").mkdir(exist_ok=True)
+        rows = []
+        for number in range(flights):
+            (folder / f"data/raw/f{number}.bbl").write_text(f"log {number}")
+            rows.append(f"Beetle,f{number},data/raw,betaflight,my_quadrotor,data,433")
+        (folder / "data/logbook.csv").write_text("\n".join([HEADER, *rows]) + "\n")
+        return Folder(folder)
+
+    return fill
+
+
+def test_the_gap_of_a_new_folder_disturbs_nothing_and_says_what_it_lacks(laid):
+    project = laid(2)
+    assert [r.key for r in project.model_flights("my_model")] == ["f0", "f1"]
+    assert project.every_model() == ["my_model"] and len(project.processing_flights()) == 2
+    assert project.simulation("my_simulation")["model"] == "models/my_model/standalone/model.json"
+    with pytest.raises(QuasiError, match=r"config/gaps/my_gap.json, 'rows of flights to compare \(all\)'.*row 4"):
+        project.gap("my_gap")
+
+
+def test_the_gap_of_a_new_folder_is_whole_once_its_rows_are_there(laid):
+    asked = laid(5).gap("my_gap")
+    assert asked["roles"] == {"f0": "reference", "f2": "compared", "f3": "compared", "f4": "held out"}
+    assert asked["settings"]["extended model ID"] == "my_model-2"
