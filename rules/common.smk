@@ -158,6 +158,12 @@ def model_sources(wildcards):
     }
 
 
+def base_of(wildcards):
+    """Of an extended model the one that it extends: both are judged on the same flights."""
+    gap = ask(FOLDER.extended, wildcards.model)
+    return {"base": ask(FOLDER.gap_model, gap)} if gap else {}
+
+
 def partition_of(wildcards):
     gap = ask(FOLDER.extended, wildcards.model)
     if gap:

@@ -22,6 +22,7 @@ rule standalone_model:
 
 rule standalone_scores:
     input:
+        unpack(base_of),
         model="results/parts/standalone/{model}/model.json",
         partition=partition_of,
         flights=all_flights,

@@ -13,12 +13,12 @@ from quasi.standalone.thinning import thin, thinned_units
 from quasi.tables import read_table, write_json, write_table, write_text
 
 
-def main(model: str, partition: str, flights: list[str], roles: dict, options: dict, output: dict) -> None:
-    """Read the model and all of its flights, held-out ones included; write scores, diagnosis, summaries."""
-    portable = read_model(model)
-    tables = {Path(path).stem: read_table(path) for path in progress(flights, "reading flights")}
-    codes, aside = judged_rows(read_table(partition), tables, roles["validation"], options)
-    found = review(portable, tables, codes, ROLES, aside, options)
+def main(source: dict, roles: dict, options: dict, output: dict) -> None:
+    """Read the model, all of its flights, and of an extended one its base; write scores, diagnosis, summaries."""
+    portable, base = (read_model(source[k]) if source.get(k) else None for k in ("model", "base"))
+    tables = {Path(path).stem: read_table(path) for path in progress(source["flights"], "reading flights")}
+    codes, aside = judged_rows(read_table(source["partition"]), tables, roles["validation"], options)
+    found = review(portable, tables, codes, ROLES, aside, options, base)
     for line in found.diagnosis["summary"]:
         LOG.info("%s", line)
     write_table(output["scores"], found.scores, UNITS)
@@ -33,9 +33,7 @@ def main(model: str, partition: str, flights: list[str], roles: dict, options: d
 if __name__ == "__main__":
     with job(snakemake.log[0], f"scores of {snakemake.wildcards.model}"):
         main(
-            snakemake.input.model,
-            snakemake.input.partition,
-            snakemake.input.flights,
+            dict(snakemake.input.items()),
             snakemake.params.flights,
             snakemake.params.options,
             dict(snakemake.output.items()),

@@ -18,7 +18,7 @@ from quasi.expressions import names, parse
 from quasi.standalone.envelope import HIGH, LOW, limited_names
 from quasi.standalone.model import Model
 from quasi.standalone.score import POOLED, Judged
-from quasi.standalone.verdict import ORDER, headline, shortly, verdict
+from quasi.standalone.verdict import ORDER, beside_base, headline, shortly, verdict
 from quasi.variables import Variables
 
 SCHEMA = "quasi.diagnostics/1"
@@ -43,11 +43,13 @@ def diagnose(
     beyond: Mapping[str, np.ndarray],
     roles: Mapping[str, int],
     partitioning: Mapping[str, Any] | None = None,
+    base: tuple[str, pd.DataFrame] | None = None,
 ) -> dict[str, Any]:
     """The checks of every axis and a verdict in words, as plain data ("quasi.diagnostics/1").
 
     judged, scores  of the same rows (`judge`, `score_judged`); coverage, beyond  of `covered_share`
     roles           {name: code}; partitioning  the model's "data partitioning"
+    base            ID and scores, on the same rows, of the model that a gap extended; None for any other
     """
     axes = {}
     for axis in model.axes:
@@ -58,6 +60,7 @@ def diagnose(
         facts["interval"] = _interval(judged[axis], pooled, roles)
         facts["outside"] = _outside(model, axis, coverage, beyond.get(axis), judged[axis], roles)
         facts["unit"] = model.document["axes"][axis]["unit"]
+        facts["base"] = _base(*base, axis) if base else None
         facts |= verdict(axis, facts, bool(model.document.get("extensions")))
         axes[axis] = facts
     worst = max((facts["verdict"] for facts in axes.values()), key=ORDER.index)
@@ -69,11 +72,19 @@ def diagnose(
         "schema": SCHEMA,
         "model": model.id,
         "verdict": worst,
-        "shortly": "; ".join([*wrong, shortly(axes)]),
-        "summary": [*wrong, *headline(axes)],
+        "shortly": "; ".join([*wrong, *beside_base(axes), shortly(axes)]),
+        "summary": [*wrong, *beside_base(axes), *headline(axes)],
         "partition": _leak(partitioning or {}, scores),
         "axes": axes,
     }
+
+
+def _base(name: str, scores: pd.DataFrame, axis: str) -> dict[str, Any] | None:
+    """Name and validation scores of an axis of the base, None where it was not judged."""
+    of_axis = scores[(scores["flight"] == POOLED) & (scores["axis"] == axis) & (scores["role"] == "validation")]
+    if not len(of_axis) or not of_axis["n"].iloc[0]:
+        return None
+    return {"id": name, "rmse": _plain(of_axis["rmse"].iloc[0]), "r2": _plain(of_axis["r2"].iloc[0])}
 
 
 def _facts(pooled: pd.DataFrame) -> dict[str, Any]:

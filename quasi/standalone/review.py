@@ -27,15 +27,19 @@ def review(
     roles: Mapping[str, int],
     aside: Mapping[str, Mapping[str, np.ndarray]] | None = None,
     partitioning: Mapping[str, Any] | None = None,
+    base: Model | None = None,
 ) -> Review:
     """Judge a model on its training, test and validation rows.
 
     flights  filtered flights; partition {flight: (n,) role codes}; roles {name: code}
     aside    {axis: {flight: (n,) bool}} training rows that isolation sets aside; partitioning  how rows were drawn
+    base     the model that a gap extended to this one: judged on the same rows, and compared with
     """
     judged = judge(model, flights, partition, aside)
     scores = score_judged(judged, model, roles)
     held = {key: np.asarray(partition[key]) == roles["validation"] for key in flights}
     held = {key: rows for key, rows in held.items() if rows.any()}
     coverage, beyond = covered_share(model, {key: flights[key] for key in held}, held)
-    return Review(judged, scores, coverage, diagnose(model, judged, scores, coverage, beyond, roles, partitioning))
+    beside = (base.id, score_judged(judge(base, flights, partition, aside), base, roles)) if base else None
+    diagnosis = diagnose(model, judged, scores, coverage, beyond, roles, partitioning, beside)
+    return Review(judged, scores, coverage, diagnosis)

@@ -29,7 +29,8 @@ def verdict(axis: str, facts: Mapping[str, Any], extended: bool = False) -> dict
 
     extended  whether a gap made the model: its regressors were chosen elsewhere
     facts  "rmse", "relative rmse", "r2", "bias" {role: value}, "relative difference", "warnings", "quartiles",
-           "interval", "outside", "unit", as the diagnostics hold them
+           "interval", "outside", "unit", as the diagnostics hold them; of an extended model "base", {"id", "rmse",
+           "r2"} of the model that it extends, on the same validation rows
     """
     because: list[str] = []
     remedies: list[str] = []
@@ -64,6 +65,13 @@ def verdict(axis: str, facts: Mapping[str, Any], extended: bool = False) -> dict
         level, overfits = max(level, 1), True
         because.append(f"intervals hold {percent(trained)} of the training rows, {percent(tested)} of the test rows")
     because += _lopsided(facts["quartiles"], holdout)
+    beside = _beside_base(facts) if holdout == "validation" else None
+    if beside:
+        # flights that another model was made of: what both get wrong is no fault of the extension
+        kind, said = beside
+        level, overfits = _level_beside(kind, level, facts["r2"].get("validation")), False
+        because.insert(0, said)
+        found = [kind]
     if extended and remedies:
         remedies = [*(r for r in remedies if r.startswith("look for another trim")), EXTENDED]
     word = ORDER[level]
@@ -73,6 +81,7 @@ def verdict(axis: str, facts: Mapping[str, Any], extended: bool = False) -> dict
         "kind": _kind(level, [*found, *(["overfit"] if overfits else [])], r2),
         "because": because,
         "what to do": list(dict.fromkeys(remedies)),
+        "beside its base": beside[0] if beside else None,
         "said": _said(axis, word, bool(overfits), because, facts, holdout),
     }
 
@@ -116,8 +125,41 @@ def _validation(axis: str, facts: Mapping[str, Any], because: list[str], remedie
     return level, found
 
 
+def _beside_base(facts: Mapping[str, Any]) -> tuple[str, str] | None:
+    """Whether an extended model does "better", "alike" or "worse" than its base on the validation rows; in words."""
+    base, own = facts.get("base"), facts["rmse"].get("validation")
+    if not base or not base.get("rmse") or own is None:
+        return None
+    change, there = 100 * (own / base["rmse"] - 1), f"{base['rmse']:.3g} {facts['unit']}"
+    if abs(change) <= RULE:
+        return "alike", f"validation RMSE as that of its base {base['id']} on the same flights ({there})"
+    if change < 0:
+        return "better", f"validation RMSE {-change:.0f} % below that of its base {base['id']} there ({there})"
+    return "worse", f"validation RMSE {change:.0f} % above that of its base {base['id']} on the same flights ({there})"
+
+
+def _level_beside(kind: str, level: int, r2: float | None) -> int:
+    """Level of an axis of an extended model, 0 good to 2 unusable. level  what it would be for a model of its own."""
+    if kind == "better":
+        return 0 if r2 is None or r2 >= WEAK else 1
+    if kind == "alike":
+        return min(level, 1)
+    return 2 if r2 is not None and r2 < 0 else 1
+
+
+def beside_base(axes: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """A sentence on all axes of an extended model beside its base; nothing for another model."""
+    groups = {k: [a for a, f in axes.items() if f["beside its base"] == k] for k in ("better", "alike", "worse")}
+    said = "; ".join(f"{kind} in {', '.join(members)}" for kind, members in groups.items() if members)
+    base = next((f["base"]["id"] for f in axes.values() if f.get("base")), None)
+    return [f"beside its base {base} on the same held-out flights: {said}"] if said else []
+
+
 KINDS = {
     "good": "good",
+    "alike": "no better than its base on these flights",
+    "better": "better than its base, and still weak",
+    "worse": "worse than its base",
     "trim": "a constant offset, another trim on the validation flights",
     "beyond": "the validation flights go beyond the training flights",
     "overfit": "overfitted",
@@ -132,7 +174,8 @@ def _kind(level: int, found: list[str], r2: float | None) -> str:
     if level in (0, 2):
         return "unusable" if level else "good"
     return next(
-        (k for k in ("trim", "beyond", "overfit") if k in found), "weak" if r2 is not None and r2 < WEAK else "care"
+        (k for k in ("alike", "better", "worse", "trim", "beyond", "overfit") if k in found),
+        "weak" if r2 is not None and r2 < WEAK else "care",
     )
 
 

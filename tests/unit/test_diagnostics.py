@@ -1,5 +1,7 @@
 """Verdicts on flights that were made to deserve them, and every figure against plain arithmetic."""
 
+import copy
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -7,9 +9,11 @@ from judged import TERMS, columns, made
 
 from quasi.errors import DataError
 from quasi.identification.partition import ROLES, TRAINING
+from quasi.standalone.model import Model
+from quasi.standalone.review import review
 from quasi.standalone.score import judge, score, score_judged
 from quasi.standalone.summary import summary_text
-from quasi.standalone.verdict import headline, verdict
+from quasi.standalone.verdict import headline, shortly, verdict
 
 
 @pytest.fixture(scope="module")
@@ -182,6 +186,55 @@ def test_without_validation_flights_the_test_rows_judge():
     assert found.diagnosis["axes"]["My"]["outside"]["share"] is None
     _, _, alone = made(validation=(), options={"random partition": False}, rows=600)
     assert "no test or validation rows judge it" in alone.diagnosis["axes"]["Fz"]["because"]
+
+
+@pytest.mark.parametrize(
+    ("rmse", "r2", "base", "expected"),
+    [
+        (0.0764, -0.27, 0.0764, ("usable with care", "alike", "no better than its base on these flights")),
+        (0.0764, -0.27, 0.03, ("unusable", "worse", "not usable beyond the training flights")),
+        (0.0764, 0.8, 0.05, ("usable with care", "worse", "worse than its base")),
+        (0.0764, 0.8, 0.3, ("good", "better", "good")),
+        (0.0764, -0.27, 0.3, ("usable with care", "better", "better than its base, and still weak")),
+    ],
+)
+def test_an_extended_model_is_judged_beside_its_base(rmse, r2, base, expected):
+    facts = {
+        "rmse": {"training": 0.06, "validation": rmse},
+        "relative rmse": {"training": 0.3, "validation": 1.1},
+        "r2": {"training": 0.9, "validation": r2},
+        "bias": {"training": 0.0, "validation": 0.0},
+        "relative difference": {
+            "validation above training": 27.0,
+            "validation above training, relative": 260.0,
+            "test above training": None,
+        },
+        "warnings": {"test": False, "validation": False},
+        "quartiles": [],
+        "interval": {"confidence": 0.95, "coverage": {"training": 0.95, "validation": 0.75}},
+        "outside": {"share": 0.0, "variables": {}, "rmse inside": rmse},
+        "unit": "N",
+        "base": {"id": "m", "rmse": base, "r2": 0.0},
+    }
+    said = verdict("Fx", facts, True)
+    assert (said["verdict"], said["beside its base"], shortly({"Fx": said})[4:]) == expected
+    assert said["because"][0].startswith("validation RMSE") and "its base m" in said["because"][0]
+    assert not said["overfits"] and "overfits" not in said["said"]
+    alone = verdict("Fx", {**facts, "base": None}, True)
+    assert alone["beside its base"] is None and alone["verdict"] != "good"
+
+
+def test_the_base_is_judged_on_the_same_rows():
+    model, flights, whole = made(rows=600)
+    weaker = copy.deepcopy(model.document)
+    for term in weaker["axes"]["My"]["terms"]:
+        term["coefficient"] *= 0.5
+    found = review(model, flights, codes_of(whole.judged), ROLES, base=Model({**weaker, "id": "weaker"}))
+    facts = found.diagnosis["axes"]
+    assert facts["Fz"]["base"]["rmse"] == pytest.approx(facts["Fz"]["rmse"]["validation"])
+    said = "beside its base weaker on the same held-out flights: better in My; alike in Fz"
+    assert found.diagnosis["summary"][0] == said and found.diagnosis["shortly"].startswith(said)
+    assert whole.diagnosis["axes"]["My"]["base"] is None and "base" not in whole.diagnosis["shortly"]
 
 
 def test_rows_set_aside_neither_train_nor_test():
