@@ -152,13 +152,16 @@ def weak_form(flown: Flown) -> Weak:
     spacing = np.median(np.diff(np.flatnonzero(frame["attitude_sample"].to_numpy() > 0.5))) if turning else 1
     reach = max(round(float(spacing)), 1)
 
-    # both sides over the same steps, from one captured attitude to the next but one
-    angle = np.zeros_like(w)
-    angle[1:] = np.cumsum(0.5 * (w[1:] + w[:-1]) * dt, axis=0)
+    # Both sides over the same steps, from one captured attitude to the next but one. Turns do not commute: a vehicle
+    # that shakes about two axes turns about the third by what the mere sum of rates does not hold.
+    small = attitude.exponential(0.5 * (w[1:] + w[:-1]) * dt)
+    step = small[: len(small) - 2 * reach + 1]
+    for k in range(1, 2 * reach):
+        step = attitude.multiply(step, small[k : k + len(step)])
     seen, sensed = np.zeros_like(w), np.zeros_like(w)
+    sensed[reach:-reach] = attitude.logarithm(step) / (2 * reach * dt)
     step = attitude.multiply(attitude.conjugate(q[: -2 * reach]), q[2 * reach :])
     seen[reach:-reach] = attitude.logarithm(step) / (2 * reach * dt)
-    sensed[reach:-reach] = (angle[2 * reach :] - angle[: -2 * reach]) / (2 * reach * dt)
 
     def earth(v: np.ndarray) -> np.ndarray:
         return np.einsum("nij,nj->ni", turn, np.broadcast_to(v, f.shape))

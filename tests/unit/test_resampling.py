@@ -2,8 +2,18 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from quasi.importing.resampling import angular_acceleration, covered, fresh, grid, low_pass, resample, velocity
+from quasi.importing.resampling import (
+    angular_acceleration,
+    covered,
+    fresh,
+    grid,
+    low_pass,
+    resample,
+    resample_attitude,
+    velocity,
+)
 
 
 def test_grid_has_the_rate_and_stays_inside():
@@ -27,6 +37,25 @@ def test_slow_samples_are_interpolated_along_the_curve():
     out = resample(t, np.sin(2 * np.pi * 3 * t)[:, None], at)
     assert out.values[:, 0] == pytest.approx(np.sin(2 * np.pi * 3 * at), abs=1e-4)
     assert out.sample.mean() == pytest.approx(0.2, abs=0.01)
+
+
+def nodding(t):
+    """An axis that goes round a cone of 10 deg eight times a second, as a vehicle that shakes."""
+    turn = 2 * np.pi * 8 * t
+    return Rotation.from_rotvec(np.radians(10) * np.stack([np.cos(turn), np.sin(turn), 0 * t], axis=1))
+
+
+def test_attitudes_follow_a_swing_between_frames_and_the_shortest_turn_across_a_gap():
+    t = np.arange(0, 4, 1 / 120)
+    at = grid(0.1, 3.8, 500)
+    told = resample_attitude(t, nodding(t).as_quat(scalar_first=True), at)
+    off = (Rotation.from_quat(told.values, scalar_first=True) * nodding(at).inv()).magnitude()
+    assert np.max(off) < np.radians(0.1)  # along the shortest turns 0.5 deg
+    torn = (t < 1.0) | (t > 1.5)
+    told = resample_attitude(t[torn], nodding(t[torn]).as_quat(scalar_first=True), at)
+    tilt = Rotation.from_quat(told.values, scalar_first=True).magnitude()
+    assert np.max(tilt[(at > 1.0) & (at < 1.5)]) < np.radians(10.1)
+    assert not told.covered[(at > 1.02) & (at < 1.48)].any()
 
 
 def test_crowded_stamps_do_not_make_the_spline_swing():
