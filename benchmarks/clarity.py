@@ -73,9 +73,8 @@ def clarity(name: str, values: Mapping[str, float], asked: Asked) -> dict[str, A
 
 def _shown(study: Study, offer: Offer, theta: np.ndarray, asked: Asked, given: Sequence[Offer]) -> float:
     """|t| of the true deviations theta of an offer, beside others that are given."""
-    known = [c for c in study.columns.causes if c not in asked.effects or not asked.effects[c].absorbed]
     mixed = study.mixed(range(len(asked.compared)), asked.compared)
-    test = mixed.test(offer, given, known if offer.since == "changed" else [])
+    test = mixed.test(offer, given, mixed.pooled(offer.since))
     return float(np.sqrt(max(theta @ np.linalg.solve(test.covariance, theta), 0.0)))
 
 

@@ -14,7 +14,7 @@ import pandas as pd
 from quasi.errors import DataError
 from quasi.gap.drive_findings import saturated, weak
 from quasi.gap.drive_fit import NAMES, RATE, Belief, DriveFit, belief_of, commanded, fit_drive, reference_voltage
-from quasi.gap.level import Choice, Flown, Level, Tests, choose, final_test, probability, separability
+from quasi.gap.level import Choice, Flown, Level, Tests, choose, final_test, probability, separability, shares_of
 from quasi.gap.mixed import Columns, Offer
 from quasi.gap.residual_tables import beside, spectra
 from quasi.gap.whitening import autoregression, whiten
@@ -110,12 +110,12 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         "values": reference.values.tolist(), "voltage": reference.voltage,
         "learned": {"kind": kind, "values": learned.tolist(), "voltage": belief and belief.voltage},
     }  # fmt: skip
-    stages = 1 if compared.all() else 2
-    threshold = float(options.get("false alarm rate", 0.01)) / (stages * max(len(asked), 1))
-    choice = choose(mixed, threshold, [LATE])
+    alarm = float(options.get("false alarm rate", 0.01)) / max(len(asked), 1)
+    levels = {since: alarm * part for since, part in shares_of(compared).items()}
+    choice = choose(mixed, levels, [LATE])
     alone = sorted(choice.marginal.values(), key=lambda test: test.wald)
     level.healthy["alone"] = {test.offer.cause: test.value.tolist() for test in alone}
-    shares = probability(lambda rng: [p.gram(rng) for p in products], build, choice, threshold)
+    shares = probability(lambda rng: [p.gram(rng) for p in products], build, choice, levels)
     _report(level, mixed, choice, shares, [d for d, flag in zip(fits, compared) if flag])
     _tables(level, used, fits, [v - reference.values for v in constants])
     return level

@@ -149,13 +149,12 @@ def settle(
     if not kept:
         return Settled([], [], {}, {}, None, [])
     ranges = {n: e.limits(vehicle) for n, e in effects.items()}
-    pooled = [n for n in found.study.columns.causes if not effects[n].absorbed]
     try:
         windows = output_error.windows_of(found.study, tables)
         while kept:
             anew = any(c.since == "always" for c in kept)
             maker = Maker(model, found, kept, compared, vehicle, anew)
-            fitted = output_error.fit(found.study, compared, kept, maker, windows, ranges, pooled)
+            fitted = output_error.fit(found.study, compared, kept, maker, windows, ranges)
             values = [v if used else c.value for c, v, used in zip(kept, fitted.values, fitted.used)]
             rest = [
                 Maker(model, found, _but(kept, k), compared, vehicle, anew)(_but(values, k), True)

@@ -81,7 +81,8 @@ def diagnose(
         asked = [n for n, e in effects.items() if e.level == "W"]
         said["cannot_be_asked"] += [{"id": n, "why": unable} for n in asked]
     else:
-        found = examine(learning, compared, held, model, effects, vehicle, rate, share, ident, f"gap {name}")
+        unheard = rate_of(settings["false alarm rate"], sum(compared), 0)
+        found = examine(learning, compared, held, model, effects, vehicle, rate, share, ident, f"gap {name}", unheard)
         sure = [c for c in found.causes if c.probability >= _needed(c, found)]
         rare = [c for c in found.stand_ins if c.probability < _needed(c, found)]
         found.ties = [t for t in found.ties if not any(c.effect.id == t[1].tests[0].offer.cause for c in rare)]
@@ -410,8 +411,8 @@ def _wrong_model(
     if found.wrong is None:
         return None
     study, since, effect = found.study, kept[0].since, effects[found.wrong]
-    pooled = [c for c in study.columns.causes if not effects[c].absorbed] if since == "changed" else []
-    test = study.mixed(range(len(compared)), compared).best(effect.id, since, (), pooled, effect.parts)
+    mixed = study.mixed(range(len(compared)), compared)
+    test = mixed.best(effect.id, since, (), mixed.pooled(since), effect.parts)
     values = {effect.fitted[k]: float(v) for k, v in zip(test.offer.which, test.value)}
     return Model(extend(model, [(effect, values)], vehicle, "wrong", "trial"), "the best wrong cause")
 

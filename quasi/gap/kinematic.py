@@ -14,7 +14,18 @@ from quasi.errors import DataError
 from quasi.gap.kinematic_columns import ANGLES, AXES, Weak, corrected_already, straightened, weak_form
 from quasi.gap.kinematic_products import added, alone, blocks_of, whitener_of
 from quasi.gap.kinematic_tables import tables
-from quasi.gap.level import Choice, Flown, Level, Tests, choose, final_test, probability, resampled, separability
+from quasi.gap.level import (
+    Choice,
+    Flown,
+    Level,
+    Tests,
+    choose,
+    final_test,
+    probability,
+    resampled,
+    separability,
+    shares_of,
+)
 from quasi.gap.mixed import Columns, Offer
 from quasi.gap.sensor_findings import shaken, torn
 from quasi.gap.whitening import Whitener
@@ -135,7 +146,7 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
             for cause, why in impossible.items()
         ]
     level.tests = search.mixed
-    shares = probability(resampled(search.blocks), search.build, search.choice, search.threshold)
+    shares = probability(resampled(search.blocks), search.build, search.choice, search.levels)
     _report(level, search.mixed, search.choice, shares, names)
     fitted = {o: final_test(search.mixed, search.choice, o) for o in search.choice.taken}
     usual = SPREAD if turning else SPREAD | WITHOUT_TURNING
@@ -154,7 +165,7 @@ class Search(NamedTuple):
     known: list[np.ndarray]
     mixed: Tests
     choice: Choice
-    threshold: float
+    levels: dict[str, float]
     build: Callable[..., Tests]
 
     @property
@@ -181,9 +192,9 @@ def _search(used: Sequence[Flown], weak: Sequence[Weak], asked: Sequence[str], t
         blocks = [added(blocks_of(w, by), values) for w, by, values in zip(weak, whiteners, known)]
         grams = [b.sum(axis=0) for b in blocks]
         mixed = build(grams)
-        threshold = alarm / ((1 if compared.all() else 2) * max(len(asked), 1))
+        levels = {since: alarm * part / max(len(asked), 1) for since, part in shares_of(compared).items()}
         doubtful = build(grams, MARKERS_KNOWN * np.sqrt(len(blocks)))
-        choice = choose(mixed, threshold, witness=WITNESS, doubtful=doubtful)
+        choice = choose(mixed, levels, witness=WITNESS, doubtful=doubtful)
         wanted = [_bent(mixed, choice, names, flag) for flag in compared]
         if not turning or look == LOOKS - 1 or max(_apart(a, b, names) for a, b in zip(wanted, applied)) < 1.0:
             break
@@ -195,7 +206,7 @@ def _search(used: Sequence[Flown], weak: Sequence[Weak], asked: Sequence[str], t
         weak = [weak_form(straightened(f, _set_right(values, names), offset))
                 for f, values, offset in zip(used, applied, offsets)]  # fmt: skip
         weak = [w._replace(columns=w.columns[:, :, [w.names.index(n) for n in names]], names=names) for w in weak]
-    return Search(list(weak), whiteners, blocks, known, mixed, choice, threshold, build)
+    return Search(list(weak), whiteners, blocks, known, mixed, choice, levels, build)
 
 
 def _impossible(search: Search) -> dict[str, str]:

@@ -18,6 +18,7 @@ from quasi.gap.mixed import Columns, Mixed, Offer, Test
 MOST_TIED = 3
 MOST_CAUSES = 8
 DRAWS = 40  # resamples of a flight's blocks
+COMMON = 0.2  # share of the false alarm rate for what reference and compared flights have in common
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ class Choice:
 
     def test(self, mixed: "Tests", offer: Offer, beside: Sequence[Offer] = (), without: Sequence[Offer] = ()) -> Test:
         """The offer beside everything taken: the least favourable alternative, with what they differ in as doubt."""
-        pooled = pooled_for(mixed, offer.since)
+        pooled = mixed.pooled(offer.since)
         tests = [mixed.test(offer, [*way, *beside], pooled) for way in self.alternatives(without)]
         worst = max(tests, key=lambda test: (test.p, -test.wald))
         apart = np.array([test.value - worst.value for test in tests])
@@ -122,15 +123,9 @@ class Tests(Mixed):
         self, grams: Sequence[np.ndarray], compared: Sequence[bool], columns: Columns, freedom: float,
         prior: np.ndarray | None = None, unpooled: Sequence[str] = (),
     ) -> None:  # fmt: skip
-        super().__init__(grams, compared, columns, prior)
+        super().__init__(grams, compared, columns._replace(unpooled=tuple(unpooled)), prior)
         groups = 1 if self.compared.all() else 2
         self.freedom = max(len(grams) - groups, 1) + freedom
-        self.unpooled = tuple(unpooled)
-
-
-def pooled_for(mixed: Tests, since: str) -> list[str]:
-    """Causes fitted to all flights alike, unclaimed, while one is tested for a change between the groups."""
-    return [c for c in mixed.columns.causes if c not in mixed.unpooled] if since == "changed" else []
 
 
 def offers_of(mixed: Tests, since: str) -> list[Offer]:
@@ -138,47 +133,52 @@ def offers_of(mixed: Tests, since: str) -> list[Offer]:
     return [Offer(cause, since, tuple(range(len(columns)))) for cause, columns in mixed.columns.causes.items()]
 
 
+def shares_of(compared: Sequence[bool]) -> dict[str, float]:
+    """{since: share of the false alarm rate}: what changed between the groups is asked first, and costs most of it."""
+    return {"always": 1.0} if np.all(compared) else {"changed": 1.0 - COMMON, "always": COMMON}
+
+
 def choose(
-    mixed: Tests, threshold: float, twinned: Sequence[frozenset[str]] = (),
+    mixed: Tests, levels: Mapping[str, float], twinned: Sequence[frozenset[str]] = (),
     witness: Mapping[frozenset[str], str] | None = None, doubtful: Tests | None = None,
 ) -> Choice:  # fmt: skip
-    """Take causes one after the other while the best is less probable by chance than `threshold`.
+    """Take causes one after the other while the best is less probable by chance than allowed.
 
+    levels    {since: probability}, in the order in which they are asked: changes between reference and compared flights
+              are settled before what all flights have in common
     twinned   pairs of causes whose signatures are nearly the same: both stand in the tie unless one beats the other
     witness   {pair: cause}: twins of which only one can be there; one beats the other when, with the other given, this
               third cause is needed too, and with itself given it is not
     doubtful  the same tests with wider nuisances, which alone hear witnesses in what all flights have in common
-    Changes between reference and compared flights are settled before what all flights have in common.
     """
     choice = Choice(witness=witness or {})
-    stages = ["always"] if mixed.compared.all() else ["changed", "always"]
-    for since in stages:
+    for since, level in levels.items():
         judge = mixed if doubtful is None or since == "changed" else doubtful
         while len(choice.taken) < MOST_CAUSES:
             offers = [o for o in offers_of(mixed, since) if not choice.rules_out(o)]
             tests = [choice.test(mixed, offer) for offer in offers]
             for test in tests:
                 choice.marginal.setdefault(test.offer, test)
-            found = sorted((t for t in tests if t.p < threshold), key=lambda t: (t.p, -t.wald))
+            found = sorted((t for t in tests if t.p < level), key=lambda t: (t.p, -t.wald))
             if not found:
                 break
-            best, tie = _duel(mixed, judge, found, choice, threshold, [*twinned, *choice.witness])
+            best, tie = _duel(mixed, judge, found, choice, level, [*twinned, *choice.witness])
             choice.taken.append(best)
             choice.tied[best] = tie
-            _drop(mixed, choice, threshold)
+            _drop(mixed, choice, levels)
     for offer, test in choice.marginal.items():
         if offer not in choice.given and offer not in choice.why_not:
-            last = choice.test(mixed, offer)
+            last, level = choice.test(mixed, offer), levels[offer.since]
             choice.why_not[offer] = (
                 f"explained by {', '.join(sorted({o.cause for o in choice.given}))}"
-                if test.p < threshold
-                else f"p = {last.p:.2g}, not below {threshold:.2g}"
+                if test.p < level
+                else f"p = {last.p:.2g}, not below {level:.2g}"
             )
     return choice
 
 
 def _duel(
-    mixed: Tests, judge: Tests, found: Sequence[Test], choice: Choice, threshold: float,
+    mixed: Tests, judge: Tests, found: Sequence[Test], choice: Choice, level: float,
     twinned: Sequence[frozenset[str]],
 ) -> tuple[Offer, list[Offer]]:  # fmt: skip
     """The winner of the significant causes by the nested rule, and all that are tied with it, itself first."""
@@ -186,11 +186,11 @@ def _duel(
     def stands(offer: Offer, beside: Offer) -> bool:
         third = choice.witness.get(frozenset({offer.cause, beside.cause}))
         if third is None:
-            return choice.test(mixed, offer, [beside]).p < threshold
+            return choice.test(mixed, offer, [beside]).p < level
         called = next(o for o in offers_of(mixed, offer.since) if o.cause == third)
         if called in choice.given:
             return False  # it is there anyway and tells nothing
-        needed = [choice.test(judge, called, [o]).p < threshold for o in (beside, offer)]
+        needed = [choice.test(judge, called, [o]).p < level for o in (beside, offer)]
         return needed[0] and not needed[1]
 
     champion = found[0].offer
@@ -214,10 +214,10 @@ def _duel(
     return champion, tie
 
 
-def _drop(mixed: Tests, choice: Choice, threshold: float) -> None:
+def _drop(mixed: Tests, choice: Choice, levels: Mapping[str, float]) -> None:
     """Take back causes that later ones made needless."""
     for offer in choice.taken[:-1]:
-        if choice.test(mixed, offer, without=choice.tied[offer]).p >= threshold:
+        if choice.test(mixed, offer, without=choice.tied[offer]).p >= levels[offer.since]:
             choice.taken.remove(offer)
             del choice.tied[offer]
             choice.why_not[offer] = f"needless beside {choice.taken[-1].cause}"
@@ -253,7 +253,7 @@ def clear(mixed: Tests, cause: str, since: str, size: np.ndarray) -> Clear:
     once base, nuisances and the spread between flights are projected out, then the rival too.
     """
     offer = next(o for o in offers_of(mixed, since) if o.cause == cause)
-    pooled = pooled_for(mixed, since)
+    pooled = mixed.pooled(since)
 
     def shown(given: Sequence[Offer]) -> float:
         covariance = mixed.test(offer, given, pooled).covariance
@@ -270,7 +270,7 @@ def separability(mixed: Tests, choice: Choice, first: Offer, second: Offer) -> f
 
 def probability(
     draw: Callable[[np.random.Generator], list[np.ndarray]], build: Callable[[list[np.ndarray]], Tests], choice: Choice,
-    threshold: float, seed: int = 0,
+    levels: Mapping[str, float], seed: int = 0,
 ) -> dict[Offer, float]:  # fmt: skip
     """Share of resamples, each flight's blocks drawn anew, in which each taken cause is significant again.
 
@@ -283,7 +283,7 @@ def probability(
     for _ in range(DRAWS):
         drawn = build(draw(rng))
         for offer in counts:
-            counts[offer] += final_test(drawn, choice, offer).p < threshold
+            counts[offer] += final_test(drawn, choice, offer).p < levels[offer.since]
     return {offer: count / DRAWS for offer, count in counts.items()}
 
 

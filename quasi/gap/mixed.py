@@ -42,12 +42,16 @@ class Offer(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Which columns of the cross-products are what; column 0 is the target."""
+    """Which columns of the cross-products are what; column 0 is the target.
+
+    unpooled  causes that are never added to the base, see Mixed.pooled
+    """
 
     shared: list[int]
     nuisance: list[int]
     spread: np.ndarray  # (len(nuisance),) standard deviations of the nuisances
     causes: dict[str, list[int]]
+    unpooled: tuple[str, ...] = ()
 
 
 class Test(NamedTuple):
@@ -180,6 +184,13 @@ class Mixed:
     def offered(self, since: str) -> np.ndarray:
         """(F,) bool: flights that a cause is offered to."""
         return self.compared if since == "changed" else np.ones(len(self.compared), bool)
+
+    def pooled(self, since: str | Sequence[str]) -> list[str]:
+        """Causes whose columns belong to the base where changes between flights are asked: what all have alike is none.
+
+        That holds for what the model's own terms take up as well: of other flights, and never quite.
+        """
+        return [c for c in self.columns.causes if c not in self.columns.unpooled] if "changed" in since else []
 
     def test(self, offer: Offer, given: Sequence[Offer] = (), pooled: Sequence[str] = ()) -> Test:
         """A cause beside what is given.

@@ -82,7 +82,7 @@ def search(
     clear: list[Test] = []  # as they were found
     strong: list[Test] = []  # these, and the first of each tie
     while len(given) < len(known) + MOST:
-        pooled = _pooled(mixed, effects, since)
+        pooled = mixed.pooled(since)
         ranking = ranked(mixed, pairs, given, pooled, parts)
         open_ = [
             t
@@ -168,13 +168,6 @@ def _doubt(
     return Tie([best, *open_[:2]], float((wald / len(best.offer.which)) ** 0.5)) if open_ else None
 
 
-def _pooled(mixed: Mixed, effects: Mapping[str, Effect], since: Sequence[str]) -> list[str]:
-    """Causes whose columns belong to the base: with reference flights, what all flights have alike is not a change."""
-    if "changed" not in since:
-        return []
-    return [name for name in mixed.columns.causes if not effects[name].absorbed]
-
-
 def possible(test: Test, within: Mapping[str, Sequence[tuple[float, float]]] | None) -> bool:
     """Whether the parameters lie in their physical ranges, give or take three standard errors."""
     ranges = (within or {}).get(test.offer.cause)
@@ -255,7 +248,7 @@ def _confirmed(
     level: float,
 ) -> list[Named]:
     """Backward removal: every accepted cause must stay significant beside all the others."""
-    kept, pooled = list(given), _pooled(mixed, effects, since)
+    kept, pooled = list(given), mixed.pooled(since)
     while True:
         tests = {o: mixed.test(o, [g for g in kept if g != o], pooled) for o in kept if o in found}
         weak = [o for o, test in tests.items() if test.p >= level]

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from quasi.gap.effect import Effect
+from quasi.gap.level import shares_of
 from quasi.gap.mixed import (
     CERTAIN,
     FAINT,
@@ -114,7 +115,8 @@ class Outlook:
         self.flights, self.columns, self.size, self.draws, self.effects = list(flights), columns, size, draws, effects
         self.since = "changed" if any(f.reference for f in flights) else "always"
         self.asked = [c for c in columns.causes if not self.absorbed(c)]
-        self.level = rate / max(len(self.asked), 1)
+        shares = shares_of([not f.reference for f in self.flights])
+        self.level = rate * shares[self.since] / max(len(self.asked), 1)
         count = sum(f.count * len(f.stretches) for f in self.flights)
         self.freedom = max(count - (2 if self.since == "changed" else 1), 1) + freedom
         alone = [f.stretches[:, :size, :size] for f in self.flights]  # how many residuals follow depends on the flight
@@ -230,7 +232,7 @@ class Outlook:
         others = [] if given is None else [columns.causes[given.cause][k] for k in given.which]
         pooled = []
         if self.since == "changed":
-            pooled = [c for n, part in columns.causes.items() if not self.effects[n].absorbed for c in part]
+            pooled = [c for n, part in columns.causes.items() if n not in columns.unpooled for c in part]
         common = [*columns.shared, *pooled]
         count = sum(len(f.stretches) * f.count for f in self.flights)
         typical = sum(f.count * self._whole.grams[k][own, own] for k, f in enumerate(self.flights))

@@ -159,14 +159,12 @@ def fit(
     make: Maker,
     windows: Windows,
     ranges: Mapping[str, Sequence[tuple[float, float]]],
-    pooled: Sequence[str] = (),
 ) -> Fitted:
     """Fit the causes' parameters by output error over windows of the learning flights, from those of the wrench.
 
     study    of the learning flights; compared (F,) bool; windows  of `windows_of`
     make     (values of the causes, whether the flight is a compared one) -> the model that is to be simulated
     ranges   {cause: [(low, high)] of its fitted parameters' deviations}
-    pooled   causes that belong to the model's own terms here, see `Mixed.test`
     Raises DataError when too few windows can be simulated, ConfigError for a model that cannot be.
     """
     flags = np.asarray(compared, bool)
@@ -187,7 +185,7 @@ def fit(
         tests = []
         for cause in causes:
             others = [o.test.offer for o in causes if o is not cause]
-            tests.append(mixed.test(cause.test.offer, others, pooled if cause.since == "changed" else []))
+            tests.append(mixed.test(cause.test.offer, others, mixed.pooled(cause.since)))
         for k, (value, cause, test) in enumerate(zip(values, causes, tests)):
             moved[k] = np.max(np.abs(test.value) / test.std)
             for n, step in zip(_names(cause), test.value):

@@ -34,13 +34,24 @@ class Place(NamedTuple):
 class Grounds(NamedTuple):
     """What the tests work on: cross-products of the model's terms, nuisances, causes and smooth functions.
 
-    parts  per flight (K, 6, P, P): of each stretch and channel, whitened; the study's columns first, then the basis
+    parts    per flight (K, 6, P, P): of each stretch and channel, whitened; the study's columns first, then the basis
+    columns  per flight (K, S, S): of the study's columns, the channels added up
     """
 
     study: Study
     basis: Basis
     parts: list[np.ndarray]
+    columns: list[np.ndarray]
     thinned: list[np.ndarray]  # per flight (m, L): the basis in the band of the analysis
+
+    def of(self, use: Sequence[int]) -> "Grounds":
+        """Of some flights, for tests."""
+        return self._replace(parts=[self.parts[k] for k in use], columns=[self.columns[k] for k in use])
+
+    def whole(self) -> "Grounds":
+        """Of flights that are one stretch each, for tests."""
+        parts, columns = ([p.sum(axis=0, keepdims=True) for p in all_] for all_ in (self.parts, self.columns))
+        return self._replace(parts=parts, columns=columns)
 
 
 def _curved(causes: Sequence[Cause], compared: bool) -> dict[str, Mapping[str, float]]:
@@ -62,7 +73,8 @@ def grounds_of(
     if like is not None:
         study = study._replace(whitener=like.study.whitener)
     basis = basis_of(flights) if like is None else like.basis
-    parts, thinned = [], []
+    parts, sums, thinned = [], [], []
+    size = len(study.names)
     for flight, part in zip(flights, study.thinned):
         functions = thin(basis.functions(flight)[:, None], flight.breaks, flight.t, BAND, 2 * ORDER).columns[:, 0]
         thinned.append(functions)
@@ -74,7 +86,8 @@ def grounds_of(
         white = white.transpose(1, 0, 2)
         blocks = [w.transpose(0, 2, 1) @ w for w in (white[:, number == n] for n in np.unique(number))]
         parts.append(joined(np.array(blocks), MOST_STRETCHES // len(flights)))
-    return Grounds(study, basis, parts, thinned)
+        sums.append(parts[-1][:, :, :size, :size].sum(axis=1))
+    return Grounds(study, basis, parts, sums, thinned)
 
 
 def mixed_of(grounds: Grounds, compared: Sequence[bool], given: Sequence[Offer], places: Sequence[Place]) -> Mixed:
@@ -89,12 +102,12 @@ def mixed_of(grounds: Grounds, compared: Sequence[bool], given: Sequence[Offer],
         causes[p.name] = list(range(at, at + len(p.choice.which)))
         at += len(p.choice.which)
     grams = []
-    for part in grounds.parts:
+    for part, columns in zip(grounds.parts, grounds.columns):
         gram = np.zeros((len(part), at, at))
-        gram[:, : len(use), : len(use)] = part[:, :, use][:, :, :, use].sum(axis=1)
+        gram[:, : len(use), : len(use)] = columns[:, use][:, :, use]
         for p in places:
             own, source = causes[p.name], [size + k for k in p.choice.which]
-            cross = part[:, p.channel][:, use][:, :, source]
+            cross = part[:, p.channel][:, :, source][:, use]
             gram[:, : len(use), own[0] : own[-1] + 1] = cross
             gram[:, own[0] : own[-1] + 1, : len(use)] = cross.transpose(0, 2, 1)
             for q in places:

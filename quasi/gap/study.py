@@ -159,9 +159,10 @@ def gather_study(
             raise DataError(f"flight {flight.key} has no second of valid data without a gap; fly longer")
         names = [name for name, _ in parts]
         first = 1 + len(shared)
-        layout = Columns(
-            list(range(1, first)), list(range(first, first + len(own))), np.array([s for *_, s in own]), causes
-        )
+        # slopes at each flight's own values, beside terms that hold them all, would make up any change
+        bent = tuple(n for n in causes if asked[n].bends and asked[n].absorbed)
+        spread = np.array([s for *_, s in own])
+        layout = Columns(list(range(1, first)), list(range(first, first + len(own))), spread, causes, bent)
     breaks = [part.breaks for part in thinned]
     whitener = autoregression([own_fit(part.columns, layout) for part in thinned], breaks, ORDER)
     return _study(flights, thinned, layout, names, whitener, lacking, values)

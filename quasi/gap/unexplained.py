@@ -17,6 +17,7 @@ from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.gain import surely, wrench_score
 from quasi.gap.mixed import Offer, Test, marginal
+from quasi.gap.naming import BETWEEN
 from quasi.gap.places import EVERYWHERE, OWN, Basis
 from quasi.gap.smooth import Cause, Grounds, Place, grounds_of, level_of, mixed_of, select, tested
 from quasi.gap.study import LIGHT, base_columns, refit
@@ -30,6 +31,7 @@ BESIDE = 0.3  # of the power along its first axis that a peak has along another 
 AGAIN = 0.5  # of what other flights tell that a flight must show
 ELSE = 2  # other functions of a place that are tried
 VISITED = 0.3  # share of the function's usual size below which a held-out flight cannot judge it
+UNHEARD = 0.3  # share of the squared error of the flights where it was found, that it must be then
 
 
 def search(
@@ -55,7 +57,7 @@ def search(
     given = [offer for _, offer, _ in causes]
     found = select(grounds, compared, given, 0.5 * rate)
     joint = _joint(grounds, compared, causes, found)
-    found = _again(grounds, compared, given, joint, found, 0.5 * rate)
+    found = _again(grounds, compared, given, joint, _witnessed(grounds, compared, given, found), 0.5 * rate)
     joint = _joint(grounds, compared, causes, found)
     # what healthy flights show as well and is not sure must not stand beside what changed
     found = [
@@ -68,6 +70,7 @@ def search(
     whole = wrench_score(held, left).mean()
     # a flight's constant error, which flights differ by, must not outweigh what depends on a place
     centred = wrench_score(held, left, True).mean()
+    found_in = wrench_score([f for f, flag in zip(flights, compared) if flag], left, True).mean()
     said: list[dict[str, Any]] = []
 
     def material(channel: int, gone: float, before: float, since: str) -> float | None:
@@ -96,6 +99,7 @@ def search(
             part = material(k, max(2.0 * slope - 1.0, 0.0) * here**2, float(before[k]), place.since)
         # what a model's own terms depend on may be their form, unless healthy flights do not show it
         unjudged = here < VISITED * usual and (where not in OWN or place.since == "changed")
+        unjudged = unjudged and usual**2 > UNHEARD * float(found_in[k])
         if part is not None or unjudged:
             if where != EVERYWHERE:
                 shown = [f for f, flag in zip(flights, compared) if flag] + list(held)
@@ -234,6 +238,18 @@ def _again(
     return kept
 
 
+def _witnessed(
+    grounds: Grounds, compared: Sequence[bool], given: Sequence[Offer], found: Sequence[tuple[Place, Test]]
+) -> list[tuple[Place, Test]]:  # fmt: skip
+    """Without changes that whole flights do not bear out: stretches of one flight may err alike, as in `naming`."""
+    whole = grounds.whole()
+    others = {p: [q for q, _ in found if q != p] for p, _ in found}
+    return [
+        (p, t) for p, t in found
+        if p.since == "always" or tested(whole, compared, given, others[p], p).p_known_spread < BETWEEN
+    ]  # fmt: skip
+
+
 def _comes_again(
     grounds: Grounds, compared: Sequence[bool], given: Sequence[Offer], joint: Joint, place: Place
 ) -> bool:
@@ -245,7 +261,7 @@ def _comes_again(
     slopes, weights = [], []
     for out in np.flatnonzero(compared):
         keep = [k for k in range(len(compared)) if k != out]
-        fewer, flags = grounds._replace(parts=[grounds.parts[k] for k in keep]), [compared[k] for k in keep]
+        fewer, flags = grounds.of(keep), [compared[k] for k in keep]
         value = tested(fewer, flags, given, others, place).value
         told = joint._replace(functions=[(p, value if p == place else v) for p, v in joint.functions])
         slope, weight = _slope(fewer, flags, [grounds.parts[out]], told, place)

@@ -13,6 +13,7 @@ from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.extension import extend
 from quasi.gap.gain import Likelihood, Score, after, before, wrench_score
+from quasi.gap.level import shares_of
 from quasi.gap.mixed import Mixed, Offer, Test
 from quasi.gap.naming import Named, Tie, leads, possible, search
 from quasi.gap.study import Study, base_columns, gather_study, in_stretches, moved, refit
@@ -23,7 +24,6 @@ SURELY = 2.0  # standard errors, widened, that some parameter must differ by
 ASTRAY = 0.5  # of its size, that a cause may move when it is linearised there
 LOOKS = 4  # how often curved causes are linearised anew, and contradicted ones left out
 RIDGES = (1e-3, 1e-2, 1e-1)  # of fits of everything at once, on scaled columns
-COMMON = 0.2  # share of the false alarm rate for what reference and compared flights have in common
 KNOWN = 0.02  # share to which the vehicle's constants are known, of which columns are made: thrust, hubs, own drag
 DRAWS = 40  # resamples of the flights' blocks
 
@@ -63,12 +63,14 @@ def examine(
     share: float,
     name: str,
     where: str,
+    unheard: float | None = None,
 ) -> Found:
     """Name the causes in `flights`, extend the model and measure the gain on `held` flights.
 
     compared  (F,) bool, False for reference flights; rate  family-wise false alarm rate; share  least share of the
     removable error of some axis that a cause must remove on held-out flights to be material
     name      of the extended model; where  what asked, for provenance
+    unheard   false alarm rate of what held-out flights do not show and so cannot judge, where that is another
     Raises ConfigError without two compared flights to learn from, or without a held-out one.
     """
     compared = np.asarray(compared, bool)
@@ -131,6 +133,11 @@ def examine(
     kept, immaterial, unjudged = material(
         [*causes, *stand_ins], score, excited, old, floor, share, share if compared.all() else max(share, ASIDE)
     )
+    for cause in _faint(unjudged, level, 1.0 if unheard is None else unheard / rate):
+        kept.remove(cause)
+        unjudged.remove(cause)
+        why = f"held-out flights do not show it, and of the others alone p = {cause.test.p:.2g} does not do"
+        contradicted[cause.effect.id] = cause.test, why
     ties = [(since, tie) for since, tie in ties if any(c in kept for c in stand_ins if _stands_for(c, since, tie))]
     immaterial = [c for c in immaterial if not any(_stands_for(c, *tie) for tie in ties)]
     beside = [c for c in kept if c in stand_ins or c.since == "always"]
@@ -160,6 +167,11 @@ def examine(
         kept, ties, immaterial, ranking, level, study.lacking, study, scores, wrong, extended, unjudged, contradicted,
         [c for c in stand_ins if any(_stands_for(c, *tie) for tie in ties)],
     )  # fmt: skip
+
+
+def _faint(causes: Sequence[Cause], level: Mapping[str, float], share: float) -> list[Cause]:
+    """Causes that are significant by less than `share` of the level."""
+    return [c for c in causes if c.test.p >= share * level[c.since]]
 
 
 def _as_found(tie: Tie, since: str, asked: Mapping[str, Effect]) -> tuple[Effect, str, Deviations]:
@@ -203,7 +215,7 @@ def _widened(
     kept, vague = list(causes), {}
     while True:
         for cause in kept:
-            pooled = [c for c in mixed.columns.causes if not asked[c].absorbed] if cause.since == "changed" else []
+            pooled = mixed.pooled(cause.since)
             others = [c.test.offer for c in kept if c is not cause] + _given([], ties)
             if vague:
                 again = mixed.test(cause.test.offer, others, pooled)
@@ -235,7 +247,7 @@ def _contradicted(
     """Of causes and ties, those that one axis wants and another does not; what healthy flights show as well is no
     matter of names alone, and not asked where others are compared with them."""
     since = "always" if compared.all() else "changed"
-    pooled = [c for c in mixed.columns.causes if not asked[c].absorbed] if since == "changed" else []
+    pooled = mixed.pooled(since)
     tests = [c.test for c in causes] + [test for _, tie in ties for test in tie.tests]
     given = [*(c.test.offer for c in causes), *(tie.tests[0].offer for _, tie in ties)]
     torn = {}
@@ -262,12 +274,11 @@ def _search(
     lacking: Sequence[str], within: Mapping[str, list[tuple[float, float]]],
 ) -> tuple[list[Named], list[tuple[str, Tie]], list[Test], dict[str, float]]:  # fmt: skip
     """First what changed, then what all flights have alike; the false alarm rate is shared between the two."""
-    stages = {"always": 1.0} if compared.all() else {"changed": 1.0 - COMMON, "always": COMMON}
     named: list[Named] = []
     ties: list[tuple[str, Tie]] = []
     rankings: list[Test] = []
     level: dict[str, float] = {}
-    for since, part in stages.items():
+    for since, part in shares_of(compared).items():
         names = search(mixed, asked, (since,), rate * part, lacking, within, _given(named, ties), between)
         named += names.named
         ties += [(since, tie) for tie in names.ties]
@@ -292,7 +303,7 @@ def _merged(named: Sequence[Named], asked: Mapping[str, Effect], mixed: Mixed, g
     for (cause, since), picked in which.items():
         offer = Offer(cause, since, tuple(sorted(picked)))
         others = [g for g in given if (g.cause, g.since) != (cause, since)]
-        pooled = [c for c in mixed.columns.causes if not asked[c].absorbed] if since == "changed" else []
+        pooled = mixed.pooled(since)
         test = mixed.test(offer, others, pooled)
         causes.append(Cause(asked[cause], since, *_estimate(test, asked[cause]), test, rivals[cause, since]))
     return sorted(causes, key=lambda c: c.test.p)
@@ -316,7 +327,7 @@ def _count(
         grams = [in_stretches(b[rng.integers(0, len(b), len(b))], len(study.blocks)) for b in study.blocks]
         mixed = Mixed(grams, compared, study.columns)
         for k, offer in enumerate(offers):
-            pooled = [c for c in study.columns.causes if not asked[c].absorbed] if offer.since == "changed" else []
+            pooled = mixed.pooled(offer.since)
             counts[k] += mixed.test(offer, [o for o in offers if o != offer], pooled).p < level
     for cause, count in zip(causes, counts):
         cause.probability = float(count / DRAWS)
@@ -373,7 +384,7 @@ def _best_wrong(
     for cause in mixed.columns.causes:
         if cause in named:
             continue
-        pooled = [c for c in mixed.columns.causes if not asked[c].absorbed] if since == "changed" else []
+        pooled = mixed.pooled(since)
         test = mixed.best(cause, since, (), pooled, asked[cause].parts)
         values = {asked[cause].fitted[k]: float(v) for k, v in zip(test.offer.which, test.value)}
         try:

@@ -91,16 +91,15 @@ def test_expected_standard_errors_are_those_of_the_search_itself(noisy):
         grams = in_stretches(blocks)[:, place][:, :, place]
         flights.append(Repeated(grams, int(flag), int(not flag)))
     outlook = Outlook(flights, study.columns, size, 1, effects, 0.003)
-    pooled = [c for c in effects if not effects[c].absorbed]
     for cause, which in (("rotor_drag", (0,)), ("mass", (0,)), ("cg_offset", (0, 1, 2)), ("tether", (0,))):
         offer = Offer(cause, "changed", which)
-        test = mixed.test(offer, (), pooled)
+        test = mixed.test(offer, (), mixed.pooled("changed"))
         spread, covariance, _ = outlook.test(offer)
         assert spread.tau == test.tau
         np.testing.assert_allclose(covariance, test.covariance, rtol=1e-6)
     # beside a rival, at the spread that the search finds there
     rival, offer = Offer("body_drag", "changed", (0,)), Offer("rotor_drag", "changed", (0,))
-    beside = mixed.test(offer, [rival], pooled)
+    beside = mixed.test(offer, [rival], mixed.pooled("changed"))
     found = [outlook.covariance(offer, Spread(beside.tau, informed), rival) for informed in (False, True)]
     assert min(abs(float(c[0, 0] / beside.covariance[0, 0]) - 1.0) for c in found) < 1e-6
 

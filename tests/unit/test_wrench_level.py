@@ -90,3 +90,21 @@ def test_flights_that_differ_too_much_are_no_cause_however_alike_their_manoeuvre
         assert study.mixed(range(8), compared).test(offer, (), ["body_drag"]).p < 0.005
         found = examine(flights, compared, held, model, {"body_drag": drag}, vehicle_of(model), 0.01, 0.05, "m", "test")
         assert [c.effect.id for c in found.causes] == named
+
+
+def test_what_all_flights_have_is_no_change_whatever_the_model_s_terms_take_up(ground):  # noqa: F811
+    """Rotor speeds late by 4 ms in each flight: a few reference flights agree on it with many compared ones."""
+    model = Model(ground[1].document, "test")
+    vehicle, delay = vehicle_of(model), catalogue()["telemetry_delay"]
+
+    def late(k):
+        plain = flight(ground, k)
+        return dataclasses.replace(plain, measured=plain.measured + whole_of(delay, plain, vehicle, {"delay": 0.004}))
+
+    flights, flags = [late(k) for k in range(12)], [False] * 2 + [True] * 10
+    mixed = gather_study(flights, {"telemetry_delay": delay}, vehicle).mixed(range(12), flags)
+    offer = Offer("telemetry_delay", "changed", (0,))
+    assert delay.absorbed and mixed.pooled("always") == []
+    assert mixed.test(offer).p < 1e-3  # did reference flights not count
+    beside = mixed.test(offer, (), mixed.pooled("changed"))
+    assert beside.p > 0.05 and abs(beside.value[0]) < 2.0 * beside.std[0]

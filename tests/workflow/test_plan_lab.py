@@ -35,7 +35,7 @@ def test_a_made_flight_with_a_cause_of_expected_t_10_measures_about_10(tmp_path)
     evidence = [gather(f.key, f.filtered, f.filtered_metadata, f.airframe, model, 100.0) for f in [*planted, *healthy]]
     study = gather_study(evidence, effects, vehicle)
     flags = np.array([True] * 4 + [False] * 4)
-    pooled = [n for n in study.columns.causes if not effects[n].absorbed]
-    test = study.mixed(range(8), flags).test(Offer(CAUSE, "changed", (0,)), (), pooled)
+    mixed = study.mixed(range(8), flags)
+    test = mixed.test(Offer(CAUSE, "changed", (0,)), (), mixed.pooled("changed"))
     found = f"{test.value[0]:.3g} +- {test.std[0]:.2g}"
     assert 5.0 < test.wald**0.5 < 20.0, f"expected 10, measured {test.wald**0.5:.1f}; size {size:.3g}, found {found}"
