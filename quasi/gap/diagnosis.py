@@ -122,6 +122,8 @@ def diagnose(
     own = halves.judge(held, flights, learning, model, extended, causes, vehicle, settings["horizons"])
     gap, scores, errors = scored(model, extended, found, kept, held, yardstick, floor, rolled, lower, document)
     effects_said = [_wrench_effect(c, vehicle, settled) for c in kept]
+    for effect in effects_said:
+        effect["judged"] = not any((effect["id"], effect["since"]) == (c.effect.id, c.since) for c in found.unjudged)
     if found is not None:
         _gains(effects_said, kept, model, drive, found, compared, vehicle, settings["horizons"], rolled, again, held,
                errors)  # fmt: skip
@@ -327,8 +329,8 @@ def _wrench_effect(cause: Cause, vehicle: Vehicle, settled: Settled) -> dict[str
 
 def _told(cause: Cause, gains: Mapping[str, Mapping[str, float | None]]) -> dict[str, Any]:
     """What a cause removes of forces and moments, and the one figure: that of its channel where it removes most."""
-    seen = [a for a, g in gains.items() if g["value"] is not None]
-    best = max([a for a in cause.effect.channels if a in seen] or seen, key=lambda a: gains[a]["value"], default=None)
+    seen = [a for a in cause.effect.channels or gains if a in gains and gains[a]["value"] is not None]
+    best = max(seen, key=lambda a: gains[a]["value"], default=None)
     share = min(gains[best]["value"], 1.0) if best else None
     return {"gain": {"wrench": share, "rollout": None}, "gain channel": best, "gains": gains}
 

@@ -261,6 +261,8 @@ def _above(diagnosis: Mapping[str, Any], level: str, word: str) -> str:
 def _cause(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     about = known.get(effect["id"])
     gains = [f"{a} {_share(g)}" for a, g in effect.get("gains", {}).items() if g["value"] is not None]
+    if not effect.get("judged", True):
+        gains = ["not judged: held-out flights hardly show it"]
     evidence = effect["evidence"]
     return f"<h3>{report.escape(name_of(effect['id']))}</h3>" + report.facts(
         [

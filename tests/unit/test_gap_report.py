@@ -76,6 +76,13 @@ def test_the_verdict_says_what_there_is(parts, verdict):
     assert document(**parts)["verdict"] == verdict
 
 
+def test_a_cause_that_held_out_flights_do_not_show_is_told_as_not_judged():
+    said = document([{**EFFECT, "judged": False}])
+    assert "The held-out flight hardly shows it, so it is not judged there." in said["summary"]
+    assert "explains" not in said["summary"]
+    assert "not judged: held-out flights hardly show it" in page(said, KNOWN, None, {})
+
+
 def test_an_unexplained_residual_is_told_with_its_size_and_where_it_lives():
     left = {"channel": "Fz", "share": 0.5, "size": 0.123, "unit": "N", "since": "changed"}
     at = left_sentence({**left, "where": "heading", "mostly": [[0.7, 1.05], [2.0, 2.1]]})

@@ -174,6 +174,7 @@ class Searched:
     """What `settle` and `Maker` take of the search at level W."""
 
     study: object
+    unjudged: tuple = ()
 
 
 def made(model, study, causes, anew=False):
@@ -276,6 +277,10 @@ def test_a_cause_that_the_held_out_flights_refute_is_dropped_and_the_other_stays
     assert [(c.effect.id, s.outcome) for c, s in settled.dropped] == [("tether", REFUTED)]
     assert settled.confirmations["rotor_effectiveness", "always"].outcome == CONFIRMED
     assert settled.estimates["rotor_effectiveness", "always"].agrees
+    hardly = settle(
+        Searched(study, tuple(both)), both, model, [True] * 3, EFFECTS, vehicle_of(model), [evidence["f3"]], weak
+    )
+    assert hardly.causes == both and hardly.confirmations["tether", "always"].outcome == UNJUDGED
 
 
 def test_what_cannot_be_simulated_is_neither_confirmed_nor_dropped(model, weak, evidence, study):
@@ -327,17 +332,19 @@ def test_windows_of_a_shifted_centre_of_gravity_begin_in_the_state_of_the_true_o
     np.testing.assert_allclose(run[0, 0], flight.states[400], atol=1e-12)
 
 
-def test_a_value_that_each_flight_has_of_its_own_and_an_unknown_swing_cannot_be_refuted(model):
+def test_what_flights_each_have_their_own_of_or_hardly_show_cannot_be_refuted(model):
     refuted = Confirmation(REFUTED, 0.1, 0.1, 10.0, "why")
     everything = catalogue()
 
-    def of(name, states):
+    def of(name, states, faint=False):
         effect = everything[name]
         one = Cause(effect, "always", {effect.fitted[0]: 0.1}, {}, None, [])
         section = {"id": name, "states": states}
-        return _lenient(refuted, one, Model({**model.document, "extensions": [section]}, "extended"))
+        return _lenient(refuted, one, Model({**model.document, "extensions": [section]}, "extended"), faint)
 
     assert of("tether", {}) == refuted
+    hardly = of("tether", {}, True)
+    assert hardly.outcome == UNJUDGED and "hardly show it" in hardly.why
     assert of("wind", {}).outcome == UNJUDGED and "its own value" in of("wind", {}).why
     load = of("payload_swing", {"swinging load": {"mass": 0.02, "length": 0.4}})
     assert load.outcome == UNJUDGED and "not measured" in load.why

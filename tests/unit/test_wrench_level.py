@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from test_unexplained import RATE, ROWS, flight, ground, smooth  # noqa: F401
 
+from quasi.gap import wrench
 from quasi.gap.catalogue import catalogue, whole_of
 from quasi.gap.effect import vehicle_of
 from quasi.gap.mixed import Offer
@@ -108,3 +109,24 @@ def test_what_all_flights_have_is_no_change_whatever_the_model_s_terms_take_up(g
     assert mixed.test(offer).p < 1e-3  # did reference flights not count
     beside = mixed.test(offer, (), mixed.pooled("changed"))
     assert beside.p > 0.05 and abs(beside.value[0]) < 2.0 * beside.std[0]
+
+
+def test_what_held_out_flights_do_not_show_has_to_be_surer_by_itself(ground, monkeypatch):  # noqa: F811
+    model = Model(ground[1].document, "test")
+    drag = EFFECTS["body_drag"]
+
+    def made(k):
+        plain = flight(ground, k)
+        if k < 4:
+            return plain
+        whole = whole_of(drag, plain, vehicle_of(model), {"c": 0.015})
+        return dataclasses.replace(plain, measured=plain.measured + whole)
+
+    monkeypatch.setattr(wrench, "EXCITED", 10.0)  # no held-out flight shows that much
+    flights, held, compared = [made(k) for k in range(8)], [made(90)], [k >= 4 for k in range(8)]
+    for unheard, named in ((None, ["body_drag"]), (1e-45, [])):
+        found = examine(
+            flights, compared, held, model, {"body_drag": drag}, vehicle_of(model), 0.01, 0.05, "m", "test", unheard
+        )
+        assert [c.effect.id for c in found.causes] == [c.effect.id for c in found.unjudged] == named
+    assert "held-out flights do not show it" in found.contradicted["body_drag"][1]
