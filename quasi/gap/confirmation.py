@@ -204,8 +204,8 @@ def _why(outcome: str, amplitude: float, std: float) -> str:
 
 
 def _lenient(said: Confirmation, cause: Cause, whole: Model, faint: bool = False) -> Confirmation:
-    """What held-out flights cannot refute: a value that each flight has of its own, a load whose swing is not known, and
-    what they hardly show (`faint`): noise of rotor speeds moves the simulation there as much as the cause does.
+    """What held-out flights cannot refute: a value that each flight has of its own, a load whose swing is not known,
+    and what they hardly show (`faint`): noise of rotor speeds moves the simulation there as much as the cause does.
     """
     if said.outcome != REFUTED:
         return said

@@ -93,7 +93,8 @@ def _explained(effect: Mapping[str, Any], roles: Mapping[str, str]) -> str:
     gain, channel = effect["gain"]["wrench"], effect.get("gain channel")
     if not effect.get("judged", True):
         held = flights_of(roles, "held out")
-        return f"{held[:1].upper()}{held[1:]} hardly show{'' if held.endswith('s') else 's'} it, so it is not judged there."
+        verb = "show" if held.endswith("s") else "shows"
+        return f"{held[:1].upper()}{held[1:]} hardly {verb} it, so it is not judged there."
     if gain is None:
         return ""
     if not channel:
