@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quasi.gap.mixed import Mixed, Offer, Test
+from quasi.gap.mixed import Offer, Test, Witnessed
 from quasi.gap.study import BLOCK, Study, in_stretches
 from quasi.gap.whitening import block_grams
 from quasi.standalone.model import AXES
@@ -29,7 +29,8 @@ class Voice(NamedTuple):
 def voices(
     study: Study, compared: Sequence[bool], test: Test, pooled: Sequence[str], given: Sequence[Offer] = ()
 ) -> list[Voice]:
-    """What each axis alone tells of a cause as a test found it, beside what is given.
+    """What each axis alone tells of a cause as a test found it, beside what is given: by stretches, as surely as these
+    or whole flights tell it, whichever is less.
 
     pooled  causes whose columns belong to the base, as in `Mixed.test`
     """
@@ -43,11 +44,12 @@ def voices(
         blocks = block_grams(columns, part.breaks, study.whitener, flight.t[part.rows], BLOCK)
         grams.append(in_stretches(blocks, len(study.flights)))
     names: Mapping[str, list[int]] = {a: [size + k] for k, a in enumerate(AXES) if there[k]}
-    mixed = Mixed(grams, compared, study.columns._replace(causes=study.columns.causes | names))
+    mixed = Witnessed(grams, compared, study.columns._replace(causes=study.columns.causes | names))
     result = []
     for axis in names:
-        found = mixed.test(Offer(axis, test.offer.since, (0,)), given, pooled)
-        result.append(Voice(axis, float(found.value[0]), float(found.std[0])))
+        offer = Offer(axis, test.offer.since, (0,))
+        found, between = mixed.test(offer, given, pooled), mixed.between(offer, given, pooled)
+        result.append(Voice(axis, float(found.value[0]), float(max(found.std[0], between.std[0]))))
     return result
 
 

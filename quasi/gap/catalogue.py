@@ -48,14 +48,16 @@ def chosen(wanted: str | Iterable[str], offered: Mapping[str, Effect], where: st
 
 
 def columns_of(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Values) -> dict[str, np.ndarray]:
-    """Slope of the residual by each fitted parameter, {parameter: (n, 6)}.
+    """Slope of the residual by each fitted parameter, {parameter: (n, 6)}; of an effect with starts its chord.
 
     values  deviations from neutral to linearise at; only curved effects ask for them
     Raises DataError or ExpressionError where the flight lacks a column, or the cause makes no numbers of it.
     """
     values = dict.fromkeys(effect.parameters, 0.0) | dict(values)
     try:
-        if effect.bends and any(values.values()):
+        if effect.starts and any(values.values()):
+            columns = {name: whole_of(effect, evidence, vehicle, values) / size for name, size in values.items()}
+        elif effect.bends and any(values.values()):
             columns = {name: _slope(effect, evidence, vehicle, values, name) for name in effect.fitted}
         elif effect.columns is not None:
             columns = effect.columns(evidence, values)

@@ -26,7 +26,7 @@ from quasi.standalone.model import Model
 SCHEMA = "quasi.gap/1"
 FORCES = ("Fx", "Fy", "Fz")
 # shares of resamples in which a cause alone, the strongest of several, another one must be found again
-ALONE, SURE, BESIDE = 0.35, 0.5, 0.8
+ALONE, SURE, BESIDE = 0.2, 0.5, 0.8
 HORIZON = 0.5  # s, at which a gain in roll-outs is told
 
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quasi.attitude import AIR_DENSITY, GRAVITY
-from quasi.errors import ConfigError, nearest
+from quasi.errors import ConfigError
 from quasi.gap.evidence import Evidence
 from quasi.logbook import NAME
 from quasi.standalone.model import Model
@@ -144,7 +144,8 @@ class Effect:
     extension     (values, vehicle, model) -> Extension, where terms do not say it
     parts         how parameters may be found: "any" one alone or all; "all" only together; "first" the first few;
                   "one" a single one, the likeliest
-    scan          {parameter: values}: parameters that shape the columns and are searched over
+    starts        sizes of the one parameter of a cause that bends so much that its slope at nothing hardly shows it: it
+                  is looked for by the whole effect of one of them, the likeliest, see `quasi.gap.starts`
     indistinct    ids that differ from it by so little that a model's own errors would decide: always a tie with them
     absorbed      whether the model's own terms can mimic it exactly, so that only a change between flights shows it
     finding       a stated finding, never fitted
@@ -164,7 +165,7 @@ class Effect:
     curved: Callable[[Vehicle, Values], Terms] | None = None
     whole: Callable[[Evidence, Vehicle, Values], np.ndarray] | None = None
     extension: Callable[[Values, Vehicle, Model], Extension] | None = None
-    scan: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    starts: tuple[float, ...] = ()
     parts: str = "any"
     indistinct: tuple[str, ...] = ()
     absorbed: bool = False
@@ -197,9 +198,11 @@ class Effect:
                     f"{said}, parameter '{name}': neutral is {neutral}, expected a value from {parameter.low} to "
                     f"{parameter.high}; a cause that is not there lies in its range too"
                 )
-        for name in self.scan:
-            if name not in self.parameters:
-                raise ConfigError(f"{said}: '{name}' is scanned but no parameter{nearest(name, self.parameters)}")
+        if self.starts and (not self.bends or len(self.parameters) != 1 or not all(self.starts)):
+            raise ConfigError(
+                f"{said}: starts = {self.starts}, expected sizes other than 0 of its only parameter, and the whole "
+                "effect ('whole' or 'curved')"
+            )
 
     @property
     def bends(self) -> bool:
@@ -208,8 +211,8 @@ class Effect:
 
     @property
     def fitted(self) -> list[str]:
-        """Parameters that a linear fit finds; the others are scanned."""
-        return [name for name in self.parameters if name not in self.scan]
+        """Parameters that a linear fit finds."""
+        return list(self.parameters)
 
     def typical(self, vehicle: Vehicle) -> dict[str, float]:
         """{parameter: typical deviation from neutral} of the parameters that have one."""

@@ -15,10 +15,12 @@ where a model that errs a little looks like a large parameter in flights that ha
 Everything works on per-flight cross-products of the columns (y, B, N, C...), so that a test costs small linear algebra
 however long the flights are.
 Sources: Pinheiro & Bates, Mixed-Effects Models in S and S-PLUS, 2000, sections 2.2 and 2.4; Harville, Maximum
-likelihood approaches to variance component estimation, JASA 72, 1977.
+likelihood approaches to variance component estimation, JASA 72, 1977; Vovk & Wang, Combining p-values via averaging,
+Biometrika 107, 2020.
 """
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +47,7 @@ class Columns(NamedTuple):
     """Which columns of the cross-products are what; column 0 is the target.
 
     unpooled  causes that are never added to the base, see Mixed.pooled
+    tries     {cause: how many forms of its columns were tried}
     """
 
     shared: list[int]
@@ -52,6 +55,7 @@ class Columns(NamedTuple):
     spread: np.ndarray  # (len(nuisance),) standard deviations of the nuisances
     causes: dict[str, list[int]]
     unpooled: tuple[str, ...] = ()
+    tries: Mapping[str, int] = MappingProxyType({})
 
 
 class Test(NamedTuple):
@@ -348,7 +352,33 @@ class Mixed:
             selections = [free[: n + 1] for n in range(len(free))]
         tests = [self.test(Offer(cause, since, which), given, pooled) for which in selections]
         best = min(tests, key=lambda test: test.unlikely if parts == "one" else test.p)
-        return best._replace(p=min(best.p * len(selections), 1.0))
+        return best._replace(p=min(best.p * len(selections) * self.columns.tries.get(cause, 1), 1.0))
+
+
+class Witnessed(Mixed):
+    """Tests by stretches whose p whole flights have a say in.
+
+    A model errs with the manoeuvre, and manoeuvres change within a flight: stretches tell how much a cause's apparent
+    parameters deviate. Manoeuvres of one flight may err alike, though, and then are no independent witnesses. e times
+    the geometric mean of both p is a p however the two depend on each other (Vovk & Wang, 2020).
+    """
+
+    def __init__(self, grams: Sequence[np.ndarray], compared: Sequence[bool], columns: Columns) -> None:
+        super().__init__(grams, compared, columns)
+        alone = self.count == len(self.compared)
+        self._of_flights = None if alone else Mixed([g.sum(axis=0) for g in grams], compared, columns)
+
+    def between(self, offer: Offer, given: Sequence[Offer] = (), pooled: Sequence[str] = ()) -> Test:
+        """The same with whole flights as witnesses alone."""
+        return (self._of_flights or super()).test(offer, given, pooled)
+
+    def test(self, offer: Offer, given: Sequence[Offer] = (), pooled: Sequence[str] = ()) -> Test:
+        """A cause beside what is given, see `Mixed.test`."""
+        test = super().test(offer, given, pooled)
+        if self._of_flights is None:
+            return test
+        p = float(np.e * np.sqrt(test.p * self.between(offer, given, pooled).p_known_spread))
+        return test._replace(p=min(p, 1.0))
 
 
 def ranked(

@@ -16,7 +16,6 @@ RIVALS = 6  # of the most significant causes that are weighed against each other
 MOST = 6  # causes that one search names
 FORM = 0.05  # of what a cause explains, that another has to explain beyond it: no form is quite right
 SUSPECT = 0.01  # probability of nothing below which a declared rival has to be ruled out
-BETWEEN = 0.002  # probability of nothing that whole flights as witnesses must leave as well, |t| = 3.3
 
 
 class Rival(NamedTuple):
@@ -60,7 +59,6 @@ def search(
     lacking: Sequence[str] = (),
     within: Mapping[str, Sequence[tuple[float, float]]] | None = None,
     known: Sequence[Offer] = (),
-    between: Mixed | None = None,
 ) -> Names:
     """Name the causes of the residual.
 
@@ -94,7 +92,6 @@ def search(
             and not (t.offer.since == "changed" and any(t.wald < FORM * c.wald for c in strong))
             and possible(t, within)
             and leads(t, effects)
-            and (between is None or between.test(t.offer, given, pooled).p_known_spread < BETWEEN)
         ]
         if not open_:
             break

@@ -124,7 +124,7 @@ def _fault(effect: Effect) -> str:
     if effect.level != "W":
         return f"level is '{effect.level}', expected 'W': a cause of one's own acts as a force or a moment"
     if not effect.fitted:
-        return "no parameter is left to be fitted; give one that is not in 'scan'"
+        return "it has no parameter; give one that can be fitted"
     if (effect.terms is None) == (effect.columns is None):
         return "expected either terms or columns, which say what each parameter adds to forces and moments"
     for word in FUNCTIONS:

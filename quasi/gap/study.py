@@ -11,7 +11,7 @@ from quasi.expressions import Program, parse
 from quasi.gap.catalogue import beyond_slope, columns_of
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
-from quasi.gap.mixed import Columns, Mixed, marginal
+from quasi.gap.mixed import Columns, Mixed, Witnessed, marginal
 from quasi.gap.nuisance import nuisances
 from quasi.gap.whitening import Thinned, Whitener, autoregression, block_grams, thin
 from quasi.standalone.model import AXES
@@ -55,12 +55,9 @@ class Study(NamedTuple):
         """
         return Mixed([in_stretches(self.blocks[f], len(use)) for f in use], compared, self.columns, prior)
 
-    def between(self, use: Sequence[int], compared: Sequence[bool]) -> Mixed:
-        """The mixed model in which whole flights are what a cause's apparent parameters deviate in.
-
-        Manoeuvres of one flight may err alike, and then are no independent witnesses.
-        """
-        return Mixed([self.blocks[f].sum(axis=0)[None] for f in use], compared, self.columns)
+    def witnessed(self, use: Sequence[int], compared: Sequence[bool]) -> Witnessed:
+        """The mixed model of some of the flights that names causes."""
+        return Witnessed([in_stretches(self.blocks[f], len(use)) for f in use], compared, self.columns)
 
 
 def in_stretches(blocks: np.ndarray, flights: int = 1) -> np.ndarray:

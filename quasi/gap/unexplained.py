@@ -17,7 +17,6 @@ from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.gain import surely, wrench_score
 from quasi.gap.mixed import Offer, Test, marginal
-from quasi.gap.naming import BETWEEN
 from quasi.gap.places import EVERYWHERE, OWN, Basis
 from quasi.gap.smooth import Cause, Grounds, Place, grounds_of, level_of, mixed_of, select, tested
 from quasi.gap.study import LIGHT, base_columns, refit
@@ -31,6 +30,7 @@ BESIDE = 0.3  # of the power along its first axis that a peak has along another 
 AGAIN = 0.5  # of what other flights tell that a flight must show
 ELSE = 2  # other functions of a place that are tried
 VISITED = 0.3  # share of the function's usual size below which a held-out flight cannot judge it
+BETWEEN = 0.002  # probability of nothing that whole flights as witnesses must leave as well, |t| = 3.3
 UNHEARD = 0.3  # share of the squared error of the flights where it was found, that it must be then
 
 

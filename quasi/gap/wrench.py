@@ -14,8 +14,9 @@ from quasi.gap.evidence import Evidence
 from quasi.gap.extension import extend
 from quasi.gap.gain import Likelihood, Score, after, before, wrench_score
 from quasi.gap.level import shares_of
-from quasi.gap.mixed import Mixed, Offer, Test
+from quasi.gap.mixed import Mixed, Offer, Test, Witnessed
 from quasi.gap.naming import Named, Tie, leads, possible, search
+from quasi.gap.starts import chords, flatness, started
 from quasi.gap.study import Study, base_columns, gather_study, in_stretches, moved, refit
 from quasi.gap.worth import ASIDE, EXCITED, Cause, Deviations, Judged, material, simplest, strength
 from quasi.standalone.model import AXES, Model
@@ -83,21 +84,22 @@ def examine(
         raise ConfigError("no flight is held out; name at least one in 'rows of flights held out'")
     asked = {n: e for n, e in effects.items() if e.level == "W" and not e.finding}
     within = {n: e.limits(vehicle) for n, e in asked.items()}
-    values: dict[bool, dict[str, Deviations]] = {True: {}, False: {}}  # of compared flights and of reference flights
     neutral: set[str] = set()  # curved causes whose slope where they were found does not show them any more
     contradicted: dict[str, tuple[Test, str]] = {}
-    study = gather_study(flights, asked, vehicle)
+    study = started(gather_study(flights, asked, vehicle), asked, vehicle, compared)
+    values = {flag: dict(study.values[0]) for flag in (True, False)}  # of compared flights and of reference flights
     for look in range(LOOKS):
         study = moved(study, asked, vehicle, [values[bool(flag)] for flag in compared]) if look else study
-        mixed = study.mixed(range(len(flights)), compared)
-        between = study.between(range(len(flights)), compared)
+        mixed = study.witnessed(range(len(flights)), compared)
         lacking = (*study.lacking, *contradicted)
-        named, ties, ranking, level = _search(mixed, between, asked, compared, rate, lacking, within)
+        named, ties, ranking, level = _search(mixed, asked, compared, rate, lacking, within)
         causes = _merged(named, asked, mixed, _given(named, ties))
         found = [(c.effect, c.since, c.value) for c in causes] + [_as_found(tie, since, asked) for since, tie in ties]
         bent = [(e.id, since, sizes) for e, since, sizes in found if e.bends]
-        neutral |= {n for n, old in values[True].items() if _astray(_sizes(bent, True).get(n, {}), old)}
-        curved = {flag: _sizes([b for b in bent if b[0] not in neutral], flag) for flag in (True, False)}
+        now = _sizes(bent, True)
+        neutral |= {n for n, old in values[True].items() if not asked[n].starts and _astray(now.get(n, {}), old)}
+        straight = [b for b in bent if b[0] not in neutral]
+        curved = chords(asked, {flag: _sizes(straight, flag) for flag in (True, False)}, values[True])
         elsewhere = any(_elsewhere(curved[flag], values[flag]) for flag in (True, False))
         values = curved
         torn = _contradicted(causes, ties, asked, mixed, study, compared)
@@ -156,6 +158,8 @@ def examine(
     immaterial += [c for c in changed if not any(c.effect.id == f.effect.id for f in fewer)]
     kept = sorted([*fewer, *(c for c in beside if c not in stand_ins)], key=lambda c: c.test.p)
     kept, vague = _widened(kept, ties, asked, mixed, study, compared)
+    for cause in kept:
+        cause.std = {n: s * flatness(cause.effect, study, vehicle, cause.value) for n, s in cause.std.items()}
     contradicted |= vague
     unjudged = [c for c in kept if any((c.effect.id, c.since) == (u.effect.id, u.since) for u in unjudged)]
     extended = made(kept, name, any(c.since == "always" for c in kept))
@@ -271,7 +275,7 @@ def _stands_for(cause: Cause, since: str, tie: Tie) -> bool:
 
 
 def _search(
-    mixed: Mixed, between: Mixed, asked: Mapping[str, Effect], compared: np.ndarray, rate: float,
+    mixed: Mixed, asked: Mapping[str, Effect], compared: np.ndarray, rate: float,
     lacking: Sequence[str], within: Mapping[str, list[tuple[float, float]]],
 ) -> tuple[list[Named], list[tuple[str, Tie]], list[Test], dict[str, float]]:  # fmt: skip
     """First what changed, then what all flights have alike; the false alarm rate is shared between the two."""
@@ -280,7 +284,7 @@ def _search(
     rankings: list[Test] = []
     level: dict[str, float] = {}
     for since, part in shares_of(compared).items():
-        names = search(mixed, asked, (since,), rate * part, lacking, within, _given(named, ties), between)
+        names = search(mixed, asked, (since,), rate * part, lacking, within, _given(named, ties))
         named += names.named
         ties += [(since, tie) for tie in names.ties]
         rankings += names.ranking
@@ -326,7 +330,7 @@ def _count(
     offers = [c.test.offer for c in causes]
     for _ in range(DRAWS):
         grams = [in_stretches(b[rng.integers(0, len(b), len(b))], len(study.blocks)) for b in study.blocks]
-        mixed = Mixed(grams, compared, study.columns)
+        mixed = Witnessed(grams, compared, study.columns)
         for k, offer in enumerate(offers):
             pooled = mixed.pooled(offer.since)
             counts[k] += mixed.test(offer, [o for o in offers if o != offer], pooled).p < level

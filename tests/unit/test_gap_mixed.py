@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quasi.gap.effect import Effect, Parameter
-from quasi.gap.mixed import SPREADS, Columns, Mixed, Offer
+from quasi.gap.mixed import SPREADS, Columns, Mixed, Offer, Witnessed
 from quasi.gap.naming import search
 from quasi.gap.study import in_stretches, joined
 from quasi.gap.whitening import autoregression, block_grams, thin, whiten
@@ -269,10 +269,35 @@ def test_manoeuvres_of_one_flight_that_err_alike_are_one_witness(alike, named):
             own.append(z.T @ z)
         grams.append(np.array(own))
     compared = [False] * 4 + [True] * 3
-    mixed, between = Mixed(grams, compared, LAYOUT), Mixed([g.sum(axis=0) for g in grams], compared, LAYOUT)
-    assert [n.test.offer.cause for n in search(mixed, effects(), ("changed",), 0.01).named] == ["a"]
-    found = search(mixed, effects(), ("changed",), 0.01, between=between).named
-    assert [n.test.offer.cause for n in found] == named
+    stretches, witnessed = Mixed(grams, compared, LAYOUT), Witnessed(grams, compared, LAYOUT)
+    assert [n.test.offer.cause for n in search(stretches, effects(), ("changed",), 0.01).named] == ["a"]
+    assert [n.test.offer.cause for n in search(witnessed, effects(), ("changed",), 0.01).named] == named
+
+
+def test_stretches_and_whole_flights_both_have_a_say_in_p():
+    """e times the geometric mean, and at most 1; estimates are those of the stretches."""
+    rng = np.random.default_rng(15)
+    compared = [False] * 4 + [True] * 3
+
+    def drawn(count, size):
+        parts = []
+        for flag in compared:
+            x = rng.standard_normal((count, 60, 7))
+            y = x[..., 0] + flag * size * x[..., 3] + rng.standard_normal((count, 60))
+            z = np.concatenate([y[..., None], x], axis=2)
+            parts.append(np.einsum("kni,knj->kij", z, z))
+        return parts
+
+    offer = Offer("a", "changed", (0,))
+    for size in (0.0, 0.3):
+        grams = drawn(4, size)
+        both, own = Witnessed(grams, compared, LAYOUT).test(offer), Mixed(grams, compared, LAYOUT).test(offer)
+        whole = Mixed([g.sum(axis=0) for g in grams], compared, LAYOUT).test(offer)
+        assert both.p == pytest.approx(min(np.e * np.sqrt(own.p * whole.p_known_spread), 1.0))
+        assert both._replace(p=0.0).wald == own.wald and both.value == own.value
+    assert both.p < 1e-3
+    short = drawn(1, 0.3)
+    assert Witnessed(short, compared, LAYOUT).test(offer).p == Mixed(short, compared, LAYOUT).test(offer).p
 
 
 def test_a_flight_that_hardly_excites_a_cause_does_not_hide_it():

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pandas as pd
 import pytest
 from test_unexplained import RATE, ROWS, flight, ground, smooth  # noqa: F401
 
@@ -12,7 +13,7 @@ from quasi.gap.effect import vehicle_of
 from quasi.gap.mixed import Offer
 from quasi.gap.study import gather_study
 from quasi.gap.wrench import everything, examine
-from quasi.standalone.model import Model
+from quasi.standalone.model import AXES, Model
 
 EFFECTS = {n: catalogue()[n] for n in ("ground_effect", "mass", "thrust_factor", "rotor_speed_scale", "body_drag")}
 
@@ -50,6 +51,41 @@ def test_a_large_cause_is_estimated_right_with_and_without_reference_flights(gro
     left = everything(found.study, EFFECTS, vehicle, compared, found.study.values[-1])(held[0])
     noise = low(ground, 90, has, values, False).residual
     assert np.mean(left[:, 2] ** 2) < 1.3 * np.mean(noise[:, 2] ** 2)
+
+
+def quick(ground, seed):  # noqa: F811
+    """A flight whose rotors speed up and slow down within hundredths of a second."""
+    plain, rng = flight(ground, seed), np.random.default_rng([seed, 6])
+    columns = dict(plain.columns)
+    for rotor in ("w1", "w2", "w3", "w4"):
+        columns[rotor] = 2110.0 + smooth(rng, 60.0, 0.02)
+        columns[f"{rotor}_dot"] = np.gradient(columns[rotor]) * RATE
+    predicted = ground[1].predict_columns(pd.DataFrame(columns))[list(AXES)].to_numpy()
+    made = dataclasses.replace(plain, columns=columns, measured=plain.residual + predicted, predicted=predicted)
+    made.__dict__.pop("_slopes", None)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("lags", "since"), [((0.0, 0.03), "changed"), ((0.004, 0.03), "changed"), ((0.0, 0.004), "changed")]
+)
+def test_late_inflow_is_found_whatever_its_size(ground, lags):  # noqa: F811
+    """Reference flights have the first lag, all others the second; the slope at nothing holds for a few ms only."""
+    model = Model(ground[1].document, "test")
+    vehicle, effect = vehicle_of(model), catalogue()["inflow_lag"]
+
+    def made(k):
+        plain = quick(ground, k)
+        whole = whole_of(effect, plain, vehicle, {"tau": lags[k >= 4]})
+        return dataclasses.replace(plain, measured=plain.measured + whole)
+
+    flights, held, compared = [made(k) for k in range(8)], [made(90)], [k >= 4 for k in range(8)]
+    effects = {n: catalogue()[n] for n in ("inflow_lag", "telemetry_delay", "thrust_curve", "thrust_factor")}
+    found = examine(flights, compared, held, model, effects, vehicle, 0.01, 0.05, "more", "test")
+    assert [c.effect.id for c in found.causes] == ["inflow_lag"], found.ranking[:3]
+    [cause] = found.causes
+    assert cause.value["tau"] == pytest.approx(lags[1] - lags[0], rel=0.1)
+    assert abs(cause.value["tau"] - lags[1] + lags[0]) < 3.0 * cause.std["tau"]
 
 
 def test_a_cause_that_one_axis_has_and_another_has_not_is_no_name(ground):  # noqa: F811

@@ -33,6 +33,7 @@ EFFECT = Effect(
     channels=("Fz", "Mx", "My"),
     rivals=("telemetry_delay", "rotor_acceleration_torque"),
     tie_breaker="steps of throttle and of roll: a late rotor speed shows in yaw too",
+    starts=(0.01, 0.03),
     terms=_terms,
     whole=_whole,
     extension=_extension,
