@@ -2,7 +2,8 @@
 
     python benchmarks/hide_and_seek.py [--first 7200] [--draws 200] [--out results/benchmarks/hide_and_seek] [--table]
 
-The study has the seeds 7200 to 7399. Seeds 1000 to 7199, 8000 to 8399, 50000 to 50159 and 70000 and more were used while building.
+The study has the seeds 7200 to 7399. Seeds 1000 to 7199, 8000 to 8399, 50000 to 50159 and 70000 and more were used
+while building.
 
 Each draw makes four flights of 30 s, imports and filters the raw logs, settles levels K and A, processes the flights
 anew with what these found, diagnoses them (one is held out) as the workflow does, and compares the diagnosis with the
