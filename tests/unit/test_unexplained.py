@@ -180,6 +180,19 @@ def test_a_place_that_each_flight_had_to_itself_is_not_blamed(ground):
     assert not [u for u in found(ground, own, references=4) if u["where"] == "heading"]
 
 
+@pytest.mark.parametrize(("between", "told"), [(1.1, True), (0.002, False)])
+def test_manoeuvres_of_one_flight_that_err_alike_are_one_witness_of_a_place(ground, monkeypatch, between, told):
+    """Each flight has a slope of its own along the room, by chance mostly to one side."""
+    monkeypatch.setattr(unexplained, "BETWEEN", between)
+    sizes = [0.0, 0.1, -0.1, 0.05, 1.6, 0.9, 0.35, 0.8]
+    flights = [flight(ground, s, lambda c, k=k: only(5, k * 2e-4 * c["x"])) for s, k in enumerate(sizes)]
+    held = [flight(ground, 90, lambda c: only(5, 2e-4 * c["x"]))]
+    compared = [s > 3 for s in range(8)]
+    vehicle, floor = vehicle_of(ground[1]), np.full(6, np.inf)
+    said = search(flights, compared, held, [], lambda f: f.residual, floor, vehicle, 0.01, 0.05)[0]
+    assert [(u["channel"], u["where"], u["since"]) for u in said] == [("Mz", "room x", "changed")] * told
+
+
 @pytest.mark.parametrize(("size", "heard"), [(4e-4, 0.3), (3.5e-5, 0.0), (3.5e-5, 0.3)])
 def test_a_held_out_flight_that_does_not_go_there_cannot_judge(ground, monkeypatch, size, heard):
     """Then only what is a good part of the error where it was found is told."""
