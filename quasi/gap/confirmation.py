@@ -38,13 +38,16 @@ TWICE = 2.0  # a cause that would have to act twice as strongly as it was named 
 
 
 class Confirmation(NamedTuple):
-    """outcome; amplitude b with its standard error; predicted  |t| that the cause would show if it acts as named."""
+    """outcome; amplitude b with its standard error; predicted  |t| that the cause would show if it acts as named; plain
+    the amplitude with nothing of what flights differ by taken out.
+    """
 
     outcome: str
     amplitude: float
     std: float
     predicted: float
     why: str = ""
+    plain: float = -np.inf
 
     def document(self) -> dict[str, Any]:
         """As plain data."""
@@ -103,10 +106,12 @@ def _judged(
         return Confirmation(UNJUDGED, 0.0, np.inf, 0.0, "it does not act on the held-out flights")
     size = len(spread)
     layout = Columns([], list(range(1, size + 1)), spread, {"cause": [size + 1]})
-    test = Mixed(grams, [True] * len(grams), layout).test(Offer("cause", "always", (0,)))
+    offer = Offer("cause", "always", (0,))
+    test = Mixed(grams, [True] * len(grams), layout).test(offer)
+    plain = Mixed(grams, [True] * len(grams), layout._replace(nuisance=[], spread=np.zeros(0))).test(offer)
     amplitude, std = float(test.value[0]), float(test.std[0])
     outcome = outcome_of(amplitude, std)
-    return Confirmation(outcome, amplitude, std, 1.0 / std, _why(outcome, amplitude, std))
+    return Confirmation(outcome, amplitude, std, 1.0 / std, _why(outcome, amplitude, std), float(plain.value[0]))
 
 
 class Estimate(NamedTuple):
@@ -205,12 +210,17 @@ def _why(outcome: str, amplitude: float, std: float) -> str:
 
 def _lenient(said: Confirmation, cause: Cause, whole: Model, faint: bool = False) -> Confirmation:
     """What held-out flights cannot refute: a value that each flight has of its own, a load whose swing is not known,
-    and what they hardly show (`faint`): noise of rotor speeds moves the simulation there as much as the cause does.
+    what they hardly show (`faint`): noise of rotor speeds moves the simulation there as much as the cause does; and a
+    motion that is there and goes only beside what flights differ by.
     """
     if said.outcome != REFUTED:
         return said
     if faint:
         return said._replace(outcome=UNJUDGED, why="held-out flights hardly show it")
+    if 0.5 < said.plain < TWICE:
+        # a cause large enough is taken for many times what flights differ by: 30 % of torque for that of an inertia
+        why = f"{said.plain:.2f} of its motion is there, or {said.amplitude:.2f} beside all that flights may differ by"
+        return said._replace(outcome=UNJUDGED, why=why)
     states = [e.get("states") or {} for e in whole.document["extensions"] if e["id"] == cause.effect.id]
     if any("swinging load" in s for s in states):
         return said._replace(outcome=UNJUDGED, why="how the load swings when a window begins is not measured")

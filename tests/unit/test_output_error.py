@@ -345,6 +345,10 @@ def test_what_flights_each_have_their_own_of_or_hardly_show_cannot_be_refuted(mo
     assert of("tether", {}) == refuted
     hardly = of("tether", {}, True)
     assert hardly.outcome == UNJUDGED and "hardly show it" in hardly.why
+    refuted = refuted._replace(plain=1.1)
+    assert of("tether", {}).outcome == UNJUDGED and "1.10 of its motion is there" in of("tether", {}).why
+    refuted = refuted._replace(plain=0.2)
+    assert of("tether", {}) == refuted
     assert of("wind", {}).outcome == UNJUDGED and "its own value" in of("wind", {}).why
     load = of("payload_swing", {"swinging load": {"mass": 0.02, "length": 0.4}})
     assert load.outcome == UNJUDGED and "not measured" in load.why
