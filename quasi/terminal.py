@@ -2,7 +2,8 @@
 
 import logging
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, TextIO
 
 from quasi.joblog import outcome
@@ -32,11 +33,13 @@ class Terminal(logging.Filter):
         self.held: list[str] = []  # what Snakemake says of a command that failed, until its job is known
         self.noted: list[str] = []  # pages of flights on which something was noted
         self.pages: set[str] = set()
+        self.idle = False  # nothing was to be done
 
     def filter(self, record: logging.LogRecord) -> bool:
         """True for a message that is printed as it is."""
         event = getattr(record, "event", None)
         if event is None:
+            self.idle |= str(record.msg or "").startswith("Nothing to be done")
             return not str(record.msg or "").startswith(NOISE)
         told = getattr(self, f"_{event}", None)
         return bool(told(record)) if told else str(event) not in UNTOLD
@@ -122,6 +125,12 @@ class Terminal(logging.Filter):
     def _write(self, text: str) -> None:
         self.stream.write(text + "\n")
         self.stream.flush()
+
+
+def standing(targets: Sequence[str]) -> str:
+    """Where results that are up to date begin, of the targets that have a page; or nothing."""
+    pages = [f"{target.rstrip('/')}/report.html" for target in targets if (Path(target) / "report.html").is_file()]
+    return f"Up to date; begin with {', '.join(pages)}" if pages else ""
 
 
 def _plainly(job: Mapping[str, Any]) -> str:

@@ -14,7 +14,7 @@ from quasi.errors import QuasiError
 from quasi.joblog import RUN, told
 from quasi.provenance import code_of
 from quasi.project import check_project, check_writable, read_settings
-from quasi.terminal import Terminal
+from quasi.terminal import Terminal, standing
 from quasi.workflow import Folder
 
 FAULTS = []
@@ -43,6 +43,8 @@ def tell_at_end():
     for terminal in TERMINALS:
         if summary := terminal.summary():
             print(summary, flush=True)
+        if terminal.idle and (pages := standing(sys.argv[1:])):
+            print(pages, flush=True)
     for text in told(os.environ[RUN], "made"):
         print(text, flush=True)
     faults = FAULTS + told(os.environ[RUN], "errors")

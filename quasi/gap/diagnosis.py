@@ -18,7 +18,8 @@ from quasi.gap.lower import SEARCHES, rate_of
 from quasi.gap.scores import scored
 from quasi.gap.study import refit
 from quasi.gap.wording import summary
-from quasi.gap.wrench import Cause, Found, everything, examine
+from quasi.gap.worth import ASIDE, LACKING
+from quasi.gap.wrench import Cause, Found, everything, examine, made_of
 from quasi.gap.wrench_findings import gusts
 from quasi.gap.wrench_tables import wrench_tables
 from quasi.standalone.model import Model
@@ -278,9 +279,8 @@ def _anew(causes: Sequence[Cause]) -> bool:
 
 def _corrected(model: Model, calibration: Mapping[str, Any], learning: Sequence[Evidence]) -> bool:
     """Whether flights that the model was identified from were corrected: its terms hold what their sensors faked."""
-    trained = set((model.document.get("flights") or {}).get("training") or ())
     always = any(c["since"] == "always" for c in calibration.get("causes", ()))
-    return always and any(e.key in trained for e in learning)
+    return always and made_of(model, learning)
 
 
 def _deviations(effect: Effect, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
@@ -383,6 +383,12 @@ def _candidates(found: Found, settled: Settled, share: float) -> list[dict[str, 
         add(c.effect.id, c.since, c.test, why)
     for c in found.immaterial:
         why = f"there, but it removes less than {100 * share:.0f} % of the removable error on held-out flights"
+        if c.since == "always":
+            sure = max(share, ASIDE) if "changed" in found.level else LACKING * share
+            why = (
+                f"there, but beside the model's own terms, fitted anew, it is not sure to remove {100 * sure:.0f} % of "
+                "the removable error on flights left out"
+            )
         add(c.effect.id, c.since, c.test, why)
     for name, (test, why) in found.contradicted.items():
         add(name, test.offer.since, test, why)

@@ -34,6 +34,11 @@ class Score(NamedTuple):
         return self.weight @ self.values / self.weight.sum()
 
 
+def joined(first: Score, last: Score) -> Score:
+    """Blocks of both."""
+    return Score(*(np.concatenate(parts) for parts in zip(first, last)))
+
+
 class Squares(NamedTuple):
     """Squared errors of flights sample by sample: flight (n,) its number, t (n,) s, values (n, C)."""
 
@@ -66,7 +71,11 @@ def wrench_score(
     flights: Sequence[Evidence], residual: Callable[[Evidence], np.ndarray], centred: bool = False
 ) -> Score:
     """`wrench_squares` by blocks."""
-    found = wrench_squares(flights, residual, centred)
+    return scored_in_blocks(wrench_squares(flights, residual, centred))
+
+
+def scored_in_blocks(found: Squares) -> Score:
+    """Mean squared errors of BLOCK seconds each, no block across two flights."""
     values, weight = [], []
     for flight in np.unique(found.flight):
         own = found.flight == flight

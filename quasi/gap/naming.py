@@ -66,7 +66,6 @@ def search(
     lacking  causes that cannot be asked
     within   {cause: [(low, high) of the deviation of each parameter]}: physical ranges; an estimate outside by more
              than three standard errors disqualifies the cause
-    between  the same with whole flights as witnesses, before which a cause has to stand as well
     """
     asked = [name for name in mixed.columns.causes if name not in lacking]
     pairs = [(name, s) for s in since for name in asked if not (s == "always" and effects[name].absorbed)]

@@ -24,6 +24,7 @@ EXCITED = 0.1  # of its mean square in the compared flights, that a held-out one
 SMALL = {"changed": 0.01, "spoken of": 0.1, "always": 0.25}  # least share of a channel's error that counts as removable
 SIMPLER = 2.0  # times the material share that a simpler explanation may leave
 ASIDE = 0.4  # share that what healthy flights show as well must gain beyond doubt
+LACKING = 3.0  # times the material share that what a model lacks must gain beyond doubt, where no flight is healthy
 Deviations = dict[str, float]
 
 
@@ -53,6 +54,22 @@ class Judged(NamedTuple):
     unlikely: float
 
 
+class Common(NamedTuple):
+    """What judges causes that all flights have alike.
+
+    errors  with some causes taken into account, the model's own terms fitted anew or not: by blocks, constant errors
+            left out, which fitting anew moves and flights differ by
+    old, floor  errors (blocks, 6) before, at best (6,); share  of what is removable that must go beyond doubt
+    fitted  whether some of these flights made the model, which then says nothing of how it does on others
+    """
+
+    errors: Callable[[Sequence[Cause], bool], Score]
+    old: Score
+    floor: np.ndarray
+    share: float
+    fitted: bool = False
+
+
 def strength(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle, left: np.ndarray) -> float:
     """Mean square of what the cause makes in these flights, each channel over `left` (6,)."""
 
@@ -69,14 +86,14 @@ def material(
     old: Score,
     floor: np.ndarray,
     share: float,
-    surely: float,
+    common: Common,
 ) -> tuple[list[Cause], list[Cause], list[Cause]]:
     """Causes that matter, those that do not, and those of the first that these flights could not judge.
 
     score    of held-out flights with some causes taken into account, the model's own terms fitted anew or not
     excited  whether the held-out flights show a cause at all; old, floor  errors (blocks, 6) before, at best (6,)
-    share    least share of the removable error of some axis that leaving a cause out must cost; surely  that of what
-             flights have in common, beyond doubt
+    share    least share of the removable error of some axis that leaving a cause out must cost; common  what judges
+             causes that all flights have alike
     """
     unjudged = [c for c in causes if c.since == "changed" and not excited(c)]
     kept = [c for c in causes if c.since == "changed"]
@@ -94,8 +111,8 @@ def material(
         if min(poor) >= share:
             break
         kept.pop(int(np.argmin(poor)))
-    common = _common([c for c in causes if c.since == "always"], kept, score, old, floor, surely)
-    kept = sorted([*kept, *common], key=lambda c: c.test.p)
+    shared = _common([c for c in causes if c.since == "always"], kept, score, floor, common)
+    kept = sorted([*kept, *shared], key=lambda c: c.test.p)
     return kept, [c for c in causes if c not in kept], [c for c in unjudged if c in kept]
 
 
@@ -131,33 +148,32 @@ def simplest(
 
 
 def _common(
-    causes: list[Cause], beside: list[Cause], score: Callable[[Sequence[Cause], bool], Judged], old: Score,
-    floor: np.ndarray, share: float,
+    causes: list[Cause], beside: list[Cause], score: Callable[[Sequence[Cause], bool], Judged], floor: np.ndarray,
+    common: Common,
 ) -> list[Cause]:  # fmt: skip
-    """Causes that all flights have alike: the model's own terms, fitted anew beside them, must do better by `share`,
-    beyond doubt, than the model as it was and than its own terms fitted anew without them; and so must each of them.
-
-    Constant errors are left out of it, which fitting anew moves and flights differ by.
+    """Causes that all flights have alike: the model's own terms, fitted anew beside them, must do better by a share of
+    the removable error, beyond doubt, than its own terms fitted anew without them and, on flights that did not make it,
+    than the model as it was; and so must each of them. The held-out flights must not become less likely.
     """
     if not causes:
         return []
-    removable = _removable(old, floor, "always")
-    plain, anew = score(beside, False), score(beside, True)
+    removable = _removable(common.old, common.floor, "always")
+    others = [common.errors(beside, True)] + ([] if common.fitted else [common.errors(beside, False)])
 
-    def better(first: Judged, last: Judged) -> float:
+    def better(first: Score, last: Score) -> float:
         """The surest share of the removable error that goes on any axis."""
-        return float(surely(first.centred, last.centred, removable).max())
+        return float(surely(first, last, removable).max())
 
+    unlikely = score(beside, False).unlikely
     while causes:
-        whole = score([*beside, *causes], True)
-        if min(better(plain, whole), better(anew, whole)) < share or whole.unlikely >= plain.unlikely:
-            return []
+        judged, whole = score([*beside, *causes], True), common.errors([*beside, *causes], True)
         worth = []
         for cause in causes:
-            without = score([*beside, *(c for c in causes if c is not cause)], True)
-            cause.gain = fraction(without.errors, whole.errors, floor)
-            worth.append(better(without, whole))
-        if min(worth) >= share:
+            rest = [*beside, *(c for c in causes if c is not cause)]
+            cause.gain = fraction(score(rest, True).errors, judged.errors, floor)
+            worth.append(better(common.errors(rest, True), whole))
+        together = min(better(other, whole) for other in others) >= common.share and judged.unlikely < unlikely
+        if together and min(worth) >= common.share:
             return causes
         causes = [c for k, c in enumerate(causes) if k != int(np.argmin(worth))]
     return []

@@ -12,13 +12,14 @@ from quasi.gap.catalogue import beyond_slope, columns_of
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.extension import extend
-from quasi.gap.gain import Likelihood, Score, after, before, wrench_score
+from quasi.gap.gain import Likelihood, Score, after, before, joined, wrench_score
+from quasi.gap.left_out import LeftOut
 from quasi.gap.level import shares_of
 from quasi.gap.mixed import Mixed, Offer, Test, Witnessed
 from quasi.gap.naming import Named, Tie, leads, possible, search
 from quasi.gap.starts import chords, flatness, started
 from quasi.gap.study import Study, base_columns, gather_study, in_stretches, moved, refit
-from quasi.gap.worth import ASIDE, EXCITED, Cause, Deviations, Judged, material, simplest, strength
+from quasi.gap.worth import ASIDE, EXCITED, LACKING, Cause, Common, Deviations, Judged, material, simplest, strength
 from quasi.standalone.model import AXES, Model
 
 SURELY = 2.0  # standard errors, widened, that some parameter must differ by
@@ -132,9 +133,15 @@ def examine(
         here, usual = (strength(cause, some, vehicle, old.mean()) for some in (held, there))
         return here > EXCITED * usual
 
-    kept, immaterial, unjudged = material(
-        [*causes, *stand_ins], score, excited, old, floor, share, share if compared.all() else max(share, ASIDE)
-    )
+    common = Common(lambda of, again: score(of, again).centred, old, floor, max(share, ASIDE))
+    if compared.all():
+        # no flight is healthy: what all show, each of them may judge by what the others tell
+        in_turn, every = LeftOut(study, compared), [*held, *flights]
+        before_all = joined(old, in_turn([], False))
+        least = _floor(study, asked, vehicle, compared, values[True], every, before_all)
+        common = Common(lambda of, again: joined(score(of, again).centred, in_turn(of, again)), before_all, least,
+                        LACKING * share, made_of(model, flights))  # fmt: skip
+    kept, immaterial, unjudged = material([*causes, *stand_ins], score, excited, old, floor, share, common)
     for cause in _faint(unjudged, level, 1.0 if unheard is None else unheard / rate):
         kept.remove(cause)
         unjudged.remove(cause)
@@ -172,6 +179,12 @@ def examine(
         kept, ties, immaterial, ranking, level, study.lacking, study, scores, wrong, extended, unjudged, contradicted,
         [c for c in stand_ins if any(_stands_for(c, *tie) for tie in ties)],
     )  # fmt: skip
+
+
+def made_of(model: Model, flights: Sequence[Evidence]) -> bool:
+    """Whether the model was identified from some of the flights."""
+    trained = set((model.document.get("flights") or {}).get("training") or ())
+    return any(e.key in trained for e in flights)
 
 
 def _faint(causes: Sequence[Cause], level: Mapping[str, float], share: float) -> list[Cause]:

@@ -7,7 +7,7 @@ import pytest
 
 from quasi.errors import ReadError
 from quasi.joblog import LOG, RUN, job, judge
-from quasi.terminal import Terminal
+from quasi.terminal import Terminal, standing
 
 
 @pytest.fixture
@@ -117,3 +117,17 @@ def test_what_is_not_known_passes(run, event, text):
 @pytest.mark.parametrize("text", ["Select jobs to execute...", "Execute 2 jobs...", "Using shell: /bin/bash"])
 def test_snakemakes_housekeeping_does_not(run, text):
     assert not run[2](None, text)
+
+
+def test_where_nothing_was_to_be_done_the_page_that_stands_is_named(run, tmp_path):
+    terminal, _, say = run
+    assert not terminal.idle
+    assert say(None, "Nothing to be done (all requested files are present and up to date).")
+    assert terminal.idle
+    page = tmp_path / "models/a/standalone/report.html"
+    page.parent.mkdir(parents=True)
+    page.touch()
+    assert standing(["-j2", "models/a/standalone/", "models/b/standalone"]) == (
+        "Up to date; begin with models/a/standalone/report.html"
+    )
+    assert standing(["-j2", "models/b/standalone"]) == ""

@@ -6,7 +6,7 @@ import pytest
 from quasi.gap import mixed
 from quasi.gap.effect import Effect
 from quasi.gap.gain import Score, surely
-from quasi.gap.worth import Cause, Judged, material, simplest
+from quasi.gap.worth import Cause, Common, Judged, material, simplest
 
 SHARE = 0.05
 BLOCKS = 40
@@ -31,6 +31,13 @@ def scored(table, default):
     return lambda of, anew=False: judged(table.get(frozenset(c.effect.id for c in of), default))
 
 
+def judged_by(causes, score, excited=lambda c: True, old=None, common=None):
+    """What `material` says where held-out flights alone judge what all flights have alike."""
+    old = judged(OLD if old is None else old).errors
+    common = common or Common(lambda of, anew: score(of, anew).centred, old, FLOOR, SHARE)
+    return material(causes, score, excited, old, FLOOR, SHARE, common)
+
+
 OLD = np.array([1.0, 1.0, 4.0, 1.0, 1.0, 1.0])
 FLOOR = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
 
@@ -42,7 +49,7 @@ def fz(value):
 def test_a_cause_that_takes_its_channels_error_away_is_kept_and_one_that_brings_nothing_is_not():
     a, b = cause("a"), cause("b")
     score = scored({frozenset("ab"): fz(1.0), frozenset("a"): fz(1.01), frozenset("b"): fz(4.0)}, OLD)
-    kept, out, unjudged = material([a, b], score, lambda c: True, judged(OLD).errors, FLOOR, SHARE, SHARE)
+    kept, out, unjudged = judged_by([a, b], score)
     assert [c.effect.id for c in kept] == ["a"] and out == [b] and unjudged == []
     assert a.gain["Fz"]["value"] == pytest.approx(1.0, abs=0.02)
 
@@ -50,21 +57,18 @@ def test_a_cause_that_takes_its_channels_error_away_is_kept_and_one_that_brings_
 def test_a_gain_in_channels_that_a_cause_does_not_act_on_counts_nothing():
     score = scored({frozenset("a"): fz(1.0)}, OLD)
     elsewhere = cause("a", channels=("Mz",))
-    assert material([elsewhere], score, lambda c: True, judged(OLD).errors, FLOOR, SHARE, SHARE)[0] == []
+    assert judged_by([elsewhere], score)[0] == []
 
 
 def test_a_cause_that_makes_held_out_flights_worse_and_less_likely_is_left_out():
     a = cause("a", channels=("Fz", "Mx"))
     worse = np.array([1.0, 1.0, 3.9, 3.0, 1.0, 1.0])
-    assert (
-        material([a], scored({frozenset("a"): worse}, OLD), lambda c: True, judged(OLD).errors, FLOOR, SHARE, SHARE)[0]
-        == []
-    )
+    assert judged_by([a], scored({frozenset("a"): worse}, OLD))[0] == []
 
 
 def test_what_held_out_flights_do_not_excite_they_cannot_refute():
     a = cause("a")
-    kept, _, unjudged = material([a], scored({}, OLD), lambda c: False, judged(OLD).errors, FLOOR, SHARE, SHARE)
+    kept, _, unjudged = judged_by([a], scored({}, OLD), lambda c: False)
     assert kept == [a] and unjudged == [a]
 
 
@@ -73,8 +77,24 @@ def test_what_all_flights_have_must_gain_on_a_channel_that_is_not_at_its_floor()
     noisy = fz(1.2)  # a sixth of the error could go at best
     for old, new, there in ((OLD, fz(1.0), True), (noisy, fz(1.0), False), (OLD, fz(3.99), False)):
         score = scored({frozenset("a"): new}, old)
-        kept = material([a], score, lambda c: True, judged(old).errors, FLOOR, SHARE, SHARE)[0]
-        assert (kept == [a]) is there
+        assert (judged_by([a], score, old=old)[0] == [a]) is there
+
+
+def test_of_what_all_flights_have_that_which_nothing_needs_goes_and_the_rest_stays():
+    """b does harm: with it the two together gain nothing, a alone does."""
+    a, b = cause("a", "always"), cause("b", "always")
+    score = scored({frozenset("ab"): fz(4.1), frozenset("a"): fz(1.0), frozenset("b"): fz(6.0)}, OLD)
+    assert judged_by([a, b], score)[0] == [a]
+
+
+def test_what_other_flights_are_sure_of_the_held_out_one_may_still_refuse():
+    a = cause("a", "always")
+    sure = scored({frozenset("a"): fz(1.0)}, OLD)
+    common = Common(lambda of, anew: sure(of, anew).centred, judged(OLD).errors, FLOOR, SHARE)
+    for unlikely, kept in ((-1.0, [a]), (1.0, [])):
+        held = scored({frozenset("a"): fz(1.0)}, OLD)
+        likely = lambda of, anew=False, held=held, u=unlikely: held(of)._replace(unlikely=u * len(of))  # noqa: E731
+        assert judged_by([a], likely, common=common)[0] == kept
 
 
 def test_two_causes_that_mend_each_other_are_told_by_the_one_that_does_alone():

@@ -10,8 +10,12 @@ from test_unexplained import RATE, ROWS, flight, ground, smooth  # noqa: F401
 from quasi.gap import wrench
 from quasi.gap.catalogue import catalogue, whole_of
 from quasi.gap.effect import vehicle_of
+from quasi.gap.extension import extend
+from quasi.gap.gain import Score, after, wrench_score
+from quasi.gap.left_out import LeftOut
 from quasi.gap.mixed import Offer
-from quasi.gap.study import gather_study
+from quasi.gap.study import gather_study, refit
+from quasi.gap.worth import Cause
 from quasi.gap.wrench import everything, examine
 from quasi.standalone.model import AXES, Model
 
@@ -164,3 +168,63 @@ def test_what_held_out_flights_do_not_show_has_to_be_surer_by_itself(ground, mon
         )
         assert [c.effect.id for c in found.causes] == [c.effect.id for c in found.unjudged] == named
     assert "held-out flights do not show it" in found.contradicted["body_drag"][1]
+
+
+def hasty(ground, seed, size):  # noqa: F811
+    """A slow flight with one fast dash, at another time in each: drag shows for a few seconds of it."""
+    plain = flight(ground, seed)
+    t = plain.columns["t"]
+    dash = 0.05 + np.exp(-(((t - 4.0 - 5.0 * (seed % 7)) / 2.0) ** 2))
+    columns = plain.columns | {n: 2.0 * plain.columns[n] * dash for n in ("u", "v")}
+    predicted = ground[1].predict_columns(pd.DataFrame(columns))[list(AXES)].to_numpy()
+    made = dataclasses.replace(plain, columns=columns, measured=plain.residual + predicted, predicted=predicted)
+    made.__dict__.pop("_slopes", None)
+    return dataclasses.replace(
+        made, measured=made.measured + whole_of(EFFECTS["body_drag"], made, vehicle_of(ground[1]), {"c": size})
+    )
+
+
+def test_what_every_flight_shows_for_seconds_only_all_of_them_are_sure_of_together(ground, monkeypatch):  # noqa: F811
+    """Blocks of one held-out flight, drawn anew, may well leave its only dash out."""
+    model = Model(ground[1].document, "test")
+    flights, held = [hasty(ground, k, 0.03) for k in range(5)], [hasty(ground, 90, 0.03)]
+
+    def names():
+        found = examine(flights, [True] * 5, held, model, EFFECTS, vehicle_of(model), 0.01, 0.05, "m", "test")
+        return [(c.effect.id, c.since) for c in found.causes]
+
+    assert names() == [("body_drag", "always")]
+
+    class Alone:
+        """The held-out flight's word alone."""
+
+        def __init__(self, study, compared):
+            pass
+
+        def __call__(self, causes, fitted_anew):
+            return Score(np.zeros((0, 6)), np.zeros(0))
+
+    monkeypatch.setattr(wrench, "LeftOut", Alone)
+    assert names() == []
+
+
+def test_flights_left_out_are_judged_by_what_the_others_tell(ground):  # noqa: F811
+    """The same errors by another way: a model extended and fitted anew for each flight, and what it leaves there."""
+    model = Model(ground[1].document, "test")
+    vehicle, drag = vehicle_of(model), EFFECTS["body_drag"]
+    flights = [hasty(ground, k, 0.03) for k in range(4)]
+    study = gather_study(flights, {"body_drag": drag}, vehicle)
+    everyone = [True] * 4
+    offer = Offer("body_drag", "always", (0,))
+    cause = Cause(drag, "always", {}, {}, study.witnessed(range(4), everyone).test(offer), [])
+    for causes, anew in (([], False), ([cause], False), ([cause], True)):
+        expected = []
+        for k, left_out in enumerate(flights):
+            rest = [f for f in range(4) if f != k]
+            size = float(study.mixed(rest, everyone[1:]).test(offer).value[0]) if causes else 0.0
+            changes = refit(study, rest, everyone[1:], {("body_drag", "always"): {0: size}}) if anew else None
+            document = extend(model, [(drag, {"c": size})], vehicle, "other", "test", changes)
+            expected.append(wrench_score([left_out], after(Model(document, "other"), model), True))
+        found = LeftOut(study, everyone)(causes, anew)
+        assert found.weight == pytest.approx(np.concatenate([e.weight for e in expected]))
+        assert found.values == pytest.approx(np.concatenate([e.values for e in expected]), rel=1e-6)

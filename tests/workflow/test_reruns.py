@@ -45,8 +45,11 @@ def test_run_is_a_line_per_job_with_what_was_noted(finished):
     assert len(lines) < jobs + notes + 25
 
 
-def test_second_run_does_nothing(finished):
+def test_second_run_does_nothing_and_says_where_the_result_begins(finished):
     assert finished[0].would_run() == {}
+    code, text = finished[0].snakemake("models/small/standalone")
+    assert code == 0 and "Nothing to be done" in text
+    assert text.rstrip().endswith("Up to date; begin with models/small/standalone/report.html")
 
 
 def test_changed_comment_and_appended_row_rerun_nothing(project):
