@@ -1,4 +1,4 @@
-"""Tests run on two cores: whole files stay together, and so do all that share the workflow's made project."""
+"""Tests run on two cores: whole files stay together, and so do all that share what is made once for them."""
 
 import os
 
@@ -6,12 +6,14 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # many small matrices: more threa
 
 import pytest
 
-OWN_PROJECT = {"test_hide_and_seek.py"}  # makes what it needs itself
+OF_HEALTHY = {"test_hide_and_seek.py", "test_plan_lab.py"}  # share made flights; the others of the workflow a project
 
 
 def pytest_collection_modifyitems(items):
     # the two longest groups first, side by side: at the end only short files are left for either core
     items.sort(key=lambda item: item.path.parent.name != "workflow")
     for item in items:
-        shared = item.path.parent.name == "workflow" and item.path.name not in OWN_PROJECT
-        item.add_marker(pytest.mark.xdist_group("workflow" if shared else item.path.stem))
+        group = item.path.stem
+        if item.path.parent.name == "workflow":
+            group = "healthy flights" if item.path.name in OF_HEALTHY else "workflow"
+        item.add_marker(pytest.mark.xdist_group(group))

@@ -110,8 +110,8 @@ def _rules(diagnosis: Mapping[str, Any]) -> str:
         f"a cause is named at a family-wise false alarm rate of {diagnosis['false alarm rate']:g}, which all searches "
         f"and the held-out flights share, when it removes at least {100 * diagnosis['material share']:g} % of the "
         "removable error on held-out flights and comes again in enough resamples of the flights' blocks: 20 % alone, "
-        "50 % as the strongest of several, 80 % beside a stronger one; what all flights have alike has to gain more than "
-        "that, beyond doubt, beside the model's own terms fitted anew"
+        "50 % as the strongest of several, 80 % beside a stronger one; what all flights have alike has to gain more "
+        "than that, beyond doubt, beside the model's own terms fitted anew"
     )
 
 

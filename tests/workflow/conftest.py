@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from hidden import healthy_model
 
 from quasi.synthesis.campaign import project_files, read_campaign
 
@@ -135,3 +136,11 @@ def project(finished, tmp_path):
     # file times are part of what Snakemake compares: keep them
     shutil.copytree(original.base, tmp_path / "copy", copy_function=shutil.copy2)
     return Project(tmp_path / "copy")
+
+
+@pytest.fixture(scope="session")
+def healthy(tmp_path_factory):
+    """Folder of healthy made flights and of the model that they made; the files grow with the flights asked for."""
+    folder = tmp_path_factory.mktemp("made") / "healthy"
+    healthy_model(folder)
+    return folder

@@ -9,7 +9,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 from clarity import NOTHING, Asked, clarity
-from hidden import ALL, STRANGE, deviation, drawn, healthy_model
+from hidden import ALL, STRANGE, deviation, drawn
 from hide_and_seek import draw as hide_and_seek
 from hide_and_seek import group_of, judge, page, wilson
 
@@ -38,21 +38,13 @@ CASES = {  # every level, pairs, clean, one that is in no catalogue; with health
 }
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Where healthy flights and the model that they made are kept."""
-    made = tmp_path_factory.mktemp("hide")
-    healthy_model(made / "healthy")
-    return made
-
-
 @pytest.mark.workflow
 @pytest.mark.parametrize("name", CASES)
-def test_what_is_hidden_is_named_and_nothing_else(name, folder):
+def test_what_is_hidden_is_named_and_nothing_else(name, healthy):
     design, effects = CASES[name]
     kind = "clean" if not effects else "unlisted" if set(effects) <= set(STRANGE) else "single"
     hide = {"kind": kind, "design": design, "effects": effects, "factors": dict.fromkeys(effects, 1.0)}
-    result = hide_and_seek({"seed": 50_000 + list(CASES).index(name), "hide": hide}, folder=folder)
+    result = hide_and_seek({"seed": 50_000 + list(CASES).index(name), "hide": hide}, folder=healthy.parent)
     assert not result["wrong"], result["wrong"]
     right = {"clean": ("agrees",), "single": ("hit",), "unlisted": ("unexplained",)}[kind]
     assert result["outcome"] in right, result["summary"]

@@ -21,18 +21,18 @@ CAUSE, PARAMETER = "tether", "k"
 
 
 @pytest.mark.workflow
-def test_a_made_flight_with_a_cause_of_expected_t_10_measures_about_10(tmp_path):
+def test_a_made_flight_with_a_cause_of_expected_t_10_measures_about_10(healthy, tmp_path):
     """Expected from four healthy flights with another four beside them; measured on four flights with the cause."""
-    model = healthy_model(tmp_path)
-    healthy = [f for _, f in references(tmp_path, 0)]
+    model = healthy_model(healthy)
+    others = [f for _, f in references(healthy, 0)]
     effects = {n: e for n, e in catalogue().items() if e.level == "W" and n != "proximity"}
-    flights = [plan.read_flight(f.filtered, model, f.key) for f in healthy]
+    flights = [plan.read_flight(f.filtered, model, f.key) for f in others]
     card = plan.examine(flights, model, effects, 4, 4, propose=False)
     sight = next(r.sight for r in card.rows if r.effect.id == CAUSE)
     size = sight.size * 10.0 / sight.t
     planted = [processed(r, True) for r in affected(tmp_path, 7, {CAUSE: {PARAMETER: size}}, 30.0)]
     vehicle = vehicle_of(model)
-    evidence = [gather(f.key, f.filtered, f.filtered_metadata, f.airframe, model, 100.0) for f in [*planted, *healthy]]
+    evidence = [gather(f.key, f.filtered, f.filtered_metadata, f.airframe, model, 100.0) for f in [*planted, *others]]
     study = gather_study(evidence, effects, vehicle)
     flags = np.array([True] * 4 + [False] * 4)
     mixed = study.mixed(range(8), flags)
