@@ -19,13 +19,14 @@ OF_FLIGHTS = ("importing", "filtering")
 class Terminal(logging.Filter):
     """Decides what of Snakemake's messages reaches the terminal, and tells jobs in its own words.
 
-    run  folder in which the jobs of the run leave how they ended; stream  the terminal
+    run  folder in which the jobs of the run leave how they ended; stream  the terminal; faults  sentences that are told at
+    the end of the run anyway
     What it does not know passes: an error, or a message of a Snakemake to come.
     """
 
-    def __init__(self, run: str, stream: TextIO):
+    def __init__(self, run: str, stream: TextIO, faults: Sequence[str] = ()):
         super().__init__()
-        self.run, self.stream = run, stream
+        self.run, self.stream, self.faults = run, stream, faults
         self.jobs: dict[int, Mapping[str, Any]] = {}
         self.done, self.total = 0, 0
         self.known: set[str] = set()
@@ -103,6 +104,9 @@ class Terminal(logging.Filter):
         said = str(record.msg)
         if "CalledProcessError" in said:
             self.held.append(said)
+            return False
+        # where in the rules a slip of the configuration was met says nothing either
+        if any(fault in said for fault in self.faults):
             return False
         return not (self.failed and "At least one job did not complete successfully" in said)
 

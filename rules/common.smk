@@ -63,7 +63,7 @@ if RUN not in os.environ:
         # a dry run is asked for Snakemake's own account; the log file of a run keeps it whole
         for handler in logging.getLogger("snakemake.logging").handlers:
             if handler.name == "DefaultStreamHandler":
-                TERMINALS.append(Terminal(os.environ[RUN], handler.stream))
+                TERMINALS.append(Terminal(os.environ[RUN], handler.stream, FAULTS))
                 handler.addFilter(TERMINALS[-1])
 
 

@@ -131,3 +131,15 @@ def test_where_nothing_was_to_be_done_the_page_that_stands_is_named(run, tmp_pat
         "Up to date; begin with models/a/standalone/report.html"
     )
     assert standing(["-j2", "models/b/standalone"]) == ""
+
+
+def test_a_fault_that_ends_the_run_in_its_own_words_is_not_told_twice(tmp_path):
+    faults = []
+    terminal = Terminal(str(tmp_path), io.StringIO(), faults)
+    said = logging.makeLogRecord(
+        {"event": "error", "msg": "WorkflowError in rule a:\n    config/a.json: unknown key 'b'"}
+    )
+    assert terminal.filter(said)
+    faults.append("config/a.json: unknown key 'b'")
+    assert not terminal.filter(said)
+    assert terminal.filter(logging.makeLogRecord({"event": "error", "msg": "MissingRuleException: c"}))
