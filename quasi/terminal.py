@@ -19,8 +19,8 @@ OF_FLIGHTS = ("importing", "filtering")
 class Terminal(logging.Filter):
     """Decides what of Snakemake's messages reaches the terminal, and tells jobs in its own words.
 
-    run  folder in which the jobs of the run leave how they ended; stream  the terminal; faults  sentences that are told at
-    the end of the run anyway
+    run  folder in which the jobs of the run leave how they ended; stream  the terminal
+    faults  sentences that are told at the end of the run anyway
     What it does not know passes: an error, or a message of a Snakemake to come.
     """
 
