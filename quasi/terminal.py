@@ -131,9 +131,9 @@ class Terminal(logging.Filter):
         self.stream.flush()
 
 
-def standing(targets: Sequence[str]) -> str:
-    """Where results that are up to date begin, of the targets that have a page; or nothing."""
-    pages = [f"{target.rstrip('/')}/report.html" for target in targets if (Path(target) / "report.html").is_file()]
+def standing(targets: Sequence[str], folder: str | Path) -> str:
+    """Where results that are up to date begin, of the targets in the project folder that have a page; or nothing."""
+    pages = [f"{t.rstrip('/')}/report.html" for t in targets if (Path(folder) / t / "report.html").is_file()]
     return f"Up to date; begin with {', '.join(pages)}" if pages else ""
 
 

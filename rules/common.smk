@@ -17,6 +17,7 @@ from quasi.project import check_project, check_writable, read_settings
 from quasi.terminal import Terminal, standing
 from quasi.workflow import Folder
 
+PROJECT = os.getcwd()  # at the end of a run it is another one
 FAULTS = []
 STOPPED = []
 TERMINALS = []
@@ -43,7 +44,7 @@ def tell_at_end():
     for terminal in TERMINALS:
         if summary := terminal.summary():
             print(summary, flush=True)
-        if terminal.idle and (pages := standing(sys.argv[1:])):
+        if terminal.idle and (pages := standing(sys.argv[1:], PROJECT)):
             print(pages, flush=True)
     for text in told(os.environ[RUN], "made"):
         print(text, flush=True)

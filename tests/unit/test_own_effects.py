@@ -117,8 +117,16 @@ def test_a_function_that_would_end_the_program_on_a_flight_is_told_with_its_file
         columns_of(effect_of(path), flight, VEHICLE, {})
 
 
+@pytest.fixture
+def ctrl_c():
+    """Ctrl-C as Python has it; what a shell starts in the background ignores it."""
+    of_shell = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, of_shell)
+
+
 @pytest.mark.parametrize("while_reading", [True, False])
-def test_a_real_ctrl_c_in_a_users_file_stays_one(path, while_reading):
+def test_a_real_ctrl_c_in_a_users_file_stays_one(path, while_reading, ctrl_c):
     before = signal.getsignal(signal.SIGINT)
     press = "import signal\nsignal.raise_signal(signal.SIGINT)\n"
     if while_reading:

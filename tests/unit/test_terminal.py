@@ -127,10 +127,11 @@ def test_where_nothing_was_to_be_done_the_page_that_stands_is_named(run, tmp_pat
     page = tmp_path / "models/a/standalone/report.html"
     page.parent.mkdir(parents=True)
     page.touch()
-    assert standing(["-j2", "models/a/standalone/", "models/b/standalone"]) == (
+    assert standing(["-j2", "models/a/standalone/", "models/b/standalone"], tmp_path) == (
         "Up to date; begin with models/a/standalone/report.html"
     )
-    assert standing(["-j2", "models/b/standalone"]) == ""
+    assert standing(["-j2", "models/b/standalone"], tmp_path) == ""
+    assert standing(["models/a/standalone"], tmp_path.parent) == ""
 
 
 def test_a_fault_that_ends_the_run_in_its_own_words_is_not_told_twice(tmp_path):
