@@ -8,13 +8,14 @@ import numpy as np
 import pandas as pd
 
 from quasi.gap import commanded, generic, halves, material, rollout_gain, unexplained
-from quasi.gap.confirmation import REFUTED, Settled, settle
+from quasi.gap.confirmation import CONFIRMED, REFUTED, Settled, settle
 from quasi.gap.effect import Effect, Vehicle, room_of, vehicle_of
 from quasi.gap.evidence import Evidence
 from quasi.gap.extension import extend
 from quasi.gap.gain import Squares, after, removed, wrench_squares
 from quasi.gap.level import Flown
 from quasi.gap.lower import SEARCHES, rate_of
+from quasi.gap.mixed import Offer
 from quasi.gap.scores import scored
 from quasi.gap.study import refit
 from quasi.gap.wording import summary
@@ -94,6 +95,15 @@ def diagnose(
             return Model(_extended(model, causes, drive, found, compared, vehicle, ident, "trial", again), "trial")
 
         settled = _of_flights(settled, made, corrected, drive, held, flights, learning, model, vehicle, settings)
+
+        def left_by(settled: Settled) -> unexplained.Left:
+            residual = after(made(settled.causes, _anew(settled.causes) or corrected), model)
+            return unexplained.search(
+                learning, compared, held, _beside(found, settled, effects), residual, found.scores["noise_floor"],
+                vehicle, settings["false alarm rate"] / SEARCHES, share,
+            )  # fmt: skip
+
+        settled, remains = _outdone(settled, found, left_by, compared, effects)
         kept = settled.causes
         said["notes"] += settled.notes
         said["candidates"] += _candidates(found, settled, share)
@@ -128,25 +138,7 @@ def diagnose(
     if found is not None:
         _gains(effects_said, kept, model, drive, found, compared, vehicle, settings["horizons"], rolled, again, held,
                errors)  # fmt: skip
-        refuted = [c for c, _ in settled.dropped]
-        accepted = [
-            (c.effect, c.test.offer, c.value)
-            for c in [*found.causes, *found.immaterial]
-            if not any(c is r for r in refuted)
-        ]
-        tied = [(effects[t.tests[0].offer.cause], t.tests[0].offer, {}) for _, t in found.ties]
-        left = after(extended, model)
-        said["unexplained"], lives = unexplained.search(
-            learning,
-            compared,
-            held,
-            [*accepted, *tied],
-            left,
-            found.scores["noise_floor"],
-            vehicle,
-            settings["false alarm rate"] / SEARCHES,
-            share,
-        )
+        said["unexplained"], lives, *_ = remains
         if not any(u["channel"][0] == "F" for u in said["unexplained"]):
             restless = gusts(found.study, compared, [c.effect.id for c in kept])
     lower_effects = [_lower_effect(e, level, gap) for level in ("K", "A") for e in levels[level]["effects"]]
@@ -271,6 +263,40 @@ def _of_flights(
         told = settled.confirmations[cause.effect.id, cause.since]._replace(outcome=REFUTED, why=why)
         settled = settled._replace(causes=rest, dropped=[*settled.dropped, (cause, told)])
     return settled
+
+
+def _beside(
+    found: Found, settled: Settled, effects: Mapping[str, Effect]
+) -> list[tuple[Effect, Offer, Mapping[str, float]]]:
+    """Causes that what stays unexplained is asked beside: all that are there and not refuted, and those of ties."""
+    refuted = [c for c, _ in settled.dropped]
+    accepted = [
+        (c.effect, c.test.offer, c.value)
+        for c in [*found.causes, *found.immaterial]
+        if not any(c is r for r in refuted)
+    ]
+    return accepted + [(effects[t.tests[0].offer.cause], t.tests[0].offer, {}) for _, t in found.ties]
+
+
+def _outdone(
+    settled: Settled, found: Found, left_by: Callable[[Settled], unexplained.Left], compared: Sequence[bool],
+    effects: Mapping[str, Effect],
+) -> tuple[Settled, unexplained.Left]:  # fmt: skip
+    """Without the names that roll-outs do not confirm and that give way to what no cause explains; and what that is."""
+    while True:
+        doubtful = [c for c in settled.causes if settled.confirmations[c.effect.id, c.since].outcome != CONFIRMED]
+        left, offers = left_by(settled), [o for _, o, _ in _beside(found, settled, effects)]
+        for cause in sorted(doubtful, key=lambda c: -c.test.p):
+            level = found.level[cause.since]
+            why = unexplained.outdone(left, compared, offers, cause.test.offer, cause.effect.channels, cause.test.p,
+                                      level)  # fmt: skip
+            if why:
+                told = settled.confirmations[cause.effect.id, cause.since]._replace(outcome=REFUTED, why=why)
+                rest = [c for c in settled.causes if c is not cause]
+                settled = settled._replace(causes=rest, dropped=[*settled.dropped, (cause, told)])
+                break
+        else:
+            return settled, left
 
 
 def _anew(causes: Sequence[Cause]) -> bool:

@@ -124,7 +124,8 @@ def mixed_of(grounds: Grounds, compared: Sequence[bool], given: Sequence[Offer],
     )
 
 
-def _offer(place: Place) -> Offer:
+def offer_of(place: Place) -> Offer:
+    """A smooth function with all its parts."""
     return Offer(place.name, place.since, tuple(range(len(place.choice.which))))
 
 
@@ -136,7 +137,7 @@ def tested(
     # the functions of a place share one spread, which is known as many times better
     mixed.freedom *= len(place.choice.which)
     pooled = [place.name] if place.since == "changed" else []
-    return mixed.test(_offer(place), [*given, *(_offer(o) for o in others)], pooled)
+    return mixed.test(offer_of(place), [*given, *(offer_of(o) for o in others)], pooled)
 
 
 def stages_of(compared: Sequence[bool]) -> list[str]:

@@ -18,7 +18,7 @@ from quasi.gap.evidence import Evidence
 from quasi.gap.gain import surely, wrench_score
 from quasi.gap.mixed import Offer, Test, marginal
 from quasi.gap.places import EVERYWHERE, OWN, Basis
-from quasi.gap.smooth import Cause, Grounds, Place, grounds_of, level_of, mixed_of, select, tested
+from quasi.gap.smooth import Cause, Grounds, Place, grounds_of, level_of, mixed_of, offer_of, select, tested
 from quasi.gap.study import LIGHT, base_columns, refit
 from quasi.gap.whereabouts import profile, whereabouts
 from quasi.gap.whitening import whiten
@@ -34,6 +34,16 @@ BETWEEN = 0.002  # probability of nothing that whole flights as witnesses must l
 UNHEARD = 0.3  # share of the squared error of the flights where it was found, that it must be then
 
 
+class Left(NamedTuple):
+    """What no cause explains: as the diagnosis says it, a table of it along its places, and what was told of it, with
+    the grounds that it was found on."""
+
+    said: list[dict[str, Any]]
+    table: pd.DataFrame
+    told: list[tuple[Place, Test]]
+    grounds: Grounds
+
+
 def search(
     flights: Sequence[Evidence],
     compared: Sequence[bool],
@@ -44,8 +54,8 @@ def search(
     vehicle: Vehicle,
     rate: float,
     share: float,
-) -> tuple[list[dict[str, Any]], pd.DataFrame]:
-    """What stays unexplained, as the diagnosis says it, and a table of it along its places.
+) -> Left:
+    """What stays unexplained.
 
     causes  accepted ones and those of ties: effect, offer, values to linearise at; left  flight -> (n, 6), the residual
     of the extended model; floor (6,) mean squares; rate  family-wise false alarm rate, half of it for places, half for
@@ -80,6 +90,7 @@ def search(
         return float(part) if gone > least[since] * before and part >= share else None
 
     profiles: list[pd.DataFrame] = []
+    told: list[tuple[Place, Test]] = []
 
     def say(channel: int, where: str, part: float | None, size: float, **rest: Any) -> None:
         said.append({"channel": AXES[channel], "where": where, "share": part, "size": float(size),
@@ -101,6 +112,7 @@ def search(
         unjudged = here < VISITED * usual and (where not in OWN or place.since == "changed")
         unjudged = unjudged and usual**2 > UNHEARD * float(found_in[k])
         if part is not None or unjudged:
+            told += [(place, test)] if not unjudged else []
             if where != EVERYWHERE:
                 shown = [f for f, flag in zip(flights, compared) if flag] + list(held)
                 rest = joint._replace(functions=[(p, v) for p, v in joint.functions if p != place])
@@ -119,7 +131,34 @@ def search(
                 say(k, "frequency", part, np.sqrt(power[k]), since=line.since, mostly=[[line.low, line.high]],
                     evidence={"p": line.p, "seen along": line.view})  # fmt: skip
     table = pd.concat(profiles, ignore_index=True) if profiles else pd.DataFrame({"channel": [], "where": []})
-    return sorted(said, key=lambda u: -(u["share"] or 0.0)), table
+    return Left(sorted(said, key=lambda u: -(u["share"] or 0.0)), table, told, grounds)
+
+
+def outdone(
+    left: Left, compared: Sequence[bool], offers: Sequence[Offer], asked: Offer, channels: Sequence[str], p: float,
+    level: float,
+) -> str:  # fmt: skip
+    """Why a cause gives way to what no cause explains, or nothing: beside what lives along a place, in a channel of its
+    own and more significant than it is, it is nothing any more, as one cause gives way to another.
+
+    A place that the model's own terms depend on may be the form of a cause that is not quite right, and does not count.
+    left    found beside the cause; offers  of all causes that it was found beside; p of the cause, which passed level
+    """
+    stronger = [
+        place for place, test in left.told
+        if test.p < p and place.since == asked.since and AXES[place.channel] in channels
+        and place.choice.where not in (*OWN, EVERYWHERE)
+    ]  # fmt: skip
+    for place in stronger:
+        mixed = mixed_of(left.grounds, compared, offers, [place])
+        pooled = [place.name] if place.since == "changed" else []
+        beside = mixed.test(asked, [*(o for o in offers if o != asked), offer_of(place)], pooled)
+        if beside.p >= level:
+            return (
+                f"beside what {AXES[place.channel]} lacks along the {place.choice.where}, which no cause explains, it "
+                f"adds nothing (p = {beside.p:.2g})"
+            )
+    return ""
 
 
 def _beyond_doubt(

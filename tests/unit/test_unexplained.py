@@ -10,11 +10,13 @@ from scipy.signal import lfilter
 
 from quasi.airframe import read_airframe
 from quasi.gap import unexplained
+from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
 from quasi.gap.evidence import Evidence
 from quasi.gap.generic import polynomial
+from quasi.gap.mixed import Offer
 from quasi.gap.places import places
-from quasi.gap.unexplained import search
+from quasi.gap.unexplained import outdone, search
 from quasi.standalone.model import AXES
 from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
 
@@ -112,6 +114,37 @@ def test_what_changed_is_told_although_all_flights_lack_something_in_the_same_ch
     said = search(flights, compared, held, [], lambda f: f.residual, np.full(6, np.inf), vehicle_of(ground[1]), 0.01,
                   0.05)[0]  # fmt: skip
     assert ("Fz", "room x", "changed") in {(u["channel"], u["where"], u["since"]) for u in said}
+
+
+@pytest.mark.parametrize("drag", [0.0, 0.05])
+def test_a_cause_gives_way_to_a_place_that_explains_it_away_and_stays_where_it_is_there(ground, drag):
+    effect, offer = catalogue()["body_drag"], Offer("body_drag", "changed", (0,))
+
+    def dragged(c):
+        velocity = np.stack([c["u"], c["v"], c["w"]], axis=1)
+        return np.hstack([-drag * np.linalg.norm(velocity, axis=1)[:, None] * velocity, np.zeros((ROWS, 3))])
+
+    def planted(c):
+        return dragged(c) + only(0, 0.2 * np.exp(-(c["x"] ** 2 + c["y"] ** 2)))
+
+    flights = [flight(ground, s, planted if s >= 4 else None) for s in range(8)]
+    compared = [s >= 4 for s in range(8)]
+    left = search(
+        flights,
+        compared,
+        [flight(ground, 90, planted)],
+        [(effect, offer, {})],
+        lambda f: f.residual - dragged(f.columns),
+        np.full(6, np.inf),
+        vehicle_of(ground[1]),
+        0.01,
+        0.05,
+    )
+    assert ("Fx", "room place") in [(AXES[p.channel], p.choice.where) for p, _ in left.told]
+    why = outdone(left, compared, [offer], offer, ["Fx"], 1e-5, 1e-4)
+    assert ("room place" in why) is (drag == 0.0)
+    assert not outdone(left, compared, [offer], offer, ["Fx"], 1e-99, 1e-4)  # the cause is the more significant
+    assert not outdone(left, compared, [offer], offer, ["Mx"], 1e-5, 1e-4)  # another channel
 
 
 def test_a_constant_error_of_the_held_out_flight_does_not_hide_what_is_wrong_there(ground):
@@ -239,7 +272,7 @@ def test_two_flights_are_enough(ground):
     flights = [flight(ground, s, lambda c: only(5, 4e-4 * c["x"])) for s in (1, 2)]
     held = [flight(ground, 90, lambda c: only(5, 4e-4 * c["x"]))]
     vehicle, floor = vehicle_of(ground[1]), np.full(6, np.inf)
-    said, table = search(flights, [True] * 2, held, [], lambda f: f.residual, floor, vehicle, 0.01, 0.05)
+    said, table, *_ = search(flights, [True] * 2, held, [], lambda f: f.residual, floor, vehicle, 0.01, 0.05)
     assert (said[0]["channel"], said[0]["where"]) == ("Mz", "room x")
     # the mean error in each cell is what was planted there, from each flight's mean
     own = table[(table["channel"] == "Mz") & (table["where"] == "room x")]
