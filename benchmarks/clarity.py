@@ -24,7 +24,7 @@ from quasi.synthesis.vehicle import base_vehicle
 _P = base_vehicle().physics
 HEALTHY = {"up": _P.lag_up, "down": _P.lag_down, "exponent": 1.0}  # the made vehicle's drive
 LENGTHS = (10.0, 15.0, 20.0)  # s, of the beginnings of flights
-NOTHING = {"detectability": 0.0, "separability": 0.0, "nearest": None}
+NOTHING = {"detectability": 0.0, "separability": 0.0, "nearest": None, "of the error": None}
 
 
 class Asked(NamedTuple):
@@ -42,14 +42,20 @@ class Asked(NamedTuple):
 
 
 def clarity(name: str, values: Mapping[str, float], asked: Asked) -> dict[str, Any]:
-    """{"detectability", "separability", "nearest"} of a planted cause; separability None for what has no name."""
+    """{"detectability", "separability", "nearest", "of the error"} of a planted cause.
+
+    separability None for what has no name; of the error, see `of_the_error`, None for levels K and A
+    """
     since = "always" if asked.compared.all() else "changed"
     if name in DRIVE and asked.own:
         return NOTHING
     if name in SENSORS or name in DRIVE:
         return _lower(name, values, asked.levels, since)
     if name in STRANGE:
-        return {"detectability": _strange(name, values["size"], since, asked), "separability": None, "nearest": None}
+        study = _strange(name, asked)
+        offer, size = Offer(name, since, (0,)), np.array([values["size"]])
+        return {"detectability": _shown(study, offer, size, asked, []), "separability": None, "nearest": None,
+                "of the error": of_the_error(study, offer, size, asked)}  # fmt: skip
     effect, columns = asked.effects.get(name), asked.study.columns
     if effect is None or name not in columns.causes or (effect.absorbed and since == "always"):
         return NOTHING
@@ -68,7 +74,8 @@ def clarity(name: str, values: Mapping[str, float], asked: Asked) -> dict[str, A
     nearest = min(beside, key=beside.get)
     shorter = {f"{t:g}": shown([], _begun(asked.study, t)) for t in LENGTHS}
     return {"detectability": shown([], asked.study), "separability": beside[nearest], "nearest": nearest,
-            "of shorter flights": shorter}  # fmt: skip
+            "of shorter flights": shorter,
+            "of the error": of_the_error(asked.study, Offer(name, since, which), theta, asked)}  # fmt: skip
 
 
 def _shown(study: Study, offer: Offer, theta: np.ndarray, asked: Asked, given: Sequence[Offer]) -> float:
@@ -76,6 +83,21 @@ def _shown(study: Study, offer: Offer, theta: np.ndarray, asked: Asked, given: S
     mixed = study.mixed(range(len(asked.compared)), asked.compared)
     test = mixed.test(offer, given, mixed.pooled(offer.since))
     return float(np.sqrt(max(theta @ np.linalg.solve(test.covariance, theta), 0.0)))
+
+
+def of_the_error(study: Study, offer: Offer, theta: np.ndarray, asked: Asked) -> float:
+    """Share of the compared flights' squared error that the true deviations make, of the channel where it is largest.
+
+    What a model made of these flights could take up by its own terms is taken off by least squares.
+    """
+    own = [study.columns.causes[offer.cause][k] for k in offer.which]
+    parts = [part.columns for part, flag in zip(study.thinned, asked.compared) if flag]
+    made = np.concatenate([part[:, :, own] @ theta for part in parts])
+    if asked.own:
+        terms = np.concatenate([part[:, :, study.columns.shared] for part in parts])
+        made = made - terms @ np.linalg.lstsq(terms.reshape(made.size, -1), made.ravel(), rcond=1e-10)[0]
+    error = np.concatenate([part[:, :, 0] for part in parts])
+    return float((np.mean(made**2, axis=0) / np.mean(error**2, axis=0)).max())
 
 
 def _begun(study: Study, seconds: float) -> Study:
@@ -94,18 +116,18 @@ def _lower(name: str, values: Mapping[str, float], levels: Sequence[Level], sinc
         return NOTHING
     size = kinematic.size_of(name, values) if name in SENSORS else actuation.size_of(name, values, HEALTHY)
     shown = clear(level.tests, name, since, size)
-    return {"detectability": shown.detectability, "separability": shown.separability, "nearest": shown.nearest}
+    return {"detectability": shown.detectability, "separability": shown.separability, "nearest": shown.nearest,
+            "of the error": None}  # fmt: skip
 
 
-def _strange(name: str, size: float, since: str, asked: Asked) -> float:
-    """Of an effect without a name: the test that a cause of its true form would meet, were it in the catalogue."""
+def _strange(name: str, asked: Asked) -> Study:
+    """The study with an effect that has no name as a cause of its true form, as were it in the catalogue."""
     form = Effect(
         name, "W", "", "", "", {"size": Parameter("1", 0.0, "a", -np.inf, np.inf)},
         columns=lambda flight, _: {"size": strange_force(name, 1.0, flight)},
     )  # fmt: skip
     known = {n: asked.effects[n] for n in asked.study.columns.causes}
-    study = gather_study(asked.study.flights, {**known, name: form}, asked.vehicle, asked.study.values)
-    return _shown(study, Offer(name, since, (0,)), np.array([size]), asked, [])
+    return gather_study(asked.study.flights, {**known, name: form}, asked.vehicle, asked.study.values)
 
 
 def strange_force(name: str, size: float, flight: Evidence) -> np.ndarray:

@@ -319,17 +319,22 @@ def page(results: Sequence[Mapping[str, Any]]) -> str:
                   "| seed | hidden | why |", "| --- | --- | --- |"]  # fmt: skip
         lines += [f"| {r['settings']['seed']} | {', '.join(r['effects']) or 'nothing'} | {r['why']} |" for r in lost]
     lines += ["", "## Every draw that was not right", "",
-              "| seed | design | hidden | times typical | detectability | separability | said |",
-              "| --- | --- | --- | --- | --- | --- | --- |"]  # fmt: skip
+              "Of the error: what the truth makes of the squared error of forces and moments, on the axis where it "
+              "makes most, beyond what a model made of the same flights takes up.", "",
+              "| seed | design | hidden | times typical | detectability | separability | of the error | said |",
+              "| --- | --- | --- | --- | --- | --- | --- | --- |"]  # fmt: skip
     for r in results:
         if not _right(r):
             numbers = [[f"{s[k]:.1f}" if s[k] is not None else "-" for s in r["sizes"].values()]
                        for k in ("detectability", "separability")]  # fmt: skip
+            of = [
+                "-" if (share := s.get("of the error")) is None else f"{100 * share:.1f} %" for s in r["sizes"].values()
+            ]
             factors = ", ".join(f"{f:.2f}" for f in r["factors"].values())
             said = ", ".join(r["wrong"] + r["found"] + ["/".join(t) for t in r["tied"]]) or "nothing"
             lines.append(
                 f"| {r['settings']['seed']} | {r['design']} | {', '.join(r['effects']) or 'nothing'} | {factors} | "
-                f"{', '.join(numbers[0])} | {', '.join(numbers[1])} | {said} |"
+                f"{', '.join(numbers[0])} | {', '.join(numbers[1])} | {', '.join(of)} | {said} |"
             )
     return "\n".join(lines) + "\n"
 

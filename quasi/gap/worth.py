@@ -103,7 +103,9 @@ def material(
             without = score([c for c in kept if c is not cause], False)
             cause.gain = fraction(without.errors, whole.errors, floor)
             first, last, own = without.errors.mean(), whole.errors.mean(), _seen_in(cause.effect)
-            part = float(((first - last) / _removable(old, floor, "changed"))[own].max())
+            # a constant error, which flights differ by, may have the other sign on the held-out ones
+            gone = np.maximum(first - last, without.centred.mean() - whole.centred.mean())
+            part = float((gone / _removable(old, floor, "changed"))[own].max())
             # a form that is not quite right may make a flight less likely although it takes the error away
             better = without.unlikely > whole.unlikely or np.log(last / first)[own].sum() < 0.0
             worth.append(part if better else min(part, 0.0))

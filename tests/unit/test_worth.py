@@ -54,6 +54,24 @@ def test_a_cause_that_takes_its_channels_error_away_is_kept_and_one_that_brings_
     assert a.gain["Fz"]["value"] == pytest.approx(1.0, abs=0.02)
 
 
+def test_a_constant_error_of_the_held_out_flight_does_not_hide_what_a_cause_takes_away():
+    # its own thrust is off the other way: with the drift taken into account the whole error grows, the rest falls
+    def score(of, anew=False):
+        return judged(fz(4.5) if of else OLD)._replace(
+            centred=judged(fz(1.1) if of else fz(2.0)).errors, unlikely=-len(of)
+        )
+
+    drift = cause("a")
+    assert judged_by([drift], score)[0] == [drift]
+    worse = cause("a")
+    assert (
+        judged_by([worse], lambda of, anew=False: score(of)._replace(unlikely=len(of), centred=judged(fz(2.0)).errors))[
+            0
+        ]
+        == []
+    )
+
+
 def test_a_gain_in_channels_that_a_cause_does_not_act_on_counts_nothing():
     score = scored({frozenset("a"): fz(1.0)}, OLD)
     elsewhere = cause("a", channels=("Mz",))

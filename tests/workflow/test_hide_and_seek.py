@@ -2,18 +2,20 @@
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
-from clarity import NOTHING, Asked, clarity
+from clarity import NOTHING, Asked, clarity, of_the_error
 from hidden import ALL, STRANGE, deviation, drawn
 from hide_and_seek import draw as hide_and_seek
 from hide_and_seek import group_of, judge, page, wilson
 
 from quasi.gap.catalogue import catalogue
+from quasi.gap.mixed import Columns, Offer
 from quasi.synthesis.effects import check
 
 MASS = 0.433
@@ -137,3 +139,17 @@ def test_a_model_holds_the_drive_of_the_flights_that_it_was_made_of():
     assert clarity("motor_lag", {"time_constant": 0.045}, asked) == NOTHING
     with pytest.raises(StopIteration):  # of other flights, level A is asked
         clarity("motor_lag", {"time_constant": 0.045}, asked._replace(own=False))
+
+
+def test_what_a_model_took_up_of_the_flights_that_it_was_made_of_is_no_error_of_theirs():
+    rng = np.random.default_rng(3)
+    term, beyond, noise = rng.standard_normal((3, 4000, 6))
+    cause = 0.8 * term + 0.6 * beyond  # 0.36 of its square stands out
+    flight = SimpleNamespace(columns=np.stack([0.5 * cause + noise, term, cause], axis=2))
+    reference = SimpleNamespace(columns=np.full((10, 6, 3), 7.0))
+    columns = Columns([1], [], np.zeros(0), {"drag": [2]})
+    study = SimpleNamespace(thinned=[reference, flight], columns=columns)
+    asked = Asked(study, None, np.array([False, True]), {}, (), False)
+    offer, size = Offer("drag", "always", (0,)), np.array([0.5])
+    assert of_the_error(study, offer, size, asked) == pytest.approx(0.25 / 1.25, rel=0.1)
+    assert of_the_error(study, offer, size, asked._replace(own=True)) == pytest.approx(0.09 / 1.25, rel=0.1)
