@@ -27,7 +27,7 @@ class Airframe:
     spin (4,) +1 where the rotor turns clockwise seen from above (positive about body z), -1 otherwise;
     left, front (4,) +1 or -1: the rotor lies left / in front of the cg;
     poles: magnets of a motor, or None when the configuration does not say;
-    idle_rpm, max_rpm in the unit the flight controller logs (Betaflight: eRPM/100), or None;
+    idle_rpm, max_rpm in eRPM/100, or None;
     marker_offset (3,) m, of the marker centroid from the cg, body axes (marker = cg + R offset);
     noise {quantity: {"mean", "std"}} of the IMU at rest; positions {place: rotor number}, as configured.
     """

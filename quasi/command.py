@@ -84,6 +84,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     plan.add_argument("--gap", help="take the noise, the room and further causes from this gap")
     plan.add_argument("--out", help="folder for the card: plan.json and plan.html")
 
+    causes = commands.add_parser(
+        "causes",
+        parents=[place],
+        help="the catalogue of causes that a gap can name, with sizes typical of a model's vehicle",
+    )
+    causes.add_argument("model", nargs="?", help="model ID, or the path of a standalone model (the made vehicle)")
+    causes.add_argument("--gap", help="with the causes of your own that this gap has")
+
     init = commands.add_parser("init", help="lay a project folder: commented configuration and an empty logbook")
     init.add_argument("folder", help="folder to make; it must be empty or absent")
 
@@ -126,6 +134,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         elif options.command == "plan":
             flown = (options.flights, options.references, options.gap, options.out)
             print(plan_of(options.model, options.trajectories, Path(options.directory), *flown))
+        elif options.command == "causes":
+            print(causes_of(options.model, Path(options.directory), options.gap), end="")
         elif options.command == "new-simulation":
             print(new_simulation(options.name, Path(options.directory)))
         elif options.command == "noise":
@@ -313,6 +323,25 @@ def plan_of(
         write_text(folder / "plan.html", flight_card.page(card))
         text += f"\n\nMade {folder}: plan.json, plan.html"
     return text
+
+
+def causes_of(model: str | None, directory: Path, gap: str | None = None) -> str:
+    """The catalogue of causes in Markdown; sizes are typical of the model's vehicle, or of made flights' without one.
+
+    Raises a QuasiError where model or gap are absent.
+    """
+    from quasi.gap import causes_page
+    from quasi.gap.catalogue import catalogue
+    from quasi.gap.effect import vehicle_of
+    from quasi.standalone.model import read_model
+    from quasi.workflow import Folder
+
+    files = Folder(directory).gap(gap)["effect files"] if gap is not None else []
+    effects = catalogue(directory / p for p in files)
+    if model is None:
+        return causes_page.text(effects, causes_page.made_vehicle(), "the 0.43 kg vehicle of made flights")
+    used = read_model(model_place(model, directory))
+    return causes_page.text(effects, vehicle_of(used), f"model {used.id}")
 
 
 def import_model(file: Path, name: str, directory: Path, poles: int | None = None) -> str:

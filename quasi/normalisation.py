@@ -101,7 +101,7 @@ def normalisation_of(airframe: Airframe, logged_to_rad_s: float | None, where: s
     logged_to_rad_s  factor from the unit of 'idle RPM' and 'max RPM' to rad/s, None takes the airframe's own
     Raises ConfigError naming what the quadrotor configuration lacks.
     """
-    factor = logged_to_rad_s or airframe.logged_to_rad_s
+    factor = airframe.logged_to_rad_s or logged_to_rad_s
     for key, value in (("max RPM", airframe.max_rpm), ("idle RPM", airframe.idle_rpm)):
         if not value or value <= 0:
             raise ConfigError(

@@ -159,7 +159,7 @@ def filter_flight(
 
     speeds = np.stack([actuators[c] for c in rotors], axis=1) if rotors else None
     position = imported[["x", "y", "z"]].to_numpy(float) if {"x", "y", "z"} <= set(imported) else None
-    factor = imported_metadata.get("logged to rad/s") or airframe.logged_to_rad_s
+    factor = airframe.logged_to_rad_s or imported_metadata.get("logged to rad/s")
     idle = airframe.idle_rpm * factor if airframe.idle_rpm and factor else None
     found = biases.phases(
         imu.gyro, imu.accel, imu.lost, measurements.resolution(imported_metadata), speeds, position, idle, dt

@@ -321,7 +321,9 @@ def _truth(effect: Effect, name: str, deviation: float, vehicle: Vehicle) -> flo
     if name == "mass":
         return vehicle.mass + deviation
     if len(name) == 3 and name[0] == "I":
-        return float(vehicle.inertia["xyz".index(name[1]), "xyz".index(name[2])]) + deviation
+        i, j = "xyz".index(name[1]), "xyz".index(name[2])
+        # off the diagonal the tensor holds minus the products, which the parameters are
+        return float(vehicle.inertia[i, j] if i == j else -vehicle.inertia[i, j]) + deviation
     return deviation
 
 
@@ -484,7 +486,7 @@ def _gains(
 def _verdict(effects: Sequence[Any], ties: Sequence[Any], left: Sequence[Any], unable: str = "") -> str:
     """In a word; unable  why forces and moments could not be asked: then nothing found is no agreement."""
     if effects:
-        return "partly explained" if ties or left else "explained"
+        return "partly explained" if ties or left or unable else "explained"
     if ties:
         return "partly explained"
     return "unexplained" if left else "not judged" if unable else "agrees"

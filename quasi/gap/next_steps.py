@@ -17,7 +17,7 @@ CORRECT = {
     "mocap_misalignment": "align the rigid body with the vehicle's axes in the capture's software",
     "room_tilt": "level the capture's ground plane anew",
     "mocap_delay": "look at what the capture's software smooths of rotations",
-    "gyro_bias": "let the vehicle rest for five seconds before take-off, so that import tells the bias",
+    "gyro_bias": "keep the vehicle still while its flight controller starts, which calibrates the gyro then",
     "accelerometer_bias": "let the vehicle rest for five seconds before take-off, on a level floor, and calibrate its "
     "accelerometer",
     "gyro_scale": "calibrate the gyro, or exchange it",

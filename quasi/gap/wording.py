@@ -289,6 +289,8 @@ def summary(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
             f"Nothing is wrong with sensors, clocks and rotor drive as far as this data tells; forces and moments "
             f"could not be asked: {unasked(diagnosis, known)}."
         )
+    if not nothing and diagnosis.get("unable"):
+        texts.append(f"Forces and moments could not be asked: {diagnosis['unable']}.")
     texts += missing
     if nothing and diagnosis.get("verdict") != "not judged":
         begin = "Nothing else that was asked" if missing else "Simulation and flights agree: nothing in the catalogue"

@@ -373,9 +373,14 @@ def _lever_arm(
     quadrotor: Mapping[str, Any], chosen: Mapping[str, Any], where: str, notes: list[str],
 ) -> dict[str, Any] | None:  # fmt: skip
     """What an IMU away from the cg measures too much; None when not asked for or not known."""
-    if not chosen["do onboard c.g. correction"]:
-        return None
     arm = _triple(quadrotor.get("imu position"), "imu position")
+    if not chosen["do onboard c.g. correction"]:
+        if arm is not None and np.any(arm):
+            notes.append(
+                f"{where}: the quadrotor's 'imu position' is not used; set 'do onboard c.g. correction' of 'data "
+                "importing' to true to correct by it, or take it out"
+            )
+        return None
     about: dict[str, Any] = {"source": "configuration"}
     if arm is None:
         told = None

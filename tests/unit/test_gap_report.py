@@ -240,6 +240,8 @@ def test_parameters_are_stated_as_they_are_not_as_deviations():
     vehicle = Vehicle(np.zeros((4, 3)), np.ones(4), 0.04, 1e-7, 1e-9, 0.43, np.diag([1e-3, 2e-3, 3e-3]), 9.7, 0.0, 0.0)
     assert _truth(KNOWN["mass"], "mass", 0.02, vehicle) == pytest.approx(0.45)
     assert _truth(KNOWN["inertia"], "Iyy", 1e-4, vehicle) == pytest.approx(2.1e-3)
+    tensor = np.array([[1e-3, -1e-5, 0.0], [-1e-5, 2e-3, 0.0], [0.0, 0.0, 3e-3]])  # a product Ixy of +1e-5
+    assert _truth(KNOWN["inertia"], "Ixy", 2e-6, vehicle._replace(inertia=tensor)) == pytest.approx(1.2e-5)
     assert _truth(KNOWN["thrust_factor"], "factor", -0.03, vehicle) == pytest.approx(0.97)
     assert _truth(KNOWN["wind"], "north", 1.5, vehicle) == 1.5
 

@@ -1,0 +1,73 @@
+"""The catalogue of causes in words: what each is, its parameters, what it is taken for and what tells it apart."""
+
+import textwrap
+from collections.abc import Mapping
+
+import numpy as np
+
+from quasi.attitude import GRAVITY
+from quasi.gap.effect import SCOPES, Effect, Parameter, Vehicle
+from quasi.synthesis.vehicle import base_vehicle, hover_factors
+
+LEVELS = {
+    "K": "Sensors, mounting, frames and clocks (level K)",
+    "A": "Rotors' drive (level A)",
+    "W": "Forces and moments (level W)",
+}
+FINDINGS = "Findings: stated, never named as a cause"
+WIDTH = 120
+
+
+def text(effects: Mapping[str, Effect], vehicle: Vehicle, whose: str) -> str:
+    """All causes in Markdown, by level. vehicle, whose  of which the typical sizes are told"""
+    about = (
+        'What a gap can name, by the ids that `"effects"` takes. `quasi causes MODEL` prints this page with the sizes '
+        f"typical of your own vehicle; here they are those of {whose}. A typical size is what a flight should be able "
+        "to show: hide and seek draws around it, the flight card asks for it. A parameter without one only accompanies "
+        "others. Scopes: a parameter belongs to the airframe, to a session, or to a single flight."
+    )
+    lines = ["# Causes", "", *textwrap.wrap(about, WIDTH)]
+    for level, title in LEVELS.items():
+        lines += ["", f"## {title}"]
+        for effect in effects.values():
+            if effect.level == level and not effect.finding:
+                lines += _entry(effect, vehicle)
+    lines += ["", f"## {FINDINGS}"]
+    for effect in effects.values():
+        if effect.finding:
+            lines += _entry(effect, vehicle)
+    return "\n".join(lines) + "\n"
+
+
+def made_vehicle() -> Vehicle:
+    """The vehicle of made flights, as far as typical sizes need it."""
+    p = base_vehicle().physics
+    factors = hover_factors(p)
+    induced = float(np.sqrt(p.mass * GRAVITY / (8.0 * np.pi * p.density * p.radius**2)))  # momentum theory, hover
+    return Vehicle(p.hubs, p.spin, p.radius, factors["thrust"], factors["torque"], p.mass, p.inertia, induced, 0.0, 0.0)
+
+
+def _entry(effect: Effect, vehicle: Vehicle) -> list[str]:
+    lines = ["", f"### {effect.id}", "", f"{effect.sentence[:1].upper()}{effect.sentence[1:]}.", ""]
+    lines.append(f"- `{effect.equation}` ({effect.source})")
+    alike: dict[str, list[str]] = {}
+    for name, parameter in effect.parameters.items():
+        alike.setdefault(_told(parameter, vehicle), []).append(f"`{name}`")
+    lines += [f"- {', '.join(names)}{told}" for told, names in alike.items()]
+    if effect.channels:
+        lines.append(f"- shows in {', '.join(effect.channels)}")
+    if effect.rivals:
+        apart = f"; told apart by: {effect.tie_breaker}" if effect.tie_breaker else ""
+        lines.append(f"- may be taken for {', '.join(effect.rivals)}{apart}")
+    return lines
+
+
+def _told(parameter: Parameter, vehicle: Vehicle) -> str:
+    unit = "" if parameter.unit in ("", "1") else f" {parameter.unit}"
+    typical = parameter.typical(vehicle) if callable(parameter.typical) else parameter.typical
+    told = f"{f', {parameter.unit}' if unit else ''}, of the {SCOPES[parameter.scope]}"
+    if typical is None:
+        return told
+    if parameter.neutral is None:
+        return f"{told}: typically {typical:.3g}{unit} off"
+    return f"{told}: {parameter.neutral:g} where nothing is wrong, typically {typical:.3g}{unit} off"
