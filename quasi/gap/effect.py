@@ -19,7 +19,7 @@ from quasi.logbook import NAME
 from quasi.standalone.model import Model
 
 LEVELS = ("K", "A", "W")
-PARTS = ("any", "all", "first", "one")
+PARTS = ("any", "all", "first", "one", "next")
 SCOPES = {"a": "airframe", "s": "session", "f": "flight"}
 Terms = dict[str, str]  # axis: expression, N or N m per unit of a parameter
 
@@ -143,7 +143,7 @@ class Effect:
     whole         (evidence, vehicle, values) -> (n, 6), the same where no expression can say it
     extension     (values, vehicle, model) -> Extension, where terms do not say it
     parts         how parameters may be found: "any" one alone or all; "all" only together; "first" the first few;
-                  "one" a single one, the likeliest
+                  "one" a single one, the likeliest; "next" one after the other, each beside those before it
     starts        sizes of the one parameter of a cause that bends so much that its slope at nothing hardly shows it: it
                   is looked for by the whole effect of one of them, the likeliest, see `quasi.gap.starts`
     indistinct    ids that differ from it by so little that a model's own errors would decide: always a tie with them

@@ -337,7 +337,7 @@ class Mixed:
         """The most significant selection of a cause's parameters that are not given yet; None when all are given.
 
         parts  "any": all of them, or one alone; "all": only together; "first": the first, or the first few; "one": one
-        alone, the likeliest
+        alone, the likeliest; "next": one after the other, each beside those before it
         """
         taken = {k for o in given if o.cause == cause and o.since == since for k in o.which}
         free = tuple(k for k in range(len(self.columns.causes[cause])) if k not in taken)
@@ -346,6 +346,8 @@ class Mixed:
         selections = [free]
         if parts == "any" and len(free) > 1:
             selections += [(k,) for k in free]
+        elif parts == "next":
+            selections = [free[:1]]
         elif parts == "one":
             selections = [(k,) for k in free]
         elif parts == "first":
