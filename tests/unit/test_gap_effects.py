@@ -115,7 +115,7 @@ def residual_of(ground, effects, seed=3, spread=1.0):
 
 CASES = {
     "rotor_drag": ({"k": 1e-5}, {"k": 1e-5, "lever": 0.0}, 0.02),  # the hubs' height is configured
-    "body_drag": ({"c": 0.02}, {"c": 0.02}, 0.1),
+    "body_drag": ({"c": 0.02}, {"c": 0.02, "cz": -0.02 * 0.004}, 0.01),  # it acts 4 mm above the cg
     "blade_flapping": ({"k": 3e-7}, {"k": 3e-7}, 0.02),
     "translational_lift": ({"k": 0.01}, {"k": 0.01}, 0.02),
     "axial_inflow": ({"k": 3e-5}, {"k": 3e-5}, 0.05),
