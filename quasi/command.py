@@ -6,8 +6,12 @@ import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from quasi.errors import QuasiError
+
+if TYPE_CHECKING:
+    from quasi.gap.effect import Vehicle
 
 LIBRARY = Path(__file__).parent.parent
 TEMPLATE = LIBRARY / "config" / "template"
@@ -339,9 +343,23 @@ def causes_of(model: str | None, directory: Path, gap: str | None = None) -> str
     files = Folder(directory).gap(gap)["effect files"] if gap is not None else []
     effects = catalogue(directory / p for p in files)
     if model is None:
-        return causes_page.text(effects, causes_page.made_vehicle(), "the 0.43 kg vehicle of made flights")
+        return causes_page.text(effects, made_vehicle(), "the 0.43 kg vehicle of made flights")
     used = read_model(model_place(model, directory))
     return causes_page.text(effects, vehicle_of(used), f"model {used.id}")
+
+
+def made_vehicle() -> "Vehicle":
+    """The vehicle of made flights, as far as typical sizes of causes need it."""
+    import numpy as np
+
+    from quasi.attitude import GRAVITY
+    from quasi.gap.effect import Vehicle
+    from quasi.synthesis.vehicle import base_vehicle, hover_factors
+
+    p = base_vehicle().physics
+    factors = hover_factors(p)
+    induced = float(np.sqrt(p.mass * GRAVITY / (8.0 * np.pi * p.density * p.radius**2)))  # momentum theory, hover
+    return Vehicle(p.hubs, p.spin, p.radius, factors["thrust"], factors["torque"], p.mass, p.inertia, induced, 0.0, 0.0)
 
 
 def import_model(file: Path, name: str, directory: Path, poles: int | None = None) -> str:

@@ -186,6 +186,11 @@ class Comparisons(Project):
                 f"with flights needs all six axes; switch 'identify {lacking[0].lower()}' on in "
                 f"config/models/{root}.json"
             )
+        if root in self.models and self.model(root)["data normalization"]["normalize data"]:
+            raise ConfigError(
+                f"config/gaps/{name}.json: model '{root}' is normalised; a comparison with flights needs one that was "
+                f"identified with 'normalize data' false in config/models/{root}.json"
+            )
 
     def _refuse_overwriting(self, name: str, ident: str) -> None:
         """Raises ConfigError where a model that no gap made stands under the extended model's name."""

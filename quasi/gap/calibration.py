@@ -30,6 +30,11 @@ CORRECTS: dict[str, tuple[str, str, tuple[str, ...]]] = {
 }
 
 
+def corrected_at_import(cause: str, level: str) -> bool:
+    """Whether a cause that a level found is corrected at import, and so is no part of the extended model."""
+    return level == "K" or (level == "A" and cause in CORRECTS)
+
+
 def document(levels: Sequence[Level], settled: Sequence[str] = ()) -> dict[str, Any]:
     """The calibration of a comparison: plain data, to be written and read by import through `for_flight`.
 

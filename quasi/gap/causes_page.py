@@ -3,11 +3,7 @@
 import textwrap
 from collections.abc import Mapping
 
-import numpy as np
-
-from quasi.attitude import GRAVITY
 from quasi.gap.effect import SCOPES, Effect, Parameter, Vehicle
-from quasi.synthesis.vehicle import base_vehicle, hover_factors
 
 LEVELS = {
     "K": "Sensors, mounting, frames and clocks (level K)",
@@ -37,14 +33,6 @@ def text(effects: Mapping[str, Effect], vehicle: Vehicle, whose: str) -> str:
         if effect.finding:
             lines += _entry(effect, vehicle)
     return "\n".join(lines) + "\n"
-
-
-def made_vehicle() -> Vehicle:
-    """The vehicle of made flights, as far as typical sizes need it."""
-    p = base_vehicle().physics
-    factors = hover_factors(p)
-    induced = float(np.sqrt(p.mass * GRAVITY / (8.0 * np.pi * p.density * p.radius**2)))  # momentum theory, hover
-    return Vehicle(p.hubs, p.spin, p.radius, factors["thrust"], factors["torque"], p.mass, p.inertia, induced, 0.0, 0.0)
 
 
 def _entry(effect: Effect, vehicle: Vehicle) -> list[str]:

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.gap import commanded, generic, halves, material, rollout_gain, unexplained
+from quasi.gap.calibration import corrected_at_import
 from quasi.gap.confirmation import CONFIRMED, REFUTED, Settled, settle
 from quasi.gap.effect import Effect, Vehicle, room_of, vehicle_of
 from quasi.gap.evidence import Evidence
@@ -73,8 +74,10 @@ def diagnose(
     levels = calibration["levels"]
     material.judge(levels, *lower, share)
     said: dict[str, Any] = {"candidates": [], "unexplained": [], "cannot_be_asked": [], "notes": list(lost)}
+    # what import corrects is no part of the model: it would be taken off a second time
+    acting = [e for e in levels["A"]["effects"] if not corrected_at_import(e["id"], "A")]
     drive = [(effects[e["id"]], _deviations(effects[e["id"]], e["parameters"]))
-             for e in levels["A"]["effects"] if e["id"] in effects and effects[e["id"]].extension]  # fmt: skip
+             for e in acting if e["id"] in effects and effects[e["id"]].extension]  # fmt: skip
     unable = _unable(groups, roles, lost)
     found, kept = None, []
     lives, restless = pd.DataFrame(), []
@@ -87,7 +90,8 @@ def diagnose(
         found = examine(learning, compared, held, model, effects, vehicle, rate, share, ident, f"gap {name}", unheard)
         sure = [c for c in found.causes if c.probability >= _needed(c, found)]
         rare = [c for c in found.stand_ins if c.probability < _needed(c, found)]
-        found.ties = [t for t in found.ties if not any(c.effect.id == t[1].tests[0].offer.cause for c in rare)]
+        unsure = {(c.effect.id, c.since) for c in rare}
+        found.ties = [(since, t) for since, t in found.ties if (t.tests[0].offer.cause, since) not in unsure]
         settled = settle(found, sure, model, compared, effects, vehicle, held, flights)
         corrected = _corrected(model, calibration, learning)
 
@@ -142,7 +146,9 @@ def diagnose(
         if not any(u["channel"][0] == "F" for u in said["unexplained"]):
             restless = gusts(found.study, compared, [c.effect.id for c in kept])
     lower_effects = [_lower_effect(e, level, gap) for level in ("K", "A") for e in levels[level]["effects"]]
-    ties = [t for level in ("K", "A") for t in levels[level]["ties"]]
+    # forces and moments settle a tie of the levels below by naming one of it
+    told = {e["id"] for e in effects_said}
+    ties = [t for level in ("K", "A") for t in levels[level]["ties"] if not told & set(t["ids"])]
     ties += [_tie(since, tie, effects, vehicle) for since, tie in (found.ties if found else [])]
     for level in ("K", "A"):
         said["candidates"] += levels[level]["candidates"]
@@ -154,7 +160,7 @@ def diagnose(
         "model": settings["model"],
         "verdict": _verdict([*lower_effects, *effects_said], ties, said["unexplained"], unable),
         "summary": "",
-        "effects": [*lower_effects, *effects_said],
+        "effects": sorted([*lower_effects, *effects_said], key=lambda e: -float(e["evidence"].get("wald") or 0.0)),
         "ties": ties,
         "findings": [*(f for level in ("K", "A") for f in levels[level]["findings"]), *restless],
         **said,
@@ -405,7 +411,7 @@ def _candidates(found: Found, settled: Settled, share: float) -> list[dict[str, 
 
     for c, told in settled.dropped:
         add(c.effect.id, c.since, c.test, told.why)
-    for c in found.causes:
+    for c in [*found.causes, *found.stand_ins]:
         again, needed = 100 * c.probability, 100 * _needed(c, found)
         why = f"found again in {again:.0f} % of the resamples only, expected {needed:.0f} %"
         add(c.effect.id, c.since, c.test, why)
@@ -425,7 +431,7 @@ def _candidates(found: Found, settled: Settled, share: float) -> list[dict[str, 
             why = f"beside {c.effect.id} it adds nothing (p = {r.beside_named:.2g}); {c.effect.id} stays beside it"
             if (r.id, c.since) not in out:
                 out.add((r.id, c.since))
-                said.append({"id": r.id, "since": c.since, "score": None, "p": r.p, "why_not": why})
+                said.append({"id": r.id, "since": c.since, "score": None, "p": r.beside_named, "why_not": why})
     named = ", ".join(sorted({c.effect.id for c in found.causes})) or "the model's own terms"
     for test in found.ranking:
         level = found.level[test.offer.since]

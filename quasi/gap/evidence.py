@@ -247,6 +247,11 @@ def gather(
             f"model {model.id} says nothing of {', '.join(unknown)}, which a comparison with flights needs; identify "
             "all six axes"
         )
+    if model.normalisation:
+        raise ConfigError(
+            f"model {model.id} is normalised; a comparison with flights needs one that was identified with 'normalize "
+            "data' false"
+        )
     missing = [c for c in NEEDED if c not in flight]
     if missing:
         raise DataError(f"flight {key} has no column '{missing[0]}', which a comparison with a model needs")

@@ -169,7 +169,10 @@ def _doublets(model: Model, start: np.ndarray, yaw: float, size: float) -> Made:
     t = np.arange(len(turns)) / RATE
     flight = turning(t, turns, start, model, "doublets")
     most = SHARP * size
-    text = f"sharp doublets in roll, pitch and yaw, alone and together, {most:.0f} rad/s2, {t[-1]:.0f} s"
+    text = (
+        f"sharp doublets in roll and pitch ({most:.0f} rad/s2) and yaw ({0.1 * most:.0f} rad/s2), alone and, each by "
+        f"half or a third of that, together, {t[-1]:.0f} s"
+    )
     return "doublets", text, flight
 
 

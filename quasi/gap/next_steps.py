@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from quasi.gap.calibration import corrected_at_import
 from quasi.gap.effect import Effect
 from quasi.gap.wording import CHANNELS, listed, name_of, parameters_of, ranges_of, unasked, words_of
 
@@ -24,6 +25,7 @@ CORRECT = {
     "accelerometer_scale": "calibrate the accelerometer, or exchange it",
     "clock_drift": "let one clock stamp log and capture, where that can be",
     "attitude_error": "tune the attitude estimator of the flight controller",
+    "telemetry_delay": "log rotor speeds as often and as little filtered as the flight controller can",
     "rotor_speed_scale": f"multiply 'motor poles' of {QUADROTOR} by it, if the poles are what is wrong",
 }
 
@@ -31,14 +33,14 @@ CORRECT = {
 def steps(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str]:
     """What to do next, a sentence each; the first is the most useful one."""
     effects, said = diagnosis["effects"], []
-    own = [e for e in effects if e["level"] in ("W", "A")]
+    own = [e for e in effects if not corrected_at_import(e["id"], e["level"])]
     if own:
         said.append(
             f"Make the extended model, {diagnosis['model']} with {listed([name_of(e['id']) for e in own])}: "
             f"snakemake models/{diagnosis['extended_model']}/standalone. A gap of its own ('model': "
             f"'{diagnosis['extended_model']}') tells what is left."
         )
-    said += [_corrected(e) for e in effects if e["level"] == "K"]
+    said += [_corrected(e) for e in effects if corrected_at_import(e["id"], e["level"])]
     said += [f"{_begun(e)}: {CORRECT[e['id']]}." for e in own if e["id"] in CORRECT]
     for tie in diagnosis["ties"]:
         names = listed([name_of(i) for i in tie["ids"]])

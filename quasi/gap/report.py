@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from quasi import report
+from quasi.gap.calibration import corrected_at_import
 from quasi.gap.effect import Effect
 from quasi.gap.lower import UNITS as UNITS_OF
 from quasi.gap.next_steps import steps
@@ -107,11 +108,12 @@ def page(
 
 def _rules(diagnosis: Mapping[str, Any]) -> str:
     return (
-        f"a cause is named at a family-wise false alarm rate of {diagnosis['false alarm rate']:g}, which all searches "
-        f"and the held-out flights share, when it removes at least {100 * diagnosis['material share']:g} % of the "
-        "removable error on held-out flights and comes again in enough resamples of the flights' blocks: 20 % alone, "
-        "50 % as the strongest of several, 80 % beside a stronger one; what all flights have alike has to gain more "
-        "than that, beyond doubt, beside the model's own terms fitted anew"
+        "a cause of forces and moments is named at a family-wise false alarm rate of "
+        f"{diagnosis['false alarm rate']:g}, which all searches and the held-out flights share, when it removes at "
+        f"least {100 * diagnosis['material share']:g} % of the removable error on held-out flights and comes again in "
+        "enough resamples of the flights' blocks: 20 % alone, 50 % as the strongest of several, 80 % beside a stronger "
+        "one; what all flights have alike has to gain more than that, beyond doubt, beside the model's own terms "
+        "fitted anew"
     )
 
 
@@ -313,8 +315,8 @@ def _ties(diagnosis: Mapping[str, Any]) -> str:
 
 def _extended(diagnosis: Mapping[str, Any]) -> str:
     ident = diagnosis["extended_model"]
-    own = [name_of(e["id"]) for e in diagnosis["effects"] if e["level"] in ("W", "A")]
-    sensors = [name_of(e["id"]) for e in diagnosis["effects"] if e["level"] == "K"]
+    own = [name_of(e["id"]) for e in diagnosis["effects"] if not corrected_at_import(e["id"], e["level"])]
+    sensors = [name_of(e["id"]) for e in diagnosis["effects"] if corrected_at_import(e["id"], e["level"])]
     said = (
         f"{ident} is {diagnosis['model']} with {', '.join(own)}."
         if own

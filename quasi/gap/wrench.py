@@ -27,6 +27,8 @@ ASTRAY = 0.5  # of its size, that a cause may move when it is linearised there
 LOOKS = 4  # how often curved causes are linearised anew, and contradicted ones left out
 RIDGES = (1e-3, 1e-2, 1e-1)  # of fits of everything at once, on scaled columns
 KNOWN = 0.02  # share to which the vehicle's constants are known, of which columns are made: thrust, hubs, own drag
+WEIGHING = ("mass", "cg_offset")
+NET = "the model is of net forces (noGravity), which hold the weight; identify it withGravity"
 DRAWS = 40  # resamples of the flights' blocks
 
 
@@ -84,6 +86,9 @@ def examine(
     if not held:
         raise ConfigError("no flight is held out; name at least one in 'rows of flights held out'")
     asked = {n: e for n, e in effects.items() if e.level == "W" and not e.finding}
+    # net forces hold the weight: a model of these cannot carry another mass, nor forces to another point
+    weightless = {} if model.with_gravity else {n: NET for n in WEIGHING if n in asked}
+    asked = {n: e for n, e in asked.items() if n not in weightless}
     within = {n: e.limits(vehicle) for n, e in asked.items()}
     neutral: set[str] = set()  # curved causes whose slope where they were found does not show them any more
     contradicted: dict[str, tuple[Test, str]] = {}
@@ -176,8 +181,8 @@ def examine(
     if kept:
         wrong, scores["best_wrong_cause"] = _best_wrong(mixed, kept, ranking, asked, model, vehicle, held, old)
     return Found(
-        kept, ties, immaterial, ranking, level, study.lacking, study, scores, wrong, extended, unjudged, contradicted,
-        [c for c in stand_ins if any(_stands_for(c, *tie) for tie in ties)],
+        kept, ties, immaterial, ranking, level, study.lacking | weightless, study, scores, wrong, extended, unjudged,
+        contradicted, [c for c in stand_ins if any(_stands_for(c, *tie) for tie in ties)],
     )  # fmt: skip
 
 

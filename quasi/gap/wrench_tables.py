@@ -99,7 +99,8 @@ def _where(whole: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for name in names:
         values = table[name].to_numpy()
-        edges = np.unique(np.quantile(values[np.isfinite(values)], np.linspace(0, 1, BINS + 1))) if len(values) else []
+        known = values[np.isfinite(values)]
+        edges = np.unique(np.quantile(known, np.linspace(0, 1, BINS + 1))) if len(known) else []
         for low, high in pairwise(edges):
             part = table[(values >= low) & (values <= high)]
             if len(part) < LEAST:

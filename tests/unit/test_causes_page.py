@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quasi.command import main
+from quasi.command import made_vehicle, main
 from quasi.gap import causes_page
 from quasi.gap.catalogue import catalogue
 
@@ -22,7 +22,7 @@ def test_the_page_is_what_the_catalogue_says(capsys):
 
 
 def test_typical_sizes_are_those_of_the_vehicle():
-    vehicle = causes_page.made_vehicle()
+    vehicle = made_vehicle()
     assert vehicle.hover_induced == pytest.approx(
         (vehicle.weight / (8 * np.pi * 1.225 * vehicle.radius**2)) ** 0.5, rel=1e-3
     )
