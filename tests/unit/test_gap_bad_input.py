@@ -2,24 +2,33 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from made_plan import CATALOGUE, MODEL, card_of, eight, follow, rows_of
 from test_actuation import MODEL as DRIVES
 from test_actuation import flown
+from test_gap_extension import base_of
+from test_gap_extension import flight as made
 
 from quasi.errors import ConfigError, DataError, QuasiError
-from quasi.gap import actuation, halves, material, plan, settling
+from quasi.gap import actuation, halves, material, mixed, plan, settling
+from quasi.gap.calibration import corrected_at_import
 from quasi.gap.catalogue import whole_of
-from quasi.gap.diagnosis import _unable, _verdict
+from quasi.gap.confirmation import Settled
+from quasi.gap.diagnosis import _candidates, _unable, _verdict
 from quasi.gap.effect import vehicle_of
 from quasi.gap.evidence import gather, refuse_another_vehicle
 from quasi.gap.level import Flown
 from quasi.gap.mixed import Offer
 from quasi.gap.plan_input import flights_of
 from quasi.gap.study import gather_study
-from quasi.standalone.model import Model
+from quasi.gap.worth import Cause
+from quasi.gap.wrench import examine
+from quasi.gap.wrench_tables import _where as where_of
+from quasi.standalone.model import AXES, Model
 from quasi.tables import read_numbers, write_json, write_table
 
 FRAME = MODEL.airframe
@@ -108,6 +117,36 @@ def test_where_forces_could_not_be_asked_nothing_found_is_no_agreement():
     groups = {"compared": [1, 2], "held out": []}
     said = _unable(groups, roles, ["flight c has no rows; remedy", "flight h has 0.0 s of valid data; fly longer"])
     assert said.startswith("no held-out flight could be used (flight h has 0.0 s of valid data); hold out another")
+
+
+def test_a_voltage_that_reference_flights_alone_log_is_no_place():
+    rng = np.random.default_rng(1)
+    table = pd.DataFrame({f"{a}_{w}": rng.standard_normal(400) for a in AXES for w in ("before", "after")})
+    table["role"] = np.repeat(["compared", "reference"], 200)
+    table["speed"], table["volts"] = np.linspace(0, 5, 400), np.where(table["role"] == "reference", 15.0, np.nan)
+    assert set(where_of(table)["where"]) == {"speed"}
+
+
+def test_what_net_forces_hold_already_cannot_be_asked_of_a_model_of_these():
+    model = base_of("noGravity")
+    evidence, _ = made(model)
+    flights = [replace(evidence, key=k) for k in "abc"]
+    effects = {n: CATALOGUE[n] for n in ("mass", "cg_offset", "body_drag")}
+    found = examine(flights, [True] * 3, [evidence], model, effects, vehicle_of(model), 0.01, 0.05, "x", "test")
+    assert set(found.lacking) == {"mass", "cg_offset"} and "identify it withGravity" in found.lacking["mass"]
+
+
+def test_a_tie_that_resamples_do_not_bear_out_is_told_among_the_candidates():
+    test = mixed.Test(Offer("wind", "always", (0,)), np.ones(1), np.eye(1), 1.0, 30.0, 1e-6)
+    rare = Cause(CATALOGUE["wind"], "always", {"north": 1.0}, {"north": 0.2}, test, [], probability=0.1)
+    found = SimpleNamespace(causes=[], stand_ins=[rare], ties=[], immaterial=[], contradicted={}, ranking=[], level={})
+    (said,) = _candidates(found, Settled([], [], {}, {}, None, []), 0.05)
+    assert said["id"] == "wind" and said["why_not"].startswith("found again in 10 % of the resamples only, expected 20")
+
+
+def test_late_telemetry_is_corrected_at_import_or_part_of_the_model_never_both():
+    assert corrected_at_import("telemetry_delay", "A") and not corrected_at_import("telemetry_delay", "W")
+    assert corrected_at_import("gyro_bias", "K") and not corrected_at_import("motor_lag", "A")
 
 
 def test_a_flight_without_a_second_in_one_piece_is_told(flight):

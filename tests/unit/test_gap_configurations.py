@@ -64,6 +64,13 @@ def test_a_fault_of_a_gap_names_file_and_remedy(folder, changes, words):
     assert "config/gaps/g.json" in str(caught.value) and words in str(caught.value)
 
 
+def test_a_normalised_model_is_refused_before_anything_is_computed(folder):
+    file = folder / "config/models/m.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "data normalization": {"normalize data": True}}))
+    with pytest.raises(ConfigError, match=r"config/gaps/g.json: model 'm' is normalised; .* 'normalize data' false in"):
+        gap(folder)
+
+
 def test_causes_of_a_users_file_may_be_listed(folder):
     (folder / "data/mine.py").write_text("# defines sticky\n")
     asked = gap(folder, **{"effects": ["sticky"], "effect files": ["data/mine.py"]})
