@@ -122,6 +122,9 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
         level.cannot_be_asked = [{"id": c, "why": why} for c in asked]
         return level
     if turning:
+        if "attitude_error" in asked:
+            why = "the attitude is captured: that of the flight controller plays no part"
+            level.cannot_be_asked.append({"id": "attitude_error", "why": why})
         asked = [c for c in asked if c != "attitude_error"]
     else:
         why = "the attitude is not captured in every flight (or 'use onboard attitude' is on)"
@@ -129,6 +132,9 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
         asked = [c for c in asked if c not in WITHOUT_ATTITUDE]
         weak = [w._replace(columns=_only_forces(w.columns), turning=False) for w in weak]
     names = [n for n in weak[0].names if all(n in w.names for w in weak)]
+    if "attitude_error" in asked and not any(n.startswith("attitude_error") for n in names):
+        why = "not every flight is told by the flight controller's own attitude"
+        level.cannot_be_asked.append({"id": "attitude_error", "why": why})
     weak = [w._replace(columns=w.columns[:, :, [w.names.index(n) for n in names]], names=names) for w in weak]
     level.notes.append(
         "a delay of the whole capture is the same as an offset between its clock and the log's and cannot be told; "

@@ -37,7 +37,9 @@ def examine(
     held     how many flights that are held out will judge the names
     """
     rate = rate_of(settings["false alarm rate"], sum(f.compared for f in flights), held)
-    options = {"false alarm rate": rate, "effects": list(effects)}
+    # which of the two points sits elsewhere is asked of what level K takes for the IMU's
+    arm = [points.IMU] if points.MARKERS in effects and points.IMU not in effects else []
+    options = {"false alarm rate": rate, "effects": [*effects, *arm]}
     levels = [kinematic.examine(flights, options), actuation.examine(flights, model, options)]
     if points.MARKERS in effects:
         points.settle(levels[0], flights, Model(model, "the compared model"))
