@@ -31,6 +31,7 @@ AGAIN = 0.5  # of what other flights tell that a flight must show
 ELSE = 2  # other functions of a place that are tried
 VISITED = 0.3  # share of the function's usual size below which a held-out flight cannot judge it
 BETWEEN = 0.002  # probability of nothing that whole flights as witnesses must leave as well, |t| = 3.3
+MOST_OF_IT = 4.0  # times the squared error, that no function is beside others of its channel
 UNHEARD = 0.3  # share of the squared error of the flights where it was found, that it must be then
 
 
@@ -68,6 +69,8 @@ def search(
     found = select(grounds, compared, given, 0.5 * rate)
     joint = _joint(grounds, compared, causes, found)
     found = _again(grounds, compared, given, joint, _witnessed(grounds, compared, given, found), 0.5 * rate)
+    there = wrench_score([f for f, flag in zip(flights, compared) if flag], left).mean()
+    found = _apart(grounds, compared, given, found, there, 0.5 * rate)
     joint = _joint(grounds, compared, causes, found)
     # what healthy flights show as well and is not sure must not stand beside what changed
     found = [
@@ -275,6 +278,30 @@ def _again(
                 kept.append((other, seen))
                 break
     return kept
+
+
+def _apart(
+    grounds: Grounds, compared: Sequence[bool], given: Sequence[Offer], found: Sequence[tuple[Place, Test]],
+    there: np.ndarray, rate: float,
+) -> list[tuple[Place, Test]]:  # fmt: skip
+    """Without functions that hold each other: where flights kept one heading, a wave along it is as good as a constant,
+    and both, large and opposite, would be told. there (6,) mean squares of what is left in the compared flights
+    """
+    kept = list(found)
+    while True:
+        large = [
+            place for place, test in kept
+            if np.mean([np.mean((b[:, list(place.choice.which)] @ test.value) ** 2)
+                        for b, flag in zip(grounds.thinned, compared) if flag]) > MOST_OF_IT * there[place.channel]
+        ]  # fmt: skip
+        pairs = [(p, t) for p, t in kept if any(p.channel == q.channel for q in large)]
+        pairs = [(p, t) for p, t in pairs if sum(p.channel == q.channel for q, _ in kept) > 1]
+        if not pairs:
+            return kept
+        gone = max(pairs, key=lambda pair: pair[1].p)[0]
+        places = [p for p, _ in kept if p != gone]
+        again = [(p, tested(grounds, compared, given, [q for q in places if q != p], p)) for p in places]
+        kept = [(p, t) for p, t in again if t.p < level_of(grounds, compared, rate)]
 
 
 def _witnessed(
