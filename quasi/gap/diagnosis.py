@@ -11,6 +11,16 @@ from quasi.gap import commanded, generic, halves, material, rollout_gain, unexpl
 from quasi.gap.calibration import corrected_at_import
 from quasi.gap.confirmation import CONFIRMED, REFUTED, Settled, settle
 from quasi.gap.effect import Effect, Vehicle, room_of, vehicle_of
+from quasi.gap.entries import (
+    as_flown,
+    candidates,
+    deviations,
+    gain_entry,
+    lower_effect,
+    needed,
+    tie_entry,
+    wrench_effect,
+)
 from quasi.gap.evidence import Evidence
 from quasi.gap.extension import extend
 from quasi.gap.gain import Squares, after, removed, wrench_squares
@@ -20,7 +30,6 @@ from quasi.gap.mixed import Offer
 from quasi.gap.scores import scored
 from quasi.gap.study import refit
 from quasi.gap.wording import summary
-from quasi.gap.worth import ASIDE, LACKING
 from quasi.gap.wrench import Cause, Found, everything, examine, made_of
 from quasi.gap.wrench_findings import gusts
 from quasi.gap.wrench_tables import wrench_tables
@@ -28,8 +37,6 @@ from quasi.standalone.model import Model
 
 SCHEMA = "quasi.gap/1"
 FORCES = ("Fx", "Fy", "Fz")
-# shares of resamples in which a cause alone, the strongest of several, another one must be found again
-ALONE, SURE, BESIDE = 0.2, 0.5, 0.8
 HORIZON = 0.5  # s, at which a gain in roll-outs is told
 
 
@@ -76,7 +83,7 @@ def diagnose(
     said: dict[str, Any] = {"candidates": [], "unexplained": [], "cannot_be_asked": [], "notes": list(lost)}
     # what import corrects is no part of the model: it would be taken off a second time
     acting = [e for e in levels["A"]["effects"] if not corrected_at_import(e["id"], "A")]
-    drive = [(effects[e["id"]], _deviations(effects[e["id"]], e["parameters"]))
+    drive = [(effects[e["id"]], deviations(effects[e["id"]], e["parameters"]))
              for e in acting if e["id"] in effects and effects[e["id"]].extension]  # fmt: skip
     unable = _unable(groups, roles, lost)
     found, kept = None, []
@@ -88,8 +95,8 @@ def diagnose(
     else:
         unheard = rate_of(settings["false alarm rate"], sum(compared), 0)
         found = examine(learning, compared, held, model, effects, vehicle, rate, share, ident, f"gap {name}", unheard)
-        sure = [c for c in found.causes if c.probability >= _needed(c, found)]
-        rare = [c for c in found.stand_ins if c.probability < _needed(c, found)]
+        sure = [c for c in found.causes if c.probability >= needed(c, found)]
+        rare = [c for c in found.stand_ins if c.probability < needed(c, found)]
         unsure = {(c.effect.id, c.since) for c in rare}
         found.ties = [(since, t) for since, t in found.ties if (t.tests[0].offer.cause, since) not in unsure]
         settled = settle(found, sure, model, compared, effects, vehicle, held, flights)
@@ -110,7 +117,7 @@ def diagnose(
         settled, remains = _outdone(settled, found, left_by, compared, effects)
         kept = settled.causes
         said["notes"] += settled.notes
-        said["candidates"] += _candidates(found, settled, share)
+        said["candidates"] += candidates(found, settled, share)
         said["cannot_be_asked"] += [{"id": n, "why": why} for n, why in found.lacking.items()]
     again = _anew(kept) or _corrected(model, calibration, learning)
     document = _extended(model, kept, drive, found, compared, vehicle, ident, f"gap {name}", anew=again)
@@ -136,7 +143,8 @@ def diagnose(
     causes = [*((c.effect, c.value) for c in kept), *drive]
     own = halves.judge(held, flights, learning, model, extended, causes, vehicle, settings["horizons"])
     gap, scores, errors = scored(model, extended, found, kept, held, yardstick, floor, rolled, lower, document)
-    effects_said = [_wrench_effect(c, vehicle, settled) for c in kept]
+    flown = as_flown(vehicle, groups["compared"])
+    effects_said = [wrench_effect(c, flown, settled) for c in kept]
     for effect in effects_said:
         effect["judged"] = not any((effect["id"], effect["since"]) == (c.effect.id, c.since) for c in found.unjudged)
     if found is not None:
@@ -145,11 +153,11 @@ def diagnose(
         said["unexplained"], lives, *_ = remains
         if not any(u["channel"][0] == "F" for u in said["unexplained"]):
             restless = gusts(found.study, compared, [c.effect.id for c in kept])
-    lower_effects = [_lower_effect(e, level, gap) for level in ("K", "A") for e in levels[level]["effects"]]
+    lower_effects = [lower_effect(e, level, gap) for level in ("K", "A") for e in levels[level]["effects"]]
     # forces and moments settle a tie of the levels below by naming one of it
     told = {e["id"] for e in effects_said}
     ties = [t for level in ("K", "A") for t in levels[level]["ties"] if not told & set(t["ids"])]
-    ties += [_tie(since, tie, effects, vehicle) for since, tie in (found.ties if found else [])]
+    ties += [tie_entry(since, tie, effects, flown) for since, tie in (found.ties if found else [])]
     for level in ("K", "A"):
         said["candidates"] += levels[level]["candidates"]
         said["cannot_be_asked"] += levels[level]["cannot_be_asked"]
@@ -185,16 +193,6 @@ def diagnose(
         tables["W_unexplained"] = lives
     tables |= {k: t for k, t in rolled.items() if isinstance(t, pd.DataFrame)}
     return Diagnosis(result, document, tables, found)
-
-
-def _needed(cause: Cause, found: Found) -> float:
-    """Share of resamples in which a cause must be found again. One alone stands by its significance and by what held-
-    out flights say, unless a few seconds of flight make all of it; beside a stronger one, it may only mend what that
-    one leaves."""
-    others = [c for c in [*found.causes, *found.stand_ins] if c.since == cause.since and c is not cause]
-    if not others:
-        return ALONE
-    return SURE if cause.test.p < min(c.test.p for c in others) else BESIDE
 
 
 def _since_when(result: dict[str, Any], references: str) -> None:
@@ -315,136 +313,6 @@ def _corrected(model: Model, calibration: Mapping[str, Any], learning: Sequence[
     return always and made_of(model, learning)
 
 
-def _deviations(effect: Effect, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
-    return {n: p["value"] - (effect.parameters[n].neutral or 0.0) for n, p in parameters.items()}
-
-
-def _truth(effect: Effect, name: str, deviation: float, vehicle: Vehicle) -> float:
-    """A parameter as it is, of its deviation from neutral; masses and inertias from the configured ones."""
-    neutral = effect.parameters[name].neutral
-    if neutral is not None:
-        return neutral + deviation
-    if name == "mass":
-        return vehicle.mass + deviation
-    if len(name) == 3 and name[0] == "I":
-        i, j = "xyz".index(name[1]), "xyz".index(name[2])
-        # off the diagonal the tensor holds minus the products, which the parameters are
-        return float(vehicle.inertia[i, j] if i == j else -vehicle.inertia[i, j]) + deviation
-    return deviation
-
-
-def _parameters(effect: Effect, value: Mapping[str, float], std: Mapping[str, float], vehicle: Vehicle) -> dict:
-    return {
-        n: {"value": float(_truth(effect, n, v, vehicle)), "std": float(std[n]), "unit": effect.parameters[n].unit}
-        for n, v in value.items()
-    }
-
-
-def _wrench_effect(cause: Cause, vehicle: Vehicle, settled: Settled) -> dict[str, Any]:
-    key = cause.effect.id, cause.since
-    rolled = settled.estimates.get(key)
-    return {
-        "id": cause.effect.id,
-        "level": "W",
-        "since": cause.since,
-        "probability": cause.probability,
-        "channels": list(cause.effect.channels),
-        "parameters": _parameters(cause.effect, cause.value, cause.std, vehicle),
-        **_told(cause, cause.gain),
-        "confused_with": [r.id for r in cause.rivals],
-        "rivals": [r._asdict() for r in cause.rivals],
-        "evidence": {"p": cause.test.p, "wald": cause.test.wald, "between flights": cause.test.tau,
-                     "axes apart": cause.apart},
-        "confirmation": settled.confirmations[key].document(),
-        "output error": rolled and {"agrees": rolled.agrees,
-                                    "parameters": _parameters(cause.effect, rolled.value, rolled.std, vehicle)},
-    }  # fmt: skip
-
-
-def _told(cause: Cause, gains: Mapping[str, Mapping[str, float | None]]) -> dict[str, Any]:
-    """What a cause removes of forces and moments, and the one figure: that of its channel where it removes most."""
-    seen = [a for a in cause.effect.channels or gains if a in gains and gains[a]["value"] is not None]
-    best = max(seen, key=lambda a: gains[a]["value"], default=None)
-    share = min(gains[best]["value"], 1.0) if best else None
-    return {"gain": {"wrench": share, "rollout": None}, "gain channel": best, "gains": gains}
-
-
-def _lower_effect(effect: Mapping[str, Any], level: str, gap: Mapping[str, Any]) -> dict[str, Any]:
-    """An effect of level K or A; its gain on held-out flights is that of its channel where most could be removed."""
-    best: tuple[float, float | None] = (0.0, None)
-    if effect.get("removed"):
-        gain = {"wrench": min(max(effect["removed"].values()), 1.0), "rollout": None}
-        return {**effect, "level": level, "gain": gain, "confused_with": []}
-    for channel in effect["channels"]:
-        old, new, floor = (gap[k].get(level, {}).get(channel, {}).get("0") for k in ("before", "after", "noise_floor"))
-        if old is None or new is None or floor is None or floor**2 >= 0.9 * old**2:
-            continue
-        gone = (old**2 - new**2) / (old**2 - floor**2)
-        if (old**2 - floor**2) / old**2 > best[0]:
-            best = ((old**2 - floor**2) / old**2, float(gone))
-    return {**effect, "level": level, "gain": {"wrench": best[1], "rollout": None}, "confused_with": []}
-
-
-def _tie(since: str, tie: Any, effects: Mapping[str, Effect], vehicle: Vehicle) -> dict[str, Any]:
-    ids = [t.offer.cause for t in tie.tests]
-    parameters = {}
-    for test in tie.tests:
-        effect = effects[test.offer.cause]
-        names = [effect.fitted[k] for k in test.offer.which]
-        value, std = dict(zip(names, test.value)), dict(zip(names, test.std))
-        parameters[effect.id] = _parameters(effect, value, std, vehicle)
-    breaker = next((b for i in ids if (b := effects[i].tie_breaker)), "")
-    return {"ids": ids, "since": since, "separability": tie.separability, "tie_breaker": breaker,
-            "parameters": parameters}  # fmt: skip
-
-
-def _candidates(found: Found, settled: Settled, share: float) -> list[dict[str, Any]]:
-    """Causes that were asked and are not named, the most significant first, with the reason."""
-    kept = settled.causes
-    out = {(c.effect.id, c.since) for c in kept} | {(t.offer.cause, s) for s, tie in found.ties for t in tie.tests}
-    said = []
-
-    def add(cause: str, since: str, test: Any, why: str) -> None:
-        if (cause, since) not in out:
-            out.add((cause, since))
-            said.append({"id": cause, "since": since, "score": test.wald, "p": test.p, "why_not": why})
-
-    for c, told in settled.dropped:
-        add(c.effect.id, c.since, c.test, told.why)
-    for c in [*found.causes, *found.stand_ins]:
-        again, needed = 100 * c.probability, 100 * _needed(c, found)
-        why = f"found again in {again:.0f} % of the resamples only, expected {needed:.0f} %"
-        add(c.effect.id, c.since, c.test, why)
-    for c in found.immaterial:
-        why = f"there, but it removes less than {100 * share:.0f} % of the removable error on held-out flights"
-        if c.since == "always":
-            sure = max(share, ASIDE) if "changed" in found.level else LACKING * share
-            why = (
-                f"there, but beside the model's own terms, fitted anew, it is not sure to remove {100 * sure:.0f} % of "
-                "the removable error on flights left out"
-            )
-        add(c.effect.id, c.since, c.test, why)
-    for name, (test, why) in found.contradicted.items():
-        add(name, test.offer.since, test, why)
-    for c in kept:
-        for r in c.rivals:
-            why = f"beside {c.effect.id} it adds nothing (p = {r.beside_named:.2g}); {c.effect.id} stays beside it"
-            if (r.id, c.since) not in out:
-                out.add((r.id, c.since))
-                said.append({"id": r.id, "since": c.since, "score": None, "p": r.beside_named, "why_not": why})
-    named = ", ".join(sorted({c.effect.id for c in found.causes})) or "the model's own terms"
-    for test in found.ranking:
-        level = found.level[test.offer.since]
-        why = f"p = {test.p:.2g} beside {named}, not below {level:.2g}"
-        if test.p < level:
-            why = (
-                "its size would be outside what is physical, only what accompanies it differs, others explain it, "
-                "flights differ too much in it, or it is so little beside a clear cause that it may be that one's form"
-            )
-        add(test.offer.cause, test.offer.since, test, why)
-    return said
-
-
 def _wrong_model(
     found: Found, kept: Sequence[Cause], model: Model, compared: Sequence[bool], effects: Mapping[str, Effect],
     vehicle: Vehicle,
@@ -480,7 +348,7 @@ def _gains(
             without = Model(beside, "rest")
             old = rollout_gain.simulated_errors(rolled["tracks"], without, model)
         if best is not None:
-            entry |= _told(cause, removed(wrench_squares(held, after(without, model)), *best))
+            entry |= gain_entry(cause, removed(wrench_squares(held, after(without, model)), *best))
         rows = rollout_gain.worth(rolled, old, cause.effect.channels, horizons)
         told = [row for row in rows if row["value"] is not None]
         main = min(told, key=lambda row: (abs(row["horizon"] - HORIZON), -row["moved"]), default=None)

@@ -18,8 +18,9 @@ from quasi.gap import actuation, halves, material, mixed, plan, settling
 from quasi.gap.calibration import corrected_at_import
 from quasi.gap.catalogue import whole_of
 from quasi.gap.confirmation import Settled
-from quasi.gap.diagnosis import _candidates, _unable, _verdict
+from quasi.gap.diagnosis import _unable, _verdict
 from quasi.gap.effect import vehicle_of
+from quasi.gap.entries import candidates
 from quasi.gap.evidence import gather, refuse_another_vehicle
 from quasi.gap.level import Flown
 from quasi.gap.mixed import Offer
@@ -140,7 +141,7 @@ def test_a_tie_that_resamples_do_not_bear_out_is_told_among_the_candidates():
     test = mixed.Test(Offer("wind", "always", (0,)), np.ones(1), np.eye(1), 1.0, 30.0, 1e-6)
     rare = Cause(CATALOGUE["wind"], "always", {"north": 1.0}, {"north": 0.2}, test, [], probability=0.1)
     found = SimpleNamespace(causes=[], stand_ins=[rare], ties=[], immaterial=[], contradicted={}, ranking=[], level={})
-    (said,) = _candidates(found, Settled([], [], {}, {}, None, []), 0.05)
+    (said,) = candidates(found, Settled([], [], {}, {}, None, []), 0.05)
     assert said["id"] == "wind" and said["why_not"].startswith("found again in 10 % of the resamples only, expected 20")
 
 

@@ -1,14 +1,16 @@
 """The words and the page of a diagnosis: numbers as they are, nothing left out, text escaped, no network."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from quasi.gap.catalogue import catalogue
-from quasi.gap.diagnosis import _truth, _verdict
+from quasi.gap.diagnosis import _verdict
 from quasi.gap.effect import Vehicle
+from quasi.gap.entries import as_flown, truth
 from quasi.gap.figures import figures, telling, with_errors
 from quasi.gap.lower import units_of
 from quasi.gap.next_steps import steps
@@ -238,12 +240,15 @@ def test_a_value_goes_as_far_as_its_standard_error(parameter, words):
 
 def test_parameters_are_stated_as_they_are_not_as_deviations():
     vehicle = Vehicle(np.zeros((4, 3)), np.ones(4), 0.04, 1e-7, 1e-9, 0.43, np.diag([1e-3, 2e-3, 3e-3]), 9.7, 0.0, 0.0)
-    assert _truth(KNOWN["mass"], "mass", 0.02, vehicle) == pytest.approx(0.45)
-    assert _truth(KNOWN["inertia"], "Iyy", 1e-4, vehicle) == pytest.approx(2.1e-3)
+    assert truth(KNOWN["mass"], "mass", 0.02, vehicle) == pytest.approx(0.45)
+    heavier = as_flown(vehicle, [SimpleNamespace(mass=0.44), SimpleNamespace(mass=0.46)])  # as the logbook says
+    assert truth(KNOWN["mass"], "mass", 0.02, heavier) == pytest.approx(0.47)
+    assert as_flown(vehicle, []) is vehicle
+    assert truth(KNOWN["inertia"], "Iyy", 1e-4, vehicle) == pytest.approx(2.1e-3)
     tensor = np.array([[1e-3, -1e-5, 0.0], [-1e-5, 2e-3, 0.0], [0.0, 0.0, 3e-3]])  # a product Ixy of +1e-5
-    assert _truth(KNOWN["inertia"], "Ixy", 2e-6, vehicle._replace(inertia=tensor)) == pytest.approx(1.2e-5)
-    assert _truth(KNOWN["thrust_factor"], "factor", -0.03, vehicle) == pytest.approx(0.97)
-    assert _truth(KNOWN["wind"], "north", 1.5, vehicle) == 1.5
+    assert truth(KNOWN["inertia"], "Ixy", 2e-6, vehicle._replace(inertia=tensor)) == pytest.approx(1.2e-5)
+    assert truth(KNOWN["thrust_factor"], "factor", -0.03, vehicle) == pytest.approx(0.97)
+    assert truth(KNOWN["wind"], "north", 1.5, vehicle) == 1.5
 
 
 def rows():

@@ -1,0 +1,163 @@
+"""How causes stand in diagnosis.json: parameters as they are, gains, ties, and what was asked and is not named."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from quasi.gap.confirmation import Settled
+from quasi.gap.effect import Effect, Vehicle
+from quasi.gap.evidence import Evidence
+from quasi.gap.worth import ASIDE, LACKING
+from quasi.gap.wrench import Cause, Found
+
+# shares of resamples in which a cause alone, the strongest of several, another one must be found again
+ALONE, SURE, BESIDE = 0.2, 0.5, 0.8
+
+
+def needed(cause: Cause, found: Found) -> float:
+    """Share of resamples in which a cause must be found again. One alone stands by its significance and by what held-
+    out flights say, unless a few seconds of flight make all of it; beside a stronger one, it may only mend what that
+    one leaves."""
+    others = [c for c in [*found.causes, *found.stand_ins] if c.since == cause.since and c is not cause]
+    if not others:
+        return ALONE
+    return SURE if cause.test.p < min(c.test.p for c in others) else BESIDE
+
+
+def deviations(effect: Effect, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    """Deviations from neutral of parameters as they are stated."""
+    return {n: p["value"] - (effect.parameters[n].neutral or 0.0) for n, p in parameters.items()}
+
+
+def as_flown(vehicle: Vehicle, flights: Sequence[Evidence]) -> Vehicle:
+    """The vehicle with the mass that the flights were logged with, from which their residuals tell another one."""
+    return vehicle._replace(mass=float(np.mean([e.mass for e in flights]))) if flights else vehicle
+
+
+def truth(effect: Effect, name: str, deviation: float, vehicle: Vehicle) -> float:
+    """A parameter as it is, of its deviation from neutral; masses and inertias from the configured ones."""
+    neutral = effect.parameters[name].neutral
+    if neutral is not None:
+        return neutral + deviation
+    if name == "mass":
+        return vehicle.mass + deviation
+    if len(name) == 3 and name[0] == "I":
+        i, j = "xyz".index(name[1]), "xyz".index(name[2])
+        # off the diagonal the tensor holds minus the products, which the parameters are
+        return float(vehicle.inertia[i, j] if i == j else -vehicle.inertia[i, j]) + deviation
+    return deviation
+
+
+def parameters_of(effect: Effect, value: Mapping[str, float], std: Mapping[str, float], vehicle: Vehicle) -> dict:
+    """Parameters as they are, with standard errors and units, of deviations by name."""
+    return {
+        n: {"value": float(truth(effect, n, v, vehicle)), "std": float(std[n]), "unit": effect.parameters[n].unit}
+        for n, v in value.items()
+    }
+
+
+def wrench_effect(cause: Cause, vehicle: Vehicle, settled: Settled) -> dict[str, Any]:
+    """An effect of level W. vehicle  of which masses and inertias are stated"""
+    key = cause.effect.id, cause.since
+    rolled = settled.estimates.get(key)
+    return {
+        "id": cause.effect.id,
+        "level": "W",
+        "since": cause.since,
+        "probability": cause.probability,
+        "channels": list(cause.effect.channels),
+        "parameters": parameters_of(cause.effect, cause.value, cause.std, vehicle),
+        **gain_entry(cause, cause.gain),
+        "confused_with": [r.id for r in cause.rivals],
+        "rivals": [r._asdict() for r in cause.rivals],
+        "evidence": {"p": cause.test.p, "wald": cause.test.wald, "between flights": cause.test.tau,
+                     "axes apart": cause.apart},
+        "confirmation": settled.confirmations[key].document(),
+        "output error": rolled and {"agrees": rolled.agrees,
+                                    "parameters": parameters_of(cause.effect, rolled.value, rolled.std, vehicle)},
+    }  # fmt: skip
+
+
+def gain_entry(cause: Cause, gains: Mapping[str, Mapping[str, float | None]]) -> dict[str, Any]:
+    """What a cause removes of forces and moments, and the one figure: that of its channel where it removes most."""
+    seen = [a for a in cause.effect.channels or gains if a in gains and gains[a]["value"] is not None]
+    best = max(seen, key=lambda a: gains[a]["value"], default=None)
+    share = min(gains[best]["value"], 1.0) if best else None
+    return {"gain": {"wrench": share, "rollout": None}, "gain channel": best, "gains": gains}
+
+
+def lower_effect(effect: Mapping[str, Any], level: str, gap: Mapping[str, Any]) -> dict[str, Any]:
+    """An effect of level K or A; its gain on held-out flights is that of its channel where most could be removed."""
+    best: tuple[float, float | None] = (0.0, None)
+    if effect.get("removed"):
+        gain = {"wrench": min(max(effect["removed"].values()), 1.0), "rollout": None}
+        return {**effect, "level": level, "gain": gain, "confused_with": []}
+    for channel in effect["channels"]:
+        old, new, floor = (gap[k].get(level, {}).get(channel, {}).get("0") for k in ("before", "after", "noise_floor"))
+        if old is None or new is None or floor is None or floor**2 >= 0.9 * old**2:
+            continue
+        gone = (old**2 - new**2) / (old**2 - floor**2)
+        if (old**2 - floor**2) / old**2 > best[0]:
+            best = ((old**2 - floor**2) / old**2, float(gone))
+    return {**effect, "level": level, "gain": {"wrench": best[1], "rollout": None}, "confused_with": []}
+
+
+def tie_entry(since: str, tie: Any, effects: Mapping[str, Effect], vehicle: Vehicle) -> dict[str, Any]:
+    ids = [t.offer.cause for t in tie.tests]
+    parameters = {}
+    for test in tie.tests:
+        effect = effects[test.offer.cause]
+        names = [effect.fitted[k] for k in test.offer.which]
+        value, std = dict(zip(names, test.value)), dict(zip(names, test.std))
+        parameters[effect.id] = parameters_of(effect, value, std, vehicle)
+    breaker = next((b for i in ids if (b := effects[i].tie_breaker)), "")
+    return {"ids": ids, "since": since, "separability": tie.separability, "tie_breaker": breaker,
+            "parameters": parameters}  # fmt: skip
+
+
+def candidates(found: Found, settled: Settled, share: float) -> list[dict[str, Any]]:
+    """Causes that were asked and are not named, the most significant first, with the reason."""
+    kept = settled.causes
+    out = {(c.effect.id, c.since) for c in kept} | {(t.offer.cause, s) for s, tie in found.ties for t in tie.tests}
+    said = []
+
+    def add(cause: str, since: str, test: Any, why: str) -> None:
+        if (cause, since) not in out:
+            out.add((cause, since))
+            said.append({"id": cause, "since": since, "score": test.wald, "p": test.p, "why_not": why})
+
+    for c, told in settled.dropped:
+        add(c.effect.id, c.since, c.test, told.why)
+    for c in [*found.causes, *found.stand_ins]:
+        again, least = 100 * c.probability, 100 * needed(c, found)
+        why = f"found again in {again:.0f} % of the resamples only, expected {least:.0f} %"
+        add(c.effect.id, c.since, c.test, why)
+    for c in found.immaterial:
+        why = f"there, but it removes less than {100 * share:.0f} % of the removable error on held-out flights"
+        if c.since == "always":
+            sure = max(share, ASIDE) if "changed" in found.level else LACKING * share
+            why = (
+                f"there, but beside the model's own terms, fitted anew, it is not sure to remove {100 * sure:.0f} % of "
+                "the removable error on flights left out"
+            )
+        add(c.effect.id, c.since, c.test, why)
+    for name, (test, why) in found.contradicted.items():
+        add(name, test.offer.since, test, why)
+    for c in kept:
+        for r in c.rivals:
+            why = f"beside {c.effect.id} it adds nothing (p = {r.beside_named:.2g}); {c.effect.id} stays beside it"
+            if (r.id, c.since) not in out:
+                out.add((r.id, c.since))
+                said.append({"id": r.id, "since": c.since, "score": None, "p": r.beside_named, "why_not": why})
+    named = ", ".join(sorted({c.effect.id for c in found.causes})) or "the model's own terms"
+    for test in found.ranking:
+        level = found.level[test.offer.since]
+        why = f"p = {test.p:.2g} beside {named}, not below {level:.2g}"
+        if test.p < level:
+            why = (
+                "its size would be outside what is physical, only what accompanies it differs, others explain it, "
+                "flights differ too much in it, or it is so little beside a clear cause that it may be that one's form"
+            )
+        add(test.offer.cause, test.offer.since, test, why)
+    return said
