@@ -17,6 +17,7 @@ from scipy.interpolate import make_interp_spline
 from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError, nearest
+from quasi.simulation.control_model import extras
 from quasi.standalone.model import AXES, ROTORS, Model
 
 RATE = 100.0  # Hz of what is worked out
@@ -147,15 +148,21 @@ def _leaning(
         ])  # fmt: skip
         # the rotors' share of drag goes with their speed
         speeds = hover_speed_of(model) * np.sqrt(size / (mass * GRAVITY))[:, None] * np.ones(4)
-        force = _forces(model, state, speeds, quaternion)
+        force = _forces(model, state, speeds, quaternion, t)
         force[:, 2] = 0.0
         side = attitude.rotate(quaternion, force)
     return attitude.continuous(quaternion)
 
 
-def _forces(model: Model, state: np.ndarray, speeds: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+def _further(model: Model, t: np.ndarray) -> dict[str, np.ndarray]:
+    """What the model reads beyond state and rotor speeds (n,): the time, and the usual values of anything else."""
+    usual = dict(zip(model.inputs[20:], extras(model)))
+    return {name: t if name == "t" else np.full(len(t), value) for name, value in usual.items()}
+
+
+def _forces(model: Model, state: np.ndarray, speeds: np.ndarray, quaternion: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Aerodynamic forces (n, 3) of the model, N, body axes; an axis that it lacks counts as nothing."""
-    forces = np.nan_to_num(model.predict(state, speeds)[0])
+    forces = np.nan_to_num(model.predict(state, speeds, extra=_further(model, t))[0])
     if not model.with_gravity:
         forces = forces - mass_of(model) * attitude.rotate_inverse(quaternion, GRAVITY * DOWN)
     return forces
@@ -190,6 +197,8 @@ def with_forces(flight: pd.DataFrame, model: Model) -> pd.DataFrame:
     lacking = [axis for axis in AXES if axis not in model.axes]
     if lacking:
         raise ConfigError(f"model {model.id} has no {lacking[0]}; identify all six axes to plan with it")
+    further = _further(model, flight["t"].to_numpy(float))
+    flight = flight.assign(**{name: values for name, values in further.items() if name not in flight})
     own = model.predict_columns(flight)
     flight = flight.assign(**{axis: own[axis].to_numpy() for axis in AXES})
     if not {"ax", "ay", "az"} <= set(flight):
@@ -207,10 +216,10 @@ def _speeds(
     """Rotor speeds (n, 4) with which the model gives Fz, Mx, My, Mz (n, 4); Newton, all rows at once."""
     hover, low, high = hover_speed_of(model), *limits_of(model)
     unit = mass_of(model) * GRAVITY * np.array([1.0, *[model.airframe.arm] * 3])
-    speeds = np.full((len(state), 4), hover)
+    speeds, further = np.full((len(state), 4), hover), _further(model, t)
 
     def miss(at: np.ndarray) -> np.ndarray:
-        forces, moments = model.predict(state, at)
+        forces, moments = model.predict(state, at, extra=further)
         return (np.column_stack([forces[:, 2], moments]) - wanted) / unit
 
     left = miss(speeds)

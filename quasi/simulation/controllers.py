@@ -310,10 +310,17 @@ def _send(p, m, dt, seen, commands):
 
 @njit(cache=True, error_model="numpy")
 def _learn_limits(p, m, dt, seen):
-    """Upper limits of the rotors, rad/s, from how they follow the commands sent through the actuators' lag."""
+    """Upper limits of the rotors, rad/s, from how they follow the commands sent through the actuators' lag.
+
+    What the rotor that follows best falls short by, all do, for want of volts: it is the limit of none.
+    """
+    alike = 0.0
     for i in range(4):
         m[EXPECTED + i] += (m[SPEEDS + i] - m[EXPECTED + i]) * m[FOLLOW]
-        behind = m[EXPECTED + i] - seen[13 + i] > 0.03 * p[g.HOVER]
+        alike = max(alike, seen[13 + i] / max(m[EXPECTED + i], 1e-3))
+    alike = min(alike, 1.0)
+    for i in range(4):
+        behind = alike * m[EXPECTED + i] - seen[13 + i] > 0.03 * p[g.HOVER]
         m[LATE + i] = max(m[LATE + i] + (dt if behind else -dt), 0.0)
         if m[LATE + i] > _LATE:
             m[HIGHEST + i] = max(1.01 * seen[13 + i], 1.001 * p[g.LOWEST])

@@ -20,9 +20,9 @@ from quasi.attitude import GRAVITY, exponential, rotate_inverse
 from quasi.errors import ConfigError
 from quasi.simulation import controllers as c
 from quasi.simulation import gains as g
-from quasi.simulation.control_model import control_model, extras
+from quasi.simulation.control_model import control_model, extras, usual_place
 from quasi.simulation.dynamics import UP
-from quasi.simulation.outer_loop import GOAL, INTEGRAL, THRUST
+from quasi.simulation.outer_loop import GOAL, INTEGRAL, PLACE, THRUST
 from quasi.simulation.setup import Setup
 from quasi.standalone.model import Model
 
@@ -136,6 +136,7 @@ def linearise(
     known = control_model(model, actuators)
     level = np.zeros(_MOTION + 4)
     level[_MOTION:] = known.hover_speed
+    level[9:12] = usual_place(model)
     offset = _loads(model, level, np.zeros(4), 0.0)
     offset[2] += known.mass * GRAVITY if model.with_gravity else 0.0
     plant = _Plant(model, known, offset)
@@ -147,15 +148,17 @@ def linearise(
     wait = max(round(known.delay / dt), 0) + 1
     size = n + 4 * wait
     step = np.zeros((size, size))
-    step[:n, :n], step[:n, n : n + 4] = held[:n, :n], held[:n, n:]
+    step[:n, :n] = held[:n, :n]
     for k in range(wait - 1):
         step[n + 4 * k : n + 4 * k + 4, n + 4 * k + 4 : n + 4 * k + 8] = np.eye(4)
-    # the newest command acts from this step on when there is no delay: it is the input itself, not yet a state
+    # the first of them acted up to now and is what is seen; the next one acts from this step on, which without a delay
+    # is the newest command: the input itself, not yet a state
     inward = np.zeros((size, 4))
     inward[size - 4 :] = np.eye(4)
     if wait == 1:
-        step[:n, n:] = 0.0
         inward[:n] = held[:n, n:]
+    else:
+        step[:n, n + 4 : n + 8] = held[:n, n:]
     look = np.zeros((26, size))
     look[:, :n], look[:, n : n + 4] = see, at_once
     ours, into, out, through = _linear_controller(
@@ -226,6 +229,7 @@ def _linear_controller(
     kind, parameters, size = c.make_controller(settings, model, actuators, offset)
     goal, memory = np.zeros(GOAL), np.zeros(size)
     goal[THRUST] = np.nan
+    goal[PLACE : PLACE + 3] = seen[10:13]
     commands = np.zeros(4)
     for _ in range(3):
         c.controller_step(kind, parameters, memory, 0.0, dt, seen, goal, commands)

@@ -13,8 +13,9 @@ import numpy as np
 import pandas as pd
 from scipy.spatial import ConvexHull, QhullError
 
-from quasi.attitude import to_euler
+from quasi.attitude import rotate_inverse, to_euler
 from quasi.errors import ConfigError, DataError
+from quasi.simulation.control_model import extras
 from quasi.simulation.references import HOVER
 from quasi.simulation.run import simulate_many
 from quasi.simulation.setup import Setup, make_setup
@@ -134,19 +135,24 @@ def reach(
     ended = {b: many.stopped(setup, b) for b in range(len(targets)) if many.stopped(setup, b)}
     if len(ended) == len(targets):
         raise DataError(f"reach: no simulation lasted: {ended[0]}")
-    return Reach(setup, targets, many.t, many.states[:, :, 10:13], _distances(setup.model, many.states), ended)
+    return Reach(setup, targets, many.t, many.states[:, :, 10:13], _distances(setup, many.t, many.states), ended)
 
 
-def _distances(model: Model, states: np.ndarray) -> np.ndarray:
-    """Greatest distance outside the model's region of each simulation, (B,)."""
+def _distances(setup: Setup, t: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """Greatest distance outside the model's region of each simulation, (B,), by the velocity through the steady air."""
+    model, air = setup.model, setup.machine.wind[:3]
+    usual = dict(zip(model.inputs[20:], extras(model)))
     if not model.document.get("envelope"):
         return np.full(len(states), np.nan)
     result = np.full(len(states), np.nan)
     for b, rows in enumerate(states):
-        rows = rows[np.all(np.isfinite(rows), axis=1)]
+        fine = np.all(np.isfinite(rows), axis=1)
+        rows = rows[fine]
         if len(rows):
-            whole = np.column_stack([to_euler(rows[:, :4]), rows[:, 4:13]])
-            result[b] = float(np.max(model.distance(whole, rows[:, 13:])[0]))
+            through = rows[:, 4:7] - rotate_inverse(rows[:, :4], air)
+            whole = np.column_stack([to_euler(rows[:, :4]), through, rows[:, 7:13]])
+            further = {n: t[fine] if n == "t" else np.full(len(rows), value) for n, value in usual.items()}
+            result[b] = float(np.max(model.distance(whole, rows[:, 13:], extra=further)[0]))
     return result
 
 

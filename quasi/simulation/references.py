@@ -206,7 +206,13 @@ def _of_table(chosen: Mapping[str, Any], columns: Mapping[str, Any]) -> tuple[in
                 table[:, FORWARD + k] = spline(t, 2)
     if smooth and "yaw" in data and "yaw_rate" not in data:
         table[:, YAW_RATE] = np.gradient(table[:, ANGLES + 2], t)
+    if "yaw_rate" in data and "yaw" not in data:  # the heading goes where the rate turns it
+        rate = data["yaw_rate"]
+        mean = 0.5 * (rate[1:] + rate[:-1]) if smooth else rate[:-1]
+        table[1:, ANGLES + 2] = np.cumsum(mean * np.diff(t))
     if not smooth:
+        if chosen["end"] == "repeat":
+            raise ConfigError("the reference's table: 'end' \"repeat\" goes with 'interpolation' \"smooth\" alone")
         return STEPS, np.array([number, 0.0]), table
     return TABLE, np.array([number, float(chosen["end"] == "repeat")]), table
 

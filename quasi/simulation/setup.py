@@ -184,7 +184,7 @@ def make_setup(
     wanted = dict(settings["references"])
     if not any(wanted.get(k) for k in ("do position track", "do circle track", "kind")):
         here, yaw = [float(c) for c in start[10:13]], float(attitude.to_euler(start[:4])[2])
-        wanted |= {"kind": "hover", "position": here, "yaw": yaw}
+        wanted = {"position": here, "yaw": yaw} | wanted | {"kind": "hover"}
     with _within(name if reference is None else f"{name}, {wanted.get('file', 'table handed over')}"):
         aim, path, table = make_reference(wanted, reference)
     noise = settings["noise"]
@@ -286,6 +286,8 @@ def _actuator(
         return None
 
     up = down = np.zeros(4)
+    if kind != "rotorDynamicsV2" and not (asked["time constants"] is None and asked["time constants down"] is None):
+        notes.append(f"'actuator' / 'time constants' plays no part: '{kind}' has no lag")
     if kind == "rotorDynamicsV2":
         first = asked["time constants"]
         if first is None:

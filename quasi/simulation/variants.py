@@ -167,4 +167,5 @@ def simple_model(model: Model) -> Model:
             "sigma2": 0.0, "R2": 0.0, "RMSE": 0.0, "n": 0, "effective rows": 0.0, "confidence level": 0.95,
         }  # fmt: skip
     document = {**model.document, "axes": axes, "extensions": [], "normalisation": None}
+    document["gravity"] = "withGravity"  # its thrust is one, whatever the model's forces are
     return Model(document, f"simple model of {model.id}")

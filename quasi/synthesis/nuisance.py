@@ -100,7 +100,7 @@ def vary(setup: Setup, scale: float, rng: np.random.Generator) -> tuple[Setup, d
         "on-board clock": scale * SPREAD["clock"] * float(unit()),
         "capture clock": scale * SPREAD["clock"] * float(unit()),
         "battery charge": 1.0 + scale * SPREAD["battery charge"] * float(unit()),
-        "telemetry age": 0.5 * (early + late) + scale * float(rng.uniform(-0.5, 0.5)) * (late - early),
+        "telemetry age": max(0.5 * (early + late) + scale * float(rng.uniform(-0.5, 0.5)) * (late - early), 0.0),
         "boot": float(rng.uniform(15.0, 90.0)),
         "capture start": -float(rng.uniform(0.8, 2.8)),
     }

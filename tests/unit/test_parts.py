@@ -403,3 +403,24 @@ def test_a_step_too_long_for_late_air_is_refused(model):
     fast = {"id": "inflow_lag", "states": {"inflow lag": {"time constant": 0.0006, "gain": 4e-8}}}
     with pytest.raises(ConfigError, match="a step of 0.002 s is unstable"):
         flown(of(model, fast))
+
+
+@pytest.mark.parametrize("battery", [{"voltage": 15.5, "reference voltage": 16.8, "exponent": 1},
+                                     {"voltage": 15.2, "sag": 0.8, "exponent": 1}])  # fmt: skip
+def test_rotors_that_are_slow_for_want_of_volts_are_not_taken_for_rotors_at_their_limit(model, battery):
+    steady = simulate(flown(model, 3.0, battery=battery, references={"kind": "hover"}))
+    assert steady.stopped is None
+    late = steady.table[steady.table["t"] > 2.0]
+    assert late["z"].abs().max() < 0.3
+    np.testing.assert_allclose(late[["w1", "w2", "w3", "w4"]].to_numpy(), 1500.0, rtol=0.02)
+
+
+def test_a_hover_reference_may_leave_out_its_kind(model):
+    setup = flown(model, 0.1, references={"position": [0.0, 0.0, -2.0], "yaw": 1.0})
+    np.testing.assert_array_equal(setup.machine.path[:4], [0.0, 0.0, -2.0, 1.0])
+    np.testing.assert_array_equal(flown(model, 0.1, references={}).machine.path[:4], 0.0)
+
+
+def test_a_lag_that_an_actuator_without_one_ignores_is_told(model):
+    setup = flown(model, 1.0, actuator={"actuator": "none", "time constants": 0.2})
+    assert any("'time constants' plays no part: 'none' has no lag" in n for n in setup.notes)

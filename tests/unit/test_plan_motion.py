@@ -143,3 +143,22 @@ def test_a_simulation_feels_what_its_forces_say_and_the_floor_is_told():
         np.testing.assert_allclose(found[["ax", "ay", "az"]], felt)
     notes = card_of(eight(15.0, height=0.02, size=0.05)).notes
     assert "less than a rotor's radius above the floor" in notes[0]
+
+
+def test_a_model_of_time_and_voltage_is_followed_at_its_usual_voltage():
+    document = {
+        **MODEL.document,
+        "axes": {a: {**p, "terms": list(p["terms"])} for a, p in MODEL.document["axes"].items()},
+    }
+    first = document["axes"]["Fz"]["terms"][0]
+    for expression, size in (("t", 0.01), ("battery_voltage - 15", 0.02)):
+        document["axes"]["Fz"]["terms"].append(
+            {**first, "given": True, "name": expression, "expression": expression, "coefficient": size})  # fmt: skip
+    document["envelope"] = {"battery_voltage": {"percentiles": {"50": 15.0}}}
+    t = np.arange(20) * 0.5
+    table = pd.DataFrame({"t": t, "x": 0.0 * t, "y": 0.0 * t, "z": 0.0 * t - 1.0})
+    flight = follow(table, Model(document))
+    np.testing.assert_allclose(flight["battery_voltage"], 15.0)
+    np.testing.assert_allclose(flight["Fz"], -MASS * GRAVITY, rtol=1e-4)
+    assert flight["w1"].iloc[-1] > flight["w1"].iloc[0] + 1.0  # the lift that time takes away, the rotors make
+    assert library(Model(document), [0.0, 0.0, -2.0])

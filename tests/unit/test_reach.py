@@ -8,8 +8,11 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from quasi.errors import ConfigError
+from quasi.simulation.reach import _distances as distances
 from quasi.simulation.reach import hull, reach, sphere
 from quasi.simulation.reach_figure import reach_figure
+from quasi.simulation.setup import make_setup
+from quasi.standalone.model import Model
 
 SETTINGS = {"model": {"model ID": "made"}, "noise": {"add": False}}
 
@@ -71,3 +74,22 @@ def test_flat_sets_have_no_hull():
 def test_impossible_numbers_are_named(change):
     with pytest.raises(ConfigError, match=next(iter(change))):
         reach(SETTINGS, plain.made_model(), **change)
+
+
+def test_how_far_outside_the_region_counts_the_wind_and_what_else_the_model_reads():
+    document = plain.made_model().document
+    terms = document["axes"]["Fz"]["terms"]
+    unread = "0*battery_voltage"
+    terms.append({**terms[0], "given": True, "name": unread, "expression": unread})
+    still = {"50": 0.0}
+    covered = {n: {"percentiles": still, "min": -1.0, "max": 1.0} for n in ("u", "v", "w")}
+    covered["battery_voltage"] = {"percentiles": {"50": 15.0}, "min": 14.0, "max": 16.0}
+    model = Model({**document, "envelope": covered})
+    setup = make_setup({**SETTINGS, "wind": {"steady": [3.0, 0.0, 0.0]}, "battery": {"voltage": 15.0}}, model)
+    rows = np.zeros((1, 2, 17))
+    rows[:, :, 0], rows[:, :, 13:] = 1.0, 1500.0
+    seen = {}
+    setup.model.distance = lambda state, speeds, extra: seen.update(state=state, extra=extra) or (np.zeros(2), None)
+    distances(setup, np.array([0.0, 1.0]), rows)
+    np.testing.assert_allclose(seen["state"][:, 3:6], [[-3.0, 0.0, 0.0]] * 2)
+    np.testing.assert_allclose(seen["extra"]["battery_voltage"], 15.0)

@@ -174,3 +174,17 @@ def test_every_kind_can_be_made_from_its_defaults():
     for kind in KINDS:
         table = SAMPLES if kind == "table" else None
         assert np.all(np.isfinite(np.delete(goals({"kind": kind}, [0.0, 3.3, 50.0], table), THRUST, axis=1)))
+
+
+@pytest.mark.parametrize("interpolation", ["smooth", "steps"])
+def test_a_table_that_tells_the_yaw_rate_alone_turns_by_it(interpolation):
+    t = np.linspace(0.0, 2.0, 21)
+    table = {"t": t, "x": 0 * t, "y": 0 * t, "z": 0 * t - 1, "yaw_rate": 0 * t + 0.8}
+    goal = goals({"kind": "table", "interpolation": interpolation}, [0.55, 1.25], table)
+    np.testing.assert_allclose(goal[:, 9], [0.44, 1.0], atol=1e-9)
+    np.testing.assert_allclose(goal[:, TURN], 0.8)
+
+
+def test_steps_that_should_begin_anew_are_refused():
+    with pytest.raises(ConfigError, match='"repeat" goes with \'interpolation\' "smooth" alone'):
+        goals({"kind": "table", "interpolation": "steps", "end": "repeat"}, [0.0], SAMPLES)

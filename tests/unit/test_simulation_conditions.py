@@ -140,6 +140,9 @@ def test_the_simple_model_flies_and_an_extension_adds_its_terms(model):
     last = simple.table.iloc[-1]
     assert last["Fz"] == pytest.approx(-4.7e-7 * sum(last[f"w{i}"] ** 2 for i in range(1, 5)))
     assert simple.stopped is None
+    net = Model({**made_model(asymmetric=True, gravity="noGravity").document, "simple model": document["simple model"]})
+    weighed = simulate(make_setup(asked, net)).table
+    np.testing.assert_allclose(weighed["z"], simple.table["z"], atol=1e-9)
     with pytest.raises(DataError, match="carries no 'kappaFz'"):
         make_setup(asked, model)
     extension = {"id": "body_drag", "terms": {"Fx": [{"expression": "|u|*u", "coefficient": -0.5}]}}

@@ -9,6 +9,7 @@ from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
 from quasi.synthesis import nuisance, physics, sensors
+from quasi.synthesis.campaign import make_flight, read_campaign
 from quasi.synthesis.effects import OFFERED, check, plant
 from quasi.synthesis.vehicle import ARM, HOVER_SPEED, MASS, RADIUS
 
@@ -238,3 +239,18 @@ def test_what_is_in_no_catalogue_acts_as_it_is_described():
     turned = planted(unlisted_heading={"size": 0.1}).vehicle.physics  # nose to the north-east
     physics.derivative(0.0, x, x[13:17].copy(), np.zeros(7), turned, dx, out)
     assert -out[2] == pytest.approx(1.1 * thrust)
+
+
+@pytest.mark.parametrize("effects", [{"payload_swing": {"mass": 0.03, "length": 0.2}}, {"cg_offset": {"z": -0.02}}])
+def test_a_flight_begins_at_rest_on_its_feet_whatever_hangs_from_it(effects):
+    config = {"duration": 10, "flights": [{"key": "a", "profile": "rest", "effects": effects, "nuisance": 0.0}]}
+    campaign = read_campaign(config, "test")
+    begin = make_flight(campaign, campaign.flights[0]).truth.iloc[:100]  # 0.2 s
+    assert begin[["u", "v", "w"]].abs().to_numpy().max() < 0.05
+    assert begin[["p", "q", "r"]].abs().to_numpy().max() < 0.2
+
+
+def test_telemetry_is_never_ahead_of_the_motion_however_much_flights_vary():
+    drawn = [nuisance.vary(nuisance.nominal(120.0, 0.0), 5.0, np.random.default_rng(seed))[1] for seed in range(60)]
+    ages = [d["telemetry age"] for d in drawn]
+    assert min(ages) == 0.0 < max(ages)
