@@ -307,7 +307,11 @@ def _filter(f: Section) -> list[tuple[str, object]]:
         ("rows valid for identification", report.share(phases["valid share"])),
         (
             "take-off",
-            f"{phases['take-off']:.2f} s" if phases.get("take-off") is not None else "before the record begins",
+            "not found"
+            if phases.get("take-off") is None
+            else f"{phases['take-off']:.2f} s"
+            if phases["take-off"] > 0.0
+            else "before the record begins",
         ),
         ("rest used", f"{rest[0]:.2f} to {rest[1]:.2f} s" if rest else "none"),
         ("biases by", (f.get("biases") or {}).get("policy")),

@@ -27,6 +27,7 @@ REST_STD = {"p": 0.015, "q": 0.015, "r": 0.015, "ax": 0.05, "ay": 0.05, "az": 0.
 FLIGHT_STD = {"p": 0.05, "q": 0.05, "r": 0.05, "ax": 1.0, "ay": 1.0, "az": 1.0}
 LARGEST = {"gyro": 150.0, "accelerometer": 1000.0}  # rad/s, m/s2: no sensor of a quadrotor measures more
 FARTHEST, FASTEST = 1e4, 300.0  # m, m/s
+ROUNDING = 1e-9  # of a value
 FROZEN = 0.1  # s in flight for which no channel of a sensor changes
 LOST_STD = np.array([3.0, 3.0, 3.0, 20.0, 20.0, 20.0])  # of an IMU sample that was filled in
 
@@ -193,7 +194,9 @@ def frozen(imu: Imu, on_ground: np.ndarray, t: np.ndarray, dt: float) -> tuple[n
     """
     found, notes = np.zeros(len(t), bool), []
     for sensor, values in (("gyro", imu.gyro), ("accelerometer", imu.accel)):
-        same = np.concatenate([[False], (np.diff(values, axis=0) == 0.0).all(axis=1)])
+        # resampling leaves rounding where the log repeats itself
+        close = np.abs(np.diff(values, axis=0)) <= ROUNDING * np.maximum(np.abs(values[1:]), 1.0)
+        same = np.concatenate([[False], close.all(axis=1)])
         for a, b in spans(same & ~on_ground & ~imu.lost):
             if (b - a) * dt >= FROZEN:
                 notes.append(

@@ -20,7 +20,7 @@ from quasi.attitude import GRAVITY, from_euler
 from quasi.doubt import doubt
 from quasi.errors import ReadError
 from quasi.importing.blackbox import gaps_note, time_gaps
-from quasi.importing.blackbox_header import plain_header
+from quasi.importing.blackbox_header import hex_float, plain_header
 from quasi.importing.blackbox_units import DEG, WANTED, debug_mode, resolve
 from quasi.importing.external import external_series
 from quasi.importing.series import Recording, Series
@@ -28,6 +28,7 @@ from quasi.tables import read_text
 
 STANDARD_GRAVITY = 9.80665  # what blackbox_decode multiplies g with
 _ATTITUDE = ("roll", "pitch", "heading", "heading[0]", "heading[1]", "heading[2]")
+MOST_BACK = 0.2  # share of rows that may step back in time
 _HEADER_LINES = 2000
 # factor to SI by quantity and the unit in brackets
 _UNITS = {
@@ -68,11 +69,14 @@ _HEADER_NAMES = (
 )
 
 
-def read_decoded(path: str | Path, poles: int | None = None, header: Mapping[str, str] | None = None) -> Recording:
+def read_decoded(
+    path: str | Path, poles: int | None = None, header: Mapping[str, str] | None = None, counts: float | None = None
+) -> Recording:
     """Read a decoded blackbox CSV as the series "onboard".
 
     poles   number of motor magnets from the quadrotor configuration, or None
     header  {name: text} of the binary log's header where the CSV has none; takes priority over the CSV's own
+    counts  raw accelerometer units per g from the quadrotor configuration, for a CSV that does not say
 
     Quantities as `read_blackbox`, and qw qx qy qz where the file holds roll, pitch and heading (blackbox_decode with
     --simulate-imu, the viewer's heading[0..2]). Time is the controller's own clock, s. Raises ReadError.
@@ -89,6 +93,8 @@ def read_decoded(path: str | Path, poles: int | None = None, header: Mapping[str
     angles = {name: raw.pop(name) for name in _ATTITUDE if name in raw}
     _use_debug(raw, found, notes)
     known = _known(raw, units, path, notes)
+    if counts and "accelerometer" not in known and hex_float(found.get("acc_1G")) is None:
+        known["accelerometer"] = GRAVITY / counts, "configuration"
     resolved = resolve(raw, found, poles, known)
     _attitude(angles, resolved.values, resolved.about)
     gaps = time_gaps(t, [], np.zeros(0))
@@ -198,6 +204,13 @@ def _time(values: np.ndarray, unit: str, path: str, notes: list[str]) -> tuple[n
     good &= values > np.append(-np.inf, highest[:-1])
     if not good.any():
         raise ReadError(f"{path} holds no row with a time; decode the log again")
+    stepped = good.size - np.count_nonzero(good)
+    if stepped > MOST_BACK * good.size:
+        first = int(np.flatnonzero(~good)[0])
+        raise ReadError(
+            f"{path}: {100 * stepped / good.size:.0f} % of the rows have no time or step back in time, the first is "
+            f"sample {first + 1}; its clock starts again, or one time is damaged: split or mend the file"
+        )
     if not good.all():
         notes.append(f"{int((~good).sum())} rows have no time or step back in time; they were dropped")
     t = values[good]

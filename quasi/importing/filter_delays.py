@@ -13,6 +13,8 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from quasi.importing.blackbox_header import version
+
 KINDS = {0: "PT1", 1: "biquad", 2: "PT2", 3: "PT3"}
 # static cut-off, dynamic range, type of each low-pass on the gyro, under the names up to version 4.2 and since 4.3
 STAGES = (
@@ -65,13 +67,14 @@ def header_delays(header: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         total, doubt = total + late, doubt + unsure
     cutoff = _number(header.get("acc_lpf_hz"))
     cutoff = cutoff / 100 if cutoff > 500 else cutoff  # until version 4.2 the header holds hundredths of a hertz
+    kind = "biquad" if (version(header) or (4, 3)) < (4, 3) else "PT2"
     return {
         "gyro": {"value": total, "std": doubt, "unit": "s", "filters": gyro},
         "accelerometer": {
-            "value": delay("PT2", cutoff) if cutoff else 0.0,
+            "value": delay(kind, cutoff) if cutoff else 0.0,
             "std": 0.0,
             "unit": "s",
-            "filters": [f"PT2 {cutoff:g} Hz"] if cutoff else [],
+            "filters": [f"{kind} {cutoff:g} Hz"] if cutoff else [],
         },
     }
 

@@ -19,7 +19,7 @@ from quasi.importing.command_map import add_commanded_speeds
 from quasi.importing.contradictions import refuse_wrong_lengths
 from quasi.importing.lever_arm import felt_too_much, hover_arm
 from quasi.importing.motive import read_motive
-from quasi.importing.onboard_log import ATTITUDE, POSITION, Onboard, Track, gather, read_onboard
+from quasi.importing.onboard_log import ATTITUDE, POSITION, RATES, Onboard, Track, gather, read_onboard
 from quasi.importing.resampling import (
     covered,
     fresh,
@@ -78,6 +78,12 @@ def import_flight(
     poles, poles_source = _poles(quadrotor)
     recording = read_onboard(flight, quadrotor, poles)
     board = gather(recording, where, notes)
+    turning = [n for n in ("w5", "w6", "w7", "w8") if n in board.others and np.nanmax(board.others[n].values) > 0.0]
+    if turning:
+        raise DataError(
+            f"{where}: the log has {4 + len(turning)} turning rotors, expected the four of a quadrotor; such a vehicle "
+            "cannot be modelled here"
+        )
     marker = _triple(quadrotor.get("optitrack marker cg offset"), "optitrack marker cg offset")
     moved = ((calibration or {}).get("capture") or {}).get("marker offset")
     if moved is not None:
@@ -191,7 +197,9 @@ def _read_capture(
         return None, None
     series = recording.series["capture"]
     main = recording.series["onboard"]
-    series = Series(series.t - main.t[0], dict(series.values))
+    # on-board time begins with the first sample of the gyro
+    told = np.isfinite(np.stack([main.values[n] for n in RATES], axis=-1)).all(axis=1)
+    series = Series(series.t - main.t[np.argmax(told)], dict(series.values))
     if chosen["filter optitrack outliers"]:
         seen = np.isfinite(_stack(series, POSITION)).all(axis=1)
         q = _stack(series, ATTITUDE)[seen] if "qw" in series.values else None
@@ -407,7 +415,7 @@ def _lever_arm(
 
 def _settle_telemetry(board: Onboard, where: str, notes: list[str]) -> tuple[Onboard, dict[str, Any] | None]:
     """Take the age of the rotor telemetry off its times where the flight tells it sharply; and what was found."""
-    if board.rotors is None or board.rotors.values.shape[1] != 4:
+    if board.rotors is None or board.rotors.values.shape[1] < 4:
         return board, None
     age = rotor_age(board.rotors.t, board.rotors.values, board.gyro.t, board.gyro.values)
     if age is None:

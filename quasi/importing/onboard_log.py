@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from quasi.airframe import number
 from quasi.attitude import interpolate
 from quasi.errors import DataError, ReadError
 from quasi.importing.blackbox import read_blackbox
@@ -18,6 +19,7 @@ from quasi.importing.synchronisation import Motion
 from quasi.importing.table_reader import read_table_log
 from quasi.tables import read_bytes
 
+COUNTS = "betaflight raw acceleration correction factor"
 RATES, FORCE = ("p", "q", "r"), ("ax", "ay", "az")
 ATTITUDE = ("qw", "qx", "qy", "qz")
 POSITION, VELOCITY, BODY_VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz"), ("u", "v", "w")
@@ -89,7 +91,12 @@ def read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any], poles:
     if b"H Product:Blackbox" in bytes(read_bytes(path)[:4096]) or path.suffix.lower() in (".bbl", ".bfl"):
         recording = read_blackbox(path, log_number=flight.get("log number"), poles=poles)
     else:
-        recording = read_decoded(path, poles=poles)
+        if (flight.get("log number") or 1) > 1:
+            raise ReadError(
+                f"{path} is no blackbox file of several logs, but the logbook asks for log {flight['log number']}; "
+                "give the .bbl, or each log's own file and no 'Log number'"
+            )
+        recording = read_decoded(path, poles=poles, counts=number(quadrotor, COUNTS, str(path)))
     revision = recording.metadata["firmware"]["revision"]
     from_indiflight = recording.metadata["body axes logged"].endswith("down")
     if controller == "indiflight" and not from_indiflight:

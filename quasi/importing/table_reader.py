@@ -6,6 +6,7 @@ the motion that both saw.
 """
 
 import io
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -47,7 +48,7 @@ def read_table_log(
     if poles is None:
         poles, poles_from = DEFAULT_POLES, "default"
     plan = read_mapping(mapping, poles, where)
-    table = _open(path)
+    table = _open(path, notes)
     if len(table) < 20:
         raise ReadError(f"{path} holds {len(table)} rows; at least 20 are needed, record or export the flight again")
     raw = [_Raw(source, table, path, notes) for source in plan.sources]
@@ -92,17 +93,26 @@ def read_table_log(
     return Recording(series, metadata, notes)
 
 
-def _open(path: Path) -> pd.DataFrame:
+def _open(path: Path, notes: list[str]) -> pd.DataFrame:
     data = read_bytes(path)
     if data[:4] == b"PAR1":
         return read_table(path)
     head = data[:65536].split(b"\n", 1)[0]
     separator = max((b",", b";", b"\t"), key=head.count).decode()
     try:
-        return pd.read_csv(
-            io.BytesIO(data), sep=separator, skipinitialspace=True, encoding="utf-8-sig", encoding_errors="replace",
-            on_bad_lines="skip", low_memory=False,
-        ).rename(columns=lambda c: str(c).strip())  # fmt: skip
+        with warnings.catch_warnings():
+            # a comma at the end of each line is no column
+            warnings.simplefilter("ignore", pd.errors.ParserWarning)
+            table = pd.read_csv(
+                io.BytesIO(data), sep=separator, skipinitialspace=True, encoding="utf-8-sig",
+                encoding_errors="replace", on_bad_lines="skip", low_memory=False, index_col=False,
+            ).rename(columns=lambda c: str(c).strip())  # fmt: skip
+        lines = sum(1 for line in data.splitlines() if line.strip()) - 1
+        if lines > len(table) and b'"' not in data:
+            notes.append(
+                f"{path}: {lines - len(table)} lines have more cells than there are columns; they were left out"
+            )
+        return table
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError) as error:
         raise ReadError(f"{path} is not a readable table ({error}); export it again as CSV or Parquet") from None
 
@@ -378,12 +388,17 @@ def uncrowded(t: np.ndarray) -> np.ndarray:
     """Stamps (n,), s, of messages that waited and arrived in a burst, moved back to where they can have been sampled.
 
     A message can be stamped late, not early; so of a crowd the last is right, and each before it was sampled at least
-    0.8 of the usual interval earlier. Nothing is moved by more than LONGEST_WAIT.
+    0.8 of the usual interval earlier. A crowd of which a sample would have to be moved by more than LONGEST_WAIT is
+    none: the source was faster there.
     """
     least = 0.8 * float(np.median(np.diff(t)))
     steps = least * np.arange(len(t))
     earlier = steps + np.minimum.accumulate((t - steps)[::-1])[::-1]
-    return np.where(t - earlier <= LONGEST_WAIT, earlier, t)
+    moved = t - earlier
+    crowd = np.concatenate([[0], np.cumsum((moved[1:] == 0.0) | (moved[:-1] == 0.0))])  # numbered, each with its last
+    longest = np.zeros(crowd[-1] + 1)
+    np.maximum.at(longest, crowd, moved)
+    return np.where(longest[crowd] <= LONGEST_WAIT, earlier, t)
 
 
 def _long_runs(same: np.ndarray, longest: int) -> np.ndarray:

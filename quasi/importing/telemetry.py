@@ -46,6 +46,8 @@ def rotor_age(t_rotor: np.ndarray, speeds: np.ndarray, t_gyro: np.ndarray, rates
     Standard error by leaving out each of BLOCKS pieces of the flight in turn (jackknife).
     None where the flight is too short or tells nothing.
     """
+    if np.count_nonzero(np.isfinite(speeds).all(axis=1)) < 2:
+        return None
     begin, end = max(t_rotor[0], t_gyro[0]), min(t_rotor[-1], t_gyro[-1])
     rate = min(AGE_GRID, 1.0 / float(np.median(np.diff(t_gyro))), 1.0 / float(np.median(np.diff(t_rotor))))
     margin = AGES[-1] + 0.1

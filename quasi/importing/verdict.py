@@ -30,8 +30,9 @@ def verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) ->
     if onboard.get("ended") is False:
         care.append("the on-board log ends without its end mark: it may be cut short")
     stated = (onboard.get("header") or {}).get("motor_poles")
-    if stated and stated != DEFAULT_POLES and stated != metadata["motor poles"].get("value"):
-        care.append(f"its header states {stated} motor poles, the configuration {metadata['motor poles'].get('value')}")
+    poles = metadata["motor poles"]
+    if stated and stated != DEFAULT_POLES and poles.get("source") == "configuration" and stated != poles["value"]:
+        care.append(f"its header states {stated} motor poles, the configuration {poles['value']}")
     if "w1" not in frame:
         care.append("the log holds no rotor speeds")
     if metadata["position source"] == "none" and metadata["velocity source"] == "none":
