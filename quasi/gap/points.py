@@ -26,7 +26,8 @@ from quasi.standalone.model import Model
 IMU, MARKERS = "imu_lever_arm", "marker_offset"
 AXES = ("x", "y", "z")
 APART = 9.0  # difference of squared standard errors, three of them, from which one explanation wins
-TAKEN_UP = 0.1  # share of an arm, on any axis, that the terms of a model may hold or make up by chance
+TAKEN_UP = 0.1  # share of an arm's forces that the terms of a model may hold by chance
+ACROSS = 0.04  # share of the whole arm that they may make up along another axis
 RATE = 100.0  # Hz
 BREAKER = "sharp turns about all axes, compared with a model that was identified from other flights"
 
@@ -58,7 +59,7 @@ def weigh(between: np.ndarray, between_std: np.ndarray, forces: np.ndarray, forc
     between (3,) IMU minus tracked point, m; forces (3,) IMU minus cg, m. Component by component either the IMU or the
     markers are elsewhere, both where neither alone fits; a component that is not told follows those that are.
     """
-    sharp = np.hypot(forces_std, TAKEN_UP * np.linalg.norm(between))
+    sharp = np.sqrt(forces_std**2 + (TAKEN_UP * between) ** 2 + ACROSS**2 * (between @ between))
     only_imu = (between - forces) ** 2 / (between_std**2 + sharp**2)  # the best common value left free
     only_markers = (forces / sharp) ** 2
     apart = only_markers - only_imu  # positive: the markers alone fit worse

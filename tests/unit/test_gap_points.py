@@ -7,7 +7,7 @@ from made_recordings import planted
 
 from quasi.gap import calibration, kinematic
 from quasi.gap.level import Level
-from quasi.gap.points import APART, TAKEN_UP, settle, weigh
+from quasi.gap.points import ACROSS, APART, TAKEN_UP, settle, weigh
 from quasi.synthesis.nuisance import nominal
 from quasi.synthesis.vehicle import hover_factors
 
@@ -48,7 +48,7 @@ def test_how_much_worse_one_explanation_is_agrees_with_a_search_over_its_value()
     between_std, std = np.array([9e-4, 5e-4, 5e-4]), np.array([5e-4, 6e-4, 5e-4])
     values = np.linspace(-0.02, 0.02, 40001)
     for k in range(3):
-        sharp = np.hypot(std[k], TAKEN_UP * (between @ between) ** 0.5)
+        sharp = np.hypot(np.hypot(std[k], TAKEN_UP * between[k]), ACROSS * np.linalg.norm(between))
         both = ((between[k] - values) / between_std[k]) ** 2
         imu = (both + ((forces[k] - values) / sharp) ** 2).min()
         markers = (both + (forces[k] / sharp) ** 2).min()
@@ -62,7 +62,7 @@ def test_both_points_are_moved_where_neither_alone_explains_what_is_seen():
 
 
 def test_a_little_beside_a_long_arm_is_not_told_as_the_other_point():
-    # a tenth of the arm is what a model's terms make up on another axis
+    # a twenty-fifth of the arm is what a model's terms may make up on another axis
     points = weigh(np.array([0.015, 0, 0]), STD, np.array([0.014, 0, 0.0015]), STD)
     assert points.told
     np.testing.assert_allclose(points.markers, 0.0)
