@@ -12,6 +12,7 @@ from quasi.errors import QuasiError
 
 if TYPE_CHECKING:
     from quasi.gap.effect import Vehicle
+    from quasi.workflow import Folder
 
 LIBRARY = Path(__file__).parent.parent
 TEMPLATE = LIBRARY / "config" / "template"
@@ -204,12 +205,11 @@ def fly_by_hand(model: str | None, directory: Path, simulation: str | None = Non
     from quasi.simulation.window import Window
     from quasi.standalone.model import read_model
     from quasi.tables import read_numbers
-    from quasi.workflow import Folder
 
     wind, settings = None, {"initial state conditions": {"position": [0, 0, -1.5]}}
     if simulation is not None:
         check_project(directory)
-        asked = Folder(directory).simulation(simulation)
+        asked = folder_of(directory).simulation(simulation)
         settings = asked["settings"] | {"references": {}}  # the keys take its place
         wind = read_numbers(directory / asked["wind"]) if asked["wind"] else None
         model = model or asked["model"]
@@ -246,10 +246,9 @@ def margins_of(simulation: str, directory: Path) -> str:
     from quasi.simulation.setup import make_setup
     from quasi.standalone.model import read_model
     from quasi.tables import read_numbers
-    from quasi.workflow import Folder
 
     check_project(directory)
-    asked = Folder(directory).simulation(simulation)
+    asked = folder_of(directory).simulation(simulation)
     wind, reference = (read_numbers(directory / asked[k]) if asked[k] else None for k in ("wind", "reference"))
     model = read_model(model_place(asked["model"], directory))
     return margins_of_setup(make_setup(asked["settings"], model, wind, reference, simulation))
@@ -267,10 +266,9 @@ def reach_of(simulation: str, directory: Path, horizon: float, radius: float, sp
     from quasi.simulation.reach_figure import reach_figure
     from quasi.standalone.model import read_model
     from quasi.tables import read_numbers, whole_file, write_json, write_table
-    from quasi.workflow import Folder
 
     check_project(directory)
-    asked = Folder(directory).simulation(simulation)
+    asked = folder_of(directory).simulation(simulation)
     wind = read_numbers(directory / asked["wind"]) if asked["wind"] else None
     model = read_model(model_place(asked["model"], directory))
     found = reach(asked["settings"], model, horizon, radius, spacing, wind, simulation)
@@ -309,13 +307,12 @@ def plan_of(
     from quasi.gap.plan_input import flights_of, noise_of
     from quasi.standalone.model import read_model
     from quasi.tables import write_json, write_text
-    from quasi.workflow import Folder
 
     used = read_model(model_place(model, directory))
     flown, about = flights_of(trajectories, used, directory)
     effects, noise, room, rate = catalogue(), None, None, 0.01
     if gap is not None:
-        asked = Folder(directory).gap(gap)
+        asked = folder_of(directory).gap(gap)
         settings = asked["settings"]
         effects = chosen(settings["effects"], catalogue(directory / p for p in asked["effect files"]), asked["file"])
         room, rate, noise = room_of(settings["room"]), settings["false alarm rate"], noise_of(gap, directory)
@@ -329,6 +326,14 @@ def plan_of(
     return text
 
 
+def folder_of(directory: Path) -> "Folder":
+    """The project folder as Snakemake sees it: raw data lies where config/config.yaml says."""
+    from quasi.project import read_settings
+    from quasi.workflow import Folder
+
+    return Folder(directory, data=read_settings(directory / "config/config.yaml").get("data"))
+
+
 def causes_of(model: str | None, directory: Path, gap: str | None = None) -> str:
     """The catalogue of causes in Markdown; sizes are typical of the model's vehicle, or of made flights' without one.
 
@@ -338,9 +343,8 @@ def causes_of(model: str | None, directory: Path, gap: str | None = None) -> str
     from quasi.gap.catalogue import catalogue
     from quasi.gap.effect import vehicle_of
     from quasi.standalone.model import read_model
-    from quasi.workflow import Folder
 
-    files = Folder(directory).gap(gap)["effect files"] if gap is not None else []
+    files = folder_of(directory).gap(gap)["effect files"] if gap is not None else []
     effects = catalogue(directory / p for p in files)
     if model is None:
         return causes_page.text(effects, made_vehicle(), "the 0.43 kg vehicle of made flights")

@@ -243,8 +243,8 @@ def _differential_form(model: Model, listing: Listing, u: Sequence[str], p: str,
         f"    static const real I[9] = {_row(inertia.ravel())};",
         f"    static const real inverse[9] = {_row(np.linalg.inv(inertia).ravel())};",
         f"    real d[{3 * width}]; /* derivatives of Mx My Mz by p q r and u, row by row */",
-        "    const real x[3] = {state[6], state[7], state[8]};",
-        "    real h[3], gyroscopic[9]; /* angular momentum I x, and what it adds to the derivatives */",
+        "    const real turn[3] = {state[6], state[7], state[8]};",
+        "    real h[3], gyroscopic[9]; /* angular momentum I w, and what it adds to the derivatives */",
         "    int i, k, j;",
         "",
     ]
@@ -255,13 +255,13 @@ def _differential_form(model: Model, listing: Listing, u: Sequence[str], p: str,
     body.append(
         f"""
     for (i = 0; i < 3; i++) {{
-        h[i] = I[3*i]*x[0] + I[3*i + 1]*x[1] + I[3*i + 2]*x[2];
+        h[i] = I[3*i]*turn[0] + I[3*i + 1]*turn[1] + I[3*i + 2]*turn[2];
     }}
-    /* less d(x cross I x)/dx = [x cross] I - [(I x) cross] */
+    /* less d(w cross I w)/dw = [w cross] I - [(I w) cross] */
     for (k = 0; k < 3; k++) {{
-        gyroscopic[k] = x[1]*I[6 + k] - x[2]*I[3 + k];
-        gyroscopic[3 + k] = x[2]*I[k] - x[0]*I[6 + k];
-        gyroscopic[6 + k] = x[0]*I[3 + k] - x[1]*I[k];
+        gyroscopic[k] = turn[1]*I[6 + k] - turn[2]*I[3 + k];
+        gyroscopic[3 + k] = turn[2]*I[k] - turn[0]*I[6 + k];
+        gyroscopic[6 + k] = turn[0]*I[3 + k] - turn[1]*I[k];
     }}
     gyroscopic[1] += h[2];
     gyroscopic[2] -= h[1];

@@ -284,5 +284,6 @@ def _leak(partitioning: Mapping[str, Any], scores: pd.DataFrame) -> dict[str, An
             'flights; judge by validation flights, or set \'partition by\' to "blocks" or "flights"'
         )
     elif by is None:
-        note = "no test rows were drawn; the validation flights stand for them"
+        judged = "; the validation flights stand for them" if (scores["role"] == "validation").any() else ""
+        note = f"no test rows were drawn{judged}"
     return {"by": by, "note": note}

@@ -235,7 +235,7 @@ def _coverage(coverage: pd.DataFrame) -> str:
     drawn = f'<svg viewBox="0 0 {width} {height * len(lines)}" width="100%" role="img">{"".join(parts)}</svg>'
     said = (
         "Grey: range of the training rows, dark its 1 to 99 %. Blue: the validation rows, thick their 1 to 99 %. "
-        "Validation rows with some variable beyond the training rows' 0.1 to 99.9 %: " + ", ".join(beyond) + "."
+        "Validation rows with some variable beyond the training rows' 0.01 to 99.99 %: " + ", ".join(beyond) + "."
     )
     return f"<figure>{drawn}<figcaption>{report.escape(said)}</figcaption></figure>"
 
@@ -281,7 +281,8 @@ def _rotors(model: Mapping[str, Any]) -> str:
     facts = [("hover speed", speed)]
     for name, entry in model.get("simple model", {}).items():
         if not name.endswith("_w"):
-            digits = f"{entry['value']:.4g} ± {entry['std']:.1g} {entry['unit']}"
+            doubt = "" if entry["std"] is None else f" ± {entry['std']:.1g}"  # published ones have none
+            digits = f"{entry['value']:.4g}{doubt} {entry['unit']}"
             facts.append((name, digits.replace("-", "−")))
     if not found:
         return report.facts(facts) + report.paragraph("No flight told the rotors' time constants.")

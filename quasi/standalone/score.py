@@ -100,7 +100,7 @@ def score_judged(judged: Mapping[str, Judged], model: Model, roles: Mapping[str,
     rows, pooled = [], []
     for axis, found in judged.items():
         table = np.column_stack([found.measured, found.predicted, found.lower, found.upper])
-        finite = np.isfinite(table).all(axis=1)
+        finite = np.isfinite(table[:, :2]).all(axis=1)  # a published model has no intervals
         for role, code in roles.items():
             of_role = found.role == code
             if not of_role.any():
@@ -121,6 +121,7 @@ def _row(flight: str, role: str, axis: str, table: np.ndarray, model: Model) -> 
         return {"flight": flight, "role": role, "axis": axis, "n": 0, "confidence": confidence}
     measured, predicted, lower, upper = table.T
     error = measured - predicted
+    bounded = bool(np.isfinite(table[:, 2:]).all())
     square = float(np.mean(error**2))
     variance, power = float(np.var(measured)), float(np.mean(measured**2))
     return {
@@ -132,7 +133,7 @@ def _row(flight: str, role: str, axis: str, table: np.ndarray, model: Model) -> 
         "relative_rmse": (square / power) ** 0.5 if power > 0 else np.nan,
         "r2": 1.0 - square / variance if variance > 0 else np.nan,
         "bias": float(np.mean(error)),
-        "coverage": float(np.mean((measured >= lower) & (measured <= upper))),
+        "coverage": float(np.mean((measured >= lower) & (measured <= upper))) if bounded else np.nan,
         "confidence": confidence,
         "interval_width": float(np.mean(upper - lower)),
     }

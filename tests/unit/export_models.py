@@ -21,7 +21,8 @@ EVERY_FUNCTION = {
     "Fy": {"(v^2 + w^2)^0.5*v": -0.01, "sin[roll]*cos[pitch]": 4.2, "|sin[yaw]|": 0.1, "y^-1": 1e-3, "|v|^1.5": 0.02},
     "Fz": {"w2_1 + w2_2 + w2_3 + w2_4": -1.3e-6, "d_w_tot": 1e-4, "mu_z^2": 3.0, "2^(w/10)": 1e-2,
            "U_p/(1 + r^2)": 1e-8, "cos[|w|]": 0.01, "(u - v)/(w_tot - 4*w_avg*0.3)": 0.5},
-    "Mx": {"U_p": 1e-7, "p": -5e-4, "q*u_r": 1e-6, "p*|p|^0.5": -1e-4, "w3_dot - w1_dot": 1e-7, "sin[mu_y]": 1e-3},
+    "Mx": {"U_p": 1e-7, "p": -5e-4, "q*u_r": 1e-6, "p*|p|^0.5": -1e-4, "w3_dot - w1_dot": 1e-7, "sin[mu_y]": 1e-3,
+           "x*U_p": 1e-9},
     "My": {"U_q": 1.1e-7, "|q|*q": -5e-4, "d_w2*q": -1e-7, "battery_voltage*U_q": 1e-9, "|U_q|^0.5*q": -1e-7},
     "Mz": {"U_r": 2e-8, "u_r_dot": 3e-6, "r*v_in": -1e-4, "U_r^2*r": -1e-16, "p*q*r": 1e-5, "u_p*r": 1e-8},
 }  # fmt: skip

@@ -266,3 +266,21 @@ def test_summary_advises_on_test_rows_only_where_they_have_to_judge(validation):
     model, _, found = made(rows=600, validation=validation)
     text = summary_text(model, found.scores, found.diagnosis)
     assert ("single samples whose neighbours train" in text) == (not validation)
+
+
+def test_a_model_without_intervals_is_scored_all_the_same(good):
+    """A published one knows nothing of its errors."""
+    model, _, found = good
+    bare = {a: j._replace(lower=np.full_like(j.lower, np.nan), upper=np.full_like(j.upper, np.nan))
+            for a, j in found.judged.items()}  # fmt: skip
+    told = score_judged(bare, model, ROLES)
+    for column in ("n", "rmse", "r2", "bias"):
+        pd.testing.assert_series_equal(told[column], found.scores[column])
+    assert told["coverage"].isna().all() and told["interval_width"].isna().all()
+
+
+def test_without_held_out_flights_none_is_said_to_stand_for_test_rows():
+    with_them, without = (made(validation=v, options={"random partition": False}, rows=600)[2].diagnosis["partition"]
+                          for v in (("c",), ()))  # fmt: skip
+    assert with_them["note"].endswith("the validation flights stand for them")
+    assert without["note"] == "no test rows were drawn"

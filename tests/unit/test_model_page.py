@@ -288,6 +288,8 @@ def test_a_model_without_rotors_validation_or_test_rows_has_a_page():
     text = page(document, summary, done.diagnosis, done.coverage, thin(done.judged, []))
     assert "No validation flights." in text
     assert "No flight told the rotors" in text
+    published = {**document, "simple model": {"kappaFz": {"value": 5e-7, "std": None, "unit": "N s2/rad2"}}}
+    assert "5e−07 N s2/rad2" in page(published, summary, done.diagnosis, done.coverage, thin(done.judged, []))
     assert "no test or validation rows judge it" in text
     read(text)
 

@@ -30,6 +30,18 @@ def test_margins_prints_gains_and_margins(folder, capsys):
     assert said.startswith("INDI on made") and "time constant" in said and "roll" in said
 
 
+def test_raw_data_lies_where_the_folder_says(folder, tmp_path, capsys):
+    away = tmp_path / "elsewhere"
+    (folder / "config/config.yaml").write_text(f"data: {away}\n")
+    write_json(folder / "config/simulations/windy.json",
+               {"model": {"model ID": "made"}, "noise": {"add": False}, "wind": {"file": "data/wind.csv"}})  # fmt: skip
+    assert main(["margins", "windy", "-d", str(folder)]) == 1
+    assert f"{away}/wind.csv" in capsys.readouterr().err
+    away.mkdir()
+    (away / "wind.csv").write_text("t,wind_north,wind_east,wind_down\n0,1,0,0\n60,1,0,0\n")
+    assert main(["margins", "windy", "-d", str(folder)]) == 0
+
+
 @pytest.mark.parametrize("command", ["reach", "margins"])
 def test_an_unknown_simulation_is_named(command, folder, capsys):
     assert main([command, "frist", "-d", str(folder)]) == 1
