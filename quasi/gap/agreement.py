@@ -32,6 +32,8 @@ def voices(
     """What each axis alone tells of a cause as a test found it, beside what is given: by stretches, as surely as these
     or whole flights tell it, whichever is less.
 
+    Every axis has an amount of its own at the same time: what another axis shows of the cause would else be put into
+    the base, where all flights have it alike, and be missed from this one.
     pooled  causes whose columns belong to the base, as in `Mixed.test`
     """
     own = [study.columns.causes[test.offer.cause][k] for k in test.offer.which]
@@ -45,10 +47,11 @@ def voices(
         grams.append(in_stretches(blocks, len(study.flights)))
     names: Mapping[str, list[int]] = {a: [size + k] for k, a in enumerate(AXES) if there[k]}
     mixed = Witnessed(grams, compared, study.columns._replace(causes=study.columns.causes | names))
+    offers = [Offer(axis, test.offer.since, (0,)) for axis in names]
     result = []
-    for axis in names:
-        offer = Offer(axis, test.offer.since, (0,))
-        found, between = mixed.test(offer, given, pooled), mixed.between(offer, given, pooled)
+    for axis, offer in zip(names, offers):
+        beside = [*given, *(o for o in offers if o != offer)]
+        found, between = mixed.test(offer, beside, pooled), mixed.between(offer, beside, pooled)
         result.append(Voice(axis, float(found.value[0]), float(max(found.std[0], between.std[0]))))
     return result
 

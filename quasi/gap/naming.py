@@ -199,9 +199,10 @@ def _dominant(
     def stands(a: Test, b: Test) -> bool:
         return beside[a.offer, b.offer].p < level
 
-    def merit(a: Test) -> tuple[int, float]:
-        others = [b for b in tests if b is not a]
-        return sum(stands(a, b) - stands(b, a) for b in others), -a.p
+    def merit(a: Test) -> tuple[bool, int, float]:
+        """One that another explains away comes after all that none does, however many it explains away itself."""
+        weighed = [stands(a, b) - stands(b, a) for b in tests if b is not a]
+        return min(weighed, default=0) >= 0, sum(weighed), -a.p
 
     def more(wide: Test, simple: Test) -> bool:
         """Whether a cause whose columns hold those of a simpler one explains more."""

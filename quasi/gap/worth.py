@@ -125,18 +125,21 @@ def simplest(
     old: Score,
     floor: np.ndarray,
     share: float,
+    unjudged: Sequence[Cause] = (),
 ) -> list[Cause]:
     """The fewest of the causes that leave less than SIMPLER times `share` of the removable error more than all do.
 
     Two causes that mend each other's mistakes are needed both as long as both are there.
     estimated  some causes -> the same with their parameters found without the others, None where these are impossible
-    score      of held-out flights
+    score      of held-out flights; unjudged  causes that these do not show, and so cannot call needless
     """
     if not 1 < len(causes) <= MOST_WEIGHED:
         return list(causes)
     removable, whole = _removable(old, floor, "spoken of"), score(causes).errors.mean()
-    for size in range(1, len(causes)):
-        tried = [own for some in combinations(causes, size) if (own := estimated(some)) is not None]
+    shown = [c for c in causes if c not in unjudged]
+    for size in range(0 if unjudged else 1, len(shown)):
+        some_of = ([*some, *unjudged] for some in combinations(shown, size))
+        tried = [own for some in some_of if (own := estimated(some)) is not None]
         if not tried:
             continue
         losses = [float(((score(some).errors.mean() - whole) / removable).max()) for some in tried]

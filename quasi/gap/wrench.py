@@ -164,7 +164,7 @@ def examine(
 
     changed = [c for c in kept if c.since == "changed" and c not in stand_ins]
     fewer = simplest(changed, estimated, lambda of: score([*beside, *of], any(c.since == "always" for c in beside)),
-                     old, floor, share)  # fmt: skip
+                     old, floor, share, [c for c in changed if c in unjudged])  # fmt: skip
     # one that was significant beside another that is needless may not be without it
     fewer = [c for c in fewer if c.test.p < level["changed"] and leads(c.test, asked)]
     immaterial += [c for c in changed if not any(c.effect.id == f.effect.id for f in fewer)]

@@ -157,6 +157,17 @@ def test_columns_have_the_sign_and_size_of_independent_physics(ground, name):
     assert share < tolerance, f"{name}: columns leave {share:.2f} of what the physics makes"
 
 
+@pytest.mark.parametrize("name", ["thrust_curve", "thrust_factor", "rotor_effectiveness"])
+def test_the_flow_that_thrust_drives_draws_torque(ground, name):
+    """Momentum theory's power T v, which the physics' blade elements make without it."""
+    planted, expected, _ = CASES[name]
+    evidence = residual_of(ground, {name: planted})
+    vehicle = vehicle_of(ground[2], evidence.mass, evidence.inertia, ROOM)
+    columns = columns_of(CATALOGUE[name], evidence, vehicle, dict.fromkeys(CATALOGUE[name].parameters, 0.0))
+    yaw, predicted = evidence.residual[:, 5], sum(columns[p] * value for p, value in expected.items())[:, 5]
+    assert np.square(yaw - predicted).mean() < 0.25 * np.square(yaw).mean()
+
+
 def test_every_wrench_cause_of_the_catalogue_is_tested_for_its_sign():
     elsewhere = {"payload_swing", "inflow_lag", "telemetry_delay", "rotor_speed_scale", "wind"}
     wrench = {name for name, e in CATALOGUE.items() if e.level == "W" and not e.finding}

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from quasi.gap import mixed as tests_on
 from quasi.gap.effect import Effect, Parameter
 from quasi.gap.mixed import SPREADS, Columns, Mixed, Offer, Witnessed
-from quasi.gap.naming import search
+from quasi.gap.naming import _dominant, search
 from quasi.gap.study import in_stretches, joined
 from quasi.gap.whitening import autoregression, block_grams, thin, whiten
 
@@ -143,6 +144,27 @@ def test_the_planted_cause_is_named_and_its_lookalike_is_not(since):
     assert not names.ties
     assert [r.id for r in names.named[0].rivals] == ["b"]
     assert names.named[0].test.value[0] == pytest.approx(0.5, abs=3.0 * names.named[0].test.std[0])
+
+
+def test_a_cause_that_explains_many_away_gives_way_to_the_one_that_explains_it_away():
+    """a explains b away and leaves c, d and e; b explains these three away and would be a tie with a."""
+    alone = dict(zip("abcde", (1e-18, 1e-9, 1e-6, 1e-6, 1e-6)))
+    gone = {("b", "a"), *((k, "b") for k in "cde")}  # (which, beside what)
+
+    class Told:
+        def test(self, offer, given=(), pooled=()):
+            p = 0.1 if any((offer.cause, g.cause) in gone for g in given) else alone[offer.cause]
+            return tests_on.Test(offer, np.ones(1), np.eye(1), 1.0, -np.log(p), p)
+
+        def spans(self, wide, narrow, given=()):
+            return False
+
+    told = Told()
+    tests = [told.test(Offer(c, "changed", (0,))) for c in alone]
+    catalogue = {c: Effect(c, "W", "", "", "") for c in alone}
+    best, rivals, tie = _dominant(told, tests, [], [], 1e-3, catalogue)
+    assert tie is None and best.offer.cause == "a"
+    assert [r.id for r in rivals] == ["b"]
 
 
 def test_causes_that_the_data_cannot_split_are_a_tie():

@@ -390,6 +390,23 @@ def test_axes_agree_on_the_true_cause_and_contradict_one_that_resembles_it(model
     assert "one cause acts on both alike" in contradiction(list(opposite.values()))
 
 
+def test_axes_of_what_changed_are_heard_whatever_the_base_would_take_up_of_the_others(model):
+    """The base holds every cause, alike in all flights: of a drag that some have, two of five parts would find their
+    way there by the other axes, and be missed on the one that is heard alone."""
+    about = {"mass": model.airframe.mass, "inertia": model.airframe.inertia}
+    compared = [False] * 3 + [True] * 3
+    tables = [flown(model, 10 + k, drag=0.1 * flag) for k, flag in enumerate(compared)]
+    flights = [gather(f"f{k}", t, about, model.airframe, model, 100.0) for k, t in enumerate(tables)]
+    both = gather_study(flights, EFFECTS, vehicle_of(model))
+    test = mixed.Test(mixed.Offer("body_drag", "changed", (0,)), np.array([0.1]), np.eye(1), 1.0, 1.0, 0.0)
+    every = both.witnessed(range(6), compared).pooled("changed")
+    assert "body_drag" in every
+    told = voices(both, compared, test, every)
+    assert len([v for v in told if v.std < 0.1]) >= 2
+    for voice in told:
+        assert voice.amount == pytest.approx(1.0, abs=4.0 * voice.std), told
+
+
 def test_what_contradicts_a_cause_is_a_sure_axis_with_the_other_sign():
     assert contradiction([Voice("Fz", 1.0, 0.1), Voice("My", -0.9, 0.1)])
     assert not contradiction([Voice("Fz", 1.0, 0.1), Voice("My", -0.9, 0.4)])  # could not have seen it

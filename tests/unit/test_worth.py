@@ -123,6 +123,13 @@ def test_two_causes_that_mend_each_other_are_told_by_the_one_that_does_alone():
     assert simplest([a, b], list, both, judged(OLD).errors, FLOOR, SHARE) == [a, b]
 
 
+def test_a_cause_that_held_out_flights_do_not_show_is_not_needless_to_them():
+    a, b = cause("a"), cause("b")
+    score = scored({frozenset("ab"): fz(1.0), frozenset("a"): fz(1.05), frozenset("b"): fz(3.0)}, OLD)
+    assert simplest([a, b], list, score, judged(OLD).errors, FLOOR, SHARE, [b]) == [a, b]
+    assert simplest([a, b], list, score, judged(OLD).errors, FLOOR, SHARE, [a]) == [a]
+
+
 def test_what_is_sure_to_go_is_a_share_of_all_that_can():
     """Half of it goes in every block, but most of it lies in three of six: less than half is sure, but not none."""
     old = Score(np.array([[8.0], [1.0], [9.0], [2.0], [7.0], [1.5]]) * np.ones(6), np.ones(6))

@@ -1,10 +1,16 @@
 """Thrust that is not the square of rotor speed."""
 
-from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, upward
+from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, number, upward
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
-    return {"c1": upward(vehicle, [f"w{i}" for i in range(1, 5)]), "c0": upward(vehicle, ["1"] * 4)}
+    def made(of: str) -> Terms:
+        """Thrust, and the torque that its flow draws."""
+        thrusts = [of.format(i) for i in range(1, 5)]
+        drawn = [number(-s * vehicle.drawn / vehicle.thrust) for s in vehicle.spin]
+        return {**upward(vehicle, thrusts), "Mz": " + ".join(f"{d}*{t}" for d, t in zip(drawn, thrusts))}
+
+    return {"c1": made("w{}"), "c0": made("1")}
 
 
 EFFECT = Effect(
