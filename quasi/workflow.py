@@ -129,13 +129,17 @@ class Folder(Recordings):
         return self._here(path).absolute().as_posix()  # no rule makes it
 
     def matlab(self, name: str) -> dict[str, Any]:
-        """Settings of the MATLAB export: inputs "u" of the differential form or None, and the "file" that says so."""
-        if name not in self.models:  # a model that was put there
+        """Settings of the MATLAB export: inputs "u" of the differential form or None, and the "file" that says so.
+
+        Without a file, for a model that was put there or extends one, "u" is taken where the model names no inputs.
+        """
+        root = self._lineage(name)[-1]
+        if root not in self.models:
             return {"file": None, "u": ["U_p", "U_q", "U_r"]}
-        config = self.model(name)
+        config = self.model(root)
         chosen = config["matlab"]
         u = chosen.get("DiffSys u", config["standalone"]["DiffSys u"])
-        return {"file": f"config/models/{name}.json", "u": u if chosen["make moment DiffSys"] else None}
+        return {"file": f"config/models/{root}.json", "u": u if chosen["make moment DiffSys"] else None}
 
     def axes(self, name: str) -> list[str]:
         """Axes that a model identifies."""

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from quasi.errors import QuasiError
 from quasi.export.agreement import hand_over
+from quasi.export.contents import configured_inputs
 from quasi.export.matlab import write_matlab
 from quasi.export.matlab_check import NO_OCTAVE, check_matlab, find_octave
 from quasi.joblog import job, tell
@@ -21,7 +22,10 @@ def main(model: str, settings: dict, folder: str) -> None:
         notes += setup.notes
     except QuasiError as reason:
         notes.append(f"the simulation environment is left out: {reason}")
-    written = write_matlab(portable, folder, settings["u"], loop)
+    u = settings["u"]
+    if settings["file"] is None:  # no configuration says otherwise than the model itself
+        u = configured_inputs(portable) or u
+    written = write_matlab(portable, folder, u, loop)
     notes += written.notes
     checks = []
     if find_octave():

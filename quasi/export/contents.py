@@ -90,9 +90,14 @@ def differential_inputs(model: Model) -> tuple[str, ...]:
     """
     if any(axis not in model.axes for axis in AXES[3:]):
         return ()
+    return configured_inputs(model) or ROTORS
+
+
+def configured_inputs(model: Model) -> tuple[str, ...]:
+    """Inputs u of the differential form that a model names, else (). Raises ConfigError for inputs that cannot be."""
     chosen = model.document.get("differential form")
     u = chosen.get("u") if isinstance(chosen, Mapping) else None
-    return inputs_of_system(u, f"model {model.id}") if isinstance(u, list) and u else ROTORS
+    return inputs_of_system(u, f"model {model.id}") if isinstance(u, list) and u else ()
 
 
 def has_region(model: Model) -> bool:

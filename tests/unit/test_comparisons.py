@@ -117,6 +117,15 @@ def test_a_faulty_configuration_is_told_in_one_sentence(folder, rows, changes, s
     assert sentence in str(told.value) and "\n" not in str(told.value)
 
 
+def test_an_extended_model_is_exported_with_the_settings_of_its_base(folder):
+    for section, u in (({"DiffSys u": ["w1"]}, ["w1"]), ({}, ["U_q"]), ({"make moment DiffSys": False}, None)):
+        model = {**MODEL, "matlab": section, "standalone": {"DiffSys u": ["U_q"]}}
+        (folder / "config/models/m.json").write_text(json.dumps(model))
+        assert Folder(folder).matlab("m-g") == Folder(folder).matlab("m") == {"file": "config/models/m.json", "u": u}
+    write(folder, model="put_there")
+    assert Folder(folder).matlab("put_there-g") == {"file": None, "u": ["U_p", "U_q", "U_r"]}
+
+
 def test_two_gaps_may_not_make_the_same_model(folder):
     write(folder, "h", **{"extended model ID": "m-g"})
     with pytest.raises(ConfigError, match="g.json and config/gaps/h.json both make the model 'm-g'"):

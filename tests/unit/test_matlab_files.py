@@ -142,6 +142,13 @@ def test_without_octave_nothing_is_claimed(tmp_path, monkeypatch):
     assert {"main.m", "simulation", "check_model.m", "reference.mat"} <= files and "get_PQRDiffSys.m" not in files
 
 
+@octave
+def test_a_model_that_was_put_there_keeps_the_inputs_it_names(tmp_path):
+    report, _ = export({**flown().document, "differential form": {"u": ["U_r", "U_q"]}}, tmp_path)
+    assert report["agrees"] is True
+    assert "u = [U_r, U_q]'" in read_text(tmp_path / "matlab/get_PQRDiffSys.m")
+
+
 def test_the_configuration_chooses_the_differential_form(tmp_path):
     folder = Folder(tmp_path)
     assert folder.matlab("imported")["u"] == U
