@@ -105,8 +105,11 @@ def has_region(model: Model) -> bool:
     return bool(model.document.get("envelope")) and model.region.kernel.outputs > 0
 
 
-def actuators_of(model: Model) -> Actuators:
-    """Constants of the rotors, those of extensions before the model's own. Raises ConfigError for damaged ones."""
+def known_actuators(model: Model) -> dict[str, Any]:
+    """The section "actuators" of a model with what its extensions say of the rotors in place of its own.
+
+    A time constant of an extension stands for all rotors, speeding up and slowing down.
+    """
     known = dict(model.document.get("actuators") or {})
     for extension in _extensions(model):
         found = extension.get("actuators") or {}
@@ -115,6 +118,12 @@ def actuators_of(model: Model) -> Actuators:
             known["time constants"] = {"value": found["time constant"]}
         if "delay" in found:
             known["delay"] = {"value": found["delay"]}
+    return known
+
+
+def actuators_of(model: Model) -> Actuators:
+    """Constants of the rotors, those of extensions before the model's own. Raises ConfigError for damaged ones."""
+    known = known_actuators(model)
     notes: list[str] = []
 
     def value(*keys: str) -> Any:

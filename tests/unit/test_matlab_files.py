@@ -12,7 +12,7 @@ from programs import script
 from scipy.io import loadmat
 
 from quasi.errors import ConfigError, ExpressionError
-from quasi.export.matlab import FILES, write_matlab
+from quasi.export.matlab import FILES, drone_parameters, write_matlab
 from quasi.export.matlab_check import check_matlab
 from quasi.export.matlab_terms import axis_file, expression
 from quasi.expressions import parse
@@ -43,6 +43,14 @@ def test_parameters_keep_logged_limits_with_their_factor(tmp_path):
     assert np.array_equal(drone.Iv, model.airframe.inertia) and drone.taus.shape == (4,)
     assert about.modelID == "m" and about.hasGravity == 1 and about.isNormalized == 0
     assert list(about.DiffSysInputs) == U
+
+
+def test_time_constants_are_those_that_an_extension_found():
+    slow = {**flown().document, "actuators": {"time constants": {"value": [0.03] * 4}, "delay": {"value": 0.01}}}
+    assert np.array_equal(drone_parameters(Model(slow))["taus"], [[0.03] * 4])
+    found = Model({**slow, "extensions": [{"id": "motor_lag", "actuators": {"time constant": 0.08}}]})
+    assert np.array_equal(drone_parameters(found)["taus"], [[0.08] * 4])
+    assert loop_constants(portable_setup(found))["time constants up"].tolist() == [0.08] * 4
 
 
 def test_only_what_matlab_and_octave_share_is_written(tmp_path):
