@@ -260,6 +260,34 @@ def test_vehicle_outputs_specific_force_and_attitude(vehicle):
         np.testing.assert_allclose(instance.get(["roll", "pitch", "yaw"]), attitude.to_euler(q), rtol=1e-12)
 
 
+def test_outputs_during_initialisation_are_those_of_its_end(vehicle):
+    _, fmu, _, path = vehicle
+    at = {v.name: v.at for v in fmu.variables}
+    start = {
+        "qw": 1.8, "qx": 0.2, "qy": -0.4, "qz": 0.6, "u": 3.0, "p": 2.0, "q": -1.0, "r": 0.5, "w1": 800.0,
+        "w1_CMD": 1200.0, "wind_east": 2.0, "mass": 0.5, "inertia_xx": 2e-3, "inertia_xz": 1e-4,
+    }  # fmt: skip
+    given = [at[n] for n in start]
+    asked = [v.at for v in fmu.variables if v.start is None]  # derivatives, angles, forces, specific force
+    instance = FMU2Slave(
+        guid=fmu.guid, unzipDirectory=fmpy.extract(str(path), path.parent / "asked"),
+        modelIdentifier=fmu.identifier, instanceName="vehicle",
+    )  # fmt: skip
+    instance.instantiate()
+    instance.setupExperiment(startTime=5.0)
+    instance.enterInitializationMode()
+    for name, value in start.items():  # asking in between moves nothing
+        instance.getReal(asked)
+        instance.setReal([at[name]], [value])
+    before = instance.getReal(asked)
+    assert instance.getReal(given) == list(start.values())
+    instance.exitInitializationMode()
+    np.testing.assert_array_equal(before, instance.getReal(asked))
+    found = dict(zip((v.name for v in fmu.variables if v.start is None), before))
+    assert abs(found["der(p)"]) > 0.1 and found["der(w1)"] == 0.0  # the command comes late
+    instance.freeInstance()
+
+
 @pytest.mark.parametrize(
     "start",
     [{"mass": 0.0}, {"inertia_zz": -1.0}, {"inertia_xy": 1.0}, {"delay": -0.1}, {"time_constant_up_3": 0.0},

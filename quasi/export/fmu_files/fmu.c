@@ -91,8 +91,10 @@ SEEN fmi2Status FMI(fmi2EnterInitializationMode)(fmi2Component c)
 SEEN fmi2Status FMI(fmi2ExitInitializationMode)(fmi2Component c)
 {
     Instance *fmu = c;
+    const fmi2Status status = begin(fmu);
     fmu->data.stale = 1;
-    return begin(fmu);
+    fmu->data.begun = status == fmi2OK;
+    return status;
 }
 
 SEEN fmi2Status FMI(fmi2Terminate)(fmi2Component c)

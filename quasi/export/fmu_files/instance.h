@@ -14,6 +14,7 @@ typedef struct {
     double value[VALUES]; /* by value reference */
     double time;
     int stale; /* whether outputs are to be computed anew */
+    int begun; /* whether initialisation has ended */
     Memory memory;
 } Data;
 

@@ -11,7 +11,9 @@
 
 enum { Q = 0, V = 4, OMEGA = 7, POSITION = 10, ROTORS = 13 };
 
-static fmi2Status start_memory(Instance *fmu, const char **problem)
+/* What is remembered at the beginning, from parameters and initial states as they are. Returns what is wrong with them,
+ * NULL where nothing is. */
+static const char *start_memory(Instance *fmu)
 {
     const double *value = fmu->data.value;
     Memory *memory = &fmu->data.memory;
@@ -19,29 +21,10 @@ static fmi2Status start_memory(Instance *fmu, const char **problem)
     const double minor = i[0]*i[1] - i[3]*i[3];
     const double all = i[0]*(i[1]*i[2] - i[5]*i[5]) - i[3]*(i[3]*i[2] - i[5]*i[4]) + i[4]*(i[3]*i[5] - i[1]*i[4]);
     double norm = 0.0;
-    int k;
+    int k, lags = 1;
     for (k = 0; k < 4; k++) {
         norm += value[AT_X + Q + k]*value[AT_X + Q + k];
-        if (!(value[AT_UP + k] > 0.0) || !(value[AT_DOWN + k] > 0.0)) {
-            *problem = "time constants of rotors must be positive";
-            return fmi2Error;
-        }
-    }
-    *problem = !(value[AT_MASS] > 0.0) ? "mass must be positive"
-        : !(i[0] > 0.0 && minor > 0.0 && all > 0.0) ? "the inertia must be positive definite"
-        : !(value[AT_DELAY] >= 0.0) ? "delay must not be negative"
-        : !(value[AT_LOWEST] < value[AT_HIGHEST]) ? "lowest_speed must lie below highest_speed"
-        : !(value[AT_LONGEST] > 0.0) ? "longest_step must be positive"
-        : !(norm > 0.0) ? "the initial quaternion must not be zero"
-        : NULL;
-    if (*problem != NULL) {
-        return fmi2Error;
-    }
-    norm = sqrt(norm);
-    for (k = 0; k < 4; k++) {
-        if (norm != 1.0) {
-            fmu->data.value[AT_X + Q + k] /= norm;
-        }
+        lags = lags && value[AT_UP + k] > 0.0 && value[AT_DOWN + k] > 0.0;
         memory->command[0][k] = value[AT_X + ROTORS + k]; /* the rotors were in balance with their commands */
     }
     memory->inverse[0] = (i[1]*i[2] - i[5]*i[5])/all;
@@ -53,17 +36,33 @@ static fmi2Status start_memory(Instance *fmu, const char **problem)
     memory->when[0] = fmu->data.time;
     memory->count = 1;
     memory->stepped = 0;
-    return fmi2OK;
+    return !lags ? "time constants of rotors must be positive"
+        : !(value[AT_MASS] > 0.0) ? "mass must be positive"
+        : !(i[0] > 0.0 && minor > 0.0 && all > 0.0) ? "the inertia must be positive definite"
+        : !(value[AT_DELAY] >= 0.0) ? "delay must not be negative"
+        : !(value[AT_LOWEST] < value[AT_HIGHEST]) ? "lowest_speed must lie below highest_speed"
+        : !(value[AT_LONGEST] > 0.0) ? "longest_step must be positive"
+        : !(norm > 0.0) ? "the initial quaternion must not be zero"
+        : NULL;
+}
+
+static void make_unit(double *x)
+{
+    const double norm = sqrt(x[0]*x[0] + x[1]*x[1] + x[2]*x[2] + x[3]*x[3]);
+    int k;
+    for (k = 0; k < 4; k++) {
+        x[k] /= norm;
+    }
 }
 
 static fmi2Status begin(Instance *fmu)
 {
-    const char *problem = NULL;
-    const fmi2Status status = start_memory(fmu, &problem);
+    const char *problem = start_memory(fmu);
     if (problem != NULL) {
-        say(fmu, status, problem);
+        return say(fmu, fmi2Error, problem);
     }
-    return status;
+    make_unit(fmu->data.value + AT_X);
+    return fmi2OK;
 }
 
 /* Append the present commands to what is remembered, and forget what no delay reaches any more. */
@@ -199,11 +198,18 @@ static void derivative(const Instance *fmu, const double *x, const double *targe
 
 static void calculate(Instance *fmu)
 {
-    double *value = fmu->data.value, target[4], loads[6];
-    const double *x = value + AT_X;
-    const double w = x[0], rx = x[1], ry = x[2], rz = x[3];
-    double sine = 2.0*(w*ry - rz*rx), down[3];
+    double *value = fmu->data.value, target[4], loads[6], x[17], w, rx, ry, rz, sine, down[3];
     int k;
+    memcpy(x, value + AT_X, sizeof x);
+    if (!fmu->data.begun) { /* as it will begin; the states that were set stay as they are until then */
+        make_unit(x);
+        start_memory(fmu);
+    }
+    w = x[0];
+    rx = x[1];
+    ry = x[2];
+    rz = x[3];
+    sine = 2.0*(w*ry - rz*rx);
     for (k = 0; k < 4; k++) {
         if (fmu->data.memory.stepped) {
             target[k] = fmu->data.memory.target[k];
@@ -226,15 +232,6 @@ static void calculate(Instance *fmu)
     down[2] = 1.0 - 2.0*(rx*rx + ry*ry);
     for (k = 0; k < 3; k++) {
         value[AT_FELT + k] = loads[k]/value[AT_MASS] - (GRAVITY_ADDED ? 0.0 : down[k]*MODEL(gravity));
-    }
-}
-
-static void make_unit(double *x)
-{
-    const double norm = sqrt(x[0]*x[0] + x[1]*x[1] + x[2]*x[2] + x[3]*x[3]);
-    int k;
-    for (k = 0; k < 4; k++) {
-        x[k] /= norm;
     }
 }
 
