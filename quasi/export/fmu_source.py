@@ -91,8 +91,8 @@ def forces_fmu(model: Model) -> Fmu:
             variables.append(Variable(first + m, axis, "output", "continuous", unit, None, f"{what}, body axes"))
     places = {
         "AT_STATE": 0, "AT_SPEEDS": 12, "AT_ACCELERATIONS": 16, "AT_EXTRA": 20, "AT_FORCES": first,
-        "AT_MOMENTS": first + 3, "AT_X": 0, "AT_SLOPE": 0, "STATES": 0, "VALUES": first + 6, "SETTABLE": first,
-        "MEMORY_ROWS": 1,
+        "AT_MOMENTS": first + 3, "AT_X": 0, "AT_SLOPE": 0, "STATES": 0, "VALUES": first + 6,
+        "INPUT_VALUES": first, "SETTABLE": first, "MEMORY_ROWS": 1,
     }  # fmt: skip
     return _fmu(model, "forces_and_moments", variables, places)
 
@@ -169,7 +169,8 @@ def vehicle_fmu(model: Model) -> Fmu:
     add("AT_LOADS", AXES, out, "N", None, "of the model, body axes")
     add("AT_FELT", ["ax", "ay", "az"], out, "m/s2", None, "specific force at the centre of gravity, body axes")
     variables = [_detailed(v) for v in variables]
-    places |= {"STATES": 17, "VALUES": sum(sizes), "SETTABLE": places["AT_SLOPE"], "MEMORY_ROWS": ROWS}
+    places |= {"STATES": 17, "VALUES": sum(sizes), "INPUT_VALUES": places["AT_MASS"], "SETTABLE": places["AT_SLOPE"],
+               "MEMORY_ROWS": ROWS}  # fmt: skip
     return _fmu(model, "vehicle", variables, places)
 
 

@@ -304,6 +304,10 @@ def test_what_cannot_be_set_or_asked_is_refused(vehicle):
     with Instance(fmu, library, CO_SIMULATION) as instance:
         with pytest.raises(ValueError, match="fmi2SetReal"):
             instance.set(["Fx"], [1.0])
+        for name in ("inertia_xx", "mass", "qw", "w1"):  # their values were taken up when initialisation ended
+            with pytest.raises(ValueError, match="fmi2SetReal"):
+                instance.set([name], [1.0])
+        instance.set(["w1_CMD", "wind_down"], [1.0, 1.0])
         with pytest.raises(ValueError, match="fmi2DoStep"):
             instance.step(0.0, -1.0)
     with pytest.raises(ValueError, match="cannot be instantiated"):

@@ -139,6 +139,9 @@ SEEN fmi2Status FMI(fmi2SetReal)(fmi2Component c, const fmi2ValueReference at[],
         if (at[k] >= SETTABLE) {
             return say(fmu, fmi2Error, "fmi2SetReal: this variable cannot be set");
         }
+        if (fmu->data.begun && at[k] >= INPUT_VALUES) { /* what was made of them at the beginning would not follow */
+            return say(fmu, fmi2Error, "fmi2SetReal: parameters and initial states are set until initialisation ends");
+        }
         fmu->data.value[at[k]] = value[k];
     }
     fmu->data.stale = 1;
