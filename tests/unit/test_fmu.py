@@ -18,8 +18,8 @@ from quasi.errors import ConfigError
 from quasi.export.agreement import states_of, wrench_of
 from quasi.export.compiler import find_compiler, shared_library, write_files
 from quasi.export.fmu_archive import compile_fmu, platform_folder, write_fmu
-from quasi.export.fmu_running import CO_SIMULATION, Instance, check_forces, check_vehicle, slopes
-from quasi.export.fmu_source import STATE_NAMES, forces_fmu, vehicle_fmu
+from quasi.export.fmu_running import CO_SIMULATION, MODEL_EXCHANGE, Instance, check_forces, check_vehicle, slopes
+from quasi.export.fmu_source import ROWS, STATE_NAMES, forces_fmu, vehicle_fmu
 from quasi.simulation.quadrotor import QuadrotorSimulator
 from quasi.simulation.setup import make_setup
 from quasi.standalone.model import AXES, Model
@@ -312,6 +312,17 @@ def test_what_cannot_be_set_or_asked_is_refused(vehicle):
             instance.step(0.0, -1.0)
     with pytest.raises(ValueError, match="cannot be instantiated"):
         Instance(fmu._replace(guid="{0}"), library, CO_SIMULATION)
+
+
+def test_commands_that_cannot_be_remembered_end_a_flight(vehicle):
+    _, fmu, library, _ = vehicle
+    with Instance(fmu, library, MODEL_EXCHANGE) as instance:
+        flags = ctypes.byref(ctypes.c_int()), ctypes.byref(ctypes.c_int())
+        with pytest.raises(ValueError, match="fmi2CompletedIntegratorStep"):
+            for k in range(5000):
+                instance._call("fmi2SetTime", ctypes.c_double(k * 1e-6))
+                instance._call("fmi2CompletedIntegratorStep", 1, *flags)
+        assert k == ROWS - 1
 
 
 def test_vehicle_needs_what_a_vehicle_knows():

@@ -250,8 +250,7 @@ SEEN fmi2Status FMI(fmi2GetDirectionalDerivative)(
 
 SEEN fmi2Status FMI(fmi2EnterEventMode)(fmi2Component c)
 {
-    remember(c);
-    return fmi2OK;
+    return remember(c);
 }
 
 SEEN fmi2Status FMI(fmi2NewDiscreteStates)(fmi2Component c, fmi2EventInfo *info)
@@ -272,18 +271,16 @@ SEEN fmi2Status FMI(fmi2NewDiscreteStates)(fmi2Component c, fmi2EventInfo *info)
 
 SEEN fmi2Status FMI(fmi2EnterContinuousTimeMode)(fmi2Component c)
 {
-    remember(c);
-    return fmi2OK;
+    return remember(c);
 }
 
 SEEN fmi2Status FMI(fmi2CompletedIntegratorStep)(
     fmi2Component c, fmi2Boolean no_earlier_state, fmi2Boolean *enter_event_mode, fmi2Boolean *terminate)
 {
     (void)no_earlier_state;
-    remember(c);
     *enter_event_mode = astray(c);
     *terminate = 0;
-    return fmi2OK;
+    return remember(c);
 }
 
 SEEN fmi2Status FMI(fmi2SetTime)(fmi2Component c, fmi2Real time)

@@ -279,11 +279,9 @@ static fmi2Status advance(Instance *fmu, double step)
 }
 
 /* Model exchange: commands are remembered where the integrator stands. */
-static void remember(Instance *fmu)
+static fmi2Status remember(Instance *fmu)
 {
-    if (fmu->data.value[AT_DELAY] > 0.0) {
-        note(fmu, fmu->data.time);
-    }
+    return fmu->data.value[AT_DELAY] > 0.0 ? note(fmu, fmu->data.time) : fmi2OK;
 }
 
 /* Model exchange: whether the quaternion has left unit length. */
