@@ -340,6 +340,17 @@ def test_regressors_with_code_are_refused_when_read(expression):
 
 
 @compiler
+def test_columns_with_names_of_the_source_s_own_variables_keep_their_numbers():
+    made = "h d i j k I A B N turn inverse gyroscopic sum value low high whitening farthest found forces real NULL"
+    columns = {name: {"min": 0.1, "max": 9.0, "percentiles": {"0.01": 0.2, "99.99": 8.0}} for name in made.split()}
+    terms = {**TERMS, "Fx": dict.fromkeys(columns, 1.0), "Mx": {"U_p": 1e-7, **{f"{name}*p": 1.0 for name in columns}}}
+    joint = {"names": ["h", "d"], "mean": [1.0, 1.0], "whitening": [[1.0, 0.0], [0.5, 1.0]], "limit": 4.0}
+    found = model(terms, "own", envelope=columns, **{"joint envelope": joint})
+    for check in [*check_c(found, c_files(found), 100), *check_python(found, *python_file(found), 100)]:
+        assert check.agrees, check
+
+
+@compiler
 def test_columns_with_names_of_the_language_are_mapped():
     made = model(
         {**TERMS, "Fx": {"int*u": 1.0, "t1": 2.0, "state*v": 1.0, "a|b[c]": 1.0, "real": 0.1, "lambda": 1.0}}, "odd"
