@@ -37,7 +37,7 @@ class Folder(Recordings):
                 f"({', '.join(sorted(files))}); a model needs one"
             )
         part = self._part(next((r for r in training if r in sound), training[0]), IDENTIFICATION)
-        batteries = self._batteries(name, everything)
+        batteries = self._batteries(name, training)  # a flight that is held out mixes nothing
         masses = [m for m, _ in map(self.mass, training) if m]
         return {
             "model": name,
@@ -66,12 +66,13 @@ class Folder(Recordings):
         return {k: chosen[k] for k in ("excitation threshold", "spread")}
 
     def _batteries(self, name: str, rows: list[Row]) -> list[str]:
-        """The battery types of a model's flights where they differ and may. Raises ConfigError where they may not."""
+        """Battery types of a model's training rows where they differ and may. Raises ConfigError where they may not."""
         kinds = sorted({r.cells.get("Batteries", "") for r in rows} - {""})
         if len(kinds) > 1 and not self.model(name)["logging file"]["allow mixed batteries"]:
             raise ConfigError(
-                f"config/models/{name}.json: the flights were flown with different 'Batteries' ({', '.join(kinds)}); "
-                "select flights with one battery type, or set 'allow mixed batteries' in 'logging file' to true"
+                f"config/models/{name}.json: the training flights were flown with different 'Batteries' "
+                f"({', '.join(kinds)}); select flights with one battery type, hold the others out for validation, or "
+                "set 'allow mixed batteries' in 'logging file' to true"
             )
         return kinds if len(kinds) > 1 else []
 

@@ -193,6 +193,19 @@ def test_different_batteries_are_mixed_when_the_model_says_so(folder):
     assert Folder(folder).identification("m")["mixed batteries"] == ["4S", "6S"]
 
 
+@pytest.mark.parametrize("allowed", [False, True])
+def test_the_battery_of_a_flight_that_is_held_out_changes_no_fit(folder, allowed):
+    section = {**Folder(folder).model("m")["logging file"], "allow mixed batteries": allowed}
+    edit_model(folder, **{"logging file": section})
+    before = Folder(folder).identification("m")
+    edit(
+        folder,
+        "Beetle,c,data/raw,betaflight,my_quadrotor,data,N,,,433,4S",
+        "Beetle,c,data/raw,betaflight,my_quadrotor,data,N,,,433,6S",
+    )
+    assert Folder(folder).identification("m") == before
+
+
 def test_isolation_is_handed_on_only_where_it_is_on(folder):
     edit_model(folder, **{"manoeuvre excitations": {"excitation threshold": 0.3}})
     assert Folder(folder).identification("m")["isolation"] is None
