@@ -2,6 +2,7 @@
 
 import functools
 import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 from quasi.errors import ConfigError, QuasiError, nearest
 from quasi.logbook import NAME, Row
 from quasi.project import AXES, Project, check_model_file, is_file
-from quasi.tables import read_bytes, read_json
+from quasi.tables import read_bytes, read_json, read_text
 
 HELD, COMPARED, REFERENCE = "held out", "compared", "reference"
 FEWEST = 4  # training flights that stand for reference flights
@@ -73,22 +74,45 @@ class Comparisons(Project):
             if name not in known:
                 raise ConfigError(f"{path}: effect '{name}' is not in the catalogue{nearest(name, known)}")
 
-    @functools.cache  # noqa: B019
-    def extended(self, model: str) -> str | None:
-        """The gap that makes a model, or None. Raises ConfigError where several would make it."""
-        makers = []
+    @functools.cached_property
+    def _extensions(self) -> tuple[dict[str, str], dict[str, QuasiError]]:
+        """{gap: extended model ID} of sound configurations, {gap: fault} of the others."""
+        idents, faults = {}, {}
         for gap in self.gaps:
             try:
-                if self.gap_settings(gap)["extended model ID"] == model:
-                    makers.append(gap)
-            except QuasiError:
-                continue  # a broken gap stops those who ask for it
+                idents[gap] = self.gap_settings(gap)["extended model ID"]
+            except QuasiError as fault:
+                faults[gap] = fault  # it stops those who ask for the gap, or for its model
+        return idents, faults
+
+    @functools.cache  # noqa: B019
+    def extended(self, model: str) -> str | None:
+        """The gap that makes a model, or None. Raises ConfigError where several would make it, and the fault of the
+        configuration that stands to make it."""
+        idents, faults = self._extensions
+        makers = [gap for gap, ident in idents.items() if ident == model]
         if len(makers) > 1:
             raise ConfigError(
                 f"config/gaps/{makers[0]}.json and config/gaps/{makers[1]}.json both make the model '{model}'; "
                 "give one another 'extended model ID'"
             )
+        if not makers and model not in self.models:
+            for gap, fault in faults.items():
+                if self._would_make(gap, model):
+                    raise fault
         return makers[0] if makers else None
+
+    def _would_make(self, gap: str, model: str) -> bool:
+        """Whether a gap with a faulty configuration stands to make a model, as far as that shows."""
+        path = self._here(f"models/{model}/standalone/model.json")
+        try:
+            if is_file(path):  # else it was put there, whatever a gap says
+                return read_json(path)["provenance"]["by"] == f"gap {gap}"
+            given = read_text(self._here(f"config/gaps/{gap}.json"))  # which may be no JSON at all
+            named = re.search(rf'"(?!model")[^"]*"\s*:\s*"{re.escape(model)}"', given)
+            return model.endswith(f"-{gap}") or named is not None
+        except (QuasiError, KeyError, TypeError):
+            return False
 
     @functools.cache  # noqa: B019
     def gap_flights(self, name: str) -> dict[str, list[Row]]:
@@ -173,7 +197,7 @@ class Comparisons(Project):
             return self._here(path).absolute().as_posix()  # it was put there: no rule makes it
         raise ConfigError(
             f"config/gaps/{name}.json: 'model' is '{model}', but neither config/models/{model}.json nor {path} exists"
-            f"{nearest(model, [*self.models, *(self.gap_settings(g)['extended model ID'] for g in self.gaps)])}"
+            f"{nearest(model, [*self.models, *self._extensions[0].values()])}"
         )
 
     def _refuse_half_models(self, name: str, root: str) -> None:

@@ -126,6 +126,48 @@ def test_an_extended_model_is_exported_with_the_settings_of_its_base(folder):
     assert Folder(folder).matlab("put_there-g") == {"file": None, "u": ["U_p", "U_q", "U_r"]}
 
 
+@pytest.mark.parametrize(
+    "ident, changes, sentence",
+    [
+        ("m-g", {"horizon": [1]}, "config/gaps/g.json: unknown key 'horizon' (did you mean 'horizons'?)"),
+        ("better", {"extended model ID": "better", "effects": ["drug"]}, "config/gaps/g.json: effect 'drug' is not in"),
+        ("better", {"extended model": "better"}, "config/gaps/g.json: unknown key 'extended model'"),
+    ],
+)
+def test_who_asks_for_an_extended_model_is_told_the_fault_of_its_gap(folder, ident, changes, sentence):
+    write(folder, "g", **changes)
+    for ask in (Folder(folder).extended, Folder(folder).portable):
+        with pytest.raises(ConfigError) as told:
+            ask(ident)
+        assert sentence in str(told.value)
+
+
+def test_a_gap_that_is_no_json_is_told_to_who_asks_for_its_model_alone(folder):
+    write(folder, "g", **{"extended model ID": "better"})
+    file = folder / "config/gaps/g.json"
+    file.write_text(file.read_text().removesuffix("}"))
+    with pytest.raises(QuasiError, match=r"config/gaps/g.json is not valid JSON"):
+        Folder(folder).extended("better")
+    project = Folder(folder)
+    assert project.extended("m") is None and project.extended("other") is None
+    with pytest.raises(ConfigError, match="neither config/models/other.json nor"):
+        project.portable("other")
+    write(folder, "h", model="other")  # a fault of its own is not that of another gap
+    with pytest.raises(ConfigError, match="config/gaps/h.json: 'model' is 'other', but neither"):
+        Folder(folder).gap_model("h")
+
+
+def test_an_extended_model_of_a_gap_that_is_faulty_since_is_not_taken_for_one_that_was_put_there(folder):
+    write(folder, "g", horizon=[1])
+    for ident, by in (("m-g", "gap g"), ("other-g", "gap elsewhere")):
+        place = folder / f"models/{ident}/standalone/model.json"
+        place.parent.mkdir(parents=True)
+        place.write_text(json.dumps({"id": ident, "axes": {}, "provenance": {"extended from": "m", "by": by}}))
+    with pytest.raises(ConfigError, match="config/gaps/g.json: unknown key 'horizon'"):
+        Folder(folder).portable("m-g")
+    assert Folder(folder).portable("other-g").endswith("models/other-g/standalone/model.json")
+
+
 def test_two_gaps_may_not_make_the_same_model(folder):
     write(folder, "h", **{"extended model ID": "m-g"})
     with pytest.raises(ConfigError, match="g.json and config/gaps/h.json both make the model 'm-g'"):
