@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from quasi.airframe import from_plain
-from quasi.identification.partition import TRAINING, from_table
+from quasi.identification.partition import fitted
 from quasi.joblog import job
 from quasi.standalone.build import assemble, with_differential_form
 from quasi.standalone.envelope import covered
@@ -33,8 +33,7 @@ def main(
     parts = {Path(path).stem: read_json(path) for path in axes}
     airframe = from_plain(found["airframe"])
     tables = {Path(path).stem: read_table(path) for path in flights}
-    roles_of_rows = from_table(read_table(partition), {key: len(table) for key, table in tables.items()})
-    rows = {key: codes == TRAINING for key, codes in roles_of_rows.items()}
+    rows = fitted(read_table(partition), {key: len(table) for key, table in tables.items()}, parts)
     meta = {
         "id": model,
         "airframe": airframe,

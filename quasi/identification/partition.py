@@ -157,6 +157,19 @@ def judged_rows(
     return codes | (partition(held, validation=held, options=options) if held else {}), aside
 
 
+def fitted(table: pd.DataFrame, rows: Mapping[str, int], axes: Iterable[str]) -> dict[str, np.ndarray]:
+    """Rows that at least one of these axes was fitted to, {flight: (n,) bool}: training rows, where isolation applies
+    those of an axis's regions only.
+
+    table, rows  as for `from_table`, which also tells what is raised
+    """
+    found = {key: np.zeros(count, bool) for key, count in rows.items()}
+    for axis in axes:
+        for key, codes in from_table(table, rows, axis).items():
+            found[key] |= codes == TRAINING
+    return found
+
+
 def from_table(table: pd.DataFrame, rows: Mapping[str, int], axis: str | None = None) -> dict[str, np.ndarray]:
     """Inverse of `to_table` for flights with the given numbers of rows.
 

@@ -1,6 +1,6 @@
 """The region that a model's data covered, and how far outside of it a state lies.
 
-Two limits, both learnt from the training rows:
+Two limits, both learnt from the training rows (where isolation applies, those that some axis was fitted to):
 
 - one range per variable: its 0.01 % to 99.99 % percentile. The variables are the base columns that the model reads and
   those that its terms name (U_p, mu_x, ...), the latter because a combination may be new where each part is not. One
@@ -169,7 +169,7 @@ def covered(
 ) -> dict[str, dict[str, Any]]:
     """What the training data covered, as a model carries it: "envelope" and "joint envelope".
 
-    flights  filtered flights; rows {flight: (n,) bool} the training rows
+    flights  filtered flights; rows {flight: (n,) bool} those that were fitted
     parts    identified axes, whose terms' variables are included beside the state and the rotor speeds
     "envelope" holds per variable its smallest and largest value and percentiles. "joint envelope" holds names, mean,
     whitening (lower triangular, x - mean becomes uncorrelated with unit variance) and limit, the distance within which

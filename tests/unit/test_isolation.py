@@ -3,11 +3,15 @@
 import numpy as np
 import pandas as pd
 import pytest
-from flights import AIRFRAME
+from flights import AIRFRAME, flight
+from made_model import SHARED, TERMS, part
+from programs import script
 
+from quasi.airframe import to_plain
 from quasi.errors import DataError
 from quasi.identification.isolation import excited, peaked, varied, widened
-from quasi.identification.partition import TRAINING, UNUSED, from_table, partition, to_table
+from quasi.identification.partition import EXCITED, TRAINING, UNITS, UNUSED, from_table, partition, to_table
+from quasi.tables import read_json, write_json, write_table
 
 
 def plain_varied(values, threshold, spread):
@@ -126,3 +130,31 @@ def test_missing_axis_and_missing_values():
     assert regions["Fz"]["a"].any()
     with pytest.raises(DataError, match="flight a has no column 'My'"):
         excited(tables, roles, AIRFRAME, ["My"], options)
+
+
+def test_the_covered_region_is_that_of_the_rows_that_were_fitted(tmp_path):
+    main = script("standalone_model").main
+    table = flight(3, rows=2000).assign(u=np.linspace(0.0, 20.0, 2000))
+    parts = {axis: part(axis, TERMS[axis]) for axis in ("Fx", "Fz")}
+    # calm rows are 1200 on, and those of My, which the model does not identify
+    regions = {"Fx": slice(0, 600), "Fz": slice(400, 1200), "My": slice(1500, 2000)}
+    inside = {axis: {"a": np.isin(np.arange(2000), np.arange(2000)[where])} for axis, where in regions.items()}
+    roles = partition({"a": table}, options={"usable data ratio": 1.0, "random partition": False})
+    files = {key: str(tmp_path / key) for key in ("shared.json", "partition.parquet", "a.parquet", "model.json")}
+    write_table(files["a.parquet"], table)
+    write_json(files["shared.json"], {**SHARED, "airframe": to_plain(AIRFRAME), "logged to rad/s": None})
+    for axis, found in parts.items():
+        write_json(tmp_path / f"{axis}.json", found)
+
+    units = UNITS | dict.fromkeys([f"{EXCITED}{axis}" for axis in regions], ("", "", "inside"))
+
+    def covered(excitation):
+        write_table(files["partition.parquet"], to_table(roles, excitation), units)
+        main(
+            [str(tmp_path / f"{axis}.json") for axis in parts], files["shared.json"], files["partition.parquet"],
+            [files["a.parquet"]], {"validation": []}, {"file": None, "u": None}, "m", files["model.json"],
+        )  # fmt: skip
+        return read_json(files["model.json"])["envelope"]["u"]
+
+    assert covered(None)["max"] == 20.0
+    assert covered(inside)["min"] == 0.0 and covered(inside)["max"] == table["u"][1199]
