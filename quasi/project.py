@@ -76,8 +76,11 @@ def read_settings(path: str | Path) -> dict[str, Any]:
     return settings
 
 
-def check_specification(document: dict[str, Any], where: str) -> None:
-    """Refuse a polynomial specification with an expression that means nothing, before flights are processed for it."""
+def check_specification(document: dict[str, Any], where: str, normalised: bool = False) -> None:
+    """Refuse a polynomial specification with an expression that means nothing, before flights are processed for it.
+
+    normalised  whether it is for a non-dimensional model
+    """
     for axis in AXES:
         section = document.get(axis, {})
         parts = {"fixed": section.get("fixed", [])}
@@ -85,7 +88,7 @@ def check_specification(document: dict[str, Any], where: str) -> None:
             parts |= {f"candidates entry {number}, {key}": entry.get(key, []) for key in ("vars", "sets")}
         for part, expressions in parts.items():
             for text in expressions:
-                check_expression(str(text), f"{where}, {axis}, {part}")
+                check_expression(str(text), f"{where}, {axis}, {part}", normalised)
 
 
 def check_model_file(path: Path, shown: str) -> None:

@@ -11,6 +11,7 @@ The manual's Table 2 under its own names and under the spellings of published mo
     roll pitch yaw p q r x y z          attitude wrapped to +-pi, body rates, position
     w1_dot.., w_tot_dot, u_p_dot ..     rotor accelerations, rad/s2, their sum and weighted sums
     battery_voltage, v_in, ...          any further column under its own name
+    F_den M_den                         N and N b of a non-dimensional model, see `quasi.normalisation`
     |name|  sin[name]  cos[name]        of every one of these
 
 Source: QuaSI user manual V1.0.a, Table 2, equations (13) and (15).
@@ -62,6 +63,7 @@ for _unit, _members in {
     (0, 0, 0, 0, 0): ("throttle", *(f"command{i}" for i in range(1, 5))),
 }.items():  # fmt: skip
     _UNITS.update(dict.fromkeys(_members, _unit))
+_SCALES = ("F_den", "M_den")  # of forces and moments, in the non-dimensional scheme alone
 _TARGETS = {
     **dict.fromkeys(("Fx", "Fy", "Fz"), (1, 1, -2, 0, 0)),
     **dict.fromkeys(("Mx", "My", "Mz"), (2, 1, -2, 0, 0)),
@@ -107,17 +109,23 @@ def known_names(columns: Mapping[str, object] | set[str]) -> list[str]:
     return [*made, *(n for n in _AIR if n in have and n not in columns), *(n for n in columns if n not in made)]
 
 
-def check_expression(text: str, place: str) -> None:
+def check_expression(text: str, place: str, normalised: bool = False) -> None:
     """Refuse an expression that cannot be read, or names a variable that no flight can hold.
 
+    normalised  whether the scales of the non-dimensional scheme, F_den and M_den, may stand in it
     Whether the flights at hand hold it shows only once they are read. Raises ExpressionError beginning with `place`.
     """
-    known = {*_MADE_FROM, *_UNITS, *SYNONYMS, *COLUMNS}
+    known = {*_MADE_FROM, *_UNITS, *SYNONYMS, *COLUMNS, *(_SCALES if normalised else ())}
     try:
         found = names(parse(text))
     except ExpressionError as error:
         raise ExpressionError(f"{place}: {error}") from None
     for name in found:
+        if plain_name(name) in _SCALES and not normalised:
+            raise ExpressionError(
+                f"{place}: '{name}' is a scale of non-dimensional models ('normalize data' true), expected variables "
+                "in SI units; leave it out"
+            )
         if plain_name(name) not in known:
             raise ExpressionError(f"{place}: unknown variable '{name}'{nearest(plain_name(name), known)}")
 
@@ -128,12 +136,13 @@ def check_terms(document: object, where: str) -> None:
     Raises ExpressionError naming `where`, axis and term.
     """
     axes = document.get("axes") if isinstance(document, Mapping) else None
+    normalised = isinstance(axes, Mapping) and document.get("normalisation") is not None
     for axis, part in axes.items() if isinstance(axes, Mapping) else ():
         terms = part.get("terms") if isinstance(part, Mapping) else None
         for term in terms if isinstance(terms, list) else ():
             text = term.get("expression") if isinstance(term, Mapping) else None
             if isinstance(text, str):
-                check_expression(text, f"{where}, {axis}, term '{text}'")
+                check_expression(text, f"{where}, {axis}, term '{text}'", normalised)
 
 
 class Variables:

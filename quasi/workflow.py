@@ -236,7 +236,7 @@ class Folder(Recordings):
                 path = folder / base
                 shown = path.relative_to(self.root) if path.is_relative_to(self.root) else path
                 document = self._read(path.resolve() if folder is self.library else shown, "polynomials")
-                check_specification(document, str(shown))
+                check_specification(document, str(shown), self.model(name)["data normalization"]["normalize data"])
                 return shown, document
         # the manual's own paths lead through its library; the standard file of that name is meant
         standard = self.library / "config/polynomials" / base.name

@@ -177,7 +177,7 @@ def covered(
     """
     terms = [
         n for part in (parts or {}).values() for term in part["terms"] for n in names(parse(term["expression"]))
-        if n not in _NOT_LIMITED
+        if plain_name(n) not in _NOT_LIMITED
     ]  # fmt: skip
     # under the non-dimensional scheme every term needs the rotor speeds
     scheme = any(part.get("normalisation") for part in (parts or {}).values())

@@ -9,7 +9,7 @@ import pytest
 from flights import AIRFRAME, HOVER, flight
 from made_model import SHARED
 
-from quasi.errors import ConfigError
+from quasi.errors import ConfigError, ExpressionError
 from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis
 from quasi.identification.partition import partition
@@ -20,7 +20,8 @@ from quasi.standalone.build import assemble
 from quasi.standalone.differential import differential_system
 from quasi.standalone.envelope import covered
 from quasi.standalone.kernel import INPUTS, wrench
-from quasi.standalone.model import Model
+from quasi.standalone.model import Model, read_model
+from quasi.tables import write_json
 from quasi.variables import Variables, base_columns
 
 RADIUS, ARM, TOP, IDLE = AIRFRAME.radius, AIRFRAME.arm, 2000.0, 200.0
@@ -146,6 +147,21 @@ def test_an_equivalent_dimensional_pool_predicts_the_same(flights):
     table = flights["a"]
     a, b = (m.predict_columns(table)["Mx"] for m in models)
     np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-10 * b.std())
+
+
+def test_scales_are_terms_and_the_model_is_read_again(flights, tmp_path):
+    fixed = ["w_tot", "|mu_z|*mu_z", "F_den^0.5", "|M_den|"]
+    found = {"Fz": identify(flights, {"fixed": fixed, "candidates": []}, "Fz", SCHEME, True)}
+    region = covered(flights, {key: np.ones(len(f), bool) for key, f in flights.items()}, AIRFRAME, HOVER, found)
+    model = Model(assemble(found, SHARED, {"id": "m", "airframe": AIRFRAME, **region}))
+    write_json(tmp_path / "model.json", model.document)
+    again, table = read_model(tmp_path), flights["a"]
+    expected = model.predict_columns(table)["Fz"]
+    np.testing.assert_allclose(again.predict_columns(table)["Fz"], expected, rtol=1e-12)
+    np.testing.assert_allclose(expected, table["Fz"], rtol=1e-6)
+    write_json(tmp_path / "model.json", {**model.document, "normalisation": None})
+    with pytest.raises(ExpressionError, match=r"model.json, Fz, term 'F_den\^0.5': 'F_den' is a scale of non-dim"):
+        read_model(tmp_path)
 
 
 def test_intervals_are_in_si_and_hold_their_share(flights):

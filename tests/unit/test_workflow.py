@@ -111,6 +111,18 @@ def test_candidate_file_of_the_project_comes_before_the_standard_one(folder):
         Folder(folder).axis("m", "Fy")
 
 
+def test_scales_of_the_non_dimensional_scheme_are_candidates_of_a_normalised_model_alone(folder):
+    document = {"Fz": {"fixed": ["F_den"], "candidates": [{"vars": ["|M_den|"], "degree": 1, "sets": ["M_den^0.5"]}]}}
+    (folder / "config/polynomials/mine.json").write_text(json.dumps(document))
+    edit_model(folder, identification_parameters={"polynomial specification file": "mine"})
+    with pytest.raises(
+        ExpressionError, match=r"mine\.json, Fz, fixed: 'F_den' is a scale of non-dimensional models \("
+    ):
+        Folder(folder).axis("m", "Fz")
+    edit_model(folder, data_normalization={"normalize data": True})
+    assert Folder(folder).axis("m", "Fz")["specification"]["fixed"] == ["F_den"]
+
+
 @pytest.mark.parametrize(
     "axis, sentence",
     [
