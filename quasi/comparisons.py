@@ -3,6 +3,7 @@
 import functools
 import hashlib
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
@@ -281,9 +282,22 @@ def same_recordings(held: Mapping[str, list[str]], trained: Mapping[str, list[st
 
 
 def recorded_twice(rows: Mapping[str, list[str]]) -> tuple[str, str] | None:
-    """The first two rows that have one recording, by content; None where all differ. rows  as above"""
-    contents = {row: _content(*log) for row, log in rows.items()}
+    """The first two rows that have one recording, by content; None where all differ. rows  as above
+
+    A file that is absent, to be made or empty is known by its path.
+    """
+    sizes = {path: _size(path) for path, _ in rows.values()}
+    often = Counter(sizes.values())
+    # files of unlike sizes differ: only the others are read
+    contents = {
+        row: _content(path, number) if sizes[path] and often[sizes[path]] > 1 else (path, number)
+        for row, (path, number) in rows.items()
+    }
     return next((pair for pair in combinations(contents, 2) if _alike(*(contents[row] for row in pair))), None)
+
+
+def _size(path: str) -> int:
+    return Path(path).stat().st_size if is_file(Path(path)) else 0
 
 
 def _content(path: str, number: str) -> tuple[str, str]:

@@ -8,7 +8,7 @@ import functools
 from pathlib import Path
 from typing import Any
 
-from quasi.comparisons import HELD
+from quasi.comparisons import HELD, recorded_twice
 from quasi.errors import ConfigError, QuasiError, nearest
 from quasi.logbook import Row
 from quasi.project import AXES, check_model_file, check_specification, is_file, with_suffix
@@ -36,6 +36,7 @@ class Folder(Recordings):
                 f"config/models/{name}.json: the rows name several quadrotor configurations "
                 f"({', '.join(sorted(files))}); a model needs one"
             )
+        self._refuse_one_recording(name, everything)
         part = self._part(next((r for r in training if r in sound), training[0]), IDENTIFICATION)
         batteries = self._batteries(name, training)  # a flight that is held out mixes nothing
         masses = [m for m, _ in map(self.mass, training) if m]
@@ -51,6 +52,16 @@ class Folder(Recordings):
             "mixed batteries": batteries,
             "problem": part["problem"],
         }
+
+    def _refuse_one_recording(self, name: str, rows: list[Row]) -> None:
+        """Raises ConfigError for a flight that would train twice, or be judged by what it trained."""
+        logs = {_named(r): [str(self._here(log[0])), log[1]] for r in rows if (log := self._log_of(r))}
+        if twice := recorded_twice(logs):
+            raise ConfigError(
+                f"config/models/{name}.json: {twice[0]} and {twice[1]} have the same recording, but each flight counts "
+                "once, and trains or is held out; leave one out (a row without 'Log number' means the longest log of "
+                "its file)"
+            )
 
     def partitioning(self, name: str) -> dict[str, Any]:
         """How the rows of a model's flights are drawn."""

@@ -205,6 +205,21 @@ def test_different_batteries_are_mixed_when_the_model_says_so(folder):
     assert Folder(folder).identification("m")["mixed batteries"] == ["4S", "6S"]
 
 
+@pytest.mark.parametrize("content", ["one log", ""], ids=["a copy", "the same file"])
+def test_a_recording_that_trains_is_not_held_out_under_another_name(folder, content):
+    (folder / "data/raw/a.bbl").write_text("one log")
+    (folder / "data/raw/b.csv").write_text("another")  # as long
+    assert Folder(folder).identification("m")["flights"] == ["a", "b"]
+    if content:
+        (folder / "data/raw/c.BFL").write_text(content)
+    else:
+        header, *rows = (folder / "data/log.csv").read_text().splitlines()
+        rows[2] = rows[2].replace(",c,", ",a,") + ",again"
+        (folder / "data/log.csv").write_text("\n".join([header + ",Flight key", *rows]) + "\n")
+    with pytest.raises(ConfigError, match=r"m.json: row 2 of log.csv and row 4 of log.csv have the same recording"):
+        Folder(folder).identification("m")
+
+
 @pytest.mark.parametrize("allowed", [False, True])
 def test_the_battery_of_a_flight_that_is_held_out_changes_no_fit(folder, allowed):
     section = {**Folder(folder).model("m")["logging file"], "allow mixed batteries": allowed}
