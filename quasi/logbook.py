@@ -6,7 +6,7 @@ import io
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -97,10 +97,17 @@ def read_logbook(path: str | Path) -> dict[int, Row]:
     if not first.strip(" ,;\t\r"):
         raise LogbookError(f"{path}: the first line is empty; it must hold the names of the columns")
     separator = "," if "," in first else ";" if ";" in first else "\t"
+    # strict: a quote that nothing closes would swallow the rows below it
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
+    lines: list[list[str]] = []
     try:
-        lines = list(csv.reader(io.StringIO(text, newline=""), delimiter=separator))
+        for line in reader:
+            lines.append(line)
     except csv.Error as error:
-        raise LogbookError(f"{path} is not a CSV file ({error}); save the logbook as comma-separated text") from None
+        raise LogbookError(
+            f"{path} row {len(lines) + 1} is not CSV ({error}); close or remove a quote there, or save the logbook as "
+            "comma-separated text from the spreadsheet"
+        ) from None
     header = [c.strip() for c in lines[0]]
     header = [COLUMNS.get(_plain(c), c) for c in header]
     for column in NEEDED:
@@ -117,6 +124,12 @@ def read_logbook(path: str | Path) -> dict[int, Row]:
         cells = {c: v.strip() for c, v in zip(header, line + [""] * len(header)) if c}
         if cells["Onboard Name"]:
             rows[index] = _row(str(path), index, cells)
+            if any(beyond := [c.strip() for c in line[len(header) :]]):
+                problem = (
+                    f"{path} row {index} has {len(line)} cells, but the first line names {len(header)} columns; put a "
+                    f"cell that holds {separator!r} in quotes, or remove what stands beyond ({' '.join(beyond)[:40]!r})"
+                )
+                rows[index] = replace(rows[index], problem=problem)
     _refuse_clashes(rows.values())
     return rows
 
@@ -221,7 +234,8 @@ def pick(rows: Mapping[int, Row], selection: Iterable[Any], where: str, logbook:
         if number not in rows:
             raise LogbookError(
                 f"{where}: row {number} is selected, but {logbook} has flights in rows "
-                f"{_ranges(rows)} (header = row 1, last row {last}); correct the selection or add the row"
+                f"{_ranges(rows)} (header = row 1, last row {last}; a row without 'Onboard Name' holds none); "
+                "correct the selection, or add the row"
             )
     return [rows[n] for n in numbers]
 

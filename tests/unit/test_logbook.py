@@ -50,6 +50,27 @@ def test_missing_column_names_it_and_the_near_one(tmp_path):
         read_logbook(write(tmp_path / "log.csv", header=header))
 
 
+def test_a_selected_row_without_a_log_is_told_why_it_is_none(tmp_path):
+    book = read_logbook(write(tmp_path / "log.csv", flight("a"), flight("")))
+    with pytest.raises(LogbookError, match=r"row 3 is selected.*a row without 'Onboard Name' holds none"):
+        pick(book, ["2-3"], "config/models/x.json", "data/log.csv")
+
+
+@pytest.mark.parametrize("comment", ['"calm', '"calm" air'])
+def test_a_quote_that_nothing_closes_swallows_no_rows(tmp_path, comment):
+    rows = [flight("a"), flight("b", Comments=comment), flight("c"), flight("d")]
+    with pytest.raises(LogbookError, match=r"log.csv row 3 is not CSV .*; close or remove a quote there"):
+        read_logbook(write(tmp_path / "log.csv", *rows))
+    book = read_logbook(write(tmp_path / "log.csv", flight("a", Comments='3" props'), flight("b")))
+    assert book[2].cells["Comments"] == '3" props' and 3 in book
+
+
+def test_a_row_of_more_cells_than_columns_is_a_fault_of_that_row_alone(tmp_path):
+    book = read_logbook(write(tmp_path / "log.csv", flight("a"), flight("b", Comments="calm,cold")))
+    assert "row 3 has 11 cells, but the first line names 10 columns; put a cell that holds ','" in book[3].problem
+    assert book[2].problem is None
+
+
 def test_two_rows_of_one_key_are_refused_and_flight_key_solves_it(tmp_path):
     with pytest.raises(LogbookError, match="rows 2 and 3 both mean flight 'a' of Beetle.*'Flight key'"):
         read_logbook(write(tmp_path / "log.csv", flight("a"), flight("a")))
