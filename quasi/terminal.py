@@ -2,10 +2,11 @@
 
 import logging
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
+from quasi.errors import nearest
 from quasi.joblog import outcome
 
 MOST = 5  # new notes on a flight that are told; the others are counted, with the log that holds them
@@ -129,6 +130,28 @@ class Terminal(logging.Filter):
     def _write(self, text: str) -> None:
         self.stream.write(text + "\n")
         self.stream.flush()
+
+
+class Misnamed(logging.Filter):
+    """Tells a target that no rule makes in a sentence of its own, in place of Snakemake's.
+
+    faults  sentences that are told at the end of the run, to which it is added; known  gives the targets there are
+    """
+
+    def __init__(self, faults: list[str], known: Callable[[], Iterable[str]]):
+        super().__init__()
+        self.faults, self.known = faults, known
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """False for what is told otherwise."""
+        said = re.search(r"^No rule to produce (.+?) \(if you use input functions", str(record.msg), flags=re.M)
+        if not said:
+            return True
+        self.faults.append(
+            f"no rule makes '{said[1]}'{nearest(said[1], self.known())}; correct the target: README.md says under "
+            "'What is where' what can be made, and names hold letters, digits and . _ + - only"
+        )
+        return False
 
 
 def standing(targets: Sequence[str], folder: str | Path) -> str:

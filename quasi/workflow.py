@@ -25,6 +25,12 @@ def _named(row: Row) -> str:
 class Folder(Recordings):
     """A project folder as the rules ask it: its flights, and the settings of each job of its models and simulations."""
 
+    def targets(self) -> list[str]:
+        """What of this folder is usually asked for."""
+        made = [f"models/{m}/standalone" for m in self.models]
+        made += [f"results/simulations/{s}" for s in self.simulations] + [f"results/gaps/{g}" for g in self.gaps]
+        return [*made, "processing"]
+
     def identification(self, name: str) -> dict[str, Any]:
         """Settings that all axes of a model share."""
         training, everything = self.model_flights(name, "training"), self.model_flights(name)

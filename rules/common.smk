@@ -14,7 +14,7 @@ from quasi.errors import QuasiError
 from quasi.joblog import RUN, told
 from quasi.provenance import code_of
 from quasi.project import check_project, check_writable, read_settings
-from quasi.terminal import Terminal, standing
+from quasi.terminal import Misnamed, Terminal, standing
 from quasi.workflow import Folder
 
 PROJECT = os.getcwd()  # at the end of a run it is another one
@@ -60,10 +60,12 @@ if RUN not in os.environ:
     scratch = tempfile.TemporaryDirectory(prefix="quasi-run-")
     os.environ[RUN] = scratch.name
     atexit.register(tell_at_end)
-    if not (workflow.output_settings.dryrun or workflow.output_settings.verbose):
-        # a dry run is asked for Snakemake's own account; the log file of a run keeps it whole
-        for handler in logging.getLogger("snakemake.logging").handlers:
-            if handler.name == "DefaultStreamHandler":
+    quiet = not (workflow.output_settings.dryrun or workflow.output_settings.verbose)
+    for handler in logging.getLogger("snakemake.logging").handlers:
+        if handler.name == "DefaultStreamHandler":
+            handler.addFilter(Misnamed(FAULTS, lambda: FOLDER.targets()))
+            # a dry run is asked for Snakemake's own account; the log file of a run keeps it whole
+            if quiet:
                 TERMINALS.append(Terminal(os.environ[RUN], handler.stream, FAULTS))
                 handler.addFilter(TERMINALS[-1])
 

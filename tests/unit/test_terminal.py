@@ -7,7 +7,7 @@ import pytest
 
 from quasi.errors import ReadError
 from quasi.joblog import LOG, RUN, job, judge
-from quasi.terminal import Terminal, standing
+from quasi.terminal import Misnamed, Terminal, standing
 
 
 @pytest.fixture
@@ -144,3 +144,14 @@ def test_a_fault_that_ends_the_run_in_its_own_words_is_not_told_twice(tmp_path):
     faults.append("config/a.json: unknown key 'b'")
     assert not terminal.filter(said)
     assert terminal.filter(logging.makeLogRecord({"event": "error", "msg": "MissingRuleException: c"}))
+
+
+def test_a_target_that_no_rule_makes_is_told_with_the_nearest():
+    faults = []
+    told = Misnamed(faults, lambda: ["models/small/standalone", "processing"])
+    said = (
+        "MissingRuleException:\nNo rule to produce models/small (if you use input functions make sure that they ...)."
+    )
+    assert not told.filter(logging.makeLogRecord({"msg": said, "event": "error"}))
+    assert faults[0].startswith("no rule makes 'models/small' (did you mean 'models/small/standalone'?); correct the")
+    assert told.filter(logging.makeLogRecord({"msg": "Building DAG of jobs..."})) and len(faults) == 1

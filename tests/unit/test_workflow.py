@@ -85,6 +85,12 @@ def test_mass_is_grams_in_the_logbook_and_else_the_quadrotors(folder):
     assert masses == {"a": pytest.approx(0.450), "b": pytest.approx(0.433), "c": pytest.approx(0.433)}
 
 
+def test_the_folder_lists_what_is_usually_asked_for(folder):
+    targets = Folder(folder).targets()
+    assert "models/m/standalone" in targets and "processing" in targets
+    assert "results/gaps/my_gap" in targets and "results/simulations/my_simulation" in targets
+
+
 def test_training_and_validation_flights_are_disjoint(folder):
     project = Folder(folder)
     assert [r.key for r in project.model_flights("m", "training")] == ["a", "b"]

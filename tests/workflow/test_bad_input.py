@@ -135,6 +135,13 @@ def test_unknown_model_names_the_known(project):
     assert "config/models/smal.json does not exist (did you mean 'small'?" in last_line(text)
 
 
+@pytest.mark.parametrize("mode", ["-n", "-j1"])
+def test_a_target_that_no_rule_makes_names_the_nearest(project, mode):
+    code, text = project.snakemake(mode, "models/small")
+    assert code != 0
+    assert "[ERROR] no rule makes 'models/small' (did you mean 'models/small/standalone'?" in last_line(text)
+
+
 def test_a_slip_in_the_folders_name_is_told_with_the_folder(tmp_path):
     slip = Project(tmp_path)
     slip.house.symlink_to(ROOT)
