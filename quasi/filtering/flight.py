@@ -161,6 +161,8 @@ def filter_flight(
     position = imported[["x", "y", "z"]].to_numpy(float) if {"x", "y", "z"} <= set(imported) else None
     factor = airframe.logged_to_rad_s or imported_metadata.get("logged to rad/s")
     idle = airframe.idle_rpm * factor if airframe.idle_rpm and factor else None
+    if airframe.idle_rpm and idle is None and speeds is not None:
+        notes.append("'idle RPM' is in eRPM/100 and the quadrotor's 'motor poles' are unknown: rest is told without it")
     found = biases.phases(
         imu.gyro, imu.accel, imu.lost, measurements.resolution(imported_metadata), speeds, position, idle, dt
     )

@@ -247,7 +247,6 @@ def _rotor_speeds(raw, header, poles: int | None, known, out: Resolved) -> None:
         turning = [i for i in _MOTORS if f"{name}[{i}]" in raw and (i < 4 or np.nanmax(raw[f"{name}[{i}]"]) > 0)]
         _speeds(raw, name, turning, 1.0, name, out)
         out.about["motor poles"] = {"value": None, "source": "not needed, the log holds mechanical speeds"}
-        out.about["logged to rad/s"] = 1.0
         return
     if "eRPM[0]" in raw:
         name, motors = "eRPM", _MOTORS

@@ -124,8 +124,7 @@ def import_flight(
         "streams": _streams(board, capture, sync, facts["start"]["value"]),
         "synchronisation": sync.metadata() if sync else None,
         "motor poles": magnets,
-        "logged to rad/s": recording.metadata.get("logged to rad/s")
-        or (erpm100_to_rad_s(int(magnets["value"])) if magnets.get("value") else None),
+        "logged to rad/s": erpm100_to_rad_s(int(magnets["value"])) if magnets.get("value") else None,
         "rest before take-off": {"value": board.rest_seconds, "unit": "s"},
         "rotor telemetry": telemetry,
         "options": chosen,
