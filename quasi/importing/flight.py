@@ -125,7 +125,6 @@ def import_flight(
         "synchronisation": sync.metadata() if sync else None,
         "motor poles": magnets,
         "logged to rad/s": erpm100_to_rad_s(int(magnets["value"])) if magnets.get("value") else None,
-        "rest before take-off": {"value": board.rest_seconds, "unit": "s"},
         "rotor telemetry": telemetry,
         "options": chosen,
         "calibration": calibration,
@@ -257,23 +256,32 @@ def _fuse(
 ) -> tuple[pd.DataFrame, dict[str, Any]]:  # fmt: skip
     """Everything on one grid over the common span; and what became of each source."""
     rate = float(chosen["resampling rate"])
-    spans = [board.gyro.t, board.force.t] + ([board.rotors.t] if board.rotors is not None else [])
+    spans = {"gyro": board.gyro.t, "accelerometer": board.force.t}
+    if board.rotors is not None:
+        spans["rotor telemetry"] = board.rotors.t
     if capture is not None:
         there = sync.to_onboard(capture.t) if sync else capture.t
-        seen = np.isfinite(capture.values["x"])
-        spans.append(there[seen])
-    begin, end = max(s[0] for s in spans), min(s[-1] for s in spans)
+        spans["capture"] = there[np.isfinite(capture.values["x"])]
+    latest, earliest = max(spans, key=lambda n: spans[n][0]), min(spans, key=lambda n: spans[n][-1])
+    begin, end = spans[latest][0], spans[earliest][-1]
     if end - begin < 1.0:
         raise DataError(
-            f"{where}: on-board log ({board.gyro.t[0]:.1f} to {board.gyro.t[-1]:.1f} s) and capture have "
+            f"{where}: its sources ({', '.join(f'{n} {t[0]:.1f} to {t[-1]:.1f} s' for n, t in spans.items())}) have "
             f"{max(0.0, end - begin):.1f} s in common, at least 1 s is needed; "
-            "check that both files are of the same flight"
+            "check that they are of the same flight"
         )
     logged = board.gyro.t[-1] - board.gyro.t[0]
-    if capture is not None and logged - (end - begin) > max(1.0, 0.1 * logged):
+    cut = [(latest, "begins", begin - board.gyro.t[0]), (earliest, "ends", board.gyro.t[-1] - end)]
+    # a capture is started and stopped by hand; what is logged on board ought to be there all along
+    if logged - (end - begin) > max(1.0, 0.1 * logged) or any(s > 1.0 for name, _, s in cut if name != "capture"):
+        told = " and ".join(
+            f"{s:.1f} s {'before' if does == 'begins' else 'after'} the {name} {does}"
+            for name, does, s in cut
+            if s >= 0.05
+        )
         notes.append(
-            f"{where}: the sources share {end - begin:.1f} s of the {logged:.1f} s that were logged on board (from "
-            f"{begin - board.gyro.t[0]:.1f} s on); the rest is left out"
+            f"{where}: the sources share {end - begin:.1f} s of the {logged:.1f} s that were logged on board; left out "
+            f"are {told}"
         )
     at = grid(begin, end, rate)
     columns: dict[str, np.ndarray] = {"t": at - at[0]}
@@ -326,6 +334,7 @@ def _fuse(
         "position source": sources["position source"],
         "velocity source": sources["velocity source"].split(",")[0],
         "start": {"value": float(at[0]), "unit": "s", "clock": "on board, since its first gyro sample"},
+        "rest before take-off": {"value": _rest_kept(board, begin, end), "unit": "s"},
         "corrections": {
             f"{what} filter delay": {**board.delays[what], "applied": board.delays[what]["value"] > 0}
             for what in ("gyro", "accelerometer")
@@ -337,6 +346,12 @@ def _fuse(
     }
     order = sorted(columns, key=lambda name: (_ORDER.index(name) if name in _ORDER else len(_ORDER), name))
     return pd.DataFrame({name: columns[name] for name in order}), facts
+
+
+def _rest_kept(board: Onboard, begin: float, end: float) -> float:
+    """Seconds of the rest at the log's start that lie between begin and end, s on the on-board clock."""
+    start = float(board.gyro.t[0])
+    return max(0.0, min(start + board.rest_seconds, end) - max(start, begin))
 
 
 def _tied(board: Onboard, sync: Synchronisation | None) -> np.ndarray:

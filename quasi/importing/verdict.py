@@ -48,7 +48,7 @@ def verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) ->
     sync = metadata["synchronisation"]
     if sync and (sync["lag"]["std"] > 0.005 or min(sync["explained variance"].values()) < 0.5):
         care.append(f"the capture's lag is known to {1e3 * sync['lag']['std']:.1f} ms only")
-    if board.rest_seconds < 1.0:
+    if metadata["rest before take-off"]["value"] < 1.0:
         care.append("it has no rest before take-off, so sensor biases rest on the flight itself")
     care += doubts(metadata["notes"])
     if bad:

@@ -105,7 +105,8 @@ def test_a_capture_shorter_than_the_flight(asked):
     edit(asked, lambda lines: lines[:7] + lines[7 + 9 * 120 : 7 + 17 * 120])
     frame, about = load(asked)
     assert frame["t"].iloc[-1] < 8.1
-    assert any("the sources share" in n and "the rest is left out" in n for n in about["notes"])
+    said = next(n for n in about["notes"] if "the sources share" in n)
+    assert "left out are" in said and "before the capture begins and" in said and "after the capture ends" in said
 
 
 def test_a_capture_that_ended_before_the_flight_began(asked):

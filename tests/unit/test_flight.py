@@ -197,6 +197,27 @@ def test_a_lost_span_of_the_log_is_flagged(tmp_path):
     assert "lost" in about["verdict because"]
 
 
+def test_rotor_speeds_that_begin_late_and_end_early_are_said_with_what_they_cost(tmp_path):
+    truth = body(20.0, rate=500.0)
+    still = truth.t < 5.0
+    truth.rates[still], truth.force[still] = 0.0, [0.0, 0.0, -9.81]
+    flight, quadrotor = table_flight(tmp_path, truth, imu(truth))
+    table = pd.read_csv(flight["onboard"])
+    turning = (truth.t > 3.0) & (truth.t < 18.0)
+    wave = np.sin(2 * np.pi * 3.0 * truth.t)
+    speeds = {f"w{i}": np.where(turning, 1500.0 + 20 * i * wave, np.nan) for i in range(1, 5)}
+    table.assign(**speeds, stamp=np.where(turning, truth.t, np.nan)).to_csv(flight["onboard"], index=False)
+    quadrotor["table columns"]["sources"].append({"name": "esc", "time": "stamp", "columns": {n: n for n in speeds}})
+    frame, about = import_flight(flight, quadrotor, {})
+    assert frame["t"].iloc[-1] == pytest.approx(15.0, abs=0.01)
+    assert about["start"]["value"] == pytest.approx(3.0, abs=0.01)
+    said = next(n for n in about["notes"] if "the sources share 15.0 s of the 20.0 s" in n)
+    assert said.endswith(
+        "left out are 3.0 s before the rotor telemetry begins and 2.0 s after the rotor telemetry ends"
+    )
+    assert about["rest before take-off"]["value"] == pytest.approx(2.0, abs=0.6)  # 5 s, of which 3 s are left out
+
+
 def test_logged_position_and_velocity_serve_where_nothing_captured(tmp_path):
     truth = body(10.0, rate=200.0)
     speed = np.gradient(truth.position, truth.t, axis=0)
