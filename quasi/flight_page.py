@@ -251,6 +251,8 @@ def _timing(m: Section) -> list[tuple[str, object]]:
             rows.append(
                 (name, f"{report.with_error(c['value'], c.get('std'), 'ms', 1e3)} undone ({', '.join(c['filters'])})")
             )
+        elif name.endswith("delay") and c and not c.get("known", True):
+            rows.append((name, f"not known, taken as {report.with_error(c['value'], c['std'], 'ms', 1e3)}"))
         elif name == "imu position" and c:
             rows.append(("IMU position", f"{c['value']} m, corrected for"))
     rotors = m.get("rotor telemetry")

@@ -28,6 +28,8 @@ RPM_NOTCHES = (
     ("gyro_rpm_notch_harmonics", "gyro_rpm_notch_q", "gyro_rpm_notch_min"),
     ("rpm_filter_harmonics", "rpm_filter_q", "rpm_filter_min_hz"),
 )
+# s: what the filters of usual settings add up to, which is how wrong 0 may be where a header says nothing of them
+USUAL_GYRO, USUAL_ACCELEROMETER = 2e-3, 20e-3
 
 
 def delay(kind: str, cutoff: float) -> float:
@@ -45,9 +47,11 @@ def notch_delay(centre: float, quality: float) -> float:
 
 
 def header_delays(header: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """{"gyro" | "accelerometer": {"value" s, "std" s, "unit", "filters"}} from a blackbox header; what it lacks is off.
+    """{"gyro" | "accelerometer": {"value" s, "std" s, "unit", "known", "filters"}} from a blackbox header.
 
     A dynamic low-pass is taken at its lowest cut-off, where it sits at low throttle; the true delay is then smaller.
+    A filter that the header lacks beside others is off. Where it says nothing of any filter of a sensor, the delay is
+    not known: 0, with what the filters of usual settings add up to as its standard error.
     """
     gyro: list[str] = []
     total = doubt = 0.0
@@ -65,15 +69,24 @@ def header_delays(header: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     for name, late, unsure in _notches(header):
         gyro.append(name)
         total, doubt = total + late, doubt + unsure
+    named = {name for stage in (*STAGES, *RPM_NOTCHES) for name in stage} | {"gyro_notch_hz", "dyn_notch_min_hz"}
+    gyro_known, force_known = not named.isdisjoint(header), "acc_lpf_hz" in header
     cutoff = _number(header.get("acc_lpf_hz"))
     cutoff = cutoff / 100 if cutoff > 500 else cutoff  # until version 4.2 the header holds hundredths of a hertz
     kind = "biquad" if (version(header) or (4, 3)) < (4, 3) else "PT2"
     return {
-        "gyro": {"value": total, "std": doubt, "unit": "s", "filters": gyro},
+        "gyro": {
+            "value": total,
+            "std": doubt if gyro_known else USUAL_GYRO,
+            "unit": "s",
+            "known": gyro_known,
+            "filters": gyro,
+        },
         "accelerometer": {
             "value": delay(kind, cutoff) if cutoff else 0.0,
-            "std": 0.0,
+            "std": 0.0 if force_known else USUAL_ACCELEROMETER,
             "unit": "s",
+            "known": force_known,
             "filters": [f"{kind} {cutoff:g} Hz"] if cutoff else [],
         },
     }

@@ -435,16 +435,18 @@ def _settle_telemetry(board: Onboard, where: str, notes: list[str]) -> tuple[Onb
     if age is None:
         notes.append(f"{where}: too little flying with all rotors to tell the age of the rotor telemetry; taken as 0")
         return board, None
-    sharp = age.std < SHARP_AGE and age.explained > YAW_EXPLAINED and age.value > LEAST_AGE
+    # the gyro's own delay may be wrong by this much; what is left of it makes the telemetry seem younger
+    late = board.delays["gyro"]["std"]
+    sharp = age.std < SHARP_AGE and age.explained > YAW_EXPLAINED and age.value > min(LEAST_AGE, -late)
     about = {
-        "age": {"value": age.value, "std": age.std, "unit": "s"},
+        "age": {"value": age.value, "std": float(np.hypot(age.std, late)), "unit": "s"},
         "explained variance": age.explained,
         "applied": sharp,
     }
     if not sharp:
         notes.append(
             f"{where}: the age of the rotor telemetry is not told by this flight ({1e3 * age.value:.1f} +- "
-            f"{1e3 * age.std:.1f} ms); taken as 0. Quick yaw inputs would tell it"
+            f"{1e3 * about['age']['std']:.1f} ms); taken as 0. Quick yaw inputs would tell it"
         )
         return board, about
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from quasi.airframe import number
 from quasi.attitude import interpolate
+from quasi.doubt import doubt
 from quasi.errors import DataError, ReadError
 from quasi.importing.blackbox import read_blackbox
 from quasi.importing.decoded import read_decoded
@@ -39,7 +40,8 @@ class Onboard:
     """The on-board side of a flight, times in s since the gyro's first sample.
 
     attitude_source  "onboard" (logged) or "estimated on board"
-    delays           of gyro and accelerometer by the controller's own filters, s, taken off their times
+    delays           of gyro and accelerometer by the controller's own filters, s, taken off their times; with their
+                     standard errors and whether they are known (see `filter_delays.header_delays`)
     others           {quantity: Track (n, 1)} of everything that is not motion
     """
 
@@ -130,12 +132,7 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
         if track is None or np.count_nonzero(np.isfinite(track.values).all(axis=1)) < 20:
             raise DataError(f"{where}: the on-board log holds no {what}; log it, nothing can be identified without")
     gyro, force = _finite(gyro), _finite(force)
-    delays = header_delays(recording.metadata.get("header", {}))
-    for quantity, about in delays.items():
-        field_used = recording.metadata.get("units", {}).get(quantity, {}).get("field", "")
-        if field_used.endswith("afterRpm"):
-            # taken before the low-pass filters
-            about |= {"value": 0.0, "filters": []}
+    delays = _delays(recording, where, notes)
     attitude, source, rest = _find(series, ATTITUDE), "onboard", 0.0
     at_gyro = np.stack([np.interp(gyro.t, force.t, v) for v in force.values.T], axis=-1)
     try:
@@ -181,6 +178,28 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
         rotors=moved(rotors),
         delays=delays,
     )
+
+
+def _delays(recording: Recording, where: str, notes: list[str]) -> dict[str, Any]:
+    """How late the controller's filters make gyro and accelerometer, s; a table comes as its columns are."""
+    header = recording.metadata.get("header")
+    delays = header_delays(header or {})
+    for quantity, about in delays.items():
+        field_used = recording.metadata.get("units", {}).get(quantity, {}).get("field", "")
+        if field_used.endswith("afterRpm"):
+            # taken before the low-pass filters
+            about |= {"value": 0.0, "filters": []}
+        if header is None or (field_used.endswith("afterRpm") and not about["known"]):
+            about |= {"std": 0.0, "known": True}
+    unknown = {quantity: about["std"] for quantity, about in delays.items() if not about["known"]}
+    if unknown:
+        doubt(
+            notes,
+            f"{where}: the log does not say how {' and '.join(unknown)} were filtered on board; the delay is taken as "
+            f"{' and '.join(f'0 +- {1e3 * std:g} ms' for std in unknown.values())}. Give the .bbl as the controller "
+            "wrote it, or a CSV with its header, to have it taken off",
+        )
+    return delays
 
 
 def _finite(track: Track) -> Track:

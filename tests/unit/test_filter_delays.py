@@ -4,8 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from test_decoded import tool_csv
 
+from quasi.doubt import doubts
 from quasi.importing.filter_delays import delay, header_delays, notch_delay
+from quasi.importing.onboard_log import gather, read_onboard
 
 
 def measured(kind, cutoff, rate=100000.0):
@@ -43,7 +46,6 @@ def test_header_names_of_both_generations_are_understood():
     new = header_delays({"gyro_lpf1_static_hz": 250, "gyro_lpf1_dyn_hz": [0, 0], "gyro_lpf2_static_hz": 500})
     assert new["gyro"]["value"] == pytest.approx((1 / 250 + 1 / 500) / (2 * math.pi))
     assert new["accelerometer"]["value"] == 0.0
-    assert header_delays({})["gyro"]["value"] == 0.0
 
 
 def test_notch_delay_equals_its_phase_slope():
@@ -63,7 +65,32 @@ def test_what_moves_in_flight_leaves_a_doubt_and_what_does_not_leaves_none():
     # rotors turn at 100 to 400 Hz: four notches of one to a quarter of the delay at 100 Hz
     assert found["value"] - found["std"] == pytest.approx(notch_delay(100.0, 5.0))
     assert found["value"] + found["std"] == pytest.approx(4 * notch_delay(100.0, 5.0))
-    assert header_delays({**rotors, "dshot_bidir": 0})["gyro"] == header_delays({})["gyro"]
+    assert header_delays({**rotors, "dshot_bidir": 0})["gyro"] == header_delays({"gyro_lpf1_static_hz": 0})["gyro"]
     fixed = header_delays({"gyro_notch_hz": [150, 0], "gyro_notch_cutoff": [100, 0]})["gyro"]
     assert fixed["value"] == pytest.approx(notch_delay(150.0, 150 * 100 / (150**2 - 100**2)))
     assert fixed["std"] == 0.0
+
+
+def test_filters_that_a_header_does_not_tell_are_not_known_and_those_it_turns_off_are():
+    for sensor in header_delays({}).values():
+        assert sensor["value"] == 0.0 and sensor["std"] >= 2e-3 and not sensor["known"]
+    off = header_delays({"gyro_lowpass_hz": 0, "acc_lpf_hz": 0})
+    for sensor in off.values():
+        assert sensor["value"] == sensor["std"] == 0.0 and sensor["known"]
+    half = header_delays({"acc_lpf_hz": 25})
+    assert half["accelerometer"]["known"] and not half["gyro"]["known"]
+
+
+def test_a_decoded_log_without_its_header_leaves_the_delays_in_doubt(tmp_path):
+    flight = {"flight": "f", "flight controller": "betaflight", "onboard": str(tmp_path / "log.csv")}
+    text, notes = tool_csv(rows=600), []
+    (tmp_path / "log.csv").write_text(text)
+    board = gather(read_onboard(flight, {}, 14), "f", notes)
+    assert board.delays["gyro"]["std"] == board.motion().gyro_doubt == 2e-3
+    assert board.motion().accelerometer_doubt == 20e-3
+    assert any("gyro and accelerometer were filtered on board" in n and "Give the .bbl" in n for n in doubts(notes))
+    (tmp_path / "log.csv").write_text('"gyro_lpf1_static_hz","250"\n"acc_lpf_hz","0"\n' + text)
+    notes.clear()
+    told = gather(read_onboard(flight, {}, 14), "f", notes).delays
+    assert told["gyro"]["value"] > 0.0 and told["gyro"]["std"] == told["accelerometer"]["std"] == 0.0
+    assert not any("filtered on board" in n for n in notes)

@@ -34,7 +34,10 @@ def flight():
         "attitude source": "onboard",
         "position source": "none",
         "velocity source": "none",
-        "corrections": {"gyro filter delay": {"value": 1e-3, "std": 2e-4, "filters": ["PT1 160 Hz"]}},
+        "corrections": {
+            "gyro filter delay": {"value": 1e-3, "std": 2e-4, "filters": ["PT1 160 Hz"]},
+            "accelerometer filter delay": {"value": 0.0, "std": 0.02, "known": False, "filters": []},
+        },
         "rest before take-off": {"value": 1.0},
         "notes": ["data/<log>.bbl: 3 rows & more were lost"],
         "saturation": {
@@ -64,6 +67,7 @@ def test_page_is_whole_in_itself_and_escapes_what_files_bring(flight):
     assert "&lt;log&gt;.bbl: 3 rows &amp; more were lost" in text
     assert "time, motor[0..1]" in text
     assert "1.00 ± 0.20 ms undone (PT1 160 Hz)" in text
+    assert "not known, taken as 0 ± 20 ms" in text
     assert "1, at 1.99 to 2.60 s" in text
     assert "16.00 V to" not in text and "15.95 V to 15.55 V" in text
     assert "0.573 ± 0.057" in text

@@ -54,15 +54,21 @@ def test_short_or_grounded_record_tells_nothing():
     assert rotor_age(t_rotor, speeds, t, rates) is None
 
 
-@pytest.mark.parametrize(("age", "taken"), [(0.004, True), (-0.0005, True), (-0.0099, False)])
-def test_telemetry_that_would_run_ahead_of_the_motion_is_not_corrected(age, taken, monkeypatch):
+@pytest.mark.parametrize(
+    ("age", "late", "taken"),
+    [(0.004, 0.0, True), (-0.0005, 0.0, True), (-0.0015, 0.0, False), (-0.0015, 2e-3, True), (-0.0099, 2e-3, False)],
+)
+def test_telemetry_that_would_run_ahead_of_the_motion_is_not_corrected(age, late, taken, monkeypatch):
+    """By more than the gyro's own delay is uncertain, which is part of the age's standard error."""
     t = np.arange(100) / 100.0
     track = Track(t, np.zeros((100, 4)))
-    board = Onboard(track, track, track, "onboard", 0.0, None, None, None, {"w1": track}, track)
+    delays = {"gyro": {"std": late}}
+    board = Onboard(track, track, track, "onboard", 0.0, None, None, None, {"w1": track}, track, delays)
     monkeypatch.setattr(importing, "rotor_age", lambda *_: Age(age, 1e-4, 0.99))
     notes = []
     settled, about = importing._settle_telemetry(board, "here", notes)
     assert about["applied"] == taken and bool(notes) != taken
+    assert about["age"]["std"] == pytest.approx(np.hypot(1e-4, late))
     expected = t - (age if taken else 0.0)
     np.testing.assert_allclose(settled.rotors.t, expected)
     np.testing.assert_allclose(settled.others["w1"].t, expected)
