@@ -24,6 +24,7 @@ from quasi.importing.blackbox_header import hex_float, plain_header
 from quasi.importing.blackbox_units import DEG, WANTED, debug_mode, resolve
 from quasi.importing.external import external_series
 from quasi.importing.series import Recording, Series
+from quasi.importing.streams import unwrapped
 from quasi.tables import read_text
 
 STANDARD_GRAVITY = 9.80665  # what blackbox_decode multiplies g with
@@ -153,7 +154,8 @@ def _header(lines: list[str]) -> dict[str, str]:
         name, *values = _cells(line) or [""]
         if name and values:
             key = plain.get(re.sub(r"[^a-z0-9]", "", name.lower()), name)
-            header.setdefault(key, ",".join(values).strip("[]"))
+            # a spreadsheet fills every line up to the longest
+            header.setdefault(key, ",".join(values).rstrip(",").strip("[]"))
     return header
 
 
@@ -199,20 +201,26 @@ def _time(values: np.ndarray, unit: str, path: str, notes: list[str]) -> tuple[n
     factors = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "": 1e-6}
     if unit not in factors:
         raise ReadError(f"{path}: column 'time' has the unit '{unit}', expected s, ms or us")
+    values, turns = unwrapped(values)
+    if turns:
+        notes.append(f"column 'time' starts again from 0 {turns} times as a counter of 32 bits does; it was carried on")
     good = np.isfinite(values) & (np.abs(values) < 1e15)
-    highest = np.maximum.accumulate(np.where(good, values, -np.inf))
-    good &= values > np.append(-np.inf, highest[:-1])
+    highest = np.append(-np.inf, np.maximum.accumulate(np.where(good, values, -np.inf))[:-1])
+    repeated = good & (values == highest)
+    good &= values > highest
     if not good.any():
         raise ReadError(f"{path} holds no row with a time; decode the log again")
-    stepped = good.size - np.count_nonzero(good)
-    if stepped > MOST_BACK * good.size:
-        first = int(np.flatnonzero(~good)[0])
+    if repeated.any():
+        notes.append(f"{int(repeated.sum())} rows repeat the time of the row before; they were dropped")
+    back = ~good & ~repeated
+    if np.count_nonzero(back) > MOST_BACK * good.size:
+        first = int(np.flatnonzero(back)[0])
         raise ReadError(
-            f"{path}: {100 * stepped / good.size:.0f} % of the rows have no time or step back in time, the first is "
+            f"{path}: {100 * np.mean(back):.0f} % of the rows have no time or step back in time, the first is "
             f"sample {first + 1}; its clock starts again, or one time is damaged: split or mend the file"
         )
-    if not good.all():
-        notes.append(f"{int((~good).sum())} rows have no time or step back in time; they were dropped")
+    if back.any():
+        notes.append(f"{int(back.sum())} rows have no time or step back in time; they were dropped")
     t = values[good]
     factor = factors[unit]
     if not unit and len(t) > 1 and np.median(np.diff(t)) < 1.0:

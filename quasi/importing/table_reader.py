@@ -21,6 +21,7 @@ from quasi.importing.artefacts import spikes
 from quasi.importing.clocks import ClockFit
 from quasi.importing.contradictions import doubtful_units
 from quasi.importing.series import Recording, Series
+from quasi.importing.streams import unwrapped
 from quasi.importing.table_mapping import EULER, QUATERNION, VECTORS, Source, read_mapping
 from quasi.importing.telemetry import acceleration_lag, rotor_lag
 from quasi.tables import read_bytes, read_table
@@ -55,7 +56,7 @@ def read_table_log(
     main = next(r for r in raw if "p" in r.values and not r.source.capture)
     rows = None
     if plan.clock is not None and plan.clock[0] in table:
-        rows = _numbers(table[plan.clock[0]], path, plan.clock[0], notes) * plan.clock[1]
+        rows = _times(table, plan.clock, path, notes)
     elif any(r.source.clock is None for r in raw):
         raise _missing(path, [plan.clock[0]], "time of the rows", table)
     about: dict[str, Any] = {}
@@ -151,6 +152,17 @@ def _numbers(column: pd.Series | pd.DataFrame, path: Path, name: str, notes: lis
     return np.where(np.isfinite(values) & ~absurd, values, np.nan)
 
 
+def _times(table: pd.DataFrame, clock: tuple[str, float], path: Path, notes: list[str]) -> np.ndarray:
+    """A column of time, s, by its name and factor; a counter of 32 bits that starts again is carried on."""
+    name, factor = clock
+    values, turns = unwrapped(_numbers(table[name], path, name, notes))
+    if turns:
+        notes.append(
+            f"{path}: column '{name}' starts again from 0 {turns} times as a counter of 32 bits does; it was carried on"
+        )
+    return values * factor
+
+
 def _missing(path: Path, aliases: list[str] | tuple[str, ...], meant: str, table: pd.DataFrame) -> ReadError:
     names = " or ".join(f"'{a}'" for a in aliases)
     return ReadError(
@@ -193,10 +205,9 @@ class _Raw:
                     f"{path}: the column mapped to {quantity} is empty; map another one or make it optional"
                 )
         if source.clock is not None:
-            name, factor = source.clock
-            if name not in table.columns:
-                raise _missing(path, [name], f"time of source '{source.name}'", table)
-            self.stamps = _numbers(table[name], path, name, notes) * factor
+            if source.clock[0] not in table.columns:
+                raise _missing(path, [source.clock[0]], f"time of source '{source.name}'", table)
+            self.stamps = _times(table, source.clock, path, notes)
         self.report: dict[str, Any] = {
             "clock": source.clock[0] if source.clock else "rows",
             "motion capture": source.capture,

@@ -143,6 +143,30 @@ def test_viewer_export_is_read_with_its_own_header(tmp_path):
     assert first(read(tmp_path, viewer_csv(), poles=14))["w3"] == pytest.approx(300 * erpm100_to_rad_s(14))
 
 
+def test_header_lines_that_a_spreadsheet_filled_up_say_the_same(tmp_path):
+    at = viewer_csv().index('"loopIteration"')
+    filled = viewer_csv()[:at].replace("\n", "," * 18 + "\n") + viewer_csv()[at:]
+    plain, padded = read(tmp_path, viewer_csv()), read(tmp_path, filled)
+    assert first(padded) == first(plain)
+    assert padded.notes == plain.notes
+
+
+def test_rows_that_repeat_a_time_are_dropped_however_many(tmp_path):
+    names, *rows = tool_csv().splitlines()
+    recording = read(tmp_path, "\n".join([names, *[row for row in rows for _ in range(3)]]))
+    assert len(recording.series["onboard"].t) == 50
+    assert "100 rows repeat the time of the row before; they were dropped" in recording.notes
+
+
+def test_a_counter_of_32_bits_that_starts_again_is_carried_on(tmp_path):
+    names, *rows = tool_csv().splitlines()
+    cells = [row.split(", ", 2) for row in rows]
+    turned = [f"{i}, {(int(t) - 5_020_000) % 2**32}, {more}" for i, t, more in cells]
+    recording = read(tmp_path, "\n".join([names, *turned]))
+    assert np.diff(recording.series["onboard"].t) == pytest.approx(np.full(49, 1e-3))
+    assert any("starts again from 0 1 times" in note for note in recording.notes)
+
+
 def debug_csv(follow):
     rng = np.random.default_rng(0)
     names = TOOL_NAMES + ", debug[0], debug[1], debug[2], debug[3]"

@@ -147,6 +147,16 @@ def test_a_clock_of_another_epoch_is_brought_over_by_the_shared_rows(tmp_path, f
     assert any("keeps another time" in n for n in recording.notes)
 
 
+def test_a_clock_of_32_bits_that_starts_again_is_carried_on(tmp_path, flown):
+    truth, _, table = flown
+    plan = copy.deepcopy(PLAN)
+    plan["sources"][0]["time"] = {"column": "us", "unit": "us"}
+    table["us"] = (np.round(1e6 * truth.t).astype(int) - 3_000_000) % 2**32
+    recording = read_table_log(saved(tmp_path, table), plan, 14)
+    assert recording.series["onboard"].t == pytest.approx(truth.t, abs=1e-6)
+    assert any("'us' starts again from 0 1 times" in n for n in recording.notes)
+
+
 def test_late_stamps_of_one_source_are_found_from_the_motion(tmp_path):
     truth = body(30.0, rate=200.0, seed=4)
     # four rotors that make the roll and pitch acceleration, logged with stamps 25 ms early
