@@ -5,7 +5,9 @@ and sources on different clocks are brought onto the clock of the gyro's source,
 the motion that both saw.
 """
 
+import codecs
 import io
+import re
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -24,12 +26,13 @@ from quasi.importing.series import Recording, Series
 from quasi.importing.streams import unwrapped
 from quasi.importing.table_mapping import EULER, QUATERNION, VECTORS, Source, read_mapping
 from quasi.importing.telemetry import acceleration_lag, rotor_lag
-from quasi.tables import read_bytes, read_table
+from quasi.tables import read_bytes, read_table, read_text
 
 HALF_TURN = np.array([1.0, -1.0, -1.0])  # half a turn about x: FLU to FRD, z-up to NED
 LONGEST_HOLD = 10  # rows; a row clock's values that stay the same for longer are believed (rest, coarse quantisation)
 LONGEST_WAIT = 0.2  # s; messages that crowd after a longer wait are left where they are
 ABSURD = 1e30  # beyond any unit and any clock
+DECIMAL_COMMA = r"[+-]?[0-9]*(?:,[0-9]*)?(?:[eE][+-]?[0-9]+)?"
 STRAY = 1.0  # s; a few samples beyond a gap longer than this at either end are left out
 
 
@@ -98,6 +101,11 @@ def _open(path: Path, notes: list[str]) -> pd.DataFrame:
     data = read_bytes(path)
     if data[:4] == b"PAR1":
         return read_table(path)
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        data = read_text(path).encode()
+    # a spreadsheet may name the separator in a line of its own
+    if hint := re.match(rb"(?:\xef\xbb\xbf)?sep=.\r?\n", data):
+        data = data[hint.end() :]
     head = data[:65536].split(b"\n", 1)[0]
     separator = max((b",", b";", b"\t"), key=head.count).decode()
     try:
@@ -108,6 +116,8 @@ def _open(path: Path, notes: list[str]) -> pd.DataFrame:
                 io.BytesIO(data), sep=separator, skipinitialspace=True, encoding="utf-8-sig",
                 encoding_errors="replace", on_bad_lines="skip", low_memory=False, index_col=False,
             ).rename(columns=lambda c: str(c).strip())  # fmt: skip
+        if separator != ",":
+            _decimal_points(table, path, notes)
         lines = sum(1 for line in data.splitlines() if line.strip()) - 1
         if lines > len(table) and b'"' not in data:
             notes.append(
@@ -116,6 +126,23 @@ def _open(path: Path, notes: list[str]) -> pd.DataFrame:
         return table
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError) as error:
         raise ReadError(f"{path} is not a readable table ({error}); export it again as CSV or Parquet") from None
+
+
+def _decimal_points(table: pd.DataFrame, path: Path, notes: list[str]) -> None:
+    """Turn columns of numbers with decimal commas, as spreadsheets of many countries write them, into numbers."""
+    turned = []
+    for place, name in enumerate(table.columns):
+        column = table.iloc[:, place]
+        if pd.api.types.is_numeric_dtype(column):
+            continue
+        text = column.dropna().astype(str).str.strip()
+        number = text.str.fullmatch(DECIMAL_COMMA)
+        # a column of whole numbers and text has none; single cells of text are told as such later
+        if number.mean() > 0.5 and text[number].str.contains(",").any():
+            table.isetitem(place, column.astype("string").str.strip().str.replace(",", ".", n=1).astype(object))
+            turned.append(str(name))
+    if turned:
+        notes.append(f"{path}: the numbers of {len(turned)} columns have decimal commas (first '{turned[0]}')")
 
 
 def _numbers(column: pd.Series | pd.DataFrame, path: Path, name: str, notes: list[str]) -> np.ndarray:

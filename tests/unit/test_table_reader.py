@@ -99,6 +99,28 @@ def test_units_and_axes_come_out_as_the_truth(tmp_path, flown, name):
     assert any("battery_voltage" in n for n in recording.notes)
 
 
+@pytest.mark.parametrize(
+    ("first", "options", "encoding"),
+    [
+        ("", {"sep": ";", "decimal": ","}, "utf-8"),
+        ("", {"sep": "\t", "decimal": ","}, "utf-16"),
+        ("sep=;\n", {"sep": ";"}, "utf-8-sig"),
+    ],
+)
+def test_what_spreadsheets_write_is_read_alike(tmp_path, flown, first, options, encoding):
+    truth, _, table = flown
+    table["t"] = np.round(table["t"], 2)
+    text = first + table.to_csv(index=False, **options).replace("\n0,05", "\ntext", 1)
+    (tmp_path / "log.csv").write_text(text, encoding=encoding)
+    recording = read_table_log(tmp_path / "log.csv", PLAN, 14)
+    board = recording.series["onboard"]
+    assert stacked(board, "p", "q", "r") == pytest.approx(truth.rates, abs=1e-9)
+    assert stacked(board, "x", "y", "z") == pytest.approx(truth.position, abs=1e-9)
+    commas = options.get("decimal") == ","
+    assert any("decimal commas (first 't')" in n for n in recording.notes) == commas
+    assert any("column 't' holds text in 1 rows" in n for n in recording.notes) == commas
+
+
 def test_at_rest_the_specific_force_points_up(tmp_path, flown):
     truth, _, table = flown
     table[["fx", "fy"]] = 0.0
