@@ -1,4 +1,4 @@
-"""Stated units against what the numbers do: a capture whose lengths are no metres, an accelerometer that feels no g."""
+"""Stated units and axes against what the numbers do: lengths that are no metres, an accelerometer that feels no g."""
 
 import numpy as np
 
@@ -53,7 +53,8 @@ def refuse_wrong_lengths(onboard: Motion, t: np.ndarray, position: np.ndarray, u
 
 
 def doubtful_units(rates: np.ndarray, force: np.ndarray) -> list[str]:
-    """Ends of sentences about body rates (n, 3), rad/s, and specific force (m, 3), m/s2, that no vehicle shows."""
+    """Ends of sentences about body rates (n, 3), rad/s, and specific force (m, 3), m/s2, body FRD, that no vehicle
+    shows."""
     found = []
     fastest = float(np.nanmax(np.abs(rates), initial=0.0))
     if fastest > np.radians(4500):
@@ -62,4 +63,9 @@ def doubtful_units(rates: np.ndarray, force: np.ndarray) -> list[str]:
     typical = float(np.median(felt)) / GRAVITY if len(felt) else 1.0
     if not 0.2 < typical < 5.0:
         found.append(f"the specific force is typically {typical:.3g} g, where a flight feels about 1; check its unit")
+    elif len(felt) and np.nanmedian(force[:, 2]) > 0.5 * typical * GRAVITY:
+        found.append(
+            "the specific force points down as it does upside down, where at rest and in flight it points up with 1 g; "
+            "check its sign and the body axes"
+        )
     return found

@@ -33,6 +33,7 @@ LONGEST_HOLD = 10  # rows; a row clock's values that stay the same for longer ar
 LONGEST_WAIT = 0.2  # s; messages that crowd after a longer wait are left where they are
 ABSURD = 1e30  # beyond any unit and any clock
 DECIMAL_COMMA = r"[+-]?[0-9]*(?:,[0-9]*)?(?:[eE][+-]?[0-9]+)?"
+LONGEST_STEP = 0.12  # s between body rates, beyond any motion's; seconds in place of milliseconds exceed it up to 8 kHz
 STRAY = 1.0  # s; a few samples beyond a gap longer than this at either end are left out
 
 
@@ -67,7 +68,12 @@ def read_table_log(
         r.settle(rows, path, notes)
     for r in raw:
         about[r.source.name] = r.clock_against(main, rows, path, notes)
-    zero = float(main.t[0])
+    zero, step = float(main.t[0]), float(np.median(np.diff(main.t)))
+    if step > LONGEST_STEP:
+        raise ReadError(
+            f"{path}: source '{main.source.name}' has a sample every {step:.3g} s if its time is in the unit that "
+            "'table columns' says, too few for body rates; correct the unit, or log faster"
+        )
     for r in raw:
         r.t = r.t - zero
         r.drop_strays(path, notes)

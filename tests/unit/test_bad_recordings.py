@@ -263,3 +263,11 @@ def test_units_that_contradict_the_numbers_of_a_table_are_noted(tmp_path):
     assert about["verdict"] == "unusable"
     _, about = table(tmp_path, lambda f: f.assign(p=np.degrees(f["p"]) * 3))
     assert any("beyond any gyro" in n for n in about["notes"])
+    _, about = table(tmp_path, lambda f: f.assign(az=-f["az"]))
+    assert any("points down as it does upside down" in n and "check its sign" in n for n in about["notes"])
+    assert about["verdict"] == "unusable"
+
+
+def test_time_of_a_table_in_another_unit_than_stated_is_refused(tmp_path):
+    with pytest.raises(QuasiError, match="a sample every 5 s if its time is in the unit"):
+        table(tmp_path, lambda f: f.assign(t=1e3 * f["t"]))
