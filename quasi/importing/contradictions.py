@@ -2,12 +2,13 @@
 
 import numpy as np
 
-from quasi.attitude import GRAVITY, rotate
+from quasi.attitude import GRAVITY, body_rates, continuous, rotate
 from quasi.errors import DataError
 from quasi.importing.clocks import uniform
 from quasi.importing.synchronisation import Motion
 
 RATE, BAND = 100.0, 3.0  # Hz
+LEAST_TURNING = 0.1  # rad/s, rms body rate below which nothing can be said of an attitude
 LEAST_MOTION = 0.2  # m/s2, rms acceleration below which nothing can be said
 
 
@@ -50,6 +51,32 @@ def refuse_wrong_lengths(onboard: Motion, t: np.ndarray, position: np.ndarray, u
         f"{where}: the captured position accelerates {ratio:.2g} times as much as the accelerometer feels, so lengths "
         f"that are stated in {unit} are in another unit; correct 'Length Units' in the export, or export it anew"
     )
+
+
+def rates_explained(t: np.ndarray, rates: np.ndarray, t_told: np.ndarray, attitude: np.ndarray) -> float | None:
+    """Share of the body rates' variance that an attitude explains; 1 where they agree, below 0 where it misleads.
+
+    t (n,) s with rates (n, 3) rad/s; t_told (m,) s, same clock, with attitude (m, 4) body to earth, NaN where missing
+    None where the flight hardly turns or shares less than two seconds.
+    """
+    fine = np.isfinite(attitude).all(axis=1)
+    if np.count_nonzero(fine) < 8:
+        return None
+    t_told = t_told[fine]
+    felt = uniform(t, rates, RATE, BAND)
+    told = uniform(t_told, body_rates(continuous(attitude[fine]), t_told), RATE, BAND)
+    if felt is None or told is None:
+        return None
+    at = told.start + told.step * np.arange(len(told.values))
+    good = told.good & (at > t[0] + 1.0 / BAND) & (at < t[-1] - 1.0 / BAND)
+    if np.count_nonzero(good) < 2 * RATE:
+        return None
+    grid = felt.start + felt.step * np.arange(len(felt.values))
+    there = np.stack([np.interp(at[good], grid, v) for v in felt.values.T], axis=-1)
+    turning = np.sum(np.var(there, axis=0))
+    if np.sqrt(turning) < LEAST_TURNING:
+        return None
+    return float(1.0 - np.sum(np.var(told.values[good] - there, axis=0)) / turning)
 
 
 def doubtful_units(rates: np.ndarray, force: np.ndarray) -> list[str]:

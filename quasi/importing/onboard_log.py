@@ -12,6 +12,7 @@ from quasi.attitude import interpolate
 from quasi.doubt import doubt
 from quasi.errors import DataError, ReadError
 from quasi.importing.blackbox import read_blackbox
+from quasi.importing.contradictions import rates_explained
 from quasi.importing.decoded import read_decoded
 from quasi.importing.filter_delays import header_delays
 from quasi.importing.onboard_attitude import estimate_attitude
@@ -21,6 +22,7 @@ from quasi.importing.table_reader import read_table_log
 from quasi.tables import read_bytes
 
 COUNTS = "betaflight raw acceleration correction factor"
+LEAST_EXPLAINED = 0.3  # share of the body rates' variance that an attitude of the same vehicle explains, late ones too
 RATES, FORCE = ("p", "q", "r"), ("ax", "ay", "az")
 ATTITUDE = ("qw", "qx", "qy", "qz")
 POSITION, VELOCITY, BODY_VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz"), ("u", "v", "w")
@@ -150,6 +152,14 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
                 else "over the flight, which begins in the air"
             )
         )
+    else:
+        explained = rates_explained(gyro.t, gyro.values, attitude.t, attitude.values)
+        if explained is not None and explained < LEAST_EXPLAINED:
+            doubt(
+                notes,
+                f"{where}: the on-board attitude turns unlike the gyro (it explains {100 * max(0.0, explained):.0f} % "
+                "of the body rates); check the unit, order and axes of both",
+            )
     zero = gyro.t[0]
 
     def moved(track: Track | None, delay: float = 0.0) -> Track | None:

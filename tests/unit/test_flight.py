@@ -230,6 +230,19 @@ def test_logged_position_and_velocity_serve_where_nothing_captured(tmp_path):
     assert frame[list("uvw")].to_numpy()[inner] == pytest.approx(in_body[: len(frame)][inner], abs=0.02)
 
 
+@pytest.mark.parametrize(
+    ("signs", "fits"),
+    [((1, 1, 1, 1), True), ((-1, 1, 1, 1), False), ((1, 1, -1, -1), False)],
+    ids=["", "inverse", "FLU"],
+)
+def test_an_on_board_attitude_that_turns_unlike_the_gyro_is_told(tmp_path, signs, fits):
+    truth = body(10.0, rate=200.0)
+    late = np.maximum(np.arange(len(truth.t)) - 4, 0)  # 20 ms
+    more = dict(zip(("qw", "qx", "qy", "qz"), (truth.quaternion * signs)[late].T))
+    _, about = import_flight(*table_flight(tmp_path, truth, imu(truth) | more), {"resampling rate": 200})
+    assert ("turns unlike the gyro" not in about["verdict because"]) == fits
+
+
 def test_capture_of_another_time_of_day_has_no_overlap(tmp_path):
     truth = body(10.0, rate=500.0)
     flight, quadrotor = table_flight(tmp_path, truth, imu(truth))
