@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from made_motion import at_times, body, motive_text
 from made_recordings import written
+from recordings import SHARED
 from scipy.spatial.transform import Rotation
 
 from quasi.attitude import from_euler
@@ -17,7 +18,7 @@ from quasi.synthesis.campaign import make_flight, read_campaign
 from quasi.tables import COLUMNS, read_json
 
 ROOT = Path(__file__).parents[2]
-NANODRONE = ROOT.parent / "shared/data/nanodrone"
+NANODRONE = SHARED.parent / "nanodrone"
 FLAGS = ("attitude_sample", "position_sample", "velocity_sample", "onboard_valid")
 
 
@@ -254,7 +255,9 @@ def test_capture_of_another_time_of_day_has_no_overlap(tmp_path):
         import_flight(flight, quadrotor, {})
 
 
-@pytest.mark.skipif(not NANODRONE.is_dir(), reason="the nano-drone recordings are not on this machine")
+@pytest.mark.skipif(
+    not NANODRONE.is_dir(), reason=f"the nano-drone recordings are not at {NANODRONE}; set QUASI_SHARED_DATA"
+)
 @pytest.mark.parametrize("run", [1, 2, 3])
 def test_real_nano_drone_flights_import(run):
     config = read_json(ROOT / "examples/nanodrone/config/NanoDroneConfig.json")

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from made_motion import body
+from recordings import SHARED
 from scipy.spatial.transform import Rotation
 
 from quasi.attitude import matrix, rotate
@@ -16,7 +17,7 @@ from quasi.importing.units import UNITS, to_si
 from quasi.tables import read_json
 
 ROOT = Path(__file__).parents[2]
-NANODRONE = ROOT.parent / "shared/data/nanodrone"
+NANODRONE = SHARED.parent / "nanodrone"
 HALF = np.array([1.0, -1.0, -1.0])
 
 PLAN = {
@@ -286,7 +287,9 @@ def test_electrical_speed_needs_the_pole_pairs():
     assert UNITS["deg"][1] == pytest.approx(np.pi / 180)
 
 
-@pytest.mark.skipif(not NANODRONE.is_dir(), reason="the nano-drone recordings are not on this machine")
+@pytest.mark.skipif(
+    not NANODRONE.is_dir(), reason=f"the nano-drone recordings are not at {NANODRONE}; set QUASI_SHARED_DATA"
+)
 @pytest.mark.parametrize("run", [1, 2, 3])
 def test_real_nano_drone_flights_are_read_by_mapping_alone(run):
     plan = read_json(ROOT / "examples/nanodrone/config/NanoDroneConfig.json")["table columns"]
