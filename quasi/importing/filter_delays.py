@@ -28,6 +28,7 @@ RPM_NOTCHES = (
     ("gyro_rpm_notch_harmonics", "gyro_rpm_notch_q", "gyro_rpm_notch_min"),
     ("rpm_filter_harmonics", "rpm_filter_q", "rpm_filter_min_hz"),
 )
+HIGHEST = 4000.0  # Hz, of any filter on the gyro; larger numbers are hundredths of a hertz, as old firmware writes them
 # s: what the filters of usual settings add up to, which is how wrong 0 may be where a header says nothing of them
 USUAL_GYRO, USUAL_ACCELEROMETER = 2e-3, 20e-3
 
@@ -60,7 +61,7 @@ def header_delays(header: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         low, high = (
             (_number(dynamic[0]), _number(dynamic[-1])) if isinstance(dynamic, list | tuple) and dynamic else (0, 0)
         )
-        cutoff = low or _number(header.get(static))
+        cutoff = low or _hertz(header.get(static))
         if cutoff:
             kind = KINDS.get(int(_number(header.get(kind_key))), "PT1")
             gyro.append(f"{kind} {cutoff:g} Hz" + (" (dynamic, lowest)" if low else ""))
@@ -94,11 +95,14 @@ def header_delays(header: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 def _notches(header: Mapping[str, Any]) -> Iterator[tuple[str, float, float]]:
     """Name, delay s and its doubt s of the notches on the gyro: fixed, on peaks of the spectrum, on the rotors."""
-    centres, edges = header.get("gyro_notch_hz"), header.get("gyro_notch_cutoff")
-    if isinstance(centres, list | tuple) and isinstance(edges, list | tuple):
-        for centre, edge in zip(map(_number, centres), map(_number, edges)):
-            if centre > edge > 0:
-                yield f"notch {centre:g} Hz", notch_delay(centre, centre * edge / (centre**2 - edge**2)), 0.0
+    # one number where the firmware has one such notch
+    centres, edges = (
+        value if isinstance(value, list | tuple) else [value]
+        for value in (header.get("gyro_notch_hz"), header.get("gyro_notch_cutoff"))
+    )
+    for centre, edge in zip(map(_hertz, centres), map(_hertz, edges)):
+        if centre > edge > 0:
+            yield f"notch {centre:g} Hz", notch_delay(centre, centre * edge / (centre**2 - edge**2)), 0.0
     low, high = _number(header.get("dyn_notch_min_hz")), _number(header.get("dyn_notch_max_hz"))
     quality = _number(header.get("dyn_notch_q")) / 100  # the header holds hundredths
     count = int(_number(header.get("dyn_notch_count", 1)))
@@ -120,3 +124,8 @@ def _number(value: Any) -> float:
     except (TypeError, ValueError):
         return 0.0
     return number if math.isfinite(number) and number > 0 else 0.0
+
+
+def _hertz(value: Any) -> float:
+    number = _number(value)
+    return number / 100 if number > HIGHEST else number

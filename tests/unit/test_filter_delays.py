@@ -55,6 +55,14 @@ def test_notch_delay_equals_its_phase_slope():
     assert notch_delay(centre, quality) == pytest.approx(-phase / (2 * math.pi * f), rel=1e-5)
 
 
+def test_hundredths_of_a_hertz_and_single_notches_of_old_firmware_are_understood():
+    plain = {"gyro_lowpass_hz": 90, "gyro_notch_hz": [400, 200], "gyro_notch_cutoff": [300, 100]}
+    old = {"gyro_lowpass_hz": 9000, "gyro_notch_hz": [40000, 20000], "gyro_notch_cutoff": [30000, 10000]}
+    assert header_delays(old) == header_delays(plain)
+    single = header_delays({"gyro_notch_hz": 400, "gyro_notch_cutoff": 300})["gyro"]
+    assert single["value"] == pytest.approx(notch_delay(400.0, 400 * 300 / (400**2 - 300**2)))
+
+
 def test_what_moves_in_flight_leaves_a_doubt_and_what_does_not_leaves_none():
     assert header_delays({"gyro_lpf1_static_hz": 250, "acc_lpf_hz": 10})["gyro"]["std"] == 0.0
     moving = header_delays({"gyro_lpf1_dyn_hz": [200, 500]})["gyro"]
