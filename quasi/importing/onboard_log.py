@@ -16,6 +16,7 @@ from quasi.importing.contradictions import rates_explained
 from quasi.importing.decoded import read_decoded
 from quasi.importing.filter_delays import header_delays
 from quasi.importing.onboard_attitude import estimate_attitude
+from quasi.importing.resampling import covered
 from quasi.importing.series import Recording, Series
 from quasi.importing.synchronisation import Motion
 from quasi.importing.table_reader import read_table_log
@@ -172,7 +173,9 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
                 if quantity not in _KNOWN and np.isfinite(values).any():
                     others.setdefault(quantity, Track(one.t - zero, values[:, None]))
     names = tuple(f"w{i}" for i in range(1, 9) if f"w{i}" in others)
-    rotors = _find(series, names) if names else None
+    rotors = moved(_find(series, names)) if names else None
+    if names and rotors is None:
+        rotors = _together([others[name] for name in names])
     late_gyro, late_force = delays["gyro"]["value"], delays["accelerometer"]["value"]
     attitude = moved(attitude, late_gyro if source == "estimated on board" else 0.0)
     return Onboard(
@@ -185,9 +188,21 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
         velocity=moved(_find(series, VELOCITY)),
         body_velocity=moved(_find(series, BODY_VELOCITY)),
         others=others,
-        rotors=moved(rotors),
+        rotors=rotors,
         delays=delays,
     )
+
+
+def _together(tracks: list[Track]) -> Track:
+    """Rotors of several sources (n, rotors) at the times of the first, NaN where one has a gap or nothing."""
+    at = tracks[0].t
+    values = np.full((len(at), len(tracks)), np.nan)
+    for i, track in enumerate(tracks):
+        fine = np.isfinite(track.values[:, 0])
+        t = track.t[fine]
+        known = covered(t, at)
+        values[known, i] = np.interp(at[known], t, track.values[fine, 0])
+    return Track(at, values)
 
 
 def _delays(recording: Recording, where: str, notes: list[str]) -> dict[str, Any]:

@@ -33,8 +33,9 @@ def verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) ->
     poles = metadata["motor poles"]
     if stated and stated != DEFAULT_POLES and poles.get("source") == "configuration" and stated != poles["value"]:
         care.append(f"its header states {stated} motor poles, the configuration {poles['value']}")
-    if "w1" not in frame:
-        care.append("the log holds no rotor speeds")
+    lacking = [str(i) for i in range(1, 5) if f"w{i}" not in frame]
+    if lacking:
+        care.append("the log holds no rotor speeds" + (f" of {', '.join(lacking)}" if len(lacking) < 4 else ""))
     if metadata["position source"] == "none" and metadata["velocity source"] == "none":
         care.append("there is neither position nor velocity")
     if metadata["attitude source"] == "estimated on board":

@@ -231,6 +231,25 @@ def test_logged_position_and_velocity_serve_where_nothing_captured(tmp_path):
     assert frame[list("uvw")].to_numpy()[inner] == pytest.approx(in_body[: len(frame)][inner], abs=0.02)
 
 
+def test_rotors_of_several_sources_are_valid_where_all_are_known(tmp_path):
+    truth = body(12.0, rate=500.0)
+    flight, quadrotor = table_flight(tmp_path, truth, imu(truth))
+    late = truth.t > 4.0
+    speeds = {f"w{i}": 1500.0 + 20 * i * np.sin(20.0 * truth.t) for i in range(1, 5)}
+    speeds |= {n: np.where(late, speeds[n], np.nan) for n in ("w3", "w4")}
+    table = pd.read_csv(flight["onboard"]).assign(**speeds, stamp=np.where(late, truth.t, np.nan))
+    table.to_csv(flight["onboard"], index=False)
+    front = {"name": "front", "columns": {n: n for n in ("w1", "w2")}}
+    rear = {"name": "rear", "time": "stamp", "columns": {n: n for n in ("w3", "w4")}}
+    quadrotor["table columns"]["sources"] += [front, rear]
+    frame, about = import_flight(flight, quadrotor, {})
+    np.testing.assert_array_equal(frame["onboard_valid"] > 0, frame["t"] > 4.001)
+    assert "the on-board log lost 33" in about["verdict because"]
+    quadrotor["table columns"]["sources"].remove(rear)
+    _, about = import_flight(flight, quadrotor, {})
+    assert "the log holds no rotor speeds of 3, 4" in about["verdict because"]
+
+
 @pytest.mark.parametrize(
     ("signs", "fits"),
     [((1, 1, 1, 1), True), ((-1, 1, 1, 1), False), ((1, 1, -1, -1), False)],
