@@ -1,5 +1,8 @@
 """Stated units and axes against what the numbers do: lengths that are no metres, an accelerometer that feels no g."""
 
+import re
+from collections.abc import Mapping
+
 import numpy as np
 
 from quasi.attitude import GRAVITY, body_rates, continuous, rotate
@@ -9,6 +12,7 @@ from quasi.importing.synchronisation import Motion
 
 RATE, BAND = 100.0, 3.0  # Hz
 LEAST_TURNING = 0.1  # rad/s, rms body rate below which nothing can be said of an attitude
+FASTEST_ROTOR, FULLEST, HIGHEST_VOLTAGE = 8000.0, 1.5, 100.0  # rad/s, share, V: beyond what flies indoors and out
 LEAST_MOTION = 0.2  # m/s2, rms acceleration below which nothing can be said
 
 
@@ -95,4 +99,24 @@ def doubtful_units(rates: np.ndarray, force: np.ndarray) -> list[str]:
             "the specific force points down as it does upside down, where at rest and in flight it points up with 1 g; "
             "check its sign and the body axes"
         )
+    return found
+
+
+def doubtful_values(values: Mapping[str, np.ndarray]) -> list[str]:
+    """Ends of sentences about rotor speeds (rad/s), commands (shares) and battery voltage (V) that no vehicle has.
+
+    values  {quantity: (n,)}, NaN where missing
+    """
+    found = []
+    for kind, largest, meant in (
+        (r"w[1-8](_CMD)?", FASTEST_ROTOR, "a rotor turns at {:.0f} rad/s at most"),
+        (r"command[1-8]", FULLEST, "a command of 1 is full"),
+        (r"battery_voltage", HIGHEST_VOLTAGE, "a battery has {:.0f} V at most"),
+    ):
+        for name in (n for n in values if re.fullmatch(kind, n)):
+            # neither a spike nor a stop counts
+            reached = float(np.nanquantile(values[name], 0.9)) if np.isfinite(values[name]).any() else 0.0
+            if reached > largest:
+                found.append(f"{name} reaches {reached:.4g}, where {meant.format(largest)}; check its unit")
+                break
     return found

@@ -5,10 +5,6 @@ and sources on different clocks are brought onto the clock of the gyro's source,
 the motion that both saw.
 """
 
-import codecs
-import io
-import re
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,21 +14,21 @@ import pandas as pd
 
 from quasi.airframe import DEFAULT_POLES
 from quasi.attitude import from_euler, interpolate, multiply, rotate_inverse
+from quasi.doubt import doubt
 from quasi.errors import ReadError, nearest
 from quasi.importing.artefacts import spikes
 from quasi.importing.clocks import ClockFit
-from quasi.importing.contradictions import doubtful_units
+from quasi.importing.contradictions import doubtful_units, doubtful_values
 from quasi.importing.series import Recording, Series
 from quasi.importing.streams import unwrapped
 from quasi.importing.table_mapping import EULER, QUATERNION, VECTORS, Source, read_mapping
+from quasi.importing.table_text import open_table
 from quasi.importing.telemetry import acceleration_lag, rotor_lag
-from quasi.tables import read_bytes, read_table, read_text
 
 HALF_TURN = np.array([1.0, -1.0, -1.0])  # half a turn about x: FLU to FRD, z-up to NED
 LONGEST_HOLD = 10  # rows; a row clock's values that stay the same for longer are believed (rest, coarse quantisation)
 LONGEST_WAIT = 0.2  # s; messages that crowd after a longer wait are left where they are
 ABSURD = 1e30  # beyond any unit and any clock
-DECIMAL_COMMA = r"[+-]?[0-9]*(?:,[0-9]*)?(?:[eE][+-]?[0-9]+)?"
 LONGEST_STEP = 0.12  # s between body rates, beyond any motion's; seconds in place of milliseconds exceed it up to 8 kHz
 STRAY = 1.0  # s; a few samples beyond a gap longer than this at either end are left out
 
@@ -53,7 +49,7 @@ def read_table_log(
     if poles is None:
         poles, poles_from = DEFAULT_POLES, "default"
     plan = read_mapping(mapping, poles, where)
-    table = _open(path, notes)
+    table = open_table(path, notes)
     if len(table) < 20:
         raise ReadError(f"{path} holds {len(table)} rows; at least 20 are needed, record or export the flight again")
     raw = [_Raw(source, table, path, notes) for source in plan.sources]
@@ -86,6 +82,8 @@ def read_table_log(
     felt = next((r for r in raw if "ax" in r.values and not r.source.capture), None)
     force = np.zeros((0, 3)) if felt is None else _stack(felt, VECTORS["force"])
     notes += [f"{path}: {end} in 'table columns'" for end in doubtful_units(_stack(main, VECTORS["rates"]), force)]
+    for end in doubtful_values({n: v for r in raw for n, v in r.values.items()}):
+        doubt(notes, f"{path}: {end} in 'table columns'")
     series: dict[str, Series] = {}
     for r in raw:
         key = "onboard" if r is main else "capture" if r.source.capture else f"onboard {r.source.name}"
@@ -101,54 +99,6 @@ def read_table_log(
         "motor poles": {"value": poles, "source": poles_from},
     }  # fmt: skip
     return Recording(series, metadata, notes)
-
-
-def _open(path: Path, notes: list[str]) -> pd.DataFrame:
-    data = read_bytes(path)
-    if data[:4] == b"PAR1":
-        return read_table(path)
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        data = read_text(path).encode()
-    # a spreadsheet may name the separator in a line of its own
-    if hint := re.match(rb"(?:\xef\xbb\xbf)?sep=.\r?\n", data):
-        data = data[hint.end() :]
-    head = data[:65536].split(b"\n", 1)[0]
-    separator = max((b",", b";", b"\t"), key=head.count).decode()
-    try:
-        with warnings.catch_warnings():
-            # a comma at the end of each line is no column
-            warnings.simplefilter("ignore", pd.errors.ParserWarning)
-            table = pd.read_csv(
-                io.BytesIO(data), sep=separator, skipinitialspace=True, encoding="utf-8-sig",
-                encoding_errors="replace", on_bad_lines="skip", low_memory=False, index_col=False,
-            ).rename(columns=lambda c: str(c).strip())  # fmt: skip
-        if separator != ",":
-            _decimal_points(table, path, notes)
-        lines = sum(1 for line in data.splitlines() if line.strip()) - 1
-        if lines > len(table) and b'"' not in data:
-            notes.append(
-                f"{path}: {lines - len(table)} lines have more cells than there are columns; they were left out"
-            )
-        return table
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError) as error:
-        raise ReadError(f"{path} is not a readable table ({error}); export it again as CSV or Parquet") from None
-
-
-def _decimal_points(table: pd.DataFrame, path: Path, notes: list[str]) -> None:
-    """Turn columns of numbers with decimal commas, as spreadsheets of many countries write them, into numbers."""
-    turned = []
-    for place, name in enumerate(table.columns):
-        column = table.iloc[:, place]
-        if pd.api.types.is_numeric_dtype(column):
-            continue
-        text = column.dropna().astype(str).str.strip()
-        number = text.str.fullmatch(DECIMAL_COMMA)
-        # a column of whole numbers and text has none; single cells of text are told as such later
-        if number.mean() > 0.5 and text[number].str.contains(",").any():
-            table.isetitem(place, column.astype("string").str.strip().str.replace(",", ".", n=1).astype(object))
-            turned.append(str(name))
-    if turned:
-        notes.append(f"{path}: the numbers of {len(turned)} columns have decimal commas (first '{turned[0]}')")
 
 
 def _numbers(column: pd.Series | pd.DataFrame, path: Path, name: str, notes: list[str]) -> np.ndarray:
@@ -392,15 +342,22 @@ class _Raw:
 
     def remove_spikes(self, path: Path, notes: list[str]) -> dict[str, int]:
         """Rotor speeds that no rotor follows become NaN; returns how many per rotor."""
-        removed = {}
+        removed, signed = {}, []
         for name in [n for n in self.values if n[0] == "w" and n[1:].isdigit()]:
             values = self.values[name].copy()
+            if np.nanmedian(values) < 0.0:
+                # written with the sign of the turning direction, which the quadrotor configuration tells
+                values = -values
+                self.values[name] = values
+                signed.append(name)
             largest = float(np.nanquantile(values, 0.99))
             bad = spikes(values, 0.3 * largest) | (values < 0)
             if bad.any():
                 values[bad] = np.nan
                 self.values[name] = values
                 removed[name] = int(bad.sum())
+        if signed:
+            notes.append(f"{path}: the speeds of {', '.join(signed)} are negative; their size is taken")
         if removed:
             listed = ", ".join(f"{k}: {v}" for k, v in removed.items())
             notes.append(f"{path}: spikes in the rotor speeds were removed ({listed})")

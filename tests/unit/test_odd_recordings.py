@@ -8,7 +8,8 @@ from test_filter_delays import header_delays
 from quasi.errors import ReadError
 from quasi.filtering.measurements import Imu, frozen
 from quasi.importing.onboard_log import read_onboard
-from quasi.importing.table_reader import _open, uncrowded
+from quasi.importing.table_reader import uncrowded
+from quasi.importing.table_text import open_table
 from quasi.importing.telemetry import rotor_age
 
 
@@ -27,10 +28,10 @@ def test_a_crowd_goes_back_to_where_it_was_sampled_and_a_faster_source_stays():
 def test_a_comma_at_the_end_of_each_line_shifts_nothing_and_lines_left_out_are_counted(tmp_path):
     path, notes = tmp_path / "log.csv", []
     path.write_text("t,p,q\n" + "".join(f"{0.01 * k:.2f},{k},{-k},\n" for k in range(30)))
-    table = _open(path, notes)
+    table = open_table(path, notes)
     assert list(table) == ["t", "p", "q"] and table["p"].iloc[7] == 7 and table["q"].iloc[7] == -7 and not notes
     path.write_text("t,p,q\n" + "".join(f"{0.01 * k:.2f},{k},{-k}{',1,2,3' * (k > 26)}\n" for k in range(30)))
-    assert len(_open(path, notes)) == 27 and "3 lines have more cells" in notes[0]
+    assert len(open_table(path, notes)) == 27 and "3 lines have more cells" in notes[0]
 
 
 def test_counts_per_g_of_the_configuration_stand_in_for_a_header(tmp_path):

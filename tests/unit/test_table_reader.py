@@ -1,6 +1,7 @@
 """The generic table reader: every unit, frame and clock against values known beforehand."""
 
 import copy
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from recordings import SHARED
 from scipy.spatial.transform import Rotation
 
 from quasi.attitude import matrix, rotate
+from quasi.doubt import doubts
 from quasi.errors import ConfigError, ReadError
 from quasi.importing.table_reader import read_table_log
 from quasi.importing.units import UNITS, to_si
@@ -213,6 +215,34 @@ def test_spikes_in_rotor_speeds_are_removed_and_counted(tmp_path, flown):
     assert recording.metadata["sources"]["motors"]["spikes removed"] == {"w2": 2}
     w2 = recording.series["onboard motors"].values["w2"]
     assert np.flatnonzero(np.isnan(w2)).tolist() == [77, 400]
+
+
+def test_speeds_with_the_sign_of_their_direction_lose_it(tmp_path, flown):
+    _, rotors, table = flown
+    table[["m2", "m3"]] *= -1.0
+    recording = read_table_log(saved(tmp_path, table), PLAN, 14)
+    assert stacked(recording.series["onboard motors"], "w1", "w2", "w3", "w4") == pytest.approx(rotors, rel=1e-9)
+    assert any("speeds of w2, w3 are negative" in n for n in recording.notes)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "column", "factor", "said"),
+    [
+        ("w1", "m1", 60 / (2 * np.pi) * 7, "w1 reaches .* rad/s at most; check its unit"),
+        ("command1", "share", 1500.0, "command1 reaches 1500, where a command of 1 is full"),
+        ("battery_voltage", "volt", 16000.0, "battery_voltage reaches 1.6e\\+04, where a battery has 100 V at most"),
+    ],
+)
+def test_values_that_no_vehicle_has_are_in_doubt(tmp_path, flown, quantity, column, factor, said):
+    _, _, table = flown
+    plan = copy.deepcopy(PLAN)
+    plan["sources"][1]["columns"][quantity] = column
+    table = table.assign(share=1.0, volt=1.0)
+    table[column] *= factor
+    told = doubts(read_table_log(saved(tmp_path, table), plan, 14).notes)
+    assert len(told) == 1 and re.search(said, told[0])
+    table[column] = 1.0
+    assert not doubts(read_table_log(saved(tmp_path, table), plan, 14).notes)
 
 
 def test_held_capture_values_are_no_samples(tmp_path, flown):
