@@ -12,6 +12,7 @@ from quasi.importing.synchronisation import Motion
 
 RATE, BAND = 100.0, 3.0  # Hz
 LEAST_TURNING = 0.1  # rad/s, rms body rate below which nothing can be said of an attitude
+LEAST_SPEED = 0.3  # m/s, rms velocity below which nothing can be said of a position
 FASTEST_ROTOR, FULLEST, HIGHEST_VOLTAGE = 8000.0, 1.5, 100.0  # rad/s, share, V: beyond what flies indoors and out
 LEAST_MOTION = 0.2  # m/s2, rms acceleration below which nothing can be said
 
@@ -66,21 +67,38 @@ def rates_explained(t: np.ndarray, rates: np.ndarray, t_told: np.ndarray, attitu
     fine = np.isfinite(attitude).all(axis=1)
     if np.count_nonzero(fine) < 8:
         return None
-    t_told = t_told[fine]
-    felt = uniform(t, rates, RATE, BAND)
-    told = uniform(t_told, body_rates(continuous(attitude[fine]), t_told), RATE, BAND)
-    if felt is None or told is None:
+    told = body_rates(continuous(attitude[fine]), t_told[fine])
+    return _explained(t, rates, t_told[fine], told, LEAST_TURNING)
+
+
+def velocity_explained(t: np.ndarray, velocity: np.ndarray, t_told: np.ndarray, position: np.ndarray) -> float | None:
+    """Share of the velocity's variance that a position explains; as `rates_explained`.
+
+    t (n,) s with velocity (n, 3) m/s; t_told (m,) s, same clock, with position (m, 3) m; same axes, NaN where missing
+    None where the flight hardly moves or shares less than two seconds.
+    """
+    fine = np.isfinite(position).all(axis=1)
+    if np.count_nonzero(fine) < 8:
         return None
-    at = told.start + told.step * np.arange(len(told.values))
-    good = told.good & (at > t[0] + 1.0 / BAND) & (at < t[-1] - 1.0 / BAND)
+    told = np.gradient(position[fine], t_told[fine], axis=0)
+    return _explained(t, velocity, t_told[fine], told, LEAST_SPEED)
+
+
+def _explained(t: np.ndarray, felt: np.ndarray, t_told: np.ndarray, told: np.ndarray, least: float) -> float | None:
+    """Share of the variance of `felt` (n, 3) that `told` (m, 3) explains at low frequency; None below `least` rms."""
+    one, other = uniform(t, felt, RATE, BAND), uniform(t_told, told, RATE, BAND)
+    if one is None or other is None:
+        return None
+    at = other.start + other.step * np.arange(len(other.values))
+    good = other.good & (at > t[0] + 1.0 / BAND) & (at < t[-1] - 1.0 / BAND)
     if np.count_nonzero(good) < 2 * RATE:
         return None
-    grid = felt.start + felt.step * np.arange(len(felt.values))
-    there = np.stack([np.interp(at[good], grid, v) for v in felt.values.T], axis=-1)
-    turning = np.sum(np.var(there, axis=0))
-    if np.sqrt(turning) < LEAST_TURNING:
+    grid = one.start + one.step * np.arange(len(one.values))
+    there = np.stack([np.interp(at[good], grid, v) for v in one.values.T], axis=-1)
+    moving = np.sum(np.var(there, axis=0))
+    if np.sqrt(moving) < least:
         return None
-    return float(1.0 - np.sum(np.var(told.values[good] - there, axis=0)) / turning)
+    return float(1.0 - np.sum(np.var(other.values[good] - there, axis=0)) / moving)
 
 
 def doubtful_units(rates: np.ndarray, force: np.ndarray) -> list[str]:

@@ -12,7 +12,7 @@ from quasi.attitude import interpolate
 from quasi.doubt import doubt
 from quasi.errors import DataError, ReadError
 from quasi.importing.blackbox import read_blackbox
-from quasi.importing.contradictions import rates_explained
+from quasi.importing.contradictions import rates_explained, velocity_explained
 from quasi.importing.decoded import read_decoded
 from quasi.importing.filter_delays import header_delays
 from quasi.importing.onboard_attitude import estimate_attitude
@@ -23,7 +23,7 @@ from quasi.importing.table_reader import read_table_log
 from quasi.tables import read_bytes
 
 COUNTS = "betaflight raw acceleration correction factor"
-LEAST_EXPLAINED = 0.3  # share of the body rates' variance that an attitude of the same vehicle explains, late ones too
+LEAST_EXPLAINED = 0.3  # share of the variance that a log of the same motion explains, a late one too
 RATES, FORCE = ("p", "q", "r"), ("ax", "ay", "az")
 ATTITUDE = ("qw", "qx", "qy", "qz")
 POSITION, VELOCITY, BODY_VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz"), ("u", "v", "w")
@@ -161,6 +161,15 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
                 f"{where}: the on-board attitude turns unlike the gyro (it explains {100 * max(0.0, explained):.0f} % "
                 "of the body rates); check the unit, order and axes of both",
             )
+    position, velocity = _find(series, POSITION), _find(series, VELOCITY)
+    if position is not None and velocity is not None:
+        explained = velocity_explained(velocity.t, velocity.values, position.t, position.values)
+        if explained is not None and explained < LEAST_EXPLAINED:
+            doubt(
+                notes,
+                f"{where}: the on-board velocity is not that of the on-board position (which explains "
+                f"{100 * max(0.0, explained):.0f} % of it); check the unit and axes of both",
+            )
     zero = gyro.t[0]
 
     def moved(track: Track | None, delay: float = 0.0) -> Track | None:
@@ -184,8 +193,8 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
         attitude=attitude,
         attitude_source=source,
         rest_seconds=rest,
-        position=moved(_find(series, POSITION)),
-        velocity=moved(_find(series, VELOCITY)),
+        position=moved(position),
+        velocity=moved(velocity),
         body_velocity=moved(_find(series, BODY_VELOCITY)),
         others=others,
         rotors=rotors,

@@ -263,6 +263,15 @@ def test_an_on_board_attitude_that_turns_unlike_the_gyro_is_told(tmp_path, signs
     assert ("turns unlike the gyro" not in about["verdict because"]) == fits
 
 
+@pytest.mark.parametrize(("factor", "fits"), [(1.0, True), (1000.0, False), (-1.0, False)])
+def test_an_on_board_velocity_of_another_unit_or_sign_than_the_position_is_told(tmp_path, factor, fits):
+    truth = body(10.0, rate=200.0)
+    speed = factor * np.gradient(truth.position, truth.t, axis=0)
+    more = dict(zip(("x", "y", "z"), truth.position.T)) | dict(zip(("vx", "vy", "vz"), speed.T))
+    _, about = import_flight(*table_flight(tmp_path, truth, imu(truth) | more), {"resampling rate": 200})
+    assert ("is not that of the on-board position" not in about["verdict because"]) == fits
+
+
 def test_capture_of_another_time_of_day_has_no_overlap(tmp_path):
     truth = body(10.0, rate=500.0)
     flight, quadrotor = table_flight(tmp_path, truth, imu(truth))
