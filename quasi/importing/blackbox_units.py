@@ -137,7 +137,7 @@ def _gyro(raw, header, sign, fine, known, out: Resolved) -> None:
     key = "gyro_scale" if "gyro_scale" in header else "gyro.scale"
     scale = hex_float(header.get(key))
     if "gyro" not in known and (scale is None or not 0 < scale < 1e4):
-        out.notes.append(f"the header's gyro_scale is {header.get(key)!r}; 1 deg/s per count is assumed")
+        doubt(out.notes, f"the header's gyro_scale is {header.get(key)!r}; 1 deg/s per count is assumed")
         scale = 1.0
     if "gyro" in known:
         factor, source = known["gyro"]
@@ -170,7 +170,7 @@ def _acceleration(raw, header, sign, known, out: Resolved) -> None:
     else:
         one, source = hex_float(header.get("acc_1G")), "acc_1G"
         if one is None or not 0 < one < 1e6:
-            out.notes.append(f"the header's acc_1G is {header.get('acc_1G')!r}; 2048 counts per g are assumed")
+            doubt(out.notes, f"the header's acc_1G is {header.get('acc_1G')!r}; 2048 counts per g are assumed")
             one, source = STANDARD_ACC_1G, "assumed"
         factor = GRAVITY / one
     out.about["units"]["accelerometer"] = {"factor": factor, "to": "m/s2", "source": source, "field": name}

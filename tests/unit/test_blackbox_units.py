@@ -8,6 +8,7 @@ import pytest
 from blackbox_writer import END, inter_frame, intra_frame, log_bytes, svb
 
 from quasi.airframe import erpm100_to_rad_s
+from quasi.doubt import doubts
 from quasi.errors import ReadError
 from quasi.importing import blackbox_header, blackbox_units
 from quasi.importing.blackbox import list_logs, read_blackbox
@@ -115,6 +116,15 @@ def test_gyro_scale_in_each_of_its_forms(tmp_path, header, rate):
 def test_contradicting_units_are_noticed(tmp_path):
     recording = read_full(tmp_path, header=FULL_HEADER.replace("acc_1G:2048", "acc_1G:64"))
     assert any("contradicts" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize(
+    ("lacking", "said"), [("gyro_scale:0x3f800000", "1 deg/s per count"), ("acc_1G:2048", "2048 counts per g")]
+)
+def test_scales_that_are_assumed_are_in_doubt(tmp_path, lacking, said):
+    assert not doubts(read_full(tmp_path).notes)
+    told = doubts(read_full(tmp_path, header=FULL_HEADER.replace(lacking, "")).notes)
+    assert len(told) == 1 and said in told[0]
 
 
 def test_commands_of_analogue_motors_use_the_throttle_range(tmp_path):
