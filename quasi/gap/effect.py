@@ -148,6 +148,8 @@ class Effect:
                   is looked for by the whole effect of one of them, the likeliest, see `quasi.gap.starts`
     indistinct    ids that differ from it by so little that a model's own errors would decide: always a tie with them
     absorbed      whether the model's own terms can mimic it exactly, so that only a change between flights shows it
+    foreign       whether a sound vehicle in still air, far from anything, has none of it: what a model's terms miss of
+                  such a vehicle does not look like it
     finding       a stated finding, never fitted
     """
 
@@ -169,6 +171,7 @@ class Effect:
     parts: str = "any"
     indistinct: tuple[str, ...] = ()
     absorbed: bool = False
+    foreign: bool = False
     finding: bool = False
 
     def __post_init__(self) -> None:

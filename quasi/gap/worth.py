@@ -21,10 +21,12 @@ from quasi.standalone.model import AXES
 
 MOST_WEIGHED = 5  # causes of which every selection is tried
 EXCITED = 0.1  # of its mean square in the compared flights, that a held-out one must show to be judged by
-SMALL = {"changed": 0.01, "spoken of": 0.1, "always": 0.25}  # least share of a channel's error that counts as removable
+# least share of a channel's error that counts as removable
+SMALL = {"changed": 0.01, "spoken of": 0.1, "foreign": 0.1, "always": 0.25}
 SIMPLER = 2.0  # times the material share that a simpler explanation may leave
 ASIDE = 0.4  # share that what healthy flights show as well must gain beyond doubt
 LACKING = 3.0  # times the material share that what a model lacks must gain beyond doubt, where no flight is healthy
+BESIDE = 0.3  # of the test statistic of the strongest foreign cause, below which another may be that one's form
 Deviations = dict[str, float]
 
 
@@ -61,6 +63,7 @@ class Common(NamedTuple):
             left out, which fitting anew moves and flights differ by
     old, floor  errors (blocks, 6) before, at best (6,); share  of what is removable that must go beyond doubt
     fitted  whether some of these flights made the model, which then says nothing of how it does on others
+    foreign  the share for the strongest of the causes that no sound vehicle has, if it is another
     """
 
     errors: Callable[[Sequence[Cause], bool], Score]
@@ -68,6 +71,7 @@ class Common(NamedTuple):
     floor: np.ndarray
     share: float
     fitted: bool = False
+    foreign: float | None = None
 
 
 def strength(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle, left: np.ndarray) -> float:
@@ -160,25 +164,31 @@ def _common(
     the removable error, beyond doubt, than its own terms fitted anew without them and, on flights that did not make it,
     than the model as it was; and so must each of them. The held-out flights must not become less likely.
     """
-    if not causes:
-        return []
-    removable = _removable(common.old, common.floor, "always")
-    others = [common.errors(beside, True)] + ([] if common.fitted else [common.errors(beside, False)])
+    special = None if common.foreign is None else max(
+        (c for c in causes if c.effect.foreign), key=lambda c: c.test.wald, default=None
+    )  # fmt: skip
+    if special is not None:
+        faint = BESIDE * special.test.wald
+        causes = [c for c in causes if c is special or not c.effect.foreign or c.test.wald >= faint]
+    removable = {flag: _removable(common.old, common.floor, flag) for flag in ("always", "foreign")}
 
-    def better(first: Score, last: Score) -> float:
-        """The surest share of the removable error that goes on any axis."""
-        return float(surely(first, last, removable).max())
+    def better(first: Score, last: Score, sort: str) -> float:
+        """The surest share of the removable error that goes on any axis, of the share that has to."""
+        share = common.share if sort == "always" else common.foreign
+        return float(surely(first, last, removable[sort]).max()) / share
 
     unlikely = score(beside, False).unlikely
+    others = [common.errors(beside, True)] + ([] if common.fitted else [common.errors(beside, False)])
     while causes:
         judged, whole = score([*beside, *causes], True), common.errors([*beside, *causes], True)
         worth = []
         for cause in causes:
             rest = [*beside, *(c for c in causes if c is not cause)]
             cause.gain = fraction(score(rest, True).errors, judged.errors, floor)
-            worth.append(better(common.errors(rest, True), whole))
-        together = min(better(other, whole) for other in others) >= common.share and judged.unlikely < unlikely
-        if together and min(worth) >= common.share:
+            worth.append(better(common.errors(rest, True), whole, "foreign" if cause is special else "always"))
+        sort = "foreign" if special in causes else "always"
+        together = min(better(other, whole, sort) for other in others) >= 1.0 and judged.unlikely < unlikely
+        if together and min(worth) >= 1.0:
             return causes
         causes = [c for k, c in enumerate(causes) if k != int(np.argmin(worth))]
     return []
@@ -190,6 +200,6 @@ def _seen_in(effect: Effect) -> list[int]:
 
 
 def _removable(old: Score, floor: np.ndarray, since: str) -> np.ndarray:
-    """Error (6,) above the floor; infinite where that is too small a part to speak of, but for single changes."""
+    """Error (6,) above the floor; infinite where that is too small a part to speak of, but for single causes."""
     gone, small = np.maximum(old.mean() - floor, 0.0), SMALL[since] * old.mean()
-    return np.where(gone > small, gone, small if since == "changed" else np.inf)
+    return np.where(gone > small, gone, small if since in ("changed", "foreign") else np.inf)

@@ -145,7 +145,7 @@ def examine(
         before_all = joined(old, in_turn([], False))
         least = _floor(study, asked, vehicle, compared, values[True], every, before_all)
         common = Common(lambda of, again: joined(score(of, again).centred, in_turn(of, again)), before_all, least,
-                        LACKING * share, made_of(model, flights))  # fmt: skip
+                        LACKING * share, made_of(model, flights), share)  # fmt: skip
     kept, immaterial, unjudged = material([*causes, *stand_ins], score, excited, old, floor, share, common)
     for cause in _faint(unjudged, level, 1.0 if unheard is None else unheard / rate):
         kept.remove(cause)
@@ -169,7 +169,8 @@ def examine(
     fewer = [c for c in fewer if c.test.p < level["changed"] and leads(c.test, asked)]
     immaterial += [c for c in changed if not any(c.effect.id == f.effect.id for f in fewer)]
     kept = sorted([*fewer, *(c for c in beside if c not in stand_ins)], key=lambda c: c.test.p)
-    kept, vague = _widened(kept, ties, asked, mixed, study, compared)
+    there = [c.test.offer for c in immaterial if c.since == "always" and c not in stand_ins]
+    kept, vague = _widened(kept, [*_given([], ties), *there], asked, mixed, study, compared)
     for cause in kept:
         cause.std = {n: s * flatness(cause.effect, study, vehicle, cause.value) for n, s in cause.std.items()}
     contradicted |= vague
@@ -228,21 +229,20 @@ def _elsewhere(new: Mapping[str, Deviations], old: Mapping[str, Deviations]) -> 
 
 
 def _widened(
-    causes: Sequence[Cause], ties: Sequence[tuple[str, Tie]], asked: Mapping[str, Effect], mixed: Mixed, study: Study,
+    causes: Sequence[Cause], given: Sequence[Offer], asked: Mapping[str, Effect], mixed: Mixed, study: Study,
     compared: np.ndarray,
 ) -> tuple[list[Cause], dict[str, tuple[Test, str]]]:  # fmt: skip
-    """The causes with wider standard errors where the axes of a cause differ by more: then its form is not quite right,
-    and which axis has the say decides on the value. Where nothing of a cause is sure any more, it is left out, with
-    the reason, and the others are estimated without it.
+    """The causes, estimated beside each other and what is given, with wider standard errors where the axes of a cause
+    differ by more: then its form is not quite right, and which axis has the say decides on the value. Where nothing of
+    a cause is sure any more, it is left out, with the reason, and the others are estimated without it.
     """
     kept, vague = list(causes), {}
     while True:
         for cause in kept:
             pooled = mixed.pooled(cause.since)
-            others = [c.test.offer for c in kept if c is not cause] + _given([], ties)
-            if vague:
-                again = mixed.test(cause.test.offer, others, pooled)
-                cause.test, cause.value, cause.std = again, *_estimate(again, cause.effect)
+            others = [c.test.offer for c in kept if c is not cause] + list(given)
+            again = mixed.test(cause.test.offer, others, pooled)
+            cause.test, cause.value, cause.std = again, *_estimate(again, cause.effect)
             cause.apart = disagreement(voices(study, compared, cause.test, pooled, others))
         unsure = [c for c in kept if c.apart > 1.0 and not leads(c.test, asked, SURELY * c.apart)]
         if not unsure:

@@ -38,4 +38,5 @@ EFFECT = Effect(
     tie_breaker="a staircase of hovers from 2 cm to 50 cm",
     terms=_terms,
     curved=_curved,
+    foreign=True,
 )

@@ -41,4 +41,5 @@ EFFECT = Effect(
     parts="one",
     columns=_columns,
     extension=_extension,
+    foreign=True,
 )

@@ -53,4 +53,5 @@ EFFECT = Effect(
     rivals=("ground_effect", "tether"),
     tie_breaker="hover at the same height in the middle of the room and at its walls",
     terms=_terms,
+    foreign=True,
 )

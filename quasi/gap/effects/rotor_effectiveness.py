@@ -24,4 +24,5 @@ EFFECT = Effect(
     rivals=("cg_offset", "rotor_tilt"),
     tie_breaker="heave with a large range of thrust, and steps of each axis",
     terms=_terms,
+    foreign=True,
 )

@@ -28,4 +28,5 @@ EFFECT = Effect(
     rivals=("rotor_effectiveness", "imu_misalignment"),
     tie_breaker="steps of throttle",
     terms=_terms,
+    foreign=True,
 )

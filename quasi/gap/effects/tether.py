@@ -19,4 +19,5 @@ EFFECT = Effect(
     rivals=("ground_effect", "wind", "mass"),
     tie_breaker="slow climbs to several heights, at several places",
     terms=_terms,
+    foreign=True,
 )

@@ -20,4 +20,5 @@ EFFECT = Effect(
     rivals=("battery_sag", "thrust_factor"),
     tie_breaker="a pause at rest: sag recovers and tracks volts, heating cools",
     terms=_terms,
+    foreign=True,
 )

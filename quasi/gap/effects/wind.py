@@ -36,4 +36,5 @@ EFFECT = Effect(
     columns=_columns,
     extension=_extension,
     parts="all",
+    foreign=True,
 )
