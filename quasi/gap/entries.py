@@ -136,11 +136,14 @@ def candidates(found: Found, settled: Settled, share: float) -> list[dict[str, A
     for c in found.immaterial:
         why = f"there, but it removes less than {100 * share:.0f} % of the removable error on held-out flights"
         if c.since == "always":
-            sure = max(share, ASIDE) if "changed" in found.level else LACKING * share
+            alone = "changed" not in found.level
+            sure = (share if c.effect.foreign else LACKING * share) if alone else max(share, ASIDE)
             why = (
                 f"there, but beside the model's own terms, fitted anew, it is not sure to remove {100 * sure:.0f} % of "
                 "the removable error on flights left out"
             )
+            if alone and c.effect.foreign:
+                why += ", or it may be the form of a stronger cause"
         add(c.effect.id, c.since, c.test, why)
     for name, (test, why) in found.contradicted.items():
         add(name, test.offer.since, test, why)

@@ -154,23 +154,30 @@ def examine(
         contradicted[cause.effect.id] = cause.test, why
     ties = [(since, tie) for since, tie in ties if any(c in kept for c in stand_ins if _stands_for(c, since, tie))]
     immaterial = [c for c in immaterial if not any(_stands_for(c, *tie) for tie in ties)]
-    beside = [c for c in kept if c in stand_ins or c.since == "always"]
+    beside = [c for c in kept if c.since == "always"]
+
+    def tied(of: Sequence[Cause]) -> list[tuple[str, Tie]]:
+        """The ties whose first is among some causes, and those of what all flights show, which are not chosen from."""
+        return [tie for tie in ties if tie[0] == "always" or any(_stands_for(c, *tie) for c in of)]
 
     def estimated(of: Sequence[Cause]) -> list[Cause] | None:
-        offers = [_given([], ties), [c.test.offer for c in (*of, *beside)]]
-        again = [Named(c.test, c.rivals) for c in of]
-        found = _merged(again, asked, mixed, [o for part in offers for o in part])
+        offers = {*_given([], tied(of)), *(c.test.offer for c in (*of, *beside))}
+        found = _merged([Named(c.test, c.rivals) for c in of], asked, mixed, sorted(offers, key=str))
         return found if all(possible(c.test, within) for c in found) else None
 
-    changed = [c for c in kept if c.since == "changed" and c not in stand_ins]
-    fewer = simplest(changed, estimated, lambda of: score([*beside, *of], any(c.since == "always" for c in beside)),
-                     old, floor, share, [c for c in changed if c in unjudged])  # fmt: skip
+    changed = [c for c in kept if c.since == "changed"]
+    fewer = simplest(changed, estimated, lambda of: score([*beside, *of], bool(beside)), old, floor, share,
+                     [c for c in changed if c in unjudged])  # fmt: skip
+    ties = tied(fewer)
     # one that was significant beside another that is needless may not be without it
     fewer = [c for c in fewer if c.test.p < level["changed"] and leads(c.test, asked)]
     immaterial += [c for c in changed if not any(c.effect.id == f.effect.id for f in fewer)]
-    kept = sorted([*fewer, *(c for c in beside if c not in stand_ins)], key=lambda c: c.test.p)
+    immaterial = [c for c in immaterial if not any(_stands_for(c, *tie) for tie in ties)]
+    kept = [c for c in (*fewer, *beside) if not any(_stands_for(c, *tie) for tie in ties)]
+    kept = sorted(kept, key=lambda c: c.test.p)
     there = [c.test.offer for c in immaterial if c.since == "always" and c not in stand_ins]
     kept, vague = _widened(kept, [*_given([], ties), *there], asked, mixed, study, compared)
+    ties = [(since, _anew(tie, since, [*(c.test.offer for c in kept), *there], ties, mixed)) for since, tie in ties]
     for cause in kept:
         cause.std = {n: s * flatness(cause.effect, study, vehicle, cause.value) for n, s in cause.std.items()}
     contradicted |= vague
@@ -286,6 +293,12 @@ def _contradicted(
 
 def _tied_with(one: str, other: str, ties: Sequence[tuple[str, Tie]]) -> bool:
     return any({one, other} <= {t.offer.cause for t in tie.tests} for _, tie in ties)
+
+
+def _anew(tie: Tie, since: str, given: Sequence[Offer], ties: Sequence[tuple[str, Tie]], mixed: Mixed) -> Tie:
+    """A tie with its sizes beside what is named in the end; later causes may resemble it."""
+    others = [*given, *_given([], [t for t in ties if t[1] is not tie])]
+    return tie._replace(tests=[mixed.test(t.offer, others, mixed.pooled(since)) for t in tie.tests])
 
 
 def _stands_for(cause: Cause, since: str, tie: Tie) -> bool:

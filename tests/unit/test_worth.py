@@ -12,10 +12,10 @@ SHARE = 0.05
 BLOCKS = 40
 
 
-def cause(name, since="changed", channels=("Fz",), p=1e-9):
-    effect = Effect(name, "W", "", "", "", channels=channels)
+def cause(name, since="changed", channels=("Fz",), p=1e-9, foreign=False, wald=50.0):
+    effect = Effect(name, "W", "", "", "", channels=channels, foreign=foreign)
     return Cause(
-        effect, since, {}, {}, mixed.Test(mixed.Offer(name, since, (0,)), np.zeros(1), np.eye(1), 1.0, 50.0, p), []
+        effect, since, {}, {}, mixed.Test(mixed.Offer(name, since, (0,)), np.zeros(1), np.eye(1), 1.0, wald, p), []
     )
 
 
@@ -96,6 +96,24 @@ def test_what_all_flights_have_must_gain_on_a_channel_that_is_not_at_its_floor()
     for old, new, there in ((OLD, fz(1.0), True), (noisy, fz(1.0), False), (OLD, fz(3.99), False)):
         score = scored({frozenset("a"): new}, old)
         assert (judged_by([a], score, old=old)[0] == [a]) is there
+
+
+def test_what_no_sound_vehicle_has_needs_a_smaller_share_where_no_flight_is_healthy():
+    """A tenth of what can go. A second one, a fifth as significant, may be the form of the first."""
+    for foreign, share, there in ((True, SHARE, True), (False, SHARE, False), (True, None, False)):
+        a = cause("a", "always", foreign=foreign)
+        score = scored({frozenset("a"): fz(3.7)}, OLD)
+        common = Common(
+            lambda of, anew, s=score: s(of, anew).centred, judged(OLD).errors, FLOOR, 3 * SHARE, True, share
+        )
+        assert (judged_by([a], score, common=common)[0] == [a]) is there
+    for wald, there in ((40.0, True), (10.0, False)):
+        a, b = cause("a", "always", foreign=True), cause("b", "always", foreign=True, wald=wald)
+        score = scored({frozenset("a"): fz(2.5), frozenset("b"): fz(2.5), frozenset("ab"): fz(1.0)}, OLD)
+        common = Common(
+            lambda of, anew, s=score: s(of, anew).centred, judged(OLD).errors, FLOOR, 3 * SHARE, True, SHARE
+        )
+        assert (b in judged_by([a, b], score, common=common)[0]) is there
 
 
 def test_of_what_all_flights_have_that_which_nothing_needs_goes_and_the_rest_stays():
