@@ -290,7 +290,7 @@ def recorded_twice(rows: Mapping[str, list[str]]) -> tuple[str, str] | None:
     often = Counter(sizes.values())
     # files of unlike sizes differ: only the others are read
     contents = {
-        row: _content(path, number) if sizes[path] and often[sizes[path]] > 1 else (path, number)
+        row: _content(path, number) if sizes[path] and often[sizes[path]] > 1 else (path, number, path)
         for row, (path, number) in rows.items()
     }
     return next((pair for pair in combinations(contents, 2) if _alike(*(contents[row] for row in pair))), None)
@@ -300,10 +300,23 @@ def _size(path: str) -> int:
     return Path(path).stat().st_size if is_file(Path(path)) else 0
 
 
-def _content(path: str, number: str) -> tuple[str, str]:
-    return hashlib.sha256(read_bytes(path)).hexdigest(), number
+def _content(path: str, number: str) -> tuple[str, str, str]:
+    return hashlib.sha256(read_bytes(path)).hexdigest(), number, path
 
 
-def _alike(one: tuple[str, str], other: tuple[str, str]) -> bool:
-    """Whether two logs are one: without a number it is the longest of its file, which any number may be."""
-    return one[0] == other[0] and (one[1] == other[1] or not one[1] or not other[1])
+def _alike(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
+    """Whether two logs (content, number, path) are one; without a number it is the longest of its file."""
+    if one[0] != other[0] or one[1] == other[1]:
+        return one[0] == other[0]
+    asked, free = (one, other) if one[1] else (other, one)
+    return not free[1] and _longest(asked[2]) in ("", asked[1])
+
+
+def _longest(path: str) -> str:
+    """Number of the log that is read of a file where none is asked for; nothing where it is no blackbox file."""
+    from quasi.importing.blackbox import longest_log  # decoding is compiled code, which takes a while to load
+
+    try:
+        return str(longest_log(path))
+    except QuasiError:
+        return ""

@@ -8,7 +8,6 @@ import numpy as np
 from quasi.gap.confirmation import Settled
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
-from quasi.gap.worth import ASIDE, LACKING
 from quasi.gap.wrench import Cause, Found
 
 # shares of resamples in which a cause alone, the strongest of several, another one must be found again
@@ -136,14 +135,12 @@ def candidates(found: Found, settled: Settled, share: float) -> list[dict[str, A
     for c in found.immaterial:
         why = f"there, but it removes less than {100 * share:.0f} % of the removable error on held-out flights"
         if c.since == "always":
-            alone = "changed" not in found.level
-            sure = (share if c.effect.foreign else LACKING * share) if alone else max(share, ASIDE)
             why = (
-                f"there, but beside the model's own terms, fitted anew, it is not sure to remove {100 * sure:.0f} % of "
-                "the removable error on flights left out"
+                "there, but beside the model's own terms, fitted anew, it is not sure to remove "
+                f"{100 * c.asked:.0f} % of the removable error on flights left out"
+                if c.asked is not None
+                else "so little beside a stronger cause that it may be that one's form"
             )
-            if alone and c.effect.foreign:
-                why += ", or it may be the form of a stronger cause"
         add(c.effect.id, c.since, c.test, why)
     for name, (test, why) in found.contradicted.items():
         add(name, test.offer.since, test, why)

@@ -35,6 +35,8 @@ class Cause:
     """An accepted cause: deviations from neutral with standard errors, the test, rivals it beat, gain per axis.
 
     apart  how many times further apart the axes are than they should be, by which `std` is widened
+    asked  share of the removable error that had to go beyond doubt, of what all flights have alike; None where it was
+           not weighed beside a stronger foreign cause
     """
 
     effect: Effect
@@ -46,6 +48,7 @@ class Cause:
     gain: dict[str, dict[str, float | None]] = field(default_factory=dict)
     probability: float = 0.0
     apart: float = 1.0
+    asked: float | None = None
 
 
 class Judged(NamedTuple):
@@ -164,12 +167,16 @@ def _common(
     the removable error, beyond doubt, than its own terms fitted anew without them and, on flights that did not make it,
     than the model as it was; and so must each of them. The held-out flights must not become less likely.
     """
-    special = None if common.foreign is None else max(
-        (c for c in causes if c.effect.foreign), key=lambda c: c.test.wald, default=None
-    )  # fmt: skip
+    if not causes:
+        return []
+    offered, special = causes, None
+    if common.foreign is not None:
+        special = max((c for c in causes if c.effect.foreign), key=lambda c: c.test.wald, default=None)
     if special is not None:
         faint = BESIDE * special.test.wald
         causes = [c for c in causes if c is special or not c.effect.foreign or c.test.wald >= faint]
+    for cause in offered:
+        cause.asked = common.foreign if cause is special else common.share if cause in causes else None
     removable = {flag: _removable(common.old, common.floor, flag) for flag in ("always", "foreign")}
 
     def better(first: Score, last: Score, sort: str) -> float:
@@ -190,7 +197,10 @@ def _common(
         together = min(better(other, whole, sort) for other in others) >= 1.0 and judged.unlikely < unlikely
         if together and min(worth) >= 1.0:
             return causes
-        causes = [c for k, c in enumerate(causes) if k != int(np.argmin(worth))]
+        least = causes[int(np.argmin(worth))]
+        if least is special:  # which stands in nobody's way then
+            return _common([c for c in offered if c is not special], beside, score, floor, common)
+        causes = [c for c in causes if c is not least]
     return []
 
 

@@ -168,9 +168,9 @@ def examine(
     changed = [c for c in kept if c.since == "changed"]
     fewer = simplest(changed, estimated, lambda of: score([*beside, *of], bool(beside)), old, floor, share,
                      [c for c in changed if c in unjudged])  # fmt: skip
-    ties = tied(fewer)
     # one that was significant beside another that is needless may not be without it
     fewer = [c for c in fewer if c.test.p < level["changed"] and leads(c.test, asked)]
+    ties = tied(fewer)
     immaterial += [c for c in changed if not any(c.effect.id == f.effect.id for f in fewer)]
     immaterial = [c for c in immaterial if not any(_stands_for(c, *tie) for tie in ties)]
     kept = [c for c in (*fewer, *beside) if not any(_stands_for(c, *tie) for tie in ties)]

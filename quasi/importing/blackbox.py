@@ -126,6 +126,15 @@ def list_logs(path: str | Path) -> list[dict[str, Any]]:
     return [_about_log(data, log) for log in find_logs(data, str(path))]
 
 
+def longest_log(path: str | Path) -> int:
+    """Number of the log of a blackbox file that is read where none is asked for. Raises ReadError as `list_logs`."""
+    return _longest(list_logs(path))
+
+
+def _longest(about: list[dict[str, Any]]) -> int:
+    return max(about, key=lambda one: (one["duration"], one["frames"], -one["number"]))["number"]
+
+
 def _about_log(data: bytes, log: Log, frames: Frames | None = None) -> dict[str, Any]:
     count, duration = 0, 0.0
     if not log.fault:
@@ -155,7 +164,7 @@ def _choose(data: bytes, path: str, log_number: int | None) -> tuple[Log, Frames
         about = [_about_log(data, log, frames)]
     else:
         about = [_about_log(data, log) for log in logs]
-        number = log_number or max(about, key=lambda one: (one["duration"], one["frames"], -one["number"]))["number"]
+        number = log_number or _longest(about)
         log = logs[number - 1]
         frames = None if log.fault or not about[number - 1]["frames"] else decode(data, log, WANTED)
     if log.fault:

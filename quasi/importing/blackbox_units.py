@@ -258,6 +258,8 @@ def _rotor_speeds(raw, header, poles: int | None, known, out: Resolved) -> None:
         return
     if "rotor speed" in known:
         factor, source = known["rotor speed"]
+        if poles is None:
+            out.about["motor poles"] = {"value": None, "source": "not needed, the log holds mechanical speeds"}
         _speeds(raw, name, motors, factor, source, out)
         return
     logged = hex_float(header.get("motor_poles"))

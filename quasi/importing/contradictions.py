@@ -14,6 +14,7 @@ RATE, BAND = 100.0, 3.0  # Hz
 LEAST_TURNING = 0.1  # rad/s, rms body rate below which nothing can be said of an attitude
 LEAST_SPEED = 0.3  # m/s, rms velocity below which nothing can be said of a position
 FASTEST_ROTOR, FULLEST, HIGHEST_VOLTAGE = 8000.0, 1.5, 100.0  # rad/s, share, V: beyond what flies indoors and out
+STRETCH = 5.0  # s, of which each is asked by itself: one reset of an estimate is no wrong unit
 LEAST_MOTION = 0.2  # m/s2, rms acceleration below which nothing can be said
 
 
@@ -85,7 +86,8 @@ def velocity_explained(t: np.ndarray, velocity: np.ndarray, t_told: np.ndarray, 
 
 
 def _explained(t: np.ndarray, felt: np.ndarray, t_told: np.ndarray, told: np.ndarray, least: float) -> float | None:
-    """Share of the variance of `felt` (n, 3) that `told` (m, 3) explains at low frequency; None below `least` rms."""
+    """Share of the variance of `felt` (n, 3) that `told` (m, 3) explains at low frequency, the median of all stretches;
+    None where none reaches `least` rms."""
     one, other = uniform(t, felt, RATE, BAND), uniform(t_told, told, RATE, BAND)
     if one is None or other is None:
         return None
@@ -95,10 +97,13 @@ def _explained(t: np.ndarray, felt: np.ndarray, t_told: np.ndarray, told: np.nda
         return None
     grid = one.start + one.step * np.arange(len(one.values))
     there = np.stack([np.interp(at[good], grid, v) for v in one.values.T], axis=-1)
-    moving = np.sum(np.var(there, axis=0))
-    if np.sqrt(moving) < least:
-        return None
-    return float(1.0 - np.sum(np.var(other.values[good] - there, axis=0)) / moving)
+    here, number = other.values[good], ((at[good] - at[good][0]) / STRETCH).astype(int)
+    shares = []
+    for rows in (number == k for k in np.unique(number)):
+        moving = np.sum(np.var(there[rows], axis=0))
+        if np.count_nonzero(rows) >= RATE and np.sqrt(moving) >= least:
+            shares.append(1.0 - np.sum(np.var(here[rows] - there[rows], axis=0)) / moving)
+    return float(np.median(shares)) if shares else None
 
 
 def doubtful_units(rates: np.ndarray, force: np.ndarray) -> list[str]:
@@ -112,7 +117,9 @@ def doubtful_units(rates: np.ndarray, force: np.ndarray) -> list[str]:
     typical = float(np.median(felt)) / GRAVITY if len(felt) else 1.0
     if not 0.2 < typical < 5.0:
         found.append(f"the specific force is typically {typical:.3g} g, where a flight feels about 1; check its unit")
-    elif len(felt) and np.nanmedian(force[:, 2]) > 0.5 * typical * GRAVITY:
+    elif (
+        len(felt) and np.nanquantile(force[:, 2], 0.1) > 0.5 * typical * GRAVITY
+    ):  # not only where it lies after a crash
         found.append(
             "the specific force points down as it does upside down, where at rest and in flight it points up with 1 g; "
             "check its sign and the body axes"

@@ -230,8 +230,12 @@ def _delays(recording: Recording, where: str, notes: list[str]) -> dict[str, Any
         doubt(
             notes,
             f"{where}: the log does not say how {' and '.join(unknown)} were filtered on board; the delay is taken as "
-            f"{' and '.join(f'0 +- {1e3 * std:g} ms' for std in unknown.values())}. Give the .bbl as the controller "
-            "wrote it, or a CSV with its header, to have it taken off",
+            f"{' and '.join(f'0 +- {1e3 * std:g} ms' for std in unknown.values())}"
+            + (
+                ". Give the .bbl as the controller wrote it, or a CSV with its header, to have it taken off"
+                if recording.metadata.get("format") in ("viewer export", "blackbox_decode")
+                else ""
+            ),
         )
     return delays
 

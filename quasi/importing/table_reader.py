@@ -89,8 +89,10 @@ def read_table_log(
         key = "onboard" if r is main else "capture" if r.source.capture else f"onboard {r.source.name}"
         series[key] = Series(r.t, r.values)
         about[r.source.name] |= {"samples": len(r.t), "median interval": float(np.median(np.diff(r.t)))}
-    uses_poles = any("w1" in r.values for r in raw)
-    if uses_poles and poles_from == "default" and "eRPM" in str(mapping):
+    electrical = any("w1" in r.values for r in raw) and "eRPM" in str(mapping)
+    if not electrical and poles_from == "default":
+        poles, poles_from = None, "not needed, the table holds mechanical speeds"
+    elif poles_from == "default":
         notes.append(
             f"{path}: electrical rotor speeds were converted with {poles} poles, the default; set 'motor poles'"
         )
@@ -345,7 +347,7 @@ class _Raw:
         removed, signed = {}, []
         for name in [n for n in self.values if n[0] == "w" and n[1:].isdigit()]:
             values = self.values[name].copy()
-            if np.nanmedian(values) < 0.0:
+            if -np.nanquantile(values, 0.01) > np.nanquantile(values, 0.99):
                 # written with the sign of the turning direction, which the quadrotor configuration tells
                 values = -values
                 self.values[name] = values

@@ -11,6 +11,7 @@ import pandas as pd
 from quasi.errors import ReadError
 from quasi.tables import read_bytes, read_table, read_text
 
+THOUSANDS = r"[+-]?[1-9][0-9]{0,2}(?:,[0-9]{3})+"
 DECIMAL_COMMA = r"[+-]?[0-9]*(?:,[0-9]*)?(?:[eE][+-]?[0-9]+)?"
 
 
@@ -59,6 +60,12 @@ def _decimal_points(table: pd.DataFrame, path: Path, notes: list[str]) -> None:
         text = column.dropna().astype(str).str.strip()
         number = text.str.fullmatch(DECIMAL_COMMA)
         # a column of whole numbers and text has none; single cells of text are told as such later
+        commas = text[text.str.contains(",")]
+        if len(commas) and commas.str.fullmatch(THOUSANDS).all() and text.str.contains(r",.*,|[.]|^[0-9]{1,3}$").any():
+            raise ReadError(
+                f"{path}: the commas of column '{name}' (such as {commas.iloc[0]}) may be decimal commas or stand "
+                "between thousands; export it without thousands separators"
+            )
         if number.mean() > 0.5 and text[number].str.contains(",").any():
             table.isetitem(place, column.astype("string").str.strip().str.replace(",", ".", n=1).astype(object))
             turned.append(str(name))

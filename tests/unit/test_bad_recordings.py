@@ -266,6 +266,8 @@ def test_units_that_contradict_the_numbers_of_a_table_are_noted(tmp_path):
     _, about = table(tmp_path, lambda f: f.assign(az=-f["az"]))
     assert any("points down as it does upside down" in n and "check its sign" in n for n in about["notes"])
     assert about["verdict"] == "unusable"
+    half = lambda f: f.assign(az=np.where(np.arange(len(f)) > 0.4 * len(f), -f["az"], f["az"]))  # noqa: E731
+    assert not any("points down" in n for n in table(tmp_path, half)[1]["notes"])  # it landed on its back
 
 
 def test_time_of_a_table_in_another_unit_than_stated_is_refused(tmp_path):

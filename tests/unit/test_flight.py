@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from quasi.attitude import from_euler
 from quasi.errors import ConfigError, DataError, ReadError
+from quasi.importing.contradictions import rates_explained
 from quasi.importing.figures import alignment_figure
 from quasi.importing.flight import import_flight
 from quasi.synthesis.campaign import make_flight, read_campaign
@@ -308,3 +309,13 @@ def test_real_nano_drone_flights_import(run):
     seen = (frame["velocity_sample"] > 0) & (frame["z"] < -0.4)
     assert frame["w"][seen].abs().max() < 4.0  # 5.9 with the stamps as they crowd
     assert frame["az"][seen].median() == pytest.approx(-9.9, abs=0.4)
+
+
+def test_an_estimate_that_is_set_right_once_is_no_wrong_attitude():
+    """A heading that is found by 172 degrees at once, in a gentle flight."""
+    t = np.arange(0.0, 30.0, 0.005)
+    rates = np.outer(0.6 * np.cos(2.0 * t), [1.0, 0.0, 0.0])
+    level = Rotation.from_rotvec(np.outer(0.3 * np.sin(2.0 * t), [1.0, 0.0, 0.0]))
+    set_right = Rotation.from_rotvec(np.outer(np.where(t > 12.0, 3.0, 0.0), [0.0, 0.0, 1.0])) * level
+    for attitude, low, high in ((level, 0.95, 1.01), (set_right, 0.95, 1.01), (level.inv(), -9.0, 0.0)):
+        assert low < rates_explained(t, rates, t, attitude.as_quat(scalar_first=True)) < high

@@ -15,6 +15,7 @@ from quasi.attitude import matrix, rotate
 from quasi.doubt import doubts
 from quasi.errors import ConfigError, ReadError
 from quasi.importing.table_reader import read_table_log
+from quasi.importing.table_text import open_table
 from quasi.importing.units import UNITS, to_si
 from quasi.tables import read_json
 
@@ -223,6 +224,26 @@ def test_speeds_with_the_sign_of_their_direction_lose_it(tmp_path, flown):
     recording = read_table_log(saved(tmp_path, table), PLAN, 14)
     assert stacked(recording.series["onboard motors"], "w1", "w2", "w3", "w4") == pytest.approx(rotors, rel=1e-9)
     assert any("speeds of w2, w3 are negative" in n for n in recording.notes)
+
+
+def test_long_rest_does_not_decide_on_the_sign_of_speeds(tmp_path, flown):
+    """Most of the log at rest: told as -1 where speeds are positive, as 0 where they are negative."""
+    _, rotors, table = flown
+    rest = slice(0, int(0.6 * len(table)))
+    table[["m2", "m3"]] *= -1.0
+    table.loc[rest, ["m1", "m4"]], table.loc[rest, ["m2", "m3"]] = -1.0, 0.0
+    recording = read_table_log(saved(tmp_path, table), PLAN, 14)
+    flying = stacked(recording.series["onboard motors"], "w1", "w2", "w3", "w4")[int(0.6 * len(table)) + 1 :]
+    assert flying == pytest.approx(rotors[int(0.6 * len(table)) + 1 :], rel=1e-9)
+
+
+def test_commas_that_may_stand_between_thousands_are_refused(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t;w1\n0;999\n1;1,200\n2;1,201\n")
+    with pytest.raises(ReadError, match=r"column 'w1' \(such as 1,200\) may be decimal .* thousands separators"):
+        open_table(path, [])
+    path.write_text("t;w1\n0;0,999\n1;1,200\n2;1,201\n")
+    assert pd.to_numeric(open_table(path, [])["w1"]).tolist() == [0.999, 1.2, 1.201]
 
 
 @pytest.mark.parametrize(

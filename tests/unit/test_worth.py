@@ -116,6 +116,14 @@ def test_what_no_sound_vehicle_has_needs_a_smaller_share_where_no_flight_is_heal
         assert (b in judged_by([a, b], score, common=common)[0]) is there
 
 
+def test_a_strong_foreign_cause_that_is_worth_nothing_stands_in_nobodys_way():
+    a, b = cause("a", "always", foreign=True), cause("b", "always", foreign=True, wald=10.0)
+    score = scored({frozenset("b"): fz(3.7), frozenset("ab"): fz(3.7), frozenset("a"): OLD}, OLD)
+    common = Common(lambda of, anew: score(of, anew).centred, judged(OLD).errors, FLOOR, 3 * SHARE, True, SHARE)
+    assert judged_by([a, b], score, common=common)[0] == [b]
+    assert (a.asked, b.asked) == (SHARE, SHARE)
+
+
 def test_of_what_all_flights_have_that_which_nothing_needs_goes_and_the_rest_stays():
     """b does harm: with it the two together gain nothing, a alone does."""
     a, b = cause("a", "always"), cause("b", "always")
