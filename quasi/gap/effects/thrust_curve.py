@@ -17,7 +17,7 @@ EFFECT = Effect(
     id="thrust_curve",
     level="W",
     sentence="thrust does not follow the square of rotor speed",
-    equation="T = c0 + c1 W + c2 W^2",
+    equation="T = c0 + c1 W + c2 W^2, and the torque that its flow draws",
     source="static thrust tests: Deters, Ananda & Selig, AIAA 2014-2151",
     parameters={
         "c1": Parameter("N s/rad", 0.0, "a", -1e-3, 1e-3, lambda v: 0.03 * v.thrust * v.hover_speed),
