@@ -150,6 +150,7 @@ class Effect:
     absorbed      whether the model's own terms can mimic it exactly, so that only a change between flights shows it
     foreign       whether a sound vehicle in still air, far from anything, has none of it: what a model's terms miss of
                   such a vehicle does not look like it
+    rough         share to which sizes are known at best, for its form follows what happens only roughly
     finding       a stated finding, never fitted
     """
 
@@ -172,6 +173,7 @@ class Effect:
     indistinct: tuple[str, ...] = ()
     absorbed: bool = False
     foreign: bool = False
+    rough: float = 0.0
     finding: bool = False
 
     def __post_init__(self) -> None:

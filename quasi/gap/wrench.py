@@ -266,7 +266,8 @@ def _widened(
 def _estimate(test: Test, effect: Effect) -> tuple[Deviations, Deviations]:
     """Deviations and standard errors by name; how well the vehicle's constants are known in these."""
     names = [effect.fitted[k] for k in test.offer.which]
-    value, std = map(float, test.value), map(float, np.hypot(test.std, KNOWN * test.value))
+    known = max(KNOWN, effect.rough)
+    value, std = map(float, test.value), map(float, np.hypot(test.std, known * test.value))
     return dict(zip(names, value)), dict(zip(names, std))
 
 

@@ -39,6 +39,7 @@ EFFECT = Effect(
     rivals=("mass", "wind", "tether"),
     tie_breaker="stop sharply and hover: a load goes on swinging",
     parts="one",
+    rough=0.4,  # how it swung before, and errors of the forces that drive it, dilute the estimate
     columns=_columns,
     extension=_extension,
     foreign=True,
