@@ -305,18 +305,5 @@ def _content(path: str, number: str) -> tuple[str, str, str]:
 
 
 def _alike(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
-    """Whether two logs (content, number, path) are one; without a number it is the longest of its file."""
-    if one[0] != other[0] or one[1] == other[1]:
-        return one[0] == other[0]
-    asked, free = (one, other) if one[1] else (other, one)
-    return not free[1] and _longest(asked[2]) in ("", asked[1])
-
-
-def _longest(path: str) -> str:
-    """Number of the log that is read of a file where none is asked for; nothing where it is no blackbox file."""
-    from quasi.importing.blackbox import longest_log  # decoding is compiled code, which takes a while to load
-
-    try:
-        return str(longest_log(path))
-    except QuasiError:
-        return ""
+    """Whether two logs (content, number, path) may be one; without a number it is the longest of its file."""
+    return one[0] == other[0] and (one[1] == other[1] or "" in (one[1], other[1]))

@@ -65,8 +65,8 @@ class Folder(Recordings):
         if twice := recorded_twice(logs):
             raise ConfigError(
                 f"config/models/{name}.json: {twice[0]} and {twice[1]} have the same recording, but each flight counts "
-                "once, and trains or is held out; leave one out (a row without 'Log number' means the longest log of "
-                "its file)"
+                "once, and trains or is held out; leave one out, or give each its own 'Log number' if the file holds "
+                "several logs"
             )
 
     def partitioning(self, name: str) -> dict[str, Any]:

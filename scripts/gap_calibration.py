@@ -33,7 +33,7 @@ def main(source: dict, asked: dict, settings: dict, output: dict[str, str]) -> N
     if twice:
         raise ConfigError(
             f"{asked['file']}: {twice[0]} and {twice[1]} have the same recording, but each flight counts once and has "
-            "one role; leave one out (a row without 'Log number' means the longest log of its file)"
+            "one role; leave one out, or give each its own 'Log number' if the file holds several logs"
         )
     effects = chosen(asked["settings"]["effects"], catalogue(asked["effect files"]), asked["file"])
     model, flights = read_model(source["model"]), []

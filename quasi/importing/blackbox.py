@@ -126,11 +126,6 @@ def list_logs(path: str | Path) -> list[dict[str, Any]]:
     return [_about_log(data, log) for log in find_logs(data, str(path))]
 
 
-def longest_log(path: str | Path) -> int:
-    """Number of the log of a blackbox file that is read where none is asked for. Raises ReadError as `list_logs`."""
-    return _longest(list_logs(path))
-
-
 def _longest(about: list[dict[str, Any]]) -> int:
     return max(about, key=lambda one: (one["duration"], one["frames"], -one["number"]))["number"]
 
