@@ -86,6 +86,18 @@ def columns_of(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Val
     return columns
 
 
+def corrected(evidence: Evidence, effects: Mapping[str, Effect], values: Mapping[str, Values]) -> Evidence:
+    """The flight as right instruments would have shown it.
+
+    effects  by id; values {id: deviations} of the causes that are taken to be there
+    """
+    for name, at in values.items():
+        effect = effects.get(name)
+        if effect is not None and effect.corrected is not None and any(at.values()):
+            evidence = effect.corrected(evidence, dict.fromkeys(effect.parameters, 0.0) | dict(at))
+    return evidence
+
+
 def whole_of(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Values) -> np.ndarray:
     """All that a cause of these deviations adds to the residual (n, 6)."""
     full = dict.fromkeys(effect.parameters, 0.0) | dict(values)

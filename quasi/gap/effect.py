@@ -39,6 +39,14 @@ class Parameter(NamedTuple):
     typical: "float | Callable[[Vehicle], float] | None" = None
 
 
+class Size(NamedTuple):
+    """A figure as it is told: value and standard error in a unit."""
+
+    value: float
+    std: float
+    unit: str
+
+
 class Room(NamedTuple):
     """Where walls and ceiling are: lowest and highest earth x and y, m; height of the ceiling, m, None without one."""
 
@@ -141,9 +149,12 @@ class Effect:
     curved        (vehicle, values) -> {axis: expression}, the whole effect where it is not in proportion to its
                   parameter; or
     whole         (evidence, vehicle, values) -> (n, 6), the same where no expression can say it
+    corrected     (evidence, values) -> evidence as right instruments would have shown it, for a cause that makes them
+                  err: what other causes do is told by the truth; it must bend
     extension     (values, vehicle, model) -> Extension, where terms do not say it
     parts         how parameters may be found: "any" one alone or all; "all" only together; "first" the first few;
                   "one" a single one, the likeliest; "next" one after the other, each beside those before it
+    told          (deviations, standard errors) -> {name: Size} to be told instead of the parameters that are fitted
     starts        sizes of the one parameter of a cause that bends so much that its slope at nothing hardly shows it: it
                   is looked for by the whole effect of one of them, the likeliest, see `quasi.gap.starts`
     indistinct    ids that differ from it by so little that a model's own errors would decide: always a tie with them
@@ -167,7 +178,9 @@ class Effect:
     columns: Callable[[Evidence, Values], dict[str, np.ndarray]] | None = None
     curved: Callable[[Vehicle, Values], Terms] | None = None
     whole: Callable[[Evidence, Vehicle, Values], np.ndarray] | None = None
+    corrected: Callable[[Evidence, Values], Evidence] | None = None
     extension: Callable[[Values, Vehicle, Model], Extension] | None = None
+    told: Callable[[Values, Values], dict[str, Size]] | None = None
     starts: tuple[float, ...] = ()
     parts: str = "any"
     indistinct: tuple[str, ...] = ()

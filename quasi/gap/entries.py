@@ -50,6 +50,8 @@ def truth(effect: Effect, name: str, deviation: float, vehicle: Vehicle) -> floa
 
 def parameters_of(effect: Effect, value: Mapping[str, float], std: Mapping[str, float], vehicle: Vehicle) -> dict:
     """Parameters as they are, with standard errors and units, of deviations by name."""
+    if effect.told is not None:
+        return {n: size._asdict() for n, size in effect.told(value, std).items()}
     return {
         n: {"value": float(truth(effect, n, v, vehicle)), "std": float(std[n]), "unit": effect.parameters[n].unit}
         for n, v in value.items()

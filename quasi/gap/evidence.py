@@ -6,7 +6,7 @@ variables).
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -192,6 +192,10 @@ class Evidence:
     def predicted_with(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
         """Wrench of the model (n, 6) with some of the flight's columns replaced."""
         return _predict(self.model, {**self.columns, **columns})
+
+    def with_columns(self, columns: Mapping[str, np.ndarray]) -> "Evidence":
+        """The flight with some of its columns replaced, and what the model makes of them."""
+        return replace(self, columns={**self.columns, **columns}, predicted=self.predicted_with(columns))
 
     def _slope(self, name: str) -> np.ndarray:
         cache = self.__dict__.setdefault("_slopes", {})

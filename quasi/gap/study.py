@@ -8,7 +8,7 @@ import numpy as np
 
 from quasi.errors import DataError, ExpressionError
 from quasi.expressions import Program, parse
-from quasi.gap.catalogue import beyond_slope, columns_of
+from quasi.gap.catalogue import beyond_slope, columns_of, corrected
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.mixed import Columns, Mixed, Witnessed, marginal
@@ -130,9 +130,10 @@ def gather_study(
     values = values or [{} for _ in flights]
     asked = {name: e for name, e in effects.items() if e.terms is not None or e.columns is not None}
     made: list[dict[str, dict[str, np.ndarray]]] = [{} for _ in flights]
+    true = [corrected(flight, asked, own) for flight, own in zip(flights, values)]
     for name, effect in list(asked.items()):
         try:
-            for flight, columns, own in zip(flights, made, values):
+            for columns, flight, own in zip(made, flights if effect.corrected else true, values):
                 at = own.get(name) or dict.fromkeys(effect.parameters, 0.0)
                 columns[name] = columns_of(effect, flight, vehicle, at)
             if not any(column.any() for columns in made for column in columns[name].values()):
@@ -141,10 +142,10 @@ def gather_study(
             lacking[name] = str(error)
             del asked[name]
     thinned, names, layout = [], [], None
-    for flight, columns, at in zip(flights, made, values):
+    for flight, seen, columns, at in zip(flights, true, made, values):
         parts = [("residual", _straight(flight, asked, vehicle, at))]
-        shared = base_columns(flight)
-        own = nuisances(flight)
+        shared = base_columns(seen)
+        own = nuisances(seen)
         parts += shared + [(n, c) for n, c, _ in own]
         causes: dict[str, list[int]] = {}
         for name in asked:
@@ -166,15 +167,24 @@ def gather_study(
 
 
 def moved(study: Study, effects: Mapping[str, Effect], vehicle: Vehicle, values: Sequence[Values]) -> Study:
-    """The study with its curved causes linearised at other values, per flight; nothing else is computed anew."""
-    changed = [n for n in study.columns.causes if any(n in own for own in (*values, *study.values))]
+    """The study with its curved causes linearised at other values, per flight; nothing else is computed anew, unless
+    the flights' instruments are taken to have erred.
+    """
+    met = {n for own in (*values, *study.values) for n in own}
+    again = any(effects[n].corrected for n in met if n in effects)
+    changed = [n for n in study.columns.causes if again or n in met]
     thinned = []
     for flight, old, own in zip(study.flights, study.thinned, values):
         place, parts = [0], [_straight(flight, effects, vehicle, own)]
+        true = corrected(flight, effects, own)
+        if again:  # terms of some flights read with the error would, beside causes read without, make up any change
+            place += [*study.columns.shared, *study.columns.nuisance]
+            parts += [c for _, c in base_columns(true)] + [c for _, c, _ in nuisances(true)]
         for name in changed:
             at = own.get(name) or dict.fromkeys(effects[name].parameters, 0.0)
             place += study.columns.causes[name]
-            parts += columns_of(effects[name], flight, vehicle, at).values()
+            shown = flight if effects[name].corrected else true
+            parts += columns_of(effects[name], shown, vehicle, at).values()
         columns = old.columns.copy()
         columns[:, :, place] = _thinned(flight, parts).columns
         thinned.append(old._replace(columns=columns))
@@ -183,10 +193,11 @@ def moved(study: Study, effects: Mapping[str, Effect], vehicle: Vehicle, values:
 
 def _straight(flight: Evidence, effects: Mapping[str, Effect], vehicle: Vehicle, values: Values) -> np.ndarray:
     """Residual (n, 6) less what curved causes at their values are more than their slopes."""
-    return flight.residual - sum(
-        (beyond_slope(effects[n], flight, vehicle, at) for n, at in values.items() if n in effects),
-        np.zeros((len(flight), 6)),
-    )
+    true, left = corrected(flight, effects, values), flight.residual
+    for name, at in values.items():
+        if name in effects:
+            left = left - beyond_slope(effects[name], flight if effects[name].corrected else true, vehicle, at)
+    return left
 
 
 def _thinned(flight: Evidence, columns: Sequence[np.ndarray]) -> Thinned:

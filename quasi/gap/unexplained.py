@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.gap import rhythm
-from quasi.gap.catalogue import beyond_slope, columns_of
+from quasi.gap.catalogue import beyond_slope, columns_of, corrected
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.gain import surely, wrench_score
@@ -339,12 +339,15 @@ def _comes_again(
 def _residual(flight: Evidence, joint: Joint, vehicle: Vehicle) -> np.ndarray:
     """What the joint fit leaves of a compared flight (n, 6)."""
     left = flight.residual
+    bent = {e.id: at for e, _, at, _ in joint.causes if e.bends}
+    true = corrected(flight, {e.id: e for e, *_ in joint.causes}, bent)
     if joint.base is not None:
-        left = left - sum(b * column for b, (_, column) in zip(joint.base, base_columns(flight)))
+        left = left - sum(b * column for b, (_, column) in zip(joint.base, base_columns(true)))
     for effect, _, at, own in joint.causes:
         at = at if effect.bends and at else dict.fromkeys(effect.parameters, 0.0)
-        columns = columns_of(effect, flight, vehicle, at)
-        left = left - beyond_slope(effect, flight, vehicle, at) - sum(columns[n] * v for n, v in own.items())
+        seen = flight if effect.corrected else true
+        columns = columns_of(effect, seen, vehicle, at)
+        left = left - beyond_slope(effect, seen, vehicle, at) - sum(columns[n] * v for n, v in own.items())
     functions = joint.basis.functions(flight)
     for place, value in joint.functions:
         left = left - flight.only(AXES[place.channel], functions[:, list(place.choice.which)] @ value)

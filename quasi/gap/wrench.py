@@ -8,7 +8,7 @@ import numpy as np
 
 from quasi.errors import ConfigError
 from quasi.gap.agreement import contradiction, disagreement, voices
-from quasi.gap.catalogue import beyond_slope, columns_of
+from quasi.gap.catalogue import beyond_slope, columns_of, corrected
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.extension import extend
@@ -26,7 +26,7 @@ SURELY = 2.0  # standard errors, widened, that some parameter must differ by
 ASTRAY = 0.5  # of its size, that a cause may move when it is linearised there
 LOOKS = 4  # how often curved causes are linearised anew, and contradicted ones left out
 RIDGES = (1e-3, 1e-2, 1e-1)  # of fits of everything at once, on scaled columns
-KNOWN = 0.02  # share to which the vehicle's constants are known, of which columns are made: thrust, hubs, own drag
+KNOWN = 0.05  # share to which the forms hold and what they are made of is known: thrust of a rotor, hubs, own drag
 WEIGHING = ("mass", "cg_offset")
 NET = "the model is of net forces (noGravity), which hold the weight; identify it withGravity"
 DRAWS = 40  # resamples of the flights' blocks
@@ -399,12 +399,13 @@ def everything(
     coefficients = np.linalg.solve(inner, total[use, 0] / scale) / scale
 
     def residual(flight: Evidence) -> np.ndarray:
-        columns = [c for _, c in base_columns(flight)]
-        bent = np.zeros((len(flight), len(AXES)))
+        bent, true = np.zeros((len(flight), len(AXES))), corrected(flight, asked, values)
+        columns = [c for _, c in base_columns(true)]
         for cause in study.columns.causes:
             at = values.get(cause) or dict.fromkeys(asked[cause].parameters, 0.0)
-            columns += list(columns_of(asked[cause], flight, vehicle, at).values())
-            bent += beyond_slope(asked[cause], flight, vehicle, at)
+            shown = flight if asked[cause].corrected else true
+            columns += list(columns_of(asked[cause], shown, vehicle, at).values())
+            bent += beyond_slope(asked[cause], shown, vehicle, at)
         return flight.residual - bent - np.einsum("k,knj->nj", coefficients, np.array(columns))
 
     return residual

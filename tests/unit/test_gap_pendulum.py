@@ -6,6 +6,7 @@ from scipy.integrate import solve_ivp
 
 from quasi.attitude import GRAVITY
 from quasi.gap.catalogue import catalogue
+from quasi.gap.entries import parameters_of
 from quasi.gap.pendulum import swing
 
 RATE = 100.0
@@ -73,3 +74,12 @@ def test_the_extension_holds_one_load_of_the_total_mass_and_the_middle_length():
     assert load["swinging load"]["mass"] == pytest.approx(0.02)
     assert load["swinging load"]["length"] == pytest.approx(np.sqrt(0.32 * 0.5))
     assert not effect.extension(masses, None, None).states
+
+
+def test_of_a_load_its_whole_mass_and_its_length_are_told():
+    effect = catalogue()["payload_swing"]
+    value = {"mass at 0.32 m": 0.01, "mass at 0.5 m": 0.01}
+    told = parameters_of(effect, value, dict.fromkeys(value, 0.003), None)
+    assert told["mass"] == {"value": pytest.approx(0.02), "std": pytest.approx(0.003 * np.sqrt(2.0)), "unit": "kg"}
+    assert told["length"]["value"] == pytest.approx(0.4) and told["length"]["unit"] == "m"
+    assert list(told) == ["mass", "length"]

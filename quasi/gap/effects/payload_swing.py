@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
+from quasi.gap.effect import Effect, Extension, Parameter, Size, Values, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.pendulum import pull_of
 from quasi.standalone.model import Model
 
+COARSE = 0.2  # of a length, to which it is known: the lengths are 1.6 apart
 # m; a length between two of them shows in the next shorter one
 LENGTHS = {f"mass at {length:g} m": length for length in (0.12, 0.2, 0.32, 0.5, 0.8, 1.3)}
 
@@ -15,14 +16,27 @@ def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
     return {name: evidence.forces_only(pull_of(evidence, length)) for name, length in LENGTHS.items()}
 
 
-def _extension(values: Values, _: Vehicle, __: Model) -> Extension:
+def _load(values: Values) -> tuple[float, float]:
+    """Mass of the whole load, kg, and the length that its parts hang at in the middle, m."""
     masses = {length: values[name] for name, length in LENGTHS.items() if values.get(name)}
-    total = sum(masses.values())
+    total = float(sum(masses.values()))
     if total <= 0.0:
-        return Extension()
+        return total, 0.0
     middle = float(np.exp(sum(m * np.log(length) for length, m in masses.items()) / total))
-    length = float(np.clip(middle, min(LENGTHS.values()), max(LENGTHS.values())))
-    return Extension(states={"swinging load": {"mass": float(total), "length": length}})
+    return total, float(np.clip(middle, min(LENGTHS.values()), max(LENGTHS.values())))
+
+
+def _extension(values: Values, _: Vehicle, __: Model) -> Extension:
+    mass, length = _load(values)
+    return Extension(states={"swinging load": {"mass": mass, "length": length}}) if length else Extension()
+
+
+def _told(values: Values, stds: Values) -> dict[str, Size]:
+    mass, length = _load(values)
+    return {
+        "mass": Size(mass, float(np.linalg.norm(list(stds.values()))), "kg"),
+        "length": Size(length, COARSE * length, "m"),
+    }
 
 
 EFFECT = Effect(
@@ -42,5 +56,6 @@ EFFECT = Effect(
     rough=0.4,  # how it swung before, and errors of the forces that drive it, dilute the estimate
     columns=_columns,
     extension=_extension,
+    told=_told,
     foreign=True,
 )

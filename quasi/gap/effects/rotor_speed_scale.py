@@ -12,11 +12,18 @@ def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
     return {"scale": -np.einsum("nij,nj->ni", slope, evidence.speeds)}
 
 
+def _turned(evidence: Evidence, values: Values) -> dict[str, np.ndarray]:
+    """The columns of rotor speeds and accelerations as they were."""
+    names = [name for rotor in ROTORS for name in (rotor, f"{rotor}_dot") if name in evidence.columns]
+    return {name: evidence.columns[name] / (1.0 + values["scale"]) for name in names}
+
+
 def _whole(evidence: Evidence, _: Vehicle, values: Values) -> np.ndarray:
-    scale = 1.0 + values["scale"]
-    turned = [name for rotor in ROTORS for name in (rotor, f"{rotor}_dot") if name in evidence.columns]
-    true = evidence.predicted_with({name: evidence.columns[name] / scale for name in turned})
-    return true - evidence.predicted
+    return evidence.predicted_with(_turned(evidence, values)) - evidence.predicted
+
+
+def _corrected(evidence: Evidence, values: Values) -> Evidence:
+    return evidence.with_columns(_turned(evidence, values))
 
 
 def _extension(values: Values, _: Vehicle, __: Model) -> Extension:
@@ -35,6 +42,7 @@ EFFECT = Effect(
     tie_breaker="a tachometer, or the vibration line against the logged speed",
     columns=_columns,
     whole=_whole,
+    corrected=_corrected,
     extension=_extension,
     indistinct=("thrust_factor",),
     absorbed=True,
