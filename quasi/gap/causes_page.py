@@ -42,6 +42,10 @@ def _entry(effect: Effect, vehicle: Vehicle) -> list[str]:
     for name, parameter in effect.parameters.items():
         alike.setdefault(_told(parameter, vehicle), []).append(f"`{name}`")
     lines += [f"- {', '.join(names)}{told}" for told, names in alike.items()]
+    if effect.told:
+        nothing = dict.fromkeys(effect.parameters, 0.0)
+        names = [f"`{name}` in {size.unit}" for name, size in effect.told(nothing, nothing).items()]
+        lines.append(f"- told as {' and '.join(names)}")
     if effect.channels:
         lines.append(f"- shows in {', '.join(effect.channels)}")
     if effect.rivals:
