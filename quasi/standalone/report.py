@@ -169,30 +169,30 @@ def _histogram(axis: str, facts: Mapping[str, Any]) -> str:
     if not len(edges) or top <= 0:
         return ""
     least = top * 1e-4
-    width, height = 1000, 84
+    width, height = 1000, 88
     low, span = edges[0], edges[-1] - edges[0]
 
     def x(value: float) -> float:
         return float(np.clip((value - low) / span, 0, 1)) * width
 
     def y(value: float) -> float:
-        return height - 14 - (np.log(max(value, least) / least) / np.log(top / least)) * (height - 20)
+        return height - 17 - (np.log(max(value, least) / least) / np.log(top / least)) * (height - 24)
 
     parts = []
     for k, (band, colour) in enumerate(zip(facts["quartiles"], BANDS)):
         a, b = x(band["from"]) if k else 0.0, x(band["to"]) if k < 2 else float(width)
-        parts.append(f'<rect x="{a:.1f}" y="0" width="{max(b - a, 0.5):.1f}" height="{height - 14}" fill="{colour}"/>')
+        parts.append(f'<rect x="{a:.1f}" y="0" width="{max(b - a, 0.5):.1f}" height="{height - 17}" fill="{colour}"/>')
     for role, values in density.items():
         steps = " ".join(f"{x(edges[k + side]):.1f},{y(v):.1f}" for k, v in enumerate(values) for side in (0, 1))
         parts.append(f'<polyline points="{steps}" fill="none" stroke="{COLOURS[role]}" stroke-width="1.5"/>')
     for place, anchor in ((low, "start"), (edges[-1], "end")):
         parts.append(
-            f'<text x="{x(place):.0f}" y="{height - 2}" font-size="12" fill="#5b6770" text-anchor="{anchor}">'
+            f'<text x="{x(place):.0f}" y="{height - 5}" font-size="12" fill="#5b6770" text-anchor="{anchor}">'
             f"{report.number(float(place))} {report.escape(facts['unit'])}</text>"
         )
     parts.append(f'<text x="6" y="15" font-size="13" fill="#1c2329">{axis}</text>')
     key = " · ".join(f'<tspan fill="{COLOURS[r]}">{r}</tspan>' for r in density)
-    parts.append(f'<text x="{width / 2}" y="{height - 2}" font-size="12" text-anchor="middle">{key}</text>')
+    parts.append(f'<text x="{width / 2}" y="{height - 5}" font-size="12" text-anchor="middle">{key}</text>')
     return f'<svg viewBox="0 0 {width} {height}" width="100%" role="img">{"".join(parts)}</svg>'
 
 
