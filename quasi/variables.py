@@ -6,7 +6,7 @@ The manual's Table 2 under its own names and under the spellings of published mo
     w_tot (wtot), w_avg (wavg)          sum; root of the mean square
     u_p u_q u_r, U_p U_q U_r            sums weighted by left, front and spin sign of the speeds, of their squares
     d_w1.., d_w_tot (d_wtot)            difference from the hover speed
-    u v w                               velocity through the air (over ground where no wind is known)
+    u v w (u_air v_air w_air)           velocity through the air (over ground where no wind is known)
     mu_x mu_y mu_z mu_vin               u, v, w, v_in over the tip speed w_avg R
     roll pitch yaw p q r x y z          attitude wrapped to +-pi, body rates, position
     w1_dot.., w_tot_dot, u_p_dot ..     rotor accelerations, rad/s2, their sum and weighted sums
@@ -33,6 +33,8 @@ SYNONYMS: dict[str, Tree] = {
     "wavg": ("name", "w_avg"),
     "d_wtot": ("name", "d_w_tot"),
     **{f"w2_{i}": ("power", ("name", f"w{i}"), ("number", 2.0)) for i in range(1, 5)},
+    # u v w are velocities through the air already: the columns of that name take their place in `Variables.column`
+    **{f"{v}_air": ("name", v) for v in "uvw"},
 }
 _ROTORS = tuple(f"w{i}" for i in range(1, 5))
 _DOTS = tuple(f"w{i}_dot" for i in range(1, 5))
@@ -55,7 +57,7 @@ for _unit, _members in {
                        "w_tot", "w_avg", "d_w_tot", "u_p", "u_q", "u_r", "p", "q", "r"),
     (0, 0, -2, 2, 0): (*(f"w2_{i}" for i in range(1, 5)), "U_p", "U_q", "U_r"),
     (0, 0, -2, 1, 0): (*_DOTS, "w_tot_dot", "u_p_dot", "u_q_dot", "u_r_dot", "p_dot", "q_dot", "r_dot"),
-    (1, 0, -1, 0, 0): ("u", "v", "w", "v_in", "u_air", "v_air", "w_air"),
+    (1, 0, -1, 0, 0): ("u", "v", "w", "v_in"),
     (0, 0, 0, -1, 0): ("mu_x", "mu_y", "mu_z", "mu_vin"),
     (0, 0, 0, 1, 0): ("roll", "pitch", "yaw"),
     (1, 0, 0, 0, 0): ("x", "y", "z"),
