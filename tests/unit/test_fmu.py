@@ -319,6 +319,20 @@ def test_impossible_parameters_are_refused(vehicle, start):
         Instance(fmu, library, CO_SIMULATION, start)
 
 
+def test_an_impossible_battery_is_refused(tmp_path):
+    fmu, nan, infinite = vehicle_fmu(on_battery()), float("nan"), float("inf")
+    library = compile_fmu(fmu, tmp_path)
+    for name, values in {
+        "reference_voltage": [0.0, -15.5, nan, infinite],
+        "voltage_exponent": [nan, infinite, -infinite],
+    }.items():
+        for value in values:
+            with pytest.raises(ValueError, match="fmi2ExitInitializationMode"):
+                Instance(fmu, library, CO_SIMULATION, {name: value})
+    with Instance(fmu, library, CO_SIMULATION, {"reference_voltage": 0.1, "voltage_exponent": 0.0}) as instance:
+        instance.step(0.0, 0.002)
+
+
 def test_what_cannot_be_set_or_asked_is_refused(vehicle):
     _, fmu, library, _ = vehicle
     with Instance(fmu, library, CO_SIMULATION) as instance:
