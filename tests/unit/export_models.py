@@ -54,10 +54,8 @@ def normalised():
     limits = {"mass": 0.433, "motor poles": 14, "idle RPM": 250, "max RPM": 2500}
     frame = read_airframe({**BEETLE, "moment of inertia": inertia, **limits}, "test")
     scheme = normalisation_of(frame, None, "test").to_plain()
-    parts = {
-        axis: {**part(axis, {"U_p": 0.3, "mu_x*w_avg": -0.1, "u": 0.2, "F_den^0.5": 1e-3}), "normalisation": scheme}
-        for axis in AXES
-    }
+    terms = {"U_p": 0.3, "mu_x*w_avg": -0.1, "u": 0.2, "F_den^0.5": 1e-3, "|F_den|*v": 1e-3, "sin[M_den]": 1e-3}
+    parts = {axis: {**part(axis, terms), "normalisation": scheme} for axis in AXES}
     return Model(assemble(parts, SHARED, {"id": "normalised", "airframe": frame}))
 
 
