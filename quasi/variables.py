@@ -18,12 +18,12 @@ Source: QuaSI user manual V1.0.a, Table 2, equations (13) and (15).
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
 from quasi.airframe import Airframe
-from quasi.errors import ExpressionError, nearest
+from quasi.errors import ConfigError, ExpressionError, nearest
 from quasi.expressions import Tree, evaluate, names, parse
 from quasi.normalisation import Normalisation
 from quasi.tables import COLUMNS
@@ -38,6 +38,7 @@ SYNONYMS: dict[str, Tree] = {
 }
 _ROTORS = tuple(f"w{i}" for i in range(1, 5))
 _DOTS = tuple(f"w{i}_dot" for i in range(1, 5))
+_STATES = ("roll", "pitch", "yaw", *"uvwpqrxyz")
 _AIR = {"u": "u_air", "v": "v_air", "w": "w_air"}
 _OF = re.compile(r"^(?:\|(?P<abs>.+)\||(?P<function>sin|cos)\[(?P<of>.+)\])$")
 
@@ -145,6 +146,44 @@ def check_terms(document: object, where: str) -> None:
             text = term.get("expression") if isinstance(term, Mapping) else None
             if isinstance(text, str):
                 check_expression(text, f"{where}, {axis}, term '{text}'", normalised)
+
+
+def inputs_of_system(u: Iterable[str], where: str) -> tuple[str, ...]:
+    """The inputs of a differential form under one spelling.
+
+    Raises ConfigError for what cannot be one: a rate, |..|, sin[..], a squared speed, an unknown name, the same twice,
+    or a variable beside one that it is made of.
+    """
+    found: list[str] = []
+    logged = [n for n in COLUMNS if n.startswith(("command", "battery", "v_in", "throttle"))]
+    known = [n for n in known_names({*_STATES, *_ROTORS, *_DOTS, *logged}) if not n.startswith("w2_")]
+    cannot = "cannot be an input of the differential form"
+    for name in u:
+        if not isinstance(name, str):
+            raise ConfigError(f"{where}: {name!r} {cannot}, expected the name of a variable such as U_p")
+        inner = split_function(name)[1]
+        if inner != name:
+            raise ConfigError(f"{where}: '{name}' {cannot}; name '{inner}'")
+        if name.startswith("w2_"):
+            raise ConfigError(f"{where}: '{name}' {cannot}; name 'w{name[3:]}'")
+        plain = SYNONYMS[name][1] if name in SYNONYMS else name
+        if plain in ("p", "q", "r"):
+            raise ConfigError(f"{where}: '{name}' {cannot}, for it is part of x = (p, q, r); leave it out")
+        if plain not in known:
+            raise ConfigError(f"{where}: unknown input '{name}' of the differential form{nearest(name, known)}")
+        if plain in found:
+            raise ConfigError(f"{where}: '{name}' stands twice among the inputs of the differential form; name it once")
+        found.append(plain)
+    for name in found:
+        both = sorted((base_columns(name) - {name}) & set(found))
+        if both:
+            raise ConfigError(
+                f"{where}: '{name}' is made of '{both[0]}', so that they cannot both be inputs of the differential "
+                "form; name one of them"
+            )
+    if not found:
+        raise ConfigError(f"{where}: the differential form needs at least one input, such as U_p")
+    return tuple(found)
 
 
 class Variables:
