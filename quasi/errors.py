@@ -39,10 +39,12 @@ def nearest(name: str, known: Iterable[str]) -> str:
     " (did you mean 'mass'?)"
     """
     known = sorted(map(str, known))
-    lowered = {k.lower(): k for k in known}
-    close = difflib.get_close_matches(str(name).lower(), list(lowered), n=1, cutoff=0.6)
+    close = difflib.get_close_matches(str(name).lower(), [k.lower() for k in known], n=1, cutoff=0.6)
     if close:
-        return f" (did you mean '{lowered[close[0]]}'?)"
+        # of names that differ by case alone, such as U_q and u_q, the one in the case that was written
+        alike = [k for k in known if k.lower() == close[0]]
+        meant = max(alike, key=lambda k: difflib.SequenceMatcher(None, k, str(name)).ratio())
+        return f" (did you mean '{meant}'?)"
     if not known:
         return ""
     shown = ", ".join(f"'{k}'" for k in known[:12]) + (", ..." if len(known) > 12 else "")

@@ -10,7 +10,7 @@ forces become F / N and moments M / (N b), and the variables of a polynomial sta
     w2_1.., U_p U_q U_r    squares over a^2, sums    w1_dot.., w_tot_dot, u_p_dot ..   over a^2
     w_tot, w_avg, d_w..    over w_max                w1_CMD..      over a
     p q r                  b / (a R)                 mu_x mu_y mu_z mu_vin, v_in       over a R
-    u v w                  over the airspeed, never taken below 0.01 m/s
+    u v w (u_air ..)       over the airspeed, never taken below 0.01 m/s
     F_den, M_den           N and N b themselves
 
 Angles, positions and all else stay as they are. The two limits keep every variable finite with rotors that stand still

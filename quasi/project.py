@@ -12,7 +12,7 @@ from quasi import configuration
 from quasi.errors import ConfigError, LogbookError, QuasiError, ReadError, nearest
 from quasi.logbook import NAME, Row, pick, read_logbook
 from quasi.tables import read_json, read_text
-from quasi.variables import check_expression, check_terms
+from quasi.variables import check_expression, check_terms, inputs_of_system
 
 MADE = ("results", "models", "logs")  # folders that runs write into
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -187,6 +187,10 @@ class Project:
         axes = [a for a in AXES if config["identification parameters"][f"identify {a.lower()}"]]
         if not axes:
             raise ConfigError(f"{path}: every 'identify ...' is false; switch at least one on")
+        for section in ("standalone", "matlab"):  # the stages that read them run after the whole identification
+            u = config[section].get("DiffSys u")
+            if u or (u is not None and config[section]["make moment DiffSys"]):
+                inputs_of_system(u, f"{path}, '{section}' / 'DiffSys u'")
         return config
 
     @functools.cache  # noqa: B019

@@ -6,7 +6,7 @@ The manual's Table 2 under its own names and under the spellings of published mo
     w_tot (wtot), w_avg (wavg)          sum; root of the mean square
     u_p u_q u_r, U_p U_q U_r            sums weighted by left, front and spin sign of the speeds, of their squares
     d_w1.., d_w_tot (d_wtot)            difference from the hover speed
-    u v w                               velocity through the air (over ground where no wind is known)
+    u v w (u_air v_air w_air)           velocity through the air (over ground where no wind is known)
     mu_x mu_y mu_z mu_vin               u, v, w, v_in over the tip speed w_avg R
     roll pitch yaw p q r x y z          attitude wrapped to +-pi, body rates, position
     w1_dot.., w_tot_dot, u_p_dot ..     rotor accelerations, rad/s2, their sum and weighted sums
@@ -18,12 +18,12 @@ Source: QuaSI user manual V1.0.a, Table 2, equations (13) and (15).
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
 from quasi.airframe import Airframe
-from quasi.errors import ExpressionError, nearest
+from quasi.errors import ConfigError, ExpressionError, nearest
 from quasi.expressions import Tree, evaluate, names, parse
 from quasi.normalisation import Normalisation
 from quasi.tables import COLUMNS
@@ -33,9 +33,12 @@ SYNONYMS: dict[str, Tree] = {
     "wavg": ("name", "w_avg"),
     "d_wtot": ("name", "d_w_tot"),
     **{f"w2_{i}": ("power", ("name", f"w{i}"), ("number", 2.0)) for i in range(1, 5)},
+    # u v w are velocities through the air already: the columns of that name take their place in `Variables.column`
+    **{f"{v}_air": ("name", v) for v in "uvw"},
 }
 _ROTORS = tuple(f"w{i}" for i in range(1, 5))
 _DOTS = tuple(f"w{i}_dot" for i in range(1, 5))
+_STATES = ("roll", "pitch", "yaw", *"uvwpqrxyz")
 _AIR = {"u": "u_air", "v": "v_air", "w": "w_air"}
 _OF = re.compile(r"^(?:\|(?P<abs>.+)\||(?P<function>sin|cos)\[(?P<of>.+)\])$")
 
@@ -55,7 +58,7 @@ for _unit, _members in {
                        "w_tot", "w_avg", "d_w_tot", "u_p", "u_q", "u_r", "p", "q", "r"),
     (0, 0, -2, 2, 0): (*(f"w2_{i}" for i in range(1, 5)), "U_p", "U_q", "U_r"),
     (0, 0, -2, 1, 0): (*_DOTS, "w_tot_dot", "u_p_dot", "u_q_dot", "u_r_dot", "p_dot", "q_dot", "r_dot"),
-    (1, 0, -1, 0, 0): ("u", "v", "w", "v_in", "u_air", "v_air", "w_air"),
+    (1, 0, -1, 0, 0): ("u", "v", "w", "v_in"),
     (0, 0, 0, -1, 0): ("mu_x", "mu_y", "mu_z", "mu_vin"),
     (0, 0, 0, 1, 0): ("roll", "pitch", "yaw"),
     (1, 0, 0, 0, 0): ("x", "y", "z"),
@@ -143,6 +146,44 @@ def check_terms(document: object, where: str) -> None:
             text = term.get("expression") if isinstance(term, Mapping) else None
             if isinstance(text, str):
                 check_expression(text, f"{where}, {axis}, term '{text}'", normalised)
+
+
+def inputs_of_system(u: Iterable[str], where: str) -> tuple[str, ...]:
+    """The inputs of a differential form under one spelling.
+
+    Raises ConfigError for what cannot be one: a rate, |..|, sin[..], a squared speed, an unknown name, the same twice,
+    or a variable beside one that it is made of.
+    """
+    found: list[str] = []
+    logged = [n for n in COLUMNS if n.startswith(("command", "battery", "v_in", "throttle"))]
+    known = [n for n in known_names({*_STATES, *_ROTORS, *_DOTS, *logged}) if not n.startswith("w2_")]
+    cannot = "cannot be an input of the differential form"
+    for name in u:
+        if not isinstance(name, str):
+            raise ConfigError(f"{where}: {name!r} {cannot}, expected the name of a variable such as U_p")
+        inner = split_function(name)[1]
+        if inner != name:
+            raise ConfigError(f"{where}: '{name}' {cannot}; name '{inner}'")
+        if name.startswith("w2_"):
+            raise ConfigError(f"{where}: '{name}' {cannot}; name 'w{name[3:]}'")
+        plain = SYNONYMS[name][1] if name in SYNONYMS else name
+        if plain in ("p", "q", "r"):
+            raise ConfigError(f"{where}: '{name}' {cannot}, for it is part of x = (p, q, r); leave it out")
+        if plain not in known:
+            raise ConfigError(f"{where}: unknown input '{name}' of the differential form{nearest(name, known)}")
+        if plain in found:
+            raise ConfigError(f"{where}: '{name}' stands twice among the inputs of the differential form; name it once")
+        found.append(plain)
+    for name in found:
+        both = sorted((base_columns(name) - {name}) & set(found))
+        if both:
+            raise ConfigError(
+                f"{where}: '{name}' is made of '{both[0]}', so that they cannot both be inputs of the differential "
+                "form; name one of them"
+            )
+    if not found:
+        raise ConfigError(f"{where}: the differential form needs at least one input, such as U_p")
+    return tuple(found)
 
 
 class Variables:

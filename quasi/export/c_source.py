@@ -74,7 +74,7 @@ def _comment(lines: Sequence[str]) -> str:
 
 
 def _header(model: Model, p: str) -> str:
-    guard = f"{p.upper()}_H"
+    guard = f"{p}_H"  # not in capitals throughout: IDs that differ by the case of letters are two models
     extras, u = extras_of(model), differential_inputs(model)
     parts = [
         _comment(
@@ -88,7 +88,7 @@ def _header(model: Model, p: str) -> str:
         ),
         f'#ifndef {guard}\n#define {guard}\n\n#ifdef __cplusplus\nextern "C" {{\n#endif\n',
         f"#ifdef QUASI_FLOAT32\ntypedef float {p}_real;\n#else\ntypedef double {p}_real;\n#endif\n",
-        f"#define {p.upper()}_EXTRA_INPUTS {len(extras)}",
+        f"#define {p}_EXTRA_INPUTS {len(extras)}",
     ]
     if extras:
         parts.append(_comment(["extra[] holds", *(f"  {i}  {shown(name)}" for i, name in enumerate(extras))]))
@@ -146,8 +146,8 @@ def _rotors_header(model: Model, p: str) -> str:
                 *note,
             ]
         )
-        + f"#ifndef {p.upper()}_DELAY_ROWS\n#define {p.upper()}_DELAY_ROWS {rows}\n#endif\n"
-        f"typedef struct {{\n    {p}_real time_step, speeds[4], commands[{p.upper()}_DELAY_ROWS][4];\n"
+        + f"#ifndef {p}_DELAY_ROWS\n#define {p}_DELAY_ROWS {rows}\n#endif\n"
+        f"typedef struct {{\n    {p}_real time_step, speeds[4], commands[{p}_DELAY_ROWS][4];\n"
         f"    int latest;\n}} {p}_rotors;\n"
         f"int {p}_rotors_start({p}_rotors *rotors, {p}_real time_step, const {p}_real speeds[4]);\n"
         f"void {p}_rotors_step({p}_rotors *rotors, const {p}_real commanded[4], {p}_real speeds[4]);\n"
@@ -200,7 +200,7 @@ def _source(model: Model, p: str) -> str:
         parts.append(_differential_form(model, derivatives, u, p, arguments))
     if region is not None:
         parts.append(_distance(model, region, p, arguments))
-    parts.append(_ROTORS_SOURCE.replace("@ROWS@", f"{p.upper()}_DELAY_ROWS").replace("@", p))
+    parts.append(_ROTORS_SOURCE.replace("@ROWS@", f"{p}_DELAY_ROWS").replace("@", p))
     return "\n".join(parts)
 
 

@@ -24,10 +24,11 @@ from quasi.export.contents import check_exportable, known_actuators
 from quasi.export.matlab_simulation import write_simulation
 from quasi.export.matlab_terms import axis_file, differential_file, matlab_name, wrench_file
 from quasi.normalisation import LEAST_AIRSPEED
-from quasi.standalone.differential import differential_system, inputs_of_system
+from quasi.standalone.differential import differential_system
 from quasi.standalone.kernel import INPUTS
 from quasi.standalone.model import AXES, Model
 from quasi.tables import read_text, write_bytes, write_text
+from quasi.variables import inputs_of_system
 
 FILES = Path(__file__).parent / "matlab_files"
 _UNKNOWN = float("nan")

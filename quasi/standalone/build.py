@@ -7,9 +7,10 @@ import numpy as np
 
 from quasi.airframe import to_plain
 from quasi.errors import ConfigError
-from quasi.standalone.differential import RATES, inputs_of_system
+from quasi.standalone.differential import RATES
 from quasi.standalone.document import AXES, SCHEMA
 from quasi.standalone.model import Model
+from quasi.variables import inputs_of_system
 
 
 def assemble(

@@ -20,10 +20,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quasi.errors import ConfigError, nearest
+from quasi.errors import ConfigError
 from quasi.standalone.kernel import INPUTS
-from quasi.tables import COLUMNS
-from quasi.variables import SYNONYMS, base_columns, known_names, plain_name, split_function
+from quasi.variables import base_columns, inputs_of_system, plain_name
 
 RATES = ("p", "q", "r")
 
@@ -117,44 +116,6 @@ def differential_system(
     rates = np.atleast_2d(np.asarray(state, float))[:, 6:9]
     found = form_system(values, rates, model.airframe.inertia, u)
     return DifferentialSystem(*(part[0] for part in found[:-1]), u) if np.ndim(state) == 1 else found
-
-
-def inputs_of_system(u: Iterable[str], where: str) -> tuple[str, ...]:
-    """The inputs of a differential form under one spelling.
-
-    Raises ConfigError for what cannot be one: a rate, |..|, sin[..], a squared speed, an unknown name, the same twice,
-    or a variable beside one that it is made of.
-    """
-    found: list[str] = []
-    everything = {*INPUTS, *(n for n in COLUMNS if n.startswith(("command", "battery", "v_in", "throttle")))}
-    known = [n for n in known_names(everything) if not n.startswith("w2_")]
-    cannot = "cannot be an input of the differential form"
-    for name in u:
-        if not isinstance(name, str):
-            raise ConfigError(f"{where}: {name!r} {cannot}, expected the name of a variable such as U_p")
-        inner = split_function(name)[1]
-        if inner != name:
-            raise ConfigError(f"{where}: '{name}' {cannot}; name '{inner}'")
-        if name.startswith("w2_"):
-            raise ConfigError(f"{where}: '{name}' {cannot}; name 'w{name[3:]}'")
-        plain = SYNONYMS[name][1] if name in SYNONYMS else name
-        if plain in RATES:
-            raise ConfigError(f"{where}: '{name}' {cannot}, for it is part of x = (p, q, r); leave it out")
-        if plain not in known:
-            raise ConfigError(f"{where}: unknown input '{name}' of the differential form{nearest(name, known)}")
-        if plain in found:
-            raise ConfigError(f"{where}: '{name}' stands twice among the inputs of the differential form; name it once")
-        found.append(plain)
-    for name in found:
-        both = sorted((base_columns(name) - {name}) & set(found))
-        if both:
-            raise ConfigError(
-                f"{where}: '{name}' is made of '{both[0]}', so that they cannot both be inputs of the differential "
-                "form; name one of them"
-            )
-    if not found:
-        raise ConfigError(f"{where}: the differential form needs at least one input, such as U_p")
-    return tuple(found)
 
 
 def held_of(u: Iterable[str]) -> tuple[str, ...]:

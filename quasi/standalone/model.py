@@ -108,7 +108,8 @@ class Model:
                              or (N, 9) without the position where no term needs it
         rotor_speeds         (N, 4) mechanical rad/s
         rotor_accelerations  (N, 4) rad/s2; without them terms that use them take zero: the quasi-steady prediction
-        extra                further columns that terms name (battery_voltage, v_in, ...), each (N,)
+        extra                further columns that terms name (battery_voltage, v_in, ...), each (N,); u_air v_air w_air
+                             take the place of u v w
         One row, (12,) or (9,) with (4,), gives (3,) and (3,).
         Raises ShapeError, or ExpressionError for a missing column.
         """

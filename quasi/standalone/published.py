@@ -36,6 +36,7 @@ _DEGREE = {
     **dict.fromkeys(("mu_x", "mu_y", "mu_z", "mu_vin"), -1),
 }
 _ONE = ("F_den", "M_den")  # 1 in a model that is not normalised
+_FUNCTIONS = {"abs": abs, "sin": math.sin, "cos": math.cos}
 _KNOWN = [*known_names({*INPUTS, "v_in"}), *SYNONYMS, *(f"w{i}_CMD" for i in range(1, 5)), "battery_voltage", *_ONE]
 _WRITTEN_OUT = {"U_r": "w1^2 - w2^2 - w3^2 + w4^2", "u_r": "w1 - w2 - w3 + w4"}
 _LONGEST = 10_000  # characters of a regressor
@@ -166,11 +167,11 @@ class _Reader:
         }  # fmt: skip
 
     def _replaced(self, tree: Tree, where: str) -> Tree:
-        """Without F_den and M_den, and with U_r and u_r written out where the layout asks for it."""
+        """Without F_den and M_den in any form, and with U_r and u_r written out where the layout asks for it."""
 
         def replace(name: str) -> Tree:
-            if name in _ONE:
-                return ("number", 1.0)
+            if plain_name(name) in _ONE:
+                return ("number", _of_one(name))
             function, inner = split_function(name)
             if plain_name(name) not in self._written_out:
                 return ("name", name)
@@ -193,6 +194,12 @@ class _Reader:
             return ("product", ((1, ("number", self._factor**degree)), (1, ("name", name))))
 
         return _substitute(tree, scale)
+
+
+def _of_one(name: str) -> float:
+    """The number that F_den, |F_den|, sin[F_den] and so on stand for where the scale is 1."""
+    function, inner = split_function(name)
+    return 1.0 if function is None else _FUNCTIONS[function](_of_one(inner))
 
 
 def _substitute(tree: Tree, replace: Any) -> Tree:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from airframes import BEETLE
 from flights import AIRFRAME
-from made_model import SHARED, document, part
+from made_model import SHARED, TERMS, document, part
 
 from quasi.airframe import read_airframe
 from quasi.expressions import text
@@ -26,6 +26,9 @@ EVERY_FUNCTION = {
     "My": {"U_q": 1.1e-7, "|q|*q": -5e-4, "d_w2*q": -1e-7, "battery_voltage*U_q": 1e-9, "|U_q|^0.5*q": -1e-7},
     "Mz": {"U_r": 2e-8, "u_r_dot": 3e-6, "r*v_in": -1e-4, "U_r^2*r": -1e-16, "p*q*r": 1e-5, "u_p*r": 1e-8},
 }  # fmt: skip
+
+# velocity through the air under both of its names
+THROUGH_THE_AIR = {**TERMS, "Fx": {"u": -0.1, "u_air": -0.2, "|u_air|*v_air": 0.03, "mu_x": 0.5}, "Fy": {"v_air": -0.3}}
 
 
 def model(terms, name="m", **more):
@@ -51,10 +54,8 @@ def normalised():
     limits = {"mass": 0.433, "motor poles": 14, "idle RPM": 250, "max RPM": 2500}
     frame = read_airframe({**BEETLE, "moment of inertia": inertia, **limits}, "test")
     scheme = normalisation_of(frame, None, "test").to_plain()
-    parts = {
-        axis: {**part(axis, {"U_p": 0.3, "mu_x*w_avg": -0.1, "u": 0.2, "F_den^0.5": 1e-3}), "normalisation": scheme}
-        for axis in AXES
-    }
+    terms = {"U_p": 0.3, "mu_x*w_avg": -0.1, "u": 0.2, "F_den^0.5": 1e-3, "|F_den|*v": 1e-3, "sin[M_den]": 1e-3}
+    parts = {axis: {**part(axis, terms), "normalisation": scheme} for axis in AXES}
     return Model(assemble(parts, SHARED, {"id": "normalised", "airframe": frame}))
 
 
@@ -64,4 +65,5 @@ MODELS = {
         EVERY_FUNCTION, "every-function", **{"differential form": {"u": ["U_p", "U_q", "battery_voltage"]}}
     ),
     "bundled": bundled,
+    "air": lambda: model(THROUGH_THE_AIR, "air"),
 }

@@ -297,6 +297,27 @@ def test_hostile_model_ids_are_refused(name, tmp_path):
         read_model(tmp_path)
 
 
+@compiler
+def test_models_that_differ_by_the_case_of_letters_stand_in_one_program(tmp_path):
+    sizes = []
+    for name, delay in (("Bee", 0.0), ("bee", 0.02)):
+        made = Model({**document(), "id": name, "actuators": {"delay": {"value": delay}}})
+        write_files(tmp_path, c_files(made))
+        sizes.append(round(delay / 0.0005) + 2)
+    driver = """#include "quasi_Bee.h"
+    #include "quasi_bee.h"
+    #include <stdio.h>
+    int main(void) {
+        printf("%d %d\\n", quasi_Bee_DELAY_ROWS, quasi_bee_DELAY_ROWS);
+        return quasi_Bee_EXTRA_INPUTS + quasi_bee_EXTRA_INPUTS + (quasi_Bee_mass != quasi_bee_mass);
+    }"""
+    (tmp_path / "main.c").write_text(driver)
+    strict = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror")
+    shared_library(tmp_path, ["main.c", "quasi_Bee.c", "quasi_bee.c"], "run", flags=strict)
+    printed = subprocess.run([str(tmp_path / "run")], capture_output=True, text=True, check=True).stdout
+    assert [int(n) for n in printed.split()] == sizes
+
+
 @pytest.mark.parametrize("name", ["HDBeetle-14", "5inch", "a.b+c", "int", "__x2d_"])
 @compiler
 def test_ids_that_are_no_identifiers_are_mapped(name):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quasi.errors import ExpressionError
+from quasi.errors import ExpressionError, nearest
 from quasi.expressions import Program, canonical, evaluate, names, parse, text
 
 VALUES = {"a": np.array([1.5, -0.7, 3.0]), "b": np.array([0.3, 2.0, -1.1]), "c": np.array([2.0, 2.5, 0.4])}
@@ -139,6 +139,12 @@ def test_long_flat_expressions_are_no_trouble():
     long = " + ".join(["a*b"] * 5000)
     np.testing.assert_allclose(evaluate(parse(long), VALUES), 5000 * VALUES["a"] * VALUES["b"])
     assert evaluate(parse("-" * 5000 + "a"), VALUES)[0] == 1.5
+
+
+@pytest.mark.parametrize(("name", "meant"), [("Uq", "U_q"), ("uq", "u_q"), ("MASS", "mass")])
+def test_of_names_that_differ_by_case_the_written_one_is_meant(name, meant):
+    for known in (["u_q", "U_q", "mass"], ["mass", "U_q", "u_q"]):
+        assert nearest(name, known) == f" (did you mean '{meant}'?)"
 
 
 def test_an_unknown_name_names_the_nearest():

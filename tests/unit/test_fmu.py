@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import fmpy
 import numpy as np
 import pytest
-from export_models import EVERY_FUNCTION, MODELS, model, normalised
+from export_models import EVERY_FUNCTION, MODELS, THROUGH_THE_AIR, model, normalised
 from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
 from made_model import TERMS, document
@@ -149,6 +149,26 @@ def test_vehicle_flies_as_the_simulator_does(vehicle):
         instance.freeFMUstate(restored)
     instance.terminate()
     instance.freeInstance()
+
+
+def test_velocity_through_the_air_is_one_under_both_names(tmp_path):
+    plain = {axis: {e.replace("_air", ""): 0.0 for e in terms} for axis, terms in THROUGH_THE_AIR.items()}
+    for axis, terms in THROUGH_THE_AIR.items():
+        for expression, coefficient in terms.items():
+            plain[axis][expression.replace("_air", "")] += coefficient
+    made, wind = MODELS["air"](), (2.0, -1.0, 0.5)
+    commands = np.tile(made.hover_speed * np.array([1.05, 1.0, 1.02, 1.1]), (100, 1))
+    expected = flown_by_the_simulator(model(plain, "plain"), commands, 0.002, wind)
+    np.testing.assert_allclose(flown_by_the_simulator(made, commands, 0.002, wind), expected, rtol=1e-11, atol=1e-13)
+    assert np.abs(flown_by_the_simulator(made, commands, 0.002) - expected).max() > 0.01
+    fmu = vehicle_fmu(made)
+    library = compile_fmu(fmu, tmp_path)
+    with Instance(fmu, library, CO_SIMULATION, dict(zip(STATE_NAMES, expected[0]))) as instance:
+        for k, command in enumerate(commands):
+            instance.set(["w1_CMD", "w2_CMD", "w3_CMD", "w4_CMD", "wind_north", "wind_east", "wind_down"],
+                         [*command, *wind])  # fmt: skip
+            instance.step(k * 0.002, 0.002)
+        np.testing.assert_allclose(instance.get(STATE_NAMES), expected[-1], rtol=1e-11, atol=1e-12)
 
 
 @pytest.mark.parametrize("reads", [True, False])
@@ -297,6 +317,20 @@ def test_impossible_parameters_are_refused(vehicle, start):
     _, fmu, library, _ = vehicle
     with pytest.raises(ValueError, match="fmi2ExitInitializationMode"):
         Instance(fmu, library, CO_SIMULATION, start)
+
+
+def test_an_impossible_battery_is_refused(tmp_path):
+    fmu, nan, infinite = vehicle_fmu(on_battery()), float("nan"), float("inf")
+    library = compile_fmu(fmu, tmp_path)
+    for name, values in {
+        "reference_voltage": [0.0, -15.5, nan, infinite],
+        "voltage_exponent": [nan, infinite, -infinite],
+    }.items():
+        for value in values:
+            with pytest.raises(ValueError, match="fmi2ExitInitializationMode"):
+                Instance(fmu, library, CO_SIMULATION, {name: value})
+    with Instance(fmu, library, CO_SIMULATION, {"reference_voltage": 0.1, "voltage_exponent": 0.0}) as instance:
+        instance.step(0.0, 0.002)
 
 
 def test_what_cannot_be_set_or_asked_is_refused(vehicle):

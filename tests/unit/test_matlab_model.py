@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from export_models import MODELS as EXPORTED
 from flights import AIRFRAME
 from made_model import document
 from matlab_models import GRAMMAR, U, normalised, octave, of_pool, of_terms
@@ -33,6 +34,7 @@ MODELS = {
     "physical": lambda: of_pool("physical_large"),
     "quadratic": lambda: of_pool("polyCands_DiffSys_quadraticU_symmetric_SIMPLE_FM"),
     "normalised": normalised,
+    "air": EXPORTED["air"],
 }
 
 

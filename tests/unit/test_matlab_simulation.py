@@ -77,8 +77,16 @@ def net():
     return Model(found)
 
 
+def air():
+    """The made model with velocity through the air under both of its names."""
+    found = flown().document
+    term = {"name": "drag", "expression": "u_air", "coefficient": -0.2, "std": 0, "unit": "N s/m", "given": True}
+    found["axes"]["Fx"]["terms"].append(term)
+    return Model(found)
+
+
 @octave
-@pytest.mark.parametrize("make", [flown, net])
+@pytest.mark.parametrize("make", [flown, net, air])
 def test_the_blocks_follow_other_settings_of_the_simulator(make, tmp_path):
     # Euler, substeps, wind, no lag, an integral, the plain inverse, net forces: what the example does not reach
     model = make()

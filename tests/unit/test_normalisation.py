@@ -55,7 +55,7 @@ def scheme_by_hand(row):
         "w2_dot": row["w2_dot"] / a**2,
     }
     made |= {"roll": row["roll"], "z": row["z"], "F_den": n, "M_den": n * ARM}
-    return made | {"|u|": abs(made["u"]), "sin[p]": math.sin(made["p"])}, n
+    return made | {"|u|": abs(made["u"]), "u_air": made["u"], "sin[p]": math.sin(made["p"])}, n
 
 
 @pytest.fixture(scope="module")

@@ -95,6 +95,20 @@ def test_forces_from_mechanical_speeds_equal_the_published_arithmetic(tmp_path):
     np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-13)
 
 
+@pytest.mark.parametrize(
+    ("scale", "number"),
+    [("F_den", 1.0), ("|F_den|", 1.0), ("sin[M_den]", math.sin(1.0)), ("|cos[F_den]|^2", math.cos(1.0) ** 2)],
+)
+def test_scales_are_one_in_every_form(tmp_path, scale, number):
+    document = copy.deepcopy(DOCUMENT)
+    document["model"]["Fz"]["regressors"][-1] = f"{scale}*w"
+    model = read_published(written(tmp_path, document), "beetle", POLES)
+    assert not set(model.columns) & {"F_den", "M_den"}
+    states, erpm100 = rows()
+    expected = [by_hand(s, e)[2] + 0.02 * s[5] * (1.0 - number) for s, e in zip(states, erpm100)]
+    np.testing.assert_allclose(model.predict(states, erpm100 * MECHANICAL)[0][:, 2], expected, rtol=1e-11, atol=1e-13)
+
+
 @pytest.mark.parametrize("direction", ["CW", "CCW"])
 def test_their_yaw_signs_hold_in_every_layout(tmp_path, direction):
     # rotors 1 and 3 on one diagonal: the published signs are no longer the sense of rotation

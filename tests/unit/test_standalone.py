@@ -78,6 +78,28 @@ def test_without_rotor_accelerations_their_terms_are_zero(model, data):
     np.testing.assert_array_equal(model.predict(states, speeds)[1], still)
 
 
+def test_velocity_through_the_air_has_two_names_that_may_stand_together(data):
+    f, states, speeds = data
+    made = Model(
+        assemble({"Fx": part("Fx", {"u": -0.1, "u_air": -0.2, "|u_air|*v_air": 0.03, "mu_x": 0.5, "w*w_air": 0.01})},
+                 SHARED, {"id": "m", "airframe": AIRFRAME})
+    )  # fmt: skip
+
+    def expected(u, v, w):
+        average = np.sqrt((speeds**2).sum(axis=1) / 4)
+        return -0.3 * u + 0.03 * np.abs(u) * v + 0.5 * u / (average * 0.0381) + 0.01 * w**2
+
+    ground, air = states[:, 3:6], states[:, 3:6] - [4.0, -2.0, 1.0]
+    still = expected(*ground.T)  # the state of `predict` is told through the air
+    np.testing.assert_allclose(made.predict(states, speeds)[0][:, 0], still, rtol=1e-11, atol=1e-14)
+    np.testing.assert_allclose(made.predict(states[7], speeds[7])[0][0], still[7], rtol=1e-11)
+    table = f.drop(columns=["u_air", "v_air", "w_air"], errors="ignore")
+    blown = table.assign(**dict(zip(("u_air", "v_air", "w_air"), air.T)))
+    for flown, found in ((table, still), (blown, expected(*air.T))):
+        np.testing.assert_allclose(made.predict_columns(flown)["Fx"], found, rtol=1e-11, atol=1e-14)
+        np.testing.assert_allclose(made.interval(flown)["Fx"], found, rtol=1e-11, atol=1e-14)
+
+
 @pytest.mark.parametrize("rows", [0, 1, 127, 128, 129, 300])
 def test_long_batches_are_cut_without_a_seam(model, data, rows):
     _, states, speeds = data

@@ -69,6 +69,10 @@ def test_velocity_through_the_air_takes_the_place_of_velocity_over_ground():
     np.testing.assert_allclose(v["u"], [5.0, 6.0])
     np.testing.assert_allclose(v["mu_x"], np.array([5.0, 6.0]) / (v["w_avg"] * 0.0381))
     np.testing.assert_allclose(v["v"], MOTION["v"])
+    # named outright they are the same variables, and where no wind is known over ground as well
+    np.testing.assert_array_equal(v["|u_air|"], [5.0, 6.0])
+    np.testing.assert_array_equal(v["v_air"], MOTION["v"])
+    assert base_columns("|u_air|") == {"u"}
 
 
 def test_rotor_accelerations_are_weighted_like_the_speeds():

@@ -171,6 +171,12 @@ def test_an_axis_depends_on_its_own_switches_only(folder):
             {"identification_parameters": {f"identify {a}": False for a in ("fx", "fy", "fz", "mx", "my", "mz")}},
             "every 'identify ...' is false",
         ),
+        (
+            {"standalone": {"make moment DiffSys": True, "DiffSys u": ["U_p", "Uq"]}},
+            r"'standalone' / 'DiffSys u': unknown input 'Uq' of the differential form.*mean 'U_q'",
+        ),
+        ({"standalone": {"make moment DiffSys": True, "DiffSys u": []}}, "needs at least one input"),
+        ({"matlab": {"DiffSys u": ["U_p", "w1"]}}, r"'matlab' / 'DiffSys u': 'U_p' is made of 'w1'"),
     ],
 )
 def test_faults_of_a_model_name_file_and_key(folder, sections, message):

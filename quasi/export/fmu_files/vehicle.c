@@ -42,6 +42,9 @@ static const char *start_memory(Instance *fmu)
         : !(value[AT_DELAY] >= 0.0) ? "delay must not be negative"
         : !(value[AT_LOWEST] < value[AT_HIGHEST]) ? "lowest_speed must lie below highest_speed"
         : !(value[AT_LONGEST] > 0.0) ? "longest_step must be positive"
+        : BATTERY && !(value[AT_REFERENCE_VOLTAGE] > 0.0 && value[AT_REFERENCE_VOLTAGE] < HUGE_VAL)
+            ? "reference_voltage must be positive and finite"
+        : BATTERY && !(fabs(value[AT_EXPONENT]) < HUGE_VAL) ? "voltage_exponent must be finite"
         : !(norm > 0.0) ? "the initial quaternion must not be zero"
         : NULL;
 }
