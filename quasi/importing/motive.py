@@ -1,7 +1,8 @@
 """OptiTrack Motive exports (CSV, format versions 1.2x): one rigid body on the capture's own clock.
 
 The header is found by content: type, name, id, parent, quantity and axis rows may stand on other lines, with or without
-blank lines and labels between them. Time comes from the frame number and the export rate, for the printed times are
+blank lines and labels between them. Motive writes commas and decimal points, of which a spreadsheet may have made
+semicolons or tabs and decimal commas. Time comes from the frame number and the export rate, for the printed times are
 rounded. Motive's axes are right-handed with y up; earth axes here: x_E = z_G, y_E = -x_G, z_E = -y_G, and the attitude
 is turned by the same change of basis on both sides, so that a body made while aligned with the room has zero attitude.
 """
@@ -16,9 +17,11 @@ import numpy as np
 import pandas as pd
 
 from quasi.attitude import continuous, from_matrix, normalise, rotate
+from quasi.doubt import doubt
 from quasi.errors import ReadError, nearest
 from quasi.importing.artefacts import flyable
 from quasi.importing.series import Recording, Series
+from quasi.importing.table_text import SEPARATORS, decimal_points, from_header, through_a_spreadsheet
 from quasi.tables import read_text
 
 ROOM_TO_EARTH = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -47,6 +50,7 @@ QUANTITIES = {"rotation", "position", "mean marker error", "error per marker", "
 class _Header:
     """What the header says. columns  {(quantity, axis): column} of the rigid body; first  line of the first frame."""
 
+    separator: str
     facts: dict[str, str]
     columns: dict[tuple[str, str], int]
     name: str
@@ -67,7 +71,7 @@ def read_motive(
     Raises           ReadError when the file is no Motive export or has no such rigid body
     """
     path = Path(path)
-    text = read_text(path).replace("\r\n", "\n").replace("\r", "\n")
+    text, _ = from_header(read_text(path))
     header = _read_header(text, path, rigid_body)
     notes: list[str] = []
     frame, clock, values = _read_frames(text, header, path, notes)
@@ -154,14 +158,17 @@ def _plain(name: str) -> str:
 def _read_header(text: str, path: Path, rigid_body: str) -> _Header:
     """Find the header rows by what they hold."""
     lines = text.split("\n", 40)[:40]
-    try:
-        rows = [[c.strip() for c in row] for row in csv.reader(lines)]
-    except csv.Error as error:
-        raise ReadError(f"{path} is not a CSV file ({error}); export it from Motive again") from None
-    axis_row = next((i for i, r in enumerate(rows) if r and r[0].lower() == "frame"), None)
-    if axis_row is None:
+    for separator in SEPARATORS:
+        try:
+            rows = [[c.strip() for c in row] for row in csv.reader(lines, delimiter=separator)]
+        except csv.Error as error:
+            raise ReadError(f"{path} is not a CSV file ({error}); export it from Motive again") from None
+        axis_row = next((i for i, r in enumerate(rows) if len(r) > 1 and r[0].lower() == "frame"), None)
+        if axis_row is not None:
+            break
+    else:
         raise ReadError(
-            f"{path} is not a Motive export: none of its first {len(rows)} lines begins with 'Frame'; "
+            f"{path} is not a Motive export: none of its first {len(lines)} lines begins with 'Frame'; "
             "export the take as CSV with header information"
         )
     facts: dict[str, str] = {}
@@ -200,7 +207,7 @@ def _read_header(text: str, path: Path, rigid_body: str) -> _Header:
             f"{path} holds no position {missing[0].upper()} of rigid body '{chosen}'; export it with positions"
         )
     # csv.reader joins lines inside quotes; header lines hold none, so rows and lines agree
-    return _Header(facts, columns, chosen, bodies, axis_row + 1)
+    return _Header(separator, facts, columns, chosen, bodies, axis_row + 1)
 
 
 def _holds(row: list[str], known: set[str]) -> bool:
@@ -212,26 +219,41 @@ def _read_frames(
 ) -> tuple[np.ndarray, np.ndarray, dict[tuple[str, str], np.ndarray]]:
     """Frame numbers, printed times and the body's columns, text cells counted and emptied."""
     wanted = {key: column for key, column in header.columns.items() if key[0] in ("position", "rotation")}
-    use = sorted({0, 1, *wanted.values()})
-    width = max(use) + 1
+    names = {column: f"{quantity} {axis}".title() for (quantity, axis), column in wanted.items()}
+    names |= {0: "Frame", 1: "Time"}
+    use = sorted(names)
+    frames = text.split("\n", header.first)[header.first :]
+    spread = header.separator != ","
+    # cells as written, where a comma may be a decimal mark and a point stand between thousands
+    written = spread or '"' in "".join(frames)
     try:
         table = pd.read_csv(
-            io.StringIO(text), skiprows=header.first, header=None, usecols=use, names=range(width), index_col=False,
-            skip_blank_lines=True, on_bad_lines="skip", low_memory=False, encoding_errors="replace",
-        )  # fmt: skip
+            io.StringIO("".join(frames)), sep=header.separator, header=None, usecols=use, names=range(use[-1] + 1),
+            index_col=False, skip_blank_lines=True, on_bad_lines="skip", low_memory=False,
+            dtype=str if written else None,
+        ).rename(columns=names)  # fmt: skip
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError) as error:
         raise ReadError(f"{path} cannot be read below its header ({error}); export it from Motive again") from None
     if table.empty:
         raise ReadError(f"{path} holds a header but no frames; export the take from Motive again")
+    if written:
+        turned, marked = decimal_points(table, path)
+        if spread and not marked.difference(("Frame", "Time")) and table.iloc[:, 2:].notna().any(axis=None):
+            raise ReadError(
+                f"{path}: positions and rotations of '{header.name}' have no decimals; a spreadsheet took their points "
+                "for thousands separators: give the file as Motive wrote it"
+            )
+        if spread or turned:
+            doubt(notes, through_a_spreadsheet(path, bool(turned), "as Motive wrote it"))
     strange = 0
-    for column in use:
-        if not pd.api.types.is_numeric_dtype(table[column]):
-            numbers = pd.to_numeric(table[column], errors="coerce")
-            strange += int((numbers.isna() & table[column].notna()).sum())
-            table[column] = numbers
+    for name in table.columns:
+        if not pd.api.types.is_numeric_dtype(table[name]):
+            numbers = pd.to_numeric(table[name], errors="coerce")
+            strange += int((numbers.isna() & table[name].notna()).sum())
+            table[name] = numbers
     if strange:
         notes.append(f"{path}: {strange} cells hold text where numbers belong; they count as not seen")
-    cells = table[use].to_numpy(float)
+    cells = table.to_numpy(float)
     # numbers that no frame counter, clock or room holds count as missing too
     cells[~(np.abs(cells) < LARGEST)] = np.nan
     cells = cells[np.isfinite(cells[:, 0])]

@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 from made_motion import at_times, body, motive_text
 from made_recordings import written
+from spreadsheets import saved_anew
 
 from quasi.errors import QuasiError
 from quasi.importing.flight import import_flight
@@ -172,6 +173,15 @@ def test_a_run_of_missing_frames_is_flagged_and_not_filled_as_measured(asked):
     assert gap.sum() > 400
     assert any("was not seen in" in n for n in about["notes"])
     assert np.isfinite(frame.to_numpy()).all()
+
+
+def test_a_capture_that_a_spreadsheet_saved_calls_for_care(asked):
+    plain, _ = load(asked)
+    write_text(asked["capture"], saved_anew(read_bytes(asked["capture"]).decode()))
+    frame, about = load(asked)
+    pd.testing.assert_frame_equal(frame, plain)
+    assert about["verdict"] == "usable with care"
+    assert "has been through a spreadsheet (decimal commas)" in about["verdict because"]
 
 
 @pytest.mark.parametrize(

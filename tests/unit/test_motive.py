@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from made_motion import at_times, body, motive_text
 from scipy.spatial.transform import Rotation
+from spreadsheets import FORMS, saved_anew
 
 from quasi.attitude import to_euler
+from quasi.doubt import doubts
 from quasi.errors import ReadError
 from quasi.importing.motive import read_motive
 
@@ -177,3 +179,47 @@ def test_a_file_cut_anywhere_is_read_or_refused_in_a_sentence(tmp_path, take, cu
         assert "take.csv" in str(error)
     else:
         assert len(recording.series["capture"].t) >= 2
+
+
+@pytest.mark.parametrize(("top", "separator", "decimal", "encoding"), FORMS)
+@pytest.mark.parametrize("style", [{"labels": True}, {"angles": "XYZ", "unit": "Millimeters"}])
+def test_what_a_spreadsheet_saved_reads_as_what_motive_wrote(tmp_path, take, style, top, separator, decimal, encoding):
+    frame, time, position, quaternion = (a[:300] for a in take)
+    text = motive_text(frame, time, position, quaternion, **style)
+    plain = read_motive(written(tmp_path, text), "Quad")
+    path = tmp_path / "saved.csv"
+    path.write_text(top + saved_anew(text, separator, decimal), encoding=encoding, newline="")
+    saved = read_motive(path, "Quad")
+    np.testing.assert_array_equal(saved.series["capture"].t, plain.series["capture"].t)
+    np.testing.assert_array_equal(np.hstack(pose(saved)), np.hstack(pose(plain)))
+    assert saved.metadata["frame rate"] == plain.metadata["frame rate"]
+    assert len(saved.notes) == 1 and "has been through a spreadsheet" in doubts(saved.notes)[0]
+    assert not plain.notes
+
+
+@pytest.mark.parametrize(
+    ("cell", "words"),
+    [
+        (lambda text: text.replace(".", ""), "have no decimals; a spreadsheet took their points for thousands separat"),
+        (lambda text: "1.234" if text.startswith("0.0") else text.replace(".", ","), "may be decimal points or stand"),
+        (lambda text: text if text.startswith("-0.") else text.replace(".", ","), "expected one of them throughout"),
+    ],
+)
+def test_what_a_spreadsheet_spoilt_is_refused(tmp_path, take, cell, words):
+    text = motive_text(*(a[:300] for a in take))
+    lines = saved_anew(text, ";", ".").splitlines()
+    changed = [
+        ";".join([r[0], r[1].replace(".", ","), *map(cell, r[2:])]) for r in (line.split(";") for line in lines[7:])
+    ]
+    with pytest.raises(ReadError, match=words) as error:
+        read_motive(written(tmp_path, "\n".join(lines[:7] + changed)), "Quad")
+    assert "take.csv" in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("above", ["# our lab, last version\n\n", "% x\n" * 50])
+def test_comments_above_the_header_say_nothing(tmp_path, take, above):
+    text = motive_text(*(a[:300] for a in take))
+    plain = read_motive(written(tmp_path, text), "Quad")
+    found = read_motive(written(tmp_path, above + text), "Quad")
+    assert found.metadata == plain.metadata
+    np.testing.assert_array_equal(np.hstack(pose(found)), np.hstack(pose(plain)))
