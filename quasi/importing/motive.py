@@ -19,7 +19,7 @@ import pandas as pd
 from quasi.attitude import continuous, from_matrix, normalise, rotate
 from quasi.doubt import doubt
 from quasi.errors import ReadError, nearest
-from quasi.importing.artefacts import flyable
+from quasi.importing.artefacts import flyable, stalled
 from quasi.importing.series import Recording, Series
 from quasi.importing.table_text import SEPARATORS, decimal_points, from_header, through_a_spreadsheet
 from quasi.tables import read_text
@@ -67,7 +67,8 @@ def read_motive(
     marker_offset    (3,) m, of the marker centroid from the cg, body axes (marker = cg + R offset)
     remove_outliers  whether frames that no vehicle can fly (marker swaps, reflections) become gaps
     Returns          Recording with series "capture": x y z (m, earth NED, of the cg) and qw qx qy qz (body to earth);
-                     t in s from frame 0 by the capture's clock; frames without the body hold NaN
+                     t in s from frame 0 by the capture's clock; frames without the body, and such as hold an older pose
+                     while it moves, are NaN
     Raises           ReadError when the file is no Motive export or has no such rigid body
     """
     path = Path(path)
@@ -97,6 +98,8 @@ def read_motive(
             "'Length Units', or export it anew"
         )
     lost = int(np.count_nonzero(~seen))
+    held = stalled(t, np.stack(list(values.values()), axis=-1), position, quaternion)
+    seen &= ~held
     removed = np.zeros(len(t), bool)
     flips = 0
     index = np.flatnonzero(seen)
@@ -111,6 +114,8 @@ def read_motive(
         quaternion[index] = continuous(quaternion[index])
     if lost:
         notes.append(f"{path}: '{header.name}' was not seen in {lost} of {len(t)} frames ({100 * lost / len(t):.1f} %)")
+    if held.any():
+        notes.append(f"{path}: {_said_of(held, t, header.name)}")
     if removed.any():
         notes.append(
             f"{path}: {int(removed.sum())} of {len(t)} frames were removed as impossible to fly (marker swaps or "
@@ -145,10 +150,23 @@ def read_motive(
         "length unit": header.facts.get("length units", "Meters"),
         "marker offset": offset.tolist(),
         "frames lost": lost,
+        "frames held": int(held.sum()),
         "frames removed": int(removed.sum()),
         "quaternion sign flips": flips,
     }
     return Recording({"capture": Series(t, series)}, metadata, notes)
+
+
+def _said_of(held: np.ndarray, t: np.ndarray, name: str) -> str:
+    """What was found of frames (n,) that hold an older pose, t (n,) s."""
+    starts = np.flatnonzero(np.diff(np.concatenate([[0], held.astype(int)])) > 0)
+    step = float(np.median(np.diff(t)))
+    when = ", ".join(f"{t[i]:.3f}" for i in starts[:5]) + (", ..." if len(starts) > 5 else "")
+    return (
+        f"'{name}' keeps one pose to the last digit in {np.count_nonzero(held)} of {len(t)} frames "
+        f"({np.count_nonzero(held) * step:.2f} s, in {len(starts)} stretches, from {when} s of the capture) though it "
+        "moves: the stream stalled or tracking was lost; they count as not seen"
+    )
 
 
 def _plain(name: str) -> str:
