@@ -46,8 +46,13 @@ def blackbox_seeds(rng: np.random.Generator) -> list[bytes]:
     return [log, log + log[: len(log) // 2], (bare[: bare.rfind(b"\n") + 1]) * 5]
 
 
+def saved_anew(data: bytes) -> bytes:
+    """As a spreadsheet of many countries saves it: semicolons and decimal commas."""
+    return data.replace(b",", b";").replace(b".", b",")
+
+
 def decoded_seeds(rng: np.random.Generator) -> list[bytes]:
-    """Both programs' shapes."""
+    """Both programs' shapes, and the first through a spreadsheet."""
     names = (
         "loopIteration, time (us), vbatLatest (V), gyroADC[0] (deg/s), gyroADC[1] (deg/s), accSmooth[0] (g), motor[0]"
     )
@@ -59,7 +64,7 @@ def decoded_seeds(rng: np.random.Generator) -> list[bytes]:
         + '"loopIteration","time","gyroADC[0]","accSmooth[0]","motor[0]","eRPM[0]"\n'
         + "\n".join(",".join(map(str, [i, 500 * i, *rng.integers(0, 900, 4)])) for i in range(40))
     )
-    return [tool.encode(), viewer.encode()]
+    return [tool.encode(), viewer.encode(), saved_anew(tool.encode())]
 
 
 def indiflight_rows(rng: np.random.Generator) -> bytes:
@@ -75,7 +80,7 @@ def indiflight_rows(rng: np.random.Generator) -> bytes:
 
 
 def motive_seeds(rng: np.random.Generator) -> list[bytes]:
-    """A quaternion and an angle export of two blocks, with drop-outs."""
+    """A quaternion and an angle export of two blocks, with drop-outs, and the last through a spreadsheet."""
     files = []
     for kind, axes in (("Quaternion", "XYZW"), ("XYZ", "XYZ")):
         quantities = ["Rotation"] * len(axes) + ["Position"] * 3 + ["Mean Marker Error"] + ["Position"] * 3
@@ -92,7 +97,7 @@ def motive_seeds(rng: np.random.Generator) -> list[bytes]:
             cells = ["" if i in (20, 21) else f"{v:.6f}" for v in (*turn, *rng.normal(0, 2, 7))]
             lines.append(",".join([str(i), f"{i / 120:.3f}", *cells]))
         files.append("\n".join(lines).encode())
-    return files
+    return [*files, saved_anew(files[-1])]
 
 
 TABLE: dict[str, Any] = {
@@ -128,9 +133,10 @@ def table_frame(rng: np.random.Generator) -> pd.DataFrame:
 
 
 def table_seeds(rng: np.random.Generator) -> list[bytes]:
-    """Comma and semicolon."""
+    """Comma, semicolon, and decimal commas below a comment."""
     frame = table_frame(rng)
-    return [frame.to_csv(index=False, sep=separator).encode() for separator in ",;"]
+    files = [frame.to_csv(index=False, sep=separator).encode() for separator in ",;"]
+    return [*files, b"# a comment\n\n" + saved_anew(files[0])]
 
 
 def parquet_seeds(rng: np.random.Generator) -> list[bytes]:

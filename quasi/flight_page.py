@@ -225,6 +225,7 @@ def _lost(m: Section) -> str:
     if capture.get("frames"):
         rows += [
             ("frames without the body", f"{capture['frames lost']} of {capture['frames']}"),
+            ("frames that hold an older pose", f"{capture['frames held']} of {capture['frames']}"),
             ("frames removed as outliers", f"{capture['frames removed']} of {capture['frames']}"),
             ("quaternion sign flips mended", capture.get("quaternion sign flips")),
         ]

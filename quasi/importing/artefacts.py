@@ -1,4 +1,4 @@
-"""Samples that cannot be true: jumps of a tracked body that no vehicle flies, spikes of a telemetry channel.
+"""Samples that cannot be true: a pose that is held while the body moves, jumps that no vehicle flies, spikes.
 
 A tracker that swaps markers or sees a reflection shows the body elsewhere or turned for some frames and then lets it
 jump back. Each valid frame is compared with the motion of its neighbours; where the step between two frames cannot be
@@ -14,6 +14,9 @@ MAX_ANGULAR_ACCELERATION = 1500.0  # rad/s2, above a 3-inch racer's
 MAX_SPEED = 40.0  # m/s
 MAX_RATE = 45.0  # rad/s
 LONGEST_SWAP = 2.0  # s; a piece longer than this is believed, and so is what follows it
+SHORTEST_HOLD = 0.05  # s that a pose is held at least, and
+FEWEST_REPEATS = 3  # how often, to be looked at
+COARSEST_DIGIT = 0.015  # m; positions written more coarsely repeat in flight, too
 MISSING = 1.5  # usual steps: a longer one has frames missing, and a swap may end unseen in it
 
 
@@ -123,6 +126,65 @@ def flyable(t: np.ndarray, position: np.ndarray, quaternion: np.ndarray | None) 
     last = np.concatenate([edges, [n - 1]])
     kept = _chain(first, last, t, x, q, turns, floor_x, floor_q)
     return np.repeat(kept, last - first + 1)
+
+
+def stalled(t: np.ndarray, written: np.ndarray, position: np.ndarray, quaternion: np.ndarray | None) -> np.ndarray:
+    """True for the frames that only hold an older pose, for the stream stalled or tracking was lost.
+
+    t           (n,) s, increasing; written (n, k) the pose's numbers as the file has them; position (n, 3) m;
+                quaternion (n, 4) or None; NaN where the body was not seen
+    Returns     (n,) bool; the first frame of a stretch is the pose itself, and kept where the body was seen before it
+
+    A body at rest repeats its pose too where digits are few, so a stretch counts only where the body cannot have
+    rested: it jumps from it farther than it can fly from rest and does not come back as from a marker swap, or it flies
+    into it and stops dead.
+    """
+    seen = np.isfinite(position).all(axis=1)
+    if quaternion is not None:
+        seen &= np.isfinite(quaternion).all(axis=1)
+    result = np.zeros(len(t), bool)
+    index = np.flatnonzero(seen)
+    if len(index) < 4:
+        return result
+    t, written, x = t[index], written[index], position[index]
+    q = quaternion[index] if quaternion is not None else np.zeros((len(index), 4))
+
+    def apart(a: slice, b: slice | int) -> tuple[np.ndarray, np.ndarray]:
+        """Distance, m, and angle, rad, between poses."""
+        turn = 2.0 * np.arccos(np.clip(np.abs(np.sum(q[a] * q[b], axis=-1)), 0.0, 1.0))
+        return np.linalg.norm(x[a] - x[b], axis=-1), turn if quaternion is not None else 0.0 * turn
+
+    gap = np.diff(t)
+    usual = float(np.median(gap))
+    together = gap < MISSING * usual
+    same = (written[1:] == written[:-1]).all(axis=1) & together
+    far, turn = apart(slice(1, None), slice(-1))
+    digit = max((float(np.min(m[m > 1e-9])) for m in np.abs(np.diff(x, axis=0)).T if np.max(m) > 1e-9), default=0.0)
+    if digit > COARSEST_DIGIT:
+        return result
+    # noise, and what the last digit adds to it
+    near_x = 2e-3 + 3.0 * digit
+    near_q = 0.02 + 3.0 * min(0.02, float(np.min(turn[turn > 1e-6], initial=0.02)))
+    # beyond what a body at rest can do within a step
+    flown = far > near_x + np.minimum(0.5 * MAX_ACCELERATION * gap**2, MAX_SPEED * gap)
+    turned = turn > near_q + np.minimum(0.5 * MAX_ANGULAR_ACCELERATION * gap**2, MAX_RATE * gap)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
+    for a, b in zip(edges[::2], edges[1::2]):  # frames a to b are alike
+        if b - a < FEWEST_REPEATS or t[b] - t[a] < SHORTEST_HOLD:
+            continue
+        lost = False
+        if b < len(gap) and (flown[b] or turned[b]) and t[-1] - t[b + 1] > LONGEST_SWAP:
+            way, angle = apart(slice(b + 1, int(np.searchsorted(t, t[b + 1] + LONGEST_SWAP))), b)
+            lost = not np.any((way <= near_x) & (angle <= near_q))
+        if not lost and a >= 3 and together[a - 3 : a].all():
+            # on one way, for a pose that swaps to and fro comes to rest too
+            way, angle = apart(slice(a, a + 1), a - 3)
+            lost = bool(flown[a - 3 : a].all() and way[0] > 0.8 * far[a - 3 : a].sum())
+            lost |= bool(turned[a - 3 : a].all() and angle[0] > 0.8 * turn[a - 3 : a].sum())
+        if lost:
+            result[index[a + 1 : b + 1]] = True
+            result[index[a]] = not (a > 0 and together[a - 1])
+    return result
 
 
 def spikes(values: np.ndarray, largest_step: float) -> np.ndarray:

@@ -2,7 +2,8 @@
 
 blackbox_decode writes one line of names with units in brackets, and between the samples lines of text (slow frames,
 events, notices). The viewer writes the log's header as name-value lines first, and raw numbers. INDIflight's CSV has
-the viewer's shape. The line of names tells where the samples begin.
+the viewer's shape. The line of names tells where the samples begin, and what separates cells: both programs write
+commas and decimal points, of which a spreadsheet may have made semicolons or tabs and decimal commas.
 """
 
 import csv
@@ -25,11 +26,19 @@ from quasi.importing.blackbox_units import DEG, WANTED, debug_mode, resolve
 from quasi.importing.external import external_series
 from quasi.importing.series import Recording, Series
 from quasi.importing.streams import unwrapped
+from quasi.importing.table_text import (
+    SEPARATORS,
+    decimal_points,
+    from_header,
+    refuse_rounded_stamps,
+    through_a_spreadsheet,
+)
 from quasi.tables import read_text
 
 STANDARD_GRAVITY = 9.80665  # what blackbox_decode multiplies g with
 _ATTITUDE = ("roll", "pitch", "heading", "heading[0]", "heading[1]", "heading[2]")
 MOST_BACK = 0.2  # share of rows that may step back in time
+_DECIMALS = ("s", "V", "A", "g", "m/s/s", "m/s2", "rad/s")  # units in which the decoders print decimals
 _HEADER_LINES = 2000
 # factor to SI by quantity and the unit in brackets
 _UNITS = {
@@ -83,12 +92,12 @@ def read_decoded(
     --simulate-imu, the viewer's heading[0..2]). Time is the controller's own clock, s. Raises ReadError.
     """
     path = str(path)
-    lines = read_text(path).splitlines()
-    at, names, units = _names(lines, path)
-    found = _header(lines[:at])
+    lines = from_header(read_text(path))[0].splitlines()
+    at, separator, names, units = _names(lines, path)
+    found = _header(lines[:at], separator)
     found.update(header or {})
     notes: list[str] = []
-    columns, rows = _samples(lines[at + 1 :], names, path, notes)
+    columns, rows = _samples(lines[at + 1 :], separator, names, units, path, notes)
     t, keep = _time(columns.pop("time"), units.get("time", ""), path, notes)
     raw = {name: values[keep] for name, values in columns.items()}
     angles = {name: raw.pop(name) for name in _ATTITUDE if name in raw}
@@ -120,38 +129,40 @@ def read_decoded(
     return Recording(series, metadata, [*notes, *resolved.notes])
 
 
-def _cells(line: str) -> list[str]:
+def _cells(line: str, separator: str) -> list[str]:
     try:
-        return [cell.strip() for cell in next(csv.reader([line.replace("\0", "")], skipinitialspace=True), [])]
+        rows = csv.reader([line.replace("\0", "")], delimiter=separator, skipinitialspace=True)
+        return [cell.strip() for cell in next(rows, [])]
     except csv.Error:
         return []
 
 
-def _names(lines: list[str], path: str) -> tuple[int, list[str], dict[str, str]]:
-    """(line index, column names without units, {name: unit}) of the line that names the columns."""
+def _names(lines: list[str], path: str) -> tuple[int, str, list[str], dict[str, str]]:
+    """(line index, separator, column names without units, {name: unit}) of the line that names the columns."""
     for at, line in enumerate(lines[:_HEADER_LINES]):
-        if "time" not in line:
-            continue
-        names, units = [], {}
-        for cell in _cells(line):
-            parts = re.fullmatch(r"(.*?)\s*\(([^()]*)\)", cell)
-            names.append(parts.group(1) if parts else cell)
-            if parts:
-                units[names[-1]] = parts.group(2)
-        if "time" in names and (len(WANTED.intersection(names)) >= 3):
-            return at, names, units
+        for separator in SEPARATORS if "time" in line else ():
+            names, units = [], {}
+            for cell in _cells(line, separator):
+                parts = re.fullmatch(r"(.*?)\s*\(([^()]*)\)", cell)
+                names.append(parts.group(1) if parts else cell)
+                if parts:
+                    units[names[-1]] = parts.group(2)
+            if "time" in names and (len(WANTED.intersection(names)) >= 3):
+                return at, separator, names, units
     raise ReadError(
         f"{path} is no decoded blackbox log: expected a line of column names with 'time' and 'gyroADC[0]' within its "
         f"first {_HEADER_LINES} lines; give the CSV of blackbox_decode or of the Blackbox Viewer, or the .bbl file"
     )
 
 
-def _header(lines: list[str]) -> dict[str, str]:
+def _header(lines: list[str], separator: str) -> dict[str, str]:
     """The viewer's name-value lines, under the names of the binary log's header where its spelling differs."""
     plain = {re.sub(r"[^a-z0-9]", "", name.lower()): name for name in _HEADER_NAMES}
     header: dict[str, str] = {}
     for line in lines:
-        name, *values = _cells(line) or [""]
+        name, *values = _cells(line, separator) or [""]
+        # a number with a decimal comma is no list; one of fewer digits was rounded and is no scale
+        values = [re.sub(r"^([0-9]),([0-9]{4,}[eE][+-]?[0-9]+)$", r"\1.\2", value) for value in values]
         if name and values:
             key = plain.get(re.sub(r"[^a-z0-9]", "", name.lower()), name)
             # a spreadsheet fills every line up to the longest
@@ -159,38 +170,60 @@ def _header(lines: list[str]) -> dict[str, str]:
     return header
 
 
-def _samples(lines: list[str], names: list[str], path: str, notes: list[str]) -> tuple[dict, dict[str, int]]:
+def _samples(
+    lines: list[str], separator: str, names: list[str], units: dict[str, str], path: str, notes: list[str]
+) -> tuple[dict, dict[str, int]]:
     """{name: (n,) float} of the columns of use, and how many lines were samples, text and damaged."""
-    kept = [line.replace('"', "") for line in lines if line.lstrip(' "')[:1].isdigit()]
+    kept = [line for line in lines if line.lstrip(' "')[:1].isdigit()]
     text = sum(1 for line in lines if line.strip()) - len(kept)
     if not kept:
         raise ReadError(f"{path} names columns but holds no samples; decode the log again")
+    spread = separator != ","
+    if quoted := any('"' in line for line in kept):
+        # a cell in quotes may hold the separator; by lines, for a quote that nothing closes would swallow the next ones
+        kept = ["\t".join(cell.replace("\t", " ") for cell in _cells(line, separator)) for line in kept]
+        separator = "\t"
     wanted = [i for i, name in enumerate(names) if (name in WANTED or name in _ATTITUDE or name == "time")]
     # a name that stands twice: the first counts
     wanted = [i for i in wanted if names.index(names[i]) == i]
-    width = max(len(names), max(line.count(",") for line in kept) + 1)
+    width = max(len(names), max(line.count(separator) for line in kept) + 1)
     if width > 10000:
         raise ReadError(f"{path} has a line of {width} cells, expected {len(names)}; decode the log again")
+    as_written = spread or quoted
     # a first line of empty cells states the width, for lines may be shorter or longer than the names
     frame = pd.read_csv(
-        io.StringIO("\n".join(["," * (width - 1), *kept])),
+        io.StringIO("\n".join([separator * (width - 1), *kept])),
+        sep=separator,
         header=None,
         names=range(width),
         usecols=wanted,
+        dtype=str if as_written else {names.index("time"): str},
         skipinitialspace=True,
         quoting=csv.QUOTE_NONE,
         skip_blank_lines=False,
         low_memory=False,
     ).iloc[1:]
+    frame.columns = [names[i] for i in wanted]
+    if as_written:
+        turned, marked = decimal_points(frame, path)
+        fine = [name for name in frame if units.get(name) in _DECIMALS]
+        if spread and fine and not marked.intersection(fine):
+            raise ReadError(
+                f"{path}: column '{fine[0]}' is in {units[fine[0]]} but has no decimals, nor has any other; a "
+                "spreadsheet took their points for thousands separators: give the file as it was decoded"
+            )
+        spread = spread or bool(turned)
+        if spread:
+            doubt(notes, through_a_spreadsheet(path, bool(turned), "as it was decoded"))
+    refuse_rounded_stamps(frame["time"], "time", path, spread)
     columns, strange = {}, 0
-    for i in wanted:
-        column = frame[i]
+    for name, column in frame.items():
         numbers = column if column.dtype.kind in "iuf" else pd.to_numeric(column, errors="coerce")
         values = numbers.to_numpy(float, copy=True)
         values[~(np.abs(values) < 1e15)] = np.nan
         strange += int((np.isnan(values) & column.notna().to_numpy()).sum())
-        if names[i] == "time" or not np.isnan(values).all():
-            columns[names[i]] = values
+        if name == "time" or not np.isnan(values).all():
+            columns[name] = values
     if strange:
         notes.append(f"{strange} cells hold text or absurd numbers; they count as missing")
     return columns, {"samples": len(kept), "text lines": text}

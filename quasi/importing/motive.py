@@ -1,7 +1,8 @@
 """OptiTrack Motive exports (CSV, format versions 1.2x): one rigid body on the capture's own clock.
 
 The header is found by content: type, name, id, parent, quantity and axis rows may stand on other lines, with or without
-blank lines and labels between them. Time comes from the frame number and the export rate, for the printed times are
+blank lines and labels between them. Motive writes commas and decimal points, of which a spreadsheet may have made
+semicolons or tabs and decimal commas. Time comes from the frame number and the export rate, for the printed times are
 rounded. Motive's axes are right-handed with y up; earth axes here: x_E = z_G, y_E = -x_G, z_E = -y_G, and the attitude
 is turned by the same change of basis on both sides, so that a body made while aligned with the room has zero attitude.
 """
@@ -16,9 +17,11 @@ import numpy as np
 import pandas as pd
 
 from quasi.attitude import continuous, from_matrix, normalise, rotate
+from quasi.doubt import doubt
 from quasi.errors import ReadError, nearest
-from quasi.importing.artefacts import flyable
+from quasi.importing.artefacts import flyable, stalled
 from quasi.importing.series import Recording, Series
+from quasi.importing.table_text import SEPARATORS, decimal_points, from_header, through_a_spreadsheet
 from quasi.tables import read_text
 
 ROOM_TO_EARTH = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -47,6 +50,7 @@ QUANTITIES = {"rotation", "position", "mean marker error", "error per marker", "
 class _Header:
     """What the header says. columns  {(quantity, axis): column} of the rigid body; first  line of the first frame."""
 
+    separator: str
     facts: dict[str, str]
     columns: dict[tuple[str, str], int]
     name: str
@@ -63,11 +67,12 @@ def read_motive(
     marker_offset    (3,) m, of the marker centroid from the cg, body axes (marker = cg + R offset)
     remove_outliers  whether frames that no vehicle can fly (marker swaps, reflections) become gaps
     Returns          Recording with series "capture": x y z (m, earth NED, of the cg) and qw qx qy qz (body to earth);
-                     t in s from frame 0 by the capture's clock; frames without the body hold NaN
+                     t in s from frame 0 by the capture's clock; frames without the body, and such as hold an older pose
+                     while it moves, are NaN
     Raises           ReadError when the file is no Motive export or has no such rigid body
     """
     path = Path(path)
-    text = read_text(path).replace("\r\n", "\n").replace("\r", "\n")
+    text, _ = from_header(read_text(path))
     header = _read_header(text, path, rigid_body)
     notes: list[str] = []
     frame, clock, values = _read_frames(text, header, path, notes)
@@ -93,6 +98,8 @@ def read_motive(
             "'Length Units', or export it anew"
         )
     lost = int(np.count_nonzero(~seen))
+    held = stalled(t, np.stack(list(values.values()), axis=-1), position, quaternion)
+    seen &= ~held
     removed = np.zeros(len(t), bool)
     flips = 0
     index = np.flatnonzero(seen)
@@ -107,6 +114,8 @@ def read_motive(
         quaternion[index] = continuous(quaternion[index])
     if lost:
         notes.append(f"{path}: '{header.name}' was not seen in {lost} of {len(t)} frames ({100 * lost / len(t):.1f} %)")
+    if held.any():
+        notes.append(f"{path}: {_said_of(held, t, header.name)}")
     if removed.any():
         notes.append(
             f"{path}: {int(removed.sum())} of {len(t)} frames were removed as impossible to fly (marker swaps or "
@@ -141,10 +150,23 @@ def read_motive(
         "length unit": header.facts.get("length units", "Meters"),
         "marker offset": offset.tolist(),
         "frames lost": lost,
+        "frames held": int(held.sum()),
         "frames removed": int(removed.sum()),
         "quaternion sign flips": flips,
     }
     return Recording({"capture": Series(t, series)}, metadata, notes)
+
+
+def _said_of(held: np.ndarray, t: np.ndarray, name: str) -> str:
+    """What was found of frames (n,) that hold an older pose, t (n,) s."""
+    starts = np.flatnonzero(np.diff(np.concatenate([[0], held.astype(int)])) > 0)
+    step = float(np.median(np.diff(t)))
+    when = ", ".join(f"{t[i]:.3f}" for i in starts[:5]) + (", ..." if len(starts) > 5 else "")
+    return (
+        f"'{name}' keeps one pose to the last digit in {np.count_nonzero(held)} of {len(t)} frames "
+        f"({np.count_nonzero(held) * step:.2f} s, in {len(starts)} stretches, from {when} s of the capture) though it "
+        "moves: the stream stalled or tracking was lost; they count as not seen"
+    )
 
 
 def _plain(name: str) -> str:
@@ -154,14 +176,17 @@ def _plain(name: str) -> str:
 def _read_header(text: str, path: Path, rigid_body: str) -> _Header:
     """Find the header rows by what they hold."""
     lines = text.split("\n", 40)[:40]
-    try:
-        rows = [[c.strip() for c in row] for row in csv.reader(lines)]
-    except csv.Error as error:
-        raise ReadError(f"{path} is not a CSV file ({error}); export it from Motive again") from None
-    axis_row = next((i for i, r in enumerate(rows) if r and r[0].lower() == "frame"), None)
-    if axis_row is None:
+    for separator in SEPARATORS:
+        try:
+            rows = [[c.strip() for c in row] for row in csv.reader(lines, delimiter=separator)]
+        except csv.Error as error:
+            raise ReadError(f"{path} is not a CSV file ({error}); export it from Motive again") from None
+        axis_row = next((i for i, r in enumerate(rows) if len(r) > 1 and r[0].lower() == "frame"), None)
+        if axis_row is not None:
+            break
+    else:
         raise ReadError(
-            f"{path} is not a Motive export: none of its first {len(rows)} lines begins with 'Frame'; "
+            f"{path} is not a Motive export: none of its first {len(lines)} lines begins with 'Frame'; "
             "export the take as CSV with header information"
         )
     facts: dict[str, str] = {}
@@ -200,7 +225,7 @@ def _read_header(text: str, path: Path, rigid_body: str) -> _Header:
             f"{path} holds no position {missing[0].upper()} of rigid body '{chosen}'; export it with positions"
         )
     # csv.reader joins lines inside quotes; header lines hold none, so rows and lines agree
-    return _Header(facts, columns, chosen, bodies, axis_row + 1)
+    return _Header(separator, facts, columns, chosen, bodies, axis_row + 1)
 
 
 def _holds(row: list[str], known: set[str]) -> bool:
@@ -212,26 +237,41 @@ def _read_frames(
 ) -> tuple[np.ndarray, np.ndarray, dict[tuple[str, str], np.ndarray]]:
     """Frame numbers, printed times and the body's columns, text cells counted and emptied."""
     wanted = {key: column for key, column in header.columns.items() if key[0] in ("position", "rotation")}
-    use = sorted({0, 1, *wanted.values()})
-    width = max(use) + 1
+    names = {column: f"{quantity} {axis}".title() for (quantity, axis), column in wanted.items()}
+    names |= {0: "Frame", 1: "Time"}
+    use = sorted(names)
+    frames = text.split("\n", header.first)[header.first :]
+    spread = header.separator != ","
+    # cells as written, where a comma may be a decimal mark and a point stand between thousands
+    written = spread or '"' in "".join(frames)
     try:
         table = pd.read_csv(
-            io.StringIO(text), skiprows=header.first, header=None, usecols=use, names=range(width), index_col=False,
-            skip_blank_lines=True, on_bad_lines="skip", low_memory=False, encoding_errors="replace",
-        )  # fmt: skip
+            io.StringIO("".join(frames)), sep=header.separator, header=None, usecols=use, names=range(use[-1] + 1),
+            index_col=False, skip_blank_lines=True, on_bad_lines="skip", low_memory=False,
+            dtype=str if written else None,
+        ).rename(columns=names)  # fmt: skip
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError) as error:
         raise ReadError(f"{path} cannot be read below its header ({error}); export it from Motive again") from None
     if table.empty:
         raise ReadError(f"{path} holds a header but no frames; export the take from Motive again")
+    if written:
+        turned, marked = decimal_points(table, path)
+        if spread and not marked.difference(("Frame", "Time")) and table.iloc[:, 2:].notna().any(axis=None):
+            raise ReadError(
+                f"{path}: positions and rotations of '{header.name}' have no decimals; a spreadsheet took their points "
+                "for thousands separators: give the file as Motive wrote it"
+            )
+        if spread or turned:
+            doubt(notes, through_a_spreadsheet(path, bool(turned), "as Motive wrote it"))
     strange = 0
-    for column in use:
-        if not pd.api.types.is_numeric_dtype(table[column]):
-            numbers = pd.to_numeric(table[column], errors="coerce")
-            strange += int((numbers.isna() & table[column].notna()).sum())
-            table[column] = numbers
+    for name in table.columns:
+        if not pd.api.types.is_numeric_dtype(table[name]):
+            numbers = pd.to_numeric(table[name], errors="coerce")
+            strange += int((numbers.isna() & table[name].notna()).sum())
+            table[name] = numbers
     if strange:
         notes.append(f"{path}: {strange} cells hold text where numbers belong; they count as not seen")
-    cells = table[use].to_numpy(float)
+    cells = table.to_numpy(float)
     # numbers that no frame counter, clock or room holds count as missing too
     cells[~(np.abs(cells) < LARGEST)] = np.nan
     cells = cells[np.isfinite(cells[:, 0])]

@@ -11,7 +11,8 @@ from quasi.attitude import to_euler
 from quasi.errors import DataError
 from quasi.importing.motive import read_motive
 from quasi.importing.onboard_log import ATTITUDE, FORCE, RATES, read_onboard
-from quasi.tables import read_bytes
+from quasi.importing.table_text import from_header
+from quasi.tables import read_text
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ def read_rest(
     Raises      ReadError or DataError: a sentence that names the file and the remedy
     """
     path = Path(path)
-    if b"Format Version" in bytes(read_bytes(path)[:400]):
+    if "Format Version" in from_header(read_text(path))[0][:400]:
         recording = read_motive(path, rigid_body or "")
         one = recording.series["capture"]
         if "qw" not in one.values:

@@ -49,7 +49,9 @@ def read_table_log(
     if poles is None:
         poles, poles_from = DEFAULT_POLES, "default"
     plan = read_mapping(mapping, poles, where)
-    table = open_table(path, notes)
+    clocks = {c[0] for c in (plan.clock, *(s.clock for s in plan.sources)) if c is not None}
+    mapped = {alias for s in plan.sources for column in s.columns.values() for alias in column.aliases}
+    table = open_table(path, notes, clocks | mapped, clocks)
     if len(table) < 20:
         raise ReadError(f"{path} holds {len(table)} rows; at least 20 are needed, record or export the flight again")
     raw = [_Raw(source, table, path, notes) for source in plan.sources]

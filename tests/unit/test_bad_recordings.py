@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 from made_motion import at_times, body, motive_text
 from made_recordings import written
+from spreadsheets import saved_anew
 
 from quasi.errors import QuasiError
 from quasi.importing.flight import import_flight
@@ -172,6 +173,32 @@ def test_a_run_of_missing_frames_is_flagged_and_not_filled_as_measured(asked):
     assert gap.sum() > 400
     assert any("was not seen in" in n for n in about["notes"])
     assert np.isfinite(frame.to_numpy()).all()
+
+
+def test_a_stream_that_stalls_in_flight_is_flagged_as_missing_frames_are(asked):
+    def change(lines):
+        held = lines[1400].split(",", 2)[2]
+        return [",".join([*line.split(",", 2)[:2], held]) if 1400 < i < 1640 else line for i, line in enumerate(lines)]
+
+    plain, _ = load(asked)
+    edit(asked, change)
+    frame, about = load(asked)
+    assert about["sources"]["capture"]["frames held"] == 239
+    assert (frame["position_sample"].rolling(500).max() == 0).sum() > 400
+    assert any(
+        "keeps one pose to the last digit in 239 of" in n and "(1.99 s, in 1 stretches" in n for n in about["notes"]
+    )
+    kept = (frame["position_sample"] > 0).to_numpy()
+    assert frame["x"].to_numpy()[kept] == pytest.approx(plain["x"].to_numpy()[kept], abs=0.02)
+
+
+def test_a_capture_that_a_spreadsheet_saved_calls_for_care(asked):
+    plain, _ = load(asked)
+    write_text(asked["capture"], saved_anew(read_bytes(asked["capture"]).decode()))
+    frame, about = load(asked)
+    pd.testing.assert_frame_equal(frame, plain)
+    assert about["verdict"] == "usable with care"
+    assert "has been through a spreadsheet (decimal commas)" in about["verdict because"]
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,11 @@ import math
 import numpy as np
 import pytest
 from recordings import SHARED, needs_real
+from spreadsheets import FORMS, saved_anew
 
 from quasi.airframe import erpm100_to_rad_s
 from quasi.attitude import body_rates, to_euler
+from quasi.doubt import doubts
 from quasi.errors import ReadError
 from quasi.importing.blackbox import read_blackbox
 from quasi.importing.decoded import read_decoded
@@ -149,6 +151,89 @@ def test_header_lines_that_a_spreadsheet_filled_up_say_the_same(tmp_path):
     plain, padded = read(tmp_path, viewer_csv()), read(tmp_path, filled)
     assert first(padded) == first(plain)
     assert padded.notes == plain.notes
+
+
+@pytest.mark.parametrize(("top", "separator", "decimal", "encoding"), FORMS)
+@pytest.mark.parametrize("program", [tool_csv, viewer_csv])
+def test_what_a_spreadsheet_saved_reads_as_what_it_opened(tmp_path, program, top, separator, decimal, encoding):
+    plain = read(tmp_path, program(rows=40))
+    path = tmp_path / "saved.csv"
+    path.write_text(top + saved_anew(program(rows=40), separator, decimal), encoding=encoding, newline="")
+    saved = read_decoded(path)
+    np.testing.assert_array_equal(saved.series["onboard"].t, plain.series["onboard"].t)
+    for name, values in plain.series["onboard"].values.items():
+        np.testing.assert_array_equal(saved.series["onboard"].values[name], values, err_msg=name)
+    assert saved.series["onboard"].values.keys() == plain.series["onboard"].values.keys()
+    assert saved.metadata["header"] == plain.metadata["header"]
+    assert saved.metadata["format"] == plain.metadata["format"]
+    extra = [note for note in doubts(saved.notes) if note not in plain.notes]
+    assert len(extra) == 1 and "has been through a spreadsheet" in extra[0]
+
+
+def test_a_scale_that_a_spreadsheet_rounded_is_assumed_and_called_for_care(tmp_path):
+    rounded = saved_anew(viewer_csv()).replace("1,7453292519943295e-08", "1,75E-08")
+    recording = read(tmp_path, rounded)
+    assert first(recording)["p"] == pytest.approx(math.pi / 2)
+    assert any("gyro_scale is '1,75E-08'; 1 deg/s per count is assumed" in note for note in doubts(recording.notes))
+
+
+def test_quotes_around_plain_numbers_are_no_spreadsheet(tmp_path):
+    quoted = "\n".join(",".join(f'"{cell.strip()}"' for cell in line.split(",")) for line in tool_csv().splitlines())
+    plain, found = read(tmp_path, tool_csv()), read(tmp_path, quoted)
+    assert first(found) == first(plain)
+    assert found.notes == plain.notes
+
+
+def dutch(change=lambda row: row):
+    """The tool's log as a Dutch spreadsheet saved it, each row of cells changed."""
+    names, *rows = saved_anew(tool_csv()).splitlines()
+    return "\n".join([names, *(";".join(change(row.split(";"))) for row in rows)])
+
+
+def with_cell(place, text):
+    return lambda row: [*row[:place], text(row) if callable(text) else text, *row[place + 1 :]]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            dutch(with_cell(11, "0.52")),
+            "decimal commas (such as 16,55) and column 'accSmooth[0]' decimal points",
+        ),
+        (dutch(with_cell(14, "1.158")), "points of column 'motor[0]' (such as 1.158) may be decimal points or stand"),
+        (
+            dutch(with_cell(1, lambda row: f"{int(row[1]):,}".replace(",", "."))),
+            "5.000.000, whose thousands are",
+        ),
+        (dutch(lambda row: [cell.replace(",", "") for cell in row]), "is in V but has no decimals, nor has any other"),
+        (dutch(with_cell(1, lambda row: f"{int(row[1]):.2E}".replace(".", ","))), "time' have lost their digits in 50"),
+    ],
+)
+def test_what_a_spreadsheet_spoilt_is_refused(tmp_path, text, words):
+    with pytest.raises(ReadError, match=r"decoded\.csv") as error:
+        read(tmp_path, text)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("rows", [50, 2000])
+def test_time_that_was_shortened_is_refused_and_time_with_an_exponent_but_all_digits_is_read(tmp_path, rows):
+    names, *lines = tool_csv(rows=rows).splitlines()
+    cells = [line.split(", ", 2) for line in lines]
+
+    def rewritten(form, names=names, scale=1.0):
+        return "\n".join([names, *(f"{i}, {form % (int(t) * scale)}, {rest}" for i, t, rest in cells)])
+
+    whole = read(tmp_path, rewritten("%.9e")).series["onboard"].t
+    assert whole == pytest.approx(5.0 + 1e-3 * np.arange(rows))
+    for form in ("%.2E", "%.3E"):
+        with pytest.raises(ReadError, match=rf"have lost their digits in {rows} of {rows} rows"):
+            read(tmp_path, rewritten(form))
+    seconds = names.replace("time (us)", "time (s)")
+    assert read(tmp_path, rewritten("%.3f", seconds, 1e-6)).series["onboard"].t == pytest.approx(whole)
+    with pytest.raises(ReadError, match=r"lost their digits in .* \(such as 5.0*\)"):
+        read(tmp_path, saved_anew(rewritten("%.2f", seconds, 1e-6)))
 
 
 def test_rows_that_repeat_a_time_are_dropped_however_many(tmp_path):

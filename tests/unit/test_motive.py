@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from made_motion import at_times, body, motive_text
 from scipy.spatial.transform import Rotation
+from spreadsheets import FORMS, saved_anew
 
 from quasi.attitude import to_euler
+from quasi.doubt import doubts
 from quasi.errors import ReadError
 from quasi.importing.motive import read_motive
 
@@ -177,3 +179,130 @@ def test_a_file_cut_anywhere_is_read_or_refused_in_a_sentence(tmp_path, take, cu
         assert "take.csv" in str(error)
     else:
         assert len(recording.series["capture"].t) >= 2
+
+
+@pytest.mark.parametrize(("top", "separator", "decimal", "encoding"), FORMS)
+@pytest.mark.parametrize("style", [{"labels": True}, {"angles": "XYZ", "unit": "Millimeters"}])
+def test_what_a_spreadsheet_saved_reads_as_what_motive_wrote(tmp_path, take, style, top, separator, decimal, encoding):
+    frame, time, position, quaternion = (a[:300] for a in take)
+    text = motive_text(frame, time, position, quaternion, **style)
+    plain = read_motive(written(tmp_path, text), "Quad")
+    path = tmp_path / "saved.csv"
+    path.write_text(top + saved_anew(text, separator, decimal), encoding=encoding, newline="")
+    saved = read_motive(path, "Quad")
+    np.testing.assert_array_equal(saved.series["capture"].t, plain.series["capture"].t)
+    np.testing.assert_array_equal(np.hstack(pose(saved)), np.hstack(pose(plain)))
+    assert saved.metadata["frame rate"] == plain.metadata["frame rate"]
+    assert len(saved.notes) == 1 and "has been through a spreadsheet" in doubts(saved.notes)[0]
+    assert not plain.notes
+
+
+@pytest.mark.parametrize(
+    ("cell", "words"),
+    [
+        (lambda text: text.replace(".", ""), "have no decimals; a spreadsheet took their points for thousands separat"),
+        (lambda text: "1.234" if text.startswith("0.0") else text.replace(".", ","), "may be decimal points or stand"),
+        (lambda text: text if text.startswith("-0.") else text.replace(".", ","), "expected one of them throughout"),
+    ],
+)
+def test_what_a_spreadsheet_spoilt_is_refused(tmp_path, take, cell, words):
+    text = motive_text(*(a[:300] for a in take))
+    lines = saved_anew(text, ";", ".").splitlines()
+    changed = [
+        ";".join([r[0], r[1].replace(".", ","), *map(cell, r[2:])]) for r in (line.split(";") for line in lines[7:])
+    ]
+    with pytest.raises(ReadError, match=words) as error:
+        read_motive(written(tmp_path, "\n".join(lines[:7] + changed)), "Quad")
+    assert "take.csv" in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("above", ["# our lab, last version\n\n", "% x\n" * 50])
+def test_comments_above_the_header_say_nothing(tmp_path, take, above):
+    text = motive_text(*(a[:300] for a in take))
+    plain = read_motive(written(tmp_path, text), "Quad")
+    found = read_motive(written(tmp_path, above + text), "Quad")
+    assert found.metadata == plain.metadata
+    np.testing.assert_array_equal(np.hstack(pose(found)), np.hstack(pose(plain)))
+
+
+def flying(seed=3, seconds=20.0, rest=4.0, noise=2e-4):
+    """A take that begins at rest, with the tracker's noise."""
+    truth = body(seconds, rest=rest, seed=seed)
+    frame = np.arange(int((seconds - 0.5) * RATE))
+    position, quaternion = at_times(truth, frame / RATE)
+    rng = np.random.default_rng(seed)
+    turn = Rotation.from_quat(quaternion, scalar_first=True) * Rotation.from_rotvec(
+        rng.normal(0, 5 * noise, position.shape)
+    )
+    return frame, position + rng.normal(0, noise, position.shape), turn.as_quat(scalar_first=True)
+
+
+def held_frames(folder, frame, position, quaternion, **style):
+    recording = read_motive(
+        written(folder, motive_text(frame, frame / RATE, position, quaternion, digits=6, **style)), "Quad"
+    )
+    return np.flatnonzero(~np.isfinite(recording.series["capture"].values["x"])), recording
+
+
+@pytest.mark.parametrize("style", [{}, {"angles": "XYZ"}, {"unit": "Millimeters"}])
+def test_a_stream_that_stalls_is_lost_where_it_holds_an_older_pose(tmp_path, style):
+    frame, position, quaternion = flying()
+    stretches = ((900, 912), (1200, 1320), (1500, 1507))
+    for a, b in stretches:
+        position[a:b], quaternion[a:b] = position[a], quaternion[a]
+    lost, recording = held_frames(tmp_path, frame, position, quaternion, **style)
+    # the first frame of each stretch is the pose itself
+    assert lost.tolist() == [k for a, b in stretches for k in range(a + 1, b)]
+    assert recording.metadata["frames held"] == len(lost)
+    assert recording.metadata["frames lost"] == recording.metadata["frames removed"] == 0
+    (note,) = recording.notes
+    assert f"in {len(lost)} of {len(frame)} frames (1.13 s, in 3 stretches, from 7.508, 10.008, 12.508 s of" in note
+
+
+def test_a_stall_that_ends_in_lost_frames_or_with_the_take_is_told_by_the_dead_stop(tmp_path):
+    frame, position, quaternion = flying()
+    speed = np.linalg.norm(np.diff(position, axis=0), axis=1) * RATE
+    fast = int(np.argmax(speed[900:1500])) + 900
+    assert speed[fast - 3 : fast].min() > 1.3
+    position[fast : fast + 60], quaternion[fast : fast + 60] = position[fast], quaternion[fast]
+    position[fast + 60 : fast + 100] = np.nan
+    quaternion[fast + 60 : fast + 100] = np.nan
+    lost, recording = held_frames(tmp_path, frame, position, quaternion)
+    assert lost.tolist() == list(range(fast + 1, fast + 100))
+    assert (recording.metadata["frames held"], recording.metadata["frames lost"]) == (59, 40)
+    lost, _ = held_frames(tmp_path, frame[: fast + 50], position[: fast + 50], quaternion[: fast + 50])
+    assert lost.tolist() == list(range(fast + 1, fast + 50))
+
+
+def test_a_pose_held_from_the_first_frame_on_is_lost_with_its_first_frame(tmp_path):
+    frame, position, quaternion = flying()
+    position[:900], quaternion[:900] = position[700], quaternion[700]
+    lost, _ = held_frames(tmp_path, frame, position, quaternion)
+    assert lost.tolist() == list(range(900))
+
+
+@pytest.mark.parametrize("decimals", [6, 4, 3, 2, 1])
+@pytest.mark.parametrize("noise", [0.0, 2e-4])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_rest_and_slow_flight_in_few_digits_lose_nothing(tmp_path, decimals, noise, seed):
+    frame, position, quaternion = flying(seed, noise=noise)
+    slow = slice(1500, None)  # then a hover that drifts by centimetres
+    position[slow] = position[1500] + 0.02 * (position[slow] - position[1500])
+    quaternion[slow] = quaternion[1500] + 0.02 * (quaternion[slow] - quaternion[1500])
+    quaternion[slow] /= np.linalg.norm(quaternion[slow], axis=1, keepdims=True)
+    lost, recording = held_frames(tmp_path, frame, position.round(decimals), quaternion.round(decimals))
+    assert recording.metadata["frames held"] == 0
+    assert not any("to the last digit" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize("end", [20.0, 4.2])
+def test_a_marker_swap_out_of_rest_throws_no_rest_away(tmp_path, end):
+    frame, position, quaternion = flying(noise=0.0)
+    position[:500], quaternion[:500] = position[0].copy(), quaternion[0].copy()
+    swapped = np.zeros(len(frame), bool)
+    for start, length in ((200, 30), (300, 1), (302, 1), (304, 1), (460, 35)):
+        swapped[start : start + length] = True
+    position[swapped] += 0.2
+    n = int(end * RATE) if end < 10 else len(frame)
+    lost, _ = held_frames(tmp_path, frame[:n], position[:n], quaternion[:n])
+    assert swapped[lost].all()

@@ -247,6 +247,55 @@ def test_commas_that_may_stand_between_thousands_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("t;w1\n0;999\n1;1.200\n2;1.201\n", r"points of column 'w1' \(such as 1.200\) may be decimal points or stand"),
+        ("t;w1\n0,05;1.200\n0,1;1.201\n", r"'w1' \(such as 1.200\) .* for decimals of column 't' have a comma"),
+        ("t;w1\n0,05;12.5\n0,1;12.5\n", r"'t' has decimal commas \(such as 0,05\) and column 'w1' decimal points"),
+        ("t;w1\n0,05;1.200,5\n0,1;1.201,5\n", r"column 'w1' holds 1.200,5, whose thousands are separated"),
+        ('t,w1\n0.05,"1,200"\n0.1,"1,201"\n', r"commas of column 'w1' \(such as 1,200\) may be decimal commas or"),
+        ("t,m;w1,m;x\n0;1;2\n", r"holds as many commas as semicolons, expected one of them between columns; rename"),
+        ("t;w1\n1,23E+09;1\n1,23E+09;2\n1,24E+09;3\n", r"'t' have lost their digits in 3 of 3 rows \(such as 1.23E"),
+        ("t,w1\n1.23E+09,1\n1.23E+09,2\n1.24E+09,3\n", r"'t' have lost their digits in 3 of 3 rows \(such as 1.23E"),
+    ],
+)
+def test_ambiguous_marks_and_shortened_clocks_are_refused(tmp_path, text, words):
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    with pytest.raises(ReadError, match=words) as error:
+        open_table(path, [], clocks=["t"])
+    assert str(path) in str(error.value) and "\n" not in str(error.value) and ";" in str(error.value)
+
+
+def test_marks_of_columns_that_nobody_maps_disturb_nothing(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t;w1;note\n0,05;5;1.200\n0,1;6,5;1.201\n")
+    assert open_table(path, [], ["t", "w1"])["w1"].tolist() == [5.0, 6.5]
+    with pytest.raises(ReadError, match="'note'"):
+        open_table(path, [])
+
+
+@pytest.mark.parametrize("above", ["# our lab\n", "\n\n", "% a, b\n#\n\n  \n", ";;;\n", "sep=,\n# our lab, run 3\n"])
+def test_comments_and_empty_lines_above_the_header_are_skipped(tmp_path, flown, above):
+    truth, _, table = flown
+    path = tmp_path / "log.csv"
+    path.write_text(above + table.to_csv(index=False))
+    recording = read_table_log(path, PLAN, 14)
+    assert stacked(recording.series["onboard"], "p", "q", "r") == pytest.approx(truth.rates, abs=1e-9)
+    lines = above.count("\n")
+    assert sum(f"{lines} lines above the header were skipped" in n for n in recording.notes) == 1
+
+
+@pytest.mark.parametrize("first", ["# t", "%time"])
+def test_a_comment_right_above_the_numbers_names_the_columns(tmp_path, first):
+    path, notes = tmp_path / "log.csv", []
+    path.write_text(f"# our lab\n{first},p\n0.1,2\n0.2,3\n")
+    table = open_table(path, notes)
+    assert list(table) == [first, "p"] and table["p"].tolist() == [2, 3]
+    assert "1 lines above" in notes[0]
+
+
+@pytest.mark.parametrize(
     ("quantity", "column", "factor", "said"),
     [
         ("w1", "m1", 60 / (2 * np.pi) * 7, "w1 reaches .* rad/s at most; check its unit"),
