@@ -49,6 +49,8 @@ def rotorpy_vehicle(place: str):
 
 def main() -> None:
     """Ask rotorpy, compare, print, and write when asked to."""
+    if len(sys.argv) < 2:
+        sys.exit(f"name the place of rotorpy\n\n{__doc__}")
     vehicle = rotorpy_vehicle(sys.argv[1])
     rng = np.random.default_rng(20)
     states, derivatives, commands = [], [], []
