@@ -12,6 +12,7 @@ from quasi.gap.wrench import Cause, Found
 
 # shares of resamples in which a cause alone, the strongest of several, another one must be found again
 ALONE, SURE, BESIDE = 0.2, 0.5, 0.8
+FAR = 0.01  # of the level: what is that improbable needs half of these, for a resample holds two thirds of the flights
 
 
 def needed(cause: Cause, found: Found) -> float:
@@ -19,9 +20,10 @@ def needed(cause: Cause, found: Found) -> float:
     out flights say, unless a few seconds of flight make all of it; beside a stronger one, it may only mend what that
     one leaves."""
     others = [c for c in [*found.causes, *found.stand_ins] if c.since == cause.since and c is not cause]
-    if not others:
-        return ALONE
-    return SURE if cause.test.p < min(c.test.p for c in others) else BESIDE
+    share = ALONE
+    if others:
+        share = SURE if cause.test.p < min(c.test.p for c in others) else BESIDE
+    return 0.5 * share if cause.test.p < FAR * found.level[cause.since] else share
 
 
 def deviations(effect: Effect, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:

@@ -78,7 +78,7 @@ def extend(
         document["extensions"].append(
             {
                 "id": effect.id,
-                "parameters": {n: {"value": float(v), "unit": effect.parameters[n].unit} for n, v in values.items()},
+                "parameters": _told(effect, values),
                 "sentence": effect.sentence,
                 "airframe": extension.airframe,
                 "actuators": extension.actuators,
@@ -94,6 +94,14 @@ def extend(
     document["provenance"] = {**document.get("provenance", {}), "extended from": model.id, "by": where}
     Model(document, f"model {name}")
     return document
+
+
+def _told(effect: Effect, values: Values) -> dict[str, dict[str, Any]]:
+    """{parameter: {"value", "unit"}} as a diagnosis tells them."""
+    if effect.told is not None:
+        sizes = effect.told(values, dict.fromkeys(values, 0.0))
+        return {n: {"value": size.value, "unit": size.unit} for n, size in sizes.items()}
+    return {n: {"value": float(v), "unit": effect.parameters[n].unit} for n, v in values.items()}
 
 
 def _hang(document: dict[str, Any], load: float, cause: str) -> None:

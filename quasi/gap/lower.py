@@ -42,7 +42,7 @@ def examine(
     options = {"false alarm rate": rate, "effects": [*effects, *arm]}
     levels = [kinematic.examine(flights, options), actuation.examine(flights, model, options)]
     if points.MARKERS in effects:
-        points.settle(levels[0], flights, Model(model, "the compared model"))
+        points.settle(levels[0], flights, Model(model, "the compared model"), effects, rate)
     if process is not None:
         settle(levels, flights, Model(model, "the compared model"), options["false alarm rate"], process)
     for level in levels:

@@ -7,7 +7,7 @@ The two together tell each point.
 Source: rigid-body kinematics; the weighing is least squares on the two estimates of each component.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -18,9 +18,11 @@ from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.gap.effect import Effect, vehicle_of
 from quasi.gap.evidence import Evidence, gather
-from quasi.gap.level import Flown, Level
+from quasi.gap.level import Flown, Level, shares_of
 from quasi.gap.mixed import Offer
-from quasi.gap.study import gather_study
+from quasi.gap.naming import search
+from quasi.gap.starts import started
+from quasi.gap.study import Study, gather_study
 from quasi.standalone.model import Model
 
 IMU, MARKERS = "imu_lever_arm", "marker_offset"
@@ -76,17 +78,19 @@ def weigh(between: np.ndarray, between_std: np.ndarray, forces: np.ndarray, forc
     return Points(imu, markers, imu_std, markers_std, between, forces, apart)
 
 
-def settle(level: Level, flights: Sequence[Flown], model: Model) -> None:
+def settle(
+    level: Level, flights: Sequence[Flown], model: Model, effects: Mapping[str, Effect], rate: float
+) -> None:
     """Tell `marker_offset` from `imu_lever_arm` in what level K found; nothing to do where it found neither.
 
-    flights  those that may choose and fit. Changes the level: its effect becomes either cause or both, or a tie where
-    the forces cannot tell.
+    flights  those that may choose and fit; effects  causes that forces may have beside; rate  false alarm rate of these
+    Changes the level: its effect becomes either cause or both, or a tie where the forces cannot tell.
     """
     arm = next((e for e in level.effects if e["id"] == IMU), None)
     if arm is None:
         return
     try:
-        forces, std = felt(flights, model, arm["since"])
+        forces, std = felt(flights, model, arm["since"], effects, rate)
     except DataError as error:
         level.notes.append(f"whether the IMU or the markers sit elsewhere was not asked of the forces: {error}")
         return
@@ -141,18 +145,39 @@ FELT = Effect(
 )  # fmt: skip
 
 
-def felt(flights: Sequence[Flown], model: Model, since: str) -> tuple[np.ndarray, np.ndarray]:
+def felt(
+    flights: Sequence[Flown], model: Model, since: str, effects: Mapping[str, Effect], rate: float
+) -> tuple[np.ndarray, np.ndarray]:
     """IMU minus cg (3,) m by the forces, with standard errors (3,); the model's own terms are fitted anew beside it.
 
     since  "always": one arm in all flights; "changed": of the compared ones, beyond what all have
+    effects  causes by id; those of level W that the flights have beside the arm are taken out; rate  their false alarm
+    rate: what is left of a tether, say, blunts what forces tell of the arm
     Raises DataError where no flight can be compared with the model.
     """
     seen = [(flown, _evidence(flown, model)) for flown in flights]
-    study = gather_study([e for _, e in seen], {IMU: FELT}, vehicle_of(model))
-    compared = [flown.compared for flown, _ in seen]
+    evidence, vehicle = [e for _, e in seen], vehicle_of(model)
+    compared = np.array([flown.compared for flown, _ in seen])
+    asked = {n: e for n, e in effects.items() if e.level == "W" and not e.finding}
+    arm = Offer(IMU, since, (0, 1, 2))
+    study = started(gather_study(evidence, asked | {IMU: FELT}, vehicle), asked | {IMU: FELT}, vehicle, compared)
+    beside = _beside(study, asked, {n: e.limits(vehicle) for n, e in asked.items()}, compared, rate, arm)
     mixed = study.mixed(range(len(seen)), compared)
-    test = mixed.test(Offer(IMU, since, (0, 1, 2)), (), [IMU] if since == "changed" else [])
+    test = mixed.test(arm, beside, [IMU] if since == "changed" else [])
     return np.asarray(test.value), np.asarray(test.std)
+
+
+def _beside(
+    study: Study, asked: Mapping[str, Effect], within: Mapping[str, Sequence[tuple[float, float]]],
+    compared: np.ndarray, rate: float, arm: Offer,
+) -> list[Offer]:  # fmt: skip
+    """Causes that the forces have beside the arm."""
+    mixed = study.witnessed(range(len(compared)), compared)
+    found: list[Offer] = [arm]
+    for since, part in shares_of(compared).items():
+        names = search(mixed, asked | {IMU: FELT}, (since,), rate * part, (*study.lacking, IMU), within, found)
+        found += [*(n.test.offer for n in names.named), *(tie.tests[0].offer for tie in names.ties)]
+    return found[1:]
 
 
 def _evidence(flown: Flown, model: Model) -> Evidence:

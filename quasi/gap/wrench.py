@@ -259,15 +259,18 @@ def _widened(
         why = f"its axes differ by {worst.apart:.1f} times their standard errors, so that none of it is sure"
         vague[worst.effect.id] = worst.test, why
     for cause in kept:
-        cause.std = {name: cause.apart * std for name, std in cause.std.items()}
+        cause.value, cause.std = _estimate(cause.test, cause.effect, cause.apart)
     return kept, vague
 
 
-def _estimate(test: Test, effect: Effect) -> tuple[Deviations, Deviations]:
-    """Deviations and standard errors by name; how well the vehicle's constants are known in these."""
+def _estimate(test: Test, effect: Effect, wider: float = 1.0) -> tuple[Deviations, Deviations]:
+    """Deviations and standard errors by name; how well the vehicle's constants are known in these.
+
+    wider  by which the test's own standard errors are too small
+    """
     names = [effect.fitted[k] for k in test.offer.which]
     known = max(KNOWN, effect.rough)
-    value, std = map(float, test.value), map(float, np.hypot(test.std, known * test.value))
+    value, std = map(float, test.value), map(float, np.hypot(wider * test.std, known * test.value))
     return dict(zip(names, value)), dict(zip(names, std))
 
 

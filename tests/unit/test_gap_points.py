@@ -6,8 +6,9 @@ from made_model import simple_model
 from made_recordings import planted
 
 from quasi.gap import calibration, kinematic
+from quasi.gap.catalogue import catalogue
 from quasi.gap.level import Level
-from quasi.gap.points import ACROSS, APART, TAKEN_UP, settle, weigh
+from quasi.gap.points import ACROSS, APART, TAKEN_UP, felt, settle, weigh
 from quasi.synthesis.nuisance import nominal
 from quasi.synthesis.vehicle import hover_factors
 
@@ -22,7 +23,7 @@ def test_arm_and_markers_are_told_apart_from_raw_logs_and_gone_when_these_are_im
     assert [e["id"] for e in level.effects] == ["imu_lever_arm"]  # level K alone cannot know
     factors = hover_factors(nominal(120.0, 0.0).vehicle.physics)
     model = simple_model(airframe, factors["thrust"], factors["torque"], Mx={"p": -1e-4}, My={"q": -1e-4})
-    settle(level, flights, model)
+    settle(level, flights, model, catalogue(), 0.01)
     found = {e["id"]: e["parameters"] for e in level.effects}
     assert set(found) == set(PLANTED)
     for cause, parameters in found.items():
@@ -31,6 +32,17 @@ def test_arm_and_markers_are_told_apart_from_raw_logs_and_gone_when_these_are_im
     whole = calibration.document([level])
     assert whole["compared"]["capture"]["marker offset"][0] == found["marker_offset"]["x"]["value"]
     assert not kinematic.examine(process(calibration.for_flight(whole, True)), {}).effects
+
+
+def test_what_pulls_at_the_vehicle_is_not_taken_for_an_arm(tmp_path):
+    true = np.array([0.0, -0.007, 0.0])
+    process, airframe = planted(tmp_path, {"imu_lever_arm": {"y": -0.007}, "tether": {"k": 1.5}}, 780, 20.0)
+    flights = process(None)
+    factors = hover_factors(nominal(120.0, 0.0).vehicle.physics)
+    model = simple_model(airframe, factors["thrust"], factors["torque"], Mx={"p": -1e-4}, My={"q": -1e-4})
+    (drawn_off, _), (arm, std) = (felt(flights, model, "always", some, 0.01) for some in ({}, catalogue()))
+    assert np.linalg.norm(arm - true) < 0.4 * np.linalg.norm(drawn_off - true)
+    assert np.all(np.abs(arm - true) < 3.0 * std)
 
 
 @pytest.mark.parametrize("arm", [(0.01, 0.0, 0.0), (0.0, -0.004, 0.02)])
@@ -76,7 +88,7 @@ def test_forces_that_cannot_tell_leave_a_tie_with_both_ways_to_read_it(monkeypat
     level = Level("K", effects=[{"id": "imu_lever_arm", "since": "always", "parameters": arm}])
     blunt = np.full(3, 0.01)
     monkeypatch.setattr("quasi.gap.points.felt", lambda *_: (np.array([0.004, 0.001, -0.008]), blunt))
-    settle(level, [], None)
+    settle(level, [], None, {}, 0.01)
     assert not level.effects
     (tie,) = level.ties
     assert tie["ids"] == ["imu_lever_arm", "marker_offset"]
