@@ -20,9 +20,12 @@ def needed(cause: Cause, found: Found) -> float:
     out flights say, unless a few seconds of flight make all of it; beside a stronger one, it may only mend what that
     one leaves."""
     others = [c for c in [*found.causes, *found.stand_ins] if c.since == cause.since and c is not cause]
+    # what a model misses of its own vehicle leaves nothing that looks like what no sound vehicle has
+    foreign = cause.effect.foreign and cause.since == "always"
+    stronger = [c for c in others if c.test.p <= cause.test.p and c.effect.foreign >= foreign]
     share = ALONE
     if others:
-        share = SURE if cause.test.p < min(c.test.p for c in others) else BESIDE
+        share = BESIDE if stronger else SURE
     return 0.5 * share if cause.test.p < FAR * found.level[cause.since] else share
 
 

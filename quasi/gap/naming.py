@@ -13,7 +13,7 @@ from quasi.gap.effect import Effect
 from quasi.gap.mixed import Mixed, Offer, Test, ranked
 
 RIVALS = 6  # of the most significant causes that are weighed against each other
-MOST = 6  # causes that one search names
+MOST = 12  # causes that one search names: a model may lack much of its own vehicle besides
 FORM = 0.05  # of what a cause explains, that another has to explain beyond it: no form is quite right
 SUSPECT = 0.01  # probability of nothing below which a declared rival has to be ruled out
 

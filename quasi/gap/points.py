@@ -78,9 +78,7 @@ def weigh(between: np.ndarray, between_std: np.ndarray, forces: np.ndarray, forc
     return Points(imu, markers, imu_std, markers_std, between, forces, apart)
 
 
-def settle(
-    level: Level, flights: Sequence[Flown], model: Model, effects: Mapping[str, Effect], rate: float
-) -> None:
+def settle(level: Level, flights: Sequence[Flown], model: Model, effects: Mapping[str, Effect], rate: float) -> None:
     """Tell `marker_offset` from `imu_lever_arm` in what level K found; nothing to do where it found neither.
 
     flights  those that may choose and fit; effects  causes that forces may have beside; rate  false alarm rate of these

@@ -165,7 +165,8 @@ def _common(
 ) -> list[Cause]:  # fmt: skip
     """Causes that all flights have alike: the model's own terms, fitted anew beside them, must do better by a share of
     the removable error, beyond doubt, than its own terms fitted anew without them and, on flights that did not make it,
-    than the model as it was; and so must each of them. The held-out flights must not become less likely.
+    than the model as it was; and so must each of them, unless the strongest foreign one needs it. The held-out flights
+    must not become less likely.
     """
     if not causes:
         return []
@@ -184,23 +185,39 @@ def _common(
         share = common.share if sort == "always" else common.foreign
         return float(surely(first, last, removable[sort]).max()) / share
 
-    unlikely = score(beside, False).unlikely
-    others = [common.errors(beside, True)] + ([] if common.fitted else [common.errors(beside, False)])
+    unlikely, known = score(beside, False).unlikely, dict[tuple[int, ...], Score]()
+
+    def errors(of: Sequence[Cause]) -> Score:
+        key = tuple(id(c) for c in of)
+        if key not in known:
+            known[key] = common.errors([*beside, *of], True)
+        return known[key]
+
+    def worth_of(cause: Cause, among: Sequence[Cause]) -> float:
+        rest = [c for c in among if c is not cause]
+        return better(errors(rest), errors(among), "foreign" if cause is special else "always")
+
+    def supports(cause: Cause) -> bool:
+        """Whether the strongest foreign one would not be sure any more if only the model's terms stood in for this."""
+        rest = [c for c in causes if c is not cause]
+        return cause is not special and worth_of(special, rest) < 1.0
+
+    others = [errors([])] + ([] if common.fitted else [common.errors(beside, False)])
     while causes:
-        judged, whole = score([*beside, *causes], True), common.errors([*beside, *causes], True)
-        worth = []
-        for cause in causes:
-            rest = [*beside, *(c for c in causes if c is not cause)]
-            cause.gain = fraction(score(rest, True).errors, judged.errors, floor)
-            worth.append(better(common.errors(rest, True), whole, "foreign" if cause is special else "always"))
+        judged, worth = score([*beside, *causes], True), [worth_of(c, causes) for c in causes]
         sort = "foreign" if special in causes else "always"
-        together = min(better(other, whole, sort) for other in others) >= 1.0 and judged.unlikely < unlikely
-        if together and min(worth) >= 1.0:
+        together = min(better(other, errors(causes), sort) for other in others) >= 1.0 and judged.unlikely < unlikely
+        order = [causes[k] for k in np.argsort(worth)]
+        poor = [c for c, w in zip(order, sorted(worth)) if w < 1.0]
+        least = next((c for c in poor if special not in causes or not supports(c)), None)
+        if together and least is None and special not in poor:
+            for cause in causes:
+                rest = [*beside, *(c for c in causes if c is not cause)]
+                cause.gain = fraction(score(rest, True).errors, judged.errors, floor)
             return causes
-        least = causes[int(np.argmin(worth))]
-        if least is special:  # which stands in nobody's way then
+        if order[0] is special:  # which stands in nobody's way then
             return _common([c for c in offered if c is not special], beside, score, floor, common)
-        causes = [c for c in causes if c is not least]
+        causes = [c for c in causes if c is not (least or order[0])]
     return []
 
 

@@ -193,6 +193,21 @@ def test_indistinct_causes_are_a_tie_however_clear_one_of_them_is():
     assert found.named == [] and {t.offer.cause for t in found.ties[0].tests} == {"a", "b"}
 
 
+def test_of_many_causes_the_faintest_is_still_asked():
+    """A model may lack a lot of its own vehicle: eight strong causes, and a faint one that no sound vehicle has."""
+    names = [f"lacking {k}" for k in range(8)] + ["load"]
+    rng, grams = np.random.default_rng(8), []
+    for _ in range(6):
+        x = rng.standard_normal((400, 11))
+        y = x[:, 0] + x[:, 1:9].sum(axis=1) + 0.25 * x[:, 9] + rng.standard_normal(400)
+        z = np.column_stack([y, x])
+        grams.append(z.T @ z)
+    layout = Columns([1], [11], np.array([0.5]), {name: [2 + k] for k, name in enumerate(names)})
+    known = {n: Effect(n.replace(" ", "_"), "W", "", "", "", {"k": Parameter("1", 0.0, "a", -9.0, 9.0)}) for n in names}
+    found = search(Mixed(grams, [True] * 6, layout), known, ("always",), 0.01)
+    assert {n.test.offer.cause for n in found.named} == set(names)
+
+
 def test_of_alternatives_the_likeliest_is_taken_although_it_differs_more_between_flights():
     """The true column acts with a size of its own in each flight; a neighbour correlates with it and looks steadier."""
     right = 0

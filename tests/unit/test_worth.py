@@ -124,6 +124,16 @@ def test_a_strong_foreign_cause_that_is_worth_nothing_stands_in_nobodys_way():
     assert (a.asked, b.asked) == (SHARE, SHARE)
 
 
+@pytest.mark.parametrize("needed", [True, False])
+def test_what_a_foreign_cause_needs_to_be_seen_stays_beside_it_and_nothing_else_does(needed):
+    """b brings nothing itself; where the model's terms stand in for it they take a's place."""
+    a, b = cause("a", "always", foreign=True), cause("b", "always")
+    both, alone = fz(2.0), fz(3.95) if needed else fz(2.05)
+    score = scored({frozenset("ab"): both, frozenset("a"): alone, frozenset("b"): fz(3.0)}, OLD)
+    common = Common(lambda of, anew: score(of, anew).centred, judged(OLD).errors, FLOOR, 15 * SHARE, True, SHARE)
+    assert judged_by([a, b], score, common=common)[0] == ([a, b] if needed else [a])
+
+
 def test_of_what_all_flights_have_that_which_nothing_needs_goes_and_the_rest_stays():
     """b does harm: with it the two together gain nothing, a alone does."""
     a, b = cause("a", "always"), cause("b", "always")
