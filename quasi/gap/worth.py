@@ -26,6 +26,7 @@ SMALL = {"changed": 0.01, "spoken of": 0.1, "foreign": 0.1, "always": 0.25}
 SIMPLER = 2.0  # times the material share that a simpler explanation may leave
 ASIDE = 0.4  # share that what healthy flights show as well must gain beyond doubt
 LACKING = 3.0  # times the material share that what a model lacks must gain beyond doubt, where no flight is healthy
+LACKED = 6  # of what a model lacks of its own vehicle, the most significant that may be told
 BESIDE = 0.3  # of the test statistic of the strongest foreign cause, below which another may be that one's form
 Deviations = dict[str, float]
 
@@ -176,6 +177,8 @@ def _common(
     if special is not None:
         faint = BESIDE * special.test.wald
         causes = [c for c in causes if c is special or not c.effect.foreign or c.test.wald >= faint]
+    elif common.foreign is not None:
+        causes = sorted(causes, key=lambda c: c.test.p)[:LACKED]
     for cause in offered:
         cause.asked = common.foreign if cause is special else common.share if cause in causes else None
     removable = {flag: _removable(common.old, common.floor, flag) for flag in ("always", "foreign")}

@@ -193,8 +193,7 @@ def test_indistinct_causes_are_a_tie_however_clear_one_of_them_is():
     assert found.named == [] and {t.offer.cause for t in found.ties[0].tests} == {"a", "b"}
 
 
-def test_of_many_causes_the_faintest_is_still_asked():
-    """A model may lack a lot of its own vehicle: eight strong causes, and a faint one that no sound vehicle has."""
+def test_beside_all_that_a_model_lacks_a_faint_cause_is_still_asked():
     names = [f"lacking {k}" for k in range(8)] + ["load"]
     rng, grams = np.random.default_rng(8), []
     for _ in range(6):

@@ -134,6 +134,17 @@ def test_what_a_foreign_cause_needs_to_be_seen_stays_beside_it_and_nothing_else_
     assert judged_by([a, b], score, common=common)[0] == ([a, b] if needed else [a])
 
 
+def test_of_what_a_model_lacks_of_its_own_vehicle_the_most_significant_are_told():
+    causes = [cause(name, "always", p=10.0 ** -(20 - k)) for k, name in enumerate("abcdefgh")]
+
+    def score(of, anew=False):
+        return judged(fz(4.0 - 0.35 * len(of)))
+
+    for foreign, told in ((SHARE, "abcdef"), (None, "abcdefgh")):
+        common = Common(lambda of, anew: score(of, anew).centred, judged(OLD).errors, FLOOR, SHARE, True, foreign)
+        assert "".join(c.effect.id for c in judged_by(causes, score, common=common)[0]) == told
+
+
 def test_of_what_all_flights_have_that_which_nothing_needs_goes_and_the_rest_stays():
     """b does harm: with it the two together gain nothing, a alone does."""
     a, b = cause("a", "always"), cause("b", "always")
