@@ -140,7 +140,15 @@ def test_what_net_forces_hold_already_cannot_be_asked_of_a_model_of_these():
 def test_a_tie_that_resamples_do_not_bear_out_is_told_among_the_candidates():
     test = mixed.Test(Offer("wind", "always", (0,)), np.ones(1), np.eye(1), 1.0, 30.0, 1e-6)
     rare = Cause(CATALOGUE["wind"], "always", {"north": 1.0}, {"north": 0.2}, test, [], probability=0.1)
-    found = SimpleNamespace(causes=[], stand_ins=[rare], ties=[], immaterial=[], contradicted={}, ranking=[], level={})
+    found = SimpleNamespace(
+        causes=[],
+        stand_ins=[rare],
+        ties=[],
+        immaterial=[],
+        contradicted={},
+        ranking=[],
+        level={"always": 1e-5, "changed": 1e-5},
+    )
     (said,) = candidates(found, Settled([], [], {}, {}, None, []), 0.05)
     assert said["id"] == "wind" and said["why_not"].startswith("found again in 10 % of the resamples only, expected 20")
 
