@@ -188,7 +188,7 @@ class Project:
         if not axes:
             raise ConfigError(f"{path}: every 'identify ...' is false; switch at least one on")
         for section in ("standalone", "matlab"):  # the stages that read them run after the whole identification
-            u = config[section].get("DiffSys u")
+            u = config[section].get("DiffSys u", config["standalone"].get("DiffSys u"))
             if u or (u is not None and config[section]["make moment DiffSys"]):
                 inputs_of_system(u, f"{path}, '{section}' / 'DiffSys u'")
         return config

@@ -176,6 +176,10 @@ def test_an_axis_depends_on_its_own_switches_only(folder):
             r"'standalone' / 'DiffSys u': unknown input 'Uq' of the differential form.*mean 'U_q'",
         ),
         ({"standalone": {"make moment DiffSys": True, "DiffSys u": []}}, "needs at least one input"),
+        (
+            {"standalone": {"DiffSys u": []}, "matlab": {"make moment DiffSys": True}},
+            "'matlab'.*needs at least one input",
+        ),
         ({"matlab": {"DiffSys u": ["U_p", "w1"]}}, r"'matlab' / 'DiffSys u': 'U_p' is made of 'w1'"),
     ],
 )
