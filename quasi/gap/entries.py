@@ -146,7 +146,7 @@ def candidates(found: Found, settled: Settled, share: float) -> list[dict[str, A
                 "there, but beside the model's own terms, fitted anew, it is not sure to remove "
                 f"{100 * c.asked:.0f} % of the removable error on flights left out"
                 if c.asked is not None
-                else "so little beside a stronger cause that it may be that one's form"
+                else "so little beside stronger causes that it may be their form"
             )
         add(c.effect.id, c.since, c.test, why)
     for name, (test, why) in found.contradicted.items():
