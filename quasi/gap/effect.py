@@ -140,6 +140,7 @@ class Effect:
     """One cause.
 
     id, level ("K", "A", "W"), sentence (what happens, for a pilot), equation, source
+    opposite      the sentence where the leading parameter is below neutral, if it is another one
     parameters    {name: Parameter}
     channels      axes or signals where it shows
     rivals        ids that it is confused with; tie_breaker  the manoeuvre that tells them apart
@@ -182,6 +183,7 @@ class Effect:
     extension: Callable[[Values, Vehicle, Model], Extension] | None = None
     told: Callable[[Values, Values], dict[str, Size]] | None = None
     starts: tuple[float, ...] = ()
+    opposite: str = ""
     parts: str = "any"
     indistinct: tuple[str, ...] = ()
     absorbed: bool = False
@@ -193,7 +195,7 @@ class Effect:
         said = f"effect {self.id!r}"
         if not isinstance(self.id, str) or not NAME.fullmatch(self.id):
             raise ConfigError(f"{said}: the id may hold letters, digits and . _ + - only, and no path; choose another")
-        for word in ("sentence", "equation", "source"):
+        for word in ("sentence", "equation", "source", "opposite"):
             if not isinstance(getattr(self, word), str):
                 raise ConfigError(f"{said}: {word} is {getattr(self, word)!r}, expected text")
         if self.level not in LEVELS:
@@ -226,6 +228,12 @@ class Effect:
     def bends(self) -> bool:
         """Whether the effect is not in proportion to its parameters."""
         return self.curved is not None or self.whole is not None
+
+    def happens(self, parameters: Values) -> str:
+        """The sentence of parameters as they are told: {name: value}, the first of them leading."""
+        name = next(iter(self.parameters), None)
+        below = name in parameters and parameters[name] < (self.parameters[name].neutral or 0.0)
+        return self.opposite if below and self.opposite else self.sentence
 
     @property
     def fitted(self) -> list[str]:

@@ -79,7 +79,7 @@ def extend(
             {
                 "id": effect.id,
                 "parameters": _told(effect, values),
-                "sentence": effect.sentence,
+                "sentence": effect.happens({n: v + (effect.parameters[n].neutral or 0.0) for n, v in values.items()}),
                 "airframe": extension.airframe,
                 "actuators": extension.actuators,
                 "environment": extension.environment,

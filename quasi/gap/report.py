@@ -17,6 +17,8 @@ from quasi.gap.next_steps import steps
 from quasi.gap.wording import (
     CHANNELS,
     confirmation_of,
+    happening,
+    headline,
     left_sentence,
     listed,
     name_of,
@@ -24,6 +26,7 @@ from quasi.gap.wording import (
     rollout_of,
     share_of,
     since_of,
+    summed_up,
     tie_sentence,
     value_of,
     words_of,
@@ -101,9 +104,11 @@ def page(
             report.sentences(words_of(n, effects) for n in dict.fromkeys([*diagnosis["notes"], _rules(diagnosis)])),
         ),
     ]
-    return report.page(
-        f"Gap {diagnosis['name']}", under, diagnosis["verdict"], diagnosis["summary"].rstrip("."), sections
-    )
+    because = diagnosis["summary"]
+    if len(diagnosis["effects"]) > 1:  # what of several would be a wall of words is a list
+        because = headline(diagnosis)
+        sections.insert(1, report.sentences(summed_up(diagnosis, effects)))
+    return report.page(f"Gap {diagnosis['name']}", under, diagnosis["verdict"], because.rstrip("."), sections)
 
 
 def _rules(diagnosis: Mapping[str, Any]) -> str:
@@ -269,7 +274,7 @@ def _cause(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     evidence = effect["evidence"]
     return f"<h3>{report.escape(name_of(effect['id']))}</h3>" + report.facts(
         [
-            ("what happens", about.sentence if about else ""),
+            ("what happens", happening(effect, known) if about else ""),
             ("equation", about.equation if about else ""),
             ("source", about.source if about else ""),
             ("since", since_of(effect)),

@@ -78,12 +78,20 @@ def share_of(gain: float | None, found: Mapping[str, Any] | None) -> str:
     """A share in whole percent, with its 95 % interval where there is one."""
     if not found or found.get("value") is None or found.get("low") is None or found.get("high") is None:
         return percent(gain)
-    return f"{percent(found['value'])} (95 %: {100 * found['low']:.0f} to {100 * found['high']:.0f})"
+    low = "below -100" if found["low"] < -1.0 else f"{100 * found['low']:.0f}"
+    return f"{percent(found['value'])} (95 %: {low} to {100 * found['high']:.0f})"
+
+
+def happening(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
+    """What a cause of these parameters does, for a pilot."""
+    if effect["id"] not in known:
+        return name_of(effect["id"])
+    return known[effect["id"]].happens({n: p["value"] for n, p in effect["parameters"].items()})
 
 
 def cause_sentence(effect: Mapping[str, Any], known: Mapping[str, Effect], roles: Mapping[str, str]) -> str:
     """What a named cause is, how large and since when; then what it explains and how sure that is."""
-    sentence = known[effect["id"]].sentence if effect["id"] in known else name_of(effect["id"])
+    sentence = happening(effect, known)
     text = f"{sentence[:1].upper()}{sentence[1:]} ({name_of(effect['id'])}: {parameters_of(effect['parameters'])})"
     text += f"; {since_of(effect)}."
     return " ".join(t for t in (text, _explained(effect, roles), _sentence(_sureness(effect))) if t)
@@ -158,21 +166,20 @@ def confirmation_of(effect: Mapping[str, Any]) -> str:
     return text
 
 
-def rivals_sentence(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
-    """Which rivals of the named causes were tested, and how they lost."""
-    texts = []
-    for effect in diagnosis["effects"]:
-        rivals = known[effect["id"]].rivals if effect["id"] in known else ()
-        named = {e["id"] for e in diagnosis["effects"]}
-        lost = {c["id"]: c for c in diagnosis["candidates"]}
-        names = dict.fromkeys([*effect.get("confused_with", []), *rivals])
-        tested = [i for i in names if i in lost and i not in named]
-        if tested:
-            texts.append(
-                f"{listed([name_of(i) for i in tested])} {'were' if len(tested) > 1 else 'was'} tested in place of "
-                f"{name_of(effect['id'])} and lost{_first_reason(lost[tested[0]])}"
-            )
-    return ". ".join(f"{t[:1].upper()}{t[1:]}" for t in texts) + ("." if texts else "")
+def rivals_sentence(effect: Mapping[str, Any], diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
+    """Which rivals of a named cause were tested, and how they lost."""
+    rivals = known[effect["id"]].rivals if effect["id"] in known else ()
+    named = {e["id"] for e in diagnosis["effects"]}
+    lost = {c["id"]: c for c in diagnosis["candidates"]}
+    names = dict.fromkeys([*effect.get("confused_with", []), *rivals])
+    tested = [i for i in names if i in lost and i not in named]
+    if not tested:
+        return ""
+    were = "were" if len(tested) > 1 else "was"
+    why = _first_reason(lost[tested[0]])
+    return _sentence(
+        f"{listed([name_of(i) for i in tested])} {were} tested in place of {name_of(effect['id'])} and lost{why}"
+    )
 
 
 def _first_reason(candidate: Mapping[str, Any]) -> str:
@@ -273,10 +280,26 @@ def asked_in_vain(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> 
 
 def summary(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     """The first paragraph of the report."""
+    return " ".join(summed_up(diagnosis, known))
+
+
+def headline(diagnosis: Mapping[str, Any]) -> str:
+    """Several causes, and what stays, in one line."""
+    names = [name_of(e["id"]) for e in diagnosis["effects"]]
+    text = f"{len(names)} causes are named, {listed(names)}"
+    ties = [listed([name_of(i) for i in t["ids"]], "or") for t in diagnosis["ties"]]
+    text += f"; it cannot be told whether {listed(ties)} is there" if ties else ""
+    left = dict.fromkeys(CHANNELS.get(u["channel"], u["channel"]) for u in diagnosis["unexplained"])
+    return text + (f"; something in {listed(list(left))} stays unexplained" if left else "")
+
+
+def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str]:
+    """Each named cause with its rivals, each tie, what stays, and what the extension does: a paragraph each."""
     roles, effects = diagnosis["flights"], diagnosis["effects"]
-    texts = [cause_sentence(e, known, roles) for e in effects]
-    if effects:
-        texts.append(rivals_sentence(diagnosis, known))
+    texts = [
+        " ".join(t for t in (cause_sentence(e, known, roles), rivals_sentence(e, diagnosis, known)) if t)
+        for e in effects
+    ]
     texts += [tie_sentence(t) for t in diagnosis["ties"]]
     texts += [left_sentence(u) for u in diagnosis["unexplained"][:3]]
     if len(diagnosis["unexplained"]) > 3:
@@ -298,8 +321,8 @@ def summary(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
             f"{begin}, and nothing outside it, is both significant and at least "
             f"{100 * diagnosis['material share']:.0f} % of the error that could be removed."
         )
-    text = " ".join(t for t in texts if t)
-    return f"{text} {REMOVABLE}" if "removable" in text else text
+    texts = [t for t in texts if t]
+    return [*texts, REMOVABLE] if any("removable" in t for t in texts) else texts
 
 
 def listed(texts: Sequence[str], last: str = "and") -> str:

@@ -1,5 +1,6 @@
 """The words and the page of a diagnosis: numbers as they are, nothing left out, text escaped, no network."""
 
+import html
 import re
 from types import SimpleNamespace
 
@@ -123,7 +124,7 @@ def test_the_summary_says_how_sure_a_cause_is_and_what_stays_as_it_is():
     ]
     text = summary(made, KNOWN)
     for words in (
-        "100 % (95 %: -123 to 100) of the removable vertical force error (Fz).",
+        "100 % (95 %: below -100 to 100) of the removable vertical force error (Fz).",
         "Confirmed in simulation: 1.05 ± 0.24 of the motion it should make is there; named again in 98 % of resamples.",
         "Simulated for 1 s, velocity (1.51 m/s) and body rate (0.683 rad/s) errors stay as they are: something else",
     ):
@@ -276,6 +277,40 @@ def test_the_page_tells_everything_escaped_and_without_network():
                   "the log lost 0.2 s", '"axes":{"Fx before"'):  # fmt: skip
         assert words in text
     assert text.index("ground effect") < text.index("What is wrong") < text.index("What no cause explains")
+
+
+def test_several_causes_are_a_line_and_a_list_not_a_wall_of_words():
+    made = document([EFFECT, LAG], [TIE], [LEFT])
+    text = page(made, KNOWN, None, {})
+    line = re.search(r'class="verdict.*?</p>', text)[0]
+    assert "2 causes are named, ground effect and motor lag; it cannot be told whether mass or thrust factor" in line
+    assert "something in yaw moment stays unexplained" in line and "±" not in line
+    listed = re.findall(r"<li>(.*?)</li>", text[text.index("</p>", text.index("verdict")) : text.index("What to do")])
+    assert "tether was" not in listed[1].lower() and "Tether was tested in place of ground effect" in listed[0]
+    assert " ".join(listed) == html.escape(made["summary"])
+
+
+@pytest.mark.parametrize(
+    ("cause", "name", "value", "words"),
+    [
+        ("rotor_drag", "k", -2e-6, "The rotors drag less through the air than the model says"),
+        ("rotor_drag", "k", 2e-6, "The rotors drag through the air"),
+        ("clock_drift", "rate", -1e-4, "The on-board clock runs slow"),
+        ("ground_effect", "c", 3.0, "The rotors make more thrust near the floor"),
+        ("rotor_effectiveness", "rotor2", 1.1, "One rotor makes less or more thrust"),
+    ],
+)
+def test_a_cause_is_told_by_its_sign(cause, name, value, words):
+    said = {**EFFECT, "id": cause, "parameters": {name: {"value": value, "std": 0.1 * abs(value), "unit": "1"}}}
+    made = document([said])
+    assert made["summary"].startswith(words)
+    assert words.lower() in page(made, KNOWN, None, {}).lower()
+    assert not any(e.opposite and e.parameters[next(iter(e.parameters))].low >= 0.0 for e in KNOWN.values())
+
+
+def test_an_interval_that_says_nothing_is_not_told_in_hundreds():
+    made = document([{**EFFECT, "gains": {"Fz": {"value": 1.0, "low": -4.84, "high": 1.0}}}])
+    assert "100 % (95 %: below -100 to 100)" in made["summary"]
 
 
 def test_a_page_without_any_row_or_picture_stands():

@@ -5,7 +5,7 @@ from quasi.gap.effect import Effect, Parameter
 EFFECT = Effect(
     id="accelerometer_scale",
     level="K",
-    sentence="the accelerometer reads too much in proportion",
+    sentence="the accelerometer reads too much or too little, in proportion",
     equation="measured_i = scale_i true_i, body axes",
     source="Titterton & Weston, 2nd ed., 2004, section 6.3",
     parameters={axis: Parameter("1", 1.0, "a", 0.7, 1.3, 0.01) for axis in ("x", "y", "z")},

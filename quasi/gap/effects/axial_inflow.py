@@ -11,6 +11,7 @@ EFFECT = Effect(
     id="axial_inflow",
     level="W",
     sentence="the rotors lose thrust in a climb and win it in a descent",
+    opposite="the rotors lose less thrust in a climb, and win less in a descent, than the model says",
     equation="dT = -k W V_climb at each hub, V_climb = -w",
     source="Leishman, Principles of Helicopter Aerodynamics, 2nd ed., 2006, section 3.3",
     parameters={

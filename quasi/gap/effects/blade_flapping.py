@@ -15,6 +15,7 @@ EFFECT = Effect(
     id="blade_flapping",
     level="W",
     sentence="the rotors pitch the nose up in forward flight and push the left side down when sliding right",
+    opposite="the rotors pitch the nose up less in forward flight than the model says",
     equation="M = k W (z x V) = k W (-v, u, 0) at each hub",
     source="Bramwell, Done & Balmford, Bramwell's Helicopter Dynamics, 2nd ed., 2001, chapter 3",
     parameters={"k": Parameter("N m s2/(m rad)", 0.0, "a", -1e-5, 1e-5, lambda v: 0.015 * v.weight * v.arm / v.flow)},

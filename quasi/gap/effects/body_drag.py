@@ -16,6 +16,7 @@ EFFECT = Effect(
     id="body_drag",
     level="W",
     sentence="the frame drags through the air with the square of the speed",
+    opposite="the frame drags less through the air than the model says",
     equation="F = -c |V| V, at a centre of pressure z below the cg: M = cz |V| (v, -u, 0)",
     source="Hoerner, Fluid-Dynamic Drag, 1965, chapter 3",
     parameters={

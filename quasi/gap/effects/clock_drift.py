@@ -6,6 +6,7 @@ EFFECT = Effect(
     id="clock_drift",
     level="K",
     sentence="the on-board clock runs fast",
+    opposite="the on-board clock runs slow",
     equation="t_board = (1 + rate) t",
     source="definition",
     parameters={"rate": Parameter("s/s", 0.0, "f", -0.05, 0.05, 3e-4)},

@@ -12,6 +12,7 @@ EFFECT = Effect(
     id="rotor_acceleration_torque",
     level="W",
     sentence="rotors that speed up turn the vehicle the other way",
+    opposite="rotors that speed up turn the vehicle less than the model says",
     equation="dMz = -J_r sum(s_i dW_i/dt)",
     source="Stevens, Lewis & Johnson, Aircraft Control and Simulation, 3rd ed., 2016, section 1.7",
     parameters={"inertia": Parameter("kg m2", 0.0, "a", -1e-4, 1e-4, lambda v: 1.6e-3 * v.mass * v.radius**2)},

@@ -19,6 +19,7 @@ EFFECT = Effect(
     id="rotor_drag",
     level="W",
     sentence="the rotors drag through the air in proportion to speed and rotor speed",
+    opposite="the rotors drag less through the air than the model says",
     equation="H_i = -k W_i V_i,xy at each hub; lever = k times the height of the rotor plane above the configured hubs",
     source="Mahony, Kumar & Corke, Multirotor aerial vehicles, IEEE RAM 19(3), 2012, equation 11",
     parameters={

@@ -16,7 +16,7 @@ def _terms(vehicle: Vehicle) -> dict[str, Terms]:
 EFFECT = Effect(
     id="rotor_effectiveness",
     level="W",
-    sentence="one rotor makes less thrust than its speed says (chipped or wrong propeller)",
+    sentence="one rotor makes less or more thrust than its speed says (chipped or wrong propeller)",
     equation="T_i = e_i T0_i: dFz : dMx : dMy in the ratio of the hub's place, dMz by the power saved",
     source="definition",
     parameters={f"rotor{i}": Parameter("1", 1.0, "s", 0.3, 2.0, 0.1) for i in range(1, 5)},

@@ -12,6 +12,7 @@ EFFECT = Effect(
     id="rotor_gyroscopic",
     level="W",
     sentence="the spinning rotors act as gyroscopes when the vehicle turns",
+    opposite="the spinning rotors act less as gyroscopes than the model says",
     equation="M = -omega x h, h = J_r sum(s_i W_i) z",
     source="Stevens, Lewis & Johnson, Aircraft Control and Simulation, 3rd ed., 2016, section 1.7",
     parameters={"inertia": Parameter("kg m2", 0.0, "a", -1e-4, 1e-4, lambda v: 1.6e-3 * v.mass * v.radius**2)},

@@ -21,6 +21,7 @@ EFFECT = Effect(
     id="rotor_interference",
     level="W",
     sentence="the rear rotors lose thrust in the wake of the front ones",
+    opposite="the rear rotors lose less thrust in the wake of the front ones than the model says",
     equation="T_i = T0 (1 - k s b_i^2), b_i how far rotor i lies behind, s = m/(0.16 + m), m = (u^2 + v^2)/v_h^2",
     source="effects of wakes on following rotors: Ventura Diaz & Yoon, AIAA 2018-1266, section 4",
     parameters={"k": Parameter("1", 0.0, "a", -0.5, 0.8, 0.1)},

@@ -11,6 +11,7 @@ EFFECT = Effect(
     id="translational_lift",
     level="W",
     sentence="the rotors make more thrust in sideways and forward flight",
+    opposite="the rotors make less thrust in sideways and forward flight than the model says",
     equation="dFz = -k (u^2 + v^2)",
     source="Leishman, Principles of Helicopter Aerodynamics, 2nd ed., 2006, section 2.14",
     parameters={"k": Parameter("N s2/m2", 0.0, "a", -0.1, 0.1, lambda v: 0.1 * v.weight / v.hover_induced**2)},

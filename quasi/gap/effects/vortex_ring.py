@@ -16,6 +16,7 @@ EFFECT = Effect(
     id="vortex_ring",
     level="W",
     sentence="thrust is lost in a fast descent, in the rotors' own wake",
+    opposite="less thrust is lost in a fast descent than the model says",
     equation="T = T0 (1 - depth b(w/v_h)), b = (x (2 - x))^2 for 0 < x < 2",
     source="Leishman, Principles of Helicopter Aerodynamics, 2nd ed., 2006, section 2.13.6",
     parameters={"depth": Parameter("1", 0.0, "a", -1.0, 1.0, 0.3)},
