@@ -17,6 +17,7 @@ CHANNELS = {
     "north": "northward acceleration", "east": "eastward acceleration", "down": "downward acceleration",
     "w1": "speed of rotor 1", "w2": "speed of rotor 2", "w3": "speed of rotor 3", "w4": "speed of rotor 4",
 }  # fmt: skip
+NOTHING = 0.01  # probability from which a rival adds nothing
 STAYS = 0.02  # share of a simulated error by which it has to change to be said to change
 REMOVABLE = "Removable is what is above the error that sensors and gusts leave."
 LINES = {"R": "", "R commands": " from commands"}
@@ -176,15 +177,11 @@ def rivals_sentence(effect: Mapping[str, Any], diagnosis: Mapping[str, Any], kno
     if not tested:
         return ""
     were = "were" if len(tested) > 1 else "was"
-    why = _first_reason(lost[tested[0]])
+    # of one that is there as well, only too little of it, its p would say the opposite
+    why = next((f" ({name_of(i)}: p = {lost[i]['p']:.2g})" for i in tested if (lost[i].get("p") or 0.0) > NOTHING), "")
     return _sentence(
         f"{listed([name_of(i) for i in tested])} {were} tested in place of {name_of(effect['id'])} and lost{why}"
     )
-
-
-def _first_reason(candidate: Mapping[str, Any]) -> str:
-    p = candidate.get("p")
-    return f" ({name_of(candidate['id'])}: p = {p:.2g})" if isinstance(p, float) else ""
 
 
 def tie_sentence(tie: Mapping[str, Any]) -> str:
