@@ -12,7 +12,7 @@ from quasi.gap.wrench import Cause, Found
 
 # shares of resamples in which a cause alone, the strongest of several, another one must be found again
 ALONE, SURE, BESIDE = 0.2, 0.5, 0.8
-FAR = 0.01  # of the level: what is that improbable needs half of these, for a resample holds two thirds of the flights
+FAR = 0.01  # of the level: what is that improbable needs half as many beside another, for a resample holds two thirds
 
 
 def needed(cause: Cause, found: Found) -> float:
@@ -23,10 +23,9 @@ def needed(cause: Cause, found: Found) -> float:
     # what a model misses of its own vehicle leaves nothing that looks like what no sound vehicle has
     foreign = cause.effect.foreign and cause.since == "always"
     stronger = [c for c in others if c.test.p <= cause.test.p and c.effect.foreign >= foreign]
-    share = ALONE
-    if others:
-        share = BESIDE if stronger else SURE
-    return 0.5 * share if cause.test.p < FAR * found.level[cause.since] else share
+    if not stronger:
+        return SURE if others else ALONE
+    return 0.5 * BESIDE if cause.test.p < FAR * found.level[cause.since] else BESIDE
 
 
 def deviations(effect: Effect, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:

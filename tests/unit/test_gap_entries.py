@@ -32,9 +32,11 @@ def test_a_cause_needs_to_come_again_more_often_beside_a_stronger_one():
     assert share(1e-4, [cause("elsewhere", 1e-9, since="changed")]) == ALONE
 
 
-@pytest.mark.parametrize("others", [[], [cause("fainter", 9e-4)], [cause("stronger", 1e-12)]])
-def test_what_is_far_beyond_chance_needs_half_as_many(others):
-    assert share(0.009 * LEVEL, others) == pytest.approx(0.5 * share(0.011 * LEVEL, others))
+def test_what_is_far_beyond_chance_needs_half_as_many_beside_a_stronger_one():
+    stronger = [cause("stronger", 1e-12)]
+    assert share(0.009 * LEVEL, stronger) == pytest.approx(0.5 * share(0.011 * LEVEL, stronger))
+    for others, least in (([], ALONE), ([cause("fainter", 9e-4)], SURE)):
+        assert share(1e-9, others) == least  # a few seconds of flight, or what resembles it, may make all of it
 
 
 @pytest.mark.parametrize("since, least", [("always", SURE), ("changed", BESIDE)])
