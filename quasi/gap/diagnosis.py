@@ -106,6 +106,8 @@ def diagnose(
             return Model(_extended(model, causes, drive, found, compared, vehicle, ident, "trial", again), "trial")
 
         settled = _of_flights(settled, made, corrected, drive, held, flights, learning, model, vehicle, settings)
+        if all(compared):
+            settled = _borne_out(settled, share)
 
         def left_by(settled: Settled) -> unexplained.Left:
             residual = after(made(settled.causes, _anew(settled.causes) or corrected), model)
@@ -269,11 +271,29 @@ def _of_flights(
     return settled
 
 
+def _borne_out(settled: Settled, share: float) -> Settled:
+    """Without what the model merely lacks of its own vehicle where the held-out flights do not gain the share by it and
+    roll-outs do not confirm it either: only the flights that it was found on, left out in turn, speak for it then.
+    """
+    for cause in settled.causes:
+        said, key = [v["value"] for v in cause.gain.values() if v["value"] is not None], (cause.effect.id, cause.since)
+        told = settled.confirmations[key]
+        if cause.effect.foreign or told.outcome == CONFIRMED or not said or max(said) >= share:
+            continue
+        told = told._replace(
+            why=f"on the held-out flights it removes {100 * max(said):.0f} % of the removable error at most, expected "
+            f"{100 * share:.0f} %, and roll-outs do not confirm it"
+        )
+        rest = [c for c in settled.causes if c is not cause]
+        settled = settled._replace(causes=rest, dropped=[*settled.dropped, (cause, told)])
+    return settled
+
+
 def _beside(
     found: Found, settled: Settled, effects: Mapping[str, Effect]
 ) -> list[tuple[Effect, Offer, Mapping[str, float]]]:
     """Causes that what stays unexplained is asked beside: all that are there and not refuted, and those of ties."""
-    refuted = [c for c, _ in settled.dropped]
+    refuted = [c for c, told in settled.dropped if told.outcome == REFUTED]
     accepted = [
         (c.effect, c.test.offer, c.value)
         for c in [*found.causes, *found.immaterial]

@@ -8,8 +8,6 @@ import numpy as np
 
 from quasi.gap.evidence import Evidence
 
-# quantiles of the flight that goes furthest, between which a variable is scaled; beyond, the functions are constant
-EDGES = (0.01, 0.99)
 APART = 0.02  # a variable whose scaled spread is smaller is as good as constant
 HEADING, ROOM, EVERYWHERE = "heading", "room place", "everywhere"
 # what a model's terms depend on; the voltage falls with what the rotors draw
@@ -98,9 +96,8 @@ def basis_of(flights: Sequence[Evidence]) -> Basis:
     for where in known[0]:
         if not all(where in k for k in known):
             continue
-        # what one flight does all the time counts, be it the only one
-        ends = np.array([np.quantile(k[where], EDGES) for k in known])
-        low, high = float(ends[:, 0].min()), float(ends[:, 1].max())
+        # to the very ends: a flip lasts a hundredth of a flight, and a line that bends there is no term of the model's
+        low, high = min(float(k[where].min()) for k in known), max(float(k[where].max()) for k in known)
         if where != HEADING and not high - low > APART * max(abs(high), abs(low), 1e-9):
             continue
         scales[where], first[where] = (low, high), at

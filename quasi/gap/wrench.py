@@ -112,8 +112,11 @@ def examine(
         contradicted |= torn
         if not elsewhere and not torn:
             break
-    causes = [c for c in causes if c.effect.id not in contradicted]
     ties = [(s, tie) for s, tie in ties if not any(t.offer.cause in contradicted for t in tie.tests)]
+    named = [n for n in named if n.test.offer.cause not in contradicted]
+    named, ties, twins = _with_twins(named, ties, contradicted, asked, mixed)
+    contradicted = {name: why for name, why in contradicted.items() if name not in twins}
+    causes = _merged(named, asked, mixed, _given(named, ties))
     firsts = [Named(tie.tests[0], []) for _, tie in ties]
     stand_ins = _merged(firsts, asked, mixed, _given(named, ties))
     _count([*causes, *stand_ins], study, asked, compared, min(level.values()))
@@ -293,6 +296,27 @@ def _contradicted(
             if why:
                 torn[test.offer.cause] = test, why
     return torn
+
+
+def _with_twins(
+    named: Sequence[Named], ties: Sequence[tuple[str, Tie]], contradicted: Mapping[str, tuple[Test, str]],
+    asked: Mapping[str, Effect], mixed: Mixed,
+) -> tuple[list[Named], list[tuple[str, Tie]], set[str]]:  # fmt: skip
+    """Named causes and ties, and what stands again: a cause that is contradicted does not leave the one that is
+    indistinct from it named alone, for what contradicts it is what the model makes of it, and the two are a tie."""
+    clear, tied, twins = [], list(ties), set()
+    for one in named:
+        offer = one.test.offer
+        alike = [contradicted[n][0] for n in asked[offer.cause].indistinct if n in contradicted]
+        alike = [t for t in alike if t.offer.since == offer.since]
+        if not alike:
+            clear.append(one)
+            continue
+        given = [o for o in _given(named, ties) if o != offer]
+        beside = mixed.test(offer, [*given, alike[0].offer], mixed.pooled(offer.since))
+        tied.append((offer.since, Tie([one.test, *alike], float((beside.wald / len(offer.which)) ** 0.5))))
+        twins |= {t.offer.cause for t in alike}
+    return clear, tied, twins
 
 
 def _tied_with(one: str, other: str, ties: Sequence[tuple[str, Tie]]) -> bool:

@@ -1,5 +1,6 @@
 """What no cause explains is found where it was planted, noise is nothing; and the polynomial of a cause's size."""
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -278,3 +279,29 @@ def test_two_flights_are_enough(ground):
     own = table[(table["channel"] == "Mz") & (table["where"] == "room x")]
     slope = np.polyfit(own["middle"], own["mean"], 1)[0]
     assert slope == pytest.approx(4e-4, rel=0.1) and np.corrcoef(own["mean"], own["fit"])[0, 1] > 0.98
+
+
+def jerky(ground, seed, planted):
+    """A flight with three quick flips a flight, on pitch alone, of a tenth of a second each."""
+    plain = flight(ground, seed)
+    columns = dict(plain.columns)
+    at = np.arange(ROWS) / RATE
+    flips = sum(s * np.exp(-(((at - t) / 0.08) ** 2)) for t, s in ((7.0 + 0.3 * seed, 1), (18.0, -1), (31.0, 1)))
+    columns["q"] = columns["q"] + 9.0 * flips
+    predicted = ground[1].predict_columns(pd.DataFrame(columns))[list(AXES)].to_numpy()
+    measured = predicted + plain.residual + (planted(columns) if planted else 0.0)
+    made = dataclasses.replace(plain, columns=columns, measured=measured, predicted=predicted)
+    made.__dict__.pop("_slopes", None)
+    return made
+
+
+def test_what_lives_in_a_hundredth_of_the_time_is_told_along_its_rate(ground):
+    """A brake by the cube of the pitch rate acts in flips alone: beyond what is met nearly all the time."""
+
+    def brake(c):
+        return only(4, -5e-6 * c["q"] ** 3)
+
+    flights = [jerky(ground, s, brake if s >= 4 else None) for s in range(8)]
+    said = search(flights, [s >= 4 for s in range(8)], [jerky(ground, 90, brake)], [], lambda f: f.residual,
+                  np.full(6, np.inf), vehicle_of(ground[1]), 0.01, 0.05)[0]  # fmt: skip
+    assert [(u["channel"], u["where"], u["since"]) for u in said] == [("My", "pitch rate", "changed")]

@@ -255,3 +255,29 @@ def test_what_rotors_do_is_told_by_their_true_speeds_where_the_logged_ones_are_w
     left = wrench_score([flights[-1]], after(Model(found.extended, "more"), model)).mean()
     noise = wrench_score([flight(ground, 7)], lambda f: f.residual).mean()
     assert (left[:2] < 1.3 * noise[:2]).all()
+
+
+def test_a_cause_that_is_contradicted_leaves_no_twin_named_alone(ground, monkeypatch):  # noqa: F811
+    """Stronger rotors, or speeds logged too low: what speaks against the one alone is what the model makes of it."""
+    model = Model(ground[1].document, "test")
+    vehicle, effects = vehicle_of(model), {n: catalogue()[n] for n in ("rotor_speed_scale", "thrust_factor", "mass")}
+
+    def made(k, affected):
+        plain = flight(ground, k)
+        whole = whole_of(effects["thrust_factor"], plain, vehicle, {"factor": 0.3 * affected})
+        return dataclasses.replace(plain, measured=plain.measured + whole)
+
+    flights, compared = [made(k, k >= 4) for k in range(8)], [k >= 4 for k in range(8)]
+    torn, real = iter([True]), wrench._contradicted
+
+    def contradicted(causes, ties, *rest):
+        said = real(causes, ties, *rest)
+        tests = [t for _, tie in ties for t in tie.tests if t.offer.cause == "rotor_speed_scale"]
+        return {**said, "rotor_speed_scale": (tests[0], "axes differ")} if tests and next(torn, False) else said
+
+    monkeypatch.setattr(wrench, "_contradicted", contradicted)
+    found = examine(flights, compared, [made(90, True)], model, effects, vehicle, 0.01, 0.05, "more", "test")
+    assert next(torn, False) is False and not found.causes
+    [(since, tie)] = found.ties
+    assert since == "changed" and {t.offer.cause for t in tie.tests} == {"rotor_speed_scale", "thrust_factor"}
+    assert "rotor_speed_scale" not in found.contradicted
