@@ -28,7 +28,8 @@ from quasi.gap.nuisance import nuisances
 from quasi.gap.output_error import Fitted, Values
 from quasi.gap.study import BAND, ORDER, in_stretches, refit
 from quasi.gap.whitening import thin
-from quasi.gap.wrench import Cause, Found
+from quasi.gap.worth import Cause
+from quasi.gap.wrench import Found
 from quasi.standalone.model import Model
 
 CONFIRMED, REFUTED, UNJUDGED = "confirmed", "not confirmed", "cannot be judged"

@@ -24,13 +24,15 @@ from quasi.gap.entries import (
 from quasi.gap.evidence import Evidence
 from quasi.gap.extension import extend
 from quasi.gap.gain import Squares, after, removed, wrench_squares
+from quasi.gap.held_out import everything, made_of
 from quasi.gap.level import Flown
 from quasi.gap.lower import SEARCHES, rate_of
 from quasi.gap.mixed import Offer
 from quasi.gap.scores import scored
 from quasi.gap.study import refit
 from quasi.gap.wording import summary
-from quasi.gap.wrench import Cause, Found, everything, examine, made_of
+from quasi.gap.worth import Cause
+from quasi.gap.wrench import Found, examine
 from quasi.gap.wrench_findings import gusts
 from quasi.gap.wrench_tables import wrench_tables
 from quasi.standalone.model import Model

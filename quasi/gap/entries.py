@@ -8,7 +8,8 @@ import numpy as np
 from quasi.gap.confirmation import Settled
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
-from quasi.gap.wrench import Cause, Found
+from quasi.gap.worth import Cause
+from quasi.gap.wrench import Found
 
 # shares of resamples in which a cause alone, the strongest of several, another one must be found again
 ALONE, SURE, BESIDE = 0.2, 0.5, 0.8

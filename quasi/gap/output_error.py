@@ -33,7 +33,7 @@ from quasi.gap.mixed import Columns, Mixed
 from quasi.gap.rollouts import flight_of, simulated, vectors
 from quasi.gap.study import BLOCK, Study, in_stretches
 from quasi.gap.whitening import Thinned
-from quasi.gap.wrench import Cause
+from quasi.gap.worth import Cause
 from quasi.standalone.model import Model
 
 WINDOW = 0.4  # s; at this length the start is not forgotten and the response still about linear

@@ -11,7 +11,8 @@ from quasi.gap.level import Flown
 from quasi.gap.lower import judged
 from quasi.gap.rollout_gain import Residual
 from quasi.gap.rollouts import TOLD
-from quasi.gap.wrench import Cause, Found
+from quasi.gap.worth import Cause
+from quasi.gap.wrench import Found
 from quasi.standalone.model import AXES, Model
 
 

@@ -33,7 +33,7 @@ from quasi.gap.effect import vehicle_of
 from quasi.gap.evidence import gather
 from quasi.gap.linear_response import course_of, responses
 from quasi.gap.study import gather_study
-from quasi.gap.wrench import Cause
+from quasi.gap.worth import Cause
 from quasi.standalone.model import Model
 
 G, RATE, SECONDS = 9.81, 200.0, 20.0

@@ -7,16 +7,17 @@ import pandas as pd
 import pytest
 from test_unexplained import RATE, ROWS, flight, ground, smooth  # noqa: F401
 
-from quasi.gap import wrench
+from quasi.gap import held_out, sought
 from quasi.gap.catalogue import catalogue, whole_of
 from quasi.gap.effect import vehicle_of
 from quasi.gap.extension import extend
 from quasi.gap.gain import Score, after, wrench_score
+from quasi.gap.held_out import everything
 from quasi.gap.left_out import LeftOut
 from quasi.gap.mixed import Offer
 from quasi.gap.study import gather_study, refit
 from quasi.gap.worth import Cause
-from quasi.gap.wrench import everything, examine
+from quasi.gap.wrench import examine
 from quasi.standalone.model import AXES, Model
 
 EFFECTS = {n: catalogue()[n] for n in ("ground_effect", "mass", "thrust_factor", "rotor_speed_scale", "body_drag")}
@@ -160,7 +161,7 @@ def test_what_held_out_flights_do_not_show_has_to_be_surer_by_itself(ground, mon
         whole = whole_of(drag, plain, vehicle_of(model), {"c": 0.015})
         return dataclasses.replace(plain, measured=plain.measured + whole)
 
-    monkeypatch.setattr(wrench, "EXCITED", 10.0)  # no held-out flight shows that much
+    monkeypatch.setattr(held_out, "EXCITED", 10.0)  # no held-out flight shows that much
     flights, held, compared = [made(k) for k in range(8)], [made(90)], [k >= 4 for k in range(8)]
     for unheard, named in ((None, ["body_drag"]), (1e-45, [])):
         found = examine(
@@ -204,7 +205,7 @@ def test_what_every_flight_shows_for_seconds_only_all_of_them_are_sure_of_togeth
         def __call__(self, causes, fitted_anew):
             return Score(np.zeros((0, 6)), np.zeros(0))
 
-    monkeypatch.setattr(wrench, "LeftOut", Alone)
+    monkeypatch.setattr(held_out, "LeftOut", Alone)
     assert names() == []
 
 
@@ -268,14 +269,14 @@ def test_a_cause_that_is_contradicted_leaves_no_twin_named_alone(ground, monkeyp
         return dataclasses.replace(plain, measured=plain.measured + whole)
 
     flights, compared = [made(k, k >= 4) for k in range(8)], [k >= 4 for k in range(8)]
-    torn, real = iter([True]), wrench._contradicted
+    torn, real = iter([True]), sought._contradicted
 
     def contradicted(causes, ties, *rest):
         said = real(causes, ties, *rest)
         tests = [t for _, tie in ties for t in tie.tests if t.offer.cause == "rotor_speed_scale"]
         return {**said, "rotor_speed_scale": (tests[0], "axes differ")} if tests and next(torn, False) else said
 
-    monkeypatch.setattr(wrench, "_contradicted", contradicted)
+    monkeypatch.setattr(sought, "_contradicted", contradicted)
     found = examine(flights, compared, [made(90, True)], model, effects, vehicle, 0.01, 0.05, "more", "test")
     assert next(torn, False) is False and not found.causes
     [(since, tie)] = found.ties
