@@ -18,13 +18,14 @@ from quasi.gap import actuation, halves, material, mixed, plan, settling
 from quasi.gap.calibration import corrected_at_import
 from quasi.gap.catalogue import whole_of
 from quasi.gap.confirmation import CONFIRMED, UNJUDGED, Confirmation, Settled
-from quasi.gap.diagnosis import _borne_out, _unable, _verdict
+from quasi.gap.diagnosis import _unable, _verdict
 from quasi.gap.effect import vehicle_of
 from quasi.gap.entries import candidates
 from quasi.gap.evidence import gather, refuse_another_vehicle
 from quasi.gap.level import Flown
 from quasi.gap.mixed import Offer
 from quasi.gap.plan_input import flights_of
+from quasi.gap.standing import _borne_out
 from quasi.gap.study import gather_study
 from quasi.gap.worth import Cause
 from quasi.gap.wrench import examine

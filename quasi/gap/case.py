@@ -1,0 +1,54 @@
+"""What a diagnosis works on, and the extended model that some causes make of it."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import pandas as pd
+
+from quasi.gap.effect import Effect, Vehicle
+from quasi.gap.evidence import Evidence
+from quasi.gap.extension import extend
+from quasi.gap.study import Study, refit
+from quasi.gap.worth import Cause
+from quasi.standalone.model import Model
+
+
+class Case(NamedTuple):
+    """A model and flights that it is compared with.
+
+    effects    the catalogue; vehicle  what they act on
+    learning   flights that choose and fit; compared (F,) bool, False for reference flights
+    held       held-out flights; tables {key: filtered flight}
+    drive      causes of level A that belong in the model, with their deviations
+    corrected  whether flights that the model was identified from were corrected: its terms hold what their sensors
+               faked, and are fitted anew
+    settings   of the gap; name  of the gap
+    """
+
+    model: Model
+    effects: Mapping[str, Effect]
+    vehicle: Vehicle
+    learning: Sequence[Evidence]
+    compared: Sequence[bool]
+    held: Sequence[Evidence]
+    tables: Mapping[str, pd.DataFrame]
+    drive: Sequence[tuple[Effect, Mapping[str, float]]]
+    corrected: bool
+    settings: Mapping[str, Any]
+    name: str
+
+    def anew(self, causes: Sequence[Cause]) -> bool:
+        """Whether the model's own terms are fitted anew beside some causes: beside those that were always there."""
+        return self.corrected or any(c.since == "always" for c in causes)
+
+    def extended(self, causes: Sequence[Cause], study: Study | None, where: str, anew: bool) -> dict[str, Any]:
+        """The document of the model with some causes and the drive's. study  of the flights that learn, which the
+        model's own terms are fitted to if `anew`"""
+        changes = None
+        if study is not None and anew:
+            own = {(c.effect.id, c.since): {c.effect.fitted.index(n): v for n, v in c.value.items()} for c in causes}
+            changes = refit(study, range(len(self.compared)), self.compared, own)
+        told = [*((c.effect, c.value) for c in causes), *self.drive]
+        document = extend(self.model, told, self.vehicle, self.settings["extended model ID"], where, changes)
+        document.pop("differential form", None)
+        return document

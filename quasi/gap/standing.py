@@ -1,0 +1,121 @@
+"""Which of the causes that forces and moments name keep their names: what resamples, simulations, a flight's own second
+half, held-out flights and what stays unexplained say of each."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+from quasi.gap import halves, unexplained
+from quasi.gap.case import Case
+from quasi.gap.confirmation import CONFIRMED, REFUTED, Settled, settle
+from quasi.gap.effect import Effect
+from quasi.gap.entries import needed
+from quasi.gap.gain import after
+from quasi.gap.lower import SEARCHES
+from quasi.gap.mixed import Offer
+from quasi.gap.worth import Cause
+from quasi.gap.wrench import Found
+from quasi.standalone.model import Model
+
+FORCES = ("Fx", "Fy", "Fz")
+HORIZON = 0.5  # s, at which a gain in roll-outs is told
+
+
+def standing(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
+    """The causes that stand, and what no cause explains. Ties that resamples do not bear out are taken from `found`."""
+    sure = [c for c in found.causes if c.probability >= needed(c, found)]
+    rare = [c for c in found.stand_ins if c.probability < needed(c, found)]
+    unsure = {(c.effect.id, c.since) for c in rare}
+    found.ties = [(since, t) for since, t in found.ties if (t.tests[0].offer.cause, since) not in unsure]
+    settled = settle(found, sure, case.model, case.compared, case.effects, case.vehicle, case.held, case.tables)
+
+    def made(causes: Sequence[Cause], anew: bool) -> Model:
+        return Model(case.extended(causes, found.study, "trial", anew), "trial")
+
+    settled = _of_flights(case, settled, made)
+    if all(case.compared):
+        settled = _borne_out(settled, case.settings["material share"])
+
+    def left_by(settled: Settled) -> unexplained.Left:
+        residual = after(made(settled.causes, case.anew(settled.causes)), case.model)
+        return unexplained.search(
+            case.learning, case.compared, case.held, _beside(found, settled, case.effects), residual,
+            found.scores["noise_floor"], case.vehicle, case.settings["false alarm rate"] / SEARCHES,
+            case.settings["material share"],
+        )  # fmt: skip
+
+    return _outdone(case, settled, found, left_by)
+
+
+def _without(settled: Settled, cause: Cause, why: str, outcome: str = REFUTED) -> Settled:
+    """The others; the cause is dropped, with the reason."""
+    told = settled.confirmations[cause.effect.id, cause.since]._replace(outcome=outcome, why=why)
+    rest = [c for c in settled.causes if c is not cause]
+    return settled._replace(causes=rest, dropped=[*settled.dropped, (cause, told)])
+
+
+def _of_flights(case: Case, settled: Settled, made: Callable[[Sequence[Cause], bool], Model]) -> Settled:
+    """Causes that every flight has its own value of must lower the error of a held-out flight's second half, with the
+    value that its first half tells; others lose their name."""
+    horizon = min(case.settings["horizons"], key=lambda h: abs(h - HORIZON))
+    for cause in settled.causes:
+        if not any(cause.effect.parameters[n].scope == "f" for n in cause.value):
+            continue
+        anew = case.anew(settled.causes)
+        rest = [c for c in settled.causes if c is not cause]
+        sides = [(made(of, anew), [*((c.effect, c.value) for c in of), *case.drive]) for of in (rest, settled.causes)]
+        quantity = "velocity" if set(FORCES) & set(cause.effect.channels) else "rate"
+        gone = halves.gain(case.held, case.tables, case.learning, case.model, sides, case.vehicle, quantity, horizon)
+        if gone is None or gone > 0.0:
+            continue
+        why = (
+            f"with the value that a held-out flight's first half tells, the simulated {quantity} of its second half "
+            f"has {-100 * gone:.0f} % more squared error after {horizon:g} s than without it"
+        )
+        settled = _without(settled, cause, why)
+    return settled
+
+
+def _borne_out(settled: Settled, share: float) -> Settled:
+    """Without what the model merely lacks of its own vehicle where the held-out flights do not gain the share by it and
+    roll-outs do not confirm it either: only the flights that it was found on, left out in turn, speak for it then.
+    """
+    for cause in settled.causes:
+        outcome = settled.confirmations[cause.effect.id, cause.since].outcome
+        said = [v["value"] for v in cause.gain.values() if v["value"] is not None]
+        if cause.effect.foreign or outcome == CONFIRMED or not said or max(said) >= share:
+            continue
+        why = (
+            f"on the held-out flights it removes {100 * max(said):.0f} % of the removable error at most, expected "
+            f"{100 * share:.0f} %, and roll-outs do not confirm it"
+        )
+        settled = _without(settled, cause, why, outcome)
+    return settled
+
+
+def _beside(
+    found: Found, settled: Settled, effects: Mapping[str, Effect]
+) -> list[tuple[Effect, Offer, Mapping[str, float]]]:
+    """Causes that what stays unexplained is asked beside: all that are there and not refuted, and those of ties."""
+    refuted = [c for c, told in settled.dropped if told.outcome == REFUTED]
+    accepted = [
+        (c.effect, c.test.offer, c.value)
+        for c in [*found.causes, *found.immaterial]
+        if not any(c is r for r in refuted)
+    ]
+    return accepted + [(effects[t.tests[0].offer.cause], t.tests[0].offer, {}) for _, t in found.ties]
+
+
+def _outdone(
+    case: Case, settled: Settled, found: Found, left_by: Callable[[Settled], unexplained.Left]
+) -> tuple[Settled, unexplained.Left]:
+    """Without the names that roll-outs do not confirm and that give way to what no cause explains; and what that is."""
+    while True:
+        doubtful = [c for c in settled.causes if settled.confirmations[c.effect.id, c.since].outcome != CONFIRMED]
+        left, offers = left_by(settled), [o for _, o, _ in _beside(found, settled, case.effects)]
+        for cause in sorted(doubtful, key=lambda c: -c.test.p):
+            why = unexplained.outdone(left, case.compared, offers, cause.test.offer, cause.effect.channels,
+                                      cause.test.p, found.level[cause.since])  # fmt: skip
+            if why:
+                settled = _without(settled, cause, why)
+                break
+        else:
+            return settled, left
