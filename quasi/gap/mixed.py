@@ -361,8 +361,10 @@ class Witnessed(Mixed):
     """Tests by stretches whose p whole flights have a say in.
 
     A model errs with the manoeuvre, and manoeuvres change within a flight: stretches tell how much a cause's apparent
-    parameters deviate. Manoeuvres of one flight may err alike, though, and then are no independent witnesses. e times
-    the geometric mean of both p is a p however the two depend on each other (Vovk & Wang, 2020).
+    parameters deviate. Manoeuvres of one flight may err alike, though, and then are no independent witnesses. The
+    geometric mean of both p is a p where these rise and fall together, as tests of the same samples do: exactly so when
+    they are equal, and too large when they are independent. (Of p that may oppose each other e times as much is needed,
+    Vovk & Wang, 2020.)
     """
 
     def __init__(self, grams: Sequence[np.ndarray], compared: Sequence[bool], columns: Columns) -> None:
@@ -379,8 +381,7 @@ class Witnessed(Mixed):
         test = super().test(offer, given, pooled)
         if self._of_flights is None:
             return test
-        p = float(np.e * np.sqrt(test.p * self.between(offer, given, pooled).p_known_spread))
-        return test._replace(p=min(p, 1.0))
+        return test._replace(p=float(np.sqrt(test.p * self.between(offer, given, pooled).p_known_spread)))
 
 
 def ranked(

@@ -117,8 +117,6 @@ class Outlook:
         self.asked = [c for c in columns.causes if not self.absorbed(c)]
         shares = shares_of([not f.reference for f in self.flights])
         self.level = rate * shares[self.since] / max(len(self.asked), 1)
-        if not together:
-            self.level /= np.e  # whole flights have a say as well, see `mixed.Witnessed`
         count = sum(f.count * len(f.stretches) for f in self.flights)
         self.freedom = max(count - (2 if self.since == "changed" else 1), 1) + freedom
         alone = [f.stretches[:, :size, :size] for f in self.flights]  # how many residuals follow depends on the flight
