@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from quasi.gap.places import UNITS as UNITS_AT
+from quasi.gap.rollouts import GAINED
 from quasi.gap.wording import CHANNELS
 
 WIDTH = 10.5  # in, which the page shows at its own size: smaller figures would be blown up, larger ones shrunk
@@ -33,11 +34,17 @@ VISIBLE = 0.05  # of the largest error of a panel: a difference that is seen
 OUT = 4.0  # standard errors by which an error stands out
 PIECE, PIECES = 2.0, 6  # s, of pieces whose means are as good as independent; how many tell a standard error
 STATES = {"u": "m/s", "v": "m/s", "w": "m/s", "roll": "rad", "pitch": "rad", "z": "m"}
+STATED = {
+    "u": "forward velocity u", "v": "sideward velocity v", "w": "downward velocity w", "roll": "roll", "pitch": "pitch",
+    "z": "z (down)",
+}  # fmt: skip
+WORTH = {"u": 1.0, "v": 1.0, "w": 1.0, "roll": 0.2, "pitch": 0.2, "z": 0.5}  # errors that are about as bad
 
 
 def figures(tables: Mapping[str, pd.DataFrame]) -> dict[str, Figure]:
     """{name: figure} of what the tables hold."""
     drawn = {
+        "glance": glance_figure(tables.get("W_where"), tables.get("W_residuals"), tables.get("R_overlays")),
         "unexplained": unexplained_figure(tables.get("W_unexplained")),
         "where": where_figure(tables.get("W_where"), tables.get("W_residuals")),
         "spectra": spectra_figure(tables.get("W_spectra")),
@@ -45,6 +52,49 @@ def figures(tables: Mapping[str, pd.DataFrame]) -> dict[str, Figure]:
         "overlays": overlays_figure(tables.get("R_overlays")),
     }
     return {name: figure for name, figure in drawn.items() if figure is not None}
+
+
+def glance_figure(
+    where: pd.DataFrame | None, rows: pd.DataFrame | None, overlays: pd.DataFrame | None
+) -> Figure | None:
+    """What the extension changes, at a glance: the error along the place where it falls most surely, and the simulated
+    state that comes nearest to the flight, in the window where the error falls most."""
+    kind = surest(with_errors(where, rows)) if where is not None and len(where) else None
+    falls = overlays[overlays["why"] == GAINED] if overlays is not None and len(overlays) else None
+    state = nearest(falls) if falls is not None and len(falls) else None
+    if kind is None or state is None:
+        return None
+    figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    _place(left, with_errors(where, rows), *kind)
+    left.set_title(f"error of the {CHANNELS[kind[0]]} by {PLACES[kind[1]].split(',')[0]}", fontsize=SMALL)
+    _window(right, falls, state)
+    _labelled(right, "time, s", f"{STATED[state]}, {STATES[state]}")
+    right.set_title(f"simulated from one measured state, {falls['flight'].iloc[0]}", fontsize=SMALL)
+    for panel in (left, right):
+        panel.legend(fontsize=SMALL, frameon=False)
+    return figure
+
+
+def surest(table: pd.DataFrame) -> tuple[str, str] | None:
+    """Channel and place along which squared mean errors fall most, in their standard errors; None where by no more than
+    OUT in any bin's worth. table  with standard errors"""
+    best, most = None, OUT**2
+    for kind, part in table[table["where"].isin(PLACES)].groupby(["channel", "where"]):
+        fall = (part["mean_before"] ** 2 - part["mean_after"] ** 2) / part["std_before"] ** 2
+        if fall.sum() > most:
+            best, most = kind, float(fall.sum())
+    return best
+
+
+def nearest(window: pd.DataFrame) -> str | None:
+    """The state whose error falls most, in steps that are worth as much; None where none falls."""
+    fall = {}
+    for state, step in WORTH.items():
+        old, new = (np.sqrt(np.mean((window[f"{state}_{word}"] - window[f"{state}_measured"]) ** 2)) for word in DRAWN)
+        fall[state] = (old - new) / step
+    best = max(fall, key=fall.get)
+    return best if fall[best] > 0.0 else None
 
 
 def where_figure(table: pd.DataFrame | None, rows: pd.DataFrame | None = None) -> Figure | None:
@@ -59,16 +109,28 @@ def where_figure(table: pd.DataFrame | None, rows: pd.DataFrame | None = None) -
     kinds = telling(table)
     figure, panels = _grid(len(kinds))
     for panel, (axis, place) in zip(panels, kinds):
-        part = table[(table["channel"] == axis) & (table["where"] == place)].sort_values("middle")
-        panel.axhline(0.0, color="0.8", lw=0.8)
-        for word in ("before", "after"):
-            look = DRAWN[word] | {"label": word, "elinewidth": DRAWN[word]["lw"] / 1.5, "ms": 2 * DRAWN[word]["lw"]}
-            panel.errorbar(part["middle"], part[f"mean_{word}"], part[f"std_{word}"], fmt=".-", **look)
-        _labelled(panel, PLACES[place], f"{axis}, {_unit(axis)}")
+        _place(panel, table, axis, place)
         panel.set_title(f"{CHANNELS[axis]} by {PLACES[place].split(',')[0]}", fontsize=SMALL)
-        panel.ticklabel_format(axis="y", scilimits=(-3, 3))
     panels[0].legend(fontsize=SMALL, frameon=False)
     return figure
+
+
+def _place(panel: Axes, table: pd.DataFrame, axis: str, place: str) -> None:
+    """Mean errors of a channel along a place, before and after."""
+    part = table[(table["channel"] == axis) & (table["where"] == place)].sort_values("middle")
+    panel.axhline(0.0, color="0.8", lw=0.8)
+    for word in ("before", "after"):
+        look = DRAWN[word] | {"label": word, "elinewidth": DRAWN[word]["lw"] / 1.5, "ms": 2 * DRAWN[word]["lw"]}
+        panel.errorbar(part["middle"], part[f"mean_{word}"], part[f"std_{word}"], fmt=".-", **look)
+    _labelled(panel, PLACES[place], f"{axis}, {_unit(axis)}")
+    panel.ticklabel_format(axis="y", scilimits=(-3, 3))
+
+
+def _window(panel: Axes, part: pd.DataFrame, state: str) -> None:
+    """One state of one window: flown, and simulated before and after."""
+    measured: dict[str, dict[str, Any]] = {"measured": {"color": MEASURED, "lw": 1.4, "zorder": 2.5}}
+    for word, look in (measured | DRAWN).items():
+        panel.plot(part["t"], part[f"{state}_{word}"], label=word, **look)
 
 
 def with_errors(table: pd.DataFrame, rows: pd.DataFrame | None) -> pd.DataFrame:
@@ -236,9 +298,7 @@ def overlays_figure(table: pd.DataFrame | None) -> Figure | None:
         part = table[table["window"] == number]
         for row, (state, unit) in enumerate(STATES.items()):
             panel = panels[row, column]
-            measured: dict[str, dict[str, Any]] = {"measured": {"color": MEASURED, "lw": 1.4, "zorder": 2.5}}
-            for word, look in (measured | DRAWN).items():
-                panel.plot(part["t"], part[f"{state}_{word}"], label=word, **look)
+            _window(panel, part, state)
             _labelled(panel, "time, s" if state == [*STATES][-1] else "", f"{state}, {unit}")
         panels[0, column].set_title(f"{part['flight'].iloc[0]}: {part['why'].iloc[0]}", fontsize=SMALL)
     panels[0, 0].legend(fontsize=SMALL, frameon=False)

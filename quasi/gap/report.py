@@ -47,6 +47,10 @@ FLOORS = 3.0  # times its floor that a channel of sensors or drive may keep unme
 ROOM = ("north", "east", "down")  # accelerations along the room's axes
 LEVELS = {"K": "sensors against capture", "A": "rotor speeds against commands"}
 CAPTIONS = {
+    "glance": "Left: the error of the model where it falls most, before (pale red) and after (blue) the extension, "
+    "with standard errors, compared and held-out flights together. Right: a held-out flight (black) and what the "
+    "simulation makes of its rotor speeds, in the second where the extension gains most; what it gains elsewhere "
+    "stands below.",
     "overlays": "Simulated from measured states with measured rotor speeds, before (pale red) and after (blue) the "
     "extension, beside the flight (black); where only blue is seen with a red rim, nothing has changed.",
     "horizons": "Errors at the end of simulations of held-out flights over their length, before (pale red) and after "
@@ -78,6 +82,7 @@ def page(
     shown = {n: report.picture(pictures[n], caption) for n, caption in CAPTIONS.items() if n in pictures}
     sections = [
         f"<style>{STYLE}</style>",
+        shown.get("glance", ""),
         report.section("What to do next", report.sentences(steps(diagnosis, effects))),
         report.section("What is wrong", _forces(diagnosis), _lower(diagnosis)),
         report.section("Why", *(_cause(e, effects) for e in diagnosis["effects"]), _rivals(diagnosis, effects)),

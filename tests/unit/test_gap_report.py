@@ -16,6 +16,7 @@ from quasi.gap.figures import figures, telling, with_errors
 from quasi.gap.lower import units_of
 from quasi.gap.next_steps import steps
 from quasi.gap.report import page
+from quasi.gap.rollouts import GAINED
 from quasi.gap.wording import confirmation_of, left_sentence, rollout_of, summary, value_of, words_of
 
 KNOWN = catalogue()
@@ -347,6 +348,40 @@ def test_places_worth_a_panel_are_those_that_change_or_stand_out():
     drawn = figures({"W_where": pd.DataFrame(bins), "W_residuals": table})["where"]
     labels = [t for panel in drawn.axes for t in (panel.xaxis.label, panel.yaxis.label, *panel.get_xticklabels())]
     assert min(t.get_fontsize() for t in labels) >= 9 and drawn.get_figwidth() == 10.5
+
+
+@pytest.mark.parametrize("gained", [True, False])
+def test_what_the_extension_changes_is_shown_at_a_glance(gained):
+    """Fz errs low down until the extension; in one window z and pitch come nearer, z by more of what matters."""
+    draw = np.random.default_rng(4)
+    n = 4000
+    table = pd.DataFrame({"t": np.arange(n) / 100.0, "flight": "new-1", "role": "compared"})
+    table["height"], table["speed"] = np.tile(np.repeat([0.2, 1.0], 100), 20), np.tile(np.repeat([1.0, 3.0], 200), 10)
+    for axis in ("Fx", "Fz"):
+        table[f"{axis}_before"] = table[f"{axis}_after"] = np.repeat(draw.normal(0.0, 0.02, n // 50), 50)
+    table["Fz_before"] += np.where(table["height"] < 0.5, 0.1, 0.0)
+    table["Fz_after"] = table["Fz_after"] if gained else table["Fz_before"]
+    bins = [
+        {"channel": axis, "where": where, "low": at, "high": at, "middle": at, "rows": n // 2,
+         **{f"{kind}_{word}": f(part[f"{axis}_{word}"]) for word in ("before", "after")
+            for kind, f in (("mean", np.mean), ("rms", lambda v: np.sqrt(np.mean(v**2))))}}
+        for where in ("height", "speed") for at, part in table.groupby(where) for axis in ("Fx", "Fz")
+    ]  # fmt: skip
+    t = np.arange(0.0, 1.0, 0.01)
+    one = pd.DataFrame({"t": t, "flight": "new-5", "why": GAINED, "window": 0})
+    for state in ("roll", "pitch", "u", "v", "w", "z"):
+        for word in ("measured", "before", "after"):
+            one[f"{state}_{word}"] = 0.1 * t
+    one["z_before"], one["pitch_before"] = one["z_before"] + 0.5 * t, one["pitch_before"] + 0.1 * t
+    overlays = pd.concat([one, one.assign(why="the error was greatest", flight="new-4", window=1)])
+    drawn = figures({"W_where": pd.DataFrame(bins), "W_residuals": table, "R_overlays": overlays})
+    assert ("glance" in drawn) == gained and "where" in drawn
+    if gained:
+        left, right = drawn["glance"].axes
+        assert (left.get_xlabel(), left.get_ylabel()) == ("height, m", "Fz, N")
+        assert right.get_ylabel() == "z (down), m" and "new-5" in right.get_title()
+        text = page(document([EFFECT]), KNOWN, None, {"glance": b"PNG"})
+        assert text.index("data:image/png") < text.index("What to do next")
 
 
 def test_errors_of_simulations_are_drawn_from_nothing_with_few_names():
