@@ -288,11 +288,14 @@ def page(results: Sequence[Mapping[str, Any]]) -> str:
         low, high = wilson(good, len(own))
         share = f"{good / len(own):.2f} | {low:.2f} to {high:.2f}" if own else "- | -"
         lines.append(f"| {group} | {good} | {len(own)} | {share} | {aim or '-'} | {bad} |")
-    lacks = [r["model's own"] for r in results if r["outcome"] == "model's own" and r["kind"] == "clean"]
+    lacks = [r for r in results if r["outcome"] == "model's own" and r["kind"] == "clean"]
     if lacks:
-        names = ", ".join(sorted({n for own in lacks for n in own}))
-        lines += ["", f"In {len(lacks)} of the clean draws that do not count as right, nothing was named but what the "
-                  f"made vehicle has in all flights and the model lacks: {names}."]  # fmt: skip
+        names = ", ".join(sorted({n for r in lacks for n in r["model's own"]}))
+        bare = sum(not r["model's own"] for r in lacks)
+        of = "/".join(sorted({f"`{r['design']}`" for r in lacks}))
+        lines += ["", f"In {len(lacks)} of the clean draws that do not count as right, all of them {of}, no change was "
+                  f"named: {len(lacks) - bare} name what the made vehicle has in all flights and the model lacks "
+                  f"({names}), {bare} say where the model's error stays unexplained."]  # fmt: skip
     errors = [e for r in results if r["outcome"] in ("hit", "extra") for e in r["errors"].values()]
     if errors:
         relative = np.median([abs(e["relative"]) for e in errors])
