@@ -8,8 +8,8 @@ import pandas as pd
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.extension import extend
-from quasi.gap.study import Study, refit
-from quasi.gap.worth import Cause
+from quasi.gap.study import Study
+from quasi.gap.worth import Cause, refitted
 from quasi.standalone.model import Model
 
 
@@ -22,7 +22,7 @@ class Case(NamedTuple):
     drive      causes of level A that belong in the model, with their deviations
     corrected  whether flights that the model was identified from were corrected: its terms hold what their sensors
                faked, and are fitted anew
-    settings   of the gap; name  of the gap
+    settings   of the gap
     """
 
     model: Model
@@ -35,7 +35,6 @@ class Case(NamedTuple):
     drive: Sequence[tuple[Effect, Mapping[str, float]]]
     corrected: bool
     settings: Mapping[str, Any]
-    name: str
 
     def anew(self, causes: Sequence[Cause]) -> bool:
         """Whether the model's own terms are fitted anew beside some causes: beside those that were always there."""
@@ -46,8 +45,7 @@ class Case(NamedTuple):
         model's own terms are fitted to if `anew`"""
         changes = None
         if study is not None and anew:
-            own = {(c.effect.id, c.since): {c.effect.fitted.index(n): v for n, v in c.value.items()} for c in causes}
-            changes = refit(study, range(len(self.compared)), self.compared, own)
+            changes = refitted(study, self.compared, [(c, c.value) for c in causes])
         told = [*((c.effect, c.value) for c in causes), *self.drive]
         document = extend(self.model, told, self.vehicle, self.settings["extended model ID"], where, changes)
         document.pop("differential form", None)

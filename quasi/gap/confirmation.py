@@ -26,9 +26,9 @@ from quasi.gap.linear_response import Course
 from quasi.gap.mixed import Columns, Mixed, Offer
 from quasi.gap.nuisance import nuisances
 from quasi.gap.output_error import Fitted, Values
-from quasi.gap.study import BAND, ORDER, in_stretches, refit
+from quasi.gap.study import BAND, ORDER, in_stretches
 from quasi.gap.whitening import thin
-from quasi.gap.worth import Cause
+from quasi.gap.worth import Cause, refitted
 from quasi.gap.wrench import Found
 from quasi.standalone.model import Model
 
@@ -255,10 +255,7 @@ class Maker:
     def __call__(self, values: Sequence[Values], changed: bool) -> Model:
         """changed  whether what changed acts as well as what was always there."""
         pairs = list(zip(self.causes, values))
-        changes = None
-        if self.anew:
-            own = {_key(c): {c.effect.fitted.index(n): x for n, x in v.items()} for c, v in pairs}
-            changes = refit(self.found.study, range(len(self.compared)), self.compared, own)
+        changes = refitted(self.found.study, self.compared, pairs) if self.anew else None
         acting = [(c.effect, v) for c, v in pairs if changed or c.since == "always"]
         name = "+".join([self.model.id, *(c.id for c, _ in acting)])
         return Model(extend(self.model, acting, self.vehicle, name, "roll-outs", changes), f"model {name}")

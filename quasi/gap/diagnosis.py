@@ -82,7 +82,7 @@ def diagnose(
     drive = [(effects[e["id"]], deviations(effects[e["id"]], e["parameters"]))
              for e in acting if e["id"] in effects and effects[e["id"]].extension]  # fmt: skip
     corrected = any(c["since"] == "always" for c in calibration.get("causes", ())) and made_of(model, learning)
-    case = Case(model, effects, vehicle, learning, compared, held, flights, drive, corrected, settings, name)
+    case = Case(model, effects, vehicle, learning, compared, held, flights, drive, corrected, settings)
     unable = _unable(groups, roles, lost)
     found, kept = None, []
     lives, restless = pd.DataFrame(), []

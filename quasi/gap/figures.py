@@ -43,10 +43,12 @@ WORTH = {"u": 1.0, "v": 1.0, "w": 1.0, "roll": 0.2, "pitch": 0.2, "z": 0.5}  # e
 
 def figures(tables: Mapping[str, pd.DataFrame]) -> dict[str, Figure]:
     """{name: figure} of what the tables hold."""
+    where = tables.get("W_where")
+    where = with_errors(where, tables.get("W_residuals")) if where is not None and len(where) else None
     drawn = {
-        "glance": glance_figure(tables.get("W_where"), tables.get("W_residuals"), tables.get("R_overlays")),
+        "glance": glance_figure(where, tables.get("R_overlays")),
         "unexplained": unexplained_figure(tables.get("W_unexplained")),
-        "where": where_figure(tables.get("W_where"), tables.get("W_residuals")),
+        "where": where_figure(where),
         "spectra": spectra_figure(tables.get("W_spectra")),
         "horizons": horizons_figure(tables.get("R_errors")),
         "overlays": overlays_figure(tables.get("R_overlays")),
@@ -54,19 +56,17 @@ def figures(tables: Mapping[str, pd.DataFrame]) -> dict[str, Figure]:
     return {name: figure for name, figure in drawn.items() if figure is not None}
 
 
-def glance_figure(
-    where: pd.DataFrame | None, rows: pd.DataFrame | None, overlays: pd.DataFrame | None
-) -> Figure | None:
+def glance_figure(where: pd.DataFrame | None, overlays: pd.DataFrame | None) -> Figure | None:
     """What the extension changes, at a glance: the error along the place where it falls most surely, and the simulated
-    state that comes nearest to the flight, in the window where the error falls most."""
-    kind = surest(with_errors(where, rows)) if where is not None and len(where) else None
+    state that comes nearest to the flight, in the window where the error falls most. where  as `with_errors` tells"""
+    kind = surest(where) if where is not None else None
     falls = overlays[overlays["why"] == GAINED] if overlays is not None and len(overlays) else None
     state = nearest(falls) if falls is not None and len(falls) else None
     if kind is None or state is None:
         return None
     figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
-    _place(left, with_errors(where, rows), *kind)
+    _place(left, where, *kind)
     left.set_title(f"error of the {CHANNELS[kind[0]]} by {PLACES[kind[1]].split(',')[0]}", fontsize=SMALL)
     _window(right, falls, state)
     _labelled(right, "time, s", f"{STATED[state]}, {STATES[state]}")
@@ -77,8 +77,8 @@ def glance_figure(
 
 
 def surest(table: pd.DataFrame) -> tuple[str, str] | None:
-    """Channel and place along which squared mean errors fall most, in their standard errors; None where by no more than
-    OUT in any bin's worth. table  with standard errors"""
+    """Channel and place along which the squared mean errors, each in its standard errors, fall most in sum over the
+    bins; None where no sum exceeds OUT squared. table  as `with_errors` tells"""
     best, most = None, OUT**2
     for kind, part in table[table["where"].isin(PLACES)].groupby(["channel", "where"]):
         fall = (part["mean_before"] ** 2 - part["mean_after"] ** 2) / part["std_before"] ** 2
@@ -97,15 +97,14 @@ def nearest(window: pd.DataFrame) -> str | None:
     return best if fall[best] > 0.0 else None
 
 
-def where_figure(table: pd.DataFrame | None, rows: pd.DataFrame | None = None) -> Figure | None:
+def where_figure(table: pd.DataFrame | None) -> Figure | None:
     """Mean residual of channels along places, before and after, on compared and held-out flights, where it matters.
 
-    rows  the table W_residuals, which tells the standard errors
+    table  as `with_errors` tells
     Drawn are the panels where before and after differ visibly and those where what is left stands out, PANELS at most.
     """
-    if table is None or not len(table):
+    if table is None:
         return None
-    table = with_errors(table, rows)
     kinds = telling(table)
     figure, panels = _grid(len(kinds))
     for panel, (axis, place) in zip(panels, kinds):

@@ -14,8 +14,8 @@ from quasi.gap.gain import Likelihood, Score, after, before, joined, wrench_scor
 from quasi.gap.left_out import LeftOut
 from quasi.gap.mixed import Mixed
 from quasi.gap.sought import Sought
-from quasi.gap.study import Study, base_columns, refit
-from quasi.gap.worth import ASIDE, EXCITED, LACKING, Cause, Common, Deviations, Judged, strength
+from quasi.gap.study import Study, base_columns
+from quasi.gap.worth import ASIDE, EXCITED, LACKING, Cause, Common, Deviations, Judged, refitted, strength
 from quasi.standalone.model import AXES, Model
 
 RIDGES = (1e-3, 1e-2, 1e-1)  # of fits of everything at once, on scaled columns
@@ -45,10 +45,7 @@ class HeldOut:
 
     def made(self, causes: Sequence[Cause], ident: str, fitted_anew: bool) -> dict[str, Any]:
         """The document of the model with some causes, its own terms fitted anew to the flights that learn or not."""
-        changes = None
-        if fitted_anew:
-            own = {(c.effect.id, c.since): {c.effect.fitted.index(n): v for n, v in c.value.items()} for c in causes}
-            changes = refit(self.study, range(len(self.flights)), self.compared, own)
+        changes = refitted(self.study, self.compared, [(c, c.value) for c in causes]) if fitted_anew else None
         told = [(c.effect, c.value) for c in causes]
         return extend(self.model, told, self.vehicle, ident, self.where, changes)
 

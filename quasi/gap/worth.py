@@ -5,7 +5,7 @@ have in common is judged harder than what changed: the model was fitted to such 
 is mostly the form of the terms.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -17,6 +17,7 @@ from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.gain import Score, fraction, surely, wrench_score
 from quasi.gap.mixed import Test
+from quasi.gap.study import Study, refit
 from quasi.standalone.model import AXES
 
 MOST_WEIGHED = 5  # causes of which every selection is tried
@@ -50,6 +51,12 @@ class Cause:
     probability: float = 0.0
     apart: float = 1.0
     asked: float | None = None
+
+
+def refitted(study: Study, compared: Sequence[bool], told: Iterable[tuple[Cause, Mapping[str, float]]]) -> np.ndarray:
+    """Changes (S,) of the model's own coefficients beside causes with their deviations, from all flights that learn."""
+    values = {(c.effect.id, c.since): {c.effect.fitted.index(n): x for n, x in v.items()} for c, v in told}
+    return refit(study, range(len(compared)), compared, values)
 
 
 class Judged(NamedTuple):
