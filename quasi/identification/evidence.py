@@ -127,6 +127,27 @@ def probability(t: np.ndarray, freedom: np.ndarray) -> np.ndarray:
     return 2.0 * stdtr(freedom, -np.abs(t))
 
 
+def left_out(totals: Totals, columns: list[int]) -> np.ndarray:
+    """Squared error (F,) of each flight under the coefficients that the others have in common.
+
+    Infinite where these do not tell the columns apart; flights without weight do not count.
+    """
+    products, weights = totals.products, totals.weights
+    member = (products.flight == np.unique(products.flight[weights > 0.0])[:, None]) * weights
+    gram = np.stack([member @ products.cross(k)[:, columns] for k in columns], axis=1)
+    target, errors = member @ products.target[:, columns], member @ products.target_square
+    for f, (own, goal) in enumerate(zip(gram, target)):
+        rest = gram.sum(axis=0) - own
+        scale = np.sqrt(np.maximum(np.diag(rest), 1e-300))
+        rest = rest / np.outer(scale, scale)
+        if np.linalg.cond(rest) > 1.0 / INDEPENDENT:
+            errors[f] = np.inf
+        else:
+            theta = np.linalg.solve(rest, (target.sum(axis=0) - goal) / scale) / scale
+            errors[f] = max(errors[f] - 2.0 * theta @ goal + theta @ own @ theta, 0.0)
+    return errors
+
+
 def interchangeable(totals: Totals, columns: list[int], bandwidth: int = 1) -> dict[int, list[dict[str, float]]]:
     """Columns that could stand for one of the model's own without the data noticing.
 

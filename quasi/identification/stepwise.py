@@ -7,7 +7,9 @@ Two entry tests. "F" is the manual's: the partial F of a candidate must exceed a
 weakest term whose partial F lies below another. "significance" asks for a probability over the whole pool, the
 residuals' memory counted (quasi.identification.evidence). One strong term that is still missing makes every other look
 uncertain; a candidate may therefore enter on trial, and has to stand by itself at the end. Terms that do not stand are
-dropped, terms that another candidate replaces with a smaller error are exchanged, until nothing changes.
+dropped, terms that another candidate replaces with a smaller error are exchanged, until nothing changes. Of few flights
+hardly anything is significant over a whole pool, though a term may halve the error of every flight; from there on terms
+also stand that lower the error of flights left out, if the model does so as a whole.
 
 Source: Klein & Morelli, Aircraft System Identification, 2006, section 5.4; QuaSI user manual V1.0.a, section 6.2,
 equations (3)-(12); Miller, Subset Selection in Regression, 2002, section 3.6 (sequential replacement).
@@ -21,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from quasi.errors import ConfigError, DataError
-from quasi.identification.evidence import INDEPENDENT, Totals, entering, probability, standing
+from quasi.identification.evidence import INDEPENDENT, Totals, entering, left_out, probability, standing
 from quasi.identification.products import Products
 
 TRIALS = 6  # steps in a row that may be taken on trial
@@ -30,6 +32,8 @@ PROPOSALS = 3  # exchanges that are tried before none is found
 RIVAL = 0.98  # share of the best candidate's gain from which another is a rival
 RIVALS = 10  # most that are listed
 ROUNDING = 1e-13  # share of a sum of squares that is no more than rounding
+LEAST = 0.1  # share of the squared error of left-out flights that a term must take away to stand without significance
+WORSE = 0.1  # of what it takes away of all flights together, that it may add to one of them
 NEAR = 30  # candidates of a step that are remembered as near
 
 
@@ -171,6 +175,7 @@ class _Search:
         self.log = [self.entry(state, 0)]
         self.bandwidth = 1
         self.waiting: list[int] = []  # terms on trial
+        self.carrying = False  # whether terms also stand that left-out flights gain by
 
     def remember(self, columns: np.ndarray, gain: np.ndarray) -> None:
         if len(columns):
@@ -218,17 +223,20 @@ class _Search:
             chance = self.judge_candidates()
             passing = np.flatnonzero((gain > 0.0) & (chance < self.share))
             self.remember(passing[np.argsort(-gain[passing])[:NEAR]], gain)
-            if len(passing):
-                pick = int(passing[np.argmax(gain[passing])])
+            first = np.argsort(-gain)[:PROPOSALS] if self.carrying and not len(passing) else []
+            carried = [int(k) for k in first if self.carries(state.columns, [*state.columns, int(k)])]
+            if len(passing) or carried:
+                pick = int(passing[np.argmax(gain[passing])]) if len(passing) else carried[0]
             elif not trial or len(self.waiting) >= TRIALS:
                 return f"no candidate, {describe[pick]} first, stands out once the residuals' memory is counted"
             more = {
                 "t": float(self.t[pick]),
                 "degrees of freedom": float(self.freedom_of_t[pick]),
                 "probability over the pool": float(min(chance[pick] * self.share**-1 * o.level, 1.0)),
-                "on trial": not len(passing),
+                "on trial": not len(passing) and not carried,
+                "by left-out flights": bool(carried),
             }
-            self.waiting = [] if len(passing) else [*self.waiting, pick]
+            self.waiting = [] if len(passing) or carried else [*self.waiting, pick]
         freedom = state.freedom() - 1
         left = max(state.error - gain[pick], ROUNDING * state.totals.target_square)
         partial = gain[pick] / left * max(freedom, 0)
@@ -259,12 +267,23 @@ class _Search:
         return None
 
     def weakest(self, state: State) -> tuple[int, float, dict[str, float]]:
-        """Of the terms that are not fixed the least sure: column, probability that it is nothing, t and its freedom."""
+        """Of the terms that are not fixed the least sure: column, probability that it is nothing (0 where left-out
+        flights gain by it, if that counts), t and its freedom."""
         t, freedom = standing(state.totals, state.columns, self.bandwidth)
         chance = probability(t, freedom)[self.fixed :]
+        for k in np.flatnonzero(chance >= self.share) if self.carrying else []:
+            if self.carries([c for c in state.columns if c != state.columns[self.fixed + k]], state.columns):
+                chance[k] = 0.0
         place = int(np.argmax(chance))
         at = self.fixed + place
         return state.columns[at], float(chance[place]), {"t": float(t[at]), "degrees of freedom": float(freedom[at])}
+
+    def carries(self, before: list[int], after: list[int]) -> bool:
+        """Whether flights that had no part in the coefficients are predicted better by the columns `after` than by the
+        columns `before`, and none of them much worse."""
+        old, new = left_out(self.state.totals, before), left_out(self.state.totals, after)
+        gone = float((old - new).sum()) if np.isfinite(new).all() else -np.inf
+        return len(old) > 1 and gone >= LEAST * old.sum() and float((new - old).max()) <= WORSE * gone
 
     def drop(self) -> bool:
         """Remove terms that do not stand by themselves, weakest first. True when something went."""
@@ -321,6 +340,15 @@ class _Search:
             if not self.exchange(strict=False):
                 break
         self.drop()
+        self.rounds()
+        sure, said, self.carrying = self.state, len(self.log), True
+        self.rounds()
+        if not self.carries(sure.columns, self.state.columns):
+            # each term may do well beside the others, and all of them together badly where no flight went
+            self.state, self.log = sure, self.log[:said]
+
+    def rounds(self) -> None:
+        """Exchange, add and drop until nothing changes, ROUNDS times at most."""
         for _ in range(ROUNDS):
             changed = False
             for _ in range(2 * len(self.state.columns)):

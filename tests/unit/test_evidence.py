@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 from test_stepwise import pool_of
 
-from quasi.identification.evidence import Totals, entering, interchangeable, probability, standing
+from quasi.identification.evidence import Totals, entering, interchangeable, left_out, probability, standing
 from quasi.identification.stepwise import State
 
 
@@ -140,3 +140,25 @@ def test_a_column_that_is_almost_another_is_interchangeable_and_one_that_is_not_
     noisy = z + 60.0 * autocorrelated(r, n, 0.9)
     pool, _ = pool_of(base, noisy, 0, True)
     assert 2 in [e["column"] for e in interchangeable(Totals(pool), [0, 1, 3])[1]]
+
+
+def test_errors_of_left_out_flights_equal_fits_of_the_rows_of_the_others():
+    base, z = problem(4)
+    pool, _ = pool_of(base, z, 2, True)
+    columns, flight = [0, 1, 2, 5], np.repeat([0, 1, 2], 200)
+    a = np.column_stack([np.ones(len(z)), base[:, [0, 1, 4]]])
+    expected = []
+    for f in range(3):
+        theta = np.linalg.lstsq(a[flight != f], z[flight != f], rcond=None)[0]
+        expected.append(np.sum((z[flight == f] - a[flight == f] @ theta) ** 2))
+    np.testing.assert_allclose(left_out(Totals(pool), columns), expected, rtol=1e-7)
+    weights = np.where(pool.flight == 1, 0.0, 1.0)
+    assert len(left_out(Totals(pool, weights), columns)) == 2
+
+
+def test_a_column_that_only_one_flight_moves_says_nothing_of_it():
+    base, z = problem(5)
+    base[:400, 5] = base[:400, 4]  # of three flights the last alone tells the two apart
+    pool, _ = pool_of(base, z, 2, True)
+    errors = left_out(Totals(pool), [0, 5, 6])
+    assert np.isinf(errors[2]) and np.isfinite(errors[:2]).all()

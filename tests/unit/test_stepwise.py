@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from quasi.errors import ConfigError, DataError
 from quasi.expressions import parse
@@ -322,3 +323,43 @@ def test_no_model_is_met_twice_once_the_trials_are_over():
             present |= {entry["selected"]} - {None}
             met.append(frozenset(present))
         assert len(set(met)) == len(met)
+
+
+def gusty(seed, flights, true=True):
+    """Flights in which every column acts in one burst, with noise that remembers itself; the first one may be true."""
+    r = np.random.default_rng(seed)
+    rows, m = 4000, 40
+    base = np.zeros((rows * flights, m))
+    for k in range(m):
+        for f in range(flights):
+            begin = f * rows + r.integers(0, rows - 200)
+            base[begin : begin + 200, k] = r.standard_normal() * np.hanning(200)
+    noise = lfilter([1.0], [1.0, -0.97], r.standard_normal(len(base)))
+    size = np.sqrt(noise.var() / base[:, 0].var())
+    return base, noise + true * size * base[:, 0]
+
+
+def chosen_of(base, z, flights):
+    pool, names = pool_of(np.column_stack([base[:, 1] + base[:, 2], base]), z, 1, True, flights)
+    options = Options(test="significance")
+    return choose(pool, options, names, memory=lambda columns: 1 + round(100 / pool.length)).chosen
+
+
+def test_a_term_that_left_out_flights_gain_by_stands_though_few_stretches_show_it(monkeypatch):
+    found = [chosen_of(*gusty(seed, 4), 4) for seed in range(12)]
+    assert sum(1 in c for c in found) >= 11
+    assert sum(len(set(c) - {1}) for c in found) <= 1
+    monkeypatch.setattr(stepwise, "LEAST", np.inf)
+    assert sum(1 in chosen_of(*gusty(seed, 4), 4) for seed in range(12)) <= 8
+
+
+def test_columns_that_are_nothing_are_not_let_in_by_left_out_flights():
+    for flights in (2, 3, 5):
+        assert sum(len(chosen_of(*gusty(100 + seed, flights, False), flights)) for seed in range(10)) <= 1
+
+
+def test_what_one_left_out_flight_would_lose_by_does_not_stand():
+    """A column that three flights gain by and the fourth loses by."""
+    base, z = gusty(3, 4)
+    alike, apart = (z + 4.0 * base[:, 7] * np.repeat([1.0, 1.0, 1.0, last], 4000) * z.std() for last in (1.0, -1.0))
+    assert 8 in chosen_of(base, alike, 4) and 8 not in chosen_of(base, apart, 4)
