@@ -72,9 +72,10 @@ def search(
     there = wrench_score([f for f, flag in zip(flights, compared) if flag], left).mean()
     found = _apart(grounds, compared, given, found, there, 0.5 * rate)
     joint = _joint(grounds, compared, causes, found)
-    # what healthy flights show as well and is not sure must not stand beside what changed
+    # what healthy flights show as well and is not sure must not stand beside what changed; where none is healthy, what
+    # no term of a model can depend on is no form of terms, and has come again in each flight
     found = [
-        (p, t) for p, t in found if p.since == "changed"
+        (p, t) for p, t in found if p.since == "changed" or (all(compared) and p.choice.where not in OWN)
         or _beyond_doubt(grounds, compared, causes, found, joint, p, held, vehicle, floor, share, least["always"])
     ]  # fmt: skip
     joint = _joint(grounds, compared, causes, found)
