@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy.special import stdtrit
 
 from quasi.gap import rhythm
 from quasi.gap.catalogue import beyond_slope, columns_of, corrected
@@ -73,9 +74,10 @@ def search(
     found = _apart(grounds, compared, given, found, there, 0.5 * rate)
     joint = _joint(grounds, compared, causes, found)
     # what healthy flights show as well and is not sure must not stand beside what changed; where none is healthy, what
-    # no term of a model can depend on is no form of terms, and has come again in each flight
+    # no term of a model can depend on is no form of terms, and the flights that it was found on may be sure of it
     found = [
-        (p, t) for p, t in found if p.since == "changed" or (all(compared) and p.choice.where not in OWN)
+        (p, t) for p, t in found if p.since == "changed"
+        or (all(compared) and p.choice.where not in OWN and _surely_again(grounds, compared, given, joint, p))
         or _beyond_doubt(grounds, compared, causes, found, joint, p, held, vehicle, floor, share, least["always"])
     ]  # fmt: skip
     joint = _joint(grounds, compared, causes, found)
@@ -318,23 +320,43 @@ def _witnessed(
 
 
 def _comes_again(
-    grounds: Grounds, compared: Sequence[bool], given: Sequence[Offer], joint: Joint, place: Place
+    grounds: Grounds, compared: Sequence[bool], given: Sequence[Offer], joint: "Joint", place: Place
 ) -> bool:
     """Whether what the other flights tell of a function is there in each compared flight that was left out in turn.
 
     One flight that went alone to a place cannot tell the place from what else was on in that flight.
     """
+    slopes, weights = _left_out(grounds, compared, given, joint, place)
+    return float(np.average(slopes, weights=weights)) > AGAIN if weights.sum() > 0 else False
+
+
+def _surely_again(
+    grounds: Grounds, compared: Sequence[bool], given: Sequence[Offer], joint: "Joint", place: Place
+) -> bool:
+    """Whether left-out flights show it so much alike that it is beyond doubt (95 %), each flight one witness."""
+    slopes, weights = _left_out(grounds, compared, given, joint, place)
+    witnesses = weights.sum() ** 2 / max(float(weights @ weights), 1e-300)
+    if witnesses < 2.0:
+        return False
+    mean = float(np.average(slopes, weights=weights))
+    scatter = np.sqrt(weights**2 @ (slopes - mean) ** 2) / weights.sum() * np.sqrt(witnesses / (witnesses - 1.0))
+    return mean - float(stdtrit(witnesses - 1.0, 0.95)) * float(scatter) > AGAIN
+
+
+def _left_out(
+    grounds: Grounds, compared: Sequence[bool], given: Sequence[Offer], joint: "Joint", place: Place
+) -> tuple[np.ndarray, np.ndarray]:
+    """How much of what the others tell of a function each compared flight shows, with weights, (F,) each."""
     others = [p for p, _ in joint.functions if p != place]
-    slopes, weights = [], []
+    found = []
     for out in np.flatnonzero(compared):
         keep = [k for k in range(len(compared)) if k != out]
         fewer, flags = grounds.of(keep), [compared[k] for k in keep]
         value = tested(fewer, flags, given, others, place).value
         told = joint._replace(functions=[(p, value if p == place else v) for p, v in joint.functions])
-        slope, weight = _slope(fewer, flags, [grounds.parts[out]], told, place)
-        slopes.append(slope)
-        weights.append(weight)
-    return float(np.average(slopes, weights=weights)) > AGAIN if sum(weights) > 0 else False
+        found.append(_slope(fewer, flags, [grounds.parts[out]], told, place))
+    slopes, weights = np.array(found).T
+    return slopes, weights
 
 
 def _residual(flight: Evidence, joint: Joint, vehicle: Vehicle) -> np.ndarray:
