@@ -247,23 +247,27 @@ def test_a_held_out_flight_that_does_not_go_there_cannot_judge(ground, monkeypat
     assert [(u["channel"], u["where"], u["share"]) for u in said] == [("Mz", "room x", None)] * told
 
 
-def test_where_no_flight_is_healthy_a_place_that_no_term_knows_is_told_though_the_held_out_flight_cannot_judge(ground):
-    """Each flight, left out, has shown it; a function of the own motion may be the form of the model's terms."""
+@pytest.mark.parametrize(
+    ("axis", "wrong", "still", "sizes", "told"),
+    [
+        (5, lambda c: 4e-4 * c["x"], "x", [1.0, 1.0, 1.0, 1.0, 1.0], True),
+        # flights that differ in it by more than it is are not sure of it
+        (5, lambda c: 4e-4 * c["x"], "x", [1.9, 0.3, 1.6, 0.2, 1.5], False),
+        # along its own motion it may be the form of the model's terms
+        (4, lambda c: 1e-3 * np.abs(c["q"]), "q", [1.0, 1.0, 1.0, 1.0, 1.0], False),
+    ],
+)
+def test_where_no_flight_is_healthy_flights_left_out_may_be_sure_of_a_place(ground, axis, wrong, still, sizes, told):
+    """The held-out flight does not go there and cannot be."""
 
-    def said(k, wrong, still):
-        def away(c):
-            c[still][:] = 0.01
-            return only(k, wrong(c))
+    def away(c):
+        c[still][:] = 0.01
+        return only(axis, wrong(c))
 
-        flights = [flight(ground, s, lambda c: only(k, wrong(c))) for s in range(5)]
-        vehicle, floor = vehicle_of(ground[1]), np.full(6, np.inf)
-        told = search(
-            flights, [True] * 5, [flight(ground, 90, away)], [], lambda f: f.residual, floor, vehicle, 0.01, 0.05
-        )
-        return [(u["channel"], u["where"], u["share"]) for u in told.said]
-
-    assert said(5, lambda c: 4e-4 * c["x"], "x") == [("Mz", "room x", None)]
-    assert said(4, lambda c: 1e-3 * np.abs(c["q"]), "q") == []
+    flights = [flight(ground, s, lambda c, k=k: only(axis, k * wrong(c))) for s, k in enumerate(sizes)]
+    vehicle, floor = vehicle_of(ground[1]), np.full(6, np.inf)
+    left = search(flights, [True] * 5, [flight(ground, 90, away)], [], lambda f: f.residual, floor, vehicle, 0.01, 0.05)
+    assert [(u["channel"], u["where"], u["share"]) for u in left.said] == [("Mz", "room x", None)] * told
 
 
 def test_what_changed_along_own_motions_is_told_though_the_held_out_flight_cannot_judge(ground):
