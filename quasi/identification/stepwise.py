@@ -212,31 +212,47 @@ class _Search:
                 return "the PSE fell below a thousandth of its first value"
         return f"the regressor cap of {o.cap} steps is reached"
 
+    def best(self, gain: np.ndarray, trial: bool) -> tuple[int, dict[str, Any]] | str:
+        """The candidate to take next and how sure it is, or why there is none.
+
+        gain  (m,) squared error that each takes away; trial  whether one may enter that does not stand by itself yet
+        """
+        pick = int(np.argmax(gain))
+        if gain[pick] <= 0.0:
+            return "no independent candidate is left"
+        if self.options.test != "significance":
+            return pick, {}
+        chance, carried = self.judge_candidates(), []
+        passing = np.flatnonzero((gain > 0.0) & (chance < self.share))
+        self.remember(passing[np.argsort(-gain[passing])[:NEAR]], gain)
+        if len(passing):
+            pick = int(passing[np.argmax(gain[passing])])
+        elif self.carrying:
+            taken, first = self.state.columns, np.argsort(-gain)[:PROPOSALS]
+            self.state.totals.cross(int(first[0]), gain)  # one pass over the rows for what is asked for next
+            carried = [int(k) for k in first if self.carries(taken, [*taken, int(k)])]
+            pick = carried[0] if carried else pick
+        sure = bool(len(passing) or carried)
+        if not sure and (not trial or len(self.waiting) >= TRIALS):
+            return f"no candidate, {self.describe[pick]} first, stands out once the residuals' memory is counted"
+        self.waiting = [] if sure else [*self.waiting, pick]
+        return pick, {
+            "t": float(self.t[pick]),
+            "degrees of freedom": float(self.freedom_of_t[pick]),
+            "probability over the pool": float(min(chance[pick] * self.share**-1 * self.options.level, 1.0)),
+            "on trial": not sure,
+            "by left-out flights": bool(carried),
+        }
+
     def step(self, number: int, trial: bool) -> str | None:
+        """Take one candidate and drop one term that became weak; why not, where the search ends."""
         state, o, describe = self.state, self.options, self.describe
         gain = state.gain()
         self.remember(np.argsort(-gain)[:NEAR], gain)
-        pick, more = int(np.argmax(gain)), {}
-        if gain[pick] <= 0.0:
-            return "no independent candidate is left"
-        if o.test == "significance":
-            chance = self.judge_candidates()
-            passing = np.flatnonzero((gain > 0.0) & (chance < self.share))
-            self.remember(passing[np.argsort(-gain[passing])[:NEAR]], gain)
-            first = np.argsort(-gain)[:PROPOSALS] if self.carrying and not len(passing) else []
-            carried = [int(k) for k in first if self.carries(state.columns, [*state.columns, int(k)])]
-            if len(passing) or carried:
-                pick = int(passing[np.argmax(gain[passing])]) if len(passing) else carried[0]
-            elif not trial or len(self.waiting) >= TRIALS:
-                return f"no candidate, {describe[pick]} first, stands out once the residuals' memory is counted"
-            more = {
-                "t": float(self.t[pick]),
-                "degrees of freedom": float(self.freedom_of_t[pick]),
-                "probability over the pool": float(min(chance[pick] * self.share**-1 * o.level, 1.0)),
-                "on trial": not len(passing) and not carried,
-                "by left-out flights": bool(carried),
-            }
-            self.waiting = [] if len(passing) or carried else [*self.waiting, pick]
+        found = self.best(gain, trial)
+        if isinstance(found, str):
+            return found
+        pick, more = found
         freedom = state.freedom() - 1
         left = max(state.error - gain[pick], ROUNDING * state.totals.target_square)
         partial = gain[pick] / left * max(freedom, 0)
