@@ -151,10 +151,13 @@ def values_of(name: str, factor: float, rng: np.random.Generator) -> dict[str, f
     limits = (OFFERED | UNLISTED)[name][0]
     values = {}
     for key, deviation in deviations.items():
-        neutral = _own_inertia(key) if name == "inertia" else how.neutral
         if name == "inertia":
-            deviation *= neutral
-        values[key] = float(np.clip(neutral + deviation, limits[key].low, limits[key].high))
+            # no body has a moment of inertia that is more than the two others together, or less than their difference
+            others = [_own_inertia(k) for k in how.names if k != key]
+            wanted = _own_inertia(key) + deviation * _own_inertia(key)
+            values[key] = float(np.clip(wanted, 1.02 * abs(others[0] - others[1]), 0.98 * sum(others)))
+        else:
+            values[key] = float(np.clip(how.neutral + deviation, limits[key].low, limits[key].high))
     if name == "payload_swing":
         values["length"] = float(rng.uniform(0.2, 0.9))
     return values

@@ -154,7 +154,7 @@ def settle(
     kept, dropped = list(causes), []
     if not kept:
         return Settled([], [], {}, {}, None, [])
-    ranges = {n: e.limits(vehicle) for n, e in effects.items()}
+    ranges = {n: e.limits(vehicle).ranges for n, e in effects.items()}
     try:
         windows = output_error.windows_of(found.study, tables)
         while kept:

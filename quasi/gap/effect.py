@@ -39,6 +39,16 @@ class Parameter(NamedTuple):
     typical: "float | Callable[[Vehicle], float] | None" = None
 
 
+class Limits(NamedTuple):
+    """What is physical of the deviations of a cause's fitted parameters.
+
+    ranges  (low, high) of each; sums  (weights (m,), least): weighted sums of them that cannot be less
+    """
+
+    ranges: list[tuple[float, float]]
+    sums: tuple[tuple[np.ndarray, float], ...] = ()
+
+
 class Size(NamedTuple):
     """A figure as it is told: value and standard error in a unit."""
 
@@ -158,6 +168,8 @@ class Effect:
     told          (deviations, standard errors) -> {name: Size} to be told instead of the parameters that are fitted
     starts        sizes of the one parameter of a cause that bends so much that its slope at nothing hardly shows it: it
                   is looked for by the whole effect of one of them, the likeliest, see `quasi.gap.starts`
+    sums          vehicle -> [({parameter: weight}, least)]: weighted sums of the deviations that cannot be less, where
+                  what is physical is no range of each
     indistinct    ids that differ from it by so little that a model's own errors would decide: always a tie with them
     absorbed      whether the model's own terms can mimic it exactly, so that only a change between flights shows it
     foreign       whether a sound vehicle in still air, far from anything, has none of it: what a model's terms miss of
@@ -183,6 +195,7 @@ class Effect:
     extension: Callable[[Values, Vehicle, Model], Extension] | None = None
     told: Callable[[Values, Values], dict[str, Size]] | None = None
     starts: tuple[float, ...] = ()
+    sums: Callable[[Vehicle], list[tuple[Values, float]]] | None = None
     opposite: str = ""
     parts: str = "any"
     indistinct: tuple[str, ...] = ()
@@ -245,8 +258,8 @@ class Effect:
         sizes = {name: p.typical for name, p in self.parameters.items() if p.typical is not None}
         return {name: float(size(vehicle) if callable(size) else size) for name, size in sizes.items()}
 
-    def limits(self, vehicle: Vehicle) -> list[tuple[float, float]]:
-        """Physical range of each fitted parameter's deviation from neutral; masses and inertias from the configured."""
+    def limits(self, vehicle: Vehicle) -> Limits:
+        """What is physical of the fitted parameters' deviations; of masses and inertias, from the configured ones."""
         own = {"mass": vehicle.mass}
         own |= {f"I{a}{a}": float(vehicle.inertia[k, k]) for k, a in enumerate("xyz")}
         result = []
@@ -256,7 +269,8 @@ class Effect:
             low = p.low - neutral
             # nothing weighs less than nothing
             result.append((max(low, -own[name]) if p.neutral is None and name in own else low, p.high - neutral))
-        return result
+        sums = self.sums(vehicle) if self.sums else []
+        return Limits(result, tuple((np.array([w.get(n, 0.0) for n in self.fitted]), least) for w, least in sums))
 
 
 def vehicle_of(

@@ -9,7 +9,9 @@ significant beside all others accepted later.
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from quasi.gap.effect import Effect
+import numpy as np
+
+from quasi.gap.effect import Effect, Limits
 from quasi.gap.mixed import Mixed, Offer, Test, ranked
 
 RIVALS = 6  # of the most significant causes that are weighed against each other
@@ -57,15 +59,15 @@ def search(
     since: Sequence[str],
     rate: float,
     lacking: Sequence[str] = (),
-    within: Mapping[str, Sequence[tuple[float, float]]] | None = None,
+    within: Mapping[str, Limits] | None = None,
     known: Sequence[Offer] = (),
 ) -> Names:
     """Name the causes of the residual.
 
     effects  the catalogue; since  "changed", "always" or both; rate  family-wise false alarm rate
     lacking  causes that cannot be asked
-    within   {cause: [(low, high) of the deviation of each parameter]}: physical ranges; an estimate outside by more
-             than three standard errors disqualifies the cause
+    within   {cause: what is physical of its parameters' deviations}; an estimate outside by more than three standard
+             errors disqualifies the cause
     """
     asked = [name for name in mixed.columns.causes if name not in lacking]
     pairs = [(name, s) for s in since for name in asked if not (s == "always" and effects[name].absorbed)]
@@ -164,14 +166,17 @@ def _doubt(
     return Tie([best, *open_[:2]], float((wald / len(best.offer.which)) ** 0.5)) if open_ else None
 
 
-def possible(test: Test, within: Mapping[str, Sequence[tuple[float, float]]] | None) -> bool:
-    """Whether the parameters lie in their physical ranges, give or take three standard errors."""
-    ranges = (within or {}).get(test.offer.cause)
-    if ranges is None:
+def possible(test: Test, within: Mapping[str, Limits] | None) -> bool:
+    """Whether the parameters are physical, give or take three standard errors."""
+    limits = (within or {}).get(test.offer.cause)
+    if limits is None:
         return True
-    return all(
-        ranges[k][0] - 3.0 * std <= value <= ranges[k][1] + 3.0 * std
-        for k, value, std in zip(test.offer.which, test.value, test.std)
+    which = list(test.offer.which)
+    low, high = np.array(limits.ranges, float)[which].T
+    inside = (low - 3.0 * test.std <= test.value) & (test.value <= high + 3.0 * test.std)
+    sums = [(w[which], least) for w, least in limits.sums]
+    return bool(inside.all()) and all(
+        w @ test.value + 3.0 * np.sqrt(w @ test.covariance @ w) >= least for w, least in sums
     )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
-from quasi.gap.effect import Effect, vehicle_of
+from quasi.gap.effect import Effect, Limits, vehicle_of
 from quasi.gap.evidence import Evidence, gather
 from quasi.gap.level import Flown, Level, shares_of
 from quasi.gap.mixed import Offer
@@ -166,7 +166,7 @@ def felt(
 
 
 def _beside(
-    study: Study, asked: Mapping[str, Effect], within: Mapping[str, Sequence[tuple[float, float]]],
+    study: Study, asked: Mapping[str, Effect], within: Mapping[str, Limits],
     compared: np.ndarray, rate: float, arm: Offer,
 ) -> list[Offer]:  # fmt: skip
     """Causes that the forces have beside the arm."""

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quasi.gap.agreement import contradiction, voices
-from quasi.gap.effect import Effect, Vehicle
+from quasi.gap.effect import Effect, Limits, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.level import shares_of
 from quasi.gap.mixed import Mixed, Offer, Test, Witnessed
@@ -40,12 +40,12 @@ class Sought(NamedTuple):
 
 def seek(
     flights: Sequence[Evidence], asked: Mapping[str, Effect], vehicle: Vehicle, compared: np.ndarray, rate: float,
-    within: Mapping[str, list[tuple[float, float]]],
+    within: Mapping[str, Limits],
 ) -> Sought:  # fmt: skip
     """Search causes in flights.
 
     asked  the causes, by id; compared (F,) bool, False for reference flights; rate  family-wise false alarm rate
-    within {cause: ranges of its parameters' deviations}
+    within {cause: what is physical of its parameters' deviations}
     """
     neutral: set[str] = set()  # curved causes whose slope where they were found does not show them any more
     contradicted: dict[str, tuple[Test, str]] = {}
@@ -78,7 +78,7 @@ def seek(
 
 def _search(
     mixed: Mixed, asked: Mapping[str, Effect], compared: np.ndarray, rate: float,
-    lacking: Sequence[str], within: Mapping[str, list[tuple[float, float]]],
+    lacking: Sequence[str], within: Mapping[str, Limits],
 ) -> tuple[list[Named], list[tuple[str, Tie]], list[Test], dict[str, float]]:  # fmt: skip
     """First what changed, then what all flights have alike; the false alarm rate is shared between the two."""
     named: list[Named] = []

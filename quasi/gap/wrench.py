@@ -8,7 +8,7 @@ import numpy as np
 
 from quasi.errors import ConfigError
 from quasi.gap.agreement import disagreement, voices
-from quasi.gap.effect import Effect, Vehicle
+from quasi.gap.effect import Effect, Limits, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.gain import after, wrench_score
 from quasi.gap.held_out import HeldOut, best_wrong
@@ -120,7 +120,7 @@ def examine(
 
 def _fewest(
     kept: Sequence[Cause], unjudged: Sequence[Cause], ties: Sequence[tuple[str, Tie]], sought: Sought, judge: HeldOut,
-    asked: Mapping[str, Effect], within: Mapping[str, list[tuple[float, float]]],
+    asked: Mapping[str, Effect], within: Mapping[str, Limits],
 ) -> tuple[list[Cause], list[tuple[str, Tie]]]:  # fmt: skip
     """The fewest of the causes that changed that explain as much as all of them, and the ties that are left then."""
     changed, beside = ([c for c in kept if c.since == since] for since in ("changed", "always"))

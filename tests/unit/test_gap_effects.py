@@ -8,11 +8,13 @@ from quasi import attitude
 from quasi.airframe import read_airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
+from quasi.gap import mixed
 from quasi.gap.calibration import CORRECTS
 from quasi.gap.catalogue import catalogue, chosen, columns_of, whole_of, wrench_of
 from quasi.gap.effect import Effect, Parameter, room_of, vehicle_of
 from quasi.gap.evidence import Evidence
 from quasi.gap.inflow import overshoot
+from quasi.gap.naming import possible
 from quasi.standalone.model import AXES
 from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
 from quasi.synthesis.effects import check, plant
@@ -352,3 +354,23 @@ def test_wrong_effects_are_refused_with_a_sentence():
         Effect("a", "Q", "", "", "")
     with pytest.raises(ConfigError, match="parameter 'k'"):
         Effect("a", "W", "", "", "", {"k": Parameter("1", 0.0, "x", 0.0, 1.0)})
+
+
+def test_inertias_of_bodies_are_possible_and_others_are_not(ground):
+    """Of clouds of point masses, and of a disc that turns more heavily than it tilts."""
+    vehicle, effect = vehicle_of(ground[2]), CATALOGUE["inertia"]
+    limits, rng = effect.limits(vehicle), np.random.default_rng(4)
+
+    def told(tensor, std=1e-7):
+        own = tensor - vehicle.inertia
+        value = np.array([own[0, 0], own[1, 1], own[2, 2], -own[0, 1], -own[0, 2], -own[1, 2]])
+        offer = mixed.Offer("inertia", "changed", tuple(range(6)))
+        return mixed.Test(offer, value, np.eye(6) * std**2, 0.0, 100.0, 1e-9)
+
+    for _ in range(50):
+        points = rng.standard_normal((5, 3)) * rng.uniform(0.01, 0.1, 3)
+        tensor = 0.1 * (np.eye(3) * np.sum(points**2) - points.T @ points)
+        assert possible(told(tensor), {"inertia": limits})
+    assert possible(told(np.diag([1e-3, 1e-3, 1.99e-3])), {"inertia": limits})
+    assert not possible(told(np.diag([1e-3, 1e-3, 2.5e-3])), {"inertia": limits})
+    assert possible(told(np.diag([1e-3, 1e-3, 2.5e-3]), 2e-4), {"inertia": limits})

@@ -8,7 +8,7 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from quasi.gap import mixed as tests_on
-from quasi.gap.effect import Effect, Parameter
+from quasi.gap.effect import Effect, Limits, Parameter
 from quasi.gap.mixed import SPREADS, Columns, Mixed, Offer, Witnessed
 from quasi.gap.naming import _dominant, search
 from quasi.gap.study import in_stretches, joined
@@ -370,7 +370,7 @@ def test_two_causes_at_once_are_both_named():
 def test_an_estimate_outside_its_physical_range_is_not_named():
     rng = np.random.default_rng(8)
     grams, _ = flights(rng, 6, {3: 0.5})
-    names = search(Mixed(grams, [True] * 6, LAYOUT), effects(), ("always",), 0.01, within={"a": [(-0.1, 0.1)]})
+    names = search(Mixed(grams, [True] * 6, LAYOUT), effects(), ("always",), 0.01, within={"a": Limits([(-0.1, 0.1)])})
     assert "a" not in [n.test.offer.cause for n in names.named]
 
 

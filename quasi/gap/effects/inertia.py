@@ -23,6 +23,15 @@ def _tenth(i: int, j: int) -> Callable[[Vehicle], float]:
     return lambda vehicle: 0.1 * float(vehicle.inertia[i, j])
 
 
+def _body(vehicle: Vehicle) -> list[tuple[Values, float]]:
+    """No body has a moment of inertia that is more than the two others together: I_xx + I_yy - I_zz = 2 int z^2 dm."""
+    moments = {f"I{a}{a}": float(vehicle.inertia[k, k]) for k, a in enumerate("xyz")}
+    return [
+        ({n: -1.0 if n == largest else 1.0 for n in moments}, 2.0 * own - sum(moments.values()))
+        for largest, own in moments.items()
+    ]
+
+
 def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
     result = {}
     for name in ENTRIES:
@@ -52,5 +61,6 @@ EFFECT = Effect(
     tie_breaker="excite the three axes together; a bifilar pendulum test",
     columns=_columns,
     extension=_extension,
+    sums=_body,
     absorbed=True,
 )
