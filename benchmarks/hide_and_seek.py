@@ -293,9 +293,15 @@ def page(results: Sequence[Mapping[str, Any]]) -> str:
         names = ", ".join(sorted({n for r in lacks for n in r["model's own"]}))
         bare = sum(not r["model's own"] for r in lacks)
         of = "/".join(sorted({f"`{r['design']}`" for r in lacks}))
-        lines += ["", f"In {len(lacks)} of the clean draws that do not count as right, all of them {of}, no change was "
-                  f"named: {len(lacks) - bare} name what the made vehicle has in all flights and the model lacks "
-                  f"({names}), {bare} say where the model's error stays unexplained."]  # fmt: skip
+        said = {
+            f"what the made vehicle has in all flights and the model lacks ({names})": len(lacks) - bare,
+            "where the model's error stays unexplained": bare,
+        }
+        told = "; ".join(f"{words}: {count}" for words, count in said.items() if count)
+        lines += [
+            "",
+            f"Clean draws (of {of}) that name no change and do not count as right, by what they tell: {told}.",
+        ]
     errors = [e for r in results if r["outcome"] in ("hit", "extra") for e in r["errors"].values()]
     if errors:
         relative = np.median([abs(e["relative"]) for e in errors])
