@@ -220,7 +220,7 @@ def test_the_response_to_a_cause_is_that_of_the_extended_model(model, weak, evid
 
 def fitted(model, weak, study, causes):
     windows = output_error.windows_of(study, weak)
-    ranges = {n: e.limits(vehicle_of(model)) for n, e in EFFECTS.items()}
+    ranges = {n: e.limits(vehicle_of(model)).ranges for n, e in EFFECTS.items()}
     return output_error.fit(study, [True] * 3, causes, made(model, study, causes), windows, ranges)
 
 
