@@ -19,7 +19,7 @@ from quasi.gap.effect import Effect, Room, Vehicle
 from quasi.standalone.model import AXES
 from quasi.variables import check_expression
 
-FUNCTIONS = ("terms", "columns", "curved", "whole", "extension")  # of an effect, which a user writes
+FUNCTIONS = ("terms", "columns", "curved", "whole", "extension", "sums")  # of an effect, which a user writes
 ARM = 0.06  # m
 # about that of the bundled example: what an effect makes of it is not used, only whether it makes sense
 TRIED = Vehicle(
@@ -139,6 +139,10 @@ def _fault(effect: Effect) -> str:
     for name, size in effect.typical(TRIED).items():
         if not np.isfinite(size) or size == 0.0:
             return f"parameter '{name}': its typical size is {size}, expected a number other than 0, or None"
+    for weights, _ in effect.sums(TRIED) if effect.sums else ():
+        for name in weights:
+            if name not in effect.fitted:
+                return f"sums(vehicle) names '{name}', which is no parameter{nearest(name, effect.fitted)}"
     if effect.terms is not None:
         made = effect.terms(TRIED)
         if not isinstance(made, Mapping) or set(made) != set(effect.fitted):

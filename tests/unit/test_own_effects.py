@@ -62,6 +62,8 @@ def path(tmp_path):
         (text(terms="lambda vehicle: {'k': {'Fx': 'u**'}}"), "'**' is not an operator"),
         (text(curved="lambda vehicle, values: {'Fx': 'k*'}"), "curved(vehicle, values), Fx: "),
         (text(terms=None, columns="lambda evidence, values: {}"), "columns need an extension beside them"),
+        (text(sums="[({'k': 1.0}, 0.0)]"), "expected a function"),
+        (text(sums="lambda vehicle: [({'kk': 1.0}, 0.0)]"), "sums(vehicle) names 'kk', which is no parameter"),
     ],
 )
 def test_a_faulty_file_is_refused_with_its_name_and_a_sentence(path, content, words):
