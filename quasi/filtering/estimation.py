@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -157,6 +157,19 @@ def _gaps(used: np.ndarray, limit: int) -> np.ndarray:
     return inside
 
 
+class _Levels(NamedTuple):
+    """Noise of the IMU, (6,) but for `each`: at rest, the least that it is in flight, what is assumed in flight before
+    the innovations are asked; each (N, 6) sample by sample; walk of the biases; origin  where the rest's is from.
+    """
+
+    still: np.ndarray
+    least: np.ndarray
+    moving: np.ndarray
+    each: np.ndarray
+    walk: np.ndarray
+    origin: str
+
+
 def estimate(
     frame: pd.DataFrame,
     metadata: Mapping[str, Any],
@@ -169,48 +182,113 @@ def estimate(
     watch: ekf.Watch | None = None,
 ) -> Run:
     """States and biases by the filter, smoothed when asked. watch  see `filterpy_engine.forward`."""
-    n = len(frame)
-    t = frame["t"].to_numpy(float)
-    still, noise_notes, origin = measurements.sensor_noise(
+    t, flying = frame["t"].to_numpy(float), ~found.on_ground
+    still, said, origin = measurements.sensor_noise(
         airframe.noise, bool(chosen["use noise statistics in drone config"])
     )
+    measured = measurements.collect(frame, metadata, airframe.noise, found.on_ground, dt)
+    notes += said + measured.notes
+    levels = _levels(still, origin, measurements.resolution(metadata), chosen, imu, found, notes)
+    inputs = _inputs(frame, chosen, imu, measured, levels, found, dt)
+    factors = np.ones(5)
+    if chosen["re-estimate noise"]:
+        share = levels.least / levels.moving
+        factors = noise.estimate_levels(inputs, flying, np.array([share[:3].max(), share[3:].max()]))
+        inputs = noise.with_levels(inputs, factors, flying & ~imu.lost)
+    engine, forward = _forward(chosen["engine"], inputs, watch)
+    final = smooth(inputs, forward) if chosen["smoother"] else forward
+    if measured.source["position"].startswith("capture"):
+        late = timing.doubt(metadata, t)
+        forward, final = (timing.widen(run, inputs, late) for run in (forward, final))
+    deviation, early = ekf.deviations(final.covariance), ekf.deviations(forward.covariance)
+
+    independent = all(measured.source[k].startswith("capture") for k in ("attitude", "position"))
+    applied, told = _apply(chosen["bias policy"], independent, found, final, deviation, forward, early, flying, notes)
+    nis = _consistency(forward, notes)
+    limit = round(float(chosen["capture gap limit s"]) / dt)
+    unsure = _unsure(deviation, flying, notes) | _uncaptured(measured, forward, limit, t, flying, notes)
+    aligned = chosen["estimate attitude alignment"] and measured.source["attitude"] != "none"
+    report = {
+        "engine": engine,
+        "smoother": bool(chosen["smoother"]),
+        "noise": _noise_report(
+            levels, inputs, factors, measured, flying & ~imu.lost, bool(chosen["re-estimate noise"])
+        ),
+        "NIS": nis,
+        "consistent": all(entry.get("consistent", False) for entry in nis.values()) if nis else None,
+        "biases": told,
+        "attitude alignment": {
+            axis: {"value": float(final.state[-1, 12 + i]), "std": float(deviation[-1, 15 + i]), "unit": "rad"}
+            for i, axis in enumerate(("roll", "pitch", "yaw"))
+        }
+        if aligned
+        else None,
+    }
+    return Run(
+        final.quaternion,
+        final.state[:, :3],
+        final.state[:, 3:6],
+        applied,
+        unsure,
+        report,
+        _course(t, forward, early, final, deviation),
+    )
+
+
+def _levels(
+    still: np.ndarray,
+    origin: str,
+    step: np.ndarray,
+    chosen: Mapping[str, Any],
+    imu: measurements.Imu,
+    found: biases.Phases,
+    notes: list[str],
+) -> _Levels:
+    """still, origin  of `measurements.sensor_noise`; step  (6,) of the log"""
     if found.rest is not None:
         still = np.maximum(still, found.rest.noise)  # what the rest itself shows, coloured noise included
-    measured = measurements.collect(frame, metadata, airframe.noise, found.on_ground, dt)
-    notes += noise_notes + measured.notes
-    flying = ~found.on_ground
-    level = np.tile(still, (n, 1))
-    both, step, hidden = np.hstack([imu.gyro, imu.accel]), measurements.resolution(metadata), np.zeros(6, bool)
+    each, both, hidden = np.tile(still, (len(imu.gyro), 1)), np.hstack([imu.gyro, imu.accel]), np.zeros(6, bool)
     for first, last in measurements.spans(found.on_ground):
         coarse = measurements.coarseness(both[first:last], step)
         # however long it lasts, the mean may be wrong by this much: as much white noise leaves the same doubt
-        level[first:last] = np.maximum(level[first:last], coarse * np.sqrt(last - first))
+        each[first:last] = np.maximum(each[first:last], coarse * np.sqrt(last - first))
         hidden |= coarse > 0
     if hidden.any():
         notes.append(
             f"the log's steps of {', '.join(s for s, h in zip(SENSORS, hidden) if h)} are coarser than their noise at "
             "rest, which therefore says little about their biases"
         )
-    rough = np.array([measurements.FLIGHT_STD[s] for s in SENSORS])
     least = np.maximum(still, ROUNDED * step / np.sqrt(12.0))
+    rough = np.array([measurements.FLIGHT_STD[s] for s in SENSORS])
     moving = np.maximum(least, rough) if chosen["re-estimate noise"] else least
-    level[flying] = moving
-    level[imu.lost] = np.maximum(level[imu.lost], measurements.LOST_STD)
-    walk = np.array(
-        [float(chosen["gyro bias random walk"])] * 3 + [float(chosen["accelerometer bias random walk"])] * 3
-    )
+    each[~found.on_ground] = moving
+    each[imu.lost] = np.maximum(each[imu.lost], measurements.LOST_STD)
+    walk = np.repeat([float(chosen["gyro bias random walk"]), float(chosen["accelerometer bias random walk"])], 3)
     if chosen["bias policy"] == "time varying":
         walk = np.maximum(walk, DRIFTING)
+    return _Levels(still, least, moving, each, walk, origin)
+
+
+def _inputs(
+    frame: pd.DataFrame,
+    chosen: Mapping[str, Any],
+    imu: measurements.Imu,
+    measured: measurements.Measurements,
+    levels: _Levels,
+    found: biases.Phases,
+    dt: float,
+) -> ekf.Inputs:
+    """What the filter is given; where no heading is measured, with the one that explains most."""
     quaternion, state, covariance = measurements.start(
         frame, measured, imu, dt, bool(found.on_ground[0]), bool(chosen["estimate attitude alignment"])
     )
-    per_second = measured.used.sum(axis=0) / (n * dt)
+    per_second = measured.used.sum(axis=0) / (len(frame) * dt)
     inputs = ekf.Inputs(
         dt,
         imu.gyro,
         imu.accel,
-        level,
-        walk,
+        levels.each,
+        levels.walk,
         measured.used,
         measured.attitude,
         np.ascontiguousarray(np.nan_to_num(measured.position)),
@@ -223,26 +301,12 @@ def estimate(
         state,
         covariance,
     )
-    if measured.source["attitude"] == "none":
-        inputs = _headings(inputs)
-    factors = np.ones(5)
-    if chosen["re-estimate noise"]:
-        factors = noise.estimate_levels(
-            inputs, flying, np.array([np.max((least / moving)[:3]), np.max((least / moving)[3:])])
-        )
-        inputs = noise.with_levels(inputs, factors, flying & ~imu.lost)
-    engine, forward = _forward(chosen["engine"], inputs, watch)
-    final = smooth(inputs, forward) if chosen["smoother"] else forward
-    if measured.source["position"].startswith("capture"):
-        late = timing.doubt(metadata, t)
-        forward, final = (timing.widen(run, inputs, late) for run in (forward, final))
-    deviation = ekf.deviations(final.covariance)
-    early = ekf.deviations(forward.covariance)
+    return _headings(inputs) if measured.source["attitude"] == "none" else inputs
 
-    independent = all(measured.source[k].startswith("capture") for k in ("attitude", "position"))
-    applied, report = _apply(chosen["bias policy"], independent, found, final, deviation, forward, early, flying, notes)
+
+def _consistency(forward: ekf.Pass, notes: list[str]) -> dict[str, dict[str, Any]]:
+    """Normalised innovations squared of each kind of measurement, with a note where they are not those expected."""
     nis = noise.consistency(forward)
-    consistent = all(entry.get("consistent", False) for entry in nis.values()) if nis else None
     for kind, entry in nis.items():
         if not entry.get("consistent", True):
             notes.append(
@@ -250,6 +314,11 @@ def estimate(
                 f"(1 expected), {100 * entry['gated']:.2g} % rejected, correlation of neighbours "
                 f"{entry['whiteness']:.2f}"
             )
+    return nis
+
+
+def _unsure(deviation: np.ndarray, flying: np.ndarray, notes: list[str]) -> np.ndarray:
+    """True (N,) where attitude or velocity is too little known. deviation  (N, 18) standard errors of the states"""
     unsure = (deviation[:, :3].max(axis=1) > UNSURE_ATTITUDE) | (deviation[:, 3:6].max(axis=1) > UNSURE_VELOCITY)
     if (unsure & flying).any():
         notes.append(
@@ -257,58 +326,60 @@ def estimate(
             f"{UNSURE_VELOCITY:g} m/s "
             f"in {100 * (unsure & flying).mean():.2g} % of the flight, which is marked invalid"
         )
-    limit = round(float(chosen["capture gap limit s"]) / dt)
+    return unsure
+
+
+def _uncaptured(
+    measured: measurements.Measurements,
+    forward: ekf.Pass,
+    limit: int,
+    t: np.ndarray,
+    flying: np.ndarray,
+    notes: list[str],
+) -> np.ndarray:
+    """True (N,) where the capture gives nothing for more than `limit` samples."""
+    unseen = np.zeros(len(t), bool)
     for i, kind in enumerate(ekf.KINDS):
-        if measured.source[kind].startswith("capture"):
-            gap = _gaps(forward.outcome[:, i] > 0, limit)
-            for a, b in measurements.spans(gap & flying):
-                notes.append(
-                    f"the capture gives no {kind} from t = {t[a]:.2f} s to {t[b - 1]:.2f} s; the states are "
-                    "bridged by the IMU "
-                    "and marked invalid"
-                )
-            unsure |= gap
-    levels = np.median(inputs.noise[flying & ~imu.lost], axis=0) if (flying & ~imu.lost).any() else still
-    used = {
-        kind: {
-            "std": inputs.std[i].tolist(),
-            "unit": unit,
-            "source": measured.source[kind],
-            "factor": float(factors[2 + i]),
-        }
-        for i, (kind, unit) in enumerate(zip(ekf.KINDS, ("rad", "m", "m/s")))
-        if measured.source[kind] != "none"
-    }
-    report = {
-        "engine": engine,
-        "smoother": bool(chosen["smoother"]),
-        "noise": {
-            "sensors": origin,
-            "at rest": dict(zip(SENSORS, still.tolist())),
-            "in flight": dict(zip(SENSORS, levels.tolist())),
-            "re-estimated": bool(chosen["re-estimate noise"]),
-            "measurements": used,
-            "bias random walk": dict(zip(SENSORS, walk.tolist())),
+        if not measured.source[kind].startswith("capture"):
+            continue
+        gap = _gaps(forward.outcome[:, i] > 0, limit)
+        for a, b in measurements.spans(gap & flying):
+            notes.append(
+                f"the capture gives no {kind} from t = {t[a]:.2f} s to {t[b - 1]:.2f} s; the states are "
+                "bridged by the IMU "
+                "and marked invalid"
+            )
+        unseen |= gap
+    return unseen
+
+
+def _noise_report(
+    levels: _Levels,
+    inputs: ekf.Inputs,
+    factors: np.ndarray,
+    measured: measurements.Measurements,
+    trusted: np.ndarray,
+    again: bool,
+) -> dict[str, Any]:
+    """Noise levels that the filter used. trusted  (N,) in flight, nothing lost; again  whether they were asked anew"""
+    in_flight = np.median(inputs.noise[trusted], axis=0) if trusted.any() else levels.still
+    return {
+        "sensors": levels.origin,
+        "at rest": dict(zip(SENSORS, levels.still.tolist())),
+        "in flight": dict(zip(SENSORS, in_flight.tolist())),
+        "re-estimated": again,
+        "measurements": {
+            kind: {
+                "std": inputs.std[i].tolist(),
+                "unit": unit,
+                "source": measured.source[kind],
+                "factor": float(factors[2 + i]),
+            }
+            for i, (kind, unit) in enumerate(zip(ekf.KINDS, ("rad", "m", "m/s")))
+            if measured.source[kind] != "none"
         },
-        "NIS": nis,
-        "consistent": consistent,
-        "biases": report,
-        "attitude alignment": {
-            axis: {"value": float(final.state[-1, 12 + i]), "std": float(deviation[-1, 15 + i]), "unit": "rad"}
-            for i, axis in enumerate(("roll", "pitch", "yaw"))
-        }
-        if chosen["estimate attitude alignment"] and measured.source["attitude"] != "none"
-        else None,
+        "bias random walk": dict(zip(SENSORS, levels.walk.tolist())),
     }
-    return Run(
-        final.quaternion,
-        final.state[:, :3],
-        final.state[:, 3:6],
-        applied,
-        unsure,
-        report,
-        _course(t, forward, early, final, deviation),
-    )
 
 
 def _forward(name: str, inputs: ekf.Inputs, watch: ekf.Watch | None) -> tuple[str, ekf.Pass]:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -38,6 +38,13 @@ DEFAULTS: dict[str, Any] = {
 COURSE_RATE = 50.0  # Hz, of the filter's course where it is not asked for whole
 ENGINES = ("compiled", "filterpy")
 POLICIES = ("automatic", "rest", "whole flight", "time varying")
+
+
+class _Logged(NamedTuple):
+    """Columns of the import that hold rotor speeds, and commands."""
+
+    rotors: list[str]
+    commands: list[str]
 
 
 @dataclass(frozen=True)
@@ -151,22 +158,15 @@ def filter_flight(
     rate = 1.0 / dt
     imu = measurements.read_imu(imported, measurements.resolution(imported_metadata))
     notes += imu.notes
-    rotors = [c for c in imported if c[0] == "w" and c[1:].isdigit()]
-    driven = [c for c in imported if c.startswith("command") or c.endswith("_CMD")]
-    logged = [*rotors, *driven]
-    actuators, actuators_lost = _filled(imported, logged, notes)
-    rotors = [c for c in rotors if c in actuators]
-
-    speeds = np.stack([actuators[c] for c in rotors], axis=1) if rotors else None
-    position = imported[["x", "y", "z"]].to_numpy(float) if {"x", "y", "z"} <= set(imported) else None
-    factor = airframe.logged_to_rad_s or imported_metadata.get("logged to rad/s")
-    idle = airframe.idle_rpm * factor if airframe.idle_rpm and factor else None
-    if airframe.idle_rpm and idle is None and speeds is not None:
-        notes.append("'idle RPM' is in eRPM/100 and the quadrotor's 'motor poles' are unknown: rest is told without it")
-    found = biases.phases(
-        imu.gyro, imu.accel, imu.lost, measurements.resolution(imported_metadata), speeds, position, idle, dt
+    logged = _Logged(
+        [c for c in imported if c[0] == "w" and c[1:].isdigit()],
+        [c for c in imported if c.startswith("command") or c.endswith("_CMD")],
     )
-    notes += found.notes
+    actuators, actuators_lost = _filled(imported, [*logged.rotors, *logged.commands], notes)
+    rotors = [c for c in logged.rotors if c in actuators]
+    speeds = np.stack([actuators[c] for c in rotors], axis=1) if rotors else None
+    factor = airframe.logged_to_rad_s or imported_metadata.get("logged to rad/s")
+    found = _phases(imported, imported_metadata, airframe, imu, speeds, factor, dt, notes)
     stuck, stuck_notes = measurements.frozen(imu, found.on_ground, t, dt)
     imu.lost |= stuck
     notes += stuck_notes
@@ -195,47 +195,18 @@ def filter_flight(
         )
         valid &= ~windless
 
-    table: dict[str, np.ndarray] = {"t": t}
-    if speeds is not None:
-        smooth, slope = band.both(speeds)
-        for i, name in enumerate(rotors):
-            table[name], table[f"{name}_dot"] = smooth[:, i], slope[:, i]
-    driven = [c for c in driven if c in actuators]
-    if driven:
-        table |= dict(zip(driven, band.low_pass(np.stack([actuators[c] for c in driven], axis=1)).T))
-    for i, name in enumerate("xyz"):
-        table[f"a{name}"] = specific[:, i]
-    for i, name in enumerate("pqr"):
-        table[name] = rates[:, i]
-        table[f"{name}_dot"] = rates_dot[:, i]
-    table |= dict(zip(("roll", "pitch", "yaw"), attitude.to_euler(run.quaternion).T))
-    table |= dict(zip("xyz", run.position.T))
-    table |= dict(zip("uvw", body.T))
-    if air is not None:
-        table |= dict(zip(("u_air", "v_air", "w_air"), air.T))
-    force = forces.forces(specific, airframe.mass)
-    table |= dict(zip(("Fx", "Fy", "Fz"), force.T))
+    table: dict[str, np.ndarray] = {"t": t, **_actuators(actuators, speeds, logged, band)}
+    table |= _states(specific, rates, rates_dot, run, body, air)
+    table |= dict(zip(("Fx", "Fy", "Fz"), forces.forces(specific, airframe.mass).T))
     table |= dict(zip(("Mx", "My", "Mz"), forces.moments(rates, rates_dot, np.asarray(airframe.inertia)).T))
     if chosen["add induced velocity"]:
-        table["v_in"] = forces.induced_velocity(body if air is None else air, airframe.mass, airframe.radius)
-        sinking = ~np.isfinite(table["v_in"])
-        if sinking.any():
-            notes.append(
-                f"the induced velocity is not defined in {100 * sinking.mean():.2g} % of the flight (descent); "
-                "v_in is empty there"
-            )
+        table["v_in"] = _induced(body if air is None else air, airframe, notes)
     extra = [c for c in imported if c in COLUMNS and c not in table and c not in ("vx", "vy", "vz") and "_air" not in c]
-    extra = [c for c in extra if not c.endswith("_sample") and c not in ("onboard_valid", "imu_clipped", *logged)]
+    known = ("onboard_valid", "imu_clipped", *logged.rotors, *logged.commands)
+    extra = [c for c in extra if not c.endswith("_sample") and c not in known]
     table |= _filled(imported, extra, notes)[0]
     table["in_flight"], table["valid"] = in_flight.astype(float), valid.astype(float)
-
-    for name, values in table.items():
-        broken = ~np.isfinite(values)
-        if broken.any() and name != "v_in":
-            raise DataError(
-                f"the filter broke down: '{name}' is no number in {int(broken.sum())} samples, first at t = "
-                f"{t[int(np.argmax(broken))]:.3f} s; look for impossible values in the imported flight there"
-            )
+    _refuse_broken(table)
     if not valid.any():
         notes.append("no row of this flight is valid for identification; see the other notes")
     with_gravity = pd.DataFrame(table)
@@ -268,6 +239,84 @@ def filter_flight(
         "doubts": doubts(notes),
     }
     return Filtered(with_gravity, no_gravity, metadata, run.convergence)
+
+
+def _phases(
+    imported: pd.DataFrame,
+    metadata: Mapping[str, Any],
+    airframe: Airframe,
+    imu: measurements.Imu,
+    speeds: np.ndarray | None,
+    factor: float | None,
+    dt: float,
+    notes: list[str],
+) -> biases.Phases:
+    """Rest, take-off and flight. speeds  (N, rotors) rad/s; factor  from logged units to rad/s"""
+    position = imported[["x", "y", "z"]].to_numpy(float) if {"x", "y", "z"} <= set(imported) else None
+    idle = airframe.idle_rpm * factor if airframe.idle_rpm and factor else None
+    if airframe.idle_rpm and idle is None and speeds is not None:
+        notes.append("'idle RPM' is in eRPM/100 and the quadrotor's 'motor poles' are unknown: rest is told without it")
+    found = biases.phases(imu.gyro, imu.accel, imu.lost, measurements.resolution(metadata), speeds, position, idle, dt)
+    notes += found.notes
+    return found
+
+
+def _actuators(
+    actuators: Mapping[str, np.ndarray], speeds: np.ndarray | None, logged: _Logged, band: bands.Band
+) -> dict[str, np.ndarray]:
+    """Rotor speeds with their slopes, and commands, through the same low-pass as forces and moments."""
+    table: dict[str, np.ndarray] = {}
+    if speeds is not None:
+        smooth, slope = band.both(speeds)
+        for i, name in enumerate(c for c in logged.rotors if c in actuators):
+            table[name], table[f"{name}_dot"] = smooth[:, i], slope[:, i]
+    commands = [c for c in logged.commands if c in actuators]
+    if commands:
+        table |= dict(zip(commands, band.low_pass(np.stack([actuators[c] for c in commands], axis=1)).T))
+    return table
+
+
+def _states(
+    specific: np.ndarray,
+    rates: np.ndarray,
+    rates_dot: np.ndarray,
+    run: estimation.Run,
+    body: np.ndarray,
+    air: np.ndarray | None,
+) -> dict[str, np.ndarray]:
+    """Columns of the states; body, air  velocity (N, 3) over ground and, where a wind is known, through the air."""
+    table = {f"a{name}": specific[:, i] for i, name in enumerate("xyz")}
+    for i, name in enumerate("pqr"):
+        table[name], table[f"{name}_dot"] = rates[:, i], rates_dot[:, i]
+    table |= dict(zip(("roll", "pitch", "yaw"), attitude.to_euler(run.quaternion).T))
+    table |= dict(zip("xyz", run.position.T))
+    table |= dict(zip("uvw", body.T))
+    if air is not None:
+        table |= dict(zip(("u_air", "v_air", "w_air"), air.T))
+    return table
+
+
+def _induced(through_air: np.ndarray, airframe: Airframe, notes: list[str]) -> np.ndarray:
+    """Induced velocity (N,), NaN where momentum theory gives none."""
+    induced = forces.induced_velocity(through_air, airframe.mass, airframe.radius)
+    sinking = ~np.isfinite(induced)
+    if sinking.any():
+        notes.append(
+            f"the induced velocity is not defined in {100 * sinking.mean():.2g} % of the flight (descent); "
+            "v_in is empty there"
+        )
+    return induced
+
+
+def _refuse_broken(table: Mapping[str, np.ndarray]) -> None:
+    """Raise DataError where a column holds what is no number."""
+    for name, values in table.items():
+        broken = ~np.isfinite(values)
+        if broken.any() and name != "v_in":
+            raise DataError(
+                f"the filter broke down: '{name}' is no number in {int(broken.sum())} samples, first at t = "
+                f"{table['t'][int(np.argmax(broken))]:.3f} s; look for impossible values in the imported flight there"
+            )
 
 
 def _through_air(
