@@ -18,8 +18,8 @@ LIBRARY = Path(__file__).parent.parent
 TEMPLATE = LIBRARY / "config" / "template"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
+def _parser() -> argparse.ArgumentParser:
+    """The command line: each command says in `run` what it does with its options, and returns what is printed."""
     parser = argparse.ArgumentParser(
         prog="quasi",
         description="From a logbook of quadrotor flights to aerodynamic models. "
@@ -34,6 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "summary", parents=[place], help="print a model: its terms, coefficients, standard errors and scores"
     )
     summary.add_argument("model", help="model ID, or the path of a standalone model")
+    summary.set_defaults(run=lambda o: summarise(o.model, Path(o.directory)))
 
     fly = commands.add_parser(
         "fly",
@@ -44,6 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     fly.add_argument("model", nargs="?", help="model ID, or the path of a standalone model; the only one if left out")
     fly.add_argument("--simulation", help="controller, wind and so on as in config/simulations/SIMULATION.json")
+    fly.set_defaults(run=lambda o: fly_by_hand(o.model, Path(o.directory), o.simulation))
 
     reach = commands.add_parser(
         "reach",
@@ -56,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     reach.add_argument("--horizon", type=float, default=1.0, help="s (default 1)")
     reach.add_argument("--radius", type=float, default=4.0, help="of the sphere of targets, m (default 4)")
     reach.add_argument("--spacing", type=float, default=20.0, help="angle between targets, degrees (default 20)")
+    reach.set_defaults(run=lambda o: reach_of(o.simulation, Path(o.directory), o.horizon, o.radius, o.spacing))
 
     fresh = commands.add_parser(
         "new-simulation",
@@ -64,6 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     fresh.add_argument("name", help="name of the simulation")
     fresh.add_argument("-d", "--directory", default=".", help="folder in which NAME is made (default: here)")
+    fresh.set_defaults(run=lambda o: new_simulation(o.name, Path(o.directory)))
 
     margins = commands.add_parser(
         "margins",
@@ -73,6 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "how much gain, phase and delay the loop about hover can bear in each direction.",
     )
     margins.add_argument("simulation", help="name of the simulation")
+    margins.set_defaults(run=lambda o: margins_of(o.simulation, Path(o.directory)))
 
     plan = commands.add_parser(
         "plan",
@@ -88,6 +93,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     plan.add_argument("--references", type=int, default=0, help="reference flights beside them, believed clean (0)")
     plan.add_argument("--gap", help="take the noise, the room and further causes from this gap")
     plan.add_argument("--out", help="folder for the card: plan.json and plan.html")
+    plan.set_defaults(
+        run=lambda o: plan_of(o.model, o.trajectories, Path(o.directory), o.flights, o.references, o.gap, o.out)
+    )
 
     causes = commands.add_parser(
         "causes",
@@ -96,9 +104,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     causes.add_argument("model", nargs="?", help="model ID, or the path of a standalone model (the made vehicle)")
     causes.add_argument("--gap", help="with the causes of your own that this gap has")
+    causes.set_defaults(run=lambda o: causes_of(o.model, Path(o.directory), o.gap).removesuffix("\n"))
 
     init = commands.add_parser("init", help="lay a project folder: commented configuration and an empty logbook")
     init.add_argument("folder", help="folder to make; it must be empty or absent")
+    init.set_defaults(run=lambda o: lay(Path(o.folder)))
 
     noise = commands.add_parser(
         "noise",
@@ -112,6 +122,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     noise.add_argument("--rigid-body", help="name of the rigid body in motion-capture exports")
     noise.add_argument("--log-number", type=int, help="which log of a file that holds several")
     noise.add_argument("--write", action="store_true", help="write the statistics into the quadrotor configuration")
+    noise.set_defaults(
+        run=lambda o: noise_at_rest(
+            Path(o.quadrotor), [Path(log) for log in o.logs], o.cut, o.rigid_body, o.log_number, o.write
+        )
+    )
 
     published = commands.add_parser(
         "import-model",
@@ -122,35 +137,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     published.add_argument("file", help="JSON file of the published model")
     published.add_argument("name", help="model ID that it gets")
     published.add_argument("--motor-poles", type=int, help="magnets of its motors, which the file does not tell (14)")
+    published.set_defaults(run=lambda o: import_model(Path(o.file), o.name, Path(o.directory), o.motor_poles))
+    return parser
 
-    options = parser.parse_args(arguments)
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    options = _parser().parse_args(arguments)
     if arguments is None and hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `quasi summary M | head` ends silently, as other commands do
     try:
-        if options.command == "summary":
-            print(summarise(options.model, Path(options.directory)))
-        elif options.command == "fly":
-            print(fly_by_hand(options.model, Path(options.directory), options.simulation))
-        elif options.command == "margins":
-            print(margins_of(options.simulation, Path(options.directory)))
-        elif options.command == "reach":
-            asked = (options.horizon, options.radius, options.spacing)
-            print(reach_of(options.simulation, Path(options.directory), *asked))
-        elif options.command == "plan":
-            flown = (options.flights, options.references, options.gap, options.out)
-            print(plan_of(options.model, options.trajectories, Path(options.directory), *flown))
-        elif options.command == "causes":
-            print(causes_of(options.model, Path(options.directory), options.gap), end="")
-        elif options.command == "new-simulation":
-            print(new_simulation(options.name, Path(options.directory)))
-        elif options.command == "noise":
-            logs = [Path(log) for log in options.logs]
-            names = (options.cut, options.rigid_body, options.log_number, options.write)
-            print(noise_at_rest(Path(options.quadrotor), logs, *names))
-        elif options.command == "import-model":
-            print(import_model(Path(options.file), options.name, Path(options.directory), options.motor_poles))
-        else:
-            print(lay(Path(options.folder)))
+        print(options.run(options))
     except QuasiError as error:
         print(f"[ERROR] {error}", file=sys.stderr)
         return 1
