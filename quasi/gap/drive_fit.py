@@ -113,11 +113,13 @@ def reference_voltage(flights: Sequence[Flown]) -> float | None:
 def belief_of(document: Mapping[str, Any], kind: str) -> Belief | None:
     """What a model's document holds of its actuators, for commands of this kind; None when it holds none.
 
-    A speed is asked for directly when the commands are speeds; then the map is offset and gain.
+    A speed is asked for directly when the commands are speeds; then the map is offset and gain. What extensions say of
+    the rotors stands in place of the model's own, as in simulations.
     """
     held = document.get("actuators") or {}
     if "time constants" not in held:
         return None
+    found = {k: v for e in document.get("extensions") or [] for k, v in (e.get("actuators") or {}).items()}
 
     def mean(name: str, otherwise: float) -> float:
         return float(np.mean(held[name]["value"])) if name in held else otherwise
@@ -125,6 +127,8 @@ def belief_of(document: Mapping[str, Any], kind: str) -> Belief | None:
     tau = mean("time constants", 0.03)
     values = np.zeros(len(NAMES))
     values[:3] = mean("time constants up", tau), mean("time constants down", tau), mean("delay", 0.0)
+    values[:2] = found.get("time constant", values[:2])
+    values[2] = found.get("delay", values[2])
     voltage = None
     if kind == "speeds":
         values[4] = 1.0
@@ -136,7 +140,8 @@ def belief_of(document: Mapping[str, Any], kind: str) -> Belief | None:
             if power > 2:
                 return None
             values[3 + power] = coefficient
-        values[6] = float((table.get("voltage exponent") or {}).get("value") or 0.0)
+        own = (table.get("voltage exponent") or {}).get("value") or 0.0
+        values[6] = float(found.get("voltage exponent", own))
         voltage = table.get("reference voltage")
     return Belief(values, voltage)
 

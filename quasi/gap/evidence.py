@@ -16,6 +16,7 @@ from quasi import attitude
 from quasi.airframe import Airframe
 from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.errors import ConfigError, DataError, ExpressionError
+from quasi.gap.instruments import put_right, shown
 from quasi.standalone.model import AXES, ROTORS, Model
 
 NEEDED = (*ROTORS, *(f"{w}_dot" for w in ROTORS), "p", "q", "r", "roll", "pitch", "yaw", "u", "v", "w", *AXES)
@@ -191,11 +192,12 @@ class Evidence:
 
     def predicted_with(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
         """Wrench of the model (n, 6) with some of the flight's columns replaced."""
-        return _predict(self.model, {**self.columns, **columns})
+        return self.with_columns(columns).predicted
 
     def with_columns(self, columns: Mapping[str, np.ndarray]) -> "Evidence":
         """The flight with some of its columns replaced, and what the model makes of them."""
-        return replace(self, columns={**self.columns, **columns}, predicted=self.predicted_with(columns))
+        merged = {**self.columns, **columns}
+        return _as_shown(replace(self, columns=merged, predicted=_predict(self.model, merged)))
 
     def _slope(self, name: str) -> np.ndarray:
         cache = self.__dict__.setdefault("_slopes", {})
@@ -205,6 +207,13 @@ class Evidence:
             sides = [_predict(self.model, {**self.columns, here: self.columns[here] + s * step}) for s in (1, -1)]
             cache[name] = (sides[0] - sides[1]) / (2.0 * step)
         return cache[name]
+
+
+def _as_shown(flight: Evidence) -> Evidence:
+    """The flight with the wrench that its instruments would show, where the model was extended before."""
+    if not flight.model.document.get("extensions"):
+        return flight
+    return replace(flight, predicted=shown(flight.model, flight.model, flight))
 
 
 def _predict(model: Model, columns: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -277,6 +286,7 @@ def gather(
     columns = {
         name: flight[name].to_numpy(float)[rows] for name in flight if pd.api.types.is_numeric_dtype(flight[name])
     }
+    columns = put_right(model, columns)
     try:
         predicted = _predict(model, columns)
     except ExpressionError as error:
@@ -300,7 +310,7 @@ def gather(
     if not np.isfinite(predicted).all():
         lacking = [a for k, a in enumerate(AXES) if not np.isfinite(predicted[:, k]).all()]
         raise DataError(f"model {model.id} has no value for {', '.join(lacking)} on flight {key}")
-    return Evidence(
+    found = Evidence(
         key,
         airframe,
         model,
@@ -311,3 +321,4 @@ def gather(
         predicted,
         metadata,
     )
+    return _as_shown(found)

@@ -9,14 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
 from quasi.gap.effect import EARTH, Effect, Extension, Values, Vehicle
-from quasi.gap.evidence import Evidence
-from quasi.gap.inflow import overshoot
-from quasi.gap.pendulum import pull_of
-from quasi.standalone.model import AXES, ROTORS, Model
+from quasi.gap.instruments import CONFIGURED
+from quasi.simulation.variants import actuators_of, named, parts_of, wind_of
+from quasi.standalone.model import AXES, Model
 
 
 def extension_of(effect: Effect, values: Values, vehicle: Vehicle, model: Model) -> Extension:
@@ -50,7 +48,10 @@ def extend(
     """
     document = copy.deepcopy(model.document)
     document["id"] = name
-    document["extensions"] = []
+    # what an earlier gap found stays: a model that is extended already is extended further
+    document["extensions"] = list(document.get("extensions") or [])
+    known, first = actuators_of(model), len(document["extensions"])
+    lengths = {axis: len(part["terms"]) for axis, part in document["axes"].items()}
     if changes is not None:
         own = [term for axis in AXES for term in document["axes"].get(axis, {"terms": []})["terms"]]
         for term, change in zip(own, changes, strict=True):
@@ -59,6 +60,7 @@ def extend(
         raise ConfigError(f"model {model.id} is normalised; identify it with 'normalize data' false to extend it")
     for effect, values in causes:
         extension = extension_of(effect, values, vehicle, model)
+        refuse_second_part(effect.id, extension, model)
         terms = {axis: list(parts) for axis, parts in extension.terms.items()}
         if "cg offset" in extension.airframe:
             for axis, parts in _moments_of(model, np.asarray(extension.airframe["cg offset"]), effect.id).items():
@@ -70,25 +72,29 @@ def extend(
                     f"cause '{effect.id}' adds to {axis}, which model {model.id} lacks; identify that axis too"
                 )
             document["axes"][axis]["terms"] += [_term(effect.id, text, value, axis, stands) for text, value in parts]
+        if "mass" in extension.airframe:
+            document.setdefault(CONFIGURED, model.airframe.mass)
         for key in ("mass", "inertia"):
             if key in extension.airframe:
                 document["airframe"][key] = extension.airframe[key]
-        if extension.environment:
-            document["environment"] = {**document.get("environment", {}), **extension.environment}
         document["extensions"].append(
             {
                 "id": effect.id,
                 "parameters": _told(effect, values),
                 "sentence": effect.happens({n: v + (effect.parameters[n].neutral or 0.0) for n, v in values.items()}),
                 "airframe": extension.airframe,
-                "actuators": extension.actuators,
+                "actuators": _in_all(extension.actuators, known),
                 "environment": extension.environment,
                 "states": extension.states,
             }
         )
-    for section in document["extensions"]:
-        if "swinging load" in section["states"]:
-            _hang(document, float(section["states"]["swinging load"]["mass"]), section["id"])
+    for number, section in enumerate(document["extensions"]):
+        if "swinging load" in (section.get("states") or {}):
+            load = float(section["states"]["swinging load"]["mass"])
+            _hang(document, load, section["id"], lengths if number < first else {})
+    wind = wind_of(Model(document, f"model {name}"))
+    if wind.any():
+        document["environment"] = {**document.get("environment", {}), "wind": wind.tolist()}
     ids = ", ".join(effect.id for effect, _ in causes) or "nothing"
     document["notes"] = [*document.get("notes", []), f"{where}: model {model.id} extended by {ids}"]
     document["provenance"] = {**document.get("provenance", {}), "extended from": model.id, "by": where}
@@ -104,10 +110,31 @@ def _told(effect: Effect, values: Values) -> dict[str, dict[str, Any]]:
     return {n: {"value": float(v), "unit": effect.parameters[n].unit} for n, v in values.items()}
 
 
-def _hang(document: dict[str, Any], load: float, cause: str) -> None:
+def refuse_second_part(cause: str, extension: Extension, model: Model) -> None:
+    """Raise ConfigError where a model carries a part with states of its own already that a cause would add."""
+    for part in named(parts_of(model)):
+        if part in extension.states:
+            raise ConfigError(
+                f"cause '{cause}' adds a second {part} to model {model.id}, which has room for one; compare the "
+                "flights with the model that this one was extended from"
+            )
+
+
+def _in_all(found: Mapping[str, float], known: Mapping[str, float]) -> dict[str, float]:
+    """Constants of rotors and their logs with what an earlier extension holds: delays add up, scales multiply."""
+    result = dict(found)
+    if "telemetry delay" in found:
+        result["telemetry delay"] += known.get("telemetry delay", 0.0)
+    if "rotor speed scale" in found:
+        result["rotor speed scale"] *= known.get("rotor speed scale", 1.0)
+    return result
+
+
+def _hang(document: dict[str, Any], load: float, cause: str, hung: Mapping[str, int]) -> None:
     """Terms for a load that hangs at rest along the apparent vertical, in predictions without its swing.
 
     It takes the share load/(mass + load) off the aerodynamic force: as if it were fixed at the cg.
+    hung  {axis: how many terms it has been taken off already}; {} for a new load
     """
     mass, axes = document["airframe"]["mass"], document["axes"]
     if mass is None or any(axis not in axes for axis in AXES[:3]):
@@ -115,8 +142,9 @@ def _hang(document: dict[str, Any], load: float, cause: str) -> None:
         raise ConfigError(f"cause '{cause}' is a load that pulls at the vehicle, but the model knows no {lacks}")
     share = load / (mass + load)
     for axis, upright in zip(AXES[:3], EARTH["z"]):
-        terms = [(t["expression"], -share * t["coefficient"]) for t in axes[axis]["terms"] if t["coefficient"]]
-        if document["gravity"] != "withGravity":
+        new = axes[axis]["terms"][hung.get(axis, 0) :]
+        terms = [(t["expression"], -share * t["coefficient"]) for t in new if t["coefficient"]]
+        if not hung and document["gravity"] != "withGravity":
             terms.append((upright, share * mass * GRAVITY))
         axes[axis]["terms"] += [_term(cause, text, value, axis, "swinging load") for text, value in terms]
 
@@ -147,58 +175,6 @@ def _moments_of(model: Model, shift: np.ndarray, cause: str) -> dict[str, list[t
     }.items():
         for force, arm in pairs:
             for term in model.document["axes"][force]["terms"]:
-                if arm:
+                if arm and not term.get("stands for"):
                     result.setdefault(axis, []).append((term["expression"], arm * term["coefficient"]))
     return result
-
-
-def _true_speeds(extended: Model, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """A flight's columns with the rotor speeds as they were, where extensions say how the recorded ones are wrong."""
-    result = dict(columns)
-    for extension in extended.document.get("extensions", []):
-        said = extension.get("actuators", {})
-        late, scale = said.get("telemetry delay", 0.0), said.get("rotor speed scale", 1.0)
-        if late or scale != 1.0:
-            for name in ROTORS:
-                result[name] = (result[name] + late * result[f"{name}_dot"]) / scale
-                result[f"{name}_dot"] = result[f"{name}_dot"] / scale
-    return result
-
-
-def shown(extended: Model, base: Model, flight: Evidence) -> np.ndarray:
-    """Wrench (n, 6) that the instruments, read with the configured constants, would show if the model were right.
-
-    Parts with states of their own act: a load swings, see `pendulum`, and air follows late, see `inflow`.
-    """
-    columns = _true_speeds(extended, flight.columns)
-    wind = extended.document.get("environment", {}).get("wind")
-    if wind is not None:
-        along = attitude.rotate_inverse(flight.quaternion, np.asarray(wind, float))
-        columns = {**columns, **{f"{a}_air": flight.velocity[:, k] - along[:, k] for k, a in enumerate("uvw")}}
-    wrench = extended.predict_columns(columns)[list(AXES)].to_numpy()
-    mass = base.airframe.mass if extended.airframe.mass is None else extended.airframe.mass
-    configured = base.airframe.mass if base.airframe.mass is not None else mass
-    inertia, own = np.asarray(extended.airframe.inertia), flight.inertia
-    turning = np.linalg.solve(inertia, (wrench[:, 3:] - flight.gyroscopic(inertia)).T).T
-    scale = configured / mass if mass else 1.0
-    force = wrench[:, :3] * scale
-    for extension in extended.document.get("extensions", []):
-        load = extension.get("states", {}).get("swinging load")
-        if load:  # it swings instead of hanging at rest
-            weight = 0.0 if extended.with_gravity else mass * GRAVITY * flight.down
-            bare = (wrench[:, :3] - weight) * (mass + load["mass"]) / mass + weight
-            force = bare * scale + load["mass"] * pull_of(flight, load["length"])
-    for extension in extended.document.get("extensions", []):
-        late = extension.get("states", {}).get("inflow lag")
-        if late:  # its terms hold the first order
-            gain, lag = late["gain"], late["time constant"]
-            beyond = overshoot(flight, gain, lag) - lag * flight.upward(gain * flight.speeds * flight.spin_up)
-            force = force + scale * beyond[:, :3]
-            turning = turning + np.linalg.solve(inertia, beyond[:, 3:].T).T
-    shift = np.zeros(3)
-    for extension in extended.document.get("extensions", []):
-        shift = shift + np.asarray(extension.get("airframe", {}).get("cg offset", np.zeros(3)), float)
-    if shift.any():
-        rates = flight.rates
-        force = force - flight.mass * (np.cross(turning, shift) + np.cross(rates, np.cross(rates, shift)))
-    return np.hstack([force, turning @ own.T + flight.gyroscopic(own)])

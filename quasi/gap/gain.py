@@ -11,7 +11,7 @@ import numpy as np
 
 from quasi.gap import blocks
 from quasi.gap.evidence import Evidence
-from quasi.gap.extension import shown
+from quasi.gap.instruments import shown
 from quasi.gap.nuisance import nuisances
 from quasi.gap.study import BAND, ORDER
 from quasi.gap.whitening import Whitener, thin, whiten

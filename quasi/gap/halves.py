@@ -22,8 +22,9 @@ from quasi.gap import rollouts
 from quasi.gap.catalogue import columns_of
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
-from quasi.gap.extension import extend, shown
+from quasi.gap.extension import extend
 from quasi.gap.gain import after, wrench_score
+from quasi.gap.instruments import shown
 from quasi.gap.nuisance import nuisances
 from quasi.gap.study import BAND, MEMORY, ORDER
 from quasi.gap.whitening import thin

@@ -1,11 +1,15 @@
 """A load on a string below the vehicle, driven by the forces that a model predicts."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba import njit
 
 from quasi import attitude
 from quasi.attitude import GRAVITY
-from quasi.gap.evidence import Evidence
+
+if TYPE_CHECKING:
+    from quasi.gap.evidence import Evidence
 
 FADING = 0.15  # damping ratio: an unknown beginning and errors of the forces are forgotten within a swing or two
 SUBSTEPS = 4  # per sample
@@ -59,13 +63,16 @@ def swing(acceleration, height, t, breaks, length, fading):
     return pull
 
 
-def pull_of(evidence: Evidence, length: float) -> np.ndarray:
+def pull_of(evidence: "Evidence", length: float, specific: np.ndarray | None = None) -> np.ndarray:
     """Force on the cg per kg of load, body axes (n, 3), m/s2.
+
+    specific  force per mass of the model (n, 3), body axes, m/s2; None where the model carries no load itself
 
     The vehicle's acceleration is that of the model's forces: the measured one holds the answer to the load already,
     and near resonance a small error of it is all that there is.
     """
-    forces = attitude.rotate(evidence.quaternion, evidence.force / evidence.mass)
+    specific = evidence.force / evidence.mass if specific is None else specific
+    forces = attitude.rotate(evidence.quaternion, specific)
     pull = swing(
         forces + [0.0, 0.0, GRAVITY], -evidence.position[:, 2], evidence.t, evidence.breaks, float(length), FADING
     )

@@ -74,7 +74,8 @@ def examine(
     asked = {n: e for n, e in effects.items() if e.level == "W" and not e.finding}
     # net forces hold the weight: a model of these cannot carry another mass, nor forces to another point
     weightless = {} if model.with_gravity else {n: NET for n in WEIGHING if n in asked}
-    asked = {n: e for n, e in asked.items() if n not in weightless}
+    unbearable = weightless | _carried(asked, model)
+    asked = {n: e for n, e in asked.items() if n not in unbearable}
     within = {n: e.limits(vehicle) for n, e in asked.items()}
     sought = seek(flights, asked, vehicle, compared, rate, within)
     study, mixed, ties = sought.study, sought.mixed, sought.ties
@@ -112,10 +113,18 @@ def examine(
     if kept:
         wrong, scores["best_wrong_cause"] = best_wrong(mixed, kept, asked, model, vehicle, held, judge.old)
     return Found(
-        kept, ties, immaterial, sought.ranking, sought.level, study.lacking | weightless, study, scores, wrong,
+        kept, ties, immaterial, sought.ranking, sought.level, study.lacking | unbearable, study, scores, wrong,
         extended, unjudged, contradicted | vague,
         [c for c in stand_ins if any(_stands_for(c, *tie) for tie in ties)],
     )  # fmt: skip
+
+
+def _carried(asked: Mapping[str, Effect], model: Model) -> dict[str, str]:
+    """{cause: why} of causes with states of their own that an earlier extension put into the model: there is room for
+    one of a kind."""
+    there = {e["id"] for e in model.document.get("extensions") or [] if e.get("states")}
+    why = f"model {model.id} carries it already; compare the flights with the model that this one was extended from"
+    return {n: why for n in asked if n in there}
 
 
 def _fewest(

@@ -7,7 +7,8 @@ from plain_plant import made_model
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
 from quasi.gap.evidence import Evidence
-from quasi.gap.extension import extend, shown
+from quasi.gap.extension import extend
+from quasi.gap.instruments import shown
 from quasi.gap.pendulum import pull_of
 from quasi.standalone.model import AXES, Model
 

@@ -3,13 +3,15 @@
 import numpy as np
 
 from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
+from quasi.simulation.variants import actuators_of
 from quasi.standalone.model import Model
 
 
 def _extension(values: Values, _: Vehicle, model: Model) -> Extension:
     """The delay found is beyond what the model has."""
-    held = (model.document.get("actuators") or {}).get("delay")
-    return Extension(actuators={"delay": values["delay"] + (float(np.mean(held["value"])) if held else 0.0)})
+    own = (model.document.get("actuators") or {}).get("delay")
+    held = actuators_of(model).get("delay", float(np.mean(own["value"])) if own else 0.0)
+    return Extension(actuators={"delay": values["delay"] + held})
 
 
 EFFECT = Effect(

@@ -1,0 +1,130 @@
+"""A model that a gap extended is compared like any other: its flights agree with it, and what it knows stays."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_gap_extension import CATALOGUE, base_of, flight
+
+from quasi.gap.drive_fit import belief_of
+from quasi.gap.effect import vehicle_of
+from quasi.gap.evidence import gather
+from quasi.gap.extension import extend
+from quasi.gap.instruments import put_right, shown
+from quasi.gap.wrench import WEIGHING, _carried
+from quasi.simulation.variants import actuators_of, wind_of
+from quasi.standalone.model import AXES, Model
+
+ONE = {
+    "wind": {"north": 1.4, "east": -0.9, "down": 0.0},
+    "mass": {"mass": 0.05},
+    "inertia": {"Ixx": 2e-4, "Izz": -3e-4},
+    "cg_offset": {"x": 0.004, "y": -0.002, "z": 0.0},
+    "rotor_speed_scale": {"scale": 0.08},
+    "telemetry_delay": {"delay": 0.006},
+    "body_drag": {"c": 0.05},
+    "inflow_lag": {"tau": 0.02},
+    "payload_swing": {"mass at 0.5 m": 0.03},
+}
+
+
+def extended(model, *causes):
+    document = extend(model, [(CATALOGUE[n], v) for n, v in causes], vehicle_of(model), "more", "test")
+    return Model(document)
+
+
+def recorded(base, truth):
+    """A flight's table that shows what the instruments would if `truth`, an extension of `base`, were right."""
+    evidence, _ = flight(base)
+    wrench = shown(truth, base, evidence)
+    return pd.DataFrame({**evidence.columns, **dict(zip(AXES, wrench.T))}), evidence
+
+
+def gathered(table, model, base):
+    frame = base.airframe
+    return gather("a", table, {"mass": frame.mass, "inertia": np.asarray(frame.inertia)}, frame, model, 100.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "gravity"),
+    [*((n, "withGravity") for n in ONE), *((n, "noGravity") for n in ONE if n not in WEIGHING)],
+)
+def test_flights_agree_with_the_model_that_holds_their_cause(name, gravity):
+    base = base_of(gravity)
+    truth = extended(base, (name, ONE[name]))
+    table, _ = recorded(base, truth)
+    apart = np.abs(gathered(table, base, base).residual).max(axis=0)
+    left = np.abs(gathered(table, truth, base).residual).max(axis=0)
+    assert apart.max() > 1e-4
+    assert left.max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ["wind", "mass", "inertia", "rotor_speed_scale", "telemetry_delay", "body_drag"])
+def test_one_step_after_another_is_both_at_once(name):
+    base = base_of("withGravity")
+    parts = {k: 0.5 * v for k, v in ONE[name].items()}
+    whole = ONE[name]
+    if name == "rotor_speed_scale":
+        parts = {"scale": np.sqrt(1.0 + whole["scale"]) - 1.0}
+    twice = extended(extended(base, (name, parts)), (name, parts))
+    once = extended(base, (name, whole))
+    table, evidence = recorded(base, once)
+    np.testing.assert_allclose(shown(twice, base, evidence), shown(once, base, evidence), atol=1e-9)
+    # and the second step is judged on flights that were put right by the first
+    between = extended(base, (name, parts))
+    half = gathered(table, between, base)
+    assert np.abs(half.residual).max() > 1e-4
+    np.testing.assert_allclose(shown(twice, between, half), half.measured, atol=1e-9)
+
+
+def test_what_an_earlier_extension_knows_stays_beside_a_later_one():
+    base = base_of("withGravity")
+    first = extended(
+        base, *((n, ONE[n]) for n in ("wind", "mass", "cg_offset", "rotor_speed_scale", "telemetry_delay"))
+    )
+    for second in (extended(first), extended(first, ("body_drag", ONE["body_drag"]))):
+        assert [e["id"] for e in second.document["extensions"]][:5] == [e["id"] for e in first.document["extensions"]]
+        np.testing.assert_allclose(wind_of(second), [1.4, -0.9, 0.0])
+        assert second.document["environment"]["wind"] == pytest.approx([1.4, -0.9, 0.0])
+        assert actuators_of(second) == actuators_of(first)
+        assert second.document["configured mass"] == base.airframe.mass
+        assert second.airframe.mass == pytest.approx(base.airframe.mass + 0.05)
+
+
+def test_a_later_force_is_taken_off_by_an_earlier_load_as_well():
+    base = base_of("withGravity")
+    later = extended(extended(base, ("payload_swing", ONE["payload_swing"])), ("body_drag", ONE["body_drag"]))
+    at_once = extended(base, ("payload_swing", ONE["payload_swing"]), ("body_drag", ONE["body_drag"]))
+    evidence, _ = flight(base)
+    both = [m.predict_columns(evidence.columns)[list(AXES)].to_numpy() for m in (later, at_once)]
+    np.testing.assert_allclose(*both, atol=1e-12)
+
+
+def test_the_air_of_an_earlier_wind_is_what_forces_are_asked_of():
+    base = base_of("withGravity")
+    first = extended(base, ("wind", ONE["wind"]))
+    evidence, _ = flight(base)
+    right = put_right(first, evidence.columns)
+    level = {**evidence.columns, **dict.fromkeys(("roll", "pitch", "yaw"), 0.0 * evidence.t)}
+    assert "u_air" not in evidence.columns and "u_air" in right
+    np.testing.assert_allclose(put_right(first, level)["u_air"], evidence.columns["u"] - 1.4)
+    np.testing.assert_allclose(put_right(first, level)["v_air"], evidence.columns["v"] + 0.9)
+
+
+def test_a_second_load_is_not_asked_of_a_model_that_carries_one():
+    model = extended(base_of("withGravity"), ("payload_swing", ONE["payload_swing"]))
+    assert list(_carried(CATALOGUE, model)) == ["payload_swing"]
+    assert not _carried(CATALOGUE, base_of("withGravity"))
+
+
+def test_a_lag_that_was_found_is_the_model_s_own_from_then_on():
+    base = base_of("withGravity")
+    map_of = {"powers": [0, 1, 2], "coefficients": [0.0, 2000.0, 0.0], "voltage exponent": {"value": 0.7}}
+    actuators = {"time constants": {"value": [0.03] * 4}, "time constants up": {"value": [0.025] * 4},
+                 "time constants down": {"value": [0.035] * 4}, "delay": {"value": [0.004] * 4},
+                 "command map": map_of}  # fmt: skip
+    base = Model({**base.document, "actuators": actuators})
+    lagging = extended(base, ("motor_lag", {"time_constant": 0.045}), ("command_delay", {"delay": 0.01}))
+    sagging = extended(lagging, ("battery_sag", {"exponent": 0.9}), ("command_delay", {"delay": 0.002}))
+    assert belief_of(base.document, "shares").values[[0, 1, 2, 6]] == pytest.approx([0.025, 0.035, 0.004, 0.7])
+    assert belief_of(lagging.document, "shares").values[[0, 1, 2, 6]] == pytest.approx([0.045, 0.045, 0.014, 0.7])
+    assert belief_of(sagging.document, "shares").values[[0, 1, 2, 6]] == pytest.approx([0.045, 0.045, 0.016, 0.9])
