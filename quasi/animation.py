@@ -76,7 +76,8 @@ class Scene:
             self.canvas.draw()
         self.canvas.restore_region(self._background)
         # the farther drone first, as matplotlib itself sorts
-        depth = [(max(a.do_3d_projection() for a in d.artists), k) for k, d in enumerate(self.drones)]
+        with np.errstate(all="ignore"):  # matplotlib fills faces up to the longest one's length with what memory holds
+            depth = [(max(a.do_3d_projection() for a in d.artists), k) for k, d in enumerate(self.drones)]
         for artist in self._moving:
             self.axes.draw_artist(artist)
         for _, k in sorted(depth, reverse=True):

@@ -66,7 +66,7 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name, table in found.tables.items():
         write_table(folder / f"{name}.parquet", table, units_of(table))
-    write_table(output["partition"], _partition(flights, roles), UNITS)
+    write_table(output["partition"], _partition(flights, roles, found.document["effects"]), UNITS)
     write_json(output["model"], found.model)
     write_json(output["diagnosis"], found.document)
 
@@ -81,10 +81,13 @@ def too_short(flights: dict[str, pd.DataFrame], roles: dict[str, str], horizon: 
     ]
 
 
-def _partition(flights: dict[str, pd.DataFrame], roles: dict[str, str]) -> pd.DataFrame:
-    """Which rows the extended model may be judged on as training and as validation."""
+def _partition(flights: dict[str, pd.DataFrame], roles: dict[str, str], effects: list[dict]) -> pd.DataFrame:
+    """Which rows the extended model may be judged on as training and as validation: where a cause is new, reference
+    flights are of the vehicle as it was, and neither."""
+    new = any(e["since"] == "changed" or e.get("in training flights") is False for e in effects)
     held = [k for k in flights if roles[k] == "held out"]
-    return to_table(partition(flights, held, {"random partition": False}))
+    judged = {k: table for k, table in flights.items() if not (new and roles[k] == "reference")}
+    return to_table(partition(judged, held, {"random partition": False}))
 
 
 def _flown(source: dict, prefix: str, airframes: dict) -> list[Flown]:

@@ -17,7 +17,7 @@ from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.extension import extend
 from quasi.gap.rollouts import COMMANDED, SHARES, Flight
 from quasi.simulation.replay import Rotors, rotors_of
-from quasi.simulation.variants import actuators_of
+from quasi.standalone.extensions import actuators_of
 from quasi.standalone.model import Model
 
 

@@ -16,7 +16,8 @@ from quasi import attitude
 from quasi.airframe import Airframe
 from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.errors import ConfigError, DataError, ExpressionError
-from quasi.gap.instruments import put_right, shown
+from quasi.gap.instruments import shown
+from quasi.standalone.extensions import put_right
 from quasi.standalone.model import AXES, ROTORS, Model
 
 NEEDED = (*ROTORS, *(f"{w}_dot" for w in ROTORS), "p", "q", "r", "roll", "pitch", "yaw", "u", "v", "w", *AXES)

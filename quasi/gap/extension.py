@@ -12,8 +12,8 @@ import numpy as np
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
 from quasi.gap.effect import EARTH, Effect, Extension, Values, Vehicle
-from quasi.gap.instruments import CONFIGURED
-from quasi.simulation.variants import actuators_of, named, parts_of, wind_of
+from quasi.simulation.variants import named, parts_of
+from quasi.standalone.extensions import CONFIGURED, actuators_of, wind_of
 from quasi.standalone.model import AXES, Model
 
 

@@ -11,7 +11,7 @@ from quasi.gap import blocks
 from quasi.gap.gain import states_of
 from quasi.simulation.replay import Rotors, replay, steps_of, twelve
 from quasi.simulation.rollout import errors
-from quasi.simulation.variants import actuators_of
+from quasi.standalone.extensions import actuators_of, shift_of
 from quasi.standalone.model import Model
 
 EVERY = 0.2  # s between the starts of two windows
@@ -88,7 +88,7 @@ def simulated(
     air = None if wind is None else np.ascontiguousarray(np.broadcast_to(np.asarray(wind, float), (len(flight.t), 3)))
     extra = {n: np.nan_to_num(flight.table[n].to_numpy(float)) for n in model.inputs[20:] if n in flight.table}
     commands = None if commands is None else np.nan_to_num(commands)
-    shift, states = _shift_of(model), flight.states
+    shift, states = shift_of(model), flight.states
     if shift.any():  # what is measured at the configured cg, at the true one
         states = states.copy()
         states[:, 3:6] += np.cross(states[:, 6:9], shift)
@@ -99,12 +99,6 @@ def simulated(
         run[..., 3:6] -= np.cross(run[..., 6:9], shift)
         run[..., 9:] -= rotate(from_euler(*np.moveaxis(run[..., :3], -1, 0)), shift)
     return run
-
-
-def _shift_of(model: Model) -> np.ndarray:
-    """True minus configured cg (3,), m, body axes, by the model's extensions."""
-    found = [(e.get("airframe") or {}).get("cg offset") for e in model.document.get("extensions") or []]
-    return np.sum([np.zeros(3), *(np.asarray(f, float) for f in found if f is not None)], axis=0)
 
 
 def vectors(run: np.ndarray, flight: Flight, starts: np.ndarray, lags: np.ndarray) -> np.ndarray:

@@ -19,7 +19,8 @@ from quasi.errors import DataError, ShapeError
 from quasi.simulation.dynamics import RK4, advance, body_of, inputs_of, rest, scratch_of
 from quasi.simulation.layout import CAP, EXTRAS, HELD, LOAD_MASS, OFFSET, ROTORS, SHARE, SLOPE, STATES, TARGET, WIND
 from quasi.simulation.parts import put
-from quasi.simulation.variants import actuators_of, extended, parts_of, wind_of, with_parts
+from quasi.simulation.variants import extended, parts_of, with_parts
+from quasi.standalone.extensions import actuators_of, wind_of
 from quasi.standalone.model import Model
 
 

@@ -41,7 +41,8 @@ from quasi.simulation.loop import Battery, Drive, Live, Machine, live_of
 from quasi.simulation.parts import put
 from quasi.simulation.references import make_reference
 from quasi.simulation.stability import check_step
-from quasi.simulation.variants import actuators_of, extended, parts_of, simple_model, wind_of, with_parts
+from quasi.simulation.variants import extended, parts_of, simple_model, with_parts
+from quasi.standalone.extensions import actuators_of, wind_of
 from quasi.standalone.model import Model
 
 STATE_NAMES = ("qw", "qx", "qy", "qz", "u", "v", "w", "p", "q", "r", "x", "y", "z", "w1", "w2", "w3", "w4")

@@ -1,6 +1,5 @@
 """Other models made of a model: with its extensions in place, or the simple one that was identified beside it."""
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -8,13 +7,11 @@ import numpy as np
 
 from quasi.errors import ConfigError, DataError, nearest
 from quasi.simulation.parts import Parts
+from quasi.standalone.extensions import extensions_of
 from quasi.standalone.model import AXES, Model
 
 _SIMPLE = {"Fz": ("w2_1 + w2_2 + w2_3 + w2_4", "kappaFz", -1.0), "Mx": ("U_p", "kappaMx", 1.0),
            "My": ("U_q", "kappaMy", 1.0), "Mz": ("U_r", "kappaMz", 1.0)}  # fmt: skip
-
-
-_ROTORS = ("time constant", "delay", "voltage exponent", "telemetry delay", "rotor speed scale")
 
 
 def given_term(expression: str, coefficient: float, unit: str = "") -> dict[str, Any]:
@@ -27,7 +24,7 @@ def extended(model: Model) -> Model:
     """The model with the terms of its extensions in its axes; the model itself where they stand there already.
 
     document["extensions"] is a list of sections: "id"; optional "terms" {axis: [{"expression", "coefficient"}]};
-    "actuators" and "environment", see `actuators_of` and `wind_of`; "states", parts with a memory of their own, see
+    "actuators" and "environment", see `standalone.extensions`; "states", parts with a memory of their own, see
     `parts_of`. Raises ConfigError for an extension that cannot be understood.
     """
     document = {**model.document, "axes": {a: dict(part) for a, part in model.document["axes"].items()}}
@@ -106,45 +103,6 @@ def with_parts(model: Model) -> Model:
         return model
     document = {**model.document, "axes": {a: {**part, "terms": kept[a]} for a, part in axes.items()}}
     return Model(document, f"model {model.id} with its parts")
-
-
-def extensions_of(model: Model) -> list[Mapping[str, Any]]:
-    """The extensions of a model. Raises ConfigError where they are damaged."""
-    found = model.document.get("extensions") or []
-    if not all(isinstance(e, Mapping) for e in found):
-        raise ConfigError(f"model {model.id} holds an extension that is no section; make the model anew")
-    return list(found)
-
-
-def actuators_of(model: Model) -> dict[str, float]:
-    """What extensions say of the rotors and their logs; {} without any. Raises ConfigError for anything else.
-
-    "time constant" s; "delay" s; "voltage exponent" of the settled speed; and of the flights' recordings, which play a
-    part where recorded speeds drive a roll-out: "telemetry delay" s that they are late by, "rotor speed scale" that
-    they are too high by
-    """
-    found: dict[str, float] = {}
-    for extension in extensions_of(model):
-        for key, value in (extension.get("actuators") or {}).items():
-            what = f"model {model.id}, extension '{extension.get('id')}'"
-            if key not in _ROTORS:
-                raise ConfigError(f"{what} changes the rotors' '{key}', which the simulator does not know"
-                                  f"{nearest(key, _ROTORS)}; extend the model without it")  # fmt: skip
-            number = float(value) if isinstance(value, int | float) else math.nan
-            positive = key in ("time constant", "rotor speed scale")
-            if not math.isfinite(number) or (positive and number <= 0.0):
-                raise ConfigError(f"{what}: '{key}' is {value!r}, expected a {'positive' if positive else 'finite'} "
-                                  "number; make the extended model anew")  # fmt: skip
-            found[key] = number
-    return found
-
-
-def wind_of(model: Model) -> np.ndarray:
-    """Velocity of the air (3,), m/s, north east down, that the model's extensions found in its flights."""
-    wind = np.zeros(3)
-    for extension in extensions_of(model):
-        wind = wind + np.asarray((extension.get("environment") or {}).get("wind", np.zeros(3)), float)
-    return wind
 
 
 def simple_model(model: Model) -> Model:

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.standalone.diagnostics import covered_share, diagnose
+from quasi.standalone.extensions import as_read
 from quasi.standalone.model import Model
 from quasi.standalone.score import Judged, judge, score_judged
 
@@ -34,12 +35,17 @@ def review(
     flights  filtered flights; partition {flight: (n,) role codes}; roles {name: code}
     aside    {axis: {flight: (n,) bool}} training rows that isolation sets aside; partitioning  how rows were drawn
     base     the model that a gap extended to this one: judged on the same rows, and compared with
+    Extended models are compared with flights that are read with what they know, see `as_read`.
     """
-    judged = judge(model, flights, partition, aside)
+    read = {key: as_read(model, flight) for key, flight in flights.items()}
+    judged = judge(model, read, partition, aside)
     scores = score_judged(judged, model, roles)
     held = {key: np.asarray(partition[key]) == roles["validation"] for key in flights}
     held = {key: rows for key, rows in held.items() if rows.any()}
-    coverage, beyond = covered_share(model, {key: flights[key] for key in held}, held)
-    beside = (base.id, score_judged(judge(base, flights, partition, aside), base, roles)) if base else None
+    coverage, beyond = covered_share(model, {key: read[key] for key in held}, held)
+    beside = None
+    if base:
+        own = {key: as_read(base, flight) for key, flight in flights.items()}
+        beside = base.id, score_judged(judge(base, own, partition, aside), base, roles)
     diagnosis = diagnose(model, judged, scores, coverage, beyond, roles, partitioning, beside)
     return Review(judged, scores, coverage, diagnosis)

@@ -131,7 +131,7 @@ def test_text_of_a_quadrotor_where_a_number_is_meant_names_the_key(key, value):
 
 def test_nesting_beyond_reason_is_a_sentence():
     document = 1
-    for _ in range(900):
+    for _ in range(5000):
         document = {"a": document}
     with pytest.raises(ConfigError, match="p.json is nested too deeply"):
         configuration.check(document, "processing", "p.json")

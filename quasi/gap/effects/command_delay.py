@@ -3,7 +3,7 @@
 import numpy as np
 
 from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
-from quasi.simulation.variants import actuators_of
+from quasi.standalone.extensions import actuators_of
 from quasi.standalone.model import Model
 
 

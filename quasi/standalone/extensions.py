@@ -1,0 +1,126 @@
+"""What the extensions of a model know: of rotors and their logs, of the air, of mass, inertia and centre of gravity.
+
+A flight is recorded and filtered with the constants that were configured. A model that was extended by other ones is
+compared with it once the recording is read with these.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from quasi import attitude
+from quasi.errors import ConfigError, nearest
+from quasi.standalone.model import ROTORS, Model
+
+CONFIGURED = "configured mass"  # of a model's document, kg: that its flights were processed with
+_ROTORS = ("time constant", "delay", "voltage exponent", "telemetry delay", "rotor speed scale")
+
+
+def extensions_of(model: Model) -> list[Mapping[str, Any]]:
+    """The extensions of a model. Raises ConfigError where they are damaged."""
+    found = model.document.get("extensions") or []
+    if not all(isinstance(e, Mapping) for e in found):
+        raise ConfigError(f"model {model.id} holds an extension that is no section; make the model anew")
+    return list(found)
+
+
+def actuators_of(model: Model) -> dict[str, float]:
+    """What extensions say of the rotors and their logs; {} without any. Raises ConfigError for anything else.
+
+    "time constant" s; "delay" s; "voltage exponent" of the settled speed; and of the flights' recordings, which play a
+    part where recorded speeds drive a roll-out: "telemetry delay" s that they are late by, "rotor speed scale" that
+    they are too high by
+    """
+    found: dict[str, float] = {}
+    for extension in extensions_of(model):
+        for key, value in (extension.get("actuators") or {}).items():
+            what = f"model {model.id}, extension '{extension.get('id')}'"
+            if key not in _ROTORS:
+                raise ConfigError(f"{what} changes the rotors' '{key}', which the simulator does not know"
+                                  f"{nearest(key, _ROTORS)}; extend the model without it")  # fmt: skip
+            number = float(value) if isinstance(value, int | float) else math.nan
+            positive = key in ("time constant", "rotor speed scale")
+            if not math.isfinite(number) or (positive and number <= 0.0):
+                raise ConfigError(f"{what}: '{key}' is {value!r}, expected a {'positive' if positive else 'finite'} "
+                                  "number; make the extended model anew")  # fmt: skip
+            found[key] = number
+    return found
+
+
+def wind_of(model: Model) -> np.ndarray:
+    """Velocity of the air (3,), m/s, north east down, that the model's extensions found in its flights."""
+    wind = np.zeros(3)
+    for extension in extensions_of(model):
+        wind = wind + np.asarray((extension.get("environment") or {}).get("wind", np.zeros(3)), float)
+    return wind
+
+
+def telemetry_of(model: Model) -> tuple[float, float]:
+    """How late (s) and by which factor too high recorded rotor speeds are."""
+    said = actuators_of(model)
+    return said.get("telemetry delay", 0.0), said.get("rotor speed scale", 1.0)
+
+
+def shift_of(model: Model) -> np.ndarray:
+    """True minus configured centre of gravity (3,), m, body axes."""
+    found = [(e.get("airframe") or {}).get("cg offset") for e in extensions_of(model)]
+    return np.sum([np.zeros(3), *(np.asarray(f, float) for f in found if f is not None)], axis=0)
+
+
+def configured_mass(model: Model) -> float | None:
+    """Mass, kg, that flights are read with; the model's own may differ from it by what extensions found."""
+    return model.document.get(CONFIGURED, model.airframe.mass)
+
+
+def true_speeds(columns: Mapping[str, np.ndarray], late: float, scale: float) -> dict[str, np.ndarray]:
+    """A flight's columns with the rotor speeds as they were. late  s that they are late by; scale  too high by"""
+    result = dict(columns)
+    if late or scale != 1.0:
+        for name in ROTORS:
+            slope = f"{name}_dot"
+            result[name] = (columns[name] + late * columns[slope]) / scale
+            result[slope] = columns[slope] / scale
+    return result
+
+
+def put_right(model: Model, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """A flight's columns as they would be without what the model knows of rotor speeds and air: the rotors' true
+    speeds, and the velocity through the air."""
+    result = true_speeds(columns, *telemetry_of(model))
+    wind = wind_of(model)
+    if wind.any():
+        quaternion = attitude.from_euler(*(columns[c] for c in ("roll", "pitch", "yaw")))
+        over_ground = np.stack([columns.get(f"{c}_air", columns[c]) for c in "uvw"], axis=1)
+        through_air = over_ground - attitude.rotate_inverse(quaternion, wind)
+        result |= {f"{c}_air": through_air[:, k] for k, c in enumerate("uvw")}
+    return result
+
+
+def as_read(model: Model, flight: pd.DataFrame) -> pd.DataFrame:
+    """A filtered flight read with what the model knows: rotor speeds, air, and forces and moments by its own mass,
+    inertia and centre of gravity instead of the configured ones.
+
+    Parts with states of their own (a load that swings, inflow that lags) stay in the measurement. Source: the filter's
+    definitions F = m f, M = I domega/dt + omega x I omega.
+    """
+    sections = extensions_of(model)
+    if not sections:
+        return flight
+    columns = {n: flight[n].to_numpy(float) for n in flight if pd.api.types.is_numeric_dtype(flight[n])}
+    result = put_right(model, columns)
+    rates, turning = (np.stack([columns[f"{c}{d}"] for c in "pqr"], axis=1) for d in ("", "_dot"))
+    shift, configured, mass = shift_of(model), configured_mass(model), model.airframe.mass
+    force = np.stack([columns[a] for a in ("Fx", "Fy", "Fz")], axis=1)
+    if shift.any():
+        force = force + configured * (np.cross(turning, shift) + np.cross(rates, np.cross(rates, shift)))
+    if mass and configured and mass != configured:
+        force = force * (mass / configured)
+    result |= dict(zip(("Fx", "Fy", "Fz"), force.T))
+    if any("inertia" in (e.get("airframe") or {}) for e in sections):
+        inertia = np.asarray(model.airframe.inertia, float)
+        moment = turning @ inertia.T + np.cross(rates, rates @ inertia.T)
+        result |= dict(zip(("Mx", "My", "Mz"), moment.T))
+    return flight.assign(**result)
