@@ -33,6 +33,13 @@ def _crowded(values: np.ndarray, sign: float) -> float | None:
     return None if best is None else float(sign * best[1])
 
 
+def _closed(table: np.ndarray) -> np.ndarray:
+    """True (n,) where all four commands (n, 4) are as low as can be: the throttle is closed, as when rotors are switched
+    off a little above the floor, and no limit keeps a rotor from what was asked of it."""
+    lowest = np.nanmin(table, initial=np.inf)
+    return (table <= lowest + WIDTH * max(abs(lowest), 1.0)).all(axis=1)
+
+
 def saturated(flights: Sequence[Flown], kind: str) -> list[dict[str, Any]]:
     """Commands of the compared flights that sit at a common limit: which rotor, how often, first when."""
     names = [f"w{i}_CMD" if kind == "speeds" else f"command{i}" for i in range(1, 5)]
@@ -44,6 +51,7 @@ def saturated(flights: Sequence[Flown], kind: str) -> list[dict[str, Any]]:
         for f in flights
     ]
     tables = [f.imported[names].to_numpy(float) for f in flights]
+    rows = [good & ~_closed(table) for good, table in zip(rows, tables)]
     pooled = np.concatenate([table[good].ravel() for table, good in zip(tables, rows)])
     if len(pooled) < 1000:
         return []

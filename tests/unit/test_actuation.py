@@ -139,6 +139,23 @@ def test_how_clearly_a_size_shows_by_level_a():
     np.testing.assert_allclose(size_of("motor_lag", {"time_constant": 0.04}, healthy), [0.04 - UP, 0.04 - DOWN])
 
 
+def test_rotors_that_are_switched_off_in_the_air_sit_at_no_limit():
+    def cut(rotors):
+        """The last fiftieth of each flight with some rotors' commands at nothing."""
+        flights = []
+        for plain in (flown(1), flown(2)):
+            table, end = plain.imported.copy(), int(0.98 * len(plain.imported))
+            for i in rotors:
+                table.loc[end:, f"command{i}"] = 0.0
+            flights.append(plain._replace(imported=table))
+        return flights
+
+    assert not saturated(cut([1, 2, 3, 4]), "shares")
+    (finding,) = saturated(cut([1, 2]), "shares")  # these two, while the others fly on, are out of reach
+    assert "a lower limit" in finding["text"]
+    assert finding["evidence"]["share"]["rotor1"] == pytest.approx(0.02, abs=0.002)
+
+
 def test_commands_at_a_limit_and_a_slow_motor_are_findings():
     limited = [flown(s, limit=0.48) for s in (1, 2)]
     (finding,) = saturated(limited, "shares")
