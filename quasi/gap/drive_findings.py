@@ -34,8 +34,10 @@ def _crowded(values: np.ndarray, sign: float) -> float | None:
 
 
 def _closed(table: np.ndarray) -> np.ndarray:
-    """True (n,) where all four commands (n, 4) are as low as can be: the throttle is closed, as when rotors are switched
-    off a little above the floor, and no limit keeps a rotor from what was asked of it."""
+    """True (n,) where all four commands (n, 4) are as low as can be.
+
+    Then the throttle is closed, as where rotors are switched off above the floor, and no limit holds one rotor back.
+    """
     lowest = np.nanmin(table, initial=np.inf)
     return (table <= lowest + WIDTH * max(abs(lowest), 1.0)).all(axis=1)
 

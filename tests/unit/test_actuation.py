@@ -1,5 +1,6 @@
 """Level A: rotors integrated by a plain loop, each fault of the drive found under its name with its size."""
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -147,7 +148,7 @@ def test_rotors_that_are_switched_off_in_the_air_sit_at_no_limit():
             table, end = plain.imported.copy(), int(0.98 * len(plain.imported))
             for i in rotors:
                 table.loc[end:, f"command{i}"] = 0.0
-            flights.append(plain._replace(imported=table))
+            flights.append(dataclasses.replace(plain, imported=table))
         return flights
 
     assert not saturated(cut([1, 2, 3, 4]), "shares")
