@@ -14,7 +14,7 @@ from quasi.airframe import read_airframe
 from quasi.errors import ConfigError, DataError
 from quasi.gap.catalogue import catalogue, chosen
 from quasi.gap.diagnosis import diagnose
-from quasi.gap.evidence import gather
+from quasi.gap.evidence import gather_all
 from quasi.gap.level import Flown
 from quasi.gap.lower import units_of
 from quasi.gap.rollouts import flight_of, windows
@@ -32,19 +32,17 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
         raise ConfigError(asked["problem"])
     model, roles = read_model(source["model"]), asked["roles"]
     effects = chosen(asked["settings"]["effects"], catalogue(asked["effect files"]), asked["file"])
-    flights, evidence, airframes, lost = {}, {}, {}, []
+    tables, airframes = {}, {}
     for path, about in progress(list(zip(source["flights"], source["metadata"], strict=True)), "reading flights"):
         key = Path(path).stem
         airframes[key] = read_airframe(asked["quadrotor"], asked["quadrotor"]["file"], asked["masses"][key])
-        table = read_table(path)
-        try:
-            evidence[key] = gather(key, table, read_json(about), airframes[key], model, RATE)
-            flights[key] = table
-        except DataError as error:
-            lost.append(str(error))
-    if not evidence:
-        raise DataError(f"{asked['file']}: no flight can be compared with {source['model']}: {lost[0]}")
-    lost = [f"{said}; it is left out of the comparison of forces and moments" for said in lost]
+        tables[key] = read_table(path), read_json(about), airframes[key]
+    try:
+        evidence, lost = gather_all(tables, model, RATE)
+    except DataError as error:
+        raise DataError(f"{asked['file']}: {error}") from None
+    # where none can be compared, the extended model is the model, and is shown on all
+    flights = {key: table for key, (table, *_) in tables.items() if key in evidence or not evidence}
     lost += too_short(flights, roles, max(asked["settings"]["horizons"]))
     held = [_flown(source, prefix, airframes) for prefix in ("first", "held")]
     calibration = read_json(source["calibration"])

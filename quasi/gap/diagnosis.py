@@ -175,19 +175,21 @@ def _since_when(result: dict[str, Any], references: str) -> None:
 
 def _unable(groups: Mapping[str, Sequence[Evidence]], roles: Mapping[str, str], lost: Sequence[str]) -> str:
     """Why no force or moment can be told from another, or nothing. lost  sentences on flights that could not be used"""
+
+    def why(role: str) -> str:
+        keys = [k for k, r in roles.items() if r == role]
+        return next((said.split("; ")[0] for said in lost if any(f"flight {k} " in said for k in keys)), "")
+
     if len(groups["compared"]) < 2:
-        count = len(groups["compared"])
+        count, because = len(groups["compared"]), why("compared")
         return (
-            f"{count or 'no'} compared flight{'s' * (count != 1)} {'is' if count == 1 else 'are'} left to learn from, "
-            "and a cause needs at least 2 beside those held out"
+            f"{count or 'no'} compared flight{'s' * (count != 1)} {'is' if count == 1 else 'are'} left to learn from"
+            f"{f' ({because})' * bool(because)}, and a cause needs at least 2 beside those held out"
         )
     if not groups["held out"]:
         if "held out" in roles.values():
-            keys = [k for k, role in roles.items() if role == "held out"]
-            why = next(
-                (said.split("; ")[0] for said in lost if any(f"flight {k} " in said for k in keys)), "see the notes"
-            )
-            return f"no held-out flight could be used ({why}); hold out another one, so that a gain is measured"
+            because = why("held out") or "see the notes"
+            return f"no held-out flight could be used ({because}); hold out another one, so that a gain is measured"
         return "no flight is held out, so that no gain can be measured; name one in 'rows of flights held out'"
     return ""
 

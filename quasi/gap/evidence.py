@@ -8,6 +8,7 @@ variables).
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,6 +28,8 @@ ELSEWHERE = 0.5  # of the arm: rotors are numbered otherwise, or it is another f
 SECOND = 1.0  # s: what low-pass filters and whiteners leave of less is nothing
 APART = 1.5  # samples: a longer step of time is a gap
 SENSELESS = 1e4  # times the weight, and the weight at the arm: no model of a quadrotor means that
+UNTOLD = ("none", "standing still")  # sources of a flight's velocity or position that tell nothing of it in flight
+PLACE = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,7 @@ class Evidence:
     @cached_property
     def position(self) -> np.ndarray:
         """Earth NED, m (n, 3)."""
-        return self.take("x", "y", "z")
+        return self.take(*PLACE)
 
     @cached_property
     def quaternion(self) -> np.ndarray:
@@ -243,6 +246,60 @@ def refuse_another_vehicle(where: str, airframe: Airframe, model: Model) -> None
         )
     if not np.array_equal(np.sign(airframe.spin), np.sign(ours.spin)):
         raise ConfigError(f"{head}: its rotors turn the other way; {remedy}")
+
+
+def measured_motion(metadata: Mapping[str, Any]) -> tuple[bool, bool]:
+    """Whether something but the accelerometer told a filtered flight's velocity, and its position.
+
+    metadata  of the flight; what it does not say is taken for measured
+    """
+    used = (metadata.get("noise") or {}).get("measurements")
+    if used is None:  # the Kalman filter was not run: states are those imported, and what was not imported is zero
+        imported = metadata.get("imported") or {}
+        return imported.get("velocity source") not in UNTOLD, imported.get("position source") not in UNTOLD
+    speed, place = (used.get(kind, {}).get("source", "none") not in UNTOLD for kind in ("velocity", "position"))
+    return speed or place, place
+
+
+def gather_all(
+    flights: Mapping[str, tuple[pd.DataFrame, Mapping[str, Any], Airframe]], model: Model, rate: float
+) -> tuple[dict[str, Evidence], list[str]]:
+    """Evidence of the flights that can be compared, by key, and a sentence on each that cannot; see `gather`.
+
+    flights  {key: filtered flight, its metadata, airframe}
+    Where some flight's position was not measured it is used of none: a height that drifts is no height, and what only
+    some flights know cannot be asked of all. Raises DataError when no flight can be compared, unless it is for want of
+    a velocity: then nothing is wrong with model and flights, and the levels below can be asked.
+    """
+    found, lost, drifting, nowhere = {}, [], False, []
+    for key, (table, metadata, airframe) in flights.items():
+        speed, place = measured_motion(metadata)
+        if not speed:
+            drifting = True
+            lost.append(
+                f"flight {key} has no source of velocity but the accelerometer, which drifts, and forces and moments "
+                "depend on it; fly it with motion capture, or bring velocity or position in its log"
+            )
+            continue
+        try:
+            known = table if place else table.drop(columns=list(PLACE), errors="ignore")
+            found[key] = gather(key, known, metadata, airframe, model, rate)
+            nowhere += [] if place else [key]
+        except DataError as error:
+            lost.append(str(error))
+    if not found and not drifting:
+        raise DataError(f"no flight can be compared with model {model.id}: {lost[0]}")
+    lost = [f"{said}; it is left out of the comparison of forces and moments" for said in lost]
+    if nowhere:
+        found = {
+            key: replace(one, columns={n: v for n, v in one.columns.items() if n not in PLACE})
+            for key, one in found.items()
+        }
+        lost.append(
+            f"flight {nowhere[0]} has no source of position (what its velocity adds up to drifts); what depends on "
+            "height or place is not asked"
+        )
+    return found, lost
 
 
 def gather(

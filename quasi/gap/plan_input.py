@@ -5,9 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from quasi.errors import ConfigError, ReadError, nearest
+from quasi.errors import ConfigError, DataError, ReadError, nearest
 from quasi.gap import plan_noise
-from quasi.gap.evidence import refuse_another_vehicle
+from quasi.gap.evidence import PLACE, measured_motion, refuse_another_vehicle
 from quasi.gap.plan import Flight, read_flight
 from quasi.gap.whitening import Whitener
 from quasi.standalone.model import Model
@@ -19,19 +19,29 @@ TABLES = (".csv", ".parquet")
 def flights_of(names: Sequence[str], model: Model, directory: Path) -> tuple[list[Flight], dict[str, Any]]:
     """Flights by path, or by name of a simulation, and what their processing says of the vehicle.
 
-    Raises a QuasiError naming the file for what is none of them, or was processed for models of another kind.
+    Raises a QuasiError naming the file for what is none of them, was processed for models of another kind, or is a
+    flight whose velocity nothing measured. A position that nothing measured is left out.
     """
     flights, about = [], {}
     for name in names:
         path, simulated = _place(name, directory)
         beside = path.with_suffix(".json")
         told = read_json(beside) if path.suffix == ".parquet" and beside.is_file() else {}
+        table, unknown = read_numbers(path), []
         if told.get("schema") == "quasi.filtered/1":
             _same_kind(told, model, path)
             if told.get("mass"):
                 refuse_another_vehicle(path.as_posix(), replace(model.airframe, mass=float(told["mass"])), model)
             about = about or {k: told[k] for k in ("mass", "inertia") if told.get(k) is not None}
-        flights.append(read_flight(read_numbers(path), model, path.as_posix(), simulated))
+            speed, place = measured_motion(told)
+            if not speed:
+                raise DataError(
+                    f"{path} has no source of velocity but the accelerometer, which drifts, and forces and moments "
+                    "depend on it; name a flight with motion capture, or with velocity or position in its log"
+                )
+            unknown = [] if place else list(PLACE)
+        table = table.drop(columns=unknown, errors="ignore")
+        flights.append(read_flight(table, model, path.as_posix(), simulated))
     return flights, about
 
 

@@ -86,6 +86,8 @@ def settle(level: Level, flights: Sequence[Flown], model: Model, effects: Mappin
     """
     arm = next((e for e in level.effects if e["id"] == IMU), None)
     if arm is None:
+        # where the one could not be asked, neither could the other
+        level.cannot_be_asked += [{**said, "id": MARKERS} for said in level.cannot_be_asked if said["id"] == IMU]
         return
     try:
         forces, std = felt(flights, model, arm["since"], effects, rate)

@@ -1,5 +1,6 @@
 """Cross-products of all flights of a gap: the model's terms, nuisances, causes, and where a residual may live."""
 
+import re
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
@@ -139,7 +140,8 @@ def gather_study(
             if not any(column.any() for columns in made for column in columns[name].values()):
                 raise DataError(f"effect '{name}' adds no force or moment at all in these flights")
         except (DataError, ExpressionError) as error:
-            lacking[name] = str(error)
+            nowhere = re.search("column '[xyz]'", str(error))
+            lacking[name] = f"the place is not known in every flight ({error})" if nowhere else str(error)
             del asked[name]
     thinned, names, layout = [], [], None
     for flight, seen, columns, at in zip(flights, true, made, values):

@@ -20,6 +20,7 @@ CHANNELS = {
 NOTHING = 0.01  # probability from which a rival adds nothing
 STAYS = 0.02  # share of a simulated error by which it has to change to be said to change
 REMOVABLE = "Removable is what is above the error that sensors and gusts leave."
+LEVELS = {"K": ("sensors", "clocks"), "A": ("the rotor drive",)}  # what stands below forces and moments
 LINES = {"R": "", "R commands": " from commands"}
 SINCE = {
     "changed": "this is new since the reference flights",
@@ -261,9 +262,25 @@ def unasked(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     return diagnosis.get("unable") or (whys[0] if whys else "the flights hold too little")
 
 
+def silent_levels(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> dict[str, str]:
+    """{level: why not one cause of it could be asked, "" where some could} of those of K and A that the gap asks of."""
+    wanted, found = diagnosis.get("effects asked") or "all", {}
+    whys = {c["id"]: c["why"] for c in diagnosis["cannot_be_asked"]}
+    for level in LEVELS:
+        of = [n for n, e in known.items() if e.level == level and not e.finding and (wanted == "all" or n in wanted)]
+        if of:
+            found[level] = whys[of[0]] if all(n in whys for n in of) else ""
+    return found
+
+
 def asked_in_vain(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str]:
-    """Sentences on causes that the gap names itself and that could not be asked; not on those nobody named."""
+    """Sentences on causes that the gap names itself and that could not be asked, and, where it names none, on levels
+    of which none could; not on single causes that nobody named."""
     wanted, reasons = diagnosis.get("effects asked") or (), {}
+    if wanted == "all":
+        for level, why in silent_levels(diagnosis, known).items():
+            if why:
+                reasons.setdefault(why, []).extend(LEVELS[level])
     for entry in diagnosis["cannot_be_asked"]:
         if not isinstance(wanted, str) and entry["id"] in wanted:
             reasons.setdefault(entry["why"], []).append(name_of(entry["id"]))
@@ -305,10 +322,8 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
         texts.append(rollout_sentence(diagnosis))
     nothing, missing = not texts, asked_in_vain(diagnosis, known)
     if nothing and diagnosis.get("verdict") == "not judged":
-        texts.append(
-            f"Nothing is wrong with sensors, clocks and rotor drive as far as this data tells; forces and moments "
-            f"could not be asked: {unasked(diagnosis, known)}."
-        )
+        why = unasked(diagnosis, known)
+        texts.append(_sentence(f"{_sound(diagnosis, known)}forces and moments could not be asked: {why}"))
     if not nothing and diagnosis.get("unable"):
         texts.append(f"Forces and moments could not be asked: {diagnosis['unable']}.")
     texts += missing
@@ -320,6 +335,12 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
         )
     texts = [t for t in texts if t]
     return [*texts, REMOVABLE] if any("removable" in t for t in texts) else texts
+
+
+def _sound(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
+    """How a sentence on levels K and A begins that found nothing; "" where none of them was asked."""
+    asked = [word for level, why in silent_levels(diagnosis, known).items() if not why for word in LEVELS[level]]
+    return f"Nothing is wrong with {listed(asked)} as far as this data tells; " if asked else ""
 
 
 def listed(texts: Sequence[str], last: str = "and") -> str:

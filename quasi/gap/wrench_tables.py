@@ -21,8 +21,13 @@ SEGMENT = 4.0  # s, of a spectrum
 def wrench_tables(
     evidence: Mapping[str, Evidence], roles: Mapping[str, str], left: Callable[[Evidence], np.ndarray], vehicle: Vehicle
 ) -> dict[str, pd.DataFrame]:
-    """W_residuals, W_channels, W_where, W_spectra. left  flight -> (n, 6) residual of the extended model."""
+    """W_residuals, W_channels, W_where, W_spectra; none without any flight.
+
+    left  flight -> (n, 6) residual of the extended model
+    """
     rows, channels, spectra = [], [], {}
+    if not evidence:
+        return {}
     for key, flight in evidence.items():
         series = {"before": flight.residual, "after": left(flight)}
         found = {name.replace(" ", "_"): values for name, values in places(flight).items() if name != "time"}

@@ -14,16 +14,17 @@ from test_gap_extension import base_of
 from test_gap_extension import flight as made
 
 from quasi.errors import ConfigError, DataError, QuasiError
-from quasi.gap import actuation, halves, material, mixed, plan, settling
+from quasi.gap import actuation, halves, material, mixed, plan, points, settling
 from quasi.gap.calibration import corrected_at_import
 from quasi.gap.catalogue import whole_of
 from quasi.gap.confirmation import CONFIRMED, UNJUDGED, Confirmation, Settled
-from quasi.gap.diagnosis import _unable, _verdict
+from quasi.gap.diagnosis import _unable, _verdict, diagnose
 from quasi.gap.effect import vehicle_of
 from quasi.gap.entries import candidates
-from quasi.gap.evidence import gather, refuse_another_vehicle
-from quasi.gap.level import Flown
+from quasi.gap.evidence import gather, gather_all, refuse_another_vehicle
+from quasi.gap.level import Flown, Level
 from quasi.gap.mixed import Offer
+from quasi.gap.places import places
 from quasi.gap.plan_input import flights_of
 from quasi.gap.standing import _borne_out
 from quasi.gap.study import gather_study
@@ -44,6 +45,11 @@ def flight():
 
 def evidence_of(table, model=MODEL):
     return gather("a", table, {}, FRAME, model, 100.0)
+
+
+def sources(**told):
+    """Metadata of a filtered flight whose filter used measurements of these sources."""
+    return {"noise": {"measurements": {kind: {"source": source} for kind, source in told.items()}}}
 
 
 def fewer_axes():
@@ -119,6 +125,82 @@ def test_where_forces_could_not_be_asked_nothing_found_is_no_agreement():
     groups = {"compared": [1, 2], "held out": []}
     said = _unable(groups, roles, ["flight c has no rows; remedy", "flight h has 0.0 s of valid data; fly longer"])
     assert said.startswith("no held-out flight could be used (flight h has 0.0 s of valid data); hold out another")
+
+
+DRIFTING = sources(attitude="estimated on board", velocity="standing still")
+CAPTURED = sources(attitude="capture", position="capture")
+
+
+@pytest.mark.parametrize(
+    ("told", "lost", "place"),
+    [
+        (DRIFTING, True, False),
+        (sources(attitude="estimated on board"), True, False),
+        (CAPTURED, False, True),
+        (sources(attitude="onboard", velocity="onboard"), False, False),
+        (sources(position="onboard"), False, True),
+        ({"engine": None, "imported": {"velocity source": "none", "position source": "none"}}, True, False),
+        ({"engine": None, "imported": {"velocity source": "onboard", "position source": "none"}}, False, False),
+        ({"engine": None, "imported": {"velocity source": "onboard", "position source": "onboard"}}, False, True),
+        ({}, False, True),
+    ],
+)
+def test_what_a_flight_only_added_up_is_no_evidence(flight, told, lost, place):
+    found, said = gather_all({"a": (flight, told, FRAME)}, MODEL, 100.0)
+    assert (not found) == lost and len(said) == (lost or not place)
+    if lost:
+        assert said[0].startswith("flight a has no source of velocity but the accelerometer, which drifts")
+    else:
+        assert ("z" in found["a"].columns) == place
+
+
+def test_a_place_that_one_flight_does_not_know_is_asked_of_none(flight):
+    """A held-out flight cannot judge along a height that it does not know."""
+    known, unknown = (flight, CAPTURED, FRAME), (flight, sources(velocity="onboard"), FRAME)
+    found, said = gather_all({"a": known, "b": known, "c": unknown}, MODEL, 100.0)
+    assert said == [
+        "flight c has no source of position (what its velocity adds up to drifts); what depends on height or place is "
+        "not asked"
+    ]
+    effects = {n: CATALOGUE[n] for n in ("ground_effect", "tether", "body_drag")}
+    study = gather_study(list(found.values()), effects, vehicle_of(MODEL))
+    assert set(study.lacking) == {"ground_effect", "tether"} and study.lacking["tether"].startswith("the place is not")
+    assert set(places(found["a"])) >= {"speed", "heading"} and not {"height", "room x"} & set(places(found["a"]))
+
+
+def test_a_gap_without_any_velocity_is_not_judged_and_says_why(flight):
+    """Ground effect where nothing measured velocity and position: a simulation compared with drift agrees with it."""
+    roles = {"a": "compared", "b": "compared", "h": "held out"}
+    evidence, lost = gather_all(dict.fromkeys(roles, (flight, DRIFTING, FRAME)), MODEL, 100.0)
+    why = "no compared flight has a motion capture of enough flying"
+    level = {"effects": [], "ties": [], "findings": [], "candidates": [], "cannot_be_asked": [], "notes": [],
+             "found on": {"channels": list("pqr"), "healthy": {}, "worth": {}}}  # fmt: skip
+    deaf = {**level, "cannot_be_asked": [{"id": n, "why": why} for n, e in CATALOGUE.items() if e.level == "K"]}
+    settings = {"room": None, "material share": 0.05, "false alarm rate": 0.01, "horizons": [0.5], "model": MODEL.id,
+                "extended model ID": "x", "effects": "all"}  # fmt: skip
+    made = diagnose(
+        MODEL, {"levels": {"K": deaf, "A": level}}, evidence, dict.fromkeys(roles, flight), roles, CATALOGUE, settings,
+        ([], []), "bare", lost, "none",
+    )  # fmt: skip
+    said = made.document
+    assert said["verdict"] == "not judged" and made.tables == {} and said["rollouts"] == {}
+    assert said["summary"].startswith(
+        "Nothing is wrong with the rotor drive as far as this data tells; forces and moments could not be asked: no "
+        "compared flights are left to learn from (flight a has no source of velocity but the accelerometer"
+    )
+    assert said["summary"].endswith(f"Sensors and clocks could not be asked: {why}.")
+    assert {c["id"] for c in said["cannot_be_asked"]} >= {"ground_effect", "wind", "rotor_drag", "tether"}
+
+
+def test_markers_cannot_be_asked_where_the_imu_cannot():
+    level = Level("K", cannot_be_asked=[{"id": "imu_lever_arm", "why": "no capture"}])
+    points.settle(level, [], MODEL, CATALOGUE, 0.01)
+    assert level.cannot_be_asked[1:] == [{"id": "marker_offset", "why": "no capture"}]
+
+
+def test_where_no_flight_can_be_compared_for_another_reason_that_is_an_error(flight):
+    with pytest.raises(DataError, match="no flight can be compared with model small: flight a holds 0 rad/s as the"):
+        gather_all({"a": (flight.assign(w3=0.0), CAPTURED, FRAME)}, MODEL, 100.0)
 
 
 def test_a_voltage_that_reference_flights_alone_log_is_no_place():
@@ -261,6 +343,17 @@ def test_a_flown_flight_of_another_quadrotor_is_refused(tmp_path, flight):
     write_json(tmp_path / "flown.json", {"schema": "quasi.filtered/1", "forces": "withGravity", "mass": 4.3})
     with pytest.raises(ConfigError, match=r"flown\.parquet is not of the quadrotor that model small describes"):
         flights_of(["flown.parquet"], MODEL, tmp_path)
+
+
+def test_a_flown_flight_whose_velocity_nothing_measured_is_refused(tmp_path, flight):
+    write_table(tmp_path / "flown.parquet", flight, dict.fromkeys(flight, ("", "")))
+    about = {"schema": "quasi.filtered/1", "forces": "withGravity", **DRIFTING}
+    write_json(tmp_path / "flown.json", about)
+    with pytest.raises(DataError, match=r"flown\.parquet has no source of velocity but the accelerometer"):
+        flights_of(["flown.parquet"], MODEL, tmp_path)
+    write_json(tmp_path / "flown.json", about | sources(velocity="onboard"))
+    (found,), _ = flights_of(["flown.parquet"], MODEL, tmp_path)
+    assert "u" in found.columns and "z" not in found.columns
 
 
 def test_an_empty_table_is_said_to_be_empty_once(tmp_path):

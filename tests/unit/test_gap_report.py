@@ -149,8 +149,8 @@ def not_judged(why=TOO_FEW, **further):
 def test_a_diagnosis_without_judged_forces_says_why_and_is_never_green(why):
     made = not_judged(why)
     assert made["summary"] == (
-        "Nothing is wrong with sensors, clocks and rotor drive as far as this data tells; forces and moments could not "
-        f"be asked: {why}."
+        "Nothing is wrong with sensors, clocks and the rotor drive as far as this data tells; forces and moments could "
+        f"not be asked: {why}."
     )
     text = page(made, KNOWN, None, {})
     assert '<p class="verdict care"><b>not judged:' in text and "Forces and moments are not judged yet" in text
