@@ -22,11 +22,11 @@ from quasi.gap.entries import (
     wrench_effect,
 )
 from quasi.gap.evidence import Evidence
-from quasi.gap.extension import extend
 from quasi.gap.gain import Squares, after, removed, wrench_squares
-from quasi.gap.held_out import everything, made_of
+from quasi.gap.held_out import best_wrong, everything, made_of, telling
 from quasi.gap.level import Flown
 from quasi.gap.lower import rate_of
+from quasi.gap.rollouts import CHANNELS as ALONG
 from quasi.gap.scores import scored
 from quasi.gap.standing import HORIZON, standing
 from quasi.gap.wording import summary
@@ -34,7 +34,7 @@ from quasi.gap.worth import Cause
 from quasi.gap.wrench import Found, examine
 from quasi.gap.wrench_findings import gusts
 from quasi.gap.wrench_tables import wrench_tables
-from quasi.standalone.model import Model
+from quasi.standalone.model import AXES, Model
 
 SCHEMA = "quasi.gap/1"
 
@@ -110,7 +110,7 @@ def diagnose(
     rolled = rollout_gain.score(model, extended, flights, held, settings["horizons"], beside)
     causes = [*((c.effect, c.value) for c in kept), *drive]
     own = halves.judge(held, flights, learning, model, extended, causes, vehicle, settings["horizons"])
-    gap, scores, errors = scored(model, extended, found, kept, held, beside.yardstick, floor, rolled, lower, document)
+    gap, scores, errors = scored(model, extended, found, kept, held, beside, rolled, lower, document)
     flown = as_flown(vehicle, groups["compared"])
     effects_said = [wrench_effect(c, flown, settled) for c in kept]
     for effect in effects_said:
@@ -198,30 +198,25 @@ def _yardsticks(
     case: Case, found: Found | None, kept: Sequence[Cause], levels: Mapping[str, Any],
     floor: Callable[[Evidence], np.ndarray] | None,
 ) -> rollout_gain.Beside:  # fmt: skip
-    """What the gain of roll-outs is told beside: the floor, the best wrong causes, polynomials of the same size."""
+    """What the gain is told beside: the floor, the best wrong causes, polynomials of the same size."""
     students = [e for e, flag in zip(case.learning, case.compared) if flag]
     sizes = [sum(len(c.value) for c in kept), sum(len(v) for _, v in case.drive)]
-    wrong = _wrong_model(case, found, kept[0].since) if kept else None
+    wrong: dict[str, Model] = {}
+    axes = list(range(len(AXES)))
+    if kept:
+        old, least = found.scores["before"], found.scores["noise_floor"]
+        tied = {t.offer.cause for _, tie in found.ties for t in tie.tests}
+        wrong, axes = best_wrong(case, found.study, kept, tied, old, least), telling(kept, old, least)
     healthy, drive = levels["A"]["found on"].get("healthy") or {}, [e.id for e, _ in case.drive]
     return rollout_gain.Beside(
         floor,
-        {found.wrong: wrong} if wrong else {},
-        generic.polynomial(students, sizes[0]) if kept else None,
+        wrong,
+        generic.polynomial(students, sizes[0], axes) if kept else None,
         healthy.get("learned"),
         commanded.wrong_ones(healthy, drive, case.effects, case.model, case.vehicle) if kept or drive else {},
         generic.polynomial(students, sum(sizes)) if drive and students else None,
+        [ALONG[AXES[k]] for k in (range(len(AXES)) if drive else axes)],
     )
-
-
-def _wrong_model(case: Case, found: Found, since: str) -> Model | None:
-    """The model extended by the best wrong cause of level W alone."""
-    if found.wrong is None:
-        return None
-    study, effect = found.study, case.effects[found.wrong]
-    mixed = study.mixed(range(len(case.compared)), case.compared)
-    test = mixed.best(effect.id, since, (), mixed.pooled(since), effect.parts)
-    values = {effect.fitted[k]: float(v) for k, v in zip(test.offer.which, test.value)}
-    return Model(extend(case.model, [(effect, values)], case.vehicle, "wrong", "trial"), "the best wrong cause")
 
 
 def _gains(

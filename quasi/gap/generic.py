@@ -10,11 +10,14 @@ from quasi.standalone.model import AXES
 SCALES = {"u": 3.0, "v": 3.0, "w": 3.0, "p": 3.0, "q": 3.0, "r": 3.0, "height": 1.0, "rotors": 1.0}
 
 
-def polynomial(flights: Sequence[Evidence], size: int) -> Callable[[Evidence], np.ndarray]:
+def polynomial(
+    flights: Sequence[Evidence], size: int, axes: Sequence[int] = range(len(AXES))
+) -> Callable[[Evidence], np.ndarray]:
     """Fit `size` monomials of up to second order to the residuals; returns flight -> (n, 6), what is then left.
 
     flights  those that may be learnt from; monomials of velocity, rates, height and mean rotor speed are chosen one by
-    one, each for the axis whose residual it reduces most as a share, and fitted by least squares
+             one, each for the axis whose residual it reduces most as a share, and fitted by least squares
+    axes     on which it may spend its terms: elsewhere, what flights differ by would take them all
     """
     names, _ = _monomials(flights[0])
     grams = np.zeros((6, len(names) + 1, len(names) + 1))
@@ -34,7 +37,7 @@ def polynomial(flights: Sequence[Evidence], size: int) -> Callable[[Evidence], n
     for _ in range(size):
         best = min(
             ((fit(k, [*chosen[k], j])[0] / left[k], k, j)
-             for k in range(6) for j in range(1, len(names) + 1) if j not in chosen[k]),
+             for k in axes for j in range(1, len(names) + 1) if j not in chosen[k]),
         )  # fmt: skip
         _, k, j = best
         chosen[k].append(j)

@@ -135,18 +135,33 @@ def _forces(diagnosis: Mapping[str, Any]) -> str:
     if "W" not in diagnosis["gap"]["before"]:
         return report.paragraph("Forces and moments have no held-out flight to be judged on.")
     removed, rows = diagnosis["scores"].get("removed", {}), []
-    other = diagnosis["scores"].get("generic polynomial", {}).get("removed", {})
+    wrong = diagnosis["scores"].get("best wrong cause")
+    beside = [diagnosis["scores"].get("best wrong cause removed", {}),
+              diagnosis["scores"].get("generic polynomial", {}).get("removed", {})]  # fmt: skip
     for axis in AXES:
         three = [_value(diagnosis, k, "W", axis) for k in ("before", "after", "noise_floor")]
         unit = "N" if axis[0] == "F" else "N m"
         rows.append(
             [f"{CHANNELS[axis]} ({axis}), {unit}", *map(report.number, three), _share(removed.get(axis)),
-             _share(other.get(axis))]
+             *(_share(other.get(axis)) for other in beside)]
         )  # fmt: skip
-    wrong = diagnosis["scores"].get("best wrong cause")
-    tail = f" The best wrong cause would have been {name_of(wrong)}." if wrong else ""
+    tail = (
+        " Beside it, where the named causes act: what the best wrong cause alone would have removed"
+        + (f" ({name_of(wrong)})" if wrong else " (none would have removed anything)")
+        + ", and a polynomial with as many terms."
+        if diagnosis["scores"].get("generic polynomial")
+        else ""
+    )
     return report.table(
-        ["root mean square on held-out flights", "before", "after", "noise floor", "removed", "same-size polynomial"],
+        [
+            "root mean square on held-out flights",
+            "before",
+            "after",
+            "noise floor",
+            "removed",
+            "best wrong cause",
+            "same-size polynomial",
+        ],
         rows,
     ) + report.paragraph(
         "Removed: share of the error above the noise floor (squared) that is gone, with its 95 % interval; a dash "

@@ -73,6 +73,7 @@ class Beside(NamedTuple):
     drive         what the other flights tell of the rotors' drive, see `commanded.learned`
     wrong_drives  {cause of the drive: the model with it alone} that may be the best wrong cause where commands drive
     told_yardstick  as yardstick, where commands drive, when causes of the drive are named; None for the same
+    quantities  by whose errors the best wrong cause is chosen where commands drive: those that the named causes move
     """
 
     floor: Residual | None = None
@@ -81,6 +82,7 @@ class Beside(NamedTuple):
     drive: Mapping[str, Any] | None = None
     wrong_drives: Mapping[str, Model] = MappingProxyType({})
     told_yardstick: Residual | None = None
+    quantities: Sequence[str] = (*QUANTITIES, *CHANNELS.values())
 
 
 def tracks_of(
@@ -289,19 +291,23 @@ def _commanded(
         found = simulated_errors(tracks, extended, model, [TOLD], beside.drive)
         table = table_for(moved_errors(tracks, found, after(extended, model), beside.floor))
         ends["noise_floor"][TOLD] = lesser(ends["noise_floor"][TOLD], table)
+
+    def ratio(table: pd.DataFrame) -> float:
+        return _ratio(table, ends["before"][TOLD], beside.quantities)
+
     for name, other in beside.wrong_drives.items():
         table = table_for(simulated_errors(tracks, other, model, [TOLD]))
         best = ends.setdefault("best_wrong_cause", {}).get(TOLD)
-        if best is None or _ratio(table, ends["before"][TOLD]) < _ratio(best, ends["before"][TOLD]):
+        if best is None or ratio(table) < ratio(best):
             ends["best_wrong_cause"][TOLD], named[TOLD] = table, name
     if beside.told_yardstick is not None:
         found = moved_errors(tracks, {TOLD: errors["before"][TOLD]}, before, beside.told_yardstick)
         ends.setdefault("generic_polynomial", {})[TOLD] = table_for(found)
 
 
-def _ratio(table: pd.DataFrame, old: pd.DataFrame) -> float:
+def _ratio(table: pd.DataFrame, old: pd.DataFrame, names: Sequence[str]) -> float:
     """Mean over horizons and quantities of the squared errors beside the old ones."""
-    names, parts = (*QUANTITIES, *CHANNELS.values()), []
+    parts = []
     for horizon, first in old.groupby("horizon"):
         new, was = (squares(t, names).mean(axis=0) for t in (table[table["horizon"] == horizon], first))
         parts.append((new + TINY) / (was + TINY))

@@ -9,7 +9,7 @@ from quasi.gap.evidence import Evidence
 from quasi.gap.gain import Squares, after, before, removed, wrench_squares
 from quasi.gap.level import Flown
 from quasi.gap.lower import judged
-from quasi.gap.rollout_gain import Residual
+from quasi.gap.rollout_gain import Beside
 from quasi.gap.rollouts import TOLD
 from quasi.gap.worth import Cause
 from quasi.gap.wrench import Found
@@ -18,11 +18,11 @@ from quasi.standalone.model import AXES, Model
 
 def scored(
     model: Model, extended: Model, found: Found | None, kept: Sequence[Cause], held: Sequence[Evidence],
-    yardstick: Residual | None, everything_left: Residual | None, rolled: Mapping[str, Any],
-    lower: tuple[Sequence[Flown], Sequence[Flown]], document: Mapping[str, Any],
+    beside: Beside, rolled: Mapping[str, Any], lower: tuple[Sequence[Flown], Sequence[Flown]],
+    document: Mapping[str, Any],
 ) -> tuple[dict[str, Any], dict[str, Any], tuple[Squares, Squares, np.ndarray] | None]:  # fmt: skip
     """Root mean squares before, after and at the floor by level, channel and horizon; shares of W with intervals; and
-    the squared errors of W after, at the floor, and its mean."""
+    the squared errors of W after, at the floor, and its mean. beside  what the gain is told beside"""
     gap: dict[str, Any] = {k: {} for k in ("before", "after", "noise_floor", "best_wrong_cause", "generic_polynomial")}
     for key in gap:
         gap[key] |= rolled["rms"].get(key, {})
@@ -35,16 +35,18 @@ def scored(
             gap["before"]["W"], gap["after"]["W"] = _axes(old.mean()), _axes(new.mean())
             if found:
                 gap["noise_floor"]["W"] = _axes(floor)
-                best = new, wrench_squares(held, everything_left), floor
+                best = new, wrench_squares(held, beside.floor), floor
                 scores["removed"] = removed(old, *best)
-                if yardstick is not None:
+                if beside.yardstick is not None:
                     size = sum(len(c.value) for c in kept)
-                    other = wrench_squares(held, yardstick)
+                    other = wrench_squares(held, beside.yardstick)
                     gap["generic_polynomial"]["W"] = _axes(other.mean())
                     scores["generic polynomial"] = {"terms": size, "removed": removed(old, other, *best[1:], new)}
-                    if found.wrong:
-                        gap["best_wrong_cause"]["W"] = _axes(found.scores["best_wrong_cause"])
-                        scores["best wrong cause"] = found.wrong
+                for name, wrong in beside.wrong.items():
+                    other = wrench_squares(held, after(wrong, model))
+                    gap["best_wrong_cause"]["W"] = _axes(other.mean())
+                    scores["best wrong cause"] = name
+                    scores["best wrong cause removed"] = removed(old, other, *best[1:], new)
     first, last = lower
     if first:
         for word, table in (("before", judged(first, model.document)), ("after", judged(last, document))):

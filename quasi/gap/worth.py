@@ -117,7 +117,7 @@ def material(
         for cause in kept:
             without = score([c for c in kept if c is not cause], False)
             cause.gain = fraction(without.errors, whole.errors, floor)
-            first, last, own = without.errors.mean(), whole.errors.mean(), _seen_in(cause.effect)
+            first, last, own = without.errors.mean(), whole.errors.mean(), seen_in(cause.effect)
             # a constant error, which flights differ by, may have the other sign on the held-out ones
             gone = np.maximum(first - last, without.centred.mean() - whole.centred.mean())
             part = float((gone / _removable(old, floor, "changed"))[own].max())
@@ -231,7 +231,7 @@ def _common(
     return []
 
 
-def _seen_in(effect: Effect) -> list[int]:
+def seen_in(effect: Effect) -> list[int]:
     """Axes in which a cause shows; all where it names none."""
     return [k for k, axis in enumerate(AXES) if axis in effect.channels] or list(range(len(AXES)))
 

@@ -11,7 +11,7 @@ from quasi.gap.agreement import disagreement, voices
 from quasi.gap.effect import Effect, Limits, Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.gain import after, wrench_score
-from quasi.gap.held_out import HeldOut, best_wrong
+from quasi.gap.held_out import HeldOut
 from quasi.gap.mixed import Mixed, Offer, Test, Witnessed
 from quasi.gap.naming import Named, Tie, leads, possible
 from quasi.gap.sought import Sought, estimate, merged, offers_of, seek
@@ -43,7 +43,6 @@ class Found:
     lacking: dict[str, str]
     study: Study
     scores: dict[str, np.ndarray]
-    wrong: str | None
     extended: dict[str, Any]
     unjudged: list[Cause] = field(default_factory=list)
     contradicted: dict[str, tuple[Test, str]] = field(default_factory=dict)
@@ -109,11 +108,8 @@ def examine(
     extended = judge.made(kept, name, any(c.since == "always" for c in kept))
     new = wrench_score(held, after(Model(extended, name), model)).mean()
     scores = {"before": judge.old.mean(), "after": new, "noise_floor": np.minimum(judge.floor, new)}
-    wrong = None
-    if kept:
-        wrong, scores["best_wrong_cause"] = best_wrong(mixed, kept, asked, model, vehicle, held, judge.old)
     return Found(
-        kept, ties, immaterial, sought.ranking, sought.level, study.lacking | unbearable, study, scores, wrong,
+        kept, ties, immaterial, sought.ranking, sought.level, study.lacking | unbearable, study, scores,
         extended, unjudged, contradicted | vague,
         [c for c in stand_ins if any(_stands_for(c, *tie) for tie in ties)],
     )  # fmt: skip

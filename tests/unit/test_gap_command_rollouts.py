@@ -46,11 +46,11 @@ def slower(model, lag):
     return Model({**model.document, "actuators": actuators})
 
 
-def pushed(model, force):
-    """The model with a constant vertical force more, N."""
+def pushed(model, force, axis="Fz"):
+    """The model with a constant force more, N, downward where no other axis is given."""
     axes = {**model.document["axes"]}
     more = {**axes["Fz"]["terms"][0], "coefficient": force, "given": True}
-    axes["Fz"] = {**axes["Fz"], "terms": [*axes["Fz"]["terms"], more]}
+    axes[axis] = {**axes[axis], "terms": [*axes[axis]["terms"], more]}
     return Model({**model.document, "axes": axes})
 
 
@@ -165,6 +165,16 @@ def test_learned_constants_make_speeds_of_commands(model, table):
     aged = Model({**model.document, "extensions": [{"id": "x", "actuators": {"telemetry delay": 0.004}}]})
     assert commanded.learned(about, rollouts.flight_of("a", shares), aged)[1].delay == pytest.approx(0.001)
     assert commanded.learned(about, rollouts.flight_of("a", table), model) is None
+
+
+@pytest.mark.parametrize("quantity, name", [("velocity z", "motor_lag"), ("velocity y", "battery_sag")])
+def test_with_commands_the_best_wrong_cause_is_the_best_in_what_the_named_ones_move(model, table, quantity, name):
+    """One candidate mends the vertical motion, the other the sideward one."""
+    wrong = pushed(pushed(model, 0.05), 0.05, "Fy")
+    drives = {"motor_lag": pushed(model, 0.05, "Fy"), "battery_sag": pushed(model, 0.05)}
+    beside = rollout_gain.Beside(wrong_drives=drives, quantities=[quantity])
+    held = [evidence_of(wrong, table)]
+    assert rollout_gain.score(wrong, wrong, {"a": table}, held, HORIZONS, beside)["wrong"] == {"R commands": name}
 
 
 def test_causes_of_the_drive_that_are_not_named_are_wrong_ones(model):

@@ -408,6 +408,25 @@ def test_errors_of_simulations_are_drawn_from_nothing_with_few_names():
     assert len(legend.get_texts()) <= 5
 
 
+def test_the_table_of_forces_has_the_yardsticks_with_their_intervals():
+    made = document([EFFECT])
+    made["scores"] |= {
+        "best wrong cause": "thrust_drift",
+        "best wrong cause removed": {"Fz": {"value": 0.34, "low": -0.1, "high": 0.6}},
+        "generic polynomial": {"terms": 1, "removed": {"Fz": {"value": 0.31, "low": 0.02, "high": 0.55}}},
+    }  # fmt: skip
+    text = page(made, KNOWN, None, {})
+    table = text[text.index("root mean square on held-out flights") :]
+    heads = re.findall(r"<th[^>]*>([^<]*)</th>", table[: table.index("</thead>")])
+    assert heads[-3:] == ["removed", "best wrong cause", "same-size polynomial"]
+    cells = re.findall(r"<td[^>]*>([^<]*)</td>", table[table.index("vertical force (Fz), N") :])[:6]
+    assert cells == ["0.100", "0.0400", "0.0300", "86 % (70 to 95)", "34 % (−10 to 60)", "31 % (2 to 55)"]
+    assert "what the best wrong cause alone would have removed (thrust drift)" in text
+    del made["scores"]["best wrong cause"], made["scores"]["best wrong cause removed"]
+    assert "alone would have removed (none would have removed anything)" in page(made, KNOWN, None, {})
+    assert "best wrong cause alone" not in page(document(), KNOWN, None, {})
+
+
 def test_the_page_tells_what_roll_outs_say_of_a_cause():
     told = {
         **EFFECT, "rollout channel": "velocity z", "rollout gain": {"horizon": 0.5, "line": "R with trim"},
