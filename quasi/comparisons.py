@@ -1,7 +1,6 @@
 """What a folder says of its gaps: a model, the flights it is compared with, the name it is extended under."""
 
 import functools
-import hashlib
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -12,7 +11,7 @@ from typing import Any
 from quasi.errors import ConfigError, QuasiError, nearest
 from quasi.logbook import NAME, Row
 from quasi.project import AXES, Project, check_model_file, is_file
-from quasi.tables import read_bytes, read_json, read_text
+from quasi.tables import read_json, read_text, sha256_of
 
 HELD, COMPARED, REFERENCE = "held out", "compared", "reference"
 FEWEST = 4  # training flights that stand for reference flights
@@ -272,7 +271,63 @@ def same_recordings(held: Mapping[str, list[str]], trained: Mapping[str, list[st
 
     held, trained  {row: [path of its on-board log, number of the log in it]}
     """
-    known = {row: _content(*log) for row, log in trained.items()}
+    return _first_alike(held, {row: _content(*log) for row, log in trained.items()})
+
+
+def refuse_trained(asked: Mapping[str, Any], document: Mapping[str, Any]) -> None:
+    """Raise ConfigError where a held-out recording is one that a model says it was made from.
+
+    asked  of `Folder.gap`; document  the model's
+    By content. A training flight whose recording the model does not tell, being older than that, is known by its key,
+    where the quadrotor's configuration has the same name; of a model made in this folder, the rows are known anyway
+    (`same_recordings`).
+    """
+    told = recordings_told(document)
+    known = {key: (about["sha256"], str(about.get("log") or ""), "") for key, about in told.items()}
+    head = f"{asked['file']}: held-out"
+    if twice := _first_alike(asked["held"], known):
+        raise ConfigError(
+            f"{head} {twice[0]} has the recording of flight {twice[1]}, which trained model {document['id']} by its "
+            "model.json; hold out a flight that the model has never seen"
+        )
+    if not asked["put there"] or (document.get("airframe") or {}).get("name") != asked["quadrotor"]["file"]:
+        return
+    untold = set(_trained(document)) - set(told)
+    for row, key in asked["held keys"].items():
+        if key in untold:
+            raise ConfigError(
+                f"{head} {row} is flight {key}, and a flight of that name trained model {document['id']}, whose "
+                "model.json does not tell recordings; hold out another one, or, if it is not that flight, give it a "
+                "name of its own in the logbook's column 'Flight key'"
+            )
+
+
+def unchecked(asked: Mapping[str, Any], document: Mapping[str, Any]) -> list[str]:
+    """A note where it cannot be known by content whether a held-out flight trained the model. Arguments as above."""
+    trained, told = _trained(document), recordings_told(document)
+    if not asked["put there"] or not asked["held"] or (trained and set(trained) <= set(told)):
+        return []
+    return [
+        f"whether a held-out flight trained model {document['id']} could not be checked by content: its model.json "
+        "does not tell the recordings of all flights that it was made from; make it anew where that is possible"
+    ]
+
+
+def _trained(document: Mapping[str, Any]) -> list[str]:
+    """Keys of the training flights that a model.json names, as far as they can be used."""
+    given = document.get("flights")
+    named = given.get("training") if isinstance(given, Mapping) else None
+    return [k for k in named if isinstance(k, str)] if isinstance(named, Sequence) else []
+
+
+def recordings_told(document: Mapping[str, Any]) -> dict[str, Mapping[str, str]]:
+    """Flights and recordings that a model.json tells, as far as they can be used: anybody may have written it."""
+    given = document.get("recordings")
+    given = given if isinstance(given, Mapping) else {}
+    return {k: about for k, about in given.items() if isinstance(about, Mapping) and about.get("sha256")}
+
+
+def _first_alike(held: Mapping[str, list[str]], known: Mapping[str, tuple[str, ...]]) -> tuple[str, str] | None:
     for row, log in held.items():
         content = _content(*log)
         for other, its in known.items():
@@ -301,7 +356,7 @@ def _size(path: str) -> int:
 
 
 def _content(path: str, number: str) -> tuple[str, str, str]:
-    return hashlib.sha256(read_bytes(path)).hexdigest(), number, path
+    return sha256_of(path), number, path
 
 
 def _alike(one: tuple[str, ...], other: tuple[str, ...]) -> bool:

@@ -204,6 +204,25 @@ def read_made(path: str | Path) -> dict[str, Any]:
     return json.loads((pq.read_schema(path).metadata or {}).get(_MADE, b"{}"))
 
 
+def recordings_of(flights: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
+    """{flight: {"sha256", "log"}}, what tells the recordings of filtered flights from any others.
+
+    flights  {key: how the filtered flight was made}; one that was imported before this was kept is left out
+    "sha256" is that of its on-board file, "log" the number of the log in it, "" where the file holds but one
+    """
+    found = {}
+    for key, made in flights.items():
+        onboard = ((made.get("imported") or {}).get("sources") or {}).get("onboard") or {}
+        if onboard.get("sha256"):
+            found[key] = {"sha256": onboard["sha256"], "log": str(onboard.get("log") or "")}
+    return found
+
+
+def sha256_of(path: str | Path) -> str:
+    """SHA-256 of a raw file, hexadecimal. Raises ReadError as `read_bytes`."""
+    return hashlib.sha256(read_bytes(path)).hexdigest()
+
+
 def _plain(value: Any) -> Any:
     """Plain JSON data: numpy becomes Python, NaN and infinities become null (JSON has no such numbers)."""
     if isinstance(value, Mapping):

@@ -233,6 +233,8 @@ class Folder(Recordings):
             "recordings": {_named(r): log for r in rows if (log := self._log_of(r))},
             "held": {_named(r): log for r in held if (log := self._log_of(r))},
             "trained": {_named(r): log for r in trained if (log := self._log_of(r))},
+            "held keys": {_named(r): r.key for r in held},
+            "put there": self._lineage(settings["model"])[-1] not in self.models,
             "problem": part["problem"],
         }
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from quasi.airframe import read_airframe
-from quasi.comparisons import recorded_twice, same_recordings
+from quasi.comparisons import recorded_twice, refuse_trained, same_recordings
 from quasi.errors import ConfigError
 from quasi.filtering.flight import filter_flight
 from quasi.gap.catalogue import catalogue, chosen
@@ -37,6 +37,7 @@ def main(source: dict, asked: dict, settings: dict, output: dict[str, str]) -> N
         )
     effects = chosen(asked["settings"]["effects"], catalogue(asked["effect files"]), asked["file"])
     model, flights = read_model(source["model"]), []
+    refuse_trained(asked, model.document)
     names = ("imported", "imported_metadata", "filtered", "filtered_metadata")
     for paths in progress(list(zip(*(source[n] for n in names), strict=True)), "reading flights"):
         key = Path(paths[0]).stem

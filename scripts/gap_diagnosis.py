@@ -11,6 +11,7 @@ from pathlib import Path
 import pandas as pd
 
 from quasi.airframe import read_airframe
+from quasi.comparisons import recordings_told, unchecked
 from quasi.errors import ConfigError, DataError
 from quasi.gap.catalogue import catalogue, chosen
 from quasi.gap.diagnosis import diagnose
@@ -21,7 +22,7 @@ from quasi.gap.rollouts import flight_of, windows
 from quasi.identification.partition import UNITS, partition, to_table
 from quasi.joblog import LOG, job, progress
 from quasi.standalone.model import read_model
-from quasi.tables import read_json, read_table, write_json, write_table
+from quasi.tables import read_json, read_table, recordings_of, write_json, write_table
 
 RATE = 100.0  # Hz, of the comparison of forces and moments
 
@@ -43,6 +44,7 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
         raise DataError(f"{asked['file']}: {error}") from None
     # where none can be compared, the extended model is the model, and is shown on all
     flights = {key: table for key, (table, *_) in tables.items() if key in evidence or not evidence}
+    lost += unchecked(asked, model.document)
     lost += too_short(flights, roles, max(asked["settings"]["horizons"]))
     held = [_flown(source, prefix, airframes) for prefix in ("first", "held")]
     calibration = read_json(source["calibration"])
@@ -65,7 +67,9 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
     for name, table in found.tables.items():
         write_table(folder / f"{name}.parquet", table, units_of(table))
     write_table(output["partition"], _partition(flights, roles, found.document["effects"]), UNITS)
-    write_json(output["model"], found.model)
+    learning = {key: about for key, (_, about, _) in tables.items() if roles[key] != "held out"}
+    recordings = {**recordings_told(model.document), **recordings_of(learning)}
+    write_json(output["model"], {**found.model, "recordings": recordings})
     write_json(output["diagnosis"], found.document)
 
 

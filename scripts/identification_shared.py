@@ -9,7 +9,7 @@ from quasi.identification.partition import EXCITED, partition, to_table
 from quasi.identification.partition import UNITS as PARTITION_UNITS
 from quasi.identification.shared import shared
 from quasi.joblog import LOG, job, progress
-from quasi.tables import read_made, read_table, write_json, write_table
+from quasi.tables import read_made, read_table, recordings_of, write_json, write_table
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
@@ -47,7 +47,7 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
     inside = ("", "", "inside a region that excites this axis")
     units = PARTITION_UNITS | {f"{EXCITED}{axis}": inside for axis in regions}
     write_table(partition_parquet, to_table(roles, regions), units, made=about)
-    write_json(shared_json, {**found, **about})
+    write_json(shared_json, {**found, **about, "recordings": recordings_of(made)})
 
 
 if __name__ == "__main__":

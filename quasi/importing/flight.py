@@ -34,6 +34,7 @@ from quasi.importing.synchronisation import Motion, Synchronisation, synchronise
 from quasi.importing.telemetry import rotor_age
 from quasi.importing.verdict import verdict
 from quasi.importing.wind import add_wind
+from quasi.tables import sha256_of
 
 DEFAULTS: dict[str, Any] = {
     "resampling rate": 500.0,
@@ -77,6 +78,7 @@ def import_flight(
     notes: list[str] = []
     poles, poles_source = _poles(quadrotor)
     recording = read_onboard(flight, quadrotor, poles)
+    recording.metadata["sha256"] = sha256_of(flight["onboard"])
     board = gather(recording, where, notes)
     turning = [n for n in ("w5", "w6", "w7", "w8") if n in board.others and np.nanmax(board.others[n].values) > 0.0]
     if turning:

@@ -42,6 +42,7 @@ def assemble(
             "training": list(shared["training flights"]),
             "validation": list(meta.get("validation flights", [])),
         },
+        "recordings": dict(shared.get("recordings", {})),
         "axes": {axis: {k: parts[axis][k] for k in keep if k in parts[axis]} for axis in AXES if axis in parts},
         "normalisation": _scheme(parts, meta["id"]),
         "envelope": dict(meta.get("envelope", {})),

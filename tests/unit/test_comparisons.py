@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from quasi.comparisons import same_recordings
+from quasi.comparisons import refuse_trained, same_recordings, unchecked
 from quasi.errors import ConfigError, LogbookError, QuasiError
+from quasi.tables import recordings_of, sha256_of
 from quasi.workflow import Folder
 
 ROOT = Path(__file__).parents[2]
@@ -195,6 +196,68 @@ def test_a_recording_that_trained_is_known_by_its_content_whatever_its_name(tmp_
     assert same_recordings({"row 4": at["b"]}, {"row 2": at["a"]}) is None
     # another log of the same file is another flight
     assert same_recordings({"row 4": [at["a"][0], "2"]}, {"row 2": [at["a"][0], "1"]}) is None
+
+
+def put_there(tmp_path, **changes):
+    """What a gap asks that holds out one log, and a model.json that the same recording under another name trained."""
+    for name, text in {"held.bbl": "one", "other.bbl": "two"}.items():
+        (tmp_path / name).write_text(text)
+    asked = {"file": "config/gaps/g.json", "held": {"row 4": [str(tmp_path / "held.bbl"), ""]},
+             "held keys": {"row 4": "h"}, "put there": True, "quadrotor": {"file": "Q"}}  # fmt: skip
+    document = {"id": "m", "airframe": {"name": "Q"}, "flights": {"training": ["x"]},
+                "recordings": {"x": {"sha256": sha256_of(tmp_path / "held.bbl"), "log": ""}}}  # fmt: skip
+    return asked, document | changes
+
+
+def test_a_model_tells_by_content_what_trained_it_wherever_it_is_put(tmp_path):
+    asked, document = put_there(tmp_path)
+    words = "held-out row 4 has the recording of flight x, which trained model m by its model.json; hold out a flight"
+    for where in (True, False):
+        with pytest.raises(ConfigError, match=words):
+            refuse_trained(asked | {"put there": where}, document)
+    refuse_trained(asked | {"held": {"row 4": [str(tmp_path / "other.bbl"), ""]}}, document)
+    # another log of the same file is another flight; which one is the longest is not known
+    document["recordings"]["x"]["log"] = "1"
+    refuse_trained(asked | {"held": {"row 4": [str(tmp_path / "held.bbl"), "2"]}}, document)
+    for number in ("", None):
+        document["recordings"]["x"]["log"] = number
+        with pytest.raises(ConfigError, match=words):
+            refuse_trained(asked | {"held": {"row 4": [str(tmp_path / "held.bbl"), "2"]}}, document)
+    assert unchecked(asked, document) == []
+
+
+@pytest.mark.parametrize("recordings", [{}, None, {"y": {"sha256": "0"}}, ["x"], {"x": "0"}])
+def test_an_older_model_is_asked_by_the_names_of_its_flights_and_says_that_content_is_unknown(tmp_path, recordings):
+    asked, document = put_there(tmp_path, recordings=recordings, flights={"training": ["h"]})
+    with pytest.raises(ConfigError, match="row 4 is flight h, and a flight of that name trained model m, whose"):
+        refuse_trained(asked, document)
+    refuse_trained(asked | {"put there": False}, document)  # its rows are known, and compared by content
+    refuse_trained(asked | {"quadrotor": {"file": "P"}}, document)  # names are those of one quadrotor
+    refuse_trained(asked | {"held keys": {"row 4": "i"}}, document)
+    (said,) = unchecked(asked, document)
+    assert said.startswith("whether a held-out flight trained model m could not be checked by content")
+    assert unchecked(asked | {"put there": False}, document) == [] == unchecked(asked | {"held": {}}, document)
+    for published in ({}, {"flights": None}, {"flights": ["h"]}, {"flights": {"training": 3}}):  # tells none, or oddly
+        refuse_trained(asked, {"id": "m"} | published)
+        assert unchecked(asked, {"id": "m"} | published)
+
+
+def test_a_model_keeps_the_recordings_of_flights_that_tell_them():
+    onboard = {"sha256": "ab", "log": 2}
+    made = {"a": {"imported": {"sources": {"onboard": onboard}}}, "b": {"imported": {"sources": {}}}, "c": {}}
+    assert recordings_of(made) == {"a": {"sha256": "ab", "log": "2"}}
+    del onboard["log"]
+    assert recordings_of(made) == {"a": {"sha256": "ab", "log": ""}}
+
+
+def test_a_gap_knows_whether_its_model_was_put_there(folder):
+    assert Folder(folder).gap("g")["put there"] is False
+    assert Folder(folder).gap("g")["held keys"] == {"row 6 of log.csv": "e"}
+    place = folder / "models/given/standalone/model.json"
+    place.parent.mkdir(parents=True)
+    place.write_text(json.dumps({"axes": {"Fz": {"terms": [{"expression": "w_tot"}]}}}))
+    write(folder, model="given")
+    assert Folder(folder).gap("g")["put there"] is True
 
 
 def test_a_model_put_there_with_an_unknown_variable_is_refused_before_anything_runs(folder):

@@ -66,6 +66,24 @@ def test_a_held_out_flight_whose_recording_trained_the_model_is_refused(project)
     assert "hold out a flight that the model has never seen" in line
 
 
+def test_a_copied_model_still_knows_the_recordings_that_trained_it(project):
+    """Its rows are not known where it is put, its recordings are: by content, under whatever name they stand."""
+    place = project.folder / "models/copied/standalone/model.json"
+    place.parent.mkdir(parents=True)
+    document = json.loads((project.folder / "models/small/standalone/model.json").read_text())
+    assert set(document["recordings"]) == {"small-1", "small-2"}
+    document["flights"]["training"] = ["elsewhere"]
+    place.write_text(json.dumps(document))
+    rows = {"rows of flights to compare (all)": [2, 3, 4], "rows of reference flights": []}
+    configure(project, model="copied", rows={**rows, "rows of flights held out": [3]})
+    code, text = project.snakemake("-j1", "results/calibrations/near.json")
+    assert code != 0
+    assert "held-out row 3 of small_file_log.csv has the recording of flight small-2, which trained" in last_line(text)
+    configure(project, model="copied", rows={**rows, "rows of flights held out": [4]})
+    code, text = project.snakemake("-j1", "results/calibrations/near.json")
+    assert code == 0, text
+
+
 @pytest.mark.parametrize(
     "changes, sentence",
     [
