@@ -32,7 +32,12 @@ CORRECTS: dict[str, tuple[str, str, tuple[str, ...]]] = {
 
 def corrected_at_import(cause: str, level: str) -> bool:
     """Whether a cause that a level found is corrected at import, and so is no part of the extended model."""
-    return level == "K" or (level == "A" and cause in CORRECTS)
+    return level in ("K", "A") and cause in CORRECTS
+
+
+def uncorrected(cause: str, level: str) -> bool:
+    """Whether a named cause is neither corrected at import nor part of the extended model: a leaning attitude."""
+    return level == "K" and cause not in CORRECTS
 
 
 def document(levels: Sequence[Level], settled: Sequence[str] = ()) -> dict[str, Any]:

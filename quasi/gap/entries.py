@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from quasi.gap.calibration import uncorrected
 from quasi.gap.confirmation import Settled
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
@@ -94,7 +95,13 @@ def gain_entry(cause: Cause, gains: Mapping[str, Mapping[str, float | None]]) ->
 
 
 def lower_effect(effect: Mapping[str, Any], level: str, gap: Mapping[str, Any]) -> dict[str, Any]:
-    """An effect of level K or A; its gain on held-out flights is that of its channel where most could be removed."""
+    """An effect of level K or A; its gain on held-out flights is that of its channel where most could be removed.
+
+    Of one that nothing corrects there is no gain.
+    """
+    if uncorrected(effect["id"], level):
+        told = {k: v for k, v in effect.items() if k != "removed"}
+        return {**told, "level": level, "gain": {"wrench": None, "rollout": None}, "confused_with": []}
     best: tuple[float, float | None] = (0.0, None)
     if effect.get("removed"):
         gain = {"wrench": min(max(effect["removed"].values()), 1.0), "rollout": None}

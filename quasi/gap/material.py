@@ -15,6 +15,7 @@ import numpy as np
 
 from quasi.errors import DataError
 from quasi.gap import actuation, kinematic
+from quasi.gap.calibration import corrected_at_import
 from quasi.gap.drive_fit import NAMES, Belief, DriveFit, commanded, fit_drive
 from quasi.gap.kinematic_columns import CHANNELS, Weak, corrected_already, weak_form
 from quasi.gap.kinematic_products import blocks_of, least_squares, whitener_of
@@ -111,7 +112,8 @@ def judge(
                 {"id": i, "since": entry["since"], "score": _wald(entry), "p": None, "why_not": why}
                 for i in ([entry["id"]] if "id" in entry else entry["ids"])
             ]
-            level["notes"].append(f"{_called(entry)} is {why}; the flights stay corrected for it")
+            stays = "; the flights stay corrected for it" if corrected_at_import(key, name) else ""
+            level["notes"].append(f"{_called(entry)} is {why}{stays}")
 
 
 def found_on(level: Level, flights: Sequence[Flown]) -> dict[str, Any]:
@@ -135,7 +137,9 @@ def found_on(level: Level, flights: Sequence[Flown]) -> dict[str, Any]:
 def kinematic_worth(
     entries: Sequence[Mapping[str, Any]], flights: Sequence[Flown], corrected: bool = True
 ) -> dict[str, Worth]:
-    """What causes of level K remove. flights  with capture, processed with the calibration or (not corrected) without.
+    """What causes of level K remove, or would remove where import cannot correct them.
+
+    flights  with capture, processed with the calibration or (not corrected) without
 
     Raises DataError when no flight can be compared with its capture.
     """
@@ -154,8 +158,8 @@ def kinematic_worth(
         sizes = {_cause(e): _in_columns(e, place) for e in entries}
         told = corrected_already(flown, weak.names)
         told[0] = 1.0
-        if corrected:
-            told = told + sum(sizes.values())
+        if corrected:  # what import took off is added again; it takes off none but what it can correct
+            told = told + sum(v for c, v in sizes.items() if corrected_at_import(c, "K"))
         floor = weak.columns[:, :, 0] - weak.columns[:, :, 1:] @ least_squares(weak.columns)
         sides.append(Side(columns @ told, floor, columns))
     if not sides:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from quasi.gap.calibration import corrected_at_import
+from quasi.gap.calibration import corrected_at_import, uncorrected
 from quasi.gap.effect import Effect
 from quasi.gap.wording import CHANNELS, listed, name_of, parameters_of, ranges_of, unasked, words_of
 
@@ -24,7 +24,8 @@ CORRECT = {
     "gyro_scale": "calibrate the gyro, or exchange it",
     "accelerometer_scale": "calibrate the accelerometer, or exchange it",
     "clock_drift": "let one clock stamp log and capture, where that can be",
-    "attitude_error": "tune the attitude estimator of the flight controller",
+    "attitude_error": "let the capture tell the attitude as well ('use onboard attitude' false, with orientations in "
+    "its export), or tune the attitude estimator of the flight controller, and fly again",
     "telemetry_delay": "log rotor speeds as often and as little filtered as the flight controller can",
     "rotor_speed_scale": f"multiply 'motor poles' of {QUADROTOR} by it, if the poles are what is wrong",
 }
@@ -33,7 +34,7 @@ CORRECT = {
 def steps(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str]:
     """What to do next, a sentence each; the first is the most useful one."""
     effects, said = diagnosis["effects"], []
-    own = [e for e in effects if not corrected_at_import(e["id"], e["level"])]
+    own = [e for e in effects if in_model(e)]
     if own:
         said.append(
             f"Make the extended model, {diagnosis['model']} with {listed([name_of(e['id']) for e in own])}: "
@@ -41,6 +42,11 @@ def steps(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str
             f"'{diagnosis['extended_model']}') tells what is left."
         )
     said += [_corrected(e) for e in effects if corrected_at_import(e["id"], e["level"])]
+    said += [
+        f"{_begun(e)}: {CORRECT.get(e['id'], 'set it right where it arises')}. Nothing corrects it in these flights."
+        for e in effects
+        if uncorrected(e["id"], e["level"])
+    ]
     said += [f"{_begun(e)}: {CORRECT[e['id']]}." for e in own if e["id"] in CORRECT]
     for tie in diagnosis["ties"]:
         names = listed([name_of(i) for i in tie["ids"]])
@@ -60,6 +66,11 @@ def steps(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str
             f"{diagnosis['model']} FLIGHT --gap {diagnosis['name']} (docs/flight-card.md)."
         )
     return said + _askable(diagnosis, known)
+
+
+def in_model(effect: Mapping[str, Any]) -> bool:
+    """Whether a named cause is part of the extended model."""
+    return not corrected_at_import(effect["id"], effect["level"]) and not uncorrected(effect["id"], effect["level"])
 
 
 def _begun(effect: Mapping[str, Any]) -> str:

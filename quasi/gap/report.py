@@ -13,7 +13,7 @@ from quasi import report
 from quasi.gap.calibration import corrected_at_import
 from quasi.gap.effect import Effect
 from quasi.gap.lower import UNITS as UNITS_OF
-from quasi.gap.next_steps import steps
+from quasi.gap.next_steps import in_model, steps
 from quasi.gap.wording import (
     CHANNELS,
     confirmation_of,
@@ -340,7 +340,7 @@ def _ties(diagnosis: Mapping[str, Any]) -> str:
 
 def _extended(diagnosis: Mapping[str, Any]) -> str:
     ident = diagnosis["extended_model"]
-    own = [name_of(e["id"]) for e in diagnosis["effects"] if not corrected_at_import(e["id"], e["level"])]
+    own = [name_of(e["id"]) for e in diagnosis["effects"] if in_model(e)]
     sensors = [name_of(e["id"]) for e in diagnosis["effects"] if corrected_at_import(e["id"], e["level"])]
     said = (
         f"{ident} is {diagnosis['model']} with {', '.join(own)}."

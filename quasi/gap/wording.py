@@ -5,6 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from quasi.gap.calibration import uncorrected
 from quasi.gap.effect import Effect
 from quasi.gap.places import UNITS
 
@@ -101,6 +102,8 @@ def cause_sentence(effect: Mapping[str, Any], known: Mapping[str, Effect], roles
 
 def _explained(effect: Mapping[str, Any], roles: Mapping[str, str]) -> str:
     gain, channel = effect["gain"]["wrench"], effect.get("gain channel")
+    if uncorrected(effect["id"], effect["level"]):
+        return "It is not corrected: the flights hold it, and what is said of forces and moments with them."
     if not effect.get("judged", True):
         held = flights_of(roles, "held out")
         verb = "show" if held.endswith("s") else "shows"

@@ -15,7 +15,7 @@ from test_gap_extension import flight as made
 
 from quasi.errors import ConfigError, DataError, QuasiError
 from quasi.gap import actuation, halves, material, mixed, plan, points, settling
-from quasi.gap.calibration import corrected_at_import
+from quasi.gap.calibration import corrected_at_import, uncorrected
 from quasi.gap.catalogue import whole_of
 from quasi.gap.confirmation import CONFIRMED, UNJUDGED, Confirmation, Settled
 from quasi.gap.diagnosis import _unable, _verdict, diagnose
@@ -264,6 +264,8 @@ def test_what_a_model_lacks_has_to_be_borne_out_by_held_out_flights_or_roll_outs
 def test_late_telemetry_is_corrected_at_import_or_part_of_the_model_never_both():
     assert corrected_at_import("telemetry_delay", "A") and not corrected_at_import("telemetry_delay", "W")
     assert corrected_at_import("gyro_bias", "K") and not corrected_at_import("motor_lag", "A")
+    assert not corrected_at_import("attitude_error", "K")
+    assert [uncorrected(*c) for c in (("attitude_error", "K"), ("gyro_bias", "K"), ("motor_lag", "A"))] == [1, 0, 0]
 
 
 def test_a_flight_without_a_second_in_one_piece_is_told(flight):

@@ -39,6 +39,8 @@ TURN = {
     "parameters": {"x": {"value": 0.012, "std": 0.001, "unit": "m"}}, "gain": {"wrench": 0.8, "rollout": None},
     "evidence": {"p": 1e-9},
 }  # fmt: skip
+LEAN = {**TURN, "id": "attitude_error", "channels": ["ax", "ay"], "gain": {"wrench": None, "rollout": None},
+        "parameters": {"gain": {"value": 0.48, "std": 0.02, "unit": "s"}}}  # fmt: skip
 LAG = {**TURN, "id": "motor_lag", "level": "A", "channels": ["w1", "w2", "w3", "w4"],
        "parameters": {"time_constant": {"value": 0.03, "std": 0.001, "unit": "s"}}}  # fmt: skip
 TOO_FEW = "1 compared flight is left to learn from, and a cause needs at least 2 beside those held out"
@@ -137,6 +139,16 @@ def test_what_was_corrected_at_import_is_not_told_as_a_gain_of_the_simulation():
     text = document([TURN])["summary"]
     assert "Corrected at import, it takes 80 %" in text and "Simulated" not in text
     assert "  " not in text
+
+
+def test_a_leaning_attitude_is_told_as_not_corrected_and_what_to_do():
+    made = document([LEAN])
+    text = page(made, KNOWN, None, {})
+    for words in ("It is not corrected: the flights hold it", "Nothing corrects it in these flights", "and fly again"):
+        assert words in text
+    for words in ("Corrected at import", "corrected already", "Make the extended model", "processed anew"):
+        assert words not in text
+    assert "Nothing was added: X-low is X." in text and "It is not corrected" in made["summary"]
 
 
 def not_judged(why=TOO_FEW, **further):

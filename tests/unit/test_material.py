@@ -10,6 +10,8 @@ from test_actuation import flown as driven
 from test_kinematic import flown as moved
 
 from quasi.gap import actuation, kinematic, lower, material
+from quasi.gap.calibration import document, for_flight
+from quasi.gap.entries import lower_effect
 from quasi.gap.lower import FAINTEST, SEARCHES, rate_of
 from quasi.gap.material import Side, worth
 
@@ -60,6 +62,23 @@ def test_a_bias_that_held_out_flights_do_not_have_loses_its_name_and_says_why(bi
     (lost,) = [c for c in levels["K"]["candidates"] if c["id"] == "gyro_bias"]
     assert "removes 0 % of the removable error on held-out flights, expected 5 %" in lost["why_not"]
     assert any("stay corrected for it" in n for n in levels["K"]["notes"])
+
+
+def test_a_leaning_attitude_is_judged_as_it_flew_for_nothing_corrects_it():
+    flights = [moved(s, onboard_gain=0.5) for s in (1, 2)]
+    level = kinematic.examine(flights, {})
+    assert [e["id"] for e in level.effects] == ["attitude_error"]
+    levels = settle_on(level, flights)
+    assert for_flight(document([level]), True) is None
+    for gain, least, most in ((0.5, 0.95, 1.01), (0.25, -1.0, 0.1)):  # twice what is there leaves as much
+        anew = json.loads(json.dumps(levels))
+        material.judge(anew, [], [moved(3, onboard_gain=gain)], -2.0)
+        (effect,) = anew["K"]["effects"]
+        assert least < max(effect["removed"].values()) < most, effect["removed"]
+    told = lower_effect(effect, "K", {"before": {}, "after": {}, "noise_floor": {}})
+    assert told["gain"]["wrench"] is None and "removed" not in told
+    material.judge(levels, [], [moved(3, onboard_gain=0.0)], SHARE)
+    assert not levels["K"]["effects"] and not any("stay corrected" in n for n in levels["K"]["notes"])
 
 
 def test_without_a_held_out_flight_with_capture_it_is_not_asked(biased):
