@@ -73,6 +73,12 @@ class Card:
     notes: list[str] = field(default_factory=list)
 
 
+UNTOLD = {
+    "attitude_error": "only on flights without captured attitude, and its file gives no typical size",
+    "marker_offset": "looks like the imu lever arm, which stands for it: forces and moments tell the two apart",
+}
+
+
 class Judge(NamedTuple):
     """One level: its causes, cross-products (K, ...) of each flight, those of a further manoeuvre as if flown in each,
     how they are put together within a flight, and the tests on them."""
@@ -149,7 +155,9 @@ def examine(
     asked = {n: e for n, e in effects.items() if not e.finding and e.typical(vehicle)}
     card = Card(model.id, [f.key for f in flights], seconds, compared, reference, "", [])
     card.not_asked = {
-        n: "its file gives no typical size" for n, e in effects.items() if not e.finding and n not in asked
+        n: UNTOLD.get(n, "its file gives no typical size")
+        for n, e in effects.items()
+        if not e.finding and n not in asked
     }
     if len({f.measured for f in flights}) > 1:
         card.notes.append("the flown flights' own forces are not used, for the others have not flown yet")
@@ -236,7 +244,7 @@ def _sensors(
         return None
     names = found[0][1]
     there = {n.split(".")[0] for n in names}
-    card.not_asked |= dict.fromkeys((n for n in effects if n not in there), "only on flights without captured attitude")
+    card.not_asked |= {n: UNTOLD.get(n, "no closed form of what it shows") for n in effects if n not in there}
     effects = {n: e for n, e in effects.items() if n in there}
     return Judge(
         effects,
