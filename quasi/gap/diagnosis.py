@@ -82,7 +82,8 @@ def diagnose(
     drive = [(effects[e["id"]], deviations(effects[e["id"]], e["parameters"]))
              for e in acting if e["id"] in effects and effects[e["id"]].extension]  # fmt: skip
     corrected = any(c["since"] == "always" for c in calibration.get("causes", ())) and made_of(model, learning)
-    case = Case(model, effects, vehicle, learning, compared, held, flights, drive, corrected, settings)
+    always = [e["id"] for e in acting if e["since"] == "always"]
+    case = Case(model, effects, vehicle, learning, compared, held, flights, drive, corrected, settings, always)
     unable = _unable(groups, roles, lost)
     found, kept = None, []
     lives, restless = pd.DataFrame(), []
@@ -155,7 +156,7 @@ def diagnose(
     }
     _since_when(result, references)
     result["summary"] = summary(result, effects)
-    tables = wrench_tables(evidence, roles, after(extended, model), vehicle)
+    tables = wrench_tables(evidence, roles, case.left(extended, kept, found and found.study, again, roles), vehicle)
     if len(lives):
         tables["W_unexplained"] = lives
     tables |= {k: t for k, t in rolled.items() if isinstance(t, pd.DataFrame)}

@@ -23,7 +23,7 @@ def wrench_tables(
 ) -> dict[str, pd.DataFrame]:
     """W_residuals, W_channels, W_where, W_spectra; none without any flight.
 
-    left  flight -> (n, 6) residual of the extended model
+    left  flight -> (n, 6) residual of the extended model; of a reference flight without what only changed
     """
     rows, channels, spectra = [], [], {}
     if not evidence:

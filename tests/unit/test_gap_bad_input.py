@@ -16,12 +16,15 @@ from test_gap_extension import flight as made
 from quasi.errors import ConfigError, DataError, QuasiError
 from quasi.gap import actuation, halves, material, mixed, plan, points, settling
 from quasi.gap.calibration import corrected_at_import, uncorrected
+from quasi.gap.case import Case
 from quasi.gap.catalogue import whole_of
 from quasi.gap.confirmation import CONFIRMED, UNJUDGED, Confirmation, Settled
 from quasi.gap.diagnosis import _unable, _verdict, diagnose
 from quasi.gap.effect import vehicle_of
 from quasi.gap.entries import candidates
 from quasi.gap.evidence import gather, gather_all, refuse_another_vehicle
+from quasi.gap.extension import extend
+from quasi.gap.gain import after
 from quasi.gap.level import Flown, Level
 from quasi.gap.mixed import Offer
 from quasi.gap.places import places
@@ -31,6 +34,7 @@ from quasi.gap.study import gather_study
 from quasi.gap.worth import Cause
 from quasi.gap.wrench import examine
 from quasi.gap.wrench_tables import _where as where_of
+from quasi.gap.wrench_tables import wrench_tables
 from quasi.standalone.model import AXES, Model
 from quasi.tables import read_numbers, write_json, write_table
 
@@ -209,6 +213,43 @@ def test_a_voltage_that_reference_flights_alone_log_is_no_place():
     table["role"] = np.repeat(["compared", "reference"], 200)
     table["speed"], table["volts"] = np.linspace(0, 5, 400), np.where(table["role"] == "reference", 15.0, np.nan)
     assert set(where_of(table)["where"]) == {"speed"}
+
+
+def test_a_reference_flight_is_shown_without_what_only_changed(flight):
+    """Its errors after the extension: a cause that it does not have would be added to them."""
+    roles = {"ref": "reference", "new": "compared", "held": "held out"}
+    evidence = {key: replace(evidence_of(flight), key=key) for key in roles}
+    values = {"mass": {"mass": 0.02}, "body_drag": {"c": 0.01}, "rotor_speed_scale": {"scale": 0.05}}
+    vehicle, settings = vehicle_of(MODEL), {"extended model ID": "x"}
+
+    def before_and_after(since, drive_since):
+        causes = [cause_of("mass", since, values["mass"]), cause_of("body_drag", "always", values["body_drag"])]
+        drive = [(CATALOGUE["rotor_speed_scale"], values["rotor_speed_scale"])]
+        always = ["rotor_speed_scale"] if drive_since == "always" else []
+        case = Case(MODEL, CATALOGUE, vehicle, [], [], [], {}, drive, False, settings, always)
+        extended = Model(case.extended(causes, None, "test", False), "test")
+        made = wrench_tables(evidence, roles, case.left(extended, causes, None, False, roles), vehicle)["W_residuals"]
+        return {key: part.filter(regex="_after$").to_numpy() for key, part in made.groupby("flight")}
+
+    def alone(*names):
+        model = Model(extend(MODEL, [(CATALOGUE[n], values[n]) for n in names], vehicle, "x", "test"), "test")
+        return after(model, MODEL)(evidence["ref"])
+
+    for since, drive_since, names in (
+        ("changed", "changed", ["body_drag"]),
+        ("changed", "always", ["body_drag", "rotor_speed_scale"]),
+        ("always", "always", ["mass", "body_drag", "rotor_speed_scale"]),
+    ):
+        left = before_and_after(since, drive_since)
+        np.testing.assert_allclose(left["ref"], alone(*names), atol=1e-12)
+        for key in ("new", "held"):
+            np.testing.assert_allclose(left[key], alone(*values), atol=1e-12)
+        assert np.allclose(left["ref"], left["new"]) == (since == drive_since == "always")
+
+
+def cause_of(name, since, value):
+    test = mixed.Test(Offer(name, since, (0,)), np.ones(1), np.eye(1), 1.0, 30.0, 1e-6)
+    return Cause(CATALOGUE[name], since, value, dict.fromkeys(value, 0.1), test, [])
 
 
 def test_what_net_forces_hold_already_cannot_be_asked_of_a_model_of_these():
