@@ -17,6 +17,7 @@ h1 { font-size: 26px; margin: 0 0 2px; } h2 { font-size: 19px; margin: 34px 0 8p
 .under { color: var(--soft); margin: 0 0 18px; }
 .verdict { border-left: 6px solid var(--soft); padding: 10px 16px; background: #f6f8f9; font-size: 17px; }
 .verdict b { display: inline-block; } .verdict b::first-letter { text-transform: uppercase; }
+.verdict .more { display: block; font-size: 15px; margin-top: 6px; }
 .verdict.good { border-color: var(--good); }
 .verdict.care { border-color: var(--care); } .verdict.bad { border-color: var(--bad); }
 .verdict.good b { color: var(--good); } .verdict.care b { color: var(--care); } .verdict.bad b { color: var(--bad); }
@@ -135,14 +136,21 @@ def section(title: str, *blocks: str) -> str:
     return f"<section><h2>{escape(title)}</h2>{body}</section>" if body else ""
 
 
-def page(title: str, under: str, verdict: str, because: str, sections: Iterable[str]) -> str:
-    """The whole page: title, a line under it, the verdict and its reasons, then the sections."""
-    kind = KINDS.get(verdict, "")
+def page(
+    title: str, under: str, verdict: str, because: str, sections: Iterable[str], more: str | None = None
+) -> str:  # fmt: skip
+    """The whole page: title, a line under it, the verdict and its reasons, then the sections.
+
+    more  details below the reasons, which stand out then as the one sentence to read; nothing of both where None
+    """
+    kind, reasons = KINDS.get(verdict, ""), f"{escape(because)}."
+    if more is not None:
+        reasons = f"<strong>{reasons}</strong>" + (f'<span class="more">{escape(more)}</span>' if more else "")
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>"
         f'<h1>{escape(title)}</h1><p class="under">{escape(under)}</p>'
-        f'<p class="verdict {kind}"><b>{escape(verdict)}:</b> {escape(because)}.</p>'
+        f'<p class="verdict {kind}"><b>{escape(verdict)}:</b> {reasons}</p>'
         f"{''.join(sections)}</body></html>\n"
     )

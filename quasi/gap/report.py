@@ -18,7 +18,6 @@ from quasi.gap.wording import (
     CHANNELS,
     confirmation_of,
     happening,
-    headline,
     left_sentence,
     listed,
     name_of,
@@ -109,11 +108,12 @@ def page(
             report.sentences(words_of(n, effects) for n in dict.fromkeys([*diagnosis["notes"], _rules(diagnosis)])),
         ),
     ]
-    because = diagnosis["summary"]
+    first, *rest = summed_up(diagnosis, effects)
     if len(diagnosis["effects"]) > 1:  # what of several would be a wall of words is a list
-        because = headline(diagnosis)
-        sections.insert(1, report.sentences(summed_up(diagnosis, effects)))
-    return report.page(f"Gap {diagnosis['name']}", under, diagnosis["verdict"], because.rstrip("."), sections)
+        sections.insert(1, report.sentences(rest))
+        rest = []
+    box = (first.rstrip("."), sections, " ".join(rest))
+    return report.page(f"Gap {diagnosis['name']}", under, diagnosis["verdict"], *box)
 
 
 def _rules(diagnosis: Mapping[str, Any]) -> str:

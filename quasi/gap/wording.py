@@ -20,7 +20,13 @@ CHANNELS = {
 }  # fmt: skip
 NOTHING = 0.01  # probability from which a rival adds nothing
 STAYS = 0.02  # share of a simulated error by which it has to change to be said to change
-REMOVABLE = "Removable is what is above the error that sensors and gusts leave."
+FEW = 2  # causes that one sentence can still tell in a pilot's words
+REMOVABLE = {
+    True: "Removable error of forces, moments and motion is what lies (squared) above the best fit of the model's "
+    "terms and all causes together, or above the extended model where that is better.",
+    False: "Removable error of sensors and rotor speeds is what lies (squared) above a fit, to each flight by itself, "
+    "of all that is known to go wrong there.",
+}  # by whether it is one of level W
 LEVELS = {"K": ("sensors", "clocks"), "A": ("the rotor drive",)}  # what stands below forces and moments
 LINES = {"R": "", "R commands": " from commands"}
 SINCE = {
@@ -92,36 +98,44 @@ def happening(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     return known[effect["id"]].happens({n: p["value"] for n, p in effect["parameters"].items()})
 
 
+def _told(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
+    """What a cause does, with its name and parameters."""
+    sentence = happening(effect, known)
+    return f"{sentence[:1].upper()}{sentence[1:]} ({name_of(effect['id'])}: {parameters_of(effect['parameters'])})"
+
+
 def cause_sentence(effect: Mapping[str, Any], known: Mapping[str, Effect], roles: Mapping[str, str]) -> str:
     """What a named cause is, how large and since when; then what it explains and how sure that is."""
-    sentence = happening(effect, known)
-    text = f"{sentence[:1].upper()}{sentence[1:]} ({name_of(effect['id'])}: {parameters_of(effect['parameters'])})"
-    text += f"; {since_of(effect)}."
-    return " ".join(t for t in (text, _explained(effect, roles), _sentence(_sureness(effect))) if t)
+    explains = _explains(effect, roles)
+    texts = [f"{_told(effect, known)}; {since_of(effect)}.", _sentence(explains and f"it {explains}"), _beyond(effect)]
+    return " ".join(t for t in texts if t)
 
 
-def _explained(effect: Mapping[str, Any], roles: Mapping[str, str]) -> str:
+def _explains(effect: Mapping[str, Any], roles: Mapping[str, str]) -> str:
+    """What a cause explains on held-out flights: what follows "it"; nothing where that is not known."""
     gain, channel = effect["gain"]["wrench"], effect.get("gain channel")
     if uncorrected(effect["id"], effect["level"]):
-        return "It is not corrected: the flights hold it, and what is said of forces and moments with them."
+        return "is not corrected: the flights hold it, and what is said of forces and moments with them"
+    at = f" on {flights_of(roles, 'held out')}" if "held out" in roles.values() else ""
     if not effect.get("judged", True):
-        held = flights_of(roles, "held out")
-        verb = "show" if held.endswith("s") else "shows"
-        return f"{held[:1].upper()}{held[1:]} hardly {verb} it, so it is not judged there."
+        return f"is hardly shown by {flights_of(roles, 'held out')} and so not judged there"
     if gain is None:
         return ""
-    if not channel:
-        if effect["level"] == "A":
-            return f"It is {percent(gain)} of the removable error of rotor speeds at given commands."
-        return f"Corrected at import, it takes {percent(gain)} of the removable error away there."
-    text = (
-        f"On {flights_of(roles, 'held out')} it explains {share_of(gain, effect.get('gains', {}).get(channel))} of the "
-        f"removable {CHANNELS.get(channel, channel)} error ({channel})"
-    )
-    if effect["gain"].get("rollout") is not None:
+    if channel:
+        share = share_of(gain, effect.get("gains", {}).get(channel))
+        return f"explains {share} of the removable {CHANNELS.get(channel, channel)} error ({channel}){at}"
+    if effect["level"] == "A":
+        return f"explains {percent(gain)} of the removable error of rotor speeds at given commands{at}"
+    return f"takes {percent(gain)} of the removable error away{at}, corrected at import"
+
+
+def _beyond(effect: Mapping[str, Any]) -> str:
+    """What a cause explains of the simulated motion, and what else speaks for it."""
+    rolled = ""
+    if effect.get("judged", True) and effect["gain"].get("rollout") is not None:
         share = share_of(effect["gain"]["rollout"], effect.get("rollout gain"))
-        text += f" and {share} of that{rollout_of(effect)}"
-    return f"{text}."
+        rolled = f"It explains {share} of the removable error{rollout_of(effect)}."
+    return " ".join(t for t in (rolled, _sentence(_sureness(effect))) if t)
 
 
 def _sureness(effect: Mapping[str, Any]) -> str:
@@ -171,21 +185,24 @@ def confirmation_of(effect: Mapping[str, Any]) -> str:
     return text
 
 
-def rivals_sentence(effect: Mapping[str, Any], diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
-    """Which rivals of a named cause were tested, and how they lost."""
+def _lost(effect: Mapping[str, Any], diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str]:
+    """Ids of the rivals of a named cause that were tested and lost."""
     rivals = known[effect["id"]].rivals if effect["id"] in known else ()
     named = {e["id"] for e in diagnosis["effects"]}
-    lost = {c["id"]: c for c in diagnosis["candidates"]}
     names = dict.fromkeys([*effect.get("confused_with", []), *rivals])
-    tested = [i for i in names if i in lost and i not in named]
+    return [i for i in names if i in {c["id"] for c in diagnosis["candidates"]} and i not in named]
+
+
+def rivals_words(effect: Mapping[str, Any], diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
+    """Which rivals of a named cause were tested, and how they lost."""
+    tested = _lost(effect, diagnosis, known)
     if not tested:
         return ""
+    lost = {c["id"]: c for c in diagnosis["candidates"]}
     were = "were" if len(tested) > 1 else "was"
     # of one that is there as well, only too little of it, its p would say the opposite
     why = next((f" ({name_of(i)}: p = {lost[i]['p']:.2g})" for i in tested if (lost[i].get("p") or 0.0) > NOTHING), "")
-    return _sentence(
-        f"{listed([name_of(i) for i in tested])} {were} tested in place of {name_of(effect['id'])} and lost{why}"
-    )
+    return f"{listed([name_of(i) for i in tested])} {were} tested in place of {name_of(effect['id'])} and lost{why}"
 
 
 def tie_sentence(tie: Mapping[str, Any]) -> str:
@@ -242,20 +259,24 @@ def rollout_sentence(diagnosis: Mapping[str, Any]) -> str:
         return ""
     longest = max(r["horizon"] for r in rows)
     units = {"velocity": "m/s", "rate": "rad/s"}
-    stay, change = [], []
+    stay, change, floors = [], [], []
     for r in rows:
         if r["horizon"] != longest:
             continue
         name, unit = CHANNELS[r["quantity"]], units[r["quantity"]]
         if abs(r["after"] - r["before"]) < STAYS * r["before"]:
             stay.append(f"{name} ({r['before']:.3g} {unit})")
+            floors.append((r["after"], r.get("noise_floor")))
         else:
             change.append(f"the {name} error goes from {r['before']:.3g} to {r['after']:.3g} {unit}")
     texts = list(change)
+    # what nothing that can be fitted takes away is no sign of a cause that is missing
+    least = all(f is not None and f > (1.0 - STAYS) * after for after, f in floors)
+    why = ", even with the best fit of all causes" if least else ""
     if len(stay) > 1:
-        texts.append(f"{listed(stay)} errors stay as they are: something else makes them")
+        texts.append(f"{listed(stay)} errors stay as they are{why}")
     elif stay:
-        texts.append(f"the error of {stay[0]} stays as it is: something else makes it")
+        texts.append(f"the error of {stay[0]} stays as it is{why}")
     return f"Simulated{LINES[line]} for {longest:g} s, {listed(texts)}."
 
 
@@ -300,23 +321,41 @@ def summary(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     return " ".join(summed_up(diagnosis, known))
 
 
-def headline(diagnosis: Mapping[str, Any]) -> str:
-    """Several causes, and what stays, in one line."""
-    names = [name_of(e["id"]) for e in diagnosis["effects"]]
-    text = f"{len(names)} causes are named, {listed(names)}"
+def headline(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
+    """Named causes in one sentence: what happens, what of the error it explains, what lost, what stays open."""
+    roles, effects = diagnosis["flights"], diagnosis["effects"]
+    if len(effects) == 1:
+        explains = _explains(effects[0], roles)
+        clauses = [_told(effects[0], known), explains and f"it {explains}", rivals_words(effects[0], diagnosis, known)]
+    else:
+        few = len(effects) <= FEW
+        causes = [
+            (f"{happening(e, known)} ({name_of(e['id'])})" if few else name_of(e["id"]))
+            + (f", which {_explains(e, roles)}" if _explains(e, roles) else "")
+            for e in effects
+        ]
+        lost = list(dict.fromkeys(name_of(i) for e in effects for i in _lost(e, diagnosis, known)))
+        clauses = [f"{len(effects)} causes are named: {'; '.join(causes)}"]
+        clauses.append(f"tested in their place and lost: {listed(lost)}" if lost else "")
     ties = [listed([name_of(i) for i in t["ids"]], "or") for t in diagnosis["ties"]]
-    text += f"; it cannot be told whether {listed(ties)} is there" if ties else ""
+    clauses.append(f"it cannot be told whether {listed(ties)} is there" if ties else "")
     left = dict.fromkeys(CHANNELS.get(u["channel"], u["channel"]) for u in diagnosis["unexplained"])
-    return text + (f"; something in {listed(list(left))} stays unexplained" if left else "")
+    clauses.append(f"something in {listed(list(left))} stays unexplained" if left else "")
+    return _sentence("; ".join(c for c in clauses if c))
 
 
 def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str]:
-    """Each named cause with its rivals, each tie, what stays, and what the extension does: a paragraph each."""
+    """One sentence that says it all; then each named cause, each tie, what stays, what the extension does: a paragraph
+    each."""
     roles, effects = diagnosis["flights"], diagnosis["effects"]
-    texts = [
-        " ".join(t for t in (cause_sentence(e, known, roles), rivals_sentence(e, diagnosis, known)) if t)
-        for e in effects
-    ]
+    texts = [headline(diagnosis, known)] if effects else []
+    if len(effects) == 1:  # the sentence has told the rest
+        texts.append(" ".join(t for t in (_sentence(since_of(effects[0])), _beyond(effects[0])) if t))
+    else:
+        texts += [
+            " ".join(t for t in (cause_sentence(e, known, roles), _sentence(rivals_words(e, diagnosis, known))) if t)
+            for e in effects
+        ]
     texts += [tie_sentence(t) for t in diagnosis["ties"]]
     texts += [left_sentence(u) for u in diagnosis["unexplained"][:3]]
     if len(diagnosis["unexplained"]) > 3:
@@ -337,7 +376,10 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
             f"{100 * diagnosis['material share']:.0f} % of the error that could be removed."
         )
     texts = [t for t in texts if t]
-    return [*texts, REMOVABLE] if any("removable" in t for t in texts) else texts
+    if not any("removable" in t for t in texts):
+        return texts
+    levels = {e["level"] == "W" for e in effects} | ({True} if diagnosis["unexplained"] else set())
+    return [*texts, " ".join(text for level, text in REMOVABLE.items() if level in levels)]
 
 
 def _sound(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
