@@ -173,11 +173,11 @@ def test_what_was_corrected_at_import_is_not_told_as_a_gain_of_the_simulation():
 def test_a_leaning_attitude_is_told_as_not_corrected_and_what_to_do():
     made = document([LEAN])
     text = page(made, KNOWN, None, {})
-    for words in ("It is not corrected: the flights hold it", "Nothing corrects it in these flights", "and fly again"):
+    for words in ("is not corrected: the flights hold it", "Nothing corrects it in these flights", "and fly again"):
         assert words in text
     for words in ("Corrected at import", "corrected already", "Make the extended model", "processed anew"):
         assert words not in text
-    assert "Nothing was added: X-low is X." in text and "It is not corrected" in made["summary"]
+    assert "Nothing was added: X-low is X." in text and "is not corrected" in made["summary"]
 
 
 def not_judged(why=TOO_FEW, **further):
