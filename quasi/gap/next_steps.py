@@ -105,7 +105,7 @@ def _visit(left: Mapping[str, Any]) -> str:
         return f"The {name} is off everywhere: look for what is mounted, loaded or configured otherwise."
     if where == "time":
         return f"The {name} changes in time{_at(where, mostly)}: look for what came loose, warmed up or ran empty."
-    judge = "so that it can be judged there" if left["share"] is None else "to see whether it comes again"
+    judge = "to see whether it comes again" if left["judged"] else "so that it can be judged there"
     return f"The {name}: look and fly along the {where}{_at(where, mostly)}, in a held-out flight too, {judge}."
 
 

@@ -13,6 +13,7 @@ import pandas as pd
 from scipy.special import stdtrit
 
 from quasi.gap import rhythm
+from quasi.gap.blocks import HOLDS
 from quasi.gap.catalogue import beyond_slope, columns_of, corrected
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.evidence import Evidence
@@ -32,7 +33,7 @@ AGAIN = 0.5  # of what other flights tell that a flight must show
 ELSE = 2  # other functions of a place that are tried
 VISITED = 0.3  # share of the function's usual size below which a held-out flight cannot judge it
 BETWEEN = 0.002  # probability of nothing that whole flights as witnesses must leave as well, |t| = 3.3
-MOST_OF_IT = 4.0  # times the squared error, that no function is beside others of its channel
+GROWN = 4.0  # times its square without the others of its channel, that no function is beside them
 UNHEARD = 0.3  # share of the squared error of the flights where it was found, that it must be then
 
 
@@ -70,8 +71,7 @@ def search(
     found = select(grounds, compared, given, 0.5 * rate)
     joint = _joint(grounds, compared, causes, found)
     found = _again(grounds, compared, given, joint, _witnessed(grounds, compared, given, found), 0.5 * rate)
-    there = wrench_score([f for f, flag in zip(flights, compared) if flag], left).mean()
-    found = _apart(grounds, compared, given, found, there, 0.5 * rate)
+    found = _apart(grounds, compared, given, found, 0.5 * rate)
     joint = _joint(grounds, compared, causes, found)
     # what healthy flights show as well and is not sure must not stand beside what changed; where none is healthy, what
     # no term of a model can depend on is no form of terms, and the flights that it was found on may be sure of it
@@ -88,6 +88,7 @@ def search(
     centred = wrench_score(held, left, True).mean()
     found_in = wrench_score([f for f, flag in zip(flights, compared) if flag], left, True).mean()
     said: list[dict[str, Any]] = []
+    parts: list[float] = []
 
     def material(channel: int, gone: float, before: float, since: str) -> float | None:
         """The share of the removable squared error that is gone; nothing where that is too little."""
@@ -99,8 +100,11 @@ def search(
     told: list[tuple[Place, Test]] = []
 
     def say(channel: int, where: str, part: float | None, size: float, **rest: Any) -> None:
-        said.append({"channel": AXES[channel], "where": where, "share": part, "size": float(size),
-                     "unit": "N" if channel < 3 else "N m", **rest})  # fmt: skip
+        # where the best fit leaves as much, what goes by a function is all there is, and no share of anything
+        shown = part if floor[channel] < HOLDS * whole[channel] else None
+        said.append({"channel": AXES[channel], "where": where, "judged": part is not None, "share": shown,
+                     "size": float(size), "unit": "N" if channel < 3 else "N m", **rest})  # fmt: skip
+        parts.append(part or 0.0)
 
     for place, test in found:
         k, where = place.channel, place.choice.where
@@ -137,7 +141,8 @@ def search(
                 say(k, "frequency", part, np.sqrt(power[k]), since=line.since, mostly=[[line.low, line.high]],
                     evidence={"p": line.p, "seen along": line.view})  # fmt: skip
     table = pd.concat(profiles, ignore_index=True) if profiles else pd.DataFrame({"channel": [], "where": []})
-    return Left(sorted(said, key=lambda u: -(u["share"] or 0.0)), table, told, grounds)
+    order = np.argsort(-np.array(parts), kind="stable")
+    return Left([said[k] for k in order], table, told, grounds)
 
 
 def outdone(
@@ -284,24 +289,27 @@ def _again(
 
 
 def _apart(
-    grounds: Grounds, compared: Sequence[bool], given: Sequence[Offer], found: Sequence[tuple[Place, Test]],
-    there: np.ndarray, rate: float,
-) -> list[tuple[Place, Test]]:  # fmt: skip
-    """Without functions that hold each other: where flights kept one heading, a wave along it is as good as a constant,
-    and both, large and opposite, would be told. there (6,) mean squares of what is left in the compared flights
-    """
+    grounds: Grounds, compared: Sequence[bool], given: Sequence[Offer], found: Sequence[tuple[Place, Test]], rate: float
+) -> list[tuple[Place, Test]]:
+    """Without functions that hold each other: where two places go together (volts fall with time, flights kept one
+    heading), two functions, large and opposite, stand for the little that is left of both. The one that grows most
+    beside the others goes: it is there to take off what they have too much."""
     kept = list(found)
+
+    def square(place: Place, test: Test) -> float:
+        which, own = list(place.choice.which), [b for b, flag in zip(grounds.thinned, compared) if flag]
+        return float(np.mean([np.mean((b[:, which] @ test.value) ** 2) for b in own]))
+
+    def growth(place: Place, test: Test) -> float:
+        others = [p for p, _ in kept if p.channel != place.channel]
+        alone = tested(grounds, compared, given, others, place)
+        return square(place, test) / max(square(place, alone), 1e-300)
+
     while True:
-        large = [
-            place for place, test in kept
-            if np.mean([np.mean((b[:, list(place.choice.which)] @ test.value) ** 2)
-                        for b, flag in zip(grounds.thinned, compared) if flag]) > MOST_OF_IT * there[place.channel]
-        ]  # fmt: skip
-        pairs = [(p, t) for p, t in kept if any(p.channel == q.channel for q in large)]
-        pairs = [(p, t) for p, t in pairs if sum(p.channel == q.channel for q, _ in kept) > 1]
-        if not pairs:
+        grown = [(growth(p, t), p) for p, t in kept if sum(p.channel == q.channel for q, _ in kept) > 1]
+        most, gone = max(grown, key=lambda pair: pair[0], default=(0.0, None))
+        if most <= GROWN:
             return kept
-        gone = max(pairs, key=lambda pair: pair[1].p)[0]
         places = [p for p, _ in kept if p != gone]
         again = [(p, tested(grounds, compared, given, [q for q in places if q != p], p)) for p in places]
         kept = [(p, t) for p, t in again if t.p < level_of(grounds, compared, rate)]

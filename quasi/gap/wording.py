@@ -225,14 +225,13 @@ def left_sentence(left: Mapping[str, Any]) -> str:
     if where == "frequency" and left.get("mostly"):
         low, high = left["mostly"][0]
         along = f"in time, at {low:.2f} to {high:.2f} Hz"
-    share = (
-        "which cannot be judged on the held-out flights, for they do not go there"
-        if left["share"] is None
-        else f"{percent(left['share'])} of its removable error"
-    )
-    return (
-        f"The {CHANNELS.get(channel, channel)} ({channel}) is off{size} {along}{at}: {share}, which no cause explains."
-    )
+    if not left["judged"]:
+        told = ": which cannot be judged on the held-out flights, for they do not go there"
+    elif left["share"] is None:
+        told = ", on the held-out flights too"
+    else:
+        told = f": {percent(left['share'])} of its removable error"
+    return f"The {CHANNELS.get(channel, channel)} ({channel}) is off{size} {along}{at}{told}, which no cause explains."
 
 
 def ranges_of(where: str, mostly: Sequence[Sequence[float]]) -> str:

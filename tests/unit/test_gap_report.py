@@ -33,7 +33,8 @@ TIE = {
     "parameters": {"mass": {"mass": {"value": 0.45, "std": 0.01, "unit": "kg"}},
                    "thrust_factor": {"factor": {"value": 0.96, "std": 0.01, "unit": "1"}}},
 }  # fmt: skip
-LEFT = {"channel": "Mz", "where": "heading", "share": 0.4, "since": "always", "evidence": {"p": 1e-6, "wald": 40.0}}
+LEFT = {"channel": "Mz", "where": "heading", "judged": True, "share": 0.4, "since": "always",
+        "evidence": {"p": 1e-6, "wald": 40.0}}  # fmt: skip
 TURN = {
     "id": "marker_offset", "level": "K", "since": "changed", "channels": ["ax", "ay", "az"], "confused_with": [],
     "parameters": {"x": {"value": 0.012, "std": 0.001, "unit": "m"}}, "gain": {"wrench": 0.8, "rollout": None},
@@ -90,13 +91,15 @@ def test_a_cause_that_held_out_flights_do_not_show_is_told_as_not_judged():
 
 
 def test_an_unexplained_residual_is_told_with_its_size_and_where_it_lives():
-    left = {"channel": "Fz", "share": 0.5, "size": 0.123, "unit": "N", "since": "changed"}
+    left = {"channel": "Fz", "judged": True, "share": 0.5, "size": 0.123, "unit": "N", "since": "changed"}
     at = left_sentence({**left, "where": "heading", "mostly": [[0.7, 1.05], [2.0, 2.1]]})
     assert "is off by 0.12 N rms along the heading, mostly at 40.1 to 60.2 and 115 to 120 deg: 50 % of its" in at
     place = left_sentence({**left, "where": "room place", "mostly": [[1.2, -0.8]]})
     assert "along the room place, mostly near x = 1.2 m, y = -0.8 m" in place
     assert "rms in time, at 0.38 to 0.42 Hz" in left_sentence({**left, "where": "frequency", "mostly": [[0.38, 0.42]]})
-    nowhere = left_sentence({**left, "where": "everywhere", "mostly": [], "share": None})
+    whole = left_sentence({**left, "where": "time", "mostly": [[0.0, 20.0]], "share": None})
+    assert whole.endswith("along the time, mostly at 0 to 20 s, on the held-out flights too, which no cause explains.")
+    nowhere = left_sentence({**left, "where": "everywhere", "mostly": [], "judged": False, "share": None})
     assert "rms everywhere: which cannot be judged on the held-out flights" in nowhere
 
 
