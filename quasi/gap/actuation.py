@@ -16,7 +16,7 @@ from quasi.gap.drive_findings import saturated, weak
 from quasi.gap.drive_fit import NAMES, RATE, Belief, DriveFit, belief_of, commanded, fit_drive, reference_voltage
 from quasi.gap.level import Choice, Flown, Level, Tests, choose, final_test, probability, separability, shares_of
 from quasi.gap.mixed import Columns, Offer
-from quasi.gap.residual_tables import beside, spectra
+from quasi.gap.residual_tables import beside, spectra, where
 from quasi.gap.whitening import autoregression, whiten
 
 ORDER = 12  # of the autoregression at the rate of the residuals
@@ -299,7 +299,8 @@ def _report(
 
 
 def _tables(level: Level, used: Sequence[Flown], fits: Sequence[DriveFit], apart: Sequence[np.ndarray]) -> None:
-    """Tables "residuals" (measured minus modelled speed), "channels" (rms, whiteness), "parameters" and "spectra".
+    """Tables "residuals" (measured minus modelled speed), "channels" (rms, whiteness), "where", "parameters" and
+    "spectra".
 
     apart  (11,) per flight: its constants minus the reference's
     """
@@ -326,9 +327,12 @@ def _tables(level: Level, used: Sequence[Flown], fits: Sequence[DriveFit], apart
                     {"flight": flown.key, "compared": flown.compared, "parameter": name, "value": float(value),
                      "unit": UNITS.get(name, "rad/s" if name[0] == "a" else "1")}
                 )  # fmt: skip
+    whole = pd.concat(rows, ignore_index=True)
+    compared = whole[whole["flight"].isin([f.key for f in used if f.compared])]
     level.tables = {
-        "residuals": pd.concat(rows, ignore_index=True),
+        "residuals": whole,
         "channels": pd.DataFrame(channels),
+        "where": where(compared, dict.fromkeys(("w1", "w2", "w3", "w4"), "rad/s"), ("before", "floor")),
         "parameters": pd.DataFrame(parameters),
         "spectra": spectra(rows, [d.breaks for d in fits], RATE),
     }

@@ -32,6 +32,11 @@ UNTOLD = ("none", "standing still")  # sources of a flight's velocity or positio
 PLACE = ("x", "y", "z")
 
 
+def induced_in_hover(mass: float, radius: float) -> float:
+    """Induced velocity of four rotors in hover by momentum theory, m/s; kg, m."""
+    return float(np.sqrt(mass * GRAVITY / (2.0 * AIR_DENSITY * 4.0 * np.pi * radius**2)))
+
+
 @dataclass(frozen=True)
 class Evidence:
     """Valid rows of one filtered flight with what the model says about them. Body axes FRD, SI units.
@@ -163,8 +168,7 @@ class Evidence:
     @property
     def hover_induced(self) -> float:
         """Induced velocity in hover by momentum theory, m/s."""
-        area = 4.0 * np.pi * self.airframe.radius**2
-        return float(np.sqrt(self.mass * GRAVITY / (2.0 * AIR_DENSITY * area)))
+        return induced_in_hover(self.mass, self.airframe.radius)
 
     def at_hubs(self, forces: np.ndarray) -> np.ndarray:
         """Wrench (n, 6) about the cg of forces at the hubs (n, 4, 3), N, body axes."""

@@ -9,7 +9,7 @@ from quasi.gap.kinematic_columns import CHANNELS, RATE, Weak
 from quasi.gap.kinematic_products import added, alone, blocks_of, least_squares
 from quasi.gap.level import Flown
 from quasi.gap.mixed import Offer, Test
-from quasi.gap.residual_tables import beside, spectra
+from quasi.gap.residual_tables import beside, spectra, where
 from quasi.gap.whitening import Whitener, whiten
 
 
@@ -18,7 +18,7 @@ def tables(
     fitted: Mapping[Offer, Test], causes: Mapping[str, Sequence[int]], usual: Mapping[str, float],
     units: Mapping[str, str],
 ) -> tuple[dict[str, pd.DataFrame], dict[str, float]]:  # fmt: skip
-    """Tables "residuals" (rows), "channels" (rms per flight and channel), "parameters", "spectra"; the noise floor.
+    """Tables "residuals" (rows), "channels" (rms per flight and channel), "where", "parameters", "spectra"; the floor.
 
     known   (P,) per flight: values of the columns that were taken off before, and are added again here
     fitted  causes taken; causes {cause: columns}; usual  {cause: spread} of nuisances
@@ -30,6 +30,7 @@ def tables(
     nuisance = [i for i, n in enumerate(names) if i > 0 and n.split(".")[0] in usual]
     weight = np.diag([1.0 / usual[names[i].split(".")[0]] ** 2 for i in nuisance])
     shown = [c for c in range(len(CHANNELS)) if all(w.turning for w in weak) or c >= 3]
+    unit = {CHANNELS[c]: "rad/s" if c < 3 else "m/s2" for c in shown}
     rows, channels, parameters, floors = [], [], [], []
     for flown, one, whitener, values in zip(flights, weak, whiteners, known):
         gram = added(blocks_of(one, whitener).sum(axis=0), values)
@@ -55,7 +56,7 @@ def tables(
             table[f"{channel}_floor"] = left[:, c]
             channels.append(
                 {"flight": flown.key, "compared": flown.compared, "channel": channel,
-                 "unit": "rad/s" if c < 3 else "m/s2", "before": _rms(series["before"][:, c]),
+                 "unit": unit[channel], "before": _rms(series["before"][:, c]),
                  "after": _rms(series["after"][:, c]), "floor": _rms(left[:, c]),
                  "whiteness": float(n[1:] @ n[:-1] / max(n @ n, 1e-300)) if len(n) > 1 else np.nan}
             )  # fmt: skip
@@ -68,9 +69,12 @@ def tables(
             if std[i] > 0 and gram[i, i] > 0
         ]  # fmt: skip
     floor = np.sqrt(np.mean(floors, axis=0))
+    whole = pd.concat(rows, ignore_index=True)
+    compared = whole[whole["flight"].isin([f.key for f in flights if f.compared])]
     found = {
-        "residuals": pd.concat(rows, ignore_index=True),
+        "residuals": whole,
         "channels": pd.DataFrame(channels),
+        "where": where(compared, unit, ("before", "after", "floor")),
         "parameters": pd.DataFrame(parameters),
         "spectra": spectra(rows, [w.breaks for w in weak], RATE),
     }

@@ -1,5 +1,6 @@
 """Levels K and A together: sensors, frames, clocks and the rotors' drive, settled before anything aerodynamic."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -98,5 +99,7 @@ def judged(flights: Sequence[Flown], model: Mapping[str, Any], effects: Sequence
 def units_of(table: pd.DataFrame) -> dict[str, tuple[str, str]]:
     """Units of the columns of a residual table, by the quantity that a name begins with."""
     return {
-        name: (UNITS.get(name, UNITS.get(name.split("_")[0], "")), "") for name in table.columns if name not in COLUMNS
+        name: (UNITS.get(name, UNITS.get(re.split("[_ ]", name)[0], "")), "")
+        for name in table.columns
+        if name not in COLUMNS
     }

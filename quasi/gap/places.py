@@ -1,17 +1,32 @@
 """Where a residual may live, and the smooth functions of it that are offered to what no cause explains."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from quasi.attitude import from_euler, rotate_inverse
 from quasi.gap.evidence import Evidence
+from quasi.standalone.model import ROTORS
 
 APART = 0.02  # a variable whose scaled spread is smaller is as good as constant
 HEADING, ROOM, EVERYWHERE = "heading", "room place", "everywhere"
 # what a model's terms depend on; the voltage falls with what the rotors draw
 OWN = ("speed", "rotor speed", "descent ratio", "roll rate", "pitch rate", "yaw rate", "volts")
+# in which functions of them are offered
+ORDER = ("speed", HEADING, "time", "rotor speed", "descent ratio", "roll rate", "pitch rate", "yaw rate", "height",
+         "room x", "room y", "volts")  # fmt: skip
+PLAIN = {
+    HEADING: "yaw",
+    "time": "t",
+    "roll rate": "p",
+    "pitch rate": "q",
+    "yaw rate": "r",
+    "room x": "x",
+    "room y": "y",
+    "volts": "battery_voltage",
+}  # columns that are a place as they are
 SPOTS = (1.0, 2.0)  # m, width of a bump over the room's floor: a fan, a rotor's wake returning, a corner
 APART_SPOTS = 0.8  # of the width
 STEPS = 6  # parts of a flight between which something may come loose
@@ -23,25 +38,39 @@ UNITS = {
 }  # fmt: skip
 
 
+def along(columns: Mapping[str, np.ndarray], hover: float, down: np.ndarray | None = None) -> dict[str, np.ndarray]:
+    """Where a flight is, row by row, {name: (n,)}, as far as its columns tell: SI units, heading rad.
+
+    hover  induced velocity in hover, m/s, which the descent ratio counts in; down (n, 3) the earth's down direction in
+    body axes, None takes it from the attitude. Speeds are through the air where the wind is known.
+    """
+
+    def has(*names: str) -> bool:
+        return all(n in columns for n in names)
+
+    def take(*names: str) -> np.ndarray:
+        return np.stack([np.asarray(columns[n], float) for n in names], axis=1)
+
+    found = {name: np.asarray(columns[own], float) for name, own in PLAIN.items() if own in columns}
+    velocity = [f"{c}_air" if f"{c}_air" in columns else c for c in "uvw"]
+    angles = ("roll", "pitch", "yaw")
+    if has(*velocity):
+        found["speed"] = np.linalg.norm(take(*velocity), axis=1)
+    if has(*velocity) and (down is not None or has(*angles)):
+        down = rotate_inverse(from_euler(*take(*angles).T), np.array([0.0, 0.0, 1.0])) if down is None else down
+        sinking = np.einsum("ni,ni->n", take(*velocity), down)
+        found["descent ratio"] = np.maximum(sinking, 0.0) / hover
+    if has(*ROTORS):
+        found["rotor speed"] = take(*ROTORS).mean(axis=1)
+    if has("z"):
+        found["height"] = -np.asarray(columns["z"], float)
+    return found
+
+
 def places(flight: Evidence) -> dict[str, np.ndarray]:
     """Where a residual may live, {name: (n,)}: SI units, heading rad, the descent ratio without unit."""
-    down = np.einsum("ni,ni->n", flight.velocity, flight.down)
-    found = {
-        "speed": np.linalg.norm(flight.velocity, axis=1),
-        HEADING: flight.columns["yaw"],
-        "time": flight.t,
-        "rotor speed": flight.speeds.mean(axis=1),
-        "descent ratio": np.maximum(down, 0.0) / flight.hover_induced,
-        "roll rate": flight.rates[:, 0],
-        "pitch rate": flight.rates[:, 1],
-        "yaw rate": flight.rates[:, 2],
-    }
-    if "z" in flight.columns:
-        x, y, z = flight.position.T
-        found |= {"height": -z, "room x": x, "room y": y}
-    if "battery_voltage" in flight.columns:
-        found["volts"] = flight.columns["battery_voltage"]
-    return {name: values for name, values in found.items() if np.isfinite(values).all()}
+    found = along(flight.columns, flight.hover_induced, flight.down)
+    return {name: found[name] for name in ORDER if name in found and np.isfinite(found[name]).all()}
 
 
 class Choice(NamedTuple):

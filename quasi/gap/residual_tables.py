@@ -1,32 +1,70 @@
 """Where residuals live: beside the state they were found in, and over frequency."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
 from scipy.signal import welch
 
+from quasi.gap.evidence import induced_in_hover
 from quasi.gap.level import Flown
+from quasi.gap.places import HEADING, UNITS, along
 from quasi.gap.whitening import stretches
 
+WHERE = ("t", "speed", "height", "heading", "room_x", "room_y", "volts", "rotor_speed", "descent_ratio")
+BINS = 8  # along a place
+LEAST = 20  # rows of a bin
 SEGMENT = 4.0  # s, of a spectrum: its resolution is a quarter of a hertz
 
 
 def beside(flown: Flown, t: np.ndarray) -> dict[str, np.ndarray]:
-    """Speed over ground (m/s), height (m), heading (rad) and battery voltage (V) at times t (n,), as far as known."""
+    """Where a flight is at times t (n,), as far as it knows, see `located`."""
     frame = flown.filtered if {"t", "u", "v", "w", "z", "yaw"} <= set(flown.filtered) else flown.imported
-    at = frame["t"].to_numpy(float)
-    found: dict[str, np.ndarray] = {}
-    if {"u", "v", "w"} <= set(frame):
-        found["speed"] = np.interp(t, at, np.linalg.norm(frame[["u", "v", "w"]].to_numpy(float), axis=1))
-    if "z" in frame:
-        found["height"] = np.interp(t, at, -frame["z"].to_numpy(float))
-    if "yaw" in frame:
-        yaw = np.unwrap(np.nan_to_num(frame["yaw"].to_numpy(float)))
-        found["heading"] = np.angle(np.exp(1j * np.interp(t, at, yaw)))
-    if "battery_voltage" in frame:
-        found["voltage"] = np.interp(t, at, frame["battery_voltage"].to_numpy(float))
+    hover = induced_in_hover(flown.airframe.mass, flown.airframe.radius)
+    return located(along(frame, hover), frame["t"].to_numpy(float), t)
+
+
+def located(known: Mapping[str, np.ndarray], at: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
+    """Columns of WHERE but the time at times t (n,) from places known at times `at`; see `places.along`."""
+    found = {}
+    for column in WHERE[1:]:
+        name = column.replace("_", " ")
+        if name == HEADING and name in known:  # north is in the middle of what is beside it
+            found[column] = np.angle(np.interp(t, at, np.exp(1j * known[name])))
+        elif name in known:
+            found[column] = np.interp(t, at, known[name])
     return found
+
+
+def where(table: pd.DataFrame, units: Mapping[str, str], words: Sequence[str]) -> pd.DataFrame:
+    """Mean and rms of residuals in bins of equal count along each place of WHERE that the table has.
+
+    units  of the channels; words  what there is of each: columns <channel>_<word>
+    Returns channel, unit, where, where_unit, low, high, middle, rows, mean_<word> and rms_<word>.
+    """
+    values = table[[f"{c}_{w}" for c in units for w in words]].to_numpy(float).reshape(len(table), len(units), -1)
+    rows = []
+    for place in [c for c in table if c in WHERE]:
+        at = table[place].to_numpy(float)
+        known = at[np.isfinite(at)]
+        bins = min(BINS, len(known) // LEAST)
+        edges = np.unique(np.quantile(known, np.linspace(0, 1, bins + 1))) if bins else []
+        unit = UNITS["time" if place == "t" else place.replace("_", " ")]
+        for low, high in pairwise(edges):
+            inside = (at >= low) & (at <= high)
+            if inside.sum() < LEAST:
+                continue
+            mean, square = values[inside].mean(axis=0), (values[inside] ** 2).mean(axis=0)
+            about = {"where": place, "where_unit": unit, "low": low, "high": high,
+                     "middle": float(np.median(at[inside])), "rows": int(inside.sum())}  # fmt: skip
+            rows += [
+                {"channel": channel, "unit": units[channel], **about,
+                 **{f"mean_{w}": mean[c, k] for k, w in enumerate(words)},
+                 **{f"rms_{w}": np.sqrt(square[c, k]) for k, w in enumerate(words)}}
+                for c, channel in enumerate(units)
+            ]  # fmt: skip
+    return pd.DataFrame(rows, columns=None if rows else ["channel", "where"])
 
 
 def spectra(tables: Sequence[pd.DataFrame], breaks: Sequence[np.ndarray], rate: float) -> pd.DataFrame:

@@ -25,6 +25,7 @@ from quasi.gap import blocks, commanded
 from quasi.gap.evidence import Evidence
 from quasi.gap.gain import after, before
 from quasi.gap.linear_response import Course, course_of, responses
+from quasi.gap.rollout_places import placed, where_of
 from quasi.gap.rollouts import (
     CHANNELS,
     COLUMN,
@@ -243,7 +244,8 @@ def score(
     """End errors with measured rotor speeds, plain and with trim, and with commands; overlays of windows.
 
     Returns "tracks"; "errors" {word: Errors}; "ends" {word: {line: table}}; "rms" {word: {line: {quantity: {horizon:
-    value}}}}; "fell" {line: rows of `gains`}; "wrong" {line: cause}; "R_errors", "R_gains" and "R_overlays", tables.
+    value}}}}; "fell" {line: rows of `gains`}; "wrong" {line: cause}; "R_errors", "R_where", "R_gains" and
+    "R_overlays", tables.
     """
     tracks = tracks_of(held, flights, horizons, (model, extended, *beside.wrong.values()))
     lines, left = lines_of(tracks), after(extended, model)
@@ -271,7 +273,8 @@ def score(
     if ends:
         parts = [table.assign(driven=line, model=word) for word, of in ends.items() for line, table in of.items()]
         whole["fell"] = {line: gains(ends, line) for line in lines}
-        whole["R_errors"] = pd.concat(parts, ignore_index=True)
+        whole["R_errors"] = placed(pd.concat(parts, ignore_index=True), [track.evidence for track in tracks])
+        whole["R_where"] = where_of(whole["R_errors"])
         whole["R_gains"] = gains_table(whole["fell"])
         whole["R_overlays"] = overlays({"before": model, "after": extended},
                                        [track.course.flight for track in tracks], max(horizons))  # fmt: skip

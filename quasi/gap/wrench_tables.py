@@ -1,7 +1,6 @@
 """Tables of the wrench level: residuals row by row with where they were found, per channel, per place, and spectra."""
 
 from collections.abc import Callable, Mapping
-from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -9,12 +8,12 @@ import pandas as pd
 from quasi.gap.effect import Vehicle
 from quasi.gap.evidence import Evidence
 from quasi.gap.places import places
+from quasi.gap.residual_tables import where
 from quasi.gap.study import BAND
 from quasi.gap.whitening import stretches
 from quasi.standalone.model import AXES
 
-BINS = 8
-LEAST = 20  # rows of a bin
+UNITS = {axis: "N" if axis[0] == "F" else "N m" for axis in AXES}
 SEGMENT = 4.0  # s, of a spectrum
 
 
@@ -37,7 +36,7 @@ def wrench_tables(
             for word, values in series.items():
                 table[f"{axis}_{word}"] = values[:, k]
             channels.append(
-                {"flight": key, "role": roles[key], "channel": axis, "unit": "N" if k < 3 else "N m",
+                {"flight": key, "role": roles[key], "channel": axis, "unit": UNITS[axis],
                  **{w: float(np.sqrt(np.mean(v[:, k] ** 2))) for w, v in series.items()},
                  **{f"whiteness_{w}": _memory(v[:, k], flight.breaks) for w, v in series.items()}}
             )  # fmt: skip
@@ -48,7 +47,8 @@ def wrench_tables(
     return {
         "W_residuals": whole,
         "W_channels": pd.DataFrame(channels),
-        "W_where": _where(whole),
+        # what reference flights show as well does not hide where compared and held-out ones differ
+        "W_where": where(whole[whole["role"] != "reference"], UNITS, ("before", "after")),
         "W_spectra": _merged(spectra),
     }
 
@@ -94,27 +94,3 @@ def _merged(spectra: Mapping[tuple[str, str], list]) -> pd.DataFrame:
         return pd.DataFrame({"frequency": [], "role": [], "channel": [], "density_before": [], "density_after": []})
     whole = pd.concat(rows, ignore_index=True)
     return whole[whole["frequency"] <= 2.0 * BAND].reset_index(drop=True)
-
-
-def _where(whole: pd.DataFrame) -> pd.DataFrame:
-    """Mean and rms of the residuals in bins of equal count along each place, held-out and compared flights together."""
-    table = whole[whole["role"] != "reference"]
-    names = [c for c in table if c in ("speed", "height", "heading", "room_x", "room_y", "volts", "rotor_speed",
-                                       "descent_ratio", "t")]  # fmt: skip
-    rows = []
-    for name in names:
-        values = table[name].to_numpy()
-        known = values[np.isfinite(values)]
-        edges = np.unique(np.quantile(known, np.linspace(0, 1, BINS + 1))) if len(known) else []
-        for low, high in pairwise(edges):
-            part = table[(values >= low) & (values <= high)]
-            if len(part) < LEAST:
-                continue
-            for axis in AXES:
-                old, new = part[f"{axis}_before"], part[f"{axis}_after"]
-                rows.append(
-                    {"channel": axis, "where": name, "low": low, "high": high, "middle": float(part[name].median()),
-                     "rows": len(part), "mean_before": float(old.mean()), "mean_after": float(new.mean()),
-                     "rms_before": float(np.sqrt((old**2).mean())), "rms_after": float(np.sqrt((new**2).mean()))}
-                )  # fmt: skip
-    return pd.DataFrame(rows)

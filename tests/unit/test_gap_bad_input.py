@@ -29,11 +29,11 @@ from quasi.gap.level import Flown, Level
 from quasi.gap.mixed import Offer
 from quasi.gap.places import places
 from quasi.gap.plan_input import flights_of
+from quasi.gap.residual_tables import where
 from quasi.gap.standing import _borne_out
 from quasi.gap.study import gather_study
 from quasi.gap.worth import Cause
 from quasi.gap.wrench import examine
-from quasi.gap.wrench_tables import _where as where_of
 from quasi.gap.wrench_tables import wrench_tables
 from quasi.standalone.model import AXES, Model
 from quasi.tables import read_numbers, write_json, write_table
@@ -212,7 +212,8 @@ def test_a_voltage_that_reference_flights_alone_log_is_no_place():
     table = pd.DataFrame({f"{a}_{w}": rng.standard_normal(400) for a in AXES for w in ("before", "after")})
     table["role"] = np.repeat(["compared", "reference"], 200)
     table["speed"], table["volts"] = np.linspace(0, 5, 400), np.where(table["role"] == "reference", 15.0, np.nan)
-    assert set(where_of(table)["where"]) == {"speed"}
+    found = where(table[table["role"] == "compared"], dict.fromkeys(AXES, "N"), ("before", "after"))
+    assert set(found["where"]) == {"speed"}
 
 
 def test_a_reference_flight_is_shown_without_what_only_changed(flight):

@@ -1,0 +1,114 @@
+"""Where residuals of all levels live: places of a flight, bins along them, windows by the place where they begin."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_actuation import FRAME, MODEL
+from test_actuation import flown as driven
+from test_kinematic import flown as sensed
+
+from quasi.attitude import AIR_DENSITY, GRAVITY
+from quasi.gap import actuation, kinematic
+from quasi.gap.level import Flown
+from quasi.gap.lower import units_of
+from quasi.gap.residual_tables import LEAST, beside, where
+from quasi.gap.rollout_places import UNITS, placed, where_of
+
+N = 400
+T = np.arange(N) / 100.0
+
+
+def frame():
+    """A vehicle that sinks at 2 m/s, turned upside down, and passes the south."""
+    columns = {"t": T, "u": 0.0 * T, "v": 0.0 * T, "w": -2.0 + 0.0 * T, "roll": np.pi + 0.0 * T, "pitch": 0.0 * T}
+    columns |= {"yaw": np.angle(np.exp(1j * (np.pi - 1.0 + 0.5 * T))), "x": 0.3 * T, "y": -0.2 * T, "z": -8.0 + 2.0 * T}
+    columns |= {f"w{i}": 1000.0 + 100.0 * i + 0.0 * T for i in range(1, 5)} | {"battery_voltage": 16.0 - 0.1 * T}
+    return pd.DataFrame(columns)
+
+
+def test_a_flight_tells_all_places_that_it_knows():
+    flight = Flown("a", True, frame()[["t", "z"]], {}, frame(), {}, FRAME)
+    at = np.array([0.505, 2.003])
+    found = beside(flight, at)
+    induced = np.sqrt(FRAME.mass * GRAVITY / (2.0 * AIR_DENSITY * 4.0 * np.pi * FRAME.radius**2))
+    for name, value in {
+        "speed": 2.0, "height": 8.0 - 2.0 * at, "heading": [np.pi - 0.7475, 0.0015 - np.pi], "room_x": 0.3 * at,
+        "room_y": -0.2 * at, "volts": 16.0 - 0.1 * at, "rotor_speed": 1250.0, "descent_ratio": 2.0 / induced,
+    }.items():  # fmt: skip
+        np.testing.assert_allclose(found.pop(name), np.broadcast_to(value, 2), atol=1e-4, err_msg=name)
+    assert not found
+    assert set(beside(Flown("a", True, frame()[["t", "z"]], {}, frame()[["t"]], {}, FRAME), at)) == {"height"}
+
+
+def test_bins_show_where_an_error_lives_and_hold_enough_rows():
+    near = T < 0.5
+    table = pd.DataFrame({"height": T, "Fz_before": np.where(near, -0.3, 0.0), "Fz_after": 0.1, "speed": np.nan})
+    found = where(table, {"Fz": "N"}, ("before", "after"))
+    assert len(found) == 8 and set(found["where"]) == {"height"} and set(found["where_unit"]) == {"m"}
+    first, rest = found.iloc[0], found.iloc[1:]
+    assert first["mean_before"] == pytest.approx(-0.3) and first["rms_before"] == pytest.approx(0.3)
+    assert first["middle"] < 0.5 and rest["mean_before"].abs().max() < 0.02
+    np.testing.assert_allclose(found["mean_after"], 0.1)
+    few = where(table.iloc[::8], {"Fz": "N"}, ("before", "after"))
+    assert len(few) == 2 and (few["rows"] >= LEAST).all()
+    assert not len(where(table.iloc[: LEAST - 1], {"Fz": "N"}, ("before", "after")))
+
+
+def test_levels_of_sensors_and_drive_tell_where_their_errors_live():
+    sensors = kinematic.examine([sensed(s) for s in (1, 2, 3)], {}).tables
+    assert set(sensors["where"]["where"]) == {"t", "height", "heading", "room_x", "room_y"}
+    assert set(sensors["where"]["channel"]) == {"p", "q", "r", "north", "east", "down"}
+    slow = [driven(s, up=0.04, down=0.045) for s in (1, 2)]
+    tables = actuation.examine([driven(3, compared=False), *slow], MODEL, {}).tables
+    found, rows = tables["where"], tables["residuals"]
+    assert {"rotor_speed", "volts"} <= set(rows) and set(found["where"]) == {"t", "rotor_speed", "volts"}
+    one = found.query("channel == 'w1' and where == 'volts'").iloc[0]
+    rows = rows[
+        (rows["flight"] != "f3") & rows["volts"].between(one["low"], one["high"])
+    ]  # not of the reference flight
+    assert one["rows"] == len(rows)
+    assert one["rms_before"] == pytest.approx(np.sqrt(np.mean(rows["w1_before"] ** 2)))
+    assert one["mean_floor"] == pytest.approx(rows["w1_floor"].mean())
+
+
+@pytest.fixture(name="errors")
+def windows():
+    """End errors of two models at 1 s; the first errs by 3 below 4 m and by 1 above, one of its windows diverged."""
+    starts = T[::5]
+    flight = SimpleNamespace(key="a", t=T, columns={n: c.to_numpy() for n, c in frame().items()}, hover_induced=5.0,
+                             down=np.tile([0.0, 0.0, -1.0], (N, 1)))  # fmt: skip
+    parts = []
+    for model, low in (("before", 3.0), ("after", 1.0)):
+        for horizon in (0.5, 1.0):
+            size = np.where(8.0 - 2.0 * starts < 4.05, low, 1.0) * horizon
+            size = np.where((model == "before") & (starts == starts[-1]), np.nan, size)
+            parts.append(pd.DataFrame({"flight": "a", "start": starts, "horizon": horizon, **dict.fromkeys(UNITS, size),
+                                       "driven": "R", "model": model}))  # fmt: skip
+    return placed(pd.concat(parts, ignore_index=True), [flight])
+
+
+def test_windows_are_told_with_the_place_where_they_begin(errors):
+    np.testing.assert_allclose(errors["height"], 8.0 - 2.0 * errors["start"])
+    np.testing.assert_allclose(errors["descent_ratio"], 0.4)
+    assert errors["model"].tolist() == sorted(errors["model"], reverse=True)  # rows stand as they stood
+
+
+def test_end_errors_are_binned_by_line_and_horizon_along_these_places(errors):
+    found = where_of(errors).query("channel == 'velocity x' and where == 'height' and horizon == 1.0")
+    assert len(found) == 4 and found["rows"].sum() == 80 and set(found["unit"]) == {"m/s"}
+    low = found["high"] < 4.1
+    assert low.sum() == 2
+    np.testing.assert_allclose(found.loc[low, "rms_before"], 3.0)  # the diverged one counts with the largest finite one
+    np.testing.assert_allclose(found.loc[~low, "mean_before"], 1.0)
+    np.testing.assert_allclose(found["rms_after"], 1.0)
+    halves = where_of(errors).query("channel == 'rate' and where == 'height' and horizon == 0.5")
+    assert halves["rms_before"].max() == pytest.approx(1.5)
+
+
+def test_new_columns_have_their_units(errors):
+    units = units_of(errors)
+    for name, unit in {"room_x": "m", "rotor_speed": "rad/s", "descent_ratio": "", "volts": "V", "velocity x": "m/s",
+                       "rate z": "rad/s", "start": "s"}.items():  # fmt: skip
+        assert units[name] == (unit, ""), name
