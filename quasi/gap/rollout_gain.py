@@ -25,7 +25,7 @@ from quasi.gap import blocks, commanded
 from quasi.gap.evidence import Evidence
 from quasi.gap.gain import after, before
 from quasi.gap.linear_response import Course, course_of, responses
-from quasi.gap.rollout_places import placed, where_of
+from quasi.gap.rollout_places import channels_of, placed, where_of
 from quasi.gap.rollouts import (
     CHANNELS,
     COLUMN,
@@ -244,8 +244,8 @@ def score(
     """End errors with measured rotor speeds, plain and with trim, and with commands; overlays of windows.
 
     Returns "tracks"; "errors" {word: Errors}; "ends" {word: {line: table}}; "rms" {word: {line: {quantity: {horizon:
-    value}}}}; "fell" {line: rows of `gains`}; "wrong" {line: cause}; "R_errors", "R_where", "R_gains" and
-    "R_overlays", tables.
+    value}}}}; "fell" {line: rows of `gains`}; "wrong" {line: cause}; "R_errors", "R_where", "R_channels",
+    "R_gains" and "R_overlays", tables.
     """
     tracks = tracks_of(held, flights, horizons, (model, extended, *beside.wrong.values()))
     lines, left = lines_of(tracks), after(extended, model)
@@ -275,10 +275,23 @@ def score(
         whole["fell"] = {line: gains(ends, line) for line in lines}
         whole["R_errors"] = placed(pd.concat(parts, ignore_index=True), [track.evidence for track in tracks])
         whole["R_where"] = where_of(whole["R_errors"])
+        whole["R_channels"] = _channels(tracks, errors, horizons)
         whole["R_gains"] = gains_table(whole["fell"])
         whole["R_overlays"] = overlays({"before": model, "after": extended},
                                        [track.course.flight for track in tracks], max(horizons))  # fmt: skip
     return whole
+
+
+def _channels(tracks: Sequence[Track], errors: Mapping[str, Errors], horizons: Sequence[float]) -> pd.DataFrame:
+    """R_channels of all flights and lines, before and after."""
+    parts = []
+    for line in errors["before"]:
+        for k, track in enumerate(tracks):
+            starts = track.course.starts[_of(track, line)]
+            if len(starts):
+                both = {word: errors[word][line][k] for word in ("before", "after")}
+                parts.append(channels_of(track.course.flight, starts, horizons, both, line))
+    return pd.concat(parts, ignore_index=True)
 
 
 def _commanded(

@@ -22,6 +22,7 @@ QUANTITIES = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "ra
 OUTPUTS = 12  # of `vectors`
 CHANNELS = {"Fx": "velocity x", "Fy": "velocity y", "Fz": "velocity z", "Mx": "rate x", "My": "rate y", "Mz": "rate z"}
 COLUMN = dict(zip(CHANNELS, (0, 1, 2, 6, 7, 8)))  # of `vectors`
+VECTORS = {"position": slice(9, 12), "velocity": slice(0, 3), "attitude": slice(3, 6), "rate": slice(6, 9)}
 PLAIN, TRIMMED, TOLD = "R", "R with trim", "R commands"  # measured rotor speeds drive, with trim; commands drive
 
 
@@ -132,8 +133,7 @@ def joined(rows: Sequence[pd.DataFrame]) -> pd.DataFrame:
 
 def sizes(errors: np.ndarray) -> dict[str, np.ndarray]:
     """{quantity: (S,)} of errors (S, OUTPUTS): the norms of QUANTITIES and the absolute values of CHANNELS."""
-    groups = {"velocity": slice(0, 3), "attitude": slice(3, 6), "rate": slice(6, 9), "position": slice(9, 12)}
-    norms = {q: np.linalg.norm(errors[:, groups[q]], axis=1) for q in QUANTITIES}
+    norms = {q: np.linalg.norm(errors[:, place], axis=1) for q, place in VECTORS.items()}
     return norms | dict(zip(CHANNELS.values(), np.abs(errors[:, list(COLUMN.values())]).T))
 
 

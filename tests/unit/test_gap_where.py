@@ -14,7 +14,7 @@ from quasi.gap import actuation, kinematic
 from quasi.gap.level import Flown
 from quasi.gap.lower import units_of
 from quasi.gap.residual_tables import LEAST, beside, where
-from quasi.gap.rollout_places import UNITS, placed, where_of
+from quasi.gap.rollout_places import UNITS, channels_of, placed, where_of
 
 N = 400
 T = np.arange(N) / 100.0
@@ -112,3 +112,28 @@ def test_new_columns_have_their_units(errors):
     for name, unit in {"room_x": "m", "rotor_speed": "rad/s", "descent_ratio": "", "volts": "V", "velocity x": "m/s",
                        "rate z": "rad/s", "start": "s"}.items():  # fmt: skip
         assert units[name] == (unit, ""), name
+
+
+@pytest.mark.parametrize("memory, expected", [("none", 0.0), ("overlap", 0.0), ("long", 1.0), ("opposite", -1.0)])
+def test_errors_come_again_where_windows_that_do_not_overlap_are_alike(memory, expected):
+    """Windows of 0.5 s begin every 0.2 s: the third next one is the first that shares nothing with a window."""
+    rng, n = np.random.default_rng(3), 1200
+    noise = rng.standard_normal((n + 2, 12))
+    errors = {
+        "none": noise[:n], "overlap": noise[:n] + noise[1:-1] + noise[2:],
+        "long": np.sin(2e-2 * np.arange(n))[:, None] * np.ones(12),
+        "opposite": np.sin(np.pi / 3.0 * np.arange(n) + 0.3)[:, None] * np.ones(12),
+    }[memory][:, None]  # fmt: skip
+    errors[700] = np.nan  # diverged
+    flight = SimpleNamespace(key="a", t=np.arange(20 * n) / 100.0)
+    table = channels_of(flight, 20 * np.arange(n), [0.5], {"before": errors}, "R").set_index("channel")
+    assert len(table) == 10 and table["unit"]["rate x"] == "rad/s" and table["unit"]["velocity x"] == "m/s"
+    np.testing.assert_allclose(table["whiteness_before"], expected, atol=0.1)
+    known = errors[np.isfinite(errors).all(axis=(1, 2))][:, 0]
+    assert table["before"]["velocity z"] == pytest.approx(np.sqrt(np.mean(known[:, 2] ** 2)), rel=0.02)
+
+
+def test_too_few_windows_tell_nothing_of_the_next():
+    flight = SimpleNamespace(key="a", t=np.arange(200) / 100.0)
+    table = channels_of(flight, 20 * np.arange(9), [0.5], {"before": np.ones((9, 1, 12))}, "R")
+    assert table["whiteness_before"].isna().all() and np.allclose(table["before"][table["channel"] == "rate z"], 1.0)
