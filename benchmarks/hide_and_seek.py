@@ -2,7 +2,7 @@
 
     python benchmarks/hide_and_seek.py [--first 9500] [--draws 200] [--out results/benchmarks/hide_and_seek] [--table]
 
-The study has the seeds 9500 to 9699. Seeds 1000 to 9499, 50000 to 50159 and 70000 and more were used
+The study has the seeds 9500 to 9699. Seeds 1000 to 9499, 9700 to 9713, 50000 to 50159 and 70000 and more were used
 while building.
 
 Each draw makes four flights of 30 s, imports and filters the raw logs, settles levels K and A, processes the flights
