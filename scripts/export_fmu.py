@@ -6,11 +6,12 @@ from pathlib import Path
 from quasi.errors import ConfigError
 from quasi.export.agreement import hand_over
 from quasi.export.compiler import NO_COMPILER
-from quasi.export.contents import actuators_of, wind_of
+from quasi.export.contents import actuators_of
 from quasi.export.fmu_archive import write_fmu
 from quasi.export.fmu_running import check_forces, check_vehicle
 from quasi.export.fmu_source import forces_fmu, vehicle_fmu
 from quasi.joblog import job, tell
+from quasi.standalone.extensions import wind_of
 from quasi.standalone.model import read_model
 
 

@@ -9,6 +9,7 @@ from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
 from quasi.export.naming import identifier, shown
+from quasi.standalone.extensions import drive_of, extensions_of, said_of_rotors
 from quasi.standalone.kernel import INPUTS
 from quasi.standalone.model import AXES, Model
 from quasi.variables import inputs_of_system
@@ -56,7 +57,7 @@ def check_exportable(model: Model) -> None:
 
     Air through the discs that follows late is carried to first order, by its terms in the rotors' accelerations.
     """
-    for extension in _extensions(model):
+    for extension in extensions_of(model):
         states = [s for s in extension.get("states") or () if s != LATE_AIR]
         if states:
             raise ConfigError(
@@ -75,7 +76,7 @@ def check_exportable(model: Model) -> None:
 def check_vehicle(model: Model) -> None:
     """Raises ConfigError naming an extension that a whole vehicle, which moves by itself, would need states for."""
     check_exportable(model)
-    for extension in _extensions(model):
+    for extension in extensions_of(model):
         if LATE_AIR in (extension.get("states") or ()):
             raise ConfigError(
                 f"model {model.id}: its extension '{shown(extension.get('id'))}' has states of its own ({LATE_AIR}), "
@@ -105,25 +106,9 @@ def has_region(model: Model) -> bool:
     return bool(model.document.get("envelope")) and model.region.kernel.outputs > 0
 
 
-def known_actuators(model: Model) -> dict[str, Any]:
-    """The section "actuators" of a model with what its extensions say of the rotors in place of its own.
-
-    A time constant of an extension stands for all rotors, speeding up and slowing down.
-    """
-    known = dict(model.document.get("actuators") or {})
-    for extension in _extensions(model):
-        found = extension.get("actuators") or {}
-        if "time constant" in found:
-            known = {k: v for k, v in known.items() if not k.startswith("time constants")}
-            known["time constants"] = {"value": found["time constant"]}
-        if "delay" in found:
-            known["delay"] = {"value": found["delay"]}
-    return known
-
-
 def actuators_of(model: Model) -> Actuators:
     """Constants of the rotors, those of extensions before the model's own. Raises ConfigError for damaged ones."""
-    known = known_actuators(model)
+    known = drive_of(model.document)
     notes: list[str] = []
 
     def value(*keys: str) -> Any:
@@ -160,11 +145,7 @@ def voltage_of(model: Model) -> Voltage | None:
     so that commands are true until both are given.
     Raises ConfigError for a model that reads the voltage in its terms but does not know what its flights had.
     """
-    exponent = 0.0
-    for extension in _extensions(model):
-        found = (extension.get("actuators") or {}).get("voltage exponent")
-        if found is not None:
-            exponent = float(np.mean(_numbers(found, f"model {model.id}: 'voltage exponent'")))
+    exponent = said_of_rotors(model).get("voltage exponent", 0.0)
     reads = "battery_voltage" in extras_of(model)
     if not reads and not exponent:
         return None
@@ -176,16 +157,6 @@ def voltage_of(model: Model) -> Voltage | None:
         )
     start = 1.0 if start is None else float(start)
     return Voltage(start, start, exponent)
-
-
-def wind_of(model: Model) -> np.ndarray:
-    """Velocity of the air (3,), m/s, north east down, that a model's extensions found in its flights."""
-    wind = np.zeros(3)
-    for extension in _extensions(model):
-        found = (extension.get("environment") or {}).get("wind")
-        if found is not None:
-            wind = wind + np.broadcast_to(_numbers(found, f"model {model.id}: 'wind' of an extension"), 3)
-    return wind
 
 
 def head(model: Model) -> list[str]:
@@ -223,9 +194,9 @@ def head(model: Model) -> list[str]:
     factor = frame.logged_to_rad_s or model.document.get("logged to rad/s")
     if factor:
         told.append(f"Where a flight controller logs eRPM/100: mechanical rad/s = {factor:.12g} times that number.")
-    extensions = [shown(e.get("id")) for e in _extensions(model)]
+    extensions = [shown(e.get("id")) for e in extensions_of(model)]
     told += [f"Extensions: {', '.join(extensions)}."] if extensions else []
-    if any(LATE_AIR in (e.get("states") or ()) for e in _extensions(model)):
+    if any(LATE_AIR in (e.get("states") or ()) for e in extensions_of(model)):
         told += [
             "Air through the discs that follows late stands here to first order in the rotor accelerations; with these",
             "zero, forces and moments are the quasi-steady part.",
@@ -276,13 +247,6 @@ MEANINGS = {
     "lowest_speed": "rad/s, of a command",
     "highest_speed": "rad/s, of a command; infinite where unknown",
 }
-
-
-def _extensions(model: Model) -> list[Mapping[str, Any]]:
-    found = model.document.get("extensions") or []
-    if not isinstance(found, list) or not all(isinstance(e, Mapping) for e in found):
-        raise ConfigError(f"model {model.id} holds an extension that is no section; make the model anew")
-    return found
 
 
 def _stands(model: Model, axis: str, name: Any) -> bool:

@@ -14,8 +14,9 @@ from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.export.agreement import Check, States, compare, states_of, wrench_of
-from quasi.export.contents import actuators_of, wind_of
+from quasi.export.contents import actuators_of
 from quasi.export.fmu_source import LONGEST_STEP, STATE_NAMES, Fmu
+from quasi.standalone.extensions import wind_of
 from quasi.standalone.kernel import INPUTS
 from quasi.standalone.model import AXES, Model
 

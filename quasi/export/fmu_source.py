@@ -27,9 +27,9 @@ from quasi.export.contents import (
     head,
     name_in_source,
     voltage_of,
-    wind_of,
 )
 from quasi.export.naming import shown
+from quasi.standalone.extensions import wind_of
 from quasi.standalone.kernel import INPUTS
 from quasi.standalone.model import AXES, Model
 from quasi.tables import COLUMNS, read_text

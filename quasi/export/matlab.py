@@ -20,11 +20,12 @@ from scipy.io import savemat
 
 from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.export.agreement import states_of
-from quasi.export.contents import check_exportable, known_actuators
+from quasi.export.contents import check_exportable
 from quasi.export.matlab_simulation import write_simulation
 from quasi.export.matlab_terms import axis_file, differential_file, matlab_name, wrench_file
 from quasi.normalisation import LEAST_AIRSPEED
 from quasi.standalone.differential import differential_system
+from quasi.standalone.extensions import drive_of
 from quasi.standalone.kernel import INPUTS
 from quasi.standalone.model import AXES, Model
 from quasi.tables import read_text, write_bytes, write_text
@@ -111,7 +112,7 @@ def drone_parameters(model: Model) -> dict[str, Any]:
     simple = model.document.get("simple model") or {}
     kappa = {axis: _number((simple.get(f"kappa{axis}") or {}).get("value")) for axis in ("Fz", "Mx", "My", "Mz")}
     masks = np.array([frame.left, frame.front, frame.spin])
-    lags = (known_actuators(model).get("time constants") or {}).get("value")
+    lags = (drive_of(model.document).get("time constants") or {}).get("value")
     hover = _number(model.hover_speed)
     units = {
         "R": "m", "b": "m, hub to centre of gravity", "Iv": "kg m2, body axes", "mass": "kg", "hubs": "m, body axes",

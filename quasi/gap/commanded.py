@@ -17,7 +17,7 @@ from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.extension import extend
 from quasi.gap.rollouts import COMMANDED, SHARES, Flight
 from quasi.simulation.replay import Rotors, rotors_of
-from quasi.standalone.extensions import actuators_of
+from quasi.standalone.extensions import said_of_rotors
 from quasi.standalone.model import Model
 
 
@@ -37,7 +37,7 @@ def learned(known: Mapping[str, Any], flight: Flight, model: Model) -> tuple[np.
     if known["voltage"] and "battery_voltage" in flight.table:
         ratio = flight.table["battery_voltage"].to_numpy(float) / known["voltage"]
         wanted *= np.where(ratio > LOW_VOLTAGE, ratio, 1.0)[:, None] ** x["exponent"]
-    late = max(x["delay"] - actuators_of(model).get("telemetry delay", 0.0), 0.0)
+    late = max(x["delay"] - said_of_rotors(model).get("telemetry delay", 0.0), 0.0)
     limits = rotors_of(model)
     return wanted, limits._replace(up=np.array(x["up"]), down=np.array(x["down"]), delay=late)
 

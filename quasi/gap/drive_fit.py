@@ -14,6 +14,7 @@ import numpy as np
 from quasi.errors import DataError
 from quasi.gap.level import Flown
 from quasi.identification.actuators import follow
+from quasi.standalone.extensions import drive_of
 
 ROTORS = range(1, 5)
 RATE = 100.0  # Hz at which residuals are kept
@@ -116,7 +117,7 @@ def belief_of(document: Mapping[str, Any], kind: str) -> Belief | None:
     A speed is asked for directly when the commands are speeds; then the map is offset and gain. What extensions say of
     the rotors stands in place of the model's own, as in simulations.
     """
-    held = document.get("actuators") or {}
+    held = drive_of(document)
     if "time constants" not in held:
         return None
     found = {k: v for e in document.get("extensions") or [] for k, v in (e.get("actuators") or {}).items()}
@@ -127,8 +128,6 @@ def belief_of(document: Mapping[str, Any], kind: str) -> Belief | None:
     tau = mean("time constants", 0.03)
     values = np.zeros(len(NAMES))
     values[:3] = mean("time constants up", tau), mean("time constants down", tau), mean("delay", 0.0)
-    values[:2] = found.get("time constant", values[:2])
-    values[2] = found.get("delay", values[2])
     voltage = None
     if kind == "speeds":
         values[4] = 1.0

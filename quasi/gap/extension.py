@@ -13,7 +13,7 @@ from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
 from quasi.gap.effect import EARTH, Effect, Extension, Values, Vehicle
 from quasi.simulation.variants import named, parts_of
-from quasi.standalone.extensions import CONFIGURED, actuators_of, wind_of
+from quasi.standalone.extensions import CONFIGURED, said_of_rotors, wind_of
 from quasi.standalone.model import AXES, Model
 
 
@@ -50,7 +50,7 @@ def extend(
     document["id"] = name
     # what an earlier gap found stays: a model that is extended already is extended further
     document["extensions"] = list(document.get("extensions") or [])
-    known, first = actuators_of(model), len(document["extensions"])
+    known, first = said_of_rotors(model), len(document["extensions"])
     lengths = {axis: len(part["terms"]) for axis, part in document["axes"].items()}
     if changes is not None:
         own = [term for axis in AXES for term in document["axes"].get(axis, {"terms": []})["terms"]]

@@ -21,6 +21,7 @@ from quasi.gap.kinematic_columns import weak_form
 from quasi.gap.level import Flown
 from quasi.gap.mixed import Columns
 from quasi.gap.outlook import Outlook, Repeated, Row
+from quasi.standalone.extensions import drive_of
 from quasi.standalone.model import ROTORS, Model
 
 # of the averaged residuals at level K: p q r (rad/s) and earth accelerations (m/s2) of good captures; white
@@ -110,7 +111,7 @@ def _outlook(
 
 
 def _lag(model: Model) -> float:
-    held = (model.document.get("actuators") or {}).get("time constants") or {}
+    held = drive_of(model.document).get("time constants") or {}
     return float(np.mean(held["value"])) if held.get("value") else USUAL_LAG
 
 

@@ -11,7 +11,7 @@ from quasi.gap import blocks
 from quasi.gap.gain import states_of
 from quasi.simulation.replay import Rotors, replay, steps_of, twelve
 from quasi.simulation.rollout import errors
-from quasi.standalone.extensions import actuators_of, shift_of
+from quasi.standalone.extensions import said_of_rotors, shift_of
 from quasi.standalone.model import Model
 
 EVERY = 0.2  # s between the starts of two windows
@@ -59,7 +59,7 @@ def commands_of(model: Model, flight: Flight) -> np.ndarray | None:
         powers = held.get("powers", range(len(held["coefficients"])))
         commands = sum(c * shares**k for c, k in zip(held["coefficients"], powers))
         own = (held.get("voltage exponent") or {}).get("value") or 0.0
-        exponent, reference = actuators_of(model).get("voltage exponent", own), held.get("reference voltage")
+        exponent, reference = said_of_rotors(model).get("voltage exponent", own), held.get("reference voltage")
         if exponent and reference and "battery_voltage" in table:
             ratio = table["battery_voltage"].to_numpy(float) / float(reference)
             commands = commands * np.where(ratio > 0, ratio, np.nan)[:, None] ** exponent

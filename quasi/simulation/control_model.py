@@ -12,6 +12,7 @@ import numpy as np
 from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
+from quasi.standalone.extensions import drive_of
 from quasi.standalone.model import Model
 
 DEFAULT_LAG = 1.0 / 35.0  # s, where the model knows no time constants
@@ -206,7 +207,7 @@ def _check_steering(known: ControlModel) -> None:
 
 
 def _own_lags(model: Model) -> Any:
-    constants = ((model.document.get("actuators") or {}).get("time constants") or {}).get("value")
+    constants = (drive_of(model.document).get("time constants") or {}).get("value")
     return DEFAULT_LAG if constants is None else constants
 
 

@@ -20,7 +20,7 @@ from quasi.simulation.dynamics import RK4, advance, body_of, inputs_of, rest, sc
 from quasi.simulation.layout import CAP, EXTRAS, HELD, LOAD_MASS, OFFSET, ROTORS, SHARE, SLOPE, STATES, TARGET, WIND
 from quasi.simulation.parts import put
 from quasi.simulation.variants import extended, parts_of, with_parts
-from quasi.standalone.extensions import actuators_of, wind_of
+from quasi.standalone.extensions import drive_of, said_of_rotors, wind_of
 from quasi.standalone.model import Model
 
 
@@ -140,7 +140,7 @@ def replay(
     A window that diverges holds inf or NaN from there on. Raises ShapeError or DataError.
     """
     model = extended(model)
-    parts, recorded, blows = parts_of(model), actuators_of(model), wind_of(model)
+    parts, recorded, blows = parts_of(model), said_of_rotors(model), wind_of(model)
     model = with_parts(model)
     if len(model.axes) < 6:
         lacking = [a for a in ("Fx", "Fy", "Fz", "Mx", "My", "Mz") if a not in model.axes]
@@ -212,7 +212,7 @@ def twelve(x: np.ndarray) -> np.ndarray:
 
 def rotors_of(model: Model) -> Rotors:
     """Lag and delay that a model knows of its rotors, and the airframe's limits of their speed."""
-    known: Mapping[str, Any] = model.document.get("actuators") or {}
+    known = drive_of(model.document)
 
     def value(*keys: str) -> Any:
         return next((known[k]["value"] for k in keys if (known.get(k) or {}).get("value") is not None), None)
@@ -220,16 +220,12 @@ def rotors_of(model: Model) -> Rotors:
     up, down = (value(f"time constants {way}", "time constants") for way in ("up", "down"))
     frame = model.airframe
     factor = frame.logged_to_rad_s or model.document.get("logged to rad/s")
-    of_causes = actuators_of(model)
     # the limits are in what is recorded, too
-    factor = factor and factor / of_causes.get("rotor speed scale", 1.0)
+    factor = factor and factor / said_of_rotors(model).get("rotor speed scale", 1.0)
     low = frame.idle_rpm * factor if frame.idle_rpm is not None and factor else 0.0
     high = frame.max_rpm * factor if frame.max_rpm is not None and factor else math.inf
     late = value("delay")
     late = 0.0 if late is None else max(float(np.mean(late)), 0.0)
-    late = max(of_causes.get("delay", late), 0.0)
-    if "time constant" in of_causes:
-        up = down = of_causes["time constant"]
     lag = 1.0 / 35.0
     return Rotors(
         np.array(lag if up is None else up, float), np.array(lag if down is None else down, float), late, low, high

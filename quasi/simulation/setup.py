@@ -42,7 +42,7 @@ from quasi.simulation.parts import put
 from quasi.simulation.references import make_reference
 from quasi.simulation.stability import check_step
 from quasi.simulation.variants import extended, parts_of, simple_model, with_parts
-from quasi.standalone.extensions import actuators_of, wind_of
+from quasi.standalone.extensions import drive_of, said_of_rotors, wind_of
 from quasi.standalone.model import Model
 
 STATE_NAMES = ("qw", "qx", "qy", "qz", "u", "v", "w", "p", "q", "r", "x", "y", "z", "w1", "w2", "w3", "w4")
@@ -257,15 +257,7 @@ def _actuator(
     asked: Mapping[str, Any], model: Model, notes: list[str], name: str
 ) -> tuple[Drive, np.ndarray, np.ndarray, float]:
     kind, airframe = asked["actuator"], model.airframe
-    known = model.document.get("actuators") or {}
-    if not isinstance(known, Mapping):
-        raise DataError(f"model {model.id}: 'actuators' is {known!r:.60}, expected a section; make the model anew")
-    of_causes = actuators_of(model)
-    if "time constant" in of_causes:
-        known = {**known, "time constants": {"value": of_causes["time constant"]}}
-        known = {k: v for k, v in known.items() if k not in ("time constants up", "time constants down")}
-    if "delay" in of_causes:
-        known["delay"] = {"value": of_causes["delay"]}
+    known = drive_of(model.document)
 
     def of_model(*keys: str) -> Any:
         for key in keys:
@@ -352,7 +344,7 @@ def _battery(asked: Mapping[str, Any], model: Model, hover: float, notes: list[s
             raise ConfigError(f"{name}: 'battery' names 'exponent', 'drain' or 'sag' but no 'voltage'; add it")
         start = 0.0
     exponent = asked["exponent"]
-    of_causes = actuators_of(model)
+    of_causes = said_of_rotors(model)
     if not exponent and "voltage exponent" in of_causes:
         if start:
             exponent = of_causes["voltage exponent"]

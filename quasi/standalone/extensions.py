@@ -12,55 +12,74 @@ import numpy as np
 import pandas as pd
 
 from quasi import attitude
-from quasi.errors import ConfigError, nearest
+from quasi.errors import ConfigError, DataError, nearest
 from quasi.standalone.model import ROTORS, Model
 
 CONFIGURED = "configured mass"  # of a model's document, kg: that its flights were processed with
+_LAGS = ("time constants", "time constants up", "time constants down")
 _ROTORS = ("time constant", "delay", "voltage exponent", "telemetry delay", "rotor speed scale")
 
 
 def extensions_of(model: Model) -> list[Mapping[str, Any]]:
     """The extensions of a model. Raises ConfigError where they are damaged."""
-    found = model.document.get("extensions") or []
-    if not all(isinstance(e, Mapping) for e in found):
-        raise ConfigError(f"model {model.id} holds an extension that is no section; make the model anew")
-    return list(found)
+    return _sections(model.document, model.id)
 
 
-def actuators_of(model: Model) -> dict[str, float]:
+def said_of_rotors(model: Model) -> dict[str, float]:
     """What extensions say of the rotors and their logs; {} without any. Raises ConfigError for anything else.
 
-    "time constant" s; "delay" s; "voltage exponent" of the settled speed; and of the flights' recordings, which play a
-    part where recorded speeds drive a roll-out: "telemetry delay" s that they are late by, "rotor speed scale" that
-    they are too high by
+    "time constant" s, the mean of speeding up and slowing down; "delay" s; "voltage exponent" of the settled speed; and
+    of the flights' recordings, which play a part where recorded speeds drive a roll-out: "telemetry delay" s that they
+    are late by, "rotor speed scale" that they are too high by
     """
-    found: dict[str, float] = {}
-    for extension in extensions_of(model):
-        for key, value in (extension.get("actuators") or {}).items():
-            what = f"model {model.id}, extension '{extension.get('id')}'"
-            if key not in _ROTORS:
-                raise ConfigError(f"{what} changes the rotors' '{key}', which the simulator does not know"
-                                  f"{nearest(key, _ROTORS)}; extend the model without it")  # fmt: skip
-            number = float(value) if isinstance(value, int | float) else math.nan
-            positive = key in ("time constant", "rotor speed scale")
-            if not math.isfinite(number) or (positive and number <= 0.0):
-                raise ConfigError(f"{what}: '{key}' is {value!r}, expected a {'positive' if positive else 'finite'} "
-                                  "number; make the extended model anew")  # fmt: skip
-            found[key] = number
-    return found
+    return _of_rotors(model.document, model.id)
+
+
+def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
+    """The section "actuators" of a model's document with what its extensions say of the rotors in place of its own.
+
+    A time constant of an extension is the mean of speeding up and slowing down; the model's own ratio of the two, and
+    that of its rotors, is kept. Raises DataError for a damaged section, ConfigError for a damaged extension.
+    """
+    name = str(document.get("id", ""))
+    known = document.get("actuators") or {}
+    if not isinstance(known, Mapping):
+        raise DataError(f"model {name}: 'actuators' is {known!r:.60}, expected a section; make the model anew")
+    known, found = dict(known), _of_rotors(document, name)
+    if "time constant" in found:
+        lag = found["time constant"]
+        own = {k: _seconds(known.pop(k), name, k) for k in _LAGS if k in known}
+        both = all(k in own for k in _LAGS[1:])
+        middle = np.mean([np.mean(own[k]) for k in _LAGS[1:]] if both else own.get(_LAGS[0], lag))
+        scaled = {k: (v * lag / middle).tolist() for k, v in own.items() if both or k == _LAGS[0]}
+        known |= {k: {"value": v} for k, v in ({_LAGS[0]: lag} | scaled).items()}
+    if "delay" in found:
+        known["delay"] = {"value": found["delay"]}
+    return known
 
 
 def wind_of(model: Model) -> np.ndarray:
-    """Velocity of the air (3,), m/s, north east down, that the model's extensions found in its flights."""
+    """Velocity of the air (3,), m/s, north east down, that the model's extensions found in its flights.
+
+    Raises ConfigError where it is no three numbers.
+    """
     wind = np.zeros(3)
     for extension in extensions_of(model):
-        wind = wind + np.asarray((extension.get("environment") or {}).get("wind", np.zeros(3)), float)
+        said = (extension.get("environment") or {}).get("wind", 0.0)
+        try:
+            found = np.broadcast_to(np.asarray(said, float), 3)
+        except (TypeError, ValueError):
+            found = np.full(3, np.nan)
+        if not np.isfinite(found).all():
+            raise ConfigError(f"model {model.id}, extension '{extension.get('id')}': 'wind' is {said!r:.60}, expected "
+                              "three numbers of m/s; make the extended model anew")  # fmt: skip
+        wind = wind + found
     return wind
 
 
 def telemetry_of(model: Model) -> tuple[float, float]:
     """How late (s) and by which factor too high recorded rotor speeds are."""
-    said = actuators_of(model)
+    said = said_of_rotors(model)
     return said.get("telemetry delay", 0.0), said.get("rotor speed scale", 1.0)
 
 
@@ -124,3 +143,38 @@ def as_read(model: Model, flight: pd.DataFrame) -> pd.DataFrame:
         moment = turning @ inertia.T + np.cross(rates, rates @ inertia.T)
         result |= dict(zip(("Mx", "My", "Mz"), moment.T))
     return flight.assign(**result)
+
+
+def _sections(document: Mapping[str, Any], name: str) -> list[Mapping[str, Any]]:
+    found = document.get("extensions") or []
+    if not isinstance(found, list) or not all(isinstance(e, Mapping) for e in found):
+        raise ConfigError(f"model {name} holds an extension that is no section; make the model anew")
+    return list(found)
+
+
+def _of_rotors(document: Mapping[str, Any], name: str) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for extension in _sections(document, name):
+        for key, value in (extension.get("actuators") or {}).items():
+            what = f"model {name}, extension '{extension.get('id')}'"
+            if key not in _ROTORS:
+                raise ConfigError(f"{what} changes the rotors' '{key}', which the simulator does not know"
+                                  f"{nearest(key, _ROTORS)}; extend the model without it")  # fmt: skip
+            number = float(value) if isinstance(value, int | float) else math.nan
+            positive = key in ("time constant", "rotor speed scale")
+            if not math.isfinite(number) or (positive and number <= 0.0):
+                raise ConfigError(f"{what}: '{key}' is {value!r}, expected a {'positive' if positive else 'finite'} "
+                                  "number; make the extended model anew")  # fmt: skip
+            found[key] = number
+    return found
+
+
+def _seconds(about: Any, name: str, key: str) -> np.ndarray:
+    try:
+        value = np.asarray(about["value"], float)
+    except (KeyError, TypeError, ValueError):
+        value = np.full(1, np.nan)
+    if value.size not in (1, 4) or not np.all(np.isfinite(value) & (value > 0.0)):
+        raise DataError(f"model {name}: 'actuators' / '{key}' is {about!r:.60}, expected positive seconds under "
+                          "'value'; make the model anew")  # fmt: skip
+    return value

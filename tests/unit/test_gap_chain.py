@@ -5,13 +5,17 @@ import pandas as pd
 import pytest
 from test_gap_extension import CATALOGUE, base_of, flight
 
+from quasi.errors import ConfigError
+from quasi.export.contents import actuators_of as exported_rotors
 from quasi.gap.drive_fit import belief_of
 from quasi.gap.effect import vehicle_of
 from quasi.gap.evidence import gather
 from quasi.gap.extension import extend
 from quasi.gap.instruments import shown
 from quasi.gap.wrench import WEIGHING, _carried
-from quasi.standalone.extensions import actuators_of, as_read, put_right, wind_of
+from quasi.simulation.control_model import control_model
+from quasi.simulation.replay import rotors_of
+from quasi.standalone.extensions import as_read, drive_of, put_right, said_of_rotors, wind_of
 from quasi.standalone.model import AXES, Model
 
 ONE = {
@@ -101,7 +105,7 @@ def test_what_an_earlier_extension_knows_stays_beside_a_later_one():
         assert [e["id"] for e in second.document["extensions"]][:5] == [e["id"] for e in first.document["extensions"]]
         np.testing.assert_allclose(wind_of(second), [1.4, -0.9, 0.0])
         assert second.document["environment"]["wind"] == pytest.approx([1.4, -0.9, 0.0])
-        assert actuators_of(second) == actuators_of(first)
+        assert said_of_rotors(second) == said_of_rotors(first)
         assert second.document["configured mass"] == base.airframe.mass
         assert second.airframe.mass == pytest.approx(base.airframe.mass + 0.05)
 
@@ -142,5 +146,37 @@ def test_a_lag_that_was_found_is_the_model_s_own_from_then_on():
     lagging = extended(base, ("motor_lag", {"time_constant": 0.045}), ("command_delay", {"delay": 0.01}))
     sagging = extended(lagging, ("battery_sag", {"exponent": 0.9}), ("command_delay", {"delay": 0.002}))
     assert belief_of(base.document, "shares").values[[0, 1, 2, 6]] == pytest.approx([0.025, 0.035, 0.004, 0.7])
-    assert belief_of(lagging.document, "shares").values[[0, 1, 2, 6]] == pytest.approx([0.045, 0.045, 0.014, 0.7])
-    assert belief_of(sagging.document, "shares").values[[0, 1, 2, 6]] == pytest.approx([0.045, 0.045, 0.016, 0.9])
+    # what was found is the mean of both ways; the ratio of the two is the model's
+    lags = [0.0375, 0.0525]
+    assert belief_of(lagging.document, "shares").values[[0, 1, 2, 6]] == pytest.approx([*lags, 0.014, 0.7])
+    assert belief_of(sagging.document, "shares").values[[0, 1, 2, 6]] == pytest.approx([*lags, 0.016, 0.9])
+    in_replay, exported = rotors_of(lagging), exported_rotors(lagging)
+    for found in (in_replay, exported):
+        np.testing.assert_allclose([found.up, found.down], np.tile(lags, (4, 1)).T)
+        assert found.delay == pytest.approx(0.014)
+    assert control_model(lagging).lag == pytest.approx(0.045)
+
+
+@pytest.mark.parametrize(
+    ("own", "expected"),
+    [
+        ({}, {"time constants": 0.05}),
+        ({"time constants": [0.02, 0.03, 0.03, 0.02]}, {"time constants": [0.04, 0.06, 0.06, 0.04]}),
+        ({"time constants up": 0.02}, {"time constants": 0.05}),
+        ({"time constants up": 0.02, "time constants down": [0.03] * 4},
+         {"time constants": 0.05, "time constants up": 0.04, "time constants down": [0.06] * 4}),
+    ],
+)  # fmt: skip
+def test_a_lag_that_was_found_scales_what_the_model_holds(own, expected):
+    sections = [{"id": "motor_lag", "actuators": {"time constant": 0.05}}]
+    found = drive_of({"id": "one", "actuators": {k: {"value": v} for k, v in own.items()}, "extensions": sections})
+    assert list(found) == list(expected)
+    for key, value in expected.items():
+        assert found[key]["value"] == pytest.approx(value)
+
+
+@pytest.mark.parametrize("wind", ["fast", [1.0, 2.0], float("nan")])
+def test_a_damaged_wind_is_told(wind):
+    document = {**base_of("withGravity").document, "extensions": [{"id": "wind", "environment": {"wind": wind}}]}
+    with pytest.raises(ConfigError, match="'wind' is .*expected three numbers"):
+        wind_of(Model(document))

@@ -3,14 +3,14 @@
 import numpy as np
 
 from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
-from quasi.standalone.extensions import actuators_of
+from quasi.standalone.extensions import drive_of
 from quasi.standalone.model import Model
 
 
 def _extension(values: Values, _: Vehicle, model: Model) -> Extension:
     """The delay found is beyond what the model has."""
-    own = (model.document.get("actuators") or {}).get("delay")
-    held = actuators_of(model).get("delay", float(np.mean(own["value"])) if own else 0.0)
+    own = drive_of(model.document).get("delay")
+    held = float(np.mean(own["value"])) if own else 0.0
     return Extension(actuators={"delay": values["delay"] + held})
 
 
