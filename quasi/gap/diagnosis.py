@@ -118,6 +118,8 @@ def diagnose(
         effect["judged"] = not any((effect["id"], effect["since"]) == (c.effect.id, c.since) for c in found.unjudged)
     if found is not None:
         _gains(case, effects_said, kept, found, rolled, again, errors)
+        for effect, cause in zip(effects_said, kept):
+            effect["acts"] = acting(cause, [*groups["compared"], *held], vehicle, effect["gain channel"])
         said["unexplained"], lives, *_ = remains
         if not any(u["channel"][0] == "F" for u in said["unexplained"]):
             restless = gusts(found.study, compared, [c.effect.id for c in kept])

@@ -18,6 +18,14 @@ CHANNELS = {
     "north": "northward acceleration", "east": "eastward acceleration", "down": "downward acceleration",
     "w1": "speed of rotor 1", "w2": "speed of rotor 2", "w3": "speed of rotor 3", "w4": "speed of rotor 4",
 }  # fmt: skip
+WAYS = {
+    "Fx": ("forward", "backward"),
+    "Fy": ("rightward", "leftward"),
+    "Fz": ("downward", "upward"),
+    "Mx": ("right roll", "left roll"),
+    "My": ("nose-up", "nose-down"),
+    "Mz": ("right yaw", "left yaw"),
+}  # what a positive and a negative force or moment means to a pilot
 NOTHING = 0.01  # probability from which a rival adds nothing
 STAYS = 0.02  # share of a simulated error by which it has to change to be said to change
 FEW = 2  # causes that one sentence can still tell in a pilot's words
@@ -99,9 +107,27 @@ def happening(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
 
 
 def _told(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
-    """What a cause does, with its name and parameters."""
-    sentence = happening(effect, known)
-    return f"{sentence[:1].upper()}{sentence[1:]} ({name_of(effect['id'])}: {parameters_of(effect['parameters'])})"
+    """What a cause does, with its name and parameters, how much it does and where."""
+    sentence, amount = happening(effect, known), amount_of(effect)
+    told = f"{sentence[:1].upper()}{sentence[1:]} ({name_of(effect['id'])}: {parameters_of(effect['parameters'])})"
+    return told + (f": {amount}" if amount else "")
+
+
+def amount_of(effect: Mapping[str, Any]) -> str:
+    """How much a cause does to its channel where it does most; nothing where that is not known."""
+    acts = effect.get("acts")
+    if not acts:
+        return ""
+    if acts["share"]:
+        found = {n: 100.0 * v for n, v in acts["share"].items()}
+        way = (" more" if found["value"] > 0.0 else " less") if acts["signed"] else ""
+        text = f"{value_of({**found, 'value': abs(found['value']), 'unit': '%'})}{way or ' of'} thrust"
+    else:
+        of = {"F": "force", "M": "moment"}[acts["channel"][0]]
+        way = WAYS[acts["channel"]][acts["value"] < 0.0] if acts["signed"] else CHANNELS[acts["channel"]].split()[0]
+        size = value_of({"value": abs(acts["value"]), "std": acts["std"], "unit": acts["unit"]})
+        text = f"{size} {way} {of}" if acts["signed"] else f"{size} rms of {way} {of}"
+    return text + (f" {at_place(acts['where'], [acts['range']])}" if acts["where"] else "")
 
 
 def cause_sentence(effect: Mapping[str, Any], known: Mapping[str, Effect], roles: Mapping[str, str]) -> str:
@@ -232,6 +258,11 @@ def left_sentence(left: Mapping[str, Any]) -> str:
     else:
         told = f": {percent(left['share'])} of its removable error"
     return f"The {CHANNELS.get(channel, channel)} ({channel}) is off{size} {along}{at}{told}, which no cause explains."
+
+
+def at_place(where: str, mostly: Sequence[Sequence[float]]) -> str:
+    """Ranges of a place with its name."""
+    return ranges_of(where, mostly).replace("at ", f"at a {where} of ", 1)
 
 
 def ranges_of(where: str, mostly: Sequence[Sequence[float]]) -> str:
