@@ -78,11 +78,11 @@ def diagnose(
     material.judge(levels, *lower, share)
     said: dict[str, Any] = {"candidates": [], "unexplained": [], "cannot_be_asked": [], "notes": list(lost)}
     # what import corrects is no part of the model: it would be taken off a second time
-    acting = [e for e in levels["A"]["effects"] if not corrected_at_import(e["id"], "A")]
+    driving = [e for e in levels["A"]["effects"] if not corrected_at_import(e["id"], "A")]
     drive = [(effects[e["id"]], deviations(effects[e["id"]], e["parameters"]))
-             for e in acting if e["id"] in effects and effects[e["id"]].extension]  # fmt: skip
+             for e in driving if e["id"] in effects and effects[e["id"]].extension]  # fmt: skip
     corrected = any(c["since"] == "always" for c in calibration.get("causes", ())) and made_of(model, learning)
-    always = [e["id"] for e in acting if e["since"] == "always"]
+    always = [e["id"] for e in driving if e["since"] == "always"]
     case = Case(model, effects, vehicle, learning, compared, held, flights, drive, corrected, settings, always)
     unable = _unable(groups, roles, lost)
     found, kept = None, []
