@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.gap import commanded, generic, halves, material, rollout_gain
+from quasi.gap.acting import acting
 from quasi.gap.calibration import corrected_at_import
 from quasi.gap.case import Case
 from quasi.gap.confirmation import Settled
