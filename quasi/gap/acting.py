@@ -16,7 +16,7 @@ CELLS = 16  # along a place, each with as many rows
 MOSTLY = 0.7  # of the largest cell
 TELLS = 0.5  # share of what a cause does that a place has to tell for it to be named
 STEADY = 0.2  # of its mean: what spreads less is the same everywhere
-ONE_WAY = 0.9  # mean over root mean square from which the sign is told
+ONE_WAY = 0.9  # of its square that has to have one sign more than the other for the sign to be told
 NEVER = ("time", "volts", "room x", "room y")  # places of single flights, no way to fly
 STEP = 1e-3  # of a standard error, of slopes
 
@@ -44,7 +44,8 @@ def acting(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle, channel:
         return None
     where, within = _place(does, flights)
     rows = np.ones(len(does), bool) if within is None else within
-    signed = bool(abs(does[rows].mean()) > ONE_WAY * np.sqrt(np.mean(does[rows] ** 2)))
+    squares = does[rows] * np.abs(does[rows])
+    signed = bool(abs(squares.sum()) > ONE_WAY * np.abs(squares).sum())
 
     def size(values: np.ndarray) -> float:
         return float(values[rows].mean()) if signed else float(np.sqrt(np.mean(values[rows] ** 2)))

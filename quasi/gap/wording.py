@@ -271,8 +271,14 @@ def ranges_of(where: str, mostly: Sequence[Sequence[float]]) -> str:
         x, y = mostly[0]
         return f"near x = {x:.1f} m, y = {y:.1f} m"
     factor, unit = (math.degrees(1.0), "deg") if where == "heading" else (1.0, UNITS.get(where, ""))
-    texts = [f"{low * factor:.3g} to {high * factor:.3g}" for low, high in mostly[:3]]
+    texts = [_range(low * factor, high * factor) for low, high in mostly[:3]]
     return f"at {listed(texts)}{' ' if unit else ''}{unit}"
+
+
+def _range(low: float, high: float) -> str:
+    """Two numbers, as fine as two digits of what lies between them."""
+    places = max(1 - math.floor(math.log10(high - low)), 0) if high > low else 3
+    return f"{low:.{places}f} to {high:.{places}f}"
 
 
 def rollout_sentence(diagnosis: Mapping[str, Any]) -> str:
