@@ -52,7 +52,7 @@ def test_a_cause_that_held_out_flights_do_not_show_is_told_as_not_judged():
 def test_an_unexplained_residual_is_told_with_its_size_and_where_it_lives():
     left = {"channel": "Fz", "judged": True, "share": 0.5, "size": 0.123, "unit": "N", "since": "changed"}
     at = left_sentence({**left, "where": "heading", "mostly": [[0.7, 1.05], [2.0, 2.1]]})
-    assert "is off by 0.12 N rms along the heading, mostly at 40.1 to 60.2 and 115 to 120 deg: 50 % of its" in at
+    assert "is off by 0.12 N rms along the heading, mostly at 40 to 60 and 114.6 to 120.3 deg: 50 % of its" in at
     place = left_sentence({**left, "where": "room place", "mostly": [[1.2, -0.8]]})
     assert "along the room place, mostly near x = 1.2 m, y = -0.8 m" in place
     assert "rms in time, at 0.38 to 0.42 Hz" in left_sentence({**left, "where": "frequency", "mostly": [[0.38, 0.42]]})
@@ -171,7 +171,7 @@ def test_causes_that_the_gap_names_and_that_could_not_be_asked_are_told():
         ({"effects": [LAG]}, ["X with motor lag: snakemake models/X-low/standalone"]),
         ({"effects": [TURN]}, ["(x = 0.0120 ± 0.0010 m): add it to 'optitrack marker cg offset'", "corrected already"]),
         ({"ties": [TIE]}, ["To tell mass and thrust factor apart: weigh it"]),
-        ({"left": [{**LEFT, "mostly": [[0.7, 1.05]]}]}, ["along the heading, mostly at 40.1 to 60.2 deg", "gaps.md"]),
+        ({"left": [{**LEFT, "mostly": [[0.7, 1.05]]}]}, ["along the heading, mostly at 40 to 60 deg", "gaps.md"]),
         ({"left": [{**LEFT, "where": "frequency", "mostly": [[1.2, 1.4]]}]}, ["swings at 1.20 to 1.40 Hz"]),
         ({"left": [{**LEFT, "where": "everywhere"}]}, ["off everywhere"]),
         ({"left": [{**LEFT, "where": "time", "mostly": [[3.0, 9.0]]}]}, ["changes in time, mostly at 3 to 9 s"]),
