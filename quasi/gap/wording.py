@@ -110,7 +110,7 @@ def _told(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     """What a cause does, with its name and parameters, how much it does and where."""
     sentence, amount = happening(effect, known), amount_of(effect)
     told = f"{sentence[:1].upper()}{sentence[1:]} ({name_of(effect['id'])}: {parameters_of(effect['parameters'])})"
-    return told + (f": {amount}" if amount else "")
+    return told + (f", which is {amount}" if amount else "")
 
 
 def amount_of(effect: Mapping[str, Any]) -> str:
