@@ -24,8 +24,8 @@ from quasi.gap import lower
 from quasi.gap.calibration import for_flight
 from quasi.gap.catalogue import catalogue
 from quasi.gap.diagnosis import diagnose
-from quasi.gap.evidence import gather
 from quasi.gap.figures import figures
+from quasi.gap.gathering import gather
 from quasi.gap.report import page
 
 

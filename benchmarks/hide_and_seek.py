@@ -52,7 +52,7 @@ from quasi.gap.calibration import for_flight
 from quasi.gap.catalogue import catalogue
 from quasi.gap.diagnosis import diagnose
 from quasi.gap.effect import room_of, vehicle_of
-from quasi.gap.evidence import gather
+from quasi.gap.gathering import gather
 from quasi.gap.level import Flown
 from quasi.standalone.model import Model
 from quasi.synthesis.vehicle import base_vehicle

@@ -10,7 +10,7 @@ from quasi.comparisons import recorded_twice, refuse_trained, same_recordings
 from quasi.errors import ConfigError
 from quasi.filtering.flight import filter_flight
 from quasi.gap.catalogue import catalogue, chosen
-from quasi.gap.evidence import refuse_another_vehicle
+from quasi.gap.gathering import refuse_another_vehicle
 from quasi.gap.level import Flown
 from quasi.gap.lower import examine, units_of
 from quasi.importing.flight import import_flight

@@ -15,7 +15,7 @@ from quasi.comparisons import recordings_told, unchecked
 from quasi.errors import ConfigError, DataError
 from quasi.gap.catalogue import catalogue, chosen
 from quasi.gap.diagnosis import diagnose
-from quasi.gap.evidence import gather_all
+from quasi.gap.gathering import gather_all
 from quasi.gap.level import Flown
 from quasi.gap.lower import units_of
 from quasi.gap.rollouts import flight_of, windows

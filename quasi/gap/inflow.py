@@ -1,19 +1,15 @@
 """Thrust of rotors whose inflow follows late: the whole response, where first order is not enough."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from scipy.signal import lfilter
 
+from quasi.gap.evidence import Evidence
 from quasi.gap.whitening import stretches
-
-if TYPE_CHECKING:
-    from quasi.gap.evidence import Evidence
 
 SHORTEST = 5e-4  # s: a shorter lag is over within a step of any simulation, and its first order is all of it
 
 
-def overshoot(evidence: "Evidence", gain: float, lag: float) -> np.ndarray:
+def overshoot(evidence: Evidence, gain: float, lag: float) -> np.ndarray:
     """Wrench (n, 6) of thrust beyond that of an inflow in equilibrium, N and N m.
 
     gain  N s2/rad2 of one rotor: to first order thrust is off by gain W dW/dt lag; lag  s

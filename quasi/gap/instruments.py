@@ -4,23 +4,35 @@ A model that is extended already is compared with flights like any other: their 
 knows of them (`standalone.extensions`), and its wrench is that which the instruments would show.
 """
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from quasi import attitude
 from quasi.attitude import GRAVITY
+from quasi.gap.evidence import Evidence, model_wrench
 from quasi.gap.inflow import overshoot
 from quasi.gap.pendulum import pull_of
 from quasi.simulation.variants import named, parts_of
 from quasi.standalone.extensions import configured_mass, shift_of, telemetry_of, true_speeds, wind_of
-from quasi.standalone.model import AXES, Model
-
-if TYPE_CHECKING:
-    from quasi.gap.evidence import Evidence
+from quasi.standalone.model import Model
 
 
-def shown(extended: Model, base: Model, flight: "Evidence") -> np.ndarray:
+def as_shown(flight: Evidence) -> np.ndarray:
+    """Wrench (n, 6) of a flight's model as its instruments would show it, also where it was extended before."""
+    extended = flight.model.document.get("extensions")
+    return shown(flight.model, flight.model, flight) if extended else flight.predicted
+
+
+def reread(flight: Evidence, columns: Mapping[str, np.ndarray]) -> Evidence:
+    """The flight with some of its columns replaced, and what the model makes of them."""
+    merged = {**flight.columns, **columns}
+    found = replace(flight, columns=merged, predicted=model_wrench(flight.model, merged))
+    return replace(found, predicted=as_shown(found))
+
+
+def shown(extended: Model, base: Model, flight: Evidence) -> np.ndarray:
     """Wrench (n, 6) that the instruments, read with the configured constants, would show if a model were right.
 
     base  the model whose knowledge of recordings and air the flight's columns were put right by; may be the same
@@ -32,7 +44,7 @@ def shown(extended: Model, base: Model, flight: "Evidence") -> np.ndarray:
     if wind.any():
         along = attitude.rotate_inverse(flight.quaternion, wind)
         columns = {**columns, **{f"{a}_air": flight.velocity[:, k] - along[:, k] for k, a in enumerate("uvw")}}
-    wrench = extended.predict_columns(columns)[list(AXES)].to_numpy()
+    wrench = model_wrench(extended, columns)
     configured = configured_mass(base)
     mass = configured if extended.airframe.mass is None else extended.airframe.mass
     configured = configured if configured is not None else mass

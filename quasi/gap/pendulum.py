@@ -1,15 +1,11 @@
 """A load on a string below the vehicle, driven by the forces that a model predicts."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numba import njit
 
 from quasi import attitude
 from quasi.attitude import GRAVITY
-
-if TYPE_CHECKING:
-    from quasi.gap.evidence import Evidence
+from quasi.gap.evidence import Evidence
 
 FADING = 0.15  # damping ratio: an unknown beginning and errors of the forces are forgotten within a swing or two
 SUBSTEPS = 4  # per sample
@@ -63,7 +59,7 @@ def swing(acceleration, height, t, breaks, length, fading):
     return pull
 
 
-def pull_of(evidence: "Evidence", length: float, specific: np.ndarray | None = None) -> np.ndarray:
+def pull_of(evidence: Evidence, length: float, specific: np.ndarray | None = None) -> np.ndarray:
     """Force on the cg per kg of load, body axes (n, 3), m/s2.
 
     specific  force per mass of the model (n, 3), body axes, m/s2; None where the model carries no load itself

@@ -14,8 +14,9 @@ import pandas as pd
 from quasi.errors import ConfigError, DataError
 from quasi.gap import plan_lower, plan_noise
 from quasi.gap.effect import Effect, Room, Vehicle, vehicle_of
-from quasi.gap.evidence import NEEDED, Evidence, gather
+from quasi.gap.evidence import NEEDED, Evidence
 from quasi.gap.flatness import planned, read_plan, with_forces
+from quasi.gap.gathering import gather
 from quasi.gap.lower import rate_of
 from quasi.gap.manoeuvres import Manoeuvre, library
 from quasi.gap.outlook import Outlook, Repeated, Row, Sight

@@ -7,7 +7,8 @@ from typing import Any
 
 from quasi.errors import ConfigError, DataError, ReadError, nearest
 from quasi.gap import plan_noise
-from quasi.gap.evidence import PLACE, measured_motion, refuse_another_vehicle
+from quasi.gap.evidence import PLACE
+from quasi.gap.gathering import measured_motion, refuse_another_vehicle
 from quasi.gap.plan import Flight, read_flight
 from quasi.gap.whitening import Whitener
 from quasi.standalone.model import Model

@@ -17,7 +17,8 @@ from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.gap.effect import Effect, Limits, vehicle_of
-from quasi.gap.evidence import Evidence, gather
+from quasi.gap.evidence import Evidence
+from quasi.gap.gathering import gather
 from quasi.gap.level import Flown, Level, shares_of
 from quasi.gap.mixed import Offer
 from quasi.gap.naming import search

@@ -26,7 +26,8 @@ from quasi.errors import ConfigError, DataError
 from quasi.gap.actuation import LATE
 from quasi.gap.calibration import document, for_flight
 from quasi.gap.effect import vehicle_of
-from quasi.gap.evidence import NEEDED, gather
+from quasi.gap.evidence import NEEDED
+from quasi.gap.gathering import gather
 from quasi.gap.kinematic import SHOWS, TURNED
 from quasi.gap.level import Flown, Level
 from quasi.gap.mixed import marginal

@@ -54,7 +54,7 @@ def test_ground_effect_is_a_share_of_the_thrust_near_the_floor():
     assert found["share"]["value"] == pytest.approx(expected, rel=0.02)
     slope = simple * (near / (1.0 - near) ** 2)[rows].mean() / 3.0
     assert found["share"]["std"] == pytest.approx(0.3 * slope, rel=0.03)
-    assert words.endswith(f"% more thrust at a height of 0.05 to 0.07 m")
+    assert words.endswith("% more thrust at a height of 0.05 to 0.07 m")
 
 
 def test_drag_whose_sign_changes_is_told_as_rms_at_the_speeds_where_it_is_largest():

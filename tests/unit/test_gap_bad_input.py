@@ -22,9 +22,9 @@ from quasi.gap.confirmation import CONFIRMED, UNJUDGED, Confirmation, Settled
 from quasi.gap.diagnosis import _unable, _verdict, diagnose
 from quasi.gap.effect import vehicle_of
 from quasi.gap.entries import candidates
-from quasi.gap.evidence import gather, gather_all, refuse_another_vehicle
 from quasi.gap.extension import extend
 from quasi.gap.gain import after
+from quasi.gap.gathering import gather, gather_all, refuse_another_vehicle
 from quasi.gap.level import Flown, Level
 from quasi.gap.mixed import Offer
 from quasi.gap.places import places

@@ -9,8 +9,8 @@ from quasi.errors import ConfigError
 from quasi.export.contents import actuators_of as exported_rotors
 from quasi.gap.drive_fit import belief_of
 from quasi.gap.effect import vehicle_of
-from quasi.gap.evidence import gather
 from quasi.gap.extension import extend
+from quasi.gap.gathering import gather
 from quasi.gap.instruments import shown
 from quasi.gap.wrench import WEIGHING, _carried
 from quasi.simulation.control_model import control_model

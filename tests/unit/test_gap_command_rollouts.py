@@ -9,7 +9,7 @@ from quasi.gap import commanded, rollout_gain, rollouts
 from quasi.gap.catalogue import catalogue
 from quasi.gap.drive_fit import NAMES
 from quasi.gap.effect import Vehicle
-from quasi.gap.evidence import gather
+from quasi.gap.gathering import gather
 from quasi.simulation.replay import replay, twelve
 from quasi.standalone.model import Model
 

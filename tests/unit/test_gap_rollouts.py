@@ -6,8 +6,8 @@ import pytest
 from plain_plant import made_model
 
 from quasi.gap import rollout_gain, rollouts
-from quasi.gap.evidence import gather
 from quasi.gap.figures import figures
+from quasi.gap.gathering import gather
 from quasi.simulation.rollout import rollout
 from quasi.standalone.model import Model
 

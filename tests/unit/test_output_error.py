@@ -30,7 +30,7 @@ from quasi.gap.confirmation import (
     settle,
 )
 from quasi.gap.effect import vehicle_of
-from quasi.gap.evidence import gather
+from quasi.gap.gathering import gather
 from quasi.gap.linear_response import course_of, responses
 from quasi.gap.study import gather_study
 from quasi.gap.worth import Cause

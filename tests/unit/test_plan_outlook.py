@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from quasi.errors import ConfigError
 from quasi.gap import kinematic, plan, plan_noise
 from quasi.gap.catalogue import columns_of
-from quasi.gap.evidence import gather
+from quasi.gap.gathering import gather
 from quasi.gap.manoeuvres import library
 from quasi.gap.mixed import Offer
 from quasi.gap.outlook import Outlook, Repeated, Spread

@@ -13,6 +13,7 @@ from quasi.gap.effect import vehicle_of
 from quasi.gap.extension import extend
 from quasi.gap.gain import Score, after, wrench_score
 from quasi.gap.held_out import everything
+from quasi.gap.instruments import reread
 from quasi.gap.left_out import LeftOut
 from quasi.gap.mixed import Offer
 from quasi.gap.study import gather_study, refit
@@ -243,7 +244,7 @@ def test_what_rotors_do_is_told_by_their_true_speeds_where_the_logged_ones_are_w
             return plain
         leaning = plain.measured + whole_of(effects["rotor_tilt"], plain, vehicle, lean)
         logged = {n: scale * plain.columns[n] for w in ("w1", "w2", "w3", "w4") for n in (w, f"{w}_dot")}
-        return dataclasses.replace(plain.with_columns(logged), measured=leaning)
+        return dataclasses.replace(reread(plain, logged), measured=leaning)
 
     flights, compared = [made(k, k >= 4) for k in range(8)], [k >= 4 for k in range(8)]
     found = examine(flights, compared, [made(90, True)], model, effects, vehicle, 0.01, 0.05, "more", "test")

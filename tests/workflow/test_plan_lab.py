@@ -13,7 +13,7 @@ from hidden import affected, healthy_model, processed, references
 from quasi.gap import plan
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
-from quasi.gap.evidence import gather
+from quasi.gap.gathering import gather
 from quasi.gap.mixed import Offer
 from quasi.gap.study import gather_study
 

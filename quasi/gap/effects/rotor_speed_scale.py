@@ -4,6 +4,7 @@ import numpy as np
 
 from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
 from quasi.gap.evidence import Evidence
+from quasi.gap.instruments import reread
 from quasi.standalone.model import ROTORS, Model
 
 
@@ -19,11 +20,11 @@ def _turned(evidence: Evidence, values: Values) -> dict[str, np.ndarray]:
 
 
 def _whole(evidence: Evidence, _: Vehicle, values: Values) -> np.ndarray:
-    return evidence.predicted_with(_turned(evidence, values)) - evidence.predicted
+    return reread(evidence, _turned(evidence, values)).predicted - evidence.predicted
 
 
 def _corrected(evidence: Evidence, values: Values) -> Evidence:
-    return evidence.with_columns(_turned(evidence, values))
+    return reread(evidence, _turned(evidence, values))
 
 
 def _extension(values: Values, _: Vehicle, __: Model) -> Extension:
