@@ -12,12 +12,12 @@ import numpy as np
 from hidden import DRIVE, SENSORS, STRANGE, deviation
 
 from quasi import attitude
-from quasi.gap import actuation, kinematic
+from quasi.gap.calibration import actuation, kinematic
 from quasi.gap.effect import Effect, Parameter, Vehicle
-from quasi.gap.evidence import Evidence
-from quasi.gap.level import Level, clear
-from quasi.gap.mixed import Offer
-from quasi.gap.study import BLOCK, Study, gather_study
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.level import Level, clear
+from quasi.gap.statistics.mixed import Offer
+from quasi.gap.wrench.study import BLOCK, Study, gather_study
 from quasi.synthesis.physics import BEAT, FAN, FAN_WIDTH, SHIFT
 from quasi.synthesis.vehicle import base_vehicle
 

@@ -19,8 +19,8 @@ import numpy as np
 from hidden import LEARNED, REFERENCE, healthy, identified
 from hide_and_seek import OUT, SAMPLING
 
-from quasi.gap.gathering import gather
-from quasi.gap.level import Flown
+from quasi.gap.flights.gathering import gather
+from quasi.gap.flights.level import Flown
 from quasi.standalone.model import AXES, Model
 
 

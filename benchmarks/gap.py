@@ -20,13 +20,13 @@ from hidden import affected, again, healthy_model, processed, trained
 from hide_and_seek import OUT, SAMPLING, SETTINGS
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from quasi.gap import lower
-from quasi.gap.calibration import for_flight
+from quasi.gap.calibration import lower
+from quasi.gap.calibration.corrections import for_flight
 from quasi.gap.catalogue import catalogue
 from quasi.gap.diagnosis import diagnose
-from quasi.gap.figures import figures
-from quasi.gap.gathering import gather
-from quasi.gap.report import page
+from quasi.gap.flights.gathering import gather
+from quasi.gap.report.figures import figures
+from quasi.gap.report.page import page
 
 
 def main() -> None:

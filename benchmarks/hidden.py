@@ -17,7 +17,7 @@ import numpy as np
 from quasi.airframe import Airframe, read_airframe
 from quasi.filtering.flight import filter_flight
 from quasi.gap.effects.payload_swing import LENGTHS
-from quasi.gap.level import Flown
+from quasi.gap.flights.level import Flown
 from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis
 from quasi.identification.partition import partition

@@ -47,13 +47,13 @@ from hidden import (
 from study import run
 
 from quasi.errors import DataError
-from quasi.gap import lower
-from quasi.gap.calibration import for_flight
+from quasi.gap.calibration import lower
+from quasi.gap.calibration.corrections import for_flight
 from quasi.gap.catalogue import catalogue
 from quasi.gap.diagnosis import diagnose
 from quasi.gap.effect import room_of, vehicle_of
-from quasi.gap.gathering import gather
-from quasi.gap.level import Flown
+from quasi.gap.flights.gathering import gather
+from quasi.gap.flights.level import Flown
 from quasi.standalone.model import Model
 from quasi.synthesis.vehicle import base_vehicle
 from quasi.tables import read_json, write_text

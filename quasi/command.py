@@ -300,8 +300,8 @@ def plan_of(
     from quasi.gap import flight_card
     from quasi.gap.catalogue import catalogue, chosen
     from quasi.gap.effect import room_of
-    from quasi.gap.plan import examine
-    from quasi.gap.plan_input import flights_of, noise_of
+    from quasi.gap.planning.plan import examine
+    from quasi.gap.planning.plan_input import flights_of, noise_of
     from quasi.standalone.model import read_model
     from quasi.tables import write_json, write_text
 

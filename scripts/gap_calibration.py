@@ -9,10 +9,10 @@ from quasi.airframe import read_airframe
 from quasi.comparisons import recorded_twice, refuse_trained, same_recordings
 from quasi.errors import ConfigError
 from quasi.filtering.flight import filter_flight
+from quasi.gap.calibration.lower import examine, units_of
 from quasi.gap.catalogue import catalogue, chosen
-from quasi.gap.gathering import refuse_another_vehicle
-from quasi.gap.level import Flown
-from quasi.gap.lower import examine, units_of
+from quasi.gap.flights.gathering import refuse_another_vehicle
+from quasi.gap.flights.level import Flown
 from quasi.importing.flight import import_flight
 from quasi.joblog import LOG, job, progress
 from quasi.standalone.model import read_model

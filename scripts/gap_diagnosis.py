@@ -13,12 +13,12 @@ import pandas as pd
 from quasi.airframe import read_airframe
 from quasi.comparisons import recordings_told, unchecked
 from quasi.errors import ConfigError, DataError
+from quasi.gap.calibration.lower import units_of
 from quasi.gap.catalogue import catalogue, chosen
 from quasi.gap.diagnosis import diagnose
-from quasi.gap.gathering import gather_all
-from quasi.gap.level import Flown
-from quasi.gap.lower import units_of
-from quasi.gap.rollouts import flight_of, windows
+from quasi.gap.flights.gathering import gather_all
+from quasi.gap.flights.level import Flown
+from quasi.gap.rollouts.open_loop import flight_of, windows
 from quasi.identification.partition import UNITS, partition, to_table
 from quasi.joblog import LOG, job, progress
 from quasi.standalone.model import read_model

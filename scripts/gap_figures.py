@@ -4,7 +4,7 @@ from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from quasi.gap.figures import figures
+from quasi.gap.report.figures import figures
 from quasi.joblog import job, progress
 from quasi.tables import read_table, whole_file
 

@@ -11,7 +11,7 @@ from quasi.errors import ConfigError, DataError, QuasiError, nearest
 from quasi.expressions import Program, parse
 from quasi.gap import effects
 from quasi.gap.effect import Effect, Terms, Values, Vehicle
-from quasi.gap.evidence import Evidence
+from quasi.gap.flights.evidence import Evidence
 from quasi.gap.own_effect import effect_of
 from quasi.standalone.model import AXES
 from quasi.variables import Variables

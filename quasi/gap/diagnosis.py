@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from quasi.gap import commanded, generic, halves, material, rollout_gain
-from quasi.gap.acting import acting
-from quasi.gap.calibration import corrected_at_import
-from quasi.gap.case import Case
-from quasi.gap.confirmation import Settled
+from quasi.gap.calibration import material
+from quasi.gap.calibration.corrections import corrected_at_import
+from quasi.gap.calibration.lower import rate_of
 from quasi.gap.effect import Effect, room_of, vehicle_of
 from quasi.gap.entries import (
     as_flown,
@@ -22,19 +20,23 @@ from quasi.gap.entries import (
     tie_entry,
     wrench_effect,
 )
-from quasi.gap.evidence import Evidence
-from quasi.gap.gain import Squares, after, removed, wrench_squares
-from quasi.gap.held_out import best_wrong, everything, made_of, telling
-from quasi.gap.level import Flown
-from quasi.gap.lower import rate_of
-from quasi.gap.rollouts import CHANNELS as ALONG
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.level import Flown
+from quasi.gap.report.wording import summary
+from quasi.gap.rollouts import commanded, halves, rollout_gain
+from quasi.gap.rollouts.confirmation import Settled
+from quasi.gap.rollouts.open_loop import CHANNELS as ALONG
 from quasi.gap.scores import scored
 from quasi.gap.standing import HORIZON, standing
-from quasi.gap.wording import summary
-from quasi.gap.worth import Cause
-from quasi.gap.wrench import Found, examine
-from quasi.gap.wrench_findings import gusts
-from quasi.gap.wrench_tables import wrench_tables
+from quasi.gap.wrench import generic
+from quasi.gap.wrench.acting import acting
+from quasi.gap.wrench.case import Case
+from quasi.gap.wrench.examination import Found, examine
+from quasi.gap.wrench.findings import gusts
+from quasi.gap.wrench.gain import Squares, after, removed, wrench_squares
+from quasi.gap.wrench.held_out import best_wrong, everything, made_of, telling
+from quasi.gap.wrench.tables import wrench_tables
+from quasi.gap.wrench.worth import Cause
 from quasi.standalone.model import AXES, Model
 
 SCHEMA = "quasi.gap/1"

@@ -14,7 +14,7 @@ import numpy as np
 
 from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.errors import ConfigError
-from quasi.gap.evidence import Evidence
+from quasi.gap.flights.evidence import Evidence
 from quasi.logbook import NAME
 from quasi.standalone.model import Model
 
@@ -167,7 +167,7 @@ class Effect:
                   "one" a single one, the likeliest; "next" one after the other, each beside those before it
     told          (deviations, standard errors) -> {name: Size} to be told instead of the parameters that are fitted
     starts        sizes of the one parameter of a cause that bends so much that its slope at nothing hardly shows it: it
-                  is looked for by the whole effect of one of them, the likeliest, see `quasi.gap.starts`
+                  is looked for by the whole effect of one of them, the likeliest, see `quasi.gap.wrench.starts`
     sums          vehicle -> [({parameter: weight}, least)]: weighted sums of the deviations that cannot be less, where
                   what is physical is no range of each
     indistinct    ids that differ from it by so little that a model's own errors would decide: always a tie with them

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from quasi.gap.calibration import uncorrected
-from quasi.gap.confirmation import Settled
+from quasi.gap.calibration.corrections import uncorrected
 from quasi.gap.effect import Effect, Vehicle
-from quasi.gap.evidence import Evidence
-from quasi.gap.worth import Cause
-from quasi.gap.wrench import Found
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.rollouts.confirmation import Settled
+from quasi.gap.wrench.examination import Found
+from quasi.gap.wrench.worth import Cause
 
 # shares of resamples in which a cause alone, the strongest of several, another one must be found again
 ALONE, SURE, BESIDE = 0.2, 0.5, 0.8

@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from quasi.gap.evidence import Evidence
-from quasi.gap.gain import Squares, after, before, removed, wrench_squares
-from quasi.gap.level import Flown
-from quasi.gap.lower import judged
-from quasi.gap.rollout_gain import Beside
-from quasi.gap.rollouts import TOLD
-from quasi.gap.worth import Cause
-from quasi.gap.wrench import Found
+from quasi.gap.calibration.lower import judged
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.level import Flown
+from quasi.gap.rollouts.open_loop import TOLD
+from quasi.gap.rollouts.rollout_gain import Beside
+from quasi.gap.wrench.examination import Found
+from quasi.gap.wrench.gain import Squares, after, before, removed, wrench_squares
+from quasi.gap.wrench.worth import Cause
 from quasi.standalone.model import AXES, Model
 
 

@@ -3,16 +3,17 @@ half, held-out flights and what stays unexplained say of each."""
 
 from collections.abc import Callable, Mapping, Sequence
 
-from quasi.gap import halves, unexplained
-from quasi.gap.case import Case
-from quasi.gap.confirmation import CONFIRMED, REFUTED, Settled, settle
+from quasi.gap.calibration.lower import SEARCHES
 from quasi.gap.effect import Effect
 from quasi.gap.entries import needed
-from quasi.gap.gain import after
-from quasi.gap.lower import SEARCHES
-from quasi.gap.mixed import Offer
-from quasi.gap.worth import Cause
-from quasi.gap.wrench import Found
+from quasi.gap.rollouts import halves
+from quasi.gap.rollouts.confirmation import CONFIRMED, REFUTED, Settled, settle
+from quasi.gap.statistics.mixed import Offer
+from quasi.gap.wrench import unexplained
+from quasi.gap.wrench.case import Case
+from quasi.gap.wrench.examination import Found
+from quasi.gap.wrench.gain import after
+from quasi.gap.wrench.worth import Cause
 from quasi.standalone.model import Model
 
 FORCES = ("Fx", "Fy", "Fz")

@@ -5,7 +5,7 @@ import pandas as pd
 
 from quasi.gap.catalogue import catalogue
 from quasi.gap.diagnosis import _verdict
-from quasi.gap.wording import summary
+from quasi.gap.report.wording import summary
 
 KNOWN = catalogue()
 ROLES = {"ref-1": "reference", "new-1": "compared", "new-2": "compared", "new-3": "held out"}

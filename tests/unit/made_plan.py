@@ -8,10 +8,10 @@ from flights import AIRFRAME
 from made_model import part
 
 from quasi.attitude import GRAVITY
-from quasi.gap import plan
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
-from quasi.gap.flatness import planned, read_plan
+from quasi.gap.planning import plan
+from quasi.gap.planning.flatness import planned, read_plan
 from quasi.standalone.build import assemble
 from quasi.standalone.model import Model
 

@@ -2,7 +2,7 @@
 
 from quasi.airframe import read_airframe
 from quasi.filtering.flight import filter_flight
-from quasi.gap.level import Flown
+from quasi.gap.flights.level import Flown
 from quasi.importing.flight import import_flight
 from quasi.synthesis.campaign import make_flight, quadrotor_configuration, read_campaign
 from quasi.tables import write_bytes, write_text

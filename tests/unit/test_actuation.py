@@ -8,10 +8,10 @@ import pandas as pd
 import pytest
 
 from quasi.airframe import Airframe
-from quasi.gap.actuation import SPREAD, examine, size_of
-from quasi.gap.drive_findings import saturated
-from quasi.gap.drive_fit import Belief, belief_of, fit_drive
-from quasi.gap.level import Flown, clear
+from quasi.gap.calibration.actuation import SPREAD, examine, size_of
+from quasi.gap.calibration.drive_findings import saturated
+from quasi.gap.calibration.drive_fit import Belief, belief_of, fit_drive
+from quasi.gap.flights.level import Flown, clear
 
 RATE, SECONDS, FINER = 500.0, 14.0, 4
 MAP, VOLTS, UP, DOWN = (380.0, 4650.0, -1200.0), 15.2, 0.022, 0.030

@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from quasi import attitude
 from quasi.errors import ConfigError
-from quasi.gap import actuation, calibration, kinematic
+from quasi.gap.calibration import actuation, corrections, kinematic
 from quasi.gap.catalogue import catalogue
-from quasi.gap.level import Level
+from quasi.gap.flights.level import Level
 from quasi.importing.calibration import check, is_identity, true_inertial, true_pose
 
 ACTUATORS = {  # of the vehicle that made flights are of
@@ -31,7 +31,7 @@ def test_what_is_examined_and_corrected_bears_the_catalogues_names_and_units():
         assert {p.unit for p in causes[cause].parameters.values()} == {unit}
         assert {p.neutral for p in causes[cause].parameters.values()} == {kinematic.NEUTRAL.get(cause, 0.0)}
     assert set(actuation.CAUSES) <= set(causes)
-    for cause, (_, _, names) in calibration.CORRECTS.items():
+    for cause, (_, _, names) in corrections.CORRECTS.items():
         assert tuple(causes[cause].parameters) == names
 
 
@@ -90,23 +90,23 @@ def test_changes_are_corrected_in_compared_flights_alone_and_scales_multiply():
         {"id": "clock_drift", "since": "changed", "parameters": {"rate": {"value": 1e-3}}},
         {"id": "motor_lag", "since": "changed", "parameters": {"time_constant": {"value": 0.04}}},
     ])  # fmt: skip
-    whole = calibration.document([level])
-    compared, reference = (calibration.for_flight(whole, flag) for flag in (True, False))
+    whole = corrections.document([level])
+    compared, reference = (corrections.for_flight(whole, flag) for flag in (True, False))
     np.testing.assert_allclose(compared["imu"]["gyro scale"], [1.02**2, 1.0, 0.99**2])
     np.testing.assert_allclose(reference["imu"]["gyro scale"], [1.02, 1.0, 0.99])
     assert compared["clock"] == {"rate": 1e-3}
     assert "clock" not in reference
-    assert calibration.for_flight(calibration.identity(), True) is None
+    assert corrections.for_flight(corrections.identity(), True) is None
 
 
 def test_of_a_tie_the_settled_member_is_corrected_else_the_first_with_a_note():
     turn = {n: {"value": 0.02} for n in ("roll", "pitch", "yaw")}
     tie = {"ids": ["imu_misalignment", "mocap_misalignment"], "since": "always",
            "parameters": {"imu_misalignment": turn, "mocap_misalignment": turn}}  # fmt: skip
-    whole = calibration.document([Level("K", ties=[tie])], settled=["mocap_misalignment"])
+    whole = corrections.document([Level("K", ties=[tie])], settled=["mocap_misalignment"])
     assert list(whole["compared"]) == ["capture"]
     assert not whole["notes"]
-    whole = calibration.document([Level("K", ties=[tie])])
+    whole = corrections.document([Level("K", ties=[tie])])
     assert list(whole["compared"]) == ["imu"]
     assert "look alike" in whole["notes"][0]
 
@@ -136,8 +136,8 @@ def test_eight_faults_at_once_are_told_from_raw_logs_and_gone_when_these_are_pro
         for name, truth in parameters.items():
             value, std = found[cause][name]["value"], found[cause][name]["std"]
             assert abs(value - truth) < 4.0 * std, (cause, name, value, std, truth)
-    whole = calibration.document([sensors, drive], settled=["telemetry_delay"])
-    sensors, drive = levels(calibration.for_flight(whole, True))
+    whole = corrections.document([sensors, drive], settled=["telemetry_delay"])
+    sensors, drive = levels(corrections.for_flight(whole, True))
     assert not sensors.effects
     assert not sensors.ties
     assert [e["id"] for e in drive.effects] == ["motor_lag"]

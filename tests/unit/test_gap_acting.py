@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from test_gap_extension import CATALOGUE, base_of
 
-from quasi.gap.acting import acting
 from quasi.gap.effect import vehicle_of
-from quasi.gap.evidence import Evidence
-from quasi.gap.wording import amount_of
-from quasi.gap.worth import Cause
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.report.wording import amount_of
+from quasi.gap.wrench.acting import acting
+from quasi.gap.wrench.worth import Cause
 from quasi.standalone.model import AXES
 
 N = 4000

@@ -14,27 +14,30 @@ from test_gap_extension import base_of
 from test_gap_extension import flight as made
 
 from quasi.errors import ConfigError, DataError, QuasiError
-from quasi.gap import actuation, halves, material, mixed, plan, points, settling
-from quasi.gap.calibration import corrected_at_import, uncorrected
-from quasi.gap.case import Case
+from quasi.gap.calibration import actuation, material, points, settling
+from quasi.gap.calibration.corrections import corrected_at_import, uncorrected
 from quasi.gap.catalogue import whole_of
-from quasi.gap.confirmation import CONFIRMED, UNJUDGED, Confirmation, Settled
 from quasi.gap.diagnosis import _unable, _verdict, diagnose
 from quasi.gap.effect import vehicle_of
 from quasi.gap.entries import candidates
 from quasi.gap.extension import extend
-from quasi.gap.gain import after
-from quasi.gap.gathering import gather, gather_all, refuse_another_vehicle
-from quasi.gap.level import Flown, Level
-from quasi.gap.mixed import Offer
-from quasi.gap.places import places
-from quasi.gap.plan_input import flights_of
-from quasi.gap.residual_tables import where
+from quasi.gap.flights.gathering import gather, gather_all, refuse_another_vehicle
+from quasi.gap.flights.level import Flown, Level
+from quasi.gap.flights.places import places
+from quasi.gap.flights.residual_tables import where
+from quasi.gap.planning import plan
+from quasi.gap.planning.plan_input import flights_of
+from quasi.gap.rollouts import halves
+from quasi.gap.rollouts.confirmation import CONFIRMED, UNJUDGED, Confirmation, Settled
 from quasi.gap.standing import _borne_out
-from quasi.gap.study import gather_study
-from quasi.gap.worth import Cause
-from quasi.gap.wrench import examine
-from quasi.gap.wrench_tables import wrench_tables
+from quasi.gap.statistics import mixed
+from quasi.gap.statistics.mixed import Offer
+from quasi.gap.wrench.case import Case
+from quasi.gap.wrench.examination import examine
+from quasi.gap.wrench.gain import after
+from quasi.gap.wrench.study import gather_study
+from quasi.gap.wrench.tables import wrench_tables
+from quasi.gap.wrench.worth import Cause
 from quasi.standalone.model import AXES, Model
 from quasi.tables import read_numbers, write_json, write_table
 

@@ -7,12 +7,12 @@ from test_gap_extension import CATALOGUE, base_of, flight
 
 from quasi.errors import ConfigError
 from quasi.export.contents import actuators_of as exported_rotors
-from quasi.gap.drive_fit import belief_of
+from quasi.gap.calibration.drive_fit import belief_of
 from quasi.gap.effect import vehicle_of
 from quasi.gap.extension import extend
-from quasi.gap.gathering import gather
-from quasi.gap.instruments import shown
-from quasi.gap.wrench import WEIGHING, _carried
+from quasi.gap.flights.gathering import gather
+from quasi.gap.flights.instruments import shown
+from quasi.gap.wrench.examination import WEIGHING, _carried
 from quasi.simulation.control_model import control_model
 from quasi.simulation.replay import rotors_of
 from quasi.standalone.extensions import as_read, drive_of, put_right, said_of_rotors, wind_of

@@ -5,11 +5,11 @@ import pandas as pd
 import pytest
 from plain_plant import made_model
 
-from quasi.gap import commanded, rollout_gain, rollouts
+from quasi.gap.calibration.drive_fit import NAMES
 from quasi.gap.catalogue import catalogue
-from quasi.gap.drive_fit import NAMES
 from quasi.gap.effect import Vehicle
-from quasi.gap.gathering import gather
+from quasi.gap.flights.gathering import gather
+from quasi.gap.rollouts import commanded, open_loop, rollout_gain
 from quasi.simulation.replay import replay, twelve
 from quasi.standalone.model import Model
 
@@ -100,7 +100,7 @@ def test_every_quantity_and_horizon_has_floor_wrong_cause_and_polynomial_with_in
     )
     rolled = rollout_gain.score(wrong, extended, {"a": table}, held, HORIZONS, beside)
     rows = rolled["fell"]["R commands"]
-    names = [*rollouts.QUANTITIES, *rollouts.CHANNELS.values()]
+    names = [*open_loop.QUANTITIES, *open_loop.CHANNELS.values()]
     assert [(r["quantity"], r["horizon"]) for r in rows] == [(q, h) for q in names for h in HORIZONS]
     for row in rows:
         assert 0.0 <= row["noise_floor"] <= row["after"] * 1.000001
@@ -134,9 +134,9 @@ def test_every_quantity_and_horizon_has_floor_wrong_cause_and_polynomial_with_in
 def test_a_change_of_forces_moves_command_driven_windows_as_the_changed_model_does(model, table):
     wrong = pushed(model, 0.05)
     tracks = rollout_gain.tracks_of([evidence_of(wrong, table)], {"a": table}, HORIZONS, [wrong])
-    errors = rollout_gain.simulated_errors(tracks, wrong, wrong, [rollouts.TOLD])
+    errors = rollout_gain.simulated_errors(tracks, wrong, wrong, [open_loop.TOLD])
     better = rollout_gain.moved_errors(tracks, errors, lambda f: f.residual, lambda f: f.measured - predicted(model, f))
-    assert np.abs(better[rollouts.TOLD][0]).max() < 0.02 * np.abs(errors[rollouts.TOLD][0]).max()
+    assert np.abs(better[open_loop.TOLD][0]).max() < 0.02 * np.abs(errors[open_loop.TOLD][0]).max()
 
 
 def test_windows_without_commands_all_along_are_left_to_measured_speeds(model, table):
@@ -158,13 +158,13 @@ def test_learned_constants_make_speeds_of_commands(model, table):
     values = dict(zip(NAMES, [0.02, 0.04, 0.005, 400.0, 3000.0, -500.0, 0.5, 0.01, 0.0, 0.0, -0.01]))
     about = {"kind": "shares", "values": list(values.values()), "voltage": 16.0}
     shares = table.assign(**{f"command{i}": 0.1 * i for i in range(1, 5)}, battery_voltage=14.0)
-    found, rotors = commanded.learned(about, rollouts.flight_of("a", shares), model)
+    found, rotors = commanded.learned(about, open_loop.flight_of("a", shares), model)
     expected = np.array([(400 + 300 * i - 5 * i**2) * (14 / 16) ** 0.5 for i in range(1, 5)]) * [1.01, 1, 1, 0.99]
     np.testing.assert_allclose(found[7], expected)
     assert (float(rotors.up), float(rotors.down), rotors.delay) == (0.02, 0.04, 0.005)
     aged = Model({**model.document, "extensions": [{"id": "x", "actuators": {"telemetry delay": 0.004}}]})
-    assert commanded.learned(about, rollouts.flight_of("a", shares), aged)[1].delay == pytest.approx(0.001)
-    assert commanded.learned(about, rollouts.flight_of("a", table), model) is None
+    assert commanded.learned(about, open_loop.flight_of("a", shares), aged)[1].delay == pytest.approx(0.001)
+    assert commanded.learned(about, open_loop.flight_of("a", table), model) is None
 
 
 @pytest.mark.parametrize("quantity, name", [("velocity z", "motor_lag"), ("velocity y", "battery_sag")])

@@ -8,13 +8,13 @@ from quasi import attitude
 from quasi.airframe import read_airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
-from quasi.gap import mixed
-from quasi.gap.calibration import CORRECTS
+from quasi.gap.calibration.corrections import CORRECTS
 from quasi.gap.catalogue import catalogue, chosen, columns_of, whole_of, wrench_of
 from quasi.gap.effect import Effect, Parameter, room_of, vehicle_of
-from quasi.gap.evidence import Evidence
-from quasi.gap.inflow import overshoot
-from quasi.gap.naming import possible
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.inflow import overshoot
+from quasi.gap.statistics import mixed
+from quasi.gap.wrench.naming import possible
 from quasi.standalone.model import AXES
 from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
 from quasi.synthesis.effects import check, plant

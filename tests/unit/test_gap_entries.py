@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quasi.gap import mixed
 from quasi.gap.effect import Effect
 from quasi.gap.entries import ALONE, BESIDE, SURE, needed
-from quasi.gap.worth import Cause
+from quasi.gap.statistics import mixed
+from quasi.gap.wrench.worth import Cause
 
 LEVEL = 1e-3
 

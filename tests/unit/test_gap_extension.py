@@ -6,10 +6,10 @@ from plain_plant import made_model
 
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
-from quasi.gap.evidence import Evidence
 from quasi.gap.extension import extend
-from quasi.gap.instruments import shown
-from quasi.gap.pendulum import pull_of
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.instruments import shown
+from quasi.gap.flights.pendulum import pull_of
 from quasi.standalone.model import AXES, Model
 
 CATALOGUE = catalogue()

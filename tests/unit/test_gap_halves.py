@@ -7,11 +7,11 @@ import pandas as pd
 import pytest
 from plain_plant import made_model
 
-from quasi.gap import halves
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
 from quasi.gap.extension import extend
-from quasi.gap.gathering import gather
+from quasi.gap.flights.gathering import gather
+from quasi.gap.rollouts import halves
 from quasi.simulation.rollout import rollout
 from quasi.standalone.model import AXES, Model
 

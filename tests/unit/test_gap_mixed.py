@@ -7,12 +7,12 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from quasi.gap import mixed as tests_on
 from quasi.gap.effect import Effect, Limits, Parameter
-from quasi.gap.mixed import SPREADS, Columns, Mixed, Offer, Witnessed
-from quasi.gap.naming import _dominant, search
-from quasi.gap.study import in_stretches, joined
-from quasi.gap.whitening import autoregression, block_grams, thin, whiten
+from quasi.gap.statistics import mixed as tests_on
+from quasi.gap.statistics.mixed import SPREADS, Columns, Mixed, Offer, Witnessed
+from quasi.gap.statistics.whitening import autoregression, block_grams, thin, whiten
+from quasi.gap.wrench.naming import _dominant, search
+from quasi.gap.wrench.study import in_stretches, joined
 
 LAYOUT = Columns([1, 2], [3], np.array([0.5]), {"a": [4], "b": [5], "c": [6, 7]})
 

@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 from quasi.attitude import GRAVITY
 from quasi.gap.catalogue import catalogue
 from quasi.gap.entries import parameters_of
-from quasi.gap.pendulum import swing
+from quasi.gap.flights.pendulum import swing
 
 RATE = 100.0
 T = np.arange(0.0, 12.0, 1.0 / RATE)

@@ -5,10 +5,10 @@ import pytest
 from made_model import simple_model
 from made_recordings import planted
 
-from quasi.gap import calibration, kinematic
+from quasi.gap.calibration import corrections, kinematic
+from quasi.gap.calibration.points import ACROSS, APART, TAKEN_UP, felt, settle, weigh
 from quasi.gap.catalogue import catalogue
-from quasi.gap.level import Level
-from quasi.gap.points import ACROSS, APART, TAKEN_UP, felt, settle, weigh
+from quasi.gap.flights.level import Level
 from quasi.synthesis.nuisance import nominal
 from quasi.synthesis.vehicle import hover_factors
 
@@ -29,9 +29,9 @@ def test_arm_and_markers_are_told_apart_from_raw_logs_and_gone_when_these_are_im
     for cause, parameters in found.items():
         for axis, p in parameters.items():
             assert abs(p["value"] - PLANTED[cause].get(axis, 0.0)) < min(4.0 * p["std"], 1.5e-3), (cause, axis, p)
-    whole = calibration.document([level])
+    whole = corrections.document([level])
     assert whole["compared"]["capture"]["marker offset"][0] == found["marker_offset"]["x"]["value"]
-    assert not kinematic.examine(process(calibration.for_flight(whole, True)), {}).effects
+    assert not kinematic.examine(process(corrections.for_flight(whole, True)), {}).effects
 
 
 def test_what_pulls_at_the_vehicle_is_not_taken_for_an_arm(tmp_path):
@@ -87,7 +87,7 @@ def test_forces_that_cannot_tell_leave_a_tie_with_both_ways_to_read_it(monkeypat
     arm = {n: {"value": v, "std": 5e-4, "unit": "m"} for n, v in zip("xyz", (0.01, 0.0, -0.02))}
     level = Level("K", effects=[{"id": "imu_lever_arm", "since": "always", "parameters": arm}])
     blunt = np.full(3, 0.01)
-    monkeypatch.setattr("quasi.gap.points.felt", lambda *_: (np.array([0.004, 0.001, -0.008]), blunt))
+    monkeypatch.setattr("quasi.gap.calibration.points.felt", lambda *_: (np.array([0.004, 0.001, -0.008]), blunt))
     settle(level, [], None, {}, 0.01)
     assert not level.effects
     (tie,) = level.ties

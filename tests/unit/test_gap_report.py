@@ -18,11 +18,11 @@ from gap_documents import (
     rows,
 )
 
-from quasi.gap.figures import figures, telling, with_errors
-from quasi.gap.lower import units_of
-from quasi.gap.report import page
-from quasi.gap.rollouts import GAINED
-from quasi.gap.wording import confirmation_of, rollout_of, summary
+from quasi.gap.calibration.lower import units_of
+from quasi.gap.report.figures import figures, telling, with_errors
+from quasi.gap.report.page import page
+from quasi.gap.report.wording import confirmation_of, rollout_of, summary
+from quasi.gap.rollouts.open_loop import GAINED
 
 
 def test_the_page_tells_everything_escaped_and_without_network():

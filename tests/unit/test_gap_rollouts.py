@@ -5,9 +5,9 @@ import pandas as pd
 import pytest
 from plain_plant import made_model
 
-from quasi.gap import rollout_gain, rollouts
-from quasi.gap.figures import figures
-from quasi.gap.gathering import gather
+from quasi.gap.flights.gathering import gather
+from quasi.gap.report.figures import figures
+from quasi.gap.rollouts import open_loop, rollout_gain
 from quasi.simulation.rollout import rollout
 from quasi.standalone.model import Model
 
@@ -35,10 +35,10 @@ def model():
 
 def ends_of(model, flight, horizons):
     """End errors with measured rotor speeds."""
-    starts = rollouts.windows(flight, max(horizons))
+    starts = open_loop.windows(flight, max(horizons))
     lags = np.array([round(h * RATE) for h in horizons])
-    run = rollouts.simulated(model, flight, starts, max(horizons))
-    return rollouts.table_of(flight, starts, rollouts.vectors(run, flight, starts, lags), horizons)
+    run = open_loop.simulated(model, flight, starts, max(horizons))
+    return open_loop.table_of(flight, starts, open_loop.vectors(run, flight, starts, lags), horizons)
 
 
 def heavier(model, share):
@@ -52,10 +52,10 @@ def heavier(model, share):
 
 
 def test_the_model_that_flew_makes_no_error_and_another_makes_the_error_of_its_thrust(model):
-    flight = rollouts.flight_of("a", flown(model))
-    right = rollouts.rms(ends_of(model, flight, [0.2, 0.5]))
+    flight = open_loop.flight_of("a", flown(model))
+    right = open_loop.rms(ends_of(model, flight, [0.2, 0.5]))
     assert right["velocity"]["0.5"] < 1e-6
-    wrong = rollouts.rms(ends_of(heavier(model, 1.02), flight, [0.2, 0.5]))
+    wrong = open_loop.rms(ends_of(heavier(model, 1.02), flight, [0.2, 0.5]))
     # 2 % of the weight too much thrust, against drag of 0.15 N per m/s on 0.43 kg: dv = a (1 - exp(-c t))/c
     a, c = 0.02 * 9.81, 0.15 / 0.43
     assert wrong["velocity"]["0.5"] == pytest.approx(a * (1 - np.exp(-c * 0.5)) / c, rel=0.08)
@@ -63,9 +63,9 @@ def test_the_model_that_flew_makes_no_error_and_another_makes_the_error_of_its_t
 
 
 def test_the_share_that_fell_is_that_of_the_root_mean_squares(model):
-    flight = rollouts.flight_of("a", flown(model))
+    flight = open_loop.flight_of("a", flown(model))
     old, new = (ends_of(heavier(model, k), flight, [0.5]) for k in (1.02, 1.01))
-    row = next(r for r in rollouts.fell(old, new) if r["quantity"] == "velocity")
+    row = next(r for r in open_loop.fell(old, new) if r["quantity"] == "velocity")
     assert row["value"] == pytest.approx(0.5, abs=0.02) and row["low"] <= row["value"] <= row["high"]
     assert row["value"] == pytest.approx(1.0 - row["after"] / row["before"])
 
@@ -73,32 +73,32 @@ def test_the_share_that_fell_is_that_of_the_root_mean_squares(model):
 def test_commands_are_the_logged_speeds_or_what_the_map_and_the_voltage_make_of_shares(model):
     table = flown(model)
     logged = table.assign(**{f"w{i}_CMD": table[f"w{i}"] + 1.0 for i in range(1, 5)})
-    found = rollouts.commands_of(model, rollouts.flight_of("a", logged))
+    found = open_loop.commands_of(model, open_loop.flight_of("a", logged))
     np.testing.assert_allclose(found, logged[[f"w{i}" for i in range(1, 5)]] + 1.0)
-    assert rollouts.commands_of(Model({**model.document, "actuators": None}), rollouts.flight_of("a", table)) is None
+    assert open_loop.commands_of(Model({**model.document, "actuators": None}), open_loop.flight_of("a", table)) is None
     mapped = {"command map": {"coefficients": [400.0, 3000.0, -500.0], "powers": [0, 1, 2],
                               "voltage exponent": {"value": 0.5}, "reference voltage": 16.0}}  # fmt: skip
     other = Model({**model.document, "actuators": {**(model.document["actuators"] or {}), **mapped}})
     shares = table.assign(**{f"command{i}": 0.1 * i for i in range(1, 5)}, battery_voltage=14.0)
-    found = rollouts.commands_of(other, rollouts.flight_of("a", shares))
+    found = open_loop.commands_of(other, open_loop.flight_of("a", shares))
     expected = [(400 + 300 * i - 5 * i**2) * (14 / 16) ** 0.5 for i in range(1, 5)]
     np.testing.assert_allclose(found[7], expected)
     extended = Model({**other.document, "extensions": [{"id": "battery_sag", "actuators": {"voltage exponent": 1.0}}]})
-    found = rollouts.commands_of(extended, rollouts.flight_of("a", shares))
+    found = open_loop.commands_of(extended, open_loop.flight_of("a", shares))
     np.testing.assert_allclose(found[7], np.array(expected) * (14 / 16) ** 0.5)
 
 
 def test_windows_avoid_rows_that_are_not_valid(model):
     table = flown(model)
     table.loc[400:420, "valid"] = 0.0
-    flight = rollouts.flight_of("a", table)
-    starts, steps = rollouts.windows(flight, 0.5), 100
+    flight = open_loop.flight_of("a", table)
+    starts, steps = open_loop.windows(flight, 0.5), 100
     assert len(starts) and not any(s <= 420 and s + steps >= 400 for s in starts)
 
 
 def test_overlays_show_the_window_that_gained_most_and_are_drawn(model):
-    flight = rollouts.flight_of("a", flown(model))
-    found = rollouts.overlays({"before": heavier(model, 1.02), "after": model}, [flight], 0.5)
+    flight = open_loop.flight_of("a", flown(model))
+    found = open_loop.overlays({"before": heavier(model, 1.02), "after": model}, [flight], 0.5)
     first = found[found["window"] == 0]
     assert first["why"].iloc[0] == "the error falls most"
     np.testing.assert_allclose(first["w_after"], first["w_measured"], atol=1e-6)

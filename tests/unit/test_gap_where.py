@@ -10,11 +10,11 @@ from test_actuation import flown as driven
 from test_kinematic import flown as sensed
 
 from quasi.attitude import AIR_DENSITY, GRAVITY
-from quasi.gap import actuation, kinematic
-from quasi.gap.level import Flown
-from quasi.gap.lower import units_of
-from quasi.gap.residual_tables import LEAST, beside, where
-from quasi.gap.rollout_places import UNITS, channels_of, placed, where_of
+from quasi.gap.calibration import actuation, kinematic
+from quasi.gap.calibration.lower import units_of
+from quasi.gap.flights.level import Flown
+from quasi.gap.flights.residual_tables import LEAST, beside, where
+from quasi.gap.rollouts.rollout_places import UNITS, channels_of, placed, where_of
 
 N = 400
 T = np.arange(N) / 100.0

@@ -22,9 +22,9 @@ from gap_documents import (
 
 from quasi.gap.effect import Vehicle
 from quasi.gap.entries import as_flown, truth
-from quasi.gap.next_steps import steps
-from quasi.gap.report import page
-from quasi.gap.wording import left_sentence, summary, value_of, words_of
+from quasi.gap.report.next_steps import steps
+from quasi.gap.report.page import page
+from quasi.gap.report.wording import left_sentence, summary, value_of, words_of
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation, Slerp
 from quasi import attitude
 from quasi.airframe import Airframe
 from quasi.errors import DataError
-from quasi.gap.kinematic import SPREAD, examine, size_of
-from quasi.gap.kinematic_columns import weak_form, windows
-from quasi.gap.level import Flown, clear
-from quasi.gap.sensor_findings import shaken, torn
+from quasi.gap.calibration.kinematic import SPREAD, examine, size_of
+from quasi.gap.calibration.kinematic_columns import weak_form, windows
+from quasi.gap.calibration.sensor_findings import shaken, torn
+from quasi.gap.flights.level import Flown, clear
 from quasi.importing.resampling import resample_attitude
 
 RATE, CAPTURED, SECONDS = 500.0, 120.0, 24.0

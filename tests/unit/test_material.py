@@ -9,11 +9,11 @@ from test_actuation import MODEL, VOLTS
 from test_actuation import flown as driven
 from test_kinematic import flown as moved
 
-from quasi.gap import actuation, kinematic, lower, material
-from quasi.gap.calibration import document, for_flight
+from quasi.gap.calibration import actuation, kinematic, lower, material
+from quasi.gap.calibration.corrections import document, for_flight
+from quasi.gap.calibration.lower import FAINTEST, SEARCHES, rate_of
+from quasi.gap.calibration.material import Side, worth
 from quasi.gap.entries import lower_effect
-from quasi.gap.lower import FAINTEST, SEARCHES, rate_of
-from quasi.gap.material import Side, worth
 
 SHARE = 0.05
 

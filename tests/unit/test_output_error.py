@@ -14,10 +14,11 @@ import pytest
 from plain_plant import made_model
 
 from quasi.errors import DataError
-from quasi.gap import mixed, output_error, rollouts
-from quasi.gap.agreement import Voice, contradiction, disagreement, voices
 from quasi.gap.catalogue import catalogue
-from quasi.gap.confirmation import (
+from quasi.gap.effect import vehicle_of
+from quasi.gap.flights.gathering import gather
+from quasi.gap.rollouts import open_loop, output_error
+from quasi.gap.rollouts.confirmation import (
     CONFIRMED,
     REFUTED,
     UNJUDGED,
@@ -29,11 +30,11 @@ from quasi.gap.confirmation import (
     outcome_of,
     settle,
 )
-from quasi.gap.effect import vehicle_of
-from quasi.gap.gathering import gather
-from quasi.gap.linear_response import course_of, responses
-from quasi.gap.study import gather_study
-from quasi.gap.worth import Cause
+from quasi.gap.rollouts.linear_response import course_of, responses
+from quasi.gap.statistics import mixed
+from quasi.gap.wrench.agreement import Voice, contradiction, disagreement, voices
+from quasi.gap.wrench.study import gather_study
+from quasi.gap.wrench.worth import Cause
 from quasi.standalone.model import Model
 
 G, RATE, SECONDS = 9.81, 200.0, 20.0
@@ -184,7 +185,7 @@ def made(model, study, causes, anew=False):
 def test_the_linear_response_is_what_the_simulator_makes_of_a_small_force_or_moment(model, weak, evidence, study):
     known = cause("rotor_effectiveness", {"rotor2": -0.05}, {"rotor2": 0.01})
     true = made(model, study, [known])([known.value], True)
-    flight = rollouts.flight_of("f0", weak["f0"])
+    flight = open_loop.flight_of("f0", weak["f0"])
     course = course_of(evidence["f0"], flight, [0.1, 0.4], 1.0)
     units = np.broadcast_to(np.eye(6), (len(evidence["f0"]), 6, 6))
     found = responses(course, units)
@@ -194,8 +195,8 @@ def test_the_linear_response_is_what_the_simulator_makes_of_a_small_force_or_mom
         offsets = np.zeros((len(course.starts), 6))
         offsets[:, k] = size[k]
         plain, moved = (
-            rollouts.vectors(
-                rollouts.simulated(true, flight, course.starts, horizon, None, o), flight, course.starts, course.lags
+            open_loop.vectors(
+                open_loop.simulated(true, flight, course.starts, horizon, None, o), flight, course.starts, course.lags
             )
             for o in (None, offsets)
         )
@@ -327,8 +328,8 @@ def test_windows_of_a_shifted_centre_of_gravity_begin_in_the_state_of_the_true_o
     """Rigid-body kinematics: a point at r moves with v + w x r; without forces the end must be carried back as well."""
     shift = np.array([0.004, -0.003, 0.001])
     document = {**model.document, "extensions": [{"id": "cg_offset", "airframe": {"cg offset": shift.tolist()}}]}
-    flight = rollouts.flight_of("f0", weak["f0"])
-    run = rollouts.simulated(Model(document, "shifted"), flight, np.array([400]), 0.005)
+    flight = open_loop.flight_of("f0", weak["f0"])
+    run = open_loop.simulated(Model(document, "shifted"), flight, np.array([400]), 0.005)
     np.testing.assert_allclose(run[0, 0], flight.states[400], atol=1e-12)
 
 

@@ -11,7 +11,7 @@ from made_plan import MODEL, VEHICLE, eight, follow
 from quasi.errors import ConfigError, DataError
 from quasi.gap.catalogue import catalogue, columns_of
 from quasi.gap.effect import Effect, Parameter
-from quasi.gap.gathering import gather
+from quasi.gap.flights.gathering import gather
 from quasi.gap.own_effect import FUNCTIONS, effect_of
 
 SOUND = {

@@ -9,9 +9,9 @@ from made_plan import CATALOGUE, MODEL, card_of, eight, follow, rows_of
 from quasi import tables
 from quasi.command import main
 from quasi.errors import ConfigError, DataError
-from quasi.gap import flight_card, plan
-from quasi.gap.manoeuvres import library
-from quasi.gap.plan_input import flights_of
+from quasi.gap.planning import flight_card, plan
+from quasi.gap.planning.manoeuvres import library
+from quasi.gap.planning.plan_input import flights_of
 from quasi.standalone.model import AXES
 
 FEW = ("doublets", "staircase near the floor")

@@ -13,9 +13,9 @@ from made_plan import HOVER, MASS, MODEL, TERMS, THRUST, card_of, eight, follow,
 from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
-from quasi.gap import plan
-from quasi.gap.flatness import limits_of, turning
-from quasi.gap.manoeuvres import library
+from quasi.gap.planning import plan
+from quasi.gap.planning.flatness import limits_of, turning
+from quasi.gap.planning.manoeuvres import library
 from quasi.standalone.build import assemble
 from quasi.standalone.model import AXES, ROTORS, Model
 

@@ -9,13 +9,14 @@ from made_plan import CATALOGUE, MODEL, VEHICLE, card_of, eight, follow, rows_of
 from scipy.signal import lfilter
 
 from quasi.errors import ConfigError
-from quasi.gap import kinematic, plan, plan_noise
+from quasi.gap.calibration import kinematic
 from quasi.gap.catalogue import columns_of
-from quasi.gap.gathering import gather
-from quasi.gap.manoeuvres import library
-from quasi.gap.mixed import Offer
-from quasi.gap.outlook import Outlook, Repeated, Spread
-from quasi.gap.study import gather_study, in_stretches
+from quasi.gap.flights.gathering import gather
+from quasi.gap.planning import plan, plan_noise
+from quasi.gap.planning.manoeuvres import library
+from quasi.gap.planning.outlook import Outlook, Repeated, Spread
+from quasi.gap.statistics.mixed import Offer
+from quasi.gap.wrench.study import gather_study, in_stretches
 from quasi.standalone.model import AXES
 
 # noise

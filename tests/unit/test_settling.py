@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from test_gap_halves import flown as fly
 
 from quasi import attitude
-from quasi.gap import settling
-from quasi.gap.level import Flown, Level
-from quasi.gap.settling import compare, judged, settle
+from quasi.gap.calibration import settling
+from quasi.gap.calibration.settling import compare, judged, settle
+from quasi.gap.flights.level import Flown, Level
 from quasi.importing.calibration import check
 from quasi.standalone.model import AXES, Model
 

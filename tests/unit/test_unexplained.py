@@ -10,15 +10,15 @@ from made_model import simple_model
 from scipy.signal import lfilter
 
 from quasi.airframe import read_airframe
-from quasi.gap import unexplained
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
-from quasi.gap.evidence import Evidence
-from quasi.gap.gain import wrench_score
-from quasi.gap.generic import polynomial
-from quasi.gap.mixed import Offer
-from quasi.gap.places import places
-from quasi.gap.unexplained import outdone, search
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.places import places
+from quasi.gap.statistics.mixed import Offer
+from quasi.gap.wrench import unexplained
+from quasi.gap.wrench.gain import wrench_score
+from quasi.gap.wrench.generic import polynomial
+from quasi.gap.wrench.unexplained import outdone, search
 from quasi.standalone.model import AXES
 from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
 

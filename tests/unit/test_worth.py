@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from quasi.gap import mixed
 from quasi.gap.effect import Effect
-from quasi.gap.gain import Score, surely
-from quasi.gap.worth import Cause, Common, Judged, material, simplest
+from quasi.gap.statistics import mixed
+from quasi.gap.wrench.gain import Score, surely
+from quasi.gap.wrench.worth import Cause, Common, Judged, material, simplest
 
 SHARE = 0.05
 BLOCKS = 40

@@ -6,8 +6,8 @@ from scipy.signal import lfilter
 from test_unexplained import RATE, ROWS, flight, ground  # noqa: F401
 
 from quasi.gap.effect import vehicle_of
-from quasi.gap.study import gather_study
-from quasi.gap.wrench_findings import gusts
+from quasi.gap.wrench.findings import gusts
+from quasi.gap.wrench.study import gather_study
 
 SLOPE = 0.15  # N s/m, of the model of these flights along each axis
 

@@ -7,18 +7,18 @@ import pandas as pd
 import pytest
 from test_unexplained import RATE, ROWS, flight, ground, smooth  # noqa: F401
 
-from quasi.gap import held_out, sought
 from quasi.gap.catalogue import catalogue, whole_of
 from quasi.gap.effect import vehicle_of
 from quasi.gap.extension import extend
-from quasi.gap.gain import Score, after, wrench_score
-from quasi.gap.held_out import everything
-from quasi.gap.instruments import reread
-from quasi.gap.left_out import LeftOut
-from quasi.gap.mixed import Offer
-from quasi.gap.study import gather_study, refit
-from quasi.gap.worth import Cause
-from quasi.gap.wrench import examine
+from quasi.gap.flights.instruments import reread
+from quasi.gap.statistics.mixed import Offer
+from quasi.gap.wrench import held_out, sought
+from quasi.gap.wrench.examination import examine
+from quasi.gap.wrench.gain import Score, after, wrench_score
+from quasi.gap.wrench.held_out import everything
+from quasi.gap.wrench.left_out import LeftOut
+from quasi.gap.wrench.study import gather_study, refit
+from quasi.gap.wrench.worth import Cause
 from quasi.standalone.model import AXES, Model
 
 EFFECTS = {n: catalogue()[n] for n in ("ground_effect", "mass", "thrust_factor", "rotor_speed_scale", "body_drag")}

@@ -7,16 +7,16 @@ import pytest
 from test_unexplained import NOISE, flight, ground, only  # noqa: F401
 from test_wrench_level import EFFECTS, low
 
-from quasi.gap import held_out
-from quasi.gap.case import Case
 from quasi.gap.catalogue import catalogue, whole_of
 from quasi.gap.effect import vehicle_of
-from quasi.gap.gain import after, before, wrench_score
-from quasi.gap.generic import polynomial
-from quasi.gap.held_out import best_wrong, telling
-from quasi.gap.mixed import Offer
-from quasi.gap.study import gather_study, moved
-from quasi.gap.worth import Cause
+from quasi.gap.statistics.mixed import Offer
+from quasi.gap.wrench import held_out
+from quasi.gap.wrench.case import Case
+from quasi.gap.wrench.gain import after, before, wrench_score
+from quasi.gap.wrench.generic import polynomial
+from quasi.gap.wrench.held_out import best_wrong, telling
+from quasi.gap.wrench.study import gather_study, moved
+from quasi.gap.wrench.worth import Cause
 from quasi.standalone.model import Model
 
 ASKED = {n: catalogue()[n] for n in ("ground_effect", "thrust_factor", "rotor_acceleration_torque", "wind")}

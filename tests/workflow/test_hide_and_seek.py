@@ -15,7 +15,7 @@ from hide_and_seek import draw as hide_and_seek
 from hide_and_seek import group_of, judge, page, wilson
 
 from quasi.gap.catalogue import catalogue
-from quasi.gap.mixed import Columns, Offer
+from quasi.gap.statistics.mixed import Columns, Offer
 from quasi.synthesis.effects import check
 
 MASS = 0.433

@@ -10,12 +10,12 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 from hidden import affected, healthy_model, processed, references
 
-from quasi.gap import plan
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
-from quasi.gap.gathering import gather
-from quasi.gap.mixed import Offer
-from quasi.gap.study import gather_study
+from quasi.gap.flights.gathering import gather
+from quasi.gap.planning import plan
+from quasi.gap.statistics.mixed import Offer
+from quasi.gap.wrench.study import gather_study
 
 CAUSE, PARAMETER = "tether", "k"
 

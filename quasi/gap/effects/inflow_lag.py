@@ -3,8 +3,8 @@
 import numpy as np
 
 from quasi.gap.effect import Effect, Extension, Parameter, Terms, Values, Vehicle, number, upward
-from quasi.gap.evidence import Evidence
-from quasi.gap.inflow import SHORTEST, overshoot
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.inflow import SHORTEST, overshoot
 from quasi.standalone.model import Model
 
 

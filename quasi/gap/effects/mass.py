@@ -3,7 +3,7 @@
 import numpy as np
 
 from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
-from quasi.gap.evidence import Evidence
+from quasi.gap.flights.evidence import Evidence
 from quasi.standalone.model import Model
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 
 from quasi.gap.effect import Effect, Extension, Parameter, Size, Values, Vehicle
-from quasi.gap.evidence import Evidence
-from quasi.gap.pendulum import pull_of
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.pendulum import pull_of
 from quasi.standalone.model import Model
 
 COARSE = 0.2  # of a length, to which it is known: the lengths are 1.6 apart

@@ -3,8 +3,8 @@
 import numpy as np
 
 from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
-from quasi.gap.evidence import Evidence
-from quasi.gap.instruments import reread
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.instruments import reread
 from quasi.standalone.model import ROTORS, Model
 
 

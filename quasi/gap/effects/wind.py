@@ -4,7 +4,7 @@ import numpy as np
 
 from quasi import attitude
 from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
-from quasi.gap.evidence import Evidence
+from quasi.gap.flights.evidence import Evidence
 from quasi.standalone.model import Model
 
 NAMES = ("north", "east", "down")

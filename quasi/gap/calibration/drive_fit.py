@@ -1,0 +1,232 @@
+"""How one flight's rotors follow their commands: constants by output error, residuals and their slopes.
+
+Speed follows the commanded one with a first-order lag of its own for speeding up and slowing down, late by one delay;
+the commanded speed is a map of the command share and of the battery's voltage, or of a commanded speed itself. What is
+wrong in the fit is linear in the slopes, so that flights can be compared on cross-products.
+Source: Klein & Morelli, Aircraft System Identification, 2006, section 6.3 (output error).
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from quasi.errors import DataError
+from quasi.gap.flights.level import Flown
+from quasi.identification.actuators import follow
+from quasi.standalone.extensions import drive_of
+
+ROTORS = range(1, 5)
+RATE = 100.0  # Hz at which residuals are kept
+WARM_UP = 0.2  # s after a gap that only settle the lag
+STEPS = 12
+FEWEST = 300  # rows
+SHARPEST = 0.1  # rad/s: no residual is known better
+STEADY = 0.003  # natural log of the voltage: a battery that varies less in a flight tells no exponent
+MEMORY = 0.3  # s over which residuals are taken to remember
+SHORTEST, LONGEST, EARLIEST, LATEST = 0.002, 0.4, -0.03, 0.1  # s
+LOW_VOLTAGE = 0.1  # of the reference, below which a reading is none
+# parameters in order: time constants, delay, map, battery exponent, each rotor's speed relative to the common map
+NAMES = ("up", "down", "delay", "a0", "a1", "a2", "exponent", "rotor1", "rotor2", "rotor3", "rotor4")
+STEP = np.array([5e-4, 5e-4, 3e-4, 2.0, 20.0, 20.0, 0.02, 0.002, 0.002, 0.002, 0.002])
+# how far a flight may stray from where the fit starts, so that what it does not tell stays there (standard deviations)
+LOOSE = np.array([0.05, 0.05, 0.05, 300.0, 2000.0, 2000.0, 0.5, 0.1, 0.1, 0.1, 0.1])
+
+
+class Belief(NamedTuple):
+    """Constants that a model or a group of flights holds: values (11,) by NAMES, and the voltage that they hold at."""
+
+    values: np.ndarray
+    voltage: float | None
+
+
+class DriveFit(NamedTuple):
+    """One flight at its best constants.
+
+    values (11,) by NAMES; t (n,) s; breaks (n,) bool; residual (n, 4) rad/s; slopes (n, 4, 11) of the modelled speed
+    held (11,) rad2/s2 per unit squared: how strongly each value was held where the fit began
+    """
+
+    key: str
+    values: np.ndarray
+    t: np.ndarray
+    breaks: np.ndarray
+    residual: np.ndarray
+    slopes: np.ndarray
+    volts_vary: bool
+    held: np.ndarray
+
+    def covariance(self) -> np.ndarray:
+        """Of the values (11, 11), whatever the residuals remember and however they depart from a lag of first order.
+
+        Source: Newey & West, Econometrica 55, 1987 (scores summed over lags with falling weights).
+        """
+        inverse = self._inverse()
+        scores = np.einsum("ncp,nc->np", self.slopes, self.residual)
+        meat = scores.T @ scores
+        reach = round(MEMORY * RATE)
+        for lag in range(1, min(reach, len(scores) - 1)):
+            cross = scores[lag:].T @ scores[:-lag]
+            meat += (1.0 - lag / reach) * (cross + cross.T)
+        flat = self.slopes.reshape(-1, len(NAMES))
+        return inverse @ (meat + SHARPEST**2 * flat.T @ flat + np.diag(self.held)) @ inverse
+
+    def moves(self, seconds: float) -> np.ndarray:
+        """What each block of the flight adds to the values (B, 11), to first order; they sum to nothing much."""
+        scores = np.einsum("ncp,nc->np", self.slopes, self.residual)
+        number = ((self.t - self.t[0]) / seconds).astype(int)
+        parts = np.array([scores[number == n].sum(axis=0) for n in np.unique(number)])
+        return (parts - parts.mean(axis=0)) @ self._inverse()
+
+    def _inverse(self) -> np.ndarray:
+        flat = self.slopes.reshape(-1, len(NAMES))
+        normal = flat.T @ flat + np.diag(self.held)
+        scale = np.sqrt(np.diag(normal))
+        return np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+
+
+def commanded(flown: Flown) -> str:
+    """ "speeds", "shares" or "" for no commands of all four rotors."""
+    frame = flown.filtered
+    for kind, names in (("speeds", [f"w{i}_CMD" for i in ROTORS]), ("shares", [f"command{i}" for i in ROTORS])):
+        if all(n in frame and np.isfinite(frame[n]).any() for n in names):
+            # a speed that was made from the share by a map is that map, no measurement
+            made = (flown.metadata.get("commanded speeds") or {}).get("source", "") if kind == "speeds" else ""
+            if "map" not in str(made):
+                return kind
+    return ""
+
+
+def voltage_of(flown: Flown) -> np.ndarray | None:
+    """Battery voltage (n,), V, or None."""
+    if "battery_voltage" not in flown.filtered:
+        return None
+    volts = flown.filtered["battery_voltage"].to_numpy(float)
+    return volts if np.isfinite(volts).any() and np.nanmedian(volts) > 0 else None
+
+
+def reference_voltage(flights: Sequence[Flown]) -> float | None:
+    """Median voltage over the flights, V; None when none logs it."""
+    medians = [float(np.nanmedian(v)) for f in flights if (v := voltage_of(f)) is not None]
+    return float(np.median(medians)) if medians else None
+
+
+def belief_of(document: Mapping[str, Any], kind: str) -> Belief | None:
+    """What a model's document holds of its actuators, for commands of this kind; None when it holds none.
+
+    A speed is asked for directly when the commands are speeds; then the map is offset and gain. What extensions say of
+    the rotors stands in place of the model's own, as in simulations.
+    """
+    held = drive_of(document)
+    if "time constants" not in held:
+        return None
+    found = {k: v for e in document.get("extensions") or [] for k, v in (e.get("actuators") or {}).items()}
+
+    def mean(name: str, otherwise: float) -> float:
+        return float(np.mean(held[name]["value"])) if name in held else otherwise
+
+    tau = mean("time constants", 0.03)
+    values = np.zeros(len(NAMES))
+    values[:3] = mean("time constants up", tau), mean("time constants down", tau), mean("delay", 0.0)
+    voltage = None
+    if kind == "speeds":
+        values[4] = 1.0
+    else:
+        table = held.get("command map")
+        if not table:
+            return None
+        for power, coefficient in zip(table.get("powers", [0, 1, 2]), table["coefficients"]):
+            if power > 2:
+                return None
+            values[3 + power] = coefficient
+        own = (table.get("voltage exponent") or {}).get("value") or 0.0
+        values[6] = float(found.get("voltage exponent", own))
+        voltage = table.get("reference voltage")
+    return Belief(values, voltage)
+
+
+def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
+    """The flight's own constants, near `start`. Raises DataError when it flies too little or lacks a column."""
+    frame = flown.filtered
+    t = frame["t"].to_numpy(float)
+    dt = float(np.median(np.diff(t)))
+    if commanded(flown) != kind or not kind:
+        raise DataError(f"flight {flown.key} has no rotor commands of the kind that the others log")
+    command = np.stack([frame[f"w{i}_CMD" if kind == "speeds" else f"command{i}"] for i in ROTORS], axis=1)
+    if not all(f"w{i}" in frame for i in ROTORS):
+        raise DataError(f"flight {flown.key} has no measured rotor speeds")
+    speed = np.stack([frame[f"w{i}"] for i in ROTORS], axis=1)
+    volts = voltage_of(flown) if kind == "shares" and start.voltage else None
+    finite = np.isfinite(command).all(axis=1) & np.isfinite(speed).all(axis=1)
+    ratio = np.zeros(len(t))
+    if volts is not None:
+        finite &= np.isfinite(volts) & (volts > LOW_VOLTAGE * start.voltage)
+        ratio = np.log(np.where(finite, volts, start.voltage) / start.voltage)
+    begins = ~finite | ~np.concatenate([[False], finite[:-1]])
+    age = np.arange(len(t)) - np.maximum.accumulate(np.where(begins, np.arange(len(t)), 0))
+    use = finite & (age * dt > WARM_UP)
+    if "valid" in frame:
+        use &= frame["valid"].to_numpy() > 0.5
+    every = max(round(1.0 / (RATE * dt)), 1)
+    rows = np.arange(0, len(t), every)
+    rows = rows[use[rows]]
+    if len(rows) < FEWEST:
+        raise DataError(
+            f"flight {flown.key} has {len(rows) / RATE:.1f} s of flight with commands and measured rotor speeds, "
+            f"expected at least {FEWEST / RATE:.0f} s"
+        )
+    command, speed = (np.where(finite[:, None], x, 0.0) for x in (command, speed))
+    buffer = np.empty(len(t))
+
+    def run(x: np.ndarray) -> np.ndarray:
+        out = np.empty((len(rows), 4))
+        for i in range(4):
+            c = np.ascontiguousarray(command[:, i])
+            wanted = (1.0 + x[7 + i]) * np.exp(x[6] * ratio) * (x[3] + x[4] * c + x[5] * c * c)
+            follow(wanted, np.ascontiguousarray(speed[:, i]), begins, x[2] / dt, dt, x[0], x[1], buffer)
+            out[:, i] = buffer[rows]
+        return out
+
+    low = np.concatenate([[SHORTEST, SHORTEST, EARLIEST], np.full(8, -np.inf)])
+    high = np.concatenate([[LONGEST, LONGEST, LATEST], np.full(8, np.inf)])
+    step = STEP if kind == "shares" else np.concatenate([STEP[:3], [2.0, 0.01, 1e-6], STEP[6:]])
+    loose = LOOSE if kind == "shares" else np.concatenate([LOOSE[:3], [200.0, 0.3, 1e-9], LOOSE[6:]])
+    loose = np.where(np.arange(len(NAMES)) == 6, loose if volts is not None else 1e-6, loose)
+    target = speed[rows]
+    noise = max(0.02 * float(np.std(target)), 1.0)  # rad/s, weighs the looseness against the data
+
+    def slopes_at(x: np.ndarray, here: np.ndarray) -> np.ndarray:
+        columns = []
+        for k in range(len(x)):
+            moved = x.copy()
+            moved[k] += step[k]
+            columns.append((run(moved) - here) / step[k])
+        return np.stack(columns, axis=2)
+
+    x, damping = start.values.copy(), 1e-3
+    x[:3] = np.clip(x[:3], low[:3] + 1e-3, high[:3])
+    here = run(x)
+
+    def cost(x: np.ndarray, out: np.ndarray) -> float:
+        return float(((target - out) ** 2).sum() / noise**2 + (((x - start.values) / loose) ** 2).sum())
+
+    value = cost(x, here)
+    for _ in range(STEPS):
+        slopes = slopes_at(x, here).reshape(-1, len(x)) * step / noise
+        normal = slopes.T @ slopes + np.diag((step / loose) ** 2)
+        gradient = slopes.T @ (target - here).ravel() / noise - (x - start.values) * step / loose**2
+        gained = 0.0
+        while damping < 1e6:
+            move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient) * step
+            candidate = np.clip(x + move, low, high)
+            there = run(candidate)
+            if (new := cost(candidate, there)) < value:
+                gained, x, here, value = value - new, candidate, there, new
+                damping = max(damping / 10.0, 1e-9)
+                break
+            damping *= 10.0
+        if gained < 1e-6 * value:
+            break
+    breaks = np.concatenate([[True], np.diff(rows) > every])
+    vary = volts is not None and float(np.std(ratio[rows])) > STEADY
+    return DriveFit(flown.key, x, t[rows], breaks, target - here, slopes_at(x, here), vary, (noise / loose) ** 2)

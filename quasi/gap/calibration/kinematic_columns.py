@@ -1,0 +1,237 @@
+"""Inertial sensors against motion capture, in weak form: residuals and how each cause would show in them.
+
+Both sides are averaged over a smooth window of about a tenth of a second; derivatives of the captured motion fall on
+the window, never on the noisy samples. Channels: the gyro minus the captured body rates (rad/s, body axes), and the
+specific force turned to earth axes, plus gravity, minus the captured acceleration (m/s2). No mass and no rotor speed
+enters.
+
+With R the captured attitude, f and w the measured specific force and rates, residuals are linear in small faults:
+    scale s (per axis)        s_i w_i           R s_i f_i
+    misalignment d (vector)   d x w             R (d x f)         marker axes minus sensor axes
+    room tilt e (earth axes)                    e x g
+    lever arm r                                 d2/dt2 (R r)      since R (wdot x r + w x (w x r)) is just that
+    late rotation h           h wdot            -h R (w x f)      and the cg, found from markers by that rotation
+    late capture c            c wdot            c R fdot          a clock
+    fast clock k              k w               2 k (R f + g)     and a capture that comes ever earlier
+Sources: Titterton & Weston, Strapdown Inertial Navigation Technology, 2nd ed., 2004, chapters 3 and 12 (error models);
+Preisig & Rippin, Theory and application of the modulating function method, Computers Chem. Eng. 17, 1993 (weak form).
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import fftconvolve, lfilter
+
+from quasi import attitude
+from quasi.attitude import GRAVITY
+from quasi.errors import DataError
+from quasi.gap.flights.level import Flown
+from quasi.importing.calibration import true_inertial, true_pose
+
+WIDTH = 0.05  # s, standard deviation of the window
+RATE = 20.0  # Hz at which the averaged residuals are kept
+GAP = 3.1  # usual intervals between captured samples that make a gap
+LAGGED = 1.0  # s, time constant with which an on-board attitude is taken to lean after the apparent vertical
+CHANNELS = ("p", "q", "r", "north", "east", "down")
+AXES, ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")
+FEWEST = 60  # rows
+
+
+class Weak(NamedTuple):
+    """t (n,) s, breaks (n,) bool as in `Evidence`; columns (n, 6, P), the residual first; names of all columns.
+
+    turning  False where the attitude is not captured: then the rate channels are left out (zero)
+    """
+
+    key: str
+    t: np.ndarray
+    breaks: np.ndarray
+    columns: np.ndarray
+    names: list[str]
+    turning: bool
+
+
+def windows(width: float, rate: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A Gaussian window and its first two derivatives as convolution kernels (k,) for samples at `rate` Hz.
+
+    Sums are exact on the grid: the window keeps a constant, the derivatives give 1 on t and on t^2 / 2.
+    """
+    n = int(np.ceil(4.0 * width * rate))
+    t = np.arange(-n, n + 1) / rate
+    window = np.exp(-0.5 * (t / width) ** 2)
+    window /= window.sum()
+    slope = -t * window
+    slope /= -(slope * t).sum()
+    bend = (t * t / width**2 - 1.0) * window
+    bend -= window * bend.sum()
+    bend /= 0.5 * (bend * t * t).sum()
+    return window, slope, bend
+
+
+def _average(values: np.ndarray, kernel: np.ndarray) -> np.ndarray:
+    flat = values.reshape(len(values), -1)
+    return fftconvolve(flat, kernel[:, None], mode="same", axes=0).reshape(values.shape)
+
+
+def lean(specific: np.ndarray, rate: float) -> np.ndarray:
+    """Rotation (n, 3), earth axes, of an attitude that follows the apparent vertical slowly, per s of gain.
+
+    specific (n, 3) m/s2, acceleration in earth axes. The apparent vertical leans by z x a / g; the estimate follows it
+    with the time constant LAGGED.
+    """
+    pull = np.stack([-specific[:, 1], specific[:, 0], np.zeros(len(specific))], axis=1) / GRAVITY
+    keep = np.exp(-1.0 / (rate * LAGGED))
+    return lfilter([1.0 - keep], [1.0, -keep], pull, axis=0) / LAGGED
+
+
+def straightened(flown: Flown, calibration: Mapping[str, Mapping[str, np.ndarray]], late: float) -> Flown:
+    """The flight with turned axes, scales, the room and a late rotation set right, as far as they were found.
+
+    Columns are first-order in such faults; a second look at a flight that shows little of them is exact.
+    late  s, of the captured position on the log's clock (clocks are tied by rotation: minus the rotation's delay)
+    """
+    frame = flown.imported.copy()
+    gyro, force = true_inertial(frame[list("pqr")].to_numpy(float), frame[["ax", "ay", "az"]].to_numpy(float),
+                                calibration["imu"])  # fmt: skip
+    t, place = frame["t"].to_numpy(float), frame[list(AXES)].to_numpy(float)
+    q = attitude.from_euler(*frame[list(ANGLES)].to_numpy(float).T)
+    arm = np.asarray(flown.airframe.marker_offset, float)
+    if late:
+        offset = attitude.rotate(q, arm)
+        place = CubicSpline(t, place + offset)(np.clip(t + late, t[0], t[-1])) - offset
+    turn = late + float(calibration["capture"]["rotation delay"][0])
+    if turn:
+        marker = place + attitude.rotate(q, arm)
+        q = attitude.interpolate(q, t, t + turn)
+        place = marker - attitude.rotate(q, arm)
+    capture = {**calibration["capture"], "rotation delay": np.zeros(1)}
+    place, turned = true_pose(t, place, q, arm, capture)
+    frame[list("pqr")], frame[["ax", "ay", "az"]], frame[list(AXES)] = gyro, force, place
+    frame[list(ANGLES)] = attitude.to_euler(turned)
+    return replace(flown, imported=frame)
+
+
+def known(flown: Flown) -> np.ndarray:
+    """(n,) bool: rows in flight with everything measured, none bridged."""
+    frame = flown.imported
+    good = frame["onboard_valid"].to_numpy() > 0.5
+    if "imu_clipped" in frame:
+        good &= frame["imu_clipped"].to_numpy() < 0.5
+    if "in_flight" in flown.filtered and len(flown.filtered) == len(frame):
+        good &= flown.filtered["in_flight"].to_numpy() > 0.5
+    flags = ["position_sample"] + (["attitude_sample"] if flown.metadata["attitude source"] == "capture" else [])
+    for flag in flags:
+        at = np.flatnonzero(frame[flag].to_numpy() > 0.5)
+        if len(at) < FEWEST:
+            return np.zeros(len(frame), bool)
+        wide = np.flatnonzero(np.diff(at) > GAP * np.median(np.diff(at)))
+        for i in wide:
+            good[at[i] : at[i + 1] + 1] = False
+        good[: at[0]] = good[at[-1] :] = False
+    return good
+
+
+def weak_form(flown: Flown) -> Weak:
+    """Residual and columns of one flight. Raises DataError when it lacks what is needed or too little of it is left."""
+    needed = ["t", *"pqr", "ax", "ay", "az", *ANGLES, *AXES, "position_sample", "attitude_sample", "onboard_valid"]
+    missing = [c for c in needed if c not in flown.imported]
+    if missing or flown.metadata.get("position source") != "capture":
+        raise DataError(f"flight {flown.key} has no motion capture, which the comparison with inertial sensors needs")
+    turning = flown.metadata["attitude source"] == "capture"
+    frame = flown.imported
+    t = frame["t"].to_numpy(float)
+    dt = float(np.median(np.diff(t)))
+    good = known(flown) & np.isfinite(frame[needed].to_numpy(float)).all(axis=1)
+    w, f, x = (np.nan_to_num(frame[list(c)].to_numpy(float)) for c in ("pqr", ("ax", "ay", "az"), AXES))
+    q = attitude.continuous(attitude.from_euler(*np.nan_to_num(frame[list(ANGLES)].to_numpy(float)).T))
+    turn = attitude.matrix(q)
+    window, slope, bend = windows(WIDTH, 1.0 / dt)
+    spacing = np.median(np.diff(np.flatnonzero(frame["attitude_sample"].to_numpy() > 0.5))) if turning else 1
+    reach = max(round(float(spacing)), 1)
+
+    # Both sides over the same steps, from one captured attitude to the next but one. Turns do not commute: a vehicle
+    # that shakes about two axes turns about the third by what the mere sum of rates does not hold.
+    small = attitude.exponential(0.5 * (w[1:] + w[:-1]) * dt)
+    step = small[: len(small) - 2 * reach + 1]
+    for k in range(1, 2 * reach):
+        step = attitude.multiply(step, small[k : k + len(step)])
+    seen, sensed = np.zeros_like(w), np.zeros_like(w)
+    sensed[reach:-reach] = attitude.logarithm(step) / (2 * reach * dt)
+    step = attitude.multiply(attitude.conjugate(q[: -2 * reach]), q[2 * reach :])
+    seen[reach:-reach] = attitude.logarithm(step) / (2 * reach * dt)
+
+    def earth(v: np.ndarray) -> np.ndarray:
+        return np.einsum("nij,nj->ni", turn, np.broadcast_to(v, f.shape))
+
+    down = np.array([0.0, 0.0, GRAVITY])
+    unit, nothing = np.eye(3), np.zeros(3)
+    names: list[str] = []
+    columns: list[np.ndarray] = []
+
+    def add(name: str, rates: np.ndarray, acceleration: np.ndarray) -> None:
+        names.append(name)
+        both = [np.broadcast_to(part, f.shape) for part in (rates if turning else nothing, acceleration)]
+        columns.append(np.hstack(both))
+
+    force = earth(f)
+    rates, growth = _average(sensed, window), _average(sensed, slope)
+    add("residual", _average(sensed - seen, window), _average(force, window) + down - _average(x - x.mean(0), bend))
+    axes = _average(turn, window)
+    swing = _average(turn - turn.mean(axis=0), bend)
+    coriolis = _average(earth(np.cross(w, f)), window)
+    jerk = _average(force + down, slope) - coriolis
+    for i, axis in enumerate(AXES):
+        add(f"gyro_bias.{axis}", unit[i], nothing)
+        add(f"gyro_scale.{axis}", rates * unit[i], nothing)
+        add(f"accelerometer_bias.{axis}", nothing, axes[:, :, i])
+        add(f"accelerometer_scale.{axis}", nothing, _average(turn[:, :, i] * f[:, i : i + 1], window))
+        add(f"imu_lever_arm.{axis}", nothing, swing[:, :, i])
+    arm = np.asarray(flown.airframe.marker_offset, float)
+    for i, axis in enumerate(ANGLES):
+        askew = _average(earth(np.cross(unit[i], f)), window)
+        add(f"imu_misalignment.{axis}", -np.cross(unit[i], rates), -askew)
+        # turned markers displace the tracked point as well
+        moved = swing @ np.cross(unit[i], arm)
+        add(f"mocap_misalignment.{axis}", np.cross(unit[i], rates), askew + moved)
+    for i, axis in enumerate(ANGLES[:2]):
+        add(f"room_tilt.{axis}", nothing, np.cross(unit[i], down))
+    add("mocap_delay.delay", growth, -coriolis - _average(earth(np.cross(w, arm)), bend))
+    add("clock.offset", growth, jerk)
+    since = (t - t.mean())[:, None]
+    add("drawn.clock", -since * growth, -since * jerk)
+    add("clock_drift.rate", rates - since * growth, 2.0 * (_average(force, window) + down) - since * jerk)
+    if not turning:
+        leaning = lean(force + down, 1.0 / dt)
+        add("attitude_error.gain", nothing, _average(np.cross(leaning, force), window))
+
+    spoiled = ~good
+    far = len(window) // 2 + reach
+    fine = np.convolve(spoiled.astype(float), np.ones(2 * far + 1), "same") < 0.5
+    fine[:far] = fine[-far:] = False
+    every = max(round(1.0 / (RATE * dt)), 1)
+    rows = np.arange(0, len(t), every)
+    rows = rows[fine[rows]]
+    if len(rows) < FEWEST:
+        raise DataError(
+            f"flight {flown.key} has {len(rows) / RATE:.1f} s in the air that sensors and capture both saw without "
+            f"gaps, expected at least {FEWEST / RATE:.0f} s"
+        )
+    breaks = np.concatenate([[True], np.diff(rows) > every])
+    stacked = np.stack([c[rows] for c in columns], axis=2)
+    return Weak(flown.key, t[rows], breaks, stacked, names, turning)
+
+
+def corrected_already(flown: Flown, names: list[str]) -> np.ndarray:
+    """(P,) values of the columns that import estimated and took off this flight: evidence, to be added again."""
+    values = np.zeros(len(names))
+    sync = flown.metadata.get("synchronisation") or {}
+    # the lag was made to follow the clock, the lengths of its seconds stayed
+    values[names.index("drawn.clock")] = float((sync.get("clock rate") or {}).get("value") or 0.0)
+    arm = (flown.metadata.get("corrections") or {}).get("imu position") or {}
+    if arm.get("applied") and arm.get("source") == "hover":
+        for axis, value in zip(AXES, arm["value"]):
+            values[names.index(f"imu_lever_arm.{axis}")] = value
+    return values

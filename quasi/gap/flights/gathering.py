@@ -1,0 +1,179 @@
+"""Filtered flights made ready for the search for causes: compared with the model's vehicle, thinned, put right."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from quasi.airframe import Airframe
+from quasi.attitude import GRAVITY
+from quasi.errors import ConfigError, DataError, ExpressionError
+from quasi.gap.flights.evidence import APART, NEEDED, PLACE, Evidence, model_wrench
+from quasi.gap.flights.instruments import as_shown
+from quasi.standalone.extensions import put_right
+from quasi.standalone.model import AXES, ROTORS, Model
+
+HEAVIER = 2.0  # a factor of mass that no load explains
+ELSEWHERE = 0.5  # of the arm: rotors are numbered otherwise, or it is another frame
+SECOND = 1.0  # s: what low-pass filters and whiteners leave of less is nothing
+SENSELESS = 1e4  # times the weight, and the weight at the arm: no model of a quadrotor means that
+UNTOLD = ("none", "standing still")  # sources of a flight's velocity or position that tell nothing of it in flight
+
+
+def refuse_another_vehicle(where: str, airframe: Airframe, model: Model) -> None:
+    """Raise ConfigError where a flight cannot be of the quadrotor that the model describes.
+
+    Loads, batteries and shifted rotors are what a comparison looks for; this is about mistaken configurations.
+    """
+    ours, head = model.airframe, f"{where} is not of the quadrotor that model {model.id} describes"
+    remedy = "compare it with its own model, or correct the quadrotor's configuration or 'Mass' in the logbook"
+    if ours.mass and airframe.mass and not 1.0 / HEAVIER < airframe.mass / ours.mass < HEAVIER:
+        raise ConfigError(
+            f"{head}: its mass is {airframe.mass:g} kg, the model's {ours.mass:g} kg, expected less than a factor of "
+            f"{HEAVIER:g} between them; {remedy}"
+        )
+    far = np.linalg.norm(np.asarray(airframe.hubs) - np.asarray(ours.hubs), axis=1)
+    rotor = int(np.argmax(far))
+    if far[rotor] > ELSEWHERE * ours.arm:
+        raise ConfigError(
+            f"{head}: rotor {rotor + 1} lies {far[rotor]:.3f} m from where the model has it, expected less than "
+            f"{ELSEWHERE * ours.arm:.3f} m; {remedy}"
+        )
+    if not np.array_equal(np.sign(airframe.spin), np.sign(ours.spin)):
+        raise ConfigError(f"{head}: its rotors turn the other way; {remedy}")
+
+
+def measured_motion(metadata: Mapping[str, Any]) -> tuple[bool, bool]:
+    """Whether something but the accelerometer told a filtered flight's velocity, and its position.
+
+    metadata  of the flight; what it does not say is taken for measured
+    """
+    used = (metadata.get("noise") or {}).get("measurements")
+    if used is None:  # the Kalman filter was not run: states are those imported, and what was not imported is zero
+        imported = metadata.get("imported") or {}
+        return imported.get("velocity source") not in UNTOLD, imported.get("position source") not in UNTOLD
+    speed, place = (used.get(kind, {}).get("source", "none") not in UNTOLD for kind in ("velocity", "position"))
+    return speed or place, place
+
+
+def gather_all(
+    flights: Mapping[str, tuple[pd.DataFrame, Mapping[str, Any], Airframe]], model: Model, rate: float
+) -> tuple[dict[str, Evidence], list[str]]:
+    """Evidence of the flights that can be compared, by key, and a sentence on each that cannot; see `gather`.
+
+    flights  {key: filtered flight, its metadata, airframe}
+    Where some flight's position was not measured it is used of none: a height that drifts is no height, and what only
+    some flights know cannot be asked of all. Raises DataError when no flight can be compared, unless it is for want of
+    a velocity: then nothing is wrong with model and flights, and the levels below can be asked.
+    """
+    found, lost, drifting, nowhere = {}, [], False, []
+    for key, (table, metadata, airframe) in flights.items():
+        speed, place = measured_motion(metadata)
+        if not speed:
+            drifting = True
+            lost.append(
+                f"flight {key} has no source of velocity but the accelerometer, which drifts, and forces and moments "
+                "depend on it; fly it with motion capture, or bring velocity or position in its log"
+            )
+            continue
+        try:
+            known = table if place else table.drop(columns=list(PLACE), errors="ignore")
+            found[key] = gather(key, known, metadata, airframe, model, rate)
+            nowhere += [] if place else [key]
+        except DataError as error:
+            lost.append(str(error))
+    if not found and not drifting:
+        raise DataError(f"no flight can be compared with model {model.id}: {lost[0]}")
+    lost = [f"{said}; it is left out of the comparison of forces and moments" for said in lost]
+    if nowhere:
+        found = {
+            key: replace(one, columns={n: v for n, v in one.columns.items() if n not in PLACE})
+            for key, one in found.items()
+        }
+        lost.append(
+            f"flight {nowhere[0]} has no source of position (what its velocity adds up to drifts); what depends on "
+            "height or place is not asked"
+        )
+    return found, lost
+
+
+def gather(
+    key: str, flight: pd.DataFrame, metadata: Mapping[str, object], airframe: Airframe, model: Model, rate: float
+) -> Evidence:
+    """Evidence of a filtered flight, thinned to about `rate` Hz.
+
+    flight  filtered, of the kind (with or without gravity) that the model predicts; its forces are band-limited, so
+            that thinning to 2.5 times their cut-off loses nothing
+    Rows that are not valid or hold missing values are left out. Raises DataError when a column is missing or less than
+    a second is left, ConfigError for a model without some of the six axes.
+    """
+    unknown = [a for a in AXES if a not in model.axes]
+    if unknown:
+        raise ConfigError(
+            f"model {model.id} says nothing of {', '.join(unknown)}, which a comparison with flights needs; identify "
+            "all six axes"
+        )
+    if model.normalisation:
+        raise ConfigError(
+            f"model {model.id} is normalised; a comparison with flights needs one that was identified with 'normalize "
+            "data' false"
+        )
+    missing = [c for c in NEEDED if c not in flight]
+    if missing:
+        raise DataError(f"flight {key} has no column '{missing[0]}', which a comparison with a model needs")
+    sampling = 1.0 / float(np.median(np.diff(flight["t"].to_numpy())))
+    every = max(int(sampling // rate), 1)
+    good = np.isfinite(flight[list(NEEDED)].to_numpy()).all(axis=1)
+    if "valid" in flight:
+        good &= flight["valid"].to_numpy() > 0.5
+    rows = np.flatnonzero(good)
+    rows = rows[rows % every == 0]
+    if len(rows) * every < SECOND * sampling:
+        raise DataError(f"flight {key} has {len(rows) * every / sampling:.1f} s of valid data, expected more than 1 s")
+    ends = np.flatnonzero(np.append(np.diff(rows) > APART * every, True))
+    longest = int(np.max(np.diff(ends, prepend=-1))) * every / sampling
+    if longest < SECOND:
+        raise DataError(
+            f"flight {key} has {longest:.1f} s of valid data without a gap, expected more than {SECOND:g} s; fly longer"
+        )
+    columns = {
+        name: flight[name].to_numpy(float)[rows] for name in flight if pd.api.types.is_numeric_dtype(flight[name])
+    }
+    columns = put_right(model, columns)
+    try:
+        predicted = model_wrench(model, columns)
+    except ExpressionError as error:
+        raise DataError(f"flight {key} cannot be compared with model {model.id}: {error}") from None
+    still = [name for name in ROTORS if not np.ptp(columns[name])]
+    if still:
+        raise DataError(
+            f"flight {key} holds {columns[still[0]][0]:g} rad/s as the speed of rotor {still[0][1:]} throughout, where "
+            "that of a flying rotor changes; check its telemetry"
+        )
+    weight = GRAVITY * (model.airframe.mass or 1.0)
+    most = np.array([SENSELESS * weight] * 3 + [SENSELESS * weight * max(model.airframe.arm, 0.1)] * 3)
+    worst = np.abs(predicted).max(axis=0) / most
+    if np.isfinite(predicted).all() and worst.max() > 1.0:
+        k = int(np.argmax(worst))
+        raise DataError(
+            f"flight {key} cannot be compared with model {model.id}: it predicts {AXES[k]} up to "
+            f"{np.abs(predicted[:, k]).max():.3g} {'N' if k < 3 else 'N m'}, which no quadrotor makes; correct the "
+            f"coefficients of {AXES[k]} in its model.json, or make the model anew"
+        )
+    if not np.isfinite(predicted).all():
+        lacking = [a for k, a in enumerate(AXES) if not np.isfinite(predicted[:, k]).all()]
+        raise DataError(f"model {model.id} has no value for {', '.join(lacking)} on flight {key}")
+    found = Evidence(
+        key,
+        airframe,
+        model,
+        float(metadata.get("mass") or airframe.mass or np.nan),
+        np.asarray(metadata.get("inertia", airframe.inertia), float),
+        columns,
+        np.stack([columns[a] for a in AXES], axis=1),
+        predicted,
+        metadata,
+    )
+    return replace(found, predicted=as_shown(found))

@@ -1,0 +1,75 @@
+"""What the instruments would show if a model were right: read with the configured constants, late, scaled, in wind.
+
+A model that is extended already is compared with flights like any other: their recordings are put right by what it
+knows of them (`standalone.extensions`), and its wrench is that which the instruments would show.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from quasi import attitude
+from quasi.attitude import GRAVITY
+from quasi.gap.flights.evidence import Evidence, model_wrench
+from quasi.gap.flights.inflow import overshoot
+from quasi.gap.flights.pendulum import pull_of
+from quasi.simulation.variants import named, parts_of
+from quasi.standalone.extensions import configured_mass, shift_of, telemetry_of, true_speeds, wind_of
+from quasi.standalone.model import Model
+
+
+def as_shown(flight: Evidence) -> np.ndarray:
+    """Wrench (n, 6) of a flight's model as its instruments would show it, also where it was extended before."""
+    extended = flight.model.document.get("extensions")
+    return shown(flight.model, flight.model, flight) if extended else flight.predicted
+
+
+def reread(flight: Evidence, columns: Mapping[str, np.ndarray]) -> Evidence:
+    """The flight with some of its columns replaced, and what the model makes of them."""
+    merged = {**flight.columns, **columns}
+    found = replace(flight, columns=merged, predicted=model_wrench(flight.model, merged))
+    return replace(found, predicted=as_shown(found))
+
+
+def shown(extended: Model, base: Model, flight: Evidence) -> np.ndarray:
+    """Wrench (n, 6) that the instruments, read with the configured constants, would show if a model were right.
+
+    base  the model whose knowledge of recordings and air the flight's columns were put right by; may be the same
+    Parts with states of their own act: a load swings, see `pendulum`, and air follows late, see `inflow`.
+    """
+    (late, scale), (known, factor) = telemetry_of(extended), telemetry_of(base)
+    columns = true_speeds(flight.columns, late - known, scale / factor)
+    wind = wind_of(extended) - wind_of(base)
+    if wind.any():
+        along = attitude.rotate_inverse(flight.quaternion, wind)
+        columns = {**columns, **{f"{a}_air": flight.velocity[:, k] - along[:, k] for k, a in enumerate("uvw")}}
+    wrench = model_wrench(extended, columns)
+    configured = configured_mass(base)
+    mass = configured if extended.airframe.mass is None else extended.airframe.mass
+    configured = configured if configured is not None else mass
+    inertia, own = np.asarray(extended.airframe.inertia), flight.inertia
+    turning = np.linalg.solve(inertia, (wrench[:, 3:] - flight.gyroscopic(inertia)).T).T
+    scale = configured / mass if mass else 1.0
+    force = wrench[:, :3] * scale
+    sections = extended.document.get("extensions", [])
+    for extension in sections:
+        load = extension.get("states", {}).get("swinging load")
+        if load:  # it swings instead of hanging at rest
+            weight = 0.0 if extended.with_gravity else mass * GRAVITY * flight.down
+            bare = (wrench[:, :3] - weight) * (mass + load["mass"]) / mass
+            # what a model that carries the load already predicts holds it hanging at rest
+            driving = bare / mass if "swinging load" in named(parts_of(base)) else None
+            force = (bare + weight) * scale + load["mass"] * pull_of(flight, load["length"], driving)
+    for extension in sections:
+        lag = extension.get("states", {}).get("inflow lag")
+        if lag:  # its terms hold the first order
+            gain, tau = lag["gain"], lag["time constant"]
+            beyond = overshoot(flight, gain, tau) - tau * flight.upward(gain * flight.speeds * flight.spin_up)
+            force = force + scale * beyond[:, :3]
+            turning = turning + np.linalg.solve(inertia, beyond[:, 3:].T).T
+    shift = shift_of(extended)
+    if shift.any():
+        rates = flight.rates
+        force = force - flight.mass * (np.cross(turning, shift) + np.cross(rates, np.cross(rates, shift)))
+    return np.hstack([force, turning @ own.T + flight.gyroscopic(own)])

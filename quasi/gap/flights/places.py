@@ -1,0 +1,156 @@
+"""Where a residual may live, and the smooth functions of it that are offered to what no cause explains."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from quasi.attitude import from_euler, rotate_inverse
+from quasi.gap.flights.evidence import Evidence
+from quasi.standalone.model import ROTORS
+
+APART = 0.02  # a variable whose scaled spread is smaller is as good as constant
+HEADING, ROOM, EVERYWHERE = "heading", "room place", "everywhere"
+# what a model's terms depend on; the voltage falls with what the rotors draw
+OWN = ("speed", "rotor speed", "descent ratio", "roll rate", "pitch rate", "yaw rate", "volts")
+# in which functions of them are offered
+ORDER = ("speed", HEADING, "time", "rotor speed", "descent ratio", "roll rate", "pitch rate", "yaw rate", "height",
+         "room x", "room y", "volts")  # fmt: skip
+PLAIN = {
+    HEADING: "yaw",
+    "time": "t",
+    "roll rate": "p",
+    "pitch rate": "q",
+    "yaw rate": "r",
+    "room x": "x",
+    "room y": "y",
+    "volts": "battery_voltage",
+}  # columns that are a place as they are
+SPOTS = (1.0, 2.0)  # m, width of a bump over the room's floor: a fan, a rotor's wake returning, a corner
+APART_SPOTS = 0.8  # of the width
+STEPS = 6  # parts of a flight between which something may come loose
+SEEN = 0.02  # share of the time that must be spent near a place of the room
+UNITS = {
+    "speed": "m/s", "height": "m", HEADING: "rad", ROOM: "m", "room x": "m", "room y": "m", "time": "s", "volts": "V",
+    "rotor speed": "rad/s", "descent ratio": "", "roll rate": "rad/s", "pitch rate": "rad/s", "yaw rate": "rad/s",
+    "frequency": "Hz",
+}  # fmt: skip
+
+
+def along(columns: Mapping[str, np.ndarray], hover: float, down: np.ndarray | None = None) -> dict[str, np.ndarray]:
+    """Where a flight is, row by row, {name: (n,)}, as far as its columns tell: SI units, heading rad.
+
+    hover  induced velocity in hover, m/s, which the descent ratio counts in; down (n, 3) the earth's down direction in
+    body axes, None takes it from the attitude. Speeds are through the air where the wind is known.
+    """
+
+    def has(*names: str) -> bool:
+        return all(n in columns for n in names)
+
+    def take(*names: str) -> np.ndarray:
+        return np.stack([np.asarray(columns[n], float) for n in names], axis=1)
+
+    found = {name: np.asarray(columns[own], float) for name, own in PLAIN.items() if own in columns}
+    velocity = [f"{c}_air" if f"{c}_air" in columns else c for c in "uvw"]
+    angles = ("roll", "pitch", "yaw")
+    if has(*velocity):
+        found["speed"] = np.linalg.norm(take(*velocity), axis=1)
+    if has(*velocity) and (down is not None or has(*angles)):
+        down = rotate_inverse(from_euler(*take(*angles).T), np.array([0.0, 0.0, 1.0])) if down is None else down
+        sinking = np.einsum("ni,ni->n", take(*velocity), down)
+        found["descent ratio"] = np.maximum(sinking, 0.0) / hover
+    if has(*ROTORS):
+        found["rotor speed"] = take(*ROTORS).mean(axis=1)
+    if has("z"):
+        found["height"] = -np.asarray(columns["z"], float)
+    return found
+
+
+def places(flight: Evidence) -> dict[str, np.ndarray]:
+    """Where a residual may live, {name: (n,)}: SI units, heading rad, the descent ratio without unit."""
+    found = along(flight.columns, flight.hover_induced, flight.down)
+    return {name: found[name] for name in ORDER if name in found and np.isfinite(found[name]).all()}
+
+
+class Choice(NamedTuple):
+    """One way to depend on a place: which of the functions; of a bump where it is (x, y, m), of a step when (s)."""
+
+    where: str
+    which: tuple[int, ...]
+    at: tuple[float, ...] = ()
+
+
+class Basis(NamedTuple):
+    """Functions of the places that all flights know.
+
+    scales {place: (low, high)}; choices  what is offered; spots  places x, y of the room with a width, m; steps  times
+    """
+
+    scales: dict[str, tuple[float, float]]
+    choices: list[Choice]
+    spots: list[tuple[float, float, float]]
+    steps: list[float]
+
+    def functions(self, flight: Evidence) -> np.ndarray:
+        """(n, L) values of all functions on a flight."""
+        known, columns = places(flight), [np.ones(len(flight))]
+        scaled = {}
+        for where, (low, high) in self.scales.items():
+            if where == HEADING:
+                yaw = known[where]
+                columns += [np.sin(yaw), np.cos(yaw), np.sin(2 * yaw), np.cos(2 * yaw)]
+                continue
+            x = np.clip(2.0 * (known[where] - low) / (high - low) - 1.0, -1.0, 1.0)
+            scaled[where] = x
+            columns += [x, 1.5 * x**2 - 0.5, 2.5 * x**3 - 1.5 * x]
+        if {"room x", "room y"} <= set(scaled):
+            columns.append(scaled["room x"] * scaled["room y"])
+            x, y = known["room x"], known["room y"]
+            columns += [np.exp(-((x - a) ** 2 + (y - b) ** 2) / s**2) for a, b, s in self.spots]
+        columns += [(flight.t > step).astype(float) for step in self.steps]
+        return np.stack(columns, axis=1)
+
+
+def basis_of(flights: Sequence[Evidence]) -> Basis:
+    """The functions to offer on these flights: along each place that all know and that varies.
+
+    Everywhere alike. Along an ordinary place: a straight line, or Legendre polynomials to the third degree. Along the
+    heading: one wave a turn, two, or both. Over the room's floor: polynomials of x and y to the second degree, or one
+    bump at a place. In time a step, too.
+    """
+    known = [places(f) for f in flights]
+    scales: dict[str, tuple[float, float]] = {}
+    choices, at, first = [Choice(EVERYWHERE, (0,))], 1, {}
+    for where in known[0]:
+        if not all(where in k for k in known):
+            continue
+        # to the very ends: a flip lasts a hundredth of a flight, and a line that bends there is no term of the model's
+        low, high = min(float(k[where].min()) for k in known), max(float(k[where].max()) for k in known)
+        if where != HEADING and not high - low > APART * max(abs(high), abs(low), 1e-9):
+            continue
+        scales[where], first[where] = (low, high), at
+        if where == HEADING:
+            options = [(0, 1), (2, 3), (0, 1, 2, 3)]
+        else:
+            options = [(0,), (0, 1, 2)]
+        choices += [Choice(where, tuple(at + k for k in option)) for option in options]
+        at += max(max(option) for option in options) + 1
+    spots: list[tuple[float, float, float]] = []
+    if {"room x", "room y"} <= set(scales):
+        x, y = first["room x"], first["room y"]
+        choices.append(Choice(ROOM, (x, x + 1, y, y + 1, at)))
+        flown = [np.concatenate([k[f"room {a}"] for k in known]) for a in "xy"]
+        for width in SPOTS:
+            sides = [np.arange(*(q + 0.5 * s * width for q, s in zip(scales[f"room {a}"], (1, -1))),
+                               APART_SPOTS * width) for a in "xy"]  # fmt: skip
+            for a, b in itertools.product(*sides):
+                near = np.hypot(flown[0] - a, flown[1] - b) < width
+                if SEEN < near.mean() < 1.0 - SEEN:
+                    spots.append((float(a), float(b), width))
+                    choices.append(Choice(ROOM, (at + len(spots),), (float(a), float(b))))
+        at += 1 + len(spots)
+    low, high = scales["time"]
+    steps = [low + k / STEPS * (high - low) for k in range(1, STEPS)]
+    choices += [Choice("time", (at + k,), (step,)) for k, step in enumerate(steps)]
+    return Basis(scales, choices, spots, steps)

@@ -1,0 +1,96 @@
+"""Where residuals live: beside the state they were found in, and over frequency."""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+from scipy.signal import welch
+
+from quasi.gap.flights.evidence import induced_in_hover
+from quasi.gap.flights.level import Flown
+from quasi.gap.flights.places import HEADING, UNITS, along
+from quasi.gap.statistics.whitening import stretches
+
+WHERE = ("t", "speed", "height", "heading", "room_x", "room_y", "volts", "rotor_speed", "descent_ratio")
+BINS = 8  # along a place
+LEAST = 20  # rows of a bin
+SEGMENT = 4.0  # s, of a spectrum: its resolution is a quarter of a hertz
+
+
+def beside(flown: Flown, t: np.ndarray) -> dict[str, np.ndarray]:
+    """Where a flight is at times t (n,), as far as it knows, see `located`."""
+    frame = flown.filtered if {"t", "u", "v", "w", "z", "yaw"} <= set(flown.filtered) else flown.imported
+    hover = induced_in_hover(flown.airframe.mass, flown.airframe.radius)
+    return located(along(frame, hover), frame["t"].to_numpy(float), t)
+
+
+def located(known: Mapping[str, np.ndarray], at: np.ndarray, t: np.ndarray) -> dict[str, np.ndarray]:
+    """Columns of WHERE but the time at times t (n,) from places known at times `at`; see `places.along`."""
+    found = {}
+    for column in WHERE[1:]:
+        name = column.replace("_", " ")
+        if name == HEADING and name in known:  # north is in the middle of what is beside it
+            found[column] = np.angle(np.interp(t, at, np.exp(1j * known[name])))
+        elif name in known:
+            found[column] = np.interp(t, at, known[name])
+    return found
+
+
+def where(table: pd.DataFrame, units: Mapping[str, str], words: Sequence[str]) -> pd.DataFrame:
+    """Mean and rms of residuals in bins of equal count along each place of WHERE that the table has.
+
+    units  of the channels; words  what there is of each: columns <channel>_<word>
+    Returns channel, unit, where, where_unit, low, high, middle, rows, mean_<word> and rms_<word>.
+    """
+    values = table[[f"{c}_{w}" for c in units for w in words]].to_numpy(float).reshape(len(table), len(units), -1)
+    rows = []
+    for place in [c for c in table if c in WHERE]:
+        at = table[place].to_numpy(float)
+        known = at[np.isfinite(at)]
+        bins = min(BINS, len(known) // LEAST)
+        edges = np.unique(np.quantile(known, np.linspace(0, 1, bins + 1))) if bins else []
+        unit = UNITS["time" if place == "t" else place.replace("_", " ")]
+        for low, high in pairwise(edges):
+            inside = (at >= low) & (at <= high)
+            if inside.sum() < LEAST:
+                continue
+            mean, square = values[inside].mean(axis=0), (values[inside] ** 2).mean(axis=0)
+            about = {"where": place, "where_unit": unit, "low": low, "high": high,
+                     "middle": float(np.median(at[inside])), "rows": int(inside.sum())}  # fmt: skip
+            rows += [
+                {"channel": channel, "unit": units[channel], **about,
+                 **{f"mean_{w}": mean[c, k] for k, w in enumerate(words)},
+                 **{f"rms_{w}": np.sqrt(square[c, k]) for k, w in enumerate(words)}}
+                for c, channel in enumerate(units)
+            ]  # fmt: skip
+    return pd.DataFrame(rows, columns=None if rows else ["channel", "where"])
+
+
+def spectra(tables: Sequence[pd.DataFrame], breaks: Sequence[np.ndarray], rate: float) -> pd.DataFrame:
+    """Power densities of all columns named <channel>_<what>, over all stretches without gaps.
+
+    tables  one per flight, sampled at `rate` Hz; breaks (n,) bool, True where a stretch begins
+    Returns frequency (Hz), channel, and one column for each <what>, in squared units per Hz; empty where every stretch
+            is shorter than SEGMENT. Source: Welch, IEEE Trans. Audio Electroacoustics 15, 1967.
+    """
+    length = round(SEGMENT * rate)
+    names = [c for c in tables[0] if c.endswith(("_before", "_after", "_floor"))]
+    total: dict[str, np.ndarray] = {}
+    weight, frequency = 0.0, None
+    for table, begins in zip(tables, breaks):
+        for part in stretches(begins):
+            if part.stop - part.start < length:
+                continue
+            frequency, power = welch(table[names].to_numpy()[part], rate, nperseg=length, axis=0, detrend="constant")
+            share = float(part.stop - part.start)
+            weight += share
+            for i, name in enumerate(names):
+                total[name] = total.get(name, 0.0) + share * power[:, i]
+    if frequency is None:
+        return pd.DataFrame(columns=["frequency", "channel"])
+    rows = []
+    for channel in dict.fromkeys(n.rsplit("_", 1)[0] for n in names):
+        columns = {n.rsplit("_", 1)[1]: total[n] / weight for n in names if n.rsplit("_", 1)[0] == channel}
+        rows.append(pd.DataFrame({"frequency": frequency, "channel": channel, **columns}))
+    return pd.concat(rows, ignore_index=True)

@@ -1,0 +1,1 @@
+"""The words, figures and page of a diagnosis."""

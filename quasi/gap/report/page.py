@@ -1,0 +1,393 @@
+"""The page of a diagnosis: one sentence first, then what is wrong, why, the rivals, and what the extension gains.
+
+One HTML file that needs nothing else and no network. Plain data and tables in, text out.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from quasi import report
+from quasi.gap.calibration.corrections import corrected_at_import
+from quasi.gap.calibration.lower import UNITS as UNITS_OF
+from quasi.gap.effect import Effect
+from quasi.gap.report.next_steps import in_model, steps
+from quasi.gap.report.wording import (
+    CHANNELS,
+    confirmation_of,
+    happening,
+    left_sentence,
+    listed,
+    name_of,
+    percent,
+    rollout_of,
+    share_of,
+    since_of,
+    summed_up,
+    tie_sentence,
+    value_of,
+    words_of,
+)
+from quasi.standalone.chart import STYLE, chart, packed, step_of
+
+AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+THIN = 2  # every so many rows of the comparison are shown
+UNITS = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
+LINES = {
+    "R": "measured rotor speeds",
+    "R with trim": "measured rotor speeds, trim of the 2 s before each window taken up",
+    "R commands": "commands",
+}
+MOST = 15  # of the causes that are not named
+SHOWN = 0.5  # s: rows of the horizon nearest to it, and of the longest, stand on the page; the others open on demand
+FLOORS = 3.0  # times its floor that a channel of sensors or drive may keep unmentioned
+ROOM = ("north", "east", "down")  # accelerations along the room's axes
+LEVELS = {"K": "sensors against capture", "A": "rotor speeds against commands"}
+CAPTIONS = {
+    "glance": "Left: the error of the model where it falls most, before (pale red) and after (blue) the extension, "
+    "with standard errors, compared and held-out flights together. Right: a held-out flight (black) and what the "
+    "simulation makes of its rotor speeds, in the second where the extension gains most; what it gains elsewhere "
+    "stands below.",
+    "overlays": "Simulated from measured states with measured rotor speeds, before (pale red) and after (blue) the "
+    "extension, beside the flight (black); where only blue is seen with a red rim, nothing has changed.",
+    "horizons": "Errors at the end of simulations of held-out flights over their length, before (pale red) and after "
+    "(blue); dashed where commands drove the rotors. The lower panels are along the axes. Grey: what the model's terms "
+    "and all causes, fitted to the other flights, leave. The table R_errors holds all lines.",
+    "unexplained": "What no cause explains, where it lives: mean errors with standard errors (black) and the smooth "
+    "function that stands for them (red), compared and held-out flights together.",
+    "where": "Mean error of forces and moments where it was found, compared and held-out flights together, before "
+    "(pale red) and after (blue), with standard errors of pieces of 2 s where there are enough. Shown are the places "
+    "where the two differ most and where the error stands out most from these; the table W_where holds all channels "
+    "and places.",
+    "spectra": "Power of the errors over frequency, before (pale red) and after (blue) the extension.",
+}
+
+
+def page(
+    diagnosis: Mapping[str, Any],
+    effects: Mapping[str, Effect],
+    residuals: pd.DataFrame | None,
+    pictures: Mapping[str, bytes],
+) -> str:
+    """The page as HTML.
+
+    diagnosis  "quasi.gap/1"; effects  the catalogue; residuals  the table W_residuals; pictures {name: PNG}
+    """
+    roles = diagnosis["flights"]
+    keys = {r: [k for k, role in roles.items() if role == r] for r in ("compared", "held out", "reference")}
+    under = f"model {diagnosis['model']} · " + " · ".join(f"{r} {', '.join(k) or 'none'}" for r, k in keys.items())
+    shown = {n: report.picture(pictures[n], caption) for n, caption in CAPTIONS.items() if n in pictures}
+    sections = [
+        f"<style>{STYLE}</style>",
+        shown.get("glance", ""),
+        report.section("What to do next", report.sentences(steps(diagnosis, effects))),
+        report.section("What is wrong", _forces(diagnosis), _lower(diagnosis)),
+        report.section("Why", *(_cause(e, effects) for e in diagnosis["effects"]), _rivals(diagnosis, effects)),
+        report.section("What cannot be told apart", _ties(diagnosis)),
+        report.section(
+            "What no cause explains",
+            report.sentences(left_sentence(u) for u in diagnosis["unexplained"]),
+            shown.get("unexplained", ""),
+        ),
+        report.section("The extended model", _extended(diagnosis)),
+        report.section(
+            "Simulated and flown",
+            shown.get("overlays", ""),
+            _rollouts(diagnosis),
+            _halves(diagnosis),
+            shown.get("horizons", ""),
+        ),
+        report.section("Forces and moments over time", _chart(residuals)),
+        report.section("Where the errors live", shown.get("where", ""), shown.get("spectra", "")),
+        report.section("Other findings", report.sentences(words_of(f["text"], effects) for f in diagnosis["findings"])),
+        report.section("What could not be asked", _unasked(diagnosis, effects)),
+        report.section(
+            "Notes",
+            report.sentences(words_of(n, effects) for n in dict.fromkeys([*diagnosis["notes"], _rules(diagnosis)])),
+        ),
+    ]
+    first, *rest = summed_up(diagnosis, effects)
+    if len(diagnosis["effects"]) > 1:  # what of several would be a wall of words is a list
+        sections.insert(1, report.sentences(rest))
+        rest = []
+    box = (first.rstrip("."), sections, " ".join(rest))
+    return report.page(f"Gap {diagnosis['name']}", under, diagnosis["verdict"], *box)
+
+
+def _rules(diagnosis: Mapping[str, Any]) -> str:
+    return (
+        "a cause of forces and moments is named at a family-wise false alarm rate of "
+        f"{diagnosis['false alarm rate']:g}, which all searches and the held-out flights share, when it removes at "
+        f"least {100 * diagnosis['material share']:g} % of the removable error on held-out flights and comes again in "
+        "enough resamples of the flights' blocks: 20 % alone, 50 % as the strongest of several, 80 % beside a stronger "
+        "one; what all flights have alike has to gain more than that, beyond doubt, beside the model's own terms "
+        "fitted anew"
+    )
+
+
+def _value(diagnosis: Mapping[str, Any], key: str, level: str, channel: str, horizon: str = "0") -> float | None:
+    return diagnosis["gap"][key].get(level, {}).get(channel, {}).get(horizon)
+
+
+def _forces(diagnosis: Mapping[str, Any]) -> str:
+    if "W" not in diagnosis["gap"]["before"]:
+        return report.paragraph("Forces and moments have no held-out flight to be judged on.")
+    removed, rows = diagnosis["scores"].get("removed", {}), []
+    wrong = diagnosis["scores"].get("best wrong cause")
+    beside = [diagnosis["scores"].get("best wrong cause removed", {}),
+              diagnosis["scores"].get("generic polynomial", {}).get("removed", {})]  # fmt: skip
+    for axis in AXES:
+        three = [_value(diagnosis, k, "W", axis) for k in ("before", "after", "noise_floor")]
+        unit = "N" if axis[0] == "F" else "N m"
+        rows.append(
+            [f"{CHANNELS[axis]} ({axis}), {unit}", *map(report.number, three), _share(removed.get(axis)),
+             *(_share(other.get(axis)) for other in beside)]
+        )  # fmt: skip
+    tail = (
+        " Beside it, where the named causes act: what the best wrong cause alone would have removed"
+        + (f" ({name_of(wrong)})" if wrong else " (none would have removed anything)")
+        + ", and a polynomial with as many terms."
+        if diagnosis["scores"].get("generic polynomial")
+        else ""
+    )
+    return report.table(
+        [
+            "root mean square on held-out flights",
+            "before",
+            "after",
+            "noise floor",
+            "removed",
+            "best wrong cause",
+            "same-size polynomial",
+        ],
+        rows,
+    ) + report.paragraph(
+        "Removed: share of the error above the noise floor (squared) that is gone, with its 95 % interval; a dash "
+        "where the floor holds nine tenths of the error." + tail
+    )
+
+
+def _share(found: Mapping[str, float | None] | None) -> str:
+    if not found or found["value"] is None:
+        return "–"
+    three = (f"{round(100 * found[k]) + 0:d}" for k in ("value", "low", "high"))
+    return "{} % ({} to {})".format(*three).replace("-", "−")
+
+
+def _rollouts(diagnosis: Mapping[str, Any]) -> str:
+    """Errors of simulations by line, and what of their removable part the extension and its yardsticks remove.
+
+    On the page stand the horizon nearest to SHOWN and the longest one; the others open on demand.
+    """
+    blocks, rest, yardsticks = [], [], False
+    for driven, title in LINES.items():
+        lines = [r for r in diagnosis["rollouts"].get(driven, []) if r["quantity"] in UNITS]
+        if not lines:
+            continue
+        horizons = sorted({r["horizon"] for r in lines})
+        seen = {min(horizons, key=lambda h: abs(h - SHOWN)), horizons[-1]}
+        yardsticks |= any("removed" in r for r in lines)
+        for into, part in (
+            (blocks, [r for r in lines if r["horizon"] in seen]),
+            (rest, [r for r in lines if r["horizon"] not in seen]),
+        ):
+            into.append(_rollout_table(title, part))
+    blocks.append(report.details("Other lengths of the simulation", "".join(rest)))
+    if yardsticks:
+        wrong = diagnosis["scores"].get("best wrong cause with commands")
+        told = f" With commands, the best wrong cause would have been {name_of(wrong)}." if wrong else ""
+        blocks.append(
+            report.paragraph(
+                "Removed, and what the best wrong cause and the polynomial would have removed: shares of the squared "
+                "error above the noise floor, with 95 % intervals; a dash where the floor holds nine tenths of the "
+                "error. The floor with commands knows the rotors' drive as the other flights tell it." + told
+            )
+        )
+    return "".join(blocks)
+
+
+def _rollout_table(title: str, lines: Sequence[Mapping[str, Any]]) -> str:
+    rows = [
+        [f"{quantity}, {unit}, after {r['horizon']:g} s",
+         *(report.number(r.get(k)) for k in ("before", "after", "noise_floor")), _share(r),
+         *(_share(r.get(k)) for k in ("removed", "best_wrong_cause", "generic_polynomial"))]
+        for quantity, unit in UNITS.items()
+        for r in lines
+        if r["quantity"] == quantity
+    ]  # fmt: skip
+    head = ["before", "after", "noise floor", "error falls by", "removed", "best wrong cause", "same-size polynomial"]
+    return report.table([f"simulated with {title}", *head], rows)
+
+
+def _halves(diagnosis: Mapping[str, Any]) -> str:
+    """Errors on the second halves of held-out flights, with what their first halves tell of their own."""
+    found = diagnosis.get("halves") or {}
+    if not found:
+        return ""
+    errors = found["errors"]
+    rows = [
+        [f"{q}, {unit}, after {float(h):g} s", *(report.number(errors[who][q][h]) for who in errors)]
+        for q, unit in UNITS.items()
+        for h in [max(errors["before"][q], key=float)]
+    ]
+    trims = [
+        f"{axis} = {t['before']:.2g} {'N' if axis[0] == 'F' else 'N m'} in {key}"
+        for key, about in found["flights"].items()
+        for axis, t in about["trim"].items()
+        if abs(t["before"]) > 3.0 * t["std"]
+    ]
+    return report.table(["second halves of the held-out flights", *errors], rows) + report.paragraph(
+        "Trim, a constant force and moment, and a flight's own parameters of the named causes are told by its first "
+        f"half. The model lacks {', '.join(trims) or 'no trim'}."
+    )
+
+
+def _lower(diagnosis: Mapping[str, Any]) -> str:
+    """Errors of sensors and of the rotors' drive on the held-out flights, and what of them stays without a name."""
+    blocks = []
+    for level, word in LEVELS.items():
+        rows = []
+        for channel in diagnosis["gap"]["before"].get(level, {}):
+            three = [_value(diagnosis, k, level, channel) for k in ("before", "after", "noise_floor")]
+            name = CHANNELS.get(channel, channel) + ("" if channel in ROOM else f" ({channel})")
+            rows.append([f"{name}, {_unit(channel)}", *map(report.number, three)])
+        blocks.append(report.table([word, "before", "after", "noise floor"], rows))
+        above = _above(diagnosis, level, word)
+        blocks.append(report.paragraph(above) if above else "")
+    return "".join(blocks)
+
+
+def _unit(channel: str) -> str:
+    """Unit of a channel of sensors or drive; north, east and down are accelerations there."""
+    return "m/s2" if channel in ROOM else UNITS_OF.get(channel, "")
+
+
+def _above(diagnosis: Mapping[str, Any], level: str, word: str) -> str:
+    """What stays far above its floor though no cause is named there: a finding without a name, not to be missed."""
+    named = {c for e in diagnosis["effects"] if e["level"] == level for c in e["channels"]}
+    if named & {"ax", "ay", "az"}:
+        named |= {*ROOM}  # the same readings, along the room's axes
+    texts = []
+    for channel in diagnosis["gap"]["before"].get(level, {}):
+        left, floor = (_value(diagnosis, k, level, channel) for k in ("after", "noise_floor"))
+        if left is not None and floor and left > FLOORS * floor and channel not in named:
+            texts.append(
+                f"{channel} {left / floor:.1f} times ({report.number(left)} against {report.number(floor)} "
+                f"{_unit(channel)})"
+            )
+    if not texts:
+        return ""
+    return (
+        f"{word[:1].upper()}{word[1:]} stay above their noise floor, and no cause is named there: {listed(texts)}. The "
+        "floor is what is left when all that is known to go wrong there is fitted to each flight by itself; what is "
+        "above it fits no single cause, or differs from flight to flight."
+    )
+
+
+def _cause(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
+    about = known.get(effect["id"])
+    gains = [f"{a} {_share(g)}" for a, g in effect.get("gains", {}).items() if g["value"] is not None]
+    if not effect.get("judged", True):
+        gains = ["not judged: held-out flights hardly show it"]
+    evidence = effect["evidence"]
+    return f"<h3>{report.escape(name_of(effect['id']))}</h3>" + report.facts(
+        [
+            ("what happens", happening(effect, known) if about else ""),
+            ("equation", about.equation if about else ""),
+            ("source", about.source if about else ""),
+            ("since", since_of(effect)),
+            *((name_of(n), value_of(p)) for n, p in effect["parameters"].items()),
+            ("seen in", ", ".join(effect["channels"])),
+            ("removable error it removes", ", ".join(gains) or percent(effect["gain"]["wrench"])),
+            (
+                "of the simulated motion",
+                share_of(effect["gain"]["rollout"], effect.get("rollout gain")) + rollout_of(effect),
+            ),
+            ("roll-outs of held-out flights", words_of(confirmation_of(effect), known)),
+            ("probability of nothing", f"{evidence['p']:.1e}" if "p" in evidence else ""),
+            ("named again in resamples", percent(effect.get("probability"))),
+            ("standard errors widened, the axes differ", _times(evidence.get("axes apart", 1.0))),
+            ("rivals that it beat", ", ".join(map(name_of, effect["confused_with"]))),
+        ]
+    )
+
+
+def _times(factor: float) -> str:
+    return f"{factor:.1f} times" if factor > 1.0 else ""
+
+
+def _rivals(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
+    lost = sorted(diagnosis["candidates"], key=lambda c: c["p"] if c.get("p") is not None else 1.0)[:MOST]
+    rows = [[name_of(c["id"]), since_of(c) if c.get("since") else "", words_of(c["why_not"], known)] for c in lost]
+    head = "".join(f'<th scope="col">{h}</th>' for h in ("tested and not named", "asked as", "why not"))
+    lines = "".join("<tr>" + "".join(f"<td>{report.escape(c)}</td>" for c in row) + "</tr>" for row in rows)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table>" if rows else ""
+
+
+def _ties(diagnosis: Mapping[str, Any]) -> str:
+    blocks = [report.paragraph(tie_sentence(t)) for t in diagnosis["ties"]]
+    for tie in diagnosis["ties"]:
+        blocks.append(
+            report.facts(
+                (name_of(i), ", ".join(f"{name_of(n)} = {value_of(p)}" for n, p in found.items()))
+                for i, found in tie["parameters"].items()
+            )
+        )
+    return "".join(blocks)
+
+
+def _extended(diagnosis: Mapping[str, Any]) -> str:
+    ident = diagnosis["extended_model"]
+    own = [name_of(e["id"]) for e in diagnosis["effects"] if in_model(e)]
+    sensors = [name_of(e["id"]) for e in diagnosis["effects"] if corrected_at_import(e["id"], e["level"])]
+    said = (
+        f"{ident} is {diagnosis['model']} with {', '.join(own)}."
+        if own
+        else f"Nothing was added: {ident} is {diagnosis['model']}."
+    )
+    if diagnosis.get("fitted anew"):
+        said += " Its own terms were fitted anew to the flights."
+    if sensors:
+        said += f" The flights were processed anew with what was found of {', '.join(sensors)}."
+    return report.paragraph(f"{said} Make it, as any model, with the target models/{ident}/standalone.")
+
+
+def _unasked(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
+    reasons: dict[str, list[str]] = {}
+    for entry in diagnosis["cannot_be_asked"]:
+        reasons.setdefault(entry["why"], []).append(name_of(entry["id"]))
+    return report.sentences(f"{', '.join(dict.fromkeys(ids))}: {words_of(why, known)}" for why, ids in reasons.items())
+
+
+def _chart(table: pd.DataFrame | None) -> str:
+    """Measured against each model over time, to zoom into; held-out flights are shaded."""
+    if table is None:
+        return ""
+    rows = table[table["role"] != "reference"].iloc[::THIN].reset_index(drop=True)
+    if len(rows) < 2:
+        return ""
+    t, flights, offset, starts = np.empty(len(rows)), [], 0.0, []
+    for key, part in rows.groupby("flight", sort=False):
+        place = part.index.to_numpy()
+        own = part["t"].to_numpy()
+        t[place] = own - own[0] + offset
+        role = "validation" if part["role"].iloc[0] == "held out" else "training"
+        first, last = int(place[0]), int(place[-1]) + 1
+        flights.append({"key": key, "role": role, "from": first, "to": last, "begins": float(own[0])})
+        starts += [first, *(first + np.flatnonzero(np.diff(own) > 5 * np.median(np.diff(own))) + 1).tolist()]
+        offset = float(t[place[-1]]) + 0.5
+    axes = {}
+    for axis in AXES:
+        measured = rows[f"{axis}_measured"].to_numpy(float)
+        for word in ("before", "after"):
+            model = measured - rows[f"{axis}_{word}"].to_numpy(float)
+            low, high = float(min(measured.min(), model.min())), float(max(measured.max(), model.max()))
+            step = step_of(low, high)
+            axes[f"{axis} {word}"] = {
+                "unit": "N" if axis[0] == "F" else "N m", "low": low, "step": step,
+                "measured": packed(measured, low, step), "model": packed(model, low, step),
+                "half": packed(np.full(len(model), np.nan), 0.0, step),
+            }  # fmt: skip
+    return chart(t, starts, flights, axes, "the tables beside this page hold the same")

@@ -1,0 +1,52 @@
+"""What flights differ by without anybody's doing: columns with a known spread, for every flight its own values.
+
+Sizes: real flights of one vehicle differ in mass and thrust by 1 %, in how IMU and markers are seated by a fraction of
+a degree, in what is left of biases and of the rotor telemetry's age after import and filtering. The rotors' torque
+differs by more than the thrust: it follows thrust and inflow, and healthy made flights show 1.5 to 2 %.
+"""
+
+import numpy as np
+
+from quasi.gap.effect import vehicle_of
+from quasi.gap.flights.evidence import Evidence
+from quasi.standalone.model import AXES, ROTORS
+
+MASS, THRUST, TORQUE = 0.01, 0.01, 0.015  # shares
+SEATING, MARKERS = 0.0035, 0.0052  # rad, about each axis
+FORCE_BIAS, MOMENT_BIAS = 0.005, 0.0005  # of m g, and of m g times the arm: what filtering leaves of constant errors
+TELEMETRY = 0.003  # s, where the flight could not tell it
+
+
+def nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]:
+    """(name, column (n, 6), standard deviation) of each way in which a flight may differ."""
+    weight = evidence.mass * 9.81
+    result = []
+    for k, axis in enumerate(AXES):
+        spread = FORCE_BIAS * weight if k < 3 else MOMENT_BIAS * weight * evidence.airframe.arm * 10.0
+        result.append((f"constant {axis}", evidence.only(axis, 1.0), spread))
+    result.append(("mass", evidence.forces_only(-evidence.force), MASS))
+    vehicle = vehicle_of(evidence.model, evidence.mass, evidence.inertia)
+    thrust = evidence.upward(evidence.thrust)
+    thrust[:, 5] -= vehicle.drawn * (evidence.spin * evidence.speeds**2).sum(axis=1)  # the power goes with the thrust
+    result.append(("thrust", thrust, THRUST))
+    result.append(("torque", evidence.only("Mz", -(evidence.spin * evidence.torque).sum(axis=1)), TORQUE))
+    by_velocity, by_rates = evidence.gradient("u", "v", "w"), evidence.gradient("p", "q", "r")
+    for k, name in enumerate(("roll", "pitch", "yaw")):
+        axis = np.eye(3)[k]
+        turned = np.einsum("nij,nj->ni", by_velocity, np.cross(axis, evidence.velocity))
+        result.append((f"markers turned in {name}", turned, MARKERS))
+        seated = turned + np.einsum("nij,nj->ni", by_rates, np.cross(axis, evidence.rates)) + _measured(evidence, axis)
+        result.append((f"IMU turned in {name}", seated, SEATING))
+    delay = np.einsum("nij,nj->ni", evidence.gradient(*ROTORS), evidence.spin_up)
+    result.append(("age of the rotor telemetry", delay, TELEMETRY))
+    return result
+
+
+def _measured(evidence: Evidence, axis: np.ndarray) -> np.ndarray:
+    """Change of the measured wrench (n, 6) per rad that the IMU is turned about an axis: it shows v - axis x v."""
+    rates = -np.cross(axis, evidence.rates)
+    acceleration = -np.cross(axis, evidence.angular_acceleration)
+    inertia = evidence.inertia
+    moment = acceleration @ inertia.T
+    moment += np.cross(rates, evidence.rates @ inertia.T) + np.cross(evidence.rates, rates @ inertia.T)
+    return np.hstack([-np.cross(axis, evidence.force), moment])

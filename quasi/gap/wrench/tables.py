@@ -1,0 +1,96 @@
+"""Tables of the wrench level: residuals row by row with where they were found, per channel, per place, and spectra."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import pandas as pd
+
+from quasi.gap.effect import Vehicle
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.places import places
+from quasi.gap.flights.residual_tables import where
+from quasi.gap.statistics.whitening import stretches
+from quasi.gap.wrench.study import BAND
+from quasi.standalone.model import AXES
+
+UNITS = {axis: "N" if axis[0] == "F" else "N m" for axis in AXES}
+SEGMENT = 4.0  # s, of a spectrum
+
+
+def wrench_tables(
+    evidence: Mapping[str, Evidence], roles: Mapping[str, str], left: Callable[[Evidence], np.ndarray], vehicle: Vehicle
+) -> dict[str, pd.DataFrame]:
+    """W_residuals, W_channels, W_where, W_spectra; none without any flight.
+
+    left  flight -> (n, 6) residual of the extended model; of a reference flight without what only changed
+    """
+    rows, channels, spectra = [], [], {}
+    if not evidence:
+        return {}
+    for key, flight in evidence.items():
+        series = {"before": flight.residual, "after": left(flight)}
+        found = {name.replace(" ", "_"): values for name, values in places(flight).items() if name != "time"}
+        table = {"t": flight.t, "flight": key, "role": roles[key], **found}
+        for k, axis in enumerate(AXES):
+            table[f"{axis}_measured"] = flight.measured[:, k]
+            for word, values in series.items():
+                table[f"{axis}_{word}"] = values[:, k]
+            channels.append(
+                {"flight": key, "role": roles[key], "channel": axis, "unit": UNITS[axis],
+                 **{w: float(np.sqrt(np.mean(v[:, k] ** 2))) for w, v in series.items()},
+                 **{f"whiteness_{w}": _memory(v[:, k], flight.breaks) for w, v in series.items()}}
+            )  # fmt: skip
+        rows.append(pd.DataFrame(table))
+        for word, values in series.items():
+            _spectrum(flight, values, spectra.setdefault((roles[key], word), []))
+    whole = pd.concat(rows, ignore_index=True)
+    return {
+        "W_residuals": whole,
+        "W_channels": pd.DataFrame(channels),
+        # what reference flights show as well does not hide where compared and held-out ones differ
+        "W_where": where(whole[whole["role"] != "reference"], UNITS, ("before", "after")),
+        "W_spectra": _merged(spectra),
+    }
+
+
+def _memory(values: np.ndarray, breaks: np.ndarray) -> float:
+    """Correlation of neighbours 0.1 s apart at the rate of the analysis; 0 for white noise."""
+    step = max(round(0.1 * 2.5 * BAND * 2), 1)
+    parts = [values[p] - values.mean() for p in stretches(breaks) if p.stop - p.start > 2 * step]
+    over = sum(float(p[step:] @ p[:-step]) for p in parts)
+    return over / max(sum(float(p @ p) for p in parts), 1e-300) if parts else float("nan")
+
+
+def _spectrum(flight: Evidence, values: np.ndarray, found: list[tuple[np.ndarray, np.ndarray, int]]) -> None:
+    rate = 1.0 / float(np.median(np.diff(flight.t)))
+    length = round(SEGMENT * rate)
+    window = np.hanning(length)[:, None]
+    for part in stretches(flight.breaks):
+        for begin in range(part.start, part.stop - length + 1, length // 2):
+            piece = values[begin : begin + length]
+            power = np.abs(np.fft.rfft((piece - piece.mean(axis=0)) * window, axis=0)) ** 2
+            density = 2.0 * power / (rate * float((window**2).sum()))
+            found.append((np.fft.rfftfreq(length, 1.0 / rate), density, 1))
+
+
+def _merged(spectra: Mapping[tuple[str, str], list]) -> pd.DataFrame:
+    rows = []
+    for role in dict.fromkeys(r for r, _ in spectra):
+        before, after = spectra.get((role, "before"), []), spectra.get((role, "after"), [])
+        lengths = {len(f) for f, *_ in before}
+        if len(lengths) != 1:
+            continue  # no stretch is long enough, or the flights are sampled at several rates
+        frequency = before[0][0]
+        means = {
+            "before": np.mean([d for _, d, _ in before], axis=0),
+            "after": np.mean([d for _, d, _ in after], axis=0),
+        }
+        for k, axis in enumerate(AXES):
+            rows.append(
+                pd.DataFrame({"frequency": frequency, "role": role, "channel": axis,
+                              **{f"{axis}_density_{w}"[len(axis) + 1 :]: m[:, k] for w, m in means.items()}})
+            )  # fmt: skip
+    if not rows:
+        return pd.DataFrame({"frequency": [], "role": [], "channel": [], "density_before": [], "density_after": []})
+    whole = pd.concat(rows, ignore_index=True)
+    return whole[whole["frequency"] <= 2.0 * BAND].reset_index(drop=True)
