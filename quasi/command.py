@@ -297,9 +297,9 @@ def plan_of(
 
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # many small matrices: threads would only wait for each other
 
-    from quasi.gap import flight_card
     from quasi.gap.catalogue import catalogue, chosen
     from quasi.gap.effect import room_of
+    from quasi.gap.planning import flight_card
     from quasi.gap.planning.plan import examine
     from quasi.gap.planning.plan_input import flights_of, noise_of
     from quasi.standalone.model import read_model
