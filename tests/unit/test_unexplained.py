@@ -15,7 +15,7 @@ from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.places import places
 from quasi.gap.statistics.mixed import Offer
-from quasi.gap.wrench import unexplained
+from quasi.gap.wrench import recurring, unexplained
 from quasi.gap.wrench.gain import wrench_score
 from quasi.gap.wrench.generic import polynomial
 from quasi.gap.wrench.unexplained import outdone, search
@@ -216,7 +216,7 @@ def test_a_place_that_each_flight_had_to_itself_is_not_blamed(ground):
 @pytest.mark.parametrize(("between", "told"), [(1.1, True), (0.002, False)])
 def test_manoeuvres_of_one_flight_that_err_alike_are_one_witness_of_a_place(ground, monkeypatch, between, told):
     """Each flight has a slope of its own along the room, by chance mostly to one side."""
-    monkeypatch.setattr(unexplained, "BETWEEN", between)
+    monkeypatch.setattr(recurring, "BETWEEN", between)
     sizes = [0.0, 0.1, -0.1, 0.05, 1.6, 0.9, 0.35, 0.8]
     flights = [flight(ground, s, lambda c, k=k: only(5, k * 2e-4 * c["x"])) for s, k in enumerate(sizes)]
     held = [flight(ground, 90, lambda c: only(5, 2e-4 * c["x"]))]
