@@ -17,6 +17,7 @@ from quasi.gap.entries import (
     deviations,
     gain_entry,
     lower_effect,
+    of_late_telemetry,
     tie_entry,
     wrench_effect,
 )
@@ -127,6 +128,7 @@ def diagnose(
         if not any(u["channel"][0] == "F" for u in said["unexplained"]):
             restless = gusts(found.study, compared, [c.effect.id for c in kept])
     lower_effects = [lower_effect(e, level, gap) for level in ("K", "A") for e in levels[level]["effects"]]
+    lower_effects, shifted = of_late_telemetry(lower_effects)
     # forces and moments settle a tie of the levels below by naming one of it
     told = {e["id"] for e in effects_said}
     ties = [t for level in ("K", "A") for t in levels[level]["ties"] if not told & set(t["ids"])]
@@ -143,7 +145,7 @@ def diagnose(
         "summary": "",
         "effects": sorted([*lower_effects, *effects_said], key=lambda e: -float(e["evidence"].get("wald") or 0.0)),
         "ties": ties,
-        "findings": [*(f for level in ("K", "A") for f in levels[level]["findings"]), *restless],
+        "findings": [*(f for level in ("K", "A") for f in levels[level]["findings"]), *shifted, *restless],
         **said,
         "extended_model": settings["extended model ID"],
         "flights": dict(roles),

@@ -14,20 +14,24 @@ from quasi.gap.wrench.worth import Cause
 
 # shares of resamples in which a cause alone, the strongest of several, another one must be found again
 ALONE, SURE, BESIDE = 0.2, 0.5, 0.8
+SAME = 3.0  # standard errors within which two delays are the same
 FAR = 0.01  # of the level: what is that improbable needs half as many beside another, for a resample holds two thirds
 
 
 def needed(cause: Cause, found: Found) -> float:
     """Share of resamples in which a cause must be found again. One alone stands by its significance and by what held-
-    out flights say, unless a few seconds of flight make all of it; beside a stronger one, it may only mend what that
-    one leaves."""
+    out flights say, unless a few seconds of flight make all of it; where these cannot say anything, it has to come
+    again more often. Beside a stronger one, it may only mend what that one leaves."""
+    unjudged = any((c.effect.id, c.since) == (cause.effect.id, cause.since) for c in found.unjudged)
     others = [c for c in [*found.causes, *found.stand_ins] if c.since == cause.since and c is not cause]
     # what a model misses of its own vehicle leaves nothing that looks like what no sound vehicle has
     foreign = cause.effect.foreign and cause.since == "always"
     stronger = [c for c in others if c.test.p <= cause.test.p and c.effect.foreign >= foreign]
     if not stronger:
-        return SURE if others else ALONE
-    return 0.5 * BESIDE if cause.test.p < FAR * found.level[cause.since] else BESIDE
+        return SURE if others or unjudged else ALONE
+    if cause.test.p >= FAR * found.level[cause.since]:
+        return BESIDE
+    return max(0.5 * BESIDE, SURE) if unjudged else 0.5 * BESIDE
 
 
 def deviations(effect: Effect, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
@@ -114,6 +118,26 @@ def lower_effect(effect: Mapping[str, Any], level: str, gap: Mapping[str, Any]) 
         if (old**2 - floor**2) / old**2 > best[0]:
             best = ((old**2 - floor**2) / old**2, float(gone))
     return {**effect, "level": level, "gain": {"wrench": best[1], "rollout": None}, "confused_with": []}
+
+
+def of_late_telemetry(effects: Sequence[Mapping[str, Any]]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Effects of level A without a delay of commands that is the other side of late telemetry, and the finding of it.
+
+    A model that was made of flights with late telemetry holds the lateness as a delay of commands: once the telemetry
+    is put right that delay is too long by as much. It stays in the extended model, but is no cause of its own.
+    """
+    delays = {e["id"]: e for e in effects if e["id"] in ("command_delay", "telemetry_delay") and e["since"] == "always"}
+    if len(delays) == 2:
+        late, own = (delays[n]["parameters"]["delay"] for n in ("telemetry_delay", "command_delay"))
+        std = float(np.hypot(late["std"], own["std"]))
+        if own["value"] < 0.0 and abs(late["value"] + own["value"]) < SAME * std:
+            text = (
+                "the model's delay of commands holds the late telemetry of the flights that it was made from: in the "
+                f"extended model it is {-1e3 * own['value']:.1f} ± {1e3 * own['std']:.1f} ms shorter"
+            )
+            found = {"id": "command_delay", "text": text, "evidence": {"delay": own}}
+            return [dict(e) for e in effects if e is not delays["command_delay"]], [found]
+    return [dict(e) for e in effects], []
 
 
 def tie_entry(since: str, tie: Any, effects: Mapping[str, Effect], vehicle: Vehicle) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quasi.gap.effect import Effect
-from quasi.gap.entries import ALONE, BESIDE, SURE, needed
+from quasi.gap.entries import ALONE, BESIDE, SURE, needed, of_late_telemetry
 from quasi.gap.statistics import mixed
 from quasi.gap.wrench.worth import Cause
 
@@ -19,10 +19,10 @@ def cause(name, p, foreign=False, since="always"):
     return Cause(effect, since, {}, {}, test, [])
 
 
-def share(p, others=(), foreign=False, since="always"):
+def share(p, others=(), foreign=False, since="always", judged=True):
     own = cause("own", p, foreign, since)
-    levels = dict.fromkeys(("always", "changed"), LEVEL)
-    return needed(own, SimpleNamespace(causes=[own, *others], stand_ins=[], level=levels))
+    levels, unjudged = dict.fromkeys(("always", "changed"), LEVEL), [] if judged else [own]
+    return needed(own, SimpleNamespace(causes=[own, *others], stand_ins=[], level=levels, unjudged=unjudged))
 
 
 def test_a_cause_needs_to_come_again_more_often_beside_a_stronger_one():
@@ -44,3 +44,31 @@ def test_what_no_sound_vehicle_has_is_no_remainder_of_what_a_model_lacks_of_its_
     lacking = cause("drag", 1e-20, since=since)
     assert share(1e-4, [lacking], foreign=True, since=since) == least
     assert share(1e-4, [cause("wind", 1e-20, True, since)], foreign=True, since=since) == BESIDE
+
+
+def test_what_held_out_flights_cannot_judge_comes_again_more_often():
+    assert share(1e-9, judged=False) == SURE > ALONE
+    stronger = [cause("stronger", 1e-12)]
+    assert share(1e-9, stronger, judged=False) == SURE > share(1e-9, stronger)
+    assert share(9e-4, stronger, judged=False) == BESIDE
+
+
+def delay(name, value, std=0.001, since="always"):
+    return {"id": name, "since": since, "parameters": {"delay": {"value": value, "std": std, "unit": "s"}}}
+
+
+def test_a_delay_that_the_model_has_from_late_telemetry_is_no_cause_of_its_own():
+    late, lag = delay("telemetry_delay", 0.018), {"id": "motor_lag", "since": "always"}
+    kept, found = of_late_telemetry([late, delay("command_delay", -0.0175), lag])
+    assert kept == [late, lag]
+    assert found[0]["id"] == "command_delay" and "it is 17.5 ± 1.0 ms shorter" in found[0]["text"]
+
+
+@pytest.mark.parametrize(
+    "others",
+    [[], [delay("command_delay", 0.018)], [delay("command_delay", -0.012)],
+     [delay("command_delay", -0.018, since="changed")]],
+)  # fmt: skip
+def test_other_delays_stay_causes(others):
+    effects = [delay("telemetry_delay", 0.018), *others]
+    assert of_late_telemetry(effects) == (effects, [])
