@@ -116,6 +116,16 @@ def test_what_no_sound_vehicle_has_needs_a_smaller_share_where_no_flight_is_heal
         assert (b in judged_by([a, b], score, common=common)[0]) is there
 
 
+@pytest.mark.parametrize("foreign, there", [(True, True), (False, False)])
+def test_a_second_cause_that_no_sound_vehicle_has_needs_no_larger_share_than_the_first(foreign, there):
+    """A tenth of what can go, beside one that is twice as significant."""
+    a, b = cause("a", "always", foreign=True), cause("b", "always", foreign=foreign, wald=40.0)
+    score = scored({frozenset("a"): fz(1.5), frozenset("b"): fz(3.7), frozenset("ab"): fz(1.2)}, OLD)
+    common = Common(lambda of, anew: score(of, anew).centred, judged(OLD).errors, FLOOR, 3 * SHARE, True, SHARE)
+    assert (b in judged_by([a, b], score, common=common)[0]) is there
+    assert b.asked == (SHARE if foreign else 3 * SHARE)
+
+
 def test_a_strong_foreign_cause_that_is_worth_nothing_stands_in_nobodys_way():
     a, b = cause("a", "always", foreign=True), cause("b", "always", foreign=True, wald=10.0)
     score = scored({frozenset("b"): fz(3.7), frozenset("ab"): fz(3.7), frozenset("a"): OLD}, OLD)

@@ -74,7 +74,7 @@ class Common(NamedTuple):
             left out, which fitting anew moves and flights differ by
     old, floor  errors (blocks, 6) before, at best (6,); share  of what is removable that must go beyond doubt
     fitted  whether some of these flights made the model, which then says nothing of how it does on others
-    foreign  the share for the strongest of the causes that no sound vehicle has, if it is another
+    foreign  the share for causes that no sound vehicle has, if it is another
     """
 
     errors: Callable[[Sequence[Cause], bool], Score]
@@ -186,8 +186,13 @@ def _common(
         causes = [c for c in causes if c is special or not c.effect.foreign or c.test.wald >= faint]
     elif common.foreign is not None:
         causes = sorted(causes, key=lambda c: c.test.p)[:LACKED]
+
+    def sort_of(cause: Cause) -> str:
+        return "foreign" if special is not None and cause.effect.foreign else "always"
+
     for cause in offered:
-        cause.asked = common.foreign if cause is special else common.share if cause in causes else None
+        share = common.foreign if sort_of(cause) == "foreign" else common.share
+        cause.asked = share if cause in causes else None
     removable = {flag: _removable(common.old, common.floor, flag) for flag in ("always", "foreign")}
 
     def better(first: Score, last: Score, sort: str) -> float:
@@ -205,7 +210,7 @@ def _common(
 
     def worth_of(cause: Cause, among: Sequence[Cause]) -> float:
         rest = [c for c in among if c is not cause]
-        return better(errors(rest), errors(among), "foreign" if cause is special else "always")
+        return better(errors(rest), errors(among), sort_of(cause))
 
     def supports(cause: Cause) -> bool:
         """Whether the strongest foreign one would not be sure any more if only the model's terms stood in for this."""
