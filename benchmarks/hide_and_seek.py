@@ -2,8 +2,8 @@
 
     python benchmarks/hide_and_seek.py [--first 10300] [--draws 200] [--out results/benchmarks/hide_and_seek] [--table]
 
-The study has the seeds 10300 to 10499. Seeds 1000 to 9999, those of 10000 to 10299 without healthy flights, 50000 to 50159 and 70000 and more were used
-while building.
+The study has the seeds 10300 to 10499. Seeds 1000 to 10299, 50000 to 50159 and 70000 and more were used while
+building.
 
 Each draw makes four flights of 30 s, imports and filters the raw logs, settles levels K and A, processes the flights
 anew with what these found, diagnoses them (one is held out) as the workflow does, and compares the diagnosis with the
