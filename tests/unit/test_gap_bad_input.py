@@ -301,8 +301,8 @@ def test_what_a_model_lacks_has_to_be_borne_out_by_held_out_flights_or_roll_outs
     left = _borne_out(Settled([lack], [], {("inflow_lag", "always"): told}, {}, None, []), 0.05)
     assert (left.causes == [lack]) == stands
     if not stands:
-        found = SimpleNamespace(causes=[lack], stand_ins=[], unjudged=[], ties=[], immaterial=[], contradicted={}, ranking=[],
-                                level={"always": 1e-3, "changed": 1e-3})  # fmt: skip
+        found = SimpleNamespace(causes=[lack], stand_ins=[], unjudged=[], ties=[], immaterial=[], contradicted={},
+                                ranking=[], level={"always": 1e-3, "changed": 1e-3})  # fmt: skip
         (said,) = candidates(found, left, 0.05)
         assert "on the held-out flights it removes -2 % of the removable error at most, expected 5 %" in said["why_not"]
 
