@@ -1,6 +1,7 @@
 """Hide and seek: causes drawn from a seed are hidden in raw logs; are they named, and nothing else?
 
-    python benchmarks/hide_and_seek.py [--first 10300] [--draws 200] [--out results/benchmarks/hide_and_seek] [--table]
+    python benchmarks/hide_and_seek.py [--first 10300] [--draws 200] [--rate 0.05] [--table]
+                                       [--out results/benchmarks/hide_and_seek]
 
 The study has the seeds 10300 to 10499. Seeds 1000 to 10299, 50000 to 50159 and 70000 and more were used while
 building.
@@ -8,7 +9,8 @@ building.
 Each draw makes four flights of 30 s, imports and filters the raw logs, settles levels K and A, processes the flights
 anew with what these found, diagnoses them (one is held out) as the workflow does, and compares the diagnosis with the
 truth, which nothing else reads. One JSON per draw; a study that was stopped goes on where it was. --table makes
-docs/hide-and-seek.md of the files that are there, without drawing.
+docs/hide-and-seek.md of the files that are there, without drawing. --rate seeks in the same flights at another false
+alarm rate; such draws stand beside the others, in a table of their own.
 
 The model was identified from sixteen other healthy flights. Half and more of the draws have four healthy reference
 flights beside the affected ones ("reference"); in others every flight is affected, and four of those that made the
@@ -76,7 +78,10 @@ INHERENT = {"rotor_drag", "body_drag", "blade_flapping", "axial_inflow", "vortex
 
 
 def draw(settings: dict[str, Any], seconds: float = 30.0, folder: Path = OUT) -> dict[str, Any]:
-    """Hide, seek, and compare. settings  {"seed"} of `drawn`, or with "hide": what `drawn` would return."""
+    """Hide, seek, and compare.
+
+    settings  {"seed"} of `drawn`; "hide": what `drawn` would return; "rate": another false alarm rate
+    """
     seed = settings["seed"]
     hidden = settings.get("hide") or drawn(seed)
     begin = time.perf_counter()
@@ -97,7 +102,8 @@ def draw(settings: dict[str, Any], seconds: float = 30.0, folder: Path = OUT) ->
             model = Model(identified({f.key: f.filtered for f in flown[1:]}, flown[0].airframe))
         else:
             model = healthy_model(folder / "healthy")
-        document, asked = seek(learned, (recorded[0], flown[0]), model, given)
+        asked_with = {**SETTINGS, "false alarm rate": settings.get("rate", SETTINGS["false alarm rate"])}
+        document, asked = seek(learned, (recorded[0], flown[0]), model, given, asked_with)
     sizes = {name: clarity(name, hidden["effects"][name], asked) for name in hidden["effects"]}
     kept = ("verdict", "summary", "ties", "unexplained", "findings", "candidates", "notes")
     result = {**hidden, "effects said": document["effects"], **{k: document[k] for k in kept}, "sizes": sizes}
@@ -106,14 +112,15 @@ def draw(settings: dict[str, Any], seconds: float = 30.0, folder: Path = OUT) ->
 
 
 def seek(
-    learned: Sequence[tuple[Recorded, Flown]], held: tuple[Recorded, Flown], model: Model, given: str
-) -> tuple[dict[str, Any], Asked]:
+    learned: Sequence[tuple[Recorded, Flown]], held: tuple[Recorded, Flown], model: Model, given: str,
+    settings: Mapping[str, Any] = SETTINGS,
+) -> tuple[dict[str, Any], Asked]:  # fmt: skip
     """The diagnosis of flights, without any knowledge of what is hidden, and what it was made of."""
     effects = catalogue()
     recorded, flown = [list(part) for part in zip(*learned)]
     raw = {f.key: r for r, f in learned}
     told, levels = lower.examine(
-        flown, model.document, SETTINGS, effects, lambda f, c: again([raw[f.key]], [f], [c])[0], 1
+        flown, model.document, settings, effects, lambda f, c: again([raw[f.key]], [f], [c])[0], 1
     )
     calibrations = [for_flight(told, f.compared) for f in [*flown, held[1]]]
     everything = again([*recorded, held[0]], [*flown, held[1]], calibrations)
@@ -121,7 +128,7 @@ def seek(
     roles[held[1].key] = "held out"
     evidence = {f.key: gather(f.key, f.filtered, f.filtered_metadata, f.airframe, model, SAMPLING) for f in everything}
     found = diagnose(
-        model, told, evidence, {f.key: f.filtered for f in everything}, roles, effects, SETTINGS,
+        model, told, evidence, {f.key: f.filtered for f in everything}, roles, effects, settings,
         ([held[1]], [everything[-1]]), "hidden", (), given,
     )  # fmt: skip
     vehicle = vehicle_of(model, room=room_of(SETTINGS["room"]))
@@ -267,8 +274,8 @@ def _ranges(numbers: Sequence[int]) -> str:
     return ", ".join(" to ".join(map(str, run)) for run in runs)
 
 
-def page(results: Sequence[Mapping[str, Any]]) -> str:
-    """The table of all draws in Markdown."""
+def page(results: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, Any]] = ()) -> str:
+    """The table of all draws in Markdown. others  draws of the same seeds at other false alarm rates"""
     seeds = [r["settings"]["seed"] for r in results]
     lost = [r for r in results if r["outcome"] == "lost"]
     results = [r for r in results if r["outcome"] != "lost"]
@@ -277,7 +284,8 @@ def page(results: Sequence[Mapping[str, Any]]) -> str:
     median = float(np.median([r["seconds"]["whole"] for r in results]))
     lines = [
         HEAD,
-        f"{len(seeds)} draws, seeds {min(seeds)} to {max(seeds)}, {missing}; median {median:.0f} s per draw.", "",
+        f"{len(seeds)} draws, seeds {min(seeds)} to {max(seeds)}, {missing}; median {median:.0f} s per draw. The false "
+        f"alarm rate is {SETTINGS['false alarm rate']:g}.", "",
         "| draws | right | of | share | 95 % interval | to reach | a wrong name |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]  # fmt: skip
@@ -314,6 +322,7 @@ def page(results: Sequence[Mapping[str, Any]]) -> str:
         own = [r for r in results if r["design"] == design]
         good, bad = sum(_right(r) for r in own), sum(bool(r["wrong"]) for r in own)
         lines.append(f"| `{design}`: {words} | {good} | {len(own)} | {bad} |")
+    lines += _rates(results, others)
     lines += ["", "## What was hidden and what was said", "", "| hidden | draws | right | named or tied as |",
               "| --- | --- | --- | --- |"]  # fmt: skip
     for name in [*ALL, "nothing"]:
@@ -355,6 +364,25 @@ def page(results: Sequence[Mapping[str, Any]]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _rates(results: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The same draws at other false alarm rates, in the groups that they are in anyway."""
+    lines: list[str] = []
+    before = {r["settings"]["seed"]: r for r in results}
+    for rate in sorted({r["settings"]["rate"] for r in others}):
+        after = {r["settings"]["seed"]: r for r in others if r["settings"]["rate"] == rate}
+        both = [(before[s], after[s]) for s in sorted(before.keys() & after.keys()) if after[s]["outcome"] != "lost"]
+        lines += ["", f"## At a false alarm rate of {rate:g}", "",
+                  f"{len(both)} of these draws, sought in once more.", "",
+                  f"| draws | of | right | right at {rate:g} | a wrong name | a wrong name at {rate:g} |",
+                  "| --- | --- | --- | --- | --- | --- |"]  # fmt: skip
+        for group, (right, _) in GROUPS.items():
+            own = [pair for pair in both if group_of(pair[0]) == group]
+            good = [sum(pair[k]["outcome"] in right for pair in own) for k in (0, 1)]
+            bad = [sum(bool(pair[k]["wrong"]) for pair in own) for k in (0, 1)]
+            lines.append(f"| {group} | {len(own)} | {good[0]} | {good[1]} | {bad[0]} | {bad[1]} |")
+    return lines
+
+
 def _smallest(results: Sequence[Mapping[str, Any]]) -> list[str]:
     """Sizes that would show with |t| = SEEN, against the length of the four flights."""
     told = f"Times the typical size, for |t| = {SEEN:g} in three flights of this length (median over the draws)."
@@ -379,17 +407,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--first", type=int, default=10300)
     parser.add_argument("--draws", type=int, default=200)
+    parser.add_argument("--rate", type=float, help="another false alarm rate")
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--table", action="store_true", help="the table alone, of the draws that are there")
     arguments = parser.parse_args()
     folder = arguments.out / "draws"
-    if arguments.table:
-        read = [read_json(p) for p in sorted(folder.glob("*.json"))]
-        results = [{**r, **judge(r)} if r["outcome"] != "lost" else r for r in read]
-    else:
-        many = [{"seed": arguments.first + k} for k in range(arguments.draws)]
-        results = run(many, lambda s: draw(s, folder=arguments.out), folder, Path(__file__))
-    text = page(results)
+    seeds = range(arguments.first, arguments.first + arguments.draws)
+    if not arguments.table:
+        other = {"rate": arguments.rate} if arguments.rate else {}
+        run([{"seed": s, **other} for s in seeds], lambda s: draw(s, folder=arguments.out), folder, Path(__file__))
+    read = [
+        r for r in map(read_json, sorted(folder.glob("*.json"))) if arguments.table or r["settings"]["seed"] in seeds
+    ]
+    results = [{**r, **judge(r)} if r["outcome"] != "lost" else r for r in read]
+    plain = [r for r in results if "rate" not in r["settings"]]
+    if not plain:
+        raise SystemExit(
+            f"nothing in {folder} was sought at {SETTINGS['false alarm rate']:g}: run without --rate as well"
+        )
+    text = page(plain, [r for r in results if "rate" in r["settings"]])
     write_text(ROOT / "docs/hide-and-seek.md", text)
     print(text)
 

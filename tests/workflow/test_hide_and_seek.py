@@ -130,7 +130,12 @@ def test_shares_have_wilsons_interval_and_the_page_every_draw():
     assert {group_of(r) for r in results} == {"single, above 10, separable"}
     text = page(results)
     assert "| single, above 10, separable | 1 | 2 | 0.50 |" in text
-    assert "| wind | 1 | 0 | tether 1 |" in text
+    assert "| wind | 1 | 0 | tether 1 |" in text and "At a false alarm rate" not in text
+    others = [{**r, "settings": {**r["settings"], "rate": 0.05}} for r in (results[0], results[0])]
+    others[1]["settings"]["seed"] = 1  # what was missed is found
+    text = page(results, others)
+    assert "## At a false alarm rate of 0.05" in text
+    assert "| single, above 10, separable | 2 | 1 | 2 | 1 | 0 |" in text
 
 
 def test_a_model_holds_the_drive_of_the_flights_that_it_was_made_of():
