@@ -6,7 +6,7 @@ Pure functions from plain data to HTML; every text is escaped here, so callers p
 import base64
 import html
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 
 STYLE = """
 :root { --ink: #1c2329; --soft: #5b6770; --line: #d9dee2; --good: #1e7d46; --care: #a86200; --bad: #b3261e; }
@@ -95,12 +95,13 @@ def facts(rows: Iterable[tuple[str, object]]) -> str:
     return f"<table><tbody>{''.join(lines)}</tbody></table>" if lines else ""
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table whose first column names the row and whose others hold numbers."""
-    top = "".join(f'<th scope="col"{" class=n" if i else ""}>{escape(h)}</th>' for i, h in enumerate(head))
+def table(head: Sequence[str], rows: Iterable[Sequence[object]], words: Container[int] = ()) -> str:
+    """A table whose first column names the row and whose others hold numbers, but for the columns `words`."""
+    kind = [' class="n"' if i and i not in words else "" for i in range(len(head))]
+    top = "".join(f'<th scope="col"{k}>{escape(h)}</th>' for k, h in zip(kind, head))
     lines = [
         f'<tr><th scope="row">{escape(row[0])}</th>'
-        + "".join(f'<td class="n">{escape(c)}</td>' for c in row[1:])
+        + "".join(f"<td{k}>{escape(c)}</td>" for k, c in zip(kind[1:], row[1:]))
         + "</tr>"
         for row in rows
     ]

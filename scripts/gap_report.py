@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from quasi.gap.catalogue import catalogue
+from quasi.gap.report.localised import LEVELS
 from quasi.gap.report.page import page
 from quasi.joblog import job
 from quasi.tables import read_bytes, read_json, read_table, write_text
@@ -10,10 +11,11 @@ from quasi.tables import read_bytes, read_json, read_table, write_text
 
 def main(diagnosis: str, tables: str, figures: str, files: list[str], target: str) -> None:
     """Read the diagnosis, its rows and its figures; write one HTML file."""
-    rows = Path(tables) / "W_residuals.parquet"
+    found = {p.stem: p for p in Path(tables).glob("*.parquet")}
+    where = {level: read_table(found[f"{level}_where"]) for level in LEVELS if f"{level}_where" in found}
     pictures = {p.stem: read_bytes(p) for p in sorted(Path(figures).glob("*.png"))}
-    residuals = read_table(rows) if rows.is_file() else None
-    write_text(target, page(read_json(diagnosis), catalogue(files), residuals, pictures))
+    residuals = read_table(found["W_residuals"]) if "W_residuals" in found else None
+    write_text(target, page(read_json(diagnosis), catalogue(files), residuals, pictures, where))
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from quasi import report
 from quasi.gap.calibration.corrections import corrected_at_import
 from quasi.gap.calibration.lower import UNITS as UNITS_OF
 from quasi.gap.effect import Effect
+from quasi.gap.report.localised import table_of
 from quasi.gap.report.next_steps import in_model, steps
 from quasi.gap.report.wording import (
     CHANNELS,
@@ -70,10 +71,12 @@ def page(
     effects: Mapping[str, Effect],
     residuals: pd.DataFrame | None,
     pictures: Mapping[str, bytes],
+    where: Mapping[str, pd.DataFrame] | None = None,
 ) -> str:
     """The page as HTML.
 
     diagnosis  "quasi.gap/1"; effects  the catalogue; residuals  the table W_residuals; pictures {name: PNG}
+    where      {level: its table of places}: K_where to R_where
     """
     roles = diagnosis["flights"]
     keys = {r: [k for k, role in roles.items() if role == r] for r in ("compared", "held out", "reference")}
@@ -100,7 +103,9 @@ def page(
             shown.get("horizons", ""),
         ),
         report.section("Forces and moments over time", _chart(residuals)),
-        report.section("Where the errors live", shown.get("where", ""), shown.get("spectra", "")),
+        report.section(
+            "Where the errors live", table_of(where or {}, SHOWN), shown.get("where", ""), shown.get("spectra", "")
+        ),
         report.section("Other findings", report.sentences(words_of(f["text"], effects) for f in diagnosis["findings"])),
         report.section("What could not be asked", _unasked(diagnosis, effects)),
         report.section(
@@ -321,9 +326,7 @@ def _times(factor: float) -> str:
 def _rivals(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     lost = sorted(diagnosis["candidates"], key=lambda c: c["p"] if c.get("p") is not None else 1.0)[:MOST]
     rows = [[name_of(c["id"]), since_of(c) if c.get("since") else "", words_of(c["why_not"], known)] for c in lost]
-    head = "".join(f'<th scope="col">{h}</th>' for h in ("tested and not named", "asked as", "why not"))
-    lines = "".join("<tr>" + "".join(f"<td>{report.escape(c)}</td>" for c in row) + "</tr>" for row in rows)
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table>" if rows else ""
+    return report.table(["tested and not named", "asked as", "why not"], rows, words=(1, 2))
 
 
 def _ties(diagnosis: Mapping[str, Any]) -> str:

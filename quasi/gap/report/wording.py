@@ -278,7 +278,7 @@ def ranges_of(where: str, mostly: Sequence[Sequence[float]]) -> str:
 def _range(low: float, high: float) -> str:
     """Two numbers, as fine as two digits of what lies between them."""
     places = max(1 - math.floor(math.log10(high - low)), 0) if high > low else 3
-    return f"{round(low, places):g} to {round(high, places):g}"
+    return f"{round(low, places) + 0.0:g} to {round(high, places) + 0.0:g}"
 
 
 def rollout_sentence(diagnosis: Mapping[str, Any]) -> str:
