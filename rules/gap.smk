@@ -140,6 +140,7 @@ rule gap_report:
         diagnosis="results/parts/gap/{gap}/diagnosis.json",
         model="results/parts/gap/{gap}/model.json",
         tables="results/parts/gap/{gap}/tables",
+        sensors="results/parts/gap/{gap}/sensors",
         figures="results/parts/gap/{gap}/figures",
     output:
         "results/parts/gap/{gap}/report.html",

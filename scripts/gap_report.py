@@ -9,9 +9,9 @@ from quasi.joblog import job
 from quasi.tables import read_bytes, read_json, read_table, write_text
 
 
-def main(diagnosis: str, tables: str, figures: str, files: list[str], target: str) -> None:
-    """Read the diagnosis, its rows and its figures; write one HTML file."""
-    found = {p.stem: p for p in Path(tables).glob("*.parquet")}
+def main(diagnosis: str, tables: list[str], figures: str, files: list[str], target: str) -> None:
+    """Read the diagnosis, its rows and its figures; write one HTML file. tables  their folders"""
+    found = {p.stem: p for folder in tables for p in Path(folder).glob("*.parquet")}
     where = {level: read_table(found[f"{level}_where"]) for level in LEVELS if f"{level}_where" in found}
     pictures = {p.stem: read_bytes(p) for p in sorted(Path(figures).glob("*.png"))}
     residuals = read_table(found["W_residuals"]) if "W_residuals" in found else None
@@ -22,7 +22,7 @@ if __name__ == "__main__":
     with job(snakemake.log[0], f"report of gap {snakemake.wildcards.gap}"):
         main(
             snakemake.input.diagnosis,
-            snakemake.input.tables,
+            [snakemake.input.sensors, snakemake.input.tables],
             snakemake.input.figures,
             snakemake.params.files,
             snakemake.output[0],

@@ -45,6 +45,9 @@ def test_a_gap_makes_diagnosis_report_and_a_model_and_a_second_run_does_nothing(
     assert set(found["gap"]["before"]["W"]) == {"Fx", "Fy", "Fz", "Mx", "My", "Mz"}
     page = (folder / "report.html").read_text()
     assert found["verdict"] in page and "http://" not in page and "https://" not in page
+    lives = page[page.index("Where the errors live") :]  # of sensors, drive, forces and moments, simulations
+    for channel in ("northward acceleration", "speed of rotor 1", "vertical force", "velocity"):
+        assert channel in lives
     model = json.loads((project.folder / EXTENDED / "model.json").read_text())
     assert model["id"] == "small-near" and model["provenance"]["extended from"] == "small"
     assert {e["id"] for e in model["extensions"]} == {e["id"] for e in found["effects"] if e["level"] in ("W", "A")}
