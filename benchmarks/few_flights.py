@@ -48,10 +48,10 @@ def main() -> None:
 def compared(learned: list[Flown], others: list[Flown], count: int, draw: int) -> tuple[np.ndarray, np.ndarray]:
     """Ratios (6,) of the errors with and without the flights that are left out, and numbers of terms (2, 6)."""
     some = np.sort(np.random.default_rng([draw, 3]).choice(len(learned), count, replace=False))
-    flights = {learned[k].key: learned[k].filtered for k in some}
+    chosen = [learned[k] for k in some]
     with significance_alone():
-        before = identified(flights, others[0].airframe)
-    models = [before, identified(flights, others[0].airframe)]
+        before = identified(chosen)
+    models = [before, identified(chosen)]
     errors = [error(Model(document), others) for document in models]
     return errors[1] / errors[0], np.array([[len(d["axes"][a]["terms"]) for a in AXES] for d in models])
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quasi.airframe import Airframe, read_airframe
+from quasi.airframe import read_airframe
 from quasi.filtering.flight import filter_flight
 from quasi.gap.effects.payload_swing import LENGTHS
 from quasi.gap.flights.level import Flown
@@ -28,7 +28,7 @@ from quasi.standalone.model import AXES, Model
 from quasi.synthesis.campaign import make_flight, quadrotor_configuration, read_campaign, write_flight
 from quasi.synthesis.effects import OFFERED, UNLISTED
 from quasi.synthesis.vehicle import INERTIA, MASS, base_vehicle
-from quasi.tables import read_json, read_table, write_json, write_table
+from quasi.tables import ages_taken_off, read_json, read_table, write_json, write_table
 
 ROOT = Path(__file__).resolve().parents[1]
 SECONDS = 30.0
@@ -248,21 +248,19 @@ def healthy_model(folder: Path) -> Model:
     """The model that the bundled example's settings make of healthy flights, identified once and kept."""
     path = folder / "model.json"
     if not path.is_file():
-        flights = {}
-        for seed in LEARNED:
-            _, flown = healthy(folder, seed)
-            flights[flown.key] = flown.filtered
-        write_json(path, identified(flights, flown.airframe))
+        write_json(path, identified([healthy(folder, seed)[1] for seed in LEARNED]))
     return Model(read_json(path))
 
 
-def identified(flights: Mapping[str, Any], airframe: Airframe) -> dict[str, Any]:
-    """The document of the model that the bundled example's settings make of some flights, by key."""
+def identified(flown: Sequence[Flown]) -> dict[str, Any]:
+    """The document of the model that the bundled example's settings make of some flights of one vehicle."""
+    flights, airframe = {f.key: f.filtered for f in flown}, flown[0].airframe
+    ages = ages_taken_off({f.key: {"imported": f.metadata} for f in flown})
     settings = read_json(ROOT / "config/models/example.json")
     asked = settings["identification parameters"]
     specification = read_json(ROOT / f"config/polynomials/{asked['polynomial specification file']}.json")
     roles = partition(flights, (), settings["data partitioning"])
-    common = shared(flights, roles, airframe)
+    common = shared(flights, roles, airframe, aged=ages)
     parts = {
         axis: fit_axis(
             axis, flights, roles, airframe, common, {**asked["polynomial"], "bootstrap": 0},

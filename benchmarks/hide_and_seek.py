@@ -99,7 +99,7 @@ def draw(settings: dict[str, Any], seconds: float = 30.0, folder: Path = OUT) ->
         # the first flight has manoeuvres of every kind: what is material shows there
         learned = [*(beside(folder / "healthy", seed) if beside else ()), *zip(recorded[1:], flown[1:])]
         if own:
-            model = Model(identified({f.key: f.filtered for f in flown[1:]}, flown[0].airframe))
+            model = Model(identified(flown[1:]))
         else:
             model = healthy_model(folder / "healthy")
         asked_with = {**SETTINGS, "false alarm rate": settings.get("rate", SETTINGS["false alarm rate"])}

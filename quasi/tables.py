@@ -83,6 +83,7 @@ COLUMNS: dict[str, tuple[str, str, str]] = {
 }
 
 _MADE = b"quasi"
+AGE_OFF = "telemetry age taken off"  # of a delay in a model: else it may hold how late rotor speeds are logged
 
 
 @contextmanager
@@ -216,6 +217,19 @@ def recordings_of(flights: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[st
         if onboard.get("sha256"):
             found[key] = {"sha256": onboard["sha256"], "log": str(onboard.get("log") or "")}
     return found
+
+
+def ages_taken_off(flights: Mapping[str, Mapping[str, Any]]) -> dict[str, bool]:
+    """{flight: whether import took the age of the rotor telemetry off its times}, of those that tell it.
+
+    flights  {key: how the filtered flight was made}; one that was imported before this was kept is left out
+    """
+    imported = {key: made.get("imported") or {} for key, made in flights.items()}
+    return {
+        key: bool((about["rotor telemetry"] or {}).get("applied"))
+        for key, about in imported.items()
+        if "rotor telemetry" in about
+    }
 
 
 def sha256_of(path: str | Path) -> str:

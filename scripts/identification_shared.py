@@ -9,7 +9,7 @@ from quasi.identification.partition import EXCITED, partition, to_table
 from quasi.identification.partition import UNITS as PARTITION_UNITS
 from quasi.identification.shared import shared
 from quasi.joblog import LOG, job, progress
-from quasi.tables import read_made, read_table, recordings_of, write_json, write_table
+from quasi.tables import ages_taken_off, read_made, read_table, recordings_of, write_json, write_table
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
@@ -23,7 +23,8 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
     made = {Path(path).stem: read_made(path) for path in flights}
     roles = partition(tables, options=settings["data partitioning"])
     masses = {key: about["mass"] for key, about in made.items() if about.get("mass")}
-    found = shared(tables, roles, airframe, settings["gravity"], masses, settings["quadrotor"].get("command map"))
+    mapped = settings["quadrotor"].get("command map")
+    found = shared(tables, roles, airframe, settings["gravity"], masses, mapped, ages_taken_off(made))
     if settings["mixed batteries"]:
         kinds = ", ".join(settings["mixed batteries"])
         found["notes"].append(f"the flights were flown with different batteries ({kinds}), as the configuration allows")

@@ -19,6 +19,7 @@ import pandas as pd
 from numba import njit
 
 from quasi.identification.regression import bartlett, memory_window
+from quasi.tables import AGE_OFF
 
 SHORTEST, LONGEST = 0.002, 0.5  # s, of a time constant
 MOST_DELAY = 0.1  # s
@@ -257,11 +258,14 @@ def actuators(
     rows: Mapping[str, np.ndarray],
     notes: list[str],
     configured: Mapping[str, Any] | None = None,
+    aged: Mapping[str, bool] | None = None,
 ) -> dict[str, Any] | None:
     """Constants of the four rotors, medians over flights with their spread; None when no flight tells any.
 
     flights     filtered training flights; rows {flight: (n,) bool} those to compare; notes  is added to
     configured  the quadrotor's given map from command to speed, which stands instead of a fitted one
+    aged        {flight: whether import took the age of its rotor telemetry off}, flights that tell it
+    Where import took it off in some flights, the delay is that of these alone: in the others it holds the age too.
     """
     reference = _reference(flights, rows)
     found: dict[str, list[Lag]] = {}
@@ -281,16 +285,45 @@ def actuators(
         ("time constants down", "down"),
         ("delay", "delay"),
     ):
-        values = np.array([[getattr(lag, field) for lag in lags] for lags in found.values()])
-        errors = np.array([[lag.std[field] for lag in lags] for lags in found.values()])
+        told = _without_age(found, aged or {}) if name == "delay" else found
+        values = np.array([[getattr(lag, field) for lag in lags] for lags in told.values()])
+        errors = np.array([[lag.std[field] for lag in lags] for lags in told.values()])
         result[name] = {"value": np.median(values, axis=0).tolist(), "std": _std(values, errors), "unit": "s",
                         "spread": _spread(values)}  # fmt: skip
     result["spread"] = result["time constants"]["spread"]
     result["per flight"] = {key: [lag.tau for lag in lags] for key, lags in found.items()}
     result["flights"] = {key: _plain(lags) for key, lags in found.items()}
+    _tell_age(found, aged or {}, result, notes)
     result["command map"] = given or _map(found, reference)
     _warn(found, result, notes)
     return result
+
+
+def _without_age(found: Mapping[str, list[Lag]], aged: Mapping[str, bool]) -> Mapping[str, list[Lag]]:
+    """The flights whose delay is the rotors' alone; all of them where there are none."""
+    return {key: lags for key, lags in found.items() if aged.get(key)} or found
+
+
+def _tell_age(
+    found: Mapping[str, list[Lag]], aged: Mapping[str, bool], result: dict[str, Any], notes: list[str]
+) -> None:
+    """Say of every delay whether it holds the age of the rotor telemetry, as far as the flights tell."""
+    for key in found:
+        if key in aged:
+            result["flights"][key]["delay"][AGE_OFF] = bool(aged[key])
+    rest = [key for key in found if not aged.get(key)]
+    if len(rest) < len(found) or all(key in aged for key in found):
+        result["delay"][AGE_OFF] = len(rest) < len(found)
+    if rest and len(rest) < len(found):
+        notes.append(
+            f"the rotors' delay is that of {len(found) - len(rest)} of {len(found)} flights: in {', '.join(rest)} "
+            "import could not take off the age of the rotor telemetry, so that the delay there holds it too"
+        )
+    elif rest and AGE_OFF in result["delay"]:
+        notes.append(
+            "no flight told the age of its rotor telemetry, which the rotors' delay therefore holds; quick yaw inputs "
+            "would tell it"
+        )
 
 
 def _reference(flights: Mapping[str, pd.DataFrame], rows: Mapping[str, np.ndarray]) -> float | None:

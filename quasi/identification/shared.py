@@ -32,6 +32,7 @@ def shared(
     gravity: str = "withGravity",
     masses: Mapping[str, float] | None = None,
     command_map: Mapping[str, Any] | None = None,
+    aged: Mapping[str, bool] | None = None,
 ) -> dict[str, Any]:
     """Hover speed, simple model and actuator constants of the training rows, as plain data; and "contradictions",
     sentences on rotors that seem to sit or turn otherwise than configured.
@@ -40,6 +41,7 @@ def shared(
     gravity    what Fx..Fz hold: "withGravity" (mass x specific force) or "noGravity" (net force)
     masses     kg per flight, where they differ from the airframe's
     command_map  the quadrotor's configured map from command to rotor speed, where there is one
+    aged       {flight: whether import took the age of its rotor telemetry off}, as `tables.ages_taken_off` tells
     Raises DataError when a column or the mass is missing.
     """
     notes: list[str] = []
@@ -68,7 +70,7 @@ def shared(
         "training flights": list(training),
         "hover speed": _hover(prepared, notes),
         "simple model": simple,
-        "actuators": actuators(training, {k: partition[k] == TRAINING for k in training}, notes, command_map),
+        "actuators": actuators(training, {k: partition[k] == TRAINING for k in training}, notes, command_map, aged),
         "contradictions": wrong,
         "notes": notes,
     }

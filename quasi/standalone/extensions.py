@@ -14,6 +14,7 @@ import pandas as pd
 from quasi import attitude
 from quasi.errors import ConfigError, DataError, nearest
 from quasi.standalone.model import ROTORS, Model
+from quasi.tables import AGE_OFF
 
 CONFIGURED = "configured mass"  # of a model's document, kg: that its flights were processed with
 _LAGS = ("time constants", "time constants up", "time constants down")
@@ -54,7 +55,9 @@ def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
         scaled = {k: (v * lag / middle).tolist() for k, v in own.items() if both or k == _LAGS[0]}
         known |= {k: {"value": v} for k, v in ({_LAGS[0]: lag} | scaled).items()}
     if "delay" in found:
-        known["delay"] = {"value": found["delay"]}
+        own = known.get("delay")
+        said = own.get(AGE_OFF) if isinstance(own, Mapping) else None
+        known["delay"] = {"value": found["delay"]} | ({} if said is None else {AGE_OFF: said})
     return known
 
 

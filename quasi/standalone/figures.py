@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from quasi.standalone.diagnostics import ANY
 from quasi.standalone.score import Judged
+from quasi.tables import AGE_OFF
 
 MEASURED, MODEL, SHADE = "0.25", "tab:red", "tab:blue"
 ROLES = {"training": "0.35", "test": "tab:orange", "validation": "tab:blue"}
@@ -224,12 +225,20 @@ def actuator_figure(actuators: Mapping[str, Any] | None) -> Figure | None:
         return None
     figure = Figure(figsize=(10, 3.4), layout="constrained")
     titles = {"time constants up": "time constant up", "time constants down": "time constant down", "delay": "delay"}
+    aged = np.array([flight["delay"].get(AGE_OFF) is False for flight in flights.values()])
     for panel, (name, title) in zip(figure.subplots(1, 3), titles.items()):
         values = 1e3 * np.array([flight[name]["value"] for flight in flights.values()])
         errors = 1e3 * np.array([flight[name]["std"] for flight in flights.values()])
-        panel.boxplot(values, positions=range(1, 5), widths=0.5, showfliers=False, medianprops={"color": MODEL})
+        # delays that hold the age of the telemetry are those of other flights, whose median is none of the rotors'
+        apart = aged if name == "delay" and not aged.all() else np.zeros(len(values), bool)
+        panel.boxplot(values[~apart], positions=range(1, 5), widths=0.5, showfliers=False, medianprops={"color": MODEL})
         places = np.arange(1, 5) + np.linspace(-0.15, 0.15, len(values))[:, None]
-        panel.errorbar(places.ravel(), values.ravel(), errors.ravel(), fmt=".", ms=4, lw=0.8, color=MEASURED)
+        for rows, colour, said in ((~apart, MEASURED, "age of the telemetry taken off"), (apart, "0.6", "age in it")):
+            if rows.any():
+                panel.errorbar(places[rows].ravel(), values[rows].ravel(), errors[rows].ravel(), fmt=".", ms=4, lw=0.8,
+                               color=colour, label=said)  # fmt: skip
+        if apart.any():
+            panel.legend(fontsize=7)
         panel.set_xticks(range(1, 5))
         panel.set_xlabel("rotor")
         panel.set_ylabel(f"{title}, ms")

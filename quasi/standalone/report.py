@@ -13,6 +13,7 @@ from quasi import report
 from quasi.standalone.causes import where_it_acts
 from quasi.standalone.chart import STYLE, chart, packed, step_of
 from quasi.standalone.diagnostics import ANY
+from quasi.tables import AGE_OFF
 
 COLOURS = {"training": "#59636b", "test": "#d97706", "validation": "#1d6fb8"}
 BANDS = ("#fde8e6", "#eef5ec", "#e6effa")
@@ -274,6 +275,12 @@ def _terms(axis: str, part: Mapping[str, Any]) -> str:
     return report.table(head, rows)
 
 
+def _delay(found: Mapping[str, Any]) -> str:
+    """What the row of the delay is called."""
+    said = (found.get("delay") or {}).get(AGE_OFF)
+    return "delay" if said is None else "delay of the command" if said else "delay of command and rotor telemetry"
+
+
 def _rotors(model: Mapping[str, Any]) -> str:
     found = model.get("actuators")
     hover = model["hover speed"]
@@ -289,7 +296,7 @@ def _rotors(model: Mapping[str, Any]) -> str:
     rows = []
     for title, key in (
         ("time constant, up", "time constants up"), ("time constant, down", "time constants down"),
-        ("one time constant for both", "time constants"), ("delay", "delay"),
+        ("one time constant for both", "time constants"), (_delay(found), "delay"),
     ):  # fmt: skip
         entry = found.get(key)
         if entry:

@@ -12,6 +12,7 @@ from quasi.gap.calibration.actuation import SPREAD, examine, size_of
 from quasi.gap.calibration.drive_findings import saturated
 from quasi.gap.calibration.drive_fit import Belief, belief_of, fit_drive
 from quasi.gap.flights.level import Flown, clear
+from quasi.tables import AGE_OFF
 
 RATE, SECONDS, FINER = 500.0, 14.0, 4
 MAP, VOLTS, UP, DOWN = (380.0, 4650.0, -1200.0), 15.2, 0.022, 0.030
@@ -126,6 +127,35 @@ def test_a_model_whose_delay_holds_the_age_of_the_telemetry_or_not_makes_no_heal
         assert not level.effects and not level.ties
         late = {c["id"]: c["p"] for c in level.candidates}
         assert min(late["command_delay"], late["telemetry_delay"]) > 0.05
+
+
+@pytest.mark.parametrize(("held", "aged"), [(0.0, True), (0.002, False)])
+def test_a_model_that_tells_whether_its_delay_holds_the_age_is_compared_like_with_like(held, aged):
+    delay = {"value": [held] * 4}
+
+    def examined(delay, **fault):
+        document = {**MODEL, "actuators": {**MODEL["actuators"], "delay": delay}}
+        return examine([flown(s, **fault) for s in (1, 2, 3)], document, {})
+
+    def wald(level):
+        """Of late commands, named or not."""
+        said = [(c["id"], c["score"]) for c in level.candidates]
+        said += [(e["id"], e["evidence"]["wald"]) for e in level.effects]
+        said += [(name, tie["wald"]) for tie in level.ties for name in tie["ids"]]
+        return dict(said)["command_delay"]
+
+    def beyond(level):
+        """Error of the speeds before, beside what the flights' own constants leave."""
+        channels = level.tables["channels"]
+        return float((channels["before"] / channels["floor"]).max())
+
+    told, silent = examined({**delay, AGE_OFF: aged}), examined(delay)
+    assert not told.effects and not told.ties
+    assert beyond(told) < beyond(silent)
+    for fault in ({"late": 0.004}, {"late": 0.004, "told": True}):
+        sharp, blunt = (examined(d, **fault) for d in ({**delay, AGE_OFF: aged}, delay))
+        assert sharp.effects or sharp.ties
+        assert wald(sharp) > wald(blunt)
 
 
 def test_how_clearly_a_size_shows_by_level_a():

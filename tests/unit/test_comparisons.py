@@ -8,7 +8,7 @@ import pytest
 
 from quasi.comparisons import refuse_trained, same_recordings, unchecked
 from quasi.errors import ConfigError, LogbookError, QuasiError
-from quasi.tables import recordings_of, sha256_of
+from quasi.tables import ages_taken_off, recordings_of, sha256_of
 from quasi.workflow import Folder
 
 ROOT = Path(__file__).parents[2]
@@ -248,6 +248,12 @@ def test_a_model_keeps_the_recordings_of_flights_that_tell_them():
     assert recordings_of(made) == {"a": {"sha256": "ab", "log": "2"}}
     del onboard["log"]
     assert recordings_of(made) == {"a": {"sha256": "ab", "log": ""}}
+
+
+def test_a_flight_tells_whether_its_rotor_telemetry_was_set_right():
+    told = {"a": {"applied": True}, "b": {"applied": False}, "c": None}
+    made = {key: {"imported": {"rotor telemetry": about}} for key, about in told.items()} | {"older": {}, "d": {}}
+    assert ages_taken_off(made) == {"a": True, "b": False, "c": False}
 
 
 def test_a_gap_knows_whether_its_model_was_put_there(folder):

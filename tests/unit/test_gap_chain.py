@@ -17,6 +17,7 @@ from quasi.simulation.control_model import control_model
 from quasi.simulation.replay import rotors_of
 from quasi.standalone.extensions import as_read, drive_of, put_right, said_of_rotors, wind_of
 from quasi.standalone.model import AXES, Model
+from quasi.tables import AGE_OFF
 
 ONE = {
     "wind": {"north": 1.4, "east": -0.9, "down": 0.0},
@@ -154,6 +155,12 @@ def test_a_lag_that_was_found_is_the_model_s_own_from_then_on():
     for found in (in_replay, exported):
         np.testing.assert_allclose([found.up, found.down], np.tile(lags, (4, 1)).T)
         assert found.delay == pytest.approx(0.014)
+    for said in (True, False, None):  # whether the base's delay holds the telemetry's age stays known
+        held = {"value": [0.004] * 4} | ({} if said is None else {AGE_OFF: said})
+        base = Model({**base.document, "actuators": {**actuators, "delay": held}})
+        late = extended(base, ("command_delay", {"delay": 0.01}))
+        for model in (base, late):
+            assert belief_of(model.document, "shares").aged is said
     assert control_model(lagging).lag == pytest.approx(0.045)
 
 

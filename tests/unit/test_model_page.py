@@ -22,10 +22,11 @@ from quasi.standalone.figures import (
     isolation_figure,
     quartile_figure,
 )
-from quasi.standalone.report import page
+from quasi.standalone.report import _delay, page
 from quasi.standalone.score import judge
 from quasi.standalone.summary import number, summary_json, summary_latex, summary_text, tex, unit
 from quasi.standalone.thinning import MOST_POINTS, thin
+from quasi.tables import AGE_OFF
 
 
 @pytest.fixture(scope="module")
@@ -173,6 +174,14 @@ def test_actuator_boxes_hold_every_flight():
     points = max((line for line in panels[1].lines), key=lambda line: len(line.get_xdata()))
     assert sorted(points.get_ydata()) == pytest.approx(sorted([27.0, 30.0, 33.0] * 4))
     assert actuator_figure(None) is None
+    for key in flights:  # of flight c the delay holds the telemetry's age: it is no part of the box
+        flights[key]["delay"] |= {AGE_OFF: key != "c"}
+    apart = actuator_figure({"flights": flights}).axes[2]
+    assert [t.get_text() for t in apart.get_legend().get_texts()] == ["age of the telemetry taken off", "age in it"]
+    box = [x for line in apart.lines if len(line.get_xdata()) == 5 for x in line.get_ydata()]
+    assert max(box) < 1.01 + 1e-9
+    titles = [_delay({"delay": {} if said is None else {AGE_OFF: said}}) for said in (True, False, None)]
+    assert titles == ["delay of the command", "delay of command and rotor telemetry", "delay"]
 
 
 def test_isolation_shades_its_regions(found):

@@ -54,7 +54,7 @@ SPREAD = {"up": 0.05, "down": 0.05, "delay": 7e-4, "a0": 8.0, "a1": 40.0, "a2": 
 BELIEVED = {
     "up": 0.03,
     "down": 0.03,
-    "delay": 1.2e-3,
+    "delay": 1.2e-3,  # of a model that does not tell whether it holds the telemetry's age; else AGE_SPREAD
     "a0": 40.0,
     "a1": 200.0,
     "a2": 200.0,
@@ -100,9 +100,9 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
             "reference and compared flights can show there"
         )
     else:
-        # its delay was found with the age of the telemetry taken off or not, and does not say which
+        # flights are compared with the age of their telemetry in the delay; an older model does not say if its own is
         at = belief.values.copy()
-        at[2] += 0.5 * USUAL_AGE
+        at[2] += {True: 1.0, False: 0.0, None: 0.5}[belief.aged] * USUAL_AGE
         reference = belief._replace(values=at)
     if kind == "speeds" or not any(d.volts_vary for f, d in zip(used, fits) if f.compared):
         why = ("commands are speeds, which the speed controllers hold whatever the battery" if kind == "speeds"
@@ -252,7 +252,8 @@ def _mixed(
     spread = [s * scale.get(n, 1.0) / (np.sqrt(2.0) if n in own else 1.0) for n, s in SPREAD.items()]
     nuisance = list(range(width, width + len(SPREAD)))
     shared = list(range(width + len(SPREAD), len(source)))
-    believed = np.array([s * scale.get(n, 1.0) * (doubt if n in scale else 1.0) for n, s in BELIEVED.items()])
+    known = BELIEVED if reference.aged is None else {**BELIEVED, "delay": AGE_SPREAD}
+    believed = np.array([s * scale.get(n, 1.0) * (doubt if n in scale else 1.0) for n, s in known.items()])
     columns = Columns(shared, nuisance, np.array(spread), {c: [place[n] for n in CAUSES[c]] for c in asked})
     prior = np.diag(1.0 / believed**2)
     return Tests([g[np.ix_(source, source)] for g in grams], compared, columns, PRIOR_FREEDOM, prior, UNPOOLED)

@@ -15,6 +15,7 @@ from quasi.errors import DataError
 from quasi.gap.flights.level import Flown
 from quasi.identification.actuators import follow
 from quasi.standalone.extensions import drive_of
+from quasi.tables import AGE_OFF
 
 ROTORS = range(1, 5)
 RATE = 100.0  # Hz at which residuals are kept
@@ -34,10 +35,14 @@ LOOSE = np.array([0.05, 0.05, 0.05, 300.0, 2000.0, 2000.0, 0.5, 0.1, 0.1, 0.1, 0
 
 
 class Belief(NamedTuple):
-    """Constants that a model or a group of flights holds: values (11,) by NAMES, and the voltage that they hold at."""
+    """Constants that a model or a group of flights holds: values (11,) by NAMES, and the voltage that they hold at.
+
+    aged  whether the age of the rotor telemetry was taken off the delay; None where nobody tells
+    """
 
     values: np.ndarray
     voltage: float | None
+    aged: bool | None = None
 
 
 class DriveFit(NamedTuple):
@@ -142,7 +147,8 @@ def belief_of(document: Mapping[str, Any], kind: str) -> Belief | None:
         own = (table.get("voltage exponent") or {}).get("value") or 0.0
         values[6] = float(found.get("voltage exponent", own))
         voltage = table.get("reference voltage")
-    return Belief(values, voltage)
+    aged = held["delay"].get(AGE_OFF) if "delay" in held else None
+    return Belief(values, voltage, aged if isinstance(aged, bool) else None)
 
 
 def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
