@@ -38,9 +38,11 @@ from quasi.gap.wrench.gain import Squares, after, removed, wrench_squares
 from quasi.gap.wrench.held_out import best_wrong, everything, made_of, telling
 from quasi.gap.wrench.tables import wrench_tables
 from quasi.gap.wrench.worth import Cause
+from quasi.standalone.extensions import configured_mass
 from quasi.standalone.model import AXES, Model
 
 SCHEMA = "quasi.gap/1"
+SAME_MASS = 1e-3  # share: what a scale tells
 
 
 @dataclass
@@ -81,6 +83,7 @@ def diagnose(
     levels = calibration["levels"]
     material.judge(levels, *lower, share)
     said: dict[str, Any] = {"candidates": [], "unexplained": [], "cannot_be_asked": [], "notes": list(lost)}
+    said["notes"] += _weighed(model, [*groups["compared"], *held])
     # what import corrects is no part of the model: it would be taken off a second time
     driving = [e for e in levels["A"]["effects"] if not corrected_at_import(e["id"], "A")]
     drive = [(effects[e["id"]], deviations(effects[e["id"]], e["parameters"]))
@@ -179,6 +182,19 @@ def _since_when(result: dict[str, Any], references: str) -> None:
             for entry in result[part]:
                 if "since" in entry:
                     entry["in training flights"], entry["since"] = entry["since"] == "always", "always"
+
+
+def _weighed(model: Model, flights: Sequence[Evidence]) -> list[str]:
+    """A sentence on flights that were logged with another mass than the model's, where there are any."""
+    own = configured_mass(model)
+    other = {e.key: e.mass for e in flights if own and np.isfinite(e.mass) and abs(e.mass / own - 1.0) > SAME_MASS}
+    if not other:
+        return []
+    masses = " and ".join(f"{m:.4g} kg" for m in sorted(set(other.values())))
+    return [
+        f"logged with {masses}, where the model knows {own:.4g} kg: {', '.join(other)}; simulations of flights take "
+        "the logged mass, and the extended model keeps its own, with what was found on top"
+    ]
 
 
 def _unable(groups: Mapping[str, Sequence[Evidence]], roles: Mapping[str, str], lost: Sequence[str]) -> str:

@@ -11,6 +11,7 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.rollouts.confirmation import Settled
 from quasi.gap.wrench.examination import Found
 from quasi.gap.wrench.worth import Cause
+from quasi.standalone.extensions import mass_in
 
 # shares of resamples in which a cause alone, the strongest of several, another one must be found again
 ALONE, SURE, BESIDE = 0.2, 0.5, 0.8
@@ -40,8 +41,9 @@ def deviations(effect: Effect, parameters: Mapping[str, Mapping[str, Any]]) -> d
 
 
 def as_flown(vehicle: Vehicle, flights: Sequence[Evidence]) -> Vehicle:
-    """The vehicle with the mass that the flights were logged with, from which their residuals tell another one."""
-    return vehicle._replace(mass=float(np.mean([e.mass for e in flights]))) if flights else vehicle
+    """The vehicle with its mass in these flights, as far as it is known: their residuals tell another one."""
+    known = [mass for e in flights if (mass := mass_in(e.model, e.mass)) is not None]
+    return vehicle._replace(mass=float(np.mean(known))) if known else vehicle
 
 
 def truth(effect: Effect, name: str, deviation: float, vehicle: Vehicle) -> float:

@@ -120,6 +120,7 @@ def replay(
     substeps: int = 1,
     threads: int | None = None,
     floor: float | None = None,
+    mass: float | None = None,
 ) -> np.ndarray:
     """Roll-outs of a model with its extensions; returns (S, steps + 1, 17), the simulator's states.
 
@@ -137,6 +138,7 @@ def replay(
     offsets       (S, 6) N, N m, added to the model's forces and moments in each window
     threads       that share the windows, None takes all cores
     floor         z of the floor, m: a load that lies on it when a window begins does nothing in it; None for no floor
+    mass          kg that the vehicle has in this flight; None takes the model's
     A window that diverges holds inf or NaN from there on. Raises ShapeError or DataError.
     """
     model = extended(model)
@@ -180,7 +182,7 @@ def replay(
     added = np.zeros((0, 6)) if offsets is None else -_rows(offsets, "offsets", (count, 6))
     frame = model.airframe
     gravity = GRAVITY if model.with_gravity else 0.0
-    body = body_of(frame.mass, frame.inertia, model.kernel, gravity, given.up, given.down)
+    body = body_of(frame.mass if mass is None else mass, frame.inertia, model.kernel, gravity, given.up, given.down)
     put(parts, frame.hubs, body)
     lying = np.zeros(count, bool) if floor is None else states[starts, 11] > floor - parts.load_length
     out = np.empty((count, steps + 1, STATES))

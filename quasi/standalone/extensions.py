@@ -97,6 +97,17 @@ def configured_mass(model: Model) -> float | None:
     return model.document.get(CONFIGURED, model.airframe.mass)
 
 
+def mass_in(model: Model, logged: float | None) -> float | None:
+    """Mass, kg, that the vehicle has by a model in a flight that was logged, and so processed, with another one.
+
+    What extensions found is more or less than was configured, whatever that was: it comes on top of the logged mass.
+    """
+    own, configured = model.airframe.mass, configured_mass(model)
+    if own is None or configured is None or logged is None or not math.isfinite(logged):
+        return own
+    return own + (logged - configured)
+
+
 def true_speeds(columns: Mapping[str, np.ndarray], late: float, scale: float) -> dict[str, np.ndarray]:
     """A flight's columns with the rotor speeds as they were. late  s that they are late by; scale  too high by"""
     result = dict(columns)
@@ -121,9 +132,9 @@ def put_right(model: Model, columns: Mapping[str, np.ndarray]) -> dict[str, np.n
     return result
 
 
-def as_read(model: Model, flight: pd.DataFrame) -> pd.DataFrame:
+def as_read(model: Model, flight: pd.DataFrame, logged: float | None = None) -> pd.DataFrame:
     """A filtered flight read with what the model knows: rotor speeds, air, and forces and moments by its own mass,
-    inertia and centre of gravity instead of the configured ones.
+    inertia and centre of gravity instead of the configured ones. logged  kg that it was processed with, where known
 
     Parts with states of their own (a load that swings, inflow that lags) stay in the measurement. Source: the filter's
     definitions F = m f, M = I domega/dt + omega x I omega.
@@ -134,7 +145,8 @@ def as_read(model: Model, flight: pd.DataFrame) -> pd.DataFrame:
     columns = {n: flight[n].to_numpy(float) for n in flight if pd.api.types.is_numeric_dtype(flight[n])}
     result = put_right(model, columns)
     rates, turning = (np.stack([columns[f"{c}{d}"] for c in "pqr"], axis=1) for d in ("", "_dot"))
-    shift, configured, mass = shift_of(model), configured_mass(model), model.airframe.mass
+    shift, mass = shift_of(model), mass_in(model, logged)
+    configured = configured_mass(model) if logged is None else logged
     force = np.stack([columns[a] for a in ("Fx", "Fy", "Fz")], axis=1)
     if shift.any():
         force = force + configured * (np.cross(turning, shift) + np.cross(rates, np.cross(rates, shift)))

@@ -29,15 +29,18 @@ def review(
     aside: Mapping[str, Mapping[str, np.ndarray]] | None = None,
     partitioning: Mapping[str, Any] | None = None,
     base: Model | None = None,
+    masses: Mapping[str, float | None] | None = None,
 ) -> Review:
     """Judge a model on its training, test and validation rows.
 
     flights  filtered flights; partition {flight: (n,) role codes}; roles {name: code}
     aside    {axis: {flight: (n,) bool}} training rows that isolation sets aside; partitioning  how rows were drawn
     base     the model that a gap extended to this one: judged on the same rows, and compared with
+    masses   {flight: kg that it was processed with}, of flights that tell it
     Extended models are compared with flights that are read with what they know, see `as_read`.
     """
-    read = {key: as_read(model, flight) for key, flight in flights.items()}
+    masses = masses or {}
+    read = {key: as_read(model, flight, masses.get(key)) for key, flight in flights.items()}
     judged = judge(model, read, partition, aside)
     scores = score_judged(judged, model, roles)
     held = {key: np.asarray(partition[key]) == roles["validation"] for key in flights}
@@ -45,7 +48,7 @@ def review(
     coverage, beyond = covered_share(model, {key: read[key] for key in held}, held)
     beside = None
     if base:
-        own = {key: as_read(base, flight) for key, flight in flights.items()}
+        own = {key: as_read(base, flight, masses.get(key)) for key, flight in flights.items()}
         beside = base.id, score_judged(judge(base, own, partition, aside), base, roles)
     diagnosis = diagnose(model, judged, scores, coverage, beyond, roles, partitioning, beside)
     return Review(judged, scores, coverage, diagnosis)

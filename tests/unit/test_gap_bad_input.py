@@ -54,6 +54,39 @@ def evidence_of(table, model=MODEL):
     return gather("a", table, {}, FRAME, model, 100.0)
 
 
+@pytest.mark.parametrize(
+    ("hertz", "rows", "kept"),
+    [
+        (500.0, 5000, 100.0),
+        (500.0, 15000, 100.0),
+        (1000.0, 20000, 100.0),
+        (1000.0, 24990, 100.0),
+        (400.0, 8000, 100.0),
+        (250.0, 5000, 125.0),
+    ],
+)
+def test_how_long_a_flight_is_does_not_change_how_it_is_thinned(hertz, rows, kept):
+    t = np.arange(rows) / hertz
+    slow = follow(eight(15.0))
+    table = pd.DataFrame({name: np.interp(t, slow["t"], slow[name]) for name in slow}).assign(t=t)
+    found = evidence_of(table)
+    assert 1.0 / np.median(np.diff(found.t)) == pytest.approx(kept)
+
+
+def test_filters_that_let_more_pass_are_sampled_faster_all_flights_alike():
+    t = np.arange(5000) / 500.0
+    slow = follow(eight(15.0))
+    table = pd.DataFrame({name: np.interp(t, slow["t"], slow[name]) for name in slow}).assign(t=t)
+    for cutoff, kept in ((40.0, 100.0), (30.0, 100.0), (80.0, 250.0), (100.0, 250.0)):
+        about = {"filters": {"low-pass cutoff Hz": cutoff}}
+        found = gather("a", table, about, FRAME, MODEL, 100.0)
+        assert 1.0 / np.median(np.diff(found.t)) == pytest.approx(kept)
+        assert kept >= 2.0 * cutoff
+    wide, narrow = ({"filters": {"low-pass cutoff Hz": c}} for c in (80.0, 40.0))
+    found, _ = gather_all({"a": (table, narrow, FRAME), "b": (table, wide, FRAME)}, MODEL, 100.0)
+    assert {round(1.0 / np.median(np.diff(e.t))) for e in found.values()} == {250}
+
+
 def sources(**told):
     """Metadata of a filtered flight whose filter used measurements of these sources."""
     return {"noise": {"measurements": {kind: {"source": source} for kind, source in told.items()}}}

@@ -1,5 +1,7 @@
 """A model that a gap extended is compared like any other: its flights agree with it, and what it knows stays."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -8,8 +10,11 @@ from test_gap_extension import CATALOGUE, base_of, flight
 from quasi.errors import ConfigError
 from quasi.export.contents import actuators_of as exported_rotors
 from quasi.gap.calibration.drive_fit import belief_of
+from quasi.gap.diagnosis import _weighed
 from quasi.gap.effect import vehicle_of
+from quasi.gap.entries import as_flown
 from quasi.gap.extension import extend
+from quasi.gap.flights.evidence import model_wrench
 from quasi.gap.flights.gathering import gather
 from quasi.gap.flights.instruments import shown
 from quasi.gap.wrench.examination import WEIGHING, _carried
@@ -95,6 +100,28 @@ def test_one_step_after_another_is_both_at_once(name):
     half = gathered(table, between, base)
     assert np.abs(half.residual).max() > 1e-4
     np.testing.assert_allclose(shown(twice, between, half), half.measured, atol=1e-9)
+
+
+def test_what_is_found_comes_on_top_of_the_mass_that_a_flight_was_logged_with():
+    """Logged 40 g above the model's mass and 10 g heavier still: measured forces are logged mass x specific force."""
+    base, more, found = base_of("withGravity"), 0.04, 0.01
+    truth = extended(base, ("mass", {"mass": found}))
+    evidence, _ = flight(base)
+    own = base.airframe.mass
+    evidence = replace(evidence, mass=own + more)
+    force = model_wrench(base, evidence.columns)[:, :3]  # of the air: no mass in it
+    told = shown(truth, base, evidence)[:, :3]
+    np.testing.assert_allclose(told, force * (own + more) / (own + more + found), rtol=1e-12)
+    vehicle = as_flown(vehicle_of(base), [evidence])
+    assert vehicle.mass == pytest.approx(own + more)
+    again = replace(evidence, model=truth)
+    assert as_flown(vehicle_of(truth), [again]).mass == pytest.approx(own + more + found)
+    still = dict.fromkeys(("p_dot", "q_dot", "r_dot"), 0.0)
+    table = pd.DataFrame({**evidence.columns, **dict(zip(AXES, evidence.predicted.T))}).assign(**still)
+    read = as_read(truth, table, own + more)
+    np.testing.assert_allclose(read["Fz"], table["Fz"] * (own + more + found) / (own + more), rtol=1e-12)
+    (note,) = _weighed(base, [evidence])
+    assert f"logged with {own + more:.4g} kg" in note and not _weighed(base, [flight(base)[0]])
 
 
 def test_what_an_earlier_extension_knows_stays_beside_a_later_one():

@@ -5,25 +5,32 @@ import pandas as pd
 import pytest
 from plain_plant import made_model
 
+from quasi.attitude import from_euler, rotate_inverse
 from quasi.gap.flights.gathering import gather
 from quasi.gap.report.figures import figures
 from quasi.gap.rollouts import open_loop, rollout_gain
 from quasi.simulation.rollout import rollout
+from quasi.standalone.extensions import CONFIGURED, mass_in
 from quasi.standalone.model import Model
 
 RATE, SECONDS = 200.0, 6.0
 N = int(RATE * SECONDS)
 
 
-def flown(model, lag=0.0):
-    """A flight that the model itself flew with given rotor speeds, from hover."""
+def flown(model, wind=None, mass=None):
+    """A flight that the model itself flew with given rotor speeds, from hover. wind (3,) m/s; mass kg instead of its"""
     t = np.arange(N) / RATE
     states = np.zeros((N, 12))
     speeds = 1500.0 + 15.0 * np.sin(2.1 * t)[:, None] + 2.0 * np.sin(5.0 * t)[:, None] * np.array([1, -1, 1, -1])
-    states = rollout(model, t, states, speeds, np.array([0]), t[-1] - 0.5 / RATE)[0]
+    heavy = model if mass is None else weighing(model, mass)
+    air = None if wind is None else np.tile(np.asarray(wind, float), (N, 1))
+    states = rollout(heavy, t, states, speeds, np.array([0]), t[-1] - 0.5 / RATE, wind=air)[0]
     t, speeds = t[: len(states)], speeds[: len(states)]
     names = ("roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z")
     table = pd.DataFrame({"t": t, **dict(zip(names, states.T)), **{f"w{i + 1}": speeds[:, i] for i in range(4)}})
+    if wind is not None:  # as import writes it where somebody told the wind
+        through = states[:, 3:6] - rotate_inverse(from_euler(*states[:, :3].T), np.asarray(wind, float))
+        table = table.assign(**dict(zip(("u_air", "v_air", "w_air"), through.T)))
     rows = model.predict_columns(table.assign(**{f"w{i}_dot": np.gradient(table[f"w{i}"], t) for i in range(1, 5)}))
     return table.assign(**{a: rows[a] for a in ("Fx", "Fy", "Fz", "Mx", "My", "Mz")}, valid=1.0)
 
@@ -39,6 +46,40 @@ def ends_of(model, flight, horizons):
     lags = np.array([round(h * RATE) for h in horizons])
     run = open_loop.simulated(model, flight, starts, max(horizons))
     return open_loop.table_of(flight, starts, open_loop.vectors(run, flight, starts, lags), horizons)
+
+
+def weighing(model, mass):
+    return Model({**model.document, "airframe": {**model.document["airframe"], "mass": mass}})
+
+
+def test_a_wind_that_the_flight_knows_blows_in_its_simulations(model):
+    table = flown(model, wind=(3.0, -1.0, 0.2))
+    assert open_loop.rms(ends_of(model, open_loop.flight_of("a", table), [0.5]))["velocity"]["0.5"] < 1e-6
+    over_ground = open_loop.flight_of("a", table.drop(columns=["u_air", "v_air", "w_air"]))
+    assert open_loop.rms(ends_of(model, over_ground, [0.5]))["velocity"]["0.5"] > 0.2
+    # a wind that an extension found comes on top of what the flight knew
+    known = [1.0, 0.5, 0.0]
+    partly = table.assign(**dict(zip(("u_air", "v_air", "w_air"), (
+        table[["u", "v", "w"]].to_numpy() - rotate_inverse(from_euler(*table[["roll", "pitch", "yaw"]].to_numpy().T),
+                                                            np.array(known))).T)))  # fmt: skip
+    rest = {"id": "wind", "environment": {"wind": [2.0, -1.5, 0.2]}}
+    found = Model({**model.document, "extensions": [rest]})
+    assert open_loop.rms(ends_of(found, open_loop.flight_of("a", partly), [0.5]))["velocity"]["0.5"] < 1e-6
+
+
+def test_a_flight_is_simulated_with_the_mass_that_it_was_logged_with(model):
+    own = model.airframe.mass
+    table = flown(model, mass=own + 0.05)
+    logged = open_loop.flight_of("a", table, own + 0.05)
+    assert open_loop.rms(ends_of(model, logged, [0.5]))["velocity"]["0.5"] < 1e-6
+    unknown = open_loop.rms(ends_of(model, open_loop.flight_of("a", table), [0.5]))["velocity"]["0.5"]
+    # lighter by 50 g the same thrust, of about the weight of 0.48 kg, lifts it: dv = a (1 - exp(-c t))/c
+    assert unknown == pytest.approx(9.81 * 0.05 / own * 0.5, rel=0.2)
+    # what an extension found is on top of the logged mass
+    found = Model({**weighing(model, own + 0.01).document, CONFIGURED: own})
+    assert mass_in(found, own + 0.04) == pytest.approx(own + 0.05)
+    assert open_loop.rms(ends_of(found, logged._replace(mass=own + 0.04), [0.5]))["velocity"]["0.5"] < 1e-6
+    assert mass_in(found, None) == mass_in(found, float("nan")) == pytest.approx(own + 0.01)
 
 
 def heavier(model, share):

@@ -19,6 +19,7 @@ HEAVIER = 2.0  # a factor of mass that no load explains
 ELSEWHERE = 0.5  # of the arm: rotors are numbered otherwise, or it is another frame
 SECOND = 1.0  # s: what low-pass filters and whiteners leave of less is nothing
 SENSELESS = 1e4  # times the weight, and the weight at the arm: no model of a quadrotor means that
+SAMPLES = 2.5  # per period of the filters' cut-off: what they let pass is then not folded
 UNTOLD = ("none", "standing still")  # sources of a flight's velocity or position that tell nothing of it in flight
 
 
@@ -69,6 +70,7 @@ def gather_all(
     a velocity: then nothing is wrong with model and flights, and the levels below can be asked.
     """
     found, lost, drifting, nowhere = {}, [], False, []
+    rate = max([rate, *(_least_rate(metadata) for _, metadata, _ in flights.values())])
     for key, (table, metadata, airframe) in flights.items():
         speed, place = measured_motion(metadata)
         if not speed:
@@ -99,10 +101,15 @@ def gather_all(
     return found, lost
 
 
+def _least_rate(metadata: Mapping[str, Any]) -> float:
+    """Hz that a flight's forces need, by the low-pass that they went through; 0 where nobody tells."""
+    return SAMPLES * float((metadata.get("filters") or {}).get("low-pass cutoff Hz") or 0.0)
+
+
 def gather(
     key: str, flight: pd.DataFrame, metadata: Mapping[str, object], airframe: Airframe, model: Model, rate: float
 ) -> Evidence:
-    """Evidence of a filtered flight, thinned to about `rate` Hz.
+    """Evidence of a filtered flight, thinned to about `rate` Hz, to more where its filters let higher frequencies pass.
 
     flight  filtered, of the kind (with or without gravity) that the model predicts; its forces are band-limited, so
             that thinning to 2.5 times their cut-off loses nothing
@@ -124,7 +131,8 @@ def gather(
     if missing:
         raise DataError(f"flight {key} has no column '{missing[0]}', which a comparison with a model needs")
     sampling = 1.0 / float(np.median(np.diff(flight["t"].to_numpy())))
-    every = max(int(sampling // rate), 1)
+    # the step of time is known to rounding alone: 499.99.. Hz are no less than 500
+    every = max(int((sampling + 1e-6) // max(rate, _least_rate(metadata))), 1)
     good = np.isfinite(flight[list(NEEDED)].to_numpy()).all(axis=1)
     if "valid" in flight:
         good &= flight["valid"].to_numpy() > 0.5

@@ -15,7 +15,7 @@ from quasi.gap.flights.evidence import Evidence, model_wrench
 from quasi.gap.flights.inflow import overshoot
 from quasi.gap.flights.pendulum import pull_of
 from quasi.simulation.variants import named, parts_of
-from quasi.standalone.extensions import configured_mass, shift_of, telemetry_of, true_speeds, wind_of
+from quasi.standalone.extensions import configured_mass, mass_in, shift_of, telemetry_of, true_speeds, wind_of
 from quasi.standalone.model import Model
 
 
@@ -45,8 +45,9 @@ def shown(extended: Model, base: Model, flight: Evidence) -> np.ndarray:
         along = attitude.rotate_inverse(flight.quaternion, wind)
         columns = {**columns, **{f"{a}_air": flight.velocity[:, k] - along[:, k] for k, a in enumerate("uvw")}}
     wrench = model_wrench(extended, columns)
-    configured = configured_mass(base)
-    mass = configured if extended.airframe.mass is None else extended.airframe.mass
+    configured = flight.mass if np.isfinite(flight.mass) else configured_mass(base)
+    mass = mass_in(extended, flight.mass)
+    mass = configured if mass is None else mass
     configured = configured if configured is not None else mass
     inertia, own = np.asarray(extended.airframe.inertia), flight.inertia
     turning = np.linalg.solve(inertia, (wrench[:, 3:] - flight.gyroscopic(inertia)).T).T

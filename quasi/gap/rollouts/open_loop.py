@@ -11,7 +11,7 @@ from quasi.gap.statistics import blocks
 from quasi.gap.wrench.gain import states_of
 from quasi.simulation.replay import Rotors, replay, steps_of, twelve
 from quasi.simulation.rollout import errors
-from quasi.standalone.extensions import said_of_rotors, shift_of
+from quasi.standalone.extensions import mass_in, said_of_rotors, shift_of, wind_of
 from quasi.standalone.model import Model
 
 EVERY = 0.2  # s between the starts of two windows
@@ -27,7 +27,7 @@ PLAIN, TRIMMED, TOLD = "R", "R with trim", "R commands"  # measured rotor speeds
 
 
 class Flight(NamedTuple):
-    """A held-out flight: its table, and what roll-outs need of it."""
+    """A held-out flight: its table, and what roll-outs need of it; mass  kg that it was logged with, where known."""
 
     key: str
     table: pd.DataFrame
@@ -35,11 +35,25 @@ class Flight(NamedTuple):
     states: np.ndarray
     speeds: np.ndarray
     valid: np.ndarray
+    mass: float | None = None
 
 
-def flight_of(key: str, table: pd.DataFrame) -> Flight:
-    """A filtered flight made ready."""
-    return Flight(key, table, *states_of(table))
+def flight_of(key: str, table: pd.DataFrame, mass: float | None = None) -> Flight:
+    """A filtered flight made ready. mass  kg that it was logged with"""
+    return Flight(key, table, *states_of(table), mass)
+
+
+def air_of(model: Model, flight: Flight) -> np.ndarray | None:
+    """Velocity of the air (N, 3), m/s, earth axes: what the flight knows of it and the model's extensions; None for 0.
+
+    What the flight knows is the difference of its velocities over ground and through the air, as forces are asked of.
+    """
+    wind = np.tile(wind_of(model), (len(flight.t), 1))
+    names = [f"{c}_air" for c in "uvw"]
+    if all(n in flight.table for n in names):
+        known = flight.states[:, 3:6] - flight.table[names].to_numpy(float)
+        wind = wind + rotate(from_euler(*flight.states[:, :3].T), np.nan_to_num(known))
+    return wind if wind.any() else None
 
 
 def commands_of(model: Model, flight: Flight) -> np.ndarray | None:
@@ -85,8 +99,7 @@ def simulated(
     commands  (N, 4) rad/s that drive the rotors; None takes the measured rotor speeds; rotors  how they follow them,
               None takes what the model knows
     """
-    wind = model.document.get("environment", {}).get("wind")
-    air = None if wind is None else np.ascontiguousarray(np.broadcast_to(np.asarray(wind, float), (len(flight.t), 3)))
+    air, mass = air_of(model, flight), mass_in(model, flight.mass)
     extra = {n: np.nan_to_num(flight.table[n].to_numpy(float)) for n in model.inputs[20:] if n in flight.table}
     commands = None if commands is None else np.nan_to_num(commands)
     shift, states = shift_of(model), flight.states
@@ -95,7 +108,7 @@ def simulated(
         states[:, 3:6] += np.cross(states[:, 6:9], shift)
         states[:, 9:] += rotate(from_euler(*states[:, :3].T), shift)
     driven = (commands, rotors, air, extra or None, offsets)
-    run = twelve(replay(model, flight.t, states, flight.speeds, starts, horizon, *driven, floor=0.0))
+    run = twelve(replay(model, flight.t, states, flight.speeds, starts, horizon, *driven, floor=0.0, mass=mass))
     if shift.any():
         run[..., 3:6] -= np.cross(run[..., 6:9], shift)
         run[..., 9:] -= rotate(from_euler(*np.moveaxis(run[..., :3], -1, 0)), shift)

@@ -46,6 +46,7 @@ from quasi.gap.rollouts.open_loop import (
 from quasi.gap.rollouts.rollout_places import channels_of, placed, where_of
 from quasi.gap.statistics import blocks
 from quasi.gap.wrench.gain import after, before
+from quasi.standalone.extensions import mass_in
 from quasi.standalone.model import Model
 
 TRIM, MARGIN, LEAST = 2.0, 0.1, 0.5  # s before a window; s that low-pass filters look ahead; s that must be valid
@@ -97,7 +98,8 @@ def tracks_of(
     """
     found = []
     for evidence in held:
-        course = course_of(evidence, flight_of(evidence.key, tables[evidence.key]), sorted(horizons), EVERY)
+        flight = flight_of(evidence.key, tables[evidence.key], evidence.mass)
+        course = course_of(evidence, flight, sorted(horizons), EVERY)
         if len(course.starts):
             units = np.broadcast_to(np.eye(6), (len(evidence), 6, 6))
             known = [_known(course, commands_of(model, course.flight)) for model in models]
@@ -151,8 +153,9 @@ def _errors(track: Track, model: Model, base: Model, line: str, drive: Mapping[s
     if line == TRIMMED:
         offsets = trim_of(track, after(model, base)(track.evidence))
         # what instruments show with the configured constants, in the model's own
-        if model.airframe.mass and base.airframe.mass:
-            offsets[:, :3] *= model.airframe.mass / base.airframe.mass
+        logged, mass = track.evidence.mass, mass_in(model, track.evidence.mass)
+        if mass and np.isfinite(logged):
+            offsets[:, :3] *= mass / logged
         offsets[:, 3:] = offsets[:, 3:] @ np.linalg.solve(track.course.inertia, np.asarray(model.airframe.inertia)).T
     if line == TOLD:
         commands = commands_of(model, course.flight)

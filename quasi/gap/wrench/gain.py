@@ -15,7 +15,6 @@ from quasi.gap.statistics import blocks
 from quasi.gap.statistics.whitening import Whitener, thin, whiten
 from quasi.gap.wrench.nuisance import nuisances
 from quasi.gap.wrench.study import BAND, ORDER
-from quasi.simulation.rollout import errors, rollout, steps_of
 from quasi.standalone.model import AXES, STATE, Model
 
 BLOCK = 5.0  # s
@@ -178,39 +177,6 @@ def removed(
     known = np.where(least < best, least / np.maximum(floor.mean(), 1e-300), 1.0)
     told = blocks.shares(old.flight, old.t, old.values, new.values, known * floor.values, reached and reached.values)
     return dict(zip(AXES, told))
-
-
-def rollout_errors(
-    model: Model,
-    flights: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]],
-    horizons: Sequence[float],
-    extra: Sequence[Mapping[str, np.ndarray]] | None = None,
-) -> dict[float, dict[str, np.ndarray]]:
-    """Errors at the end of open-loop roll-outs with measured rotor speeds, {horizon: {quantity: (windows,)}}.
-
-    flights  (t (N,), states (N, 12), rotor speeds (N, 4), valid (N,) bool) of each; windows start every 0.1 s where all
-             of the window is valid; quantities as in `quasi.simulation.rollout.errors`
-    """
-    wind = model.document.get("environment", {}).get("wind")
-    result: dict[float, dict[str, np.ndarray]] = {}
-    for horizon in horizons:
-        gathered: dict[str, list[np.ndarray]] = {}
-        for number, (t, states, speeds, valid) in enumerate(flights):
-            steps = steps_of(t, horizon)
-            sums = np.concatenate([[0], np.cumsum(~valid)])
-            every = max(round(0.1 / float(np.median(np.diff(t)))), 1)
-            starts = np.arange(0, len(t) - steps - 1, every)
-            starts = starts[sums[starts + steps + 1] == sums[starts]]
-            if not len(starts):
-                continue
-            air = None if wind is None else np.broadcast_to(np.asarray(wind, float), (len(t), 3))
-            given = {"t": t, **(extra[number] if extra else {})}
-            given = {name: given[name] for name in model.inputs[20:] if name in given}
-            rolled = rollout(model, t, states, speeds, starts, horizon, wind=air, extra=given or None)
-            for quantity, values in errors(rolled, states, starts).items():
-                gathered.setdefault(quantity, []).append(values[:, -1])
-        result[horizon] = {quantity: np.concatenate(parts) for quantity, parts in gathered.items()}
-    return result
 
 
 def states_of(flight: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -77,13 +77,14 @@ def _merged(spectra: Mapping[tuple[str, str], list]) -> pd.DataFrame:
     rows = []
     for role in dict.fromkeys(r for r, _ in spectra):
         before, after = spectra.get((role, "before"), []), spectra.get((role, "after"), [])
-        lengths = {len(f) for f, *_ in before}
-        if len(lengths) != 1:
-            continue  # no stretch is long enough, or the flights are sampled at several rates
-        frequency = before[0][0]
+        if not before:
+            continue  # no stretch is long enough
+        # segments are alike in seconds, so that flights of several rates share their lowest frequencies
+        common = min(len(f) for f, *_ in before)
+        frequency = before[0][0][:common]
         means = {
-            "before": np.mean([d for _, d, _ in before], axis=0),
-            "after": np.mean([d for _, d, _ in after], axis=0),
+            "before": np.mean([d[:common] for _, d, _ in before], axis=0),
+            "after": np.mean([d[:common] for _, d, _ in after], axis=0),
         }
         for k, axis in enumerate(AXES):
             rows.append(
