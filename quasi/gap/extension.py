@@ -44,8 +44,10 @@ def extend(
 
     causes  (cause, {parameter: deviation}); name  the new model's ID; where  what found them, for provenance
     changes  (terms,) added to the coefficients of the model's own terms, axis after axis, where they were fitted anew
+    A cause that is given twice, for what all flights have and for what is new, acts once, by both together.
     Raises ConfigError for a cause that this model cannot carry, by name.
     """
+    causes = _joined(causes)
     document = copy.deepcopy(model.document)
     document["id"] = name
     # what an earlier gap found stays: a model that is extended already is extended further
@@ -100,6 +102,17 @@ def extend(
     document["provenance"] = {**document.get("provenance", {}), "extended from": model.id, "by": where}
     Model(document, f"model {name}")
     return document
+
+
+def _joined(causes: Sequence[tuple[Effect, Values]]) -> list[tuple[Effect, Values]]:
+    """Each cause once: deviations add up; constants of level A that are stated as they are stand for both."""
+    found: dict[str, tuple[Effect, dict[str, float]]] = {}
+    for effect, values in causes:
+        _, together = found.setdefault(effect.id, (effect, {}))
+        for name, value in values.items():
+            absolute = effect.level == "A" and effect.parameters[name].neutral is None
+            together[name] = float(value) if absolute else together.get(name, 0.0) + float(value)
+    return list(found.values())
 
 
 def _told(effect: Effect, values: Values) -> dict[str, dict[str, Any]]:

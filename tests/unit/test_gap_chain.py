@@ -19,9 +19,9 @@ from quasi.gap.flights.gathering import gather
 from quasi.gap.flights.instruments import shown
 from quasi.gap.wrench.examination import WEIGHING, _carried
 from quasi.simulation.control_model import control_model
-from quasi.simulation.replay import rotors_of
+from quasi.simulation.replay import replay, rotors_of
 from quasi.standalone.extensions import as_read, drive_of, put_right, said_of_rotors, wind_of
-from quasi.standalone.model import AXES, Model
+from quasi.standalone.model import AXES, STATE, Model
 from quasi.tables import AGE_OFF
 
 ONE = {
@@ -122,6 +122,30 @@ def test_what_is_found_comes_on_top_of_the_mass_that_a_flight_was_logged_with():
     np.testing.assert_allclose(read["Fz"], table["Fz"] * (own + more + found) / (own + more), rtol=1e-12)
     (note,) = _weighed(base, [evidence])
     assert f"logged with {own + more:.4g} kg" in note and not _weighed(base, [flight(base)[0]])
+
+
+@pytest.mark.parametrize("name", list(ONE))
+def test_a_cause_of_old_and_of_new_acts_by_both_together(name):
+    """What all flights have and what is new since the reference flights are told apart, and stand in one section."""
+    base = base_of("withGravity")
+    old, new = ({k: share * v for k, v in ONE[name].items()} for share in (0.3, 0.7))
+    both, whole = extended(base, (name, old), (name, new)), extended(base, (name, ONE[name]))
+    assert [e["id"] for e in both.document["extensions"]] == [name]
+    evidence, _ = flight(base)
+    np.testing.assert_allclose(shown(both, base, evidence), shown(whole, base, evidence), atol=1e-9)
+    n = len(evidence)
+    states = np.stack([evidence.columns[k] for k in STATE], axis=1)
+    runs = [replay(m, evidence.t, states, evidence.speeds, np.arange(0, n - 30, 40), 0.2) for m in (both, whole)]
+    np.testing.assert_allclose(*runs, atol=1e-9)
+
+
+def test_constants_of_the_drive_add_up_where_they_are_differences():
+    base = base_of("withGravity")
+    base = Model({**base.document, "actuators": {"time constants": {"value": [0.03] * 4}, "delay": {"value": 0.004}}})
+    late = extended(base, ("command_delay", {"delay": 0.003}), ("command_delay", {"delay": 0.005}))
+    assert said_of_rotors(late)["delay"] == pytest.approx(0.012)
+    slow = extended(base, ("motor_lag", {"time_constant": 0.045}), ("motor_lag", {"time_constant": 0.045}))
+    assert said_of_rotors(slow)["time constant"] == pytest.approx(0.045)
 
 
 def test_what_an_earlier_extension_knows_stays_beside_a_later_one():
