@@ -180,6 +180,14 @@ def test_two_causes_that_mend_each_other_are_told_by_the_one_that_does_alone():
     assert simplest([a, b], list, both, judged(OLD).errors, FLOOR, SHARE) == [a, b]
 
 
+def test_of_two_that_would_each_do_alone_the_other_flights_choose():
+    a, b = cause("a", p=1e-12), cause("b", p=1e-6)
+    score = scored({frozenset("ab"): fz(1.0), frozenset("a"): fz(1.1), frozenset("b"): fz(1.0)}, OLD)
+    assert simplest([a, b], list, score, judged(OLD).errors, FLOOR, SHARE) == [a]
+    score = scored({frozenset("ab"): fz(1.0), frozenset("a"): fz(2.0), frozenset("b"): fz(1.0)}, OLD)
+    assert simplest([a, b], list, score, judged(OLD).errors, FLOOR, SHARE) == [b]  # held-out flights rule a out
+
+
 def test_a_cause_that_held_out_flights_do_not_show_is_not_needless_to_them():
     a, b = cause("a"), cause("b")
     score = scored({frozenset("ab"): fz(1.0), frozenset("a"): fz(1.05), frozenset("b"): fz(3.0)}, OLD)

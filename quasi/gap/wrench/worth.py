@@ -144,7 +144,7 @@ def simplest(
 ) -> list[Cause]:
     """The fewest of the causes that leave less than SIMPLER times `share` of the removable error more than all do.
 
-    Two causes that mend each other's mistakes are needed both as long as both are there.
+    Of as many, those that the other flights tell most clearly. Two causes that mend each other's mistakes are needed both as long as both are there.
     estimated  some causes -> the same with their parameters found without the others, None where these are impossible
     score      of held-out flights; unjudged  causes that these do not show, and so cannot call needless
     """
@@ -158,8 +158,10 @@ def simplest(
         if not tried:
             continue
         losses = [float(((score(some).errors.mean() - whole) / removable).max()) for some in tried]
-        if min(losses) < SIMPLER * share:
-            best = tried[int(np.argmin(losses))]
+        enough = [some for some, loss in zip(tried, losses) if loss < SIMPLER * share]
+        if enough:
+            # these flights only rule out; of what they leave, the others choose: where the faintest cause is clearest
+            best = min(enough, key=lambda some: max((c.test.p for c in some), default=0.0))
             before = {c.effect.id: c for c in causes}
             for cause in best:
                 cause.gain, cause.probability = before[cause.effect.id].gain, before[cause.effect.id].probability
