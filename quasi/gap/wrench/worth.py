@@ -144,7 +144,8 @@ def simplest(
 ) -> list[Cause]:
     """The fewest of the causes that leave less than SIMPLER times `share` of the removable error more than all do.
 
-    Of as many, those that the other flights tell most clearly. Two causes that mend each other's mistakes are needed both as long as both are there.
+    Of as many, those that the other flights tell most clearly. Two causes that mend each other's mistakes are needed
+    both as long as both are there.
     estimated  some causes -> the same with their parameters found without the others, None where these are impossible
     score      of held-out flights; unjudged  causes that these do not show, and so cannot call needless
     """
