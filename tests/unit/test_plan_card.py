@@ -47,6 +47,16 @@ def test_what_is_proposed_raises_what_was_hidden(card):
         assert (f"{name.replace('_', ' ')}: " in told) == (sight.verdict != "seen")
 
 
+def test_a_flight_may_excite_what_no_manoeuvre_does(few):
+    """A steep descent meets its own wake, a staircase and doublets do not."""
+    table = eight(30.0)
+    falling = table.assign(z=table["z"] + 2.0 * np.cumsum(np.sin(0.5 * table["t"]) ** 2) * np.gradient(table["t"]))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plan, "library", lambda *_: few)
+        found = plan.examine([plan.read_flight(falling, MODEL, "fall.csv")], MODEL, CATALOGUE, reference=2)
+    assert "vortex_ring" in {row.effect.id for row in found.rows} and found.proposals
+
+
 def test_the_card_reads_the_same_as_text_page_and_data(card):
     text, page, data = flight_card.text(card), flight_card.page(card), flight_card.data(card)
     assert text.startswith(flight_card.headline(card)) and flight_card.headline(card) in page

@@ -11,8 +11,9 @@ from quasi.gap.catalogue import catalogue, whole_of
 from quasi.gap.effect import vehicle_of
 from quasi.gap.extension import extend
 from quasi.gap.flights.instruments import reread
+from quasi.gap.statistics import mixed as tests_on
 from quasi.gap.statistics.mixed import Offer
-from quasi.gap.wrench import held_out, sought
+from quasi.gap.wrench import examination, held_out, sought
 from quasi.gap.wrench.examination import examine
 from quasi.gap.wrench.gain import Score, after, wrench_score
 from quasi.gap.wrench.held_out import everything
@@ -283,3 +284,35 @@ def test_a_cause_that_is_contradicted_leaves_no_twin_named_alone(ground, monkeyp
     [(since, tie)] = found.ties
     assert since == "changed" and {t.offer.cause for t in tie.tests} == {"rotor_speed_scale", "thrust_factor"}
     assert "rotor_speed_scale" not in found.contradicted
+
+
+def test_what_was_significant_beside_a_cause_that_axes_contradict_alone_goes_with_it(monkeypatch):
+    """b mends what a does wrong: without a there is nothing of it; c stands by itself."""
+    torn = {"body_drag": 5.0, "rotor_drag": 1.0, "ground_effect": 1.0}
+    effects = {n: catalogue()[n] for n in torn}
+
+    class Together:
+        def pooled(self, since):
+            return []
+
+        def test(self, offer, given, pooled):
+            alone = offer.cause == "rotor_drag" and "body_drag" not in {o.cause for o in given}
+            p, value = (0.4, 0.5) if alone else (1e-9, 6.0)
+            count = len(offer.which)
+            return tests_on.Test(offer, np.full(count, value), np.eye(count), 1.0, value**2, p)
+
+    mixed = Together()
+    monkeypatch.setattr(examination, "voices", lambda study, compared, test, *_: test.offer.cause)
+    monkeypatch.setattr(examination, "disagreement", torn.get)
+
+    def named(*names):
+        offers = [Offer(n, "changed", (0,)) for n in names]
+        found = [Cause(effects[o.cause], o.since, {}, {}, mixed.test(o, offers, []), []) for o in offers]
+        return examination._widened(found, [], effects, mixed, None, np.ones(3, bool), {"changed": 1e-3})
+
+    kept, vague = named("body_drag", "rotor_drag", "ground_effect")
+    assert [c.effect.id for c in kept] == ["ground_effect"]
+    assert "axes differ by 5.0 times" in vague["body_drag"][1]
+    assert vague["rotor_drag"][1] == "p = 0.4 without body drag, whose axes differ"
+    torn["body_drag"] = 1.0
+    assert [c.effect.id for c in named("body_drag", "rotor_drag")[0]] == ["body_drag", "rotor_drag"]

@@ -209,7 +209,7 @@ def _wrench(
         flight = manoeuvre.flight
         flight = flight.assign(**{c: v for c, v in extra.items() if c not in flight})
         one = gather(manoeuvre.name, flight, evidence[0].metadata, model.airframe, model, RATE)
-        own = gather_study([one], effects, vehicle)
+        own = gather_study([one], effects, vehicle, idle=True)  # with the columns of the flights
         return [_stretches(own, 0, whitener, False, model, number, rng) for number in numbers]
 
     return Judge(

@@ -100,7 +100,7 @@ def examine(
     kept = [c for c in (*fewer, *beside) if not any(_stands_for(c, *tie) for tie in ties)]
     kept = sorted(kept, key=lambda c: c.test.p)
     there = [c.test.offer for c in immaterial if c.since == "always" and c not in stand_ins]
-    kept, vague = _widened(kept, [*offers_of([], ties), *there], asked, mixed, study, compared)
+    kept, vague = _widened(kept, [*offers_of([], ties), *there], asked, mixed, study, compared, sought.level)
     ties = [(since, _anew(tie, since, [*(c.test.offer for c in kept), *there], ties, mixed)) for since, tie in ties]
     for cause in kept:
         cause.std = {n: s * flatness(cause.effect, study, vehicle, cause.value) for n, s in cause.std.items()}
@@ -155,13 +155,14 @@ def _faint(causes: Sequence[Cause], level: Mapping[str, float], share: float) ->
 
 def _widened(
     causes: Sequence[Cause], given: Sequence[Offer], asked: Mapping[str, Effect], mixed: Mixed, study: Study,
-    compared: np.ndarray,
+    compared: np.ndarray, level: Mapping[str, float],
 ) -> tuple[list[Cause], dict[str, tuple[Test, str]]]:  # fmt: skip
     """The causes, estimated beside each other and what is given, with wider standard errors where the axes of a cause
     differ by more: then its form is not quite right, and which axis has the say decides on the value. Where nothing of
-    a cause is sure any more, it is left out, with the reason, and the others are estimated without it.
+    a cause is sure any more, it is left out, with the reason, and the others are estimated without it; of these, those
+    that were significant beside it alone go as well. level  {since: p that has to be passed}
     """
-    kept, vague = list(causes), {}
+    kept, vague, torn = list(causes), {}, []
     while True:
         for cause in kept:
             pooled = mixed.pooled(cause.since)
@@ -170,11 +171,17 @@ def _widened(
             cause.test, cause.value, cause.std = again, *estimate(again, cause.effect)
             cause.apart = disagreement(voices(study, compared, cause.test, pooled, others))
         unsure = [c for c in kept if c.apart > 1.0 and not leads(c.test, asked, SURELY * c.apart)]
-        if not unsure:
+        faint = [c for c in kept if c.test.p >= level[c.since]] if torn else []
+        if unsure:
+            worst = max(unsure, key=lambda c: c.apart)
+            why = f"its axes differ by {worst.apart:.1f} times their standard errors, so that none of it is sure"
+            torn.append(worst.effect.id.replace("_", " "))
+        elif faint:
+            worst = max(faint, key=lambda c: c.test.p)
+            why = f"p = {worst.test.p:.2g} without {' and '.join(torn)}, whose axes differ"
+        else:
             break
-        worst = max(unsure, key=lambda c: c.apart)
         kept = [c for c in kept if c is not worst]
-        why = f"its axes differ by {worst.apart:.1f} times their standard errors, so that none of it is sure"
         vague[worst.effect.id] = worst.test, why
     for cause in kept:
         cause.value, cause.std = estimate(cause.test, cause.effect, cause.apart)

@@ -121,10 +121,12 @@ def gather_study(
     effects: Mapping[str, Effect],
     vehicle: Vehicle,
     values: Sequence[Values] | None = None,
+    idle: bool = False,
 ) -> Study:
     """Build the cross-products of all flights.
 
     effects  causes to be asked; values  per flight, to linearise at where not neutral
+    idle     whether causes stay that do nothing in these flights, which stand beside others
     A cause whose columns a flight cannot give is left out, with the reason in `lacking`.
     """
     lacking: dict[str, str] = {}
@@ -137,7 +139,7 @@ def gather_study(
             for columns, flight, own in zip(made, flights if effect.corrected else true, values):
                 at = own.get(name) or dict.fromkeys(effect.parameters, 0.0)
                 columns[name] = columns_of(effect, flight, vehicle, at)
-            if not any(column.any() for columns in made for column in columns[name].values()):
+            if not idle and not any(column.any() for columns in made for column in columns[name].values()):
                 raise DataError(f"effect '{name}' adds no force or moment at all in these flights")
         except (DataError, ExpressionError) as error:
             nowhere = re.search("column '[xyz]'", str(error))
