@@ -46,6 +46,7 @@ from quasi.gap.rollouts.open_loop import (
 from quasi.gap.rollouts.rollout_places import channels_of, placed, where_of
 from quasi.gap.statistics import blocks
 from quasi.gap.wrench.gain import after, before
+from quasi.standalone.extensions import configured_mass
 from quasi.standalone.model import Model
 
 TRIM, MARGIN, LEAST = 2.0, 0.1, 0.5  # s before a window; s that low-pass filters look ahead; s that must be valid
@@ -151,9 +152,9 @@ def _errors(track: Track, model: Model, base: Model, line: str, drive: Mapping[s
     if line == TRIMMED:
         offsets = trim_of(track, after(model, base)(track.evidence))
         # what instruments show with the configured constants, in the model's own
-        if model.airframe.mass and base.airframe.mass:
-            offsets[:, :3] *= model.airframe.mass / base.airframe.mass
-        offsets[:, 3:] = offsets[:, 3:] @ np.linalg.solve(track.course.inertia, np.asarray(model.airframe.inertia)).T
+        if model.airframe.mass and configured_mass(base):
+            offsets[:, :3] *= model.airframe.mass / configured_mass(base)
+        offsets[:, 3:] = offsets[:, 3:] @ np.linalg.solve(track.course.inertia, np.asarray(model.airframe.inertia))
     if line == TOLD:
         commands = commands_of(model, course.flight)
         other = commanded.learned(drive, course.flight, model) if drive and commands is not None else None
