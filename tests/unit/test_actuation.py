@@ -107,6 +107,21 @@ def test_a_fault_of_the_drive_is_found_with_its_size(fault, cause, name, truth, 
     assert abs(value - truth) < 3 * std + 0.02 * truth
 
 
+def steady(seed):
+    """A flight at the map's own voltage all along: its speeds say nothing of the battery."""
+    plain = flown(seed, exponent=0.0)
+    table = plain.filtered.assign(battery_voltage=VOLTS)
+    return dataclasses.replace(plain, filtered=table, imported=table)
+
+
+def test_a_battery_exponent_is_that_of_flights_whose_voltage_varies():
+    flights = [flown(s, exponent=0.5) for s in (1, 2, 3)]
+    found, _, parameters = only(examine([*flights, steady(4)], MODEL, {}))
+    alone = only(examine(flights, MODEL, {}))[2]
+    assert found == "battery_sag"
+    assert parameters["exponent"] == pytest.approx(alone["exponent"], rel=1e-3)
+
+
 def test_late_commands_and_late_telemetry_are_a_tie_unless_the_motion_told_the_age():
     level = examine([flown(s, late=0.008) for s in (1, 2, 3)], MODEL, {})
     assert not level.effects

@@ -274,8 +274,10 @@ def size_of(cause: str, values: Mapping[str, float], healthy: Mapping[str, float
 def _parameters(mixed: Tests, choice: Choice, offer: Offer, fits: Sequence[DriveFit]) -> dict[str, dict[str, Any]]:
     """As they are stated: time constant and exponent absolute, of the compared flights; delays beyond the reference."""
     test = final_test(mixed, choice, offer)
-    values = np.array([d.values for d in fits])
-    share = 1.0 / np.sqrt(len(fits))
+    # a flight whose voltage stays holds the exponent that its fit began with
+    told = [d for d in fits if d.volts_vary] if offer.cause == "battery_sag" else fits
+    values = np.array([d.values for d in told])
+    share = 1.0 / np.sqrt(len(told))
     if offer.cause == "motor_lag":
         each = values[:, :2].mean(axis=1)
         std = max(float(each.std()) * share, SPREAD["up"] * float(each.mean()) * share / np.sqrt(2.0))
