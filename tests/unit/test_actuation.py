@@ -10,7 +10,7 @@ import pytest
 from quasi.airframe import Airframe
 from quasi.gap.calibration.actuation import SPREAD, examine, size_of
 from quasi.gap.calibration.drive_findings import saturated
-from quasi.gap.calibration.drive_fit import Belief, belief_of, fit_drive
+from quasi.gap.calibration.drive_fit import LOOSE, Belief, belief_of, fit_drive
 from quasi.gap.flights.level import Flown, clear
 from quasi.tables import AGE_OFF
 
@@ -120,6 +120,27 @@ def test_a_battery_exponent_is_that_of_flights_whose_voltage_varies():
     alone = only(examine(flights, MODEL, {}))[2]
     assert found == "battery_sag"
     assert parameters["exponent"] == pytest.approx(alone["exponent"], rel=1e-3)
+    learned = examine([*flights, steady(4)], MODEL, {}).healthy["learned"]["values"]
+    assert learned[6] == pytest.approx(0.5, abs=0.01)
+
+
+def test_what_a_flight_does_not_tell_is_as_doubtful_as_its_fit_left_it_free():
+    """At the reference voltage itself (V/V_ref)^e is 1 for every e: the doubt is the looseness, whatever the noise."""
+    start = belief_of(MODEL, "shares")
+    one = fit_drive(steady(4), "shares", start)
+    assert one.values[6] == start.values[6]
+    assert np.sqrt(one.covariance()[6, 6]) == pytest.approx(LOOSE[6])
+    varying = fit_drive(flown(1), "shares", start)
+    assert np.sqrt(varying.covariance()[6, 6]) < 0.1 * LOOSE[6]
+
+
+def test_reference_flights_whose_voltage_stays_make_the_others_battery_no_change():
+    references = [dataclasses.replace(steady(s), compared=False) for s in (11, 12)]
+    level = examine([*references, *(flown(s) for s in (1, 2, 3))], {"id": "bare"}, {})
+    assert not level.effects and not level.ties
+    drooping = [flown(s, compared=False, exponent=0.5) for s in (13, 14)]
+    level = examine([*references, *drooping, *(flown(s) for s in (1, 2, 3))], {"id": "bare"}, {})
+    assert [(e["id"], e["since"]) for e in level.effects] == [("battery_sag", "changed")]
 
 
 def test_late_commands_and_late_telemetry_are_a_tie_unless_the_motion_told_the_age():

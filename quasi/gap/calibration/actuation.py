@@ -38,6 +38,7 @@ from quasi.gap.flights.residual_tables import beside, spectra, where
 from quasi.gap.statistics.mixed import Columns, Offer
 from quasi.gap.statistics.whitening import autoregression, whiten
 
+EXPONENT = NAMES.index("exponent")
 ORDER = 12  # of the autoregression at the rate of the residuals
 BLOCK = 5.0  # s
 PRIOR_FREEDOM = 16.0
@@ -93,8 +94,12 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         return level
     constants = [whole(f, d) for f, d in zip(used, fits)]
     if belief is None or not told:
-        middle = np.median([v for f, v in zip(used, constants) if not f.compared] or constants, axis=0)
-        reference = Belief(middle, reference_voltage(used))
+        first = [k for k, f in enumerate(used) if not f.compared] or list(range(len(used)))
+        middle = np.median([constants[k] for k in first], axis=0)
+        # what reference flights whose voltage stays do not tell of the battery is no change in the others
+        tell = [k for k in first if fits[k].volts_vary] or [k for k, d in enumerate(fits) if d.volts_vary]
+        middle[EXPONENT] = np.median([constants[k][EXPONENT] for k in tell or first])
+        reference = Belief(middle, belief and belief.voltage)
         level.notes.append(
             f"the model {document.get('id', '')} does not say how its rotors follow commands; only changes between "
             "reference and compared flights can show there"
@@ -124,7 +129,9 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
 
     mixed = build([p.gram() for p in products])
     level.tests = mixed
-    learned = np.mean([d.values for d, flag in zip(fits, compared) if flag], axis=0)
+    students = [d for d, flag in zip(fits, compared) if flag]
+    learned = np.mean([d.values for d in students], axis=0)
+    learned[EXPONENT] = np.mean([d.values[EXPONENT] for d in students if d.volts_vary] or learned[EXPONENT])
     level.healthy = {
         "values": reference.values.tolist(), "voltage": reference.voltage,
         "learned": {"kind": kind, "values": learned.tolist(), "voltage": belief and belief.voltage},
@@ -135,7 +142,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     alone = sorted(choice.marginal.values(), key=lambda test: test.wald)
     level.healthy["alone"] = {test.offer.cause: test.value.tolist() for test in alone}
     shares = probability(lambda rng: [p.gram(rng) for p in products], build, choice, levels)
-    _report(level, mixed, choice, shares, [d for d, flag in zip(fits, compared) if flag])
+    _report(level, mixed, choice, shares, students)
     _tables(level, used, fits, [v - reference.values for v in constants])
     return level
 
@@ -283,7 +290,7 @@ def _parameters(mixed: Tests, choice: Choice, offer: Offer, fits: Sequence[Drive
         std = max(float(each.std()) * share, SPREAD["up"] * float(each.mean()) * share / np.sqrt(2.0))
         return {"time_constant": {"value": float(each.mean()), "std": float(std), "unit": "s"}}
     if offer.cause == "battery_sag":
-        each = values[:, 6]
+        each = values[:, EXPONENT]
         std = max(float(each.std()) * share, SPREAD["exponent"] * share)
         return {"exponent": {"value": float(each.mean()), "std": float(std), "unit": "1"}}
     return {"delay": {"value": float(test.value[0]), "std": float(test.std[0]), "unit": "s"}}
