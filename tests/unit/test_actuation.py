@@ -105,6 +105,7 @@ def test_a_fault_of_the_drive_is_found_with_its_size(fault, cause, name, truth, 
     assert (found, since) == (cause, "changed" if references else "always")
     value, std = parameters[name]
     assert abs(value - truth) < 3 * std + 0.02 * truth
+    assert parameters.get("reference voltage") == ((VOLTS, 0.0) if cause == "battery_sag" else None)
 
 
 def steady(seed):
@@ -140,7 +141,10 @@ def test_reference_flights_whose_voltage_stays_make_the_others_battery_no_change
     assert not level.effects and not level.ties
     drooping = [flown(s, compared=False, exponent=0.5) for s in (13, 14)]
     level = examine([*references, *drooping, *(flown(s) for s in (1, 2, 3))], {"id": "bare"}, {})
-    assert [(e["id"], e["since"]) for e in level.effects] == [("battery_sag", "changed")]
+    (effect,) = level.effects
+    assert (effect["id"], effect["since"]) == ("battery_sag", "changed")
+    # no map tells a voltage: the exponent is about that of the flights
+    assert effect["parameters"]["reference voltage"]["value"] == pytest.approx(15.8, abs=0.3)
 
 
 def test_late_commands_and_late_telemetry_are_a_tie_unless_the_motion_told_the_age():

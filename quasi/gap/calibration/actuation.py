@@ -142,7 +142,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     alone = sorted(choice.marginal.values(), key=lambda test: test.wald)
     level.healthy["alone"] = {test.offer.cause: test.value.tolist() for test in alone}
     shares = probability(lambda rng: [p.gram(rng) for p in products], build, choice, levels)
-    _report(level, mixed, choice, shares, students)
+    _report(level, mixed, choice, shares, students, belief and belief.voltage)
     _tables(level, used, fits, [v - reference.values for v in constants])
     return level
 
@@ -278,13 +278,18 @@ def size_of(cause: str, values: Mapping[str, float], healthy: Mapping[str, float
     return np.array([values["delay"]])
 
 
-def _parameters(mixed: Tests, choice: Choice, offer: Offer, fits: Sequence[DriveFit]) -> dict[str, dict[str, Any]]:
-    """As they are stated: time constant and exponent absolute, of the compared flights; delays beyond the reference."""
+def _parameters(
+    mixed: Tests, choice: Choice, offer: Offer, fits: Sequence[DriveFit], volts: float | None
+) -> dict[str, dict[str, Any]]:
+    """As they are stated: time constant and exponent absolute, of the compared flights; delays beyond the reference.
+
+    volts  at which the exponent's map holds
+    """
     test = final_test(mixed, choice, offer)
     # a flight whose voltage stays holds the exponent that its fit began with
-    told = [d for d in fits if d.volts_vary] if offer.cause == "battery_sag" else fits
-    values = np.array([d.values for d in told])
-    share = 1.0 / np.sqrt(len(told))
+    telling = [d for d in fits if d.volts_vary] if offer.cause == "battery_sag" else fits
+    values = np.array([d.values for d in telling])
+    share = 1.0 / np.sqrt(len(telling))
     if offer.cause == "motor_lag":
         each = values[:, :2].mean(axis=1)
         std = max(float(each.std()) * share, SPREAD["up"] * float(each.mean()) * share / np.sqrt(2.0))
@@ -292,13 +297,15 @@ def _parameters(mixed: Tests, choice: Choice, offer: Offer, fits: Sequence[Drive
     if offer.cause == "battery_sag":
         each = values[:, EXPONENT]
         std = max(float(each.std()) * share, SPREAD["exponent"] * share)
-        return {"exponent": {"value": float(each.mean()), "std": float(std), "unit": "1"}}
+        told = {"exponent": {"value": float(each.mean()), "std": float(std), "unit": "1"}}
+        return told | ({"reference voltage": {"value": volts, "std": 0.0, "unit": "V"}} if volts else {})
     return {"delay": {"value": float(test.value[0]), "std": float(test.std[0]), "unit": "s"}}
 
 
 def _report(
-    level: Level, mixed: Tests, choice: Choice, shares: Mapping[Offer, float], fits: Sequence[DriveFit]
-) -> None:
+    level: Level, mixed: Tests, choice: Choice, shares: Mapping[Offer, float], fits: Sequence[DriveFit],
+    volts: float | None,
+) -> None:  # fmt: skip
     for offer in choice.taken:
         tie, test = choice.tied[offer], final_test(mixed, choice, offer)
         if len(tie) > 1:
@@ -307,7 +314,7 @@ def _report(
                 {"ids": [o.cause for o in tie], "since": offer.since,
                  "separability": separability(mixed, choice, offer, tie[1]),
                  "tie_breaker": BREAKERS.get(pair, ANY_BREAKER),
-                 "parameters": {o.cause: _parameters(mixed, choice, o, fits) for o in tie},
+                 "parameters": {o.cause: _parameters(mixed, choice, o, fits, volts) for o in tie},
                  "p": test.p, "wald": test.wald, "probability": shares[offer]}
             )  # fmt: skip
             continue
@@ -316,7 +323,7 @@ def _report(
             evidence |= dict(zip(("up", "down"), np.mean([d.values[:2] for d in fits], axis=0).tolist()))
         level.effects.append(
             {"id": offer.cause, "since": offer.since, "probability": shares[offer],
-             "channels": ["w1", "w2", "w3", "w4"], "parameters": _parameters(mixed, choice, offer, fits),
+             "channels": ["w1", "w2", "w3", "w4"], "parameters": _parameters(mixed, choice, offer, fits, volts),
              "evidence": evidence}
         )  # fmt: skip
     level.effects.sort(key=lambda e: -e["evidence"]["wald"])

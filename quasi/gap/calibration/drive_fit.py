@@ -128,7 +128,6 @@ def belief_of(document: Mapping[str, Any], kind: str) -> Belief | None:
     held = drive_of(document)
     if "time constants" not in held:
         return None
-    found = {k: v for e in document.get("extensions") or [] for k, v in (e.get("actuators") or {}).items()}
 
     def mean(name: str, otherwise: float) -> float:
         return float(np.mean(held[name]["value"])) if name in held else otherwise
@@ -147,8 +146,7 @@ def belief_of(document: Mapping[str, Any], kind: str) -> Belief | None:
             if power > 2:
                 return None
             values[3 + power] = coefficient
-        own = (table.get("voltage exponent") or {}).get("value") or 0.0
-        values[6] = float(found.get("voltage exponent", own))
+        values[6] = float((table.get("voltage exponent") or {}).get("value") or 0.0)
         voltage = table.get("reference voltage")
     aged = held["delay"].get(AGE_OFF) if "delay" in held else None
     return Belief(values, voltage, aged if isinstance(aged, bool) else None)
