@@ -34,12 +34,10 @@ from quasi.gap.flights.level import (
     separability,
     shares_of,
 )
-from quasi.gap.flights.residual_tables import beside, spectra, where
+from quasi.gap.flights.residual_tables import beside, spectra, where, whiteness
 from quasi.gap.statistics.mixed import Columns, Offer
-from quasi.gap.statistics.whitening import autoregression, whiten
 
 EXPONENT = NAMES.index("exponent")
-ORDER = 12  # of the autoregression at the rate of the residuals
 BLOCK = 5.0  # s
 PRIOR_FREEDOM = 16.0
 CAUSES = {"motor_lag": ("up", "down"), "command_delay": ("delay",), "telemetry_delay": ("late",),
@@ -343,15 +341,16 @@ def _tables(level: Level, used: Sequence[Flown], fits: Sequence[DriveFit], apart
     rows, channels, parameters, floors = [], [], [], []
     for flown, fit, away in zip(used, fits, apart):
         before = fit.residual + fit.slopes @ away
-        white, _ = whiten(fit.residual[:, :, None], fit.breaks, autoregression([fit.residual], [fit.breaks], ORDER))
+        series = {"before": before, "floor": fit.residual}
+        memory = whiteness(series, fit.t, fit.breaks)
         table = pd.DataFrame({"t": fit.t, "flight": flown.key, **beside(flown, fit.t)})
         for i in range(4):
-            name, n = f"w{i + 1}", white[:, i, 0]
-            table[f"{name}_before"], table[f"{name}_floor"] = before[:, i], fit.residual[:, i]
+            name = f"w{i + 1}"
+            for word, values in series.items():
+                table[f"{name}_{word}"] = values[:, i]
             channels.append(
                 {"flight": flown.key, "compared": flown.compared, "channel": name, "unit": "rad/s",
-                 "before": _rms(before[:, i]), "floor": _rms(fit.residual[:, i]),
-                 "whiteness": float(n[1:] @ n[:-1] / max(n @ n, 1e-300)) if len(n) > 1 else np.nan}
+                 **{word: _rms(values[:, i]) for word, values in series.items()}, **memory[i]}
             )  # fmt: skip
         rows.append(table)
         floors.append((fit.residual**2).mean(axis=0))
