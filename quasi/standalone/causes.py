@@ -17,6 +17,7 @@ ACTUATORS = {
     "telemetry delay": "taken off recorded rotor speeds in roll-outs",
     "rotor speed scale": "taken off recorded rotor speeds in roll-outs",
 }
+REPLACED = ("time constant", "voltage exponent", "reference voltage")  # constants of rotors that stand as they are
 AIRFRAME = {
     "mass": "the vehicle's mass",
     "inertia": "the vehicle's inertia",
