@@ -11,6 +11,7 @@ from quasi.airframe import Airframe
 from quasi.gap.calibration.actuation import SPREAD, examine, size_of
 from quasi.gap.calibration.drive_findings import saturated
 from quasi.gap.calibration.drive_fit import LOOSE, Belief, belief_of, fit_drive
+from quasi.gap.catalogue import catalogue
 from quasi.gap.flights.level import Flown, clear
 from quasi.tables import AGE_OFF
 
@@ -236,6 +237,7 @@ def test_commands_at_a_limit_and_a_slow_motor_are_findings():
     assert not saturated([flown(s) for s in (1, 2)], "shares")
     level = examine([flown(s, gains=(1.0, 0.94, 1.0, 1.0)) for s in (1, 2, 3)], MODEL, {})
     (weak,) = level.findings
+    assert catalogue()[weak["id"]].finding
     assert weak["evidence"]["rotor"] == 2
     assert weak["evidence"]["speed"] == pytest.approx(0.94, abs=0.01)
 
@@ -244,7 +246,7 @@ def test_what_is_not_logged_cannot_be_asked():
     bare = flown(1)
     without = bare.filtered.drop(columns=[f"command{i}" for i in range(1, 5)])
     level = examine([Flown("f", True, without, {}, without, {}, FRAME)], MODEL, {})
-    assert {c["id"] for c in level.cannot_be_asked} >= {"motor_lag", "command_delay", "actuator_saturation"}
+    assert {c["id"] for c in level.cannot_be_asked} >= {"motor_lag", "actuator_saturation", "weak_motor"}
     level = examine([flown(s, voltage=False) for s in (1, 2)], MODEL, {})
     assert [c["id"] for c in level.cannot_be_asked] == ["battery_sag"]
     level = examine([flown(1)], {"id": "bare"}, {})

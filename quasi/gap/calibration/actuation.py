@@ -80,7 +80,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     kinds = {commanded(f) for f in flights if f.compared} - {""}
     if not kinds:
         why = "no compared flight logs the commands of all four rotors"
-        level.cannot_be_asked = [{"id": c, "why": why} for c in [*asked, "actuator_saturation"]]
+        level.cannot_be_asked = [{"id": c, "why": why} for c in [*asked, "actuator_saturation", "weak_motor"]]
         return level
     kind = "speeds" if "speeds" in kinds else "shares"
     level.findings += saturated(flights, kind)
