@@ -141,11 +141,12 @@ def actuators_of(model: Model) -> Actuators:
 def voltage_of(model: Model) -> Voltage | None:
     """The battery of a model: the median voltage of its training flights, and what extensions say of the rotors.
 
-    None for a model that has nothing to do with it. Where the flights' voltage is unknown start and reference are 1 V,
-    so that commands are true until both are given.
+    None for a model that has nothing to do with it. Where the flights' voltage is unknown start and reference are what
+    the extension's exponent was found at, or 1 V, so that commands are true until both are given.
     Raises ConfigError for a model that reads the voltage in its terms but does not know what its flights had.
     """
-    exponent = said_of_rotors(model).get("voltage exponent", 0.0)
+    said = said_of_rotors(model)
+    exponent = said.get("voltage exponent", 0.0)
     reads = "battery_voltage" in extras_of(model)
     if not reads and not exponent:
         return None
@@ -155,7 +156,7 @@ def voltage_of(model: Model) -> Voltage | None:
         raise ConfigError(
             f"model {model.id} reads the battery voltage but does not tell that of its flights; make the model anew"
         )
-    start = 1.0 if start is None else float(start)
+    start = float(said.get("reference voltage", 1.0) if start is None else start)
     return Voltage(start, start, exponent)
 
 

@@ -224,7 +224,8 @@ def _yardsticks(
 ) -> rollout_gain.Beside:  # fmt: skip
     """What the gain is told beside: the floor, the best wrong causes, polynomials of the same size."""
     students = [e for e, flag in zip(case.learning, case.compared) if flag]
-    sizes = [sum(len(c.value) for c in kept), sum(len(v) for _, v in case.drive)]
+    about = [n for e, values in case.drive for n in values if e.parameters[n].typical is not None]
+    sizes = [sum(len(c.value) for c in kept), len(about)]
     wrong: dict[str, Model] = {}
     axes = list(range(len(AXES)))
     if kept:

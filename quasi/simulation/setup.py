@@ -343,11 +343,16 @@ def _battery(asked: Mapping[str, Any], model: Model, hover: float, notes: list[s
         if asked["exponent"] or asked["drain"] or asked["sag"]:
             raise ConfigError(f"{name}: 'battery' names 'exponent', 'drain' or 'sag' but no 'voltage'; add it")
         start = 0.0
-    exponent = asked["exponent"]
+    exponent, reference = asked["exponent"], asked["reference voltage"]
     of_causes = said_of_rotors(model)
     if not exponent and "voltage exponent" in of_causes:
         if start:
             exponent = of_causes["voltage exponent"]
+            if reference is None and (reference := of_causes.get("reference voltage")):
+                notes.append(
+                    f"rotors turn as fast as commanded at {reference:.2f} V, the voltage that the model's extensions "
+                    "tell; give 'battery' / 'reference voltage' for another one"
+                )
         else:
             notes.append(
                 "rotor speeds follow the battery's voltage by the model's extensions, but no voltage is given: the "
@@ -355,7 +360,7 @@ def _battery(asked: Mapping[str, Any], model: Model, hover: float, notes: list[s
             )
     if {"telemetry delay", "rotor speed scale"} & set(of_causes):
         notes.append("what the model's extensions say of recorded rotor speeds plays no part here: nothing is recorded")
-    reference = start if asked["reference voltage"] is None else asked["reference voltage"]
+    reference = start if reference is None else reference
     return Battery(
         float(start), float(asked["drain"]), float(asked["sag"]), hover, float(reference), float(exponent), place,
     ), clock  # fmt: skip

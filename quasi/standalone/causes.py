@@ -13,9 +13,11 @@ ACTUATORS = {
     "time constant": "rotors of simulations, roll-outs with commands and exported vehicles",
     "delay": "rotors of simulations, roll-outs with commands and exported vehicles",
     "voltage exponent": "rotors of simulations that know the battery's voltage, and of exported vehicles",
+    "reference voltage": "rotors of simulations that know the battery's voltage, and of exported vehicles",
     "telemetry delay": "taken off recorded rotor speeds in roll-outs",
     "rotor speed scale": "taken off recorded rotor speeds in roll-outs",
 }
+REPLACED = ("time constant", "voltage exponent", "reference voltage")  # constants of rotors that stand as they are
 AIRFRAME = {
     "mass": "the vehicle's mass",
     "inertia": "the vehicle's inertia",

@@ -18,7 +18,7 @@ from quasi.tables import AGE_OFF
 
 CONFIGURED = "configured mass"  # of a model's document, kg: that its flights were processed with
 _LAGS = ("time constants", "time constants up", "time constants down")
-_ROTORS = ("time constant", "delay", "voltage exponent", "telemetry delay", "rotor speed scale")
+_ROTORS = ("time constant", "delay", "voltage exponent", "reference voltage", "telemetry delay", "rotor speed scale")
 
 
 def extensions_of(model: Model) -> list[Mapping[str, Any]]:
@@ -29,9 +29,10 @@ def extensions_of(model: Model) -> list[Mapping[str, Any]]:
 def said_of_rotors(model: Model) -> dict[str, float]:
     """What extensions say of the rotors and their logs; {} without any. Raises ConfigError for anything else.
 
-    "time constant" s, the mean of speeding up and slowing down; "delay" s; "voltage exponent" of the settled speed; and
-    of the flights' recordings, which play a part where recorded speeds drive a roll-out: "telemetry delay" s that they
-    are late by, "rotor speed scale" that they are too high by
+    "time constant" s, the mean of speeding up and slowing down; "delay" s; "voltage exponent" of the settled speed and
+    the "reference voltage" V at which it is 1 where the model's command map tells none; and of the flights' recordings,
+    which play a part where recorded speeds drive a roll-out: "telemetry delay" s that they are late by, "rotor speed
+    scale" that they are too high by
     """
     return _of_rotors(model.document, model.id)
 
@@ -40,7 +41,8 @@ def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
     """The section "actuators" of a model's document with what its extensions say of the rotors in place of its own.
 
     A time constant of an extension is the mean of speeding up and slowing down; the model's own ratio of the two, and
-    that of its rotors, is kept. Raises DataError for a damaged section, ConfigError for a damaged extension.
+    that of its rotors, is kept, and so is the reference voltage of its command map where it has one. Raises DataError
+    for a damaged section, ConfigError for a damaged extension.
     """
     name = str(document.get("id", ""))
     known = document.get("actuators") or {}
@@ -58,6 +60,11 @@ def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
         own = known.get("delay")
         said = own.get(AGE_OFF) if isinstance(own, Mapping) else None
         known["delay"] = {"value": found["delay"]} | ({} if said is None else {AGE_OFF: said})
+    mapped = known.get("command map")
+    if mapped and "voltage exponent" in found:
+        volts = mapped.get("reference voltage") or found.get("reference voltage")
+        exponent = {"value": found["voltage exponent"]}
+        known["command map"] = {**mapped, "voltage exponent": exponent, "reference voltage": volts}
     return known
 
 
@@ -176,7 +183,7 @@ def _of_rotors(document: Mapping[str, Any], name: str) -> dict[str, float]:
                 raise ConfigError(f"{what} changes the rotors' '{key}', which the simulator does not know"
                                   f"{nearest(key, _ROTORS)}; extend the model without it")  # fmt: skip
             number = float(value) if isinstance(value, int | float) else math.nan
-            positive = key in ("time constant", "rotor speed scale")
+            positive = key in ("time constant", "reference voltage", "rotor speed scale")
             if not math.isfinite(number) or (positive and number <= 0.0):
                 raise ConfigError(f"{what}: '{key}' is {value!r}, expected a {'positive' if positive else 'finite'} "
                                   "number; make the extended model anew")  # fmt: skip

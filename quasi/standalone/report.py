@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from quasi import report
-from quasi.standalone.causes import where_it_acts
+from quasi.standalone.causes import REPLACED, where_it_acts
 from quasi.standalone.chart import STYLE, chart, packed, step_of
 from quasi.standalone.diagnostics import ANY
 from quasi.tables import AGE_OFF
@@ -249,12 +249,22 @@ def _causes(model: Mapping[str, Any]) -> str:
     rows = []
     for extension in model.get("extensions") or ():
         found = extension.get("parameters") or {}
-        values = [f"{n} {report.number(p['value'], 4)} {p['unit']}" for n, p in found.items() if p["value"]]
-        said = [extension.get("sentence"), ", ".join(values), f"where it acts: {where_it_acts(extension)}"]
+        instead = any(name in REPLACED for name in extension.get("actuators") or ())
+        values = [
+            f"{n.replace('_', ' ')} {report.number(p['value'], 4)}"
+            + (f" {p['unit']}" if p["unit"] not in ("", "1") else "")
+            for n, p in found.items()
+            if p["value"] or instead
+        ]
+        told = ", ".join(values) + (", in place of the model's own" if values and instead else "")
+        said = [extension.get("sentence"), told, f"where it acts: {where_it_acts(extension)}"]
         rows.append((str(extension.get("id")), ". ".join(_sentence(part)[:-1] for part in said if part) + "."))
     if not rows:
         return ""
-    told = "Numbers are deviations from what the model said before; predictions are its quasi-steady part."
+    told = (
+        "Numbers are deviations from what the model said before, but where they are said to stand in place of its own; "
+        "predictions are its quasi-steady part."
+    )
     return report.section("Causes that extend it", report.facts(rows), report.paragraph(told))
 
 

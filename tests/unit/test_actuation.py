@@ -10,7 +10,8 @@ import pytest
 from quasi.airframe import Airframe
 from quasi.gap.calibration.actuation import SPREAD, examine, size_of
 from quasi.gap.calibration.drive_findings import saturated
-from quasi.gap.calibration.drive_fit import Belief, belief_of, fit_drive
+from quasi.gap.calibration.drive_fit import LOOSE, Belief, belief_of, fit_drive
+from quasi.gap.catalogue import catalogue
 from quasi.gap.flights.level import Flown, clear
 from quasi.tables import AGE_OFF
 
@@ -105,6 +106,46 @@ def test_a_fault_of_the_drive_is_found_with_its_size(fault, cause, name, truth, 
     assert (found, since) == (cause, "changed" if references else "always")
     value, std = parameters[name]
     assert abs(value - truth) < 3 * std + 0.02 * truth
+    assert parameters.get("reference voltage") == ((VOLTS, 0.0) if cause == "battery_sag" else None)
+
+
+def steady(seed):
+    """A flight at the map's own voltage all along: its speeds say nothing of the battery."""
+    plain = flown(seed, exponent=0.0)
+    table = plain.filtered.assign(battery_voltage=VOLTS)
+    return dataclasses.replace(plain, filtered=table, imported=table)
+
+
+def test_a_battery_exponent_is_that_of_flights_whose_voltage_varies():
+    flights = [flown(s, exponent=0.5) for s in (1, 2, 3)]
+    found, _, parameters = only(examine([*flights, steady(4)], MODEL, {}))
+    alone = only(examine(flights, MODEL, {}))[2]
+    assert found == "battery_sag"
+    assert parameters["exponent"] == pytest.approx(alone["exponent"], rel=1e-3)
+    learned = examine([*flights, steady(4)], MODEL, {}).healthy["learned"]["values"]
+    assert learned[6] == pytest.approx(0.5, abs=0.01)
+
+
+def test_what_a_flight_does_not_tell_is_as_doubtful_as_its_fit_left_it_free():
+    """At the reference voltage itself (V/V_ref)^e is 1 for every e: the doubt is the looseness, whatever the noise."""
+    start = belief_of(MODEL, "shares")
+    one = fit_drive(steady(4), "shares", start)
+    assert one.values[6] == start.values[6]
+    assert np.sqrt(one.covariance()[6, 6]) == pytest.approx(LOOSE[6])
+    varying = fit_drive(flown(1), "shares", start)
+    assert np.sqrt(varying.covariance()[6, 6]) < 0.1 * LOOSE[6]
+
+
+def test_reference_flights_whose_voltage_stays_make_the_others_battery_no_change():
+    references = [dataclasses.replace(steady(s), compared=False) for s in (11, 12)]
+    level = examine([*references, *(flown(s) for s in (1, 2, 3))], {"id": "bare"}, {})
+    assert not level.effects and not level.ties
+    drooping = [flown(s, compared=False, exponent=0.5) for s in (13, 14)]
+    level = examine([*references, *drooping, *(flown(s) for s in (1, 2, 3))], {"id": "bare"}, {})
+    (effect,) = level.effects
+    assert (effect["id"], effect["since"]) == ("battery_sag", "changed")
+    # no map tells a voltage: the exponent is about that of the flights
+    assert effect["parameters"]["reference voltage"]["value"] == pytest.approx(15.8, abs=0.3)
 
 
 def test_late_commands_and_late_telemetry_are_a_tie_unless_the_motion_told_the_age():
@@ -196,6 +237,7 @@ def test_commands_at_a_limit_and_a_slow_motor_are_findings():
     assert not saturated([flown(s) for s in (1, 2)], "shares")
     level = examine([flown(s, gains=(1.0, 0.94, 1.0, 1.0)) for s in (1, 2, 3)], MODEL, {})
     (weak,) = level.findings
+    assert catalogue()[weak["id"]].finding
     assert weak["evidence"]["rotor"] == 2
     assert weak["evidence"]["speed"] == pytest.approx(0.94, abs=0.01)
 
@@ -204,7 +246,7 @@ def test_what_is_not_logged_cannot_be_asked():
     bare = flown(1)
     without = bare.filtered.drop(columns=[f"command{i}" for i in range(1, 5)])
     level = examine([Flown("f", True, without, {}, without, {}, FRAME)], MODEL, {})
-    assert {c["id"] for c in level.cannot_be_asked} >= {"motor_lag", "command_delay", "actuator_saturation"}
+    assert {c["id"] for c in level.cannot_be_asked} >= {"motor_lag", "actuator_saturation", "weak_motor"}
     level = examine([flown(s, voltage=False) for s in (1, 2)], MODEL, {})
     assert [c["id"] for c in level.cannot_be_asked] == ["battery_sag"]
     level = examine([flown(1)], {"id": "bare"}, {})

@@ -1,5 +1,6 @@
 """Every cause that can extend a model, at its typical size: built, read back, predicted, flown, exported, told."""
 
+import html
 import json
 
 import numpy as np
@@ -20,6 +21,7 @@ from quasi.simulation.setup import make_setup
 from quasi.standalone.causes import where_it_acts
 from quasi.standalone.document import AXES
 from quasi.standalone.model import Model, read_model
+from quasi.standalone.report import _causes
 
 CATALOGUE = catalogue()
 EXTENDING = sorted(i for i, e in CATALOGUE.items() if not e.finding and (e.terms or e.curved or e.extension))
@@ -168,3 +170,21 @@ def test_near_the_floor_less_speed_hovers_by_the_formula_up_to_its_limit(base):
         speeds = make_setup({**settings, **place}, model).start[13:17]
         near = min(5.0 * (vehicle.radius / (4.0 * max(height, 0.2 * vehicle.radius))) ** 2, 0.6)
         np.testing.assert_allclose(speeds, 1500.0 * np.sqrt(1.0 - near), rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "said"),
+    [
+        ("motor_lag", {"time_constant": 0.045}, "Time constant 0.04500 s, in place of the model's own."),
+        ("battery_sag", {"exponent": 0.0, "reference voltage": 15.8},
+         "Exponent 0, reference voltage 15.80 V, in place of the model's own."),
+        ("mass", {"mass": 0.02}, "Mass 0.02000 kg."),
+        ("command_delay", {"delay": -0.004}, "Delay −0.004000 s."),
+    ],
+)  # fmt: skip
+def test_the_page_says_which_numbers_are_deviations(base, name, values, said):
+    """A lag of 45 ms of the vehicle is no deviation of 45 ms; a delay 4 ms shorter than the model's is one."""
+    document = extend(base, [(CATALOGUE[name], values)], vehicle_of(base), "x", "test")
+    text = html.unescape(_causes(document))
+    assert f". {said} Where it acts" in text
+    assert "Numbers are deviations" in text and "in place of its own" in text

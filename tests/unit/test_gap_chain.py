@@ -9,6 +9,7 @@ from test_gap_extension import CATALOGUE, base_of, flight
 
 from quasi.errors import ConfigError
 from quasi.export.contents import actuators_of as exported_rotors
+from quasi.export.contents import voltage_of
 from quasi.gap.calibration.drive_fit import belief_of
 from quasi.gap.diagnosis import _weighed
 from quasi.gap.effect import vehicle_of
@@ -202,6 +203,15 @@ def test_a_lag_that_was_found_is_the_model_s_own_from_then_on():
     lags = [0.0375, 0.0525]
     assert belief_of(lagging.document, "shares").values[[0, 1, 2, 6]] == pytest.approx([*lags, 0.014, 0.7])
     assert belief_of(sagging.document, "shares").values[[0, 1, 2, 6]] == pytest.approx([*lags, 0.016, 0.9])
+    # a map that tells no voltage holds at that of the flights which told the exponent; one that tells it keeps its own
+    volted = extended(lagging, ("battery_sag", {"exponent": 0.9, "reference voltage": 15.8}))
+    assert belief_of(sagging.document, "shares").voltage is None
+    assert belief_of(volted.document, "shares").voltage == 15.8
+    assert voltage_of(volted)[:2] == (15.8, 15.8) and voltage_of(sagging)[:2] == (1.0, 1.0)
+    known = Model({**base.document, "actuators": {"command map": {**map_of, "reference voltage": 15.0}}})
+    known = extended(known, ("battery_sag", {"exponent": 0.9, "reference voltage": 15.8}))
+    assert drive_of(known.document)["command map"]["reference voltage"] == 15.0
+    assert "reference voltage" not in base.document["actuators"]["command map"]
     in_replay, exported = rotors_of(lagging), exported_rotors(lagging)
     for found in (in_replay, exported):
         np.testing.assert_allclose([found.up, found.down], np.tile(lags, (4, 1)).T)

@@ -185,3 +185,7 @@ def test_causes_of_the_drive_that_are_not_named_are_wrong_ones(model):
     assert list(found) == ["motor_lag"]  # late telemetry is no cause of the drive
     assert found["motor_lag"].document["extensions"][0]["actuators"] == {"time constant": pytest.approx(0.045)}
     assert commanded.wrong_ones({}, [], catalogue(), model, vehicle) == {}
+    sagging = {**healthy, "voltage": 15.8, "alone": {"battery_sag": [0.7]}}
+    (found,) = commanded.wrong_ones(sagging, [], catalogue(), model, vehicle).values()
+    drive = found.document["extensions"][0]["actuators"]
+    assert drive == {"voltage exponent": pytest.approx(0.7), "reference voltage": 15.8}

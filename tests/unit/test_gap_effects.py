@@ -30,11 +30,11 @@ LEVELS = {  # what the catalogue promises
     "rotor_interference thrust_curve thrust_factor inflow_lag rotor_speed_scale thrust_drift rotor_effectiveness "
     "rotor_tilt rotor_gyroscopic rotor_acceleration_torque mass inertia cg_offset wind gusts payload_swing tether "
     "telemetry_delay",
-    "A": "battery_sag motor_lag command_delay actuator_saturation",
+    "A": "battery_sag motor_lag command_delay actuator_saturation weak_motor",
     "K": "imu_lever_arm marker_offset imu_misalignment accelerometer_bias accelerometer_scale gyro_bias gyro_scale "
     "mocap_misalignment room_tilt mocap_delay clock_drift attitude_error timestamp_fault vibration",
 }
-FINDINGS = {"gusts", "vibration", "timestamp_fault", "actuator_saturation"}
+FINDINGS = {"gusts", "vibration", "timestamp_fault", "actuator_saturation", "weak_motor"}
 
 
 def states(rng, spread=1.0):

@@ -61,6 +61,12 @@ def test_several_causes_are_a_line_and_a_list_not_a_wall_of_words():
         ("rotor_drag", "k", -2e-6, "The rotors drag less through the air than the model says"),
         ("rotor_drag", "k", 2e-6, "The rotors drag through the air"),
         ("clock_drift", "rate", -1e-4, "The on-board clock runs slow"),
+        ("command_delay", "delay", -6e-3, "Commands reach the rotors sooner than the model says"),
+        ("telemetry_delay", "delay", -6e-3, "Rotor speeds were logged early"),
+        ("mocap_delay", "delay", -6e-3, "The capture's rotation runs ahead"),
+        ("proximity", "gain", -0.2, "The rotors gain thrust near a wall"),
+        ("proximity", "ceiling", 5.0, "The rotors lose thrust near a wall, in the air that it throws back, or gain"),
+        ("gyro_bias", "x", -0.02, "The gyro reads too much or too little, by a constant"),
         ("ground_effect", "c", 3.0, "The rotors make more thrust near the floor"),
         ("rotor_effectiveness", "rotor2", 1.1, "One rotor makes less or more thrust"),
     ],
@@ -69,8 +75,29 @@ def test_a_cause_is_told_by_its_sign(cause, name, value, words):
     said = {**EFFECT, "id": cause, "parameters": {name: {"value": value, "std": 0.1 * abs(value), "unit": "1"}}}
     made = document([said])
     assert made["summary"].startswith(words)
-    assert words.lower() in page(made, KNOWN, None, {}).lower()
+    assert words.lower() in html.unescape(page(made, KNOWN, None, {})).lower()
     assert not any(e.opposite and e.parameters[next(iter(e.parameters))].low >= 0.0 for e in KNOWN.values())
+
+
+# what these say holds for either sign
+NEUTRAL = {
+    "accelerometer_bias", "accelerometer_scale", "battery_sag", "cg_offset", "gyro_bias", "gyro_scale",
+    "imu_lever_arm", "imu_misalignment", "inertia", "marker_offset", "mass", "mocap_misalignment", "motor_lag",
+    "room_tilt", "rotor_effectiveness", "rotor_speed_scale", "rotor_tilt", "thrust_curve", "thrust_drift",
+    "thrust_factor", "wind",
+}  # fmt: skip
+
+
+def test_no_cause_says_of_a_negative_size_what_it_says_of_a_positive_one():
+    signed = set()
+    for name, effect in KNOWN.items():
+        for first, parameter in list(effect.parameters.items())[:1]:
+            neutral = parameter.neutral or 0.0
+            if parameter.low < neutral or parameter.neutral is None:
+                below, above = (effect.happens({first: neutral + s * 1e-3}) for s in (-1.0, 1.0))
+                assert (below == above) == (name in NEUTRAL), name
+                signed.add(name)
+    assert signed >= NEUTRAL
 
 
 def test_an_interval_that_says_nothing_is_not_told_in_hundreds():

@@ -179,6 +179,47 @@ def test_a_constant_error_goes_into_the_trim_of_the_seconds_before(model):
     np.testing.assert_allclose(trimmed["velocity z"][first], plain["velocity z"][first])
 
 
+def test_a_trim_turns_a_model_of_another_inertia_as_the_flight_was_turned():
+    """A moment M turns the vehicle with I_m^-1 M, which is read as I_b I_m^-1 M by the configured inertia."""
+    base = made_model(reaction=0.0)
+    document = base.document
+    own = np.asarray(document["airframe"]["inertia"])
+    true = own + np.array([[2e-4, 3e-4, 0], [3e-4, 1e-4, 1e-4], [0, 1e-4, 2e-4]])
+    extended = Model({**document, "airframe": {**document["airframe"], "inertia": true.tolist()}})
+    axes = {**document["axes"]}
+    for axis, moment in (("Mx", 6e-6), ("My", -9e-6)):
+        term = {"name": "1", "expression": "1", "coefficient": moment, "std": 0.0, "unit": "", "given": True}
+        axes[axis] = {**axes[axis], "terms": [*axes[axis]["terms"], term]}
+    table = flown(Model({**extended.document, "axes": axes}))
+    rates, moments = table[["p", "q", "r"]].to_numpy(), table[["Mx", "My", "Mz"]].to_numpy()
+    turning = np.linalg.solve(true, (moments - np.cross(rates, rates @ true)).T).T
+    read = turning @ own + np.cross(rates, rates @ own)
+    table = table.assign(**{a: read[:, k] for k, a in enumerate(("Mx", "My", "Mz"))})
+    tracks = rollout_gain.tracks_of([evidence_of(base, table)], {"a": table}, [0.5])
+    found = rollout_gain.simulated_errors(tracks, extended, base)
+    plain, trimmed = (rollout_gain.end_table(tracks, found[line], [0.5]) for line in rollout_gain.LINES)
+    later = trimmed["start"] > rollout_gain.TRIM + rollout_gain.MARGIN
+    for name in ("rate x", "rate y"):
+        assert trimmed[name][later].max() < 0.01 * plain[name][later].min()
+
+
+def test_a_trim_pushes_a_model_of_another_mass_as_the_flight_was_pushed():
+    """A force F pushes the vehicle with F/m, which is read as F m_c/m by the configured mass m_c, whatever an earlier
+    gap found the mass to be."""
+    document, heavy = made_model(reaction=0.0).document, 0.47
+    base = Model(
+        {**document, "airframe": {**document["airframe"], "mass": heavy}, CONFIGURED: document["airframe"]["mass"]}
+    )
+    table = flown(moved(base, 0.05))
+    read = {a: table[a] * document["airframe"]["mass"] / heavy for a in ("Fx", "Fy", "Fz")}
+    evidence = evidence_of(Model(document), table.assign(**read))
+    tracks = rollout_gain.tracks_of([evidence], {"a": table}, [0.5])
+    found = rollout_gain.simulated_errors(tracks, base, base)
+    plain, trimmed = (rollout_gain.end_table(tracks, found[line], [0.5]) for line in rollout_gain.LINES)
+    later = trimmed["start"] > rollout_gain.TRIM + rollout_gain.MARGIN
+    assert trimmed["velocity z"][later].max() < 0.01 * plain["velocity z"].mean()
+
+
 def test_errors_that_a_change_of_forces_moves_are_those_of_the_changed_model(model):
     wrong, table = moved(model, 0.05), flown(model)
     tracks = rollout_gain.tracks_of([evidence_of(wrong, table)], {"a": table}, [0.2, 0.5])

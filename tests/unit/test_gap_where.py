@@ -1,5 +1,6 @@
 """Where residuals of all levels live: places of a flight, bins along them, windows by the place where they begin."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,14 +8,17 @@ import pandas as pd
 import pytest
 from test_actuation import FRAME, MODEL
 from test_actuation import flown as driven
+from test_gap_extension import base_of, flight
 from test_kinematic import flown as sensed
 
 from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.gap.calibration import actuation, kinematic
 from quasi.gap.calibration.lower import units_of
+from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.level import Flown
-from quasi.gap.flights.residual_tables import LEAST, beside, where
+from quasi.gap.flights.residual_tables import LAG, LEAST, beside, where, whiteness
 from quasi.gap.rollouts.rollout_places import UNITS, channels_of, placed, where_of
+from quasi.gap.wrench.tables import wrench_tables
 
 N = 400
 T = np.arange(N) / 100.0
@@ -71,6 +75,68 @@ def test_levels_of_sensors_and_drive_tell_where_their_errors_live():
     assert one["rows"] == len(rows)
     assert one["rms_before"] == pytest.approx(np.sqrt(np.mean(rows["w1_before"] ** 2)))
     assert one["mean_floor"] == pytest.approx(rows["w1_floor"].mean())
+
+
+def autoregressive(rate, memory, n=40000, seed=5):
+    """An autoregression of first order whose correlation `memory` s later is exp(-1), by its own recursion."""
+    keep, draw = np.exp(-1.0 / (memory * rate)), np.random.default_rng(seed).standard_normal(n)
+    values = np.empty(n)
+    values[0] = draw[0] / np.sqrt(1.0 - keep**2)
+    for k in range(1, n):
+        values[k] = keep * values[k - 1] + draw[k]
+    return values
+
+
+def one_break(n):
+    return np.arange(n) == 0
+
+
+@pytest.mark.parametrize("rate", [20.0, 100.0, 125.0])
+def test_whiteness_is_the_correlation_of_the_residual_with_itself_at_any_rate(rate):
+    slow, n = autoregressive(rate, 0.5), 40000
+    noise = np.random.default_rng(6).standard_normal(n)
+    t = np.arange(n) / rate
+    series = {"before": np.column_stack([7.0 + slow, noise]), "floor": np.column_stack([noise, 0.0 * noise])}
+    first, second = whiteness(series, t, one_break(n))
+    assert first["whiteness_before"] == pytest.approx(np.exp(-LAG / 0.5), abs=0.05)
+    assert first["whiteness_floor"] == second["whiteness_before"] == pytest.approx(0.0, abs=0.03)
+    assert np.isnan(second["whiteness_floor"])
+
+
+def test_whiteness_reaches_over_no_break():
+    """Each stretch is one number: beside its neighbours it is at random, within itself it stays."""
+    length, n = 60, 6000  # rows of 0.01 s: a stretch of 0.6 s
+    levels = np.repeat(np.random.default_rng(7).standard_normal(n // length), length)[:, None]
+    t, starts = np.arange(n) / 100.0, np.arange(n) % length == 0
+    (inside,) = whiteness({"before": levels}, t, starts)
+    (across,) = whiteness({"before": levels}, t, one_break(n))
+    assert inside["whiteness_before"] == pytest.approx(1.0) and across["whiteness_before"] < 0.5
+    (short,) = whiteness({"before": levels}, t, np.arange(n) % 40 == 0)
+    assert np.isnan(short["whiteness_before"])
+
+
+def test_every_level_tells_the_whiteness_of_its_own_rows():
+    """By numpy's own correlation of the rows of the tables."""
+    base = base_of("withGravity")
+    evidence, truth = flight(base)
+    slow = autoregressive(100.0, 0.5, len(truth))
+    wrench = wrench_tables(
+        {"a": replace(evidence, measured=truth + 0.01 * slow[:, None])}, {"a": "compared"},
+        lambda one: 0.5 * one.residual, vehicle_of(base),
+    )  # fmt: skip
+    levels = [kinematic.examine([sensed(1, gyro_bias=(0.02, 0.0, 0.0)), sensed(2)], {}).tables,
+              actuation.examine([driven(1, up=0.04), driven(2, up=0.04)], MODEL, {}).tables,
+              {"channels": wrench["W_channels"], "residuals": wrench["W_residuals"]}]  # fmt: skip
+    for tables in levels:
+        for _, row in tables["channels"].iterrows():
+            rows = tables["residuals"].query(f"flight == {row['flight']!r}")
+            step = round(LAG / np.median(np.diff(rows["t"])))
+            for word in ("before", "after", "floor"):
+                if f"whiteness_{word}" in row:
+                    x = rows[f"{row['channel']}_{word}"].to_numpy()
+                    expected = np.corrcoef(x[step:], x[:-step])[0, 1]
+                    assert row[f"whiteness_{word}"] == pytest.approx(expected, abs=0.03)
+    assert wrench["W_channels"]["whiteness_before"].max() > 0.2
 
 
 @pytest.fixture(name="errors")

@@ -112,7 +112,8 @@ def test_a_clean_flight_shows_nothing_and_its_floor_is_white(clean):
     assert not clean.effects
     assert not clean.ties
     assert not clean.findings
-    assert clean.tables["channels"]["whiteness"].abs().max() < 0.2
+    channels = clean.tables["channels"]
+    assert channels[[f"whiteness_{w}" for w in ("before", "after", "floor")]].abs().to_numpy().max() < 0.2
     assert clean.noise_floor["p"] < 0.01
     assert clean.noise_floor["down"] < 0.05
 

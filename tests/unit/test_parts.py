@@ -351,6 +351,10 @@ def test_the_voltage_exponent_of_a_cause_moves_the_speeds_and_is_told_without_a_
     ]
     ratio = (table["w1"] / table["w1_CMD"]).to_numpy()
     np.testing.assert_allclose(ratio, (table["battery_voltage"].to_numpy() / 16.0) ** 0.8, rtol=1e-3)
+    volts = of(model, {"id": "battery_sag", "actuators": {"voltage exponent": 0.8, "reference voltage": 16.0}})
+    told = flown(volts, 3.0, battery={"voltage": 15.5, "drain": 0.05})
+    assert told.machine.battery.reference == 16.0 and any("as commanded at 16.00 V" in n for n in told.notes)
+    assert flown(volts, 3.0, battery=battery | {"reference voltage": 15.0}).machine.battery.reference == 15.0
     setup = flown(other)
     assert setup.machine.battery.exponent == 0.0 and any("no voltage is given" in n for n in setup.notes)
 

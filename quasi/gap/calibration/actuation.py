@@ -34,11 +34,10 @@ from quasi.gap.flights.level import (
     separability,
     shares_of,
 )
-from quasi.gap.flights.residual_tables import beside, spectra, where
+from quasi.gap.flights.residual_tables import beside, spectra, where, whiteness
 from quasi.gap.statistics.mixed import Columns, Offer
-from quasi.gap.statistics.whitening import autoregression, whiten
 
-ORDER = 12  # of the autoregression at the rate of the residuals
+EXPONENT = NAMES.index("exponent")
 BLOCK = 5.0  # s
 PRIOR_FREEDOM = 16.0
 CAUSES = {"motor_lag": ("up", "down"), "command_delay": ("delay",), "telemetry_delay": ("late",),
@@ -81,7 +80,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     kinds = {commanded(f) for f in flights if f.compared} - {""}
     if not kinds:
         why = "no compared flight logs the commands of all four rotors"
-        level.cannot_be_asked = [{"id": c, "why": why} for c in [*asked, "actuator_saturation"]]
+        level.cannot_be_asked = [{"id": c, "why": why} for c in [*asked, "actuator_saturation", "weak_motor"]]
         return level
     kind = "speeds" if "speeds" in kinds else "shares"
     level.findings += saturated(flights, kind)
@@ -93,8 +92,12 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         return level
     constants = [whole(f, d) for f, d in zip(used, fits)]
     if belief is None or not told:
-        middle = np.median([v for f, v in zip(used, constants) if not f.compared] or constants, axis=0)
-        reference = Belief(middle, reference_voltage(used))
+        first = [k for k, f in enumerate(used) if not f.compared] or list(range(len(used)))
+        middle = np.median([constants[k] for k in first], axis=0)
+        # what reference flights whose voltage stays do not tell of the battery is no change in the others
+        tell = [k for k in first if fits[k].volts_vary] or [k for k, d in enumerate(fits) if d.volts_vary]
+        middle[EXPONENT] = np.median([constants[k][EXPONENT] for k in tell or first])
+        reference = Belief(middle, belief and belief.voltage)
         level.notes.append(
             f"the model {document.get('id', '')} does not say how its rotors follow commands; only changes between "
             "reference and compared flights can show there"
@@ -124,7 +127,9 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
 
     mixed = build([p.gram() for p in products])
     level.tests = mixed
-    learned = np.mean([d.values for d, flag in zip(fits, compared) if flag], axis=0)
+    students = [d for d, flag in zip(fits, compared) if flag]
+    learned = np.mean([d.values for d in students], axis=0)
+    learned[EXPONENT] = np.mean([d.values[EXPONENT] for d in students if d.volts_vary] or learned[EXPONENT])
     level.healthy = {
         "values": reference.values.tolist(), "voltage": reference.voltage,
         "learned": {"kind": kind, "values": learned.tolist(), "voltage": belief and belief.voltage},
@@ -135,7 +140,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     alone = sorted(choice.marginal.values(), key=lambda test: test.wald)
     level.healthy["alone"] = {test.offer.cause: test.value.tolist() for test in alone}
     shares = probability(lambda rng: [p.gram(rng) for p in products], build, choice, levels)
-    _report(level, mixed, choice, shares, [d for d, flag in zip(fits, compared) if flag])
+    _report(level, mixed, choice, shares, students, belief and belief.voltage)
     _tables(level, used, fits, [v - reference.values for v in constants])
     return level
 
@@ -271,25 +276,34 @@ def size_of(cause: str, values: Mapping[str, float], healthy: Mapping[str, float
     return np.array([values["delay"]])
 
 
-def _parameters(mixed: Tests, choice: Choice, offer: Offer, fits: Sequence[DriveFit]) -> dict[str, dict[str, Any]]:
-    """As they are stated: time constant and exponent absolute, of the compared flights; delays beyond the reference."""
+def _parameters(
+    mixed: Tests, choice: Choice, offer: Offer, fits: Sequence[DriveFit], volts: float | None
+) -> dict[str, dict[str, Any]]:
+    """As they are stated: time constant and exponent absolute, of the compared flights; delays beyond the reference.
+
+    volts  at which the exponent's map holds
+    """
     test = final_test(mixed, choice, offer)
-    values = np.array([d.values for d in fits])
-    share = 1.0 / np.sqrt(len(fits))
+    # a flight whose voltage stays holds the exponent that its fit began with
+    telling = [d for d in fits if d.volts_vary] if offer.cause == "battery_sag" else fits
+    values = np.array([d.values for d in telling])
+    share = 1.0 / np.sqrt(len(telling))
     if offer.cause == "motor_lag":
         each = values[:, :2].mean(axis=1)
         std = max(float(each.std()) * share, SPREAD["up"] * float(each.mean()) * share / np.sqrt(2.0))
         return {"time_constant": {"value": float(each.mean()), "std": float(std), "unit": "s"}}
     if offer.cause == "battery_sag":
-        each = values[:, 6]
+        each = values[:, EXPONENT]
         std = max(float(each.std()) * share, SPREAD["exponent"] * share)
-        return {"exponent": {"value": float(each.mean()), "std": float(std), "unit": "1"}}
+        told = {"exponent": {"value": float(each.mean()), "std": float(std), "unit": "1"}}
+        return told | ({"reference voltage": {"value": volts, "std": 0.0, "unit": "V"}} if volts else {})
     return {"delay": {"value": float(test.value[0]), "std": float(test.std[0]), "unit": "s"}}
 
 
 def _report(
-    level: Level, mixed: Tests, choice: Choice, shares: Mapping[Offer, float], fits: Sequence[DriveFit]
-) -> None:
+    level: Level, mixed: Tests, choice: Choice, shares: Mapping[Offer, float], fits: Sequence[DriveFit],
+    volts: float | None,
+) -> None:  # fmt: skip
     for offer in choice.taken:
         tie, test = choice.tied[offer], final_test(mixed, choice, offer)
         if len(tie) > 1:
@@ -298,7 +312,7 @@ def _report(
                 {"ids": [o.cause for o in tie], "since": offer.since,
                  "separability": separability(mixed, choice, offer, tie[1]),
                  "tie_breaker": BREAKERS.get(pair, ANY_BREAKER),
-                 "parameters": {o.cause: _parameters(mixed, choice, o, fits) for o in tie},
+                 "parameters": {o.cause: _parameters(mixed, choice, o, fits, volts) for o in tie},
                  "p": test.p, "wald": test.wald, "probability": shares[offer]}
             )  # fmt: skip
             continue
@@ -307,7 +321,7 @@ def _report(
             evidence |= dict(zip(("up", "down"), np.mean([d.values[:2] for d in fits], axis=0).tolist()))
         level.effects.append(
             {"id": offer.cause, "since": offer.since, "probability": shares[offer],
-             "channels": ["w1", "w2", "w3", "w4"], "parameters": _parameters(mixed, choice, offer, fits),
+             "channels": ["w1", "w2", "w3", "w4"], "parameters": _parameters(mixed, choice, offer, fits, volts),
              "evidence": evidence}
         )  # fmt: skip
     level.effects.sort(key=lambda e: -e["evidence"]["wald"])
@@ -327,15 +341,16 @@ def _tables(level: Level, used: Sequence[Flown], fits: Sequence[DriveFit], apart
     rows, channels, parameters, floors = [], [], [], []
     for flown, fit, away in zip(used, fits, apart):
         before = fit.residual + fit.slopes @ away
-        white, _ = whiten(fit.residual[:, :, None], fit.breaks, autoregression([fit.residual], [fit.breaks], ORDER))
+        series = {"before": before, "floor": fit.residual}
+        memory = whiteness(series, fit.t, fit.breaks)
         table = pd.DataFrame({"t": fit.t, "flight": flown.key, **beside(flown, fit.t)})
         for i in range(4):
-            name, n = f"w{i + 1}", white[:, i, 0]
-            table[f"{name}_before"], table[f"{name}_floor"] = before[:, i], fit.residual[:, i]
+            name = f"w{i + 1}"
+            for word, values in series.items():
+                table[f"{name}_{word}"] = values[:, i]
             channels.append(
                 {"flight": flown.key, "compared": flown.compared, "channel": name, "unit": "rad/s",
-                 "before": _rms(before[:, i]), "floor": _rms(fit.residual[:, i]),
-                 "whiteness": float(n[1:] @ n[:-1] / max(n @ n, 1e-300)) if len(n) > 1 else np.nan}
+                 **{word: _rms(values[:, i]) for word, values in series.items()}, **memory[i]}
             )  # fmt: skip
         rows.append(table)
         floors.append((fit.residual**2).mean(axis=0))

@@ -49,7 +49,8 @@ class DriveFit(NamedTuple):
     """One flight at its best constants.
 
     values (11,) by NAMES; t (n,) s; breaks (n,) bool; residual (n, 4) rad/s; slopes (n, 4, 11) of the modelled speed
-    held (11,) rad2/s2 per unit squared: how strongly each value was held where the fit began
+    held (11,) rad2/s2 per unit squared: how strongly each value was held where the fit began; noise rad/s that weighed
+    the residual against that
     """
 
     key: str
@@ -60,6 +61,7 @@ class DriveFit(NamedTuple):
     slopes: np.ndarray
     volts_vary: bool
     held: np.ndarray
+    noise: float
 
     def covariance(self) -> np.ndarray:
         """Of the values (11, 11), whatever the residuals remember and however they depart from a lag of first order.
@@ -74,7 +76,8 @@ class DriveFit(NamedTuple):
             cross = scores[lag:].T @ scores[:-lag]
             meat += (1.0 - lag / reach) * (cross + cross.T)
         flat = self.slopes.reshape(-1, len(NAMES))
-        return inverse @ (meat + SHARPEST**2 * flat.T @ flat + np.diag(self.held)) @ inverse
+        # a value that is only held may be off by its looseness, noise / sqrt(held)
+        return inverse @ (meat + SHARPEST**2 * flat.T @ flat + self.noise**2 * np.diag(self.held)) @ inverse
 
     def moves(self, seconds: float) -> np.ndarray:
         """What each block of the flight adds to the values (B, 11), to first order; they sum to nothing much."""
@@ -125,7 +128,6 @@ def belief_of(document: Mapping[str, Any], kind: str) -> Belief | None:
     held = drive_of(document)
     if "time constants" not in held:
         return None
-    found = {k: v for e in document.get("extensions") or [] for k, v in (e.get("actuators") or {}).items()}
 
     def mean(name: str, otherwise: float) -> float:
         return float(np.mean(held[name]["value"])) if name in held else otherwise
@@ -144,8 +146,7 @@ def belief_of(document: Mapping[str, Any], kind: str) -> Belief | None:
             if power > 2:
                 return None
             values[3 + power] = coefficient
-        own = (table.get("voltage exponent") or {}).get("value") or 0.0
-        values[6] = float(found.get("voltage exponent", own))
+        values[6] = float((table.get("voltage exponent") or {}).get("value") or 0.0)
         voltage = table.get("reference voltage")
     aged = held["delay"].get(AGE_OFF) if "delay" in held else None
     return Belief(values, voltage, aged if isinstance(aged, bool) else None)
@@ -235,4 +236,4 @@ def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
             break
     breaks = np.concatenate([[True], np.diff(rows) > every])
     vary = volts is not None and float(np.std(ratio[rows])) > STEADY
-    return DriveFit(flown.key, x, t[rows], breaks, target - here, slopes_at(x, here), vary, (noise / loose) ** 2)
+    return DriveFit(flown.key, x, t[rows], breaks, target - here, slopes_at(x, here), vary, (noise / loose) ** 2, noise)

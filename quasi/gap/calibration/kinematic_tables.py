@@ -8,9 +8,9 @@ import pandas as pd
 from quasi.gap.calibration.kinematic_columns import CHANNELS, RATE, Weak
 from quasi.gap.calibration.kinematic_products import added, alone, blocks_of, least_squares
 from quasi.gap.flights.level import Flown
-from quasi.gap.flights.residual_tables import beside, spectra, where
+from quasi.gap.flights.residual_tables import beside, spectra, where, whiteness
 from quasi.gap.statistics.mixed import Offer, Test
-from quasi.gap.statistics.whitening import Whitener, whiten
+from quasi.gap.statistics.whitening import Whitener
 
 
 def tables(
@@ -18,7 +18,7 @@ def tables(
     fitted: Mapping[Offer, Test], causes: Mapping[str, Sequence[int]], usual: Mapping[str, float],
     units: Mapping[str, str],
 ) -> tuple[dict[str, pd.DataFrame], dict[str, float]]:  # fmt: skip
-    """Tables "residuals" (rows), "channels" (rms per flight and channel), "where", "parameters", "spectra"; the floor.
+    """Tables "residuals" (rows), "channels" (rms, whiteness), "where", "parameters", "spectra"; the floor.
 
     known   (P,) per flight: values of the columns that were taken off before, and are added again here
     fitted  causes taken; causes {cause: columns}; usual  {cause: spread} of nuisances
@@ -46,19 +46,17 @@ def tables(
         for word, taken in (("before", healthy), ("after", told)):
             usually = np.linalg.solve(gram[np.ix_(nuisance, nuisance)] + weight, gram[nuisance] @ taken)
             series[word] = columns @ taken - columns[:, :, nuisance] @ usually
-        left = one.columns[:, :, 0] - one.columns[:, :, 1:] @ least_squares(one.columns)
-        white, _ = whiten(left[:, :, None], one.breaks, whitener)
+        series["floor"] = left = one.columns[:, :, 0] - one.columns[:, :, 1:] @ least_squares(one.columns)
         floors.append((left**2).mean(axis=0))
+        memory = whiteness(series, one.t, one.breaks)
         table = pd.DataFrame({"t": one.t, "flight": flown.key, **beside(flown, one.t)})
         for c in shown:
-            channel, n = CHANNELS[c], white[:, c, 0]
-            table[f"{channel}_before"], table[f"{channel}_after"] = series["before"][:, c], series["after"][:, c]
-            table[f"{channel}_floor"] = left[:, c]
+            channel = CHANNELS[c]
+            for word, values in series.items():
+                table[f"{channel}_{word}"] = values[:, c]
             channels.append(
                 {"flight": flown.key, "compared": flown.compared, "channel": channel,
-                 "unit": unit[channel], "before": _rms(series["before"][:, c]),
-                 "after": _rms(series["after"][:, c]), "floor": _rms(left[:, c]),
-                 "whiteness": float(n[1:] @ n[:-1] / max(n @ n, 1e-300)) if len(n) > 1 else np.nan}
+                 "unit": unit[channel], **{word: _rms(values[:, c]) for word, values in series.items()}, **memory[c]}
             )  # fmt: skip
         rows.append(table)
         own, std = alone(gram, names)

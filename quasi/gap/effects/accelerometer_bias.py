@@ -5,7 +5,7 @@ from quasi.gap.effect import Effect, Parameter
 EFFECT = Effect(
     id="accelerometer_bias",
     level="K",
-    sentence="the accelerometer reads a constant too much",
+    sentence="the accelerometer reads too much or too little, by a constant",
     equation="measured = true + bias, body axes",
     source="Titterton & Weston, 2nd ed., 2004, section 6.3",
     parameters={axis: Parameter("m/s2", 0.0, "f", -5.0, 5.0, 0.2) for axis in ("x", "y", "z")},

@@ -3,9 +3,13 @@
 from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
 from quasi.standalone.model import Model
 
+VOLTAGE = "reference voltage"
+
 
 def _extension(values: Values, _: Vehicle, __: Model) -> Extension:
-    return Extension(actuators={"voltage exponent": values["exponent"]})
+    # a map that tells no voltage of its own holds at that of the flights which told the exponent
+    volts = {"reference voltage": values[VOLTAGE]} if values[VOLTAGE] else {}
+    return Extension(actuators={"voltage exponent": values["exponent"], **volts})
 
 
 EFFECT = Effect(
@@ -14,7 +18,7 @@ EFFECT = Effect(
     sentence="rotor speeds at the same command follow the battery's voltage otherwise than the model says",
     equation="W = map(command) (V / V_ref)^exponent",
     source="steady speed of an open-loop speed controller",
-    parameters={"exponent": Parameter("1", None, "a", -1.0, 3.0, 0.3)},
+    parameters={"exponent": Parameter("1", None, "a", -1.0, 3.0, 0.3), VOLTAGE: Parameter("V", None, "a", 0.0, 100.0)},
     channels=("w1", "w2", "w3", "w4"),
     rivals=("thrust_drift",),
     tie_breaker="a long flight, or batteries of different charge",

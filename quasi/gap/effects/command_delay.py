@@ -18,6 +18,7 @@ EFFECT = Effect(
     id="command_delay",
     level="A",
     sentence="commands reach the rotors late",
+    opposite="commands reach the rotors sooner than the model says",
     equation="W(t) = f(W_wanted(t - delay)), one delay for all rotors",
     source="definition",
     parameters={"delay": Parameter("s", 0.0, "a", -0.05, 0.1, 0.008)},

@@ -5,7 +5,7 @@ from quasi.gap.effect import Effect, Parameter
 EFFECT = Effect(
     id="gyro_bias",
     level="K",
-    sentence="the gyro reads a constant too much",
+    sentence="the gyro reads too much or too little, by a constant",
     equation="measured = true + bias, body axes",
     source="Titterton & Weston, 2nd ed., 2004, section 4.4",
     parameters={axis: Parameter("rad/s", 0.0, "f", -1.0, 1.0, 0.03) for axis in ("x", "y", "z")},

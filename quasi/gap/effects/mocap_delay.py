@@ -6,6 +6,7 @@ EFFECT = Effect(
     id="mocap_delay",
     level="K",
     sentence="the capture's rotation is late behind its position",
+    opposite="the capture's rotation runs ahead of its position",
     equation="captured attitude(t) = true attitude(t - delay)",
     source="definition",
     parameters={"delay": Parameter("s", 0.0, "s", -0.1, 0.1, 0.01)},

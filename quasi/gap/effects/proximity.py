@@ -45,6 +45,7 @@ EFFECT = Effect(
     id="proximity",
     level="W",
     sentence="the rotors lose thrust near a wall, in the air that it throws back, or gain thrust below a ceiling",
+    opposite="the rotors gain thrust near a wall or below a ceiling",
     equation="T = T0 (1 - gain exp(-(d/1 m)^2) + ceiling (R/4h)^2), d to the nearest wall, h to the ceiling, each hub",
     source="ceiling: Hsiao & Chirarattananon, Ceiling effects for hybrid aerial-surface locomotion of small "
     "rotorcraft, IEEE/ASME T-Mech 24(5), 2019; the wall's form is empirical",

@@ -20,6 +20,7 @@ EFFECT = Effect(
     id="telemetry_delay",
     level="W",
     sentence="rotor speeds were logged late against the motion that they cause",
+    opposite="rotor speeds were logged early against the motion that they cause",
     equation="W_log(t) = W(t - delay): residual delay dF/dW dW/dt, the same delay on every channel",
     source="definition",
     parameters={"delay": Parameter("s", 0.0, "f", -0.01, 0.1, 0.005)},

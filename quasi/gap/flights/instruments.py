@@ -61,7 +61,8 @@ def shown(extended: Model, base: Model, flight: Evidence) -> np.ndarray:
             bare = (wrench[:, :3] - weight) * (mass + load["mass"]) / mass
             # what a model that carries the load already predicts holds it hanging at rest
             driving = bare / mass if "swinging load" in named(parts_of(base)) else None
-            force = (bare + weight) * scale + load["mass"] * pull_of(flight, load["length"], driving)
+            # the accelerometer feels the string's pull beside the rotors', over the true mass
+            force = scale * (bare + weight + load["mass"] * pull_of(flight, load["length"], driving))
     for extension in sections:
         lag = extension.get("states", {}).get("inflow lag")
         if lag:  # its terms hold the first order

@@ -15,6 +15,8 @@ from quasi.gap.statistics.whitening import stretches
 WHERE = ("t", "speed", "height", "heading", "room_x", "room_y", "volts", "rotor_speed", "descent_ratio")
 BINS = 8  # along a place
 LEAST = 20  # rows of a bin
+LAG = 0.4  # s: filters and averages of no level remember as long (level K's windows are 0.4 s), so that white noise
+# shows nothing, and the rates of all levels hold whole steps of it
 SEGMENT = 4.0  # s, of a spectrum: its resolution is a quarter of a hertz
 
 
@@ -65,6 +67,25 @@ def where(table: pd.DataFrame, units: Mapping[str, str], words: Sequence[str]) -
                 for c, channel in enumerate(units)
             ]  # fmt: skip
     return pd.DataFrame(rows, columns=None if rows else ["channel", "where"])
+
+
+def whiteness(series: Mapping[str, np.ndarray], t: np.ndarray, breaks: np.ndarray) -> list[dict[str, float]]:
+    """{"whiteness_<word>": correlation of the residual with itself LAG later} of each channel; 0 for white noise.
+
+    series  {word: (n, C)}, t (n,) s, breaks (n,) bool, True where a stretch begins: no pair reaches over one
+    About the mean of all rows; NaN where no stretch is long enough or nothing varies.
+    """
+    step = max(round(LAG / float(np.median(np.diff(t)))), 1) if len(t) > 1 else 1
+    first = np.concatenate([np.arange(p.start, p.stop - step) for p in stretches(breaks)] or [[]]).astype(int)
+    found: list[dict[str, float]] = [{} for _ in range(next(iter(series.values())).shape[1])]
+    for word, values in series.items():
+        values = values - values.mean(axis=0)
+        now, later = values[first], values[first + step]
+        size = np.sqrt((now**2).sum(axis=0) * (later**2).sum(axis=0))
+        product = (now * later).sum(axis=0)
+        for channel, p, s in zip(found, product, size):
+            channel[f"whiteness_{word}"] = float(p / s) if s > 0.0 else float("nan")
+    return found
 
 
 def spectra(tables: Sequence[pd.DataFrame], breaks: Sequence[np.ndarray], rate: float) -> pd.DataFrame:

@@ -57,6 +57,7 @@ def wrong_ones(
             value = {"time_constant": float(np.mean([reference[n] + a for n, a in zip(CAUSES[cause], apart)]))}
         elif cause == "battery_sag":
             value = {"exponent": reference["exponent"] + apart[0]}
+            value |= {"reference voltage": healthy["voltage"]} if healthy.get("voltage") else {}
         else:
             value = {"delay": apart[0]}
         own = effects[cause].parameters

@@ -156,7 +156,7 @@ def _errors(track: Track, model: Model, base: Model, line: str, drive: Mapping[s
         logged, mass = track.evidence.mass, mass_in(model, track.evidence.mass)
         if mass and np.isfinite(logged):
             offsets[:, :3] *= mass / logged
-        offsets[:, 3:] = offsets[:, 3:] @ np.linalg.solve(track.course.inertia, np.asarray(model.airframe.inertia)).T
+        offsets[:, 3:] = offsets[:, 3:] @ np.linalg.solve(track.course.inertia, np.asarray(model.airframe.inertia))
     if line == TOLD:
         commands = commands_of(model, course.flight)
         other = commanded.learned(drive, course.flight, model) if drive and commands is not None else None

@@ -8,7 +8,7 @@ import pandas as pd
 from quasi.gap.effect import Vehicle
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.places import places
-from quasi.gap.flights.residual_tables import where
+from quasi.gap.flights.residual_tables import where, whiteness
 from quasi.gap.statistics.whitening import stretches
 from quasi.gap.wrench.study import BAND
 from quasi.standalone.model import AXES
@@ -29,6 +29,7 @@ def wrench_tables(
         return {}
     for key, flight in evidence.items():
         series = {"before": flight.residual, "after": left(flight)}
+        memory = whiteness(series, flight.t, flight.breaks)
         found = {name.replace(" ", "_"): values for name, values in places(flight).items() if name != "time"}
         table = {"t": flight.t, "flight": key, "role": roles[key], **found}
         for k, axis in enumerate(AXES):
@@ -38,7 +39,7 @@ def wrench_tables(
             channels.append(
                 {"flight": key, "role": roles[key], "channel": axis, "unit": UNITS[axis],
                  **{w: float(np.sqrt(np.mean(v[:, k] ** 2))) for w, v in series.items()},
-                 **{f"whiteness_{w}": _memory(v[:, k], flight.breaks) for w, v in series.items()}}
+                 **memory[k]}
             )  # fmt: skip
         rows.append(pd.DataFrame(table))
         for word, values in series.items():
@@ -51,14 +52,6 @@ def wrench_tables(
         "W_where": where(whole[whole["role"] != "reference"], UNITS, ("before", "after")),
         "W_spectra": _merged(spectra),
     }
-
-
-def _memory(values: np.ndarray, breaks: np.ndarray) -> float:
-    """Correlation of neighbours 0.1 s apart at the rate of the analysis; 0 for white noise."""
-    step = max(round(0.1 * 2.5 * BAND * 2), 1)
-    parts = [values[p] - values.mean() for p in stretches(breaks) if p.stop - p.start > 2 * step]
-    over = sum(float(p[step:] @ p[:-step]) for p in parts)
-    return over / max(sum(float(p @ p) for p in parts), 1e-300) if parts else float("nan")
 
 
 def _spectrum(flight: Evidence, values: np.ndarray, found: list[tuple[np.ndarray, np.ndarray, int]]) -> None:
