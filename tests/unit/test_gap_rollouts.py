@@ -129,6 +129,21 @@ def test_commands_are_the_logged_speeds_or_what_the_map_and_the_voltage_make_of_
     np.testing.assert_allclose(found[7], np.array(expected) * (14 / 16) ** 0.5)
 
 
+@pytest.mark.parametrize("own, reference", [(None, 16.8), (15.0, 15.0)])
+def test_a_map_that_tells_no_voltage_takes_that_of_the_cause(model, own, reference):
+    mapped = {"command map": {"coefficients": [0.0, 4500.0, 0.0], "powers": [0, 1, 2], "reference voltage": own,
+                              "voltage exponent": {"value": 0.0, "std": None}}}  # fmt: skip
+    told = {"voltage exponent": 1.0, "reference voltage": 16.8}
+    lazy = Model({**model.document, "actuators": {**(model.document["actuators"] or {}), **mapped}})
+    sagging = Model({**lazy.document, "extensions": [{"id": "battery_sag", "actuators": told}]})
+    table = flown(model)
+    volts = np.linspace(16.8, 14.8, len(table))
+    flight = open_loop.flight_of("a", table.assign(**{f"command{i}": 0.5 for i in range(1, 5)}, battery_voltage=volts))
+    np.testing.assert_allclose(open_loop.commands_of(lazy, flight), 2250.0)
+    found = open_loop.commands_of(sagging, flight)
+    np.testing.assert_allclose(found, np.tile(2250.0 * volts / reference, (4, 1)).T)
+
+
 def test_windows_avoid_rows_that_are_not_valid(model):
     table = flown(model)
     table.loc[400:420, "valid"] = 0.0

@@ -11,7 +11,7 @@ from quasi.gap.statistics import blocks
 from quasi.gap.wrench.gain import states_of
 from quasi.simulation.replay import Rotors, replay, steps_of, twelve
 from quasi.simulation.rollout import errors
-from quasi.standalone.extensions import mass_in, said_of_rotors, shift_of, wind_of
+from quasi.standalone.extensions import drive_of, mass_in, shift_of, wind_of
 from quasi.standalone.model import Model
 
 EVERY = 0.2  # s between the starts of two windows
@@ -60,20 +60,20 @@ def commands_of(model: Model, flight: Flight) -> np.ndarray | None:
     """Commanded rotor speeds (N, 4), rad/s: logged, or by the model's command map; None where neither is there.
 
     The map is (V / reference voltage)^exponent times a polynomial of the command; an extension may replace the
-    exponent. Without a voltage, or a reference for it, the map holds as it is.
+    exponent, and tell the reference where the map does not. Without a voltage, or a reference for it, the map holds as
+    it is.
     """
     table = flight.table
     if all(c in table for c in COMMANDED):
         commands = table[list(COMMANDED)].to_numpy(float)
     else:
-        held = (model.document.get("actuators") or {}).get("command map")
+        held = drive_of(model.document).get("command map")
         if not held or not all(c in table for c in SHARES):
             return None
         shares = table[list(SHARES)].to_numpy(float)
         powers = held.get("powers", range(len(held["coefficients"])))
         commands = sum(c * shares**k for c, k in zip(held["coefficients"], powers))
-        own = (held.get("voltage exponent") or {}).get("value") or 0.0
-        exponent, reference = said_of_rotors(model).get("voltage exponent", own), held.get("reference voltage")
+        exponent, reference = (held.get("voltage exponent") or {}).get("value"), held.get("reference voltage")
         if exponent and reference and "battery_voltage" in table:
             ratio = table["battery_voltage"].to_numpy(float) / float(reference)
             commands = commands * np.where(ratio > 0, ratio, np.nan)[:, None] ** exponent
