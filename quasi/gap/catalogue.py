@@ -34,6 +34,13 @@ def catalogue(own: Iterable[str | Path] = ()) -> dict[str, Effect]:
             by = source.get(effect.id, "a built-in cause")
             raise ConfigError(f"effect file {path}: the id '{effect.id}' is taken by {by}; choose another")
         found[effect.id], source[effect.id] = effect, str(path)
+    for name, path in source.items():
+        for rival in (*found[name].rivals, *found[name].indistinct):
+            if rival not in found:
+                raise ConfigError(
+                    f"effect file {path}: effect '{name}' names the rival '{rival}', which no cause has as its id"
+                    f"{nearest(rival, found)}; correct the file"
+                )
     return found
 
 

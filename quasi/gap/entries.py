@@ -195,9 +195,6 @@ def candidates(found: Found, settled: Settled, share: float) -> list[dict[str, A
         level = found.level[test.offer.since]
         why = f"p = {test.p:.2g} beside {named}, not below {level:.2g}"
         if test.p < level:
-            why = (
-                "its size would be outside what is physical, only what accompanies it differs, others explain it, "
-                "flights differ too much in it, or it is so little beside a clear cause that it may be that one's form"
-            )
+            why = found.passed.get(test.offer, "others explain what it does")
         add(test.offer.cause, test.offer.since, test, why)
     return said

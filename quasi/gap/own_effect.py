@@ -150,6 +150,10 @@ def _fault(effect: Effect) -> str:
         for name, wrench in made.items():
             if problem := _wrench_fault(wrench, f"terms(vehicle), parameter '{name}'"):
                 return problem
+        acts = [a for a in AXES if any(a in wrench for wrench in made.values())]
+        for axis in effect.channels:
+            if axis not in acts:
+                return f"channels name {axis}, but its terms act on {', '.join(acts)} alone"
     if effect.curved is not None:
         return _wrench_fault(effect.curved(TRIED, dict.fromkeys(effect.parameters, 0.01)), "curved(vehicle, values)")
     return ""

@@ -372,6 +372,7 @@ def test_an_estimate_outside_its_physical_range_is_not_named():
     grams, _ = flights(rng, 6, {3: 0.5})
     names = search(Mixed(grams, [True] * 6, LAYOUT), effects(), ("always",), 0.01, within={"a": Limits([(-0.1, 0.1)])})
     assert "a" not in [n.test.offer.cause for n in names.named]
+    assert names.passed[Offer("a", "always", (0,))] == "its size would be outside what is physical"
 
 
 @pytest.mark.parametrize("about", [0, 1])
@@ -383,6 +384,8 @@ def test_a_cause_is_named_by_a_parameter_that_it_is_about_not_by_one_that_accomp
         known["c"].parameters[str(k)] = Parameter("1", 0.0, "a", -10.0, 10.0, 1.0 if k == about else None)
     names = search(Mixed(grams, [True] * 6, LAYOUT), known, ("always",), 0.01)
     assert [n.test.offer.cause for n in names.named] == (["c"] if about == 1 else [])
+    whys = {o.cause: why for o, why in names.passed.items()}
+    assert "c" not in whys if about == 1 else "only what accompanies it differs" in whys["c"]
 
 
 def test_whitening_makes_coloured_noise_white_and_leaves_out_gaps():

@@ -52,25 +52,27 @@ def test_a_cause_that_held_out_flights_do_not_show_is_told_as_not_judged():
 def test_an_unexplained_residual_is_told_with_its_size_and_where_it_lives():
     left = {"channel": "Fz", "judged": True, "share": 0.5, "size": 0.123, "unit": "N", "since": "changed"}
     at = left_sentence({**left, "where": "heading", "mostly": [[0.7, 1.05], [2.0, 2.1]]})
-    assert "is off by 0.12 N rms along the heading, mostly at 40 to 60 and 114.6 to 120.3 deg: 50 % of its" in at
+    assert "is off by 0.12 N rms in the compared flights along the heading, mostly at 40 to 60 and 114.6 to 120.3" in at
+    assert "deg: 50 % of its removable error on the held-out flights, which no cause explains." in at
     place = left_sentence({**left, "where": "room place", "mostly": [[1.2, -0.8]]})
     assert "along the room place, mostly near x = 1.2 m, y = -0.8 m" in place
     assert "rms in time, at 0.38 to 0.42 Hz" in left_sentence({**left, "where": "frequency", "mostly": [[0.38, 0.42]]})
     whole = left_sentence({**left, "where": "time", "mostly": [[0.0, 20.0]], "share": None})
     assert whole.endswith("along the time, mostly at 0 to 20 s, on the held-out flights too, which no cause explains.")
     nowhere = left_sentence({**left, "where": "everywhere", "mostly": [], "judged": False, "share": None})
-    assert "rms everywhere: which cannot be judged on the held-out flights" in nowhere
+    assert "rms in the compared flights everywhere: which cannot be judged on the held-out flights" in nowhere
 
 
 def test_the_summary_names_cause_size_share_rivals_ties_and_what_is_left():
     text = document([EFFECT], [TIE], [LEFT])["summary"]
     for words in (
-        "This is new since the reference flights. It explains 30 % of the removable error of the simulated velocity. "
-        "Named again in 98 % of resamples.",
+        "Ground effect: this is new since the reference flights. It explains 30 % of the removable error of the "
+        "simulated velocity. Named again in 98 % of resamples.",
         "the velocity error goes from 0.5 to 0.4 m/s. Removable error of forces, moments and motion is what lies "
         "(squared) above the best fit of the model's terms and all causes together",
         "Mass or thrust factor: this data cannot tell which (separability 1.3 standard errors); to settle it: weigh",
-        "The yaw moment (Mz) is off along the heading: 40 % of its removable error, which no cause explains.",
+        "The yaw moment (Mz) is off along the heading: 40 % of its removable error on the held-out flights, which no "
+        "cause explains.",
     ):
         assert words in text
     assert "sensors and rotor speeds" not in text
@@ -90,7 +92,7 @@ def test_the_box_begins_with_one_sentence_that_says_it_all():
         "effect and lost (tether: p = 0.69); it cannot be told whether mass or thrust factor is there; something in "
         "yaw moment stays unexplained."
     )
-    assert html.unescape(f"{first} {more}") == made["summary"] and more.startswith("This is new")
+    assert html.unescape(f"{first} {more}") == made["summary"] and more.startswith("Ground effect: this is new")
     none = re.search(r'class="verdict.*?<strong>(.*?)</strong></p>', page(document(), KNOWN, None, {}))[1]
     assert none == html.escape(document()["summary"])
 
@@ -240,7 +242,8 @@ def test_a_value_goes_as_far_as_its_standard_error(parameter, words):
 def test_parameters_are_stated_as_they_are_not_as_deviations():
     vehicle = Vehicle(np.zeros((4, 3)), np.ones(4), 0.04, 1e-7, 1e-9, 0.43, np.diag([1e-3, 2e-3, 3e-3]), 9.7, 0.0, 0.0)
     assert truth(KNOWN["mass"], "mass", 0.02, vehicle) == pytest.approx(0.45)
-    heavier = as_flown(vehicle, [SimpleNamespace(mass=0.44), SimpleNamespace(mass=0.46)])  # as the logbook says
+    model = SimpleNamespace(airframe=SimpleNamespace(mass=0.43), document={})
+    heavier = as_flown(vehicle, [SimpleNamespace(mass=m, model=model) for m in (0.44, 0.46)])  # as the logbook says
     assert truth(KNOWN["mass"], "mass", 0.02, heavier) == pytest.approx(0.47)
     assert as_flown(vehicle, []) is vehicle
     assert truth(KNOWN["inertia"], "Iyy", 1e-4, vehicle) == pytest.approx(2.1e-3)

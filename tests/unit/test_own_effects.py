@@ -45,6 +45,8 @@ def path(tmp_path):
         (text(sentence="3"), "sentence is 3, expected text"),
         (text(parts="'some'"), "parts is 'some', expected one of any, all, first, one"),
         (text(channels="('fx',)"), "channel 'fx' is no axis (did you mean 'Fx'?)"),
+        (text(channels="('Fx', 'Fz')"), "channels name Fz, but its terms act on Fx alone"),
+        (text(rivals="('translational_lif',)"), "'translational_lif', which no cause has as its id (did you mean"),
         (text(parameters="{'k': ('N', 0, 'a', 0, 1)}"), "expected Parameter(unit, neutral, ...)"),
         (text(parameters="{'k': Parameter('N', 5.0, 'a', 0.0, 1.0)}"), "neutral is 5.0, expected a value from 0"),
         (text(parameters="{'k': Parameter('N', 0.0, 'a', 0.0, 1.0, 0.0)}"), "its typical size is 0.0"),

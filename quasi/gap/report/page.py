@@ -45,12 +45,18 @@ MOST = 15  # of the causes that are not named
 SHOWN = 0.5  # s: rows of the horizon nearest to it, and of the longest, stand on the page; the others open on demand
 FLOORS = 3.0  # times its floor that a channel of sensors or drive may keep unmentioned
 ROOM = ("north", "east", "down")  # accelerations along the room's axes
+TAKEN_OFF = (
+    "Before and after are errors as they stand; they hold what every flight has of its own as well (how markers and "
+    "IMU sat, what biases they had), which may hide a gain, or undo it. Removed is told with that taken off, before "
+    "and after alike: the share of the squared error above the floor that goes with the cause."
+)
 LEVELS = {"K": "sensors against capture", "A": "rotor speeds against commands"}
 CAPTIONS = {
     "glance": "Left: the error of the model where it falls most, before (pale red) and after (blue) the extension, "
     "with standard errors, compared and held-out flights together. Right: a held-out flight (black) and what the "
-    "simulation makes of its rotor speeds, in the second where the extension gains most; what it gains elsewhere "
-    "stands below.",
+    "simulation makes of its rotor speeds, in the window where the extension gains most; what it gains elsewhere "
+    "stands below. Where causes are named that all flights have, the model's own terms were fitted anew beside them, "
+    "and the gain is that of both.",
     "overlays": "Simulated from measured states with measured rotor speeds, before (pale red) and after (blue) the "
     "extension, beside the flight (black); where only blue is seen with a red rim, nothing has changed.",
     "horizons": "Errors at the end of simulations of held-out flights over their length, before (pale red) and after "
@@ -253,12 +259,18 @@ def _lower(diagnosis: Mapping[str, Any]) -> str:
     """Errors of sensors and of the rotors' drive on the held-out flights, and what of them stays without a name."""
     blocks = []
     for level, word in LEVELS.items():
-        rows = []
+        rows, named = [], [e for e in diagnosis["effects"] if e["level"] == level and e.get("removed")]
         for channel in diagnosis["gap"]["before"].get(level, {}):
             three = [_value(diagnosis, k, level, channel) for k in ("before", "after", "noise_floor")]
             name = CHANNELS.get(channel, channel) + ("" if channel in ROOM else f" ({channel})")
-            rows.append([f"{name}, {_unit(channel)}", *map(report.number, three)])
-        blocks.append(report.table([word, "before", "after", "noise floor"], rows))
+            gone = [
+                f"{max(round(100 * e['removed'][channel]), 0)} %" if channel in e["removed"] else "–" for e in named
+            ]
+            rows.append([f"{name}, {_unit(channel)}", *map(report.number, three), *gone])
+        head = [word, "before", "after", "noise floor", *(f"removed: {name_of(e['id'])}" for e in named)]
+        blocks.append(report.table(head, rows))
+        if named:
+            blocks.append(report.paragraph(TAKEN_OFF))
         above = _above(diagnosis, level, word)
         blocks.append(report.paragraph(above) if above else "")
     return "".join(blocks)

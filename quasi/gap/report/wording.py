@@ -152,7 +152,10 @@ def _explains(effect: Mapping[str, Any], roles: Mapping[str, str]) -> str:
         return f"explains {share} of the removable {CHANNELS.get(channel, channel)} error ({channel}){at}"
     if effect["level"] == "A":
         return f"explains {percent(gain)} of the removable error of rotor speeds at given commands{at}"
-    return f"takes {percent(gain)} of the removable error away{at}, corrected at import"
+    removed = effect.get("removed") or {}
+    best = max(removed, key=removed.get, default=None)
+    which = f"{CHANNELS.get(best, best)} error" if best else "error"
+    return f"takes {percent(gain)} of the removable {which} away{at}, corrected at import"
 
 
 def _beyond(effect: Mapping[str, Any]) -> str:
@@ -245,7 +248,9 @@ def tie_sentence(tie: Mapping[str, Any]) -> str:
 def left_sentence(left: Mapping[str, Any]) -> str:
     """An unexplained residual and where it lives."""
     channel, where = left["channel"], left["where"]
-    size = f" by {left['size']:.2g} {left['unit']} rms" if "size" in left else ""
+    # what keeps time is measured on held-out flights, all else where it was found
+    found = "" if where == "frequency" else " in the compared flights"
+    size = f" by {left['size']:.2g} {left['unit']} rms{found}" if "size" in left else ""
     at = f", mostly {ranges_of(where, left['mostly'])}" if left.get("mostly") and where != "frequency" else ""
     along = where if where == "everywhere" else f"along the {where}"
     if where == "frequency" and left.get("mostly"):
@@ -256,7 +261,7 @@ def left_sentence(left: Mapping[str, Any]) -> str:
     elif left["share"] is None:
         told = ", on the held-out flights too"
     else:
-        told = f": {percent(left['share'])} of its removable error"
+        told = f": {percent(left['share'])} of its removable error on the held-out flights"
     return f"The {CHANNELS.get(channel, channel)} ({channel}) is off{size} {along}{at}{told}, which no cause explains."
 
 
@@ -386,7 +391,10 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
     roles, effects = diagnosis["flights"], diagnosis["effects"]
     texts = [headline(diagnosis, known)] if effects else []
     if len(effects) == 1:  # the sentence has told the rest
-        texts.append(" ".join(t for t in (_sentence(since_of(effects[0])), _beyond(effects[0])) if t))
+        since = since_of(effects[0])
+        if diagnosis["ties"] or diagnosis["unexplained"]:  # which the sentence ended with
+            since = f"{name_of(effects[0]['id'])}: {since}"
+        texts.append(" ".join(t for t in (_sentence(since), _beyond(effects[0])) if t))
     else:
         texts += [
             " ".join(t for t in (cause_sentence(e, known, roles), _sentence(rivals_words(e, diagnosis, known))) if t)

@@ -32,7 +32,7 @@ class Found:
     axis on held-out flights.
 
     unjudged  those of the causes that the held-out flights do not excite; contradicted {cause: test, why}: those whose
-    axes do not agree; stand_ins  the first cause of each tie
+    axes do not agree; stand_ins  the first cause of each tie; passed  why significant offers were passed over
     """
 
     causes: list[Cause]
@@ -47,6 +47,7 @@ class Found:
     unjudged: list[Cause] = field(default_factory=list)
     contradicted: dict[str, tuple[Test, str]] = field(default_factory=dict)
     stand_ins: list[Cause] = field(default_factory=list)
+    passed: dict[Offer, str] = field(default_factory=dict)
 
 
 def examine(
@@ -112,6 +113,7 @@ def examine(
         kept, ties, immaterial, sought.ranking, sought.level, study.lacking | unbearable, study, scores,
         extended, unjudged, contradicted | vague,
         [c for c in stand_ins if any(_stands_for(c, *tie) for tie in ties)],
+        sought.passed,
     )  # fmt: skip
 
 

@@ -44,13 +44,17 @@ class Tie(NamedTuple):
 
 
 class Names(NamedTuple):
-    """Result of the search: accepted causes strongest first, ties, the last ranking; p had to pass level."""
+    """Result of the search: accepted causes strongest first, ties, the last ranking; p had to pass level.
+
+    passed  why offers of the ranking that were significant were passed over
+    """
 
     named: list[Named]
     ties: list[Tie]
     ranking: list[Test]
     level: float
     tests: int
+    passed: dict[Offer, str]
 
 
 def search(
@@ -80,20 +84,30 @@ def search(
     ranking: list[Test] = []
     clear: list[Test] = []  # as they were found
     strong: list[Test] = []  # these, and the first of each tie
+    passed: dict[Offer, str] = {}
+
+    def why_not(t: Test) -> str:
+        """Why a significant cause is passed over; nothing for one that may be named."""
+        if t.offer.cause in tied:
+            return "it stands in a tie already"
+        if _mends(mixed, t.offer, given, effects):
+            return "it is no other than what is named, and the two would only mend each other"
+        for c in clear:
+            if _is_form(mixed, t, c, [g for g in given if g != c.offer], pooled, level):
+                return f"it has more parameters than {c.offer.cause} and explains hardly more"
+        strongest = max(strong, key=lambda c: c.wald, default=None)
+        if t.offer.since == "changed" and strongest is not None and t.wald < FORM * strongest.wald:
+            return f"it explains so little beside {strongest.offer.cause} that it may be what that one's form is off by"
+        if not possible(t, within):
+            return "its size would be outside what is physical"
+        return "" if leads(t, effects) else "only what accompanies it differs, not what it is about"
+
     while len(given) < len(known) + MOST:
         pooled = mixed.pooled(since)
         ranking = ranked(mixed, pairs, given, pooled, parts)
-        open_ = [
-            t
-            for t in ranking
-            if t.p < level
-            and t.offer.cause not in tied
-            and not _mends(mixed, t.offer, given, effects)
-            and not any(_is_form(mixed, t, c, [g for g in given if g != c.offer], pooled, level) for c in clear)
-            and not (t.offer.since == "changed" and any(t.wald < FORM * c.wald for c in strong))
-            and possible(t, within)
-            and leads(t, effects)
-        ]
+        significant = [t for t in ranking if t.p < level]
+        passed = {t.offer: why for t in significant if (why := why_not(t))}
+        open_ = [t for t in significant if t.offer not in passed]
         if not open_:
             break
         best, rivals, tie = _dominant(mixed, open_[:RIVALS], given, pooled, level, effects)
@@ -116,7 +130,7 @@ def search(
         given.append(best.offer)
         found[best.offer] = rivals
     named = _confirmed(mixed, effects, since, found, given, level)
-    return Names(named, ties, ranking, level, len(pairs))
+    return Names(named, ties, ranking, level, len(pairs), passed)
 
 
 def _mends(mixed: Mixed, offer: Offer, given: Sequence[Offer], effects: Mapping[str, Effect]) -> bool:

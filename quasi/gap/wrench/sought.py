@@ -25,7 +25,7 @@ class Sought(NamedTuple):
 
     study, mixed  at the sizes found; values {compared or reference: {cause: sizes}} that causes are linearised at
     named, ties, ranking, level  see `naming.Names`, each with its since; level {since: p that had to be passed}
-    contradicted  {cause: test, why}: those whose axes do not agree
+    contradicted  {cause: test, why}: those whose axes do not agree; passed  why others of the ranking were passed over
     """
 
     study: Study
@@ -36,6 +36,7 @@ class Sought(NamedTuple):
     ranking: list[Test]
     level: dict[str, float]
     contradicted: dict[str, tuple[Test, str]]
+    passed: dict[Offer, str]
 
 
 def seek(
@@ -55,7 +56,7 @@ def seek(
         study = moved(study, asked, vehicle, [values[bool(flag)] for flag in compared]) if look else study
         mixed = study.witnessed(range(len(flights)), compared)
         lacking = (*study.lacking, *contradicted)
-        named, ties, ranking, level = _search(mixed, asked, compared, rate, lacking, within)
+        named, ties, ranking, level, passed = _search(mixed, asked, compared, rate, lacking, within)
         causes = merged(named, asked, mixed, offers_of(named, ties))
         found = [(c.effect, c.since, c.value) for c in causes] + [_as_found(tie, since, asked) for since, tie in ties]
         bent = [(e.id, since, sizes) for e, since, sizes in found if e.bends]
@@ -73,25 +74,27 @@ def seek(
     named = [n for n in named if n.test.offer.cause not in contradicted]
     named, ties, twins = _with_twins(named, ties, contradicted, asked, mixed)
     contradicted = {name: why for name, why in contradicted.items() if name not in twins}
-    return Sought(study, mixed, values, named, ties, ranking, level, contradicted)
+    return Sought(study, mixed, values, named, ties, ranking, level, contradicted, passed)
 
 
 def _search(
     mixed: Mixed, asked: Mapping[str, Effect], compared: np.ndarray, rate: float,
     lacking: Sequence[str], within: Mapping[str, Limits],
-) -> tuple[list[Named], list[tuple[str, Tie]], list[Test], dict[str, float]]:  # fmt: skip
+) -> tuple[list[Named], list[tuple[str, Tie]], list[Test], dict[str, float], dict[Offer, str]]:  # fmt: skip
     """First what changed, then what all flights have alike; the false alarm rate is shared between the two."""
     named: list[Named] = []
     ties: list[tuple[str, Tie]] = []
     rankings: list[Test] = []
     level: dict[str, float] = {}
+    passed: dict[Offer, str] = {}
     for since, part in shares_of(compared).items():
         names = search(mixed, asked, (since,), rate * part, lacking, within, offers_of(named, ties))
         named += names.named
         ties += [(since, tie) for tie in names.ties]
         rankings += names.ranking
         level[since] = names.level
-    return named, ties, sorted(rankings, key=lambda test: test.p), level
+        passed |= names.passed
+    return named, ties, sorted(rankings, key=lambda test: test.p), level, passed
 
 
 def _as_found(tie: Tie, since: str, asked: Mapping[str, Effect]) -> tuple[Effect, str, Deviations]:
