@@ -71,12 +71,14 @@ def verdict(imported: Section, filtered: Section, saturated: Mapping[str, float]
     full = max((v for k, v in saturated.items() if k.endswith("upper limit")), default=0.0)
     if full > SATURATED:
         doubts.append(f"a motor was at its upper limit in {report.share(full)} of the flight")
-    if valid == 0:
-        word, doubts = "unusable", ["no row is valid for identification", *doubts]
-    elif doubts and word == "good":
+    if doubts and word == "good":
         word = ORDER[1]
-    if doubts and imported["verdict"] == "good":
+    if (doubts or valid == 0) and imported["verdict"] == "good":
         reasons = []
+    if valid == 0:
+        why = filtered["phases"].get("none valid because")
+        word = "unusable"
+        reasons.insert(0, "no row is valid for identification" + (f": {why}" if why else ""))
     return word, "; ".join([*reasons, *doubts])
 
 

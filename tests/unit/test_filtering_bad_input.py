@@ -4,12 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from programs import script
 from rigid_body import measure, move, quadrotor
 
 from quasi import attitude
+from quasi.doubt import Doubt, doubts, gravest_first
 from quasi.errors import ConfigError, DataError
 from quasi.filtering import flight, forces
 from quasi.filtering.flight import filter_flight
+from quasi.joblog import RUN, job, outcome
+from quasi.tables import write_json, write_table
 
 AIRFRAME = quadrotor()
 HIT = slice(3000, 3500)
@@ -87,6 +91,34 @@ def test_log_lost_all_through_is_said(made):
     frame, metadata = made
     result = filter_flight(frame.assign(onboard_valid=0.0), metadata, AIRFRAME, {})
     assert about(result, "the on-board log lost") and about(result, "no row of this flight is valid")
+    assert result.metadata["phases"]["none valid because"].startswith("sensors or rotor speeds are lost (100 %")
+
+
+def test_a_flight_without_any_valid_row_is_called_so_in_its_jobs_own_line(made, tmp_path, monkeypatch):
+    frame, metadata = made
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv(RUN, str(tmp_path / "run"))
+    write_table("f.parquet", frame.assign(onboard_valid=0.0))
+    write_json("f.json", {**metadata, "position source": "none", "velocity source": "none"})
+    names = ("with_gravity", "no_gravity", "with_gravity_metadata", "no_gravity_metadata", "convergence")
+    settings = {"problem": None, "quadrotor": {"file": "q"}, "mass": None}
+    settings["options"] = {"save kalman filter convergence results": False}
+    program = script("filtering")
+    monkeypatch.setattr(program, "read_airframe", lambda *_: AIRFRAME)
+    with job("f.log"):
+        program.main(settings, "f.parquet", "f.json", {n: f"{n}.out" for n in names})
+    told = outcome(tmp_path / "run", "f.log")
+    assert told["verdict"].startswith("unusable (no row of this flight is valid for identification: sensors or rotor")
+    assert not any("no row of this flight" in note for note in told["notes"])
+    assert doubts(["a", Doubt("b")]) == gravest_first(["a", Doubt("b")])[:1]
+
+
+def test_what_spoils_rows_is_told_with_its_share_and_what_hardly_does_is_not():
+    spoiling = {"a": np.arange(100) < 30, "b": np.arange(100) < 90, "c": np.arange(100) < 2}
+    assert flight._spoilt(spoiling) == "b (90 % of the flight); a (30 % of the flight)"
+    nowhere = {"position source": "none", "velocity source": "none"}
+    assert flight._unsure_words(nowhere).endswith("for neither position nor velocity was measured")
+    assert "measured" not in flight._unsure_words({})
 
 
 def test_a_rotor_without_values_is_said_once(made):

@@ -98,7 +98,11 @@ def test_verdict_gets_worse_by_what_filtering_finds_and_never_better(flight):
     word, why = verdict(imported, {**about, "consistent": False}, {"command1 at its upper limit": 0.02})
     assert word == "usable with care" and "innovations" in why and "2.00 %" in why and "agree" not in why
     none = {**about, "phases": {**about["phases"], "valid share": 0.0}}
-    assert verdict(imported, none, {})[0] == "unusable"
+    none["phases"]["none valid because"] = "no rotor turns (100 % of the flight)"
+    assert verdict(imported, none, {}) == (
+        "unusable",
+        "no row is valid for identification: no rotor turns (100 % of the flight)",
+    )
     bad = {**imported, "verdict": "unusable", "verdict because": "nothing was read"}
     assert verdict(bad, {**about, "consistent": False}, {})[0] == "unusable"
 
