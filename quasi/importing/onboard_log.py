@@ -12,7 +12,7 @@ from quasi.attitude import interpolate
 from quasi.doubt import doubt
 from quasi.errors import DataError, ReadError
 from quasi.importing.blackbox import read_blackbox
-from quasi.importing.contradictions import rates_explained, velocity_explained
+from quasi.importing.contradictions import rates_explained, refuse_wrong_rates, velocity_explained
 from quasi.importing.decoded import read_decoded
 from quasi.importing.filter_delays import header_delays
 from quasi.importing.onboard_attitude import estimate_attitude
@@ -154,8 +154,11 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
             )
         )
     else:
-        explained = rates_explained(gyro.t, gyro.values, attitude.t, attitude.values)
-        if explained is not None and explained < LEAST_EXPLAINED:
+        of_both = (gyro.t, gyro.values, attitude.t, attitude.values)
+        scaled, explained = refuse_wrong_rates(*of_both, "the on-board attitude", where), rates_explained(*of_both)
+        if scaled:
+            doubt(notes, scaled)
+        elif explained is not None and explained < LEAST_EXPLAINED:
             doubt(
                 notes,
                 f"{where}: the on-board attitude turns unlike the gyro (it explains {100 * max(0.0, explained):.0f} % "
