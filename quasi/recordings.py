@@ -137,7 +137,7 @@ class Recordings(Comparisons):
 
     def _quadrotor_path(self, row: Row) -> Path:
         path = Path(row.cells["Drone Config Path"].replace("\\", "/")) / row.cells["Drone Config File"]
-        return self._settled(with_suffix(path, ".json"))
+        return with_suffix(path, ".json")
 
     @functools.cache  # noqa: B019
     def _quadrotor_file(self, path: Path) -> tuple[dict[str, Any], str | None]:
@@ -145,7 +145,7 @@ class Recordings(Comparisons):
             known = [p.name for p in self._here(path.parent).glob("*.json")]
             return {}, (
                 f"quadrotor configuration {path} does not exist"
-                f"{nearest(path.name, known)}; correct 'Drone Config File' or 'Drone Config Path'"
+                f"{nearest(path.name, known)}{self._astray(path)}; correct 'Drone Config File' or 'Drone Config Path'"
             )
         try:
             config = self._read(path, "quadrotor")
