@@ -112,8 +112,14 @@ class Recordings(Comparisons):
         expected = str(candidates[0]) if len(candidates) == 1 else f"{base}[{'|'.join(dict.fromkeys(suffixes))}]"
         return None, (
             f"{row.logbook} row {row.number}, flight {row.key}: raw file {expected} does not exist; "
-            f"correct '{name}' or '{folder}' in the logbook, or copy the file there"
+            f"correct '{name}' or '{folder}' in the logbook, or copy the file there{self._data_hint(base)}"
         )
+
+    def _data_hint(self, path: Path) -> str:
+        """How to say where recordings lie, for a raw file that was sought in the folder's own data/."""
+        if self.data or path.parts[:1] != ("data",):
+            return ""
+        return "; where recordings lie elsewhere, `--config data=PATH` tells where data/ is"
 
     def _made(self, path: Path) -> bool:
         """Whether the synthesis stage makes this raw file."""

@@ -61,6 +61,14 @@ def test_data_prefix_is_replaced_for_raw_files_but_the_folders_own_configuration
     assert settings["problem"] is None
 
 
+def test_a_raw_file_that_is_absent_under_data_tells_of_the_setting_that_names_another_place(folder, tmp_path_factory):
+    shutil.rmtree(folder / "data/raw")
+    problem = Folder(folder).importing("Beetle", "a")["problem"]
+    assert problem.endswith("; where recordings lie elsewhere, `--config data=PATH` tells where data/ is")
+    problem = Folder(folder, data=tmp_path_factory.mktemp("elsewhere")).importing("Beetle", "a")["problem"]
+    assert "does not exist" in problem and "--config" not in problem
+
+
 def test_a_logbook_and_a_quadrotor_belong_in_the_folder_and_not_with_the_raw_files(folder, tmp_path_factory):
     elsewhere = tmp_path_factory.mktemp("elsewhere")
     shutil.move(folder / "data/raw", elsewhere / "raw")
