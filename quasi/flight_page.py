@@ -64,7 +64,7 @@ def verdict(imported: Section, filtered: Section, saturated: Mapping[str, float]
     word, reasons = imported["verdict"], [imported["verdict because"]]
     doubts = list(filtered.get("doubts", []))
     valid = filtered["phases"]["valid share"]
-    if filtered.get("consistent") is False:
+    if filtered.get("consistent") is False and not any("not consistent" in d for d in doubts):
         doubts.append("the filter's innovations are larger or smaller than its own standard errors say")
     if 0 < valid < LEAST_VALID:
         doubts.append(f"only {report.share(valid)} of the rows are valid for identification")

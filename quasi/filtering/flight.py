@@ -197,7 +197,7 @@ def filter_flight(
     air, windless = _through_air(imported, body, run.quaternion)
     if windless.any():
         notes.append(
-            f"the wind is unknown in {100 * windless.mean():.2g} % of the flight; these rows are marked invalid"
+            f"the wind is unknown in {100 * windless.mean():.3g} % of the flight; these rows are marked invalid"
         )
         spoiling["the wind is unknown"] = windless
     valid = ~np.logical_or.reduce(list(spoiling.values()))
@@ -324,7 +324,7 @@ def _induced(through_air: np.ndarray, airframe: Airframe, notes: list[str]) -> n
     sinking = ~np.isfinite(induced)
     if sinking.any():
         notes.append(
-            f"the induced velocity is not defined in {100 * sinking.mean():.2g} % of the flight (descent); "
+            f"the induced velocity is not defined in {100 * sinking.mean():.3g} % of the flight (descent); "
             "v_in is empty there"
         )
     return induced

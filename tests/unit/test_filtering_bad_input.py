@@ -10,8 +10,9 @@ from rigid_body import measure, move, quadrotor
 from quasi import attitude
 from quasi.doubt import Doubt, doubts, gravest_first
 from quasi.errors import ConfigError, DataError
-from quasi.filtering import flight, forces
+from quasi.filtering import estimation, flight, forces
 from quasi.filtering.flight import filter_flight
+from quasi.filtering.noise import beyond
 from quasi.joblog import RUN, job, outcome
 from quasi.tables import write_json, write_table
 
@@ -171,6 +172,28 @@ def test_units_mixed_up_are_called_inconsistent(made):
     result = filter_flight(frame, metadata, AIRFRAME, {})
     assert result.metadata["consistent"] is False
     assert about(result, "more than any sensor measures (150)") and about(result, "is not consistent in attitude")
+
+
+def test_a_filter_that_is_not_consistent_names_the_figure_beyond_its_limit():
+    fine = {"measurements": 900, "gated": 0.035, "forced": 0, "mean": 1.01, "whiteness": 0.03}
+    assert beyond(fine) == []
+    [said] = beyond({**fine, "forced": 3})
+    assert said.startswith("3 times a measurement had to be taken after a second of rejections in a row (limit 0)")
+    said = beyond({**fine, "mean": 0.12, "whiteness": 0.998, "gated": 0.062})
+    assert "smaller than" in said[0] and "0.12, expected 1, limits 0.6 to 1.6" in said[0]
+    assert said[1:] == [
+        "neighbouring ones go together (correlation 1.00, limit 0.5)",
+        "6.2 % of the measurements are rejected (limit 5 %)",
+    ]
+    assert beyond({"measurements": 40, "gated": 1.0, "forced": 0}) == ["at most two of 40 measurements are accepted"]
+
+
+def test_shares_of_a_flight_have_no_exponent():
+    notes = []
+    unsure = estimation._unsure(np.full((500, 18), 9.0), np.arange(500) > 0, notes)
+    assert unsure.all() and "in 99.8 % of the flight" in notes[0]
+    estimation._unsure(np.full((500, 18), 9.0), np.ones(500, bool), notes)
+    assert "in 100 % of the flight" in notes[1]
 
 
 def test_a_column_that_is_no_number_is_never_handed_on(made, monkeypatch):

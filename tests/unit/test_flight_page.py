@@ -97,6 +97,8 @@ def test_verdict_gets_worse_by_what_filtering_finds_and_never_better(flight):
     assert verdict(imported, about, {}) == ("good", "all sources are complete and agree")
     word, why = verdict(imported, {**about, "consistent": False}, {"command1 at its upper limit": 0.02})
     assert word == "usable with care" and "innovations" in why and "2.00 %" in why and "agree" not in why
+    told = "the filter is not consistent in position: 6 % of the measurements are rejected (limit 5 %)"
+    assert verdict(imported, {**about, "consistent": False, "doubts": [told]}, {}) == ("usable with care", told)
     none = {**about, "phases": {**about["phases"], "valid share": 0.0}}
     none["phases"]["none valid because"] = "no rotor turns (100 % of the flight)"
     assert verdict(imported, none, {}) == (
