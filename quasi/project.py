@@ -10,7 +10,7 @@ import yaml
 
 from quasi import configuration
 from quasi.errors import ConfigError, LogbookError, QuasiError, ReadError, nearest
-from quasi.logbook import NAME, Row, pick, read_logbook
+from quasi.logbook import NAME, Row, apart, pick, read_logbook
 from quasi.tables import read_json, read_text
 from quasi.variables import check_expression, check_terms, inputs_of_system
 
@@ -278,7 +278,7 @@ class Project:
                 if other.logbook != row.logbook and other.cells != row.cells:
                     raise LogbookError(
                         f"{other.logbook} row {other.number} and {row.logbook} row {row.number} both mean flight "
-                        f"'{row.key}' of {row.quadrotor}; give one another name in the optional column 'Flight key'"
+                        f"'{row.key}' of {row.quadrotor}; {apart(row, other)}"
                     )
         return found
 
