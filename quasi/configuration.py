@@ -186,7 +186,10 @@ def _sentence(error: jsonschema.ValidationError, where: str) -> str:
         return f"{where}: unknown key '{unknown}'{inside}" + (near if near.endswith("?)") else f"{near}; remove it")
     if error.validator == "required":
         missing = next(k for k in error.validator_value if k not in error.instance)
-        return f"{head} lacks the key '{missing}'; add it ({_about(error.schema, missing)})"
+        others = {k.lower(): k for k in error.instance if k not in error.schema.get("properties", {})}
+        written = others.get(_slip(missing, others) or "")
+        found = f", found '{written}': correct the name" if written is not None else "; add it"
+        return f"{head} lacks the key '{missing}'{found} ({_about(error.schema, missing)})"
     value = error.instance
     shown = json.dumps(value) if value is None or isinstance(value, bool) else repr(value)
     shown = shown if len(shown) < 60 else shown[:57] + "..."

@@ -20,3 +20,8 @@ def doubt(notes: list[str], text: str) -> None:
 def doubts(notes: Iterable[str]) -> list[str]:
     """Those of the notes that call for care, as plain text."""
     return [str(note) for note in notes if isinstance(note, Doubt)]
+
+
+def gravest_first(notes: Iterable[str]) -> list[str]:
+    """The notes with those that call for care before the others, which a run may only count."""
+    return sorted(notes, key=lambda note: not isinstance(note, Doubt))

@@ -15,16 +15,37 @@ LEAST_VALID = 0.3  # share of the rows below which a flight teaches little
 SATURATED = 0.01  # share of the flight in saturation that calls for care
 COMMAND_LOW, COMMAND_HIGH = 0.001, 0.999
 MOST_GAPS = 8
+MOVING = {"u", "v", "w", "u_air", "v_air", "w_air"}
 Section = Mapping[str, Any]
 
 
-def ranges(frame: pd.DataFrame, used: np.ndarray) -> list[tuple[str, str, float, float, float]]:
-    """Name, unit, least, median and largest of what was flown, over the rows `used` (n,)."""
+def unmeasured(imported: Section, filtered: Section) -> dict[str, str]:
+    """{"velocity", "position": what to say beside values of it that no source measured}."""
+    position, velocity = (imported[f"{kind} source"] != "none" for kind in ("position", "velocity"))
+    if position:
+        return {}
+    if filtered.get("engine") is None:  # nothing was integrated either
+        return {"position": "not measured"} | ({} if velocity else {"velocity": "not measured"})
+    if velocity:
+        return {"position": "from the velocity alone, drifts"}
+    return dict.fromkeys(("position", "velocity"), "from the accelerometer alone, drifts")
+
+
+def ranges(
+    frame: pd.DataFrame, used: np.ndarray, doubtful: Mapping[str, str] | None = None
+) -> list[tuple[str, str, float, float, float]]:
+    """Name, unit, least, median and largest of what was flown, over the rows `used` (n,).
+
+    doubtful  of `unmeasured`
+    """
     one = frame[used] if used.any() else frame
     found: list[tuple[str, str, np.ndarray]] = []
 
     def add(name: str, unit: str, needs: Sequence[str], of: Any) -> None:
         if set(needs) <= set(one):
+            kind = "velocity" if set(needs) & MOVING else "position" if "z" in needs else ""
+            if doubtful and kind in doubtful:
+                name = f"{name} ({doubtful[kind]})"
             found.append((name, unit, of(*(one[n].to_numpy(float) for n in needs))))
 
     add("speed over ground", "m/s", "uvw", lambda u, v, w: np.sqrt(u * u + v * v + w * w))
@@ -64,19 +85,21 @@ def verdict(imported: Section, filtered: Section, saturated: Mapping[str, float]
     word, reasons = imported["verdict"], [imported["verdict because"]]
     doubts = list(filtered.get("doubts", []))
     valid = filtered["phases"]["valid share"]
-    if filtered.get("consistent") is False:
+    if filtered.get("consistent") is False and not any("not consistent" in d for d in doubts):
         doubts.append("the filter's innovations are larger or smaller than its own standard errors say")
     if 0 < valid < LEAST_VALID:
         doubts.append(f"only {report.share(valid)} of the rows are valid for identification")
     full = max((v for k, v in saturated.items() if k.endswith("upper limit")), default=0.0)
     if full > SATURATED:
         doubts.append(f"a motor was at its upper limit in {report.share(full)} of the flight")
-    if valid == 0:
-        word, doubts = "unusable", ["no row is valid for identification", *doubts]
-    elif doubts and word == "good":
+    if doubts and word == "good":
         word = ORDER[1]
-    if doubts and imported["verdict"] == "good":
+    if (doubts or valid == 0) and imported["verdict"] == "good":
         reasons = []
+    if valid == 0:
+        why = filtered["phases"].get("none valid because")
+        word = "unusable"
+        reasons.insert(0, "no row is valid for identification" + (f": {why}" if why else ""))
     return word, "; ".join([*reasons, *doubts])
 
 
@@ -105,14 +128,18 @@ def page(
             report.facts([("rows in flight", report.share(f["phases"]["in flight share"])), *battery]),
             report.table(
                 ("between take-off and landing", "unit", "least", "median", "largest"),
-                [(n, u, *report.row_of(values)) for n, u, *values in ranges(filtered, flying)],
+                [(n, u, *report.row_of(values)) for n, u, *values in ranges(filtered, flying, unmeasured(m, f))],
             ),
             report.facts(
                 [("sensors at the end of their range", _clipped(m.get("saturation"))), *_saturation(saturated)]
             ),
         ),
         report.section(
-            "States and biases", report.facts(_filter(f)), _biases(f), _innovations(f), report.sentences(f["notes"])
+            "States and biases",
+            report.facts(_filter(f, m["attitude source"])),
+            _biases(f),
+            _innovations(f),
+            report.sentences(f["notes"]),
         ),
         *(report.section(heading, report.picture(png, said)) for heading, (png, said) in pictures.items()),
     ]
@@ -297,8 +324,10 @@ def _saturation(shares: Mapping[str, float]) -> list[tuple[str, object]]:
     return rows
 
 
-def _filter(f: Section) -> list[tuple[str, object]]:
-    turned = f.get("attitude alignment") or {}
+def _filter(f: Section, source: str) -> list[tuple[str, object]]:
+    """source  of the attitude: one that was estimated from the IMU has no axes of its own"""
+    of = {"capture": "capture's", "onboard": "on-board attitude's"}.get(source)
+    turned = (f.get("attitude alignment") or {}) if of else {}
     angles = [
         f"{a} {report.with_error(turned[a]['value'], turned[a]['std'], 'deg', math.degrees(1))}"
         for a in ("roll", "pitch", "yaw")
@@ -318,7 +347,7 @@ def _filter(f: Section) -> list[tuple[str, object]]:
         ),
         ("rest used", f"{rest[0]:.2f} to {rest[1]:.2f} s" if rest else "none"),
         ("biases by", (f.get("biases") or {}).get("policy")),
-        ("capture's axes on the body's", ", ".join(angles)),
+        (f"{of} axes on the body's", ", ".join(angles)),
         ("low-pass", f"{f['filters']['low-pass cutoff Hz']:g} Hz"),
         ("notches at the rotors' harmonics", _notches(f["filters"].get("rotor notches"))),
     ]

@@ -194,8 +194,16 @@ def _refuse_clashes(rows: Iterable[Row]) -> None:
         if other is not row:
             raise LogbookError(
                 f"{row.logbook} rows {other.number} and {row.number} both mean flight '{row.key}' of {row.quadrotor}; "
-                "give one of them another name in the optional column 'Flight key'"
+                f"{apart(row, other)}"
             )
+
+
+def apart(row: Row, other: Row) -> str:
+    """What sets two rows of one flight apart, for messages."""
+    name = "give one of them another name in the optional column 'Flight key'"
+    if row.cells["Onboard Name"] and row.cells["Onboard Name"] == other.cells["Onboard Name"]:
+        return f"if the file holds several logs, give each its own in the optional column 'Log number', else {name}"
+    return name
 
 
 def select_rows(selection: Iterable[Any], where: str) -> list[int]:

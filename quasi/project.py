@@ -10,7 +10,7 @@ import yaml
 
 from quasi import configuration
 from quasi.errors import ConfigError, LogbookError, QuasiError, ReadError, nearest
-from quasi.logbook import NAME, Row, pick, read_logbook
+from quasi.logbook import NAME, Row, apart, pick, read_logbook
 from quasi.tables import read_json, read_text
 from quasi.variables import check_expression, check_terms, inputs_of_system
 
@@ -123,9 +123,12 @@ class Project:
     def _here(self, path: str | Path) -> Path:
         return self.root / path
 
-    def _settled(self, path: str | Path) -> Path:
-        """Path of a logbook or quadrotor configuration: the folder's own file first, else with `data/` replaced."""
-        return Path(path) if is_file(self._here(path)) else self.place(str(path))
+    def _astray(self, path: Path) -> str:
+        """What to say of a logbook or quadrotor configuration that lies with the raw files instead of in the folder."""
+        other = self.place(path.as_posix())
+        if other == path or not is_file(self._here(other)):
+            return ""
+        return f" ({other} is not taken: `data` tells where raw files lie, and those alone)"
 
     def _read(self, path: str | Path, kind: str) -> dict[str, Any]:
         if not is_file(self._here(path)):
@@ -224,11 +227,11 @@ class Project:
 
     def logbook(self, directory: str, filename: str, where: str) -> dict[int, Row]:
         """Rows of a logbook by number; `where` is the configuration that names it, for messages."""
-        path = self._settled(self._logbook_path(directory, filename))
+        path = self._logbook_path(directory, filename)  # the folder's own: `data` tells of raw files alone
         if not is_file(self._here(path)):
             known = [p.name for p in self._here(path.parent).glob("*.csv")] if len(str(path)) < 1000 else []
             raise ConfigError(
-                f"{where}: logbook {path} does not exist{nearest(path.name, known)}; "
+                f"{where}: logbook {path} does not exist{nearest(path.name, known)}{self._astray(path)}; "
                 "correct 'directory' or 'filename' in 'logging file', or save the logbook there as CSV"
             )
         return self._rows_of(path)
@@ -275,7 +278,7 @@ class Project:
                 if other.logbook != row.logbook and other.cells != row.cells:
                     raise LogbookError(
                         f"{other.logbook} row {other.number} and {row.logbook} row {row.number} both mean flight "
-                        f"'{row.key}' of {row.quadrotor}; give one another name in the optional column 'Flight key'"
+                        f"'{row.key}' of {row.quadrotor}; {apart(row, other)}"
                     )
         return found
 

@@ -112,8 +112,14 @@ class Recordings(Comparisons):
         expected = str(candidates[0]) if len(candidates) == 1 else f"{base}[{'|'.join(dict.fromkeys(suffixes))}]"
         return None, (
             f"{row.logbook} row {row.number}, flight {row.key}: raw file {expected} does not exist; "
-            f"correct '{name}' or '{folder}' in the logbook, or copy the file there"
+            f"correct '{name}' or '{folder}' in the logbook, or copy the file there{self._data_hint(base)}"
         )
+
+    def _data_hint(self, path: Path) -> str:
+        """How to say where recordings lie, for a raw file that was sought in the folder's own data/."""
+        if self.data or path.parts[:1] != ("data",):
+            return ""
+        return "; where recordings lie elsewhere, `--config data=PATH` tells where data/ is"
 
     def _made(self, path: Path) -> bool:
         """Whether the synthesis stage makes this raw file."""
@@ -137,7 +143,7 @@ class Recordings(Comparisons):
 
     def _quadrotor_path(self, row: Row) -> Path:
         path = Path(row.cells["Drone Config Path"].replace("\\", "/")) / row.cells["Drone Config File"]
-        return self._settled(with_suffix(path, ".json"))
+        return with_suffix(path, ".json")
 
     @functools.cache  # noqa: B019
     def _quadrotor_file(self, path: Path) -> tuple[dict[str, Any], str | None]:
@@ -145,7 +151,7 @@ class Recordings(Comparisons):
             known = [p.name for p in self._here(path.parent).glob("*.json")]
             return {}, (
                 f"quadrotor configuration {path} does not exist"
-                f"{nearest(path.name, known)}; correct 'Drone Config File' or 'Drone Config Path'"
+                f"{nearest(path.name, known)}{self._astray(path)}; correct 'Drone Config File' or 'Drone Config Path'"
             )
         try:
             config = self._read(path, "quadrotor")

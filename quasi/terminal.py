@@ -1,7 +1,9 @@
 """What a run prints: a line per finished job with what was noted in it, in place of Snakemake's account of each job."""
 
+import argparse
 import logging
 import re
+import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TextIO
@@ -21,13 +23,13 @@ class Terminal(logging.Filter):
     """Decides what of Snakemake's messages reaches the terminal, and tells jobs in its own words.
 
     run  folder in which the jobs of the run leave how they ended; stream  the terminal
-    faults  sentences that are told at the end of the run anyway
+    faults  sentences that are told at the end of the run anyway; asked  arguments of the run, as in sys.argv[1:]
     What it does not know passes: an error, or a message of a Snakemake to come.
     """
 
-    def __init__(self, run: str, stream: TextIO, faults: Sequence[str] = ()):
+    def __init__(self, run: str, stream: TextIO, faults: Sequence[str] = (), asked: Sequence[str] = ()):
         super().__init__()
-        self.run, self.stream, self.faults = run, stream, faults
+        self.run, self.stream, self.faults, self.asked = run, stream, faults, asked
         self.jobs: dict[int, Mapping[str, Any]] = {}
         self.done, self.total = 0, 0
         self.known: set[str] = set()
@@ -124,7 +126,7 @@ class Terminal(logging.Filter):
             return ""
         return (
             f"Notes on {_counted(len(pages), 'flight')} came up; each flight has a page that gathers them: "
-            f"`snakemake {pages[0]}`, or all of config/processing.json: `snakemake processing`"
+            f"`{again(self.asked, pages[0])}`, or all of config/processing.json: `{again(self.asked, 'processing')}`"
         )
 
     def _write(self, text: str) -> None:
@@ -158,6 +160,31 @@ def standing(targets: Sequence[str], folder: str | Path) -> str:
     """Where results that are up to date begin, of the targets in the project folder that have a page; or nothing."""
     pages = [f"{t.rstrip('/')}/report.html" for t in targets if (Path(folder) / t / "report.html").is_file()]
     return f"Up to date; begin with {', '.join(pages)}" if pages else ""
+
+
+def again(asked: Sequence[str], target: str) -> str:
+    """The command that makes a target of the same project. asked  arguments of a run of Snakemake
+
+    >>> again(["-d", "my lab", "-j2", "--config", "data=/mnt", "--", "models/m/standalone"], "processing")
+    "snakemake -d 'my lab' --config data=/mnt -- processing"
+    """
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    parser.add_argument("-s", "--snakefile")
+    parser.add_argument("-d", "--directory")
+    parser.add_argument("--configfile", "--configfiles", nargs="+")
+    parser.add_argument("-C", "--config", nargs="+", action="extend")
+    try:
+        kept, _ = parser.parse_known_args(asked)
+    except argparse.ArgumentError:  # what Snakemake took it for is not known here
+        kept = argparse.Namespace(snakefile=None, directory=None, configfile=None, config=None)
+    words = ["snakemake"]
+    for option, value in (("-s", kept.snakefile), ("-d", kept.directory)):
+        words += [option, value] if value else []
+    for option, values in (("--configfile", kept.configfile), ("--config", kept.config)):
+        # a setting goes on to the next option: what holds no = is a target that followed it
+        values = [v for v in values or [] if option != "--config" or "=" in v]
+        words += [option, *values] if values else []
+    return shlex.join([*words, *(["--"] if kept.configfile or kept.config else []), target])
 
 
 def _plainly(job: Mapping[str, Any]) -> str:

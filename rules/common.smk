@@ -66,7 +66,9 @@ if RUN not in os.environ:
             handler.addFilter(Misnamed(FAULTS, lambda: FOLDER.targets()))
             # a dry run is asked for Snakemake's own account; the log file of a run keeps it whole
             if quiet:
-                TERMINALS.append(Terminal(os.environ[RUN], handler.stream, FAULTS))
+                TERMINALS.append(
+                    Terminal(os.environ[RUN], handler.stream, FAULTS, sys.argv[1:])
+                )
                 handler.addFilter(TERMINALS[-1])
 
 

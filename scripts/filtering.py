@@ -3,10 +3,11 @@
 import time
 
 from quasi.airframe import read_airframe
+from quasi.doubt import gravest_first
 from quasi.errors import ConfigError
 from quasi.filtering.estimation import CONVERGENCE_UNITS
-from quasi.filtering.flight import course, filter_flight
-from quasi.joblog import LOG, job, progress
+from quasi.filtering.flight import NONE_VALID, course, filter_flight
+from quasi.joblog import LOG, job, judge, progress
 from quasi.tables import read_json, read_table, write_json, write_table
 
 
@@ -19,7 +20,10 @@ def main(settings: dict, flight: str, metadata: str, output: dict[str, str]) -> 
     result = filter_flight(imported, read_json(metadata), airframe, settings["options"], progress)
     seconds = time.perf_counter() - began
     LOG.info("%d samples filtered in %.1f s, %.0f a second", len(imported), seconds, len(imported) / seconds)
-    for note in result.metadata["notes"]:
+    reason = result.metadata["phases"]["none valid because"]
+    if reason:
+        judge("unusable", f"{NONE_VALID}: {reason}")
+    for note in gravest_first(n for n in result.metadata["notes"] if not n.startswith(NONE_VALID)):
         LOG.warning("%s", note)
     for kind, columns in (("with_gravity", result.with_gravity), ("no_gravity", result.no_gravity)):
         about = {**result.metadata, "forces": "withGravity" if kind == "with_gravity" else "noGravity"}

@@ -7,7 +7,7 @@ from quasi.errors import ConfigError
 from quasi.identification.isolation import excited
 from quasi.identification.partition import EXCITED, partition, to_table
 from quasi.identification.partition import UNITS as PARTITION_UNITS
-from quasi.identification.shared import shared
+from quasi.identification.shared import refuse_speedless, shared
 from quasi.joblog import LOG, job, progress
 from quasi.tables import ages_taken_off, read_made, read_table, recordings_of, write_json, write_table
 
@@ -21,7 +21,9 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
     airframe = read_airframe(settings["quadrotor"], settings["quadrotor"]["file"], settings["mass"])
     tables = {Path(path).stem: read_table(path) for path in progress(flights, "reading flights")}
     made = {Path(path).stem: read_made(path) for path in flights}
-    roles = partition(tables, options=settings["data partitioning"])
+    refuse_speedless(tables)
+    because = {key: why for key, about in made.items() if (why := about.get("phases", {}).get("none valid because"))}
+    roles = partition(tables, options=settings["data partitioning"], because=because)
     masses = {key: about["mass"] for key, about in made.items() if about.get("mass")}
     mapped = settings["quadrotor"].get("command map")
     found = shared(tables, roles, airframe, settings["gravity"], masses, mapped, ages_taken_off(made))

@@ -1,5 +1,6 @@
 """Import one flight: read its sources, synchronise their clocks, fuse them on one time base."""
 
+from quasi.doubt import gravest_first
 from quasi.errors import ReadError
 from quasi.importing.flight import import_flight
 from quasi.joblog import LOG, job, judge
@@ -13,7 +14,7 @@ def main(settings: dict, flight: str, metadata: str) -> None:
     columns, about = import_flight(settings["flight"], settings["quadrotor"], settings["options"])
     if about["verdict"] != "good":
         judge(about["verdict"], about["verdict because"])
-    for note in about["notes"]:
+    for note in gravest_first(about["notes"]):
         LOG.warning("%s", note)
     write_table(flight, columns, made=about)
     write_json(metadata, about)

@@ -140,7 +140,7 @@ def _left_in(
             doubt(
                 notes,
                 f"harmonic {order} of the rotors folds below {lowest:g} Hz at the log's rate of {logged:.0f} Hz in "
-                f"{100 * share:.2g} % of the flight, where motion is, and stays in; log at another rate",
+                f"{100 * share:.3g} % of the flight, where motion is, and stays in; log at another rate",
             )
 
 

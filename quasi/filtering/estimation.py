@@ -308,12 +308,8 @@ def _consistency(forward: ekf.Pass, notes: list[str]) -> dict[str, dict[str, Any
     """Normalised innovations squared of each kind of measurement, with a note where they are not those expected."""
     nis = noise.consistency(forward)
     for kind, entry in nis.items():
-        if not entry.get("consistent", True):
-            notes.append(
-                f"the filter is not consistent in {kind}: mean normalised innovation squared {entry['mean']:.2f} "
-                f"(1 expected), {100 * entry['gated']:.2g} % rejected, correlation of neighbours "
-                f"{entry['whiteness']:.2f}"
-            )
+        if said := noise.beyond(entry):
+            doubt(notes, f"the filter is not consistent in {kind}: {'; '.join(said)}")
     return nis
 
 
@@ -324,7 +320,7 @@ def _unsure(deviation: np.ndarray, flying: np.ndarray, notes: list[str]) -> np.n
         notes.append(
             f"attitude or velocity is known to no better than {np.degrees(UNSURE_ATTITUDE):.0f} deg or "
             f"{UNSURE_VELOCITY:g} m/s "
-            f"in {100 * (unsure & flying).mean():.2g} % of the flight, which is marked invalid"
+            f"in {100 * (unsure & flying).mean():.3g} % of the flight, which is marked invalid"
         )
     return unsure
 

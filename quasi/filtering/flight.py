@@ -36,7 +36,9 @@ DEFAULTS: dict[str, Any] = {
     "capture gap limit s": 1.0,
 }
 COURSE_RATE = 50.0  # Hz, of the filter's course where it is not asked for whole
+NONE_VALID = "no row of this flight is valid for identification"
 ENGINES = ("compiled", "filterpy")
+TOLD = 0.05  # share of a flight from which a reason for its invalid rows is named
 POLICIES = ("automatic", "rest", "whole flight", "time varying")
 
 
@@ -185,15 +187,20 @@ def filter_flight(
     edge = np.zeros(len(t), bool)
     edge[:reach] = edge[-reach:] = True
     lost = forces.spread(imu.lost | actuators_lost, reach) | edge
-    valid = in_flight & ~lost & ~run.unsure
+    spoiling = {
+        _unsure_words(imported_metadata): run.unsure,
+        "it is not in flight": ~in_flight,
+        "sensors or rotor speeds are lost": lost,
+    }
     if speeds is not None:  # a jolt of the IMU while no rotor turns is no flight
-        valid &= (speeds > 0.0).any(axis=1)
+        spoiling["no rotor turns"] = ~(speeds > 0.0).any(axis=1)
     air, windless = _through_air(imported, body, run.quaternion)
     if windless.any():
         notes.append(
-            f"the wind is unknown in {100 * windless.mean():.2g} % of the flight; these rows are marked invalid"
+            f"the wind is unknown in {100 * windless.mean():.3g} % of the flight; these rows are marked invalid"
         )
-        valid &= ~windless
+        spoiling["the wind is unknown"] = windless
+    valid = ~np.logical_or.reduce(list(spoiling.values()))
 
     table: dict[str, np.ndarray] = {"t": t, **_actuators(actuators, speeds, logged, band)}
     table |= _states(specific, rates, rates_dot, run, body, air)
@@ -208,7 +215,7 @@ def filter_flight(
     table["in_flight"], table["valid"] = in_flight.astype(float), valid.astype(float)
     _refuse_broken(table)
     if not valid.any():
-        notes.append("no row of this flight is valid for identification; see the other notes")
+        notes.insert(0, f"{NONE_VALID}: {_spoilt(spoiling)}")  # what makes the others matter less
     with_gravity = pd.DataFrame(table)
     net = forces.net_forces(specific, run.quaternion, airframe.mass)
     no_gravity = with_gravity.assign(**dict(zip(("Fx", "Fy", "Fz"), net.T)))
@@ -232,6 +239,7 @@ def filter_flight(
             "rest": None if found.rest is None else [float(t[found.rest.first]), float(t[found.rest.last - 1])],
             "in flight share": float(in_flight.mean()),
             "valid share": float(valid.mean()),
+            "none valid because": None if valid.any() else _spoilt(spoiling),
         },
         "imported": dict(imported_metadata),
         "options": chosen,
@@ -239,6 +247,20 @@ def filter_flight(
         "doubts": doubts(notes),
     }
     return Filtered(with_gravity, no_gravity, metadata, run.convergence)
+
+
+def _unsure_words(metadata: Mapping[str, Any]) -> str:
+    words = "attitude or velocity is not known well enough"
+    if metadata.get("position source") == "none" and metadata.get("velocity source") == "none":
+        return f"{words}, for neither position nor velocity was measured"
+    return words
+
+
+def _spoilt(spoiling: Mapping[str, np.ndarray]) -> str:
+    """What makes the rows of a flight invalid, and how many, the greatest first. spoiling  {words: (N,) bool}"""
+    shares = sorted(((float(rows.mean()), words) for words, rows in spoiling.items()), reverse=True)
+    told = [(share, words) for share, words in shares if share >= TOLD] or shares[:1]
+    return "; ".join(f"{words} ({100 * share:.0f} % of the flight)" for share, words in told)
 
 
 def _phases(
@@ -302,7 +324,7 @@ def _induced(through_air: np.ndarray, airframe: Airframe, notes: list[str]) -> n
     sinking = ~np.isfinite(induced)
     if sinking.any():
         notes.append(
-            f"the induced velocity is not defined in {100 * sinking.mean():.2g} % of the flight (descent); "
+            f"the induced velocity is not defined in {100 * sinking.mean():.3g} % of the flight (descent); "
             "v_in is empty there"
         )
     return induced

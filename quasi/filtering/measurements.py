@@ -179,7 +179,7 @@ def read_imu(frame: pd.DataFrame, step: np.ndarray | None = None) -> Imu:
         out = ~(frame["onboard_valid"].to_numpy(float) > 0.5)
         if out.any():
             notes.append(
-                f"the on-board log lost {100 * out.mean():.2g} % of the flight in {len(spans(out))} spans; "
+                f"the on-board log lost {100 * out.mean():.3g} % of the flight in {len(spans(out))} spans; "
                 "they are bridged and marked invalid"
             )
             lost |= out

@@ -1,5 +1,6 @@
 """Noise levels asked of the innovations, and whether a filter run is consistent with them."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ WINDOW, WINDOWS = 5.0, 3  # s, number of stretches of flight in which the levels
 PRIOR = 1.0  # standard deviation of the logarithm of a noise level before the innovations are asked
 SEEN = 0.7  # of the scatter that positions show by themselves, at least, is their noise
 CONSISTENT = (0.6, 1.6)  # mean normalised innovation squared per degree of freedom
+REJECTED = 0.05  # share of measurements that an honest model rejects at most
 CORRELATED = 0.5  # autocorrelation from one innovation to the next that an honest model does not reach
 
 
@@ -143,12 +145,31 @@ def consistency(run: Pass) -> dict[str, Any]:
                 "bounds": [1.0 - spread, 1.0 + spread],
                 "whiteness": float(lag1[np.argmax(np.abs(lag1))]),
                 "whiteness bound": float(1.96 / np.sqrt(count)),
-                "consistent": bool(
-                    CONSISTENT[0] < mean < CONSISTENT[1]
-                    and abs(lag1).max() < CORRELATED
-                    and entry["gated"] < 0.05
-                    and entry["forced"] == 0
-                ),
             }
+            entry["consistent"] = not beyond(entry)
         result[kind] = entry
     return result
+
+
+def beyond(entry: Mapping[str, Any]) -> list[str]:
+    """The figures of a kind of `consistency` that are beyond their limits, in words with the limits."""
+    if "mean" not in entry:
+        return [f"at most two of {entry['measurements']} measurements are accepted"]
+    low, high = CONSISTENT
+    said = []
+    if not low < entry["mean"] < high:
+        size = "larger" if entry["mean"] >= high else "smaller"
+        said.append(
+            f"innovations are {size} than their standard errors say (mean normalised square {entry['mean']:.2f}, "
+            f"expected 1, limits {low:g} to {high:g})"
+        )
+    if not abs(entry["whiteness"]) < CORRELATED:
+        said.append(f"neighbouring ones go together (correlation {entry['whiteness']:.2f}, limit {CORRELATED:g})")
+    if not entry["gated"] < REJECTED:
+        said.append(f"{100 * entry['gated']:.3g} % of the measurements are rejected (limit {100 * REJECTED:g} %)")
+    if entry["forced"]:
+        said.append(
+            f"{entry['forced']} times a measurement had to be taken after a second of rejections in a row (limit 0): "
+            "the states had strayed from it, or it jumped"
+        )
+    return said

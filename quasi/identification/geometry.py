@@ -17,6 +17,7 @@ from quasi.variables import Variables
 
 SURE = 5.0  # standard errors
 APART = 0.6  # of the arm, between where a rotor is said to be and where it seems to be
+ALIKE = 1.5  # between the factors of roll and pitch that are told as one
 # what acts on a moment beside the rotors' thrusts and drag
 BESIDE = {
     "Mx": ("p", "w_tot*v", "u_p_dot"),
@@ -33,20 +34,23 @@ def contradictions(prepared: Mapping[str, tuple], airframe: Airframe, thrust: fl
     if not thrust > 0.0:
         return []
     slopes = {axis: _slopes(prepared, airframe, axis) for axis in BESIDE}
-    places = []
-    for i, (x, y, _) in enumerate(airframe.hubs):
-        if slopes["Mx"] is None or slopes["My"] is None:
-            break
-        seen = np.array([slopes["My"][0][i], -slopes["Mx"][0][i]]) / thrust
-        std = np.array([slopes["My"][1][i], slopes["Mx"][1][i]]) / thrust
-        away = np.abs(seen - [x, y])
-        if (away > np.maximum(APART * airframe.arm, SURE * std)).any():
-            places.append(
-                f"rotor {i + 1} pushes as if it were {_side(*seen)} (x = {seen[0]:.2f} m, y = {seen[1]:.2f} m), the "
-                f"configuration has it {_side(x, y)} (x = {x:.2f} m, y = {y:.2f} m)"
-            )
+    places: list[str] = []
+    scaled = None
+    if slopes["Mx"] is not None and slopes["My"] is not None:
+        hubs = airframe.hubs[:, :2]
+        seen = np.stack([slopes["My"][0], -slopes["Mx"][0]], axis=1) / thrust
+        std = np.stack([slopes["My"][1], slopes["Mx"][1]], axis=1) / thrust
+        elsewhere = (np.abs(seen - hubs) > np.maximum(APART * airframe.arm, SURE * std)).any(axis=1)
+        scaled = _scaled(seen, std, hubs, airframe.arm) if elsewhere.any() else None
+        places = [
+            f"rotor {i + 1} pushes as if it were {_side(*seen[i])} (x = {seen[i, 0]:.2f} m, y = {seen[i, 1]:.2f} m), "
+            f"the configuration has it {_side(*hubs[i])} (x = {hubs[i, 0]:.2f} m, y = {hubs[i, 1]:.2f} m)"
+            for i in np.flatnonzero(elsewhere)
+        ]
     notes = []
-    if places:
+    if scaled:
+        notes.append(scaled)
+    elif places:
         notes.append(
             f"{'; '.join(places)}: correct the rotors' numbers or places in the quadrotor's configuration, and import "
             "anew"
@@ -61,6 +65,31 @@ def contradictions(prepared: Mapping[str, tuple], airframe: Airframe, thrust: fl
                 "correct 'rotor1 rotation direction' or the rotors' numbers in the quadrotor's configuration"
             )
     return notes
+
+
+def _scaled(seen: np.ndarray, std: np.ndarray, hubs: np.ndarray, arm: float) -> str | None:
+    """A sentence where rotors push from their own directions, but as if all arms were longer or shorter; else None.
+
+    seen, std, hubs  (4, 2), x and y, m. A moment about x tells y: the factor on y is that of roll.
+    """
+    factor = np.sum(seen * hubs, axis=0) / np.sum(hubs**2, axis=0)
+    doubt = np.sqrt(np.sum((std * hubs) ** 2, axis=0)) / np.sum(hubs**2, axis=0)
+    left = np.abs(seen - factor * hubs)
+    if (factor <= SURE * doubt).any() or (left > np.maximum(APART * arm * factor, SURE * std)).any():
+        return None
+
+    def words(f: float) -> str:
+        return f"{max(f, 1 / f):.2g} times {'longer' if f > 1 else 'shorter'} than configured"
+
+    pitch, roll = factor.tolist()
+    if max(pitch, roll) < ALIKE * min(pitch, roll):
+        said = words(float(np.sqrt(pitch * roll)))
+    else:
+        said = f"{words(roll)} in roll and {words(pitch)} in pitch"
+    return (
+        f"all rotors push from the directions in which the configuration has them, but as if their arms were {said}: "
+        "check the mass, the moments of inertia, 'b' and the unit of the gyro, and import anew"
+    )
 
 
 def _slopes(prepared: Mapping[str, tuple], airframe: Airframe, axis: str) -> tuple[np.ndarray, np.ndarray] | None:

@@ -32,7 +32,10 @@ def usable(rows: int, ratio: float) -> slice:
 
 
 def partition(
-    flights: Mapping[str, pd.DataFrame], validation: Iterable[str] = (), options: Mapping[str, Any] | None = None
+    flights: Mapping[str, pd.DataFrame],
+    validation: Iterable[str] = (),
+    options: Mapping[str, Any] | None = None,
+    because: Mapping[str, str] | None = None,
 ) -> dict[str, np.ndarray]:
     """Role of every row of every flight: {flight: (n,) int8 of UNUSED, TRAINING, TEST, VALIDATION}.
 
@@ -40,6 +43,7 @@ def partition(
     validation  flights that are kept whole for validation
     options     "usable data ratio", "random partition", "partition ratio", "partition by" ("samples", "blocks" or
                 "flights"), "block length" (s), "seed"; the draw inside a flight depends on the seed and its key alone
+    because     {flight: why none of its rows is valid}, of those of which it is known, for the message
     Raises DataError when no training row is left.
     """
     options = dict(options or {})
@@ -54,9 +58,7 @@ def partition(
         codes = np.zeros(len(flight), np.int8)
         rows = np.zeros(len(flight), bool)
         rows[usable(len(flight), ratio)] = True
-        for flag in ("valid", "in_flight"):
-            if flag in flight:
-                rows &= flight[flag].to_numpy() > 0.5
+        rows &= _valid(flight)
         if key in validation:
             codes[rows] = VALIDATION
         elif whole is not None:
@@ -69,11 +71,40 @@ def partition(
             codes[rows] = TRAINING
         roles[key] = codes
     if learning and not any((roles[key] == TRAINING).any() for key in learning):
-        raise DataError(
-            f"no training rows are left in the flights {', '.join(map(str, learning))}; "
-            "raise 'usable data ratio' or 'partition ratio', or name fewer validation flights"
-        )
+        raise DataError(_none_left({key: flights[key] for key in learning}, ratio, because or {}))
     return roles
+
+
+def _valid(flight: pd.DataFrame) -> np.ndarray:
+    rows = np.ones(len(flight), bool)
+    for flag in ("valid", "in_flight"):
+        if flag in flight:
+            rows &= flight[flag].to_numpy() > 0.5
+    return rows
+
+
+def _none_left(flights: Mapping[str, pd.DataFrame], ratio: float, because: Mapping[str, str]) -> str:
+    """Why flights that ought to train have no training row: none is valid, or the draw left none."""
+    valid = {key: _valid(flight) for key, flight in flights.items()}
+    barren = [key for key, rows in valid.items() if not rows.any()]
+    # what is the same of several flights is told once
+    alike: dict[str, list[str]] = {}
+    for key in barren:
+        alike.setdefault(because.get(key, ""), []).append(key)
+    told = [
+        f"no row of flight{'s' * (len(keys) > 1)} {', '.join(keys)} is valid for identification{': ' * bool(why)}{why}"
+        for why, keys in alike.items()
+    ]
+    if len(barren) == len(flights):
+        look = f"the pages results/reports/<quadrotor>/{barren[0] if len(barren) == 1 else '<flight>'}.html and "
+        look += "logs/filtering/ say more; mend or replace the recordings"
+        return f"no training rows are left: {'; '.join(told)}; {look}"
+    inside = [key for key, rows in valid.items() if rows[usable(len(rows), ratio)].any()]
+    if not inside:
+        advice = "the valid rows of the others lie in the ends that 'usable data ratio' cuts off; raise it"
+    else:
+        advice = "raise 'partition ratio', or add flights"
+    return f"no training rows are left in the flights {', '.join(flights)}; {'; '.join([*told, advice])}"
 
 
 def draw_flights(keys: list[str], share: float, seed: int) -> set[str]:

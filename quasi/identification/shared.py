@@ -25,6 +25,19 @@ NEEDED = ("w1", "w2", "w3", "w4", "Fz", "Mx", "My", "Mz", "roll", "pitch", "u", 
 OPTIONAL = ("w1_dot", "w2_dot", "w3_dot", "w4_dot", "u_air", "v_air", "w_air")
 
 
+def refuse_speedless(flights: Mapping[str, pd.DataFrame]) -> None:
+    """Raise DataError for filtered flights without rotor speeds, which every model needs."""
+    lacking = {key: [n for n in NEEDED[:4] if n not in flight] for key, flight in flights.items()}
+    lacking = {key: names for key, names in lacking.items() if names}
+    if lacking:
+        keys, names = list(lacking), sorted(set().union(*lacking.values()))
+        raise DataError(
+            f"flight{'s' * (len(keys) > 1)} {', '.join(keys)}: the log holds no rotor speeds ({', '.join(names)}), "
+            "which every model needs; log them (docs/your-own-data.md, section 4), or leave "
+            f"{'these flights' if len(keys) > 1 else 'this flight'} out"
+        )
+
+
 def shared(
     flights: Mapping[str, pd.DataFrame],
     partition: Mapping[str, np.ndarray],

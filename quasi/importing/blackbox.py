@@ -18,6 +18,7 @@ MOST_SPANS = 2000
 MOST_EVENTS = 2000
 MOST_CHANGES = 2000
 MOST_GPS = 100_000
+CHOOSE = " (another: 'Log number' in the logbook, `--log-number` of `quasi noise`)"
 GAP = 1.5  # times the usual step: a longer one is a gap
 EVENT_NAMES = {
     0: "beep",
@@ -226,7 +227,7 @@ def read_blackbox(path: str | Path, log_number: int | None = None, poles: int | 
     series |= external_series(t, resolved.external, metadata, notes)
     notes = [*lost_notes, *notes, *resolved.notes]
     if log_number is None and len(logs) > 1:
-        notes.append(f"the file holds {len(logs)} logs; the longest, number {log.number}, was taken")
+        notes.append(f"the file holds {len(logs)} logs; the longest, number {log.number}, was taken{CHOOSE}")
     return Recording(series=series, metadata=metadata, notes=notes)
 
 

@@ -233,7 +233,7 @@ def _motors(raw, header, out: Resolved) -> None:
     below = np.mean([np.mean(out.values[f"command{i + 1}"] < -0.002) for i in motors]) if len(values) else 0.0
     if below > 0:
         out.notes.append(
-            f"motor values lie below the output range in {100 * below:.2g} % of the samples (motors stopped)"
+            f"motor values lie below the output range in {100 * below:.3g} % of the samples (motors stopped)"
         )
 
 

@@ -1,7 +1,7 @@
 """Stated units and axes against what the numbers do: lengths that are no metres, an accelerometer that feels no g."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -14,6 +14,11 @@ RATE, BAND = 100.0, 3.0  # Hz
 LEAST_TURNING = 0.1  # rad/s, rms body rate below which nothing can be said of an attitude
 LEAST_SPEED = 0.3  # m/s, rms velocity below which nothing can be said of a position
 FASTEST_ROTOR, FULLEST, HIGHEST_VOLTAGE = 8000.0, 1.5, 100.0  # rad/s, share, V: beyond what flies indoors and out
+WRONG_RATES, REFUSED_RATES = (
+    3.0,
+    30.0,
+)  # times, between gyro and attitude: beyond sensors' scales; beyond any slip but units
+ALIKE = 0.6  # correlation from which body rates are those of an attitude but for a factor
 STRETCH = 5.0  # s, of which each is asked by itself: one reset of an estimate is no wrong unit
 LEAST_MOTION = 0.2  # m/s2, rms acceleration below which nothing can be said
 
@@ -85,25 +90,69 @@ def velocity_explained(t: np.ndarray, velocity: np.ndarray, t_told: np.ndarray, 
     return _explained(t, velocity, t_told[fine], told, LEAST_SPEED)
 
 
+def refuse_wrong_rates(
+    t: np.ndarray, rates: np.ndarray, t_told: np.ndarray, attitude: np.ndarray, whose: str, where: str
+) -> str | None:
+    """A sentence where body rates go with those of an attitude but are several times as large or small; else None.
+
+    Arguments as `rates_explained`; whose  attitude, for the message
+    Raises DataError where they are as much off as degrees are from radians or beyond: no such flight is to be used.
+    """
+    fine = np.isfinite(attitude).all(axis=1)
+    if np.count_nonzero(fine) < 8:
+        return None
+    told = body_rates(continuous(attitude[fine]), t_told[fine])
+    ratios = []
+    for there, here in _stretches(t, rates, t_told[fine], told):
+        power, own = np.sum(np.var(there, axis=0)), np.sum(np.var(here, axis=0))
+        if max(power, own) < LEAST_TURNING**2 or min(power, own) == 0.0:
+            continue
+        along = np.sum(np.mean((there - there.mean(axis=0)) * (here - here.mean(axis=0)), axis=0))
+        # what does not go together has another cause than a unit
+        ratios.append(np.sqrt(power / own) if along / np.sqrt(power * own) > ALIKE else np.nan)
+    if not ratios or np.mean(np.isfinite(ratios)) < 0.5:
+        return None
+    ratio = float(np.nanmedian(ratios))
+    if 1.0 / WRONG_RATES < ratio < WRONG_RATES:
+        return None
+    said = f"{where}: body rates are {ratio:.3g} times those of {whose}"
+    if 1.0 / REFUSED_RATES < ratio < REFUSED_RATES:
+        return f"{said}; check the unit of the gyro, of the attitude and of time"
+    if 40.0 < ratio < 80.0:
+        said += ", as with deg/s taken for rad/s, or an attitude in rad taken for deg"
+    elif 40.0 < 1.0 / ratio < 80.0:
+        said += ", as with rad/s taken for deg/s"
+    raise DataError(f"{said}; check the unit of the gyro, of the attitude and of time, and correct it")
+
+
 def _explained(t: np.ndarray, felt: np.ndarray, t_told: np.ndarray, told: np.ndarray, least: float) -> float | None:
     """Share of the variance of `felt` (n, 3) that `told` (m, 3) explains at low frequency, the median of all stretches;
     None where none reaches `least` rms."""
+    shares = []
+    for there, here in _stretches(t, felt, t_told, told):
+        moving = np.sum(np.var(there, axis=0))
+        if np.sqrt(moving) >= least:
+            shares.append(1.0 - np.sum(np.var(here - there, axis=0)) / moving)
+    return float(np.median(shares)) if shares else None
+
+
+def _stretches(
+    t: np.ndarray, felt: np.ndarray, t_told: np.ndarray, told: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """`felt` (n, 3) and `told` (m, 3) at low frequency and at the same times, stretch by stretch."""
     one, other = uniform(t, felt, RATE, BAND), uniform(t_told, told, RATE, BAND)
     if one is None or other is None:
-        return None
+        return
     at = other.start + other.step * np.arange(len(other.values))
     good = other.good & (at > t[0] + 1.0 / BAND) & (at < t[-1] - 1.0 / BAND)
     if np.count_nonzero(good) < 2 * RATE:
-        return None
+        return
     grid = one.start + one.step * np.arange(len(one.values))
     there = np.stack([np.interp(at[good], grid, v) for v in one.values.T], axis=-1)
     here, number = other.values[good], ((at[good] - at[good][0]) / STRETCH).astype(int)
-    shares = []
     for rows in (number == k for k in np.unique(number)):
-        moving = np.sum(np.var(there[rows], axis=0))
-        if np.count_nonzero(rows) >= RATE and np.sqrt(moving) >= least:
-            shares.append(1.0 - np.sum(np.var(here[rows] - there[rows], axis=0)) / moving)
-    return float(np.median(shares)) if shares else None
+        if np.count_nonzero(rows) >= RATE:
+            yield there[rows], here[rows]
 
 
 def doubtful_units(rates: np.ndarray, force: np.ndarray) -> list[str]:

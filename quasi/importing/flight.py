@@ -16,7 +16,7 @@ from quasi.importing import limits
 from quasi.importing.artefacts import flyable
 from quasi.importing.calibration import calibrated_capture, calibrated_onboard
 from quasi.importing.command_map import add_commanded_speeds
-from quasi.importing.contradictions import refuse_wrong_lengths
+from quasi.importing.contradictions import refuse_wrong_lengths, refuse_wrong_rates
 from quasi.importing.lever_arm import felt_too_much, hover_arm
 from quasi.importing.motive import read_motive
 from quasi.importing.onboard_log import ATTITUDE, POSITION, RATES, Onboard, Track, gather, read_onboard
@@ -243,13 +243,21 @@ def _align(
         sync = synchronise(board.motion(), seen, using, float(chosen["max permitted lag for optitrack"]), where)
         unit = captured.metadata["length unit"]
         refuse_wrong_lengths(board.motion(), sync.to_onboard(capture.t), seen.position, unit, where)
-        return sync
-    longest = min(SAME_CLOCK_LAG, float(chosen["max permitted lag for optitrack"]))
-    try:
-        return synchronise(board.motion(), seen, using, longest, where, same_clock=True)
-    except DataError as error:
-        doubt(notes, f"{where}: the capture stays on the log's own clock, lag 0, for none could be found ({error})")
-        return None
+    else:
+        longest = min(SAME_CLOCK_LAG, float(chosen["max permitted lag for optitrack"]))
+        try:
+            sync = synchronise(board.motion(), seen, using, longest, where, same_clock=True)
+        except DataError as error:
+            doubt(notes, f"{where}: the capture stays on the log's own clock, lag 0, for none could be found ({error})")
+            sync = None
+    if seen.quaternion is not None:
+        there = sync.to_onboard(capture.t) if sync else capture.t
+        scaled = refuse_wrong_rates(
+            board.gyro.t, board.gyro.values, there, seen.quaternion, "the captured attitude", where
+        )
+        if scaled:
+            doubt(notes, scaled)
+    return sync
 
 
 def _fuse(

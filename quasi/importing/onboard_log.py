@@ -12,7 +12,7 @@ from quasi.attitude import interpolate
 from quasi.doubt import doubt
 from quasi.errors import DataError, ReadError
 from quasi.importing.blackbox import read_blackbox
-from quasi.importing.contradictions import rates_explained, velocity_explained
+from quasi.importing.contradictions import rates_explained, refuse_wrong_rates, velocity_explained
 from quasi.importing.decoded import read_decoded
 from quasi.importing.filter_delays import header_delays
 from quasi.importing.onboard_attitude import estimate_attitude
@@ -24,6 +24,7 @@ from quasi.tables import read_bytes
 
 COUNTS = "betaflight raw acceleration correction factor"
 LEAST_EXPLAINED = 0.3  # share of the variance that a log of the same motion explains, a late one too
+LEAST_SAMPLES = 20
 RATES, FORCE = ("p", "q", "r"), ("ax", "ay", "az")
 ATTITUDE = ("qw", "qx", "qy", "qz")
 POSITION, VELOCITY, BODY_VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz"), ("u", "v", "w")
@@ -132,8 +133,14 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
     series = recording.series
     gyro, force = _find(series, RATES), _find(series, FORCE)
     for track, what in ((gyro, "body rates (gyro)"), (force, "specific force (accelerometer)")):
-        if track is None or np.count_nonzero(np.isfinite(track.values).all(axis=1)) < 20:
+        if track is None:
             raise DataError(f"{where}: the on-board log holds no {what}; log it, nothing can be identified without")
+        readable = np.count_nonzero(np.isfinite(track.values).all(axis=1))
+        if readable < LEAST_SAMPLES:
+            raise DataError(
+                f"{where}: the log lists {what}, but only {readable} samples of it are readable{_damage(recording)}, "
+                f"at least {LEAST_SAMPLES} are needed; copy the log from the controller again, or give another"
+            )
     gyro, force = _finite(gyro), _finite(force)
     delays = _delays(recording, where, notes)
     attitude, source, rest = _find(series, ATTITUDE), "onboard", 0.0
@@ -143,7 +150,7 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
     except DataError as error:
         raise DataError(f"{where}: the on-board log is too short: {error}") from None
     rest = estimate.rest_seconds
-    if attitude is None or np.count_nonzero(np.isfinite(attitude.values).all(axis=1)) < 20:
+    if attitude is None or np.count_nonzero(np.isfinite(attitude.values).all(axis=1)) < LEAST_SAMPLES:
         attitude, source = Track(gyro.t, estimate.quaternion), "estimated on board"
         notes.append(
             f"{where}: the log holds no attitude; it was estimated from gyro and accelerometer, levelled "
@@ -154,8 +161,11 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
             )
         )
     else:
-        explained = rates_explained(gyro.t, gyro.values, attitude.t, attitude.values)
-        if explained is not None and explained < LEAST_EXPLAINED:
+        of_both = (gyro.t, gyro.values, attitude.t, attitude.values)
+        scaled, explained = refuse_wrong_rates(*of_both, "the on-board attitude", where), rates_explained(*of_both)
+        if scaled:
+            doubt(notes, scaled)
+        elif explained is not None and explained < LEAST_EXPLAINED:
             doubt(
                 notes,
                 f"{where}: the on-board attitude turns unlike the gyro (it explains {100 * max(0.0, explained):.0f} % "
@@ -200,6 +210,12 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
         rotors=rotors,
         delays=delays,
     )
+
+
+def _damage(recording: Recording) -> str:
+    spans = recording.metadata.get("corrupt spans") or []
+    lost = sum(span["bytes"] for span in spans if "bytes" in span)
+    return f" ({lost} bytes of the log are damaged)" if lost else ""
 
 
 def _together(tracks: list[Track]) -> Track:

@@ -84,6 +84,14 @@ def test_a_log_cut_at_any_byte(asked, made, share):
         assert any("the rest is left out" in n for n in about["notes"]) == (share < 0.2)
 
 
+def test_a_log_of_which_hardly_a_frame_is_readable_is_not_said_to_lack_the_gyro(asked, made):
+    first = made.onboard.index(b"\n", made.onboard.rindex(b"\nH ") + 1) + 1
+    garbage = np.random.default_rng(3).bytes(3000)
+    write_bytes(asked["onboard"], made.onboard[: first + 200] + garbage)
+    refused(asked, "the log lists body rates (gyro), but only ")
+    refused(asked, "bytes of the log are damaged), at least 20 are needed; copy the log from the controller again")
+
+
 def test_garbage_in_the_middle_of_a_log(asked, made):
     middle = int(0.6 * len(made.onboard))
     rng = np.random.default_rng(3)

@@ -106,6 +106,12 @@ def test_key_of_ones_own_in_a_quadrotor_is_allowed_but_a_slip_of_the_pen_is_refu
     for slip, meant in (("motor pole", "motor poles"), ("rotor hub hight", "rotor hub height")):
         with pytest.raises(ConfigError, match=f"q: '{slip}' is not a key of quasi .did you mean '{meant}'"):
             configuration.check({**beetle, slip: 14}, "quadrotor", "q")
+    for slip in ("rotor radus", "Rotor Radius"):
+        mistyped = {slip if k == "rotor radius" else k: v for k, v in beetle.items()}
+        with pytest.raises(ConfigError, match=f"lacks the key 'rotor radius', found '{slip}': correct the name"):
+            configuration.check({**mistyped, "owner": "lab"}, "quadrotor", "q")
+    with pytest.raises(ConfigError, match="lacks the key 'rotor radius'; add it"):
+        configuration.check({k: v for k, v in beetle.items() if k != "rotor radius"}, "quadrotor", "q")
 
 
 def test_campaign_schema_holds_the_keys_that_the_synthesis_takes():

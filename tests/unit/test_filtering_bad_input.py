@@ -4,12 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from programs import script
 from rigid_body import measure, move, quadrotor
 
 from quasi import attitude
+from quasi.doubt import Doubt, doubts, gravest_first
 from quasi.errors import ConfigError, DataError
-from quasi.filtering import flight, forces
+from quasi.filtering import estimation, flight, forces
 from quasi.filtering.flight import filter_flight
+from quasi.filtering.noise import beyond
+from quasi.joblog import RUN, job, outcome
+from quasi.tables import write_json, write_table
 
 AIRFRAME = quadrotor()
 HIT = slice(3000, 3500)
@@ -87,6 +92,34 @@ def test_log_lost_all_through_is_said(made):
     frame, metadata = made
     result = filter_flight(frame.assign(onboard_valid=0.0), metadata, AIRFRAME, {})
     assert about(result, "the on-board log lost") and about(result, "no row of this flight is valid")
+    assert result.metadata["phases"]["none valid because"].startswith("sensors or rotor speeds are lost (100 %")
+
+
+def test_a_flight_without_any_valid_row_is_called_so_in_its_jobs_own_line(made, tmp_path, monkeypatch):
+    frame, metadata = made
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv(RUN, str(tmp_path / "run"))
+    write_table("f.parquet", frame.assign(onboard_valid=0.0))
+    write_json("f.json", {**metadata, "position source": "none", "velocity source": "none"})
+    names = ("with_gravity", "no_gravity", "with_gravity_metadata", "no_gravity_metadata", "convergence")
+    settings = {"problem": None, "quadrotor": {"file": "q"}, "mass": None}
+    settings["options"] = {"save kalman filter convergence results": False}
+    program = script("filtering")
+    monkeypatch.setattr(program, "read_airframe", lambda *_: AIRFRAME)
+    with job("f.log"):
+        program.main(settings, "f.parquet", "f.json", {n: f"{n}.out" for n in names})
+    told = outcome(tmp_path / "run", "f.log")
+    assert told["verdict"].startswith("unusable (no row of this flight is valid for identification: sensors or rotor")
+    assert not any("no row of this flight" in note for note in told["notes"])
+    assert doubts(["a", Doubt("b")]) == gravest_first(["a", Doubt("b")])[:1]
+
+
+def test_what_spoils_rows_is_told_with_its_share_and_what_hardly_does_is_not():
+    spoiling = {"a": np.arange(100) < 30, "b": np.arange(100) < 90, "c": np.arange(100) < 2}
+    assert flight._spoilt(spoiling) == "b (90 % of the flight); a (30 % of the flight)"
+    nowhere = {"position source": "none", "velocity source": "none"}
+    assert flight._unsure_words(nowhere).endswith("for neither position nor velocity was measured")
+    assert "measured" not in flight._unsure_words({})
 
 
 def test_a_rotor_without_values_is_said_once(made):
@@ -139,6 +172,28 @@ def test_units_mixed_up_are_called_inconsistent(made):
     result = filter_flight(frame, metadata, AIRFRAME, {})
     assert result.metadata["consistent"] is False
     assert about(result, "more than any sensor measures (150)") and about(result, "is not consistent in attitude")
+
+
+def test_a_filter_that_is_not_consistent_names_the_figure_beyond_its_limit():
+    fine = {"measurements": 900, "gated": 0.035, "forced": 0, "mean": 1.01, "whiteness": 0.03}
+    assert beyond(fine) == []
+    [said] = beyond({**fine, "forced": 3})
+    assert said.startswith("3 times a measurement had to be taken after a second of rejections in a row (limit 0)")
+    said = beyond({**fine, "mean": 0.12, "whiteness": 0.998, "gated": 0.062})
+    assert "smaller than" in said[0] and "0.12, expected 1, limits 0.6 to 1.6" in said[0]
+    assert said[1:] == [
+        "neighbouring ones go together (correlation 1.00, limit 0.5)",
+        "6.2 % of the measurements are rejected (limit 5 %)",
+    ]
+    assert beyond({"measurements": 40, "gated": 1.0, "forced": 0}) == ["at most two of 40 measurements are accepted"]
+
+
+def test_shares_of_a_flight_have_no_exponent():
+    notes = []
+    unsure = estimation._unsure(np.full((500, 18), 9.0), np.arange(500) > 0, notes)
+    assert unsure.all() and "in 99.8 % of the flight" in notes[0]
+    estimation._unsure(np.full((500, 18), 9.0), np.ones(500, bool), notes)
+    assert "in 100 % of the flight" in notes[1]
 
 
 def test_a_column_that_is_no_number_is_never_handed_on(made, monkeypatch):

@@ -1,5 +1,6 @@
 """A flight from its raw files to one grid, against the truth it was made from."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -262,6 +263,36 @@ def test_an_on_board_attitude_that_turns_unlike_the_gyro_is_told(tmp_path, signs
     more = dict(zip(("qw", "qx", "qy", "qz"), (truth.quaternion * signs)[late].T))
     _, about = import_flight(*table_flight(tmp_path, truth, imu(truth) | more), {"resampling rate": 200})
     assert ("turns unlike the gyro" not in about["verdict because"]) == fits
+
+
+@pytest.mark.parametrize("source", ["the on-board attitude", "the captured attitude"])
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [
+        (57.3, r"body rates are 5[67]\.\d times those of {}, as with deg/s taken for rad/s.*correct it"),
+        (1 / 57.3, r"body rates are 0\.017\d? times those of {}, as with rad/s taken for deg/s"),
+        (1e3, "times those of {}; check the unit of the gyro, of the attitude and of time, and correct it"),
+        (6.28, r"body rates are 6\.\d+ times those of {}; check the unit of the gyro"),
+        (1.5, None),
+    ],
+)
+def test_body_rates_in_another_unit_than_the_attitude_tells_are_noticed(tmp_path, source, factor, said):
+    truth = body(15.0, rate=200.0)
+    measured = imu(truth)
+    measured |= {n: factor * measured[n] for n in ("p", "q", "r")}
+    seen = dict(zip(("qw", "qx", "qy", "qz", "x", "y", "z"), np.hstack([truth.quaternion, truth.position]).T))
+    flight, quadrotor = table_flight(tmp_path, truth, measured | seen)
+    if source == "the captured attitude":
+        quadrotor["table columns"]["sources"] = [
+            {"name": "imu", "columns": {n: n for n in measured}},
+            {"name": "room", "motion capture": True, "columns": {n: n for n in seen}},
+        ]
+    if factor in (1.5, 6.28):
+        because = import_flight(flight, quadrotor, {"resampling rate": 200})[1]["verdict because"]
+        assert re.search(said.format(source), because) if said else "body rates are" not in because
+        return
+    with pytest.raises(DataError, match=said.format(source)):
+        import_flight(flight, quadrotor, {"resampling rate": 200})
 
 
 @pytest.mark.parametrize(("factor", "fits"), [(1.0, True), (1000.0, False), (-1.0, False)])

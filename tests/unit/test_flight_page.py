@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from quasi import report
-from quasi.flight_page import page, ranges, saturation, verdict
+from quasi.flight_page import page, ranges, saturation, unmeasured, verdict
 from quasi.importing.streams import stream
 
 N = 500
@@ -74,6 +74,39 @@ def test_page_is_whole_in_itself_and_escapes_what_files_bring(flight):
     assert "p at 34.9 rad/s for 0.13 s in 3 spans" in text or "p at 34.9 rad/s for 0.12 s in 3 spans" in text
 
 
+@pytest.mark.parametrize(
+    ("sources", "engine", "velocity", "height"),
+    [
+        (("none", "none"), "compiled", "from the accelerometer alone, drifts", "from the accelerometer alone, drifts"),
+        (("none", "onboard"), "compiled", "", "from the velocity alone, drifts"),
+        (("none", "none"), None, "not measured", "not measured"),
+        (("capture", "capture position"), "compiled", "", ""),
+    ],
+)
+def test_what_no_source_measured_is_marked_among_what_was_flown(flight, sources, engine, velocity, height):
+    filtered, imported, about = flight
+    imported |= dict(zip(("position source", "velocity source"), sources))
+    about["engine"] = engine
+    names = [row[0] for row in ranges(filtered, filtered["t"].to_numpy() >= 0, unmeasured(imported, about))]
+    assert f"speed over ground ({velocity})".removesuffix(" ()") in names
+    assert f"velocity down (body) ({velocity})".removesuffix(" ()") in names
+    assert f"height above the origin ({height})".removesuffix(" ()") in names
+    assert {"roll rate", "tilt", "load factor"} <= set(names)
+    assert names[0] in page(filtered, imported, filtered, about, {})
+
+
+@pytest.mark.parametrize(
+    ("source", "shown"),
+    [("capture", "capture&#x27;s"), ("onboard", "on-board attitude&#x27;s"), ("estimated on board", None)],
+)
+def test_axes_are_laid_on_the_bodys_of_a_source_that_has_axes(flight, source, shown):
+    filtered, imported, about = flight
+    imported["attitude source"] = source
+    about["attitude alignment"] = {"roll": {"value": 0.01, "std": 0.001}}
+    text = page(filtered, imported, filtered, about, {})
+    assert (f"{shown} axes on the body&#x27;s" in text) if shown else ("axes on the body" not in text)
+
+
 def test_ranges_are_of_the_rows_in_flight(flight):
     filtered = flight[0]
     found = {name: values for name, _, *values in ranges(filtered, filtered["in_flight"].to_numpy() > 0)}
@@ -97,8 +130,14 @@ def test_verdict_gets_worse_by_what_filtering_finds_and_never_better(flight):
     assert verdict(imported, about, {}) == ("good", "all sources are complete and agree")
     word, why = verdict(imported, {**about, "consistent": False}, {"command1 at its upper limit": 0.02})
     assert word == "usable with care" and "innovations" in why and "2.00 %" in why and "agree" not in why
+    told = "the filter is not consistent in position: 6 % of the measurements are rejected (limit 5 %)"
+    assert verdict(imported, {**about, "consistent": False, "doubts": [told]}, {}) == ("usable with care", told)
     none = {**about, "phases": {**about["phases"], "valid share": 0.0}}
-    assert verdict(imported, none, {})[0] == "unusable"
+    none["phases"]["none valid because"] = "no rotor turns (100 % of the flight)"
+    assert verdict(imported, none, {}) == (
+        "unusable",
+        "no row is valid for identification: no rotor turns (100 % of the flight)",
+    )
     bad = {**imported, "verdict": "unusable", "verdict because": "nothing was read"}
     assert verdict(bad, {**about, "consistent": False}, {})[0] == "unusable"
 

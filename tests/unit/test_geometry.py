@@ -34,6 +34,22 @@ def test_exchanged_rotors_are_told_with_both_places(pair):
     assert all(f"rotor {k + 1} " not in note for k in range(4) if k not in pair)
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"Fz": 10.0}, "6.8 times shorter than configured: check the mass"),
+        ({"Mx": 57.3, "My": 57.3, "Mz": 57.3}, "85 times longer than configured: check"),
+        ({"Mx": 1.2, "My": 20.0}, "times longer than configured in pitch: check the mass"),
+    ],
+)
+def test_arms_off_by_one_factor_are_a_matter_of_mass_inertia_or_units(change, said):
+    # the made flights' torques are those of arms 1.5 times as long
+    flights = {key: f.assign(**{name: by * f[name] for name, by in change.items()}) for key, f in FLIGHTS.items()}
+    [note] = [n for n in shared(flights, partition(flights), TRUE)["notes"] if "configur" in n and "rotor" in n]
+    assert note.startswith("all rotors push from the directions in which the configuration has them")
+    assert said in note and "numbers or places" not in note
+
+
 def test_the_wrong_sense_of_one_rotor_or_of_all_is_told():
     [note] = told(dataclasses.replace(TRUE, spin=-TRUE.spin))
     assert note.startswith("the faster rotors 1, 2, 3, 4, the more the body turns")

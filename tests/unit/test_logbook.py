@@ -1,10 +1,13 @@
 """The logbook: rows, selections, keys, and faults by row and column."""
 
+from pathlib import Path
+
 import pytest
 
 from quasi.errors import LogbookError
-from quasi.logbook import NEEDED, pick, read_logbook, select_rows
+from quasi.logbook import NEEDED, OPTIONAL, pick, read_logbook, select_rows
 
+ROOT = Path(__file__).parents[2]
 HEADER = [*NEEDED, "Mass", "Log number", "Flight key", "Comments"]
 
 
@@ -73,6 +76,8 @@ def test_a_row_of_more_cells_than_columns_is_a_fault_of_that_row_alone(tmp_path)
 
 def test_two_rows_of_one_key_are_refused_and_flight_key_solves_it(tmp_path):
     with pytest.raises(LogbookError, match="rows 2 and 3 both mean flight 'a' of Beetle.*'Flight key'"):
+        read_logbook(write(tmp_path / "log.csv", flight("a"), flight("a")))
+    with pytest.raises(LogbookError, match="several logs, give each its own .*'Log number', else .* 'Flight key'"):
         read_logbook(write(tmp_path / "log.csv", flight("a"), flight("a")))
     book = read_logbook(write(tmp_path / "log.csv", flight("a"), flight("a", **{"Flight key": "a2"})))
     assert [r.key for r in book.values()] == ["a", "a2"]
@@ -154,6 +159,11 @@ def test_what_is_no_text_table_says_what_to_save(tmp_path, content, words):
     (tmp_path / "log.csv").write_bytes(content)
     with pytest.raises(LogbookError, match=words):
         read_logbook(tmp_path / "log.csv")
+
+
+def test_the_laid_logbook_has_the_columns_that_tell_flights_of_one_file_apart():
+    first = (ROOT / "config/template/data/logbook.csv").read_text().splitlines()[0].split(",")
+    assert {*NEEDED, "Flight key", "Log number"} <= set(first) <= {*NEEDED, *OPTIONAL}
 
 
 def test_ending_of_the_file_is_no_part_of_the_flights_name(tmp_path):

@@ -87,10 +87,23 @@ def test_rows_flagged_unusable_take_no_part():
 
 
 def test_no_training_rows_is_an_error():
-    with pytest.raises(DataError, match="no training rows are left in the flights a"):
+    with pytest.raises(DataError, match="no training rows are left: no row of flight a is valid"):
         partition({"a": flight(valid=np.zeros(1000)), "b": flight()}, ["b"])
     # held-out flights alone have none to lose
     assert np.any(partition({"b": flight()}, ["b"])["b"] == VALIDATION)
+
+
+def test_ratios_are_advised_only_where_they_are_the_cause():
+    barren, ends = flight(valid=np.zeros(1000)), flight(valid=np.r_[np.ones(40), np.zeros(960)])
+    with pytest.raises(DataError) as caught:
+        partition({"a": barren, "c": barren}, because={"a": "it is not in flight (100 % of the flight)"})
+    text = str(caught.value)
+    assert "flight a is valid for identification: it is not in flight (100 % of the flight); no row of flight c" in text
+    assert "results/reports/<quadrotor>/<flight>.html" in text and "ratio'" not in text
+    with pytest.raises(DataError, match=r"flights a, e; no row of flight a is.*'usable data ratio' cuts off; raise it"):
+        partition({"a": barren, "e": ends})
+    with pytest.raises(DataError, match="in the flights f; raise 'partition ratio', or add flights"):
+        partition({"f": flight()}, [], {"partition ratio": 0.0005})
 
 
 def test_the_table_gives_the_partition_back():

@@ -7,7 +7,7 @@ from flights import AIRFRAME, HOVER, PITCH, ROLL, THRUST, YAW, flight
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.identification.partition import partition
-from quasi.identification.shared import hover_speed, shared
+from quasi.identification.shared import hover_speed, refuse_speedless, shared
 
 
 @pytest.fixture(scope="module")
@@ -75,3 +75,12 @@ def test_a_missing_column_is_an_error(flights):
     broken = {"a": flights["a"].drop(columns="Mz")}
     with pytest.raises(DataError, match="flight a has no column 'Mz'"):
         shared(broken, partition(broken), AIRFRAME)
+
+
+def test_flights_without_rotor_speeds_are_refused_by_name(flights):
+    refuse_speedless(flights)
+    names = [f"w{i}" for i in range(1, 5)]
+    with pytest.raises(
+        DataError, match=r"flight a: the log holds no rotor speeds \(w1, w2, w3, w4\).*leave this flight"
+    ):
+        refuse_speedless({**flights, "a": flights["a"].drop(columns=names)})

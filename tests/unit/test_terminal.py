@@ -7,7 +7,7 @@ import pytest
 
 from quasi.errors import ReadError
 from quasi.joblog import LOG, RUN, job, judge
-from quasi.terminal import Misnamed, Terminal, standing
+from quasi.terminal import Misnamed, Terminal, again, standing
 
 
 @pytest.fixture
@@ -46,6 +46,30 @@ def test_a_job_is_a_line_and_a_note_that_flights_have_alike_is_told_once(run):
     assert lines[2] == "    - logs/a.bbl: vibration near 41 Hz"
     assert lines[3].endswith("1 note (told above), logs/importing/Q/b.log") and len(lines) == 4
     assert "`snakemake results/reports/Q/a.html`" in terminal.summary()
+
+
+@pytest.mark.parametrize(
+    ("asked", "command"),
+    [
+        ("-j2 models/m/standalone", "snakemake processing"),
+        ("-s ../q/Snakefile -d lab -j2 models/m/standalone", "snakemake -s ../q/Snakefile -d lab processing"),
+        ("--directory=lab -j2 -C data=/mnt/a b=1 -- all", "snakemake -d lab --config data=/mnt/a b=1 -- processing"),
+        ("-j2 all --config data=/mnt", "snakemake --config data=/mnt -- processing"),
+        ("--configfile own.yaml --cores 2 -d", "snakemake processing"),
+    ],
+)
+def test_the_command_for_another_target_names_the_same_folder_and_data(asked, command):
+    assert again(asked.split(), "processing") == command
+
+
+def test_the_hint_at_the_end_of_a_run_can_be_run_as_it_stands(run):
+    terminal, _, say = run
+    terminal.asked = ["-d", "lab", "-j2", "--config", "data=/mnt", "--", "models/m/standalone"]
+    with job(begin(say, 1, "a"), "import of a"):
+        LOG.warning("%s", "vibration")
+    say("job_finished", job_id=1)
+    assert "`snakemake -d lab --config data=/mnt -- results/reports/Q/a.html`" in terminal.summary()
+    assert terminal.summary().endswith("`snakemake -d lab --config data=/mnt -- processing`")
 
 
 def test_many_notes_are_counted_and_those_not_told_come_with_a_later_job(run):

@@ -61,6 +61,30 @@ def test_data_prefix_is_replaced_for_raw_files_but_the_folders_own_configuration
     assert settings["problem"] is None
 
 
+def test_a_raw_file_that_is_absent_under_data_tells_of_the_setting_that_names_another_place(folder, tmp_path_factory):
+    shutil.rmtree(folder / "data/raw")
+    problem = Folder(folder).importing("Beetle", "a")["problem"]
+    assert problem.endswith("; where recordings lie elsewhere, `--config data=PATH` tells where data/ is")
+    problem = Folder(folder, data=tmp_path_factory.mktemp("elsewhere")).importing("Beetle", "a")["problem"]
+    assert "does not exist" in problem and "--config" not in problem
+
+
+def test_a_logbook_and_a_quadrotor_belong_in_the_folder_and_not_with_the_raw_files(folder, tmp_path_factory):
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    shutil.move(folder / "data/raw", elsewhere / "raw")
+    shutil.move(folder / "data/my_quadrotor.json", folder / "my_quadrotor.json")
+    problem = Folder(folder, data=elsewhere).importing("Beetle", "a")["problem"]
+    assert "quadrotor configuration data/my_quadrotor.json does not exist" in problem and str(elsewhere) not in problem
+    shutil.move(folder / "my_quadrotor.json", elsewhere / "my_quadrotor.json")
+    problem = Folder(folder, data=elsewhere).importing("Beetle", "a")["problem"]
+    assert f"({elsewhere}/my_quadrotor.json is not taken: `data` tells where raw files lie" in problem
+    (folder / "data/log.csv").rename(elsewhere / "log.csv")
+    with pytest.raises(
+        ConfigError, match=r"logbook data/log.csv does not exist \(.*log.csv is not taken: `data` tells"
+    ):
+        Folder(folder, data=elsewhere).model_flights("m")
+
+
 def test_flights_settings_hold_its_own_row_only(folder):
     before = {k: Folder(folder).importing("Beetle", k) for k in "abc"}
     edit(folder, "Beetle,b,data/raw,betaflight,my_quadrotor,data,N", "Beetle,b,data/raw,betaflight,my_quadrotor,data,Y")

@@ -32,14 +32,15 @@ def test_run_makes_the_model_and_tells_where_with_its_scores(finished):
 
 
 def test_run_is_a_line_per_job_with_what_was_noted(finished):
-    _, text = finished
+    project, text = finished
     lines = text.splitlines()
     jobs = next(int(m[1]) for line in lines if (m := re.match(r"(\d+) jobs: synthesis 3, ", line)))
     told = [line for line in lines if re.match(rf"\[ *\d+/{jobs}\] ", line)]
     assert len(told) == jobs
     assert sum(" import of small-" in line for line in told) == 3
     assert "the log holds no attitude; it was estimated from gyro and accelerometer" in text
-    assert "`snakemake results/reports/MadeBeetle/small-1.html`" in text
+    same = f"snakemake -s {project.house / 'Snakefile'} -d {project.folder}"
+    assert f"`{same} results/reports/MadeBeetle/small-1.html`" in text
     assert not re.search(r"^ *(input|output|jobid|reason|wildcards|resources):|localrule|Finished jobid", text, re.M)
     notes = sum(line.startswith("    - ") for line in lines)
     assert len(lines) < jobs + notes + 25
