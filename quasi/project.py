@@ -123,12 +123,16 @@ class Project:
     def _here(self, path: str | Path) -> Path:
         return self.root / path
 
-    def _astray(self, path: Path) -> str:
-        """What to say of a logbook or quadrotor configuration that lies with the raw files instead of in the folder."""
+    def _settled(self, path: str | Path) -> Path:
+        """Path of a logbook or quadrotor configuration: the folder's own file first, else with `data/` replaced where
+        there is one; where neither is, the folder's own, where it belongs."""
+        own, other = Path(path), self.place(Path(path).as_posix())
+        return own if is_file(self._here(own)) or not is_file(self._here(other)) else other
+
+    def _nor(self, path: Path) -> str:
+        """Where else a logbook or quadrotor configuration was looked for."""
         other = self.place(path.as_posix())
-        if other == path or not is_file(self._here(other)):
-            return ""
-        return f" ({other} is not taken: `data` tells where raw files lie, and those alone)"
+        return "" if other == path else f", nor does {other}"
 
     def _read(self, path: str | Path, kind: str) -> dict[str, Any]:
         if not is_file(self._here(path)):
@@ -227,11 +231,11 @@ class Project:
 
     def logbook(self, directory: str, filename: str, where: str) -> dict[int, Row]:
         """Rows of a logbook by number; `where` is the configuration that names it, for messages."""
-        path = self._logbook_path(directory, filename)  # the folder's own: `data` tells of raw files alone
+        path = self._settled(self._logbook_path(directory, filename))
         if not is_file(self._here(path)):
             known = [p.name for p in self._here(path.parent).glob("*.csv")] if len(str(path)) < 1000 else []
             raise ConfigError(
-                f"{where}: logbook {path} does not exist{nearest(path.name, known)}{self._astray(path)}; "
+                f"{where}: logbook {path} does not exist{self._nor(path)}{nearest(path.name, known)}; "
                 "correct 'directory' or 'filename' in 'logging file', or save the logbook there as CSV"
             )
         return self._rows_of(path)

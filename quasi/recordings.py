@@ -143,15 +143,15 @@ class Recordings(Comparisons):
 
     def _quadrotor_path(self, row: Row) -> Path:
         path = Path(row.cells["Drone Config Path"].replace("\\", "/")) / row.cells["Drone Config File"]
-        return with_suffix(path, ".json")
+        return self._settled(with_suffix(path, ".json"))
 
     @functools.cache  # noqa: B019
     def _quadrotor_file(self, path: Path) -> tuple[dict[str, Any], str | None]:
         if not is_file(self._here(path)):
             known = [p.name for p in self._here(path.parent).glob("*.json")]
             return {}, (
-                f"quadrotor configuration {path} does not exist"
-                f"{nearest(path.name, known)}{self._astray(path)}; correct 'Drone Config File' or 'Drone Config Path'"
+                f"quadrotor configuration {path} does not exist{self._nor(path)}"
+                f"{nearest(path.name, known)}; correct 'Drone Config File' or 'Drone Config Path'"
             )
         try:
             config = self._read(path, "quadrotor")

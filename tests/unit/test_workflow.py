@@ -69,20 +69,21 @@ def test_a_raw_file_that_is_absent_under_data_tells_of_the_setting_that_names_an
     assert "does not exist" in problem and "--config" not in problem
 
 
-def test_a_logbook_and_a_quadrotor_belong_in_the_folder_and_not_with_the_raw_files(folder, tmp_path_factory):
+def test_a_logbook_and_a_quadrotor_that_are_nowhere_are_told_where_they_belong(folder, tmp_path_factory):
     elsewhere = tmp_path_factory.mktemp("elsewhere")
     shutil.move(folder / "data/raw", elsewhere / "raw")
-    shutil.move(folder / "data/my_quadrotor.json", folder / "my_quadrotor.json")
+    shutil.move(folder / "data/my_quadrotor.json", elsewhere / "my_quadrotor.json")
+    assert Folder(folder, data=elsewhere).importing("Beetle", "a")["problem"] is None  # the other folder's
+    (elsewhere / "my_quadrotor.json").unlink()
     problem = Folder(folder, data=elsewhere).importing("Beetle", "a")["problem"]
-    assert "quadrotor configuration data/my_quadrotor.json does not exist" in problem and str(elsewhere) not in problem
-    shutil.move(folder / "my_quadrotor.json", elsewhere / "my_quadrotor.json")
-    problem = Folder(folder, data=elsewhere).importing("Beetle", "a")["problem"]
-    assert f"({elsewhere}/my_quadrotor.json is not taken: `data` tells where raw files lie" in problem
-    (folder / "data/log.csv").rename(elsewhere / "log.csv")
-    with pytest.raises(
-        ConfigError, match=r"logbook data/log.csv does not exist \(.*log.csv is not taken: `data` tells"
-    ):
+    assert f"data/my_quadrotor.json does not exist, nor does {elsewhere}/my_quadrotor.json" in problem
+    shutil.move(folder / "data/log.csv", elsewhere / "log.csv")
+    assert Folder(folder, data=elsewhere).model_flights("m")
+    (elsewhere / "log.csv").unlink()
+    with pytest.raises(ConfigError, match=r"logbook data/log.csv does not exist, nor does .*elsewhere.*log.csv"):
         Folder(folder, data=elsewhere).model_flights("m")
+    with pytest.raises(ConfigError, match=r"logbook data/log.csv does not exist( \(|; )"):
+        Folder(folder).model_flights("m")
 
 
 def test_flights_settings_hold_its_own_row_only(folder):
