@@ -211,12 +211,26 @@ def processed(recorded: Recorded, compared: bool, calibration: Mapping[str, Any]
     return Flown(recorded.source["flight"], compared, frame, about, filtered.with_gravity, filtered.metadata, airframe)
 
 
-def affected(folder: Path, seed: int, effects: Mapping[str, Any], seconds: float, number: int = 4) -> list[Recorded]:
-    """Some flights with the same causes."""
+def affected(
+    folder: Path, seed: int, effects: Mapping[str, Any], seconds: float, number: int = 4,
+    restless: Mapping[str, float] | None = None,
+) -> list[Recorded]:  # fmt: skip
+    """Some flights with the same causes.
+
+    restless  {cause: standard deviation of each of its parameters} that each flight draws its own values of, about none
+    """
+    rng = np.random.default_rng([seed, 9])
+    each = [{**effects, **_own(restless or {}, rng)} for _ in range(number)]
     return [
-        record(folder, f"flight-{k}", PROFILES[k % len(PROFILES)], 100_000 + seed * 10 + k, effects, seconds)
-        for k in range(number)
+        record(folder, f"flight-{k}", PROFILES[k % len(PROFILES)], 100_000 + seed * 10 + k, own, seconds)
+        for k, own in enumerate(each)
     ]
+
+
+def _own(restless: Mapping[str, float], rng: np.random.Generator) -> dict[str, dict[str, float]]:
+    """One flight's own values."""
+    return {n: {p: ALL[n].neutral + std * float(rng.standard_normal()) for p in ALL[n].names}
+            for n, std in restless.items()}  # fmt: skip
 
 
 def healthy(folder: Path, seed: int) -> tuple[Recorded, Flown]:

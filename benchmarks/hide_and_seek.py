@@ -80,14 +80,15 @@ INHERENT = {"rotor_drag", "body_drag", "blade_flapping", "axial_inflow", "vortex
 def draw(settings: dict[str, Any], seconds: float = 30.0, folder: Path = OUT) -> dict[str, Any]:
     """Hide, seek, and compare.
 
-    settings  {"seed"} of `drawn`; "hide": what `drawn` would return; "rate": another false alarm rate
+    settings  {"seed"} of `drawn`; "hide": what `drawn` would return; "rate": another false alarm rate; "restless": see
+    `hidden.affected`
     """
     seed = settings["seed"]
     hidden = settings.get("hide") or drawn(seed)
     begin = time.perf_counter()
     with tempfile.TemporaryDirectory() as raw:
         own = hidden["design"] == "own"
-        recorded = affected(Path(raw), seed, hidden["effects"], seconds, OWN if own else 4)
+        recorded = affected(Path(raw), seed, hidden["effects"], seconds, OWN if own else 4, settings.get("restless"))
         try:
             flown = [processed(r, True) for r in recorded]
         except DataError as error:  # the vehicle was lost, or its log cannot be read
