@@ -219,10 +219,9 @@ def recordings_of(flights: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[st
     return found
 
 
-def masses_of(paths: Sequence[str | Path]) -> dict[str, float]:
-    """{flight: kg that it was processed with} of filtered flights that tell it."""
-    made = {Path(path).stem: read_made(path).get("mass") for path in paths}
-    return {key: float(mass) for key, mass in made.items() if mass}
+def masses_of(flights: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    """{flight: kg that it was processed with}, of those that tell it. flights  {key: how the filtered flight was made}"""
+    return {key: float(made["mass"]) for key, made in flights.items() if made.get("mass")}
 
 
 def ages_taken_off(flights: Mapping[str, Mapping[str, Any]]) -> dict[str, bool]:

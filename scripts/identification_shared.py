@@ -9,7 +9,7 @@ from quasi.identification.partition import EXCITED, partition, to_table
 from quasi.identification.partition import UNITS as PARTITION_UNITS
 from quasi.identification.shared import refuse_speedless, shared
 from quasi.joblog import LOG, job, progress
-from quasi.tables import ages_taken_off, read_made, read_table, recordings_of, write_json, write_table
+from quasi.tables import ages_taken_off, masses_of, read_made, read_table, recordings_of, write_json, write_table
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
@@ -24,7 +24,7 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
     refuse_speedless(tables)
     because = {key: why for key, about in made.items() if (why := about.get("phases", {}).get("none valid because"))}
     roles = partition(tables, options=settings["data partitioning"], because=because)
-    masses = {key: about["mass"] for key, about in made.items() if about.get("mass")}
+    masses = masses_of(made)
     mapped = settings["quadrotor"].get("command map")
     found = shared(tables, roles, airframe, settings["gravity"], masses, mapped, ages_taken_off(made))
     if settings["mixed batteries"]:

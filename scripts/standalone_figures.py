@@ -16,7 +16,7 @@ from quasi.standalone.figures import (
 )
 from quasi.standalone.model import read_model
 from quasi.standalone.review import review
-from quasi.tables import masses_of, read_table, whole_file
+from quasi.tables import masses_of, read_made, read_table, whole_file
 
 
 def main(model: str, partition: str, flights: list[str], roles: dict, options: dict, folder: str) -> None:
@@ -25,7 +25,8 @@ def main(model: str, partition: str, flights: list[str], roles: dict, options: d
     tables = {Path(path).stem: read_table(path) for path in progress(flights, "reading flights")}
     table = read_table(partition)
     codes, aside = judged_rows(table, tables, roles["validation"], options)
-    found = review(portable, tables, codes, ROLES, aside, options, masses=masses_of(flights))
+    masses = masses_of({Path(path).stem: read_made(path) for path in flights})
+    found = review(portable, tables, codes, ROLES, aside, options, masses=masses)
     units = {axis: portable.document["axes"][axis]["unit"] for axis in portable.axes}
     drawings = {
         axis: (comparison, found.judged[axis], axis, units[axis], roles["validation"]) for axis in portable.axes

@@ -10,7 +10,7 @@ from quasi.standalone.review import review
 from quasi.standalone.score import UNITS
 from quasi.standalone.summary import summary_json, summary_latex, summary_text
 from quasi.standalone.thinning import thin, thinned_units
-from quasi.tables import masses_of, read_table, write_json, write_table, write_text
+from quasi.tables import masses_of, read_made, read_table, write_json, write_table, write_text
 
 
 def main(source: dict, roles: dict, options: dict, output: dict) -> None:
@@ -18,7 +18,8 @@ def main(source: dict, roles: dict, options: dict, output: dict) -> None:
     portable, base = (read_model(source[k]) if source.get(k) else None for k in ("model", "base"))
     tables = {Path(path).stem: read_table(path) for path in progress(source["flights"], "reading flights")}
     codes, aside = judged_rows(read_table(source["partition"]), tables, roles["validation"], options)
-    found = review(portable, tables, codes, ROLES, aside, options, base, masses_of(source["flights"]))
+    masses = masses_of({Path(path).stem: read_made(path) for path in source["flights"]})
+    found = review(portable, tables, codes, ROLES, aside, options, base, masses)
     for line in found.diagnosis["summary"]:
         LOG.info("%s", line)
     write_table(output["scores"], found.scores, UNITS)

@@ -18,7 +18,8 @@ from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.level import Flown
 from quasi.gap.flights.residual_tables import LAG, LEAST, beside, where, whiteness
 from quasi.gap.rollouts.rollout_places import UNITS, channels_of, placed, where_of
-from quasi.gap.wrench.tables import wrench_tables
+from quasi.gap.wrench.tables import _merged, _spectrum, wrench_tables
+from quasi.standalone.model import AXES
 
 N = 400
 T = np.arange(N) / 100.0
@@ -203,3 +204,21 @@ def test_too_few_windows_tell_nothing_of_the_next():
     flight = SimpleNamespace(key="a", t=np.arange(200) / 100.0)
     table = channels_of(flight, 20 * np.arange(9), [0.5], {"before": np.ones((9, 1, 12))}, "R")
     assert table["whiteness_before"].isna().all() and np.allclose(table["before"][table["channel"] == "rate z"], 1.0)
+
+
+def test_spectra_of_flights_of_several_rates_are_averaged_where_both_tell_them():
+    """White noise of unit variance per hertz: the one-sided density is 2 / rate times the variance at every rate."""
+    rng = np.random.default_rng(4)
+    found = {(role, word): [] for role in ("compared",) for word in ("before", "after")}
+    for rate, seconds in ((100.0, 200.0), (125.0, 200.0)):
+        t = np.arange(round(rate * seconds)) / rate
+        flight = SimpleNamespace(t=t, breaks=np.arange(len(t)) == 0)
+        for word, size in (("before", 1.0), ("after", 0.5)):
+            values = size * np.sqrt(rate / 2.0) * rng.standard_normal((len(t), 6))
+            _spectrum(flight, values, found["compared", word])
+    table = _merged(found)
+    assert set(table["channel"]) == set(AXES) and table["frequency"].max() > 5.0
+    inside = table[table["frequency"] > 0.5]  # the mean of each segment is taken off
+    assert inside["density_before"].mean() == pytest.approx(1.0, rel=0.05)
+    assert inside["density_after"].mean() == pytest.approx(0.25, rel=0.05)
+    assert _merged({("compared", "before"): [], ("compared", "after"): []}).empty
