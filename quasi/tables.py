@@ -220,7 +220,10 @@ def recordings_of(flights: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[st
 
 
 def masses_of(flights: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
-    """{flight: kg that it was processed with}, of those that tell it. flights  {key: how the filtered flight was made}"""
+    """{flight: kg that it was processed with}, of those that tell it.
+
+    flights  {key: how the filtered flight was made}
+    """
     return {key: float(made["mass"]) for key, made in flights.items() if made.get("mass")}
 
 
