@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from quasi.airframe import read_airframe
-from quasi.animation import animate, can_write_mp4, following, frames
 from quasi.attitude import from_euler
-from quasi.drawing import Motion
+from quasi.pages.animation import animate, can_write_mp4, following, frames
+from quasi.pages.drawing import Motion
 from quasi.tables import read_json, write_json
 
 ROOT = Path(__file__).parent.parent

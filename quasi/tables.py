@@ -83,6 +83,7 @@ COLUMNS: dict[str, tuple[str, str, str]] = {
 }
 
 _MADE = b"quasi"
+ANY = "any of "  # before an axis: the row of a coverage table for all variables of the axis
 AGE_OFF = "telemetry age taken off"  # of a delay in a model: else it may hold how late rotor speeds are logged
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from quasi.filtering.figures import figures
-from quasi.flight_page import page
 from quasi.importing.figures import alignment_figure, close_up, trajectory_figure
 from quasi.joblog import job
+from quasi.pages.flight import page
 from quasi.tables import read_json, read_table, write_bytes, write_text
 
 # figure: heading, caption; in the order of the page

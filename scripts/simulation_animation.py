@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from quasi.animation import animate, can_write_mp4
-from quasi.drawing import motion_of
 from quasi.joblog import LOG, job
+from quasi.pages.animation import animate, can_write_mp4
+from quasi.pages.drawing import motion_of
 from quasi.simulation.figures import in_sight
 from quasi.standalone.model import read_model
 from quasi.tables import read_table

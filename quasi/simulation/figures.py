@@ -11,9 +11,9 @@ from mpl_toolkits.mplot3d import Axes3D
 
 from quasi.airframe import Airframe
 from quasi.attitude import from_euler, rotate_inverse
-from quasi.drawing import motion_of, trajectories
-from quasi.drone import get_limits, new_axes, path_line
 from quasi.errors import DataError
+from quasi.pages.drawing import motion_of, trajectories
+from quasi.pages.drone import get_limits, new_axes, path_line
 
 STATE, REFERENCE, LIMIT, FAULT = "C0", "k", "0.5", "C3"
 MOST_POINTS = 8000  # a line drawn denser shows nothing more

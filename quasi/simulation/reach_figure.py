@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from quasi.drawing import new_axes, set_limits
+from quasi.pages.drawing import new_axes, set_limits
 from quasi.simulation.reach import Reach, hull
 
 HALF, WHOLE = "C1", "C0"

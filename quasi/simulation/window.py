@@ -11,10 +11,10 @@ import matplotlib
 import numpy as np
 
 from quasi.airframe import Airframe
-from quasi.animation import Scene
-from quasi.drawing import Motion
-from quasi.drone import Look, caption, new_axes, set_limits
 from quasi.errors import ConfigError
+from quasi.pages.animation import Scene
+from quasi.pages.drawing import Motion
+from quasi.pages.drone import Look, caption, new_axes, set_limits
 from quasi.simulation.keyboard import Held
 from quasi.simulation.simulator import Bus
 

@@ -19,13 +19,13 @@ from quasi.standalone.envelope import HIGH, LOW, limited_names
 from quasi.standalone.model import Model
 from quasi.standalone.score import POOLED, Judged
 from quasi.standalone.verdict import ORDER, beside_base, headline, shortly, verdict
+from quasi.tables import ANY
 from quasi.variables import Variables
 
 SCHEMA = "quasi.diagnostics/1"
 RULE = 0.10  # relative difference in RMSE from which it is significant
 BINS = 60
 BANDS = ("lower 25 %", "middle 50 %", "upper 25 %")
-ANY = "any of "
 COVERAGE_UNITS = {
     "variable": ("", "", "variable of the model's terms; 'any of Fx' all of that axis"),
     "below": ("1", "", "share of validation rows below the 0.01 % percentile of the training rows"),

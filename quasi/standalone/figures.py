@@ -8,9 +8,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from quasi.standalone.diagnostics import ANY
 from quasi.standalone.score import Judged
-from quasi.tables import AGE_OFF
+from quasi.tables import AGE_OFF, ANY
 
 MEASURED, MODEL, SHADE = "0.25", "tab:red", "tab:blue"
 ROLES = {"training": "0.35", "test": "tab:orange", "validation": "tab:blue"}

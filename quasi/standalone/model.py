@@ -17,7 +17,7 @@ from quasi.airframe import Airframe
 from quasi.errors import ConfigError, ReadError, ShapeError, nearest
 from quasi.expressions import Program, names
 from quasi.normalisation import from_plain as normalisation_from_plain
-from quasi.standalone.causes import where_it_acts
+from quasi.pages.causes import where_it_acts
 from quasi.standalone.differential import Jacobian, held_back, held_of, split_jacobian
 from quasi.standalone.document import AXES, airframe_of, check_document, trees_of
 from quasi.standalone.envelope import JOINT, Region, distances, make_region

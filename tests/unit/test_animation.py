@@ -6,11 +6,11 @@ from airframes import to_draw
 from matplotlib.figure import Figure
 from PIL import Image
 
-from quasi import animation, drawing
-from quasi.animation import Scene, animate, following, frame_times, frames
 from quasi.attitude import from_euler
-from quasi.drawing import Look, Motion
 from quasi.errors import ConfigError, DataError
+from quasi.pages import animation, drawing
+from quasi.pages.animation import Scene, animate, following, frame_times, frames
+from quasi.pages.drawing import Look, Motion
 
 
 @pytest.fixture

@@ -9,11 +9,11 @@ from airframes import to_draw
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
-from quasi import drawing
 from quasi.attitude import from_euler
-from quasi.drawing import Motion, motion_of, trajectories, trajectory
-from quasi.drone import Look, new_axes
 from quasi.errors import DataError, ShapeError
+from quasi.pages import drawing
+from quasi.pages.drawing import Motion, motion_of, trajectories, trajectory
+from quasi.pages.drone import Look, new_axes
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import proj3d
 
 from quasi.attitude import from_euler
-from quasi.drone import Drone, Look, get_limits, new_axes, set_limits, shape_of
+from quasi.pages.drone import Drone, Look, get_limits, new_axes, set_limits, shape_of
 
 
 @pytest.fixture

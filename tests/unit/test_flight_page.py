@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from quasi import report
-from quasi.flight_page import page, ranges, saturation, unmeasured, verdict
 from quasi.importing.streams import stream
+from quasi.pages import frame
+from quasi.pages.flight import page, ranges, saturation, unmeasured, verdict
 
 N = 500
 T = np.arange(N) / 100.0
@@ -154,14 +154,14 @@ def test_colour_follows_the_worst_warning_on_the_page(flight):
 @pytest.mark.parametrize(
     ("said", "expected"),
     [
-        (report.with_error(-1.914417, 3.1e-5, "ms", 1e3), "−1914.417 ± 0.031 ms"),
-        (report.with_error(12.0, None, "V"), "12.00 V"),
-        (report.with_error(None, 1.0), "–"),
-        (report.number(float("nan")), "–"),
-        (report.number(0.00012345), "0.000123"),
-        (report.share(0.0), "0 %"),
-        (report.share(2e-5), "below 0.01 %"),
-        (", ".join(report.row_of([-5.414, 0.0002, 5.33])), "−5.41, 0.00, 5.33"),
+        (frame.with_error(-1.914417, 3.1e-5, "ms", 1e3), "−1914.417 ± 0.031 ms"),
+        (frame.with_error(12.0, None, "V"), "12.00 V"),
+        (frame.with_error(None, 1.0), "–"),
+        (frame.number(float("nan")), "–"),
+        (frame.number(0.00012345), "0.000123"),
+        (frame.share(0.0), "0 %"),
+        (frame.share(2e-5), "below 0.01 %"),
+        (", ".join(frame.row_of([-5.414, 0.0002, 5.33])), "−5.41, 0.00, 5.33"),
     ],
 )
 def test_numbers_are_said_to_their_error(said, expected):

@@ -13,6 +13,7 @@ from judged import made
 from matplotlib.figure import Figure
 
 from quasi.identification.isolation import excited
+from quasi.pages.model import _delay, page
 from quasi.standalone.diagnostics import ANY
 from quasi.standalone.figures import (
     actuator_figure,
@@ -22,7 +23,6 @@ from quasi.standalone.figures import (
     isolation_figure,
     quartile_figure,
 )
-from quasi.standalone.report import _delay, page
 from quasi.standalone.score import judge
 from quasi.standalone.summary import number, summary_json, summary_latex, summary_text, tex, unit
 from quasi.standalone.thinning import MOST_POINTS, thin

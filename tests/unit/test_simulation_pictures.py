@@ -5,7 +5,7 @@ from PIL import Image
 from plain_plant import made_model
 from programs import script
 
-from quasi import animation
+from quasi.pages import animation
 from quasi.simulation.run import simulate
 from quasi.simulation.setup import make_setup
 from quasi.tables import write_json, write_table

@@ -4,11 +4,11 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from quasi import report
 from quasi.gap.effect import Effect
 from quasi.gap.planning.outlook import Row, Sight
 from quasi.gap.planning.plan import Card, Proposal
 from quasi.gap.report.wording import name_of
+from quasi.pages import frame as report
 
 SCHEMA = "quasi.plan/1"
 MORE = "What to fly as well, one of these after the trajectory in each flight"

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from quasi import report
 from quasi.gap.report.wording import CHANNELS, listed, ranges_of
+from quasi.pages import frame as report
 
 FAR = 1.5  # times the root mean square elsewhere: a place that is told
 ALSO = 2  # further places of an error

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from quasi import report
 from quasi.gap.calibration.corrections import corrected_at_import
 from quasi.gap.calibration.lower import UNITS as UNITS_OF
 from quasi.gap.effect import Effect
@@ -31,7 +30,8 @@ from quasi.gap.report.wording import (
     value_of,
     words_of,
 )
-from quasi.standalone.chart import STYLE, chart, packed, step_of
+from quasi.pages import frame as report
+from quasi.pages.chart import STYLE, chart, packed, step_of
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 THIN = 2  # every so many rows of the comparison are shown

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from quasi import report
-from quasi.standalone.causes import REPLACED, where_it_acts
-from quasi.standalone.chart import STYLE, chart, packed, step_of
-from quasi.standalone.diagnostics import ANY
-from quasi.tables import AGE_OFF
+from quasi.pages import frame
+from quasi.pages.causes import REPLACED, where_it_acts
+from quasi.pages.chart import STYLE, chart, packed, step_of
+from quasi.tables import AGE_OFF, ANY
 
 COLOURS = {"training": "#59636b", "test": "#d97706", "validation": "#1d6fb8"}
 BANDS = ("#fde8e6", "#eef5ec", "#e6effa")
@@ -39,17 +38,17 @@ def page(
     note = diagnosis["partition"]["note"]
     sections = [
         f"<style>{STYLE}</style>",
-        report.section("Axes", _verdicts(diagnosis), report.paragraph(_sentence(note)) if note else ""),
-        report.section("Scores", _scores(summary), _differences(diagnosis)),
-        report.section("Measured and modelled", _comparison(rows, summary)),
-        report.section("Along the measured range", _quartiles(diagnosis)),
-        report.section("Coverage of the validation flights by the training flights", _coverage(coverage)),
+        frame.section("Axes", _verdicts(diagnosis), frame.paragraph(_sentence(note)) if note else ""),
+        frame.section("Scores", _scores(summary), _differences(diagnosis)),
+        frame.section("Measured and modelled", _comparison(rows, summary)),
+        frame.section("Along the measured range", _quartiles(diagnosis)),
+        frame.section("Coverage of the validation flights by the training flights", _coverage(coverage)),
         _causes(model),
-        report.section("Terms", *(_terms(axis, part) for axis, part in model["axes"].items())),
-        report.section("Rotors", _rotors(model)),
-        report.section("Warnings", report.sentences(model["notes"]) or report.paragraph("None.")),
+        frame.section("Terms", *(_terms(axis, part) for axis, part in model["axes"].items())),
+        frame.section("Rotors", _rotors(model)),
+        frame.section("Warnings", frame.sentences(model["notes"]) or frame.paragraph("None.")),
     ]
-    return report.page(f"Model {model['id']}", under, diagnosis["verdict"], diagnosis["shortly"], sections)
+    return frame.page(f"Model {model['id']}", under, diagnosis["verdict"], diagnosis["shortly"], sections)
 
 
 def _sentence(text: str) -> str:
@@ -59,13 +58,13 @@ def _sentence(text: str) -> str:
 def _verdicts(diagnosis: Mapping[str, Any]) -> str:
     lines = []
     for axis, facts in diagnosis["axes"].items():
-        kind = report.KINDS[facts["verdict"]]
+        kind = frame.KINDS[facts["verdict"]]
         said = facts["said"].removeprefix(f"{axis}: ")
-        remedies = "".join(f"<br><i>{report.escape(_sentence(r))}</i>" for r in facts["what to do"])
+        remedies = "".join(f"<br><i>{frame.escape(_sentence(r))}</i>" for r in facts["what to do"])
         mark = {"good": "#1e7d46", "care": "#a86200", "bad": "#b3261e"}[kind]
         lines.append(
             f'<tr><th scope="row" style="width:9%;border-left:5px solid {mark};padding-left:10px">{axis}</th>'
-            f"<td>{report.escape(said)}{remedies}</td></tr>"
+            f"<td>{frame.escape(said)}{remedies}</td></tr>"
         )
     return f"<table><tbody>{''.join(lines)}</tbody></table>"
 
@@ -85,10 +84,10 @@ def _scores(summary: Mapping[str, Any]) -> str:
             found = [facts["scores"].get(role, {}) for role in roles]
             name = f"{axis}, {facts['unit']}".replace(" ", "\u00a0")
             rows.append([name, *(shown(s.get(what)) for s in found for what in titles)])
-        return report.table(head, rows)
+        return frame.table(head, rows)
 
-    return of({"r2": "R²", "rmse": "RMSE"}, lambda v: report.number(v, 4)) + of(
-        {"relative_rmse": "error of rms", "coverage": "in interval"}, report.share
+    return of({"r2": "R²", "rmse": "RMSE"}, lambda v: frame.number(v, 4)) + of(
+        {"relative_rmse": "error of rms", "coverage": "in interval"}, frame.share
     )
 
 
@@ -104,8 +103,8 @@ def _differences(diagnosis: Mapping[str, Any]) -> str:
     said = (
         "100 (1 − training / test) and 100 (1 − validation / test); ! beyond 10 % on the side that means overfitting."
     )
-    note = f"<p class=under>{report.escape(said)}</p>" if set(some) & set(columns[:2]) else ""
-    return report.table(("relative difference in RMSE, %", *some), rows) + note if some else ""
+    note = f"<p class=under>{frame.escape(said)}</p>" if set(some) & set(columns[:2]) else ""
+    return frame.table(("relative difference in RMSE, %", *some), rows) + note if some else ""
 
 
 def _tenths(value: float) -> str:
@@ -148,10 +147,10 @@ def _quartiles(diagnosis: Mapping[str, Any]) -> str:
     for axis, facts in diagnosis["axes"].items():
         roles = list(facts["histogram"]["density"]) or roles
         for band in facts["quartiles"]:
-            bounds = f"{report.number(band['from'])} to {report.number(band['to'])} {facts['unit']}"
+            bounds = f"{frame.number(band['from'])} to {frame.number(band['to'])} {facts['unit']}"
             ratios = [f"{band[k]:.2f}" if band[k] is not None else "–" for k in ("X/T", "V/T") if "test" in roles]
             rows.append(
-                (f"{axis}, {band['band']}", bounds, *(report.number(band["rmse"].get(r)) for r in roles), *ratios)
+                (f"{axis}, {band['band']}", bounds, *(frame.number(band["rmse"].get(r)) for r in roles), *ratios)
             )
         pictures.append(_histogram(axis, facts))
     said = (
@@ -160,7 +159,7 @@ def _quartiles(diagnosis: Mapping[str, Any]) -> str:
     )
     head = ["RMSE by quartile", "measured", *roles]
     head += ["training/test", "validation/test"] if "test" in roles else []
-    return report.table(head, rows) + f"<figure>{''.join(pictures)}<figcaption>{said}</figcaption></figure>"
+    return frame.table(head, rows) + f"<figure>{''.join(pictures)}<figcaption>{said}</figcaption></figure>"
 
 
 def _histogram(axis: str, facts: Mapping[str, Any]) -> str:
@@ -189,7 +188,7 @@ def _histogram(axis: str, facts: Mapping[str, Any]) -> str:
     for place, anchor in ((low, "start"), (edges[-1], "end")):
         parts.append(
             f'<text x="{x(place):.0f}" y="{height - 5}" font-size="12" fill="#5b6770" text-anchor="{anchor}">'
-            f"{report.number(float(place))} {report.escape(facts['unit'])}</text>"
+            f"{frame.number(float(place))} {frame.escape(facts['unit'])}</text>"
         )
     parts.append(f'<text x="6" y="15" font-size="13" fill="#1c2329">{axis}</text>')
     key = " · ".join(f'<tspan fill="{COLOURS[r]}">{r}</tspan>' for r in density)
@@ -199,9 +198,9 @@ def _histogram(axis: str, facts: Mapping[str, Any]) -> str:
 
 def _coverage(coverage: pd.DataFrame) -> str:
     if not len(coverage):
-        return report.paragraph("No validation flights.")
+        return frame.paragraph("No validation flights.")
     beyond = [
-        f"{line.variable.removeprefix(ANY)} {report.share(line.above)}"
+        f"{line.variable.removeprefix(ANY)} {frame.share(line.above)}"
         for line in coverage.itertuples()
         if line.variable.startswith(ANY)
     ]
@@ -228,9 +227,9 @@ def _coverage(coverage: pd.DataFrame) -> str:
                 f'height="{tall}" fill="{colour}"/>'
             )
         share = line.below + line.above
-        said = report.share(share) + " beyond" if share > 5e-4 else ""
+        said = frame.share(share) + " beyond" if share > 5e-4 else ""
         parts.append(
-            f'<text x="{left - 8}" y="{y + 16}" font-size="13" text-anchor="end">{report.escape(line.variable)}</text>'
+            f'<text x="{left - 8}" y="{y + 16}" font-size="13" text-anchor="end">{frame.escape(line.variable)}</text>'
             f'<text x="{width}" y="{y + 16}" font-size="12" fill="#b3261e" text-anchor="end">{said}</text>'
         )
     drawn = f'<svg viewBox="0 0 {width} {height * len(lines)}" width="100%" role="img">{"".join(parts)}</svg>'
@@ -238,7 +237,7 @@ def _coverage(coverage: pd.DataFrame) -> str:
         "Grey: range of the training rows, dark its 1 to 99 %. Blue: the validation rows, thick their 1 to 99 %. "
         "Validation rows with some variable beyond the training rows' 0.01 to 99.99 %: " + ", ".join(beyond) + "."
     )
-    return f"<figure>{drawn}<figcaption>{report.escape(said)}</figcaption></figure>"
+    return f"<figure>{drawn}<figcaption>{frame.escape(said)}</figcaption></figure>"
 
 
 # ---- tables ----
@@ -251,7 +250,7 @@ def _causes(model: Mapping[str, Any]) -> str:
         found = extension.get("parameters") or {}
         instead = any(name in REPLACED for name in extension.get("actuators") or ())
         values = [
-            f"{n.replace('_', ' ')} {report.number(p['value'], 4)}"
+            f"{n.replace('_', ' ')} {frame.number(p['value'], 4)}"
             + (f" {p['unit']}" if p["unit"] not in ("", "1") else "")
             for n, p in found.items()
             if p["value"] or instead
@@ -265,7 +264,7 @@ def _causes(model: Mapping[str, Any]) -> str:
         "Numbers are deviations from what the model said before, but where they are said to stand in place of its own; "
         "predictions are its quasi-steady part."
     )
-    return report.section("Causes that extend it", report.facts(rows), report.paragraph(told))
+    return frame.section("Causes that extend it", frame.facts(rows), frame.paragraph(told))
 
 
 def _terms(axis: str, part: Mapping[str, Any]) -> str:
@@ -280,9 +279,9 @@ def _terms(axis: str, part: Mapping[str, Any]) -> str:
             "–" if t is None else f"{abs(t):.1f}",
         ]  # fmt: skip
         if often:
-            cells.append(report.share(term.get("inclusion frequency")))
+            cells.append(frame.share(term.get("inclusion frequency")))
         rows.append([*cells, term["unit"]])
-    return report.table(head, rows)
+    return frame.table(head, rows)
 
 
 def _delay(found: Mapping[str, Any]) -> str:
@@ -294,7 +293,7 @@ def _delay(found: Mapping[str, Any]) -> str:
 def _rotors(model: Mapping[str, Any]) -> str:
     found = model.get("actuators")
     hover = model["hover speed"]
-    speed = report.with_error(hover["value"], hover.get("std"), "rad/s") if hover["value"] else "unknown"
+    speed = frame.with_error(hover["value"], hover.get("std"), "rad/s") if hover["value"] else "unknown"
     facts = [("hover speed", speed)]
     for name, entry in model.get("simple model", {}).items():
         if not name.endswith("_w"):
@@ -302,7 +301,7 @@ def _rotors(model: Mapping[str, Any]) -> str:
             digits = f"{entry['value']:.4g}{doubt} {entry['unit']}"
             facts.append((name, digits.replace("-", "−")))
     if not found:
-        return report.facts(facts) + report.paragraph("No flight told the rotors' time constants.")
+        return frame.facts(facts) + frame.paragraph("No flight told the rotors' time constants.")
     rows = []
     for title, key in (
         ("time constant, up", "time constants up"), ("time constant, down", "time constants down"),
@@ -312,9 +311,9 @@ def _rotors(model: Mapping[str, Any]) -> str:
         if entry:
             std = entry.get("std") or [None] * 4
             spread = entry.get("spread")
-            between = report.number(1e3 * float(np.mean(spread)), 2) if spread else "–"
+            between = frame.number(1e3 * float(np.mean(spread)), 2) if spread else "–"
             rows.append(
-                [f"{title}, ms", *(report.with_error(v, s, "", 1e3) for v, s in zip(entry["value"], std)), between]
+                [f"{title}, ms", *(frame.with_error(v, s, "", 1e3) for v, s in zip(entry["value"], std)), between]
             )
     mapped = found.get("command map")
     if mapped:
@@ -329,4 +328,4 @@ def _rotors(model: Mapping[str, Any]) -> str:
             law += f" x (V / {volts:.2f} V)^{exponent:.2f}"
         facts.append(("speed for command c (0 to 1)", f"{law}, {mapped.get('source', '')}".rstrip(", ")))
     head = ("rotor", "1", "2", "3", "4", "spread over flights")
-    return report.facts(facts) + report.table(head, rows)
+    return frame.facts(facts) + frame.table(head, rows)

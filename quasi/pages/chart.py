@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from quasi import report
+from quasi.pages import frame
 
 UNKNOWN = 65535
 STYLE = """
@@ -268,7 +268,7 @@ def chart(
     buttons = "".join(f'<button data-axis="{a}">{a}</button>' for a in axes)
     held = {True: " class=held", False: ""}
     places = "".join(
-        f'<button data-flight="{k}"{held[f["role"] == "validation"]}>{report.escape(f["key"])}</button>'
+        f'<button data-flight="{k}"{held[f["role"] == "validation"]}>{frame.escape(f["key"])}</button>'
         for k, f in enumerate(flights)
     )
     band = '<span class="key" style="background:#f6d3d3;height:10px"></span>prediction interval' if interval else ""

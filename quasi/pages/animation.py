@@ -14,12 +14,12 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 from PIL import GifImagePlugin, Image
 
-from quasi import drawing
 from quasi.airframe import Airframe
 from quasi.attitude import interpolate
-from quasi.drawing import Motion
-from quasi.drone import Drone, Look, caption, get_limits, new_axes, path_line, set_limits, shape_of
 from quasi.errors import ConfigError, DataError
+from quasi.pages import drawing
+from quasi.pages.drawing import Motion
+from quasi.pages.drone import Drone, Look, caption, get_limits, new_axes, path_line, set_limits, shape_of
 from quasi.tables import whole_file, write_bytes
 
 Limits = tuple[np.ndarray, np.ndarray]
@@ -319,6 +319,6 @@ def _axes(axes: Axes3D | None, figure: Figure | None) -> Axes3D:
     if not isinstance(axes, Axes3D):
         raise ConfigError(
             "animation: the axes are not three-dimensional; make them with "
-            "`quasi.drone.new_axes`, or put them last in the figure"
+            "`quasi.pages.drone.new_axes`, or put them last in the figure"
         )
     return axes

@@ -11,8 +11,8 @@ from mpl_toolkits.mplot3d import Axes3D
 
 from quasi.airframe import Airframe
 from quasi.attitude import from_euler
-from quasi.drone import Drone, Look, caption, get_limits, new_axes, path_line, set_limits, shape_of
 from quasi.errors import DataError, ShapeError
+from quasi.pages.drone import Drone, Look, caption, get_limits, new_axes, path_line, set_limits, shape_of
 
 FAINTEST = 0.2  # opacity of the oldest still
 SHARE = 0.13  # of the largest extent of a figure: the span of a drone that is drawn enlarged

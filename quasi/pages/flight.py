@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from quasi import report
 from quasi.attitude import GRAVITY
+from quasi.pages import frame
 
 ORDER = ("good", "usable with care", "unusable")
 LEAST_VALID = 0.3  # share of the rows below which a flight teaches little
@@ -88,10 +88,10 @@ def verdict(imported: Section, filtered: Section, saturated: Mapping[str, float]
     if filtered.get("consistent") is False and not any("not consistent" in d for d in doubts):
         doubts.append("the filter's innovations are larger or smaller than its own standard errors say")
     if 0 < valid < LEAST_VALID:
-        doubts.append(f"only {report.share(valid)} of the rows are valid for identification")
+        doubts.append(f"only {frame.share(valid)} of the rows are valid for identification")
     full = max((v for k, v in saturated.items() if k.endswith("upper limit")), default=0.0)
     if full > SATURATED:
-        doubts.append(f"a motor was at its upper limit in {report.share(full)} of the flight")
+        doubts.append(f"a motor was at its upper limit in {frame.share(full)} of the flight")
     if doubts and word == "good":
         word = ORDER[1]
     if (doubts or valid == 0) and imported["verdict"] == "good":
@@ -120,33 +120,33 @@ def page(
     word, because = verdict(m, f, saturated)
     battery = _battery(filtered)
     sections = [
-        report.section("What was read", report.facts(_read(m)), _streams(m)),
-        report.section("What was lost or assumed", _lost(m), report.sentences(_notes(m))),
-        report.section("Clocks and delays", report.facts(_timing(m))),
-        report.section(
+        frame.section("What was read", frame.facts(_read(m)), _streams(m)),
+        frame.section("What was lost or assumed", _lost(m), frame.sentences(_notes(m))),
+        frame.section("Clocks and delays", frame.facts(_timing(m))),
+        frame.section(
             "What was flown",
-            report.facts([("rows in flight", report.share(f["phases"]["in flight share"])), *battery]),
-            report.table(
+            frame.facts([("rows in flight", frame.share(f["phases"]["in flight share"])), *battery]),
+            frame.table(
                 ("between take-off and landing", "unit", "least", "median", "largest"),
-                [(n, u, *report.row_of(values)) for n, u, *values in ranges(filtered, flying, unmeasured(m, f))],
+                [(n, u, *frame.row_of(values)) for n, u, *values in ranges(filtered, flying, unmeasured(m, f))],
             ),
-            report.facts(
+            frame.facts(
                 [("sensors at the end of their range", _clipped(m.get("saturation"))), *_saturation(saturated)]
             ),
         ),
-        report.section(
+        frame.section(
             "States and biases",
-            report.facts(_filter(f, m["attitude source"])),
+            frame.facts(_filter(f, m["attitude source"])),
             _biases(f),
             _innovations(f),
-            report.sentences(f["notes"]),
+            frame.sentences(f["notes"]),
         ),
-        *(report.section(heading, report.picture(png, said)) for heading, (png, said) in pictures.items()),
+        *(frame.section(heading, frame.picture(png, said)) for heading, (png, said) in pictures.items()),
     ]
     under = (
         f"{m['quadrotor']} · {m['sampling']['duration']:.1f} s at {m['sampling']['rate']:g} Hz · mass {f['mass']:g} kg"
     )
-    return report.page(f"Flight {m['flight']}", under, word, because, sections)
+    return frame.page(f"Flight {m['flight']}", under, word, because, sections)
 
 
 def _read(m: Section) -> list[tuple[str, object]]:
@@ -169,7 +169,7 @@ def _read(m: Section) -> list[tuple[str, object]]:
         ("position from", m["position source"]),
         ("velocity from", m["velocity source"]),
         ("motor poles", f"{poles['value']} ({poles.get('source', '')})" if poles.get("value") else None),
-        ("rest before take-off", f"{report.number(m['rest before take-off']['value'])} s"),
+        ("rest before take-off", f"{frame.number(m['rest before take-off']['value'])} s"),
     ]
 
 
@@ -199,7 +199,7 @@ def _logs(board: Section) -> str | None:
     if not logs:
         return None
     listed = "; ".join(
-        f"{log['number']}: {report.number(log.get('duration'))} s" + (f" ({log['fault']})" if log.get("fault") else "")
+        f"{log['number']}: {frame.number(log.get('duration'))} s" + (f" ({log['fault']})" if log.get("fault") else "")
         for log in logs[:20]
     )
     more = f" and {len(logs) - 20} more" if len(logs) > 20 else ""
@@ -217,7 +217,7 @@ def _capture(capture: Section) -> str | None:
     if not capture.get("frames"):
         return None
     parts = [
-        f"{capture['frames']} frames at {report.number(capture.get('export rate'), 4)} Hz",
+        f"{capture['frames']} frames at {frame.number(capture.get('export rate'), 4)} Hz",
         f"format version {capture.get('format version')}",
         f"rotation {capture.get('rotation')}",
         f"lengths in {str(capture.get('length unit', '')).lower()}",
@@ -228,12 +228,12 @@ def _capture(capture: Section) -> str | None:
 def _streams(m: Section) -> str:
     rows = [
         (
-            name, s["samples"], report.number(s["rate"], 4), report.number(1e3 * s["jitter"], 2), s["gap count"],
-            report.number(s["lost"], 3),
+            name, s["samples"], frame.number(s["rate"], 4), frame.number(1e3 * s["jitter"], 2), s["gap count"],
+            frame.number(s["lost"], 3),
         )
         for name, s in (m.get("streams") or {}).items()
     ]  # fmt: skip
-    return report.table(("source", "samples", "rate, Hz", "jitter, ms", "gaps", "in gaps, s"), rows)
+    return frame.table(("source", "samples", "rate, Hz", "jitter, ms", "gaps", "in gaps, s"), rows)
 
 
 def _lost(m: Section) -> str:
@@ -256,7 +256,7 @@ def _lost(m: Section) -> str:
             ("frames removed as outliers", f"{capture['frames removed']} of {capture['frames']}"),
             ("quaternion sign flips mended", capture.get("quaternion sign flips")),
         ]
-    return report.facts(rows) or report.paragraph("Nothing was lost.")
+    return frame.facts(rows) or frame.paragraph("Nothing was lost.")
 
 
 def _timing(m: Section) -> list[tuple[str, object]]:
@@ -265,29 +265,29 @@ def _timing(m: Section) -> list[tuple[str, object]]:
     if sync:
         lag, rate = sync["lag"], sync["clock rate"]
         rows += [
-            ("lag of the capture", report.with_error(lag["value"], lag["std"], "ms", 1e3)),
-            ("clock rate", report.with_error(rate["value"], rate["std"], "ppm", 1e6) if rate["std"] else "not sought"),
+            ("lag of the capture", frame.with_error(lag["value"], lag["std"], "ms", 1e3)),
+            ("clock rate", frame.with_error(rate["value"], rate["std"], "ppm", 1e6) if rate["std"] else "not sought"),
             ("found by", f"{sync['method']}, over {sync['common span']['value']:.1f} s"),
             (
                 "explained of each other",
-                ", ".join(f"{k}: {report.share(v)}" for k, v in sync["explained variance"].items()),
+                ", ".join(f"{k}: {frame.share(v)}" for k, v in sync["explained variance"].items()),
             ),
-            ("heading offset", f"{report.number(math.degrees(sync['yaw offset']['value']))} deg"),
+            ("heading offset", f"{frame.number(math.degrees(sync['yaw offset']['value']))} deg"),
         ]
     for name, c in m["corrections"].items():
         if name.endswith("delay") and c and c["filters"]:
             rows.append(
-                (name, f"{report.with_error(c['value'], c.get('std'), 'ms', 1e3)} undone ({', '.join(c['filters'])})")
+                (name, f"{frame.with_error(c['value'], c.get('std'), 'ms', 1e3)} undone ({', '.join(c['filters'])})")
             )
         elif name.endswith("delay") and c and not c.get("known", True):
-            rows.append((name, f"not known, taken as {report.with_error(c['value'], c['std'], 'ms', 1e3)}"))
+            rows.append((name, f"not known, taken as {frame.with_error(c['value'], c['std'], 'ms', 1e3)}"))
         elif name == "imu position" and c:
             rows.append(("IMU position", f"{c['value']} m, corrected for"))
     rotors = m.get("rotor telemetry")
     if rotors and rotors.get("age"):
         age = rotors["age"]
         done = "taken off" if rotors.get("applied") else "not corrected"
-        rows.append(("age of rotor telemetry", f"{report.with_error(age['value'], age['std'], 'ms', 1e3)}, {done}"))
+        rows.append(("age of rotor telemetry", f"{frame.with_error(age['value'], age['std'], 'ms', 1e3)}, {done}"))
     return rows
 
 
@@ -307,8 +307,8 @@ def _clipped(facts: Section | None) -> str | None:
     if facts is None:
         return None
     each = [
-        f"{key.split(' ')[0]} at {report.number(one['level']['value'])} {one['level']['unit']} for "
-        f"{report.number(one['seconds'], 2)} s in {one['span count']} spans"
+        f"{key.split(' ')[0]} at {frame.number(one['level']['value'])} {one['level']['unit']} for "
+        f"{frame.number(one['seconds'], 2)} s in {one['span count']} spans"
         for key, one in facts.items()
     ]
     return ", ".join(each) or "never"
@@ -319,7 +319,7 @@ def _saturation(shares: Mapping[str, float]) -> list[tuple[str, object]]:
     for end in ("lower limit", "upper limit"):
         found = {k: v for k, v in shares.items() if end in k}
         if found:
-            each = ", ".join(f"{k.split(' at ')[0]} {report.share(v)}" for k, v in found.items() if v)
+            each = ", ".join(f"{k.split(' at ')[0]} {frame.share(v)}" for k, v in found.items() if v)
             rows.append((f"motor command at its {end}", each if any(found.values()) else "never"))
     return rows
 
@@ -329,14 +329,14 @@ def _filter(f: Section, source: str) -> list[tuple[str, object]]:
     of = {"capture": "capture's", "onboard": "on-board attitude's"}.get(source)
     turned = (f.get("attitude alignment") or {}) if of else {}
     angles = [
-        f"{a} {report.with_error(turned[a]['value'], turned[a]['std'], 'deg', math.degrees(1))}"
+        f"{a} {frame.with_error(turned[a]['value'], turned[a]['std'], 'deg', math.degrees(1))}"
         for a in ("roll", "pitch", "yaw")
         if a in turned
     ]
     phases = f["phases"]
     rest = phases.get("rest")
     return [
-        ("rows valid for identification", report.share(phases["valid share"])),
+        ("rows valid for identification", frame.share(phases["valid share"])),
         (
             "take-off",
             "not found"
@@ -359,7 +359,7 @@ def _notches(about: Section | None) -> str | None:
     lines = [
         f"{line['harmonic']} ({line['frequency']['value']:.0f} Hz"
         + (f", seen at {line['stands at']['value']:.0f} Hz" if line["folded share"] > 0.5 else "")
-        + f", in {report.share(line['taken out share'])} of the flight)"
+        + f", in {frame.share(line['taken out share'])} of the flight)"
         for line in about["lines"]
         if line["taken out share"] > 0
     ]
@@ -374,19 +374,19 @@ def _biases(f: Section) -> str:
     ):
         bias = (f.get("biases") or {}).get(key)
         if bias and bias.get("value"):
-            said = [report.with_error(v, s, "", scale) for v, s in zip(bias["value"], bias.get("std") or [None] * 3)]
+            said = [frame.with_error(v, s, "", scale) for v, s in zip(bias["value"], bias.get("std") or [None] * 3)]
             rows.append((f"bias of {key} ({', '.join(axes)}), {unit}", *said))
-    return report.table(("± standard error", "x", "y", "z"), rows)
+    return frame.table(("± standard error", "x", "y", "z"), rows)
 
 
 def _innovations(f: Section) -> str:
     rows = [
         (
-            f"innovations of {kind}", n["measurements"], report.number(n["mean"]),
-            " to ".join(map(report.number, n["bounds"])), report.share(n["gated"]), report.number(n["whiteness"], 2),
+            f"innovations of {kind}", n["measurements"], frame.number(n["mean"]),
+            " to ".join(map(frame.number, n["bounds"])), frame.share(n["gated"]), frame.number(n["whiteness"], 2),
         )
         for kind, n in (f.get("NIS") or {}).items()
         if n and n.get("mean") is not None
     ]  # fmt: skip
     head = ("", "measurements", "NIS (1 if honest)", "95 % bounds of white ones", "gated", "autocorrelation")
-    return report.table(head, rows)
+    return frame.table(head, rows)
