@@ -37,7 +37,7 @@ def main() -> None:
                 "model": {"model ID": model.id},
                 "controller": {"controller": controller},
                 "simulation": {"duration": duration, "integrator": integrator},
-                "references": {"do circle track": True},
+                "references": {"kind": "figure eight"},
                 "noise": {"add": True, "specific force": 0.1, "rotor speeds": 5.0},
             },
             model,

@@ -33,16 +33,17 @@ from quasi.simulation.outer_loop import (
     YAW_RATE,
 )
 
-HOVER, STEPS, EIGHT, TABLE = 0, 1, 2, 3
+HOVER, STEPS, EIGHT, TABLE, CIRCLE = 0, 1, 2, 3, 4
 GOALS = {
     "position": (POSITION_GOAL, PLACE, ("x", "y", "z")),
     "velocity": (VELOCITY_GOAL, SPEED, ("vx", "vy", "vz")),
     "attitude": (ATTITUDE_GOAL, ANGLES, ("roll", "pitch", "yaw")),
     "rates": (RATES_GOAL, RATES, ("p", "q", "r")),
 }
-# the manual's two built-in references, as its simulator holds them
+# the manual's two built-in references (section 7.1, figure 24a), with the numbers of QuaSI at the manual's date
+ALONG_PATH = "along path"  # heading of a circle whose nose points along the velocity
 _TRACK = [[0.0, 0.0, 0.0, 0.0], [2.0, 0.0, 0.0, -1.0], [6.0, 4.0, -2.0, -1.0]]
-_FLAGS = {"do position track": "position steps", "do circle track": "figure eight"}
+_FLAGS = {"do position track": "position steps", "do circle track": "circle"}
 
 Check = Callable[[Any], bool]
 
@@ -58,6 +59,13 @@ def _is_place(value: Any) -> bool:
 _NUMBER: tuple[Check, str] = (_is_number, "a number")
 _PLACE: tuple[Check, str] = (_is_place, "three numbers, m, earth axes (z down)")
 _TIME: tuple[Check, str] = (lambda v: _is_number(v) and v >= 0.0, "seconds, 0 or more")
+_POSITIVE: tuple[Check, str] = (lambda v: _is_number(v) and v > 0.0, "a positive number")
+_ANGULAR_SPEED: tuple[Check, str] = (lambda v: _is_number(v) and v != 0.0, "rad/s, not 0")
+_HEADING: tuple[Check, str] = (lambda v: v == ALONG_PATH or _is_number(v), f"rad, or '{ALONG_PATH}'")
+_LEVEL: tuple[Check, str] = (
+    lambda v: isinstance(v, list | tuple) and len(v) == 2 and all(map(_is_number, v)),
+    "two numbers, m, north and east",
+)
 _ROWS: tuple[Check, str] = (lambda v: isinstance(v, list | tuple) and len(v) > 0, "a list of rows")
 # kind: {setting: (default, check, what is expected)}
 KINDS: dict[str, dict[str, tuple[Any, Check, str]]] = {
@@ -66,9 +74,20 @@ KINDS: dict[str, dict[str, tuple[Any, Check, str]]] = {
     "velocity steps": {"steps": ([[0.0, 0.0, 0.0, 0.0]], *_ROWS)},
     "attitude steps": {"steps": ([[0.0, 0.0, 0.0, 0.0]], *_ROWS)},
     "rate steps": {"steps": ([[0.0, 0.0, 0.0, 0.0]], *_ROWS)},
+    # 4 m and 1 rad/s from 3 s on: the manual's circle; its height is that of the figure eight
+    "circle": {
+        "radius": (4.0, *_POSITIVE),
+        "rate": (1.0, *_ANGULAR_SPEED),
+        "height": (2.0, *_NUMBER),
+        "heading": (0.0, *_HEADING),
+        "centre": ([0.0, 0.0], *_LEVEL),
+        "start": (3.0, *_TIME),
+        "transition": (2.0, *_TIME),
+        "hold": ([0.0, 0.0, 0.0], *_PLACE),
+    },
     "figure eight": {
         "amplitude": (3.0, *_NUMBER),
-        "angular speed": (1.0, lambda v: _is_number(v) and v != 0.0, "rad/s, not 0"),
+        "angular speed": (1.0, *_ANGULAR_SPEED),
         "centre": ([0.0, 0.0, -2.0], *_PLACE),
         "start": (3.0, *_TIME),
         "transition": (2.0, *_TIME),
@@ -106,6 +125,8 @@ def make_reference(
     if kind == "figure eight":
         numbers = [chosen[k] for k in ("amplitude", "angular speed", "start", "transition", "yaw", "yaw rate")]
         return EIGHT, np.array([*numbers, *chosen["centre"], *chosen["hold"]], float), np.zeros((1, GOAL))
+    if kind == "circle":
+        return CIRCLE, _circle_parameters(chosen), np.zeros((1, GOAL))
     if kind == "table":
         if table is None:
             raise ConfigError("reference 'table' has no table; name one under 'file'")
@@ -131,6 +152,16 @@ def _choose(settings: dict[str, Any]) -> tuple[str, dict[str, Any]]:
         if not known[key][1](value):
             raise ConfigError(f"reference '{kind}': '{key}' is {value!r}, expected {known[key][2]}")
     return kind, {key: settings.get(key, about[0]) for key, about in known.items()}
+
+
+def _circle_parameters(chosen: Mapping[str, Any]) -> np.ndarray:
+    """Parameters of `_curve_at` for a circle; a positive rate turns clockwise as seen from above (north to east)."""
+    radius, rate, heading = chosen["radius"], chosen["rate"], chosen["heading"]
+    yaw, yaw_rate = (heading, 0.0) if heading != ALONG_PATH else (math.copysign(0.5 * math.pi, rate), rate)
+    centre = [*chosen["centre"], -chosen["height"]]
+    return np.array(
+        [radius, rate, chosen["start"], chosen["transition"], yaw, yaw_rate, *centre, *chosen["hold"]], float
+    )
 
 
 def _of_steps(goal: str, chosen: Mapping[str, Any]) -> tuple[int, np.ndarray, np.ndarray]:
@@ -229,8 +260,8 @@ def goal_at(kind, parameters, table, t, goal):
         goal[ANGLES + 2] = parameters[3]
     elif kind == STEPS:
         _steps_at(parameters, table, t, goal)
-    elif kind == EIGHT:
-        _eight_at(parameters, t, goal)
+    elif kind == EIGHT or kind == CIRCLE:
+        _curve_at(kind, parameters, t, goal)
     else:
         _table_at(parameters, table, t, goal)
 
@@ -280,8 +311,11 @@ def _steps_at(parameters, table, t, goal):
 
 
 @njit(cache=True, error_model="numpy")
-def _eight_at(parameters, t, goal):
-    """x = A cos(phi), y = A sin(phi) cos(phi) about the centre, as the manual's "circle"; eased in from "hold"."""
+def _curve_at(kind, parameters, t, goal):
+    """A closed curve about the centre, reached from "hold" by an eased transition; phi = rate x time since the start.
+
+    Circle: x = A cos(phi), y = A sin(phi). Figure eight: x = A cos(phi), y = A sin(phi) cos(phi).
+    """
     a, w, start, duration, yaw, turn = parameters[:6]
     since = t - start
     goal[ANGLES + 2] = yaw
@@ -291,13 +325,14 @@ def _eight_at(parameters, t, goal):
         return
     goal[ANGLES + 2] += turn * since
     goal[YAW_RATE] = turn
-    phi = w * since
-    cosine, sine = math.cos(phi), math.sin(phi)
+    cosine, sine = math.cos(w * since), math.sin(w * since)
     s, d, dd = _ease(since / duration if duration > 0.0 else 1.0, duration)
     for k in range(3):
         place, speed, bend = parameters[6 + k], 0.0, 0.0
         if k == 0:
             place, speed, bend = place + a * cosine, -a * w * sine, -a * w * w * cosine
+        elif k == 1 and kind == CIRCLE:
+            place, speed, bend = place + a * sine, a * w * cosine, -a * w * w * sine
         elif k == 1:
             place += a * sine * cosine
             speed, bend = a * w * (cosine * cosine - sine * sine), -4.0 * a * w * w * sine * cosine

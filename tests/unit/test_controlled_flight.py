@@ -122,3 +122,16 @@ def test_an_uncorrected_asymmetry_is_flown_with_other_rotor_speeds(name):
 def test_wrong_controllers_and_references_are_named(changes, told, model):
     with pytest.raises(ConfigError, match=told):
         make_setup({**LISTING, **changes}, model)
+
+
+def test_the_manuals_circle_is_flown_with_its_radius_height_and_rate(model):
+    quiet = {"noise": {"add": False}, "faults": {"inject failure": False}, "controller": {"controller": "drone_INDI"}}
+    _, table, _ = flown(model, **quiet, simulation={"duration": 14}, references={"do circle track": True})
+    first, later = table["t"] < 3.0, table[table["t"] > 8.0]
+    assert np.abs(table.loc[first, ["x", "y", "z"]].to_numpy()).max() < 0.01
+    phi = later["t"].to_numpy() - 3.0
+    assert np.allclose(later["x_ref"], 4 * np.cos(phi)) and np.allclose(later["y_ref"], 4 * np.sin(phi))
+    assert np.allclose(later["vx_ref"], -4 * np.sin(phi)) and np.allclose(later["vy_ref"], 4 * np.cos(phi))
+    assert np.allclose(later["z_ref"], -2.0) and np.allclose(later["yaw_ref"], 0.0)
+    assert np.allclose(np.hypot(later["x"], later["y"]), 4.0, atol=0.1) and np.allclose(later["z"], -2.0, atol=0.05)
+    assert np.allclose(later["x"] + 1j * later["y"], 4 * np.exp(1j * phi), atol=0.15)

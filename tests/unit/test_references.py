@@ -38,13 +38,41 @@ def test_the_manuals_position_track_steps_down_at_2_s_and_sideways_at_6_s():
     assert np.all(goal[:, V] == 0.0)
 
 
-def test_the_figure_eight_is_the_manuals_curve_after_its_transition():
+def test_the_figure_eight_is_its_formula_after_its_transition():
     times = np.linspace(5.1, 20.0, 40)
-    goal = goals({"do circle track": True}, times)
+    goal = goals({"kind": "figure eight"}, times)
     phi = times - 3.0
     assert np.allclose(goal[:, 1], 3 * np.cos(phi), atol=1e-12)
     assert np.allclose(goal[:, 2], 3 * np.sin(phi) * np.cos(phi), atol=1e-12)
     assert np.all(goal[:, 3] == -2.0)
+
+
+def test_the_manuals_circle_is_4_m_at_1_rad_per_s_from_3_s_on():
+    before = goals({"do circle track": True}, [0.0, 2.999])
+    assert not before[:, X].any() and not before[:, V].any()
+    times = np.linspace(5.0, 20.0, 60)
+    goal = goals({"do circle track": True}, times)
+    phi = times - 3.0
+    assert np.allclose(goal[:, X], np.stack([4 * np.cos(phi), 4 * np.sin(phi), np.full(60, -2.0)], 1), atol=1e-12)
+    assert np.allclose(goal[:, V], np.stack([-4 * np.sin(phi), 4 * np.cos(phi), np.zeros(60)], 1), atol=1e-12)
+    assert np.allclose(goal[:, A], np.stack([-4 * np.cos(phi), -4 * np.sin(phi), np.zeros(60)], 1), atol=1e-12)
+    assert not goal[:, [9, TURN]].any()
+
+
+@pytest.mark.parametrize("rate", [0.8, -0.8])
+def test_a_circle_has_the_radius_rate_height_and_heading_that_are_set(rate):
+    settings = {"kind": "circle", "radius": 2.5, "rate": rate, "height": 3.0, "heading": "along path",
+                "centre": [10.0, -5.0], "start": 1.0, "transition": 0.0}  # fmt: skip
+    times = np.linspace(1.0, 12.0, 50)
+    goal = goals(settings, times)
+    arm = goal[:, 1:3] - [10.0, -5.0]
+    assert np.allclose(np.hypot(*arm.T), 2.5) and np.allclose(goal[:, 3], -3.0)
+    azimuth = np.unwrap(np.arctan2(arm[:, 1], arm[:, 0]))
+    assert np.allclose(azimuth, rate * (times - 1.0))  # clockwise from above for a positive rate
+    course = np.arctan2(goal[:, 5], goal[:, 4])
+    assert np.allclose(np.exp(1j * goal[:, 9]), np.exp(1j * course)), "the nose points along the velocity"
+    assert np.allclose(goal[:, TURN], rate)
+    assert np.allclose(goals({**settings, "heading": 0.3}, times)[:, 9], 0.3)
 
 
 SAMPLES = {"t": np.array([1.0, 1.7, 2.0, 3.1, 4.0]), "x": np.array([0, 1.0, -2, 0.5, 1]),
@@ -57,6 +85,8 @@ SAMPLES = {"t": np.array([1.0, 1.7, 2.0, 3.1, 4.0]), "x": np.array([0, 1.0, -2, 
     [
         ({"kind": "figure eight", "amplitude": 2.0, "angular speed": 1.7, "yaw rate": 0.4}, None),
         ({"kind": "figure eight", "hold": [1.0, -2.0, 0.5], "transition": 4.0}, None),
+        ({"do circle track": True}, None),
+        ({"kind": "circle", "rate": -1.7, "height": -0.5, "hold": [1.0, -2.0, 0.5], "transition": 3.0}, None),
         (
             {"kind": "position steps", "steps": [[0, 0, 0, 0, 0], [2, 1, 2, -3, 1.0], [6, 0, 0, 0]], "transition": 2},
             None,
@@ -81,6 +111,7 @@ def test_the_heading_turns_at_the_stated_yaw_rate():
     times = np.linspace(0.5, 9.5, 61)
     for settings in (
         {"kind": "figure eight", "yaw rate": 0.7},
+        {"kind": "circle", "rate": -0.7, "heading": "along path", "start": 0.0},
         {"kind": "velocity steps", "steps": [[0, 1, 0, 0, 0.5], [2.02, 0, 1, 0, -1.0], [5.03, 0, 0, 1]]},
         {"kind": "position steps", "steps": [[0, 0, 0, 0, 0.2], [3.03, 0, 0, 0, 1.0]], "transition": 2},
     ):
@@ -137,6 +168,9 @@ def test_steps_of_attitude_and_rates_carry_a_thrust_or_the_weight():
         ({"kind": "figure eight", "amplitud": 1}, "did you mean 'amplitude'"),
         ({"kind": "figure eight", "amplitude": "big"}, "'amplitude' is 'big', expected a number"),
         ({"kind": "figure eight", "angular speed": 0}, "not 0"),
+        ({"kind": "circle", "radius": 0}, "'radius' is 0, expected a positive number"),
+        ({"kind": "circle", "heading": "north"}, "'heading' is 'north', expected rad, or 'along path'"),
+        ({"kind": "circle", "centre": [0, 0, -2]}, "two numbers, m, north and east"),
         ({"kind": "figure eight", "do circle track": True}, "only one of"),
         ({"do position track": True, "do circle track": True}, "only one of"),
         ({"kind": "hover", "position": [0, 1]}, "three numbers"),
