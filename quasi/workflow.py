@@ -5,6 +5,8 @@ stage gets its own row, its own files and the part of the configuration that it 
 """
 
 import functools
+import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ from quasi.project import AXES, check_model_file, check_specification, is_file, 
 from quasi.recordings import GEOMETRY, IDENTIFICATION, Recordings
 from quasi.tables import read_json
 
+MADE_MODEL = re.compile(r"models/[^/]+/standalone/model\.json")  # as rules name it; one that was put there is absolute
 STILLS = {"number of drone stills": 5, "show animation": False, "animation speed up factor": 1}
 
 
@@ -30,6 +33,10 @@ class Folder(Recordings):
         made = [f"models/{m}/standalone" for m in self.models]
         made += [f"results/simulations/{s}" for s in self.simulations] + [f"results/gaps/{g}" for g in self.gaps]
         return [*made, "processing"]
+
+    def given(self, paths: Iterable[str]) -> list[str]:
+        """Those of the files that a user has put there: no rule makes them."""
+        return [p for p in paths if not (self._made(Path(p)) or MADE_MODEL.fullmatch(str(p)))]
 
     def identification(self, name: str) -> dict[str, Any]:
         """Settings that all axes of a model share."""

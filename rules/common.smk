@@ -14,6 +14,7 @@ from quasi.errors import QuasiError
 from quasi.joblog import RUN, told
 from quasi.provenance import code_of
 from quasi.project import check_project, check_writable, read_settings
+from quasi.running.checksums import Checksums
 from quasi.terminal import Misnamed, Terminal, standing
 from quasi.workflow import Folder
 
@@ -55,7 +56,9 @@ def tell_at_end():
         print(f"[ERROR] {fault}", file=sys.stderr)
 
 
-if RUN not in os.environ:
+MAIN = RUN not in os.environ
+
+if MAIN:
     # the main process of a run; processes that it starts find the variable set
     scratch = tempfile.TemporaryDirectory(prefix="quasi-run-")
     os.environ[RUN] = scratch.name
@@ -95,11 +98,20 @@ for key, value in ask(read_settings, "config/config.yaml").items():
     config.setdefault(key, value)
 
 FOLDER = Folder(".", data=config.get("data"), library=LIBRARY)
+CHECKSUMS = Checksums(".snakemake/quasi/checksums.json")
+if MAIN:
+    atexit.register(CHECKSUMS.save)
 
 
 def code(script):
     """Digest of the library code that a script reaches, so that a stage reruns when code it uses changes."""
     return code_of(f"{LIBRARY}/scripts/{script}", LIBRARY)
+
+
+def contents(paths):
+    """{path: SHA-256} of the files among these that a user put there: Snakemake compares times alone, and an older
+    file in the place of another would go unnoticed."""
+    return CHECKSUMS.of_all(FOLDER.given(map(str, paths)))
 
 
 def filtered(rows, gravity):
@@ -143,6 +155,10 @@ def as_processed(gap, roles, stage, kind="parquet"):
         for role in roles
         for r in flights[role]
     ]
+
+
+def gap_model(wildcards):
+    return ask(FOLDER.gap_model, wildcards.gap)
 
 
 def gap_recordings(wildcards):
@@ -223,6 +239,10 @@ def learning_files(wildcards):
 def simulation_files(wildcards):
     asked = ask(FOLDER.simulation, wildcards.simulation)
     return [asked[k] for k in ("model", "wind", "reference") if asked[k]]
+
+
+def simulation_model(wildcards):
+    return ask(FOLDER.simulation, wildcards.simulation)["model"]
 
 
 def simulation_pictures(wildcards):

@@ -16,6 +16,7 @@ rule export_c:
     benchmark:
         "results/benchmarks/export/{model}/c.tsv"
     params:
+        contents=lambda wildcards: contents([model_to_export(wildcards)]),
         code=code("export_c.py"),
     script:
         "../scripts/export_c.py"
@@ -42,6 +43,7 @@ rule export_fmu:
     benchmark:
         "results/benchmarks/export/{model}/fmu.tsv"
     params:
+        contents=lambda wildcards: contents([model_to_export(wildcards)]),
         code=code("export_fmu.py"),
     script:
         "../scripts/export_fmu.py"
@@ -58,6 +60,7 @@ rule export_python:
     benchmark:
         "results/benchmarks/export/{model}/python.tsv"
     params:
+        contents=lambda wildcards: contents([model_to_export(wildcards)]),
         code=code("export_python.py"),
     script:
         "../scripts/export_python.py"
@@ -76,6 +79,7 @@ rule export_matlab:
         "results/benchmarks/export/{model}/matlab.tsv"
     params:
         settings=lambda wildcards: ask(FOLDER.matlab, wildcards.model),
+        contents=lambda wildcards: contents([model_to_export(wildcards)]),
         code=code("export_matlab.py"),
     script:
         "../scripts/export_matlab.py"

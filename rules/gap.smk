@@ -22,7 +22,7 @@ def own_effects(wildcards):
 rule gap_calibration:
     input:
         own=own_effects,
-        model=lambda w: ask(FOLDER.gap_model, w.gap),
+        model=gap_model,
         imported=lambda w: as_processed(w.gap, LEARN, "imported"),
         imported_metadata=lambda w: as_processed(w.gap, LEARN, "imported", "json"),
         filtered=lambda w: as_processed(w.gap, LEARN, "withGravity"),
@@ -39,6 +39,9 @@ rule gap_calibration:
     params:
         asked=lambda w: ask(FOLDER.gap, w.gap),
         settings=lambda w: learning_settings(w.gap),
+        contents=lambda w: contents(
+            [*own_effects(w), gap_model(w), *gap_recordings(w), *learning_files(w)]
+        ),
         code=code("gap_calibration.py"),
         causes=CATALOGUE,
     script:
@@ -59,6 +62,7 @@ rule gap_importing:
     params:
         settings=lambda w: ask(FOLDER.importing, w.quadrotor, w.flight),
         role=lambda w: ask(FOLDER.gap_roles, w.gap).get(w.flight),
+        contents=lambda w: contents(raw_files(w)),
         code=code("gap_importing.py"),
     script:
         "../scripts/gap_importing.py"
@@ -89,7 +93,7 @@ rule gap_filtering:
 rule gap_diagnosis:
     input:
         own=own_effects,
-        model=lambda w: ask(FOLDER.gap_model, w.gap),
+        model=gap_model,
         calibration="results/calibrations/{gap}.json",
         flights=lambda w: calibrated(w.gap),
         metadata=lambda w: calibrated(w.gap, kind="json"),
@@ -114,6 +118,7 @@ rule gap_diagnosis:
         "results/benchmarks/gap/{gap}/diagnosis.tsv"
     params:
         asked=lambda w: ask(FOLDER.gap, w.gap),
+        contents=lambda w: contents([*own_effects(w), gap_model(w)]),
         code=code("gap_diagnosis.py"),
         causes=CATALOGUE,
     script:
@@ -148,6 +153,7 @@ rule gap_report:
         "logs/gap/{gap}/report.log",
     params:
         files=lambda w: ask(FOLDER.gap, w.gap)["effect files"],
+        contents=lambda w: contents(own_effects(w)),
         code=code("gap_report.py"),
         causes=CATALOGUE,
     script:

@@ -20,6 +20,7 @@ rule importing:
         settings=lambda wildcards: ask(
             FOLDER.importing, wildcards.quadrotor, wildcards.flight
         ),
+        contents=lambda wildcards: contents(raw_files(wildcards)),
         code=code("importing.py"),
     script:
         "../scripts/importing.py"

@@ -18,6 +18,7 @@ rule simulation_flight:
         "results/benchmarks/simulation/{simulation}.tsv"
     params:
         asked=lambda wildcards: ask(FOLDER.simulation, wildcards.simulation),
+        contents=lambda wildcards: contents(simulation_files(wildcards)),
         code=code("simulation_flight.py"),
     script:
         "../scripts/simulation_flight.py"
@@ -27,12 +28,13 @@ rule simulation_figures:
     input:
         table="results/parts/simulation/{simulation}/flight.parquet",
         summary="results/parts/simulation/{simulation}/summary.json",
-        model=lambda wildcards: ask(FOLDER.simulation, wildcards.simulation)["model"],
+        model=simulation_model,
     output:
         directory("results/parts/simulation/{simulation}/figures"),
     log:
         "logs/simulation/{simulation}/figures.log",
     params:
+        contents=lambda wildcards: contents([simulation_model(wildcards)]),
         code=code("simulation_figures.py"),
     script:
         "../scripts/simulation_figures.py"
@@ -41,13 +43,14 @@ rule simulation_figures:
 rule simulation_animation:
     input:
         table="results/parts/simulation/{simulation}/flight.parquet",
-        model=lambda wildcards: ask(FOLDER.simulation, wildcards.simulation)["model"],
+        model=simulation_model,
     output:
         directory("results/parts/simulation/{simulation}/animation"),
     log:
         "logs/simulation/{simulation}/animation.log",
     params:
         settings=lambda wildcards: ask(FOLDER.animation, wildcards.simulation),
+        contents=lambda wildcards: contents([simulation_model(wildcards)]),
         code=code("simulation_animation.py"),
     script:
         "../scripts/simulation_animation.py"

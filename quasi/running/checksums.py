@@ -1,0 +1,55 @@
+"""SHA-256 of files that a user puts into a folder, remembered, so that only a changed file is read again.
+
+A file counts as unchanged while its size and both its time stamps (of the content and of the directory entry) are those
+on record; otherwise its SHA-256 is computed anew. An older file that replaces another keeps its own time of content but
+gets a new time of entry: so `mv`, `cp -p`, `rsync -a` and `unzip` are seen even where size and time of content agree.
+"""
+
+import os
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+from quasi.errors import QuasiError
+from quasi.tables import read_json, sha256_of, write_json
+
+
+class Checksums:
+    """Checksums of given files, kept in a JSON file. memory  its path; whatever it holds may be lost or damaged."""
+
+    def __init__(self, memory: str | Path):
+        self.memory = Path(memory)
+        self._known: dict[str, list] = {}
+        self._changed = False
+        with suppress(QuasiError, OSError):
+            found = read_json(self.memory) if self.memory.is_file() else {}
+            self._known = found if isinstance(found, dict) else {}
+
+    def of(self, path: str | Path) -> str | None:
+        """SHA-256 of a file in hexadecimal; None where it is absent, empty or cannot be read."""
+        name = str(path)
+        try:
+            at = os.stat(name)
+        except (OSError, ValueError):
+            return None
+        identity = [at.st_size, at.st_mtime_ns, at.st_ctime_ns]
+        known = self._known.get(name)
+        if isinstance(known, list) and known[:3] == identity and len(known) == 4:
+            return known[3]
+        digest = None
+        with suppress(QuasiError, OSError):
+            digest = sha256_of(name)
+        self._known[name] = [*identity, digest]
+        self._changed = True
+        return digest
+
+    def of_all(self, paths: Iterable[str | Path]) -> dict[str, str | None]:
+        """{path: SHA-256 or None} of several files."""
+        return {str(path): self.of(path) for path in paths}
+
+    def save(self) -> None:
+        """Write what was computed anew; without permission to write, the files are read again by the next run."""
+        if self._changed:
+            with suppress(QuasiError, OSError):
+                write_json(self.memory, self._known)
+                self._changed = False
