@@ -49,3 +49,13 @@ def nearest(name: str, known: Iterable[str]) -> str:
         return ""
     shown = ", ".join(f"'{k}'" for k in known[:12]) + (", ..." if len(known) > 12 else "")
     return f" (known are {shown})"
+
+
+def quoted(text: object, longest: int = 40) -> str:
+    """Text from a file as a message shows it: in quotes, printable, cut to `longest` characters.
+
+    >>> quoted("2I" + chr(1))
+    "'2I?'"
+    """
+    plain = "".join(c if c.isprintable() else "?" for c in str(text)[: longest + 1])
+    return f"'{plain[:longest]}...'" if len(plain) > longest else f"'{plain}'"

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from quasi.doubt import doubt
 from quasi.errors import ReadError
 from quasi.importing import blackbox_kernel as kernel
 from quasi.importing.blackbox_header import Log, find_logs, hex_float, plain_header
-from quasi.importing.blackbox_units import WANTED, debug_mode, resolve
+from quasi.importing.blackbox_units import WANTED, debug_mode, other_firmware_note, resolve
 from quasi.importing.external import external_series
 from quasi.importing.series import Recording, Series
 from quasi.tables import read_bytes
@@ -196,6 +197,17 @@ def read_blackbox(path: str | Path, log_number: int | None = None, poles: int | 
     mode = debug_mode(log.header)
     if mode is None or mode["name"] != "DSHOT_RPM_TELEMETRY":
         raw = {name: values for name, values in raw.items() if not name.startswith("debug[")}
+    if other := other_firmware_note(log.header):
+        doubt(notes, other)
+    for line in sorted(set(log.absent.values())):
+        left_out = [name for name, of in log.absent.items() if of == line and name in raw]
+        if left_out:
+            doubt(
+                notes,
+                f"the header line '{line}' is absent, from which {', '.join(left_out)} are predicted; they were left "
+                "out. Copy the log from the controller again if its header was cut",
+            )
+    raw = {name: values for name, values in raw.items() if name not in log.absent}
     resolved = resolve(raw, log.header, poles)
     spans, gaps, lost_notes = _losses(frames, t, log)
     metadata = {
@@ -211,6 +223,7 @@ def read_blackbox(path: str | Path, log_number: int | None = None, poles: int | 
             "craft": log.header.get("Craft name", ""),
         },
         "header": plain_header(log.header),
+        "header lines lost": log.damage,
         "fields": log.names["I"],
         "frames": frames.counts,
         "start": float(t[0]),
@@ -225,7 +238,7 @@ def read_blackbox(path: str | Path, log_number: int | None = None, poles: int | 
     }
     series = {"onboard": Series(t=t, values=resolved.values)}
     series |= external_series(t, resolved.external, metadata, notes)
-    notes = [*lost_notes, *notes, *resolved.notes]
+    notes = [*lost_notes, *notes, *log.notes, *resolved.notes]
     if log_number is None and len(logs) > 1:
         notes.append(f"the file holds {len(logs)} logs; the longest, number {log.number}, was taken{CHOOSE}")
     return Recording(series=series, metadata=metadata, notes=notes)
@@ -253,7 +266,7 @@ def _losses(frames: Frames, t: np.ndarray, log: Log) -> tuple[list[dict], list[d
     if not frames.ended:
         notes.append("the log has no end-of-log event: power was cut in flight, or the file is cut short")
     if log.damage:
-        notes.append(f"{log.damage} header lines are unreadable")
+        doubt(notes, f"{log.damage} header lines are unreadable; what they set is taken as unknown")
     if frames.counts["unknown events"]:
         notes.append(f"{frames.counts['unknown events']} events of unknown kind were skipped")
     resumed = frames.events[frames.events[:, 0] == 14, 3] * 1e-6

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from quasi.errors import ReadError
+from quasi.errors import ReadError, quoted
 from quasi.importing.blackbox_kernel import ARGUMENT, ENCODING, GROUP, PREDICTOR, SIGNED
 
 MARKER = b"H Product:Blackbox"
@@ -17,6 +17,10 @@ MOST_LOGS = 1000  # flash chips hold dozens
 MOST_FIELDS = 255
 MOST_ITERATIONS = 65536  # of one I interval
 _LONGEST_LINE = 8192
+_CONTROL = re.compile(rb"[\x00-\x08\x0b-\x1f\x7f]")  # bytes that no header line holds: frames, or damage
+# header lines that predictors of main fields refer to, by the predictor's number in the format
+REFERENCES = {4: "minthrottle", 9: "vbatref", 11: "motorOutput"}
+FROM_MOTOR_0 = 5  # the predictor that refers to motor[0] of the same frame
 _ENCODINGS = {0, 1, 3, 6, 7, 8, 9, 10}
 # fields that one group can hold, and the fewest bytes it takes
 _GROUPS = {6: 8, 7: 3, 8: 4, 10: 3}
@@ -36,6 +40,8 @@ class Log:
     layout   (5, 5, fields) and sizes (5,): see the kernel; skips  (I interval,) iterations not logged after each
     fault    why it cannot be decoded, or ""
     damage   header lines that are not readable
+    absent   {main field: header line that its values are predicted from, and that the header lacks}
+    notes    sentences about settings that could not be used
     """
 
     number: int
@@ -50,6 +56,8 @@ class Log:
     shortest: int = 1
     fault: str = ""
     damage: int = 0
+    absent: dict[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
 
 def find_logs(data: bytes, path: str) -> list[Log]:
@@ -77,11 +85,16 @@ def _log(data: bytes, number: int, start: int, end: int) -> Log:
     try:
         version = header.get("Data version", "")
         if version != "2":
-            raise _Unreadable(f"its data version is {version!r}, expected 2")
+            raise _Unreadable(f"its data version is {quoted(version)}, expected 2")
         names, layout, sizes = _layout(header)
+        absent = _absent_references(header, names["I"], layout, sizes)
+        if "time" in absent:
+            raise _Unreadable(f"its time is predicted from the header line '{absent['time']}', which is absent")
+        skips, notes = _skips(header)
         return Log(
-            **about, names=names, layout=layout, sizes=sizes, skips=_skips(header), shortest=_shortest(layout, sizes)
-        )
+            **about, names=names, layout=layout, sizes=sizes, skips=skips, shortest=_shortest(layout, sizes),
+            absent=absent, notes=notes,
+        )  # fmt: skip
     except _Unreadable as error:
         return Log(**about, fault=str(error))
 
@@ -92,12 +105,13 @@ def _header_lines(data: bytes, at: int, end: int) -> tuple[dict[str, str], int, 
     damage = 0
     while at < end:
         stop = data.find(b"\n", at, min(end, at + _LONGEST_LINE))
-        if data[at : at + 2] != b"H " or stop < 0:
+        # a line that was cut runs into the frames behind it
+        if data[at : at + 2] != b"H " or stop < 0 or _CONTROL.search(data, at, stop):
             # damage within the header: further lines within reach belong to it
             again = data.find(b"\nH ", at, min(end, at + 512))
+            damage += data[at : at + 2] == b"H " or again >= 0
             if again < 0:
                 break
-            damage += 1
             at = again + 1
             continue
         name, colon, value = data[at + 2 : stop].decode("latin-1").partition(":")
@@ -136,7 +150,9 @@ def _numbers(header: Mapping[str, str], key: str, count: int) -> list[int]:
 def _layout(header: Mapping[str, str]) -> tuple[dict[str, list[str]], np.ndarray, np.ndarray]:
     """Field names per kind, and the kernel's layout (5, 5, fields) and sizes (5,)."""
     names = {
-        kind: header[f"Field {kind} name"].split(",") for kind in "ISGH" if header.get(f"Field {kind} name", "").strip()
+        kind: [standard_name(name) for name in header[f"Field {kind} name"].split(",")]
+        for kind in "ISGH"
+        if header.get(f"Field {kind} name", "").strip()
     }
     if "I" not in names:
         raise _Unreadable("its header lacks 'Field I name'")
@@ -189,35 +205,76 @@ def _argument(name: str, predictor: int, names: list[str], i: int, kind: str) ->
     return 0
 
 
+def _absent_references(
+    header: Mapping[str, str], names: list[str], layout: np.ndarray, sizes: np.ndarray
+) -> dict[str, str]:
+    """{main field: header line} of the fields that are predicted from a number that the header lacks."""
+    absent: dict[str, str] = {}
+    for predictor, line in REFERENCES.items():
+        number = hex_float(header.get(line, "").split(",")[0] or None)
+        if number is None or abs(number) >= 2**31:
+            used = (layout[:2, PREDICTOR, : len(names)] == predictor) & (sizes[:2, None] > 0)
+            absent |= {names[i]: line for i in np.flatnonzero(used.any(axis=0))}
+    if "motor[0]" in absent:
+        used = (layout[:2, PREDICTOR, : len(names)] == FROM_MOTOR_0) & (sizes[:2, None] > 0)
+        absent |= {names[i]: absent["motor[0]"] for i in np.flatnonzero(used.any(axis=0))}
+    return absent
+
+
+def standard_name(field_name: str) -> str:
+    """The name of a field in released firmware: development builds of Betaflight 4.5 write eRPM(/100)[0]."""
+    return re.sub(r"^eRPM\(/100\)", "eRPM", field_name)
+
+
 def _shortest(layout: np.ndarray, sizes: np.ndarray) -> int:
     """The fewest bytes an I or P frame can take: its letter and a byte for each field or group that takes any."""
     groups = (layout[:2, GROUP] > 0) & (layout[:2, ENCODING] != 9)
     return int(min(1 + groups[k].sum() for k in range(2) if sizes[k] > 0))
 
 
-def _skips(header: Mapping[str, str]) -> np.ndarray:
-    """How many iterations the firmware leaves out after each iteration of an I interval.
+def _skips(header: Mapping[str, str]) -> tuple[np.ndarray, tuple[str, ...]]:
+    """How many iterations the firmware leaves out after each iteration of an I interval, and notes.
 
     Frames are written where (index + numerator - 1) % denominator < numerator, and at each I interval.
-    'P interval' is 'numerator/denominator', or just the denominator.
+    'P interval' is 'numerator/denominator', or just the denominator. Intervals serve to count iterations and to find
+    the next frame after damage; times do not need them, so that unusable ones stop nothing.
     """
     try:
         interval = int(header.get("I interval", "32"))
         first, slash, second = header.get("P interval", "1").partition("/")
         numerator, denominator = (int(first), int(second)) if slash else (1, int(first))
     except ValueError:
-        raise _Unreadable("its header lines 'I interval' and 'P interval' are not whole numbers") from None
-    if not 1 <= interval <= MOST_ITERATIONS:
-        raise _Unreadable(f"its I interval is {interval}, expected 1 to {MOST_ITERATIONS}")
-    if not (0 <= numerator <= MOST_ITERATIONS and 0 <= denominator <= MOST_ITERATIONS):
-        raise _Unreadable(f"its P interval is {header['P interval']}, expected at most {MOST_ITERATIONS}")
+        interval = numerator = denominator = -1
+    within = 0 <= numerator <= MOST_ITERATIONS and 0 <= denominator <= MOST_ITERATIONS
+    if not (1 <= interval <= MOST_ITERATIONS and within):
+        stated = f"{quoted(header.get('I interval', ''))} and {quoted(header.get('P interval', ''))}"
+        return np.zeros(1, np.int64), (
+            f"the header lines 'I interval' and 'P interval' are {stated}, expected whole numbers up to "
+            f"{MOST_ITERATIONS}; iterations were not counted, times are not affected",
+        )
     index = np.arange(interval)
     logged = index == 0
     if denominator > 0:
         logged |= (index + numerator - 1) % denominator < numerator
     # the next logged index after each, where the next interval always begins with one
     following = np.append(np.flatnonzero(logged), interval)
-    return (following[np.searchsorted(following, index, side="right")] - index - 1).astype(np.int64)
+    return (following[np.searchsorted(following, index, side="right")] - index - 1).astype(np.int64), ()
+
+
+def firmware(header: Mapping[str, str]) -> str:
+    """Name of the firmware that wrote a log, "" where its revision has no name before its number: "Betaflight", "INAV".
+
+    'Firmware type' does not serve: Betaflight and its forks all write Cleanflight there.
+    """
+    found = re.match(
+        r"([A-Za-z][A-Za-z_-]{1,30})\s*/?\s*(?:\S+\s+)?[vV]?[0-9]{1,6}[.][0-9]", header.get("Firmware revision", "")
+    )
+    return found.group(1) if found else ""
+
+
+def is_other_firmware(header: Mapping[str, str]) -> bool:
+    """Whether a log names a firmware that is neither Betaflight nor INDIflight, whose settings this reader knows."""
+    return firmware(header).lower() not in ("", "betaflight", "cleanflight", "indiflight")
 
 
 def version(header: Mapping[str, str]) -> tuple[int, ...] | None:

@@ -15,7 +15,8 @@ import numpy as np
 from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s
 from quasi.attitude import GRAVITY
 from quasi.doubt import doubt
-from quasi.importing.blackbox_header import hex_float, version
+from quasi.errors import quoted
+from quasi.importing.blackbox_header import hex_float, is_other_firmware, version
 
 _AXES = range(3)
 _MOTORS = range(8)
@@ -64,9 +65,21 @@ def debug_mode(header: Mapping[str, str]) -> dict[str, Any] | None:
     if text is None or not re.fullmatch("-?[0-9]{1,9}", text):
         return None
     number, release = int(text), version(header)
+    if is_other_firmware(header):
+        return {"number": number, "name": ""}  # each firmware numbers its modes in its own way
     rpm = 47 if release is not None and release < (4, 1) else 45
     name = {0: "NONE", rpm: "DSHOT_RPM_TELEMETRY", rpm + 1: "RPM_FILTER"}.get(number, "")
     return {"number": number, "name": name}
+
+
+def other_firmware_note(header: Mapping[str, str]) -> str | None:
+    """A sentence that calls for care where a log comes from a firmware that this reader does not know; else None."""
+    if not is_other_firmware(header):
+        return None
+    return (
+        f"the log was written by {quoted(header['Firmware revision'])}, neither Betaflight nor INDIflight; it is read "
+        "as Betaflight's, and its debug fields are left out: check units, body axes, rotor numbers and motor range"
+    )
 
 
 def is_indiflight(header: Mapping[str, str], names: set[str]) -> bool:
@@ -94,7 +107,7 @@ def resolve(
     sign = (1.0, 1.0, 1.0) if indi else (1.0, -1.0, -1.0)
     out.about["body axes logged"] = "x forward, y right, z down" if indi else "x forward, y left, z up"
     out.about["units"] = {}
-    fine = 10.0 if (hex_float(header.get("blackbox_high_resolution")) or 0) > 0 else 1.0
+    fine = _resolution(raw, header, out)
     if indi:
         # the firmware's own units, where the log comes without its header
         header = {"gyro_scale": "1", "acc_1G": f"{STANDARD_ACC_1G:g}"} | dict(header)
@@ -109,7 +122,7 @@ def resolve(
     _rotor_speeds(raw, header, poles, known, out)
     _battery(raw, header, known, out)
     if "setpoint[3]" in raw:
-        out.values["throttle"] = _scaled(raw["setpoint[3]"], 1e-3)
+        out.values["throttle"] = _scaled(raw["setpoint[3]"], 1e-3 / fine)
     elif "rcCommand[3]" in raw:
         throttle = _scaled(raw["rcCommand[3]"], 1e-3 / fine)
         throttle -= 1.0
@@ -122,6 +135,34 @@ def resolve(
             if speed in raw:
                 values[f"v{axis}"] = _scaled(raw[speed], 1e-2)
     return out
+
+
+def _resolution(raw: Mapping[str, np.ndarray], header: Mapping[str, str], out: Resolved) -> float:
+    """10 for a high-resolution log (gyro, set-points and sticks in tenths), else 1: by its throttle, then its header.
+
+    rcCommand[3] lies between 1000 and 2000, ten times that in high resolution (Betaflight 4.3 on).
+    """
+    stated = (hex_float(header.get("blackbox_high_resolution")) or 0) > 0
+    throttle = raw.get("rcCommand[3]", np.zeros(0))
+    throttle = throttle[np.isfinite(throttle)]
+    middle = float(np.median(throttle)) if len(throttle) else 0.0
+    shown = True if 9_000 <= middle <= 21_000 else False if 900 <= middle <= 2_100 else None
+    if shown is None or shown == stated:
+        return 10.0 if stated else 1.0
+    if shown and "blackbox_high_resolution" not in header:
+        out.notes.append(
+            f"a log of high resolution: rcCommand[3] is typically {middle:.0f}, where 1000 to 2000 is usual; gyro, "
+            "set-points and throttle were divided by 10"
+        )
+    else:
+        doubt(
+            out.notes,
+            f"rcCommand[3] is typically {middle:.0f}, but the header's blackbox_high_resolution is "
+            f"{quoted(header.get('blackbox_high_resolution', ''))}; gyro, set-points and throttle are scaled by the "
+            "former",
+        )
+    out.about["high resolution"] = shown
+    return 10.0 if shown else 1.0
 
 
 def _scaled(values: np.ndarray, factor: float) -> np.ndarray:
@@ -137,10 +178,13 @@ def _gyro(raw, header, sign, fine, known, out: Resolved) -> None:
     key = "gyro_scale" if "gyro_scale" in header else "gyro.scale"
     scale = hex_float(header.get(key))
     if "gyro" not in known and (scale is None or not 0 < scale < 1e4):
-        doubt(out.notes, f"the header's gyro_scale is {header.get(key)!r}; 1 deg/s per count is assumed")
+        doubt(out.notes, f"the header's gyro_scale is {quoted(header.get(key, ''))}; 1 deg/s per count is assumed")
         scale = 1.0
     if "gyro" in known:
         factor, source = known["gyro"]
+        if fine > 1.0 and not _is_scaled(raw, name, factor / DEG):
+            # blackbox_decode prints the tenths of a high-resolution log as whole deg/s
+            factor, source = factor / fine, f"{source}, divided by 10"
     elif scale < 1e-5:
         # firmware before Betaflight 3.1 states rad/us per count
         factor, source = scale * 1e6, "header, rad/us"
@@ -160,6 +204,19 @@ def _gyro(raw, header, sign, fine, known, out: Resolved) -> None:
         )
 
 
+def _is_scaled(raw: Mapping[str, np.ndarray], name: str, to_deg: float) -> bool:
+    """Whether a decoder took the tenths of a high-resolution gyro into account: by its gain on set-points in tenths."""
+    both = power = 0.0
+    for i in _AXES:
+        if f"setpoint[{i}]" in raw and f"{name}[{i}]" in raw:
+            rate, setpoint = to_deg * raw[f"{name}[{i}]"], raw[f"setpoint[{i}]"]
+            fine = np.isfinite(rate) & np.isfinite(setpoint)
+            both += float(rate[fine] @ setpoint[fine])
+            power += float(setpoint[fine] @ setpoint[fine])
+    # the gyro follows the set-point: gain 1 where both are in tenths, 0.1 where the gyro is in deg/s; between lies 0.3
+    return power > 0 and 0.03 < both / power < 0.3
+
+
 def _acceleration(raw, header, sign, known, out: Resolved) -> None:
     name = "accADCafterRpm" if "accADCafterRpm[0]" in raw else "accSmooth"
     if f"{name}[0]" not in raw:
@@ -170,7 +227,9 @@ def _acceleration(raw, header, sign, known, out: Resolved) -> None:
     else:
         one, source = hex_float(header.get("acc_1G")), "acc_1G"
         if one is None or not 0 < one < 1e6:
-            doubt(out.notes, f"the header's acc_1G is {header.get('acc_1G')!r}; 2048 counts per g are assumed")
+            doubt(
+                out.notes, f"the header's acc_1G is {quoted(header.get('acc_1G', ''))}; 2048 counts per g are assumed"
+            )
             one, source = STANDARD_ACC_1G, "assumed"
         factor = GRAVITY / one
     out.about["units"]["accelerometer"] = {"factor": factor, "to": "m/s2", "source": source, "field": name}

@@ -19,10 +19,10 @@ import pandas as pd
 
 from quasi.attitude import GRAVITY, from_euler
 from quasi.doubt import doubt
-from quasi.errors import ReadError
+from quasi.errors import ReadError, quoted
 from quasi.importing.blackbox import gaps_note, time_gaps
-from quasi.importing.blackbox_header import hex_float, plain_header
-from quasi.importing.blackbox_units import DEG, WANTED, debug_mode, resolve
+from quasi.importing.blackbox_header import hex_float, plain_header, standard_name
+from quasi.importing.blackbox_units import DEG, WANTED, debug_mode, other_firmware_note, resolve
 from quasi.importing.external import external_series
 from quasi.importing.series import Recording, Series
 from quasi.importing.streams import unwrapped
@@ -101,12 +101,17 @@ def read_decoded(
     t, keep = _time(columns.pop("time"), units.get("time", ""), path, notes)
     raw = {name: values[keep] for name, values in columns.items()}
     angles = {name: raw.pop(name) for name in _ATTITUDE if name in raw}
+    if other := other_firmware_note(found):
+        doubt(notes, other)
     _use_debug(raw, found, notes)
     known = _known(raw, units, path, notes)
     if counts and "accelerometer" not in known and hex_float(found.get("acc_1G")) is None:
         known["accelerometer"] = GRAVITY / counts, "configuration"
     resolved = resolve(raw, found, poles, known)
-    _attitude(angles, resolved.values, resolved.about)
+    if angles and "divided by 10" in str(resolved.about["units"].get("gyro", {}).get("source")):
+        notes.append("the decoder's attitude was left out: it was integrated from body rates ten times too large")
+    else:
+        _attitude(angles, resolved.values, resolved.about)
     gaps = time_gaps(t, [], np.zeros(0))
     if gaps:
         notes.append(gaps_note(gaps))
@@ -144,7 +149,7 @@ def _names(lines: list[str], path: str) -> tuple[int, str, list[str], dict[str, 
             names, units = [], {}
             for cell in _cells(line, separator):
                 parts = re.fullmatch(r"(.*?)\s*\(([^()]*)\)", cell)
-                names.append(parts.group(1) if parts else cell)
+                names.append(standard_name(parts.group(1) if parts else cell))
                 if parts:
                     units[names[-1]] = parts.group(2)
             if "time" in names and (len(WANTED.intersection(names)) >= 3):
@@ -233,7 +238,7 @@ def _time(values: np.ndarray, unit: str, path: str, notes: list[str]) -> tuple[n
     """Time in s, strictly increasing, and which rows it belongs to."""
     factors = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "": 1e-6}
     if unit not in factors:
-        raise ReadError(f"{path}: column 'time' has the unit '{unit}', expected s, ms or us")
+        raise ReadError(f"{path}: column 'time' has the unit {quoted(unit)}, expected s, ms or us")
     values, turns = unwrapped(values)
     if turns:
         notes.append(f"column 'time' starts again from 0 {turns} times as a counter of 32 bits does; it was carried on")
@@ -271,7 +276,7 @@ def _known(raw: dict, units: dict[str, str], path: str, notes: list[str]) -> dic
             continue
         if (quantity, unit) not in _UNITS:
             expected = ", ".join(f"({u})" for q, u in _UNITS if q == quantity)
-            raise ReadError(f"{path}: column '{name}' has the unit '({unit})', expected {expected} or none")
+            raise ReadError(f"{path}: column '{name}' has the unit {quoted(f'({unit})')}, expected {expected} or none")
         known[quantity] = (_UNITS[quantity, unit], f"column unit {unit}")
     voltage = raw.get("vbatLatest")
     if voltage is not None and units.get("vbatLatest") == "V":

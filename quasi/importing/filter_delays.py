@@ -4,7 +4,8 @@ Constant group delays far below the cut-off: of a first-order lag 1/(2 pi f); of
 its cut-off raised by 1/sqrt(2^(1/n) - 1) so that the whole has -3 dB at f) n times that of one; of a second-order
 Butterworth sqrt(2)/(2 pi f); of a notch of quality Q 1/(2 pi f Q). What moves in flight is known roughly: a dynamic
 low-pass between its two ends, notches that follow the rotors or the spectrum from where they may move. Their doubt
-is the standard error of the delay.
+is the standard error of the delay. 0 switches a filter off. A number that firmware never writes (negative, or beyond
+what it accepts) leaves the filter unknown: no delay, and the standard error of usual settings.
 
 Source: Oppenheim & Schafer, Discrete-Time Signal Processing, 3rd ed., 2010, section 5.1.2 (group delay).
 """
@@ -13,7 +14,8 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from quasi.importing.blackbox_header import version
+from quasi.errors import quoted
+from quasi.importing.blackbox_header import is_other_firmware, version
 
 KINDS = {0: "PT1", 1: "biquad", 2: "PT2", 3: "PT3"}
 # static cut-off, dynamic range, type of each low-pass on the gyro, under the names up to version 4.2 and since 4.3
@@ -29,6 +31,10 @@ RPM_NOTCHES = (
     ("rpm_filter_harmonics", "rpm_filter_q", "rpm_filter_min_hz"),
 )
 HIGHEST = 4000.0  # Hz, of any filter on the gyro; larger numbers are hundredths of a hertz, as old firmware writes them
+# the most that firmware accepts (Betaflight 4.5 settings: gyro filters 1000 Hz and older ones 4000 Hz, in hundredths
+# then; dyn_notch_count 7 with older 5, rpm_filter_harmonics 3, quality 10 as 1000 hundredths of the spectrum's notches
+# and 30 as 3000 of the rotors'); a larger or a negative number is no setting
+LARGEST_CUTOFF, MOST_NOTCHES, MOST_HARMONICS, LARGEST_QUALITY = 400_000.0, 8, 8, 3000.0
 # s: what the filters of usual settings add up to, which is how wrong 0 may be where a header says nothing of them
 USUAL_GYRO, USUAL_ACCELEROMETER = 2e-3, 20e-3
 
@@ -47,85 +53,111 @@ def notch_delay(centre: float, quality: float) -> float:
     return 1.0 / (2 * math.pi * centre * quality)
 
 
-def header_delays(header: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def header_delays(header: Mapping[str, Any], complete: bool = True) -> dict[str, dict[str, Any]]:
     """{"gyro" | "accelerometer": {"value" s, "std" s, "unit", "known", "filters"}} from a blackbox header.
 
+    header    as `plain_header` gives it; complete  False where lines of it are lost: what it lacks may have been on
     A dynamic low-pass is taken at its lowest cut-off, where it sits at low throttle; the true delay is then smaller.
-    A filter that the header lacks beside others is off. Where it says nothing of any filter of a sensor, the delay is
-    not known: 0, with what the filters of usual settings add up to as its standard error.
+    A filter that a complete header lacks beside others is off. Where a header says nothing of any filter of a sensor,
+    holds a setting that no firmware writes, or comes from another firmware, the delay is not known: what is stated,
+    with what the filters of usual settings add up to as its standard error. No setting raises an error.
     """
+    strange: list[str] = []
     gyro: list[str] = []
     total = doubt = 0.0
-    for static, moving, kind_key in STAGES:
-        dynamic = header.get(moving)
-        low, high = (
-            (_number(dynamic[0]), _number(dynamic[-1])) if isinstance(dynamic, list | tuple) and dynamic else (0, 0)
-        )
-        cutoff = low or _hertz(header.get(static))
-        if cutoff:
-            kind = KINDS.get(int(_number(header.get(kind_key))), "PT1")
-            gyro.append(f"{kind} {cutoff:g} Hz" + (" (dynamic, lowest)" if low else ""))
-            total += delay(kind, cutoff)
-            doubt += 0.5 * (delay(kind, low) - delay(kind, high)) if high > low else 0.0
-    for name, late, unsure in _notches(header):
+    for name, late, unsure in (*_lowpasses(header, strange), *_notches(header, strange)):
         gyro.append(name)
         total, doubt = total + late, doubt + unsure
     named = {name for stage in (*STAGES, *RPM_NOTCHES) for name in stage} | {"gyro_notch_hz", "dyn_notch_min_hz"}
-    gyro_known, force_known = not named.isdisjoint(header), "acc_lpf_hz" in header
-    cutoff = _number(header.get("acc_lpf_hz"))
-    cutoff = cutoff / 100 if cutoff > 500 else cutoff  # until version 4.2 the header holds hundredths of a hertz
+    understood = complete and not is_other_firmware(header)
+    gyro_known = understood and not strange and not named.isdisjoint(header)
+    strange_force: list[str] = []
+    cutoff = _setting(header, "acc_lpf_hz", LARGEST_CUTOFF, strange_force)
+    cutoff = cutoff / 100 if cutoff > 500 else cutoff  # the header holds hundredths of a hertz
+    force_known = understood and not strange_force and "acc_lpf_hz" in header
     kind = "biquad" if (version(header) or (4, 3)) < (4, 3) else "PT2"
     return {
         "gyro": {
             "value": total,
-            "std": doubt if gyro_known else USUAL_GYRO,
+            "std": doubt if gyro_known else math.hypot(doubt, USUAL_GYRO),
             "unit": "s",
             "known": gyro_known,
-            "filters": gyro,
+            "filters": [*gyro, *strange],
         },
         "accelerometer": {
             "value": delay(kind, cutoff) if cutoff else 0.0,
             "std": 0.0 if force_known else USUAL_ACCELEROMETER,
             "unit": "s",
             "known": force_known,
-            "filters": [f"{kind} {cutoff:g} Hz"] if cutoff else [],
+            "filters": [f"{kind} {cutoff:g} Hz"] * bool(cutoff) + strange_force,
         },
     }
 
 
-def _notches(header: Mapping[str, Any]) -> Iterator[tuple[str, float, float]]:
-    """Name, delay s and its doubt s of the notches on the gyro: fixed, on peaks of the spectrum, on the rotors."""
+def _lowpasses(header: Mapping[str, Any], strange: list[str]) -> Iterator[tuple[str, float, float]]:
+    """Name, delay s and its standard error s of the low-passes on the gyro."""
+    for static, moving, kind_key in STAGES:
+        low = _hertz(_setting(header, moving, LARGEST_CUTOFF, strange, place=0)) if moving else 0.0
+        high = _hertz(_setting(header, moving, LARGEST_CUTOFF, strange, place=-1)) if moving else 0.0
+        # a dynamic range from 0 is off, and the static filter counts
+        cutoff = low or _hertz(_setting(header, static, LARGEST_CUTOFF, strange))
+        if not cutoff:
+            continue
+        number = header.get(kind_key, 0)
+        kind = KINDS.get(number if isinstance(number, int) else -1)
+        if kind is None:
+            strange.append(f"{kind_key} {quoted(number)} is no type")
+            kind = "PT1"
+        unsure = 0.5 * (delay(kind, low) - delay(kind, high)) if high > low > 0 else 0.0
+        yield f"{kind} {cutoff:g} Hz" + (" (dynamic, lowest)" if low else ""), delay(kind, cutoff), unsure
+
+
+def _notches(header: Mapping[str, Any], strange: list[str]) -> Iterator[tuple[str, float, float]]:
+    """Name, delay s and its standard error s of the notches on the gyro: fixed, on the spectrum's peaks, on rotors."""
     # one number where the firmware has one such notch
-    centres, edges = (
-        value if isinstance(value, list | tuple) else [value]
-        for value in (header.get("gyro_notch_hz"), header.get("gyro_notch_cutoff"))
-    )
-    for centre, edge in zip(map(_hertz, centres), map(_hertz, edges)):
+    for place in range(2):
+        centre, edge = (
+            _hertz(_setting(header, key, LARGEST_CUTOFF, strange, place))
+            for key in ("gyro_notch_hz", "gyro_notch_cutoff")
+        )
         if centre > edge > 0:
             yield f"notch {centre:g} Hz", notch_delay(centre, centre * edge / (centre**2 - edge**2)), 0.0
-    low, high = _number(header.get("dyn_notch_min_hz")), _number(header.get("dyn_notch_max_hz"))
-    quality = _number(header.get("dyn_notch_q")) / 100  # the header holds hundredths
-    count = int(_number(header.get("dyn_notch_count", 1)))
+    low = _setting(header, "dyn_notch_min_hz", LARGEST_CUTOFF, strange)
+    high = _setting(header, "dyn_notch_max_hz", LARGEST_CUTOFF, strange)
+    quality = _setting(header, "dyn_notch_q", LARGEST_QUALITY, strange) / 100  # the header holds hundredths
+    count = int(_setting({"dyn_notch_count": 1, **header}, "dyn_notch_count", MOST_NOTCHES, strange))
     if count and low and high > low and quality:
         least, most = (count * notch_delay(f, quality) for f in (high, low))
         yield f"{count} dynamic notches {low:g} to {high:g} Hz", 0.5 * (least + most), 0.5 * (most - least)
     for count_key, quality_key, least_key in RPM_NOTCHES:
-        harmonics, quality = int(_number(header.get(count_key))), _number(header.get(quality_key)) / 100
-        low = _number(header.get(least_key))
-        if harmonics and quality and low and _number(header.get("dshot_bidir", 1)):
+        harmonics = int(_setting(header, count_key, MOST_HARMONICS, strange))
+        quality = _setting(header, quality_key, LARGEST_QUALITY, strange) / 100
+        low = _setting(header, least_key, LARGEST_CUTOFF, strange)
+        if harmonics and quality and low and _setting({"dshot_bidir": 1, **header}, "dshot_bidir", 1, strange):
             # the rotors' frequency in flight lies between the least and some four times it
             late = 4 * sum(notch_delay(k * low, quality) for k in range(1, harmonics + 1))
             yield f"4 x {harmonics} notches on the rotors above {low:g} Hz", 0.625 * late, 0.375 * late
 
 
-def _number(value: Any) -> float:
+def _setting(header: Mapping[str, Any], key: str, largest: float, strange: list[str], place: int = 0) -> float:
+    """A setting, or one entry of it; 0 where it is off, absent or no setting, and then named in `strange`."""
+    value = header.get(key, 0)
+    if isinstance(value, list | tuple):
+        value = value[place] if -len(value) <= place < len(value) else 0
+    elif place > 0:
+        return 0.0
     try:
         number = float(value)
-    except (TypeError, ValueError):
-        return 0.0
-    return number if math.isfinite(number) and number > 0 else 0.0
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    # a positive cut-off below 1 Hz would delay by more than any flight bears
+    if number == 0 or 1 <= number <= largest:
+        return number
+    sentence = f"{key} {quoted(value)} is no setting"
+    if sentence not in strange:
+        strange.append(sentence)
+    return 0.0
 
 
-def _hertz(value: Any) -> float:
-    number = _number(value)
+def _hertz(number: float) -> float:
     return number / 100 if number > HIGHEST else number

@@ -233,7 +233,7 @@ def _together(tracks: list[Track]) -> Track:
 def _delays(recording: Recording, where: str, notes: list[str]) -> dict[str, Any]:
     """How late the controller's filters make gyro and accelerometer, s; a table comes as its columns are."""
     header = recording.metadata.get("header")
-    delays = header_delays(header or {})
+    delays = header_delays(header or {}, complete=not recording.metadata.get("header lines lost"))
     for quantity, about in delays.items():
         field_used = recording.metadata.get("units", {}).get(quantity, {}).get("field", "")
         if field_used.endswith("afterRpm"):
@@ -241,12 +241,12 @@ def _delays(recording: Recording, where: str, notes: list[str]) -> dict[str, Any
             about |= {"value": 0.0, "filters": []}
         if header is None or (field_used.endswith("afterRpm") and not about["known"]):
             about |= {"std": 0.0, "known": True}
-    unknown = {quantity: about["std"] for quantity, about in delays.items() if not about["known"]}
+    unknown = {quantity: about for quantity, about in delays.items() if not about["known"]}
     if unknown:
         doubt(
             notes,
-            f"{where}: the log does not say how {' and '.join(unknown)} were filtered on board; the delay is taken as "
-            f"{' and '.join(f'0 +- {1e3 * std:g} ms' for std in unknown.values())}"
+            f"{where}: the log does not say for sure how {' and '.join(unknown)} were filtered on board; the delay is "
+            + " and ".join(f"{1e3 * about['value']:.3g} +- {1e3 * about['std']:.3g} ms" for about in unknown.values())
             + (
                 ". Give the .bbl as the controller wrote it, or a CSV with its header, to have it taken off"
                 if recording.metadata.get("format") in ("viewer export", "blackbox_decode")
