@@ -17,17 +17,15 @@ from quasi.attitude import from_euler, interpolate, multiply, rotate_inverse
 from quasi.doubt import doubt
 from quasi.errors import ReadError, nearest
 from quasi.importing.artefacts import spikes
-from quasi.importing.clocks import ClockFit
 from quasi.importing.contradictions import doubtful_units, doubtful_values
 from quasi.importing.series import Recording, Series
 from quasi.importing.streams import unwrapped
+from quasi.importing.table_clocks import correct_source_lags, in_long_runs, rows_possibly_at_rest, uncrowded
 from quasi.importing.table_mapping import EULER, QUATERNION, VECTORS, Source, read_mapping
 from quasi.importing.table_text import open_table
-from quasi.importing.telemetry import acceleration_lag, rotor_lag
 
 HALF_TURN = np.array([1.0, -1.0, -1.0])  # half a turn about x: FLU to FRD, z-up to NED
 LONGEST_HOLD = 10  # rows; a row clock's values that stay the same for longer are believed (rest, coarse quantisation)
-LONGEST_WAIT = 0.2  # s; messages that crowd after a longer wait are left where they are
 ABSURD = 1e30  # beyond any unit and any clock
 LONGEST_STEP = 0.12  # s between body rates, beyond any motion's; seconds in place of milliseconds exceed it up to 8 kHz
 STRAY = 1.0  # s; a few samples beyond a gap longer than this at either end are left out
@@ -62,8 +60,9 @@ def read_table_log(
     elif any(r.source.clock is None for r in raw):
         raise _missing(path, [plan.clock[0]], "time of the rows", table)
     about: dict[str, Any] = {}
+    at_rest = rows_possibly_at_rest(raw)
     for r in raw:
-        r.settle(rows, path, notes)
+        r.settle(rows, at_rest, path, notes)
     for r in raw:
         about[r.source.name] = r.clock_against(main, rows, path, notes)
     zero, step = float(main.t[0]), float(np.median(np.diff(main.t)))
@@ -78,7 +77,7 @@ def read_table_log(
     for r in raw:
         r.to_standard_axes()
         about[r.source.name]["spikes removed"] = r.remove_spikes(path, notes)
-    _move_late_sources(raw, main, about, path, notes)
+    correct_source_lags(raw, main, about, path, notes)
     for r in raw:
         r.world_to_body(raw, path)
     felt = next((r for r in raw if "ax" in r.values and not r.source.capture), None)
@@ -200,8 +199,11 @@ class _Raw:
             "motion capture": source.capture,
         }
 
-    def settle(self, rows: np.ndarray | None, path: Path, notes: list[str]) -> None:
-        """Keep the rows that bring a new sample: stamp larger than any before, values not merely held."""
+    def settle(self, rows: np.ndarray | None, at_rest: np.ndarray, path: Path, notes: list[str]) -> None:
+        """Keep the rows that bring a new sample: stamp larger than any before, values not merely held.
+
+        at_rest  (n,) bool, rows in which unchanged values may be a quadrotor at rest (see `rows_possibly_at_rest`)
+        """
         clock = self.stamps if self.stamps is not None else rows
         known = np.isfinite(clock)
         ahead = np.fmax.accumulate(np.where(known, clock, -np.inf))
@@ -226,7 +228,7 @@ class _Raw:
             same = np.concatenate([[False], np.all((stack[:, 1:] == stack[:, :-1]), axis=0)])
             held = same & new
             if not self.source.capture:
-                held &= ~_long_runs(same, LONGEST_HOLD)
+                held &= ~(in_long_runs(same, LONGEST_HOLD) & at_rest)
         if self.stamps is not None and np.count_nonzero(new) > 20:
             clock = clock.copy()
             even = uncrowded(clock[new])
@@ -387,81 +389,6 @@ class _Raw:
             at = interpolate(q[fine], holder.t[fine], self.t)
             force = rotate_inverse(at, np.stack([self.values[n] for n in VECTORS["force"]], axis=-1))
             self.values |= {n: force[:, i] for i, n in enumerate(VECTORS["force"])}
-
-
-def uncrowded(t: np.ndarray) -> np.ndarray:
-    """Stamps (n,), s, of messages that waited and arrived in a burst, moved back to where they can have been sampled.
-
-    A message can be stamped late, not early; so of a crowd the last is right, and each before it was sampled at least
-    0.8 of the usual interval earlier. A crowd of which a sample would have to be moved by more than LONGEST_WAIT is
-    none: the source was faster there.
-    """
-    least = 0.8 * float(np.median(np.diff(t)))
-    steps = least * np.arange(len(t))
-    earlier = steps + np.minimum.accumulate((t - steps)[::-1])[::-1]
-    moved = t - earlier
-    crowd = np.concatenate([[0], np.cumsum((moved[1:] == 0.0) | (moved[:-1] == 0.0))])  # numbered, each with its last
-    longest = np.zeros(crowd[-1] + 1)
-    np.maximum.at(longest, crowd, moved)
-    return np.where(longest[crowd] <= LONGEST_WAIT, earlier, t)
-
-
-def _long_runs(same: np.ndarray, longest: int) -> np.ndarray:
-    """True inside runs of more than `longest` True in a row."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
-    result = np.zeros(len(same), bool)
-    for a, b in zip(edges[::2], edges[1::2]):
-        result[a:b] = b - a > longest
-    return result
-
-
-def _move_late_sources(
-    raw: list["_Raw"], main: "_Raw", about: dict[str, dict[str, Any]], path: Path, notes: list[str]
-) -> None:
-    """Find how late the main source stamps what another saw, and move the other's stamps where that is sure.
-
-    Sources with the same stamps came in the same messages and share one lag, the best known of theirs.
-    """
-    late = [r for r in raw if r is not main and r.stamps is not None and not r.source.capture]
-    late = [r for r in late if len(r.t) != len(main.t) or not np.array_equal(r.t, main.t)]
-    while late:
-        same = [r for r in late if len(r.t) == len(late[0].t) and np.array_equal(r.t, late[0].t)]
-        late = [r for r in late if r not in same]
-        found = [(r, *_motion_lag(r, main)) for r in same]
-        found = [f for f in found if f[1] is not None]
-        for r, clock, relation in found:
-            about[r.source.name]["lag of main stamps"] = {
-                "value": clock.lag, "std": clock.lag_std, "unit": "s", "from": relation,
-                "explained variance": clock.explained, "applied": False,
-            }  # fmt: skip
-        found = [f for f in found if f[1].explained > 0.5 and f[1].lag_std < 0.01]
-        if not found:
-            continue
-        r, clock, relation = min(found, key=lambda f: f[1].lag_std)
-        if abs(clock.lag) <= 3 * clock.lag_std:
-            continue
-        about[r.source.name]["lag of main stamps"]["applied"] = True
-        for moved in same:
-            moved.t = moved.t + clock.lag
-        names = " and ".join(f"'{m.source.name}'" for m in same)
-        notes.append(
-            f"{path}: source {names} is stamped {1e3 * abs(clock.lag):.1f} +- {1e3 * clock.lag_std:.1f} ms "
-            f"{'early' if clock.lag > 0 else 'late'} against '{main.source.name}' (from {relation}); moved"
-        )
-
-
-def _motion_lag(r: "_Raw", main: "_Raw") -> tuple[ClockFit | None, str]:
-    """Lag of the main source's stamps behind those of `r`, and the relation it follows from."""
-    rotors = tuple(n for n in r.values if n[0] == "w" and n[1:].isdigit())
-    in_world = all(n in s.values and not s.source.columns[n].body for n, s in (("ax", r), ("vx", main)))
-    if in_world:
-        relation = "velocity derivative and acceleration"
-        return acceleration_lag(r.t, _stack(r, VECTORS["force"]), main.t, _stack(main, VECTORS["velocity"])), relation
-    if len(rotors) >= 3:
-        return rotor_lag(
-            r.t, _stack(r, rotors), main.t, _stack(main, VECTORS["rates"])
-        ), "angular acceleration and rotor speeds"
-    return None, ""
 
 
 def _stack(r: "_Raw", names: tuple[str, ...]) -> np.ndarray:
