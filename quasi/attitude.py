@@ -10,6 +10,8 @@ Source: Stevens, Lewis & Johnson, Aircraft Control and Simulation, 3rd ed., 2016
 import numpy as np
 
 GRAVITY = 9.81  # m/s^2
+# cosine of the pitch below which roll and yaw are one angle: roll and yaw lose 1e-16 / POLE rad to rounding
+POLE = 1e-8
 AIR_DENSITY = 1.225  # kg/m^3, sea level, ISA
 
 
@@ -127,11 +129,18 @@ def from_euler(roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) -> np.ndarr
 
 
 def to_euler(q: np.ndarray) -> np.ndarray:
-    """Euler angles roll, pitch, yaw (..., 3), rad, 3-2-1, roll and yaw in (-pi, pi], of quaternions (..., 4)."""
+    """Euler angles roll, pitch, yaw (..., 3), rad, 3-2-1, roll and yaw in (-pi, pi], of quaternions (..., 4).
+
+    With the nose straight up or down only roll - yaw or roll + yaw is defined: roll is 0 there and yaw holds all of it,
+    so that `from_euler` gives the attitude back.
+    """
     w, x, y, z = np.moveaxis(np.asarray(q, float), -1, 0)
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    north, east = 1 - 2 * (y * y + z * z), 2 * (w * z + x * y)  # of the nose
+    level = np.hypot(north, east)  # cosine of the pitch
+    pole = level < POLE
+    pitch = np.arctan2(2 * (w * y - z * x), level)
+    roll = np.where(pole, 0.0, np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)))
+    yaw = np.where(pole, np.arctan2(2 * (w * z - x * y), 1 - 2 * (x * x + z * z)), np.arctan2(east, north))
     return np.stack([roll, pitch, yaw], axis=-1)
 
 

@@ -2,7 +2,8 @@
 
 The schemas (config/schemas/*.schema.json) are the reference of every key: type, unit, range, default, one sentence.
 Keys that begin with "//" are comments. A key marked "x-notice" in its schema is accepted for the sake of files written
-for QuaSI, and the notice says what happens instead.
+for QuaSI, and the notice says what happens instead; NAME in it stands for the file's name. "x-switch" names the key
+that a section needs before its other keys have an effect; a section without it gets a notice.
 """
 
 import difflib
@@ -162,7 +163,15 @@ def _fill(document: Any, rules: Mapping[str, Any], root: Mapping[str, Any], wher
         about = _resolve(about, root)
         if key in filled:
             if "x-notice" in about:
-                notices.append(f"{where}: '{key}' is accepted but not used: {about['x-notice']}")
+                notice = about["x-notice"].replace("NAME", Path(where).stem)
+                notices.append(f"{where}: '{key}' is accepted but not used: {notice}")
+            switch = about.get("x-switch")
+            if switch and isinstance(filled[key], Mapping) and filled[key] and switch not in filled[key]:
+                given = next(iter(filled[key]))
+                notices.append(
+                    f"{where}: '{key}' gives '{given}' but not '{switch}', which is false by default: nothing fails; "
+                    f"add \"{switch}\": true to '{key}', or remove the section"
+                )
             filled[key] = _fill(filled[key], about, root, where, notices)
         elif "default" in about:
             default = about["default"]

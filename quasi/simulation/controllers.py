@@ -33,6 +33,7 @@ from quasi.errors import DataError
 from quasi.simulation import gains as g
 from quasi.simulation.allocation import allocate, invert
 from quasi.simulation.control_model import by_geometry, control_model, extras
+from quasi.simulation.dynamics import euler_angles
 from quasi.simulation.outer_loop import KIND, RATES_GOAL, RUNNING, SATURATED, STARTED, WISH, outer_loop, rotation
 from quasi.standalone.kernel import Kernel, wrench
 from quasi.standalone.model import Model
@@ -239,10 +240,7 @@ def _ndi(p, m, dt, seen, goal):
     inputs = m[INPUTS : INPUTS + 20 + len(further)]
     work = m[INPUTS + 20 + len(further) :]
     out = m[MODEL_OUT : MODEL_OUT + 6]
-    w, x, y, z = seen[0], seen[1], seen[2], seen[3]
-    inputs[0] = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    inputs[1] = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0))
-    inputs[2] = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    euler_angles(seen, inputs)
     for i in range(13):
         inputs[3 + i] = seen[4 + i]
     for i in range(4):

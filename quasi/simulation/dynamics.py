@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from quasi.attitude import POLE
 from quasi.simulation.layout import (
     ANGLES,
     BODY,
@@ -118,9 +119,15 @@ def rotor_slope(i, speed, held, body):
 def euler_angles(q, out):
     """Roll, pitch, yaw into out[0:3]; the same formulas as `attitude.to_euler`."""
     w, x, y, z = q[0], q[1], q[2], q[3]
-    out[0] = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    out[1] = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0))
-    out[2] = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    north, east = 1.0 - 2.0 * (y * y + z * z), 2.0 * (w * z + x * y)
+    level = math.sqrt(north * north + east * east)
+    out[1] = math.atan2(2.0 * (w * y - z * x), level)
+    if level < POLE:
+        out[0] = 0.0
+        out[2] = math.atan2(2.0 * (w * z - x * y), 1.0 - 2.0 * (x * x + z * z))
+    else:
+        out[0] = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+        out[2] = math.atan2(east, north)
 
 
 @njit(cache=True, error_model="numpy", inline="always")

@@ -10,12 +10,13 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
 from quasi.airframe import Airframe
-from quasi.attitude import from_euler, rotate_inverse
+from quasi.attitude import conjugate, from_euler, logarithm, multiply, rotate_inverse
 from quasi.errors import DataError
 from quasi.pages.drawing import motion_of, trajectories
 from quasi.pages.drone import get_limits, new_axes, path_line
 
 STATE, REFERENCE, LIMIT, FAULT = "C0", "k", "0.5", "C3"
+JUMP = 120.0  # deg between rows: an angle that wraps by 360, or turns by 180 as the nose passes the vertical
 MOST_POINTS = 8000  # a line drawn denser shows nothing more
 POSITION = (("x", "north x, m"), ("y", "east y, m"), ("z", "down z, m"))
 VELOCITY = (("u", "forward u, m/s"), ("v", "right v, m/s"), ("w", "down w, m/s"))
@@ -83,14 +84,14 @@ def _body_velocity_reference(columns: Mapping[str, np.ndarray]) -> dict[str, np.
 
 
 def _shown(name: str, values: np.ndarray) -> np.ndarray:
-    """Degrees for angles and rates, with a gap in the line where an angle wraps round."""
+    """Degrees for angles and rates, with a gap in the line where an angle jumps (see JUMP)."""
     base = name.removesuffix("_ref")
     if base in ("p", "q", "r"):
         return np.degrees(values)
     if base not in ("roll", "pitch", "yaw"):
         return values
     shown = np.degrees((values + np.pi) % (2 * np.pi) - np.pi)
-    shown[1:][np.abs(np.diff(shown)) > 180.0] = np.nan
+    shown[1:][np.abs(np.diff(shown)) > JUMP] = np.nan
     return shown
 
 
@@ -204,16 +205,17 @@ def _tracking(columns: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> Fi
     figure = Figure(figsize=(9, 1.2 + 2.1 * len(groups)), layout="constrained")
     axes = list(np.atleast_1d(figure.subplots(len(groups), 1, sharex=True)))
     figure.suptitle(_title("reference less simulated", about), x=0.01, ha="left", fontsize="large")
+    turned = _attitude_error(columns)
     for axis, (group, names, unit) in zip(axes, groups):
         every = []
         for colour, (name, _) in zip(("C0", "C1", "C2"), names):
             wanted = columns.get(f"{name}_ref")
             if wanted is None or not np.isfinite(wanted).any():
                 continue
-            error = _error(name, wanted - columns[name])
+            error = turned[name] if name in turned else _error(name, wanted - columns[name])
             rms = float(np.sqrt(np.nanmean(error**2)))
             if unit == "deg":
-                error[1:][np.abs(np.diff(error)) > 180.0] = np.nan  # where it wraps round
+                error[1:][np.abs(np.diff(error)) > JUMP] = np.nan
             axis.plot(columns["t"], error, color=colour, linewidth=1, label=f"{name}, rms {rms:.3g} {unit}")
             every.append(error)
         _keep_in_sight(axis, np.concatenate(every))
@@ -222,6 +224,19 @@ def _tracking(columns: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> Fi
         axis.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), fontsize=8, ncols=4, frameon=False)
     axes[-1].set_xlabel("time, s")
     return figure
+
+
+def _attitude_error(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Turn from the simulated to the wanted attitude about the body axes, deg, where all three angles are wanted.
+
+    Differences of Euler angles would mean nothing with the nose near the vertical.
+    """
+    wanted = [columns.get(f"{name}_ref") for name, _ in ATTITUDE]
+    if any(angle is None for angle in wanted):
+        return {}
+    simulated = from_euler(*(columns[name] for name, _ in ATTITUDE))
+    turn = np.degrees(logarithm(multiply(conjugate(simulated), from_euler(*wanted))))
+    return {name: turn[:, k].copy() for k, (name, _) in enumerate(ATTITUDE)}
 
 
 def _error(name: str, error: np.ndarray) -> np.ndarray:

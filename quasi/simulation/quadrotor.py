@@ -44,7 +44,7 @@ from quasi.simulation.loop import (
 from quasi.simulation.parts import straighten
 from quasi.simulation.result import Result, result_of
 from quasi.simulation.setup import STATE_NAMES, Setup
-from quasi.simulation.simulator import Bus, Simulator
+from quasi.simulation.simulator import Bus, Simulator, signal_columns
 
 
 class _NoCommandError(Exception):
@@ -235,9 +235,8 @@ class QuadrotorSimulator(Simulator):
             self._last_instant(bus)
         result = result_of(self.setup, np.array(self._log).reshape(-1, LOG + self.setup.own), self.status, bus.step)
         for name, values in self._recorded.items():
-            array = np.array(values)
-            if array.ndim == 1:
-                result.table[name] = np.concatenate([array, array[-1:]])[:: self.setup.every][: len(result.table)]
+            for column, array in signal_columns(name, values).items():
+                result.table[column] = np.concatenate([array, array[-1:]])[:: self.setup.every][: len(result.table)]
         return result
 
     def _last_instant(self, bus: Bus) -> None:

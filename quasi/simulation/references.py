@@ -17,6 +17,7 @@ from numba import njit
 from scipy.interpolate import CubicSpline
 
 from quasi.errors import ConfigError, DataError, nearest
+from quasi.simulation.dynamics import euler_angles
 from quasi.simulation.outer_loop import (
     ANGLES,
     ATTITUDE_GOAL,
@@ -260,7 +261,7 @@ def goal_at(kind, parameters, table, t, goal):
         goal[ANGLES + 2] = parameters[3]
     elif kind == STEPS:
         _steps_at(parameters, table, t, goal)
-    elif kind == EIGHT or kind == CIRCLE:
+    elif kind in (EIGHT, CIRCLE):
         _curve_at(kind, parameters, t, goal)
     else:
         _table_at(parameters, table, t, goal)
@@ -343,8 +344,46 @@ def _curve_at(kind, parameters, t, goal):
 
 
 @njit(cache=True, error_model="numpy")
+def _quaternion_at(table, row, out):
+    """Attitude w x y z of the angles in a row into out (4,)."""
+    cr, sr = math.cos(0.5 * table[row, ANGLES]), math.sin(0.5 * table[row, ANGLES])
+    cp, sp = math.cos(0.5 * table[row, ANGLES + 1]), math.sin(0.5 * table[row, ANGLES + 1])
+    cy, sy = math.cos(0.5 * table[row, ANGLES + 2]), math.sin(0.5 * table[row, ANGLES + 2])
+    out[0], out[1] = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
+    out[2], out[3] = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
+
+
+@njit(cache=True, error_model="numpy")
+def _attitude_between(table, row, x, h, goal):
+    """The shorter turn from one row to the next at an even rate (slerp): angles, and body rates fed forward, rad/s."""
+    a, b = np.empty(4), np.empty(4)
+    _quaternion_at(table, row, a)
+    _quaternion_at(table, row + 1, b)
+    # the turn conj(a) b: half its angle by atan2, its axis along (i, j, k)
+    w = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+    i = a[0] * b[1] - a[1] * b[0] - a[2] * b[3] + a[3] * b[2]
+    j = a[0] * b[2] + a[1] * b[3] - a[2] * b[0] - a[3] * b[1]
+    k = a[0] * b[3] - a[1] * b[2] + a[2] * b[1] - a[3] * b[0]
+    sign = -1.0 if w < 0.0 else 1.0
+    size = math.sqrt(i * i + j * j + k * k)
+    half = math.atan2(size, sign * w)
+    scale = sign * half / size if size > 1e-12 else sign
+    i, j, k = scale * i, scale * j, scale * k
+    goal[RATES], goal[RATES + 1], goal[RATES + 2] = 2.0 * i / h, 2.0 * j / h, 2.0 * k / h
+    goal[YAW_RATE] = 0.0
+    cosine, sinc = math.cos(half * x), (math.sin(half * x) / half if half > 1e-12 else x)
+    i, j, k = sinc * i, sinc * j, sinc * k
+    b[0] = a[0] * cosine - a[1] * i - a[2] * j - a[3] * k
+    b[1] = a[0] * i + a[1] * cosine + a[2] * k - a[3] * j
+    b[2] = a[0] * j - a[1] * k + a[2] * cosine + a[3] * i
+    b[3] = a[0] * k + a[1] * j - a[2] * i + a[3] * cosine
+    euler_angles(b, goal[ANGLES : ANGLES + 3])
+
+
+@njit(cache=True, error_model="numpy")
 def _table_at(parameters, table, t, goal):
-    """Between rows: fifth-degree polynomials through position, velocity and acceleration; the rest linear.
+    """Between rows: fifth-degree polynomials through position, velocity and acceleration; attitudes take the shorter
+    turn; the rest is linear.
 
     Before the first row its position is held; after the last one too, or the table begins anew.
     """
@@ -370,6 +409,8 @@ def _table_at(parameters, table, t, goal):
     if parameters[0] == VELOCITY_GOAL:
         for k in range(3):
             goal[FORWARD + k] = (table[row + 1, SPEED + k] - table[row, SPEED + k]) / h
+    if parameters[0] == ATTITUDE_GOAL:
+        _attitude_between(table, row, x, h, goal)
     if parameters[0] != POSITION_GOAL:
         return
     for k in range(3):

@@ -222,6 +222,9 @@ def _references(goal: np.ndarray) -> dict[str, np.ndarray]:
         (("p_ref", "q_ref", "r_ref"), RATES, rates),
         (("thrust_ref",), THRUST, angles | rates),
     ]
+    if angles.any():  # pitch within 90 degrees, as the simulated attitude has it
+        goal = goal.copy()
+        goal[angles, ANGLES : ANGLES + 3] = attitude.to_euler(attitude.from_euler(*goal[angles, ANGLES : ANGLES + 3].T))
     columns = {}
     for names, first, rows in parts:
         if rows.any():

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,7 @@ from quasi.simulation.stability import check_step
 from quasi.simulation.variants import extended, parts_of, simple_model, with_parts
 from quasi.standalone.extensions import drive_of, said_of_rotors, wind_of
 from quasi.standalone.model import Model
+from quasi.tables import read_numbers
 
 STATE_NAMES = ("qw", "qx", "qy", "qz", "u", "v", "w", "p", "q", "r", "x", "y", "z", "w1", "w2", "w3", "w4")
 # beyond these no polynomial means anything: m/s, rad/s, m, rad/s of a rotor
@@ -109,17 +111,21 @@ def make_setup(
     wind: pd.DataFrame | Mapping[str, np.ndarray] | None = None,
     reference: pd.DataFrame | Mapping[str, np.ndarray] | None = None,
     name: str = "simulation",
+    directory: str | Path = ".",
 ) -> Setup:
     """Put a closed loop together.
 
     settings   the configuration, checked here; what it leaves out takes its default
     model      the model that it names
-    wind       t (s), wind_north, wind_east, wind_down (m/s): what "wind" / "file" names
-    reference  what "references" / "file" names, see `references.make_reference`
-    Raises ConfigError naming the key, DataError for a model that cannot fly.
+    wind       t (s), wind_north, wind_east, wind_down (m/s); None reads the table that "wind" / "file" names
+    reference  see `references.make_reference`; None reads the table that "references" / "file" names
+    directory  folder to which relative "file" paths belong
+    Raises ConfigError naming the key, DataError for a model that cannot fly, ReadError for a table that cannot be read.
     """
     settings, _ = configuration.check(settings, "simulation", name)
     notes: list[str] = []
+    wind = _table_of(settings, "wind", directory, name) if wind is None else wind
+    reference = _table_of(settings, "references", directory, name) if reference is None else reference
     asked = settings["model"]
     model = extended(model) if asked["use identified model"] else simple_model(model)
     if len(model.axes) < 6:
@@ -406,10 +412,22 @@ def _check_start(x: np.ndarray, kernel: Any, body: np.ndarray, held: np.ndarray,
         )
 
 
+def _table_of(settings: Mapping[str, Any], section: str, directory: str | Path, name: str) -> pd.DataFrame | None:
+    """The table that "file" in a section names; None without one."""
+    file = settings[section].get("file")
+    if not file:
+        return None
+    path = Path(directory) / file
+    if not path.is_file():
+        raise ConfigError(
+            f"{name}: '{section}' / 'file' is '{file}', but {path} does not exist; correct 'file', or pass the folder "
+            "as `directory`"
+        )
+    return read_numbers(path)
+
+
 def _wind_table(wind: Any, asked: Mapping[str, Any], name: str) -> np.ndarray:
     if wind is None:
-        if asked["file"]:
-            raise ConfigError(f"{name}: the wind's table '{asked['file']}' was not read; hand it to make_setup")
         return np.zeros((0, 4))
     what = f"{name}: the wind's table {asked['file']}" if asked["file"] else f"{name}: the wind's table"
     columns = ("t", "wind_north", "wind_east", "wind_down")

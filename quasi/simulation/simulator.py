@@ -171,7 +171,10 @@ class Simulator:
         self._going = going
 
     def add_signal(self, name: str, value: Any, record: bool = False) -> None:
-        """Put something on the bus as bus[name]; with `record` its value after each step is kept (see `table`)."""
+        """Put something on the bus as bus[name]; with `record` its value after each step is kept.
+
+        The table then has the column `name`, or `name_1`, `name_2` ... for a vector.
+        """
         self.bus.signals[name] = value
         if record:
             self._recorded[name] = []
@@ -378,10 +381,23 @@ class Simulator:
             given = (names or {}).get(what) or [f"{what.removesuffix('s')} {i}" for i in range(array.shape[1])]
             columns |= {name: array[:rows, i].copy() for i, name in enumerate(given)}
         for name, values in self._recorded.items():
-            array = np.array(values)
-            if len(array) and array.ndim == 1:
-                columns[name] = np.concatenate([array[:1], array])[:rows]
+            columns |= {n: np.concatenate([c[:1], c])[:rows] for n, c in signal_columns(name, values).items()}
         return columns
+
+
+def signal_columns(name: str, values: list[Any]) -> dict[str, np.ndarray]:
+    """Columns of a recorded signal: its name for numbers; for vectors the name and the entry's number from 1.
+
+    values  one number or vector (M,) per step. Raises ShapeError where its size changes or it has two dimensions.
+    """
+    sizes = {np.shape(value) for value in values}
+    if len(sizes) > 1 or any(len(size) > 1 for size in sizes):
+        shown = ", ".join(map(str, sorted(sizes)))
+        raise ShapeError(f"signal '{name}' was recorded with shapes {shown}, expected a number or a vector of one size")
+    array = np.array(values, float)
+    if array.ndim <= 1:
+        return {name: array} if len(array) else {}
+    return {f"{name}_{k + 1}": array[:, k] for k in range(array.shape[1])}
 
 
 def _adaptive() -> tuple[str, ...]:

@@ -167,8 +167,11 @@ def test_signals_of_the_users_own_are_recorded(model):
     setup = setup_of(model, 0.2)
     simulator = QuadrotorSimulator(setup)
     simulator.add_signal("height", 0.0, record=True)
+    simulator.add_signal("place", np.zeros(3), record=True)
     simulator.add_step("begin", lambda bus: bus.signals.update(height=-bus.state[bus.step, 12]))
+    simulator.add_step("begin", lambda bus: bus.signals.update(place=bus.state[bus.step, 10:13]))
     table = simulator.fly().table
+    np.testing.assert_allclose(table[["place_1", "place_2", "place_3"]][:-1], table[["x", "y", "z"]][:-1])
     np.testing.assert_allclose(table["height"][:-1], -table["z"][:-1])
     with pytest.raises(ConfigError, match="no signal 'heigth'.*height"):
         _ = simulator.bus["heigth"]

@@ -8,6 +8,7 @@ from plain_plant import made_model
 from simulations import setup_of
 
 from quasi.errors import ConfigError, DataError
+from quasi.simulation.references import goal_at
 from quasi.simulation.result import report
 from quasi.simulation.run import simulate
 from quasi.simulation.setup import make_setup
@@ -40,7 +41,8 @@ def test_a_time_step_that_the_integrator_cannot_take_is_refused(model):
         ({"simulation": {"duration": 0.001}}, "shorter than the 'time step'"),
         ({"references": {"kind": "figure eigth"}}, "figure eight"),
         ({"references": {"do circle track": True, "kind": "hover"}}, "only one of"),
-        ({"wind": {"file": "wind.csv"}}, "was not read"),
+        ({"wind": {"file": "wind.csv"}}, "'wind' / 'file' is 'wind.csv', but .*does not exist"),
+        ({"references": {"kind": "table", "file": "r.csv"}}, "'references' / 'file' is 'r.csv', but .*does not exist"),
         ({"battery": {"exponent": 1.0}}, "no 'voltage'"),
         ({"controller": {"controller": "INDI", "gains": {"rates": {}}}}, "my_sim: .*lacks the block 'position'"),
         ({"references": {"kind": "position steps", "steps": [[1, 0, 0]]}}, "my_sim: reference steps of .*row 1"),
@@ -119,3 +121,35 @@ def test_a_rotor_that_failed_counts_as_saturated_beyond_its_cap(model):
     assert beyond > 0.3 and np.all(command < high)
     assert summary["saturation"]["rotor 3"]["share of time at highest"] == pytest.approx(beyond)
     assert f"rotor 3's command at or beyond its limit {100 * beyond:.1f} % of the time" in report(summary)
+
+
+def test_tables_that_the_settings_name_are_read_from_the_folder(model, tmp_path):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data/gust.csv").write_text("t,wind_north,wind_east,wind_down\n0,1.5,0,0\n10,1.5,0,0\n")
+    (tmp_path / "path.csv").write_text("t,x,y,z\n0,0,0,-1\n2,1,2,-3\n")
+    settings = {"model": {"model ID": "made"}, "wind": {"file": "data/gust.csv"},
+                "references": {"kind": "table", "file": "path.csv"}, "simulation": {"duration": 0.1}}  # fmt: skip
+    table = simulate(make_setup(settings, model, directory=tmp_path)).table
+    assert np.allclose(table["wind_north"], 1.5)
+    goal = np.zeros(20)
+    machine = make_setup(settings, model, directory=tmp_path).machine
+    goal_at(machine.reference, machine.path, machine.table, 2.0, goal)
+    assert goal[1:4].tolist() == [1.0, 2.0, -3.0]
+
+
+def test_faults_without_the_switch_get_a_notice_that_names_it():
+    from quasi.configuration import check
+
+    def notices(faults):
+        return check({"model": {"model ID": "made"}, "faults": faults}, "simulation", "config/simulations/s.json")[1]
+
+    assert any("'inject failure'" in n and "'time of failure'" in n for n in notices({"time of failure": 2}))
+    for quiet in ({}, {"inject failure": False, "time of failure": 2}, {"inject failure": True}):
+        assert not notices(quiet)
+
+
+def test_show_names_the_command_that_shows_this_flight():
+    from quasi.configuration import check
+
+    document = {"model": {"model ID": "made"}, "animation": {"show": True}}
+    assert any("`quasi fly windy`" in n for n in check(document, "simulation", "config/simulations/windy.json")[1])
