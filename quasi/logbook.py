@@ -152,7 +152,8 @@ def _refuse_near_columns(header: list[str], path: str) -> None:
 
 def _row(path: str, number: int, cells: dict[str, str]) -> Row:
     # one file is one flight, whether the logbook writes its ending or not
-    key = cells.get("Flight key") or re.sub(r"(?<=.)\.(bbl|bfl|csv|parquet)$", "", cells["Onboard Name"], flags=re.I)
+    ending = r"(?<=.)\.(bbl|bfl|csv|parquet|txt)$"
+    key = cells.get("Flight key") or re.sub(ending, "", cells["Onboard Name"], flags=re.I)
     problem = None
     log_number = cells.get("Log number", "")
     if log_number:

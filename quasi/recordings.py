@@ -9,6 +9,8 @@ from quasi.comparisons import Comparisons
 from quasi.errors import LogbookError, QuasiError, nearest
 from quasi.logbook import Row
 from quasi.project import is_file, with_suffix
+from quasi.recognition import HEAD, recognise
+from quasi.tables import read_head
 
 BINARY = (".bbl", ".BBL", ".bfl", ".BFL")
 TEXT = (".csv", ".CSV")
@@ -105,15 +107,31 @@ class Recordings(Comparisons):
         if base.suffix in suffixes:
             candidates = [base]
         else:
-            candidates = [Path(f"{base}{s}") for s in suffixes]
+            # the name as it is written serves, too: what a file holds decides how it is read, not its extension
+            candidates = [*(Path(f"{base}{s}") for s in suffixes), base]
         for path in candidates:
             if is_file(self._here(path)) or self._made(path):
                 return str(path), None
         expected = str(candidates[0]) if len(candidates) == 1 else f"{base}[{'|'.join(dict.fromkeys(suffixes))}]"
-        return None, (
-            f"{row.logbook} row {row.number}, flight {row.key}: raw file {expected} does not exist; "
-            f"correct '{name}' or '{folder}' in the logbook, or copy the file there{self._data_hint(base)}"
+        near = self._near_files(base)
+        remedy = (
+            f"{' and '.join(near[:3])} {'lies' if len(near) == 1 else 'lie'} there: write the whole file name into "
+            f"'{name}' of the logbook if it is the flight"
+            if near
+            else f"correct '{name}' or '{folder}' in the logbook, or copy the file there{self._data_hint(base)}"
         )
+        return None, f"{row.logbook} row {row.number}, flight {row.key}: raw file {expected} does not exist; {remedy}"
+
+    def _near_files(self, base: Path) -> list[str]:
+        """Files of the same name but for extension and case, each with what it holds: "LOG1.TXT (a blackbox log)"."""
+        folder = self._here(base.parent)
+        stems = {base.name.lower(), base.stem.lower()}
+        try:
+            files = sorted(p for p in folder.iterdir() if {p.name.lower(), p.stem.lower()} & stems and is_file(p))
+        except OSError:
+            return []
+        kinds = [recognise(read_head(p, HEAD)) for p in files]
+        return [f"{p.name}{f' ({kind.name})' if kind else ''}" for p, kind in zip(files, kinds)]
 
     def _data_hint(self, path: Path) -> str:
         """How to say where recordings lie, for a raw file that was sought in the folder's own data/."""

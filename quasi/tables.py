@@ -337,6 +337,15 @@ def read_bytes(path: str | Path) -> bytes:
     return data
 
 
+def read_head(path: str | Path, count: int) -> bytes:
+    """The first bytes of a file, fewer where it is shorter; none where it cannot be read."""
+    try:
+        with Path(path).open("rb") as file:
+            return file.read(count)
+    except OSError:
+        return b""
+
+
 def write_bytes(path: str | Path, data: bytes) -> None:
     """Write bytes, whole or not at all."""
     with whole_file(path) as part:

@@ -13,6 +13,7 @@ from quasi.importing.blackbox_header import Log, find_logs, hex_float, plain_hea
 from quasi.importing.blackbox_units import WANTED, debug_mode, other_firmware_note, resolve
 from quasi.importing.external import external_series
 from quasi.importing.series import Recording, Series
+from quasi.recognition import refuse_other_formats
 from quasi.tables import read_bytes
 
 MOST_SPANS = 2000
@@ -186,6 +187,7 @@ def read_blackbox(path: str | Path, log_number: int | None = None, poles: int | 
     """
     path = str(path)
     data = read_bytes(path)
+    refuse_other_formats(path, data, ("blackbox",), "a blackbox log (.bbl, .bfl)")
     log, frames, logs = _choose(data, path, log_number)
     notes: list[str] = []
     raw, time = frames.values, frames.time

@@ -11,8 +11,8 @@ import numpy as np
 
 from quasi.errors import ReadError, quoted
 from quasi.importing.blackbox_kernel import ARGUMENT, ENCODING, GROUP, PREDICTOR, SIGNED
+from quasi.recognition import MARKER
 
-MARKER = b"H Product:Blackbox"
 MOST_LOGS = 1000  # flash chips hold dozens
 MOST_FIELDS = 255
 MOST_ITERATIONS = 65536  # of one I interval

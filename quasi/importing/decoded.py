@@ -33,7 +33,8 @@ from quasi.importing.table_text import (
     refuse_rounded_stamps,
     through_a_spreadsheet,
 )
-from quasi.tables import read_text
+from quasi.recognition import refuse_other_formats
+from quasi.tables import read_bytes, read_text
 
 STANDARD_GRAVITY = 9.80665  # what blackbox_decode multiplies g with
 _ATTITUDE = ("roll", "pitch", "heading", "heading[0]", "heading[1]", "heading[2]")
@@ -92,6 +93,7 @@ def read_decoded(
     --simulate-imu, the viewer's heading[0..2]). Time is the controller's own clock, s. Raises ReadError.
     """
     path = str(path)
+    refuse_other_formats(path, read_bytes(path), (), "a decoded blackbox log (CSV)")
     lines = from_header(read_text(path))[0].splitlines()
     at, separator, names, units = _names(lines, path)
     found = _header(lines[:at], separator)

@@ -22,7 +22,8 @@ from quasi.errors import ReadError, nearest
 from quasi.importing.artefacts import flyable, stalled
 from quasi.importing.series import Recording, Series
 from quasi.importing.table_text import SEPARATORS, decimal_points, from_header, through_a_spreadsheet
-from quasi.tables import read_text
+from quasi.recognition import refuse_other_formats
+from quasi.tables import read_bytes, read_text
 
 ROOM_TO_EARTH = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 LENGTHS = {
@@ -72,6 +73,7 @@ def read_motive(
     Raises           ReadError when the file is no Motive export or has no such rigid body
     """
     path = Path(path)
+    refuse_other_formats(path, read_bytes(path), ("motive",), "a motion-capture export of Motive (CSV)")
     text, _ = from_header(read_text(path))
     header = _read_header(text, path, rigid_body)
     notes: list[str] = []

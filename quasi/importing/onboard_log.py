@@ -20,6 +20,7 @@ from quasi.importing.resampling import covered
 from quasi.importing.series import Recording, Series
 from quasi.importing.synchronisation import Motion
 from quasi.importing.table_reader import read_table_log
+from quasi.recognition import HEAD, MARKER, refuse_other_formats
 from quasi.tables import read_bytes
 
 COUNTS = "betaflight raw acceleration correction factor"
@@ -94,7 +95,9 @@ def read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any], poles:
         return read_table_log(path, mapping, poles)
     if controller not in ("betaflight", "cleanflight", "indiflight"):
         raise ReadError(f"{path}: flight controller '{controller}' cannot be read; use betaflight, indiflight or table")
-    if b"H Product:Blackbox" in bytes(read_bytes(path)[:4096]) or path.suffix.lower() in (".bbl", ".bfl"):
+    data = read_bytes(path)
+    refuse_other_formats(path, data, ("blackbox",), "a blackbox log (.bbl, .bfl) or its decoded CSV")
+    if MARKER in data or (path.suffix.lower() in (".bbl", ".bfl") and b"gyroADC" not in data[:HEAD]):
         recording = read_blackbox(path, log_number=flight.get("log number"), poles=poles)
     else:
         if (flight.get("log number") or 1) > 1:

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.errors import ReadError
+from quasi.recognition import refuse_other_formats
 from quasi.tables import read_bytes, read_table, read_text
 
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
@@ -70,7 +71,9 @@ def open_table(
     Raises   ReadError when it is no readable table, when separator or decimal mark are ambiguous, or when a clock has
              lost its digits
     """
-    if bytes(read_bytes(path)[:4]) == b"PAR1":
+    data = read_bytes(path)
+    refuse_other_formats(path, data, ("parquet", "motive"), "a table (CSV or Parquet)")
+    if data[:4] == b"PAR1":
         return read_table(path)
     text, skipped = from_header(read_text(path))
     separator = separator_of(text.partition("\n")[0], path)

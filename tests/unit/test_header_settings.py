@@ -11,15 +11,14 @@ from quasi.doubt import doubts
 from quasi.errors import quoted
 from quasi.importing.blackbox import read_blackbox
 from quasi.importing.decoded import read_decoded
-from quasi.importing.filter_delays import delay, header_delays
+from quasi.importing.filter_delays import RPM_NOTCHES, STAGES, delay, header_delays
 from quasi.importing.flight import import_flight
 
-SETTINGS = """
-gyro_lowpass_hz gyro_lowpass_dyn_hz gyro_lowpass_type gyro_lowpass2_hz gyro_lpf1_static_hz
-gyro_lpf1_dyn_hz gyro_lpf1_type gyro_lpf2_static_hz gyro_notch_hz gyro_notch_cutoff dyn_notch_count
-dyn_notch_q dyn_notch_min_hz dyn_notch_max_hz gyro_rpm_notch_harmonics gyro_rpm_notch_q
-gyro_rpm_notch_min rpm_filter_harmonics rpm_filter_q rpm_filter_min_hz acc_lpf_hz dshot_bidir
-""".split()
+SETTINGS = [
+    *(name for stage in (*STAGES, *RPM_NOTCHES) for name in stage if name),
+    *("gyro_notch_hz", "gyro_notch_cutoff", "acc_lpf_hz", "dshot_bidir"),
+    *(f"dyn_notch_{name}" for name in ("count", "q", "min_hz", "max_hz")),
+]
 GYRO = [(f"gyroADC[{i}]", True) for i in range(3)]
 
 
