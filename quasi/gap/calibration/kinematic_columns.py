@@ -17,11 +17,12 @@ Sources: Titterton & Weston, Strapdown Inertial Navigation Technology, 2nd ed., 
 Preisig & Rippin, Theory and application of the modulating function method, Computers Chem. Eng. 17, 1993 (weak form).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.interpolate import CubicSpline
 from scipy.signal import fftconvolve, lfilter
 
@@ -33,6 +34,7 @@ from quasi.importing.calibration import true_inertial, true_pose
 
 WIDTH = 0.05  # s, standard deviation of the window
 RATE = 20.0  # Hz at which the averaged residuals are kept
+LAG = 6.0 * WIDTH  # s: two averages this far apart share exp(-9) of their noise
 GAP = 3.1  # usual intervals between captured samples that make a gap
 LAGGED = 1.0  # s, time constant with which an on-board attitude is taken to lean after the apparent vertical
 CHANNELS = ("p", "q", "r", "north", "east", "down")
@@ -85,6 +87,33 @@ def lean(specific: np.ndarray, rate: float) -> np.ndarray:
     pull = np.stack([-specific[:, 1], specific[:, 0], np.zeros(len(specific))], axis=1) / GRAVITY
     keep = np.exp(-1.0 / (rate * LAGGED))
     return lfilter([1.0 - keep], [1.0, -keep], pull, axis=0) / LAGGED
+
+
+def noise_free(
+    values: np.ndarray, other: np.ndarray, more: Sequence[np.ndarray], good: np.ndarray, lag: int
+) -> np.ndarray:
+    """What instruments predict of a measured vector (n, 3): a column whose noise the residual does not hold.
+
+    values  windowed averages of one sensor; other  the same quantity by the other source; both hold noise that the
+            residual holds too, and a column made of them would be estimated too large by noise over signal power
+    more    further columns (n,) with noise of their own (rotor speeds); good (n,) rows that may be used; lag  samples
+    Instruments are both signals `lag` samples before and after, where the noise is another, and `more`.
+    Source: Wooldridge, Econometric Analysis of Cross Section and Panel Data, 2nd ed., 2010, chapter 5 (two-stage least
+    squares).
+    """
+    rows = np.arange(len(values))
+    usable = good & np.roll(good, lag) & np.roll(good, -lag)
+    usable[:lag] = usable[len(usable) - lag :] = False
+    if np.count_nonzero(usable) < FEWEST:
+        return values
+    before, after = np.maximum(rows - lag, 0), np.minimum(rows + lag, len(rows) - 1)
+    instruments = np.column_stack(
+        [np.ones(len(rows)), values[before], values[after], other[before], other[after], *more]
+    )
+    scale = np.maximum(np.sqrt(np.mean(instruments[usable] ** 2, axis=0)), 1e-12)
+    instruments = instruments / scale
+    weights = np.linalg.lstsq(instruments[usable], values[usable], rcond=1e-9)[0]
+    return instruments @ weights
 
 
 def straightened(flown: Flown, calibration: Mapping[str, Mapping[str, np.ndarray]], late: float) -> Flown:
@@ -178,6 +207,10 @@ def weak_form(flown: Flown) -> Weak:
 
     force = earth(f)
     rates, growth = _average(sensed, window), _average(sensed, slope)
+    lag, thrusts = round(LAG / dt), _thrusts(frame, window)
+    captured = np.einsum("nji,nj->ni", turn, _average(x - x.mean(0), bend) - down)
+    f_free = noise_free(_average(f, window), captured, thrusts, good, lag)
+    rates_free = noise_free(rates, _average(seen, window), (), good, lag)
     add("residual", _average(sensed - seen, window), _average(force, window) + down - _average(x - x.mean(0), bend))
     axes = _average(turn, window)
     swing = _average(turn - turn.mean(axis=0), bend)
@@ -185,17 +218,17 @@ def weak_form(flown: Flown) -> Weak:
     jerk = _average(force + down, slope) - coriolis
     for i, axis in enumerate(AXES):
         add(f"gyro_bias.{axis}", unit[i], nothing)
-        add(f"gyro_scale.{axis}", rates * unit[i], nothing)
+        add(f"gyro_scale.{axis}", rates_free * unit[i], nothing)
         add(f"accelerometer_bias.{axis}", nothing, axes[:, :, i])
-        add(f"accelerometer_scale.{axis}", nothing, _average(turn[:, :, i] * f[:, i : i + 1], window))
+        add(f"accelerometer_scale.{axis}", nothing, _average(turn[:, :, i] * f_free[:, i : i + 1], window))
         add(f"imu_lever_arm.{axis}", nothing, swing[:, :, i])
     arm = np.asarray(flown.airframe.marker_offset, float)
     for i, axis in enumerate(ANGLES):
-        askew = _average(earth(np.cross(unit[i], f)), window)
-        add(f"imu_misalignment.{axis}", -np.cross(unit[i], rates), -askew)
+        askew = _average(earth(np.cross(unit[i], f_free)), window)
+        add(f"imu_misalignment.{axis}", -np.cross(unit[i], rates_free), -askew)
         # turned markers displace the tracked point as well
         moved = swing @ np.cross(unit[i], arm)
-        add(f"mocap_misalignment.{axis}", np.cross(unit[i], rates), askew + moved)
+        add(f"mocap_misalignment.{axis}", np.cross(unit[i], rates_free), askew + moved)
     for i, axis in enumerate(ANGLES[:2]):
         add(f"room_tilt.{axis}", nothing, np.cross(unit[i], down))
     add("mocap_delay.delay", growth, -coriolis - _average(earth(np.cross(w, arm)), bend))
@@ -222,6 +255,16 @@ def weak_form(flown: Flown) -> Weak:
     breaks = np.concatenate([[True], np.diff(rows) > every])
     stacked = np.stack([c[rows] for c in columns], axis=2)
     return Weak(flown.key, t[rows], breaks, stacked, names, turning)
+
+
+def _thrusts(frame: pd.DataFrame, window: np.ndarray) -> list[np.ndarray]:
+    """Windowed sum of squared rotor speeds (n,), and that times the velocity by the capture; none without telemetry."""
+    rotors = [f"w{i}" for i in range(1, 5)]
+    if not all(n in frame for n in rotors):
+        return []
+    squares = np.nan_to_num(frame[rotors].to_numpy(float) ** 2).sum(axis=1)
+    moving = [np.nan_to_num(frame[n].to_numpy(float)) for n in "uvw" if n in frame]
+    return [_average(column, window) for column in (squares, *(np.sqrt(squares) * m for m in moving), *moving)]
 
 
 def corrected_already(flown: Flown, names: list[str]) -> np.ndarray:

@@ -48,6 +48,9 @@ class Columns(NamedTuple):
 
     unpooled  causes that are never added to the base, see Mixed.pooled
     tries     {cause: how many forms of its columns were tried}
+    typical   {cause: (m,) standard deviation of each parameter in healthy flights; infinite where nothing is known}.
+              It bounds the part that all flights have alike where changes are tested: reference flights that hardly
+              excite a cause would return any value, and its error would become the change
     """
 
     shared: list[int]
@@ -56,6 +59,7 @@ class Columns(NamedTuple):
     causes: dict[str, list[int]]
     unpooled: tuple[str, ...] = ()
     tries: Mapping[str, int] = MappingProxyType({})
+    typical: Mapping[str, np.ndarray] = MappingProxyType({})
 
 
 class Test(NamedTuple):
@@ -264,7 +268,14 @@ class Mixed:
         blocks = [(self.columns.shared, everywhere), *((self._of(o), self.offered(o.since)) for o in given)]
         known = {c for columns, offered in blocks[1:] if offered.all() for c in columns}
         # a pooled cause under test is offered twice: to all, and to the compared flights
+        bounded = [p for p in pooled if p in self.columns.typical]
         blocks += [([c for c in self.columns.causes[p] if c not in known], everywhere) for p in pooled]
+        precision = {
+            c: size**-2.0
+            for p in bounded
+            for c, size in zip(self.columns.causes[p], self.columns.typical[p])
+            if c not in known
+        }
         source = np.array([c for columns, _ in blocks for c in columns], int)
         if not len(source):
             nothing = np.zeros(0)
@@ -274,6 +285,10 @@ class Mixed:
         if self.prior is not None:
             first = len(self.columns.shared)
             total[:first, :first] += self.prior
+        if precision:
+            accepted = sum(len(columns) for columns, _ in blocks[: 1 + len(given)])
+            for k in range(accepted, len(source)):
+                total[k, k] += precision.get(int(source[k]), 0.0)
         size = np.sqrt(np.maximum(np.diag(total), 1e-300))
         root = _inverse_root(total / np.outer(size, size) + RIDGE * np.eye(len(size)))
         target = root @ (np.einsum("if,fi->i", acting, self.grams[:, 0][:, source]) / size)

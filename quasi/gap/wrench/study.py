@@ -116,6 +116,12 @@ def base_columns(evidence: Evidence) -> list[tuple[str, np.ndarray]]:
     return result
 
 
+def typical_sizes(effect: Effect, vehicle: Vehicle) -> np.ndarray:
+    """Typical deviation (m,) of each fitted parameter, infinite for those that only accompany others."""
+    sizes = effect.typical(vehicle)
+    return np.array([sizes.get(name, np.inf) for name in effect.fitted])
+
+
 def gather_study(
     flights: Sequence[Evidence],
     effects: Mapping[str, Effect],
@@ -164,7 +170,10 @@ def gather_study(
         # slopes at each flight's own values, beside terms that hold them all, would make up any change
         bent = tuple(n for n in causes if asked[n].bends and asked[n].absorbed)
         spread = np.array([s for *_, s in own])
-        layout = Columns(list(range(1, first)), list(range(first, first + len(own))), spread, causes, bent)
+        usual = {n: typical_sizes(asked[n], vehicle) for n in causes}
+        layout = Columns(
+            list(range(1, first)), list(range(first, first + len(own))), spread, causes, bent, typical=usual
+        )
     breaks = [part.breaks for part in thinned]
     whitener = autoregression([own_fit(part.columns, layout) for part in thinned], breaks, ORDER)
     return _study(flights, thinned, layout, names, whitener, lacking, values)
