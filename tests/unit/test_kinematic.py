@@ -16,6 +16,7 @@ from quasi.gap.calibration.kinematic import SPREAD, examine, size_of
 from quasi.gap.calibration.kinematic_columns import weak_form, windows
 from quasi.gap.calibration.sensor_findings import shaken, torn
 from quasi.gap.flights.level import Flown, clear
+from quasi.gap.statistics.mixed import Offer
 from quasi.importing.resampling import resample_attitude
 
 RATE, CAPTURED, SECONDS = 500.0, 120.0, 24.0
@@ -41,8 +42,9 @@ def flown(seed, compared=True, removed=0.0, onboard_gain=None, **fault):
     def at(values):
         return np.stack([np.interp(real, truth.t, v) for v in values.T], axis=1)
 
-    gyro = at(gyro) + 0.01 * rng.standard_normal((len(t), 3))
-    force = at(force) + 0.05 * rng.standard_normal((len(t), 3))
+    noise = fault.get("noise", 0.05)  # m/s2 of each sample; the gyro's goes with it
+    gyro = at(gyro) + 0.2 * noise * rng.standard_normal((len(t), 3))
+    force = at(force) + noise * rng.standard_normal((len(t), 3))
     # capture times on its own clock, and where import puts them on the on-board one when it takes `removed` off
     seen = np.arange(0.2, SECONDS + 0.1, 1.0 / CAPTURED)
     there = seen * (1.0 + removed)
@@ -51,9 +53,11 @@ def flown(seed, compared=True, removed=0.0, onboard_gain=None, **fault):
     turned, late = (Rotation.from_quat(q, scalar_first=True) for q in (turned, late))
     room = Rotation.from_rotvec([*fault.get("room", (0, 0)), 0.0])
     marked = late * Rotation.from_rotvec(fault.get("markers", (0, 0, 0)))
-    noise = Rotation.from_rotvec(np.radians(0.07) * rng.standard_normal((len(seen), 3)))
-    marked = room.inv() * marked * noise
-    centroid = room.inv().apply(place + turned.apply(ARM)) + 2e-4 * rng.standard_normal(place.shape)
+    jitter = Rotation.from_rotvec(np.radians(0.07) * rng.standard_normal((len(seen), 3)))
+    marked = room.inv() * marked * jitter
+    centroid = room.inv().apply(place + turned.apply(ARM)) + fault.get("capture", 2e-4) * rng.standard_normal(
+        place.shape
+    )
     position = CubicSpline(there, centroid - marked.apply(ARM))(t)
     q = Slerp(there, marked)(t).as_quat(scalar_first=True)
     if onboard_gain is not None:
@@ -197,6 +201,20 @@ def test_a_vehicle_that_shakes_about_two_axes_shows_no_fault_about_the_third():
     frame = pd.DataFrame(columns | {"attitude_sample": fresh, "position_sample": fresh})
     weak = weak_form(replace(flight, imported=frame, filtered=pd.DataFrame({"in_flight": np.ones(len(t))})))
     assert np.abs(weak.columns[:, :3, 0].mean(axis=0)).max() < 2e-3
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.3, 1.0])
+@pytest.mark.parametrize("capture", [1e-4, 1e-3])
+def test_noise_of_either_source_makes_no_cause(noise, capture):
+    """A column that holds the residual's noise would give a scale above 1 by noise over signal power."""
+    level = examine([flown(s, compared=s > 1, noise=noise, capture=capture) for s in (1, 2, 3)], {})
+    assert [e["id"] for e in level.effects] == []
+    assert level.ties == []
+    for cause, columns in level.tests.columns.causes.items():
+        for since in ("always", "changed"):
+            offer = Offer(cause, since, tuple(range(len(columns))))
+            test = level.tests.test(offer, [], level.tests.pooled(since))
+            assert (np.abs(test.value) < 4.0 * test.std).all(), (cause, since, test.value, test.std)
 
 
 def test_tables_tell_where_residuals_live_and_what_a_cause_took_off():

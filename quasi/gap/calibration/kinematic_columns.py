@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
-from scipy.signal import fftconvolve, lfilter
+from scipy.signal import fftconvolve, lfilter, welch
 
 from quasi import attitude
 from quasi.attitude import GRAVITY
@@ -35,6 +35,7 @@ from quasi.importing.calibration import true_inertial, true_pose
 WIDTH = 0.05  # s, standard deviation of the window
 RATE = 20.0  # Hz at which the averaged residuals are kept
 LAG = 6.0 * WIDTH  # s: two averages this far apart share exp(-9) of their noise
+ABOVE_MOTION = 20.0  # Hz: above what a vehicle turns with
 GAP = 3.1  # usual intervals between captured samples that make a gap
 LAGGED = 1.0  # s, time constant with which an on-board attitude is taken to lean after the apparent vertical
 CHANNELS = ("p", "q", "r", "north", "east", "down")
@@ -114,6 +115,26 @@ def noise_free(
     instruments = instruments / scale
     weights = np.linalg.lstsq(instruments[usable], values[usable], rcond=1e-9)[0]
     return instruments @ weights
+
+
+def least_noise(raw: np.ndarray, rates: np.ndarray, other: np.ndarray, good: np.ndarray, rate: float) -> np.ndarray:
+    """The mean (n, 3) of two measurements, weighted by the noise of each: its noise is not that of their difference.
+
+    raw  gyro (n, 3), rad/s, at `rate` Hz; rates  its windowed averages; other  the captured ones; good (n,) usable rows
+    With weights in inverse proportion to the variances, cov(mean, difference) = 0. The gyro's variance is that of white
+    noise whose density is the median above the motion, where vibration is a few lines; the rest of the difference's
+    variance is the capture's.
+    """
+    if np.count_nonzero(good) < FEWEST:
+        return rates
+    frequency, density = welch(raw, rate, nperseg=min(1024, len(raw)), axis=0)
+    quiet = (frequency > ABOVE_MOTION) & (frequency < 0.4 * rate)
+    if not quiet.any():
+        return rates
+    own = np.median(density[quiet], axis=0) / (4.0 * np.sqrt(np.pi) * WIDTH)  # one-sided density through the window
+    both = (rates - other)[good].var(axis=0)
+    share = np.clip(own / np.maximum(both, 1e-300), 0.0, 1.0)
+    return (1.0 - share) * rates + share * other
 
 
 def straightened(flown: Flown, calibration: Mapping[str, Mapping[str, np.ndarray]], late: float) -> Flown:
@@ -210,7 +231,7 @@ def weak_form(flown: Flown) -> Weak:
     lag, thrusts = round(LAG / dt), _thrusts(frame, window)
     captured = np.einsum("nji,nj->ni", turn, _average(x - x.mean(0), bend) - down)
     f_free = noise_free(_average(f, window), captured, thrusts, good, lag)
-    rates_free = noise_free(rates, _average(seen, window), (), good, lag)
+    rates_free = least_noise(w, rates, _average(seen, window), good, 1.0 / dt)
     add("residual", _average(sensed - seen, window), _average(force, window) + down - _average(x - x.mean(0), bend))
     axes = _average(turn, window)
     swing = _average(turn - turn.mean(axis=0), bend)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy.stats import f as f_distribution
 
 from quasi.airframe import Airframe
 from quasi.gap.statistics.mixed import Columns, Mixed, Offer, Test
@@ -115,17 +116,31 @@ class Tests(Mixed):
 
     freedom   degrees of freedom that those spreads stand for, beside the flights' own
     unpooled  causes that the base holds already, with what is known of them
+    common    {cause: standard deviation of what healthy set-ups have in all flights alike}, added to the covariance of
+              what all flights have in common
     """
 
     informed = False
 
     def __init__(
         self, grams: Sequence[np.ndarray], compared: Sequence[bool], columns: Columns, freedom: float,
-        prior: np.ndarray | None = None, unpooled: Sequence[str] = (),
+        prior: np.ndarray | None = None, unpooled: Sequence[str] = (), common: Mapping[str, float] | None = None,
     ) -> None:  # fmt: skip
         super().__init__(grams, compared, columns._replace(unpooled=tuple(unpooled)), prior)
+        self.common = dict(common or {})
         groups = 1 if self.compared.all() else 2
         self.freedom = max(len(grams) - groups, 1) + freedom
+
+    def test(self, offer: Offer, given: Sequence[Offer] = (), pooled: Sequence[str] = ()) -> Test:
+        """A cause with other causes given, see `Mixed.test`; what healthy set-ups have in common is no fault."""
+        test = super().test(offer, given, pooled)
+        size = self.common.get(offer.cause)
+        if size is None or offer.since != "always":
+            return test
+        covariance = test.covariance + size**2 * np.eye(len(test.value))
+        wald = float(test.value @ np.linalg.solve(covariance, test.value))
+        p = float(f_distribution.sf(wald / len(test.value), len(test.value), self.freedom))
+        return test._replace(covariance=covariance, wald=wald, p=max(p, test.p))
 
 
 def offers_of(mixed: Tests, since: str) -> list[Offer]:
