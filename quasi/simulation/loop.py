@@ -208,8 +208,17 @@ def actuate(k, dt, drive, battery, body, x, held, ring, commands, voltage, speed
 
 @njit(cache=True, error_model="numpy")
 def status_of(x, limits):
-    """FINE, or 1 + the number of the first state that left its limits or is NaN."""
-    for i in range(STATES):
+    """FINE, or 1 + the number of the state that is farthest beyond its limit or is NaN; attitude comes last."""
+    status, worst = FINE, 1.0
+    for i in range(4, STATES):
+        share = abs(x[i]) / limits[i]
+        if share != share:
+            return 1 + i
+        if share > worst:
+            status, worst = 1 + i, share
+    if status != FINE:
+        return status
+    for i in range(4):
         if not abs(x[i]) <= limits[i]:
             return 1 + i
     return FINE

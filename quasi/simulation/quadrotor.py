@@ -233,7 +233,13 @@ class QuadrotorSimulator(Simulator):
         bus = self.bus
         if self.stopped is None:
             self._last_instant(bus)
-        result = result_of(self.setup, np.array(self._log).reshape(-1, LOG + self.setup.own), self.status, bus.step)
+        result = result_of(
+            self.setup,
+            np.array(self._log).reshape(-1, LOG + self.setup.own),
+            self.status,
+            bus.step,
+            *bus.state[[max(bus.step - 1, 0), bus.step]],
+        )
         for name, values in self._recorded.items():
             for column, array in signal_columns(name, values).items():
                 result.table[column] = np.concatenate([array, array[-1:]])[:: self.setup.every][: len(result.table)]

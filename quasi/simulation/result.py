@@ -9,15 +9,14 @@ import pandas as pd
 
 from quasi import attitude
 from quasi.errors import ConfigError
+from quasi.simulation.divergence import explain_end
 from quasi.simulation.layout import LOAD_LENGTH, LOAD_MASS
 from quasi.simulation.loop import (
     AIMED,
     AIR,
     COMMANDS,
-    FINE,
     LOADS,
     LOG,
-    NO_COMMAND,
     SEEN_AT,
     SLOPES,
     SPEEDS,
@@ -177,8 +176,15 @@ def air_columns(table: pd.DataFrame) -> pd.DataFrame:
     return table.assign(**{n: table[f"{n}_air"] for n in "uvw"})
 
 
-def result_of(setup: Setup, log: np.ndarray, status: int, steps: int) -> Result:
-    """A result from the rows of a full log (see `loop.note`)."""
+def result_of(
+    setup: Setup,
+    log: np.ndarray,
+    status: int,
+    steps: int,
+    last: np.ndarray | None = None,
+    after: np.ndarray | None = None,
+) -> Result:
+    """A result from the rows of a full log (see `loop.note`); last, after  see `divergence.explain_end`."""
     columns: dict[str, np.ndarray] = {"t": log[:, 0]}
     x, seen, goal = log[:, X : X + 17], log[:, SEEN_AT : SEEN_AT + 20], log[:, AIMED : AIMED + 20]
     columns |= {name: x[:, 10 + k] for k, name in enumerate("xyz")}
@@ -205,7 +211,8 @@ def result_of(setup: Setup, log: np.ndarray, status: int, steps: int) -> Result:
     names = (*STATE_NAMES[4:10], *STATE_NAMES[13:], "ax", "ay", "az")
     places = (*range(4, 10), *range(13, 20))
     columns |= {f"{name}_measured": seen[:, place] for name, place in zip(names, places)}
-    return Result(setup, pd.DataFrame(columns), status, steps, sentence(setup, status, steps, x))
+    table = pd.DataFrame(columns)
+    return Result(setup, table, status, steps, explain_end(setup, status, steps, table, last, after))
 
 
 def _references(goal: np.ndarray) -> dict[str, np.ndarray]:
@@ -232,22 +239,6 @@ def _references(goal: np.ndarray) -> dict[str, np.ndarray]:
     if "yaw_ref" in columns:
         columns["yaw_ref"] = np.arctan2(np.sin(columns["yaw_ref"]), np.cos(columns["yaw_ref"]))
     return columns
-
-
-def sentence(setup: Setup, status: int, steps: int, x: np.ndarray) -> str | None:
-    """Why a simulation ended before its time; None where it did not."""
-    if status == FINE:
-        return None
-    t = steps * setup.dt
-    if status == NO_COMMAND:
-        return f"the controller gave a command that is no number at t = {t:.4g} s; the simulation ended there"
-    name = STATE_NAMES[status - 1]
-    limit = setup.machine.limits[status - 1]
-    return f"diverged at t = {t:.4g} s: {name} left its limit of {limit:g} {_unit(name)}; what came before is kept"
-
-
-def _unit(name: str) -> str:
-    return COLUMNS[name][0] if name in COLUMNS else "1"
 
 
 def report(summary: Mapping[str, Any]) -> str:

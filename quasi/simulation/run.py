@@ -14,10 +14,11 @@ import numpy as np
 
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, ShapeError, nearest
+from quasi.simulation.divergence import explain_end, state_before
 from quasi.simulation.dynamics import INTEGRATORS, scratch_of, with_rest
 from quasi.simulation.layout import INERTIA, INVERSE, MASS, STATES
-from quasi.simulation.loop import EXTERNAL, FAULT, LOG, SHORT_LOG, Draws, X, fly, fly_some
-from quasi.simulation.result import Result, result_of, sentence
+from quasi.simulation.loop import EXTERNAL, FAULT, FINE, LOG, SHORT_LOG, Draws, X, fly, fly_some
+from quasi.simulation.result import Result, result_of
 from quasi.simulation.setup import STATE_NAMES, Setup
 
 
@@ -45,7 +46,9 @@ def simulate(
     log = np.empty((setup.steps // setup.every + 1, LOG + setup.own))
     live, scratch = setup.live(), scratch_of(setup.machine.kernel, setup.own)
     status, done, rows = fly(setup.machine, live, scratch, 0, setup.steps, setup.every, log, True)
-    return result_of(setup, log[:rows], status, done)
+    # where the model loses its forces within a step, the state before it shows which
+    last = None if status == FINE or np.isfinite(live.x).all() else state_before(setup, done)
+    return result_of(setup, log[:rows], status, done, last, live.x)
 
 
 class Session:
@@ -81,7 +84,7 @@ class Session:
         log = np.empty((steps, SHORT_LOG))
         status, done, _ = fly(self._setup.machine, self._live, self._scratch, self._steps, steps, 1, log, False)
         self._steps += done
-        return sentence(self._setup, status, self._steps, self._live.x[None, :STATES])
+        return explain_end(self._setup, status, self._steps, after=self._live.x)
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,7 @@ class Many:
 
     def stopped(self, setup: Setup, b: int) -> str | None:
         """Why simulation b ended before its time, or None."""
-        return sentence(setup, int(self.status[b]), int(self.steps[b]), self.states[b])
+        return explain_end(setup, int(self.status[b]), int(self.steps[b]))
 
 
 VARIED = {

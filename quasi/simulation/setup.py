@@ -20,7 +20,7 @@ from scipy.optimize import brentq
 from quasi import attitude, configuration
 from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
-from quasi.errors import ConfigError, DataError, nearest
+from quasi.errors import ConfigError, DataError
 from quasi.simulation.control_model import DEFAULT_LAG, hover_speed
 from quasi.simulation.controllers import make_controller
 from quasi.simulation.dynamics import INTEGRATORS, RK4, body_of, loads_at, scratch_of, with_rest
@@ -41,11 +41,12 @@ from quasi.simulation.layout import (
 from quasi.simulation.loop import Battery, Drive, Live, Machine, live_of
 from quasi.simulation.parts import put
 from quasi.simulation.references import make_reference
+from quasi.simulation.setup_tables import table_of, wind_rows
 from quasi.simulation.stability import check_step
+from quasi.simulation.undefined_loads import describe_undefined_loads
 from quasi.simulation.variants import extended, parts_of, simple_model, with_parts
 from quasi.standalone.extensions import drive_of, said_of_rotors, wind_of
 from quasi.standalone.model import Model
-from quasi.tables import read_numbers
 
 STATE_NAMES = ("qw", "qx", "qy", "qz", "u", "v", "w", "p", "q", "r", "x", "y", "z", "w1", "w2", "w3", "w4")
 # beyond these no polynomial means anything: m/s, rad/s, m, rad/s of a rotor
@@ -124,8 +125,8 @@ def make_setup(
     """
     settings, _ = configuration.check(settings, "simulation", name)
     notes: list[str] = []
-    wind = _table_of(settings, "wind", directory, name) if wind is None else wind
-    reference = _table_of(settings, "references", directory, name) if reference is None else reference
+    wind = table_of(settings, "wind", directory, name) if wind is None else wind
+    reference = table_of(settings, "references", directory, name) if reference is None else reference
     asked = settings["model"]
     model = extended(model) if asked["use identified model"] else simple_model(model)
     if len(model.axes) < 6:
@@ -174,7 +175,7 @@ def make_setup(
         offset = asymmetry(kernel, body, held, hover, place)
         body[OFFSET : OFFSET + 6] = offset
     start = _start(settings["initial state conditions"], hover)
-    _check_start(start, kernel, body, held, name)
+    _check_start(start, flown, body, held, name)
     start = with_rest(start, held, kernel, body)
     if parts.load_mass:
         notes.append(f"a load of {parts.load_mass:.3g} kg swings {parts.load_length:.3g} m below the centre of gravity")
@@ -203,7 +204,7 @@ def make_setup(
         notes.append("the wind that the model's extensions found in its flights blows, too")
     machine = Machine(
         kernel, body, drive, battery, _fault(settings["faults"], drive, steps * dt, notes, name), sensors,
-        np.array([*steady, *air["gusts"], *[air["correlation time"]] * 3], float), _wind_table(wind, air, name),
+        np.array([*steady, *air["gusts"], *[air["correlation time"]] * 3], float), wind_rows(wind, air, name),
         kind, gains, aim, path, table, dt, substeps, INTEGRATORS.get(method, RK4), _LIMITS.copy(), clock,
     )  # fmt: skip
     seeds = (noise["seed"], noise["seed"] if air["seed"] is None else air["seed"])
@@ -401,47 +402,10 @@ def _start(asked: Mapping[str, Any], hover: float) -> np.ndarray:
     return x
 
 
-def _check_start(x: np.ndarray, kernel: Any, body: np.ndarray, held: np.ndarray, name: str) -> None:
+def _check_start(x: np.ndarray, model: Model, body: np.ndarray, held: np.ndarray, name: str) -> None:
+    kernel = model.kernel
     scratch, found = scratch_of(kernel), np.zeros(6)
     loads_at(with_rest(x, held, kernel, body), held, kernel, body, scratch.inputs, scratch.work, found)
-    if not np.all(np.isfinite(found)):
-        speeds = ", ".join(f"{w:g}" for w in x[ROTORS:])
-        raise ConfigError(
-            f"{name}: the model's forces and moments are no numbers in the initial state (rotor speeds {speeds} "
-            "rad/s); correct 'initial state conditions'"
-        )
-
-
-def _table_of(settings: Mapping[str, Any], section: str, directory: str | Path, name: str) -> pd.DataFrame | None:
-    """The table that "file" in a section names; None without one."""
-    file = settings[section].get("file")
-    if not file:
-        return None
-    path = Path(directory) / file
-    if not path.is_file():
-        raise ConfigError(
-            f"{name}: '{section}' / 'file' is '{file}', but {path} does not exist; correct 'file', or pass the folder "
-            "as `directory`"
-        )
-    return read_numbers(path)
-
-
-def _wind_table(wind: Any, asked: Mapping[str, Any], name: str) -> np.ndarray:
-    if wind is None:
-        return np.zeros((0, 4))
-    what = f"{name}: the wind's table {asked['file']}" if asked["file"] else f"{name}: the wind's table"
-    columns = ("t", "wind_north", "wind_east", "wind_down")
-    missing = [c for c in columns if c not in wind]
-    if missing:
-        raise DataError(f"{what} lacks the column '{missing[0]}'{nearest(missing[0], list(wind))}")
-    table = np.column_stack([np.asarray(wind[c], float) for c in columns])
-    for k, column in enumerate(columns):
-        bad = np.flatnonzero(~np.isfinite(table[:, k]))
-        if len(bad):
-            raise DataError(f"{what} holds no number in column '{column}', data row {bad[0] + 1}; fill it in")
-    if not len(table):
-        raise DataError(f"{what} has no rows; fill it in")
-    back = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
-    if len(back):
-        raise DataError(f"{what} goes back in time, or stands still, in data row {back[0] + 2}; correct its column 't'")
-    return np.ascontiguousarray(table)
+    lost = describe_undefined_loads(model, scratch.inputs, found)
+    if lost:
+        raise ConfigError(f"{name}: in the initial state {lost[0]}; correct 'initial state conditions', or {lost[1]}")

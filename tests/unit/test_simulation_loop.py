@@ -128,7 +128,10 @@ def unstable():
 def test_divergence_stops_and_says_when_and_which_and_keeps_what_was_computed():
     setup = setup_of(unstable(), 2.0)
     result = simulate(setup)
-    assert "diverged at t = " in result.stopped and ": p left its limit of 300 rad/s" in result.stopped
+    assert (
+        "diverged at t = " in result.stopped and "roll rate p left its limit of 300 rad/s and became" in result.stopped
+    )
+    assert "use a shorter 'time step' or gentler 'gains'" in result.stopped
     assert 5 < len(result.table) < 500 and np.isfinite(result.table[["p", "x", "Mx"]].to_numpy()).all()
     assert_same(result, simulate(setup, between={"begin": lambda bus: None}))
     summary = result.summary()

@@ -50,7 +50,10 @@ def test_a_time_step_that_the_integrator_cannot_take_is_refused(model):
         ({"simulation": {"duration": math.inf}}, "my_sim: 'simulation' / 'duration' is inf, expected a finite"),
         ({"controller": {"gains": {"rates": {"time constant": math.nan}}}}, "'rates' / 'time constant' is nan"),
         ({"simulation": {"time step": 1e-9, "duration": 1e6}}, "more rows than memory holds"),
-        ({"initial state conditions": {"rotor speeds": [1e200] * 4}}, "are no numbers in the initial state"),
+        (
+            {"initial state conditions": {"rotor speeds": [1e200] * 4}},
+            "in the initial state the model's Fz is no number",
+        ),
     ],
 )
 def test_faults_of_a_configuration_are_sentences(model, settings, sentence):

@@ -1,0 +1,36 @@
+"""Which of a model's forces and moments are no number in a state, and by which of its terms."""
+
+import numpy as np
+
+from quasi.errors import QuasiError
+from quasi.expressions import evaluate, parse
+from quasi.standalone.document import AXES
+from quasi.standalone.model import Model
+from quasi.variables import Variables
+
+
+def describe_undefined_loads(model: Model, inputs: np.ndarray, loads: np.ndarray) -> tuple[str, str] | None:
+    """Axis and term of the model that are no number at these inputs, and the remedy; None where all are.
+
+    inputs (20 + E,): roll .. yaw, u .. w, p .. r, x .. z, rotor speeds (rad/s) and accelerations, extras; loads (6,)
+    """
+    lost = [axis for axis, value in zip(AXES, loads) if not np.isfinite(value)]
+    if not lost:
+        return None
+    speeds = ", ".join(f"{w:.4g}" for w in inputs[12:16])
+    columns = {name: np.array([value]) for name, value in zip(model.inputs, inputs)}
+    lookup = Variables(columns, model.airframe, model.hover_speed, model.normalisation).__getitem__
+    term = ""
+    for about in model.document["axes"].get(lost[0], {}).get("terms", ()):
+        try:
+            with np.errstate(all="ignore"):
+                value = evaluate(parse(about["expression"]), lookup)
+        except QuasiError:
+            continue  # a term of an extension, whose variables no table holds
+        if not np.isfinite(value).all():
+            term = f" (term {about['name']})"
+            break
+    what = f"the model's {lost[0]} is no number{term} with rotor speeds of {speeds} rad/s"
+    if np.any(inputs[12:16] == 0.0):
+        return what, "identify the model without terms that divide by rotor speeds, which are zero there"
+    return what, "keep the flight within the region of the model's data"
