@@ -25,4 +25,5 @@ rule all:
 
 rule processing:
     input:
+        inspected("processing", "flights"),
         every_processed_flight,

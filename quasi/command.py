@@ -1,21 +1,20 @@
 """The `quasi` command: what a model holds, a project folder of one's own, the noise of sensors at rest."""
 
 import argparse
-import shutil
 import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quasi.errors import QuasiError
+from quasi.errors import QuasiError, nearest
+from quasi.templates import lay_folder, new_simulation
 
 if TYPE_CHECKING:
     from quasi.gap.effect import Vehicle
     from quasi.workflow import Folder
 
 LIBRARY = Path(__file__).parent.parent
-TEMPLATE = LIBRARY / "config" / "template"
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -67,7 +66,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     fresh.add_argument("name", help="name of the simulation")
     fresh.add_argument("-d", "--directory", default=".", help="folder in which NAME is made (default: here)")
-    fresh.set_defaults(run=lambda o: new_simulation(o.name, Path(o.directory)))
+    fresh.set_defaults(run=lambda o: new_simulation(o.name, Path(o.directory), LIBRARY))
 
     margins = commands.add_parser(
         "margins",
@@ -106,9 +105,19 @@ def _parser() -> argparse.ArgumentParser:
     causes.add_argument("--gap", help="with the causes of your own that this gap has")
     causes.set_defaults(run=lambda o: causes_of(o.model, Path(o.directory), o.gap).removesuffix("\n"))
 
+    check = commands.add_parser(
+        "check",
+        help="open every raw file that a project folder names: what is there, what is missing, what it is good for",
+        description="Reads configuration and raw files; nothing is synchronised or filtered. The exit code is 1 where "
+        "something is broken.",
+    )
+    check.add_argument("folder", nargs="?", default=".", help="project folder (default: here)")
+    check.add_argument("--data", metavar="PATH", help="where data/ is, as `--config data=PATH` of snakemake")
+    check.set_defaults(run=lambda o: check_raw_files(Path(o.folder), o.data))
+
     init = commands.add_parser("init", help="lay a project folder: commented configuration and an empty logbook")
     init.add_argument("folder", help="folder to make; it must be empty or absent")
-    init.set_defaults(run=lambda o: lay(Path(o.folder)))
+    init.set_defaults(run=lambda o: lay_folder(Path(o.folder), LIBRARY))
 
     noise = commands.add_parser(
         "noise",
@@ -138,23 +147,43 @@ def _parser() -> argparse.ArgumentParser:
     published.add_argument("name", help="model ID that it gets")
     published.add_argument("--motor-poles", type=int, help="magnets of its motors, which the file does not tell (14)")
     published.set_defaults(run=lambda o: import_model(Path(o.file), o.name, Path(o.directory), o.motor_poles))
+    parser.set_defaults(commands=list(commands.choices))
     return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    options = _parser().parse_args(arguments)
+    parser, given = _parser(), list(sys.argv[1:] if arguments is None else arguments)
+    if not given:
+        parser.print_help()
+        return 0
+    known = parser.get_default("commands")
+    if not given[0].startswith("-") and given[0] not in known:
+        print(
+            f"[ERROR] quasi has no command '{given[0]}'{nearest(given[0], known)}; see `quasi --help`", file=sys.stderr
+        )
+        return 2
+    options = parser.parse_args(given)
     if arguments is None and hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `quasi summary M | head` ends silently, as other commands do
     try:
-        print(options.run(options))
+        answer = options.run(options)
+        text, code = answer if isinstance(answer, tuple) else (answer, 0)
+        print(text)
     except QuasiError as error:
         print(f"[ERROR] {error}", file=sys.stderr)
         return 1
     except OSError as error:
         print(f"[ERROR] {error.filename}: {error.strerror}; name another folder or correct it", file=sys.stderr)
         return 1
-    return 0
+    return code
+
+
+def check_raw_files(directory: Path, data: str | None) -> tuple[str, int]:
+    """What a project folder's raw files hold, and the exit code; see `quasi.importing.check`."""
+    from quasi.importing.check import check_folder
+
+    return check_folder(directory, LIBRARY, data)
 
 
 def summarise(model: str, directory: Path) -> str:
@@ -172,7 +201,7 @@ def summarise(model: str, directory: Path) -> str:
 
 def model_place(model: str, directory: Path) -> Path:
     """Where a model given by ID or path is. Raises ReadError when it is nowhere."""
-    from quasi.errors import ReadError, nearest
+    from quasi.errors import ReadError
 
     named = directory / "models" / model / "standalone"
     path = named if named.is_dir() else directory / model
@@ -193,7 +222,7 @@ def fly_by_hand(model: str | None, directory: Path, simulation: str | None = Non
     """
     from contextlib import ExitStack
 
-    from quasi.errors import ConfigError, ReadError, nearest
+    from quasi.errors import ConfigError, ReadError
     from quasi.project import check_project
     from quasi.simulation import fly
     from quasi.simulation.keyboard import Terminal
@@ -381,48 +410,6 @@ def import_model(file: Path, name: str, directory: Path, poles: int | None = Non
     write_json(folder / "model.json", model.document)
     made = f"Made {folder / 'model.json'}: {', '.join(model.axes)}, forces {model.gravity}"
     return "\n".join([made, *(f"note: {note}" for note in model.document["notes"])])
-
-
-def new_simulation(name: str, directory: Path) -> str:
-    """Lay a simulation of a user's own system; returns what to do next. Raises ConfigError for an unfit name."""
-    from quasi.errors import ConfigError
-    from quasi.tables import read_text, write_text
-
-    if not name.isidentifier() or name == "NAME":
-        raise ConfigError(f"a simulation cannot be called '{name}'; use letters, digits and _, a letter first")
-    folder = directory / name
-    if folder.exists():
-        raise ConfigError(f"{folder} already exists; choose another name")
-    for suffix in (".py", ".json"):
-        text = read_text(LIBRARY / "config" / "new_simulation" / f"simulation{suffix}")
-        write_text(folder / f"{name}{suffix}", text.replace("NAME", name))
-    return (
-        f"Made {folder}:\n"
-        f"  {name}.py    the system: model, controller, actuator, forces, equations of motion; replace them by yours\n"
-        f"  {name}.json  its settings\n"
-        f"Then:  python {folder / name}.py"
-    )
-
-
-def lay(folder: Path) -> str:
-    """Lay a project folder; returns what to do next. Raises ConfigError when the folder holds something."""
-    from quasi.errors import ConfigError
-
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ConfigError(f"{folder} already holds something; name a new or an empty folder")
-    shutil.copytree(TEMPLATE, folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns(".gitkeep"))
-    beside = Path(sys.executable).parent / "snakemake"
-    snakemake = beside if beside.exists() and not shutil.which("snakemake") else "snakemake"
-    return (
-        f"Made {folder}:\n"
-        f"  data/logbook.csv                 one row per flight; fill it in\n"
-        f"  data/my_quadrotor.json           geometry, mass, inertia of your quadrotor\n"
-        f"  config/processing.json           how flights are imported and filtered\n"
-        f"  config/models/my_model.json      which flights make the model, which are held out\n"
-        f"  config/simulations/my_simulation.json  how the model is flown in a simulation\n"
-        f"  config/gaps/my_gap.json          which flights the model is compared with, to see what it gets wrong\n"
-        f"Then:  {snakemake} -s {LIBRARY / 'Snakefile'} -d {folder} -j2 models/my_model/standalone"
-    )
 
 
 def noise_at_rest(

@@ -6,7 +6,7 @@ stage gets its own row, its own files and the part of the configuration that it 
 
 import functools
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from quasi.errors import ConfigError, QuasiError, nearest
 from quasi.logbook import Row
 from quasi.project import AXES, check_model_file, check_specification, is_file, with_suffix
 from quasi.recordings import GEOMETRY, IDENTIFICATION, Recordings
-from quasi.tables import read_json
+from quasi.tables import read_json, read_text
 
 MADE_MODEL = re.compile(r"models/[^/]+/standalone/model\.json")  # as rules name it; one that was put there is absolute
 STILLS = {"number of drone stills": 5, "show animation": False, "animation speed up factor": 1}
@@ -244,6 +244,68 @@ class Folder(Recordings):
             "put there": self._lineage(settings["model"])[-1] not in self.models,
             "problem": part["problem"],
         }
+
+    def inspection(self, kind: str, name: str) -> dict[str, Any]:
+        """What is asked of the raw files of a model ("models"), a gap ("gaps"), or of all flights ("processing").
+
+        Returns "name" for messages, "identifies", "flights" {"quadrotor/flight": {"role", "problem" of what the filter
+        needs, "settings" of the import}}, and of a gap the recordings that must differ: held, trained, recordings.
+        """
+        if kind == "gaps":
+            rows, roles = self.gap_rows(name), self.gap_roles(name)
+        elif kind == "models":
+            rows, roles = self.model_flights(name), {r.key: "training" for r in self.model_flights(name, "training")}
+        else:
+            rows, roles = self.processing_flights(), {}
+        flights = {}
+        for row in rows:
+            settings = self.importing(row.quadrotor, row.key)
+            flights[f"{row.quadrotor}/{row.key}"] = {
+                "role": roles.get(row.key, "validation"),
+                "problem": self.filtering(row.quadrotor, row.key)["problem"],
+                "settings": {k: settings[k] for k in ("flight", "quadrotor", "problem")},
+            }
+        asked = {"models": f"model {name}", "gaps": f"gap {name}"}.get(kind, "processing")
+        found = {"name": asked, "identifies": kind != "processing", "flights": flights}
+        if kind == "gaps":
+            settings = self.gap(name)
+            found |= {k: settings[k] for k in ("held", "trained", "recordings")}
+        return found
+
+    def configured_work(self) -> tuple[dict[str, dict[str, Any]], dict[str, str], list[str]]:
+        """{"processing", "model m", ...: its inspection} of what is configured, {name: fault} of the others, and the
+        names of those whose files are as `quasi init` laid them and fit no flights yet."""
+        asked, faults, untouched = {}, {}, []
+        works = [("processing", "flights", "processing")]
+        works += [("models", m, f"model {m}") for m in self.models] + [("gaps", g, f"gap {g}") for g in self.gaps]
+        for kind, name, title in works:
+            try:
+                if kind == "models":
+                    self.identification(name)
+                    for axis in self.axes(name):
+                        self.axis(name, axis)
+                asked[title] = self.inspection(kind, name)
+            except QuasiError as fault:
+                if self._as_laid(f"config/{kind}/{name}.json"):
+                    untouched.append(title)
+                else:
+                    faults[title] = str(fault)
+        for name in self.simulations:
+            try:
+                self.simulation(name)
+            except QuasiError as fault:
+                faults[f"simulation {name}"] = str(fault)
+        return asked, faults, untouched
+
+    def _as_laid(self, path: str) -> bool:
+        """Whether a configuration is the one that `quasi init` lays, unchanged."""
+        laid = self.library / "config/template" / path
+        return is_file(laid) and is_file(self._here(path)) and read_text(laid) == read_text(self._here(path))
+
+    def to_be_made(self, settings: Mapping[str, Any]) -> bool:
+        """Whether a raw file of a flight, of whose import these are the settings, is absent and a rule makes it."""
+        files = [settings["flight"][k] for k in ("onboard", "capture")]
+        return any(f and self._made(Path(f)) and not is_file(self._here(f)) for f in files)
 
     def _log_of(self, row: Row) -> list[str] | None:
         """On-board file of a row and the number of the log in it; None where the file is absent."""

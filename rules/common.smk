@@ -33,6 +33,8 @@ wildcard_constraints:
     campaign=r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*",
     simulation=r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*",
     gap=r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*",
+    kind="models|gaps|processing",
+    asked=r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*",
     gravity="withGravity|noGravity",
     axis="Fx|Fy|Fz|Mx|My|Mz",
 
@@ -215,6 +217,34 @@ def raw_files(wildcards):
     # an absent file is not an input: it fails this flight's job with a sentence, not the graph of all flights
     wind = raw.get("wind", {}).get("file")
     return [raw[k] for k in ("onboard", "capture") if raw[k]] + ([wind] if wind else [])
+
+
+def inspected_files(wildcards):
+    """Raw files of all flights that a model, a gap or the processing names."""
+    files = {}
+    for about in ask(FOLDER.inspection, wildcards.kind, wildcards.asked)[
+        "flights"
+    ].values():
+        raw = about["settings"]["flight"]
+        wind = raw.get("wind", {}).get("file")
+        files |= dict.fromkeys(p for p in (raw["onboard"], raw["capture"], wind) if p)
+    return list(files)
+
+
+def inspection_share(wildcards, input):
+    """All jobs on flights that may run at once (profiles/default); none where flights are still to be made: these jobs
+    would keep the inspection waiting."""
+    return 1000 if len(FOLDER.given(map(str, input))) == len(input) else 0
+
+
+def inspected(kind, name):
+    """What the raw files hold; it is made first, and making it anew makes nothing else stale."""
+    return ancient(f"results/inspected/{kind}/{name}.json")
+
+
+def inspected_for_model(wildcards):
+    gap = ask(FOLDER.extended, wildcards.model)
+    return inspected("gaps", gap) if gap else inspected("models", wildcards.model)
 
 
 def learning_settings(gap):

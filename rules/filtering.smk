@@ -20,6 +20,8 @@ rule filtering:
         "logs/filtering/{quadrotor}/{flight}.log",
     benchmark:
         "results/benchmarks/filtering/{quadrotor}/{flight}.tsv"
+    resources:
+        flights=1,
     params:
         settings=lambda wildcards: ask(
             FOLDER.filtering, wildcards.quadrotor, wildcards.flight

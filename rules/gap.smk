@@ -162,6 +162,7 @@ rule gap_report:
 
 rule gap:
     input:
+        inspected=lambda w: inspected("gaps", w.gap),
         diagnosis="results/parts/gap/{gap}/diagnosis.json",
         report="results/parts/gap/{gap}/report.html",
         model="results/parts/gap/{gap}/model.json",

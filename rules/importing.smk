@@ -1,9 +1,30 @@
 """One flight, its sources read, synchronised and fused on one clock.
 
 Needs  the raw files that the flight's logbook row names
-Makes  results/imported/{quadrotor}/{flight}.parquet and {flight}.json; then, from these and the filtered flight, the page
+Makes  results/inspected/models|gaps|processing/{asked}.json, what the raw files of a model, a gap or all processed flights
+       hold; a fault that they show stops it before a flight is imported (`quasi check` shows the same);
+       results/imported/{quadrotor}/{flight}.parquet and {flight}.json; then, from these and the filtered flight, the page
        results/reports/{quadrotor}/{flight}.html and its figures, results/parts/filtering/{quadrotor}/{flight}/*.png
 """
+
+
+rule inspection:
+    input:
+        inspected_files,
+    output:
+        "results/inspected/{kind}/{asked}.json",
+    log:
+        "logs/inspection/{kind}/{asked}.log",
+    # before any flight is imported, and alone: what cannot be made stops here, unless other flights are to go on
+    priority: 100
+    resources:
+        flights=inspection_share,
+    params:
+        asked=lambda w: ask(FOLDER.inspection, w.kind, w.asked),
+        contents=lambda w: contents(inspected_files(w)),
+        code=code("inspection.py"),
+    script:
+        "../scripts/inspection.py"
 
 
 rule importing:
@@ -16,6 +37,8 @@ rule importing:
         "logs/importing/{quadrotor}/{flight}.log",
     benchmark:
         "results/benchmarks/importing/{quadrotor}/{flight}.tsv"
+    resources:
+        flights=1,
     params:
         settings=lambda wildcards: ask(
             FOLDER.importing, wildcards.quadrotor, wildcards.flight

@@ -100,6 +100,7 @@ rule standalone_report:
 
 rule standalone:
     input:
+        inspected=inspected_for_model,
         model="results/parts/standalone/{model}/model.json",
         report="results/parts/standalone/{model}/report.html",
         scores="results/parts/standalone/{model}/scores.parquet",

@@ -23,4 +23,5 @@ def main(files: list[str], folder: str) -> None:
 
 if __name__ == "__main__":
     with job(snakemake.log[0], f"gap {snakemake.wildcards.gap}"):
-        main(snakemake.input, snakemake.output.folder)
+        files = [str(path) for name, path in snakemake.input.items() if name != "inspected"]
+        main(files, snakemake.output.folder)

@@ -19,7 +19,16 @@ from quasi.importing.command_map import add_commanded_speeds
 from quasi.importing.contradictions import refuse_wrong_lengths, refuse_wrong_rates
 from quasi.importing.lever_arm import felt_too_much, hover_arm
 from quasi.importing.motive import read_motive
-from quasi.importing.onboard_log import ATTITUDE, POSITION, RATES, Onboard, Track, gather, read_onboard
+from quasi.importing.onboard_log import (
+    ATTITUDE,
+    POSITION,
+    RATES,
+    Onboard,
+    Track,
+    gather,
+    motor_poles,
+    read_onboard,
+)
 from quasi.importing.resampling import (
     covered,
     fresh,
@@ -76,7 +85,7 @@ def import_flight(
     if not 10.0 <= rate <= 8000.0:
         raise ConfigError(f"'resampling rate' is {rate:g} Hz, expected 10 to 8000")
     notes: list[str] = []
-    poles, poles_source = _poles(quadrotor)
+    poles, poles_source = motor_poles(quadrotor)
     recording = read_onboard(flight, quadrotor, poles)
     recording.metadata["sha256"] = sha256_of(flight["onboard"])
     board = gather(recording, where, notes)
@@ -149,19 +158,6 @@ def _streams(
         there = sync.to_onboard(capture.t) if sync else capture.t
         times["capture"] = there[np.isfinite(capture.values["x"])]
     return {name: found for name, t in times.items() if (found := stream(t, zero)) is not None}
-
-
-def _poles(quadrotor: Mapping[str, Any]) -> tuple[int | None, str]:
-    text = quadrotor.get("motor poles")
-    if text in (None, ""):
-        return None, "default"
-    try:
-        poles = int(float(text))
-    except (TypeError, ValueError):
-        raise ConfigError(f"'motor poles' is {text!r}, expected an even number of magnets such as 12 or 14") from None
-    if poles < 2 or poles % 2:
-        raise ConfigError(f"'motor poles' is {poles}, expected an even number of magnets such as 12 or 14")
-    return poles, "configuration"
 
 
 def _triple(section: Any, key: str) -> np.ndarray | None:

@@ -10,7 +10,7 @@ import numpy as np
 from quasi.airframe import number
 from quasi.attitude import interpolate
 from quasi.doubt import doubt
-from quasi.errors import DataError, ReadError
+from quasi.errors import ConfigError, DataError, ReadError
 from quasi.importing.blackbox import read_blackbox
 from quasi.importing.contradictions import rates_explained, refuse_wrong_rates, velocity_explained
 from quasi.importing.decoded import read_decoded
@@ -78,6 +78,20 @@ class Onboard:
         )
 
 
+def motor_poles(quadrotor: Mapping[str, Any]) -> tuple[int | None, str]:
+    """Magnets of a motor by the quadrotor configuration, or None, and their source. Raises ConfigError."""
+    text = quadrotor.get("motor poles")
+    if text in (None, ""):
+        return None, "default"
+    try:
+        poles = int(float(text))
+    except (TypeError, ValueError):
+        raise ConfigError(f"'motor poles' is {text!r}, expected an even number of magnets such as 12 or 14") from None
+    if poles < 2 or poles % 2:
+        raise ConfigError(f"'motor poles' is {poles}, expected an even number of magnets such as 12 or 14")
+    return poles, "configuration"
+
+
 def read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any], poles: int | None) -> Recording:
     """Read the on-board file by the flight controller it is of, and by what it holds.
 
@@ -128,13 +142,12 @@ def _find(series: Mapping[str, Series], names: tuple[str, ...]) -> Track | None:
     return None
 
 
-def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
-    """Sort the series of a recording; estimate the attitude on board data alone where the log has none.
+def require_imu(recording: Recording, where: str) -> tuple[Track, Track]:
+    """Gyro (n, 3) rad/s and accelerometer (m, 3) m/s2 of a recording, their readable samples alone.
 
-    Raises DataError when the log holds no usable gyro or accelerometer.
+    Raises DataError when the log lacks one of them, or too few of its samples are readable.
     """
-    series = recording.series
-    gyro, force = _find(series, RATES), _find(series, FORCE)
+    gyro, force = _find(recording.series, RATES), _find(recording.series, FORCE)
     for track, what in ((gyro, "body rates (gyro)"), (force, "specific force (accelerometer)")):
         if track is None:
             raise DataError(f"{where}: the on-board log holds no {what}; log it, nothing can be identified without")
@@ -144,7 +157,16 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
                 f"{where}: the log lists {what}, but only {readable} samples of it are readable{_damage(recording)}, "
                 f"at least {LEAST_SAMPLES} are needed; copy the log from the controller again, or give another"
             )
-    gyro, force = _finite(gyro), _finite(force)
+    return _finite(gyro), _finite(force)
+
+
+def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
+    """Sort the series of a recording; estimate the attitude on board data alone where the log has none.
+
+    Raises DataError when the log holds no usable gyro or accelerometer.
+    """
+    series = recording.series
+    gyro, force = require_imu(recording, where)
     delays = _delays(recording, where, notes)
     attitude, source, rest = _find(series, ATTITUDE), "onboard", 0.0
     at_gyro = np.stack([np.interp(gyro.t, force.t, v) for v in force.values.T], axis=-1)

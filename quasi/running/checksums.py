@@ -14,6 +14,15 @@ from quasi.errors import QuasiError
 from quasi.tables import read_json, sha256_of, write_json
 
 
+def identity_of(path: str | Path) -> list[int] | None:
+    """[size in bytes, time of content, time of directory entry, both in ns] of a file; None where it is absent."""
+    try:
+        at = os.stat(path)
+    except (OSError, ValueError):
+        return None
+    return [at.st_size, at.st_mtime_ns, at.st_ctime_ns]
+
+
 class Checksums:
     """Checksums of given files, kept in a JSON file. memory  its path; whatever it holds may be lost or damaged."""
 
@@ -28,11 +37,9 @@ class Checksums:
     def of(self, path: str | Path) -> str | None:
         """SHA-256 of a file in hexadecimal; None where it is absent, empty or cannot be read."""
         name = str(path)
-        try:
-            at = os.stat(name)
-        except (OSError, ValueError):
+        identity = identity_of(name)
+        if identity is None:
             return None
-        identity = [at.st_size, at.st_mtime_ns, at.st_ctime_ns]
         known = self._known.get(name)
         if isinstance(known, list) and known[:3] == identity and len(known) == 4:
             return known[3]

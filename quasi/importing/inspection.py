@@ -1,0 +1,212 @@
+"""What a flight's raw files hold, from reading them alone: nothing is synchronised, resampled or estimated.
+
+The readers are those of the import: what they refuse is refused here in the same words. A flight's result is plain
+data. It is remembered while its settings, its files and the code stay the same.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quasi.errors import QuasiError
+from quasi.importing.motive import read_motive
+from quasi.importing.onboard_log import BODY_VELOCITY, POSITION, VELOCITY, motor_poles, read_onboard, require_imu
+from quasi.importing.series import Series
+from quasi.importing.wind import read_lvm
+from quasi.running.checksums import identity_of
+from quasi.tables import read_json, write_json
+
+MEMORY = ".snakemake/quasi/inspected"  # results of inspections, in the project folder
+SCHEMA = "quasi.inspection/1"
+ROTORS = tuple(f"w{i}" for i in range(1, 5))
+COMMANDS = tuple(f"command{i}" for i in range(1, 5))
+QUATERNION = ("qw", "qx", "qy", "qz")
+# what a flight may hold: name, and the groups of quantities of which one is enough
+HOLDINGS = {
+    "rotor speeds": (ROTORS,),
+    "commands": (COMMANDS, tuple(f"{w}_CMD" for w in ROTORS)),
+    "battery": (("battery_voltage",),),
+    "attitude": (QUATERNION,),
+    "position": (POSITION,),
+    "velocity": (VELOCITY, BODY_VELOCITY),
+}
+
+
+def empty_result(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The result of inspect_flight before any file is read."""
+    flight = settings["flight"]
+    found: dict[str, Any] = {"schema": SCHEMA, "flight": flight["flight"], "quadrotor": flight["quadrotor"]}
+    return found | {"problem": settings["problem"], "onboard": None, "capture": None, "holds": {}, "remarks": []}
+
+
+def inspect_flight(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """What the raw files of one flight hold.
+
+    settings  of its import: "flight" (paths, flight controller, rigid body, log number), "quadrotor", "problem"
+    Returns   plain data: "flight", "problem" (a sentence or None), "onboard" and "capture" (format, rate in Hz,
+              duration in s), "holds" {name of HOLDINGS: {"rate": Hz, "from": "onboard" or "capture"}}, "lacks" (names),
+              "remarks" (sentences on channels that are there but hold nothing)
+    """
+    flight, found = settings["flight"], empty_result(settings)
+    sources: dict[str, list[Series]] = {}
+    for source, read in (("onboard", _read_onboard), ("capture", _read_capture), ("wind", _read_wind)):
+        try:
+            if read_now := read(flight, settings["quadrotor"]):
+                found[source], sources[source] = read_now
+        except QuasiError as error:
+            found["problem"] = found["problem"] or str(error)
+    for name, groups in HOLDINGS.items():
+        for source in ("capture", "onboard"):  # where both measure it, import takes the capture's
+            rates = [r for g in groups for s in sources.get(source, ()) if (r := _rate_of(s, g)) is not None]
+            if rates:
+                found["holds"].setdefault(name, {"rate": max(rates), "from": source})
+    found["remarks"] += _stopped_rotors(sources.get("onboard", []))
+    if len(found["remarks"]) == len(ROTORS):
+        found["holds"].pop("rotor speeds", None)
+        found["remarks"] = ["the speeds of all rotors are 0 throughout: bidirectional DShot is off"]
+    found["lacks"] = [name for name in HOLDINGS if name not in found["holds"]]
+    return found
+
+
+def _read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> tuple[dict, list[Series]] | None:
+    if not flight.get("onboard"):
+        return None
+    recording = read_onboard(flight, quadrotor, motor_poles(quadrotor)[0])
+    gyro, _ = require_imu(recording, str(flight["flight"]))
+    about = recording.metadata
+    facts = {
+        "file": str(flight["onboard"]),
+        "format": about.get("format") or about.get("reader"),
+        "firmware": (about.get("firmware") or {}).get("revision", ""),
+        "log": about.get("log"),
+        "logs": len(about["logs"]) if about.get("logs") else None,
+        **_sampling(gyro.t),
+    }
+    return facts, list(recording.series.values())
+
+
+def _read_capture(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> tuple[dict, list[Series]] | None:
+    if not flight.get("capture"):
+        return None
+    recording = read_motive(flight["capture"], str(flight.get("rigid body") or ""), None, remove_outliers=False)
+    series = recording.series["capture"]
+    lost = float(np.mean(~np.isfinite(series.values["x"])))
+    facts = {"file": str(flight["capture"]), "rigid body": recording.metadata["rigid body"], "lost share": lost}
+    return facts | _sampling(series.t), [series]
+
+
+def _read_wind(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> tuple[dict, list[Series]] | None:
+    wind = flight.get("wind") or {}
+    if not wind.get("file"):
+        return None
+    try:
+        series = read_lvm(wind["file"]).series["wind"]
+    except QuasiError:
+        if wind.get("static") is None:
+            raise
+        return None  # import takes the static wind in place of a damaged record
+    return {"file": str(wind["file"]), **_sampling(series.t)}, [series]
+
+
+def _sampling(t: np.ndarray) -> dict[str, float | None]:
+    """Rate, Hz, and duration, s, of sample times t (n,) s."""
+    step = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+    return {"rate": 1.0 / step if step > 0 else None, "duration": float(t[-1] - t[0]) if len(t) else 0.0}
+
+
+def _rate_of(series: Series, names: Sequence[str]) -> float | None:
+    """Mean rate, Hz, of the samples of a series that hold all the quantities; None where fewer than two do."""
+    if not all(name in series.values for name in names):
+        return None
+    complete = np.isfinite(np.stack([series.values[name] for name in names])).all(axis=0)
+    t = series.t[complete]
+    return float((len(t) - 1) / (t[-1] - t[0])) if len(t) > 1 and t[-1] > t[0] else None
+
+
+def _stopped_rotors(series: Iterable[Series]) -> list[str]:
+    """A sentence for each rotor that is logged, but with speed 0 alone."""
+    stopped = []
+    for one in series:
+        for name in ROTORS:
+            values = one.values.get(name, np.zeros(0))
+            if np.isfinite(values).any() and not np.nanmax(np.abs(values)) > 0:
+                stopped.append(f"the speed of rotor {name[1:]} is 0 throughout")
+    return stopped
+
+
+def usable_for(found: Mapping[str, Any]) -> str:
+    """What an inspected flight will be good for, in a few words."""
+    if found["problem"]:
+        return "nothing: broken"
+    lacking = [] if "rotor speeds" in found["holds"] else ["rotor speeds"]
+    lacking += [] if _has_motion(found) else ["position or velocity"]
+    if not lacking:
+        return "models and gaps"
+    return f"its page only: no {' and no '.join(lacking)}"
+
+
+def _has_motion(found: Mapping[str, Any]) -> bool:
+    return "position" in found["holds"] or "velocity" in found["holds"]
+
+
+def refusals(asked: Mapping[str, Any], inspected: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Sentences on why what is asked for cannot be made of its flights; [] where it can.
+
+    asked      "name" for messages, "identifies" (whether forces and moments are identified or compared), "flights"
+               {"quadrotor/flight": {"role", "problem"}}
+    inspected  {"quadrotor/flight": result of inspect_flight}
+    """
+    flights = asked["flights"]
+    sentences = [p for key in flights if (p := inspected[key]["problem"] or flights[key]["problem"])]
+    if not asked["identifies"]:
+        return list(dict.fromkeys(sentences))
+    sound = [key for key in flights if not inspected[key]["problem"]]
+    if silent := [key for key in sound if "rotor speeds" not in inspected[key]["holds"]]:
+        several = len(silent) > 1
+        because = dict.fromkeys(r for key in silent for r in inspected[key]["remarks"])
+        sentences.append(
+            f"{asked['name']}: {'flights' if several else 'flight'} {_listed(silent)} hold{'' if several else 's'} no "
+            f"rotor speeds, which every model needs{''.join(f' ({b})' for b in because)}; log them "
+            f"(docs/your-own-data.md, section 4), or leave {'these flights' if several else 'this flight'} out"
+        )
+    learning = [key for key in flights if flights[key]["role"] in ("training", "compared")]
+    if learning and all(key in sound and not _has_motion(inspected[key]) for key in learning):
+        sentences.append(
+            f"{asked['name']}: none of the flights {_listed(learning)} holds position or velocity, without which "
+            "forces are not known well enough; add a motion capture ('Has OT data'), or flights whose log holds either"
+        )
+    return list(dict.fromkeys(sentences))
+
+
+def _listed(keys: Iterable[str]) -> str:
+    return ", ".join(key.rpartition("/")[2] for key in keys)
+
+
+class Inspector:
+    """Inspects flights; remembers each result.
+
+    memory  folder of what is remembered, which may vanish at any time; version  digest of the code in use
+    """
+
+    def __init__(self, memory: str | Path, version: str):
+        self.memory, self.version = Path(memory), version
+
+    def inspect(self, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """The result of inspect_flight, from memory where settings and files are those on record."""
+        flight = settings["flight"]
+        files = [flight.get("onboard"), flight.get("capture"), (flight.get("wind") or {}).get("file")]
+        basis = [self.version, settings, [identity_of(path) if path else None for path in files]]
+        key = hashlib.sha256(json.dumps(basis, sort_keys=True).encode()).hexdigest()
+        place = self.memory / flight["quadrotor"] / f"{flight['flight']}.json"
+        with suppress(QuasiError, OSError, KeyError, TypeError):
+            if place.is_file() and (known := read_json(place))["key"] == key:
+                return known["found"]
+        found = inspect_flight(settings)
+        with suppress(QuasiError, OSError):
+            write_json(place, {"key": key, "found": found})
+        return found
