@@ -11,6 +11,7 @@ import yaml
 from quasi import configuration
 from quasi.errors import ConfigError, LogbookError, QuasiError, ReadError, nearest
 from quasi.logbook import NAME, Row, apart, pick, read_logbook
+from quasi.quasi_files import misplaced_files
 from quasi.tables import read_json, read_text
 from quasi.variables import check_expression, check_terms, inputs_of_system
 
@@ -56,6 +57,7 @@ def check_project(folder: str | Path) -> None:
     raise ConfigError(
         f"{place} is no project folder: it {found}, expected config/ with the configuration and data/ with the "
         "logbook; correct what -d names, run in the project's folder, or lay one with `quasi init FOLDER`"
+        f"{misplaced_files(place)}"
     )
 
 
@@ -138,7 +140,7 @@ class Project:
         if not is_file(self._here(path)):
             raise ConfigError(
                 f"{path} does not exist in {self.root.absolute()}; run snakemake in a project folder or name it with "
-                "-d (`quasi init FOLDER` lays one)"
+                f"-d (`quasi init FOLDER` lays one){misplaced_files(self.root)}"
             )
         document, notices = configuration.read(self._here(path), kind, str(path))
         self.notices += [n for n in notices if n not in self.notices]
@@ -161,7 +163,7 @@ class Project:
         if not self.models:
             raise ConfigError(
                 f"{self.root.absolute() / 'config/models'} holds no model; run snakemake in a project folder or name "
-                "it with -d (`quasi init FOLDER` lays one)"
+                f"it with -d (`quasi init FOLDER` lays one){misplaced_files(self.root)}"
             )
         return [name for name in self.models if self.model(name)]
 
@@ -184,7 +186,7 @@ class Project:
         """config/models/<name>.json, checked, with defaults. Raises ConfigError."""
         path = f"config/models/{name}.json"
         if name not in self.models:
-            raise ConfigError(f"{path} does not exist{nearest(name, self.models)}")
+            raise ConfigError(f"{path} does not exist{nearest(name, self.models)}{misplaced_files(self.root)}")
         if not NAME.fullmatch(name):
             raise ConfigError(f"{path}: a model ID may hold letters, digits and . _ + - only; rename the file")
         config = self._read(path, "model")
@@ -212,7 +214,7 @@ class Project:
         """config/simulations/<name>.json, checked, with defaults. Raises ConfigError."""
         path = f"config/simulations/{name}.json"
         if name not in self.simulations:
-            raise ConfigError(f"{path} does not exist{nearest(name, self.simulations)}")
+            raise ConfigError(f"{path} does not exist{nearest(name, self.simulations)}{misplaced_files(self.root)}")
         return self._read(path, "simulation")
 
     def made_flight(self, campaign: str, flight: str) -> dict[str, Any]:

@@ -23,13 +23,13 @@ class Terminal(logging.Filter):
     """Decides what of Snakemake's messages reaches the terminal, and tells jobs in its own words.
 
     run  folder in which the jobs of the run leave how they ended; stream  the terminal
-    faults  sentences that are told at the end of the run anyway; asked  arguments of the run, as in sys.argv[1:]
+    asked  arguments of the run, as in sys.argv[1:]
     What it does not know passes: an error, or a message of a Snakemake to come.
     """
 
-    def __init__(self, run: str, stream: TextIO, faults: Sequence[str] = (), asked: Sequence[str] = ()):
+    def __init__(self, run: str, stream: TextIO, asked: Sequence[str] = ()):
         super().__init__()
-        self.run, self.stream, self.faults, self.asked = run, stream, faults, asked
+        self.run, self.stream, self.asked = run, stream, asked
         self.jobs: dict[int, Mapping[str, Any]] = {}
         self.done, self.total = 0, 0
         self.known: set[str] = set()
@@ -108,9 +108,6 @@ class Terminal(logging.Filter):
         if "CalledProcessError" in said:
             self.held.append(said)
             return False
-        # where in the rules a slip of the configuration was met says nothing either
-        if any(fault in said for fault in self.faults):
-            return False
         return not (self.failed and "At least one job did not complete successfully" in said)
 
     def _release(self) -> None:
@@ -134,26 +131,31 @@ class Terminal(logging.Filter):
         self.stream.flush()
 
 
-class Misnamed(logging.Filter):
-    """Tells a target that no rule makes in a sentence of its own, in place of Snakemake's.
+class FaultFilter(logging.Filter):
+    """Replaces Snakemake's messages on a run that cannot start by sentences that are printed at its end.
 
-    faults  sentences that are told at the end of the run, to which it is added; known  gives the targets there are
+    faults  these sentences, to which it adds; targets  returns what can be made; lock  explains a locked folder
     """
 
-    def __init__(self, faults: list[str], known: Callable[[], Iterable[str]]):
+    def __init__(self, faults: list[str], targets: Callable[[], Iterable[str]], lock: Callable[[], str]):
         super().__init__()
-        self.faults, self.known = faults, known
+        self.faults, self.targets, self.lock = faults, targets, lock
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """False for what is told otherwise."""
-        said = re.search(r"^No rule to produce (.+?) \(if you use input functions", str(record.msg), flags=re.M)
-        if not said:
-            return True
-        self.faults.append(
-            f"no rule makes '{said[1]}'{nearest(said[1], self.known())}; correct the target: README.md says under "
-            "'What is where' what can be made, and names hold letters, digits and . _ + - only"
-        )
-        return False
+        """False for a message that a sentence replaces."""
+        text = str(record.msg)
+        if "Directory cannot be locked" in text:
+            self.faults.append(self.lock())
+            return False
+        missing = re.search(r"^No rule to produce (.+?) \(if you use input functions", text, flags=re.M)
+        if missing:
+            self.faults.append(
+                f"no rule makes '{missing[1]}'{nearest(missing[1], self.targets())}; correct the target: README.md "
+                "says under 'What is where' what can be made, and names hold letters, digits and . _ + - only"
+            )
+            return False
+        # where in the rules a fault of the configuration was met does not help to correct it
+        return not any(fault in text for fault in self.faults)
 
 
 def standing(targets: Sequence[str], folder: str | Path) -> str:
@@ -162,8 +164,8 @@ def standing(targets: Sequence[str], folder: str | Path) -> str:
     return f"Up to date; begin with {', '.join(pages)}" if pages else ""
 
 
-def again(asked: Sequence[str], target: str) -> str:
-    """The command that makes a target of the same project. asked  arguments of a run of Snakemake
+def again(asked: Sequence[str], target: str = "") -> str:
+    """The command that makes a target of the same project, or what it begins with. asked  arguments of Snakemake
 
     >>> again(["-d", "my lab", "-j2", "--config", "data=/mnt", "--", "models/m/standalone"], "processing")
     "snakemake -d 'my lab' --config data=/mnt -- processing"
@@ -184,6 +186,8 @@ def again(asked: Sequence[str], target: str) -> str:
         # a setting goes on to the next option: what holds no = is a target that followed it
         values = [v for v in values or [] if option != "--config" or "=" in v]
         words += [option, *values] if values else []
+    if not target:
+        return shlex.join(words)
     return shlex.join([*words, *(["--"] if kept.configfile or kept.config else []), target])
 
 

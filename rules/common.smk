@@ -3,6 +3,7 @@
 import atexit
 import logging
 import os
+import shlex
 import sys
 import tempfile
 from pathlib import Path
@@ -15,7 +16,8 @@ from quasi.joblog import RUN, told
 from quasi.provenance import code_of
 from quasi.project import check_project, check_writable, read_settings
 from quasi.running.checksums import Checksums
-from quasi.terminal import Misnamed, Terminal, standing
+from quasi.running.live_runs import explain_lock, refuse_unlocking, register, withdraw
+from quasi.terminal import FaultFilter, Terminal, again, standing
 from quasi.workflow import Folder
 
 PROJECT = os.getcwd()  # at the end of a run it is another one
@@ -68,11 +70,17 @@ if MAIN:
     quiet = not (workflow.output_settings.dryrun or workflow.output_settings.verbose)
     for handler in logging.getLogger("snakemake.logging").handlers:
         if handler.name == "DefaultStreamHandler":
-            handler.addFilter(Misnamed(FAULTS, lambda: FOLDER.targets()))
+            handler.addFilter(
+                FaultFilter(
+                    FAULTS,
+                    lambda: FOLDER.targets(),
+                    lambda: explain_lock(PROJECT, again(sys.argv[1:])),
+                )
+            )
             # a dry run is asked for Snakemake's own account; the log file of a run keeps it whole
             if quiet:
                 TERMINALS.append(
-                    Terminal(os.environ[RUN], handler.stream, FAULTS, sys.argv[1:])
+                    Terminal(os.environ[RUN], handler.stream, sys.argv[1:])
                 )
                 handler.addFilter(TERMINALS[-1])
 
@@ -94,6 +102,14 @@ def ask(question, *arguments):
 
 ask(check_project, ".")
 ask(check_writable, ".")
+
+if MAIN and not workflow.output_settings.dryrun:
+    if "--unlock" in sys.argv and (fault := refuse_unlocking(".")):
+        FAULTS.append(fault)
+        raise WorkflowError(fault)
+    atexit.register(
+        withdraw, register(Path(PROJECT), shlex.join(["snakemake", *sys.argv[1:]]))
+    )
 
 # what the command line gives (--config) comes before the folder's own file
 for key, value in ask(read_settings, "config/config.yaml").items():

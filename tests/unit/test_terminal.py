@@ -7,7 +7,7 @@ import pytest
 
 from quasi.errors import ReadError
 from quasi.joblog import LOG, RUN, job, judge
-from quasi.terminal import Misnamed, Terminal, again, standing
+from quasi.terminal import FaultFilter, Terminal, again, standing
 
 
 @pytest.fixture
@@ -158,24 +158,29 @@ def test_where_nothing_was_to_be_done_the_page_that_stands_is_named(run, tmp_pat
     assert standing(["models/a/standalone"], tmp_path.parent) == ""
 
 
-def test_a_fault_that_ends_the_run_in_its_own_words_is_not_told_twice(tmp_path):
-    faults = []
-    terminal = Terminal(str(tmp_path), io.StringIO(), faults)
-    said = logging.makeLogRecord(
-        {"event": "error", "msg": "WorkflowError in rule a:\n    config/a.json: unknown key 'b'"}
-    )
-    assert terminal.filter(said)
-    faults.append("config/a.json: unknown key 'b'")
-    assert not terminal.filter(said)
-    assert terminal.filter(logging.makeLogRecord({"event": "error", "msg": "MissingRuleException: c"}))
+@pytest.fixture
+def fault_filter():
+    return FaultFilter([], lambda: ["models/small/standalone", "processing"], lambda: "locked by process 1")
 
 
-def test_a_target_that_no_rule_makes_is_told_with_the_nearest():
-    faults = []
-    told = Misnamed(faults, lambda: ["models/small/standalone", "processing"])
+def test_a_target_that_no_rule_makes_is_answered_with_the_nearest(fault_filter):
     said = (
         "MissingRuleException:\nNo rule to produce models/small (if you use input functions make sure that they ...)."
     )
-    assert not told.filter(logging.makeLogRecord({"msg": said, "event": "error"}))
-    assert faults[0].startswith("no rule makes 'models/small' (did you mean 'models/small/standalone'?); correct the")
-    assert told.filter(logging.makeLogRecord({"msg": "Building DAG of jobs..."})) and len(faults) == 1
+    assert not fault_filter.filter(logging.makeLogRecord({"msg": said, "event": "error"}))
+    assert fault_filter.faults[0].startswith("no rule makes 'models/small' (did you mean 'models/small/standalone'?);")
+    assert fault_filter.filter(logging.makeLogRecord({"msg": "Building DAG of jobs..."}))
+    assert len(fault_filter.faults) == 1
+
+
+def test_a_locked_folder_is_explained_in_our_words_alone(fault_filter):
+    said = "LockException:\nError: Directory cannot be locked. ... It can be removed with the --unlock argument."
+    assert not fault_filter.filter(logging.makeLogRecord({"msg": said, "event": "error"}))
+    assert fault_filter.faults == ["locked by process 1"]
+
+
+def test_a_known_fault_of_the_configuration_is_not_printed_with_a_traceback_first(fault_filter):
+    fault_filter.faults.append("config/a.json: unknown key 'b'")
+    said = "InputFunctionException in rule a:\nWorkflowError:\n    config/a.json: unknown key 'b'\nTraceback:\n  File"
+    assert not fault_filter.filter(logging.makeLogRecord({"msg": said, "event": "error"}))
+    assert fault_filter.filter(logging.makeLogRecord({"msg": said.replace("'b'", "'c'"), "event": "error"}))
