@@ -63,6 +63,7 @@ class Folder(Recordings):
             "data partitioning": self.partitioning(name),
             "isolation": self.isolation(name),
             "mixed batteries": batteries,
+            "use unusable flights": name in self.models and self.model(name)["logging file"]["use unusable flights"],
             "problem": part["problem"],
         }
 

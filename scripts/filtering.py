@@ -20,9 +20,8 @@ def main(settings: dict, flight: str, metadata: str, output: dict[str, str]) -> 
     result = filter_flight(imported, read_json(metadata), airframe, settings["options"], progress)
     seconds = time.perf_counter() - began
     LOG.info("%d samples filtered in %.1f s, %.0f a second", len(imported), seconds, len(imported) / seconds)
-    reason = result.metadata["phases"]["none valid because"]
-    if reason:
-        judge("unusable", f"{NONE_VALID}: {reason}")
+    if result.metadata["unusable because"]:
+        judge("unusable", "; ".join(result.metadata["unusable because"]))
     for note in gravest_first(n for n in result.metadata["notes"] if not n.startswith(NONE_VALID)):
         LOG.warning("%s", note)
     for kind, columns in (("with_gravity", result.with_gravity), ("no_gravity", result.no_gravity)):

@@ -7,7 +7,7 @@ from quasi.errors import ConfigError
 from quasi.identification.isolation import excited
 from quasi.identification.partition import EXCITED, partition, to_table
 from quasi.identification.partition import UNITS as PARTITION_UNITS
-from quasi.identification.shared import refuse_speedless, shared
+from quasi.identification.shared import left_out_notes, refuse_speedless, shared, unusable_flights
 from quasi.joblog import LOG, job, progress
 from quasi.tables import ages_taken_off, masses_of, read_made, read_table, recordings_of, write_json, write_table
 
@@ -22,6 +22,8 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
     tables = {Path(path).stem: read_table(path) for path in progress(flights, "reading flights")}
     made = {Path(path).stem: read_made(path) for path in flights}
     refuse_speedless(tables)
+    left_out = unusable_flights(made, tables, settings["use unusable flights"])
+    tables = {key: table for key, table in tables.items() if key not in left_out}
     because = {key: why for key, about in made.items() if (why := about.get("phases", {}).get("none valid because"))}
     roles = partition(tables, options=settings["data partitioning"], because=because)
     masses = masses_of(made)
@@ -31,6 +33,7 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
         kinds = ", ".join(settings["mixed batteries"])
         found["notes"].append(f"the flights were flown with different batteries ({kinds}), as the configuration allows")
     regions = excited(tables, roles, airframe, AXES, settings["isolation"]) if settings["isolation"] else {}
+    found["notes"] += left_out_notes(left_out)
     for note in found["notes"]:
         LOG.warning("%s", note)
     factors = {about.get("logged to rad/s") for about in made.values()} - {None}

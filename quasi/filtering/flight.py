@@ -15,6 +15,8 @@ from quasi.errors import ConfigError, DataError
 from quasi.filtering import band as bands
 from quasi.filtering import bias as biases
 from quasi.filtering import ekf, estimation, forces, measurements
+from quasi.filtering.verdict import judge_flight
+from quasi.plausibility import impossible_inertia
 from quasi.tables import COLUMNS
 
 DEFAULTS: dict[str, Any] = {
@@ -103,12 +105,8 @@ def _check(airframe: Airframe, notes: list[str]) -> None:
         raise DataError(
             f"{airframe.name}: 'moment of inertia' is not positive definite; check its entries and units (kg m2)"
         )
-    if principal[2] > 1.001 * (principal[0] + principal[1]):
-        doubt(
-            notes,
-            f"{airframe.name}: 'moment of inertia' has principal moments of {', '.join(f'{m:.3g}' for m in principal)} "
-            "kg m2, of which the greatest exceeds the sum of the others: no body has such; measure it anew",
-        )
+    if said := impossible_inertia(inertia):
+        doubt(notes, f"{airframe.name}: {said}")
 
 
 def _filled(frame: pd.DataFrame, names: list[str], notes: list[str]) -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -246,6 +244,7 @@ def filter_flight(
         "notes": notes,
         "doubts": doubts(notes),
     }
+    metadata |= judge_flight(imported, imported_metadata, metadata, found.rest)
     return Filtered(with_gravity, no_gravity, metadata, run.convergence)
 
 

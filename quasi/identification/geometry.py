@@ -13,6 +13,7 @@ from quasi.airframe import Airframe
 from quasi.errors import DataError
 from quasi.expressions import Program, parse
 from quasi.identification.regression import least_squares
+from quasi.plausibility import impossible_inertia
 from quasi.variables import Variables
 
 SURE = 5.0  # standard errors
@@ -32,7 +33,10 @@ def contradictions(prepared: Mapping[str, tuple], airframe: Airframe, thrust: fl
     prepared  {flight: (rows, values by column, mass)} of training rows; thrust  of one rotor, N s2/rad2
     """
     if not thrust > 0.0:
-        return []
+        return [
+            f"the faster the rotors turn, the less they lift (thrust factor {thrust:.2g} N s2/rad2): check the sign "
+            "and axes of the accelerometer, and the rotor speeds"
+        ]
     slopes = {axis: _slopes(prepared, airframe, axis) for axis in BESIDE}
     places: list[str] = []
     scaled = None
@@ -47,7 +51,7 @@ def contradictions(prepared: Mapping[str, tuple], airframe: Airframe, thrust: fl
             f"the configuration has it {_side(*hubs[i])} (x = {hubs[i, 0]:.2f} m, y = {hubs[i, 1]:.2f} m)"
             for i in np.flatnonzero(elsewhere)
         ]
-    notes = []
+    notes = [said] if (said := impossible_inertia(airframe.inertia)) else []
     if scaled:
         notes.append(scaled)
     elif places:

@@ -21,6 +21,7 @@ from quasi.variables import Variables
 
 UPRIGHT = 0.99  # share of gravity along body z from which a sample counts as hover
 LEAST_HOVER = 50  # samples
+USE_UNUSABLE = "use unusable flights"  # key of a model's configuration
 NEEDED = ("w1", "w2", "w3", "w4", "Fz", "Mx", "My", "Mz", "roll", "pitch", "u", "v", "w", "p", "q", "r")
 OPTIONAL = ("w1_dot", "w2_dot", "w3_dot", "w4_dot", "u_air", "v_air", "w_air")
 
@@ -36,6 +37,38 @@ def refuse_speedless(flights: Mapping[str, pd.DataFrame]) -> None:
             "which every model needs; log them (docs/your-own-data.md, section 4), or leave "
             f"{'these flights' if len(keys) > 1 else 'this flight'} out"
         )
+
+
+def unusable_flights(
+    made: Mapping[str, Mapping[str, Any]], flights: Mapping[str, pd.DataFrame], use: bool = False
+) -> dict[str, str]:
+    """{flight: why} of training flights with the verdict `unusable`, which train no model; {} where `use` is true.
+
+    made  {flight: metadata of its filtered table}; flights  filtered flights
+    Raises DataError where no flight would be left.
+    """
+    found = {
+        key: "; ".join(made[key].get("unusable because") or [])
+        for key, flight in flights.items()
+        if made[key].get("unusable because") and (flight["valid"].to_numpy() > 0.5).any()
+    }
+    if use or not found:
+        return {}
+    if len(found) == len(flights):
+        listed = "; ".join(f"flight {key}: {why}" for key, why in found.items())
+        raise DataError(
+            f"no training flight is usable: {listed}; correct the recordings or their configuration, or set "
+            f"'{USE_UNUSABLE}' in 'logging file' of the model's configuration to true"
+        )
+    return found
+
+
+def left_out_notes(left_out: Mapping[str, str]) -> list[str]:
+    """A sentence for each flight of `unusable_flights`."""
+    return [
+        f"flight {key} is unusable and trains no model ({why}); '{USE_UNUSABLE}' would force it"
+        for key, why in left_out.items()
+    ]
 
 
 def shared(

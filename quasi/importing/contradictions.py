@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from quasi.attitude import GRAVITY, body_rates, continuous, rotate
+from quasi.attitude import GRAVITY, body_rates, continuous, interpolate, rotate, rotate_inverse
 from quasi.errors import DataError
 from quasi.importing.clocks import uniform
 from quasi.importing.synchronisation import Motion
@@ -19,6 +19,7 @@ WRONG_RATES, REFUSED_RATES = (
     30.0,
 )  # times, between gyro and attitude: beyond sensors' scales; beyond any slip but units
 ALIKE = 0.6  # correlation from which body rates are those of an attitude but for a factor
+LEAST_STRETCHES = 2  # in which an axis turns; of fewer, a gain counts where the rates go together
 STRETCH = 5.0  # s, of which each is asked by itself: one reset of an estimate is no wrong unit
 LEAST_MOTION = 0.2  # m/s2, rms acceleration below which nothing can be said
 
@@ -75,6 +76,56 @@ def rates_explained(t: np.ndarray, rates: np.ndarray, t_told: np.ndarray, attitu
         return None
     told = body_rates(continuous(attitude[fine]), t_told[fine])
     return _explained(t, rates, t_told[fine], told, LEAST_TURNING)
+
+
+def rate_gains(t: np.ndarray, rates: np.ndarray, t_attitude: np.ndarray, attitude: np.ndarray) -> dict[str, float]:
+    """{"p", "q", "r": slope of the gyro's rate on that of an attitude}, of the axes that turn; 1 where both agree.
+
+    Arguments as `rates_explained`. Axes whose rates go together too little have the slope that is left of them.
+    """
+    fine = np.isfinite(attitude).all(axis=1)
+    if np.count_nonzero(fine) < 8:
+        return {}
+    turned = body_rates(continuous(attitude[fine]), t_attitude[fine])
+    pairs = [(a - a.mean(axis=0), b - b.mean(axis=0)) for a, b in _stretches(t, rates, t_attitude[fine], turned)]
+    if not pairs:
+        return {}
+    # median over stretches: one reset of an estimate is no wrong axis
+    gyro, own = (np.array([np.mean(p[k] ** 2, axis=0) for p in pairs]) for k in (0, 1))
+    both = np.array([np.mean(a * b, axis=0) for a, b in pairs])
+    gains = {}
+    for k, name in enumerate("pqr"):
+        moving = (gyro[:, k] >= LEAST_TURNING**2) & (own[:, k] >= LEAST_TURNING**2)
+        alike = np.abs(both[:, k]) > ALIKE * np.sqrt(gyro[:, k] * own[:, k])
+        if np.count_nonzero(moving) >= LEAST_STRETCHES or (moving & alike).any():
+            gains[name] = float(np.median(both[moving, k] / own[moving, k]))
+    return gains
+
+
+def specific_force_residual(
+    onboard: Motion, t: np.ndarray, position: np.ndarray, t_attitude: np.ndarray, attitude: np.ndarray
+) -> np.ndarray | None:
+    """Specific force (3,), m/s2, body FRD, beyond what gravity and a captured motion need: the median of the flight.
+
+    onboard  needs specific_force; t (n,) s with position (n, 3) m earth NED; t_attitude (m,) s with attitude (m, 4)
+    body to earth; all times on the on-board clock, NaN where missing. None where they share less than two seconds.
+    """
+    fine = np.isfinite(attitude).all(axis=1)
+    felt, seen = uniform(onboard.t, onboard.specific_force, RATE, BAND), uniform(t, position, RATE, BAND)
+    if felt is None or seen is None or np.count_nonzero(fine) < 8:
+        return None
+    acceleration = np.gradient(np.gradient(seen.values, seen.step, axis=0), seen.step, axis=0)
+    edge = int(RATE / BAND)
+    at, q_t = seen.t[edge:-edge], t_attitude[fine]
+    good = seen.good[edge:-edge] & (at > max(felt.t[0], q_t[0]) + 1.0) & (at < min(felt.t[-1], q_t[-1]) - 1.0)
+    if np.count_nonzero(good) < 2 * RATE:
+        return None
+    at = at[good]
+    needed = rotate_inverse(
+        interpolate(attitude[fine], q_t, at), acceleration[edge:-edge][good] - np.array([0.0, 0.0, GRAVITY])
+    )
+    there = np.stack([np.interp(at, felt.t, v) for v in felt.values.T], axis=-1)
+    return np.median(there - needed, axis=0)
 
 
 def velocity_explained(t: np.ndarray, velocity: np.ndarray, t_told: np.ndarray, position: np.ndarray) -> float | None:

@@ -17,6 +17,7 @@ from quasi.importing.artefacts import flyable
 from quasi.importing.calibration import calibrated_capture, calibrated_onboard
 from quasi.importing.command_map import add_commanded_speeds
 from quasi.importing.contradictions import refuse_wrong_lengths, refuse_wrong_rates
+from quasi.importing.cross_checks import cross_check
 from quasi.importing.lever_arm import felt_too_much, hover_arm
 from quasi.importing.motive import read_motive
 from quasi.importing.onboard_log import (
@@ -43,6 +44,7 @@ from quasi.importing.synchronisation import Motion, Synchronisation, synchronise
 from quasi.importing.telemetry import rotor_age
 from quasi.importing.verdict import verdict
 from quasi.importing.wind import add_wind
+from quasi.plausibility import to_plain
 from quasi.tables import sha256_of
 
 DEFAULTS: dict[str, Any] = {
@@ -112,6 +114,7 @@ def import_flight(
         if any(end.sensor == "gyro" for end in ends):
             raise DataError(f"{error}; the gyro was clipped at the end of its range, which may be why") from None
         raise
+    contradictory = cross_check(board, capture, sync)
     board, telemetry = _settle_telemetry(board, where, notes)
     frame, facts = _fuse(board, capture, sync, quadrotor, chosen, where, notes)
     at = frame["t"].to_numpy() + facts["start"]["value"]
@@ -132,6 +135,7 @@ def import_flight(
         "sources": {"onboard": recording.metadata} | ({"capture": captured.metadata} if captured else {}),
         "sampling": {"rate": rate, "samples": len(frame), "duration": float(frame["t"].iloc[-1])},
         **facts,
+        "contradictions": to_plain(contradictory),
         "streams": _streams(board, capture, sync, facts["start"]["value"]),
         "synchronisation": sync.metadata() if sync else None,
         "motor poles": magnets,

@@ -11,11 +11,12 @@ from quasi.importing import limits
 from quasi.importing.contradictions import doubtful_units
 from quasi.importing.onboard_log import Onboard
 from quasi.importing.resampling import covered
+from quasi.plausibility import reasons, unusable_without
 
 
 def verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) -> dict[str, str]:
     """One word and why."""
-    bad, care = [], []
+    bad, care = reasons(metadata["contradictions"]) + unusable_without(frame, metadata), []
     valid = float(frame["onboard_valid"].mean())
     duration = float(frame["t"].iloc[-1])
     if valid < 0.5:
@@ -33,11 +34,6 @@ def verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) ->
     poles = metadata["motor poles"]
     if stated and stated != DEFAULT_POLES and poles.get("source") == "configuration" and stated != poles["value"]:
         care.append(f"its header states {stated} motor poles, the configuration {poles['value']}")
-    lacking = [str(i) for i in range(1, 5) if f"w{i}" not in frame]
-    if lacking:
-        care.append("the log holds no rotor speeds" + (f" of {', '.join(lacking)}" if len(lacking) < 4 else ""))
-    if metadata["position source"] == "none" and metadata["velocity source"] == "none":
-        care.append("there is neither position nor velocity")
     if metadata["attitude source"] == "estimated on board":
         care.append("the attitude is estimated from gyro and accelerometer alone")
     if metadata["position source"] == "capture":

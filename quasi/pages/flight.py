@@ -100,6 +100,9 @@ def verdict(imported: Section, filtered: Section, saturated: Mapping[str, float]
         why = filtered["phases"].get("none valid because")
         word = "unusable"
         reasons.insert(0, "no row is valid for identification" + (f": {why}" if why else ""))
+    if filtered.get("verdict") == ORDER[2]:  # with its contradictions and what is lacking
+        word, because = ORDER[2], filtered["verdict because"]
+        reasons, doubts = [because], [d for d in doubts if d not in because]
     return word, "; ".join([*reasons, *doubts])
 
 

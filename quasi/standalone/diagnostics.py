@@ -64,10 +64,10 @@ def diagnose(
         facts |= verdict(axis, facts, bool(model.document.get("extensions")))
         axes[axis] = facts
     worst = max((facts["verdict"] for facts in axes.values()), key=ORDER.index)
-    # scores do not show it: a polynomial fits whatever the rotors are called
+    # scores do not show it: a polynomial fits whatever the rotors are called, and flies another vehicle
     wrong = model.document.get("contradictions") or []
     if wrong:
-        worst = max(worst, ORDER[1], key=ORDER.index)
+        worst = ORDER[2]
     return {
         "schema": SCHEMA,
         "model": model.id,

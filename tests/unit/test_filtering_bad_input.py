@@ -109,7 +109,8 @@ def test_a_flight_without_any_valid_row_is_called_so_in_its_jobs_own_line(made, 
     with job("f.log"):
         program.main(settings, "f.parquet", "f.json", {n: f"{n}.out" for n in names})
     told = outcome(tmp_path / "run", "f.log")
-    assert told["verdict"].startswith("unusable (no row of this flight is valid for identification: sensors or rotor")
+    assert told["verdict"].startswith("unusable (unusable for identification: neither position nor velocity; ")
+    assert "no row is valid for identification: sensors or rotor speeds are lost" in told["verdict"]
     assert not any("no row of this flight" in note for note in told["notes"])
     assert doubts(["a", Doubt("b")]) == gravest_first(["a", Doubt("b")])[:1]
 

@@ -122,7 +122,9 @@ def test_without_capture_the_flight_is_still_read(made):
     assert "x" not in frame
     assert about["synchronisation"] is None
     assert about["position source"] == "none"
-    assert about["verdict"] == "usable with care"
+    assert about["verdict"] == "unusable"
+    assert about["verdict because"].startswith("unusable for identification: neither position nor velocity")
+    assert "its page still shows body rates, specific force, attitude, rotor speeds" in about["verdict because"]
 
 
 def test_the_imu_is_moved_to_the_cg_by_rigid_body_kinematics(made):
@@ -249,7 +251,7 @@ def test_rotors_of_several_sources_are_valid_where_all_are_known(tmp_path):
     assert "the on-board log lost 33" in about["verdict because"]
     quadrotor["table columns"]["sources"].remove(rear)
     _, about = import_flight(flight, quadrotor, {})
-    assert "the log holds no rotor speeds of 3, 4" in about["verdict because"]
+    assert "unusable for identification: no rotor speeds of 3, 4" in about["verdict because"]
 
 
 @pytest.mark.parametrize(

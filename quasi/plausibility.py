@@ -1,0 +1,201 @@
+"""Limits beyond which two sources of a flight contradict each other, for the verdicts of import and filter alike.
+
+Each limit lies beyond what a sound sensor, mounting or capture shows. Beyond it one of the two named sources is wrong,
+in its unit, axes, sign, scale or time stamps, and the flight is unusable.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from quasi.attitude import GRAVITY
+
+# m/s2. Twice the largest zero-g offset of the consumer IMUs on flight controllers: 80 mg along z (InvenSense MPU-6000
+# product specification rev. 3.4, table 6.2); Bosch BMI088 and TDK ICM-42688-P state 20 mg
+ACCELEROMETER_BIAS = 2 * 0.080 * 9.80665
+GYRO_BIAS = np.radians(20.0)  # rad/s, initial zero-rate output of the MPU-6000 (table 6.1); newer ones state 0.5 to 1
+SIGMAS = 3.0  # standard errors that a bias must also exceed: what is hardly known contradicts nothing
+# rad. Rigid bodies are aligned by eye to some degrees; ours were off by 0.2 to 1.1 deg (nano-drone runs, null-1-told)
+MOUNTING_ANGLE = np.radians(10.0)
+REST_ANGLE = np.arcsin(
+    ACCELEROMETER_BIAS / 9.80665
+)  # rad, by which an allowed accelerometer bias tilts gravity at rest
+# Innovations of five times their standard errors on average, after the noise levels were re-estimated. Sound flights
+# showed 0.2 to 6 (nano-drone runs, null-1-told), a filter that lost the attitude 116 to 909
+LARGEST_NIS = 25.0
+# Body rates of a gyro over those of an attitude; scale errors of data sheets are 3 % (MPU-6000), ours were 0.87 to 1.01
+RATE_GAIN = (2 / 3, 3 / 2)
+# Accelerations of a captured position over those measured; sound flights showed 0.92 to 1.01
+LENGTH_RATIO = (3 / 4, 4 / 3)
+AXES = {"p": "roll", "q": "pitch", "r": "yaw"}
+
+
+class Contradiction(NamedTuple):
+    """between  the two sources, as the messages name them; quantity, value, limit, unit  what exceeds what; text"""
+
+    between: tuple[str, str]
+    quantity: str
+    value: float
+    limit: float
+    unit: str
+    text: str
+
+
+def to_plain(found: Sequence[Contradiction]) -> list[dict[str, Any]]:
+    """For the metadata of a flight."""
+    return [{**c._asdict(), "between": list(c.between)} for c in found]
+
+
+def reasons(found: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The sentences of contradictions as `to_plain` makes them."""
+    return [str(c["text"]) for c in found]
+
+
+def _contradict(one: str, other: str, how: str, advice: str) -> str:
+    return f"{one} and {other} contradict each other: {how}; {advice}"
+
+
+def check_rate_gains(gains: Mapping[str, float], attitude: str) -> list[Contradiction]:
+    """gains  {"p", "q", "r": rate of the gyro over that of the attitude}, of axes that turn; attitude  its name"""
+    low, high = RATE_GAIN
+    wrong = {axis: gain for axis, gain in gains.items() if not low < gain < high}
+    if not wrong:
+        return []
+    axis, gain = max(wrong.items(), key=lambda item: abs(item[1] - 1.0))
+    listed = ", ".join(f"{n} ({AXES[n]}) is {g:.2f} times that of the attitude" for n, g in wrong.items())
+    limits = f"limits {low:.2f} to {high:.2f}"
+    text = _contradict("gyro", attitude, f"{listed}, {limits}", "check sign, unit, order and axes of both")
+    return [Contradiction(("gyro", attitude), f"gain of {axis}", gain, low if gain < low else high, "1", text)]
+
+
+def check_length_ratio(ratio: float | None, position: str) -> list[Contradiction]:
+    """ratio  of the accelerations of a position over those that the accelerometer measures, None where unknown"""
+    low, high = LENGTH_RATIO
+    if ratio is None or low < ratio < high:
+        return []
+    how = f"the position accelerates {ratio:.2f} times as much as is measured, limits {low:.2f} to {high:.2f}"
+    text = _contradict("accelerometer", position, how, "check the length unit and the accelerometer's scale")
+    limit = low if ratio <= low else high
+    return [Contradiction(("accelerometer", position), "acceleration ratio", ratio, limit, "1", text)]
+
+
+def check_residual(residual: np.ndarray | None, attitude: str | None, position: str) -> list[Contradiction]:
+    """residual  (3,) m/s2, body FRD, that the accelerometer measures beyond what attitude and motion need, or None
+
+    attitude  name of its source, None where it was estimated from the accelerometer; position  that of the motion
+    """
+    if residual is None:
+        return []
+    across, along = float(np.hypot(*residual[:2])), abs(float(residual[2]))
+    if attitude is None:
+        across = 0.0  # an attitude that was levelled by the accelerometer agrees with it
+    size = float(np.hypot(across, along))
+    if size <= ACCELEROMETER_BIAS:
+        return []
+    other = attitude if attitude is not None and across > along else position
+    how = (
+        f"it measures ({', '.join(f'{v:+.1f}' for v in residual)}) m/s2 more than gravity and the motion need, limit "
+        f"{ACCELEROMETER_BIAS:.1f}"
+    )
+    if other == attitude:
+        how += f", as if one were tilted by {np.degrees(np.arctan2(across, GRAVITY)):.0f} deg"
+    text = _contradict("accelerometer", other, how, "check axes, unit, offset and time stamps of both")
+    return [Contradiction(("accelerometer", other), "specific force", size, ACCELEROMETER_BIAS, "m/s2", text)]
+
+
+def check_biases(value: np.ndarray, std: np.ndarray, sources: Mapping[str, str]) -> list[Contradiction]:
+    """value, std  (6,) biases of p q r (rad/s) and ax ay az (m/s2) with standard errors; sources  names by kind"""
+    found = []
+    against = {
+        "gyro": sources.get("attitude") or sources.get("position") or "accelerometer",
+        "accelerometer": sources.get("position") or sources.get("velocity") or sources.get("attitude") or "gravity",
+    }
+    for sensor, part, limit, unit, names in (
+        ("gyro", slice(0, 3), GYRO_BIAS, "rad/s", "pqr"),
+        ("accelerometer", slice(3, 6), ACCELEROMETER_BIAS, "m/s2", ("ax", "ay", "az")),
+    ):
+        bias, error = np.asarray(value[part], float), np.nan_to_num(np.asarray(std[part], float))
+        over = (np.abs(bias) > limit) & (np.abs(bias) > SIGMAS * error)
+        if not over.any():
+            continue
+        listed = ", ".join(f"{n} {b:+.2g}" for n, b, o in zip(names, bias, over) if o)
+        how = f"they agree only with a bias of {listed} {unit} of the {sensor}, limit {limit:.2g} {unit}"
+        text = _contradict(sensor, against[sensor], how, "check axes, units and time stamps of both")
+        largest = float(np.max(np.abs(bias[over])))
+        found.append(Contradiction((sensor, against[sensor]), f"bias of the {sensor}", largest, limit, unit, text))
+    return found
+
+
+def check_angle(angle: float | None, limit: float, quantity: str, attitude: str) -> list[Contradiction]:
+    """angle  rad between the accelerometer's and the attitude's vertical or axes, None where unknown"""
+    if angle is None or angle <= limit:
+        return []
+    how = f"{quantity} is {np.degrees(angle):.1f} deg, limit {np.degrees(limit):.1f} deg"
+    text = _contradict("accelerometer", attitude, how, "check the axes of both, or align the rigid body anew")
+    return [Contradiction(("accelerometer", attitude), quantity, float(angle), float(limit), "rad", text)]
+
+
+def check_innovations(nis: Mapping[str, Mapping[str, Any]], sources: Mapping[str, str]) -> list[Contradiction]:
+    """nis  {kind of measurement: "mean" normalised innovation squared per degree of freedom}; sources  names by kind"""
+    found = []
+    for kind, entry in nis.items():
+        mean = entry.get("mean")
+        if mean is None or not mean > LARGEST_NIS or kind not in sources:
+            continue
+        other = "gyro" if kind == "attitude" else "accelerometer"
+        how = (
+            f"the filter predicts the {kind} wrong by {np.sqrt(mean):.0f} standard errors on average (mean normalised "
+            f"innovation squared {mean:.3g}, limit {LARGEST_NIS:g})"
+        )
+        text = _contradict(other, sources[kind], how, "check axes, units and time stamps of both")
+        found.append(Contradiction((other, sources[kind]), f"innovations of {kind}", mean, LARGEST_NIS, "1", text))
+    return found
+
+
+def impossible_inertia(inertia: np.ndarray) -> str | None:
+    """End of a sentence where no body has such an inertia (3, 3), kg m2, positive definite; else None.
+
+    Each principal moment is at most the sum of the others: Goldstein, Classical Mechanics, 3rd ed., section 5.4.
+    """
+    principal = np.linalg.eigvalsh(0.5 * (np.asarray(inertia, float) + np.asarray(inertia, float).T))
+    if principal[2] <= 1.001 * (principal[0] + principal[1]):
+        return None
+    return (
+        f"'moment of inertia' has principal moments of {', '.join(f'{m:.3g}' for m in principal)} kg m2, of which the "
+        "greatest exceeds the sum of the others: no body has such; measure it anew"
+    )
+
+
+def source_names(metadata: Mapping[str, Any]) -> dict[str, str]:
+    """{"attitude", "position", "velocity": name of its source in messages} of what an import measured"""
+    names = {}
+    for kind in ("attitude", "position", "velocity"):
+        said = str(metadata.get(f"{kind} source") or "none")
+        if said.startswith("capture"):
+            names[kind] = f"captured {kind if kind == 'attitude' else 'position'}"
+        elif said == "onboard":
+            names[kind] = f"on-board {kind}"
+    return names
+
+
+def unusable_without(frame: Any, metadata: Mapping[str, Any]) -> list[str]:
+    """Why a flight without some source is unusable for identification, however good the rest is.
+
+    frame  columns of the flight (anything that `in` works on); metadata  of the import
+    """
+    lacking = [str(i) for i in range(1, 5) if f"w{i}" not in frame]
+    found = []
+    if metadata.get("position source") == "none" and metadata.get("velocity source") == "none":
+        found.append("unusable for identification: neither position nor velocity")
+    if lacking:
+        of = f" of {', '.join(lacking)}" if len(lacking) < 4 else ""
+        found.append(f"unusable for identification: no rotor speeds{of}")
+    if not found:
+        return []
+    shown = {
+        "body rates": "p", "specific force": "ax", "attitude": "roll", "path": "x", "velocity": "u",
+        "rotor speeds": "w1", "motor commands": "command1", "battery voltage": "battery_voltage",
+    }  # fmt: skip
+    offered = ", ".join(name for name, column in shown.items() if column in frame)
+    return [*found, f"its page still shows {offered}"]
