@@ -1,6 +1,6 @@
-"""The page of a model: verdict first, then scores, a comparison to zoom into, coverage, terms, actuators, warnings.
+"""The page of a model: verdict and a predicted flight first, then scores, coverage, terms, rotors, warnings.
 
-One HTML file that needs nothing else and no network. Plain data in, text out; only the comparison runs a script, ours.
+One HTML file that needs nothing else and no network. Plain data in, text out.
 """
 
 from collections.abc import Mapping
@@ -11,11 +11,13 @@ import pandas as pd
 
 from quasi.pages import frame
 from quasi.pages.causes import REPLACED, where_it_acts
-from quasi.pages.chart import STYLE, chart, packed, step_of
-from quasi.tables import AGE_OFF, ANY
+from quasi.pages.chart import Chart, Panel, Trace, style
+from quasi.pages.model_ranges import show_coverage, show_quartiles
+from quasi.pages.model_warnings import show_warnings
+from quasi.pages.terms import list_variables, show_expression
+from quasi.tables import AGE_OFF
 
-COLOURS = {"training": "#59636b", "test": "#d97706", "validation": "#1d6fb8"}
-BANDS = ("#fde8e6", "#eef5ec", "#e6effa")
+PAUSE = 0.5  # s between two flights on the time axis
 
 
 def page(
@@ -36,17 +38,24 @@ def page(
         f" · validation {', '.join(flights['validation']) or 'none'}"
     )
     note = diagnosis["partition"]["note"]
+    chart = _chart(rows, summary)
+    variables = list_variables(_text_of(term) for part in model["axes"].values() for term in part["terms"])
     sections = [
-        f"<style>{STYLE}</style>",
+        style(),
+        _answer(chart, summary),
         frame.section("Axes", _verdicts(diagnosis), frame.paragraph(_sentence(note)) if note else ""),
         frame.section("Scores", _scores(summary), _differences(diagnosis)),
-        frame.section("Measured and modelled", _comparison(rows, summary)),
-        frame.section("Along the measured range", _quartiles(diagnosis)),
-        frame.section("Coverage of the validation flights by the training flights", _coverage(coverage)),
+        frame.section("Along the measured range", show_quartiles(diagnosis)),
+        frame.section("Coverage of the validation flights by the training flights", show_coverage(coverage)),
         _causes(model),
-        frame.section("Terms", *(_terms(axis, part) for axis, part in model["axes"].items())),
+        frame.section(
+            "Terms",
+            *(_terms(axis, part) for axis, part in model["axes"].items()),
+            frame.details("Variables", frame.table(("variable", "unit", "meaning"), variables, {1, 2})),
+        ),
         frame.section("Rotors", _rotors(model)),
-        frame.section("Warnings", frame.sentences(model["notes"]) or frame.paragraph("None.")),
+        frame.section("Warnings", show_warnings(model["notes"]) or frame.paragraph("None.")),
+        chart.script() if chart else "",
     ]
     return frame.page(f"Model {model['id']}", under, diagnosis["verdict"], diagnosis["shortly"], sections)
 
@@ -63,7 +72,8 @@ def _verdicts(diagnosis: Mapping[str, Any]) -> str:
         remedies = "".join(f"<br><i>{frame.escape(_sentence(r))}</i>" for r in facts["what to do"])
         mark = {"good": "#1e7d46", "care": "#a86200", "bad": "#b3261e"}[kind]
         lines.append(
-            f'<tr><th scope="row" style="width:9%;border-left:5px solid {mark};padding-left:10px">{axis}</th>'
+            f'<tr><th scope="row" style="width:9%;border-left:5px solid {mark};padding-left:10px">'
+            f"{frame.escape(axis)}</th>"
             f"<td>{frame.escape(said)}{remedies}</td></tr>"
         )
     return f"<table><tbody>{''.join(lines)}</tbody></table>"
@@ -111,133 +121,58 @@ def _tenths(value: float) -> str:
     return f"{round(value, 1) + 0.0:.1f}".replace("-", "−")
 
 
-# ---- the comparison ----
+# ---- the prediction ----
 
 
-def _comparison(rows: pd.DataFrame, summary: Mapping[str, Any]) -> str:
+def _chart(rows: pd.DataFrame, summary: Mapping[str, Any]) -> Chart | None:
+    """Measurement, prediction and its interval of every axis, flight behind flight; the first held-out flight first."""
     if len(rows) < 2:
-        return ""
-    t, flights, offset, begin = np.empty(len(rows)), [], 0.0, 0
+        return None
+    t, views, spans, offset, begin = np.empty(len(rows)), [], [], 0.0, 0
     keys = rows["flight"].to_numpy()
     for end in [*(np.flatnonzero(keys[1:] != keys[:-1]) + 1).tolist(), len(rows)]:
-        own = rows["t"].to_numpy()[begin:end]
+        own = rows["t"].to_numpy(float)[begin:end]
         t[begin:end] = own - own[0] + offset
-        role = "validation" if rows["held"].iloc[begin] > 0 else "training"
-        flights.append({"key": keys[begin], "role": role, "from": begin, "to": end, "begins": float(own[0])})
-        offset, begin = float(t[end - 1]) + 0.5, end
-    axes = {}
+        held = bool(rows["held"].iloc[begin] > 0)
+        views.append((str(keys[begin]), float(t[begin]), float(t[end - 1]), held))
+        if held:
+            spans.append((float(t[begin]), float(t[end - 1]), "held"))
+        offset, begin = float(t[end - 1]) + PAUSE, end
+    starts = np.flatnonzero(rows["start"].to_numpy() > 0)[1:]
+    panels = []
     for axis, facts in summary["axes"].items():
-        three = [rows[name].to_numpy(float) for name in (axis, f"{axis}_model", f"{axis}_half")]
-        low = float(min(np.nanmin(three[0]), np.nanmin(three[1])))
-        high = float(max(np.nanmax(three[0]), np.nanmax(three[1]), low + np.nanmax(three[2])))
-        step = step_of(low, high)
-        axes[axis] = {
-            "unit": facts["unit"], "low": low, "step": step, "measured": packed(three[0], low, step),
-            "model": packed(three[1], low, step), "half": packed(three[2], 0.0, step),
-        }  # fmt: skip
-    starts = np.flatnonzero(rows["start"].to_numpy() > 0).tolist()
-    return chart(t, starts, flights, axes, "the figures beside this page show the same", interval=True)
-
-
-# ---- pictures drawn as SVG ----
-
-
-def _quartiles(diagnosis: Mapping[str, Any]) -> str:
-    rows, pictures, roles = [], [], []
-    for axis, facts in diagnosis["axes"].items():
-        roles = list(facts["histogram"]["density"]) or roles
-        for band in facts["quartiles"]:
-            bounds = f"{frame.number(band['from'])} to {frame.number(band['to'])} {facts['unit']}"
-            ratios = [f"{band[k]:.2f}" if band[k] is not None else "–" for k in ("X/T", "V/T") if "test" in roles]
-            rows.append(
-                (f"{axis}, {band['band']}", bounds, *(frame.number(band["rmse"].get(r)) for r in roles), *ratios)
+        measured, model, half = (rows[name].to_numpy(float) for name in (axis, f"{axis}_model", f"{axis}_half"))
+        # a row of unknown values before each start, so that no line bridges a gap or two flights
+        when = np.insert(t, starts, 0.5 * (t[starts] + t[starts - 1]))
+        lines = [np.insert(v, starts, np.nan) for v in (measured, model, model + half, model - half)]
+        traces = [
+            Trace(name, values, colour, width)
+            for name, values, colour, width in zip(
+                ("measured", "model", "", ""), lines, ("#3b444b", "#d62728", "#f6d3d3", "#f6d3d3"), (1.0, 1.2, 0, 0)
             )
-        pictures.append(_histogram(axis, facts))
-    said = (
-        "How the measured values of each kind of row are spread (logarithmic); colours part the lower 25 %, middle "
-        "50 % and upper 25 %."
-    )
-    head = ["RMSE by quartile", "measured", *roles]
-    head += ["training/test", "validation/test"] if "test" in roles else []
-    return frame.table(head, rows) + f"<figure>{''.join(pictures)}<figcaption>{said}</figcaption></figure>"
+        ]
+        panels.append(Panel(f"{axis}, {facts['unit']}", when, traces, 150, [(2, 3, "rgba(214,39,40,0.18)")]))
+    first = next((view for view in views if view[3]), views[0])
+    return Chart(panels, spans, views, first[1:3], [view[1] for view in views[1:]])
 
 
-def _histogram(axis: str, facts: Mapping[str, Any]) -> str:
-    """How the rows of each role are spread over the measured range, logarithmic; the quartiles in colour."""
-    edges, density = np.array(facts["histogram"]["edges"]), facts["histogram"]["density"]
-    top = max((max(d) for d in density.values()), default=0.0)
-    if not len(edges) or top <= 0:
+def _answer(chart: Chart | None, summary: Mapping[str, Any]) -> str:
+    """The first screen: the model's prediction of a flight beside what was measured, and its error in one sentence."""
+    if chart is None:
         return ""
-    least = top * 1e-4
-    width, height = 1000, 88
-    low, span = edges[0], edges[-1] - edges[0]
-
-    def x(value: float) -> float:
-        return float(np.clip((value - low) / span, 0, 1)) * width
-
-    def y(value: float) -> float:
-        return height - 17 - (np.log(max(value, least) / least) / np.log(top / least)) * (height - 24)
-
-    parts = []
-    for k, (band, colour) in enumerate(zip(facts["quartiles"], BANDS)):
-        a, b = x(band["from"]) if k else 0.0, x(band["to"]) if k < 2 else float(width)
-        parts.append(f'<rect x="{a:.1f}" y="0" width="{max(b - a, 0.5):.1f}" height="{height - 17}" fill="{colour}"/>')
-    for role, values in density.items():
-        steps = " ".join(f"{x(edges[k + side]):.1f},{y(v):.1f}" for k, v in enumerate(values) for side in (0, 1))
-        parts.append(f'<polyline points="{steps}" fill="none" stroke="{COLOURS[role]}" stroke-width="1.5"/>')
-    for place, anchor in ((low, "start"), (edges[-1], "end")):
-        parts.append(
-            f'<text x="{x(place):.0f}" y="{height - 5}" font-size="12" fill="#5b6770" text-anchor="{anchor}">'
-            f"{frame.number(float(place))} {frame.escape(facts['unit'])}</text>"
-        )
-    parts.append(f'<text x="6" y="15" font-size="13" fill="#1c2329">{axis}</text>')
-    key = " · ".join(f'<tspan fill="{COLOURS[r]}">{r}</tspan>' for r in density)
-    parts.append(f'<text x="{width / 2}" y="{height - 5}" font-size="12" text-anchor="middle">{key}</text>')
-    return f'<svg viewBox="0 0 {width} {height}" width="100%" role="img">{"".join(parts)}</svg>'
-
-
-def _coverage(coverage: pd.DataFrame) -> str:
-    if not len(coverage):
-        return frame.paragraph("No validation flights.")
-    beyond = [
-        f"{line.variable.removeprefix(ANY)} {frame.share(line.above)}"
-        for line in coverage.itertuples()
-        if line.variable.startswith(ANY)
+    view = next((v for v in chart.views if v[3]), chart.views[0])
+    role = "validation" if view[3] else "training"
+    errors = [
+        f"{axis} {frame.share(facts['scores'][role].get('relative_rmse'))}"
+        for axis, facts in summary["axes"].items()
+        if facts["scores"].get(role)
     ]
-    lines = [line for line in coverage.itertuples() if not line.variable.startswith(ANY)]
-    lines = [line for line in lines if line.training_max > line.training_min]
-    height, left, right = 24, 130, 110
-    width = 1000
-    parts = []
-
-    def x(line: Any, value: float) -> float:
-        share = (value - line.training_min) / (line.training_max - line.training_min)
-        return left + float(np.clip(0.1 + 0.8 * share, 0, 1)) * (width - left - right)
-
-    for k, line in enumerate(lines):
-        y = k * height
-        for a, b, top, tall, colour in (
-            (line.training_min, line.training_max, 4, 16, "#e7eaed"),
-            (line.training_p1, line.training_p99, 4, 16, "#c3cad0"),
-            (line.min, line.max, 11, 2, COLOURS["validation"]),
-            (line.p1, line.p99, 9, 6, COLOURS["validation"]),
-        ):
-            parts.append(
-                f'<rect x="{x(line, a):.1f}" y="{y + top}" width="{max(x(line, b) - x(line, a), 1):.1f}" '
-                f'height="{tall}" fill="{colour}"/>'
-            )
-        share = line.below + line.above
-        said = frame.share(share) + " beyond" if share > 5e-4 else ""
-        parts.append(
-            f'<text x="{left - 8}" y="{y + 16}" font-size="13" text-anchor="end">{frame.escape(line.variable)}</text>'
-            f'<text x="{width}" y="{y + 16}" font-size="12" fill="#b3261e" text-anchor="end">{said}</text>'
-        )
-    drawn = f'<svg viewBox="0 0 {width} {height * len(lines)}" width="100%" role="img">{"".join(parts)}</svg>'
-    said = (
-        "Grey: range of the training rows, dark its 1 to 99 %. Blue: the validation rows, thick their 1 to 99 %. "
-        "Validation rows with some variable beyond the training rows' 0.01 to 99.99 %: " + ", ".join(beyond) + "."
-    )
-    return f"<figure>{drawn}<figcaption>{frame.escape(said)}</figcaption></figure>"
+    flown = f"{view[0]}, a flight that the model was not fitted to" if view[3] else f"{view[0]}, a training flight"
+    text = f"Prediction (red, with its interval) and measurement (black) of {flown}."
+    if errors:
+        of = "all held-out flights" if view[3] else "all training flights"
+        text += f" Error relative to the rms value over {of}: {', '.join(errors)}."
+    return f"<p>{frame.escape(text)}</p>{chart.bar()}{chart.place(range(len(chart.panels)), 2)}"
 
 
 # ---- tables ----
@@ -267,6 +202,10 @@ def _causes(model: Mapping[str, Any]) -> str:
     return frame.section("Causes that extend it", frame.facts(rows), frame.paragraph(told))
 
 
+def _text_of(term: Mapping[str, Any]) -> str:
+    return str(term.get("expression") or term["name"])
+
+
 def _terms(axis: str, part: Mapping[str, Any]) -> str:
     often = any("inclusion frequency" in term for term in part["terms"])
     head = [f"{axis}", "coefficient", "std. error", "|t|", *(["inclusion"] if often else []), "unit"]
@@ -274,7 +213,7 @@ def _terms(axis: str, part: Mapping[str, Any]) -> str:
     for term in part["terms"]:
         t = term.get("t")
         cells = [
-            term["name"], f"{term['coefficient']:.4e}".replace("-", "−"),
+            show_expression(term["name"]), f"{term['coefficient']:.4e}".replace("-", "−"),
             "given" if term.get("given") else f"{term['std']:.1e}".replace("-", "−"),
             "–" if t is None else f"{abs(t):.1f}",
         ]  # fmt: skip
@@ -301,7 +240,7 @@ def _rotors(model: Mapping[str, Any]) -> str:
             digits = f"{entry['value']:.4g}{doubt} {entry['unit']}"
             facts.append((name, digits.replace("-", "−")))
     if not found:
-        return frame.facts(facts) + frame.paragraph("No flight told the rotors' time constants.")
+        return frame.facts(facts) + frame.paragraph("No flight shows the rotors' time constants.")
     rows = []
     for title, key in (
         ("time constant, up", "time constants up"), ("time constant, down", "time constants down"),

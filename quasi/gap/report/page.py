@@ -31,7 +31,7 @@ from quasi.gap.report.wording import (
     words_of,
 )
 from quasi.pages import frame as report
-from quasi.pages.chart import STYLE, chart, packed, step_of
+from quasi.pages.chart import Chart, Panel, Trace, style
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 THIN = 2  # every so many rows of the comparison are shown
@@ -89,7 +89,7 @@ def page(
     under = f"model {diagnosis['model']} · " + " · ".join(f"{r} {', '.join(k) or 'none'}" for r, k in keys.items())
     shown = {n: report.picture(pictures[n], caption) for n, caption in CAPTIONS.items() if n in pictures}
     sections = [
-        f"<style>{STYLE}</style>",
+        style(),
         shown.get("glance", ""),
         report.section("What to do next", report.sentences(steps(diagnosis, effects))),
         report.section("What is wrong", _forces(diagnosis), _lower(diagnosis)),
@@ -383,26 +383,25 @@ def _chart(table: pd.DataFrame | None) -> str:
     rows = table[table["role"] != "reference"].iloc[::THIN].reset_index(drop=True)
     if len(rows) < 2:
         return ""
-    t, flights, offset, starts = np.empty(len(rows)), [], 0.0, []
+    t, views, spans, offset, starts = np.empty(len(rows)), [], [], 0.0, []
     for key, part in rows.groupby("flight", sort=False):
-        place = part.index.to_numpy()
-        own = part["t"].to_numpy()
+        place, own = part.index.to_numpy(), part["t"].to_numpy(float)
         t[place] = own - own[0] + offset
-        role = "validation" if part["role"].iloc[0] == "held out" else "training"
-        first, last = int(place[0]), int(place[-1]) + 1
-        flights.append({"key": key, "role": role, "from": first, "to": last, "begins": float(own[0])})
+        first, last, held = int(place[0]), int(place[-1]), part["role"].iloc[0] == "held out"
+        views.append((str(key), float(t[first]), float(t[last]), held))
+        spans += [(*views[-1][1:3], "held")] if held else []
         starts += [first, *(first + np.flatnonzero(np.diff(own) > 5 * np.median(np.diff(own))) + 1).tolist()]
-        offset = float(t[place[-1]]) + 0.5
-    axes = {}
+        offset = float(t[last]) + 0.5
+    gaps = np.array(starts[1:], int)
+    when = np.insert(t, gaps, 0.5 * (t[gaps] + t[gaps - 1]))
+    panels = []
     for axis in AXES:
         measured = rows[f"{axis}_measured"].to_numpy(float)
-        for word in ("before", "after"):
-            model = measured - rows[f"{axis}_{word}"].to_numpy(float)
-            low, high = float(min(measured.min(), model.min())), float(max(measured.max(), model.max()))
-            step = step_of(low, high)
-            axes[f"{axis} {word}"] = {
-                "unit": "N" if axis[0] == "F" else "N m", "low": low, "step": step,
-                "measured": packed(measured, low, step), "model": packed(model, low, step),
-                "half": packed(np.full(len(model), np.nan), 0.0, step),
-            }  # fmt: skip
-    return chart(t, starts, flights, axes, "the tables beside this page hold the same")
+        lines = (("measured", measured, "#3b444b"), *(
+            (word, measured - rows[f"{axis}_{word}"].to_numpy(float), colour)
+            for word, colour in (("before", "#e8a0a0"), ("after", "#1d6fb8"))
+        ))  # fmt: skip
+        traces = [Trace(name, np.insert(values, gaps, np.nan), colour) for name, values, colour in lines]
+        panels.append(Panel(f"{axis}, {'N' if axis[0] == 'F' else 'N m'}", when, traces))
+    chart = Chart(panels, spans, views, marks=[view[1] for view in views[1:]])
+    return chart.bar() + chart.place(range(len(panels)), 2) + chart.script()

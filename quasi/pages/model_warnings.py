@@ -1,0 +1,75 @@
+"""Warnings of a model by kind, folded, each kind with what to do."""
+
+import re
+from collections.abc import Iterable
+
+from quasi.pages import frame
+from quasi.pages.terms import show_expression
+
+# what a warning holds, its kind, what to do
+KINDS = (
+    (
+        "without the data noticing",
+        "Terms that another term could replace",
+        "Predict with the whole model. Give a single term a physical meaning only after flights that separate the "
+        "rivals: other speeds, climbs, or rotor speeds.",
+    ),
+    (
+        "the data hardly tell them apart",
+        "Close decisions of the stepwise search",
+        "Keep the model if its validation is good. To settle the choice, add flights or remove one of the candidates.",
+    ),
+    (
+        "times what it would be alone",
+        "Coefficients that are correlated (variance inflation above 10)",
+        "Read the sum of the named terms. Add flights in which they vary independently, or remove one candidate.",
+    ),
+    (
+        "cannot be told from zero",
+        "Terms that are not significant",
+        "Remove them from the candidates, or add flights that excite them.",
+    ),
+    (
+        "do not read physics into it",
+        "Terms that resamples seldom select",
+        "Lower 'regressor cap', or add training flights.",
+    ),
+    (
+        "nearly interchangeable",
+        "An ill-conditioned regression",
+        "Remove candidates that describe the same effect.",
+    ),
+    (
+        "rotors' delay",
+        "Rotor delay",
+        "Use the delay in simulations with care; log rotor speeds with their own time stamps, or at a higher rate.",
+    ),
+)  # fmt: skip
+OTHER = ("Other warnings", "Read each one; it names what it concerns.")
+_TERM = re.compile(
+    r"\((?:[^(),;]|\((?:[^(),;]|\([^(),;]*\))*\))*\)(?:\*\((?:[^(),;]|\((?:[^(),;]|\([^(),;]*\))*\))*\))*"
+)
+
+
+def show_warnings(notes: Iterable[str]) -> str:
+    """One folded list per kind of warning, with what to do; nothing where there are none."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for note in notes:
+        kind = next(((title, todo) for mark, title, todo in KINDS if mark in note), OTHER)
+        groups.setdefault(kind, []).append(show_terms(note))
+    order = [*((title, todo) for _, title, todo in KINDS), OTHER]
+    return "".join(
+        frame.details(
+            f"{kind[0]} ({len(groups[kind])})",
+            frame.paragraph(f"What to do: {kind[1]}") + frame.sentences(groups[kind]),
+        )
+        for kind in order
+        if kind in groups
+    )
+
+
+def show_terms(note: str) -> str:
+    """A warning with its terms as `show_expression` writes them."""
+    return _TERM.sub(
+        lambda found: show_expression(found[0]) if re.search(r"[a-z_]\w*\^|\)\*\(|\^\(", found[0]) else found[0], note
+    )
