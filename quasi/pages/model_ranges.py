@@ -120,8 +120,8 @@ def _bar(line: Any, number: int) -> str:
     beyond = share > LEAST_SHARE
     texts = (
         (LEFT - 8, name, 13, "#1c2329", "end"),
-        (RIGHT + 14, " to ".join(frame.row_of((line.training_min, line.training_max))), 12, "#1c2329", "start"),
-        (RIGHT + 160, " to ".join(frame.row_of((line.min, line.max))), 12, COLOURS["validation"], "start"),
+        (RIGHT + 14, _range(line.training_min, line.training_max), 12, "#1c2329", "start"),
+        (RIGHT + 160, _range(line.min, line.max), 12, COLOURS["validation"], "start"),
         (
             RIGHT + 306,
             frame.share(share) if beyond else "none",
@@ -136,3 +136,8 @@ def _bar(line: Any, number: int) -> str:
         for x, text, size, colour, anchor in texts
     ]
     return "".join(parts)
+
+
+def _range(low: float, high: float) -> str:
+    """Two numbers to three digits."""
+    return f"{low:.3g} to {high:.3g}".replace("-", "−")

@@ -31,7 +31,7 @@ def test_the_page_tells_everything_escaped_and_without_network():
     assert "http" not in re.sub(r'lang="en"|charset', "", text)
     for words in ("Partly explained".lower(), "ground effect", "86 % (70 to 95)", "Cheeseman", "X-low", "a note",
                   "no voltage &amp; no commands", "p = 0.69 &lt;beside&gt; ground effect", "wind", "data:image/png",
-                  "the log lost 0.2 s", '"axes":{"Fx before"'):  # fmt: skip
+                  "the log lost 0.2 s", '"label":"Fx, N"'):  # fmt: skip
         assert words in text
     assert text.index("ground effect") < text.index("What is wrong") < text.index("What no cause explains")
 
