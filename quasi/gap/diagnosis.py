@@ -1,12 +1,14 @@
 """The whole diagnosis of a gap: what is wrong, why, what is left, and what the extended model gains; and its tables."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from quasi.errors import DataError
+from quasi.gap.base_model import Worth, worth_of
 from quasi.gap.calibration import material
 from quasi.gap.calibration.corrections import corrected_at_import
 from quasi.gap.calibration.lower import rate_of
@@ -22,6 +24,7 @@ from quasi.gap.entries import (
     wrench_effect,
 )
 from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.gathering import gather_all
 from quasi.gap.flights.level import Flown
 from quasi.gap.report.wording import summary
 from quasi.gap.rollouts import commanded, halves, rollout_gain
@@ -29,6 +32,7 @@ from quasi.gap.rollouts.confirmation import Settled
 from quasi.gap.rollouts.open_loop import CHANNELS as ALONG
 from quasi.gap.scores import scored
 from quasi.gap.standing import HORIZON, standing
+from quasi.gap.veto import correction_matters
 from quasi.gap.wrench import generic
 from quasi.gap.wrench.acting import acting
 from quasi.gap.wrench.case import Case
@@ -42,6 +46,7 @@ from quasi.standalone.extensions import configured_mass
 from quasi.standalone.model import AXES, Model
 
 SCHEMA = "quasi.gap/1"
+SAMPLING = 100.0  # Hz of the comparison of forces and moments
 SAME_MASS = 1e-3  # share: what a scale tells
 
 
@@ -77,6 +82,9 @@ def diagnose(
     references   "given", "training" where flights that made the model stand for reference flights, "none"
     """
     vehicle, share = vehicle_of(model, room=room_of(settings["room"])), settings["material share"]
+    base = worth_of(model, [e for k, e in evidence.items() if roles[k] == "reference"])
+    positions = tuple(AXES.index(a) for a in base.excluded)
+    evidence = {k: replace(e, excluded=positions) for k, e in evidence.items()}
     groups = {r: [e for k, e in evidence.items() if roles[k] == r] for r in ("reference", "compared", "held out")}
     learning, held = [*groups["reference"], *groups["compared"]], groups["held out"]
     compared = [False] * len(groups["reference"]) + [True] * len(groups["compared"])
@@ -91,7 +99,11 @@ def diagnose(
     corrected = any(c["since"] == "always" for c in calibration.get("causes", ())) and made_of(model, learning)
     always = [e["id"] for e in driving if e["since"] == "always"]
     case = Case(model, effects, vehicle, learning, compared, held, flights, drive, corrected, settings, always)
-    unable = _unable(groups, roles, lost)
+    unable = _unable(groups, roles, lost) or _unusable(base)
+    silent = {n for n, e in effects.items() if e.level == "W" and e.channels and set(e.channels) <= set(base.excluded)}
+    why = f"the base model explains next to nothing of {', '.join(base.excluded)}"
+    said["cannot_be_asked"] += [{"id": n, "why": why} for n in sorted(silent)] if not unable else []
+    asked_of = {n: e for n, e in effects.items() if n not in silent}
     found, kept = None, []
     lives, restless = pd.DataFrame(), []
     settled = Settled([], [], {}, {}, None, [])
@@ -101,7 +113,7 @@ def diagnose(
     else:
         rate, unheard = (rate_of(settings["false alarm rate"], sum(compared), n) for n in (len(held), 0))
         ident = settings["extended model ID"]
-        found = examine(learning, compared, held, model, effects, vehicle, rate, share, ident, f"gap {name}", unheard)
+        found = examine(learning, compared, held, model, asked_of, vehicle, rate, share, ident, f"gap {name}", unheard)
         settled, remains = standing(case, found)
         kept = settled.causes
         said["notes"] += settled.notes
@@ -132,6 +144,10 @@ def diagnose(
             restless = gusts(found.study, compared, [c.effect.id for c in kept])
     lower_effects = [lower_effect(e, level, gap) for level in ("K", "A") for e in levels[level]["effects"]]
     lower_effects, shifted = of_late_telemetry(lower_effects)
+    corrected_ones = [e for e in lower_effects if corrected_at_import(e["id"], e["level"])]
+    if corrected_ones and not _correction_matters(model, lower, settings):
+        for effect in corrected_ones:
+            effect["explains"] = False
     # forces and moments settle a tie of the levels below by naming one of it
     told = {e["id"] for e in effects_said}
     ties = [t for level in ("K", "A") for t in levels[level]["ties"] if not told & set(t["ids"])]
@@ -144,8 +160,17 @@ def diagnose(
         "schema": SCHEMA,
         "gap": gap,
         "model": settings["model"],
-        "verdict": _verdict([*lower_effects, *effects_said], ties, said["unexplained"], unable),
+        "verdict": verdict_of(
+            [*lower_effects, *effects_said], ties, said["unexplained"], unable, bool(base.excluded or settled.losses)
+        ),
         "summary": "",
+        "base model": {
+            "explained": dict(base.share),
+            "excluded": list(base.excluded),
+            "wrong": base.wrong,
+            "sentence": base.sentence(),
+        },
+        "losses": [{**loss._asdict(), "text": loss.sentence()} for loss in settled.losses],
         "effects": sorted([*lower_effects, *effects_said], key=lambda e: -float(e["evidence"].get("wald") or 0.0)),
         "ties": ties,
         "findings": [*(f for level in ("K", "A") for f in levels[level]["findings"]), *shifted, *restless],
@@ -272,10 +297,45 @@ def _gains(
         entry["rollout gain"], entry["rollout gains"] = main, rows
 
 
-def _verdict(effects: Sequence[Any], ties: Sequence[Any], left: Sequence[Any], unable: str = "") -> str:
-    """In a word; unable  why forces and moments could not be asked: then nothing found is no agreement."""
-    if effects:
-        return "partly explained" if ties or left or unable else "explained"
+def _correction_matters(
+    model: Model, lower: tuple[Sequence[Flown], Sequence[Flown]], settings: Mapping[str, Any]
+) -> bool:
+    """Whether correcting the sensors changes forces or simulations of held-out flights; taken to, where none judges."""
+    sides = []
+    for flights in lower:
+        read = {f.key: (f.filtered, f.filtered_metadata, f.airframe) for f in flights}
+        try:
+            evidence, _ = gather_all(read, model, SAMPLING)
+        except DataError:
+            return True
+        sides.append((list(evidence.values()), {f.key: f.filtered for f in flights}))
+    if not all(evidence for evidence, _ in sides):
+        return True
+    return correction_matters(model, *sides, settings["horizons"], settings["material share"])
+
+
+def _unusable(base: Worth) -> str:
+    """Why the base model is no ground for a comparison of forces and moments, "" for one that is."""
+    if base.wrong:
+        return f"the base model is unusable: {base.wrong}"
+    if len(base.excluded) == len(AXES):
+        return "the base model explains next to nothing of any axis; identify one that does"
+    return ""
+
+
+def verdict_of(
+    effects: Sequence[Mapping[str, Any]], ties: Sequence[Any], left: Sequence[Any], unable: str = "",
+    limited: bool = False,
+) -> str:  # fmt: skip
+    """In a word.
+
+    unable   why forces and moments could not be asked: then nothing found is no agreement
+    limited  whether axes were left out or the extension makes something worse: then nothing is fully explained
+    A sensor finding that changes neither forces nor simulations ("explains" false) explains nothing.
+    """
+    explaining = [e for e in effects if e.get("explains", True)]
+    if explaining:
+        return "partly explained" if ties or left or unable or limited else "explained"
     if ties:
         return "partly explained"
     return "unexplained" if left else "not judged" if unable else "agrees"

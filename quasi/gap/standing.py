@@ -9,6 +9,7 @@ from quasi.gap.entries import needed
 from quasi.gap.rollouts import halves
 from quasi.gap.rollouts.confirmation import CONFIRMED, REFUTED, Settled, settle
 from quasi.gap.statistics.mixed import Offer
+from quasi.gap.veto import losses, reject_losing_causes
 from quasi.gap.wrench import unexplained
 from quasi.gap.wrench.case import Case
 from quasi.gap.wrench.examination import Found
@@ -34,6 +35,7 @@ def standing(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
     settled = _of_flights(case, settled, made)
     if all(case.compared):
         settled = _borne_out(settled, case.settings["material share"])
+    settled = _harmless(case, settled, made)
 
     def left_by(settled: Settled) -> unexplained.Left:
         residual = after(made(settled.causes, case.anew(settled.causes)), case.model)
@@ -90,6 +92,22 @@ def _borne_out(settled: Settled, share: float) -> Settled:
         )
         settled = _without(settled, cause, why, outcome)
     return settled
+
+
+def _harmless(case: Case, settled: Settled, made: Callable[[Sequence[Cause], bool], Model]) -> Settled:
+    """Without causes that make an axis or a simulation of the held-out flights worse, see `quasi.gap.veto`."""
+    if not settled.causes:
+        return settled
+    kept, rejected, left = reject_losing_causes(
+        settled.causes,
+        lambda causes: made(causes, case.anew(causes)),
+        lambda model: losses(
+            case.model, model, case.held, case.tables, case.settings["horizons"], case.settings["material share"]
+        ),
+    )
+    for cause, loss in rejected:
+        settled = _without(settled, cause, f"with it {loss.sentence()}")
+    return settled._replace(losses=left)
 
 
 def _beside(

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.gap.catalogue import catalogue
-from quasi.gap.diagnosis import _verdict
+from quasi.gap.diagnosis import verdict_of
 from quasi.gap.report.wording import summary
 
 KNOWN = catalogue()
@@ -51,7 +51,7 @@ def document(effects=(), ties=(), left=()):
         "rollouts": {"R": [{"horizon": 1.0, "quantity": "velocity", "before": 0.5, "after": 0.4, **GAIN}]},
         "scores": {"removed": {"Fz": GAIN}, "best wrong cause": "wind"},
     }  # fmt: skip
-    made["verdict"] = _verdict(made["effects"], made["ties"], made["unexplained"])
+    made["verdict"] = verdict_of(made["effects"], made["ties"], made["unexplained"])
     made["summary"] = summary(made, KNOWN)
     return made
 

@@ -17,7 +17,7 @@ from quasi.errors import ConfigError, DataError, QuasiError
 from quasi.gap.calibration import actuation, material, points, settling
 from quasi.gap.calibration.corrections import corrected_at_import, uncorrected
 from quasi.gap.catalogue import whole_of
-from quasi.gap.diagnosis import _unable, _verdict, diagnose
+from quasi.gap.diagnosis import _unable, diagnose, verdict_of
 from quasi.gap.effect import vehicle_of
 from quasi.gap.entries import candidates
 from quasi.gap.extension import extend
@@ -158,9 +158,9 @@ def test_a_change_that_the_compared_flights_do_not_show_is_no_crash(flight):
 
 
 def test_where_forces_could_not_be_asked_nothing_found_is_no_agreement():
-    assert _verdict([], [], [], "no flight is held out") == "not judged"
-    assert _verdict([], [], []) == "agrees" and _verdict([{}], [], []) == "explained"
-    assert _verdict([{}], [], [], "no flight is held out") == "partly explained"
+    assert verdict_of([], [], [], "no flight is held out") == "not judged"
+    assert verdict_of([], [], []) == "agrees" and verdict_of([{}], [], []) == "explained"
+    assert verdict_of([{}], [], [], "no flight is held out") == "partly explained"
     roles = {"a": "compared", "b": "compared", "h": "held out"}
     groups = {"compared": [1, 2], "held out": []}
     said = _unable(groups, roles, ["flight c has no rows; remedy", "flight h has 0.0 s of valid data; fly longer"])

@@ -389,7 +389,9 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
     """One sentence that says it all; then each named cause, each tie, what stays, what the extension does: a paragraph
     each."""
     roles, effects = diagnosis["flights"], diagnosis["effects"]
-    texts = [headline(diagnosis, known)] if effects else []
+    limits = [s for s in [(diagnosis.get("base model") or {}).get("sentence")] if s]
+    limits += [_sentence(loss["text"]) for loss in (diagnosis.get("losses") or [])[:1]]
+    texts = [*limits, headline(diagnosis, known)] if effects else limits
     if len(effects) == 1:  # the sentence has told the rest
         since = since_of(effects[0])
         if diagnosis["ties"] or diagnosis["unexplained"]:  # which the sentence ended with
@@ -406,7 +408,7 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
         texts.append(f"{len(diagnosis['unexplained']) - 3} more residuals are listed in the report.")
     if effects:
         texts.append(rollout_sentence(diagnosis))
-    nothing, missing = not texts, asked_in_vain(diagnosis, known)
+    nothing, missing = texts == limits, asked_in_vain(diagnosis, known)
     if nothing and diagnosis.get("verdict") == "not judged":
         why = unasked(diagnosis, known)
         texts.append(_sentence(f"{_sound(diagnosis, known)}forces and moments could not be asked: {why}"))

@@ -124,7 +124,8 @@ class Estimate(NamedTuple):
 
 
 class Settled(NamedTuple):
-    """causes that stand, as they came; those dropped, with the reason; by (id, since): what roll-outs say of each."""
+    """causes that stand, as they came; those dropped, with the reason; by (id, since): what roll-outs say of each;
+    losses  of the held-out flights that stay with these causes, see `quasi.gap.veto`."""
 
     causes: list[Cause]
     dropped: list[tuple[Cause, Confirmation]]
@@ -132,6 +133,7 @@ class Settled(NamedTuple):
     estimates: dict[tuple[str, str], Estimate]
     fitted: Fitted | None
     notes: list[str]
+    losses: Sequence[Any] = ()
 
 
 def settle(

@@ -48,7 +48,7 @@ class Columns(NamedTuple):
 
     unpooled  causes that are never added to the base, see Mixed.pooled
     tries     {cause: how many forms of its columns were tried}
-    typical   {cause: (m,) standard deviation of each parameter in healthy flights; infinite where nothing is known}.
+    bounds    {cause: (m,) standard deviation of each parameter in healthy flights; infinite where nothing is known}.
               It bounds the part that all flights have alike where changes are tested: reference flights that hardly
               excite a cause would return any value, and its error would become the change
     """
@@ -59,7 +59,7 @@ class Columns(NamedTuple):
     causes: dict[str, list[int]]
     unpooled: tuple[str, ...] = ()
     tries: Mapping[str, int] = MappingProxyType({})
-    typical: Mapping[str, np.ndarray] = MappingProxyType({})
+    bounds: Mapping[str, np.ndarray] = MappingProxyType({})
 
 
 class Test(NamedTuple):
@@ -268,12 +268,12 @@ class Mixed:
         blocks = [(self.columns.shared, everywhere), *((self._of(o), self.offered(o.since)) for o in given)]
         known = {c for columns, offered in blocks[1:] if offered.all() for c in columns}
         # a pooled cause under test is offered twice: to all, and to the compared flights
-        bounded = [p for p in pooled if p in self.columns.typical]
+        bounded = [p for p in pooled if p in self.columns.bounds]
         blocks += [([c for c in self.columns.causes[p] if c not in known], everywhere) for p in pooled]
         precision = {
             c: size**-2.0
             for p in bounded
-            for c, size in zip(self.columns.causes[p], self.columns.typical[p])
+            for c, size in zip(self.columns.causes[p], self.columns.bounds[p])
             if c not in known
         }
         source = np.array([c for columns, _ in blocks for c in columns], int)

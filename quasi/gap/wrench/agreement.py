@@ -59,13 +59,17 @@ def voices(
 def disagreement(heard: Sequence[Voice]) -> float:
     """How many times further apart the axes are than their standard errors say, 1 where they are not.
 
-    Axes that hardly tell of the cause are left out, which would hide that the others differ.
+    Axes that hardly show the cause are left out, which would hide that the others differ, unless they surely differ.
     Source: Particle Data Group, Review of Particle Physics 2024, Introduction, section 5.2.2 (scale factor S).
     """
     if len(heard) < 2:
         return 1.0
     whole = sum(1.0 / v.std**2 for v in heard) ** -0.5
-    told = [v for v in heard if v.std < 3.0 * len(heard) ** 0.5 * whole]
+    mean = sum(v.amount / v.std**2 for v in heard) * whole**2
+    told = [
+        v for v in heard
+        if v.std < 3.0 * len(heard) ** 0.5 * whole or abs(v.amount - mean) > SURE * (v.std**2 + whole**2) ** 0.5
+    ]  # fmt: skip
     if len(told) < 2:
         return 1.0
     weights = [1.0 / v.std**2 for v in told]

@@ -23,6 +23,7 @@ ORDER = 6  # of the autoregression
 BLOCK = 5.0  # s, longer than the memory of gusts
 STRETCH = 2  # blocks, about a manoeuvre
 MOST_STRETCHES = 160  # stretches of all flights together: the time of a test grows with their cube
+BOUND = 3.0  # typical sizes: wide enough for any real vehicle, too narrow for what references without the cause return
 LIGHT = 1e-6  # ridge of the per-flight fit whose residual tells the noise
 Values = Mapping[str, Mapping[str, float]]  # {cause: {parameter: deviation}}
 
@@ -116,10 +117,13 @@ def base_columns(evidence: Evidence) -> list[tuple[str, np.ndarray]]:
     return result
 
 
-def typical_sizes(effect: Effect, vehicle: Vehicle) -> np.ndarray:
-    """Typical deviation (m,) of each fitted parameter, infinite for those that only accompany others."""
+def bounds_of(effect: Effect, vehicle: Vehicle) -> np.ndarray:
+    """Standard deviation (m,) of what all flights may have of each fitted parameter: BOUND typical sizes.
+
+    Infinite for parameters that only accompany others.
+    """
     sizes = effect.typical(vehicle)
-    return np.array([sizes.get(name, np.inf) for name in effect.fitted])
+    return np.array([BOUND * sizes.get(name, np.inf) for name in effect.fitted])
 
 
 def gather_study(
@@ -170,9 +174,9 @@ def gather_study(
         # slopes at each flight's own values, beside terms that hold them all, would make up any change
         bent = tuple(n for n in causes if asked[n].bends and asked[n].absorbed)
         spread = np.array([s for *_, s in own])
-        usual = {n: typical_sizes(asked[n], vehicle) for n in causes}
+        usual = {n: bounds_of(asked[n], vehicle) for n in causes}
         layout = Columns(
-            list(range(1, first)), list(range(first, first + len(own))), spread, causes, bent, typical=usual
+            list(range(1, first)), list(range(first, first + len(own))), spread, causes, bent, bounds=usual
         )
     breaks = [part.breaks for part in thinned]
     whitener = autoregression([own_fit(part.columns, layout) for part in thinned], breaks, ORDER)
@@ -214,7 +218,9 @@ def _straight(flight: Evidence, effects: Mapping[str, Effect], vehicle: Vehicle,
 
 
 def _thinned(flight: Evidence, columns: Sequence[np.ndarray]) -> Thinned:
-    return thin(np.stack(columns, axis=2), flight.breaks, flight.t, BAND, 2 * ORDER)
+    stacked = np.stack(columns, axis=2)
+    stacked[:, list(flight.excluded)] = 0.0
+    return thin(stacked, flight.breaks, flight.t, BAND, 2 * ORDER)
 
 
 def _study(

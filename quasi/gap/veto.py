@@ -1,0 +1,145 @@
+"""Held-out flights reject causes: an extended model must not be worse than its base on any axis or horizon.
+
+A cause that was found on some flights and makes others worse is another cause, or none. The comparison is that of
+forces and moments by axis, and of simulations by quantity and horizon; a loss counts where its whole 95 % interval is a
+loss and it is material.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.rollouts import rollout_gain
+from quasi.gap.rollouts.open_loop import PLAIN, TRIMMED, fell, rms
+from quasi.gap.statistics import blocks
+from quasi.gap.wrench.gain import Squares, after, before, wrench_squares
+from quasi.gap.wrench.worth import Cause
+from quasi.standalone.model import AXES, Model
+
+
+class Loss(NamedTuple):
+    """An error that the extended model enlarges: line ("forces" or that of a simulation), quantity, horizon (s, 0 for
+    forces), root mean squares before and after, SI."""
+
+    line: str
+    quantity: str
+    horizon: float
+    before: float
+    after: float
+
+    @property
+    def growth(self) -> float:
+        """Share by which the root mean square grows."""
+        return self.after / max(self.before, 1e-300) - 1.0
+
+    def sentence(self) -> str:
+        """The loss in words."""
+        where = "on the held-out flights" if self.line == "forces" else f"after {self.horizon:g} s of simulation"
+        return f"the error of {self.quantity} {where} grows from {self.before:.3g} to {self.after:.3g}"
+
+
+def losses(
+    base: Model, extended: Model, held: Sequence[Evidence], flights: Mapping[str, pd.DataFrame],
+    horizons: Sequence[float], share: float,
+) -> list[Loss]:  # fmt: skip
+    """What an extended model makes worse on held-out flights, the largest growth first.
+
+    share  material share of the squared error; a loss below it does not count
+    A simulation without the flight's own trim may lose by chance where trim hides a gain, so it counts only where the
+    same quantity does not surely gain with trim taken up.
+    """
+    if not held:
+        return []
+    left = after(extended, base)
+    pairs = [(wrench_squares(held, before, c), wrench_squares(held, left, c)) for c in (False, True)]
+    found = _of_forces(pairs, share) if len(pairs[0][0].t) else []
+    tracks = rollout_gain.tracks_of(held, flights, horizons, (base, extended))
+    if tracks:
+        lines = rollout_gain.lines_of(tracks)
+        errors = [rollout_gain.simulated_errors(tracks, m, base, lines) for m in (base, extended)]
+        rows = {
+            line: fell(*(rollout_gain.end_table(tracks, e[line], horizons, line) for e in errors)) for line in lines
+        }
+        found += _of_simulations(rows, share)
+    return sorted(found, key=lambda loss: -loss.growth)
+
+
+def correction_matters(
+    model: Model, first: tuple[Sequence[Evidence], Mapping[str, pd.DataFrame]],
+    last: tuple[Sequence[Evidence], Mapping[str, pd.DataFrame]], horizons: Sequence[float], share: float,
+) -> bool:  # fmt: skip
+    """Whether a correction of sensors changes what the model leaves of forces, moments or simulations.
+
+    first, last  held-out flights (evidence, filtered tables by key) before and after the correction; share  of a
+    squared error, from which a change counts. A fault of sensors below that is a finding and explains no gap.
+    """
+    old, new = (wrench_squares(held, before).mean() for held, _ in (first, last))
+    if np.any(np.abs(new - old) >= share * np.maximum(old, 1e-300)):
+        return True
+    ends = []
+    for held, tables in (first, last):
+        tracks = rollout_gain.tracks_of(held, tables, horizons)
+        if not tracks:
+            return False
+        errors = rollout_gain.simulated_errors(tracks, model, model, (PLAIN,))[PLAIN]
+        ends.append(rms(rollout_gain.end_table(tracks, errors, horizons)))
+    pairs = [(ends[0][q][h], ends[1][q][h]) for q in ends[0] for h in ends[0][q]]
+    return any(abs(b**2 - a**2) >= share * a**2 for a, b in pairs if a > 0.0)
+
+
+def _of_forces(pairs: Sequence[tuple[Squares, Squares]], share: float) -> list[Loss]:
+    """Axes that are surely worse with constant errors and without: constants are what flights differ by anyway."""
+    worse = []
+    for old, new in pairs:
+        drawn = blocks.drawn(old.flight, old.t, np.stack([old.values, new.values], axis=1))
+        a, b = old.mean(), new.mean()
+        share_of = 1.0 - drawn.sums[:, 1] / np.maximum(drawn.sums[:, 0], 1e-300)
+        ends = [blocks.interval(float(1.0 - b[k] / max(a[k], 1e-300)), share_of[:, k], drawn.wider) for k in range(6)]
+        worse.append([high < 0.0 and b[k] > (1.0 + share) * a[k] for k, (_, high) in enumerate(ends)])
+    old, new = pairs[0]
+    rms = np.sqrt([old.mean(), new.mean()])
+    return [
+        Loss("forces", axis, 0.0, float(rms[0, k]), float(rms[1, k]))
+        for k, axis in enumerate(AXES)
+        if worse[0][k] and worse[1][k]
+    ]
+
+
+def _of_simulations(rows: Mapping[str, Sequence[Mapping[str, Any]]], share: float) -> list[Loss]:
+    trimmed = {(r["quantity"], r["horizon"]): r for r in rows.get(TRIMMED, ())}
+    found = []
+    for line, of in rows.items():
+        for row in of:
+            # the share is of squared errors, the rows are of root mean squares
+            if not (row["high"] < 0.0 and row["after"] ** 2 > (1.0 + share) * row["before"] ** 2):
+                continue
+            other = trimmed.get((row["quantity"], row["horizon"]))
+            if line == PLAIN and other is not None and other["low"] > 0.0:
+                continue
+            found.append(Loss(line, row["quantity"], row["horizon"], row["before"], row["after"]))
+    return found
+
+
+def reject_losing_causes(
+    causes: Sequence[Cause], made: Callable[[Sequence[Cause]], Model], judge: Callable[[Model], list[Loss]]
+) -> tuple[list[Cause], list[tuple[Cause, Loss]], list[Loss]]:
+    """Causes that stand, those rejected with what they made worse, and the losses that no rejection ends.
+
+    made  causes -> extended model; judge  extended model -> its losses
+    One cause after another is left out, each time the one without which the largest loss is smallest.
+    """
+    kept, rejected = list(causes), []
+    found = judge(made(kept))
+    while found and kept:
+        trials = [[c for c in kept if c is not cause] for cause in kept]
+        outcomes = [judge(made(trial)) for trial in trials]
+        worst = [max((loss.growth for loss in outcome), default=0.0) for outcome in outcomes]
+        best = int(np.argmin(worst))
+        if worst[best] >= found[0].growth:
+            break
+        rejected.append((kept[best], found[0]))
+        kept, found = trials[best], outcomes[best]
+    return kept, rejected, found
