@@ -38,6 +38,7 @@ IMPORTING = (
     "table columns",
     "betaflight raw acceleration correction factor",
     "command map",
+    "logged body axes",
 )
 FILTERING = (*GEOMETRY, "motor poles", "idle RPM", "max RPM", "(estimated) imu sensor noise statistics")
 IDENTIFICATION = (*GEOMETRY, "motor poles", "idle RPM", "max RPM", "command map")

@@ -15,6 +15,7 @@ from quasi.errors import ConfigError, DataError
 from quasi.importing import limits
 from quasi.importing.artefacts import flyable
 from quasi.importing.calibration import calibrated_capture, calibrated_onboard
+from quasi.importing.checks import rows_in_spans
 from quasi.importing.command_map import add_commanded_speeds
 from quasi.importing.contradictions import refuse_wrong_lengths, refuse_wrong_rates
 from quasi.importing.cross_checks import cross_check
@@ -118,6 +119,7 @@ def import_flight(
     board, telemetry = _settle_telemetry(board, where, notes)
     frame, facts = _fuse(board, capture, sync, quadrotor, chosen, where, notes)
     at = frame["t"].to_numpy() + facts["start"]["value"]
+    frame["onboard_valid"] *= ~rows_in_spans(board.invalid, at)
     facts["saturation"] = limits.facts(ends, at, where, notes)
     if ends:
         frame["imu_clipped"] = limits.spoiled(ends, at).astype(float)

@@ -10,8 +10,10 @@ import numpy as np
 from quasi.airframe import number
 from quasi.attitude import interpolate
 from quasi.doubt import doubt
-from quasi.errors import ConfigError, DataError, ReadError
+from quasi.errors import ConfigError, DataError, ReadError, quoted
 from quasi.importing.blackbox import read_blackbox
+from quasi.importing.checks import check_recording
+from quasi.importing.checks.body_axes import settle_body_axes
 from quasi.importing.contradictions import rates_explained, refuse_wrong_rates, velocity_explained
 from quasi.importing.decoded import read_decoded
 from quasi.importing.filter_delays import header_delays
@@ -47,6 +49,7 @@ class Onboard:
     attitude_source  "onboard" (logged) or "estimated on board"
     delays           of gyro and accelerometer by the controller's own filters, s, taken off their times; with their
                      standard errors and whether they are known (see `filter_delays.header_delays`)
+    invalid          spans {"begin", "end", "reason"} whose rows cannot be used, see `checks.check_recording`
     others           {quantity: Track (n, 1)} of everything that is not motion
     """
 
@@ -61,6 +64,7 @@ class Onboard:
     others: dict[str, Track]
     rotors: Track | None
     delays: dict[str, Any] = field(default_factory=dict)
+    invalid: list[dict[str, Any]] = field(default_factory=list)
 
     def motion(self) -> Motion:
         """For the alignment: everything at the gyro's times."""
@@ -106,7 +110,7 @@ def read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any], poles:
                 f"{path}: the flight controller is 'table', but the quadrotor configuration has no section "
                 "'table columns'; add it, so that columns can be told apart"
             )
-        return read_table_log(path, mapping, poles)
+        return check_recording(read_table_log(path, mapping, poles), str(path))
     if controller not in ("betaflight", "cleanflight", "indiflight"):
         raise ReadError(f"{path}: flight controller '{controller}' cannot be read; use betaflight, indiflight or table")
     data = read_bytes(path)
@@ -124,14 +128,14 @@ def read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any], poles:
     from_indiflight = recording.metadata["body axes logged"].endswith("down")
     if controller == "indiflight" and not from_indiflight:
         raise ReadError(
-            f"{path} is not INDIflight's: it names the firmware '{revision}' and holds neither its quat nor its omega "
-            "fields, and body axes would be mixed up; correct 'Flight controller' in the logbook"
+            f"{path} is not INDIflight's: it names the firmware {quoted(revision)} and holds neither its quat nor its "
+            "omega fields, and body axes would be mixed up; correct 'Flight controller' in the logbook"
         )
     if controller != "indiflight" and from_indiflight:
         recording.notes.append(
             f"{path} comes from INDIflight, and is read so, though the logbook says '{flight['flight controller']}'"
         )
-    return recording
+    return check_recording(settle_body_axes(recording, quadrotor, str(path)), str(path))
 
 
 def _find(series: Mapping[str, Series], names: tuple[str, ...]) -> Track | None:
@@ -234,6 +238,10 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
         others=others,
         rotors=rotors,
         delays=delays,
+        invalid=[
+            {**span, "begin": span["begin"] - zero, "end": span["end"] - zero}
+            for span in recording.metadata.get("invalid spans", [])
+        ],
     )
 
 

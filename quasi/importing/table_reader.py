@@ -16,7 +16,7 @@ from quasi.airframe import DEFAULT_POLES
 from quasi.attitude import from_euler, interpolate, multiply, rotate_inverse
 from quasi.doubt import doubt
 from quasi.errors import ReadError, nearest
-from quasi.importing.artefacts import spikes
+from quasi.importing.checks.rotor_speeds import clean_rotor_speeds
 from quasi.importing.contradictions import doubtful_units, doubtful_values
 from quasi.importing.series import Recording, Series
 from quasi.importing.streams import unwrapped
@@ -348,25 +348,8 @@ class _Raw:
 
     def remove_spikes(self, path: Path, notes: list[str]) -> dict[str, int]:
         """Rotor speeds that no rotor follows become NaN; returns how many per rotor."""
-        removed, signed = {}, []
-        for name in [n for n in self.values if n[0] == "w" and n[1:].isdigit()]:
-            values = self.values[name].copy()
-            if -np.nanquantile(values, 0.01) > np.nanquantile(values, 0.99):
-                # written with the sign of the turning direction, which the quadrotor configuration tells
-                values = -values
-                self.values[name] = values
-                signed.append(name)
-            largest = float(np.nanquantile(values, 0.99))
-            bad = spikes(values, 0.3 * largest) | (values < 0)
-            if bad.any():
-                values[bad] = np.nan
-                self.values[name] = values
-                removed[name] = int(bad.sum())
-        if signed:
-            notes.append(f"{path}: the speeds of {', '.join(signed)} are negative; their size is taken")
-        if removed:
-            listed = ", ".join(f"{k}: {v}" for k, v in removed.items())
-            notes.append(f"{path}: spikes in the rotor speeds were removed ({listed})")
+        cleaned, removed = clean_rotor_speeds(self.t, self.values, str(path), notes)
+        self.values |= cleaned
         return removed
 
     def world_to_body(self, raw: list["_Raw"], path: Path) -> None:

@@ -1,0 +1,41 @@
+"""Spans of time in which a channel cannot be used, from rows of its samples."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+# s; nearer spans of one reason are one, for the filters of the resampling reach so far
+JOIN = 0.1
+
+
+class InvalidSpan(NamedTuple):
+    """From `begin` to `end`, s on the clock of its series, rows cannot be used; `reason` names the channel."""
+
+    begin: float
+    end: float
+    reason: str
+
+
+def runs_of(rows: np.ndarray) -> np.ndarray:
+    """First and one past the last index (k, 2) of each run of True in rows (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(np.int8), [0]])))
+    return edges.reshape(-1, 2)
+
+
+def constant_runs(values: np.ndarray) -> np.ndarray:
+    """First and one past the last index (k, 2) of runs of two or more equal finite values (n,) in a row."""
+    same = np.concatenate([[False], values[1:] == values[:-1]])
+    runs = runs_of(same)
+    runs[:, 0] -= 1
+    return runs
+
+
+def merge_spans(spans: list[InvalidSpan]) -> list[InvalidSpan]:
+    """Spans of one reason that overlap or nearly touch as one, in order of time within each reason."""
+    merged: list[InvalidSpan] = []
+    for span in sorted(spans, key=lambda s: (s.reason, s.begin)):
+        if merged and merged[-1].reason == span.reason and span.begin <= merged[-1].end + JOIN:
+            merged[-1] = merged[-1]._replace(end=max(merged[-1].end, span.end))
+        else:
+            merged.append(span)
+    return merged

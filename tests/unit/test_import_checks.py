@@ -1,0 +1,207 @@
+"""Checks that run on every reader's result: rotor speeds, frozen channels, body axes."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from cases import case_file, flight_of, needs_cases
+from made_motion import body
+from test_indiflight import FIELDS, as_csv, flown  # noqa: F401
+
+from quasi.doubt import doubts
+from quasi.errors import ConfigError, ReadError
+from quasi.importing.checks import check_recording, rows_in_spans
+from quasi.importing.flight import import_flight
+from quasi.importing.onboard_log import read_onboard
+from quasi.importing.series import Recording, Series
+
+RATE = 500.0
+
+
+def speeds(seconds=12.0, rest=2.0, seed=1):
+    """Four rotors that stand for `rest` s, then turn at 900 rad/s with noise, as a 500 Hz log."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(int(seconds * RATE)) / RATE
+    w = np.round(900 + rng.normal(0, 15, (4, len(t))))
+    w[:, t < rest] = 0.0
+    return t, w
+
+
+def recording(t, w, **more):
+    return Recording({"onboard": Series(t, {f"w{i + 1}": v for i, v in enumerate(w)} | more)}, {}, [])
+
+
+def spans_of(checked):
+    return checked.metadata["invalid spans"]
+
+
+def test_sound_rotor_speeds_pass_untouched():
+    t, w = speeds()
+    checked = check_recording(recording(t, w.copy()), "f")
+    assert np.array_equal(np.stack(list(checked.series["onboard"].values.values())), w)
+    assert not spans_of(checked) and not checked.notes
+
+
+def test_spikes_and_short_drop_outs_are_removed_and_counted():
+    t, w = speeds()
+    rng = np.random.default_rng(3)
+    places = {k: np.sort(rng.choice(np.arange(1100, 5900, 12), 40, replace=False)) for k in range(4)}
+    for k, rows in places.items():
+        w[k, rows] = 98_000.0 if k < 2 else 0.0
+    w[3, 3000:3030] = 0.0
+    checked = check_recording(recording(t, w.copy()), "f")
+    values = checked.series["onboard"].values
+    for k in range(3):
+        assert np.flatnonzero(np.isnan(values[f"w{k + 1}"])).tolist() == places[k].tolist()
+    assert np.isnan(values["w4"][3000:3030]).all()
+    assert checked.metadata["spikes removed"]["w1"] == 40
+    assert any("w1: 40" in note for note in checked.notes)
+    assert not spans_of(checked)
+
+
+def test_a_rotor_that_stands_in_flight_makes_these_rows_invalid_and_is_named():
+    t, w = speeds()
+    w[1, 2500:3500] = 0.0
+    checked = check_recording(recording(t, w), "f")
+    (span,) = spans_of(checked)
+    assert (span["begin"], span["end"]) == (pytest.approx(5.0), pytest.approx(6.998))
+    assert any("rotor 2 (w2)" in note for note in doubts(checked.notes))
+    inside = rows_in_spans([span], t)
+    assert inside[2500:3500].all() and not inside[:2500].any() and not inside[3500:].any()
+
+
+def test_a_rotor_that_is_constant_in_flight_makes_these_rows_invalid_and_is_named():
+    t, w = speeds()
+    w[2, 4000:5000] = 900.0
+    w[0, 3000:3100] = 900.0  # 0.2 s: telemetry that comes slowly
+    checked = check_recording(recording(t, w), "f")
+    assert [span["reason"][:12] for span in spans_of(checked)] == ["rotor 3 (w3)"]
+    assert len(doubts(checked.notes)) == 1
+
+
+@pytest.mark.parametrize("kind", ["times 100", "random"])
+def test_speeds_that_no_rotor_reaches_make_all_rows_invalid(kind):
+    t, w = speeds()
+    w = 100 * w if kind == "times 100" else np.random.default_rng(5).uniform(0, 98_000, w.shape)
+    checked = check_recording(recording(t, w), "f")
+    assert rows_in_spans(spans_of(checked), t).all()
+    assert any("w1, w2, w3, w4 exceed 8000 rad/s" in note for note in doubts(checked.notes))
+
+
+def test_a_sensor_channel_that_is_constant_in_flight_makes_rows_invalid_but_not_at_rest():
+    t, w = speeds()
+    rng = np.random.default_rng(2)
+    gyro = {n: np.round(rng.normal(0, 3, len(t))) for n in "pqr"}
+    gyro["q"][:1000] = 0.0
+    assert not spans_of(check_recording(recording(t, w, **gyro), "f"))
+    gyro["q"][3000:4000] = 2.0
+    checked = check_recording(recording(t, w, **gyro), "f")
+    assert [s["reason"].split("'")[1] for s in spans_of(checked)] == ["q"]
+
+
+def test_values_that_no_vehicle_has_call_for_care_whatever_the_reader():
+    t, w = speeds()
+    checked = check_recording(recording(t, w, battery_voltage=np.full(len(t), 4e7), command1=np.full(len(t), 3.0)), "f")
+    assert len(doubts(checked.notes)) == 2
+
+
+def test_tables_pass_the_same_checks(tmp_path):
+    t, w = speeds()
+    rng = np.random.default_rng(6)
+    frame = pd.DataFrame({"t": t} | {n: rng.normal(0, 0.3, len(t)) for n in ("p", "q", "r", "ax", "ay")})
+    frame["az"] = rng.normal(-9.81, 0.3, len(t))
+    w[3, 2000:4000] = 0.0
+    for k in range(4):
+        frame[f"w{k + 1}"] = w[k]
+    frame.to_csv(tmp_path / "a.csv", index=False)
+    mapping = {
+        "time": {"column": "t"},
+        "sources": [{"name": "imu", "columns": {n: n for n in frame.columns if n != "t"}}],
+    }
+    found = read_onboard(flight_of(tmp_path / "a.csv", "table"), {"table columns": mapping}, None)
+    assert [s["reason"][:12] for s in spans_of(found)] == ["rotor 4 (w4)"]
+
+
+TURNED = [f"{name}[{i}]" for name in ("gyroADCafterRpm", "gyroADC", "accADCafterRpm", "accSmooth") for i in (1, 2)]
+
+
+def in_other_axes(flown, fields=TURNED):  # noqa: F811
+    """The made INDIflight log with some of its IMU's channels negated."""
+    truth, speed, rotors, table = flown
+    table = table.copy()
+    table[:, [FIELDS.index(f) for f in fields]] *= -1
+    return truth, speed, rotors, table
+
+
+def test_body_axes_are_decided_from_the_log_and_stated_in_one_note(tmp_path, flown):  # noqa: F811
+    own = read_onboard(as_csv(tmp_path, flown), {}, None)
+    other = read_onboard(as_csv(tmp_path, in_other_axes(flown)), {}, None)
+    for name in ("p", "q", "r", "ax", "ay", "az"):
+        assert np.array_equal(own.series["onboard"].values[name], other.series["onboard"].values[name])
+    for found, axes in ((own, "z down"), (other, "z up")):
+        assert found.metadata["body axes logged"].endswith(axes)
+        (note,) = [n for n in found.notes if "the IMU is logged in" in n]
+        assert axes in note and "specific force" in note and "gyro" in note
+        assert not doubts(found.notes)
+
+
+def test_body_axes_can_be_forced_and_a_contradiction_calls_for_care(tmp_path, flown):  # noqa: F811
+    flight = as_csv(tmp_path, in_other_axes(flown))
+    found = read_onboard(flight, {"logged body axes": "FRD"}, None)
+    assert np.median(found.series["onboard"].values["az"]) > 9.0
+    assert any("contradict" in note for note in doubts(found.notes))
+    assert not doubts(read_onboard(flight, {"logged body axes": "FLU"}, None).notes)
+    with pytest.raises(ConfigError, match="logged body axes"):
+        read_onboard(flight, {"logged body axes": "NED"}, None)
+
+
+@pytest.mark.parametrize(
+    "fields", [[f for f in TURNED if f.startswith("gyro")], [f for f in TURNED if f.startswith("acc")]]
+)
+def test_body_axes_of_which_neither_kind_fits_are_refused(tmp_path, flown, fields):  # noqa: F811
+    with pytest.raises(ReadError, match="neither x forward, y right, z down nor") as error:
+        read_onboard(as_csv(tmp_path, in_other_axes(flown, fields)), {}, None)
+    assert "logged body axes" in str(error.value)
+
+
+def test_the_made_motion_itself_shows_which_axes_are_right():
+    # independent of the reader: at rest the specific force of x forward, y right, z down is -g along z
+    truth = body(10.0, rate=100.0, rest=3.0)
+    assert truth.force[:200].mean(axis=0) == pytest.approx([0.0, 0.0, -9.81], abs=0.7)
+
+
+@needs_cases
+@pytest.mark.parametrize("name", ["indiflight_flu_mar2024", "indiflight_flu_mar2024_lpf_patched"])
+def test_case_of_indiflight_axes(tmp_path, name):
+    path = case_file(f"2_indiflight_axes/{name}.csv.gz", tmp_path)
+    frame, about = import_flight(flight_of(path, "indiflight"), {}, {})
+    assert about["sources"]["onboard"]["body axes logged"] == "x forward, y left, z up"
+    assert frame["az"].median() == pytest.approx(-9.8, abs=0.3)
+    assert not any("unlike the gyro" in note for note in about["notes"])
+    assert (
+        "PT1 100 Hz" in str(about["corrections"]["gyro filter delay"])
+        or about["corrections"]["gyro filter delay"]["value"] == 0
+    )
+
+
+@needs_cases
+@pytest.mark.parametrize(
+    ("name", "verdict", "named"),
+    [
+        ("plain", "usable with care", ""),
+        ("spikes", "usable with care", ""),
+        ("zeros10", "usable with care", ""),
+        ("frozen", "usable with care", "rotor 3 (w3) is constant in flight"),
+        ("dead", "unusable", "rotor 2 (w2) stands at 0 in flight"),
+        ("times100", "unusable", "w1, w2, w3, w4 exceed 8000 rad/s"),
+        ("garbage", "unusable", "w1, w2, w3, w4 exceed 8000 rad/s"),
+    ],
+)
+def test_cases_of_rotor_speeds(tmp_path, name, verdict, named):
+    frame, about = import_flight(flight_of(case_file(f"3_rotor_speeds/{name}.csv.gz", tmp_path)), {}, {})
+    assert about["verdict"] == verdict and named in about["verdict because"]
+    removed = about["sources"]["onboard"]["spikes removed"]
+    if name in ("spikes", "zeros10"):
+        assert all(removed[f"w{k}"] > 100 for k in range(1, 5))
+        assert frame[["w1", "w2", "w3", "w4"]].max().max() < 4000
+    if name == "plain":
+        assert frame["onboard_valid"].mean() > 0.99
