@@ -78,6 +78,15 @@ def test_a_rotor_that_is_constant_in_flight_makes_these_rows_invalid_and_is_name
     assert len(doubts(checked.notes)) == 1
 
 
+def test_telemetry_that_stalls_for_all_rotors_is_found_but_held_setpoints_are_not():
+    t, w = speeds()
+    w[:, 4000:5000] = w[:, 4000:4001]
+    checked = check_recording(recording(t, w), "f")
+    assert {span["reason"][:7] for span in spans_of(checked)} == {f"rotor {k}" for k in range(1, 5)}
+    held = 900 + 10 * (np.arange(len(t)) // 400 % 3) * np.ones((4, 1))
+    assert not spans_of(check_recording(recording(t, held), "f"))
+
+
 @pytest.mark.parametrize("kind", ["times 100", "random"])
 def test_speeds_that_no_rotor_reaches_make_all_rows_invalid(kind):
     t, w = speeds()

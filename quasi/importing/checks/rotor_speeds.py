@@ -13,9 +13,10 @@ LARGEST_STEP = 0.3  # of a rotor's largest speed, from the median of seven sampl
 FLYING = 0.35  # of the 90 % quantile of the rotors' median speed, above which a quadrotor flies; as `rotor_age`
 STANDING = 0.02  # of the same, below which a rotor stands still; idle speeds of electric rotors lie above 0.05
 SHORTEST_STOP = 0.1  # s; rotors start and stop staggered by less, and telemetry drops out for less
-# s: the longest run of equal speeds in flight is 0.01 s at 1 kHz (eRPM/100, INDIflight's omega) and 0.07 s at 100 Hz
-# (nano-drone) in the real recordings of the tests
+# s: equal speeds last 0.19 s at most in healthy flight of the recordings that the tests read (eRPM of a Betaflight log;
+# 0.016 s INDIflight, 0.073 s nano-drone)
 SHORTEST_FREEZE = 0.5
+MANY_HOLDS = 20  # times a rotor's usual time between changes; a log of held set-points is not frozen
 MOST_IMPOSSIBLE = 0.2  # share of impossible samples from which none of the rotor's samples is believed
 
 
@@ -121,9 +122,12 @@ def unreliable_spans(t: np.ndarray, values: Mapping[str, np.ndarray]) -> list[In
                 spans.append(
                     InvalidSpan(float(t[a]), float(t[b - 1]), f"rotor {name[1:]} ({name}) stands at 0 in flight")
                 )
-        for a, b in constant_runs(np.where(flying & ~standing, speeds, np.nan)):
+        changing = float(np.count_nonzero(flying[1:] & (np.diff(np.nan_to_num(speeds)) != 0)))
+        usual = float(np.sum(np.diff(t)[flying[1:]])) / changing if changing else np.inf
+        for a, b in constant_runs(t, np.where(flying & ~standing, speeds, np.nan)):
             varies = any(changes[other][b - 1] > changes[other][a] for other in names if other != name)
-            if varies and t[b - 1] - t[a] >= SHORTEST_FREEZE:
+            long = t[b - 1] - t[a] >= SHORTEST_FREEZE
+            if long and (varies or t[b - 1] - t[a] >= MANY_HOLDS * usual):
                 spans.append(
                     InvalidSpan(float(t[a]), float(t[b - 1]), f"rotor {name[1:]} ({name}) is constant in flight")
                 )

@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from quasi.importing.streams import GAP
+
 # s; nearer spans of one reason are one, for the filters of the resampling reach so far
 JOIN = 0.1
 
@@ -22,9 +24,11 @@ def runs_of(rows: np.ndarray) -> np.ndarray:
     return edges.reshape(-1, 2)
 
 
-def constant_runs(values: np.ndarray) -> np.ndarray:
-    """First and one past the last index (k, 2) of runs of two or more equal finite values (n,) in a row."""
-    same = np.concatenate([[False], values[1:] == values[:-1]])
+def constant_runs(t: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """First and one past the last index (k, 2) of runs of two or more equal finite values (n,) without a gap in t."""
+    step = np.diff(t)
+    together = step <= GAP * np.median(step)
+    same = np.concatenate([[False], (values[1:] == values[:-1]) & together])
     runs = runs_of(same)
     runs[:, 0] -= 1
     return runs
