@@ -246,6 +246,7 @@ class Folder(Recordings):
             "problem": part["problem"],
         }
 
+    @functools.cache  # noqa: B019
     def inspection(self, kind: str, name: str) -> dict[str, Any]:
         """What is asked of the raw files of a model ("models"), a gap ("gaps"), or of all flights ("processing").
 

@@ -3,6 +3,7 @@
 from contextlib import chdir
 from pathlib import Path
 
+from quasi.comparisons import repeated_recordings
 from quasi.importing.inspection import MEMORY, Inspector, empty_result, refusals
 from quasi.importing.inspection_report import report
 from quasi.project import check_project, read_settings
@@ -27,8 +28,9 @@ def check_folder(directory: Path, library: Path, data: str | None = None) -> tup
             key: empty_result(settings) if key in pending else inspector.inspect(settings)
             for key, settings in flights.items()
         }
-    refused = {name: [fault] for name, fault in faults.items()}
-    for name, work in asked.items():
-        refused[name] = [] if pending & set(work["flights"]) else refusals(work, found)
+        refused = {name: [fault] for name, fault in faults.items()}
+        for name, work in asked.items():
+            ready = not pending & set(work["flights"])
+            refused[name] = refusals(work, found) + repeated_recordings(work) if ready else []
     broken = any(refused.values()) or any(about["problem"] for about in found.values())
     return report(found, refused, pending, untouched), int(broken)

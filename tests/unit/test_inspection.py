@@ -1,5 +1,6 @@
 """What raw files hold, known from reading them alone, and what that stops; `quasi check`."""
 
+import json
 import os
 import shutil
 from pathlib import Path
@@ -141,3 +142,36 @@ def test_flights_that_rules_are_still_to_make_are_no_fault(tmp_path, capsys):
     shutil.copy(ROOT / "data/MadeBeetleConfig.json", tmp_path / "data")
     assert main(["check", str(tmp_path)]) == 0
     assert capsys.readouterr().out.count("to be made") == 8
+
+
+def test_a_gap_whose_held_out_recording_trained_its_model_is_refused(lab, capsys):
+    gap = json.loads((lab / "config/gaps/my_gap.json").read_text())
+    rows = {"rows of flights to compare (all)": [2, 4], "rows of flights held out": [4]}
+    gap["logging file"] |= rows
+    (lab / "config/gaps/my_gap.json").write_text(json.dumps(gap))
+    assert main(["check", str(lab)]) == 0
+    capsys.readouterr()
+    gap["logging file"] |= {"rows of flights to compare (all)": ["2-3"], "rows of flights held out": [3]}
+    (lab / "config/gaps/my_gap.json").write_text(json.dumps(gap))
+    assert main(["check", str(lab)]) == 1
+    printed = capsys.readouterr().out
+    assert printed.splitlines()[0].endswith("not possible: gap my_gap.")
+    assert "held-out row 3 of logbook.csv has the recording of row 3 of logbook.csv" in printed
+
+
+def test_a_gap_with_a_flight_without_rotor_speeds_is_refused_and_its_model_is_not(lab, capsys):
+    log(lab / "data/raw/c.csv", *IMU, *PLACE)
+    for path, rows in (
+        (
+            "config/models/my_model.json",
+            {"rows of flights to use (all)": ["2-3"], "rows of flights for validation": []},
+        ),
+        ("config/gaps/my_gap.json", {"rows of flights to compare (all)": [4], "rows of flights held out": []}),
+    ):
+        document = json.loads((lab / path).read_text())
+        document["logging file"] |= rows
+        (lab / path).write_text(json.dumps(document))
+    assert main(["check", str(lab)]) == 1
+    printed = capsys.readouterr().out
+    assert printed.splitlines()[0].endswith("not possible: gap my_gap.")
+    assert "gap my_gap: flight c holds no rotor speeds" in printed
