@@ -56,10 +56,10 @@ def _contradict(one: str, other: str, how: str, advice: str) -> str:
     return f"{one} and {other} contradict each other: {how}; {advice}"
 
 
-def check_rate_gains(gains: Mapping[str, float], attitude: str) -> list[Contradiction]:
-    """gains  {"p", "q", "r": rate of the gyro over that of the attitude}, of axes that turn; attitude  its name"""
+def check_rate_gains(gains: Mapping[str, tuple[float, float]], attitude: str) -> list[Contradiction]:
+    """gains  {"p", "q", "r": bounds of the rate of the gyro over that of the attitude}; attitude  name of its source"""
     low, high = RATE_GAIN
-    wrong = {axis: gain for axis, gain in gains.items() if not low < gain < high}
+    wrong = {axis: 0.5 * (a + b) for axis, (a, b) in gains.items() if b < low or a > high}
     if not wrong:
         return []
     axis, gain = max(wrong.items(), key=lambda item: abs(item[1] - 1.0))

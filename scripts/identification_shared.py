@@ -23,7 +23,7 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
     made = {Path(path).stem: read_made(path) for path in flights}
     refuse_speedless(tables)
     left_out = unusable_flights(made, tables, settings["use unusable flights"])
-    tables = {key: table for key, table in tables.items() if key not in left_out}
+    tables, made = ({k: v for k, v in each.items() if k not in left_out} for each in (tables, made))
     because = {key: why for key, about in made.items() if (why := about.get("phases", {}).get("none valid because"))}
     roles = partition(tables, options=settings["data partitioning"], because=because)
     masses = masses_of(made)

@@ -19,7 +19,6 @@ WRONG_RATES, REFUSED_RATES = (
     30.0,
 )  # times, between gyro and attitude: beyond sensors' scales; beyond any slip but units
 ALIKE = 0.6  # correlation from which body rates are those of an attitude but for a factor
-LEAST_STRETCHES = 2  # in which an axis turns; of fewer, a gain counts where the rates go together
 STRETCH = 5.0  # s, of which each is asked by itself: one reset of an estimate is no wrong unit
 LEAST_MOTION = 0.2  # m/s2, rms acceleration below which nothing can be said
 
@@ -78,10 +77,14 @@ def rates_explained(t: np.ndarray, rates: np.ndarray, t_told: np.ndarray, attitu
     return _explained(t, rates, t_told[fine], told, LEAST_TURNING)
 
 
-def rate_gains(t: np.ndarray, rates: np.ndarray, t_attitude: np.ndarray, attitude: np.ndarray) -> dict[str, float]:
-    """{"p", "q", "r": slope of the gyro's rate on that of an attitude}, of the axes that turn; 1 where both agree.
+def rate_gains(
+    t: np.ndarray, rates: np.ndarray, t_attitude: np.ndarray, attitude: np.ndarray
+) -> dict[str, tuple[float, float]]:
+    """{"p", "q", "r": bounds of the gyro's rate over that of an attitude}, of the axes that turn; 1 where both agree.
 
-    Arguments as `rates_explained`. Axes whose rates go together too little have the slope that is left of them.
+    Arguments as `rates_explained`. Both are noisy, so the gain lies between the slopes of the two regressions, of one
+    on the other and the reverse. Axes whose rates correlate by less than ALIKE are left out. Medians over stretches,
+    for an estimate may be reset once. Source: Frisch, Statistical Confluence Analysis, 1934 (errors in both variables).
     """
     fine = np.isfinite(attitude).all(axis=1)
     if np.count_nonzero(fine) < 8:
@@ -90,15 +93,14 @@ def rate_gains(t: np.ndarray, rates: np.ndarray, t_attitude: np.ndarray, attitud
     pairs = [(a - a.mean(axis=0), b - b.mean(axis=0)) for a, b in _stretches(t, rates, t_attitude[fine], turned)]
     if not pairs:
         return {}
-    # median over stretches: one reset of an estimate is no wrong axis
     gyro, own = (np.array([np.mean(p[k] ** 2, axis=0) for p in pairs]) for k in (0, 1))
     both = np.array([np.mean(a * b, axis=0) for a, b in pairs])
     gains = {}
     for k, name in enumerate("pqr"):
-        moving = (gyro[:, k] >= LEAST_TURNING**2) & (own[:, k] >= LEAST_TURNING**2)
-        alike = np.abs(both[:, k]) > ALIKE * np.sqrt(gyro[:, k] * own[:, k])
-        if np.count_nonzero(moving) >= LEAST_STRETCHES or (moving & alike).any():
-            gains[name] = float(np.median(both[moving, k] / own[moving, k]))
+        alike = (gyro[:, k] >= LEAST_TURNING**2) & (np.abs(both[:, k]) > ALIKE * np.sqrt(gyro[:, k] * own[:, k]))
+        if alike.any():
+            slopes = np.median(both[alike, k] / own[alike, k]), np.median(gyro[alike, k] / both[alike, k])
+            gains[name] = (float(min(slopes)), float(max(slopes)))
     return gains
 
 

@@ -1,7 +1,10 @@
 """Sources of one flight against each other, once their clocks are tied: gyro, accelerometer, attitudes, position."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from quasi.attitude import interpolate
 from quasi.importing.contradictions import length_ratio, rate_gains, specific_force_residual
 from quasi.importing.onboard_log import ATTITUDE, POSITION, Onboard
 from quasi.importing.series import Series
@@ -33,6 +36,10 @@ def cross_check(board: Onboard, capture: Series | None, sync: Synchronisation | 
     if logged or captured is None:
         residual = specific_force_residual(motion, there, position, board.attitude.t, board.attitude.values)
         found += check_residual(residual, ONBOARD if logged else None, "captured position")
-    if not any("accelerometer" in c.between for c in found):  # tilted or offset, it says nothing about lengths
+    if captured is not None:
+        fine = np.isfinite(captured).all(axis=1)
+        motion = replace(motion, quaternion=interpolate(captured[fine], there[fine], motion.t))
+    # a tilted attitude says nothing about lengths, nor does one that took every acceleration for gravity
+    if (logged or captured is not None) and not any("accelerometer" in c.between for c in found):
         found += check_length_ratio(length_ratio(motion, there, position), "captured position")
     return found

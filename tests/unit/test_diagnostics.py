@@ -47,6 +47,14 @@ def test_a_model_that_holds_is_good_on_all(good):
     assert diagnosis["axes"]["Fz"]["interval"]["coverage"]["validation"] == pytest.approx(0.95, abs=0.02)
 
 
+def test_a_model_that_contradicts_its_configuration_is_unusable_whatever_its_scores(good):
+    model, flights, found = good
+    document = copy.deepcopy(model.document) | {"contradictions": ["rotor 1 pushes as if it were elsewhere"]}
+    wrong = review(Model(document, "made"), flights, codes_of(found.judged), ROLES).diagnosis
+    assert found.diagnosis["verdict"] == "good" and wrong["verdict"] == "unusable"
+    assert wrong["summary"][0] == wrong["shortly"].split("; ")[0] == "rotor 1 pushes as if it were elsewhere"
+
+
 @pytest.mark.parametrize("axis", list(TERMS))
 def test_rmse_differences_and_quartiles_equal_plain_arithmetic(good, axis):
     model, flights, found = good

@@ -55,3 +55,11 @@ def test_the_wrong_sense_of_one_rotor_or_of_all_is_told():
     assert note.startswith("the faster rotors 1, 2, 3, 4, the more the body turns")
     [note] = told(dataclasses.replace(TRUE, spin=TRUE.spin * np.array([1.0, -1.0, 1.0, 1.0])))
     assert note.startswith("the faster rotor 2, the more")
+
+
+def test_an_impossible_inertia_and_a_thrust_that_falls_with_speed_contradict_the_configuration():
+    found = shared(FLIGHTS, partition(FLIGHTS), dataclasses.replace(TRUE, inertia=np.diag([1e-3, 1e-3, 3e-3])))
+    assert any("'moment of inertia'" in c for c in found["contradictions"])
+    upside = {key: f.assign(Fz=-f["Fz"]) for key, f in FLIGHTS.items()}
+    [sentence] = shared(upside, partition(upside), TRUE)["contradictions"]
+    assert "thrust factor -" in sentence

@@ -1,5 +1,6 @@
 """A contradiction that is planted in a sound flight makes it unusable and is named with both sources."""
 
+import gzip
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from quasi.tables import read_json
 
 ROOT = Path(__file__).parents[2]
 NANODRONE = SHARED.parent / "nanodrone"
+NANOBENCH = SHARED.parent / "nanobench"
 GYRO, FORCE, Q, PLACE = ("p", "q", "r"), ("ax", "ay", "az"), ("qw", "qx", "qy", "qz"), ("x", "y", "z")
 
 
@@ -127,6 +129,24 @@ def test_what_is_planted_in_a_real_flight_is_named(monkeypatch, plant, run):
     frame, about = importing.import_flight(asked, config, options["data importing"])
     result = filter_flight(frame, about, read_airframe(config, "nano"), options["data filtering"])
     check(plant, about, result.metadata, "on-board attitude")
+
+
+@pytest.mark.skipif(not NANOBENCH.is_dir(), reason=f"the NanoBench recordings are not at {NANOBENCH}")
+@pytest.mark.parametrize("name", ["B3_figure8_fast_rep1", "B7_oval_medium_rep2", "B9_trefoil_medium_rep1"])
+def test_noisy_sources_of_real_flights_do_not_contradict_each_other(tmp_path, name):
+    (tmp_path / "log.csv").write_bytes(gzip.decompress((NANOBENCH / f"{name}.csv.gz").read_bytes()))
+    axes = {"frame": "FLU", "world": "z-up"}
+    force = {a: {"column": f"imu_acc_{a[1]}", "unit": "g"} for a in FORCE}
+    rates = dict(zip(GYRO, ("imu_gyro_x", "imu_gyro_y", "imu_gyro_z")))
+    sources = [
+        {"name": "imu", **axes, "columns": rates | force},
+        {"name": "vicon", **axes, "motion capture": True, "columns": {n: n for n in Q} | {n: f"p{n}" for n in PLACE}},
+    ]
+    asked = {"flight": name, "quadrotor": "nano", "flight controller": "table", "capture": None,
+             "onboard": str(tmp_path / "log.csv")}  # fmt: skip
+    frame, about = importing.import_flight(asked, {"table columns": {"time": "t", "sources": sources}}, {})
+    assert about["contradictions"] == []
+    assert about["verdict because"].startswith("unusable for identification: no rotor speeds")
 
 
 def test_each_limit_names_its_two_sources():
