@@ -43,5 +43,6 @@ def lay_folder(folder: Path, library: Path) -> str:
         f"  config/models/my_model.json      which flights make the model, which are held out\n"
         f"  config/simulations/my_simulation.json  how the model is flown in a simulation\n"
         f"  config/gaps/my_gap.json          which flights the model is compared with, to see what it gets wrong\n"
+        f"Check: quasi check {folder}\n"
         f"Then:  {snakemake} -s {library / 'Snakefile'} -d {folder} -j2 models/my_model/standalone"
     )

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from quasi.doubt import doubts
 from quasi.errors import QuasiError
 from quasi.importing.motive import read_motive
 from quasi.importing.onboard_log import BODY_VELOCITY, POSITION, VELOCITY, motor_poles, read_onboard, require_imu
@@ -21,10 +22,12 @@ from quasi.importing.wind import read_lvm
 from quasi.running.checksums import identity_of
 from quasi.tables import read_json, write_json
 
+Read = tuple[dict[str, Any], list[Series], list[str]]  # facts on a source, its series, the notes of its reader
 MEMORY = ".snakemake/quasi/inspected"  # results of inspections, in the project folder
 SCHEMA = "quasi.inspection/1"
 ROTORS = tuple(f"w{i}" for i in range(1, 5))
 COMMANDS = tuple(f"command{i}" for i in range(1, 5))
+ALL_STOPPED = "the speeds of all rotors are 0 throughout: bidirectional DShot is off"
 QUATERNION = ("qw", "qx", "qy", "qz")
 # what a flight may hold: name, and the groups of quantities of which one is enough
 HOLDINGS = {
@@ -50,14 +53,15 @@ def inspect_flight(settings: Mapping[str, Any]) -> dict[str, Any]:
     settings  of its import: "flight" (paths, flight controller, rigid body, log number), "quadrotor", "problem"
     Returns   plain data: "flight", "problem" (a sentence or None), "onboard" and "capture" (format, rate in Hz,
               duration in s), "holds" {name of HOLDINGS: {"rate": Hz, "from": "onboard" or "capture"}}, "lacks" (names),
-              "remarks" (sentences on channels that are there but hold nothing)
+              "remarks" (sentences that call for care: what the readers doubt, and channels that hold nothing)
     """
     flight, found = settings["flight"], empty_result(settings)
     sources: dict[str, list[Series]] = {}
     for source, read in (("onboard", _read_onboard), ("capture", _read_capture), ("wind", _read_wind)):
         try:
             if read_now := read(flight, settings["quadrotor"]):
-                found[source], sources[source] = read_now
+                found[source], sources[source], notes = read_now
+                found["remarks"] += doubts(notes)
         except QuasiError as error:
             found["problem"] = found["problem"] or str(error)
     for name, groups in HOLDINGS.items():
@@ -65,15 +69,16 @@ def inspect_flight(settings: Mapping[str, Any]) -> dict[str, Any]:
             rates = [r for g in groups for s in sources.get(source, ()) if (r := _rate_of(s, g)) is not None]
             if rates:
                 found["holds"].setdefault(name, {"rate": max(rates), "from": source})
-    found["remarks"] += _stopped_rotors(sources.get("onboard", []))
-    if len(found["remarks"]) == len(ROTORS):
+    stopped = _stopped_rotors(sources.get("onboard", []))
+    if len(stopped) == len(ROTORS):
         found["holds"].pop("rotor speeds", None)
-        found["remarks"] = ["the speeds of all rotors are 0 throughout: bidirectional DShot is off"]
+        stopped = [ALL_STOPPED]
+    found["remarks"] += stopped
     found["lacks"] = [name for name in HOLDINGS if name not in found["holds"]]
     return found
 
 
-def _read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> tuple[dict, list[Series]] | None:
+def _read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> Read | None:
     if not flight.get("onboard"):
         return None
     recording = read_onboard(flight, quadrotor, motor_poles(quadrotor)[0])
@@ -87,20 +92,20 @@ def _read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> tu
         "logs": len(about["logs"]) if about.get("logs") else None,
         **_sampling(gyro.t),
     }
-    return facts, list(recording.series.values())
+    return facts, list(recording.series.values()), recording.notes
 
 
-def _read_capture(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> tuple[dict, list[Series]] | None:
+def _read_capture(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> Read | None:
     if not flight.get("capture"):
         return None
     recording = read_motive(flight["capture"], str(flight.get("rigid body") or ""), None, remove_outliers=False)
     series = recording.series["capture"]
     lost = float(np.mean(~np.isfinite(series.values["x"])))
     facts = {"file": str(flight["capture"]), "rigid body": recording.metadata["rigid body"], "lost share": lost}
-    return facts | _sampling(series.t), [series]
+    return facts | _sampling(series.t), [series], recording.notes
 
 
-def _read_wind(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> tuple[dict, list[Series]] | None:
+def _read_wind(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> Read | None:
     wind = flight.get("wind") or {}
     if not wind.get("file"):
         return None
@@ -110,7 +115,7 @@ def _read_wind(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> tuple
         if wind.get("static") is None:
             raise
         return None  # import takes the static wind in place of a damaged record
-    return {"file": str(wind["file"]), **_sampling(series.t)}, [series]
+    return {"file": str(wind["file"]), **_sampling(series.t)}, [series], []
 
 
 def _sampling(t: np.ndarray) -> dict[str, float | None]:
@@ -146,7 +151,7 @@ def usable_for(found: Mapping[str, Any]) -> str:
     lacking = [] if "rotor speeds" in found["holds"] else ["rotor speeds"]
     lacking += [] if _has_motion(found) else ["position or velocity"]
     if not lacking:
-        return "models and gaps"
+        return f"models and gaps{', with care' if found['remarks'] else ''}"
     return f"its page only: no {' and no '.join(lacking)}"
 
 
@@ -168,7 +173,7 @@ def refusals(asked: Mapping[str, Any], inspected: Mapping[str, Mapping[str, Any]
     sound = [key for key in flights if not inspected[key]["problem"]]
     if silent := [key for key in sound if "rotor speeds" not in inspected[key]["holds"]]:
         several = len(silent) > 1
-        because = dict.fromkeys(r for key in silent for r in inspected[key]["remarks"])
+        because = dict.fromkeys(r for key in silent for r in inspected[key]["remarks"] if r == ALL_STOPPED)
         sentences.append(
             f"{asked['name']}: {'flights' if several else 'flight'} {_listed(silent)} hold{'' if several else 's'} no "
             f"rotor speeds, which every model needs{''.join(f' ({b})' for b in because)}; log them "

@@ -29,7 +29,11 @@ def report(
     faults = list(dict.fromkeys(s for sentences in refused.values() for s in sentences))
     faults += [p for found in inspected.values() if (p := found["problem"]) and p not in faults]
     lines += ["", *(f"- {sentence}" for sentence in faults)] if faults else []
-    remarks = [f"- {found['flight']}: {remark}" for found in inspected.values() for remark in found["remarks"]]
+    alike: dict[str, list[str]] = {}
+    for found in inspected.values():
+        for remark in found["remarks"]:
+            alike.setdefault(remark.removeprefix(f"{found['flight']}: "), []).append(found["flight"])
+    remarks = [f"- {', '.join(flights)}: {remark}" for remark, flights in alike.items()]
     remarks += [f"- {name} is as `quasi init` laid it and is left out" for name in untouched]
     return "\n".join([*lines, *([] if faults or not remarks else [""]), *remarks])
 

@@ -175,3 +175,12 @@ def test_a_gap_with_a_flight_without_rotor_speeds_is_refused_and_its_model_is_no
     printed = capsys.readouterr().out
     assert printed.splitlines()[0].endswith("not possible: gap my_gap.")
     assert "gap my_gap: flight c holds no rotor speeds" in printed
+
+
+def test_one_dead_rotor_is_named_and_calls_for_care(lab, monkeypatch):
+    log(lab / "data/raw/a.csv", *IMU, *PLACE, *ROTORS, w2=0.0)
+    asked, found = inspected(lab, monkeypatch)
+    assert refusals(asked, found) == []
+    assert any("rotor 2" in remark for remark in found["Lab/a"]["remarks"])
+    assert usable_for(found["Lab/a"]) == "models and gaps, with care"
+    assert usable_for(found["Lab/c"]) == "models and gaps"
