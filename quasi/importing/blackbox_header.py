@@ -267,7 +267,8 @@ def firmware(header: Mapping[str, str]) -> str:
     'Firmware type' does not serve: Betaflight and its forks all write Cleanflight there.
     """
     found = re.match(
-        r"([A-Za-z][A-Za-z_-]{1,30})\s*/?\s*(?:\S+\s+)?[vV]?[0-9]{1,6}[.][0-9]", header.get("Firmware revision", "")
+        r"([A-Za-z][A-Za-z_-]{1,30})\s*/?\s*(?:\S+\s+)?[vV]?[0-9]{1,6}[.][0-9]",
+        str(header.get("Firmware revision", "")),
     )
     return found.group(1) if found else ""
 
@@ -281,7 +282,7 @@ def version(header: Mapping[str, str]) -> tuple[int, ...] | None:
     """Version number of a Betaflight log, (4, 2, 11); None for other firmware."""
     found = re.match(
         r"Betaflight\s+(?:/\s*\S+\s+)?([0-9]{1,6})\.([0-9]{1,6})(?:\.([0-9]{1,6}))?",
-        header.get("Firmware revision", ""),
+        str(header.get("Firmware revision", "")),
     )
     return tuple(int(x or 0) for x in found.groups()) if found else None
 

@@ -22,6 +22,7 @@ from quasi.importing.resampling import covered
 from quasi.importing.series import Recording, Series
 from quasi.importing.synchronisation import Motion
 from quasi.importing.table_reader import read_table_log
+from quasi.importing.telemetry import AGES
 from quasi.recognition import HEAD, MARKER, refuse_other_formats
 from quasi.tables import read_bytes
 
@@ -238,8 +239,9 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
         others=others,
         rotors=rotors,
         delays=delays,
+        # rotor telemetry may be as old as AGES, and filter delays move the gyro by less
         invalid=[
-            {**span, "begin": span["begin"] - zero, "end": span["end"] - zero}
+            {**span, "begin": span["begin"] - zero - AGES[-1], "end": span["end"] - zero - AGES[0]}
             for span in recording.metadata.get("invalid spans", [])
         ],
     )

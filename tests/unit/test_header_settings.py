@@ -72,6 +72,12 @@ def test_lost_header_lines_and_other_firmware_leave_delays_unknown():
         assert found["gyro"]["std"] == 2e-3 and found["accelerometer"]["std"] == 20e-3
 
 
+def test_a_firmware_revision_that_is_a_number_stops_nothing(tmp_path):
+    content = log("").replace(b"Betaflight 4.5.1 (77d01ba3b) STM32F7X2", b"0")
+    found = read_blackbox(write(tmp_path / "a.bbl", content))
+    assert header_delays(found.metadata["header"])["gyro"]["value"] == 0.0
+
+
 def test_fields_predicted_from_an_absent_line_are_left_out_and_the_line_is_named(tmp_path):
     fields = [*GYRO, ("vbatLatest", False), ("motor[0]", False), ("motor[1]", False), ("rcCommand[3]", False)]
     intra = ([0, 0, 0, 3, 1, 0, 1], [0, 0, 0, 9, 11, 5, 4])
