@@ -10,6 +10,7 @@ from quasi.standalone.review import review
 from quasi.standalone.score import UNITS
 from quasi.standalone.summary import summary_json, summary_latex, summary_text
 from quasi.standalone.thinning import thin, thinned_units
+from quasi.standalone.verdict import lower, unusable_held_out
 from quasi.tables import masses_of, read_made, read_table, write_json, write_table, write_text
 
 
@@ -18,8 +19,12 @@ def main(source: dict, roles: dict, options: dict, output: dict) -> None:
     portable, base = (read_model(source[k]) if source.get(k) else None for k in ("model", "base"))
     tables = {Path(path).stem: read_table(path) for path in progress(source["flights"], "reading flights")}
     codes, aside = judged_rows(read_table(source["partition"]), tables, roles["validation"], options)
-    masses = masses_of({Path(path).stem: read_made(path) for path in source["flights"]})
-    found = review(portable, tables, codes, ROLES, aside, options, base, masses)
+    made = {Path(path).stem: read_made(path) for path in source["flights"]}
+    found = review(portable, tables, codes, ROLES, aside, options, base, masses_of(made))
+    unusable = unusable_held_out(made, roles["validation"])
+    found = found._replace(diagnosis=lower(found.diagnosis, unusable))
+    for sentence in unusable:
+        LOG.warning("%s", sentence)
     for line in found.diagnosis["summary"]:
         LOG.info("%s", line)
     write_table(output["scores"], found.scores, UNITS)

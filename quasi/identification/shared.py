@@ -48,7 +48,7 @@ def unusable_flights(
     Raises DataError where no flight would be left.
     """
     found = {
-        key: "; ".join(made[key].get("unusable because") or [])
+        key: _first(made[key]["unusable because"])
         for key, flight in flights.items()
         if made[key].get("unusable because") and (flight["valid"].to_numpy() > 0.5).any()
     }
@@ -61,6 +61,11 @@ def unusable_flights(
             f"'{USE_UNUSABLE}' in 'logging file' of the model's configuration to true"
         )
     return found
+
+
+def _first(sentences: list[str]) -> str:
+    more = f"; its page has {len(sentences) - 1} more reasons" if len(sentences) > 1 else ""
+    return f"{sentences[0]}{more}"
 
 
 def left_out_notes(left_out: Mapping[str, str]) -> list[str]:

@@ -5,7 +5,7 @@ also looks at the RMSE relative to the measurement, at constant offsets (another
 and at whether the validation data leave the region that the training data covered.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 ORDER = ("good", "usable with care", "unusable")
@@ -225,6 +225,30 @@ def headline(axes: Mapping[str, Mapping[str, Any]]) -> list[str]:
         if facts["verdict"] != "good":
             lines.append("; ".join([facts["said"], *facts["what to do"]]))
     return lines
+
+
+def unusable_held_out(made: Mapping[str, Mapping[str, Any]], validation: Iterable[str]) -> list[str]:
+    """A sentence for each held-out flight with the verdict `unusable`, whose scores judge no model.
+
+    made  {flight: metadata of its filtered table}; validation  keys of the held-out flights
+    """
+    return [
+        f"held-out flight {key} is unusable ({why[0]}): its scores do not judge the model; hold out another flight"
+        for key in validation
+        if (why := made.get(key, {}).get("unusable because"))
+    ]
+
+
+def lower(diagnosis: Mapping[str, Any], sentences: list[str]) -> dict[str, Any]:
+    """The diagnosis of a model with sentences that call for care, first in its words; as it is without any."""
+    if not sentences:
+        return dict(diagnosis)
+    return {
+        **diagnosis,
+        "verdict": max(diagnosis["verdict"], ORDER[1], key=ORDER.index),
+        "shortly": "; ".join([*sentences, diagnosis["shortly"]]),
+        "summary": [*sentences, *diagnosis["summary"]],
+    }
 
 
 def percent(share: float) -> str:

@@ -13,7 +13,7 @@ from quasi.standalone.model import Model
 from quasi.standalone.review import review
 from quasi.standalone.score import judge, score, score_judged
 from quasi.standalone.summary import summary_text
-from quasi.standalone.verdict import headline, shortly, verdict
+from quasi.standalone.verdict import headline, lower, shortly, unusable_held_out, verdict
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +53,17 @@ def test_a_model_that_contradicts_its_configuration_is_unusable_whatever_its_sco
     wrong = review(Model(document, "made"), flights, codes_of(found.judged), ROLES).diagnosis
     assert found.diagnosis["verdict"] == "good" and wrong["verdict"] == "unusable"
     assert wrong["summary"][0] == wrong["shortly"].split("; ")[0] == "rotor 1 pushes as if it were elsewhere"
+
+
+def test_a_held_out_flight_that_is_unusable_judges_no_model(good):
+    diagnosis = good[2].diagnosis
+    made = {"a": {"unusable because": []}, "c": {"unusable because": ["gyro and attitude contradict each other"]}}
+    [sentence] = unusable_held_out(made, ["a", "c"])
+    assert "flight c " in sentence and "gyro and attitude" in sentence
+    lowered = lower(diagnosis, [sentence])
+    assert lowered["verdict"] == "usable with care" and lowered["summary"] == [sentence, *diagnosis["summary"]]
+    assert lower({**diagnosis, "verdict": "unusable"}, [sentence])["verdict"] == "unusable"
+    assert lower(diagnosis, []) == diagnosis
 
 
 @pytest.mark.parametrize("axis", list(TERMS))
