@@ -25,9 +25,9 @@ import pyarrow.parquet as pq
 
 from quasi import tables
 from quasi.errors import QuasiError
-from quasi.importing.blackbox import read_blackbox
-from quasi.importing.decoded import read_decoded
+from quasi.importing.filter_delays import RPM_NOTCHES, STAGES, header_delays
 from quasi.importing.motive import read_motive
+from quasi.importing.onboard_log import read_onboard
 from quasi.importing.series import Recording
 from quasi.importing.table_reader import read_table_log
 from quasi.importing.wind import read_lvm
@@ -44,6 +44,68 @@ def blackbox_seeds(rng: np.random.Generator) -> list[bytes]:
     log = encode_log(values, others)[0] + event("end")
     bare = log[: log.rfind(b"H ")]
     return [log, log + log[: len(log) // 2], (bare[: bare.rfind(b"\n") + 1]) * 5]
+
+
+SETTINGS = [
+    *(name for stage in (*STAGES, *RPM_NOTCHES) for name in stage if name),
+    *("gyro_notch_hz", "gyro_notch_cutoff", "acc_lpf_hz", "dshot_bidir", "dyn_notch_count", "dyn_notch_q"),
+    *("dyn_notch_min_hz", "dyn_notch_max_hz", "gyro_scale", "acc_1G", "motorOutput", "minthrottle", "maxthrottle"),
+    *("vbatref", "vbatcellvoltage", "motor_poles", "debug_mode", "features", "blackbox_high_resolution"),
+    *("I interval", "P interval", "Firmware revision", "looptime"),
+]
+NUMBERS = ["0", "-1", "1", "14", "45", "250", "500", "4000", "2147483647", "-99999999999", "9" * 18, "9" * 400, "1e308"]
+WORDS = [*NUMBERS, "", "nan", "0x3f800000", "0x", "1/32", "1/0", "INAV 5.1.0 (abc) F722", "Betaflight 4.2.8 (abc) F7"]
+
+
+def changed_header(data: bytes, rng: np.random.Generator) -> bytes:
+    """A blackbox log whose settings are what firmware and damage write: 0, absent, negative, huge, lists, text."""
+    lines = data.split(b"\n")
+    for _ in range(int(rng.integers(1, 6))):
+        name = str(rng.choice(SETTINGS))
+        value = ",".join(str(rng.choice(WORDS)) for _ in range(int(rng.choice([1, 1, 2, 3]))))
+        places = [i for i, line in enumerate(lines) if line.startswith(f"H {name}:".encode())]
+        if places and rng.random() < 0.3:
+            del lines[places[0]]
+        elif places:
+            lines[places[0]] = f"H {name}:{value}".encode()
+        else:
+            lines.insert(2, f"H {name}:{value}".encode())
+    return b"\n".join(lines)
+
+
+def cut_header(data: bytes, rng: np.random.Generator) -> bytes:
+    """A blackbox log whose header ends at any byte, and its frames follow at once."""
+    last = data.rfind(b"\nH ")
+    frames = data.find(b"\n", last + 1) + 1
+    return data[: int(rng.integers(0, frames))] + data[frames:]
+
+
+def changed_speeds(data: bytes, rng: np.random.Generator) -> bytes:
+    """A decoded log whose rotor speeds spike, freeze, stop, drop out, are random or in another unit."""
+    lines = data.split(b"\n")
+    at = next((i for i, line in enumerate(lines) if b"eRPM" in line or b"omegaUnfiltered" in line), None)
+    if at is None:
+        return data
+    columns = [i for i, cell in enumerate(lines[at].split(b",")) if b"eRPM" in cell or b"omegaUnfiltered" in cell]
+    kind, place = int(rng.integers(0, 6)), int(rng.choice(columns))
+    for i in range(at + 1, len(lines)):
+        cells = lines[i].split(b",")
+        if place >= len(cells):
+            continue
+        if kind == 0 and rng.random() < 0.1:
+            cells[place] = b"65535"
+        elif kind == 1:
+            cells[place] = str(rng.integers(0, 65536)).encode()
+        elif kind == 2:
+            cells[place] = cells[place] + b"00"
+        elif kind == 3 and rng.random() < 0.1:
+            cells[place] = b"0"
+        elif kind == 4:
+            cells[place] = b"1384"
+        elif kind == 5:
+            cells[place] = b"0"
+        lines[i] = b",".join(cells)
+    return b"\n".join(lines)
 
 
 def saved_anew(data: bytes) -> bytes:
@@ -64,7 +126,11 @@ def decoded_seeds(rng: np.random.Generator) -> list[bytes]:
         + '"loopIteration","time","gyroADC[0]","accSmooth[0]","motor[0]","eRPM[0]"\n'
         + "\n".join(",".join(map(str, [i, 500 * i, *rng.integers(0, 900, 4)])) for i in range(40))
     )
-    return [tool.encode(), viewer.encode(), saved_anew(tool.encode())]
+    names = ["loopIteration", "time", *(f"{n}[{i}]" for n in ("gyroADC", "accSmooth") for i in range(3))]
+    names += [f"{n}[{i}]" for n in ("motor", "eRPM(/100)") for i in range(4)] + ["rcCommand[3]"]
+    flown = [[i, 2000 * i, *rng.integers(-90, 90, 6), *rng.integers(900, 1400, 8), 12500] for i in range(400)]
+    speeds = head + "\n".join(",".join(map(str, row)) for row in [names, *flown])
+    return [tool.encode(), viewer.encode(), saved_anew(tool.encode()), speeds.encode()]
 
 
 def indiflight_rows(rng: np.random.Generator) -> bytes:
@@ -198,9 +264,18 @@ def lvm_seeds(rng: np.random.Generator) -> list[bytes]:
     return [plain.encode(), other.encode()]
 
 
+def read_log(path: Path) -> Recording:
+    """A flight controller's log as the import reads it: format by content, axes, checks, delays by its settings."""
+    recording = read_onboard({"onboard": path, "flight controller": "betaflight", "log number": None}, {}, None)
+    for one in header_delays(recording.metadata["header"], not recording.metadata.get("header lines lost")).values():
+        assert 0.0 <= one["value"] < 1.0 and 0.0 <= one["std"] < 1.0, "a delay that no filter has"
+    assert all(note.isprintable() for note in recording.notes), "raw bytes in a note"
+    return recording
+
+
 READERS: dict[str, tuple[Callable[[Path], Recording], Callable[[np.random.Generator], list[bytes]]]] = {
-    "blackbox": (read_blackbox, blackbox_seeds),
-    "decoded": (read_decoded, lambda rng: [*decoded_seeds(rng), indiflight_rows(rng)]),
+    "blackbox": (read_log, blackbox_seeds),
+    "decoded": (read_log, lambda rng: [*decoded_seeds(rng), indiflight_rows(rng)]),
     "motive": (lambda path: read_motive(path, "B", np.array([0.01, 0.0, -0.02])), motive_seeds),
     "table": (lambda path: read_table_log(path, TABLE, 14), table_seeds),
     "parquet": (lambda path: read_table_log(path, TABLE, 14), parquet_seeds),
@@ -243,6 +318,18 @@ def mutate(data: bytes, rng: np.random.Generator) -> bytes:
     return bytes(broken)
 
 
+def broken_input(name: str, originals: list[bytes], i: int, rng: np.random.Generator) -> bytes:
+    """Input number i of a reader: of every second one the content is wrong, of the others bytes are damaged."""
+    original = originals[i // 2 % len(originals)]
+    if i % 2 == 0 and name == "parquet":
+        return changed_table(rng)
+    if i % 2 == 0 and name == "blackbox":
+        return cut_header(original, rng) if i % 4 == 0 else changed_header(original, rng)
+    if i % 2 == 0 and name == "decoded":
+        return changed_speeds(original, rng)
+    return mutate(original, rng)
+
+
 def check(recording: Recording) -> None:
     """What every recording keeps, whatever it was read from. Raises AssertionError."""
     for series in recording.series.values():
@@ -270,8 +357,7 @@ def fuzz(name: str, inputs: int, seed: int, slowest: float) -> bool:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{name}.raw"
         for i in range(inputs):
-            sound = name == "parquet" and i % 2 == 0
-            broken = changed_table(rng) if sound else mutate(originals[i % len(originals)], rng)
+            broken = broken_input(name, originals, i, rng)
             path.write_bytes(broken)
             signal.alarm(HANGING)
             start = time.perf_counter()

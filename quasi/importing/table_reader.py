@@ -15,7 +15,7 @@ import pandas as pd
 from quasi.airframe import DEFAULT_POLES
 from quasi.attitude import from_euler, interpolate, multiply, rotate_inverse
 from quasi.doubt import doubt
-from quasi.errors import ReadError, nearest
+from quasi.errors import ReadError, nearest, quoted
 from quasi.importing.checks.rotor_speeds import clean_rotor_speeds
 from quasi.importing.contradictions import doubtful_units, doubtful_values
 from quasi.importing.series import Recording, Series
@@ -114,13 +114,13 @@ def _numbers(column: pd.Series | pd.DataFrame, path: Path, name: str, notes: lis
             numbers = pd.to_numeric(column, errors="coerce")
         except (TypeError, ValueError):
             raise ReadError(
-                f"{path}: column '{name}' holds {column.dtype} such as {str(column.iloc[0])[:40]}, expected numbers; "
+                f"{path}: column '{name}' holds {column.dtype} such as {quoted(column.iloc[0])}, expected numbers; "
                 "export it as numbers"
             ) from None
         strange = numbers.isna() & column.notna()
         if strange.all():
             raise ReadError(
-                f"{path}: column '{name}' holds text ({str(column.iloc[0])[:40]!r}), expected numbers; map another one"
+                f"{path}: column '{name}' holds text ({quoted(column.iloc[0])}), expected numbers; map another one"
             )
         if strange.any():
             row = int(np.argmax(strange.to_numpy())) + 2
@@ -151,8 +151,9 @@ def _times(table: pd.DataFrame, clock: tuple[str, float], path: Path, notes: lis
 
 def _missing(path: Path, aliases: list[str] | tuple[str, ...], meant: str, table: pd.DataFrame) -> ReadError:
     names = " or ".join(f"'{a}'" for a in aliases)
+    columns = [quoted(name)[1:-1] for name in table.columns]
     return ReadError(
-        f"{path} has no column {names} ({meant}){nearest(aliases[0], table.columns)}; correct 'table columns' in the "
+        f"{path} has no column {names} ({meant}){nearest(aliases[0], columns)}; correct 'table columns' in the "
         "quadrotor configuration"
     )
 

@@ -172,6 +172,16 @@ def test_body_axes_of_which_neither_kind_fits_are_refused(tmp_path, flown, field
     assert "logged body axes" in str(error.value)
 
 
+def test_without_an_attitude_the_specific_force_alone_turns_no_axes(tmp_path, flown):  # noqa: F811
+    fields = [f for f in FIELDS if f.startswith(("gyroADC[", "accSmooth", "motor"))]
+    for number, made in enumerate((flown, in_other_axes(flown))):
+        flight = as_csv(tmp_path, made, fields) | {"flight controller": "betaflight"}
+        found = read_onboard(flight, {}, None)
+        # Betaflight's convention: y left, z up, which the first does not keep
+        assert found.metadata["body axes logged"] == "x forward, y left, z up"
+        assert any("contradict" in note for note in doubts(found.notes)) == (number == 0)
+
+
 def test_the_made_motion_itself_shows_which_axes_are_right():
     # independent of the reader: at rest the specific force of x forward, y right, z down is -g along z
     truth = body(10.0, rate=100.0, rest=3.0)

@@ -49,6 +49,8 @@ def settle_body_axes(recording: Recording, quadrotor: Mapping[str, Any], where: 
         axes, evidence = other, " and ".join(found)
     elif turned == {False}:
         evidence = " and ".join(found)
+    elif turned == {True}:
+        evidence = "the firmware's convention, for no attitude confirms what the specific force shows"
     elif turned and turned != {True}:
         told = ", ".join(f"{name} {_fits(vote, assumed, other)}" for name, vote in found.items())
         raise ReadError(
