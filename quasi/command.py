@@ -38,13 +38,18 @@ def _parser() -> argparse.ArgumentParser:
     fly = commands.add_parser(
         "fly",
         parents=[place],
-        help="fly a model by hand, in a live view",
-        description="w a s d fly, arrows turn and change height, q or closing the window ends. Keys work in the "
+        help="show a configured simulation live, or fly its model by hand",
+        description="Shows config/simulations/NAME.json in real time with its reference. With --by-hand: w a s d fly, "
+        "arrows turn and change height. q or closing the window ends. Keys work in the "
         "terminal and in the window.",
     )
-    fly.add_argument("model", nargs="?", help="model ID, or the path of a standalone model; the only one if left out")
-    fly.add_argument("--simulation", help="controller, wind and so on as in config/simulations/SIMULATION.json")
-    fly.set_defaults(run=lambda o: fly_by_hand(o.model, Path(o.directory), o.simulation))
+    fly.add_argument(
+        "name",
+        nargs="?",
+        help="simulation; with --by-hand also a model ID, or the path of a standalone model; the only one if left out",
+    )
+    fly.add_argument("--by-hand", action="store_true", help="the keys take the place of the reference")
+    fly.set_defaults(run=lambda o: fly_live(o.name, Path(o.directory), o.by_hand))
 
     reach = commands.add_parser(
         "reach",
@@ -214,55 +219,11 @@ def model_place(model: str, directory: Path) -> Path:
     return path
 
 
-def fly_by_hand(model: str | None, directory: Path, simulation: str | None = None) -> str:
-    """Fly a model by hand until q is pressed or the window closes; returns a sentence on the flight.
+def fly_live(name: str | None, directory: Path, by_hand: bool) -> str:
+    """Show a simulation live, or fly a model by hand; see `quasi.fly_command`."""
+    from quasi.fly_command import fly_named
 
-    model  ID or path; None for that of the simulation, or the only one there is
-    Raises a QuasiError where there is no such model or no window can be opened.
-    """
-    from contextlib import ExitStack
-
-    from quasi.errors import ConfigError, ReadError
-    from quasi.project import check_project
-    from quasi.simulation import fly
-    from quasi.simulation.keyboard import Terminal
-    from quasi.simulation.run import Session
-    from quasi.simulation.setup import make_setup
-    from quasi.simulation.window import Window
-    from quasi.standalone.model import read_model
-    from quasi.tables import read_numbers
-
-    wind, settings = None, {"initial state conditions": {"position": [0, 0, -1.5]}}
-    if simulation is not None:
-        check_project(directory)
-        asked = folder_of(directory).simulation(simulation)
-        settings = asked["settings"] | {"references": {}}  # the keys take its place
-        wind = read_numbers(directory / asked["wind"]) if asked["wind"] else None
-        model = model or asked["model"]
-    if model is None:
-        made = sorted(p.parent.name for p in directory.glob("models/*/standalone"))
-        if len(made) != 1:
-            raise ReadError(
-                f"{directory / 'models'} holds {len(made) or 'no'} models{nearest('', made) if made else ''}; "
-                + ("name the one to fly" if made else "make one first, or name a project folder with -d")
-            )
-        model = made[0]
-    flown = read_model(model_place(model, directory))
-    settings["model"] = {**settings.get("model", {}), "model ID": flown.id}
-    session = Session(make_setup(settings, flown, wind, name=simulation or f"flight of {flown.id}"))
-    with ExitStack() as open_things:
-        window = Window(flown.airframe, flown.id, fly.HELP)
-        open_things.callback(window.close)
-        keys: fly.Keys | None = None
-        try:
-            keys = open_things.enter_context(Terminal())
-        except ConfigError:
-            print("standard input is no terminal: press the keys in the window")
-        print("getting ready (half a minute the first time) ...", flush=True)
-        session.advance(fly.Pilot(session.weight).goal(set(), session.dt), 1)
-        session.restart()
-        print(fly.HELP, flush=True)
-        return fly.fly(session, window, keys)
+    return fly_named(name, directory, by_hand)
 
 
 def margins_of(simulation: str, directory: Path) -> str:

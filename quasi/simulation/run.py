@@ -52,14 +52,16 @@ def simulate(
 
 
 class Session:
-    """A simulation that goes on in chunks, its goal set from outside: what live flying needs.
+    """A simulation that goes on in chunks: what live flying needs.
 
-    dt s, one step; t s, now; weight N
+    by_hand  True: its setpoint comes with each `advance`; False: it follows the reference of its setup
+    dt s, one step; t s, now; duration s; weight N
     """
 
-    def __init__(self, setup: Setup) -> None:
-        self._setup = replace(setup, machine=setup.machine._replace(reference=EXTERNAL))
-        self.dt = setup.dt
+    def __init__(self, setup: Setup, by_hand: bool = True) -> None:
+        self._setup = replace(setup, machine=setup.machine._replace(reference=EXTERNAL)) if by_hand else setup
+        self._by_hand = by_hand
+        self.dt, self.duration = setup.dt, setup.steps * setup.dt
         self.weight = float(setup.airframe.mass) * GRAVITY
         self.restart()
 
@@ -78,9 +80,17 @@ class Session:
         """(17,) attitude w x y z, u v w, p q r, x y z, rotor speeds."""
         return self._live.x[:STATES].copy()
 
-    def advance(self, goal: np.ndarray, steps: int) -> str | None:
-        """Go on by so many steps with this goal (20,); a sentence when the simulation cannot go on."""
-        self._live.goal[:] = goal
+    def setpoint(self) -> np.ndarray:
+        """(20,) what was asked for in the last step, see `outer_loop`."""
+        return self._live.goal.copy()
+
+    def advance(self, goal: np.ndarray | None, steps: int) -> str | None:
+        """Go on by so many steps; a sentence when the simulation cannot go on.
+
+        goal  (20,) the setpoint of a flight by hand; None where the setup's reference is followed
+        """
+        if self._by_hand:
+            self._live.goal[:] = goal
         log = np.empty((steps, SHORT_LOG))
         status, done, _ = fly(self._setup.machine, self._live, self._scratch, self._steps, steps, 1, log, False)
         self._steps += done

@@ -14,11 +14,12 @@ from quasi.airframe import Airframe
 from quasi.errors import ConfigError
 from quasi.pages.animation import Scene
 from quasi.pages.drawing import Motion
-from quasi.pages.drone import Look, caption, new_axes, set_limits
+from quasi.pages.drone import Look, caption, new_axes, path_line, set_limits
 from quasi.simulation.keyboard import Held
 from quasi.simulation.simulator import Bus
 
 HALF = 2.5  # m, of the box
+LARGEST = 50.0  # m, half side of a box: in a larger one the drone cannot be seen
 EDGE = 0.7  # of it: the drone's way from the middle before the box moves on
 WINDOW_REPEAT = 1.0  # s, within which a desktop repeats a key that is down; a window out of focus sees no release
 TRAIL = 250  # points of the path that are kept
@@ -28,10 +29,13 @@ _TOOLKITS = ("qtagg", "tkagg", "gtk4agg", "gtk3agg", "wxagg", "macosx")
 class Window:
     """A live view; see `quasi.simulation.fly.View`. scale  by which the drone is enlarged.
 
+    path  (M, 3) m, earth NED, of a reference, drawn dashed; the box then holds all of it, up to LARGEST m
     Raises ConfigError where no window can be opened.
     """
 
-    def __init__(self, airframe: Airframe, name: str, help_text: str = "", scale: float = 3.0) -> None:
+    def __init__(
+        self, airframe: Airframe, name: str, help_text: str = "", scale: float = 3.0, path: np.ndarray | None = None
+    ) -> None:
         self._pyplot = _pyplot()
         self._airframe = airframe
         self._events: deque[tuple[str, str]] = deque()
@@ -45,10 +49,17 @@ class Window:
         canvas.mpl_connect("key_press_event", lambda event: self._events.append(("press", _name(event.key))))
         canvas.mpl_connect("key_release_event", lambda event: self._events.append(("release", _name(event.key))))
         axes = new_axes(self._figure)
+        self._path = np.zeros((0, 3)) if path is None else np.asarray(path, float)
+        self._middle, self._half = _box_of(self._path)
+        scale *= self._half / HALF
         caption(axes, f"{name}\n{help_text}" if help_text else name, scale)
-        self._middle = np.zeros(3)
-        set_limits(axes, self._middle - HALF, self._middle + HALF)
+        set_limits(axes, self._middle - self._half, self._middle + self._half)
         self._scene = Scene(axes, [(airframe, Look())], scale)
+        nowhere = np.full((1, 3), np.nan)
+        self._reference = path_line(axes, nowhere, "0.5", 0.8, linestyle="--")
+        self._target = path_line(axes, nowhere, "k", marker="x")
+        for line in (self._reference, self._target):
+            line.set_animated(True)
         self._trail: deque[np.ndarray] = deque(maxlen=TRAIL)
         self._figure.show()
 
@@ -72,22 +83,30 @@ class Window:
                 held.release(key, now)
         return pressed
 
-    def show(self, t: float, state: np.ndarray, said: str) -> None:
-        """Draw the drone in this state (17,); said  stands in the corner."""
+    def show(self, t: float, state: np.ndarray, said: str, target: np.ndarray | None = None) -> None:
+        """Draw the drone in this state (17,), and a cross at the target (3,); said  stands in the corner."""
         where = state[10:13]
         if not np.isfinite(state).all() or not self.is_open():
             return
-        if np.abs(where - self._middle).max() > EDGE * HALF:
+        half = self._half
+        if np.abs(where - self._middle).max() > (EDGE if not len(self._path) else 1.0) * half:
             self._middle = where.copy()
-            self._scene.limits(where - HALF, where + HALF)
+            self._scene.limits(where - half, where + half)
         self._trail.append(where.copy())
         trail = np.array(self._trail)
-        trail = trail[(np.abs(trail - self._middle) <= HALF).all(axis=1)]
+        trail = trail[self._inside(trail)]
+        self._reference.set_data_3d(*np.where(self._inside(self._path)[:, None], self._path, np.nan).T)
+        mark = np.full((1, 3), np.nan) if target is None else target[None]
+        self._target.set_data_3d(*np.where(self._inside(mark)[:, None], mark, np.nan).T)
         motion = Motion(self._airframe, [t], where[None], state[None, :4], state[None, 13:17])
         self._scene.place(0, where, state[:4], motion.opacity(np.array([0]))[0], trail)
         self._scene.clock.set_text(f"{said}   {t:.1f} s".lstrip())
-        self._scene.draw()
+        self._scene.draw([self._reference, self._target])
         self._figure.canvas.blit(self._figure.bbox)
+
+    def _inside(self, points: np.ndarray) -> np.ndarray:
+        """Which of the points (M, 3) lie in the box."""
+        return (np.abs(points - self._middle) <= self._half).all(axis=1)
 
     def picture(self) -> np.ndarray:
         """What the window shows: (height, width, 3) bytes."""
@@ -142,6 +161,14 @@ class Animator:
     def going(self, bus: Bus) -> bool:
         """Whether the window is still open."""
         return self.window.is_open()
+
+
+def _box_of(path: np.ndarray) -> tuple[np.ndarray, float]:
+    """Middle (3,) and half side, m, of a box that holds a path (M, 3) with a metre around it."""
+    if not len(path):
+        return np.zeros(3), HALF
+    low, high = path.min(axis=0), path.max(axis=0)
+    return 0.5 * (low + high), float(np.clip(0.5 * (high - low).max() + 1.0, HALF, LARGEST))
 
 
 def _name(key: str | None) -> str:

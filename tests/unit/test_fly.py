@@ -217,6 +217,23 @@ def test_the_box_of_the_window_moves_on_with_the_drone(opened):
     assert axes.get_zlim()[1] < -20.0 < axes.get_zlim()[0]
 
 
+def test_a_window_with_a_reference_holds_its_path_and_marks_the_target(airframe, opened):
+    from quasi.simulation.window import Window
+
+    angle = np.linspace(0.0, 2.0 * np.pi, 100)
+    path = np.stack([4.0 * np.cos(angle), 4.0 * np.sin(angle), np.full(100, -2.0)], axis=1)
+    window = Window(airframe, "round", path=path)
+    state = np.zeros(17)
+    state[0] = 1.0
+    window.show(0.0, state, "")
+    plain = window.picture()
+    axes = window._figure.axes[0]
+    assert axes.get_xlim()[0] <= -4.0 and axes.get_xlim()[1] >= 4.0
+    window.show(0.0, state, "", np.array([0.0, 4.0, -2.0]))
+    assert (np.abs(plain.astype(int) - window.picture()) > 60).any()
+    window.close()
+
+
 def test_keys_of_the_window_count_while_they_are_down(opened):
     from quasi.simulation.keyboard import Held
 

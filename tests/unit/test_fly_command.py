@@ -7,7 +7,9 @@ import pytest
 from plain_plant import made_model
 from test_fly import Clock, Script, Shown
 
-from quasi import command
+import quasi.simulation.fly as fly_module
+import quasi.simulation.watch as watch_module
+from quasi import command, fly_command
 from quasi.simulation.fly import fly
 from quasi.simulation.run import Session
 from quasi.simulation.setup import make_setup
@@ -69,21 +71,96 @@ def folder(tmp_path):
     return tmp_path
 
 
-def told(capsys, *arguments):
+def error_of(capsys, *arguments):
     assert command.main(["fly", *arguments]) == 1
     return capsys.readouterr().err
 
 
-def test_what_cannot_be_flown_is_told(folder, capsys, monkeypatch):
+def test_what_cannot_be_flown_is_named(folder, capsys, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setattr("sys.platform", "linux")
-    assert "no model 'mad'" in told(capsys, "mad", "-d", str(folder))
-    assert "did you mean 'made'?" in told(capsys, "mad", "-d", str(folder))
-    assert "windy" in told(capsys, "--simulation", "wind", "-d", str(folder))
-    for names in ([], ["made"], ["--simulation", "windy"]):
-        assert "no window can be opened: there is no display" in told(capsys, *names, "-d", str(folder))
+    here = ("-d", str(folder))
+    assert "no model 'mad'" in error_of(capsys, "--by-hand", "mad", *here)
+    assert "did you mean 'made'?" in error_of(capsys, "--by-hand", "mad", *here)
+    assert "'windy'" in error_of(capsys, "wind", *here)
+    assert "`quasi fly --by-hand made`" in error_of(capsys, "made", *here)
+    for names in ([], ["windy"], ["--by-hand"], ["--by-hand", "made"], ["--by-hand", "windy"]):
+        assert "no window can be opened: there is no display" in error_of(capsys, *names, *here)
     shutil.copytree(folder / "models/made", folder / "models/other")
-    assert "holds 2 models (known are 'made', 'other'); name the one to fly" in told(capsys, "-d", str(folder))
+    assert "holds 2 models (known are 'made', 'other'); name the one to fly" in error_of(capsys, "--by-hand", *here)
     shutil.rmtree(folder / "models")
-    assert "holds no models; make one first" in told(capsys, "-d", str(folder))
+    assert "holds no models; make a model first" in error_of(capsys, "--by-hand", *here)
+    assert "make it with" in error_of(capsys, "windy", *here) or "'model ID' is 'made'" in error_of(
+        capsys, "windy", *here
+    )
+
+
+class Seen(Shown):
+    def __init__(self, clock, airframe, name, text="", path=None, closes=8.0):
+        super().__init__(clock, closes)
+        self.path, self.targets, self.states = path, [], []
+
+    def show(self, t, state, said, target=None):
+        super().show(t, state, said)
+        self.targets.append(None if target is None else target.copy())
+        self.states.append(state.copy())
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def windows(monkeypatch):
+    clock, opened = Clock(), []
+
+    def window(*arguments, **more):
+        opened.append(Seen(clock, *arguments, **more))
+        return opened[-1]
+
+    monkeypatch.setattr(fly_command, "Window", window)
+    for module in (watch_module, fly_module):
+        name = module.__name__.rsplit(".", 1)[1]
+        run = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda s, v, k=None, run=run: run(s, v, k, clock=clock, rest=clock.rest))
+    return opened
+
+
+CIRCLE = {
+    "model": {"model ID": "made"}, "noise": {"add": False}, "simulation": {"duration": 6},
+    "references": {"kind": "circle", "radius": 2.0, "start": 0.5, "transition": 1.0},
+    "animation": {"show": True},
+}  # fmt: skip
+
+
+def test_a_configured_flight_is_shown_with_its_reference_until_its_end(folder, windows):
+    write_json(folder / "config/simulations/round.json", CIRCLE)
+    sentence = command.fly_live("round", folder, by_hand=False)
+    (window,) = windows
+    assert sentence.startswith("flew 6.0 s of 6.0 s, position error ")
+    assert np.abs(np.hypot(*window.path[-100:, :2].T) - 2.0).max() < 1e-9 and window.path[-1, 2] == -2.0
+    late = [k for k, (t, _) in enumerate(window.said) if 3.0 < t < 6.0]
+    places = np.array([window.states[k][10:12] for k in late])
+    assert np.allclose(np.hypot(*places.T), 2.0, atol=0.15), "the reference is flown, not the keys"
+    assert np.allclose([np.hypot(*window.targets[k][:2]) for k in late], 2.0)
+    assert "end; r starts again" in window.said[-1][1] and window.said[-1][0] == pytest.approx(6.0)
+
+
+def test_by_hand_the_reference_of_the_simulation_takes_no_part(folder, windows):
+    write_json(folder / "config/simulations/round.json", CIRCLE)
+    command.fly_live("round", folder, by_hand=True)
+    (window,) = windows
+    assert window.path is None and window.said[-1][0] > 7.0
+    assert np.linalg.norm(window.states[-1][10:13]) < 0.1
+
+
+def test_space_pauses_and_r_starts_again():
+    clock = Clock()
+    setup = make_setup({**CIRCLE, "animation": {}}, made_model())
+    flight, view = Session(setup, by_hand=False), Seen(clock, None, "", closes=20.0)
+    keys = Script(clock, [("space", 1.0, 1.026), ("space", 3.0, 3.026), ("r", 5.0, 5.026), ("q", 7.0, 9.0)])
+    sentence = watch_module.watch(flight, view, keys, clock=clock, rest=clock.rest)
+    assert flight.t == pytest.approx(2.0, abs=0.1) and sentence.startswith("flew 2.0 s of 6.0 s")
+    assert any(said.endswith("paused") for _, said in view.said)
+    before = max(t for t, _ in view.said)
+    assert before == pytest.approx(3.0, abs=0.15)
