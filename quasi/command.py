@@ -220,10 +220,15 @@ def model_place(model: str, directory: Path) -> Path:
 
 
 def fly_live(name: str | None, directory: Path, by_hand: bool) -> str:
-    """Show a simulation live, or fly a model by hand; see `quasi.fly_command`."""
-    from quasi.fly_command import fly_named
+    """Show a simulation live, or fly a model by hand; see `quasi.simulation.live`."""
+    from quasi.project import check_project
+    from quasi.simulation.live import fly_by_hand, fly_simulation
 
-    return fly_named(name, directory, by_hand)
+    if not by_hand:
+        check_project(directory)
+        return fly_simulation(name, directory, folder_of(directory))
+    folder = folder_of(directory) if (directory / "config/simulations").is_dir() else None
+    return fly_by_hand(name, directory, folder, model_place)
 
 
 def margins_of(simulation: str, directory: Path) -> str:

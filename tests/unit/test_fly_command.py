@@ -9,7 +9,8 @@ from test_fly import Clock, Script, Shown
 
 import quasi.simulation.fly as fly_module
 import quasi.simulation.watch as watch_module
-from quasi import command, fly_command
+from quasi import command
+from quasi.simulation import live
 from quasi.simulation.fly import fly
 from quasi.simulation.run import Session
 from quasi.simulation.setup import make_setup
@@ -118,7 +119,7 @@ def windows(monkeypatch):
         opened.append(Seen(clock, *arguments, **more))
         return opened[-1]
 
-    monkeypatch.setattr(fly_command, "Window", window)
+    monkeypatch.setattr(live, "Window", window)
     for module in (watch_module, fly_module):
         name = module.__name__.rsplit(".", 1)[1]
         run = getattr(module, name)

@@ -1,11 +1,11 @@
 """`quasi fly`: a configured simulation shown live, or a model flown by hand."""
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from quasi.errors import ConfigError, ReadError, nearest
-from quasi.project import check_project
 from quasi.simulation import fly, watch
 from quasi.simulation.keyboard import Terminal
 from quasi.simulation.references import goal_at
@@ -47,22 +47,23 @@ def fly_simulation(name: str | None, directory: Path, folder: "Folder") -> str:
         return watch.watch(session, window, keys)
 
 
-def fly_by_hand(name: str | None, directory: Path, folder: "Folder | None") -> str:
+def fly_by_hand(
+    name: str | None, directory: Path, folder: "Folder | None", find_model: Callable[[str, Path], Path]
+) -> str:
     """Fly a model by hand until q is pressed or the window closes; returns a sentence on the flight.
 
     name  a simulation, whose model, controller, wind and faults are taken; else model ID or path; None for the only
           model there is
+    find_model  where the model of an ID or path is in a folder
     Raises a QuasiError where there is no such model or no window can be opened.
     """
-    from quasi.command import model_place
-
     if folder is not None and name in folder.simulations:
         asked = folder.simulation(name)
         asked = {**asked, "settings": {**asked["settings"], "references": {}}, "reference": None}
         setup = _setup_of(asked, directory)
     else:
         made = sorted(p.parent.name for p in directory.glob("models/*/standalone"))
-        model = read_model(model_place(name or _only(made, directory / "models", "model"), directory))
+        model = read_model(find_model(name or _only(made, directory / "models", "model"), directory))
         setup = make_setup({**START, "model": {"model ID": model.id}}, model, name=f"flight of {model.id}")
     session = Session(setup)
     with ExitStack() as opened:
@@ -101,14 +102,3 @@ def _open(setup: Setup, name: str, text: str, opened: ExitStack, path: Any = Non
         print("standard input is no terminal: press the keys in the window")
     print("compiling (half a minute the first time) ...", flush=True)
     return window, keys
-
-
-def fly_named(name: str | None, directory: Path, by_hand: bool) -> str:
-    """`quasi fly [NAME] [--by-hand]`; see `fly_simulation` and `fly_by_hand`."""
-    from quasi.command import folder_of
-
-    if not by_hand:
-        check_project(directory)
-        return fly_simulation(name, directory, folder_of(directory))
-    folder = folder_of(directory) if (directory / "config/simulations").is_dir() else None
-    return fly_by_hand(name, directory, folder)
