@@ -12,6 +12,7 @@ from quasi.gap.base_model import Worth, worth_of
 from quasi.gap.calibration import material
 from quasi.gap.calibration.corrections import corrected_at_import
 from quasi.gap.calibration.lower import rate_of
+from quasi.gap.constant_loads import constant_force_tie
 from quasi.gap.effect import Effect, room_of, vehicle_of
 from quasi.gap.entries import (
     as_flown,
@@ -152,6 +153,13 @@ def diagnose(
     told = {e["id"] for e in effects_said}
     ties = [t for level in ("K", "A") for t in levels[level]["ties"] if not told & set(t["ids"])]
     ties += [tie_entry(since, tie, effects, flown) for since, tie in (found.ties if found else [])]
+    if found is not None:
+        taken = [*(e["id"] for e in [*lower_effects, *effects_said]), *(i for tie in ties for i in tie["ids"])]
+        left_over = after(extended, model)
+        ties += constant_force_tie(
+            groups["compared"], groups["reference"], left_over, taken, asked_of,
+            min(found.level.values()), share,
+        )  # fmt: skip
     for level in ("K", "A"):
         said["candidates"] += levels[level]["candidates"]
         said["cannot_be_asked"] += levels[level]["cannot_be_asked"]

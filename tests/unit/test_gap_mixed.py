@@ -11,7 +11,7 @@ from quasi.gap.effect import Effect, Limits, Parameter
 from quasi.gap.statistics import mixed as tests_on
 from quasi.gap.statistics.mixed import SPREADS, Columns, Mixed, Offer, Witnessed
 from quasi.gap.statistics.whitening import autoregression, block_grams, thin, whiten
-from quasi.gap.wrench.naming import _dominant, search
+from quasi.gap.wrench.naming import Named, _dominant, _several_or_one, search
 from quasi.gap.wrench.study import in_stretches, joined
 
 LAYOUT = Columns([1, 2], [3], np.array([0.5]), {"a": [4], "b": [5], "c": [6, 7]})
@@ -477,3 +477,48 @@ def test_the_geometric_mean_of_p_that_rise_together_is_no_smaller_than_chance(al
 
     met, _ = quad(both, -8.0, 12.0, limit=500, points=[0.0, 2.0, 3.0, 4.0, 6.0])
     assert met <= level and (alike < 0.99 or met > 0.9 * level)
+
+
+@pytest.mark.parametrize("planted", ["one", "several"])
+def test_several_parameters_of_one_cause_give_way_to_one_of_another_that_explains_the_same(planted):
+    """Two equally weak rotors on one side are a moved centre of gravity; unequal ones are not."""
+    rng = np.random.default_rng(3)
+    grams = []
+    for _ in range(6):
+        x = rng.standard_normal((400, 7))
+        x[:, 3] = x[:, 5] + x[:, 6] + 0.05 * rng.standard_normal(400)
+        sizes = (0.5, 0.5) if planted == "one" else (0.8, 0.2)
+        y = x[:, 0] + sizes[0] * x[:, 5] + sizes[1] * x[:, 6] + rng.standard_normal(400)
+        z = np.column_stack([y, x])
+        grams.append(z.T @ z)
+    mixed, known = Mixed(grams, [True] * 6, LAYOUT), effects()
+    parts = [Named(mixed.test(Offer("c", "always", (k,)), [Offer("c", "always", (1 - k,))]), []) for k in (0, 1)]
+    named, ties = _several_or_one(mixed, known, parts, [], 1e-3)
+    if planted == "one":
+        assert named == []
+        assert [[t.offer.cause for t in tie.tests] for tie in ties] == [["a", "c"]]
+    else:
+        assert [n.test.offer.cause for n in named] == ["c", "c"]
+        assert ties == []
+
+
+def test_what_reference_flights_cannot_show_is_bounded_and_does_not_become_the_change():
+    """References excite the cause a thousandth as much; left free, their part is noise that the change inherits."""
+    compared = [False] * 4 + [True] * 4
+    off = []
+    for bounds in ({}, {"a": np.array([1.0])}):
+        errors = []
+        for seed in range(20):
+            rng = np.random.default_rng(seed)
+            grams = []
+            for flag in compared:
+                x = rng.standard_normal((200, 7))
+                x[:, 3] *= 1.0 if flag else 1e-3
+                z = np.column_stack([x[:, 0] + 0.4 * flag * x[:, 3] + rng.standard_normal(200), x])
+                grams.append(z.T @ z)
+            layout = LAYOUT._replace(bounds=bounds)
+            test = Mixed(grams, compared, layout).test(Offer("a", "changed", (0,)), pooled=["a"])
+            errors.append(abs(test.value[0] - 0.4))
+        off.append(np.median(errors))
+    assert off[0] > 5.0
+    assert off[1] < 1.0

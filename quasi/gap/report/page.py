@@ -348,6 +348,7 @@ def _ties(diagnosis: Mapping[str, Any]) -> str:
             report.facts(
                 (name_of(i), ", ".join(f"{name_of(n)} = {value_of(p)}" for n, p in found.items()))
                 for i, found in tie["parameters"].items()
+                if found
             )
         )
     return "".join(blocks)

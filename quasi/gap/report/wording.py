@@ -237,6 +237,13 @@ def rivals_words(effect: Mapping[str, Any], diagnosis: Mapping[str, Any], known:
 def tie_sentence(tie: Mapping[str, Any]) -> str:
     """A tie and what would break it."""
     names = listed([name_of(i) for i in tie["ids"]], "or")
+    if "constant force" in tie:
+        force = tie["constant force"]
+        return (
+            f"A constant horizontal force of {100 * force['share of the weight']:.0f} % of the weight pushes the "
+            f"vehicle ({parameters_of({n: force[n] for n in ('north', 'east')})}): {names}. To find out which: "
+            f"{tie['tie_breaker']}."
+        )
     return (
         f"{names[:1].upper()}{names[1:]}: this data cannot tell which "
         f"(separability {tie['separability']:.1f} standard errors)"

@@ -130,7 +130,46 @@ def search(
         given.append(best.offer)
         found[best.offer] = rivals
     named = _confirmed(mixed, effects, since, found, given, level)
-    return Names(named, ties, ranking, level, len(pairs), passed)
+    named, simpler = _several_or_one(mixed, effects, named, [g for g in given if g not in found], level)
+    return Names(named, [*ties, *simpler], ranking, level, len(pairs), passed)
+
+
+def _several_or_one(
+    mixed: Mixed, effects: Mapping[str, Effect], named: Sequence[Named], others: Sequence[Offer], level: float
+) -> tuple[list[Named], list[Tie]]:
+    """Named causes, and ties of a cause that needs several of its parameters with a simpler or a declared rival.
+
+    Two rotors on one side, equally weak, are a moved centre of gravity; all four are a thrust factor. Where the several
+    parameters together are not significant with the rival given, the rival is the simpler explanation and stands first.
+    others  offers that ties put among what is given
+    """
+    kept, ties = list(named), []
+    several = {}
+    for one in named:
+        several.setdefault((one.test.offer.cause, one.test.offer.since), []).append(one)
+    for (cause, when), parts in several.items():
+        which = tuple(sorted(k for one in parts for k in one.test.offer.which))
+        if len(which) < 2 or effects[cause].parts != "any":
+            continue
+        pooled = mixed.pooled(when)
+        given = [*others, *(n.test.offer for n in kept if n not in parts)]
+        together = mixed.test(Offer(cause, when, which), given, pooled)
+        there = {g.cause for g in given}
+        rivals = [n for n in effects if n != cause and n not in there and n in mixed.columns.causes]
+        simpler = []
+        for name in rivals:
+            declared = name in effects[cause].rivals or cause in effects[name].rivals
+            best = mixed.best(name, when, given, pooled, effects[name].parts)
+            if best is None or best.p >= level or not (declared or len(best.offer.which) < len(which)):
+                continue
+            beside = mixed.test(together.offer, [*given, best.offer], pooled)
+            if beside.p >= level:
+                simpler.append((best, beside))
+        if simpler:
+            first, beside = min(simpler, key=lambda pair: pair[0].p)
+            ties.append(Tie([first, together], float((beside.wald / len(which)) ** 0.5)))
+            kept = [n for n in kept if n not in parts]
+    return kept, ties
 
 
 def _mends(mixed: Mixed, offer: Offer, given: Sequence[Offer], effects: Mapping[str, Effect]) -> bool:

@@ -1,0 +1,108 @@
+"""What rejects or limits a diagnosis: losses on held-out flights, a base model without worth, constant forces."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from test_gap_extension import base_of
+from test_gap_extension import flight as made
+
+from quasi.gap.base_model import worth_of
+from quasi.gap.catalogue import catalogue
+from quasi.gap.constant_loads import CAUSES, constant_force_tie
+from quasi.gap.diagnosis import verdict_of
+from quasi.gap.veto import Loss, reject_losing_causes
+from quasi.standalone.model import Model
+
+
+def cause(name):
+    return SimpleNamespace(name=name)
+
+
+def test_a_cause_that_makes_held_out_flights_worse_is_rejected_and_the_others_stand():
+    good, bad = cause("good"), cause("bad")
+    grown = Loss("R", "velocity", 0.5, 1.0, 4.0)
+    kept, rejected, left = reject_losing_causes([good, bad], list, lambda of: [grown] if bad in of else [])
+    assert kept == [good]
+    assert rejected == [(bad, grown)]
+    assert left == []
+
+
+def test_a_loss_that_no_rejection_ends_stays_and_rejects_nothing():
+    one = cause("one")
+    grown = Loss("forces", "Fz", 0.0, 1.0, 2.0)
+    kept, rejected, left = reject_losing_causes([one], list, lambda of: [grown])
+    assert (kept, rejected, left) == ([one], [], [grown])
+
+
+def test_losses_and_excluded_axes_leave_nothing_fully_explained():
+    named = [{"id": "wind"}]
+    assert verdict_of(named, [], []) == "explained"
+    assert verdict_of(named, [], [], limited=True) == "partly explained"
+    assert verdict_of([{"id": "mocap_delay", "explains": False}], [], []) == "agrees"
+
+
+@pytest.fixture(scope="module")
+def flights():
+    base = base_of("withGravity")
+    axes = {a: {**content, "R2": 0.9} for a, content in base.document["axes"].items()}
+    model = Model({**base.document, "axes": axes})
+    return model, [replace(made(model)[0], key=f"flight {k}") for k in range(4)]
+
+
+def test_an_axis_that_the_base_model_does_not_explain_is_excluded(flights):
+    model, evidence = flights
+    assert worth_of(model, evidence).excluded == ()
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal(len(evidence[0]))
+    spoiled = []
+    for e in evidence:
+        measured = e.measured.copy()
+        measured[:, 3] = 10.0 * np.std(e.predicted[:, 3]) * noise[: len(e)] + 0.1 * noise[: len(e)]
+        spoiled.append(replace(e, measured=measured))
+    worth = worth_of(model, spoiled)
+    assert worth.excluded == ("Mx",)
+    assert "Mx" in worth.sentence()
+
+
+def test_rotors_that_contradict_the_configuration_make_the_base_model_unusable(flights):
+    model, evidence = flights
+    wrong = Model({**model.document, "contradictions": ["rotor 1 pushes as if it were aft left"]})
+    assert "unusable" in worth_of(wrong, evidence).sentence()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.14])
+def test_a_constant_force_far_beyond_trim_is_a_tie_and_trim_is_not(flights, share):
+    evidence = [replace_attitude(e) for e in flights[1]]
+    compared, reference = evidence[:2], evidence[2:]
+    pushed = {e.key for e in compared}
+
+    def left(e):
+        return e.only("Fx", share * e.mass * 9.81 if e.key in pushed else 0.0)
+
+    found = constant_force_tie(compared, reference, left, [], catalogue(), 1e-3, 0.05)
+    assert constant_force_tie(compared, reference, left, ["wind"], catalogue(), 1e-3, 0.05) == []
+    if share < 0.05:
+        assert found == []
+        return
+    [tie] = found
+    assert tie["ids"] == list(CAUSES)
+    assert tie["constant force"]["north"]["value"] == pytest.approx(share * compared[0].mass * 9.81, rel=0.02)
+    assert tie["constant force"]["east"]["value"] == pytest.approx(0.0, abs=1e-6)
+
+
+def replace_attitude(evidence):
+    """The same flight, level and heading north."""
+    level = dict.fromkeys(("roll", "pitch", "yaw"), np.zeros(len(evidence)))
+    return replace(evidence, columns={**evidence.columns, **level})
+
+
+def test_excluded_axes_do_not_push(flights):
+    _, evidence = flights
+    there = [replace(replace_attitude(e), excluded=(0, 1)) for e in evidence[:2]]
+
+    def left(e):
+        return np.full((len(e), 6), 10.0)
+
+    assert constant_force_tie(there, [], left, [], catalogue(), 1e-3, 0.05) == []
