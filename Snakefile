@@ -14,6 +14,7 @@ include: "rules/standalone.smk"
 include: "rules/export.smk"
 include: "rules/simulation.smk"
 include: "rules/gap.smk"
+include: "rules/pages.smk"
 
 
 # without a target: every model of the folder

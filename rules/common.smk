@@ -13,6 +13,7 @@ sys.path.insert(0, LIBRARY)
 
 from quasi.errors import QuasiError
 from quasi.joblog import RUN, told
+from quasi.pages.index import list_sources
 from quasi.provenance import code_of
 from quasi.project import check_project, check_writable, read_settings
 from quasi.running.checksums import Checksums

@@ -4,12 +4,14 @@ from io import BytesIO
 from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from quasi.filtering.figures import figures
 from quasi.importing.figures import alignment_figure, close_up, trajectory_figure
 from quasi.joblog import job
-from quasi.pages.flight import page
-from quasi.tables import read_json, read_table, write_bytes, write_text
+from quasi.pages.flight import page, saturation, verdict
+from quasi.pages.gyro_spectrum import gyro_spectrum
+from quasi.tables import read_json, read_table, write_bytes, write_json, write_text
 
 # figure: heading, caption; in the order of the page
 PICTURES = {
@@ -36,6 +38,11 @@ PICTURES = {
         "harmonics stand at the log's rate (the middle 80 % of the flight).",
     ),
 }
+TRACED = ("trajectory", "attitude", "velocity", "forces", "moments")  # shown by the traces of the page
+SPECTRUM = (
+    "Power spectral density of the gyro in flight, against what the horizontal axis names. Bright level lines are "
+    "resonances. Dashed lines, where rotor speeds were logged, are the rotors' first two harmonics."
+)
 
 
 def main(source: dict[str, str], target: str, folder: str) -> None:
@@ -53,11 +60,24 @@ def main(source: dict[str, str], target: str, folder: str) -> None:
     for name, (heading, caption) in PICTURES.items():
         if drawn.get(name) is None:
             continue
-        png = BytesIO()
-        FigureCanvasAgg(drawn[name]).print_png(png)
-        write_bytes(Path(folder) / f"{name}.png", png.getvalue())
-        pictures[heading] = (png.getvalue(), caption)
-    write_text(target, page(imported, about, filtered, filtered_about, pictures))
+        png = draw_png(drawn[name], Path(folder) / f"{name}.png")
+        if name not in TRACED:
+            pictures[heading] = (png, caption)
+    flying = filtered["in_flight"].to_numpy() > 0
+    spectrum = None
+    if (figure := gyro_spectrum(imported, flying)) is not None:
+        spectrum = (draw_png(figure, Path(folder) / "gyro_spectrum.png"), SPECTRUM)
+    word, because = verdict(about, filtered_about, saturation(imported, flying))
+    write_json(Path(folder) / "verdict.json", {"verdict": word, "because": because})
+    write_text(target, page(imported, about, filtered, filtered_about, pictures, spectrum))
+
+
+def draw_png(figure: Figure, path: Path) -> bytes:
+    """Draw a figure, write it, and return it as PNG."""
+    png = BytesIO()
+    FigureCanvasAgg(figure).print_png(png)
+    write_bytes(path, png.getvalue())
+    return png.getvalue()
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ UPLOT = {
     "LICENSE.uPlot": "8f989229699b4fe2f1a0432d0e9edc338a8a911e250e2d1b01ecd770a5f5b1bd",
 }
 UNKNOWN = 65535  # largest 16-bit number
-MAX_ROWS = 12_000  # of a panel: 90 s at 500 Hz with 30 traces stay below 2 MB
+MAX_ROWS = 8_000  # of a panel: 8 to a pixel of a wide screen; 16 panels of a flight hold 1.3 MB
 KINDS = {
     "lost": ("#f6c6c2", "lost on board"),
     "uncaptured": ("#fbe3b5", "not seen by the capture"),

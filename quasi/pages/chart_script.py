@@ -71,8 +71,8 @@ SCRIPT = """
         bind: { dblclick: function () { return function () { zoom(whole[0], whole[1]); return null; }; } } },
       scales: { x: { time: false, range: function (u, a, b) { return a === null ? view : [a, b]; } } },
       axes: [{ size: 26, font: "11px system-ui", ticks: { size: 4 }, gap: 3, grid: { stroke: "#eceff1" } },
-        { size: 62, font: "11px system-ui", label: panel.label, labelFont: "12px system-ui", labelSize: 18, gap: 2,
-          ticks: { size: 4 }, grid: { stroke: "#eceff1" },
+        { size: 62, space: 22, font: "11px system-ui", label: panel.label, labelFont: "12px system-ui", labelSize: 18,
+          gap: 2, ticks: { size: 4 }, grid: { stroke: "#eceff1" },
           values: function (u, all) { return all.map(function (v) { return show(u, v); }); } }],
       series: [{ label: "s", value: show }].concat(panel.series.map(function (s) {
         return { label: s.name || "interval", class: s.name ? undefined : "unnamed",

@@ -1,6 +1,7 @@
 """What the page of one flight says: verdict, what was read and lost, timing, ranges, biases; plain data to HTML."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -9,12 +10,16 @@ import pandas as pd
 
 from quasi.attitude import GRAVITY
 from quasi.pages import frame
+from quasi.pages.chart import Chart, style
+from quasi.pages.flight_traces import draw_path, find_spans, make_panels
 
 ORDER = ("good", "usable with care", "unusable")
 LEAST_VALID = 0.3  # share of the rows below which a flight teaches little
 SATURATED = 0.01  # share of the flight in saturation that calls for care
 COMMAND_LOW, COMMAND_HIGH = 0.001, 0.999
 MOST_GAPS = 8
+REASONS = re.compile(r"; (?![^()]*\))")  # between reasons, not inside brackets
+FIRST = 3  # panels of the first screen
 MOVING = {"u", "v", "w", "u_air", "v_air", "w_air"}
 Section = Mapping[str, Any]
 
@@ -112,17 +117,24 @@ def page(
     filtered: pd.DataFrame,
     filtered_metadata: Section,
     pictures: Mapping[str, tuple[bytes, str]],
+    spectrum: tuple[bytes, str] | None = None,
 ) -> str:
     """The page of a flight.
 
-    imported, filtered  the flight's tables with their metadata; pictures  {heading: (PNG, caption)} in order.
+    imported, filtered  the flight's tables with their metadata; pictures  {heading: (PNG, caption)} in order;
+    spectrum  PNG and caption of the gyro's spectrum, on the first screen of a flight whose position was not measured
     """
     m, f = imported_metadata, filtered_metadata
     flying = filtered["in_flight"].to_numpy() > 0
     saturated = saturation(imported, flying)
     word, because = verdict(m, f, saturated)
     battery = _battery(filtered)
+    measured = [kind for kind in ("position", "velocity") if m[f"{kind} source"] != "none"]
+    spans = find_spans(imported, filtered, m)
+    chart = Chart(make_panels(imported, filtered, measured), spans)
     sections = [
+        style(),
+        _answer(chart, draw_path(filtered, spans) if "position" in measured else "", spectrum),
         frame.section("What was read", frame.facts(_read(m)), _streams(m)),
         frame.section("What was lost or assumed", _lost(m), frame.sentences(_notes(m))),
         frame.section("Clocks and delays", frame.facts(_timing(m))),
@@ -145,11 +157,26 @@ def page(
             frame.sentences(f["notes"]),
         ),
         *(frame.section(heading, frame.picture(png, said)) for heading, (png, said) in pictures.items()),
+        chart.script() if chart.panels else "",
     ]
     under = (
         f"{m['quadrotor']} · {m['sampling']['duration']:.1f} s at {m['sampling']['rate']:g} Hz · mass {f['mass']:g} kg"
     )
-    return frame.page(f"Flight {m['flight']}", under, word, because, sections)
+    first, *more = REASONS.split(because)
+    more_text = f"{'; '.join(more)}." if more else ""
+    return frame.page(f"Flight {m['flight']}", under, word, first, sections, more_text)
+
+
+def _answer(chart: Chart, path: str, spectrum: tuple[bytes, str] | None) -> str:
+    """The first screen: the path, or else the gyro's spectrum, beside key traces; the other traces follow."""
+    shown = frame.picture(*spectrum) if spectrum else ""
+    numbers = range(len(chart.panels))
+    side = path or shown
+    if not numbers:
+        return side
+    first = f'<div class="answer"><div>{side}</div>{chart.place(numbers[:FIRST])}</div>' if side else ""
+    rest = chart.place(numbers[FIRST:] if side else numbers, 2)
+    return f"{chart.bar()}{first}{frame.section('Traces', rest)}{shown if path else ''}"
 
 
 def _read(m: Section) -> list[tuple[str, object]]:
