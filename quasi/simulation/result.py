@@ -241,6 +241,17 @@ def _references(goal: np.ndarray) -> dict[str, np.ndarray]:
     return columns
 
 
+def _parameters(settings: Mapping[str, Any]) -> str:
+    """The main settings in a line, as the manual's simulator prints them (7.4.1)."""
+    noise = f"noise with seed {settings['noise']['seed']}" if settings["noise"]["add"] else "no noise"
+    corrected = "corrected" if settings["model"]["correct for moment asymmetries"] else "not corrected"
+    time = settings["simulation"]
+    return (
+        f"controller {settings['controller']['controller']}, actuator {settings['actuator']['actuator']}, {noise}, "
+        f"moment asymmetries {corrected}, {time['integrator']} with steps of {time['time step']:g} s"
+    )
+
+
 def report(summary: Mapping[str, Any]) -> str:
     """A summary in a few lines of text."""
     duration = summary["duration"]
@@ -248,6 +259,7 @@ def report(summary: Mapping[str, Any]) -> str:
         f"Simulation {summary['simulation']}: model {summary['model']}, {duration['simulated']:g} s of "
         f"{duration['asked']:g} s simulated"
     ]
+    lines.append(f"  {_parameters(summary['settings'])}")
     if summary["ended"]:
         lines.append(f"  ended early: {summary['ended']}")
     for what, error in summary["tracking"].items():

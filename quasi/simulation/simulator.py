@@ -199,6 +199,10 @@ class Simulator:
         if not len(bus.time):
             raise ConfigError("the simulation has no initial state; call set_initial before run")
         if self.run_mode == "infinite" and self._going is None:
+            # a step that shows the simulation ends it when its window is closed
+            shown = [f for steps in self._between.values() for f in steps if hasattr(f, "going")]
+            self._going = shown[0].going if shown else None
+        if self.run_mode == "infinite" and self._going is None:
             raise ConfigError("a simulation in infinite mode needs a condition to end; set it with set_termination")
         unknown = [name for name in self.steps if name not in ORDER]
         if unknown:

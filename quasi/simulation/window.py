@@ -122,7 +122,6 @@ class Animator:
 
         animator = Animator(Window(setup.airframe, setup.name))
         simulator.add_step("integrator", animator)
-        simulator.set_termination(animator.going)
 
     window  where it is shown; rate  pictures per second at most; speed  times real time, None as fast as it goes;
     clock s; rest  waits s

@@ -264,7 +264,6 @@ def test_an_animator_shows_an_endless_simulation_in_real_time_until_its_window_i
     show = opened.show
     opened.show = lambda t, state, said: (times.append(t), show(t, state, said), len(times) == 6 and opened.close())
     simulator.add_step("integrator", animator)
-    simulator.set_termination(animator.going)
     bus = simulator.run()
     np.testing.assert_allclose(np.diff(times), 0.1, atol=0.0041)  # ten pictures a second of simulated time
     assert bus.time[bus.step] == pytest.approx(times[-1])

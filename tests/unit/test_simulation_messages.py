@@ -156,3 +156,10 @@ def test_show_names_the_command_that_shows_this_flight():
 
     document = {"model": {"model ID": "made"}, "animation": {"show": True}}
     assert any("`quasi fly windy`" in n for n in check(document, "simulation", "config/simulations/windy.json")[1])
+
+
+def test_the_text_of_a_summary_states_the_main_settings(model):
+    text = report(
+        simulate(setup_of(model, 0.1, controller={"controller": "drone_NDI"}, noise={"add": False})).summary()
+    )
+    assert "controller drone_NDI, actuator rotorDynamicsV2, no noise, moment asymmetries corrected, rk4" in text
