@@ -7,7 +7,8 @@ The manual's Table 2 under its own names and under the spellings of published mo
     u_p u_q u_r, U_p U_q U_r            sums weighted by left, front and spin sign of the speeds, of their squares
     d_w1.., d_w_tot (d_wtot)            difference from the hover speed
     u v w (u_air v_air w_air)           velocity through the air (over ground where no wind is known)
-    mu_x mu_y mu_z mu_vin               u, v, w, v_in over the tip speed w_avg R
+    mu_x mu_y mu_z mu_vin               u, v, w, v_in over the tip speed w_avg_flown R
+    w_avg_flown, w_tot_flown, w1_flown  the speed, not below the lowest of the training flights: in denominators
     roll pitch yaw p q r x y z          attitude wrapped to +-pi, body rates, position
     w1_dot.., w_tot_dot, u_p_dot ..     rotor accelerations, rad/s2, their sum and weighted sums
     battery_voltage, v_in, ...          any further column under its own name
@@ -26,6 +27,7 @@ from quasi.airframe import Airframe
 from quasi.errors import ConfigError, ExpressionError, nearest
 from quasi.expressions import Tree, evaluate, names, parse
 from quasi.normalisation import Normalisation
+from quasi.singularities import FLOWN, RATIOS, lowest_speeds
 from quasi.tables import COLUMNS
 
 SYNONYMS: dict[str, Tree] = {
@@ -48,14 +50,15 @@ _MADE_FROM: dict[str, tuple[str, ...]] = {
     **{f"d_w{i}": (f"w{i}",) for i in range(1, 5)},
     **dict.fromkeys(("w_tot", "w_avg", "d_w_tot", "u_p", "u_q", "u_r", "U_p", "U_q", "U_r"), _ROTORS),
     **dict.fromkeys(("w_tot_dot", "u_p_dot", "u_q_dot", "u_r_dot"), _DOTS),
-    **{f"mu_{a}": (*_ROTORS, v) for a, v in (("x", "u"), ("y", "v"), ("z", "w"), ("vin", "v_in"))},
+    **{ratio: (*_ROTORS, v) for ratio, v in RATIOS.items()},
+    **{name: _ROTORS if speed in ("w_avg", "w_tot") else (speed,) for name, speed in FLOWN.items()},
 }
 
 # base dimensions: length, mass, time, angle, voltage; powers
 _UNITS: dict[str, tuple[float, ...]] = {}
 for _unit, _members in {
     (0, 0, -1, 1, 0): (*_ROTORS, *(f"w{i}_CMD" for i in range(1, 5)), *(f"d_w{i}" for i in range(1, 5)),
-                       "w_tot", "w_avg", "d_w_tot", "u_p", "u_q", "u_r", "p", "q", "r"),
+                       "w_tot", "w_avg", "d_w_tot", *FLOWN, "u_p", "u_q", "u_r", "p", "q", "r"),
     (0, 0, -2, 2, 0): (*(f"w2_{i}" for i in range(1, 5)), "U_p", "U_q", "U_r"),
     (0, 0, -2, 1, 0): (*_DOTS, "w_tot_dot", "u_p_dot", "u_q_dot", "u_r_dot", "p_dot", "q_dot", "r_dot"),
     (1, 0, -1, 0, 0): ("u", "v", "w", "v_in"),
@@ -193,6 +196,7 @@ class Variables:
     airframe     signs of the rotors and the rotor radius
     hover_speed  rad/s, one rotor's speed in hover; None when unknown (then d_w... cannot be asked)
     normalisation  the non-dimensional scheme, under which names stand for other quantities; None for SI
+    slowest      (4,) rad/s, lowest speed of each rotor in the training flights; None where unknown
     """
 
     def __init__(
@@ -201,7 +205,9 @@ class Variables:
         airframe: Airframe,
         hover_speed: float | None,
         normalisation: Normalisation | None = None,
+        slowest: Iterable[float] | None = None,
     ) -> None:
+        self._lowest = lowest_speeds(slowest)
         self._columns = columns
         self._airframe = airframe
         self._hover = hover_speed
@@ -250,8 +256,9 @@ class Variables:
 
     def _derived(self, name: str) -> np.ndarray:
         if name.startswith("mu_"):
-            velocity = {"mu_x": "u", "mu_y": "v", "mu_z": "w", "mu_vin": "v_in"}[name]
-            return self.column(velocity, name) / (self["w_avg"] * self._airframe.radius)
+            return self.column(RATIOS[name], name) / (self["w_avg_flown"] * self._airframe.radius)
+        if name in FLOWN:
+            return np.maximum(self[FLOWN[name]], self._lowest[FLOWN[name]])
         if name.endswith("_dot"):
             speeds = [self.column(c, name) for c in _DOTS]
             return self._weighted(name.removesuffix("_dot"), speeds)

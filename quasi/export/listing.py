@@ -16,7 +16,6 @@ from typing import NamedTuple
 from quasi.expressions import names
 from quasi.standalone import kernel as k
 from quasi.standalone.differential import held_of
-from quasi.standalone.document import trees_of
 from quasi.standalone.graph import Graph, Value
 from quasi.standalone.kernel import Kernel, compile_outputs
 from quasi.standalone.model import AXES, Model
@@ -201,7 +200,7 @@ def _labelled(model: Model, graph: Graph, outputs: list[Mapping[int, float]], la
     nodes: dict[str, int] = {}
     if not model.normalisation:  # there, names stand for other quantities than what they say
         reachable = set(graph.reachable(outputs))
-        trees = [t for axis in model.axes for t in trees_of(model.document["axes"][axis], axis, f"model {model.id}")]
+        trees = [t for axis in model.axes for t in model.trees[axis]]
         for name in dict.fromkeys(plain_name(n) for tree in trees for n in names(tree)):
             value: Value = graph.variable(name)
             kind = graph.nodes[value[1]][0]

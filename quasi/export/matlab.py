@@ -24,6 +24,7 @@ from quasi.export.contents import check_exportable
 from quasi.export.matlab_simulation import write_simulation
 from quasi.export.matlab_terms import axis_file, differential_file, matlab_name, wrench_file
 from quasi.normalisation import LEAST_AIRSPEED
+from quasi.singularities import lowest_speeds
 from quasi.standalone.differential import differential_system
 from quasi.standalone.extensions import drive_of
 from quasi.standalone.kernel import INPUTS
@@ -89,6 +90,7 @@ def model_parameters(model: Model, u: Iterable[str] | None) -> dict[str, Any]:
         "usesPosition": any(c in model.columns for c in "xyz"),
         "usesRotorAccelerations": model.uses_rotor_accelerations,
         "axes": cells([[axis] for axis in model.axes], 1),
+        "lowestSpeeds": np.array([list(lowest_speeds(model.slowest).values())]),
         "DiffSysInputs": cells([[name] for name in u or ()], 1),
     }
     if scheme:
@@ -101,6 +103,7 @@ def model_parameters(model: Model, u: Iterable[str] | None) -> dict[str, Any]:
     found["units"] = {
         "hasGravity": "1: forces are mass times specific force, a simulation adds gravity; 0: net forces",
         "g": "m/s2", "rho": "kg/m3", "topSpeed": "rad/s", "idleSpeed": "rad/s",
+        "lowestSpeeds": "rad/s, limits of w_avg, w_tot, w1, w2, w3, w4 where they stand in a denominator",
     }  # fmt: skip
     return found
 

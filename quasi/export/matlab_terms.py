@@ -14,7 +14,6 @@ from quasi.export.contents import head
 from quasi.export.naming import identifier, name_of, shown
 from quasi.expressions import Tree, names
 from quasi.standalone.differential import held_of
-from quasi.standalone.document import trees_of
 from quasi.standalone.graph import ONE, Graph
 from quasi.standalone.kernel import INPUTS
 from quasi.standalone.model import AXES, Model
@@ -108,7 +107,7 @@ def _variable(name: str) -> str:
 
 
 def _trees(model: Model, axis: str) -> list[Tree]:
-    return trees_of(model.document["axes"][axis], axis, f"model {model.id}")
+    return model.trees[axis]
 
 
 def variables_of(model: Model, axis: str) -> list[str]:

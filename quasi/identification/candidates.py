@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from quasi.errors import ConfigError, ExpressionError, nearest
-from quasi.expressions import Tree, canonical, names, parse
+from quasi.expressions import Tree, canonical, parse
 from quasi.variables import SYNONYMS
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -177,8 +177,3 @@ def _monomial(factor: Term, variables: Sequence[Term], powers: tuple[int, ...]) 
 
 def _bracketed(variable: Term) -> str:
     return variable.expression if variable.tree[0] == "name" else f"({variable.expression})"
-
-
-def names_of(specification: Specification) -> list[str]:
-    """Variables that a specification uses, each once."""
-    return list(dict.fromkeys(n for tree in specification.trees for n in names(tree)))

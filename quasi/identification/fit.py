@@ -9,16 +9,18 @@ import pandas as pd
 
 from quasi.airframe import Airframe
 from quasi.errors import DataError, ExpressionError, nearest
-from quasi.expressions import Program
-from quasi.identification.candidates import BIAS, Specification, Term, names_of
+from quasi.expressions import Program, Tree, names
+from quasi.identification.candidates import BIAS, Specification, Term
 from quasi.identification.evidence import Totals, interchangeable
 from quasi.identification.partition import TRAINING
 from quasi.identification.products import Pool
+from quasi.identification.redundancy import drop_redundant
 from quasi.identification.regression import Fit, least_squares, memory_window
 from quasi.identification.stepwise import RIVALS, Options, Selection, select
 from quasi.identification.structure import inclusion, leave_one_flight_out
 from quasi.identification.warnings import warnings
 from quasi.normalisation import Normalisation
+from quasi.singularities import remove_singularities
 from quasi.variables import Variables, base_columns, unit_of
 
 UNITS = {**dict.fromkeys(("Fx", "Fy", "Fz"), "N"), **dict.fromkeys(("Mx", "My", "Mz"), "N m")}
@@ -52,18 +54,28 @@ def fit_axis(
     Raises DataError or ExpressionError naming flight, column or regressor.
     """
     hover = shared.get("hover speed", {}).get("value")
+    repeated: list[str] = []
+    if normalisation:
+        specification, repeated = drop_redundant(specification, normalisation, airframe)
+    evaluated = {
+        t.expression: _evaluated(t, airframe, normalisation) for t in (*specification.fixed, *specification.candidates)
+    }
+    # the written names too: a column that is missing is reported for the variable that the file names
+    every = [t.tree for t in (*specification.fixed, *specification.candidates)]
+    wanted = list(dict.fromkeys(n for tree in (*every, *evaluated.values()) for n in names(tree)))
     blocks, targets, series, dropped, scales = _training_rows(
-        axis, flights, partition, airframe, hover, specification, normalisation
+        axis, flights, partition, airframe, hover, wanted, normalisation
     )
     raw = np.concatenate(targets)
     total = float(np.sum((raw - raw.mean()) ** 2))
     if total <= 0:
         raise DataError(f"{axis} is constant over the training rows; there is nothing to fit")
-    targets = _less_known(targets, blocks, specification)
+    targets = _less_known(targets, blocks, specification, evaluated)
     free = [t for t in specification.fixed if t.expression not in specification.known]
     first = [CONSTANT] if specification.bias else []
     terms = [*first, *free, *specification.candidates]
-    trees, names = [t.tree for t in terms], [t.expression for t in terms]
+    described = [t.expression for t in terms]
+    trees = [evaluated.get(t.expression, t.tree) for t in terms]
     if len(terms) == 0:
         raise DataError(f"{axis}: every fixed coefficient is given and there is no candidate; there is nothing to fit")
 
@@ -71,7 +83,7 @@ def fit_axis(
     fixed = len(first) + len(free)
     pool = Pool(trees, fixed, blocks, targets, rows, specification.bias)
     options = options_of(config, len(specification.candidates))
-    selection, near, held_out = choose(pool, options, config, names, total, rows)
+    selection, near, held_out = choose(pool, options, config, described, total, rows)
     chosen = [*range(fixed), *selection.chosen]
     if not chosen:
         raise DataError(f"{axis}: every fixed coefficient is given and no candidate entered; there is nothing to fit")
@@ -79,13 +91,13 @@ def fit_axis(
     program = Program([trees[k] for k in chosen])
     columns = np.vstack([program.run(block, len(z)).T for block, z in zip(blocks, targets)])
     fit = least_squares(columns, np.concatenate(targets), rows)
-    estimated = [names[k] for k in chosen]
+    estimated = [described[k] for k in chosen]
     entries = _terms(axis, specification, terms, chosen, fixed, fit)
     if normalisation:
         entries = [{**entry, "unit": "1"} for entry in entries]
     alike = interchangeable(Totals(pool), chosen, selection.bandwidth)
-    _add_rivals(entries, alike, names)
-    resampled = _resample(pool, near, selection, options, config, names, entries)
+    _add_rivals(entries, alike, described)
+    resampled = _resample(pool, near, selection, options, config, described, entries)
     measured, residuals = (raw, fit.residuals) if scales is None else (raw * scales, fit.residuals * scales)
     error, total = float(residuals @ residuals), float(np.sum((measured - measured.mean()) ** 2))
     return {
@@ -112,10 +124,12 @@ def fit_axis(
         "bootstrap": resampled,
         "candidates": len(specification.candidates),
         "duplicates": [list(pair) for pair in specification.duplicates],
-        "unusable": {names[k]: why for k, why in pool.unusable.items()},
+        "unusable": {described[k]: why for k, why in pool.unusable.items()},
         "flights": {key: len(z) for key, z in zip(series, targets)},
         "dropped rows": dropped,
-        "notes": _notes(axis, dropped, pool, names) + warnings(axis, entries, selection.log, fit, resampled),
+        "notes": repeated
+        + _notes(axis, dropped, pool, described)
+        + warnings(axis, entries, selection.log, fit, resampled),
     }
 
 
@@ -219,9 +233,8 @@ def _add_rivals(entries: list[dict[str, Any]], alike: dict[int, list[dict]], nam
 
 
 def _training_rows(
-    axis, flights, partition, airframe, hover, specification, normalisation
+    axis, flights, partition, airframe, hover, wanted, normalisation
 ) -> tuple[list, list, dict, dict, np.ndarray | None]:
-    wanted = names_of(specification)
     needed = sorted(set().union(*(base_columns(n, normalisation) for n in wanted), ROTORS if normalisation else ()))
     blocks, targets, series, dropped, scales = [], [], {}, {}, []
     for key, flight in flights.items():
@@ -257,11 +270,18 @@ def _training_rows(
     return blocks, targets, series, dropped, np.concatenate(scales) if scales else None
 
 
-def _less_known(targets: list[np.ndarray], blocks: list[dict], specification: Specification) -> list[np.ndarray]:
+def _evaluated(term: Term, airframe: Airframe, normalisation: Normalisation | None) -> Tree:
+    """The expression that is evaluated for a term."""
+    return term.tree if normalisation else remove_singularities(term.tree, airframe.radius)
+
+
+def _less_known(
+    targets: list[np.ndarray], blocks: list[dict], specification: Specification, evaluated: Mapping[str, Tree]
+) -> list[np.ndarray]:
     known = [t for t in specification.fixed if t.expression in specification.known]
     if not known:
         return targets
-    program = Program([t.tree for t in known])
+    program = Program([evaluated[t.expression] for t in known])
     weights = np.array([specification.known[t.expression] for t in known])
     return [z - weights @ program.run(block, len(z)) for z, block in zip(targets, blocks)]
 

@@ -214,6 +214,7 @@ def covered_share(
             {c: part[c].to_numpy(float) for c in part if pd.api.types.is_numeric_dtype(part[c])},
             model.airframe,
             model.hover_speed,
+            slowest=model.slowest,
         )
         for name in wanted:
             values[name].append(lookup[name])

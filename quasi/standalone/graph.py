@@ -26,6 +26,7 @@ from quasi.airframe import Airframe
 from quasi.errors import ExpressionError
 from quasi.expressions import Tree
 from quasi.normalisation import Normalisation
+from quasi.singularities import FLOWN, RATIOS, lowest_speeds
 from quasi.variables import SYNONYMS, split_function
 
 Value = tuple[float, int]
@@ -42,6 +43,7 @@ class Graph:
     hover_speed  rad/s, or None when unknown (then d_w... cannot be asked)
     held         variables, such as U_p, that derivatives treat as independent of everything else
     normalisation  the non-dimensional scheme, under which names stand for other quantities; None for SI
+    slowest      (4,) rad/s, lowest speed of each rotor in the training flights; None where unknown
     """
 
     def __init__(
@@ -50,7 +52,9 @@ class Graph:
         hover_speed: float | None,
         held: Iterable[str] = (),
         normalisation: Normalisation | None = None,
+        slowest: Iterable[float] | None = None,
     ) -> None:
+        self._lowest = lowest_speeds(slowest)
         self.nodes: list[tuple] = []
         self._known: dict[tuple, int] = {}
         self._airframe = airframe
@@ -198,10 +202,11 @@ class Graph:
             return self.value(SYNONYMS[name])
         if name in ("roll", "pitch", "yaw"):
             return 1.0, self.node("wrap", self.node("input", name))
-        if name.startswith("mu_") and name in ("mu_x", "mu_y", "mu_z", "mu_vin"):
-            velocity = self.variable({"mu_x": "u", "mu_y": "v", "mu_z": "w", "mu_vin": "v_in"}[name])
-            average = self.variable("w_avg")
-            return self.over(velocity, (average[0] * self._airframe.radius, average[1]))
+        if name in RATIOS:
+            average = self.variable("w_avg_flown")
+            return self.over(self.variable(RATIOS[name]), (average[0] * self._airframe.radius, average[1]))
+        if name in FLOWN:
+            return self._at_least(self.variable(FLOWN[name]), self._lowest[FLOWN[name]])
         if name in ("d_w1", "d_w2", "d_w3", "d_w4", "d_w_tot"):
             if self._hover is None:
                 raise ExpressionError(
@@ -225,6 +230,11 @@ class Graph:
         speeds = [self.variable(f"w{i}{suffix}")[1] for i in range(1, 5)]
         return self.sum([(float(s), self._product([(n, power)])) for s, n in zip(weights, speeds)])
 
+    def _at_least(self, value: Value, limit: float) -> Value:
+        # the larger of two numbers, without an operation of its own: (a + l + |a - l|)/2
+        beyond = self.function("abs", self.sum([value, (-limit, ONE)]))
+        return self.sum([(0.5 * value[0], value[1]), (0.5 * limit, ONE), (0.5 * beyond[0], beyond[1])])
+
     # ---- derivatives ----
 
     def independent(self, name: str) -> int:
@@ -235,7 +245,8 @@ class Graph:
     def derivative(self, node: int, wrt: int) -> Combination:
         """Exact derivative of a node with respect to an input or a held variable, as a sum of nodes.
 
-        |a| has the derivative sign(a), 0 at 0; what has none (a root at 0) gives inf or NaN where it is evaluated.
+        |a| has the derivative sign(a), 0 at 0, and so has the root of a sum of squares (w_avg, the airspeed). What else
+        has none (another root at 0) gives inf or NaN where it is evaluated.
         """
         if node == wrt:
             return {ONE: 1.0}
@@ -274,6 +285,11 @@ class Graph:
                 add(slope_b, 1.0, (node, 1), (self.node("log", a), 1))
         elif kind == "abs":
             add(self.derivative(given[0], wrt), 1.0, (self.node("sign", given[0]), 1))
+        elif kind == "sqrt" and self._sums_squares(given[0]):
+            # x s/(root + 1 - s) with s = sign(root): the quotient itself, and 0 where the root is 0
+            sign = self.node("sign", node)
+            below = self.node("sum", ((node, 1.0), (ONE, 1.0), (sign, -1.0)))
+            add(self.derivative(given[0], wrt), 0.5, (sign, 1), over=below)
         elif kind == "sqrt":
             add(self.derivative(given[0], wrt), 0.5, over=node)
         elif kind == "sin":
@@ -285,6 +301,12 @@ class Graph:
         elif kind == "wrap":
             add(self.derivative(given[0], wrt), 1.0)
         return result
+
+    def _sums_squares(self, node: int) -> bool:
+        kind, *given = self.nodes[node]
+        parts = given[0] if kind == "sum" else ((node, 1.0),)
+        products = [(self.nodes[part], factor) for part, factor in parts]
+        return all(f > 0.0 and p[0] == "product" and all(n % 2 == 0 for _, n in p[1]) for p, f in products)
 
     def combine(self, terms: Iterable[tuple[float, Value]], wrt: int | None = None) -> Combination:
         """Sum of coefficient x value, or its derivative, as a sum of nodes."""

@@ -18,6 +18,7 @@ from quasi.errors import ConfigError, ReadError, ShapeError, nearest
 from quasi.expressions import Program, names
 from quasi.normalisation import from_plain as normalisation_from_plain
 from quasi.pages.causes import where_it_acts
+from quasi.singularities import remove_singularities
 from quasi.standalone.differential import Jacobian, held_back, held_of, split_jacobian
 from quasi.standalone.document import AXES, airframe_of, check_document, trees_of
 from quasi.standalone.envelope import JOINT, Region, distances, make_region
@@ -39,6 +40,8 @@ class Model:
     gravity   "withGravity": forces are mass x specific force (hover Fz = -m g), gravity is to be added in a simulation;
               "noGravity": forces are net forces
     axes      identified axes, a selection of Fx Fy Fz Mx My Mz; the others are NaN in every prediction
+    trees     {axis: expressions of its terms as they are evaluated, without singularities at stopped rotors}
+    slowest   (4,) rad/s, lowest speed of each rotor in the training flights, or the idle speed; None where unknown
     """
 
     def __init__(self, document: Mapping[str, Any], where: str = "model") -> None:
@@ -49,12 +52,17 @@ class Model:
         self.airframe: Airframe = airframe_of(document["airframe"], where)
         self.hover_speed: float | None = document["hover speed"]["value"]
         self.axes = tuple(a for a in AXES if a in document["axes"])
-        self._trees = {a: trees_of(document["axes"][a], a, where) for a in self.axes}
-        distinct = list(dict.fromkeys(tree for trees in self._trees.values() for tree in trees))
+        written = {a: trees_of(document["axes"][a], a, where) for a in self.axes}
+        distinct = list(dict.fromkeys(tree for trees in written.values() for tree in trees))
         self._names = Program(distinct).names
         self._lacking = [k for k, axis in enumerate(AXES) if axis not in self.axes]
         self.normalisation = normalisation_from_plain(document.get("normalisation"), where)
-        scheme = self.normalisation
+        self._moment_names = [n for axis in AXES[3:] for tree in written.get(axis, ()) for n in names(tree)]
+        scheme, radius = self.normalisation, self.airframe.radius
+        self.trees = {
+            a: [t if scheme else remove_singularities(t, radius) for t in some] for a, some in written.items()
+        }
+        self.slowest = _slowest(document, self.airframe)
         needed = set().union(*(base_columns(n, scheme) for n in self._names), set(ROTORS) if scheme else set())
         self.columns = tuple(sorted(needed))
         self._derivatives: dict[tuple[str, ...], Kernel] = {}
@@ -65,11 +73,11 @@ class Model:
 
         An axis that was not identified has no terms. Raises ExpressionError for d_w... without a hover speed.
         """
-        graph = Graph(self.airframe, self.hover_speed, held, self.normalisation)
+        graph = Graph(self.airframe, self.hover_speed, held, self.normalisation, self.slowest)
         found = []
         for axis in AXES:
             terms = self.document["axes"].get(axis, {}).get("terms", ())
-            values = [graph.value(tree) for tree in self._trees.get(axis, ())]
+            values = [graph.value(tree) for tree in self.trees.get(axis, ())]
             if self.normalisation:
                 scale = graph.in_si(self.normalisation.scale(axis))
                 values = [graph.times(value, scale) for value in values]
@@ -91,6 +99,10 @@ class Model:
     def uses_rotor_accelerations(self) -> bool:
         """Whether a term asks for the rotors' accelerations."""
         return any(c in ACCELERATIONS for c in self.columns)
+
+    def variables(self, columns: Mapping[str, np.ndarray]) -> Variables:
+        """The candidate variables of some columns as the model's terms take them."""
+        return Variables(columns, self.airframe, self.hover_speed, self.normalisation, self.slowest)
 
     def predict(
         self,
@@ -157,7 +169,7 @@ class Model:
 
     def held_constant(self, u: Iterable[str]) -> list[str]:
         """Variables of the moments that move with the inputs u of a differential form but are kept constant in it."""
-        found = [n for axis in AXES[3:] for tree in self._trees.get(axis, ()) for n in names(tree)]
+        found = self._moment_names
         if self.normalisation:
             trees = [self.normalisation.trees.get(plain_name(n), ("name", n)) for n in found]
             found = [n for tree in [*trees, self.normalisation.scale("Mx")] for n in names(tree)]
@@ -216,7 +228,7 @@ class Model:
     def _region(self) -> tuple[Region, tuple[str, ...]]:
         if not self.document.get("envelope"):
             raise ConfigError(f"model {self.id} carries no region that its data covered; make the model anew")
-        graph = Graph(self.airframe, self.hover_speed)
+        graph = Graph(self.airframe, self.hover_speed, slowest=self.slowest)
         try:
             return make_region(self.document, graph, self.inputs, self.kernel.used, self._names)
         except (LookupError, TypeError, ValueError, AttributeError, np.linalg.LinAlgError) as error:
@@ -243,7 +255,7 @@ class Model:
         for axis in self.axes:
             part = self.document["axes"][axis]
             confidence = part["confidence level"] if level is None else level
-            trees = self._trees[axis]
+            trees = self.trees[axis]
             values = Program(trees).run(lookup, rows)
             coefficients = np.array([t["coefficient"] for t in part["terms"]])
             a = values[[not t.get("given", False) for t in part["terms"]]]
@@ -324,11 +336,11 @@ class Model:
 
     def _lookup(self, columns: Mapping[str, np.ndarray], rows: int):
         found = self._columns(columns, rows)
-        return Variables(found, self.airframe, self.hover_speed, self.normalisation).__getitem__
+        return self.variables(found).__getitem__
 
     def _say_what_lacks(self, columns: Mapping[str, Any]) -> None:
         zeros = {name: np.zeros(1) for name in columns}
-        variables = Variables(zeros, self.airframe, self.hover_speed, self.normalisation)
+        variables = self.variables(zeros)
         with np.errstate(all="ignore"):
             for name in self._names:
                 variables[name]
@@ -359,6 +371,18 @@ class Model:
         for k, position in enumerate(kernel.gather.tolist()):
             table[k] = columns[self.inputs[position]]
         return table
+
+
+def _slowest(document: Mapping[str, Any], airframe: Airframe) -> list[float] | None:
+    """Lowest speed of each rotor in the training flights, else the idle speed, rad/s; None where neither is known."""
+    ranges = document.get("envelope") or {}
+    lowest = [(ranges.get(w) or {}).get("min") if isinstance(ranges, Mapping) else None for w in ROTORS]
+    if all(isinstance(v, int | float) and np.isfinite(v) for v in lowest):
+        return [float(v) for v in lowest]
+    factor = airframe.logged_to_rad_s or document.get("logged to rad/s")
+    if airframe.idle_rpm and isinstance(factor, int | float) and np.isfinite(airframe.idle_rpm * factor):
+        return [float(airframe.idle_rpm * factor)] * 4
+    return None
 
 
 def _from_state(

@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,15 +14,17 @@ from quasi.errors import ConfigError, ExpressionError
 from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis
 from quasi.identification.partition import partition
+from quasi.identification.redundancy import drop_redundant
 from quasi.normalisation import Normalisation, from_plain, normalisation_of
 from quasi.simulation.rollout import Body, rollout
 from quasi.simulation.variants import extended, simple_model
 from quasi.standalone.build import assemble
 from quasi.standalone.differential import differential_system
+from quasi.standalone.document import AXES
 from quasi.standalone.envelope import covered
 from quasi.standalone.kernel import INPUTS, wrench
 from quasi.standalone.model import Model, read_model
-from quasi.tables import write_json
+from quasi.tables import read_json, write_json
 from quasi.variables import Variables, base_columns
 
 RADIUS, ARM, TOP, IDLE = AIRFRAME.radius, AIRFRAME.arm, 2000.0, 200.0
@@ -304,3 +307,49 @@ def test_other_models_made_of_it_are_in_si(model):
     merged["axes"]["Fz"]["terms"][0]["extension"] = "x"
     with pytest.raises(ConfigError, match="is normalised"):
         Model(merged)
+
+
+SHIPPED = sorted((Path(__file__).parents[2] / "config/polynomials").glob("*.json"))
+
+
+@pytest.fixture(scope="module")
+def complete():
+    """Flights with every column that a shipped candidate file needs, the rotors stopped for some rows."""
+    made = {}
+    for seed, key in enumerate("ab"):
+        table = flight(seed, rows=600)
+        random = np.random.default_rng(seed)
+        lacking = [c for c in ("w1_dot", "w2_dot", "w3_dot", "w4_dot", "v_in") if c not in table]
+        table = table.assign(**{c: random.normal(0.0, 50.0, len(table)) for c in lacking})
+        table.loc[:20, ["w1", "w2", "w3", "w4"]] = 0.0
+        scale = SCHEME.scale_of("Fz", {f"w{i}": table[f"w{i}"].to_numpy() for i in range(1, 5)})
+        for axis in AXES:
+            table[axis] = scale * (0.1 + 0.05 * table["u"] + random.normal(0.0, 0.01, len(table)))
+        made[key] = table
+    return made
+
+
+@pytest.mark.parametrize("file", SHIPPED, ids=lambda path: path.stem)
+def test_shipped_candidate_files_are_identified_under_the_scheme(file, complete):
+    for axis in AXES:
+        section = read_json(file)[axis]
+        found = identify(complete, section, axis, SCHEME, True)
+        fixed = [t["name"] for t in found["terms"] if t["fixed"]]
+        lost = [text for text in section["fixed"] if text not in fixed]
+        assert lost == [t for t in section["fixed"] if t == "(w2_1 + w2_2 + w2_3 + w2_4)"], (axis, lost)
+        assert all(any(text in note for note in found["notes"]) for text in lost)
+
+
+def test_what_the_scheme_makes_constant_or_alike_is_derived_from_the_specification():
+    section = {
+        "fixed": ["w2_1 + w2_2 + w2_3 + w2_4", "u", "w2_1", "w2_2", "w2_3", "w2_4"],
+        "candidates": [{"vars": ["(u^2 + v^2 + w^2)^0.5"], "degree": 1, "sets": [1, "u", "v"]}],
+    }
+    specification = read_specification({"Fz": section}, "Fz", "s.json", True)
+    found, notes = drop_redundant(specification, SCHEME, AIRFRAME)
+    # sum of w_i^2/a^2 = 4, so that the fourth square is a combination of the constant and the other three
+    assert [t.expression for t in found.fixed] == ["u", "w2_1", "w2_2", "w2_3"]
+    assert [of for _, of in found.duplicates] == ["bias", "u"] and len(found.candidates) == 1
+    assert len(notes) == 3
+    bare, _ = drop_redundant(read_specification({"Fz": section}, "Fz", "s.json", False), SCHEME, AIRFRAME)
+    assert "w2_1 + w2_2 + w2_3 + w2_4" in [t.expression for t in bare.fixed]  # it takes the constant's place

@@ -13,7 +13,7 @@ function d = getDroneInputs(state, inputs, modelParams, droneParams, extra)
 %
 %   d       struct with one field for each variable, N x 1: w1 .. w4, w2_1 .. w2_4 (squares), w_tot, w_avg (root mean
 %           square), u_p u_q u_r and U_p U_q U_r (sums of speeds, of squares, with signs left, front, spin), d_w1 ..,
-%           d_w_tot (from hover), u v w, mu_x mu_y mu_z (over the tip speed), roll pitch yaw (within +-pi), p q r,
+%           d_w_tot (from hover), u v w, mu_x mu_y mu_z (over the tip speed), w_avg_flown .. (not below the flown), roll pitch yaw (within +-pi), p q r,
 %           x y z, rotor accelerations. Where modelParams.isNormalized they are the non-dimensional ones, and F_den,
 %           M_den are the scales of forces and moments.
 %           d.base holds the SI columns themselves, d.n the number of rows N.
@@ -124,7 +124,14 @@ d.w_tot_dot = b.w1_dot + b.w2_dot + b.w3_dot + b.w4_dot;
 if modelParams.isNormalized
     d = normalise(d, b, modelParams);
 else
-    tip = w_avg*droneParams.R;
+    % speeds that stand in denominators are not taken below the lowest of the training flights
+    d.w_avg_flown = lowest(w_avg, modelParams.lowestSpeeds(1));
+    d.w_tot_flown = lowest(d.w_tot, modelParams.lowestSpeeds(2));
+    d.w1_flown = lowest(b.w1, modelParams.lowestSpeeds(3));
+    d.w2_flown = lowest(b.w2, modelParams.lowestSpeeds(4));
+    d.w3_flown = lowest(b.w3, modelParams.lowestSpeeds(5));
+    d.w4_flown = lowest(b.w4, modelParams.lowestSpeeds(6));
+    tip = d.w_avg_flown*droneParams.R;
     d.mu_x = b.u./tip;
     d.mu_y = b.v./tip;
     d.mu_z = b.w./tip;
@@ -132,6 +139,12 @@ else
         d.mu_vin = b.v_in./tip;
     end
 end
+end
+
+function value = lowest(value, limit)
+unknown = isnan(value);
+value = max(value, limit);
+value(unknown) = NaN;
 end
 
 function d = normalise(d, b, modelParams)
