@@ -3,10 +3,9 @@
 import numpy as np
 
 from quasi.errors import QuasiError
-from quasi.expressions import evaluate, parse
+from quasi.expressions import evaluate
 from quasi.standalone.document import AXES
 from quasi.standalone.model import Model
-from quasi.variables import Variables
 
 
 def describe_undefined_loads(model: Model, inputs: np.ndarray, loads: np.ndarray) -> tuple[str, str] | None:
@@ -19,12 +18,13 @@ def describe_undefined_loads(model: Model, inputs: np.ndarray, loads: np.ndarray
         return None
     speeds = ", ".join(f"{w:.4g}" for w in inputs[12:16])
     columns = {name: np.array([value]) for name, value in zip(model.inputs, inputs)}
-    lookup = Variables(columns, model.airframe, model.hover_speed, model.normalisation).__getitem__
+    lookup = model.variables(columns).__getitem__
     term = ""
-    for about in model.document["axes"].get(lost[0], {}).get("terms", ()):
+    terms = model.document["axes"].get(lost[0], {}).get("terms", ())
+    for about, tree in zip(terms, model.trees.get(lost[0], ())):
         try:
             with np.errstate(all="ignore"):
-                value = evaluate(parse(about["expression"]), lookup)
+                value = evaluate(tree, lookup)
         except QuasiError:
             continue  # a term of an extension, whose variables no table holds
         if not np.isfinite(value).all():

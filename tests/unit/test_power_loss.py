@@ -60,13 +60,13 @@ def test_a_start_with_stopped_rotors_falls_and_then_hovers(controller):
 
 
 def test_forces_that_a_fault_makes_undefined_are_named_with_axis_term_and_rotor_speeds():
-    model = with_term("Fy", "v/w1", 0.5)
+    model = with_term("Fy", "v/(w1^2)^0.5", 0.5)
     for every in (1, 50):
         setup = setup_of(model, simulation={"duration": 4, "log every": every},
                          faults={**LOSS, "rotor health after failure": [0, 1, 1, 1]})  # fmt: skip
         result = simulate(setup)
         assert result.status != 0
-        for fact in ("diverged at t = 1.0", "the model's Fy is no number", "v/w1", "with rotor speeds of 0, "):
+        for fact in ("diverged at t = 1.0", "the model's Fy is no number", "v/(w1^2)^0.5", "with rotor speeds of 0, "):
             assert fact in result.stopped
         if every == 1:
             assert simulate(setup, between={"begin": lambda bus: None}).stopped == result.stopped
@@ -74,8 +74,10 @@ def test_forces_that_a_fault_makes_undefined_are_named_with_axis_term_and_rotor_
 
 
 def test_a_start_in_which_the_model_is_undefined_is_refused_with_axis_and_term():
-    with pytest.raises(ConfigError, match=r"the model's Fy is no number \(term v/w1\) with rotor speeds of 0, 0, 0, 0"):
-        setup_of(with_term("Fy", "v/w1", 0.5), **{"initial state conditions": {"rotor speeds": [0, 0, 0, 0]}})
+    with pytest.raises(
+        ConfigError, match=r"the model's Fy is no number \(term v/\(w1\^2\)\^0.5\) with rotor speeds of 0, 0, 0, 0"
+    ):
+        setup_of(with_term("Fy", "v/(w1^2)^0.5", 0.5), **{"initial state conditions": {"rotor speeds": [0, 0, 0, 0]}})
 
 
 def test_divergence_after_a_fault_names_the_fault_and_its_time():
