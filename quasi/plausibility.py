@@ -28,6 +28,9 @@ LARGEST_NIS = 25.0
 RATE_GAIN = (2 / 3, 3 / 2)
 # Accelerations of a captured position over those measured; sound flights showed 0.92 to 1.01
 LENGTH_RATIO = (3 / 4, 4 / 3)
+CORRELATED = (
+    0.6  # horizontal accelerations after a turn or mirror, from which they are the same motion's (contradictions.ALIKE)
+)
 AXES = {"p": "roll", "q": "pitch", "r": "yaw"}
 
 
@@ -67,6 +70,45 @@ def check_rate_gains(gains: Mapping[str, tuple[float, float]], attitude: str) ->
     limits = f"limits {low:.2f} to {high:.2f}"
     text = _contradict("gyro", attitude, f"{listed}, {limits}", "check sign, unit, order and axes of both")
     return [Contradiction(("gyro", attitude), f"gain of {axis}", gain, low if gain < low else high, "1", text)]
+
+
+def check_axis_order(exchanged: Mapping[str, str], attitude: str) -> list[Contradiction]:
+    """exchanged  {axis of the gyro: axis of the attitude that turns as it does}; attitude  name of its source"""
+    if not exchanged:
+        return []
+    how = ", ".join(f"{one} of the gyro turns as {AXES[other]} of the attitude" for one, other in exchanged.items())
+    text = _contradict("gyro", attitude, how, "check the order of the axes of both")
+    return [Contradiction(("gyro", attitude), "order of axes", float(len(exchanged)), 0.0, "1", text)]
+
+
+def check_directions(
+    gains: Mapping[str, tuple[float, float]],
+    vertical: tuple[float, float] | None,
+    horizontal: tuple[float, float],
+    attitude: str,
+    position: str,
+) -> list[Contradiction]:
+    """Axes of accelerometer, attitude and captured position that are reversed or mirrored.
+
+    gains, vertical  bounds of measured over needed specific force by axis, and of the vertical acceleration
+    horizontal       correlation of horizontal accelerations as they are, and after the best turn or mirror
+    """
+    aligned, best = horizontal
+    if vertical is not None and vertical[1] < 0.0:
+        how, value = "it accelerates down where it should accelerate up", vertical[1]
+    elif best > CORRELATED and aligned < 0.5 * best:
+        how, value = "its horizontal axes are turned or mirrored, as by x and y exchanged or one reversed", aligned
+    else:
+        wrong = [axis for axis, bounds in gains.items() if bounds[1] < 0.0]
+        if not wrong:
+            return []
+        how = f"{', '.join(wrong)} has the opposite sign of what gravity and the motion need"
+        text = _contradict("accelerometer", attitude, how, "check signs and axes of both")
+        return [Contradiction(("accelerometer", attitude), "sign", gains[wrong[0]][1], 0.0, "1", text)]
+    text = _contradict("accelerometer", position, how, "check the axes of the position, z-up or NED")
+    return [
+        Contradiction(("accelerometer", position), "direction", value, 0.0 if value < 0.0 else 0.5 * best, "1", text)
+    ]
 
 
 def check_length_ratio(ratio: float | None, position: str) -> list[Contradiction]:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -77,6 +78,31 @@ def rates_explained(t: np.ndarray, rates: np.ndarray, t_told: np.ndarray, attitu
     return _explained(t, rates, t_told[fine], told, LEAST_TURNING)
 
 
+def exchanged_axes(t: np.ndarray, rates: np.ndarray, t_attitude: np.ndarray, attitude: np.ndarray) -> dict[str, str]:
+    """{axis of the gyro: axis of the attitude that turns as it does} of "p", "q", "r", where that is another one.
+
+    Arguments as `rates_explained`. By correlation over the whole flight: above ALIKE with the other axis, and with its
+    own less than half of that.
+    """
+    fine = np.isfinite(attitude).all(axis=1)
+    if np.count_nonzero(fine) < 8:
+        return {}
+    turned = body_rates(continuous(attitude[fine]), t_attitude[fine])
+    pairs = list(_stretches(t, rates, t_attitude[fine], turned))
+    if not pairs:
+        return {}
+    gyro, own = (np.concatenate([p[k] - p[k].mean(axis=0) for p in pairs]) for k in (0, 1))
+    sizes = np.sqrt(np.outer(np.mean(gyro**2, axis=0), np.mean(own**2, axis=0)))
+    alike = np.abs(gyro.T @ own / len(gyro)) / np.where(sizes > 0, sizes, np.inf)
+    moving = sizes >= LEAST_TURNING**2
+    best = np.argmax(np.where(moving, alike, 0.0), axis=1)
+    return {
+        "pqr"[k]: "pqr"[j]
+        for k, j in enumerate(best)
+        if j != k and alike[k, j] > ALIKE and alike[k, k] < 0.5 * alike[k, j]
+    }
+
+
 def rate_gains(
     t: np.ndarray, rates: np.ndarray, t_attitude: np.ndarray, attitude: np.ndarray
 ) -> dict[str, tuple[float, float]]:
@@ -104,30 +130,75 @@ def rate_gains(
     return gains
 
 
-def specific_force_residual(
-    onboard: Motion, t: np.ndarray, position: np.ndarray, t_attitude: np.ndarray, attitude: np.ndarray
-) -> np.ndarray | None:
-    """Specific force (3,), m/s2, body FRD, beyond what gravity and a captured motion need: the median of the flight.
+class ForceComparison(NamedTuple):
+    """Accelerometer against gravity and a captured motion, at low frequency.
+
+    residual    (3,) m/s2, body FRD, that the accelerometer measures beyond what gravity and motion need; median
+    gains       {"ax", "ay", "az": bounds of measured over needed specific force}, of the axes that correlate
+    vertical    bounds of the measured over the captured vertical acceleration, None where they do not correlate
+    horizontal  correlation of the horizontal accelerations as they are (after the best turn where headings may differ),
+                and after the best turn or mirror
+    """
+
+    residual: np.ndarray
+    gains: dict[str, tuple[float, float]]
+    vertical: tuple[float, float] | None
+    horizontal: tuple[float, float]
+
+
+def compare_forces(
+    onboard: Motion,
+    t: np.ndarray,
+    position: np.ndarray,
+    t_attitude: np.ndarray,
+    attitude: np.ndarray,
+    free_heading: bool,
+) -> ForceComparison | None:
+    """What the accelerometer measures against what attitude and a captured position need.
 
     onboard  needs specific_force; t (n,) s with position (n, 3) m earth NED; t_attitude (m,) s with attitude (m, 4)
-    body to earth; all times on the on-board clock, NaN where missing. None where they share less than two seconds.
+    body to earth; all times on the on-board clock, NaN where missing; free_heading  whether the attitude's heading may
+    differ from the position's axes. None where they share less than two seconds.
     """
     fine = np.isfinite(attitude).all(axis=1)
     felt, seen = uniform(onboard.t, onboard.specific_force, RATE, BAND), uniform(t, position, RATE, BAND)
     if felt is None or seen is None or np.count_nonzero(fine) < 8:
         return None
     acceleration = np.gradient(np.gradient(seen.values, seen.step, axis=0), seen.step, axis=0)
-    edge = int(RATE / BAND)
-    at, q_t = seen.t[edge:-edge], t_attitude[fine]
-    good = seen.good[edge:-edge] & (at > max(felt.t[0], q_t[0]) + 1.0) & (at < min(felt.t[-1], q_t[-1]) - 1.0)
+    edge, gravity, q_t = int(RATE / BAND), np.array([0.0, 0.0, GRAVITY]), t_attitude[fine]
+    good = seen.good[edge:-edge]
+    at = seen.t[edge:-edge]
+    good = good & (at > max(felt.t[0], q_t[0]) + 1.0) & (at < min(felt.t[-1], q_t[-1]) - 1.0)
     if np.count_nonzero(good) < 2 * RATE:
         return None
-    at = at[good]
-    needed = rotate_inverse(
-        interpolate(attitude[fine], q_t, at), acceleration[edge:-edge][good] - np.array([0.0, 0.0, GRAVITY])
-    )
+    at, acceleration = at[good], acceleration[edge:-edge][good]
+    q = interpolate(attitude[fine], q_t, at)
+    needed = rotate_inverse(q, acceleration - gravity)
     there = np.stack([np.interp(at, felt.t, v) for v in felt.values.T], axis=-1)
-    return np.median(there - needed, axis=0)
+    sensed = rotate(q, there) + gravity
+    found = {n: _slopes(there[:, k], needed[:, k], LEAST_MOTION) for k, n in enumerate(("ax", "ay", "az"))}
+    one, other = (
+        v[:, 0] + 1j * v[:, 1] for v in (sensed - sensed.mean(axis=0), acceleration - acceleration.mean(axis=0))
+    )
+    size = float(np.linalg.norm(one) * np.linalg.norm(other)) or 1.0
+    turned, mirrored = float(np.abs(np.vdot(other, one))) / size, float(np.abs(np.sum(other * one))) / size
+    return ForceComparison(
+        np.median(there - needed, axis=0),
+        {n: bounds for n, bounds in found.items() if bounds is not None},
+        _slopes(sensed[:, 2], acceleration[:, 2], LEAST_MOTION),
+        (turned if free_heading else float(np.vdot(other, one).real) / size, max(turned, mirrored)),
+    )
+
+
+def _slopes(one: np.ndarray, other: np.ndarray, least: float) -> tuple[float, float] | None:
+    """Bounds of the slope of `one` (n,) on `other` (n,), both noisy; None where a spread is below `least` or they do
+    not correlate."""
+    a, b = one - one.mean(), other - other.mean()
+    power, own, both = float(np.mean(a * a)), float(np.mean(b * b)), float(np.mean(a * b))
+    if min(power, own) < least**2 or abs(both) <= ALIKE * np.sqrt(power * own):
+        return None
+    slopes = both / own, power / both
+    return min(slopes), max(slopes)
 
 
 def velocity_explained(t: np.ndarray, velocity: np.ndarray, t_told: np.ndarray, position: np.ndarray) -> float | None:

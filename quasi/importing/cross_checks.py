@@ -5,13 +5,20 @@ from dataclasses import replace
 import numpy as np
 
 from quasi.attitude import interpolate
-from quasi.importing.contradictions import length_ratio, rate_gains, specific_force_residual
+from quasi.importing.contradictions import compare_forces, exchanged_axes, length_ratio, rate_gains
 from quasi.importing.onboard_log import ATTITUDE, POSITION, Onboard
 from quasi.importing.series import Series
 from quasi.importing.synchronisation import Synchronisation
-from quasi.plausibility import Contradiction, check_length_ratio, check_rate_gains, check_residual
+from quasi.plausibility import (
+    Contradiction,
+    check_axis_order,
+    check_directions,
+    check_length_ratio,
+    check_rate_gains,
+    check_residual,
+)
 
-CAPTURED, ONBOARD = "captured attitude", "on-board attitude"
+CAPTURED, ONBOARD, CAPTURED_POSITION = "captured attitude", "on-board attitude", "captured position"
 
 
 def cross_check(board: Onboard, capture: Series | None, sync: Synchronisation | None) -> list[Contradiction]:
@@ -19,27 +26,32 @@ def cross_check(board: Onboard, capture: Series | None, sync: Synchronisation | 
 
     capture  on its own clock, which `sync` ties to the on-board clock; None where it has that clock
     """
-    found, motion = [], board.motion()
+    found: list[Contradiction] = []
     logged = board.attitude_source == "onboard"
-    if logged:
-        gains = rate_gains(board.gyro.t, board.gyro.values, board.attitude.t, board.attitude.values)
-        found += check_rate_gains(gains, ONBOARD)
+    attitudes = {ONBOARD: (board.attitude.t, board.attitude.values)} if logged else {}
+    if capture is not None:
+        there = sync.to_onboard(capture.t) if sync else capture.t
+        if "qw" in capture.values:
+            attitudes[CAPTURED] = there, np.stack([capture.values[n] for n in ATTITUDE], axis=-1)
+    for name, (t, attitude) in attitudes.items():
+        both = (board.gyro.t, board.gyro.values, t, attitude)
+        found += check_axis_order(exchanged_axes(*both), name) or check_rate_gains(rate_gains(*both), name)
     if capture is None:
         return found
-    there = sync.to_onboard(capture.t) if sync else capture.t
-    position = np.stack([capture.values[n] for n in POSITION], axis=-1)
-    captured = np.stack([capture.values[n] for n in ATTITUDE], axis=-1) if "qw" in capture.values else None
-    if captured is not None:
-        found += check_rate_gains(rate_gains(board.gyro.t, board.gyro.values, there, captured), CAPTURED)
-        residual = specific_force_residual(motion, there, position, there, captured)
-        found += check_residual(residual, CAPTURED, "captured position")
-    if logged or captured is None:
-        residual = specific_force_residual(motion, there, position, board.attitude.t, board.attitude.values)
-        found += check_residual(residual, ONBOARD if logged else None, "captured position")
-    if captured is not None:
-        fine = np.isfinite(captured).all(axis=1)
-        motion = replace(motion, quaternion=interpolate(captured[fine], there[fine], motion.t))
-    # a tilted attitude says nothing about lengths, nor does one that took every acceleration for gravity
-    if (logged or captured is not None) and not any("accelerometer" in c.between for c in found):
-        found += check_length_ratio(length_ratio(motion, there, position), "captured position")
+    motion, position = board.motion(), np.stack([capture.values[n] for n in POSITION], axis=-1)
+    if not attitudes:  # levelled by the accelerometer: only the vertical says something
+        forces = compare_forces(motion, there, position, board.attitude.t, board.attitude.values, True)
+        return found + check_residual(None if forces is None else forces.residual, None, CAPTURED_POSITION)
+    for name, (t, attitude) in attitudes.items():
+        forces = compare_forces(motion, there, position, t, attitude, name == ONBOARD)
+        if forces is None:
+            continue
+        wrong = check_residual(forces.residual, name, CAPTURED_POSITION) or check_directions(
+            forces.gains, forces.vertical, forces.horizontal, name, CAPTURED_POSITION
+        )
+        found += wrong
+        if not wrong:  # else it says nothing about lengths
+            fine = np.isfinite(attitude).all(axis=1)
+            turned = replace(motion, quaternion=interpolate(attitude[fine], t[fine], motion.t))
+            found += check_length_ratio(length_ratio(turned, there, position), CAPTURED_POSITION)
     return found

@@ -47,6 +47,13 @@ PLANTS = {
     "roll rate reversed": (lambda s: scaled(s, "p", -1.0), "rates", {"gyro", "{attitude}"}),
     "yaw rate reversed": (lambda s: scaled(s, "r", -1.0), "rates", {"gyro", "{attitude}"}),
     "position in another scale": (lambda s: scaled(s, PLACE, 2.0), "capture", {"accelerometer", "captured position"}),
+    "gyro axes exchanged": (lambda s: changed(s, p=s.values["q"], q=s.values["p"]), "rates", {"gyro", "{attitude}"}),
+    "position mirrored": (
+        lambda s: changed(s, x=s.values["y"], y=s.values["x"]),
+        "capture",
+        {"accelerometer", "captured position"},
+    ),
+    "height reversed": (lambda s: scaled(s, "z", -1.0), "capture", {"accelerometer", "captured position"}),
     "late capture": (lambda s: Series(s.t + 0.06, s.values), "capture", None),
     "nothing": (lambda s: s, "capture", None),
 }
