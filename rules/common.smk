@@ -13,7 +13,7 @@ sys.path.insert(0, LIBRARY)
 
 from quasi.errors import QuasiError
 from quasi.joblog import RUN, told
-from quasi.pages.index import list_sources
+from quasi.pages.index import TARGET, list_sources, write_index
 from quasi.provenance import code_of
 from quasi.project import check_project, check_writable, read_settings
 from quasi.running.checksums import Checksums
@@ -316,6 +316,11 @@ def every_processed_flight(wildcards):
     rows = ask(FOLDER.processing_flights)
     pages = [f"results/reports/{r.quadrotor}/{r.key}.html" for r in rows]
     return filtered(rows, "withGravity") + pages
+
+
+onsuccess:
+    if list_sources(PROJECT):
+        write_index(PROJECT, f"{PROJECT}/{TARGET}")
 
 
 onerror:

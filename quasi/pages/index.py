@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 from quasi.errors import QuasiError
 from quasi.pages import frame
-from quasi.tables import read_json
+from quasi.tables import read_json, write_text
 
 TARGET = "results/index.html"
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -26,9 +26,9 @@ KINDS = {
 
 
 def list_sources(root: str | Path) -> list[str]:
-    """Files that the index is made from, each with its time of change, as plain text that shows when it is stale."""
-    found = [p for pattern, _ in KINDS.values() for p in Path(root).glob(pattern)]
-    return sorted(f"{p.relative_to(root).as_posix()} {p.stat().st_mtime_ns}" for p in found)
+    """Absolute paths of the files that the index is made from: as such no rule of the workflow makes them."""
+    place = Path(root).absolute()
+    return sorted(str(path) for pattern, _ in KINDS.values() for path in place.glob(pattern))
 
 
 def collect(root: str | Path) -> dict[str, list[dict[str, Any]]]:
@@ -76,6 +76,11 @@ def page(found: Mapping[str, Sequence[Mapping[str, Any]]], folder: str) -> str:
     worst = next((w for w in ("unusable", "unexplained", "usable with care") if any(map(w.__eq__, counts))), "good")
     return frame.page(f"Project {folder}", "what stands in the folder", worst if flights else "nothing judged",
                       ", ".join(parts), sections)  # fmt: skip
+
+
+def write_index(root: str | Path, target: str | Path) -> None:
+    """Read the summaries that stand in a project folder; write its index page."""
+    write_text(target, page(collect(root), Path(root).absolute().name))
 
 
 def _count(number: int, noun: str) -> str:
