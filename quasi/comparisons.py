@@ -352,15 +352,23 @@ def recorded_twice(rows: Mapping[str, list[str]]) -> tuple[str, str] | None:
 
 
 def repeated_recordings(asked: Mapping[str, Any]) -> list[str]:
-    """Sentences on recordings that have two roles, by content. asked  "name", and of a gap "held", "trained" and
-    "recordings", each {row: [path of its on-board log, number of the log in it]}"""
+    """Sentences on recordings that have two roles, by content, or that cannot be read.
+
+    asked  "name", and of a gap "held", "trained" and "recordings", each {row: [path of its on-board log, number of the log
+           in it]}
+    """
+    try:
+        trained = same_recordings(asked.get("held", {}), asked.get("trained", {}))
+        twice = recorded_twice(asked.get("recordings", {}))
+    except QuasiError as fault:
+        return [str(fault)]
     sentences = []
-    if twice := same_recordings(asked.get("held", {}), asked.get("trained", {})):
+    if trained:
         sentences.append(
-            f"{asked['name']}: held-out {twice[0]} has the recording of {twice[1]}, which trained its model; hold out "
+            f"{asked['name']}: held-out {trained[0]} has the recording of {trained[1]}, which trained its model; hold out "
             "a flight that the model has never seen"
         )
-    if twice := recorded_twice(asked.get("recordings", {})):
+    if twice:
         sentences.append(
             f"{asked['name']}: {twice[0]} and {twice[1]} have the same recording, but each flight counts once and has "
             "one role; leave one out, or give each its own 'Log number' if the file holds several logs"

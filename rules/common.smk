@@ -237,14 +237,14 @@ def raw_files(wildcards):
 
 
 def inspected_files(wildcards):
-    """Raw files of all flights that a model, a gap or the processing names."""
+    """Raw files of all flights that a model, a gap or the processing names; for a gap also those that trained its model."""
+    asked = ask(FOLDER.inspection, wildcards.kind, wildcards.asked)
     files = {}
-    for about in ask(FOLDER.inspection, wildcards.kind, wildcards.asked)[
-        "flights"
-    ].values():
+    for about in asked["flights"].values():
         raw = about["settings"]["flight"]
         wind = raw.get("wind", {}).get("file")
         files |= dict.fromkeys(p for p in (raw["onboard"], raw["capture"], wind) if p)
+    files |= dict.fromkeys(path for path, _ in asked.get("trained", {}).values())
     return list(files)
 
 

@@ -12,7 +12,7 @@ def main(asked: dict, version: str, target: str) -> None:
     inspector = Inspector(MEMORY, version)
     flights = progress(asked["flights"].items(), "reading raw files")
     found = {key: inspector.inspect(about["settings"]) for key, about in flights}
-    refused = refusals(asked, found) + repeated_recordings(asked)
+    refused = list(dict.fromkeys(refusals(asked, found) + repeated_recordings(asked)))
     for sentence in refused[:-1]:
         LOG.error("%s", sentence)
         tell(sentence, "errors")

@@ -30,7 +30,8 @@ def check_folder(directory: Path, library: Path, data: str | None = None) -> tup
         }
         refused = {name: [fault] for name, fault in faults.items()}
         for name, work in asked.items():
-            ready = not pending & set(work["flights"])
+            made = all(Path(path).is_file() for path, _ in work.get("trained", {}).values())
+            ready = made and not pending & set(work["flights"])
             refused[name] = refusals(work, found) + repeated_recordings(work) if ready else []
     broken = any(refused.values()) or any(about["problem"] for about in found.values())
     return report(found, refused, pending, untouched), int(broken)
