@@ -354,8 +354,8 @@ def recorded_twice(rows: Mapping[str, list[str]]) -> tuple[str, str] | None:
 def repeated_recordings(asked: Mapping[str, Any]) -> list[str]:
     """Sentences on recordings that have two roles, by content, or that cannot be read.
 
-    asked  "name", and of a gap "held", "trained" and "recordings", each {row: [path of its on-board log, number of the log
-           in it]}
+    asked  "name", and of a gap "held", "trained" and "recordings", each {row: [path of its on-board log, number of the
+           log in it]}
     """
     try:
         trained = same_recordings(asked.get("held", {}), asked.get("trained", {}))
@@ -365,8 +365,8 @@ def repeated_recordings(asked: Mapping[str, Any]) -> list[str]:
     sentences = []
     if trained:
         sentences.append(
-            f"{asked['name']}: held-out {trained[0]} has the recording of {trained[1]}, which trained its model; hold out "
-            "a flight that the model has never seen"
+            f"{asked['name']}: held-out {trained[0]} has the recording of {trained[1]}, which trained its model; hold "
+            "out a flight that the model has never seen"
         )
     if twice:
         sentences.append(
