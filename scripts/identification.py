@@ -7,6 +7,7 @@ from quasi.errors import DataError, ExpressionError
 from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis
 from quasi.identification.partition import from_table
+from quasi.identification.steps import describe_steps
 from quasi.joblog import LOG, job, progress
 from quasi.normalisation import normalisation_of
 from quasi.tables import read_json, read_table, write_json
@@ -29,9 +30,8 @@ def main(flights: list[str], shared: str, partition: str, settings: dict, output
     except (DataError, ExpressionError) as error:
         said = str(error).removeprefix(f"{axis}, ").removeprefix(f"{axis}: ")
         raise type(error)(f"{settings['specification file']}, {axis}: {said}") from None
-    for step in result["log"]:
-        LOG.info("%s", step)
-    LOG.info("%s", result["stop reason"])
+    for line in describe_steps(axis, result["log"], result["stop reason"]):
+        LOG.info("%s", line)
     for note in result["notes"]:
         LOG.warning("%s", note)
     write_json(output, result)

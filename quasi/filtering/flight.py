@@ -228,6 +228,7 @@ def filter_flight(
         "gravity": {
             "withGravity": "force = mass x specific force",
             "noGravity": "net force",
+            "ax ay az": "specific force in both tables; the net acceleration is force / mass of the noGravity table",
             "value": attitude.GRAVITY,
         },
         **run.report,

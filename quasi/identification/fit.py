@@ -16,6 +16,7 @@ from quasi.identification.partition import TRAINING
 from quasi.identification.products import Pool
 from quasi.identification.redundancy import drop_redundant
 from quasi.identification.regression import Fit, least_squares, memory_window
+from quasi.identification.steps import biases
 from quasi.identification.stepwise import RIVALS, Options, Selection, select
 from quasi.identification.structure import inclusion, leave_one_flight_out
 from quasi.identification.warnings import warnings
@@ -85,6 +86,7 @@ def fit_axis(
     options = options_of(config, len(specification.candidates))
     selection, near, held_out = choose(pool, options, config, described, total, rows)
     chosen = [*range(fixed), *selection.chosen]
+    log = [{**e, "bias": b} for e, b in zip(selection.log, biases(selection.log, pool, described))]
     if not chosen:
         raise DataError(f"{axis}: every fixed coefficient is given and no candidate entered; there is nothing to fit")
 
@@ -118,7 +120,7 @@ def fit_axis(
         "condition number": fit.condition,
         "confidence level": float(config.get("confidence level", 0.95)),
         "entry test": options.test,
-        "log": selection.log,
+        "log": log,
         "stop reason": selection.reason,
         "structure choice": held_out or {"by": "entry test"},
         "bootstrap": resampled,

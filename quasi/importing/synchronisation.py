@@ -110,6 +110,7 @@ def synchronise(
     lags, height = correlation([(a, b) for _, a, b in coarse], least)
     # the search limit counts from the beginnings of the records, as of two records started by hand
     centre = 0.0 if same_clock else onboard.t[0] - capture.t[0]
+    beyond = _describe_match_beyond(lags, height, centre, longest_lag)
     height[np.abs(lags - centre) > longest_lag] = np.nan
     found = peaks(lags, height, apart=0.4)
     if not found:
@@ -124,7 +125,8 @@ def synchronise(
     if not fits:
         raise DataError(
             f"{where}: the capture's motion is nowhere like the on-board log's (best correlation {found[0][1]:.2f} at "
-            f"{found[0][0]:+.2f} s); check that both files are of the same flight and the rigid body is the right one"
+            f"{found[0][0]:+.2f} s); {beyond}check that both files are of the same flight and the rigid body is the "
+            "right one"
         )
     fits.sort(key=lambda item: -item[1].explained)
     r, best = fits[0]
@@ -141,7 +143,7 @@ def synchronise(
     if best.explained < 0.5:
         notes.append(
             f"{where}: the aligned signals explain only {100 * best.explained:.0f} % of each other; "
-            "look at the alignment figure"
+            f"{beyond}look at the alignment figure"
         )
     if abs(best.lag - centre) > longest_lag - 0.05:
         notes.append(
@@ -320,6 +322,19 @@ def _refine(
         if second is not None and (result is None or second.explained > result.explained):
             result = second
     return result
+
+
+def _describe_match_beyond(lags: np.ndarray, height: np.ndarray, centre: float, longest_lag: float) -> str:
+    """What to do where the records match better at a lag beyond the limit; "" where they do not."""
+    permitted = np.abs(lags - centre) <= longest_lag
+    inside, outside = (np.where(mask & np.isfinite(height), height, -np.inf) for mask in (permitted, ~permitted))
+    best = int(np.argmax(outside)) if len(outside) else 0
+    if not len(outside) or not np.isfinite(outside[best]) or outside[best] <= inside.max():
+        return ""
+    return (
+        f"beyond the limit of {longest_lag:g} s they correlate by {outside[best]:.2f} at {lags[best] - centre:+.2f} s "
+        "from the beginnings of the records: raise 'max permitted lag for optitrack', or "
+    )
 
 
 def _fit(pairs: Sequence[Pair], lag: float, rate: float, reference: float, fit_rate: bool = True) -> ClockFit | None:

@@ -10,9 +10,10 @@ from quasi.errors import DataError
 from quasi.standalone.model import Model
 
 POOLED = "all"
+FULL = "full"  # role of all rows together, training, test and validation
 UNITS = {
     "flight": ("", "", "flight key, or all"),
-    "role": ("", "", "training, test or validation"),
+    "role": ("", "", "training, test or validation; full: all of them together"),
     "axis": ("", "", "force or moment"),
     "n": ("1", "", "rows"),
     "rmse": ("SI", "", "root mean square error, N or N m"),
@@ -92,7 +93,8 @@ def score(
 
 
 def score_judged(judged: Mapping[str, Judged], model: Model, roles: Mapping[str, int]) -> pd.DataFrame:
-    """Errors of a model. One row per flight, role and axis, then one per role and axis over all flights ("all").
+    """Errors of a model. One row per flight, role and axis, then one per role and axis over all flights ("all"), at
+    last one per axis over the rows of all roles ("full").
 
     roles    {name: code}, for example {"training": 1, "test": 2, "validation": 3}
     Returns columns flight, role, axis, n, rmse, relative_rmse, r2, bias, coverage, confidence, interval_width.
@@ -110,7 +112,10 @@ def score_judged(judged: Mapping[str, Judged], model: Model, roles: Mapping[str,
                 if here.any():
                     rows.append(_row(key, role, axis, table[here & finite], model))
             pooled.append(_row(POOLED, role, axis, table[of_role & finite], model))
-    order = {role: k for k, role in enumerate(roles)}
+        of_any = np.isin(found.role, list(roles.values()))
+        if of_any.any():
+            pooled.append(_row(POOLED, FULL, axis, table[of_any & finite], model))
+    order = {role: k for k, role in enumerate([*roles, FULL])}
     pooled.sort(key=lambda row: order[row["role"]])
     return pd.DataFrame([*rows, *pooled], columns=list(UNITS))
 
@@ -140,9 +145,9 @@ def _row(flight: str, role: str, axis: str, table: np.ndarray, model: Model) -> 
 
 
 def table_text(scores: pd.DataFrame, model: Model) -> str:
-    """The pooled scores as a table for reading: R2 and RMSE per axis on training, test and validation rows."""
+    """The pooled scores as a table for reading: R2 and RMSE per axis on training, test, validation and all rows."""
     pooled = scores[scores["flight"] == POOLED].set_index(["role", "axis"])
-    roles = [r for r in ("training", "test", "validation") if r in pooled.index.get_level_values("role")]
+    roles = [r for r in ("training", "test", "validation", FULL) if r in pooled.index.get_level_values("role")]
     lines = [f"Model {model.id}: R2 and RMSE (forces N, moments N m)"]
     lines.append("axis  " + "".join(f"{role:>24}" for role in roles))
     for axis in model.axes:
@@ -154,7 +159,7 @@ def table_text(scores: pd.DataFrame, model: Model) -> str:
             cells += f"{r2:>12}{row['rmse']:>12.3e}"
         lines.append(f"{axis:<6}{cells}")
     said: dict[str, list[str]] = {}
-    for role in roles:
+    for role in (r for r in roles if r != FULL):
         flights = sorted(set(scores[scores["role"] == role]["flight"]) - {POOLED})
         said.setdefault(", ".join(flights), []).append(role)
     lines += [f"{' and '.join(of)}: {flights}" for flights, of in said.items()]

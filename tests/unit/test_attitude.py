@@ -89,3 +89,18 @@ def test_jpl_quaternions_mean_the_same_attitude_by_their_own_formulas(quaternion
     np.testing.assert_allclose(np.swapaxes(c, 1, 2), attitude.matrix(quaternions), atol=1e-14)
     np.testing.assert_array_equal(attitude.from_jpl(j), quaternions)
     np.testing.assert_array_equal(attitude.to_jpl([1.0, 0.0, 0.0, 0.0]), [0.0, 0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2])
+@pytest.mark.parametrize("off", [0.0, 1e-12, 1e-9, 1e-7, 1e-4])
+def test_euler_angles_give_the_attitude_back_at_the_poles(pitch, off):
+    random = np.random.default_rng(4)
+    roll, yaw = random.uniform(-np.pi, np.pi, (2, 200))
+    q = attitude.from_euler(roll, np.full(200, pitch - np.sign(pitch) * off), yaw)
+    angles = attitude.to_euler(q)
+    assert np.all(np.abs(angles[:, [0, 2]]) <= np.pi)
+    back = attitude.from_euler(*angles.T)
+    np.testing.assert_allclose(attitude.matrix(back), attitude.matrix(q), atol=3e-8)
+    # what is defined there: roll - yaw at the upper pole, roll + yaw at the lower one
+    left = (angles[:, 0] - np.sign(pitch) * angles[:, 2]) - (roll - np.sign(pitch) * yaw)
+    np.testing.assert_allclose(np.sin(left / 2), 0.0, atol=1e-7)

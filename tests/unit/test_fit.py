@@ -13,6 +13,7 @@ from quasi.errors import ConfigError, DataError, ExpressionError, QuasiError
 from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis, options_of
 from quasi.identification.partition import TRAINING, partition
+from quasi.identification.steps import describe_steps
 
 SHARED = {"hover speed": {"value": HOVER}}
 FM = "config/polynomials/polyCands_DiffSys_quadraticU_symmetric_SIMPLE_FM.json"
@@ -266,3 +267,22 @@ def test_a_section_that_leaves_nothing_to_fit_is_said(flights, roles):
     section = {"fixed": ["u"], "candidates": [], "fixed coefficients": {"u": 1.0}}
     with pytest.raises(DataError, match="there is nothing to fit"):
         identify("Fx", flights, roles, section, bias=False)
+
+
+def test_the_log_holds_the_bias_of_each_step_and_words_for_it(flights, roles):
+    specification = read_specification(tables.read_json(FM), "Fx", FM)
+    found = fit_axis("Fx", flights, roles, AIRFRAME, SHARED, {"regressor cap": 3, "entry test": "F"}, specification)
+    log = found["log"]
+    final = next(t["coefficient"] for t in found["terms"] if t["name"] == "bias")
+    assert log[-1]["bias"] == pytest.approx(final, rel=1e-6, abs=1e-9)
+    # the first step by an independent least squares: constant and the fixed u
+    rows = {key: roles[key] == TRAINING for key in flights}
+    u = np.concatenate([flights[key]["u"].to_numpy()[rows[key]] for key in flights])
+    z = np.concatenate([flights[key]["Fx"].to_numpy()[rows[key]] for key in flights])
+    assert log[0]["bias"] == pytest.approx(sm.OLS(z, sm.add_constant(u)).fit().params[0], rel=1e-6, abs=1e-9)
+    lines = describe_steps("Fx", log, found["stop reason"])
+    assert len(lines) == len(log) + 1
+    for entry, line in zip(log, lines):
+        for value in (entry["PSE"], entry["R2"], entry["bias"]):
+            assert f"{value:.6f}" in line or f"{value:.6g}" in line
+        assert all(entry[key] is None or entry[key] in line for key in ("selected", "removed"))

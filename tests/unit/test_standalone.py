@@ -226,8 +226,12 @@ def test_scores_equal_their_definitions(model):
         ("a", "training"),
         ("a", "test"),
         ("b", "validation"),
-        *(("all", role) for role in ROLES),
+        *(("all", role) for role in (*ROLES, "full")),
     }
+    used = [f[codes[key] > 0] for key, f in flights.items()]
+    errors = np.concatenate([f["Fz"] - model.predict_columns(f)["Fz"] for f in used])
+    full = table.query("role == 'full' and axis == 'Fz'").iloc[0]
+    assert full["n"] == 500 and full["rmse"] == pytest.approx(np.sqrt(np.mean(errors**2)))
     rows = flights["a"][codes["a"] == 1]
     error = rows["Fx"] - model.predict_columns(rows)["Fx"]
     entry = table.query("flight == 'a' and role == 'training' and axis == 'Fx'").iloc[0]
