@@ -182,12 +182,12 @@ def fly(
             if ended is None:
                 farthest = max(farthest, float(np.linalg.norm(state[10:13] - start)))
                 fastest = max(fastest, float(np.linalg.norm(state[4:7])))
-        view.show(flight.t, flight.state(), told(flight.state(), pilot, pace, ended))
+        view.show(flight.t, flight.state(), describe_flight(flight.state(), pilot, pace, ended))
         rest(max(1.0 / rate - (clock() - now), 0.0))
     return f"flew {flight.t:.1f} s, up to {farthest:.1f} m away and {fastest:.1f} m/s fast"
 
 
-def told(state: np.ndarray, pilot: Pilot, pace: Pace, ended: str | None) -> str:
+def describe_flight(state: np.ndarray, pilot: Pilot, pace: Pace, ended: str | None) -> str:
     """What stands in the view: mode, speed, height, and what is out of the ordinary."""
     if ended is not None:
         return f"{ended}; r starts again"
