@@ -90,10 +90,10 @@ def show_coverage(coverage: pd.DataFrame) -> str:
 
 
 LEAST_SHARE = 5e-4  # of the rows beyond the training range that is shown as a number
-ROW, LEFT, RIGHT = 24, 150, 600  # px: height of a bar, its ends
+ROW, LEFT, RIGHT = 24, 150, 560  # px: height of a bar, its ends
 _BAR_HEAD = "".join(
     f'<text x="{x}" y="14" font-size="12" fill="#5b6770">{text}</text>'
-    for x, text in ((RIGHT + 14, "training"), (RIGHT + 160, "validation"), (RIGHT + 306, "beyond"))
+    for x, text in ((RIGHT + 14, "training"), (RIGHT + 185, "validation"), (RIGHT + 370, "beyond"))
 )
 
 
@@ -121,9 +121,9 @@ def _bar(line: Any, number: int) -> str:
     texts = (
         (LEFT - 8, name, 13, "#1c2329", "end"),
         (RIGHT + 14, _range(line.training_min, line.training_max), 12, "#1c2329", "start"),
-        (RIGHT + 160, _range(line.min, line.max), 12, COLOURS["validation"], "start"),
+        (RIGHT + 185, _range(line.min, line.max), 12, COLOURS["validation"], "start"),
         (
-            RIGHT + 306,
+            RIGHT + 370,
             frame.share(share) if beyond else "none",
             12,
             "#b3261e" if beyond else "#5b6770",
@@ -139,5 +139,6 @@ def _bar(line: Any, number: int) -> str:
 
 
 def _range(low: float, high: float) -> str:
-    """Two numbers to three digits."""
-    return f"{low:.3g} to {high:.3g}".replace("-", "−")
+    """Two numbers to three digits; without powers of ten below 100,000."""
+    texts = (f"{v:.0f}" if 100 <= abs(v) < 1e5 else f"{v:.3g}" for v in (low, high))
+    return " to ".join(texts).replace("-", "−").replace("e+0", "e")

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 from quasi.errors import ExpressionError
 from quasi.expressions import Tree, names, parse
+from quasi.singularities import FLOWN
 from quasi.tables import COLUMNS
 from quasi.variables import plain_name
 
@@ -23,10 +24,11 @@ VARIABLES: dict[str, tuple[str, str]] = {
     "u": ("m/s", "velocity through the air, forward"),
     "v": ("m/s", "velocity through the air, to the right"),
     "w": ("m/s", "velocity through the air, down"),
-    "mu_x": ("1/rad", "advance ratio u / (w_avg R), R the rotor radius"),
-    "mu_y": ("1/rad", "advance ratio v / (w_avg R)"),
-    "mu_z": ("1/rad", "advance ratio w / (w_avg R)"),
-    "mu_vin": ("1/rad", "induced velocity v_in / (w_avg R)"),
+    "mu_x": ("1/rad", "advance ratio u / (w_avg_flown R), R the rotor radius"),
+    "mu_y": ("1/rad", "advance ratio v / (w_avg_flown R)"),
+    "mu_z": ("1/rad", "advance ratio w / (w_avg_flown R)"),
+    "mu_vin": ("1/rad", "induced velocity v_in / (w_avg_flown R)"),
+    **{name: ("rad/s", f"{speed}, at least its lowest value in the training flights") for name, speed in FLOWN.items()},
     "F_den": ("N", "scale of non-dimensional forces"),
     "M_den": ("N m", "scale of non-dimensional moments"),
 }
