@@ -13,7 +13,6 @@ GRAVITY = 9.81  # m/s^2
 # cosine of the pitch below which roll and yaw are one angle: roll and yaw lose 1e-16 / POLE rad to rounding
 POLE = 1e-8
 AIR_DENSITY = 1.225  # kg/m^3, sea level, ISA
-POLE = 1e-8  # cosine of the pitch below which rounding (2e-16) leaves roll and yaw fewer than 8 digits
 
 
 def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -132,19 +131,17 @@ def from_euler(roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) -> np.ndarr
 def to_euler(q: np.ndarray) -> np.ndarray:
     """Euler angles roll, pitch, yaw (..., 3), rad, 3-2-1, roll and yaw in (-pi, pi], of quaternions (..., 4).
 
-    At a pitch of +-90 degrees only roll -+ yaw is defined. There, within POLE of it, yaw is 0 and roll holds the whole
-    angle, so that the angles still give the attitude back.
+    With the nose straight up or down only roll - yaw or roll + yaw is defined: roll is 0 there and yaw holds all of it,
+    so that `from_euler` gives the attitude back.
     """
     w, x, y, z = np.moveaxis(np.asarray(q, float), -1, 0)
-    sine_roll, cosine_roll = 2 * (w * x + y * z), 1 - 2 * (x * x + y * y)
-    sine, cosine = 2 * (w * y - z * x), np.hypot(sine_roll, cosine_roll)
-    pole = cosine < POLE
-    # q = cos((roll -+ yaw)/2), sin((roll -+ yaw)/2), .. over root 2 at pitch = +-90 degrees
-    together = 2.0 * np.arctan2(x, w)
-    together = together - 2 * np.pi * np.ceil((together - np.pi) / (2 * np.pi))
-    roll = np.where(pole, together, np.arctan2(sine_roll, cosine_roll))
-    yaw = np.where(pole, 0.0, np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-    return np.stack([roll, np.arctan2(sine, cosine), yaw], axis=-1)
+    north, east = 1 - 2 * (y * y + z * z), 2 * (w * z + x * y)  # of the nose
+    level = np.hypot(north, east)  # cosine of the pitch
+    pole = level < POLE
+    pitch = np.arctan2(2 * (w * y - z * x), level)
+    roll = np.where(pole, 0.0, np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)))
+    yaw = np.where(pole, np.arctan2(2 * (w * z - x * y), 1 - 2 * (x * x + z * z)), np.arctan2(east, north))
+    return np.stack([roll, pitch, yaw], axis=-1)
 
 
 def to_jpl(q: np.ndarray) -> np.ndarray:

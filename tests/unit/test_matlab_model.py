@@ -90,10 +90,12 @@ def test_helpers_follow_the_conventions(tmp_path):
     vectors, rates = random.normal(size=(50, 3)), random.normal(size=(50, 3))
     q = attitude.from_euler(*angles.T)
     other = attitude.normalise(random.normal(size=(50, 4)))
+    up = attitude.from_euler(angles[:, 0], np.repeat([np.pi / 2, -np.pi / 2], 25), angles[:, 2])
     write_matlab(Model(document()), tmp_path, None)
     script = """load('asked.mat');
 r.q = Eul2Quat(angles);
 r.angles = Quat2Eul(q);
+r.poles = Quat2Eul(upright);
 r.product = QuatMul(q, other);
 r.earth = QuatRot(q, vectors);
 r.body = QuatRot(QuatConj(q), vectors);
@@ -105,9 +107,9 @@ r.root = rootOf([-1 4 NaN]);
 r.log = logOf([-1 0 exp(1)]);
 save('-v7', 'found.mat', 'r');
 """
-    r = run_octave(tmp_path, script, {"angles": angles, "q": q, "other": other, "vectors": vectors, "rates": rates})[
-        "r"
-    ]
+    r = run_octave(tmp_path, script, {"angles": angles, "q": q, "other": other, "vectors": vectors, "rates": rates,
+                                   "upright": up})["r"]  # fmt: skip
+    assert np.allclose(attitude.matrix(attitude.from_euler(*r.poles.T)), attitude.matrix(up), atol=1e-7)
     assert np.allclose(r.q * np.sign(np.sum(r.q * q, axis=1))[:, None], q, atol=1e-14)
     assert np.allclose(r.angles, angles, atol=1e-13)
     assert np.allclose(r.product, attitude.multiply(q, other), atol=1e-14)

@@ -144,6 +144,20 @@ static double settled(const Instance *fmu, double command)
     return command < high ? command : high;
 }
 
+/* roll, pitch, yaw of a quaternion; at a pitch of +-90 degrees roll and yaw are one angle, which yaw holds */
+static void euler_angles(double w, double x, double y, double z, double *angles)
+{
+    const double north = 1.0 - 2.0*(y*y + z*z), east = 2.0*(w*z + x*y), level = sqrt(north*north + east*east);
+    angles[1] = atan2(2.0*(w*y - z*x), level);
+    if (level < 1e-8) {
+        angles[0] = 0.0;
+        angles[2] = atan2(2.0*(w*z - x*y), 1.0 - 2.0*(x*x + z*z));
+    } else {
+        angles[0] = atan2(2.0*(w*x + y*z), 1.0 - 2.0*(x*x + y*y));
+        angles[2] = atan2(east, north);
+    }
+}
+
 /* Forces and moments in a state, and its derivative. */
 static void derivative(const Instance *fmu, const double *x, const double *target, double *slope, double *loads)
 {
@@ -152,16 +166,13 @@ static void derivative(const Instance *fmu, const double *x, const double *targe
     const double p = x[7], q = x[8], r = x[9], mass = value[AT_MASS];
     const double gravity = GRAVITY_ADDED ? MODEL(gravity) : 0.0;
     const double ax = value[AT_WIND], ay = value[AT_WIND + 1], az = value[AT_WIND + 2];
-    double state[12], tx, ty, tz, hx, hy, hz, mx, my, mz, sine;
+    double state[12], tx, ty, tz, hx, hy, hz, mx, my, mz;
     int k;
     for (k = 0; k < 4; k++) {
         const double gap = target[k] - x[ROTORS + k];
         slope[ROTORS + k] = gap/(gap > 0.0 ? value[AT_UP + k] : value[AT_DOWN + k]);
     }
-    state[0] = atan2(2.0*(w*rx + ry*rz), 1.0 - 2.0*(rx*rx + ry*ry));
-    sine = 2.0*(w*ry - rz*rx);
-    state[1] = asin(sine > 1.0 ? 1.0 : sine < -1.0 ? -1.0 : sine);
-    state[2] = atan2(2.0*(w*rz + rx*ry), 1.0 - 2.0*(ry*ry + rz*rz));
+    euler_angles(w, rx, ry, rz, state);
     /* velocity through the air: less the wind, turned into body axes */
     tx = 2.0*(rz*ay - ry*az);
     ty = 2.0*(rx*az - rz*ax);
@@ -201,7 +212,7 @@ static void derivative(const Instance *fmu, const double *x, const double *targe
 
 static void calculate(Instance *fmu)
 {
-    double *value = fmu->data.value, target[4], loads[6], x[17], w, rx, ry, rz, sine, down[3];
+    double *value = fmu->data.value, target[4], loads[6], x[17], w, rx, ry, rz, down[3];
     int k;
     memcpy(x, value + AT_X, sizeof x);
     if (!fmu->data.begun) { /* as it will begin; the states that were set stay as they are until then */
@@ -212,7 +223,6 @@ static void calculate(Instance *fmu)
     rx = x[1];
     ry = x[2];
     rz = x[3];
-    sine = 2.0*(w*ry - rz*rx);
     for (k = 0; k < 4; k++) {
         if (fmu->data.memory.stepped) {
             target[k] = fmu->data.memory.target[k];
@@ -226,9 +236,7 @@ static void calculate(Instance *fmu)
     for (k = 0; k < 6; k++) {
         value[AT_LOADS + k] = loads[k];
     }
-    value[AT_ANGLES] = atan2(2.0*(w*rx + ry*rz), 1.0 - 2.0*(rx*rx + ry*ry));
-    value[AT_ANGLES + 1] = asin(sine > 1.0 ? 1.0 : sine < -1.0 ? -1.0 : sine);
-    value[AT_ANGLES + 2] = atan2(2.0*(w*rz + rx*ry), 1.0 - 2.0*(ry*ry + rz*rz));
+    euler_angles(w, rx, ry, rz, value + AT_ANGLES);
     /* an accelerometer at the centre of gravity does not feel gravity, which net forces hold */
     down[0] = 2.0*(rx*rz - w*ry);
     down[1] = 2.0*(ry*rz + w*rx);
