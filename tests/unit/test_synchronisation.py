@@ -179,3 +179,17 @@ def test_peaks_are_apart_and_in_order():
     found = peaks(lags, height, 0.4)
     assert found[0][0] == pytest.approx(0.0, abs=0.01)
     assert sorted(abs(lag) for lag, _ in found[1:3]) == pytest.approx([1.0, 1.0], abs=0.02)
+
+
+def test_a_match_beyond_the_lag_limit_is_named_with_its_lag():
+    onboard, capture = sides(1, 4.0, 0.0)
+    # the records begin 3 s apart: the lag counts from there, and is 7 s
+    try:
+        words = " ".join(synchronise(onboard, capture, BOTH, 2.0, "flight").notes)
+    except DataError as error:
+        words = str(error)
+    assert "beyond the limit of 2 s" in words
+    assert "at +7.0" in words
+    assert "'max permitted lag for optitrack'" in words
+    within = synchronise(onboard, capture, BOTH, 25.0, "flight")
+    assert not any("beyond the limit" in note for note in within.notes)
