@@ -58,6 +58,17 @@ def test_spikes_and_short_drop_outs_are_removed_and_counted():
     assert not spans_of(checked)
 
 
+def test_a_rotor_without_a_single_possible_speed_stops_nothing():
+    t, w = speeds()
+    w[1] = np.nan
+    w[1, ::100] = np.where(np.arange(len(t[::100])) % 10 < 2, 9e4, -3.0)
+    w[1, 0] = 5.0
+    w[1, w[1] == 5.0] = -1e-3
+    checked = check_recording(recording(t, w), "f")
+    assert np.isnan(checked.series["onboard"].values["w2"]).all()
+    assert checked.metadata["spikes removed"]["w2"] == len(t[::100])
+
+
 def test_a_rotor_that_stands_in_flight_makes_these_rows_invalid_and_is_named():
     t, w = speeds()
     w[1, 2500:3500] = 0.0

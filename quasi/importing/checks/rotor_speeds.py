@@ -47,7 +47,7 @@ def clean_rotor_speeds(
         bad = (speeds > FASTEST_ROTOR) | (speeds < 0)
         if impossible_share(speeds) <= MOST_IMPOSSIBLE:
             speeds[bad] = np.nan
-            largest = float(np.nanquantile(speeds, 0.99))
+            largest = float(np.nanquantile(speeds, 0.99)) if np.isfinite(speeds).any() else 0.0
             spiky = spikes(speeds, max(LARGEST_STEP * largest, 1e-9))
             speeds[spiky] = np.nan
             count = int(np.count_nonzero(bad | spiky))
