@@ -13,9 +13,10 @@ function d = getDroneInputs(state, inputs, modelParams, droneParams, extra)
 %
 %   d       struct with one field for each variable, N x 1: w1 .. w4, w2_1 .. w2_4 (squares), w_tot, w_avg (root mean
 %           square), u_p u_q u_r and U_p U_q U_r (sums of speeds, of squares, with signs left, front, spin), d_w1 ..,
-%           d_w_tot (from hover), u v w, mu_x mu_y mu_z (over the tip speed), w_avg_flown .. (not below the flown), roll pitch yaw (within +-pi), p q r,
+%           d_w_tot (from hover), u v w, mu_x mu_y mu_z (over the tip speed), roll pitch yaw (within +-pi), p q r,
 %           x y z, rotor accelerations. Where modelParams.isNormalized they are the non-dimensional ones, and F_den,
 %           M_den are the scales of forces and moments.
+%           w_avg_flown, w_tot_flown, w1_flown .. are the speeds, not below the lowest of the training flights.
 %           d.base holds the SI columns themselves, d.n the number of rows N.
 
 if nargin < 5 || isempty(extra)
