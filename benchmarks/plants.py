@@ -1,0 +1,260 @@
+"""Faults planted in real recordings: are they named, and nothing that the unplanted recording does not show?
+
+    python benchmarks/plants.py DATA [--plants accelerometer_scale ...] [--out results/benchmarks/plants]
+
+DATA is the folder that holds nanodrone/square_run1..3.csv (public nano-drone identification benchmark). A model is
+identified from runs 1 and 2, which are the reference flights as well. The same two runs, compared, and run 3, held out,
+get the plant: a column of the file or a key of the configuration is changed, so that no physics of ours is involved.
+Run 3 differs from the others by its own trim. One JSON per plant; a run that was stopped goes on where it was.
+"""
+
+import argparse
+import copy
+import os
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+import pandas as pd
+from hidden import identified
+from scipy.spatial.transform import Rotation
+from study import ROOT, run
+
+from quasi.airframe import read_airframe
+from quasi.filtering.flight import filter_flight
+from quasi.gap.calibration import lower
+from quasi.gap.calibration.corrections import for_flight
+from quasi.gap.catalogue import catalogue
+from quasi.gap.diagnosis import diagnose
+from quasi.gap.flights.gathering import gather_all
+from quasi.gap.flights.level import Flown
+from quasi.importing.flight import import_flight
+from quasi.standalone.model import Model
+from quasi.tables import read_json
+
+EXAMPLE = ROOT / "examples/nanodrone"
+SETTINGS = {
+    "model": "nanodrone", "extended model ID": "nanodrone-plant", "horizons": [0.1, 0.25, 0.5],
+    "false alarm rate": 0.01, "material share": 0.05, "room": None,
+}  # fmt: skip
+MASS = 0.045  # kg
+# flight: run, role
+FLIGHTS = {
+    "run1": (1, "reference"), "run2": (2, "reference"), "run1-planted": (1, "compared"),
+    "run2-planted": (2, "compared"), "run3-planted": (3, "held out"),
+}  # fmt: skip
+ROLES = {key: role for key, (_, role) in FLIGHTS.items()}
+Table = pd.DataFrame
+
+
+class Plant(NamedTuple):
+    """One fault.
+
+    right  ids of which one must be named or stand in a tie, empty where this data cannot ask: then nothing may be named
+    value  of the parameter that is stated, None where no single one is; change  of the table; configure  of quadrotor
+    and mass
+    """
+
+    right: tuple[str, ...]
+    parameter: str = ""
+    value: float | None = None
+    change: Callable[[Table], None] | None = None
+    configure: Callable[[dict[str, Any]], None] | None = None
+    mass: float = MASS
+
+
+def scaled(columns: list[str], factor: float) -> Callable[[Table], None]:
+    """Columns times a factor."""
+
+    def change(table: Table) -> None:
+        table[columns] *= factor
+
+    return change
+
+
+def force_in_body(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Table], None]:
+    """The specific force, logged in world axes, changed in body axes (x forward, y left, z up)."""
+
+    def applied(table: Table) -> None:
+        q = Rotation.from_quat(table[["qx", "qy", "qz", "qw"]].to_numpy())
+        table[["ax", "ay", "az"]] = q.apply(change(q.inv().apply(table[["ax", "ay", "az"]].to_numpy())))
+
+    return applied
+
+
+def later(column: str, seconds: float) -> Callable[[Table], None]:
+    """A time stamp column late by some seconds."""
+
+    def change(table: Table) -> None:
+        table[column] += seconds
+
+    return change
+
+
+def turned(values: np.ndarray, vector: tuple[float, float, float]) -> np.ndarray:
+    """What sensor axes turned by a rotation vector (rad, FLU) show."""
+    return Rotation.from_rotvec(vector).inv().apply(values)
+
+
+def moved_marker(x: float) -> Callable[[dict[str, Any]], None]:
+    """The configured marker offset is wrong by x, m."""
+
+    def configure(quadrotor: dict[str, Any]) -> None:
+        quadrotor["optitrack marker cg offset"] = {"x": str(x), "y": "0", "z": "0"}
+
+    return configure
+
+
+def inertia_of(factor: float) -> Callable[[dict[str, Any]], None]:
+    """The configured moment of inertia about x and y is wrong by a factor."""
+
+    def configure(quadrotor: dict[str, Any]) -> None:
+        quadrotor["moment of inertia"] = f"[{2.3951e-5 * factor}, 0, 0; 0, {2.3951e-5 * factor}, 0; 0, 0, 3.2347e-6]"
+
+    return configure
+
+
+ERPM = [f"m{i}_erpm" for i in range(1, 5)]
+PLANTS: dict[str, Plant] = {
+    "nothing": Plant(()),
+    "accelerometer x 1.03": Plant(("accelerometer_scale",), "z", 1.03, force_in_body(lambda f: 1.03 * f)),
+    "accelerometer x 0.96": Plant(("accelerometer_scale",), "z", 0.96, force_in_body(lambda f: 0.96 * f)),
+    "accelerometer z + 0.5": Plant(
+        ("accelerometer_bias", "accelerometer_scale", "mass"), change=force_in_body(lambda f: f + [0.0, 0.0, 0.5])
+    ),
+    "accelerometer x + 0.6": Plant(
+        ("accelerometer_bias", "wind", "tether", "imu_misalignment", "room_tilt"),
+        change=force_in_body(lambda f: f + [0.6, 0.0, 0.0]),
+    ),
+    "imu pitched 3 deg": Plant(
+        ("imu_misalignment", "room_tilt", "accelerometer_bias", "mocap_misalignment"),
+        change=force_in_body(lambda f: turned(f, (0.0, 0.052, 0.0))),
+    ),
+    "markers 15 mm ahead": Plant(("marker_offset", "imu_lever_arm"), "x", -0.015, configure=moved_marker(0.015)),
+    "markers 15 mm behind": Plant(("marker_offset", "imu_lever_arm"), "x", 0.015, configure=moved_marker(-0.015)),
+    "rotor 2 x 0.95": Plant(("rotor_effectiveness",), "rotor2", 1 / 0.95**2, scaled(["m2_erpm"], 0.95)),
+    "rotor 4 x 1.04": Plant(("rotor_effectiveness",), "rotor4", 1 / 1.04**2, scaled(["m4_erpm"], 1.04)),
+    "rotor 3 x 0.97": Plant(("rotor_effectiveness",), "rotor3", 1 / 0.97**2, scaled(["m3_erpm"], 0.97)),
+    "all rotors x 0.9": Plant(("rotor_speed_scale", "thrust_factor"), "scale", 0.9, scaled(ERPM, 0.9)),
+    "mass 10 % low": Plant(("mass",), "mass", MASS, mass=MASS / 1.1),
+    "mass 8 % high": Plant(("mass",), "mass", MASS, mass=MASS * 1.08),
+    "inertia x 0.75": Plant(("inertia",), "Ixx", 2.3951e-5, configure=inertia_of(0.75)),
+    "inertia x 1.3": Plant(("inertia",), "Ixx", 2.3951e-5, configure=inertia_of(1.3)),
+    "motors 30 ms late": Plant(("telemetry_delay",), "delay", 0.03, later("ros_timestamp_motors", 0.03)),
+    "motors 15 ms late": Plant(("telemetry_delay",), "delay", 0.015, later("ros_timestamp_motors", 0.015)),
+}  # fmt: skip
+
+
+def read(data: Path, key: str, plant: Plant | None, folder: Path) -> tuple[Flown, dict[str, Any], dict[str, Any]]:
+    """A run imported and filtered, with its source and quadrotor for another import."""
+    table = pd.read_csv(data / f"nanodrone/square_run{FLIGHTS[key][0]}.csv")
+    quadrotor = copy.deepcopy(read_json(EXAMPLE / "config/NanoDroneConfig.json"))
+    mass = MASS
+    if plant is not None:
+        mass = plant.mass
+        if plant.change is not None:
+            plant.change(table)
+        if plant.configure is not None:
+            plant.configure(quadrotor)
+    path = folder / f"{key}.csv"
+    table.to_csv(path, index=False)
+    quadrotor["file"] = "NanoDroneConfig.json"
+    source = {
+        "flight": key, "quadrotor": "NanoDrone", "flight controller": "table", "rigid body": "", "onboard": str(path),
+        "capture": None, "log number": None,
+    }  # fmt: skip
+    airframe = read_airframe(quadrotor, quadrotor["file"], mass)
+    return processed(source, quadrotor, airframe, ROLES[key] != "reference", None), source, quadrotor
+
+
+def processed(
+    source: Mapping[str, Any], quadrotor: Mapping[str, Any], airframe: Any, compared: bool,
+    calibration: Mapping[str, Any] | None,
+) -> Flown:  # fmt: skip
+    """A flight imported and filtered as the example's processing configuration asks."""
+    options = read_json(EXAMPLE / "config/processing.json")
+    imported, about = import_flight(source, quadrotor, options["data importing"], calibration)
+    made = filter_flight(imported, about, airframe, options["data filtering"])
+    return Flown(source["flight"], compared, imported, about, made.with_gravity, made.metadata, airframe)
+
+
+def draw(name: str, data: Path) -> dict[str, Any]:
+    """Plant, diagnose and compare."""
+    plant, effects = PLANTS[name], catalogue()
+    with tempfile.TemporaryDirectory() as folder:
+        made = {k: read(data, k, None if role == "reference" else plant, Path(folder)) for k, role in ROLES.items()}
+        flights = {k: flown for k, (flown, *_) in made.items()}
+        model = Model(identified([flights[k] for k, r in ROLES.items() if r == "reference"]))
+
+        def again(flown: Flown, calibration: Mapping[str, Any] | None) -> Flown:
+            if calibration is None:
+                return flown
+            _, source, quadrotor = made[flown.key]
+            return processed(source, quadrotor, flown.airframe, flown.compared, calibration)
+
+        learning = [f for k, f in flights.items() if ROLES[k] != "held out"]
+        found, _ = lower.examine(learning, model.document, SETTINGS, effects, again, 1)
+        after = {k: again(f, for_flight(found, f.compared)) for k, f in flights.items()}
+        read_flights = {k: (f.filtered, f.filtered_metadata, f.airframe) for k, f in after.items()}
+        evidence, lost = gather_all(read_flights, model, 100.0)
+        document = diagnose(
+            model, found, evidence, {k: f.filtered for k, f in after.items()}, ROLES, effects, SETTINGS,
+            ([flights["run3-planted"]], [after["run3-planted"]]), name, lost,
+        ).document  # fmt: skip
+    kept = ("verdict", "summary", "effects", "ties", "unexplained", "losses", "candidates", "base model", "notes")
+    return {k: document[k] for k in kept}
+
+
+def judge(name: str, found: Mapping[str, Any], plain: Mapping[str, Any]) -> dict[str, Any]:
+    """What is right of a diagnosis, against that of the unplanted recording."""
+    plant = PLANTS[name]
+    before = {e["id"] for e in plain["effects"]} | {i for t in plain["ties"] for i in t["ids"]}
+    named = [e["id"] for e in found["effects"]]
+    ties = [t["ids"] for t in found["ties"]]
+    hit = any(i in plant.right for i in named) or any(set(t) & set(plant.right) for t in ties)
+    extra = [i for i in named if i not in plant.right and i not in before]
+    extra += ["/".join(t) for t in ties if not set(t) & (set(plant.right) | before)]
+    error = None
+    for e in found["effects"]:
+        if e["id"] in plant.right and plant.value is not None and plant.parameter in e["parameters"]:
+            own = e["parameters"][plant.parameter]
+            error = (own["value"] - plant.value) / max(own["std"], 1e-12)
+    return {"right": hit or not plant.right, "extra": extra, "error in std": error}
+
+
+def main() -> None:
+    """Run all plants and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--plants", nargs="*", default=[], help="parts of names; all without")
+    parser.add_argument("--out", type=Path, default=ROOT / "results/benchmarks/plants")
+    arguments = parser.parse_args()
+    names = [n for n in PLANTS if n == "nothing" or not arguments.plants or any(p in n for p in arguments.plants)]
+    results = run(
+        [{"plant": n} for n in names], lambda s: draw(s["plant"], arguments.data), arguments.out, Path(__file__)
+    )
+    plain = results[0]
+    right = clean = 0
+    for name, found in zip(names, results):
+        told = judge(name, found, plain)
+        right, clean = right + told["right"], clean + (not told["extra"])
+        print(f"{name}: {'right' if told['right'] else 'MISSED'}, {found['verdict']}"
+              + (f", further: {', '.join(told['extra'])}" if told["extra"] and name != "nothing" else ""))  # fmt: skip
+        for e in found["effects"]:
+            values = ", ".join(f"{k} {p['value']:.4g} +- {p['std']:.2g}" for k, p in e["parameters"].items())
+            print(f"   named {e['id']}, {e['since']}: {values}")
+        for tie in found["ties"]:
+            print(f"   tie {' / '.join(tie['ids'])}")
+        for left in found["unexplained"]:
+            print(f"   unexplained {left['channel']} along {left['where']}")
+        if told["error in std"] is not None:
+            print(f"   parameter off by {told['error in std']:.1f} standard errors")
+    print(f"{right} of {len(names)} right, {clean} without further names")
+
+
+if __name__ == "__main__":
+    main()
