@@ -33,7 +33,7 @@ from quasi.gap.rollouts.confirmation import Settled
 from quasi.gap.rollouts.open_loop import CHANNELS as ALONG
 from quasi.gap.scores import scored
 from quasi.gap.standing import HORIZON, standing
-from quasi.gap.veto import correction_matters
+from quasi.gap.veto import correction_matters, losses
 from quasi.gap.wrench import generic
 from quasi.gap.wrench.acting import acting
 from quasi.gap.wrench.case import Case
@@ -115,6 +115,12 @@ def diagnose(
         rate, unheard = (rate_of(settings["false alarm rate"], sum(compared), n) for n in (len(held), 0))
         ident = settings["extended model ID"]
         found = examine(learning, compared, held, model, asked_of, vehicle, rate, share, ident, f"gap {name}", unheard)
+        if case.corrected and _refit_loses(case, found):
+            case = case._replace(corrected=False)
+            said["notes"].append(
+                "fitting the model's own terms anew to the corrected flights would make held-out flights worse; the "
+                "model keeps its terms"
+            )
         settled, remains = standing(case, found)
         kept = settled.causes
         said["notes"] += settled.notes
@@ -303,6 +309,13 @@ def _gains(
         entry["gain"]["rollout"] = main and main["value"]
         entry["rollout channel"] = main and main["quantity"]
         entry["rollout gain"], entry["rollout gains"] = main, rows
+
+
+def _refit_loses(case: Case, found: Found) -> bool:
+    """Whether the model's own terms, fitted anew to corrected flights without any cause, do worse on held-out ones."""
+    refitted = Model(case.extended([], found.study, "trial", True), "trial")
+    horizons, share = case.settings["horizons"], case.settings["material share"]
+    return bool(losses(case.model, refitted, case.held, case.tables, horizons, share, commanded=False))
 
 
 def _correction_matters(

@@ -102,7 +102,13 @@ def _harmless(case: Case, settled: Settled, made: Callable[[Sequence[Cause], boo
         settled.causes,
         lambda causes: made(causes, case.anew(causes)),
         lambda model: losses(
-            case.model, model, case.held, case.tables, case.settings["horizons"], case.settings["material share"]
+            case.model,
+            model,
+            case.held,
+            case.tables,
+            case.settings["horizons"],
+            case.settings["material share"],
+            commanded=False,
         ),
     )
     for cause, loss in rejected:

@@ -13,11 +13,13 @@ import pandas as pd
 
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.rollouts import rollout_gain
-from quasi.gap.rollouts.open_loop import PLAIN, TRIMMED, fell, rms
+from quasi.gap.rollouts.open_loop import CHANNELS, PLAIN, TOLD, TRIMMED, fell, rms
 from quasi.gap.statistics import blocks
 from quasi.gap.wrench.gain import Squares, after, before, wrench_squares
 from quasi.gap.wrench.worth import Cause
 from quasi.standalone.model import AXES, Model
+
+SAME = 0.05  # share by which an error must exceed that of the model without causes to be a cause's fault
 
 
 class Loss(NamedTuple):
@@ -43,11 +45,13 @@ class Loss(NamedTuple):
 
 def losses(
     base: Model, extended: Model, held: Sequence[Evidence], flights: Mapping[str, pd.DataFrame],
-    horizons: Sequence[float], share: float,
+    horizons: Sequence[float], share: float, commanded: bool = True,
 ) -> list[Loss]:  # fmt: skip
     """What an extended model makes worse on held-out flights, the largest growth first.
 
     share  material share of the squared error; a loss below it does not count
+    commanded  whether simulations driven by commands count: they hold the errors of the rotors' drive, which no cause
+               of forces and moments answers for
     A simulation without the flight's own trim may lose by chance where trim hides a gain, so it counts only where the
     same quantity does not surely gain with trim taken up.
     """
@@ -58,7 +62,7 @@ def losses(
     found = _of_forces(pairs, share) if len(pairs[0][0].t) else []
     tracks = rollout_gain.tracks_of(held, flights, horizons, (base, extended))
     if tracks:
-        lines = rollout_gain.lines_of(tracks)
+        lines = [line for line in rollout_gain.lines_of(tracks) if commanded or line != TOLD]
         errors = [rollout_gain.simulated_errors(tracks, m, base, lines) for m in (base, extended)]
         rows = {
             line: fell(*(rollout_gain.end_table(tracks, e[line], horizons, line) for e in errors)) for line in lines
@@ -129,17 +133,32 @@ def reject_losing_causes(
     """Causes that stand, those rejected with what they made worse, and the losses that no rejection ends.
 
     made  causes -> extended model; judge  extended model -> its losses
-    One cause after another is left out, each time the one without which the largest loss is smallest.
+    A loss that the model has without any cause (its own terms fitted anew) is no cause's fault, nor is one of a
+    simulation without trim beyond the axes of the causes: there another trim turns a gain of one axis into a loss of
+    another. One cause after another is left out, each time the one without which the largest loss is smallest.
     """
     kept, rejected = list(causes), []
     found = judge(made(kept))
-    while found and kept:
+    if not found:
+        return kept, rejected, found
+    anyway = {loss[:3]: loss.after for loss in judge(made([]))}
+
+    moved = {CHANNELS[axis] for cause in causes for axis in cause.effect.channels if axis in CHANNELS}
+
+    def own(losses_: Sequence[Loss]) -> list[Loss]:
+        return [
+            loss
+            for loss in losses_
+            if loss.after > (1.0 + SAME) * anyway.get(loss[:3], 0.0) and (loss.line != PLAIN or loss.quantity in moved)
+        ]
+
+    while own(found) and kept:
         trials = [[c for c in kept if c is not cause] for cause in kept]
         outcomes = [judge(made(trial)) for trial in trials]
-        worst = [max((loss.growth for loss in outcome), default=0.0) for outcome in outcomes]
+        worst = [max((loss.growth for loss in own(outcome)), default=0.0) for outcome in outcomes]
         best = int(np.argmin(worst))
-        if worst[best] >= found[0].growth:
+        if worst[best] >= own(found)[0].growth:
             break
-        rejected.append((kept[best], found[0]))
+        rejected.append((kept[best], own(found)[0]))
         kept, found = trials[best], outcomes[best]
     return kept, rejected, found

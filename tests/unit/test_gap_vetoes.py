@@ -17,16 +17,28 @@ from quasi.standalone.model import Model
 
 
 def cause(name):
-    return SimpleNamespace(name=name)
+    return SimpleNamespace(name=name, effect=SimpleNamespace(channels=("Fx", "My")))
 
 
 def test_a_cause_that_makes_held_out_flights_worse_is_rejected_and_the_others_stand():
     good, bad = cause("good"), cause("bad")
-    grown = Loss("R", "velocity", 0.5, 1.0, 4.0)
+    grown = Loss("R", "velocity x", 0.5, 1.0, 4.0)
     kept, rejected, left = reject_losing_causes([good, bad], list, lambda of: [grown] if bad in of else [])
     assert kept == [good]
     assert rejected == [(bad, grown)]
     assert left == []
+
+
+@pytest.mark.parametrize(
+    "loss",
+    [Loss("R", "velocity y", 0.5, 1.0, 1.2), Loss("R with trim", "rate y", 0.5, 1.0, 1.2)],
+    ids=["beyond the cause's axes", "without the cause too"],
+)
+def test_what_a_cause_does_not_answer_for_rejects_nothing(loss):
+    one = cause("one")
+    anyway = [loss] if loss.line == "R with trim" else []
+    kept, rejected, left = reject_losing_causes([one], list, lambda of: [loss] if of else anyway)
+    assert (kept, rejected, left) == ([one], [], [loss])
 
 
 def test_a_loss_that_no_rejection_ends_stays_and_rejects_nothing():
