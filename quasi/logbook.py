@@ -37,6 +37,7 @@ OPTIONAL = (
     "Comments",
     "Flight key",
     "Log number",
+    "Session",
 )
 NAME = re.compile(r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*")
 CONTROLLERS = ("betaflight", "indiflight", "table")

@@ -238,6 +238,7 @@ class Folder(Recordings):
             "gravity": self.gap_gravity(name),
             "quadrotor": part["quadrotor"],
             "masses": {r.key: self.mass(r)[0] for r in rows},
+            "sessions": {r.key: r.cells.get("Session", "") for r in rows},
             "recordings": {_named(r): log for r in rows if (log := self._log_of(r))},
             "held": {_named(r): log for r in held if (log := self._log_of(r))},
             "trained": {_named(r): log for r in trained if (log := self._log_of(r))},

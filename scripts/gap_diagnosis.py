@@ -18,6 +18,7 @@ from quasi.gap.catalogue import catalogue, chosen
 from quasi.gap.diagnosis import diagnose
 from quasi.gap.flights.gathering import gather_all
 from quasi.gap.flights.level import Flown
+from quasi.gap.flights.sessions import sessions_of
 from quasi.gap.rollouts.open_loop import flight_of, windows
 from quasi.identification.partition import UNITS, partition, to_table
 from quasi.joblog import LOG, job, progress
@@ -55,7 +56,7 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
         flights,
         roles,
         effects,
-        asked["settings"],
+        {**asked["settings"], "sessions": sessions_of(asked["sessions"], {k: t[1] for k, t in tables.items()})},
         tuple(held),
         asked["name"],
         lost,

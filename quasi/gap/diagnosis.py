@@ -27,6 +27,7 @@ from quasi.gap.entries import (
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.gathering import gather_all
 from quasi.gap.flights.level import Flown
+from quasi.gap.flights.sessions import session_sentence
 from quasi.gap.report.wording import summary
 from quasi.gap.rollouts import commanded, halves, rollout_gain
 from quasi.gap.rollouts.confirmation import Settled
@@ -85,13 +86,15 @@ def diagnose(
     vehicle, share = vehicle_of(model, room=room_of(settings["room"])), settings["material share"]
     base = worth_of(model, [e for k, e in evidence.items() if roles[k] == "reference"])
     positions = tuple(AXES.index(a) for a in base.excluded)
-    evidence = {k: replace(e, excluded=positions) for k, e in evidence.items()}
+    sessions = settings.get("sessions") or {}
+    evidence = {k: replace(e, excluded=positions, session=sessions.get(k, "")) for k, e in evidence.items()}
     groups = {r: [e for k, e in evidence.items() if roles[k] == r] for r in ("reference", "compared", "held out")}
     learning, held = [*groups["reference"], *groups["compared"]], groups["held out"]
     compared = [False] * len(groups["reference"]) + [True] * len(groups["compared"])
     levels = calibration["levels"]
     material.judge(levels, *lower, share)
     said: dict[str, Any] = {"candidates": [], "unexplained": [], "cannot_be_asked": [], "notes": list(lost)}
+    said["notes"] += [s for s in [session_sentence(sessions, roles)] if s]
     said["notes"] += _weighed(model, [*groups["compared"], *held])
     # what import corrects is no part of the model: it would be taken off a second time
     driving = [e for e in levels["A"]["effects"] if not corrected_at_import(e["id"], "A")]
@@ -184,6 +187,7 @@ def diagnose(
             "wrong": base.wrong,
             "sentence": base.sentence(),
         },
+        "sessions": {k: sessions.get(k, "") for k in roles},
         "losses": [{**loss._asdict(), "text": loss.sentence()} for loss in settled.losses],
         "effects": sorted([*lower_effects, *effects_said], key=lambda e: -float(e["evidence"].get("wald") or 0.0)),
         "ties": ties,

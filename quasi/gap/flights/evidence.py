@@ -35,6 +35,7 @@ class Evidence:
     key, airframe, model, mass (kg, as the flight was processed), inertia (3, 3)
     columns   {name: (n,)} of the filtered flight
     measured  (n, 6) forces (N) and moments (N m); predicted  (n, 6) the model's, alike
+    session   of the flight, see `quasi.gap.flights.sessions`
     excluded  positions of axes on which the model explains nothing: they neither name causes nor judge them
     """
 
@@ -48,6 +49,7 @@ class Evidence:
     predicted: np.ndarray
     metadata: Mapping[str, object] = field(default_factory=dict)
     excluded: tuple[int, ...] = ()
+    session: str = ""
 
     def __len__(self) -> int:
         return len(self.predicted)

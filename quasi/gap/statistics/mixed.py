@@ -380,12 +380,24 @@ class Witnessed(Mixed):
     geometric mean of both p is a p where these rise and fall together, as tests of the same samples do: exactly so when
     they are equal, and too large when they are independent. (Of p that may oppose each other e times as much is needed,
     Vovk & Wang, 2020.)
+
+    units  positions of the flights of each session, where sessions and not flights are the independent witnesses. Then
+           a cause has to stand out from their spread as well: flights of one sitting repeat each other
     """
 
-    def __init__(self, grams: Sequence[np.ndarray], compared: Sequence[bool], columns: Columns) -> None:
+    def __init__(
+        self, grams: Sequence[np.ndarray], compared: Sequence[bool], columns: Columns,
+        units: Sequence[Sequence[int]] | None = None,
+    ) -> None:  # fmt: skip
         super().__init__(grams, compared, columns)
-        alone = self.count == len(self.compared)
-        self._of_flights = None if alone else Mixed([g.sum(axis=0) for g in grams], compared, columns)
+        alone = self.count == len(self.compared) and units is None
+        whole = [np.asarray(g).reshape(-1, *np.shape(g)[-2:]).sum(axis=0) for g in grams]
+        flags = list(compared)
+        self._by_session = units is not None
+        if units is not None:
+            flags = [bool(compared[members[0]]) for members in units]
+            whole = [sum(whole[k] for k in members) for members in units]
+        self._of_flights = None if alone else Mixed(whole, flags, columns)
 
     def between(self, offer: Offer, given: Sequence[Offer] = (), pooled: Sequence[str] = ()) -> Test:
         """The same with whole flights as witnesses alone."""
@@ -396,7 +408,8 @@ class Witnessed(Mixed):
         test = super().test(offer, given, pooled)
         if self._of_flights is None:
             return test
-        return test._replace(p=float(np.sqrt(test.p * self.between(offer, given, pooled).p_known_spread)))
+        p = self.between(offer, given, pooled).p_known_spread
+        return test._replace(p=max(test.p, p) if self._by_session else float(np.sqrt(test.p * p)))
 
 
 def ranked(

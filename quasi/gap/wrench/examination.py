@@ -9,6 +9,7 @@ import numpy as np
 from quasi.errors import ConfigError
 from quasi.gap.effect import Effect, Limits, Vehicle
 from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.sessions import units
 from quasi.gap.statistics.mixed import Mixed, Offer, Test, Witnessed
 from quasi.gap.wrench.agreement import disagreement, voices
 from quasi.gap.wrench.gain import after, wrench_score
@@ -209,7 +210,8 @@ def _count(causes: Sequence[Cause], study: Study, compared: np.ndarray, level: f
     offers = [c.test.offer for c in causes]
     for _ in range(DRAWS):
         grams = [in_stretches(b[rng.integers(0, len(b), len(b))], len(study.blocks)) for b in study.blocks]
-        mixed = Witnessed(grams, compared, study.columns)
+        members = units([flight.session for flight in study.flights], compared)
+        mixed = Witnessed(grams, compared, study.columns, members)
         for k, offer in enumerate(offers):
             pooled = mixed.pooled(offer.since)
             counts[k] += mixed.test(offer, [o for o in offers if o != offer], pooled).p < level

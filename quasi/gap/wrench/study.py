@@ -12,6 +12,7 @@ from quasi.expressions import Program, parse
 from quasi.gap.catalogue import beyond_slope, columns_of, corrected
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.sessions import units
 from quasi.gap.statistics.mixed import Columns, Mixed, Witnessed, marginal
 from quasi.gap.statistics.whitening import Thinned, Whitener, autoregression, block_grams, thin
 from quasi.gap.wrench.nuisance import nuisances
@@ -59,7 +60,8 @@ class Study(NamedTuple):
 
     def witnessed(self, use: Sequence[int], compared: Sequence[bool]) -> Witnessed:
         """The mixed model of some of the flights that names causes."""
-        return Witnessed([in_stretches(self.blocks[f], len(use)) for f in use], compared, self.columns)
+        members = units([self.flights[f].session for f in use], compared)
+        return Witnessed([in_stretches(self.blocks[f], len(use)) for f in use], compared, self.columns, members)
 
 
 def in_stretches(blocks: np.ndarray, flights: int = 1) -> np.ndarray:

@@ -1,0 +1,67 @@
+"""Sessions: where they come from, when they are the witnesses of a change, and what one session leaves open."""
+
+import numpy as np
+import pytest
+
+from quasi.gap.flights.sessions import date_of, session_sentence, sessions_of, units
+from quasi.gap.statistics.mixed import Columns, Offer, Witnessed
+
+
+@pytest.mark.parametrize(
+    ("capture", "header", "expected"),
+    [
+        ("2024-10-12 09.25.45.123 AM", None, "2024-10-12"),
+        ("", "2024-11-16T09:25:45.000+00:00", "2024-11-16"),
+        ("", "0000-01-01T00:00:00.000+00:00", ""),
+        ("", None, ""),
+    ],
+)
+def test_a_recording_s_date_is_read_where_a_clock_wrote_one(capture, header, expected):
+    sources = {"capture": {"capture start": capture}, "onboard": {"header": {"Log start datetime": header}}}
+    assert date_of({"imported": {"sources": sources}}) == expected
+    assert date_of({"sources": sources}) == expected
+
+
+def test_the_logbook_goes_before_the_date():
+    about = {"sources": {"capture": {"capture start": "2024-10-12 09.25.45 AM"}}}
+    assert sessions_of({"a": "hall", "b": ""}, {"a": about, "b": about}) == {"a": "hall", "b": "2024-10-12"}
+
+
+def test_sessions_are_witnesses_only_where_each_group_has_two():
+    flags = [False] * 4 + [True] * 4
+    assert units(list("aabbccdd"), flags) == [[0, 1], [2, 3], [4, 5], [6, 7]]
+    assert units(list("aaaabbbb"), flags) is None
+    assert units(["", "", "", ""], [True] * 4) is None
+    assert units(list("abcd"), [True] * 4) is None  # every flight its own session: flights are the witnesses
+
+
+def test_one_reference_session_is_stated_where_the_compared_flights_are_of_another():
+    roles = {"a": "reference", "b": "reference", "c": "compared"}
+    assert "column 'Session'" in session_sentence({"a": "1", "b": "1", "c": "2"}, roles)
+    assert session_sentence({"a": "1", "b": "2", "c": "3"}, roles) == ""
+    assert session_sentence({"a": "1", "b": "1", "c": "1"}, roles) == ""
+    assert session_sentence({}, {"c": "compared"}) == ""
+
+
+def test_what_sessions_differ_by_is_no_change():
+    """Each session has its own value, alike in all its flights; nothing changed between the groups."""
+    layout = Columns([1], [], np.zeros(0), {"a": [2]})
+    flags = [False] * 6 + [True] * 6
+    members = [[0, 1, 2], [3, 4, 5], [6, 7, 8], [9, 10, 11]]
+    small = {"flights": 0, "sessions": 0}
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        sizes = np.repeat(0.3 * rng.standard_normal(4), 3)
+        grams = []
+        for size in sizes:
+            blocks = []
+            for _ in range(3):
+                x = rng.standard_normal((80, 2))
+                z = np.column_stack([x[:, 0] + size * x[:, 1] + rng.standard_normal(80), x])
+                blocks.append(z.T @ z)
+            grams.append(np.array(blocks))
+        offer = Offer("a", "changed", (0,))
+        small["flights"] += Witnessed(grams, flags, layout).test(offer, pooled=["a"]).p < 0.01
+        small["sessions"] += Witnessed(grams, flags, layout, members).test(offer, pooled=["a"]).p < 0.01
+    assert small["flights"] > 15
+    assert small["sessions"] < small["flights"] / 2
