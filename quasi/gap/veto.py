@@ -19,6 +19,7 @@ from quasi.gap.wrench.gain import Squares, after, before, wrench_squares
 from quasi.gap.wrench.worth import Cause
 from quasi.standalone.model import AXES, Model
 
+FORCES = "forces"  # the line of a loss of forces and moments
 SAME = 0.05  # share by which an error must exceed that of the model without causes to be a cause's fault
 
 
@@ -39,7 +40,7 @@ class Loss(NamedTuple):
 
     def sentence(self) -> str:
         """The loss in words."""
-        where = "on the held-out flights" if self.line == "forces" else f"after {self.horizon:g} s of simulation"
+        where = "on the held-out flights" if self.line == FORCES else f"after {self.horizon:g} s of simulation"
         return f"the error of {self.quantity} {where} grows from {self.before:.3g} to {self.after:.3g}"
 
 
@@ -53,7 +54,7 @@ def losses(
     commanded  whether simulations driven by commands count: they hold the errors of the rotors' drive, which no cause
                of forces and moments answers for
     A simulation without the flight's own trim may lose by chance where trim hides a gain, so it counts only where the
-    same quantity does not surely gain with trim taken up.
+    same quantity does not gain with trim taken up.
     """
     if not held:
         return []
@@ -106,7 +107,7 @@ def _of_forces(pairs: Sequence[tuple[Squares, Squares]], share: float) -> list[L
     old, new = pairs[0]
     rms = np.sqrt([old.mean(), new.mean()])
     return [
-        Loss("forces", axis, 0.0, float(rms[0, k]), float(rms[1, k]))
+        Loss(FORCES, axis, 0.0, float(rms[0, k]), float(rms[1, k]))
         for k, axis in enumerate(AXES)
         if worse[0][k] and worse[1][k]
     ]
@@ -121,7 +122,7 @@ def _of_simulations(rows: Mapping[str, Sequence[Mapping[str, Any]]], share: floa
             if not (row["high"] < 0.0 and row["after"] ** 2 > (1.0 + share) * row["before"] ** 2):
                 continue
             other = trimmed.get((row["quantity"], row["horizon"]))
-            if line == PLAIN and other is not None and other["low"] > 0.0:
+            if line == PLAIN and other is not None and other["value"] > 0.0:
                 continue
             found.append(Loss(line, row["quantity"], row["horizon"], row["before"], row["after"]))
     return found
@@ -133,9 +134,9 @@ def reject_losing_causes(
     """Causes that stand, those rejected with what they made worse, and the losses that no rejection ends.
 
     made  causes -> extended model; judge  extended model -> its losses
-    A loss that the model has without any cause (its own terms fitted anew) is no cause's fault, nor is one of a
-    simulation without trim beyond the axes of the causes: there another trim turns a gain of one axis into a loss of
-    another. One cause after another is left out, each time the one without which the largest loss is smallest.
+    A loss that the model has without any cause (its own terms fitted anew) is no cause's fault, nor is one of forces
+    or of a simulation without trim beyond the axes of the causes: there another trim turns a gain of one axis into a
+    loss of another. One cause after another is left out, each time the one without which the largest loss is smallest.
     """
     kept, rejected = list(causes), []
     found = judge(made(kept))
@@ -143,13 +144,15 @@ def reject_losing_causes(
         return kept, rejected, found
     anyway = {loss[:3]: loss.after for loss in judge(made([]))}
 
-    moved = {CHANNELS[axis] for cause in causes for axis in cause.effect.channels if axis in CHANNELS}
+    axes = {axis for cause in causes for axis in cause.effect.channels}
+    moved = axes | {CHANNELS[axis] for axis in axes if axis in CHANNELS}
 
     def own(losses_: Sequence[Loss]) -> list[Loss]:
         return [
             loss
             for loss in losses_
-            if loss.after > (1.0 + SAME) * anyway.get(loss[:3], 0.0) and (loss.line != PLAIN or loss.quantity in moved)
+            if loss.after > (1.0 + SAME) * anyway.get(loss[:3], 0.0)
+            and (loss.line not in (PLAIN, FORCES) or loss.quantity in moved)
         ]
 
     while own(found) and kept:

@@ -85,11 +85,24 @@ def settle(level: Level, flights: Sequence[Flown], model: Model, effects: Mappin
     flights  those that may choose and fit; effects  causes that forces may have beside; rate  false alarm rate of these
     Changes the level: its effect becomes either cause or both, or a tie where the forces cannot tell.
     """
-    arm = next((e for e in level.effects if e["id"] == IMU), None)
-    if arm is None:
+    arms = [e for e in level.effects if e["id"] == IMU]
+    if not arms:
         # where the one could not be asked, neither could the other
         level.cannot_be_asked += [{**said, "id": MARKERS} for said in level.cannot_be_asked if said["id"] == IMU]
         return
+    for arm in arms:
+        _settle_arm(level, arm, flights, model, effects, rate)
+
+
+def _settle_arm(
+    level: Level,
+    arm: dict[str, Any],
+    flights: Sequence[Flown],
+    model: Model,
+    effects: Mapping[str, Effect],
+    rate: float,
+) -> None:
+    """`settle` for one arm: that of all flights, or that of the compared ones beyond it."""
     try:
         forces, std = felt(flights, model, arm["since"], effects, rate)
     except DataError as error:

@@ -397,7 +397,7 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
     each."""
     roles, effects = diagnosis["flights"], diagnosis["effects"]
     limits = [s for s in [(diagnosis.get("base model") or {}).get("sentence")] if s]
-    limits += [_sentence(loss["text"]) for loss in (diagnosis.get("losses") or [])[:1]]
+    worse = [_sentence(loss["text"]) for loss in (diagnosis.get("losses") or [])[:1]]
     texts = [*limits, headline(diagnosis, known)] if effects else limits
     if len(effects) == 1:  # the sentence has told the rest
         since = since_of(effects[0])
@@ -415,6 +415,7 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
         texts.append(f"{len(diagnosis['unexplained']) - 3} more residuals are listed in the report.")
     if effects:
         texts.append(rollout_sentence(diagnosis))
+        texts += worse
     nothing, missing = texts == limits, asked_in_vain(diagnosis, known)
     if nothing and diagnosis.get("verdict") == "not judged":
         why = unasked(diagnosis, known)
