@@ -221,6 +221,9 @@ def source_names(metadata: Mapping[str, Any]) -> dict[str, str]:
     return names
 
 
+UNMEASURED = ("none", "standing still")  # sources of velocity or position that measure nothing in flight
+
+
 def unusable_without(frame: Any, metadata: Mapping[str, Any]) -> list[str]:
     """Why a flight without some source is unusable for identification, however good the rest is.
 
@@ -241,3 +244,16 @@ def unusable_without(frame: Any, metadata: Mapping[str, Any]) -> list[str]:
     }  # fmt: skip
     offered = ", ".join(name for name, column in shown.items() if column in frame)
     return [*found, f"its page still shows {offered}"]
+
+
+def measured_motion(metadata: Mapping[str, Any]) -> tuple[bool, bool]:
+    """Whether a source other than the accelerometer measured a filtered flight's velocity, and its position.
+
+    metadata  of the filtered flight; a source that it does not name counts as measured
+    """
+    used = (metadata.get("noise") or {}).get("measurements")
+    if used is None:  # the Kalman filter was not run: states are those imported, and what was not imported is zero
+        imported = metadata.get("imported") or {}
+        return imported.get("velocity source") not in UNMEASURED, imported.get("position source") not in UNMEASURED
+    speed, place = (used.get(kind, {}).get("source", "none") not in UNMEASURED for kind in ("velocity", "position"))
+    return speed or place, place

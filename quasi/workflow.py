@@ -116,6 +116,20 @@ class Folder(Recordings):
             "speed up": chosen["animation speed up factor"],
         }
 
+    def flight_trajectory(self, quadrotor: str, flight: str) -> dict[str, Any]:
+        """Settings of the trajectory figure and the animation of one flight, which no model needs to name."""
+        row = self.row(quadrotor, flight)
+        part = self._part(row, GEOMETRY)
+        chosen = self.processing["plotting"]
+        return {
+            "flight": flight,
+            "quadrotor": part["quadrotor"],
+            "problem": part["problem"],
+            "mass": self.mass(row)[0],
+            "stills": chosen["number of drone stills"],
+            "speed up": chosen["animation speed up factor"],
+        }
+
     def configured(self, name: str) -> dict[str, Any] | None:
         """Configuration of a model, or of the one that it extends; None where that was put there."""
         root = self._lineage(name)[-1]

@@ -1,8 +1,9 @@
 """Flights in 3-D figures: trajectories with stills, snapshots, several drones. Nothing is shown or saved here."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,9 +14,12 @@ from quasi.airframe import Airframe
 from quasi.attitude import from_euler
 from quasi.errors import DataError, ShapeError
 from quasi.pages.drone import Drone, Look, caption, get_limits, new_axes, path_line, set_limits, shape_of
+from quasi.plausibility import measured_motion
 
 FAINTEST = 0.2  # opacity of the oldest still
 SHARE = 0.13  # of the largest extent of a figure: the span of a drone that is drawn enlarged
+# columns of a trajectory as a table: time, position, Euler angles, body velocity, rotor speeds
+TRAJECTORY = ("t", "x", "y", "z", "roll", "pitch", "yaw", "u", "v", "w", "w1", "w2", "w3", "w4")
 MOST_POINTS = 4000  # of a path; more cannot be seen
 
 
@@ -103,6 +107,29 @@ def motion_of(table: pd.DataFrame, airframe: Airframe, name: str = "", look: Loo
     speeds = table[rotors].to_numpy(float) if set(rotors) <= set(table.columns) else None
     where = table[["x", "y", "z"]].to_numpy(float)
     return Motion(airframe, table["t"].to_numpy(float), where, from_euler(*wrapped.T), speeds, name, look or Look())
+
+
+def flown_rows(table: pd.DataFrame) -> pd.DataFrame:
+    """The rows of a filtered flight in which it flies; all of a table that does not say."""
+    return table[table["in_flight"] > 0.5] if "in_flight" in table else table
+
+
+def flown_motion(flying: pd.DataFrame, metadata: Mapping[str, Any], airframe: Airframe, key: str) -> Motion:
+    """The motion of a filtered flight. metadata  of its filtered table
+
+    Raises DataError, with the flight's name, where no source measured the position or no row can be drawn.
+    """
+    if not measured_motion(metadata)[1] or not {"x", "y", "z"} <= set(flying):
+        raise DataError(
+            f"flight {key} has no trajectory: no source measured its position (x, y, z), and what the accelerometer "
+            "adds up to drifts; fly it with motion capture, or put a position into its log"
+        )
+    if not len(flying):
+        raise DataError(f"flight {key} has no trajectory: no row is in flight; its page shows why")
+    try:
+        return motion_of(flying, airframe, key)
+    except DataError as error:
+        raise DataError(f"flight {key} has no trajectory: {error}") from None
 
 
 def told_apart(motions: Sequence[Motion]) -> list[Motion]:

@@ -12,6 +12,7 @@ from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError, ExpressionError
 from quasi.gap.flights.evidence import APART, NEEDED, PLACE, Evidence, model_wrench
 from quasi.gap.flights.instruments import as_shown
+from quasi.plausibility import measured_motion
 from quasi.standalone.extensions import put_right
 from quasi.standalone.model import AXES, ROTORS, Model
 
@@ -20,7 +21,6 @@ ELSEWHERE = 0.5  # of the arm: rotors are numbered otherwise, or it is another f
 SECOND = 1.0  # s: what low-pass filters and whiteners leave of less is nothing
 SENSELESS = 1e4  # times the weight, and the weight at the arm: no model of a quadrotor means that
 SAMPLES = 2.5  # per period of the filters' cut-off: what they let pass is then not folded
-UNTOLD = ("none", "standing still")  # sources of a flight's velocity or position that tell nothing of it in flight
 
 
 def refuse_another_vehicle(where: str, airframe: Airframe, model: Model) -> None:
@@ -44,19 +44,6 @@ def refuse_another_vehicle(where: str, airframe: Airframe, model: Model) -> None
         )
     if not np.array_equal(np.sign(airframe.spin), np.sign(ours.spin)):
         raise ConfigError(f"{head}: its rotors turn the other way; {remedy}")
-
-
-def measured_motion(metadata: Mapping[str, Any]) -> tuple[bool, bool]:
-    """Whether something but the accelerometer told a filtered flight's velocity, and its position.
-
-    metadata  of the flight; what it does not say is taken for measured
-    """
-    used = (metadata.get("noise") or {}).get("measurements")
-    if used is None:  # the Kalman filter was not run: states are those imported, and what was not imported is zero
-        imported = metadata.get("imported") or {}
-        return imported.get("velocity source") not in UNTOLD, imported.get("position source") not in UNTOLD
-    speed, place = (used.get(kind, {}).get("source", "none") not in UNTOLD for kind in ("velocity", "position"))
-    return speed or place, place
 
 
 def gather_all(
