@@ -13,6 +13,7 @@ from quasi.gap.calibration.lower import examine, units_of
 from quasi.gap.catalogue import catalogue, chosen
 from quasi.gap.flights.gathering import refuse_another_vehicle
 from quasi.gap.flights.level import Flown
+from quasi.gap.flights.unusable import USE_UNUSABLE, exclude_unusable, exclusion_notes
 from quasi.importing.flight import import_flight
 from quasi.joblog import LOG, job, progress
 from quasi.standalone.model import read_model
@@ -49,10 +50,17 @@ def main(source: dict, asked: dict, settings: dict, output: dict[str, str]) -> N
         compared = asked["roles"][key] != "reference"
         flights.append(Flown(key, compared, imported, about, filtered, filtered_about, airframe))
 
+    learning = {f.key: f.filtered_metadata for f in flights}
+    left_out = exclude_unusable(learning, asked["roles"], asked["file"], asked["settings"][USE_UNUSABLE])
+    for note in exclusion_notes(left_out, asked["roles"]):
+        LOG.warning("%s", note)
+    flights = [f for f in flights if f.key not in left_out]
+
     def process(flown: Flown, calibration: Mapping[str, Any] | None) -> Flown:
         return anew(flown, settings[flown.key], calibration)
 
     result, levels = examine(flights, model.document, asked["settings"], effects, process, len(asked["held"]))
+    result["left out"] = left_out
     folder = Path(output["tables"])
     folder.mkdir(parents=True, exist_ok=True)
     for level in levels:

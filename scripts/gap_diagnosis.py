@@ -19,6 +19,7 @@ from quasi.gap.diagnosis import diagnose
 from quasi.gap.flights.gathering import gather_all
 from quasi.gap.flights.level import Flown
 from quasi.gap.flights.sessions import sessions_of
+from quasi.gap.flights.unusable import USE_UNUSABLE, exclude_unusable, exclusion_notes
 from quasi.gap.rollouts.open_loop import flight_of, windows
 from quasi.identification.partition import UNITS, partition, to_table
 from quasi.joblog import LOG, job, progress
@@ -39,16 +40,18 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
         key = Path(path).stem
         airframes[key] = read_airframe(asked["quadrotor"], asked["quadrotor"]["file"], asked["masses"][key])
         tables[key] = read_table(path), read_json(about), airframes[key]
+    calibration = read_json(source["calibration"])
+    left_out = _exclude(calibration, {key: about for key, (_, about, _) in tables.items()}, asked)
+    tables = {key: table for key, table in tables.items() if key not in left_out}
     try:
         evidence, lost = gather_all(tables, model, RATE)
     except DataError as error:
         raise DataError(f"{asked['file']}: {error}") from None
     # where none can be compared, the extended model is the model, and is shown on all
     flights = {key: table for key, (table, *_) in tables.items() if key in evidence or not evidence}
-    lost += unchecked(asked, model.document)
+    lost = exclusion_notes(left_out, roles) + lost + unchecked(asked, model.document)
     lost += too_short(flights, roles, max(asked["settings"]["horizons"]))
-    held = [_flown(source, prefix, airframes) for prefix in ("first", "held")]
-    calibration = read_json(source["calibration"])
+    held = [[f for f in _flown(source, prefix, airframes) if f.key not in left_out] for prefix in ("first", "held")]
     found = diagnose(
         model,
         calibration,
@@ -72,6 +75,16 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
     recordings = {**recordings_told(model.document), **recordings_of(learning)}
     write_json(output["model"], {**found.model, "recordings": recordings})
     write_json(output["diagnosis"], found.document)
+
+
+def _exclude(calibration: dict, flights: dict[str, dict], asked: dict) -> dict[str, str]:
+    """{flight: why} of those that the calibration left out, and of those that contradict themselves after it."""
+    before = calibration.get("left out", {})
+    remaining = {key: about for key, about in flights.items() if key not in before}
+    after = exclude_unusable(remaining, asked["roles"], asked["file"], asked["settings"][USE_UNUSABLE])
+    for note in exclusion_notes(after, asked["roles"]):
+        LOG.warning("%s", note)
+    return {**before, **after}
 
 
 def too_short(flights: dict[str, pd.DataFrame], roles: dict[str, str], horizon: float) -> list[str]:

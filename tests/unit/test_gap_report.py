@@ -102,7 +102,7 @@ def test_no_cause_says_of_a_negative_size_what_it_says_of_a_positive_one():
 
 def test_an_interval_that_says_nothing_is_not_told_in_hundreds():
     made = document([{**EFFECT, "gains": {"Fz": {"value": 1.0, "low": -4.84, "high": 1.0}}}])
-    assert "100 % (95 %: below -100 to 100)" in made["summary"]
+    assert "(95 %: below -100 to 100)" in made["summary"]
 
 
 def test_a_page_without_any_row_or_picture_stands():
@@ -249,3 +249,58 @@ def test_the_page_tells_roll_outs_with_commands_beside_wrong_cause_and_polynomia
                      "12 % (−3 to 20)", "–"]  # fmt: skip
     assert table.count("after 0.5 s</") == 1  # along the axes they are in the table R_gains
     assert "With commands, the best wrong cause would have been motor lag." in text
+
+
+def test_the_first_screen_answers_what_since_when_how_sure_and_what_to_do():
+    text = page(document([EFFECT]), KNOWN, None, {"glance": b"\x89PNG"})
+    first = text[: text.index("data:image/png")]
+    for question in ("what is wrong", "since when", "how sure", "what to do"):
+        assert question in first
+
+
+def test_what_reaches_the_floor_is_no_hundred_percent():
+    """The floor may be the extended model's own error: simulations need not have changed at all."""
+    sure = {**EFFECT, "gain": {"wrench": 1.0, "rollout": 1.0}, "probability": 1.0,
+            "gains": {c: {"value": 1.0, "low": 0.99, "high": 1.0} for c in EFFECT["gains"]}}  # fmt: skip
+    made = document([sure])
+    made["scores"]["removed"] = {"Fz": {"value": 1.0, "low": 0.66, "high": 1.0}}
+    made["rollouts"] = {"R": [{"quantity": q, "horizon": 0.5, "before": 1.0, "after": 1.0, "value": 0.0, "low": 0.0,
+                               "high": 0.0, "removed": {"value": 1.0, "low": 0.2, "high": 1.0}}
+                              for q in ("velocity", "rate")]}  # fmt: skip
+    text = page(made, KNOWN, None, {})
+    assert "100 %" not in text and "to the floor (66 to 100)" in text and "100 %" not in summary(made, KNOWN)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_no_figure_and_no_chart_fails_on_what_is_not_finite(bad):
+    whole = rows()
+    numbers = [c for c in whole.select_dtypes(float) if c != "t"]
+    some, none = whole.copy(), whole.copy()
+    some.loc[some.index[::3], numbers] = bad
+    none[numbers] = bad
+    bins = pd.DataFrame(
+        [{"channel": c, "where": "speed", "low": k, "high": k + 1.0, "middle": k + 0.5, "mean_before": m,
+          "mean_after": m, "rms_before": m, "rms_after": m} for c in ("Fx", "Mz") for k, m in ((0.0, bad), (1.0, 0.1))]
+    )  # fmt: skip
+    states = [f"{s}_{w}" for s in ("u", "v", "w", "roll", "pitch", "z") for w in ("measured", "before", "after")]
+    overlays = pd.DataFrame(
+        {"window": 0, "flight": "a", "why": GAINED, "t": [0.0, 0.1], **{s: [0.0, bad] for s in states}}
+    )
+    norms = ["position", "velocity", "attitude", "rate"]
+    errors = pd.DataFrame(
+        [{"flight": "a", "driven": "R", "model": w, "horizon": h, **dict.fromkeys(norms, v)}
+         for w in ("before", "after", "noise_floor") for h, v in ((0.1, 0.2), (0.5, bad))]
+    )  # fmt: skip
+    spectra = pd.DataFrame({"role": "held out", "channel": "Fx", "frequency": [1.0, 2.0],
+                            "density_before": [bad, 1.0], "density_after": [bad, bad]})  # fmt: skip
+    left = pd.DataFrame({"channel": "Fx", "where": "speed", "middle": [0.0, 1.0], "mean": [bad, 0.1],
+                         "std": [bad, bad], "fit": [0.0, bad]})  # fmt: skip
+    for residuals in (some, none):
+        tables = {"W_where": bins, "W_residuals": residuals, "R_overlays": overlays, "R_errors": errors,
+                  "W_spectra": spectra, "W_unexplained": left}  # fmt: skip
+        drawn = figures(tables)
+        assert {"where", "overlays", "horizons", "spectra", "unexplained"} <= set(drawn)
+        for figure in drawn.values():
+            figure.canvas.draw()
+        text = page(document([EFFECT]), KNOWN, residuals, {})
+        assert not re.search(r"\b(Infinity|NaN)\b", text)

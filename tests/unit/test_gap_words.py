@@ -109,7 +109,7 @@ def test_the_summary_says_how_sure_a_cause_is_and_what_stays_as_it_is():
     ]
     text = summary(made, KNOWN)
     for words in (
-        "100 % (95 %: below -100 to 100) of the removable vertical force error (Fz)",
+        "vertical force error (Fz) down to the noise floor (95 %: below -100 to 100)",
         "Confirmed in simulation: 1.05 ± 0.24 of the motion it should make is there; named again in 98 % of resamples.",
         "Simulated for 1 s, velocity (1.51 m/s) and body rate (0.683 rad/s) errors stay as they are. Removable error",
     ):

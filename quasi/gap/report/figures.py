@@ -42,7 +42,8 @@ WORTH = {"u": 1.0, "v": 1.0, "w": 1.0, "roll": 0.2, "pitch": 0.2, "z": 0.5}  # e
 
 
 def figures(tables: Mapping[str, pd.DataFrame]) -> dict[str, Figure]:
-    """{name: figure} of what the tables hold."""
+    """{name: figure} of what the tables hold; what is not finite is not drawn."""
+    tables = {name: table.replace([np.inf, -np.inf], np.nan) for name, table in tables.items()}
     where = tables.get("W_where")
     where = with_errors(where, tables.get("W_residuals")) if where is not None and len(where) else None
     drawn = {
@@ -269,7 +270,7 @@ def _horizons(panel: Axes, table: pd.DataFrame, quantity: str, style: str, comma
         part = table[table["model"] == word]
         if quantity not in part or not len(part):
             continue
-        found = part.groupby("horizon")[quantity].apply(lambda v: np.sqrt(np.nanmean(np.square(v))))
+        found = part.groupby("horizon")[quantity].apply(lambda v: float(np.sqrt(v.pow(2).mean())))
         if word == "noise_floor" and reached is not None:
             found = np.minimum(found, reached)
         reached = found

@@ -14,6 +14,7 @@ from quasi.gap.calibration.lower import UNITS as UNITS_OF
 from quasi.gap.effect import Effect
 from quasi.gap.report.localised import table_of
 from quasi.gap.report.next_steps import in_model, steps
+from quasi.gap.report.shares import certainty_of, reaches_floor, share_of
 from quasi.gap.report.wording import (
     CHANNELS,
     confirmation_of,
@@ -21,9 +22,7 @@ from quasi.gap.report.wording import (
     left_sentence,
     listed,
     name_of,
-    percent,
     rollout_of,
-    share_of,
     since_of,
     summed_up,
     tie_sentence,
@@ -41,6 +40,7 @@ LINES = {
     "R with trim": "measured rotor speeds, trim of the 2 s before each window taken up",
     "R commands": "commands",
 }
+ANSWERED = 2  # causes that the first screen has room for
 MOST = 15  # of the causes that are not named
 SHOWN = 0.5  # s: rows of the horizon nearest to it, and of the longest, stand on the page; the others open on demand
 FLOORS = 3.0  # times its floor that a channel of sensors or drive may keep unmentioned
@@ -121,10 +121,24 @@ def page(
     ]
     first, *rest = summed_up(diagnosis, effects)
     if len(diagnosis["effects"]) > 1:  # what of several would be a wall of words is a list
-        sections.insert(1, report.sentences(rest))
+        sections.insert(2, report.sentences(rest))
         rest = []
+    sections.insert(1, _answers(diagnosis, effects))
     box = (first.rstrip("."), sections, " ".join(rest))
     return report.page(f"Gap {diagnosis['name']}", under, diagnosis["verdict"], *box)
+
+
+def _answers(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
+    """What a pilot asks first, of the strongest causes: what is wrong, since when, how sure, and what to do."""
+    rows = []
+    for effect in diagnosis["effects"][:ANSWERED]:
+        rows += [
+            ("what is wrong", f"{name_of(effect['id'])}: {happening(effect, known)}"),
+            ("since when", since_of(effect)),
+            ("how sure", certainty_of(effect)),
+        ]
+    first = next(iter(steps(diagnosis, known)), "")
+    return report.facts([*rows, ("what to do", first)] if first else rows) if rows else ""
 
 
 def _rules(diagnosis: Mapping[str, Any]) -> str:
@@ -176,15 +190,16 @@ def _forces(diagnosis: Mapping[str, Any]) -> str:
         rows,
     ) + report.paragraph(
         "Removed: share of the error above the noise floor (squared) that is gone, with its 95 % interval; a dash "
-        "where the floor holds nine tenths of the error." + tail
+        "where the floor holds nine tenths of the error. To the floor: nothing that was fitted leaves less." + tail
     )
 
 
 def _share(found: Mapping[str, float | None] | None) -> str:
     if not found or found["value"] is None:
         return "–"
-    three = (f"{round(100 * found[k]) + 0:d}" for k in ("value", "low", "high"))
-    return "{} % ({} to {})".format(*three).replace("-", "−")
+    value, low, high = (f"{round(100 * found[k]) + 0:d}" for k in ("value", "low", "high"))
+    begin = "to the floor" if reaches_floor(found["value"]) else f"{value} %"
+    return f"{begin} ({low} to {high})".replace("-", "−")
 
 
 def _rollouts(diagnosis: Mapping[str, Any]) -> str:
@@ -213,7 +228,8 @@ def _rollouts(diagnosis: Mapping[str, Any]) -> str:
             report.paragraph(
                 "Removed, and what the best wrong cause and the polynomial would have removed: shares of the squared "
                 "error above the noise floor, with 95 % intervals; a dash where the floor holds nine tenths of the "
-                "error. The floor with commands knows the rotors' drive as the other flights tell it." + told
+                "error. To the floor: nothing that was fitted leaves less. "
+                "The floor with commands knows the rotors' drive as the other flights tell it." + told
             )
         )
     return "".join(blocks)
@@ -263,9 +279,7 @@ def _lower(diagnosis: Mapping[str, Any]) -> str:
         for channel in diagnosis["gap"]["before"].get(level, {}):
             three = [_value(diagnosis, k, level, channel) for k in ("before", "after", "noise_floor")]
             name = CHANNELS.get(channel, channel) + ("" if channel in ROOM else f" ({channel})")
-            gone = [
-                f"{max(round(100 * e['removed'][channel]), 0)} %" if channel in e["removed"] else "–" for e in named
-            ]
+            gone = [_removed(e["removed"], channel) for e in named]
             rows.append([f"{name}, {_unit(channel)}", *map(report.number, three), *gone])
         head = [word, "before", "after", "noise floor", *(f"removed: {name_of(e['id'])}" for e in named)]
         blocks.append(report.table(head, rows))
@@ -274,6 +288,13 @@ def _lower(diagnosis: Mapping[str, Any]) -> str:
         above = _above(diagnosis, level, word)
         blocks.append(report.paragraph(above) if above else "")
     return "".join(blocks)
+
+
+def _removed(shares: Mapping[str, float], channel: str) -> str:
+    share = shares.get(channel)
+    if reaches_floor(share):
+        return "to the floor"
+    return "–" if share is None else f"{max(round(100 * share), 0)} %"
 
 
 def _unit(channel: str) -> str:
@@ -317,14 +338,14 @@ def _cause(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
             ("since", since_of(effect)),
             *((name_of(n), value_of(p)) for n, p in effect["parameters"].items()),
             ("seen in", ", ".join(effect["channels"])),
-            ("removable error it removes", ", ".join(gains) or percent(effect["gain"]["wrench"])),
+            ("removable error it removes", ", ".join(gains) or share_of(effect["gain"]["wrench"], None)),
             (
                 "of the simulated motion",
                 share_of(effect["gain"]["rollout"], effect.get("rollout gain")) + rollout_of(effect),
             ),
             ("roll-outs of held-out flights", words_of(confirmation_of(effect), known)),
             ("probability of nothing", f"{evidence['p']:.1e}" if "p" in evidence else ""),
-            ("named again in resamples", percent(effect.get("probability"))),
+            ("how sure", certainty_of(effect)),
             ("standard errors widened, the axes differ", _times(evidence.get("axes apart", 1.0))),
             ("rivals that it beat", ", ".join(map(name_of, effect["confused_with"]))),
         ]
@@ -381,7 +402,7 @@ def _chart(table: pd.DataFrame | None) -> str:
     """Measured against each model over time, to zoom into; held-out flights are shaded."""
     if table is None:
         return ""
-    rows = table[table["role"] != "reference"].iloc[::THIN].reset_index(drop=True)
+    rows = table[table["role"] != "reference"].iloc[::THIN].reset_index(drop=True).replace([np.inf, -np.inf], np.nan)
     if len(rows) < 2:
         return ""
     t, views, spans, offset, starts = np.empty(len(rows)), [], [], 0.0, []

@@ -8,6 +8,7 @@ from typing import Any
 from quasi.gap.calibration.corrections import uncorrected
 from quasi.gap.effect import Effect
 from quasi.gap.flights.places import UNITS
+from quasi.gap.report.shares import interval_of, percent, reaches_floor, share_of
 
 CHANNELS = {
     "Fx": "forward force", "Fy": "sideward force", "Fz": "vertical force", "Mx": "roll moment", "My": "pitch moment",
@@ -80,23 +81,10 @@ def parameters_of(parameters: Mapping[str, Mapping[str, Any]]) -> str:
     return ", ".join(f"{name_of(n)} = {value_of(p)}" for n, p in parameters.items())
 
 
-def percent(share: float | None) -> str:
-    """A share in whole percent, at most all of it."""
-    return "–" if share is None else f"{100 * min(share, 1.0):.0f} %"
-
-
 def flights_of(roles: Mapping[str, str], role: str) -> str:
     """How many flights of a role there are, in words."""
     count = sum(1 for r in roles.values() if r == role)
     return f"the {role.replace('held out', 'held-out')} flight{'s' * (count != 1)}"
-
-
-def share_of(gain: float | None, found: Mapping[str, Any] | None) -> str:
-    """A share in whole percent, with its 95 % interval where there is one."""
-    if not found or found.get("value") is None or found.get("low") is None or found.get("high") is None:
-        return percent(gain)
-    low = "below -100" if found["low"] < -1.0 else f"{100 * found['low']:.0f}"
-    return f"{percent(found['value'])} (95 %: {low} to {100 * found['high']:.0f})"
 
 
 def happening(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
@@ -148,20 +136,29 @@ def _explains(effect: Mapping[str, Any], roles: Mapping[str, str]) -> str:
     if gain is None:
         return ""
     if channel:
-        share = share_of(gain, effect.get("gains", {}).get(channel))
-        return f"explains {share} of the removable {CHANNELS.get(channel, channel)} error ({channel}){at}"
+        name = f"{CHANNELS.get(channel, channel)} error ({channel})"
+        found = effect.get("gains", {}).get(channel) or {"value": gain}
+        if reaches_floor(found["value"]):
+            return f"brings the {name} down to the noise floor{interval_of(found)}{at}"
+        return f"explains {share_of(gain, found)} of the removable {name}{at}"
     if effect["level"] == "A":
+        if reaches_floor(gain):
+            return f"brings the error of rotor speeds at given commands down to the noise floor{at}"
         return f"explains {percent(gain)} of the removable error of rotor speeds at given commands{at}"
     removed = effect.get("removed") or {}
     best = max(removed, key=removed.get, default=None)
     which = f"{CHANNELS.get(best, best)} error" if best else "error"
+    if reaches_floor(gain):
+        return f"brings the {which} down to the noise floor{at}, corrected at import"
     return f"takes {percent(gain)} of the removable {which} away{at}, corrected at import"
 
 
 def _beyond(effect: Mapping[str, Any]) -> str:
     """What a cause explains of the simulated motion, and what else speaks for it."""
     rolled = ""
-    if effect.get("judged", True) and effect["gain"].get("rollout") is not None:
+    gained = effect["gain"].get("rollout")
+    # what reaches the floor of simulations is stated by their errors, before and after, alone
+    if effect.get("judged", True) and gained is not None and not reaches_floor(gained):
         share = share_of(effect["gain"]["rollout"], effect.get("rollout gain"))
         rolled = f"It explains {share} of the removable error{rollout_of(effect)}."
     return " ".join(t for t in (rolled, _sentence(_sureness(effect))) if t)
@@ -176,7 +173,12 @@ def _sureness(effect: Mapping[str, Any]) -> str:
     elif told.get("outcome"):
         parts.append(f"in simulation it {told['outcome']}" + (f" ({told['why']})" if told.get("why") else ""))
     if effect.get("probability") is not None:
-        parts.append(f"named again in {percent(effect['probability'])} of resamples")
+        often = (
+            "every resample"
+            if reaches_floor(effect["probability"])
+            else f"{percent(effect['probability'])} of resamples"
+        )
+        parts.append(f"named again in {often}")
     return "; ".join(parts)
 
 
@@ -430,7 +432,7 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
             f"{100 * diagnosis['material share']:.0f} % of the error that could be removed."
         )
     texts = [t for t in texts if t]
-    if not any("removable" in t for t in texts):
+    if not any("removable" in t or "noise floor" in t for t in texts):
         return texts
     levels = {e["level"] == "W" for e in effects} | ({True} if diagnosis["unexplained"] else set())
     return [*texts, " ".join(text for level, text in REMOVABLE.items() if level in levels)]
