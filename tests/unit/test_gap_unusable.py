@@ -1,6 +1,7 @@
 """Flights whose sources contradict each other take no part in a gap."""
 
 import pytest
+from programs import script
 
 from quasi.errors import DataError
 from quasi.gap.flights.unusable import exclude_unusable, exclusion_notes
@@ -46,3 +47,13 @@ def test_one_sound_compared_flight_alone_is_no_matter_of_exclusion():
 
 def test_no_held_out_flight_left_is_left_to_the_diagnosis():
     assert list(exclude_unusable({"h": BAD, "a": GOOD, "b": GOOD}, ROLES, "g")) == ["h"]
+
+
+def test_the_diagnosis_leaves_out_what_the_calibration_left_out_and_what_contradicts_itself_after_it():
+    asked = {"file": "config/gaps/g.json", "roles": ROLES, "settings": {"use unusable flights": False}}
+    exclude = script("gap_diagnosis")._exclude
+    found = exclude({"left out": {"a": "before"}}, flights("h"), asked)
+    assert list(found) == ["a", "h"] and found["a"] == "before"
+    assert exclude({}, flights(), asked) == {}  # a calibration made before flights were left out
+    with pytest.raises(DataError, match="1 of 2 compared flights"):
+        exclude({"left out": {"a": "before"}}, flights("b"), asked)
