@@ -85,6 +85,7 @@ COLUMNS: dict[str, tuple[str, str, str]] = {
 _MADE = b"quasi"
 ANY = "any of "  # before an axis: the row of a coverage table for all variables of the axis
 AGE_OFF = "telemetry age taken off"  # of a delay in a model: else it may hold how late rotor speeds are logged
+IDENTIFIED_MAP = "map identified on the flight"  # source of w1_CMD .. in the metadata of an import
 
 
 @contextmanager
@@ -239,6 +240,17 @@ def ages_taken_off(flights: Mapping[str, Mapping[str, Any]]) -> dict[str, bool]:
         for key, about in imported.items()
         if "rotor telemetry" in about
     }
+
+
+def drop_identified_commands(table: pd.DataFrame, imported: Mapping[str, Any] | None) -> pd.DataFrame:
+    """The flight without w1_CMD .. w4_CMD where import made them by a map identified on the flight itself.
+
+    imported  metadata of the import. Such speeds are made from the flight's rotor speeds, so they cannot judge them.
+    """
+    made = (imported or {}).get("commanded speeds")
+    if not isinstance(made, Mapping) or made.get("source") != IDENTIFIED_MAP:
+        return table
+    return table.drop(columns=[c for c in table if c.endswith("_CMD")])
 
 
 def sha256_of(path: str | Path) -> str:

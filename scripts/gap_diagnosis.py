@@ -24,7 +24,7 @@ from quasi.gap.rollouts.open_loop import flight_of, windows
 from quasi.identification.partition import UNITS, partition, to_table
 from quasi.joblog import LOG, job, progress
 from quasi.standalone.model import read_model
-from quasi.tables import read_json, read_table, recordings_of, write_json, write_table
+from quasi.tables import drop_identified_commands, read_json, read_table, recordings_of, write_json, write_table
 
 RATE = 100.0  # Hz, of the comparison of forces and moments
 
@@ -48,7 +48,11 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
     except DataError as error:
         raise DataError(f"{asked['file']}: {error}") from None
     # where none can be compared, the extended model is the model, and is shown on all
-    flights = {key: table for key, (table, *_) in tables.items() if key in evidence or not evidence}
+    flights = {
+        key: drop_identified_commands(table, about.get("imported"))
+        for key, (table, about, _) in tables.items()
+        if key in evidence or not evidence
+    }
     lost = exclusion_notes(left_out, roles) + lost + unchecked(asked, model.document)
     lost += too_short(flights, roles, max(asked["settings"]["horizons"]))
     held = [[f for f in _flown(source, prefix, airframes) if f.key not in left_out] for prefix in ("first", "held")]

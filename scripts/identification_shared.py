@@ -9,7 +9,16 @@ from quasi.identification.partition import EXCITED, partition, to_table
 from quasi.identification.partition import UNITS as PARTITION_UNITS
 from quasi.identification.shared import left_out_notes, refuse_speedless, shared, unusable_flights
 from quasi.joblog import LOG, job, progress
-from quasi.tables import ages_taken_off, masses_of, read_made, read_table, recordings_of, write_json, write_table
+from quasi.tables import (
+    ages_taken_off,
+    drop_identified_commands,
+    masses_of,
+    read_made,
+    read_table,
+    recordings_of,
+    write_json,
+    write_table,
+)
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
@@ -28,6 +37,7 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
     roles = partition(tables, options=settings["data partitioning"], because=because)
     masses = masses_of(made)
     mapped = settings["quadrotor"].get("command map")
+    tables = {key: drop_identified_commands(table, made[key].get("imported")) for key, table in tables.items()}
     found = shared(tables, roles, airframe, settings["gravity"], masses, mapped, ages_taken_off(made))
     if settings["mixed batteries"]:
         kinds = ", ".join(settings["mixed batteries"])

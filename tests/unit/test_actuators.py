@@ -199,7 +199,7 @@ def test_a_configured_map_makes_commanded_speeds_and_stands_in_the_model():
     flight = shares(made(6, seconds=10))
     given = {"coefficients": list(MAP)}
     mapped, source = add_commanded_speeds(flight, given, "a", [])
-    assert source == "configured map"
+    assert source == {"source": "configured map"}
     np.testing.assert_allclose(mapped["w3_CMD"], np.polyval(MAP[::-1], flight["command3"]))
     found = actuators({"a": mapped}, {"a": np.ones(len(flight), bool)}, [], given)
     assert found["command map"]["source"] == "configured"
@@ -218,7 +218,7 @@ def test_a_configured_map_follows_the_battery_and_refuses_to_fall():
     with pytest.raises(ConfigError, match="'command map' falls"):
         add_commanded_speeds(flight, {"coefficients": [300, 1000, -1000]}, "a", [])
     logged = flight.assign(w1_CMD=1.0)
-    assert add_commanded_speeds(logged, given, "a", [])[1] == "logged"
+    assert add_commanded_speeds(logged, given, "a", [])[1] == {"source": "logged"}
 
 
 def test_a_map_that_does_not_fit_is_told():

@@ -99,8 +99,8 @@ def commanded(flown: Flown) -> str:
     for kind, names in (("speeds", [f"w{i}_CMD" for i in ROTORS]), ("shares", [f"command{i}" for i in ROTORS])):
         if all(n in frame and np.isfinite(frame[n]).any() for n in names):
             # a speed that was made from the share by a map is that map, no measurement
-            made = (flown.metadata.get("commanded speeds") or {}).get("source", "") if kind == "speeds" else ""
-            if "map" not in str(made):
+            made = flown.metadata.get("commanded speeds") if kind == "speeds" else None
+            if "map" not in str((made or {}).get("source")):
                 return kind
     return ""
 
