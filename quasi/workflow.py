@@ -10,9 +10,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from quasi.airframe import read_airframe
 from quasi.comparisons import HELD, recorded_twice
 from quasi.errors import ConfigError, QuasiError, nearest
 from quasi.logbook import Row
+from quasi.normalisation import normalisation_of
 from quasi.project import AXES, check_model_file, check_specification, is_file, with_suffix
 from quasi.recordings import GEOMETRY, IDENTIFICATION, Recordings
 from quasi.tables import read_json, read_text
@@ -51,6 +53,7 @@ class Folder(Recordings):
             )
         self._refuse_one_recording(name, everything)
         part = self._part(next((r for r in training if r in sound), training[0]), IDENTIFICATION)
+        self._refuse_missing_scales(name, training[0])
         batteries = self._batteries(name, training)  # a flight that is held out mixes nothing
         masses = [m for m, _ in map(self.mass, training) if m]
         return {
@@ -66,6 +69,21 @@ class Folder(Recordings):
             "use unusable flights": name in self.models and self.model(name)["logging file"]["use unusable flights"],
             "problem": part["problem"],
         }
+
+    def _refuse_missing_scales(self, name: str, row: Row) -> None:
+        """Raises ConfigError where a normalised model's quadrotor lacks what its forces and moments are divided by."""
+        config, problem = self._quadrotor(row)
+        if problem or name not in self.models or not self.model(name)["data normalization"]["normalize data"]:
+            return
+        path, where = self._quadrotor_path(row), f"config/models/{name}.json"
+        airframe = read_airframe(config, str(path), mass=1.0)
+        scales = {"idle RPM": airframe.idle_rpm, "max RPM": airframe.max_rpm, "motor poles": airframe.poles}
+        if lacking := [f"'{key}'" for key, value in scales.items() if not value]:
+            raise ConfigError(
+                f"{where}: 'normalize data' needs {' and '.join(lacking)}, which {path} lacks; add what is missing, or "
+                "set 'normalize data' to false"
+            )
+        normalisation_of(airframe, None, where)
 
     def _refuse_one_recording(self, name: str, rows: list[Row]) -> None:
         """Raises ConfigError for a flight that would train twice, or be judged by what it trained."""

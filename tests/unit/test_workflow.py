@@ -224,6 +224,19 @@ def test_normalisation_and_differential_form_reach_their_jobs(folder):
     assert Folder(folder).standalone("m")["u"] == ["U_p", "U_r"]
 
 
+@pytest.mark.parametrize("key", ["idle RPM", "max RPM", "motor poles"])
+def test_a_normalised_model_of_a_quadrotor_without_its_scales_is_refused_from_the_configuration(folder, key):
+    path = folder / "data/my_quadrotor.json"
+    quadrotor = json.loads(path.read_text())
+    path.write_text(json.dumps({k: v for k, v in quadrotor.items() if k != key}))
+    assert Folder(folder).identification("m")["model"] == "m"
+    edit_model(folder, data_normalization={"normalize data": True})
+    with pytest.raises(ConfigError, match=rf"config/models/m\.json: .*'{key}', which data/my_quadrotor\.json lacks"):
+        Folder(folder).identification("m")
+    path.write_text(json.dumps(quadrotor))
+    assert Folder(folder).identification("m")["model"] == "m"
+
+
 def test_flights_of_different_batteries_are_not_mixed(folder):
     edit(
         folder,
