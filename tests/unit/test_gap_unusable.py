@@ -1,9 +1,11 @@
 """Flights whose sources contradict each other take no part in a gap."""
 
 import pytest
+from made_plan import MODEL
 from programs import script
 
 from quasi.errors import DataError
+from quasi.gap.diagnosis import _correction_matters
 from quasi.gap.flights.unusable import exclude_unusable, exclusion_notes
 
 ROLES = {"a": "compared", "b": "compared", "c": "compared", "h": "held out", "r": "reference", "s": "reference"}
@@ -57,3 +59,7 @@ def test_the_diagnosis_leaves_out_what_the_calibration_left_out_and_what_contrad
     assert exclude({}, flights(), asked) == {}  # a calibration made before flights were left out
     with pytest.raises(DataError, match="1 of 2 compared flights"):
         exclude({"left out": {"a": "before"}}, flights("b"), asked)
+
+
+def test_correcting_sensors_matters_where_no_held_out_flight_is_left_to_judge_it():
+    assert _correction_matters(MODEL, ([], []), {}) is True

@@ -74,7 +74,7 @@ def gather_all(
         except DataError as error:
             lost.append(str(error))
     if not found and not drifting:
-        raise DataError(f"no flight can be compared with model {model.id}: {lost[0]}")
+        raise DataError(f"no flight can be compared with model {model.id}: {lost[0] if lost else 'none is given'}")
     lost = [f"{said}; it is left out of the comparison of forces and moments" for said in lost]
     if nowhere:
         found = {
