@@ -86,6 +86,19 @@ class Row:
         return value
 
 
+def describe_row(path: str | Path, quadrotor: str, key: str) -> dict[str, Any]:
+    """{"path", "row" (header = 1), "cells" {column: text}} of a flight as its logbook reads now.
+
+    Raises LogbookError where no row means the flight any more, and as `read_logbook`.
+    """
+    for row in read_logbook(path).values():
+        if (row.quadrotor, row.key) == (quadrotor, key):
+            return {"path": str(path), "row": row.number, "cells": dict(row.cells)}
+    raise LogbookError(
+        f"{path}: no row means flight {quadrotor}/{key} any more; the logbook changed during the run, start it again"
+    )
+
+
 def read_logbook(path: str | Path) -> dict[int, Row]:
     """Rows of a logbook by their number (header = row 1); rows without an Onboard Name are left out.
 

@@ -43,6 +43,10 @@ rule importing:
         settings=lambda wildcards: ask(
             FOLDER.importing, wildcards.quadrotor, wildcards.flight
         ),
+        # the path alone: the job reads the row, so that a changed comment or a moved row makes nothing stale
+        logbook=lambda wildcards: (
+            ask(FOLDER.row, wildcards.quadrotor, wildcards.flight).logbook
+        ),
         contents=lambda wildcards: contents(raw_files(wildcards)),
         code=code("importing.py"),
     script:

@@ -17,6 +17,7 @@ def main(source: dict[str, str], settings: dict, role: str, flight: str, metadat
     if settings["problem"]:
         raise ReadError(settings["problem"])
     columns, about = import_flight(settings["flight"], settings["quadrotor"], settings["options"], calibration)
+    about["logbook"] = read_json(source["metadata"]).get("logbook")
     for note in about["notes"]:
         LOG.warning("%s", note)
     write_table(flight, columns, made=about)

@@ -4,14 +4,19 @@ from quasi.doubt import gravest_first
 from quasi.errors import ReadError
 from quasi.importing.flight import import_flight
 from quasi.joblog import LOG, job, judge
+from quasi.logbook import describe_row
 from quasi.tables import write_json, write_table
 
 
-def main(settings: dict, flight: str, metadata: str) -> None:
-    """Read the raw files that the settings name; write the fused flight and its metadata."""
+def main(settings: dict, logbook: str, flight: str, metadata: str) -> None:
+    """Read the raw files that the settings name; write the fused flight and its metadata.
+
+    logbook  path; the flight's row is read here, because cells that the import does not use must not make it stale
+    """
     if settings["problem"]:
         raise ReadError(settings["problem"])
     columns, about = import_flight(settings["flight"], settings["quadrotor"], settings["options"])
+    about["logbook"] = describe_row(logbook, settings["flight"]["quadrotor"], settings["flight"]["flight"])
     if about["verdict"] != "good":
         judge(about["verdict"], about["verdict because"])
     for note in gravest_first(about["notes"]):
@@ -22,4 +27,4 @@ def main(settings: dict, flight: str, metadata: str) -> None:
 
 if __name__ == "__main__":
     with job(snakemake.log[0], f"import of {snakemake.wildcards.flight}"):
-        main(snakemake.params.settings, snakemake.output.flight, snakemake.output.metadata)
+        main(snakemake.params.settings, snakemake.params.logbook, snakemake.output.flight, snakemake.output.metadata)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from quasi.errors import LogbookError
-from quasi.logbook import NEEDED, OPTIONAL, pick, read_logbook, select_rows
+from quasi.logbook import NEEDED, OPTIONAL, describe_row, pick, read_logbook, select_rows
 
 ROOT = Path(__file__).parents[2]
 HEADER = [*NEEDED, "Mass", "Log number", "Flight key", "Comments"]
@@ -27,6 +27,18 @@ def flight(name, **cells):
 def test_rows_are_numbered_as_a_spreadsheet_shows_them(tmp_path):
     book = read_logbook(write(tmp_path / "log.csv", flight("a"), {"Comments": "a pause"}, flight("b")))
     assert {n: r.key for n, r in book.items()} == {2: "a", 4: "b"}
+
+
+def test_a_flight_is_described_by_its_row_as_the_logbook_reads_now(tmp_path):
+    path = write(tmp_path / "log.csv", flight("a"), flight("b", Comments="a gust", Mass=433))
+    about = describe_row(path, "Beetle", "b")
+    assert (about["path"], about["row"]) == (str(path), 3)
+    assert about["cells"] == {"Log number": "", "Flight key": "", **flight("b", Comments="a gust", Mass="433")}
+    write(path, flight("c"), flight("a"), flight("b", Comments="calm"))
+    assert describe_row(path, "Beetle", "b")["row"] == 4
+    assert describe_row(path, "Beetle", "b")["cells"]["Comments"] == "calm"
+    with pytest.raises(LogbookError, match="Beetle/d"):
+        describe_row(path, "Beetle", "d")
 
 
 def test_row_selections_of_the_manual():

@@ -62,6 +62,14 @@ def test_changed_comment_and_appended_row_rerun_nothing(project):
     assert project.would_run() == {}
 
 
+def test_import_keeps_logbook_row_and_cells(finished):
+    project = finished[0]
+    about = json.loads((project.folder / "results/imported/MadeBeetle/small-1.json").read_text())["logbook"]
+    assert (about["path"], about["row"]) == ("data/small_file_log.csv", 2)
+    assert about["cells"]["Flight controller"]
+    assert "Comments" in about["cells"]
+
+
 def test_mass_of_a_flight_that_the_model_does_not_use_reruns_nothing(project):
     project.edit_logbook(lambda rows: rows[3].update(Mass="500"))
     assert project.would_run() == {}
