@@ -257,6 +257,10 @@ class Outlook:
         if self.prior is not None:
             base = slice(head, head + len(columns.shared))
             total[base, base] += self.prior
+        # what all flights have alike is bounded, as in Mixed.test
+        bounds = {c: b for n in columns.bounds for c, b in zip(columns.causes[n], columns.bounds[n])}
+        for k, column in enumerate(pooled, head + len(columns.shared)):
+            total[k, k] += bounds.get(column, np.inf) ** -2.0
         scale = np.maximum(np.sqrt(np.maximum(np.diag(total), 0.0)), TINY)
         scaled = total / np.outer(scale, scale)
         inner = scaled[head:, head:] + RIDGE * np.eye(len(source))
