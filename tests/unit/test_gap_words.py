@@ -251,3 +251,11 @@ def test_parameters_are_stated_as_they_are_not_as_deviations():
     assert truth(KNOWN["inertia"], "Ixy", 2e-6, vehicle._replace(inertia=tensor)) == pytest.approx(1.2e-5)
     assert truth(KNOWN["thrust_factor"], "factor", -0.03, vehicle) == pytest.approx(0.97)
     assert truth(KNOWN["wind"], "north", 1.5, vehicle) == 1.5
+
+
+def test_a_sensor_finding_that_changes_nothing_explains_nothing_and_says_so():
+    idle = {**TURN, "explains": False}
+    found = document([idle])
+    assert found["verdict"] == "agrees"
+    assert "changes neither forces nor simulations" in found["summary"]
+    assert "changes neither forces nor simulations" not in document([TURN])["summary"]

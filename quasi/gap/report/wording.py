@@ -387,6 +387,8 @@ def headline(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
         lost = list(dict.fromkeys(name_of(i) for e in effects for i in _lost(e, diagnosis, known)))
         clauses = [f"{len(effects)} causes are named: {'; '.join(causes)}"]
         clauses.append(f"tested in their place and lost: {listed(lost)}" if lost else "")
+    idle = [name_of(e["id"]) for e in effects if not e.get("explains", True)]
+    clauses.append(f"correcting {listed(idle)} changes neither forces nor simulations" if idle else "")
     ties = [listed([name_of(i) for i in t["ids"]], "or") for t in diagnosis["ties"]]
     clauses.append(f"it cannot be told whether {listed(ties)} is there" if ties else "")
     left = dict.fromkeys(CHANNELS.get(u["channel"], u["channel"]) for u in diagnosis["unexplained"])
