@@ -22,7 +22,7 @@ from quasi.gap.calibration.lower import units_of
 from quasi.gap.report.figures import figures, telling, with_errors
 from quasi.gap.report.page import page
 from quasi.gap.report.wording import confirmation_of, rollout_of, summary
-from quasi.gap.rollouts.open_loop import GAINED
+from quasi.gap.rollouts.open_loop import TYPICAL
 
 
 def test_the_page_tells_everything_escaped_and_without_network():
@@ -159,7 +159,7 @@ def test_what_the_extension_changes_is_shown_at_a_glance(gained):
         for where in ("height", "speed") for at, part in table.groupby(where) for axis in ("Fx", "Fz")
     ]  # fmt: skip
     t = np.arange(0.0, 1.0, 0.01)
-    one = pd.DataFrame({"t": t, "flight": "new-5", "why": GAINED, "window": 0})
+    one = pd.DataFrame({"t": t, "flight": "new-5", "why": TYPICAL, "window": 0})
     for state in ("roll", "pitch", "u", "v", "w", "z"):
         for word in ("measured", "before", "after"):
             one[f"{state}_{word}"] = 0.1 * t
@@ -284,7 +284,7 @@ def test_no_figure_and_no_chart_fails_on_what_is_not_finite(bad):
     )  # fmt: skip
     states = [f"{s}_{w}" for s in ("u", "v", "w", "roll", "pitch", "z") for w in ("measured", "before", "after")]
     overlays = pd.DataFrame(
-        {"window": 0, "flight": "a", "why": GAINED, "t": [0.0, 0.1], **{s: [0.0, bad] for s in states}}
+        {"window": 0, "flight": "a", "why": TYPICAL, "t": [0.0, 0.1], **{s: [0.0, bad] for s in states}}
     )
     norms = ["position", "velocity", "attitude", "rate"]
     errors = pd.DataFrame(

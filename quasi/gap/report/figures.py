@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from quasi.gap.flights.places import UNITS as UNITS_AT
 from quasi.gap.report.wording import CHANNELS
-from quasi.gap.rollouts.open_loop import GAINED
+from quasi.gap.rollouts.open_loop import TYPICAL
 
 WIDTH = 10.5  # in, which the page shows at its own size: smaller figures would be blown up, larger ones shrunk
 SMALL = 9  # pt, of all that is to be read
@@ -59,9 +59,9 @@ def figures(tables: Mapping[str, pd.DataFrame]) -> dict[str, Figure]:
 
 def glance_figure(where: pd.DataFrame | None, overlays: pd.DataFrame | None) -> Figure | None:
     """What the extension changes, at a glance: the error along the place where it falls most surely, and the simulated
-    state that comes nearest to the flight, in the window where the error falls most. where  as `with_errors` tells"""
+    state that comes nearest to the flight, in a typical window: that of the median gain. where  as `with_errors` tells"""
     kind = surest(where) if where is not None else None
-    falls = overlays[overlays["why"] == GAINED] if overlays is not None and len(overlays) else None
+    falls = overlays[overlays["why"] == TYPICAL] if overlays is not None and len(overlays) else None
     state = nearest(falls) if falls is not None and len(falls) else None
     if kind is None or state is None:
         return None

@@ -54,8 +54,8 @@ LEVELS = {"K": "sensors against capture", "A": "rotor speeds against commands"}
 CAPTIONS = {
     "glance": "Left: the error of the model where it falls most, before (pale red) and after (blue) the extension, "
     "with standard errors, compared and held-out flights together. Right: a held-out flight (black) and what the "
-    "simulation makes of its rotor speeds, in the window where the extension gains most; what it gains elsewhere "
-    "stands below. Where causes are named that all flights have, the model's own terms were fitted anew beside them, "
+    "simulation makes of its rotor speeds, in a typical window, that of the median gain; the best and the worst window "
+    "stand below. Where causes are named that all flights have, the model's own terms were fitted anew beside them, "
     "and the gain is that of both.",
     "overlays": "Simulated from measured states with measured rotor speeds, before (pale red) and after (blue) the "
     "extension, beside the flight (black); where only blue is seen with a red rim, nothing has changed.",

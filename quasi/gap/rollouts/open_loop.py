@@ -16,6 +16,7 @@ from quasi.standalone.model import Model
 
 EVERY = 0.2  # s between the starts of two windows
 GAINED = "the error falls most"  # why one of the windows is shown
+TYPICAL = "the error falls as in the median"
 COMMANDED = tuple(f"w{i}_CMD" for i in range(1, 5))
 SHARES = tuple(f"command{i}" for i in range(1, 5))
 QUANTITIES = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
@@ -205,7 +206,7 @@ def overlays(models: Mapping[str, Model], flights: Sequence[Flight], horizon: fl
     by_gain = sorted(found, reverse=True)
     chosen = {
         GAINED: by_gain[0],
-        "the error falls as in the median": by_gain[len(by_gain) // 2],
+        TYPICAL: by_gain[len(by_gain) // 2],
         "the error was greatest": max(found, key=lambda f: f[1]),
     }
     parts = []
