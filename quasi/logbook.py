@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from quasi.errors import LogbookError, nearest
+from quasi.recognition import CONTROLLERS
 from quasi.tables import read_text
 
 NEEDED = ("Quadrotor", "Onboard Name", "OB Path", "Flight controller", "Drone Config File", "Drone Config Path")
@@ -40,7 +41,6 @@ OPTIONAL = (
     "Session",
 )
 NAME = re.compile(r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*")
-CONTROLLERS = ("betaflight", "indiflight", "table")
 
 
 def _plain(column: str) -> str:

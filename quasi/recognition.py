@@ -12,6 +12,12 @@ from quasi.errors import ReadError
 
 MARKER = b"H Product:Blackbox"  # the first header line of each blackbox log
 HEAD = 4096  # bytes in which a blackbox log begins: text that a terminal put before it is skipped
+# values of 'Flight controller', and the extensions that the logbook may leave out
+CONTROLLERS = {
+    "betaflight": (".bbl", ".BBL", ".bfl", ".BFL", ".csv", ".CSV"),
+    "indiflight": (".bbl", ".BBL", ".bfl", ".BFL", ".csv", ".CSV"),
+    "table": (".csv", ".CSV", ".parquet", ".Parquet"),
+}
 TABLE = "use the flight controller 'table' with 'table columns' in the quadrotor configuration"
 CONVERT = f"export its signals to one CSV or Parquet table and {TABLE}"
 

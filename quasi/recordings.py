@@ -9,13 +9,11 @@ from quasi.comparisons import Comparisons
 from quasi.errors import LogbookError, QuasiError, nearest
 from quasi.logbook import Row
 from quasi.project import is_file, with_suffix
-from quasi.recognition import HEAD, recognise
+from quasi.recognition import CONTROLLERS, HEAD, recognise
 from quasi.tables import read_head
 
-BINARY = (".bbl", ".BBL", ".bfl", ".BFL")
-TEXT = (".csv", ".CSV")
+CAPTURE = (".csv", ".CSV")
 WIND = (".lvm", ".LVM", ".txt", ".csv")
-TABLE = (".csv", ".CSV", ".parquet", ".Parquet")
 
 # What of a quadrotor configuration each stage reads: a change elsewhere in the file reruns nothing.
 GEOMETRY = (
@@ -53,7 +51,7 @@ class Recordings(Comparisons):
     def raw(self, row: Row) -> dict[str, Any]:
         """Paths of the "onboard" and "capture" files, found or to be made, or None, and a "problem" or None."""
         controller = self.controller(row)
-        suffixes = TABLE if controller == "table" else (*BINARY, *TEXT)
+        suffixes = CONTROLLERS.get(controller, CONTROLLERS["betaflight"])
         onboard, problem = self._find(row, "OB Path", "Onboard Name", suffixes)
         capture = None
         if row.has("Has OT data"):
@@ -63,7 +61,7 @@ class Recordings(Comparisons):
                     "fill it in"
                 )
             else:
-                capture, missing = self._find(row, "Raw OT Path", "Raw OptiTrack Name", TEXT)
+                capture, missing = self._find(row, "Raw OT Path", "Raw OptiTrack Name", CAPTURE)
                 problem = problem or missing
         return {"onboard": onboard, "capture": capture, "problem": row.problem or problem}
 

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,6 @@ from quasi.importing.command_map import add_commanded_speeds
 from quasi.importing.contradictions import refuse_wrong_lengths, refuse_wrong_rates
 from quasi.importing.cross_checks import cross_check
 from quasi.importing.lever_arm import felt_too_much, hover_arm
-from quasi.importing.motive import read_motive
 from quasi.importing.onboard_log import (
     ATTITUDE,
     POSITION,
@@ -31,6 +31,8 @@ from quasi.importing.onboard_log import (
     motor_poles,
     read_onboard,
 )
+from quasi.importing.readers.reader import Request
+from quasi.importing.readers.registry import read_capture
 from quasi.importing.resampling import (
     covered,
     fresh,
@@ -191,8 +193,13 @@ def _read_capture(
     """The capture's series (clock of its own, or the table's on the on-board clock) and the capture file as read."""
     offset = _triple(quadrotor.get("optitrack marker cg offset"), "optitrack marker cg offset")
     if flight.get("capture"):
-        captured = read_motive(
-            flight["capture"], str(flight.get("rigid body") or ""), offset, bool(chosen["filter optitrack outliers"])
+        captured = read_capture(
+            Request(
+                Path(flight["capture"]),
+                rigid_body=str(flight.get("rigid body") or ""),
+                marker_offset=offset,
+                remove_outliers=bool(chosen["filter optitrack outliers"]),
+            )
         )
         return captured.series["capture"], captured
     if "capture" not in recording.series:

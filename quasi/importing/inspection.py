@@ -15,8 +15,9 @@ import numpy as np
 
 from quasi.doubt import doubts
 from quasi.errors import QuasiError
-from quasi.importing.motive import read_motive
 from quasi.importing.onboard_log import BODY_VELOCITY, POSITION, VELOCITY, motor_poles, read_onboard, require_imu
+from quasi.importing.readers.reader import Request
+from quasi.importing.readers.registry import read_capture
 from quasi.importing.series import Series
 from quasi.importing.wind import read_lvm
 from quasi.running.checksums import identity_of
@@ -98,7 +99,9 @@ def _read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> Re
 def _read_capture(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> Read | None:
     if not flight.get("capture"):
         return None
-    recording = read_motive(flight["capture"], str(flight.get("rigid body") or ""), None, remove_outliers=False)
+    recording = read_capture(
+        Request(Path(flight["capture"]), rigid_body=str(flight.get("rigid body") or ""), remove_outliers=False)
+    )
     series = recording.series["capture"]
     lost = float(np.mean(~np.isfinite(series.values["x"])))
     facts = {"file": str(flight["capture"]), "rigid body": recording.metadata["rigid body"], "lost share": lost}

@@ -20,6 +20,7 @@ from quasi.attitude import continuous, from_matrix, normalise, rotate
 from quasi.doubt import doubt
 from quasi.errors import ReadError, nearest
 from quasi.importing.artefacts import flyable, stalled
+from quasi.importing.readers.reader import TEXT, Reader, Request
 from quasi.importing.series import Recording, Series
 from quasi.importing.table_text import SEPARATORS, decimal_points, from_header, through_a_spreadsheet
 from quasi.recognition import refuse_other_formats
@@ -361,3 +362,10 @@ def _elementary(axis: int, angle: np.ndarray) -> np.ndarray:
     m[:, axis, axis] = 1.0
     m[:, j, j], m[:, k, k], m[:, k, j], m[:, j, k] = c, c, s, -s
     return m
+
+
+def _read(request: Request) -> Recording:
+    return read_motive(request.path, request.rigid_body, request.marker_offset, request.remove_outliers)
+
+
+READER = Reader("a motion-capture export of Motive (CSV)", ("motive", TEXT), _read)

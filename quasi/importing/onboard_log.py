@@ -7,26 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from quasi.airframe import number
 from quasi.attitude import interpolate
 from quasi.doubt import doubt
-from quasi.errors import ConfigError, DataError, ReadError, quoted
-from quasi.importing.blackbox import read_blackbox
+from quasi.errors import ConfigError, DataError
 from quasi.importing.checks import check_recording
-from quasi.importing.checks.body_axes import settle_body_axes
 from quasi.importing.contradictions import rates_explained, refuse_wrong_rates, velocity_explained
-from quasi.importing.decoded import read_decoded
 from quasi.importing.filter_delays import header_delays
 from quasi.importing.onboard_attitude import estimate_attitude
+from quasi.importing.readers.reader import Request
+from quasi.importing.readers.registry import read_log
 from quasi.importing.resampling import covered
 from quasi.importing.series import Recording, Series
 from quasi.importing.synchronisation import Motion
-from quasi.importing.table_reader import read_table_log
 from quasi.importing.telemetry import AGES
-from quasi.recognition import HEAD, MARKER, refuse_other_formats
-from quasi.tables import read_bytes
 
-COUNTS = "betaflight raw acceleration correction factor"
 LEAST_EXPLAINED = 0.3  # share of the variance that a log of the same motion explains, a late one too
 LEAST_SAMPLES = 20
 RATES, FORCE = ("p", "q", "r"), ("ax", "ay", "az")
@@ -102,41 +96,14 @@ def read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any], poles:
 
     Raises ReadError for a controller that is not supported, or a file that is not what the logbook says.
     """
-    controller = str(flight["flight controller"]).strip().lower()
-    path = Path(flight["onboard"])
-    if controller == "table":
-        mapping = quadrotor.get("table columns")
-        if not isinstance(mapping, Mapping):
-            raise ReadError(
-                f"{path}: the flight controller is 'table', but the quadrotor configuration has no section "
-                "'table columns'; add it, so that columns can be told apart"
-            )
-        return check_recording(read_table_log(path, mapping, poles), str(path))
-    if controller not in ("betaflight", "cleanflight", "indiflight"):
-        raise ReadError(f"{path}: flight controller '{controller}' cannot be read; use betaflight, indiflight or table")
-    data = read_bytes(path)
-    refuse_other_formats(path, data, ("blackbox",), "a blackbox log (.bbl, .bfl) or its decoded CSV")
-    if MARKER in data or (path.suffix.lower() in (".bbl", ".bfl") and b"gyroADC" not in data[:HEAD]):
-        recording = read_blackbox(path, log_number=flight.get("log number"), poles=poles)
-    else:
-        if (flight.get("log number") or 1) > 1:
-            raise ReadError(
-                f"{path} is no blackbox file of several logs, but the logbook asks for log {flight['log number']}; "
-                "give the .bbl, or each log's own file and no 'Log number'"
-            )
-        recording = read_decoded(path, poles=poles, counts=number(quadrotor, COUNTS, str(path)))
-    revision = recording.metadata["firmware"]["revision"]
-    from_indiflight = recording.metadata["body axes logged"].endswith("down")
-    if controller == "indiflight" and not from_indiflight:
-        raise ReadError(
-            f"{path} is not INDIflight's: it names the firmware {quoted(revision)} and holds neither its quat nor its "
-            "omega fields, and body axes would be mixed up; correct 'Flight controller' in the logbook"
-        )
-    if controller != "indiflight" and from_indiflight:
-        recording.notes.append(
-            f"{path} comes from INDIflight, and is read so, though the logbook says '{flight['flight controller']}'"
-        )
-    return check_recording(settle_body_axes(recording, quadrotor, str(path)), str(path))
+    request = Request(
+        Path(flight["onboard"]),
+        str(flight["flight controller"]).strip().lower(),
+        quadrotor,
+        poles,
+        flight.get("log number"),
+    )
+    return check_recording(read_log(request), str(request.path))
 
 
 def _find(series: Mapping[str, Series], names: tuple[str, ...]) -> Track | None:

@@ -9,10 +9,9 @@ import numpy as np
 
 from quasi.attitude import to_euler
 from quasi.errors import DataError
-from quasi.importing.motive import read_motive
 from quasi.importing.onboard_log import ATTITUDE, FORCE, RATES, read_onboard
-from quasi.importing.table_text import from_header
-from quasi.tables import read_text
+from quasi.importing.readers.reader import Request
+from quasi.importing.readers.registry import is_capture, read_capture
 
 
 @dataclass(frozen=True)
@@ -36,8 +35,8 @@ def read_rest(
     Raises      ReadError or DataError: a sentence that names the file and the remedy
     """
     path = Path(path)
-    if "Format Version" in from_header(read_text(path))[0][:400]:
-        recording = read_motive(path, rigid_body or "")
+    if is_capture(path):
+        recording = read_capture(Request(path, rigid_body=rigid_body or ""))
         one = recording.series["capture"]
         if "qw" not in one.values:
             raise DataError(f"{path} holds no rotation of the rigid body; export it with rotations")

@@ -18,6 +18,7 @@ from quasi.doubt import doubt
 from quasi.errors import ReadError, nearest, quoted
 from quasi.importing.checks.rotor_speeds import clean_rotor_speeds
 from quasi.importing.contradictions import doubtful_units, doubtful_values
+from quasi.importing.readers.reader import TEXT, Reader, Request
 from quasi.importing.series import Recording, Series
 from quasi.importing.streams import unwrapped
 from quasi.importing.table_clocks import correct_source_lags, in_long_runs, rows_possibly_at_rest, uncrowded
@@ -377,3 +378,16 @@ class _Raw:
 
 def _stack(r: "_Raw", names: tuple[str, ...]) -> np.ndarray:
     return np.stack([r.values[n] for n in names], axis=-1)
+
+
+def _read(request: Request) -> Recording:
+    mapping = request.quadrotor.get("table columns")
+    if not isinstance(mapping, Mapping):
+        raise ReadError(
+            f"{request.path}: the flight controller is 'table', but the quadrotor configuration has no section "
+            "'table columns'; add it, so that each column gets a meaning"
+        )
+    return read_table_log(request.path, mapping, request.poles)
+
+
+READER = Reader("a table (CSV or Parquet)", (TEXT, "parquet", "motive"), _read, ("table",))

@@ -1,0 +1,1 @@
+"""One file a log format. `registry` lists them; `reader` says what each of them declares."""

@@ -1,0 +1,52 @@
+"""The list of readers. A raw file goes to the reader of what it holds, whatever its extension.
+
+A further format is one file here with a `Reader`, its name in READERS, and its first bytes in `quasi.recognition`.
+"""
+
+from quasi.errors import ReadError
+from quasi.importing.motive import READER as MOTIVE
+from quasi.importing.readers.betaflight import BLACKBOX_READER, DECODED_READER
+from quasi.importing.readers.reader import TEXT, Reader, Request
+from quasi.importing.series import Recording
+from quasi.importing.table_reader import READER as TABLE
+from quasi.recognition import CONTROLLERS, HEAD, recognise
+from quasi.tables import read_head
+
+READERS: tuple[Reader, ...] = (BLACKBOX_READER, DECODED_READER, TABLE, MOTIVE)
+
+
+def read_log(request: Request) -> Recording:
+    """The recording of an on-board log, by its flight controller and by what it holds.
+
+    Raises ReadError for a flight controller without a reader, or a file of another format than its readers read.
+    """
+    able = [reader for reader in READERS if request.controller in reader.controllers]
+    if not able:
+        raise ReadError(
+            f"{request.path}: flight controller '{request.controller}' has no reader; use {' or '.join(CONTROLLERS)}"
+        )
+    return _reader_of(request, able).read(request)
+
+
+def read_capture(request: Request) -> Recording:
+    """The recording of a motion-capture export. Raises ReadError where no reader knows it."""
+    return _reader_of(request, [reader for reader in READERS if not reader.controllers]).read(request)
+
+
+def is_capture(path: object) -> bool:
+    """Whether a file is a motion-capture export by what it holds."""
+    found = recognise(read_head(path, HEAD))
+    return found is not None and any(found.kind in r.kinds and not r.controllers for r in READERS)
+
+
+def _reader_of(request: Request, able: list[Reader]) -> Reader:
+    """The reader of a file among those able to read for a purpose."""
+    found = recognise(read_head(request.path, HEAD))
+    kind = TEXT if found is None else found.kind
+    for reader in able:
+        if kind in reader.kinds:
+            return reader
+    expected = " or ".join(reader.name for reader in able)
+    what = f"is {found.name}" if found else "is of no format that is known"
+    remedy = found.remedy if found else "give the file as it was recorded"
+    raise ReadError(f"{request.path} {what}, expected {expected}; {remedy}")
