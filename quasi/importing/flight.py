@@ -3,7 +3,6 @@
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -193,14 +192,7 @@ def _read_capture(
     """The capture's series (clock of its own, or the table's on the on-board clock) and the capture file as read."""
     offset = _triple(quadrotor.get("optitrack marker cg offset"), "optitrack marker cg offset")
     if flight.get("capture"):
-        captured = read_capture(
-            Request(
-                Path(flight["capture"]),
-                rigid_body=str(flight.get("rigid body") or ""),
-                marker_offset=offset,
-                remove_outliers=bool(chosen["filter optitrack outliers"]),
-            )
-        )
+        captured = read_capture(Request.of_capture(flight, offset, bool(chosen["filter optitrack outliers"])))
         return captured.series["capture"], captured
     if "capture" not in recording.series:
         return None, None

@@ -99,9 +99,7 @@ def _read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> Re
 def _read_capture(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> Read | None:
     if not flight.get("capture"):
         return None
-    recording = read_capture(
-        Request(Path(flight["capture"]), rigid_body=str(flight.get("rigid body") or ""), remove_outliers=False)
-    )
+    recording = read_capture(Request.of_capture(flight))
     series = recording.series["capture"]
     lost = float(np.mean(~np.isfinite(series.values["x"])))
     facts = {"file": str(flight["capture"]), "rigid body": recording.metadata["rigid body"], "lost share": lost}

@@ -141,7 +141,7 @@ def test_captured_velocity_alone_is_turned_into_body_axes(tmp_path, flown):
 
 def test_a_log_of_another_firmware_is_refused(tmp_path, flown):
     fields = [f for f in FIELDS if f.startswith(("gyroADC[", "accSmooth"))]
-    with pytest.raises(ReadError, match="not INDIflight's"):
+    with pytest.raises(ReadError, match="not from INDIflight"):
         import_flight(as_csv(tmp_path, flown, fields), {}, {})
 
 

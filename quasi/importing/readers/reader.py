@@ -32,6 +32,18 @@ class Request:
     marker_offset: np.ndarray | None = None
     remove_outliers: bool = True
 
+    @classmethod
+    def of_capture(
+        cls, flight: Mapping[str, Any], marker_offset: np.ndarray | None = None, remove_outliers: bool = False
+    ) -> "Request":
+        """The request for the "capture" of a flight."""
+        return cls(
+            Path(flight["capture"]),
+            rigid_body=str(flight.get("rigid body") or ""),
+            marker_offset=marker_offset,
+            remove_outliers=remove_outliers,
+        )
+
 
 @dataclass(frozen=True)
 class Reader:
@@ -40,8 +52,8 @@ class Reader:
     name         of the format, for messages: "a PX4 ULog"
     kinds        of files by content, as `quasi.recognition` names them, or TEXT
     controllers  values of 'Flight controller' under which it reads on-board logs; none for a capture
-    read         returns the Recording of a Request: series "onboard" (and "onboard ...", "capture"), or "capture" alone;
-                 raises ReadError, DataError or ConfigError
+    read         returns the Recording of a Request: series "onboard" (and "onboard ...", "capture"), or "capture"
+                 alone; raises ReadError, DataError or ConfigError
     """
 
     name: str
