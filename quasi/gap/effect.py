@@ -14,7 +14,7 @@ import numpy as np
 
 from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.errors import ConfigError
-from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.evidence import Evidence, rotor_levers
 from quasi.logbook import NAME
 from quasi.standalone.model import Model
 
@@ -101,6 +101,14 @@ class Vehicle(NamedTuple):
     drawn: float  # N m s2: the part of the torque that goes into the flow and falls with the thrust, dQ = dT v/W
     inflow: float  # N s2/rad2: one rotor's thrust is off by inflow W dW/dt tau when its inflow lags by tau
     room: Room | None = None
+    levers: np.ndarray | None = None  # (4, 3) Fz, Mx, My of 1 N of each rotor, see `rotor_levers`; geometry without
+
+    @property
+    def thrust_levers(self) -> np.ndarray:
+        """Fz, Mx, My (4, 3) of 1 N of thrust of each rotor: the model's, else those of the hubs."""
+        if self.levers is not None:
+            return self.levers
+        return np.column_stack([-np.ones(4), -self.hubs[:, 1], self.hubs[:, 0]])
 
     @property
     def weight(self) -> float:
@@ -295,6 +303,7 @@ def vehicle_of(
         _drawn(simple, mass, frame.radius),
         _inflow(model, mass),
         room,
+        rotor_levers(model, mass),
     )
 
 
@@ -371,6 +380,16 @@ def at_hubs(vehicle: Vehicle, forces: Sequence[tuple[str, str, str]]) -> Terms:
         }.items():
             parts[axis] += [f"{number(arm)}*({force})" for arm, force in pairs if force and arm]
     return {axis: " + ".join(texts) for axis, texts in parts.items() if texts}
+
+
+def thrust_wrench(vehicle: Vehicle, thrusts: Sequence[str]) -> Terms:
+    """Expressions of the wrench of additional thrusts of the rotors, N, by the model's levers; "" for none."""
+    parts: dict[str, list[str]] = {}
+    for lever, thrust in zip(vehicle.thrust_levers, thrusts):
+        for axis, arm in zip(("Fz", "Mx", "My"), lever):
+            if thrust and arm:
+                parts.setdefault(axis, []).append(f"{number(arm)}*({thrust})")
+    return {axis: " + ".join(texts) for axis, texts in parts.items()}
 
 
 def upward(vehicle: Vehicle, thrusts: Sequence[str]) -> Terms:

@@ -1,10 +1,10 @@
 """Thrust lost in a climb, won in a descent."""
 
-from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, hub_velocity, upward
+from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, hub_velocity, thrust_wrench
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
-    return {"k": upward(vehicle, [f"w{i + 1}*{hub_velocity(vehicle, i)[2]}" for i in range(4)])}
+    return {"k": thrust_wrench(vehicle, [f"w{i + 1}*{hub_velocity(vehicle, i)[2]}" for i in range(4)])}
 
 
 EFFECT = Effect(

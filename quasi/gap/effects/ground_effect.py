@@ -1,6 +1,6 @@
 """More thrust near the floor."""
 
-from quasi.gap.effect import Effect, Parameter, Terms, Values, Vehicle, hub_height, number, upward
+from quasi.gap.effect import Effect, Parameter, Terms, Values, Vehicle, hub_height, number, thrust_wrench
 
 NEAREST = 0.2  # rotor radii: below, the formula is not used
 MOST = 0.6  # of c (R/4h)^2: above, the formula runs towards its pole, where no rotor has been measured
@@ -14,7 +14,9 @@ def _nearness(vehicle: Vehicle, rotor: int) -> str:
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
-    return {"c": upward(vehicle, [f"{number(vehicle.thrust)}*w{i + 1}^2*{_nearness(vehicle, i)}" for i in range(4)])}
+    return {
+        "c": thrust_wrench(vehicle, [f"{number(vehicle.thrust)}*w{i + 1}^2*{_nearness(vehicle, i)}" for i in range(4)])
+    }
 
 
 def _curved(vehicle: Vehicle, values: Values) -> Terms:
@@ -23,7 +25,7 @@ def _curved(vehicle: Vehicle, values: Values) -> Terms:
         whole = f"{number(values['c'])}*{_nearness(vehicle, i)}"
         near = f"(0.5*({whole} + {number(MOST)} - (({whole} - {number(MOST)})^2)^0.5))"
         thrusts.append(f"{number(vehicle.thrust)}*w{i + 1}^2*({near}/(1 - {near}))")
-    return upward(vehicle, thrusts)
+    return thrust_wrench(vehicle, thrusts)
 
 
 EFFECT = Effect(

@@ -1,7 +1,7 @@
 """Walls and a ceiling close by."""
 
 from quasi.errors import DataError
-from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, hub_position, number, upward
+from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, hub_position, number, thrust_wrench
 
 REACH = 1.0  # m, over which the air that a wall throws back dies away
 NEAREST = 0.2  # rotor radii: below, the formula of the ceiling is not used
@@ -37,8 +37,8 @@ def _terms(vehicle: Vehicle) -> dict[str, Terms]:
         if room.height is not None:
             below = _most(f"({number(room.height)} + {down})", number(NEAREST * vehicle.radius))
             ceiling.append(f"{thrust}*({number(vehicle.radius)}/(4*{below}))^2")
-    terms = {"gain": upward(vehicle, walls)}
-    return terms | ({"ceiling": upward(vehicle, ceiling)} if ceiling else {})
+    terms = {"gain": thrust_wrench(vehicle, walls)}
+    return terms | ({"ceiling": thrust_wrench(vehicle, ceiling)} if ceiling else {})
 
 
 EFFECT = Effect(

@@ -1,6 +1,6 @@
 """One rotor weaker than the others."""
 
-from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, number, total, upward
+from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, number, total, thrust_wrench
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
@@ -9,7 +9,7 @@ def _terms(vehicle: Vehicle) -> dict[str, Terms]:
         thrusts = ["", "", "", ""]
         thrusts[i - 1] = f"{number(vehicle.thrust)}*w{i}^2"
         yaw = {"Mz": f"{number(-vehicle.spin[i - 1] * vehicle.drawn)}*w{i}^2"}
-        result[f"rotor{i}"] = total([upward(vehicle, thrusts), yaw])
+        result[f"rotor{i}"] = total([thrust_wrench(vehicle, thrusts), yaw])
     return result
 
 

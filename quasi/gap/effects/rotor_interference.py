@@ -2,7 +2,7 @@
 
 from math import hypot
 
-from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, number, positive, upward
+from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, number, positive, thrust_wrench
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
@@ -14,7 +14,7 @@ def _terms(vehicle: Vehicle) -> dict[str, Terms]:
         behind = positive(f"-({number(x)}*u + {number(y)}*v)/{number(hypot(x, y))}")
         share = f"{wake}*{behind}^2/({speed2} + 1e-6)"
         thrusts.append(f"-{number(vehicle.thrust)}*w{i + 1}^2*{share}")
-    return {"k": upward(vehicle, thrusts)}
+    return {"k": thrust_wrench(vehicle, thrusts)}
 
 
 EFFECT = Effect(

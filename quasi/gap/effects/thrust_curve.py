@@ -1,6 +1,6 @@
 """Thrust that is not the square of rotor speed."""
 
-from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, number, upward
+from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, number, thrust_wrench
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
@@ -8,7 +8,7 @@ def _terms(vehicle: Vehicle) -> dict[str, Terms]:
         """Thrust, and the torque that its flow draws."""
         thrusts = [of.format(i) for i in range(1, 5)]
         drawn = [number(-s * vehicle.drawn / vehicle.thrust) for s in vehicle.spin]
-        return {**upward(vehicle, thrusts), "Mz": " + ".join(f"{d}*{t}" for d, t in zip(drawn, thrusts))}
+        return {**thrust_wrench(vehicle, thrusts), "Mz": " + ".join(f"{d}*{t}" for d, t in zip(drawn, thrusts))}
 
     return {"c1": made("w{}"), "c0": made("1")}
 

@@ -1,10 +1,10 @@
 """Thrust that fades with time."""
 
-from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, number, upward
+from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, number, thrust_wrench
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
-    up = upward(vehicle, [f"{number(vehicle.thrust)}*w{i}^2*t" for i in range(1, 5)])
+    up = thrust_wrench(vehicle, [f"{number(vehicle.thrust)}*w{i}^2*t" for i in range(1, 5)])
     yaw = " + ".join(f"{number(-s * vehicle.drawn)}*w{i}^2*t" for i, s in enumerate(vehicle.spin, 1))
     return {"rate": {**up, "Mz": yaw}}
 

@@ -1,6 +1,6 @@
 """Thrust lost in its own wake."""
 
-from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, hub_velocity, number, positive, upward
+from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, hub_velocity, number, positive, thrust_wrench
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
@@ -9,7 +9,7 @@ def _terms(vehicle: Vehicle) -> dict[str, Terms]:
         ratio = f"{hub_velocity(vehicle, i)[2]}/{number(vehicle.hover_induced)}"
         bump = f"({positive(ratio)}*{positive(f'2 - {ratio}')})^2"
         thrusts.append(f"-{number(vehicle.thrust)}*w{i + 1}^2*{bump}")
-    return {"depth": upward(vehicle, thrusts)}
+    return {"depth": thrust_wrench(vehicle, thrusts)}
 
 
 EFFECT = Effect(

@@ -175,6 +175,17 @@ class Evidence:
         forces[:, :, 2] = -thrust
         return self.at_hubs(forces)
 
+    @cached_property
+    def levers(self) -> np.ndarray:
+        """Fz, Mx, My (4, 3) of 1 N of thrust of each rotor in the model, see `rotor_levers`."""
+        return rotor_levers(self.model, self.mass)
+
+    def thrust_wrench(self, thrust: np.ndarray) -> np.ndarray:
+        """Wrench (n, 6) of additional thrusts (n, 4), N, by the levers of the model."""
+        wrench = np.zeros((len(self), 6))
+        wrench[:, 2:5] = thrust @ self.levers
+        return wrench
+
     def only(self, axis: str, values: np.ndarray | float) -> np.ndarray:
         """Wrench (n, 6) with one component."""
         wrench = np.zeros((len(self), 6))
@@ -201,6 +212,24 @@ class Evidence:
             sides = [model_wrench(self.model, {**self.columns, here: self.columns[here] + s * step}) for s in (1, -1)]
             cache[name] = (sides[0] - sides[1]) / (2.0 * step)
         return cache[name]
+
+
+def rotor_levers(model: Model, mass: float) -> np.ndarray:
+    """Fz, Mx and My (4, 3) that the model adds in hover where one rotor makes 1 N more thrust by its simple model.
+
+    Units 1, m, m. A simple model with exact hub positions has (-1, -y, x). An identified model differs from that: an
+    inertia that is configured too small shrinks all its moments, and noise of the rotor speeds shrinks its
+    coefficients. A rotor that fails is balanced by the others, so that the residual holds what the *model* makes of
+    the speeds. A cause that acts through thrust must therefore use the lever of the model.
+    """
+    thrust = float(model.document["simple model"]["kappaFz"]["value"])
+    hover = float(np.sqrt(mass * GRAVITY / (4.0 * thrust)))
+    speeds = np.full((8, 4), hover)
+    speeds[range(4), range(4)] += STEPS["w1"]
+    speeds[range(4, 8), range(4)] -= STEPS["w1"]
+    forces, moments = model.predict(np.zeros((8, 12)), speeds)
+    wrench = np.column_stack([forces[:, 2], moments[:, :2]])
+    return (wrench[:4] - wrench[4:]) / (4.0 * hover * STEPS["w1"] * thrust)
 
 
 def model_wrench(model: Model, columns: Mapping[str, np.ndarray]) -> np.ndarray:

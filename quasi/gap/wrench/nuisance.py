@@ -26,7 +26,7 @@ def nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]:
         result.append((f"constant {axis}", evidence.only(axis, 1.0), spread))
     result.append(("mass", evidence.forces_only(-evidence.force), MASS))
     vehicle = vehicle_of(evidence.model, evidence.mass, evidence.inertia)
-    thrust = evidence.upward(evidence.thrust)
+    thrust = evidence.thrust_wrench(evidence.thrust)
     thrust[:, 5] -= vehicle.drawn * (evidence.spin * evidence.speeds**2).sum(axis=1)  # the power goes with the thrust
     result.append(("thrust", thrust, THRUST))
     result.append(("torque", evidence.only("Mz", -(evidence.spin * evidence.torque).sum(axis=1)), TORQUE))

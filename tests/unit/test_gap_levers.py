@@ -1,0 +1,53 @@
+"""Causes that act through thrust use the levers of the model: one rotor's speed column scaled in any model."""
+
+import numpy as np
+import pytest
+from flights import AIRFRAME
+from made_model import simple_model
+
+from quasi.gap.catalogue import catalogue, columns_of
+from quasi.gap.effect import vehicle_of
+from quasi.gap.flights.evidence import Evidence, model_wrench, rotor_levers
+from quasi.standalone.model import AXES
+
+THRUST, TORQUE, MASS, HOVER = 2.4e-7, 3e-9, 0.43, 2100.0
+SHRUNK = {
+    "Mx": {"U_p": 0.75 * THRUST * abs(AIRFRAME.hubs[0, 0])},
+    "My": {"U_q": 0.8 * THRUST * abs(AIRFRAME.hubs[0, 0])},
+}
+
+
+@pytest.fixture(scope="module")
+def model():
+    """A model whose roll and pitch effectiveness are smaller than thrust times arm, as noise and inertia make them."""
+    return simple_model(AIRFRAME, THRUST, TORQUE, **SHRUNK)
+
+
+def flown(model, columns):
+    predicted = model_wrench(model, columns)
+    return Evidence("a", AIRFRAME, model, MASS, np.asarray(AIRFRAME.inertia), columns, predicted, predicted)
+
+
+def test_levers_of_a_model_are_its_own_and_those_of_the_hubs_where_it_has_them(model):
+    arm = abs(AIRFRAME.hubs[0, 0])
+    exact = rotor_levers(simple_model(AIRFRAME, THRUST, TORQUE), MASS)
+    sides = np.sign(AIRFRAME.hubs[:, :2])
+    np.testing.assert_allclose(exact, np.column_stack([-np.ones(4), -sides[:, 1] * arm, sides[:, 0] * arm]), rtol=1e-6)
+    np.testing.assert_allclose(rotor_levers(model, MASS) / exact, np.tile([1.0, 0.75, 0.8], (4, 1)), rtol=1e-6)
+
+
+@pytest.mark.parametrize("factor", [0.9, 0.95, 1.05, 1.1])
+@pytest.mark.parametrize("rotor", range(4))
+def test_a_scaled_speed_column_is_what_the_cause_adds(model, rotor, factor):
+    rng = np.random.default_rng(rotor)
+    columns = {name: np.zeros(200) for name in (*"xyzuvwpqrt", "roll", "pitch", "yaw")}
+    columns |= {f"w{i}": HOVER + 150.0 * rng.standard_normal(200) for i in range(1, 5)}
+    columns |= {f"w{i}_dot": np.zeros(200) for i in range(1, 5)}
+    name = f"w{rotor + 1}"
+    scaled = flown(model, {**columns, name: factor * columns[name]})
+    residual = model_wrench(model, columns) - scaled.predicted
+    column = columns_of(catalogue()["rotor_effectiveness"], scaled, vehicle_of(model, MASS), {})[f"rotor{rotor + 1}"]
+    for axis in ("Fz", "Mx", "My"):
+        k = AXES.index(axis)
+        estimate = 1.0 + column[:, k] @ residual[:, k] / (column[:, k] @ column[:, k])
+        assert estimate == pytest.approx(factor**-2.0, abs=1e-3)
