@@ -1,6 +1,6 @@
 """One rotor weaker than the others."""
 
-from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, number, total, thrust_wrench
+from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, number, thrust_wrench, total
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
