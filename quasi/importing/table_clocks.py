@@ -65,6 +65,8 @@ def rows_possibly_at_rest(raw: Sequence[TableSource]) -> np.ndarray:
         speed = np.nan_to_num(np.abs(np.stack(rotors))).max(axis=0)
         return speed <= IDLE_SHARE * np.quantile(speed, 0.9)
     rates = [r.values[n] for r in sources for n in VECTORS["rates"] if n in r.values]
+    if not rates:
+        return np.zeros(1, bool)
     return np.nan_to_num(np.abs(np.stack(rates))).max(axis=0) <= STILL_RATE
 
 

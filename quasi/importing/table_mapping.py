@@ -77,6 +77,16 @@ class TableMapping:
     clock: tuple[str, float] | None
     sources: list[Source]
 
+    @property
+    def clocks(self) -> set[str]:
+        """Columns of time."""
+        return {c[0] for c in (self.clock, *(s.clock for s in self.sources)) if c is not None}
+
+    @property
+    def names(self) -> set[str]:
+        """All columns that may be read."""
+        return self.clocks | {a for s in self.sources for column in s.columns.values() for a in column.aliases}
+
 
 def _keys(section: Any, allowed: tuple[str, ...], needed: tuple[str, ...], where: str) -> None:
     if not isinstance(section, Mapping):

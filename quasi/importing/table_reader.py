@@ -20,15 +20,17 @@ from quasi.importing.checks.rotor_speeds import clean_rotor_speeds
 from quasi.importing.contradictions import doubtful_units, doubtful_values
 from quasi.importing.readers.reader import TEXT, Reader, Request
 from quasi.importing.series import Recording, Series
+from quasi.importing.signals import Signals
 from quasi.importing.streams import unwrapped
 from quasi.importing.table_clocks import correct_source_lags, in_long_runs, rows_possibly_at_rest, uncrowded
-from quasi.importing.table_mapping import EULER, QUATERNION, VECTORS, Source, read_mapping
+from quasi.importing.table_mapping import EULER, QUATERNION, VECTORS, Source, TableMapping, read_mapping
 from quasi.importing.table_text import open_table
 
 HALF_TURN = np.array([1.0, -1.0, -1.0])  # half a turn about x: FLU to FRD, z-up to NED
 LONGEST_HOLD = 10  # rows; a row clock's values that stay the same for longer are believed (rest, coarse quantisation)
 ABSURD = 1e30  # beyond any unit and any clock
 LONGEST_STEP = 0.12  # s between body rates, beyond any motion's; seconds in place of milliseconds exceed it up to 8 kHz
+LEAST_ROWS = 20  # samples of a source, below which neither a clock nor a motion can be judged
 STRAY = 1.0  # s; a few samples beyond a gap longer than this at either end are left out
 
 
@@ -44,28 +46,35 @@ def read_table_log(
     """
     path = Path(path)
     notes: list[str] = []
-    poles_from = "configuration"
-    if poles is None:
-        poles, poles_from = DEFAULT_POLES, "default"
-    plan = read_mapping(mapping, poles, where)
-    clocks = {c[0] for c in (plan.clock, *(s.clock for s in plan.sources)) if c is not None}
-    mapped = {alias for s in plan.sources for column in s.columns.values() for alias in column.aliases}
-    table = open_table(path, notes, clocks | mapped, clocks)
-    if len(table) < 20:
-        raise ReadError(f"{path} holds {len(table)} rows; at least 20 are needed, record or export the flight again")
-    raw = [_Raw(source, table, path, notes) for source in plan.sources]
+    plan = read_mapping(mapping, poles or DEFAULT_POLES, where)
+    table = open_table(path, notes, plan.names, plan.clocks)
+    if len(table) < LEAST_ROWS:
+        raise ReadError(
+            f"{path} holds {len(table)} rows; at least {LEAST_ROWS} are needed, record or export the flight again"
+        )
+    electrical = "eRPM" in str(mapping)
+    return read_signals(path, Signals({"": table}), plan, poles, electrical, notes)
+
+
+def read_signals(
+    path: Path, signals: Signals, plan: TableMapping, poles: int | None, electrical: bool, notes: list[str]
+) -> Recording:
+    """Bring the columns of a log to standard quantities, units and axes, and its sources to one clock.
+
+    plan        which columns are which quantities
+    poles       magnets of a motor, or None where the configuration does not say
+    electrical  whether a rotor speed is an electrical one
+    Returns and raises as `read_table_log`.
+    """
+    raw = [MappedSource(source, signals, plan, path, notes) for source in plan.sources]
     main = next(r for r in raw if "p" in r.values and not r.source.capture)
-    rows = None
-    if plan.clock is not None and plan.clock[0] in table:
-        rows = _times(table, plan.clock, path, notes)
-    elif any(r.source.clock is None for r in raw):
-        raise _missing(path, [plan.clock[0]], "time of the rows", table)
+    rows = _row_times(signals, plan, raw, path, notes)
     about: dict[str, Any] = {}
-    at_rest = rows_possibly_at_rest(raw)
     for r in raw:
-        r.settle(rows, at_rest, path, notes)
+        at_rest = rows_possibly_at_rest([other for other in raw if other.group == r.group])
+        r.settle(rows.get(r.group), at_rest, path, notes)
     for r in raw:
-        about[r.source.name] = r.clock_against(main, rows, path, notes)
+        about[r.source.name] = r.clock_against(main, path, notes)
     zero, step = float(main.t[0]), float(np.median(np.diff(main.t)))
     if step > LONGEST_STEP:
         raise ReadError(
@@ -91,18 +100,41 @@ def read_table_log(
         key = "onboard" if r is main else "capture" if r.source.capture else f"onboard {r.source.name}"
         series[key] = Series(r.t, r.values)
         about[r.source.name] |= {"samples": len(r.t), "median interval": float(np.median(np.diff(r.t)))}
-    electrical = any("w1" in r.values for r in raw) and "eRPM" in str(mapping)
-    if not electrical and poles_from == "default":
-        poles, poles_from = None, "not needed, the table holds mechanical speeds"
-    elif poles_from == "default":
-        notes.append(
-            f"{path}: electrical rotor speeds were converted with {poles} poles, the default; set 'motor poles'"
-        )
     metadata = {
-        "file": str(path), "format": "table", "rows": len(table), "sources": about,
-        "motor poles": {"value": poles, "source": poles_from},
+        "file": str(path), "format": "table", "rows": sum(len(frame) for frame in signals.frames.values()),
+        "sources": about, "mapped": True, "motor poles": _poles_used(raw, poles, electrical, path, notes),
     }  # fmt: skip
     return Recording(series, metadata, notes)
+
+
+def _row_times(
+    signals: Signals, plan: TableMapping, raw: list["MappedSource"], path: Path, notes: list[str]
+) -> dict[str, np.ndarray]:
+    """{group: (n,) s} of each row, by the log's clock or by the table's column of time."""
+    if signals.clocks:
+        return signals.clocks
+    group = None if plan.clock is None else signals.group_of(plan.clock[0])
+    if group is None:
+        if any(r.source.clock is None for r in raw):
+            raise _missing(path, [plan.clock[0]], "time of the rows", signals.columns)
+        return {}
+    times = _times(signals.frames[group], plan.clock, path, notes)
+    # variables of a MAT or npz file with as many samples as the clock share it
+    return {name: times for name, frame in signals.frames.items() if len(frame) == len(times)}
+
+
+def _poles_used(
+    raw: list["MappedSource"], poles: int | None, electrical: bool, path: Path, notes: list[str]
+) -> dict[str, Any]:
+    """Magnets of a motor that converted electrical to mechanical speeds, and where the number comes from."""
+    if poles is not None:
+        return {"value": poles, "source": "configuration"}
+    if not electrical or not any("w1" in r.values for r in raw):
+        return {"value": None, "source": "not needed, the log holds mechanical speeds"}
+    notes.append(
+        f"{path}: electrical rotor speeds were converted with {DEFAULT_POLES} poles, the default; set 'motor poles'"
+    )
+    return {"value": DEFAULT_POLES, "source": "default"}
 
 
 def _numbers(column: pd.Series | pd.DataFrame, path: Path, name: str, notes: list[str]) -> np.ndarray:
@@ -150,28 +182,51 @@ def _times(table: pd.DataFrame, clock: tuple[str, float], path: Path, notes: lis
     return values * factor
 
 
-def _missing(path: Path, aliases: list[str] | tuple[str, ...], meant: str, table: pd.DataFrame) -> ReadError:
+def _missing(path: Path, aliases: list[str] | tuple[str, ...], meant: str, known: list[str]) -> ReadError:
     names = " or ".join(f"'{a}'" for a in aliases)
-    columns = [quoted(name)[1:-1] for name in table.columns]
+    columns = [quoted(name, 120)[1:-1] for name in known]
     return ReadError(
         f"{path} has no column {names} ({meant}){nearest(aliases[0], columns)}; correct 'table columns' in the "
         "quadrotor configuration"
     )
 
 
-class _Raw:
-    """One source on its way from the table's columns to a series; each step changes it."""
+def _group_of(source: Source, signals: Signals, path: Path) -> str:
+    """The group that holds a source's columns; those of two groups have clocks of their own and are two sources."""
+    found: dict[str, str] = {}
+    for column in source.columns.values():
+        for name in column.aliases:
+            if (group := signals.group_of(name)) is not None:
+                found.setdefault(group, name)
+                break
+    if not found:
+        quantity, column = next(iter(source.columns.items()))
+        raise _missing(path, column.aliases, f"{quantity} of source '{source.name}'", signals.columns)
+    if len(found) > 1:
+        (one, first), (other, second) = list(found.items())[:2]
+        raise ReadError(
+            f"{path}: source '{source.name}' maps '{first}' and '{second}', which were sampled apart "
+            f"({len(signals.frames[one])} and {len(signals.frames[other])} samples); map them as two sources"
+        )
+    return next(iter(found))
 
-    def __init__(self, source: Source, table: pd.DataFrame, path: Path, notes: list[str]) -> None:
+
+class MappedSource:
+    """One source on its way from the log's columns to a series; each step changes it."""
+
+    def __init__(self, source: Source, signals: Signals, plan: TableMapping, path: Path, notes: list[str]) -> None:
         self.source = source
         self.values: dict[str, np.ndarray] = {}
         self.t = np.zeros(0)
         self.stamps: np.ndarray | None = None
+        self.stamped_by_log = bool(signals.clocks)
+        self.group = _group_of(source, signals, path)
+        table = signals.frames[self.group]
         lacking = set()
         for quantity, column in source.columns.items():
             name = next((a for a in column.aliases if a in table.columns), None)
             if name is None and not column.optional:
-                raise _missing(path, column.aliases, f"{quantity} of source '{source.name}'", table)
+                raise _missing(path, column.aliases, f"{quantity} of source '{source.name}'", signals.columns)
             if name is None:
                 lacking.add(quantity)
                 continue
@@ -194,10 +249,10 @@ class _Raw:
                 )
         if source.clock is not None:
             if source.clock[0] not in table.columns:
-                raise _missing(path, [source.clock[0]], f"time of source '{source.name}'", table)
+                raise _missing(path, [source.clock[0]], f"time of source '{source.name}'", signals.columns)
             self.stamps = _times(table, source.clock, path, notes)
         self.report: dict[str, Any] = {
-            "clock": source.clock[0] if source.clock else "rows",
+            "clock": source.clock[0] if source.clock else "log" if self.stamped_by_log else "rows",
             "motion capture": source.capture,
         }
 
@@ -225,13 +280,13 @@ class _Raw:
                 f"(first in row {row + 2}, {clock[row]:.6g} s after {before[row]:.6g} s); these rows were left out"
             )
         held = np.zeros(len(clock), bool)
-        if self.values and (self.stamps is None or self.source.capture):
+        if self.values and ((self.stamps is None and not self.stamped_by_log) or self.source.capture):
             stack = np.stack(list(self.values.values()))
             same = np.concatenate([[False], np.all((stack[:, 1:] == stack[:, :-1]), axis=0)])
             held = same & new
             if not self.source.capture:
                 held &= ~(in_long_runs(same, LONGEST_HOLD) & at_rest)
-        if self.stamps is not None and np.count_nonzero(new) > 20:
+        if (self.stamps is not None or self.stamped_by_log) and np.count_nonzero(new) > LEAST_ROWS:
             clock = clock.copy()
             even = uncrowded(clock[new])
             moved = clock[new] - even
@@ -247,7 +302,7 @@ class _Raw:
                     f"delay; they were spread over it, by {1e3 * moved.max():.0f} ms at most"
                 )
         new &= ~held
-        if np.count_nonzero(new) < 20:
+        if np.count_nonzero(new) < LEAST_ROWS:
             raise ReadError(
                 f"{path}: source '{self.source.name}' has {np.count_nonzero(new)} samples of its own; map another time"
             )
@@ -271,14 +326,22 @@ class _Raw:
             "gaps": int(gaps.sum()), "longest gap": float(spacing.max()), "jitter": float(np.std(spacing[~gaps])),
         }  # fmt: skip
 
-    def clock_against(self, main: "_Raw", rows: np.ndarray | None, path: Path, notes: list[str]) -> dict[str, Any]:
-        """Bring the stamps onto the main source's clock by the rows they share; report the disagreement."""
+    def clock_against(self, main: "MappedSource", path: Path, notes: list[str]) -> dict[str, Any]:
+        """Bring the stamps onto the main source's clock by the rows they share; report the disagreement.
+
+        Where each source has rows of its own, the log's clock of both takes the place of shared rows.
+        """
         if self is main or (self.stamps is None and main.stamps is None):
             return self.report
-        here = np.intersect1d(self.fresh, main.fresh)
-        if len(here) < 10:
-            here = self.fresh
-        difference = self.all_stamps[here] - main.all_stamps[here]
+        if self.group == main.group:
+            here = np.intersect1d(self.fresh, main.fresh)
+            if len(here) < 10:
+                here = self.fresh
+            difference = self.all_stamps[here] - main.all_stamps[here]
+        elif self.row_clock is None or main.row_clock is None:
+            return self.report
+        else:
+            difference = (self.all_stamps - self.row_clock)[self.fresh] - np.nanmedian(main.all_stamps - main.row_clock)
         difference = difference[np.isfinite(difference)]
         middle = float(np.median(difference))
         low, high = np.quantile(difference, [0.05, 0.95])
@@ -354,7 +417,7 @@ class _Raw:
         self.values |= cleaned
         return removed
 
-    def world_to_body(self, raw: list["_Raw"], path: Path) -> None:
+    def world_to_body(self, raw: list["MappedSource"], path: Path) -> None:
         """Turn world-axis specific force by the attitude at its own times, body-axis velocity into u v w."""
         if "vx" in self.values and self.source.columns["vx"].body:
             for old, new in zip(VECTORS["velocity"], VECTORS["body velocity"]):
@@ -376,7 +439,7 @@ class _Raw:
             self.values |= {n: force[:, i] for i, n in enumerate(VECTORS["force"])}
 
 
-def _stack(r: "_Raw", names: tuple[str, ...]) -> np.ndarray:
+def _stack(r: "MappedSource", names: tuple[str, ...]) -> np.ndarray:
     return np.stack([r.values[n] for n in names], axis=-1)
 
 

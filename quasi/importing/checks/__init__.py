@@ -22,7 +22,7 @@ def check_recording(recording: Recording, where: str) -> Recording:
 
     where   begins the notes
     """
-    from_table = recording.metadata.get("format") == "table"
+    from_table = bool(recording.metadata.get("mapped"))
     notes = list(recording.notes)
     series = dict(recording.series)
     removed: dict[str, int] = {}
