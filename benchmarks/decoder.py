@@ -20,9 +20,9 @@ import numpy as np
 from stopwatch import best
 
 from quasi import tables
-from quasi.importing.blackbox import Frames, decode, read_blackbox
-from quasi.importing.blackbox_header import find_logs
-from quasi.importing.blackbox_units import WANTED
+from quasi.importing.readers.blackbox import Frames, decode, read_blackbox
+from quasi.importing.readers.blackbox_header import find_logs
+from quasi.importing.readers.blackbox_units import WANTED
 
 RAW = ["--unit-vbat", "raw", "--unit-amperage", "raw", "--unit-flags", "raw", "--unit-rotation", "raw"]
 ORANGEBOX = """
@@ -78,8 +78,8 @@ def memory_added(path: Path, number: int | None) -> float | None:
     """Peak memory that reading adds, bytes, in a fresh process after start-up; None where Linux cannot tell."""
     program = """
 import sys, numpy as np
-from quasi.importing.blackbox import decode, read_blackbox
-from quasi.importing.blackbox_header import find_logs
+from quasi.importing.readers.blackbox import decode, read_blackbox
+from quasi.importing.readers.blackbox_header import find_logs
 def status(key):
     return next(int(l.split()[1]) for l in open("/proc/self/status") if l.startswith(key)) * 1024
 number = int(sys.argv[2]) or None

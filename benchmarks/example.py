@@ -21,12 +21,12 @@ from scipy.signal import butter, sosfiltfilt
 
 from quasi.airframe import read_airframe
 from quasi.attitude import interpolate, to_euler
-from quasi.expressions import Program
 from quasi.identification.candidates import read_specification
-from quasi.standalone.model import read_model
+from quasi.model.model import read_model
 from quasi.synthesis.campaign import flight_of, make_flight, read_campaign
 from quasi.tables import read_json, read_made, read_table, write_json
-from quasi.variables import Variables
+from quasi.terms.expressions import Program
+from quasi.terms.variables import Variables
 
 ROOT = Path(__file__).parents[1]
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")

@@ -26,7 +26,7 @@ from quasi.export.fmu_running import check_forces, check_vehicle
 from quasi.export.fmu_source import forces_fmu, vehicle_fmu
 from quasi.export.python_source import python_file
 from quasi.export.running import check_c, check_python
-from quasi.standalone.model import Model, read_model
+from quasi.model.model import Model, read_model
 from quasi.tables import write_json
 
 ROOT = Path(__file__).resolve().parents[1]

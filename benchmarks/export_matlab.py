@@ -16,7 +16,7 @@ from predict import made
 
 from quasi.export.matlab import write_matlab
 from quasi.export.matlab_check import check_matlab, run_octave
-from quasi.standalone.model import read_model
+from quasi.model.model import read_model
 from quasi.tables import write_json
 
 ROOT = Path(__file__).resolve().parents[1]

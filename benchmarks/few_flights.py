@@ -21,7 +21,7 @@ from hide_and_seek import OUT, SAMPLING
 
 from quasi.gap.flights.gathering import gather
 from quasi.gap.flights.level import Flown
-from quasi.standalone.model import AXES, Model
+from quasi.model.model import AXES, Model
 
 
 def main() -> None:

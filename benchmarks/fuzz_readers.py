@@ -25,11 +25,11 @@ import pyarrow.parquet as pq
 
 from quasi import tables
 from quasi.errors import QuasiError
-from quasi.importing.filter_delays import RPM_NOTCHES, STAGES, header_delays
-from quasi.importing.motive import read_motive
+from quasi.importing.clocks.filter_delays import RPM_NOTCHES, STAGES, header_delays
 from quasi.importing.onboard_log import read_onboard
+from quasi.importing.readers.motive import read_motive
+from quasi.importing.readers.table_reader import read_table_log
 from quasi.importing.series import Recording
-from quasi.importing.table_reader import read_table_log
 from quasi.importing.wind import read_lvm
 from quasi.synthesis.blackbox_writer import NAMES, encode_log, event, slow_frame
 

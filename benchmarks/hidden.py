@@ -23,8 +23,8 @@ from quasi.identification.fit import fit_axis
 from quasi.identification.partition import partition
 from quasi.identification.shared import shared
 from quasi.importing.flight import import_flight
-from quasi.standalone.build import assemble
-from quasi.standalone.model import AXES, Model
+from quasi.model.build import assemble
+from quasi.model.model import AXES, Model
 from quasi.synthesis.campaign import make_flight, quadrotor_configuration, read_campaign, write_flight
 from quasi.synthesis.effects import OFFERED, UNLISTED
 from quasi.synthesis.vehicle import INERTIA, MASS, base_vehicle

@@ -56,7 +56,7 @@ from quasi.gap.diagnosis import diagnose
 from quasi.gap.effect import room_of, vehicle_of
 from quasi.gap.flights.gathering import gather
 from quasi.gap.flights.level import Flown
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 from quasi.synthesis.vehicle import base_vehicle
 from quasi.tables import read_json, write_text
 

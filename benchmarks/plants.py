@@ -33,7 +33,7 @@ from quasi.gap.diagnosis import diagnose
 from quasi.gap.flights.gathering import gather_all
 from quasi.gap.flights.level import Flown
 from quasi.importing.flight import import_flight
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 from quasi.tables import read_json
 
 EXAMPLE = ROOT / "examples/nanodrone"

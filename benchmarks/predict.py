@@ -17,10 +17,10 @@ import numpy as np
 from stopwatch import best
 
 from quasi.airframe import read_airframe, to_plain
-from quasi.standalone.document import SCHEMA
-from quasi.standalone.kernel import INPUTS, Kernel, wrench
-from quasi.standalone.model import Model, read_model
+from quasi.model.document import SCHEMA
+from quasi.model.model import Model, read_model
 from quasi.tables import write_json
+from quasi.terms.kernel import INPUTS, Kernel, wrench
 
 ROOT = Path(__file__).resolve().parents[1]
 COMPILED, SINGLE, BATCH = 0.4e-6, 60e-6, 50e-3  # targets, s

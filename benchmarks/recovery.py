@@ -20,13 +20,13 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 from scipy.special import stdtrit
 
 from quasi.airframe import Airframe, read_airframe
-from quasi.expressions import Program, parse
 from quasi.identification.candidates import Specification, read_specification
 from quasi.identification.fit import fit_axis
 from quasi.identification.partition import TRAINING
 from quasi.identification.regression import least_squares
 from quasi.tables import read_json
-from quasi.variables import Variables
+from quasi.terms.expressions import Program, parse
+from quasi.terms.variables import Variables
 
 ROOT = Path(__file__).resolve().parents[1]
 POOL = "polyCands_DiffSys_quadraticU_symmetric_SIMPLE_FM"

@@ -13,12 +13,12 @@ import os
 import numpy as np
 from stopwatch import best
 
+from quasi.model.model import read_model
 from quasi.simulation.dynamics import scratch_of
 from quasi.simulation.loop import LOG, fly
 from quasi.simulation.replay import replay
 from quasi.simulation.run import simulate, simulate_many
 from quasi.simulation.setup import make_setup
-from quasi.standalone.model import read_model
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.importing.flight import import_flight
-from quasi.provenance import code_of
+from quasi.running.provenance import code_of
 from quasi.synthesis.campaign import Made, make_flight, quadrotor_configuration, read_campaign, write_flight
 from quasi.tables import read_json, write_json
 

@@ -5,13 +5,13 @@ Kept nearly empty on purpose: a stage reruns when a module that it imports chang
 
 import importlib
 
-from quasi.compiled import own_cache
+from quasi.running.compile_cache import own_cache
 
 own_cache()
 
 __version__ = "0.1.0"
 
-_PUBLIC = {"read_model": "quasi.standalone.model"}
+_PUBLIC = {"read_model": "quasi.model.model"}
 
 
 def __getattr__(name: str):

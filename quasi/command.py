@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quasi.errors import QuasiError, nearest
-from quasi.templates import lay_folder, new_simulation
+from quasi.project.folder.templates import lay_folder, new_simulation
 
 if TYPE_CHECKING:
     from quasi.gap.effect import Vehicle
-    from quasi.workflow import Folder
+    from quasi.project.folder.workflow import Folder
 
 LIBRARY = Path(__file__).parent.parent
 
@@ -193,7 +193,7 @@ def check_raw_files(directory: Path, data: str | None) -> tuple[str, int]:
 
 def summarise(model: str, directory: Path) -> str:
     """The summary of a model given by ID or path, with its scores when they stand beside it."""
-    from quasi.standalone.model import read_model
+    from quasi.model.model import read_model
     from quasi.tables import read_text
 
     path = model_place(model, directory)
@@ -221,7 +221,7 @@ def model_place(model: str, directory: Path) -> Path:
 
 def fly_live(name: str | None, directory: Path, by_hand: bool) -> str:
     """Show a simulation live, or fly a model by hand; see `quasi.simulation.live`."""
-    from quasi.project import check_project
+    from quasi.project.folder.folder import check_project
     from quasi.simulation.live import fly_by_hand, fly_simulation
 
     if not by_hand:
@@ -233,10 +233,10 @@ def fly_live(name: str | None, directory: Path, by_hand: bool) -> str:
 
 def margins_of(simulation: str, directory: Path) -> str:
     """Gains and margins of a simulation's controller as text. Raises a QuasiError where it or its model are absent."""
-    from quasi.project import check_project
+    from quasi.model.model import read_model
+    from quasi.project.folder.folder import check_project
     from quasi.simulation.margins import margins_of_setup
     from quasi.simulation.setup import make_setup
-    from quasi.standalone.model import read_model
     from quasi.tables import read_numbers
 
     check_project(directory)
@@ -253,10 +253,10 @@ def reach_of(simulation: str, directory: Path, horizon: float, radius: float, sp
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    from quasi.project import check_project
+    from quasi.model.model import read_model
+    from quasi.project.folder.folder import check_project
     from quasi.simulation.reach import UNITS, reach
     from quasi.simulation.reach_figure import reach_figure
-    from quasi.standalone.model import read_model
     from quasi.tables import read_numbers, whole_file, write_json, write_table
 
     check_project(directory)
@@ -297,7 +297,7 @@ def plan_of(
     from quasi.gap.planning import flight_card
     from quasi.gap.planning.plan import examine
     from quasi.gap.planning.plan_input import flights_of, noise_of
-    from quasi.standalone.model import read_model
+    from quasi.model.model import read_model
     from quasi.tables import write_json, write_text
 
     used = read_model(model_place(model, directory))
@@ -320,8 +320,8 @@ def plan_of(
 
 def folder_of(directory: Path) -> "Folder":
     """The project folder as Snakemake sees it: raw data lies where config/config.yaml says."""
-    from quasi.project import read_settings
-    from quasi.workflow import Folder
+    from quasi.project.folder.folder import read_settings
+    from quasi.project.folder.workflow import Folder
 
     return Folder(directory, data=read_settings(directory / "config/config.yaml").get("data"))
 
@@ -334,7 +334,7 @@ def causes_of(model: str | None, directory: Path, gap: str | None = None) -> str
     from quasi.gap import causes_page
     from quasi.gap.catalogue import catalogue
     from quasi.gap.effect import vehicle_of
-    from quasi.standalone.model import read_model
+    from quasi.model.model import read_model
 
     files = folder_of(directory).gap(gap)["effect files"] if gap is not None else []
     effects = catalogue(directory / p for p in files)
@@ -364,7 +364,7 @@ def import_model(file: Path, name: str, directory: Path, poles: int | None = Non
     Raises a QuasiError for a file that is no such model, for a name that cannot be or that is taken.
     """
     from quasi.errors import ConfigError
-    from quasi.standalone.published import read_published
+    from quasi.model.published import read_published
     from quasi.tables import write_json
 
     model = read_published(file, name, poles)
@@ -392,9 +392,9 @@ def noise_at_rest(
     """
     import json
 
-    from quasi.configuration import check, read, with_section
     from quasi.filtering.noise_statistics import ANGLES, RestLog, noise_statistics, section
     from quasi.importing.rest import read_rest
+    from quasi.project.folder.configuration import check, read, with_section
     from quasi.tables import read_bytes, write_bytes
 
     configuration, _ = read(quadrotor, "quadrotor")

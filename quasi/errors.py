@@ -59,3 +59,27 @@ def quoted(text: object, longest: int = 40) -> str:
     """
     plain = "".join(c if c.isprintable() else "?" for c in str(text)[: longest + 1])
     return f"'{plain[:longest]}...'" if len(plain) > longest else f"'{plain}'"
+
+
+class Caution(str):
+    """A note on a fault that stays in the rows used for regression: the flight is to be used with care.
+
+    Faults that were corrected, or whose rows are marked invalid, need no caution.
+    """
+
+    __slots__ = ()
+
+
+def add_caution(notes: list[str], text: str) -> None:
+    """Append a note that asks for care."""
+    notes.append(Caution(text))
+
+
+def cautions(notes: Iterable[str]) -> list[str]:
+    """The notes that ask for care, as plain text."""
+    return [str(note) for note in notes if isinstance(note, Caution)]
+
+
+def cautions_first(notes: Iterable[str]) -> list[str]:
+    """The notes in their order, those that ask for care first: a run may print only the first ones."""
+    return sorted(notes, key=lambda note: not isinstance(note, Caution))

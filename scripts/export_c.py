@@ -5,8 +5,8 @@ from quasi.export.c_source import c_files
 from quasi.export.compiler import NO_COMPILER, find_compiler, write_files
 from quasi.export.contents import actuators_of
 from quasi.export.running import check_c
-from quasi.joblog import job, tell
-from quasi.standalone.model import read_model
+from quasi.model.model import read_model
+from quasi.running.job_log import job, tell
 
 
 def main(model: str, folder: str) -> None:

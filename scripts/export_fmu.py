@@ -10,9 +10,9 @@ from quasi.export.contents import actuators_of
 from quasi.export.fmu_archive import write_fmu
 from quasi.export.fmu_running import check_forces, check_vehicle
 from quasi.export.fmu_source import forces_fmu, vehicle_fmu
-from quasi.joblog import job, tell
-from quasi.standalone.extensions import wind_of
-from quasi.standalone.model import read_model
+from quasi.model.extensions import wind_of
+from quasi.model.model import read_model
+from quasi.running.job_log import job, tell
 
 
 def main(model: str, folder: str) -> None:

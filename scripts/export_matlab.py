@@ -7,9 +7,9 @@ from quasi.export.agreement import hand_over
 from quasi.export.contents import configured_inputs
 from quasi.export.matlab import write_matlab
 from quasi.export.matlab_check import NO_OCTAVE, check_matlab, find_octave
-from quasi.joblog import job, tell
+from quasi.model.model import read_model
+from quasi.running.job_log import job, tell
 from quasi.simulation.portable import loop_constants, portable_setup
-from quasi.standalone.model import read_model
 
 
 def main(model: str, settings: dict, folder: str) -> None:

@@ -3,11 +3,10 @@
 import time
 
 from quasi.airframe import read_airframe
-from quasi.doubt import gravest_first
 from quasi.errors import ConfigError
 from quasi.filtering.estimation import CONVERGENCE_UNITS
 from quasi.filtering.flight import NONE_VALID, course, filter_flight
-from quasi.joblog import LOG, job, judge, progress
+from quasi.running.job_log import LOG, job, judge, progress
 from quasi.tables import read_json, read_table, write_json, write_table
 
 
@@ -22,7 +21,7 @@ def main(settings: dict, flight: str, metadata: str, output: dict[str, str]) -> 
     LOG.info("%d samples filtered in %.1f s, %.0f a second", len(imported), seconds, len(imported) / seconds)
     if result.metadata["unusable because"]:
         judge("unusable", "; ".join(result.metadata["unusable because"]))
-    for note in gravest_first(n for n in result.metadata["notes"] if not n.startswith(NONE_VALID)):
+    for note in cautions_first(n for n in result.metadata["notes"] if not n.startswith(NONE_VALID)):
         LOG.warning("%s", note)
     for kind, columns in (("with_gravity", result.with_gravity), ("no_gravity", result.no_gravity)):
         about = {**result.metadata, "forces": "withGravity" if kind == "with_gravity" else "noGravity"}

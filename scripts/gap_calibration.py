@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from quasi.airframe import read_airframe
-from quasi.comparisons import recorded_twice, refuse_trained, same_recordings
 from quasi.errors import ConfigError
 from quasi.filtering.flight import filter_flight
 from quasi.gap.calibration.lower import examine, units_of
@@ -15,8 +14,9 @@ from quasi.gap.flights.gathering import refuse_another_vehicle
 from quasi.gap.flights.level import Flown
 from quasi.gap.flights.unusable import USE_UNUSABLE, exclude_unusable, exclusion_notes
 from quasi.importing.flight import import_flight
-from quasi.joblog import LOG, job, progress
-from quasi.standalone.model import read_model
+from quasi.model.model import read_model
+from quasi.project.folder.gaps import recorded_twice, refuse_trained, same_recordings
+from quasi.running.job_log import LOG, job, progress
 from quasi.tables import read_json, read_table, write_json, write_table
 
 

@@ -11,7 +11,6 @@ from pathlib import Path
 import pandas as pd
 
 from quasi.airframe import read_airframe
-from quasi.comparisons import recordings_told, unchecked
 from quasi.errors import ConfigError, DataError
 from quasi.gap.calibration.lower import units_of
 from quasi.gap.catalogue import catalogue, chosen
@@ -22,8 +21,9 @@ from quasi.gap.flights.sessions import sessions_of
 from quasi.gap.flights.unusable import USE_UNUSABLE, exclude_unusable, exclusion_notes
 from quasi.gap.rollouts.open_loop import flight_of, windows
 from quasi.identification.partition import UNITS, partition, to_table
-from quasi.joblog import LOG, job, progress
-from quasi.standalone.model import read_model
+from quasi.model.model import read_model
+from quasi.project.folder.gaps import recordings_told, unchecked
+from quasi.running.job_log import LOG, job, progress
 from quasi.tables import drop_identified_commands, read_json, read_table, recordings_of, write_json, write_table
 
 RATE = 100.0  # Hz, of the comparison of forces and moments

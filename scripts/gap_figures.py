@@ -5,7 +5,7 @@ from pathlib import Path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from quasi.gap.report.figures import figures
-from quasi.joblog import job, progress
+from quasi.running.job_log import job, progress
 from quasi.tables import read_table, whole_file
 
 

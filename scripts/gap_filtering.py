@@ -3,7 +3,7 @@
 from quasi.airframe import read_airframe
 from quasi.errors import ConfigError
 from quasi.filtering.flight import filter_flight
-from quasi.joblog import LOG, job, progress
+from quasi.running.job_log import LOG, job, progress
 from quasi.tables import copy_whole, read_json, read_table, write_json, write_table
 
 

@@ -3,7 +3,7 @@
 from quasi.errors import ReadError
 from quasi.gap.calibration.corrections import for_flight
 from quasi.importing.flight import import_flight
-from quasi.joblog import LOG, job
+from quasi.running.job_log import LOG, job
 from quasi.tables import copy_whole, read_json, write_json, write_table
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from quasi.gap.catalogue import catalogue
 from quasi.gap.report.localised import LEVELS
 from quasi.gap.report.page import page
-from quasi.joblog import job
+from quasi.running.job_log import job
 from quasi.tables import read_bytes, read_json, read_table, write_text
 
 

@@ -8,9 +8,9 @@ from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis
 from quasi.identification.partition import from_table
 from quasi.identification.steps import describe_steps
-from quasi.joblog import LOG, job, progress
-from quasi.normalisation import normalisation_of
+from quasi.running.job_log import LOG, job, progress
 from quasi.tables import read_json, read_table, write_json
+from quasi.terms.normalisation import normalisation_of
 
 
 def main(flights: list[str], shared: str, partition: str, settings: dict, output: str) -> None:

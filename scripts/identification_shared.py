@@ -8,7 +8,7 @@ from quasi.identification.isolation import excited
 from quasi.identification.partition import EXCITED, partition, to_table
 from quasi.identification.partition import UNITS as PARTITION_UNITS
 from quasi.identification.shared import left_out_notes, refuse_speedless, shared, unusable_flights
-from quasi.joblog import LOG, job, progress
+from quasi.running.job_log import LOG, job, progress
 from quasi.tables import (
     ages_taken_off,
     drop_identified_commands,

@@ -1,10 +1,9 @@
 """Import one flight: read its sources, synchronise their clocks, fuse them on one time base."""
 
-from quasi.doubt import gravest_first
 from quasi.errors import ReadError
 from quasi.importing.flight import import_flight
-from quasi.joblog import LOG, job, judge
-from quasi.logbook import describe_row
+from quasi.project.folder.logbook import describe_row
+from quasi.running.job_log import LOG, job, judge
 from quasi.tables import write_json, write_table
 
 
@@ -19,7 +18,7 @@ def main(settings: dict, logbook: str, flight: str, metadata: str) -> None:
     about["logbook"] = describe_row(logbook, settings["flight"]["quadrotor"], settings["flight"]["flight"])
     if about["verdict"] != "good":
         judge(about["verdict"], about["verdict because"])
-    for note in gravest_first(about["notes"]):
+    for note in cautions_first(about["notes"]):
         LOG.warning("%s", note)
     write_table(flight, columns, made=about)
     write_json(metadata, about)

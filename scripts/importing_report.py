@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 
 from quasi.filtering.figures import figures
 from quasi.importing.figures import alignment_figure, close_up, trajectory_figure
-from quasi.joblog import job
 from quasi.pages.flight import page, saturation, verdict
 from quasi.pages.gyro_spectrum import gyro_spectrum
+from quasi.running.job_log import job
 from quasi.tables import read_json, read_table, write_bytes, write_json, write_text
 
 # figure: heading, caption; in the order of the page

@@ -1,9 +1,9 @@
 """Read the raw files of a model, a gap or all processed flights; stop where they show that it cannot be made."""
 
-from quasi.comparisons import repeated_recordings
 from quasi.errors import DataError
 from quasi.importing.inspection import MEMORY, Inspector, refusals
-from quasi.joblog import LOG, job, progress, tell
+from quasi.project.folder.gaps import repeated_recordings
+from quasi.running.job_log import LOG, job, progress, tell
 from quasi.tables import write_json
 
 

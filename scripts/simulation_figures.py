@@ -4,9 +4,9 @@ from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from quasi.joblog import job, progress
+from quasi.model.model import read_model
+from quasi.running.job_log import job, progress
 from quasi.simulation.figures import simulation_figures
-from quasi.standalone.model import read_model
 from quasi.tables import read_json, read_table, whole_file
 
 

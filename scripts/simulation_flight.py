@@ -1,10 +1,10 @@
 """Simulate a model in closed loop; write its table, its summary, and the summary as text."""
 
-from quasi.joblog import job
+from quasi.model.model import read_model
+from quasi.running.job_log import job
 from quasi.simulation.result import report
 from quasi.simulation.run import simulate
 from quasi.simulation.setup import make_setup
-from quasi.standalone.model import read_model
 from quasi.tables import read_numbers, write_json, write_table, write_text
 
 

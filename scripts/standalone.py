@@ -3,7 +3,7 @@
 import shutil
 from pathlib import Path
 
-from quasi.joblog import job, tell
+from quasi.running.job_log import job, tell
 from quasi.tables import read_text
 
 

@@ -5,8 +5,9 @@ from pathlib import Path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from quasi.identification.partition import ROLES, TRAINING, isolated, judged_rows
-from quasi.joblog import job, progress
-from quasi.standalone.figures import (
+from quasi.model.model import read_model
+from quasi.running.job_log import job, progress
+from quasi.scoring.figures import (
     actuator_figure,
     closeup,
     comparison,
@@ -14,8 +15,7 @@ from quasi.standalone.figures import (
     isolation_figure,
     quartile_figure,
 )
-from quasi.standalone.model import read_model
-from quasi.standalone.review import review
+from quasi.scoring.review import review
 from quasi.tables import masses_of, read_made, read_table, whole_file
 
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 from quasi.airframe import from_plain
 from quasi.identification.partition import fitted
-from quasi.joblog import job
-from quasi.standalone.build import assemble, with_differential_form
-from quasi.standalone.envelope import covered
+from quasi.model.build import assemble, with_differential_form
+from quasi.model.envelope import covered
+from quasi.running.job_log import job
 from quasi.tables import fingerprint, read_json, read_table, write_json
 
 

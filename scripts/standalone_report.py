@@ -1,7 +1,7 @@
 """The page of a model: verdict, scores, a comparison to zoom into, coverage, terms, rotors, warnings."""
 
-from quasi.joblog import job
 from quasi.pages.model import page
+from quasi.running.job_log import job
 from quasi.tables import read_json, read_table, write_text
 
 

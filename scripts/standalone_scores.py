@@ -3,14 +3,14 @@
 from pathlib import Path
 
 from quasi.identification.partition import ROLES, judged_rows
-from quasi.joblog import LOG, job, progress
-from quasi.standalone.diagnostics import COVERAGE_UNITS
-from quasi.standalone.model import read_model
-from quasi.standalone.review import review
-from quasi.standalone.score import UNITS
-from quasi.standalone.summary import summary_json, summary_latex, summary_text
-from quasi.standalone.thinning import thin, thinned_units
-from quasi.standalone.verdict import lower, unusable_held_out
+from quasi.model.model import read_model
+from quasi.running.job_log import LOG, job, progress
+from quasi.scoring.diagnostics import COVERAGE_UNITS
+from quasi.scoring.review import review
+from quasi.scoring.score import UNITS
+from quasi.scoring.summary import summary_json, summary_latex, summary_text
+from quasi.scoring.thinning import thin, thinned_units
+from quasi.scoring.verdict import lower, unusable_held_out
 from quasi.tables import masses_of, read_made, read_table, write_json, write_table, write_text
 
 

@@ -6,9 +6,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from quasi.airframe import read_airframe
 from quasi.errors import ConfigError, DataError
-from quasi.joblog import LOG, job, progress
 from quasi.pages.animation import animate, can_write_mp4
 from quasi.pages.drawing import motion_of, trajectories
+from quasi.running.job_log import LOG, job, progress
 from quasi.tables import read_table, whole_file
 
 

@@ -1,6 +1,6 @@
 """Make one flight of a campaign and write it as a raw on-board log, a capture export and the truth."""
 
-from quasi.joblog import job
+from quasi.running.job_log import job
 from quasi.synthesis.campaign import flight_of, make_flight, read_campaign, write_flight
 
 

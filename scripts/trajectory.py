@@ -4,8 +4,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from quasi.airframe import read_airframe
 from quasi.errors import ConfigError
-from quasi.joblog import job
 from quasi.pages.drawing import TRAJECTORY, flown_motion, flown_rows, trajectories
+from quasi.running.job_log import job
 from quasi.tables import read_fields, read_json, read_table, whole_file, write_table
 
 

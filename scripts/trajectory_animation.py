@@ -4,9 +4,9 @@ from pathlib import Path
 
 from quasi.airframe import read_airframe
 from quasi.errors import ConfigError
-from quasi.joblog import LOG, job
 from quasi.pages.animation import animate
 from quasi.pages.drawing import flown_motion, flown_rows
+from quasi.running.job_log import LOG, job
 from quasi.tables import read_json, read_table
 
 TRAIL = 5.0  # s of the path behind the quadrotor, as in the animations of a model's flights

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quasi.errors import DataError
-from quasi.standalone.differential import differential_system
-from quasi.standalone.kernel import INPUTS
-from quasi.standalone.model import AXES, Model
+from quasi.model.model import AXES, Model
 from quasi.tables import write_json, write_text
+from quasi.terms.differential import differential_system
+from quasi.terms.kernel import INPUTS
 
 ROWS = 10_000
 LIMIT = 1e-12  # of the relative difference, float64

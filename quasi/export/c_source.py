@@ -25,9 +25,9 @@ from quasi.export.contents import (
 )
 from quasi.export.listing import Listing, Output, Writer, of_derivatives, of_model, of_region, weighted
 from quasi.export.naming import identifier, shown
-from quasi.standalone.differential import RATES
-from quasi.standalone.kernel import INPUTS
-from quasi.standalone.model import AXES, Model
+from quasi.model.model import AXES, Model
+from quasi.terms.differential import RATES
+from quasi.terms.kernel import INPUTS
 
 _MATHS = {"abs": "fabs", "sqrt": "sqrt", "sin": "sin", "cos": "cos", "log": "log", "power": "pow", "rint": "rint",
           "exp": "exp", "floor": "floor"}  # fmt: skip

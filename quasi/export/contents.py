@@ -9,10 +9,10 @@ from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
 from quasi.export.naming import identifier, shown
-from quasi.standalone.extensions import drive_of, extensions_of, said_of_rotors
-from quasi.standalone.kernel import INPUTS
-from quasi.standalone.model import AXES, Model
-from quasi.variables import inputs_of_system
+from quasi.model.extensions import drive_of, extensions_of, said_of_rotors
+from quasi.model.model import AXES, Model
+from quasi.terms.kernel import INPUTS
+from quasi.terms.variables import inputs_of_system
 
 PREFIX = "quasi_"
 ROTORS = ("w1", "w2", "w3", "w4")

@@ -16,9 +16,9 @@ from quasi.errors import DataError
 from quasi.export.agreement import Check, States, compare, states_of, wrench_of
 from quasi.export.contents import actuators_of
 from quasi.export.fmu_source import LONGEST_STEP, STATE_NAMES, Fmu
-from quasi.standalone.extensions import wind_of
-from quasi.standalone.kernel import INPUTS
-from quasi.standalone.model import AXES, Model
+from quasi.model.extensions import wind_of
+from quasi.model.model import AXES, Model
+from quasi.terms.kernel import INPUTS
 
 MODEL_EXCHANGE, CO_SIMULATION = 0, 1
 _STEPS = 50

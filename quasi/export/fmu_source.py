@@ -29,10 +29,10 @@ from quasi.export.contents import (
     voltage_of,
 )
 from quasi.export.naming import shown
-from quasi.standalone.extensions import wind_of
-from quasi.standalone.kernel import INPUTS
-from quasi.standalone.model import AXES, Model
+from quasi.model.extensions import wind_of
+from quasi.model.model import AXES, Model
 from quasi.tables import COLUMNS, read_text
+from quasi.terms.kernel import INPUTS
 
 ROWS = 4096  # commands that are remembered for a delay
 NO_LIMIT = 1e9  # rad/s, where the airframe tells no highest speed

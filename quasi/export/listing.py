@@ -1,6 +1,6 @@
 """A compiled model as a list of named values, for writing it in another language with the same operations.
 
-A kernel (`quasi.standalone.kernel`) is arithmetic in flat arrays. Here it becomes readable again: what is used once
+A kernel (`quasi.terms.kernel`) is arithmetic in flat arrays. Here it becomes readable again: what is used once
 stands inside what uses it, what is used more often gets a name, and variables of the model's own terms (U_p, w_avg)
 keep theirs. The order of operations is the kernel's, so that results agree to the last digits.
 
@@ -13,13 +13,13 @@ An expression is a plain tuple:
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-from quasi.expressions import names
-from quasi.standalone import kernel as k
-from quasi.standalone.differential import held_of
-from quasi.standalone.graph import Graph, Value
-from quasi.standalone.kernel import Kernel, compile_outputs
-from quasi.standalone.model import AXES, Model
-from quasi.variables import plain_name
+from quasi.model.model import AXES, Model
+from quasi.terms import kernel as k
+from quasi.terms.differential import held_of
+from quasi.terms.expressions import names
+from quasi.terms.graph import Graph, Value
+from quasi.terms.kernel import Kernel, compile_outputs
+from quasi.terms.variables import plain_name
 
 Expression = tuple
 _OF = {
@@ -190,7 +190,7 @@ def of_derivatives(model: Model, by: Sequence[str]) -> Listing:
 
 
 def of_region(model: Model) -> Listing:
-    """What the covered region of a model compares with its limits, see `quasi.standalone.envelope`."""
+    """What the covered region of a model compares with its limits, see `quasi.model.envelope`."""
     kernel = model.region.kernel
     return listing_of(kernel, model.inputs, kernel.outputs)
 

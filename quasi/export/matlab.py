@@ -23,14 +23,14 @@ from quasi.export.agreement import states_of
 from quasi.export.contents import check_exportable
 from quasi.export.matlab_simulation import write_simulation
 from quasi.export.matlab_terms import axis_file, differential_file, matlab_name, wrench_file
-from quasi.normalisation import LEAST_AIRSPEED
-from quasi.singularities import lowest_speeds
-from quasi.standalone.differential import differential_system
-from quasi.standalone.extensions import drive_of
-from quasi.standalone.kernel import INPUTS
-from quasi.standalone.model import AXES, Model
+from quasi.model.extensions import drive_of
+from quasi.model.model import AXES, Model
 from quasi.tables import read_text, write_bytes, write_text
-from quasi.variables import inputs_of_system
+from quasi.terms.differential import differential_system
+from quasi.terms.kernel import INPUTS
+from quasi.terms.normalisation import LEAST_AIRSPEED
+from quasi.terms.singularities import lowest_speeds
+from quasi.terms.variables import inputs_of_system
 
 FILES = Path(__file__).parent / "matlab_files"
 _UNKNOWN = float("nan")

@@ -16,7 +16,7 @@ from quasi.errors import DataError
 from quasi.export.agreement import LIMIT, Check, compare, form_of, names_of_form, states_of, wrench_of
 from quasi.export.matlab import write_mat
 from quasi.export.matlab_terms import matlab_name
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 from quasi.tables import read_bytes, write_text
 
 NO_OCTAVE = "GNU Octave was not found; install octave, or run check_model in MATLAB in this folder"

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from quasi.export.matlab_terms import number
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 from quasi.tables import read_text, write_text
 
 _OF_LOOP = (

@@ -12,13 +12,13 @@ import numpy as np
 from quasi.errors import ConfigError
 from quasi.export.contents import head
 from quasi.export.naming import identifier, name_of, shown
-from quasi.expressions import Tree, names
-from quasi.standalone.differential import held_of
-from quasi.standalone.graph import ONE, Graph
-from quasi.standalone.kernel import INPUTS
-from quasi.standalone.model import AXES, Model
+from quasi.model.model import AXES, Model
 from quasi.tables import COLUMNS
-from quasi.variables import known_names, plain_name, split_function
+from quasi.terms.differential import held_of
+from quasi.terms.expressions import Tree, names
+from quasi.terms.graph import ONE, Graph
+from quasi.terms.kernel import INPUTS
+from quasi.terms.variables import known_names, plain_name, split_function
 
 EXTRA = "x_"  # before the identifiers of columns that are not known
 _LONGEST = 63  # characters that MATLAB tells names apart by
@@ -208,7 +208,7 @@ def wrench_file(model: Model) -> str:
 
 
 def differential_file(model: Model, u: tuple[str, ...]) -> str:
-    """get_PQRDiffSys.m: A and B of d/dt (dx/dt) = A dx/dt + B du/dt, x = (p, q, r), see `standalone.differential`."""
+    """get_PQRDiffSys.m: A and B of d/dt (dx/dt) = A dx/dt + B du/dt, x = (p, q, r), see `quasi.terms.differential`."""
     graph, terms = model.graph(held_of(u))
     by = ("p", "q", "r", *u)
     wrt = [graph.independent(name) for name in by]

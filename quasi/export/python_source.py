@@ -21,9 +21,9 @@ from quasi.export.contents import (
 )
 from quasi.export.listing import Expression, Listing, Output, Writer, of_derivatives, of_model, of_region, weighted
 from quasi.export.naming import identifier, shown
-from quasi.standalone.differential import RATES
-from quasi.standalone.kernel import INPUTS
-from quasi.standalone.model import AXES, Model
+from quasi.model.model import AXES, Model
+from quasi.terms.differential import RATES
+from quasi.terms.kernel import INPUTS
 
 _FUNCTIONS = {"abs": "np.abs", "sqrt": "np.sqrt", "sin": "np.sin", "cos": "np.cos", "log": "np.log",
               "power": "np.power", "divide": "np.divide", "sign": "np.sign", "wrap": "_wrap"}  # fmt: skip

@@ -25,7 +25,7 @@ from quasi.export.agreement import (
 )
 from quasi.export.compiler import shared_library, write_files
 from quasi.export.contents import differential_inputs, has_region, name_in_source
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 
 
 class Found(NamedTuple):

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from quasi.doubt import doubt
-from quasi.errors import ConfigError
+from quasi.errors import ConfigError, add_caution
 from quasi.filtering import forces, harmonics
 
 KIND = "zero-phase, the same for rates, accelerations, rotor speeds and commands: a Kaiser-windowed sinc"
@@ -88,7 +87,7 @@ def choose(
     metadata: dict[str, Any] = {"kind": KIND, "low-pass cutoff Hz": cutoff, "rotor notches": None}
     if speeds is None or not speeds.any():
         if wanted:
-            doubt(notes, "'rotor notch harmonics' asks for notches, but no rotor speed is known: none were made")
+            add_caution(notes, "'rotor notch harmonics' asks for notches, but no rotor speed is known: none were made")
         return Band(cutoff, rate, None, metadata)
     if not 0.5 * rate - 2.0 * width > lowest:
         if not wanted:  # nothing to look for on so slow a grid
@@ -121,7 +120,7 @@ def _cutoff(wanted: float, logged: float, rate: float, notes: list[str]) -> floa
         )
         wanted = forces.HIGHEST * rate
     if wanted > 0.5 * logged:
-        doubt(
+        add_caution(
             notes,
             f"the low-pass cut-off of {wanted:g} Hz is beyond half the log's rate of {logged:.0f} Hz: nothing between "
             "was measured; log faster, or lower 'low-pass cutoff Hz'",
@@ -137,7 +136,7 @@ def _left_in(
     for order in np.unique(found.harmonic):
         share = float(low[flying][:, found.harmonic == order].mean()) if flying.any() else 0.0
         if share > SELDOM:
-            doubt(
+            add_caution(
                 notes,
                 f"harmonic {order} of the rotors folds below {lowest:g} Hz at the log's rate of {logged:.0f} Hz in "
                 f"{100 * share:.3g} % of the flight, where motion is, and stays in; log at another rate",
@@ -162,7 +161,7 @@ def _warn(
             folded = f", folded from {true:.0f} Hz" if true > stands + 1.0 else ""
             told.append(f"harmonic {order} near {stands:.0f} Hz{folded}")
     if told:
-        doubt(
+        add_caution(
             notes,
             f"vibration that moves with the rotors' speed ({'; '.join(told)}; the log's rate is {logged:.0f} Hz) "
             f"passes the low-pass of {cutoff:g} Hz; lower 'low-pass cutoff Hz' or set 'rotor notch harmonics' to "

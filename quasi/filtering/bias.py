@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from quasi import attitude
-from quasi.doubt import doubt
+from quasi.errors import add_caution
 from quasi.filtering.measurements import coarseness, spans
 
 BLOCK = 0.1  # s
@@ -194,7 +194,7 @@ def phases(
         if idle is not None and 1.5 * idle < 0.8 * top:
             threshold = 1.5 * idle
         elif idle is not None:
-            doubt(
+            add_caution(
                 notes,
                 f"the idle speed of the quadrotor configuration is {idle:.0f} rad/s where the rotors turn at "
                 f"{top:.0f} rad/s "
@@ -202,7 +202,7 @@ def phases(
             )
         take_off, never = take_off_sample(speeds, threshold, max(2, round(0.02 / dt)))
         for rotor in never:
-            doubt(
+            add_caution(
                 notes, f"rotor {rotor} never reaches the take-off speed of {threshold:.0f} rad/s; check its telemetry"
             )
     ground = find_ground(gyro, accel, speeds, position, dt)

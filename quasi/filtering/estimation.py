@@ -10,8 +10,7 @@ import pandas as pd
 
 from quasi import attitude
 from quasi.airframe import Airframe
-from quasi.doubt import doubt
-from quasi.errors import DataError
+from quasi.errors import DataError, add_caution
 from quasi.filtering import bias as biases
 from quasi.filtering import ekf, measurements, noise, timing
 from quasi.filtering.smoother import smooth
@@ -309,7 +308,7 @@ def _consistency(forward: ekf.Pass, notes: list[str]) -> dict[str, dict[str, Any
     nis = noise.consistency(forward)
     for kind, entry in nis.items():
         if said := noise.beyond(entry):
-            doubt(notes, f"the filter is not consistent in {kind}: {'; '.join(said)}")
+            add_caution(notes, f"the filter is not consistent in {kind}: {'; '.join(said)}")
     return nis
 
 
@@ -425,7 +424,7 @@ def _apply(
         }
         apart = np.abs(rest - whole) / np.hypot(rest_std, whole_std)
         for i in np.flatnonzero(apart > DRIFT_SIGMAS):
-            doubt(
+            add_caution(
                 notes,
                 f"the bias of {SENSORS[i]} differs between the rest ({rest[i]:.4g}) and the whole flight "
                 f"({whole[i]:.4g}) by "

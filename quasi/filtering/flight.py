@@ -10,8 +10,7 @@ import pandas as pd
 
 from quasi import attitude
 from quasi.airframe import Airframe
-from quasi.doubt import doubt, doubts
-from quasi.errors import ConfigError, DataError
+from quasi.errors import ConfigError, DataError, add_caution, cautions
 from quasi.filtering import band as bands
 from quasi.filtering import bias as biases
 from quasi.filtering import ekf, estimation, forces, measurements
@@ -106,7 +105,7 @@ def _check(airframe: Airframe, notes: list[str]) -> None:
             f"{airframe.name}: 'moment of inertia' is not positive definite; check its entries and units (kg m2)"
         )
     if said := impossible_inertia(inertia):
-        doubt(notes, f"{airframe.name}: {said}")
+        add_caution(notes, f"{airframe.name}: {said}")
 
 
 def _filled(frame: pd.DataFrame, names: list[str], notes: list[str]) -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -243,7 +242,7 @@ def filter_flight(
         "imported": dict(imported_metadata),
         "options": chosen,
         "notes": notes,
-        "doubts": doubts(notes),
+        "doubts": cautions(notes),
     }
     metadata |= judge_flight(imported, imported_metadata, metadata, found.rest)
     return Filtered(with_gravity, no_gravity, metadata, run.convergence)

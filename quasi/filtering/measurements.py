@@ -8,8 +8,7 @@ import numpy as np
 import pandas as pd
 
 from quasi import attitude
-from quasi.doubt import doubt
-from quasi.errors import DataError
+from quasi.errors import DataError, add_caution
 from quasi.filtering.ekf import ATTITUDE, KINDS, POSITION, STATES, VELOCITY
 from quasi.saturation import clipped
 
@@ -139,7 +138,7 @@ def read_imu(frame: pd.DataFrame, step: np.ndarray | None = None) -> Imu:
         absurd = ~bad & (np.abs(values) > LARGEST[sensor])
         if absurd.any():
             first = int(np.argmax(absurd))
-            doubt(
+            add_caution(
                 notes,
                 f"{sensor} channel '{name}' is {values[first]:.4g} at t = {t[first]:.3f} s, more than any sensor "
                 f"measures ({LARGEST[sensor]:g}), and so in {int(absurd.sum())} samples; they count as missing: check "
@@ -275,7 +274,7 @@ def collect(
         with np.errstate(invalid="ignore"):
             finite = (np.abs(values[kind]) <= {"velocity": FASTEST}.get(kind, FARTHEST)).all(axis=1)
         if (fresh & ~finite).any():
-            doubt(
+            add_caution(
                 notes,
                 f"{int((fresh & ~finite).sum())} samples of {kind} are not finite or beyond all reason and are left "
                 "out",
@@ -283,7 +282,7 @@ def collect(
         fresh &= finite
         capture = said.startswith("capture")
         if fresh.any() and np.ptp(values[kind][fresh], axis=0).max() == 0.0 and fresh.sum() > 10:
-            doubt(notes, f"the measured {kind} is constant all through the flight and is left out; check its source")
+            add_caution(notes, f"the measured {kind} is constant in the whole flight and is left out; check its source")
             fresh[:] = False
         if kind == "velocity" and used[:, POSITION].any() and capture:
             fresh[:] = False  # the same information as the position
@@ -306,7 +305,7 @@ def collect(
     body = not known.all()
     velocity = uvw if body else attitude.rotate(quaternion, uvw)
     if source["attitude"] == "none":
-        doubt(
+        add_caution(
             notes,
             "no attitude source: attitude is estimated from gyro, accelerometer and the measured motion; "
             "its heading is only as good as the manoeuvres make it",
@@ -317,12 +316,12 @@ def collect(
         velocity, body = np.zeros((n, 3)), False
         std[VELOCITY] = STILL_STD
         source["velocity"] = "standing still" if still.any() else "none"
-        doubt(
+        add_caution(
             notes,
             "no position and no velocity source: velocity is integrated from the accelerometer and drifts in flight",
         )
     elif source["position"] == "none":
-        doubt(notes, "no position source: position is integrated from velocity and drifts")
+        add_caution(notes, "no position source: position is integrated from velocity and drifts")
     return Measurements(
         used,
         np.ascontiguousarray(quaternion),

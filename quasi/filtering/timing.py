@@ -15,7 +15,7 @@ from quasi.filtering.ekf import Inputs, Pass
 VELOCITY_ROW = 3  # of the error covariance; position follows it
 
 
-def doubt(metadata: Mapping[str, Any], t: np.ndarray) -> np.ndarray:
+def clock_uncertainty(metadata: Mapping[str, Any], t: np.ndarray) -> np.ndarray:
     """Standard error (N,) of the capture's times, s, at the grid's times t (N,); zero where nothing was aligned.
 
     metadata  of the import: "synchronisation" with "lag" (its value and error hold at "at capture time") and

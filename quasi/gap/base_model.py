@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quasi.gap.flights.evidence import Evidence
-from quasi.standalone.model import AXES, Model
+from quasi.model.model import AXES, Model
 
 NEAR_NOTHING = 0.1  # share of the variance that a model must explain for an axis to count
 

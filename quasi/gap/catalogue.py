@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from quasi.errors import ConfigError, DataError, QuasiError, nearest
-from quasi.expressions import Program, parse
 from quasi.gap import effects
 from quasi.gap.effect import Effect, Terms, Values, Vehicle
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.own_effect import effect_of
-from quasi.standalone.model import AXES
-from quasi.variables import Variables
+from quasi.model.model import AXES
+from quasi.terms.expressions import Program, parse
+from quasi.terms.variables import Variables
 
 
 def catalogue(own: Iterable[str | Path] = ()) -> dict[str, Effect]:

@@ -44,8 +44,8 @@ from quasi.gap.wrench.gain import Squares, after, removed, wrench_squares
 from quasi.gap.wrench.held_out import best_wrong, everything, made_of, telling
 from quasi.gap.wrench.tables import wrench_tables
 from quasi.gap.wrench.worth import Cause
-from quasi.standalone.extensions import configured_mass
-from quasi.standalone.model import AXES, Model
+from quasi.model.extensions import configured_mass
+from quasi.model.model import AXES, Model
 
 SCHEMA = "quasi.gap/1"
 SAMPLING = 100.0  # Hz of the comparison of forces and moments

@@ -15,8 +15,8 @@ import numpy as np
 from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.errors import ConfigError
 from quasi.gap.flights.evidence import Evidence, rotor_levers
-from quasi.logbook import NAME
-from quasi.standalone.model import Model
+from quasi.model.model import Model
+from quasi.project.folder.folder.logbook import NAME
 
 LEVELS = ("K", "A", "W")
 PARTS = ("any", "all", "first", "one", "next")

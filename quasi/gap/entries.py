@@ -11,7 +11,7 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.rollouts.confirmation import Settled
 from quasi.gap.wrench.examination import Found
 from quasi.gap.wrench.worth import Cause
-from quasi.standalone.extensions import mass_in
+from quasi.model.extensions import mass_in
 
 # shares of resamples in which a cause alone, the strongest of several, another one must be found again
 ALONE, SURE, BESIDE = 0.2, 0.5, 0.8

@@ -12,9 +12,9 @@ import numpy as np
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
 from quasi.gap.effect import EARTH, Effect, Extension, Values, Vehicle
+from quasi.model.extensions import CONFIGURED, said_of_rotors, wind_of
+from quasi.model.model import AXES, Model
 from quasi.simulation.variants import named, parts_of
-from quasi.standalone.extensions import CONFIGURED, said_of_rotors, wind_of
-from quasi.standalone.model import AXES, Model
 
 
 def extension_of(effect: Effect, values: Values, vehicle: Vehicle, model: Model) -> Extension:

@@ -16,8 +16,8 @@ import numpy as np
 
 from quasi.errors import ConfigError, QuasiError, nearest
 from quasi.gap.effect import Effect, Room, Vehicle
-from quasi.standalone.model import AXES
-from quasi.variables import check_expression
+from quasi.model.model import AXES
+from quasi.terms.variables import check_expression
 
 FUNCTIONS = ("terms", "columns", "curved", "whole", "extension", "sums")  # of an effect, which a user writes
 ARM = 0.06  # m

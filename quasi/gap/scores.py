@@ -13,7 +13,7 @@ from quasi.gap.rollouts.rollout_gain import Beside
 from quasi.gap.wrench.examination import Found
 from quasi.gap.wrench.gain import Squares, after, before, removed, wrench_squares
 from quasi.gap.wrench.worth import Cause
-from quasi.standalone.model import AXES, Model
+from quasi.model.model import AXES, Model
 
 
 def scored(

@@ -15,7 +15,7 @@ from quasi.gap.wrench.case import Case
 from quasi.gap.wrench.examination import Found
 from quasi.gap.wrench.gain import after
 from quasi.gap.wrench.worth import Cause
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 
 FORCES = ("Fx", "Fy", "Fz")
 HORIZON = 0.5  # s, at which a gain in roll-outs is told

@@ -17,7 +17,7 @@ from quasi.gap.rollouts.open_loop import CHANNELS, PLAIN, TOLD, TRIMMED, fell, r
 from quasi.gap.statistics import blocks
 from quasi.gap.wrench.gain import Squares, after, before, wrench_squares
 from quasi.gap.wrench.worth import Cause
-from quasi.standalone.model import AXES, Model
+from quasi.model.model import AXES, Model
 
 FORCES = "forces"  # the line of a loss of forces and moments
 SAME = 0.05  # share by which an error must exceed that of the model without causes to be a cause's fault

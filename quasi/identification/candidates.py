@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from quasi.errors import ConfigError, ExpressionError, nearest
-from quasi.expressions import Tree, canonical, parse
-from quasi.variables import SYNONYMS
+from quasi.terms.expressions import Tree, canonical, parse
+from quasi.terms.variables import SYNONYMS
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 LARGEST_POOL = 200_000

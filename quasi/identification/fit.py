@@ -9,7 +9,6 @@ import pandas as pd
 
 from quasi.airframe import Airframe
 from quasi.errors import DataError, ExpressionError, nearest
-from quasi.expressions import Program, Tree, names
 from quasi.identification.candidates import BIAS, Specification, Term
 from quasi.identification.evidence import Totals, interchangeable
 from quasi.identification.partition import TRAINING
@@ -20,9 +19,10 @@ from quasi.identification.steps import biases
 from quasi.identification.stepwise import RIVALS, Options, Selection, select
 from quasi.identification.structure import inclusion, leave_one_flight_out
 from quasi.identification.warnings import warnings
-from quasi.normalisation import Normalisation
-from quasi.singularities import remove_singularities
-from quasi.variables import Variables, base_columns, unit_of
+from quasi.terms.expressions import Program, Tree, names
+from quasi.terms.normalisation import Normalisation
+from quasi.terms.singularities import remove_singularities
+from quasi.terms.variables import Variables, base_columns, unit_of
 
 UNITS = {**dict.fromkeys(("Fx", "Fy", "Fz"), "N"), **dict.fromkeys(("Mx", "My", "Mz"), "N m")}
 ROTORS = ("w1", "w2", "w3", "w4")

@@ -11,10 +11,10 @@ import numpy as np
 
 from quasi.airframe import Airframe
 from quasi.errors import DataError
-from quasi.expressions import Program, parse
 from quasi.identification.regression import least_squares
 from quasi.plausibility import impossible_inertia
-from quasi.variables import Variables
+from quasi.terms.expressions import Program, parse
+from quasi.terms.variables import Variables
 
 SURE = 5.0  # standard errors
 APART = 0.6  # of the arm, between where a rotor is said to be and where it seems to be

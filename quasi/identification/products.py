@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from quasi.expressions import Program, Tree
+from quasi.terms.expressions import Program, Tree
 
 CHUNK = 4096  # rows at a time: a pool of a thousand columns then takes 32 MB
 CELLS = 256  # stretches over all flights

@@ -14,10 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from quasi.airframe import Airframe
-from quasi.expressions import Program, names
 from quasi.identification.candidates import BIAS, Specification, Term
-from quasi.normalisation import Normalisation
-from quasi.variables import Variables, base_columns
+from quasi.terms.expressions import Program, names
+from quasi.terms.normalisation import Normalisation
+from quasi.terms.variables import Variables, base_columns
 
 STATES = 48  # random states at which regressors are compared
 DEPENDENT = 1e-9  # share of a column left after the others that is no more than rounding

@@ -12,12 +12,12 @@ import pandas as pd
 from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
-from quasi.expressions import Program, parse
 from quasi.identification.actuators import actuators
 from quasi.identification.geometry import BESIDE, contradictions
 from quasi.identification.partition import TRAINING
 from quasi.identification.regression import least_squares
-from quasi.variables import Variables
+from quasi.terms.expressions import Program, parse
+from quasi.terms.variables import Variables
 
 UPRIGHT = 0.99  # share of gravity along body z from which a sample counts as hover
 LEAST_HOVER = 50  # samples

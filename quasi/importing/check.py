@@ -3,12 +3,12 @@
 from contextlib import chdir
 from pathlib import Path
 
-from quasi.comparisons import repeated_recordings
 from quasi.importing.inspection import MEMORY, Inspector, empty_result, refusals
 from quasi.importing.inspection_report import report
-from quasi.project import check_project, read_settings
-from quasi.provenance import code_of
-from quasi.workflow import Folder
+from quasi.project.folder.folder import check_project, read_settings
+from quasi.project.folder.gaps import repeated_recordings
+from quasi.project.folder.workflow import Folder
+from quasi.running.provenance import code_of
 
 
 def check_folder(directory: Path, library: Path, data: str | None = None) -> tuple[str, int]:

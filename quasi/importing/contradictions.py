@@ -8,8 +8,8 @@ import numpy as np
 
 from quasi.attitude import GRAVITY, body_rates, continuous, interpolate, rotate, rotate_inverse
 from quasi.errors import DataError
-from quasi.importing.clocks import uniform
-from quasi.importing.synchronisation import Motion
+from quasi.importing.clocks.clock_fit import uniform
+from quasi.importing.clocks.synchronisation import Motion
 
 RATE, BAND = 100.0, 3.0  # Hz
 LEAST_TURNING = 0.1  # rad/s, rms body rate below which nothing can be said of an attitude

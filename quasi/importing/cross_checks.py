@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from quasi.attitude import interpolate
+from quasi.importing.clocks.synchronisation import Synchronisation
 from quasi.importing.contradictions import compare_forces, exchanged_axes, length_ratio, rate_gains
 from quasi.importing.onboard_log import ATTITUDE, POSITION, Onboard
 from quasi.importing.series import Series
-from quasi.importing.synchronisation import Synchronisation
 from quasi.plausibility import (
     Contradiction,
     check_axis_order,

@@ -10,12 +10,13 @@ import pandas as pd
 
 from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s, read_airframe
 from quasi.attitude import exponential, interpolate, multiply, rotate, rotate_inverse, to_euler
-from quasi.doubt import doubt
-from quasi.errors import ConfigError, DataError
+from quasi.errors import ConfigError, DataError, add_caution
 from quasi.importing import limits
 from quasi.importing.artefacts import flyable
 from quasi.importing.calibration import calibrated_capture, calibrated_onboard
 from quasi.importing.checks import rows_in_spans
+from quasi.importing.clocks.synchronisation import Motion, Synchronisation, synchronise
+from quasi.importing.clocks.telemetry import rotor_age
 from quasi.importing.command_map import add_commanded_speeds
 from quasi.importing.contradictions import refuse_wrong_lengths, refuse_wrong_rates
 from quasi.importing.cross_checks import cross_check
@@ -42,8 +43,6 @@ from quasi.importing.resampling import (
 )
 from quasi.importing.series import Recording, Series
 from quasi.importing.streams import stream
-from quasi.importing.synchronisation import Motion, Synchronisation, synchronise
-from quasi.importing.telemetry import rotor_age
 from quasi.importing.verdict import verdict
 from quasi.importing.wind import add_wind
 from quasi.plausibility import to_plain
@@ -249,7 +248,9 @@ def _align(
         try:
             sync = synchronise(board.motion(), seen, using, longest, where, same_clock=True)
         except DataError as error:
-            doubt(notes, f"{where}: the capture stays on the log's own clock, lag 0, for none could be found ({error})")
+            add_caution(
+                notes, f"{where}: the capture stays on the log's own clock, lag 0: none could be found ({error})"
+            )
             sync = None
     if seen.quaternion is not None:
         there = sync.to_onboard(capture.t) if sync else capture.t
@@ -257,7 +258,7 @@ def _align(
             board.gyro.t, board.gyro.values, there, seen.quaternion, "the captured attitude", where
         )
         if scaled:
-            doubt(notes, scaled)
+            add_caution(notes, scaled)
     return sync
 
 

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from quasi.doubt import doubts
-from quasi.errors import QuasiError
+from quasi.errors import QuasiError, cautions
 from quasi.importing.onboard_log import BODY_VELOCITY, POSITION, VELOCITY, motor_poles, read_onboard, require_imu
 from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import read_capture
@@ -62,7 +61,7 @@ def inspect_flight(settings: Mapping[str, Any]) -> dict[str, Any]:
         try:
             if read_now := read(flight, settings["quadrotor"]):
                 found[source], sources[source], notes = read_now
-                found["remarks"] += doubts(notes)
+                found["remarks"] += cautions(notes)
         except QuasiError as error:
             found["problem"] = found["problem"] or str(error)
     for name, groups in HOLDINGS.items():

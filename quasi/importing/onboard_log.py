@@ -8,18 +8,17 @@ from typing import Any
 import numpy as np
 
 from quasi.attitude import interpolate
-from quasi.doubt import doubt
-from quasi.errors import ConfigError, DataError
+from quasi.errors import ConfigError, DataError, add_caution
 from quasi.importing.checks import check_recording
+from quasi.importing.clocks.filter_delays import header_delays
+from quasi.importing.clocks.synchronisation import Motion
+from quasi.importing.clocks.telemetry import AGES
 from quasi.importing.contradictions import rates_explained, refuse_wrong_rates, velocity_explained
-from quasi.importing.filter_delays import header_delays
 from quasi.importing.onboard_attitude import estimate_attitude
 from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import read_log
 from quasi.importing.resampling import covered
 from quasi.importing.series import Recording, Series
-from quasi.importing.synchronisation import Motion
-from quasi.importing.telemetry import AGES
 
 LEAST_EXPLAINED = 0.3  # share of the variance that a log of the same motion explains, a late one too
 LEAST_SAMPLES = 20
@@ -161,9 +160,9 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
         of_both = (gyro.t, gyro.values, attitude.t, attitude.values)
         scaled, explained = refuse_wrong_rates(*of_both, "the on-board attitude", where), rates_explained(*of_both)
         if scaled:
-            doubt(notes, scaled)
+            add_caution(notes, scaled)
         elif explained is not None and explained < LEAST_EXPLAINED:
-            doubt(
+            add_caution(
                 notes,
                 f"{where}: the on-board attitude turns unlike the gyro (it explains {100 * max(0.0, explained):.0f} % "
                 "of the body rates); check the unit, order and axes of both",
@@ -172,7 +171,7 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
     if position is not None and velocity is not None:
         explained = velocity_explained(velocity.t, velocity.values, position.t, position.values)
         if explained is not None and explained < LEAST_EXPLAINED:
-            doubt(
+            add_caution(
                 notes,
                 f"{where}: the on-board velocity is not that of the on-board position (which explains "
                 f"{100 * max(0.0, explained):.0f} % of it); check the unit and axes of both",
@@ -245,7 +244,7 @@ def _delays(recording: Recording, where: str, notes: list[str]) -> dict[str, Any
             about |= {"std": 0.0, "known": True}
     unknown = {quantity: about for quantity, about in delays.items() if not about["known"]}
     if unknown:
-        doubt(
+        add_caution(
             notes,
             f"{where}: the log does not say for sure how {' and '.join(unknown)} were filtered on board; the delay is "
             + " and ".join(f"{1e3 * about['value']:.3g} +- {1e3 * about['std']:.3g} ms" for about in unknown.values())

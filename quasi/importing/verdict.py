@@ -6,7 +6,7 @@ from typing import Any
 import pandas as pd
 
 from quasi.airframe import DEFAULT_POLES
-from quasi.doubt import doubts
+from quasi.errors import cautions
 from quasi.importing import limits
 from quasi.importing.contradictions import doubtful_units
 from quasi.importing.onboard_log import Onboard
@@ -47,7 +47,7 @@ def verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) ->
         care.append(f"the capture's lag is known to {1e3 * sync['lag']['std']:.1f} ms only")
     if metadata["rest before take-off"]["value"] < 1.0:
         care.append("it has no rest before take-off, so sensor biases rest on the flight itself")
-    care += doubts(metadata["notes"])
+    care += cautions(metadata["notes"])
     if bad:
         return {"verdict": "unusable", "verdict because": "; ".join(bad + care)}
     if care:

@@ -19,7 +19,7 @@ import pandas as pd
 
 from quasi.attitude import from_euler, rotate_inverse
 from quasi.errors import DataError, ReadError
-from quasi.importing.day_time import DAY, DayTime, clock, read_day_time
+from quasi.importing.readers.day_time import DAY, DayTime, clock, read_day_time
 from quasi.importing.resampling import covered, resample
 from quasi.importing.series import Recording, Series
 from quasi.recognition import refuse_other_formats

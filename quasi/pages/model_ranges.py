@@ -9,7 +9,7 @@ import pandas as pd
 from quasi.pages import frame
 from quasi.pages.terms import describe_variable
 from quasi.tables import ANY
-from quasi.variables import plain_name
+from quasi.terms.variables import plain_name
 
 COLOURS = {"training": "#59636b", "test": "#d97706", "validation": "#1d6fb8"}
 BANDS = ("#fde8e6", "#eef5ec", "#e6effa")

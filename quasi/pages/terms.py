@@ -3,10 +3,10 @@
 from collections.abc import Iterable
 
 from quasi.errors import ExpressionError
-from quasi.expressions import Tree, names, parse
-from quasi.singularities import FLOWN
 from quasi.tables import COLUMNS
-from quasi.variables import plain_name
+from quasi.terms.expressions import Tree, names, parse
+from quasi.terms.singularities import FLOWN
+from quasi.terms.variables import plain_name
 
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _AXES = {"p": "roll, left minus right", "q": "pitch, front minus rear", "r": "yaw, by direction of rotation"}

@@ -12,8 +12,8 @@ import numpy as np
 from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
-from quasi.standalone.extensions import drive_of
-from quasi.standalone.model import Model
+from quasi.model.extensions import drive_of
+from quasi.model.model import Model
 
 DEFAULT_LAG = 1.0 / 35.0  # s, where the model knows no time constants
 _HIGHEST, _LOWEST = 2.0, 0.1  # of the hover speed, where the airframe knows no limits

@@ -30,13 +30,13 @@ from numba import njit
 
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
+from quasi.model.model import Model
 from quasi.simulation import gains as g
 from quasi.simulation.allocation import allocate, invert
 from quasi.simulation.control_model import by_geometry, control_model, extras
 from quasi.simulation.dynamics import euler_angles
 from quasi.simulation.outer_loop import KIND, RATES_GOAL, RUNNING, SATURATED, STARTED, WISH, outer_loop, rotation
-from quasi.standalone.kernel import Kernel, wrench
-from quasi.standalone.model import Model
+from quasi.terms.kernel import Kernel, wrench
 
 # first entries in the memory, beside those of outer_loop.py
 INVERSE, EFFECT = 1, 17  # (16,) inverse and effectiveness of one step, row by row

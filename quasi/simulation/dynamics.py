@@ -49,7 +49,7 @@ from quasi.simulation.layout import (
     WIND,
 )
 from quasi.simulation.parts import own_loads, own_slopes, settle, straighten
-from quasi.standalone.kernel import Kernel, wrench
+from quasi.terms.kernel import Kernel, wrench
 
 
 class Scratch(NamedTuple):

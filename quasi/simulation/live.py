@@ -6,17 +6,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from quasi.errors import ConfigError, ReadError, nearest
+from quasi.model.model import read_model
 from quasi.simulation import fly, watch
 from quasi.simulation.keyboard import Terminal
 from quasi.simulation.references import goal_at
 from quasi.simulation.run import Session
 from quasi.simulation.setup import Setup, make_setup
 from quasi.simulation.window import Window
-from quasi.standalone.model import read_model
 from quasi.tables import read_numbers
 
 if TYPE_CHECKING:
-    from quasi.workflow import Folder
+    from quasi.project.folder.workflow import Folder
 
 START = {"initial state conditions": {"position": [0, 0, -1.5]}}  # of a model without a simulation, m, z down
 

@@ -41,7 +41,7 @@ from quasi.simulation.layout import (
     WIND,
 )
 from quasi.simulation.references import goal_at
-from quasi.standalone.kernel import Kernel
+from quasi.terms.kernel import Kernel
 
 GOAL = 20
 EXTERNAL = -1  # kind of a reference whose goal is set from outside

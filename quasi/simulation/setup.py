@@ -17,10 +17,13 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import brentq
 
-from quasi import attitude, configuration
+from quasi import attitude
 from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
+from quasi.model.extensions import drive_of, said_of_rotors, wind_of
+from quasi.model.model import Model
+from quasi.project.folder import configuration
 from quasi.simulation.control_model import DEFAULT_LAG, hover_speed
 from quasi.simulation.controllers import make_controller
 from quasi.simulation.dynamics import INTEGRATORS, RK4, body_of, loads_at, scratch_of, with_rest
@@ -45,8 +48,6 @@ from quasi.simulation.setup_tables import table_of, wind_rows
 from quasi.simulation.stability import check_step
 from quasi.simulation.undefined_loads import describe_undefined_loads
 from quasi.simulation.variants import extended, parts_of, simple_model, with_parts
-from quasi.standalone.extensions import drive_of, said_of_rotors, wind_of
-from quasi.standalone.model import Model
 
 STATE_NAMES = ("qw", "qx", "qy", "qz", "u", "v", "w", "p", "q", "r", "x", "y", "z", "w1", "w2", "w3", "w4")
 # beyond these no polynomial means anything: m/s, rad/s, m, rad/s of a rotor

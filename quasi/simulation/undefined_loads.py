@@ -3,9 +3,9 @@
 import numpy as np
 
 from quasi.errors import QuasiError
-from quasi.expressions import evaluate
-from quasi.standalone.document import AXES
-from quasi.standalone.model import Model
+from quasi.model.document import AXES
+from quasi.model.model import Model
+from quasi.terms.expressions import evaluate
 
 
 def describe_undefined_loads(model: Model, inputs: np.ndarray, loads: np.ndarray) -> tuple[str, str] | None:

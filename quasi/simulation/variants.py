@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from quasi.errors import ConfigError, DataError, nearest
+from quasi.model.extensions import extensions_of
+from quasi.model.model import AXES, Model
 from quasi.simulation.parts import Parts
-from quasi.standalone.extensions import extensions_of
-from quasi.standalone.model import AXES, Model
 
 _SIMPLE = {"Fz": ("w2_1 + w2_2 + w2_3 + w2_4", "kappaFz", -1.0), "Mx": ("U_p", "kappaMx", 1.0),
            "My": ("U_q", "kappaMy", 1.0), "Mz": ("U_r", "kappaMz", 1.0)}  # fmt: skip
@@ -24,7 +24,7 @@ def extended(model: Model) -> Model:
     """The model with the terms of its extensions in its axes; the model itself where they stand there already.
 
     document["extensions"] is a list of sections: "id"; optional "terms" {axis: [{"expression", "coefficient"}]};
-    "actuators" and "environment", see `standalone.extensions`; "states", parts with a memory of their own, see
+    "actuators" and "environment", see `quasi.model.extensions`; "states", parts with a memory of their own, see
     `parts_of`. Raises ConfigError for an extension that cannot be understood.
     """
     document = {**model.document, "axes": {a: dict(part) for a, part in model.document["axes"].items()}}

@@ -1,7 +1,7 @@
 """A plain writer of blackbox logs, slow and apart from the reader: each encoding, frames, a whole log."""
 
-from quasi.importing.blackbox import decode
-from quasi.importing.blackbox_header import find_logs
+from quasi.importing.readers.blackbox import decode
+from quasi.importing.readers.blackbox_header import find_logs
 
 
 def uvb(value):

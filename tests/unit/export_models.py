@@ -8,13 +8,13 @@ from flights import AIRFRAME
 from made_model import SHARED, TERMS, document, part
 
 from quasi.airframe import read_airframe
-from quasi.expressions import text
 from quasi.identification.candidates import read_specification
-from quasi.normalisation import normalisation_of
-from quasi.project import AXES
-from quasi.standalone.build import assemble
-from quasi.standalone.model import Model
+from quasi.model.build import assemble
+from quasi.model.model import Model
+from quasi.project.folder.folder import AXES
 from quasi.tables import read_json
+from quasi.terms.expressions import text
+from quasi.terms.normalisation import normalisation_of
 
 EVERY_FUNCTION = {
     "Fx": {"1": 0.02, "|u|*u": -2e-3, "sin[pitch]": -4.2, "cos[yaw]*u": 1e-2, "mu_x^3*w_avg": 1e-2, "x*v - -2*z": 1e-3},

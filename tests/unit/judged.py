@@ -4,10 +4,10 @@ import numpy as np
 from flights import AIRFRAME, HOVER, flight
 
 from quasi.identification.partition import ROLES, partition
-from quasi.standalone.build import assemble
-from quasi.standalone.envelope import covered
-from quasi.standalone.model import Model
-from quasi.standalone.review import review
+from quasi.model.build import assemble
+from quasi.model.envelope import covered
+from quasi.model.model import Model
+from quasi.scoring.review import review
 
 TERMS = {
     "Fz": ("1", "w1^2 + w2^2 + w3^2 + w4^2", "w*w_tot", "u^2"),

@@ -3,8 +3,8 @@
 import numpy as np
 from flights import AIRFRAME, HOVER
 
-from quasi.standalone.build import assemble
-from quasi.standalone.model import Model
+from quasi.model.build import assemble
+from quasi.model.model import Model
 
 TERMS = {
     "Fx": {"1": 0.02, "(w_tot)*(u^(1.0))": -2e-5},

@@ -12,8 +12,8 @@ from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
 from quasi.gap.planning import plan
 from quasi.gap.planning.flatness import planned, read_plan
-from quasi.standalone.build import assemble
-from quasi.standalone.model import Model
+from quasi.model.build import assemble
+from quasi.model.model import Model
 
 MASS, ARM, THRUST = 0.433, 0.077 / math.sqrt(2.0), 2.4e-7
 HOVER = math.sqrt(MASS * GRAVITY / (4.0 * THRUST))

@@ -9,12 +9,12 @@ from test_normalisation import SCHEME, TRUTH
 
 from quasi.export.agreement import states_of
 from quasi.export.matlab_check import find_octave
-from quasi.expressions import Program, parse
 from quasi.identification.candidates import read_specification
-from quasi.standalone.build import assemble
-from quasi.standalone.model import Model
+from quasi.model.build import assemble
+from quasi.model.model import Model
 from quasi.tables import read_json
-from quasi.variables import Variables
+from quasi.terms.expressions import Program, parse
+from quasi.terms.variables import Variables
 
 ROOT = Path(__file__).parents[2]
 U = ["U_p", "U_q", "U_r"]

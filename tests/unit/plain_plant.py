@@ -9,9 +9,9 @@ import numpy as np
 from numba import njit
 
 from quasi.attitude import from_euler
+from quasi.model.model import Model
 from quasi.simulation.controllers import controller_step, make_controller
-from quasi.standalone.kernel import wrench
-from quasi.standalone.model import Model
+from quasi.terms.kernel import wrench
 
 G = 9.81
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")

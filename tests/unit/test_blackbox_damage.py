@@ -5,8 +5,8 @@ import pytest
 from blackbox_writer import END, damaged_log, frames_of, intra_frame, log_bytes, svb, uvb
 
 from quasi.errors import ReadError
-from quasi.importing.blackbox import read_blackbox
-from quasi.importing.blackbox_header import find_logs
+from quasi.importing.readers.blackbox import read_blackbox
+from quasi.importing.readers.blackbox_header import find_logs
 
 
 def test_a_long_jump_without_resume_needs_a_second_witness():

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from recordings import SHARED, needs_real
 
-from quasi.importing.blackbox import decode, read_blackbox
-from quasi.importing.blackbox_header import find_logs
+from quasi.importing.readers.blackbox import decode, read_blackbox
+from quasi.importing.readers.blackbox_header import find_logs
 
 REAL = "betaflight-4.2.11-stm32f7"
 

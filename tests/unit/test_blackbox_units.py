@@ -8,10 +8,9 @@ import pytest
 from blackbox_writer import END, inter_frame, intra_frame, log_bytes, svb
 
 from quasi.airframe import erpm100_to_rad_s
-from quasi.doubt import doubts
-from quasi.errors import ReadError
-from quasi.importing import blackbox_header, blackbox_units
-from quasi.importing.blackbox import list_logs, read_blackbox
+from quasi.errors import ReadError, cautions
+from quasi.importing.readers import blackbox_header, blackbox_units
+from quasi.importing.readers.blackbox import list_logs, read_blackbox
 
 FULL = [
     *((f"gyroADC[{i}]", True) for i in range(3)),
@@ -122,8 +121,8 @@ def test_contradicting_units_are_noticed(tmp_path):
     ("lacking", "said"), [("gyro_scale:0x3f800000", "1 deg/s per count"), ("acc_1G:2048", "2048 counts per g")]
 )
 def test_scales_that_are_assumed_are_in_doubt(tmp_path, lacking, said):
-    assert not doubts(read_full(tmp_path).notes)
-    told = doubts(read_full(tmp_path, header=FULL_HEADER.replace(lacking, "")).notes)
+    assert not cautions(read_full(tmp_path).notes)
+    told = cautions(read_full(tmp_path, header=FULL_HEADER.replace(lacking, "")).notes)
     assert len(told) == 1 and said in told[0]
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from quasi import tables
 from quasi.errors import ConfigError, ExpressionError
-from quasi.expressions import Program
 from quasi.identification.candidates import AXES, read_specification
+from quasi.terms.expressions import Program
 
 LISTING = "config/polynomials/manual_listing_17.json"
 FM = "config/polynomials/polyCands_DiffSys_quadraticU_symmetric_SIMPLE_FM.json"

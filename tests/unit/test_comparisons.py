@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from quasi.comparisons import refuse_trained, same_recordings, unchecked
 from quasi.errors import ConfigError, LogbookError, QuasiError
+from quasi.project.folder.gaps import refuse_trained, same_recordings, unchecked
+from quasi.project.folder.workflow import Folder
 from quasi.tables import ages_taken_off, recordings_of, sha256_of
-from quasi.workflow import Folder
 
 ROOT = Path(__file__).parents[2]
 MODEL = {

@@ -3,8 +3,8 @@
 import jsonschema
 import pytest
 
-from quasi import configuration
 from quasi.errors import ConfigError
+from quasi.project.folder import configuration
 from quasi.tables import read_json
 
 SCHEMAS = sorted(p.name.removesuffix(".schema.json") for p in configuration.SCHEMAS.glob("*.schema.json"))

@@ -10,10 +10,9 @@ from spreadsheets import FORMS, saved_anew
 
 from quasi.airframe import erpm100_to_rad_s
 from quasi.attitude import body_rates, to_euler
-from quasi.doubt import doubts
-from quasi.errors import ReadError
-from quasi.importing.blackbox import read_blackbox
-from quasi.importing.decoded import read_decoded
+from quasi.errors import ReadError, cautions
+from quasi.importing.readers.blackbox import read_blackbox
+from quasi.importing.readers.decoded import read_decoded
 
 REAL = SHARED / "betaflight-4.2.11-stm32f7"
 
@@ -166,7 +165,7 @@ def test_what_a_spreadsheet_saved_reads_as_what_it_opened(tmp_path, program, top
     assert saved.series["onboard"].values.keys() == plain.series["onboard"].values.keys()
     assert saved.metadata["header"] == plain.metadata["header"]
     assert saved.metadata["format"] == plain.metadata["format"]
-    extra = [note for note in doubts(saved.notes) if note not in plain.notes]
+    extra = [note for note in cautions(saved.notes) if note not in plain.notes]
     assert len(extra) == 1 and "has been through a spreadsheet" in extra[0]
 
 
@@ -174,7 +173,7 @@ def test_a_scale_that_a_spreadsheet_rounded_is_assumed_and_called_for_care(tmp_p
     rounded = saved_anew(viewer_csv()).replace("1,7453292519943295e-08", "1,75E-08")
     recording = read(tmp_path, rounded)
     assert first(recording)["p"] == pytest.approx(math.pi / 2)
-    assert any("gyro_scale is '1,75E-08'; 1 deg/s per count is assumed" in note for note in doubts(recording.notes))
+    assert any("gyro_scale is '1,75E-08'; 1 deg/s per count is assumed" in note for note in cautions(recording.notes))
 
 
 def test_quotes_around_plain_numbers_are_no_spreadsheet(tmp_path):

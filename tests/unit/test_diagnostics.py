@@ -9,11 +9,11 @@ from judged import TERMS, columns, made
 
 from quasi.errors import DataError
 from quasi.identification.partition import ROLES, TRAINING
-from quasi.standalone.model import Model
-from quasi.standalone.review import review
-from quasi.standalone.score import judge, score, score_judged
-from quasi.standalone.summary import summary_text
-from quasi.standalone.verdict import headline, lower, shortly, unusable_held_out, verdict
+from quasi.model.model import Model
+from quasi.scoring.review import review
+from quasi.scoring.score import judge, score, score_judged
+from quasi.scoring.summary import summary_text
+from quasi.scoring.verdict import headline, lower, shortly, unusable_held_out, verdict
 
 
 @pytest.fixture(scope="module")

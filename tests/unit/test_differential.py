@@ -10,12 +10,12 @@ from made_model import SHARED, TERMS, document, part
 
 from quasi.airframe import to_plain
 from quasi.errors import ConfigError
-from quasi.expressions import parse
-from quasi.standalone.build import assemble, with_differential_form
-from quasi.standalone.differential import cross_matrix, differential_system
-from quasi.standalone.kernel import INPUTS, wrench
-from quasi.standalone.model import Model
-from quasi.variables import inputs_of_system
+from quasi.model.build import assemble, with_differential_form
+from quasi.model.model import Model
+from quasi.terms.differential import cross_matrix, differential_system
+from quasi.terms.expressions import parse
+from quasi.terms.kernel import INPUTS, wrench
+from quasi.terms.variables import inputs_of_system
 
 STEP = 1e-30  # of a complex step: no digits are lost, however small
 

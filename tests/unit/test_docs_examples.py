@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 from quasi.gap.own_effect import effect_of
-from quasi.importing.table_mapping import read_mapping
+from quasi.importing.readers.table_mapping import read_mapping
 from quasi.synthesis.campaign import read_campaign
 
 DOCS = Path(__file__).parents[2] / "docs"

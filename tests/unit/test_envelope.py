@@ -9,9 +9,9 @@ from made_model import SHARED, TERMS, part
 from scipy.spatial.distance import mahalanobis
 
 from quasi.errors import ConfigError
-from quasi.standalone.build import assemble
-from quasi.standalone.envelope import covered, distance_of_row
-from quasi.standalone.model import ACCELERATIONS, ROTORS, STATE, Model
+from quasi.model.build import assemble
+from quasi.model.envelope import covered, distance_of_row
+from quasi.model.model import ACCELERATIONS, ROTORS, STATE, Model
 
 READ = ["u", "v", "w", "p", "q", *ROTORS, *ACCELERATIONS]  # base columns of TERMS
 

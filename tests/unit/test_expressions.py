@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quasi.errors import ExpressionError, nearest
-from quasi.expressions import Program, canonical, evaluate, names, parse, text
+from quasi.terms.expressions import Program, canonical, evaluate, names, parse, text
 
 VALUES = {"a": np.array([1.5, -0.7, 3.0]), "b": np.array([0.3, 2.0, -1.1]), "c": np.array([2.0, 2.5, 0.4])}
 

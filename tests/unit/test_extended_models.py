@@ -15,13 +15,13 @@ from quasi.export.python_source import python_file
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import Room, vehicle_of
 from quasi.gap.extension import extend
+from quasi.model.document import AXES
+from quasi.model.model import Model, read_model
 from quasi.pages.causes import where_it_acts
 from quasi.pages.model import _causes
 from quasi.simulation.portable import loop_constants, portable_setup
 from quasi.simulation.run import simulate
 from quasi.simulation.setup import make_setup
-from quasi.standalone.document import AXES
-from quasi.standalone.model import Model, read_model
 
 CATALOGUE = catalogue()
 EXTENDING = sorted(i for i, e in CATALOGUE.items() if not e.finding and (e.terms or e.curved or e.extension))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from test_decoded import tool_csv
 
-from quasi.doubt import doubts
-from quasi.importing.filter_delays import delay, header_delays, notch_delay
+from quasi.errors import cautions
+from quasi.importing.clocks.filter_delays import delay, header_delays, notch_delay
 from quasi.importing.onboard_log import gather, read_onboard
 
 
@@ -96,7 +96,7 @@ def test_a_decoded_log_without_its_header_leaves_the_delays_in_doubt(tmp_path):
     board = gather(read_onboard(flight, {}, 14), "f", notes)
     assert board.delays["gyro"]["std"] == board.motion().gyro_doubt == 2e-3
     assert board.motion().accelerometer_doubt == 20e-3
-    assert any("gyro and accelerometer were filtered on board" in n and "Give the .bbl" in n for n in doubts(notes))
+    assert any("gyro and accelerometer were filtered on board" in n and "Give the .bbl" in n for n in cautions(notes))
     (tmp_path / "log.csv").write_text('"gyro_lpf1_static_hz","250"\n"acc_lpf_hz","0"\n' + text)
     notes.clear()
     told = gather(read_onboard(flight, {}, 14), "f", notes).delays

@@ -8,12 +8,11 @@ from programs import script
 from rigid_body import measure, move, quadrotor
 
 from quasi import attitude
-from quasi.doubt import Doubt, doubts, gravest_first
-from quasi.errors import ConfigError, DataError
+from quasi.errors import ConfigError, DataError, cautions
 from quasi.filtering import estimation, flight, forces
 from quasi.filtering.flight import filter_flight
 from quasi.filtering.noise import beyond
-from quasi.joblog import RUN, job, outcome
+from quasi.running.job_log import RUN, job, outcome
 from quasi.tables import write_json, write_table
 
 AIRFRAME = quadrotor()
@@ -112,7 +111,7 @@ def test_a_flight_without_any_valid_row_is_called_so_in_its_jobs_own_line(made, 
     assert told["verdict"].startswith("unusable (unusable for identification: neither position nor velocity; ")
     assert "no row is valid for identification: sensors or rotor speeds are lost" in told["verdict"]
     assert not any("no row of this flight" in note for note in told["notes"])
-    assert doubts(["a", Doubt("b")]) == gravest_first(["a", Doubt("b")])[:1]
+    assert cautions(["a", Caution("b")]) == cautions_first(["a", Caution("b")])[:1]
 
 
 def test_what_spoils_rows_is_told_with_its_share_and_what_hardly_does_is_not():

@@ -11,7 +11,7 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.report.wording import amount_of
 from quasi.gap.wrench.acting import acting
 from quasi.gap.wrench.worth import Cause
-from quasi.standalone.model import AXES
+from quasi.model.model import AXES
 
 N = 4000
 T = 0.01 * np.arange(N)

@@ -38,7 +38,7 @@ from quasi.gap.wrench.gain import after
 from quasi.gap.wrench.study import gather_study
 from quasi.gap.wrench.tables import wrench_tables
 from quasi.gap.wrench.worth import Cause
-from quasi.standalone.model import AXES, Model
+from quasi.model.model import AXES, Model
 from quasi.tables import read_numbers, write_json, write_table
 
 FRAME = MODEL.airframe

@@ -19,10 +19,10 @@ from quasi.gap.flights.evidence import model_wrench
 from quasi.gap.flights.gathering import gather
 from quasi.gap.flights.instruments import shown
 from quasi.gap.wrench.examination import WEIGHING, _carried
+from quasi.model.extensions import as_read, drive_of, put_right, said_of_rotors, wind_of
+from quasi.model.model import AXES, STATE, Model
 from quasi.simulation.control_model import control_model
 from quasi.simulation.replay import replay, rotors_of
-from quasi.standalone.extensions import as_read, drive_of, put_right, said_of_rotors, wind_of
-from quasi.standalone.model import AXES, STATE, Model
 from quasi.tables import AGE_OFF
 
 ONE = {

@@ -15,7 +15,7 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.inflow import overshoot
 from quasi.gap.statistics import mixed
 from quasi.gap.wrench.naming import possible
-from quasi.standalone.model import AXES
+from quasi.model.model import AXES
 from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
 from quasi.synthesis.effects import check, plant
 from quasi.synthesis.nuisance import nominal

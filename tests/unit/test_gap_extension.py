@@ -10,7 +10,7 @@ from quasi.gap.extension import extend
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.instruments import shown
 from quasi.gap.flights.pendulum import pull_of
-from quasi.standalone.model import AXES, Model
+from quasi.model.model import AXES, Model
 
 CATALOGUE = catalogue()
 N = 600

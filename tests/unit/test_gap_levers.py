@@ -8,7 +8,7 @@ from made_model import simple_model
 from quasi.gap.catalogue import catalogue, columns_of
 from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.evidence import Evidence, model_wrench, rotor_levers
-from quasi.standalone.model import AXES
+from quasi.model.model import AXES
 
 THRUST, TORQUE, MASS, HOVER = 2.4e-7, 3e-9, 0.43, 2100.0
 SHRUNK = {

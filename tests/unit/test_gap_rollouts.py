@@ -9,9 +9,9 @@ from quasi.attitude import from_euler, rotate_inverse
 from quasi.gap.flights.gathering import gather
 from quasi.gap.report.figures import figures
 from quasi.gap.rollouts import open_loop, rollout_gain
+from quasi.model.extensions import CONFIGURED, mass_in
+from quasi.model.model import Model
 from quasi.simulation.rollout import rollout
-from quasi.standalone.extensions import CONFIGURED, mass_in
-from quasi.standalone.model import Model
 
 RATE, SECONDS = 200.0, 6.0
 N = int(RATE * SECONDS)

@@ -13,7 +13,7 @@ from quasi.gap.catalogue import catalogue
 from quasi.gap.constant_loads import CAUSES, constant_force_tie
 from quasi.gap.diagnosis import verdict_of
 from quasi.gap.veto import Loss, reject_losing_causes
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 
 
 def cause(name):

@@ -19,7 +19,7 @@ from quasi.gap.flights.level import Flown
 from quasi.gap.flights.residual_tables import LAG, LEAST, beside, where, whiteness
 from quasi.gap.rollouts.rollout_places import UNITS, channels_of, placed, where_of
 from quasi.gap.wrench.tables import _merged, _spectrum, wrench_tables
-from quasi.standalone.model import AXES
+from quasi.model.model import AXES
 
 N = 400
 T = np.arange(N) / 100.0

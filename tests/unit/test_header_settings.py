@@ -7,12 +7,11 @@ import pytest
 from blackbox_writer import END, intra_frame, log_bytes, svb, uvb
 from cases import case_file, flight_of, needs_cases
 
-from quasi.doubt import doubts
-from quasi.errors import quoted
-from quasi.importing.blackbox import read_blackbox
-from quasi.importing.decoded import read_decoded
-from quasi.importing.filter_delays import RPM_NOTCHES, STAGES, delay, header_delays
+from quasi.errors import cautions, quoted
+from quasi.importing.clocks.filter_delays import RPM_NOTCHES, STAGES, delay, header_delays
 from quasi.importing.flight import import_flight
+from quasi.importing.readers.blackbox import read_blackbox
+from quasi.importing.readers.decoded import read_decoded
 
 SETTINGS = [
     *(name for stage in (*STAGES, *RPM_NOTCHES) for name in stage if name),
@@ -96,7 +95,7 @@ def test_fields_predicted_from_an_absent_line_are_left_out_and_the_line_is_named
         header = "\n".join(f"{k}:{v}" for k, v in lines.items() if k != line)
         found = read_blackbox(write(tmp_path / f"{line}.bbl", log(header, fields, intra, row=row)))
         assert set(values) - set(found.series["onboard"].values) == gone
-        assert any(f"'{line}'" in note for note in doubts(found.notes))
+        assert any(f"'{line}'" in note for note in cautions(found.notes))
 
 
 def test_a_header_cut_within_a_line_keeps_raw_bytes_out_of_settings_and_notes(tmp_path):
@@ -136,7 +135,7 @@ def test_other_firmware_calls_for_care_and_its_debug_numbers_are_unknown(tmp_pat
     found = read_blackbox(write(tmp_path / "other.bbl", other))
     assert "w1" not in found.series["onboard"].values
     assert found.metadata["debug mode"] == {"number": 45, "name": ""}
-    assert any(revision in note for note in doubts(found.notes))
+    assert any(revision in note for note in cautions(found.notes))
 
 
 def test_erpm_fields_of_development_builds_are_read(tmp_path):

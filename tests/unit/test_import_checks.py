@@ -7,8 +7,7 @@ from cases import case_file, flight_of, needs_cases
 from made_motion import body
 from test_indiflight import FIELDS, as_csv, flown  # noqa: F401
 
-from quasi.doubt import doubts
-from quasi.errors import ConfigError, ReadError
+from quasi.errors import ConfigError, ReadError, cautions
 from quasi.importing.checks import check_recording, rows_in_spans
 from quasi.importing.flight import import_flight
 from quasi.importing.onboard_log import read_onboard
@@ -75,7 +74,7 @@ def test_a_rotor_that_stands_in_flight_makes_these_rows_invalid_and_is_named():
     checked = check_recording(recording(t, w), "f")
     (span,) = spans_of(checked)
     assert (span["begin"], span["end"]) == (pytest.approx(5.0), pytest.approx(6.998))
-    assert any("rotor 2 (w2)" in note for note in doubts(checked.notes))
+    assert any("rotor 2 (w2)" in note for note in cautions(checked.notes))
     inside = rows_in_spans([span], t)
     assert inside[2500:3500].all() and not inside[:2500].any() and not inside[3500:].any()
 
@@ -86,7 +85,7 @@ def test_a_rotor_that_is_constant_in_flight_makes_these_rows_invalid_and_is_name
     w[0, 3000:3100] = 900.0  # 0.2 s: telemetry that comes slowly
     checked = check_recording(recording(t, w), "f")
     assert [span["reason"][:12] for span in spans_of(checked)] == ["rotor 3 (w3)"]
-    assert len(doubts(checked.notes)) == 1
+    assert len(cautions(checked.notes)) == 1
 
 
 def test_telemetry_that_stalls_for_all_rotors_is_found_but_held_setpoints_are_not():
@@ -104,7 +103,7 @@ def test_speeds_that_no_rotor_reaches_make_all_rows_invalid(kind):
     w = 100 * w if kind == "times 100" else np.random.default_rng(5).uniform(0, 98_000, w.shape)
     checked = check_recording(recording(t, w), "f")
     assert rows_in_spans(spans_of(checked), t).all()
-    assert any("w1, w2, w3, w4 exceed 8000 rad/s" in note for note in doubts(checked.notes))
+    assert any("w1, w2, w3, w4 exceed 8000 rad/s" in note for note in cautions(checked.notes))
 
 
 def test_a_sensor_channel_that_is_constant_in_flight_makes_rows_invalid_but_not_at_rest():
@@ -121,7 +120,7 @@ def test_a_sensor_channel_that_is_constant_in_flight_makes_rows_invalid_but_not_
 def test_values_that_no_vehicle_has_call_for_care_whatever_the_reader():
     t, w = speeds()
     checked = check_recording(recording(t, w, battery_voltage=np.full(len(t), 4e7), command1=np.full(len(t), 3.0)), "f")
-    assert len(doubts(checked.notes)) == 2
+    assert len(cautions(checked.notes)) == 2
 
 
 def test_tables_pass_the_same_checks(tmp_path):
@@ -161,15 +160,15 @@ def test_body_axes_are_decided_from_the_log_and_stated_in_one_note(tmp_path, flo
         assert found.metadata["body axes logged"].endswith(axes)
         (note,) = [n for n in found.notes if "the IMU is logged in" in n]
         assert axes in note and "specific force" in note and "gyro" in note
-        assert not doubts(found.notes)
+        assert not cautions(found.notes)
 
 
 def test_body_axes_can_be_forced_and_a_contradiction_calls_for_care(tmp_path, flown):  # noqa: F811
     flight = as_csv(tmp_path, in_other_axes(flown))
     found = read_onboard(flight, {"logged body axes": "FRD"}, None)
     assert np.median(found.series["onboard"].values["az"]) > 9.0
-    assert any("contradict" in note for note in doubts(found.notes))
-    assert not doubts(read_onboard(flight, {"logged body axes": "FLU"}, None).notes)
+    assert any("contradict" in note for note in cautions(found.notes))
+    assert not cautions(read_onboard(flight, {"logged body axes": "FLU"}, None).notes)
     with pytest.raises(ConfigError, match="logged body axes"):
         read_onboard(flight, {"logged body axes": "NED"}, None)
 
@@ -190,7 +189,7 @@ def test_without_an_attitude_the_specific_force_alone_turns_no_axes(tmp_path, fl
         found = read_onboard(flight, {}, None)
         # Betaflight's convention: y left, z up, which the first does not keep
         assert found.metadata["body axes logged"] == "x forward, y left, z up"
-        assert any("contradict" in note for note in doubts(found.notes)) == (number == 0)
+        assert any("contradict" in note for note in cautions(found.notes)) == (number == 0)
 
 
 def test_the_made_motion_itself_shows_which_axes_are_right():

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from quasi.attitude import from_euler
 from quasi.errors import ReadError
-from quasi.importing.external import messages
 from quasi.importing.flight import import_flight
+from quasi.importing.readers.external import messages
 
 LATE = 0.012  # s between the capture and its message in the log
 HEAD = '"Product","Blackbox flight data recorder by Nicholas Sherlock"\n"motorOutput","158,2047"\n'

@@ -5,10 +5,10 @@ import sys
 
 import pytest
 
-from quasi import joblog
 from quasi.command import main
 from quasi.errors import ReadError
-from quasi.joblog import LOG, RUN, job, progress, told
+from quasi.running import job_log as joblog
+from quasi.running.job_log import LOG, RUN, job, progress, told
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quasi.errors import ExpressionError
-from quasi.expressions import Program, parse
-from quasi.standalone.graph import Graph
-from quasi.standalone.kernel import INPUTS, compile_outputs, wrench, wrench_rows
-from quasi.variables import Variables
+from quasi.terms.expressions import Program, parse
+from quasi.terms.graph import Graph
+from quasi.terms.kernel import INPUTS, compile_outputs, wrench, wrench_rows
+from quasi.terms.variables import Variables
 
 NAMES = [
     *INPUTS, "w2_1", "w2_3", "w_tot", "wtot", "w_avg", "wavg", "u_p", "u_q", "u_r", "U_p", "U_q", "U_r", "d_w2",

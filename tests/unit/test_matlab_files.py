@@ -15,11 +15,11 @@ from quasi.errors import ConfigError, ExpressionError
 from quasi.export.matlab import FILES, drone_parameters, write_matlab
 from quasi.export.matlab_check import check_matlab
 from quasi.export.matlab_terms import axis_file, expression
-from quasi.expressions import parse
+from quasi.model.model import Model
+from quasi.project.folder.workflow import Folder
 from quasi.simulation.portable import loop_constants, portable_setup
-from quasi.standalone.model import Model
 from quasi.tables import read_bytes, read_json, read_text, write_json
-from quasi.workflow import Folder
+from quasi.terms.expressions import parse
 
 
 def test_brackets_deeper_than_matlab_reads_are_refused(tmp_path):

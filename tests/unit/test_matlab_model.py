@@ -14,7 +14,7 @@ from quasi.errors import ConfigError, DataError
 from quasi.export.matlab import write_matlab
 from quasi.export.matlab_check import check_matlab, run_octave
 from quasi.export.matlab_terms import matlab_name, original_name
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 from quasi.tables import read_text, write_text
 
 # "without values": rows whose powers and quotients have none give NaN and Inf in the same places

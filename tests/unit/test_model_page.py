@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 
 from quasi.identification.isolation import excited
 from quasi.pages.model import _delay, page
-from quasi.standalone.diagnostics import ANY
-from quasi.standalone.figures import (
+from quasi.scoring.diagnostics import ANY
+from quasi.scoring.figures import (
     actuator_figure,
     closeup,
     comparison,
@@ -24,9 +24,9 @@ from quasi.standalone.figures import (
     isolation_figure,
     quartile_figure,
 )
-from quasi.standalone.score import judge
-from quasi.standalone.summary import number, summary_json, summary_latex, summary_text, tex, unit
-from quasi.standalone.thinning import MOST_POINTS, thin
+from quasi.scoring.score import judge
+from quasi.scoring.summary import number, summary_json, summary_latex, summary_text, tex, unit
+from quasi.scoring.thinning import MOST_POINTS, thin
 from quasi.tables import AGE_OFF
 
 

@@ -7,9 +7,8 @@ from scipy.spatial.transform import Rotation
 from spreadsheets import FORMS, saved_anew
 
 from quasi.attitude import to_euler
-from quasi.doubt import doubts
-from quasi.errors import ReadError
-from quasi.importing.motive import read_motive
+from quasi.errors import ReadError, cautions
+from quasi.importing.readers.motive import read_motive
 
 RATE = 120.0
 
@@ -193,7 +192,7 @@ def test_what_a_spreadsheet_saved_reads_as_what_motive_wrote(tmp_path, take, sty
     np.testing.assert_array_equal(saved.series["capture"].t, plain.series["capture"].t)
     np.testing.assert_array_equal(np.hstack(pose(saved)), np.hstack(pose(plain)))
     assert saved.metadata["frame rate"] == plain.metadata["frame rate"]
-    assert len(saved.notes) == 1 and "has been through a spreadsheet" in doubts(saved.notes)[0]
+    assert len(saved.notes) == 1 and "has been through a spreadsheet" in cautions(saved.notes)[0]
     assert not plain.notes
 
 

@@ -15,17 +15,17 @@ from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis
 from quasi.identification.partition import partition
 from quasi.identification.redundancy import drop_redundant
-from quasi.normalisation import Normalisation, from_plain, normalisation_of
+from quasi.model.build import assemble
+from quasi.model.document import AXES
+from quasi.model.envelope import covered
+from quasi.model.model import Model, read_model
 from quasi.simulation.rollout import Body, rollout
 from quasi.simulation.variants import extended, simple_model
-from quasi.standalone.build import assemble
-from quasi.standalone.differential import differential_system
-from quasi.standalone.document import AXES
-from quasi.standalone.envelope import covered
-from quasi.standalone.kernel import INPUTS, wrench
-from quasi.standalone.model import Model, read_model
 from quasi.tables import read_json, write_json
-from quasi.variables import Variables, base_columns
+from quasi.terms.differential import differential_system
+from quasi.terms.kernel import INPUTS, wrench
+from quasi.terms.normalisation import Normalisation, from_plain, normalisation_of
+from quasi.terms.variables import Variables, base_columns
 
 RADIUS, ARM, TOP, IDLE = AIRFRAME.radius, AIRFRAME.arm, 2000.0, 200.0
 SCHEME = Normalisation(TOP, IDLE, RADIUS, ARM)

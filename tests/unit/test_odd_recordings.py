@@ -7,10 +7,10 @@ from test_filter_delays import header_delays
 
 from quasi.errors import ReadError
 from quasi.filtering.measurements import Imu, frozen
+from quasi.importing.clocks.telemetry import rotor_age
 from quasi.importing.onboard_log import read_onboard
-from quasi.importing.table_reader import uncrowded
-from quasi.importing.table_text import open_table
-from quasi.importing.telemetry import rotor_age
+from quasi.importing.readers.table_reader import uncrowded
+from quasi.importing.readers.table_text import open_table
 
 
 def test_a_crowd_goes_back_to_where_it_was_sampled_and_a_faster_source_stays():

@@ -35,7 +35,7 @@ from quasi.gap.statistics import mixed
 from quasi.gap.wrench.agreement import Voice, contradiction, disagreement, voices
 from quasi.gap.wrench.study import gather_study
 from quasi.gap.wrench.worth import Cause
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 
 G, RATE, SECONDS = 9.81, 200.0, 20.0
 EFFECTS = {n: catalogue()[n] for n in ("rotor_effectiveness", "cg_offset", "body_drag", "tether")}

@@ -22,11 +22,11 @@ from quasi.pages.flight_traces import draw_path, find_spans, make_panels
 from quasi.pages.gyro_spectrum import gyro_spectrum
 from quasi.pages.model_warnings import KINDS, OTHER, show_warnings
 from quasi.pages.terms import VARIABLES, describe_variable, list_variables, show_expression
-from quasi.provenance import reached
-from quasi.standalone.summary import summary_json
-from quasi.standalone.thinning import thin
+from quasi.running.provenance import reached
+from quasi.scoring.summary import summary_json
+from quasi.scoring.thinning import thin
 from quasi.tables import COLUMNS, read_bytes, read_text, write_json
-from quasi.variables import _MADE_FROM
+from quasi.terms.variables import _MADE_FROM
 
 EVIL = ['<x-evil onload="1">', '"><x-evil>', "</script><x-evil>", "' onload='1", "<!--<x-evil>", "]]><x-evil>&lt;"]
 ODD = [float("nan"), float("inf"), -float("inf"), 1e308, -1e308, 0.0]

@@ -12,7 +12,7 @@ from quasi.errors import ConfigError, DataError
 from quasi.gap.planning import flight_card, plan
 from quasi.gap.planning.manoeuvres import library
 from quasi.gap.planning.plan_input import flights_of
-from quasi.standalone.model import AXES
+from quasi.model.model import AXES
 
 FEW = ("doublets", "staircase near the floor")
 

@@ -16,8 +16,8 @@ from quasi.errors import DataError
 from quasi.gap.planning import plan
 from quasi.gap.planning.flatness import limits_of, turning
 from quasi.gap.planning.manoeuvres import library
-from quasi.standalone.build import assemble
-from quasi.standalone.model import AXES, ROTORS, Model
+from quasi.model.build import assemble
+from quasi.model.model import AXES, ROTORS, Model
 
 
 def test_in_hover_every_rotor_turns_at_hover_speed():

@@ -17,7 +17,7 @@ from quasi.gap.planning.manoeuvres import library
 from quasi.gap.planning.outlook import Outlook, Repeated, Spread
 from quasi.gap.statistics.mixed import Offer
 from quasi.gap.wrench.study import gather_study, in_stretches
-from quasi.standalone.model import AXES
+from quasi.model.model import AXES
 
 # noise
 

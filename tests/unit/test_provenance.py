@@ -2,7 +2,7 @@
 
 import pytest
 
-from quasi.provenance import code_of, reached
+from quasi.running.provenance import code_of, reached
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def house(tmp_path):
 
 def digest(house):
     code_of.cache_clear()
-    from quasi import provenance
+    from quasi.running import provenance
 
     provenance._parsed.cache_clear()
     return code_of(house / "scripts/a.py", house)

@@ -9,8 +9,8 @@ import pytest
 
 from quasi.command import main
 from quasi.errors import ConfigError, ExpressionError, QuasiError, ReadError
-from quasi.standalone.model import read_model
-from quasi.standalone.published import read_published
+from quasi.model.model import read_model
+from quasi.model.published import read_published
 
 POLES = 12
 LOGGED = 2 * math.pi / 60  # from eRPM/100 to the unit of the published coefficients

@@ -6,9 +6,9 @@ import shutil
 import pytest
 
 from quasi.errors import ConfigError
-from quasi.project import check_project
-from quasi.quasi_files import misplaced_files
-from quasi.workflow import Folder
+from quasi.project.folder.folder import check_project
+from quasi.project.folder.misplaced_files import misplaced_files
+from quasi.project.folder.workflow import Folder
 
 IDENTIFICATION = {"identification parameters": {}, "saving models": {"model ID": "HDBeetle_v2"}}
 

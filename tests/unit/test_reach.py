@@ -8,11 +8,11 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from quasi.errors import ConfigError
+from quasi.model.model import Model
 from quasi.simulation.reach import _distances as distances
 from quasi.simulation.reach import hull, reach, sphere
 from quasi.simulation.reach_figure import reach_figure
 from quasi.simulation.setup import make_setup
-from quasi.standalone.model import Model
 
 SETTINGS = {"model": {"model ID": "made"}, "noise": {"add": False}}
 

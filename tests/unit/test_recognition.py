@@ -16,12 +16,12 @@ from cases import CASES, flight_of, needs_cases
 from scipy.io import savemat
 
 from quasi.errors import ReadError
-from quasi.importing.motive import read_motive
 from quasi.importing.onboard_log import read_onboard
+from quasi.importing.readers.motive import read_motive
 from quasi.importing.wind import read_lvm
-from quasi.logbook import read_logbook
+from quasi.project.folder.logbook import read_logbook
+from quasi.project.folder.workflow import Folder
 from quasi.recognition import recognise
-from quasi.workflow import Folder
 
 MAPPING = {"time": {"column": "t"}, "sources": [{"name": "imu", "columns": {n: n for n in "pqr"}}]}
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from quasi.attitude import GRAVITY, to_euler
+from quasi.model.model import Model
 from quasi.simulation.dynamics import ROTORS, SLOPE, TARGET, WIND, body_of, derivative, scratch_of
 from quasi.simulation.replay import Rotors, replay
 from quasi.simulation.setup import still
-from quasi.standalone.model import Model
 
 S = np.array([1.0, -1.0, -1.0])
 

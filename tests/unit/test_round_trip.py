@@ -5,10 +5,10 @@ import plain_plant as plain
 import pytest
 
 from quasi.attitude import rotate_inverse
-from quasi.expressions import Program, parse
 from quasi.simulation.run import simulate
 from quasi.simulation.setup import make_setup
-from quasi.variables import Variables
+from quasi.terms.expressions import Program, parse
+from quasi.terms.variables import Variables
 
 RATE = 1000.0
 

@@ -13,7 +13,7 @@ from quasi.gap.calibration import settling
 from quasi.gap.calibration.settling import compare, judged, settle
 from quasi.gap.flights.level import Flown, Level
 from quasi.importing.calibration import check
-from quasi.standalone.model import AXES, Model
+from quasi.model.model import AXES, Model
 
 TURN = np.array([0.03, -0.04, 0.01])
 PAIR = ["imu_misalignment", "mocap_misalignment"]

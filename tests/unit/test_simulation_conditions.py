@@ -9,9 +9,9 @@ from plain_plant import made_model
 from simulations import setup_of
 
 from quasi.errors import ConfigError, DataError
+from quasi.model.model import Model
 from quasi.simulation.run import simulate
 from quasi.simulation.setup import make_setup
-from quasi.standalone.model import Model
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,10 @@ from plain_plant import made_model
 from simulations import ROUGH, assert_same, setup_of
 
 from quasi.errors import ConfigError, DataError, ShapeError
+from quasi.model.model import Model
 from quasi.simulation.quadrotor import QuadrotorSimulator
 from quasi.simulation.result import report
 from quasi.simulation.run import Session, simulate, simulate_many
-from quasi.standalone.model import Model
 
 
 @pytest.fixture(scope="module")

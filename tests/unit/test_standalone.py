@@ -10,10 +10,10 @@ from made_model import SHARED, TERMS, document, part
 
 from quasi import tables
 from quasi.errors import ConfigError, ExpressionError, QuasiError, ReadError, ShapeError
-from quasi.standalone.build import assemble
-from quasi.standalone.envelope import covered
-from quasi.standalone.model import STATE, Model, read_model
-from quasi.standalone.score import UNITS, score
+from quasi.model.build import assemble
+from quasi.model.envelope import covered
+from quasi.model.model import STATE, Model, read_model
+from quasi.scoring.score import UNITS, score
 
 ROLES = {"training": 1, "test": 2, "validation": 3}
 

@@ -8,12 +8,12 @@ import pytest
 from scipy.signal import lfilter
 
 from quasi.errors import ConfigError, DataError
-from quasi.expressions import parse
 from quasi.identification import products, stepwise
 from quasi.identification.evidence import Totals, probability, standing
 from quasi.identification.products import Pool
 from quasi.identification.regression import least_squares
 from quasi.identification.stepwise import Options, select
+from quasi.terms.expressions import parse
 
 
 def plain(fixed, candidates, z, bias, cap, f_in=4.0, f_out=4.0):

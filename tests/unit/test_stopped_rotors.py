@@ -15,9 +15,9 @@ from quasi.export.matlab import write_matlab
 from quasi.export.matlab_check import run_octave
 from quasi.export.python_source import python_file
 from quasi.export.running import run_c, run_python
-from quasi.expressions import Program, evaluate, names, parse
-from quasi.singularities import STOPPED, remove_singularities
-from quasi.variables import Variables
+from quasi.terms.expressions import Program, evaluate, names, parse
+from quasi.terms.singularities import STOPPED, remove_singularities
+from quasi.terms.variables import Variables
 
 R = AIRFRAME.radius
 U, V, W = 1.5, -0.75, 0.5

@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from quasi.attitude import body_rates
 from quasi.errors import DataError
-from quasi.importing.clocks import ClockFit, Uniform, correlation, peaks
+from quasi.importing.clocks.clock_fit import ClockFit, Uniform, correlation, peaks
+from quasi.importing.clocks.synchronisation import Motion, _turned_between, synchronise
 from quasi.importing.onboard_attitude import estimate_attitude
-from quasi.importing.synchronisation import Motion, _turned_between, synchronise
 
 BOTH = ["pitch", "yaw"]
 

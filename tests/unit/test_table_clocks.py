@@ -11,9 +11,9 @@ from recordings import SHARED
 
 from quasi.airframe import read_airframe
 from quasi.filtering.flight import filter_flight
+from quasi.importing.clocks.table_clocks import in_long_runs
 from quasi.importing.flight import import_flight
-from quasi.importing.table_clocks import in_long_runs
-from quasi.importing.table_reader import read_table_log
+from quasi.importing.readers.table_reader import read_table_log
 from quasi.tables import read_json
 
 ROOT = Path(__file__).parents[2]

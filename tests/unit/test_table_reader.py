@@ -12,10 +12,9 @@ from recordings import SHARED
 from scipy.spatial.transform import Rotation
 
 from quasi.attitude import matrix, rotate
-from quasi.doubt import doubts
-from quasi.errors import ConfigError, ReadError
-from quasi.importing.table_reader import read_table_log
-from quasi.importing.table_text import open_table
+from quasi.errors import ConfigError, ReadError, cautions
+from quasi.importing.readers.table_reader import read_table_log
+from quasi.importing.readers.table_text import open_table
 from quasi.importing.units import UNITS, to_si
 from quasi.tables import read_json
 
@@ -309,10 +308,10 @@ def test_values_that_no_vehicle_has_are_in_doubt(tmp_path, flown, quantity, colu
     plan["sources"][1]["columns"][quantity] = column
     table = table.assign(share=1.0, volt=1.0)
     table[column] *= factor
-    told = doubts(read_table_log(saved(tmp_path, table), plan, 14).notes)
+    told = cautions(read_table_log(saved(tmp_path, table), plan, 14).notes)
     assert len(told) == 1 and re.search(said, told[0])
     table[column] = 1.0
-    assert not doubts(read_table_log(saved(tmp_path, table), plan, 14).notes)
+    assert not cautions(read_table_log(saved(tmp_path, table), plan, 14).notes)
 
 
 def test_held_capture_values_are_no_samples(tmp_path, flown):

@@ -5,8 +5,8 @@ import pytest
 from scipy.signal import lfilter
 
 from quasi.importing import flight as importing
+from quasi.importing.clocks.telemetry import Age, rotor_age
 from quasi.importing.onboard_log import Onboard, Track
-from quasi.importing.telemetry import Age, rotor_age
 
 RATE = 1000.0
 SPIN = np.array([1.0, -1.0, -1.0, 1.0])

@@ -6,8 +6,8 @@ import logging
 import pytest
 
 from quasi.errors import ReadError
-from quasi.joblog import LOG, RUN, job, judge
-from quasi.terminal import FaultFilter, Terminal, again, standing
+from quasi.running.job_log import LOG, RUN, job, judge
+from quasi.running.terminal import FaultFilter, Terminal, again, standing
 
 
 @pytest.fixture

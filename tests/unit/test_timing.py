@@ -14,10 +14,10 @@ def test_doubt_is_least_where_the_lag_was_found_and_grows_with_the_clock_rates()
         "start": {"value": 1.0},
         "synchronisation": {"lag": {"value": -2.0, "std": 3e-5, "at capture time": 33.0}, "clock rate": {"std": 1e-6}},
     }
-    found = timing.doubt(metadata, t)
+    found = timing.clock_uncertainty(metadata, t)
     assert found[3] == pytest.approx(3e-5)  # 33 s of the capture are 30 s of the grid
     assert found[0] == pytest.approx(np.hypot(3e-5, 3e-5)) and found[6] == pytest.approx(found[0])
-    assert not timing.doubt({"synchronisation": None}, t).any()
+    assert not timing.clock_uncertainty({"synchronisation": None}, t).any()
 
 
 def test_a_capture_that_is_late_errs_by_what_is_claimed():

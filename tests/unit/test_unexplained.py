@@ -19,7 +19,7 @@ from quasi.gap.wrench import recurring, unexplained
 from quasi.gap.wrench.gain import wrench_score
 from quasi.gap.wrench.generic import polynomial
 from quasi.gap.wrench.unexplained import outdone, search
-from quasi.standalone.model import AXES
+from quasi.model.model import AXES
 from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
 
 RATE, SECONDS = 100.0, 40.0

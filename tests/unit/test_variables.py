@@ -6,8 +6,8 @@ from airframes import BEETLE
 
 from quasi.airframe import read_airframe
 from quasi.errors import ExpressionError
-from quasi.expressions import parse
-from quasi.variables import Variables, base_columns, known_names, unit_of
+from quasi.terms.expressions import parse
+from quasi.terms.variables import Variables, base_columns, known_names, unit_of
 
 CONFIG = {**BEETLE, "mass": 0.433}
 HDBEETLE = read_airframe(CONFIG, "HDBeetle")

@@ -11,14 +11,14 @@ from quasi.airframe import read_airframe
 from quasi.attitude import from_euler, matrix
 from quasi.errors import DataError, ReadError
 from quasi.filtering.flight import filter_flight
-from quasi.importing.day_time import clock, read_day_time
 from quasi.importing.flight import import_flight
+from quasi.importing.readers.day_time import clock, read_day_time
 from quasi.importing.series import Recording
 from quasi.importing.wind import add_wind, read_lvm
+from quasi.project.folder.workflow import Folder
 from quasi.synthesis.campaign import make_flight, read_campaign
 from quasi.tables import COLUMNS, read_json, write_text
-from quasi.variables import Variables
-from quasi.workflow import Folder
+from quasi.terms.variables import Variables
 
 ROOT = Path(__file__).parents[2]
 HOURS = 3600.0

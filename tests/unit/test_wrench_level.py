@@ -20,7 +20,7 @@ from quasi.gap.wrench.held_out import everything
 from quasi.gap.wrench.left_out import LeftOut
 from quasi.gap.wrench.study import gather_study, refit
 from quasi.gap.wrench.worth import Cause
-from quasi.standalone.model import AXES, Model
+from quasi.model.model import AXES, Model
 
 EFFECTS = {n: catalogue()[n] for n in ("ground_effect", "mass", "thrust_factor", "rotor_speed_scale", "body_drag")}
 

@@ -17,7 +17,7 @@ from quasi.gap.wrench.generic import polynomial
 from quasi.gap.wrench.held_out import best_wrong, telling
 from quasi.gap.wrench.study import gather_study, moved
 from quasi.gap.wrench.worth import Cause
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 
 ASKED = {n: catalogue()[n] for n in ("ground_effect", "thrust_factor", "rotor_acceleration_torque", "wind")}
 

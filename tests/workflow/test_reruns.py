@@ -175,7 +175,7 @@ def test_importing_option_processes_the_models_flights_anew(project):
             {"filtering": 3, "identification_shared": 1, **TRAJECTORIES, **AXES_AND_AFTER},
         ),
         ("quasi/identification/isolation.py", {"identification_shared": 1, **AXES_AND_AFTER}),
-        ("quasi/standalone/verdict.py", JUDGED),
+        ("quasi/scoring/verdict.py", JUDGED),
         ("quasi/pages/chart.py", {"standalone_report": 1, "standalone": 1}),
         ("quasi/pages/animation.py", {**TRAJECTORIES, "standalone": 1}),
         ("quasi/identification/stepwise.py", AXES_AND_AFTER),

@@ -14,7 +14,7 @@ import numpy as np
 from quasi.errors import DataError
 from quasi.gap.flights.level import Flown
 from quasi.identification.actuators import follow
-from quasi.standalone.extensions import drive_of
+from quasi.model.extensions import drive_of
 from quasi.tables import AGE_OFF
 
 ROTORS = range(1, 5)

@@ -13,7 +13,7 @@ from quasi.gap.calibration.corrections import document
 from quasi.gap.calibration.settling import Process, settle
 from quasi.gap.effect import Effect
 from quasi.gap.flights.level import Flown, Level
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 from quasi.tables import COLUMNS
 
 SEARCHES = 4  # that share the false alarm rate: levels K, A and W, and for what no cause explains

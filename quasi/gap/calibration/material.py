@@ -20,7 +20,7 @@ from quasi.gap.calibration.drive_fit import NAMES, Belief, DriveFit, commanded, 
 from quasi.gap.calibration.kinematic_columns import CHANNELS, Weak, corrected_already, weak_form
 from quasi.gap.calibration.kinematic_products import blocks_of, least_squares, whitener_of
 from quasi.gap.flights.level import Flown, Level
-from quasi.standalone.model import ROTORS
+from quasi.model.model import ROTORS
 
 DROWNED = 0.1  # a channel whose floor holds all but this share of its error tells no share
 

@@ -24,7 +24,7 @@ from quasi.gap.statistics.mixed import Offer
 from quasi.gap.wrench.naming import search
 from quasi.gap.wrench.starts import started
 from quasi.gap.wrench.study import Study, gather_study
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 
 IMU, MARKERS = "imu_lever_arm", "marker_offset"
 AXES = ("x", "y", "z")

@@ -33,7 +33,7 @@ from quasi.gap.flights.level import Flown, Level
 from quasi.gap.statistics.mixed import marginal
 from quasi.gap.statistics.whitening import Whitener, block_grams
 from quasi.gap.wrench.study import BLOCK, Study, gather_study
-from quasi.standalone.model import ROTORS, Model
+from quasi.model.model import ROTORS, Model
 
 RATE = 100.0  # Hz of the comparison of forces and moments
 ROWS = 0.98  # share of the rows that must be comparable

@@ -1,7 +1,7 @@
 """Rotor speeds that follow the battery otherwise than the model says."""
 
 from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 
 VOLTAGE = "reference voltage"
 

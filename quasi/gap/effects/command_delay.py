@@ -3,8 +3,8 @@
 import numpy as np
 
 from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
-from quasi.standalone.extensions import drive_of
-from quasi.standalone.model import Model
+from quasi.model.extensions import drive_of
+from quasi.model.model import Model
 
 
 def _extension(values: Values, _: Vehicle, model: Model) -> Extension:

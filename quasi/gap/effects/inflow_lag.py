@@ -5,7 +5,7 @@ import numpy as np
 from quasi.gap.effect import Effect, Extension, Parameter, Terms, Values, Vehicle, number, upward
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.inflow import SHORTEST, overshoot
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:

@@ -4,7 +4,7 @@ import numpy as np
 
 from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
 from quasi.gap.flights.evidence import Evidence
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 
 
 def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:

@@ -1,7 +1,7 @@
 """Rotors that follow their commands more slowly or faster than the model says."""
 
 from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 
 
 def _extension(values: Values, _: Vehicle, __: Model) -> Extension:

@@ -5,7 +5,7 @@ import numpy as np
 from quasi.gap.effect import Effect, Extension, Parameter, Size, Values, Vehicle
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.pendulum import pull_of
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 
 COARSE = 0.2  # of a length, to which it is known: the lengths are 1.6 apart
 # m; a length between two of them shows in the next shorter one

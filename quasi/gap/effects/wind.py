@@ -5,7 +5,7 @@ import numpy as np
 from quasi import attitude
 from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
 from quasi.gap.flights.evidence import Evidence
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 
 NAMES = ("north", "east", "down")
 

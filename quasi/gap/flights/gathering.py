@@ -12,9 +12,9 @@ from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError, ExpressionError
 from quasi.gap.flights.evidence import APART, NEEDED, PLACE, Evidence, model_wrench
 from quasi.gap.flights.instruments import as_shown
+from quasi.model.extensions import put_right
+from quasi.model.model import AXES, ROTORS, Model
 from quasi.plausibility import measured_motion
-from quasi.standalone.extensions import put_right
-from quasi.standalone.model import AXES, ROTORS, Model
 
 HEAVIER = 2.0  # a factor of mass that no load explains
 ELSEWHERE = 0.5  # of the arm: rotors are numbered otherwise, or it is another frame

@@ -1,7 +1,7 @@
 """What the instruments would show if a model were right: read with the configured constants, late, scaled, in wind.
 
 A model that is extended already is compared with flights like any other: their recordings are put right by what it
-knows of them (`standalone.extensions`), and its wrench is that which the instruments would show.
+knows of them (`quasi.model.extensions`), and its wrench is that which the instruments would show.
 """
 
 from collections.abc import Mapping
@@ -14,9 +14,9 @@ from quasi.attitude import GRAVITY
 from quasi.gap.flights.evidence import Evidence, model_wrench
 from quasi.gap.flights.inflow import overshoot
 from quasi.gap.flights.pendulum import pull_of
+from quasi.model.extensions import configured_mass, mass_in, shift_of, telemetry_of, true_speeds, wind_of
+from quasi.model.model import Model
 from quasi.simulation.variants import named, parts_of
-from quasi.standalone.extensions import configured_mass, mass_in, shift_of, telemetry_of, true_speeds, wind_of
-from quasi.standalone.model import Model
 
 
 def as_shown(flight: Evidence) -> np.ndarray:

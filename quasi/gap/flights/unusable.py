@@ -6,9 +6,9 @@ What a flight merely lacks (velocity, rotor speeds) is weighed by each level on 
 from collections.abc import Mapping
 from typing import Any
 
-from quasi.comparisons import COMPARED, HELD
 from quasi.errors import DataError
 from quasi.plausibility import reasons
+from quasi.project.folder.gaps import COMPARED, HELD
 
 USE_UNUSABLE = "use unusable flights"  # key of a gap's configuration
 FEWEST_COMPARED = 2  # flights: a cause must recur in another flight to be found (docs/gaps.md)

@@ -17,8 +17,8 @@ from scipy.interpolate import make_interp_spline
 from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError, nearest
+from quasi.model.model import AXES, ROTORS, Model
 from quasi.simulation.control_model import extras
-from quasi.standalone.model import AXES, ROTORS, Model
 
 RATE = 100.0  # Hz of what is worked out
 LONGEST = 1800.0  # s of a trajectory: more than a battery gives, and more columns than memory holds

@@ -13,7 +13,7 @@ import pandas as pd
 
 from quasi.errors import DataError
 from quasi.gap.planning.flatness import RATE, planned, turning
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 
 SMALLER = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15)  # shares of the full size, tried in turn
 REST = 1.0  # s of hover between parts

@@ -22,7 +22,7 @@ from quasi.gap.planning.manoeuvres import Manoeuvre, library
 from quasi.gap.planning.outlook import Outlook, Repeated, Row, Sight
 from quasi.gap.statistics.whitening import Whitener, block_grams
 from quasi.gap.wrench.study import BLOCK, ORDER, Study, gather_study, in_stretches
-from quasi.standalone.model import AXES, ROTORS, Model
+from quasi.model.model import AXES, ROTORS, Model
 
 RATE = 100.0  # Hz of the evidence
 WORTH = 1.2  # a manoeuvre is proposed where it raises what is expected by this factor at least

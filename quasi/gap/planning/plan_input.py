@@ -11,8 +11,8 @@ from quasi.gap.flights.gathering import refuse_another_vehicle
 from quasi.gap.planning import plan_noise
 from quasi.gap.planning.plan import Flight, read_flight
 from quasi.gap.statistics.whitening import Whitener
+from quasi.model.model import Model
 from quasi.plausibility import measured_motion
-from quasi.standalone.model import Model
 from quasi.tables import read_json, read_numbers, read_table
 
 TABLES = (".csv", ".parquet")

@@ -21,8 +21,8 @@ from quasi.gap.effect import Effect
 from quasi.gap.flights.level import Flown
 from quasi.gap.planning.outlook import Outlook, Repeated, Row
 from quasi.gap.statistics.mixed import Columns
-from quasi.standalone.extensions import drive_of
-from quasi.standalone.model import ROTORS, Model
+from quasi.model.extensions import drive_of
+from quasi.model.model import ROTORS, Model
 
 # of the averaged residuals at level K: p q r (rad/s) and earth accelerations (m/s2) of good captures; white
 SENSED = np.array([3.7e-3] * 3 + [1.6e-2] * 3)

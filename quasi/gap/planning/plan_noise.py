@@ -18,7 +18,7 @@ from quasi.gap.effect import Vehicle
 from quasi.gap.statistics.mixed import marginal
 from quasi.gap.statistics.whitening import RIDGE, Whitener, autoregression, thin
 from quasi.gap.wrench.study import BAND, LIGHT, ORDER
-from quasi.standalone.model import AXES, Model
+from quasi.model.model import AXES, Model
 
 # one-sided power densities of the residual, shares squared per Hz: slow / (1 + (f / corner)^2)^1.5 + white
 SLOW = np.array([2.1e-4, 2.1e-4, 1.0e-4, 7.5e-6, 7.5e-6, 0.0])

@@ -16,9 +16,9 @@ from quasi.gap.calibration.drive_fit import LOW_VOLTAGE, NAMES
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.extension import extend
 from quasi.gap.rollouts.open_loop import COMMANDED, SHARES, Flight
+from quasi.model.extensions import said_of_rotors
+from quasi.model.model import Model
 from quasi.simulation.replay import Rotors, rotors_of
-from quasi.standalone.extensions import said_of_rotors
-from quasi.standalone.model import Model
 
 
 def learned(known: Mapping[str, Any], flight: Flight, model: Model) -> tuple[np.ndarray, Rotors] | None:

@@ -30,7 +30,7 @@ from quasi.gap.wrench.examination import Found
 from quasi.gap.wrench.nuisance import nuisances
 from quasi.gap.wrench.study import BAND, ORDER, in_stretches
 from quasi.gap.wrench.worth import Cause, refitted
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 
 CONFIRMED, REFUTED, UNJUDGED = "confirmed", "not confirmed", "cannot be judged"
 BETTER, WORSE = 1.64, 2.58  # one-sided 5 %: it gains; 0.5 %: it loses, or a gain would have been seen

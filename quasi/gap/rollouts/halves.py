@@ -28,8 +28,8 @@ from quasi.gap.statistics.whitening import thin
 from quasi.gap.wrench.gain import after, wrench_score
 from quasi.gap.wrench.nuisance import nuisances
 from quasi.gap.wrench.study import BAND, MEMORY, ORDER
+from quasi.model.model import AXES, Model
 from quasi.simulation.rollout import steps_of
-from quasi.standalone.model import AXES, Model
 
 OWN_SCOPES = ("s", "f")
 REACH = 0.2  # s: the filter of a flight sees that far ahead, windows start so much later

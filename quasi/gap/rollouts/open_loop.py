@@ -9,10 +9,10 @@ import pandas as pd
 from quasi.attitude import conjugate, from_euler, logarithm, multiply, rotate, rotate_inverse
 from quasi.gap.statistics import blocks
 from quasi.gap.wrench.gain import states_of
+from quasi.model.extensions import drive_of, mass_in, shift_of, wind_of
+from quasi.model.model import Model
 from quasi.simulation.replay import Rotors, replay, steps_of, twelve
 from quasi.simulation.rollout import errors
-from quasi.standalone.extensions import drive_of, mass_in, shift_of, wind_of
-from quasi.standalone.model import Model
 
 EVERY = 0.2  # s between the starts of two windows
 GAINED = "the error falls most"  # why one of the windows is shown

@@ -34,7 +34,7 @@ from quasi.gap.statistics.mixed import Columns, Mixed
 from quasi.gap.statistics.whitening import Thinned
 from quasi.gap.wrench.study import BLOCK, Study, in_stretches
 from quasi.gap.wrench.worth import Cause
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 
 WINDOW = 0.4  # s; at this length the start is not forgotten and the response still about linear
 PARTS = 4  # places of a window that are compared, its end among them

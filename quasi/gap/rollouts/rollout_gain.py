@@ -46,8 +46,8 @@ from quasi.gap.rollouts.open_loop import (
 from quasi.gap.rollouts.rollout_places import channels_of, placed, where_of
 from quasi.gap.statistics import blocks
 from quasi.gap.wrench.gain import after, before
-from quasi.standalone.extensions import mass_in
-from quasi.standalone.model import Model
+from quasi.model.extensions import mass_in
+from quasi.model.model import Model
 
 TRIM, MARGIN, LEAST = 2.0, 0.1, 0.5  # s before a window; s that low-pass filters look ahead; s that must be valid
 TINY = 1e-12  # squared error, SI units, that is none

@@ -10,7 +10,7 @@ from quasi.gap.effect import Vehicle
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.places import HEADING, places
 from quasi.gap.wrench.worth import Cause
-from quasi.standalone.model import AXES
+from quasi.model.model import AXES
 
 CELLS = 16  # along a place, each with as many rows
 MOSTLY = 0.7  # of the largest cell

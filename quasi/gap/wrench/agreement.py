@@ -12,7 +12,7 @@ import numpy as np
 from quasi.gap.statistics.mixed import Offer, Test, Witnessed
 from quasi.gap.statistics.whitening import block_grams
 from quasi.gap.wrench.study import BLOCK, Study, in_stretches
-from quasi.standalone.model import AXES
+from quasi.model.model import AXES
 
 SURE = 3.0  # |t| of an axis that speaks against a cause, and that it must show of the cause to have a say
 OPPOSITE = 0.3  # of what the cause is taken to be, with the other sign, that contradicts it

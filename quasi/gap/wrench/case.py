@@ -12,7 +12,7 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.wrench.gain import after
 from quasi.gap.wrench.study import Study
 from quasi.gap.wrench.worth import Cause, refitted
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 
 
 class Case(NamedTuple):

@@ -19,7 +19,7 @@ from quasi.gap.wrench.sought import Sought, estimate, merged, offers_of, seek
 from quasi.gap.wrench.starts import flatness
 from quasi.gap.wrench.study import Study, in_stretches
 from quasi.gap.wrench.worth import Cause, material, simplest
-from quasi.standalone.model import Model
+from quasi.model.model import Model
 
 SURELY = 2.0  # standard errors, widened, that some parameter must differ by
 WEIGHING = ("mass", "cg_offset")

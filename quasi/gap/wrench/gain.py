@@ -15,7 +15,7 @@ from quasi.gap.statistics import blocks
 from quasi.gap.statistics.whitening import Whitener, thin, whiten
 from quasi.gap.wrench.nuisance import nuisances
 from quasi.gap.wrench.study import BAND, ORDER
-from quasi.standalone.model import AXES, STATE, Model
+from quasi.model.model import AXES, STATE, Model
 
 BLOCK = 5.0  # s
 DRAWS = 200

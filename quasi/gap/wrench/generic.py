@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from quasi.gap.flights.evidence import Evidence
-from quasi.standalone.model import AXES
+from quasi.model.model import AXES
 
 SCALES = {"u": 3.0, "v": 3.0, "w": 3.0, "p": 3.0, "q": 3.0, "r": 3.0, "height": 1.0, "rotors": 1.0}
 

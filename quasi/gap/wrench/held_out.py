@@ -28,7 +28,7 @@ from quasi.gap.wrench.worth import (
     seen_in,
     strength,
 )
-from quasi.standalone.model import AXES, Model
+from quasi.model.model import AXES, Model
 
 RIDGES = (1e-3, 1e-2, 1e-1)  # of fits of everything at once, on scaled columns
 

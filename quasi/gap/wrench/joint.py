@@ -15,7 +15,7 @@ from quasi.gap.statistics.whitening import whiten
 from quasi.gap.wrench import rhythm
 from quasi.gap.wrench.smooth import Cause, Grounds, Place, mixed_of
 from quasi.gap.wrench.study import LIGHT, base_columns, refit
-from quasi.standalone.model import AXES
+from quasi.model.model import AXES
 
 
 class Joint(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 
 from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.evidence import Evidence
-from quasi.standalone.model import AXES, ROTORS
+from quasi.model.model import AXES, ROTORS
 
 MASS, THRUST, TORQUE = 0.01, 0.01, 0.015  # shares
 SEATING, MARKERS = 0.0035, 0.0052  # rad, about each axis

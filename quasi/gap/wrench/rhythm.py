@@ -16,7 +16,7 @@ from scipy.stats import f as f_distribution
 from quasi import attitude
 from quasi.gap.statistics.whitening import autoregression, whiten
 from quasi.gap.wrench.study import ORDER
-from quasi.standalone.model import AXES
+from quasi.model.model import AXES
 
 HIGHEST = 8.0  # Hz, where the band of the analysis ends
 WIDTHS = (1, 5)  # bins: what keeps time, and what rings

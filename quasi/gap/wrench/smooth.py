@@ -12,7 +12,7 @@ from quasi.gap.flights.places import Basis, Choice, basis_of
 from quasi.gap.statistics.mixed import Columns, Mixed, Offer, Test, marginal
 from quasi.gap.statistics.whitening import thin, whiten
 from quasi.gap.wrench.study import BAND, BLOCK, MOST_STRETCHES, ORDER, Study, gather_study, joined
-from quasi.standalone.model import AXES
+from quasi.model.model import AXES
 
 MOST = 6  # functions of what is unexplained
 Cause = tuple[Effect, Offer, Mapping[str, float]]

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from quasi.errors import DataError, ExpressionError
-from quasi.expressions import Program, parse
 from quasi.gap.catalogue import beyond_slope, columns_of, corrected
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.flights.evidence import Evidence
@@ -16,8 +15,9 @@ from quasi.gap.flights.sessions import units
 from quasi.gap.statistics.mixed import Columns, Mixed, Witnessed, marginal
 from quasi.gap.statistics.whitening import Thinned, Whitener, autoregression, block_grams, thin
 from quasi.gap.wrench.nuisance import nuisances
-from quasi.standalone.model import AXES
-from quasi.variables import Variables
+from quasi.model.model import AXES
+from quasi.terms.expressions import Program, parse
+from quasi.terms.variables import Variables
 
 BAND = 10.0  # Hz
 ORDER = 6  # of the autoregression

@@ -11,7 +11,7 @@ from quasi.gap.flights.places import places
 from quasi.gap.flights.residual_tables import where, whiteness
 from quasi.gap.statistics.whitening import stretches
 from quasi.gap.wrench.study import BAND
-from quasi.standalone.model import AXES
+from quasi.model.model import AXES
 
 UNITS = {axis: "N" if axis[0] == "F" else "N m" for axis in AXES}
 SEGMENT = 4.0  # s, of a spectrum

@@ -23,7 +23,7 @@ from quasi.gap.wrench.joint import Joint, joint_of, residual_of, signals_of, slo
 from quasi.gap.wrench.recurring import apart, beyond_doubt, coming_again, surely_again, witnessed
 from quasi.gap.wrench.smooth import Cause, Grounds, Place, grounds_of, mixed_of, offer_of, select
 from quasi.gap.wrench.worth import SMALL
-from quasi.standalone.model import AXES
+from quasi.model.model import AXES
 
 LEAST = 0.05  # of the squared error, below which nothing is left to be removed, by what changed
 BESIDE = 0.3  # of the power along its first axis that a peak has along another one where that is told too

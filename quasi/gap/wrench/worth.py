@@ -18,7 +18,7 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.statistics.mixed import Test
 from quasi.gap.wrench.gain import Score, fraction, surely, wrench_score
 from quasi.gap.wrench.study import Study, refit
-from quasi.standalone.model import AXES
+from quasi.model.model import AXES
 
 MOST_WEIGHED = 5  # causes of which every selection is tried
 EXCITED = 0.1  # of its mean square in the compared flights, that a held-out one must show to be judged by

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from quasi.doubt import doubt
+from quasi.errors import add_caution
 from quasi.importing.checks.channels import frozen_sensor_spans
 from quasi.importing.checks.rotor_speeds import clean_rotor_speeds, flying_rows, rotor_names, unreliable_spans
 from quasi.importing.checks.spans import InvalidSpan, merge_spans
@@ -42,13 +42,13 @@ def check_recording(recording: Recording, where: str) -> Recording:
         # rotor speeds that no rotor reaches make rows invalid above
         values = {n: v for one in series.values() for n, v in one.values.items() if n not in rotor_names(one.values)}
         for end in doubtful_values(values):
-            doubt(notes, f"{where}: {end}")
+            add_caution(notes, f"{where}: {end}")
     spans = merge_spans(spans)
     for reason in dict.fromkeys(span.reason for span in spans):
         own = [span for span in spans if span.reason == reason]
         seconds = sum(span.end - span.begin for span in own)
         start = min(float(one.t[0]) for one in series.values() if len(one.t))
-        doubt(
+        add_caution(
             notes,
             f"{where}: {reason} for {seconds:.2f} s, first from {own[0].begin - start:.2f} s; these rows are invalid "
             "and serve no identification: check the sensor, its wiring and its telemetry",

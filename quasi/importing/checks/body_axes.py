@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from quasi.attitude import GRAVITY, rotate
-from quasi.doubt import doubt
-from quasi.errors import ConfigError, DataError, ReadError
+from quasi.errors import ConfigError, DataError, ReadError, add_caution
 from quasi.importing.contradictions import rates_explained, refuse_wrong_rates
 from quasi.importing.onboard_attitude import rest_at_start
 from quasi.importing.series import Recording, Series
@@ -61,7 +60,7 @@ def settle_body_axes(recording: Recording, quadrotor: Mapping[str, Any], where: 
     notes.append(f"{where}: the IMU is logged in {axes}, by {evidence}")
     wrong = [name for name, vote in found.items() if vote is None or vote != (axes != assumed)]
     if wrong and (forced is not None or axes == assumed):
-        doubt(notes, f"{where}: {' and '.join(wrong)} contradict body axes {axes}; check '{KEY}'")
+        add_caution(notes, f"{where}: {' and '.join(wrong)} contradict body axes {axes}; check '{KEY}'")
     about = {"body axes logged": axes, "body axes decided by": evidence}
     values = dict(main.values)
     if axes != assumed:

@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 from quasi.airframe import number
 from quasi.errors import ReadError, quoted
-from quasi.importing.blackbox import read_blackbox
 from quasi.importing.checks.body_axes import settle_body_axes
-from quasi.importing.decoded import read_decoded
+from quasi.importing.readers.blackbox import read_blackbox
+from quasi.importing.readers.decoded import read_decoded
 from quasi.importing.readers.reader import TEXT, Reader, Request
 from quasi.importing.series import Recording
 from quasi.recognition import HEAD, MARKER

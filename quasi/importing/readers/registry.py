@@ -4,11 +4,11 @@ A further format is one file here with a `Reader`, its name in READERS, and its 
 """
 
 from quasi.errors import ReadError
-from quasi.importing.motive import READER as MOTIVE
 from quasi.importing.readers.betaflight import BLACKBOX_READER, DECODED_READER
+from quasi.importing.readers.motive import READER as MOTIVE
 from quasi.importing.readers.reader import TEXT, Reader, Request
+from quasi.importing.readers.table_reader import READER as TABLE
 from quasi.importing.series import Recording
-from quasi.importing.table_reader import READER as TABLE
 from quasi.recognition import CONTROLLERS, HEAD, recognise
 from quasi.tables import read_head
 

@@ -1,0 +1,1 @@
+"""Clocks of the sources of a recording: lag, rate and delays, and their standard errors."""

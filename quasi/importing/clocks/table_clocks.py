@@ -1,0 +1,164 @@
+"""Time in a table of several sources: frozen rows, stamps that crowd, and the lag of one source against another.
+
+A source without a declared clock has the rows' time only. Its messages may have been written tens of milliseconds later
+or earlier than those of the gyro. The lag follows from the motion that both measured.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from quasi.attitude import body_rates, continuous
+from quasi.importing.clocks.clock_fit import ClockFit, Pair, uniform
+from quasi.importing.clocks.telemetry import BAND, GRID, acceleration_lag, best_fit, rotor_lag
+from quasi.importing.readers.table_mapping import QUATERNION, VECTORS, Source
+
+LONGEST_WAIT = 0.2  # s; messages that crowd after a longer wait are left where they are
+IDLE_SHARE = (
+    0.3  # of the rotor speed in flight, below which a rotor lifts less than a tenth: thrust goes with its square
+)
+STILL_RATE = 0.15  # rad/s, body rates of a quadrotor at rest, bias included (filtering.bias.STILL_GYRO)
+LEAST_EXPLAINED = 0.5  # share of one signal's variance that the other explains, from which a lag is applied
+LARGEST_LAG_STD = 0.01  # s, standard error of a lag up to which it is applied
+SIGMAS = 3.0  # standard errors from which a lag differs from zero
+# s; roll and pitch show rotor speeds up to this much early or late, through inflow and damping (see telemetry)
+ROTOR_LAG_BIAS = 0.01
+
+
+class TableSource(Protocol):
+    """What this module needs of a source: its mapping, its times t (n,) s, values {quantity: (n,)} in earth NED and
+    body FRD, and its own stamps, None where they are not declared."""
+
+    source: Source
+    t: np.ndarray
+    values: dict[str, np.ndarray]
+    stamps: np.ndarray | None
+
+
+def uncrowded(t: np.ndarray) -> np.ndarray:
+    """Stamps (n,), s, of messages that waited and arrived in a burst, moved back to where they can have been sampled.
+
+    A message can be stamped late, not early; so of a crowd the last is right, and each before it was sampled at least
+    0.8 of the usual interval earlier. A crowd of which a sample would have to be moved by more than LONGEST_WAIT is
+    none: the source was faster there.
+    """
+    least = 0.8 * float(np.median(np.diff(t)))
+    steps = least * np.arange(len(t))
+    earlier = steps + np.minimum.accumulate((t - steps)[::-1])[::-1]
+    moved = t - earlier
+    crowd = np.concatenate([[0], np.cumsum((moved[1:] == 0.0) | (moved[:-1] == 0.0))])  # numbered, each with its last
+    longest = np.zeros(crowd[-1] + 1)
+    np.maximum.at(longest, crowd, moved)
+    return np.where(longest[crowd] <= LONGEST_WAIT, earlier, t)
+
+
+def rows_possibly_at_rest(raw: Sequence[TableSource]) -> np.ndarray:
+    """True (n,) for rows in which the quadrotor may be at rest: no rotor turns, or without rotor speeds no gyro does.
+
+    At rest a log of coarse steps may repeat its values. In flight no sensor does: there the log was frozen.
+    """
+    sources = [r for r in raw if not r.source.capture]
+    rotors = [v for r in sources for n, v in r.values.items() if n[0] == "w" and n[1:].isdigit()]
+    if rotors:
+        speed = np.nan_to_num(np.abs(np.stack(rotors))).max(axis=0)
+        return speed <= IDLE_SHARE * np.quantile(speed, 0.9)
+    rates = [r.values[n] for r in sources for n in VECTORS["rates"] if n in r.values]
+    if not rates:
+        return np.zeros(1, bool)
+    return np.nan_to_num(np.abs(np.stack(rates))).max(axis=0) <= STILL_RATE
+
+
+def in_long_runs(same: np.ndarray, longest: int) -> np.ndarray:
+    """True inside runs of more than `longest` True in a row."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
+    result = np.zeros(len(same), bool)
+    for a, b in zip(edges[::2], edges[1::2]):
+        result[a:b] = b - a > longest
+    return result
+
+
+def correct_source_lags(
+    raw: Sequence[TableSource], main: TableSource, about: dict[str, dict[str, Any]], path: Path, notes: list[str]
+) -> None:
+    """Estimate how late the main source is stamped against each other one, and move the other where that is certain.
+
+    Sources with the same declared stamps came in the same messages and share one lag, the most precise of theirs.
+    Sources without declared stamps have a lag each. `about` gets "lag of main stamps" by source name.
+    """
+    late = [r for r in raw if r is not main and not r.source.capture and not _same_stamps(r, main)]
+    while late:
+        same = [r for r in late if r is late[0] or _same_stamps(r, late[0])]
+        late = [r for r in late if r not in same]
+        found = [(r, *_motion_lag(r, main)) for r in same]
+        found = [f for f in found if f[1] is not None]
+        for r, clock, relation in found:
+            about[r.source.name]["lag of main stamps"] = {
+                "value": clock.lag, "std": clock.lag_std, "unit": "s", "from": relation,
+                "explained variance": clock.explained, "applied": False,
+            }  # fmt: skip
+        found = [f for f in found if f[1].explained > LEAST_EXPLAINED and f[1].lag_std < LARGEST_LAG_STD]
+        if not found:
+            continue
+        r, clock, relation = min(found, key=lambda f: f[1].lag_std)
+        least = SIGMAS * clock.lag_std
+        if relation == ROTORS and (r.stamps is None or main.stamps is None):
+            least = max(least, ROTOR_LAG_BIAS)  # within the rows' own clock a smaller lag is estimated from yaw later
+        if abs(clock.lag) <= least:
+            continue
+        about[r.source.name]["lag of main stamps"]["applied"] = True
+        for moved in same:
+            moved.t = moved.t + clock.lag
+        names = " and ".join(f"'{m.source.name}'" for m in same)
+        notes.append(
+            f"{path}: source {names} is stamped {1e3 * abs(clock.lag):.1f} +- {1e3 * clock.lag_std:.1f} ms "
+            f"{'early' if clock.lag > 0 else 'late'} against '{main.source.name}' (from {relation}); moved"
+        )
+
+
+def _same_stamps(one: TableSource, other: TableSource) -> bool:
+    """Whether two sources have declared stamps, and the same ones."""
+    return (
+        one.stamps is not None
+        and other.stamps is not None
+        and len(one.t) == len(other.t)
+        and np.array_equal(one.t, other.t)
+    )
+
+
+ROTORS = "angular acceleration and rotor speeds"
+
+
+def _motion_lag(r: TableSource, main: TableSource) -> tuple[ClockFit | None, str]:
+    """Lag of the main source's stamps behind those of `r`, and the relation it follows from."""
+    rotors = tuple(n for n in r.values if n[0] == "w" and n[1:].isdigit())
+    if all(n in r.values for n in QUATERNION):
+        return _attitude_lag(r, main), "body rates of attitude and gyro"
+    for state, force, sign in ((main, r, 1.0), (r, main, -1.0)):
+        if all(n in s.values and not s.source.columns[n].body for n, s in (("ax", force), ("vx", state))):
+            clock = acceleration_lag(
+                force.t, _stack(force, VECTORS["force"]), state.t, _stack(state, VECTORS["velocity"])
+            )
+            if clock is not None and sign < 0:
+                clock = clock.inverted()
+            return clock, "velocity derivative and acceleration"
+    if len(rotors) >= 3:
+        return rotor_lag(r.t, _stack(r, rotors), main.t, _stack(main, VECTORS["rates"])), ROTORS
+    return None, ""
+
+
+def _attitude_lag(r: TableSource, main: TableSource) -> ClockFit | None:
+    """Lag of the gyro's stamps behind those of an attitude of another source, from the body rates of both."""
+    q = _stack(r, QUATERNION)
+    fine = np.isfinite(q).all(axis=1)
+    if np.count_nonzero(fine) < 8:
+        return None
+    t = r.t[fine]
+    turned = uniform(t, body_rates(continuous(q[fine]), t), GRID, BAND)
+    gyro = uniform(main.t, _stack(main, VECTORS["rates"]), GRID, BAND)
+    return None if turned is None or gyro is None else best_fit([Pair("body rates", gyro, turned)])
+
+
+def _stack(r: TableSource, names: tuple[str, ...]) -> np.ndarray:
+    return np.stack([r.values[n] for n in names], axis=-1)

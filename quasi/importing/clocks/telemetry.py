@@ -1,0 +1,144 @@
+"""How old the telemetry of one on-board source is against another's: both saw one motion, each stamps it its own way.
+
+Between sources with clocks of their own, tens of milliseconds are at stake, and two rough relations that hold whatever
+the airframe tell them: roll and pitch acceleration are a mix of the squared rotor speeds; and the derivative of an
+estimated velocity is the measured acceleration in world axes. Rates of change of the rotor speeds stay out of that mix:
+with them any delay could be explained away.
+
+The age of the rotor telemetry within one log is a few milliseconds, and there roll and pitch deceive: thrust leads the
+rotor speed while the inflow builds up, and damping leads the rates, by as much. Yaw does not. Its acceleration is made
+of the rotors' aerodynamic torque and the reaction to their own acceleration, nothing faster, and the strong reaction
+makes the timing sharp: a delay would need the rotors' second derivative, which is not in the mix.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, sosfiltfilt
+
+from quasi.importing.clocks.clock_fit import ClockFit, Pair, Uniform, fit, uniform
+
+GRID = 200.0  # Hz
+BAND = 12.0  # Hz
+LONGEST = 0.15  # s
+AGE_GRID, AGE_BAND = 250.0, 30.0  # Hz
+AGES = np.arange(-0.010, 0.0401, 0.001)  # s, tried ages of the rotor telemetry
+BLOCKS = 12  # pieces of a flight, for the standard error
+LEAST_FLYING = 5.0  # s
+
+
+class Age(NamedTuple):
+    """Age of the rotor telemetry, s (positive: logged late), its standard error, and how much of yaw it explains."""
+
+    value: float
+    std: float
+    explained: float
+
+
+def rotor_age(t_rotor: np.ndarray, speeds: np.ndarray, t_gyro: np.ndarray, rates: np.ndarray) -> Age | None:
+    """How late rotor speeds are logged against the gyro, from yaw.
+
+    t_rotor (n,) s with speeds (n, 4) rad/s; t_gyro (m,) s with rates (m, 3) rad/s, both on one clock, filter delays
+    taken off. Yaw acceleration is fitted by the squares and the accelerations of all rotors, the body rates and a
+    constant, all in one band, at every age of AGES; the best age is that of the least residual.
+    Standard error by leaving out each of BLOCKS pieces of the flight in turn (jackknife).
+    None where the flight is too short or tells nothing.
+    """
+    if np.count_nonzero(np.isfinite(speeds).all(axis=1)) < 2:
+        return None
+    begin, end = max(t_rotor[0], t_gyro[0]), min(t_rotor[-1], t_gyro[-1])
+    rate = min(AGE_GRID, 1.0 / float(np.median(np.diff(t_gyro))), 1.0 / float(np.median(np.diff(t_rotor))))
+    margin = AGES[-1] + 0.1
+    if not end - begin > LEAST_FLYING + 2 * margin:
+        return None
+    t = np.arange(begin, end, 1.0 / rate)
+    low = butter(4, min(AGE_BAND, 0.2 * rate), fs=rate, output="sos")
+
+    def smooth(times: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        fine = np.isfinite(values).all(axis=1)
+        columns = np.column_stack([np.interp(t, times[fine], v) for v in values[fine].T])
+        apart = np.interp(t, times[fine][1:], np.diff(times[fine]))
+        return sosfiltfilt(low, columns, axis=0), apart > 3.0 / rate + 0.005
+
+    turning, lost = smooth(t_gyro, rates)
+    spinning, lost_too = smooth(t_rotor, speeds)
+    curve = CubicSpline(t, spinning)
+    slope = curve.derivative()
+    yaw = np.gradient(turning[:, 2], t)
+    flying = spinning.min(axis=1) > 0.35 * np.percentile(spinning.mean(axis=1), 90)
+    use = flying & ~lost & ~lost_too & (t > t[0] + margin) & (t < t[-1] - margin)
+    # filters and differences reach a little beyond a gap
+    reach = max(round(0.1 * rate), 1)
+    use = np.convolve(use, np.ones(2 * reach + 1), "same") > 2 * reach + 0.5
+    rows = np.flatnonzero(use)
+    if len(rows) < LEAST_FLYING * rate:
+        return None
+    pieces = np.array_split(rows, BLOCKS)
+    scale = float(np.mean(spinning[rows]))
+
+    def moments(piece: np.ndarray, age: float) -> np.ndarray:
+        at = t[piece] + age
+        w, w_dot = curve(at) / scale, slope(at) / scale
+        columns = np.column_stack([np.ones(len(piece)), w**2, w_dot / 10.0, turning[piece], yaw[piece]])
+        return columns.T @ columns
+
+    grams = np.array([[moments(piece, age) for piece in pieces] for age in AGES])
+
+    def best(chosen: np.ndarray) -> float:
+        left = np.array([_residual(g) for g in grams[:, chosen].sum(axis=1)])
+        i = int(np.clip(np.argmin(left), 1, len(AGES) - 2))
+        bend = left[i - 1] - 2 * left[i] + left[i + 1]
+        step = 0.5 * (left[i - 1] - left[i + 1]) / bend if bend > 0 else 0.0
+        return float(AGES[i] + np.clip(step, -1.0, 1.0) * (AGES[1] - AGES[0]))
+
+    every = np.arange(BLOCKS)
+    value = best(every)
+    without = np.array([best(np.delete(every, k)) for k in every])
+    std = float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((without - without.mean()) ** 2)))
+    total = grams.sum(axis=1)
+    spread = total[0, -1, -1] - total[0, 0, -1] ** 2 / total[0, 0, 0]
+    explained = 1.0 - min(_residual(g) for g in total) / spread if spread > 0 else 0.0
+    return Age(value, std, float(explained))
+
+
+def _residual(gram: np.ndarray) -> float:
+    """Least sum of squares of the last column on the others, from their cross-products."""
+    a, b = gram[:-1, :-1], gram[:-1, -1]
+    return float(gram[-1, -1] - b @ np.linalg.lstsq(a, b, rcond=1e-12)[0])
+
+
+def rotor_lag(t_rotor: np.ndarray, speeds: np.ndarray, t_motion: np.ndarray, rates: np.ndarray) -> ClockFit | None:
+    """Lag of the motion's stamps behind the rotors' (t_motion = t_rotor + lag): how much later the gyro is stamped.
+
+    t_rotor (n,) s with speeds (n, k) rad/s; t_motion (m,) s with rates (m, 3) rad/s. The age of the rotor telemetry
+    against the gyro is minus the lag. None where the motion is too poor to tell.
+    """
+    moving, squares = uniform(t_motion, rates[:, :2], GRID, BAND), uniform(t_rotor, speeds**2 / 1e6, GRID, BAND)
+    if moving is None or squares is None:
+        return None
+    first = Uniform(moving.start, moving.step, np.gradient(moving.values, moving.step, axis=0), moving.good)
+    return best_fit([Pair("roll and pitch acceleration", first, squares)])
+
+
+def acceleration_lag(
+    t_force: np.ndarray, acceleration: np.ndarray, t_state: np.ndarray, velocity: np.ndarray
+) -> ClockFit | None:
+    """Lag of the velocity's stamps behind the acceleration's (t_state = t_force + lag).
+
+    acceleration (n, 3) m/s2 and velocity (m, 3) m/s in the same world axes. None where the motion is too poor to tell.
+    """
+    moving, pushed = uniform(t_state, velocity, GRID, BAND), uniform(t_force, acceleration, GRID, BAND)
+    if moving is None or pushed is None:
+        return None
+    first = Uniform(moving.start, moving.step, np.gradient(moving.values, moving.step, axis=0), moving.good)
+    return best_fit([Pair("velocity derivative", first, pushed)])
+
+
+def best_fit(pairs: Sequence[Pair]) -> ClockFit | None:
+    """The best constant lag within LONGEST, searched from several beginnings, for the mix may fit at the wrong one."""
+    reference = pairs[0].other.start + 0.5 * pairs[0].other.step * len(pairs[0].other.values)
+    fits = [fit(pairs, start, 0.0, reference, fit_rate=False) for start in (-0.06, -0.02, 0.02, 0.06)]
+    fits = [f for f in fits if f is not None and abs(f.lag) < LONGEST]
+    return max(fits, key=lambda f: f.explained, default=None)

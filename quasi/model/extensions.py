@@ -1,0 +1,202 @@
+"""What the extensions of a model know: of rotors and their logs, of the air, of mass, inertia and centre of gravity.
+
+A flight is recorded and filtered with the constants that were configured. A model that was extended by other ones is
+compared with it once the recording is read with these.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from quasi import attitude
+from quasi.errors import ConfigError, DataError, nearest
+from quasi.model.model import ROTORS, Model
+from quasi.tables import AGE_OFF
+
+CONFIGURED = "configured mass"  # of a model's document, kg: that its flights were processed with
+_LAGS = ("time constants", "time constants up", "time constants down")
+_ROTORS = ("time constant", "delay", "voltage exponent", "reference voltage", "telemetry delay", "rotor speed scale")
+
+
+def extensions_of(model: Model) -> list[Mapping[str, Any]]:
+    """The extensions of a model. Raises ConfigError where they are damaged."""
+    return _sections(model.document, model.id)
+
+
+def said_of_rotors(model: Model) -> dict[str, float]:
+    """What extensions say of the rotors and their logs; {} without any. Raises ConfigError for anything else.
+
+    "time constant" s, the mean of speeding up and slowing down; "delay" s; "voltage exponent" of the settled speed and
+    the "reference voltage" V at which it is 1 where the model's command map tells none; and of the flights' recordings,
+    which play a part where recorded speeds drive a roll-out: "telemetry delay" s that they are late by, "rotor speed
+    scale" that they are too high by
+    """
+    return _of_rotors(model.document, model.id)
+
+
+def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
+    """The section "actuators" of a model's document with what its extensions say of the rotors in place of its own.
+
+    A time constant of an extension is the mean of speeding up and slowing down; the model's own ratio of the two, and
+    that of its rotors, is kept, and so is the reference voltage of its command map where it has one. Raises DataError
+    for a damaged section, ConfigError for a damaged extension.
+    """
+    name = str(document.get("id", ""))
+    known = document.get("actuators") or {}
+    if not isinstance(known, Mapping):
+        raise DataError(f"model {name}: 'actuators' is {known!r:.60}, expected a section; make the model anew")
+    known, found = dict(known), _of_rotors(document, name)
+    if "time constant" in found:
+        lag = found["time constant"]
+        own = {k: _seconds(known.pop(k), name, k) for k in _LAGS if k in known}
+        both = all(k in own for k in _LAGS[1:])
+        middle = np.mean([np.mean(own[k]) for k in _LAGS[1:]] if both else own.get(_LAGS[0], lag))
+        scaled = {k: (v * lag / middle).tolist() for k, v in own.items() if both or k == _LAGS[0]}
+        known |= {k: {"value": v} for k, v in ({_LAGS[0]: lag} | scaled).items()}
+    if "delay" in found:
+        own = known.get("delay")
+        said = own.get(AGE_OFF) if isinstance(own, Mapping) else None
+        known["delay"] = {"value": found["delay"]} | ({} if said is None else {AGE_OFF: said})
+    mapped = known.get("command map")
+    if mapped and "voltage exponent" in found:
+        volts = mapped.get("reference voltage") or found.get("reference voltage")
+        exponent = {"value": found["voltage exponent"]}
+        known["command map"] = {**mapped, "voltage exponent": exponent, "reference voltage": volts}
+    return known
+
+
+def wind_of(model: Model) -> np.ndarray:
+    """Velocity of the air (3,), m/s, north east down, that the model's extensions found in its flights.
+
+    Raises ConfigError where it is no three numbers.
+    """
+    wind = np.zeros(3)
+    for extension in extensions_of(model):
+        said = (extension.get("environment") or {}).get("wind", 0.0)
+        try:
+            found = np.broadcast_to(np.asarray(said, float), 3)
+        except (TypeError, ValueError):
+            found = np.full(3, np.nan)
+        if not np.isfinite(found).all():
+            raise ConfigError(f"model {model.id}, extension '{extension.get('id')}': 'wind' is {said!r:.60}, expected "
+                              "three numbers of m/s; make the extended model anew")  # fmt: skip
+        wind = wind + found
+    return wind
+
+
+def telemetry_of(model: Model) -> tuple[float, float]:
+    """How late (s) and by which factor too high recorded rotor speeds are."""
+    said = said_of_rotors(model)
+    return said.get("telemetry delay", 0.0), said.get("rotor speed scale", 1.0)
+
+
+def shift_of(model: Model) -> np.ndarray:
+    """True minus configured centre of gravity (3,), m, body axes."""
+    found = [(e.get("airframe") or {}).get("cg offset") for e in extensions_of(model)]
+    return np.sum([np.zeros(3), *(np.asarray(f, float) for f in found if f is not None)], axis=0)
+
+
+def configured_mass(model: Model) -> float | None:
+    """Mass, kg, that flights are read with; the model's own may differ from it by what extensions found."""
+    return model.document.get(CONFIGURED, model.airframe.mass)
+
+
+def mass_in(model: Model, logged: float | None) -> float | None:
+    """Mass, kg, that the vehicle has by a model in a flight that was logged, and so processed, with another one.
+
+    What extensions found is more or less than was configured, whatever that was: it comes on top of the logged mass.
+    """
+    own, configured = model.airframe.mass, configured_mass(model)
+    if own is None or configured is None or logged is None or not math.isfinite(logged):
+        return own
+    return own + (logged - configured)
+
+
+def true_speeds(columns: Mapping[str, np.ndarray], late: float, scale: float) -> dict[str, np.ndarray]:
+    """A flight's columns with the rotor speeds as they were. late  s that they are late by; scale  too high by"""
+    result = dict(columns)
+    if late or scale != 1.0:
+        for name in ROTORS:
+            slope = f"{name}_dot"
+            result[name] = (columns[name] + late * columns[slope]) / scale
+            result[slope] = columns[slope] / scale
+    return result
+
+
+def put_right(model: Model, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """A flight's columns as they would be without what the model knows of rotor speeds and air: the rotors' true
+    speeds, and the velocity through the air."""
+    result = true_speeds(columns, *telemetry_of(model))
+    wind = wind_of(model)
+    if wind.any():
+        quaternion = attitude.from_euler(*(columns[c] for c in ("roll", "pitch", "yaw")))
+        over_ground = np.stack([columns.get(f"{c}_air", columns[c]) for c in "uvw"], axis=1)
+        through_air = over_ground - attitude.rotate_inverse(quaternion, wind)
+        result |= {f"{c}_air": through_air[:, k] for k, c in enumerate("uvw")}
+    return result
+
+
+def as_read(model: Model, flight: pd.DataFrame, logged: float | None = None) -> pd.DataFrame:
+    """A filtered flight read with what the model knows: rotor speeds, air, and forces and moments by its own mass,
+    inertia and centre of gravity instead of the configured ones. logged  kg that it was processed with, where known
+
+    Parts with states of their own (a load that swings, inflow that lags) stay in the measurement. Source: the filter's
+    definitions F = m f, M = I domega/dt + omega x I omega.
+    """
+    sections = extensions_of(model)
+    if not sections:
+        return flight
+    columns = {n: flight[n].to_numpy(float) for n in flight if pd.api.types.is_numeric_dtype(flight[n])}
+    result = put_right(model, columns)
+    rates, turning = (np.stack([columns[f"{c}{d}"] for c in "pqr"], axis=1) for d in ("", "_dot"))
+    shift, mass = shift_of(model), mass_in(model, logged)
+    configured = configured_mass(model) if logged is None else logged
+    force = np.stack([columns[a] for a in ("Fx", "Fy", "Fz")], axis=1)
+    if shift.any():
+        force = force + configured * (np.cross(turning, shift) + np.cross(rates, np.cross(rates, shift)))
+    if mass and configured and mass != configured:
+        force = force * (mass / configured)
+    result |= dict(zip(("Fx", "Fy", "Fz"), force.T))
+    if any("inertia" in (e.get("airframe") or {}) for e in sections):
+        inertia = np.asarray(model.airframe.inertia, float)
+        moment = turning @ inertia.T + np.cross(rates, rates @ inertia.T)
+        result |= dict(zip(("Mx", "My", "Mz"), moment.T))
+    return flight.assign(**result)
+
+
+def _sections(document: Mapping[str, Any], name: str) -> list[Mapping[str, Any]]:
+    found = document.get("extensions") or []
+    if not isinstance(found, list) or not all(isinstance(e, Mapping) for e in found):
+        raise ConfigError(f"model {name} holds an extension that is no section; make the model anew")
+    return list(found)
+
+
+def _of_rotors(document: Mapping[str, Any], name: str) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for extension in _sections(document, name):
+        for key, value in (extension.get("actuators") or {}).items():
+            what = f"model {name}, extension '{extension.get('id')}'"
+            if key not in _ROTORS:
+                raise ConfigError(f"{what} changes the rotors' '{key}', which the simulator does not know"
+                                  f"{nearest(key, _ROTORS)}; extend the model without it")  # fmt: skip
+            number = float(value) if isinstance(value, int | float) else math.nan
+            positive = key in ("time constant", "reference voltage", "rotor speed scale")
+            if not math.isfinite(number) or (positive and number <= 0.0):
+                raise ConfigError(f"{what}: '{key}' is {value!r}, expected a {'positive' if positive else 'finite'} "
+                                  "number; make the extended model anew")  # fmt: skip
+            found[key] = number
+    return found
+
+
+def _seconds(about: Any, name: str, key: str) -> np.ndarray:
+    try:
+        value = np.asarray(about["value"], float)
+    except (KeyError, TypeError, ValueError):
+        value = np.full(1, np.nan)
+    if value.size not in (1, 4) or not np.all(np.isfinite(value) & (value > 0.0)):
+        raise DataError(f"model {name}: 'actuators' / '{key}' is {about!r:.60}, expected positive seconds under "
+                          "'value'; make the model anew")  # fmt: skip
+    return value

@@ -1,0 +1,434 @@
+"""The portable model: plain data in model.json, forces and moments from states and rotor speeds.
+
+Reading a model runs nothing: its expressions go through the same parser as a candidate file; there is no code in it.
+"""
+
+from collections.abc import Iterable, Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.special import ndtri, stdtrit
+
+from quasi import tables
+from quasi.airframe import Airframe
+from quasi.errors import ConfigError, ReadError, ShapeError, nearest
+from quasi.model.document import AXES, airframe_of, check_document, trees_of
+from quasi.model.envelope import JOINT, Region, distances, make_region
+from quasi.pages.causes import where_it_acts
+from quasi.terms.differential import Jacobian, held_back, held_of, split_jacobian
+from quasi.terms.expressions import Program, names
+from quasi.terms.graph import Graph, Value
+from quasi.terms.kernel import INPUTS, Kernel, compile_outputs, wrench, wrench_rows
+from quasi.terms.normalisation import from_plain as normalisation_from_plain
+from quasi.terms.singularities import remove_singularities
+from quasi.terms.variables import Variables, base_columns, check_terms, plain_name
+
+STATE = ("roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z")
+ROTORS = ("w1", "w2", "w3", "w4")
+ACCELERATIONS = tuple(f"{w}_dot" for w in ROTORS)
+
+
+class Model:
+    """A polynomial model of forces (N) and moments (N m) in body axes.
+
+    id        model ID
+    document  the whole model as plain data
+    airframe  geometry, signs, mass properties
+    gravity   "withGravity": forces are mass x specific force (hover Fz = -m g), gravity is to be added in a simulation;
+              "noGravity": forces are net forces
+    axes      identified axes, a selection of Fx Fy Fz Mx My Mz; the others are NaN in every prediction
+    trees     {axis: expressions of its terms as they are evaluated, without singularities at stopped rotors}
+    slowest   (4,) rad/s, lowest speed of each rotor in the training flights, or the idle speed; None where unknown
+    """
+
+    def __init__(self, document: Mapping[str, Any], where: str = "model") -> None:
+        check_document(document, where)
+        self.document = dict(document)
+        self.id: str = document["id"]
+        self.gravity: str = document["gravity"]
+        self.airframe: Airframe = airframe_of(document["airframe"], where)
+        self.hover_speed: float | None = document["hover speed"]["value"]
+        self.axes = tuple(a for a in AXES if a in document["axes"])
+        written = {a: trees_of(document["axes"][a], a, where) for a in self.axes}
+        distinct = list(dict.fromkeys(tree for trees in written.values() for tree in trees))
+        self._names = Program(distinct).names
+        self._lacking = [k for k, axis in enumerate(AXES) if axis not in self.axes]
+        self.normalisation = normalisation_from_plain(document.get("normalisation"), where)
+        self._moment_names = [n for axis in AXES[3:] for tree in written.get(axis, ()) for n in names(tree)]
+        scheme, radius = self.normalisation, self.airframe.radius
+        self.trees = {
+            a: [t if scheme else remove_singularities(t, radius) for t in some] for a, some in written.items()
+        }
+        self.slowest = _slowest(document, self.airframe)
+        needed = set().union(*(base_columns(n, scheme) for n in self._names), set(ROTORS) if scheme else set())
+        self.columns = tuple(sorted(needed))
+        self._derivatives: dict[tuple[str, ...], Kernel] = {}
+        self.inputs = (*INPUTS, *(c for c in self.columns if c not in INPUTS))
+
+    def graph(self, held: Iterable[str] = ()) -> tuple[Graph, list[list[tuple[float, Value]]]]:
+        """The terms of Fx .. Mz as (coefficient, value) on one graph; `held` variables are independent in derivatives.
+
+        An axis that was not identified has no terms. Raises ExpressionError for d_w... without a hover speed.
+        """
+        graph = Graph(self.airframe, self.hover_speed, held, self.normalisation, self.slowest)
+        found = []
+        for axis in AXES:
+            terms = self.document["axes"].get(axis, {}).get("terms", ())
+            values = [graph.value(tree) for tree in self.trees.get(axis, ())]
+            if self.normalisation:
+                scale = graph.in_si(self.normalisation.scale(axis))
+                values = [graph.times(value, scale) for value in values]
+            found.append([(term["coefficient"], value) for term, value in zip(terms, values)])
+        return graph, found
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        """The model for compiled loops, see `quasi.terms.kernel`; its inputs are named by `inputs`."""
+        graph, terms = self.graph()
+        return compile_outputs(graph, [graph.combine(axis) for axis in terms], self.inputs, self._lacking)
+
+    @property
+    def with_gravity(self) -> bool:
+        """Whether a simulation has to add gravity."""
+        return self.gravity == "withGravity"
+
+    @property
+    def uses_rotor_accelerations(self) -> bool:
+        """Whether a term asks for the rotors' accelerations."""
+        return any(c in ACCELERATIONS for c in self.columns)
+
+    def variables(self, columns: Mapping[str, np.ndarray]) -> Variables:
+        """The candidate variables of some columns as the model's terms take them."""
+        return Variables(columns, self.airframe, self.hover_speed, self.normalisation, self.slowest)
+
+    def predict(
+        self,
+        state: np.ndarray,
+        rotor_speeds: np.ndarray,
+        rotor_accelerations: np.ndarray | None = None,
+        extra: Mapping[str, np.ndarray] | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Forces (N, 3), N, and moments (N, 3), N m, in body axes: the quasi-steady part of the model.
+
+        What has states of its own (a load that swings, air that follows late, the rotors' lag and delay) moves in the
+        simulator; here a load hangs at rest along the apparent vertical, and the rotors have the speeds given.
+
+        state                (N, 12) roll pitch yaw (rad), u v w (m/s, through the air), p q r (rad/s), x y z (m);
+                             or (N, 9) without the position where no term needs it
+        rotor_speeds         (N, 4) mechanical rad/s
+        rotor_accelerations  (N, 4) rad/s2; without them terms that use them take zero: the quasi-steady prediction
+        extra                further columns that terms name (battery_voltage, v_in, ...), each (N,); u_air v_air w_air
+                             take the place of u v w
+        One row, (12,) or (9,) with (4,), gives (3,) and (3,).
+        Raises ShapeError, or ExpressionError for a missing column.
+        """
+        state, speeds = np.asarray(state, float), np.asarray(rotor_speeds, float)
+        if state.ndim == 1 and not extra:
+            return self._predict_row(state, speeds, rotor_accelerations)
+        result = self.run(self.kernel, state, speeds, rotor_accelerations, extra)
+        forces, moments = result[:3].T, result[3:].T
+        return (forces[0], moments[0]) if state.ndim == 1 else (forces, moments)
+
+    def predict_columns(self, flight: pd.DataFrame | Mapping[str, np.ndarray]) -> pd.DataFrame:
+        """Predictions of the identified axes, one column each, of a table with roll .. z, w1 .. w4 and so on."""
+        columns, rows = _as_columns(flight)
+        result = self._run(self.kernel, columns, rows)
+        index = flight.index if isinstance(flight, pd.DataFrame) else None
+        return pd.DataFrame({axis: result[AXES.index(axis)] for axis in self.axes}, index=index)
+
+    def jacobian(
+        self,
+        state: np.ndarray,
+        rotor_speeds: np.ndarray,
+        rotor_accelerations: np.ndarray | None = None,
+        extra: Mapping[str, np.ndarray] | None = None,
+    ) -> Jacobian:
+        """Exact derivatives of forces and moments by the state, the rotor speeds and the rotor accelerations.
+
+        Arguments as for `predict`. Returns arrays (N, 6, 12), (N, 6, 4) and (N, 6, 4), rows Fx .. Mz; one row drops the
+        leading axis. An axis that the model lacks is NaN. Raises ShapeError or ExpressionError.
+        """
+        kernel = self.derivative_kernel(INPUTS)
+        found = split_jacobian(self.run(kernel, state, rotor_speeds, rotor_accelerations, extra))
+        return Jacobian(*(part[0] for part in found)) if np.ndim(state) == 1 else found
+
+    def run(
+        self,
+        kernel: Kernel,
+        state: np.ndarray,
+        rotor_speeds: np.ndarray,
+        rotor_accelerations: np.ndarray | None = None,
+        extra: Mapping[str, np.ndarray] | None = None,
+    ) -> np.ndarray:
+        """Outputs (M, N) of one of the model's kernels; the other arguments as for `predict`."""
+        state, speeds = np.asarray(state, float), np.asarray(rotor_speeds, float)
+        return self._run(kernel, *_from_state(state, speeds, rotor_accelerations, extra))
+
+    def held_constant(self, u: Iterable[str]) -> list[str]:
+        """Variables of the moments that move with the inputs u of a differential form but are kept constant in it."""
+        found = self._moment_names
+        if self.normalisation:
+            trees = [self.normalisation.trees.get(plain_name(n), ("name", n)) for n in found]
+            found = [n for tree in [*trees, self.normalisation.scale("Mx")] for n in names(tree)]
+        return held_back(found, u)
+
+    def derivative_kernel(self, by: Iterable[str]) -> Kernel:
+        """Derivatives of Fx .. Mz by some variables for compiled loops: outputs (6, len(by)), axis after axis.
+
+        by  base columns, or variables such as U_p, by which derivatives treat everything else as constant
+        """
+        by = tuple(by)
+        if by not in self._derivatives:
+            graph, terms = self.graph(held_of(by))
+            wrt = [graph.independent(name) for name in by]
+            outputs = [graph.combine(axis, node) for axis in terms for node in wrt]
+            lacking = [len(by) * m + k for m in self._lacking for k in range(len(by))]
+            self._derivatives[by] = compile_outputs(graph, outputs, self.inputs, lacking)
+        return self._derivatives[by]
+
+    def distance(
+        self,
+        state: np.ndarray,
+        rotor_speeds: np.ndarray,
+        rotor_accelerations: np.ndarray | None = None,
+        extra: Mapping[str, np.ndarray] | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """How far outside the region that the training data covered, and in which variable most.
+
+        Arguments as for `predict`. Returns (N,) distances, 0 inside, in units of the covered range (0.5: half of that
+        range beyond its end), and (N,) names of the worst variable, "" inside; `quasi.model.envelope` tells more.
+        One row gives a number and a name. A row that holds NaN has the distance NaN.
+        Raises ShapeError, ExpressionError, or ConfigError for a model that carries no region.
+        """
+        state = np.asarray(state, float)
+        columns, rows = _from_state(state, np.asarray(rotor_speeds, float), rotor_accelerations, extra)
+        found, worst = self._distances(columns, rows)
+        return (found[0], worst[0]) if state.ndim == 1 else (found, worst)
+
+    def distance_columns(self, flight: pd.DataFrame | Mapping[str, np.ndarray]) -> pd.DataFrame:
+        """Columns "distance" and "worst" as `distance` tells them, of a table with roll .. z, w1 .. w4 and so on."""
+        found, worst = self._distances(*_as_columns(flight))
+        index = flight.index if isinstance(flight, pd.DataFrame) else None
+        return pd.DataFrame({"distance": found, "worst": worst}, index=index)
+
+    @property
+    def region(self) -> Region:
+        """The region that the training data covered, for compiled loops, see `quasi.model.envelope`."""
+        return self._region[0]
+
+    @property
+    def region_names(self) -> tuple[str, ...]:
+        """What the numbers of a worst variable mean; the last is the ellipsoid of all together."""
+        return (*self._region[1], JOINT)
+
+    @cached_property
+    def _region(self) -> tuple[Region, tuple[str, ...]]:
+        if not self.document.get("envelope"):
+            raise ConfigError(f"model {self.id} carries no region that its data covered; make the model anew")
+        graph = Graph(self.airframe, self.hover_speed, slowest=self.slowest)
+        try:
+            return make_region(self.document, graph, self.inputs, self.kernel.used, self._names)
+        except (LookupError, TypeError, ValueError, AttributeError, np.linalg.LinAlgError) as error:
+            said = f"model {self.id}: the region that its data covered is damaged ({error}); make the model anew"
+            raise ConfigError(said) from None
+
+    def _distances(self, columns: Mapping[str, np.ndarray], rows: int) -> tuple[np.ndarray, np.ndarray]:
+        region = self.region
+        columns = self._inputs_of(columns, rows)
+        found, worst = distances(*region, self._gathered(region.kernel, columns, rows))
+        return found, np.array([*self.region_names, ""])[worst]
+
+    def interval(self, flight: pd.DataFrame | Mapping[str, np.ndarray], level: float | None = None) -> pd.DataFrame:
+        """Prediction intervals: columns <axis>, <axis>_lower, <axis>_upper for each identified axis.
+
+        level  share of measurements that should fall inside; None takes the model's own
+        An axis whose coefficients came without data has NaN bounds.
+        Variance = residual variance + a C a', C being the coefficients' covariance robust to autocorrelation;
+        quantile of Student's t with the effective number of rows less the number of terms.
+        """
+        columns, rows = _as_columns(flight)
+        lookup = self._lookup(columns, rows)
+        result = {}
+        for axis in self.axes:
+            part = self.document["axes"][axis]
+            confidence = part["confidence level"] if level is None else level
+            trees = self.trees[axis]
+            values = Program(trees).run(lookup, rows)
+            coefficients = np.array([t["coefficient"] for t in part["terms"]])
+            a = values[[not t.get("given", False) for t in part["terms"]]]
+            covariance = np.array(part["covariance"], float).reshape(len(a), len(a))
+            with np.errstate(invalid="ignore", over="ignore"):
+                variance = part["sigma2"] + np.einsum("in,in->n", a, covariance @ a)
+                deviation = np.sqrt(variance)
+                centre = coefficients @ values
+            freedom = part["effective rows"] - len(part["covariance"])
+            share = 0.5 * (1.0 + confidence)
+            width = (stdtrit(freedom, share) if freedom >= 1 else ndtri(share)) * deviation
+            if not part["n"]:  # coefficients that came without data tell nothing of their errors
+                width = np.full(rows, np.nan)
+            if self.normalisation:
+                scale = self.normalisation.scale_of(axis, columns)
+                centre, width = centre * scale, width * scale
+            result |= {axis: centre, f"{axis}_lower": centre - width, f"{axis}_upper": centre + width}
+        return pd.DataFrame(result, index=flight.index if isinstance(flight, pd.DataFrame) else None)
+
+    def summary(self, axes: Iterable[str] | None = None) -> str:
+        """The model as text: terms, coefficients, standard errors, units, per axis."""
+        lines = [f"Model {self.id} ({self.gravity}, airframe {self.airframe.name})"]
+        if self.hover_speed is not None:
+            lines.append(f"Hover speed {self.hover_speed:.1f} rad/s")
+        if self.normalisation:
+            lines.append("Coefficients are those of F / N and M / (N b); predictions are in N and N m")
+        for extension in self.document.get("extensions") or []:
+            lines.append(f"Extended by {extension.get('id')}: {where_it_acts(extension)}")
+        for axis in self.axes if axes is None else axes:
+            if axis not in self.axes:
+                raise ConfigError(f"model {self.id} has no axis '{axis}'{nearest(axis, self.axes)}")
+            part = self.document["axes"][axis]
+            width = max(len("Regressor"), *(len(t["name"]) for t in part["terms"]))
+            lines += ["", "#" * (width + 48), f"{axis}  technique: stepwise regression", "-" * (width + 48)]
+            lines.append(f"{'Regressor':<{width}}  {'Value':>12}  {'Std':>10}  {'|t|':>8}  Unit")
+            for term in part["terms"]:
+                t = f"{abs(term['t']):.1f}" if term.get("t") is not None else "given" if term.get("given") else "-"
+                lines.append(
+                    f"{term['name']:<{width}}  {term['coefficient']:>12.4e}  {term['std']:>10.1e}  {t:>8}  "
+                    f"{term['unit']}"
+                )
+            lines.append("-" * (width + 48))
+            lines.append(f"Total number of terms {len(part['terms'])}")
+            if part["n"]:
+                lines.append(f"R2 {part['R2']:.4f}, RMSE {part['RMSE']:.4g} {part['unit']} on the training rows")
+                lines.append(f"{part['n']} training rows, worth {part['effective rows']:.0f} independent ones")
+            else:
+                lines.append("Coefficients as given; nothing is known of their errors")
+        return "\n".join(lines)
+
+    def _predict_row(
+        self, state: np.ndarray, speeds: np.ndarray, accelerations: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        kernel, size = self.kernel, len(state)
+        if size not in (9, 12):
+            raise ShapeError(f"state must be (12,) or (9,), roll pitch yaw u v w p q r [x y z], got {state.shape}")
+        if speeds.shape not in ((4,), (1, 4)):
+            raise ShapeError(f"rotor_speeds must be (4,) like the one row of the state, got {speeds.shape}")
+        row = np.zeros(len(INPUTS))
+        row[:size] = state
+        row[12:16] = speeds.reshape(4)
+        if accelerations is not None:
+            accelerations = np.asarray(accelerations, float)
+            if accelerations.shape not in ((4,), (1, 4)):
+                raise ShapeError(f"rotor_accelerations must be (4,) like rotor_speeds, got {accelerations.shape}")
+            row[16:] = accelerations.reshape(4)
+        if len(self.inputs) > len(INPUTS) or (size == 9 and kernel.used[9:12].any()):
+            self._say_what_lacks(dict(zip(INPUTS[: 9 if size == 9 else 12], state)) | dict.fromkeys(INPUTS[12:], 0.0))
+        out = np.empty(len(AXES))
+        wrench(kernel, row, kernel.work, out)
+        return out[:3], out[3:]
+
+    def _columns(self, columns: Mapping[str, np.ndarray], rows: int) -> dict[str, np.ndarray]:
+        """The columns as the terms' variables take them."""
+        if self.uses_rotor_accelerations and not any(c in columns for c in ACCELERATIONS):
+            return {**columns, **dict.fromkeys(ACCELERATIONS, np.zeros(rows))}
+        return dict(columns)
+
+    def _lookup(self, columns: Mapping[str, np.ndarray], rows: int):
+        found = self._columns(columns, rows)
+        return self.variables(found).__getitem__
+
+    def _say_what_lacks(self, columns: Mapping[str, Any]) -> None:
+        zeros = {name: np.zeros(1) for name in columns}
+        variables = self.variables(zeros)
+        with np.errstate(all="ignore"):
+            for name in self._names:
+                variables[name]
+
+    def _inputs_of(self, columns: Mapping[str, np.ndarray], rows: int) -> dict[str, np.ndarray]:
+        """The columns under the names of the kernel's inputs. Raises ExpressionError for one that is missing."""
+        columns = self._columns(columns, rows)
+        columns |= {name: columns[f"{name}_air"] for name in "uvw" if f"{name}_air" in columns}
+        if not all(self.inputs[k] in columns for k in self.kernel.gather.tolist()):
+            self._say_what_lacks(columns)
+        return columns
+
+    def _run(self, kernel: Kernel, columns: Mapping[str, np.ndarray], rows: int) -> np.ndarray:
+        """(outputs, rows) of one of the model's kernels. Raises ExpressionError for a missing column."""
+        result = np.empty((kernel.outputs, rows))
+        table = self._gathered(kernel, self._inputs_of(columns, rows), rows)
+        if rows == 1:  # the machine for many rows works on blocks of them
+            inputs = np.zeros(len(self.inputs))
+            inputs[kernel.gather] = table[:, 0]
+            wrench(kernel, inputs, kernel.work, result[:, 0])
+        else:
+            wrench_rows(kernel, table, result)
+        return result
+
+    def _gathered(self, kernel: Kernel, columns: Mapping[str, np.ndarray], rows: int) -> np.ndarray:
+        """(G, rows) what a kernel gathers."""
+        table = np.empty((len(kernel.gather), rows))
+        for k, position in enumerate(kernel.gather.tolist()):
+            table[k] = columns[self.inputs[position]]
+        return table
+
+
+def _slowest(document: Mapping[str, Any], airframe: Airframe) -> list[float] | None:
+    """Lowest speed of each rotor in the training flights, else the idle speed, rad/s; None where neither is known."""
+    ranges = document.get("envelope") or {}
+    lowest = [(ranges.get(w) or {}).get("min") if isinstance(ranges, Mapping) else None for w in ROTORS]
+    if all(isinstance(v, int | float) and np.isfinite(v) for v in lowest):
+        return [float(v) for v in lowest]
+    factor = airframe.logged_to_rad_s or document.get("logged to rad/s")
+    if airframe.idle_rpm and isinstance(factor, int | float) and np.isfinite(airframe.idle_rpm * factor):
+        return [float(airframe.idle_rpm * factor)] * 4
+    return None
+
+
+def _from_state(
+    state: np.ndarray,
+    speeds: np.ndarray,
+    accelerations: np.ndarray | None,
+    extra: Mapping[str, np.ndarray] | None,
+) -> tuple[dict[str, np.ndarray], int]:
+    """Columns and number of rows of what `predict` is given. Raises ShapeError."""
+    state, speeds = np.atleast_2d(state), np.atleast_2d(speeds)
+    if state.ndim != 2 or state.shape[1] not in (9, 12):
+        raise ShapeError(f"state must be (N, 12) or (N, 9), roll pitch yaw u v w p q r [x y z], got {state.shape}")
+    if speeds.shape != (len(state), 4):
+        raise ShapeError(f"rotor_speeds must be ({len(state)}, 4) like the state's rows, got {speeds.shape}")
+    columns = {name: state[:, k] for k, name in enumerate(STATE[: state.shape[1]])}
+    columns |= {name: speeds[:, k] for k, name in enumerate(ROTORS)}
+    if accelerations is not None:
+        accelerations = np.atleast_2d(np.asarray(accelerations, float))
+        if accelerations.shape != speeds.shape:
+            raise ShapeError(f"rotor_accelerations must be {speeds.shape} like rotor_speeds, got {accelerations.shape}")
+        columns |= {name: accelerations[:, k] for k, name in enumerate(ACCELERATIONS)}
+    for name, values in (extra or {}).items():
+        columns[name] = np.broadcast_to(np.asarray(values, float), (len(state),))
+    return columns, len(state)
+
+
+def _as_columns(flight: pd.DataFrame | Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], int]:
+    columns = {str(name): np.asarray(flight[name], float) for name in flight if _is_number(flight[name])}
+    return columns, len(next(iter(columns.values()))) if columns else 0
+
+
+def _is_number(values: Any) -> bool:
+    return np.issubdtype(np.asarray(values).dtype, np.number)
+
+
+def read_model(path: str | Path) -> Model:
+    """Read a model from its folder or its model.json.
+
+    Raises ReadError when there is none, ConfigError or ExpressionError naming file and key when it was damaged, or a
+    term names a variable that no flight holds.
+    """
+    path = Path(path)
+    file = path / "model.json" if path.is_dir() else path
+    if not file.is_file():
+        raise ReadError(f"{path} holds no model.json; make the model first, or give its folder")
+    document = tables.read_json(file)
+    model = Model(document, str(file))
+    check_terms(document, str(file))
+    return model

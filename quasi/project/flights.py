@@ -1,0 +1,248 @@
+"""The flights of a project folder as the rules ask for them: raw files, quadrotor, mass, and settings of their jobs."""
+
+import functools
+from pathlib import Path
+from typing import Any
+
+from quasi.airframe import read_airframe
+from quasi.errors import LogbookError, QuasiError, nearest
+from quasi.project.folder.folder import is_file, with_suffix
+from quasi.project.folder.gaps import Comparisons
+from quasi.project.folder.logbook import Row
+from quasi.recognition import CONTROLLERS, HEAD, recognise
+from quasi.tables import read_head
+
+CAPTURE = (".csv", ".CSV")
+WIND = (".lvm", ".LVM", ".txt", ".csv")
+
+# What of a quadrotor configuration each stage reads: a change elsewhere in the file reruns nothing.
+GEOMETRY = (
+    "rotor config",
+    "rotor1 rotation direction",
+    "rotor radius",
+    "b",
+    "moment of inertia",
+    "rotor hub height",
+    "rotor positions",
+    "rotor rotation directions",
+)
+IMPORTING = (
+    *GEOMETRY,
+    "optitrack marker cg offset",
+    "motor poles",
+    "imu position",
+    "idle RPM",
+    "max RPM",
+    "table columns",
+    "betaflight raw acceleration correction factor",
+    "command map",
+    "logged body axes",
+)
+FILTERING = (*GEOMETRY, "motor poles", "idle RPM", "max RPM", "(estimated) imu sensor noise statistics")
+IDENTIFICATION = (*GEOMETRY, "motor poles", "idle RPM", "max RPM", "command map")
+LIGHTEST, HEAVIEST = 0.005, 100.0  # kg: outside lies a slip of unit, not a quadrotor
+
+
+class Recordings(Comparisons):
+    """A project folder's recorded flights: where each row's raw files lie, and the settings of its two stages."""
+
+    # raw files of one flight
+
+    def raw(self, row: Row) -> dict[str, Any]:
+        """Paths of the "onboard" and "capture" files, found or to be made, or None, and a "problem" or None."""
+        controller = self.controller(row)
+        suffixes = CONTROLLERS.get(controller, CONTROLLERS["betaflight"])
+        onboard, problem = self._find(row, "OB Path", "Onboard Name", suffixes)
+        capture = None
+        if row.has("Has OT data"):
+            if not row.cells.get("Raw OptiTrack Name"):
+                problem = problem or (
+                    f"{row.logbook} row {row.number}: 'Has OT data' is yes but 'Raw OptiTrack Name' is empty; "
+                    "fill it in"
+                )
+            else:
+                capture, missing = self._find(row, "Raw OT Path", "Raw OptiTrack Name", CAPTURE)
+                problem = problem or missing
+        return {"onboard": onboard, "capture": capture, "problem": row.problem or problem}
+
+    def controller(self, row: Row) -> str:
+        """betaflight, indiflight or table: the logbook's cell, else the quadrotor configuration's."""
+        name = row.cells["Flight controller"].lower()
+        if not name:
+            config, _ = self._quadrotor(row)
+            name = str(config.get("flight controller", "")).lower()
+        return {"cleanflight": "betaflight"}.get(name, name)
+
+    def wind(self, row: Row) -> tuple[dict[str, Any] | None, str | None]:
+        """Wind of a flight: its record, static speed (m/s), clock offset (s) and direction; None in still air.
+
+        A static wind other than 0 counts even where 'Has OJF data' is no, for it needs no record. The second part is a
+        sentence when a cell cannot be read, or the record is absent and no static wind stands in.
+        """
+        try:
+            static = row.number_in("Static wind (m/s)")
+            if not row.has("Has OJF data") and not static:
+                return None, None
+            wind: dict[str, Any] = {
+                "file": None,
+                "file problem": None,
+                "static": static,
+                "time offset": row.number_in("OptiTrack time offset (s)") or 0.0,
+                "towards": row.number_in("Wind towards (deg)") or 0.0,
+            }
+        except LogbookError as error:
+            return None, str(error)
+        if row.has("Has OJF data") and row.cells.get("OJF name"):
+            wind["file"], wind["file problem"] = self._find(row, "OJF path", "OJF name", WIND)
+        elif static is None:
+            return None, (
+                f"{row.logbook} row {row.number}: 'Has OJF data' is yes, but neither 'OJF name' nor "
+                "'Static wind (m/s)' is given; fill in one"
+            )
+        return wind, wind["file problem"] if static is None else None
+
+    def _find(self, row: Row, folder: str, name: str, suffixes: tuple[str, ...]) -> tuple[str | None, str | None]:
+        base = self.place(row.cells.get(folder, "")) / row.cells[name]
+        if base.suffix in suffixes:
+            candidates = [base]
+        else:
+            # the name as it is written serves, too: what a file holds decides how it is read, not its extension
+            candidates = [*(Path(f"{base}{s}") for s in suffixes), base]
+        for path in candidates:
+            if is_file(self._here(path)) or self._made(path):
+                return str(path), None
+        expected = str(candidates[0]) if len(candidates) == 1 else f"{base}[{'|'.join(dict.fromkeys(suffixes))}]"
+        near = self._near_files(base)
+        remedy = (
+            f"{' and '.join(near[:3])} {'lies' if len(near) == 1 else 'lie'} there: write the whole file name into "
+            f"'{name}' of the logbook if it is the flight"
+            if near
+            else f"correct '{name}' or '{folder}' in the logbook, or copy the file there{self._data_hint(base)}"
+        )
+        return None, f"{row.logbook} row {row.number}, flight {row.key}: raw file {expected} does not exist; {remedy}"
+
+    def _near_files(self, base: Path) -> list[str]:
+        """Files of the same name but for extension and case, each with what it holds: "LOG1.TXT (a blackbox log)"."""
+        folder = self._here(base.parent)
+        stems = {base.name.lower(), base.stem.lower()}
+        try:
+            files = sorted(p for p in folder.iterdir() if {p.name.lower(), p.stem.lower()} & stems and is_file(p))
+        except OSError:
+            return []
+        kinds = [recognise(read_head(p, HEAD)) for p in files]
+        return [f"{p.name}{f' ({kind.name})' if kind else ''}" for p, kind in zip(files, kinds)]
+
+    def _data_hint(self, path: Path) -> str:
+        """How to say where recordings lie, for a raw file that was sought in the folder's own data/."""
+        if self.data or path.parts[:1] != ("data",):
+            return ""
+        return "; where recordings lie elsewhere, `--config data=PATH` tells where data/ is"
+
+    def _made(self, path: Path) -> bool:
+        """Whether the synthesis stage makes this raw file."""
+        parts = path.parts
+        if len(parts) != 5 or parts[:2] != ("results", "synthesis") or parts[2] not in self.campaigns:
+            return False
+        kind = {"onboard": ".bbl", "optitrack": ".csv"}.get(parts[3])
+        keys = [f.get("key") for f in self.campaign(parts[2]).get("flights", [])]
+        return path.suffix == kind and path.stem in keys
+
+    # settings of the jobs
+
+    def _quadrotor(self, row: Row) -> tuple[dict[str, Any], str | None]:
+        if not row.cells["Drone Config File"]:
+            empty = "'Drone Config File' is empty; fill in the name of the quadrotor's JSON"
+            return {}, f"{row.logbook} row {row.number}, flight {row.key}: {empty}"
+        config, problem = self._quadrotor_file(self._quadrotor_path(row))
+        if problem and not config:
+            problem = f"{row.logbook} row {row.number}, flight {row.key}: {problem}"
+        return config, problem
+
+    def _quadrotor_path(self, row: Row) -> Path:
+        path = Path(row.cells["Drone Config Path"].replace("\\", "/")) / row.cells["Drone Config File"]
+        return self._settled(with_suffix(path, ".json"))
+
+    @functools.cache  # noqa: B019
+    def _quadrotor_file(self, path: Path) -> tuple[dict[str, Any], str | None]:
+        if not is_file(self._here(path)):
+            known = [p.name for p in self._here(path.parent).glob("*.json")]
+            return {}, (
+                f"quadrotor configuration {path} does not exist{self._nor(path)}"
+                f"{nearest(path.name, known)}; correct 'Drone Config File' or 'Drone Config Path'"
+            )
+        try:
+            config = self._read(path, "quadrotor")
+            # what no schema tells: rotor numbers, inertia, poles; the mass is the row's affair
+            read_airframe(config, str(path), mass=1.0)
+        except QuasiError as error:
+            return {}, str(error)
+        return config, None
+
+    def _part(self, row: Row, keys: tuple[str, ...]) -> dict[str, Any]:
+        config, problem = self._quadrotor(row)
+        part = {k: config[k] for k in keys if k in config}
+        part["file"] = self._quadrotor_path(row).stem
+        return {"quadrotor": part, "problem": problem}
+
+    def importing(self, quadrotor: str, flight: str) -> dict[str, Any]:
+        """Settings of one import job."""
+        row = self.row(quadrotor, flight)
+        raw, part = self.raw(row), self._part(row, IMPORTING)
+        log_number = row.cells.get("Log number", "")
+        wind, wind_problem = self.wind(row)
+        return {
+            "flight": {
+                "flight": row.key,
+                "quadrotor": row.quadrotor,
+                "flight controller": self.controller(row),
+                "rigid body": row.cells.get("Rigid Body Name", ""),
+                "onboard": raw["onboard"],
+                "capture": raw["capture"],
+                "log number": int(log_number) if log_number.isdigit() else None,
+            }
+            | ({"wind": wind} if wind else {}),
+            "quadrotor": part["quadrotor"],
+            "options": self.processing["data importing"],
+            "problem": part["problem"] or raw["problem"] or wind_problem,
+        }
+
+    def filtering(self, quadrotor: str, flight: str) -> dict[str, Any]:
+        """Settings of one filter job."""
+        row = self.row(quadrotor, flight)
+        part = self._part(row, FILTERING)
+        mass, problem = self.mass(row)
+        return {
+            "mass": mass,
+            "quadrotor": part["quadrotor"],
+            "options": self.processing["data filtering"],
+            "problem": part["problem"] or problem,
+        }
+
+    def mass(self, row: Row) -> tuple[float | None, str | None]:
+        """Mass in kg (the logbook's grams, else the quadrotor's), and a sentence when it cannot be used."""
+        flight = f"{row.logbook} row {row.number}, flight {row.key}"
+        try:
+            grams = row.number_in("Mass")
+        except LogbookError as error:
+            return None, str(error)
+        if grams is not None:
+            if LIGHTEST <= grams * 1e-3 <= HEAVIEST:
+                return grams * 1e-3, None
+            return None, f"{flight}: 'Mass' is {grams:g} grams, which no quadrotor weighs; the column holds grams"
+        config, problem = self._quadrotor(row)
+        given = config.get("mass", "")
+        if given == "":
+            return None, problem or (
+                f"{flight}: no mass; fill in 'Mass' (grams) in the logbook "
+                "or 'mass' (kg) in the quadrotor configuration"
+            )
+        try:
+            mass = float(given)
+        except ValueError:
+            mass = float("nan")
+        if LIGHTEST <= mass <= HEAVIEST:
+            return mass, None
+        return None, (
+            f"{flight}: 'mass' is {str(given)[:40]!r} in {row.cells['Drone Config File']}, expected kg "
+            f"from {LIGHTEST:g} to {HEAVIEST:g}; correct it, or fill in 'Mass' (grams) in the logbook"
+        )

@@ -1,0 +1,1 @@
+"""How well a model does: scores, diagnostics, verdict and their figures."""

@@ -1,1 +1,0 @@
-"""The portable model: plain data, predict, scores."""

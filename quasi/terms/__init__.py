@@ -1,0 +1,1 @@
+"""Regressor terms: expressions, variables, normalisation, compiled kernels and their derivatives."""
