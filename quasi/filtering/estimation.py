@@ -197,7 +197,7 @@ def estimate(
     engine, forward = _forward(chosen["engine"], inputs, watch)
     final = smooth(inputs, forward) if chosen["smoother"] else forward
     if measured.source["position"].startswith("capture"):
-        late = timing.doubt(metadata, t)
+        late = timing.clock_uncertainty(metadata, t)
         forward, final = (timing.widen(run, inputs, late) for run in (forward, final))
     deviation, early = ekf.deviations(final.covariance), ekf.deviations(forward.covariance)
 

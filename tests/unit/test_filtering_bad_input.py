@@ -8,7 +8,7 @@ from programs import script
 from rigid_body import measure, move, quadrotor
 
 from quasi import attitude
-from quasi.errors import ConfigError, DataError, cautions
+from quasi.errors import Caution, ConfigError, DataError, cautions, cautions_first
 from quasi.filtering import estimation, flight, forces
 from quasi.filtering.flight import filter_flight
 from quasi.filtering.noise import beyond
