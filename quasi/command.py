@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quasi.errors import QuasiError, nearest
-from quasi.project.folder.templates import lay_folder, new_simulation
+from quasi.project.templates import lay_folder, new_simulation
 
 if TYPE_CHECKING:
     from quasi.gap.effect import Vehicle
-    from quasi.project.folder.workflow import Folder
+    from quasi.project.workflow import Folder
 
 LIBRARY = Path(__file__).parent.parent
 
@@ -221,7 +221,7 @@ def model_place(model: str, directory: Path) -> Path:
 
 def fly_live(name: str | None, directory: Path, by_hand: bool) -> str:
     """Show a simulation live, or fly a model by hand; see `quasi.simulation.live`."""
-    from quasi.project.folder.folder import check_project
+    from quasi.project.folder import check_project
     from quasi.simulation.live import fly_by_hand, fly_simulation
 
     if not by_hand:
@@ -234,7 +234,7 @@ def fly_live(name: str | None, directory: Path, by_hand: bool) -> str:
 def margins_of(simulation: str, directory: Path) -> str:
     """Gains and margins of a simulation's controller as text. Raises a QuasiError where it or its model are absent."""
     from quasi.model.model import read_model
-    from quasi.project.folder.folder import check_project
+    from quasi.project.folder import check_project
     from quasi.simulation.margins import margins_of_setup
     from quasi.simulation.setup import make_setup
     from quasi.tables import read_numbers
@@ -254,7 +254,7 @@ def reach_of(simulation: str, directory: Path, horizon: float, radius: float, sp
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     from quasi.model.model import read_model
-    from quasi.project.folder.folder import check_project
+    from quasi.project.folder import check_project
     from quasi.simulation.reach import UNITS, reach
     from quasi.simulation.reach_figure import reach_figure
     from quasi.tables import read_numbers, whole_file, write_json, write_table
@@ -320,8 +320,8 @@ def plan_of(
 
 def folder_of(directory: Path) -> "Folder":
     """The project folder as Snakemake sees it: raw data lies where config/config.yaml says."""
-    from quasi.project.folder.folder import read_settings
-    from quasi.project.folder.workflow import Folder
+    from quasi.project.folder import read_settings
+    from quasi.project.workflow import Folder
 
     return Folder(directory, data=read_settings(directory / "config/config.yaml").get("data"))
 
@@ -394,7 +394,7 @@ def noise_at_rest(
 
     from quasi.filtering.noise_statistics import ANGLES, RestLog, noise_statistics, section
     from quasi.importing.rest import read_rest
-    from quasi.project.folder.configuration import check, read, with_section
+    from quasi.project.configuration import check, read, with_section
     from quasi.tables import read_bytes, write_bytes
 
     configuration, _ = read(quadrotor, "quadrotor")

@@ -15,11 +15,11 @@ from quasi.errors import QuasiError
 from quasi.running.job_log import RUN, told
 from quasi.pages.index import TARGET, list_sources, write_index
 from quasi.running.provenance import code_of
-from quasi.project.folder.folder import check_project, check_writable, read_settings
+from quasi.project.folder import check_project, check_writable, read_settings
 from quasi.running.checksums import Checksums
 from quasi.running.live_runs import explain_lock, refuse_unlocking, register, withdraw
 from quasi.running.terminal import FaultFilter, Terminal, again, standing
-from quasi.project.folder.workflow import Folder
+from quasi.project.workflow import Folder
 
 PROJECT = os.getcwd()  # at the end of a run it is another one
 FAULTS = []

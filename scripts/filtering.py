@@ -3,7 +3,7 @@
 import time
 
 from quasi.airframe import read_airframe
-from quasi.errors import ConfigError
+from quasi.errors import ConfigError, cautions_first
 from quasi.filtering.estimation import CONVERGENCE_UNITS
 from quasi.filtering.flight import NONE_VALID, course, filter_flight
 from quasi.running.job_log import LOG, job, judge, progress

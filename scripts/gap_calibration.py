@@ -15,7 +15,7 @@ from quasi.gap.flights.level import Flown
 from quasi.gap.flights.unusable import USE_UNUSABLE, exclude_unusable, exclusion_notes
 from quasi.importing.flight import import_flight
 from quasi.model.model import read_model
-from quasi.project.folder.gaps import recorded_twice, refuse_trained, same_recordings
+from quasi.project.gaps import recorded_twice, refuse_trained, same_recordings
 from quasi.running.job_log import LOG, job, progress
 from quasi.tables import read_json, read_table, write_json, write_table
 

@@ -22,7 +22,7 @@ from quasi.gap.flights.unusable import USE_UNUSABLE, exclude_unusable, exclusion
 from quasi.gap.rollouts.open_loop import flight_of, windows
 from quasi.identification.partition import UNITS, partition, to_table
 from quasi.model.model import read_model
-from quasi.project.folder.gaps import recordings_told, unchecked
+from quasi.project.gaps import recordings_told, unchecked
 from quasi.running.job_log import LOG, job, progress
 from quasi.tables import drop_identified_commands, read_json, read_table, recordings_of, write_json, write_table
 

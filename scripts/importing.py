@@ -1,8 +1,8 @@
 """Import one flight: read its sources, synchronise their clocks, fuse them on one time base."""
 
-from quasi.errors import ReadError
+from quasi.errors import ReadError, cautions_first
 from quasi.importing.flight import import_flight
-from quasi.project.folder.logbook import describe_row
+from quasi.project.logbook import describe_row
 from quasi.running.job_log import LOG, job, judge
 from quasi.tables import write_json, write_table
 

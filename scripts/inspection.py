@@ -2,7 +2,7 @@
 
 from quasi.errors import DataError
 from quasi.importing.inspection import MEMORY, Inspector, refusals
-from quasi.project.folder.gaps import repeated_recordings
+from quasi.project.gaps import repeated_recordings
 from quasi.running.job_log import LOG, job, progress, tell
 from quasi.tables import write_json
 

@@ -16,7 +16,7 @@ from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.errors import ConfigError
 from quasi.gap.flights.evidence import Evidence, rotor_levers
 from quasi.model.model import Model
-from quasi.project.folder.folder.logbook import NAME
+from quasi.project.logbook import NAME
 
 LEVELS = ("K", "A", "W")
 PARTS = ("any", "all", "first", "one", "next")

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from quasi.importing.inspection import MEMORY, Inspector, empty_result, refusals
 from quasi.importing.inspection_report import report
-from quasi.project.folder.folder import check_project, read_settings
-from quasi.project.folder.gaps import repeated_recordings
-from quasi.project.folder.workflow import Folder
+from quasi.project.folder import check_project, read_settings
+from quasi.project.gaps import repeated_recordings
+from quasi.project.workflow import Folder
 from quasi.running.provenance import code_of
 
 

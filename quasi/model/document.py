@@ -8,7 +8,7 @@ import numpy as np
 
 from quasi.airframe import Airframe, from_plain
 from quasi.errors import ConfigError, ExpressionError, QuasiError
-from quasi.project.folder.logbook import NAME
+from quasi.project.logbook import NAME
 from quasi.terms.expressions import Tree, parse
 
 SCHEMA = "quasi.model/1"

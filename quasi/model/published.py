@@ -21,7 +21,7 @@ from quasi.errors import ConfigError, ExpressionError, nearest
 from quasi.model.build import assemble
 from quasi.model.document import AXES
 from quasi.model.model import Model
-from quasi.project.folder.logbook import NAME
+from quasi.project.logbook import NAME
 from quasi.tables import fingerprint, read_json
 from quasi.terms.expressions import Tree, names, parse, text
 from quasi.terms.kernel import INPUTS

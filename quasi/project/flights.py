@@ -6,9 +6,9 @@ from typing import Any
 
 from quasi.airframe import read_airframe
 from quasi.errors import LogbookError, QuasiError, nearest
-from quasi.project.folder.folder import is_file, with_suffix
-from quasi.project.folder.gaps import Comparisons
-from quasi.project.folder.logbook import Row
+from quasi.project.folder import is_file, with_suffix
+from quasi.project.gaps import Comparisons
+from quasi.project.logbook import Row
 from quasi.recognition import CONTROLLERS, HEAD, recognise
 from quasi.tables import read_head
 

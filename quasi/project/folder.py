@@ -9,9 +9,9 @@ from typing import Any
 import yaml
 
 from quasi.errors import ConfigError, LogbookError, QuasiError, ReadError, nearest
-from quasi.project.folder import configuration
-from quasi.project.folder.logbook import NAME, Row, apart, pick, read_logbook
-from quasi.project.folder.misplaced_files import misplaced_files
+from quasi.project import configuration
+from quasi.project.logbook import NAME, Row, apart, pick, read_logbook
+from quasi.project.misplaced_files import misplaced_files
 from quasi.tables import read_json, read_text
 from quasi.terms.variables import check_expression, check_terms, inputs_of_system
 

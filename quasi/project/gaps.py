@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from quasi.errors import ConfigError, QuasiError, nearest
-from quasi.project.folder.folder import AXES, Project, check_model_file, is_file
-from quasi.project.folder.logbook import NAME, Row
+from quasi.project.folder import AXES, Project, check_model_file, is_file
+from quasi.project.logbook import NAME, Row
 from quasi.tables import read_json, read_text, sha256_of
 
 HELD, COMPARED, REFERENCE = "held out", "compared", "reference"

@@ -12,10 +12,10 @@ from typing import Any
 
 from quasi.airframe import read_airframe
 from quasi.errors import ConfigError, QuasiError, nearest
-from quasi.project.folder.flights import GEOMETRY, IDENTIFICATION, Recordings
-from quasi.project.folder.folder import AXES, check_model_file, check_specification, is_file, with_suffix
-from quasi.project.folder.gaps import HELD, recorded_twice
-from quasi.project.folder.logbook import Row
+from quasi.project.flights import GEOMETRY, IDENTIFICATION, Recordings
+from quasi.project.folder import AXES, check_model_file, check_specification, is_file, with_suffix
+from quasi.project.gaps import HELD, recorded_twice
+from quasi.project.logbook import Row
 from quasi.tables import read_json, read_text
 from quasi.terms.normalisation import normalisation_of
 

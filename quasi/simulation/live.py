@@ -16,7 +16,7 @@ from quasi.simulation.window import Window
 from quasi.tables import read_numbers
 
 if TYPE_CHECKING:
-    from quasi.project.folder.workflow import Folder
+    from quasi.project.workflow import Folder
 
 START = {"initial state conditions": {"position": [0, 0, -1.5]}}  # of a model without a simulation, m, z down
 

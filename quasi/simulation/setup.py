@@ -23,7 +23,7 @@ from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
 from quasi.model.extensions import drive_of, said_of_rotors, wind_of
 from quasi.model.model import Model
-from quasi.project.folder import configuration
+from quasi.project import configuration
 from quasi.simulation.control_model import DEFAULT_LAG, hover_speed
 from quasi.simulation.controllers import make_controller
 from quasi.simulation.dynamics import INTEGRATORS, RK4, body_of, loads_at, scratch_of, with_rest

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from quasi.errors import ConfigError, LogbookError, QuasiError
-from quasi.project.folder.gaps import refuse_trained, same_recordings, unchecked
-from quasi.project.folder.workflow import Folder
+from quasi.project.gaps import refuse_trained, same_recordings, unchecked
+from quasi.project.workflow import Folder
 from quasi.tables import ages_taken_off, recordings_of, sha256_of
 
 ROOT = Path(__file__).parents[2]

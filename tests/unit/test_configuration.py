@@ -4,7 +4,7 @@ import jsonschema
 import pytest
 
 from quasi.errors import ConfigError
-from quasi.project.folder import configuration
+from quasi.project import configuration
 from quasi.tables import read_json
 
 SCHEMAS = sorted(p.name.removesuffix(".schema.json") for p in configuration.SCHEMAS.glob("*.schema.json"))

@@ -8,8 +8,8 @@ import pytest
 
 from quasi.command import main
 from quasi.errors import ConfigError, QuasiError
-from quasi.project.folder.gaps import recorded_twice, same_recordings
-from quasi.project.folder.workflow import Folder
+from quasi.project.gaps import recorded_twice, same_recordings
+from quasi.project.workflow import Folder
 
 ROOT = Path(__file__).parents[2]
 HEADER = "Quadrotor,Onboard Name,OB Path,Flight controller,Drone Config File,Drone Config Path,Mass"

@@ -12,7 +12,7 @@ from quasi.command import main
 from quasi.importing import inspection
 from quasi.importing.flight import import_flight
 from quasi.importing.inspection import Inspector, inspect_flight, refusals, usable_for
-from quasi.project.folder.workflow import Folder
+from quasi.project.workflow import Folder
 
 ROOT = Path(__file__).parents[2]
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from quasi.errors import LogbookError
-from quasi.project.folder.logbook import NEEDED, OPTIONAL, describe_row, pick, read_logbook, select_rows
+from quasi.project.logbook import NEEDED, OPTIONAL, describe_row, pick, read_logbook, select_rows
 
 ROOT = Path(__file__).parents[2]
 HEADER = [*NEEDED, "Mass", "Log number", "Flight key", "Comments"]

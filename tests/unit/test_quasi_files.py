@@ -6,9 +6,9 @@ import shutil
 import pytest
 
 from quasi.errors import ConfigError
-from quasi.project.folder.folder import check_project
-from quasi.project.folder.misplaced_files import misplaced_files
-from quasi.project.folder.workflow import Folder
+from quasi.project.folder import check_project
+from quasi.project.misplaced_files import misplaced_files
+from quasi.project.workflow import Folder
 
 IDENTIFICATION = {"identification parameters": {}, "saving models": {"model ID": "HDBeetle_v2"}}
 

@@ -19,8 +19,8 @@ from quasi.errors import ReadError
 from quasi.importing.onboard_log import read_onboard
 from quasi.importing.readers.motive import read_motive
 from quasi.importing.wind import read_lvm
-from quasi.project.folder.logbook import read_logbook
-from quasi.project.folder.workflow import Folder
+from quasi.project.logbook import read_logbook
+from quasi.project.workflow import Folder
 from quasi.recognition import recognise
 
 MAPPING = {"time": {"column": "t"}, "sources": [{"name": "imu", "columns": {n: n for n in "pqr"}}]}

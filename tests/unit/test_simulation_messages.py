@@ -141,7 +141,7 @@ def test_tables_that_the_settings_name_are_read_from_the_folder(model, tmp_path)
 
 
 def test_faults_without_the_switch_get_a_notice_that_names_it():
-    from quasi.project.folder.configuration import check
+    from quasi.project.configuration import check
 
     def notices(faults):
         return check({"model": {"model ID": "made"}, "faults": faults}, "simulation", "config/simulations/s.json")[1]
@@ -152,7 +152,7 @@ def test_faults_without_the_switch_get_a_notice_that_names_it():
 
 
 def test_show_names_the_command_that_shows_this_flight():
-    from quasi.project.folder.configuration import check
+    from quasi.project.configuration import check
 
     document = {"model": {"model ID": "made"}, "animation": {"show": True}}
     assert any("`quasi fly windy`" in n for n in check(document, "simulation", "config/simulations/windy.json")[1])

@@ -15,7 +15,7 @@ from quasi.importing.flight import import_flight
 from quasi.importing.readers.day_time import clock, read_day_time
 from quasi.importing.series import Recording
 from quasi.importing.wind import add_wind, read_lvm
-from quasi.project.folder.workflow import Folder
+from quasi.project.workflow import Folder
 from quasi.synthesis.campaign import make_flight, read_campaign
 from quasi.tables import COLUMNS, read_json, write_text
 from quasi.terms.variables import Variables

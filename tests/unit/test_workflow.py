@@ -8,8 +8,8 @@ import pytest
 
 from quasi.command import main
 from quasi.errors import ConfigError, ExpressionError, LogbookError, QuasiError
-from quasi.project.folder.folder import check_project, check_writable, read_settings
-from quasi.project.folder.workflow import Folder
+from quasi.project.folder import check_project, check_writable, read_settings
+from quasi.project.workflow import Folder
 
 ROOT = Path(__file__).parents[2]
 MODEL = {

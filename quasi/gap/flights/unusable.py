@@ -8,7 +8,7 @@ from typing import Any
 
 from quasi.errors import DataError
 from quasi.plausibility import reasons
-from quasi.project.folder.gaps import COMPARED, HELD
+from quasi.project.gaps import COMPARED, HELD
 
 USE_UNUSABLE = "use unusable flights"  # key of a gap's configuration
 FEWEST_COMPARED = 2  # flights: a cause must recur in another flight to be found (docs/gaps.md)
