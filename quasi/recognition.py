@@ -17,7 +17,10 @@ CONTROLLERS = {
     "betaflight": (".bbl", ".BBL", ".bfl", ".BFL", ".csv", ".CSV"),
     "indiflight": (".bbl", ".BBL", ".bfl", ".BFL", ".csv", ".CSV"),
     "table": (".csv", ".CSV", ".parquet", ".Parquet"),
+    "px4": (".ulg", ".ULG"),
+    "ardupilot": (".bin", ".BIN"),
 }
+SET = "set 'Flight controller' to {}"
 TABLE = "use the flight controller 'table' with 'table columns' in the quadrotor configuration"
 CONVERT = f"export its signals to one CSV or Parquet table and {TABLE}"
 
@@ -43,7 +46,7 @@ ZIPPED = (
 # first bytes, format; the first that fits
 STARTS = (
     (b"PAR1", PARQUET),
-    (b"ULog\x01\x12\x35", Format("ulog", "a PX4 ULog", f"convert it by ulog2csv of pyulog, {CONVERT}")),
+    (b"ULog\x01\x12\x35", Format("ulog", "a PX4 ULog", SET.format("px4"))),
     (b"#ROSBAG V", Format("rosbag", "a ROS 1 bag", CONVERT)),
     (b"\x89MCAP0\r\n", Format("mcap", "an MCAP recording (ROS 2)", CONVERT)),
     (b"SQLite format 3\0", Format("db3", "an SQLite database, such as a ROS 2 bag (db3)", CONVERT)),
@@ -52,7 +55,7 @@ STARTS = (
     (b"\x89HDF\r\n\x1a\n", Format("hdf5", "an HDF5 file", CONVERT)),
     (b"\x93NUMPY", Format("npy", "a NumPy array (npy)", CONVERT)),
     (b"ARROW1\0\0", Format("feather", "an Arrow file (Feather)", f"save it as Parquet and {TABLE}")),
-    (b"\xa3\x95\x80", Format("dataflash", "an ArduPilot DataFlash log", CONVERT)),
+    (b"\xa3\x95\x80", Format("dataflash", "an ArduPilot DataFlash log", SET.format("ardupilot"))),
     (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", Format("xls", "an old spreadsheet (xls)", "save the sheet as CSV")),
     (b"\x1f\x8b", Format("gzip", "packed by gzip", UNPACK)),
     (b"BZh", Format("bzip2", "packed by bzip2", UNPACK)),

@@ -233,6 +233,9 @@ def _together(tracks: list[Track]) -> Track:
 
 def _delays(recording: Recording, where: str, notes: list[str]) -> dict[str, Any]:
     """How late the controller's filters make gyro and accelerometer, s; a table comes as its columns are."""
+    if (known := recording.metadata.get("filter delays")) is not None:
+        delays = {quantity: dict(about) for quantity, about in known.items()}
+        return _report_unknown_delays(delays, recording, where, notes)
     header = recording.metadata.get("header")
     delays = header_delays(header or {}, complete=not recording.metadata.get("header lines lost"))
     for quantity, about in delays.items():
@@ -242,6 +245,12 @@ def _delays(recording: Recording, where: str, notes: list[str]) -> dict[str, Any
             about |= {"value": 0.0, "filters": []}
         if header is None or (field_used.endswith("afterRpm") and not about["known"]):
             about |= {"std": 0.0, "known": True}
+    return _report_unknown_delays(delays, recording, where, notes)
+
+
+def _report_unknown_delays(
+    delays: dict[str, Any], recording: Recording, where: str, notes: list[str]
+) -> dict[str, Any]:
     unknown = {quantity: about for quantity, about in delays.items() if not about["known"]}
     if unknown:
         add_caution(

@@ -34,6 +34,7 @@ IMPORTING = (
     "idle RPM",
     "max RPM",
     "table columns",
+    "log topics",
     "betaflight raw acceleration correction factor",
     "command map",
     "logged body axes",

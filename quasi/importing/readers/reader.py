@@ -1,12 +1,14 @@
 """What a log format declares: the kinds of files that it reads, the flight controllers it serves, how it reads them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from quasi.errors import ReadError
 from quasi.importing.series import Recording
 
 TEXT = "text"  # kind of a file that `quasi.recognition` finds no binary format in
@@ -60,3 +62,14 @@ class Reader:
     kinds: tuple[str, ...]
     read: Callable[[Request], Recording]
     controllers: tuple[str, ...] = ()
+
+
+@contextmanager
+def needs_extra(extra: str, path: Path, what: str) -> Iterator[None]:
+    """Turn the absence of an optional package into a ReadError that names the command which installs it."""
+    try:
+        yield
+    except ImportError as error:
+        raise ReadError(
+            f"{path} is {what}, which needs the package '{error.name}'; install it with pip install 'quasi[{extra}]'"
+        ) from None

@@ -115,10 +115,11 @@ def _choice(section: Mapping[str, Any], key: str, allowed: tuple[str, ...], wher
     return value
 
 
-def read_mapping(section: Any, poles: int | None, where: str) -> TableMapping:
+def read_mapping(section: Any, poles: int | None, where: str, log_has_clock: bool = False) -> TableMapping:
     """Check the section and resolve units.
 
     section  its content; poles  magnets of a motor, or None; where  begins every message
+    log_has_clock  whether the log stamps its samples itself, so that sources need no column of time
     Raises   ConfigError naming source, quantity and key
     """
     _keys(section, ("time", "sources"), ("sources",), where)
@@ -132,7 +133,7 @@ def read_mapping(section: Any, poles: int | None, where: str) -> TableMapping:
             f"{where}: two sources are named '{next(n for n in names if names.count(n) > 1)}'; rename one"
         )
     for source in sources:
-        if source.clock is None and clock is None:
+        if source.clock is None and clock is None and not log_has_clock:
             raise ConfigError(f"{where}, source '{source.name}': neither it nor the table has a 'time'; add one")
     seen: dict[tuple[str, bool], str] = {}
     for source in sources:

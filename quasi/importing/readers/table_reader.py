@@ -5,7 +5,7 @@ and sources on different clocks are brought onto the clock of the gyro's source,
 the motion that both saw.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +19,10 @@ from quasi.importing.checks.rotor_speeds import clean_rotor_speeds
 from quasi.importing.clocks.table_clocks import correct_source_lags, in_long_runs, rows_possibly_at_rest, uncrowded
 from quasi.importing.contradictions import doubtful_units, doubtful_values
 from quasi.importing.readers.reader import TEXT, Reader, Request
+from quasi.importing.readers.signals import Signals
 from quasi.importing.readers.table_mapping import EULER, QUATERNION, VECTORS, Source, TableMapping, read_mapping
 from quasi.importing.readers.table_text import open_table
 from quasi.importing.series import Recording, Series
-from quasi.importing.signals import Signals
 from quasi.importing.streams import unwrapped
 
 HALF_TURN = np.array([1.0, -1.0, -1.0])  # half a turn about x: FLU to FRD, z-up to NED
@@ -56,16 +56,24 @@ def read_table_log(
 
 
 def read_signals(
-    path: Path, signals: Signals, plan: TableMapping, poles: int | None, electrical: bool, notes: list[str]
+    path: Path,
+    signals: Signals,
+    plan: TableMapping,
+    poles: int | None,
+    electrical: bool,
+    notes: list[str],
+    known: Sequence[str] = (),
 ) -> Recording:
     """Bring the columns of a log to standard quantities, units and axes, and its sources to one clock.
 
     plan        which columns are which quantities
     poles       magnets of a motor, or None where the configuration does not say
     electrical  whether a rotor speed is an electrical one
+    known       further columns of the log, for messages
     Returns and raises as `read_table_log`.
     """
-    raw = [MappedSource(source, signals, plan, path, notes) for source in plan.sources]
+    known = known or signals.columns
+    raw = [MappedSource(source, signals, known, path, notes) for source in plan.sources]
     main = next(r for r in raw if "p" in r.values and not r.source.capture)
     rows = _row_times(signals, plan, raw, path, notes)
     about: dict[str, Any] = {}
@@ -181,7 +189,7 @@ def _times(table: pd.DataFrame, clock: tuple[str, float], path: Path, notes: lis
     return values * factor
 
 
-def _missing(path: Path, aliases: list[str] | tuple[str, ...], meant: str, known: list[str]) -> ReadError:
+def _missing(path: Path, aliases: list[str] | tuple[str, ...], meant: str, known: Sequence[str]) -> ReadError:
     names = " or ".join(f"'{a}'" for a in aliases)
     columns = [quoted(name, 120)[1:-1] for name in known]
     return ReadError(
@@ -190,7 +198,7 @@ def _missing(path: Path, aliases: list[str] | tuple[str, ...], meant: str, known
     )
 
 
-def _group_of(source: Source, signals: Signals, path: Path) -> str:
+def _group_of(source: Source, signals: Signals, known: Sequence[str], path: Path) -> str:
     """The group that holds a source's columns; those of two groups have clocks of their own and are two sources."""
     found: dict[str, str] = {}
     for column in source.columns.values():
@@ -200,7 +208,7 @@ def _group_of(source: Source, signals: Signals, path: Path) -> str:
                 break
     if not found:
         quantity, column = next(iter(source.columns.items()))
-        raise _missing(path, column.aliases, f"{quantity} of source '{source.name}'", signals.columns)
+        raise _missing(path, column.aliases, f"{quantity} of source '{source.name}'", known)
     if len(found) > 1:
         (one, first), (other, second) = list(found.items())[:2]
         raise ReadError(
@@ -213,19 +221,19 @@ def _group_of(source: Source, signals: Signals, path: Path) -> str:
 class MappedSource:
     """One source on its way from the log's columns to a series; each step changes it."""
 
-    def __init__(self, source: Source, signals: Signals, plan: TableMapping, path: Path, notes: list[str]) -> None:
+    def __init__(self, source: Source, signals: Signals, known: Sequence[str], path: Path, notes: list[str]) -> None:
         self.source = source
         self.values: dict[str, np.ndarray] = {}
         self.t = np.zeros(0)
         self.stamps: np.ndarray | None = None
         self.stamped_by_log = bool(signals.clocks)
-        self.group = _group_of(source, signals, path)
+        self.group = _group_of(source, signals, known, path)
         table = signals.frames[self.group]
         lacking = set()
         for quantity, column in source.columns.items():
             name = next((a for a in column.aliases if a in table.columns), None)
             if name is None and not column.optional:
-                raise _missing(path, column.aliases, f"{quantity} of source '{source.name}'", signals.columns)
+                raise _missing(path, column.aliases, f"{quantity} of source '{source.name}'", known)
             if name is None:
                 lacking.add(quantity)
                 continue
@@ -248,7 +256,7 @@ class MappedSource:
                 )
         if source.clock is not None:
             if source.clock[0] not in table.columns:
-                raise _missing(path, [source.clock[0]], f"time of source '{source.name}'", signals.columns)
+                raise _missing(path, [source.clock[0]], f"time of source '{source.name}'", known)
             self.stamps = _times(table, source.clock, path, notes)
         self.report: dict[str, Any] = {
             "clock": source.clock[0] if source.clock else "log" if self.stamped_by_log else "rows",

@@ -28,6 +28,11 @@ class Topic:
         return (self.samples - 1) / self.seconds if self.samples > 1 and self.seconds > 0 else 0.0
 
 
+def seconds_of(t: np.ndarray) -> float:
+    """The time that stamps t (n,), s, span; 0 without any."""
+    return float(np.ptp(t)) if len(t) else 0.0
+
+
 @dataclass
 class Signals:
     """Samples of the columns that were asked for.
@@ -60,6 +65,6 @@ class LogFile(Protocol):
     topics: Mapping[str, Topic]
     facts: dict[str, Any]
 
-    def load(self, columns: Collection[str], notes: list[str]) -> Signals:
+    def samples_of(self, columns: Collection[str], notes: list[str]) -> Signals:
         """The samples of these columns; names that are absent are left out."""
         ...

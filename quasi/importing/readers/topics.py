@@ -1,0 +1,65 @@
+"""A log of several topics becomes a recording, by the configured columns or by the topics that its format knows."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from quasi.airframe import DEFAULT_POLES
+from quasi.errors import ConfigError
+from quasi.importing.clocks.filter_delays import USUAL_ACCELEROMETER, USUAL_GYRO, delay
+from quasi.importing.readers.known_topics import Known, plan_known
+from quasi.importing.readers.reader import Request
+from quasi.importing.readers.signals import LogFile
+from quasi.importing.readers.table_mapping import read_mapping
+from quasi.importing.readers.table_reader import read_signals
+from quasi.importing.series import Recording
+
+
+def read_topics(
+    request: Request,
+    log: LogFile,
+    known: Sequence[Known],
+    notes: list[str],
+    further: Callable[[Mapping[str, Any]], dict[str, Any]] | None = None,
+) -> Recording:
+    """The recording of a log: its sources, units, axes and clocks as a table's.
+
+    further  returns more metadata for the mapping in use
+    Raises   ConfigError or ReadError: a topic that is needed is absent, or the configuration names a wrong one
+    """
+    mapping = request.quadrotor.get("table columns")
+    if not isinstance(mapping, Mapping):
+        chosen = request.quadrotor.get("log topics") or {}
+        if not isinstance(chosen, Mapping):
+            raise ConfigError(f"'log topics' is {chosen!r}, expected a section that names a topic for each role")
+        mapping = plan_known(log.topics, known, chosen, request.path, notes)
+    plan = read_mapping(mapping, request.poles or DEFAULT_POLES, "table columns", log_has_clock=True)
+    signals = log.samples_of(plan.names, notes)
+    known_names = [column for topic in log.topics.values() for column in topic.columns]
+    electrical = "eRPM" in str(mapping)
+    recording = read_signals(request.path, signals, plan, request.poles, electrical, notes, known_names)
+    recording.metadata.update(log.facts)
+    if further is not None:
+        recording.metadata.update(further(mapping))
+    return recording
+
+
+def low_pass_delays(
+    mapping: Mapping[str, Any], parameters: Mapping[str, Any], filters: Mapping[str, tuple[str, str, bool]]
+) -> dict[str, dict[str, Any]]:
+    """Delays, s, of gyro and accelerometer by second-order low-passes on board, as `header_delays` gives them.
+
+    filters  {sensor: (pattern of the columns that come after the filter, parameter of its cut-off in Hz, whether
+             further filters of unknown delay are on)}
+    """
+    found = {}
+    for sensor, (pattern, cutoff, more) in filters.items():
+        about: dict[str, Any] = {"value": 0.0, "std": 0.0, "unit": "s", "known": True, "filters": []}
+        if re.search(pattern, str(mapping)):
+            hertz = float(parameters.get(cutoff, 0.0))
+            if hertz > 0:
+                about |= {"value": delay("biquad", hertz), "filters": [f"low-pass {hertz:g} Hz"]}
+            if cutoff not in parameters or more:
+                about |= {"known": False, "std": USUAL_GYRO if sensor == "gyro" else USUAL_ACCELEROMETER}
+        found[sensor] = about
+    return found
