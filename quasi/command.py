@@ -73,6 +73,17 @@ def _parser() -> argparse.ArgumentParser:
     fresh.add_argument("-d", "--directory", default=".", help="folder in which NAME is made (default: here)")
     fresh.set_defaults(run=lambda o: new_simulation(o.name, Path(o.directory), LIBRARY))
 
+    constants = commands.add_parser(
+        "constants",
+        parents=[place],
+        help="physical constants of a model for simulators: thrust and torque coefficients, time constants, drag, ...",
+        description="Thrust and torque coefficients, time constants, limits, levers, inertia and drag about hover, "
+        "with standard errors where the data give them.",
+    )
+    constants.add_argument("model", help="model ID, or the path of a standalone model")
+    constants.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    constants.set_defaults(run=lambda o: constants_of_model(o.model, Path(o.directory), o.json))
+
     margins = commands.add_parser(
         "margins",
         parents=[place],
@@ -229,6 +240,17 @@ def fly_live(name: str | None, directory: Path, by_hand: bool) -> str:
         return fly_simulation(name, directory, folder_of(directory))
     folder = folder_of(directory) if (directory / "config/simulations").is_dir() else None
     return fly_by_hand(name, directory, folder, model_place)
+
+
+def constants_of_model(model: str, directory: Path, as_json: bool) -> str:
+    """The physical constants of a model as a table or as JSON. Raises a QuasiError where it is absent or lacks them."""
+    import json
+
+    from quasi.export.physical_constants import constants_plain, constants_text, physical_constants
+    from quasi.model.model import read_model
+
+    found = physical_constants(read_model(model_place(model, directory)))
+    return json.dumps(constants_plain(found), indent=2) if as_json else constants_text(found)
 
 
 def margins_of(simulation: str, directory: Path) -> str:

@@ -12,6 +12,7 @@ LIBRARY = str(Path(workflow.basedir).resolve())
 sys.path.insert(0, LIBRARY)
 
 from quasi.errors import QuasiError
+from quasi.export.targets import SIMULATOR_NAMES
 from quasi.running.job_log import RUN, told
 from quasi.pages.index import TARGET, list_sources, write_index
 from quasi.running.provenance import code_of
@@ -39,6 +40,7 @@ wildcard_constraints:
     kind="models|gaps|processing",
     asked=r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*",
     gravity="withGravity|noGravity",
+    simulator="|".join(SIMULATOR_NAMES),
     axis="Fx|Fy|Fz|Mx|My|Mz",
 
 

@@ -1,7 +1,8 @@
-"""Models in other languages, each compared with the model itself before it is handed over.
+"""Models in other languages and for simulators, each compared with the model itself before it is handed over.
 
 Needs  models/{model}/standalone/model.json
 Makes  models/{model}/c, fmu, python, matlab: sources and agreement.json, agreement.txt
+       models/{model}/<simulator>: its files, constants.json, constants.txt, agreement.json, agreement.txt
 """
 
 
@@ -83,3 +84,21 @@ rule export_matlab:
         code=code("export_matlab.py"),
     script:
         "../scripts/export_matlab.py"
+
+
+# one rule for all simulators: quasi.export.registry lists them
+rule export_simulator:
+    input:
+        model=model_to_export,
+    output:
+        folder=directory("models/{model}/{simulator}"),
+        report="models/{model}/{simulator}/agreement.json",
+    log:
+        "logs/export/{model}/{simulator}.log",
+    benchmark:
+        "results/benchmarks/export/{model}/{simulator}.tsv"
+    params:
+        contents=lambda wildcards: contents([model_to_export(wildcards)]),
+        code=code("export_simulator.py"),
+    script:
+        "../scripts/export_simulator.py"

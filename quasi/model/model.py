@@ -275,6 +275,15 @@ class Model:
             result |= {axis: centre, f"{axis}_lower": centre - width, f"{axis}_upper": centre + width}
         return pd.DataFrame(result, index=flight.index if isinstance(flight, pd.DataFrame) else None)
 
+    def term_values(self, axis: str, flight: pd.DataFrame | Mapping[str, np.ndarray]) -> np.ndarray:
+        """(terms, N) the terms of an identified axis with coefficients of 1, N or N m, over N rows of a flight.
+
+        The coefficients times these is the prediction, so that its derivative by the coefficients is exact.
+        """
+        columns, rows = _as_columns(flight)
+        values = Program(self.trees[axis]).run(self._lookup(columns, rows), rows)
+        return values * self.normalisation.scale_of(axis, columns) if self.normalisation else values
+
     def summary(self, axes: Iterable[str] | None = None) -> str:
         """The model as text: terms, coefficients, standard errors, units, per axis."""
         lines = [f"Model {self.id} ({self.gravity}, airframe {self.airframe.name})"]

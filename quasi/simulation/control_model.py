@@ -13,7 +13,10 @@ from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
 from quasi.model.extensions import drive_of
+from quasi.model.hover import extras, hover_speed, predict_at_rest, usual_place
 from quasi.model.model import Model
+
+__all__ = ["ControlModel", "by_geometry", "control_model", "extras", "hover_speed", "trim", "usual_place"]
 
 DEFAULT_LAG = 1.0 / 35.0  # s, where the model knows no time constants
 _HIGHEST, _LOWEST = 2.0, 0.1  # of the hover speed, where the airframe knows no limits
@@ -95,31 +98,6 @@ def by_geometry(known: ControlModel) -> ControlModel:
     return replace(known, effectiveness=mixer, yaw_reaction=np.zeros(4))
 
 
-def hover_speed(model: Model, highest: float | None = None) -> float:
-    """Common rotor speed, rad/s, at which the model's Fz balances its weight at rest; raises DataError without one."""
-    weight = model.airframe.mass * GRAVITY if model.with_gravity else 0.0
-    guess = model.hover_speed or (0.6 * highest if highest else 1000.0)
-
-    def lack(speed: np.ndarray) -> np.ndarray:
-        speeds = np.repeat(np.atleast_1d(speed)[:, None], 4, axis=1)
-        return _predict(model, speeds)[0][:, 2] + weight
-
-    mesh = np.linspace(0.05 * guess, 4.0 * guess, 800)
-    values = lack(mesh)
-    found = np.flatnonzero((values[:-1] > 0.0) & (values[1:] <= 0.0))
-    if not len(found):
-        raise DataError(
-            f"model {model.id} carries its weight of {weight:.2f} N at no common rotor speed from "
-            f"{mesh[0]:.0f} to {mesh[-1]:.0f} rad/s; check the mass, the pole count and the sign of Fz"
-        )
-    first = found[np.argmin(np.abs(mesh[found] - guess))]
-    low, high = mesh[first], mesh[first + 1]
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if lack(np.array([middle]))[0] > 0.0 else (low, middle)
-    return 0.5 * (low + high)
-
-
 def trim(model: Model, start: float) -> np.ndarray:
     """Rotor speeds (4,), rad/s, at which the model hovers without moments, by Newton's method from a common speed.
 
@@ -129,7 +107,7 @@ def trim(model: Model, start: float) -> np.ndarray:
     speeds = np.full(4, float(start))
 
     def lack(at: np.ndarray) -> np.ndarray:
-        force, moment = _predict(model, at[None])
+        force, moment = predict_at_rest(model, at[None])
         return np.array([*moment[0], force[0, 2] + weight])
 
     for _ in range(50):
@@ -145,38 +123,11 @@ def trim(model: Model, start: float) -> np.ndarray:
     )
 
 
-def extras(model: Model) -> np.ndarray:
-    """Usual values of the model's further inputs (battery_voltage, ...), the medians of its training data, or zero."""
-    covered = model.document.get("envelope") or {}
-    return np.array([covered.get(name, {}).get("percentiles", {}).get("50", 0.0) for name in model.inputs[20:]])
-
-
-def usual_place(model: Model) -> np.ndarray:
-    """Where a vehicle hovers (3,), m, earth NED: the middle of the training data, else a metre above the floor.
-
-    It matters to a model with terms in the position alone (ground effect, walls); the origin to any other.
-    """
-    if not model.kernel.used[9:12].any():
-        return np.zeros(3)
-    covered = model.document.get("envelope") or {}
-    free = {"x": 0.0, "y": 0.0, "z": -1.0}
-    return np.array([covered.get(n, {}).get("percentiles", {}).get("50", value) for n, value in free.items()])
-
-
-def _predict(model: Model, speeds: np.ndarray, accelerations: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
-    """Forces and moments (N, 3) at rest, level, at these rotor speeds (N, 4)."""
-    turn = np.zeros_like(speeds) if accelerations is None else accelerations
-    further = dict(zip(model.inputs[20:], extras(model)))
-    state = np.zeros((len(speeds), 12))
-    state[:, 9:] = usual_place(model)
-    return model.predict(state, speeds, turn, further)
-
-
 def _slopes(model: Model, hover: float) -> tuple[np.ndarray, np.ndarray]:
     """Effectiveness per (rad/s)^2 and yaw moment per rad/s2, by central differences about hover."""
 
     def wrench(speeds: np.ndarray, accelerations: np.ndarray) -> np.ndarray:
-        force, moment = _predict(model, speeds, accelerations)
+        force, moment = predict_at_rest(model, speeds, accelerations)
         return np.column_stack([moment, force[:, 2]]).T
 
     level, still = np.full((4, 4), hover), np.zeros((4, 4))

@@ -1,0 +1,18 @@
+"""Body axes of simulators: x forward, y left, z up (FLU), from quasi's x forward, y right, z down (FRD), and back.
+
+Both are the same turn by 180 degrees about x, so that each function undoes itself.
+"""
+
+import numpy as np
+
+_TURN = np.array([1.0, -1.0, -1.0])
+
+
+def swap_vector(vector: np.ndarray) -> np.ndarray:
+    """(..., 3) a position, velocity, force, moment or rate in the other axes."""
+    return np.asarray(vector, float) * _TURN
+
+
+def swap_inertia(inertia: np.ndarray) -> np.ndarray:
+    """(3, 3) an inertia tensor in the other axes: Ixy and Ixz change their sign, Iyz keeps it."""
+    return np.asarray(inertia, float) * np.outer(_TURN, _TURN)

@@ -1,0 +1,68 @@
+"""What a model can be exported to: one entry a target; rules and the table in the docs are made from it."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from quasi.export.agreement import Check
+from quasi.export.physical_constants import Physical, physical_constants
+from quasi.export.simulator_check import Recovered, check_recovered
+from quasi.export.targets import crazyflow, gazebo, mjcf, px4, urdf
+from quasi.model.model import Model
+from quasi.tables import write_text
+
+
+class Simulator(NamedTuple):
+    """An export of physical constants: models/<model>/<name>.
+
+    title, needs  what it is, and what it needs at the other end
+    write         physical constants -> {file: text}; recover  {file: text} -> what the files say
+    """
+
+    name: str
+    title: str
+    needs: str
+    write: Callable[[Physical], dict[str, str]]
+    recover: Callable[[Mapping[str, str], Physical], Recovered]
+
+
+class Language(NamedTuple):
+    """An export of the whole model, which has a rule of its own: models/<model>/<name>."""
+
+    name: str
+    title: str
+    needs: str
+
+
+LANGUAGES = (
+    Language("matlab", "functions and a simulation environment for MATLAB and GNU Octave", "MATLAB or Octave"),
+    Language("c", "one C99 file and its header", "a C compiler"),
+    Language("fmu", "FMUs of FMI 2.0: forces and moments, and the whole vehicle", "a tool that imports FMUs"),
+    Language("python", "one Python file", "numpy"),
+)
+SIMULATORS = {
+    module.NAME: Simulator(module.NAME, module.TITLE, module.NEEDS, module.write, module.recover)
+    for module in (gazebo, px4, crazyflow, mjcf, urdf)
+}
+
+
+def export_to_simulator(model: Model, name: str, folder: str | Path) -> tuple[list[Check], list[str], list[str]]:
+    """Write a model's physical constants for a simulator and compare the files with the model.
+
+    Returns the comparisons, notes, and the names of the files. Raises a QuasiError for a model that the target cannot
+    carry.
+    """
+    target, physical = SIMULATORS[name], physical_constants(model)
+    files = target.write(physical)
+    for file, text in files.items():
+        write_text(Path(folder) / file, text)
+    checks = check_recovered(model, target.recover(files, physical))
+    return checks, list(physical.notes), list(files)
+
+
+def target_table() -> str:
+    """The table of targets in Markdown, as docs/exports.md shows it."""
+    lines = ["| target | what it is | needs at the other end |", "| --- | --- | --- |"]
+    entries = [*LANGUAGES, *SIMULATORS.values()]
+    lines += [f"| `models/<model>/{entry.name}` | {entry.title} | {entry.needs} |" for entry in entries]
+    return "\n".join(lines)
