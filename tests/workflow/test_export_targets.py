@@ -8,9 +8,11 @@ import pytest
 from conftest import HOUSE, ROOT, Project
 
 sys.path.insert(0, str(ROOT / "tests" / "unit"))
+import plain_plant
 from made_model import document
 
 from quasi.export.compiler import find_compiler
+from quasi.export.targets import SIMULATOR_NAMES
 
 pytestmark = [pytest.mark.workflow, pytest.mark.skipif(find_compiler() is None, reason="no C compiler")]
 TARGETS = ("models/m/c", "models/m/fmu", "models/m/python")
@@ -42,6 +44,17 @@ def test_exports_are_made_once_and_again_when_the_model_changes(tmp_path):
         assert f"Made models/m/{kind}: " in printed
     code, printed = project.snakemake(*TARGETS)
     assert code == 0 and "Nothing to be done" in printed
+
+    made = tmp_path / "project/models/made/standalone/model.json"
+    made.parent.mkdir(parents=True)
+    made.write_text(json.dumps(plain_plant.made_model().document))
+    simulators = [f"models/made/{name}" for name in SIMULATOR_NAMES]
+    code, printed = project.snakemake(*simulators)
+    assert code == 0, printed
+    for target in simulators:
+        folder = tmp_path / "project" / target
+        assert json.loads((folder / "agreement.json").read_text())["agrees"] is True
+        assert json.loads((folder / "constants.json").read_text())["schema"] == "quasi.constants/1"
 
     hostile = {**document(), "id": "../m"}
     model.write_text(json.dumps(hostile))
