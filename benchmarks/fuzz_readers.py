@@ -7,6 +7,7 @@ crash, and the input that caused it is left in the working folder. No input may 
 """
 
 import argparse
+import contextlib
 import io
 import resource
 import signal
@@ -22,11 +23,12 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
+from crazyflie_writer import encode_log as encode_crazyflie
 
 from quasi import tables
 from quasi.errors import QuasiError
 from quasi.importing.clocks.filter_delays import RPM_NOTCHES, STAGES, header_delays
-from quasi.importing.onboard_log import read_onboard
+from quasi.importing.onboard_log import read_onboard, require_motion
 from quasi.importing.readers.motive import read_motive
 from quasi.importing.readers.table_reader import read_table_log
 from quasi.importing.series import Recording
@@ -273,9 +275,40 @@ def read_log(path: Path) -> Recording:
     return recording
 
 
+def crazyflie_seeds(rng: np.random.Generator) -> list[bytes]:
+    """Versions 1 and 2: an estimate without pitch or IMU, an IMU with events of another type between."""
+    n = 80
+    estimate = [f"stateEstimate.{v}(f)" for v in ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "roll", "yaw")]
+    drive = [*(f"motor.m{i}(I)" for i in range(1, 5)), "pm.vbatMV(H)"]
+    first = {65535: ("fixedFrequency", [*drive, *estimate])}
+    rows = np.hstack([rng.integers(0, 65536, (n, 4)), rng.integers(3000, 4200, (n, 1)), rng.normal(0, 0.3, (n, 11))])
+    inertial = [
+        *(f"gyro.{a}(e)" for a in "xyz"),
+        *(f"acc.{a}(d)" for a in "xyz"),
+        *(f"motor.m{i}(H)" for i in range(1, 5)),
+    ]
+    second = {7: ("imu", inertial), 9: ("estTDOA", ["idA(B)", "distanceDiff(f)"])}
+    others = [(7, 0.01 * i, [*rng.normal(0, 1, 6), *rng.integers(0, 65536, 4)]) for i in range(n)]
+    events = [(9, 0.01 * i + 0.003, [i % 6, 0.1]) for i in range(0, n, 2)]
+    return [
+        encode_crazyflie(first, [(65535, 0.01 * i, row) for i, row in enumerate(rows)], 2),
+        encode_crazyflie(second, sorted([*others, *events], key=lambda record: record[1]), 1),
+    ]
+
+
+def read_crazyflie_log(path: Path) -> Recording:
+    """A micro-SD log as the import reads it, with the sensors that it lacks made from the others."""
+    recording = read_onboard({"onboard": path, "flight controller": "crazyflie", "log number": None}, {}, None)
+    with contextlib.suppress(QuasiError):  # too little to make them of is for the import to say
+        made = require_motion(recording, str(path), [])
+        assert all(np.isfinite(s.values).all() for s in (made.gyro, made.force)), "a sensor made of nothing"
+    return recording
+
+
 READERS: dict[str, tuple[Callable[[Path], Recording], Callable[[np.random.Generator], list[bytes]]]] = {
     "blackbox": (read_log, blackbox_seeds),
     "decoded": (read_log, lambda rng: [*decoded_seeds(rng), indiflight_rows(rng)]),
+    "crazyflie": (read_crazyflie_log, crazyflie_seeds),
     "motive": (lambda path: read_motive(path, "B", np.array([0.01, 0.0, -0.02])), motive_seeds),
     "table": (lambda path: read_table_log(path, TABLE, 14), table_seeds),
     "parquet": (lambda path: read_table_log(path, TABLE, 14), parquet_seeds),

@@ -19,6 +19,7 @@ CONTROLLERS = {
     "table": (".csv", ".CSV", ".parquet", ".Parquet"),
     "px4": (".ulg", ".ULG"),
     "ardupilot": (".bin", ".BIN"),
+    "crazyflie": (".bin", ".BIN"),
 }
 SET = "set 'Flight controller' to {}"
 TABLE = "use the flight controller 'table' with 'table columns' in the quadrotor configuration"
@@ -64,7 +65,7 @@ STARTS = (
     (b"\x28\xb5\x2f\xfd", Format("zstd", "packed by zstd", UNPACK)),
 )
 PICKLE = Format("pickle", "a Python pickle, which may run code when it is opened and is never read", CONVERT)
-CRAZYFLIE = Format("crazyflie", "a Crazyflie micro-SD log", f"convert it by the firmware's cfusdlog, {CONVERT}")
+CRAZYFLIE = Format("crazyflie", "a Crazyflie micro-SD log", "set 'Flight controller' to crazyflie")
 
 
 def recognise(data: bytes) -> Format | None:

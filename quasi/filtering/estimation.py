@@ -19,6 +19,7 @@ DRIFTING = np.array([1e-3] * 3 + [1e-2] * 3)  # random walk of time-varying bias
 DRIFT_SIGMAS = 4.0  # rest and flight that disagree by more are reported
 # Rounding to the log's steps errs alike for as long as a rate stays within one: as much white noise is greater by this
 ROUNDED = 1.5
+NO_BIAS_STD = 1e-4  # m/s2: moves no velocity within a flight, and keeps covariances positive
 UNSURE_ATTITUDE, UNSURE_VELOCITY = np.radians(3.0), 0.3  # rad, m/s: states with a larger standard error are not valid
 SENSORS = ("p", "q", "r", "ax", "ay", "az")
 
@@ -123,7 +124,8 @@ def copy(
         states[kind] = values
     quaternion = attitude.from_euler(*states["attitude"].T)
     notes.append("the Kalman filter was not run: states are those imported")
-    if found.rest is None:
+    made = metadata.get("reconstructed") or {}
+    if "gyro" in made or found.rest is None:  # what is made from an attitude has no bias of its own
         value, std, policy = np.zeros(6), np.full(6, np.nan), "none"
         notes.append("no bias correction is made")
     else:
@@ -189,6 +191,9 @@ def estimate(
     notes += said + measured.notes
     levels = _levels(still, origin, measurements.resolution(metadata), chosen, imu, found, notes)
     inputs = _inputs(frame, chosen, imu, measured, levels, found, dt)
+    if "accelerometer" in (metadata.get("reconstructed") or {}):
+        inputs = _without_accelerometer_bias(inputs)
+        notes.append("the specific force was made from other signals; its bias is taken as 0")
     factors = np.ones(5)
     if chosen["re-estimate noise"]:
         share = levels.least / levels.moving
@@ -301,6 +306,14 @@ def _inputs(
         covariance,
     )
     return _headings(inputs) if measured.source["attitude"] == "none" else inputs
+
+
+def _without_accelerometer_bias(inputs: ekf.Inputs) -> ekf.Inputs:
+    """Inputs by which the accelerometer's bias stays 0."""
+    walk, covariance = inputs.walk.copy(), inputs.covariance.copy()
+    walk[3:] = 0.0
+    covariance[12:15, 12:15] = np.eye(3) * NO_BIAS_STD**2
+    return inputs._replace(walk=walk, covariance=covariance)
 
 
 def _consistency(forward: ekf.Pass, notes: list[str]) -> dict[str, dict[str, Any]]:

@@ -165,12 +165,24 @@ def filter_flight(
     rotors = [c for c in logged.rotors if c in actuators]
     speeds = np.stack([actuators[c] for c in rotors], axis=1) if rotors else None
     factor = airframe.logged_to_rad_s or imported_metadata.get("logged to rad/s")
-    found = _phases(imported, imported_metadata, airframe, imu, speeds, factor, dt, notes)
+    turning = speeds if speeds is not None else _commanded(actuators, logged)
+    if turning is not None and speeds is None:
+        notes.append("no rotor speeds: take-off, ground and rest are found from the commands")
+    found = _phases(
+        imported, imported_metadata, airframe, imu, turning, factor if turning is speeds else None, dt, notes
+    )
     stuck, stuck_notes = measurements.frozen(imu, found.on_ground, t, dt)
     imu.lost |= stuck
     notes += stuck_notes
 
-    find = partial(estimation.estimate, watch=watch) if chosen["run extended kalman filter"] else estimation.copy
+    made = imported_metadata.get("reconstructed") or {}
+    if chosen["run extended kalman filter"] and "gyro" in made:
+        notes.append(
+            f"body rates were made from {made['gyro']['from']}, so that no filter can compare them; states are those "
+            "of the import"
+        )
+    use_filter = chosen["run extended kalman filter"] and "gyro" not in made
+    find = partial(estimation.estimate, watch=watch) if use_filter else estimation.copy
     run = find(imported, imported_metadata, airframe, chosen, imu, found, dt, notes)
 
     in_flight = ~found.on_ground
@@ -189,8 +201,8 @@ def filter_flight(
         "it is not in flight": ~in_flight,
         "sensors or rotor speeds are lost": lost,
     }
-    if speeds is not None:  # a jolt of the IMU while no rotor turns is no flight
-        spoiling["no rotor turns"] = ~(speeds > 0.0).any(axis=1)
+    if turning is not None:  # a jolt of the IMU while no rotor turns is no flight
+        spoiling["no rotor turns"] = ~(turning > 0.0).any(axis=1)
     air, windless = _through_air(imported, body, run.quaternion)
     if windless.any():
         notes.append(
@@ -262,6 +274,15 @@ def _spoilt(spoiling: Mapping[str, np.ndarray]) -> str:
     return "; ".join(f"{words} ({100 * share:.0f} % of the flight)" for share, words in told)
 
 
+def _commanded(actuators: Mapping[str, np.ndarray], logged: _Logged) -> np.ndarray | None:
+    """Commands of four rotors (N, 4), shares; None where one is not logged or none ever rises above 0."""
+    names = [f"command{i}" for i in range(1, 5)]
+    if not all(name in logged.commands and name in actuators for name in names):
+        return None
+    commands = np.maximum(np.stack([actuators[name] for name in names], axis=1), 0.0)
+    return commands if commands.max() > 0.0 else None
+
+
 def _phases(
     imported: pd.DataFrame,
     metadata: Mapping[str, Any],
@@ -272,10 +293,13 @@ def _phases(
     dt: float,
     notes: list[str],
 ) -> biases.Phases:
-    """Rest, take-off and flight. speeds  (N, rotors) rad/s; factor  from logged units to rad/s"""
+    """Rest, take-off and flight.
+
+    speeds  (N, rotors) rad/s, or commands, or None; factor  from logged units to rad/s, None for commands
+    """
     position = imported[["x", "y", "z"]].to_numpy(float) if {"x", "y", "z"} <= set(imported) else None
     idle = airframe.idle_rpm * factor if airframe.idle_rpm and factor else None
-    if airframe.idle_rpm and idle is None and speeds is not None:
+    if airframe.idle_rpm and idle is None and any(c[0] == "w" and c[1:].isdigit() for c in imported):
         notes.append("'idle RPM' is in eRPM/100 and the quadrotor's 'motor poles' are unknown: rest is told without it")
     found = biases.phases(imu.gyro, imu.accel, imu.lost, measurements.resolution(metadata), speeds, position, idle, dt)
     notes += found.notes

@@ -91,7 +91,7 @@ def import_flight(
     poles, poles_source = motor_poles(quadrotor)
     recording = read_onboard(flight, quadrotor, poles)
     recording.metadata["sha256"] = sha256_of(flight["onboard"])
-    board = gather(recording, where, notes)
+    board = gather(recording, where, notes, float(chosen["optitrack velocity Hz cutoff"]))
     turning = [n for n in ("w5", "w6", "w7", "w8") if n in board.others and np.nanmax(board.others[n].values) > 0.0]
     if turning:
         raise DataError(
@@ -137,6 +137,7 @@ def import_flight(
         "sources": {"onboard": recording.metadata} | ({"capture": captured.metadata} if captured else {}),
         "sampling": {"rate": rate, "samples": len(frame), "duration": float(frame["t"].iloc[-1])},
         **facts,
+        "reconstructed": board.made,
         "contradictions": to_plain(contradictory),
         "streams": _streams(board, capture, sync, facts["start"]["value"]),
         "synchronisation": sync.metadata() if sync else None,
@@ -156,6 +157,7 @@ def _streams(
 ) -> dict[str, dict[str, Any]]:
     """Sampling of each source, in times of the fused flight."""
     times = {"gyro": board.gyro.t, "accelerometer": board.force.t}
+    times = {name: t for name, t in times.items() if name not in board.made}
     if board.rotors is not None:
         times["rotor speeds"] = board.rotors.t[np.isfinite(board.rotors.values).all(axis=1)]
     if board.attitude_source == "onboard":

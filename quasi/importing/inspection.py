@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from quasi.errors import QuasiError, cautions
-from quasi.importing.onboard_log import BODY_VELOCITY, POSITION, VELOCITY, motor_poles, read_onboard, require_imu
+from quasi.importing.onboard_log import BODY_VELOCITY, POSITION, VELOCITY, motor_poles, read_onboard, require_motion
 from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import read_capture
 from quasi.importing.series import Series
@@ -82,7 +82,8 @@ def _read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> Re
     if not flight.get("onboard"):
         return None
     recording = read_onboard(flight, quadrotor, motor_poles(quadrotor)[0])
-    gyro, _ = require_imu(recording, str(flight["flight"]))
+    notes = list(recording.notes)
+    gyro = require_motion(recording, str(flight["flight"]), notes).gyro
     about = recording.metadata
     facts = {
         "file": str(flight["onboard"]),
@@ -92,7 +93,7 @@ def _read_onboard(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> Re
         "logs": len(about["logs"]) if about.get("logs") else None,
         **_sampling(gyro.t),
     }
-    return facts, list(recording.series.values()), recording.notes
+    return facts, list(recording.series.values()), notes
 
 
 def _read_capture(flight: Mapping[str, Any], quadrotor: Mapping[str, Any]) -> Read | None:

@@ -33,6 +33,8 @@ def clipped_ends(board: Onboard, units: Mapping[str, Any]) -> list[End]:
     """
     found = []
     for sensor, track in (("gyro", board.gyro), ("accelerometer", board.force)):
+        if sensor in board.made:
+            continue  # no sensor, no range
         step = abs(float((units.get(sensor) or {}).get("factor") or 0.0))
         interval = float(np.median(np.diff(track.t)))
         for channel, values in zip(CHANNELS[sensor], track.values.T):

@@ -17,15 +17,19 @@ from quasi.importing.contradictions import rates_explained, refuse_wrong_rates, 
 from quasi.importing.onboard_attitude import estimate_attitude
 from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import read_log
+from quasi.importing.reconstruction import Completed, complete_sensors
 from quasi.importing.resampling import covered
 from quasi.importing.series import Recording, Series
 
 LEAST_EXPLAINED = 0.3  # share of the variance that a log of the same motion explains, a late one too
 LEAST_SAMPLES = 20
+BANDWIDTH = 10.0  # Hz of made sensors, as of velocities from captured positions
+MADE = "reconstructed"
 RATES, FORCE = ("p", "q", "r"), ("ax", "ay", "az")
 ATTITUDE = ("qw", "qx", "qy", "qz")
 POSITION, VELOCITY, BODY_VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz"), ("u", "v", "w")
-_KNOWN = {*RATES, *FORCE, *ATTITUDE, *POSITION, *VELOCITY, *BODY_VELOCITY, "roll", "pitch", "yaw"}
+LINEAR = ("linear_ax", "linear_ay", "linear_az")
+_KNOWN = {*RATES, *FORCE, *ATTITUDE, *POSITION, *VELOCITY, *BODY_VELOCITY, *LINEAR, "roll", "pitch", "yaw"}
 
 
 @dataclass(frozen=True)
@@ -40,11 +44,12 @@ class Track:
 class Onboard:
     """The on-board side of a flight, times in s since the gyro's first sample.
 
-    attitude_source  "onboard" (logged) or "estimated on board"
+    attitude_source  "onboard" (logged), "estimated on board" or "reconstructed"
     delays           of gyro and accelerometer by the controller's own filters, s, taken off their times; with their
                      standard errors and whether they are known (see `filter_delays.header_delays`)
     invalid          spans {"begin", "end", "reason"} whose rows cannot be used, see `checks.check_recording`
     others           {quantity: Track (n, 1)} of everything that is not motion
+    made             what was made from other signals, see `reconstruction.complete_sensors`
     """
 
     gyro: Track
@@ -59,6 +64,7 @@ class Onboard:
     rotors: Track | None
     delays: dict[str, Any] = field(default_factory=dict)
     invalid: list[dict[str, Any]] = field(default_factory=list)
+    made: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def motion(self) -> Motion:
         """For the alignment: everything at the gyro's times."""
@@ -113,33 +119,28 @@ def _find(series: Mapping[str, Series], names: tuple[str, ...]) -> Track | None:
     return None
 
 
-def require_imu(recording: Recording, where: str) -> tuple[Track, Track]:
-    """Gyro (n, 3) rad/s and accelerometer (m, 3) m/s2 of a recording, their readable samples alone.
+def require_motion(recording: Recording, where: str, notes: list[str], bandwidth: float = BANDWIDTH) -> Completed:
+    """Gyro and accelerometer of a recording, logged or made from its other signals (see `reconstruction`).
 
-    Raises DataError when the log lacks one of them, or too few of its samples are readable.
+    bandwidth  Hz, of what is made from derivatives
+    Raises DataError when neither can be had, or too few of their samples are readable.
     """
-    gyro, force = _find(recording.series, RATES), _find(recording.series, FORCE)
-    for track, what in ((gyro, "body rates (gyro)"), (force, "specific force (accelerometer)")):
-        if track is None:
-            raise DataError(f"{where}: the on-board log holds no {what}; log it, nothing can be identified without")
-        readable = np.count_nonzero(np.isfinite(track.values).all(axis=1))
-        if readable < LEAST_SAMPLES:
-            raise DataError(
-                f"{where}: the log lists {what}, but only {readable} samples of it are readable{_damage(recording)}, "
-                f"at least {LEAST_SAMPLES} are needed; copy the log from the controller again, or give another"
-            )
-    return _finite(gyro), _finite(force)
+    return complete_sensors(recording.series, bandwidth, where, notes, _damage(recording))
 
 
-def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
+def gather(recording: Recording, where: str, notes: list[str], bandwidth: float = BANDWIDTH) -> Onboard:
     """Sort the series of a recording; estimate the attitude on board data alone where the log has none.
 
-    Raises DataError when the log holds no usable gyro or accelerometer.
+    bandwidth  Hz, of sensors that are made from derivatives of other signals
+    Raises DataError when the log holds no gyro or accelerometer and nothing to make them from.
     """
     series = recording.series
-    gyro, force = require_imu(recording, where)
+    sensors = require_motion(recording, where, notes, bandwidth)
+    gyro, force = (Track(s.t, s.values) for s in (sensors.gyro, sensors.force))
     delays = _delays(recording, where, notes)
     attitude, source, rest = _find(series, ATTITUDE), "onboard", 0.0
+    if attitude is None and sensors.attitude is not None:
+        attitude, source = Track(sensors.attitude.t, sensors.attitude.values), MADE
     at_gyro = np.stack([np.interp(gyro.t, force.t, v) for v in force.values.T], axis=-1)
     try:
         estimate = estimate_attitude(gyro.t, gyro.values, at_gyro)
@@ -156,7 +157,7 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
                 else "over the flight, which begins in the air"
             )
         )
-    else:
+    elif not sensors.made:
         of_both = (gyro.t, gyro.values, attitude.t, attitude.values)
         scaled, explained = refuse_wrong_rates(*of_both, "the on-board attitude", where), rates_explained(*of_both)
         if scaled:
@@ -205,6 +206,7 @@ def gather(recording: Recording, where: str, notes: list[str]) -> Onboard:
         others=others,
         rotors=rotors,
         delays=delays,
+        made=sensors.made,
         # rotor telemetry may be as old as AGES, and filter delays move the gyro by less
         invalid=[
             {**span, "begin": span["begin"] - zero - AGES[-1], "end": span["end"] - zero - AGES[0]}

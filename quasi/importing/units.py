@@ -32,6 +32,8 @@ UNITS: dict[str, tuple[str, float]] = {
     "km/h": ("speed", 1 / 3.6),
     "1": ("share", 1.0),
     "%": ("share", 1e-2),
+    # commands as counts of 16 bits
+    "1/65535": ("share", 1 / 65535),
     "V": ("voltage", 1.0),
     "mV": ("voltage", 1e-3),
     "A": ("current", 1.0),

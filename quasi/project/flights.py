@@ -67,7 +67,7 @@ class Recordings(Comparisons):
         return {"onboard": onboard, "capture": capture, "problem": row.problem or problem}
 
     def controller(self, row: Row) -> str:
-        """betaflight, indiflight or table: the logbook's cell, else the quadrotor configuration's."""
+        """A flight controller of `recognition.CONTROLLERS`: the logbook's cell, else the quadrotor configuration's."""
         name = row.cells["Flight controller"].lower()
         if not name:
             config, _ = self._quadrotor(row)

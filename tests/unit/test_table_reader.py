@@ -344,7 +344,9 @@ WRONG = {
     "qz is not": lambda p: p["sources"][0]["columns"].pop("qz"),
     "always in world axes": lambda p: p["sources"][0]["columns"]["x"].update(frame="body"),
     "neither it nor the table has a 'time'": lambda p: p.pop("time"),
-    "no source maps the body rates": lambda p: [p["sources"][0]["columns"].pop(n) for n in "pqr"],
+    "no source maps body rates": lambda p: [
+        p["sources"][0]["columns"].pop(n) for n in ("p", "q", "r", "qw", "qx", "qy", "qz")
+    ],
 }
 
 

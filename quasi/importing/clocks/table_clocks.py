@@ -55,7 +55,9 @@ def uncrowded(t: np.ndarray) -> np.ndarray:
 
 
 def rows_possibly_at_rest(raw: Sequence[TableSource]) -> np.ndarray:
-    """True (n,) for rows in which the quadrotor may be at rest: no rotor turns, or without rotor speeds no gyro does.
+    """True (n,) for rows in which the quadrotor may be at rest.
+
+    No rotor turns; without rotor speeds the gyro is still; without a gyro no rotor is commanded to turn.
 
     At rest a log of coarse steps may repeat its values. In flight no sensor does: there the log was frozen.
     """
@@ -66,7 +68,8 @@ def rows_possibly_at_rest(raw: Sequence[TableSource]) -> np.ndarray:
         return speed <= IDLE_SHARE * np.quantile(speed, 0.9)
     rates = [r.values[n] for r in sources for n in VECTORS["rates"] if n in r.values]
     if not rates:
-        return np.zeros(1, bool)
+        commands = [v for r in sources for n, v in r.values.items() if n.startswith("command")]
+        return np.nan_to_num(np.stack(commands)).max(axis=0) <= 0.0 if commands else np.zeros(1, bool)
     return np.nan_to_num(np.abs(np.stack(rates))).max(axis=0) <= STILL_RATE
 
 
@@ -133,7 +136,9 @@ ROTORS = "angular acceleration and rotor speeds"
 def _motion_lag(r: TableSource, main: TableSource) -> tuple[ClockFit | None, str]:
     """Lag of the main source's stamps behind those of `r`, and the relation it follows from."""
     rotors = tuple(n for n in r.values if n[0] == "w" and n[1:].isdigit())
-    if all(n in r.values for n in QUATERNION):
+    if "p" not in main.values and "vx" not in main.values:
+        return None, ""
+    if all(n in r.values for n in QUATERNION) and "p" in main.values:
         return _attitude_lag(r, main), "body rates of attitude and gyro"
     for state, force, sign in ((main, r, 1.0), (r, main, -1.0)):
         if all(n in s.values and not s.source.columns[n].body for n, s in (("ax", force), ("vx", state))):
@@ -143,7 +148,7 @@ def _motion_lag(r: TableSource, main: TableSource) -> tuple[ClockFit | None, str
             if clock is not None and sign < 0:
                 clock = clock.inverted()
             return clock, "velocity derivative and acceleration"
-    if len(rotors) >= 3:
+    if len(rotors) >= 3 and "p" in main.values:
         return rotor_lag(r.t, _stack(r, rotors), main.t, _stack(main, VECTORS["rates"])), ROTORS
     return None, ""
 

@@ -5,6 +5,7 @@ A further format is one file here with a `Reader`, its name in READERS, and its 
 
 from quasi.errors import ReadError
 from quasi.importing.readers.betaflight import BLACKBOX_READER, DECODED_READER
+from quasi.importing.readers.crazyflie import READER as CRAZYFLIE
 from quasi.importing.readers.dataflash import READER as DATAFLASH
 from quasi.importing.readers.motive import READER as MOTIVE
 from quasi.importing.readers.px4 import READER as PX4
@@ -14,7 +15,7 @@ from quasi.importing.series import Recording
 from quasi.recognition import CONTROLLERS, HEAD, recognise
 from quasi.tables import read_head
 
-READERS: tuple[Reader, ...] = (BLACKBOX_READER, DECODED_READER, TABLE, PX4, DATAFLASH, MOTIVE)
+READERS: tuple[Reader, ...] = (BLACKBOX_READER, DECODED_READER, TABLE, PX4, DATAFLASH, CRAZYFLIE, MOTIVE)
 
 
 def read_log(request: Request) -> Recording:

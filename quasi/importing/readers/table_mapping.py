@@ -10,6 +10,8 @@
                     "vx": {"column": ["vx", "vel_x"], "unit": "cm/s", "frame": "world" | "body", "optional": true}}}]}
 
 "z-up" is x forward, y left, z up. Of several names in "column" the first that the table has is taken.
+linear_ax, linear_ay, linear_az are the acceleration over ground, gravity removed, in world axes. Of roll, pitch and yaw
+some may be absent; body rates may be absent where an attitude is mapped (see `quasi.importing.reconstruction`).
 """
 
 from collections.abc import Mapping
@@ -25,6 +27,7 @@ VECTORS = {
     "velocity": ("vx", "vy", "vz"),
     "body velocity": ("u", "v", "w"),
     "position": ("x", "y", "z"),
+    "linear acceleration": ("linear_ax", "linear_ay", "linear_az"),
     "setpoint": ("setpoint_p", "setpoint_q", "setpoint_r"),
 }
 QUATERNION = ("qw", "qx", "qy", "qz")
@@ -32,7 +35,7 @@ EULER = ("roll", "pitch", "yaw")
 ROTORS = range(1, 9)
 UNIT = {
     **dict.fromkeys(VECTORS["rates"] + VECTORS["setpoint"], "rad/s"),
-    **dict.fromkeys(VECTORS["force"], "m/s2"),
+    **dict.fromkeys(VECTORS["force"] + VECTORS["linear acceleration"], "m/s2"),
     **dict.fromkeys(VECTORS["velocity"] + VECTORS["body velocity"], "m/s"),
     **dict.fromkeys(VECTORS["position"], "m"),
     **dict.fromkeys(QUATERNION, "1"),
@@ -44,7 +47,10 @@ UNIT = {
     "battery_voltage": "V",
     "battery_current": "A",
 }
-_IN_BODY = {"rates": True, "force": True, "velocity": False, "body velocity": True, "position": False, "setpoint": True}
+_IN_BODY = {
+    **dict.fromkeys(("rates", "force", "body velocity", "setpoint"), True),
+    **dict.fromkeys(("velocity", "position", "linear acceleration"), False),
+}
 _MAY_TURN = ("force", "velocity")
 
 
@@ -143,8 +149,11 @@ def read_mapping(section: Any, poles: int | None, where: str, log_has_clock: boo
                 raise ConfigError(f"{where}: sources '{other}' and '{source.name}' both map {quantity}; remove one")
     if sum(s.capture for s in sources) > 1:
         raise ConfigError(f"{where}: more than one source is motion capture; merge them into one")
-    if ("p", False) not in seen:
-        raise ConfigError(f"{where}: no source maps the body rates p, q, r; nothing can be identified without them")
+    if not any((name, False) in seen for name in ("p", "qw", *EULER)):
+        raise ConfigError(
+            f"{where}: no source maps body rates (p, q, r) or an attitude (qw, qx, qy, qz or roll, pitch, yaw); map "
+            "one of them, nothing can be identified without"
+        )
     return TableMapping(clock, sources)
 
 
@@ -166,7 +175,7 @@ def _source(section: Any, poles: int | None, where: str) -> Source:
         if quantity not in UNIT:
             raise ConfigError(f"{where}: unknown quantity '{quantity}'{nearest(quantity, UNIT)}")
         columns[quantity] = _column(entry, quantity, poles, f"{where}, {quantity}")
-    for members in (*VECTORS.values(), QUATERNION, EULER):
+    for members in (*VECTORS.values(), QUATERNION):
         present = [m for m in members if m in columns]
         if present and len(present) < len(members):
             lacking = next(m for m in members if m not in columns)
@@ -175,6 +184,13 @@ def _source(section: Any, poles: int | None, where: str) -> Source:
             )
         if present and len({columns[m].body for m in members}) > 1:
             raise ConfigError(f"{where}: {', '.join(members)} must all have the same 'frame'")
+    angles = [m for m in EULER if m in columns]
+    if 0 < len(angles) < len(EULER) and flu != z_up:
+        axes = f"'frame' {'FLU' if flu else 'FRD'} and 'world' {'z-up' if z_up else 'NED'}"
+        raise ConfigError(
+            f"{where}: {' and '.join(angles)} alone cannot be turned from {axes}; "
+            "map all of roll, pitch, yaw, or use FLU with z-up or FRD with NED"
+        )
     return Source(
         name, _clock(section["time"], f"{where}, time") if "time" in section else None, flu, z_up, capture, columns
     )

@@ -40,7 +40,7 @@ def read_table_log(
 
     path     CSV or Parquet file; mapping  the section "table columns"; poles  magnets of a motor, for electrical speeds
     Returns  Recording: "onboard" (the source of p q r), "onboard <name>" for further sources, "capture"; SI, earth NED,
-             body FRD; t in s from the gyro's first sample, on its clock
+             body FRD; t in s from the first sample of the gyro (else of the attitude), on its clock
     Raises   ConfigError for a wrong mapping, ReadError for a table that lacks a column or cannot be read
     """
     path = Path(path)
@@ -74,7 +74,7 @@ def read_signals(
     """
     known = known or signals.columns
     raw = [MappedSource(source, signals, known, path, notes) for source in plan.sources]
-    main = next(r for r in raw if "p" in r.values and not r.source.capture)
+    main = _main_source(raw, path)
     rows = _row_times(signals, plan, raw, path, notes)
     about: dict[str, Any] = {}
     for r in raw:
@@ -99,7 +99,8 @@ def read_signals(
         r.world_to_body(raw, path)
     felt = next((r for r in raw if "ax" in r.values and not r.source.capture), None)
     force = np.zeros((0, 3)) if felt is None else _stack(felt, VECTORS["force"])
-    notes += [f"{path}: {end} in 'table columns'" for end in doubtful_units(_stack(main, VECTORS["rates"]), force)]
+    turning = _stack(main, VECTORS["rates"]) if "p" in main.values else np.zeros((0, 3))
+    notes += [f"{path}: {end} in 'table columns'" for end in doubtful_units(turning, force)]
     for end in doubtful_values({n: v for r in raw for n, v in r.values.items()}):
         add_caution(notes, f"{path}: {end} in 'table columns'")
     series: dict[str, Series] = {}
@@ -128,6 +129,15 @@ def _row_times(
     times = _times(signals.frames[group], plan.clock, path, notes)
     # variables of a MAT or npz file with as many samples as the clock share it
     return {name: times for name, frame in signals.frames.items() if len(frame) == len(times)}
+
+
+def _main_source(raw: "list[MappedSource]", path: Path) -> "MappedSource":
+    """The source whose clock is the flight's: that of the gyro, else of the attitude. Raises ReadError without both."""
+    for names in (VECTORS["rates"], QUATERNION, EULER):
+        for r in raw:
+            if not r.source.capture and any(n in r.values for n in names):
+                return r
+    raise ReadError(f"{path} holds neither body rates nor an attitude in the columns that are mapped; log one of them")
 
 
 def _poles_used(
@@ -241,7 +251,7 @@ class MappedSource:
         for quantity, values in self.values.items():
             if not np.isfinite(values).any() and source.columns[quantity].optional:
                 lacking.add(quantity)
-        for members in (*VECTORS.values(), QUATERNION, EULER):
+        for members in (*VECTORS.values(), QUATERNION):
             if lacking & set(members):
                 lacking |= set(members) & set(source.columns)
         if lacking:
@@ -404,9 +414,13 @@ class MappedSource:
             q = np.stack([self.values[n] for n in QUATERNION], axis=-1)
             length = np.linalg.norm(q, axis=-1, keepdims=True)
             q = np.where(length > 0.5, q / np.where(length > 0.5, length, 1.0), np.nan)
-        elif "roll" in self.values:
+        elif all(n in self.values for n in EULER):
             q = from_euler(*[self.values.pop(n) for n in EULER])
         else:
+            # half a turn about x on either side: R_z(yaw) and R_y(pitch) change sign, R_x(roll) does not
+            for name, axis in (("pitch", body[1]), ("yaw", body[2])):
+                if name in self.values:
+                    self.values[name] = axis * self.values[name]
             return
         for n in EULER:
             self.values.pop(n, None)

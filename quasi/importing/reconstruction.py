@@ -1,0 +1,233 @@
+"""Sensors that a log lacks, from what it holds: specific force, body rates, roll and pitch, with bandwidth and error.
+
+    specific force   R^T (dv/dt - g), of a logged acceleration, else of the velocity, else of the position
+    roll and pitch   body z lies along the thrust: f / |f| = -z_body, f the specific force in earth axes; yaw turns
+                     about it. Drag and other forces across the thrust tilt the result by their share of the weight.
+    body rates       of the attitude's own change
+
+What is made here holds no information that its source does not: it carries no bias of its own, no frequency above the
+bandwidth, and it cannot check its source.
+Source: Mellinger & Kumar, Minimum snap trajectory generation and control for quadrotors, ICRA 2011 (flatness);
+noise of a band-limited derivative: integral of (2 pi f)^2 times a white spectrum up to the bandwidth.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from quasi.attitude import GRAVITY, body_rates, continuous, from_euler, interpolate, rotate_inverse, to_euler
+from quasi.errors import DataError, add_caution
+from quasi.importing.resampling import low_pass, velocity
+from quasi.importing.series import Series
+
+ANGLES = ("roll", "pitch", "yaw")
+# share of g below which the direction of the specific force is that of its errors: 0.5 m/s2 of error is 10 deg there
+MIN_FORCE_SHARE = 0.3
+MIN_SAMPLES = 20  # as of a sensor's own
+Find = Callable[[tuple[str, ...]], Any]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Samples of one quantity: t (n,) s, values (n, k)."""
+
+    t: np.ndarray
+    values: np.ndarray
+
+
+@dataclass
+class Completed:
+    """gyro, force, attitude  Signals, logged or made; made  {"gyro", "accelerometer", "attitude": how it was made}."""
+
+    gyro: Signal
+    force: Signal
+    attitude: Signal | None
+    made: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+
+def complete_sensors(
+    series: Mapping[str, Series], bandwidth: float, where: str, notes: list[str], damage: str = ""
+) -> Completed:
+    """Gyro and accelerometer of a flight, and its attitude, made from its other signals where they are not logged.
+
+    series     on-board series of a recording, on one clock; bandwidth  Hz of derivatives (-3 dB)
+    Returns    Completed; attitude is None where gyro and accelerometer are logged and it is not
+    Raises     DataError that names the quantities that are lacking and would serve
+    """
+    gyro, force = (_logged(series, n, what, where, damage) for n, what in (
+        (("p", "q", "r"), "body rates (gyro)"), (("ax", "ay", "az"), "specific force (accelerometer)"),
+    ))  # fmt: skip
+    attitude = _find(series, ("qw", "qx", "qy", "qz"))
+    if gyro is not None and force is not None:
+        return Completed(gyro, force, attitude)
+    made: dict[str, dict[str, Any]] = {}
+    acceleration, about = _acceleration(series, bandwidth)
+    if attitude is None:
+        attitude, made["attitude"] = _attitude(series, acceleration, about, bandwidth, where)
+    if force is None:
+        if acceleration is None:
+            raise DataError(
+                f"{where}: the log holds no specific force (accelerometer), and no acceleration, velocity or position "
+                "to make it from; log one of them"
+            )
+        turned = interpolate(attitude.values, attitude.t, acceleration.t)
+        felt = acceleration.values - np.array([0.0, 0.0, GRAVITY])
+        force, made["accelerometer"] = Signal(acceleration.t, rotate_inverse(turned, felt)), about
+    if gyro is None:
+        gyro, made["gyro"] = _rates(attitude, bandwidth)
+    for name, entry in made.items():
+        add_caution(notes, f"{where}: {_sentence(name, entry)}")
+    return Completed(gyro, force, attitude, made)
+
+
+def _sentence(name: str, entry: Mapping[str, Any]) -> str:
+    what = {"accelerometer": "specific force", "gyro": "body rates"}.get(name, "")
+    if name == "attitude":
+        what = " and ".join(entry["angles"])
+    factor, unit = {
+        "accelerometer": (1.0, "m/s2"),
+        "gyro": (np.degrees(1.0), "deg/s"),
+        "attitude": (np.degrees(1.0), "deg"),
+    }[name]
+    return (
+        f"the log holds no {what}; it was made from {entry['from']}, up to {entry['bandwidth']['value']:.3g} Hz, with "
+        f"a standard error of {factor * entry['std']['value']:.2g} {unit}"
+    )
+
+
+def _find(series: Mapping[str, Series], names: Sequence[str]) -> Signal | None:
+    """The rows of the first on-board series with all of these that hold a number in each; None where there are few."""
+    for name, one in series.items():
+        if name.startswith("onboard") and all(n in one.values for n in names):
+            values = np.stack([one.values[n] for n in names], axis=-1)
+            fine = np.isfinite(values).all(axis=1) & np.isfinite(one.t)
+            return Signal(one.t[fine], values[fine]) if np.count_nonzero(fine) >= MIN_SAMPLES else None
+    return None
+
+
+def _logged(series: Mapping[str, Series], names: tuple[str, ...], what: str, where: str, damage: str) -> Signal | None:
+    """A sensor's readable samples, None where it is not logged. Raises DataError where too few are readable."""
+    found = _find(series, names)
+    if found is None and any(all(n in s.values for n in names) for k, s in series.items() if k.startswith("onboard")):
+        raise DataError(
+            f"{where}: the log lists {what}, but fewer than {MIN_SAMPLES} samples of it are readable{damage}, at least "
+            f"{MIN_SAMPLES} are needed; copy the log from the controller again, or give another"
+        )
+    return found
+
+
+def _acceleration(series: Mapping[str, Series], bandwidth: float) -> tuple[Signal | None, dict[str, Any]]:
+    """Acceleration over ground (n, 3), m/s2, earth NED, and how it was made; None where nothing serves."""
+    linear, speed = _find(series, ("linear_ax", "linear_ay", "linear_az")), _find(series, ("vx", "vy", "vz"))
+    place = _find(series, ("x", "y", "z"))
+    source, at = "the position", place
+    if linear is not None:
+        source, at = "the logged acceleration", linear
+    elif speed is not None:
+        source, at = "the velocity", speed
+    if at is None:
+        return None, {}
+    rate = 1.0 / float(np.median(np.diff(at.t)))
+    if linear is not None:
+        values = low_pass(linear.values, rate, bandwidth)
+        error = float(np.sqrt(np.mean((linear.values - values) ** 2)))
+        if speed is not None:  # the other estimate of the same motion, noise of both
+            other, trusted = velocity(speed.t, speed.values, linear.t, bandwidth)
+            error = float(np.sqrt(np.mean((other - values)[trusted] ** 2))) if trusted.any() else error
+    elif speed is not None:
+        values, _ = velocity(speed.t, speed.values, speed.t, bandwidth)
+        error = derivative_error(speed, rate, bandwidth, 1)
+    else:
+        first, _ = velocity(place.t, place.values, place.t, bandwidth)
+        values, _ = velocity(place.t, first, place.t, bandwidth)
+        error = derivative_error(place, rate, bandwidth, 2)
+    return Signal(at.t, values), _about(source, bandwidth, rate, error, "m/s2")
+
+
+def derivative_error(signal: Signal, rate: float, bandwidth: float, order: int) -> float:
+    """Standard error of a derivative of a signal whose noise is white, low-passed at `bandwidth`.
+
+    The noise is what lies above the bandwidth. order  of the derivative; rate  Hz of the samples
+    """
+    rest = signal.values - low_pass(signal.values, rate, bandwidth)
+    share = max(1.0 - 2.0 * bandwidth / rate, 0.1)  # of white noise that lies above the bandwidth
+    density = 2.0 * float(np.mean(rest**2)) / share / rate
+    power = density * (2.0 * np.pi) ** (2 * order) * bandwidth ** (2 * order + 1) / (2 * order + 1)
+    return float(np.sqrt(power))
+
+
+def _attitude(
+    series: Mapping[str, Series], acceleration: Signal | None, about: Mapping[str, Any], bandwidth: float, where: str
+) -> tuple[Signal, dict[str, Any]]:
+    """Attitude with the angles that are logged, and pitch and roll along the specific force where they are not.
+
+    Raises DataError where yaw or the motion is missing.
+    """
+    logged = {name: found for name in ANGLES if (found := _find(series, (name,))) is not None}
+    missing = [name for name in ANGLES if name not in logged]
+    if "yaw" not in logged:
+        raise DataError(
+            f"{where}: the log holds no attitude: {', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing; "
+            "pitch and roll can be made from acceleration and yaw, yaw from nothing: log yaw or the whole attitude"
+        )
+    if acceleration is None:
+        raise DataError(
+            f"{where}: the log holds no {' and no '.join(missing)}, and no acceleration, velocity or position to make "
+            "it from; log the whole attitude"
+        )
+    t = acceleration.t
+    angles = {n: np.interp(t, s.t, np.unwrap(s.values[:, 0])) for n, s in logged.items()}
+    felt = acceleration.values - np.array([0.0, 0.0, GRAVITY])
+    roll, pitch = thrust_angles(felt, angles["yaw"])
+    weak = np.linalg.norm(felt, axis=1) < MIN_FORCE_SHARE * GRAVITY
+    if weak.mean() > 0.5:
+        raise DataError(f"{where}: the vehicle falls freely most of the time, so that pitch and roll are not known")
+    found = {"roll": _bridged(t, roll, weak), "pitch": _bridged(t, pitch, weak), "yaw": angles["yaw"]}
+    error = about["std"]["value"] / GRAVITY
+    check = None
+    known = [n for n in ("roll", "pitch") if n in logged]
+    if known:
+        off = np.concatenate([found[n] - low_pass(angles[n][:, None], _rate(t), bandwidth)[:, 0] for n in known])
+        error, check = float(np.sqrt(np.mean(off**2))), {"against": f"logged {known[0]}", "mean": float(off.mean())}
+    quaternion = continuous(from_euler(*(angles.get(n, found[n]) for n in ANGLES)))
+    entry = _about(f"yaw and {about['from']}, with the thrust along body z", bandwidth, _rate(t), error, "rad")
+    return Signal(t, quaternion), entry | {"angles": missing, "check": check}
+
+
+def thrust_angles(force: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Roll and pitch (n,), rad, 3-2-1, of a body whose -z axis lies along the specific force.
+
+    force  (n, 3) specific force in earth NED axes; yaw (n,) rad
+    """
+    c, s = np.cos(yaw), np.sin(yaw)
+    down = -force / np.maximum(np.linalg.norm(force, axis=1), 1e-12)[:, None]
+    # z_body = R_z(yaw) (cos roll sin pitch, -sin roll, cos roll cos pitch)
+    ahead, right = c * down[:, 0] + s * down[:, 1], -s * down[:, 0] + c * down[:, 1]
+    return np.arcsin(np.clip(-right, -1.0, 1.0)), np.arctan2(ahead, down[:, 2])
+
+
+def _rates(attitude: Signal, bandwidth: float) -> tuple[Signal, dict[str, Any]]:
+    """Body rates (n, 3), rad/s, of an attitude, and how they were made."""
+    rate = _rate(attitude.t)
+    rates = body_rates(continuous(attitude.values), attitude.t)
+    smooth = low_pass(rates, rate, bandwidth)
+    error = derivative_error(Signal(attitude.t, np.unwrap(to_euler(attitude.values), axis=0)), rate, bandwidth, 1)
+    return Signal(attitude.t, smooth), _about("the attitude", bandwidth, rate, error, "rad/s")
+
+
+def _about(source: str, bandwidth: float, rate: float, error: float, unit: str) -> dict[str, Any]:
+    return {
+        "from": source,
+        "bandwidth": {"value": min(bandwidth, 0.5 * rate), "unit": "Hz"},
+        "std": {"value": error, "unit": unit},
+    }
+
+
+def _rate(t: np.ndarray) -> float:
+    return 1.0 / float(np.median(np.diff(t)))
+
+
+def _bridged(t: np.ndarray, values: np.ndarray, bad: np.ndarray) -> np.ndarray:
+    return np.interp(t, t[~bad], values[~bad])

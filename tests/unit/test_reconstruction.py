@@ -1,0 +1,193 @@
+"""Sensors that a log lacks, made from its other signals: against the truth of a made rigid-body motion."""
+
+import numpy as np
+import pandas as pd
+import pytest
+import rigid_body
+from recordings import SHARED
+from scipy.spatial.transform import Rotation
+
+from quasi.attitude import GRAVITY, from_euler, to_euler
+from quasi.errors import ConfigError, DataError, cautions
+from quasi.filtering.flight import filter_flight
+from quasi.importing.flight import import_flight
+from quasi.importing.readers.table_mapping import read_mapping
+from quasi.importing.reconstruction import Signal, complete_sensors, derivative_error, thrust_angles
+from quasi.importing.resampling import velocity
+from quasi.importing.series import Series
+
+CRAZYPAD = SHARED.parent / "crazypad"
+POSITION, VELOCITY, LINEAR = ("x", "y", "z"), ("vx", "vy", "vz"), ("linear_ax", "linear_ay", "linear_az")
+FULL = {"q": ("qw", "qx", "qy", "qz"), "v": VELOCITY, "p": POSITION}
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return rigid_body.move(seconds=20.0, rate=200.0, rest=1.0, loops=False)
+
+
+@pytest.fixture(scope="module")
+def flat(motion):
+    """A flight whose thrust is along body z: attitude from acceleration and yaw, by scipy, independent of ours."""
+    t = motion.t
+    acceleration = np.stack([1.5 * np.sin(1.1 * t), 2.0 * np.cos(0.9 * t), 1.0 * np.sin(1.7 * t)], axis=1)
+    yaw = 0.8 * np.sin(0.3 * t) + 2.0
+    down = np.array([0.0, 0.0, GRAVITY]) - acceleration  # thrust accelerates along minus body z
+    z = down / np.linalg.norm(down, axis=1)[:, None]
+    ahead = np.stack([np.cos(yaw), np.sin(yaw), 0 * yaw], axis=1)
+    y = np.cross(z, ahead)
+    y /= np.linalg.norm(y, axis=1)[:, None]
+    turned = Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=-1))
+    return t, acceleration, turned.as_euler("ZYX")[:, ::-1], np.linalg.norm(down, axis=1)
+
+
+def series(t, **groups):
+    values = {}
+    for names, columns in groups.values():
+        values |= dict(zip(names, np.asarray(columns).T))
+    return {"onboard": Series(t, values)}
+
+
+def rms(error):
+    return float(np.sqrt(np.mean(np.asarray(error)[200:-200] ** 2)))
+
+
+def test_specific_force_comes_from_velocity_with_the_stated_error(motion):
+    noise = np.random.default_rng(1).normal(0, 0.002, motion.v.shape)
+    notes = []
+    made = complete_sensors(
+        series(motion.t, q=(FULL["q"], motion.q), v=(VELOCITY, motion.v + noise), w=(("p", "q", "r"), motion.rates)),
+        10.0, "a", notes,
+    )  # fmt: skip
+    assert set(made.made) == {"accelerometer"}
+    error = rms(made.force.values - motion.force)
+    assert made.made["accelerometer"]["std"]["value"] == pytest.approx(error, rel=0.3)
+    assert made.made["accelerometer"]["bandwidth"]["value"] == 10.0
+    assert error < 0.15
+    assert len(cautions(notes)) == 1
+
+
+def test_a_logged_acceleration_serves_before_velocity_and_position(motion):
+    acceleration = np.gradient(motion.v, motion.t, axis=0)
+    made = complete_sensors(
+        series(motion.t, q=(FULL["q"], motion.q), v=(VELOCITY, motion.v), a=(LINEAR, acceleration)), 10.0, "a", []
+    )
+    assert made.made["accelerometer"]["from"] == "the logged acceleration"
+    assert rms(made.force.values - motion.force) < 0.1
+    from_place = complete_sensors(series(motion.t, q=(FULL["q"], motion.q), p=(POSITION, motion.p)), 10.0, "a", [])
+    assert from_place.made["accelerometer"]["from"] == "the position"
+    assert rms(from_place.force.values - motion.force) < 0.1
+
+
+def test_body_rates_come_from_the_attitude(motion):
+    made = complete_sensors(series(motion.t, q=(FULL["q"], motion.q), v=(VELOCITY, motion.v)), 10.0, "a", [])
+    assert set(made.made) == {"accelerometer", "gyro"}
+    assert rms(made.gyro.values - motion.rates) < 0.05
+
+
+def test_pitch_and_roll_come_from_acceleration_and_yaw(flat):
+    t, acceleration, euler, size = flat
+    roll, pitch = thrust_angles(acceleration - np.array([0.0, 0.0, GRAVITY]), euler[:, 2])
+    np.testing.assert_allclose(np.stack([roll, pitch], axis=1), euler[:, :2], atol=1e-9)
+    made = complete_sensors(series(t, a=(LINEAR, acceleration), y=(("yaw",), euler[:, 2:])), 10.0, "a", [])
+    assert made.made["attitude"]["angles"] == ["roll", "pitch"]
+    assert rms(to_euler(made.attitude.values)[:, :2] - euler[:, :2]) < 0.01
+    assert rms(made.force.values - np.stack([0 * t, 0 * t, -size], axis=1)) < 0.1
+
+
+def test_a_logged_roll_is_kept_and_checks_the_pitch(flat):
+    t, acceleration, euler, _ = flat
+    off = euler[:, :1] + 0.03
+    made = complete_sensors(
+        series(t, a=(LINEAR, acceleration), r=(("roll",), off), y=(("yaw",), euler[:, 2:])), 10.0, "a", []
+    )
+    assert made.made["attitude"]["angles"] == ["pitch"]
+    assert made.made["attitude"]["std"]["value"] == pytest.approx(0.03, rel=0.1)
+    np.testing.assert_allclose(to_euler(made.attitude.values)[:, 0], off[:, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("groups", "lacking"),
+    [({"a": LINEAR}, "yaw"), ({"a": LINEAR, "r": ("roll", "pitch")}, "yaw"), ({"y": ("yaw",)}, "acceleration"),
+     ({"q": FULL["q"]}, "accelerometer")],
+)  # fmt: skip
+def test_what_cannot_be_made_is_refused_by_name(groups, lacking):
+    t = 0.01 * np.arange(500)
+    values = np.random.default_rng(0).normal(size=(500, 4))
+    with pytest.raises(DataError, match=lacking) as caught:
+        complete_sensors(series(t, **{k: (n, values[:, : len(n)]) for k, n in groups.items()}), 10.0, "flight", [])
+    assert str(caught.value).startswith("flight")
+
+
+def test_the_error_of_a_derivative_is_that_of_white_noise():
+    rng, rate = np.random.default_rng(2), 200.0
+    noise = rng.normal(0, 0.01, (20000, 3))
+    t = np.arange(len(noise)) / rate
+    found, _ = velocity(t, noise, t, 10.0)
+    assert derivative_error(Signal(t, noise), rate, 10.0, 1) == pytest.approx(found.std(), rel=0.2)
+
+
+def test_single_angles_need_axes_that_turn_alike():
+    section = {"time": "t", "sources": [{"name": "s", "frame": "FLU", "world": "NED", "columns": {"yaw": "yaw"}}]}
+    with pytest.raises(ConfigError, match="yaw"):
+        read_mapping(section, None, "table columns")
+
+
+def quadrotor_of(columns):
+    mapped = {"time": "t", "sources": [{"name": "s", "columns": {c: c for c in columns}}]}
+    return {**rigid_body.CONFIG, "table columns": mapped}
+
+
+@pytest.mark.parametrize("gyro", [True, False])
+def test_import_and_filter_run_with_what_is_there(motion, tmp_path, gyro):
+    rng = np.random.default_rng(3)
+    q = from_euler(*to_euler(motion.q).T)
+    table = {"t": motion.t, **dict(zip(FULL["q"], q.T))}
+    table |= dict(zip(VELOCITY, (motion.v + rng.normal(0, 0.002, motion.v.shape)).T)) | dict(zip(POSITION, motion.p.T))
+    if gyro:
+        table |= dict(zip("pqr", (motion.rates + 0.02 + rng.normal(0, 0.01, motion.rates.shape)).T))
+    lift = np.clip(np.linalg.norm(motion.force, axis=1) / GRAVITY, 0, 3) * (motion.t > 1.0)
+    table |= {f"command{i}": 0.5 * np.sqrt(lift) for i in range(1, 5)}
+    pd.DataFrame(table).to_csv(tmp_path / "a.csv", index=False)
+    flight = {"flight": "a", "quadrotor": "X", "flight controller": "table", "rigid body": "",
+              "onboard": str(tmp_path / "a.csv"), "capture": None, "log number": None}  # fmt: skip
+    columns = [c for c in table if c != "t"]
+    frame, about = import_flight(
+        flight, quadrotor_of(columns), {"resampling rate": 200.0, "use onboard attitude": True}
+    )
+    assert set(about["reconstructed"]) == ({"accelerometer"} if gyro else {"accelerometer", "gyro"})
+    assert "gyro" in about["streams"] if gyro else "gyro" not in about["streams"]
+    result = filter_flight(frame, about, rigid_body.quadrotor(), {})
+    assert (result.convergence is not None) is gyro
+    biases = result.metadata["biases"]
+    assert biases["accelerometer"]["value"] == pytest.approx([0.0, 0.0, 0.0], abs=1e-3)
+    if gyro:
+        assert biases["gyro"]["value"] == pytest.approx([0.02] * 3, abs=0.005)
+    columns = result.with_gravity
+    off = columns[["Fx", "Fy", "Fz"]].to_numpy() / rigid_body.MASS - motion.force[: len(columns)]
+    flying = columns["valid"].to_numpy() > 0
+    assert np.sqrt(np.mean(off[flying] ** 2)) < 0.5
+    assert 0.8 < flying.mean() < 0.99
+    assert not flying[: int(0.7 * 200)].any()  # it stands until its commands rise
+
+
+@pytest.mark.skipif(not CRAZYPAD.is_dir(), reason=f"the flights of CrazyPAD are not at {CRAZYPAD}")
+def test_a_real_flight_without_pitch_gyro_and_accelerometer():
+    quadrotor = {
+        "rotor config": {"front left": 4, "front right": 1, "aft right": 2, "aft left": 3},
+        "rotor1 rotation direction": "CCW",
+        "b": "0.046",
+        "moment of inertia": "[1.7e-5,0,0;0,1.7e-5,0;0,0,2.9e-5]",
+    }
+    flight = {"flight": "a", "quadrotor": "E8", "flight controller": "crazyflie", "rigid body": "", "log number": None,
+              "onboard": str(CRAZYPAD / "normal_flight" / "E8_log03"), "capture": None}  # fmt: skip
+    frame, about = import_flight(flight, quadrotor, {"resampling rate": 100.0, "use onboard attitude": True})
+    made = about["reconstructed"]
+    assert set(made) == {"attitude", "accelerometer", "gyro"}
+    assert np.degrees(made["attitude"]["std"]["value"]) < 2.0  # against the logged roll
+    assert np.degrees(np.std(frame["pitch"])) > 0.5
+    # the flight goes 2 m ahead: a nose that drops accelerates it forwards
+    ahead = np.gradient(np.convolve(frame["u"], np.ones(20) / 20, "same"), 0.01)
+    inside = slice(800, 2200)
+    pitch = np.convolve(frame["pitch"], np.ones(20) / 20, "same")
+    assert np.corrcoef(-pitch[inside], ahead[inside])[0, 1] > 0.6
