@@ -65,7 +65,7 @@ STARTS = (
     (b"\x28\xb5\x2f\xfd", Format("zstd", "packed by zstd", UNPACK)),
 )
 PICKLE = Format("pickle", "a Python pickle, which may run code when it is opened and is never read", CONVERT)
-CRAZYFLIE = Format("crazyflie", "a Crazyflie micro-SD log", "set 'Flight controller' to crazyflie")
+CRAZYFLIE = Format("crazyflie", "a Crazyflie micro-SD log", SET.format("crazyflie"))
 
 
 def recognise(data: bytes) -> Format | None:

@@ -15,10 +15,10 @@ from quasi.airframe import DEFAULT_POLES
 from quasi.errors import Caution, ReadError
 from quasi.importing.readers.crazyflie_events import EventLog, EventType, decode_events
 from quasi.importing.readers.reader import Reader, Request
+from quasi.importing.readers.signals import Signals
 from quasi.importing.readers.table_mapping import read_mapping
 from quasi.importing.readers.table_reader import read_signals
 from quasi.importing.series import Recording
-from quasi.importing.signals import Signals
 from quasi.tables import read_bytes
 
 TIME = "time stamp"
