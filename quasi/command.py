@@ -131,6 +131,22 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("--data", metavar="PATH", help="where data/ is, as `--config data=PATH` of snakemake")
     check.set_defaults(run=lambda o: check_raw_files(Path(o.folder), o.data))
 
+    sync = commands.add_parser(
+        "sync",
+        help="tie a log and a motion capture of one flight: lag, clock rate, lever arm and yaw",
+        description="Needs no project: prints lag, clock rate, lever arm (IMU from the captured point) and yaw with "
+        "standard errors, and draws both sides as aligned.",
+    )
+    sync.add_argument("log", help="on-board log, of any format that quasi reads")
+    sync.add_argument("capture", help="export of the motion capture")
+    sync.add_argument("--quadrotor", metavar="JSON", help="quadrotor configuration; tables need its 'table columns'")
+    sync.add_argument("--rigid-body", help="name of the vehicle in the capture (its only one)")
+    sync.add_argument("--log-number", type=int, help="which log of a file that holds several")
+    sync.add_argument("--longest-lag", type=float, default=25.0, help="s, between the beginnings of the records (25)")
+    sync.add_argument("-o", "--out", metavar="PNG", help="the picture (default: sync.png here)", default="sync.png")
+    sync.add_argument("--json", action="store_true", help="print JSON instead of text")
+    sync.set_defaults(run=sync_of)
+
     init = commands.add_parser("init", help="lay a project folder: commented configuration and an empty logbook")
     init.add_argument("folder", help="folder to make; it must be empty or absent")
     init.set_defaults(run=lambda o: lay_folder(Path(o.folder), LIBRARY))
@@ -200,6 +216,26 @@ def check_raw_files(directory: Path, data: str | None) -> tuple[str, int]:
     from quasi.importing.check import check_folder
 
     return check_folder(directory, LIBRARY, data)
+
+
+def sync_of(options: argparse.Namespace) -> str:
+    """Lag, clock rate, lever arm and yaw of a log and a capture as text or JSON, and the picture."""
+    import json
+
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    from quasi.importing import sync_files
+    from quasi.tables import read_json, whole_file
+
+    quadrotor = read_json(Path(options.quadrotor)) if options.quadrotor else {}  # a part of one will do
+    found = sync_files.align_files(
+        Path(options.log), Path(options.capture), quadrotor, options.rigid_body, options.log_number, options.longest_lag
+    )
+    with whole_file(Path(options.out)) as part:
+        FigureCanvasAgg(sync_files.alignment_picture(found)).print_png(part)
+    if options.json:
+        return json.dumps(sync_files.alignment_plain(found), indent=2)
+    return f"{sync_files.alignment_text(found)}\nMade {options.out}"
 
 
 def summarise(model: str, directory: Path) -> str:

@@ -60,11 +60,11 @@ class _Header:
 
 
 def read_motive(
-    path: str | Path, rigid_body: str, marker_offset: np.ndarray | None = None, remove_outliers: bool = True
+    path: str | Path, rigid_body: str | None, marker_offset: np.ndarray | None = None, remove_outliers: bool = True
 ) -> Recording:
     """Read one rigid body of a Motive export.
 
-    rigid_body       its name in Motive
+    rigid_body       its name in Motive; None takes the only one
     marker_offset    (3,) m, of the marker centroid from the cg, body axes (marker = cg + R offset)
     remove_outliers  whether frames that no vehicle can fly (marker swaps, reflections) become gaps
     Returns          Recording with series "capture": x y z (m, earth NED, of the cg) and qw qx qy qz (body to earth);
@@ -175,7 +175,7 @@ def _plain(name: str) -> str:
     return " ".join(name.replace("_", " ").lower().split())
 
 
-def _read_header(text: str, path: Path, rigid_body: str) -> _Header:
+def _read_header(text: str, path: Path, rigid_body: str | None) -> _Header:
     """Find the header rows by what they hold."""
     lines = text.split("\n", 40)[:40]
     for separator in SEPARATORS:
@@ -214,8 +214,12 @@ def _read_header(text: str, path: Path, rigid_body: str) -> _Header:
             blocks.setdefault(names[column], {}).setdefault((quantities[column].lower(), axis), column)
     bodies = list(blocks)
     chosen = rigid_body if rigid_body in blocks else None
+    if rigid_body is None and bodies:
+        if len(bodies) > 1:
+            raise ReadError(f"{path} holds the rigid bodies {', '.join(bodies)}; name the vehicle's")
+        chosen = bodies[0]
     if chosen is None:
-        alike = [b for b in bodies if _plain(b) == _plain(rigid_body)]
+        alike = [b for b in bodies if _plain(b) == _plain(rigid_body or "")]
         chosen = alike[0] if len(alike) == 1 else None
     if chosen is None:
         what = f"no rigid body '{rigid_body}'{nearest(rigid_body, bodies)}" if bodies else "no rigid body at all"

@@ -21,7 +21,8 @@ class Request:
     controller     value of 'Flight controller' in lower case, for an on-board log
     quadrotor      its configuration; poles  magnets of a motor, or None where it does not say
     log_number     which log of a file that holds several, from 1, or None
-    rigid_body     name of the vehicle in a capture; marker_offset (3,) m, of the marker centroid from the cg, body FRD
+    rigid_body     name of the vehicle in a capture, None for the only one
+    marker_offset  (3,) m, of the marker centroid from the cg, body FRD
     remove_outliers  whether captured frames that no vehicle can fly become gaps
     """
 
@@ -30,7 +31,7 @@ class Request:
     quadrotor: Mapping[str, Any] = field(default_factory=dict)
     poles: int | None = None
     log_number: int | None = None
-    rigid_body: str = ""
+    rigid_body: str | None = ""
     marker_offset: np.ndarray | None = None
     remove_outliers: bool = True
 

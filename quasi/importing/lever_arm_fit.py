@@ -1,0 +1,89 @@
+"""Where the IMU sits from the captured point, by the acceleration of both.
+
+An accelerometer at r from the captured point feels f = R' (a - g) + wdot x r + w x (w x r) + b: a the acceleration of
+the point in earth axes, R' its turn into body axes, b the accelerometer's bias with the mean effect of small turns
+between the axes. Linear in r and b: least squares over band-limited signals on one clock. The standard errors are
+robust to correlation within blocks.
+
+Source: rigid-body kinematics; Cameron, Gelbach & Miller, J. Human Resources 50(2), 2015, for block-robust errors.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from quasi.attitude import GRAVITY, continuous, interpolate, rotate_inverse
+from quasi.importing.clocks.clock_fit import uniform
+from quasi.importing.clocks.synchronisation import GRID, SLOW_BAND, Motion, Synchronisation
+
+BLOCK = 2.0  # s, longer than what correlates accelerations band-limited to SLOW_BAND
+LEAST_BLOCKS = 5
+
+
+class ArmFit(NamedTuple):
+    """position (3,) m of the IMU from the captured point, body axes, and std (3,) m; explained: share of the variance
+    of the accelerometer's rest that the arm explains; seconds used."""
+
+    position: np.ndarray
+    std: np.ndarray
+    explained: float
+    seconds: float
+
+
+def fit_arm(onboard: Motion, capture: Motion, clocks: Synchronisation) -> ArmFit | None:
+    """The arm from a synchronised flight; None without a captured attitude or with less than LEAST_BLOCKS blocks."""
+    if capture.quaternion is None or capture.position is None:
+        return None
+    spacing = float(np.median(np.diff(capture.t)))
+    cutoff = min(SLOW_BAND, 0.2 / spacing)
+    at = clocks.to_onboard(capture.t)
+    place = uniform(at, capture.position, GRID, cutoff)
+    force = uniform(onboard.t, onboard.specific_force, GRID, cutoff)
+    rates = uniform(onboard.t, onboard.rates, GRID, cutoff)
+    if place is None or force is None or rates is None:
+        return None
+    velocity = np.gradient(place.values, place.step, axis=0)
+    acceleration = np.gradient(velocity, place.step, axis=0)
+    good = place.good.copy()
+    good[:3] = good[-3:] = False
+    t = place.t
+    known = np.isfinite(capture.quaternion).all(axis=1)
+    quaternion = interpolate(continuous(capture.quaternion[known]), at[known], t)
+    turning = np.gradient(rates.values, rates.step, axis=0)
+    sensed, w, wdot = (_at(t, force.t, v) for v in (force.values, rates.values, turning))
+    for signal in (force, rates):
+        good &= (t >= signal.t[0]) & (t <= signal.t[-1])
+        good &= np.interp(t, signal.t, signal.good.astype(float)) > 0.99
+    blocks = np.floor((t - t[0]) / BLOCK).astype(int)[good]
+    if len(np.unique(blocks)) < LEAST_BLOCKS:
+        return None
+    rest = (sensed - rotate_inverse(quaternion, acceleration - np.array([0.0, 0.0, GRAVITY])))[good]
+    design = np.concatenate([_arm_matrix(w[good], wdot[good]), np.broadcast_to(np.eye(3), (len(rest), 3, 3))], axis=2)
+    normal = np.linalg.inv(np.einsum("nij,nik->jk", design, design))
+    solution = normal @ np.einsum("nij,ni->j", design, rest)
+    residual = rest - design @ solution
+    scores = np.einsum("nij,ni->nj", design, residual)
+    sums = np.array([scores[blocks == b].sum(axis=0) for b in np.unique(blocks)])
+    count = len(sums)
+    covariance = normal @ (sums.T @ sums) @ normal * count / (count - 1)
+    centred = rest - rest.mean(axis=0)
+    explained = 1.0 - float(np.sum(residual**2) / np.sum(centred**2))
+    std = np.sqrt(np.diag(covariance)[:3])
+    return ArmFit(solution[:3], std, explained, float(np.count_nonzero(good) * place.step))
+
+
+def _at(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return np.stack([np.interp(t, times, column) for column in values.T], axis=-1)
+
+
+def _arm_matrix(w: np.ndarray, wdot: np.ndarray) -> np.ndarray:
+    """(n, 3, 3): what times r gives wdot x r + w x (w x r)."""
+    turn = _cross(wdot)
+    centripetal = np.einsum("ni,nj->nij", w, w) - np.sum(w**2, axis=1)[:, None, None] * np.eye(3)
+    return turn + centripetal
+
+
+def _cross(vectors: np.ndarray) -> np.ndarray:
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], axis=1)
