@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from quasi.model.model import read_model
-from quasi.simulation.rollout import Body, body_of, errors, hold, rollout, steps_of
+from quasi.simulation.tools.rollout import Body, body_of, errors, hold, rollout, steps_of
 from quasi.tables import read_table, write_json
 
 ROOT = Path(__file__).parents[1]

@@ -21,10 +21,10 @@ from pathlib import Path
 import numpy as np
 
 from quasi.model.model import Model, read_model
-from quasi.simulation.control_model import control_model
-from quasi.simulation.gains import settle
-from quasi.simulation.run import simulate
-from quasi.simulation.setup import make_setup
+from quasi.simulation.control.control_model import control_model
+from quasi.simulation.control.gains import settle
+from quasi.simulation.loop.run import simulate
+from quasi.simulation.loop.setup import make_setup
 from quasi.synthesis import campaign
 from quasi.synthesis.controller import command_for, control_of
 from quasi.synthesis.flight import LOG, MOTOR_HIGH, MOTOR_LOW

@@ -14,11 +14,11 @@ import numpy as np
 from stopwatch import best
 
 from quasi.model.model import read_model
-from quasi.simulation.dynamics import scratch_of
-from quasi.simulation.loop import LOG, fly
-from quasi.simulation.replay import replay
-from quasi.simulation.run import simulate, simulate_many
-from quasi.simulation.setup import make_setup
+from quasi.simulation.loop.closed_loop import LOG, fly
+from quasi.simulation.loop.run import simulate, simulate_many
+from quasi.simulation.loop.setup import make_setup
+from quasi.simulation.tools.replay import replay
+from quasi.simulation.vehicle.dynamics import scratch_of
 
 
 def main() -> None:

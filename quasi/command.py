@@ -267,9 +267,9 @@ def model_place(model: str, directory: Path) -> Path:
 
 
 def fly_live(name: str | None, directory: Path, by_hand: bool) -> str:
-    """Show a simulation live, or fly a model by hand; see `quasi.simulation.live`."""
+    """Show a simulation live, or fly a model by hand; see `quasi.simulation.tools.fly_command`."""
     from quasi.project.folder import check_project
-    from quasi.simulation.live import fly_by_hand, fly_simulation
+    from quasi.simulation.tools.fly_command import fly_by_hand, fly_simulation
 
     if not by_hand:
         check_project(directory)
@@ -293,8 +293,8 @@ def margins_of(simulation: str, directory: Path) -> str:
     """Gains and margins of a simulation's controller as text. Raises a QuasiError where it or its model are absent."""
     from quasi.model.model import read_model
     from quasi.project.folder import check_project
-    from quasi.simulation.margins import margins_of_setup
-    from quasi.simulation.setup import make_setup
+    from quasi.simulation.loop.setup import make_setup
+    from quasi.simulation.tools.margins import margins_of_setup
     from quasi.tables import read_numbers
 
     check_project(directory)
@@ -313,8 +313,8 @@ def reach_of(simulation: str, directory: Path, horizon: float, radius: float, sp
 
     from quasi.model.model import read_model
     from quasi.project.folder import check_project
-    from quasi.simulation.reach import UNITS, reach
-    from quasi.simulation.reach_figure import reach_figure
+    from quasi.simulation.tools.reach import UNITS, reach
+    from quasi.simulation.tools.reach_figure import reach_figure
     from quasi.tables import read_numbers, whole_file, write_json, write_table
 
     check_project(directory)

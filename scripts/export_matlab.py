@@ -9,7 +9,7 @@ from quasi.export.matlab import write_matlab
 from quasi.export.matlab_check import NO_OCTAVE, check_matlab, find_octave
 from quasi.model.model import read_model
 from quasi.running.job_log import job, tell
-from quasi.simulation.portable import loop_constants, portable_setup
+from quasi.simulation.tools.portable import loop_constants, portable_setup
 
 
 def main(model: str, settings: dict, folder: str) -> None:

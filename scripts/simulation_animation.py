@@ -6,7 +6,7 @@ from quasi.model.model import read_model
 from quasi.pages.animation import animate, can_write_mp4
 from quasi.pages.drawing import motion_of
 from quasi.running.job_log import LOG, job
-from quasi.simulation.figures import in_sight
+from quasi.simulation.tools.figures import in_sight
 from quasi.tables import read_table
 
 

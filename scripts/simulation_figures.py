@@ -6,7 +6,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from quasi.model.model import read_model
 from quasi.running.job_log import job, progress
-from quasi.simulation.figures import simulation_figures
+from quasi.simulation.tools.figures import simulation_figures
 from quasi.tables import read_json, read_table, whole_file
 
 

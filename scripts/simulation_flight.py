@@ -2,9 +2,9 @@
 
 from quasi.model.model import read_model
 from quasi.running.job_log import job
-from quasi.simulation.result import report
-from quasi.simulation.run import simulate
-from quasi.simulation.setup import make_setup
+from quasi.simulation.loop.result import report
+from quasi.simulation.loop.run import simulate
+from quasi.simulation.loop.setup import make_setup
 from quasi.tables import read_numbers, write_json, write_table, write_text
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from quasi.errors import QuasiError
-from quasi.simulation.simulator import Bus, Simulator
+from quasi.simulation.loop.simulator import Bus, Simulator
 
 HERE = Path(__file__).parent
 STATES, INPUTS = ["x", "v"], ["force"]  # m, m/s; N

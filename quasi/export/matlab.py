@@ -49,7 +49,7 @@ def write_matlab(
     """Write the folder.
 
     u     inputs of the differential form; None leaves get_PQRDiffSys.m out
-    loop  the constants of a closed loop (`quasi.simulation.portable.loop_constants`); None leaves the simulation out
+    loop  constants of a closed loop (`quasi.simulation.tools.portable.loop_constants`); None leaves the simulation out
     Raises ConfigError for what cannot be exported, by name.
     """
     folder, notes = Path(folder), []

@@ -1,7 +1,7 @@
 """The simulation environment of chapter 8.3 as .m files: main.m, the blocks of figures 29 to 31, their parameters.
 
 The blocks stand in matlab_files/simulation; what depends on the model is simParameters.m, which is written here from
-the constants of a closed loop (`quasi.simulation.portable.loop_constants`).
+the constants of a closed loop (`quasi.simulation.tools.portable.loop_constants`).
 """
 
 from collections.abc import Mapping

@@ -14,7 +14,7 @@ from quasi.errors import ConfigError
 from quasi.gap.effect import EARTH, Effect, Extension, Values, Vehicle
 from quasi.model.extensions import CONFIGURED, said_of_rotors, wind_of
 from quasi.model.model import AXES, Model
-from quasi.simulation.variants import named, parts_of
+from quasi.simulation.vehicle.variants import named, parts_of
 
 
 def extension_of(effect: Effect, values: Values, vehicle: Vehicle, model: Model) -> Extension:

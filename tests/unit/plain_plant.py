@@ -10,7 +10,7 @@ from numba import njit
 
 from quasi.attitude import from_euler
 from quasi.model.model import Model
-from quasi.simulation.controllers import controller_step, make_controller
+from quasi.simulation.control.controllers import controller_step, make_controller
 from quasi.terms.kernel import wrench
 
 G = 9.81

@@ -2,7 +2,7 @@
 
 import pandas as pd
 
-from quasi.simulation.setup import make_setup
+from quasi.simulation.loop.setup import make_setup
 
 
 def setup_of(model, duration=2.0, step=0.004, **sections):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from quasi.simulation.allocation import SCRATCH, allocate, invert
+from quasi.simulation.control.allocation import SCRATCH, allocate, invert
 
 LEVER = 0.0544
 EFFECT = np.array(

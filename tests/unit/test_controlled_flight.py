@@ -5,8 +5,8 @@ import plain_plant as plain
 import pytest
 
 from quasi.errors import ConfigError
-from quasi.simulation.run import simulate
-from quasi.simulation.setup import make_setup
+from quasi.simulation.loop.run import simulate
+from quasi.simulation.loop.setup import make_setup
 
 KINDS = ("drone_PID", "drone_NDI", "drone_INDI")
 # the manual's listing 12, with its 7.4.2

@@ -7,10 +7,10 @@ import plain_plant as plain
 import pytest
 from plain_plant import KINDS, POSITION, TARGETS, UPRIGHT
 
-from quasi.simulation import controllers as c
-from quasi.simulation import gains as g
-from quasi.simulation.control_model import control_model
-from quasi.simulation.controllers import controller_step, make_controller
+from quasi.simulation.control import controllers as c
+from quasi.simulation.control import gains as g
+from quasi.simulation.control.control_model import control_model
+from quasi.simulation.control.controllers import controller_step, make_controller
 
 
 @pytest.fixture(scope="module")

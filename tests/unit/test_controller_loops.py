@@ -7,8 +7,8 @@ import plain_plant as plain
 import pytest
 from plain_plant import KINDS, POSITION, RATES, TARGETS, UPRIGHT, YAW, rate_goals
 
-from quasi.simulation import gains as g
-from quasi.simulation.control_model import control_model
+from quasi.simulation.control import gains as g
+from quasi.simulation.control.control_model import control_model
 
 
 @pytest.fixture(scope="module")

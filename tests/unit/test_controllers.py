@@ -12,11 +12,17 @@ from plain_plant import KINDS
 from quasi.attitude import from_euler, rotate_inverse
 from quasi.errors import ConfigError, DataError
 from quasi.model.model import Model
-from quasi.simulation import controllers as c
-from quasi.simulation import gains as g
-from quasi.simulation.control_model import by_geometry, control_model, hover_speed, trim
-from quasi.simulation.controllers import controller_step, make_controller
-from quasi.simulation.outer_loop import _approach, attitude_of_angles, attitude_of_thrust, rotation, turn_towards
+from quasi.simulation.control import controllers as c
+from quasi.simulation.control import gains as g
+from quasi.simulation.control.control_model import by_geometry, control_model, hover_speed, trim
+from quasi.simulation.control.controllers import controller_step, make_controller
+from quasi.simulation.control.outer_loop import (
+    _approach,
+    attitude_of_angles,
+    attitude_of_thrust,
+    rotation,
+    turn_towards,
+)
 from quasi.terms.kernel import wrench
 
 

@@ -25,7 +25,7 @@ from quasi.export.naming import identifier, name_of, shown
 from quasi.export.python_source import python_file
 from quasi.export.running import check_c, check_python, run_c, run_python
 from quasi.model.model import Model, read_model
-from quasi.simulation.control_model import DEFAULT_LAG
+from quasi.simulation.control.control_model import DEFAULT_LAG
 from quasi.tables import read_json, write_json
 
 ROOT = Path(__file__).parents[2]

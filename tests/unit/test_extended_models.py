@@ -19,9 +19,9 @@ from quasi.model.document import AXES
 from quasi.model.model import Model, read_model
 from quasi.pages.causes import where_it_acts
 from quasi.pages.model import _causes
-from quasi.simulation.portable import loop_constants, portable_setup
-from quasi.simulation.run import simulate
-from quasi.simulation.setup import make_setup
+from quasi.simulation.loop.run import simulate
+from quasi.simulation.loop.setup import make_setup
+from quasi.simulation.tools.portable import loop_constants, portable_setup
 
 CATALOGUE = catalogue()
 EXTENDING = sorted(i for i, e in CATALOGUE.items() if not e.finding and (e.terms or e.curved or e.extension))

@@ -10,9 +10,9 @@ from matplotlib.backend_bases import KeyEvent
 
 from quasi.attitude import from_euler, rotate
 from quasi.errors import ConfigError
-from quasi.simulation import window
-from quasi.simulation.fly import ATTITUDE, SLOWEST, VELOCITY, Handling, Pace, Pilot, fly
-from quasi.simulation.window import Animator, Window
+from quasi.simulation.tools import window
+from quasi.simulation.tools.manual_flight import ATTITUDE, SLOWEST, VELOCITY, Handling, Pace, Pilot, fly
+from quasi.simulation.tools.window import Animator, Window
 
 WEIGHT = 5.0
 
@@ -218,7 +218,7 @@ def test_the_box_of_the_window_moves_on_with_the_drone(opened):
 
 
 def test_a_window_with_a_reference_holds_its_path_and_marks_the_target(airframe, opened):
-    from quasi.simulation.window import Window
+    from quasi.simulation.tools.window import Window
 
     angle = np.linspace(0.0, 2.0 * np.pi, 100)
     path = np.stack([4.0 * np.cos(angle), 4.0 * np.sin(angle), np.full(100, -2.0)], axis=1)
@@ -235,7 +235,7 @@ def test_a_window_with_a_reference_holds_its_path_and_marks_the_target(airframe,
 
 
 def test_keys_of_the_window_count_while_they_are_down(opened):
-    from quasi.simulation.keyboard import Held
+    from quasi.simulation.tools.keyboard import Held
 
     canvas, held = opened._figure.canvas, Held()
     for kind, key in (("key_press_event", "w"), ("key_press_event", " ")):
@@ -253,8 +253,8 @@ def test_keys_of_the_window_count_while_they_are_down(opened):
 def test_an_animator_shows_an_endless_simulation_in_real_time_until_its_window_is_closed(opened):
     from plain_plant import made_model
 
-    from quasi.simulation.quadrotor import QuadrotorSimulator
-    from quasi.simulation.setup import make_setup
+    from quasi.simulation.loop.python_loop import QuadrotorSimulator
+    from quasi.simulation.loop.setup import make_setup
 
     setup = make_setup({"model": {"model ID": "made"}}, made_model())
     clock = Clock()

@@ -7,13 +7,13 @@ import pytest
 from plain_plant import made_model
 from test_fly import Clock, Script, Shown
 
-import quasi.simulation.fly as fly_module
-import quasi.simulation.watch as watch_module
+import quasi.simulation.tools.manual_flight as fly_module
+import quasi.simulation.tools.reference_flight as watch_module
 from quasi import command
-from quasi.simulation import live
-from quasi.simulation.fly import fly
-from quasi.simulation.run import Session
-from quasi.simulation.setup import make_setup
+from quasi.simulation.loop.run import Session
+from quasi.simulation.loop.setup import make_setup
+from quasi.simulation.tools import fly_command as live
+from quasi.simulation.tools.manual_flight import fly
 from quasi.tables import write_json
 
 

@@ -21,8 +21,8 @@ from quasi.export.fmu_archive import compile_fmu, platform_folder, write_fmu
 from quasi.export.fmu_running import CO_SIMULATION, MODEL_EXCHANGE, Instance, check_forces, check_vehicle, slopes
 from quasi.export.fmu_source import ROWS, STATE_NAMES, forces_fmu, vehicle_fmu
 from quasi.model.model import AXES, Model
-from quasi.simulation.quadrotor import QuadrotorSimulator
-from quasi.simulation.setup import make_setup
+from quasi.simulation.loop.python_loop import QuadrotorSimulator
+from quasi.simulation.loop.setup import make_setup
 from quasi.tables import read_json, write_json
 
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")

@@ -21,8 +21,8 @@ from quasi.gap.flights.instruments import shown
 from quasi.gap.wrench.examination import WEIGHING, _carried
 from quasi.model.extensions import as_read, drive_of, put_right, said_of_rotors, wind_of
 from quasi.model.model import AXES, STATE, Model
-from quasi.simulation.control_model import control_model
-from quasi.simulation.replay import replay, rotors_of
+from quasi.simulation.control.control_model import control_model
+from quasi.simulation.tools.replay import replay, rotors_of
 from quasi.tables import AGE_OFF
 
 ONE = {

@@ -11,7 +11,7 @@ from quasi.gap.effect import Vehicle
 from quasi.gap.flights.gathering import gather
 from quasi.gap.rollouts import commanded, open_loop, rollout_gain
 from quasi.model.model import Model
-from quasi.simulation.replay import replay, twelve
+from quasi.simulation.tools.replay import replay, twelve
 
 RATE, SECONDS, LAG = 200.0, 8.0, 0.03
 HORIZONS = [0.2, 0.5]

@@ -13,7 +13,7 @@ from quasi.gap.extension import extend
 from quasi.gap.flights.gathering import gather
 from quasi.gap.rollouts import halves
 from quasi.model.model import AXES, Model
-from quasi.simulation.rollout import rollout
+from quasi.simulation.tools.rollout import rollout
 
 RATE, SECONDS = 200.0, 24.0
 LEARNED, TRUE = 0.04, 0.01  # share by which all rotors are stronger: in the other flights, in this one

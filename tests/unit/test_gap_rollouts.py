@@ -11,7 +11,7 @@ from quasi.gap.report.figures import figures
 from quasi.gap.rollouts import open_loop, rollout_gain
 from quasi.model.extensions import CONFIGURED, mass_in
 from quasi.model.model import Model
-from quasi.simulation.rollout import rollout
+from quasi.simulation.tools.rollout import rollout
 
 RATE, SECONDS = 200.0, 6.0
 N = int(RATE * SECONDS)

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from quasi.errors import ConfigError
-from quasi.simulation.keyboard import REPEAT_DELAY, Held, Terminal, decode
+from quasi.simulation.tools.keyboard import REPEAT_DELAY, Held, Terminal, decode
 
 
 @pytest.mark.parametrize(

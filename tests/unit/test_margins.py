@@ -9,8 +9,8 @@ from scipy import signal
 
 from quasi.errors import ConfigError
 from quasi.model.model import Model
-from quasi.simulation.margins import DIRECTIONS, _margin, linearise, margins, margins_of_setup
-from quasi.simulation.setup import make_setup
+from quasi.simulation.loop.setup import make_setup
+from quasi.simulation.tools.margins import DIRECTIONS, _margin, linearise, margins, margins_of_setup
 
 KINDS = ("PID", "NDI", "INDI")
 

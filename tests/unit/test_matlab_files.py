@@ -17,7 +17,7 @@ from quasi.export.matlab_check import check_matlab
 from quasi.export.matlab_terms import axis_file, expression
 from quasi.model.model import Model
 from quasi.project.workflow import Folder
-from quasi.simulation.portable import loop_constants, portable_setup
+from quasi.simulation.tools.portable import loop_constants, portable_setup
 from quasi.tables import read_bytes, read_json, read_text, write_json
 from quasi.terms.expressions import parse
 

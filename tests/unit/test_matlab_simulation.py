@@ -12,10 +12,10 @@ from quasi.errors import ConfigError, DataError
 from quasi.export.matlab import write_matlab
 from quasi.export.matlab_check import run_octave
 from quasi.model.model import Model
-from quasi.simulation import gains
-from quasi.simulation.portable import loop_constants, portable_setup
-from quasi.simulation.run import simulate
-from quasi.simulation.setup import make_setup
+from quasi.simulation.control import gains
+from quasi.simulation.loop.run import simulate
+from quasi.simulation.loop.setup import make_setup
+from quasi.simulation.tools.portable import loop_constants, portable_setup
 from quasi.tables import read_text, write_text
 
 

@@ -8,9 +8,9 @@ from simulations import setup_of
 from quasi.attitude import GRAVITY
 from quasi.export.physical_constants import physical_constants
 from quasi.export.registry import SIMULATORS
-from quasi.simulation.controllers import controller_step
-from quasi.simulation.references import goal_at
-from quasi.simulation.run import simulate
+from quasi.simulation.control.controllers import controller_step
+from quasi.simulation.control.references import goal_at
+from quasi.simulation.loop.run import simulate
 
 mujoco = pytest.importorskip("mujoco", reason="flies the exported MJCF; pip install quasi[test]")
 STEP, DURATION, SIZE = 0.004, 2.0, 1.0  # s, s, m

@@ -19,8 +19,8 @@ from quasi.model.build import assemble
 from quasi.model.document import AXES
 from quasi.model.envelope import covered
 from quasi.model.model import Model, read_model
-from quasi.simulation.rollout import Body, rollout
-from quasi.simulation.variants import extended, simple_model
+from quasi.simulation.tools.rollout import Body, rollout
+from quasi.simulation.vehicle.variants import extended, simple_model
 from quasi.tables import read_json, write_json
 from quasi.terms.differential import differential_system
 from quasi.terms.kernel import INPUTS, wrench

@@ -10,14 +10,14 @@ from scipy.integrate import solve_ivp
 from quasi.attitude import GRAVITY, from_euler, matrix, to_euler
 from quasi.errors import ConfigError
 from quasi.model.model import Model
-from quasi.simulation.dynamics import RK4, advance, body_of, derivative, scratch_of, with_rest
-from quasi.simulation.layout import ROTORS, SLOPE, STATES, TARGET
-from quasi.simulation.parts import Parts, put
-from quasi.simulation.portable import loop_constants, portable_setup
-from quasi.simulation.quadrotor import QuadrotorSimulator
-from quasi.simulation.replay import replay
-from quasi.simulation.run import Session, simulate, simulate_many
-from quasi.simulation.setup import make_setup, still
+from quasi.simulation.loop.python_loop import QuadrotorSimulator
+from quasi.simulation.loop.run import Session, simulate, simulate_many
+from quasi.simulation.loop.setup import make_setup, still
+from quasi.simulation.tools.portable import loop_constants, portable_setup
+from quasi.simulation.tools.replay import replay
+from quasi.simulation.vehicle.dynamics import RK4, advance, body_of, derivative, scratch_of, with_rest
+from quasi.simulation.vehicle.layout import ROTORS, SLOPE, STATES, TARGET
+from quasi.simulation.vehicle.payload_and_inflow import Parts, put
 
 LOAD, LENGTH = 0.06, 0.45
 HUNG = {"id": "payload_swing", "states": {"swinging load": {"mass": LOAD, "length": LENGTH}}}

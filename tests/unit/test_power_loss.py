@@ -9,8 +9,8 @@ from plain_plant import G, made_model
 from quasi.errors import ConfigError
 from quasi.model.envelope import covered
 from quasi.model.model import Model
-from quasi.simulation.run import Session, simulate, simulate_many
-from quasi.simulation.setup import make_setup
+from quasi.simulation.loop.run import Session, simulate, simulate_many
+from quasi.simulation.loop.setup import make_setup
 
 CONTROLLERS = ("drone_INDI", "drone_NDI", "drone_PID")
 LOSS = {"inject failure": True, "time of failure": 1.0}

@@ -9,10 +9,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from quasi.errors import ConfigError
 from quasi.model.model import Model
-from quasi.simulation.reach import _distances as distances
-from quasi.simulation.reach import hull, reach, sphere
-from quasi.simulation.reach_figure import reach_figure
-from quasi.simulation.setup import make_setup
+from quasi.simulation.loop.setup import make_setup
+from quasi.simulation.tools.reach import _distances as distances
+from quasi.simulation.tools.reach import hull, reach, sphere
+from quasi.simulation.tools.reach_figure import reach_figure
 
 SETTINGS = {"model": {"model ID": "made"}, "noise": {"add": False}}
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from quasi.errors import ConfigError, DataError
-from quasi.simulation.references import KINDS, goal_at, make_reference
+from quasi.simulation.control.references import KINDS, goal_at, make_reference
 
 X, V, ANGLES, RATES, THRUST, TURN, A = slice(1, 4), slice(4, 7), slice(7, 10), slice(10, 13), 13, 14, slice(15, 18)
 

@@ -7,10 +7,10 @@ from plain_plant import made_model
 from quasi.attitude import to_euler
 from quasi.errors import DataError, ShapeError
 from quasi.model.model import Model
-from quasi.simulation.replay import Rotors, replay, rotors_of, twelve
-from quasi.simulation.rollout import body_of, rollout
-from quasi.simulation.run import simulate
-from quasi.simulation.setup import make_setup
+from quasi.simulation.loop.run import simulate
+from quasi.simulation.loop.setup import make_setup
+from quasi.simulation.tools.replay import Rotors, replay, rotors_of, twelve
+from quasi.simulation.tools.rollout import body_of, rollout
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 
 from quasi.attitude import GRAVITY, from_euler, matrix, rotate
 from quasi.errors import DataError, ShapeError
-from quasi.simulation.rollout import Body, errors, hold, rollout
+from quasi.simulation.tools.rollout import Body, errors, hold, rollout
 
 INERTIA = np.array([[8.65e-4, 2e-5, 4e-5], [2e-5, 1.07e-3, -3e-5], [4e-5, -3e-5, 1.71e-3]])
 MASS = 0.433

@@ -11,9 +11,9 @@ import pytest
 
 from quasi.attitude import GRAVITY, to_euler
 from quasi.model.model import Model
-from quasi.simulation.dynamics import ROTORS, SLOPE, TARGET, WIND, body_of, derivative, scratch_of
-from quasi.simulation.replay import Rotors, replay
-from quasi.simulation.setup import still
+from quasi.simulation.loop.setup import still
+from quasi.simulation.tools.replay import Rotors, replay
+from quasi.simulation.vehicle.dynamics import ROTORS, SLOPE, TARGET, WIND, body_of, derivative, scratch_of
 
 S = np.array([1.0, -1.0, -1.0])
 

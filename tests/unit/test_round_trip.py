@@ -5,8 +5,8 @@ import plain_plant as plain
 import pytest
 
 from quasi.attitude import rotate_inverse
-from quasi.simulation.run import simulate
-from quasi.simulation.setup import make_setup
+from quasi.simulation.loop.run import simulate
+from quasi.simulation.loop.setup import make_setup
 from quasi.terms.expressions import Program, parse
 from quasi.terms.variables import Variables
 

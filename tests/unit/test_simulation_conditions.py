@@ -10,8 +10,8 @@ from simulations import setup_of
 
 from quasi.errors import ConfigError, DataError
 from quasi.model.model import Model
-from quasi.simulation.run import simulate
-from quasi.simulation.setup import make_setup
+from quasi.simulation.loop.run import simulate
+from quasi.simulation.loop.setup import make_setup
 
 
 @pytest.fixture(scope="module")

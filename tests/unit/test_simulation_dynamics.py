@@ -8,7 +8,8 @@ from plain_plant import made_model
 
 from quasi.attitude import GRAVITY, from_euler, matrix
 from quasi.model.model import Model
-from quasi.simulation.dynamics import (
+from quasi.simulation.loop.setup import still
+from quasi.simulation.vehicle.dynamics import (
     CAP,
     EULER,
     RK4,
@@ -23,8 +24,7 @@ from quasi.simulation.dynamics import (
     derivative,
     scratch_of,
 )
-from quasi.simulation.environment import SENSOR_ROW, first_gust, from_table, next_gust, normals, seeded
-from quasi.simulation.setup import still
+from quasi.simulation.vehicle.sensors_and_wind import SENSOR_ROW, first_gust, from_table, next_gust, normals, seeded
 
 INERTIA = np.array([[8.65e-4, 2e-5, 4e-5], [2e-5, 1.07e-3, -3e-5], [4e-5, -3e-5, 1.71e-3]])
 

@@ -7,7 +7,7 @@ from airframes import to_draw
 from scipy.spatial.transform import Rotation
 
 from quasi.errors import DataError
-from quasi.simulation.figures import simulation_figures
+from quasi.simulation.tools.figures import simulation_figures
 
 
 @pytest.fixture

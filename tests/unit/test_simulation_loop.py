@@ -7,9 +7,9 @@ from simulations import ROUGH, assert_same, setup_of
 
 from quasi.errors import ConfigError, DataError, ShapeError
 from quasi.model.model import Model
-from quasi.simulation.quadrotor import QuadrotorSimulator
-from quasi.simulation.result import report
-from quasi.simulation.run import Session, simulate, simulate_many
+from quasi.simulation.loop.python_loop import QuadrotorSimulator
+from quasi.simulation.loop.result import report
+from quasi.simulation.loop.run import Session, simulate, simulate_many
 
 
 @pytest.fixture(scope="module")

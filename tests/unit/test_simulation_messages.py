@@ -9,10 +9,10 @@ from simulations import setup_of
 
 from quasi.errors import ConfigError, DataError
 from quasi.model.model import Model
-from quasi.simulation.references import goal_at
-from quasi.simulation.result import report
-from quasi.simulation.run import simulate
-from quasi.simulation.setup import make_setup
+from quasi.simulation.control.references import goal_at
+from quasi.simulation.loop.result import report
+from quasi.simulation.loop.run import simulate
+from quasi.simulation.loop.setup import make_setup
 
 
 @pytest.fixture(scope="module")

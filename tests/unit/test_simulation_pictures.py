@@ -6,8 +6,8 @@ from plain_plant import made_model
 from programs import script
 
 from quasi.pages import animation
-from quasi.simulation.run import simulate
-from quasi.simulation.setup import make_setup
+from quasi.simulation.loop.run import simulate
+from quasi.simulation.loop.setup import make_setup
 from quasi.tables import write_json, write_table
 
 

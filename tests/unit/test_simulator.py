@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from quasi import command
 from quasi.errors import ConfigError, DataError, ShapeError
-from quasi.simulation.simulator import Simulator, signal_columns
+from quasi.simulation.loop.simulator import Simulator, signal_columns
 
 M, C, K = 1.0, 1.5, 0.8
 A = np.array([[0.0, 1.0], [-K / M, -C / M]])

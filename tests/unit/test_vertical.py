@@ -6,11 +6,11 @@ from plain_plant import made_model
 from scipy.spatial.transform import Rotation
 
 from quasi.attitude import POLE, from_euler, matrix, to_euler
-from quasi.simulation.dynamics import euler_angles
-from quasi.simulation.figures import simulation_figures
-from quasi.simulation.references import goal_at, make_reference
-from quasi.simulation.run import simulate
-from quasi.simulation.setup import make_setup
+from quasi.simulation.control.references import goal_at, make_reference
+from quasi.simulation.loop.run import simulate
+from quasi.simulation.loop.setup import make_setup
+from quasi.simulation.tools.figures import simulation_figures
+from quasi.simulation.vehicle.dynamics import euler_angles
 
 ANGLES = ["roll", "pitch", "yaw"]
 

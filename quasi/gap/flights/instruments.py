@@ -16,7 +16,7 @@ from quasi.gap.flights.inflow import overshoot
 from quasi.gap.flights.pendulum import pull_of
 from quasi.model.extensions import configured_mass, mass_in, shift_of, telemetry_of, true_speeds, wind_of
 from quasi.model.model import Model
-from quasi.simulation.variants import named, parts_of
+from quasi.simulation.vehicle.variants import named, parts_of
 
 
 def as_shown(flight: Evidence) -> np.ndarray:

@@ -18,7 +18,7 @@ from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError, nearest
 from quasi.model.model import AXES, ROTORS, Model
-from quasi.simulation.control_model import extras
+from quasi.simulation.control.control_model import extras
 
 RATE = 100.0  # Hz of what is worked out
 LONGEST = 1800.0  # s of a trajectory: more than a battery gives, and more columns than memory holds

@@ -18,7 +18,7 @@ from quasi.gap.extension import extend
 from quasi.gap.rollouts.open_loop import COMMANDED, SHARES, Flight
 from quasi.model.extensions import said_of_rotors
 from quasi.model.model import Model
-from quasi.simulation.replay import Rotors, rotors_of
+from quasi.simulation.tools.replay import Rotors, rotors_of
 
 
 def learned(known: Mapping[str, Any], flight: Flight, model: Model) -> tuple[np.ndarray, Rotors] | None:

@@ -29,7 +29,7 @@ from quasi.gap.wrench.gain import after, wrench_score
 from quasi.gap.wrench.nuisance import nuisances
 from quasi.gap.wrench.study import BAND, MEMORY, ORDER
 from quasi.model.model import AXES, Model
-from quasi.simulation.rollout import steps_of
+from quasi.simulation.tools.rollout import steps_of
 
 OWN_SCOPES = ("s", "f")
 REACH = 0.2  # s: the filter of a flight sees that far ahead, windows start so much later

@@ -11,8 +11,8 @@ from quasi.gap.statistics import blocks
 from quasi.gap.wrench.gain import states_of
 from quasi.model.extensions import drive_of, mass_in, shift_of, wind_of
 from quasi.model.model import Model
-from quasi.simulation.replay import Rotors, replay, steps_of, twelve
-from quasi.simulation.rollout import errors
+from quasi.simulation.tools.replay import Rotors, replay, steps_of, twelve
+from quasi.simulation.tools.rollout import errors
 
 EVERY = 0.2  # s between the starts of two windows
 GAINED = "the error falls most"  # why one of the windows is shown

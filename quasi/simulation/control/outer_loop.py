@@ -17,7 +17,7 @@ import math
 from numba import njit
 
 from quasi.attitude import GRAVITY
-from quasi.simulation import gains as g
+from quasi.simulation.control import gains as g
 
 GOAL = 20
 POSITION_GOAL, VELOCITY_GOAL, ATTITUDE_GOAL, RATES_GOAL = 0.0, 1.0, 2.0, 3.0

@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from quasi.pages.drawing import new_axes, set_limits
-from quasi.simulation.reach import Reach, hull
+from quasi.simulation.tools.reach import Reach, hull
 
 HALF, WHOLE = "C1", "C0"
 # horizontal and vertical axis of each plane; height upwards, so that up is up

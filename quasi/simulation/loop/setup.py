@@ -24,11 +24,14 @@ from quasi.errors import ConfigError, DataError
 from quasi.model.extensions import drive_of, said_of_rotors, wind_of
 from quasi.model.model import Model
 from quasi.project import configuration
-from quasi.simulation.control_model import DEFAULT_LAG, hover_speed
-from quasi.simulation.controllers import make_controller
-from quasi.simulation.dynamics import INTEGRATORS, RK4, body_of, loads_at, scratch_of, with_rest
-from quasi.simulation.environment import Sensors
-from quasi.simulation.layout import (
+from quasi.simulation.control.control_model import DEFAULT_LAG, hover_speed
+from quasi.simulation.control.controllers import make_controller
+from quasi.simulation.control.references import make_reference
+from quasi.simulation.loop.closed_loop import Battery, Drive, Live, Machine, live_of
+from quasi.simulation.loop.setup_tables import table_of, wind_rows
+from quasi.simulation.loop.stability import check_step
+from quasi.simulation.vehicle.dynamics import INTEGRATORS, RK4, body_of, loads_at, scratch_of, with_rest
+from quasi.simulation.vehicle.layout import (
     CAP,
     GRAVITY_ADDED,
     HELD,
@@ -41,13 +44,10 @@ from quasi.simulation.layout import (
     STATES,
     TARGET,
 )
-from quasi.simulation.loop import Battery, Drive, Live, Machine, live_of
-from quasi.simulation.parts import put
-from quasi.simulation.references import make_reference
-from quasi.simulation.setup_tables import table_of, wind_rows
-from quasi.simulation.stability import check_step
-from quasi.simulation.undefined_loads import describe_undefined_loads
-from quasi.simulation.variants import extended, parts_of, simple_model, with_parts
+from quasi.simulation.vehicle.payload_and_inflow import put
+from quasi.simulation.vehicle.sensors_and_wind import Sensors
+from quasi.simulation.vehicle.undefined_loads import describe_undefined_loads
+from quasi.simulation.vehicle.variants import extended, parts_of, simple_model, with_parts
 
 STATE_NAMES = ("qw", "qx", "qy", "qz", "u", "v", "w", "p", "q", "r", "x", "y", "z", "w1", "w2", "w3", "w4")
 # beyond these no polynomial means anything: m/s, rad/s, m, rad/s of a rotor

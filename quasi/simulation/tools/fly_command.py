@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 from quasi.errors import ConfigError, ReadError, nearest
 from quasi.model.model import read_model
-from quasi.simulation import fly, watch
-from quasi.simulation.keyboard import Terminal
-from quasi.simulation.references import goal_at
-from quasi.simulation.run import Session
-from quasi.simulation.setup import Setup, make_setup
-from quasi.simulation.window import Window
+from quasi.simulation.control.references import goal_at
+from quasi.simulation.loop.run import Session
+from quasi.simulation.loop.setup import Setup, make_setup
+from quasi.simulation.tools import manual_flight as fly
+from quasi.simulation.tools import reference_flight as watch
+from quasi.simulation.tools.keyboard import Terminal
+from quasi.simulation.tools.window import Window
 from quasi.tables import read_numbers
 
 if TYPE_CHECKING:

@@ -19,12 +19,12 @@ from scipy.linalg import expm, schur
 from quasi.attitude import GRAVITY, exponential, rotate_inverse
 from quasi.errors import ConfigError
 from quasi.model.model import Model
-from quasi.simulation import controllers as c
-from quasi.simulation import gains as g
-from quasi.simulation.control_model import control_model, extras, usual_place
-from quasi.simulation.dynamics import UP
-from quasi.simulation.outer_loop import GOAL, INTEGRAL, PLACE, THRUST
-from quasi.simulation.setup import Setup
+from quasi.simulation.control import controllers as c
+from quasi.simulation.control import gains as g
+from quasi.simulation.control.control_model import control_model, extras, usual_place
+from quasi.simulation.control.outer_loop import GOAL, INTEGRAL, PLACE, THRUST
+from quasi.simulation.loop.setup import Setup
+from quasi.simulation.vehicle.dynamics import UP
 
 DIRECTIONS = ("roll", "pitch", "yaw", "thrust")
 _MOTION = 12  # rotation vector, u v w, p q r, x y z; then the rotor speeds

@@ -11,12 +11,23 @@ import numpy as np
 
 from quasi.errors import ConfigError
 from quasi.model.model import Model
-from quasi.simulation import gains as g
-from quasi.simulation.dynamics import RK4
-from quasi.simulation.environment import GUST, STEADY
-from quasi.simulation.layout import DOWN, GRAVITY_ADDED, INERTIA, INVERSE, MASS, OFFSET, RATE, ROTORS, STATES, UP
-from quasi.simulation.setup import Setup, make_setup
-from quasi.simulation.variants import named, parts_of
+from quasi.simulation.control import gains as g
+from quasi.simulation.loop.setup import Setup, make_setup
+from quasi.simulation.vehicle.dynamics import RK4
+from quasi.simulation.vehicle.layout import (
+    DOWN,
+    GRAVITY_ADDED,
+    INERTIA,
+    INVERSE,
+    MASS,
+    OFFSET,
+    RATE,
+    ROTORS,
+    STATES,
+    UP,
+)
+from quasi.simulation.vehicle.sensors_and_wind import GUST, STEADY
+from quasi.simulation.vehicle.variants import named, parts_of
 
 
 def portable_setup(model: Model, time_step: float = 0.004) -> Setup:

@@ -9,21 +9,7 @@ import pandas as pd
 
 from quasi import attitude
 from quasi.errors import ConfigError
-from quasi.simulation.divergence import explain_end
-from quasi.simulation.layout import LOAD_LENGTH, LOAD_MASS
-from quasi.simulation.loop import (
-    AIMED,
-    AIR,
-    COMMANDS,
-    LOADS,
-    LOG,
-    SEEN_AT,
-    SLOPES,
-    SPEEDS,
-    VOLTAGE,
-    X,
-)
-from quasi.simulation.outer_loop import (
+from quasi.simulation.control.outer_loop import (
     ANGLES,
     ATTITUDE_GOAL,
     KIND,
@@ -36,7 +22,21 @@ from quasi.simulation.outer_loop import (
     VELOCITY_GOAL,
     YAW_RATE,
 )
-from quasi.simulation.setup import STATE_NAMES, Setup
+from quasi.simulation.loop.closed_loop import (
+    AIMED,
+    AIR,
+    COMMANDS,
+    LOADS,
+    LOG,
+    SEEN_AT,
+    SLOPES,
+    SPEEDS,
+    VOLTAGE,
+    X,
+)
+from quasi.simulation.loop.divergence import explain_end
+from quasi.simulation.loop.setup import STATE_NAMES, Setup
+from quasi.simulation.vehicle.layout import LOAD_LENGTH, LOAD_MASS
 from quasi.tables import COLUMNS
 
 SCHEMA = "quasi.simulation/1"

@@ -10,8 +10,8 @@ from typing import Protocol
 
 import numpy as np
 
-from quasi.simulation.fly import Keys, Pace
-from quasi.simulation.keyboard import Held
+from quasi.simulation.tools.keyboard import Held
+from quasi.simulation.tools.manual_flight import Keys, Pace
 
 HELP = "space pauses, r starts again, q ends"
 POSITION_GOAL = 0.0

@@ -17,8 +17,7 @@ from numba import njit
 from scipy.interpolate import CubicSpline
 
 from quasi.errors import ConfigError, DataError, nearest
-from quasi.simulation.dynamics import euler_angles
-from quasi.simulation.outer_loop import (
+from quasi.simulation.control.outer_loop import (
     ANGLES,
     ATTITUDE_GOAL,
     FORWARD,
@@ -33,6 +32,7 @@ from quasi.simulation.outer_loop import (
     VELOCITY_GOAL,
     YAW_RATE,
 )
+from quasi.simulation.vehicle.dynamics import euler_angles
 
 HOVER, STEPS, EIGHT, TABLE, CIRCLE = 0, 1, 2, 3, 4
 GOALS = {

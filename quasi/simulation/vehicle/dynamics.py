@@ -27,7 +27,7 @@ import numpy as np
 from numba import njit
 
 from quasi.attitude import POLE
-from quasi.simulation.layout import (
+from quasi.simulation.vehicle.layout import (
     ANGLES,
     BODY,
     CAP,
@@ -48,7 +48,7 @@ from quasi.simulation.layout import (
     UP,
     WIND,
 )
-from quasi.simulation.parts import own_loads, own_slopes, settle, straighten
+from quasi.simulation.vehicle.payload_and_inflow import own_loads, own_slopes, settle, straighten
 from quasi.terms.kernel import Kernel, wrench
 
 

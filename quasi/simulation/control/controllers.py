@@ -31,11 +31,20 @@ from numba import njit
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.model.model import Model
-from quasi.simulation import gains as g
-from quasi.simulation.allocation import allocate, invert
-from quasi.simulation.control_model import by_geometry, control_model, extras
-from quasi.simulation.dynamics import euler_angles
-from quasi.simulation.outer_loop import KIND, RATES_GOAL, RUNNING, SATURATED, STARTED, WISH, outer_loop, rotation
+from quasi.simulation.control import gains as g
+from quasi.simulation.control.allocation import allocate, invert
+from quasi.simulation.control.control_model import by_geometry, control_model, extras
+from quasi.simulation.control.outer_loop import (
+    KIND,
+    RATES_GOAL,
+    RUNNING,
+    SATURATED,
+    STARTED,
+    WISH,
+    outer_loop,
+    rotation,
+)
+from quasi.simulation.vehicle.dynamics import euler_angles
 from quasi.terms.kernel import Kernel, wrench
 
 # first entries in the memory, beside those of outer_loop.py

@@ -4,11 +4,11 @@ import numpy as np
 import pandas as pd
 
 from quasi.errors import ConfigError
-from quasi.simulation.dynamics import loads_at, scratch_of
-from quasi.simulation.layout import CAP, SHARE
-from quasi.simulation.loop import FINE, LOG, NO_COMMAND, fly
-from quasi.simulation.setup import STATE_NAMES, Setup
-from quasi.simulation.undefined_loads import describe_undefined_loads
+from quasi.simulation.loop.closed_loop import FINE, LOG, NO_COMMAND, fly
+from quasi.simulation.loop.setup import STATE_NAMES, Setup
+from quasi.simulation.vehicle.dynamics import loads_at, scratch_of
+from quasi.simulation.vehicle.layout import CAP, SHARE
+from quasi.simulation.vehicle.undefined_loads import describe_undefined_loads
 
 _UNITS = ("1",) * 4 + ("m/s",) * 3 + ("rad/s",) * 3 + ("m",) * 3 + ("rad/s",) * 4
 _MEANINGS = {

@@ -8,7 +8,7 @@ import numpy as np
 from quasi.errors import ConfigError, DataError, nearest
 from quasi.model.extensions import extensions_of
 from quasi.model.model import AXES, Model
-from quasi.simulation.parts import Parts
+from quasi.simulation.vehicle.payload_and_inflow import Parts
 
 _SIMPLE = {"Fz": ("w2_1 + w2_2 + w2_3 + w2_4", "kappaFz", -1.0), "Mx": ("U_p", "kappaMx", 1.0),
            "My": ("U_q", "kappaMy", 1.0), "Mz": ("U_r", "kappaMz", 1.0)}  # fmt: skip

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from quasi.errors import ConfigError, nearest
-from quasi.simulation.control_model import ControlModel
+from quasi.simulation.control.control_model import ControlModel
 
 PID, NDI, INDI = 0, 1, 2
 # the manual's names and plain ones

@@ -21,7 +21,7 @@ import numpy as np
 from numba import njit
 
 from quasi.attitude import GRAVITY
-from quasi.simulation.layout import (
+from quasi.simulation.vehicle.layout import (
     CAP,
     GRAVITY_ADDED,
     HUBS,

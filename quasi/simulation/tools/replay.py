@@ -18,10 +18,22 @@ from quasi.attitude import GRAVITY, from_euler, to_euler
 from quasi.errors import DataError, ShapeError
 from quasi.model.extensions import drive_of, said_of_rotors, wind_of
 from quasi.model.model import Model
-from quasi.simulation.dynamics import RK4, advance, body_of, inputs_of, rest, scratch_of
-from quasi.simulation.layout import CAP, EXTRAS, HELD, LOAD_MASS, OFFSET, ROTORS, SHARE, SLOPE, STATES, TARGET, WIND
-from quasi.simulation.parts import put
-from quasi.simulation.variants import extended, parts_of, with_parts
+from quasi.simulation.vehicle.dynamics import RK4, advance, body_of, inputs_of, rest, scratch_of
+from quasi.simulation.vehicle.layout import (
+    CAP,
+    EXTRAS,
+    HELD,
+    LOAD_MASS,
+    OFFSET,
+    ROTORS,
+    SHARE,
+    SLOPE,
+    STATES,
+    TARGET,
+    WIND,
+)
+from quasi.simulation.vehicle.payload_and_inflow import put
+from quasi.simulation.vehicle.variants import extended, parts_of, with_parts
 
 
 class Rotors(NamedTuple):

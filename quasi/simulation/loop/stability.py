@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from quasi.errors import ConfigError
-from quasi.simulation.dynamics import INTEGRATORS, derivative, scratch_of, with_rest
-from quasi.simulation.layout import INFLOW_LAG, OWN, ROTORS, SLOPE, STATES, UP
+from quasi.simulation.vehicle.dynamics import INTEGRATORS, derivative, scratch_of, with_rest
+from quasi.simulation.vehicle.layout import INFLOW_LAG, OWN, ROTORS, SLOPE, STATES, UP
 
 _ACCURATE = {"rk4": 0.7, "euler": 0.2}  # fastest rate x step beyond which a method follows a mode badly
 

@@ -1,8 +1,8 @@
 """The closed loop, compiled: reference, sensors, controller, actuator, model, equations of motion, integrator.
 
-Each of its parts is a function of its own that the Python loop (`quasi.simulation.quadrotor`) calls as well, in the
-same order and on the same arrays, so that both ways give the same numbers. `fly` runs one simulation, `fly_some` a
-part of a batch. What stays the same during a run stands in a Machine, what changes in a Live and a Scratch.
+Each part is a function. The Python loop (`python_loop`) calls the same functions in the same order on the same arrays,
+so both loops give the same numbers. `fly` runs one simulation, `fly_some` runs part of a batch. A Machine holds what
+is constant during a run; a Live and a Scratch hold what changes.
 """
 
 import math
@@ -12,20 +12,10 @@ import numpy as np
 from numba import njit
 
 from quasi.attitude import GRAVITY
-from quasi.simulation.controllers import controller_step
-from quasi.simulation.dynamics import advance, inputs_of, loads_at, rotor_slope, scratch_of
-from quasi.simulation.environment import (
-    GUST_ROW,
-    SEEN,
-    SENSOR_ROW,
-    Sensors,
-    blow,
-    first_gust,
-    next_gust,
-    seeded,
-    sense,
-)
-from quasi.simulation.layout import (
+from quasi.simulation.control.controllers import controller_step
+from quasi.simulation.control.references import goal_at
+from quasi.simulation.vehicle.dynamics import advance, inputs_of, loads_at, rotor_slope, scratch_of
+from quasi.simulation.vehicle.layout import (
     CAP,
     EXTRAS,
     GRAVITY_ADDED,
@@ -40,7 +30,17 @@ from quasi.simulation.layout import (
     UP,
     WIND,
 )
-from quasi.simulation.references import goal_at
+from quasi.simulation.vehicle.sensors_and_wind import (
+    GUST_ROW,
+    SEEN,
+    SENSOR_ROW,
+    Sensors,
+    blow,
+    first_gust,
+    next_gust,
+    seeded,
+    sense,
+)
 from quasi.terms.kernel import Kernel
 
 GOAL = 20

@@ -15,8 +15,8 @@ from quasi.errors import ConfigError
 from quasi.pages.animation import Scene
 from quasi.pages.drawing import Motion
 from quasi.pages.drone import Look, caption, new_axes, path_line, set_limits
-from quasi.simulation.keyboard import Held
-from quasi.simulation.simulator import Bus
+from quasi.simulation.loop.simulator import Bus
+from quasi.simulation.tools.keyboard import Held
 
 HALF = 2.5  # m, of the box
 LARGEST = 50.0  # m, half side of a box: in a larger one the drone cannot be seen
@@ -27,7 +27,7 @@ _TOOLKITS = ("qtagg", "tkagg", "gtk4agg", "gtk3agg", "wxagg", "macosx")
 
 
 class Window:
-    """A live view; see `quasi.simulation.fly.View`. scale  by which the drone is enlarged.
+    """A live view; see `quasi.simulation.tools.manual_flight.View`. scale  by which the drone is enlarged.
 
     path  (M, 3) m, earth NED, of a reference, drawn dashed; the box then holds all of it, up to LARGEST m
     Raises ConfigError where no window can be opened.

@@ -18,7 +18,7 @@ import numpy as np
 from quasi.attitude import GRAVITY, from_euler, multiply, normalise, rotate, rotate_inverse, to_euler
 from quasi.errors import DataError, ShapeError
 from quasi.model.model import Model
-from quasi.simulation.replay import replay, steps_of, twelve
+from quasi.simulation.tools.replay import replay, steps_of, twelve
 
 Wrench = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 

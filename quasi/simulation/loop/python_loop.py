@@ -1,7 +1,7 @@
 """The closed loop of a quadrotor in Python, through the same compiled parts, so that any step can be the user's own.
 
 State (17,), longer where parts have states of their own (`parts`), and goal (20,) as in the compiled loop (`dynamics`,
-`outer_loop`); inputs are the four rotor speeds, rad/s. Beside what every bus holds (`quasi.simulation.simulator`):
+`outer_loop`); inputs are the four rotor speeds, rad/s. Beside what every bus holds (`quasi.simulation.loop.simulator`):
 bus.model (the model), bus.setup, bus.live (arrays of the compiled loop: wind as bus.live.air, ...),
 bus.measured_state[k] (what the controller sees), bus.reference[k] (goal).
 
@@ -15,10 +15,7 @@ from typing import Any
 import numpy as np
 
 from quasi.errors import DataError
-from quasi.simulation.dynamics import RK4, advance, equations, loads_at, rotor_slope, scratch_of
-from quasi.simulation.environment import next_gust
-from quasi.simulation.layout import CAP, DOWN, RATE, ROTORS, SLOPE, STATES, TARGET, UP
-from quasi.simulation.loop import (
+from quasi.simulation.loop.closed_loop import (
     AIMED,
     AIR,
     COMMANDS,
@@ -41,10 +38,13 @@ from quasi.simulation.loop import (
     observe,
     status_of,
 )
-from quasi.simulation.parts import straighten
-from quasi.simulation.result import Result, result_of
-from quasi.simulation.setup import STATE_NAMES, Setup
-from quasi.simulation.simulator import Bus, Simulator, signal_columns
+from quasi.simulation.loop.result import Result, result_of
+from quasi.simulation.loop.setup import STATE_NAMES, Setup
+from quasi.simulation.loop.simulator import Bus, Simulator, signal_columns
+from quasi.simulation.vehicle.dynamics import RK4, advance, equations, loads_at, rotor_slope, scratch_of
+from quasi.simulation.vehicle.layout import CAP, DOWN, RATE, ROTORS, SLOPE, STATES, TARGET, UP
+from quasi.simulation.vehicle.payload_and_inflow import straighten
+from quasi.simulation.vehicle.sensors_and_wind import next_gust
 
 
 class _NoCommandError(Exception):

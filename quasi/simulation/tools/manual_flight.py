@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from quasi.simulation.keyboard import Held
+from quasi.simulation.tools.keyboard import Held
 
 VELOCITY, ATTITUDE = 1, 2  # kinds of a goal, as the controllers know them
 GOAL = 20

@@ -14,12 +14,12 @@ import numpy as np
 
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, ShapeError, nearest
-from quasi.simulation.divergence import explain_end, state_before
-from quasi.simulation.dynamics import INTEGRATORS, scratch_of, with_rest
-from quasi.simulation.layout import INERTIA, INVERSE, MASS, STATES
-from quasi.simulation.loop import EXTERNAL, FAULT, FINE, LOG, SHORT_LOG, Draws, X, fly, fly_some
-from quasi.simulation.result import Result, result_of
-from quasi.simulation.setup import STATE_NAMES, Setup
+from quasi.simulation.loop.closed_loop import EXTERNAL, FAULT, FINE, LOG, SHORT_LOG, Draws, X, fly, fly_some
+from quasi.simulation.loop.divergence import explain_end, state_before
+from quasi.simulation.loop.result import Result, result_of
+from quasi.simulation.loop.setup import STATE_NAMES, Setup
+from quasi.simulation.vehicle.dynamics import INTEGRATORS, scratch_of, with_rest
+from quasi.simulation.vehicle.layout import INERTIA, INVERSE, MASS, STATES
 
 
 def simulate(
@@ -29,14 +29,14 @@ def simulate(
 ) -> Result:
     """Run a closed loop to its end, or until it diverges.
 
-    steps    functions of the bus that take the place of steps, {"actuator": function}; see `quasi.simulation.simulator`
+    steps    functions of the bus that take the place of steps, {"actuator": function}; see `simulator`
     between  functions of the bus called after a step, {"controller": function}
     With either, or an adaptive integrator, the loop runs in Python, else compiled; both give the same numbers.
     """
     method = setup.settings["simulation"]["integrator"]
     adaptive = None if method in INTEGRATORS else method
     if steps or between or adaptive:
-        from quasi.simulation.quadrotor import QuadrotorSimulator
+        from quasi.simulation.loop.python_loop import QuadrotorSimulator
 
         simulator = QuadrotorSimulator(setup, adaptive)
         simulator.steps |= dict(steps or {})

@@ -55,7 +55,7 @@ class Bus:
         self.integrator: Step | None = None
         self.integrator_options: dict[str, Any] = {}
         self.signals: dict[str, Any] = {}
-        self.setup: Any = None  # of a quadrotor: see quasi.simulation.quadrotor
+        self.setup: Any = None  # of a quadrotor: see quasi.simulation.loop.python_loop
         self.live: Any = None
 
     def __getitem__(self, name: str) -> Any:

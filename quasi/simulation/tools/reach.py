@@ -16,10 +16,10 @@ from scipy.spatial import ConvexHull, QhullError
 from quasi.attitude import rotate_inverse, to_euler
 from quasi.errors import ConfigError, DataError
 from quasi.model.model import Model
-from quasi.simulation.control_model import extras
-from quasi.simulation.references import HOVER
-from quasi.simulation.run import simulate_many
-from quasi.simulation.setup import Setup, make_setup
+from quasi.simulation.control.control_model import extras
+from quasi.simulation.control.references import HOVER
+from quasi.simulation.loop.run import simulate_many
+from quasi.simulation.loop.setup import Setup, make_setup
 
 SCHEMA = "quasi.reach/1"
 DEFAULTS = {"horizon": 1.0, "radius": 4.0, "spacing": 20.0}  # s, m, deg: those of the reference's script

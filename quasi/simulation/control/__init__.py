@@ -1,0 +1,1 @@
+"""Controllers and references: gains, outer loops, control allocation, setpoints over time."""
