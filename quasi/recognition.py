@@ -16,9 +16,10 @@ HEAD = 4096  # bytes in which a blackbox log begins: text that a terminal put be
 CONTROLLERS = {
     "betaflight": (".bbl", ".BBL", ".bfl", ".BFL", ".csv", ".CSV"),
     "indiflight": (".bbl", ".BBL", ".bfl", ".BFL", ".csv", ".CSV"),
-    "table": (".csv", ".CSV", ".parquet", ".Parquet"),
+    "table": (".csv", ".CSV", ".csv.gz", ".parquet", ".Parquet", ".mat", ".npz"),
     "px4": (".ulg", ".ULG"),
     "ardupilot": (".bin", ".BIN"),
+    "rosbag": (".bag", ".mcap", ".db3"),
     "crazyflie": (".bin", ".BIN"),
 }
 SET = "set 'Flight controller' to {}"
@@ -40,7 +41,7 @@ PARQUET = Format("parquet", "a Parquet table", TABLE)
 MOTIVE = Format("motive", "a motion-capture export of Motive", "name it in 'Raw OptiTrack Name' of the logbook")
 UNPACK = "unpack it and give the file in it"
 ZIPPED = (
-    (b".npy", Format("npz", "a NumPy archive (npz)", CONVERT)),
+    (b".npy", Format("npz", "a NumPy archive (npz)", TABLE)),
     (b"xl/", Format("xlsx", "a spreadsheet (xlsx)", "save the sheet as CSV")),
     (b"", Format("zip", "a ZIP archive", UNPACK)),
 )
@@ -48,11 +49,11 @@ ZIPPED = (
 STARTS = (
     (b"PAR1", PARQUET),
     (b"ULog\x01\x12\x35", Format("ulog", "a PX4 ULog", SET.format("px4"))),
-    (b"#ROSBAG V", Format("rosbag", "a ROS 1 bag", CONVERT)),
-    (b"\x89MCAP0\r\n", Format("mcap", "an MCAP recording (ROS 2)", CONVERT)),
-    (b"SQLite format 3\0", Format("db3", "an SQLite database, such as a ROS 2 bag (db3)", CONVERT)),
-    (b"MATLAB 5.0 MAT-file", Format("mat5", "a MATLAB file (version 5)", f"use writetable in MATLAB and {TABLE}")),
-    (b"MATLAB 7.3 MAT-file", Format("mat73", "a MATLAB file (version 7.3)", f"use writetable in MATLAB and {TABLE}")),
+    (b"#ROSBAG V", Format("rosbag", "a ROS 1 bag", SET.format("rosbag"))),
+    (b"\x89MCAP0\r\n", Format("mcap", "an MCAP recording (ROS 2)", SET.format("rosbag"))),
+    (b"SQLite format 3\0", Format("db3", "an SQLite database, such as a ROS 2 bag (db3)", SET.format("rosbag"))),
+    (b"MATLAB 5.0 MAT-file", Format("mat5", "a MATLAB file (version 5)", TABLE)),
+    (b"MATLAB 7.3 MAT-file", Format("mat73", "a MATLAB file (version 7.3)", f"save it with -v7 and {TABLE}")),
     (b"\x89HDF\r\n\x1a\n", Format("hdf5", "an HDF5 file", CONVERT)),
     (b"\x93NUMPY", Format("npy", "a NumPy array (npy)", CONVERT)),
     (b"ARROW1\0\0", Format("feather", "an Arrow file (Feather)", f"save it as Parquet and {TABLE}")),

@@ -5,6 +5,7 @@ Every column of a flight carries its unit and its frame in the Parquet field met
 """
 
 import codecs
+import gzip
 import hashlib
 import io
 import json
@@ -12,6 +13,7 @@ import math
 import os
 import shutil
 import tempfile
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -319,8 +321,9 @@ def read_json(path: str | Path) -> Any:
 
 
 def read_text(path: str | Path) -> str:
-    """Read a text file (UTF-8, with or without a byte order mark; UTF-16 with one; else Latin-1)."""
-    data = bytes(read_bytes(path))
+    """Read a text file, packed by gzip or not (UTF-8, with or without a byte order mark; UTF-16 with one;
+    or Latin-1)."""
+    data = read_unpacked(path)
     try:
         if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
             return data.decode("utf-16")
@@ -347,6 +350,20 @@ def read_bytes(path: str | Path) -> bytes:
     if not data:
         raise ReadError(f"{path} is empty (0 bytes); copy it from its source again")
     return data
+
+
+def read_unpacked(path: str | Path) -> bytes:
+    """Read a raw file whole, and unpack it where gzip packed it. Raises ReadError where the packing is damaged."""
+    data = read_bytes(path)
+    if not data.startswith(b"\x1f\x8b"):
+        return data
+    try:
+        return gzip.decompress(data)
+    except (OSError, EOFError, zlib.error) as error:
+        raise ReadError(
+            f"{path} is packed by gzip, but damaged ({str(error)[:80]}); copy it again, or unpack it and give the file "
+            "in it"
+        ) from None
 
 
 def read_head(path: str | Path, count: int) -> bytes:

@@ -57,4 +57,4 @@ def _with_body_axes(read: Callable[[Request], Recording]) -> Callable[[Request],
 
 _FIRMWARE = ("betaflight", "indiflight", "cleanflight")
 BLACKBOX_READER = Reader("a blackbox log (.bbl, .bfl)", ("blackbox",), _with_body_axes(_read_blackbox), _FIRMWARE)
-DECODED_READER = Reader("its decoded CSV", (TEXT,), _with_body_axes(_read_text), _FIRMWARE)
+DECODED_READER = Reader("its decoded CSV", (TEXT, "gzip"), _with_body_axes(_read_text), _FIRMWARE)

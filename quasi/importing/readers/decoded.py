@@ -33,7 +33,7 @@ from quasi.importing.readers.table_text import (
 from quasi.importing.series import Recording, Series
 from quasi.importing.streams import unwrapped
 from quasi.recognition import refuse_other_formats
-from quasi.tables import read_bytes, read_text
+from quasi.tables import read_text, read_unpacked
 
 STANDARD_GRAVITY = 9.80665  # what blackbox_decode multiplies g with
 _ATTITUDE = ("roll", "pitch", "heading", "heading[0]", "heading[1]", "heading[2]")
@@ -92,7 +92,7 @@ def read_decoded(
     --simulate-imu, the viewer's heading[0..2]). Time is the controller's own clock, s. Raises ReadError.
     """
     path = str(path)
-    refuse_other_formats(path, read_bytes(path), (), "a decoded blackbox log (CSV)")
+    refuse_other_formats(path, read_unpacked(path), (), "a decoded blackbox log (CSV)")
     lines = from_header(read_text(path))[0].splitlines()
     at, separator, names, units = _names(lines, path)
     found = _header(lines[:at], separator)

@@ -82,7 +82,10 @@ def candidates(topics: Mapping[str, Topic], known: Sequence[Known]) -> dict[str,
             for name, topic in topics.items()
             if topic.samples > 0 and way.fits(name, topic)
         ]
-        own = list({name: (name, way) for name, way in reversed(own)}.values())[::-1]
+        first: dict[str, tuple[str, Known]] = {}
+        for name, way in own:
+            first.setdefault(name, (name, way))
+        own = list(first.values())
         own.sort(key=lambda item: topics[item[0]].samples < LEAST_SAMPLES)
         for place in range(1, len(own)):
             name, way = own[place]

@@ -23,7 +23,7 @@ from quasi.importing.readers.reader import TEXT, Reader, Request
 from quasi.importing.readers.table_text import SEPARATORS, decimal_points, from_header, through_a_spreadsheet
 from quasi.importing.series import Recording, Series
 from quasi.recognition import refuse_other_formats
-from quasi.tables import read_bytes, read_text
+from quasi.tables import read_text, read_unpacked
 
 ROOM_TO_EARTH = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 LENGTHS = {
@@ -73,7 +73,7 @@ def read_motive(
     Raises           ReadError when the file is no Motive export or has no such rigid body
     """
     path = Path(path)
-    refuse_other_formats(path, read_bytes(path), ("motive",), "a motion-capture export of Motive (CSV)")
+    refuse_other_formats(path, read_unpacked(path), ("motive",), "a motion-capture export of Motive (CSV)")
     text, _ = from_header(read_text(path))
     header = _read_header(text, path, rigid_body)
     notes: list[str] = []
@@ -371,4 +371,4 @@ def _read(request: Request) -> Recording:
     return read_motive(request.path, request.rigid_body, request.marker_offset, request.remove_outliers)
 
 
-READER = Reader("a motion-capture export of Motive (CSV)", ("motive", TEXT), _read)
+READER = Reader("a motion-capture export of Motive (CSV)", ("motive", TEXT, "gzip"), _read)

@@ -10,12 +10,13 @@ from quasi.importing.readers.dataflash import READER as DATAFLASH
 from quasi.importing.readers.motive import READER as MOTIVE
 from quasi.importing.readers.px4 import READER as PX4
 from quasi.importing.readers.reader import TEXT, Reader, Request
+from quasi.importing.readers.rosbag import READER as ROSBAG
 from quasi.importing.readers.table_reader import READER as TABLE
 from quasi.importing.series import Recording
 from quasi.recognition import CONTROLLERS, HEAD, recognise
 from quasi.tables import read_head
 
-READERS: tuple[Reader, ...] = (BLACKBOX_READER, DECODED_READER, TABLE, PX4, DATAFLASH, CRAZYFLIE, MOTIVE)
+READERS: tuple[Reader, ...] = (BLACKBOX_READER, DECODED_READER, TABLE, PX4, DATAFLASH, ROSBAG, CRAZYFLIE, MOTIVE)
 
 
 def read_log(request: Request) -> Recording:

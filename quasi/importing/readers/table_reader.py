@@ -10,27 +10,29 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from quasi.airframe import DEFAULT_POLES
-from quasi.attitude import from_euler, interpolate, multiply, rotate_inverse
-from quasi.errors import ReadError, add_caution, nearest, quoted
-from quasi.importing.checks.rotor_speeds import clean_rotor_speeds
-from quasi.importing.clocks.table_clocks import correct_source_lags, in_long_runs, rows_possibly_at_rest, uncrowded
+from quasi.errors import ReadError, add_caution
+from quasi.importing.clocks.table_clocks import correct_source_lags, rows_possibly_at_rest
 from quasi.importing.contradictions import doubtful_units, doubtful_values
+from quasi.importing.readers.arrays import read_arrays
+from quasi.importing.readers.mapped_source import (
+    LEAST_ROWS,
+    MappedSource,
+    missing_column,
+    stack_columns,
+    times_of_column,
+)
 from quasi.importing.readers.reader import TEXT, Reader, Request
 from quasi.importing.readers.signals import Signals
-from quasi.importing.readers.table_mapping import EULER, QUATERNION, VECTORS, Source, TableMapping, read_mapping
+from quasi.importing.readers.table_mapping import EULER, QUATERNION, VECTORS, TableMapping, read_mapping
 from quasi.importing.readers.table_text import open_table
 from quasi.importing.series import Recording, Series
-from quasi.importing.streams import unwrapped
+from quasi.recognition import HEAD, recognise
+from quasi.tables import read_head
 
-HALF_TURN = np.array([1.0, -1.0, -1.0])  # half a turn about x: FLU to FRD, z-up to NED
-LONGEST_HOLD = 10  # rows; a row clock's values that stay the same for longer are believed (rest, coarse quantisation)
-ABSURD = 1e30  # beyond any unit and any clock
 LONGEST_STEP = 0.12  # s between body rates, beyond any motion's; seconds in place of milliseconds exceed it up to 8 kHz
-LEAST_ROWS = 20  # samples of a source, below which neither a clock nor a motion can be judged
-STRAY = 1.0  # s; a few samples beyond a gap longer than this at either end are left out
+ARRAYS = ("mat5", "npz")  # kinds of files whose variables are columns
 
 
 def read_table_log(
@@ -46,13 +48,22 @@ def read_table_log(
     path = Path(path)
     notes: list[str] = []
     plan = read_mapping(mapping, poles or DEFAULT_POLES, where)
+    signals = open_signals(path, plan, notes)
+    electrical = "eRPM" in str(mapping)
+    return read_signals(path, signals, plan, poles, electrical, notes)
+
+
+def open_signals(path: Path, plan: TableMapping, notes: list[str]) -> Signals:
+    """The columns of a CSV, Parquet, MAT or npz file. Raises ReadError where it is none, or too short."""
+    found = recognise(read_head(path, HEAD))
+    if found is not None and found.kind in ARRAYS:
+        return read_arrays(path, notes)
     table = open_table(path, notes, plan.names, plan.clocks)
     if len(table) < LEAST_ROWS:
         raise ReadError(
             f"{path} holds {len(table)} rows; at least {LEAST_ROWS} are needed, record or export the flight again"
         )
-    electrical = "eRPM" in str(mapping)
-    return read_signals(path, Signals({"": table}), plan, poles, electrical, notes)
+    return Signals({"": table})
 
 
 def read_signals(
@@ -98,8 +109,8 @@ def read_signals(
     for r in raw:
         r.world_to_body(raw, path)
     felt = next((r for r in raw if "ax" in r.values and not r.source.capture), None)
-    force = np.zeros((0, 3)) if felt is None else _stack(felt, VECTORS["force"])
-    turning = _stack(main, VECTORS["rates"]) if "p" in main.values else np.zeros((0, 3))
+    force = np.zeros((0, 3)) if felt is None else stack_columns(felt, VECTORS["force"])
+    turning = stack_columns(main, VECTORS["rates"]) if "p" in main.values else np.zeros((0, 3))
     notes += [f"{path}: {end} in 'table columns'" for end in doubtful_units(turning, force)]
     for end in doubtful_values({n: v for r in raw for n, v in r.values.items()}):
         add_caution(notes, f"{path}: {end} in 'table columns'")
@@ -124,9 +135,9 @@ def _row_times(
     group = None if plan.clock is None else signals.group_of(plan.clock[0])
     if group is None:
         if any(r.source.clock is None for r in raw):
-            raise _missing(path, [plan.clock[0]], "time of the rows", signals.columns)
+            raise missing_column(path, [plan.clock[0]], "time of the rows", signals.columns)
         return {}
-    times = _times(signals.frames[group], plan.clock, path, notes)
+    times = times_of_column(signals.frames[group], plan.clock, path, notes)
     # variables of a MAT or npz file with as many samples as the clock share it
     return {name: times for name, frame in signals.frames.items() if len(frame) == len(times)}
 
@@ -154,316 +165,6 @@ def _poles_used(
     return {"value": DEFAULT_POLES, "source": "default"}
 
 
-def _numbers(column: pd.Series | pd.DataFrame, path: Path, name: str, notes: list[str]) -> np.ndarray:
-    if isinstance(column, pd.DataFrame):
-        raise ReadError(f"{path}: {column.shape[1]} columns are named '{name}'; rename all but the one that is meant")
-    if not pd.api.types.is_numeric_dtype(column):
-        try:
-            if column.dtype.kind in "mM":
-                raise TypeError
-            numbers = pd.to_numeric(column, errors="coerce")
-        except (TypeError, ValueError):
-            raise ReadError(
-                f"{path}: column '{name}' holds {column.dtype} such as {quoted(column.iloc[0])}, expected numbers; "
-                "export it as numbers"
-            ) from None
-        strange = numbers.isna() & column.notna()
-        if strange.all():
-            raise ReadError(
-                f"{path}: column '{name}' holds text ({quoted(column.iloc[0])}), expected numbers; map another one"
-            )
-        if strange.any():
-            row = int(np.argmax(strange.to_numpy())) + 2
-            notes.append(
-                f"{path}: column '{name}' holds text in {int(strange.sum())} rows (first in row {row}); left out"
-            )
-        column = numbers
-    values = column.to_numpy(float)
-    absurd = np.abs(values) >= ABSURD
-    if absurd.any():
-        notes.append(
-            f"{path}: column '{name}' holds {np.count_nonzero(absurd)} numbers beyond {ABSURD:g} (first in row "
-            f"{int(np.argmax(absurd)) + 2}); left out"
-        )
-    return np.where(np.isfinite(values) & ~absurd, values, np.nan)
-
-
-def _times(table: pd.DataFrame, clock: tuple[str, float], path: Path, notes: list[str]) -> np.ndarray:
-    """A column of time, s, by its name and factor; a counter of 32 bits that starts again is carried on."""
-    name, factor = clock
-    values, turns = unwrapped(_numbers(table[name], path, name, notes))
-    if turns:
-        notes.append(
-            f"{path}: column '{name}' starts again from 0 {turns} times as a counter of 32 bits does; it was carried on"
-        )
-    return values * factor
-
-
-def _missing(path: Path, aliases: list[str] | tuple[str, ...], meant: str, known: Sequence[str]) -> ReadError:
-    names = " or ".join(f"'{a}'" for a in aliases)
-    columns = [quoted(name, 120)[1:-1] for name in known]
-    return ReadError(
-        f"{path} has no column {names} ({meant}){nearest(aliases[0], columns)}; correct 'table columns' in the "
-        "quadrotor configuration"
-    )
-
-
-def _group_of(source: Source, signals: Signals, known: Sequence[str], path: Path) -> str:
-    """The group that holds a source's columns; those of two groups have clocks of their own and are two sources."""
-    found: dict[str, str] = {}
-    for column in source.columns.values():
-        for name in column.aliases:
-            if (group := signals.group_of(name)) is not None:
-                found.setdefault(group, name)
-                break
-    if not found:
-        quantity, column = next(iter(source.columns.items()))
-        raise _missing(path, column.aliases, f"{quantity} of source '{source.name}'", known)
-    if len(found) > 1:
-        (one, first), (other, second) = list(found.items())[:2]
-        raise ReadError(
-            f"{path}: source '{source.name}' maps '{first}' and '{second}', which were sampled apart "
-            f"({len(signals.frames[one])} and {len(signals.frames[other])} samples); map them as two sources"
-        )
-    return next(iter(found))
-
-
-class MappedSource:
-    """One source on its way from the log's columns to a series; each step changes it."""
-
-    def __init__(self, source: Source, signals: Signals, known: Sequence[str], path: Path, notes: list[str]) -> None:
-        self.source = source
-        self.values: dict[str, np.ndarray] = {}
-        self.t = np.zeros(0)
-        self.stamps: np.ndarray | None = None
-        self.stamped_by_log = bool(signals.clocks)
-        self.group = _group_of(source, signals, known, path)
-        table = signals.frames[self.group]
-        lacking = set()
-        for quantity, column in source.columns.items():
-            name = next((a for a in column.aliases if a in table.columns), None)
-            if name is None and not column.optional:
-                raise _missing(path, column.aliases, f"{quantity} of source '{source.name}'", known)
-            if name is None:
-                lacking.add(quantity)
-                continue
-            self.values[quantity] = _numbers(table[name], path, name, notes) * column.factor
-        for quantity, values in self.values.items():
-            if not np.isfinite(values).any() and source.columns[quantity].optional:
-                lacking.add(quantity)
-        for members in (*VECTORS.values(), QUATERNION):
-            if lacking & set(members):
-                lacking |= set(members) & set(source.columns)
-        if lacking:
-            notes.append(
-                f"{path}: source '{source.name}' has no {', '.join(sorted(lacking))} (optional, absent or empty)"
-            )
-        self.values = {k: v for k, v in self.values.items() if k not in lacking}
-        for quantity, values in self.values.items():
-            if not np.isfinite(values).any():
-                raise ReadError(
-                    f"{path}: the column mapped to {quantity} is empty; map another one or make it optional"
-                )
-        if source.clock is not None:
-            if source.clock[0] not in table.columns:
-                raise _missing(path, [source.clock[0]], f"time of source '{source.name}'", known)
-            self.stamps = _times(table, source.clock, path, notes)
-        self.report: dict[str, Any] = {
-            "clock": source.clock[0] if source.clock else "log" if self.stamped_by_log else "rows",
-            "motion capture": source.capture,
-        }
-
-    def settle(self, rows: np.ndarray | None, at_rest: np.ndarray, path: Path, notes: list[str]) -> None:
-        """Keep the rows that bring a new sample: stamp larger than any before, values not merely held.
-
-        at_rest  (n,) bool, rows in which unchanged values may be a quadrotor at rest (see `rows_possibly_at_rest`)
-        """
-        clock = self.stamps if self.stamps is not None else rows
-        known = np.isfinite(clock)
-        ahead = np.fmax.accumulate(np.where(known, clock, -np.inf))
-        before = np.concatenate([[-np.inf], ahead[:-1]])
-        new = known & (clock > before)
-        repeated = known & (clock == before)
-        back = known & (clock < before)
-        if np.count_nonzero(back) > 0.2 * len(clock):
-            raise ReadError(
-                f"{path}: the stamps of source '{self.source.name}' step back in "
-                f"{np.count_nonzero(back)} of {len(clock)} rows; they are no clock, map another time column"
-            )
-        if back.any():
-            row = int(np.argmax(back))
-            notes.append(
-                f"{path}: {np.count_nonzero(back)} stamps of source '{self.source.name}' step back "
-                f"(first in row {row + 2}, {clock[row]:.6g} s after {before[row]:.6g} s); these rows were left out"
-            )
-        held = np.zeros(len(clock), bool)
-        if self.values and ((self.stamps is None and not self.stamped_by_log) or self.source.capture):
-            stack = np.stack(list(self.values.values()))
-            same = np.concatenate([[False], np.all((stack[:, 1:] == stack[:, :-1]), axis=0)])
-            held = same & new
-            if not self.source.capture:
-                held &= ~(in_long_runs(same, LONGEST_HOLD) & at_rest)
-        if (self.stamps is not None or self.stamped_by_log) and np.count_nonzero(new) > LEAST_ROWS:
-            clock = clock.copy()
-            even = uncrowded(clock[new])
-            moved = clock[new] - even
-            clock[new] = even
-            self.report["crowded stamps"] = {
-                "moved": int(np.count_nonzero(moved > 1e-3)),
-                "largest": float(moved.max()),
-                "unit": "s",
-            }
-            if np.count_nonzero(moved > 1e-3) > 0.01 * len(moved):
-                notes.append(
-                    f"{path}: {np.count_nonzero(moved > 1e-3)} stamps of source '{self.source.name}' crowd behind a "
-                    f"delay; they were spread over it, by {1e3 * moved.max():.0f} ms at most"
-                )
-        new &= ~held
-        if np.count_nonzero(new) < LEAST_ROWS:
-            raise ReadError(
-                f"{path}: source '{self.source.name}' has {np.count_nonzero(new)} samples of its own; map another time"
-            )
-        lost = int(np.count_nonzero(repeated) + np.count_nonzero(held))
-        if lost > 0.01 * len(clock):
-            notes.append(
-                f"{path}: {lost} of {len(clock)} rows only repeat an older sample of source "
-                f"'{self.source.name}'; dropped"
-            )
-        self.fresh = np.flatnonzero(new)
-        self.row_clock = rows
-        self.all_stamps = clock
-        self.t = clock[new]
-        self.values = {k: v[new] for k, v in self.values.items()}
-        spacing = np.diff(self.t)
-        gaps = spacing > max(0.05, 5 * float(np.median(spacing)))
-        self.report |= {
-            "repeated": int(np.count_nonzero(repeated)),
-            "held": int(np.count_nonzero(held)),
-            "stepped back": int(back.sum()),
-            "gaps": int(gaps.sum()), "longest gap": float(spacing.max()), "jitter": float(np.std(spacing[~gaps])),
-        }  # fmt: skip
-
-    def clock_against(self, main: "MappedSource", path: Path, notes: list[str]) -> dict[str, Any]:
-        """Bring the stamps onto the main source's clock by the rows they share; report the disagreement.
-
-        Where each source has rows of its own, the log's clock of both takes the place of shared rows.
-        """
-        if self is main or (self.stamps is None and main.stamps is None):
-            return self.report
-        if self.group == main.group:
-            here = np.intersect1d(self.fresh, main.fresh)
-            if len(here) < 10:
-                here = self.fresh
-            difference = self.all_stamps[here] - main.all_stamps[here]
-        elif self.row_clock is None or main.row_clock is None:
-            return self.report
-        else:
-            difference = (self.all_stamps - self.row_clock)[self.fresh] - np.nanmedian(main.all_stamps - main.row_clock)
-        difference = difference[np.isfinite(difference)]
-        middle = float(np.median(difference))
-        low, high = np.quantile(difference, [0.05, 0.95])
-        self.report["stamps minus main stamps"] = {
-            "median": middle,
-            "5 %": float(low),
-            "95 %": float(high),
-            "unit": "s",
-        }
-        if self.stamps is None or abs(middle) > 0.5:
-            self.t = self.t - middle
-            self.all_stamps = self.all_stamps - middle
-            what = "rides on the rows' clock" if self.stamps is None else "keeps another time"
-            notes.append(
-                f"{path}: source '{self.source.name}' {what}; {middle:.3f} s were taken off (median over rows)"
-            )
-        elif max(abs(low), abs(high)) > 0.001:
-            notes.append(
-                f"{path}: stamps of source '{self.source.name}' differ from those of '{main.source.name}' in the same "
-                f"row by {1e3 * low:+.1f} to {1e3 * high:+.1f} ms (5 to 95 %, median {1e3 * middle:+.1f} ms); "
-                "each keeps its own"
-            )
-        return self.report
-
-    def drop_strays(self, path: Path, notes: list[str]) -> None:
-        """Leave out a handful of samples beyond a long gap at either end."""
-        keep = slice(0, len(self.t))
-        few = max(5, len(self.t) // 200)
-        wide = np.flatnonzero(np.diff(self.t) > STRAY)
-        if len(wide) and len(self.t) - 1 - wide[-1] <= few:
-            keep = slice(0, int(wide[-1]) + 1)
-        if len(wide) and wide[0] + 1 <= few and keep.stop > wide[0] + 1:
-            keep = slice(int(wide[0]) + 1, keep.stop)
-        lost = len(self.t) - (keep.stop - keep.start)
-        if lost:
-            notes.append(
-                f"{path}: {lost} samples of source '{self.source.name}' beyond a gap of more than "
-                f"{STRAY:g} s at its end were left out"
-            )
-            self.t = self.t[keep]
-            self.values = {k: v[keep] for k, v in self.values.items()}
-
-    def to_standard_axes(self) -> None:
-        """Earth NED and body FRD; Euler angles become a quaternion, its length one."""
-        body = HALF_TURN if self.source.flu else np.ones(3)
-        world = HALF_TURN if self.source.z_up else np.ones(3)
-        for members in VECTORS.values():
-            if members[0] in self.values:
-                axes = body if self.source.columns[members[0]].body else world
-                for name, sign in zip(members, axes):
-                    self.values[name] = sign * self.values[name]
-        if "qw" in self.values:
-            q = np.stack([self.values[n] for n in QUATERNION], axis=-1)
-            length = np.linalg.norm(q, axis=-1, keepdims=True)
-            q = np.where(length > 0.5, q / np.where(length > 0.5, length, 1.0), np.nan)
-        elif all(n in self.values for n in EULER):
-            q = from_euler(*[self.values.pop(n) for n in EULER])
-        else:
-            # half a turn about x on either side: R_z(yaw) and R_y(pitch) change sign, R_x(roll) does not
-            for name, axis in (("pitch", body[1]), ("yaw", body[2])):
-                if name in self.values:
-                    self.values[name] = axis * self.values[name]
-            return
-        for n in EULER:
-            self.values.pop(n, None)
-        half = np.array([0.0, 1.0, 0.0, 0.0])
-        if self.source.z_up:
-            q = multiply(half, q)
-        if self.source.flu:
-            q = multiply(q, -half)
-        q = np.where(q[:, :1] < 0, -q, q)
-        self.values |= {n: q[:, i] for i, n in enumerate(QUATERNION)}
-
-    def remove_spikes(self, path: Path, notes: list[str]) -> dict[str, int]:
-        """Rotor speeds that no rotor follows become NaN; returns how many per rotor."""
-        cleaned, removed = clean_rotor_speeds(self.t, self.values, str(path), notes)
-        self.values |= cleaned
-        return removed
-
-    def world_to_body(self, raw: list["MappedSource"], path: Path) -> None:
-        """Turn world-axis specific force by the attitude at its own times, body-axis velocity into u v w."""
-        if "vx" in self.values and self.source.columns["vx"].body:
-            for old, new in zip(VECTORS["velocity"], VECTORS["body velocity"]):
-                self.values[new] = self.values.pop(old)
-        if "ax" in self.values and not self.source.columns["ax"].body:
-            holder = (
-                self
-                if "qw" in self.values
-                else next((r for r in raw if "qw" in r.values and not r.source.capture), None)
-            )
-            if holder is None:
-                raise ReadError(
-                    f"{path}: ax, ay, az are in world axes but no on-board attitude is mapped to turn them; map one"
-                )
-            q = np.stack([holder.values[n] for n in QUATERNION], axis=-1)
-            fine = np.isfinite(q).all(axis=-1)
-            at = interpolate(q[fine], holder.t[fine], self.t)
-            force = rotate_inverse(at, np.stack([self.values[n] for n in VECTORS["force"]], axis=-1))
-            self.values |= {n: force[:, i] for i, n in enumerate(VECTORS["force"])}
-
-
-def _stack(r: "MappedSource", names: tuple[str, ...]) -> np.ndarray:
-    return np.stack([r.values[n] for n in names], axis=-1)
-
-
 def _read(request: Request) -> Recording:
     mapping = request.quadrotor.get("table columns")
     if not isinstance(mapping, Mapping):
@@ -474,4 +175,4 @@ def _read(request: Request) -> Recording:
     return read_table_log(request.path, mapping, request.poles)
 
 
-READER = Reader("a table (CSV or Parquet)", (TEXT, "parquet", "motive"), _read, ("table",))
+READER = Reader("a table (CSV, Parquet, MAT or npz)", (TEXT, "gzip", "parquet", "motive", *ARRAYS), _read, ("table",))

@@ -14,12 +14,14 @@ import pandas as pd
 
 from quasi.errors import ReadError
 from quasi.recognition import refuse_other_formats
-from quasi.tables import read_bytes, read_table, read_text
+from quasi.tables import read_table, read_text, read_unpacked
 
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 MARKS = {",": "comma", ".": "point"}
 COARSE = 0.1  # of the usual step of a clock, beyond which the digits that are left of its stamps do not tell them apart
 REPEATED = 0.2  # share of rows that repeat a stamp, beyond which its digits may have been cut
+_ENTRY = re.compile(r"(.+)\[([0-9]+)\]")
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _EMPTY = re.compile(r'[\s;,"]*')
 _HINT = re.compile(r'"?sep=(.)"?[;,\t]*', re.IGNORECASE)
 _NUMBER_FIRST = re.compile(r'[\s"]*[+-]?[0-9]*[.,]?[0-9]+(?:[eE][+-]?[0-9]+)?[\s"]*(?:[,;\t]|$)')
@@ -71,10 +73,10 @@ def open_table(
     Raises   ReadError when it is no readable table, when separator or decimal mark are ambiguous, or when a clock has
              lost its digits
     """
-    data = read_bytes(path)
-    refuse_other_formats(path, data, ("parquet", "motive"), "a table (CSV or Parquet)")
+    data = read_unpacked(path)
+    refuse_other_formats(path, data, ("parquet", "motive"), "a table (CSV, Parquet, MAT or npz)")
     if data[:4] == b"PAR1":
-        return read_table(path)
+        return split_lists(read_table(path), use)
     text, skipped = from_header(read_text(path))
     separator = separator_of(text.partition("\n")[0], path)
     # cells as written, where a comma may be a decimal mark and a point stand between thousands
@@ -106,7 +108,36 @@ def open_table(
     lines = sum(1 for line in text.split("\n") if line.strip()) - 1
     if lines > len(table) and '"' not in text:
         notes.append(f"{path}: {lines - len(table)} lines have more cells than there are columns; they were left out")
-    return table
+    return split_lists(table, use)
+
+
+def split_lists(table: pd.DataFrame, use: Collection[str] | None) -> pd.DataFrame:
+    """The table with the columns "gyro[0]", "gyro[1]" that are asked for, where it has "gyro" with a list in each cell.
+
+    use  names of columns, None for no more than the table has
+    """
+    parsed: dict[str, list[np.ndarray]] = {}
+    added: dict[str, np.ndarray] = {}
+    for name in use or ():
+        entry = _ENTRY.fullmatch(name)
+        if entry is None or name in table.columns or entry[1] not in table.columns:
+            continue
+        cells = parsed.setdefault(entry[1], []) or parsed[entry[1]]
+        if not cells:
+            cells += [numbers_of(cell) for cell in table[entry[1]]]
+        place = int(entry[2])
+        added[name] = np.array([cell[place] if place < len(cell) else np.nan for cell in cells])
+    return table.assign(**added) if added else table
+
+
+def numbers_of(cell: object) -> np.ndarray:
+    """The numbers of a cell that holds a list: "[0.1, -2e-3]", "0.1 -0.002", or a list of a Parquet file."""
+    if isinstance(cell, str):
+        cell = [float(number) for number in _NUMBER.findall(cell)]
+    try:
+        return np.asarray(cell, float).ravel()
+    except (TypeError, ValueError):
+        return np.zeros(0)
 
 
 def decimal_points(
