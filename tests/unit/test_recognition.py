@@ -73,19 +73,21 @@ def test_files_of_other_formats_are_named_by_the_reader_that_meets_them(tmp_path
     assert recognise(data).kind == kind
     for path in (tmp_path / "flight.bbl", tmp_path / "flight.csv"):
         path.write_bytes(data)
-        readers = [
-            partial(read_onboard, flight_of(path), {}, None),
-            partial(read_onboard, flight_of(path, "table"), {"table columns": MAPPING}, None),
-            partial(read_motive, path, "B"),
-            partial(read_lvm, path),
-        ]
-        for number, read in enumerate(readers):
-            if kind == "parquet" and number == 1:
+        readers = {
+            "betaflight": partial(read_onboard, flight_of(path), {}, None),
+            "table": partial(read_onboard, flight_of(path, "table"), {"table columns": MAPPING}, None),
+            "motive": partial(read_motive, path, "B"),
+            "wind": partial(read_lvm, path),
+        }
+        for name, read in readers.items():
+            if name == "table" and kind in ("parquet", "npz", "mat5"):
                 continue
             with pytest.raises(ReadError) as error:
                 read()
             text = str(error.value)
-            assert recognise(data).name in text and recognise(data).remedy in text and text.isprintable()
+            assert recognise(data).name in text and text.isprintable()
+            # gzip is unpacked where it is not damaged
+            assert recognise(data).remedy.split(" and ")[-1] in text
 
 
 @pytest.mark.parametrize("protocol", range(2, 6))

@@ -201,7 +201,8 @@ class DataFlashFile:
                 for kind in self.types.values()
                 if kind.at
             }
-        return self._listed | {
+        split = {group.partition(":")[0] for group in self.frames if ":" in group}
+        return {name: topic for name, topic in self._listed.items() if name not in split} | {
             name: Topic("", tuple(map(str, frame.columns)), len(frame), seconds_of(self.clocks[name]))
             for name, frame in self.frames.items()
         }
