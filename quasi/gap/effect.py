@@ -39,6 +39,23 @@ class Parameter(NamedTuple):
     typical: "float | Callable[[Vehicle], float] | None" = None
 
 
+class Sensor(NamedTuple):
+    """What is known of a fault of a sensor, a mounting, a frame or a clock.
+
+    spread   standard deviation of the parameters between healthy flights, None where healthy flights have none of it
+    common   of what healthy set-ups have in all flights alike
+    linear   size up to which its columns hold; a larger fault is corrected and looked at again. None: exact
+    needs_attitude     whether only a captured attitude shows it
+    without_attitude   spread where the attitude is estimated on board, None where it stays the same
+    """
+
+    spread: float | None = None
+    common: float = 0.0
+    linear: float | None = None
+    needs_attitude: bool = False
+    without_attitude: float | None = None
+
+
 class Limits(NamedTuple):
     """What is physical of the deviations of a cause's fitted parameters.
 
@@ -184,6 +201,8 @@ class Effect:
     foreign       whether a sound vehicle in still air, far from anything, has none of it: what a model's terms miss of
                   such a vehicle does not look like it
     rough         share to which sizes are known at best, for its form follows what happens only roughly
+    sensor        what is known of a fault of a sensor; only of level K
+    corrects      (part, quantity) of a calibration that import corrects it by, in the order of its parameters
     finding       a stated finding, never fitted
     """
 
@@ -211,6 +230,8 @@ class Effect:
     absorbed: bool = False
     foreign: bool = False
     rough: float = 0.0
+    sensor: Sensor | None = None
+    corrects: tuple[str, str] | None = None
     finding: bool = False
 
     def __post_init__(self) -> None:

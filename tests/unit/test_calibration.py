@@ -26,10 +26,10 @@ ACTUATORS = {  # of the vehicle that made flights are of
 
 def test_what_is_examined_and_corrected_bears_the_catalogues_names_and_units():
     causes = catalogue()
-    for cause, unit in kinematic.UNITS.items():
-        assert causes[cause].level == "K"
-        assert {p.unit for p in causes[cause].parameters.values()} == {unit}
-        assert {p.neutral for p in causes[cause].parameters.values()} == {kinematic.NEUTRAL.get(cause, 0.0)}
+    for cause, effect in kinematic.CAUSES.items():
+        assert effect.level == "K"
+        assert len({(p.unit, p.neutral) for p in effect.parameters.values()}) == 1
+        assert (effect.corrects is None) == (cause == "attitude_error")
     assert set(actuation.CAUSES) <= set(causes)
     for cause, (_, _, names) in corrections.CORRECTS.items():
         assert tuple(causes[cause].parameters) == names

@@ -13,8 +13,8 @@ from quasi.gap.catalogue import catalogue, chosen, columns_of, whole_of, wrench_
 from quasi.gap.effect import Effect, Parameter, room_of, vehicle_of
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.inflow import overshoot
+from quasi.gap.selection import Profile
 from quasi.gap.statistics import mixed
-from quasi.gap.wrench.naming import possible
 from quasi.model.model import AXES
 from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
 from quasi.synthesis.effects import check, plant
@@ -370,7 +370,7 @@ def test_inertias_of_bodies_are_possible_and_others_are_not(ground):
     for _ in range(50):
         points = rng.standard_normal((5, 3)) * rng.uniform(0.01, 0.1, 3)
         tensor = 0.1 * (np.eye(3) * np.sum(points**2) - points.T @ points)
-        assert possible(told(tensor), {"inertia": limits})
-    assert possible(told(np.diag([1e-3, 1e-3, 1.99e-3])), {"inertia": limits})
-    assert not possible(told(np.diag([1e-3, 1e-3, 2.5e-3])), {"inertia": limits})
-    assert possible(told(np.diag([1e-3, 1e-3, 2.5e-3]), 2e-4), {"inertia": limits})
+        assert Profile(limits=limits).is_possible(told(tensor))
+    assert Profile(limits=limits).is_possible(told(np.diag([1e-3, 1e-3, 1.99e-3])))
+    assert not Profile(limits=limits).is_possible(told(np.diag([1e-3, 1e-3, 2.5e-3])))
+    assert Profile(limits=limits).is_possible(told(np.diag([1e-3, 1e-3, 2.5e-3]), 2e-4))

@@ -1,17 +1,12 @@
 """Mixed models on cross-products against a plain solution, against known truths, and when nothing is there."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from quasi.gap.effect import Effect, Limits, Parameter
-from quasi.gap.statistics import mixed as tests_on
 from quasi.gap.statistics.mixed import SPREADS, Columns, Mixed, Offer, Witnessed
 from quasi.gap.statistics.whitening import autoregression, block_grams, thin, whiten
-from quasi.gap.wrench.naming import Named, _dominant, _several_or_one, search
 from quasi.gap.wrench.study import in_stretches, joined
 
 LAYOUT = Columns([1, 2], [3], np.array([0.5]), {"a": [4], "b": [5], "c": [6, 7]})
@@ -128,87 +123,6 @@ def test_p_values_are_no_smaller_than_chance_when_flights_merely_differ():
     assert np.mean(p < 0.01) < 0.025
 
 
-def effects(**parts):
-    p = Parameter("1", 0.0, "a", -10.0, 10.0)
-    return {
-        c: Effect(c, "W", "", "", "", {str(k): p for k in range(len(LAYOUT.causes[c]))}, parts=parts.get(c, "any"))
-        for c in LAYOUT.causes
-    }
-
-
-@pytest.mark.parametrize("since", ["changed", "always"])
-def test_the_planted_cause_is_named_and_its_lookalike_is_not(since):
-    rng = np.random.default_rng(5)
-    compared = [False] * 4 + [True] * 4 if since == "changed" else [True] * 8
-    grams, _ = flights(rng, 8, {3: 0.5}, compared)
-    names = search(Mixed(grams, compared, LAYOUT), effects(), (since,), 0.01)
-    assert [n.test.offer.cause for n in names.named] == ["a"]
-    assert not names.ties
-    assert [r.id for r in names.named[0].rivals] == ["b"]
-    assert names.named[0].test.value[0] == pytest.approx(0.5, abs=3.0 * names.named[0].test.std[0])
-
-
-def test_a_cause_that_explains_many_away_gives_way_to_the_one_that_explains_it_away():
-    """a explains b away and leaves c, d and e; b explains these three away and would be a tie with a."""
-    alone = dict(zip("abcde", (1e-18, 1e-9, 1e-6, 1e-6, 1e-6)))
-    gone = {("b", "a"), *((k, "b") for k in "cde")}  # (which, beside what)
-
-    class Told:
-        def test(self, offer, given=(), pooled=()):
-            p = 0.1 if any((offer.cause, g.cause) in gone for g in given) else alone[offer.cause]
-            return tests_on.Test(offer, np.ones(1), np.eye(1), 1.0, -np.log(p), p)
-
-        def spans(self, wide, narrow, given=()):
-            return False
-
-    told = Told()
-    tests = [told.test(Offer(c, "changed", (0,))) for c in alone]
-    catalogue = {c: Effect(c, "W", "", "", "") for c in alone}
-    best, rivals, tie = _dominant(told, tests, [], [], 1e-3, catalogue)
-    assert tie is None and best.offer.cause == "a"
-    assert [r.id for r in rivals] == ["b"]
-
-
-def test_causes_that_the_data_cannot_split_are_a_tie():
-    rng = np.random.default_rng(6)
-    grams, data = flights(rng, 6)
-    twins = []
-    for z in data:
-        z[:, 5] = z[:, 4] + 1e-3 * rng.standard_normal(len(z))
-        z[:, 0] += 0.5 * z[:, 4]
-        twins.append(z.T @ z)
-    names = search(Mixed(twins, [True] * 6, LAYOUT), effects(), ("always",), 0.01)
-    assert not names.named
-    assert {t.offer.cause for t in names.ties[0].tests} == {"a", "b"}
-    assert names.ties[0].separability < 3.0
-
-
-def test_indistinct_causes_are_a_tie_however_clear_one_of_them_is():
-    rng = np.random.default_rng(6)
-    compared = [False] * 4 + [True] * 4
-    grams, _ = flights(rng, 8, {3: 0.6}, compared)
-    mixed = Mixed(grams, compared, LAYOUT)
-    plain = effects()
-    assert search(mixed, plain, ("changed",), 0.01).named[0].test.offer.cause == "a"
-    alike = plain | {"a": replace(plain["a"], indistinct=("b",))}
-    found = search(mixed, alike, ("changed",), 0.01)
-    assert found.named == [] and {t.offer.cause for t in found.ties[0].tests} == {"a", "b"}
-
-
-def test_beside_all_that_a_model_lacks_a_faint_cause_is_still_asked():
-    names = [f"lacking {k}" for k in range(8)] + ["load"]
-    rng, grams = np.random.default_rng(8), []
-    for _ in range(6):
-        x = rng.standard_normal((400, 11))
-        y = x[:, 0] + x[:, 1:9].sum(axis=1) + 0.25 * x[:, 9] + rng.standard_normal(400)
-        z = np.column_stack([y, x])
-        grams.append(z.T @ z)
-    layout = Columns([1], [11], np.array([0.5]), {name: [2 + k] for k, name in enumerate(names)})
-    known = {n: Effect(n.replace(" ", "_"), "W", "", "", "", {"k": Parameter("1", 0.0, "a", -9.0, 9.0)}) for n in names}
-    found = search(Mixed(grams, [True] * 6, layout), known, ("always",), 0.01)
-    assert {n.test.offer.cause for n in found.named} == set(names)
-
-
 def test_of_alternatives_the_likeliest_is_taken_although_it_differs_more_between_flights():
     """The true column acts with a size of its own in each flight; a neighbour correlates with it and looks steadier."""
     right = 0
@@ -228,24 +142,6 @@ def test_of_alternatives_the_likeliest_is_taken_although_it_differs_more_between
     assert right >= 19
 
 
-def test_a_declared_rival_that_is_likelier_though_unsteady_makes_a_tie():
-    """What truly acts has another size in each flight; its rival shows half of it, steadily."""
-    rng = np.random.default_rng(3)
-    compared = [False] * 4 + [True] * 4
-    grams = []
-    for flag, size in zip(compared, [0.0, 0.0, 0.0, 0.0, 0.6, 1.6, 0.7, 1.5]):
-        x = rng.standard_normal((400, 7))
-        y = x[:, 0] + 0.5 * rng.standard_normal(400) + flag * (size * x[:, 3] + 0.35 * x[:, 4])
-        z = np.column_stack([y, x])
-        grams.append(z.T @ z)
-    mixed = Mixed(grams, compared, LAYOUT)
-    plain = effects()
-    assert search(mixed, plain, ("changed",), 1e-4).named[0].test.offer.cause == "b"
-    rivals = plain | {"b": replace(plain["b"], rivals=("a",))}
-    found = search(mixed, rivals, ("changed",), 1e-4)
-    assert not found.named and [t.offer.cause for t in found.ties[0].tests] == ["b", "a"]
-
-
 def stretched(rng, compared, make, stretches=5, rows=400):
     """Cross-products of the stretches of flights; make(x, flag) -> y of columns x, which it may change."""
     grams = []
@@ -254,62 +150,6 @@ def stretched(rng, compared, make, stretches=5, rows=400):
         z = np.column_stack([make(x, flag), x])
         grams.append(np.array([part.T @ part for part in np.split(z, stretches)]))
     return Mixed(grams, compared, LAYOUT)
-
-
-def test_a_declared_rival_beside_which_a_cause_is_not_significant_makes_a_tie():
-    """b shows four fifths of what a does: suspicious alone, not significant itself, and a does not stand beside it."""
-    rng = np.random.default_rng(6)
-
-    def made(x, flag):
-        x[:, 4] = 0.8 * x[:, 3] + 0.6 * x[:, 4]
-        return x[:, 0] + rng.standard_normal(len(x)) + flag * 0.13 * x[:, 3]
-
-    mixed = stretched(rng, [False] * 4 + [True] * 4, made)
-    pooled, level = ["a", "b", "c"], 5e-5
-    a, b = (Offer(name, "changed", (0,)) for name in "ab")
-    assert mixed.test(a, (), pooled).p < level < mixed.test(b, (), pooled).p < 0.01
-    assert mixed.test(a, [b], pooled).p > level
-    plain = effects()
-    assert search(mixed, plain, ("changed",), 3 * level).named[0].test.offer.cause == "a"
-    for declaring in "ab":  # either file may say so
-        other = "b" if declaring == "a" else "a"
-        known = plain | {declaring: replace(plain[declaring], rivals=(other,))}
-        tie = search(mixed, known, ("changed",), 3 * level).ties[0]
-        assert [t.offer.cause for t in tie.tests] == ["a", "b"] and tie.separability < 5.0
-
-
-@pytest.mark.parametrize(("since", "named"), [("changed", {"a"}), ("always", {"a", "c"})])
-def test_beside_a_clear_change_a_faint_one_may_be_its_form(since, named):
-    """c explains a hundredth of what a does, and that surely."""
-    rng = np.random.default_rng(12)
-    compared = [False] * 4 + [True] * 4 if since == "changed" else [True] * 8
-    mixed = stretched(
-        rng, compared, lambda x, flag: x[:, 0] + rng.standard_normal(len(x)) + flag * (1.2 * x[:, 3] + 0.13 * x[:, 5])
-    )
-    pooled = ["a", "b", "c"] if since == "changed" else []
-    assert mixed.test(Offer("c", since, (0,)), [Offer("a", since, (0,))], pooled).p < 1e-4
-    found = search(mixed, effects(), (since,), 0.01).named
-    assert {n.test.offer.cause for n in found} == named
-
-
-@pytest.mark.parametrize(("alike", "named"), [(True, []), (False, ["a"])])
-def test_manoeuvres_of_one_flight_that_err_alike_are_one_witness(alike, named):
-    """Three flights whose eight stretches each err by one size, by chance mostly to one side; a cause errs by none."""
-    rng = np.random.default_rng(14)
-    sizes = [0.9, 0.4, -0.2] if alike else [0.45, 0.4, 0.5]
-    grams = []
-    for size in [0.0, 0.1, -0.1, 0.05, *sizes]:
-        own = []
-        for _ in range(8):
-            x = rng.standard_normal((50, 7))
-            y = x[:, 0] + size * x[:, 3] + rng.standard_normal(50)
-            z = np.column_stack([y, x])
-            own.append(z.T @ z)
-        grams.append(np.array(own))
-    compared = [False] * 4 + [True] * 3
-    stretches, witnessed = Mixed(grams, compared, LAYOUT), Witnessed(grams, compared, LAYOUT)
-    assert [n.test.offer.cause for n in search(stretches, effects(), ("changed",), 0.01).named] == ["a"]
-    assert [n.test.offer.cause for n in search(witnessed, effects(), ("changed",), 0.01).named] == named
 
 
 def test_stretches_and_whole_flights_both_have_a_say_in_p():
@@ -360,34 +200,6 @@ def test_a_flight_that_hardly_excites_a_cause_does_not_hide_it():
     assert Alike(grams, compared, LAYOUT).test(offer, pooled=["a"]).p > 0.01
 
 
-def test_two_causes_at_once_are_both_named():
-    rng = np.random.default_rng(7)
-    grams, _ = flights(rng, 6, {3: 0.5, 6: -0.4})
-    names = search(Mixed(grams, [True] * 6, LAYOUT), effects(), ("always",), 0.01)
-    assert {(n.test.offer.cause, n.test.offer.which) for n in names.named} == {("a", (0,)), ("c", (1,))}
-
-
-def test_an_estimate_outside_its_physical_range_is_not_named():
-    rng = np.random.default_rng(8)
-    grams, _ = flights(rng, 6, {3: 0.5})
-    names = search(Mixed(grams, [True] * 6, LAYOUT), effects(), ("always",), 0.01, within={"a": Limits([(-0.1, 0.1)])})
-    assert "a" not in [n.test.offer.cause for n in names.named]
-    assert names.passed[Offer("a", "always", (0,))] == "its size would be outside what is physical"
-
-
-@pytest.mark.parametrize("about", [0, 1])
-def test_a_cause_is_named_by_a_parameter_that_it_is_about_not_by_one_that_accompanies(about):
-    rng = np.random.default_rng(10)
-    grams, _ = flights(rng, 6, {6: -0.5})
-    known = effects(c="all")
-    for k in (0, 1):
-        known["c"].parameters[str(k)] = Parameter("1", 0.0, "a", -10.0, 10.0, 1.0 if k == about else None)
-    names = search(Mixed(grams, [True] * 6, LAYOUT), known, ("always",), 0.01)
-    assert [n.test.offer.cause for n in names.named] == (["c"] if about == 1 else [])
-    whys = {o.cause: why for o, why in names.passed.items()}
-    assert "c" not in whys if about == 1 else "only what accompanies it differs" in whys["c"]
-
-
 def test_whitening_makes_coloured_noise_white_and_leaves_out_gaps():
     rng = np.random.default_rng(9)
     noise = rng.standard_normal(6000)
@@ -419,24 +231,6 @@ def test_thinning_keeps_slow_signals_and_their_relations():
     np.testing.assert_allclose(part.columns[:, 0, 1], 2.0 * kept, atol=0.02)
     np.testing.assert_allclose(part.columns[:, 0, 0], kept, atol=0.02)
     np.testing.assert_allclose(part.columns[:, 0, 0], 0.5 * part.columns[:, 0, 1] + part.columns[:, 0, 2], atol=1e-12)
-
-
-def test_beside_a_clear_simple_cause_a_wider_one_needs_more_than_a_little():
-    """c nearly holds a's column and has one more, significant, that explains a hundredth as much: the form of a."""
-    for size, name in ((0.11, "a"), (1.0, "c")):
-        rng = np.random.default_rng(11)
-        compared = [False] * 4 + [True] * 4
-        grams = []
-        for flag in compared:
-            x = rng.standard_normal((1500, 7))
-            x[:, 5] = x[:, 3] + 0.02 * x[:, 5]
-            y = x[:, 0] + 0.3 * rng.standard_normal(1500) + flag * (x[:, 3] + size * x[:, 6])
-            z = np.column_stack([y, x])
-            grams.append(z.T @ z)
-        mixed = Mixed(grams, compared, LAYOUT)
-        beside = mixed.test(Offer("c", "changed", (0, 1)), [Offer("a", "changed", (0,))], ["a", "b", "c"])
-        assert beside.p < 0.01 / 3
-        assert search(mixed, effects(c="all"), ("changed",), 0.01).named[0].test.offer.cause == name
 
 
 def test_of_many_flights_the_stretches_get_longer_and_lose_nothing():
@@ -477,29 +271,6 @@ def test_the_geometric_mean_of_p_that_rise_together_is_no_smaller_than_chance(al
 
     met, _ = quad(both, -8.0, 12.0, limit=500, points=[0.0, 2.0, 3.0, 4.0, 6.0])
     assert met <= level and (alike < 0.99 or met > 0.9 * level)
-
-
-@pytest.mark.parametrize("planted", ["one", "several"])
-def test_several_parameters_of_one_cause_give_way_to_one_of_another_that_explains_the_same(planted):
-    """Two equally weak rotors on one side are a moved centre of gravity; unequal ones are not."""
-    rng = np.random.default_rng(3)
-    grams = []
-    for _ in range(6):
-        x = rng.standard_normal((400, 7))
-        x[:, 3] = x[:, 5] + x[:, 6] + 0.05 * rng.standard_normal(400)
-        sizes = (0.5, 0.5) if planted == "one" else (0.8, 0.2)
-        y = x[:, 0] + sizes[0] * x[:, 5] + sizes[1] * x[:, 6] + rng.standard_normal(400)
-        z = np.column_stack([y, x])
-        grams.append(z.T @ z)
-    mixed, known = Mixed(grams, [True] * 6, LAYOUT), effects()
-    parts = [Named(mixed.test(Offer("c", "always", (k,)), [Offer("c", "always", (1 - k,))]), []) for k in (0, 1)]
-    named, ties = _several_or_one(mixed, known, parts, [], 1e-3)
-    if planted == "one":
-        assert named == []
-        assert [[t.offer.cause for t in tie.tests] for tie in ties] == [["a", "c"]]
-    else:
-        assert [n.test.offer.cause for n in named] == ["c", "c"]
-        assert ties == []
 
 
 def test_what_reference_flights_cannot_show_is_bounded_and_does_not_become_the_change():

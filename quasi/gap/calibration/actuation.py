@@ -23,18 +23,11 @@ from quasi.gap.calibration.drive_fit import (
     fit_drive,
     reference_voltage,
 )
-from quasi.gap.flights.level import (
-    Choice,
-    Flown,
-    Level,
-    Tests,
-    choose,
-    final_test,
-    probability,
-    separability,
-    shares_of,
-)
+from quasi.gap.calibration.selected import report_selection
+from quasi.gap.catalogue import catalogue
+from quasi.gap.flights.level import Flown, Level, Tests
 from quasi.gap.flights.residual_tables import beside, spectra, where, whiteness
+from quasi.gap.selection import EXACT, Profile, Selection, select_causes
 from quasi.gap.statistics.mixed import Columns, Offer
 
 EXPONENT = NAMES.index("exponent")
@@ -61,12 +54,8 @@ BELIEVED = {
     "late": 5e-4,
 }
 UNPOOLED = ("telemetry_delay",)  # the usual age is known; left free, it would hide what tells it from a late command
-BREAKERS = {
-    LATE: "quick yaw inputs: the motion tells how late the telemetry is",
-    frozenset({"motor_lag", "command_delay"}): "a sweep of the throttle to high frequencies: a lag loses gain, a "
-    "delay keeps it",
-}
-ANY_BREAKER = "steps and sweeps of the throttle"
+BREAKERS = {LATE: "quick yaw inputs: the motion tells how late the telemetry is"}
+CATALOGUE = catalogue()
 
 
 def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapping[str, Any]) -> Level:
@@ -134,13 +123,21 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         "values": reference.values.tolist(), "voltage": reference.voltage,
         "learned": {"kind": kind, "values": learned.tolist(), "voltage": belief and belief.voltage},
     }  # fmt: skip
-    alarm = float(options.get("false alarm rate", 0.01)) / max(len(asked), 1)
-    levels = {since: alarm * part for since, part in shares_of(compared).items()}
-    choice = choose(mixed, levels, [LATE])
-    alone = sorted(choice.marginal.values(), key=lambda test: test.wald)
+    profiles = {n: Profile(rivals=CATALOGUE[n].rivals) for n in asked}
+    selection = select_causes(mixed, profiles, float(options.get("false alarm rate", 0.01)), EXACT)
+    alone = sorted(selection.marginal.values(), key=lambda test: test.wald)
     level.healthy["alone"] = {test.offer.cause: test.value.tolist() for test in alone}
-    shares = probability(lambda rng: [p.gram(rng) for p in products], build, choice, levels)
-    _report(level, mixed, choice, shares, students, belief and belief.voltage)
+    shares = selection.reproducibility(lambda rng: [p.gram(rng) for p in products], build)
+    volts = belief and belief.voltage
+
+    def parameters(offer: Offer) -> dict[str, dict[str, Any]]:
+        return _parameters(mixed, selection, offer, students, volts)
+
+    def lags(offer: Offer) -> dict[str, float]:
+        mean = np.mean([d.values[:2] for d in students], axis=0)
+        return dict(zip(("up", "down"), mean.tolist())) if offer.cause == "motor_lag" else {}
+
+    report_selection(level, selection, mixed, shares, CATALOGUE, parameters, BREAKERS, lags)
     _tables(level, used, fits, [v - reference.values for v in constants])
     return level
 
@@ -277,13 +274,13 @@ def size_of(cause: str, values: Mapping[str, float], healthy: Mapping[str, float
 
 
 def _parameters(
-    mixed: Tests, choice: Choice, offer: Offer, fits: Sequence[DriveFit], volts: float | None
+    mixed: Tests, selection: Selection, offer: Offer, fits: Sequence[DriveFit], volts: float | None
 ) -> dict[str, dict[str, Any]]:
     """As they are stated: time constant and exponent absolute, of the compared flights; delays beyond the reference.
 
     volts  at which the exponent's map holds
     """
-    test = final_test(mixed, choice, offer)
+    test = selection.test(mixed, offer)
     # a flight whose voltage stays holds the exponent that its fit began with
     telling = [d for d in fits if d.volts_vary] if offer.cause == "battery_sag" else fits
     values = np.array([d.values for d in telling])
@@ -298,38 +295,6 @@ def _parameters(
         told = {"exponent": {"value": float(each.mean()), "std": float(std), "unit": "1"}}
         return told | ({"reference voltage": {"value": volts, "std": 0.0, "unit": "V"}} if volts else {})
     return {"delay": {"value": float(test.value[0]), "std": float(test.std[0]), "unit": "s"}}
-
-
-def _report(
-    level: Level, mixed: Tests, choice: Choice, shares: Mapping[Offer, float], fits: Sequence[DriveFit],
-    volts: float | None,
-) -> None:  # fmt: skip
-    for offer in choice.taken:
-        tie, test = choice.tied[offer], final_test(mixed, choice, offer)
-        if len(tie) > 1:
-            pair = frozenset(o.cause for o in tie)
-            level.ties.append(
-                {"ids": [o.cause for o in tie], "since": offer.since,
-                 "separability": separability(mixed, choice, offer, tie[1]),
-                 "tie_breaker": BREAKERS.get(pair, ANY_BREAKER),
-                 "parameters": {o.cause: _parameters(mixed, choice, o, fits, volts) for o in tie},
-                 "p": test.p, "wald": test.wald, "probability": shares[offer]}
-            )  # fmt: skip
-            continue
-        evidence = {"p": test.p, "wald": test.wald, "between flights": test.tau}
-        if offer.cause == "motor_lag":
-            evidence |= dict(zip(("up", "down"), np.mean([d.values[:2] for d in fits], axis=0).tolist()))
-        level.effects.append(
-            {"id": offer.cause, "since": offer.since, "probability": shares[offer],
-             "channels": ["w1", "w2", "w3", "w4"], "parameters": _parameters(mixed, choice, offer, fits, volts),
-             "evidence": evidence}
-        )  # fmt: skip
-    level.effects.sort(key=lambda e: -e["evidence"]["wald"])
-    for offer, why in choice.why_not.items():
-        level.candidates.append(
-            {"id": offer.cause, "since": offer.since, "score": choice.marginal[offer].wald,
-             "p": choice.marginal[offer].p, "why_not": why}
-        )  # fmt: skip
 
 
 def _tables(level: Level, used: Sequence[Flown], fits: Sequence[DriveFit], apart: Sequence[np.ndarray]) -> None:

@@ -10,23 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from quasi.gap.catalogue import catalogue
 from quasi.gap.flights.level import Level
 from quasi.importing.calibration import KNOWN, SCHEMA, check, is_identity
 
 # cause: (part, quantity, its parameters in order)
 CORRECTS: dict[str, tuple[str, str, tuple[str, ...]]] = {
-    "gyro_bias": ("imu", "gyro bias", ("x", "y", "z")),
-    "gyro_scale": ("imu", "gyro scale", ("x", "y", "z")),
-    "accelerometer_bias": ("imu", "accelerometer bias", ("x", "y", "z")),
-    "accelerometer_scale": ("imu", "accelerometer scale", ("x", "y", "z")),
-    "imu_misalignment": ("imu", "misalignment", ("roll", "pitch", "yaw")),
-    "imu_lever_arm": ("imu", "lever arm", ("x", "y", "z")),
-    "marker_offset": ("capture", "marker offset", ("x", "y", "z")),
-    "mocap_misalignment": ("capture", "misalignment", ("roll", "pitch", "yaw")),
-    "room_tilt": ("capture", "room tilt", ("roll", "pitch")),
-    "mocap_delay": ("capture", "rotation delay", ("delay",)),
-    "clock_drift": ("clock", "rate", ("rate",)),
-    "telemetry_delay": ("telemetry", "age", ("delay",)),
+    n: (*e.corrects, tuple(e.parameters)) for n, e in catalogue().items() if e.corrects is not None
 }
 
 

@@ -227,7 +227,7 @@ def _cause(entry: Mapping[str, Any]) -> str:
 
 def _acts(cause: str, channel: str) -> bool:
     """Whether a cause of level K acts on body rates (p, q, r) or on the specific force (channels in earth axes)."""
-    shows = kinematic.SHOWS.get(cause, ("ax",))
+    shows = actuation.CATALOGUE[cause].channels
     return "clock" in shows or bool(set(shows) & set("pqr") if channel in "pqr" else set(shows) - set("pqr"))
 
 
@@ -250,7 +250,7 @@ def _in_columns(entry: Mapping[str, Any], place: Mapping[str, int]) -> np.ndarra
     if cause == "marker_offset":
         cause, sign = "imu_lever_arm", -1.0
     values = np.zeros(len(place))
-    for label, value in zip(kinematic.LABELS[cause], kinematic.size_of(cause, stated)):
+    for label, value in zip(kinematic.CAUSES[cause].parameters, kinematic.size_of(cause, stated)):
         if f"{cause}.{label}" in place:
             values[place[f"{cause}.{label}"]] = sign * value
     return values

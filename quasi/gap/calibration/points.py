@@ -19,9 +19,9 @@ from quasi.errors import DataError
 from quasi.gap.effect import Effect, Limits, vehicle_of
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.gathering import gather
-from quasi.gap.flights.level import Flown, Level, shares_of
+from quasi.gap.flights.level import Flown, Level
+from quasi.gap.selection import Profile, select_causes
 from quasi.gap.statistics.mixed import Offer
-from quasi.gap.wrench.naming import search
 from quasi.gap.wrench.starts import started
 from quasi.gap.wrench.study import Study, gather_study
 from quasi.model.model import Model
@@ -187,11 +187,8 @@ def _beside(
 ) -> list[Offer]:  # fmt: skip
     """Causes that the forces have beside the arm."""
     mixed = study.witnessed(range(len(compared)), compared)
-    found: list[Offer] = [arm]
-    for since, part in shares_of(compared).items():
-        names = search(mixed, asked | {IMU: FELT}, (since,), rate * part, (*study.lacking, IMU), within, found)
-        found += [*(n.test.offer for n in names.named), *(tie.tests[0].offer for tie in names.ties)]
-    return found[1:]
+    profiles = {n: Profile.of(e, within.get(n)) for n, e in (asked | {IMU: FELT}).items()}
+    return select_causes(mixed, profiles, rate, excluded=(*study.lacking, IMU), known=[arm]).offers
 
 
 def _evidence(flown: Flown, model: Model) -> Evidence:

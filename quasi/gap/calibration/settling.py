@@ -23,9 +23,9 @@ import pandas as pd
 from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
-from quasi.gap.calibration.actuation import LATE
+from quasi.gap.calibration.actuation import CATALOGUE, LATE
 from quasi.gap.calibration.corrections import document, for_flight
-from quasi.gap.calibration.kinematic import SHOWS, TURNED
+from quasi.gap.calibration.kinematic import TURNED
 from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.evidence import NEEDED
 from quasi.gap.flights.gathering import gather
@@ -33,7 +33,7 @@ from quasi.gap.flights.level import Flown, Level
 from quasi.gap.statistics.mixed import marginal
 from quasi.gap.statistics.whitening import Whitener, block_grams
 from quasi.gap.wrench.study import BLOCK, Study, gather_study
-from quasi.model.model import ROTORS, Model
+from quasi.model.model import Model
 
 RATE = 100.0  # Hz of the comparison of forces and moments
 ROWS = 0.98  # share of the rows that must be comparable
@@ -80,7 +80,7 @@ def settle(
         evidence = {"p": tie["p"], "wald": tie["wald"], "log odds by forces and moments": odds}
         level.effects.append(
             {"id": best, "since": tie["since"], "probability": tie["probability"],
-             "channels": list(SHOWS.get(best, ROTORS)), "parameters": tie["parameters"][best],
+             "channels": list(CATALOGUE[best].channels), "parameters": tie["parameters"][best],
              "evidence": evidence}
         )  # fmt: skip
         level.candidates.append(

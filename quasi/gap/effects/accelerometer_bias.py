@@ -1,6 +1,6 @@
 """A constant error of the accelerometer."""
 
-from quasi.gap.effect import Effect, Parameter
+from quasi.gap.effect import Effect, Parameter, Sensor
 
 EFFECT = Effect(
     id="accelerometer_bias",
@@ -12,4 +12,7 @@ EFFECT = Effect(
     channels=("ax", "ay", "az"),
     rivals=("room_tilt", "wind", "mocap_misalignment"),
     tie_breaker="turn through all headings in hover",
+    parts="all",
+    sensor=Sensor(spread=0.08, needs_attitude=True),  # m/s2 after turning on, data sheets of MEMS sensors
+    corrects=("imu", "accelerometer bias"),
 )

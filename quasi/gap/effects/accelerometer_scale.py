@@ -1,6 +1,6 @@
 """An accelerometer that reads in proportion too much."""
 
-from quasi.gap.effect import Effect, Parameter
+from quasi.gap.effect import Effect, Parameter, Sensor
 
 EFFECT = Effect(
     id="accelerometer_scale",
@@ -12,4 +12,7 @@ EFFECT = Effect(
     channels=("ax", "ay", "az"),
     rivals=("mass", "thrust_factor", "accelerometer_bias"),
     tie_breaker="climbs and dives with a large range of thrust",
+    parts="all",
+    sensor=Sensor(spread=5e-4, linear=0.01, without_attitude=0.3),
+    corrects=("imu", "accelerometer scale"),
 )

@@ -1,6 +1,6 @@
 """An on-board attitude that leans after the apparent vertical."""
 
-from quasi.gap.effect import Effect, Parameter
+from quasi.gap.effect import Effect, Parameter, Sensor
 
 EFFECT = Effect(
     id="attitude_error",
@@ -12,4 +12,6 @@ EFFECT = Effect(
     channels=("ax", "ay"),
     rivals=("room_tilt", "accelerometer_bias"),
     tie_breaker="sustained accelerations in all directions",
+    parts="all",
+    sensor=Sensor(),
 )

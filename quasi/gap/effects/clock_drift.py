@@ -1,6 +1,6 @@
 """An on-board clock that runs fast or slow."""
 
-from quasi.gap.effect import Effect, Parameter
+from quasi.gap.effect import Effect, Parameter, Sensor
 
 EFFECT = Effect(
     id="clock_drift",
@@ -13,4 +13,7 @@ EFFECT = Effect(
     channels=("clock",),
     rivals=("gyro_scale",),
     tie_breaker="a longer flight",
+    parts="all",
+    sensor=Sensor(spread=3.5e-5),  # two quartz clocks of 25 ppm each
+    corrects=("clock", "rate"),
 )

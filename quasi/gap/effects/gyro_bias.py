@@ -1,6 +1,6 @@
 """A constant error of the gyro."""
 
-from quasi.gap.effect import Effect, Parameter
+from quasi.gap.effect import Effect, Parameter, Sensor
 
 EFFECT = Effect(
     id="gyro_bias",
@@ -12,4 +12,7 @@ EFFECT = Effect(
     channels=("p", "q", "r"),
     rivals=("gyro_scale", "mocap_misalignment"),
     tie_breaker="some seconds of rest, and turns both ways",
+    parts="all",
+    sensor=Sensor(spread=0.012, needs_attitude=True),  # rad/s after turning on, data sheets of MEMS gyros
+    corrects=("imu", "gyro bias"),
 )

@@ -1,6 +1,6 @@
 """A gyro that reads in proportion too much."""
 
-from quasi.gap.effect import Effect, Parameter
+from quasi.gap.effect import Effect, Parameter, Sensor
 
 EFFECT = Effect(
     id="gyro_scale",
@@ -12,4 +12,7 @@ EFFECT = Effect(
     channels=("p", "q", "r"),
     rivals=("inertia", "clock_drift"),
     tie_breaker="sharp turns about all axes",
+    parts="all",
+    sensor=Sensor(spread=5e-4, linear=0.01, needs_attitude=True),
+    corrects=("imu", "gyro scale"),
 )

@@ -1,6 +1,6 @@
 """An IMU away from the centre of gravity."""
 
-from quasi.gap.effect import Effect, Parameter
+from quasi.gap.effect import Effect, Parameter, Sensor
 
 EFFECT = Effect(
     id="imu_lever_arm",
@@ -12,4 +12,7 @@ EFFECT = Effect(
     channels=("ax", "ay", "az"),
     rivals=("cg_offset", "wind"),
     tie_breaker="sharp turns about all axes",
+    parts="all",
+    sensor=Sensor(spread=1e-3),  # m: a marker set that is taken off comes back to about a millimetre
+    corrects=("imu", "lever arm"),
 )

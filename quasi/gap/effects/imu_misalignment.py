@@ -1,6 +1,8 @@
 """An IMU turned against the body."""
 
-from quasi.gap.effect import Effect, Parameter
+import math
+
+from quasi.gap.effect import Effect, Parameter, Sensor
 
 EFFECT = Effect(
     id="imu_misalignment",
@@ -12,4 +14,7 @@ EFFECT = Effect(
     channels=("p", "q", "r", "ax", "ay", "az"),
     rivals=("mocap_misalignment", "rotor_tilt"),
     tie_breaker="correct either and compare what the model leaves of forces and moments",
+    parts="all",
+    sensor=Sensor(spread=math.radians(0.2), linear=0.01, needs_attitude=True),  # seating of the IMU
+    corrects=("imu", "misalignment"),
 )

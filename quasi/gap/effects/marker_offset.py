@@ -12,4 +12,5 @@ EFFECT = Effect(
     channels=("ax", "ay", "az"),
     rivals=("imu_lever_arm", "cg_offset"),
     tie_breaker="sharp turns about all axes, compared with a model that was identified from other flights",
+    corrects=("capture", "marker offset"),
 )

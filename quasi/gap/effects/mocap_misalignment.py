@@ -1,6 +1,8 @@
 """A marker frame turned against the body."""
 
-from quasi.gap.effect import Effect, Parameter
+import math
+
+from quasi.gap.effect import Effect, Parameter, Sensor
 
 EFFECT = Effect(
     id="mocap_misalignment",
@@ -12,4 +14,7 @@ EFFECT = Effect(
     channels=("p", "q", "r", "ax", "ay", "az"),
     rivals=("imu_misalignment", "room_tilt"),
     tie_breaker="correct either and compare what the model leaves of forces and moments",
+    parts="all",
+    sensor=Sensor(spread=math.radians(0.3), linear=0.01, needs_attitude=True),  # seating of the markers
+    corrects=("capture", "misalignment"),
 )

@@ -1,6 +1,6 @@
 """A room whose axes are tilted against gravity."""
 
-from quasi.gap.effect import Effect, Parameter
+from quasi.gap.effect import Effect, Parameter, Sensor
 
 EFFECT = Effect(
     id="room_tilt",
@@ -12,4 +12,7 @@ EFFECT = Effect(
     channels=("ax", "ay"),
     rivals=("accelerometer_bias", "wind", "mocap_misalignment"),
     tie_breaker="turn through all headings in hover",
+    parts="all",
+    sensor=Sensor(spread=5e-4, linear=0.02, needs_attitude=True, without_attitude=0.02),
+    corrects=("capture", "room tilt"),
 )

@@ -30,4 +30,5 @@ EFFECT = Effect(
     columns=_columns,
     extension=_extension,
     absorbed=True,
+    corrects=("telemetry", "age"),
 )

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from quasi.gap.effect import Effect
-from quasi.gap.flights.level import shares_of
+from quasi.gap.selection import share_of_rate
 from quasi.gap.statistics.mixed import (
     CERTAIN,
     FAINT,
@@ -116,7 +116,7 @@ class Outlook:
         self.flights, self.columns, self.size, self.draws, self.effects = list(flights), columns, size, draws, effects
         self.since = "changed" if any(f.reference for f in flights) else "always"
         self.asked = [c for c in columns.causes if not self.absorbed(c)]
-        shares = shares_of([not f.reference for f in self.flights])
+        shares = share_of_rate([not f.reference for f in self.flights])
         self.level = rate * shares[self.since] / max(len(self.asked), 1)
         count = sum(f.count * len(f.stretches) for f in self.flights)
         self.freedom = max(count - (2 if self.since == "changed" else 1), 1) + freedom

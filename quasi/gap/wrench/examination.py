@@ -10,11 +10,11 @@ from quasi.errors import ConfigError
 from quasi.gap.effect import Effect, Limits, Vehicle
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.sessions import units
+from quasi.gap.selection import Named, Profile, Tie
 from quasi.gap.statistics.mixed import Mixed, Offer, Test, Witnessed
 from quasi.gap.wrench.agreement import disagreement, voices
 from quasi.gap.wrench.gain import after, wrench_score
 from quasi.gap.wrench.held_out import HeldOut
-from quasi.gap.wrench.naming import Named, Tie, leads, possible
 from quasi.gap.wrench.sought import Sought, estimate, merged, offers_of, seek
 from quasi.gap.wrench.starts import flatness
 from quasi.gap.wrench.study import Study, in_stretches
@@ -140,14 +140,17 @@ def _fewest(
     def estimated(of: Sequence[Cause]) -> list[Cause] | None:
         offers = {*offers_of([], tied(of)), *(c.test.offer for c in (*of, *beside))}
         found = merged([Named(c.test, c.rivals) for c in of], asked, sought.mixed, sorted(offers, key=str))
-        return found if all(possible(c.test, within) for c in found) else None
+        physical = (Profile.of(c.effect, within.get(c.effect.id)).is_possible(c.test) for c in found)
+        return found if all(physical) else None
 
     fewer = simplest(
         changed, estimated, lambda of: judge.score([*beside, *of], bool(beside)), judge.old, judge.floor, judge.share,
         [c for c in changed if c in unjudged],
     )  # fmt: skip
     # one that was significant beside another that is needless may not be without it
-    fewer = [c for c in fewer if c.test.p < sought.level["changed"] and leads(c.test, asked)]
+    fewer = [
+        c for c in fewer if c.test.p < sought.level["changed"] and Profile.of(c.effect).has_leading_deviation(c.test)
+    ]
     return fewer, tied(fewer)
 
 
@@ -173,7 +176,11 @@ def _widened(
             again = mixed.test(cause.test.offer, others, pooled)
             cause.test, cause.value, cause.std = again, *estimate(again, cause.effect)
             cause.apart = disagreement(voices(study, compared, cause.test, pooled, others))
-        unsure = [c for c in kept if c.apart > 1.0 and not leads(c.test, asked, SURELY * c.apart)]
+        unsure = [
+            c
+            for c in kept
+            if c.apart > 1.0 and not Profile.of(c.effect).has_leading_deviation(c.test, SURELY * c.apart)
+        ]
         faint = [c for c in kept if c.test.p >= level[c.since]] if torn else []
         if unsure:
             worst = max(unsure, key=lambda c: c.apart)

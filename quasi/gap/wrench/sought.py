@@ -7,10 +7,9 @@ import numpy as np
 
 from quasi.gap.effect import Effect, Limits, Vehicle
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.flights.level import shares_of
+from quasi.gap.selection import Named, Profile, Tie, select_causes
 from quasi.gap.statistics.mixed import Mixed, Offer, Test, Witnessed
 from quasi.gap.wrench.agreement import contradiction, voices
-from quasi.gap.wrench.naming import Named, Tie, search
 from quasi.gap.wrench.starts import chords, started
 from quasi.gap.wrench.study import Study, gather_study, moved
 from quasi.gap.wrench.worth import Cause, Deviations
@@ -24,7 +23,7 @@ class Sought(NamedTuple):
     """What the search ended with.
 
     study, mixed  at the sizes found; values {compared or reference: {cause: sizes}} that causes are linearised at
-    named, ties, ranking, level  see `naming.Names`, each with its since; level {since: p that had to be passed}
+    named, ties, ranking, level  see `quasi.gap.selection.Selection`; ties with their since
     contradicted  {cause: test, why}: those whose axes do not agree; passed  why others of the ranking were passed over
     """
 
@@ -56,7 +55,9 @@ def seek(
         study = moved(study, asked, vehicle, [values[bool(flag)] for flag in compared]) if look else study
         mixed = study.witnessed(range(len(flights)), compared)
         lacking = (*study.lacking, *contradicted)
-        named, ties, ranking, level, passed = _search(mixed, asked, compared, rate, lacking, within)
+        profiles = {n: Profile.of(e, within.get(n)) for n, e in asked.items()}
+        selection = select_causes(mixed, profiles, rate, excluded=lacking)
+        named, ties = selection.named, [(tie.tests[0].offer.since, tie) for tie in selection.ties]
         causes = merged(named, asked, mixed, offers_of(named, ties))
         found = [(c.effect, c.since, c.value) for c in causes] + [_as_found(tie, since, asked) for since, tie in ties]
         bent = [(e.id, since, sizes) for e, since, sizes in found if e.bends]
@@ -74,27 +75,8 @@ def seek(
     named = [n for n in named if n.test.offer.cause not in contradicted]
     named, ties, twins = _with_twins(named, ties, contradicted, asked, mixed)
     contradicted = {name: why for name, why in contradicted.items() if name not in twins}
-    return Sought(study, mixed, values, named, ties, ranking, level, contradicted, passed)
-
-
-def _search(
-    mixed: Mixed, asked: Mapping[str, Effect], compared: np.ndarray, rate: float,
-    lacking: Sequence[str], within: Mapping[str, Limits],
-) -> tuple[list[Named], list[tuple[str, Tie]], list[Test], dict[str, float], dict[Offer, str]]:  # fmt: skip
-    """First what changed, then what all flights have alike; the false alarm rate is shared between the two."""
-    named: list[Named] = []
-    ties: list[tuple[str, Tie]] = []
-    rankings: list[Test] = []
-    level: dict[str, float] = {}
-    passed: dict[Offer, str] = {}
-    for since, part in shares_of(compared).items():
-        names = search(mixed, asked, (since,), rate * part, lacking, within, offers_of(named, ties))
-        named += names.named
-        ties += [(since, tie) for tie in names.ties]
-        rankings += names.ranking
-        level[since] = names.level
-        passed |= names.passed
-    return named, ties, sorted(rankings, key=lambda test: test.p), level, passed
+    level, ranking = selection.level, selection.ranking
+    return Sought(study, mixed, values, named, ties, ranking, level, contradicted, selection.rejected)
 
 
 def _as_found(tie: Tie, since: str, asked: Mapping[str, Effect]) -> tuple[Effect, str, Deviations]:

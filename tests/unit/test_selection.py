@@ -1,0 +1,256 @@
+"""Selection of causes: dominance, ties, elimination, physical ranges, several parameters against one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_gap_mixed import LAYOUT, flights, stretched
+
+from quasi.gap.effect import Effect, Limits, Parameter
+from quasi.gap.selection import FORCES, Named, Profile, _Search, search
+from quasi.gap.statistics import mixed as tests_on
+from quasi.gap.statistics.mixed import Columns, Mixed, Offer, Witnessed
+
+
+def searching(mixed, effects, since="always", rate=0.01, within=None):
+    """A search for one kind of cause, ready to run."""
+    profiles = {n: Profile.of(e, (within or {}).get(n)) for n, e in effects.items()}
+    return _Search(mixed, profiles, since, rate, FORCES, (), ())
+
+
+def select(mixed, effects, since, rate, within=None):
+    profiles = {n: Profile.of(e, (within or {}).get(n)) for n, e in effects.items()}
+    return search(mixed, profiles, since[0], rate)
+
+
+def effects(**parts):
+    p = Parameter("1", 0.0, "a", -10.0, 10.0)
+    return {
+        c: Effect(c, "W", "", "", "", {str(k): p for k in range(len(LAYOUT.causes[c]))}, parts=parts.get(c, "any"))
+        for c in LAYOUT.causes
+    }
+
+
+@pytest.mark.parametrize("since", ["changed", "always"])
+def test_the_planted_cause_is_named_and_its_lookalike_is_not(since):
+    rng = np.random.default_rng(5)
+    compared = [False] * 4 + [True] * 4 if since == "changed" else [True] * 8
+    grams, _ = flights(rng, 8, {3: 0.5}, compared)
+    names = select(Mixed(grams, compared, LAYOUT), effects(), (since,), 0.01)
+    assert [n.test.offer.cause for n in names.named] == ["a"]
+    assert not names.ties
+    assert [r.id for r in names.named[0].rivals] == ["b"]
+    assert names.named[0].test.value[0] == pytest.approx(0.5, abs=3.0 * names.named[0].test.std[0])
+
+
+def test_a_cause_that_explains_many_away_gives_way_to_the_one_that_explains_it_away():
+    """a explains b away and leaves c, d and e; b explains these three away and would be a tie with a."""
+    alone = dict(zip("abcde", (1e-18, 1e-9, 1e-6, 1e-6, 1e-6)))
+    gone = {("b", "a"), *((k, "b") for k in "cde")}  # (which, beside what)
+
+    class Told:
+        columns = Columns([], [], np.zeros(0), {c: [1 + k] for k, c in enumerate("abcde")})
+
+        def pooled(self, since):
+            return []
+
+        def test(self, offer, given=(), pooled=()):
+            p = 0.1 if any((offer.cause, g.cause) in gone for g in given) else alone[offer.cause]
+            return tests_on.Test(offer, np.ones(1), np.eye(1), 1.0, -np.log(p), p)
+
+        def spans(self, wide, narrow, given=()):
+            return False
+
+    told = Told()
+    tests = [told.test(Offer(c, "changed", (0,))) for c in alone]
+    catalogue = {c: Effect(c, "W", "", "", "") for c in alone}
+    one = searching(told, catalogue, "changed", 5e-3)
+    best, rivals, tie = one._dominant(tests)
+    assert tie is None and best.offer.cause == "a"
+    assert [r.id for r in rivals] == ["b"]
+
+
+def test_causes_that_the_data_cannot_split_are_a_tie():
+    rng = np.random.default_rng(6)
+    grams, data = flights(rng, 6)
+    twins = []
+    for z in data:
+        z[:, 5] = z[:, 4] + 1e-3 * rng.standard_normal(len(z))
+        z[:, 0] += 0.5 * z[:, 4]
+        twins.append(z.T @ z)
+    names = select(Mixed(twins, [True] * 6, LAYOUT), effects(), ("always",), 0.01)
+    assert not names.named
+    assert {t.offer.cause for t in names.ties[0].tests} == {"a", "b"}
+    assert names.ties[0].separability < 3.0
+
+
+def test_indistinct_causes_are_a_tie_however_clear_one_of_them_is():
+    rng = np.random.default_rng(6)
+    compared = [False] * 4 + [True] * 4
+    grams, _ = flights(rng, 8, {3: 0.6}, compared)
+    mixed = Mixed(grams, compared, LAYOUT)
+    plain = effects()
+    assert select(mixed, plain, ("changed",), 0.01).named[0].test.offer.cause == "a"
+    alike = plain | {"a": replace(plain["a"], indistinct=("b",))}
+    found = select(mixed, alike, ("changed",), 0.01)
+    assert found.named == [] and {t.offer.cause for t in found.ties[0].tests} == {"a", "b"}
+
+
+def test_beside_all_that_a_model_lacks_a_faint_cause_is_still_asked():
+    names = [f"lacking {k}" for k in range(8)] + ["load"]
+    rng, grams = np.random.default_rng(8), []
+    for _ in range(6):
+        x = rng.standard_normal((400, 11))
+        y = x[:, 0] + x[:, 1:9].sum(axis=1) + 0.25 * x[:, 9] + rng.standard_normal(400)
+        z = np.column_stack([y, x])
+        grams.append(z.T @ z)
+    layout = Columns([1], [11], np.array([0.5]), {name: [2 + k] for k, name in enumerate(names)})
+    known = {n: Effect(n.replace(" ", "_"), "W", "", "", "", {"k": Parameter("1", 0.0, "a", -9.0, 9.0)}) for n in names}
+    found = select(Mixed(grams, [True] * 6, layout), known, ("always",), 0.01)
+    assert {n.test.offer.cause for n in found.named} == set(names)
+
+
+def test_a_declared_rival_that_is_likelier_though_unsteady_makes_a_tie():
+    """What truly acts has another size in each flight; its rival shows half of it, steadily."""
+    rng = np.random.default_rng(3)
+    compared = [False] * 4 + [True] * 4
+    grams = []
+    for flag, size in zip(compared, [0.0, 0.0, 0.0, 0.0, 0.6, 1.6, 0.7, 1.5]):
+        x = rng.standard_normal((400, 7))
+        y = x[:, 0] + 0.5 * rng.standard_normal(400) + flag * (size * x[:, 3] + 0.35 * x[:, 4])
+        z = np.column_stack([y, x])
+        grams.append(z.T @ z)
+    mixed = Mixed(grams, compared, LAYOUT)
+    plain = effects()
+    assert select(mixed, plain, ("changed",), 1e-4).named[0].test.offer.cause == "b"
+    rivals = plain | {"b": replace(plain["b"], rivals=("a",))}
+    found = select(mixed, rivals, ("changed",), 1e-4)
+    assert not found.named and [t.offer.cause for t in found.ties[0].tests] == ["b", "a"]
+
+
+def test_a_declared_rival_beside_which_a_cause_is_not_significant_makes_a_tie():
+    """b shows four fifths of what a does: suspicious alone, not significant itself, and a does not stand beside it."""
+    rng = np.random.default_rng(6)
+
+    def made(x, flag):
+        x[:, 4] = 0.8 * x[:, 3] + 0.6 * x[:, 4]
+        return x[:, 0] + rng.standard_normal(len(x)) + flag * 0.13 * x[:, 3]
+
+    mixed = stretched(rng, [False] * 4 + [True] * 4, made)
+    pooled, level = ["a", "b", "c"], 5e-5
+    a, b = (Offer(name, "changed", (0,)) for name in "ab")
+    assert mixed.test(a, (), pooled).p < level < mixed.test(b, (), pooled).p < 0.01
+    assert mixed.test(a, [b], pooled).p > level
+    plain = effects()
+    assert select(mixed, plain, ("changed",), 3 * level).named[0].test.offer.cause == "a"
+    for declaring in "ab":  # either file may say so
+        other = "b" if declaring == "a" else "a"
+        known = plain | {declaring: replace(plain[declaring], rivals=(other,))}
+        tie = select(mixed, known, ("changed",), 3 * level).ties[0]
+        assert [t.offer.cause for t in tie.tests] == ["a", "b"] and tie.separability < 5.0
+
+
+@pytest.mark.parametrize(("since", "named"), [("changed", {"a"}), ("always", {"a", "c"})])
+def test_beside_a_clear_change_a_faint_one_may_be_its_form(since, named):
+    """c explains a hundredth of what a does, and that surely."""
+    rng = np.random.default_rng(12)
+    compared = [False] * 4 + [True] * 4 if since == "changed" else [True] * 8
+    mixed = stretched(
+        rng, compared, lambda x, flag: x[:, 0] + rng.standard_normal(len(x)) + flag * (1.2 * x[:, 3] + 0.13 * x[:, 5])
+    )
+    pooled = ["a", "b", "c"] if since == "changed" else []
+    assert mixed.test(Offer("c", since, (0,)), [Offer("a", since, (0,))], pooled).p < 1e-4
+    found = select(mixed, effects(), (since,), 0.01).named
+    assert {n.test.offer.cause for n in found} == named
+
+
+@pytest.mark.parametrize(("alike", "named"), [(True, []), (False, ["a"])])
+def test_manoeuvres_of_one_flight_that_err_alike_are_one_witness(alike, named):
+    """Three flights whose eight stretches each err by one size, by chance mostly to one side; a cause errs by none."""
+    rng = np.random.default_rng(14)
+    sizes = [0.9, 0.4, -0.2] if alike else [0.45, 0.4, 0.5]
+    grams = []
+    for size in [0.0, 0.1, -0.1, 0.05, *sizes]:
+        own = []
+        for _ in range(8):
+            x = rng.standard_normal((50, 7))
+            y = x[:, 0] + size * x[:, 3] + rng.standard_normal(50)
+            z = np.column_stack([y, x])
+            own.append(z.T @ z)
+        grams.append(np.array(own))
+    compared = [False] * 4 + [True] * 3
+    stretches, witnessed = Mixed(grams, compared, LAYOUT), Witnessed(grams, compared, LAYOUT)
+    assert [n.test.offer.cause for n in select(stretches, effects(), ("changed",), 0.01).named] == ["a"]
+    assert [n.test.offer.cause for n in select(witnessed, effects(), ("changed",), 0.01).named] == named
+
+
+def test_two_causes_at_once_are_both_named():
+    rng = np.random.default_rng(7)
+    grams, _ = flights(rng, 6, {3: 0.5, 6: -0.4})
+    names = select(Mixed(grams, [True] * 6, LAYOUT), effects(), ("always",), 0.01)
+    assert {(n.test.offer.cause, n.test.offer.which) for n in names.named} == {("a", (0,)), ("c", (1,))}
+
+
+def test_an_estimate_outside_its_physical_range_is_not_named():
+    rng = np.random.default_rng(8)
+    grams, _ = flights(rng, 6, {3: 0.5})
+    names = select(Mixed(grams, [True] * 6, LAYOUT), effects(), ("always",), 0.01, within={"a": Limits([(-0.1, 0.1)])})
+    assert "a" not in [n.test.offer.cause for n in names.named]
+    assert names.rejected[Offer("a", "always", (0,))] == "its size would be outside what is physical"
+
+
+@pytest.mark.parametrize("about", [0, 1])
+def test_a_cause_is_named_by_a_parameter_that_it_is_about_not_by_one_that_accompanies(about):
+    rng = np.random.default_rng(10)
+    grams, _ = flights(rng, 6, {6: -0.5})
+    known = effects(c="all")
+    for k in (0, 1):
+        known["c"].parameters[str(k)] = Parameter("1", 0.0, "a", -10.0, 10.0, 1.0 if k == about else None)
+    names = select(Mixed(grams, [True] * 6, LAYOUT), known, ("always",), 0.01)
+    assert [n.test.offer.cause for n in names.named] == (["c"] if about == 1 else [])
+    whys = {o.cause: why for o, why in names.rejected.items()}
+    assert "c" not in whys if about == 1 else "only its accompanying parameters differ" in whys["c"]
+
+
+def test_beside_a_clear_simple_cause_a_wider_one_needs_more_than_a_little():
+    """c nearly holds a's column and has one more, significant, that explains a hundredth as much: the form of a."""
+    for size, name in ((0.11, "a"), (1.0, "c")):
+        rng = np.random.default_rng(11)
+        compared = [False] * 4 + [True] * 4
+        grams = []
+        for flag in compared:
+            x = rng.standard_normal((1500, 7))
+            x[:, 5] = x[:, 3] + 0.02 * x[:, 5]
+            y = x[:, 0] + 0.3 * rng.standard_normal(1500) + flag * (x[:, 3] + size * x[:, 6])
+            z = np.column_stack([y, x])
+            grams.append(z.T @ z)
+        mixed = Mixed(grams, compared, LAYOUT)
+        beside = mixed.test(Offer("c", "changed", (0, 1)), [Offer("a", "changed", (0,))], ["a", "b", "c"])
+        assert beside.p < 0.01 / 3
+        assert select(mixed, effects(c="all"), ("changed",), 0.01).named[0].test.offer.cause == name
+
+
+@pytest.mark.parametrize("planted", ["one", "several"])
+def test_several_parameters_of_one_cause_give_way_to_one_of_another_that_explains_the_same(planted):
+    """Two equally weak rotors on one side are a moved centre of gravity; unequal ones are not."""
+    rng = np.random.default_rng(3)
+    grams = []
+    for _ in range(6):
+        x = rng.standard_normal((400, 7))
+        x[:, 3] = x[:, 5] + x[:, 6] + 0.05 * rng.standard_normal(400)
+        sizes = (0.5, 0.5) if planted == "one" else (0.8, 0.2)
+        y = x[:, 0] + sizes[0] * x[:, 5] + sizes[1] * x[:, 6] + rng.standard_normal(400)
+        z = np.column_stack([y, x])
+        grams.append(z.T @ z)
+    mixed, known = Mixed(grams, [True] * 6, LAYOUT), effects()
+    parts = [Named(mixed.test(Offer("c", "always", (k,)), [Offer("c", "always", (1 - k,))]), []) for k in (0, 1)]
+    one = searching(mixed, known, rate=3e-3)
+    one.given = [part.test.offer for part in parts]
+    one.found = dict.fromkeys(one.given)
+    named, ties = one._one_for_several(parts)
+    if planted == "one":
+        assert named == []
+        assert [[t.offer.cause for t in tie.tests] for tie in ties] == [["a", "c"]]
+    else:
+        assert [n.test.offer.cause for n in named] == ["c", "c"]
+        assert ties == []
