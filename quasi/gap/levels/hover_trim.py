@@ -1,0 +1,209 @@
+"""Trim in steady flight as evidence: the mean thrust that each rotor is asked for, against what sessions differ by.
+
+In the mean over a steady flight the rotors carry the weight and no moment is left:
+
+    sum F_i = m g,    sum y_i F_i = m g y_cg,    sum x_i F_i = m g x_cg,    sum s_i F_i = 0 (equal torque factors).
+
+With logarithms of what the rotors are asked for (squared speed, or squared command times voltage), a change of trim is
+a vector of four numbers, and each cause moves it along directions of its own: a weak rotor along its own axis, another
+mass along (1, 1, 1, 1), a moved centre of gravity along two, a weight that hangs somewhere along these three. The
+hypotheses are compared by their marginal likelihoods under
+
+    y = mean + cause (compared flights) + session + flight + voltage,
+
+with independent spreads of sessions and flights for each rotor, both with priors and integrated out numerically.
+Source: statics; Gelman et al., Bayesian Data Analysis, 3rd ed., 2013, chapters 5 (hierarchical models) and 7.4 (Bayes
+factors); MacKay, Information Theory, Inference, and Learning Algorithms, 2003, chapter 28 (Occam factor).
+"""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+ROTORS = 4
+# Prior medians of the spreads of log thrust that one rotor is asked for: between sessions by the weight and its place
+# (battery, payload) and by the balance about yaw; between flights. SPREAD_FACTOR is one standard deviation of each.
+# Measured on the healthy flights of CrazyPAD and its flights with tape, `benchmarks/real_causes.py`.
+SEATING_SPREAD, YAW_SPREAD, FLIGHT_SPREAD, SPREAD_FACTOR = 0.015, 0.008, 0.009, 1.5
+GRID = SPREAD_FACTOR ** np.linspace(-2.0, 2.0, 5)  # of each spread, in units of its median
+MEAN_STD = 10.0  # of log thrust: nothing is known of the trim itself
+VOLTAGE_STD = (
+    0.5  # exponent by which the assumed map from command and voltage to thrust may be wrong, standard deviation
+)
+ROTOR_STD, SHARE_STD, ARM_STD = 0.15, 0.03, 0.026  # typical sizes of the catalogue: thrust, mass, cg in arm lengths
+FREE_STD = 0.1  # of each rotor by itself, where no hypothesis fits: as large as the largest of the others
+# Prior probabilities. A healthy vehicle is as likely as all causes together; these share the rest by their number.
+PRIOR_HEALTHY = 0.5
+
+
+class Flight(NamedTuple):
+    """Trim of one flight: key; thrust (4,) mean of each rotor, any unit; volts, mean, or NaN; session; is_compared."""
+
+    key: str
+    thrust: np.ndarray
+    volts: float
+    session: str
+    is_compared: bool
+
+
+class Hypothesis(NamedTuple):
+    """What may have changed the trim: name; ids of the catalogue's causes that it stands for; directions (4, k) of log
+    thrust per unit of its parameters; std (k,) of the parameters' priors; prior probability."""
+
+    name: str
+    ids: tuple[str, ...]
+    directions: np.ndarray
+    parameters: tuple[str, ...]
+    std: tuple[float, ...]
+    prior: float
+
+
+@dataclass
+class Comparison:
+    """probability {hypothesis: posterior}; parameters {hypothesis: {parameter: (mean, std)}}; change (4,) of log thrust
+    of the compared flights and its std (4,); spread {"session", "flight"} posterior means of the spreads."""
+
+    probability: dict[str, float]
+    parameters: dict[str, dict[str, tuple[float, float]]]
+    change: np.ndarray
+    std: np.ndarray
+    spread: dict[str, float] = field(default_factory=dict)
+
+
+class Geometry(NamedTuple):
+    """relative (4, 4): log thrust of each rotor per unit of weight, of cg right and cg forward in arms, and of yaw."""
+
+    arm: float
+    relative: np.ndarray
+
+
+def geometry_of(positions: np.ndarray, spins: np.ndarray) -> Geometry:
+    """The balance of a quadrotor about its configured cg.
+
+    positions  (4, 2) x and y of the hubs from it, m, body FRD; spins (4,) +1 or -1, sense of rotation
+    """
+    x, y = positions[:, 0], positions[:, 1]
+    arm = float(np.mean(np.hypot(x, y)))
+    balance = np.stack([np.ones(ROTORS), y / arm, x / arm, spins])
+    carried = np.linalg.solve(balance, np.eye(ROTORS))  # thrusts (4,) that make a unit of each row alone
+    return Geometry(arm, carried / carried[:, :1])
+
+
+def hypotheses(geometry: Geometry) -> list[Hypothesis]:
+    """What the trim of a quadrotor is compared under."""
+    relative = geometry.relative
+    shares = {"mass": relative[:, :1], "cg": relative[:, [2, 1]], "yaw": relative[:, 3:]}
+    weight = np.hstack([shares["mass"], shares["cg"]])
+    found = [
+        Hypothesis(f"rotor {i + 1}", ("rotor_effectiveness",), -np.eye(ROTORS)[:, i : i + 1], (f"rotor{i + 1}",),
+                   (ROTOR_STD,), 0.25)
+        for i in range(ROTORS)
+    ]  # fmt: skip
+    cg = tuple(f"{a}_cg" for a in "xy")
+    found += [
+        Hypothesis("mass", ("mass", "thrust_factor"), shares["mass"], ("mass",), (SHARE_STD,), 1.0),
+        Hypothesis("cg", ("cg_offset",), shares["cg"], cg, (ARM_STD,) * 2, 1.0),
+        Hypothesis("weight", ("mass", "cg_offset"), weight, ("mass", *cg), (SHARE_STD, ARM_STD, ARM_STD), 1.0),
+        Hypothesis("yaw", ("rotor_tilt",), shares["yaw"], ("yaw",), (SHARE_STD,), 1.0),
+        Hypothesis("unexplained", (), np.eye(ROTORS), tuple(f"free{i}" for i in range(1, 5)), (FREE_STD,) * 4, 1.0),
+    ]
+    total = sum(h.prior for h in found)
+    found = [h._replace(prior=(1.0 - PRIOR_HEALTHY) * h.prior / total) for h in found]
+    return [Hypothesis("healthy", (), np.zeros((ROTORS, 0)), (), (), PRIOR_HEALTHY), *found]
+
+
+def compare(flights: Sequence[Flight], candidates: Sequence[Hypothesis], geometry: Geometry) -> Comparison:
+    """Posterior of the hypotheses. At least one reference and one compared flight are needed (ValueError)."""
+    compared = np.array([f.is_compared for f in flights])
+    if not compared.any() or compared.all():
+        raise ValueError("hover trim needs reference flights and compared flights")
+    y = np.log(np.stack([f.thrust for f in flights])).ravel()
+    fixed = _fixed_covariance(flights)
+    # compared flights never share a session's effect with reference flights: trim also jumps within a session (battery
+    # seated anew, a propeller changed), so that a change counts only beyond what sessions differ by
+    sessions = np.array([f"{f.is_compared}/{f.session}" for f in flights])
+    shared = (sessions[:, None] == sessions[None, :]).astype(float)
+    seating, yaw = (np.kron(shared, part @ part.T) for part in (geometry.relative[:, :3], geometry.relative[:, 3:]))
+    columns = [np.kron(compared[:, None].astype(float), h.directions * np.array(h.std)) for h in candidates]
+    free = np.kron(compared[:, None].astype(float), np.eye(ROTORS))
+    log_posterior, fits, changes, sizes = [], [], [], []
+    for scale in itertools.product(GRID, repeat=3):
+        sizes.append(np.array(scale) * (SEATING_SPREAD, YAW_SPREAD, FLIGHT_SPREAD))
+        a, b, c = sizes[-1] ** 2
+        factor = np.linalg.cholesky(fixed + a * seating + b * yaw + c * np.eye(len(y)))
+        white, *acting, both = (np.linalg.solve(factor, part) for part in (y, *columns, free))
+        base = -0.5 * white @ white - np.log(np.diag(factor)).sum()
+        base -= 0.5 * np.sum(np.log(scale) ** 2) / np.log(SPREAD_FACTOR) ** 2
+        found = [_marginal(part, white) for part in acting]
+        log_posterior.append([np.log(h.prior) + base + gain for h, (gain, _) in zip(candidates, found)])
+        fits.append([fit for _, fit in found])
+        changes.append(_least_squares(both, white))
+    weight = np.exp(np.array(log_posterior) - np.max(log_posterior))
+    return _summary(candidates, weight / weight.sum(), fits, changes, np.array(sizes))
+
+
+def _fixed_covariance(flights: Sequence[Flight]) -> np.ndarray:
+    """Covariance (4n, 4n) of log thrust by the unknown mean and by the unknown exponent of the voltage."""
+    n = len(flights)
+    volts = np.array([f.volts for f in flights])
+    known = np.isfinite(volts) & (volts > 0)
+    level = np.where(known, np.log(np.where(known, volts, 1.0)), 0.0)
+    if known.any():
+        level = np.where(known, level - level[known].mean(), 0.0)
+    common = np.outer(level, level) * VOLTAGE_STD**2
+    return np.kron(np.ones((n, n)), np.eye(ROTORS)) * MEAN_STD**2 + np.kron(common, np.ones((ROTORS, ROTORS)))
+
+
+def _marginal(columns: np.ndarray, white: np.ndarray) -> tuple[float, tuple[np.ndarray, np.ndarray]]:
+    """Log marginal likelihood over that without the columns, and mean and covariance of their unit-normal factors."""
+    precision = np.eye(columns.shape[1]) + columns.T @ columns
+    pull = columns.T @ white
+    mean = np.linalg.solve(precision, pull)
+    return float(0.5 * pull @ mean - 0.5 * np.linalg.slogdet(precision)[1]), (mean, np.linalg.inv(precision))
+
+
+def _least_squares(columns: np.ndarray, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Change (4,) of log thrust and its variance (4,), without a prior."""
+    covariance = np.linalg.inv(columns.T @ columns)
+    return covariance @ (columns.T @ white), np.diag(covariance)
+
+
+def _summary(
+    candidates: Sequence[Hypothesis], weight: np.ndarray, fits: Sequence[Sequence[Any]], changes: Sequence[Any],
+    sizes: np.ndarray,
+) -> Comparison:  # fmt: skip
+    """weight (m, k) posterior of each pair of spreads and hypothesis, sum 1; fits, changes  by pair of spreads."""
+    probability = {h.name: float(p) for h, p in zip(candidates, weight.sum(axis=0))}
+    parameters: dict[str, dict[str, tuple[float, float]]] = {}
+    for k, h in enumerate(candidates):
+        w = weight[:, k] / max(weight[:, k].sum(), 1e-300)
+        mean = sum(a * fit[k][0] for a, fit in zip(w, fits)) if h.parameters else np.zeros(0)
+        second = sum(a * (np.diag(fit[k][1]) + fit[k][0] ** 2) for a, fit in zip(w, fits)) if h.parameters else mean
+        std = np.sqrt(np.maximum(second - mean**2, 0.0))
+        parameters[h.name] = {n: (float(s * m), float(s * d)) for n, s, m, d in zip(h.parameters, h.std, mean, std)}
+    each = weight.sum(axis=1)
+    change = sum(a * c[0] for a, c in zip(each, changes))
+    variance = sum(a * (c[1] + c[0] ** 2) for a, c in zip(each, changes)) - change**2
+    spread = dict(zip(("seating", "yaw", "flight"), (each @ sizes).tolist()))
+    return Comparison(probability, parameters, change, np.sqrt(variance), spread)
+
+
+def conclude(comparison: Comparison, level: float, most: int = 3) -> tuple[str, list[str]]:
+    """What the trim says at a false-alarm level: a word, and the names of the hypotheses it is about.
+
+    "named" one hypothesis has probability 1 - level; "tied" up to `most` have it together; "changed" something did, no
+    name; "healthy" nothing did; "open" neither is sure.
+    """
+    probability: Mapping[str, float] = comparison.probability
+    ranked = sorted((n for n in probability if n not in ("healthy", "unexplained")), key=lambda n: -probability[n])
+    total = 0.0
+    for count, name in enumerate(ranked[:most], 1):
+        total += probability[name]
+        if total >= 1.0 - level:
+            return ("named" if count == 1 else "tied"), ranked[:count]
+    if 1.0 - probability["healthy"] >= 1.0 - level:
+        return "changed", []
+    return ("healthy" if probability["healthy"] >= 1.0 - level else "open"), []
