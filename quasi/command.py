@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from quasi.commands.standalone import add_standalone_commands
 from quasi.errors import QuasiError, nearest
+from quasi.project.model_files import model_place
 from quasi.project.templates import lay_folder, new_simulation
 
 if TYPE_CHECKING:
@@ -73,16 +75,7 @@ def _parser() -> argparse.ArgumentParser:
     fresh.add_argument("-d", "--directory", default=".", help="folder in which NAME is made (default: here)")
     fresh.set_defaults(run=lambda o: new_simulation(o.name, Path(o.directory), LIBRARY))
 
-    constants = commands.add_parser(
-        "constants",
-        parents=[place],
-        help="physical constants of a model for simulators: thrust and torque coefficients, time constants, drag, ...",
-        description="Thrust and torque coefficients, time constants, limits, levers, inertia and drag about hover, "
-        "with standard errors where the data give them.",
-    )
-    constants.add_argument("model", help="model ID, or the path of a standalone model")
-    constants.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    constants.set_defaults(run=lambda o: constants_of_model(o.model, Path(o.directory), o.json))
+    add_standalone_commands(commands, place)
 
     margins = commands.add_parser(
         "margins",
@@ -130,22 +123,6 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("folder", nargs="?", default=".", help="project folder (default: here)")
     check.add_argument("--data", metavar="PATH", help="where data/ is, as `--config data=PATH` of snakemake")
     check.set_defaults(run=lambda o: check_raw_files(Path(o.folder), o.data))
-
-    sync = commands.add_parser(
-        "sync",
-        help="tie a log and a motion capture of one flight: lag, clock rate, lever arm and yaw",
-        description="Needs no project: prints lag, clock rate, lever arm (IMU from the captured point) and yaw with "
-        "standard errors, and draws both sides as aligned.",
-    )
-    sync.add_argument("log", help="on-board log, of any format that quasi reads")
-    sync.add_argument("capture", help="export of the motion capture")
-    sync.add_argument("--quadrotor", metavar="JSON", help="quadrotor configuration; tables need its 'table columns'")
-    sync.add_argument("--rigid-body", help="name of the vehicle in the capture (its only one)")
-    sync.add_argument("--log-number", type=int, help="which log of a file that holds several")
-    sync.add_argument("--longest-lag", type=float, default=25.0, help="s, between the beginnings of the records (25)")
-    sync.add_argument("-o", "--out", metavar="PNG", help="the picture (default: sync.png here)", default="sync.png")
-    sync.add_argument("--json", action="store_true", help="print JSON instead of text")
-    sync.set_defaults(run=sync_of)
 
     init = commands.add_parser("init", help="lay a project folder: commented configuration and an empty logbook")
     init.add_argument("folder", help="folder to make; it must be empty or absent")
@@ -218,26 +195,6 @@ def check_raw_files(directory: Path, data: str | None) -> tuple[str, int]:
     return check_folder(directory, LIBRARY, data)
 
 
-def sync_of(options: argparse.Namespace) -> str:
-    """Lag, clock rate, lever arm and yaw of a log and a capture as text or JSON, and the picture."""
-    import json
-
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    from quasi.importing import sync_files
-    from quasi.tables import read_json, whole_file
-
-    quadrotor = read_json(Path(options.quadrotor)) if options.quadrotor else {}  # a part of one will do
-    found = sync_files.align_files(
-        Path(options.log), Path(options.capture), quadrotor, options.rigid_body, options.log_number, options.longest_lag
-    )
-    with whole_file(Path(options.out)) as part:
-        FigureCanvasAgg(sync_files.alignment_picture(found)).print_png(part)
-    if options.json:
-        return json.dumps(sync_files.alignment_plain(found), indent=2)
-    return f"{sync_files.alignment_text(found)}\nMade {options.out}"
-
-
 def summarise(model: str, directory: Path) -> str:
     """The summary of a model given by ID or path, with its scores when they stand beside it."""
     from quasi.model.model import read_model
@@ -251,21 +208,6 @@ def summarise(model: str, directory: Path) -> str:
     return text
 
 
-def model_place(model: str, directory: Path) -> Path:
-    """Where a model given by ID or path is. Raises ReadError when it is nowhere."""
-    from quasi.errors import ReadError
-
-    named = directory / "models" / model / "standalone"
-    path = named if named.is_dir() else directory / model
-    if not path.exists():
-        made = [p.parent.name for p in directory.glob("models/*/standalone")]
-        raise ReadError(
-            f"no model '{model}': neither {named} nor {directory / model} exists{nearest(model, made)}; "
-            f"make it with `snakemake -j2 models/{model}/standalone`"
-        )
-    return path
-
-
 def fly_live(name: str | None, directory: Path, by_hand: bool) -> str:
     """Show a simulation live, or fly a model by hand; see `quasi.simulation.tools.fly_command`."""
     from quasi.project.folder import check_project
@@ -276,17 +218,6 @@ def fly_live(name: str | None, directory: Path, by_hand: bool) -> str:
         return fly_simulation(name, directory, folder_of(directory))
     folder = folder_of(directory) if (directory / "config/simulations").is_dir() else None
     return fly_by_hand(name, directory, folder, model_place)
-
-
-def constants_of_model(model: str, directory: Path, as_json: bool) -> str:
-    """The physical constants of a model as a table or as JSON. Raises a QuasiError where it is absent or lacks them."""
-    import json
-
-    from quasi.export.physical_constants import constants_plain, constants_text, physical_constants
-    from quasi.model.model import read_model
-
-    found = physical_constants(read_model(model_place(model, directory)))
-    return json.dumps(constants_plain(found), indent=2) if as_json else constants_text(found)
 
 
 def margins_of(simulation: str, directory: Path) -> str:

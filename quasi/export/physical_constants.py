@@ -310,6 +310,18 @@ def facts(physical: Physical) -> list[Fact]:
     return rows
 
 
+def uncertain_constants(physical: Physical) -> dict[str, tuple[float, float, str]]:
+    """{constant: (value, standard error, unit)} of those with a standard error; rotors one by one."""
+    found = {}
+    for fact in facts(physical):
+        places = ("x", "y", "z") if "drag" in fact.key or "damping" in fact.key else range(1, len(fact.values) + 1)
+        for place, value, std in zip(places, fact.values, fact.std):
+            if std is not None and std > 0.0:
+                name = fact.key if len(fact.values) == 1 else f"{fact.key} {place}"
+                found[name] = (value, std, fact.unit)
+    return found
+
+
 def constants_text(physical: Physical) -> str:
     """The table of constants as text."""
     lines = [

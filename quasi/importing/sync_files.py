@@ -234,7 +234,7 @@ def alignment_picture(found: Alignment) -> Figure:
         axes[3].plot(t[thin], np.degrees(difference[thin] + shift), ".", markersize=2, color="tab:red")
         line = found.yaw.offset + found.yaw.drift * (t - found.yaw.reference)
         axes[3].plot(t[thin], np.degrees(line[thin]), color="k", linewidth=1.0)
-    axes[3].set_ylabel("yaw, capture less on board, deg")
+    axes[3].set_ylabel("yaw difference, deg")
     axes[3].set_xlabel("on-board time, s")
     axes[3].grid(alpha=0.3)
     fit = clocks.fit

@@ -9,9 +9,10 @@ import pytest
 ROOT = Path(__file__).parents[2]
 STAGES = {"synthesis", "importing", "filtering", "identification", "model", "scoring", "export", "simulation", "gap"}
 SHARED = {"pages", "terms", "running"}  # rooms that every stage may use and that use no stage
-ROOMS = STAGES | SHARED | {"project"}
+ROOMS = STAGES | SHARED | {"project", "commands"}
 SIDEWAYS = {
     "project": {"terms"},
+    "commands": STAGES | {"project"},
     "pages": {"terms"},
     "importing": {"project"},
     "model": {"project"},
@@ -59,7 +60,8 @@ FLOORS = ["statistics", "flights", {"effect", "effects", "extension", "own_effec
           "wrench", "calibration", "rollouts", {"entries", "scores"}, "report",
           {"base_model", "constant_loads", "veto"},
           {"standing", "diagnosis"},
-          "planning"]  # fmt: skip
+          "planning",
+          "comparing"]  # fmt: skip
 
 
 def floor_of(module):
