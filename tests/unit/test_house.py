@@ -57,7 +57,7 @@ def test_imports_run_downwards(path):
 # rooms of the gap and the files beside them, each on those before it
 FLOORS = ["statistics", "flights", {"effect", "effects", "extension", "own_effect", "catalogue", "causes_page"},
           "selection",
-          "wrench", "calibration", "rollouts", {"entries", "scores"}, "report",
+          "wrench", "calibration", "rollouts", {"entries", "scores", "levels"}, "report",
           {"base_model", "constant_loads", "veto"},
           {"standing", "diagnosis"},
           "planning",

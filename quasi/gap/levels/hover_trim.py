@@ -17,7 +17,7 @@ factors); MacKay, Information Theory, Inference, and Learning Algorithms, 2003, 
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -33,10 +33,16 @@ MEAN_STD = 10.0  # of log thrust: nothing is known of the trim itself
 VOLTAGE_STD = (
     0.5  # exponent by which the assumed map from command and voltage to thrust may be wrong, standard deviation
 )
-ROTOR_STD, SHARE_STD, ARM_STD = 0.15, 0.03, 0.026  # typical sizes of the catalogue: thrust, mass, cg in arm lengths
+# Standard deviations of the causes' sizes: each moves a rotor's thrust by some 10 to 15 %, what a chipped propeller, a
+# payload or a displaced battery do (0.07 arms are 3 mm on a 46 mm arm).
+ROTOR_STD, SHARE_STD, ARM_STD, YAW_STD = 0.15, 0.1, 0.07, 0.1
 FREE_STD = 0.1  # of each rotor by itself, where no hypothesis fits: as large as the largest of the others
-# Prior probabilities. A healthy vehicle is as likely as all causes together; these share the rest by their number.
-PRIOR_HEALTHY = 0.5
+# Prior probabilities: of a healthy vehicle, and the shares in which the causes divide the rest. A damaged or wrong
+# propeller is the most frequent fault, and it may be any of four.
+PRIOR_HEALTHY = 0.4
+SHARES = {"rotor": 1.0, "mass": 1.0, "cg": 1.0, "weight": 1.0, "yaw": 0.25, "unexplained": 0.25}
+NAMED = 0.9  # probability from which a cause has a name: of such names one in ten may be wrong
+MAX_TIED = 3  # hypotheses in a tie
 
 
 class Flight(NamedTuple):
@@ -99,17 +105,19 @@ def hypotheses(geometry: Geometry) -> list[Hypothesis]:
     weight = np.hstack([shares["mass"], shares["cg"]])
     found = [
         Hypothesis(f"rotor {i + 1}", ("rotor_effectiveness",), -np.eye(ROTORS)[:, i : i + 1], (f"rotor{i + 1}",),
-                   (ROTOR_STD,), 0.25)
+                   (ROTOR_STD,), SHARES["rotor"])
         for i in range(ROTORS)
     ]  # fmt: skip
     cg = tuple(f"{a}_cg" for a in "xy")
     found += [
-        Hypothesis("mass", ("mass", "thrust_factor"), shares["mass"], ("mass",), (SHARE_STD,), 1.0),
-        Hypothesis("cg", ("cg_offset",), shares["cg"], cg, (ARM_STD,) * 2, 1.0),
-        Hypothesis("weight", ("mass", "cg_offset"), weight, ("mass", *cg), (SHARE_STD, ARM_STD, ARM_STD), 1.0),
-        Hypothesis("yaw", ("rotor_tilt",), shares["yaw"], ("yaw",), (SHARE_STD,), 1.0),
-        Hypothesis("unexplained", (), np.eye(ROTORS), tuple(f"free{i}" for i in range(1, 5)), (FREE_STD,) * 4, 1.0),
-    ]
+        Hypothesis("mass", ("mass", "thrust_factor"), shares["mass"], ("mass",), (SHARE_STD,), SHARES["mass"]),
+        Hypothesis("cg", ("cg_offset",), shares["cg"], cg, (ARM_STD,) * 2, SHARES["cg"]),
+        Hypothesis("weight", ("mass", "cg_offset"), weight, ("mass", *cg), (SHARE_STD, ARM_STD, ARM_STD),
+                   SHARES["weight"]),
+        Hypothesis("yaw", ("rotor_tilt",), shares["yaw"], ("yaw",), (YAW_STD,), SHARES["yaw"]),
+        Hypothesis("unexplained", (), np.eye(ROTORS), tuple(f"free{i}" for i in range(1, 5)), (FREE_STD,) * 4,
+                   SHARES["unexplained"]),
+    ]  # fmt: skip
     total = sum(h.prior for h in found)
     found = [h._replace(prior=(1.0 - PRIOR_HEALTHY) * h.prior / total) for h in found]
     return [Hypothesis("healthy", (), np.zeros((ROTORS, 0)), (), (), PRIOR_HEALTHY), *found]
@@ -191,19 +199,23 @@ def _summary(
     return Comparison(probability, parameters, change, np.sqrt(variance), spread)
 
 
-def conclude(comparison: Comparison, level: float, most: int = 3) -> tuple[str, list[str]]:
-    """What the trim says at a false-alarm level: a word, and the names of the hypotheses it is about.
+def conclude(comparison: Comparison) -> tuple[str, list[str]]:
+    """What the trim says, in a word, and the names of the hypotheses that it is about.
 
-    "named" one hypothesis has probability 1 - level; "tied" up to `most` have it together; "changed" something did, no
-    name; "healthy" nothing did; "open" neither is sure.
+    "named" one hypothesis has the probability NAMED, a change that fits none left aside; "tied" up to MAX_TIED have it
+    together; "changed" something did, without a name; "healthy" nothing did; "open" neither is sure.
+    Where a change that fits no hypothesis is more probable than those that have a name, none is named.
     """
-    probability: Mapping[str, float] = comparison.probability
-    ranked = sorted((n for n in probability if n not in ("healthy", "unexplained")), key=lambda n: -probability[n])
-    total = 0.0
-    for count, name in enumerate(ranked[:most], 1):
-        total += probability[name]
-        if total >= 1.0 - level:
+    probability = dict(comparison.probability)
+    unexplained = probability.pop("unexplained", 0.0)
+    total = sum(probability.values())
+    ranked = sorted((n for n in probability if n != "healthy"), key=lambda n: -probability[n])
+    together = 0.0
+    for count, name in enumerate(ranked[:MAX_TIED], 1):
+        together += probability[name]
+        if together >= NAMED * total and together > unexplained:
             return ("named" if count == 1 else "tied"), ranked[:count]
-    if 1.0 - probability["healthy"] >= 1.0 - level:
+    healthy = probability.get("healthy", 0.0)
+    if healthy <= 1.0 - NAMED:
         return "changed", []
-    return ("healthy" if probability["healthy"] >= 1.0 - level else "open"), []
+    return ("healthy" if healthy >= NAMED else "open"), []

@@ -1,0 +1,1 @@
+"""Levels of evidence of their own: the trim in steady flight."""

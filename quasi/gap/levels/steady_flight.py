@@ -1,0 +1,94 @@
+"""Rows of a flight in which the rotors balance weight and moments in the mean, and what they are asked for there."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from quasi.attitude import GRAVITY
+from quasi.filtering.measurements import spans
+
+ROTORS = range(1, 5)
+MAX_SPEED = 1.0  # m/s: at 1 m/s a small quadrotor's drag is some percent of its weight; there and back it cancels
+GROUND_RADII = 4.0  # rotor radii above the floor: thrust gains 0.4 % there (Cheeseman & Bennett, ARC R&M 3021, 1955)
+MIN_HEIGHT = 0.1  # m above the lowest place, where the rotor's radius is not known
+SETTLING, LANDING = 1.0, 0.5  # s after take-off and before touch-down: integrators of a controller wind up
+CONTACT = 0.5  # of the weight, force that the rotors do not give: no wind makes it at the speeds above
+CONTACT_MARGIN = 0.25  # s on either side of a contact
+MIN_STEADY = 3.0  # s, over which a controller's own slow motions average out
+
+
+class SteadyFlight(NamedTuple):
+    """thrust (4,) mean of squared speed, or of squared command times voltage, any unit; volts, mean or NaN; seconds;
+    contacts, how many with the floor or a wall were left out; source "speeds" or "commands"."""
+
+    thrust: np.ndarray
+    volts: float
+    seconds: float
+    contacts: int
+    source: str
+
+
+def asked_of_rotors(frame: pd.DataFrame) -> tuple[np.ndarray, str]:
+    """What each rotor is asked for (n, 4), proportional to thrust, and its source.
+
+    Raises ValueError, with a reason for the page, where neither the speeds nor the commands of four rotors are there.
+    """
+    if all(f"w{i}" in frame for i in ROTORS):
+        return frame[[f"w{i}" for i in ROTORS]].to_numpy(float) ** 2, "speeds"
+    if not all(f"command{i}" in frame for i in ROTORS):
+        raise ValueError("neither speeds nor commands of the four rotors are known")
+    commands = np.maximum(frame[[f"command{i}" for i in ROTORS]].to_numpy(float), 0.0)
+    if "battery_voltage" in frame:
+        commands = commands * frame["battery_voltage"].to_numpy(float)[:, None]
+    return commands**2, "commands"
+
+
+def steady_flight(frame: pd.DataFrame, radius: float | None = None) -> SteadyFlight:
+    """Means over the steady part of a filtered flight.
+
+    frame   t (s, uniform), x y z, u v w, ax ay az (specific force), w1..w4 or command1..4; in_flight and
+            battery_voltage where known
+    radius  of a rotor, m, or None
+    Raises  ValueError, with a reason for the page, where there is no steady part
+    """
+    asked, source = asked_of_rotors(frame)
+    dt = float(np.median(np.diff(frame["t"].to_numpy(float))))
+    flying = np.isfinite(asked).all(axis=1) & (asked > 0.0).all(axis=1)
+    if "in_flight" in frame:
+        flying &= frame["in_flight"].to_numpy(float) > 0.5
+    if "z" in frame:
+        height = np.nanmax(frame["z"].to_numpy(float)) - frame["z"].to_numpy(float)
+        flying &= height > (GROUND_RADII * radius if radius else MIN_HEIGHT)
+    rows = _without_ends(flying, dt)
+    touched = _contacts(frame, asked, rows, dt)
+    if {"u", "v", "w"} <= set(frame):
+        rows &= np.linalg.norm(frame[["u", "v", "w"]].to_numpy(float), axis=1) < MAX_SPEED
+    rows &= ~touched
+    seconds = float(rows.sum() * dt)
+    if seconds < MIN_STEADY:
+        raise ValueError(f"{seconds:.1f} s of steady flight, {MIN_STEADY:g} s are needed")
+    volts = frame["battery_voltage"].to_numpy(float)[rows] if "battery_voltage" in frame else np.array([np.nan])
+    return SteadyFlight(asked[rows].mean(axis=0), float(np.mean(volts)), seconds, len(spans(touched)), source)
+
+
+def _without_ends(flying: np.ndarray, dt: float) -> np.ndarray:
+    """True (n,) inside each span of flight, away from its take-off and its touch-down."""
+    rows = np.zeros(len(flying), bool)
+    for first, last in spans(flying):
+        rows[first + round(SETTLING / dt) : max(first, last - round(LANDING / dt))] = True
+    return rows
+
+
+def _contacts(frame: pd.DataFrame, asked: np.ndarray, rows: np.ndarray, dt: float) -> np.ndarray:
+    """True (n,) around rows in which something other than the rotors pushes: a contact with the floor or a wall."""
+    touched = np.zeros(len(frame), bool)
+    if not {"ax", "ay", "az"} <= set(frame) or not rows.any():
+        return touched
+    lift = asked.sum(axis=1) / np.median(asked.sum(axis=1)[rows])
+    felt = frame[["ax", "ay", "az"]].to_numpy(float) / GRAVITY
+    beyond = np.linalg.norm(felt + np.stack([0 * lift, 0 * lift, lift], axis=1), axis=1)
+    margin = round(CONTACT_MARGIN / dt)
+    for first, last in spans((beyond > CONTACT) & rows):
+        touched[max(0, first - margin) : last + margin] = True
+    return touched & rows
