@@ -18,13 +18,14 @@ from quasi.terms.differential import held_of
 from quasi.terms.expressions import Tree, names
 from quasi.terms.graph import ONE, Graph
 from quasi.terms.kernel import INPUTS
-from quasi.terms.variables import known_names, plain_name, split_function
+from quasi.terms.variables import FORMULAS, SYNONYMS, known_names, plain_name, split_function
 
 EXTRA = "x_"  # before the identifiers of columns that are not known
 _LONGEST = 63  # characters that MATLAB tells names apart by
 _WHOLE = 32  # the largest power that is not left to powerOf
 _DEEPEST = 28  # brackets within brackets: MATLAB reads 32, and a line adds some
 _KNOWN = frozenset({*known_names({*INPUTS, "v_in"}), *INPUTS, "F_den", "M_den", *COLUMNS} - {"t", *AXES})
+_COMPUTED = frozenset(f"w2_{i}" for i in range(1, 5))  # formulas that getDroneInputs.m computes; others are written out
 _CALLS = {"abs": "abs", "sign": "sign", "sqrt": "rootOf", "sin": "sin", "cos": "cos", "log": "logOf",
           "wrap": "wrapAngle"}  # fmt: skip
 
@@ -103,6 +104,8 @@ def _power(base: Tree, exponent: Tree) -> str:
 
 def _variable(name: str) -> str:
     function, inner = split_function(name)
+    if not function and plain_name(name) in FORMULAS.keys() - _COMPUTED:
+        return f"({expression(SYNONYMS[plain_name(name)])})"
     return f"{_CALLS[function]}({_variable(inner)})" if function else matlab_name(plain_name(name))
 
 
@@ -112,10 +115,14 @@ def _trees(model: Model, axis: str) -> list[Tree]:
 
 def variables_of(model: Model, axis: str) -> list[str]:
     """Variables of an axis without |..|, sin[..], cos[..], each once, in order of appearance."""
-    found: dict[str, None] = {}
-    for tree in _trees(model, axis):
-        found.update(dict.fromkeys(plain_name(name) for name in names(tree)))
-    return list(found)
+    return list(dict.fromkeys(name for tree in _trees(model, axis) for name in _variables_in(tree)))
+
+
+def _variables_in(tree: Tree) -> list[str]:
+    found: list[str] = []
+    for name in map(plain_name, names(tree)):
+        found += _variables_in(SYNONYMS[name]) if name in FORMULAS.keys() - _COMPUTED else [name]
+    return found
 
 
 def axis_file(model: Model, axis: str) -> str:

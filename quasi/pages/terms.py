@@ -6,13 +6,12 @@ from quasi.errors import ExpressionError
 from quasi.tables import COLUMNS
 from quasi.terms.expressions import Tree, names, parse
 from quasi.terms.singularities import FLOWN
-from quasi.terms.variables import plain_name
+from quasi.terms.variables import FORMULAS, plain_name, unit_of_variable
 
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _AXES = {"p": "roll, left minus right", "q": "pitch, front minus rear", "r": "yaw, by direction of rotation"}
 # name: (unit, meaning), of the manual's Table 2; columns of flights stand in quasi.tables
 VARIABLES: dict[str, tuple[str, str]] = {
-    **{f"w2_{i}": ("rad²/s²", f"square of the speed of rotor {i}") for i in range(1, 5)},
     **{f"d_w{i}": ("rad/s", f"speed of rotor {i} minus the hover speed") for i in range(1, 5)},
     "w_tot": ("rad/s", "sum of the four rotor speeds"),
     "w_avg": ("rad/s", "root mean square of the four rotor speeds"),
@@ -88,6 +87,9 @@ def describe_variable(name: str) -> tuple[str, str]:
     """Unit and meaning of a variable; ("", "a column of the flights") where nothing is known of it."""
     if name in VARIABLES:
         return VARIABLES[name]
+    if name in FORMULAS:
+        formula, meaning = FORMULAS[name]
+        return unit_of_variable(name).replace("2", "²"), f"{meaning}, {show_expression(formula)}"
     if name in COLUMNS:
         unit, _, meaning = COLUMNS[name]
         return ("" if unit == "1" else unit.replace("s2", "s²")), meaning

@@ -30,11 +30,16 @@ from quasi.terms.expressions import Tree, evaluate, names, parse
 from quasi.terms.normalisation import Normalisation
 from quasi.terms.singularities import FLOWN, RATIOS, lowest_speeds
 
+# name: (expression of other variables, meaning). A line here is all that a variable needs: flights, compiled models,
+# derivatives, units, exports and the legend of a model's page are made from it
+FORMULAS: dict[str, tuple[str, str]] = {
+    f"w2_{i}": (f"w{i}^2", f"square of the speed of rotor {i}") for i in range(1, 5)
+}
 SYNONYMS: dict[str, Tree] = {
     "wtot": ("name", "w_tot"),
     "wavg": ("name", "w_avg"),
     "d_wtot": ("name", "d_w_tot"),
-    **{f"w2_{i}": ("power", ("name", f"w{i}"), ("number", 2.0)) for i in range(1, 5)},
+    **{name: parse(formula) for name, (formula, _) in FORMULAS.items()},
     # u v w are velocities through the air already: the columns of that name take their place in `Variables.column`
     **{f"{v}_air": ("name", v) for v in "uvw"},
 }
@@ -46,7 +51,6 @@ _OF = re.compile(r"^(?:\|(?P<abs>.+)\||(?P<function>sin|cos)\[(?P<of>.+)\])$")
 
 # name: the columns it is made from; hover speed, radius and signs come from elsewhere
 _MADE_FROM: dict[str, tuple[str, ...]] = {
-    **{f"w2_{i}": (f"w{i}",) for i in range(1, 5)},
     **{f"d_w{i}": (f"w{i}",) for i in range(1, 5)},
     **dict.fromkeys(("w_tot", "w_avg", "d_w_tot", "u_p", "u_q", "u_r", "U_p", "U_q", "U_r"), _ROTORS),
     **dict.fromkeys(("w_tot_dot", "u_p_dot", "u_q_dot", "u_r_dot"), _DOTS),
@@ -59,7 +63,7 @@ _UNITS: dict[str, tuple[float, ...]] = {}
 for _unit, _members in {
     (0, 0, -1, 1, 0): (*_ROTORS, *(f"w{i}_CMD" for i in range(1, 5)), *(f"d_w{i}" for i in range(1, 5)),
                        "w_tot", "w_avg", "d_w_tot", *FLOWN, "u_p", "u_q", "u_r", "p", "q", "r"),
-    (0, 0, -2, 2, 0): (*(f"w2_{i}" for i in range(1, 5)), "U_p", "U_q", "U_r"),
+    (0, 0, -2, 2, 0): ("U_p", "U_q", "U_r"),
     (0, 0, -2, 1, 0): (*_DOTS, "w_tot_dot", "u_p_dot", "u_q_dot", "u_r_dot", "p_dot", "q_dot", "r_dot"),
     (1, 0, -1, 0, 0): ("u", "v", "w", "v_in"),
     (0, 0, 0, -1, 0): ("mu_x", "mu_y", "mu_z", "mu_vin"),
@@ -89,6 +93,8 @@ def base_columns(name: str, normalisation: Normalisation | None = None) -> set[s
         return base_columns(match["abs"] or match["of"], normalisation)
     if normalisation and name in normalisation.trees:
         return columns_of(normalisation.trees[name])
+    if name in SYNONYMS:
+        return columns_of(SYNONYMS[name], normalisation)
     return set(_MADE_FROM.get(name, (name,)))
 
 
@@ -111,7 +117,8 @@ def plain_name(name: str) -> str:
 def known_names(columns: Mapping[str, object] | set[str]) -> list[str]:
     """Names that these columns make possible, without |..|, sin[..] and cos[..], which every name allows."""
     have = {*columns, *(v for v, air in _AIR.items() if air in columns)}
-    made = [name for name, needs in _MADE_FROM.items() if have.issuperset(needs)]
+    made = [name for name in FORMULAS if have.issuperset(base_columns(name))]
+    made += [name for name, needs in _MADE_FROM.items() if have.issuperset(needs)]
     return [*made, *(n for n in _AIR if n in have and n not in columns), *(n for n in columns if n not in made)]
 
 
@@ -159,7 +166,7 @@ def inputs_of_system(u: Iterable[str], where: str) -> tuple[str, ...]:
     """
     found: list[str] = []
     logged = [n for n in COLUMNS if n.startswith(("command", "battery", "v_in", "throttle"))]
-    known = [n for n in known_names({*_STATES, *_ROTORS, *_DOTS, *logged}) if not n.startswith("w2_")]
+    known = [n for n in known_names({*_STATES, *_ROTORS, *_DOTS, *logged}) if n not in FORMULAS]
     cannot = "cannot be an input of the differential form"
     for name in u:
         if not isinstance(name, str):
@@ -167,8 +174,9 @@ def inputs_of_system(u: Iterable[str], where: str) -> tuple[str, ...]:
         inner = split_function(name)[1]
         if inner != name:
             raise ConfigError(f"{where}: '{name}' {cannot}; name '{inner}'")
-        if name.startswith("w2_"):
-            raise ConfigError(f"{where}: '{name}' {cannot}; name 'w{name[3:]}'")
+        if name in FORMULAS:
+            columns = "', '".join(sorted(base_columns(name)))
+            raise ConfigError(f"{where}: '{name}' {cannot}; name '{columns}'")
         plain = SYNONYMS[name][1] if name in SYNONYMS else name
         if plain in ("p", "q", "r"):
             raise ConfigError(f"{where}: '{name}' {cannot}, for it is part of x = (p, q, r); leave it out")
@@ -243,8 +251,9 @@ class Variables:
             return (np.sin if match["function"] == "sin" else np.cos)(self[match["of"]])
         if name in self._trees:
             return evaluate(self._trees[name], self._plain.__getitem__)
-        if name in SYNONYMS and SYNONYMS[name][0] == "name":
-            return self[SYNONYMS[name][1]]
+        if name in SYNONYMS:
+            tree = SYNONYMS[name]
+            return self[tree[1]] if tree[0] == "name" else evaluate(tree, self._of(name))
         if name in _MADE_FROM:
             return self._derived(name)
         if name in ("roll", "pitch", "yaw"):
@@ -254,6 +263,11 @@ class Variables:
             return self.column(name, name)
         raise ExpressionError(f"unknown variable '{name}'{nearest(name, self.known())}")
 
+    def _of(self, name: str) -> Callable[[str], np.ndarray]:
+        """Lookup of the variables in the formula of `name`; a missing column is reported for `name`."""
+        base = set() if self._trees else {*_ROTORS, *_DOTS}
+        return lambda inner: self.column(inner, name) if inner in base else self[inner]
+
     def _derived(self, name: str) -> np.ndarray:
         if name.startswith("mu_"):
             return self.column(RATIOS[name], name) / (self["w_avg_flown"] * self._airframe.radius)
@@ -262,8 +276,6 @@ class Variables:
         if name.endswith("_dot"):
             speeds = [self.column(c, name) for c in _DOTS]
             return self._weighted(name.removesuffix("_dot"), speeds)
-        if name.startswith("w2_"):
-            return self.column(f"w{name[3:]}", name) ** 2
         if name.startswith("d_w"):
             if self._hover is None:
                 raise ExpressionError(
@@ -292,6 +304,16 @@ def unit_of(tree: Tree, target: str, lookup: Callable[[str], tuple] | None = Non
     if dimension is None:
         return "mixed"
     length, mass, time, angle, voltage = (t - d for t, d in zip(_TARGETS[target], dimension))
+    return _unit_text(length, mass, time, angle, voltage)
+
+
+def unit_of_variable(name: str) -> str:
+    """Unit of a variable, e.g. "rad2/s2"; "mixed" where its formula adds unlike quantities, "" where unknown."""
+    dimension = _unit_of_name(name)
+    return ("mixed" if name in FORMULAS else "") if dimension is None else _unit_text(*dimension)
+
+
+def _unit_text(length: float, mass: float, time: float, angle: float, voltage: float) -> str:
     # newtons take the mass; what is left over is written in base units
     parts = {"N": mass, "kg": 0.0, "m": length - mass, "s": time + 2 * mass, "rad": angle, "V": voltage}
     shown = {True: [], False: []}
@@ -310,8 +332,8 @@ def _unit_of_name(name: str) -> tuple | None:
     match = _OF.match(name)
     if match:
         return _unit_of_name(match["abs"]) if match["abs"] else (0,) * 5
-    if name in SYNONYMS and SYNONYMS[name][0] == "name":
-        name = SYNONYMS[name][1]
+    if name in SYNONYMS:
+        return _dimension(SYNONYMS[name], _unit_of_name)
     return _UNITS.get(name)
 
 
