@@ -80,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
     margins = commands.add_parser(
         "margins",
         parents=[place],
-        help="gains and stability margins of a simulation's controller",
+        help="gains and stability margins of a simulation's controller, and gains for Betaflight and PX4",
         description="The gains in force, which may be copied into config/simulations/SIMULATION.json and changed, and "
         "how much gain, phase and delay the loop about hover can bear in each direction.",
     )
@@ -225,6 +225,7 @@ def margins_of(simulation: str, directory: Path) -> str:
     from quasi.model.model import read_model
     from quasi.project.folder import check_project
     from quasi.simulation.loop.setup import make_setup
+    from quasi.simulation.tools.firmware_gains import gains_of_setup
     from quasi.simulation.tools.margins import margins_of_setup
     from quasi.tables import read_numbers
 
@@ -232,7 +233,12 @@ def margins_of(simulation: str, directory: Path) -> str:
     asked = folder_of(directory).simulation(simulation)
     wind, reference = (read_numbers(directory / asked[k]) if asked[k] else None for k in ("wind", "reference"))
     model = read_model(model_place(asked["model"], directory))
-    return margins_of_setup(make_setup(asked["settings"], model, wind, reference, simulation))
+    setup = make_setup(asked["settings"], model, wind, reference, simulation)
+    text = margins_of_setup(setup)
+    try:
+        return f"{text}\n\n{gains_of_setup(setup)}"
+    except QuasiError as reason:  # the margins hold without the table
+        return f"{text}\n\ngains for flight controllers are left out: {reason}"
 
 
 def reach_of(simulation: str, directory: Path, horizon: float, radius: float, spacing: float) -> str:

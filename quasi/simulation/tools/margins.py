@@ -96,15 +96,20 @@ def margins(
     return Margins(largest < 1.0, damping, largest, found, float(together))
 
 
-def margins_of_setup(setup: Setup) -> str:
-    """Gains in force and margins of a simulation's controller, as text."""
+def actuators_of_setup(setup: Setup) -> dict[str, Any]:
+    """The actuators of a simulation as `controllers.make_controller` takes them."""
     machine = setup.machine
-    actuators = {
+    return {
         "time constants": np.maximum(machine.body[UP : UP + 4], 1e-4),
         "delay": machine.drive.delay,
         "lowest": machine.drive.low,
         "highest": machine.drive.high if math.isfinite(machine.drive.high) else None,
     }
+
+
+def margins_of_setup(setup: Setup) -> str:
+    """Gains in force and margins of a simulation's controller, as text."""
+    actuators = actuators_of_setup(setup)
     asked = {**setup.settings["controller"], "time step": setup.dt}
     settled = g.settle(asked, control_model(setup.model, actuators))
     found = margins(asked, setup.model, setup.dt, actuators)
