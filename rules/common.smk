@@ -18,7 +18,13 @@ from quasi.pages.index import TARGET, list_sources, write_index
 from quasi.running.provenance import code_of
 from quasi.project.folder import check_project, check_writable, read_settings
 from quasi.running.checksums import Checksums
-from quasi.running.live_runs import explain_lock, refuse_unlocking, register, withdraw
+from quasi.running.live_runs import (
+    explain_lock,
+    refuse_unlocking,
+    register,
+    remove_stale_lock,
+    withdraw,
+)
 from quasi.running.terminal import FaultFilter, Terminal, again, standing
 from quasi.project.workflow import Folder
 
@@ -113,6 +119,8 @@ if MAIN and not workflow.output_settings.dryrun:
     atexit.register(
         withdraw, register(Path(PROJECT), shlex.join(["snakemake", *sys.argv[1:]]))
     )
+    if notice := remove_stale_lock(PROJECT):
+        print(f"[NOTICE] {notice}", file=sys.stderr)
 
 # what the command line gives (--config) comes before the folder's own file
 for key, value in ask(read_settings, "config/config.yaml").items():

@@ -64,6 +64,21 @@ def other_runs(folder: str | Path) -> list[dict[str, Any]]:
     return sorted(cards, key=lambda card: -float(card.get("at") or 0.0))
 
 
+def remove_stale_lock(folder: str | Path) -> str | None:
+    """Remove the lock of a run whose process is dead, and return the notice; None where no lock is removed.
+
+    A lock stays while any recorded process lives, is of another computer, or where no process is recorded at all.
+    Call it after `register`: of two runs that start together each then sees the other alive.
+    """
+    locks = [path for path in (Path(folder) / LOCKS).glob("*") if path.is_file()]
+    runs = other_runs(folder)
+    if not locks or not runs or any(is_alive(card) is not False for card in runs):
+        return None
+    for path in locks:
+        path.unlink(missing_ok=True)
+    return f"the lock of a dead run was removed ({_name(runs)}); what it left unfinished is made again"
+
+
 def explain_lock(folder: str | Path, again: str) -> str:
     """Who holds the lock of a folder and what to do. again  command of this run's folder, such as `snakemake -d lab`"""
     runs = other_runs(folder)
@@ -78,8 +93,10 @@ def explain_lock(folder: str | Path, again: str) -> str:
             f"{head}: a run on another computer holds it, {_name(elsewhere)}; wait for its end there; only if that "
             f"process no longer exists, remove the lock with `{again} --unlock`"
         )
-    found = f"the run that held it is dead ({_name(runs)})" if runs else "no run is alive in it"
-    return f"{head}, but {found}: remove the lock with `{again} --unlock` and start again"
+    return (
+        f"{head}, and no run is recorded that holds it: make sure that none is working in it, remove the lock with "
+        f"`{again} --unlock` and start again"
+    )
 
 
 def refuse_unlocking(folder: str | Path) -> str | None:

@@ -9,7 +9,15 @@ import psutil
 import pytest
 
 from quasi.running import live_runs
-from quasi.running.live_runs import explain_lock, is_alive, other_runs, refuse_unlocking, register, withdraw
+from quasi.running.live_runs import (
+    explain_lock,
+    is_alive,
+    other_runs,
+    refuse_unlocking,
+    register,
+    remove_stale_lock,
+    withdraw,
+)
 from quasi.tables import read_json, write_json
 
 
@@ -39,16 +47,20 @@ def test_a_live_run_is_named_and_its_lock_never_given_up(tmp_path, other, proces
     assert f"process {process.pid}" in text and socket.gethostname() in text and "`snakemake -j2 models/x`" in text
     assert "--unlock" not in text
     assert f"process {process.pid}" in refuse_unlocking(tmp_path)
+    lock = tmp_path / live_runs.LOCKS / "0.input.lock"
+    lock.parent.mkdir(parents=True)
+    lock.touch()
+    assert remove_stale_lock(tmp_path) is None and lock.exists()
     process.kill()
     process.wait()
-    assert "`snakemake -d lab --unlock`" in explain_lock(tmp_path, "snakemake -d lab")
     assert refuse_unlocking(tmp_path) is None
+    assert f"process {process.pid}" in remove_stale_lock(tmp_path) and not lock.exists()
+    assert remove_stale_lock(tmp_path) is None
 
 
 def test_a_process_that_got_the_number_of_a_dead_run_is_another_one(tmp_path, other, process):
     other(process.pid, psutil.Process(process.pid).create_time() - 3600.0)
     assert is_alive(other_runs(tmp_path)[0]) is False
-    assert "--unlock" in explain_lock(tmp_path, "snakemake")
 
 
 def test_a_run_on_another_computer_may_be_alive(tmp_path, other):
@@ -56,12 +68,16 @@ def test_a_run_on_another_computer_may_be_alive(tmp_path, other):
     assert is_alive(other_runs(tmp_path)[0]) is None
     assert "on another computer" in explain_lock(tmp_path, "snakemake")
     assert "process 1 on elsewhere" in explain_lock(tmp_path, "snakemake")
+    (tmp_path / live_runs.LOCKS).mkdir(parents=True)
+    (tmp_path / live_runs.LOCKS / "0.input.lock").touch()
+    assert remove_stale_lock(tmp_path) is None and list((tmp_path / live_runs.LOCKS).iterdir())
 
 
-def test_a_lock_of_which_nothing_is_known_may_be_removed(tmp_path):
-    assert "no run is alive" in explain_lock(tmp_path, "snakemake") and "--unlock" in explain_lock(
-        tmp_path, "snakemake"
-    )
+def test_a_lock_without_a_recorded_run_stays_and_the_command_that_removes_it_is_named(tmp_path):
+    (tmp_path / live_runs.LOCKS).mkdir(parents=True)
+    (tmp_path / live_runs.LOCKS / "0.input.lock").touch()
+    assert remove_stale_lock(tmp_path) is None
+    assert "`snakemake -d lab --unlock`" in explain_lock(tmp_path, "snakemake -d lab")
 
 
 def test_a_run_leaves_its_card_and_takes_it_back_and_dead_ones_go_once_nothing_is_locked(tmp_path, other):
