@@ -28,6 +28,7 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.gathering import gather_all
 from quasi.gap.flights.level import Flown
 from quasi.gap.flights.sessions import session_sentence
+from quasi.gap.levels.trim_evidence import gather_trim, trim_entries
 from quasi.gap.report.wording import summary
 from quasi.gap.rollouts import commanded, halves, rollout_gain
 from quasi.gap.rollouts.confirmation import Settled
@@ -102,7 +103,8 @@ def diagnose(
              for e in driving if e["id"] in effects and effects[e["id"]].extension]  # fmt: skip
     corrected = any(c["since"] == "always" for c in calibration.get("causes", ())) and made_of(model, learning)
     always = [e["id"] for e in driving if e["since"] == "always"]
-    case = Case(model, effects, vehicle, learning, compared, held, flights, drive, corrected, settings, always)
+    trim = gather_trim(flights, roles, sessions, vehicle)
+    case = Case(model, effects, vehicle, learning, compared, held, flights, drive, corrected, settings, always, trim)
     unable = _unable(groups, roles, lost) or _unusable(base)
     silent = {n for n, e in effects.items() if e.level == "W" and e.channels and set(e.channels) <= set(base.excluded)}
     why = f"the base model explains next to nothing of {', '.join(base.excluded)}"
@@ -173,6 +175,9 @@ def diagnose(
         said["candidates"] += levels[level]["candidates"]
         said["cannot_be_asked"] += levels[level]["cannot_be_asked"]
         said["notes"] += levels[level]["notes"]
+    named_by_trim, tied_by_trim = trim_entries(trim) if unable and groups["reference"] else ([], [])
+    lower_effects += named_by_trim
+    ties += tied_by_trim
     result = {
         "schema": SCHEMA,
         "gap": gap,
@@ -188,6 +193,7 @@ def diagnose(
             "sentence": base.sentence(),
         },
         "sessions": {k: sessions.get(k, "") for k in roles},
+        "hover trim": trim.document,
         "losses": [{**loss._asdict(), "text": loss.sentence()} for loss in settled.losses],
         "effects": sorted([*lower_effects, *effects_said], key=lambda e: -float(e["evidence"].get("wald") or 0.0)),
         "ties": ties,

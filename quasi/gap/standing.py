@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from quasi.gap.calibration.lower import SEARCHES
 from quasi.gap.effect import Effect
 from quasi.gap.entries import needed
+from quasi.gap.levels.trim_evidence import rejected_by_trim
 from quasi.gap.rollouts import halves
 from quasi.gap.rollouts.confirmation import CONFIRMED, REFUTED, Settled, settle
 from quasi.gap.statistics.mixed import Offer
@@ -35,6 +36,7 @@ def standing(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
     settled = _of_flights(case, settled, made)
     if all(case.compared):
         settled = _borne_out(settled, case.settings["material share"])
+    settled = _against_trim(case, settled)
     settled = _harmless(case, settled, made)
 
     def left_by(settled: Settled) -> unexplained.Left:
@@ -91,6 +93,15 @@ def _borne_out(settled: Settled, share: float) -> Settled:
             f"{100 * share:.0f} %, and roll-outs do not confirm it"
         )
         settled = _without(settled, cause, why, outcome)
+    return settled
+
+
+def _against_trim(case: Case, settled: Settled) -> Settled:
+    """Without changed causes that the trim in steady flight rejects, see `quasi.gap.levels.trim_evidence`."""
+    changed = [c for c in settled.causes if c.since == "changed"]
+    rejected = rejected_by_trim(case.trim, [(c.effect.id, c.value) for c in changed], case.vehicle.mass)
+    for k, why in rejected.items():
+        settled = _without(settled, changed[k], why)
     return settled
 
 

@@ -70,12 +70,12 @@ class Hypothesis(NamedTuple):
 @dataclass
 class Comparison:
     """probability {hypothesis: posterior}; parameters {hypothesis: {parameter: (mean, std)}}; change (4,) of log thrust
-    of the compared flights and its std (4,); spread {"session", "flight"} posterior means of the spreads."""
+    of the compared flights and its covariance (4, 4); spread {"seating", "yaw", "flight"} posterior means."""
 
     probability: dict[str, float]
     parameters: dict[str, dict[str, tuple[float, float]]]
     change: np.ndarray
-    std: np.ndarray
+    covariance: np.ndarray
     spread: dict[str, float] = field(default_factory=dict)
 
 
@@ -174,9 +174,9 @@ def _marginal(columns: np.ndarray, white: np.ndarray) -> tuple[float, tuple[np.n
 
 
 def _least_squares(columns: np.ndarray, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Change (4,) of log thrust and its variance (4,), without a prior."""
+    """Change (4,) of log thrust and its covariance (4, 4), without a prior."""
     covariance = np.linalg.inv(columns.T @ columns)
-    return covariance @ (columns.T @ white), np.diag(covariance)
+    return covariance @ (columns.T @ white), covariance
 
 
 def _summary(
@@ -194,9 +194,9 @@ def _summary(
         parameters[h.name] = {n: (float(s * m), float(s * d)) for n, s, m, d in zip(h.parameters, h.std, mean, std)}
     each = weight.sum(axis=1)
     change = sum(a * c[0] for a, c in zip(each, changes))
-    variance = sum(a * (c[1] + c[0] ** 2) for a, c in zip(each, changes)) - change**2
+    covariance = sum(a * (c[1] + np.outer(c[0] - change, c[0] - change)) for a, c in zip(each, changes))
     spread = dict(zip(("seating", "yaw", "flight"), (each @ sizes).tolist()))
-    return Comparison(probability, parameters, change, np.sqrt(variance), spread)
+    return Comparison(probability, parameters, change, covariance, spread)
 
 
 def conclude(comparison: Comparison) -> tuple[str, list[str]]:

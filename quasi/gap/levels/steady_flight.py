@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy.ndimage import uniform_filter1d
 
 from quasi.attitude import GRAVITY
 from quasi.filtering.measurements import spans
@@ -13,6 +14,8 @@ MAX_SPEED = 1.0  # m/s: at 1 m/s a small quadrotor's drag is some percent of its
 GROUND_RADII = 4.0  # rotor radii above the floor: thrust gains 0.4 % there (Cheeseman & Bennett, ARC R&M 3021, 1955)
 MIN_HEIGHT = 0.1  # m above the lowest place, where the rotor's radius is not known
 SETTLING, LANDING = 1.0, 0.5  # s after take-off and before touch-down: integrators of a controller wind up
+CALM_RATE, CALM_FORCE = 0.5, 0.15  # rad/s and share of g, means over CALM_WINDOW: a tilt of 9 deg adds 1 % of thrust
+CALM_WINDOW = 0.5  # s
 CONTACT = 0.5  # of the weight, force that the rotors do not give: no wind makes it at the speeds above
 CONTACT_MARGIN = 0.25  # s on either side of a contact
 MIN_STEADY = 3.0  # s, over which a controller's own slow motions average out
@@ -64,7 +67,7 @@ def steady_flight(frame: pd.DataFrame, radius: float | None = None) -> SteadyFli
     touched = _contacts(frame, asked, rows, dt)
     if {"u", "v", "w"} <= set(frame):
         rows &= np.linalg.norm(frame[["u", "v", "w"]].to_numpy(float), axis=1) < MAX_SPEED
-    rows &= ~touched
+    rows &= ~touched & _calm(frame, dt)
     seconds = float(rows.sum() * dt)
     if seconds < MIN_STEADY:
         raise ValueError(f"{seconds:.1f} s of steady flight, {MIN_STEADY:g} s are needed")
@@ -78,6 +81,19 @@ def _without_ends(flying: np.ndarray, dt: float) -> np.ndarray:
     for first, last in spans(flying):
         rows[first + round(SETTLING / dt) : max(first, last - round(LANDING / dt))] = True
     return rows
+
+
+def _calm(frame: pd.DataFrame, dt: float) -> np.ndarray:
+    """True (n,) where the vehicle neither turns nor accelerates beyond CALM_RATE and CALM_FORCE in the mean."""
+    calm, width = np.ones(len(frame), bool), max(1, round(CALM_WINDOW / dt))
+    for names, offset, limit in (
+        (("p", "q", "r"), 0.0, CALM_RATE),
+        (("ax", "ay", "az"), GRAVITY, CALM_FORCE * GRAVITY),
+    ):
+        if set(names) <= set(frame):
+            values = frame[list(names)].to_numpy(float) + np.array([0.0, 0.0, offset])
+            calm &= np.linalg.norm(uniform_filter1d(values, width, axis=0), axis=1) < limit
+    return calm
 
 
 def _contacts(frame: pd.DataFrame, asked: np.ndarray, rows: np.ndarray, dt: float) -> np.ndarray:

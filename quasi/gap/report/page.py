@@ -100,6 +100,7 @@ def page(
             report.sentences(left_sentence(u) for u in diagnosis["unexplained"]),
             shown.get("unexplained", ""),
         ),
+        report.section("Trim in steady flight", report.sentences([diagnosis.get("hover trim", {}).get("text", "")])),
         report.section("The extended model", _extended(diagnosis)),
         report.section(
             "Simulated and flown",

@@ -26,6 +26,7 @@ class Case(NamedTuple):
     corrected  whether flights that the model was identified from were corrected: its terms hold what their sensors
                faked, and are fitted anew
     settings   of the gap
+    trim       what the trim in steady flight says (`levels.trim_evidence.TrimEvidence`), None where it was not asked
     """
 
     model: Model
@@ -39,6 +40,7 @@ class Case(NamedTuple):
     corrected: bool
     settings: Mapping[str, Any]
     always: Sequence[str] = ()
+    trim: Any = None
 
     def anew(self, causes: Sequence[Cause]) -> bool:
         """Whether the model's own terms are fitted anew beside some causes: beside those that were always there."""

@@ -1,0 +1,188 @@
+"""What the trim in steady flight says of a gap: its statement, and the causes of forces and moments that it rejects."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from quasi.gap.effect import Vehicle
+from quasi.gap.levels.hover_trim import (
+    ROTORS,
+    Comparison,
+    Flight,
+    Geometry,
+    compare,
+    conclude,
+    geometry_of,
+    hypotheses,
+)
+from quasi.gap.levels.steady_flight import steady_flight
+
+# Log likelihood by which the trim has to be less probable with a cause than without, so that it rejects the cause: 1 to
+# 100, "decisive" (Kass & Raftery, Bayes factors, JASA 90, 1995).
+REJECTED = -np.log(100.0)
+WORDS = {"mass": "another mass", "cg": "a moved centre of gravity", "weight": "a weight that was added or moved",
+         "yaw": "another balance about yaw (a tilted rotor)"}  # fmt: skip
+CHANNELS = {"rotor_effectiveness": ["Fz", "Mx", "My"], "mass": ["Fz"], "thrust_factor": ["Fz"],
+            "cg_offset": ["Mx", "My"], "rotor_tilt": ["Mz"]}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TrimEvidence:
+    """document  plain data for diagnosis.json; comparison and geometry, None where nothing could be compared."""
+
+    document: dict[str, Any]
+    comparison: Comparison | None = None
+    geometry: Geometry | None = None
+
+
+def gather_trim(
+    tables: Mapping[str, pd.DataFrame], roles: Mapping[str, str], sessions: Mapping[str, str], vehicle: Vehicle
+) -> TrimEvidence:
+    """Compare the trim of compared flights with that of reference flights.
+
+    tables  filtered flights by key; roles {key: "compared", "reference", "held out"}, of which the last are left out
+    """
+    flights, facts, lacking = [], {}, {}
+    for key, table in tables.items():
+        if roles.get(key) not in ("compared", "reference"):
+            continue
+        try:
+            steady = steady_flight(table, vehicle.radius)
+        except ValueError as error:
+            lacking[key] = str(error)
+            continue
+        flights.append(Flight(key, steady.thrust, steady.volts, sessions.get(key, ""), roles[key] == "compared"))
+        facts[key] = {"seconds": steady.seconds, "contacts": steady.contacts, "source": steady.source}
+    document: dict[str, Any] = {"word": "not asked", "flights": facts, "left out": lacking}
+    missing = [r for r in ("reference", "compared") if not any(f.is_compared is (r == "compared") for f in flights)]
+    if missing or len({f["source"] for f in facts.values()}) > 1:
+        why = f"no {missing[0]} flight has a steady part" if missing else "some flights hold speeds, others commands"
+        return TrimEvidence(document | {"text": f"The trim in steady flight was not compared: {why}."})
+    geometry = geometry_of(np.asarray(vehicle.hubs)[:, :2], np.asarray(vehicle.spin))
+    found = compare(flights, hypotheses(geometry), geometry)
+    word, names = conclude(found)
+    document |= {
+        "word": word,
+        "names": names,
+        "causes": list(dict.fromkeys(i for h in hypotheses(geometry) if h.name in names for i in h.ids)),
+        "probability": found.probability,
+        "change": {"value": found.change.tolist(), "std": np.sqrt(np.diag(found.covariance)).tolist(), "unit": "1"},
+        "parameters": {n: _parameters(n, found, geometry, vehicle) for n in names},
+        "spread": found.spread,
+    }
+    return TrimEvidence(document | {"text": _text(word, names, found, document["parameters"])}, found, geometry)
+
+
+def _parameters(name: str, found: Comparison, geometry: Geometry, vehicle: Vehicle) -> dict[str, dict[str, Any]]:
+    """Parameters of a hypothesis as the catalogue has them: effectiveness, kg, m from the configured cg."""
+    result = {}
+    for key, (value, std) in found.parameters[name].items():
+        if key.startswith("rotor"):
+            size = float(np.exp(value))
+            result[key] = {"value": size, "std": size * std, "unit": "1"}
+        elif key == "mass":
+            result[key] = {"value": vehicle.mass * float(np.exp(value)), "std": vehicle.mass * std, "unit": "kg"}
+        elif key.endswith("_cg"):
+            result[key[0]] = {"value": geometry.arm * value, "std": geometry.arm * std, "unit": "m"}
+        else:
+            result[key] = {"value": value, "std": std, "unit": "1"}
+    return result
+
+
+def _text(word: str, names: Sequence[str], found: Comparison, parameters: Mapping[str, Any]) -> str:
+    """The statement, in sentences for the page."""
+    change, std = 100 * np.expm1(found.change), 100 * np.sqrt(np.diag(found.covariance))
+    shown = ", ".join(f"{c:+.0f}" for c in change)
+    first = (
+        f"In steady flight the rotors 1 to 4 are asked for {shown} % more thrust than in the reference flights "
+        f"(standard error {std.max():.0f} %, the spread between sessions included)."
+    )
+    if word in ("healthy", "open"):
+        return f"{first} The trim names no cause."
+    if word == "changed":
+        return f"{first} That is a change, but it fits none of the causes that a trim can show."
+    total = sum(p for n, p in found.probability.items() if n != "unexplained")
+    share = sum(found.probability[n] for n in names) / total
+    said = " or ".join(_words(n, parameters[n]) for n in names)
+    return f"{first} The trim shows {said}, with the probability {share:.2f}."
+
+
+def _words(name: str, parameters: Mapping[str, Mapping[str, Any]]) -> str:
+    if name.startswith("rotor "):
+        (size,) = parameters.values()
+        return f"{name} with the effectiveness {size['value']:.2f} ± {size['std']:.2f}"
+    return WORDS[name]
+
+
+def expected_change(cause: str, deviations: Mapping[str, float], evidence: TrimEvidence, mass: float) -> np.ndarray:
+    """Change (4,) of log thrust asked for that a cause of forces and moments makes; zeros where it makes none here.
+
+    deviations  of its parameters from neutral, as the search has them; mass  configured, kg
+    """
+    change = np.zeros(ROTORS)
+    if cause == "rotor_effectiveness":
+        for name, deviation in deviations.items():
+            change[int(name[-1]) - 1] = -np.log(max(1.0 + deviation, 0.01))
+    elif cause == "thrust_factor":
+        change -= np.log(max(1.0 + sum(deviations.values()), 0.01))
+    elif cause == "mass":
+        change += np.log(max(1.0 + sum(deviations.values()) / mass, 0.01))
+    elif cause == "cg_offset" and evidence.geometry is not None:
+        arm, relative = evidence.geometry
+        change += relative[:, 1] * deviations.get("y", 0.0) / arm + relative[:, 2] * deviations.get("x", 0.0) / arm
+    return change
+
+
+def rejected_by_trim(
+    evidence: TrimEvidence | None, causes: Sequence[tuple[str, Mapping[str, float]]], mass: float
+) -> dict[int, str]:
+    """Causes, by position, without which the trim is REJECTED more probable, and why.
+
+    causes  [(id, deviations)] that compared flights have and reference flights lack, all together
+    """
+    if evidence is None or evidence.comparison is None or not causes:
+        return {}
+    found = evidence.comparison
+    precision = np.linalg.inv(found.covariance)
+    effects = [expected_change(cause, deviations, evidence, mass) for cause, deviations in causes]
+
+    def log_likelihood(expected: np.ndarray) -> float:
+        away = found.change - expected
+        return float(-0.5 * away @ precision @ away)
+
+    together = np.sum(effects, axis=0)
+    result = {}
+    for k, effect in enumerate(effects):
+        gain = log_likelihood(together) - log_likelihood(together - effect)
+        if gain < REJECTED:
+            i = int(np.argmax(np.abs(effect)))
+            result[k] = (
+                f"with it rotor {i + 1} would be asked for {100 * np.expm1(effect[i]):+.0f} % more thrust in steady "
+                f"flight, where the flights show {100 * np.expm1(found.change[i]):+.0f} % (log likelihood {gain:.1f})"
+            )
+    return result
+
+
+def trim_entries(evidence: TrimEvidence) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Effects and ties of diagnosis.json that the trim names alone, for flights whose forces were not judged."""
+    document = evidence.document
+    if document["word"] not in ("named", "tied"):
+        return [], []
+    ids, parameters = document["causes"], document["parameters"]
+    if len(ids) == 1:
+        share = sum(document["probability"][name] for name in document["names"])
+        entry = {
+            "id": ids[0], "level": "trim", "since": "changed", "probability": share, "channels": CHANNELS[ids[0]],
+            "parameters": {n: size for name in document["names"] for n, size in parameters[name].items()},
+            "gain": {"wrench": None, "rollout": None}, "confused_with": [], "evidence": {"trim": share},
+        }  # fmt: skip
+        return [entry], []
+    tie = {
+        "ids": ids, "since": "changed", "separability": 0.0, "parameters": {i: {} for i in ids},
+        "tie_breaker": "weigh the vehicle and balance it on a string; fly heaves and steps of each axis",
+        "trim": parameters,
+    }  # fmt: skip
+    return [], [tie]

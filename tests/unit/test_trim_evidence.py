@@ -1,0 +1,97 @@
+"""What the trim says in a gap: its statement, the causes that it rejects, and names where forces were not judged."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from quasi.attitude import GRAVITY
+from quasi.gap.effect import Vehicle
+from quasi.gap.levels.trim_evidence import expected_change, gather_trim, rejected_by_trim, trim_entries
+
+ARM = 0.0325
+HUBS = np.array([[ARM, ARM, 0.0], [-ARM, ARM, 0.0], [-ARM, -ARM, 0.0], [ARM, -ARM, 0.0]])
+SPIN = np.array([1.0, -1.0, 1.0, -1.0])
+MASS = 0.033
+SESSIONS = {f"{s}{i}": s for s in "abc" for i in range(2)}
+ROLES_OF = {k: "compared" if k[0] == "c" else "reference" for k in SESSIONS}
+
+
+def vehicle():
+    numbers = {"hubs": HUBS, "spin": SPIN, "radius": 0.0235, "thrust": 2e-8, "torque": 1e-10, "mass": MASS}
+    numbers |= {"inertia": np.diag([1.7e-5, 1.7e-5, 2.9e-5]), "room": None}
+    return Vehicle(**{n: numbers.get(n, 0.0) for n in Vehicle._fields})
+
+
+def table(speeds, seed):
+    t = np.arange(1200) / 100.0
+    aloft = (t > 2) & (t < 11)
+    wave = 1.0 + 0.003 * np.random.default_rng(seed).normal(size=4)
+    frame = {"t": t, "z": np.where(aloft, -0.6, 0.0), "in_flight": aloft.astype(float)}
+    frame |= dict.fromkeys(("u", "v", "w", "p", "q", "r", "ax", "ay"), 0.0 * t) | {"az": 0.0 * t - GRAVITY}
+    frame |= {f"w{i + 1}": np.where(aloft, speeds[i] * wave[i], 0.0) for i in range(4)}
+    return pd.DataFrame(frame)
+
+
+def evidence(thrust=(1.0, 1.0, 1.0, 1.0)):
+    """Reference flights of two sessions, compared ones of a third that are asked for `thrust` times as much."""
+    asked = {k: 2000.0 * np.sqrt(np.array(thrust) if k[0] == "c" else np.ones(4)) for k in SESSIONS}
+    return gather_trim({k: table(s, i) for i, (k, s) in enumerate(asked.items())}, ROLES_OF, SESSIONS, vehicle())
+
+
+def test_a_weak_rotor_is_stated_with_its_effectiveness():
+    found = evidence((1.0, 1.0, 1.0 / 0.75, 1.0))
+    assert (found.document["word"], found.document["names"]) == ("named", ["rotor 3"])
+    size = found.document["parameters"]["rotor 3"]["rotor3"]
+    assert abs(size["value"] - 0.75) < 2 * size["std"]
+    assert found.document["causes"] == ["rotor_effectiveness"]
+    effects, ties = trim_entries(found)
+    assert [e["id"] for e in effects] == ["rotor_effectiveness"]
+    assert not ties
+
+
+def test_the_trim_rejects_causes_that_it_contradicts_and_keeps_the_true_one():
+    found = evidence((1.0, 1.0, 1.0 / 0.75, 1.0))
+    right, wrong = ("rotor_effectiveness", {"rotor3": -0.25}), ("rotor_effectiveness", {"rotor1": -0.25})
+    assert not rejected_by_trim(found, [right], MASS)
+    assert set(rejected_by_trim(found, [right, wrong], MASS)) == {1}
+    assert set(rejected_by_trim(found, [wrong], MASS)) == {0}
+    assert set(rejected_by_trim(evidence(), [("mass", {"mass": 0.4 * MASS})], MASS)) == {0}
+    assert not rejected_by_trim(evidence(), [("mass", {"mass": 0.02 * MASS}), ("wind", {"north": 5.0})], MASS)
+    assert not rejected_by_trim(None, [wrong], MASS)
+
+
+@pytest.mark.parametrize(
+    ("cause", "deviations", "more", "less"),
+    [("rotor_effectiveness", {"rotor2": -0.2}, [1], []), ("mass", {"mass": 0.01}, [0, 1, 2, 3], []),
+     ("thrust_factor", {"factor": 0.1}, [], [0, 1, 2, 3]), ("cg_offset", {"x": 0.003}, [0, 3], [1, 2]),
+     ("cg_offset", {"y": 0.003}, [0, 1], [2, 3]), ("cg_offset", {"z": 0.01}, [], []),
+     ("body_drag", {"x": 1.0}, [], [])],
+)  # fmt: skip
+def test_signs_of_what_causes_ask_of_the_rotors(cause, deviations, more, less):
+    change = expected_change(cause, deviations, evidence(), MASS)
+    assert [i for i in range(4) if change[i] > 1e-9] == more
+    assert [i for i in range(4) if change[i] < -1e-9] == less
+
+
+def test_equal_flights_name_nothing():
+    found = evidence()
+    assert found.document["word"] in ("open", "healthy")
+    assert trim_entries(found) == ([], [])
+    assert "names no cause" in found.document["text"]
+
+
+@pytest.mark.parametrize(("roles", "says"), [({}, "reference"), (dict.fromkeys(SESSIONS, "reference"), "compared")])
+def test_without_flights_of_both_groups_it_says_so(roles, says):
+    tables = {k: table(np.full(4, 2000.0), 0) for k in SESSIONS}
+    found = gather_trim(tables, roles, SESSIONS, vehicle())
+    assert found.document["word"] == "not asked"
+    assert says in found.document["text"]
+    assert not rejected_by_trim(found, [("mass", {"mass": 1.0})], MASS)
+
+
+def test_a_flight_without_a_steady_part_is_left_out_with_the_reason():
+    tables = {k: table(np.full(4, 2000.0), i) for i, k in enumerate(SESSIONS)}
+    tables["a0"] = tables["a0"].assign(z=0.0)
+    found = gather_trim(tables, ROLES_OF, SESSIONS, vehicle())
+    assert "steady" in found.document["left out"]["a0"]
+    assert "a0" not in found.document["flights"]
