@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from measured_table import record
 
 from quasi.airframe import read_airframe
 from quasi.attitude import from_euler
@@ -39,7 +40,9 @@ def main() -> None:
     """Print and write the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--drones", type=int, default=1)
-    drones = parser.parse_args().drones
+    parser.add_argument("--record", action="store_true", help="store the figures for docs/measured.md")
+    options = parser.parse_args()
+    drones = options.drones
     motions = [figure_eight(k) for k in range(drones)]
     next(iter(frames(motions)))  # imports and fonts
     found: dict[str, float] = {"drones": drones}
@@ -67,6 +70,8 @@ def main() -> None:
             took = found[f"{suffix}, s"]
             print(f"{suffix} {took:20.1f} s, {found[f'{suffix}, kB']:.0f} kB ({took / TARGET:.2f} of {TARGET:g} s)")
     write_json(ROOT / "results" / "benchmarks" / "animation.json", found)
+    if options.record:
+        record("animation", found)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import pandas as pd
 from dry_run import lay
+from measured_table import record
 from study import ROOT, fly
 
 from quasi.tables import write_json, write_table
@@ -48,6 +49,7 @@ def main() -> int:
     parser.add_argument("--flights", type=int, default=100)
     parser.add_argument("--seconds", type=float, default=90.0)
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--record", action="store_true", help="store the figures for docs/measured.md")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "project"
@@ -80,6 +82,8 @@ def main() -> int:
     memory = f"{result['largest memory MiB']:.0f} MiB at most, {result['median memory MiB']:.0f} as a rule"
     print(f"memory of a job     {memory} (under {LARGEST:g})")
     write_json(ROOT / "results/benchmarks/batch.json", result)
+    if options.record:
+        record("batch", result)
     return 0 if result["cores busy"] >= BUSY and result["largest memory MiB"] < LARGEST else 1
 
 

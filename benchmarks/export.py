@@ -1,6 +1,6 @@
 """Exports: speed of the C file, and how long each form takes to be made and compared.
 
-    python benchmarks/export.py [MODEL] [--repeats 7]
+    python benchmarks/export.py [MODEL] [--repeats 7] [--record]
 
 MODEL is a standalone model (default: the made one of 60 terms over six axes of benchmarks/predict.py). Printed, each
 beside its target: one evaluation of forces and moments in C, as double and as float, and of the differential form, -O2,
@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from measured_table import record
 from predict import made
 
 from quasi.export.agreement import Check
@@ -94,6 +95,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("model", nargs="?", help="standalone model (default: a made one of 60 terms)")
     parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--record", action="store_true", help="store the figures for docs/measured.md")
     options = parser.parse_args()
     model = read_model(options.model) if options.model else made()
     figures: dict[str, float] = {"terms": sum(len(part["terms"]) for part in model.document["axes"].values())}
@@ -123,6 +125,8 @@ def main() -> None:
         if name != "terms":
             print(f"{name:36}{value:12.3g}" + (f"   {value / target:6.1%} of the target {target:g}" if target else ""))
     write_json(ROOT / "results/benchmarks/export.json", figures)
+    if options.record:
+        record("export", figures)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from measured_table import record
 from predict import made
 
 from quasi.export.matlab import write_matlab
@@ -45,6 +46,7 @@ save('-v7', 'found.mat', 'many', 'form', 'single');
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("model", nargs="?")
+    parser.add_argument("--record", action="store_true", help="store the figures for docs/measured.md")
     asked = parser.parse_args()
     model = read_model(asked.model) if asked.model else made()
     with tempfile.TemporaryDirectory() as folder:
@@ -62,6 +64,8 @@ def main() -> None:
     for name, value in found.items():
         print(f"{name:<30} {value:.3g}" if isinstance(value, float) else f"{name:<30} {value}")
     write_json(ROOT / "results/benchmarks/export_matlab.json", found)
+    if asked.record:
+        record("export_matlab", found)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Speed of the filter: samples per second on one core, and the time a whole flight takes.
 
-    python benchmarks/filtering.py [--seconds 90] [--repeats 5] [--skip-filterpy]
+    python benchmarks/filtering.py [--seconds 90] [--repeats 5] [--skip-filterpy] [--record]
 
 A made flight of 90 s (raw log and capture, imported at 500 Hz) is filtered. Printed, as figure and as share of its
 target: samples per second of the forward filter and of filter and smoother together (18 states, attitude and position
@@ -14,6 +14,7 @@ import time
 
 import numpy as np
 import pandas as pd
+from measured_table import record
 from stopwatch import best
 from study import ROOT, fly
 
@@ -60,6 +61,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=90.0)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--skip-filterpy", action="store_true")
+    parser.add_argument("--record", action="store_true", help="store the figures for docs/measured.md")
     options = parser.parse_args()
     _, frame, about, quadrotor = fly("a", profile="mixed", seed=7, duration=options.seconds)
     airframe = read_airframe(quadrotor, "made")
@@ -84,6 +86,8 @@ def main() -> int:
         print(f"{'engine filterpy, forward':32}{slow:>12,.4g} samples/s, 1/{forward / slow:.0f} of the compiled")
         print(f"{'engine filterpy, stage':32}{staged:>12.3g} s, {staged / stage:.1f} times the compiled")
     write_json(ROOT / "results/benchmarks/filtering.json", result)
+    if options.record:
+        record("filtering", result)
     return 0 if all(row[-1] >= 1 for row in rows) else 1
 
 

@@ -1,6 +1,6 @@
 """Speed of a model: evaluations in a compiled loop, single rows, batches.
 
-    python benchmarks/predict.py [MODEL] [--repeats 7]
+    python benchmarks/predict.py [MODEL] [--repeats 7] [--record]
 
 MODEL is a standalone model (default: a made one of 60 terms over six axes). Printed, as figure and as share of its
 target: time of one evaluation inside a compiled loop (four of them make a Runge-Kutta step of a simulation), of one
@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numba as nb
 import numpy as np
+from measured_table import record
 from stopwatch import best
 
 from quasi.airframe import read_airframe, to_plain
@@ -77,6 +78,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("model", nargs="?", help="standalone model (default: a made one of 60 terms)")
     parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--record", action="store_true", help="store the figures for docs/measured.md")
     options = parser.parse_args()
     model = read_model(options.model) if options.model else made()
 
@@ -111,6 +113,8 @@ def main() -> None:
         beside = f", {reference / figures[name]:.0f} times the published pipeline's speed" if reference else ""
         print(f"{name:36}{figures[name]:12.3g}   {figures[name] / target:6.1%} of the target {target:g}{beside}")
     write_json(ROOT / "results/benchmarks/predict.json", figures)
+    if options.record:
+        record("predict", figures)
 
 
 if __name__ == "__main__":

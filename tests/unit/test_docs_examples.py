@@ -19,8 +19,8 @@ def printed(page, begin, language="json"):
     return found
 
 
-def test_the_table_of_your_own_data_is_a_mapping():
-    section = json.loads("{" + printed("your-own-data.md", '"table columns"') + "}")["table columns"]
+def test_the_table_of_the_page_on_formats_is_a_mapping():
+    section = json.loads("{" + printed("log-formats.md", '"table columns"') + "}")["table columns"]
     mapping = read_mapping(section, 14, "the page")
     assert [s.name for s in mapping.sources] == ["state", "motors", "capture"]
 
