@@ -124,9 +124,25 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("--data", metavar="PATH", help="where data/ is, as `--config data=PATH` of snakemake")
     check.set_defaults(run=lambda o: check_raw_files(Path(o.folder), o.data))
 
-    init = commands.add_parser("init", help="lay a project folder: commented configuration and an empty logbook")
+    init = commands.add_parser("init", help="lay a project folder: commented configuration and a logbook")
     init.add_argument("folder", help="folder to make; it must be empty or absent")
-    init.set_defaults(run=lambda o: lay_folder(Path(o.folder), LIBRARY))
+    init.add_argument("--from", dest="log", metavar="LOG", help="write what this log says of vehicle and columns")
+    init.add_argument("--capture", help="export of the motion capture of the same flight")
+    init.set_defaults(run=init_folder)
+
+    decode = commands.add_parser(
+        "decode",
+        help="write any log or capture that quasi reads in SI units, as Parquet, CSV or MCAP",
+        description="Each quantity at its own samples, without interpolation. Columns of a table are guessed, or "
+        "taken from the 'table columns' of --quadrotor.",
+    )
+    decode.add_argument("log", help="log or capture")
+    decode.add_argument("-o", "--out", metavar="FILE", help="out.parquet, out.csv or out.mcap (default: LOG.parquet)")
+    decode.add_argument("--quadrotor", metavar="JSON", help="quadrotor configuration")
+    decode.add_argument("--rigid-body", help="name of the vehicle in a capture (its only one)")
+    decode.add_argument("--log-number", type=int, help="which log of a file that holds several")
+    decode.add_argument("--flight-controller", help="read it as of this one (default: what the file holds)")
+    decode.set_defaults(run=decode_log)
 
     noise = commands.add_parser(
         "noise",
@@ -186,6 +202,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"[ERROR] {error.filename}: {error.strerror}; name another folder or correct it", file=sys.stderr)
         return 1
     return code
+
+
+def init_folder(options: argparse.Namespace) -> str:
+    """Lay a project folder, empty or for a first log."""
+    folder = Path(options.folder)
+    if options.log is None and options.capture is None:
+        return lay_folder(folder, LIBRARY)
+    from quasi.errors import ConfigError
+    from quasi.importing.first_configuration import lay_folder_from
+
+    if options.log is None:
+        raise ConfigError("--capture needs the log of the same flight; add --from LOG")
+    return lay_folder_from(folder, LIBRARY, Path(options.log), Path(options.capture) if options.capture else None)
+
+
+def decode_log(options: argparse.Namespace) -> str:
+    """Write a log in SI units; see `quasi.importing.decode`."""
+    from quasi.importing.decode import decode_file
+    from quasi.tables import read_json
+
+    return decode_file(
+        Path(options.log), Path(options.out) if options.out else None,
+        read_json(options.quadrotor) if options.quadrotor else None,
+        options.rigid_body, options.log_number, options.flight_controller,
+    )  # fmt: skip
 
 
 def check_raw_files(directory: Path, data: str | None) -> tuple[str, int]:

@@ -67,6 +67,7 @@ def inspect_flight(settings: Mapping[str, Any]) -> dict[str, Any]:
     for name, groups in HOLDINGS.items():
         for source in ("capture", "onboard"):  # where both measure it, import takes the capture's
             rates = [r for g in groups for s in sources.get(source, ()) if (r := _rate_of(s, g)) is not None]
+            rates += [r for g in groups if (r := _rate_apart(sources.get(source, ()), g)) is not None]
             if rates:
                 found["holds"].setdefault(name, {"rate": max(rates), "from": source})
     stopped = _stopped_rotors(sources.get("onboard", []))
@@ -132,6 +133,12 @@ def _rate_of(series: Series, names: Sequence[str]) -> float | None:
     complete = np.isfinite(np.stack([series.values[name] for name in names])).all(axis=0)
     t = series.t[complete]
     return float((len(t) - 1) / (t[-1] - t[0])) if len(t) > 1 and t[-1] > t[0] else None
+
+
+def _rate_apart(series: Iterable[Series], names: Sequence[str]) -> float | None:
+    """Rate, Hz, of quantities that a log samples apart, such as rotors whose controllers report in turn: the lowest."""
+    best = [max((r for s in series if (r := _rate_of(s, (name,))) is not None), default=None) for name in names]
+    return None if None in best or names[0] not in ROTORS else min(best)
 
 
 def _stopped_rotors(series: Iterable[Series]) -> list[str]:

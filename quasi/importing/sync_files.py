@@ -10,14 +10,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from quasi.attitude import body_rates, continuous, interpolate, to_euler
-from quasi.errors import ReadError
 from quasi.importing.clocks.synchronisation import Motion, Synchronisation, synchronise
 from quasi.importing.lever_arm_fit import ArmFit, fit_arm
 from quasi.importing.onboard_log import ATTITUDE, POSITION, gather, motor_poles, read_onboard
-from quasi.importing.readers.reader import TEXT, Request
-from quasi.importing.readers.registry import READERS, read_capture
-from quasi.recognition import HEAD, recognise
-from quasi.tables import read_head
+from quasi.importing.readers.reader import Request
+from quasi.importing.readers.registry import controller_of, read_capture
 
 SCHEMA = "quasi.sync/1"
 USING = ("pitch", "yaw")  # the signals of 'align with optitrack using' where a project says nothing
@@ -50,19 +47,6 @@ class Alignment:
     arm: ArmFit | None
     yaw: Yaw | None
     notes: tuple[str, ...]
-
-
-def controller_of(path: Path, quadrotor: Mapping[str, Any]) -> str:
-    """The flight controller that a log is of, by what it holds. Raises ReadError where no reader knows it."""
-    found = recognise(read_head(path, HEAD))
-    kind = TEXT if found is None else found.kind
-    if kind == TEXT and "table columns" in quadrotor:
-        return "table"
-    for reader in READERS:
-        if kind in reader.kinds and reader.controllers:
-            return reader.controllers[0]
-    what = f"is {found.name}" if found else "is of no known format"
-    raise ReadError(f"{path} {what}, which no reader of on-board logs reads; {found.remedy if found else 'give a log'}")
 
 
 def align_files(

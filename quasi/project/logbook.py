@@ -164,10 +164,18 @@ def _refuse_near_columns(header: list[str], path: str) -> None:
             )
 
 
+def key_of(file_name: str) -> str:
+    """The flight key of a log without one of its own: one file is one flight, with its ending written or not.
+
+    >>> key_of("LOG00012.TXT")
+    'LOG00012'
+    """
+    endings = "bbl|bfl|csv|csv.gz|parquet|txt|ulg|bin|bag|mcap|db3|mat|npz".replace(".", r"\.")
+    return re.sub(rf"(?<=.)\.({endings})$", "", file_name, flags=re.IGNORECASE)
+
+
 def _row(path: str, number: int, cells: dict[str, str]) -> Row:
-    # one file is one flight, whether the logbook writes its ending or not
-    ending = r"(?<=.)\.(bbl|bfl|csv|parquet|txt)$"
-    key = cells.get("Flight key") or re.sub(ending, "", cells["Onboard Name"], flags=re.I)
+    key = cells.get("Flight key") or key_of(cells["Onboard Name"])
     problem = None
     log_number = cells.get("Log number", "")
     if log_number:

@@ -57,7 +57,7 @@ TABLE_COLUMNS = {
         {"name": "state", "time": {"column": "t"},
          "columns": {n: n for n in ("qw", "qx", "qy", "qz", "x", "y", "z", "vx", "vy", "vz")}},
         {"name": "motors", "time": {"column": "t"},
-         "columns": {f"w{i}": f"motor[{i - 1}]" for i in range(1, 5)}
+         "columns": {f"w{i}": f"rotor_speed[{i - 1}]" for i in range(1, 5)}
          | {f"command{i}": f"out[{i - 1}]" for i in range(1, 5)} | {"battery_voltage": "volts"}},
     ],
 }  # fmt: skip
@@ -74,7 +74,7 @@ def columns_of(flight):
 
 def write_csv(folder, flight):
     columns = columns_of(flight)
-    columns |= {f"motor[{i}]": flight.rotors[:, i] for i in range(4)}
+    columns |= {f"rotor_speed[{i}]": flight.rotors[:, i] for i in range(4)}
     columns |= {f"out[{i}]": flight.commands[:, i] for i in range(4)}
     path = folder / "flight.csv"
     pd.DataFrame(columns | {"volts": flight.battery}).to_csv(path, index=False)
@@ -84,7 +84,7 @@ def write_csv(folder, flight):
 def write_lists(folder, flight):
     """Rotors as a list in each cell."""
     table = pd.DataFrame(columns_of(flight) | {"volts": flight.battery})
-    table["motor"] = [str(row.tolist()) for row in flight.rotors]
+    table["rotor_speed"] = [str(row.tolist()) for row in flight.rotors]
     table["out"] = [" ".join(map(str, row)) for row in flight.commands]
     table.to_csv(folder / "lists.csv", index=False)
     return folder / "lists.csv"
@@ -103,13 +103,13 @@ def write_parquet(folder, flight):
 
 def write_mat(folder, flight):
     savemat(folder / "flight.mat", columns_of(flight) | {
-        "motor": flight.rotors.T, "out": flight.commands, "volts": flight.battery, "name": "made",
+        "rotor_speed": flight.rotors.T, "out": flight.commands, "volts": flight.battery, "name": "made",
     })  # fmt: skip
     return folder / "flight.mat"
 
 
 def write_npz(folder, flight):
-    parts = {"motor": flight.rotors, "out": flight.commands, "volts": flight.battery}
+    parts = {"rotor_speed": flight.rotors, "out": flight.commands, "volts": flight.battery}
     np.savez(folder / "flight.npz", pilot=np.array(["made"]), **columns_of(flight), **parts)
     return folder / "flight.npz"
 

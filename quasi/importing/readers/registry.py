@@ -3,6 +3,10 @@
 A further format is one file here with a `Reader`, its name in READERS, and its first bytes in `quasi.recognition`.
 """
 
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
 from quasi.errors import ReadError
 from quasi.importing.readers.betaflight import BLACKBOX_READER, DECODED_READER
 from quasi.importing.readers.crazyflie import READER as CRAZYFLIE
@@ -35,6 +39,19 @@ def read_log(request: Request) -> Recording:
 def read_capture(request: Request) -> Recording:
     """The recording of a motion-capture export. Raises ReadError where no reader knows it."""
     return _reader_of(request, [reader for reader in READERS if not reader.controllers]).read(request)
+
+
+def controller_of(path: Path, quadrotor: Mapping[str, Any]) -> str:
+    """The flight controller that a log is of, by what it holds. Raises ReadError where no reader knows it."""
+    found = recognise(read_head(path, HEAD))
+    kind = TEXT if found is None else found.kind
+    if kind == TEXT and "table columns" in quadrotor:
+        return "table"
+    for reader in READERS:
+        if kind in reader.kinds and reader.controllers:
+            return reader.controllers[0]
+    what = f"is {found.name}" if found else "is of no known format"
+    raise ReadError(f"{path} {what}, which no reader of on-board logs reads; {found.remedy if found else 'give a log'}")
 
 
 def is_capture(path: object) -> bool:

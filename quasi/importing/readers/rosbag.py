@@ -11,7 +11,7 @@ Axes by REP 103: body x forward, y left, z up; world z up. Messages of px4_msgs 
 import operator
 import re
 from array import array
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from quasi.errors import ReadError, add_caution
+from quasi.errors import ReadError, add_caution, quoted
 from quasi.importing.readers.known_topics import Known
 from quasi.importing.readers.reader import Reader, Request, needs_extra
 from quasi.importing.readers.signals import Signals, Topic
@@ -32,6 +32,7 @@ OTHER_CLOCK = 0.5  # s between stamps and their recording, from which they count
 BYTES = {"uint8", "int8", "byte", "char", "octet"}  # elements of images and other blobs
 NUMBERS = {"bool", "float32", "float64", "int16", "int32", "int64", "uint16", "uint32", "uint64", "int8", "uint8"}
 TIMES = {"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"}
+TYPE_NAME = r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)+"
 MOTORS = 8
 
 _CAPTURES = r"mocap|vrpn|vicon|optitrack|natnet|qualisys|qtm|motion_capture|ground_?truth"
@@ -172,6 +173,7 @@ class Bag:
         folder = self.path.parent
         place = folder if self.path.suffix != ".bag" and (folder / "metadata.yaml").is_file() else self.path
         try:
+            _refuse_unsafe_types(AnyReader([place]).readers, self.path)
             with AnyReader([place], default_typestore=get_typestore(Stores.LATEST)) as reader:
                 yield reader
         except ReadError:
@@ -237,6 +239,21 @@ class Bag:
             f"{'behind' if offset > 0 else 'ahead of'} the recorder's; they were moved by that"
         )
         return stamps.to_numpy() + offset
+
+
+def _refuse_unsafe_types(readers: Iterable[Any], path: Path) -> None:
+    """Raise ReadError where a type has a name that no message has.
+
+    rosbags makes Python classes of these names, so that one which is no identifier could run code from the file.
+    """
+    for reader in readers:
+        with reader:
+            for connection in reader.connections:
+                if not re.fullmatch(TYPE_NAME, connection.msgtype):
+                    raise ReadError(
+                        f"{path}: topic {quoted(connection.topic)} has the type {quoted(connection.msgtype)}, which is "
+                        "no name of a message type; the bag is damaged or made to do harm and is not opened"
+                    )
 
 
 def _remedy(path: Path, reason: str) -> str:

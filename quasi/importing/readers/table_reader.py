@@ -88,9 +88,9 @@ def read_signals(
     main = _main_source(raw, path)
     rows = _row_times(signals, plan, raw, path, notes)
     about: dict[str, Any] = {}
+    at_rest = {group: rows_possibly_at_rest([r for r in raw if r.group == group]) for group in signals.frames}
     for r in raw:
-        at_rest = rows_possibly_at_rest([other for other in raw if other.group == r.group])
-        r.settle(rows.get(r.group), at_rest, path, notes)
+        r.settle(rows.get(r.group), at_rest[r.group], path, notes)
     for r in raw:
         about[r.source.name] = r.clock_against(main, path, notes)
     zero, step = float(main.t[0]), float(np.median(np.diff(main.t)))

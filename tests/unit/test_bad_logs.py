@@ -1,0 +1,197 @@
+"""What is wrong with a log of topics is named: where, what was found, and the remedy."""
+
+import sqlite3
+
+import numpy as np
+import pytest
+from log_formats import Ulog, dataflash_of, made_flight, ulog_of, write_bag, write_dataflash, write_ulog
+
+from quasi.errors import ConfigError, ReadError, cautions
+from quasi.importing.onboard_log import read_onboard
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return made_flight(seconds=6.0)
+
+
+def read(path, controller, **quadrotor):
+    flown = {"onboard": str(path), "flight controller": controller, "log number": None}
+    return read_onboard(flown, quadrotor, None)
+
+
+def needs(name):
+    return pytest.importorskip(name)
+
+
+# topics
+
+
+def test_a_missing_topic_is_named_with_what_the_log_holds(tmp_path, flight):
+    needs("rosbags")
+    path = write_bag(tmp_path, flight, drop={"/imu", "/odom"})
+    with pytest.raises(ReadError) as error:
+        read(path, "rosbag")
+    for word in ("body rates", "sensor_msgs/msg/Imu", "/motor_speed", "/battery"):
+        assert word in str(error.value)
+
+
+def test_a_mistyped_topic_is_named_with_its_neighbour(tmp_path, flight):
+    needs("rosbags")
+    path = write_bag(tmp_path, flight)
+    with pytest.raises(ConfigError, match=r"'/inu'.*did you mean '/imu'"):
+        read(path, "rosbag", **{"log topics": {"body rates": "/inu"}})
+    with pytest.raises(ConfigError, match="unknown key 'rates'"):
+        read(path, "rosbag", **{"log topics": {"rates": "/imu"}})
+    columns = {n: f"/imu.angular_velocity.{a}" for n, a in zip("pqr", "xyq")}
+    mapping = {"sources": [{"name": "imu", "frame": "FLU", "columns": columns}]}
+    with pytest.raises(ReadError, match=r"'/imu.angular_velocity.q'.*did you mean '/imu.angular_velocity"):
+        read(path, "rosbag", **{"table columns": mapping})
+
+
+def test_columns_of_two_topics_are_two_sources(tmp_path, flight):
+    needs("rosbags")
+    columns = {n: f"/imu.angular_velocity.{a}" for n, a in zip("pqr", "xyz")}
+    columns |= {a: f"/odom.pose.pose.position.{a}" for a in "xyz"}
+    mapping = {"sources": [{"name": "all", "frame": "FLU", "columns": columns}]}
+    with pytest.raises(ReadError, match="sampled apart"):
+        read(write_bag(tmp_path, flight), "rosbag", **{"table columns": mapping})
+
+
+def test_of_two_imus_one_is_used_the_other_listed_and_a_key_chooses(tmp_path, flight):
+    path = tmp_path / "two.bin"
+    path.write_bytes(dataflash_of(flight, imus=2).bytes())
+    first = read(path, "ardupilot")
+    note = next(n for n in first.notes if "IMU:1" in n)
+    assert '"log topics": {"body rates": "IMU:1"}' in " ".join(first.notes) and "IMU:0" in note
+    other = read(path, "ardupilot", **{"log topics": {"body rates": "IMU:1"}})
+    # the second gyro of the made flight is off by 0.01 rad/s
+    assert np.abs(other.series["onboard"].values["p"] - first.series["onboard"].values["p"] - 0.01).max() < 1e-6
+
+
+def test_stamps_of_another_host_are_moved(tmp_path, flight):
+    needs("rosbags")
+    usual = read(write_bag(tmp_path / "a", flight), "rosbag")
+    moved = read(write_bag(tmp_path / "b", flight, ahead={"/motor_speed": 3600.5}), "rosbag")
+    assert any("/motor_speed" in n and "3600.500 s ahead" in n for n in moved.notes)
+    one, other = (next(s for s in r.series.values() if "w1" in s.values) for r in (usual, moved))
+    assert np.abs(one.t - other.t).max() < 1e-6
+
+
+def test_topics_of_unknown_types_are_named_and_the_others_read(tmp_path, flight):
+    needs("rosbags")
+    path = write_bag(tmp_path, flight, storage="db3", extra=strange_topic)
+    # as bags of ROS 2 before Iron, which hold no definitions of types
+    with sqlite3.connect(path) as database:
+        database.execute("delete from message_definitions")
+    found = read(path, "rosbag")
+    assert "p" in found.series["onboard"].values
+    note = next(n for n in found.notes if "cannot be decoded" in n)
+    assert "/strange (lab_msgs/msg/Strange)" in note and "/motor_speed (mav_msgs/msg/Actuators)" in note
+
+
+def strange_topic(store, writer):
+    from rosbags.typesys import get_types_from_msg
+
+    store.register(get_types_from_msg("float64 value\n", "lab_msgs/msg/Strange"))
+    connection = writer.add_connection("/strange", "lab_msgs/msg/Strange", typestore=store)
+    message = store.types["lab_msgs/msg/Strange"](value=1.0)
+    for k in range(30):
+        yield connection, k, store.serialize_cdr(message, "lab_msgs/msg/Strange")
+
+
+def test_a_type_whose_name_is_code_opens_nothing(tmp_path, flight):
+    needs("rosbags")
+    path = write_bag(tmp_path, flight)
+    sprung = tmp_path / "sprung"
+    code = f"a/msg/B:open({str(sprung)!r},'w')#".encode()
+    kind = b"sensor_msgs/msg/BatteryState"
+    data = path.read_bytes()
+    assert data.count(kind)
+    bad = tmp_path / "harm.mcap"
+    # as long as the name that it replaces, so that the file stays whole
+    bad.write_bytes(data.replace(kind, code[: len(kind)].ljust(len(kind), b"#")))
+    with pytest.raises(ReadError, match="no name of a message type"):
+        read(bad, "rosbag")
+    assert not sprung.exists()
+
+
+# files
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9, 0.999])
+@pytest.mark.parametrize("kind", ["ulog", "dataflash", "mcap", "ros1"])
+def test_a_truncated_file_is_read_up_to_its_end_or_refused(tmp_path, flight, kind, share):
+    writers = {"ulog": ("px4", write_ulog), "dataflash": ("ardupilot", write_dataflash),
+               "mcap": ("rosbag", write_bag), "ros1": ("rosbag", lambda f, x: write_bag(f, x, 1))}  # fmt: skip
+    controller, write = writers[kind]
+    if kind != "dataflash":
+        needs("pyulog" if kind == "ulog" else "rosbags")
+    path = write(tmp_path, flight)
+    cut = tmp_path / f"cut{path.suffix}"
+    data = path.read_bytes()
+    cut.write_bytes(data[: int(share * len(data))])
+    if kind in ("ulog", "dataflash"):
+        whole, found = read(path, controller), read(cut, controller)
+        n = len(found.series["onboard"].t)
+        assert share - 0.1 < n / len(whole.series["onboard"].t) <= 1.0
+        assert np.array_equal(found.series["onboard"].values["p"], whole.series["onboard"].values["p"][:n])
+    else:
+        with pytest.raises(ReadError, match=r"no readable bag.*(reindex|recover)"):
+            read(cut, controller)
+
+
+def test_drop_outs_of_a_ulog_are_counted(tmp_path, flight):
+    needs("pyulog")
+    log = ulog_of(flight)
+    log.dropout(250)
+    log.dropout(40)
+    (tmp_path / "drop.ulg").write_bytes(log.bytes())
+    found = read(tmp_path / "drop.ulg", "px4")
+    assert found.metadata["drop-outs"] == {"count": 2, "lost": 0.29, "unit": "s"}
+    assert any("0.29 s in 2 drop-outs" in n for n in found.notes)
+
+
+def test_noise_within_a_dataflash_log_is_passed_over(tmp_path, flight):
+    data = dataflash_of(flight).bytes()
+    middle = data.index(b"\xa3\x95", len(data) // 2)
+    path = tmp_path / "noise.bin"
+    path.write_bytes(data[:middle] + bytes(range(1, 120)) + data[middle:])
+    found = read(path, "ardupilot")
+    assert found.metadata["lost bytes"] == 119
+    assert any("119 bytes" in n for n in cautions(found.notes))
+    assert len(found.series["onboard"].t) == len(flight.t)
+
+
+@pytest.mark.parametrize("kind", ["ulog", "dataflash", "mcap"])
+def test_damaged_files_raise_errors_of_ours_alone(tmp_path, flight, kind):
+    if kind != "dataflash":
+        needs("pyulog" if kind == "ulog" else "rosbags")
+    controller = {"ulog": "px4", "dataflash": "ardupilot", "mcap": "rosbag"}[kind]
+    short = made_flight(seconds=1.0)
+    data = {"ulog": write_ulog, "dataflash": write_dataflash, "mcap": write_bag}[kind](tmp_path, short).read_bytes()
+    rng = np.random.default_rng(5)
+    for k in range(12):
+        broken = bytearray(data)
+        for place in rng.integers(16, len(data), 6):
+            broken[place] = rng.integers(0, 256)
+        path = tmp_path / f"broken{k}.{'mcap' if kind == 'mcap' else 'x'}"
+        path.write_bytes(broken)
+        try:
+            read(path, controller)
+        except (ReadError, ConfigError) as error:
+            assert str(path) in str(error)
+
+
+def test_a_log_of_another_controller_is_named_with_the_right_one(tmp_path, flight):
+    path = write_dataflash(tmp_path, flight)
+    with pytest.raises(ReadError, match=r"ArduPilot DataFlash.*'Flight controller' to ardupilot"):
+        read(path, "px4")
+
+
+def test_an_absent_package_is_named_with_the_command(tmp_path, flight, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "pyulog", None)
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(Ulog().bytes())
+    with pytest.raises(ReadError, match=r"pyulog.*pip install 'quasi\[px4\]'"):
+        read(path, "px4")
