@@ -7,7 +7,7 @@ A file of benchmarks/results belongs to one program and holds
 
     schema   "quasi.measured/1"
     program  what measures it: a file of benchmarks/, or a command
-    rows     of the table: order, what, figure, values, date, commit, machine; readme {order, what, figure} for the README
+    rows     of the table: order, what, figure, values, date, commit, machine; README: readme {order, what, figure}
     table    name, columns and rows of a table of its own
 
 `figure` is text with places for the values: {key}, {key:.2f}, or {key*1e6:.2f} in another unit. A benchmark that is run
