@@ -224,6 +224,15 @@ def source_names(metadata: Mapping[str, Any]) -> dict[str, str]:
 UNMEASURED = ("none", "standing still")  # sources of velocity or position that measure nothing in flight
 
 
+def silent_rotors(columns: Any) -> list[int]:
+    """Rotors without a command from which their speed could be estimated; [] where all four have one of a kind.
+
+    columns  anything that `in` works on
+    """
+    kinds = [[i for i in range(1, 5) if form.format(i) not in columns] for form in ("command{}", "w{}_CMD")]
+    return min(kinds, key=len)
+
+
 def unusable_without(frame: Any, metadata: Mapping[str, Any]) -> list[str]:
     """Why a flight without some source is unusable for identification, however good the rest is.
 
@@ -233,9 +242,11 @@ def unusable_without(frame: Any, metadata: Mapping[str, Any]) -> list[str]:
     found = []
     if metadata.get("position source") == "none" and metadata.get("velocity source") == "none":
         found.append("unusable for identification: neither position nor velocity")
-    if lacking:
+    silent = silent_rotors(frame)
+    if lacking and silent:
         of = f" of {', '.join(lacking)}" if len(lacking) < 4 else ""
-        found.append(f"unusable for identification: no rotor speeds{of}")
+        commands = "" if len(silent) == 4 else f", and no command of rotor {', '.join(map(str, silent))}"
+        found.append(f"unusable for identification: no rotor speeds{of}{commands}")
     if not found:
         return []
     shown = {

@@ -82,6 +82,11 @@ COLUMNS: dict[str, tuple[str, str, str]] = {
     "onboard_yaw": ("rad", "body to earth, 3-2-1", "yaw angle of the on-board attitude, tied to the capture"),
     "in_flight": ("1", "", "1 between take-off and landing, else 0"),
     "valid": ("1", "", "1 where a row may be used for identification, else 0"),
+    # kept where rotor speeds are to be estimated from commands (quasi.terms.rotor_map): no low-pass
+    **{f"command{i}_raw": ("1", "", f"rotor {i}, commanded share, before the low-pass") for i in range(1, 9)},
+    **{f"w{i}_CMD_raw": ("rad/s", "", f"rotor {i}, commanded speed, before the low-pass") for i in range(1, 9)},
+    **{f"{n}_raw": ("rad/s", "body FRD", f"{n} before the low-pass, bias removed") for n in "pqr"},
+    **{f"a{n}_raw": ("m/s2", "body FRD", f"specific force along {n} before the low-pass, bias removed") for n in "xyz"},
 }
 
 _MADE = b"quasi"

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from quasi.airframe import from_plain
 from quasi.errors import DataError, ExpressionError
+from quasi.filtering.rotor_speeds import read_flight
 from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis
 from quasi.identification.partition import from_table
@@ -19,7 +20,8 @@ def main(flights: list[str], shared: str, partition: str, settings: dict, output
     specification = read_specification(
         {axis: settings["specification"]}, axis, settings["specification file"], settings["bias"]
     )
-    tables = {Path(path).stem: read_table(path) for path in progress(flights, "reading flights")}
+    drive = found.get("rotor speeds")
+    tables = {Path(path).stem: read_flight(path, drive) for path in progress(flights, "reading flights")}
     roles = from_table(read_table(partition), {key: len(table) for key, table in tables.items()}, axis)
     airframe = from_plain(found["airframe"])
     scheme = None

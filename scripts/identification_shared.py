@@ -4,9 +4,11 @@ from pathlib import Path
 
 from quasi.airframe import read_airframe, to_plain
 from quasi.errors import ConfigError
+from quasi.filtering.rotor_speeds import add_estimated_speeds
 from quasi.identification.isolation import excited
 from quasi.identification.partition import EXCITED, partition, to_table
 from quasi.identification.partition import UNITS as PARTITION_UNITS
+from quasi.identification.rotor_speeds import rotor_speeds_of
 from quasi.identification.shared import left_out_notes, refuse_speedless, shared, unusable_flights
 from quasi.running.job_log import LOG, job, progress
 from quasi.tables import (
@@ -34,11 +36,14 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
     left_out = unusable_flights(made, tables, settings["use unusable flights"])
     tables, made = ({k: v for k, v in each.items() if k not in left_out} for each in (tables, made))
     because = {key: why for key, about in made.items() if (why := about.get("phases", {}).get("none valid because"))}
-    roles = partition(tables, options=settings["data partitioning"], because=because)
     masses = masses_of(made)
+    drive, said = rotor_speeds_of(tables, airframe, masses, settings["quadrotor"])
+    tables = {key: add_estimated_speeds(table, made[key], drive) for key, table in tables.items()}
+    roles = partition(tables, options=settings["data partitioning"], because=because)
     mapped = settings["quadrotor"].get("command map")
     tables = {key: drop_identified_commands(table, made[key].get("imported")) for key, table in tables.items()}
-    found = shared(tables, roles, airframe, settings["gravity"], masses, mapped, ages_taken_off(made))
+    found = shared(tables, roles, airframe, settings["gravity"], masses, mapped, ages_taken_off(made), drive)
+    found["notes"] = said + found["notes"]
     if settings["mixed batteries"]:
         kinds = ", ".join(settings["mixed batteries"])
         found["notes"].append(f"the flights were flown with different batteries ({kinds}), as the configuration allows")

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+from quasi.filtering.rotor_speeds import read_flight
 from quasi.identification.partition import ROLES, TRAINING, isolated, judged_rows
 from quasi.model.model import read_model
 from quasi.running.job_log import job, progress
@@ -22,7 +23,8 @@ from quasi.tables import masses_of, read_made, read_table, whole_file
 def main(model: str, partition: str, flights: list[str], roles: dict, options: dict, folder: str) -> None:
     """Read the model and all of its flights; write one PNG per figure."""
     portable = read_model(model)
-    tables = {Path(path).stem: read_table(path) for path in progress(flights, "reading flights")}
+    drive = portable.document.get("rotor speeds")
+    tables = {Path(path).stem: read_flight(path, drive) for path in progress(flights, "reading flights")}
     table = read_table(partition)
     codes, aside = judged_rows(table, tables, roles["validation"], options)
     masses = masses_of({Path(path).stem: read_made(path) for path in flights})

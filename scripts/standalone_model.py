@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from quasi.airframe import from_plain
+from quasi.filtering.rotor_speeds import read_flight
 from quasi.identification.partition import fitted
 from quasi.model.build import assemble, with_differential_form
 from quasi.model.envelope import covered
@@ -32,7 +33,7 @@ def main(
     found = read_json(shared)
     parts = {Path(path).stem: read_json(path) for path in axes}
     airframe = from_plain(found["airframe"])
-    tables = {Path(path).stem: read_table(path) for path in flights}
+    tables = {Path(path).stem: read_flight(path, found.get("rotor speeds")) for path in flights}
     rows = fitted(read_table(partition), {key: len(table) for key, table in tables.items()}, parts)
     meta = {
         "id": model,

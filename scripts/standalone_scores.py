@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from quasi.filtering.rotor_speeds import read_flight
 from quasi.identification.partition import ROLES, judged_rows
 from quasi.model.model import read_model
 from quasi.running.job_log import LOG, job, progress
@@ -17,7 +18,8 @@ from quasi.tables import masses_of, read_made, read_table, write_json, write_tab
 def main(source: dict, roles: dict, options: dict, output: dict) -> None:
     """Read the model, all of its flights, and of an extended one its base; write scores, diagnosis, summaries."""
     portable, base = (read_model(source[k]) if source.get(k) else None for k in ("model", "base"))
-    tables = {Path(path).stem: read_table(path) for path in progress(source["flights"], "reading flights")}
+    drive = portable.document.get("rotor speeds")
+    tables = {Path(path).stem: read_flight(path, drive) for path in progress(source["flights"], "reading flights")}
     codes, aside = judged_rows(read_table(source["partition"]), tables, roles["validation"], options)
     made = {Path(path).stem: read_made(path) for path in source["flights"]}
     found = review(portable, tables, codes, ROLES, aside, options, base, masses_of(made))

@@ -16,6 +16,8 @@ from quasi.filtering import bias as biases
 from quasi.filtering import ekf, estimation, forces, measurements
 from quasi.filtering.verdict import judge_flight
 from quasi.plausibility import impossible_inertia
+from quasi.filtering.rotor_speeds import commands_to_keep
+from quasi.terms.rotor_map import RAW
 from quasi.tables import COLUMNS
 
 DEFAULTS: dict[str, Any] = {
@@ -165,6 +167,7 @@ def filter_flight(
     rotors = [c for c in logged.rotors if c in actuators]
     speeds = np.stack([actuators[c] for c in rotors], axis=1) if rotors else None
     factor = airframe.logged_to_rad_s or imported_metadata.get("logged to rad/s")
+    estimated = commands_to_keep(actuators)
     turning = speeds if speeds is not None else _commanded(actuators, logged)
     if turning is not None and speeds is None:
         notes.append("no rotor speeds: take-off, ground and rest are found from the commands")
@@ -212,6 +215,10 @@ def filter_flight(
     valid = ~np.logical_or.reduce(list(spoiling.values()))
 
     table: dict[str, np.ndarray] = {"t": t, **_actuators(actuators, speeds, logged, band)}
+    table |= {f"{name}{RAW}": values for name, values in estimated.items()}
+    if estimated:  # before the low-pass: what the rotor speeds are identified on
+        clean = np.hstack([imu.gyro - run.bias[:, :3], imu.accel - run.bias[:, 3:]])
+        table |= {f"{name}{RAW}": clean[:, i] for i, name in enumerate(("p", "q", "r", "ax", "ay", "az"))}
     table |= _states(specific, rates, rates_dot, run, body, air)
     table |= dict(zip(("Fx", "Fy", "Fz"), forces.forces(specific, airframe.mass).T))
     table |= dict(zip(("Mx", "My", "Mz"), forces.moments(rates, rates_dot, np.asarray(airframe.inertia)).T))

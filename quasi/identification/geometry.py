@@ -37,7 +37,17 @@ def contradictions(prepared: Mapping[str, tuple], airframe: Airframe, thrust: fl
             f"the faster the rotors turn, the less they lift (thrust factor {thrust:.2g} N s2/rad2): check the sign "
             "and axes of the accelerometer, and the rotor speeds"
         ]
-    slopes = {axis: _slopes(prepared, airframe, axis) for axis in BESIDE}
+    return contradicting_places({axis: _slopes(prepared, airframe, axis) for axis in BESIDE}, airframe, thrust)
+
+
+def contradicting_places(
+    slopes: Mapping[str, tuple[np.ndarray, np.ndarray] | None], airframe: Airframe, thrust: float
+) -> list[str]:
+    """Sentences on rotors that seem to be elsewhere, or to turn the other way, than the airframe says.
+
+    slopes  {"Mx", "My", "Mz": slope of the moment by what each rotor's thrust is in proportion to (4,), its standard
+            errors (4,); None where unknown}; thrust  the same slope of one rotor's thrust
+    """
     places: list[str] = []
     scaled = None
     if slopes["Mx"] is not None and slopes["My"] is not None:

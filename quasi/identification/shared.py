@@ -13,9 +13,10 @@ from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.identification.actuators import actuators
-from quasi.identification.geometry import BESIDE, contradictions
+from quasi.identification.geometry import BESIDE, contradicting_places, contradictions
 from quasi.identification.partition import TRAINING
 from quasi.identification.regression import least_squares
+from quasi.identification.rotor_speeds import actuators_of, command_kind, factors_of, places_of
 from quasi.terms.expressions import Program, parse
 from quasi.terms.variables import Variables
 
@@ -27,14 +28,19 @@ OPTIONAL = ("w1_dot", "w2_dot", "w3_dot", "w4_dot", "u_air", "v_air", "w_air")
 
 
 def refuse_speedless(flights: Mapping[str, pd.DataFrame]) -> None:
-    """Raise DataError for filtered flights without rotor speeds, which every model needs."""
-    lacking = {key: [n for n in NEEDED[:4] if n not in flight] for key, flight in flights.items()}
+    """Raise DataError for filtered flights without rotor speeds, and without commands to estimate them from."""
+    lacking = {
+        key: [n for n in NEEDED[:4] if n not in flight]
+        for key, flight in flights.items()
+        if command_kind(flight) is None
+    }
     lacking = {key: names for key, names in lacking.items() if names}
     if lacking:
         keys, names = list(lacking), sorted(set().union(*lacking.values()))
         raise DataError(
             f"flight{'s' * (len(keys) > 1)} {', '.join(keys)}: the log holds no rotor speeds ({', '.join(names)}), "
-            "which every model needs; log them (docs/your-own-data.md, section 4), or leave "
+            "and no commands of all four rotors to estimate them from; log either (docs/your-own-data.md, section 4), "
+            "or leave "
             f"{'these flights' if len(keys) > 1 else 'this flight'} out"
         )
 
@@ -84,6 +90,7 @@ def shared(
     masses: Mapping[str, float] | None = None,
     command_map: Mapping[str, Any] | None = None,
     aged: Mapping[str, bool] | None = None,
+    drive: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Hover speed, simple model and actuator constants of the training rows, as plain data; and "contradictions",
     sentences on rotors that seem to sit or turn otherwise than configured.
@@ -93,6 +100,8 @@ def shared(
     masses     kg per flight, where they differ from the airframe's
     command_map  the quadrotor's configured map from command to rotor speed, where there is one
     aged       {flight: whether import took the age of its rotor telemetry off}, as `tables.ages_taken_off` tells
+    drive      the identified "rotor speeds" (`rotor_speeds.rotor_speeds_of`); where all speeds are estimated from it,
+               its thrust and torque factors, lag and geometry stand here, for they hold in closed loop
     Raises DataError when a column or the mass is missing.
     """
     notes: list[str] = []
@@ -113,7 +122,15 @@ def shared(
             values["Fz"] = values["Fz"] - _mass(mass, key) * GRAVITY * values["upright"]
         prepared[key] = (rows[good], values, mass)
     simple = _simple(prepared, airframe)
-    wrong = contradictions(prepared, airframe, simple["kappaFz"]["value"])
+    estimated = drive is not None and drive.get("factors") is not None
+    if estimated:
+        simple |= factors_of(drive, airframe)
+        wrong = contradicting_places(places_of(drive), airframe, 1.0)
+        constants = actuators_of(drive)
+    else:
+        wrong = contradictions(prepared, airframe, simple["kappaFz"]["value"])
+        measured = {k: f for k, f in training.items() if drive is None or k not in drive["estimated flights"]}
+        constants = actuators(measured, {k: partition[k] == TRAINING for k in measured}, notes, command_map, aged)
     notes += wrong
     return {
         "schema": "quasi.shared/1",
@@ -121,7 +138,8 @@ def shared(
         "training flights": list(training),
         "hover speed": _hover(prepared, notes),
         "simple model": simple,
-        "actuators": actuators(training, {k: partition[k] == TRAINING for k in training}, notes, command_map, aged),
+        "actuators": constants,
+        "rotor speeds": drive,
         "contradictions": wrong,
         "notes": notes,
     }

@@ -19,6 +19,7 @@ from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import read_capture
 from quasi.importing.series import Series
 from quasi.importing.wind import read_lvm
+from quasi.plausibility import silent_rotors
 from quasi.running.checksums import identity_of
 from quasi.tables import read_json, write_json
 
@@ -75,6 +76,7 @@ def inspect_flight(settings: Mapping[str, Any]) -> dict[str, Any]:
         found["holds"].pop("rotor speeds", None)
         stopped = [ALL_STOPPED]
     found["remarks"] += stopped
+    found["silent rotors"] = silent_rotors({n for s in sources.get("onboard", ()) for n in s.values if _moves(s, n)})
     found["lacks"] = [name for name in HOLDINGS if name not in found["holds"]]
     return found
 
@@ -152,14 +154,21 @@ def _stopped_rotors(series: Iterable[Series]) -> list[str]:
     return stopped
 
 
+def _moves(series: Series, name: str) -> bool:
+    """Whether a quantity holds a value other than 0."""
+    return bool(np.nan_to_num(series.values[name]).any())
+
+
 def usable_for(found: Mapping[str, Any]) -> str:
     """What an inspected flight will be good for, in a few words."""
     if found["problem"]:
         return "nothing: broken"
-    lacking = [] if "rotor speeds" in found["holds"] else ["rotor speeds"]
+    driven = {"rotor speeds", "commands"} & set(found["holds"])
+    lacking = [] if driven else ["rotor speeds"]
     lacking += [] if _has_motion(found) else ["position or velocity"]
     if not lacking:
-        return f"models and gaps{', with care' if found['remarks'] else ''}"
+        estimated = "" if "rotor speeds" in driven else ", rotor speeds estimated from commands"
+        return f"models and gaps{estimated}{', with care' if found['remarks'] else ''}"
     return f"its page only: no {' and no '.join(lacking)}"
 
 
@@ -179,13 +188,19 @@ def refusals(asked: Mapping[str, Any], inspected: Mapping[str, Mapping[str, Any]
     if not asked["identifies"]:
         return list(dict.fromkeys(sentences))
     sound = [key for key in flights if not inspected[key]["problem"]]
-    if silent := [key for key in sound if "rotor speeds" not in inspected[key]["holds"]]:
+    if silent := [key for key in sound if not {"rotor speeds", "commands"} & set(inspected[key]["holds"])]:
         several = len(silent) > 1
         because = dict.fromkeys(r for key in silent for r in inspected[key]["remarks"] if r == ALL_STOPPED)
+        because |= {
+            f"{key.rpartition('/')[2]} logs no command of rotor {', '.join(map(str, rotors))}": None
+            for key in silent
+            if len(rotors := inspected[key].get("silent rotors") or []) in (1, 2, 3)
+        }
         sentences.append(
             f"{asked['name']}: {'flights' if several else 'flight'} {_listed(silent)} hold{'' if several else 's'} no "
-            f"rotor speeds, which every model needs{''.join(f' ({b})' for b in because)}; log them "
-            f"(docs/your-own-data.md, section 4), or leave {'these flights' if several else 'this flight'} out"
+            "rotor speeds and no commands of all four rotors to estimate them from"
+            f"{''.join(f' ({b})' for b in because)}; log either (docs/your-own-data.md, section 4), or leave "
+            f"{'these flights' if several else 'this flight'} out"
         )
     learning = [key for key in flights if flights[key]["role"] in ("training", "compared")]
     if learning and all(key in sound and not _has_motion(inspected[key]) for key in learning):

@@ -38,6 +38,7 @@ def assemble(
         "hover speed": shared["hover speed"],
         "simple model": shared["simple model"],
         "actuators": shared["actuators"],
+        "rotor speeds": shared.get("rotor speeds"),
         "flights": {
             "training": list(shared["training flights"]),
             "validation": list(meta.get("validation flights", [])),

@@ -11,6 +11,7 @@ from quasi.attitude import from_euler, interpolate, multiply, rotate_inverse
 from quasi.errors import ReadError, nearest, quoted
 from quasi.importing.checks.rotor_speeds import clean_rotor_speeds
 from quasi.importing.clocks.table_clocks import in_long_runs, uncrowded
+from quasi.importing.command_units import scale_commands
 from quasi.importing.readers.signals import Signals
 from quasi.importing.readers.table_mapping import EULER, QUATERNION, VECTORS, Source
 from quasi.importing.streams import unwrapped
@@ -132,6 +133,9 @@ class MappedSource:
                 raise ReadError(
                     f"{path}: the column mapped to {quantity} is empty; map another one or make it optional"
                 )
+        shares = {n: v for n, v in self.values.items() if n.startswith("command")}
+        if shares:
+            self.values |= scale_commands(shares, {n: source.columns[n].unit for n in shares}, path, notes)
         if source.clock is not None:
             if source.clock[0] not in table.columns:
                 raise missing_column(path, [source.clock[0]], f"time of source '{source.name}'", known)

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from quasi.errors import ConfigError, nearest
+from quasi.importing.command_units import RANGES
 from quasi.importing.units import to_si
 
 VECTORS = {
@@ -56,12 +57,16 @@ _MAY_TURN = ("force", "velocity")
 
 @dataclass(frozen=True)
 class Column:
-    """aliases  names to look for, the first present wins; factor  to SI; body  axes of a vector; optional  may lack."""
+    """aliases  names to look for, the first present wins; factor  to SI; body  axes of a vector; optional  may lack.
+
+    unit  of a motor command (`command_units.RANGES`), None where the mapping names none; its factor is 1
+    """
 
     aliases: tuple[str, ...]
     factor: float
     body: bool
     optional: bool
+    unit: str | None = None
 
 
 @dataclass(frozen=True)
@@ -203,6 +208,14 @@ def _column(entry: Any, quantity: str, poles: int | None, where: str) -> Column:
     aliases = [entry["column"]] if isinstance(entry["column"], str) else entry["column"]
     if not isinstance(aliases, list) or not aliases or not all(isinstance(a, str) for a in aliases):
         raise ConfigError(f"{where}: 'column' must be a name or a list of names, found {entry['column']!r}")
+    if quantity.startswith("command"):
+        unit = entry.get("unit")
+        if unit is not None and unit not in RANGES:
+            raise ConfigError(
+                f"{where}: unknown unit '{unit}' of a motor command{nearest(str(unit), RANGES)}; one of "
+                f"{', '.join(RANGES)}, or leave it out to have it recognised"
+            )
+        return Column(tuple(aliases), 1.0, True, bool(entry.get("optional", False)), unit)
     factor = to_si(
         str(entry.get("unit", UNIT[quantity])), UNIT[quantity], where, poles if quantity[1:2].isdigit() else None
     )

@@ -1,0 +1,157 @@
+"""Rotor speeds from motor commands: a static map of command and battery voltage, a delay, a first-order lag.
+
+    dW/dt = (wanted(t - delay) - W) / tau,    wanted_i = S_i f(c_i, V / V_ref)
+
+S_i is the speed of rotor i at the operating command and the reference voltage, so f is 1 there. With c0 the operating
+command, v = V / V_ref and n the voltage exponent, the forms of f are
+
+    linear        v^n (1 + b (c / c0 - 1))
+    square root   v^n sqrt(1 + b (c / c0 - 1)), a thrust that is linear in the command
+    quadratic     1 + b (z - 1) + d (z - 1)^2 with z = v^n c / c0: duty times volts where n = 1
+    thrust map    sqrt((1 - sqrt(1 - k z)) / (1 - sqrt(1 - k))), volts that are a quadratic of the thrust
+    speed         the command is a speed already (rad/s); f is v^n c / c0
+
+Source: the thrust map inverts the battery compensation of the Crazyflie firmware (volts = a T - b T^2 per motor); the
+others are steady states of a DC motor with a propeller, linearised or not.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.signal import lfilter
+
+from quasi.errors import DataError
+
+ROTORS = range(1, 5)
+SPEEDS = tuple(f"w{i}" for i in ROTORS)
+SHARES = tuple(f"command{i}" for i in ROTORS)
+COMMANDED = tuple(f"w{i}_CMD" for i in ROTORS)
+RAW = "_raw"  # ending of columns that the filter keeps without its low-pass, where rotor speeds are to be estimated
+TAU_RANGE = (0.002, 0.5)  # s, as in the identification of actuators
+DELAY_RANGE = (-0.025, 0.1)  # s, as in the identification of actuators; negative where commands are logged late
+EXPONENT_RANGE = (-1.0, 3.0)  # of the voltage; 0 with ideal battery compensation, 1 for duty times volts
+
+
+class Form(NamedTuple):
+    """Shape parameters of a map: names, starting values, bounds; speed(c / c0, v, n, parameters)."""
+
+    names: tuple[str, ...]
+    start: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+
+# Bounds: a speed falls with its command nowhere, and no form is steeper than a thrust that grows with the command
+# cubed (slope 1.5 of the speed).
+FORMS = {
+    "linear": Form(("slope",), (0.7,), (0.05,), (1.5,)),
+    "square root": Form(("slope",), (1.0,), (0.1,), (3.0,)),
+    "quadratic": Form(("slope", "curvature"), (0.7, 0.0), (0.05, -1.0), (1.5, 1.0)),
+    "thrust map": Form(("saturation",), (0.5,), (0.01,), (0.98,)),
+    "speed": Form((), (), (), ()),
+}
+
+
+def shape(form: str, share: np.ndarray, ratio: np.ndarray | float, exponent: float, parameters: Any) -> np.ndarray:
+    """f of the module's head: steady speed over that at the operating point.
+
+    share  (N, R) command over the operating command; ratio (N, 1) voltage over the reference, or 1.0; parameters  of
+    the form, in the order of FORMS
+    """
+    factor = np.maximum(ratio, 0.0) ** exponent
+    if form == "linear":
+        return factor * np.maximum(1.0 + parameters[0] * (share - 1.0), 0.0)
+    if form == "square root":
+        return factor * np.sqrt(np.maximum(1.0 + parameters[0] * (share - 1.0), 0.0))
+    z = factor * share
+    if form == "quadratic":
+        return np.maximum(1.0 + parameters[0] * (z - 1.0) + parameters[1] * (z - 1.0) ** 2, 0.0)
+    if form == "thrust map":
+        k = parameters[0]
+        thrust = (1.0 - np.sqrt(np.clip(1.0 - k * np.maximum(z, 0.0), 0.0, 1.0))) / (1.0 - np.sqrt(1.0 - k))
+        return np.sqrt(thrust)
+    return np.maximum(z, 0.0)
+
+
+def lagged(wanted: np.ndarray, dt: float, tau: float, delay: float) -> np.ndarray:
+    """What follows wanted (N, R) late by `delay`, s, and with a first-order lag, s; wanted is linear between samples."""
+    keep, share = np.exp(-dt / tau), dt / tau
+    last = 1.0 - (1.0 - keep) / share
+    first = (1.0 - keep) / share - keep
+    late = delayed(wanted, dt, delay)
+    start = (1.0 - last) * late[:1]
+    return lfilter([last, first], [1.0, -keep], late, axis=0, zi=start)[0]
+
+
+def delayed(values: np.ndarray, dt: float, delay: float) -> np.ndarray:
+    """values (N, R) at times earlier by `delay`, s, by cubics through four samples; the ends are held.
+
+    Straight lines would damp fast commands most where the delay lies between samples, and draw an estimate of the delay
+    to whole samples. Source: Laakso et al., Splitting the unit delay, IEEE Signal Processing Magazine 13, 1996.
+    """
+    whole = int(np.floor(delay / dt))
+    x = delay / dt - whole  # 0 to 1, back in time from the sample `whole` steps ago
+    weights = {
+        -1: -x * (x - 1.0) * (x - 2.0) / 6.0,
+        0: (x + 1.0) * (x - 1.0) * (x - 2.0) / 2.0,
+        1: -(x + 1.0) * x * (x - 2.0) / 2.0,
+        2: (x + 1.0) * x * (x - 1.0) / 6.0,
+    }
+    at = np.arange(len(values)) - whole
+    return sum(w * values[np.clip(at - k, 0, len(values) - 1)] for k, w in weights.items())
+
+
+def steady_speeds(drive: Mapping[str, Any], commands: np.ndarray, volts: np.ndarray | None = None) -> np.ndarray:
+    """Speeds (N, 4), rad/s, at which the rotors settle for constant commands.
+
+    drive     section "rotor speeds" of a model; commands (N, 4) as its "input" says: shares 0 to 1, or rad/s
+    volts     (N,) V; None takes the reference voltage
+    Raises DataError where commands or volts hold what is no number.
+    """
+    commands = np.asarray(commands, float)
+    if not np.isfinite(commands).all():
+        raise DataError("commands must be finite numbers")
+    exponent, ratio = 0.0, 1.0
+    if drive["voltage exponent"] is not None and volts is not None:
+        volts = np.asarray(volts, float)
+        if not np.isfinite(volts).all():
+            raise DataError("the battery voltage must be finite numbers")
+        exponent, ratio = drive["voltage exponent"]["value"], volts[:, None] / drive["reference voltage"]
+    parameters = [drive["parameters"][name]["value"] for name in FORMS[drive["form"]].names]
+    if drive["input"] == "share":
+        commands = np.clip(commands, 0.0, 1.0)
+    share = commands / drive["operating command"]
+    return np.asarray(drive["speeds"]["value"]) * shape(drive["form"], share, ratio, exponent, parameters)
+
+
+def speeds_of(
+    drive: Mapping[str, Any], commands: np.ndarray, volts: np.ndarray | None, dt: float
+) -> np.ndarray:
+    """Rotor speeds (N, 4), rad/s, of commands in even steps of dt, s, from the steady state of the first.
+
+    Arguments as `steady_speeds`.
+    """
+    wanted = steady_speeds(drive, commands, volts)
+    return lagged(wanted, dt, drive["time constant"]["value"], drive["delay"]["value"])
+
+
+def raw_commands(table: pd.DataFrame, kind: str) -> np.ndarray | None:
+    """Commands (N, 4) of a filtered flight as logged; kind "share" or "speed". None where it keeps none."""
+    names = [f"{n}{RAW}" for n in (SHARES if kind == "share" else COMMANDED)]
+    return table[names].to_numpy(float) if all(n in table for n in names) else None
+
+
+def raw_volts(table: pd.DataFrame) -> np.ndarray | None:
+    """Battery voltage (N,), V, of a filtered flight; None where it was not logged."""
+    return table["battery_voltage"].to_numpy(float) if "battery_voltage" in table else None
+
+
+def used_rows(table: pd.DataFrame) -> np.ndarray:
+    """True (N,) in the rows of a filtered flight that are valid and in flight."""
+    rows = np.ones(len(table), bool)
+    for flag in ("valid", "in_flight"):
+        if flag in table:
+            rows &= table[flag].to_numpy(float) > 0.5
+    return rows
