@@ -37,7 +37,9 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
     tables, made = ({k: v for k, v in each.items() if k not in left_out} for each in (tables, made))
     because = {key: why for key, about in made.items() if (why := about.get("phases", {}).get("none valid because"))}
     masses = masses_of(made)
-    drive, said = rotor_speeds_of(tables, airframe, masses, settings["quadrotor"])
+    drive, said = rotor_speeds_of(
+        tables, airframe, masses, settings["quadrotor"], settings["data partitioning"]["usable data ratio"]
+    )
     tables = {key: add_estimated_speeds(table, made[key], drive) for key, table in tables.items()}
     roles = partition(tables, options=settings["data partitioning"], because=because)
     mapped = settings["quadrotor"].get("command map")

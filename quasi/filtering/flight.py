@@ -14,11 +14,11 @@ from quasi.errors import ConfigError, DataError, add_caution, cautions
 from quasi.filtering import band as bands
 from quasi.filtering import bias as biases
 from quasi.filtering import ekf, estimation, forces, measurements
+from quasi.filtering.rotor_speeds import commands_to_keep
 from quasi.filtering.verdict import judge_flight
 from quasi.plausibility import impossible_inertia
-from quasi.filtering.rotor_speeds import commands_to_keep
-from quasi.terms.rotor_map import RAW
 from quasi.tables import COLUMNS
+from quasi.terms.rotor_map import RAW
 
 DEFAULTS: dict[str, Any] = {
     "use noise statistics in drone config": True,

@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 
 from quasi.filtering import forces
-from quasi.terms.rotor_map import COMMANDED, SHARES, SPEEDS, raw_commands, raw_volts, speeds_of, used_rows
 from quasi.tables import read_made, read_table
+from quasi.terms.rotor_map import COMMANDED, SHARES, SPEEDS, raw_commands, raw_volts, speeds_of, used_rows
 
 
 def commands_to_keep(actuators: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -72,6 +72,8 @@ def trim_of(table: pd.DataFrame, made: Mapping[str, Any], speeds: np.ndarray, dr
     mean = np.mean(speeds[rows] ** 2, axis=0) if rows.any() else np.zeros(4)
     if not np.all(mean > 0.0):
         return np.ones(4)
-    wanted = np.asarray(drive["scale"]["shares"]) * -float(made["mass"]) * float(table["az"].to_numpy(float)[rows].mean())
+    wanted = (
+        np.asarray(drive["scale"]["shares"]) * -float(made["mass"]) * float(table["az"].to_numpy(float)[rows].mean())
+    )
     wanted = wanted / drive["scale"]["thrust factor"]["value"]
     return np.sqrt(wanted / mean) if np.all(wanted > 0.0) else np.ones(4)

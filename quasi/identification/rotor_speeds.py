@@ -31,6 +31,7 @@ from scipy.signal import lfilter
 from quasi.airframe import Airframe, number
 from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.errors import DataError
+from quasi.identification.partition import usable
 from quasi.terms.rotor_map import (
     DELAY_RANGE,
     EXPONENT_RANGE,
@@ -46,7 +47,9 @@ from quasi.terms.rotor_map import (
 )
 
 STEP = 0.01  # s between compared rows: half the shortest lag of a brushed motor, and no finer than slow logs
-ORDER = 12  # of the autoregressive disturbance: 0.12 s. On nanobench the factors rise up to there, and are level to 0.2 s
+ORDER = (
+    12  # of the autoregressive disturbance: 0.12 s. On nanobench the factors rise up to there, and are level to 0.2 s
+)
 ROUNDS = 3  # disturbance model and map are estimated in turn
 SHORTEST = 5.0  # s of compared rows of all flights together: ten times the longest time constant
 MIN_VOLTAGE_VARIATION = 0.01  # std over median of the voltage, as in the identification of actuators
@@ -96,10 +99,12 @@ def identify_rotor_speeds(
     airframe: Airframe,
     masses: Mapping[str, float],
     known: Mapping[str, float] | None = None,
+    chosen: Mapping[str, np.ndarray] | None = None,
 ) -> tuple[dict[str, Any], list[str]]:
     """The section "rotor speeds" of a model from filtered flights that hold no rotor speeds, and notes.
 
-    flights  filtered training flights with the columns that the filter keeps where speeds lack (`quasi.terms.rotor_map.RAW`)
+    flights  filtered training flights with the columns that the filter keeps where speeds lack (`rotor_map.RAW`)
+    chosen   {flight: (n,) bool} rows to use, stretches rather than single rows; None takes those valid and in flight
     masses   kg per flight; known  "hover speed" (rad/s) or "thrust factor" (N s2/rad2) of the quadrotor's configuration
     Raises DataError where the flights are too short, or their commands move too little.
     """
@@ -111,8 +116,9 @@ def identify_rotor_speeds(
             "train the model on flights of one kind, or give the quadrotor a 'command map'"
         )
     kind = next(iter(kinds))
-    operating, reference = _operating_point(flights, kind, notes)
-    made = {k: _prepare(f, airframe, masses[k], kind, operating, reference) for k, f in flights.items()}
+    chosen = chosen or {key: used_rows(flight) for key, flight in flights.items()}
+    operating, reference = _operating_point(flights, chosen, kind, notes)
+    made = {k: _prepare(f, chosen[k], airframe, masses[k], kind, (operating, reference)) for k, f in flights.items()}
     made = {k: f for k, f in made.items() if f.rows.any()}
     seconds = sum(float(f.rows.sum()) * f.h for f in made.values())
     if seconds < SHORTEST:
@@ -129,7 +135,7 @@ def identify_rotor_speeds(
     best = min(fits, key=lambda n: fits[n].criterion)
     fit = fits[best]
     if kind == "share":
-        _note_limits(flights, notes)
+        _note_limits(flights, chosen, notes)
     drive = _as_plain(fit, best, kind, operating, reference, list(made), airframe, masses, known or {})
     drive["candidates"] = [
         {"form": n, "BIC": f.criterion - fit.criterion, "parameters": len(f.x)} for n, f in fits.items()
@@ -140,10 +146,10 @@ def identify_rotor_speeds(
 
 
 def _operating_point(
-    flights: Mapping[str, pd.DataFrame], kind: str, notes: list[str]
+    flights: Mapping[str, pd.DataFrame], chosen: Mapping[str, np.ndarray], kind: str, notes: list[str]
 ) -> tuple[float, float | None]:
     """Median command of the used rows, and the median voltage, V; None where a flight logs none or it never varies."""
-    commands = np.concatenate([raw_commands(f, kind)[used_rows(f)].ravel() for f in flights.values()])
+    commands = np.concatenate([raw_commands(f, kind)[chosen[k]].ravel() for k, f in flights.items()])
     operating = float(np.median(commands)) if len(commands) else 0.0
     if not operating > 0.0:
         raise DataError(f"the commands of the flights {', '.join(flights)} are 0 in flight; check their columns")
@@ -154,7 +160,7 @@ def _operating_point(
             "the map from command to rotor speed is identified without it"
         )
         return operating, None
-    volts = [raw_volts(f)[used_rows(f)] for f in flights.values()]
+    volts = [raw_volts(f)[chosen[k]] for k, f in flights.items()]
     median = float(np.median(np.concatenate(volts)))
     if not median > 0.0 or max(np.std(v) for v in volts if len(v)) < MIN_VOLTAGE_VARIATION * median:
         notes.append("the battery voltage hardly varies: the map from command to rotor speed is identified without it")
@@ -163,12 +169,14 @@ def _operating_point(
 
 
 def _prepare(
-    flight: pd.DataFrame, airframe: Airframe, mass: float, kind: str, operating: float, reference: float | None
-) -> _Flight:
+    flight: pd.DataFrame, used: np.ndarray, airframe: Airframe, mass: float, kind: str,
+    point: tuple[float, float | None],
+) -> _Flight:  # fmt: skip
+    """point  operating command and reference voltage, V or None"""
+    operating, reference = point
     t = flight["t"].to_numpy(float)
     dt = float(np.median(np.diff(t)))
     fine = max(round(STEP / dt), 1)
-    used = used_rows(flight)
 
     def mean(values: np.ndarray) -> np.ndarray:
         return _block_means(values, fine)
@@ -379,10 +387,10 @@ def thrust_shares(airframe: Airframe) -> np.ndarray:
     return shares
 
 
-def _note_limits(flights: Mapping[str, pd.DataFrame], notes: list[str]) -> None:
+def _note_limits(flights: Mapping[str, pd.DataFrame], chosen: Mapping[str, np.ndarray], notes: list[str]) -> None:
     """Report how often commands are at their limits."""
     for key, flight in flights.items():
-        commands = raw_commands(flight, "share")[used_rows(flight)]
+        commands = raw_commands(flight, "share")[chosen[key]]
         full = (commands >= LIMIT).mean(axis=0) if len(commands) else np.zeros(4)
         if full.max() > 0.01:
             notes.append(
@@ -409,9 +417,7 @@ def _as_plain(
     relative_map = _relative_error(fit)
     scatter = float(np.std(np.log(trims), ddof=1)) if len(keys) > 1 else None
     total = float(np.hypot(relative_map, scatter or 0.0))
-    arms = {
-        axis: {"value": float(fit.coefficients[axis][0]), "std": float(fit.errors[axis][0])} for axis in AXES[1:]
-    }
+    arms = {axis: {"value": float(fit.coefficients[axis][0]), "std": float(fit.errors[axis][0])} for axis in AXES[1:]}
     return {
         "source": "commands",
         "input": kind,
@@ -484,10 +490,12 @@ def rotor_speeds_of(
     airframe: Airframe,
     masses: Mapping[str, float],
     quadrotor: Mapping[str, Any],
+    ratio: float = 1.0,
 ) -> tuple[dict[str, Any] | None, list[str]]:
     """The section "rotor speeds" of a model and notes; (None, []) where all its flights hold measured speeds.
 
     flights  filtered training flights; quadrotor  its configuration ("hover speed" or "thrust factor" fix the scale)
+    ratio    middle part of each flight that is used, "usable data ratio" of the model
     """
     lacking = lacking_speeds(flights)
     if not lacking:
@@ -501,7 +509,12 @@ def rotor_speeds_of(
     unknown = [key for key in flights if masses.get(key) is None]
     if unknown:
         raise DataError(f"flight {unknown[0]}: the mass is unknown; fill in 'Mass' in the logbook")
-    drive, notes = identify_rotor_speeds({key: flights[key] for key in lacking}, airframe, masses, known)
+    chosen = {}
+    for key in lacking:
+        chosen[key] = np.zeros(len(flights[key]), bool)
+        middle = usable(len(flights[key]), ratio)
+        chosen[key][middle] = used_rows(flights[key])[middle]
+    drive, notes = identify_rotor_speeds({key: flights[key] for key in lacking}, airframe, masses, known, chosen)
     drive["estimated flights"] = lacking
     return drive, notes
 

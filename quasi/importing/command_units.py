@@ -55,7 +55,7 @@ def scale_commands(
 ) -> dict[str, np.ndarray]:
     """Command columns of one source as shares within 0 to 1.
 
-    values  {"command1": (n,), ...} as the table holds them; units  {name: unit of the mapping, None where it names none}
+    values  {"command1": (n,), ...} as the table holds them; units  {name: unit in the mapping, None where absent}
     notes   receives the recognised unit, and how many samples were beyond the range and were set to its end
     """
     unnamed = [name for name in values if units[name] is None]

@@ -76,7 +76,7 @@ def shape(form: str, share: np.ndarray, ratio: np.ndarray | float, exponent: flo
 
 
 def lagged(wanted: np.ndarray, dt: float, tau: float, delay: float) -> np.ndarray:
-    """What follows wanted (N, R) late by `delay`, s, and with a first-order lag, s; wanted is linear between samples."""
+    """What follows wanted (N, R) late by `delay`, s, and with a first-order lag, s; linear between samples."""
     keep, share = np.exp(-dt / tau), dt / tau
     last = 1.0 - (1.0 - keep) / share
     first = (1.0 - keep) / share - keep
@@ -126,9 +126,7 @@ def steady_speeds(drive: Mapping[str, Any], commands: np.ndarray, volts: np.ndar
     return np.asarray(drive["speeds"]["value"]) * shape(drive["form"], share, ratio, exponent, parameters)
 
 
-def speeds_of(
-    drive: Mapping[str, Any], commands: np.ndarray, volts: np.ndarray | None, dt: float
-) -> np.ndarray:
+def speeds_of(drive: Mapping[str, Any], commands: np.ndarray, volts: np.ndarray | None, dt: float) -> np.ndarray:
     """Rotor speeds (N, 4), rad/s, of commands in even steps of dt, s, from the steady state of the first.
 
     Arguments as `steady_speeds`.
