@@ -40,7 +40,7 @@ IMPORTING = (
     "logged body axes",
 )
 FILTERING = (*GEOMETRY, "motor poles", "idle RPM", "max RPM", "(estimated) imu sensor noise statistics")
-IDENTIFICATION = (*GEOMETRY, "motor poles", "idle RPM", "max RPM", "command map")
+IDENTIFICATION = (*GEOMETRY, "motor poles", "idle RPM", "max RPM", "command map", "hover speed", "thrust factor")
 LIGHTEST, HEAVIEST = 0.005, 100.0  # kg: outside lies a slip of unit, not a quadrotor
 
 

@@ -45,7 +45,7 @@ FAULTS = {
     "no rotor speeds": (lambda lab: log(lab / "data/raw/a.csv", *IMU, *PLACE), "flight a holds no rotor speeds"),
     "rotor speeds all 0": (
         lambda lab: log(lab / "data/raw/a.csv", *IMU, *PLACE, **dict.fromkeys(ROTORS, 0.0)),
-        "flight a holds no rotor speeds, which every model needs (the speeds of all rotors are 0",
+        "to estimate them from (the speeds of all rotors are 0",
     ),
     "wrong rigid body": (lambda lab: edit(lab, "Quad,433", "Qaud,433"), "no rigid body 'Qaud' (did you mean 'Quad'?)"),
     "wrong path": (lambda lab: edit(lab, "Lab,a,data/raw", "Lab,a,data/rwa"), "raw file data/rwa/a"),

@@ -298,14 +298,14 @@ def test_a_comment_right_above_the_numbers_names_the_columns(tmp_path, first):
     ("quantity", "column", "factor", "said"),
     [
         ("w1", "m1", 60 / (2 * np.pi) * 7, "w1 reaches .* rad/s at most; check its unit"),
-        ("command1", "share", 1500.0, "command1 reaches 1500, where a command of 1 is full"),
+        ("command1", "share", 1500.0, "motor commands lay outside their range"),
         ("battery_voltage", "volt", 16000.0, "battery_voltage reaches 1.6e\\+04, where a battery has 100 V at most"),
     ],
 )
 def test_values_that_no_vehicle_has_are_in_doubt(tmp_path, flown, quantity, column, factor, said):
     _, _, table = flown
     plan = copy.deepcopy(PLAN)
-    plan["sources"][1]["columns"][quantity] = column
+    plan["sources"][1]["columns"][quantity] = {"column": column, "unit": "1"} if quantity == "command1" else column
     table = table.assign(share=1.0, volt=1.0)
     table[column] *= factor
     told = cautions(read_table_log(saved(tmp_path, table), plan, 14).notes)

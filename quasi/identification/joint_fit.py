@@ -1,0 +1,273 @@
+"""The joint fit of one form of the map from commands to rotor speeds, and of thrust and torque factors.
+
+Equations, disturbance model and sources stand in `rotor_speeds`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
+
+from quasi.airframe import Airframe
+from quasi.errors import DataError
+from quasi.terms.rotor_map import (
+    DELAY_RANGE,
+    EXPONENT_RANGE,
+    FORMS,
+    RAW,
+    TAU_RANGE,
+    lagged,
+    raw_commands,
+    raw_volts,
+    shape,
+)
+
+STEP = 0.01  # s between compared rows: half the shortest lag of a brushed motor, and no finer than slow logs
+# of the autoregressive disturbance, 0.12 s: on nanobench the factors rise up to there and are level up to 0.2 s
+ORDER = 12
+ROUNDS = 3  # disturbance model and map are estimated in turn
+WORST_CONDITION = 1e12  # of the normal equations of scaled parameters; beyond it doubles hold no digits
+AXES = ("Fz", "Mx", "My", "Mz")
+
+
+@dataclass
+class PreparedFlight:
+    """One flight, averaged to about STEP.
+
+    fine: rows of the log's grid in a compared row; dt, h  s of the grid and of compared rows; commands (N, 4) in units
+    of the operating command; ratio (N, 1) of voltages or None; targets {axis: (M,)}; columns {name: (M,)} of rates and
+    velocities; rows (M,) compared; thrust  its mean, N
+    """
+
+    fine: int
+    dt: float
+    h: float
+    commands: np.ndarray
+    ratio: np.ndarray | float
+    targets: dict[str, np.ndarray]
+    columns: dict[str, np.ndarray]
+    rows: np.ndarray
+    used: np.ndarray
+    thrust: float
+
+
+def prepare_flight(
+    flight: pd.DataFrame, used: np.ndarray, airframe: Airframe, mass: float, kind: str,
+    point: tuple[float, float | None],
+) -> PreparedFlight:  # fmt: skip
+    """point  operating command and reference voltage, V or None"""
+    operating, reference = point
+    t = flight["t"].to_numpy(float)
+    dt = float(np.median(np.diff(t)))
+    fine = max(round(STEP / dt), 1)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return block_means(values, fine)
+
+    def raw(name: str) -> np.ndarray:
+        return mean(flight[f"{name}{RAW}"].to_numpy(float))
+
+    h = fine * dt
+    rates = np.stack([raw(n) for n in "pqr"], axis=1)
+    slope = np.diff(rates, axis=0) / h
+    middle = 0.5 * (rates[1:] + rates[:-1])
+    inertia = np.asarray(airframe.inertia, float)
+    moments = slope @ inertia.T + np.cross(middle, middle @ inertia.T)
+    targets = {"Fz": mass * raw("az")[1:], **{axis: moments[:, i] for i, axis in enumerate(AXES[1:])}}
+    air = {n: f"{n}_air" if f"{n}_air" in flight else n for n in "uvw"}
+    columns = {n: mean(flight[air[n]].to_numpy(float)) for n in "uvw"}
+    columns = {n: 0.5 * (c[1:] + c[:-1]) for n, c in columns.items()}
+    columns |= {n: rates[:-1, i] for i, n in enumerate("pqr")}  # known before the step, as in a prediction
+    whole = mean(used.astype(float)) > 0.99
+    rows = whole[1:] & whole[:-1]
+    # a prediction needs the rows before it
+    age = np.arange(len(rows)) - np.maximum.accumulate(np.where(rows, -1, np.arange(len(rows))))
+    ratio: np.ndarray | float = 1.0
+    if reference is not None:
+        ratio = raw_volts(flight)[:, None] / reference
+    weight = -float(np.mean(targets["Fz"][rows])) if rows.any() else 0.0
+    return PreparedFlight(
+        fine, dt, h, raw_commands(flight, kind) / operating, ratio, targets, columns, rows & (age > ORDER), used, weight
+    )
+
+
+def block_means(values: np.ndarray, size: int) -> np.ndarray:
+    """Means (M, ...) over blocks of `size` rows of (N, ...)."""
+    count = len(values) // size
+    return values[: count * size].reshape(count, size, *values.shape[1:]).mean(axis=1)
+
+
+class JointFit:
+    """One form of the map on all flights: parameters x = time constant, delay, shape, voltage exponent."""
+
+    def __init__(self, form: str, flights: Sequence[PreparedFlight], airframe: Airframe, with_voltage: bool) -> None:
+        self.form, self.flights, self.airframe = form, flights, airframe
+        about = FORMS[form]
+        self.names = ("time constant", "delay", *about.names, *(("voltage exponent",) if with_voltage else ()))
+        last = len(self.names) - 2 - len(about.names)
+        self.low = np.array([TAU_RANGE[0], DELAY_RANGE[0], *about.low, *[EXPONENT_RANGE[0]] * last])
+        self.high = np.array([TAU_RANGE[1], DELAY_RANGE[1], *about.high, *[EXPONENT_RANGE[1]] * last])
+        self.size = np.array([0.01, 0.005, *[0.2] * (len(self.low) - 2)])
+        self.x = np.array([0.04, 0.005, *about.start, *[0.7] * last])
+        self.shares = thrust_shares(airframe)
+        self.colour = {axis: np.zeros(ORDER) for axis in AXES}
+        self.scale = dict.fromkeys(AXES, 1.0)
+        self.with_voltage = with_voltage
+        self.criterion = np.inf
+        self.covariance = np.zeros((len(self.x), len(self.x)))
+
+    def thrusts(self, flight: PreparedFlight, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Thrusts (N, 4), N, on the flight's grid, their rotors' speeds over the square root of N, factors (4,)."""
+        parts = len(FORMS[self.form].names)
+        exponent = x[-1] if self.with_voltage else 0.0
+        speeds = shape(self.form, flight.commands, flight.ratio, exponent, x[2 : 2 + parts])
+        speeds = lagged(speeds, flight.dt, x[0], x[1])
+        mean = np.mean(speeds[flight.used] ** 2, axis=0)
+        factor = self.shares * flight.thrust / np.maximum(mean, 1e-12)
+        return speeds**2 * factor, speeds * np.sqrt(factor), factor
+
+    def equations(self, flight: PreparedFlight, x: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """{axis: (target (M,), columns (M, k))}; the first column of a moment is that of its factor."""
+        thrust, speeds, _ = self.thrusts(flight, x)
+        blocks, turning = (block_means(v, flight.fine) for v in (thrust, speeds))
+        mid, total = 0.5 * (blocks[1:] + blocks[:-1]), 0.5 * (turning[1:] + turning[:-1]).sum(axis=1)
+        c, hubs, spin = flight.columns, self.airframe.hubs, self.airframe.spin
+        faster = np.diff(turning, axis=0) @ spin / flight.h
+        return {
+            "Fz": (
+                flight.targets["Fz"] + mid.sum(axis=1),
+                np.stack([c["w"] * total, c["u"] ** 2 + c["v"] ** 2], axis=1),
+            ),
+            "Mx": (flight.targets["Mx"], np.stack([-mid @ hubs[:, 1], c["p"], c["v"] * total], axis=1)),
+            "My": (flight.targets["My"], np.stack([mid @ hubs[:, 0], c["q"], c["u"] * total], axis=1)),
+            "Mz": (flight.targets["Mz"], np.stack([-mid @ spin, c["r"], faster], axis=1)),
+        }
+
+    def whitened(self, x: np.ndarray, white: bool = True) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """{axis: (target, columns)} of all compared rows, through the inverse of the disturbance model, about the means
+        of each flight."""
+        found: dict[str, list] = {axis: [] for axis in AXES}
+        for flight in self.flights:
+            for axis, (target, columns) in self.equations(flight, x).items():
+                both = np.column_stack([target, columns])
+                if white:
+                    both = lfilter(np.concatenate([[1.0], -self.colour[axis]]), [1.0], both, axis=0)
+                both = both[flight.rows]
+                found[axis].append(both - both.mean(axis=0))
+        return {axis: ((b := np.concatenate(parts))[:, 0], b[:, 1:]) for axis, parts in found.items()}
+
+    def solve(self, x: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """{axis: (coefficients, their covariance up to the variance, residual)}."""
+        found = {}
+        for axis, (target, columns) in self.whitened(x).items():
+            size = np.linalg.norm(columns, axis=0)
+            size = np.where(size > 0, size, 1.0)
+            normal = (columns / size).T @ (columns / size) + 1e-12 * np.eye(len(size))
+            inverse = np.linalg.inv(normal)
+            theta = inverse @ ((columns / size).T @ target)
+            found[axis] = theta / size, inverse / np.outer(size, size), target - (columns / size) @ theta
+        return found
+
+    def run(self, begin: "JointFit | None" = None) -> None:
+        """Estimate the parameters; those that another fit shares with this one start there."""
+        if begin is not None:
+            self.colour, self.scale = dict(begin.colour), dict(begin.scale)
+            shared = dict(zip(begin.names, begin.x))
+            self.x = np.array([shared[n] if n not in FORMS[self.form].names and n in shared else v
+                               for n, v in zip(self.names, self.x)])  # fmt: skip
+        else:
+            self._update_noise(self.solve(self.x))
+        for _ in range(ROUNDS if begin is None else ROUNDS - 1):
+            found = least_squares(
+                self._error, self.x, bounds=(self.low, self.high), x_scale=self.size, diff_step=1e-2, xtol=1e-5,
+                ftol=1e-6, max_nfev=25,
+            )  # fmt: skip
+            self.x = found.x
+            self._update_noise(self.solve(self.x))
+        self._finish()
+
+    def _error(self, x: np.ndarray) -> np.ndarray:
+        return np.concatenate([part[2] / self.scale[axis] for axis, part in self.solve(x).items()])
+
+    def _update_noise(self, solved: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
+        """The autoregression of the residuals of each axis by least squares, and the std of what it cannot predict."""
+        for axis in AXES:
+            past, now = [], []
+            for flight in self.flights:
+                target, columns = self.equations(flight, self.x)[axis]
+                left = target - columns @ solved[axis][0]
+                left = left - left[flight.rows].mean()
+                lags = np.stack([np.concatenate([np.zeros(k), left[:-k]]) for k in range(1, ORDER + 1)], axis=1)
+                past.append(lags[flight.rows])
+                now.append(left[flight.rows])
+            a, b = np.concatenate(past), np.concatenate(now)
+            self.colour[axis] = np.linalg.lstsq(a, b, rcond=None)[0]
+            self.scale[axis] = float(np.std(b - a @ self.colour[axis]))
+
+    def _finish(self) -> None:
+        solved = self.solve(self.x)
+        count = len(solved["Fz"][2])
+        self.sigma = {axis: float(np.std(part[2])) for axis, part in solved.items()}
+        free = len(self.x) + sum(len(part[0]) for part in solved.values())
+        self.criterion = 2.0 * count * sum(np.log(s) for s in self.sigma.values()) + free * np.log(count)
+        self.coefficients = {axis: part[0] for axis, part in solved.items()}
+        self.scale = dict(self.sigma)
+        jacobian = np.empty((count * len(AXES), len(self.x)))
+        for k, step in enumerate(1e-2 * self.size):
+            ends = [self._error(np.clip(self.x + sign * step * (np.arange(len(self.x)) == k), self.low, self.high))
+                    for sign in (1, -1)]  # fmt: skip
+            jacobian[:, k] = (ends[0] - ends[1]) / (2 * step)
+        scaled = jacobian * self.size
+        normal = scaled.T @ scaled
+        if np.linalg.cond(normal) > WORST_CONDITION:
+            raise DataError(
+                "the commands vary too little to identify how rotor speeds follow from them; add flights with quick "
+                "manoeuvres"
+            )
+        self.covariance = np.linalg.inv(normal) * np.outer(self.size, self.size)
+        # factors of the moments: their own error, and that of the map, by finite differences
+        self.errors = {}
+        for axis, part in solved.items():
+            variance = self.sigma[axis] ** 2 * part[1]
+            slopes = []
+            for k, step in enumerate(1e-2 * self.size):
+                moved = np.clip(self.x + step * (np.arange(len(self.x)) == k), self.low, self.high)
+                slopes.append((self.solve(moved)[axis][0] - part[0]) / step)
+            turn = np.array(slopes)
+            self.errors[axis] = np.sqrt(np.diag(variance + turn.T @ self.covariance @ turn))
+
+    def places(self, axis: str) -> dict[str, list[float]]:
+        """Moment per N of thrust of each rotor: "value", "std" (4,) m, each rotor by itself."""
+        found = []
+        for flight in self.flights:
+            thrust = block_means(self.thrusts(flight, self.x)[0], flight.fine)
+            target, columns = self.equations(flight, self.x)[axis]
+            both = np.column_stack([target, 0.5 * (thrust[1:] + thrust[:-1]), columns[:, 1:]])
+            both = lfilter(np.concatenate([[1.0], -self.colour[axis]]), [1.0], both, axis=0)[flight.rows]
+            found.append(both - both.mean(axis=0))
+        table = np.concatenate(found)
+        size = np.linalg.norm(table[:, 1:], axis=0)
+        size = np.where(size > 0, size, 1.0)
+        columns = table[:, 1:] / size
+        inverse = np.linalg.pinv(columns.T @ columns)
+        theta = inverse @ (columns.T @ table[:, 0])
+        variance = np.var(table[:, 0] - columns @ theta)
+        std = np.sqrt(variance * np.diag(inverse)) / size
+        return {"value": (theta / size)[:4].tolist(), "std": std[:4].tolist()}
+
+
+def thrust_shares(airframe: Airframe) -> np.ndarray:
+    """Shares (4,) of the total thrust with which the moments of thrust and drag vanish; quarters on a symmetric frame.
+
+    Raises DataError where no such shares exist, as with all hubs on one side of the cg.
+    """
+    rows = np.stack([np.ones(4), -airframe.hubs[:, 1], airframe.hubs[:, 0], -airframe.spin])
+    shares = np.linalg.lstsq(rows, np.array([1.0, 0.0, 0.0, 0.0]), rcond=None)[0]
+    if not np.all(shares > 0.0):
+        raise DataError(
+            f"{airframe.name}: no thrusts of the four rotors balance their moments; correct 'rotor positions'"
+        )
+    return shares
