@@ -30,6 +30,6 @@ def test_the_examples_of_the_page_run_in_order(tmp_path, monkeypatch):
     for block in blocks:
         # fewer frames, the rest as written
         exec(block.replace("fps=25", "fps=2").replace("fps=10", "fps=1"), names)
-    for name in ("trajectory.png", "snapshots.png", "both.png", "flight.gif", "close.gif", "beside.gif"):
+    for name in ("trajectory.png", "snapshots.png", "both.png", "flight.gif", "close.gif", "panel.gif"):
         with Image.open(tmp_path / name) as image:
             assert image.size[0] > 300
