@@ -196,11 +196,22 @@ def _read(m: Section) -> list[tuple[str, object]]:
         ("capture", _capture(capture)),
         ("wind", wind.get("path") or wind.get("file")),
         ("attitude from", m["attitude source"]),
+        ("made from other signals", _made(m.get("reconstructed") or {})),
         ("position from", m["position source"]),
         ("velocity from", m["velocity source"]),
         ("motor poles", f"{poles['value']} ({poles.get('source', '')})" if poles.get("value") else None),
         ("rest before take-off", f"{frame.number(m['rest before take-off']['value'])} s"),
     ]
+
+
+def _made(entries: Mapping[str, Mapping[str, Any]]) -> str:
+    """What the log lacks and import made: of what, up to which frequency, how well."""
+    return "; ".join(
+        f"{' and '.join(about.get('angles', [name]))} from {about['from']}, up to "
+        f"{frame.number(about['bandwidth']['value'])} Hz, ± {frame.number(about['std']['value'])} "
+        f"{about['std']['unit']}"
+        for name, about in entries.items()
+    )
 
 
 def _fields(names: Sequence[str]) -> str:
