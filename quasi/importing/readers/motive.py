@@ -11,26 +11,20 @@ import csv
 import io
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from quasi.attitude import continuous, from_matrix, normalise, rotate
+from quasi.attitude import from_matrix, normalise
 from quasi.errors import ReadError, add_caution, nearest
-from quasi.importing.artefacts import flyable, stalled
+from quasi.importing.readers.captured_body import LENGTHS, Body, captured_recording
 from quasi.importing.readers.reader import TEXT, Reader, Request
 from quasi.importing.readers.table_text import SEPARATORS, decimal_points, from_header, through_a_spreadsheet
-from quasi.importing.series import Recording, Series
+from quasi.importing.series import Recording
 from quasi.recognition import refuse_other_formats
 from quasi.tables import read_text, read_unpacked
 
 ROOM_TO_EARTH = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-LENGTHS = {
-    "meters": 1.0, "metres": 1.0, "m": 1.0,
-    "centimeters": 0.01, "centimetres": 0.01, "cm": 0.01,
-    "millimeters": 0.001, "millimetres": 0.001, "mm": 0.001,
-}  # fmt: skip
 TYPES = {
     "rigid body",
     "rigid body marker",
@@ -43,7 +37,6 @@ TYPES = {
     "camera",
 }
 LARGEST = 1e10
-LARGEST_ROOM = 150.0  # m
 QUANTITIES = {"rotation", "position", "mean marker error", "error per marker", "marker quality", "marker error"}
 
 
@@ -82,93 +75,19 @@ def read_motive(
     scale = _length_scale(header, path)
     position = scale * np.stack([values["position", axis] for axis in "xyz"], axis=-1) @ ROOM_TO_EARTH.T
     quaternion, rotation = _attitude(header, values, path)
-    seen = np.isfinite(position).all(axis=-1)
-    if quaternion is not None:
-        seen &= np.isfinite(quaternion).all(axis=-1)
-    else:
-        notes.append(f"{path}: the export holds no rotation of '{header.name}'; its attitude has to come from on board")
-    if not seen.any():
-        raise ReadError(
-            f"{path} never saw rigid body '{header.name}' ({len(t)} frames, all empty); check its name and export"
-        )
-
-    low, high = np.quantile(position[seen], [0.02, 0.98], axis=0)
-    if np.max(high - low) > LARGEST_ROOM:
-        raise ReadError(
-            f"{path}: '{header.name}' moves through {np.max(high - low):.0f} m if lengths are in "
-            f"{header.facts.get('length units', 'Meters')} as the header says, more than any room; correct "
-            "'Length Units', or export it anew"
-        )
-    lost = int(np.count_nonzero(~seen))
-    held = stalled(t, np.stack(list(values.values()), axis=-1), position, quaternion)
-    seen &= ~held
-    removed = np.zeros(len(t), bool)
-    flips = 0
-    index = np.flatnonzero(seen)
-    if quaternion is not None:
-        flips = int(np.count_nonzero(np.sum(quaternion[index][1:] * quaternion[index][:-1], axis=-1) < 0))
-        quaternion[index] = continuous(quaternion[index])
-    if remove_outliers:
-        removed[index] = ~flyable(t[index], position[index], quaternion[index] if quaternion is not None else None)
-    bad = ~seen | removed
-    if quaternion is not None:
-        index = np.flatnonzero(~bad)
-        quaternion[index] = continuous(quaternion[index])
-    if lost:
-        notes.append(f"{path}: '{header.name}' was not seen in {lost} of {len(t)} frames ({100 * lost / len(t):.1f} %)")
-    if held.any():
-        notes.append(f"{path}: {_said_of(held, t, header.name)}")
-    if removed.any():
-        notes.append(
-            f"{path}: {int(removed.sum())} of {len(t)} frames were removed as impossible to fly (marker swaps or "
-            f"reflections), the first at {t[np.argmax(removed)]:.3f} s of the capture"
-        )
-
-    offset = np.zeros(3) if marker_offset is None else np.asarray(marker_offset, float)
-    if np.any(offset):
-        if quaternion is None:
-            notes.append(
-                f"{path}: the marker offset could not be taken off the position, for the export has no rotation"
-            )
-        else:
-            position = position - rotate(np.nan_to_num(quaternion, nan=0.5), offset)
-    position[bad] = np.nan
-    series = {"x": position[:, 0], "y": position[:, 1], "z": position[:, 2]}
-    if quaternion is not None:
-        quaternion[bad] = np.nan
-        series |= {name: quaternion[:, i] for i, name in enumerate(("qw", "qx", "qy", "qz"))}
-    metadata: dict[str, Any] = {
-        "file": str(path),
+    facts = {
         "format": "OptiTrack Motive",
         "format version": header.facts.get("format version", ""),
-        "rigid body": header.name,
         "rigid bodies": header.bodies,
         "take": header.facts.get("take name", ""),
         "capture start": header.facts.get("capture start time", ""),
         **clock_facts,
-        "frames": len(t),
-        "duration": float(t[-1] - t[0]),
         "rotation": rotation,
         "length unit": header.facts.get("length units", "Meters"),
-        "marker offset": offset.tolist(),
-        "frames lost": lost,
-        "frames held": int(held.sum()),
-        "frames removed": int(removed.sum()),
-        "quaternion sign flips": flips,
     }
-    return Recording({"capture": Series(t, series)}, metadata, notes)
-
-
-def _said_of(held: np.ndarray, t: np.ndarray, name: str) -> str:
-    """What was found of frames (n,) that hold an older pose, t (n,) s."""
-    starts = np.flatnonzero(np.diff(np.concatenate([[0], held.astype(int)])) > 0)
-    step = float(np.median(np.diff(t)))
-    when = ", ".join(f"{t[i]:.3f}" for i in starts[:5]) + (", ..." if len(starts) > 5 else "")
-    return (
-        f"'{name}' keeps one pose to the last digit in {np.count_nonzero(held)} of {len(t)} frames "
-        f"({np.count_nonzero(held) * step:.2f} s, in {len(starts)} stretches, from {when} s of the capture) though it "
-        "moves: the stream stalled or tracking was lost; they count as not seen"
-    )
+    written = np.stack(list(values.values()), axis=-1)
+    body = Body(header.name, t, position, quaternion, written, facts)
+    return captured_recording(path, body, marker_offset, remove_outliers, notes)
 
 
 def _plain(name: str) -> str:
