@@ -4,6 +4,7 @@ The extension says nothing. Only the first bytes are looked at, and the names in
 of a file is unpacked or run. Sources: the formats' own specifications; of Crazyflie's micro-SD logs its event format.
 """
 
+import re
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,6 +66,14 @@ STARTS = (
     (b"7z\xbc\xaf\x27\x1c", Format("7z", "a 7-Zip archive", UNPACK)),
     (b"\x28\xb5\x2f\xfd", Format("zstd", "packed by zstd", UNPACK)),
 )
+CAPTURE = "name it in 'Raw OptiTrack Name' of the logbook"
+VICON = Format("vicon", "a motion-capture export of Vicon", CAPTURE)
+QUALISYS = Format("qualisys", "a motion-capture export of Qualisys", CAPTURE)
+C3D = Format("c3d", "a C3D file of a motion capture", CAPTURE)
+# kind of data, then its rate; the line of quantities stands below the names
+_VICON = re.compile(
+    rb'(\xef\xbb\xbf)?"?(Objects|Segments|Global \w+|Model Outputs|Trajectories)"?[,;\t]*\r?\n"?[0-9.]+'
+)
 PICKLE = Format("pickle", "a Python pickle, which may run code when it is opened and is never read", CONVERT)
 CRAZYFLIE = Format("crazyflie", "a Crazyflie micro-SD log", SET.format("crazyflie"))
 
@@ -87,7 +96,14 @@ def recognise(data: bytes) -> Format | None:
         name = data[7 : max(7, data.find(b"\0", 7))]
         if name and name.isascii() and name.decode().isprintable():
             return CRAZYFLIE
+    # the number of the first parameter block, and 0x50 (the C3D file format, section "Header")
+    if data[1:2] == b"\x50" and 2 <= data[0] <= 64 and len(data) > 512:
+        return C3D
     text = data.replace(b"\0", b"")  # UTF-16, too
+    if re.match(rb'(\xef\xbb\xbf)?"?NO_OF_FRAMES[\t,;]', text):
+        return QUALISYS
+    if _VICON.match(text) and b"Sub Frame" in text:
+        return VICON
     if b"Format Version" in text[:200] and (b"Capture Frame Rate" in text or b"Take Name" in text):
         return MOTIVE
     return None

@@ -12,7 +12,7 @@ from quasi.project.logbook import Row
 from quasi.recognition import CONTROLLERS, HEAD, recognise
 from quasi.tables import read_head
 
-CAPTURE = (".csv", ".CSV")
+CAPTURE = (".csv", ".CSV", ".tsv", ".TSV", ".c3d", ".csv.gz")
 WIND = (".lvm", ".LVM", ".txt", ".csv")
 
 # What of a quadrotor configuration each stage reads: a change elsewhere in the file reruns nothing.

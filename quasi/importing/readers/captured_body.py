@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from quasi.attitude import continuous, rotate
-from quasi.errors import ReadError
+from quasi.errors import ReadError, nearest
 from quasi.importing.artefacts import flyable, stalled
 from quasi.importing.series import Recording, Series
 
@@ -17,6 +17,22 @@ LENGTHS = {
     "centimeters": 0.01, "centimetres": 0.01, "cm": 0.01,
     "millimeters": 0.001, "millimetres": 0.001, "mm": 0.001,
 }  # fmt: skip
+
+
+def choose_body(bodies: list[str], wanted: str | None, path: Path) -> str:
+    """The name of the vehicle among those in a capture, whatever its case; None wants the only one.
+
+    Raises ReadError where it is absent, or where several could be meant.
+    """
+    if wanted is None and len(bodies) > 1:
+        raise ReadError(f"{path} holds the rigid bodies {', '.join(bodies)}; name the vehicle's")
+    if wanted is None and bodies:
+        return bodies[0]
+    name = next((body for body in bodies if body.lower() == str(wanted).lower()), None)
+    if name is None:
+        what = f"no rigid body '{wanted}'{nearest(str(wanted), bodies)}" if bodies else "no rigid body at all"
+        raise ReadError(f"{path} holds {what}; correct 'Rigid Body Name' in the logbook, or export its 6DOF data")
+    return name
 
 
 @dataclass(frozen=True)

@@ -9,18 +9,23 @@ from typing import Any
 
 from quasi.errors import ReadError
 from quasi.importing.readers.betaflight import BLACKBOX_READER, DECODED_READER
+from quasi.importing.readers.c3d import READER as C3D
 from quasi.importing.readers.crazyflie import READER as CRAZYFLIE
 from quasi.importing.readers.dataflash import READER as DATAFLASH
 from quasi.importing.readers.motive import READER as MOTIVE
 from quasi.importing.readers.px4 import READER as PX4
+from quasi.importing.readers.qualisys import READER as QUALISYS
 from quasi.importing.readers.reader import TEXT, Reader, Request
 from quasi.importing.readers.rosbag import READER as ROSBAG
 from quasi.importing.readers.table_reader import READER as TABLE
+from quasi.importing.readers.vicon import READER as VICON
 from quasi.importing.series import Recording
 from quasi.recognition import CONTROLLERS, HEAD, recognise
 from quasi.tables import read_head
 
-READERS: tuple[Reader, ...] = (BLACKBOX_READER, DECODED_READER, TABLE, PX4, DATAFLASH, ROSBAG, CRAZYFLIE, MOTIVE)
+LOGS: tuple[Reader, ...] = (BLACKBOX_READER, DECODED_READER, TABLE, PX4, DATAFLASH, ROSBAG, CRAZYFLIE)
+CAPTURES: tuple[Reader, ...] = (VICON, QUALISYS, C3D, MOTIVE)
+READERS = LOGS + CAPTURES
 
 
 def read_log(request: Request) -> Recording:
