@@ -51,10 +51,13 @@ ARMED, ANGLE_MODE = 1, 2
 DISARM_SWITCH = 4
 
 
-def headers(settings: dict[str, str]) -> bytes:
-    """The text before the frames; `settings` are added or replaced by name (written as `H name:value`)."""
+FIRMWARE = "4.5.1"
+
+
+def headers(settings: dict[str, str | None]) -> bytes:
+    """The text before the frames; `settings` are added or replaced by name (`H name:value`), removed where None."""
     column = {k: ",".join(str(row[k]) for row in FIELDS) for k in range(6)}
-    lines: dict[str, str] = {
+    lines: dict[str, str | None] = {
         "Product": "Blackbox flight data recorder by Nicholas Sherlock",
         "Data version": "2",
         "Field I name": column[0],
@@ -68,7 +71,7 @@ def headers(settings: dict[str, str]) -> bytes:
         "Field S predictor": "0,0,0,0,0",
         "Field S encoding": f"{UNSIGNED_VB},{UNSIGNED_VB},{TAG2_3S32},{TAG2_3S32},{TAG2_3S32}",
         "Firmware type": "Cleanflight",
-        "Firmware revision": "Betaflight 4.5.1 (77d01ba3b) STM32F7X2",
+        "Firmware revision": f"Betaflight {FIRMWARE} (77d01ba3b) STM32F7X2",
         "Firmware date": "Jul 27 2024 08:36:31",
         "Board information": "MADE SYNTHETIC",
         "Log start datetime": "0000-01-01T00:00:00.000",
@@ -115,7 +118,7 @@ def headers(settings: dict[str, str]) -> bytes:
         "blackbox_high_resolution": "0",
     }
     lines.update(settings)
-    return "".join(f"H {name}:{value}\n" for name, value in lines.items()).encode()
+    return "".join(f"H {name}:{value}\n" for name, value in lines.items() if value is not None).encode()
 
 
 def _unsigned(value: int) -> bytes:
@@ -331,7 +334,7 @@ def _encode(values, table, whole_every, step, reference, lowest, motor, places, 
 def encode_log(
     values: np.ndarray,
     others: list[tuple[int, bytes]],
-    settings: dict[str, str] | None = None,
+    settings: dict[str, str | None] | None = None,
     whole_every: int = 128,
     step: int = 4,
     reference: int = 1640,

@@ -16,11 +16,13 @@ import pandas as pd
 from quasi import attitude
 from quasi.errors import ConfigError, nearest
 from quasi.synthesis import vehicle as made
+from quasi.synthesis.conditions import KEYS as CONDITIONS
+from quasi.synthesis.conditions import apply_conditions, packet_faults, read_conditions
 from quasi.synthesis.controller import control_of
 from quasi.synthesis.effects import check, plant
 from quasi.synthesis.flight import AIR_RATE, LOG, LOOP, TRUTH, fly
 from quasi.synthesis.motive_writer import motive_csv
-from quasi.synthesis.nuisance import Setup, air, nominal, vary
+from quasi.synthesis.nuisance import Session, Setup, air, nominal, vary
 from quasi.synthesis.pilot import OFF_TIME, PROFILES, REST, pilot
 from quasi.synthesis.recorder import record
 from quasi.synthesis.sensors import Capture, capture
@@ -41,6 +43,7 @@ class Flight(NamedTuple):
     duration: float
     nuisance: float
     noise: float
+    session: str = ""
 
 
 class Campaign(NamedTuple):
@@ -52,6 +55,7 @@ class Campaign(NamedTuple):
     log_rate: int
     capture_rate: float
     flights: tuple[Flight, ...]
+    conditions: dict[str, Any]
 
 
 class Made(NamedTuple):
@@ -75,7 +79,7 @@ KEYS: dict[str, tuple[Any, Any, str]] = {
     "capture rate": (120.0, lambda v: _number(v, 30.0, 360.0), "Hz from 30 to 360"),
     "effects": ({}, lambda v: isinstance(v, Mapping), "effects by id"),
 }
-FLIGHT_KEYS = ("key", "profile", "seed", "effects", "duration", "nuisance", "noise")
+FLIGHT_KEYS = ("key", "profile", "seed", "effects", "duration", "nuisance", "noise", "session")
 
 
 def _number(value: Any, low: float, high: float) -> bool:
@@ -94,13 +98,14 @@ def read_campaign(config: Mapping[str, Any], name: str = "campaign") -> Campaign
     config  {"quadrotor", "seed", "flights": [{"key", "profile", "effects", ...}], "duration" s, "nuisance" and "noise"
     scales, "log rate" and "capture rate" Hz, "effects"}; a flight may replace seed, duration, nuisance and noise, and
     adds its effects to the campaign's (its own parameters win). A flight's seed follows from campaign seed and key
-    unless given, so that adding or moving flights changes no other.
+    unless given, so that adding or moving flights changes no other. Further keys state the conditions, see
+    `quasi.synthesis.conditions`; a flight's "session" names the flights that share their session's part of them.
     Raises ConfigError naming the campaign, flight and key, with the nearest known one.
     """
     where = f"campaign '{name}'"
     for key in config:
-        if key not in KEYS:
-            raise ConfigError(f"{where} has an unknown key '{key}'{nearest(key, KEYS)}")
+        if key not in (*KEYS, *CONDITIONS):
+            raise ConfigError(f"{where} has an unknown key '{key}'{nearest(key, (*KEYS, *CONDITIONS))}")
     whole = {k: _valid(k, config.get(k, default), where) for k, (default, _, _) in KEYS.items()}
     flights, seen = [], set()
     for i, row in enumerate(whole["flights"]):
@@ -128,10 +133,13 @@ def read_campaign(config: Mapping[str, Any], name: str = "campaign") -> Campaign
             both[effect] = {**both[effect], **values} if merge else values
         seed = row.get("seed", (whole["seed"] * 1_000_003 + zlib.crc32(flight_key.encode())) % 2**32)
         numbers = [float(_valid(k, row.get(k, whole[k]), here)) for k in ("duration", "nuisance", "noise")]
-        flights.append(Flight(flight_key, profile, _valid("seed", seed, here), check(both, here), *numbers))
-    return Campaign(
-        name, whole["quadrotor"], whole["seed"], int(whole["log rate"]), float(whole["capture rate"]), tuple(flights)
-    )
+        session = row.get("session", "")
+        if not isinstance(session, str) or (session and not NAME.fullmatch(session)):
+            raise ConfigError(f"{here}: 'session' is {session!r}, expected a name of letters and digits; correct it")
+        flights.append(Flight(flight_key, profile, _valid("seed", seed, here), check(both, here), *numbers, session))
+    conditions = read_conditions(config, where)
+    rates = int(whole["log rate"]), float(whole["capture rate"])
+    return Campaign(name, whole["quadrotor"], whole["seed"], *rates, tuple(flights), conditions)
 
 
 def flight_of(campaign: Campaign, key: str) -> Flight:
@@ -157,13 +165,22 @@ class _Flown(NamedTuple):
 def _fly(campaign: Campaign, flight: Flight) -> _Flown:
     """Everything random and compiled of one flight; see `make_flight`."""
     # one stream of random numbers for each purpose, so that one argument changes nothing but its own part
-    streams = dict(
-        zip(("vary", "pilot", "air", "noise", "capture", "log"), np.random.default_rng(flight.seed).spawn(6))
-    )
-    setup, drawn = vary(nominal(campaign.capture_rate, flight.noise), flight.nuisance, streams["vary"])
+    purposes = ("vary", "pilot", "air", "noise", "capture", "log", "modes", "telemetry")
+    streams = dict(zip(purposes, np.random.default_rng(flight.seed).spawn(len(purposes))))
+    conditions = campaign.conditions
+    setup = apply_conditions(nominal(campaign.capture_rate, flight.noise), conditions)
+    setup, drawn = vary(setup, flight.nuisance, streams["vary"], _session_of(campaign, flight))
     setup = plant(setup, flight.effects)
-    table = pilot(flight.profile, flight.duration, streams["pilot"])
+    table = pilot(flight.profile, flight.duration, streams["pilot"], conditions.get("fixed heading", False))
     steps, every = int(flight.duration * LOOP), int(LOOP) // campaign.log_rate
+    modes = np.zeros((steps, 3))
+    if setup.inertial.mode_frequency.any():
+        modes = streams["modes"].standard_normal((steps, 3))
+    telemetry = setup.telemetry
+    if "telemetry" in conditions:
+        reports = steps // telemetry.interval + 1
+        faults = packet_faults(reports, conditions["telemetry"], streams["telemetry"])
+        telemetry = telemetry._replace(faults=faults)
     truth = np.empty((-(-steps // every), len(TRUTH)))
     log = np.empty((len(truth), len(LOG)))
     _, tilt = fly(
@@ -171,18 +188,27 @@ def _fly(campaign: Campaign, flight: Flight) -> _Flown:
         every,
         table,
         air(flight.duration, AIR_RATE, setup.gust, streams["air"]),
-        streams["noise"].standard_normal((steps, 6)),
+        np.hstack([streams["noise"].standard_normal((steps, 6)), modes]),
         setup.vehicle.physics,
         setup.vehicle.drive,
         control_of(made.base_vehicle()),
         setup.inertial,
-        setup.telemetry,
+        telemetry,
         truth,
         log,
     )
     take = capture(truth[:, 0], truth[:, 1:4], truth[:, 7:11], setup.capture, streams["capture"])
     onboard, lost = record(log, truth[:, 0], campaign.quadrotor, campaign.log_rate, setup, streams["log"])
     return _Flown(setup, drawn, truth, log, take, onboard, {"lost spans": lost, "largest tilt": float(tilt)})
+
+
+def _session_of(campaign: Campaign, flight: Flight) -> Session | None:
+    """The session of a flight, whose numbers follow from the campaign's seed and the session's name."""
+    spread = campaign.conditions.get("sessions")
+    if spread is None:
+        return None
+    seed = [campaign.seed, zlib.crc32(flight.session.encode())]
+    return Session(spread["between"], spread["within"], np.random.default_rng(seed))
 
 
 def make_flight(campaign: Campaign, flight: Flight) -> Made:
@@ -255,6 +281,8 @@ def _metadata(
         "campaign": campaign.name,
         "flight": flight._asdict(),
         "effects": flight.effects,
+        "conditions": campaign.conditions,
+        "session": flight.session,
         "nuisance": drawn,
         "physics": p._asdict(),
         "drive": d._asdict(),
@@ -266,7 +294,7 @@ def _metadata(
             "torque unit": "N m s2",
         },
         "inertial": {**s._asdict(), "axes": s.axes},
-        "telemetry": setup.telemetry._asdict(),
+        "telemetry": {k: v for k, v in setup.telemetry._asdict().items() if k != "faults"},
         "capture": {**setup.capture._asdict(), "faults": take.faults},
         # a moment that the log puts at t (s since its first frame) the capture puts at offset + rate t
         "clock": {
@@ -316,6 +344,8 @@ def logbook(campaign: Campaign, data: str = "data") -> list[dict[str, str]]:
                 "Comments": f"made flight, profile {flight.profile}",
             }
         )
+        if any(f.session for f in campaign.flights):
+            rows[-1]["Session"] = flight.session
     return rows
 
 

@@ -9,7 +9,18 @@ from quasi.attitude import GRAVITY
 from quasi.synthesis.controller import Control, mix, outer_loop, rate_loop, steady_speed
 from quasi.synthesis.physics import CONTACT_STIFFNESS, STATES, advance, body_to_earth
 from quasi.synthesis.pilot import RATE
-from quasi.synthesis.sensors import PT2_CORNER, Inertial, Telemetry, low_pass_gain, read_inertial
+from quasi.synthesis.sensors import (
+    LOST,
+    REPEATED,
+    Inertial,
+    Telemetry,
+    delay_and_add_noise,
+    filter_coefficients,
+    filter_step,
+    read_inertial,
+    shake_modes,
+    start_filter,
+)
 from quasi.synthesis.vehicle import Drive, Physics
 
 LOOP = 4000.0  # Hz: physics step, sensor step and rate loop
@@ -60,7 +71,8 @@ def open_voltage(used, d: Drive):
 def fly(steps, every, table, air, noise, p: Physics, d: Drive, c: Control, s: Inertial, g: Telemetry, truth, log):
     """Fly `steps` loop steps; each `every` steps a row of truth (M, len(TRUTH)) and of log (M, len(LOG)) is filled.
 
-    table: the pilot's; air (n, 7) at AIR_RATE: gusts (m/s, earth) and buffets; noise (steps, 6) standard normal.
+    table: the pilot's; air (n, 7) at AIR_RATE: gusts (m/s, earth) and buffets; noise (steps, 9)
+    standard normal, of gyro, accelerometer and structural modes.
     Returns the number of rows and the largest tilt, rad (more than a right angle means that the vehicle was lost).
     """
     dt = 1.0 / LOOP
@@ -71,16 +83,18 @@ def fly(steps, every, table, air, noise, p: Physics, d: Drive, c: Control, s: In
     k1, k2, k3, k4, y = (np.empty(STATES), np.empty(STATES), np.empty(STATES), np.empty(STATES), np.empty(STATES))
     before, out, spare = np.empty(STATES), np.zeros(14), np.empty(14)
     rot, wind, wanted = np.empty((3, 3)), np.zeros(7), np.zeros(4)
-    phases, raw, gyro, first, acc, half = np.zeros(4), np.zeros(6), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
+    phases, raw, gyro, acc = np.zeros(4), np.zeros(6), np.zeros(3), np.zeros(3)
+    readings, modes, memory = np.zeros((HISTORY, 6)), np.zeros((3, 2)), np.zeros((3, 3, 2))
     sent, applied = np.zeros((HISTORY, 4)), np.zeros(4)
     speeds, places = np.zeros((HISTORY, 4)), np.zeros((HISTORY, 6))
-    commands, motor, erpm = np.zeros(4), np.zeros(4), np.zeros(4)
+    commands, motor, erpm, report = np.zeros(4), np.zeros(4), np.zeros(4), np.zeros(4)
     sensed = np.array([1.0, 0.0, 0.0, 0.0])  # attitude as known on board
     integral, rate_integral, rates, wish, old = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
     forward, terms, ref = np.zeros(3), np.zeros((3, 3)), np.zeros(16)
     force, acceleration = np.zeros(3), np.zeros(3)
-    gain_1, gain_2 = low_pass_gain(s.gyro_cut_1, dt), low_pass_gain(s.gyro_cut_2, dt)
-    gain_a = low_pass_gain(s.acc_cut * PT2_CORNER, dt)
+    stage_1 = filter_coefficients(s.gyro_kind_1, s.gyro_cut_1, dt)
+    stage_2 = filter_coefficients(s.gyro_kind_2, s.gyro_cut_2, dt)
+    stage_a = filter_coefficients(s.acc_kind, s.acc_cut, dt)
     used = d.capacity - d.charge
     voltage, current, collective, tilt = open_voltage(used / d.capacity, d), 0.5, 0.0, 0.0
     hover = c.mass * GRAVITY
@@ -123,20 +137,34 @@ def fly(steps, every, table, air, noise, p: Physics, d: Drive, c: Control, s: In
             force[k] = out[k] / p.mass
             acceleration[k] = k1[10 + k]
             places[step % HISTORY, k], places[step % HISTORY, 3 + k] = before[k], before[3 + k]
-        read_inertial(before[10:13], acceleration, force, before[13:17], phases, noise[step], s, raw)
-        if step == 0:  # the filters have been running since power came on
+        read_inertial(before[10:13], acceleration, force, before[13:17], phases, s, raw)
+        shake_modes(before[13:17], noise[step, 6:9], dt, s, modes, raw)
+        if step == 0:  # sensors have been running since power came on
+            for k in range(6):
+                readings[:, k] = raw[k]
+        for k in range(6):
+            readings[step % HISTORY, k] = raw[k]
+        delay_and_add_noise(readings, step, noise[step, :6], dt, s, raw)
+        if step == 0:
             for k in range(3):
-                first[k] = gyro[k] = raw[k]
-                half[k] = acc[k] = raw[3 + k]
+                start_filter(raw[k], s.gyro_kind_1, stage_1, memory[k, 0])
+                start_filter(raw[k], s.gyro_kind_2, stage_2, memory[k, 1])
+                start_filter(raw[3 + k], s.acc_kind, stage_a, memory[k, 2])
         for k in range(3):
-            first[k] += gain_1 * (raw[k] - first[k])
-            gyro[k] += gain_2 * (first[k] - gyro[k])
-            half[k] += gain_a * (raw[3 + k] - half[k])
-            acc[k] += gain_a * (half[k] - acc[k])
+            once = filter_step(raw[k], s.gyro_kind_1, stage_1, memory[k, 0])
+            gyro[k] = filter_step(once, s.gyro_kind_2, stage_2, memory[k, 1])
+            acc[k] = filter_step(raw[3 + k], s.acc_kind, stage_a, memory[k, 2])
         if step % g.interval == 0:
+            number = step // g.interval
             for i in range(4):
                 heard = speeds[(step - age) % HISTORY, i] if step >= age else 0.0
-                erpm[i] = math.floor(heard * g.scale * g.to_log + 0.5)
+                new = math.floor(heard * g.scale * g.to_log + 0.5)
+                fault = g.faults[number, i] if number < g.faults.shape[0] else 0
+                if fault == REPEATED:
+                    erpm[i] = report[i]
+                elif fault != LOST:
+                    erpm[i] = new
+                report[i] = new
 
         # attitude on board: the gyro integrated, drawn to the truth as a good estimator would
         sw, sx, sy, sz = sensed[0], sensed[1], sensed[2], sensed[3]

@@ -1,13 +1,14 @@
 """What differs from flight to flight without anybody's doing, and the air's unrest; all from the flight's seed."""
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
 
 from quasi import attitude
-from quasi.synthesis.sensors import CaptureErrors, Inertial, Telemetry
+from quasi.synthesis.sensors import PT1, PT2, CaptureErrors, Inertial, Telemetry
 from quasi.synthesis.vehicle import HOVER_SPEED, MARKER_OFFSET, POLES, Vehicle, base_vehicle
 
 # standard deviations (or ranges) at scale 1
@@ -38,6 +39,15 @@ class Setup(NamedTuple):
     boot: float  # s, on-board clock when the log begins
     jitter: float  # s, of the on-board time stamps
     log_gaps: int  # spans the recorder lost
+    firmware: str = "4.5.1"  # Betaflight's version
+
+
+class Session(NamedTuple):
+    """What the flights of one session share: spreads as shares of thrust, and the session's own random numbers."""
+
+    between: float
+    within: float
+    rng: np.random.Generator
 
 
 def nominal(capture_rate: float, noise: float) -> Setup:
@@ -55,13 +65,23 @@ def nominal(capture_rate: float, noise: float) -> Setup:
         gyro_vibration=math.radians(1.5) * noise,
         acc_vibration=1.2 * noise,
         hover_speed=HOVER_SPEED,
+        gyro_kind_1=PT1,
         gyro_cut_1=250.0,
+        gyro_kind_2=PT1,
         gyro_cut_2=500.0,
+        acc_kind=PT2,
         acc_cut=100.0,
+        gyro_delay=0.0,
+        acc_delay=0.0,
+        mode_frequency=np.zeros(3),
+        mode_damping=np.zeros(3),
+        mode_acceleration=np.zeros(3),
+        mode_rate=np.zeros(3),
         gyro_range=math.radians(2000.0),
         acc_range=16.0 * attitude.GRAVITY,
     )
-    telemetry = Telemetry(age=0.002, interval=4, scale=1.0, to_log=60.0 / (2.0 * math.pi) * POLES / 2.0 / 100.0)
+    to_log = 60.0 / (2.0 * math.pi) * POLES / 2.0 / 100.0
+    telemetry = Telemetry(age=0.002, interval=4, scale=1.0, to_log=to_log, faults=np.zeros((0, 4), np.int8))
     capture = CaptureErrors(
         rate=capture_rate,
         start=-3.0,
@@ -79,9 +99,13 @@ def nominal(capture_rate: float, noise: float) -> Setup:
     return Setup(vehicle, inertial, telemetry, capture, 0.0, 0.0, 0.0, 2e-6 * noise, 0)
 
 
-def vary(setup: Setup, scale: float, rng: np.random.Generator) -> tuple[Setup, dict[str, object]]:
+def vary(
+    setup: Setup, scale: float, rng: np.random.Generator, session: Session | None = None
+) -> tuple[Setup, dict[str, object]]:
     """Draw one flight's variation at `scale` (0 none, 1 usual); returns the set-up and what was drawn.
 
+    With a session each rotor's thrust differs by the session's part and the flight's own; mass differs by the flight's
+    part; biases have the usual spread between sessions and the ratio within / between of it from flight to flight.
     All draws are made at every scale, so that a seed's flights differ in size alone. Clock offsets are drawn always.
     """
     unit = rng.standard_normal
@@ -104,10 +128,12 @@ def vary(setup: Setup, scale: float, rng: np.random.Generator) -> tuple[Setup, d
         "boot": float(rng.uniform(15.0, 90.0)),
         "capture start": -float(rng.uniform(0.8, 2.8)),
     }
+    if session is not None:
+        drawn |= _in_session(drawn, scale, session, rng)
     up, down = drawn["motor constants"]
     physics = physics._replace(
         mass=physics.mass * drawn["mass"],
-        thrust_gain=physics.thrust_gain * drawn["thrust factor"],
+        thrust_gain=physics.thrust_gain * drawn["thrust factor"] * np.array(drawn.get("rotor thrust", 1.0)),
         lag_up=physics.lag_up * up,
         lag_down=physics.lag_down * down,
     )
@@ -132,6 +158,21 @@ def vary(setup: Setup, scale: float, rng: np.random.Generator) -> tuple[Setup, d
         ),
         drawn,
     )
+
+
+def _in_session(
+    drawn: Mapping[str, object], scale: float, session: Session, rng: np.random.Generator
+) -> dict[str, object]:
+    """What the usual draws become within a session, and each rotor's thrust ("rotor thrust", times the healthy)."""
+    shared, own = session.rng.standard_normal, np.clip(rng.standard_normal(4), -2, 2)
+    rotors = 1.0 + scale * (session.between * np.clip(shared(4), -2, 2) + session.within * own)
+    ratio = session.within / session.between if session.between > 0.0 else 1.0
+    biases = {
+        name: (scale * SPREAD[name] * shared(3) + ratio * np.array(drawn[name])).tolist()
+        for name in ("gyro bias", "accelerometer bias")
+    }
+    mass = 1.0 + (drawn["mass"] - 1.0) * session.within / SPREAD["mass"]
+    return {"mass": mass, "thrust factor": 1.0, "rotor thrust": rotors.tolist(), **biases}
 
 
 def air(seconds: float, rate: float, gust: float, rng: np.random.Generator) -> np.ndarray:

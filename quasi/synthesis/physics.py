@@ -24,7 +24,7 @@ import numpy as np
 from numba import njit
 
 from quasi.attitude import GRAVITY
-from quasi.synthesis.vehicle import Physics
+from quasi.synthesis.vehicle import HOVER_SPEED, Physics
 
 STATES = 27
 CONTACT_STIFFNESS = 2200.0  # N/m per foot
@@ -132,6 +132,8 @@ def derivative(t, x, wanted, air, p: Physics, dx, out):
         advance = inplane / max(tip, 1.0)
         gain = 0.25 * p.density * p.lift_slope * p.solidity * area * tip
         thrust = gain * (2.0 / 3.0 * p.pitch * tip * (1.0 + 1.5 * advance * advance) - climb - induced)
+        if p.thrust_exponent != 2.0:
+            thrust *= (max(speed, 1.0) / HOVER_SPEED) ** (p.thrust_exponent - 2.0)
         turning = min(speed / 300.0, 1.0)
         thrust += turning * (p.thrust_constant + p.thrust_per_speed * speed) - p.axial_gain * speed * climb
 

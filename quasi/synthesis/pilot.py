@@ -169,9 +169,10 @@ PROFILES: dict[str, tuple[float, tuple[str, ...]]] = {
 }
 
 
-def pilot(profile: str, duration: float, rng: np.random.Generator) -> np.ndarray:
+def pilot(profile: str, duration: float, rng: np.random.Generator, is_heading_fixed: bool = False) -> np.ndarray:
     """The pilot's table (n, 16) of a flight of `duration` s; rest, take-off, manoeuvres, landing.
 
+    is_heading_fixed  the nose points north throughout, and there are no yaw doublets
     Raises ConfigError for an unknown profile or a duration too short to take off and land.
     """
     if profile not in PROFILES:
@@ -202,6 +203,8 @@ def pilot(profile: str, duration: float, rng: np.random.Generator) -> np.ndarray
     # the last manoeuvre is cut short where the landing must begin, and the way home starts from there
     stop = int(n - (REST + LANDING) * RATE)
     position, angle, overlay = position[:stop], angle[:stop], overlay[:stop]
+    if is_heading_fixed:
+        angle, overlay = np.zeros_like(angle), overlay * [1.0, 1.0, 0.0, 1.0]
     first = _samples(REST)
     used = slice(first, first + stop)
     table[used, :3], table[used, 9], table[used, 11:15] = position, angle, overlay

@@ -11,6 +11,7 @@ from quasi.synthesis.controller import control_of
 from quasi.synthesis.flight import LOG, LOOP, MOTOR_HIGH, MOTOR_LOW
 from quasi.synthesis.nuisance import Setup
 from quasi.synthesis.pilot import OFF_TIME, REST
+from quasi.synthesis.sensors import BIQUAD, NO_FILTER, PT1, PT2
 
 
 def record(
@@ -76,10 +77,31 @@ def record(
         "Craft name": craft,
         "motorOutput": f"{MOTOR_LOW},{MOTOR_HIGH}",
         "motor_poles": str(made.POLES),
-        "gyro_lpf1_static_hz": f"{setup.inertial.gyro_cut_1:.0f}",
-        "gyro_lpf2_static_hz": f"{setup.inertial.gyro_cut_2:.0f}",
-        "acc_lpf_hz": f"{setup.inertial.acc_cut:.0f}",
+        **filter_settings(setup),
     }
     reference = int(whole[0, blackbox.NAMES.index("vbatLatest")])
     data, _ = blackbox.encode_log(whole[keep], others, settings, whole_every=interval, step=step, reference=reference)
     return data, lost
+
+
+# Betaflight's numbers of the low-pass types; before version 4.3 there are no PT2 and PT3
+_TYPE_NUMBERS = {PT1: 0, BIQUAD: 1, PT2: 2}
+
+
+def filter_settings(setup: Setup) -> dict[str, str | None]:
+    """Headers that declare firmware and filters under the names of that version; None removes a default header."""
+    s = setup.inertial
+    old = setup.firmware < "4.3"
+    settings: dict[str, str | None] = {"acc_lpf_hz": f"{s.acc_cut:.0f}"}
+    if setup.firmware != blackbox.FIRMWARE:
+        settings["Firmware revision"] = f"Betaflight {setup.firmware} (000000000) STM32F7X2"
+    if old:
+        settings |= {f"gyro_lpf{i}_{part}": None for i in (1, 2) for part in ("type", "static_hz")}
+        settings |= {"gyro_lpf1_dyn_hz": None}
+    for i, (kind, cut) in enumerate(((s.gyro_kind_1, s.gyro_cut_1), (s.gyro_kind_2, s.gyro_cut_2)), start=1):
+        number = "" if i == 1 else "2"
+        names = (f"gyro_lowpass{number}_type", f"gyro_lowpass{number}_hz") if old else (
+            f"gyro_lpf{i}_type", f"gyro_lpf{i}_static_hz")  # fmt: skip
+        settings[names[0]] = str(_TYPE_NUMBERS.get(kind, 0))
+        settings[names[1]] = f"{cut:.0f}" if kind != NO_FILTER else "0"
+    return settings

@@ -1,8 +1,11 @@
-"""What the made vehicle's sensors say: inertial unit, filters on board, rotor telemetry, motion capture.
+"""Sensors of the made vehicle: inertial unit, filters on board, rotor telemetry, motion capture.
 
 The inertial part is compiled and runs inside the flight loop, because the controller flies on it.
-Filters: first-order low-pass (PT1) twice on the gyro; second-order (two PT1 in a row, corner corrected so that the pair
-is 3 dB down at the stated frequency) on the accelerometer, as Betaflight 4.3 and later have them.
+Filters: two low-passes in a row on the gyro, one on the accelerometer. PT1 is a first-order lag, PT2 two of them with
+a corner that makes the pair 3 dB down at the stated frequency, biquad a second-order Butterworth filter. Betaflight
+has the biquad on the accelerometer before version 4.3 and the PT2 since.
+Source of the biquad: Oppenheim & Schafer, Discrete-Time Signal Processing, 3rd ed., 2010, section 7.2 (bilinear
+transform).
 """
 
 import math
@@ -13,11 +16,18 @@ from numba import njit
 
 from quasi import attitude
 
+NO_FILTER, PT1, PT2, BIQUAD = 0, 1, 2, 3
+FILTER_KINDS = {"PT1": PT1, "PT2": PT2, "biquad": BIQUAD}
+LOST, REPEATED = 1, 2  # fates of a packet of rotor telemetry; 0 is none
 PT2_CORNER = 1.0 / math.sqrt(math.sqrt(2.0) - 1.0)  # corner of each of two PT1 for a pair 3 dB down
 
 
 class Inertial(NamedTuple):
-    """Errors and filters of gyro and accelerometer; measured = scale x (axes' x true) + bias + noise."""
+    """Errors and filters of gyro and accelerometer; measured = scale x (axes' x true) + bias + noise.
+
+    mode_...  one structural mode per body axis: the frame shakes the unit along and about that axis. Turbulent loads
+    of the rotors excite it in proportion to their squared speed. A mode of zero size is absent.
+    """
 
     position: np.ndarray  # (3,) m from the true cg, body axes
     axes: np.ndarray  # (3, 3), columns: the true sensor axes in body axes
@@ -30,9 +40,18 @@ class Inertial(NamedTuple):
     gyro_vibration: float  # rad/s of one rotor's line at hover speed
     acc_vibration: float  # m/s2 of one rotor's line at hover speed
     hover_speed: float  # rad/s
+    gyro_kind_1: int  # NO_FILTER, PT1, PT2 or BIQUAD
     gyro_cut_1: float  # Hz
+    gyro_kind_2: int
     gyro_cut_2: float  # Hz
+    acc_kind: int
     acc_cut: float  # Hz
+    gyro_delay: float  # s, from a motion to the reading, before the filters
+    acc_delay: float  # s
+    mode_frequency: np.ndarray  # (3,) rad/s
+    mode_damping: np.ndarray  # (3,) of critical
+    mode_acceleration: np.ndarray  # (3,) m/s2, standard deviation at hover speed
+    mode_rate: np.ndarray  # (3,) rad/s, standard deviation at hover speed
     gyro_range: float  # rad/s
     acc_range: float  # m/s2
 
@@ -44,14 +63,15 @@ class Telemetry(NamedTuple):
     interval: int  # loop steps between reports
     scale: float  # logged / true
     to_log: float  # eRPM/100 per rad/s
+    faults: np.ndarray  # (reports, 4) 0, LOST (the log keeps the last) or REPEATED (the report before comes again)
 
 
 @njit(cache=True)
-def read_inertial(rates, spin_up, force, speeds, phases, noise, s: Inertial, raw):
-    """One raw reading: raw (6,) is filled with gyro (rad/s) and specific force (m/s2) along the sensor's own axes.
+def read_inertial(rates, spin_up, force, speeds, phases, s: Inertial, raw):
+    """A reading without noise: raw (6,) is filled with gyro (rad/s) and specific force (m/s2) along the unit's axes.
 
     rates, spin_up (angular acceleration), force (specific force at the cg), body axes; speeds (4,) rad/s, phases (4,)
-    rad; noise (6,) standard normal.
+    rad.
     """
     r = s.position
     wx, wy, wz = rates[0], rates[1], rates[2]
@@ -76,10 +96,88 @@ def read_inertial(rates, spin_up, force, speeds, phases, noise, s: Inertial, raw
     for k in range(3):
         gyro = s.axes[0, k] * wx + s.axes[1, k] * wy + s.axes[2, k] * wz
         acc = s.axes[0, k] * f[0] + s.axes[1, k] * f[1] + s.axes[2, k] * f[2]
-        gyro = s.gyro_scale[k] * gyro + s.gyro_bias[k] + s.gyro_noise * noise[k] + shake[k]
-        acc = s.acc_scale[k] * acc + s.acc_bias[k] + s.acc_noise * noise[3 + k] + shake[3 + k]
-        raw[k] = min(max(gyro, -s.gyro_range), s.gyro_range)
-        raw[3 + k] = min(max(acc, -s.acc_range), s.acc_range)
+        raw[k] = s.gyro_scale[k] * gyro + s.gyro_bias[k] + shake[k]
+        raw[3 + k] = s.acc_scale[k] * acc + s.acc_bias[k] + shake[3 + k]
+
+
+@njit(cache=True)
+def shake_modes(speeds, noise, dt, s: Inertial, modes, raw):
+    """Advance the structural modes by dt s and add their motion to a reading raw (6,).
+
+    speeds (4,) rad/s; noise (3,) standard normal; modes (3, 2): deflection of unit variance and its rate.
+    A deflection x'' + 2 zeta w x' + w2 x = n with white n of density 4 zeta w3 has unit variance, its rate w2.
+    """
+    level = 0.0
+    for i in range(4):
+        level += 0.25 * (speeds[i] / s.hover_speed) ** 2
+    for k in range(3):
+        w = s.mode_frequency[k]
+        if w <= 0.0:
+            continue
+        pull = -2.0 * s.mode_damping[k] * w * modes[k, 1] - w * w * modes[k, 0]
+        modes[k, 1] += dt * pull + level * math.sqrt(4.0 * s.mode_damping[k] * w**3 * dt) * noise[k]
+        modes[k, 0] += dt * modes[k, 1]
+        raw[k] += s.mode_rate[k] * modes[k, 1] / w
+        raw[3 + k] += s.mode_acceleration[k] * modes[k, 0]
+
+
+@njit(cache=True)
+def delay_and_add_noise(readings, step, noise, dt, s: Inertial, raw):
+    """The delayed reading with noise, within the sensors' ranges, in raw (6,).
+
+    readings (n, 6) is a ring of the latest, readings[step % n] the newest; noise (6,) standard normal.
+    """
+    n = readings.shape[0]
+    for k in range(6):
+        steps = (s.gyro_delay if k < 3 else s.acc_delay) / dt
+        whole = int(steps)
+        part = steps - whole
+        newer, older = readings[(step - whole) % n, k], readings[(step - whole - 1) % n, k]
+        std, most = (s.gyro_noise, s.gyro_range) if k < 3 else (s.acc_noise, s.acc_range)
+        value = (1.0 - part) * newer + part * older + std * noise[k]
+        raw[k] = min(max(value, -most), most)
+
+
+@njit(cache=True)
+def filter_coefficients(kind, cut, dt):
+    """Coefficients (5,) of a low-pass at steps of dt s: the gain of the lags first, or b0, b1, b2, a1, a2."""
+    c = np.zeros(5)
+    if kind == BIQUAD:
+        tangent = math.tan(math.pi * cut * dt)
+        scale = 1.0 / (1.0 + math.sqrt(2.0) * tangent + tangent * tangent)
+        c[0] = c[2] = tangent * tangent * scale
+        c[1] = 2.0 * c[0]
+        c[3] = 2.0 * (tangent * tangent - 1.0) * scale
+        c[4] = (1.0 - math.sqrt(2.0) * tangent + tangent * tangent) * scale
+    elif kind != NO_FILTER:
+        c[0] = low_pass_gain(cut * PT2_CORNER if kind == PT2 else cut, dt)
+    return c
+
+
+@njit(cache=True)
+def start_filter(value, kind, c, memory):
+    """Fill the memory (2,) of a low-pass that has had `value` for a long time."""
+    memory[0] = memory[1] = value
+    if kind == BIQUAD:
+        memory[1] = (c[2] - c[4]) * value
+        memory[0] = (c[1] - c[3]) * value + memory[1]
+
+
+@njit(cache=True)
+def filter_step(value, kind, c, memory):
+    """Next output of a low-pass; memory (2,) is updated."""
+    if kind == NO_FILTER:
+        return value
+    if kind == BIQUAD:  # transposed direct form II
+        out = c[0] * value + memory[0]
+        memory[0] = c[1] * value - c[3] * out + memory[1]
+        memory[1] = c[2] * value - c[4] * out
+        return out
+    memory[0] += c[0] * (value - memory[0])
+    if kind == PT1:
+        return memory[0]
+    memory[1] += c[0] * (memory[0] - memory[1])
+    return memory[1]
 
 
 @njit(cache=True)

@@ -49,6 +49,7 @@ class Physics(NamedTuple):
     thrust_drift: float  # 1/s
     thrust_per_speed: float  # N s/rad added per rotor
     thrust_constant: float  # N added per turning rotor
+    thrust_exponent: float  # of thrust over rotor speed; any but 2 is applied about HOVER_SPEED
     axial_gain: float  # N s2/(m rad), extra thrust change -k W V_climb per rotor
     translational_gain: float  # N s2/m2, extra lift k (u2 + v2)
     ground_gain: float  # c of T/T0 = 1/(1 - c (R/4z)^2)
@@ -154,6 +155,7 @@ def base_vehicle() -> Vehicle:
         thrust_drift=0.0,
         thrust_per_speed=0.0,
         thrust_constant=0.0,
+        thrust_exponent=2.0,
         axial_gain=0.0,
         translational_gain=0.0,
         ground_gain=0.0,

@@ -126,7 +126,7 @@ def test_cg_offset_moves_hubs_imu_and_markers_the_other_way_and_turns_by_minus_r
 def reading(setup, rates=RATES, force=(1.0, 2.0, -9.0)):
     raw = np.empty(6)
     spin_up = np.array([30.0, -20.0, 10.0])
-    sensors.read_inertial(rates, spin_up, np.array(force), np.zeros(4), np.zeros(4), np.zeros(6), setup.inertial, raw)
+    sensors.read_inertial(rates, spin_up, np.array(force), np.zeros(4), np.zeros(4), setup.inertial, raw)
     return raw
 
 
