@@ -10,12 +10,12 @@ Each draw makes four flights of 30 s, imports and filters the raw logs, settles 
 anew with what these found, diagnoses them (one is held out) as the workflow does, and compares the diagnosis with the
 truth, which nothing else reads. One JSON per draw; a study that was stopped goes on where it was. --table makes
 docs/hide-and-seek.md of the files that are there, without drawing. --rate seeks in the same flights at another false
-alarm rate; such draws stand beside the others, in a table of their own.
+alarm rate; such draws are in a table of their own.
 
 The model was identified from sixteen other healthy flights. Half and more of the draws have four healthy reference
-flights beside the affected ones ("reference"); in others every flight is affected, and four of those that made the
-model stand for reference flights ("all"), or the model was identified from the affected flights themselves ("own").
-How clearly what is hidden shows is told by `clarity`.
+flights in addition to the affected ones ("reference"); in others every flight is affected, and four of those that made
+the model stand for reference flights ("all"), or the model was identified from the affected flights themselves ("own").
+`clarity` measures how clearly a hidden cause shows.
 """
 
 import argparse
@@ -72,7 +72,7 @@ SETTINGS = {
 CLEAR, VISIBLE = 10.0, 3.0
 INDISTINCT = {"thrust_factor", "rotor_speed_scale"}  # the torque alone tells them apart: always a tie
 SEEN = 5.0  # |t| at which a cause is usually named
-# what the made vehicle has anyway and a fitted model may lack: said of every flight, it is no wrong name
+# what the made vehicle has anyway and a fitted model may lack: reported of every flight, it is no wrong name
 INHERENT = {"rotor_drag", "body_drag", "blade_flapping", "axial_inflow", "vortex_ring", "rotor_interference",
             "inflow_lag", "rotor_gyroscopic", "rotor_acceleration_torque", "translational_lift"}  # fmt: skip
 
@@ -138,7 +138,7 @@ def seek(
 
 
 def judge(result: Mapping[str, Any]) -> dict[str, Any]:
-    """Compare what was said with the truth: {"outcome", "wrong", "model's own", "tied", "found", "first", "errors"}.
+    """Compare the report with the truth: {"outcome", "wrong", "model's own", "tied", "found", "first", "errors"}.
 
     outcome  "hit": every hidden cause is named or in a tie of at most three, nothing else is; "extra": named, and
     something else beside it; "partly": some are; "wrong": something else only; "tied elsewhere": a tie without it;
@@ -231,7 +231,7 @@ GROUPS = {  # group: outcomes that are right, share that should be
 }
 
 
-SAID_OF = {"reference": "healthy reference flights beside the affected ones",
+DESIGNS = {"reference": "healthy reference flights and affected ones",
            "all": "every flight affected, the model from healthy ones",
            "own": "every flight affected, the model from these same flights"}  # fmt: skip
 
@@ -251,16 +251,20 @@ def wilson(k: int, n: int, z: float = 1.96) -> tuple[float, float]:
 
 HEAD = """# Hide and seek
 
-Causes drawn from a seed are hidden in made flights; raw logs are imported and filtered, all levels asked, and only then
-are the names compared with the truth. Made by `python benchmarks/hide_and_seek.py --table`.
+Does quasi find causes that it does not know? Causes drawn from a seed are hidden in made flights. Raw logs are
+imported and filtered, all levels are tested, and only then are the names compared with the truth. `python
+benchmarks/hide_and_seek.py --table` makes this page.
 
-The model is identified from sixteen healthy flights of 30 s. Four flights hold the cause, one of them held out; beside
-them are four other healthy ones (`reference`), or four of those that made the model (`all`). With `own` six flights
-hold the cause, one of them held out, and the model is identified from the other five; such a model holds the lag,
-delay and battery of these flights, so that causes of the drive leave no gap and count as not shown. Detectability
-and separability are the |t| of the true size, alone and beside its nearest rival, the spread between manoeuvres in it.
-Clean flights are right only where the verdict is `agrees`; a cause that is told apart (separability above 10) only
-where it is named, not in a tie.
+The model is identified from sixteen healthy flights of 30 s. The designs differ in the flights that are compared:
+
+- `reference`: four flights with the cause, one of them held out, and four other healthy ones.
+- `all`: four flights with the cause, one of them held out, and four of those that made the model.
+- `own`: six flights with the cause, one of them held out; the model is identified from the other five. It has
+  absorbed lag, delay and battery of these flights, so causes of the drive leave no error and count as not shown.
+
+Detectability and separability are the |t| of the true size, alone and next to its nearest rival. They contain the
+differences between manoeuvres. Fault-free flights are right only with the verdict `agrees`. A cause with a
+separability above 10 is right only where it is named, not in a tie.
 """
 
 
@@ -302,14 +306,14 @@ def page(results: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, Any
         names = ", ".join(sorted({n for r in lacks for n in r["model's own"]}))
         bare = sum(not r["model's own"] for r in lacks)
         of = "/".join(sorted({f"`{r['design']}`" for r in lacks}))
-        said = {
+        reports = {
             f"what the made vehicle has in all flights and the model lacks ({names})": len(lacks) - bare,
             "where the model's error stays unexplained": bare,
         }
-        told = "; ".join(f"{words}: {count}" for words, count in said.items() if count)
+        counts = "; ".join(f"{words}: {count}" for words, count in reports.items() if count)
         lines += [
             "",
-            f"Clean draws (of {of}) that name no change and do not count as right, by what they tell: {told}.",
+            f"Fault-free draws (of {of}) that name no change and do not count as right, by their report: {counts}.",
         ]
     errors = [e for r in results if r["outcome"] in ("hit", "extra") for e in r["errors"].values()]
     if errors:
@@ -319,25 +323,25 @@ def page(results: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, Any
         lines += ["", f"Main parameter of {len(errors)} named causes: median error {100 * relative:.1f} %; the truth "
                   f"within two standard errors in {inside} ({low:.2f} to {high:.2f})."]  # fmt: skip
     lines += ["", "| flights | right | of | a wrong name |", "| --- | --- | --- | --- |"]
-    for design, words in SAID_OF.items():
+    for design, words in DESIGNS.items():
         own = [r for r in results if r["design"] == design]
         good, bad = sum(_right(r) for r in own), sum(bool(r["wrong"]) for r in own)
         lines.append(f"| `{design}`: {words} | {good} | {len(own)} | {bad} |")
     lines += _rates(results, others)
-    lines += ["", "## What was hidden and what was said", "", "| hidden | draws | right | named or tied as |",
+    lines += ["", "## What was hidden and what was reported", "", "| hidden | draws | right | named or tied as |",
               "| --- | --- | --- | --- |"]  # fmt: skip
     for name in [*ALL, "nothing"]:
         own = [r for r in results if r["kind"] != "pair" and (list(r["effects"]) or ["nothing"]) == [name]]
         if own:
-            said: dict[str, int] = {}
+            answers: dict[str, int] = {}
             for r in own:
                 words = r["wrong"] + r["found"] + ["/".join(t) for t in r["tied"] if not set(t) & set(r["found"])]
                 words += ["unexplained"] if r["outcome"] == "unexplained" else []
                 words += ["a lack of the model"] if r["outcome"] == "model's own" else []
                 for word in words or ["nothing"]:
-                    said[word] = said.get(word, 0) + 1
-            told = ", ".join(f"{w} {n}" for w, n in sorted(said.items(), key=lambda item: -item[1]))
-            lines.append(f"| {name} | {len(own)} | {sum(_right(r) for r in own)} | {told} |")
+                    answers[word] = answers.get(word, 0) + 1
+            counts = ", ".join(f"{w} {n}" for w, n in sorted(answers.items(), key=lambda item: -item[1]))
+            lines.append(f"| {name} | {len(own)} | {sum(_right(r) for r in own)} | {counts} |")
     lines += _smallest(results)
     if lost:
         lines += ["", "## Flights that could not be read", "",
@@ -345,9 +349,9 @@ def page(results: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, Any
                   "| seed | hidden | why |", "| --- | --- | --- |"]  # fmt: skip
         lines += [f"| {r['settings']['seed']} | {', '.join(r['effects']) or 'nothing'} | {r['why']} |" for r in lost]
     lines += ["", "## Every draw that was not right", "",
-              "Of the error: what the truth makes of the squared error of forces and moments, on the axis where it "
-              "makes most, beyond what a model made of the same flights takes up.", "",
-              "| seed | design | hidden | times typical | detectability | separability | of the error | said |",
+              "Of the error: share of the truth in the squared error of forces and moments, without what a model of "
+              "the same flights absorbs. The axis with the largest share counts.", "",
+              "| seed | design | hidden | times typical | detectability | separability | of the error | reported |",
               "| --- | --- | --- | --- | --- | --- | --- | --- |"]  # fmt: skip
     for r in results:
         if not _right(r):
@@ -357,10 +361,10 @@ def page(results: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, Any
                 "-" if (share := s.get("of the error")) is None else f"{100 * share:.1f} %" for s in r["sizes"].values()
             ]
             factors = ", ".join(f"{f:.2f}" for f in r["factors"].values())
-            said = ", ".join(r["wrong"] + r["found"] + ["/".join(t) for t in r["tied"]]) or "nothing"
+            named = ", ".join(r["wrong"] + r["found"] + ["/".join(t) for t in r["tied"]]) or "nothing"
             lines.append(
                 f"| {r['settings']['seed']} | {r['design']} | {', '.join(r['effects']) or 'nothing'} | {factors} | "
-                f"{', '.join(numbers[0])} | {', '.join(numbers[1])} | {', '.join(of)} | {said} |"
+                f"{', '.join(numbers[0])} | {', '.join(numbers[1])} | {', '.join(of)} | {named} |"
             )
     return "\n".join(lines) + "\n"
 
@@ -373,7 +377,7 @@ def _rates(results: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, A
         after = {r["settings"]["seed"]: r for r in others if r["settings"]["rate"] == rate}
         both = [(before[s], after[s]) for s in sorted(before.keys() & after.keys()) if after[s]["outcome"] != "lost"]
         lines += ["", f"## At a false alarm rate of {rate:g}", "",
-                  f"{len(both)} of these draws, sought in once more.", "",
+                  f"{len(both)} of these draws, searched once more.", "",
                   f"| draws | of | right | right at {rate:g} | a wrong name | a wrong name at {rate:g} |",
                   "| --- | --- | --- | --- | --- | --- |"]  # fmt: skip
         for group, (right, _) in GROUPS.items():
@@ -386,8 +390,8 @@ def _rates(results: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, A
 
 def _smallest(results: Sequence[Mapping[str, Any]]) -> list[str]:
     """Sizes that would show with |t| = SEEN, against the length of the four flights."""
-    told = f"Times the typical size, for |t| = {SEEN:g} in three flights of this length (median over the draws)."
-    lines = ["", "## Smallest sizes that show", "", told, ""]
+    heading = f"Times the typical size, for |t| = {SEEN:g} in three flights of this length (median over the draws)."
+    lines = ["", "## Smallest sizes that show", "", heading, ""]
     found: dict[str, dict[float, list[float]]] = {}
     for r in results:
         for name, size in r["sizes"].items():

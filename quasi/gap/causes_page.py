@@ -1,4 +1,4 @@
-"""The catalogue of causes in words: what each is, its parameters, what it is taken for and what tells it apart."""
+"""The catalogue of causes in words: what each is, its parameters, what it is taken for and what distinguishes it."""
 
 import textwrap
 from collections.abc import Mapping
@@ -6,21 +6,21 @@ from collections.abc import Mapping
 from quasi.gap.effect import SCOPES, Effect, Parameter, Vehicle
 
 LEVELS = {
-    "K": "Sensors, mounting, frames and clocks (level K)",
-    "A": "Rotors' drive (level A)",
-    "W": "Forces and moments (level W)",
+    "K": "Sensors, mounting, frames and clocks",
+    "A": "Rotor drive",
+    "W": "Forces and moments",
 }
 FINDINGS = "Findings: stated, never named as a cause"
 WIDTH = 120
 
 
 def text(effects: Mapping[str, Effect], vehicle: Vehicle, whose: str) -> str:
-    """All causes in Markdown, by level. vehicle, whose  of which the typical sizes are told"""
+    """All causes in Markdown, by level. vehicle, whose  of which the typical sizes are given"""
     about = (
-        'What a gap can name, by the ids that `"effects"` takes. `quasi causes MODEL` prints this page with the sizes '
-        f"typical of your own vehicle; here they are those of {whose}. A typical size is what a flight should be able "
-        "to show: hide and seek draws around it, the flight card asks for it. A parameter without one only accompanies "
-        "others. Scopes: a parameter belongs to the airframe, to a session, or to a single flight."
+        'Which causes can a gap name? They are listed by the ids that `"effects"` takes. `quasi causes MODEL` prints '
+        f"this page with the sizes typical of your own vehicle; here they are those of {whose}. A typical size is what "
+        "a flight should be able to show: hide and seek draws around it, the flight card uses it. A parameter without "
+        "one only accompanies others. Scopes: a parameter belongs to the airframe, to a session, or to a single flight."
     )
     lines = ["# Causes", "", *textwrap.wrap(about, WIDTH)]
     for level, title in LEVELS.items():
@@ -45,11 +45,11 @@ def _entry(effect: Effect, vehicle: Vehicle) -> list[str]:
     if effect.told:
         nothing = dict.fromkeys(effect.parameters, 0.0)
         names = [f"`{name}` in {size.unit}" for name, size in effect.told(nothing, nothing).items()]
-        lines.append(f"- told as {' and '.join(names)}")
+        lines.append(f"- reported as {' and '.join(names)}")
     if effect.channels:
         lines.append(f"- shows in {', '.join(effect.channels)}")
     if effect.rivals:
-        apart = f"; told apart by: {effect.tie_breaker}" if effect.tie_breaker else ""
+        apart = f"; distinguished by: {effect.tie_breaker}" if effect.tie_breaker else ""
         lines.append(f"- may be taken for {', '.join(effect.rivals)}{apart}")
     return lines
 

@@ -32,5 +32,5 @@ def test_the_cause_of_your_own_is_sound(tmp_path):
 
 
 def test_the_made_flights_can_be_made():
-    campaign = read_campaign(json.loads(printed("gaps.md", '{"quadrotor"')), "the page")
+    campaign = read_campaign(json.loads(printed("made-flights.md", '{"quadrotor"')), "the page")
     assert [f.key for f in campaign.flights] == ["ref-1", "new-1"]
