@@ -1,8 +1,8 @@
-"""Flights with a hidden cause: what is drawn from a seed, made as raw logs, imported and filtered.
+"""Flights with a hidden cause: drawn from a seed, made as raw logs, imported and filtered.
 
-A draw says which causes of which size are planted in the flights of the made vehicle, which are healthy, and nothing
-of it is known to whoever looks for the causes. Healthy flights and the model that was identified from some of them are
-made once and kept.
+A draw states which causes of which size are planted in which flights of the made vehicle; the search does not know it.
+Draws belong to worlds: sensors, firmware, airframe and sessions. World 0 is the mild one, the others are drawn. Healthy
+flights of a world and the model that is identified from some of them are made once and kept.
 """
 
 import dataclasses
@@ -26,6 +26,7 @@ from quasi.importing.flight import import_flight
 from quasi.model.build import assemble
 from quasi.model.model import AXES, Model
 from quasi.synthesis.campaign import make_flight, quadrotor_configuration, read_campaign, write_flight
+from quasi.synthesis.conditions import draw_world
 from quasi.synthesis.effects import OFFERED, UNLISTED
 from quasi.synthesis.vehicle import INERTIA, MASS, base_vehicle
 from quasi.tables import ages_taken_off, read_json, read_table, write_json, write_table
@@ -34,6 +35,8 @@ ROOT = Path(__file__).resolve().parents[1]
 SECONDS = 30.0
 PROFILES = ("mixed", "aggressive", "speed", "heave")
 LEARNED, REFERENCE = range(400, 416), range(500, 508)  # seeds of healthy flights
+LEARNED_IN_WORLDS = 12  # of LEARNED, in every world but the mild one
+WORLDS = 12  # world 0 is mild, the others are `draw_world` of their number
 KINDS = {"single": 0.54, "clean": 0.14, "pair": 0.18, "unlisted": 0.14}
 DESIGNS = {"reference": 0.6, "all": 0.28, "own": 0.12}
 OWN = 6  # affected flights of a draw whose model is identified from them, the held-out one among them
@@ -177,6 +180,32 @@ def deviation(name: str, values: Mapping[str, float]) -> dict[str, float]:
     return {k: v - (_own_inertia(k) if name == "inertia" else how.neutral) for k, v in values.items() if k in how.names}
 
 
+class World(NamedTuple):
+    """Conditions that all flights of a data set share: a number, and keys of a campaign."""
+
+    number: int
+    config: dict[str, Any]
+
+    @property
+    def folder(self) -> str:
+        """Folder of its healthy flights, below that of the mild world."""
+        return f"world-{self.number}" if self.number else "."
+
+    @property
+    def learned(self) -> Sequence[int]:
+        """Seeds of the flights that its model is identified from."""
+        return LEARNED[:LEARNED_IN_WORLDS] if self.number else LEARNED
+
+
+MILD = World(0, {})
+
+
+@functools.cache
+def world(number: int) -> World:
+    """The world of a number from 0 to WORLDS - 1."""
+    return World(number, draw_world(number)) if number else MILD
+
+
 class Recorded(NamedTuple):
     """A flight's raw files and how they are read."""
 
@@ -184,14 +213,18 @@ class Recorded(NamedTuple):
     quadrotor: dict[str, Any]
 
 
-def record(folder: Path, key: str, profile: str, seed: int, effects: Mapping[str, Any], seconds: float) -> Recorded:
-    """Make a flight with nuisance and write its raw log and capture into the folder."""
-    config = {
-        "flights": [{"key": key, "profile": profile, "seed": seed, "effects": effects}],
-        "duration": seconds,
-        "nuisance": 1.0,
-    }
-    campaign = read_campaign(config, key)
+def record(
+    folder: Path, key: str, profile: str, seed: int, effects: Mapping[str, Any], seconds: float,
+    of: World = MILD, session: str = "",
+) -> Recorded:  # fmt: skip
+    """Make a flight with nuisance and write its raw log and capture into the folder.
+
+    of  its world; session  names the flights that share their session's deviations
+    """
+    seed += of.number * 1_000_000
+    flight = {"key": key, "profile": profile, "seed": seed, "effects": effects, "session": session}
+    config = {"duration": seconds, "nuisance": 1.0, **of.config}
+    campaign = read_campaign({**config, "seed": max(of.number, 1), "flights": [flight]}, key)
     made = make_flight(campaign, campaign.flights[0])
     onboard, capture = str(folder / f"{key}.bbl"), str(folder / f"{key}.csv")
     write_flight(made, onboard, capture, folder / f"{key}.truth.parquet")
@@ -200,7 +233,14 @@ def record(folder: Path, key: str, profile: str, seed: int, effects: Mapping[str
         "flight": key, "quadrotor": campaign.quadrotor, "flight controller": "betaflight", "rigid body": "MadeBeetle",
         "onboard": onboard, "capture": capture, "log number": None,
     }  # fmt: skip
-    return Recorded(source, quadrotor_configuration(campaign))
+    return Recorded(source, _quadrotor(of.number))
+
+
+@functools.cache
+def _quadrotor(number: int) -> dict[str, Any]:
+    """The configuration that a lab of that world writes, with noise statistics of a rest log."""
+    config = {"flights": [{"key": "rest"}], "seed": max(number, 1), **world(number).config}
+    return quadrotor_configuration(read_campaign(config, "rest"))
 
 
 def processed(recorded: Recorded, compared: bool, calibration: Mapping[str, Any] | None = None) -> Flown:
@@ -213,18 +253,26 @@ def processed(recorded: Recorded, compared: bool, calibration: Mapping[str, Any]
 
 def affected(
     folder: Path, seed: int, effects: Mapping[str, Any], seconds: float, number: int = 4,
-    restless: Mapping[str, float] | None = None,
+    restless: Mapping[str, float] | None = None, of: World = MILD,
 ) -> list[Recorded]:  # fmt: skip
-    """Some flights with the same causes.
+    """Some flights with the same causes, of one session.
 
     restless  {cause: standard deviation of each of its parameters} that each flight draws its own values of, about none
     """
     rng = np.random.default_rng([seed, 9])
     each = [{**effects, **_own(restless or {}, rng)} for _ in range(number)]
     return [
-        record(folder, f"flight-{k}", PROFILES[k % len(PROFILES)], 100_000 + seed * 10 + k, own, seconds)
+        record(folder, f"flight-{k}", PROFILES[k % len(PROFILES)], 100_000 + seed * 10 + k, own, seconds, of,
+               session_of(seed, of))
         for k, own in enumerate(each)
-    ]
+    ]  # fmt: skip
+
+
+def session_of(seed: int, of: World) -> str:
+    """Session of a flight: two for healthy flights, one for each draw; none in the mild world."""
+    if not of.number:
+        return ""
+    return f"reference-{seed // 4 % 2}" if seed in (*LEARNED, *REFERENCE) else f"draw-{seed}"
 
 
 def _own(restless: Mapping[str, float], rng: np.random.Generator) -> dict[str, dict[str, float]]:
@@ -233,9 +281,9 @@ def _own(restless: Mapping[str, float], rng: np.random.Generator) -> dict[str, d
             for n, std in restless.items()}  # fmt: skip
 
 
-def healthy(folder: Path, seed: int) -> tuple[Recorded, Flown]:
-    """A flight without causes, made once and kept in the folder."""
-    key = f"healthy-{seed}"
+def healthy(folder: Path, seed: int, of: World = MILD) -> tuple[Recorded, Flown]:
+    """A flight without causes, made once and kept in the world's folder below `folder`."""
+    folder, key = folder / of.folder, f"healthy-{seed}"
     recorded = folder / f"{key}.json"
     if recorded.is_file():
         kept = read_json(recorded)
@@ -244,7 +292,7 @@ def healthy(folder: Path, seed: int) -> tuple[Recorded, Flown]:
         flown = Flown(key, False, tables[0], kept["imported"], tables[1], kept["filtered"], airframe)
         return Recorded(kept["source"], kept["quadrotor"]), flown
     folder.mkdir(parents=True, exist_ok=True)
-    made = record(folder, key, PROFILES[seed % len(PROFILES)], seed, {}, SECONDS)
+    made = record(folder, key, PROFILES[seed % len(PROFILES)], seed, {}, SECONDS, of, session_of(seed, of))
     flown = processed(made, False)
     for kind, table in (("imported", flown.imported), ("filtered", flown.filtered)):
         write_table(folder / f"{key}.{kind}.parquet", table, dict.fromkeys(table, ("", "")))
@@ -258,11 +306,12 @@ def _plain(value: Any) -> Any:
 
 
 @functools.cache
-def healthy_model(folder: Path) -> Model:
-    """The model that the bundled example's settings make of healthy flights, identified once and kept."""
-    path = folder / "model.json"
+def healthy_model(folder: Path, number: int = 0) -> Model:
+    """The model that the bundled example's settings make of a world's healthy flights, identified once and kept."""
+    of = world(number)
+    path = folder / of.folder / "model.json"
     if not path.is_file():
-        write_json(path, identified([healthy(folder, seed)[1] for seed in LEARNED]))
+        write_json(path, identified([healthy(folder, seed, of)[1] for seed in of.learned]))
     return Model(read_json(path))
 
 
@@ -285,17 +334,17 @@ def identified(flown: Sequence[Flown]) -> dict[str, Any]:
     return assemble(parts, common, {"id": "healthy", "airframe": airframe})
 
 
-def references(folder: Path, seed: int, number: int = 4) -> list[tuple[Recorded, Flown]]:
-    """Some healthy flights that did not make the model, one of each profile."""
-    first = [
-        list(REFERENCE)[k] for k in np.random.default_rng([seed, 8]).integers(0, 2, number) * 4 + np.arange(number)
-    ]
-    return [healthy(folder, s) for s in first]
+def references(folder: Path, seed: int, number: int = 4, of: World = MILD) -> list[tuple[Recorded, Flown]]:
+    """Some healthy flights that did not make the model, one of each profile; of two sessions but in the mild world."""
+    rng = np.random.default_rng([seed, 8])
+    halves = rng.permutation(np.arange(number) % 2) if of.number else rng.integers(0, 2, number)
+    return [healthy(folder, REFERENCE[k], of) for k in halves * 4 + np.arange(number)]
 
 
-def trained(folder: Path, seed: int, number: int = 4) -> list[tuple[Recorded, Flown]]:
+def trained(folder: Path, seed: int, number: int = 4, of: World = MILD) -> list[tuple[Recorded, Flown]]:
     """Some of the flights that made the model, evenly taken from all; the seed changes nothing."""
-    return [healthy(folder, LEARNED[round(k * (len(LEARNED) - 1) / (number - 1))]) for k in range(number)]
+    seeds = of.learned
+    return [healthy(folder, seeds[round(k * (len(seeds) - 1) / (number - 1))], of) for k in range(number)]
 
 
 def again(recorded: Sequence[Recorded], flown: Sequence[Flown], calibrations: Sequence[Any]) -> list[Flown]:
