@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[1]
 LIBRARY = ROOT / "quasi"
@@ -27,13 +28,12 @@ def pages() -> dict[str, str]:
     made = {f"reference/{room.name}.md": _page(f"quasi.{room.name}", modules_of(room)) for room in rooms}
     loose = [f"quasi.{p.stem}" for p in sorted(LIBRARY.glob("*.py")) if p.stem != "__init__"]
     made["reference/top-level.md"] = _page("quasi: top level", loose)
-    rows = [f"| [{path.split('/')[1][:-3]}]({path.split('/')[1]}) |" for path in sorted(made)]
+    rows = [f"| [{path.split('/')[1][:-3]}]({path.split('/')[1]}) |" for path in made]
     start = (
-        "# Reference\n\nPublic functions and classes by room, from their docstrings. "
+        "# Overview\n\nPublic functions and classes by room, from their docstrings. "
         "The rooms: [architecture](../architecture.md).\n\n"
     )
-    made["reference/index.md"] = start + "| room |\n| --- |\n" + "\n".join(rows) + "\n"
-    return made
+    return {"reference/index.md": start + "| room |\n| --- |\n" + "\n".join(rows) + "\n", **made}
 
 
 def _page(title: str, modules: list[str]) -> str:
@@ -42,8 +42,15 @@ def _page(title: str, modules: list[str]) -> str:
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Add the section Reference to the navigation."""
-    config.nav.append({"Reference": sorted(pages())})
+    config.nav.append({"Reference": list(pages())})
     return config
+
+
+def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Mark the paragraphs of docstrings that stand in columns, so that their lines and spaces are kept."""
+    if not page.url.startswith("reference/"):
+        return html
+    return re.sub(r"<p>(?=(?:(?!</p>).)*?\S {2,}\S)", '<p class="rows">', html, flags=re.S)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
