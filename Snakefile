@@ -15,6 +15,7 @@ include: "rules/standalone.smk"
 include: "rules/export.smk"
 include: "rules/simulation.smk"
 include: "rules/gap.smk"
+include: "rules/mcap.smk"
 include: "rules/pages.smk"
 
 

@@ -32,7 +32,7 @@ def last_line(text):
 
 def test_a_gap_makes_diagnosis_report_and_a_model_and_a_second_run_does_nothing(project):
     configure(project)
-    code, text = project.snakemake("-j2", TARGET, EXTENDED)
+    code, text = project.snakemake("-j2", TARGET, EXTENDED, "results/mcap/gaps/near")
     assert code == 0, text
     folder = project.folder / TARGET
     made = {p.relative_to(folder).as_posix() for p in folder.rglob("*.*")}
@@ -53,6 +53,7 @@ def test_a_gap_makes_diagnosis_report_and_a_model_and_a_second_run_does_nothing(
     assert {e["id"] for e in model["extensions"]} == {e["id"] for e in found["effects"] if e["level"] in ("W", "A")}
     assert (project.folder / EXTENDED / "report.html").is_file()
 
+    assert list((project.folder / "results/mcap/gaps/near").glob("*.mcap"))
     assert project.would_run(TARGET) == {} and project.would_run(EXTENDED) == {}
     # nothing that stands below a gap hears of it
     project.edit_json("config/gaps/near.json", lambda d: d.update({"horizons": [0.2]}))

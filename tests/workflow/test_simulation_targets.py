@@ -42,8 +42,11 @@ def project(tmp_path):
 
 
 def test_a_simulation_makes_its_table_summary_and_figures_and_reruns_what_changed(project):
-    code, text = project.snakemake("-j1", TARGET)
+    code, text = project.snakemake("-j1", TARGET, "results/mcap/simulations/turns.mcap")
     assert code == 0, text
+    recording = project.folder / "results/mcap/simulations/turns.mcap"
+    assert recording.read_bytes().startswith(b"\x89MCAP0\r\n")
+    assert b'"/simulated/state/p"' in recording.with_suffix(".plotjuggler.xml").read_bytes()
     folder = project.folder / TARGET
     made = {p.relative_to(folder).as_posix() for p in folder.rglob("*.*")}
     assert made >= {"flight.parquet", "summary.json", "summary.txt", "figures/states.png", "figures/trajectory.png"}
