@@ -9,10 +9,12 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
+import hidden
 from clarity import NOTHING, Asked, clarity, of_the_error
 from hidden import ALL, STRANGE, deviation, drawn
 from hide_and_seek import draw as hide_and_seek
-from hide_and_seek import group_of, judge, page, wilson
+from hide_and_seek import judge
+from hide_and_seek_page import group_of, page, wilson
 
 from quasi.gap.catalogue import catalogue
 from quasi.gap.statistics.mixed import Columns, Offer
@@ -158,3 +160,25 @@ def test_what_a_model_took_up_of_the_flights_that_it_was_made_of_is_no_error_of_
     offer, size = Offer("drag", "always", (0,)), np.array([0.5])
     assert of_the_error(study, offer, size, asked) == pytest.approx(0.25 / 1.25, rel=0.1)
     assert of_the_error(study, offer, size, asked._replace(own=True)) == pytest.approx(0.09 / 1.25, rel=0.1)
+
+
+def test_draws_of_worlds_have_references_of_two_sessions_and_a_table_of_their_conditions(monkeypatch):
+    drawn_world = hidden.world(3)
+    assert hidden.world(0).config == {} and hidden.session_of(501, hidden.world(0)) == ""
+    monkeypatch.setattr(hidden, "healthy", lambda folder, seed, of: (seed, hidden.session_of(seed, of)))
+    for seed in range(6):
+        of_each = [session for _, session in hidden.references(Path("none"), seed, of=drawn_world)]
+        assert sorted(of_each) == ["reference-0"] * 2 + ["reference-1"] * 2
+    assert {s for _, s in hidden.trained(Path("none"), 1, of=drawn_world)} == {"reference-0", "reference-1"}
+    assert hidden.session_of(30_003, drawn_world) not in ("", hidden.session_of(30_015, drawn_world))
+    results = []
+    for number, names in ((0, ()), (3, [("tether", {})])):
+        result = {**said({}, names, kind="clean"), "world": number}
+        result["effects said"] = [{**e, "probability": 0.95} for e in result["effects said"]]
+        whole = {**result, "settings": {"seed": number}, "factors": {}, "seconds": {"whole": 20.0}}
+        results.append({**whole, **judge(whole)})
+    text = page(results)
+    config = drawn_world.config
+    assert f"| 3 | {config['log rate']} | {config['accelerometer noise']:.2f} |" in text
+    assert "A wrong name in 1 of 2 data sets" in text
+    assert "Of 1 names stated with a probability of 0.9 or more, 0 are right" in text and "probabilities: 0.902" in text
