@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from quasi.model.model import read_model
-from quasi.simulation.tools.rollout import Body, body_of, errors, hold, rollout, steps_of
+from quasi.simulation.tools.rollout import Body, compute_errors, count_steps, hold_states, make_body, rollout
 from quasi.tables import read_table, write_json
 
 ROOT = Path(__file__).parents[1]
@@ -96,13 +96,13 @@ def judge(run: int, against: str, extended: bool = False) -> dict:
     filtered = read_table(results / f"filtered/NanoDrone/withGravity/square_run{run}.parquet")
     t, speeds = imported["t"].to_numpy(), imported[ROTORS].to_numpy()
     states = (imported if against == "imported" else filtered)[STATE].to_numpy()
-    steps = steps_of(t, max(HORIZONS))
+    steps = count_steps(t, max(HORIZONS))
     starts = starts_of(imported, steps)
 
     dt = float(np.median(np.diff(t)))
     runs = {
-        "holding the last state (a)": hold(states, starts, steps),
-        "authors' constants (b)": rollout(authors(body_of(model).mass), t, states, speeds, starts, max(HORIZONS)),
+        "holding the last state (a)": hold_states(states, starts, steps),
+        "authors' constants (b)": rollout(authors(make_body(model).mass), t, states, speeds, starts, max(HORIZONS)),
     }
     contenders = {"quasi": model}
     if extended:
@@ -110,14 +110,14 @@ def judge(run: int, against: str, extended: bool = False) -> dict:
     usual = {}
     for name, contender in contenders.items():
         trim, usual[name] = trims(contender, filtered, starts, dt)
-        body = body_of(contender)
+        body = make_body(contender)
         runs[name] = rollout(body, t, states, speeds, starts, max(HORIZONS))
         own = trimmed(body, trim[:, :3], trim[:, 3:])
         runs[f"{name} with trim"] = rollout(own, t, states, speeds, starts, max(HORIZONS))
     result = {}
     for name, prediction in runs.items():
-        norms = errors(prediction, states, starts)
-        result[name] = {h: {k: float(norms[k][:, steps_of(t, h)].mean()) for k in KINDS} for h in HORIZONS}
+        norms = compute_errors(prediction, states, starts)
+        result[name] = {h: {k: float(norms[k][:, count_steps(t, h)].mean()) for k in KINDS} for h in HORIZONS}
     return {
         "run": run,
         "windows": len(starts),

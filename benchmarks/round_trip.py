@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from quasi.model.model import Model, read_model
-from quasi.simulation.control.control_model import control_model
-from quasi.simulation.control.gains import settle
+from quasi.simulation.control.control_model import make_control_model
+from quasi.simulation.control.gains import complete_settings
 from quasi.simulation.loop.run import simulate
 from quasi.simulation.loop.setup import make_setup
 from quasi.synthesis import campaign
@@ -106,7 +106,7 @@ def write_raw(result, key: str, seed: int, sensed: Setup) -> None:
         log[:, column[f"acc{k}"]] = specific[axis] + rng.normal(0.0, ACC_NOISE, len(t))
     for i in range(4):
         speed, command = with_rest(f"w{i + 1}"), with_rest(f"w{i + 1}_CMD")
-        speed[idle] = command[idle] = result.setup.machine.drive.low
+        speed[idle] = command[idle] = result.setup.loop_parameters.drive.low
         log[:, column[f"erpm{i}"]] = speed * sensed.telemetry.to_log
         share = [command_for(c, drive.idle_speed, drive.max_speed, drive.curvature) for c in command]
         log[:, column[f"motor{i}"]] = MOTOR_LOW + np.array(share) * (MOTOR_HIGH - MOTOR_LOW)
@@ -237,7 +237,7 @@ def main() -> None:
     seed = asked.seed + asked.flights
     reference = rich_reference(asked.seconds, seed)
     # the same controller for both: gains derived anew from the found lag and delay would be other gains
-    gains = settle({"controller": "INDI", "time step": 1.0 / RATE}, control_model(true))["gains"]
+    gains = complete_settings({"controller": "INDI", "time step": 1.0 / RATE}, make_control_model(true))["gains"]
     before, after = (tracking(m, reference, asked.seconds, 99, gains) for m in (true, found))
     change = 100 * (after / before - 1)
     print(f"tracking error {before:.4f} m with the model, {after:.4f} m with what was found: {change:+.1f} %")

@@ -14,11 +14,11 @@ import numpy as np
 from stopwatch import best
 
 from quasi.model.model import read_model
-from quasi.simulation.loop.closed_loop import LOG, fly
+from quasi.simulation.loop.closed_loop import FULL_LOG_SIZE, run_loop
 from quasi.simulation.loop.run import simulate, simulate_many
 from quasi.simulation.loop.setup import make_setup
 from quasi.simulation.tools.replay import replay
-from quasi.simulation.vehicle.dynamics import scratch_of
+from quasi.simulation.vehicle.dynamics import make_scratch
 
 
 def main() -> None:
@@ -46,10 +46,19 @@ def main() -> None:
     for controller in ("drone_INDI", "drone_NDI", "drone_PID"):
         for integrator in ("rk4", "euler"):
             setup = setup_of(controller, integrator, 8.0)
-            log = np.empty((setup.steps + 1, LOG))
+            log = np.empty((setup.steps + 1, FULL_LOG_SIZE))
 
             def closed(setup=setup, log=log):
-                fly(setup.machine, setup.live(), scratch_of(model.kernel), 0, setup.steps, 1, log, True)
+                run_loop(
+                    setup.loop_parameters,
+                    setup.make_loop_state(),
+                    make_scratch(model.kernel),
+                    0,
+                    setup.steps,
+                    1,
+                    log,
+                    True,
+                )
 
             closed()
             print(f"{controller}, {integrator}, everything logged: {setup.steps / best(closed, 60):,.0f} steps/s")

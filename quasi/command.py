@@ -53,18 +53,20 @@ def _parser() -> argparse.ArgumentParser:
     fly.add_argument("--by-hand", action="store_true", help="the keys take the place of the reference")
     fly.set_defaults(run=lambda o: fly_live(o.name, Path(o.directory), o.by_hand))
 
-    reach = commands.add_parser(
+    find_reachable = commands.add_parser(
         "reach",
         parents=[place],
         help="where a quadrotor can be after a while",
         description="Flies from the start of config/simulations/SIMULATION.json to targets on a sphere about it, "
         "all at once, and writes results/reach/SIMULATION: positions, extremes, and a figure of the hull.",
     )
-    reach.add_argument("simulation", help="name of the simulation; its reference and duration do not count")
-    reach.add_argument("--horizon", type=float, default=1.0, help="s (default 1)")
-    reach.add_argument("--radius", type=float, default=4.0, help="of the sphere of targets, m (default 4)")
-    reach.add_argument("--spacing", type=float, default=20.0, help="angle between targets, degrees (default 20)")
-    reach.set_defaults(run=lambda o: reach_of(o.simulation, Path(o.directory), o.horizon, o.radius, o.spacing))
+    find_reachable.add_argument("simulation", help="name of the simulation; its reference and duration do not count")
+    find_reachable.add_argument("--horizon", type=float, default=1.0, help="s (default 1)")
+    find_reachable.add_argument("--radius", type=float, default=4.0, help="of the sphere of targets, m (default 4)")
+    find_reachable.add_argument(
+        "--spacing", type=float, default=20.0, help="angle between targets, degrees (default 20)"
+    )
+    find_reachable.set_defaults(run=lambda o: reach_of(o.simulation, Path(o.directory), o.horizon, o.radius, o.spacing))
 
     fresh = commands.add_parser(
         "new-simulation",
@@ -267,7 +269,7 @@ def margins_of(simulation: str, directory: Path) -> str:
     from quasi.project.folder import check_project
     from quasi.simulation.loop.setup import make_setup
     from quasi.simulation.tools.firmware_gains import gains_of_setup
-    from quasi.simulation.tools.margins import margins_of_setup
+    from quasi.simulation.tools.margins import describe_margins
     from quasi.tables import read_numbers
 
     check_project(directory)
@@ -275,7 +277,7 @@ def margins_of(simulation: str, directory: Path) -> str:
     wind, reference = (read_numbers(directory / asked[k]) if asked[k] else None for k in ("wind", "reference"))
     model = read_model(model_place(asked["model"], directory))
     setup = make_setup(asked["settings"], model, wind, reference, simulation)
-    text = margins_of_setup(setup)
+    text = describe_margins(setup)
     try:
         return f"{text}\n\n{gains_of_setup(setup)}"
     except QuasiError as reason:  # the margins hold without the table
@@ -291,20 +293,20 @@ def reach_of(simulation: str, directory: Path, horizon: float, radius: float, sp
 
     from quasi.model.model import read_model
     from quasi.project.folder import check_project
-    from quasi.simulation.tools.reach import UNITS, reach
-    from quasi.simulation.tools.reach_figure import reach_figure
+    from quasi.simulation.tools.reach import REACH_UNITS, find_reachable
+    from quasi.simulation.tools.reach_figure import draw_reach
     from quasi.tables import read_numbers, whole_file, write_json, write_table
 
     check_project(directory)
     asked = folder_of(directory).simulation(simulation)
     wind = read_numbers(directory / asked["wind"]) if asked["wind"] else None
     model = read_model(model_place(asked["model"], directory))
-    found = reach(asked["settings"], model, horizon, radius, spacing, wind, simulation)
+    found = find_reachable(asked["settings"], model, horizon, radius, spacing, wind, simulation)
     folder, summary = directory / "results/reach" / simulation, found.summary()
-    write_table(folder / "positions.parquet", found.table(), UNITS, {"simulation": simulation, "model": model.id})
+    write_table(folder / "positions.parquet", found.table(), REACH_UNITS, {"simulation": simulation, "model": model.id})
     write_json(folder / "summary.json", summary)
     with whole_file(folder / "reach.png") as part:
-        FigureCanvasAgg(reach_figure(found)).print_png(part)
+        FigureCanvasAgg(draw_reach(found)).print_png(part)
     ends = summary["at the horizon"]["extremes"] if summary["at the horizon"] else {}
     spans = ", ".join(f"{a} {ends[a]['min']:.2f} to {ends[a]['max']:.2f} m" for a in ends)
     lost = f"; {len(found.ended)} of {len(found.targets)} simulations did not last" if found.ended else ""

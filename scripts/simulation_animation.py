@@ -6,13 +6,13 @@ from quasi.model.model import read_model
 from quasi.pages.animation import animate, can_write_mp4
 from quasi.pages.drawing import motion_of
 from quasi.running.job_log import LOG, job
-from quasi.simulation.tools.figures import in_sight
+from quasi.simulation.tools.figures import cut_runaway_rows
 from quasi.tables import read_table
 
 
 def main(table: str, model: str, name: str, settings: dict, folder: str) -> None:
     """Read the table and write the animation."""
-    flight = in_sight(read_table(table))
+    flight = cut_runaway_rows(read_table(table))
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
     kind = "mp4" if can_write_mp4() else "gif"

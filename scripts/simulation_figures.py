@@ -6,7 +6,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from quasi.model.model import read_model
 from quasi.running.job_log import job, progress
-from quasi.simulation.tools.figures import simulation_figures
+from quasi.simulation.tools.figures import draw_simulation
 from quasi.tables import read_json, read_table, whole_file
 
 
@@ -19,7 +19,7 @@ def main(table: str, summary: str, model: str, folder: str) -> None:
         "fault time": said["fault time"],
         "ended": said["ended"],
     }
-    figures = simulation_figures(read_table(table), read_model(model).airframe, about)
+    figures = draw_simulation(read_table(table), read_model(model).airframe, about)
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
     for name, figure in progress(list(figures.items()), "drawing"):

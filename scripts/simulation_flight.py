@@ -2,7 +2,7 @@
 
 from quasi.model.model import read_model
 from quasi.running.job_log import job
-from quasi.simulation.loop.result import report
+from quasi.simulation.loop.result import format_report
 from quasi.simulation.loop.run import simulate
 from quasi.simulation.loop.setup import make_setup
 from quasi.tables import read_numbers, write_json, write_table, write_text
@@ -17,7 +17,7 @@ def main(asked: dict, output: dict) -> None:
     about = {k: summary[k] for k in ("simulation", "model", "ended", "settings", "rotor limits", "fault time")}
     write_table(output["table"], result.table, result.units, about)
     write_json(output["summary"], summary)
-    write_text(output["text"], report(summary) + "\n")
+    write_text(output["text"], format_report(summary) + "\n")
 
 
 if __name__ == "__main__":

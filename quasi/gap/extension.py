@@ -14,7 +14,7 @@ from quasi.errors import ConfigError
 from quasi.gap.effect import EARTH, Effect, Extension, Values, Vehicle
 from quasi.model.extensions import CONFIGURED, said_of_rotors, wind_of
 from quasi.model.model import AXES, Model
-from quasi.simulation.vehicle.variants import named, parts_of
+from quasi.simulation.vehicle.variants import list_part_names, read_payload_and_inflow
 
 
 def extension_of(effect: Effect, values: Values, vehicle: Vehicle, model: Model) -> Extension:
@@ -125,7 +125,7 @@ def _told(effect: Effect, values: Values) -> dict[str, dict[str, Any]]:
 
 def refuse_second_part(cause: str, extension: Extension, model: Model) -> None:
     """Raise ConfigError where a model carries a part with states of its own already that a cause would add."""
-    for part in named(parts_of(model)):
+    for part in list_part_names(read_payload_and_inflow(model)):
         if part in extension.states:
             raise ConfigError(
                 f"cause '{cause}' adds a second {part} to model {model.id}, which has room for one; compare the "

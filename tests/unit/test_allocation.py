@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from quasi.simulation.control.allocation import SCRATCH, allocate, invert
+from quasi.simulation.control.allocation import ALLOCATION_SCRATCH_SIZE, allocate_rotors, invert_matrix
 
 LEVER = 0.0544
 EFFECT = np.array(
@@ -20,7 +20,9 @@ WEIGHTS = np.array([1000.0, 1000.0, 1.0, 100.0])
 
 def allocated(wanted, low, high, weights=WEIGHTS, effect=EFFECT, scale=1.0):
     u = np.clip(np.linalg.solve(effect, wanted), low, high)
-    allocate(effect.ravel(), np.asarray(wanted, float), weights, low, high, scale, u, np.zeros(SCRATCH))
+    allocate_rotors(
+        effect.ravel(), np.asarray(wanted, float), weights, low, high, scale, u, np.zeros(ALLOCATION_SCRATCH_SIZE)
+    )
     return u
 
 
@@ -32,7 +34,7 @@ def test_the_inverse_is_that_of_lapack():
     rng = np.random.default_rng(2)
     for _ in range(20):
         a, found = rng.normal(size=(4, 4)), np.empty(16)
-        invert(a.ravel(), found)
+        invert_matrix(a.ravel(), found)
         assert np.allclose(found.reshape(4, 4), np.linalg.inv(a), rtol=1e-9, atol=1e-9)
 
 
@@ -97,7 +99,14 @@ def test_inputs_in_millions_are_allocated_as_well():
 
 def test_no_number_gives_no_number_and_ends():
     u = np.ones(4)
-    allocate(
-        EFFECT.ravel(), np.array([np.nan, 0, 0, -4.0]), WEIGHTS, np.zeros(4), np.ones(4), 1.0, u, np.zeros(SCRATCH)
+    allocate_rotors(
+        EFFECT.ravel(),
+        np.array([np.nan, 0, 0, -4.0]),
+        WEIGHTS,
+        np.zeros(4),
+        np.ones(4),
+        1.0,
+        u,
+        np.zeros(ALLOCATION_SCRATCH_SIZE),
     )
     assert u.shape == (4,)

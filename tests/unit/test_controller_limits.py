@@ -9,7 +9,7 @@ from plain_plant import KINDS, POSITION, TARGETS, UPRIGHT
 
 from quasi.simulation.control import controllers as c
 from quasi.simulation.control import gains as g
-from quasi.simulation.control.control_model import control_model
+from quasi.simulation.control.control_model import make_control_model
 from quasi.simulation.control.controllers import controller_step, make_controller
 
 
@@ -32,7 +32,7 @@ def test_commands_never_leave_the_rotors_range(name, model):
     goals[100:, 1:4] = [30.0, -30.0, -30.0]
     goals[100:, 9] = 3.0
     log = plain.fly({"controller": name}, model, goals, noise=5.0)
-    known = control_model(model)
+    known = make_control_model(model)
     assert log[:, TARGETS].min() >= known.lowest * (1 - 1e-12)
     assert log[:, TARGETS].max() <= known.highest * (1 + 1e-12)
 
@@ -88,11 +88,11 @@ def test_a_learnt_limit_is_forgotten_when_the_rotor_follows_again(model):
         goal[3] = -5.0 if step < 300 else 0.0
         capped = 1400.0 if step < 300 else np.inf
         controller_step(kind, p, memory, 0.004 * step, 0.004, seen, goal, out)
-        limits.append(memory[c.HIGHEST])
+        limits.append(memory[c.LEARNT_LIMITS])
         seen[13:17] += (np.clip(out, 0, np.inf) - seen[13:17]) * (1 - math.exp(-0.004 / 0.03))
         seen[13] = min(seen[13], capped)
     assert min(limits[:300]) < 1450.0
-    assert limits[-1] == pytest.approx(p[g.HIGHEST])
+    assert limits[-1] == pytest.approx(p[g.HIGHEST_SPEED])
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -111,7 +111,7 @@ def test_whatever_is_seen_and_wanted_the_commands_are_speeds_that_rotors_can_hav
             goal[13] = np.nan if rng.random() < 0.3 else goal[13]
             controller_step(kind, p, memory, 0.0, 0.004, seen, goal, out)
             assert np.all(np.isfinite(out)), "no number"
-            assert p[g.LOWEST] * (1 - 1e-9) <= out.min() and out.max() <= p[g.HIGHEST] * (1 + 1e-9)
+            assert p[g.LOWEST_SPEED] * (1 - 1e-9) <= out.min() and out.max() <= p[g.HIGHEST_SPEED] * (1 + 1e-9)
 
 
 def test_what_is_no_number_is_passed_on_and_not_hidden(model):

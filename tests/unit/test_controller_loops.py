@@ -8,7 +8,7 @@ import pytest
 from plain_plant import KINDS, POSITION, RATES, TARGETS, UPRIGHT, YAW, rate_goals
 
 from quasi.simulation.control import gains as g
-from quasi.simulation.control.control_model import control_model
+from quasi.simulation.control.control_model import make_control_model
 
 
 @pytest.fixture(scope="module")
@@ -29,8 +29,8 @@ def test_in_trim_the_commands_are_those_of_the_hover(name, model):
 @pytest.mark.parametrize("name", ["NDI", "INDI"])
 def test_rates_answer_like_the_wanted_angular_acceleration_through_the_rotors_lag(name, axis, block, model):
     # nu = (wish - rate)/T and rate' = nu/(lag s + 1): rate = wish/(T lag s^2 + T s + 1)
-    known = control_model(model)
-    time = g.default_gains(g.kind_of(name), known, 0.001)["rates"][block]
+    known = make_control_model(model)
+    time = g.derive_gains(g.find_kind(name), known, 0.001)["rates"][block]
     size = 0.2
     log = plain.fly({"controller": name, "time step": 0.001}, model, rate_goals(400, **{axis: size}), dt=0.001)
     t = np.arange(400) * 0.001

@@ -14,13 +14,13 @@ from quasi.errors import ConfigError, DataError
 from quasi.model.model import Model
 from quasi.simulation.control import controllers as c
 from quasi.simulation.control import gains as g
-from quasi.simulation.control.control_model import by_geometry, control_model, hover_speed, trim
+from quasi.simulation.control.control_model import hover_speed, make_control_model, trim, use_geometric_mixer
 from quasi.simulation.control.controllers import controller_step, make_controller
 from quasi.simulation.control.outer_loop import (
-    _approach,
+    _limit_approach_gain,
     attitude_of_angles,
     attitude_of_thrust,
-    rotation,
+    rotation_matrix,
     turn_towards,
 )
 from quasi.terms.kernel import wrench
@@ -35,7 +35,7 @@ def model():
 
 
 def test_the_effectiveness_is_that_of_the_models_terms_about_hover(model):
-    known = control_model(model)
+    known = make_control_model(model)
     thrust = 0.43 * 9.81 / (4 * 1500.0**2)
     left, front, spin = np.array([-1, -1, 1, 1]), np.array([-1, 1, -1, 1]), np.array([1, -1, -1, 1])
     assert known.hover_speed == pytest.approx(1500.0, rel=1e-9)
@@ -47,7 +47,7 @@ def test_the_effectiveness_is_that_of_the_models_terms_about_hover(model):
 
 
 def test_the_plain_mixer_is_that_of_thrusts_at_the_hubs(model):
-    mixer = by_geometry(control_model(model)).effectiveness
+    mixer = use_geometric_mixer(make_control_model(model)).effectiveness
     frame = model.airframe
     for i in range(4):
         force = np.array([0.0, 0.0, mixer[3, i]])
@@ -85,7 +85,7 @@ def _from_parameters(parameters, inputs, out):
 
 def test_rotations_agree_with_the_house():
     q = from_euler(0.4, -0.7, 2.0)
-    r = np.array(rotation(q)).reshape(3, 3)
+    r = np.array(rotation_matrix(q)).reshape(3, 3)
     assert np.allclose(r, np.column_stack([rotate_inverse(q * [1, -1, -1, -1], e) for e in np.eye(3)]), atol=1e-12)
     assert np.allclose(np.array(attitude_of_angles(0.4, -0.7, 2.0)).reshape(3, 3), r, atol=1e-12)
 
@@ -106,15 +106,15 @@ def test_small_attitude_errors_ask_for_their_rotation_vector(model):
     w, v = q[0], q[1:]
     turned = np.concatenate([[w * half[0] - v @ half[1:]], w * half[1:] + half[0] * v + np.cross(v, half[1:])])
     out = np.empty(3)
-    turn_towards(rotation(q), rotation(turned), p, out)
-    assert np.allclose(out, small * [p[g.ATTITUDE], p[g.ATTITUDE], p[g.YAW]], rtol=1e-3)
+    turn_towards(rotation_matrix(q), rotation_matrix(turned), p, out)
+    assert np.allclose(out, small * [p[g.ATTITUDE_GAIN], p[g.ATTITUDE_GAIN], p[g.YAW_GAIN]], rtol=1e-3)
 
 
 def test_upside_down_it_turns_over_rather_than_waits(model):
     _, p, _ = make_controller({"controller": "INDI"}, model)
     out = np.empty(3)
-    turn_towards(rotation(from_euler(math.pi, 0.0, 0.0)), rotation(from_euler(0.0, 0.0, 0.0)), p, out)
-    assert np.hypot(out[0], out[1]) == pytest.approx(p[g.ATTITUDE] * math.pi)
+    turn_towards(rotation_matrix(from_euler(math.pi, 0.0, 0.0)), rotation_matrix(from_euler(0.0, 0.0, 0.0)), p, out)
+    assert np.hypot(out[0], out[1]) == pytest.approx(p[g.ATTITUDE_GAIN] * math.pi)
 
 
 # filters and braking
@@ -136,13 +136,13 @@ def test_filtered_rates_and_rotor_speeds_are_of_the_same_moment(model):
     left = light.airframe.left
     for step in range(400):
         speeds = 1500.0 + 150.0 * np.sin(40.0 * step * dt) * left
-        acceleration = p[g.EFFECT] * left[0] * np.sum(left * speeds**2) / light.airframe.inertia[0, 0]
+        acceleration = p[g.EFFECTIVENESS] * left[0] * np.sum(left * speeds**2) / light.airframe.inertia[0, 0]
         seen[7], seen[13:17] = rate, speeds
         controller_step(kind, p, memory, step * dt, dt, seen, goal, out)
-        moment = np.sum(p[g.EFFECT : g.EFFECT + 4] * memory[c.SQUARES : c.SQUARES + 12 : 3])
-        raw = np.sum(p[g.EFFECT : g.EFFECT + 4] * speeds**2)
-        late.append(light.airframe.inertia[0, 0] * memory[c.RATES + 1] - moment)
-        early.append(light.airframe.inertia[0, 0] * memory[c.RATES + 1] - raw)
+        moment = np.sum(p[g.EFFECTIVENESS : g.EFFECTIVENESS + 4] * memory[c.SPEED_FILTERS : c.SPEED_FILTERS + 12 : 3])
+        raw = np.sum(p[g.EFFECTIVENESS : g.EFFECTIVENESS + 4] * speeds**2)
+        late.append(light.airframe.inertia[0, 0] * memory[c.RATE_FILTERS + 1] - moment)
+        early.append(light.airframe.inertia[0, 0] * memory[c.RATE_FILTERS + 1] - raw)
         rate += dt * acceleration
     assert np.std(late[100:]) < 0.05 * np.std(early[100:])
 
@@ -150,31 +150,33 @@ def test_filtered_rates_and_rotor_speeds_are_of_the_same_moment(model):
 def test_a_far_goal_is_approached_no_faster_than_can_be_braked():
     gain, brake, most = 1.7, 4.0, 8.0
     way = np.linspace(0.0, 40.0, 400001)
-    speed = np.array([_approach(d, gain, brake, most) * d for d in way])
+    speed = np.array([_limit_approach_gain(d, gain, brake, most) * d for d in way])
     slowing = np.gradient(0.5 * speed**2, way)  # dv/dt = v dv/dx
     assert slowing.max() <= brake * (1 + 1e-6) and speed.max() == most
     assert np.allclose(speed[way < brake / gain**2], gain * way[way < brake / gain**2])
     assert np.all(np.diff(speed) >= -1e-9) and np.max(np.diff(speed)) < 2 * gain * 1e-4
-    assert _approach(0.0, gain, brake, most) == gain
+    assert _limit_approach_gain(0.0, gain, brake, most) == gain
 
 
 # settings
 
 
 def test_settled_settings_are_plain_and_settle_to_themselves(model):
-    known = control_model(model)
+    known = make_control_model(model)
     for name in KINDS:
-        settled = g.settle({"controller": f"drone_{name}"}, known)
-        assert g.settle(json.loads(json.dumps(settled)), known) == settled
-        assert np.array_equal(g.pack(settled, known), g.pack(g.settle(settled, known), known))
+        settled = g.complete_settings({"controller": f"drone_{name}"}, known)
+        assert g.complete_settings(json.loads(json.dumps(settled)), known) == settled
+        assert np.array_equal(
+            g.pack_parameters(settled, known), g.pack_parameters(g.complete_settings(settled, known), known)
+        )
 
 
 def test_each_default_loop_is_slower_than_the_one_inside(model):
     for kind in range(3):
-        gains = g.default_gains(kind, control_model(model))
+        gains = g.derive_gains(kind, make_control_model(model))
         times = [gains[b]["time constant"] for b in ("rates", "attitude", "velocity", "position")]
         assert np.allclose(np.divide(times[1:], times[:-1]), 2.0)
-        assert times[0] > control_model(model).lag
+        assert times[0] > make_control_model(model).lag
 
 
 BLOCKS = {"position": {}, "velocity": {}, "attitude": {}, "rates": {}}
@@ -226,9 +228,9 @@ def without(axis, name):
 @pytest.mark.parametrize(
     ("change", "error", "told"),
     [
-        (without("Mz", "U_r"), DataError, "Mz does not answer"),
+        (without("Mz", "U_r"), DataError, "Mz does not depend"),
         (without("Fz", "w2_1 + w2_2 + w2_3 + w2_4"), DataError, "carries its weight"),
-        (lambda d: d["airframe"].update({"mass": None}), DataError, "knows no mass"),
+        (lambda d: d["airframe"].update({"mass": None}), DataError, "'Mass' in the logbook"),
         (lambda d: d["airframe"].update({"max RPM": 900.0}), ConfigError, "leave no room"),
     ],
 )

@@ -85,7 +85,7 @@ def test_an_extended_model_lives_like_any_other(base, name, tmp_path):
     if name not in STATEFUL:  # what the simulation feels is what the model predicts
         through = new.assign(**{a: new[f"{a}_air"] for a in "uvw"}) if "u_air" in new else new
         found = model.predict_columns(through)[list(AXES)].to_numpy()
-        offset = runs[1].setup.machine.body[20:26]
+        offset = runs[1].setup.loop_parameters.body[20:26]
         np.testing.assert_allclose(new[list(AXES)].to_numpy(), found - offset, rtol=1e-9, atol=1e-9)
 
 

@@ -11,7 +11,15 @@ from matplotlib.backend_bases import KeyEvent
 from quasi.attitude import from_euler, rotate
 from quasi.errors import ConfigError
 from quasi.simulation.tools import window
-from quasi.simulation.tools.manual_flight import ATTITUDE, SLOWEST, VELOCITY, Handling, Pace, Pilot, fly
+from quasi.simulation.tools.manual_flight import (
+    ATTITUDE,
+    MAX_SIMULATED_TIME,
+    VELOCITY,
+    Handling,
+    Pace,
+    Pilot,
+    fly_manually,
+)
 from quasi.simulation.tools.window import Animator, Window
 
 WEIGHT = 5.0
@@ -19,7 +27,7 @@ WEIGHT = 5.0
 
 def settle(pilot, held, seconds=2.0, dt=0.02):
     for _ in range(round(seconds / dt)):
-        goal = pilot.goal(set(held), dt)
+        goal = pilot.setpoint(set(held), dt)
     return goal
 
 
@@ -51,7 +59,7 @@ def test_right_turns_clockwise_from_above_and_the_heading_stays_where_it_was_lef
 
 def test_the_reference_changes_no_faster_than_it_may_and_is_no_faster_across():
     pilot, hand = Pilot(WEIGHT), Handling()
-    first = pilot.goal({"w"}, 0.02)
+    first = pilot.setpoint({"w"}, 0.02)
     assert first[4] == pytest.approx(0.02 * hand.acceleration)
     across = settle(pilot, {"w", "d"})
     assert np.linalg.norm(across[4:7]) == pytest.approx(hand.speed)
@@ -73,17 +81,17 @@ def test_an_attitude_reference_carries_the_weight_and_accelerates_the_way_of_the
 def test_pace_makes_up_for_the_time_that_passed_to_the_step():
     pace = Pace(0.004, 10.0)
     times = 10.0 + np.cumsum(np.random.default_rng(1).uniform(0.005, 0.05, 400))
-    done = np.cumsum([pace.due(t) for t in times])
+    done = np.cumsum([pace.count_due_steps(t) for t in times])
     assert np.all(np.abs(done * 0.004 - (times - 10.0)) <= 0.004 + 1e-9)
-    assert pace.share > 0.95
+    assert pace.speed_ratio > 0.95
 
 
 def test_a_slow_computer_flies_slower_and_says_so():
     pace = Pace(0.004, 0.0)
-    steps = [pace.due(0.4 * k) for k in range(1, 20)]
-    assert set(steps) == {round(SLOWEST / 0.004)}
-    assert pace.share == pytest.approx(SLOWEST / 0.4, abs=0.02)
-    assert pace.due(19 * 0.4 + 0.02) <= 6  # the rest was not put off
+    steps = [pace.count_due_steps(0.4 * k) for k in range(1, 20)]
+    assert set(steps) == {round(MAX_SIMULATED_TIME / 0.004)}
+    assert pace.speed_ratio == pytest.approx(MAX_SIMULATED_TIME / 0.4, abs=0.02)
+    assert pace.count_due_steps(19 * 0.4 + 0.02) <= 6  # the rest was not put off
 
 
 class Clock:
@@ -93,7 +101,7 @@ class Clock:
     def __call__(self):
         return self.now
 
-    def rest(self, seconds):
+    def wait(self, seconds):
         self.now += seconds
 
 
@@ -133,7 +141,7 @@ class Script:
 
 class Shown:
     def __init__(self, clock, closes=math.inf):
-        self.clock, self.closes, self.said = clock, closes, []
+        self.clock, self.closes, self.texts = clock, closes, []
 
     def is_open(self):
         return self.clock.now < self.closes
@@ -141,14 +149,14 @@ class Shown:
     def poll(self, held, now):
         return []
 
-    def show(self, t, state, said):
-        self.said.append((t, said))
+    def show(self, t, state, text):
+        self.texts.append((t, text))
 
 
 def flown(spans, closes=math.inf, flight=None):
     clock = Clock()
     flight, shown = flight or Toy(), Shown(clock, closes)
-    return flight, shown, fly(flight, shown, Script(clock, spans), clock=clock, rest=clock.rest)
+    return flight, shown, fly_manually(flight, shown, Script(clock, spans), clock=clock, wait=clock.wait)
 
 
 def test_a_flight_by_keys_goes_where_they_say_and_ends_with_q():
@@ -157,8 +165,8 @@ def test_a_flight_by_keys_goes_where_they_say_and_ends_with_q():
     # 2 s held and the delay of the terminal's repeats, ramps up and down alike
     assert flight.x[10] == pytest.approx(3.0 * (2.0 + 0.55), rel=0.03)
     assert sentence == f"flew {flight.t:.1f} s, up to {flight.x[10]:.1f} m away and 3.0 m/s fast"
-    assert len(shown.said) == pytest.approx(6.0 * 40, rel=0.02)
-    assert shown.said[20][1] == "velocity   0.0 m/s   height 1.0 m"
+    assert len(shown.texts) == pytest.approx(6.0 * 40, rel=0.02)
+    assert shown.texts[20][1] == "velocity   0.0 m/s   height 1.0 m"
 
 
 def test_closing_the_window_ends_the_flight():
@@ -171,16 +179,16 @@ def test_space_halts_and_m_changes_the_reference():
     assert flight.x[10] < 3.0 * 1.5
     assert np.all(flight.x[4:7] == 0.0)
     _, shown, _ = flown([("m", 1.0, 1.02), ("q", 2.0, 9.0)])
-    assert shown.said[-1][1].startswith("attitude")
+    assert shown.texts[-1][1].startswith("attitude")
 
 
 def test_a_simulation_out_of_control_stops_says_so_and_begins_again_with_r():
     flight = Toy(fails_at=1.0)
     _, shown, _ = flown([("r", 3.0, 3.03), ("q", 3.5, 9.0)], flight=flight)
-    assert any(said.startswith("diverged at 1.0") and said.endswith("r starts again") for _, said in shown.said)
+    assert any(text.startswith("diverged at 1.0") and text.endswith("r starts again") for _, text in shown.texts)
     assert flight.restarts == 1
     assert flight.t == pytest.approx(0.5, abs=0.05)  # it stood still between
-    assert shown.said[-1][1].startswith("velocity")
+    assert shown.texts[-1][1].startswith("velocity")
 
 
 @pytest.fixture
@@ -194,7 +202,7 @@ def opened(airframe, monkeypatch):
     from matplotlib import pyplot
 
     pyplot.switch_backend("agg")
-    monkeypatch.setattr(window, "_pyplot", lambda: pyplot)
+    monkeypatch.setattr(window, "_open_pyplot", lambda: pyplot)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # matplotlib warns that this canvas cannot be shown
         made = Window(airframe, "made")
@@ -235,19 +243,19 @@ def test_a_window_with_a_reference_holds_its_path_and_marks_the_target(airframe,
 
 
 def test_keys_of_the_window_count_while_they_are_down(opened):
-    from quasi.simulation.tools.keyboard import Held
+    from quasi.simulation.tools.keyboard import HeldKeys
 
-    canvas, held = opened._figure.canvas, Held()
+    canvas, held = opened._figure.canvas, HeldKeys()
     for kind, key in (("key_press_event", "w"), ("key_press_event", " ")):
         canvas.callbacks.process(kind, KeyEvent(kind, canvas, key))
     assert opened.poll(held, 1.0) == ["w", "space"]
-    assert "w" in held.at(1.9)
+    assert "w" in held.list_held_keys(1.9)
     canvas.callbacks.process("key_release_event", KeyEvent("key_release_event", canvas, "w"))
     assert opened.poll(held, 1.5) == []
-    assert "w" not in held.at(1.7)
+    assert "w" not in held.list_held_keys(1.7)
     canvas.callbacks.process("key_press_event", KeyEvent("key_press_event", canvas, "w"))
     opened.poll(held, 5.0)
-    assert "w" not in held.at(6.5)  # the window lost the focus: no release was seen
+    assert "w" not in held.list_held_keys(6.5)  # the window lost the focus: no release was seen
 
 
 def test_an_animator_shows_an_endless_simulation_in_real_time_until_its_window_is_closed(opened):
@@ -259,10 +267,10 @@ def test_an_animator_shows_an_endless_simulation_in_real_time_until_its_window_i
     setup = make_setup({"model": {"model ID": "made"}}, made_model())
     clock = Clock()
     simulator = QuadrotorSimulator(setup, run_mode="infinite")
-    animator = Animator(opened, rate=10.0, clock=clock, rest=clock.rest)
+    animator = Animator(opened, rate=10.0, clock=clock, wait=clock.wait)
     times = []
     show = opened.show
-    opened.show = lambda t, state, said: (times.append(t), show(t, state, said), len(times) == 6 and opened.close())
+    opened.show = lambda t, state, text: (times.append(t), show(t, state, text), len(times) == 6 and opened.close())
     simulator.add_step("integrator", animator)
     bus = simulator.run()
     np.testing.assert_allclose(np.diff(times), 0.1, atol=0.0041)  # ten pictures a second of simulated time

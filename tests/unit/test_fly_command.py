@@ -13,7 +13,7 @@ from quasi import command
 from quasi.simulation.loop.run import Session
 from quasi.simulation.loop.setup import make_setup
 from quasi.simulation.tools import fly_command as live
-from quasi.simulation.tools.manual_flight import fly
+from quasi.simulation.tools.manual_flight import fly_manually
 from quasi.tables import write_json
 
 
@@ -27,7 +27,7 @@ def flown(session, spans):
     clock = Clock()
     session.restart()
     shown = Shown(clock)
-    sentence = fly(session, shown, Script(clock, spans), clock=clock, rest=clock.rest)
+    sentence = fly_manually(session, shown, Script(clock, spans), clock=clock, wait=clock.wait)
     return session.state(), shown, sentence
 
 
@@ -35,7 +35,7 @@ def test_a_model_stands_where_it_is_without_a_key(session):
     x, shown, _ = flown(session, [("q", 5.0, 9.0)])
     assert session.t == pytest.approx(5.0, abs=0.05)
     np.testing.assert_allclose(x[10:13], [0, 0, -1.5], atol=0.02)
-    assert shown.said[-1][1] == "velocity   0.0 m/s   height 1.5 m"
+    assert shown.texts[-1][1] == "velocity   0.0 m/s   height 1.5 m"
 
 
 def test_a_model_goes_the_way_of_the_keys(session):
@@ -50,7 +50,7 @@ def test_a_model_goes_the_way_of_the_keys(session):
 
 def test_a_model_with_an_attitude_reference_leans_and_gathers_speed(session):
     x, shown, _ = flown(session, [("m", 0.2, 0.23), ("w", 0.5, 1.6), ("q", 1.6, 9.0)])
-    assert shown.said[-1][1].startswith("attitude")
+    assert shown.texts[-1][1].startswith("attitude")
     pitch = np.arcsin(2.0 * (x[0] * x[2] - x[3] * x[1]))
     assert np.degrees(pitch) == pytest.approx(-20.0, abs=2.0)
     assert x[10] > 0.5
@@ -123,7 +123,7 @@ def windows(monkeypatch):
     for module in (watch_module, fly_module):
         name = module.__name__.rsplit(".", 1)[1]
         run = getattr(module, name)
-        monkeypatch.setattr(module, name, lambda s, v, k=None, run=run: run(s, v, k, clock=clock, rest=clock.rest))
+        monkeypatch.setattr(module, name, lambda s, v, k=None, run=run: run(s, v, k, clock=clock, wait=clock.wait))
     return opened
 
 
@@ -160,7 +160,7 @@ def test_space_pauses_and_r_starts_again():
     setup = make_setup({**CIRCLE, "animation": {}}, made_model())
     flight, view = Session(setup, by_hand=False), Seen(clock, None, "", closes=20.0)
     keys = Script(clock, [("space", 1.0, 1.026), ("space", 3.0, 3.026), ("r", 5.0, 5.026), ("q", 7.0, 9.0)])
-    sentence = watch_module.watch(flight, view, keys, clock=clock, rest=clock.rest)
+    sentence = watch_module.show_reference_flight(flight, view, keys, clock=clock, wait=clock.wait)
     assert flight.t == pytest.approx(2.0, abs=0.1) and sentence.startswith("flew 2.0 s of 6.0 s")
     assert any(said.endswith("paused") for _, said in view.said)
     before = max(t for t, _ in view.said)

@@ -21,8 +21,8 @@ from quasi.gap.flights.instruments import shown
 from quasi.gap.wrench.examination import WEIGHING, _carried
 from quasi.model.extensions import as_read, drive_of, put_right, said_of_rotors, wind_of
 from quasi.model.model import AXES, STATE, Model
-from quasi.simulation.control.control_model import control_model
-from quasi.simulation.tools.replay import replay, rotors_of
+from quasi.simulation.control.control_model import make_control_model
+from quasi.simulation.tools.replay import read_actuator_dynamics, replay
 from quasi.tables import AGE_OFF
 
 ONE = {
@@ -212,7 +212,7 @@ def test_a_lag_that_was_found_is_the_model_s_own_from_then_on():
     known = extended(known, ("battery_sag", {"exponent": 0.9, "reference voltage": 15.8}))
     assert drive_of(known.document)["command map"]["reference voltage"] == 15.0
     assert "reference voltage" not in base.document["actuators"]["command map"]
-    in_replay, exported = rotors_of(lagging), exported_rotors(lagging)
+    in_replay, exported = read_actuator_dynamics(lagging), exported_rotors(lagging)
     for found in (in_replay, exported):
         np.testing.assert_allclose([found.up, found.down], np.tile(lags, (4, 1)).T)
         assert found.delay == pytest.approx(0.014)
@@ -222,7 +222,7 @@ def test_a_lag_that_was_found_is_the_model_s_own_from_then_on():
         late = extended(base, ("command_delay", {"delay": 0.01}))
         for model in (base, late):
             assert belief_of(model.document, "shares").aged is said
-    assert control_model(lagging).lag == pytest.approx(0.045)
+    assert make_control_model(lagging).lag == pytest.approx(0.045)
 
 
 @pytest.mark.parametrize(

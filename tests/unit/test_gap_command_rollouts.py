@@ -11,7 +11,7 @@ from quasi.gap.effect import Vehicle
 from quasi.gap.flights.gathering import gather
 from quasi.gap.rollouts import commanded, open_loop, rollout_gain
 from quasi.model.model import Model
-from quasi.simulation.tools.replay import replay, twelve
+from quasi.simulation.tools.replay import replay, to_euler_states
 
 RATE, SECONDS, LAG = 200.0, 8.0, 0.03
 HORIZONS = [0.2, 0.5]
@@ -33,7 +33,7 @@ def table(model):
     first = np.full((len(t), 4), 1500.0)
     x = replay(model, t, np.zeros((len(t), 12)), first, np.array([0]), t[-1] - 0.5 / RATE, commands)[0]
     names = ("roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z")
-    found = pd.DataFrame({"t": t[: len(x)], **dict(zip(names, twelve(x).T))})
+    found = pd.DataFrame({"t": t[: len(x)], **dict(zip(names, to_euler_states(x).T))})
     for i in range(4):
         found[f"w{i + 1}"], found[f"w{i + 1}_CMD"] = x[:, 13 + i], commands[: len(x), i]
         found[f"w{i + 1}_dot"] = np.gradient(found[f"w{i + 1}"], found["t"])

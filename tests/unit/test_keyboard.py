@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from quasi.errors import ConfigError
-from quasi.simulation.tools.keyboard import REPEAT_DELAY, Held, Terminal, decode
+from quasi.simulation.tools.keyboard import REPEAT_DELAY, HeldKeys, Terminal, decode
 
 
 @pytest.mark.parametrize(
@@ -63,23 +63,23 @@ def test_without_a_terminal_a_sentence_says_so():
 
 
 def test_a_key_is_held_until_its_repeats_stop():
-    held = Held()
+    held = HeldKeys()
     held.press(["w"], 0.0)
-    assert held.at(0.9 * REPEAT_DELAY) == {"w"}
+    assert held.list_held_keys(0.9 * REPEAT_DELAY) == {"w"}
     held.press(["w"], 0.5)
     held.press(["d"], 0.6)
-    assert held.at(0.5 + 0.99 * REPEAT_DELAY) == {"w", "d"}
-    assert held.at(0.5 + 1.01 * REPEAT_DELAY) == {"d"}
-    assert held.at(2.0) == set()
+    assert held.list_held_keys(0.5 + 0.99 * REPEAT_DELAY) == {"w", "d"}
+    assert held.list_held_keys(0.5 + 1.01 * REPEAT_DELAY) == {"d"}
+    assert held.list_held_keys(2.0) == set()
 
 
 def test_a_release_between_two_repeats_is_none():
-    held = Held()
+    held = HeldKeys()
     held.press(["w"], 0.0, ends=1e9)
     held.release("w", 1.0)
     held.press(["w"], 1.01, ends=1e9)
-    assert held.at(5.0) == {"w"}
+    assert held.list_held_keys(5.0) == {"w"}
     held.release("w", 6.0)
-    assert held.at(6.2) == set()
+    assert held.list_held_keys(6.2) == set()
     held.release("x", 7.0)  # never pressed
-    assert held.at(7.0) == set()
+    assert held.list_held_keys(7.0) == set()

@@ -10,7 +10,7 @@ from scipy import signal
 from quasi.errors import ConfigError
 from quasi.model.model import Model
 from quasi.simulation.loop.setup import make_setup
-from quasi.simulation.tools.margins import DIRECTIONS, _margin, linearise, margins, margins_of_setup
+from quasi.simulation.tools.margins import DIRECTIONS, _compute_margin, compute_margins, describe_margins, linearise
 
 KINDS = ("PID", "NDI", "INDI")
 
@@ -29,7 +29,7 @@ def radius(loop, factors):
 @pytest.mark.parametrize("name", KINDS)
 @pytest.mark.parametrize("dt", [0.002, 0.004])
 def test_default_gains_leave_6_db_and_30_degrees_in_every_direction(name, dt, model):
-    found = margins({"controller": name, "time step": dt}, model, dt)
+    found = compute_margins({"controller": name, "time step": dt}, model, dt)
     assert found.stable and found.least_damping > 0.4
     for margin in found.by_direction.values():
         assert margin.gain_up > 6.0 and margin.gain_down > 6.0
@@ -40,7 +40,7 @@ def test_default_gains_leave_6_db_and_30_degrees_in_every_direction(name, dt, mo
 @pytest.mark.parametrize("name", KINDS)
 def test_gain_margins_are_where_the_closed_loop_becomes_unstable(name, model):
     loop = linearise({"controller": name}, model)
-    found = margins({"controller": name}, model)
+    found = compute_margins({"controller": name}, model)
     checked = 0
     for k, direction in enumerate(DIRECTIONS):
         margin = found.by_direction[direction]
@@ -60,7 +60,7 @@ def test_gain_margins_are_where_the_closed_loop_becomes_unstable(name, model):
 def test_the_delay_margin_is_where_waiting_steps_make_the_loop_unstable(name, model):
     dt = 0.002
     loop = linearise({"controller": name}, model, dt)
-    margin = margins({"controller": name}, model, dt).by_direction["roll"]
+    margin = compute_margins({"controller": name}, model, dt).by_direction["roll"]
     n, spot = len(loop.a), np.linalg.inv(loop.directions)[0]
 
     def late(steps):
@@ -79,7 +79,7 @@ def test_the_delay_margin_is_where_waiting_steps_make_the_loop_unstable(name, mo
 
 
 def test_the_disk_margin_bounds_gain_and_phase_together(model):
-    for margin in margins({"controller": "INDI"}, model).by_direction.values():
+    for margin in compute_margins({"controller": "INDI"}, model).by_direction.values():
         if margin.disk < 2.0:
             assert margin.gain_down >= 20 * math.log10((2 + margin.disk) / (2 - margin.disk)) - 0.1
         assert margin.phase >= 2 * math.degrees(math.atan(margin.disk / 2)) - 0.2
@@ -89,7 +89,7 @@ def test_margins_of_a_known_loop_are_the_printed_ones():
     # 10/(s (s + 1) (s + 10)): gain margin 20 log 11 = 20.8 dB; crossover and phase by scipy's own roots
     w = np.geomspace(0.01, 1e3, 20000)
     _, response = signal.freqs([10.0], [1.0, 11.0, 10.0, 0.0], w)
-    found = _margin(response, w)
+    found = _compute_margin(response, w)
     roots = np.roots([1.0, 0, 101.0, 0, 100.0, 0, -100.0])  # w^2 (w^2 + 1)(w^2 + 100) = 100
     crossover = roots[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)].real[0]
     phase = 90 - math.degrees(math.atan(crossover) + math.atan(crossover / 10))
@@ -122,21 +122,21 @@ def test_the_linear_loop_moves_as_the_real_one_after_a_small_disturbance(name, m
 
 
 def test_slow_actuators_and_delay_cost_margin(model):
-    quick = margins({"controller": "INDI"}, model)
+    quick = compute_margins({"controller": "INDI"}, model)
     gains = {"position": {}, "velocity": {}, "attitude": {}, "rates": {}}
     same = {"controller": "INDI", "gains": gains}
-    late = margins({**same}, model, actuators={"delay": 0.02})
+    late = compute_margins({**same}, model, actuators={"delay": 0.02})
     assert late.by_direction["roll"].crossover < quick.by_direction["roll"].crossover, "default gains give way"
     frozen = {"position": 0.57, "velocity": 0.28, "attitude": 0.14, "rates": 0.07}
     fixed = {"controller": "INDI", "gains": {k: {"time constant": v} for k, v in frozen.items()}}
-    a, b = (margins(fixed, model, actuators={"delay": d}).by_direction["roll"].delay for d in (0.0, 0.012))
+    a, b = (compute_margins(fixed, model, actuators={"delay": d}).by_direction["roll"].delay for d in (0.0, 0.012))
     assert a - b == pytest.approx(12.0, abs=1.0)
 
 
 @pytest.mark.parametrize("name", KINDS)
 @pytest.mark.parametrize(("lag", "delay", "dt"), [(0.005, 0.0, 0.004), (0.015, 0.03, 0.001), (0.05, 0.0, 0.01)])
 def test_default_gains_suit_quick_and_slow_rotors(name, lag, delay, dt):
-    found = margins({"controller": name, "time step": dt}, plain.made_model(lag=lag), dt, {"delay": delay})
+    found = compute_margins({"controller": name, "time step": dt}, plain.made_model(lag=lag), dt, {"delay": delay})
     assert found.stable
     for margin in found.by_direction.values():
         assert min(margin.gain_up, margin.gain_down) > 5.5 and margin.phase > 30.0
@@ -144,15 +144,15 @@ def test_default_gains_suit_quick_and_slow_rotors(name, lag, delay, dt):
 
 def test_the_text_tells_gains_and_margins(model):
     setup = make_setup({"model": {"model ID": "made"}, "controller": {"controller": "drone_PID"}}, model)
-    text = margins_of_setup(setup)
+    text = describe_margins(setup)
     assert text.startswith("PID on made, every 4 ms: stable") and "integral time" in text
-    roll = margins({"controller": "PID", "time step": 0.004}, model).by_direction["roll"]
+    roll = compute_margins({"controller": "PID", "time step": 0.004}, model).by_direction["roll"]
     assert f"{roll.gain_down:.1f} dB" in text and f"{roll.crossover:.1f} rad/s" in text
 
 
 def test_an_impossible_time_step_is_named(model):
     with pytest.raises(ConfigError, match="expected a positive number"):
-        margins({"controller": "INDI"}, model, 0.0)
+        compute_margins({"controller": "INDI"}, model, 0.0)
 
 
 def test_margins_are_those_of_the_height_at_which_the_model_hovers(model):
@@ -165,5 +165,5 @@ def test_margins_are_those_of_the_height_at_which_the_model_hovers(model):
             "expression": "(z + 2)^2"}  # fmt: skip
     document["axes"]["Fz"]["terms"].append(term)
     low = Model({**document, "envelope": {n: {"percentiles": {"50": v}} for n, v in zip("xyz", (0.0, 0.0, -2.0))}})
-    base, near = (margins({"controller": "INDI"}, m) for m in (model, low))
+    base, near = (compute_margins({"controller": "INDI"}, m) for m in (model, low))
     assert near.least_damping == pytest.approx(base.least_damping, rel=0.02)

@@ -48,7 +48,7 @@ def test_main_flies_the_loop_of_the_simulator(tmp_path):
         model, reference=sine(dt, duration),
     )  # fmt: skip
     result = simulate(setup)
-    assert result.stopped is None and setup.machine.drive.delay == 0.006
+    assert result.stopped is None and setup.loop_parameters.drive.delay == 0.006
     columns = {
         "state": ["roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z"],
         "omega": ["w1", "w2", "w3", "w4"],
@@ -98,7 +98,7 @@ def test_the_blocks_follow_other_settings_of_the_simulator(make, tmp_path):
         "references": {"kind": "position steps", "steps": [[0, 3, -2, -1, 0.7], [0.5, 0, 0, 0, -0.7]]},
     }  # fmt: skip
     setup = make_setup(base, model)
-    setup.machine.gains[gains.VELOCITY_INTEGRAL] = 0.8
+    setup.loop_parameters.gains[gains.VELOCITY_INTEGRAL_GAIN] = 0.8
     write_matlab(model, tmp_path, None, loop_constants(setup))
     script = """addpath('simulation');
 [modelParams, droneParams] = model_init('m');

@@ -9,7 +9,7 @@ from quasi.attitude import GRAVITY
 from quasi.export.physical_constants import physical_constants
 from quasi.export.registry import SIMULATORS
 from quasi.simulation.control.controllers import controller_step
-from quasi.simulation.control.references import goal_at
+from quasi.simulation.control.references import evaluate_reference
 from quasi.simulation.loop.run import simulate
 
 mujoco = pytest.importorskip("mujoco", reason="flies the exported MJCF; pip install quasi[test]")
@@ -22,7 +22,7 @@ def flip(vector):
 
 def fly(text, setup, thrust):
     """Positions (N, 3), NED, at each command of the setup's controller, flown in MuJoCo from the setup's start."""
-    machine = setup.machine
+    loop = setup.loop_parameters
     model = mujoco.MjModel.from_xml_string(text)
     model.opt.timestep = STEP / 4
     data = mujoco.MjData(model)
@@ -42,8 +42,8 @@ def fly(text, setup, thrust):
         seen[7:10], seen[10:13] = flip(data.qvel[3:6]), flip(data.qpos[:3])
         seen[13:17] = np.sqrt(data.act[places] / thrust)
         seen[17:20] = flip(data.sensor("accelerometer").data)
-        goal_at(machine.reference, machine.path, machine.table, k * STEP, goal)
-        controller_step(machine.controller, machine.gains, memory, k * STEP, STEP, seen, goal, command)
+        evaluate_reference(loop.reference, loop.path, loop.table, k * STEP, goal)
+        controller_step(loop.controller, loop.gains, memory, k * STEP, STEP, seen, goal, command)
         data.ctrl[rotors] = thrust * command**2
         path.append(seen[10:13].copy())
         for _ in range(4):

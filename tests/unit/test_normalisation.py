@@ -20,7 +20,7 @@ from quasi.model.document import AXES
 from quasi.model.envelope import covered
 from quasi.model.model import Model, read_model
 from quasi.simulation.tools.rollout import Body, rollout
-from quasi.simulation.vehicle.variants import extended, simple_model
+from quasi.simulation.vehicle.variants import apply_extensions, make_simple_model
 from quasi.tables import read_json, write_json
 from quasi.terms.differential import differential_system
 from quasi.terms.kernel import INPUTS, wrench
@@ -298,11 +298,11 @@ def test_a_simulation_flies_it_as_arithmetic_by_hand_does(model, flights):
 
 def test_other_models_made_of_it_are_in_si(model):
     factors = {f"kappa{a}": {"value": v} for a, v in zip(("Fz", "Mx", "My", "Mz"), (1e-6, 1e-8, 1e-8, -1e-9))}
-    simple = simple_model(Model({**model.document, "simple model": factors}))
+    simple = make_simple_model(Model({**model.document, "simple model": factors}))
     assert simple.predict(np.zeros(12), np.full(4, 1000.0))[0][2] == pytest.approx(-4.0)
     terms = {"Fz": [{"expression": "u", "coefficient": 1.0}]}
     with pytest.raises(ConfigError, match="is normalised"):
-        extended(Model({**model.document, "extensions": [{"id": "x", "terms": terms}]}))
+        apply_extensions(Model({**model.document, "extensions": [{"id": "x", "terms": terms}]}))
     merged = copy.deepcopy(model.document)
     merged["axes"]["Fz"]["terms"][0]["extension"] = "x"
     with pytest.raises(ConfigError, match="is normalised"):

@@ -12,12 +12,19 @@ from quasi.errors import ConfigError
 from quasi.model.model import Model
 from quasi.simulation.loop.python_loop import QuadrotorSimulator
 from quasi.simulation.loop.run import Session, simulate, simulate_many
-from quasi.simulation.loop.setup import make_setup, still
+from quasi.simulation.loop.setup import make_setup, make_step_inputs
 from quasi.simulation.tools.portable import loop_constants, portable_setup
 from quasi.simulation.tools.replay import replay
-from quasi.simulation.vehicle.dynamics import RK4, advance, body_of, derivative, scratch_of, with_rest
-from quasi.simulation.vehicle.layout import ROTORS, SLOPE, STATES, TARGET
-from quasi.simulation.vehicle.payload_and_inflow import Parts, put
+from quasi.simulation.vehicle.dynamics import (
+    RK4,
+    append_extra_states,
+    integrate_step,
+    make_body_constants,
+    make_scratch,
+    state_derivative,
+)
+from quasi.simulation.vehicle.layout import GIVEN_ACCELERATION, ROTOR_SPEEDS, STATE_SIZE, TARGET_SPEED
+from quasi.simulation.vehicle.payload_and_inflow import PayloadAndInflow, write_payload_and_inflow
 
 LOAD, LENGTH = 0.06, 0.45
 HUNG = {"id": "payload_swing", "states": {"swinging load": {"mass": LOAD, "length": LENGTH}}}
@@ -48,20 +55,22 @@ def hover(model, load=LOAD):
 
 def swung(model, parts, x, own, speeds, seconds, dt=0.002):
     """Path (N, 17 + own) in still air with constant rotor speeds."""
-    body = body_of(model.airframe.mass, model.airframe.inertia, model.kernel, GRAVITY if model.with_gravity else 0.0)
-    put(parts, model.airframe.hubs, body)
-    held = still(len(model.inputs), speeds)
-    x, scratch = np.concatenate([x, own]), scratch_of(model.kernel, parts.states)
+    body = make_body_constants(
+        model.airframe.mass, model.airframe.inertia, model.kernel, GRAVITY if model.with_gravity else 0.0
+    )
+    write_payload_and_inflow(parts, model.airframe.hubs, body)
+    held = make_step_inputs(len(model.inputs), speeds)
+    x, scratch = np.concatenate([x, own]), make_scratch(model.kernel, parts.states)
     path = [x.copy()]
     for _ in range(round(seconds / dt)):
-        advance(RK4, dt, x, held, model.kernel, body, *scratch)
+        integrate_step(RK4, dt, x, held, model.kernel, body, *scratch)
         path.append(x.copy())
     return np.array(path)
 
 
 def level(speed, angles=(0.0, 0.0, 0.0)):
-    x = np.zeros(STATES)
-    x[:4], x[ROTORS:] = from_euler(*angles), speed
+    x = np.zeros(STATE_SIZE)
+    x[:4], x[ROTOR_SPEEDS:] = from_euler(*angles), speed
     return x
 
 
@@ -95,14 +104,14 @@ def test_vehicle_and_load_move_as_two_bodies_tied_by_a_rod(gravity):
         return [*(rotation @ skew).ravel(), *speed, *found[:3], *turning, *drift, *found[3:6]]
 
     x = level(0.0, (0.1, -0.15, 0.4))
-    x[4:7], x[7:10], x[ROTORS:] = [1.0, -0.5, 0.3], [0.4, -0.3, 0.2], speeds
+    x[4:7], x[7:10], x[ROTOR_SPEEDS:] = [1.0, -0.5, 0.3], [0.4, -0.3, 0.2], speeds
     n = np.array([0.5, -0.3, math.sqrt(1 - 0.34)])
     rate = np.cross([1.5, 2.0, -1.0], n)
     rotation = matrix(x[:4])
     speed = rotation @ x[4:7]
     start = [*rotation.ravel(), 0, 0, 0, *speed, *x[7:10], *(LENGTH * n), *(speed + LENGTH * rate)]
     expected = solve_ivp(slope, (0, 1.2), start, method="DOP853", rtol=1e-10, atol=1e-11).y[:, -1]
-    path = swung(model, Parts(load_mass=LOAD, load_length=LENGTH), x, [*n, *rate], speeds, 1.2, dt=0.001)
+    path = swung(model, PayloadAndInflow(load_mass=LOAD, load_length=LENGTH), x, [*n, *rate], speeds, 1.2, dt=0.001)
     end = path[-1]
     np.testing.assert_allclose(end[10:13], expected[9:12], atol=1e-6)
     np.testing.assert_allclose(matrix(end[:4]) @ end[4:7], expected[12:15], atol=1e-6)
@@ -114,7 +123,7 @@ def test_vehicle_and_load_move_as_two_bodies_tied_by_a_rod(gravity):
 @pytest.mark.parametrize("load, length", [(0.02, 0.3), (0.1, 0.5), (0.3, 1.0)])
 def test_small_swings_below_a_hovering_vehicle_have_the_frequency_of_the_pair(model, load, length):
     free = bare(model)
-    path = swung(free, Parts(load_mass=load, load_length=length), level(hover(model, load)), hanging(0.01),
+    path = swung(free, PayloadAndInflow(load_mass=load, load_length=length), level(hover(model, load)), hanging(0.01),
                  hover(model, load), 6.0)  # fmt: skip
     north = path[:, 17]
     zero = np.flatnonzero((north[:-1] > 0) & (north[1:] <= 0))
@@ -138,7 +147,7 @@ def test_without_damping_momentum_and_energy_are_kept(model):
     free = bare(model)
     own = hanging(1.0, (0.0, 2.0, 0.0))
     speed = hover(model)
-    path = swung(free, Parts(load_mass=LOAD, load_length=LENGTH), level(speed), own, speed, 3.0)
+    path = swung(free, PayloadAndInflow(load_mass=LOAD, load_length=LENGTH), level(speed), own, speed, 3.0)
     momentum, energy = sums(model, path)
     np.testing.assert_allclose(momentum, momentum[:1].repeat(len(path), 0), atol=1e-8)  # thrust carries both weights
     thrust = (model.airframe.mass + LOAD) * GRAVITY
@@ -148,7 +157,7 @@ def test_without_damping_momentum_and_energy_are_kept(model):
 
 def test_damping_takes_energy_as_it_says_and_keeps_momentum(model):
     free, ratio, speed = bare(model), 0.05, hover(model)
-    parts = Parts(load_mass=LOAD, load_length=LENGTH, load_damping=ratio)
+    parts = PayloadAndInflow(load_mass=LOAD, load_length=LENGTH, load_damping=ratio)
     path = swung(free, parts, level(speed), hanging(0.02), speed, 6.0)
     momentum, energy = sums(model, path)
     np.testing.assert_allclose(momentum, momentum[:1].repeat(len(path), 0), atol=1e-10)
@@ -163,7 +172,12 @@ def test_damping_takes_energy_as_it_says_and_keeps_momentum(model):
 def test_a_rod_pushes_where_a_string_would_go_slack(model):
     """Fall without thrust: neither body feels the other, the load keeps circling at its rate."""
     path = swung(
-        bare(model), Parts(load_mass=LOAD, load_length=LENGTH), level(0.0), hanging(0.0, (3.0, 0, 0)), 0.0, 1.0
+        bare(model),
+        PayloadAndInflow(load_mass=LOAD, load_length=LENGTH),
+        level(0.0),
+        hanging(0.0, (3.0, 0, 0)),
+        0.0,
+        1.0,
     )
     total = (model.airframe.mass * path[:, 10:13] + LOAD * (path[:, 10:13] + LENGTH * path[:, 17:20])) / (
         model.airframe.mass + LOAD
@@ -181,15 +195,17 @@ def test_at_rest_the_load_hangs_along_the_apparent_vertical_and_weighs_as_if_it_
     model = made_model(asymmetric=True, gravity=gravity)
     x = level(1600.0, (0.2, -0.3, 1.0))
     x[4:7] = [3.0, -1.0, 0.5]
-    body = body_of(model.airframe.mass, model.airframe.inertia, model.kernel, GRAVITY if model.with_gravity else 0.0)
-    put(Parts(load_mass=LOAD, load_length=LENGTH), model.airframe.hubs, body)
-    held = still(len(model.inputs), 1600.0)
-    whole = with_rest(x, held, model.kernel, body)
-    scratch = scratch_of(model.kernel, 6)
-    derivative(whole, held, model.kernel, body, scratch.inputs, scratch.work, scratch.loads, scratch.slopes)
-    np.testing.assert_allclose(scratch.slopes[0, 20:23], 0.0, atol=1e-12)
+    body = make_body_constants(
+        model.airframe.mass, model.airframe.inertia, model.kernel, GRAVITY if model.with_gravity else 0.0
+    )
+    write_payload_and_inflow(PayloadAndInflow(load_mass=LOAD, load_length=LENGTH), model.airframe.hubs, body)
+    held = make_step_inputs(len(model.inputs), 1600.0)
+    whole = append_extra_states(x, held, model.kernel, body)
+    scratch = make_scratch(model.kernel, 6)
+    state_derivative(whole, held, model.kernel, body, scratch.inputs, scratch.work, scratch.loads, scratch.derivatives)
+    np.testing.assert_allclose(scratch.derivatives[0, 20:23], 0.0, atol=1e-12)
     state = np.array([*to_euler(x[:4]), *x[4:13]])
-    force, _ = model.predict(state, x[ROTORS:])
+    force, _ = model.predict(state, x[ROTOR_SPEEDS:])
     rotation, weight = matrix(x[:4]), model.airframe.mass * np.array([0, 0, GRAVITY])
     force = rotation @ force - (0.0 if model.with_gravity else weight)  # aerodynamic, earth axes
     acceleration = force / (model.airframe.mass + LOAD) + [0, 0, GRAVITY]
@@ -200,24 +216,24 @@ def test_at_rest_the_load_hangs_along_the_apparent_vertical_and_weighs_as_if_it_
 
 def test_air_that_follows_late_makes_the_thrust_of_its_closed_form(model):
     tau, gain, lag = 0.02, 4e-8, 0.03
-    body = body_of(model.airframe.mass, model.airframe.inertia, model.kernel, GRAVITY, lag, lag)
-    put(Parts(inflow_lag=tau, inflow_gain=gain), model.airframe.hubs, body)
-    held = still(len(model.inputs), 1500.0)
-    x, scratch = np.concatenate([level(1500.0), np.full(4, 1500.0)]), scratch_of(model.kernel, 4)
-    held[SLOPE : SLOPE + 4] = np.nan
-    held[TARGET : TARGET + 4] = [1800.0, 1500.0, 1500.0, 1500.0]
+    body = make_body_constants(model.airframe.mass, model.airframe.inertia, model.kernel, GRAVITY, lag, lag)
+    write_payload_and_inflow(PayloadAndInflow(inflow_lag=tau, inflow_gain=gain), model.airframe.hubs, body)
+    held = make_step_inputs(len(model.inputs), 1500.0)
+    x, scratch = np.concatenate([level(1500.0), np.full(4, 1500.0)]), make_scratch(model.kernel, 4)
+    held[GIVEN_ACCELERATION : GIVEN_ACCELERATION + 4] = np.nan
+    held[TARGET_SPEED : TARGET_SPEED + 4] = [1800.0, 1500.0, 1500.0, 1500.0]
     for k in range(1, 41):
-        advance(RK4, 0.001, x, held, model.kernel, body, *scratch)
+        integrate_step(RK4, 0.001, x, held, model.kernel, body, *scratch)
         t = 0.001 * k
         # z' = (W - z)/tau under W = 1800 - 300 exp(-t/lag), from rest
         speed = 1800.0 - 300.0 * math.exp(-t / lag)
         missing = 300.0 * tau / (lag - tau) * (math.exp(-t / lag) - math.exp(-t / tau))
-        assert x[ROTORS] == pytest.approx(speed, abs=1e-3)
-        assert x[ROTORS] - x[17] == pytest.approx(missing, abs=2e-3)
-    put(Parts(), model.airframe.hubs, plain := body.copy())
-    derivative(x, held, model.kernel, body, scratch.inputs, scratch.work, scratch.loads, scratch.slopes)
+        assert x[ROTOR_SPEEDS] == pytest.approx(speed, abs=1e-3)
+        assert x[ROTOR_SPEEDS] - x[17] == pytest.approx(missing, abs=2e-3)
+    write_payload_and_inflow(PayloadAndInflow(), model.airframe.hubs, plain := body.copy())
+    state_derivative(x, held, model.kernel, body, scratch.inputs, scratch.work, scratch.loads, scratch.derivatives)
     with_air = scratch.loads.copy()
-    derivative(x, held, model.kernel, plain, scratch.inputs, scratch.work, scratch.loads, scratch.slopes)
+    state_derivative(x, held, model.kernel, plain, scratch.inputs, scratch.work, scratch.loads, scratch.derivatives)
     more = gain * speed * missing
     hub = model.airframe.hubs[0]
     expected = [0, 0, -more, *np.cross(hub, [0, 0, -more])]
@@ -233,7 +249,7 @@ def flown(model, duration=2.0, **sections):
 
 def test_compiled_python_batch_session_and_an_accurate_integrator_agree_on_both_parts(model):
     setup, short = (flown(of(model, HUNG, LATE), seconds) for seconds in (1.0, 0.2))
-    assert setup.own == 10 and len(setup.start) == 27
+    assert setup.extra_states == 10 and len(setup.start) == 27
     whole = simulate(setup)
     assert whole.stopped is None
     python = QuadrotorSimulator(setup).fly().table
@@ -244,7 +260,7 @@ def test_compiled_python_batch_session_and_an_accurate_integrator_agree_on_both_
     exact = QuadrotorSimulator(short, "DOP853").fly().table
     np.testing.assert_allclose(exact["x"], whole.table["x"][:101], atol=1e-5)
     np.testing.assert_allclose(exact["load_x"], whole.table["load_x"][:101], atol=1e-5)
-    many = simulate_many(setup, 2, every=1, x=np.array([setup.start[:STATES]] * 2))
+    many = simulate_many(setup, 2, every=1, x=np.array([setup.start[:STATE_SIZE]] * 2))
     np.testing.assert_array_equal(many.states[1, :, 10], whole.table["x"])
     whole_starts = simulate_many(setup, 2, every=1, x=np.tile(setup.start, (2, 1)))
     np.testing.assert_array_equal(whole_starts.states, many.states)
@@ -312,7 +328,7 @@ def test_recorded_rotor_speeds_are_put_right_before_they_drive(model):
     found = replay(scaled, t, states, 1.1 * speeds, np.array([100]), 0.5, 1.1 * orders)
     np.testing.assert_allclose(found, replay(model, t, states, speeds, np.array([100]), 0.5, orders), atol=1e-9)
     setup = flown(of(model, aged.document["extensions"][0]))
-    assert any("recorded rotor speeds plays no part" in note for note in setup.notes)
+    assert any("recorded rotor speeds" in note for note in setup.notes)
 
 
 def test_lag_and_delay_of_causes_drive_replays_as_their_closed_form(model):
@@ -321,12 +337,12 @@ def test_lag_and_delay_of_causes_drive_replays_as_their_closed_form(model):
     t = 0.002 * np.arange(200)
     states, speeds = np.zeros((200, 12)), np.full((200, 4), 1500.0)
     orders = np.where(t[:, None] >= 0.1, 1520.0, 1500.0) * np.ones(4)
-    found = replay(other, t, states, speeds, np.array([0]), 0.35, orders)[0, :, ROTORS]
+    found = replay(other, t, states, speeds, np.array([0]), 0.35, orders)[0, :, ROTOR_SPEEDS]
     # a command half a step late takes the mean of its two neighbours over one step
     since = t[:176] - 0.1 - 0.013
     expected = np.where(since > 0.0, 1520.0 - 20.0 * np.exp(-np.maximum(since, 0.0) / 0.05), 1500.0)
     np.testing.assert_allclose(found, expected, atol=0.3)
-    plain = replay(model, t, states, speeds, np.array([0]), 0.35, orders)[0, :, ROTORS]
+    plain = replay(model, t, states, speeds, np.array([0]), 0.35, orders)[0, :, ROTOR_SPEEDS]
     assert np.abs(plain - expected).max() > 3.0
 
 
@@ -353,10 +369,12 @@ def test_the_voltage_exponent_of_a_cause_moves_the_speeds_and_is_told_without_a_
     np.testing.assert_allclose(ratio, (table["battery_voltage"].to_numpy() / 16.0) ** 0.8, rtol=1e-3)
     volts = of(model, {"id": "battery_sag", "actuators": {"voltage exponent": 0.8, "reference voltage": 16.0}})
     told = flown(volts, 3.0, battery={"voltage": 15.5, "drain": 0.05})
-    assert told.machine.battery.reference == 16.0 and any("as commanded at 16.00 V" in n for n in told.notes)
-    assert flown(volts, 3.0, battery=battery | {"reference voltage": 15.0}).machine.battery.reference == 15.0
+    assert told.loop_parameters.battery.reference == 16.0 and any(
+        "reference voltage" in n and "16.00 V" in n for n in told.notes
+    )
+    assert flown(volts, 3.0, battery=battery | {"reference voltage": 15.0}).loop_parameters.battery.reference == 15.0
     setup = flown(other)
-    assert setup.machine.battery.exponent == 0.0 and any("no voltage is given" in n for n in setup.notes)
+    assert setup.loop_parameters.battery.exponent == 0.0 and any("no voltage is given" in n for n in setup.notes)
 
 
 def test_terms_in_the_time_run_with_the_simulation(model):
@@ -421,10 +439,10 @@ def test_rotors_that_are_slow_for_want_of_volts_are_not_taken_for_rotors_at_thei
 
 def test_a_hover_reference_may_leave_out_its_kind(model):
     setup = flown(model, 0.1, references={"position": [0.0, 0.0, -2.0], "yaw": 1.0})
-    np.testing.assert_array_equal(setup.machine.path[:4], [0.0, 0.0, -2.0, 1.0])
-    np.testing.assert_array_equal(flown(model, 0.1, references={}).machine.path[:4], 0.0)
+    np.testing.assert_array_equal(setup.loop_parameters.path[:4], [0.0, 0.0, -2.0, 1.0])
+    np.testing.assert_array_equal(flown(model, 0.1, references={}).loop_parameters.path[:4], 0.0)
 
 
 def test_a_lag_that_an_actuator_without_one_ignores_is_told(model):
     setup = flown(model, 1.0, actuator={"actuator": "none", "time constants": 0.2})
-    assert any("'time constants' plays no part: 'none' has no lag" in n for n in setup.notes)
+    assert any("'time constants' is not used: 'none' has no lag" in n for n in setup.notes)

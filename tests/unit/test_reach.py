@@ -11,19 +11,19 @@ from quasi.errors import ConfigError
 from quasi.model.model import Model
 from quasi.simulation.loop.setup import make_setup
 from quasi.simulation.tools.reach import _distances as distances
-from quasi.simulation.tools.reach import hull, reach, sphere
-from quasi.simulation.tools.reach_figure import reach_figure
+from quasi.simulation.tools.reach import find_hull, find_reachable, place_targets
+from quasi.simulation.tools.reach_figure import draw_reach
 
 SETTINGS = {"model": {"model ID": "made"}, "noise": {"add": False}}
 
 
 @pytest.fixture(scope="module")
 def found():
-    return reach(SETTINGS, plain.made_model(), horizon=0.8, radius=4.0, spacing=45.0)
+    return find_reachable(SETTINGS, plain.made_model(), horizon=0.8, radius=4.0, spacing=45.0)
 
 
 def test_targets_lie_evenly_on_the_sphere_with_each_pole_once():
-    points = sphere(4.0, 20.0)
+    points = place_targets(4.0, 20.0)
     assert len(points) == 18 * 8 + 2 and np.allclose(np.linalg.norm(points, axis=1), 4.0)
     assert len(np.unique(points.round(9), axis=0)) == len(points)
     assert np.allclose(points.mean(axis=0), 0.0, atol=1e-12)
@@ -49,7 +49,7 @@ def test_a_symmetric_vehicle_in_still_air_reaches_as_far_to_either_side(found):
 def test_the_summary_is_plain_and_its_volume_that_of_the_hull(found):
     summary = json.loads(json.dumps(found.summary()))
     ends = found.at(0.8)
-    assert summary["at the horizon"]["volume"]["value"] == pytest.approx(hull(ends).volume)
+    assert summary["at the horizon"]["volume"]["value"] == pytest.approx(find_hull(ends).volume)
     assert summary["at the horizon"]["extremes"]["x"]["max"] == pytest.approx(ends[:, 0].max())
     assert summary["at half"]["volume"]["value"] < summary["at the horizon"]["volume"]["value"]
     table = found.table()
@@ -58,22 +58,22 @@ def test_the_summary_is_plain_and_its_volume_that_of_the_hull(found):
 
 def test_a_failing_rotor_shrinks_what_can_be_reached(found):
     faults = {"inject failure": True, "time of failure": 0.0, "rotor effectiveness after failure": [0.6, 1, 1, 1]}
-    weak = reach({**SETTINGS, "faults": faults}, plain.made_model(), horizon=0.8, spacing=45.0)
+    weak = find_reachable({**SETTINGS, "faults": faults}, plain.made_model(), horizon=0.8, spacing=45.0)
     assert weak.summary()["at the horizon"]["volume"]["value"] < found.summary()["at the horizon"]["volume"]["value"]
 
 
 def test_the_figure_is_drawn(found):
-    assert FigureCanvasAgg(reach_figure(found)).print_to_buffer()[0]
+    assert FigureCanvasAgg(draw_reach(found)).print_to_buffer()[0]
 
 
 def test_flat_sets_have_no_hull():
-    assert hull(np.zeros((10, 3))) is None and hull(np.ones((2, 3))) is None
+    assert find_hull(np.zeros((10, 3))) is None and find_hull(np.ones((2, 3))) is None
 
 
 @pytest.mark.parametrize("change", [{"horizon": 0.0}, {"radius": -1.0}, {"spacing": 120.0}, {"horizon": float("nan")}])
 def test_impossible_numbers_are_named(change):
     with pytest.raises(ConfigError, match=next(iter(change))):
-        reach(SETTINGS, plain.made_model(), **change)
+        find_reachable(SETTINGS, plain.made_model(), **change)
 
 
 def test_how_far_outside_the_region_counts_the_wind_and_what_else_the_model_reads():

@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from quasi.errors import ConfigError, DataError
-from quasi.simulation.control.references import KINDS, goal_at, make_reference
+from quasi.simulation.control.references import REFERENCE_KINDS, evaluate_reference, make_reference
 
 X, V, ANGLES, RATES, THRUST, TURN, A = slice(1, 4), slice(4, 7), slice(7, 10), slice(10, 13), 13, 14, slice(15, 18)
 
@@ -14,7 +14,7 @@ def goals(settings, times, table=None):
     made = make_reference(settings, table)
     out = np.full((len(times), 20), 7.7)  # whatever stood there before must go
     for row, t in enumerate(times):
-        goal_at(*made, t, out[row])
+        evaluate_reference(*made, t, out[row])
     return out
 
 
@@ -207,7 +207,7 @@ def test_tables_that_cannot_be_followed_are_named(change, told):
 
 
 def test_every_kind_can_be_made_from_its_defaults():
-    for kind in KINDS:
+    for kind in REFERENCE_KINDS:
         table = SAMPLES if kind == "table" else None
         assert np.all(np.isfinite(np.delete(goals({"kind": kind}, [0.0, 3.3, 50.0], table), THRUST, axis=1)))
 

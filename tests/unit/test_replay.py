@@ -9,8 +9,8 @@ from quasi.errors import DataError, ShapeError
 from quasi.model.model import Model
 from quasi.simulation.loop.run import simulate
 from quasi.simulation.loop.setup import make_setup
-from quasi.simulation.tools.replay import Rotors, replay, rotors_of, twelve
-from quasi.simulation.tools.rollout import body_of, rollout
+from quasi.simulation.tools.replay import ActuatorDynamics, read_actuator_dynamics, replay, to_euler_states
+from quasi.simulation.tools.rollout import make_body, rollout
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def test_compiled_windows_equal_the_plain_ones_to_1e_9(gravity, substeps):
     model = made_model(asymmetric=True, gravity=gravity)
     t, states, speeds = flight()
     starts = np.array([0, 17, 111, 250])
-    plain = rollout(body_of(model), t, states, speeds, starts, 0.25, substeps)
+    plain = rollout(make_body(model), t, states, speeds, starts, 0.25, substeps)
     compiled = rollout(model, t, states, speeds, starts, 0.25, substeps)
     assert compiled.shape == (4, 126, 12)
     np.testing.assert_allclose(compiled, plain, rtol=1e-9, atol=1e-9)
@@ -49,7 +49,7 @@ def test_a_simulated_flight_is_replayed_from_its_own_commands_and_wind(model):
     commands, air = (table[c].to_numpy() for c in (["w1_CMD", "w2_CMD", "w3_CMD", "w4_CMD"],
                                                    ["wind_north", "wind_east", "wind_down"]))  # fmt: skip
     speeds = table[["w1", "w2", "w3", "w4"]].to_numpy()
-    rotors = rotors_of(model)._replace(delay=0.010)
+    rotors = read_actuator_dynamics(model)._replace(delay=0.010)
     starts = np.array([10, 200])
     # the simulator holds the wind over a step: so does this table of means
     held = np.repeat(air[:1], len(air), axis=0)
@@ -58,16 +58,16 @@ def test_a_simulated_flight_is_replayed_from_its_own_commands_and_wind(model):
     found = replay(model, table["t"], table[names], speeds, starts, 1.0, commands, rotors, held)
     truth = table[names].to_numpy()
     for s, start in enumerate(starts):
-        np.testing.assert_allclose(twelve(found[s])[250], truth[start + 250], atol=2e-5)
+        np.testing.assert_allclose(to_euler_states(found[s])[250], truth[start + 250], atol=2e-5)
         np.testing.assert_allclose(found[s, 250, 13:], speeds[start + 250], rtol=1e-9)
     still_air = replay(model, table["t"], table[names], speeds, starts, 1.0, commands, rotors)
-    assert np.abs(twelve(still_air)[0, 250] - truth[260]).max() > 0.05
+    assert np.abs(to_euler_states(still_air)[0, 250] - truth[260]).max() > 0.05
 
 
 def test_commands_act_through_lag_delay_and_saturation(model):
     t, states, speeds = flight(200)
     commands = np.where(t[:, None] < 0.1, 1500.0, 1900.0) * np.ones((1, 4))
-    rotors = Rotors(0.03, 0.05, delay=0.011, highest=1800.0)
+    rotors = ActuatorDynamics(0.03, 0.05, delay=0.011, highest=1800.0)
     found = replay(model, t, states, np.full((200, 4), 1500.0), [0], 0.398, commands, rotors)[0, :, 13]
     # 11 ms are five and a half samples: for one sample the mean of both commands acts
     expected = np.full(200, 1500.0)

@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 
 from quasi.attitude import GRAVITY, from_euler, matrix, rotate
 from quasi.errors import DataError, ShapeError
-from quasi.simulation.tools.rollout import Body, errors, hold, rollout
+from quasi.simulation.tools.rollout import Body, compute_errors, hold_states, rollout
 
 INERTIA = np.array([[8.65e-4, 2e-5, 4e-5], [2e-5, 1.07e-3, -3e-5], [4e-5, -3e-5, 1.71e-3]])
 MASS = 0.433
@@ -139,7 +139,7 @@ def test_errors_are_angles_and_earth_frame_vectors():
     guess = truth[None].copy()
     guess[..., 2] = -3.1
     guess[..., 6] = 1.5
-    found = errors(guess, truth, [0])
+    found = compute_errors(guess, truth, [0])
     np.testing.assert_allclose(found["attitude"], 2 * np.pi - 6.2, atol=1e-7)
     np.testing.assert_allclose(found["rate"], 0.5)
     np.testing.assert_allclose(found["velocity"], 2 * 2.0 * np.sin((2 * np.pi - 6.2) / 2), rtol=1e-6)
@@ -148,7 +148,7 @@ def test_errors_are_angles_and_earth_frame_vectors():
 
 def test_holding_keeps_the_start():
     s = np.random.default_rng(1).standard_normal((10, 12))
-    kept = hold(s, [2, 5], 3)
+    kept = hold_states(s, [2, 5], 3)
     assert kept.shape == (2, 4, 12)
     np.testing.assert_array_equal(kept[1], np.repeat(s[5:6], 4, axis=0))
 

@@ -11,9 +11,17 @@ import pytest
 
 from quasi.attitude import GRAVITY, to_euler
 from quasi.model.model import Model
-from quasi.simulation.loop.setup import still
-from quasi.simulation.tools.replay import Rotors, replay
-from quasi.simulation.vehicle.dynamics import ROTORS, SLOPE, TARGET, WIND, body_of, derivative, scratch_of
+from quasi.simulation.loop.setup import make_step_inputs
+from quasi.simulation.tools.replay import ActuatorDynamics, replay
+from quasi.simulation.vehicle.dynamics import (
+    GIVEN_ACCELERATION,
+    ROTOR_SPEEDS,
+    TARGET_SPEED,
+    WIND_VELOCITY,
+    make_body_constants,
+    make_scratch,
+    state_derivative,
+)
 
 S = np.array([1.0, -1.0, -1.0])
 
@@ -72,15 +80,19 @@ def derivative_error(reference):
     """Largest difference of the derivatives, each relative to the largest of its kind."""
     model = model_of(reference)
     tau = reference["constants"]["tau_m"]
-    body = body_of(model.airframe.mass, model.airframe.inertia, model.kernel, GRAVITY, tau, tau)
-    scratch = scratch_of(model.kernel)
+    body = make_body_constants(model.airframe.mass, model.airframe.inertia, model.kernel, GRAVITY, tau, tau)
+    scratch = make_scratch(model.kernel)
     worst = 0.0
     for state, command, theirs in zip(*(np.array(reference[k]) for k in ("states", "commands", "derivatives"))):
         x, wind = ours(state)
-        held = still(20, 0.0)
-        held[TARGET : TARGET + 4], held[SLOPE : SLOPE + 4], held[WIND : WIND + 3] = command, np.nan, wind
-        derivative(x, held, model.kernel, body, scratch.inputs, scratch.work, scratch.loads, scratch.slopes)
-        mine = scratch.slopes[0]
+        held = make_step_inputs(20, 0.0)
+        (
+            held[TARGET_SPEED : TARGET_SPEED + 4],
+            held[GIVEN_ACCELERATION : GIVEN_ACCELERATION + 4],
+            held[WIND_VELOCITY : WIND_VELOCITY + 3],
+        ) = command, np.nan, wind
+        state_derivative(x, held, model.kernel, body, scratch.inputs, scratch.work, scratch.loads, scratch.derivatives)
+        mine = scratch.derivatives[0]
         # their velocity is in the world: dv/dt there is R (dv/dt + omega x v)
         w, r = x[0], x[1:4]
         inside = mine[4:7] + np.cross(x[7:10], x[4:7])
@@ -91,7 +103,7 @@ def derivative_error(reference):
             (acceleration * S, theirs[3:6]),
             (np.array([*(mine[1:4] * S), mine[0]]), theirs[6:10]),
             (mine[7:10] * S, theirs[10:13]),
-            (mine[ROTORS:], theirs[16:20]),
+            (mine[ROTOR_SPEEDS:], theirs[16:20]),
         )
         worst = max(worst, *(float(np.max(np.abs(a - b)) / np.max(np.abs(b))) for a, b in pairs))
     return worst
@@ -109,8 +121,8 @@ def rollout_error(reference):
     states[0] = [*to_euler(start[:4]), *start[4:13]]
     orders = np.concatenate([commands, commands[-1:]])
     tau = reference["constants"]["tau_m"]
-    rotors = Rotors(tau, tau, 0.0, 200.0, 2600.0)
-    speeds = np.tile(start[ROTORS:], (n, 1))
+    rotors = ActuatorDynamics(tau, tau, 0.0, 200.0, 2600.0)
+    speeds = np.tile(start[ROTOR_SPEEDS:], (n, 1))
     found = replay(model, t, states, speeds, [0], t[-1], orders, rotors, np.tile(wind, (n, 1)), substeps=20)[0, ::10]
     worst = 0.0
     for mine, row in zip(found, rows):

@@ -166,11 +166,13 @@ def test_extensions_change_rotors_and_wind_and_unknown_states_are_refused_by_nam
     ]
     other = Model({**model.document, "extensions": extensions})
     setup = make_setup({"model": {"model ID": "made"}, "wind": {"steady": [0, 2, 0]}}, other)
-    machine = setup.machine
-    np.testing.assert_array_equal(machine.body[26:34], 0.05)
-    assert machine.drive.delay == 0.012
-    np.testing.assert_array_equal(machine.wind[:3], [1.0, 2.0, -0.5])
-    own = make_setup({"model": {"model ID": "made"}, "actuator": {"delay": 0.0, "time constants": 0.02}}, other).machine
+    loop = setup.loop_parameters
+    np.testing.assert_array_equal(loop.body[26:34], 0.05)
+    assert loop.drive.delay == 0.012
+    np.testing.assert_array_equal(loop.wind[:3], [1.0, 2.0, -0.5])
+    own = make_setup(
+        {"model": {"model ID": "made"}, "actuator": {"delay": 0.0, "time constants": 0.02}}, other
+    ).loop_parameters
     assert own.drive.delay == 0.0 and (own.body[26:34] == 0.02).all()
     for states in ({"swinging lode": {"mass": 0.05, "length": 0.5}}, ["swinging lode"]):
         load = {"id": "payload_swing", "states": states}

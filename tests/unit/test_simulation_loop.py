@@ -8,7 +8,7 @@ from simulations import ROUGH, assert_same, setup_of
 from quasi.errors import ConfigError, DataError, ShapeError
 from quasi.model.model import Model
 from quasi.simulation.loop.python_loop import QuadrotorSimulator
-from quasi.simulation.loop.result import report
+from quasi.simulation.loop.result import format_report
 from quasi.simulation.loop.run import Session, simulate, simulate_many
 
 
@@ -135,7 +135,7 @@ def test_divergence_stops_and_says_when_and_which_and_keeps_what_was_computed():
     assert 5 < len(result.table) < 500 and np.isfinite(result.table[["p", "x", "Mx"]].to_numpy()).all()
     assert_same(result, simulate(setup, between={"begin": lambda bus: None}))
     summary = result.summary()
-    assert summary["ended"] == result.stopped and result.stopped in report(summary)
+    assert summary["ended"] == result.stopped and result.stopped in format_report(summary)
     many = simulate_many(setup, 3)
     assert (many.status == 8).all() and "p left its limit" in many.stopped(setup, 0)
 

@@ -9,8 +9,8 @@ from simulations import setup_of
 
 from quasi.errors import ConfigError, DataError
 from quasi.model.model import Model
-from quasi.simulation.control.references import goal_at
-from quasi.simulation.loop.result import report
+from quasi.simulation.control.references import evaluate_reference
+from quasi.simulation.loop.result import format_report
 from quasi.simulation.loop.run import simulate
 from quasi.simulation.loop.setup import make_setup
 
@@ -49,10 +49,10 @@ def test_a_time_step_that_the_integrator_cannot_take_is_refused(model):
         ({"simulation": {"time step": math.nan}}, "my_sim: 'simulation' / 'time step' is nan, expected a finite"),
         ({"simulation": {"duration": math.inf}}, "my_sim: 'simulation' / 'duration' is inf, expected a finite"),
         ({"controller": {"gains": {"rates": {"time constant": math.nan}}}}, "'rates' / 'time constant' is nan"),
-        ({"simulation": {"time step": 1e-9, "duration": 1e6}}, "more rows than memory holds"),
+        ({"simulation": {"time step": 1e-9, "duration": 1e6}}, "exceed the 5,000,000 rows"),
         (
             {"initial state conditions": {"rotor speeds": [1e200] * 4}},
-            "in the initial state the model's Fz is no number",
+            "in the initial state the model's Fz is not a finite number",
         ),
     ],
 )
@@ -68,8 +68,8 @@ WIND = {"t": [0.0, 1.0], "wind_north": [0.0, 1.0], "wind_east": [0.0, 0.0], "win
     "change, sentence",
     [
         ({"wind_nort": WIND["wind_north"], "wind_north": None}, "gust.csv lacks the column 'wind_north' .*'wind_nort'"),
-        ({"wind_east": [0.0, math.nan]}, "gust.csv holds no number in column 'wind_east', data row 2"),
-        ({"t": [1.0, 1.0]}, "gust.csv goes back in time, or stands still, in data row 2"),
+        ({"wind_east": [0.0, math.nan]}, "gust.csv has no number in column 'wind_east', data row 2"),
+        ({"t": [1.0, 1.0]}, "gust.csv does not increase in time in data row 2"),
         (dict.fromkeys(WIND, ()), "gust.csv has no rows"),
     ],
 )
@@ -82,7 +82,7 @@ def test_faults_of_a_wind_table_name_the_simulation_and_the_file(model, change, 
 @pytest.mark.parametrize(
     "faults, note",
     [
-        ({"rotor effectiveness after failure": [0.5, 1, 1, 1]}, "'inject failure' is false: nothing fails"),
+        ({"rotor effectiveness after failure": [0.5, 1, 1, 1]}, "'inject failure' is false"),
         ({"inject failure": True}, "every rotor keeps its health"),
         ({"inject failure": True, "time of failure": 9, "rotor health after failure": [0.1, 1, 1, 1]}, "after the end"),
     ],
@@ -111,19 +111,19 @@ def test_a_summary_is_plain_data_with_tracking_saturation_and_region(model):
     assert summary["tracking"]["position"]["greatest"] == pytest.approx(error.max())
     assert summary["outside the model's region"] is None and any("no region" in n for n in summary["notes"])
     assert set(summary["saturation"]) == {f"rotor {i}" for i in range(1, 5)}
-    assert "position error" in report(summary)
+    assert "position error" in format_report(summary)
 
 
 def test_a_rotor_that_failed_counts_as_saturated_beyond_its_cap(model):
     faults = {"inject failure": True, "time of failure": 0.5, "rotor health after failure": [1, 1, 0.3, 1]}
     result = simulate(setup_of(model, 1.0, controller={"controller": "NDI"}, faults=faults))
-    high = result.setup.machine.drive.high
+    high = result.setup.loop_parameters.drive.high
     command, t = result.table["w3_CMD"].to_numpy(), result.table["t"].to_numpy()
     beyond = np.mean(command >= np.where(t >= 0.5, 0.3 * high, high) * (1 - 1e-6))
     summary = result.summary()
     assert beyond > 0.3 and np.all(command < high)
     assert summary["saturation"]["rotor 3"]["share of time at highest"] == pytest.approx(beyond)
-    assert f"rotor 3's command at or beyond its limit {100 * beyond:.1f} % of the time" in report(summary)
+    assert f"rotor 3's command at or beyond its limit {100 * beyond:.1f} % of the time" in format_report(summary)
 
 
 def test_tables_that_the_settings_name_are_read_from_the_folder(model, tmp_path):
@@ -135,8 +135,8 @@ def test_tables_that_the_settings_name_are_read_from_the_folder(model, tmp_path)
     table = simulate(make_setup(settings, model, directory=tmp_path)).table
     assert np.allclose(table["wind_north"], 1.5)
     goal = np.zeros(20)
-    machine = make_setup(settings, model, directory=tmp_path).machine
-    goal_at(machine.reference, machine.path, machine.table, 2.0, goal)
+    loop = make_setup(settings, model, directory=tmp_path).loop_parameters
+    evaluate_reference(loop.reference, loop.path, loop.table, 2.0, goal)
     assert goal[1:4].tolist() == [1.0, 2.0, -3.0]
 
 
@@ -159,7 +159,7 @@ def test_show_names_the_command_that_shows_this_flight():
 
 
 def test_the_text_of_a_summary_states_the_main_settings(model):
-    text = report(
+    text = format_report(
         simulate(setup_of(model, 0.1, controller={"controller": "drone_NDI"}, noise={"add": False})).summary()
     )
     assert "controller drone_NDI, actuator rotorDynamicsV2, no noise, moment asymmetries corrected, rk4" in text

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from quasi import command
 from quasi.errors import ConfigError, DataError, ShapeError
-from quasi.simulation.loop.simulator import Simulator, signal_columns
+from quasi.simulation.loop.simulator import Simulator, make_signal_columns
 
 M, C, K = 1.0, 1.5, 0.8
 A = np.array([[0.0, 1.0], [-K / M, -C / M]])
@@ -172,9 +172,9 @@ def test_new_simulation_lays_a_runnable_skeleton_that_tracks_its_reference(tmp_p
 
 
 def test_recorded_signals_are_numbers_or_vectors_of_one_size():
-    assert {k: v.tolist() for k, v in signal_columns("a", [1.0, 2.0]).items()} == {"a": [1.0, 2.0]}
-    found = signal_columns("b", [np.array([1.0, 2.0]), np.array([3.0, 4.0])])
+    assert {k: v.tolist() for k, v in make_signal_columns("a", [1.0, 2.0]).items()} == {"a": [1.0, 2.0]}
+    found = make_signal_columns("b", [np.array([1.0, 2.0]), np.array([3.0, 4.0])])
     assert {k: v.tolist() for k, v in found.items()} == {"b_1": [1.0, 3.0], "b_2": [2.0, 4.0]}
     for wrong in ([1.0, np.zeros(2)], [np.zeros((2, 2))] * 2):
         with pytest.raises(ShapeError, match="signal 'c'"):
-            signal_columns("c", wrong)
+            make_signal_columns("c", wrong)

@@ -6,10 +6,10 @@ from plain_plant import made_model
 from scipy.spatial.transform import Rotation
 
 from quasi.attitude import POLE, from_euler, matrix, to_euler
-from quasi.simulation.control.references import goal_at, make_reference
+from quasi.simulation.control.references import evaluate_reference, make_reference
 from quasi.simulation.loop.run import simulate
 from quasi.simulation.loop.setup import make_setup
-from quasi.simulation.tools.figures import simulation_figures
+from quasi.simulation.tools.figures import draw_simulation
 from quasi.simulation.vehicle.dynamics import euler_angles
 
 ANGLES = ["roll", "pitch", "yaw"]
@@ -102,7 +102,7 @@ def test_a_table_of_angles_is_followed_through_the_vertical_by_the_shorter_turn(
     for row in range(len(t) - 1):
         step = (q[row].inv() * q[row + 1]).as_rotvec()
         for share in (0.0, 0.3, 0.9):
-            goal_at(*made, t[row] + share * 0.05 + 1e-9, goal)
+            evaluate_reference(*made, t[row] + share * 0.05 + 1e-9, goal)
             expected = (q[row] * Rotation.from_rotvec(step * (share + 2e-8))).as_matrix()
             assert np.abs(of_angles(*goal[7:10]) - expected).max() < 1e-6
             assert np.allclose(goal[10:13], step / 0.05, atol=1e-6)
@@ -121,7 +121,7 @@ def test_a_loop_is_flown_by_its_table_of_angles():
     table = result.table
     assert of_angles(*table[ANGLES].to_numpy().T)[:, 2, 2].min() < -0.99, "upside down on the way"
     assert np.abs(table["pitch_ref"]).max() <= np.pi / 2
-    figures = simulation_figures(table, result.setup.airframe, {"name": "loop"})
+    figures = draw_simulation(table, result.setup.airframe, {"name": "loop"})
     error = np.concatenate([line.get_ydata() for line in figures["tracking_error"].axes[0].lines])
     assert np.nanmax(np.abs(error)) < np.degrees(0.35)
     roll = next(a for a in figures["states"].axes if a.get_ylabel() == "roll, deg").lines[0].get_ydata()

@@ -16,7 +16,7 @@ from quasi.gap.flights.inflow import overshoot
 from quasi.gap.flights.pendulum import pull_of
 from quasi.model.extensions import configured_mass, mass_in, shift_of, telemetry_of, true_speeds, wind_of
 from quasi.model.model import Model
-from quasi.simulation.vehicle.variants import named, parts_of
+from quasi.simulation.vehicle.variants import list_part_names, read_payload_and_inflow
 
 
 def as_shown(flight: Evidence) -> np.ndarray:
@@ -60,7 +60,7 @@ def shown(extended: Model, base: Model, flight: Evidence) -> np.ndarray:
             weight = 0.0 if extended.with_gravity else mass * GRAVITY * flight.down
             bare = (wrench[:, :3] - weight) * (mass + load["mass"]) / mass
             # what a model that carries the load already predicts holds it hanging at rest
-            driving = bare / mass if "swinging load" in named(parts_of(base)) else None
+            driving = bare / mass if "swinging load" in list_part_names(read_payload_and_inflow(base)) else None
             # the accelerometer feels the string's pull beside the rotors', over the true mass
             force = scale * (bare + weight + load["mass"] * pull_of(flight, load["length"], driving))
     for extension in sections:

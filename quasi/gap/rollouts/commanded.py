@@ -18,13 +18,13 @@ from quasi.gap.extension import extend
 from quasi.gap.rollouts.open_loop import COMMANDED, SHARES, Flight
 from quasi.model.extensions import said_of_rotors
 from quasi.model.model import Model
-from quasi.simulation.tools.replay import Rotors, rotors_of
+from quasi.simulation.tools.replay import ActuatorDynamics, read_actuator_dynamics
 
 
-def learned(known: Mapping[str, Any], flight: Flight, model: Model) -> tuple[np.ndarray, Rotors] | None:
+def learned(known: Mapping[str, Any], flight: Flight, model: Model) -> tuple[np.ndarray, ActuatorDynamics] | None:
     """Settled speeds that a flight's commands ask for (N, 4), rad/s, and how rotors follow; None without its commands.
 
-    known  {"kind": "speeds" or "shares", "values": (11,) by `drive_fit.NAMES`, "voltage": V or None}
+    known  {"kind": "speeds" or "shares", "values": (11,) by `drive_fit.CONTROLLER_NAMES`, "voltage": V or None}
     model  whose limits of rotor speed hold, and what it knows of the age of the telemetry, which is no delay
     """
     names = COMMANDED if known["kind"] == "speeds" else SHARES
@@ -38,7 +38,7 @@ def learned(known: Mapping[str, Any], flight: Flight, model: Model) -> tuple[np.
         ratio = flight.table["battery_voltage"].to_numpy(float) / known["voltage"]
         wanted *= np.where(ratio > LOW_VOLTAGE, ratio, 1.0)[:, None] ** x["exponent"]
     late = max(x["delay"] - said_of_rotors(model).get("telemetry delay", 0.0), 0.0)
-    limits = rotors_of(model)
+    limits = read_actuator_dynamics(model)
     return wanted, limits._replace(up=np.array(x["up"]), down=np.array(x["down"]), delay=late)
 
 

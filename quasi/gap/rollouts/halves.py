@@ -29,7 +29,7 @@ from quasi.gap.wrench.gain import after, wrench_score
 from quasi.gap.wrench.nuisance import nuisances
 from quasi.gap.wrench.study import BAND, MEMORY, ORDER
 from quasi.model.model import AXES, Model
-from quasi.simulation.tools.rollout import steps_of
+from quasi.simulation.tools.rollout import count_steps
 
 OWN_SCOPES = ("s", "f")
 REACH = 0.2  # s: the filter of a flight sees that far ahead, windows start so much later
@@ -136,7 +136,7 @@ def gain(
             if not len(starts):
                 break
             fitted = with_own(model, base, causes, found, vehicle) if found.parameters else model
-            lags = np.array([steps_of(flight.t, horizon)])
+            lags = np.array([count_steps(flight.t, horizon)])
             errors = open_loop.vectors(open_loop.simulated(fitted, flight, starts, horizon), flight, starts, lags)
             ends = open_loop.table_of(flight, starts, errors, [horizon])[quantity]
             sums[k] += float((open_loop.finite(ends) ** 2).sum())
@@ -187,7 +187,7 @@ def judge(
         if mine.parameters:
             contenders["after, own parameters"] = fitted, None
         contenders |= {"before, trimmed": (base, bare.trim), "after, trimmed": (fitted, mine.trim)}
-        lags = np.array([steps_of(flight.t, h) for h in horizons])
+        lags = np.array([count_steps(flight.t, h) for h in horizons])
         for who, (model, trim) in contenders.items():
             offsets = None if trim is None else np.tile(trim, (len(starts), 1))
             run = open_loop.simulated(model, flight, starts, max(horizons), None, offsets)

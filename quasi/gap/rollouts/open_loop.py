@@ -11,8 +11,8 @@ from quasi.gap.statistics import blocks
 from quasi.gap.wrench.gain import states_of
 from quasi.model.extensions import drive_of, mass_in, shift_of, wind_of
 from quasi.model.model import Model
-from quasi.simulation.tools.replay import Rotors, replay, steps_of, twelve
-from quasi.simulation.tools.rollout import errors
+from quasi.simulation.tools.replay import ActuatorDynamics, count_steps, replay, to_euler_states
+from quasi.simulation.tools.rollout import compute_errors
 
 EVERY = 0.2  # s between the starts of two windows
 GAINED = "the error falls most"  # why one of the windows is shown
@@ -84,7 +84,7 @@ def commands_of(model: Model, flight: Flight) -> np.ndarray | None:
 
 def windows(flight: Flight, horizon: float) -> np.ndarray:
     """Rows at which windows start: all of a window is valid."""
-    steps = steps_of(flight.t, horizon)
+    steps = count_steps(flight.t, horizon)
     sums = np.concatenate([[0], np.cumsum(~flight.valid)])
     every = max(round(EVERY / float(np.median(np.diff(flight.t)))), 1)
     starts = np.arange(0, len(flight.t) - steps - 1, every)
@@ -93,7 +93,7 @@ def windows(flight: Flight, horizon: float) -> np.ndarray:
 
 def simulated(
     model: Model, flight: Flight, starts: np.ndarray, horizon: float, commands: np.ndarray | None = None,
-    offsets: np.ndarray | None = None, rotors: Rotors | None = None,
+    offsets: np.ndarray | None = None, rotors: ActuatorDynamics | None = None,
 ) -> np.ndarray:  # fmt: skip
     """States (S, steps + 1, 12) of a model from the measured ones at `starts`; offsets (S, 6) as of `replay`.
 
@@ -109,7 +109,9 @@ def simulated(
         states[:, 3:6] += np.cross(states[:, 6:9], shift)
         states[:, 9:] += rotate(from_euler(*states[:, :3].T), shift)
     driven = (commands, rotors, air, extra or None, offsets)
-    run = twelve(replay(model, flight.t, states, flight.speeds, starts, horizon, *driven, floor=0.0, mass=mass))
+    run = to_euler_states(
+        replay(model, flight.t, states, flight.speeds, starts, horizon, *driven, floor=0.0, mass=mass)
+    )
     if shift.any():
         run[..., 3:6] -= np.cross(run[..., 6:9], shift)
         run[..., 9:] -= rotate(from_euler(*np.moveaxis(run[..., :3], -1, 0)), shift)
@@ -133,10 +135,12 @@ def vectors(run: np.ndarray, flight: Flight, starts: np.ndarray, lags: np.ndarra
     return np.where(np.isfinite(found).all(axis=-1, keepdims=True), found, np.nan)
 
 
-def table_of(flight: Flight, starts: np.ndarray, errors: np.ndarray, horizons: Sequence[float]) -> pd.DataFrame:
+def table_of(flight: Flight, starts: np.ndarray, compute_errors: np.ndarray, horizons: Sequence[float]) -> pd.DataFrame:
     """Errors (S, K, OUTPUTS) after each of the horizons as rows: flight, start (s), horizon (s), and `sizes`."""
     about = {"flight": flight.key, "start": flight.t[starts]}
-    return joined([pd.DataFrame({**about, "horizon": float(h), **sizes(errors[:, k])}) for k, h in enumerate(horizons)])
+    return joined(
+        [pd.DataFrame({**about, "horizon": float(h), **sizes(compute_errors[:, k])}) for k, h in enumerate(horizons)]
+    )
 
 
 def joined(rows: Sequence[pd.DataFrame]) -> pd.DataFrame:
@@ -145,10 +149,10 @@ def joined(rows: Sequence[pd.DataFrame]) -> pd.DataFrame:
     return pd.concat(rows, ignore_index=True) if rows else pd.DataFrame(columns=columns)
 
 
-def sizes(errors: np.ndarray) -> dict[str, np.ndarray]:
+def sizes(compute_errors: np.ndarray) -> dict[str, np.ndarray]:
     """{quantity: (S,)} of errors (S, OUTPUTS): the norms of QUANTITIES and the absolute values of CHANNELS."""
-    norms = {q: np.linalg.norm(errors[:, place], axis=1) for q, place in VECTORS.items()}
-    return norms | dict(zip(CHANNELS.values(), np.abs(errors[:, list(COLUMN.values())]).T))
+    norms = {q: np.linalg.norm(compute_errors[:, place], axis=1) for q, place in VECTORS.items()}
+    return norms | dict(zip(CHANNELS.values(), np.abs(compute_errors[:, list(COLUMN.values())]).T))
 
 
 def rms(table: pd.DataFrame) -> dict[str, dict[str, float]]:
@@ -197,7 +201,7 @@ def overlays(models: Mapping[str, Model], flights: Sequence[Flight], horizon: fl
         starts = windows(flight, horizon)
         if len(starts):
             ends = [
-                finite(errors(simulated(m, flight, starts, horizon), flight.states, starts)["velocity"][:, -1])
+                finite(compute_errors(simulated(m, flight, starts, horizon), flight.states, starts)["velocity"][:, -1])
                 for m in (next(iter(models.values())), list(models.values())[-1])
             ]
             found += [(old - new, old, number, s) for old, new, s in zip(*ends, starts)]
@@ -212,7 +216,7 @@ def overlays(models: Mapping[str, Model], flights: Sequence[Flight], horizon: fl
     parts = []
     for window, (why, (_, _, number, start)) in enumerate(chosen.items()):
         flight = flights[number]
-        rows = slice(start, start + steps_of(flight.t, horizon) + 1)
+        rows = slice(start, start + count_steps(flight.t, horizon) + 1)
         table = {"window": window, "flight": flight.key, "why": why, "t": flight.t[rows]}
         runs = {"measured": flight.states[rows]}
         runs |= {word: simulated(m, flight, np.array([start]), horizon)[0] for word, m in models.items()}

@@ -1,7 +1,7 @@
 """Control allocation: squared rotor speeds for wanted moments and thrust, within the rotors' ranges.
 
-Weighted least squares by an active set: where the rotors cannot give all that is asked, roll and pitch are kept, then
-thrust, and yaw is given up first. Source: Harkegard, Efficient active set algorithms for solving constrained least
+Weighted least squares by an active set: where the rotors cannot produce all wanted loads, yaw is reduced first, then
+thrust, then roll and pitch. Source: Harkegard, Efficient active set algorithms for solving constrained least
 squares problems in aircraft control allocation, CDC 2002; weights: Smeur, Hoppener, de Wagter, Prioritized control
 allocation for quadrotors subject to saturation, IMAV 2017.
 """
@@ -9,12 +9,14 @@ allocation for quadrotors subject to saturation, IMAV 2017.
 import numpy as np
 from numba import njit
 
-SCRATCH = 64  # numbers of scratch that `allocate` needs
-_REGULAR = 1e-8  # weight of the squared distance from the preferred input, against weight 1 of a wanted row
+ALLOCATION_SCRATCH_SIZE = 64  # numbers of scratch that `allocate_rotors` needs
+_REGULARISATION_WEIGHT = (
+    1e-8  # weight of the squared distance from the preferred input, against weight 1 of a wanted row
+)
 
 
 @njit(cache=True, error_model="numpy")
-def invert(a, inverse):
+def invert_matrix(a, inverse):
     """Inverse of a (4, 4) matrix, flat row by row in `a` (16,), into `inverse` (16,); Gauss-Jordan, partial pivots."""
     work = np.empty((4, 8))
     for i in range(4):
@@ -42,20 +44,21 @@ def invert(a, inverse):
 
 
 @njit(cache=True, error_model="numpy")
-def allocate(effect, wanted, weights, low, high, scale, u, scratch):
+def allocate_rotors(effect, wanted, weights, low, high, scale, u, scratch):
     """Fill u (4,) with the inputs in [low, high] (4,) that minimise sum of (weights (effect u - wanted))^2.
 
     effect (16,) rows Mx My Mz Fz; wanted (4,); weights (4,), one per row, relative to what the row can do: each row
-    is first divided by the sum of its entries times `scale`, a typical input. scratch (SCRATCH,) is overwritten.
-    On entry u is the preferred input, which decides what the wanted rows leave open.
+    is first divided by the sum of its entries times `scale`, a typical input. scratch (ALLOCATION_SCRATCH_SIZE,) is
+    overwritten.
+    On entry u is the preferred input; it resolves what the wanted rows do not determine.
     """
     # normal equations of the scaled problem: h x = g, x = u / scale; h (16), g (4), x (4), bounds at 44..52
     h, g, x, side = scratch[0:16], scratch[16:20], scratch[20:24], scratch[24:28]
     for i in range(4):
         for j in range(4):
-            h[4 * i + j] = _REGULAR if i == j else 0.0
+            h[4 * i + j] = _REGULARISATION_WEIGHT if i == j else 0.0
         side[i] = 0.0
-        g[i] = _REGULAR * u[i] / scale
+        g[i] = _REGULARISATION_WEIGHT * u[i] / scale
         x[i] = min(max(u[i], low[i]), high[i]) / scale
     for row in range(4):
         size = 0.0
@@ -67,7 +70,7 @@ def allocate(effect, wanted, weights, low, high, scale, u, scratch):
             g[i] += w2 * a * wanted[row]
             for j in range(4):
                 h[4 * i + j] += w2 * a * effect[4 * row + j] * scale
-    # rotors that the preferred input holds at a bound begin there
+    # rotors at a bound of the preferred input begin there
     for i in range(4):
         if x[i] <= low[i] / scale:
             side[i] = -1.0
@@ -97,7 +100,7 @@ def allocate(effect, wanted, weights, low, high, scale, u, scratch):
             side[hit] = at
             x[hit] = (low[hit] if at < 0.0 else high[hit]) / scale
             continue
-        # at the optimum of this set: release the rotor that is held most against its will
+        # at the optimum of this set: release the rotor with the most negative multiplier
         worst, rotor = -1e-9, -1
         for i in range(4):
             if side[i] != 0.0:
@@ -105,9 +108,9 @@ def allocate(effect, wanted, weights, low, high, scale, u, scratch):
                 for j in range(4):
                     slope += h[4 * i + j] * x[j]
                 # at the lower bound the cost must rise upwards, at the upper bound downwards
-                held = -side[i] * slope
-                if held < worst * (1.0 + abs(g[i])):
-                    worst, rotor = held / (1.0 + abs(g[i])), i
+                multiplier = -side[i] * slope
+                if multiplier < worst * (1.0 + abs(g[i])):
+                    worst, rotor = multiplier / (1.0 + abs(g[i])), i
         if rotor < 0:
             break
         side[rotor] = 0.0

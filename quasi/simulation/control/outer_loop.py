@@ -1,15 +1,15 @@
-"""From a goal to wanted body rates and thrust: the position, velocity and attitude loops that all controllers share.
+"""Position, velocity and attitude loops of all controllers: from a setpoint to wanted body rates and thrust.
 
-    v_wish = v_ref + (x_ref - x)/T_x,  a_wish = a_ref + (v_wish - v)/T_v + integral
-    thrust vector per mass: s = a_wish - g - d,  d the acceleration that is not the thrust's
+    v_wanted = v_ref + (x_ref - x)/T_x,  a_wanted = a_ref + (v_wanted - v)/T_v + integral
+    thrust vector per mass: s = a_wanted - g - d,  d the acceleration not caused by thrust
 
-d is nothing for PID (its integral finds it), the model's for NDI, the measured one for INDI, which is the increment of
+d is zero for PID (its integral estimates it), the model's for NDI, and the measured one for INDI: the increment of
 Smeur, de Croon, Chu, Cascaded incremental nonlinear dynamic inversion for MAV disturbance rejection, Control
 Engineering Practice 73, 2018, written for the whole vector. Attitude errors are split in tilt and yaw, tilt first:
 Brescianini, D'Andrea, Tilt-prioritized quadrocopter attitude control, IEEE T-CST 28(2), 2020.
 
-Goal (20,): kind; x y z (m, earth); vx vy vz (m/s, earth); roll pitch yaw (rad); p q r (rad/s); thrust (N, upwards in
-the body; NaN carries the weight); yaw rate (rad/s, about the vertical); ax ay az (m/s2, earth, fed forward).
+Setpoint (20,): kind; x y z (m, earth); vx vy vz (m/s, earth); roll pitch yaw (rad); p q r (rad/s); thrust (N, upwards
+in the body; NaN carries the weight); yaw rate (rad/s, about the vertical); ax ay az (m/s2, earth, feedforward).
 """
 
 import math
@@ -19,21 +19,30 @@ from numba import njit
 from quasi.attitude import GRAVITY
 from quasi.simulation.control import gains as g
 
-GOAL = 20
-POSITION_GOAL, VELOCITY_GOAL, ATTITUDE_GOAL, RATES_GOAL = 0.0, 1.0, 2.0, 3.0
-KIND, PLACE, SPEED, ANGLES, RATES, THRUST, YAW_RATE, FORWARD = 0, 1, 4, 7, 10, 13, 14, 15
+SETPOINT_SIZE = 20
+POSITION_SETPOINT, VELOCITY_SETPOINT, ATTITUDE_SETPOINT, RATES_SETPOINT = 0.0, 1.0, 2.0, 3.0
+(
+    SETPOINT_KIND,
+    SETPOINT_POSITION,
+    SETPOINT_VELOCITY,
+    SETPOINT_ANGLES,
+    SETPOINT_RATES,
+    SETPOINT_THRUST,
+    SETPOINT_YAW_RATE,
+    SETPOINT_ACCELERATION,
+) = 0, 1, 4, 7, 10, 13, 14, 15
 
-# places in the memory that belong to these loops; see controllers.py for the others. STARTED holds 0 before the first
-# step, then RUNNING, or SATURATED where the last step's commands met a limit of the rotors
-STARTED, RUNNING, SATURATED = 0, 1.0, 2.0
-INTEGRAL, LAST_FORWARD, WISH = 49, 55, 168
-_BRAKE = 0.4  # share of the greatest acceleration (vertically: of gravity's) that is counted on to stop
-_SLIGHT = 0.4  # m/s, greatest error of velocity that an integral counts
-_JERK = 80.0  # m/s3; beyond it a change of the fed forward acceleration is a jump, which has no rate
+# entries of these loops in the memory; see controllers.py for the others. CONTROLLER_STATUS is 0 before the first step,
+# then RUNNING, or SATURATED where the last commands reached a limit of the rotors
+CONTROLLER_STATUS, RUNNING, SATURATED = 0, 1.0, 2.0
+VELOCITY_INTEGRAL, LAST_ACCELERATION, WANTED_RATES = 49, 55, 168
+_BRAKING_SHARE = 0.4  # share of the greatest acceleration (vertically: of gravity) assumed for braking
+_MAX_INTEGRATED_ERROR = 0.4  # m/s, greatest velocity error that is integrated
+_MAX_JERK = 80.0  # m/s3; a faster change of the feedforward acceleration is a jump and has no rate
 
 
 @njit(cache=True, error_model="numpy")
-def rotation(q):
+def rotation_matrix(q):
     """Rotation matrix body to earth, row by row, of a quaternion w x y z."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     return (
@@ -54,16 +63,16 @@ def turn_towards(r, d, parameters, out):
     nx = r[0] * d[2] + r[3] * d[5] + r[6] * d[8]
     ny = r[1] * d[2] + r[4] * d[5] + r[7] * d[8]
     nz = r[2] * d[2] + r[5] * d[5] + r[8] * d[8]
-    # the shortest way that carries the body's z axis onto the wanted one
+    # the shortest rotation of the body's z axis onto the wanted one
     sine = math.sqrt(nx * nx + ny * ny)
     if sine > 1e-9:
         factor = math.atan2(sine, nz) / sine
-        out[0], out[1] = -parameters[g.ATTITUDE] * factor * ny, parameters[g.ATTITUDE] * factor * nx
+        out[0], out[1] = -parameters[g.ATTITUDE_GAIN] * factor * ny, parameters[g.ATTITUDE_GAIN] * factor * nx
     else:
         # upside down: any axis will do
-        out[0], out[1] = (0.0 if nz > 0.0 else parameters[g.ATTITUDE] * math.pi), 0.0
-    # what is left then is a turn about z (swing and twist of the error's quaternion)
-    out[2] = parameters[g.YAW] * math.atan2(e10 - e01, e00 + e11)
+        out[0], out[1] = (0.0 if nz > 0.0 else parameters[g.ATTITUDE_GAIN] * math.pi), 0.0
+    # the remaining rotation is about z (swing and twist of the error quaternion)
+    out[2] = parameters[g.YAW_GAIN] * math.atan2(e10 - e01, e00 + e11)
 
 
 @njit(cache=True, error_model="numpy")
@@ -97,13 +106,13 @@ def attitude_of_angles(roll, pitch, yaw):
 
 
 @njit(cache=True, error_model="numpy")
-def _shorten(x, y, most):
+def _limit_length(x, y, most):
     size = math.sqrt(x * x + y * y)
     return (x, y) if size <= most else (x * most / size, y * most / size)
 
 
 @njit(cache=True, error_model="numpy")
-def _approach(distance, gain, brake, most):
+def _limit_approach_gain(distance, gain, brake, most):
     """Wanted speed per distance, 1/s: the gain when near; when far no more than can be braked, nor than `most`, m/s."""
     linear = brake / (gain * gain)
     speed = gain * distance if distance <= linear else math.sqrt(2.0 * brake * distance - brake * linear)
@@ -111,81 +120,99 @@ def _approach(distance, gain, brake, most):
 
 
 @njit(cache=True, error_model="numpy")
-def outer_loop(parameters, memory, dt, seen, goal, dx, dy, dz):
-    """Wanted body rates into memory[WISH:WISH+3], rad/s; returns the wanted thrust, N, upwards in the body.
+def run_outer_loop(parameters, memory, dt, measurement, setpoint, dx, dy, dz):
+    """Write the wanted body rates, rad/s, to memory[WANTED_RATES:WANTED_RATES+3]; return the wanted thrust, N, upwards.
 
-    dx dy dz: acceleration that is neither gravity nor thrust, m/s2, earth axes.
+    dx dy dz: acceleration caused by neither gravity nor thrust, m/s2, earth axes.
     """
-    p, wish = parameters, memory[WISH : WISH + 3]
-    kind, mass = goal[KIND], p[g.MASS]
-    if kind == RATES_GOAL:
+    p, wanted_rates = parameters, memory[WANTED_RATES : WANTED_RATES + 3]
+    kind, mass = setpoint[SETPOINT_KIND], p[g.MASS]
+    if kind == RATES_SETPOINT:
         for k in range(3):
-            wish[k] = goal[RATES + k]
-        return goal[THRUST] if goal[THRUST] == goal[THRUST] else mass * GRAVITY
-    r = rotation(seen)
-    if kind == ATTITUDE_GOAL:
-        turn_towards(r, attitude_of_angles(goal[ANGLES], goal[ANGLES + 1], goal[ANGLES + 2]), p, wish)
+            wanted_rates[k] = setpoint[SETPOINT_RATES + k]
+        return setpoint[SETPOINT_THRUST] if setpoint[SETPOINT_THRUST] == setpoint[SETPOINT_THRUST] else mass * GRAVITY
+    r = rotation_matrix(measurement)
+    if kind == ATTITUDE_SETPOINT:
+        turn_towards(
+            r,
+            attitude_of_angles(setpoint[SETPOINT_ANGLES], setpoint[SETPOINT_ANGLES + 1], setpoint[SETPOINT_ANGLES + 2]),
+            p,
+            wanted_rates,
+        )
         for k in range(3):
-            wish[k] += goal[RATES + k] + r[6 + k] * goal[YAW_RATE]
-        _limit_rates(p, wish)
-        if goal[THRUST] == goal[THRUST]:
-            return goal[THRUST]
-        return mass * GRAVITY / max(r[8], math.cos(p[g.TILT]))
+            wanted_rates[k] += setpoint[SETPOINT_RATES + k] + r[6 + k] * setpoint[SETPOINT_YAW_RATE]
+        _limit_rates(p, wanted_rates)
+        if setpoint[SETPOINT_THRUST] == setpoint[SETPOINT_THRUST]:
+            return setpoint[SETPOINT_THRUST]
+        return mass * GRAVITY / max(r[8], math.cos(p[g.MAX_TILT]))
 
-    vx = r[0] * seen[4] + r[1] * seen[5] + r[2] * seen[6]
-    vy = r[3] * seen[4] + r[4] * seen[5] + r[5] * seen[6]
-    vz = r[6] * seen[4] + r[7] * seen[5] + r[8] * seen[6]
-    wx, wy, wz = goal[SPEED], goal[SPEED + 1], goal[SPEED + 2]
-    if kind == POSITION_GOAL:
-        ex, ey, ez = goal[PLACE] - seen[10], goal[PLACE + 1] - seen[11], goal[PLACE + 2] - seen[12]
-        near = _approach(math.sqrt(ex * ex + ey * ey), p[g.POSITION], _BRAKE * p[g.ACCELERATION], p[g.SPEED])
-        climb = _approach(abs(ez), p[g.POSITION], _BRAKE * GRAVITY, p[g.CLIMB])
+    vx = r[0] * measurement[4] + r[1] * measurement[5] + r[2] * measurement[6]
+    vy = r[3] * measurement[4] + r[4] * measurement[5] + r[5] * measurement[6]
+    vz = r[6] * measurement[4] + r[7] * measurement[5] + r[8] * measurement[6]
+    wx, wy, wz = setpoint[SETPOINT_VELOCITY], setpoint[SETPOINT_VELOCITY + 1], setpoint[SETPOINT_VELOCITY + 2]
+    if kind == POSITION_SETPOINT:
+        ex, ey, ez = (
+            setpoint[SETPOINT_POSITION] - measurement[10],
+            setpoint[SETPOINT_POSITION + 1] - measurement[11],
+            setpoint[SETPOINT_POSITION + 2] - measurement[12],
+        )
+        near = _limit_approach_gain(
+            math.sqrt(ex * ex + ey * ey), p[g.POSITION_GAIN], _BRAKING_SHARE * p[g.MAX_ACCELERATION], p[g.MAX_SPEED]
+        )
+        climb = _limit_approach_gain(abs(ez), p[g.POSITION_GAIN], _BRAKING_SHARE * GRAVITY, p[g.MAX_CLIMB])
         wx, wy, wz = wx + near * ex, wy + near * ey, wz + climb * ez
     ex, ey, ez = wx - vx, wy - vy, wz - vz
-    fx, fy, fz = goal[FORWARD], goal[FORWARD + 1], goal[FORWARD + 2]
-    ax, ay = _shorten(
-        fx + p[g.VELOCITY] * ex + memory[INTEGRAL], fy + p[g.VELOCITY] * ey + memory[INTEGRAL + 1], p[g.ACCELERATION]
+    fx, fy, fz = (
+        setpoint[SETPOINT_ACCELERATION],
+        setpoint[SETPOINT_ACCELERATION + 1],
+        setpoint[SETPOINT_ACCELERATION + 2],
+    )
+    ax, ay = _limit_length(
+        fx + p[g.VELOCITY_GAIN] * ex + memory[VELOCITY_INTEGRAL],
+        fy + p[g.VELOCITY_GAIN] * ey + memory[VELOCITY_INTEGRAL + 1],
+        p[g.MAX_ACCELERATION],
     )
     most = 0.7 * GRAVITY
-    az = min(max(fz + p[g.VELOCITY] * ez + memory[INTEGRAL + 2], -p[g.ACCELERATION]), most)
+    az = min(max(fz + p[g.VELOCITY_GAIN] * ez + memory[VELOCITY_INTEGRAL + 2], -p[g.MAX_ACCELERATION]), most)
     # thrust per mass; at least a fifth of the weight upwards, and no more tilt than allowed
     sz = min(az - GRAVITY - dz, -0.2 * GRAVITY)
     wide_x, wide_y = ax - dx, ay - dy
-    sx, sy = _shorten(wide_x, wide_y, -sz * p[g.SLOPE])
-    turn_towards(r, attitude_of_thrust(sx, sy, sz, goal[ANGLES + 2]), p, wish)
+    sx, sy = _limit_length(wide_x, wide_y, -sz * p[g.MAX_TILT_TANGENT])
+    turn_towards(r, attitude_of_thrust(sx, sy, sz, setpoint[SETPOINT_ANGLES + 2]), p, wanted_rates)
 
-    # rates that the fed forward acceleration and heading ask for by themselves
+    # feedforward rates of the feedforward acceleration and heading
     size = math.sqrt(sx * sx + sy * sy + sz * sz)
     jx, jy, jz = (
-        (fx - memory[LAST_FORWARD]) / dt,
-        (fy - memory[LAST_FORWARD + 1]) / dt,
-        (fz - memory[LAST_FORWARD + 2]) / dt,
+        (fx - memory[LAST_ACCELERATION]) / dt,
+        (fy - memory[LAST_ACCELERATION + 1]) / dt,
+        (fz - memory[LAST_ACCELERATION + 2]) / dt,
     )
-    if jx * jx + jy * jy + jz * jz < _JERK * _JERK:
-        wish[0] += (r[1] * jx + r[4] * jy + r[7] * jz) / size
-        wish[1] -= (r[0] * jx + r[3] * jy + r[6] * jz) / size
+    if jx * jx + jy * jy + jz * jz < _MAX_JERK * _MAX_JERK:
+        wanted_rates[0] += (r[1] * jx + r[4] * jy + r[7] * jz) / size
+        wanted_rates[1] -= (r[0] * jx + r[3] * jy + r[6] * jz) / size
     for k in range(3):
-        memory[LAST_FORWARD + k] = goal[FORWARD + k]
-        wish[k] += r[6 + k] * goal[YAW_RATE]
-    _limit_rates(p, wish)
+        memory[LAST_ACCELERATION + k] = setpoint[SETPOINT_ACCELERATION + k]
+        wanted_rates[k] += r[6 + k] * setpoint[SETPOINT_YAW_RATE]
+    _limit_rates(p, wanted_rates)
 
-    # integrals stand still where more of them would only push further against a limit, and count large errors, which
-    # are those of a manoeuvre, as small ones
-    gain = p[g.VELOCITY_INTEGRAL] * dt
+    # anti-windup: integrals stop at a limit; large errors belong to a manoeuvre and are limited
+    gain = p[g.VELOCITY_INTEGRAL_GAIN] * dt
     if gain > 0.0:
         inside = sx == wide_x and sy == wide_y
         if inside or ex * wide_x + ey * wide_y < 0.0:
-            ex, ey = _shorten(ex, ey, _SLIGHT)
-            x, y = _shorten(memory[INTEGRAL] + gain * ex, memory[INTEGRAL + 1] + gain * ey, p[g.INTEGRAL])
-            memory[INTEGRAL], memory[INTEGRAL + 1] = x, y
-        if (sz < -0.2 * GRAVITY or ez < 0.0) and memory[STARTED] != SATURATED:
-            z = memory[INTEGRAL + 2] + gain * min(max(ez, -_SLIGHT), _SLIGHT)
-            memory[INTEGRAL + 2] = min(max(z, -p[g.INTEGRAL]), p[g.INTEGRAL])
-    # thrust along the present axis only: none of it is spent sideways while the body still turns
+            ex, ey = _limit_length(ex, ey, _MAX_INTEGRATED_ERROR)
+            x, y = _limit_length(
+                memory[VELOCITY_INTEGRAL] + gain * ex, memory[VELOCITY_INTEGRAL + 1] + gain * ey, p[g.MAX_INTEGRAL]
+            )
+            memory[VELOCITY_INTEGRAL], memory[VELOCITY_INTEGRAL + 1] = x, y
+        if (sz < -0.2 * GRAVITY or ez < 0.0) and memory[CONTROLLER_STATUS] != SATURATED:
+            z = memory[VELOCITY_INTEGRAL + 2] + gain * min(max(ez, -_MAX_INTEGRATED_ERROR), _MAX_INTEGRATED_ERROR)
+            memory[VELOCITY_INTEGRAL + 2] = min(max(z, -p[g.MAX_INTEGRAL]), p[g.MAX_INTEGRAL])
+    # thrust along the present axis only, so that none acts sideways while the body still turns
     return max(-mass * (sx * r[2] + sy * r[5] + sz * r[8]), 0.0)
 
 
 @njit(cache=True, error_model="numpy")
-def _limit_rates(p, wish):
-    wish[0], wish[1] = _shorten(wish[0], wish[1], p[g.RATE])
-    wish[2] = min(max(wish[2], -p[g.YAW_RATE]), p[g.YAW_RATE])
+def _limit_rates(p, wanted_rates):
+    wanted_rates[0], wanted_rates[1] = _limit_length(wanted_rates[0], wanted_rates[1], p[g.MAX_TILT_RATE])
+    wanted_rates[2] = min(max(wanted_rates[2], -p[g.MAX_YAW_RATE]), p[g.MAX_YAW_RATE])

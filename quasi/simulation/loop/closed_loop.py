@@ -1,8 +1,8 @@
 """The closed loop, compiled: reference, sensors, controller, actuator, model, equations of motion, integrator.
 
 Each part is a function. The Python loop (`python_loop`) calls the same functions in the same order on the same arrays,
-so both loops give the same numbers. `fly` runs one simulation, `fly_some` runs part of a batch. A Machine holds what
-is constant during a run; a Live and a Scratch hold what changes.
+so both loops give the same numbers. `run_loop` runs one simulation, `run_batch_part` runs part of a batch. A Machine
+holds what is constant during a run; a Live and a Scratch hold what changes.
 """
 
 import math
@@ -13,48 +13,65 @@ from numba import njit
 
 from quasi.attitude import GRAVITY
 from quasi.simulation.control.controllers import controller_step
-from quasi.simulation.control.references import goal_at
-from quasi.simulation.vehicle.dynamics import advance, inputs_of, loads_at, rotor_slope, scratch_of
+from quasi.simulation.control.references import evaluate_reference
+from quasi.simulation.vehicle.dynamics import (
+    compute_loads,
+    count_inputs,
+    integrate_step,
+    make_scratch,
+    rotor_acceleration,
+)
 from quasi.simulation.vehicle.layout import (
-    CAP,
-    EXTRAS,
-    GRAVITY_ADDED,
-    HELD,
+    ADDED_GRAVITY,
+    EXTRA_INPUTS,
+    GIVEN_ACCELERATION,
+    LAG_UP,
     MASS,
-    RATE,
-    ROTORS,
-    SHARE,
-    SLOPE,
-    STATES,
-    TARGET,
-    UP,
-    WIND,
+    MAX_ROTOR_ACCELERATION,
+    ROOT_EFFECTIVENESS,
+    ROTOR_SPEEDS,
+    SPEED_CAP,
+    STATE_SIZE,
+    STEP_INPUTS_SIZE,
+    TARGET_SPEED,
+    WIND_VELOCITY,
 )
 from quasi.simulation.vehicle.sensors_and_wind import (
     GUST_ROW,
-    SEEN,
+    MEASUREMENT_SIZE,
     SENSOR_ROW,
     Sensors,
-    blow,
-    first_gust,
-    next_gust,
-    seeded,
-    sense,
+    add_sensor_noise,
+    advance_gust,
+    draw_first_gust,
+    seed_generator,
+    wind_velocity,
 )
 from quasi.terms.kernel import Kernel
 
-GOAL = 20
-EXTERNAL = -1  # kind of a reference whose goal is set from outside
+SETPOINT_SIZE = 20
+EXTERNAL_REFERENCE = -1  # kind of a reference whose setpoint is set by the caller
 # columns of the log
-T, X, AIMED, COMMANDS, LOADS, AIR, VOLTAGE, SPEEDS, SLOPES, SEEN_AT = 0, 1, 18, 38, 42, 48, 51, 52, 56, 60
-LOG = SEEN_AT + 20
-SHORT_LOG = X + STATES
-FINE, NO_COMMAND = 0, 100  # status; 1..17 name the state that left its limits
-FAULT = 9  # entries of a fault: time s, shares of thrust and torque of four rotors, caps of their speeds
+(
+    LOG_TIME,
+    LOG_STATE,
+    LOG_SETPOINT,
+    LOG_COMMANDS,
+    LOG_LOADS,
+    LOG_WIND,
+    LOG_VOLTAGE,
+    LOG_ROTOR_SPEEDS,
+    LOG_ROTOR_ACCELERATIONS,
+    LOG_MEASUREMENT,
+) = 0, 1, 18, 38, 42, 48, 51, 52, 56, 60
+FULL_LOG_SIZE = LOG_MEASUREMENT + 20
+SHORT_LOG_SIZE = LOG_STATE + STATE_SIZE
+STATUS_FINE, STATUS_NO_COMMAND = 0, 100  # status; 1..17 name the state that left its limits
+FAULT_SIZE = 9  # entries of a fault: time s, shares of thrust and torque of four rotors, caps of their speeds
 
 
-class Drive(NamedTuple):
-    """What bounds a command: lowest and highest rotor speed, rad/s, and the delay, s, before a command acts."""
+class ActuatorLimits(NamedTuple):
+    """Limits of a command: lowest and highest rotor speed, rad/s, and the delay, s, before a command acts."""
 
     low: float
     high: float
@@ -62,12 +79,13 @@ class Drive(NamedTuple):
 
 
 class Battery(NamedTuple):
-    """Voltage and what it does to the rotors.
+    """Battery voltage and its effect on the rotors.
 
-    start V at the beginning; drain V/s; sag V at the power of hover, growing with the third power of the rotor speeds;
-    hover rad/s; reference V at which a command is the speed that a rotor settles at; exponent: that speed grows with
-    (voltage / reference) ** exponent, 0 for a governed motor; place of the voltage among the model's extra inputs, -1
-    where it is none
+    start V at the beginning; drain V/s; sag V at the power of hover, in proportion to the rotor speeds cubed; hover
+    rad/s
+    reference  V at which the commanded speed is the steady speed of a rotor
+    exponent   the steady speed is proportional to (voltage / reference) ** exponent; 0 for a governed motor
+    place      index of the voltage among the model's extra inputs, -1 where the model does not use it
     """
 
     start: float
@@ -79,18 +97,19 @@ class Battery(NamedTuple):
     place: int
 
 
-class Machine(NamedTuple):
-    """A closed loop, ready to run: everything that stays the same during a simulation.
+class LoopParameters(NamedTuple):
+    """Parameters of a closed loop: everything that is constant during a simulation.
 
-    kernel, body  see `dynamics`; fault (9,); wind (9,), wind_table (T, 4), see `environment`
+    kernel, body  see `dynamics`; fault (9,); wind (9,), wind_table (T, 4), see `update_environment`
     controller, gains, reference, path, table  see `controllers` and `references`
-    dt s, between two commands; substeps of the integrator within it; method EULER or RK4
-    limits (17,): a state beyond them has diverged; clock: place of the time among the model's extra inputs, -1 for none
+    dt s, between two commands; substeps of the integrator in it; method EULER or RK4
+    limits (17,): a state beyond them has diverged; clock: index of the time among the model's extra
+    inputs, -1 where the model does not use it
     """
 
     kernel: Kernel
     body: np.ndarray
-    drive: Drive
+    drive: ActuatorLimits
     battery: Battery
     fault: np.ndarray
     sensors: Sensors
@@ -108,79 +127,81 @@ class Machine(NamedTuple):
     clock: int
 
 
-class Live(NamedTuple):
-    """What changes during a simulation; `live_of` makes it."""
+class LoopState(NamedTuple):
+    """State of a closed loop: everything that changes during a simulation; see `make_loop_state`."""
 
     x: np.ndarray  # (17 + own,)
-    held: np.ndarray
+    step_inputs: np.ndarray
     commands: np.ndarray  # (4,) rad/s
     ring: np.ndarray  # (D, 4) the latest commands
-    goal: np.ndarray  # (20,)
-    seen: np.ndarray  # (26,)
+    setpoint: np.ndarray  # (20,)
+    measurement: np.ndarray  # (26,)
     memory: np.ndarray  # of the controller
-    speeds: np.ndarray  # (4,) rotor speeds that act
+    speeds: np.ndarray  # (4,) acting rotor speeds
     gust: np.ndarray  # (3,)
     air: np.ndarray  # (3,)
     voltage: np.ndarray  # (1,)
     random: np.ndarray  # (2,) uint64
-    draws: np.ndarray
+    random_numbers: np.ndarray
 
 
 @njit(cache=True, error_model="numpy")
-def live_of(machine, x, memory, noise_seed, gust_seed):
-    """What changes during a simulation that begins in state x (17 + own,), rotors in balance with commands."""
-    held = np.zeros(HELD + inputs_of(machine.kernel) - 20)
-    rows = math.floor(machine.drive.delay / machine.dt + 1e-9) + 2
+def make_loop_state(parameters, x, memory, noise_seed, gust_seed):
+    """Make the state of a simulation from x (17 + extra_states,), with commands equal to the rotor speeds."""
+    step_inputs = np.zeros(STEP_INPUTS_SIZE + count_inputs(parameters.kernel) - 20)
+    rows = math.floor(parameters.drive.delay / parameters.dt + 1e-9) + 2
     ring = np.empty((rows, 4))
     random = np.empty(2, np.uint64)
-    random[SENSOR_ROW], random[GUST_ROW] = seeded(noise_seed, 0), seeded(gust_seed, 1)
-    draws, gust = np.zeros(19), np.zeros(3)
+    random[SENSOR_ROW], random[GUST_ROW] = seed_generator(noise_seed, 0), seed_generator(gust_seed, 1)
+    random_numbers, gust = np.zeros(19), np.zeros(3)
     for i in range(4):
-        ring[:, i] = x[ROTORS + i]
-        held[TARGET + i], held[SLOPE + i], held[SHARE + i], held[CAP + i] = x[ROTORS + i], 0.0, 1.0, np.inf
-    first_gust(machine.wind, random, draws, gust)
-    return Live(
-        x.copy(), held, x[ROTORS:STATES].copy(), ring, np.zeros(GOAL), np.zeros(SEEN), np.zeros(memory), np.zeros(4),
-        gust, np.zeros(3), np.zeros(1), random, draws,
+        ring[:, i] = x[ROTOR_SPEEDS + i]
+        step_inputs[TARGET_SPEED + i], step_inputs[GIVEN_ACCELERATION + i] = x[ROTOR_SPEEDS + i], 0.0
+        step_inputs[ROOT_EFFECTIVENESS + i], step_inputs[SPEED_CAP + i] = 1.0, np.inf
+    draw_first_gust(parameters.wind, random, random_numbers, gust)
+    return LoopState(
+        x.copy(), step_inputs, x[ROTOR_SPEEDS:STATE_SIZE].copy(), ring, np.zeros(SETPOINT_SIZE),
+        np.zeros(MEASUREMENT_SIZE), np.zeros(memory), np.zeros(4), gust,
+        np.zeros(3), np.zeros(1), random, random_numbers,
     )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
-def environment(t, wind, wind_table, fault, battery, clock, x, held, gust, air, speeds, voltage):
-    """Wind, faults, battery and time itself at time t: what is held over a step, apart from the commands."""
-    blow(wind, wind_table, t, gust, air)
+def update_environment(t, wind, wind_table, fault, battery, clock, x, step_inputs, gust, air, speeds, voltage):
+    """Set the step inputs at time t except the commands: wind, faults, battery and time."""
+    wind_velocity(wind, wind_table, t, gust, air)
     for i in range(3):
-        held[WIND + i] = air[i]
+        step_inputs[WIND_VELOCITY + i] = air[i]
     if t >= fault[0] - 1e-9:
         for i in range(4):
-            held[SHARE + i] = math.sqrt(fault[1 + i])
-            held[CAP + i] = fault[5 + i]
+            step_inputs[ROOT_EFFECTIVENESS + i] = math.sqrt(fault[1 + i])
+            step_inputs[SPEED_CAP + i] = fault[5 + i]
     power = 0.0
     for i in range(4):
-        speeds[i] = min(x[ROTORS + i], held[CAP + i])
+        speeds[i] = min(x[ROTOR_SPEEDS + i], step_inputs[SPEED_CAP + i])
         power += speeds[i] * speeds[i] * speeds[i]
     voltage[0] = battery.start - battery.drain * t - battery.sag * power / (4.0 * battery.hover**3)
     if battery.place >= 0:
-        held[EXTRAS + battery.place] = voltage[0]
+        step_inputs[EXTRA_INPUTS + battery.place] = voltage[0]
     if clock >= 0:
-        held[EXTRAS + clock] = t
+        step_inputs[EXTRA_INPUTS + clock] = t
 
 
 @njit(cache=True, error_model="numpy")
-def observe(body, sensors, x, last, speeds, random, draws, seen):
-    """What the sensors read now, into seen (26,); the accelerometer feels the forces at the end of the last step."""
-    fx, fy, fz = last[0] / body[MASS], last[1] / body[MASS], last[2] / body[MASS]
-    if body[GRAVITY_ADDED] == 0.0:  # the model's forces are net forces
+def measure(body, sensors, x, last_loads, speeds, random, random_numbers, measurement):
+    """Write sensor readings to measurement (26,); the accelerometer measures the forces at the last step's end."""
+    fx, fy, fz = last_loads[0] / body[MASS], last_loads[1] / body[MASS], last_loads[2] / body[MASS]
+    if body[ADDED_GRAVITY] == 0.0:  # the model's forces are net forces
         w, rx, ry, rz = x[0], x[1], x[2], x[3]
         fx -= 2.0 * (rx * rz - w * ry) * GRAVITY
         fy -= 2.0 * (ry * rz + w * rx) * GRAVITY
         fz -= (1.0 - 2.0 * (rx * rx + ry * ry)) * GRAVITY
-    sense(x, fx, fy, fz, sensors, speeds, random, draws, seen)
+    add_sensor_noise(x, fx, fy, fz, sensors, speeds, random, random_numbers, measurement)
 
 
 @njit(cache=True, error_model="numpy")
-def actuate(k, dt, drive, battery, body, x, held, ring, commands, voltage, speeds):
-    """From commanded rotor speeds to what the rotors do during step k: delay, battery, saturation, lag."""
+def actuate_rotors(k, dt, drive, battery, body, x, step_inputs, ring, commands, voltage, speeds):
+    """Set the rotors' targets for step k from the commanded speeds: delay, battery, saturation, lag."""
     size = len(ring)
     whole = drive.delay / dt
     late = math.floor(whole + 1e-9)
@@ -194,113 +215,146 @@ def actuate(k, dt, drive, battery, body, x, held, ring, commands, voltage, speed
         if share > 0.0:
             wanted = (1.0 - share) * wanted + share * ring[(k - late - 1) % size, i]
         target = min(max(wanted * factor, drive.low), drive.high * factor)
-        held[TARGET + i] = target
-        if body[UP + i] > 0.0:
-            held[SLOPE + i] = np.nan
-        elif body[RATE] == np.inf:
-            x[ROTORS + i] = target
-            held[SLOPE + i] = 0.0
+        step_inputs[TARGET_SPEED + i] = target
+        if body[LAG_UP + i] > 0.0:
+            step_inputs[GIVEN_ACCELERATION + i] = np.nan
+        elif body[MAX_ROTOR_ACCELERATION] == np.inf:
+            x[ROTOR_SPEEDS + i] = target
+            step_inputs[GIVEN_ACCELERATION + i] = 0.0
         else:
-            slope = (target - x[ROTORS + i]) / dt
-            held[SLOPE + i] = min(max(slope, -body[RATE]), body[RATE])
-        speeds[i] = min(x[ROTORS + i], held[CAP + i])
+            slope = (target - x[ROTOR_SPEEDS + i]) / dt
+            step_inputs[GIVEN_ACCELERATION + i] = min(
+                max(slope, -body[MAX_ROTOR_ACCELERATION]), body[MAX_ROTOR_ACCELERATION]
+            )
+        speeds[i] = min(x[ROTOR_SPEEDS + i], step_inputs[SPEED_CAP + i])
 
 
 @njit(cache=True, error_model="numpy")
-def status_of(x, limits):
-    """FINE, or 1 + the number of the state that is farthest beyond its limit or is NaN; attitude comes last."""
-    status, worst = FINE, 1.0
-    for i in range(4, STATES):
+def check_state(x, limits):
+    """STATUS_FINE, or 1 + the number of the state that exceeds its limit most or is NaN; attitude comes last."""
+    status, worst = STATUS_FINE, 1.0
+    for i in range(4, STATE_SIZE):
         share = abs(x[i]) / limits[i]
         if share != share:
             return 1 + i
         if share > worst:
             status, worst = 1 + i, share
-    if status != FINE:
+    if status != STATUS_FINE:
         return status
     for i in range(4):
         if not abs(x[i]) <= limits[i]:
             return 1 + i
-    return FINE
+    return STATUS_FINE
 
 
 @njit(cache=True, error_model="numpy")
-def note(t, body, x, held, goal, commands, loads, air, voltage, speeds, seen, log, row):
-    """Write the beginning of a step into a row of the log."""
-    log[row, T] = t
-    for i in range(STATES):
-        log[row, X + i] = x[i]
-    if log.shape[1] < LOG:
+def log_row(t, body, x, step_inputs, setpoint, commands, loads, air, voltage, speeds, measurement, log, row):
+    """Write the beginning of a step to a row of the log."""
+    log[row, LOG_TIME] = t
+    for i in range(STATE_SIZE):
+        log[row, LOG_STATE + i] = x[i]
+    if log.shape[1] < FULL_LOG_SIZE:
         return
-    for i in range(GOAL):
-        log[row, AIMED + i] = goal[i]
-        log[row, SEEN_AT + i] = seen[i]
+    for i in range(SETPOINT_SIZE):
+        log[row, LOG_SETPOINT + i] = setpoint[i]
+        log[row, LOG_MEASUREMENT + i] = measurement[i]
     for i in range(6):
-        log[row, LOADS + i] = loads[i]
-    log[row, VOLTAGE] = voltage[0]
+        log[row, LOG_LOADS + i] = loads[i]
+    log[row, LOG_VOLTAGE] = voltage[0]
     for i in range(3):
-        log[row, AIR + i] = air[i]
+        log[row, LOG_WIND + i] = air[i]
     for i in range(4):
-        log[row, COMMANDS + i] = commands[i]
-        log[row, SPEEDS + i] = speeds[i]
-        log[row, SLOPES + i] = rotor_slope(i, x[ROTORS + i], held, body) if x[ROTORS + i] <= held[CAP + i] else 0.0
-    for i in range(log.shape[1] - LOG):
-        log[row, LOG + i] = x[STATES + i]
+        log[row, LOG_COMMANDS + i] = commands[i]
+        log[row, LOG_ROTOR_SPEEDS + i] = speeds[i]
+        log[row, LOG_ROTOR_ACCELERATIONS + i] = (
+            rotor_acceleration(i, x[ROTOR_SPEEDS + i], step_inputs, body)
+            if x[ROTOR_SPEEDS + i] <= step_inputs[SPEED_CAP + i]
+            else 0.0
+        )
+    for i in range(log.shape[1] - FULL_LOG_SIZE):
+        log[row, FULL_LOG_SIZE + i] = x[STATE_SIZE + i]
 
 
 @njit(cache=True, error_model="numpy")
-def fly(machine, live, scratch, first, steps, every, log, close):
+def run_loop(parameters, state, scratch, first, steps, every, log, close):
     """Run `steps` steps from step number `first` on; returns (status, steps done, rows written).
 
-    log    (rows, LOG + own) or, for time and the seventeen states, (rows, SHORT_LOG): every `every`-th step
-    close  whether the last instant is looked at and logged too: at the end of a run, not between chunks of one
+    log    (rows, LOG + own) or, for time and the seventeen states, (rows, SHORT_LOG_SIZE): every `every`-th step
+    close  whether the last instant is evaluated and logged too: at the end of a run, not between its chunks
     """
-    kernel, body, drive, battery, fault, sensors, wind, wind_table = machine[:8]
-    kind, gains, reference, path, table, dt, substeps, method, limits, clock = machine[8:]
-    x, held, commands, ring, goal, seen, memory, speeds, gust, air, voltage, random, draws = live
-    inputs, work, loads, last, slopes, middle = scratch
+    kernel, body, drive, battery, fault, sensors, wind, wind_table = parameters[:8]
+    kind, gains, reference, path, table, dt, substeps, method, limits, clock = parameters[8:]
+    (
+        x,
+        step_inputs,
+        commands,
+        ring,
+        setpoint,
+        measurement,
+        memory,
+        speeds,
+        gust,
+        air,
+        voltage,
+        random,
+        random_numbers,
+    ) = state
+    inputs, work, loads, last_loads, derivatives, stage_state = scratch
     begin = np.empty(6)
     row = 0
     for k in range(first, first + steps + (1 if close else 0)):
         t = k * dt
-        environment(t, wind, wind_table, fault, battery, clock, x, held, gust, air, speeds, voltage)
+        update_environment(t, wind, wind_table, fault, battery, clock, x, step_inputs, gust, air, speeds, voltage)
         if k == 0:
-            loads_at(x, held, kernel, body, inputs, work, last)
-        observe(body, sensors, x, last, speeds, random, draws, seen)
-        if reference != EXTERNAL:
-            goal_at(reference, path, table, t, goal)
-        controller_step(kind, gains, memory, t, dt, seen, goal, commands)
+            compute_loads(x, step_inputs, kernel, body, inputs, work, last_loads)
+        measure(body, sensors, x, last_loads, speeds, random, random_numbers, measurement)
+        if reference != EXTERNAL_REFERENCE:
+            evaluate_reference(reference, path, table, t, setpoint)
+        controller_step(kind, gains, memory, t, dt, measurement, setpoint, commands)
         for i in range(4):
             if not math.isfinite(commands[i]):
-                return NO_COMMAND, k - first, row
-        actuate(k, dt, drive, battery, body, x, held, ring, commands, voltage, speeds)
+                return STATUS_NO_COMMAND, k - first, row
+        actuate_rotors(k, dt, drive, battery, body, x, step_inputs, ring, commands, voltage, speeds)
         wanted = (k - first) % every == 0
         if wanted:
-            note(t, body, x, held, goal, commands, loads, air, voltage, speeds, seen, log, row)
+            log_row(t, body, x, step_inputs, setpoint, commands, loads, air, voltage, speeds, measurement, log, row)
         if k == first + steps:
-            loads_at(x, held, kernel, body, inputs, work, begin)
+            compute_loads(x, step_inputs, kernel, body, inputs, work, begin)
         else:
             for part in range(substeps):
-                advance(method, dt / substeps, x, held, kernel, body, inputs, work, loads, last, slopes, middle)
+                integrate_step(
+                    method,
+                    dt / substeps,
+                    x,
+                    step_inputs,
+                    kernel,
+                    body,
+                    inputs,
+                    work,
+                    loads,
+                    last_loads,
+                    derivatives,
+                    stage_state,
+                )
                 if part == 0:
                     begin[:] = loads
-            next_gust(wind, dt, random, draws, gust)
+            advance_gust(wind, dt, random, random_numbers, gust)
         if wanted:
-            if log.shape[1] >= LOG:
+            if log.shape[1] >= FULL_LOG_SIZE:
                 for i in range(6):
-                    log[row, LOADS + i] = begin[i]
+                    log[row, LOG_LOADS + i] = begin[i]
             row += 1
-        status = status_of(x, limits)
-        if status != FINE:
+        status = check_state(x, limits)
+        if status != STATUS_FINE:
             return status, k + 1 - first, row
-    return FINE, steps, row
+    return STATUS_FINE, steps, row
 
 
-class Draws(NamedTuple):
-    """What differs between the simulations of a batch, one row each.
+class BatchParameters(NamedTuple):
+    """Parameters that differ between the simulations of a batch, one row each.
 
-    x (B, 17 + own) initial states; seeds (B, 2) uint64 of noise and gusts; body (B, BODY); fault (B, 9); wind (B, 9);
-    gains (B, G) of the controller; path (B, R) parameters of the reference
+    x (B, 17 + extra states) initial states; seeds (B, 2) uint64 of noise and gusts; body (B, BODY_SIZE); fault (B, 9);
+    wind (B, 9); gains (B, G) of the controller; path (B, R) parameters of the reference
     """
 
     x: np.ndarray
@@ -313,23 +367,25 @@ class Draws(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def one_of_many(machine, draws, b, memory, steps, every, log):
-    """Simulation number b of a batch; returns (status, steps done)."""
-    mine = Machine(
-        machine.kernel, draws.body[b], machine.drive, machine.battery, draws.fault[b], machine.sensors, draws.wind[b],
-        machine.wind_table, machine.controller, draws.gains[b], machine.reference, draws.path[b], machine.table,
-        machine.dt, machine.substeps, machine.method, machine.limits, machine.clock,
+def run_one_of_batch(parameters, batch, b, memory, steps, every, log):
+    """Run simulation number b of a batch; return (status, steps done)."""
+    p = parameters
+    varied = LoopParameters(
+        p.kernel, batch.body[b], p.drive, p.battery, batch.fault[b], p.sensors, batch.wind[b], p.wind_table,
+        p.controller, batch.gains[b], p.reference, batch.path[b], p.table, p.dt, p.substeps, p.method, p.limits,
+        p.clock,
     )  # fmt: skip
-    live = live_of(mine, draws.x[b], memory, draws.seeds[b, 0], draws.seeds[b, 1])
-    status, done, _ = fly(mine, live, scratch_of(machine.kernel, len(live.x) - STATES), 0, steps, every, log, True)
+    state = make_loop_state(varied, batch.x[b], memory, batch.seeds[b, 0], batch.seeds[b, 1])
+    scratch = make_scratch(p.kernel, len(state.x) - STATE_SIZE)
+    status, done, _ = run_loop(varied, state, scratch, 0, steps, every, log, True)
     return status, done
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def fly_some(machine, draws, first, stop, memory, steps, every, logs, status, done):
-    """Simulations first .. stop - 1 of a batch: logs (B, rows, SHORT_LOG or LOG), status (B,), done (B,) are filled.
+def run_batch_part(parameters, batch, first, stop, memory, steps, every, logs, status, done):
+    """Run simulations first .. stop - 1 of a batch; fill logs (B, rows, log size), status (B,) and done (B,).
 
-    It holds no lock of Python's, so that several threads can work at a batch, each on simulations of its own.
+    It releases Python's global lock, so that several threads can run parts of a batch at once.
     """
     for b in range(first, stop):
-        status[b], done[b] = one_of_many(machine, draws, b, memory, steps, every, logs[b])
+        status[b], done[b] = run_one_of_batch(parameters, batch, b, memory, steps, every, logs[b])

@@ -1,13 +1,13 @@
-"""Why a simulation ended before its time: which quantity diverged, when, and what to do about it, in one sentence."""
+"""Explain why a simulation ended early: which quantity diverged, when, and the remedy, in one sentence."""
 
 import numpy as np
 import pandas as pd
 
 from quasi.errors import ConfigError
-from quasi.simulation.loop.closed_loop import FINE, LOG, NO_COMMAND, fly
+from quasi.simulation.loop.closed_loop import FULL_LOG_SIZE, STATUS_FINE, STATUS_NO_COMMAND, run_loop
 from quasi.simulation.loop.setup import STATE_NAMES, Setup
-from quasi.simulation.vehicle.dynamics import loads_at, scratch_of
-from quasi.simulation.vehicle.layout import CAP, SHARE
+from quasi.simulation.vehicle.dynamics import compute_loads, make_scratch
+from quasi.simulation.vehicle.layout import ROOT_EFFECTIVENESS, SPEED_CAP
 from quasi.simulation.vehicle.undefined_loads import describe_undefined_loads
 
 _UNITS = ("1",) * 4 + ("m/s",) * 3 + ("rad/s",) * 3 + ("m",) * 3 + ("rad/s",) * 4
@@ -24,63 +24,70 @@ def explain_end(
     setup: Setup, status: int, steps: int, table: pd.DataFrame | None = None, last: np.ndarray | None = None,
     after: np.ndarray | None = None,
 ) -> str | None:  # fmt: skip
-    """Why a simulation ended before its time; None where it did not.
+    """Explain why a simulation ended early; None where it did not.
 
-    status, steps  of the loop; table  of the result, what came before
-    last, after    states (17 + own,) before and after the step that diverged, where they are known
+    status, steps  of the loop; table  of the result, up to the end
+    last, after    states (17 + extra states,) before and after the diverged step, where they are known
     """
-    if status == FINE:
+    if status == STATUS_FINE:
         return None
     t = steps * setup.dt
-    if status == NO_COMMAND:
+    if status == STATUS_NO_COMMAND:
         return (
-            f"the controller gave a command that is no number at t = {t:.4g} s; the simulation ended there; use "
+            f"the controller gave a command that is not a finite number at t = {t:.4g} s and the simulation ended; use "
             "gentler 'gains', or another 'controller'"
         )
     found = None
     if last is not None and (after is None or not np.isfinite(after).all()):
         found = _describe_loads(setup, last, t)
     if found is None:
-        found = _describe_state(setup, status, after), _remedy(setup, t, table)
-    return f"diverged at t = {t:.4g} s: {found[0]}; {found[1]}; what came before is kept"
+        found = _describe_state(setup, status, after), _suggest_remedy(setup, t, table)
+    return f"diverged at t = {t:.4g} s: {found[0]}; {found[1]}; earlier rows are kept"
 
 
 def _describe_state(setup: Setup, status: int, after: np.ndarray | None) -> str:
-    name, limit = STATE_NAMES[status - 1], setup.machine.limits[status - 1]
+    name, limit = STATE_NAMES[status - 1], setup.loop_parameters.limits[status - 1]
     text = f"{_MEANINGS[name]} {name} left its limit of {limit:g} {_UNITS[status - 1]}"
     value = np.nan if after is None else after[status - 1]
     return f"{text} and became {value:.4g}" if np.isfinite(value) else text
 
 
 def _describe_loads(setup: Setup, last: np.ndarray, t: float) -> tuple[str, str] | None:
-    """The axis and the term of the model that are no number in this state, and the remedy; None where all are."""
-    machine = setup.machine
-    scratch, loads, held = scratch_of(machine.kernel, setup.own), np.zeros(6), setup.held()
-    if t >= machine.fault[0]:
-        held[SHARE : SHARE + 4], held[CAP : CAP + 4] = np.sqrt(machine.fault[1:5]), machine.fault[5:9]
-    loads_at(last, held, machine.kernel, machine.body, scratch.inputs, scratch.work, loads)
+    """Describe the axis and term that are not finite in this state, and the remedy; None where all are finite."""
+    loop_parameters = setup.loop_parameters
+    scratch, loads, step_inputs = (
+        make_scratch(loop_parameters.kernel, setup.extra_states),
+        np.zeros(6),
+        setup.make_first_step_inputs(),
+    )
+    if t >= loop_parameters.fault[0]:
+        step_inputs[ROOT_EFFECTIVENESS : ROOT_EFFECTIVENESS + 4], step_inputs[SPEED_CAP : SPEED_CAP + 4] = (
+            np.sqrt(loop_parameters.fault[1:5]),
+            loop_parameters.fault[5:9],
+        )
+    compute_loads(last, step_inputs, loop_parameters.kernel, loop_parameters.body, scratch.inputs, scratch.work, loads)
     return describe_undefined_loads(setup.model, scratch.inputs, loads)
 
 
-def _remedy(setup: Setup, t: float, table: pd.DataFrame | None) -> str:
-    """What most likely helps, by what happened before: a fault, data exceeded, else the step and the gains."""
-    fault = setup.machine.fault[0]
+def _suggest_remedy(setup: Setup, t: float, table: pd.DataFrame | None) -> str:
+    """Suggest a remedy by the likely cause: a fault, a state outside the data, else step and gains."""
+    fault = setup.loop_parameters.fault[0]
     if fault <= t:
         return (
             f"rotors failed at {fault:g} s and the controller could not hold the vehicle: end with 'duration' before, "
             "or use drone_INDI with 'learn rotor limits'"
         )
-    left = None if table is None else _left_region(setup, table)
+    left = None if table is None else _find_exit(setup, table)
     if left is not None:
         return (
-            f"the flight left the region of the model's data at {left[0]:.4g} s by {left[1]}, where its terms do not "
-            "hold: use a gentler reference or start, or train on flights that cover it"
+            f"the flight left the region of the model's data at {left[0]:.4g} s by {left[1]}, where its terms are not "
+            "valid: use a gentler reference or start, or train on flights that cover it"
         )
     return "use a shorter 'time step' or gentler 'gains', and check the model's damping"
 
 
-def _left_region(setup: Setup, table: pd.DataFrame) -> tuple[float, str] | None:
-    """When the flight left the region of the training data for good, s, and by which variable, or None."""
+def _find_exit(setup: Setup, table: pd.DataFrame) -> tuple[float, str] | None:
+    """Find when the flight finally left the region of the training data, s, and by which variable, or None."""
     rows = table[np.isfinite(table[list(STATE_NAMES)].to_numpy()).all(axis=1)]
     air = {n: rows[f"{n}_air"] for n in "uvw" if f"{n}_air" in rows}
     try:
@@ -94,8 +101,17 @@ def _left_region(setup: Setup, table: pd.DataFrame) -> tuple[float, str] | None:
     return float(rows["t"].iloc[first]), str(found["worst"].iloc[first])
 
 
-def state_before(setup: Setup, steps: int) -> np.ndarray:
-    """The state (17 + own,) before step number `steps`, by flying up to there again; the loop is deterministic."""
-    live, log = setup.live(), np.empty((2, LOG + setup.own))
-    fly(setup.machine, live, scratch_of(setup.machine.kernel, setup.own), 0, steps - 1, max(steps, 1), log, False)
-    return live.x.copy()
+def recompute_state_before(setup: Setup, steps: int) -> np.ndarray:
+    """Recompute the state (17 + extra states,) before step number `steps`; the loop is deterministic."""
+    loop_state, log = setup.make_loop_state(), np.empty((2, FULL_LOG_SIZE + setup.extra_states))
+    run_loop(
+        setup.loop_parameters,
+        loop_state,
+        make_scratch(setup.loop_parameters.kernel, setup.extra_states),
+        0,
+        steps - 1,
+        max(steps, 1),
+        log,
+        False,
+    )
+    return loop_state.x.copy()

@@ -1,12 +1,12 @@
-"""The closed loop of a quadrotor in Python, through the same compiled parts, so that any step can be the user's own.
+"""The closed loop of a quadrotor in Python, from the same compiled functions, so that a user can replace any step.
 
-State (17,), longer where parts have states of their own (`parts`), and goal (20,) as in the compiled loop (`dynamics`,
-`outer_loop`); inputs are the four rotor speeds, rad/s. Beside what every bus holds (`quasi.simulation.loop.simulator`):
-bus.model (the model), bus.setup, bus.live (arrays of the compiled loop: wind as bus.live.air, ...),
-bus.measured_state[k] (what the controller sees), bus.reference[k] (goal).
+State (17,) plus the states of payload and inflow, and setpoint (20,), are those of the compiled loop (`dynamics`,
+`outer_loop`). Inputs are the four rotor speeds, rad/s. The bus (`simulator`) also holds bus.model, bus.setup,
+bus.loop_state (arrays of the compiled loop: wind as bus.loop_state.air, ...), bus.measured_state[k] (the controller's
+measurement) and bus.reference[k] (setpoint).
 
-With the built-in actuator the rotors follow their lag within the step; a user's actuator gives the rotor speeds at the
-end of the step, and they change evenly until then. Steps that call a built-in one and change what it returns work, too.
+With the built-in actuator the rotors follow their lag within the step. A user's actuator returns the rotor speeds at
+the end of the step, and they change linearly until then. A step may also call a built-in one and change its result.
 """
 
 import math
@@ -16,39 +16,55 @@ import numpy as np
 
 from quasi.errors import DataError
 from quasi.simulation.loop.closed_loop import (
-    AIMED,
-    AIR,
-    COMMANDS,
-    EXTERNAL,
-    FINE,
-    GOAL,
-    LOADS,
-    LOG,
-    NO_COMMAND,
-    SEEN_AT,
-    SLOPES,
-    SPEEDS,
-    VOLTAGE,
-    T,
-    X,
-    actuate,
+    EXTERNAL_REFERENCE,
+    FULL_LOG_SIZE,
+    LOG_COMMANDS,
+    LOG_LOADS,
+    LOG_MEASUREMENT,
+    LOG_ROTOR_ACCELERATIONS,
+    LOG_ROTOR_SPEEDS,
+    LOG_SETPOINT,
+    LOG_STATE,
+    LOG_TIME,
+    LOG_VOLTAGE,
+    LOG_WIND,
+    SETPOINT_SIZE,
+    STATUS_FINE,
+    STATUS_NO_COMMAND,
+    actuate_rotors,
+    check_state,
     controller_step,
-    environment,
-    goal_at,
-    observe,
-    status_of,
+    evaluate_reference,
+    measure,
+    update_environment,
 )
-from quasi.simulation.loop.result import Result, result_of
+from quasi.simulation.loop.result import Result, make_result
 from quasi.simulation.loop.setup import STATE_NAMES, Setup
-from quasi.simulation.loop.simulator import Bus, Simulator, signal_columns
-from quasi.simulation.vehicle.dynamics import RK4, advance, equations, loads_at, rotor_slope, scratch_of
-from quasi.simulation.vehicle.layout import CAP, DOWN, RATE, ROTORS, SLOPE, STATES, TARGET, UP
-from quasi.simulation.vehicle.payload_and_inflow import straighten
-from quasi.simulation.vehicle.sensors_and_wind import next_gust
+from quasi.simulation.loop.simulator import Bus, Simulator, make_signal_columns
+from quasi.simulation.vehicle.dynamics import (
+    RK4,
+    compute_loads,
+    equations_of_motion,
+    integrate_step,
+    make_scratch,
+    rotor_acceleration,
+)
+from quasi.simulation.vehicle.layout import (
+    GIVEN_ACCELERATION,
+    LAG_DOWN,
+    LAG_UP,
+    MAX_ROTOR_ACCELERATION,
+    ROTOR_SPEEDS,
+    SPEED_CAP,
+    STATE_SIZE,
+    TARGET_SPEED,
+)
+from quasi.simulation.vehicle.payload_and_inflow import project_constraints
+from quasi.simulation.vehicle.sensors_and_wind import advance_gust
 
 
 class _NoCommandError(Exception):
-    """The built-in controller gave a command that is no number: the simulation ends as the compiled one does."""
+    """The built-in controller gave a command that is not finite; the simulation ends as the compiled one does."""
 
 
 class QuadrotorSimulator(Simulator):
@@ -59,164 +75,209 @@ class QuadrotorSimulator(Simulator):
     run_mode    "finite": the setup's duration; "infinite": until the condition of set_termination ends it
     """
 
-    _trust_own = True
+    _trusts_built_in = True
 
     def __init__(self, setup: Setup, integrator: Any = None, run_mode: str = "finite") -> None:
-        machine = setup.machine
-        own = "rk4" if machine.method == RK4 else "euler"
+        loop_parameters = setup.loop_parameters
+        built_in = "rk4" if loop_parameters.method == RK4 else "euler"
         super().__init__(
             setup.model,
-            self._equations,
-            self._control,
-            self._actuate,
+            self._evaluate_equations,
+            self._run_controller,
+            self._run_actuator,
             self._forces_and_moments,
-            own if integrator is None else integrator,
+            built_in if integrator is None else integrator,
             run_mode,
             quaternion=0,
         )
-        self.steps["begin"] = self._own["begin"] = self._begin
-        self.setup, self.state_names = setup, [*STATE_NAMES, *(f"own {i + 1}" for i in range(setup.own))]
+        self.steps["begin"] = self._built_in["begin"] = self._begin_step
+        self.setup, self.state_names = setup, [*STATE_NAMES, *(f"own {i + 1}" for i in range(setup.extra_states))]
         self._compiled = integrator is None
         self.bus.setup = setup
-        duration = setup.steps * machine.dt if run_mode == "finite" else None
-        self.set_initial(setup.start, setup.start[ROTORS:STATES], machine.dt, duration, np.zeros(GOAL))
+        duration = setup.steps * loop_parameters.dt if run_mode == "finite" else None
+        self.set_initial(
+            setup.start, setup.start[ROTOR_SPEEDS:STATE_SIZE], loop_parameters.dt, duration, np.zeros(SETPOINT_SIZE)
+        )
         bus = self.bus
         bus.measured_state = np.zeros((len(bus.time), 20))
-        bus.live = setup.live()
-        self._scratch = scratch_of(machine.kernel, setup.own)
-        self._stage = np.empty((1, len(setup.start)))
+        bus.loop_state = setup.make_loop_state()
+        self._scratch = make_scratch(loop_parameters.kernel, setup.extra_states)
+        self._derivative = np.empty((1, len(setup.start)))
         self._log: list[np.ndarray] = []
-        self.status = FINE
+        self.status = STATUS_FINE
 
     # the built-in steps
 
-    def _begin(self, bus: Bus) -> None:
-        """Wind, faults, battery, sensors and reference at the beginning of the step."""
-        m, live, s, k = self.setup.machine, bus.live, self._scratch, bus.step
+    def _begin_step(self, bus: Bus) -> None:
+        """Update wind, faults, battery, measurement and setpoint at the beginning of the step."""
+        m, state, s, k = self.setup.loop_parameters, bus.loop_state, self._scratch, bus.step
         t = k * m.dt
-        live.x[:] = bus.state[k]
-        environment(
-            t, m.wind, m.wind_table, m.fault, m.battery, m.clock, live.x, live.held, live.gust, live.air, live.speeds,
-            live.voltage,
+        state.x[:] = bus.state[k]
+        update_environment(
+            t, m.wind, m.wind_table, m.fault, m.battery, m.clock, state.x, state.step_inputs, state.gust,
+            state.air, state.speeds, state.voltage,
         )  # fmt: skip
         if k == 0:
-            loads_at(live.x, live.held, m.kernel, m.body, s.inputs, s.work, s.last)
-        observe(m.body, m.sensors, live.x, s.last, live.speeds, live.random, live.draws, live.seen)
-        bus.measured_state[k] = live.seen[:20]
-        if m.reference != EXTERNAL:
-            goal_at(m.reference, m.path, m.table, t, live.goal)
-            bus.reference[k] = live.goal
-
-    def _control(self, bus: Bus) -> np.ndarray:
-        """Commanded rotor speeds (4,), rad/s, from bus.measured_state[k] and bus.reference[k]."""
-        m, live, k = self.setup.machine, bus.live, bus.step
-        live.seen[:20] = bus.measured_state[k]
-        live.goal[:] = bus.reference[k]
-        controller_step(m.controller, m.gains, live.memory, k * m.dt, m.dt, live.seen, live.goal, live.commands)
-        if not np.all(np.isfinite(live.commands)):
-            raise _NoCommandError
-        return live.commands.copy()
-
-    def _actuate(self, bus: Bus) -> np.ndarray:
-        """Rotor speeds (4,), rad/s, that bus.commanded_inputs[k + 1] lead to at the end of the step."""
-        m, live, k = self.setup.machine, bus.live, bus.step
-        live.commands[:] = bus.commanded_inputs[k + 1]
-        actuate(
-            k, m.dt, m.drive, m.battery, m.body, live.x, live.held, live.ring, live.commands, live.voltage, live.speeds
+            compute_loads(state.x, state.step_inputs, m.kernel, m.body, s.inputs, s.work, s.last_loads)
+        measure(
+            m.body,
+            m.sensors,
+            state.x,
+            s.last_loads,
+            state.speeds,
+            state.random,
+            state.random_numbers,
+            state.measurement,
         )
-        bus.state[k, ROTORS:STATES] = live.x[ROTORS:STATES]  # rotors without lag are at once where they are wanted
+        bus.measured_state[k] = state.measurement[:20]
+        if m.reference != EXTERNAL_REFERENCE:
+            evaluate_reference(m.reference, m.path, m.table, t, state.setpoint)
+            bus.reference[k] = state.setpoint
+
+    def _run_controller(self, bus: Bus) -> np.ndarray:
+        """Compute the commanded rotor speeds (4,), rad/s, from bus.measured_state[k] and bus.reference[k]."""
+        m, state, k = self.setup.loop_parameters, bus.loop_state, bus.step
+        state.measurement[:20] = bus.measured_state[k]
+        state.setpoint[:] = bus.reference[k]
+        controller_step(
+            m.controller,
+            m.gains,
+            state.memory,
+            k * m.dt,
+            m.dt,
+            state.measurement,
+            state.setpoint,
+            state.commands,
+        )
+        if not np.all(np.isfinite(state.commands)):
+            raise _NoCommandError
+        return state.commands.copy()
+
+    def _run_actuator(self, bus: Bus) -> np.ndarray:
+        """Compute the rotor speeds (4,), rad/s, at the end of the step from bus.commanded_inputs[k + 1]."""
+        m, state, k = self.setup.loop_parameters, bus.loop_state, bus.step
+        state.commands[:] = bus.commanded_inputs[k + 1]
+        actuate_rotors(
+            k,
+            m.dt,
+            m.drive,
+            m.battery,
+            m.body,
+            state.x,
+            state.step_inputs,
+            state.ring,
+            state.commands,
+            state.voltage,
+            state.speeds,
+        )
+        bus.state[k, ROTOR_SPEEDS:STATE_SIZE] = state.x[
+            ROTOR_SPEEDS:STATE_SIZE
+        ]  # rotors without lag reach their target at once
         end = np.empty(4)
         for i in range(4):
-            speed, target = live.x[ROTORS + i], live.held[TARGET + i]
-            if math.isnan(live.held[SLOPE + i]):
-                tau = m.body[UP + i] if target > speed else m.body[DOWN + i]
+            speed, target = state.x[ROTOR_SPEEDS + i], state.step_inputs[TARGET_SPEED + i]
+            if math.isnan(state.step_inputs[GIVEN_ACCELERATION + i]):
+                tau = m.body[LAG_UP + i] if target > speed else m.body[LAG_DOWN + i]
                 change = (target - speed) * (1.0 - math.exp(-m.dt / tau))
-                most = m.body[RATE] * m.dt
-                end[i] = speed + min(max(change, -most), most)
+                limit = m.body[MAX_ROTOR_ACCELERATION] * m.dt
+                end[i] = speed + min(max(change, -limit), limit)
             else:
-                end[i] = speed + live.held[SLOPE + i] * m.dt
-        return np.minimum(end, live.held[CAP : CAP + 4])
+                end[i] = speed + state.step_inputs[GIVEN_ACCELERATION + i] * m.dt
+        return np.minimum(end, state.step_inputs[SPEED_CAP : SPEED_CAP + 4])
 
     def _forces_and_moments(self, bus: Bus) -> tuple[np.ndarray, np.ndarray]:
-        """Forces (3,) N and moments (3,) N m of the model in bus.state[k]."""
-        m, s = self.setup.machine, self._scratch
-        loads_at(bus.state[bus.step], bus.live.held, m.kernel, m.body, s.inputs, s.work, s.last)
-        return s.last[:3].copy(), s.last[3:].copy()
+        """Compute forces (3,) N and moments (3,) N m of the model in bus.state[k]."""
+        m, s = self.setup.loop_parameters, self._scratch
+        compute_loads(bus.state[bus.step], bus.loop_state.step_inputs, m.kernel, m.body, s.inputs, s.work, s.last_loads)
+        return s.last_loads[:3].copy(), s.last_loads[3:].copy()
 
-    def _equations(self, bus: Bus) -> np.ndarray:
-        """State derivative (17,) from bus.forces[k + 1] and bus.moments[k + 1]."""
+    def _evaluate_equations(self, bus: Bus) -> np.ndarray:
+        """Compute the state derivative (17,) from bus.forces[k + 1] and bus.moments[k + 1]."""
         k = bus.step
         loads = np.concatenate([bus.forces[k + 1], bus.moments[k + 1]])
-        equations(bus.state[k], loads, bus.live.held, self.setup.machine.body, self._stage, 0)
-        return self._stage[0].copy()
+        equations_of_motion(
+            bus.state[k], loads, bus.loop_state.step_inputs, self.setup.loop_parameters.body, self._derivative, 0
+        )
+        return self._derivative[0].copy()
 
-    # what a step needs beside
+    # physics and log of a step
 
-    def _physics(self, bus: Bus) -> None:
-        if self.steps["actuator"] is not self._own["actuator"]:
-            k, live, dt = bus.step, bus.live, self.setup.machine.dt
+    def _evaluate_physics(self, bus: Bus) -> None:
+        if self.steps["actuator"] is not self._built_in["actuator"]:
+            k, state, dt = bus.step, bus.loop_state, self.setup.loop_parameters.dt
             if self.steps["actuator"] is None:
                 bus.inputs[k + 1] = bus.commanded_inputs[k + 1]
-            live.held[SLOPE : SLOPE + 4] = (bus.inputs[k + 1] - bus.state[k, ROTORS:STATES]) / dt
-        if not self._whole():
-            super()._physics(bus)
+            state.step_inputs[GIVEN_ACCELERATION : GIVEN_ACCELERATION + 4] = (
+                bus.inputs[k + 1] - bus.state[k, ROTOR_SPEEDS:STATE_SIZE]
+            ) / dt
+        if not self._uses_compiled_physics():
+            super()._evaluate_physics(bus)
 
-    def _whole(self) -> bool:
-        """Whether the physics of the step are the built-in ones, and none wants to look between them."""
-        same = all(self.steps[n] is self._own[n] for n in ("forces_and_moments", "equations_of_motion", "integrator"))
-        looked_at = self._between["forces_and_moments"] or self._between["equations_of_motion"]
+    def _uses_compiled_physics(self) -> bool:
+        """Whether the physics of the step are the built-in ones and no added step runs between them."""
+        same = all(
+            self.steps[n] is self._built_in[n] for n in ("forces_and_moments", "equations_of_motion", "integrator")
+        )
+        looked_at = self._added_steps["forces_and_moments"] or self._added_steps["equations_of_motion"]
         return same and self._compiled and not looked_at
 
     def _next_state(self, bus: Bus) -> np.ndarray:
-        m, live, s, k = self.setup.machine, bus.live, self._scratch, bus.step
-        if self._whole():
-            live.x[:] = bus.state[k]
+        m, state, s, k = self.setup.loop_parameters, bus.loop_state, self._scratch, bus.step
+        if self._uses_compiled_physics():
+            state.x[:] = bus.state[k]
             first = None
             for _ in range(m.substeps):
-                advance(m.method, m.dt / m.substeps, live.x, live.held, m.kernel, m.body, *s)
-                first = (s.loads.copy(), s.slopes[0].copy()) if first is None else first
+                integrate_step(m.method, m.dt / m.substeps, state.x, state.step_inputs, m.kernel, m.body, *s)
+                first = (s.loads.copy(), s.derivatives[0].copy()) if first is None else first
             bus.forces[k + 1], bus.moments[k + 1] = first[0][:3], first[0][3:]
             bus.state_derivative[k + 1] = first[1]
-            result = live.x.copy()
+            result = state.x.copy()
         else:
             if m.substeps > 1:
                 raise DataError(
-                    "'substeps' cannot be used with own forces, equations of motion or integrator; "
+                    "'substeps' cannot be used with replaced forces, equations of motion or integrator; "
                     "use a shorter 'time step'"
                 )
             result = super()._next_state(bus)
-            straighten(result, m.body)
-            # what the accelerometer feels next: Runge-Kutta's last stage lies at the end of the step by itself
+            project_constraints(result, m.body)
+            # forces for the next accelerometer sample; the last Runge-Kutta stage is already at the end of the step
             if self._method == "euler":
-                self.slope(bus.state[k] + m.dt * bus.state_derivative[k + 1])
+                self.evaluate_derivative(bus.state[k] + m.dt * bus.state_derivative[k + 1])
             elif self._method != "rk4":
-                self.slope(result)
-            s.last[:3], s.last[3:] = self._latest
+                self.evaluate_derivative(result)
+            s.last_loads[:3], s.last_loads[3:] = self._last_loads
         self._write_log(bus)
-        next_gust(m.wind, m.dt, live.random, live.draws, live.gust)
+        advance_gust(m.wind, m.dt, state.random, state.random_numbers, state.gust)
         return result
 
     def _write_log(self, bus: Bus) -> None:
-        k, live, body = bus.step, bus.live, self.setup.machine.body
+        k, state, body = bus.step, bus.loop_state, self.setup.loop_parameters.body
         if k % self.setup.every:
             return
-        row = np.zeros(LOG + self.setup.own)
+        row = np.zeros(FULL_LOG_SIZE + self.setup.extra_states)
         x = bus.state[k]
-        row[T] = bus.time[k]
-        row[X : X + STATES], row[LOG:] = x[:STATES], x[STATES:]
-        row[AIMED : AIMED + GOAL], row[SEEN_AT : SEEN_AT + 20] = bus.reference[k], bus.measured_state[k]
-        row[COMMANDS : COMMANDS + 4] = bus.commanded_inputs[k + 1]
-        row[LOADS : LOADS + 3], row[LOADS + 3 : LOADS + 6] = bus.forces[k + 1], bus.moments[k + 1]
-        row[AIR : AIR + 3], row[VOLTAGE] = live.air, live.voltage[0]
+        row[LOG_TIME] = bus.time[k]
+        row[LOG_STATE : LOG_STATE + STATE_SIZE], row[FULL_LOG_SIZE:] = x[:STATE_SIZE], x[STATE_SIZE:]
+        row[LOG_SETPOINT : LOG_SETPOINT + SETPOINT_SIZE], row[LOG_MEASUREMENT : LOG_MEASUREMENT + 20] = (
+            bus.reference[k],
+            bus.measured_state[k],
+        )
+        row[LOG_COMMANDS : LOG_COMMANDS + 4] = bus.commanded_inputs[k + 1]
+        row[LOG_LOADS : LOG_LOADS + 3], row[LOG_LOADS + 3 : LOG_LOADS + 6] = bus.forces[k + 1], bus.moments[k + 1]
+        row[LOG_WIND : LOG_WIND + 3], row[LOG_VOLTAGE] = state.air, state.voltage[0]
         for i in range(4):
-            cap = live.held[CAP + i]
-            row[SPEEDS + i] = min(x[ROTORS + i], cap)
-            row[SLOPES + i] = rotor_slope(i, x[ROTORS + i], live.held, body) if x[ROTORS + i] <= cap else 0.0
+            cap = state.step_inputs[SPEED_CAP + i]
+            row[LOG_ROTOR_SPEEDS + i] = min(x[ROTOR_SPEEDS + i], cap)
+            row[LOG_ROTOR_ACCELERATIONS + i] = (
+                rotor_acceleration(i, x[ROTOR_SPEEDS + i], state.step_inputs, body)
+                if x[ROTOR_SPEEDS + i] <= cap
+                else 0.0
+            )
         self._log.append(row)
 
     def _check_state(self, bus: Bus) -> None:
-        self.status = int(status_of(bus.state[bus.step + 1], self.setup.machine.limits))
-        if self.status != FINE:
+        self.status = int(check_state(bus.state[bus.step + 1], self.setup.loop_parameters.limits))
+        if self.status != STATUS_FINE:
             self.stopped = "diverged"
 
     def run(self) -> Bus:
@@ -224,7 +285,7 @@ class QuadrotorSimulator(Simulator):
         try:
             return super().run()
         except _NoCommandError:
-            self.status, self.stopped = NO_COMMAND, "no command"
+            self.status, self.stopped = STATUS_NO_COMMAND, "no command"
             return self.bus
 
     def fly(self) -> Result:
@@ -232,31 +293,33 @@ class QuadrotorSimulator(Simulator):
         self.run()
         bus = self.bus
         if self.stopped is None:
-            self._last_instant(bus)
-        result = result_of(
+            self._log_last_instant(bus)
+        result = make_result(
             self.setup,
-            np.array(self._log).reshape(-1, LOG + self.setup.own),
+            np.array(self._log).reshape(-1, FULL_LOG_SIZE + self.setup.extra_states),
             self.status,
             bus.step,
             *bus.state[[max(bus.step - 1, 0), bus.step]],
         )
-        for name, values in self._recorded.items():
-            for column, array in signal_columns(name, values).items():
+        for name, values in self._recorded_signals.items():
+            for column, array in make_signal_columns(name, values).items():
                 result.table[column] = np.concatenate([array, array[-1:]])[:: self.setup.every][: len(result.table)]
         return result
 
-    def _last_instant(self, bus: Bus) -> None:
-        """What is seen, commanded and felt at the end, without a step after it."""
+    def _log_last_instant(self, bus: Bus) -> None:
+        """Log measurement, command and loads at the end, without a further step."""
         k = bus.step
         self.steps["begin"](bus)
-        self._also("begin", bus)
+        self._run_added_steps("begin", bus)
         for name, to in (("controller", bus.commanded_inputs), ("actuator", bus.inputs)):
             step = self.steps[name]
             to[k + 1] = step(bus) if step is not None else bus.commanded_inputs[k + (name == "actuator")]
-            self._also(name, bus)
-        if self.steps["actuator"] is not self._own["actuator"]:
-            change = bus.inputs[k + 1] - bus.state[k, ROTORS:STATES]
-            bus.live.held[SLOPE : SLOPE + 4] = change / self.setup.machine.dt
+            self._run_added_steps(name, bus)
+        if self.steps["actuator"] is not self._built_in["actuator"]:
+            change = bus.inputs[k + 1] - bus.state[k, ROTOR_SPEEDS:STATE_SIZE]
+            bus.loop_state.step_inputs[GIVEN_ACCELERATION : GIVEN_ACCELERATION + 4] = (
+                change / self.setup.loop_parameters.dt
+            )
         if self.steps["forces_and_moments"] is not None:
-            bus.forces[k + 1], bus.moments[k + 1] = self._loads(bus)
+            bus.forces[k + 1], bus.moments[k + 1] = self._evaluate_loads(bus)
         self._write_log(bus)

@@ -1,4 +1,4 @@
-"""What a simulation gives: its table with units, and a summary in plain data."""
+"""Result of a simulation: its table with units, and a summary as plain data."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,63 +10,63 @@ import pandas as pd
 from quasi import attitude
 from quasi.errors import ConfigError
 from quasi.simulation.control.outer_loop import (
-    ANGLES,
-    ATTITUDE_GOAL,
-    KIND,
-    PLACE,
-    POSITION_GOAL,
-    RATES,
-    RATES_GOAL,
-    SPEED,
-    THRUST,
-    VELOCITY_GOAL,
-    YAW_RATE,
+    ATTITUDE_SETPOINT,
+    POSITION_SETPOINT,
+    RATES_SETPOINT,
+    SETPOINT_ANGLES,
+    SETPOINT_KIND,
+    SETPOINT_POSITION,
+    SETPOINT_RATES,
+    SETPOINT_THRUST,
+    SETPOINT_VELOCITY,
+    SETPOINT_YAW_RATE,
+    VELOCITY_SETPOINT,
 )
 from quasi.simulation.loop.closed_loop import (
-    AIMED,
-    AIR,
-    COMMANDS,
-    LOADS,
-    LOG,
-    SEEN_AT,
-    SLOPES,
-    SPEEDS,
-    VOLTAGE,
-    X,
+    FULL_LOG_SIZE,
+    LOG_COMMANDS,
+    LOG_LOADS,
+    LOG_MEASUREMENT,
+    LOG_ROTOR_ACCELERATIONS,
+    LOG_ROTOR_SPEEDS,
+    LOG_SETPOINT,
+    LOG_STATE,
+    LOG_VOLTAGE,
+    LOG_WIND,
 )
 from quasi.simulation.loop.divergence import explain_end
 from quasi.simulation.loop.setup import STATE_NAMES, Setup
 from quasi.simulation.vehicle.layout import LOAD_LENGTH, LOAD_MASS
 from quasi.tables import COLUMNS
 
-SCHEMA = "quasi.simulation/1"
-_AT_LIMIT = 1e-6  # relative distance from a limit at which a command counts as being there
-UNITS: dict[str, tuple[str, str, str]] = {
+SIMULATION_SCHEMA = "quasi.simulation/1"
+_LIMIT_TOLERANCE = 1e-6  # relative distance from a limit within which a command counts as saturated
+COLUMN_UNITS: dict[str, tuple[str, str, str]] = {
     **{
         f"{n}_ref": (COLUMNS[n][0], COLUMNS[n][1], f"reference of {n}")
         for n in ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw", "p", "q", "r")
     },
-    "yaw_rate_ref": ("rad/s", "earth NED", "reference of the turn about the vertical"),
+    "yaw_rate_ref": ("rad/s", "earth NED", "reference of the rate about the vertical"),
     "thrust_ref": ("N", "body FRD", "reference of the thrust, upwards in the body"),
     **{
-        f"{n}_measured": (COLUMNS[n][0], COLUMNS[n][1], f"{n} as the controller sees it")
+        f"{n}_measured": (COLUMNS[n][0], COLUMNS[n][1], f"{n} measured by the controller")
         for n in ("x", "y", "z", "u", "v", "w", "roll", "pitch", "yaw", "p", "q", "r", "ax", "ay", "az", "w1", "w2",
                   "w3", "w4")
     },
     **{f"q{c}": ("1", "body to earth, Hamilton", f"attitude quaternion, {c}") for c in "wxyz"},
-    **{f"load_{a}": ("m", "earth NED", f"{a} of the load that swings below") for a in "xyz"},
+    **{f"load_{a}": ("m", "earth NED", f"{a} of the slung payload") for a in "xyz"},
     "distance": ("1", "", "distance outside the region of the model's data, in units of the covered range"),
 }  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Result:
-    """A simulation that has run.
+    """Result of a simulation.
 
     table    one row per logged step: t; position, attitude, velocity, rates; rotor speeds, commands; forces, moments;
-             references, where there are any; what the controller saw; wind
-    status   FINE, or what stopped it; stopped: the sentence that says so, else None
-    steps    how many were done; setup: what was simulated
+             references, where they exist; measurements; wind
+    status   STATUS_FINE, or the reason of the end; stopped: a sentence with the reason, else None
+    steps    number of steps; setup: the simulated closed loop
     """
 
     setup: Setup
@@ -78,53 +78,61 @@ class Result:
     @property
     def units(self) -> dict[str, tuple[str, str, str]]:
         """{column: (unit, frame, meaning)} of the columns that `tables.COLUMNS` does not know."""
-        return {name: UNITS[name] for name in self.table if name in UNITS}
+        return {name: COLUMN_UNITS[name] for name in self.table if name in COLUMN_UNITS}
 
     def summary(self) -> dict[str, Any]:
-        """Tracking errors, saturation, time outside the region of the model's data: plain data."""
+        """Summarise tracking errors, saturation and time outside the region of the model's data as plain data."""
         setup, table = self.setup, self.table
-        machine = setup.machine
+        loop_parameters = setup.loop_parameters
         notes = list(setup.notes)
         flown = float(table["t"].iloc[-1]) if len(table) else 0.0
         summary = {
-            "schema": SCHEMA,
+            "schema": SIMULATION_SCHEMA,
             "simulation": setup.name,
             "model": setup.model.id,
             "ended": self.stopped,
-            "duration": {"asked": setup.steps * machine.dt, "simulated": self.steps * machine.dt, "unit": "s"},
+            "duration": {
+                "asked": setup.steps * loop_parameters.dt,
+                "simulated": self.steps * loop_parameters.dt,
+                "unit": "s",
+            },
             "steps": self.steps,
-            "tracking": tracking(table),
+            "tracking": compute_tracking_errors(table),
             "saturation": self._saturation(),
             "outside the model's region": self._outside(notes),
-            "rotor limits": {"lowest": machine.drive.low, "highest": machine.drive.high, "unit": "rad/s"},
-            "fault time": float(machine.fault[0]) if np.isfinite(machine.fault[0]) else None,
+            "rotor limits": {
+                "lowest": loop_parameters.drive.low,
+                "highest": loop_parameters.drive.high,
+                "unit": "rad/s",
+            },
+            "fault time": float(loop_parameters.fault[0]) if np.isfinite(loop_parameters.fault[0]) else None,
             "settings": setup.settings,
             "notes": notes,
         }
-        if machine.battery.start > 0.0 and len(table):
+        if loop_parameters.battery.start > 0.0 and len(table):
             summary["battery"] = {"lowest voltage": float(table["battery_voltage"].min()), "unit": "V", "at": flown}
         return summary
 
     def _saturation(self) -> dict[str, Any]:
-        drive, fault = self.setup.machine.drive, self.setup.machine.fault
+        drive, fault = self.setup.loop_parameters.drive, self.setup.loop_parameters.fault
         failed = self.table["t"].to_numpy() >= fault[0] - 1e-9
         shares = {}
         for i in range(1, 5):
             command = self.table[f"w{i}_CMD"].to_numpy()
-            # a rotor that has failed reaches its cap at most
+            # a failed rotor reaches at most its cap
             top = np.where(failed, np.minimum(drive.high, fault[4 + i]), drive.high)
-            high = float(np.mean(command >= top * (1.0 - _AT_LIMIT))) if len(command) else 0.0
-            low = float(np.mean(command <= drive.low * (1.0 + _AT_LIMIT))) if len(command) else 0.0
+            high = float(np.mean(command >= top * (1.0 - _LIMIT_TOLERANCE))) if len(command) else 0.0
+            low = float(np.mean(command <= drive.low * (1.0 + _LIMIT_TOLERANCE))) if len(command) else 0.0
             shares[f"rotor {i}"] = {"share of time at highest": high, "share of time at lowest": low}
         return shares
 
     def _outside(self, notes: list[str]) -> dict[str, Any] | None:
-        """Share of time in which a variable lies outside what the training flights covered."""
+        """Share of time with a variable outside the range of the training flights."""
         table, model = self.table, self.setup.model
         finite = np.isfinite(table[list(STATE_NAMES)].to_numpy()).all(axis=1)
         used = table[finite]
         try:
-            found = model.distance_columns(air_columns(used))
+            found = model.distance_columns(use_air_velocity(used))
         except ConfigError as error:
             notes.append(str(error))
             return None
@@ -138,8 +146,8 @@ class Result:
         }
 
 
-def tracking(table: pd.DataFrame) -> dict[str, Any]:
-    """Root mean square and greatest error of what is referred to; position and velocity as vectors."""
+def compute_tracking_errors(table: pd.DataFrame) -> dict[str, Any]:
+    """Compute root mean square and greatest error of the references; position and velocity as vectors."""
     result: dict[str, Any] = {}
     q = table[["qw", "qx", "qy", "qz"]].to_numpy() if len(table) else np.zeros((0, 4))
     for what, names, unit in (
@@ -169,14 +177,14 @@ def tracking(table: pd.DataFrame) -> dict[str, Any]:
     return result
 
 
-def air_columns(table: pd.DataFrame) -> pd.DataFrame:
-    """The table with u v w through the air, where it knows them, as the model's variables mean them."""
+def use_air_velocity(table: pd.DataFrame) -> pd.DataFrame:
+    """Replace u v w by the velocity through the air where it is known, as the model's variables require."""
     if "u_air" not in table:
         return table
     return table.assign(**{n: table[f"{n}_air"] for n in "uvw"})
 
 
-def result_of(
+def make_result(
     setup: Setup,
     log: np.ndarray,
     status: int,
@@ -184,65 +192,71 @@ def result_of(
     last: np.ndarray | None = None,
     after: np.ndarray | None = None,
 ) -> Result:
-    """A result from the rows of a full log (see `loop.note`); last, after  see `divergence.explain_end`."""
+    """Make a result from the rows of a full log (see `loop.log_row`); last, after  see `divergence.explain_end`."""
     columns: dict[str, np.ndarray] = {"t": log[:, 0]}
-    x, seen, goal = log[:, X : X + 17], log[:, SEEN_AT : SEEN_AT + 20], log[:, AIMED : AIMED + 20]
+    x, measurement, setpoint = (
+        log[:, LOG_STATE : LOG_STATE + 17],
+        log[:, LOG_MEASUREMENT : LOG_MEASUREMENT + 20],
+        log[:, LOG_SETPOINT : LOG_SETPOINT + 20],
+    )
     columns |= {name: x[:, 10 + k] for k, name in enumerate("xyz")}
     columns |= dict(zip(("roll", "pitch", "yaw"), attitude.to_euler(x[:, :4]).T))
     columns |= {name: x[:, k] for k, name in enumerate(STATE_NAMES[:10])}
-    columns |= {f"w{i + 1}": log[:, SPEEDS + i] for i in range(4)}
-    columns |= {f"w{i + 1}_CMD": log[:, COMMANDS + i] for i in range(4)}
-    columns |= {f"w{i + 1}_dot": log[:, SLOPES + i] for i in range(4)}
-    columns |= {name: log[:, LOADS + k] for k, name in enumerate(("Fx", "Fy", "Fz", "Mx", "My", "Mz"))}
-    air = log[:, AIR : AIR + 3]
+    columns |= {f"w{i + 1}": log[:, LOG_ROTOR_SPEEDS + i] for i in range(4)}
+    columns |= {f"w{i + 1}_CMD": log[:, LOG_COMMANDS + i] for i in range(4)}
+    columns |= {f"w{i + 1}_dot": log[:, LOG_ROTOR_ACCELERATIONS + i] for i in range(4)}
+    columns |= {name: log[:, LOG_LOADS + k] for k, name in enumerate(("Fx", "Fy", "Fz", "Mx", "My", "Mz"))}
+    air = log[:, LOG_WIND : LOG_WIND + 3]
     if np.any(air != 0.0):
         columns |= dict(zip(("wind_north", "wind_east", "wind_down"), air.T))
         columns |= dict(zip(("u_air", "v_air", "w_air"), (x[:, 4:7] - attitude.rotate_inverse(x[:, :4], air)).T))
-    if setup.machine.battery.start > 0.0:
-        columns["battery_voltage"] = log[:, VOLTAGE]
-    body = setup.machine.body
+    if setup.loop_parameters.battery.start > 0.0:
+        columns["battery_voltage"] = log[:, LOG_VOLTAGE]
+    body = setup.loop_parameters.body
     if body[LOAD_MASS] > 0.0:
-        first = LOG + setup.own - 6  # the load's direction from the cg, earth axes
+        first = FULL_LOG_SIZE + setup.extra_states - 6  # the load's direction from the cg, earth axes
         below = x[:, 10:13] + body[LOAD_LENGTH] * log[:, first : first + 3]
         columns |= {f"load_{name}": below[:, k] for k, name in enumerate("xyz")}
-    columns |= _references(goal)
-    columns |= {f"{n}_measured": seen[:, 10 + k] for k, n in enumerate("xyz")}
-    columns |= dict(zip(("roll_measured", "pitch_measured", "yaw_measured"), attitude.to_euler(seen[:, :4]).T))
+    columns |= _make_reference_columns(setpoint)
+    columns |= {f"{n}_measured": measurement[:, 10 + k] for k, n in enumerate("xyz")}
+    columns |= dict(zip(("roll_measured", "pitch_measured", "yaw_measured"), attitude.to_euler(measurement[:, :4]).T))
     names = (*STATE_NAMES[4:10], *STATE_NAMES[13:], "ax", "ay", "az")
     places = (*range(4, 10), *range(13, 20))
-    columns |= {f"{name}_measured": seen[:, place] for name, place in zip(names, places)}
+    columns |= {f"{name}_measured": measurement[:, place] for name, place in zip(names, places)}
     table = pd.DataFrame(columns)
     return Result(setup, table, status, steps, explain_end(setup, status, steps, table, last, after))
 
 
-def _references(goal: np.ndarray) -> dict[str, np.ndarray]:
-    """Columns of what is referred to at all; NaN in the rows in which it is not."""
-    kind = goal[:, KIND]
-    position, velocity = kind == POSITION_GOAL, kind == VELOCITY_GOAL
-    angles, rates = kind == ATTITUDE_GOAL, kind == RATES_GOAL
+def _make_reference_columns(setpoint: np.ndarray) -> dict[str, np.ndarray]:
+    """Make columns of the references in use; NaN in rows without them."""
+    kind = setpoint[:, SETPOINT_KIND]
+    position, velocity = kind == POSITION_SETPOINT, kind == VELOCITY_SETPOINT
+    angles, rates = kind == ATTITUDE_SETPOINT, kind == RATES_SETPOINT
     parts = [
-        (("x_ref", "y_ref", "z_ref"), PLACE, position),
-        (("vx_ref", "vy_ref", "vz_ref"), SPEED, position | velocity),
-        (("roll_ref", "pitch_ref"), ANGLES, angles),
-        (("yaw_ref",), ANGLES + 2, position | velocity | angles),
-        (("yaw_rate_ref",), YAW_RATE, position | velocity | angles),
-        (("p_ref", "q_ref", "r_ref"), RATES, rates),
-        (("thrust_ref",), THRUST, angles | rates),
+        (("x_ref", "y_ref", "z_ref"), SETPOINT_POSITION, position),
+        (("vx_ref", "vy_ref", "vz_ref"), SETPOINT_VELOCITY, position | velocity),
+        (("roll_ref", "pitch_ref"), SETPOINT_ANGLES, angles),
+        (("yaw_ref",), SETPOINT_ANGLES + 2, position | velocity | angles),
+        (("yaw_rate_ref",), SETPOINT_YAW_RATE, position | velocity | angles),
+        (("p_ref", "q_ref", "r_ref"), SETPOINT_RATES, rates),
+        (("thrust_ref",), SETPOINT_THRUST, angles | rates),
     ]
     if angles.any():  # pitch within 90 degrees, as the simulated attitude has it
-        goal = goal.copy()
-        goal[angles, ANGLES : ANGLES + 3] = attitude.to_euler(attitude.from_euler(*goal[angles, ANGLES : ANGLES + 3].T))
+        setpoint = setpoint.copy()
+        setpoint[angles, SETPOINT_ANGLES : SETPOINT_ANGLES + 3] = attitude.to_euler(
+            attitude.from_euler(*setpoint[angles, SETPOINT_ANGLES : SETPOINT_ANGLES + 3].T)
+        )
     columns = {}
     for names, first, rows in parts:
         if rows.any():
-            columns |= {n: np.where(rows, goal[:, first + k], np.nan) for k, n in enumerate(names)}
+            columns |= {n: np.where(rows, setpoint[:, first + k], np.nan) for k, n in enumerate(names)}
     if "yaw_ref" in columns:
         columns["yaw_ref"] = np.arctan2(np.sin(columns["yaw_ref"]), np.cos(columns["yaw_ref"]))
     return columns
 
 
-def _parameters(settings: Mapping[str, Any]) -> str:
-    """The main settings in a line, as the manual's simulator prints them (7.4.1)."""
+def _describe_settings(settings: Mapping[str, Any]) -> str:
+    """Describe the main settings in one line, as the manual's simulator does (7.4.1)."""
     noise = f"noise with seed {settings['noise']['seed']}" if settings["noise"]["add"] else "no noise"
     corrected = "corrected" if settings["model"]["correct for moment asymmetries"] else "not corrected"
     time = settings["simulation"]
@@ -252,14 +266,14 @@ def _parameters(settings: Mapping[str, Any]) -> str:
     )
 
 
-def report(summary: Mapping[str, Any]) -> str:
-    """A summary in a few lines of text."""
+def format_report(summary: Mapping[str, Any]) -> str:
+    """Format a summary as a few lines of text."""
     duration = summary["duration"]
     lines = [
         f"Simulation {summary['simulation']}: model {summary['model']}, {duration['simulated']:g} s of "
         f"{duration['asked']:g} s simulated"
     ]
-    lines.append(f"  {_parameters(summary['settings'])}")
+    lines.append(f"  {_describe_settings(summary['settings'])}")
     if summary["ended"]:
         lines.append(f"  ended early: {summary['ended']}")
     for what, error in summary["tracking"].items():

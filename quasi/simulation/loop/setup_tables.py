@@ -1,4 +1,4 @@
-"""Tables that a simulation's settings name: found, read, checked."""
+"""Find, read and check the tables that a simulation's settings name."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,8 +11,8 @@ from quasi.errors import ConfigError, DataError, nearest
 from quasi.tables import read_numbers
 
 
-def table_of(settings: Mapping[str, Any], section: str, directory: str | Path, name: str) -> pd.DataFrame | None:
-    """The table that "file" in a section names; None without one."""
+def read_table(settings: Mapping[str, Any], section: str, directory: str | Path, name: str) -> pd.DataFrame | None:
+    """Read the table that "file" in a section names; None without one."""
     file = settings[section].get("file")
     if not file:
         return None
@@ -25,8 +25,8 @@ def table_of(settings: Mapping[str, Any], section: str, directory: str | Path, n
     return read_numbers(path)
 
 
-def wind_rows(wind: Any, asked: Mapping[str, Any], name: str) -> np.ndarray:
-    """Rows (T, 4) of t (s) and the wind towards north, east, down (m/s). Raises DataError."""
+def check_wind_table(wind: Any, asked: Mapping[str, Any], name: str) -> np.ndarray:
+    """Return rows (T, 4) of t (s) and wind velocity north, east, down (m/s). Raises DataError."""
     if wind is None:
         return np.zeros((0, 4))
     what = f"{name}: the wind's table {asked['file']}" if asked["file"] else f"{name}: the wind's table"
@@ -38,10 +38,10 @@ def wind_rows(wind: Any, asked: Mapping[str, Any], name: str) -> np.ndarray:
     for k, column in enumerate(columns):
         bad = np.flatnonzero(~np.isfinite(table[:, k]))
         if len(bad):
-            raise DataError(f"{what} holds no number in column '{column}', data row {bad[0] + 1}; fill it in")
+            raise DataError(f"{what} has no number in column '{column}', data row {bad[0] + 1}; fill it in")
     if not len(table):
         raise DataError(f"{what} has no rows; fill it in")
     back = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
     if len(back):
-        raise DataError(f"{what} goes back in time, or stands still, in data row {back[0] + 2}; correct its column 't'")
+        raise DataError(f"{what} does not increase in time in data row {back[0] + 2}; correct its column 't'")
     return np.ascontiguousarray(table)

@@ -1,17 +1,17 @@
-"""A simulation of any system, step by step in Python: every step may be a function of the user's own.
+"""A simulation of any system, step by step in Python; a user can replace every step by a function.
 
 Order of a step k (QuaSI user manual V1.0.a, figure 23), with what each writes to the bus:
 
-    begin                 what is set up before the controller looks (sensors, wind, reference)
+    begin                 measurement, wind and reference before the controller
     controller            bus.commanded_inputs[k + 1]
     actuator              bus.inputs[k + 1]
     forces_and_moments    bus.forces[k + 1], bus.moments[k + 1]
     equations_of_motion   bus.state_derivative[k + 1]
     integrator            bus.state[k + 1]
 
-Each is a function that takes the bus alone, and may be replaced: simulator.steps["actuator"] = my_actuator. The step
-that was there stays at hand as bus.actuator and so on, so that a new one can wrap it. Further steps go between them by
-`add_step`. Signals of the user's own go on the bus by `add_signal`.
+Each step is a function of the bus alone. Replace one by simulator.steps["actuator"] = my_actuator. The built-in step
+remains available as bus.actuator and so on, so that the new one can call it. `add_step` inserts further steps, and
+`add_signal` adds further signals to the bus.
 """
 
 import math
@@ -22,20 +22,20 @@ import numpy as np
 
 from quasi.errors import ConfigError, DataError, ShapeError, nearest
 
-ORDER = ("begin", "controller", "actuator", "forces_and_moments", "equations_of_motion", "integrator")
-_LARGEST = 1e12  # a state beyond it has diverged, whatever its unit
-_GROW = 1024  # rows that a simulation without an end gains at a time
+STEP_ORDER = ("begin", "controller", "actuator", "forces_and_moments", "equations_of_motion", "integrator")
+_MAX_STATE = 1e12  # in any unit; a larger state has diverged
+_ADDED_ROWS = 1024  # rows added at a time to a simulation without an end
 Step = Callable[["Bus"], Any]
 
 
 class Bus:
-    """Everything that the steps of a simulation share; arrays are indexed by the step.
+    """Data that the steps of a simulation share; arrays are indexed by the step.
 
     time (N + 1,) s; duration s or None; time_step s; step: the present k
     state, measured_state, state_derivative (N + 1, X); reference (N + 1, R); inputs, commanded_inputs (N + 1, U)
     forces (N + 1, 3) N, moments (N + 1, 3) N m; quaternion (N + 1, 4) or None
     model, controller, actuator, forces_and_moments, equations_of_motion, integrator: the simulation's own steps
-    signals: what users add, by name; bus["name"] reads one and bus["name"] = value writes it
+    signals: added by users, by name; bus["name"] reads one and bus["name"] = value writes it
     """
 
     def __init__(self) -> None:
@@ -56,7 +56,7 @@ class Bus:
         self.integrator_options: dict[str, Any] = {}
         self.signals: dict[str, Any] = {}
         self.setup: Any = None  # of a quadrotor: see quasi.simulation.loop.python_loop
-        self.live: Any = None
+        self.loop_state: Any = None
 
     def __getitem__(self, name: str) -> Any:
         if name not in self.signals:
@@ -72,7 +72,7 @@ class Bus:
 class Simulator:
     """A simulation whose steps are functions of the bus.
 
-    model                what the steps ask of the system: any object; it stands on the bus
+    model                any object that the steps use; it is on the bus
     controller, actuator, forces_and_moments, equations_of_motion  functions of the bus: commanded inputs (U,), inputs
                          (U,), (forces (3,), moments (3,)), state derivative (X,). None leaves a step out: no controller
                          keeps the commanded inputs, no actuator passes them on
@@ -82,7 +82,7 @@ class Simulator:
     quaternion           (first entry of a unit quaternion in the state) or None: it is kept at unit length
     """
 
-    _trust_own = False  # whether the simulation's own steps are known to return what they should
+    _trusts_built_in = False  # whether the outputs of the built-in steps need no check
 
     def __init__(
         self,
@@ -102,9 +102,9 @@ class Simulator:
         self.run_mode = run_mode
         self.stopped: str | None = None  # why the simulation ended before its time
         self.limits: np.ndarray | None = None
-        self._latest: tuple[np.ndarray, ...] = (np.zeros(3), np.zeros(3))  # forces and moments last asked for
+        self._last_loads: tuple[np.ndarray, ...] = (np.zeros(3), np.zeros(3))  # the latest forces and moments
         self.state_names: list[str] = []
-        own = {
+        built_in = {
             "begin": None,
             "controller": controller,
             "actuator": actuator,
@@ -113,18 +113,19 @@ class Simulator:
             "integrator": integrator if callable(integrator) else self._integrate,
         }
         self._method = integrator if isinstance(integrator, str) else "own"
-        if self._method not in ("euler", "rk4", "own", *_adaptive()):
+        if self._method not in ("euler", "rk4", "own", *_list_adaptive_methods()):
             raise ConfigError(
-                f"integrator '{self._method}' is not known{nearest(self._method, ('euler', 'rk4', *_adaptive()))}"
+                f"integrator '{self._method}' is not known"
+                f"{nearest(self._method, ('euler', 'rk4', *_list_adaptive_methods()))}"
             )
-        self._own: dict[str, Step | None] = own
-        self.steps: dict[str, Step | None] = dict(own)
-        self._between: dict[str, list[Step]] = {name: [] for name in ORDER}
+        self._built_in: dict[str, Step | None] = built_in
+        self.steps: dict[str, Step | None] = dict(built_in)
+        self._added_steps: dict[str, list[Step]] = {name: [] for name in STEP_ORDER}
         self._quaternion = quaternion
-        self._recorded: dict[str, list] = {}
-        self._going: Callable[[Bus], bool] | None = None
-        for name in ORDER[1:]:
-            setattr(self.bus, name, own[name])
+        self._recorded_signals: dict[str, list] = {}
+        self._condition: Callable[[Bus], bool] | None = None
+        for name in STEP_ORDER[1:]:
+            setattr(self.bus, name, built_in[name])
 
     def set_initial(
         self,
@@ -134,10 +135,10 @@ class Simulator:
         duration: float | None = None,
         reference: np.ndarray | None = None,
     ) -> None:
-        """Where the simulation begins.
+        """Set the initial state, inputs and reference.
 
         state (X,); inputs (U,); time_step s; duration s, None in infinite mode
-        reference  (R,) for all times, or (N + 1, R) by step; what lies beyond its last row keeps that row
+        reference  (R,) for all times, or (N + 1, R) by step; the last row also holds beyond its end
         Raises ConfigError or ShapeError.
         """
         state, inputs = np.atleast_1d(np.asarray(state, float)), np.atleast_1d(np.asarray(inputs, float))
@@ -151,7 +152,7 @@ class Simulator:
         bus = self.bus
         bus.time_step, bus.duration = time_step, duration if self.run_mode == "finite" else None
         self._steps = round(duration / time_step) if bus.duration is not None else None
-        rows = (self._steps if self._steps is not None else _GROW) + 2
+        rows = (self._steps if self._steps is not None else _ADDED_ROWS) + 2
         bus.time = np.arange(rows) * time_step
         for name in ("state", "measured_state", "state_derivative"):
             setattr(bus, name, np.zeros((rows, len(state))))
@@ -164,190 +165,190 @@ class Simulator:
         bus.quaternion = None if self._quaternion is None else np.zeros((rows, 4))
         bus.step = 0
         self.stopped = None
-        self._recorded = {name: [] for name in self._recorded}
+        self._recorded_signals = {name: [] for name in self._recorded_signals}
 
-    def set_termination(self, going: Callable[[Bus], bool]) -> None:
-        """Go on only while this function of the bus returns True; it is asked after each step."""
-        self._going = going
+    def set_termination(self, condition: Callable[[Bus], bool]) -> None:
+        """Continue only while this function of the bus returns True; it is called after each step."""
+        self._condition = condition
 
     def add_signal(self, name: str, value: Any, record: bool = False) -> None:
-        """Put something on the bus as bus[name]; with `record` its value after each step is kept.
+        """Add a signal to the bus as bus[name]; with `record` its value after each step is stored.
 
         The table then has the column `name`, or `name_1`, `name_2` ... for a vector.
         """
         self.bus.signals[name] = value
         if record:
-            self._recorded[name] = []
+            self._recorded_signals[name] = []
 
     def add_step(self, after: str, function: Step) -> None:
-        """Call a function of the bus after one of ORDER in every step; what it returns is not used."""
-        if after not in ORDER:
-            raise ConfigError(f"no step is called '{after}'{nearest(after, ORDER)}")
+        """Call a function of the bus after one of STEP_ORDER in every step; its result is not used."""
+        if after not in STEP_ORDER:
+            raise ConfigError(f"no step is called '{after}'{nearest(after, STEP_ORDER)}")
         if not callable(function):
-            raise ConfigError(
-                f"what is called after the step '{after}' is {function!r}, expected a function of the bus"
-            )
-        self._between[after].append(function)
+            raise ConfigError(f"the function after the step '{after}' is {function!r}, expected a function of the bus")
+        self._added_steps[after].append(function)
 
     def run(self) -> Bus:
-        """Run to the end, or until the termination condition says so; returns the bus.
+        """Run to the end, or until the termination condition is False; return the bus.
 
-        A state that leaves its limits stops the simulation: `stopped` says when and which, the rows up to then stay.
-        Raises ConfigError when something is not set, DataError naming the step when a step gives NaN or a wrong shape.
+        A state beyond its limits stops the simulation: `stopped` names it and the time; earlier rows remain.
+        Raises ConfigError for a missing setting, DataError naming the step when a step gives NaN or a wrong shape.
         """
         bus = self.bus
         if not len(bus.time):
             raise ConfigError("the simulation has no initial state; call set_initial before run")
-        if self.run_mode == "infinite" and self._going is None:
+        if self.run_mode == "infinite" and self._condition is None:
             # a step that shows the simulation ends it when its window is closed
-            shown = [f for steps in self._between.values() for f in steps if hasattr(f, "going")]
-            self._going = shown[0].going if shown else None
-        if self.run_mode == "infinite" and self._going is None:
+            shown = [f for steps in self._added_steps.values() for f in steps if hasattr(f, "is_open")]
+            self._condition = shown[0].is_open if shown else None
+        if self.run_mode == "infinite" and self._condition is None:
             raise ConfigError("a simulation in infinite mode needs a condition to end; set it with set_termination")
-        unknown = [name for name in self.steps if name not in ORDER]
+        unknown = [name for name in self.steps if name not in STEP_ORDER]
         if unknown:
-            raise ConfigError(f"no step is called '{unknown[0]}'{nearest(unknown[0], ORDER)}")
+            raise ConfigError(f"no step is called '{unknown[0]}'{nearest(unknown[0], STEP_ORDER)}")
         for name, step in self.steps.items():
             if step is not None and not callable(step):
                 raise ConfigError(f"the step '{name}' is {step!r}, expected a function of the bus")
         while True:
-            self._one_step(bus)
+            self._run_step(bus)
             last = self._steps is not None and bus.step >= self._steps
-            self._record(bus)
-            if last or self.stopped or (self._going is not None and not self._going(bus)):
+            self._record_signals(bus)
+            if last or self.stopped or (self._condition is not None and not self._condition(bus)):
                 return bus
 
-    def _one_step(self, bus: Bus) -> None:
+    def _run_step(self, bus: Bus) -> None:
         k = bus.step
         if k + 2 > len(bus.time) - 1:
-            self._grow(bus)
+            self._add_rows(bus)
         steps = self.steps
         if steps["begin"] is not None:
             steps["begin"](bus)
-        self._also("begin", bus)
+        self._run_added_steps("begin", bus)
         controller, actuator = steps["controller"], steps["actuator"]
         if controller is not None:
-            bus.commanded_inputs[k + 1] = self._sound(controller(bus), "controller", bus.commanded_inputs[k])
+            bus.commanded_inputs[k + 1] = self._check_output(controller(bus), "controller", bus.commanded_inputs[k])
         else:
             bus.commanded_inputs[k + 1] = bus.commanded_inputs[k]
-        self._also("controller", bus)
+        self._run_added_steps("controller", bus)
         if actuator is not None:
-            bus.inputs[k + 1] = self._sound(actuator(bus), "actuator", bus.inputs[k])
+            bus.inputs[k + 1] = self._check_output(actuator(bus), "actuator", bus.inputs[k])
         else:
             bus.inputs[k + 1] = bus.commanded_inputs[k + 1]
-        self._also("actuator", bus)
-        self._physics(bus)
-        self._also("equations_of_motion", bus)
+        self._run_added_steps("actuator", bus)
+        self._evaluate_physics(bus)
+        self._run_added_steps("equations_of_motion", bus)
         bus.state[k + 1] = self._next_state(bus)
         if self._quaternion is not None:
             part = slice(self._quaternion, self._quaternion + 4)
             bus.quaternion[k] = bus.state[k, part]
             bus.quaternion[k + 1] = bus.state[k + 1, part]
-        self._also("integrator", bus)
+        self._run_added_steps("integrator", bus)
         self._check_state(bus)
         bus.step = k + 1
 
-    def _physics(self, bus: Bus) -> None:
-        """Forces, moments and the state derivative at the beginning of the step, for the record."""
+    def _evaluate_physics(self, bus: Bus) -> None:
+        """Evaluate forces, moments and the state derivative at the beginning of the step, for the log."""
         k = bus.step
         if self.steps["forces_and_moments"] is not None:
-            bus.forces[k + 1], bus.moments[k + 1] = self._loads(bus)
-        self._also("forces_and_moments", bus)
+            bus.forces[k + 1], bus.moments[k + 1] = self._evaluate_loads(bus)
+        self._run_added_steps("forces_and_moments", bus)
         derivative = self.steps["equations_of_motion"](bus)
-        bus.state_derivative[k + 1] = self._sound(derivative, "equations_of_motion", bus.state[k])
+        bus.state_derivative[k + 1] = self._check_output(derivative, "equations_of_motion", bus.state[k])
 
-    def _loads(self, bus: Bus) -> tuple[np.ndarray, np.ndarray]:
+    def _evaluate_loads(self, bus: Bus) -> tuple[np.ndarray, np.ndarray]:
         found = self.steps["forces_and_moments"](bus)
         try:
             forces, moments = found
         except (TypeError, ValueError):
             raise DataError(
-                f"{self._who('forces_and_moments', bus)} returned {found!r}, expected forces (3,) and moments (3,)"
+                f"{self._describe_step('forces_and_moments', bus)} returned {found!r}, "
+                "expected forces (3,) and moments (3,)"
             ) from None
         zero = bus.forces[0]
-        self._latest = tuple(self._sound(part, "forces_and_moments", zero) for part in (forces, moments))
-        return self._latest
+        self._last_loads = tuple(self._check_output(part, "forces_and_moments", zero) for part in (forces, moments))
+        return self._last_loads
 
     def _next_state(self, bus: Bus) -> np.ndarray:
-        if self.steps["integrator"] is self._own["integrator"] and self._method != "own":
+        if self.steps["integrator"] is self._built_in["integrator"] and self._method != "own":
             return self._integrate(bus)
-        return self._sound(self.steps["integrator"](bus), "integrator", bus.state[bus.step])
+        return self._check_output(self.steps["integrator"](bus), "integrator", bus.state[bus.step])
 
-    def slope(self, state: np.ndarray) -> np.ndarray:
-        """State derivative (X,) at a trial state of the present step, by the model and the equations of motion.
+    def evaluate_derivative(self, state: np.ndarray) -> np.ndarray:
+        """Evaluate the state derivative (X,) at a trial state of the present step, with unchanged inputs.
 
-        The steps see the trial state as bus.state[bus.step], the inputs as they are.
+        bus.state[bus.step] is the trial state during the call.
         """
         bus, k = self.bus, self.bus.step
         kept, forces, moments = bus.state[k].copy(), bus.forces[k + 1].copy(), bus.moments[k + 1].copy()
         bus.state[k] = state
         try:
             if self.steps["forces_and_moments"] is not None:
-                bus.forces[k + 1], bus.moments[k + 1] = self._loads(bus)
-            return self._sound(self.steps["equations_of_motion"](bus), "equations_of_motion", kept)
+                bus.forces[k + 1], bus.moments[k + 1] = self._evaluate_loads(bus)
+            return self._check_output(self.steps["equations_of_motion"](bus), "equations_of_motion", kept)
         finally:
             bus.state[k], bus.forces[k + 1], bus.moments[k + 1] = kept, forces, moments
 
     def _integrate(self, bus: Bus) -> np.ndarray:
-        """The next state by the method chosen."""
+        """Integrate one step with the selected method."""
         dt, k = bus.time_step, bus.step
         state, first = bus.state[k].copy(), bus.state_derivative[k + 1]
         if self._method == "euler":
             result = state + dt * first
         elif self._method == "rk4":
-            second = self.slope(state + 0.5 * dt * first)
-            third = self.slope(state + 0.5 * dt * second)
-            fourth = self.slope(state + dt * third)
+            second = self.evaluate_derivative(state + 0.5 * dt * first)
+            third = self.evaluate_derivative(state + 0.5 * dt * second)
+            fourth = self.evaluate_derivative(state + dt * third)
             result = state + dt / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
         else:
-            result = self._adapt(state, dt)
+            result = self._integrate_adaptively(state, dt)
         if self._quaternion is not None:
             part = slice(self._quaternion, self._quaternion + 4)
             result[part] /= math.sqrt(float(result[part] @ result[part]))
         return result
 
-    def _adapt(self, state: np.ndarray, dt: float) -> np.ndarray:
+    def _integrate_adaptively(self, state: np.ndarray, dt: float) -> np.ndarray:
         from scipy.integrate import solve_ivp
 
         options = {"rtol": 1e-9, "atol": 1e-12, **self.bus.integrator_options}
-        found = solve_ivp(lambda _, y: self.slope(y), (0.0, dt), state, method=self._method, **options)
+        found = solve_ivp(lambda _, y: self.evaluate_derivative(y), (0.0, dt), state, method=self._method, **options)
         if not found.success:
             raise DataError(
-                f"the integrator {self._method} gave up at t = {self.bus.time[self.bus.step]:.6g} s ({found.message}); "
+                f"the integrator {self._method} failed at t = {self.bus.time[self.bus.step]:.6g} s ({found.message}); "
                 "use a shorter time step"
             )
         return found.y[:, -1]
 
-    def _also(self, after: str, bus: Bus) -> None:
-        for function in self._between[after]:
+    def _run_added_steps(self, after: str, bus: Bus) -> None:
+        for function in self._added_steps[after]:
             function(bus)
 
-    def _sound(self, values: Any, name: str, like: np.ndarray) -> np.ndarray:
-        """What a step returned, as an array like another, every number finite."""
-        if self._trust_own and self.steps[name] is self._own[name]:
+    def _check_output(self, values: Any, name: str, like: np.ndarray) -> np.ndarray:
+        """Check that a step returned finite numbers of the expected shape; return them as an array."""
+        if self._trusts_built_in and self.steps[name] is self._built_in[name]:
             return values
         try:
             values = np.asarray(values, float).reshape(like.shape)
         except (TypeError, ValueError):
             raise DataError(
-                f"{self._who(name, self.bus)} returned {values!r}, expected {len(like)} numbers; correct the step"
+                f"{self._describe_step(name, self.bus)} returned {values!r}, "
+                f"expected {len(like)} numbers; correct the step"
             ) from None
         if not np.all(np.isfinite(values)):
             entry = int(np.flatnonzero(~np.isfinite(values))[0])
             raise DataError(
-                f"{self._who(name, self.bus)} returned {values[entry]} as entry {entry}; correct the step, "
-                "or end the simulation before with set_termination"
+                f"{self._describe_step(name, self.bus)} returned {values[entry]} as entry {entry}; correct the step, "
+                "or end the simulation earlier with set_termination"
             )
         return values
 
-    def _who(self, name: str, bus: Bus) -> str:
+    def _describe_step(self, name: str, bus: Bus) -> str:
         function = self.steps[name]
         called = getattr(function, "__qualname__", type(function).__name__)
         return f"the step '{name}' ({called}) at t = {bus.time[bus.step]:.6g} s"
 
     def _check_state(self, bus: Bus) -> None:
         state = bus.state[bus.step + 1]
-        limits = _LARGEST if self.limits is None else self.limits
+        limits = _MAX_STATE if self.limits is None else self.limits
         bad = ~(np.abs(state) <= limits) | ~np.isfinite(state)
         if bad.any():
             entry = int(np.flatnonzero(bad)[0])
@@ -357,15 +358,15 @@ class Simulator:
                 "use a shorter time step, or gentler gains"
             )
 
-    def _record(self, bus: Bus) -> None:
-        for name, rows in self._recorded.items():
+    def _record_signals(self, bus: Bus) -> None:
+        for name, rows in self._recorded_signals.items():
             value = bus.signals[name]
             rows.append(np.array(value, float) if np.ndim(value) else float(value))
 
-    def _grow(self, bus: Bus) -> None:
-        """More rows, by half as many again; what is new begins as a copy of the last row."""
+    def _add_rows(self, bus: Bus) -> None:
+        """Extend the arrays by half their rows, as copies of the last row."""
         old = len(bus.time)
-        more = max(_GROW, old // 2)
+        more = max(_ADDED_ROWS, old // 2)
         bus.time = np.arange(old + more) * bus.time_step
         names = ("state", "measured_state", "state_derivative", "reference", "inputs", "commanded_inputs", "forces",
                  "moments", "quaternion")  # fmt: skip
@@ -375,7 +376,7 @@ class Simulator:
                 setattr(bus, name, np.concatenate([array, np.repeat(array[-1:], more, axis=0)]))
 
     def table(self, names: Mapping[str, list[str]] | None = None) -> dict[str, np.ndarray]:
-        """The states and inputs by step as columns: "t", then the names given, else "state 0", "input 0" and so on.
+        """Return states and inputs by step as columns: "t", then the given names, else "state 0", "input 0" and so on.
 
         names  {"state": [...], "inputs": [...], "reference": [...]}
         """
@@ -384,13 +385,13 @@ class Simulator:
         for what, array in (("state", bus.state), ("inputs", bus.inputs), ("reference", bus.reference)):
             given = (names or {}).get(what) or [f"{what.removesuffix('s')} {i}" for i in range(array.shape[1])]
             columns |= {name: array[:rows, i].copy() for i, name in enumerate(given)}
-        for name, values in self._recorded.items():
-            columns |= {n: np.concatenate([c[:1], c])[:rows] for n, c in signal_columns(name, values).items()}
+        for name, values in self._recorded_signals.items():
+            columns |= {n: np.concatenate([c[:1], c])[:rows] for n, c in make_signal_columns(name, values).items()}
         return columns
 
 
-def signal_columns(name: str, values: list[Any]) -> dict[str, np.ndarray]:
-    """Columns of a recorded signal: its name for numbers; for vectors the name and the entry's number from 1.
+def make_signal_columns(name: str, values: list[Any]) -> dict[str, np.ndarray]:
+    """Make columns of a recorded signal: its name for numbers; for vectors the name and the entry's number from 1.
 
     values  one number or vector (M,) per step. Raises ShapeError where its size changes or it has two dimensions.
     """
@@ -404,5 +405,5 @@ def signal_columns(name: str, values: list[Any]) -> dict[str, np.ndarray]:
     return {f"{name}_{k + 1}": array[:, k] for k in range(array.shape[1])}
 
 
-def _adaptive() -> tuple[str, ...]:
+def _list_adaptive_methods() -> tuple[str, ...]:
     return ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")

@@ -1,4 +1,4 @@
-"""Keys of a terminal, read one at a time without waiting, and how long a key counts as held."""
+"""Read the keys of a terminal without waiting, and track which keys are held down."""
 
 import os
 import sys
@@ -7,15 +7,15 @@ from types import TracebackType
 
 from quasi.errors import ConfigError
 
-# what a terminal sends for keys that are not one character
+# escape sequences of keys that are not one character
 _SEQUENCES = {"[A": "up", "[B": "down", "[C": "right", "[D": "left"}
 _NAMED = {" ": "space", "\r": "enter", "\n": "enter", "\t": "tab", "\x7f": "backspace"}
-REPEAT_DELAY = 0.55  # s, within which a terminal begins to repeat a key that is held
-RELEASE_DELAY = 0.06  # s, after which a release is one and not a gap between two repeats
+REPEAT_DELAY = 0.55  # s, longest time until a terminal begins to repeat a held key
+RELEASE_DELAY = 0.06  # s, shortest release that is not a gap between two repeats
 
 
 def decode(text: str) -> list[str]:
-    """Names of the keys in what a terminal sent: characters as they are, "space", "up", "escape" and so on."""
+    """Decode terminal input to key names: characters as they are, "space", "up", "escape" and so on."""
     keys, k = [], 0
     while k < len(text):
         if text[k] == "\x1b":
@@ -26,7 +26,7 @@ def decode(text: str) -> list[str]:
                 k += 3
                 continue
             if text[k + 1 : k + 2] in ("[", "O"):
-                # some other key (F5, page up): skip it whole, or its letters would count
+                # another key (F5, page up): skip its whole sequence
                 k += 2
                 while k < len(text) and not ("@" <= text[k] <= "~"):
                     k += 1
@@ -40,9 +40,9 @@ def decode(text: str) -> list[str]:
 
 
 class Terminal:
-    """The keys pressed in a terminal; `with Terminal() as keys:` and then `keys.read()` as often as wanted.
+    """The keys pressed in a terminal: `with Terminal() as keys:`, then `keys.read()` repeatedly.
 
-    Characters are neither shown nor held back until Enter as long as the block runs; Ctrl-C ends the program as ever.
+    Inside the block, characters are not echoed and do not wait for Enter; Ctrl-C still ends the program.
     file  number of the terminal's file, standard input if not given
     Raises ConfigError where there is no terminal.
     """
@@ -76,7 +76,7 @@ class Terminal:
             self._before = None
 
     def read(self) -> list[str]:
-        """The keys pressed since the last call, oldest first; none if there were none."""
+        """Read the keys pressed since the last call, oldest first."""
         if sys.platform == "win32":
             return self._read_windows()
         import select
@@ -89,7 +89,7 @@ class Terminal:
             data += part
         text, waited = self._rest + data.decode("utf-8", errors="ignore"), bool(self._rest)
         self._rest = ""
-        # the rest of an arrow's sequence may come a moment later; if it does not, it was the escape key
+        # the rest of an arrow sequence may arrive later; otherwise it was the escape key
         if text.endswith(("\x1b", "\x1b[", "\x1bO")) and not (waited and not data):
             cut = text.rindex("\x1b")
             text, self._rest = text[:cut], text[cut:]
@@ -109,28 +109,31 @@ class Terminal:
         return keys
 
 
-class Held:
-    """Which keys count as held. A terminal tells presses alone, again and again while a key is down; a window tells
-    releases too, but on some systems also between the repeats of a key that stays down."""
+class HeldKeys:
+    """Keys that are held down.
+
+    A terminal reports key presses only, repeatedly while a key is down. A window also reports releases, on some systems
+    even between the repeats of a held key.
+    """
 
     def __init__(self) -> None:
         self._until: dict[str, float] = {}
 
     def press(self, keys: Iterable[str], now: float, ends: float = REPEAT_DELAY) -> None:
-        """Keys were pressed at the time now, s; they count for `ends` s more unless pressed again."""
+        """Register keys pressed at time now, s; they stay held for `ends` s unless pressed again."""
         for key in keys:
             self._until[key] = max(now + ends, self._until.get(key, now))
 
     def release(self, key: str, now: float) -> None:
-        """A key was let go at the time now, s."""
+        """Register the release of a key at time now, s."""
         if key in self._until:
             self._until[key] = now + RELEASE_DELAY
 
     def clear(self) -> None:
-        """No key is held."""
+        """Release all keys."""
         self._until.clear()
 
-    def at(self, now: float) -> set[str]:
-        """The keys that count as held at the time now, s."""
+    def list_held_keys(self, now: float) -> set[str]:
+        """List the keys that are held at time now, s."""
         self._until = {key: until for key, until in self._until.items() if until > now}
         return set(self._until)

@@ -1,7 +1,6 @@
-"""A closed loop as plain named numbers, for exports that fly it elsewhere.
+"""Constants of a closed loop as named numbers, for exports to other simulators.
 
-Only what such an export can carry: the INDI controller, rotors with lag, delay and limits, steady wind, a battery at
-rest.
+An export supports the INDI controller, rotors with lag, delay and limits, steady wind and a constant battery voltage.
 """
 
 import math
@@ -15,26 +14,26 @@ from quasi.simulation.control import gains as g
 from quasi.simulation.loop.setup import Setup, make_setup
 from quasi.simulation.vehicle.dynamics import RK4
 from quasi.simulation.vehicle.layout import (
-    DOWN,
-    GRAVITY_ADDED,
+    ADDED_GRAVITY,
     INERTIA,
-    INVERSE,
+    INVERSE_INERTIA,
+    LAG_DOWN,
+    LAG_UP,
+    LOADS_OFFSET,
     MASS,
-    OFFSET,
-    RATE,
-    ROTORS,
-    STATES,
-    UP,
+    MAX_ROTOR_ACCELERATION,
+    ROTOR_SPEEDS,
+    STATE_SIZE,
 )
-from quasi.simulation.vehicle.sensors_and_wind import GUST, STEADY
-from quasi.simulation.vehicle.variants import named, parts_of
+from quasi.simulation.vehicle.sensors_and_wind import GUST_DEVIATION, STEADY_WIND
+from quasi.simulation.vehicle.variants import list_part_names, read_payload_and_inflow
 
 
 def portable_setup(model: Model, time_step: float = 0.004) -> Setup:
-    """The closed loop that travels with a model: INDI with its default gains, rotors as the model knows them.
+    """Set up the closed loop that is exported with a model: INDI with default gains and the rotors of the model.
 
-    Raises ConfigError or DataError, as `make_setup` does, for a model that cannot be flown: by the variable that a
-    simulation cannot know, the axes or the mass that it lacks.
+    Raises ConfigError or DataError, as `make_setup` does, for a model that cannot be flown. The message names
+    the variable that a simulation cannot provide, or the missing axes or mass.
     """
     settings = {
         "model": {"model ID": model.id},
@@ -46,79 +45,82 @@ def portable_setup(model: Model, time_step: float = 0.004) -> Setup:
 
 
 def loop_constants(setup: Setup) -> dict[str, Any]:
-    """The constants of a closed loop; SI units, body and earth axes as in `dynamics` and `controllers`.
+    """Return the constants of a closed loop; SI units, body and earth axes as in `dynamics` and `controllers`.
 
-    Raises ConfigError naming what cannot be carried: another controller, noise, gusts, faults, a battery that empties.
+    Raises ConfigError naming what cannot be exported: another controller, noise, gusts, faults, a draining battery.
     """
-    machine = setup.machine
+    loop_parameters = setup.loop_parameters
     _refuse(setup)
-    body, gains = machine.body, machine.gains
+    body, gains = loop_parameters.body, loop_parameters.gains
     return {
         "model": setup.model.id,
-        "time step": machine.dt,
-        "substeps": machine.substeps,
-        "integrator": "rk4" if machine.method == RK4 else "euler",
+        "time step": loop_parameters.dt,
+        "substeps": loop_parameters.substeps,
+        "integrator": "rk4" if loop_parameters.method == RK4 else "euler",
         "mass": body[MASS],
-        "gravity added": body[GRAVITY_ADDED],
+        "gravity added": body[ADDED_GRAVITY],
         "inertia": body[INERTIA : INERTIA + 9].reshape(3, 3),
-        "inverse inertia": body[INVERSE : INVERSE + 9].reshape(3, 3),
-        "offset": body[OFFSET : OFFSET + 6],
-        "time constants up": body[UP : UP + 4],
-        "time constants down": body[DOWN : DOWN + 4],
-        "rate limit": body[RATE],
-        "lowest": machine.drive.low,
-        "highest": machine.drive.high,
-        "delay": machine.drive.delay,
-        "wind": machine.wind[STEADY : STEADY + 3],
-        "battery voltage": machine.battery.start if machine.battery.place >= 0 else None,
-        "start speeds": setup.start[ROTORS:STATES],
+        "inverse inertia": body[INVERSE_INERTIA : INVERSE_INERTIA + 9].reshape(3, 3),
+        "offset": body[LOADS_OFFSET : LOADS_OFFSET + 6],
+        "time constants up": body[LAG_UP : LAG_UP + 4],
+        "time constants down": body[LAG_DOWN : LAG_DOWN + 4],
+        "rate limit": body[MAX_ROTOR_ACCELERATION],
+        "lowest": loop_parameters.drive.low,
+        "highest": loop_parameters.drive.high,
+        "delay": loop_parameters.drive.delay,
+        "wind": loop_parameters.wind[STEADY_WIND : STEADY_WIND + 3],
+        "battery voltage": loop_parameters.battery.start if loop_parameters.battery.place >= 0 else None,
+        "start speeds": setup.start[ROTOR_SPEEDS:STATE_SIZE],
         "controller": {
             "mass": gains[g.MASS],
             "inertia": gains[g.INERTIA : g.INERTIA + 9].reshape(3, 3),
-            "effectiveness": gains[g.EFFECT : g.EFFECT + 16].reshape(4, 4),
-            "yaw reaction": gains[g.REACTION : g.REACTION + 4],
-            "hover speed": gains[g.HOVER],
-            "lowest": gains[g.LOWEST],
-            "highest": gains[g.HIGHEST],
-            "lag": gains[g.LAG],
-            "weights": gains[g.WEIGHTS : g.WEIGHTS + 4],
-            "weighted": bool(gains[g.METHOD]),
-            "learn rotor limits": bool(gains[g.LEARN]),
-            "position": gains[g.POSITION],
-            "velocity": gains[g.VELOCITY],
-            "velocity integral": gains[g.VELOCITY_INTEGRAL],
-            "attitude": gains[g.ATTITUDE],
-            "yaw": gains[g.YAW],
-            "rates": gains[g.RATES : g.RATES + 3],
-            "cut-off": gains[g.CUT_OFF],
-            "damping": gains[g.DAMPING],
-            "tilt": gains[g.TILT],
-            "speed": gains[g.SPEED],
-            "climb": gains[g.CLIMB],
-            "acceleration": gains[g.ACCELERATION],
-            "rate": gains[g.RATE],
-            "yaw rate": gains[g.YAW_RATE],
-            "integral": gains[g.INTEGRAL],
+            "effectiveness": gains[g.EFFECTIVENESS : g.EFFECTIVENESS + 16].reshape(4, 4),
+            "yaw reaction": gains[g.YAW_REACTION : g.YAW_REACTION + 4],
+            "hover speed": gains[g.HOVER_SPEED],
+            "lowest": gains[g.LOWEST_SPEED],
+            "highest": gains[g.HIGHEST_SPEED],
+            "lag": gains[g.ACTUATOR_LAG],
+            "weights": gains[g.ALLOCATION_WEIGHTS : g.ALLOCATION_WEIGHTS + 4],
+            "weighted": bool(gains[g.USES_WEIGHTED_ALLOCATION]),
+            "learn rotor limits": bool(gains[g.LEARNS_ROTOR_LIMITS]),
+            "position": gains[g.POSITION_GAIN],
+            "velocity": gains[g.VELOCITY_GAIN],
+            "velocity integral": gains[g.VELOCITY_INTEGRAL_GAIN],
+            "attitude": gains[g.ATTITUDE_GAIN],
+            "yaw": gains[g.YAW_GAIN],
+            "rates": gains[g.RATE_GAINS : g.RATE_GAINS + 3],
+            "cut-off": gains[g.FILTER_FREQUENCY],
+            "damping": gains[g.FILTER_DAMPING],
+            "tilt": gains[g.MAX_TILT],
+            "speed": gains[g.MAX_SPEED],
+            "climb": gains[g.MAX_CLIMB],
+            "acceleration": gains[g.MAX_ACCELERATION],
+            "rate": gains[g.MAX_TILT_RATE],
+            "yaw rate": gains[g.MAX_YAW_RATE],
+            "integral": gains[g.MAX_INTEGRAL],
         },
     }
 
 
 def _refuse(setup: Setup) -> None:
-    machine = setup.machine
-    battery = machine.battery
+    loop_parameters = setup.loop_parameters
+    battery = loop_parameters.battery
     found = {
-        f"the controller {g.LABELS[machine.controller]}": machine.controller != g.INDI,
-        "sensor noise": any(machine.sensors),
-        "gusts": bool(np.any(machine.wind[GUST : GUST + 3])),
-        "a wind that changes": len(machine.wind_table) > 0,
-        "a rotor fault": math.isfinite(machine.fault[0]),
-        **{f"the {what} of the model's extensions": True for what in named(parts_of(setup.model))},
-        "a term in the time": machine.clock >= 0,
-        "a battery that moves the rotor speeds or empties": bool(battery.exponent or battery.drain or battery.sag),
+        f"the controller {g.CONTROLLER_LABELS[loop_parameters.controller]}": loop_parameters.controller != g.INDI,
+        "sensor noise": any(loop_parameters.sensors),
+        "gusts": bool(np.any(loop_parameters.wind[GUST_DEVIATION : GUST_DEVIATION + 3])),
+        "a changing wind": len(loop_parameters.wind_table) > 0,
+        "a rotor fault": math.isfinite(loop_parameters.fault[0]),
+        **{
+            f"the {what} of the model's extensions": True
+            for what in list_part_names(read_payload_and_inflow(setup.model))
+        },
+        "a term in the time": loop_parameters.clock >= 0,
+        "a battery that changes the rotor speeds or drains": bool(battery.exponent or battery.drain or battery.sag),
     }
     for what, there in found.items():
         if there:
             raise ConfigError(
                 f"{setup.name}: {what} cannot be exported; only the INDI controller in steady wind, without noise and "
-                "faults, with a battery at rest, travels"
+                "faults, with a constant battery voltage, can be exported"
             )

@@ -1,8 +1,8 @@
-"""Where a quadrotor can be after a while: positions reached when it is asked for places all around it.
+"""Reachable positions of a quadrotor after a horizon, with targets all around it.
 
-Targets lie on a sphere about the start; each is flown to for the horizon by the simulation's own controller, with its
-wind, noise and faults, all of them at once. The hull of where they end is what that controller can reach, seen from
-within, and not what the vehicle could: another controller may reach further.
+Targets lie on a sphere about the start. The simulation's controller flies to each of them for the horizon, with wind,
+noise and faults, as one batch. The hull of the end positions is an inner estimate for that controller, and not the
+limit of the vehicle: another controller may reach further.
 """
 
 from collections.abc import Mapping
@@ -17,30 +17,30 @@ from quasi.attitude import rotate_inverse, to_euler
 from quasi.errors import ConfigError, DataError
 from quasi.model.model import Model
 from quasi.simulation.control.control_model import extras
-from quasi.simulation.control.references import HOVER
+from quasi.simulation.control.references import HOVER_REFERENCE
 from quasi.simulation.loop.run import simulate_many
 from quasi.simulation.loop.setup import Setup, make_setup
 
-SCHEMA = "quasi.reach/1"
-DEFAULTS = {"horizon": 1.0, "radius": 4.0, "spacing": 20.0}  # s, m, deg: those of the reference's script
+REACH_SCHEMA = "quasi.reach/1"
+REACH_DEFAULTS = {"horizon": 1.0, "radius": 4.0, "spacing": 20.0}  # s, m, deg: those of the reference's script
 
 
-UNITS = {
+REACH_UNITS = {
     "target": ("1", "", "number of the target"),
-    **{f"target_{a}": ("m", "earth NED", f"{a} of the place that was asked for") for a in "xyz"},
+    **{f"target_{a}": ("m", "earth NED", f"{a} of the target") for a in "xyz"},
 }
 
 
 @dataclass(frozen=True)
 class Reach:
-    """What a batch reached.
+    """Reached positions of a batch.
 
-    setup      what was flown
+    setup      the simulated closed loop
     targets    (B, 3) m, earth NED
-    t          (R,) s; positions (B, R, 3) m, NaN after a simulation that diverged
+    t          (R,) s; positions (B, R, 3) m, NaN after a divergence
     distance   (B,) greatest distance outside the region of the model's data, in units of the covered range; NaN where
-               the model carries none
-    ended      {number of the target: sentence} of those that did not last
+               the model has none
+    ended      {number of the target: sentence} of simulations that ended early
     """
 
     setup: Setup
@@ -51,12 +51,12 @@ class Reach:
     ended: dict[int, str]
 
     def at(self, time: float) -> np.ndarray:
-        """Positions (B', 3) at the logged instant nearest to `time`, s, of the simulations that lasted so long."""
+        """Positions (B', 3) at the logged instant nearest to `time`, s, of the simulations that lasted until then."""
         there = self.positions[:, int(np.argmin(np.abs(self.t - time)))]
         return there[np.all(np.isfinite(there), axis=1)]
 
     def table(self) -> pd.DataFrame:
-        """One row per target and instant: target, t, x y z, and where it aimed, target_x target_y target_z."""
+        """One row per target and instant: target, t, x y z, and the target target_x target_y target_z."""
         many, rows = self.positions.shape[:2]
         columns = {"target": np.repeat(np.arange(many, dtype=float), rows), "t": np.tile(self.t, many)}
         columns |= {a: self.positions[:, :, k].ravel() for k, a in enumerate("xyz")}
@@ -69,16 +69,16 @@ class Reach:
         start = self.setup.start[10:13]
         whole = [r for r in range(len(self.targets)) if r not in self.ended]
         return {
-            "schema": SCHEMA,
+            "schema": REACH_SCHEMA,
             "simulation": self.setup.name,
             "model": self.setup.model.id,
             "controller": self.setup.settings["controller"],
             "horizon": {"value": horizon, "unit": "s"},
             "targets": len(self.targets),
             "start": [float(c) for c in start],
-            "on the way": _extremes(self.positions[whole].reshape(-1, 3)) if whole else None,
-            "at half": _set(self.at(0.5 * horizon)),
-            "at the horizon": _set(self.at(horizon)),
+            "on the way": _find_extremes(self.positions[whole].reshape(-1, 3)) if whole else None,
+            "at half": _describe_set(self.at(0.5 * horizon)),
+            "at the horizon": _describe_set(self.at(horizon)),
             "outside the model's region": {
                 "share of targets": float(np.mean(self.distance > 0.0)) if np.any(np.isfinite(self.distance)) else None,
                 "greatest distance": float(np.nanmax(self.distance)) if np.any(np.isfinite(self.distance)) else None,
@@ -87,7 +87,7 @@ class Reach:
         }
 
 
-def sphere(radius: float, spacing: float) -> np.ndarray:
+def place_targets(radius: float, spacing: float) -> np.ndarray:
     """Points (B, 3) on a sphere: azimuth and elevation in equal steps of about `spacing` degrees, each pole once."""
     around, rings = max(round(360.0 / spacing), 3), max(round(180.0 / spacing), 2)
     azimuth = 2.0 * np.pi * np.arange(around) / around
@@ -97,20 +97,20 @@ def sphere(radius: float, spacing: float) -> np.ndarray:
     return radius * np.vstack([points, [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]])
 
 
-def reach(
+def find_reachable(
     settings: Mapping[str, Any],
     model: Model,
-    horizon: float = DEFAULTS["horizon"],
-    radius: float = DEFAULTS["radius"],
-    spacing: float = DEFAULTS["spacing"],
+    horizon: float = REACH_DEFAULTS["horizon"],
+    radius: float = REACH_DEFAULTS["radius"],
+    spacing: float = REACH_DEFAULTS["spacing"],
     wind: Any = None,
     name: str = "simulation",
 ) -> Reach:
-    """Fly from the initial conditions of a simulation's configuration to targets all around.
+    """Fly from the initial conditions of a configuration to targets all around.
 
-    settings  as for `make_setup`; its references and duration do not count
+    settings  as for `make_setup`; references and duration are replaced
     horizon s; radius m, of the sphere of targets; spacing deg, between them; wind  see `make_setup`
-    Raises ConfigError for impossible numbers, DataError when no simulation lasted.
+    Raises ConfigError for impossible numbers, DataError when every simulation ended early.
     """
     for key, value, most in (("horizon", horizon, 600.0), ("radius", radius, 1e4), ("spacing", spacing, 90.0)):
         if not 0.0 < value <= most:
@@ -124,23 +124,23 @@ def reach(
     }
     setup = make_setup(settings, model, wind=wind, name=name)
     start = setup.start[10:13]
-    targets = start + sphere(radius, spacing)
+    targets = start + place_targets(radius, spacing)
     yaw = float(to_euler(setup.start[:4])[2])
     path = np.column_stack([targets, np.full(len(targets), yaw)])
-    if setup.machine.reference != HOVER:
-        raise ConfigError("reach: the simulation's reference could not be replaced by places to fly to")
+    if setup.loop_parameters.reference != HOVER_REFERENCE:
+        raise ConfigError("reach: the reference of the simulation could not be replaced by targets")
     # the last logged instant is the horizon itself
     every = max(d for d in range(1, max(setup.steps // 50, 1) + 1) if setup.steps % d == 0)
     many = simulate_many(setup, len(targets), path=path, every=every)
     ended = {b: many.stopped(setup, b) for b in range(len(targets)) if many.stopped(setup, b)}
     if len(ended) == len(targets):
-        raise DataError(f"reach: no simulation lasted: {ended[0]}")
+        raise DataError(f"reach: every simulation ended early: {ended[0]}")
     return Reach(setup, targets, many.t, many.states[:, :, 10:13], _distances(setup, many.t, many.states), ended)
 
 
 def _distances(setup: Setup, t: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """Greatest distance outside the model's region of each simulation, (B,), by the velocity through the steady air."""
-    model, air = setup.model, setup.machine.wind[:3]
+    """Greatest distance outside the model's region by simulation, (B,), with the velocity through the steady air."""
+    model, air = setup.model, setup.loop_parameters.wind[:3]
     usual = dict(zip(model.inputs[20:], extras(model)))
     if not model.document.get("envelope"):
         return np.full(len(states), np.nan)
@@ -156,24 +156,24 @@ def _distances(setup: Setup, t: np.ndarray, states: np.ndarray) -> np.ndarray:
     return result
 
 
-def _extremes(points: np.ndarray) -> dict[str, Any]:
+def _find_extremes(points: np.ndarray) -> dict[str, Any]:
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     return {a: {"min": float(low[k]), "max": float(high[k]), "unit": "m"} for k, a in enumerate("xyz")}
 
 
-def _set(points: np.ndarray) -> dict[str, Any] | None:
-    """Extremes of a set of points and the volume of their hull."""
+def _describe_set(points: np.ndarray) -> dict[str, Any] | None:
+    """Describe a set of points: extremes and volume of the hull."""
     if not len(points):
         return None
-    found = hull(points)
+    found = find_hull(points)
     return {
-        "extremes": _extremes(points),
+        "extremes": _find_extremes(points),
         "volume": {"value": None if found is None else float(found.volume), "unit": "m3"},
     }
 
 
-def hull(points: np.ndarray) -> ConvexHull | None:
-    """Convex hull of points (B, 2) or (B, 3); None where they lie too flat to have one."""
+def find_hull(points: np.ndarray) -> ConvexHull | None:
+    """Find the convex hull of points (B, 2) or (B, 3); None for degenerate points."""
     try:
         return ConvexHull(points)
     except (QhullError, ValueError):

@@ -1,7 +1,7 @@
-"""A configured simulation shown live: its own reference is followed, in real time, with pause, restart and end.
+"""Live view of a configured simulation that follows its reference in real time, with pause, restart and end.
 
-Keys: space pauses, r starts again, q ends; closing the window ends as well. At the end of its duration, or where the
-simulation cannot go on, the last picture stays until then.
+Keys: space pauses, r restarts, q ends; closing the window ends as well. At the end of its duration, or where the
+simulation ends early, the last picture stays visible.
 """
 
 import time
@@ -10,16 +10,16 @@ from typing import Protocol
 
 import numpy as np
 
-from quasi.simulation.tools.keyboard import Held
+from quasi.simulation.tools.keyboard import HeldKeys
 from quasi.simulation.tools.manual_flight import Keys, Pace
 
 HELP = "space pauses, r starts again, q ends"
-POSITION_GOAL = 0.0
-PATH_POINTS = 2000  # of a reference's path; more cannot be seen
+POSITION_SETPOINT = 0.0
+MAX_PATH_POINTS = 2000  # of a reference's path; more are not visible
 
 
 class Followed(Protocol):
-    """What `watch` needs of a simulation."""
+    """The simulation that `show_reference_flight` needs."""
 
     dt: float  # s
     t: float  # s
@@ -29,45 +29,45 @@ class Followed(Protocol):
         """(17,) attitude w x y z, u v w, p q r, x y z, rotor speeds."""
 
     def setpoint(self) -> np.ndarray:
-        """(20,) what the reference asks for now, see `outer_loop`."""
+        """(20,) present setpoint of the reference, see `outer_loop`."""
 
-    def advance(self, goal: np.ndarray | None, steps: int) -> str | None:
-        """Go on by so many steps; a sentence when the simulation cannot go on."""
+    def advance(self, setpoint: np.ndarray | None, steps: int) -> str | None:
+        """Run this many steps; return a sentence when the simulation ends early."""
 
     def restart(self) -> None:
-        """Begin again."""
+        """Restart the simulation."""
 
 
 class View(Protocol):
-    """Where the flight is seen."""
+    """A live view of the flight."""
 
     def is_open(self) -> bool:
-        """Whether to go on."""
+        """Whether the flight continues."""
 
-    def poll(self, held: Held, now: float) -> list[str]:
-        """Let the window work; return the keys pressed in it."""
+    def poll(self, held_keys: HeldKeys, now: float) -> list[str]:
+        """Process window events; return the pressed keys."""
 
-    def show(self, t: float, state: np.ndarray, said: str, target: np.ndarray | None = None) -> None:
-        """Draw the drone, and a mark at the target (3,), m, earth NED."""
+    def show(self, t: float, state: np.ndarray, text: str, target: np.ndarray | None = None) -> None:
+        """Draw the drone and a mark at the target (3,), m, earth NED."""
 
 
-def watch(
+def show_reference_flight(
     flight: Followed,
     view: View,
     keys: Keys | None = None,
     clock: Callable[[], float] = time.perf_counter,
-    rest: Callable[[float], None] = time.sleep,
+    wait: Callable[[float], None] = time.sleep,
     rate: float = 40.0,
 ) -> str:
-    """Show a simulation until q is pressed or the window closes; returns a sentence on what was flown.
+    """Show a simulation until q is pressed or the window closes; return a sentence about the flight.
 
-    keys  of a terminal, None for the window's own alone; rate  pictures per second at most; clock s; rest  waits s
+    keys  of a terminal, None for those of the window only; rate  maximum pictures per second; clock s; wait  waits s
     """
-    pace, held, ended, paused = Pace(flight.dt, clock()), Held(), None, False
+    pace, held_keys, ended, paused = Pace(flight.dt, clock()), HeldKeys(), None, False
     errors: list[float] = []
     while view.is_open():
         now = clock()
-        pressed = (keys.read() if keys is not None else []) + view.poll(held, now)
+        pressed = (keys.read() if keys is not None else []) + view.poll(held_keys, now)
         if {"q", "escape"} & set(pressed):
             break
         for key in pressed:
@@ -77,15 +77,15 @@ def watch(
                 flight.restart()
                 ended, paused, errors = None, False, []
         left = round((flight.duration - flight.t) / flight.dt)
-        steps = min(pace.due(now), left)
+        steps = min(pace.count_due_steps(now), left)
         if steps > 0 and ended is None and not paused:
             ended = flight.advance(None, steps)
         target = _target(flight.setpoint()) if flight.t > 0.0 else None
         error = None if target is None else float(np.linalg.norm(flight.state()[10:13] - target))
         if error is not None and steps > 0 and not paused:
             errors.append(error)
-        view.show(flight.t, flight.state(), describe(flight, pace, ended, paused, error), target)
-        rest(max(1.0 / rate - (clock() - now), 0.0))
+        view.show(flight.t, flight.state(), describe_flight(flight, pace, ended, paused, error), target)
+        wait(max(1.0 / rate - (clock() - now), 0.0))
     text = f"flew {flight.t:.1f} s of {flight.duration:.1f} s"
     if errors:
         text += f", position error {np.sqrt(np.mean(np.square(errors))):.2f} m rms, {max(errors):.2f} m at most"
@@ -93,11 +93,11 @@ def watch(
 
 
 def _target(setpoint: np.ndarray) -> np.ndarray | None:
-    return setpoint[1:4].copy() if setpoint[0] == POSITION_GOAL else None
+    return setpoint[1:4].copy() if setpoint[0] == POSITION_SETPOINT else None
 
 
-def describe(flight: Followed, pace: Pace, ended: str | None, paused: bool, error: float | None) -> str:
-    """What stands in the view: speed, height, position error, and what is out of the ordinary."""
+def describe_flight(flight: Followed, pace: Pace, ended: str | None, paused: bool, error: float | None) -> str:
+    """Describe the flight for the view: speed, height, position error, and exceptions."""
     if ended is not None:
         return f"{ended}; r starts again"
     state = flight.state()
@@ -108,14 +108,14 @@ def describe(flight: Followed, pace: Pace, ended: str | None, paused: bool, erro
         return f"{text}   end; r starts again"
     if paused:
         return f"{text}   paused"
-    return text if pace.share > 0.95 else f"{text}   {pace.share:.1f} x real time"
+    return text if pace.speed_ratio > 0.95 else f"{text}   {pace.speed_ratio:.1f} x real time"
 
 
-def path_of(goal_at: Callable[[float, np.ndarray], None], duration: float) -> np.ndarray:
-    """Positions (M, 3), m, earth NED, that a reference asks for over its duration, s; (0, 3) where it asks for none."""
-    goal, path = np.zeros(20), []
-    for t in np.linspace(0.0, duration, PATH_POINTS):
-        goal_at(t, goal)
-        if goal[0] == POSITION_GOAL:
-            path.append(goal[1:4].copy())
+def sample_path(evaluate_setpoint: Callable[[float, np.ndarray], None], duration: float) -> np.ndarray:
+    """Sample the positions (M, 3), m, earth NED, of a reference over its duration, s; (0, 3) without any."""
+    setpoint, path = np.zeros(20), []
+    for t in np.linspace(0.0, duration, MAX_PATH_POINTS):
+        evaluate_setpoint(t, setpoint)
+        if setpoint[0] == POSITION_SETPOINT:
+            path.append(setpoint[1:4].copy())
     return np.array(path).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""Open-loop roll-outs: the rigid body from measured states with measured rotor speeds, many windows at once.
+"""Open-loop roll-outs: the rigid body from measured states with measured rotor speeds, for many windows at once.
 
 Equations of motion in body axes, attitude as a quaternion q (body to earth), position in the earth frame:
 
@@ -18,34 +18,34 @@ import numpy as np
 from quasi.attitude import GRAVITY, from_euler, multiply, normalise, rotate, rotate_inverse, to_euler
 from quasi.errors import DataError, ShapeError
 from quasi.model.model import Model
-from quasi.simulation.tools.replay import replay, steps_of, twelve
+from quasi.simulation.tools.replay import count_steps, replay, to_euler_states
 
-Wrench = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+LoadFunction = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body and what acts on it.
+    """A rigid body and the loads on it.
 
     mass kg; inertia (3, 3) kg m2 about the cg, body axes
     wrench(state (W, 12), rotor_speeds (W, 4), rotor_accelerations (W, 4)) gives forces and moments (W, 3), body axes;
     state is roll pitch yaw, u v w (over ground), p q r, x y z
-    with_gravity  whether the forces leave gravity out, so that it is added here
+    with_gravity  whether the forces exclude gravity, so that it is added here
     """
 
     mass: float
     inertia: np.ndarray
-    wrench: Wrench
+    wrench: LoadFunction
     with_gravity: bool = True
 
 
-def body_of(model: Model) -> Body:
-    """The body that a model describes. Raises DataError when an axis or the mass is missing."""
+def make_body(model: Model) -> Body:
+    """Make the body that a model describes. Raises DataError when an axis or the mass is missing."""
     if len(model.axes) < 6:
         missing = [a for a in ("Fx", "Fy", "Fz", "Mx", "My", "Mz") if a not in model.axes]
         raise DataError(f"model {model.id} lacks {', '.join(missing)}; a roll-out needs all six axes")
     if model.airframe.mass is None:
-        raise DataError(f"model {model.id} knows no mass; fill in 'Mass' in the logbook and make it anew")
+        raise DataError(f"model {model.id} has no mass; fill in 'Mass' in the logbook and build it again")
 
     def wrench(state: np.ndarray, speeds: np.ndarray, accelerations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return model.predict(state, speeds, accelerations if model.uses_rotor_accelerations else None)
@@ -75,7 +75,9 @@ def rollout(
     A window that diverges holds inf or NaN from there on. Raises ShapeError, or DataError for windows beyond the data.
     """
     if isinstance(model, Model):
-        return twelve(replay(model, t, states, rotor_speeds, starts, horizon, None, None, wind, extra, None, substeps))
+        return to_euler_states(
+            replay(model, t, states, rotor_speeds, starts, horizon, None, None, wind, extra, None, substeps)
+        )
     if wind is not None or extra is not None:
         raise DataError("wind and further inputs can be given with a model, not with a Body; put them into its wrench")
     body = model
@@ -85,7 +87,7 @@ def rollout(
         raise ShapeError(
             f"states must be ({len(t)}, 12) and rotor_speeds ({len(t)}, 4), got {states.shape}, {speeds.shape}"
         )
-    steps = steps_of(t, horizon)
+    steps = count_steps(t, horizon)
     if len(starts) and (starts.min() < 0 or starts.max() + steps >= len(t)):
         raise DataError(
             f"a window of {horizon:g} s that starts at row {starts.max()} leaves the {len(t)} rows; start earlier"
@@ -103,21 +105,21 @@ def rollout(
             for part in range(substeps):
                 dt = (span / substeps)[:, None]
                 begin = speeds[here] + slope * dt * part
-                state = _step(body, inverse, state, begin, slope, dt)
+                state = _integrate_step(body, inverse, state, begin, slope, dt)
             result[:, k + 1] = _unpack(state)
     return result
 
 
-def hold(states: np.ndarray, starts: np.ndarray, steps: int) -> np.ndarray:
-    """Baseline that keeps the whole state of the start, (S, steps + 1, 12)."""
+def hold_states(states: np.ndarray, starts: np.ndarray, steps: int) -> np.ndarray:
+    """Baseline: hold the state of the start constant, (S, steps + 1, 12)."""
     return np.repeat(np.asarray(states, float)[np.asarray(starts, int)][:, None], steps + 1, axis=1)
 
 
-def errors(predicted: np.ndarray, states: np.ndarray, starts: np.ndarray) -> dict[str, np.ndarray]:
-    """Norms of the roll-outs' errors, each (S, steps + 1).
+def compute_errors(predicted: np.ndarray, states: np.ndarray, starts: np.ndarray) -> dict[str, np.ndarray]:
+    """Compute the norms of the roll-out errors, each (S, steps + 1).
 
     predicted (S, steps + 1, 12), states (N, 12) measured, starts (S,)
-    "position" m, in the earth frame; "velocity" m/s, both turned to the earth frame by their own attitude;
+    "position" m, in the earth frame; "velocity" m/s, each rotated to the earth frame by its own attitude;
     "attitude" rad, the angle of the rotation between them; "rate" rad/s
     """
     steps = predicted.shape[1]
@@ -144,7 +146,7 @@ def _unpack(packed: np.ndarray) -> np.ndarray:
     return np.concatenate([to_euler(packed[:, :4]), packed[:, 4:]], axis=1)
 
 
-def _derivative(
+def _differentiate(
     body: Body, inverse: np.ndarray, packed: np.ndarray, speeds: np.ndarray, accelerations: np.ndarray
 ) -> np.ndarray:
     q, v, omega = packed[:, :4], packed[:, 4:7], packed[:, 7:10]
@@ -157,15 +159,15 @@ def _derivative(
     return np.concatenate([spin, acceleration, turn, rotate(q, v)], axis=1)
 
 
-def _step(
+def _integrate_step(
     body: Body, inverse: np.ndarray, packed: np.ndarray, speeds: np.ndarray, slope: np.ndarray, dt: np.ndarray
 ) -> np.ndarray:
-    middle, end = speeds + 0.5 * dt * slope, speeds + dt * slope
-    a = _derivative(body, inverse, packed, speeds, slope)
-    b = _derivative(body, inverse, packed + 0.5 * dt * a, middle, slope)
-    c = _derivative(body, inverse, packed + 0.5 * dt * b, middle, slope)
-    d = _derivative(body, inverse, packed + dt * c, end, slope)
+    halfway, end = speeds + 0.5 * dt * slope, speeds + dt * slope
+    a = _differentiate(body, inverse, packed, speeds, slope)
+    b = _differentiate(body, inverse, packed + 0.5 * dt * a, halfway, slope)
+    c = _differentiate(body, inverse, packed + 0.5 * dt * b, halfway, slope)
+    d = _differentiate(body, inverse, packed + dt * c, end, slope)
     packed = packed + dt / 6.0 * (a + 2 * b + 2 * c + d)
-    # the four stages leave the unit sphere by a fifth-order trifle
+    # the four stages leave the unit sphere by a fifth-order error
     packed[:, :4] = normalise(packed[:, :4])
     return packed

@@ -1,8 +1,8 @@
-"""Random numbers, sensors and wind of the simulator, compiled.
+"""Sensor noise, wind and random numbers of the simulator, compiled.
 
-Random numbers come from generators whose whole state is one unsigned integer: a seed and a place in a row of draws, so
-that every simulation of a batch has its own row, whichever thread it runs in, and the compiled loop and the Python loop
-draw the same ones. Generator: splitmix64 (Steele, Lea & Flood, Fast splittable pseudorandom number generators, OOPSLA
+The whole state of a random generator is one unsigned integer, made of a seed and a stream number. Every simulation of a
+batch has its own streams, whichever thread it runs in. The compiled loop and the Python loop draw the same numbers.
+Generator: splitmix64 (Steele, Lea & Flood, Fast splittable pseudorandom number generators, OOPSLA
 2014); normal numbers by the polar method (Marsaglia & Bray, A convenient method for generating normal variables, SIAM
 Review 6, 1964).
 """
@@ -13,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from quasi.simulation.vehicle.layout import STATES
+from quasi.simulation.vehicle.layout import STATE_SIZE
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-_FIRST = np.uint64(0xBF58476D1CE4E5B9)
-_SECOND = np.uint64(0x94D049BB133111EB)
-SENSOR_ROW, GUST_ROW = 0, 1  # rows of draws: switching the noise off leaves the gusts as they were
-SEEN = 26  # entries of what a controller sees: the state, specific force (17:20), reserved
+_FIRST_MULTIPLIER = np.uint64(0xBF58476D1CE4E5B9)
+_SECOND_MULTIPLIER = np.uint64(0x94D049BB133111EB)
+SENSOR_ROW, GUST_ROW = 0, 1  # streams of random numbers: without noise the gusts stay the same
+MEASUREMENT_SIZE = 26  # entries of a measurement: the state, specific force (17:20), reserved
 
 
 class Sensors(NamedTuple):
@@ -39,38 +39,38 @@ class Sensors(NamedTuple):
 
 # A wind (9,): steady (3,) m/s; standard deviations of gusts (3,) m/s; their correlation times (3,) s, each a
 # first-order Gauss-Markov process. Earth axes. A table (T, 4) of time s and three velocities, or (0, 4), adds to it:
-# linear between rows, held beyond the ends.
-STEADY, GUST, TIME = 0, 3, 6
+# linear between rows, constant beyond the ends.
+STEADY_WIND, GUST_DEVIATION, GUST_TIME = 0, 3, 6
 
 
 @njit(cache=True, error_model="numpy")
-def seeded(seed, row):
-    """State of a generator for this seed and row of draws."""
+def seed_generator(seed, row):
+    """State of the generator for this seed and stream."""
     state = np.uint64(seed) * _GOLDEN + np.uint64(row)
-    state = (state ^ (state >> np.uint64(30))) * _FIRST
+    state = (state ^ (state >> np.uint64(30))) * _FIRST_MULTIPLIER
     return state ^ (state >> np.uint64(27))
 
 
 @njit(cache=True, error_model="numpy")
-def uniform(random, row):
-    """The next number in [0, 1) of a row of draws; random (2,) uint64 holds the generators' states."""
+def draw_uniform(random, row):
+    """Draw the next number in [0, 1) of a stream; random (2,) uint64 holds the generators' states."""
     random[row] += _GOLDEN
     z = random[row]
-    z = (z ^ (z >> np.uint64(30))) * _FIRST
-    z = (z ^ (z >> np.uint64(27))) * _SECOND
+    z = (z ^ (z >> np.uint64(30))) * _FIRST_MULTIPLIER
+    z = (z ^ (z >> np.uint64(27))) * _SECOND_MULTIPLIER
     z = z ^ (z >> np.uint64(31))
     return np.float64(z >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
 @njit(cache=True, error_model="numpy")
-def normals(random, row, out, n):
+def draw_normals(random, row, out, n):
     """Fill out[:n] with standard normal numbers."""
     for i in range(0, n, 2):
         s = 2.0
         a = b = 0.0
         while s >= 1.0 or s == 0.0:
-            a = 2.0 * uniform(random, row) - 1.0
-            b = 2.0 * uniform(random, row) - 1.0
+            a = 2.0 * draw_uniform(random, row) - 1.0
+            b = 2.0 * draw_uniform(random, row) - 1.0
             s = a * a + b * b
         factor = math.sqrt(-2.0 * math.log(s) / s)
         out[i] = a * factor
@@ -79,45 +79,45 @@ def normals(random, row, out, n):
 
 
 @njit(cache=True, error_model="numpy")
-def sense(x, fx, fy, fz, sensors, speeds, random, draws, seen):
-    """What the sensors read, into seen (26,): the state with noise, the specific force with noise, zeros.
+def add_sensor_noise(x, fx, fy, fz, sensors, speeds, random, random_numbers, measurement):
+    """Write sensor readings into seen (26,): the state with noise, the specific force with noise, zeros.
 
-    x (17,); fx fy fz specific force, m/s2; speeds (4,) rotor speeds that act; draws (19,) room for random numbers
+    x (17,); fx fy fz specific force, m/s2; speeds (4,) acting rotor speeds; draws (19,) work array
     """
-    for i in range(STATES - 4):
-        seen[i] = x[i]
+    for i in range(STATE_SIZE - 4):
+        measurement[i] = x[i]
     for i in range(4):
-        seen[13 + i] = speeds[i]
-    seen[17], seen[18], seen[19] = fx, fy, fz
+        measurement[13 + i] = speeds[i]
+    measurement[17], measurement[18], measurement[19] = fx, fy, fz
     if (
         sensors.attitude + sensors.velocity + sensors.rates + sensors.position + sensors.rotors + sensors.acceleration
         == 0
     ):
         return
-    normals(random, SENSOR_ROW, draws, 19)
+    draw_normals(random, SENSOR_ROW, random_numbers, 19)
     # a small rotation about the body axes, second order in its angle, then scaled to unit length
     half = 0.5 * sensors.attitude
-    a, b, c = half * draws[0], half * draws[1], half * draws[2]
+    a, b, c = half * random_numbers[0], half * random_numbers[1], half * random_numbers[2]
     w, rx, ry, rz = x[0], x[1], x[2], x[3]
-    seen[0] = w - rx * a - ry * b - rz * c
-    seen[1] = rx + w * a + ry * c - rz * b
-    seen[2] = ry + w * b + rz * a - rx * c
-    seen[3] = rz + w * c + rx * b - ry * a
-    norm = math.sqrt(seen[0] ** 2 + seen[1] ** 2 + seen[2] ** 2 + seen[3] ** 2)
+    measurement[0] = w - rx * a - ry * b - rz * c
+    measurement[1] = rx + w * a + ry * c - rz * b
+    measurement[2] = ry + w * b + rz * a - rx * c
+    measurement[3] = rz + w * c + rx * b - ry * a
+    norm = math.sqrt(measurement[0] ** 2 + measurement[1] ** 2 + measurement[2] ** 2 + measurement[3] ** 2)
     for i in range(4):
-        seen[i] /= norm
+        measurement[i] /= norm
     for i in range(3):
-        seen[4 + i] += sensors.velocity * draws[3 + i]
-        seen[7 + i] += sensors.rates * draws[6 + i]
-        seen[10 + i] += sensors.position * draws[9 + i]
-        seen[17 + i] += sensors.acceleration * draws[12 + i]
+        measurement[4 + i] += sensors.velocity * random_numbers[3 + i]
+        measurement[7 + i] += sensors.rates * random_numbers[6 + i]
+        measurement[10 + i] += sensors.position * random_numbers[9 + i]
+        measurement[17 + i] += sensors.acceleration * random_numbers[12 + i]
     for i in range(4):
-        seen[13 + i] += sensors.rotors * draws[15 + i]
+        measurement[13 + i] += sensors.rotors * random_numbers[15 + i]
 
 
 @njit(cache=True, error_model="numpy")
-def from_table(table, t, out):
-    """Linear interpolation of table (T, 1 + n) at time t, held beyond the ends, into out (n,)."""
+def interpolate_table(table, t, out):
+    """Interpolate table (T, 1 + n) linearly at time t, constant beyond the ends, into out (n,)."""
     last = len(table) - 1
     if t <= table[0, 0] or last == 0:
         for k in range(len(out)):
@@ -140,30 +140,30 @@ def from_table(table, t, out):
 
 
 @njit(cache=True, error_model="numpy")
-def blow(wind, table, t, gust, out):
+def wind_velocity(wind, table, t, gust, out):
     """Velocity of the air at time t into out (3,), m/s; gust (3,) m/s is the present gust."""
     if len(table):
-        from_table(table, t, out)
+        interpolate_table(table, t, out)
     else:
         out[0] = out[1] = out[2] = 0.0
     for k in range(3):
-        out[k] += wind[STEADY + k] + gust[k]
+        out[k] += wind[STEADY_WIND + k] + gust[k]
 
 
 @njit(cache=True, error_model="numpy")
-def first_gust(wind, random, draws, gust):
-    """A gust drawn from the stationary distribution, into gust (3,)."""
-    if wind[GUST] + wind[GUST + 1] + wind[GUST + 2] > 0.0:
-        normals(random, GUST_ROW, draws, 3)
+def draw_first_gust(wind, random, random_numbers, gust):
+    """Draw a gust from the stationary distribution into gust (3,)."""
+    if wind[GUST_DEVIATION] + wind[GUST_DEVIATION + 1] + wind[GUST_DEVIATION + 2] > 0.0:
+        draw_normals(random, GUST_ROW, random_numbers, 3)
         for k in range(3):
-            gust[k] = wind[GUST + k] * draws[k]
+            gust[k] = wind[GUST_DEVIATION + k] * random_numbers[k]
 
 
 @njit(cache=True, error_model="numpy")
-def next_gust(wind, dt, random, draws, gust):
-    """Carry gust (3,) on by dt, exactly for a first-order Gauss-Markov process."""
-    if wind[GUST] + wind[GUST + 1] + wind[GUST + 2] > 0.0:
-        normals(random, GUST_ROW, draws, 3)
+def advance_gust(wind, dt, random, random_numbers, gust):
+    """Advance gust (3,) by dt, exactly for a first-order Gauss-Markov process."""
+    if wind[GUST_DEVIATION] + wind[GUST_DEVIATION + 1] + wind[GUST_DEVIATION + 2] > 0.0:
+        draw_normals(random, GUST_ROW, random_numbers, 3)
         for k in range(3):
-            keep = math.exp(-dt / wind[TIME + k])
-            gust[k] = keep * gust[k] + wind[GUST + k] * math.sqrt(1.0 - keep * keep) * draws[k]
+            keep = math.exp(-dt / wind[GUST_TIME + k])
+            gust[k] = keep * gust[k] + wind[GUST_DEVIATION + k] * math.sqrt(1.0 - keep * keep) * random_numbers[k]

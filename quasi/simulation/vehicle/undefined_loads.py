@@ -1,4 +1,4 @@
-"""Which of a model's forces and moments are no number in a state, and by which of its terms."""
+"""Find the forces and moments of a model that are not finite in a state, and the terms that cause it."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from quasi.terms.expressions import evaluate
 
 
 def describe_undefined_loads(model: Model, inputs: np.ndarray, loads: np.ndarray) -> tuple[str, str] | None:
-    """Axis and term of the model that are no number at these inputs, and the remedy; None where all are.
+    """Describe the axis and term that are not finite at these inputs, and the remedy; None where all are finite.
 
     inputs (20 + E,): roll .. yaw, u .. w, p .. r, x .. z, rotor speeds (rad/s) and accelerations, extras; loads (6,)
     """
@@ -30,7 +30,7 @@ def describe_undefined_loads(model: Model, inputs: np.ndarray, loads: np.ndarray
         if not np.isfinite(value).all():
             term = f" (term {about['name']})"
             break
-    what = f"the model's {lost[0]} is no number{term} with rotor speeds of {speeds} rad/s"
+    what = f"the model's {lost[0]} is not a finite number{term} at rotor speeds of {speeds} rad/s"
     if np.any(inputs[12:16] == 0.0):
         return what, "identify the model without terms that divide by rotor speeds, which are zero there"
     return what, "keep the flight within the region of the model's data"
