@@ -9,10 +9,10 @@ import pytest
 from quasi.errors import DataError
 from quasi.model.model import Model
 from quasi.simulation.control import gains as g
-from quasi.simulation.control.control_model import by_geometry, control_model, hover_speed
+from quasi.simulation.control.control_model import hover_speed, make_control_model, use_geometric_mixer
 from quasi.simulation.loop.setup import make_setup
 from quasi.simulation.tools.firmware_gains import command_slope, firmware_gains, gains_of_setup, gains_text, px4_effect
-from quasi.simulation.tools.margins import margins
+from quasi.simulation.tools.margins import compute_margins
 
 STEP = 0.004
 MAP = {"coefficients": [300.0, 2100.0, 100.0]}
@@ -33,7 +33,7 @@ def found(model):
 
 def wanted(model):
     """Time constants (3,) of the rates."""
-    rates = g.default_gains(g.PID, by_geometry(control_model(model)), STEP)["rates"]
+    rates = g.derive_gains(g.PID, use_geometric_mixer(make_control_model(model)), STEP)["rates"]
     return np.array([rates["time constant"]] * 2 + [rates["yaw time constant"]]), rates
 
 
@@ -73,7 +73,7 @@ def test_px4_s_chain_gives_the_pid_s_angular_acceleration(axis, model, found):
 
 def test_px4_s_mix_of_a_symmetric_quadrotor_is_the_known_one(model):
     """Roll and pitch entries 0.7071 and yaw 1, as in PX4's quadrotor x."""
-    known, full = by_geometry(control_model(model)), 2500.0
+    known, full = use_geometric_mixer(make_control_model(model)), 2500.0
     effect = px4_effect(known, full) * np.diag(known.inertia)
     moments = known.effectiveness[:3] * full**2
     np.testing.assert_allclose(effect, np.abs(moments).sum(axis=1) * [math.sqrt(0.5), math.sqrt(0.5), 1.0], rtol=1e-9)
@@ -86,13 +86,13 @@ def test_integral_and_derivative_follow_from_the_same_times(model, found):
     b = found.betaflight
     np.testing.assert_allclose(b["I"] * 0.244381, b["P"] * 0.032029 / rates["integral time"])
     np.testing.assert_allclose(b["D"] * 0.000529, b["P"] * 0.032029 * rates["derivative time"])
-    attitude = g.default_gains(g.PID, by_geometry(control_model(model)), STEP)["attitude"]
+    attitude = g.derive_gains(g.PID, use_geometric_mixer(make_control_model(model)), STEP)["attitude"]
     assert b["level P"] == pytest.approx(10.0 / attitude["time constant"])
     np.testing.assert_allclose(found.px4["attitude P"][:2], 1.0 / attitude["time constant"])
 
 
 def test_margins_are_those_of_the_pid_loop(model, found):
-    expected = margins({"controller": "PID", "time step": STEP}, model, STEP).by_direction["roll"]
+    expected = compute_margins({"controller": "PID", "time step": STEP}, model, STEP).by_direction["roll"]
     assert found.margins.by_direction["roll"] == expected
 
 
@@ -107,7 +107,7 @@ def test_without_a_map_or_a_limit_it_is_said_so():
 def test_a_map_that_never_reaches_hover_is_refused(model):
     low = Model({**model.document, "actuators": {"command map": {"coefficients": [100.0, 900.0]}}})
     with pytest.raises(DataError, match="'command map'"):
-        command_slope(low, control_model(low))
+        command_slope(low, make_control_model(low))
 
 
 def test_the_table_is_marked_as_not_flown_and_stands_under_the_margins(model, found):

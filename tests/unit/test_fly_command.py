@@ -89,7 +89,7 @@ def test_what_cannot_be_flown_is_named(folder, capsys, monkeypatch):
     for names in ([], ["windy"], ["--by-hand"], ["--by-hand", "made"], ["--by-hand", "windy"]):
         assert "no window can be opened: there is no display" in error_of(capsys, *names, *here)
     shutil.copytree(folder / "models/made", folder / "models/other")
-    assert "holds 2 models (known are 'made', 'other'); name the one to fly" in error_of(capsys, "--by-hand", *here)
+    assert "holds 2 models (known are 'made', 'other'); give its name" in error_of(capsys, "--by-hand", *here)
     shutil.rmtree(folder / "models")
     assert "holds no models; make a model first" in error_of(capsys, "--by-hand", *here)
     assert "make it with" in error_of(capsys, "windy", *here) or "'model ID' is 'made'" in error_of(
@@ -102,8 +102,8 @@ class Seen(Shown):
         super().__init__(clock, closes)
         self.path, self.targets, self.states = path, [], []
 
-    def show(self, t, state, said, target=None):
-        super().show(t, state, said)
+    def show(self, t, state, text, target=None):
+        super().show(t, state, text)
         self.targets.append(None if target is None else target.copy())
         self.states.append(state.copy())
 
@@ -120,8 +120,7 @@ def windows(monkeypatch):
         return opened[-1]
 
     monkeypatch.setattr(live, "Window", window)
-    for module in (watch_module, fly_module):
-        name = module.__name__.rsplit(".", 1)[1]
+    for module, name in ((watch_module, "show_reference_flight"), (fly_module, "fly_manually")):
         run = getattr(module, name)
         monkeypatch.setattr(module, name, lambda s, v, k=None, run=run: run(s, v, k, clock=clock, wait=clock.wait))
     return opened
@@ -140,18 +139,18 @@ def test_a_configured_flight_is_shown_with_its_reference_until_its_end(folder, w
     (window,) = windows
     assert sentence.startswith("flew 6.0 s of 6.0 s, position error ")
     assert np.abs(np.hypot(*window.path[-100:, :2].T) - 2.0).max() < 1e-9 and window.path[-1, 2] == -2.0
-    late = [k for k, (t, _) in enumerate(window.said) if 3.0 < t < 6.0]
+    late = [k for k, (t, _) in enumerate(window.texts) if 3.0 < t < 6.0]
     places = np.array([window.states[k][10:12] for k in late])
     assert np.allclose(np.hypot(*places.T), 2.0, atol=0.15), "the reference is flown, not the keys"
     assert np.allclose([np.hypot(*window.targets[k][:2]) for k in late], 2.0)
-    assert "end; r starts again" in window.said[-1][1] and window.said[-1][0] == pytest.approx(6.0)
+    assert "end; r starts again" in window.texts[-1][1] and window.texts[-1][0] == pytest.approx(6.0)
 
 
 def test_by_hand_the_reference_of_the_simulation_takes_no_part(folder, windows):
     write_json(folder / "config/simulations/round.json", CIRCLE)
     command.fly_live("round", folder, by_hand=True)
     (window,) = windows
-    assert window.path is None and window.said[-1][0] > 7.0
+    assert window.path is None and window.texts[-1][0] > 7.0
     assert np.linalg.norm(window.states[-1][10:13]) < 0.1
 
 
@@ -162,6 +161,6 @@ def test_space_pauses_and_r_starts_again():
     keys = Script(clock, [("space", 1.0, 1.026), ("space", 3.0, 3.026), ("r", 5.0, 5.026), ("q", 7.0, 9.0)])
     sentence = watch_module.show_reference_flight(flight, view, keys, clock=clock, wait=clock.wait)
     assert flight.t == pytest.approx(2.0, abs=0.1) and sentence.startswith("flew 2.0 s of 6.0 s")
-    assert any(said.endswith("paused") for _, said in view.said)
-    before = max(t for t, _ in view.said)
+    assert any(text.endswith("paused") for _, text in view.texts)
+    before = max(t for t, _ in view.texts)
     assert before == pytest.approx(3.0, abs=0.15)

@@ -21,7 +21,7 @@ from quasi.gap.comparing.flight_quantities import BLOCK, LEAST_BLOCKS, rows_in_f
 from quasi.gap.rollouts.open_loop import QUANTITIES, flight_of, simulated, sizes, vectors, windows
 from quasi.model.extensions import as_read
 from quasi.model.model import Model
-from quasi.simulation.tools.replay import steps_of
+from quasi.simulation.tools.replay import count_steps
 
 HORIZON = 0.5  # s of the open-loop simulations; beyond it small vehicles are half a turn off and errors say little
 
@@ -107,7 +107,7 @@ def _rolled(model: Model, key: str, table: pd.DataFrame, mass: float | None) -> 
     starts = windows(flight, HORIZON)
     if not len(starts):
         return {}
-    last = np.array([steps_of(flight.t, HORIZON)])
+    last = np.array([count_steps(flight.t, HORIZON)])
     found = sizes(vectors(simulated(model, flight, starts, HORIZON), flight, starts, last)[:, 0])
     kept = {q: np.nan_to_num(found[q], nan=np.nanmax(found[q], initial=0.0)) for q in QUANTITIES}
     return {q: _block_means(flight.t[starts], v**2) for q, v in kept.items()}

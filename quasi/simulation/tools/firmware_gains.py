@@ -21,9 +21,9 @@ from quasi.errors import DataError
 from quasi.model.extensions import drive_of
 from quasi.model.model import Model
 from quasi.simulation.control import gains as g
-from quasi.simulation.control.control_model import ControlModel, by_geometry, control_model
+from quasi.simulation.control.control_model import ControlModel, make_control_model, use_geometric_mixer
 from quasi.simulation.loop.setup import Setup
-from quasi.simulation.tools.margins import Margins, actuators_of_setup, margins
+from quasi.simulation.tools.margins import Margins, actuators_of_setup, compute_margins
 
 PTERM_SCALE, ITERM_SCALE, DTERM_SCALE = 0.032029, 0.244381, 0.000529  # Betaflight 4.x, per deg/s
 PID_MIXER_SCALING = 1000.0  # Betaflight: sum of the terms that takes a motor through its whole range
@@ -52,14 +52,14 @@ def firmware_gains(
 ) -> FirmwareGains:
     """Gains that give quasi's PID loop on this model, and its margins.
 
-    settings, actuators  as for `margins`; another controller than PID is replaced by PID with its default gains
+    settings, actuators  as for `compute_margins`; another controller than PID is replaced by PID with its default gains
     dt                   s, of the loop
-    Raises DataError for a model whose command map does not rise at hover, and what `margins` raises.
+    Raises DataError for a model whose command map does not rise at hover, and what `compute_margins` raises.
     """
-    asked = dict(settings) if g.kind_of(settings.get("controller", "INDI")) == g.PID else {"controller": "PID"}
+    asked = dict(settings) if g.find_kind(settings.get("controller", "INDI")) == g.PID else {"controller": "PID"}
     asked["time step"] = dt
-    known = by_geometry(control_model(model, actuators))
-    settled = g.settle(asked, known)["gains"]
+    known = use_geometric_mixer(make_control_model(model, actuators))
+    settled = g.complete_settings(asked, known)["gains"]
     slope, notes = command_slope(model, known)
     rates, attitude = settled["rates"], settled["attitude"]
     constants = np.array([rates["time constant"]] * 2 + [rates["yaw time constant"]])
@@ -80,7 +80,7 @@ def firmware_gains(
         p = 1.0 / (constants * px4_effect(known, full))
         outer = np.array([1.0 / attitude["time constant"]] * 2 + [1.0 / attitude["yaw time constant"]])
         px4 = {"P": p, "I": p * integral, "D": p * derivative, "attitude P": outer}
-    return FirmwareGains(px4, found_betaflight, margins(asked, model, dt, actuators), tuple(notes))
+    return FirmwareGains(px4, found_betaflight, compute_margins(asked, model, dt, actuators), tuple(notes))
 
 
 def px4_effect(known: ControlModel, full: float) -> np.ndarray:
