@@ -1,6 +1,7 @@
 """Sensors that a log lacks, from what it holds: specific force, body rates, roll and pitch, with bandwidth and error.
 
-    specific force   R^T (dv/dt - g), of a logged acceleration, else of the velocity, else of the position
+    specific force   R^T (dv/dt - g), of a logged acceleration (its slow part of the velocity, where both are logged),
+                     else of the velocity, else of the position
     roll and pitch   body z lies along the thrust: f / |f| = -z_body, f the specific force in earth axes; yaw turns
                      about it. Drag and other forces across the thrust tilt the result by their share of the weight.
     body rates       of the attitude's own change
@@ -25,6 +26,9 @@ from quasi.importing.series import Series
 ANGLES = ("roll", "pitch", "yaw")
 # share of g below which the direction of the specific force is that of its errors: 0.5 m/s2 of error is 10 deg there
 MIN_FORCE_SHARE = 0.3
+CROSSOVER = 1.0  # Hz, below which the velocity gives the acceleration: on CrazyPAD an offset of 0.7 deg in roll goes
+MIN_TRUSTED = 0.9  # share of the log around which the velocity has no gap
+ONE_SIGMA = 1.2816  # 80 % of normal errors are smaller than this many standard deviations
 MIN_SAMPLES = 20  # as of a sensor's own
 Find = Callable[[tuple[str, ...]], Any]
 
@@ -76,7 +80,7 @@ def complete_sensors(
         felt = acceleration.values - np.array([0.0, 0.0, GRAVITY])
         force, made["accelerometer"] = Signal(acceleration.t, rotate_inverse(turned, felt)), about
     if gyro is None:
-        gyro, made["gyro"] = _rates(attitude, bandwidth)
+        gyro, made["gyro"] = _rates(attitude, bandwidth, made.get("attitude"))
     for name, entry in made.items():
         add_caution(notes, f"{where}: {_sentence(name, entry)}")
     return Completed(gyro, force, attitude, made)
@@ -132,10 +136,16 @@ def _acceleration(series: Mapping[str, Series], bandwidth: float) -> tuple[Signa
     rate = 1.0 / float(np.median(np.diff(at.t)))
     if linear is not None:
         values = low_pass(linear.values, rate, bandwidth)
-        error = float(np.sqrt(np.mean((linear.values - values) ** 2)))
-        if speed is not None:  # the other estimate of the same motion, noise of both
-            other, trusted = velocity(speed.t, speed.values, linear.t, bandwidth)
-            error = float(np.sqrt(np.mean((other - values)[trusted] ** 2))) if trusted.any() else error
+        error = typical_size(linear.values - values)
+        if speed is not None:
+            slow = min(CROSSOVER, 0.5 * bandwidth)
+            change, trusted = velocity(speed.t, speed.values, linear.t, slow)
+            if trusted.mean() > MIN_TRUSTED:  # an accelerometer's bias is in the acceleration, not in the velocity
+                source = f"the logged acceleration (below {slow:g} Hz the velocity)"
+                values = values - low_pass(linear.values, rate, slow) + change
+            # the other estimate of the same motion, with the noise of both
+            other, trusted = velocity(speed.t, speed.values, linear.t, min(3.0 * slow, bandwidth))
+            error = typical_size((other - low_pass(values, rate, 3.0 * slow))[trusted]) if trusted.any() else error
     elif speed is not None:
         values, _ = velocity(speed.t, speed.values, speed.t, bandwidth)
         error = derivative_error(speed, rate, bandwidth, 1)
@@ -146,6 +156,12 @@ def _acceleration(series: Mapping[str, Series], bandwidth: float) -> tuple[Signa
     return Signal(at.t, values), _about(source, bandwidth, rate, error, "m/s2")
 
 
+def typical_size(error: np.ndarray) -> float:
+    """The size below which 80 % of errors lie: 1.28 standard deviations of normal ones, so that it bounds one also
+    where a third of a flight is rest without any error; single jolts do not count."""
+    return float(np.quantile(np.abs(error), 0.8))
+
+
 def derivative_error(signal: Signal, rate: float, bandwidth: float, order: int) -> float:
     """Standard error of a derivative of a signal whose noise is white, low-passed at `bandwidth`.
 
@@ -153,7 +169,7 @@ def derivative_error(signal: Signal, rate: float, bandwidth: float, order: int) 
     """
     rest = signal.values - low_pass(signal.values, rate, bandwidth)
     share = max(1.0 - 2.0 * bandwidth / rate, 0.1)  # of white noise that lies above the bandwidth
-    density = 2.0 * float(np.mean(rest**2)) / share / rate
+    density = 2.0 * (typical_size(rest) / ONE_SIGMA) ** 2 / share / rate
     power = density * (2.0 * np.pi) ** (2 * order) * bandwidth ** (2 * order + 1) / (2 * order + 1)
     return float(np.sqrt(power))
 
@@ -190,7 +206,9 @@ def _attitude(
     known = [n for n in ("roll", "pitch") if n in logged]
     if known:
         off = np.concatenate([found[n] - low_pass(angles[n][:, None], _rate(t), bandwidth)[:, 0] for n in known])
-        error, check = float(np.sqrt(np.mean(off**2))), {"against": f"logged {known[0]}", "mean": float(off.mean())}
+        error = typical_size(off)
+        turning = np.concatenate([np.gradient(part, t) for part in np.split(off, len(known))])
+        check = {"against": f"logged {known[0]}", "mean": float(off.mean()), "rate": typical_size(turning)}
     quaternion = continuous(from_euler(*(angles.get(n, found[n]) for n in ANGLES)))
     entry = _about(f"yaw and {about['from']}, with the thrust along body z", bandwidth, _rate(t), error, "rad")
     return Signal(t, quaternion), entry | {"angles": missing, "check": check}
@@ -208,12 +226,15 @@ def thrust_angles(force: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.nd
     return np.arcsin(np.clip(-right, -1.0, 1.0)), np.arctan2(ahead, down[:, 2])
 
 
-def _rates(attitude: Signal, bandwidth: float) -> tuple[Signal, dict[str, Any]]:
-    """Body rates (n, 3), rad/s, of an attitude, and how they were made."""
+def _rates(attitude: Signal, bandwidth: float, about: Mapping[str, Any] | None) -> tuple[Signal, dict[str, Any]]:
+    """Body rates (n, 3), rad/s, of an attitude, and how they were made. about  how the attitude was, None for logged"""
     rate = _rate(attitude.t)
     rates = body_rates(continuous(attitude.values), attitude.t)
     smooth = low_pass(rates, rate, bandwidth)
     error = derivative_error(Signal(attitude.t, np.unwrap(to_euler(attitude.values), axis=0)), rate, bandwidth, 1)
+    if about is not None:  # an error of the angle that is white up to the bandwidth, where nothing checks its rate
+        white = 2.0 * np.pi * bandwidth / np.sqrt(3.0) * about["std"]["value"]
+        error = float(np.hypot(error, about["check"]["rate"] if about["check"] else white))
     return Signal(attitude.t, smooth), _about("the attitude", bandwidth, rate, error, "rad/s")
 
 

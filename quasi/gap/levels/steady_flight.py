@@ -8,6 +8,7 @@ from scipy.ndimage import uniform_filter1d
 
 from quasi.attitude import GRAVITY
 from quasi.filtering.measurements import spans
+from quasi.terms.rotor_map import RAW
 
 ROTORS = range(1, 5)
 MAX_SPEED = 1.0  # m/s: at 1 m/s a small quadrotor's drag is some percent of its weight; there and back it cancels
@@ -35,9 +36,10 @@ class SteadyFlight(NamedTuple):
 def asked_of_rotors(frame: pd.DataFrame) -> tuple[np.ndarray, str]:
     """What each rotor is asked for (n, 4), proportional to thrust, and its source.
 
+    Speeds that were estimated from commands may be balanced flight by flight, so that the commands count then.
     Raises ValueError, with a reason for the page, where neither the speeds nor the commands of four rotors are there.
     """
-    if all(f"w{i}" in frame for i in ROTORS):
+    if all(f"w{i}" in frame for i in ROTORS) and f"command1{RAW}" not in frame:
         return frame[[f"w{i}" for i in ROTORS]].to_numpy(float) ** 2, "speeds"
     if not all(f"command{i}" in frame for i in ROTORS):
         raise ValueError("neither speeds nor commands of the four rotors are known")
