@@ -7,7 +7,7 @@ import pandas as pd
 
 from quasi.gap.rollouts.open_loop import Flight, simulated
 from quasi.model.model import STATE, Model
-from quasi.simulation.tools.replay import steps_of
+from quasi.simulation.tools.replay import count_steps
 
 
 class Chase(NamedTuple):
@@ -19,7 +19,7 @@ class Chase(NamedTuple):
 
 def chase(model: Model, flight: Flight, horizon: float) -> Chase:
     """Simulate windows of `horizon` s that follow one another over the valid rows of a flight."""
-    steps = steps_of(flight.t, horizon)
+    steps = count_steps(flight.t, horizon)
     states = np.full((len(flight.t), 12), np.nan)
     faults = np.concatenate([[0], np.cumsum(~flight.valid)])
     starts, row = [], 0
