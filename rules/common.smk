@@ -1,4 +1,4 @@
-"""What all rules share: the project folder, wildcards, what is told at the end. No rules."""
+"""What all rules share: the project folder, wildcards, what a run prints at its end. No rules."""
 
 import atexit
 import logging
@@ -13,7 +13,7 @@ sys.path.insert(0, LIBRARY)
 
 from quasi.errors import QuasiError
 from quasi.export.targets import SIMULATOR_NAMES
-from quasi.running.job_log import RUN, told
+from quasi.running.job_log import RUN, texts_at_end
 from quasi.pages.index import TARGET, list_sources, write_index
 from quasi.running.provenance import code_of
 from quasi.project.folder import check_project, check_writable, read_settings
@@ -60,9 +60,9 @@ def tell_at_end():
             print(summary, flush=True)
         if terminal.idle and (pages := standing(sys.argv[1:], PROJECT)):
             print(pages, flush=True)
-    for text in told(os.environ[RUN], "made"):
+    for text in texts_at_end(os.environ[RUN], "made"):
         print(text, flush=True)
-    faults = FAULTS + told(os.environ[RUN], "errors")
+    faults = FAULTS + texts_at_end(os.environ[RUN], "errors")
     if STOPPED and not faults:
         faults = STOPPED
     for fault in dict.fromkeys(faults):
@@ -95,7 +95,7 @@ if MAIN:
 
 
 def ask(question, *arguments):
-    """Ask the folder; a fault a user can mend stops the run with its sentence as the last line."""
+    """Ask the folder; a fault that a user can correct stops the run with its sentence as the last line."""
     try:
         return question(*arguments)
     except QuasiError as fault:
@@ -313,7 +313,7 @@ def model_to_export(wildcards):
 
 
 def matlab_files(wildcards):
-    # what the export copies as it stands: no import tells the digest of the code of them
+    # what the export copies as it stands: no import shows them to the digest of the code
     folder = Path(LIBRARY) / "quasi/export/matlab_files"
     return sorted(str(p) for p in folder.rglob("*") if p.is_file())
 

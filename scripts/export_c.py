@@ -6,7 +6,7 @@ from quasi.export.compiler import NO_COMPILER, find_compiler, write_files
 from quasi.export.contents import actuators_of
 from quasi.export.running import check_c
 from quasi.model.model import read_model
-from quasi.running.job_log import job, tell
+from quasi.running.job_log import job, print_at_end
 
 
 def main(model: str, folder: str) -> None:
@@ -20,7 +20,7 @@ def main(model: str, folder: str) -> None:
         checks = check_c(portable, files)
     else:
         notes.append(f"not compared: {NO_COMPILER}")
-    tell(hand_over(folder, portable, "C", checks, notes, list(files)))
+    print_at_end(hand_over(folder, portable, "C", checks, notes, list(files)))
 
 
 if __name__ == "__main__":

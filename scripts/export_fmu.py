@@ -12,7 +12,7 @@ from quasi.export.fmu_running import check_forces, check_vehicle
 from quasi.export.fmu_source import forces_fmu, vehicle_fmu
 from quasi.model.extensions import wind_of
 from quasi.model.model import read_model
-from quasi.running.job_log import job, tell
+from quasi.running.job_log import job, print_at_end
 
 
 def main(model: str, folder: str) -> None:
@@ -35,7 +35,7 @@ def main(model: str, folder: str) -> None:
                 checks += check(portable, fmu, library)
     if not checks:
         notes.append(f"the FMUs hold sources alone and were not compared: {NO_COMPILER}")
-    tell(hand_over(folder, portable, "FMU", checks, notes, files))
+    print_at_end(hand_over(folder, portable, "FMU", checks, notes, files))
 
 
 if __name__ == "__main__":

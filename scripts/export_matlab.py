@@ -8,7 +8,7 @@ from quasi.export.contents import configured_inputs
 from quasi.export.matlab import write_matlab
 from quasi.export.matlab_check import NO_OCTAVE, check_matlab, find_octave
 from quasi.model.model import read_model
-from quasi.running.job_log import job, tell
+from quasi.running.job_log import job, print_at_end
 from quasi.simulation.tools.portable import loop_constants, portable_setup
 
 
@@ -33,7 +33,7 @@ def main(model: str, settings: dict, folder: str) -> None:
     else:
         notes.append(f"not compared: {NO_OCTAVE}")
     files = sorted({p.relative_to(folder).parts[0] for p in Path(folder).rglob("*.m*")})
-    tell(hand_over(folder, portable, "MATLAB", checks, notes, files))
+    print_at_end(hand_over(folder, portable, "MATLAB", checks, notes, files))
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ from quasi.export.contents import actuators_of
 from quasi.export.python_source import python_file
 from quasi.export.running import check_python
 from quasi.model.model import read_model
-from quasi.running.job_log import job, tell
+from quasi.running.job_log import job, print_at_end
 
 
 def main(model: str, folder: str) -> None:
@@ -15,7 +15,7 @@ def main(model: str, folder: str) -> None:
     name, text = python_file(portable)
     write_files(folder, {name: text})
     checks = check_python(portable, name, text)
-    tell(hand_over(folder, portable, "Python", checks, actuators_of(portable).notes, [name]))
+    print_at_end(hand_over(folder, portable, "Python", checks, actuators_of(portable).notes, [name]))
 
 
 if __name__ == "__main__":

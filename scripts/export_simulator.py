@@ -6,7 +6,7 @@ from quasi.export.agreement import hand_over
 from quasi.export.physical_constants import constants_plain, constants_text, physical_constants
 from quasi.export.registry import export_to_simulator
 from quasi.model.model import read_model
-from quasi.running.job_log import job, tell
+from quasi.running.job_log import job, print_at_end
 from quasi.tables import write_json, write_text
 
 
@@ -17,7 +17,7 @@ def main(model: str, name: str, folder: str) -> None:
     constants = physical_constants(portable)
     write_json(Path(folder) / "constants.json", constants_plain(constants))
     write_text(Path(folder) / "constants.txt", constants_text(constants) + "\n")
-    tell(hand_over(folder, portable, name, checks, notes, [*files, "constants.json", "constants.txt"]))
+    print_at_end(hand_over(folder, portable, name, checks, notes, [*files, "constants.json", "constants.txt"]))
 
 
 if __name__ == "__main__":

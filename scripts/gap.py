@@ -3,7 +3,7 @@
 import shutil
 from pathlib import Path
 
-from quasi.running.job_log import job, tell
+from quasi.running.job_log import job, print_at_end
 from quasi.tables import read_json
 
 
@@ -18,7 +18,9 @@ def main(files: list[str], folder: str) -> None:
         else:
             shutil.copy(path, target / name)
     found = read_json(target / "diagnosis.json")
-    tell(f"{target.name}: {found['verdict']}. {found['summary']}\nMade {folder}; begin with {folder}/report.html")
+    print_at_end(
+        f"{target.name}: {found['verdict']}. {found['summary']}\nMade {folder}; begin with {folder}/report.html"
+    )
 
 
 if __name__ == "__main__":

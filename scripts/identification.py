@@ -30,8 +30,8 @@ def main(flights: list[str], shared: str, partition: str, settings: dict, output
     try:
         result = fit_axis(axis, tables, roles, airframe, found, settings, specification, scheme)
     except (DataError, ExpressionError) as error:
-        said = str(error).removeprefix(f"{axis}, ").removeprefix(f"{axis}: ")
-        raise type(error)(f"{settings['specification file']}, {axis}: {said}") from None
+        problem = str(error).removeprefix(f"{axis}, ").removeprefix(f"{axis}: ")
+        raise type(error)(f"{settings['specification file']}, {axis}: {problem}") from None
     for line in describe_steps(axis, result["log"], result["stop reason"]):
         LOG.info("%s", line)
     for note in result["notes"]:

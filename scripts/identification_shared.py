@@ -37,7 +37,7 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
     tables, made = ({k: v for k, v in each.items() if k not in left_out} for each in (tables, made))
     because = {key: why for key, about in made.items() if (why := about.get("phases", {}).get("none valid because"))}
     masses = masses_of(made)
-    drive, said = rotor_speeds_of(
+    drive, notes_of_speeds = rotor_speeds_of(
         tables, airframe, masses, settings["quadrotor"], settings["data partitioning"]["usable data ratio"]
     )
     tables = {key: add_estimated_speeds(table, made[key], drive) for key, table in tables.items()}
@@ -45,7 +45,7 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
     mapped = settings["quadrotor"].get("command map")
     tables = {key: drop_identified_commands(table, made[key].get("imported")) for key, table in tables.items()}
     found = shared(tables, roles, airframe, settings["gravity"], masses, mapped, ages_taken_off(made), drive)
-    found["notes"] = said + found["notes"]
+    found["notes"] = notes_of_speeds + found["notes"]
     if settings["mixed batteries"]:
         kinds = ", ".join(settings["mixed batteries"])
         found["notes"].append(f"the flights were flown with different batteries ({kinds}), as the configuration allows")

@@ -3,7 +3,7 @@
 from quasi.errors import DataError
 from quasi.importing.inspection import MEMORY, Inspector, refusals
 from quasi.project.gaps import repeated_recordings
-from quasi.running.job_log import LOG, job, progress, tell
+from quasi.running.job_log import LOG, job, print_at_end, progress
 from quasi.tables import write_json
 
 
@@ -15,7 +15,7 @@ def main(asked: dict, version: str, target: str) -> None:
     refused = list(dict.fromkeys(refusals(asked, found) + repeated_recordings(asked)))
     for sentence in refused[:-1]:
         LOG.error("%s", sentence)
-        tell(sentence, "errors")
+        print_at_end(sentence, "errors")
     if refused:
         raise DataError(refused[-1])
     write_json(target, {"name": asked["name"], "flights": found})

@@ -8,7 +8,7 @@ from quasi.export.mcap.vehicles import AFTER, BEFORE, Event, phases_of, vehicle_
 from quasi.gap.rollouts.continuous import chase, chased_table
 from quasi.gap.rollouts.open_loop import flight_of
 from quasi.model.model import read_model
-from quasi.running.job_log import job, progress, tell
+from quasi.running.job_log import job, print_at_end, progress
 from quasi.tables import read_json, read_table, write_text
 
 
@@ -33,7 +33,7 @@ def main(flights: list, models: tuple, diagnosis: str, masses: dict, horizon: fl
         write_recording(target, vehicles, sorted(events), after.airframe)
         write_text(target.with_suffix(".plotjuggler.xml"), layout_text(vehicles))
         written.append(target.name)
-    tell(f"Made {folder}: {', '.join(written)}")
+    print_at_end(f"Made {folder}: {', '.join(written)}")
 
 
 if __name__ == "__main__":

@@ -11,13 +11,13 @@ from quasi.tables import read_json, read_table, whole_file
 
 
 def main(table: str, summary: str, model: str, folder: str) -> None:
-    """Read the table and what is said of it; write one PNG per figure."""
-    said = read_json(summary)
+    """Read the table and its summary; write one PNG per figure."""
+    about = read_json(summary)
     about = {
-        "name": said["simulation"],
-        "speed limits": [said["rotor limits"]["lowest"], said["rotor limits"]["highest"]],
-        "fault time": said["fault time"],
-        "ended": said["ended"],
+        "name": about["simulation"],
+        "speed limits": [about["rotor limits"]["lowest"], about["rotor limits"]["highest"]],
+        "fault time": about["fault time"],
+        "ended": about["ended"],
     }
     figures = draw_simulation(read_table(table), read_model(model).airframe, about)
     target = Path(folder)

@@ -3,7 +3,7 @@
 import shutil
 from pathlib import Path
 
-from quasi.running.job_log import job, tell
+from quasi.running.job_log import job, print_at_end
 from quasi.tables import read_text
 
 
@@ -17,7 +17,7 @@ def main(files: list[str], folder: str) -> None:
         else:
             shutil.copy(path, target / path.name)
     made = ", ".join(sorted(Path(p).name for p in files))
-    tell(f"{read_text(target / 'summary.txt').rstrip()}\nMade {folder}: {made}")
+    print_at_end(f"{read_text(target / 'summary.txt').rstrip()}\nMade {folder}: {made}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Draw a model beside the measurements: comparison, quartiles, coverage, isolation."""
+"""Draw a model with the measurements: comparison, quartiles, coverage, isolation."""
 
 from pathlib import Path
 

@@ -60,7 +60,7 @@ def job(log: str | Path, name: str = "", page: str | None = None) -> Iterator[lo
 
     def fail(sentence: str) -> None:
         ended(sentence)
-        tell(sentence, "errors")
+        print_at_end(sentence, "errors")
         raise SystemExit(1)
 
     try:
@@ -117,7 +117,7 @@ def outcome(folder: str | Path, log: str = "") -> dict[str, Any] | None:
     return json.loads(place.read_text(encoding="utf-8")) if place.is_file() else None
 
 
-def tell(text: str, kind: str = "made") -> None:
+def print_at_end(text: str, kind: str = "made") -> None:
     """Leave text for the end of the run ("made" or "errors"); prints it at once outside a run."""
     folder = os.environ.get(RUN)
     if not folder:
@@ -128,7 +128,7 @@ def tell(text: str, kind: str = "made") -> None:
     (place / f"{time.time_ns()}-{os.getpid()}.txt").write_text(text.rstrip("\n") + "\n", encoding="utf-8")
 
 
-def told(folder: str | Path, kind: str) -> list[str]:
+def texts_at_end(folder: str | Path, kind: str) -> list[str]:
     """What the jobs of a run left for its end, in order, each text once."""
     texts = [p.read_text(encoding="utf-8").rstrip("\n") for p in sorted((Path(folder) / kind).glob("*.txt"))]
     return list(dict.fromkeys(texts))

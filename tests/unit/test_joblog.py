@@ -8,7 +8,7 @@ import pytest
 from quasi.command import main
 from quasi.errors import ReadError
 from quasi.running import job_log as joblog
-from quasi.running.job_log import LOG, RUN, job, progress, told
+from quasi.running.job_log import LOG, RUN, job, progress, texts_at_end
 
 
 @pytest.mark.parametrize(
@@ -25,7 +25,7 @@ def test_every_failure_of_a_job_is_told_in_one_sentence(tmp_path, monkeypatch, f
     monkeypatch.setenv(RUN, str(tmp_path / "run"))
     with pytest.raises(SystemExit), job(tmp_path / "logs/a.log", "import of a"):
         raise fault
-    (sentence,) = told(tmp_path / "run", "errors")
+    (sentence,) = texts_at_end(tmp_path / "run", "errors")
     assert words in sentence
     assert "\n" not in sentence
     assert (tmp_path / "logs/a.log").read_text()
