@@ -16,6 +16,7 @@ from quasi.gap.rollouts import rollout_gain
 from quasi.gap.rollouts.open_loop import CHANNELS, PLAIN, TOLD, TRIMMED, fell, rms
 from quasi.gap.statistics import blocks
 from quasi.gap.wrench.gain import Squares, after, before, wrench_squares
+from quasi.gap.wrench.nuisance import nuisances
 from quasi.gap.wrench.worth import Cause
 from quasi.model.model import AXES, Model
 
@@ -23,15 +24,23 @@ FORCES = "forces"  # the line of a loss of forces and moments
 SAME = 0.05  # share by which an error must exceed that of the model without causes to be a cause's fault
 
 
+TRIM = 3.0  # standard deviations of what healthy flights differ by, within which a constant error is a flight's own
+
+
 class Loss(NamedTuple):
     """An error that the extended model enlarges: line ("forces" or that of a simulation), quantity, horizon (s, 0 for
-    forces), root mean squares before and after, SI."""
+    forces), root mean squares before and after, SI.
+
+    decisive  False where the flight's own trim explains it, or where it is one axis of a vector whose error falls: then
+              it limits the verdict and rejects no cause
+    """
 
     line: str
     quantity: str
     horizon: float
     before: float
     after: float
+    decisive: bool = True
 
     @property
     def growth(self) -> float:
@@ -54,7 +63,10 @@ def losses(
     commanded  whether simulations driven by commands count: they hold the errors of the rotors' drive, which no cause
                of forces and moments answers for
     A simulation without the flight's own trim may lose by chance where trim hides a gain, so it counts only where the
-    same quantity does not gain with trim taken up.
+    same quantity does not gain with trim taken up. Where that quantity does not surely lose with trim, and the constant
+    errors that the extension leaves are those of any healthy flight, the loss is not decisive. Nor is that of one axis
+    where the error of the whole vector falls: a cause moves several axes by one parameter, and a flight has errors of
+    its own on each.
     """
     if not held:
         return []
@@ -68,7 +80,7 @@ def losses(
         rows = {
             line: fell(*(rollout_gain.end_table(tracks, e[line], horizons, line) for e in errors)) for line in lines
         }
-        found += _of_simulations(rows, share)
+        found += _of_simulations(rows, share, trim_is_usual(held, left))
     return sorted(found, key=lambda loss: -loss.growth)
 
 
@@ -106,17 +118,35 @@ def _of_forces(pairs: Sequence[tuple[Squares, Squares]], share: float) -> list[L
         worse.append([high < 0.0 and b[k] > (1.0 + share) * a[k] for k, (_, high) in enumerate(ends)])
     old, new = pairs[0]
     rms = np.sqrt([old.mean(), new.mean()])
+    shrinks = np.repeat(np.diff((rms**2).reshape(2, 2, 3).sum(axis=2), axis=0)[0] < 0.0, 3)  # force, moment
     return [
-        Loss(FORCES, axis, 0.0, float(rms[0, k]), float(rms[1, k]))
+        Loss(FORCES, axis, 0.0, float(rms[0, k]), float(rms[1, k]), not shrinks[k])
         for k, axis in enumerate(AXES)
         if worse[0][k] and worse[1][k]
     ]
 
 
-def _of_simulations(rows: Mapping[str, Sequence[Mapping[str, Any]]], share: float) -> list[Loss]:
+def trim_is_usual(held: Sequence[Evidence], left: Callable[[Evidence], np.ndarray]) -> bool:
+    """Whether the constant errors that an extended model leaves are those by which healthy flights differ.
+
+    left  flight -> residual (n, 6). Each axis of each flight must stay within TRIM standard deviations of the nuisances
+    together, or be no more than one standard deviation larger than before.
+    """
+    for flight in held:
+        usual = np.sqrt(sum((spread * column.mean(axis=0)) ** 2 for _, column, spread in nuisances(flight)))
+        last, first = (np.abs(residual.mean(axis=0)) for residual in (left(flight), flight.residual))
+        if np.any(last > np.maximum(TRIM * usual, first + usual)):
+            return False
+    return True
+
+
+def _of_simulations(
+    rows: Mapping[str, Sequence[Mapping[str, Any]]], share: float, usual_trim: bool = False
+) -> list[Loss]:
     trimmed = {(r["quantity"], r["horizon"]): r for r in rows.get(TRIMMED, ())}
     found = []
     for line, of in rows.items():
+        vectors = {(r["quantity"], r["horizon"]): r for r in of}
         for row in of:
             # the share is of squared errors, the rows are of root mean squares
             if not (row["high"] < 0.0 and row["after"] ** 2 > (1.0 + share) * row["before"] ** 2):
@@ -124,7 +154,11 @@ def _of_simulations(rows: Mapping[str, Sequence[Mapping[str, Any]]], share: floa
             other = trimmed.get((row["quantity"], row["horizon"]))
             if line == PLAIN and other is not None and other["value"] > 0.0:
                 continue
-            found.append(Loss(line, row["quantity"], row["horizon"], row["before"], row["after"]))
+            of_trim = usual_trim and line == PLAIN and other is not None and other["high"] >= 0.0
+            vector = vectors.get((row["quantity"].split()[0], row["horizon"]))
+            gains = vector is not None and vector is not row and vector["value"] > 0.0
+            decisive = not (of_trim or gains)
+            found.append(Loss(line, row["quantity"], row["horizon"], row["before"], row["after"], decisive))
     return found
 
 
@@ -134,9 +168,10 @@ def reject_losing_causes(
     """Causes that stand, those rejected with what they made worse, and the losses that no rejection ends.
 
     made  causes -> extended model; judge  extended model -> its losses
-    A loss that the model has without any cause (its own terms fitted anew) is no cause's fault, nor is one of forces
-    or of a simulation without trim beyond the axes of the causes: there another trim turns a gain of one axis into a
-    loss of another. One cause after another is left out, each time the one without which the largest loss is smallest.
+    A loss that the model has without any cause (its own terms fitted anew) is no cause's fault, nor is one that is not
+    decisive, nor one of forces or of a simulation without trim beyond the axes of the causes: there another trim turns
+    a gain of one axis into a loss of another. One cause after another is left out, each time the one without which the
+    largest loss is smallest.
     """
     kept, rejected = list(causes), []
     found = judge(made(kept))
@@ -151,7 +186,8 @@ def reject_losing_causes(
         return [
             loss
             for loss in losses_
-            if loss.after > (1.0 + SAME) * anyway.get(loss[:3], 0.0)
+            if loss.decisive
+            and loss.after > (1.0 + SAME) * anyway.get(loss[:3], 0.0)
             and (loss.line not in (PLAIN, FORCES) or loss.quantity in moved)
         ]
 

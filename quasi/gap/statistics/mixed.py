@@ -27,6 +27,7 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 SPREADS = 2.0 ** np.arange(0, 11)  # tau, in standard errors that one flight alone would give
+NEEDED = 0.05  # p-value of the other parameters beside the likeliest one, below which all of them are needed
 FAINT = 1e-6  # of the usual information, that a flight without any is taken to have
 PATIENCE = 3  # spreads in a row that are less likely before the search for the likeliest ends
 SPANNED = 0.02  # share of a column that others leave
@@ -351,8 +352,8 @@ class Mixed:
     ) -> Test | None:
         """The most significant selection of a cause's parameters that are not given yet; None when all are given.
 
-        parts  "any": all of them, or one alone; "all": only together; "first": the first, or the first few; "one": one
-        alone, the likeliest; "next": one after the other, each beside those before it
+        parts  "any": all of them, or one alone (the likeliest); "all": only together; "first": the first, or the first
+        few; "one": one alone, the likeliest; "next": one after the other, each beside those before it
         """
         taken = {k for o in given if o.cause == cause and o.since == since for k in o.which}
         free = tuple(k for k in range(len(self.columns.causes[cause])) if k not in taken)
@@ -368,8 +369,27 @@ class Mixed:
         elif parts == "first":
             selections = [free[: n + 1] for n in range(len(free))]
         tests = [self.test(Offer(cause, since, which), given, pooled) for which in selections]
-        best = min(tests, key=lambda test: test.unlikely if parts == "one" else test.p)
+        if parts == "any" and len(free) > 1:
+            best = self._single_or_all(tests[0], tests[1:], given, pooled)
+        else:
+            best = min(tests, key=lambda test: test.unlikely if parts == "one" else test.p)
         return best._replace(p=min(best.p * len(selections) * self.columns.tries.get(cause, 1), 1.0))
+
+    def _single_or_all(
+        self, whole: Test, singles: Sequence[Test], given: Sequence[Offer], pooled: Sequence[str]
+    ) -> Test:
+        """All parameters of a cause together, or the likeliest single one.
+
+        The likelihood chooses between single parameters. Their p-values cannot: the true parameter's may be larger than
+        that of another one, because its spread between stretches is estimated anew. A test of all parameters counts for
+        the single one where the others are not significant beside it.
+        """
+        single = min(singles, key=lambda test: test.unlikely)
+        if single.p <= whole.p:
+            return single
+        rest = tuple(k for k in whole.offer.which if k not in single.offer.which)
+        others = self.test(Offer(*whole.offer[:2], rest), [*given, single.offer], pooled)
+        return whole if others.p < NEEDED else single._replace(p=whole.p)
 
 
 class Witnessed(Mixed):
