@@ -31,8 +31,8 @@ class Loss(NamedTuple):
     """An error that the extended model enlarges: line ("forces" or that of a simulation), quantity, horizon (s, 0 for
     forces), root mean squares before and after, SI.
 
-    decisive  False where the flight's own trim explains it, or where it is one axis of a vector whose error falls: then
-              it limits the verdict and rejects no cause
+    of_trim  the flight's own trim explains it: it limits the verdict and rejects no cause
+    one_axis  it is one axis of a vector that does not surely lose: it rejects only causes of that axis alone
     """
 
     line: str
@@ -40,7 +40,8 @@ class Loss(NamedTuple):
     horizon: float
     before: float
     after: float
-    decisive: bool = True
+    of_trim: bool = False
+    one_axis: bool = False
 
     @property
     def growth(self) -> float:
@@ -64,9 +65,9 @@ def losses(
                of forces and moments answers for
     A simulation without the flight's own trim may lose by chance where trim hides a gain, so it counts only where the
     same quantity does not gain with trim taken up. Where that quantity does not surely lose with trim, and the constant
-    errors that the extension leaves are those of any healthy flight, the loss is not decisive. Nor is that of one axis
-    where the error of the whole vector falls: a cause moves several axes by one parameter, and a flight has errors of
-    its own on each.
+    errors that the extension leaves are those of any healthy flight, the loss is one of trim. A cause moves several
+    axes by one parameter, and a flight has errors of its own on each: the loss of one axis is marked where the error of
+    the whole vector does not surely grow.
     """
     if not held:
         return []
@@ -120,7 +121,7 @@ def _of_forces(pairs: Sequence[tuple[Squares, Squares]], share: float) -> list[L
     rms = np.sqrt([old.mean(), new.mean()])
     shrinks = np.repeat(np.diff((rms**2).reshape(2, 2, 3).sum(axis=2), axis=0)[0] < 0.0, 3)  # force, moment
     return [
-        Loss(FORCES, axis, 0.0, float(rms[0, k]), float(rms[1, k]), not shrinks[k])
+        Loss(FORCES, axis, 0.0, float(rms[0, k]), float(rms[1, k]), one_axis=bool(shrinks[k]))
         for k, axis in enumerate(AXES)
         if worse[0][k] and worse[1][k]
     ]
@@ -156,9 +157,8 @@ def _of_simulations(
                 continue
             of_trim = usual_trim and line == PLAIN and other is not None and other["high"] >= 0.0
             vector = vectors.get((row["quantity"].split()[0], row["horizon"]))
-            gains = vector is not None and vector is not row and vector["value"] > 0.0
-            decisive = not (of_trim or gains)
-            found.append(Loss(line, row["quantity"], row["horizon"], row["before"], row["after"], decisive))
+            one_axis = vector is not None and vector is not row and vector["high"] >= 0.0
+            found.append(Loss(line, row["quantity"], row["horizon"], row["before"], row["after"], of_trim, one_axis))
     return found
 
 
@@ -168,9 +168,9 @@ def reject_losing_causes(
     """Causes that stand, those rejected with what they made worse, and the losses that no rejection ends.
 
     made  causes -> extended model; judge  extended model -> its losses
-    A loss that the model has without any cause (its own terms fitted anew) is no cause's fault, nor is one that is not
-    decisive, nor one of forces or of a simulation without trim beyond the axes of the causes: there another trim turns
-    a gain of one axis into a loss of another. One cause after another is left out, each time the one without which the
+    A loss that the model has without any cause (its own terms fitted anew) is no cause's fault, nor is one of trim,
+    nor one of forces or of a simulation without trim beyond the axes of the causes: there another trim turns a gain of
+    one axis into a loss of another. One cause after another is left out, each time the one without which the
     largest loss is smallest.
     """
     kept, rejected = list(causes), []
@@ -182,11 +182,18 @@ def reject_losing_causes(
     axes = {axis for cause in causes for axis in cause.effect.channels}
     moved = axes | {CHANNELS[axis] for axis in axes if axis in CHANNELS}
 
+    def alone(quantity: str) -> bool:
+        """Whether some cause acts on this axis of a vector and on no other axis of it."""
+        kinds = [[axis if quantity in AXES else CHANNELS[axis] for axis in c.effect.channels] for c in causes]
+        first = quantity[0] if quantity in AXES else quantity.split()[0]
+        return any([axis for axis in own if axis.startswith(first)] == [quantity] for own in kinds)
+
     def own(losses_: Sequence[Loss]) -> list[Loss]:
         return [
             loss
             for loss in losses_
-            if loss.decisive
+            if not loss.of_trim
+            and not (loss.one_axis and not alone(loss.quantity))
             and loss.after > (1.0 + SAME) * anyway.get(loss[:3], 0.0)
             and (loss.line not in (PLAIN, FORCES) or loss.quantity in moved)
         ]

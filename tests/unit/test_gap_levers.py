@@ -32,8 +32,9 @@ def test_levers_of_a_model_are_its_own_and_those_of_the_hubs_where_it_has_them(m
     arm = abs(AIRFRAME.hubs[0, 0])
     exact = rotor_levers(simple_model(AIRFRAME, THRUST, TORQUE), MASS)
     sides = np.sign(AIRFRAME.hubs[:, :2])
-    np.testing.assert_allclose(exact, np.column_stack([-np.ones(4), -sides[:, 1] * arm, sides[:, 0] * arm]), rtol=1e-6)
-    np.testing.assert_allclose(rotor_levers(model, MASS) / exact, np.tile([1.0, 0.75, 0.8], (4, 1)), rtol=1e-6)
+    geometry = np.column_stack([-np.ones(4), -sides[:, 1] * arm, sides[:, 0] * arm])
+    np.testing.assert_allclose(exact, geometry, rtol=1e-6)
+    np.testing.assert_allclose(rotor_levers(model, MASS) / exact, np.tile([1.0, 0.75, 0.8], (4, 1)))
 
 
 @pytest.mark.parametrize("factor", [0.9, 0.95, 1.05, 1.1])

@@ -12,7 +12,7 @@ from quasi.gap.base_model import worth_of
 from quasi.gap.catalogue import catalogue
 from quasi.gap.constant_loads import CAUSES, constant_force_tie
 from quasi.gap.diagnosis import verdict_of
-from quasi.gap.veto import Loss, reject_losing_causes
+from quasi.gap.veto import Loss, reject_losing_causes, trim_is_usual
 from quasi.model.model import Model
 
 
@@ -39,6 +39,23 @@ def test_what_a_cause_does_not_answer_for_rejects_nothing(loss):
     anyway = [loss] if loss.line == "R with trim" else []
     kept, rejected, left = reject_losing_causes([one], list, lambda of: [loss] if of else anyway)
     assert (kept, rejected, left) == ([one], [], [loss])
+
+
+@pytest.mark.parametrize("line", ["R", "R with trim", "forces"])
+@pytest.mark.parametrize(("channels", "stands"), [(("Fx", "My"), False), (("Fx", "Mx", "My"), True), (("Mx",), True)])
+def test_one_axis_of_a_vector_rejects_only_causes_that_act_on_that_axis_alone(line, channels, stands):
+    one = SimpleNamespace(name="one", effect=SimpleNamespace(channels=channels))
+    grown = Loss(line, "My" if line == "forces" else "rate y", 0.5, 1.0, 1.5, one_axis=True)
+    kept, _, left = reject_losing_causes([one], list, lambda of: [grown] if of else [])
+    assert (kept, left) == (([one], [grown]) if stands else ([], []))
+
+
+@pytest.mark.parametrize("of_trim", [True, False])
+def test_the_trim_of_a_flight_limits_the_verdict_and_rejects_nothing(of_trim):
+    one = cause("one")
+    grown = Loss("R", "rate y", 0.5, 1.0, 1.5, of_trim)
+    kept, _, left = reject_losing_causes([one], list, lambda of: [grown] if of else [])
+    assert (kept, left) == (([one], [grown]) if of_trim else ([], []))
 
 
 def test_a_loss_that_no_rejection_ends_stays_and_rejects_nothing():
@@ -76,6 +93,17 @@ def test_an_axis_that_the_base_model_does_not_explain_is_excluded(flights):
     worth = worth_of(model, spoiled)
     assert worth.excluded == ("Mx",)
     assert "Mx" in worth.sentence()
+
+
+@pytest.mark.parametrize(("share", "usual"), [(0.005, True), (0.2, False)])
+def test_a_constant_error_is_a_trim_up_to_what_healthy_flights_differ_by(flights, share, usual):
+    _, evidence = flights
+    pushed = evidence[0].only("My", share * evidence[0].mass * 9.81 * evidence[0].airframe.arm)
+    flat = [replace(e, measured=e.predicted) for e in evidence[:1]]
+    assert trim_is_usual(flat, lambda e: pushed) is usual
+    # an error that was there before the extension is none that it makes
+    there = [replace(e, measured=e.predicted + pushed) for e in flat]
+    assert trim_is_usual(there, lambda e: pushed)
 
 
 def test_rotors_that_contradict_the_configuration_make_the_base_model_unusable(flights):

@@ -221,6 +221,8 @@ def rotor_levers(model: Model, mass: float) -> np.ndarray:
     inertia that is configured too small shrinks all its moments, and noise of the rotor speeds shrinks its
     coefficients. A rotor that fails is balanced by the others, so that the residual holds what the *model* makes of
     the speeds. A cause that acts through thrust must therefore use the lever of the model.
+    Fx and Fy are left out: terms of rotor speeds there come from an IMU beside the configured place, and are fitted
+    anew once that is corrected.
     """
     thrust = float(model.document["simple model"]["kappaFz"]["value"])
     hover = float(np.sqrt(mass * GRAVITY / (4.0 * thrust)))
