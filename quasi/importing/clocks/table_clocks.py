@@ -5,6 +5,7 @@ or earlier than those of the gyro. The lag follows from the motion that both mea
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -22,6 +23,9 @@ IDLE_SHARE = (
 STILL_RATE = 0.15  # rad/s, body rates of a quadrotor at rest, bias included (filtering.bias.STILL_GYRO)
 LEAST_EXPLAINED = 0.5  # share of one signal's variance that the other explains, from which a lag is applied
 LARGEST_LAG_STD = 0.01  # s, standard error of a lag up to which it is applied
+# s of a record from which a lag is estimated: more would cost time in proportion, and 120 s of flight tell it to 0.1 ms
+LONGEST_RECORD = 120.0
+LEAST_SAMPLES = 20  # of a source within them, as of a table
 SIGMAS = 3.0  # standard errors from which a lag differs from zero
 # s; roll and pitch show rotor speeds up to this much early or late, through inflow and damping (see telemetry)
 ROTOR_LAG_BIAS = 0.01
@@ -133,8 +137,41 @@ def _same_stamps(one: TableSource, other: TableSource) -> bool:
 ROTORS = "angular acceleration and rotor speeds"
 
 
+@dataclass
+class _Stretch:
+    """The samples of a source within a span of time; see `TableSource`."""
+
+    source: Source
+    t: np.ndarray
+    values: dict[str, np.ndarray]
+    stamps: np.ndarray | None
+
+
+def _liveliest(main: TableSource) -> tuple[float, float]:
+    """The LONGEST_RECORD seconds of a source in which it moves most, as begin and end; all where it is shorter."""
+    t = main.t
+    if t[-1] - t[0] <= LONGEST_RECORD:
+        return float(t[0]), float(t[-1])
+    moving = next((names for names in (VECTORS["rates"], VECTORS["velocity"]) if names[0] in main.values), None)
+    if moving is None:
+        return float(t[0]), float(t[0]) + LONGEST_RECORD
+    energy = np.concatenate([[0.0], np.cumsum(np.nan_to_num(_stack(main, moving) ** 2).sum(axis=1))])
+    after = np.searchsorted(t, t + LONGEST_RECORD, side="right")
+    best = int(np.argmax(np.where(t + LONGEST_RECORD <= t[-1], energy[after] - energy[:-1], -1.0)))
+    return float(t[best]), float(t[best]) + LONGEST_RECORD
+
+
+def _within(r: TableSource, span: tuple[float, float]) -> TableSource:
+    rows = (r.t >= span[0]) & (r.t <= span[1])
+    if np.count_nonzero(rows) < LEAST_SAMPLES or rows.all():
+        return r
+    return _Stretch(r.source, r.t[rows], {n: v[rows] for n, v in r.values.items()}, r.stamps)
+
+
 def _motion_lag(r: TableSource, main: TableSource) -> tuple[ClockFit | None, str]:
     """Lag of the main source's stamps behind those of `r`, and the relation it follows from."""
+    span = _liveliest(main)
+    r, main = _within(r, span), _within(main, span)
     rotors = tuple(n for n in r.values if n[0] == "w" and n[1:].isdigit())
     if "p" not in main.values and "vx" not in main.values:
         return None, ""
