@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.importing.flight import import_flight
-from quasi.running.provenance import code_of
+from quasi.running.provenance import compute_code_digest
 from quasi.synthesis.campaign import Made, make_flight, quadrotor_configuration, read_campaign, write_flight
 from quasi.tables import read_json, write_json
 
@@ -33,7 +33,7 @@ def run(many: Iterable[dict], draw: Callable[[dict], dict], folder: Path, progra
     program  the file that holds `draw`; a draw made by other code of it, of this file, or of what they import from
              quasi is made anew
     """
-    code = "-".join(code_of(path, ROOT) for path in (program.resolve(), HERE))
+    code = "-".join(compute_code_digest(path, ROOT) for path in (program.resolve(), HERE))
     wanted, results = list(many), []
     for i, settings in enumerate(wanted):
         path = folder / f"{name_of(settings)}.json"

@@ -5,9 +5,9 @@ Kept nearly empty on purpose: a stage reruns when a module that it imports chang
 
 import importlib
 
-from quasi.running.compile_cache import own_cache
+from quasi.running.compile_cache import use_cache_folder
 
-own_cache()
+use_cache_folder()
 
 __version__ = "0.1.0"
 

@@ -13,19 +13,19 @@ sys.path.insert(0, LIBRARY)
 
 from quasi.errors import QuasiError
 from quasi.export.targets import SIMULATOR_NAMES
-from quasi.running.job_log import RUN, texts_at_end
+from quasi.running.job_log import RUN_VARIABLE, read_reports
 from quasi.pages.index import TARGET, list_sources, write_index
-from quasi.running.provenance import code_of
+from quasi.running.provenance import compute_code_digest
 from quasi.project.folder import check_project, check_writable, read_settings
 from quasi.running.checksums import Checksums
 from quasi.running.live_runs import (
     explain_lock,
     refuse_unlocking,
-    register,
+    register_run,
     remove_stale_lock,
-    withdraw,
+    withdraw_card,
 )
-from quasi.running.terminal import FaultFilter, Terminal, again, standing
+from quasi.running.terminal import FaultFilter, Terminal, format_command, list_up_to_date_pages
 from quasi.project.workflow import Folder
 
 PROJECT = os.getcwd()  # at the end of a run it is another one
@@ -50,7 +50,7 @@ wildcard_constraints:
     axis="Fx|Fy|Fz|Mx|My|Mz",
 
 
-def tell_at_end():
+def print_reports():
     """The last line printed is the sentence that helps; before it, what was made."""
     sys.stdout.flush()
     for notice in FOLDER.notices if "FOLDER" in globals() else ():
@@ -58,24 +58,24 @@ def tell_at_end():
     for terminal in TERMINALS:
         if summary := terminal.summary():
             print(summary, flush=True)
-        if terminal.idle and (pages := standing(sys.argv[1:], PROJECT)):
+        if terminal.idle and (pages := list_up_to_date_pages(sys.argv[1:], PROJECT)):
             print(pages, flush=True)
-    for text in texts_at_end(os.environ[RUN], "made"):
+    for text in read_reports(os.environ[RUN_VARIABLE], "made"):
         print(text, flush=True)
-    faults = FAULTS + texts_at_end(os.environ[RUN], "errors")
+    faults = FAULTS + read_reports(os.environ[RUN_VARIABLE], "errors")
     if STOPPED and not faults:
         faults = STOPPED
     for fault in dict.fromkeys(faults):
         print(f"[ERROR] {fault}", file=sys.stderr)
 
 
-MAIN = RUN not in os.environ
+MAIN = RUN_VARIABLE not in os.environ
 
 if MAIN:
     # the main process of a run; processes that it starts find the variable set
     scratch = tempfile.TemporaryDirectory(prefix="quasi-run-")
-    os.environ[RUN] = scratch.name
-    atexit.register(tell_at_end)
+    os.environ[RUN_VARIABLE] = scratch.name
+    atexit.register(print_reports)
     quiet = not (workflow.output_settings.dryrun or workflow.output_settings.verbose)
     for handler in logging.getLogger("snakemake.logging").handlers:
         if handler.name == "DefaultStreamHandler":
@@ -83,13 +83,13 @@ if MAIN:
                 FaultFilter(
                     FAULTS,
                     lambda: FOLDER.targets(),
-                    lambda: explain_lock(PROJECT, again(sys.argv[1:])),
+                    lambda: explain_lock(PROJECT, format_command(sys.argv[1:])),
                 )
             )
             # a dry run is asked for Snakemake's own account; the log file of a run keeps it whole
             if quiet:
                 TERMINALS.append(
-                    Terminal(os.environ[RUN], handler.stream, sys.argv[1:])
+                    Terminal(os.environ[RUN_VARIABLE], handler.stream, sys.argv[1:])
                 )
                 handler.addFilter(TERMINALS[-1])
 
@@ -117,7 +117,7 @@ if MAIN and not workflow.output_settings.dryrun:
         FAULTS.append(fault)
         raise WorkflowError(fault)
     atexit.register(
-        withdraw, register(Path(PROJECT), shlex.join(["snakemake", *sys.argv[1:]]))
+        withdraw_card, register_run(Path(PROJECT), shlex.join(["snakemake", *sys.argv[1:]]))
     )
     if notice := remove_stale_lock(PROJECT):
         print(f"[NOTICE] {notice}", file=sys.stderr)
@@ -134,13 +134,13 @@ if MAIN:
 
 def code(script):
     """Digest of the library code that a script reaches, so that a stage reruns when code it uses changes."""
-    return code_of(f"{LIBRARY}/scripts/{script}", LIBRARY)
+    return compute_code_digest(f"{LIBRARY}/scripts/{script}", LIBRARY)
 
 
 def contents(paths):
     """{path: SHA-256} of the files among these that a user put there: Snakemake compares times alone, and an older
     file in the place of another would go unnoticed."""
-    return CHECKSUMS.of_all(FOLDER.given(map(str, paths)))
+    return CHECKSUMS.compute_all(FOLDER.given(map(str, paths)))
 
 
 def filtered(rows, gravity):

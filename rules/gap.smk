@@ -8,7 +8,7 @@ Makes  results/calibrations/{gap}.json, what sensors and rotor drive were found 
 
 # the catalogue finds its causes in their folder, not by imports that the digest of a script could follow
 CATALOGUE = [
-    code_of(str(path), LIBRARY)
+    compute_code_digest(str(path), LIBRARY)
     for path in sorted(Path(LIBRARY, "quasi/gap/effects").glob("*.py"))
 ]
 

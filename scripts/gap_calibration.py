@@ -16,7 +16,7 @@ from quasi.gap.flights.unusable import USE_UNUSABLE, exclude_unusable, exclusion
 from quasi.importing.flight import import_flight
 from quasi.model.model import read_model
 from quasi.project.gaps import recorded_twice, refuse_trained, same_recordings
-from quasi.running.job_log import LOG, job, progress
+from quasi.running.job_log import LOG, job, show_progress
 from quasi.tables import read_json, read_table, write_json, write_table
 
 
@@ -40,7 +40,7 @@ def main(source: dict, asked: dict, settings: dict, output: dict[str, str]) -> N
     model, flights = read_model(source["model"]), []
     refuse_trained(asked, model.document)
     names = ("imported", "imported_metadata", "filtered", "filtered_metadata")
-    for paths in progress(list(zip(*(source[n] for n in names), strict=True)), "reading flights"):
+    for paths in show_progress(list(zip(*(source[n] for n in names), strict=True)), "reading flights"):
         key = Path(paths[0]).stem
         airframe = read_airframe(asked["quadrotor"], asked["quadrotor"]["file"], asked["masses"][key])
         refuse_another_vehicle(f"{asked['file']}: flight {key}", airframe, model)

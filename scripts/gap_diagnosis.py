@@ -23,7 +23,7 @@ from quasi.gap.rollouts.open_loop import flight_of, windows
 from quasi.identification.partition import UNITS, partition, to_table
 from quasi.model.model import read_model
 from quasi.project.gaps import recordings_told, unchecked
-from quasi.running.job_log import LOG, job, progress
+from quasi.running.job_log import LOG, job, show_progress
 from quasi.tables import drop_identified_commands, read_json, read_table, recordings_of, write_json, write_table
 
 RATE = 100.0  # Hz, of the comparison of forces and moments
@@ -36,7 +36,7 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
     model, roles = read_model(source["model"]), asked["roles"]
     effects = chosen(asked["settings"]["effects"], catalogue(asked["effect files"]), asked["file"])
     tables, airframes = {}, {}
-    for path, about in progress(list(zip(source["flights"], source["metadata"], strict=True)), "reading flights"):
+    for path, about in show_progress(list(zip(source["flights"], source["metadata"], strict=True)), "reading flights"):
         key = Path(path).stem
         airframes[key] = read_airframe(asked["quadrotor"], asked["quadrotor"]["file"], asked["masses"][key])
         tables[key] = read_table(path), read_json(about), airframes[key]

@@ -5,7 +5,7 @@ from pathlib import Path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from quasi.gap.report.figures import figures
-from quasi.running.job_log import job, progress
+from quasi.running.job_log import job, show_progress
 from quasi.tables import read_table, whole_file
 
 
@@ -14,7 +14,7 @@ def main(tables: str, folder: str) -> None:
     found = {p.stem: read_table(p) for p in sorted(Path(tables).glob("*.parquet"))}
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
-    for name, figure in progress(list(figures(found).items()), "drawing"):
+    for name, figure in show_progress(list(figures(found).items()), "drawing"):
         with whole_file(target / f"{name}.png") as part:
             FigureCanvasAgg(figure).print_png(part)
 

@@ -3,7 +3,7 @@
 from quasi.airframe import read_airframe
 from quasi.errors import ConfigError
 from quasi.filtering.flight import filter_flight
-from quasi.running.job_log import LOG, job, progress
+from quasi.running.job_log import LOG, job, show_progress
 from quasi.tables import copy_whole, read_json, read_table, write_json, write_table
 
 
@@ -17,7 +17,7 @@ def main(source: dict[str, str], settings: dict, output: dict[str, str]) -> None
     if settings["problem"]:
         raise ConfigError(settings["problem"])
     airframe = read_airframe(settings["quadrotor"], settings["quadrotor"]["file"], settings["mass"])
-    result = filter_flight(read_table(source["flight"]), about, airframe, settings["options"], progress)
+    result = filter_flight(read_table(source["flight"]), about, airframe, settings["options"], show_progress)
     for note in result.metadata["notes"]:
         LOG.warning("%s", note)
     for kind, columns in (("with_gravity", result.with_gravity), ("no_gravity", result.no_gravity)):

@@ -9,7 +9,7 @@ from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis
 from quasi.identification.partition import from_table
 from quasi.identification.steps import describe_steps
-from quasi.running.job_log import LOG, job, progress
+from quasi.running.job_log import LOG, job, show_progress
 from quasi.tables import read_json, read_table, write_json
 from quasi.terms.normalisation import normalisation_of
 
@@ -21,7 +21,7 @@ def main(flights: list[str], shared: str, partition: str, settings: dict, output
         {axis: settings["specification"]}, axis, settings["specification file"], settings["bias"]
     )
     drive = found.get("rotor speeds")
-    tables = {Path(path).stem: read_flight(path, drive) for path in progress(flights, "reading flights")}
+    tables = {Path(path).stem: read_flight(path, drive) for path in show_progress(flights, "reading flights")}
     roles = from_table(read_table(partition), {key: len(table) for key, table in tables.items()}, axis)
     airframe = from_plain(found["airframe"])
     scheme = None

@@ -10,7 +10,7 @@ from quasi.identification.partition import EXCITED, partition, to_table
 from quasi.identification.partition import UNITS as PARTITION_UNITS
 from quasi.identification.rotor_speeds import rotor_speeds_of
 from quasi.identification.shared import left_out_notes, refuse_speedless, shared, unusable_flights
-from quasi.running.job_log import LOG, job, progress
+from quasi.running.job_log import LOG, job, show_progress
 from quasi.tables import (
     ages_taken_off,
     drop_identified_commands,
@@ -30,7 +30,7 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
     if settings["problem"]:
         raise ConfigError(settings["problem"])
     airframe = read_airframe(settings["quadrotor"], settings["quadrotor"]["file"], settings["mass"])
-    tables = {Path(path).stem: read_table(path) for path in progress(flights, "reading flights")}
+    tables = {Path(path).stem: read_table(path) for path in show_progress(flights, "reading flights")}
     made = {Path(path).stem: read_made(path) for path in flights}
     refuse_speedless(tables)
     left_out = unusable_flights(made, tables, settings["use unusable flights"])

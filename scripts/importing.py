@@ -3,7 +3,7 @@
 from quasi.errors import ReadError, cautions_first
 from quasi.importing.flight import import_flight
 from quasi.project.logbook import describe_row
-from quasi.running.job_log import LOG, job, judge
+from quasi.running.job_log import LOG, job, log_verdict
 from quasi.tables import write_json, write_table
 
 
@@ -17,7 +17,7 @@ def main(settings: dict, logbook: str, flight: str, metadata: str) -> None:
     columns, about = import_flight(settings["flight"], settings["quadrotor"], settings["options"])
     about["logbook"] = describe_row(logbook, settings["flight"]["quadrotor"], settings["flight"]["flight"])
     if about["verdict"] != "good":
-        judge(about["verdict"], about["verdict because"])
+        log_verdict(about["verdict"], about["verdict because"])
     for note in cautions_first(about["notes"]):
         LOG.warning("%s", note)
     write_table(flight, columns, made=about)

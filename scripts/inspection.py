@@ -3,14 +3,14 @@
 from quasi.errors import DataError
 from quasi.importing.inspection import MEMORY, Inspector, refusals
 from quasi.project.gaps import repeated_recordings
-from quasi.running.job_log import LOG, job, print_at_end, progress
+from quasi.running.job_log import LOG, job, print_at_end, show_progress
 from quasi.tables import write_json
 
 
 def main(asked: dict, version: str, target: str) -> None:
     """Write what each flight holds. Raises DataError with the last of the refusals, after reporting the others."""
     inspector = Inspector(MEMORY, version)
-    flights = progress(asked["flights"].items(), "reading raw files")
+    flights = show_progress(asked["flights"].items(), "reading raw files")
     found = {key: inspector.inspect(about["settings"]) for key, about in flights}
     refused = list(dict.fromkeys(refusals(asked, found) + repeated_recordings(asked)))
     for sentence in refused[:-1]:

@@ -8,7 +8,7 @@ from quasi.export.mcap.vehicles import AFTER, BEFORE, Event, phases_of, vehicle_
 from quasi.gap.rollouts.continuous import chase, chased_table
 from quasi.gap.rollouts.open_loop import flight_of
 from quasi.model.model import read_model
-from quasi.running.job_log import job, print_at_end, progress
+from quasi.running.job_log import job, print_at_end, show_progress
 from quasi.tables import read_json, read_table, write_text
 
 
@@ -17,7 +17,7 @@ def main(flights: list, models: tuple, diagnosis: str, masses: dict, horizon: fl
     before, after = map(read_model, models)
     summary = read_json(diagnosis)["summary"]
     written = []
-    for path in progress(flights, "writing"):
+    for path in show_progress(flights, "writing"):
         key, table = Path(path).stem, read_table(path)
         flight = flight_of(key, table, masses.get(key))
         vehicles, events = [vehicle_of("measured", table)], [Event(0.0, summary), *phases_of(table)]

@@ -5,7 +5,7 @@ from pathlib import Path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from quasi.model.model import read_model
-from quasi.running.job_log import job, progress
+from quasi.running.job_log import job, show_progress
 from quasi.simulation.tools.figures import draw_simulation
 from quasi.tables import read_json, read_table, whole_file
 
@@ -22,7 +22,7 @@ def main(table: str, summary: str, model: str, folder: str) -> None:
     figures = draw_simulation(read_table(table), read_model(model).airframe, about)
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
-    for name, figure in progress(list(figures.items()), "drawing"):
+    for name, figure in show_progress(list(figures.items()), "drawing"):
         with whole_file(target / f"{name}.png") as part:
             FigureCanvasAgg(figure).print_png(part)
 

@@ -5,13 +5,13 @@ from pathlib import Path
 from quasi.filtering.rotor_speeds import read_flight
 from quasi.identification.partition import ROLES, judged_rows
 from quasi.model.model import read_model
-from quasi.running.job_log import LOG, job, progress
+from quasi.running.job_log import LOG, job, show_progress
 from quasi.scoring.diagnostics import COVERAGE_UNITS
-from quasi.scoring.review import review
-from quasi.scoring.score import UNITS
-from quasi.scoring.summary import summary_json, summary_latex, summary_text
-from quasi.scoring.thinning import thin, thinned_units
-from quasi.scoring.verdict import lower, unusable_held_out
+from quasi.scoring.review import review_model
+from quasi.scoring.score import SCORE_UNITS
+from quasi.scoring.summary import format_latex, format_summary, make_summary
+from quasi.scoring.thinning import list_thinned_units, thin_rows
+from quasi.scoring.verdict import describe_unusable_flights, lower_verdict
 from quasi.tables import masses_of, read_made, read_table, write_json, write_table, write_text
 
 
@@ -19,23 +19,23 @@ def main(source: dict, roles: dict, options: dict, output: dict) -> None:
     """Read the model, all of its flights, and of an extended one its base; write scores, diagnosis, summaries."""
     portable, base = (read_model(source[k]) if source.get(k) else None for k in ("model", "base"))
     drive = portable.document.get("rotor speeds")
-    tables = {Path(path).stem: read_flight(path, drive) for path in progress(source["flights"], "reading flights")}
+    tables = {Path(path).stem: read_flight(path, drive) for path in show_progress(source["flights"], "reading flights")}
     codes, aside = judged_rows(read_table(source["partition"]), tables, roles["validation"], options)
     made = {Path(path).stem: read_made(path) for path in source["flights"]}
-    found = review(portable, tables, codes, ROLES, aside, options, base, masses_of(made))
-    unusable = unusable_held_out(made, roles["validation"])
-    found = found._replace(diagnosis=lower(found.diagnosis, unusable))
+    found = review_model(portable, tables, codes, ROLES, aside, options, base, masses_of(made))
+    unusable = describe_unusable_flights(made, roles["validation"])
+    found = found._replace(diagnosis=lower_verdict(found.diagnosis, unusable))
     for sentence in unusable:
         LOG.warning("%s", sentence)
     for line in found.diagnosis["summary"]:
         LOG.info("%s", line)
-    write_table(output["scores"], found.scores, UNITS)
+    write_table(output["scores"], found.scores, SCORE_UNITS)
     write_table(output["coverage"], found.coverage, COVERAGE_UNITS)
-    write_table(output["rows"], thin(found.judged, roles["validation"]), thinned_units(portable.axes))
+    write_table(output["rows"], thin_rows(found.comparisons, roles["validation"]), list_thinned_units(portable.axes))
     write_json(output["diagnosis"], found.diagnosis)
-    write_json(output["summary_json"], summary_json(portable, found.scores, found.diagnosis))
-    write_text(output["summary_latex"], summary_latex(portable, found.scores, found.diagnosis))
-    write_text(output["summary"], summary_text(portable, found.scores, found.diagnosis))
+    write_json(output["summary_json"], make_summary(portable, found.scores, found.diagnosis))
+    write_text(output["summary_latex"], format_latex(portable, found.scores, found.diagnosis))
+    write_text(output["summary"], format_summary(portable, found.scores, found.diagnosis))
 
 
 if __name__ == "__main__":

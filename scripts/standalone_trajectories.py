@@ -8,7 +8,7 @@ from quasi.airframe import read_airframe
 from quasi.errors import ConfigError, DataError
 from quasi.pages.animation import animate, can_write_mp4
 from quasi.pages.drawing import motion_of, trajectories
-from quasi.running.job_log import LOG, job, progress
+from quasi.running.job_log import LOG, job, show_progress
 from quasi.tables import read_table, whole_file
 
 
@@ -19,7 +19,7 @@ def main(flights: list[str], settings: dict, folder: str) -> None:
     airframe = read_airframe(settings["quadrotor"], settings["quadrotor"]["file"], settings["mass"])
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
-    for path in progress(flights, "drawing"):
+    for path in show_progress(flights, "drawing"):
         key, flight = Path(path).stem, read_table(path)
         flying = flight[flight["in_flight"] > 0.5] if "in_flight" in flight else flight
         try:

@@ -8,7 +8,7 @@ from quasi.importing.inspection_report import report
 from quasi.project.folder import check_project, read_settings
 from quasi.project.gaps import repeated_recordings
 from quasi.project.workflow import Folder
-from quasi.running.provenance import code_of
+from quasi.running.provenance import compute_code_digest
 
 
 def check_folder(directory: Path, library: Path, data: str | None = None) -> tuple[str, int]:
@@ -21,7 +21,7 @@ def check_folder(directory: Path, library: Path, data: str | None = None) -> tup
     with chdir(directory):  # as a run sees the paths of configuration and logbook
         folder = Folder(".", data=data or read_settings("config/config.yaml").get("data"), library=library)
         asked, faults, untouched = folder.configured_work()
-        inspector = Inspector(MEMORY, code_of(library / "scripts/inspection.py", library))
+        inspector = Inspector(MEMORY, compute_code_digest(library / "scripts/inspection.py", library))
         flights = {key: about["settings"] for work in asked.values() for key, about in work["flights"].items()}
         pending = {key for key, settings in flights.items() if folder.to_be_made(settings)}
         found = {

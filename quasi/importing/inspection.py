@@ -20,7 +20,7 @@ from quasi.importing.readers.registry import read_capture
 from quasi.importing.series import Series
 from quasi.importing.wind import read_lvm
 from quasi.plausibility import silent_rotors
-from quasi.running.checksums import identity_of
+from quasi.running.checksums import read_identity
 from quasi.tables import read_json, write_json
 
 Read = tuple[dict[str, Any], list[Series], list[str]]  # facts on a source, its series, the notes of its reader
@@ -228,7 +228,7 @@ class Inspector:
         """The result of inspect_flight, from memory where settings and files are those on record."""
         flight = settings["flight"]
         files = [flight.get("onboard"), flight.get("capture"), (flight.get("wind") or {}).get("file")]
-        basis = [self.version, settings, [identity_of(path) if path else None for path in files]]
+        basis = [self.version, settings, [read_identity(path) if path else None for path in files]]
         key = hashlib.sha256(json.dumps(basis, sort_keys=True).encode()).hexdigest()
         place = self.memory / flight["quadrotor"] / f"{flight['flight']}.json"
         with suppress(QuasiError, OSError, KeyError, TypeError):

@@ -57,7 +57,7 @@ def page(
         frame.section("Warnings", show_warnings(model["notes"]) or frame.paragraph("None.")),
         chart.script() if chart else "",
     ]
-    return frame.page(f"Model {model['id']}", under, diagnosis["verdict"], diagnosis["shortly"], sections)
+    return frame.page(f"Model {model['id']}", under, diagnosis["verdict"], diagnosis["in short"], sections)
 
 
 def _sentence(text: str) -> str:
@@ -68,7 +68,7 @@ def _verdicts(diagnosis: Mapping[str, Any]) -> str:
     lines = []
     for axis, facts in diagnosis["axes"].items():
         kind = frame.KINDS[facts["verdict"]]
-        said = facts["said"].removeprefix(f"{axis}: ")
+        said = facts["statement"].removeprefix(f"{axis}: ")
         remedies = "".join(f"<br><i>{frame.escape(_sentence(r))}</i>" for r in facts["what to do"])
         mark = {"good": "#1e7d46", "care": "#a86200", "bad": "#b3261e"}[kind]
         lines.append(

@@ -1,1 +1,1 @@
-"""What a run of the workflow keeps beside its results: checksums of raw files, and which runs are alive."""
+"""A run of the workflow: job logs, terminal output, checksums, code digests, live runs, the kernel cache."""

@@ -1,8 +1,8 @@
-"""SHA-256 of files that a user puts into a folder, remembered, so that only a changed file is read again.
+"""SHA-256 of a user's files, stored so that only a changed file is read again.
 
-A file counts as unchanged while its size and both its time stamps (of the content and of the directory entry) are those
-on record; otherwise its SHA-256 is computed anew. An older file that replaces another keeps its own time of content but
-gets a new time of entry: so `mv`, `cp -p`, `rsync -a` and `unzip` are seen even where size and time of content agree.
+A file counts as unchanged while its size and its two time stamps (content and directory entry) match the record. An
+older file that replaces another keeps its time of content but gets a new time of entry. So `mv`, `cp -p`, `rsync -a`
+and `unzip` are detected even where size and time of content agree.
 """
 
 import os
@@ -14,8 +14,8 @@ from quasi.errors import QuasiError
 from quasi.tables import read_json, sha256_of, write_json
 
 
-def identity_of(path: str | Path) -> list[int] | None:
-    """[size in bytes, time of content, time of directory entry, both in ns] of a file; None where it is absent."""
+def read_identity(path: str | Path) -> list[int] | None:
+    """Read [size in bytes, time of content, time of directory entry, both in ns] of a file; None where it is absent."""
     try:
         at = os.stat(path)
     except (OSError, ValueError):
@@ -24,7 +24,7 @@ def identity_of(path: str | Path) -> list[int] | None:
 
 
 class Checksums:
-    """Checksums of given files, kept in a JSON file. memory  its path; whatever it holds may be lost or damaged."""
+    """Checksums of files, stored in a JSON file. memory  its path; a lost or damaged file is rebuilt."""
 
     def __init__(self, memory: str | Path):
         self.memory = Path(memory)
@@ -34,10 +34,10 @@ class Checksums:
             found = read_json(self.memory) if self.memory.is_file() else {}
             self._known = found if isinstance(found, dict) else {}
 
-    def of(self, path: str | Path) -> str | None:
-        """SHA-256 of a file in hexadecimal; None where it is absent, empty or cannot be read."""
+    def compute(self, path: str | Path) -> str | None:
+        """Compute the SHA-256 of a file in hexadecimal; None where it is absent, empty or unreadable."""
         name = str(path)
-        identity = identity_of(name)
+        identity = read_identity(name)
         if identity is None:
             return None
         known = self._known.get(name)
@@ -50,12 +50,12 @@ class Checksums:
         self._changed = True
         return digest
 
-    def of_all(self, paths: Iterable[str | Path]) -> dict[str, str | None]:
-        """{path: SHA-256 or None} of several files."""
-        return {str(path): self.of(path) for path in paths}
+    def compute_all(self, paths: Iterable[str | Path]) -> dict[str, str | None]:
+        """Compute {path: SHA-256 or None} of several files."""
+        return {str(path): self.compute(path) for path in paths}
 
     def save(self) -> None:
-        """Write what was computed anew; without permission to write, the files are read again by the next run."""
+        """Store new checksums; without write permission, the next run reads the files again."""
         if self._changed:
             with suppress(QuasiError, OSError):
                 write_json(self.memory, self._known)

@@ -1,7 +1,7 @@
-"""Where compiled kernels are kept: apart for each state of the kernels' sources.
+"""Cache folders of compiled kernels, one for each state of the kernels' sources.
 
-Numba keeps a compiled function until the file of that very function changes. A kernel that calls one of another file
-would go on with the old one after a change there; so each state of all kernel files has a folder of its own.
+Numba reuses a compiled function until the file of that function changes. A kernel that calls a kernel of another file
+would keep the old one after a change there. So each state of all kernel files has its own folder.
 """
 
 import hashlib
@@ -13,13 +13,15 @@ import time
 from pathlib import Path
 
 _IMPORT = re.compile(rb"^from (quasi[\w.]*) import (\([^)]*\)|[^\n(]*)", re.M)
-KEPT = 2 * 86400.0  # s, how long folders of other states stay
+CACHE_LIFETIME = 2 * 86400.0  # s, age at which unused folders of other states are removed
 
 
-def own_cache() -> Path | None:
-    """Point Numba at this state's folder; returns it, or None where nothing can be written (then nothing is kept)."""
+def use_cache_folder() -> Path | None:
+    """Set Numba's cache to the folder of this state; return it, or None where nothing can be written (no cache
+    then).
+    """
     package = Path(__file__).parents[1]
-    name = f"kernels-{_state(package)}"
+    name = f"kernels-{_compute_state(package)}"
     given = os.environ.get("NUMBA_CACHE_DIR")
     if given and Path(given).name == name:
         return Path(given)  # a process started by this one
@@ -35,20 +37,20 @@ def own_cache() -> Path | None:
         os.environ["NUMBA_CACHE_DIR"] = str(folder)
         if "numba" in sys.modules:  # it read the environment when it was imported
             sys.modules["numba"].config.CACHE_DIR = str(folder)
-        _forget(place, folder)
+        _remove_old_caches(place, folder)
         return folder
     return None
 
 
-def _state(package: Path) -> str:
-    """Digest of every file of the package that holds a kernel, or constants that such a file imports."""
+def _compute_state(package: Path) -> str:
+    """Compute the digest of every file with a kernel, or with constants that such a file imports."""
     contents = {path: path.read_bytes() for path in sorted(package.rglob("*.py"))}
     kept = {path for path, content in contents.items() if b"njit" in content}
     for path in list(kept):
         for module, names in _IMPORT.findall(contents[path]):
             base = package.joinpath(*module.decode().split(".")[1:])
             for name in re.findall(r"(\w+)(?: as \w+)?", names.decode()):
-                # a constant of a module, or a module of constants: both are frozen into the compiled code
+                # a constant of a module, or a module of constants: both are compiled into the code
                 kept.add(base.with_suffix(".py") if name.isupper() else base / f"{name}.py")
     digest = hashlib.sha256()
     for path in sorted(kept & set(contents)):
@@ -56,13 +58,13 @@ def _state(package: Path) -> str:
     return digest.hexdigest()[:16]
 
 
-def _forget(place: Path, own: Path) -> None:
-    """Remove folders of other states that nobody used lately."""
+def _remove_old_caches(place: Path, own: Path) -> None:
+    """Remove folders of other states that were not used recently."""
     for folder in place.glob("kernels-*"):
         try:
             if folder == own:
                 os.utime(folder)
-            elif time.time() - folder.stat().st_mtime > KEPT:
+            elif time.time() - folder.stat().st_mtime > CACHE_LIFETIME:
                 shutil.rmtree(folder, ignore_errors=True)
         except OSError:
             continue

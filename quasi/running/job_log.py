@@ -1,4 +1,4 @@
-"""Log file, messages and failure of one job, and what a whole run tells at its end."""
+"""Log file, messages and failure of one job, and the reports that a run prints at its end."""
 
 import hashlib
 import json
@@ -16,34 +16,34 @@ import tqdm
 
 from quasi.errors import QuasiError
 
-RUN = "QUASI_RUN"  # environment variable: folder in which the jobs of one run leave what it tells at its end
+RUN_VARIABLE = "QUASI_RUN"  # environment variable: folder of the reports that the jobs of one run leave for its end
 LOG = logging.getLogger("quasi")
-EVERY = 5.0  # s between two lines of progress in a job's log
+PROGRESS_INTERVAL = 5.0  # s between two lines of progress in a job's log
 T = TypeVar("T")
 
 
-class _Notes(logging.Handler):
-    """Keeps the warnings that a job writes into its log, its notes, and apart from them the one with a verdict."""
+class _NoteHandler(logging.Handler):
+    """Collects the warnings of a job, its notes, and separately the warning with a verdict."""
 
     def __init__(self):
         super().__init__(logging.WARNING)
-        self.told: list[str] = []
+        self.notes: list[str] = []
         self.verdict: str | None = None
 
     def emit(self, record: logging.LogRecord) -> None:
         if getattr(record, "verdict", False):
             self.verdict = record.getMessage()
         elif record.levelno == logging.WARNING:
-            self.told.append(record.getMessage())
+            self.notes.append(record.getMessage())
 
 
 @contextmanager
 def job(log: str | Path, name: str = "", page: str | None = None) -> Iterator[logging.Logger]:
-    """Run a job with its log file; an error a user can mend ends it with one sentence instead of a traceback.
+    """Run a job with its log file; an error that a user can correct ends it with one sentence and no traceback.
 
-    log  the job's log file; name  what the job works on, for messages; page  that it makes, to be opened by a user.
+    log  the job's log file; name  subject of the job, for messages; page  for the user that the job makes.
     """
-    path, notes = Path(log), _Notes()
+    path, notes = Path(log), _NoteHandler()
     path.parent.mkdir(parents=True, exist_ok=True)
     handler = logging.FileHandler(path, mode="w", encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s", "%H:%M:%S"))
@@ -55,8 +55,8 @@ def job(log: str | Path, name: str = "", page: str | None = None) -> Iterator[lo
 
     def ended(failed: str | None = None) -> None:
         about = {"name": name or path.stem, "log": str(log), "page": page, "failed": failed}
-        about |= {"verdict": notes.verdict, "notes": notes.told, "seconds": time.perf_counter() - started}
-        _leave(about)
+        about |= {"verdict": notes.verdict, "notes": notes.notes, "seconds": time.perf_counter() - started}
+        _write_outcome(about)
 
     def fail(sentence: str) -> None:
         ended(sentence)
@@ -70,7 +70,7 @@ def job(log: str | Path, name: str = "", page: str | None = None) -> Iterator[lo
     except QuasiError as error:
         LOG.error("%s", error)
         fail(str(error))
-    except SystemExit as error:  # or a job that was left half-way would count as done
+    except SystemExit as error:  # otherwise an incomplete job would count as done
         LOG.error("%s", traceback.format_exc())
         fail(f"{name or path.stem} was ended from within (SystemExit: {error}); the traceback is in {path}")
     except MemoryError:
@@ -90,8 +90,8 @@ def job(log: str | Path, name: str = "", page: str | None = None) -> Iterator[lo
         handler.close()
 
 
-def judge(word: str, because: str) -> None:
-    """Note a verdict that a user must hear of: unlike other notes it stands in the job's own line of the run."""
+def log_verdict(word: str, because: str) -> None:
+    """Log a verdict; unlike other notes, the run prints it in the line of the job."""
     LOG.warning("%s (%s)", word, because, extra={"verdict": True})
 
 
@@ -99,27 +99,29 @@ def _outcome_file(folder: str | Path, log: str) -> Path:
     return Path(folder) / "outcomes" / f"{hashlib.sha256(str(log).encode()).hexdigest()[:32]}.json"
 
 
-def _leave(about: dict[str, Any]) -> None:
-    """Leave how a job ended, for the line that the run prints of it; nothing outside a run."""
-    folder = os.environ.get(RUN)
+def _write_outcome(about: dict[str, Any]) -> None:
+    """Write the outcome of a job for the line that the run prints; nothing outside a run."""
+    folder = os.environ.get(RUN_VARIABLE)
     if not folder:
         return
     place = _outcome_file(folder, about["log"])
-    with suppress(OSError):  # what was made is whole; it is only told less of
+    with suppress(OSError):  # the results are complete; only the report is lost
         place.parent.mkdir(parents=True, exist_ok=True)
         place.write_text(json.dumps(about), encoding="utf-8")
 
 
-def outcome(folder: str | Path, log: str = "") -> dict[str, Any] | None:
-    """How the job of a run with this log file ended: "name", "log", "page", "seconds", "verdict", "notes", and
-    "failed", its sentence or None. None where it left nothing: it was killed, or has not ended."""
+def read_outcome(folder: str | Path, log: str = "") -> dict[str, Any] | None:
+    """Read the outcome of the job with this log file; None where it was killed or has not ended.
+
+    Keys: "name", "log", "page", "seconds", "verdict", "notes", and "failed", its sentence or None.
+    """
     place = _outcome_file(folder, log)
     return json.loads(place.read_text(encoding="utf-8")) if place.is_file() else None
 
 
 def print_at_end(text: str, kind: str = "made") -> None:
-    """Leave text for the end of the run ("made" or "errors"); prints it at once outside a run."""
-    folder = os.environ.get(RUN)
+    """Report text at the end of the run ("made" or "errors"); print it at once outside a run."""
+    folder = os.environ.get(RUN_VARIABLE)
     if not folder:
         print(text, file=sys.stderr if kind == "errors" else sys.stdout)
         return
@@ -128,30 +130,30 @@ def print_at_end(text: str, kind: str = "made") -> None:
     (place / f"{time.time_ns()}-{os.getpid()}.txt").write_text(text.rstrip("\n") + "\n", encoding="utf-8")
 
 
-def texts_at_end(folder: str | Path, kind: str) -> list[str]:
-    """What the jobs of a run left for its end, in order, each text once."""
+def read_reports(folder: str | Path, kind: str) -> list[str]:
+    """Read the reports of the jobs of a run, in order, each text once."""
     texts = [p.read_text(encoding="utf-8").rstrip("\n") for p in sorted((Path(folder) / kind).glob("*.txt"))]
     return list(dict.fromkeys(texts))
 
 
-def progress(things: Iterable[T], what: str, **options: Any) -> Iterable[T]:
-    """The same things, one by one, with their progress: in a job a line in its log every EVERY seconds, else a bar on
-    a terminal, and silence where there is none.
+def show_progress(things: Iterable[T], what: str, **options: Any) -> Iterable[T]:
+    """Iterate over things and show the progress: in a job a log line every PROGRESS_INTERVAL seconds, else a bar on a
+    terminal.
 
-    what  is being done, for bar and log; options  of tqdm
+    what  name of the work, for bar and log; options  of tqdm
     """
     if LOG.handlers:
-        return _lines(things, what)
+        return _log_progress(things, what)
     return tqdm.tqdm(things, desc=what, disable=not sys.stderr.isatty(), leave=False, **options)
 
 
-def _lines(things: Iterable[T], what: str) -> Iterator[T]:
+def _log_progress(things: Iterable[T], what: str) -> Iterator[T]:
     whole = len(things) if isinstance(things, Sized) else None
-    started = told_at = time.perf_counter()
+    started = reported_at = time.perf_counter()
     for done, thing in enumerate(things):
         now = time.perf_counter()
-        if now - told_at >= EVERY:
-            told_at = now
+        if now - reported_at >= PROGRESS_INTERVAL:
+            reported_at = now
             of = f" of {whole} ({100 * done // whole} %)" if whole else ""
             LOG.info("%s: %d%s in %.0f s, %.0f a second", what, done, of, now - started, done / (now - started))
         yield thing

@@ -1,6 +1,6 @@
-"""Which runs work in a project folder: each leaves a card with its process while it is alive.
+"""Live runs of a project folder: each run has a card with its process while it is alive.
 
-Snakemake locks the files of a run, but does not record whose lock it is. The cards say so.
+Snakemake locks the files of a run but does not record which process holds the lock. The cards record it.
 """
 
 import getpass
@@ -17,21 +17,21 @@ import psutil
 from quasi.errors import QuasiError
 from quasi.tables import read_json, write_json
 
-CARDS = ".snakemake/quasi/runs"  # in the project folder
-LOCKS = ".snakemake/locks"  # of Snakemake itself
-ROUNDING = 1.0  # s between two readings of the same process' start: pids are reused, starts are not
+CARDS_FOLDER = ".snakemake/quasi/runs"  # in the project folder
+LOCKS_FOLDER = ".snakemake/locks"  # of Snakemake itself
+MAX_START_DIFFERENCE = 1.0  # s between two readings of one process' start time; pids are reused, start times are not
 
 
-def register(folder: str | Path, command: str) -> Path | None:
-    """Leave a card of this process; None where nothing can be written. Cards of dead runs go once nothing is locked."""
-    place = Path(folder) / CARDS / f"{socket.gethostname()}-{os.getpid()}.json"
-    locks = Path(folder) / LOCKS
-    for path, card in _cards(folder):
+def register_run(folder: str | Path, command: str) -> Path | None:
+    """Write a card of this process; None where that fails. Cards of dead runs are removed once nothing is locked."""
+    place = Path(folder) / CARDS_FOLDER / f"{socket.gethostname()}-{os.getpid()}.json"
+    locks = Path(folder) / LOCKS_FOLDER
+    for path, card in _read_cards(folder):
         if is_alive(card) is False and not (locks.is_dir() and any(locks.iterdir())):
             with suppress(OSError):
                 path.unlink()
     card = {"pid": os.getpid(), "host": socket.gethostname(), "command": command, "at": time.time()}
-    with suppress(KeyError, OSError, ImportError):  # no name is known for the user in some containers
+    with suppress(KeyError, OSError, ImportError):  # some containers have no user name
         card["user"] = getpass.getuser()
     try:
         card["process started"] = psutil.Process().create_time()
@@ -41,7 +41,7 @@ def register(folder: str | Path, command: str) -> Path | None:
     return place
 
 
-def withdraw(card: Path | None) -> None:
+def withdraw_card(card: Path | None) -> None:
     """Remove the card of a run that ends."""
     if card is not None:
         with suppress(OSError):
@@ -49,18 +49,20 @@ def withdraw(card: Path | None) -> None:
 
 
 def is_alive(card: dict[str, Any]) -> bool | None:
-    """Whether the process of a card is still running; None for one of another computer, which cannot be asked."""
+    """Whether the process of a card is still running; None for a process of another computer."""
     if card.get("host") != socket.gethostname():
         return None
     try:
-        return abs(psutil.Process(int(card["pid"])).create_time() - float(card["process started"])) < ROUNDING
+        return (
+            abs(psutil.Process(int(card["pid"])).create_time() - float(card["process started"])) < MAX_START_DIFFERENCE
+        )
     except (psutil.Error, KeyError, TypeError, ValueError):
         return False
 
 
 def other_runs(folder: str | Path) -> list[dict[str, Any]]:
     """Cards of the other runs in a folder, alive or not, the newest first."""
-    cards = [card for _, card in _cards(folder) if (card.get("host"), card.get("pid")) != _this_process()]
+    cards = [card for _, card in _read_cards(folder) if (card.get("host"), card.get("pid")) != _this_process()]
     return sorted(cards, key=lambda card: -float(card.get("at") or 0.0))
 
 
@@ -68,30 +70,33 @@ def remove_stale_lock(folder: str | Path) -> str | None:
     """Remove the lock of a run whose process is dead, and return the notice; None where no lock is removed.
 
     A lock stays while any recorded process lives, is of another computer, or where no process is recorded at all.
-    Call it after `register`: of two runs that start together each then sees the other alive.
+    Call it after `register_run`: of two runs that start together each then sees the other alive.
     """
-    locks = [path for path in (Path(folder) / LOCKS).glob("*") if path.is_file()]
+    locks = [path for path in (Path(folder) / LOCKS_FOLDER).glob("*") if path.is_file()]
     runs = other_runs(folder)
     if not locks or not runs or any(is_alive(card) is not False for card in runs):
         return None
     for path in locks:
         path.unlink(missing_ok=True)
-    return f"the lock of a dead run was removed ({_name(runs)}); what it left unfinished is made again"
+    return f"the lock of a dead run was removed ({_describe_runs(runs)}); its unfinished jobs run again"
 
 
 def explain_lock(folder: str | Path, again: str) -> str:
-    """Who holds the lock of a folder and what to do. again  command of this run's folder, such as `snakemake -d lab`"""
+    """Explain who holds the lock of a folder and what to do.
+
+    again  command for this folder, such as `snakemake -d lab`
+    """
     runs = other_runs(folder)
     head = "this folder is locked"
     if alive := [card for card in runs if is_alive(card)]:
         return (
-            f"{head}: another run is working in it, {_name(alive)}; wait for its end, or stop it with Ctrl-C where it "
-            "runs, and start again"
+            f"{head}: another run is working in it, {_describe_runs(alive)}; wait for its end, or stop it "
+            "with Ctrl-C where it runs, and start again"
         )
     if elsewhere := [card for card in runs if is_alive(card) is None]:
         return (
-            f"{head}: a run on another computer holds it, {_name(elsewhere)}; wait for its end there; only if that "
-            f"process no longer exists, remove the lock with `{again} --unlock`"
+            f"{head}: a run on another computer holds it, {_describe_runs(elsewhere)}; wait for its end there; "
+            f"only if that process no longer exists, remove the lock with `{again} --unlock`"
         )
     return (
         f"{head}, and no run is recorded that holds it: make sure that none is working in it, remove the lock with "
@@ -100,27 +105,30 @@ def explain_lock(folder: str | Path, again: str) -> str:
 
 
 def refuse_unlocking(folder: str | Path) -> str | None:
-    """A sentence where a live run works in the folder, whose lock must stay; None where there is none."""
+    """Return a sentence where a live run works in the folder and its lock must stay; else None."""
     alive = [card for card in other_runs(folder) if is_alive(card)]
     if not alive:
         return None
-    return f"the lock stays: a run is working in this folder, {_name(alive)}; wait for its end, or stop it with Ctrl-C"
+    return (
+        f"the lock stays: a run is working in this folder, {_describe_runs(alive)}; wait for its end, or stop it with "
+        "Ctrl-C"
+    )
 
 
 def _this_process() -> tuple[str, int]:
     return socket.gethostname(), os.getpid()
 
 
-def _cards(folder: str | Path) -> Iterator[tuple[Path, dict[str, Any]]]:
-    for path in sorted((Path(folder) / CARDS).glob("*.json")):
+def _read_cards(folder: str | Path) -> Iterator[tuple[Path, dict[str, Any]]]:
+    for path in sorted((Path(folder) / CARDS_FOLDER).glob("*.json")):
         with suppress(QuasiError, OSError):
             card = read_json(path)
             if isinstance(card, dict):
                 yield path, card
 
 
-def _name(cards: Sequence[dict[str, Any]]) -> str:
-    """Process, user, computer, start and command of the first card, and how many more there are."""
+def _describe_runs(cards: Sequence[dict[str, Any]]) -> str:
+    """Describe the first card (process, user, computer, start, command) and count the others."""
     card = cards[0]
     since = time.strftime("%Y-%m-%d %H:%M", time.localtime(float(card.get("at") or 0.0)))
     who = f" of {card['user']}" if card.get("user") else ""

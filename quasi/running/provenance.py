@@ -1,4 +1,4 @@
-"""Which code a script reaches, as a digest: a stage reruns when the code it uses changes, and only then."""
+"""Digest of the code that a script uses: a stage reruns exactly when that code changes."""
 
 import ast
 import functools
@@ -9,8 +9,8 @@ PACKAGE = "quasi"
 
 
 @functools.cache
-def _parsed(path: Path) -> tuple[str, tuple[str, ...]]:
-    """Digest of a file's syntax tree, comments, docstrings and layout left out, and its imports."""
+def _parse_file(path: Path) -> tuple[str, tuple[str, ...]]:
+    """Compute the digest of a file's syntax tree without comments, docstrings and layout, and list its imports."""
     tree = ast.parse(path.read_bytes(), filename=str(path))
     modules: list[str] = []
     for node in ast.walk(tree):
@@ -27,7 +27,7 @@ def _parsed(path: Path) -> tuple[str, tuple[str, ...]]:
     return hashlib.sha256(ast.dump(tree).encode()).hexdigest(), inside
 
 
-def _file_of(module: str, root: Path) -> Path | None:
+def _find_file(module: str, root: Path) -> Path | None:
     base = root.joinpath(*module.split("."))
     for candidate in (base.with_suffix(".py"), base / "__init__.py"):
         if candidate.is_file():
@@ -35,8 +35,8 @@ def _file_of(module: str, root: Path) -> Path | None:
     return None
 
 
-def reached(script: str | Path, root: str | Path) -> list[Path]:
-    """Files of the package that a script imports, itself first, however indirectly (absolute imports)."""
+def list_reached_files(script: str | Path, root: str | Path) -> list[Path]:
+    """List the files of the package that a script imports directly or indirectly (absolute imports), itself first."""
     root = Path(root)
     found: dict[Path, None] = {}
     waiting = [Path(script)]
@@ -45,19 +45,19 @@ def reached(script: str | Path, root: str | Path) -> list[Path]:
         if path in found:
             continue
         found[path] = None
-        for module in _parsed(path)[1]:
+        for module in _parse_file(path)[1]:
             parts = module.split(".")
             # importing a.b.c also runs a and a.b
             for depth in range(1, len(parts) + 1):
-                file = _file_of(".".join(parts[:depth]), root)
+                file = _find_file(".".join(parts[:depth]), root)
                 if file is not None:
                     waiting.append(file)
     return list(found)
 
 
 @functools.cache
-def code_of(script: str | Path, root: str | Path) -> str:
-    """Digest of a script and of every module of the package it reaches; comments and docstrings do not count."""
+def compute_code_digest(script: str | Path, root: str | Path) -> str:
+    """Compute the digest of a script and of every module it uses; comments and docstrings do not count."""
     root = Path(root)
-    parts = sorted(f"{p.relative_to(root)}:{_parsed(p)[0]}" for p in reached(script, root))
+    parts = sorted(f"{p.relative_to(root)}:{_parse_file(p)[0]}" for p in list_reached_files(script, root))
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]

@@ -1,4 +1,4 @@
-"""What a run prints: a line per finished job with what was noted in it, in place of Snakemake's account of each job."""
+"""Output of a run: one line per finished job with its notes, instead of Snakemake's messages about each job."""
 
 import argparse
 import logging
@@ -9,22 +9,29 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from quasi.errors import nearest
-from quasi.running.job_log import outcome
+from quasi.running.job_log import read_outcome
 
-MOST = 5  # new notes on a flight that are told; the others are counted, with the log that holds them
-FEW = 2  # notes of any other job that are told; more are only counted: the page that they are made for holds them
-# what says nothing to a user; all of it stands in the log file of the run
-NOISE = ("Select jobs to execute", "Execute ", "Using shell", "Building DAG", "Conda environments", "Singularity")
-UNTOLD = {"job_info", "job_started", "progress", "resources_info"}
-OF_FLIGHTS = ("importing", "filtering")
+MAX_FLIGHT_NOTES = 5  # new notes on a flight that are printed; others are counted, with their log
+MAX_OTHER_NOTES = 2  # notes of any other job that are printed; more are only counted: they are on its page
+# messages without information for a user; the log file of the run has them all
+SILENT_MESSAGES = (
+    "Select jobs to execute",
+    "Execute ",
+    "Using shell",
+    "Building DAG",
+    "Conda environments",
+    "Singularity",
+)
+SILENT_EVENTS = {"job_info", "job_started", "progress", "resources_info"}
+FLIGHT_RULES = ("importing", "filtering")
 
 
 class Terminal(logging.Filter):
-    """Decides what of Snakemake's messages reaches the terminal, and tells jobs in its own words.
+    """Filters Snakemake's messages for the terminal and prints one line per job.
 
-    run  folder in which the jobs of the run leave how they ended; stream  the terminal
+    run  folder with the outcomes of the run's jobs; stream  the terminal
     asked  arguments of the run, as in sys.argv[1:]
-    What it does not know passes: an error, or a message of a Snakemake to come.
+    Unknown messages pass: errors, or messages of later Snakemake versions.
     """
 
     def __init__(self, run: str, stream: TextIO, asked: Sequence[str] = ()):
@@ -34,19 +41,19 @@ class Terminal(logging.Filter):
         self.done, self.total = 0, 0
         self.known: set[str] = set()
         self.failed: set[int] = set()
-        self.held: list[str] = []  # what Snakemake says of a command that failed, until its job is known
-        self.noted: list[str] = []  # pages of flights on which something was noted
+        self.pending_errors: list[str] = []  # errors of failed commands until their job is known
+        self.noted: list[str] = []  # pages of flights with notes
         self.pages: set[str] = set()
-        self.idle = False  # nothing was to be done
+        self.idle = False  # nothing was due
 
     def filter(self, record: logging.LogRecord) -> bool:
         """True for a message that is printed as it is."""
         event = getattr(record, "event", None)
         if event is None:
             self.idle |= str(record.msg or "").startswith("Nothing to be done")
-            return not str(record.msg or "").startswith(NOISE)
-        told = getattr(self, f"_{event}", None)
-        return bool(told(record)) if told else str(event) not in UNTOLD
+            return not str(record.msg or "").startswith(SILENT_MESSAGES)
+        lines = getattr(self, f"_{event}", None)
+        return bool(lines(record)) if lines else str(event) not in SILENT_EVENTS
 
     def _run_info(self, record: logging.LogRecord) -> None:
         counts = dict(getattr(record, "stats", {}))
@@ -61,40 +68,40 @@ class Terminal(logging.Filter):
         self.done += 1
         count = f"[{self.done:{len(str(self.total))}}/{self.total or '?'}]"
         job = self.jobs.get(record.job_id, {})
-        found = outcome(self.run, *job.get("log", [])[:1])
-        if not found:  # it ran elsewhere, or was only touched
-            self._write(f"{count} {_plainly(job)}")
+        found = read_outcome(self.run, *job.get("log", [])[:1])
+        if not found:  # it ran on another computer, or was only touched
+            self._write(f"{count} {_name_job(job)}")
             return
-        flight, key = job.get("rule_name") in OF_FLIGHTS, str(job.get("wildcards", {}).get("flight", ""))
-        new = [n for n in found["notes"] if _masked(n, key) not in self.known]
-        shown = new[:MOST] if flight else new if len(new) <= FEW else []
-        self.known |= {_masked(n, key) for n in shown}
+        flight, key = job.get("rule_name") in FLIGHT_RULES, str(job.get("wildcards", {}).get("flight", ""))
+        new = [n for n in found["notes"] if _mask_note(n, key) not in self.known]
+        shown = new[:MAX_FLIGHT_NOTES] if flight else new if len(new) <= MAX_OTHER_NOTES else []
+        self.known |= {_mask_note(n, key) for n in shown}
         line = f"{count} {found['name']}: {found['seconds']:.1f} s"
         if found["verdict"]:
             line += f", {found['verdict']}"
         if found["notes"]:
             alike = len(found["notes"]) - len(new)
-            line += f", {_counted(len(found['notes']), 'note')}"
-            line += f" ({'told above' if not new else f'{alike} told above'})" if alike else ""
+            line += f", {_format_count(len(found['notes']), 'note')}"
+            line += f" ({'shown above' if not new else f'{alike} shown above'})" if alike else ""
             line += f", {found['log']}"
         if found["page"]:
             line += f", {found['page']}"
             self.pages.add(found["page"])
-        told = [f"    - {note}" for note in shown]
+        lines = [f"    - {note}" for note in shown]
         if shown and len(new) > len(shown):
-            told.append(f"    - and {len(new) - len(shown)} more in {found['log']}")
-        self._write("\n".join([line, *told]))
+            lines.append(f"    - and {len(new) - len(shown)} more in {found['log']}")
+        self._write("\n".join([line, *lines]))
         if found["notes"] and flight:
             names = job["wildcards"]
             self.noted.append(f"results/reports/{names['quadrotor']}/{names['flight']}.html")
 
     def _job_error(self, record: logging.LogRecord) -> bool:
-        """Told once in its own sentence; whole, where the job ended without one."""
-        found = outcome(self.run, *record.log[:1])
+        """Print the sentence of a failed job once; pass the whole message where it has none."""
+        found = read_outcome(self.run, *record.log[:1])
         if not found or found["failed"] is None:
             self._release()
             return True
-        self.held = self.held[1:]
+        self.pending_errors = self.pending_errors[1:]
         if record.jobid not in self.failed:
             self.failed.add(record.jobid)
             self._write(
@@ -103,27 +110,28 @@ class Terminal(logging.Filter):
         return False
 
     def _error(self, record: logging.LogRecord) -> bool:
-        # which command of which rule ended with 1 says nothing beside the job's own sentence, which comes after it
-        said = str(record.msg)
-        if "CalledProcessError" in said:
-            self.held.append(said)
+        # the failed command adds nothing to the job's own sentence, which follows
+        message = str(record.msg)
+        if "CalledProcessError" in message:
+            self.pending_errors.append(message)
             return False
-        return not (self.failed and "At least one job did not complete successfully" in said)
+        return not (self.failed and "At least one job did not complete successfully" in message)
 
     def _release(self) -> None:
-        for said in self.held:
-            self._write(said)
-        self.held = []
+        for message in self.pending_errors:
+            self._write(message)
+        self.pending_errors = []
 
     def summary(self) -> str:
-        """At the end of the run: where the notes on flights are put together, or nothing."""
+        """Return the pages that collect the notes on flights at the end of the run, or nothing."""
         self._release()
         pages = sorted(set(self.noted) - self.pages)
         if not pages:
             return ""
         return (
-            f"Notes on {_counted(len(pages), 'flight')} came up; each flight has a page that gathers them: "
-            f"`{again(self.asked, pages[0])}`, or all of config/processing.json: `{again(self.asked, 'processing')}`"
+            f"{_format_count(len(pages), 'flight')} with notes; each flight has a page that collects them: "
+            f"`{format_command(self.asked, pages[0])}`, or all of config/processing.json: "
+            f"`{format_command(self.asked, 'processing')}`"
         )
 
     def _write(self, text: str) -> None:
@@ -132,9 +140,9 @@ class Terminal(logging.Filter):
 
 
 class FaultFilter(logging.Filter):
-    """Replaces Snakemake's messages on a run that cannot start by sentences that are printed at its end.
+    """Replaces Snakemake's messages about a run that cannot start by sentences that are printed at its end.
 
-    faults  these sentences, to which it adds; targets  returns what can be made; lock  explains a locked folder
+    faults  list of these sentences, extended here; targets  returns what can be made; lock  explains a locked folder
     """
 
     def __init__(self, faults: list[str], targets: Callable[[], Iterable[str]], lock: Callable[[], str]):
@@ -154,20 +162,20 @@ class FaultFilter(logging.Filter):
                 "says under 'What is where' what can be made, and names hold letters, digits and . _ + - only"
             )
             return False
-        # where in the rules a fault of the configuration was met does not help to correct it
+        # the place in the rules does not help to correct a fault of the configuration
         return not any(fault in text for fault in self.faults)
 
 
-def standing(targets: Sequence[str], folder: str | Path) -> str:
-    """Where results that are up to date begin, of the targets in the project folder that have a page; or nothing."""
+def list_up_to_date_pages(targets: Sequence[str], folder: str | Path) -> str:
+    """List the pages of targets that are up to date in the project folder; or return nothing."""
     pages = [f"{t.rstrip('/')}/report.html" for t in targets if (Path(folder) / t / "report.html").is_file()]
-    return f"Up to date; begin with {', '.join(pages)}" if pages else ""
+    return f"Up to date; start with {', '.join(pages)}" if pages else ""
 
 
-def again(asked: Sequence[str], target: str = "") -> str:
-    """The command that makes a target of the same project, or what it begins with. asked  arguments of Snakemake
+def format_command(asked: Sequence[str], target: str = "") -> str:
+    """Format the command that makes a target of the same project, or its beginning. asked  arguments of Snakemake
 
-    >>> again(["-d", "my lab", "-j2", "--config", "data=/mnt", "--", "models/m/standalone"], "processing")
+    >>> format_command(["-d", "my lab", "-j2", "--config", "data=/mnt", "--", "models/m/standalone"], "processing")
     "snakemake -d 'my lab' --config data=/mnt -- processing"
     """
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
@@ -177,13 +185,13 @@ def again(asked: Sequence[str], target: str = "") -> str:
     parser.add_argument("-C", "--config", nargs="+", action="extend")
     try:
         kept, _ = parser.parse_known_args(asked)
-    except argparse.ArgumentError:  # what Snakemake took it for is not known here
+    except argparse.ArgumentError:  # Snakemake understands more options than this parser
         kept = argparse.Namespace(snakefile=None, directory=None, configfile=None, config=None)
     words = ["snakemake"]
     for option, value in (("-s", kept.snakefile), ("-d", kept.directory)):
         words += [option, value] if value else []
     for option, values in (("--configfile", kept.configfile), ("--config", kept.config)):
-        # a setting goes on to the next option: what holds no = is a target that followed it
+        # a setting extends to the next option; an argument without = is a target after it
         values = [v for v in values or [] if option != "--config" or "=" in v]
         words += [option, *values] if values else []
     if not target:
@@ -191,17 +199,17 @@ def again(asked: Sequence[str], target: str = "") -> str:
     return shlex.join([*words, *(["--"] if kept.configfile or kept.config else []), target])
 
 
-def _plainly(job: Mapping[str, Any]) -> str:
+def _name_job(job: Mapping[str, Any]) -> str:
     wildcards = ", ".join(str(v) for v in job.get("wildcards", {}).values())
     return f"{job.get('rule_name', 'a job')} {wildcards}".strip()
 
 
-def _masked(note: str, key: str) -> str:
-    """A note without its flight's name and without numbers: what flights have alike is told once."""
+def _mask_note(note: str, key: str) -> str:
+    """Mask the flight's name and all numbers in a note, so that equal notes of several flights are printed once."""
     if key:
         note = re.sub(rf"(?<!\w){re.escape(key)}(?!\w)", "*", note)
     return re.sub(r"-?\d+(\.\d+)?", "#", note)
 
 
-def _counted(number: int, thing: str) -> str:
+def _format_count(number: int, thing: str) -> str:
     return f"{number} {thing}{'' if number == 1 else 's'}"

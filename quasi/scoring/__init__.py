@@ -1,1 +1,1 @@
-"""How well a model does: scores, diagnostics, verdict and their figures."""
+"""Evaluation of a model: scores, diagnostics, verdict and their figures."""

@@ -1,7 +1,7 @@
-"""Does the model hold beyond its training rows, and if not, why: the checks of the manual and a verdict in words.
+"""Generalisation of a model beyond its training rows: the checks of the manual, and a verdict.
 
 - RMSE on training, test and validation rows, their relative differences, and the manual's 10 % rules;
-- the same per quartile of the measured range, with how the rows of each role are spread over it;
+- the same per quartile of the measured range, with the distribution of the rows of each role;
 - coverage of the prediction intervals;
 - coverage of the validation data by the training data, variable by variable.
 
@@ -16,16 +16,16 @@ import pandas as pd
 
 from quasi.model.envelope import HIGH, LOW, limited_names
 from quasi.model.model import Model
-from quasi.scoring.score import POOLED, Judged
-from quasi.scoring.verdict import ORDER, beside_base, headline, shortly, verdict
+from quasi.scoring.score import POOLED, AxisComparison
+from quasi.scoring.verdict import VERDICTS, compare_with_base, derive_verdict, group_axes_by_kind, summarise_axes
 from quasi.tables import ANY
 from quasi.terms.expressions import names, parse
 from quasi.terms.variables import Variables
 
-SCHEMA = "quasi.diagnostics/1"
-RULE = 0.10  # relative difference in RMSE from which it is significant
-BINS = 60
-BANDS = ("lower 25 %", "middle 50 %", "upper 25 %")
+DIAGNOSTICS_SCHEMA = "quasi.diagnostics/2"
+SIGNIFICANT_SHARE = 0.10  # relative difference in RMSE from which it is significant
+HISTOGRAM_BINS = 60
+QUARTILE_BANDS = ("lower 25 %", "middle 50 %", "upper 25 %")
 COVERAGE_UNITS = {
     "variable": ("", "", "variable of the model's terms; 'any of Fx' all of that axis"),
     "below": ("1", "", "share of validation rows below the 0.01 % percentile of the training rows"),
@@ -37,7 +37,7 @@ COVERAGE_UNITS = {
 
 def diagnose(
     model: Model,
-    judged: Mapping[str, Judged],
+    comparisons: Mapping[str, AxisComparison],
     scores: pd.DataFrame,
     coverage: pd.DataFrame,
     beyond: Mapping[str, np.ndarray],
@@ -45,91 +45,91 @@ def diagnose(
     partitioning: Mapping[str, Any] | None = None,
     base: tuple[str, pd.DataFrame] | None = None,
 ) -> dict[str, Any]:
-    """The checks of every axis and a verdict in words, as plain data ("quasi.diagnostics/1").
+    """Check every axis and derive a verdict, as plain data ("quasi.diagnostics/2").
 
-    judged, scores  of the same rows (`judge`, `score_judged`); coverage, beyond  of `covered_share`
+    judged, scores  of the same rows (`judge`, `score_judged`); coverage, beyond  of `compute_coverage`
     roles           {name: code}; partitioning  the model's "data partitioning"
     base            ID and scores, on the same rows, of the model that a gap extended; None for any other
     """
     axes = {}
     for axis in model.axes:
         pooled = scores[(scores["flight"] == POOLED) & (scores["axis"] == axis)].set_index("role")
-        facts = _facts(pooled)
-        facts["quartiles"] = quartiles(judged[axis], roles)
-        facts["histogram"] = histogram(judged[axis], roles)
-        facts["interval"] = _interval(judged[axis], pooled, roles)
-        facts["outside"] = _outside(model, axis, coverage, beyond.get(axis), judged[axis], roles)
+        facts = _collect_facts(pooled)
+        facts["quartiles"] = compute_quartiles(comparisons[axis], roles)
+        facts["histogram"] = compute_histogram(comparisons[axis], roles)
+        facts["interval"] = _describe_interval(comparisons[axis], pooled, roles)
+        facts["outside"] = _describe_outside(model, axis, coverage, beyond.get(axis), comparisons[axis], roles)
         facts["unit"] = model.document["axes"][axis]["unit"]
-        facts["base"] = _base(*base, axis) if base else None
-        facts |= verdict(axis, facts, bool(model.document.get("extensions")))
+        facts["base"] = _read_base_scores(*base, axis) if base else None
+        facts |= derive_verdict(axis, facts, bool(model.document.get("extensions")))
         axes[axis] = facts
-    worst = max((facts["verdict"] for facts in axes.values()), key=ORDER.index)
-    # scores do not show it: a polynomial fits whatever the rotors are called, and flies another vehicle
+    worst = max((facts["verdict"] for facts in axes.values()), key=VERDICTS.index)
+    # scores do not show wrong rotor numbers: the polynomial fits, but describes another vehicle
     wrong = model.document.get("contradictions") or []
     if wrong:
-        worst = ORDER[2]
+        worst = VERDICTS[2]
     return {
-        "schema": SCHEMA,
+        "schema": DIAGNOSTICS_SCHEMA,
         "model": model.id,
         "verdict": worst,
-        "shortly": "; ".join([*wrong, *beside_base(axes), shortly(axes)]),
-        "summary": [*wrong, *beside_base(axes), *headline(axes)],
-        "partition": _leak(partitioning or {}, scores),
+        "in short": "; ".join([*wrong, *compare_with_base(axes), group_axes_by_kind(axes)]),
+        "summary": [*wrong, *compare_with_base(axes), *summarise_axes(axes)],
+        "partition": _describe_partition(partitioning or {}, scores),
         "axes": axes,
     }
 
 
-def _base(name: str, scores: pd.DataFrame, axis: str) -> dict[str, Any] | None:
-    """Name and validation scores of an axis of the base, None where it was not judged."""
+def _read_base_scores(name: str, scores: pd.DataFrame, axis: str) -> dict[str, Any] | None:
+    """Read name and validation scores of an axis of the base, None without scores."""
     of_axis = scores[(scores["flight"] == POOLED) & (scores["axis"] == axis) & (scores["role"] == "validation")]
     if not len(of_axis) or not of_axis["n"].iloc[0]:
         return None
-    return {"id": name, "rmse": _plain(of_axis["rmse"].iloc[0]), "r2": _plain(of_axis["r2"].iloc[0])}
+    return {"id": name, "rmse": _finite_or_none(of_axis["rmse"].iloc[0]), "r2": _finite_or_none(of_axis["r2"].iloc[0])}
 
 
-def _facts(pooled: pd.DataFrame) -> dict[str, Any]:
+def _collect_facts(pooled: pd.DataFrame) -> dict[str, Any]:
     known = [r for r in ("training", "test", "validation") if r in pooled.index and pooled.loc[r, "n"] > 0]
     facts = {
-        name: {role: _plain(pooled.loc[role, column]) for role in known}
+        name: {role: _finite_or_none(pooled.loc[role, column]) for role in known}
         for name, column in (
             ("rmse", "rmse"), ("relative rmse", "relative_rmse"), ("r2", "r2"), ("bias", "bias"), ("rows", "n"),
         )
     }  # fmt: skip
     rmse = facts["rmse"]
-    # the manual's two figures, in its own sense: 100 (1 - training / test), 100 (1 - validation / test)
+    # the manual's two figures, as it defines them: 100 (1 - training / test), 100 (1 - validation / test)
     facts["relative difference"] = {
-        "test and training": _difference(rmse, "training", "test"),
-        "test and validation": _difference(rmse, "validation", "test"),
-        "validation above training": _above(rmse, "validation", "training"),
-        "test above training": _above(rmse, "test", "training"),
-        "validation above training, relative": _above(facts["relative rmse"], "validation", "training"),
+        "test and training": _percent_difference(rmse, "training", "test"),
+        "test and validation": _percent_difference(rmse, "validation", "test"),
+        "validation above training": _percent_above(rmse, "validation", "training"),
+        "test above training": _percent_above(rmse, "test", "training"),
+        "validation above training, relative": _percent_above(facts["relative rmse"], "validation", "training"),
     }
     test, validation = (facts["relative difference"][k] for k in ("test and training", "test and validation"))
     facts["warnings"] = {
-        "test": test is not None and test > 100 * RULE,
-        "validation": validation is not None and validation < -100 * RULE,
+        "test": test is not None and test > 100 * SIGNIFICANT_SHARE,
+        "validation": validation is not None and validation < -100 * SIGNIFICANT_SHARE,
     }
     return facts
 
 
-def _plain(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _difference(values: Mapping[str, float | None], of: str, against: str) -> float | None:
+def _percent_difference(values: Mapping[str, float | None], of: str, against: str) -> float | None:
     a, b = values.get(of), values.get(against)
     return 100.0 - 100.0 * a / b if a is not None and b else None
 
 
-def _above(values: Mapping[str, float | None], of: str, against: str) -> float | None:
+def _percent_above(values: Mapping[str, float | None], of: str, against: str) -> float | None:
     a, b = values.get(of), values.get(against)
     return 100.0 * (a / b - 1.0) if a is not None and b else None
 
 
-def quartiles(found: Judged, roles: Mapping[str, int]) -> list[dict[str, Any]]:
-    """RMSE and share of the rows of each role in the lowest 25 %, middle 50 % and highest 25 % of what was measured.
+def compute_quartiles(found: AxisComparison, roles: Mapping[str, int]) -> list[dict[str, Any]]:
+    """RMSE and share of the rows of each role in the lowest 25 %, middle 50 % and highest 25 % of the measurements.
 
-    The bounds are those of all rows of these roles together. Each band also holds the manual's ratios X/T and V/T.
+    The bounds are those of all rows of these roles. Each band also has the manual's ratios X/T and V/T.
     """
     fine = np.isfinite(found.measured) & np.isfinite(found.predicted) & np.isin(found.role, list(roles.values()))
     measured = found.measured[fine]
@@ -141,7 +141,7 @@ def quartiles(found: Judged, roles: Mapping[str, int]) -> list[dict[str, Any]]:
     role = found.role[fine]
     edges = [float(measured.min()), *bounds.tolist(), float(measured.max())]
     result = []
-    for k, name in enumerate(BANDS):
+    for k, name in enumerate(QUARTILE_BANDS):
         rmse, share = {}, {}
         for word, code in roles.items():
             here = role == code
@@ -153,23 +153,25 @@ def quartiles(found: Judged, roles: Mapping[str, int]) -> list[dict[str, Any]]:
         result.append(
             {
                 "band": name, "from": edges[k], "to": edges[k + 1], "rmse": rmse, "share": share,
-                "X/T": _ratio(rmse, "training", "test"), "V/T": _ratio(rmse, "validation", "test"),
+                "X/T": _divide(rmse, "training", "test"), "V/T": _divide(rmse, "validation", "test"),
             }
         )  # fmt: skip
     return result
 
 
-def _ratio(values: Mapping[str, float], a: str, b: str) -> float | None:
+def _divide(values: Mapping[str, float], a: str, b: str) -> float | None:
     return values[a] / values[b] if a in values and values.get(b) else None
 
 
-def histogram(found: Judged, roles: Mapping[str, int]) -> dict[str, Any]:
-    """Density of the measured values of each role over common bins, 1 / unit; the end bins hold all beyond them."""
+def compute_histogram(found: AxisComparison, roles: Mapping[str, int]) -> dict[str, Any]:
+    """Density of the measured values of each role over common bins, 1 / unit; the end bins include all values
+    beyond.
+    """
     fine = np.isfinite(found.measured) & np.isin(found.role, list(roles.values()))
     if not fine.any():
         return {"edges": [], "density": {}}
     low, high = np.percentile(found.measured[fine], [0.1, 99.9])
-    edges = np.linspace(low, high if high > low else low + 1.0, BINS + 1)
+    edges = np.linspace(low, high if high > low else low + 1.0, HISTOGRAM_BINS + 1)
     density = {}
     for word, code in roles.items():
         values = found.measured[fine & (found.role == code)]
@@ -178,7 +180,7 @@ def histogram(found: Judged, roles: Mapping[str, int]) -> dict[str, Any]:
     return {"edges": edges.tolist(), "density": density}
 
 
-def _interval(found: Judged, pooled: pd.DataFrame, roles: Mapping[str, int]) -> dict[str, Any]:
+def _describe_interval(found: AxisComparison, pooled: pd.DataFrame, roles: Mapping[str, int]) -> dict[str, Any]:
     known = np.isin(found.role, list(roles.values())) & np.isfinite(found.measured) & np.isfinite(found.upper)
     inside = (found.measured >= found.lower) & (found.measured <= found.upper)
     span = float(np.ptp(found.measured[known])) if known.any() else 0.0
@@ -186,25 +188,25 @@ def _interval(found: Judged, pooled: pd.DataFrame, roles: Mapping[str, int]) -> 
     return {
         "confidence": float(pooled["confidence"].iloc[0]),
         "coverage": {"all": float(np.mean(inside[known])) if known.any() else None}
-        | {role: _plain(pooled.loc[role, "coverage"]) for role in pooled.index},
+        | {role: _finite_or_none(pooled.loc[role, "coverage"]) for role in pooled.index},
         "mean width": width,
         "width over measured range": width / span if width is not None and span > 0 else None,
     }
 
 
-def covered_share(
+def compute_coverage(
     model: Model, flights: Mapping[str, pd.DataFrame], rows: Mapping[str, np.ndarray]
 ) -> tuple[pd.DataFrame, dict[str, np.ndarray]]:
-    """How far the training data cover these rows, one line per variable of the model's terms.
+    """Compute how far the training data cover these rows, one line per variable of the model's terms.
 
-    flights  held-out flights; rows {flight: (n,) bool} those to look at
-    Returns a table and {axis: (m,) bool}, those of all these rows with some variable of the axis beyond the training
-    rows' 0.01 % to 99.99 % percentiles. The table's columns: variable; below, above (shares of the rows beyond them);
-    the training rows' and these rows' least, largest, 1 % and 99 % percentile. Its last lines, "any of Fx" and so on,
-    hold under `above` the share of rows with some variable of that axis beyond. Empty without rows.
+    flights  held-out flights; rows {flight: (n,) bool} to evaluate
+    Returns a table and {axis: (m,) bool}, the rows with some variable of the axis beyond the training rows' 0.01 % to
+    99.99 % percentiles. The table's columns: variable; below, above (shares of the rows beyond the percentiles); least,
+    largest, 1 % and 99 % percentile of the training rows and of these rows. In its last lines, "any of Fx" and so on,
+    `above` is the share of rows with some variable of that axis beyond. Empty without rows.
     """
     known = model.document["envelope"]
-    of_axis = {axis: [n for n in _variables(model, axis) if LOW in known.get(n, {}).get("percentiles", {})]
+    of_axis = {axis: [n for n in _list_variables(model, axis) if LOW in known.get(n, {}).get("percentiles", {})]
                for axis in model.axes}  # fmt: skip
     wanted = list(dict.fromkeys(n for some in of_axis.values() for n in some))
     values: dict[str, list[np.ndarray]] = {n: [] for n in wanted}
@@ -246,26 +248,26 @@ def covered_share(
     return pd.DataFrame(lines, columns=list(COVERAGE_UNITS)), beyond
 
 
-def _variables(model: Model, axis: str) -> list[str]:
+def _list_variables(model: Model, axis: str) -> list[str]:
     terms = model.document["axes"][axis]["terms"]
     return limited_names(n for term in terms for n in names(parse(term["expression"])))
 
 
-def _outside(
+def _describe_outside(
     model: Model,
     axis: str,
     coverage: pd.DataFrame,
     beyond: np.ndarray | None,
-    found: Judged,
+    found: AxisComparison,
     roles: Mapping[str, int],
 ) -> dict[str, Any]:
-    """Share of the validation rows beyond the training data, the variables that say so, the RMSE of the others."""
+    """Share of the validation rows beyond the training data, the responsible variables, the RMSE of the other rows."""
     if beyond is None or not len(beyond):
         return {"share": None, "variables": {}, "rmse inside": None}
     lines = coverage.set_index("variable")
     shares = {
         name: float(lines.loc[name, "below"] + lines.loc[name, "above"])
-        for name in _variables(model, axis)
+        for name in _list_variables(model, axis)
         if name in lines.index
     }
     worst = dict(sorted(((n, s) for n, s in shares.items() if s > 0.002), key=lambda pair: -pair[1])[:5])
@@ -276,15 +278,15 @@ def _outside(
     return {"share": float(beyond.mean()), "variables": worst, "rmse inside": inside}
 
 
-def _leak(partitioning: Mapping[str, Any], scores: pd.DataFrame) -> dict[str, Any]:
+def _describe_partition(partitioning: Mapping[str, Any], scores: pd.DataFrame) -> dict[str, Any]:
     by = partitioning.get("partition by", "samples") if partitioning.get("random partition", True) else None
     note = None
     if by == "samples" and (scores["role"] == "test").any():
         note = (
-            "the test rows are single samples whose neighbours train, so that they leak: they say little about new "
+            "the test rows are single samples between training samples, so they leak and prove little about new "
             'flights; judge by validation flights, or set \'partition by\' to "blocks" or "flights"'
         )
     elif by is None:
-        judged = "; the validation flights stand for them" if (scores["role"] == "validation").any() else ""
-        note = f"no test rows were drawn{judged}"
+        comparisons = "; the validation flights replace them" if (scores["role"] == "validation").any() else ""
+        note = f"no test rows were drawn{comparisons}"
     return {"by": by, "note": note}

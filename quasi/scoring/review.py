@@ -1,4 +1,4 @@
-"""Everything that judges a model, in one go: predictions beside measurements, scores, coverage, diagnosis."""
+"""Review of a model in one step: predictions against measurements, scores, coverage, diagnosis."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -8,25 +8,25 @@ import pandas as pd
 
 from quasi.model.extensions import as_read
 from quasi.model.model import Model
-from quasi.scoring.diagnostics import covered_share, diagnose
-from quasi.scoring.score import Judged, judge, score_judged
+from quasi.scoring.diagnostics import compute_coverage, diagnose
+from quasi.scoring.score import AxisComparison, compare_with_measurements, score_comparisons
 
 
 class Review(NamedTuple):
     """judged {axis: Judged}; scores, coverage as tables; diagnosis as plain data."""
 
-    judged: dict[str, Judged]
+    comparisons: dict[str, AxisComparison]
     scores: pd.DataFrame
     coverage: pd.DataFrame
     diagnosis: dict[str, Any]
 
 
-def review(
+def review_model(
     model: Model,
     flights: Mapping[str, pd.DataFrame],
     partition: Mapping[str, np.ndarray],
     roles: Mapping[str, int],
-    aside: Mapping[str, Mapping[str, np.ndarray]] | None = None,
+    excluded: Mapping[str, Mapping[str, np.ndarray]] | None = None,
     partitioning: Mapping[str, Any] | None = None,
     base: Model | None = None,
     masses: Mapping[str, float | None] | None = None,
@@ -34,21 +34,24 @@ def review(
     """Judge a model on its training, test and validation rows.
 
     flights  filtered flights; partition {flight: (n,) role codes}; roles {name: code}
-    aside    {axis: {flight: (n,) bool}} training rows that isolation sets aside; partitioning  how rows were drawn
+    aside    {axis: {flight: (n,) bool}} training rows that isolation excludes; partitioning  how rows were drawn
     base     the model that a gap extended to this one: judged on the same rows, and compared with
-    masses   {flight: kg that it was processed with}, of flights that tell it
-    Extended models are compared with flights that are read with what they know, see `as_read`.
+    masses   {flight: mass of its processing, kg}, of flights that record it
+    Extended models are compared with flights corrected by their extensions, see `as_read`.
     """
     masses = masses or {}
     read = {key: as_read(model, flight, masses.get(key)) for key, flight in flights.items()}
-    judged = judge(model, read, partition, aside)
-    scores = score_judged(judged, model, roles)
+    comparisons = compare_with_measurements(model, read, partition, excluded)
+    scores = score_comparisons(comparisons, model, roles)
     held = {key: np.asarray(partition[key]) == roles["validation"] for key in flights}
     held = {key: rows for key, rows in held.items() if rows.any()}
-    coverage, beyond = covered_share(model, {key: read[key] for key in held}, held)
-    beside = None
+    coverage, beyond = compute_coverage(model, {key: read[key] for key in held}, held)
+    against_base = None
     if base:
         own = {key: as_read(base, flight, masses.get(key)) for key, flight in flights.items()}
-        beside = base.id, score_judged(judge(base, own, partition, aside), base, roles)
-    diagnosis = diagnose(model, judged, scores, coverage, beyond, roles, partitioning, beside)
-    return Review(judged, scores, coverage, diagnosis)
+        against_base = (
+            base.id,
+            score_comparisons(compare_with_measurements(base, own, partition, excluded), base, roles),
+        )
+    diagnosis = diagnose(model, comparisons, scores, coverage, beyond, roles, partitioning, against_base)
+    return Review(comparisons, scores, coverage, diagnosis)

@@ -1,4 +1,4 @@
-"""How well a model does: errors and interval coverage per flight and role, and over all flights of a role."""
+"""Scores of a model: errors and interval coverage per flight and role, and over all flights of a role."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -10,27 +10,27 @@ from quasi.errors import DataError
 from quasi.model.model import Model
 
 POOLED = "all"
-FULL = "full"  # role of all rows together, training, test and validation
-UNITS = {
+FULL_ROLE = "full"  # role of all rows together, training, test and validation
+SCORE_UNITS = {
     "flight": ("", "", "flight key, or all"),
     "role": ("", "", "training, test or validation; full: all of them together"),
     "axis": ("", "", "force or moment"),
     "n": ("1", "", "rows"),
     "rmse": ("SI", "", "root mean square error, N or N m"),
     "relative_rmse": ("1", "", "rmse over the root mean square of the measurement"),
-    "r2": ("1", "", "share of the variance about the rows' own mean that is explained"),
+    "r2": ("1", "", "explained share of the variance about the mean of the rows"),
     "bias": ("SI", "", "mean of measured minus predicted, N or N m"),
     "coverage": ("1", "", "share of measurements inside the prediction interval"),
-    "confidence": ("1", "", "share that should be inside"),
+    "confidence": ("1", "", "nominal share inside"),
     "interval_width": ("SI", "", "mean width of the prediction interval, N or N m"),
 }
 
 
-class Judged(NamedTuple):
-    """One axis of a model beside its measurements, over the used rows of all flights one after another.
+class AxisComparison(NamedTuple):
+    """Predictions of one axis compared with measurements, over the used rows of all flights in sequence.
 
     keys of the flights; flight (n,) number of each row's flight; t (n,) s; role (n,) codes of this axis, 0 where
-    isolation sets a training row aside; measured, predicted, lower, upper (n,) N or N m, NaN where one is unknown.
+    isolation excludes a training row; measured, predicted, lower, upper (n,) N or N m, NaN where unknown.
     """
 
     keys: tuple[str, ...]
@@ -43,16 +43,16 @@ class Judged(NamedTuple):
     upper: np.ndarray
 
 
-def judge(
+def compare_with_measurements(
     model: Model,
     flights: Mapping[str, pd.DataFrame],
     partition: Mapping[str, np.ndarray],
-    aside: Mapping[str, Mapping[str, np.ndarray]] | None = None,
-) -> dict[str, Judged]:
-    """Measurements, predictions and intervals of every axis, {axis: Judged}.
+    excluded: Mapping[str, Mapping[str, np.ndarray]] | None = None,
+) -> dict[str, AxisComparison]:
+    """Collect measurements, predictions and intervals of every axis, {axis: Judged}.
 
     flights  filtered flights with the measured Fx .. Mz; partition {flight: (n,) role codes}, 0 for unused rows
-    aside    {axis: {flight: (n,) bool}} rows that isolation sets aside
+    aside    {axis: {flight: (n,) bool}} rows that isolation excludes
     Raises DataError when a measured axis is missing.
     """
     pieces: dict[str, list[tuple[np.ndarray, ...]]] = {axis: [] for axis in model.axes}
@@ -62,14 +62,14 @@ def judge(
         chosen = flight[used]
         missing = [axis for axis in model.axes if axis not in flight]
         if missing:
-            raise DataError(f"flight {key} has no column '{missing[0]}' to compare with; filter it anew")
+            raise DataError(f"flight {key} has no column '{missing[0]}' to compare with; filter it again")
         if not len(chosen):
             continue
         bands = model.interval(chosen)
         for axis in model.axes:
             role = codes[used].astype(np.int8)
-            if aside and key in aside.get(axis, {}):
-                role = np.where(aside[axis][key][used], 0, role)
+            if excluded and key in excluded.get(axis, {}):
+                role = np.where(excluded[axis][key][used], 0, role)
             columns = (chosen[axis], bands[axis], bands[f"{axis}_lower"], bands[f"{axis}_upper"])
             pieces[axis].append(
                 (
@@ -79,28 +79,32 @@ def judge(
             )  # fmt: skip
     keys = tuple(flights)
     nothing = (np.zeros(0, np.int16), np.zeros(0), np.zeros(0, np.int8), *(np.zeros(0) for _ in range(4)))
-    return {axis: Judged(keys, *map(np.concatenate, zip(*(found or [nothing])))) for axis, found in pieces.items()}
+    return {
+        axis: AxisComparison(keys, *map(np.concatenate, zip(*(found or [nothing])))) for axis, found in pieces.items()
+    }
 
 
-def score(
+def score_model(
     model: Model,
     flights: Mapping[str, pd.DataFrame],
     partition: Mapping[str, np.ndarray],
     roles: Mapping[str, int],
 ) -> pd.DataFrame:
-    """Errors of a model on flights: `score_judged` of what `judge` finds."""
-    return score_judged(judge(model, flights, partition), model, roles)
+    """Score a model on flights: `score_comparisons` of `compare_with_measurements`."""
+    return score_comparisons(compare_with_measurements(model, flights, partition), model, roles)
 
 
-def score_judged(judged: Mapping[str, Judged], model: Model, roles: Mapping[str, int]) -> pd.DataFrame:
-    """Errors of a model. One row per flight, role and axis, then one per role and axis over all flights ("all"), at
-    last one per axis over the rows of all roles ("full").
+def score_comparisons(
+    comparisons: Mapping[str, AxisComparison], model: Model, roles: Mapping[str, int]
+) -> pd.DataFrame:
+    """Score a model per flight, role and axis.
 
+    The rows per role and axis over all flights ("all") follow, then one per axis over the rows of all roles ("full").
     roles    {name: code}, for example {"training": 1, "test": 2, "validation": 3}
     Returns columns flight, role, axis, n, rmse, relative_rmse, r2, bias, coverage, confidence, interval_width.
     """
     rows, pooled = [], []
-    for axis, found in judged.items():
+    for axis, found in comparisons.items():
         table = np.column_stack([found.measured, found.predicted, found.lower, found.upper])
         finite = np.isfinite(table[:, :2]).all(axis=1)  # a published model has no intervals
         for role, code in roles.items():
@@ -110,17 +114,17 @@ def score_judged(judged: Mapping[str, Judged], model: Model, roles: Mapping[str,
             for number, key in enumerate(found.keys):
                 here = of_role & (found.flight == number)
                 if here.any():
-                    rows.append(_row(key, role, axis, table[here & finite], model))
-            pooled.append(_row(POOLED, role, axis, table[of_role & finite], model))
+                    rows.append(_score_rows(key, role, axis, table[here & finite], model))
+            pooled.append(_score_rows(POOLED, role, axis, table[of_role & finite], model))
         of_any = np.isin(found.role, list(roles.values()))
         if of_any.any():
-            pooled.append(_row(POOLED, FULL, axis, table[of_any & finite], model))
-    order = {role: k for k, role in enumerate([*roles, FULL])}
+            pooled.append(_score_rows(POOLED, FULL_ROLE, axis, table[of_any & finite], model))
+    order = {role: k for k, role in enumerate([*roles, FULL_ROLE])}
     pooled.sort(key=lambda row: order[row["role"]])
-    return pd.DataFrame([*rows, *pooled], columns=list(UNITS))
+    return pd.DataFrame([*rows, *pooled], columns=list(SCORE_UNITS))
 
 
-def _row(flight: str, role: str, axis: str, table: np.ndarray, model: Model) -> dict:
+def _score_rows(flight: str, role: str, axis: str, table: np.ndarray, model: Model) -> dict:
     confidence = model.document["axes"][axis]["confidence level"]
     if not len(table):
         return {"flight": flight, "role": role, "axis": axis, "n": 0, "confidence": confidence}
@@ -144,10 +148,10 @@ def _row(flight: str, role: str, axis: str, table: np.ndarray, model: Model) -> 
     }
 
 
-def table_text(scores: pd.DataFrame, model: Model) -> str:
-    """The pooled scores as a table for reading: R2 and RMSE per axis on training, test, validation and all rows."""
+def format_scores(scores: pd.DataFrame, model: Model) -> str:
+    """Format the pooled scores as a text table: R2 and RMSE per axis on training, test, validation and all rows."""
     pooled = scores[scores["flight"] == POOLED].set_index(["role", "axis"])
-    roles = [r for r in ("training", "test", "validation", FULL) if r in pooled.index.get_level_values("role")]
+    roles = [r for r in ("training", "test", "validation", FULL_ROLE) if r in pooled.index.get_level_values("role")]
     lines = [f"Model {model.id}: R2 and RMSE (forces N, moments N m)"]
     lines.append("axis  " + "".join(f"{role:>24}" for role in roles))
     for axis in model.axes:
@@ -158,9 +162,9 @@ def table_text(scores: pd.DataFrame, model: Model) -> str:
             r2 = f"{row['r2']:.4f}" if row["r2"] > -100 else f"{row['r2']:.1e}"
             cells += f"{r2:>12}{row['rmse']:>12.3e}"
         lines.append(f"{axis:<6}{cells}")
-    said: dict[str, list[str]] = {}
-    for role in (r for r in roles if r != FULL):
+    roles_of_flights: dict[str, list[str]] = {}
+    for role in (r for r in roles if r != FULL_ROLE):
         flights = sorted(set(scores[scores["role"] == role]["flight"]) - {POOLED})
-        said.setdefault(", ".join(flights), []).append(role)
-    lines += [f"{' and '.join(of)}: {flights}" for flights, of in said.items()]
+        roles_of_flights.setdefault(", ".join(flights), []).append(role)
+    lines += [f"{' and '.join(of)}: {flights}" for flights, of in roles_of_flights.items()]
     return "\n".join(lines) + "\n"

@@ -7,10 +7,21 @@ from typing import Any
 import pandas as pd
 
 from quasi.model.model import Model
-from quasi.scoring.score import POOLED, table_text
+from quasi.scoring.score import POOLED, format_scores
 
-SCHEMA = "quasi.summary/1"
-KEPT = ("name", "expression", "coefficient", "std", "t", "unit", "fixed", "given", "inflation", "inclusion frequency")
+SUMMARY_SCHEMA = "quasi.summary/1"
+SUMMARY_TERM_KEYS = (
+    "name",
+    "expression",
+    "coefficient",
+    "std",
+    "t",
+    "unit",
+    "fixed",
+    "given",
+    "inflation",
+    "inclusion frequency",
+)
 _TEX = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "%": r"\%", "#": r"\#", "_": r"\_",
     "^": r"\textasciicircum{}", "~": r"\textasciitilde{}", "<": r"\textless{}", ">": r"\textgreater{}",
@@ -18,17 +29,17 @@ _TEX = {
 }  # fmt: skip
 
 
-def summary_text(model: Model, scores: pd.DataFrame, diagnosis: Mapping[str, Any]) -> str:
-    """Verdict first, then the scores; under them what the test rows are worth, where no held-out flight judges."""
+def format_summary(model: Model, scores: pd.DataFrame, diagnosis: Mapping[str, Any]) -> str:
+    """Format verdict and scores; without held-out flights, add a note on the value of the test rows."""
     lines = [f"Verdict: {diagnosis['verdict']}", *(f"  {line}" for line in diagnosis["summary"]), ""]
-    text = "\n".join(lines) + table_text(scores, model)
-    # the page says it always; a verdict by held-out flights leaves nothing to do about it
+    text = "\n".join(lines) + format_scores(scores, model)
+    # the page always has the note; with held-out flights it needs no action
     note = None if (scores["role"] == "validation").any() else diagnosis["partition"]["note"]
     return text + (f"note: {note}\n" if note else "")
 
 
-def summary_json(model: Model, scores: pd.DataFrame, diagnosis: Mapping[str, Any]) -> dict[str, Any]:
-    """Terms, scores and verdict per axis as plain data ("quasi.summary/1")."""
+def make_summary(model: Model, scores: pd.DataFrame, diagnosis: Mapping[str, Any]) -> dict[str, Any]:
+    """Make terms, scores and verdict per axis as plain data ("quasi.summary/1")."""
     pooled = scores[scores["flight"] == POOLED]
     axes = {}
     for axis in model.axes:
@@ -39,7 +50,7 @@ def summary_json(model: Model, scores: pd.DataFrame, diagnosis: Mapping[str, Any
             "verdict": facts["verdict"],
             "because": facts["because"],
             "what to do": facts["what to do"],
-            "terms": [{k: term[k] for k in KEPT if k in term} for term in part["terms"]],
+            "terms": [{k: term[k] for k in SUMMARY_TERM_KEYS if k in term} for term in part["terms"]],
             "scores": {
                 row.pop("role"): {k: v if _finite(v) else None for k, v in row.items()}
                 for row in rows.to_dict("records")
@@ -48,7 +59,7 @@ def summary_json(model: Model, scores: pd.DataFrame, diagnosis: Mapping[str, Any
             "effective rows": part["effective rows"],
         }
     return {
-        "schema": SCHEMA,
+        "schema": SUMMARY_SCHEMA,
         "model": model.id,
         "verdict": diagnosis["verdict"],
         "summary": diagnosis["summary"],
@@ -63,72 +74,72 @@ def _finite(value: Any) -> bool:
     return isinstance(value, int | float) and math.isfinite(value)
 
 
-def summary_latex(model: Model, scores: pd.DataFrame, diagnosis: Mapping[str, Any]) -> str:
+def format_latex(model: Model, scores: pd.DataFrame, diagnosis: Mapping[str, Any]) -> str:
     r"""Tables for \input in a LaTeX document: scores of all axes, then the terms of each. No packages are needed."""
     lines = [
-        f"% Model {_comment(model.id)}: scores and terms; use with \\input{{...}} in a document, no packages needed",
-        *_scores(model, scores, diagnosis),
+        f"% Model {_format_comment(model.id)}: scores and terms; include it with \\input{{...}}, no packages needed",
+        *_format_scores(model, scores, diagnosis),
     ]
     for axis in model.axes:
-        lines += _terms(model, axis)
+        lines += _format_terms(model, axis)
     return "\n".join(lines) + "\n"
 
 
-def _comment(text: str) -> str:
+def _format_comment(text: str) -> str:
     return " ".join(text.split())
 
 
-def _scores(model: Model, scores: pd.DataFrame, diagnosis: Mapping[str, Any]) -> list[str]:
+def _format_scores(model: Model, scores: pd.DataFrame, diagnosis: Mapping[str, Any]) -> list[str]:
     pooled = scores[scores["flight"] == POOLED].set_index(["role", "axis"])
     roles = [r for r in ("training", "test", "validation") if r in pooled.index.get_level_values("role")]
     lines = [
         r"\begin{table}[htbp]", r"\centering",
-        rf"\caption{{Model {tex(model.id)}: $R^2$ and RMSE (N, N\,m).}}",
+        rf"\caption{{Model {escape_latex(model.id)}: $R^2$ and RMSE (N, N\,m).}}",
         rf"\begin{{tabular}}{{l{'rr' * len(roles)}l}}", r"\hline",
         " & ".join(["", *(rf"\multicolumn{{2}}{{c}}{{{role}}}" for role in roles), ""]) + r" \\",
         " & ".join(["axis", *["$R^2$ & RMSE"] * len(roles), "verdict"]) + r" \\", r"\hline",
     ]  # fmt: skip
     for axis in model.axes:
-        cells = [tex(axis)]
+        cells = [escape_latex(axis)]
         for role in roles:
             row = pooled.loc[(role, axis)]
-            cells += [number(row["r2"], 4), number(row["rmse"], 4)]
-        lines.append(" & ".join([*cells, tex(diagnosis["axes"][axis]["verdict"])]) + r" \\")
+            cells += [format_number(row["r2"], 4), format_number(row["rmse"], 4)]
+        lines.append(" & ".join([*cells, escape_latex(diagnosis["axes"][axis]["verdict"])]) + r" \\")
     return [*lines, r"\hline", r"\end{tabular}", r"\end{table}"]
 
 
-def _terms(model: Model, axis: str) -> list[str]:
+def _format_terms(model: Model, axis: str) -> list[str]:
     part = model.document["axes"][axis]
     often = any("inclusion frequency" in term for term in part["terms"])
     head = ["term", "coefficient", "std.~error", "$|t|$", *(["inclusion"] if often else []), "unit"]
     lines = [
         "", r"\begin{table}[htbp]", r"\centering",
-        rf"\caption{{{tex(axis)} of model {tex(model.id)}: $R^2 = {part['R2']:.4f}$, RMSE "
-        rf"{number(part['RMSE'], 4)} {unit(part['unit'])} on {part['n']} training rows.}}",
+        rf"\caption{{{escape_latex(axis)} of model {escape_latex(model.id)}: $R^2 = {part['R2']:.4f}$, RMSE "
+        rf"{format_number(part['RMSE'], 4)} {format_unit(part['unit'])} on {part['n']} training rows.}}",
         rf"\begin{{tabular}}{{l{'r' * (len(head) - 2)}l}}", r"\hline", " & ".join(head) + r" \\", r"\hline",
     ]  # fmt: skip
     for term in part["terms"]:
         t = term.get("t")
         cells = [
-            rf"\texttt{{{tex(term['name'])}}}",
-            number(term["coefficient"], 5),
-            "given" if term.get("given") else number(term["std"], 2),
+            rf"\texttt{{{escape_latex(term['name'])}}}",
+            format_number(term["coefficient"], 5),
+            "given" if term.get("given") else format_number(term["std"], 2),
             "--" if t is None else f"{abs(t):.1f}",
         ]
         if often:
             share = term.get("inclusion frequency")
             cells.append("--" if share is None else rf"{100 * share:.0f}\,\%")
-        lines.append(" & ".join([*cells, unit(term["unit"])]) + r" \\")
+        lines.append(" & ".join([*cells, format_unit(term["unit"])]) + r" \\")
     return [*lines, r"\hline", r"\end{tabular}", r"\end{table}"]
 
 
-def tex(text: object) -> str:
-    """Text that LaTeX sets as it is; what lies outside ASCII becomes a question mark."""
+def escape_latex(text: object) -> str:
+    """Escape text for LaTeX; characters outside ASCII become question marks."""
     return "".join(_TEX.get(c, c) if " " <= c <= "~" else "?" for c in str(text))
 
 
-def number(value: float, digits: int) -> str:
-    """A number in mathematical mode with so many significant digits, powers of ten only where needed."""
+def format_number(value: float, digits: int) -> str:
+    """Format a number in mathematical mode with this many significant digits, powers of ten only where needed."""
     if not _finite(value):
         return "--"
     if value == 0:
@@ -140,8 +151,8 @@ def number(value: float, digits: int) -> str:
     return rf"${mantissa}\times10^{{{int(exponent)}}}$"
 
 
-def unit(text: str) -> str:
-    """A unit such as "N s2/rad2" with its powers raised."""
+def format_unit(text: str) -> str:
+    """Format a unit such as "N s2/rad2" with superscripts."""
     out, digits = [], ""
     for c in [*text, ""]:
         if (c.isdigit() and (digits or (out and out[-1].isalpha()))) or (c == "." and digits):
@@ -150,5 +161,5 @@ def unit(text: str) -> str:
         if digits:
             out.append(f"$^{{{digits}}}$")
             digits = ""
-        out.append(r"\," if c == " " else tex(c))
+        out.append(r"\," if c == " " else escape_latex(c))
     return "".join(out)

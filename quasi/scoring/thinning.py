@@ -1,4 +1,4 @@
-"""Measurements beside predictions, thinned to what a page can hold and an eye can see."""
+"""Measurements and predictions, thinned for a page."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -6,30 +6,30 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from quasi.scoring.score import Judged
+from quasi.scoring.score import AxisComparison
 
-MOST_POINTS = 24_000  # rows; half of them are the held-out flights'
-FINEST = 125.0  # Hz
+MAX_PAGE_ROWS = 24_000  # rows; half of them are the held-out flights'
+MAX_PAGE_RATE = 125.0  # Hz
 
 
-def thin(judged: Mapping[str, Judged], validation: Sequence[str]) -> pd.DataFrame:
-    """Rows of all axes for the page, every so many of a flight.
+def thin_rows(comparisons: Mapping[str, AxisComparison], validation: Sequence[str]) -> pd.DataFrame:
+    """Thin the rows of all axes for the page.
 
     judged  {axis: rows of `judge`}; validation  held-out flights, which get half of the rows
     Returns columns flight, t (s), start (1 after a gap), held (1 on held-out flights), and per axis its measurement
     under its name, <axis>_model, and <axis>_half, half the width of its interval.
     """
-    some = next(iter(judged.values()))
+    some = next(iter(comparisons.values()))
     of_flight = [np.flatnonzero(some.flight == k) for k in range(len(some.keys))]
     held = [key in validation for key in some.keys]
     counts = {h: sum(len(rows) for rows, is_held in zip(of_flight, held) if is_held == h) for h in (True, False)}
-    most = MOST_POINTS // 2 if counts[True] and counts[False] else MOST_POINTS
+    most = MAX_PAGE_ROWS // 2 if counts[True] and counts[False] else MAX_PAGE_ROWS
     picked, start = [np.zeros(0, int)], [np.zeros(0, bool)]
     for rows, is_held in zip(of_flight, held):
         if len(rows) < 2:
             continue
         step = float(np.median(np.diff(some.t[rows])))
-        every = max(-(-counts[is_held] // most), round(1.0 / (FINEST * step)), 1)
+        every = max(-(-counts[is_held] // most), round(1.0 / (MAX_PAGE_RATE * step)), 1)
         picked.append(rows[::every])
         start.append(np.concatenate([[True], np.diff(some.t[picked[-1]]) > 8 * every * step]))
     chosen, starts = np.concatenate(picked), np.concatenate(start)
@@ -40,21 +40,21 @@ def thin(judged: Mapping[str, Judged], validation: Sequence[str]) -> pd.DataFram
         "start": starts.astype(float),
         "held": np.array(held, float)[number],
     }
-    for axis, found in judged.items():
+    for axis, found in comparisons.items():
         table[axis] = found.measured[chosen]
         table[f"{axis}_model"] = found.predicted[chosen]
         table[f"{axis}_half"] = 0.5 * (found.upper - found.lower)[chosen]
     return pd.DataFrame(table)
 
 
-def thinned_units(axes: Sequence[str]) -> dict[str, tuple[str, str, str]]:
-    """Units of the columns of `thin`."""
+def list_thinned_units(axes: Sequence[str]) -> dict[str, tuple[str, str, str]]:
+    """Units of the columns of `thin_rows`."""
     return {
         "flight": ("", "", "flight key"),
         "start": ("1", "", "1 on the first row after a gap"),
         "held": ("1", "", "1 on held-out flights"),
     } | {
-        f"{axis}_{what}": ("N" if axis[0] == "F" else "N m", "body FRD", said)
+        f"{axis}_{what}": ("N" if axis[0] == "F" else "N m", "body FRD", text)
         for axis in axes
-        for what, said in (("model", "prediction"), ("half", "half the width of the prediction interval"))
+        for what, text in (("model", "prediction"), ("half", "half the width of the prediction interval"))
     }

@@ -7,7 +7,7 @@ from quasi.identification.partition import ROLES, partition
 from quasi.model.build import assemble
 from quasi.model.envelope import covered
 from quasi.model.model import Model
-from quasi.scoring.review import review
+from quasi.scoring.review import review_model
 
 TERMS = {
     "Fz": ("1", "w1^2 + w2^2 + w3^2 + w4^2", "w*w_tot", "u^2"),
@@ -85,4 +85,4 @@ def made(change=lambda f: f, options=None, rows=2000, validation=("c",), aside=N
         },
     )  # fmt: skip
     model = Model(document)
-    return model, flights, review(model, flights, codes, ROLES, aside, options)
+    return model, flights, review_model(model, flights, codes, ROLES, aside, options)

@@ -38,12 +38,12 @@ def test_an_older_file_of_the_same_size_in_the_place_of_another_is_noticed(tmp_p
     other.write_bytes(b"an other 1")
     os.utime(other, (1e9, 1e9))
     kept = Checksums(memory)
-    before = kept.of(log)
+    before = kept.compute(log)
     kept.save()
     expected = sha256_of(other)
     replace(other, log)
     assert log.stat().st_mtime == 1e9
-    assert Checksums(memory).of(log) == expected != before
+    assert Checksums(memory).compute(log) == expected != before
 
 
 def test_the_time_of_the_directory_entry_is_compared_where_size_and_time_of_content_agree(tmp_path):
@@ -53,23 +53,23 @@ def test_the_time_of_the_directory_entry_is_compared_where_size_and_time_of_cont
     for path in (log, other):
         os.utime(path, (1e9, 1e9))
     kept = Checksums(memory)
-    before = kept.of(log)
+    before = kept.compute(log)
     kept.save()
     other.replace(log)
-    assert Checksums(memory).of(log) == sha256_of(log) != before
+    assert Checksums(memory).compute(log) == sha256_of(log) != before
 
 
 def test_an_unchanged_file_is_read_once_and_a_touched_one_keeps_its_checksum(tmp_path, reads):
     log, memory = tmp_path / "a.bbl", tmp_path / "checksums.json"
     log.write_bytes(b"one flight")
     kept = Checksums(memory)
-    digest = kept.of(log)
-    assert kept.of(log) == digest
+    digest = kept.compute(log)
+    assert kept.compute(log) == digest
     kept.save()
-    assert Checksums(memory).of_all([log]) == {str(log): digest}
+    assert Checksums(memory).compute_all([log]) == {str(log): digest}
     assert len(reads) == 1
     os.utime(log, (2e9, 2e9))
-    assert Checksums(memory).of(log) == digest
+    assert Checksums(memory).compute(log) == digest
     assert len(reads) == 2
 
 
@@ -78,7 +78,7 @@ def test_absent_and_empty_files_have_no_checksum_and_a_damaged_memory_is_made_an
     (tmp_path / "empty").touch()
     memory.write_text('{"a": [1,')
     kept = Checksums(memory)
-    assert kept.of(tmp_path / "absent") is None
-    assert kept.of(tmp_path / "empty") is None
+    assert kept.compute(tmp_path / "absent") is None
+    assert kept.compute(tmp_path / "empty") is None
     kept.save()
-    assert Checksums(memory).of(tmp_path / "empty") is None
+    assert Checksums(memory).compute(tmp_path / "empty") is None

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import quasi
-from quasi.running.compile_cache import own_cache
+from quasi.running.compile_cache import use_cache_folder
 
 ROOT = Path(__file__).parents[2]
 
@@ -60,7 +60,7 @@ def test_changed_constants_of_other_modules_reach_the_kernels_and_changed_texts_
 
 
 def test_the_folder_is_set_before_any_kernel_and_handed_to_jobs():
-    folder = own_cache()
+    folder = use_cache_folder()
     assert folder is not None
     assert os.environ["NUMBA_CACHE_DIR"] == str(folder)
     assert folder.is_dir()

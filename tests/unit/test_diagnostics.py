@@ -10,10 +10,16 @@ from judged import TERMS, columns, made
 from quasi.errors import DataError
 from quasi.identification.partition import ROLES, TRAINING
 from quasi.model.model import Model
-from quasi.scoring.review import review
-from quasi.scoring.score import judge, score, score_judged
-from quasi.scoring.summary import summary_text
-from quasi.scoring.verdict import headline, lower, shortly, unusable_held_out, verdict
+from quasi.scoring.review import review_model
+from quasi.scoring.score import compare_with_measurements, score_comparisons, score_model
+from quasi.scoring.summary import format_summary
+from quasi.scoring.verdict import (
+    derive_verdict,
+    describe_unusable_flights,
+    group_axes_by_kind,
+    lower_verdict,
+    summarise_axes,
+)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +48,7 @@ def test_a_model_that_holds_is_good_on_all(good):
     diagnosis = found.diagnosis
     assert diagnosis["verdict"] == "good"
     assert diagnosis["summary"] == ["Fz, My: good on all"]
-    assert diagnosis["shortly"] == "Fz, My: good"
+    assert diagnosis["in short"] == "Fz, My: good"
     assert all(not any(f["warnings"].values()) for f in diagnosis["axes"].values())
     assert diagnosis["axes"]["Fz"]["interval"]["coverage"]["validation"] == pytest.approx(0.95, abs=0.02)
 
@@ -50,26 +56,26 @@ def test_a_model_that_holds_is_good_on_all(good):
 def test_a_model_that_contradicts_its_configuration_is_unusable_whatever_its_scores(good):
     model, flights, found = good
     document = copy.deepcopy(model.document) | {"contradictions": ["rotor 1 pushes as if it were elsewhere"]}
-    wrong = review(Model(document, "made"), flights, codes_of(found.judged), ROLES).diagnosis
+    wrong = review_model(Model(document, "made"), flights, codes_of(found.comparisons), ROLES).diagnosis
     assert found.diagnosis["verdict"] == "good" and wrong["verdict"] == "unusable"
-    assert wrong["summary"][0] == wrong["shortly"].split("; ")[0] == "rotor 1 pushes as if it were elsewhere"
+    assert wrong["summary"][0] == wrong["in short"].split("; ")[0] == "rotor 1 pushes as if it were elsewhere"
 
 
 def test_a_held_out_flight_that_is_unusable_judges_no_model(good):
     diagnosis = good[2].diagnosis
     made = {"a": {"unusable because": []}, "c": {"unusable because": ["gyro and attitude contradict each other"]}}
-    [sentence] = unusable_held_out(made, ["a", "c"])
+    [sentence] = describe_unusable_flights(made, ["a", "c"])
     assert "flight c " in sentence and "gyro and attitude" in sentence
-    lowered = lower(diagnosis, [sentence])
+    lowered = lower_verdict(diagnosis, [sentence])
     assert lowered["verdict"] == "usable with care" and lowered["summary"] == [sentence, *diagnosis["summary"]]
-    assert lower({**diagnosis, "verdict": "unusable"}, [sentence])["verdict"] == "unusable"
-    assert lower(diagnosis, []) == diagnosis
+    assert lower_verdict({**diagnosis, "verdict": "unusable"}, [sentence])["verdict"] == "unusable"
+    assert lower_verdict(diagnosis, []) == diagnosis
 
 
 @pytest.mark.parametrize("axis", list(TERMS))
 def test_rmse_differences_and_quartiles_equal_plain_arithmetic(good, axis):
     model, flights, found = good
-    facts, codes = found.diagnosis["axes"][axis], codes_of(found.judged)
+    facts, codes = found.diagnosis["axes"][axis], codes_of(found.comparisons)
     rms = {}
     everything = np.concatenate([plain(model, flights, codes, axis, r)[0] for r in ROLES])
     low, high = np.quantile(everything, [0.25, 0.75])
@@ -93,8 +99,8 @@ def test_rmse_differences_and_quartiles_equal_plain_arithmetic(good, axis):
 
 def test_scores_are_those_of_the_judged_rows(good):
     model, flights, found = good
-    codes = codes_of(found.judged)
-    pd.testing.assert_frame_equal(score(model, flights, codes, ROLES), found.scores)
+    codes = codes_of(found.comparisons)
+    pd.testing.assert_frame_equal(score_model(model, flights, codes, ROLES), found.scores)
     z, y = plain(model, flights, codes, "My", "validation")
     row = found.scores.query("flight == 'all' and role == 'validation' and axis == 'My'").iloc[0]
     assert row["r2"] == pytest.approx(1 - np.mean((z - y) ** 2) / np.var(z))
@@ -107,19 +113,19 @@ def test_noise_of_another_kind_is_told_with_its_share_and_remedy():
     facts = found.diagnosis["axes"]["My"]
     assert found.diagnosis["verdict"] == "usable with care"
     assert facts["overfits"]
-    assert facts["said"].startswith("My: overfits: validation RMSE ")
-    assert "% above training" in facts["said"]
+    assert facts["statement"].startswith("My: overfits: validation RMSE ")
+    assert "% above training" in facts["statement"]
     assert any("remove regressors" in r for r in facts["what to do"])
     assert found.diagnosis["summary"][0] == "Fz: good on all"
     assert facts["warnings"] == {"test": False, "validation": True}
-    assert any("intervals hold" in b for b in facts["because"])
+    assert any("intervals contain" in b for b in facts["because"])
 
 
 def test_an_offset_is_told_as_another_trim_not_as_overfitting():
     _, _, found = made(lambda f: f.assign(My=f["My"] + 2e-3))
     facts = found.diagnosis["axes"]["My"]
     assert not facts["overfits"]
-    assert found.diagnosis["shortly"].endswith("My: a constant offset, another trim on the validation flights")
+    assert found.diagnosis["in short"].endswith("My: a constant offset, another trim on the validation flights")
     assert any("is a constant offset of 0.0019" in b for b in facts["because"])
     assert any("centre of gravity" in r for r in facts["what to do"])
 
@@ -135,7 +141,7 @@ def test_rows_beyond_the_training_data_are_the_reason_given():
     facts = found.diagnosis["axes"]["Fz"]
     assert facts["outside"]["share"] > 0.05
     assert next(iter(facts["outside"]["variables"])) == "u"
-    assert any("beyond the training data (u in" in b and "make the difference" in b for b in facts["because"])
+    assert any("training data (u in" in b for b in facts["because"])
     assert facts["outside"]["rmse inside"] < 1.1 * facts["rmse"]["training"] < facts["rmse"]["validation"]
     assert any("reach further in u" in r for r in facts["what to do"])
     assert facts["kind"] in ("beyond", "unusable")
@@ -161,17 +167,17 @@ def test_a_livelier_flight_with_errors_in_proportion_is_no_fault():
         "outside": {"share": 0.0, "variables": {}, "rmse inside": 1.5},
         "unit": "N",
     }
-    said = verdict("Fx", facts)
+    said = derive_verdict("Fx", facts)
     assert said["verdict"] == "good"
-    assert "in proportion to a livelier flight" in said["said"]
-    worse = verdict("Fx", {**facts, "r2": {"training": 0.3, "validation": -0.4}})
+    assert "in proportion to a more dynamic flight" in said["statement"]
+    worse = derive_verdict("Fx", {**facts, "r2": {"training": 0.3, "validation": -0.4}})
     assert worse["verdict"] == worse["kind"] == "unusable"
     short = {**facts, "interval": {"confidence": 0.95, "coverage": {"training": 0.96, "test": 0.905}}}
-    assert verdict("Fx", short)["overfits"]  # the manual's second sign: five points between training and test
-    assert "explains 30 % of the variance" in worse["said"]
-    assert headline({"Fx": {**said, "rmse": facts["rmse"]}, "My": {**worse, "rmse": facts["rmse"]}}) == [
+    assert derive_verdict("Fx", short)["overfits"]  # the manual's second sign: five points between training and test
+    assert "explains only 30 % of the variance" in worse["statement"]
+    assert summarise_axes({"Fx": {**said, "rmse": facts["rmse"]}, "My": {**worse, "rmse": facts["rmse"]}}) == [
         "Fx: good on training and validation",
-        "; ".join([worse["said"], *worse["what to do"]]),
+        "; ".join([worse["statement"], *worse["what to do"]]),
     ]
 
 
@@ -204,7 +210,7 @@ def test_without_validation_flights_the_test_rows_judge():
     assert found.diagnosis["summary"] == ["Fz, My: good on training and test"]
     assert found.diagnosis["axes"]["My"]["outside"]["share"] is None
     _, _, alone = made(validation=(), options={"random partition": False}, rows=600)
-    assert "no test or validation rows judge it" in alone.diagnosis["axes"]["Fz"]["because"]
+    assert "no test or validation rows" in alone.diagnosis["axes"]["Fz"]["because"]
 
 
 @pytest.mark.parametrize(
@@ -235,12 +241,12 @@ def test_an_extended_model_is_judged_beside_its_base(rmse, r2, base, expected):
         "unit": "N",
         "base": {"id": "m", "rmse": base, "r2": 0.0},
     }
-    said = verdict("Fx", facts, True)
-    assert (said["verdict"], said["beside its base"], shortly({"Fx": said})[4:]) == expected
+    said = derive_verdict("Fx", facts, True)
+    assert (said["verdict"], said["against its base"], group_axes_by_kind({"Fx": said})[4:]) == expected
     assert said["because"][0].startswith("validation RMSE") and "its base m" in said["because"][0]
-    assert not said["overfits"] and "overfits" not in said["said"]
-    alone = verdict("Fx", {**facts, "base": None}, True)
-    assert alone["beside its base"] is None and alone["verdict"] != "good"
+    assert not said["overfits"] and "overfits" not in said["statement"]
+    alone = derive_verdict("Fx", {**facts, "base": None}, True)
+    assert alone["against its base"] is None and alone["verdict"] != "good"
 
 
 def test_the_base_is_judged_on_the_same_rows():
@@ -248,17 +254,17 @@ def test_the_base_is_judged_on_the_same_rows():
     weaker = copy.deepcopy(model.document)
     for term in weaker["axes"]["My"]["terms"]:
         term["coefficient"] *= 0.5
-    found = review(model, flights, codes_of(whole.judged), ROLES, base=Model({**weaker, "id": "weaker"}))
+    found = review_model(model, flights, codes_of(whole.comparisons), ROLES, base=Model({**weaker, "id": "weaker"}))
     facts = found.diagnosis["axes"]
     assert facts["Fz"]["base"]["rmse"] == pytest.approx(facts["Fz"]["rmse"]["validation"])
-    said = "beside its base weaker on the same held-out flights: better in My; alike in Fz"
-    assert found.diagnosis["summary"][0] == said and found.diagnosis["shortly"].startswith(said)
-    assert whole.diagnosis["axes"]["My"]["base"] is None and "base" not in whole.diagnosis["shortly"]
+    said = "compared with its base weaker on the same held-out flights: better in My; alike in Fz"
+    assert found.diagnosis["summary"][0] == said and found.diagnosis["in short"].startswith(said)
+    assert whole.diagnosis["axes"]["My"]["base"] is None and "base" not in whole.diagnosis["in short"]
 
 
 def test_rows_set_aside_neither_train_nor_test():
     _, flights, whole = made(rows=600)
-    codes = codes_of(whole.judged)
+    codes = codes_of(whole.comparisons)
     aside = {"My": {"a": codes["a"] == TRAINING}}
     model, _, found = made(rows=600, aside=aside)
     counts = found.scores[found.scores["role"] == "training"].set_index(["axis", "flight"])["n"]
@@ -266,15 +272,15 @@ def test_rows_set_aside_neither_train_nor_test():
     assert counts["Fz", "a"] == np.count_nonzero(codes["a"] == TRAINING)
     assert counts["My", "all"] == counts["My", "b"]
     with pytest.raises(DataError, match="flight c has no column 'My'"):
-        judge(model, {**flights, "c": flights["c"].drop(columns="My")}, codes)
+        compare_with_measurements(model, {**flights, "c": flights["c"].drop(columns="My")}, codes)
 
 
 def test_rows_with_missing_values_are_left_out_of_the_scores():
     _, _, whole = made(rows=600)
     model, flights, _ = made(rows=600)
     flights["c"].loc[10:20, "Fz"] = np.nan
-    judged = judge(model, flights, codes_of(whole.judged))
-    table = score_judged(judged, model, ROLES)
+    judged = compare_with_measurements(model, flights, codes_of(whole.comparisons))
+    table = score_comparisons(judged, model, ROLES)
     row = table.query("flight == 'c' and axis == 'Fz'").iloc[0]
     assert row["n"] == 589
     assert np.isfinite(row["rmse"])
@@ -283,16 +289,16 @@ def test_rows_with_missing_values_are_left_out_of_the_scores():
 @pytest.mark.parametrize("validation", [(), ("c",)], ids=["none held out", "one held out"])
 def test_summary_advises_on_test_rows_only_where_they_have_to_judge(validation):
     model, _, found = made(rows=600, validation=validation)
-    text = summary_text(model, found.scores, found.diagnosis)
-    assert ("single samples whose neighbours train" in text) == (not validation)
+    text = format_summary(model, found.scores, found.diagnosis)
+    assert ("single samples between training samples" in text) == (not validation)
 
 
 def test_a_model_without_intervals_is_scored_all_the_same(good):
     """A published one knows nothing of its errors."""
     model, _, found = good
     bare = {a: j._replace(lower=np.full_like(j.lower, np.nan), upper=np.full_like(j.upper, np.nan))
-            for a, j in found.judged.items()}  # fmt: skip
-    told = score_judged(bare, model, ROLES)
+            for a, j in found.comparisons.items()}  # fmt: skip
+    told = score_comparisons(bare, model, ROLES)
     for column in ("n", "rmse", "r2", "bias"):
         pd.testing.assert_series_equal(told[column], found.scores[column])
     assert told["coverage"].isna().all() and told["interval_width"].isna().all()
@@ -301,5 +307,5 @@ def test_a_model_without_intervals_is_scored_all_the_same(good):
 def test_without_held_out_flights_none_is_said_to_stand_for_test_rows():
     with_them, without = (made(validation=v, options={"random partition": False}, rows=600)[2].diagnosis["partition"]
                           for v in (("c",), ()))  # fmt: skip
-    assert with_them["note"].endswith("the validation flights stand for them")
+    assert with_them["note"].endswith("the validation flights replace them")
     assert without["note"] == "no test rows were drawn"

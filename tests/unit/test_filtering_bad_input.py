@@ -12,7 +12,7 @@ from quasi.errors import Caution, ConfigError, DataError, cautions, cautions_fir
 from quasi.filtering import estimation, flight, forces
 from quasi.filtering.flight import filter_flight
 from quasi.filtering.noise import beyond
-from quasi.running.job_log import RUN, job, outcome
+from quasi.running.job_log import RUN_VARIABLE, job, read_outcome
 from quasi.tables import write_json, write_table
 
 AIRFRAME = quadrotor()
@@ -97,7 +97,7 @@ def test_log_lost_all_through_is_said(made):
 def test_a_flight_without_any_valid_row_is_called_so_in_its_jobs_own_line(made, tmp_path, monkeypatch):
     frame, metadata = made
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv(RUN, str(tmp_path / "run"))
+    monkeypatch.setenv(RUN_VARIABLE, str(tmp_path / "run"))
     write_table("f.parquet", frame.assign(onboard_valid=0.0))
     write_json("f.json", {**metadata, "position source": "none", "velocity source": "none"})
     names = ("with_gravity", "no_gravity", "with_gravity_metadata", "no_gravity_metadata", "convergence")
@@ -107,7 +107,7 @@ def test_a_flight_without_any_valid_row_is_called_so_in_its_jobs_own_line(made, 
     monkeypatch.setattr(program, "read_airframe", lambda *_: AIRFRAME)
     with job("f.log"):
         program.main(settings, "f.parquet", "f.json", {n: f"{n}.out" for n in names})
-    told = outcome(tmp_path / "run", "f.log")
+    told = read_outcome(tmp_path / "run", "f.log")
     assert told["verdict"].startswith("unusable (unusable for identification: neither position nor velocity; ")
     assert "no row is valid for identification: sensors or rotor speeds are lost" in told["verdict"]
     assert not any("no row of this flight" in note for note in told["notes"])

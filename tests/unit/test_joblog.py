@@ -8,7 +8,7 @@ import pytest
 from quasi.command import main
 from quasi.errors import ReadError
 from quasi.running import job_log as joblog
-from quasi.running.job_log import LOG, RUN, job, progress, texts_at_end
+from quasi.running.job_log import LOG, RUN_VARIABLE, job, read_reports, show_progress
 
 
 @pytest.mark.parametrize(
@@ -22,10 +22,10 @@ from quasi.running.job_log import LOG, RUN, job, progress, texts_at_end
     ],
 )
 def test_every_failure_of_a_job_is_told_in_one_sentence(tmp_path, monkeypatch, fault, words):
-    monkeypatch.setenv(RUN, str(tmp_path / "run"))
+    monkeypatch.setenv(RUN_VARIABLE, str(tmp_path / "run"))
     with pytest.raises(SystemExit), job(tmp_path / "logs/a.log", "import of a"):
         raise fault
-    (sentence,) = texts_at_end(tmp_path / "run", "errors")
+    (sentence,) = read_reports(tmp_path / "run", "errors")
     assert words in sentence
     assert "\n" not in sentence
     assert (tmp_path / "logs/a.log").read_text()
@@ -38,11 +38,11 @@ def test_init_where_no_folder_can_be_is_a_sentence(tmp_path, capsys):
 
 
 def test_progress_of_a_job_goes_to_its_log_alone_in_plain_lines(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(joblog, "EVERY", 0.0)
+    monkeypatch.setattr(joblog, "PROGRESS_INTERVAL", 0.0)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)  # a job's terminal is that of the whole run
     with job(tmp_path / "a.log", "filtering of a"):
-        assert list(progress(range(4), "filtering samples")) == [0, 1, 2, 3]
-        assert list(progress(iter("ab"), "reading")) == ["a", "b"]
+        assert list(show_progress(range(4), "filtering samples")) == [0, 1, 2, 3]
+        assert list(show_progress(iter("ab"), "reading")) == ["a", "b"]
     lines = (tmp_path / "a.log").read_text().splitlines()
     assert any("filtering samples: 3 of 4 (75 %) in" in line for line in lines)
     assert any("reading: 1 in" in line for line in lines)
@@ -51,13 +51,13 @@ def test_progress_of_a_job_goes_to_its_log_alone_in_plain_lines(tmp_path, capsys
 
 def test_a_quick_job_says_nothing_of_its_progress(tmp_path):
     with job(tmp_path / "a.log", "filtering of a"):
-        list(progress(range(1000), "filtering samples"))
+        list(show_progress(range(1000), "filtering samples"))
     assert "filtering samples" not in (tmp_path / "a.log").read_text()
 
 
 def test_progress_on_a_terminal_is_a_bar_and_elsewhere_nothing(capsys, monkeypatch):
     assert LOG.handlers == []
-    assert list(progress(range(3), "filtering samples")) == [0, 1, 2] and capsys.readouterr().err == ""
+    assert list(show_progress(range(3), "filtering samples")) == [0, 1, 2] and capsys.readouterr().err == ""
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    assert list(progress(range(3), "filtering samples", mininterval=0.0)) == [0, 1, 2]
+    assert list(show_progress(range(3), "filtering samples", mininterval=0.0)) == [0, 1, 2]
     assert "filtering samples" in capsys.readouterr().err

@@ -14,9 +14,9 @@ from quasi.running.live_runs import (
     is_alive,
     other_runs,
     refuse_unlocking,
-    register,
+    register_run,
     remove_stale_lock,
-    withdraw,
+    withdraw_card,
 )
 from quasi.tables import read_json, write_json
 
@@ -28,7 +28,7 @@ def other(tmp_path):
     def leave(pid, started, host=None, at=1e9):
         host = host or socket.gethostname()
         card = {"pid": pid, "host": host, "process started": started, "at": at, "command": "snakemake -j2 models/x"}
-        write_json(tmp_path / live_runs.CARDS / f"{host}-{pid}.json", card)
+        write_json(tmp_path / live_runs.CARDS_FOLDER / f"{host}-{pid}.json", card)
 
     return leave
 
@@ -47,7 +47,7 @@ def test_a_live_run_is_named_and_its_lock_never_given_up(tmp_path, other, proces
     assert f"process {process.pid}" in text and socket.gethostname() in text and "`snakemake -j2 models/x`" in text
     assert "--unlock" not in text
     assert f"process {process.pid}" in refuse_unlocking(tmp_path)
-    lock = tmp_path / live_runs.LOCKS / "0.input.lock"
+    lock = tmp_path / live_runs.LOCKS_FOLDER / "0.input.lock"
     lock.parent.mkdir(parents=True)
     lock.touch()
     assert remove_stale_lock(tmp_path) is None and lock.exists()
@@ -68,28 +68,28 @@ def test_a_run_on_another_computer_may_be_alive(tmp_path, other):
     assert is_alive(other_runs(tmp_path)[0]) is None
     assert "on another computer" in explain_lock(tmp_path, "snakemake")
     assert "process 1 on elsewhere" in explain_lock(tmp_path, "snakemake")
-    (tmp_path / live_runs.LOCKS).mkdir(parents=True)
-    (tmp_path / live_runs.LOCKS / "0.input.lock").touch()
-    assert remove_stale_lock(tmp_path) is None and list((tmp_path / live_runs.LOCKS).iterdir())
+    (tmp_path / live_runs.LOCKS_FOLDER).mkdir(parents=True)
+    (tmp_path / live_runs.LOCKS_FOLDER / "0.input.lock").touch()
+    assert remove_stale_lock(tmp_path) is None and list((tmp_path / live_runs.LOCKS_FOLDER).iterdir())
 
 
 def test_a_lock_without_a_recorded_run_stays_and_the_command_that_removes_it_is_named(tmp_path):
-    (tmp_path / live_runs.LOCKS).mkdir(parents=True)
-    (tmp_path / live_runs.LOCKS / "0.input.lock").touch()
+    (tmp_path / live_runs.LOCKS_FOLDER).mkdir(parents=True)
+    (tmp_path / live_runs.LOCKS_FOLDER / "0.input.lock").touch()
     assert remove_stale_lock(tmp_path) is None
     assert "`snakemake -d lab --unlock`" in explain_lock(tmp_path, "snakemake -d lab")
 
 
 def test_a_run_leaves_its_card_and_takes_it_back_and_dead_ones_go_once_nothing_is_locked(tmp_path, other):
     other(2**22 + 1, 1.0)
-    (tmp_path / live_runs.LOCKS).mkdir(parents=True)
-    (tmp_path / live_runs.LOCKS / "0.input.lock").touch()
-    card = register(tmp_path, "snakemake -j1")
+    (tmp_path / live_runs.LOCKS_FOLDER).mkdir(parents=True)
+    (tmp_path / live_runs.LOCKS_FOLDER / "0.input.lock").touch()
+    card = register_run(tmp_path, "snakemake -j1")
     assert read_json(card)["pid"] == os.getpid() and is_alive(read_json(card))
     assert [run["pid"] for run in other_runs(tmp_path)] == [2**22 + 1]
-    withdraw(card)
-    (tmp_path / live_runs.LOCKS / "0.input.lock").unlink()
-    card = register(tmp_path, "snakemake -j1")
+    withdraw_card(card)
+    (tmp_path / live_runs.LOCKS_FOLDER / "0.input.lock").unlink()
+    card = register_run(tmp_path, "snakemake -j1")
     assert other_runs(tmp_path) == []
-    withdraw(card)
-    assert list((tmp_path / live_runs.CARDS).iterdir()) == []
+    withdraw_card(card)
+    assert list((tmp_path / live_runs.CARDS_FOLDER).iterdir()) == []

@@ -17,16 +17,16 @@ from quasi.identification.isolation import excited
 from quasi.pages.model import _delay, page
 from quasi.scoring.diagnostics import ANY
 from quasi.scoring.figures import (
-    actuator_figure,
-    closeup,
-    comparison,
-    coverage_figure,
-    isolation_figure,
-    quartile_figure,
+    draw_actuators,
+    draw_closeup,
+    draw_comparison,
+    draw_coverage,
+    draw_isolation,
+    draw_quartiles,
 )
-from quasi.scoring.score import judge
-from quasi.scoring.summary import number, summary_json, summary_latex, summary_text, tex, unit
-from quasi.scoring.thinning import MOST_POINTS, thin
+from quasi.scoring.score import compare_with_measurements
+from quasi.scoring.summary import escape_latex, format_latex, format_number, format_summary, format_unit, make_summary
+from quasi.scoring.thinning import MAX_PAGE_ROWS, thin_rows
 from quasi.tables import AGE_OFF
 
 
@@ -38,8 +38,8 @@ def found():
 @pytest.fixture(scope="module")
 def html(found):
     model, _, done = found
-    summary = summary_json(model, done.scores, done.diagnosis)
-    return page(model.document, summary, done.diagnosis, done.coverage, thin(done.judged, ["c"]))
+    summary = make_summary(model, done.scores, done.diagnosis)
+    return page(model.document, summary, done.diagnosis, done.coverage, thin_rows(done.comparisons, ["c"]))
 
 
 # ---- summaries ----
@@ -47,14 +47,14 @@ def html(found):
 
 def test_the_text_says_the_verdict_first_and_the_page_what_random_samples_are_worth(found, html):
     model, _, done = found
-    text = summary_text(model, done.scores, done.diagnosis)
+    text = format_summary(model, done.scores, done.diagnosis)
     assert text.startswith("Verdict: good\n  Fz, My: good on all\nModel made_up")
-    assert "The test rows are single samples whose neighbours train" in html
+    assert "The test rows are single samples between training samples" in html
 
 
 def test_the_json_holds_every_term_and_score_and_is_plain(found):
     model, _, done = found
-    summary = json.loads(json.dumps(summary_json(model, done.scores, done.diagnosis), allow_nan=False))
+    summary = json.loads(json.dumps(make_summary(model, done.scores, done.diagnosis), allow_nan=False))
     for axis, part in model.document["axes"].items():
         said = summary["axes"][axis]
         assert [t["coefficient"] for t in said["terms"]] == [t["coefficient"] for t in part["terms"]]
@@ -65,7 +65,7 @@ def test_the_json_holds_every_term_and_score_and_is_plain(found):
 
 def test_latex_escapes_every_sign_and_keeps_its_braces_in_balance(found):
     model, _, done = found
-    text = summary_latex(model, done.scores, done.diagnosis)
+    text = format_latex(model, done.scores, done.diagnosis)
     assert r"made\_up" in text
     assert r"\texttt{w*w\_tot}" in text
     assert r"u\textasciicircum{}2" in text
@@ -83,10 +83,16 @@ def test_latex_escapes_every_sign_and_keeps_its_braces_in_balance(found):
 def test_latex_of_any_text_compiles_where_a_compiler_is(found, tmp_path):
     model, _, done = found
     every = "".join(map(chr, range(32, 127))) + "µ\n"
-    assert not re.search(r"(?<!\\)[&%#_]", tex(every))
+    assert not re.search(r"(?<!\\)[&%#_]", escape_latex(every))
     if not shutil.which("pdflatex"):
         return
-    body = summary_latex(model, done.scores, done.diagnosis) + tex(every) + r" \texttt{" + tex(every) + "}\n"
+    body = (
+        format_latex(model, done.scores, done.diagnosis)
+        + escape_latex(every)
+        + r" \texttt{"
+        + escape_latex(every)
+        + "}\n"
+    )
     (tmp_path / "a.tex").write_text("\\documentclass{article}\\begin{document}\n" + body + "\\end{document}\n")
     command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "a.tex"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, errors="replace")
@@ -101,13 +107,13 @@ def test_latex_of_any_text_compiles_where_a_compiler_is(found, tmp_path):
     ],
 )  # fmt: skip
 def test_numbers_in_latex(value, digits, said):
-    assert number(value, digits) == said
+    assert format_number(value, digits) == said
 
 
 def test_units_in_latex():
-    assert unit("N s2/(m rad2)") == r"N\,s$^{2}$/(m\,rad$^{2}$)"
-    assert unit("N s0.5") == "N\\,s$^{0.5}$"
-    assert unit("1") == "1"
+    assert format_unit("N s2/(m rad2)") == r"N\,s$^{2}$/(m\,rad$^{2}$)"
+    assert format_unit("N s0.5") == "N\\,s$^{0.5}$"
+    assert format_unit("1") == "1"
 
 
 # ---- figures ----
@@ -115,7 +121,7 @@ def test_units_in_latex():
 
 def test_comparison_delimits_flights_and_shades_validation(found):
     _, _, done = found
-    figure = comparison(done.judged["Fz"], "Fz", "N", ["c"])
+    figure = draw_comparison(done.comparisons["Fz"], "Fz", "N", ["c"])
     top, bottom = figure.axes
     assert top.get_ylabel() == "Fz, N"
     assert [t.get_text() for t in top.texts] == ["a", "b", "c (validation)"]
@@ -130,38 +136,40 @@ def test_comparison_delimits_flights_and_shades_validation(found):
 
 def test_comparison_does_not_bridge_gaps(found):
     _, _, done = found
-    held = done.judged["Fz"]
+    held = done.comparisons["Fz"]
     cut = held._replace(**{
         name: getattr(held, name)[(held.t < 1) | (held.t > 3)]
         for name in ("flight", "t", "role", "measured", "predicted", "lower", "upper")
     })  # fmt: skip
-    line = comparison(cut, "Fz", "N").axes[0].lines[0]
+    line = draw_comparison(cut, "Fz", "N").axes[0].lines[0]
     assert np.isnan(line.get_ydata()).sum() == 1
 
 
 def test_every_figure_is_drawn(found):
     _, flights, done = found
     drawn = [
-        quartile_figure(done.judged["My"], "My", done.diagnosis["axes"]["My"]),
-        coverage_figure(done.coverage),
-        closeup(done.judged, "c", {"Fz": "N", "My": "N m"}),
+        draw_quartiles(done.comparisons["My"], "My", done.diagnosis["axes"]["My"]),
+        draw_coverage(done.coverage),
+        draw_closeup(done.comparisons, "c", {"Fz": "N", "My": "N m"}),
     ]
     assert all(isinstance(f, Figure) for f in drawn)
     assert "validation" in drawn[0].axes[0].get_title(loc="left")
     lines = done.coverage[~done.coverage["variable"].str.startswith(ANY)]
     assert [t.get_text() for t in drawn[1].axes[0].get_yticklabels()] == list(lines["variable"])
-    assert coverage_figure(done.coverage.iloc[:0]) is None
+    assert draw_coverage(done.coverage.iloc[:0]) is None
 
 
 def test_a_close_up_shows_the_liveliest_seconds_and_stands_short_flights(found):
     _, flights, done = found
-    panel = next(p for p in closeup(done.judged, "c", {"Fz": "N", "My": "N m"}, 0.5).axes if p.get_visible())
+    panel = next(p for p in draw_closeup(done.comparisons, "c", {"Fz": "N", "My": "N m"}, 0.5).axes if p.get_visible())
     shown = panel.lines[0].get_xdata()
     square = (flights["c"]["Fz"] - flights["c"]["Fz"].mean()) ** 2
     liveliest = int(square.rolling(250).sum().idxmax()) - 249
     assert shown[0] == pytest.approx(liveliest / 500, abs=1e-9)
-    short = {axis: j._replace(**{n: getattr(j, n)[-60:] for n in j._fields[1:]}) for axis, j in done.judged.items()}
-    assert isinstance(closeup(short, "c", {"Fz": "N", "My": "N m"}), Figure)
+    short = {
+        axis: j._replace(**{n: getattr(j, n)[-60:] for n in j._fields[1:]}) for axis, j in done.comparisons.items()
+    }
+    assert isinstance(draw_closeup(short, "c", {"Fz": "N", "My": "N m"}), Figure)
 
 
 def test_actuator_boxes_hold_every_flight():
@@ -170,15 +178,15 @@ def test_actuator_boxes_hold_every_flight():
         key: {name: {"value": [v * f] * 4, "std": [1e-4] * 4} for name, v in values.items()}
         for key, f in (("a", 0.9), ("b", 1.0), ("c", 1.1))
     }
-    panels = actuator_figure({"flights": flights}).axes
+    panels = draw_actuators({"flights": flights}).axes
     assert [p.get_ylabel() for p in panels] == ["time constant up, ms", "time constant down, ms", "delay, ms"]
     points = max((line for line in panels[1].lines), key=lambda line: len(line.get_xdata()))
     assert sorted(points.get_ydata()) == pytest.approx(sorted([27.0, 30.0, 33.0] * 4))
-    assert actuator_figure(None) is None
+    assert draw_actuators(None) is None
     for key in flights:  # of flight c the delay holds the telemetry's age: it is no part of the box
         flights[key]["delay"] |= {AGE_OFF: key != "c"}
-    apart = actuator_figure({"flights": flights}).axes[2]
-    assert [t.get_text() for t in apart.get_legend().get_texts()] == ["age of the telemetry taken off", "age in it"]
+    apart = draw_actuators({"flights": flights}).axes[2]
+    assert [t.get_text() for t in apart.get_legend().get_texts()] == ["without telemetry delay", "with telemetry delay"]
     box = [x for line in apart.lines if len(line.get_xdata()) == 5 for x in line.get_ydata()]
     assert max(box) < 1.01 + 1e-9
     titles = [_delay({"delay": {} if said is None else {AGE_OFF: said}}) for said in (True, False, None)]
@@ -190,7 +198,7 @@ def test_isolation_shades_its_regions(found):
     codes = {k: np.ones(len(f), int) for k, f in flights.items()}
     options = {"excitation threshold": 0.7, "spread": 0.01}
     regions = excited(flights, codes, model.airframe, ["Fz"], options)["Fz"]
-    panel = isolation_figure(flights, regions, "Fz", "N").axes[0]
+    panel = draw_isolation(flights, regions, "Fz", "N").axes[0]
     stretches = sum(int(np.sum(np.diff(np.r_[0, r.astype(int)]) == 1)) for r in regions.values())
     assert len(panel.patches) == stretches > 0
     share = np.mean(np.concatenate(list(regions.values())))
@@ -245,18 +253,18 @@ def test_the_page_tells_where_the_causes_that_extend_the_model_act(found):
     load = {"id": "payload_swing", "sentence": "a load hangs <below>", "states": {"swinging load": {}},
             "parameters": found_sizes}  # fmt: skip
     document = {**model.document, "extensions": [load]}
-    summary = summary_json(model, done.scores, done.diagnosis)
-    text = page(document, summary, done.diagnosis, done.coverage, thin(done.judged, []))
+    summary = make_summary(model, done.scores, done.diagnosis)
+    text = page(document, summary, done.diagnosis, done.coverage, thin_rows(done.comparisons, []))
     assert "Causes that extend it" in text and "A load hangs &lt;below&gt;. Mass at 0.5 m 0.02100 kg. Where" in text
     assert "predictions hold its quasi-steady part" in text and "0.2 m" not in text.split("Causes that extend")[1][:600]
     assert "Causes that extend it" not in page(
-        model.document, summary, done.diagnosis, done.coverage, thin(done.judged, [])
+        model.document, summary, done.diagnosis, done.coverage, thin_rows(done.comparisons, [])
     )
 
 
-def line_of(panel, number):
+def line_of(panel, format_number):
     """Times and values (n,) of a trace in a page, NaN where it is unknown."""
-    trace = panel["series"][number]
+    trace = panel["series"][format_number]
     steps = np.frombuffer(base64.b64decode(trace["steps"]), "<u2").astype(float)
     t = panel["begins"] + np.frombuffer(base64.b64decode(panel["t"]), "<f4").astype(float)
     return t, np.where(steps == 65535, np.nan, trace["low"] + trace["step"] * steps)
@@ -281,42 +289,42 @@ def test_a_missing_value_stays_unknown_in_the_page(found):
     model, flights, done = found
     holed = {k: f.copy() for k, f in flights.items()}
     holed["c"].loc[:40, "My"] = np.nan
-    held = done.judged["Fz"]
+    held = done.comparisons["Fz"]
     codes = {key: held.role[held.flight == k] for k, key in enumerate(held.keys)}
-    rows = thin(judge(model, holed, codes), ["c"])
-    text = page(model.document, summary_json(model, done.scores, done.diagnosis), done.diagnosis, done.coverage, rows)
+    rows = thin_rows(compare_with_measurements(model, holed, codes), ["c"])
+    text = page(model.document, make_summary(model, done.scores, done.diagnosis), done.diagnosis, done.coverage, rows)
     assert np.isnan(line_of(json.loads(read(text).data)["panels"][1], 0)[1]).sum() == 11 + 2
 
 
 def test_rows_are_thinned_to_what_a_page_can_hold_and_gaps_are_marked():
     _, _, done = made(rows=60_000)
-    rows = thin(done.judged, ["c"])
-    assert 0.4 * MOST_POINTS < len(rows) <= 1.01 * MOST_POINTS
+    rows = thin_rows(done.comparisons, ["c"])
+    assert 0.4 * MAX_PAGE_ROWS < len(rows) <= 1.01 * MAX_PAGE_ROWS
     assert rows["start"].sum() == 3
     held = rows[rows["held"] > 0]
     assert set(held["flight"]) == {"c"}
-    assert len(held) <= MOST_POINTS // 2
+    assert len(held) <= MAX_PAGE_ROWS // 2
 
 
 def test_a_model_without_rotors_validation_or_test_rows_has_a_page():
     model, _, done = made(validation=(), options={"random partition": False}, rows=600)
     document = {**model.document, "actuators": None, "hover speed": {"value": None}, "simple model": {}}
-    summary = summary_json(model, done.scores, done.diagnosis)
-    text = page(document, summary, done.diagnosis, done.coverage, thin(done.judged, []))
+    summary = make_summary(model, done.scores, done.diagnosis)
+    text = page(document, summary, done.diagnosis, done.coverage, thin_rows(done.comparisons, []))
     assert "No validation flights." in text
     assert "No flight shows the rotors" in text
     published = {**document, "simple model": {"kappaFz": {"value": 5e-7, "std": None, "unit": "N s2/rad2"}}}
-    assert "5e−07 N s2/rad2" in page(published, summary, done.diagnosis, done.coverage, thin(done.judged, []))
-    assert "no test or validation rows judge it" in text
+    assert "5e−07 N s2/rad2" in page(published, summary, done.diagnosis, done.coverage, thin_rows(done.comparisons, []))
+    assert "no test or validation rows" in text
     read(text)
 
 
 def test_names_cannot_break_out_of_the_page(found):
     model, _, done = found
     evil = "</script><b>"
-    held = {axis: j._replace(keys=("a", "b", evil)) for axis, j in done.judged.items()}
+    held = {axis: j._replace(keys=("a", "b", evil)) for axis, j in done.comparisons.items()}
     document = {**model.document, "flights": {"training": ["a", "b"], "validation": [evil]}}
-    summary = summary_json(model, done.scores, done.diagnosis)
-    text = page(document, summary, done.diagnosis, done.coverage, thin(held, [evil]))
+    summary = make_summary(model, done.scores, done.diagnosis)
+    text = page(document, summary, done.diagnosis, done.coverage, thin_rows(held, [evil]))
     assert evil not in text
     assert html_of(evil) in text

@@ -22,9 +22,9 @@ from quasi.pages.flight_traces import draw_path, find_spans, make_panels
 from quasi.pages.gyro_spectrum import gyro_spectrum
 from quasi.pages.model_warnings import KINDS, OTHER, show_warnings
 from quasi.pages.terms import VARIABLES, describe_variable, list_variables, show_expression
-from quasi.running.provenance import reached
-from quasi.scoring.summary import summary_json
-from quasi.scoring.thinning import thin
+from quasi.running.provenance import list_reached_files
+from quasi.scoring.summary import make_summary
+from quasi.scoring.thinning import thin_rows
 from quasi.tables import COLUMNS, read_bytes, read_text, write_json
 from quasi.terms.variables import _MADE_FROM
 
@@ -81,10 +81,10 @@ def test_no_text_of_a_model_becomes_html(judged, seed):
     texts = cycle(EVIL, seed)
     keep = {"verdict", "warnings", "kind", "density", "band"}
     document = poison(portable.document, texts, None, {"actuators", "simple model"})
-    summary = poison(summary_json(portable, done.scores, done.diagnosis), texts, None, keep)
+    summary = poison(make_summary(portable, done.scores, done.diagnosis), texts, None, keep)
     diagnosis = poison(done.diagnosis, texts, None, keep) | {"verdict": next(texts)}
     coverage = done.coverage.assign(variable=[next(texts) for _ in range(len(done.coverage))])
-    rows = thin(done.judged, ["c"]).assign(flight=next(texts))
+    rows = thin_rows(done.comparisons, ["c"]).assign(flight=next(texts))
     check_harmless(model.page(document, summary, diagnosis, coverage, rows))
 
 
@@ -93,7 +93,7 @@ def test_no_text_of_a_model_becomes_html(judged, seed):
 def test_no_number_of_a_model_breaks_its_page(judged, seed):
     portable, _, done = judged
     generator = np.random.default_rng(seed)
-    rows = thin(done.judged, ["c"])
+    rows = thin_rows(done.comparisons, ["c"])
     for column in [c for c in rows if c not in ("flight", "t", "start", "held")]:
         rows.loc[generator.random(len(rows)) < 0.3, column] = ODD[seed % len(ODD)]
     coverage = done.coverage.copy()
@@ -101,7 +101,7 @@ def test_no_number_of_a_model_breaks_its_page(judged, seed):
     coverage.loc[generator.integers(len(coverage)), generator.choice(numeric)] = ODD[seed % len(ODD)]
     with np.errstate(all="ignore"):
         html = model.page(
-            portable.document, summary_json(portable, done.scores, done.diagnosis), done.diagnosis, coverage, rows
+            portable.document, make_summary(portable, done.scores, done.diagnosis), done.diagnosis, coverage, rows
         )
     json.loads(re.search(r'id="traces">(.*?)</script>', html, re.S)[1], parse_constant=pytest.fail)
 
@@ -309,5 +309,5 @@ def test_the_index_lists_what_stands_in_a_folder_and_links_it(tmp_path):
 
 def test_scripts_of_the_model_do_not_reach_the_pages(request):
     root = request.config.rootpath
-    names = {p.relative_to(root).as_posix() for p in reached(root / "scripts/identification.py", root)}
+    names = {p.relative_to(root).as_posix() for p in list_reached_files(root / "scripts/identification.py", root)}
     assert not any(name.startswith("quasi/pages/") for name in names)

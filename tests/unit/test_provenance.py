@@ -2,7 +2,7 @@
 
 import pytest
 
-from quasi.running.provenance import code_of, reached
+from quasi.running.provenance import compute_code_digest, list_reached_files
 
 
 @pytest.fixture
@@ -23,15 +23,15 @@ def house(tmp_path):
 
 
 def digest(house):
-    code_of.cache_clear()
+    compute_code_digest.cache_clear()
     from quasi.running import provenance
 
-    provenance._parsed.cache_clear()
-    return code_of(house / "scripts/a.py", house)
+    provenance._parse_file.cache_clear()
+    return compute_code_digest(house / "scripts/a.py", house)
 
 
 def test_imports_are_followed_however_deep_with_their_packages(house):
-    names = {str(p.relative_to(house)) for p in reached(house / "scripts/a.py", house)}
+    names = {str(p.relative_to(house)) for p in list_reached_files(house / "scripts/a.py", house)}
     expected = {"scripts/a.py", "quasi/__init__.py", "quasi/room/__init__.py", "quasi/room/near.py", "quasi/deep.py"}
     assert names == expected
 

@@ -13,7 +13,7 @@ from quasi.errors import ConfigError, ExpressionError, QuasiError, ReadError, Sh
 from quasi.model.build import assemble
 from quasi.model.envelope import covered
 from quasi.model.model import STATE, Model, read_model
-from quasi.scoring.score import UNITS, score
+from quasi.scoring.score import SCORE_UNITS, score_model
 
 ROLES = {"training": 1, "test": 2, "validation": 3}
 
@@ -220,8 +220,8 @@ def test_the_summary_names_terms_values_errors_and_units(model):
 def test_scores_equal_their_definitions(model):
     flights = {"a": flight(1, rows=400), "b": flight(2, rows=200)}
     codes = {"a": np.repeat([0, 1, 2, 1], 100), "b": np.full(200, 3)}
-    table = score(model, flights, codes, ROLES)
-    assert list(table.columns) == list(UNITS)
+    table = score_model(model, flights, codes, ROLES)
+    assert list(table.columns) == list(SCORE_UNITS)
     assert set(zip(table["flight"], table["role"])) == {
         ("a", "training"),
         ("a", "test"),
@@ -248,7 +248,7 @@ def test_intervals_of_a_true_model_cover_what_they_promise():
     truth["Fx"]["sigma2"] = float(residual.var())
     truth["Fx"]["covariance"] = [[0.0, 0.0], [0.0, 0.0]]
     model = Model(assemble(truth, SHARED, {"id": "m", "airframe": AIRFRAME}))
-    table = score(model, {"a": f}, {"a": np.ones(4000, int)}, ROLES)
+    table = score_model(model, {"a": f}, {"a": np.ones(4000, int)}, ROLES)
     assert table["coverage"].iloc[0] == pytest.approx(0.95, abs=0.01)
 
 

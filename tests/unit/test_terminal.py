@@ -6,14 +6,14 @@ import logging
 import pytest
 
 from quasi.errors import ReadError
-from quasi.running.job_log import LOG, RUN, job, judge
-from quasi.running.terminal import FaultFilter, Terminal, again, standing
+from quasi.running.job_log import LOG, RUN_VARIABLE, job, log_verdict
+from quasi.running.terminal import FaultFilter, Terminal, format_command, list_up_to_date_pages
 
 
 @pytest.fixture
 def run(tmp_path, monkeypatch):
     """(terminal, its stream, say(event, text, **about): True where Snakemake's own message is printed)."""
-    monkeypatch.setenv(RUN, str(tmp_path / "run"))
+    monkeypatch.setenv(RUN_VARIABLE, str(tmp_path / "run"))
     monkeypatch.chdir(tmp_path)
     stream = io.StringIO()
     terminal = Terminal(str(tmp_path / "run"), stream)
@@ -44,7 +44,7 @@ def test_a_job_is_a_line_and_a_note_that_flights_have_alike_is_told_once(run):
     assert lines[0] == "2 jobs: importing 2"
     assert lines[1].startswith("[1/2] import of a: 0.") and lines[1].endswith(" s, 1 note, logs/importing/Q/a.log")
     assert lines[2] == "    - logs/a.bbl: vibration near 41 Hz"
-    assert lines[3].endswith("1 note (told above), logs/importing/Q/b.log") and len(lines) == 4
+    assert lines[3].endswith("1 note (shown above), logs/importing/Q/b.log") and len(lines) == 4
     assert "`snakemake results/reports/Q/a.html`" in terminal.summary()
 
 
@@ -59,7 +59,7 @@ def test_a_job_is_a_line_and_a_note_that_flights_have_alike_is_told_once(run):
     ],
 )
 def test_the_command_for_another_target_names_the_same_folder_and_data(asked, command):
-    assert again(asked.split(), "processing") == command
+    assert format_command(asked.split(), "processing") == command
 
 
 def test_the_hint_at_the_end_of_a_run_can_be_run_as_it_stands(run):
@@ -81,7 +81,7 @@ def test_many_notes_are_counted_and_those_not_told_come_with_a_later_job(run):
         say("job_finished", job_id=number)
     text = stream.getvalue()
     assert "    - and 2 more in logs/importing/Q/a.log" in text
-    assert "7 notes (5 told above)" in text
+    assert "7 notes (5 shown above)" in text
     assert all(text.count(f"    - note {letter}\n") == 1 for letter in "tuvwxyz")
 
 
@@ -98,7 +98,7 @@ def test_a_doubtful_verdict_stands_in_every_flights_own_line(run):
     _, stream, say = run
     for number, flight in enumerate(("a", "b"), 1):
         with job(begin(say, number, flight), f"import of {flight}"):
-            judge("unusable", f"only {number}.0 s are common to all sources")
+            log_verdict("unusable", f"only {number}.0 s are common to all sources")
         say("job_finished", job_id=number)
     assert stream.getvalue().count("unusable (only ") == 2
 
@@ -151,11 +151,11 @@ def test_where_nothing_was_to_be_done_the_page_that_stands_is_named(run, tmp_pat
     page = tmp_path / "models/a/standalone/report.html"
     page.parent.mkdir(parents=True)
     page.touch()
-    assert standing(["-j2", "models/a/standalone/", "models/b/standalone"], tmp_path) == (
-        "Up to date; begin with models/a/standalone/report.html"
+    assert list_up_to_date_pages(["-j2", "models/a/standalone/", "models/b/standalone"], tmp_path) == (
+        "Up to date; start with models/a/standalone/report.html"
     )
-    assert standing(["-j2", "models/b/standalone"], tmp_path) == ""
-    assert standing(["models/a/standalone"], tmp_path.parent) == ""
+    assert list_up_to_date_pages(["-j2", "models/b/standalone"], tmp_path) == ""
+    assert list_up_to_date_pages(["models/a/standalone"], tmp_path.parent) == ""
 
 
 @pytest.fixture

@@ -50,7 +50,7 @@ def test_second_run_does_nothing_and_says_where_the_result_begins(finished):
     assert finished[0].would_run() == {}
     code, text = finished[0].snakemake("models/small/standalone")
     assert code == 0 and "Nothing to be done" in text
-    assert text.rstrip().endswith("Up to date; begin with models/small/standalone/report.html")
+    assert text.rstrip().endswith("Up to date; start with models/small/standalone/report.html")
 
 
 def test_changed_comment_and_appended_row_rerun_nothing(project):
