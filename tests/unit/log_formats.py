@@ -157,7 +157,8 @@ class Ulog:
         self.message("A", struct.pack("<BH", instance, number) + name.encode())
 
     def data(self, name, layout, *values, instance=0):
-        self.message("D", struct.pack("<H" + layout, self.subscribed[name, instance], *values))
+        if (name, instance) in self.subscribed:
+            self.message("D", struct.pack("<H" + layout, self.subscribed[name, instance], *values))
 
     def dropout(self, milliseconds):
         self.message("O", struct.pack("<H", milliseconds))
@@ -166,11 +167,12 @@ class Ulog:
         return b"".join(self.parts)
 
 
-def ulog_of(flight, shift=0.0, parameters=None, names=ULOG_FORMATS):
-    """The flight as a ULog; `shift` s is added to the second instance of the accelerometer's integration."""
+def ulog_of(flight, parameters=None, names=ULOG_FORMATS, formats=None):
+    """The flight as a ULog with the topics in `names`; formats  {topic: fields} of further ones, with no messages."""
     log, step = Ulog(), int(1e6 * (flight.t[1] - flight.t[0]))
-    log.define(ULOG_FORMATS, {"CA_ROTOR_COUNT": 4, **(parameters or {})})
-    for name in names:
+    every = {**ULOG_FORMATS, **(formats or {})}
+    log.define(every, {"CA_ROTOR_COUNT": 4, **(parameters or {})}, every)
+    for name in [*names, *(formats or {})]:
         if name != "esc_report":
             log.subscribe(name)
     for k, t in enumerate(np.round(1e6 * flight.t).astype(int) + BOOT):
@@ -179,8 +181,7 @@ def ulog_of(flight, shift=0.0, parameters=None, names=ULOG_FORMATS):
         log.data("sensor_combined", "Q3fIi3fI", t + step // 2, *flight.rates[k], step, 0, *flight.force[k], step)
         if k % 2 == 0:
             log.data("vehicle_attitude", "QQ4f", t + 900, t, *flight.q[k])
-            if "vehicle_local_position" in names:
-                log.data("vehicle_local_position", "QQ6f4B", t + 900, t, *flight.p[k], *flight.v[k], 1, 1, 1, 1)
+            log.data("vehicle_local_position", "QQ6f4B", t + 900, t, *flight.p[k], *flight.v[k], 1, 1, 1, 1)
         if k % 4 == 0:
             log.data("actuator_motors", "Q12f", t, *flight.commands[k], *[float("nan")] * 8)
             rpm = np.round(flight.rotors[k] * 30 / np.pi).astype(int)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from log_formats import NEEDS, RESOLUTION, TABLE_COLUMNS, WRITERS, made_flight
+from log_formats import EPOCH, FLIP, NEEDS, RESOLUTION, TABLE_COLUMNS, WRITERS, made_flight, write_bag
 
 from quasi.importing.flight import import_flight
 from quasi.importing.onboard_log import read_onboard
@@ -81,3 +81,34 @@ def test_each_format_imports_as_the_table_does(logs, name):
                          (GROUPS["share"], 2e-3)):  # fmt: skip
         for n in names:
             assert np.abs(found[n].to_numpy()[rows] - expected[n].to_numpy()[rows]).max() < limit, n
+
+
+def test_a_capture_in_a_bag_with_the_clock_of_another_host_is_tied_by_its_motion(tmp_path, flight):
+    pytest.importorskip("rosbags")
+    late = 8  # samples, 32 ms from the pose to its recording
+
+    def poses(store, writer):
+        kind = "geometry_msgs/msg/PoseStamped"
+        connection = writer.add_connection("/vrpn/quad/pose", kind, typestore=store)
+        kinds = store.types
+        for k in range(late, len(flight.t), 2):
+            stamp = EPOCH + round(1e9 * (flight.t[k - late] + 1800.3))
+            time = kinds["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
+            place, q = FLIP * flight.p[k - late], flight.q[k - late] * [1, 1, -1, -1]
+            pose = kinds["geometry_msgs/msg/Pose"](
+                position=kinds["geometry_msgs/msg/Point"](**dict(zip("xyz", place))),
+                orientation=kinds["geometry_msgs/msg/Quaternion"](**dict(zip("wxyz", q))),
+            )
+            header = kinds["std_msgs/msg/Header"](stamp=time, frame_id="room")
+            yield connection, k, store.serialize_cdr(kinds[kind](header=header, pose=pose), kind)
+
+    path = write_bag(tmp_path, flight, extra=poses)
+    flown = {"flight": "a", "quadrotor": "Q", "flight controller": "rosbag", "onboard": str(path), "capture": None,
+             "log number": None}  # fmt: skip
+    found, about = import_flight(flown, {}, {})
+    assert any("/vrpn/quad/pose" in n and "ahead of the recorder's" in n for n in about["notes"])
+    lag = about["synchronisation"]["lag"]
+    assert abs(lag["value"]) == pytest.approx(late / 250, abs=5e-4)
+    at = (found["t"] + about["start"]["value"]).to_numpy()
+    true = np.interp(at, flight.t, flight.p[:, 0])
+    assert np.abs(found["x"].to_numpy() - true)[300:-300].max() < 5e-3

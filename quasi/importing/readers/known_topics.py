@@ -58,7 +58,8 @@ class Known:
             return False
         if self.names and not re.search(self.names, name, re.IGNORECASE):
             return False
-        return bool(self.present(name, topic))
+        present = self.present(name, topic)
+        return bool(present) and (self.role != "capture" or "x" in present)  # a capture without position is none
 
     def present(self, name: str, topic: Topic) -> dict[str, tuple[str, str]]:
         """{quantity: (full column name, unit)} of what the topic holds."""
