@@ -48,7 +48,7 @@ class Physical(NamedTuple):
     roll, pitch   factors by which roll and pitch moments exceed those of k_T at the hubs as measured
     drag          (3,) N s/m, forces against u, v, w; damping (3,) N m s, moments against p, q, r
     rolling       N s, moments against the velocity: -dMx/du and -dMy/dv, their mean
-    pitching      N s, moments across the velocity: dMy/du and -dMx/dv, their mean
+    pitching      (2,) N s, moments across the velocity: dMy/du and -dMx/dv
     rotor_inertia kg m2, of the yaw moment by rotor acceleration; None where the model has no such term
     offsets       (3,) N m, moments at equal rotor speeds in hover
     rotors        time constants, delay, speed limits
@@ -73,7 +73,7 @@ class Physical(NamedTuple):
     drag: tuple[Estimate, ...]
     damping: tuple[Estimate, ...]
     rolling: Estimate
-    pitching: Estimate
+    pitching: tuple[Estimate, ...]
     rotor_inertia: Estimate | None
     offsets: np.ndarray
     rotors: Actuators
@@ -87,15 +87,23 @@ class Physical(NamedTuple):
         return self.hubs * np.array([self.pitch.value, self.roll.value, 1.0])
 
     @property
-    def drag_height(self) -> float | None:
-        """m above the centre of gravity where horizontal drag acts so that it gives the model's pitching moment.
+    def drag_heights(self) -> np.ndarray | None:
+        """(2,) m above the centre of gravity where drag along x and y acts so that it gives the model's moments.
 
-        None where there is no drag, or the height would be beyond HIGHEST_DRAG arms.
+        None where there is no drag, or a height would be beyond HIGHEST_DRAG arms.
         """
-        drag = 0.5 * (self.drag[0].value + self.drag[1].value)
-        if drag <= 0.0 or abs(self.pitching.value) > HIGHEST_DRAG * self.arm * drag:
+        drag = np.array([d.value for d in self.drag[:2]])
+        moment = np.array([m.value for m in self.pitching])
+        if np.min(drag) <= 0.0 or np.any(np.abs(moment) > HIGHEST_DRAG * self.arm * drag):
             return None
-        return self.pitching.value / drag
+        return moment / drag
+
+    @property
+    def drag_height(self) -> float | None:
+        """The one height, m, that gives both moments in the mean where drag is the same along x and y; or None."""
+        if self.drag_heights is None:
+            return None
+        return sum(m.value for m in self.pitching) / (self.drag[0].value + self.drag[1].value)
 
     @property
     def arm(self) -> float:
@@ -187,7 +195,7 @@ def physical_constants(model: Model) -> Physical:
         drag=tuple(about.secant(axis, name, SPEED, -1.0) for axis, name in zip(("Fx", "Fy", "Fz"), "uvw")),
         damping=tuple(about.secant(axis, name, RATE, -1.0) for axis, name in zip(("Mx", "My", "Mz"), "pqr")),
         rolling=_mean(about.secant("Mx", "u", SPEED, -1.0), about.secant("My", "v", SPEED, -1.0)),
-        pitching=_mean(about.secant("My", "u", SPEED, 1.0), about.secant("Mx", "v", SPEED, -1.0)),
+        pitching=(about.secant("My", "u", SPEED, 1.0), about.secant("Mx", "v", SPEED, -1.0)),
         rotor_inertia=reaction if abs(reaction.value) > 0.0 else None,
         offsets=np.array([about.level(axis).value for axis in AXES[3:]]),
         rotors=rotors,
@@ -302,7 +310,7 @@ def facts(physical: Physical) -> list[Fact]:
             Estimate(p.rotor_drag, 0.5 * math.hypot(p.drag[0].std, p.drag[1].std) / (4.0 * p.hover)), "N s2/m"),
         Fact("rate damping", "moment against p q r, secant at 1 rad/s", *_columns(p.damping), "N m/(rad/s)"),
         one("rolling moment", "moment against the velocity, secant at 1 m/s", p.rolling, "N m/(m/s)"),
-        one("pitching moment", "nose-up moment by forward velocity, secant at 1 m/s", p.pitching, "N m/(m/s)"),
+        Fact("pitching moment", "dMy/du and -dMx/dv, secant at 1 m/s", *_columns(p.pitching), "N m/(m/s)"),
     ]  # fmt: skip
     if p.rotor_inertia is not None:
         rows.append(one("rotor inertia", "yaw moment by rotor acceleration", p.rotor_inertia, "kg m2"))
@@ -314,7 +322,11 @@ def uncertain_constants(physical: Physical) -> dict[str, tuple[float, float, str
     """{constant: (value, standard error, unit)} of those with a standard error; rotors one by one."""
     found = {}
     for fact in facts(physical):
-        places = ("x", "y", "z") if "drag" in fact.key or "damping" in fact.key else range(1, len(fact.values) + 1)
+        places = (
+            ("x", "y", "z")
+            if any(w in fact.key for w in ("drag", "damping", "pitching"))
+            else range(1, len(fact.values) + 1)
+        )
         for place, value, std in zip(places, fact.values, fact.std):
             if std is not None and std > 0.0:
                 name = fact.key if len(fact.values) == 1 else f"{fact.key} {place}"

@@ -1,4 +1,4 @@
-"""Whether an exported simulator file says what the model says: its numbers, parsed back, against `Model.predict`."""
+"""Whether an exported simulator file agrees with the model: its numbers, parsed back, against `Model.predict`."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -17,13 +17,14 @@ STEP = 2e-3  # of the hover speed, for those quotients
 
 
 class Recovered(NamedTuple):
-    """What a file says, body axes x forward, y right, z down; None where the format does not hold it.
+    """What a file holds, body axes x forward, y right, z down; None where the format does not hold it.
 
     mass kg; inertia (3, 3) kg m2 of the whole vehicle; hover_thrust N, of all rotors at the model's hover speed
     moments  (3, 4) N m/(rad/s)^2: Mx My Mz of each rotor by the square of its speed
     times    {which time constants: s}, the names those of `time_constants_of`
     highest rad/s; drag N/(m/s), horizontal, mean of forwards and sideways, in hover
-    pitching N m/(m/s), nose-up moment by forward velocity, mean with that of sideways velocity
+    pitching N m/(m/s), dMy/du and -dMx/dv (2,), or their mean
+    damping  (3,) N m/(rad/s), moments against p q r in hover
     """
 
     mass: float | None = None
@@ -33,7 +34,8 @@ class Recovered(NamedTuple):
     times: Mapping[str, np.ndarray | float] | None = None
     highest: float | None = None
     drag: float | None = None
-    pitching: float | None = None
+    pitching: np.ndarray | float | None = None
+    damping: np.ndarray | None = None
 
 
 def moments_of(positions: np.ndarray, thrust: np.ndarray, torque: np.ndarray) -> np.ndarray:
@@ -78,7 +80,13 @@ def check_recovered(model: Model, found: Recovered) -> list[Check]:
         ),
         "highest speed": (found.highest, rotors.highest, ["speed"], LIMIT),
         "horizontal drag": (found.drag, max(drag, 0.0), ["drag"], LIMIT),
-        "pitching moment": (found.pitching, pitching, ["moment"], LIMIT),
+        "pitching moment": (
+            found.pitching,
+            pitching if np.size(found.pitching) == 2 else pitching.mean(),
+            ["by forward velocity", "by sideways velocity"],
+            LIMIT,
+        ),
+        "rate damping": (found.damping, _damping(model, hover), ["roll", "pitch", "yaw"], LIMIT),
     }
     known = time_constants_of(rotors)
     for which, value in (found.times or {}).items():
@@ -99,10 +107,10 @@ def _slopes(model: Model, hover: float) -> np.ndarray:
     return (up - down).T / (4.0 * hover * STEP * hover)
 
 
-def _by_velocity(model: Model, hover: float) -> tuple[float, float]:
-    """Horizontal force against, N/(m/s), and moment nose-up by forward velocity, N m/(m/s), by `Model.predict`.
+def _by_velocity(model: Model, hover: float) -> tuple[float, np.ndarray]:
+    """Mean horizontal force against, N/(m/s), and dMy/du and -dMx/dv (2,), N m/(m/s), by `Model.predict`.
 
-    Means of 1 m/s forwards, backwards and sideways in hover; sideways the moment is -Mx by v.
+    From 1 m/s forwards, backwards and to both sides in hover.
     """
     state = np.zeros((4, 12))
     state[:, 9:] = usual_place(model)
@@ -110,5 +118,15 @@ def _by_velocity(model: Model, hover: float) -> tuple[float, float]:
     speeds, further = np.full((4, 4), hover), dict(zip(model.inputs[20:], extras(model)))
     force, moment = model.predict(state, speeds, np.zeros((4, 4)), further)
     against = force[1, 0] - force[0, 0] + force[3, 1] - force[2, 1]
-    nose_up = moment[0, 1] - moment[1, 1] + moment[3, 0] - moment[2, 0]
-    return float(0.25 * against), float(0.25 * nose_up)
+    across = np.array([moment[0, 1] - moment[1, 1], moment[3, 0] - moment[2, 0]])
+    return float(0.25 * against), 0.5 * across
+
+
+def _damping(model: Model, hover: float) -> np.ndarray:
+    """(3,) N m/(rad/s): moments against 1 rad/s of p, q, r in both directions, in hover, by `Model.predict`."""
+    state = np.zeros((6, 12))
+    state[:, 9:] = usual_place(model)
+    state[:3, 6:9], state[3:, 6:9] = np.eye(3), -np.eye(3)
+    speeds, further = np.full((6, 4), hover), dict(zip(model.inputs[20:], extras(model)))
+    moment = model.predict(state, speeds, np.zeros((6, 4)), further)[1]
+    return 0.5 * np.diag(moment[3:] - moment[:3])

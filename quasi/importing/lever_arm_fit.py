@@ -1,9 +1,9 @@
 """Where the IMU sits from the captured point, by the acceleration of both.
 
-An accelerometer at r from the captured point feels f = R' (a - g) + wdot x r + w x (w x r) + b: a the acceleration of
-the point in earth axes, R' its turn into body axes, b the accelerometer's bias with the mean effect of small turns
-between the axes. Linear in r and b: least squares over band-limited signals on one clock. The standard errors are
-robust to correlation within blocks.
+An accelerometer at r from the captured point feels f = c + wdot x r + w x (w x r) + b + c x e + d dc/dt, with
+c = R' (a - g): a the acceleration of the point in earth axes, R' its turn into body axes, b the accelerometer's bias, e
+the small turn from captured to sensor axes, d what is left of the lag. Linear in r, b, e, d: least squares over
+band-limited signals. The standard errors are robust to correlation within blocks.
 
 Source: rigid-body kinematics; Cameron, Gelbach & Miller, J. Human Resources 50(2), 2015, for block-robust errors.
 """
@@ -57,9 +57,15 @@ def fit_arm(onboard: Motion, capture: Motion, clocks: Synchronisation) -> ArmFit
     blocks = np.floor((t - t[0]) / BLOCK).astype(int)[good]
     if len(np.unique(blocks)) < LEAST_BLOCKS:
         return None
-    rest = (sensed - rotate_inverse(quaternion, acceleration - np.array([0.0, 0.0, GRAVITY])))[good]
-    design = np.concatenate([_arm_matrix(w[good], wdot[good]), np.broadcast_to(np.eye(3), (len(rest), 3, 3))], axis=2)
-    normal = np.linalg.inv(np.einsum("nij,nik->jk", design, design))
+    captured = rotate_inverse(quaternion, acceleration - np.array([0.0, 0.0, GRAVITY]))
+    late = np.gradient(captured, place.step, axis=0)
+    rest = (sensed - captured)[good]
+    bias = np.broadcast_to(np.eye(3), (len(rest), 3, 3))
+    parts = [_arm_matrix(w[good], wdot[good]), bias, _cross(captured[good]), late[good][:, :, None]]
+    design = np.concatenate(parts, axis=2)
+    scale = np.sqrt(np.mean(design**2, axis=(0, 1)))  # mm, rad and s: without it the normal matrix is ill-conditioned
+    design = design / scale
+    normal = np.linalg.pinv(np.einsum("nij,nik->jk", design, design), hermitian=True)
     solution = normal @ np.einsum("nij,ni->j", design, rest)
     residual = rest - design @ solution
     scores = np.einsum("nij,ni->nj", design, residual)
@@ -68,8 +74,8 @@ def fit_arm(onboard: Motion, capture: Motion, clocks: Synchronisation) -> ArmFit
     covariance = normal @ (sums.T @ sums) @ normal * count / (count - 1)
     centred = rest - rest.mean(axis=0)
     explained = 1.0 - float(np.sum(residual**2) / np.sum(centred**2))
-    std = np.sqrt(np.diag(covariance)[:3])
-    return ArmFit(solution[:3], std, explained, float(np.count_nonzero(good) * place.step))
+    std = np.sqrt(np.diag(covariance)) / scale
+    return ArmFit((solution / scale)[:3], std[:3], explained, float(np.count_nonzero(good) * place.step))
 
 
 def _at(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:

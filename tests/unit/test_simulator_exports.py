@@ -1,6 +1,7 @@
 """Exports to simulators: signs and numbers by derivations of their own, files read by foreign parsers."""
 
 import json
+import os
 import re
 import tomllib
 import xml.etree.ElementTree as ElementTree
@@ -73,7 +74,9 @@ def test_constants_are_those_of_the_terms_that_the_model_was_made_with(physical)
     assert physical.moment_ratio == pytest.approx(0.012, rel=1e-6)
     assert [d.value for d in physical.drag] == pytest.approx([0.12, 0.12, 0.15], rel=1e-9)
     assert [d.value for d in physical.damping] == pytest.approx([8e-4, 8e-4, 5e-4], rel=1e-9)
-    assert physical.pitching.value == pytest.approx(2e-3) and physical.rolling.value == pytest.approx(0.0, abs=1e-12)
+    assert [m.value for m in physical.pitching] == pytest.approx(
+        [2e-3, 2e-3]
+    ) and physical.rolling.value == pytest.approx(0.0, abs=1e-12)
     assert physical.rotor_inertia.value == pytest.approx(6e-7, rel=1e-9)
     assert physical.roll.value == pytest.approx(1.0, rel=1e-6) and physical.pitch.value == pytest.approx(1.0, rel=1e-6)
     assert physical.rotor_drag == pytest.approx(0.12 / (4 * HOVER), rel=1e-9)
@@ -94,15 +97,15 @@ def test_standard_errors_are_those_of_coefficients_drawn_from_their_covariance(m
         shape = random.standard_normal((len(size), len(size)))
         part["covariance"] = (1e-4 * np.outer(size, size) * (shape @ shape.T)).tolist()
     uncertain = Model(document)
-    told = physical_constants(uncertain)
+    found = physical_constants(uncertain)
 
     def read(drawn):
-        speeds = np.full((1, 4), told.hover)
+        speeds = np.full((1, 4), found.hover)
         lift = drawn.predict(np.zeros((1, 12)), speeds)[0][0, 2]
         fast, slow = (drawn.predict(np.array([[0, 0, 0, v] + [0] * 8], float), speeds)[0][0, 0] for v in (1.0, -1.0))
-        faster, slower = (drawn.predict(np.zeros((4, 12)), told.hover + step * np.eye(4))[1][:, 2] for step in (1, -1))
-        by_square = (faster - slower) / (4.0 * told.hover)
-        return [-lift / (4 * told.hover**2), 0.5 * (slow - fast), -0.25 * by_square @ drawn.airframe.spin]
+        faster, slower = (drawn.predict(np.zeros((4, 12)), found.hover + step * np.eye(4))[1][:, 2] for step in (1, -1))
+        by_square = (faster - slower) / (4.0 * found.hover)
+        return [-lift / (4 * found.hover**2), 0.5 * (slow - fast), -0.25 * by_square @ drawn.airframe.spin]
 
     rows = []
     for _ in range(400):
@@ -114,7 +117,7 @@ def test_standard_errors_are_those_of_coefficients_drawn_from_their_covariance(m
         rows.append(read(Model(drawn)))
     spread = np.std(rows, axis=0)
     # 400 draws give a standard deviation to 3.5 %; five of them
-    np.testing.assert_allclose([told.thrust.std, told.drag[0].std, told.torque.std], spread, rtol=0.18)
+    np.testing.assert_allclose([found.thrust.std, found.drag[0].std, found.torque.std], spread, rtol=0.18)
 
 
 def test_constants_without_data_have_no_standard_error(model):
@@ -203,7 +206,7 @@ def test_what_a_format_leaves_out_stands_in_its_file(physical):
     assert "thrust coefficient: " in urdf and "time constants down: " in urdf and "delay: 0.004 s" in urdf
     sdf = SIMULATORS["gazebo"].write(physical)["model.sdf"]
     assert "thrust coefficient: " not in sdf and "vertical drag: 0.15 N/(m/s)" in sdf and "pitching moment: " not in sdf
-    assert "pitching moment: 0.002 N m/(m/s)" in urdf
+    assert "pitching moment: 0.002 0.002 N m/(m/s)" in urdf
     toml = SIMULATORS["crazyflow"].write(physical)["params.toml"]
     assert "vertical drag: " not in toml and "rate damping: " in toml
 
@@ -353,6 +356,41 @@ def test_the_gazebo_model_holds_elements_of_the_specification_alone(physical):
     assert len(model.findall("plugin")) == 4 and len(set(names) - {None}) >= 9
     linked = {link.get("name") for link in model.findall("link")}
     assert all({j.findtext("parent"), j.findtext("child")} <= linked for j in model.findall("joint"))
+
+
+SDFORMAT = Path(os.environ.get("QUASI_SDFORMAT", "/usr/share/sdformat12/1.9"))
+
+
+def faults(spec, element, path="sdf"):
+    """What an element has that SDFormat's own description of it does not allow, or lacks of what it requires."""
+    known = {a.get("name"): a.get("required") for a in spec.findall("attribute")}
+    found = [f"{path}: attribute {k}" for k in element.attrib if k not in known]
+    found += [f"{path}: no attribute {k}" for k, need in known.items() if need == "1" and k not in element.attrib]
+    if any(e.get("copy_data") == "true" for e in spec.findall("element")):
+        return found
+    children = {e.get("name"): (e, e.get("required")) for e in spec.findall("element")}
+    for include in spec.findall("include"):
+        part = ElementTree.parse(SDFORMAT / include.get("filename")).getroot()
+        children[part.get("name")] = (part, include.get("required"))
+    for name, (part, need) in children.items():
+        own = element.findall(name)
+        found += [f"{path}: no {name}"] if need == "1" and not own else []
+        found += [f"{path}: {len(own)} of {name}"] if need in ("0", "1", "-1") and len(own) > 1 else []
+        for child in own:
+            sizes = {"double": 1, "vector3": 3, "pose": 6}
+            if part.get("type") in sizes:
+                assert len([float(v) for v in child.text.split()]) == sizes[part.get("type")]
+            found += faults(part, child, f"{path}/{name}")
+    return found + [f"{path}: {child.tag}" for child in element if child.tag not in children]
+
+
+@pytest.mark.skipif(not SDFORMAT.is_dir(), reason=f"{SDFORMAT} is absent; apt-get install sdformat-sdf")
+def test_the_gazebo_model_is_what_sdformat_s_own_description_allows(physical):
+    spec = ElementTree.parse(SDFORMAT / "root.sdf").getroot()
+    root = ElementTree.fromstring(gazebo.write(physical)["model.sdf"])
+    assert faults(spec, root) == []
+    ElementTree.SubElement(root.find("model/link"), "thrust")
+    assert faults(spec, root) == ["sdf/model/link: thrust"]
 
 
 # ---- the command ----

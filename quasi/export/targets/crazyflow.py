@@ -70,7 +70,7 @@ def write(physical: Physical) -> dict[str, str]:
 
 
 def recover(files: Mapping[str, str], physical: Physical) -> Recovered:
-    """What params.toml says, parsed back; physical gives the hover speed."""
+    """What params.toml holds, parsed back; physical gives the hover speed."""
     table = tomllib.loads(files["params.toml"])[physical.name]
     mixing, arm = np.array(table["mixing_matrix"]), table["L"]
     thrust, torque = table["rpm2thrust"][2] * RPM**2, table["rpm2torque"][2] * RPM**2

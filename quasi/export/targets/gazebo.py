@@ -68,7 +68,7 @@ def write(physical: Physical) -> dict[str, str]:
 
 
 def recover(files: Mapping[str, str], physical: Physical) -> Recovered:
-    """What model.sdf says, parsed back; physical gives the hover speed alone."""
+    """What model.sdf holds, parsed back; physical gives the hover speed alone."""
     model = parsed(files["model.sdf"], "model.sdf").find("model")
     parsed(files["model.config"], "model.config")
     joints = {j.get("name"): j for j in model.findall("joint")}

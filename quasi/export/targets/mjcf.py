@@ -3,7 +3,9 @@
 Source of the actuators' law: MuJoCo's XML reference, actuator/general. A rotor's control is its thrust in N; the
 activation follows it with the rotor's time constant (a filter of first order: about hover, thrust lags as the speed
 does); force and torque act at the rotor's site by the gear. Drag is an actuator without gain whose bias is minus a
-coefficient times the velocity of the site along its gear. Body axes x forward, y left, z up.
+coefficient times the velocity of the site along its gear. Horizontal drag acts at the heights that give the model's
+pitching moments; the rate damping that this adds is taken off that of roll and pitch.
+Body axes x forward, y left, z up.
 """
 
 from collections.abc import Mapping
@@ -32,14 +34,15 @@ def write(physical: Physical) -> dict[str, str]:
     check_inertia(physical, "MuJoCo")
     positions, inertia = swap_vector(physical.positions), swap_inertia(physical.inertia)
     tau = 0.5 * (physical.rotors.up + physical.rotors.down)  # a filter of first order has one
-    height = physical.drag_height
-    lost = not_carried(physical, CARRIES if height is None else CARRIES | {"pitching moment"})
+    heights = physical.drag_heights
+    lost = not_carried(physical, CARRIES if heights is None else CARRIES | {"pitching moment"})
+    heights = np.zeros(2) if heights is None else heights
     head = [
         f"Quadrotor of model {physical.name}, made by quasi; body axes x forward, y left, z up.",
         f"Control: thrust of rotors 1 to 4, N; thrust = {number(physical.thrust.value)} N/(rad/s)^2 x speed^2.",
         "The other controls have no effect: those actuators are drag.",
         "Thrust follows its command with the mean of the time constants up and down. Rotors stand where their thrust",
-        "gives the model's moments. Horizontal drag acts at the height where it gives the model's pitching moment.",
+        "gives the model's moments. Horizontal drag acts at the heights that give the model's pitching moments.",
         "Not carried by this format:",
         *(f"- {line}" for line in lost),
     ]
@@ -64,7 +67,8 @@ def write(physical: Physical) -> dict[str, str]:
         ]
     lines += [
         '      <site name="imu" pos="0 0 0"/>',
-        f'      <site name="drag" pos="0 0 {number(height or 0.0)}"/>', "    </body>", "  </worldbody>", "  <actuator>",
+        *(f'      <site name="drag_{a}" pos="0 0 {number(h)}"/>' for a, h in zip("xy", heights)),
+        "    </body>", "  </worldbody>", "  <actuator>",
     ]  # fmt: skip
     for i in range(4):
         limit = f' ctrlrange="{least} {full}"' if full else ""
@@ -74,11 +78,14 @@ def write(physical: Physical) -> dict[str, str]:
             f'dyntype="filter" dynprm="{number(tau[i])}" gainprm="1" biastype="none"/>'
         )
     resisting = [d.value for d in (*physical.drag, *physical.damping)]
+    # drag above the centre of gravity damps roll and pitch as well
+    resisting[3] -= physical.drag[1].value * heights[1] ** 2
+    resisting[4] -= physical.drag[0].value * heights[0] ** 2
     for k, (name, value) in enumerate(zip(("x", "y", "z", "roll", "pitch", "yaw"), resisting)):
         if value != 0.0:
             gear = numbers(np.eye(6)[k])
             lines.append(
-                f'    <general name="drag_{name}" site="{"drag" if name in "xy" else "imu"}" gear="{gear}" '
+                f'    <general name="drag_{name}" site="{f"drag_{name}" if name in "xy" else "imu"}" gear="{gear}" '
                 f'gainprm="0" biastype="affine" biasprm="0 0 {number(-value)}"/>'
             )
     hover = number(physical.mass * GRAVITY / 4.0)
@@ -99,7 +106,7 @@ def write(physical: Physical) -> dict[str, str]:
 
 
 def recover(files: Mapping[str, str], physical: Physical) -> Recovered:
-    """What quadrotor.xml says, parsed back; physical gives thrust per speed^2."""
+    """What quadrotor.xml holds, parsed back; physical gives thrust per speed^2."""
     root = parsed(files["quadrotor.xml"], "quadrotor.xml")
     parsed(files["scene.xml"], "scene.xml")
     body = root.find("worldbody/body")
@@ -115,7 +122,11 @@ def recover(files: Mapping[str, str], physical: Physical) -> Recovered:
     moments = swap_vector(np.cross(positions, force) + torque).T
     key = {k.get("name"): k for k in root.findall("keyframe/key")}["hover"]
     limits = rotors[0].get("ctrlrange")
-    drag = [-float(motors[n].get("biasprm").split()[2]) if n in motors else 0.0 for n in ("drag_x", "drag_y")]
+    drag, turn = (
+        np.array([-float(motors[n].get("biasprm").split()[2]) if n in motors else 0.0 for n in names])
+        for names in (("drag_x", "drag_y"), ("drag_roll", "drag_pitch", "drag_yaw"))
+    )
+    height = np.array([sites["drag_x"][2], sites["drag_y"][2]])
     return Recovered(
         mass=float(inertial.get("mass")),
         inertia=swap_inertia(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])),
@@ -124,5 +135,6 @@ def recover(files: Mapping[str, str], physical: Physical) -> Recovered:
         times={"mean of up and down": np.array([float(r.get("dynprm")) for r in rotors])},
         highest=None if limits is None else float(np.sqrt(float(limits.split()[1]) / k)),
         drag=max(float(np.mean(drag)), 0.0),
-        pitching=None if physical.drag_height is None else float(np.mean(drag)) * float(sites["drag"][2]),
+        pitching=None if physical.drag_height is None else drag * height,
+        damping=turn + np.append((drag * height**2)[::-1], 0.0),
     )

@@ -82,7 +82,7 @@ def parameters(physical: Physical) -> tuple[dict[str, float], list[str]]:
 
 
 def recover(files: Mapping[str, str], physical: Physical) -> Recovered:
-    """What the airframe says, parsed back; physical gives hover speed and command map.
+    """What the airframe holds, parsed back; physical gives hover speed and command map.
 
     Raises DataError where both files differ.
     """

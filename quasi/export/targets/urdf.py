@@ -1,7 +1,7 @@
 """URDF: mass, inertia and geometry of the vehicle, for ROS 2 tools, PyBullet and importers of other simulators.
 
 Source of the format: the URDF XML specification (wiki.ros.org/urdf/XML). It holds no rotor; what is needed to drive one
-stands in the file's comment.
+is in the file's comment.
 """
 
 from collections.abc import Mapping
@@ -55,7 +55,7 @@ def write(physical: Physical) -> dict[str, str]:
 
 
 def recover(files: Mapping[str, str], physical: Physical) -> Recovered:
-    """What quadrotor.urdf says, parsed back: mass and inertia; moments by k_T, which physical gives, at its rotors."""
+    """What quadrotor.urdf holds, parsed back: mass and inertia; moments by k_T, which physical gives, at its rotors."""
     root = parsed(files["quadrotor.urdf"], "quadrotor.urdf")
     links = {link.get("name"): link for link in root.findall("link")}
     inertial = links["base_link"].find("inertial")

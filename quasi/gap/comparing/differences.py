@@ -92,7 +92,7 @@ def differences_plain(rows: Sequence[Difference]) -> list[dict[str, Any]]:
 
 
 def differences_text(rows: Sequence[Difference], names: tuple[str, str]) -> str:
-    """The table as text; what differs is marked and stands first."""
+    """The table as text; what differs is marked and comes first."""
     wide = max([8, *(len(r.name) for r in rows)])
     lines = [f"  {'quantity':<{wide}}  {names[0]:>24}  {names[1]:>24}  {'difference':>24}  {'p-value':>9}  unit"]
     for row in sorted(rows, key=lambda r: (not r.differs, r.p_value if r.differs else 0.0)):

@@ -25,7 +25,7 @@ def filtered_flight(name: str, directory: Path, gravity: str = "withGravity", re
         if not path.is_file():
             raise ReadError(f"{path} does not exist; give a filtered flight of results/filtered")
         if path.parent.name in ("noGravity", "withGravity") and path.parent.name != gravity:
-            raise ConfigError(f"{path} holds forces {path.parent.name}; give that of the folder {gravity} beside it")
+            raise ConfigError(f"{path} holds forces {path.parent.name}; give that of the folder {gravity}")
         return path
     found = sorted(directory.glob(f"results/filtered/*/{gravity}/{name}.parquet")) if "/" not in name else []
     if len(found) > 1:

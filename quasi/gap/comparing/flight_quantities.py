@@ -7,7 +7,7 @@ Forces and moments are regressed on the physical terms of a quadrotor, so that a
 
 C is the pattern of four signs of the squared rotor speeds that moves the moment most in hover: front less aft, left
 less right, or one diagonal less the other; the geometry need not be known. Standard errors are robust to correlation
-within blocks. Beside these: each rotor's share of the squared speeds, levels of vibration, battery voltage.
+within blocks. Further: each rotor's share of the squared speeds, levels of vibration, battery voltage.
 
 Source: Cameron, Gelbach & Miller, J. Human Resources 50(2), 2015 (block-robust errors).
 """
