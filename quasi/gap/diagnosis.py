@@ -175,7 +175,8 @@ def diagnose(
         said["candidates"] += levels[level]["candidates"]
         said["cannot_be_asked"] += levels[level]["cannot_be_asked"]
         said["notes"] += levels[level]["notes"]
-    named_by_trim, tied_by_trim = trim_entries(trim) if unable and groups["reference"] else ([], [])
+    taken = [*(e["id"] for e in [*lower_effects, *effects_said]), *(i for tie in ties for i in tie["ids"])]
+    named_by_trim, tied_by_trim = trim_entries(trim, taken, bool(unable))
     lower_effects += named_by_trim
     ties += tied_by_trim
     result = {

@@ -3,10 +3,13 @@
 import numpy as np
 import pandas as pd
 import pytest
+from gap_documents import KNOWN, document
 
 from quasi.attitude import GRAVITY
 from quasi.gap.effect import Vehicle
 from quasi.gap.levels.trim_evidence import expected_change, gather_trim, rejected_by_trim, trim_entries
+from quasi.gap.report.page import page
+from quasi.gap.report.wording import summary
 
 ARM = 0.0325
 HUBS = np.array([[ARM, ARM, 0.0], [-ARM, ARM, 0.0], [-ARM, -ARM, 0.0], [ARM, -ARM, 0.0]])
@@ -47,6 +50,28 @@ def test_a_weak_rotor_is_stated_with_its_effectiveness():
     effects, ties = trim_entries(found)
     assert [e["id"] for e in effects] == ["rotor_effectiveness"]
     assert not ties
+    # forces and moments of measured speeds were judged, or they name it themselves
+    assert trim_entries(found, unable=False) == ([], [])
+    assert trim_entries(found, ["rotor_effectiveness"]) == ([], [])
+
+
+def test_flights_of_commands_get_the_name_of_the_trim_and_a_page():
+    asked = {k: np.sqrt([1.0, 1.0, 1.0 / 0.7 if k[0] == "c" else 1.0, 1.0]) for k in SESSIONS}
+    tables = {k: table(0.5 * s, i) for i, (k, s) in enumerate(asked.items())}
+    tables = {k: t.rename(columns={f"w{i}": f"command{i}" for i in range(1, 5)}) for k, t in tables.items()}
+    found = gather_trim(tables, ROLES_OF, SESSIONS, vehicle())
+    effects, _ = trim_entries(found, ["wind"], unable=False)
+    assert [e["id"] for e in effects] == ["rotor_effectiveness"]
+    # estimated speeds, balanced flight by flight, are no trim
+    level = {
+        k: t.assign(command1_raw=t["command1"], **{f"w{i}": 1000.0 for i in range(1, 5)}) for k, t in tables.items()
+    }
+    assert gather_trim(level, ROLES_OF, SESSIONS, vehicle()).document["names"] == ["rotor 3"]
+    shown = document(effects) | {"hover trim": found.document}
+    text = page(shown, KNOWN, None, {})
+    assert "rotor 3 with the effectiveness" in text
+    assert "trim" in summary(shown, KNOWN)
+    assert "resample" not in summary(shown, KNOWN)
 
 
 def test_the_trim_rejects_causes_that_it_contradicts_and_keeps_the_true_one():

@@ -67,6 +67,7 @@ def gather_trim(
     document |= {
         "word": word,
         "names": names,
+        "source": next(iter(facts.values()))["source"],
         "causes": list(dict.fromkeys(i for h in hypotheses(geometry) if h.name in names for i in h.ids)),
         "probability": found.probability,
         "change": {"value": found.change.tolist(), "std": np.sqrt(np.diag(found.covariance)).tolist(), "unit": "1"},
@@ -166,10 +167,19 @@ def rejected_by_trim(
     return result
 
 
-def trim_entries(evidence: TrimEvidence) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Effects and ties of diagnosis.json that the trim names alone, for flights whose forces were not judged."""
+def trim_entries(
+    evidence: TrimEvidence, taken: Sequence[str] = (), unable: bool = True
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Effects and ties of diagnosis.json that the trim names alone.
+
+    Only where forces and moments were not judged (`unable`), or where the flights hold commands in place of measured
+    speeds; never where one of its causes has a name or stands in a tie already.
+    taken  ids of these
+    """
     document = evidence.document
-    if document["word"] not in ("named", "tied"):
+    if document["word"] not in ("named", "tied") or set(taken) & set(document["causes"]):
+        return [], []
+    if not unable and document["source"] != "commands":
         return [], []
     ids, parameters = document["causes"], document["parameters"]
     if len(ids) == 1:

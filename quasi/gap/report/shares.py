@@ -36,6 +36,8 @@ def share_of(gain: float | None, found: Mapping[str, Any] | None) -> str:
 def certainty_of(effect: Mapping[str, Any]) -> str:
     """How sure a named cause is, in words: by simulations of held-out flights and by resamples."""
     outcome, again = (effect.get("confirmation") or {}).get("outcome"), effect.get("probability")
+    if effect.get("level") == "trim":
+        return f"by the trim in steady flight alone, with the probability {again:.2f}"
     if not effect.get("judged", True):
         return "suspected: the held-out flights hardly show it"
     gained = (effect.get("gains") or {}).get(effect.get("gain channel")) or {}

@@ -8,7 +8,7 @@ from typing import Any
 from quasi.gap.calibration.corrections import uncorrected
 from quasi.gap.effect import Effect
 from quasi.gap.flights.places import UNITS
-from quasi.gap.report.shares import interval_of, percent, reaches_floor, share_of
+from quasi.gap.report.shares import certainty_of, interval_of, percent, reaches_floor, share_of
 
 CHANNELS = {
     "Fx": "forward force", "Fy": "sideward force", "Fz": "vertical force", "Mx": "roll moment", "My": "pitch moment",
@@ -172,12 +172,11 @@ def _sureness(effect: Mapping[str, Any]) -> str:
         parts.append(f"confirmed in simulation: {there} of the motion it should make is there")
     elif told.get("outcome"):
         parts.append(f"in simulation it {told['outcome']}" + (f" ({told['why']})" if told.get("why") else ""))
-    if effect.get("probability") is not None:
-        often = (
-            "every resample"
-            if reaches_floor(effect["probability"])
-            else f"{percent(effect['probability'])} of resamples"
-        )
+    again = effect.get("probability")
+    if effect.get("level") == "trim":
+        parts.append(certainty_of(effect))
+    elif again is not None:
+        often = "every resample" if reaches_floor(again) else f"{percent(again)} of resamples"
         parts.append(f"named again in {often}")
     return "; ".join(parts)
 
