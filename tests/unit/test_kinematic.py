@@ -256,6 +256,16 @@ def test_without_capture_nothing_of_this_level_can_be_asked():
     assert "f1" in level.notes[0]
 
 
+@pytest.mark.parametrize("sensor", ["accelerometer", "gyro"])
+def test_a_sensor_that_import_made_is_not_compared_with_the_capture(sensor):
+    made = flown(1)
+    made.metadata["reconstructed"] = {sensor: {"from": "the velocity"}}
+    level = examine([made], {})
+    assert not level.effects
+    assert {c["id"] for c in level.cannot_be_asked} >= {"gyro_bias", "accelerometer_scale"}
+    assert sensor in level.notes[0]
+
+
 def test_too_short_a_flight_says_so():
     short = flown(1)
     cut = short.imported.iloc[:1200]

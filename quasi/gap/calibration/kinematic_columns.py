@@ -190,6 +190,11 @@ def weak_form(flown: Flown) -> Weak:
     missing = [c for c in needed if c not in flown.imported]
     if missing or flown.metadata.get("position source") != "capture":
         raise DataError(f"flight {flown.key} has no motion capture, which the comparison with inertial sensors needs")
+    if made := flown.metadata.get("reconstructed"):
+        raise DataError(
+            f"flight {flown.key} has no {' and no '.join(made)} of its own: what import made of other signals cannot "
+            "be compared with a capture"
+        )
     turning = flown.metadata["attitude source"] == "capture"
     frame = flown.imported
     t = frame["t"].to_numpy(float)
