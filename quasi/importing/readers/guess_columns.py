@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from quasi.errors import DataError
+from quasi.importing.command_units import recognise_unit
 from quasi.importing.readers.table_text import numbers_of
 
 G = 9.80665  # m/s2
@@ -182,13 +184,10 @@ def _quantities(table: pd.DataFrame, remarks: list[str], taken: set[str]) -> dic
         put(tuple(f"w{i}" for i in range(1, 5)), speeds, _speed_unit(speeds, table[speeds].to_numpy(float)))
     outputs = _rotor_columns(table, SHARES, r"set_?point|target|rpm|speed|temp|curr|volt")
     if outputs and outputs != speeds:
-        unit = _share_unit(table[outputs].to_numpy(float))
-        if unit:
-            put(tuple(f"command{i}" for i in range(1, 5)), outputs, unit)
-        else:
-            remarks.append(
-                f"the motor outputs {outputs[0]} ... are no shares from 0 to 1 or of 65535; they were left out"
-            )
+        try:
+            put(tuple(f"command{i}" for i in range(1, 5)), outputs, recognise_unit(table[outputs].to_numpy(float), ""))
+        except DataError:
+            remarks.append(f"the range of the motor outputs {outputs[0]}, ... is of no known unit; they were left out")
     battery = next(
         (str(n) for n in table.columns if re.fullmatch(BATTERY, _plain(str(n))) and _is_number(table[n])), None
     )
@@ -219,15 +218,6 @@ def _speed_unit(names: list[str], values: np.ndarray) -> str:
     if "erpm" in name:
         return "eRPM" if np.nanmax(values) > 3000 else "eRPM/100"
     return "rpm" if "rpm" in name or np.nanmax(values) > LARGEST_SPEED else "rad/s"
-
-
-def _share_unit(values: np.ndarray) -> str | None:
-    largest = float(np.nanmax(values))
-    if largest <= 1.0:
-        return "1"
-    if largest <= 100.0:
-        return "%"
-    return "1/65535" if largest > 10_000 else None
 
 
 def _axes(table: pd.DataFrame, columns: dict[str, Any]) -> dict[str, Any]:
