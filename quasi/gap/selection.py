@@ -80,11 +80,14 @@ class Rules(NamedTuple):
     form_error  share of a cause's Wald statistic that the error of its form may explain: 0 where columns are exact
     witness     {pair: cause}: of two causes with nearly the same signature the one is there without which this third
                 cause is needed; judge  tests for that, None for the level's own
+    overlap     (test, id of another cause) -> share of what the tested cause explains on the axes of the other one: an
+                error of its form can only be there
     """
 
     form_error: float = FORM_ERROR
     witness: Mapping[frozenset[str], str] = {}
     judge: Mixed | None = None
+    overlap: Callable[[Test, str], float] = lambda _, __: 1.0
 
 
 FORCES = Rules()  # forms of forces and moments err
@@ -283,7 +286,11 @@ class _Search:
                 return f"it has more parameters than {c.offer.cause} and explains hardly more"
         strongest = max(self.strong, key=lambda c: c.wald, default=None)
         form_error = self.rules.form_error * strongest.wald if strongest is not None else 0.0
-        if t.offer.since == "changed" and t.wald < form_error:
+        if (
+            t.offer.since == "changed"
+            and t.wald < form_error
+            and t.wald < form_error * self.rules.overlap(strongest, t.offer.cause)
+        ):
             return f"it explains so little that it may be the error of the form of {strongest.offer.cause}"
         if not profile.is_possible(t):
             return "its size would be outside what is physical"

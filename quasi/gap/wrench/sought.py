@@ -1,18 +1,19 @@
 """Causes sought in the flights that learn: searched, linearised where found, searched again until they stay."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from quasi.gap.effect import Effect, Limits, Vehicle
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.selection import Named, Profile, Tie, select_causes
+from quasi.gap.selection import FORCES, Named, Profile, Tie, select_causes
 from quasi.gap.statistics.mixed import Mixed, Offer, Test, Witnessed
 from quasi.gap.wrench.agreement import contradiction, voices
 from quasi.gap.wrench.starts import chords, started
 from quasi.gap.wrench.study import Study, gather_study, moved
-from quasi.gap.wrench.worth import Cause, Deviations
+from quasi.gap.wrench.worth import Cause, Deviations, seen_in
 
 ASTRAY = 0.5  # of its size, that a cause may move when it is linearised there
 LOOKS = 4  # how often curved causes are linearised anew, and contradicted ones left out
@@ -56,7 +57,8 @@ def seek(
         mixed = study.witnessed(range(len(flights)), compared)
         lacking = (*study.lacking, *contradicted)
         profiles = {n: Profile.of(e, within.get(n)) for n, e in asked.items()}
-        selection = select_causes(mixed, profiles, rate, excluded=lacking)
+        rules = FORCES._replace(overlap=partial(_share_on_axes, study, compared, asked))
+        selection = select_causes(mixed, profiles, rate, rules, lacking)
         named, ties = selection.named, [(tie.tests[0].offer.since, tie) for tie in selection.ties]
         causes = merged(named, asked, mixed, offers_of(named, ties))
         found = [(c.effect, c.since, c.value) for c in causes] + [_as_found(tie, since, asked) for since, tie in ties]
@@ -77,6 +79,20 @@ def seek(
     contradicted = {name: why for name, why in contradicted.items() if name not in twins}
     level, ranking = selection.level, selection.ranking
     return Sought(study, mixed, values, named, ties, ranking, level, contradicted, selection.rejected)
+
+
+def _share_on_axes(
+    study: Study, compared: Sequence[bool], asked: Mapping[str, Effect], test: Test, other: str
+) -> float:
+    """Share of what a tested cause adds to the compared flights that lies on the axes of another cause.
+
+    The mean squares of each axis count in units of the residual's mean square there.
+    """
+    own = [study.columns.causes[test.offer.cause][k] for k in test.offer.which]
+    raw = sum(gram for gram, flag in zip(study.raw, compared) if flag)  # (6, P, P)
+    added = np.einsum("i,kij,j->k", test.value, raw[:, own][:, :, own], test.value)
+    parts = added / np.maximum(raw[:, 0, 0], 1e-300)
+    return float(parts[seen_in(asked[other])].sum() / max(parts.sum(), 1e-300))
 
 
 def _as_found(tie: Tie, since: str, asked: Mapping[str, Effect]) -> tuple[Effect, str, Deviations]:
