@@ -203,3 +203,23 @@ def test_what_is_sure_to_go_is_a_share_of_all_that_can():
     assert np.all(low < 0.5) and np.all(low > 0.2)
     one = old._replace(values=old.values * np.array([0.5, 1.0, 1.0, 1.0, 1.0, 1.0])[:, None])
     assert np.all(surely(old, one, old.mean()) == 0.0)  # a single block may be chance
+
+
+def test_a_cause_that_acts_in_a_few_seconds_matters_where_it_acts():
+    # 20 blocks of 5 s; the cause makes all of the error of one of them above a floor of 1
+    values = np.ones((20, 6))
+    values[3, 2] = 1.5
+    old, new = Score(values, np.full(20, 500.0)), Score(np.ones((20, 6)), np.full(20, 500.0))
+    brief = cause("ground_effect")
+
+    def score(causes, _):
+        errors = new if causes else old
+        return Judged(errors, errors, 0.0 if causes else 10.0)
+
+    def kept(acting):
+        common = Common(lambda of, _: old, old, np.ones(6), 0.4)
+        return material([brief], score, lambda _: True, old, np.full(6, 0.5), 0.06, common, acting)[0]
+
+    assert kept(None) == []
+    assert kept(lambda _: np.arange(20) == 3) == [brief]
+    assert kept(lambda _: np.arange(20) == 4) == []

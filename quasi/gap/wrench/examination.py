@@ -86,7 +86,7 @@ def examine(
     _count([*causes, *stand_ins], study, compared, min(sought.level.values()))
     judge = HeldOut(held, sought, asked, flights, compared, model, vehicle, share, where)
     kept, immaterial, unjudged = material(
-        [*causes, *stand_ins], judge.score, judge.excited, judge.old, judge.floor, share, judge.common()
+        [*causes, *stand_ins], judge.score, judge.excited, judge.old, judge.floor, share, judge.common(), judge.acting
     )
     contradicted = dict(sought.contradicted)
     for cause in _faint(unjudged, sought.level, 1.0 if unheard is None else unheard / rate):
@@ -145,7 +145,7 @@ def _fewest(
 
     fewer = simplest(
         changed, estimated, lambda of: judge.score([*beside, *of], bool(beside)), judge.old, judge.floor, judge.share,
-        [c for c in changed if c in unjudged],
+        [c for c in changed if c in unjudged], judge.acting,
     )  # fmt: skip
     # one that was significant beside another that is needless may not be without it
     fewer = [

@@ -24,6 +24,7 @@ from quasi.gap.wrench.worth import (
     Common,
     Deviations,
     Judged,
+    acting_blocks,
     refitted,
     seen_in,
     strength,
@@ -71,6 +72,10 @@ class HeldOut:
         there = [f for f, flag in zip(self.flights, self.compared) if flag]
         here, usual = (strength(cause, some, self.vehicle, self.old.mean()) for some in (self.held, there))
         return here > EXCITED * usual
+
+    def acting(self, cause: Cause) -> np.ndarray:
+        """Blocks (B,) bool of the held-out flights in which a cause acts."""
+        return acting_blocks(cause, self.held, self.vehicle, self.old.mean())
 
     def common(self) -> Common:
         """What judges causes that all flights have alike: where no flight is healthy, each of them as well, by what the

@@ -28,6 +28,7 @@ SIMPLER = 2.0  # times the material share that a simpler explanation may leave
 ASIDE = 0.4  # share that what healthy flights show as well must gain beyond doubt
 LACKING = 3.0  # times the material share that what a model lacks must gain beyond doubt, where no flight is healthy
 LACKED = 6  # of what a model lacks of its own vehicle, the most significant that may be told
+ACTING = 0.9  # of a cause's mean square: the blocks that hold it are those in which it acts
 BESIDE = 0.3  # of the test statistic of the strongest foreign cause, below which another may be that one's form
 Deviations = dict[str, float]
 
@@ -94,6 +95,20 @@ def strength(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle, left: 
     return float((wrench_score(flights, contribution).mean() / np.maximum(left, 1e-300)).sum())
 
 
+def within(score: Score, blocks: np.ndarray) -> Score:
+    """A score of some of its blocks (B,) bool."""
+    return Score(score.values[blocks], score.weight[blocks])
+
+
+def acting_blocks(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle, left: np.ndarray) -> np.ndarray:
+    """The fewest blocks (B,) bool of flights that hold ACTING of what a cause makes; left (6,) as in `strength`."""
+    made = wrench_score(flights, lambda flight: whole_of(cause.effect, flight, vehicle, cause.value))
+    size = (made.values / np.maximum(left, 1e-300)).sum(axis=1) * made.weight
+    order = np.argsort(-size)
+    count = int(np.searchsorted(np.cumsum(size[order]), ACTING * size.sum())) + 1
+    return np.isin(np.arange(len(size)), order[:count])
+
+
 def material(
     causes: Sequence[Cause],
     score: Callable[[Sequence[Cause], bool], Judged],
@@ -102,13 +117,15 @@ def material(
     floor: np.ndarray,
     share: float,
     common: Common,
+    acting: Callable[[Cause], np.ndarray] | None = None,
 ) -> tuple[list[Cause], list[Cause], list[Cause]]:
     """Causes that matter, those that do not, and those of the first that these flights could not judge.
 
     score    of held-out flights with some causes taken into account, the model's own terms fitted anew or not
     excited  whether the held-out flights show a cause at all; old, floor  errors (blocks, 6) before, at best (6,)
     share    least share of the removable error of some axis that leaving a cause out must cost; common  what judges
-             causes that all flights have alike
+             causes that all flights have alike; acting  cause -> the blocks (B,) bool in which it acts: a cause that
+             acts in a few seconds only counts there
     """
     unjudged = [c for c in causes if c.since == "changed" and not excited(c)]
     kept = [c for c in causes if c.since == "changed"]
@@ -121,6 +138,9 @@ def material(
             # a constant error, which flights differ by, may have the other sign on the held-out ones
             gone = np.maximum(first - last, without.centred.mean() - whole.centred.mean())
             part = float((gone / _removable(old, floor, "changed"))[own].max())
+            if acting is not None and (there := acting(cause)).any():
+                local = within(without.errors, there).mean() - within(whole.errors, there).mean()
+                part = max(part, float((local / _removable(within(old, there), floor, "changed"))[own].max()))
             # a form that is not quite right may make a flight less likely although it takes the error away
             better = without.unlikely > whole.unlikely or np.log(last / first)[own].sum() < 0.0
             worth.append(part if better else min(part, 0.0))
@@ -141,6 +161,7 @@ def simplest(
     floor: np.ndarray,
     share: float,
     unjudged: Sequence[Cause] = (),
+    acting: Callable[[Cause], np.ndarray] | None = None,
 ) -> list[Cause]:
     """The fewest of the causes that leave less than SIMPLER times `share` of the removable error more than all do.
 
@@ -151,14 +172,25 @@ def simplest(
     """
     if not 1 < len(causes) <= MOST_WEIGHED:
         return list(causes)
-    removable, whole = _removable(old, floor, "spoken of"), score(causes).errors.mean()
+    removable, whole = _removable(old, floor, "spoken of"), score(causes).errors
+
+    def lost(some: Sequence[Cause]) -> float:
+        """Largest share of the removable error of an axis that some causes leave, also where those left out act."""
+        errors, used = score(some).errors, {(c.effect.id, c.since) for c in some}
+        shares = [(errors.mean() - whole.mean()) / removable]
+        for cause in causes:
+            if acting is not None and (cause.effect.id, cause.since) not in used and (there := acting(cause)).any():
+                local = within(errors, there).mean() - within(whole, there).mean()
+                shares.append((local / _removable(within(old, there), floor, "spoken of"))[seen_in(cause.effect)])
+        return float(np.concatenate(shares).max())
+
     shown = [c for c in causes if c not in unjudged]
     for size in range(0 if unjudged else 1, len(shown)):
         some_of = ([*some, *unjudged] for some in combinations(shown, size))
         tried = [own for some in some_of if (own := estimated(some)) is not None]
         if not tried:
             continue
-        losses = [float(((score(some).errors.mean() - whole) / removable).max()) for some in tried]
+        losses = [lost(some) for some in tried]
         enough = [some for some, loss in zip(tried, losses) if loss < SIMPLER * share]
         if enough:
             # these flights only rule out; of what they leave, the others choose: where the faintest cause is clearest
