@@ -384,7 +384,7 @@ def test_a_tie_that_a_flight_without_rotor_speeds_cannot_settle_says_so(flight):
 
 def test_a_flight_that_tells_no_place_is_asked_what_needs_none(flight):
     card = card_of(flight.drop(columns=["x", "y", "z"]))
-    assert "tells no place" in card.notes[0]
+    assert "has no position" in card.notes[0]
     assert "'x'" in card.not_asked["tether"] and "rotor_drag" in rows_of(card)
 
 

@@ -314,7 +314,7 @@ def test_walls_and_ceiling_by_a_plain_loop(ground):
 
 def test_without_a_room_nobody_asks_for_walls(ground):
     evidence = residual_of(ground, {})
-    with pytest.raises(DataError, match="nothing says where the walls are"):
+    with pytest.raises(DataError, match="the walls are unknown"):
         columns_of(CATALOGUE["proximity"], evidence, vehicle_of(ground[2], evidence.mass), {})
     for wrong in ({"north": [5, -5], "east": [0, 1]}, {"north": [0, 1]}, {"north": "ab", "east": [0, 1]}, 3):
         with pytest.raises(ConfigError, match="expected walls in m"):

@@ -36,7 +36,7 @@ def test_what_is_proposed_raises_what_was_hidden(card):
     assert {p.manoeuvre.name for p in card.proposals} == set(FEW)
     for before, after in raised.values():
         assert before.verdict != "seen"
-        assert min(after.t, after.beside) / after.needed > 1.2 * min(before.t, before.beside) / before.needed
+        assert min(after.t, after.with_rival) / after.needed > 1.2 * min(before.t, before.with_rival) / before.needed
     by = {n: p.manoeuvre.name for p in card.proposals for n in p.raises}
     assert by["ground_effect"] == "staircase near the floor"
     assert raised["ground_effect"][1].verdict == "seen"
@@ -61,7 +61,7 @@ def test_the_card_reads_the_same_as_text_page_and_data(card):
     text, page, data = flight_card.text(card), flight_card.page(card), flight_card.data(card)
     assert text.startswith(flight_card.headline(card)) and flight_card.headline(card) in page
     plain = json.loads(json.dumps(data))
-    assert plain["schema"] == "quasi.plan/1" and len(plain["causes"]) == len(card.rows)
+    assert plain["schema"] == "quasi.plan/2" and len(plain["causes"]) == len(card.rows)
     for row in plain["causes"]:
         assert row["id"].replace("_", " ") in text and row["id"].replace("_", " ") in page
     assert "from" in text and "staircase near the floor" in page
@@ -77,7 +77,7 @@ def test_the_number_of_flights_that_would_show_a_cause_does():
     count = flight_card.more_flights(few, sight)
     assert sight.verdict == "not seen" and 5 < count < 20
     assert rows_of(card_of(table, compared=count, reference=count))["gyro_bias"].verdict == "seen"
-    assert flight_card.more_flights(few, sight._replace(t=0.1, beside=0.1)) is None
+    assert flight_card.more_flights(few, sight._replace(t=0.1, with_rival=0.1)) is None
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,7 @@ def test_the_command_prints_and_writes_the_card(folder, capsys, few, monkeypatch
     monkeypatch.setattr(plan, "library", lambda *_: few[:1])
     assert main(["plan", "small", "eight.csv", "-d", str(folder), "--references", "2", "--out", "card"]) == 0
     printed = capsys.readouterr().out
-    assert "causes would be seen" in printed and "4 flights of 15 s beside 2 reference flights" in printed
+    assert "causes would be seen" in printed and "4 flights of 15 s and 2 reference flights" in printed
     assert tables.read_json(folder / "card/plan.json")["reference"] == 2
     assert (folder / "card/plan.html").is_file()
 

@@ -128,7 +128,7 @@ def test_a_turn_of_the_heading_shows_wind_that_a_fixed_heading_hides(cards):
         for axis, share in slow.items():
             table[axis] *= share
     fixed, swept = (rows_of(card_of(t))["wind"] for t in (still, turned))
-    assert swept.t > 2.0 * fixed.t and swept.beside > 2.0 * fixed.beside
+    assert swept.t > 2.0 * fixed.t and swept.with_rival > 2.0 * fixed.with_rival
 
 
 def test_ground_effect_is_nothing_unless_flown_low(cards):
@@ -191,12 +191,12 @@ def test_sensor_faults_count_against_the_usual_spread(cards):
     assert cards["alone"]["gyro_bias"].t == pytest.approx(alone, rel=0.03)
     assert cards["straight"]["gyro_bias"].t == pytest.approx(alone / math.sqrt(2.0), rel=0.03)
     assert {cards["alone"]["imu_misalignment"].rival, "mocap_misalignment"} == {"mocap_misalignment"}
-    assert cards["alone"]["imu_misalignment"].beside < 2.0
+    assert cards["alone"]["imu_misalignment"].with_rival < 2.0
 
 
 def test_a_late_command_is_a_tie_with_late_telemetry_unless_the_motion_tells(cards):
     sight = cards["alone"]["command_delay"]
-    assert sight.rival == "telemetry_delay" and sight.beside == 0.0
+    assert sight.rival == "telemetry_delay" and sight.with_rival == 0.0
 
 
 def test_causes_that_cannot_be_judged_say_why():

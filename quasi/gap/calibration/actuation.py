@@ -54,7 +54,7 @@ BELIEVED = {
     "late": 5e-4,
 }
 UNPOOLED = ("telemetry_delay",)  # the usual age is known; left free, it would hide what tells it from a late command
-BREAKERS = {LATE: "quick yaw inputs: the motion tells how late the telemetry is"}
+BREAKERS = {LATE: "quick yaw inputs: the motion determines the delay of the telemetry"}
 CATALOGUE = catalogue()
 
 

@@ -24,7 +24,7 @@ def _extension(values: Values, _: Vehicle, __: Model) -> Extension:
 EFFECT = Effect(
     id="cg_offset",
     level="W",
-    sentence="the centre of gravity lies beside the configured one (battery moved)",
+    sentence="the centre of gravity is not where it is configured (battery moved)",
     equation="dM = -r x F, r = true minus configured cg",
     source="statics",
     parameters={

@@ -24,6 +24,6 @@ EFFECT = Effect(
     parameters={"delay": Parameter("s", 0.0, "a", -0.05, 0.1, 0.008)},
     channels=("w1", "w2", "w3", "w4"),
     rivals=("motor_lag", "telemetry_delay"),
-    tie_breaker="quick yaw inputs: the motion tells how late the telemetry is",
+    tie_breaker="quick yaw inputs: the motion determines the delay of the telemetry",
     extension=_extension,
 )

@@ -20,7 +20,7 @@ def _most(a: str, b: str) -> str:
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
     if vehicle.room is None:
         raise DataError(
-            "nothing says where the walls are; give the room as 'room' in the gap's configuration "
+            "the walls are unknown; give the room as 'room' in the gap's configuration "
             '({"north": [low, high], "east": [low, high], "height": ...}, m)'
         )
     room = vehicle.room

@@ -69,7 +69,7 @@ def read_plan(table: pd.DataFrame, where: str) -> tuple[np.ndarray, np.ndarray, 
     if t[-1] - t[0] > LONGEST:
         raise DataError(
             f"{where}: the trajectory lasts {t[-1] - t[0]:.0f} s, expected {LONGEST:.0f} s at most; times are in s, "
-            "and a part of a long flight tells as much"
+            "and a part of a long flight holds as much information"
         )
     yaw = np.unwrap(table["yaw"].to_numpy(float)) if "yaw" in table else np.zeros(len(t))
     return t, table[["x", "y", "z"]].to_numpy(float), yaw
@@ -133,8 +133,8 @@ def _leaning(
         falling = np.flatnonzero(size < 0.05 * mass * GRAVITY)
         if len(falling):
             raise DataError(
-                f"{where}: the trajectory falls freely at {_when(t, place, falling[0])}, where no attitude is told; "
-                "sink more slowly"
+                f"{where}: the trajectory falls freely at {_when(t, place, falling[0])}, "
+                "where the attitude is undetermined; sink more slowly"
             )
         down = -thrust / size[:, None]
         # 3-2-1 angles: body x lies in the vertical plane of the heading

@@ -10,27 +10,27 @@ from quasi.gap.planning.plan import Card, Proposal
 from quasi.gap.report.wording import name_of
 from quasi.pages import frame as report
 
-SCHEMA = "quasi.plan/1"
+SCHEMA = "quasi.plan/2"
 MORE = "What to fly as well, one of these after the trajectory in each flight"
 MANY = 5.0  # times the flights asked for: beyond, another manoeuvre is meant
-HEAD = ("cause", "typical size", "expected t", "beside rival", "needed", "nearest rival", "verdict")
+HEAD = ("cause", "typical size", "expected t", "with rival", "needed", "nearest rival", "verdict")
 
 
 def verdict_of(sight: Sight) -> str:
     """The verdict in words."""
     if sight.absorbed:
-        return "not seen: the model takes it up; fly reference flights"
+        return "not seen: the model absorbs it; fly reference flights"
     if sight.taken:
-        return "not seen: here the model takes it up"
+        return "not seen: here the model absorbs it"
     if sight.verdict == "tie":
         return f"only as a tie with {name_of(sight.rival or '')}"
     return {"seen": "would be seen", "not seen": "not seen"}[sight.verdict]
 
 
 def word_of(sight: Sight) -> str:
-    """The verdict in a word or two; the rival stands beside it."""
+    """The verdict in a word or two; the rival has a column of its own."""
     if sight.absorbed or sight.taken:
-        return "taken up"
+        return "absorbed"
     return {"seen": "seen", "tie": "tie", "not seen": "not seen"}[sight.verdict]
 
 
@@ -43,7 +43,7 @@ def size_of(effect: Effect, sight: Sight) -> str:
 
 def _cells(row: Row) -> list[str]:
     sight = row.sight
-    numbers = ["–"] * 3 if sight.absorbed else [_t(sight.t), _t(sight.beside), _t(sight.needed)]
+    numbers = ["–"] * 3 if sight.absorbed else [_t(sight.t), _t(sight.with_rival), _t(sight.needed)]
     rival = name_of(sight.rival) if sight.rival and not sight.absorbed else "–"
     return [name_of(row.effect.id), size_of(row.effect, sight), *numbers, rival, verdict_of(sight)]
 
@@ -62,19 +62,19 @@ def headline(card: Card) -> str:
 def flown_as(card: Card) -> str:
     """What the card is about in a line."""
     what = f"{card.compared} flights of {card.seconds:.0f} s" + (
-        f" beside {card.reference} reference flights" if card.reference else ", no reference flights"
+        f" and {card.reference} reference flights" if card.reference else ", no reference flights"
     )
     return f"model {card.model}; {what}: {', '.join(card.flights)}"
 
 
 def steps(proposal: Proposal) -> list[str]:
     """What a manoeuvre makes of each cause, in words, the most useful first."""
-    order = sorted(proposal.raises.items(), key=lambda item: -min(item[1][1].t, item[1][1].beside))
+    order = sorted(proposal.raises.items(), key=lambda item: -min(item[1][1].t, item[1][1].with_rival))
     lines = []
     for name, (before, after) in order:
         text = f"{name_of(name)}: t from {_t(before.t)} to {_t(after.t)}"
         if "tie" in (before.verdict, after.verdict):
-            text += f", beside its rival from {_t(before.beside)} to {_t(after.beside)}"
+            text += f", with its rival from {_t(before.with_rival)} to {_t(after.with_rival)}"
         lines.append(f"{text} ({verdict_of(after)})")
     return lines
 
@@ -86,19 +86,19 @@ def hopeless(card: Card) -> list[str]:
         sight = card.best.get(row.effect.id, row.sight)
         if sight.verdict == "seen" or sight.absorbed:
             continue
-        told = f"t = {_t(sight.t)} of {_t(sight.needed)} needed" if sight.verdict != "tie" else verdict_of(sight)
+        reason = f"t = {_t(sight.t)} of {_t(sight.needed)} needed" if sight.verdict != "tie" else verdict_of(sight)
         count = more_flights(card, sight)
         if count is not None:
-            told += f"; about {count} flights{' of each kind' if card.reference else ''} would show it"
+            reason += f"; about {count} flights{' of each kind' if card.reference else ''} would show it"
         if sight.taken:
-            told += "; the model takes it up unless there are reference flights"
-        result.append(f"{name_of(row.effect.id)}: {told}; what would tell: {row.effect.tie_breaker}")
+            reason += "; the model absorbs it unless there are reference flights"
+        result.append(f"{name_of(row.effect.id)}: {reason}; this would decide: {row.effect.tie_breaker}")
     return result
 
 
 def more_flights(card: Card, sight: Sight) -> int | None:
     """How many such flights would show a cause, t growing with the root of their number; None beyond MANY times."""
-    t = min(sight.t, sight.beside)
+    t = min(sight.t, sight.with_rival)
     share = sight.needed / t if t > 0.0 else math.inf
     if sight.verdict == "tie" or share > math.sqrt(MANY) or t < 0.8 * sight.t:
         return None
@@ -135,7 +135,7 @@ def text(card: Card) -> str:
         lines += ["", together(card)]
     left = hopeless(card)
     if left:
-        lines += ["", "No manoeuvre of the library shows:", *(f"  {said}" for said in left)]
+        lines += ["", "No manoeuvre of the library shows:", *(f"  {line}" for line in left)]
     if card.not_asked:
         lines += ["", "Not judged:", *(f"  {name_of(n)}: {why}" for n, why in sorted(card.not_asked.items()))]
     lines += [f"note: {note}" for note in card.notes]
@@ -143,7 +143,7 @@ def text(card: Card) -> str:
 
 
 def data(card: Card) -> dict[str, Any]:
-    """The card as plain data ("quasi.plan/1")."""
+    """The card as plain data ("quasi.plan/2")."""
     return {
         "schema": SCHEMA,
         "model": card.model,
@@ -184,7 +184,7 @@ def _sight(sight: Sight) -> dict[str, Any]:
         "parameter": sight.parameter,
         "typical": sight.size,
         "t": None if sight.absorbed else sight.t,
-        "beside": None if sight.absorbed else sight.beside,
+        "t with rival": None if sight.absorbed else sight.with_rival,
         "nearest": sight.rival,
         "needed": sight.needed if math.isfinite(sight.needed) else None,
         "verdict": verdict_of(sight),
@@ -199,9 +199,9 @@ def page(card: Card) -> str:
     ]
     about = (
         "Expected t: a cause's typical size over its standard error once the model's own terms, and what flights "
-        "differ by anyway, are taken out; beside rival: with the most similar other cause taken out as well. "
-        f"At the t needed, nine of ten repeats of these flights would name it; taken up: the model's own "
-        "terms can stand in for it. "
+        "differ by anyway, are taken out; with rival: with the most similar other cause taken out as well. "
+        f"At the t needed, nine of ten repeats of these flights would name it; absorbed: the model's own "
+        "terms can replace it. "
         f"Noise: {card.noise}."
     )
     return report.page(

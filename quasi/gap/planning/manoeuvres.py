@@ -1,4 +1,4 @@
-"""A small library of manoeuvres that tell causes apart, worked out for a model's vehicle.
+"""A small library of manoeuvres that distinguish causes, worked out for a model's vehicle.
 
 Each is about 20 s long, begins and ends in hover, and is made smaller until the model's rotors can fly it. Speeds are
 those of a room; sharp turns reach about 100 rad/s2 where the rotors can.

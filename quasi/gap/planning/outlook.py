@@ -59,7 +59,7 @@ class Spread(NamedTuple):
 class Sight(NamedTuple):
     """What is expected of one parameter.
 
-    size (its unit), std (alike), t = size/std of it alone; beside (t with the nearest rival given too) and that rival
+    size (its unit), std (alike), t = size/std of it alone; with_rival (t with the nearest rival given) and that rival
     needed  t at which nine of ten repeats are named
     absorbed  whether the model's own terms take the cause up whatever is flown; taken  whether they do here
     """
@@ -68,7 +68,7 @@ class Sight(NamedTuple):
     parameter: str
     size: float
     t: float
-    beside: float
+    with_rival: float
     rival: str | None
     needed: float
     absorbed: bool = False
@@ -79,7 +79,7 @@ class Sight(NamedTuple):
         """ "seen", "tie" or "not seen"."""
         if self.absorbed or self.t < self.needed:
             return "not seen"
-        return "seen" if self.beside >= self.needed else "tie"
+        return "seen" if self.with_rival >= self.needed else "tie"
 
 
 class Row(NamedTuple):
@@ -96,7 +96,7 @@ class Outlook:
     flights   what is flown how often; columns  what is what in them; size, draws  P and D of `Repeated`
     effects   the causes of the columns; rate  false alarm rate shared by them
     together  whether a cause is always tested with all its parameters, as the levels below aerodynamics do
-    freedom   degrees of freedom that the nuisances' spreads stand for beside the flights' own
+    freedom   degrees of freedom that the nuisances' spreads stand for in addition to the flights' own
     prior     precision (S, S) of the shared columns' coefficients about 0
     """
 
@@ -164,9 +164,9 @@ class Outlook:
         offer = self.offer(cause, parameter)
         spread, covariance, share = self.test(offer)
         t = self._t(offer, parameter, size, covariance)
-        beside = {r: self._t(offer, parameter, size, self.covariance(offer, spread, self.whole(r))) for r in rivals}
-        nearest = min(beside, key=beside.get, default=None)
-        return Sight(cause, parameter, size, t, min([t, *beside.values()]), nearest, self.needed(offer, share))
+        by_rival = {r: self._t(offer, parameter, size, self.covariance(offer, spread, self.whole(r))) for r in rivals}
+        nearest = min(by_rival, key=by_rival.get, default=None)
+        return Sight(cause, parameter, size, t, min([t, *by_rival.values()]), nearest, self.needed(offer, share))
 
     def offer(self, cause: str, parameter: str) -> Offer:
         """The parameter alone, or all of a cause whose parameters are found together."""
@@ -223,7 +223,7 @@ class Outlook:
         return best[1], best[2]
 
     def covariance(self, offer: Offer, spread: Spread, given: Offer) -> np.ndarray:
-        """Covariance (m, m) of the parameters beside another cause, at a spread that is known."""
+        """Covariance (m, m) of the parameters with another cause, at a spread that is known."""
         return self._solve(offer, spread, given)[1]
 
     def _solve(self, offer: Offer, assumed: Spread, given: Offer | None) -> tuple[float, np.ndarray]:

@@ -26,7 +26,7 @@ from quasi.model.model import AXES, ROTORS, Model
 
 RATE = 100.0  # Hz of the evidence
 WORTH = 1.2  # a manoeuvre is proposed where it raises what is expected by this factor at least
-HEIGHT = 1.5  # m, at which manoeuvres are tried where the flights do not tell where they were
+HEIGHT = 1.5  # m, at which manoeuvres are tried where the flights have no position
 MOST = 200  # flights: what is drawn for each stands in one matrix
 HALFWAY = 0.5  # of what is needed: less is no help
 SEED = 0
@@ -76,7 +76,7 @@ class Card:
 
 UNTOLD = {
     "attitude_error": "only on flights without captured attitude, and its file gives no typical size",
-    "marker_offset": "looks like the imu lever arm, which stands for it: forces and moments tell the two apart",
+    "marker_offset": "looks like the imu lever arm, which represents it: forces and moments distinguish the two",
 }
 
 
@@ -92,7 +92,7 @@ class Judge(NamedTuple):
 
 
 def read_flight(table: pd.DataFrame, model: Model, where: str, simulated: bool = False) -> Flight:
-    """A flown flight, a simulation or a planned trajectory, told apart by their columns.
+    """A flown flight, a simulation or a planned trajectory, distinguished by their columns.
 
     A filtered flight holds measured forces and moments; states and rotor speeds without them, or of a simulation, are
     taken as they are, with the model's forces; t, x, y, z and yaw are followed by the model.
@@ -135,7 +135,7 @@ def examine(
     if compared < 2 or reference < 0:
         raise ConfigError(
             f"a plan for {compared} compared and {reference} reference flights, expected at least 2 and 0: one flight "
-            "cannot tell a cause from what flights merely differ by"
+            "cannot distinguish a cause from normal differences between flights"
         )
     if compared + reference > MOST:
         raise ConfigError(
@@ -164,13 +164,13 @@ def examine(
         card.notes.append("the flown flights' own forces are not used, for the others have not flown yet")
     for one in evidence:
         if "z" not in one.columns:
-            card.notes.append(f"{one.key} tells no place: what depends on height or place is not asked")
+            card.notes.append(f"{one.key} has no position: causes that depend on height or place are not judged")
             continue
         low = np.flatnonzero(one.columns["z"] > -model.airframe.radius)
         if len(low):
             card.notes.append(
                 f"{one.key}: the vehicle is less than a rotor's radius above the floor (z = 0) at t = "
-                f"{one.t[low[0]]:.1f} s; what is said of ground effect is not to be trusted there"
+                f"{one.t[low[0]]:.1f} s; the result for ground effect is not reliable there"
             )
     rate = rate_of(rate, compared, 1)  # one more flight like these is held out
     judges = [_wrench(flights, evidence, shares, model, asked, vehicle, rate, noise, card)]
@@ -178,10 +178,10 @@ def examine(
         judge = make(flights, model, asked, rate, card)
         judges += [judge] if judge else []
     rows = [row for judge in judges for row in _rows(_look(judge, shares, []), judge.effects, vehicle)]
-    card.rows = _sorted(plan_lower.told_by_motion(rows))
+    card.rows = _sorted(plan_lower.judged_by_motion(rows))
     if propose:
-        told = {"x", "y", "z"} <= set(evidence[0].columns)
-        place = np.median(evidence[0].take("x", "y", "z"), axis=0) if told else np.array([0.0, 0.0, -HEIGHT])
+        located = {"x", "y", "z"} <= set(evidence[0].columns)
+        place = np.median(evidence[0].take("x", "y", "z"), axis=0) if located else np.array([0.0, 0.0, -HEIGHT])
         _propose(card, judges, shares, library(model, place, float(evidence[0].columns["yaw"][0])), vehicle)
     return card
 
@@ -264,7 +264,7 @@ def _drives(
         n: "no closed form of what it shows" for n, e in asked.items() if e.level == "A" and n not in effects
     }
     if not all("battery_voltage" in f.columns for f in flights) and effects.pop("battery_sag", None):
-        card.not_asked["battery_sag"] = "no battery voltage is told"
+        card.not_asked["battery_sag"] = "no battery voltage is known"
     if not effects:
         return None
     return Judge(
@@ -297,8 +297,8 @@ def _sorted(rows: Sequence[Row]) -> list[Row]:
 
 
 def _merit(sight: Sight) -> float:
-    """What is expected over what is needed, alone or beside the rival, whichever is less."""
-    return min(sight.t, sight.beside) / sight.needed
+    """What is expected over what is needed, alone or with the rival, whichever is less."""
+    return min(sight.t, sight.with_rival) / sight.needed
 
 
 def _helps(before: Sight, after: Sight) -> bool:
@@ -319,26 +319,26 @@ def _propose(
         found: list[Row] = []
         for judge, parts in zip(judges, added):
             outlook = _look(judge, shares, [parts[k]])
-            # late telemetry is asked along: it tells what becomes of a late command
+            # late telemetry is tested too: it decides about a late command
             names = [n for n in judge.effects if n in open_ or n in plan_lower.LATE]
             for row in (r for r in card.rows if r.effect.id in names and not r.sight.absorbed):
                 sights = tuple(
                     outlook.look(s.cause, s.parameter, s.size, [s.rival] if s.rival else []) for s in row.all
                 )
                 found.append(Row(row.effect, min(sights, key=_merit), sights))
-        looks.append({r.effect.id: r.sight for r in plan_lower.told_by_motion(found) if r.effect.id in open_})
+        looks.append({r.effect.id: r.sight for r in plan_lower.judged_by_motion(found) if r.effect.id in open_})
     chosen = _chosen(open_, looks)
     best = {n: max(chosen, key=lambda k: _merit(looks[k][n])) for n in open_} if chosen else {}
     for k in chosen:
         names = [n for n in open_ if best[n] == k and _helps(open_[n].sight, looks[k][n])]
-        # every rival is asked where one is told
+        # every rival is tested where one is reported
         rows = []
         for judge, parts in zip(judges, added):
             asked = [
                 n for n in judge.effects if n in names or (n in plan_lower.LATE and set(plan_lower.LATE) & set(names))
             ]
             rows += _rows(_look(judge, shares, [parts[k]]), judge.effects, vehicle, asked) if asked else []
-        looks[k] |= {r.effect.id: r.sight for r in plan_lower.told_by_motion(rows) if r.effect.id in names}
+        looks[k] |= {r.effect.id: r.sight for r in plan_lower.judged_by_motion(rows) if r.effect.id in names}
         raises = {n: (open_[n].sight, looks[k][n]) for n in names if _helps(open_[n].sight, looks[k][n])}
         if raises:
             card.proposals.append(Proposal(options[k], raises))
@@ -349,7 +349,7 @@ def _propose(
         names = [n for n in judge.effects if n in open_ or n in plan_lower.LATE]
         if flown and names:
             rows += _rows(_look(judge, shares, [parts[k] for k in flown]), judge.effects, vehicle, names)
-    card.after = {r.effect.id: r.sight for r in plan_lower.told_by_motion(rows) if r.effect.id in open_}
+    card.after = {r.effect.id: r.sight for r in plan_lower.judged_by_motion(rows) if r.effect.id in open_}
 
 
 def _chosen(open_: Mapping[str, Row], looks: Sequence[Mapping[str, Sight]]) -> list[int]:

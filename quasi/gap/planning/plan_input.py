@@ -27,15 +27,15 @@ def flights_of(names: Sequence[str], model: Model, directory: Path) -> tuple[lis
     flights, about = [], {}
     for name in names:
         path, simulated = _place(name, directory)
-        beside = path.with_suffix(".json")
-        told = read_json(beside) if path.suffix == ".parquet" and beside.is_file() else {}
+        companion = path.with_suffix(".json")
+        metadata = read_json(companion) if path.suffix == ".parquet" and companion.is_file() else {}
         table, unknown = read_numbers(path), []
-        if told.get("schema") == "quasi.filtered/1":
-            _same_kind(told, model, path)
-            if told.get("mass"):
-                refuse_another_vehicle(path.as_posix(), replace(model.airframe, mass=float(told["mass"])), model)
-            about = about or {k: told[k] for k in ("mass", "inertia") if told.get(k) is not None}
-            speed, place = measured_motion(told)
+        if metadata.get("schema") == "quasi.filtered/1":
+            _same_kind(metadata, model, path)
+            if metadata.get("mass"):
+                refuse_another_vehicle(path.as_posix(), replace(model.airframe, mass=float(metadata["mass"])), model)
+            about = about or {k: metadata[k] for k in ("mass", "inertia") if metadata.get(k) is not None}
+            speed, place = measured_motion(metadata)
             if not speed:
                 raise DataError(
                     f"{path} has no source of velocity but the accelerometer, which drifts, and forces and moments "
@@ -72,8 +72,8 @@ def _simulated(path: Path) -> bool:
     return summary.is_file() and str(read_json(summary).get("schema", "")).startswith("quasi.simulation/")
 
 
-def _same_kind(told: Mapping[str, Any], model: Model, path: Path) -> None:
-    forces = told.get("forces")
+def _same_kind(metadata: Mapping[str, Any], model: Model, path: Path) -> None:
+    forces = metadata.get("forces")
     if forces in ("withGravity", "noGravity") and forces != model.gravity:
         raise ConfigError(
             f"{path} holds forces {forces}, but model {model.id} gives them {model.gravity}; name the flight in the "

@@ -101,7 +101,7 @@ def _outlook(
     causes: Mapping[str, list[int]], effects: Mapping[str, Effect], rate: float, freedom: float,
     prior: np.ndarray | None = None,
 ) -> Outlook:  # fmt: skip
-    """With the nuisances and the shared columns as columns of their own, beside those of the causes."""
+    """With the nuisances and the shared columns as columns of their own, next to those of the causes."""
     width = flights[0].stretches.shape[1]
     place = [*range(width), *nuisance, *shared]
     own = list(range(width, width + len(nuisance)))
@@ -115,15 +115,15 @@ def _lag(model: Model) -> float:
     return float(np.mean(held["value"])) if held.get("value") else USUAL_LAG
 
 
-def told_by_motion(rows: Sequence[Row]) -> list[Row]:
-    """A late command beside its twin, late telemetry: what the motion would show of the latter splits them."""
+def judged_by_motion(rows: Sequence[Row]) -> list[Row]:
+    """A late command with its twin, late telemetry: what the motion would show of the latter separates them."""
     found = [s for row in rows for s in row.all if s.cause == LATE[1]]
     result = []
     for row in rows:
         if row.effect.id == LATE[0]:
             shown = max((s.t * abs(row.sight.size / s.size) for s in found), default=0.0)
-            if shown < row.sight.beside:
-                sight = row.sight._replace(beside=shown, rival=LATE[1])
+            if shown < row.sight.with_rival:
+                sight = row.sight._replace(with_rival=shown, rival=LATE[1])
                 row = Row(row.effect, sight, (sight,))
         result.append(row)
     return result
