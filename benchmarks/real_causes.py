@@ -1,6 +1,7 @@
 """Real flights with known causes: every condition of CrazyPAD against its normal flights, by the trim in hover.
 
     python benchmarks/real_causes.py [PATH of crazypad] [--splits 200] [--seed 0]
+    python benchmarks/real_causes.py [PATH of crazypad] --gaps FOLDER [--jobs 2]
 
 The folder's name is the truth. Sessions: flights of one folder, in the order of their numbers, belong together as long
 as the battery's voltage at rest falls; where it rises by 20 mV or more the battery was changed, and a session begins.
@@ -9,11 +10,20 @@ as the battery's voltage at rest falls; where it rises by 20 mV or more the batt
 Printed are the answer for each condition, a confusion matrix of truth and answer, and false alarms of normal against
 normal: each session left out, each three flights of seven, and bootstrap splits over flights. The count by hand that it
 is compared with: rotors whose mean square root of the command lies beyond three spreads of the normal flights.
+
+With --gaps each condition is a whole gap of the workflow, made in FOLDER (examples/crazyflie, one gap a condition): the
+model of the normal flights with speeds estimated from commands, its first two flights compared, the third held out. The
+names are those of diagnosis.json. It takes an hour on two cores; what is made stays, so that it can be continued.
 """
 
 import argparse
+import csv
 import itertools
+import json
 import re
+import shutil
+import subprocess
+import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -32,6 +42,9 @@ SPINS = np.array([1.0, -1.0, 1.0, -1.0])  # M1 counter-clockwise
 RADIUS = 0.0235  # m
 NEW_BATTERY = 0.02  # V of rise at rest
 NORMAL = "normal_flight"
+ROOT = Path(__file__).parents[1]
+EXAMPLE = ROOT / "examples/crazyflie"
+SHORT = {"cg_offset": "cg"}
 
 
 class Log(NamedTuple):
@@ -171,6 +184,54 @@ def print_normals(logs: dict[str, list[Log]], geometry: Geometry, count: int, se
     )
 
 
+def write_gaps(folder: Path) -> dict[str, str]:
+    """Lay the example in a folder, with a gap a condition; return {condition: gap}."""
+    shutil.copytree(EXAMPLE, folder, dirs_exist_ok=True)
+    with (folder / "data/crazypad_file_log.csv").open(newline="", encoding="utf-8") as file:
+        flights = list(csv.DictReader(file))
+    rows: dict[str, list[int]] = defaultdict(list)
+    for number, flight in enumerate(flights, 2):
+        rows[flight["OB Path"].rpartition("/")[2]].append(number)
+    normal, gaps = rows.pop(NORMAL), {}
+    example = json.loads((folder / "config/gaps/cut-5mm.json").read_text(encoding="utf-8"))
+    for number, (condition, own) in enumerate(rows.items(), 1):
+        gaps[condition] = f"condition-{number:02d}"
+        book = {**example["logging file"], "rows of flights to compare (all)": own,
+                "rows of flights held out": own[-1:], "rows of reference flights": normal}  # fmt: skip
+        document = {**example, "logging file": book, "extended model ID": f"crazypad-{gaps[condition]}"}
+        (folder / f"config/gaps/{gaps[condition]}.json").write_text(json.dumps(document, indent=2), encoding="utf-8")
+    return gaps
+
+
+def names_of(diagnosis: Path) -> tuple[str, ...]:
+    """Names in a diagnosis: rotors by their number, other causes by their id; a tie as its members."""
+    if not diagnosis.is_file():
+        return ("not made",)
+    found = json.loads(diagnosis.read_text(encoding="utf-8"))
+    names: list[str] = []
+    for effect in found["effects"]:
+        rotors = [n for n in effect["parameters"] if n.startswith("rotor") and n[5:].isdigit()]
+        is_rotor = effect["id"] == "rotor_effectiveness"
+        names += [f"rotor {n[5:]}" for n in rotors] if is_rotor else [SHORT.get(effect["id"], effect["id"])]
+    for tie in found["ties"]:
+        trim = tie.get("trim") or {}
+        names += list(trim) or [SHORT.get(i, i) for i in tie["ids"]]
+    return tuple(dict.fromkeys(names))
+
+
+def run_gaps(data: Path, folder: Path, jobs: int) -> dict[str, tuple[str, ...]]:
+    """Make the gaps of all conditions; return their names, after a table of them."""
+    gaps = write_gaps(folder)
+    targets = [f"results/gaps/{gap}/diagnosis.json" for gap in gaps.values()]
+    command = [sys.executable, "-m", "snakemake", "-s", str(ROOT / "Snakefile"), "-d", str(folder), f"-j{jobs}",
+               "--keep-going", "--config", f"data={data.resolve().parent}", "--", *targets]  # fmt: skip
+    subprocess.run(command, check=False)  # conditions that cannot be made are reported below
+    answers = {c: names_of(folder / f"results/gaps/{gap}/diagnosis.json") for c, gap in gaps.items()}
+    for condition, names in answers.items():
+        print(f"{condition[:36]:36s} {', '.join(names) or '-'}")
+    return answers
+
+
 def main() -> None:
     """Read, compare, print."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
@@ -178,7 +239,12 @@ def main() -> None:
     parser.add_argument("path", nargs="?", type=Path, default=here)
     parser.add_argument("--splits", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--gaps", type=Path)
+    parser.add_argument("--jobs", type=int, default=2)
     asked = parser.parse_args()
+    if asked.gaps is not None:
+        print_matrix(run_gaps(asked.path, asked.gaps, asked.jobs))
+        return
     logs, geometry = read_logs(asked.path), geometry_of(HUBS, SPINS)
     sessions = {log.flight.session for flights in logs.values() for log in flights}
     print(
