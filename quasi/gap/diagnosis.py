@@ -103,7 +103,7 @@ def diagnose(
              for e in driving if e["id"] in effects and effects[e["id"]].extension]  # fmt: skip
     corrected = any(c["since"] == "always" for c in calibration.get("causes", ())) and made_of(model, learning)
     always = [e["id"] for e in driving if e["since"] == "always"]
-    trim = gather_trim(flights, roles, sessions, vehicle)
+    trim = gather_trim(flights, roles, sessions, vehicle, {k: e.mass for k, e in evidence.items()})
     case = Case(model, effects, vehicle, learning, compared, held, flights, drive, corrected, settings, always, trim)
     unable = _unable(groups, roles, lost) or _unusable(base)
     silent = {n for n, e in effects.items() if e.level == "W" and e.channels and set(e.channels) <= set(base.excluded)}

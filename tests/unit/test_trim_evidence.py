@@ -120,3 +120,12 @@ def test_a_flight_without_a_steady_part_is_left_out_with_the_reason():
     found = gather_trim(tables, ROLES_OF, SESSIONS, vehicle())
     assert "steady" in found.document["left out"]["a0"]
     assert "a0" not in found.document["flights"]
+
+
+@pytest.mark.parametrize(("heavier", "rejected"), [(1.0, True), (1.15, False)])
+def test_a_wrong_logged_mass_is_not_rejected_although_the_rotors_turn_as_before(heavier, rejected):
+    tables = {k: table(2000.0 * np.ones(4), i) for i, k in enumerate(SESSIONS)}
+    masses = {k: MASS * (heavier if k[0] == "c" else 1.0) for k in SESSIONS}
+    found = gather_trim(tables, ROLES_OF, SESSIONS, vehicle(), masses)
+    lighter = {"mass": MASS / 1.15 - MASS}
+    assert bool(rejected_by_trim(found, [("mass", lighter)], MASS)) is rejected

@@ -39,11 +39,14 @@ class TrimEvidence:
 
 
 def gather_trim(
-    tables: Mapping[str, pd.DataFrame], roles: Mapping[str, str], sessions: Mapping[str, str], vehicle: Vehicle
-) -> TrimEvidence:
+    tables: Mapping[str, pd.DataFrame], roles: Mapping[str, str], sessions: Mapping[str, str], vehicle: Vehicle,
+    masses: Mapping[str, float] | None = None,
+) -> TrimEvidence:  # fmt: skip
     """Compare the trim of compared flights with that of reference flights.
 
     tables  filtered flights by key; roles {key: "compared", "reference", "held out"}, of which the last are left out
+    masses  {key: kg} that flights were logged with, where they differ: thrust counts relative to the logged weight, so
+            that a wrong logged mass shows as the mass that a correction of it takes off, and a right one does not show
     """
     flights, facts, lacking = [], {}, {}
     for key, table in tables.items():
@@ -54,7 +57,9 @@ def gather_trim(
         except ValueError as error:
             lacking[key] = str(error)
             continue
-        flights.append(Flight(key, steady.thrust, steady.volts, sessions.get(key, ""), roles[key] == "compared"))
+        weight = (masses or {}).get(key, np.nan) / vehicle.mass
+        thrust = steady.thrust / (weight if np.isfinite(weight) and weight > 0.0 else 1.0)
+        flights.append(Flight(key, thrust, steady.volts, sessions.get(key, ""), roles[key] == "compared"))
         facts[key] = {"seconds": steady.seconds, "contacts": steady.contacts, "source": steady.source}
     document: dict[str, Any] = {"word": "not asked", "flights": facts, "left out": lacking}
     missing = [r for r in ("reference", "compared") if not any(f.is_compared is (r == "compared") for f in flights)]
