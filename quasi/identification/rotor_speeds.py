@@ -40,6 +40,7 @@ from quasi.terms.rotor_map import (
 
 SHORTEST = 5.0  # s of compared rows of all flights together: ten times the longest time constant
 MIN_VOLTAGE_VARIATION = 0.01  # std over median of the voltage, as in the identification of actuators
+AFTER_LIMIT = 0.2  # s after a command left its limit: five lags of a brushed motor
 LIMIT = 0.999  # a share of the command from which on it is at its limit
 # Static thrust coefficient T / (rho n2 D4) of small propellers is 0.08 to 0.14 (Deters, Ananda & Selig, AIAA 2014-2151,
 # 2.25 to 9 inch); its middle, as T = C rho A (W R)2: times 4 / pi3
@@ -80,6 +81,8 @@ def identify_rotor_speeds(
         )
     kind = next(iter(kinds))
     chosen = chosen or {key: used_rows(flight) for key, flight in flights.items()}
+    if kind == "share":
+        chosen = rows_within_limits(flights, chosen, notes)
     operating, reference = _operating_point(flights, chosen, kind, notes)
     point = operating, reference
     made = {k: prepare_flight(f, chosen[k], airframe, masses[k], kind, point) for k, f in flights.items()}
@@ -98,8 +101,6 @@ def identify_rotor_speeds(
         begin = begin if begin is not None else fits[name]
     best = min(fits, key=lambda n: fits[n].criterion)
     fit = fits[best]
-    if kind == "share":
-        _note_limits(flights, chosen, notes)
     drive = _as_plain(fit, best, kind, operating, reference, list(made), airframe, masses, known or {})
     drive["candidates"] = [
         {"form": n, "BIC": f.criterion - fit.criterion, "parameters": len(f.x)} for n, f in fits.items()
@@ -116,7 +117,10 @@ def _operating_point(
     commands = np.concatenate([raw_commands(f, kind)[chosen[k]].ravel() for k, f in flights.items()])
     operating = float(np.median(commands)) if len(commands) else 0.0
     if not operating > 0.0:
-        raise DataError(f"the commands of the flights {', '.join(flights)} are 0 in flight; check their columns")
+        raise DataError(
+            f"the flights {', '.join(flights)} hold no commands between 0 and their limit while they fly; check their "
+            "columns and units"
+        )
     silent = [k for k, f in flights.items() if raw_volts(f) is None]
     if silent:
         notes.append(
@@ -132,16 +136,30 @@ def _operating_point(
     return operating, median
 
 
-def _note_limits(flights: Mapping[str, pd.DataFrame], chosen: Mapping[str, np.ndarray], notes: list[str]) -> None:
-    """Report how often commands are at their limits."""
+def rows_within_limits(
+    flights: Mapping[str, pd.DataFrame], chosen: Mapping[str, np.ndarray], notes: list[str]
+) -> dict[str, np.ndarray]:
+    """The chosen rows, without those where a command is at its limit or was so within AFTER_LIMIT before.
+
+    Beyond the limit the log does not hold what the controller asked for, and a supply that cannot carry full commands
+    sags. Notes report how many rows are left out.
+    """
+    found = {}
     for key, flight in flights.items():
-        commands = raw_commands(flight, "share")[chosen[key]]
-        full = (commands >= LIMIT).mean(axis=0) if len(commands) else np.zeros(4)
-        if full.max() > 0.01:
+        commands, t = raw_commands(flight, "share"), flight["t"].to_numpy(float)
+        full = commands >= LIMIT
+        memory = max(round(AFTER_LIMIT / float(np.median(np.diff(t)))), 1)
+        last = np.maximum.accumulate(np.where(full.any(axis=1), np.arange(len(t)), -memory - 1))
+        rows = chosen[key] & (np.arange(len(t)) - last > memory)
+        lost = float(full[chosen[key]].any(axis=1).mean()) if chosen[key].any() else 0.0
+        if lost > 0.01:
+            most = int(np.argmax(full[chosen[key]].mean(axis=0))) + 1
             notes.append(
-                f"flight {key}: the command of rotor {int(np.argmax(full)) + 1} is at its upper limit in "
-                f"{100 * full.max():.0f} % of the rows"
+                f"flight {key}: a command is at its limit in {100 * lost:.0f} % of the rows, most often that of rotor "
+                f"{most}; these rows do not enter the map from commands to rotor speeds"
             )
+        found[key] = rows
+    return found
 
 
 def _as_plain(
