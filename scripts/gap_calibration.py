@@ -8,6 +8,7 @@ from typing import Any
 from quasi.airframe import read_airframe
 from quasi.errors import ConfigError
 from quasi.filtering.flight import filter_flight
+from quasi.filtering.rotor_speeds import add_estimated_speeds
 from quasi.gap.calibration.lower import examine, units_of
 from quasi.gap.catalogue import catalogue, chosen
 from quasi.gap.flights.gathering import refuse_another_vehicle
@@ -47,6 +48,8 @@ def main(source: dict, asked: dict, settings: dict, output: dict[str, str]) -> N
         imported, about, filtered, filtered_about = (
             read_table(p) if p.endswith(".parquet") else read_json(p) for p in paths
         )
+        drive = model.document.get("rotor speeds")
+        filtered = add_estimated_speeds(filtered, filtered_about, drive, trimmed=False)
         compared = asked["roles"][key] != "reference"
         flights.append(Flown(key, compared, imported, about, filtered, filtered_about, airframe))
 
@@ -57,7 +60,7 @@ def main(source: dict, asked: dict, settings: dict, output: dict[str, str]) -> N
     flights = [f for f in flights if f.key not in left_out]
 
     def process(flown: Flown, calibration: Mapping[str, Any] | None) -> Flown:
-        return anew(flown, settings[flown.key], calibration)
+        return anew(flown, settings[flown.key], calibration, model.document.get("rotor speeds"))
 
     result, levels = examine(flights, model.document, asked["settings"], effects, process, len(asked["held"]))
     result["left out"] = left_out
@@ -72,16 +75,16 @@ def main(source: dict, asked: dict, settings: dict, output: dict[str, str]) -> N
     write_json(output["calibration"], result)
 
 
-def anew(flown: Flown, settings: dict, calibration: Mapping[str, Any] | None) -> Flown:
-    """A flight imported and filtered again with a calibration. Raises ConfigError for faulty settings."""
+def anew(flown: Flown, settings: dict, calibration: Mapping[str, Any] | None, drive: Mapping[str, Any] | None) -> Flown:
+    """A flight imported and filtered again with a calibration, speeds by the map `drive`. Raises ConfigError."""
     for stage in ("importing", "filtering"):
         if settings[stage]["problem"]:
             raise ConfigError(settings[stage]["problem"])
     of = settings["importing"]
     imported, about = import_flight(of["flight"], of["quadrotor"], of["options"], calibration)
     result = filter_flight(imported, about, flown.airframe, settings["filtering"]["options"])
-    return replace(flown, imported=imported, metadata=about, filtered=result.with_gravity,
-                   filtered_metadata=result.metadata)  # fmt: skip
+    filtered = add_estimated_speeds(result.with_gravity, result.metadata, drive, trimmed=False)
+    return replace(flown, imported=imported, metadata=about, filtered=filtered, filtered_metadata=result.metadata)
 
 
 if __name__ == "__main__":

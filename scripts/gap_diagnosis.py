@@ -12,6 +12,7 @@ import pandas as pd
 
 from quasi.airframe import read_airframe
 from quasi.errors import ConfigError, DataError
+from quasi.filtering.rotor_speeds import add_estimated_speeds
 from quasi.gap.calibration.lower import units_of
 from quasi.gap.catalogue import catalogue, chosen
 from quasi.gap.diagnosis import diagnose
@@ -39,7 +40,10 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
     for path, about in show_progress(list(zip(source["flights"], source["metadata"], strict=True)), "reading flights"):
         key = Path(path).stem
         airframes[key] = read_airframe(asked["quadrotor"], asked["quadrotor"]["file"], asked["masses"][key])
-        tables[key] = read_table(path), read_json(about), airframes[key]
+        made = read_json(about)
+        # one map for all flights: a factor of each flight's own would hide a weak rotor
+        flight = add_estimated_speeds(read_table(path), made, model.document.get("rotor speeds"), trimmed=False)
+        tables[key] = flight, made, airframes[key]
     calibration = read_json(source["calibration"])
     left_out = _exclude(calibration, {key: about for key, (_, about, _) in tables.items()}, asked)
     tables = {key: table for key, table in tables.items() if key not in left_out}
@@ -55,7 +59,10 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
     }
     lost = exclusion_notes(left_out, roles) + lost + unchecked(asked, model.document)
     lost += too_short(flights, roles, max(asked["settings"]["horizons"]))
-    held = [[f for f in _flown(source, prefix, airframes) if f.key not in left_out] for prefix in ("first", "held")]
+    held = [
+        [f for f in _flown(source, prefix, airframes, model.document.get("rotor speeds")) if f.key not in left_out]
+        for prefix in ("first", "held")
+    ]
     found = diagnose(
         model,
         calibration,
@@ -110,12 +117,13 @@ def _partition(flights: dict[str, pd.DataFrame], roles: dict[str, str], effects:
     return to_table(partition(judged, held, {"random partition": False}))
 
 
-def _flown(source: dict, prefix: str, airframes: dict) -> list[Flown]:
+def _flown(source: dict, prefix: str, airframes: dict, drive: dict | None) -> list[Flown]:
     names = [f"{prefix}_{n}" for n in ("imported", "imported_metadata", "filtered", "filtered_metadata")]
     result = []
     for paths in zip(*(source[n] for n in names), strict=True):
         key = Path(paths[0]).stem
         parts = [read_table(p) if p.endswith(".parquet") else read_json(p) for p in paths]
+        parts[2] = add_estimated_speeds(parts[2], parts[3], drive, trimmed=False)
         result.append(Flown(key, True, *parts, airframes[key]))
     return result
 

@@ -169,6 +169,8 @@ def filter_flight(
     factor = airframe.logged_to_rad_s or imported_metadata.get("logged to rad/s")
     estimated = commands_to_keep(actuators)
     turning = speeds if speeds is not None else _commanded(actuators, logged)
+    if estimated:
+        notes.append("rotor speeds are not measured: a model that uses this flight estimates them from its commands")
     if turning is not None and speeds is None:
         notes.append("no rotor speeds: take-off, ground and rest are found from the commands")
     found = _phases(

@@ -116,7 +116,6 @@ class JointFit:
         self.colour = {axis: np.zeros(ORDER) for axis in AXES}
         self.scale = dict.fromkeys(AXES, 1.0)
         self.with_voltage = with_voltage
-        self.weight = {axis: np.ones(len(self.flights)) for axis in AXES}
         self.independent = 1.0  # independent rows of the vertical force over all its rows
         self.criterion = np.inf
         self.covariance = np.zeros((len(self.x), len(self.x)))
@@ -149,12 +148,12 @@ class JointFit:
         }
 
     def whitened(self, x: np.ndarray, white: bool = True) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """{axis: (target, columns)} of all compared rows, through the inverse of the disturbance model, about the means
-        of each flight."""
+        """{axis: (target, columns)} of all compared rows; moments through the inverse of the disturbance model, about
+        the means of each flight. Vertical force is compared as it is: its signal is slow, and so is its feedback."""
         found: dict[str, list] = {axis: [] for axis in AXES}
-        for number, flight in enumerate(self.flights):
+        for flight in self.flights:
             for axis, (target, columns) in self.equations(flight, x).items():
-                both = np.column_stack([target, columns]) * self.weight[axis][number]
+                both = np.column_stack([target, columns])
                 if white and axis != "Fz":
                     both = lfilter(np.concatenate([[1.0], -self.colour[axis]]), [1.0], both, axis=0)
                 both = both[flight.rows]
@@ -176,47 +175,41 @@ class JointFit:
     def run(self, begin: "JointFit | None" = None) -> None:
         """Estimate the parameters; those that another fit shares with this one start there."""
         if begin is not None:
-            self.colour, self.scale, self.weight = dict(begin.colour), dict(begin.scale), begin.weight
+            self.colour, self.scale = dict(begin.colour), dict(begin.scale)
             self.independent = begin.independent
             shared = dict(zip(begin.names, begin.x))
             self.x = np.array([shared[n] if n not in FORMS[self.form].names and n in shared else v
                                for n, v in zip(self.names, self.x)])  # fmt: skip
         else:
             self._update_noise(self.solve(self.x))
-        for turn in range(ROUNDS if begin is None else ROUNDS - 1):
+        for _ in range(ROUNDS if begin is None else ROUNDS - 1):
             found = least_squares(
                 self._error, self.x, bounds=(self.low, self.high), x_scale=self.size, diff_step=1e-2, xtol=1e-5,
                 ftol=1e-6, max_nfev=25,
             )  # fmt: skip
             self.x = found.x
-            self._update_noise(self.solve(self.x), weigh=begin is None and turn < ROUNDS - 1)
+            self._update_noise(self.solve(self.x))
         self._finish()
 
     def _error(self, x: np.ndarray) -> np.ndarray:
         return np.concatenate([part[2] / self.scale[axis] for axis, part in self.solve(x).items()])
 
-    def _update_noise(
-        self, solved: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]], weigh: bool = False
-    ) -> None:
+    def _update_noise(self, solved: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
         """The autoregression of the residuals of each axis by least squares, and the std of what it cannot predict.
 
-        weigh  also weigh each flight by the inverse of its own residuals' std
+        Flights are not weighed by their noise: quiet ones have the smallest residuals, but the strongest feedback.
         """
         for axis in AXES:
             past, now = [], []
-            for number, flight in enumerate(self.flights):
+            for flight in self.flights:
                 target, columns = self.equations(flight, self.x)[axis]
                 left = target - columns @ solved[axis][0]
-                left = self.weight[axis][number] * (left - left[flight.rows].mean())
+                left = left - left[flight.rows].mean()
                 lags = np.stack([np.concatenate([np.zeros(k), left[:-k]]) for k in range(1, ORDER + 1)], axis=1)
                 past.append(lags[flight.rows])
                 now.append(left[flight.rows])
             a, b = np.concatenate(past), np.concatenate(now)
             self.colour[axis] = np.linalg.lstsq(a, b, rcond=None)[0]
-            if weigh:
-                each = [y - x @ self.colour[axis] * (axis != "Fz") for x, y in zip(past, now)]
-                size = np.array([np.std(e) for e in each]) / self.weight[axis]
-                self.weight[axis] = np.exp(np.mean(np.log(size))) / size
             self.scale[axis] = float(np.std(b - a @ self.colour[axis]))
             if axis == "Fz":  # about its mean over many memories: the spectrum of the residuals at frequency 0
                 slow = self.scale[axis] / max(1.0 - float(np.sum(self.colour[axis])), 0.01)
@@ -259,12 +252,11 @@ class JointFit:
     def places(self, axis: str) -> dict[str, list[float]]:
         """Moment per N of thrust of each rotor: "value", "std" (4,) m, each rotor by itself."""
         found = []
-        for number, flight in enumerate(self.flights):
+        for flight in self.flights:
             thrust = block_means(self.thrusts(flight, self.x)[0], flight.fine)
             target, columns = self.equations(flight, self.x)[axis]
             both = np.column_stack([target, 0.5 * (thrust[1:] + thrust[:-1]), columns[:, 1:]])
             both = lfilter(np.concatenate([[1.0], -self.colour[axis]]), [1.0], both, axis=0)[flight.rows]
-            both *= self.weight[axis][number]
             found.append(both - both.mean(axis=0))
         table = np.concatenate(found)
         size = np.linalg.norm(table[:, 1:], axis=0)

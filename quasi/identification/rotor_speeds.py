@@ -8,8 +8,8 @@ Commands make speeds (`quasi.terms.rotor_map`), squared speeds make thrusts T_i,
 
 a_x and a_y are 1 where arms, mass and inertia are as configured. In flight a controller answers every disturbance, so
 that commands and disturbances are correlated and least squares underestimates the factors; it does even more so after a
-zero-phase filter. The equations are therefore compared before any low-pass, as predictions one step ahead, with an
-autoregressive model of the disturbance (a prediction-error method, consistent in closed loop).
+zero-phase filter. Moments are therefore compared before any low-pass, as predictions one step ahead, with an
+autoregressive model of the disturbance (a prediction-error method, consistent in closed loop). Fz is compared as it is.
 
 The trim of a flight cannot be known from commands: propellers, motors and batteries differ from day to day. Each rotor
 gets a factor a flight with which the flight's mean thrust and moments balance; the scatter of these factors is the
@@ -45,6 +45,7 @@ LIMIT = 0.999  # a share of the command from which on it is at its limit
 # Static thrust coefficient T / (rho n2 D4) of small propellers is 0.08 to 0.14 (Deters, Ananda & Selig, AIAA 2014-2151,
 # 2.25 to 9 inch); its middle, as T = C rho A (W R)2: times 4 / pi3
 NOMINAL_THRUST_COEFFICIENT = 0.11 * 4.0 / np.pi**3
+CANDIDATES = ("linear", "square root", "quadratic", "thrust map")  # forms of maps from shares, compared by BIC
 KNOWN_SCALES = ("hover speed", "thrust factor")  # keys of the quadrotor configuration, rad/s and N s2/rad2
 
 
@@ -93,7 +94,7 @@ def identify_rotor_speeds(
             f"flights {', '.join(flights)} hold {seconds:.1f} s from which rotor speeds could be estimated, "
             f"{SHORTEST:g} s are needed; add flights"
         )
-    names = ["speed"] if kind == "speed" else [n for n in FORMS if n != "speed"]
+    names = ["speed"] if kind == "speed" else list(CANDIDATES)
     fits, begin = {}, None
     for name in names:
         fits[name] = JointFit(name, list(made.values()), airframe, reference is not None)

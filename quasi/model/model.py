@@ -15,6 +15,7 @@ from scipy.special import ndtri, stdtrit
 from quasi import tables
 from quasi.airframe import Airframe
 from quasi.errors import ConfigError, ReadError, ShapeError, nearest
+from quasi.model.commands import relative_speed_error, rotor_speeds
 from quasi.model.document import AXES, airframe_of, check_document, trees_of
 from quasi.model.envelope import JOINT, Region, distances, make_region
 from quasi.pages.causes import where_it_acts
@@ -23,6 +24,7 @@ from quasi.terms.expressions import Program, names
 from quasi.terms.graph import Graph, Value
 from quasi.terms.kernel import INPUTS, Kernel, compile_outputs, wrench, wrench_rows
 from quasi.terms.normalisation import from_plain as normalisation_from_plain
+from quasi.terms.rotor_map import describe_map
 from quasi.terms.singularities import remove_singularities
 from quasi.terms.variables import Variables, base_columns, check_terms, plain_name
 
@@ -131,6 +133,25 @@ class Model:
         result = self.run(self.kernel, state, speeds, rotor_accelerations, extra)
         forces, moments = result[:3].T, result[3:].T
         return (forces[0], moments[0]) if state.ndim == 1 else (forces, moments)
+
+    def predict_from_commands(
+        self,
+        t: np.ndarray,
+        state: np.ndarray,
+        commands: np.ndarray,
+        volts: np.ndarray | None = None,
+        extra: Mapping[str, np.ndarray] | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Forces (N, 3), N, and moments (N, 3), N m, from commands by the model's map, delay and lag of the rotors.
+
+        t         (N,) s, evenly spaced; the rotors start in the steady state of the first command
+        commands  (N, 4) shares of the motor output range, or rad/s where the model's map takes speeds
+        volts     (N,) V of the battery; None takes the reference voltage of the map
+        state, extra  as for `predict`, N rows
+        Raises ShapeError, DataError for numbers that are not finite, ConfigError for a model without a command map.
+        """
+        speeds, accelerations = rotor_speeds(self.document, t, commands, volts)
+        return self.predict(np.atleast_2d(np.asarray(state, float)), speeds, accelerations, extra)
 
     def predict_columns(self, flight: pd.DataFrame | Mapping[str, np.ndarray]) -> pd.DataFrame:
         """Predictions of the identified axes, one column each, of a table with roll .. z, w1 .. w4 and so on."""
@@ -241,16 +262,22 @@ class Model:
         found, worst = distances(*region, self._gathered(region.kernel, columns, rows))
         return found, np.array([*self.region_names, ""])[worst]
 
-    def interval(self, flight: pd.DataFrame | Mapping[str, np.ndarray], level: float | None = None) -> pd.DataFrame:
+    def interval(
+        self, flight: pd.DataFrame | Mapping[str, np.ndarray], level: float | None = None, trimmed: bool = True
+    ) -> pd.DataFrame:
         """Prediction intervals: columns <axis>, <axis>_lower, <axis>_upper for each identified axis.
 
-        level  share of measurements that should fall inside; None takes the model's own
+        level    share of measurements that should fall inside; None takes the model's own
+        trimmed  of rotor speeds that are estimated from commands: whether each flight's were scaled to balance its mean
+                 force and moments; False adds the scatter between flights
         An axis whose coefficients came without data has NaN bounds.
-        Variance = residual variance + a C a', C being the coefficients' covariance robust to autocorrelation;
+        Variance = residual variance + a C a', C being the coefficients' covariance robust to autocorrelation, + the
+        error of rotor speeds that are estimated from commands, by the model's derivatives (delta method);
         quantile of Student's t with the effective number of rows less the number of terms.
         """
         columns, rows = _as_columns(flight)
         lookup = self._lookup(columns, rows)
+        by_speeds = self._variance_by_speeds(columns, rows, trimmed)
         result = {}
         for axis in self.axes:
             part = self.document["axes"][axis]
@@ -261,7 +288,7 @@ class Model:
             a = values[[not t.get("given", False) for t in part["terms"]]]
             covariance = np.array(part["covariance"], float).reshape(len(a), len(a))
             with np.errstate(invalid="ignore", over="ignore"):
-                variance = part["sigma2"] + np.einsum("in,in->n", a, covariance @ a)
+                variance = part["sigma2"] + np.einsum("in,in->n", a, covariance @ a) + by_speeds[AXES.index(axis)]
                 deviation = np.sqrt(variance)
                 centre = coefficients @ values
             freedom = part["effective rows"] - len(part["covariance"])
@@ -274,6 +301,15 @@ class Model:
                 centre, width = centre * scale, width * scale
             result |= {axis: centre, f"{axis}_lower": centre - width, f"{axis}_upper": centre + width}
         return pd.DataFrame(result, index=flight.index if isinstance(flight, pd.DataFrame) else None)
+
+    def _variance_by_speeds(self, columns: Mapping[str, np.ndarray], rows: int, trimmed: bool) -> np.ndarray:
+        """(6, rows) variance of the predictions from estimated rotor speeds; zeros where speeds are measured."""
+        error = relative_speed_error(self.document, trimmed)
+        if not error or self.normalisation:
+            return np.zeros((len(AXES), rows))
+        speeds = np.stack([np.asarray(columns[w], float) for w in ROTORS])
+        slopes = self._run(self.derivative_kernel(ROTORS), columns, rows).reshape(len(AXES), 4, rows)
+        return np.sum((slopes * speeds * error) ** 2, axis=1)
 
     def term_values(self, axis: str, flight: pd.DataFrame | Mapping[str, np.ndarray]) -> np.ndarray:
         """(terms, N) the terms of an identified axis with coefficients of 1, N or N m, over N rows of a flight.
@@ -289,6 +325,7 @@ class Model:
         lines = [f"Model {self.id} ({self.gravity}, airframe {self.airframe.name})"]
         if self.hover_speed is not None:
             lines.append(f"Hover speed {self.hover_speed:.1f} rad/s")
+        lines += describe_map(self.document)
         if self.normalisation:
             lines.append("Coefficients are those of F / N and M / (N b); predictions are in N and N m")
         for extension in self.document.get("extensions") or []:

@@ -16,6 +16,7 @@ from quasi.pages.model_ranges import show_coverage, show_quartiles
 from quasi.pages.model_warnings import show_warnings
 from quasi.pages.terms import list_variables, show_expression
 from quasi.tables import AGE_OFF
+from quasi.terms.rotor_map import describe_map
 
 PAUSE = 0.5  # s between two flights on the time axis
 
@@ -234,6 +235,7 @@ def _rotors(model: Mapping[str, Any]) -> str:
     hover = model["hover speed"]
     speed = frame.with_error(hover["value"], hover.get("std"), "rad/s") if hover["value"] else "unknown"
     facts = [("hover speed", speed)]
+    facts += [("rotor speeds", f"{sentence}.") for sentence in describe_map(model)]
     for name, entry in model.get("simple model", {}).items():
         if not name.endswith("_w"):
             doubt = "" if entry["std"] is None else f" ± {entry['std']:.1g}"  # published ones have none

@@ -8,6 +8,7 @@ import pandas as pd
 
 from quasi.model.model import Model
 from quasi.scoring.score import POOLED, format_scores
+from quasi.terms.rotor_map import describe_map
 
 SUMMARY_SCHEMA = "quasi.summary/1"
 SUMMARY_TERM_KEYS = (
@@ -35,6 +36,7 @@ def format_summary(model: Model, scores: pd.DataFrame, diagnosis: Mapping[str, A
     text = "\n".join(lines) + format_scores(scores, model)
     # the page always has the note; with held-out flights it needs no action
     note = None if (scores["role"] == "validation").any() else diagnosis["partition"]["note"]
+    text += "".join(f"{sentence}\n" for sentence in describe_map(model.document))
     return text + (f"note: {note}\n" if note else "")
 
 
@@ -65,6 +67,7 @@ def make_summary(model: Model, scores: pd.DataFrame, diagnosis: Mapping[str, Any
         "summary": diagnosis["summary"],
         "hover speed": model.document["hover speed"],
         "actuators": model.document.get("actuators"),
+        "rotor speeds": describe_map(model.document) or None,
         "flights": model.document["flights"],
         "axes": axes,
     }

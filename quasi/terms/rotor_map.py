@@ -7,6 +7,7 @@ command, v = V / V_ref and n the voltage exponent, the forms of f are
 
     linear        v^n (1 + b (c / c0 - 1))
     square root   v^n sqrt(1 + b (c / c0 - 1)), a thrust that is linear in the command
+    polynomial    v^n (1 + b (c / c0 - 1) + d (c / c0 - 1)^2), as maps on measured speeds are
     quadratic     1 + b (z - 1) + d (z - 1)^2 with z = v^n c / c0: duty times volts where n = 1
     thrust map    sqrt((1 - sqrt(1 - k z)) / (1 - sqrt(1 - k))), volts that are a quadratic of the thrust
     speed         the command is a speed already (rad/s); f is v^n c / c0
@@ -48,6 +49,7 @@ class Form(NamedTuple):
 FORMS = {
     "linear": Form(("slope",), (0.7,), (0.05,), (1.5,)),
     "square root": Form(("slope",), (1.0,), (0.1,), (3.0,)),
+    "polynomial": Form(("slope", "curvature"), (0.7, 0.0), (0.05, -1.0), (1.5, 1.0)),
     "quadratic": Form(("slope", "curvature"), (0.7, 0.0), (0.05, -1.0), (1.5, 1.0)),
     "thrust map": Form(("saturation",), (0.5,), (0.01,), (0.98,)),
     "speed": Form((), (), (), ()),
@@ -65,6 +67,9 @@ def shape(form: str, share: np.ndarray, ratio: np.ndarray | float, exponent: flo
         return factor * np.maximum(1.0 + parameters[0] * (share - 1.0), 0.0)
     if form == "square root":
         return factor * np.sqrt(np.maximum(1.0 + parameters[0] * (share - 1.0), 0.0))
+    if form == "polynomial":
+        change = share - 1.0
+        return factor * np.maximum(1.0 + parameters[0] * change + parameters[1] * change**2, 0.0)
     z = factor * share
     if form == "quadratic":
         return np.maximum(1.0 + parameters[0] * (z - 1.0) + parameters[1] * (z - 1.0) ** 2, 0.0)
@@ -133,6 +138,70 @@ def speeds_of(drive: Mapping[str, Any], commands: np.ndarray, volts: np.ndarray 
     """
     wanted = steady_speeds(drive, commands, volts)
     return lagged(wanted, dt, drive["time constant"]["value"], drive["delay"]["value"])
+
+
+def drive_of_map(actuators: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """The section "actuators" of a model on measured speeds as a drive of this module; None without its "command map".
+
+    The operating command is the middle of the range; one lag and one map stand for the four rotors.
+    """
+    held = (actuators or {}).get("command map")
+    lags, late = (actuators or {}).get("time constants"), (actuators or {}).get("delay")
+    if not held or not lags:
+        return None
+    coefficients = dict(zip(held.get("powers", range(len(held["coefficients"]))), held["coefficients"]))
+    if set(coefficients) - {0, 1, 2}:
+        return None
+    a0, a1, a2 = (float(coefficients.get(k, 0.0)) for k in range(3))
+    half = 0.5
+    speed = a0 + a1 * half + a2 * half**2
+    if not speed > 0.0:
+        return None
+    exponent, reference = held.get("voltage exponent"), held.get("reference voltage")
+    exponent = exponent if isinstance(exponent, Mapping) else {"value": exponent}
+    return {
+        "source": "commands",
+        "input": "share",
+        "form": "polynomial",
+        "parameters": {
+            "slope": {"value": (a1 * half + 2.0 * a2 * half**2) / speed},
+            "curvature": {"value": a2 * half**2 / speed},
+        },
+        "operating command": half,
+        "reference voltage": reference,
+        "voltage exponent": exponent if exponent.get("value") and reference else None,
+        "speeds": {"value": [speed] * 4, "unit": "rad/s"},
+        "time constant": {"value": float(np.mean(lags["value"])), "unit": "s"},
+        "delay": {"value": float(np.mean(late["value"])) if late else 0.0, "unit": "s"},
+    }
+
+
+def describe_map(document: Mapping[str, Any]) -> list[str]:
+    """Sentences on rotor speeds that are estimated from commands; [] for a model on measured speeds."""
+    drive = document.get("rotor speeds")
+    if not drive:
+        return []
+    error = drive["relative error"]
+    between = error.get("between flights")
+    parts = f"{100 * error['map']:.2g} % by the map"
+    parts += f", {100 * between:.2g} % from flight to flight" if between is not None else ""
+    sentences = [
+        f"Rotor speeds estimated from commands, +- {100 * error['total']:.2g} % ({parts}): {drive['form']} map, time "
+        f"constant {1e3 * drive['time constant']['value']:.1f} ms, delay {1e3 * drive['delay']['value']:.1f} ms"
+    ]
+    if drive["voltage exponent"]:
+        sentences[0] += f", voltage exponent {drive['voltage exponent']['value']:.2f}"
+    if drive["scale"]["relative"]:
+        sentences.append(f"Rotor speeds are relative; their scale is fixed by a {drive['scale']['from']}")
+    else:
+        sentences.append(f"The scale of the rotor speeds is that of the {drive['scale']['from']}")
+    if drive.get("factors"):
+        roll, pitch = (drive["factors"][axis] for axis in ("Mx", "My"))
+        sentences.append(
+            f"Arms by roll and pitch moments over those configured: {roll['value']:.2f} +- {roll['std']:.2f}, "
+            f"{pitch['value']:.2f} +- {pitch['std']:.2f}"
+        )
+    return sentences
 
 
 def raw_commands(table: pd.DataFrame, kind: str) -> np.ndarray | None:

@@ -1,0 +1,47 @@
+"""Rotor speeds of a model from commands: which map a model carries, and how far its speeds are off."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from quasi.errors import ConfigError, ShapeError
+from quasi.terms.rotor_map import delayed, drive_of_map, lagged, steady_speeds
+
+
+def map_of(document: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The map from commands to rotor speeds that a model carries, as `rotor_map` takes it; None without one."""
+    return document.get("rotor speeds") or drive_of_map(document.get("actuators"))
+
+
+def relative_speed_error(document: Mapping[str, Any], trimmed: bool) -> float:
+    """Standard error of estimated rotor speeds over the speeds; 0 for a model on measured speeds.
+
+    trimmed  without the scatter between flights, for speeds that were scaled to the flight's own balance
+    """
+    drive = document.get("rotor speeds") or {}
+    return float((drive.get("relative error") or {}).get("map" if trimmed else "total") or 0.0)
+
+
+def rotor_speeds(
+    document: Mapping[str, Any], t: np.ndarray, commands: np.ndarray, volts: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rotor speeds (N, 4), rad/s, and their slopes (N, 4), rad/s2; arguments as `Model.predict_from_commands`."""
+    drive = map_of(document)
+    if drive is None:
+        raise ConfigError(
+            f"model {document.get('id')} carries no map from commands to rotor speeds; identify it on flights whose "
+            "log holds commands"
+        )
+    t, commands = np.asarray(t, float), np.asarray(commands, float)
+    if t.ndim != 1 or len(t) < 2 or commands.shape != (len(t), 4):
+        raise ShapeError(f"t must be (N,) and commands (N, 4) with N of at least 2, got {t.shape} and {commands.shape}")
+    if volts is not None:
+        volts = np.broadcast_to(np.asarray(volts, float), t.shape)
+    step = np.diff(t)
+    if not np.all(np.abs(step - step.mean()) <= 0.01 * step.mean()):
+        raise ShapeError("t must be evenly spaced and increasing; resample commands and states first")
+    dt, tau, delay = float(step.mean()), drive["time constant"]["value"], drive["delay"]["value"]
+    wanted = steady_speeds(drive, commands, volts)
+    speeds = lagged(wanted, dt, tau, delay)
+    return speeds, (delayed(wanted, dt, delay) - speeds) / tau
