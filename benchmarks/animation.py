@@ -17,7 +17,7 @@ from measured_table import record
 
 from quasi.airframe import read_airframe
 from quasi.attitude import from_euler
-from quasi.pages.animation import animate, can_write_mp4, following, frames
+from quasi.pages.animation import animate, can_write_mp4, follow_drone, render_frames
 from quasi.pages.drawing import Motion
 from quasi.tables import read_json, write_json
 
@@ -44,15 +44,15 @@ def main() -> None:
     options = parser.parse_args()
     drones = options.drones
     motions = [figure_eight(k) for k in range(drones)]
-    next(iter(frames(motions)))  # imports and fonts
+    next(iter(render_frames(motions)))  # imports and fonts
     found: dict[str, float] = {"drones": drones}
 
     # of the processor's time, so that other work on the computer does not count
     began = time.process_time()
-    count = sum(1 for _ in frames(motions, FPS))
+    count = sum(1 for _ in render_frames(motions, FPS))
     found["frames per second"] = count / (time.process_time() - began)
     began = time.process_time()
-    count = sum(1 for _ in frames(motions, 0.2 * FPS, limits=following(motions[0])))
+    count = sum(1 for _ in render_frames(motions, 0.2 * FPS, limits=follow_drone(motions[0])))
     found["frames per second, each drawn whole"] = count / (time.process_time() - began)
     with tempfile.TemporaryDirectory() as folder:
         for suffix in ("gif", "mp4") if can_write_mp4() else ("gif",):

@@ -14,7 +14,7 @@ sys.path.insert(0, LIBRARY)
 from quasi.errors import QuasiError
 from quasi.export.targets import SIMULATOR_NAMES
 from quasi.running.job_log import RUN_VARIABLE, read_reports
-from quasi.pages.index import TARGET, list_sources, write_index
+from quasi.pages.index import INDEX_TARGET, list_sources, write_index
 from quasi.running.provenance import compute_code_digest
 from quasi.project.folder import check_project, check_writable, read_settings
 from quasi.running.checksums import Checksums
@@ -330,7 +330,7 @@ def every_processed_flight(wildcards):
 
 onsuccess:
     if list_sources(PROJECT):
-        write_index(PROJECT, f"{PROJECT}/{TARGET}")
+        write_index(PROJECT, f"{PROJECT}/{INDEX_TARGET}")
 
 
 onerror:

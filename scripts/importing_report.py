@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 
 from quasi.filtering.figures import figures
 from quasi.importing.figures import alignment_figure, close_up, trajectory_figure
-from quasi.pages.flight import page, saturation, verdict
-from quasi.pages.gyro_spectrum import gyro_spectrum
+from quasi.pages.flight import compute_saturation, derive_flight_verdict, render_flight_page
+from quasi.pages.gyro_spectrum import draw_gyro_spectrum
 from quasi.running.job_log import job
 from quasi.tables import read_json, read_table, write_bytes, write_json, write_text
 
@@ -65,11 +65,11 @@ def main(source: dict[str, str], target: str, folder: str) -> None:
             pictures[heading] = (png, caption)
     flying = filtered["in_flight"].to_numpy() > 0
     spectrum = None
-    if (figure := gyro_spectrum(imported, flying)) is not None:
+    if (figure := draw_gyro_spectrum(imported, flying)) is not None:
         spectrum = (draw_png(figure, Path(folder) / "gyro_spectrum.png"), SPECTRUM)
-    word, because = verdict(about, filtered_about, saturation(imported, flying))
+    word, because = derive_flight_verdict(about, filtered_about, compute_saturation(imported, flying))
     write_json(Path(folder) / "verdict.json", {"verdict": word, "because": because})
-    write_text(target, page(imported, about, filtered, filtered_about, pictures, spectrum))
+    write_text(target, render_flight_page(imported, about, filtered, filtered_about, pictures, spectrum))
 
 
 def draw_png(figure: Figure, path: Path) -> bytes:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from quasi.model.model import read_model
 from quasi.pages.animation import animate, can_write_mp4
-from quasi.pages.drawing import motion_of
+from quasi.pages.drawing import make_motion
 from quasi.running.job_log import LOG, job
 from quasi.simulation.tools.figures import cut_runaway_rows
 from quasi.tables import read_table
@@ -18,7 +18,7 @@ def main(table: str, model: str, name: str, settings: dict, folder: str) -> None
     kind = "mp4" if can_write_mp4() else "gif"
     if kind == "gif":
         LOG.info("written as GIF; `pip install 'quasi[animation]'` makes it an MP4 of a tenth of the size")
-    motion = motion_of(flight, read_model(model).airframe, name)
+    motion = make_motion(flight, read_model(model).airframe, name)
     rate, speed = settings["frames per second"], settings["speed"]
     count = animate([motion], target / f"animation.{kind}", rate, speed, trail=5.0 * speed, title=name)
     LOG.info("%d frames", count)

@@ -7,7 +7,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from quasi.airframe import read_airframe
 from quasi.errors import ConfigError, DataError
 from quasi.pages.animation import animate, can_write_mp4
-from quasi.pages.drawing import motion_of, trajectories
+from quasi.pages.drawing import make_motion, trajectories
 from quasi.running.job_log import LOG, job, show_progress
 from quasi.tables import read_table, whole_file
 
@@ -23,7 +23,7 @@ def main(flights: list[str], settings: dict, folder: str) -> None:
         key, flight = Path(path).stem, read_table(path)
         flying = flight[flight["in_flight"] > 0.5] if "in_flight" in flight else flight
         try:
-            motion = motion_of(flying, airframe, key)
+            motion = make_motion(flying, airframe, key)
             figure = trajectories([motion], stills=settings["stills"], title=key)
         except DataError as error:
             LOG.warning("flight %s has no trajectory: %s", key, error)

@@ -4,7 +4,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from quasi.airframe import read_airframe
 from quasi.errors import ConfigError
-from quasi.pages.drawing import TRAJECTORY, flown_motion, flown_rows, trajectories
+from quasi.pages.drawing import TRAJECTORY_COLUMNS, make_flown_motion, select_flown_rows, trajectories
 from quasi.running.job_log import job
 from quasi.tables import read_fields, read_json, read_table, whole_file, write_table
 
@@ -14,12 +14,12 @@ def main(flight: str, metadata: str, settings: dict, table: str, figure: str) ->
     if settings["problem"]:
         raise ConfigError(settings["problem"])
     airframe = read_airframe(settings["quadrotor"], settings["quadrotor"]["file"], settings["mass"])
-    key, flying = settings["flight"], flown_rows(read_table(flight))
-    motion = flown_motion(flying, read_json(metadata), airframe, key)
+    key, flying = settings["flight"], select_flown_rows(read_table(flight))
+    motion = make_flown_motion(flying, read_json(metadata), airframe, key)
     drawn = trajectories([motion], stills=settings["stills"], title=key)
     with whole_file(figure) as part:
         FigureCanvasAgg(drawn).print_png(part)
-    fields, kept = read_fields(flight), [c for c in TRAJECTORY if c in flying]
+    fields, kept = read_fields(flight), [c for c in TRAJECTORY_COLUMNS if c in flying]
     units = {c: tuple(fields[c].get(k, "") for k in ("unit", "frame", "meaning")) for c in kept}
     write_table(table, flying[kept], units)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from quasi.airframe import read_airframe
 from quasi.errors import ConfigError
 from quasi.pages.animation import animate
-from quasi.pages.drawing import flown_motion, flown_rows
+from quasi.pages.drawing import make_flown_motion, select_flown_rows
 from quasi.running.job_log import LOG, job
 from quasi.tables import read_json, read_table
 
@@ -18,7 +18,7 @@ def main(flight: str, metadata: str, settings: dict, target: str) -> None:
         raise ConfigError(settings["problem"])
     airframe = read_airframe(settings["quadrotor"], settings["quadrotor"]["file"], settings["mass"])
     key = settings["flight"]
-    motion = flown_motion(flown_rows(read_table(flight)), read_json(metadata), airframe, key)
+    motion = make_flown_motion(select_flown_rows(read_table(flight)), read_json(metadata), airframe, key)
     Path(target).parent.mkdir(parents=True, exist_ok=True)
     count = animate([motion], target, speed_up=settings["speed up"], trail=TRAIL, title=key)
     LOG.info("%d frames", count)

@@ -18,7 +18,7 @@ from quasi.errors import ConfigError, ReadError, ShapeError, nearest
 from quasi.model.commands import relative_speed_error, rotor_speeds
 from quasi.model.document import AXES, airframe_of, check_document, trees_of
 from quasi.model.envelope import JOINT, Region, distances, make_region
-from quasi.pages.causes import where_it_acts
+from quasi.pages.causes import describe_effects
 from quasi.terms.differential import Jacobian, held_back, held_of, split_jacobian
 from quasi.terms.expressions import Program, names
 from quasi.terms.graph import Graph, Value
@@ -329,7 +329,7 @@ class Model:
         if self.normalisation:
             lines.append("Coefficients are those of F / N and M / (N b); predictions are in N and N m")
         for extension in self.document.get("extensions") or []:
-            lines.append(f"Extended by {extension.get('id')}: {where_it_acts(extension)}")
+            lines.append(f"Extended by {extension.get('id')}: {describe_effects(extension)}")
         for axis in self.axes if axes is None else axes:
             if axis not in self.axes:
                 raise ConfigError(f"model {self.id} has no axis '{axis}'{nearest(axis, self.axes)}")

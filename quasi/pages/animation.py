@@ -19,29 +19,29 @@ from quasi.attitude import interpolate
 from quasi.errors import ConfigError, DataError
 from quasi.pages import drawing
 from quasi.pages.drawing import Motion
-from quasi.pages.drone import Drone, Look, caption, get_limits, new_axes, path_line, set_limits, shape_of
+from quasi.pages.drone import Drone, Look, draw_path_line, get_limits, make_axes, make_shape, set_limits, write_caption
 from quasi.tables import whole_file, write_bytes
 
 Limits = tuple[np.ndarray, np.ndarray]
 Wrapper = Callable[[float, Axes3D], Iterable[Artist] | None]
-MOST_FRAMES = 20_000  # a longer animation is a slip of a setting
-SUFFIXES = (".mp4", ".gif")
+MAX_FRAMES = 20_000  # more frames are a mistaken setting
+ANIMATION_SUFFIXES = (".mp4", ".gif")
 
 
 class Scene:
     """Drones with their trails in 3-D axes, redrawn many times.
 
-    axes    of `drone.new_axes`, with their limits set; the canvas of their figure must be an Agg one
+    axes    of `drone.make_axes`, with their limits set; the canvas of their figure must be an Agg one
     drones  airframe and look of each; scale  by which they are enlarged
     """
 
     def __init__(self, axes: Axes3D, drones: Sequence[tuple[Airframe, Look]], scale: float = 1.0) -> None:
         self.axes = axes
         self.canvas = axes.figure.canvas
-        self.drones = [Drone(axes, shape_of(airframe, scale), look) for airframe, look in drones]
+        self.drones = [Drone(axes, make_shape(airframe, scale), look) for airframe, look in drones]
         nowhere = np.full((1, 3), np.nan)
-        self._trails = [path_line(axes, nowhere, look.history) for _, look in drones]
-        self._shadows = [path_line(axes, nowhere, "0.8", 0.9) for _ in drones]
+        self._trails = [draw_path_line(axes, nowhere, look.history) for _, look in drones]
+        self._shadows = [draw_path_line(axes, nowhere, "0.8", 0.9) for _ in drones]
         self.clock = axes.text2D(0.98, 0.98, "", transform=axes.transAxes, fontsize=9, ha="right", va="top")
         self._moving: list[Artist] = [*self._shadows, *self._trails, self.clock]
         for artist in (*self._moving, *(a for d in self.drones for a in d.artists)):
@@ -55,19 +55,19 @@ class Scene:
     def place(
         self, number: int, position: np.ndarray, quaternion: np.ndarray, opacity: np.ndarray, trail: np.ndarray
     ) -> None:
-        """Move a drone to position (3,) m, quaternion (4,), discs' opacity (4,); trail (M, 3) is the path behind it."""
+        """Move a drone to position (3,) m, quaternion (4,), opacity (4,) of the discs, with its trail (M, 3)."""
         self.drones[number].pose(position, quaternion, opacity)
         self._trails[number].set_data_3d(*trail.T)
         floor = get_limits(self.axes)[1][2]
         self._shadows[number].set_data_3d(trail[:, 0], trail[:, 1], np.where(np.isnan(trail[:, 2]), np.nan, floor))
 
     def limits(self, low: np.ndarray, high: np.ndarray) -> None:
-        """Show another box, m, NED."""
+        """Set the visible box, m, NED."""
         set_limits(self.axes, low, high)
         self._background = None
 
     def draw(self, more: Iterable[Artist] = (), anew: bool = False) -> None:
-        """Draw the picture; more  artists of the user's that moved as well; anew  draws axes and grid again too."""
+        """Draw the picture; more  further artists that moved; anew  redraws axes and grid as well."""
         more = list(more)
         fresh = [a for a in more if not a.get_animated()]
         for artist in fresh:
@@ -89,17 +89,17 @@ class Scene:
             artist.axes.draw_artist(artist)
 
     def rest(self) -> None:
-        """Leave what moved as ordinary parts of the figure."""
+        """Turn the animated artists into ordinary parts of the figure."""
         for artist in (*self._moving, *(a for d in self.drones for a in d.artists)):
             artist.set_animated(False)
 
     def picture(self) -> np.ndarray:
-        """What was drawn last: (height, width, 3) bytes."""
+        """The last picture: (height, width, 3) bytes."""
         return np.asarray(self.canvas.buffer_rgba())[..., :3].copy()
 
 
-def following(motion: Motion, half: float = 1.0) -> Callable[[float], Limits]:
-    """Limits that keep one drone in the middle of a cube of 2 x half, m; for `animate`. Every frame is drawn whole."""
+def follow_drone(motion: Motion, half: float = 1.0) -> Callable[[float], Limits]:
+    """Limits that keep one drone in the middle of a cube of 2 x half, m; for `animate`. Every frame is redrawn."""
 
     def box(time: float) -> Limits:
         where = motion.position[motion.row_at(time)]
@@ -108,21 +108,21 @@ def following(motion: Motion, half: float = 1.0) -> Callable[[float], Limits]:
     return box
 
 
-def frame_times(motions: Sequence[Motion], fps: float, speed_up: float) -> np.ndarray:
-    """The times, s, that the frames of an animation show, from the first to the last that can be drawn."""
+def list_frame_times(motions: Sequence[Motion], fps: float, speed_up: float) -> np.ndarray:
+    """List the times, s, of the frames of an animation, from the first to the last drawable one."""
     _check_rates(fps, speed_up)
-    first = min(float(m.t[m.seen][0]) for m in motions)
-    last = max(float(m.t[m.seen][-1]) for m in motions)
+    first = min(float(m.t[m.drawable][0]) for m in motions)
+    last = max(float(m.t[m.drawable][-1]) for m in motions)
     count = math.floor((last - first) * fps / speed_up + 1e-9) + 1
-    if count > MOST_FRAMES:
+    if count > MAX_FRAMES:
         raise ConfigError(
             f"animation: {last - first:.0f} s at {fps:g} frames/s and speed {speed_up:g} are {count} frames, more than "
-            f"{MOST_FRAMES}; speed it up or show a part"
+            f"{MAX_FRAMES}; speed it up or show a part"
         )
     return first + np.arange(count) * speed_up / fps
 
 
-def frames(
+def render_frames(
     motions: Sequence[Motion],
     fps: float = 25.0,
     speed_up: float = 1.0,
@@ -134,24 +134,24 @@ def frames(
     scale: float | None = None,
     title: str = "",
 ) -> Iterator[np.ndarray]:
-    """The pictures (height, width, 3) of an animation, one after another; arguments as `animate`."""
+    """Render the pictures (height, width, 3) of an animation in sequence; arguments as `animate`."""
     if not motions:
         raise DataError("there is no motion to animate; give at least one")
-    motions = drawing.told_apart(motions)
-    times = frame_times(motions, fps, speed_up)
-    axes = _axes(axes, figure)
+    motions = drawing.assign_colours(motions)
+    times = list_frame_times(motions, fps, speed_up)
+    axes = _check_axes(axes, figure)
     moving_box = limits if callable(limits) else None
-    low, high = moving_box(times[0]) if moving_box else limits or drawing.extent(motions)
+    low, high = moving_box(times[0]) if moving_box else limits or drawing.find_extent(motions)
     if scale is None:
-        scale = 1.0 if moving_box else drawing.enlargement(motions)
+        scale = 1.0 if moving_box else drawing.choose_enlargement(motions)
     if limits is None:
-        room = 0.5 * max(shape_of(m.airframe, scale).span for m in motions)
+        room = 0.5 * max(make_shape(m.airframe, scale).span for m in motions)
         low, high = low - room, high + room
     set_limits(axes, low, high)
     shown_on = axes.figure.canvas
     FigureCanvasAgg(axes.figure)
-    said = f"{title}{', ' if title else ''}speed x {speed_up:g}" if speed_up != 1 else title
-    caption(axes, said, scale)
+    text = f"{title}{', ' if title else ''}speed x {speed_up:g}" if speed_up != 1 else title
+    write_caption(axes, text, scale)
     scene = Scene(axes, [(m.airframe, m.look) for m in motions], scale)
     courses = [_Course(m, times, trail) for m in motions]
     try:
@@ -159,11 +159,11 @@ def frames(
             if moving_box:
                 scene.limits(*moving_box(float(time)))
             for number, course in enumerate(courses):
-                scene.drones[number].wear(motions[number].look_at(float(time)))
+                scene.drones[number].set_look(motions[number].choose_look(float(time)))
                 scene.place(number, *course.at(k))
             scene.clock.set_text(f"{time:.2f} s")
             more = wrapper(float(time), axes) if wrapper else ()
-            # a wrapper that does not say what it moved may have moved anything
+            # a wrapper that returns no artists may have moved any
             scene.draw(more or (), anew=more is None)
             yield scene.picture()
     finally:
@@ -191,18 +191,18 @@ def animate(
     axes      3-D axes in a figure of the user's; figure  draws in its last axes; neither: a figure of its own
     wrapper   called for each frame with the time, s, and the axes, after the drones were moved: it may draw more, in
               other axes of the figure too; it returns what it moved, or None to have the whole figure drawn anew
-    limits    low (3,), high (3,), m, NED; or a function of the time, s, that gives them (`following` makes one)
+    limits    low (3,), high (3,), m, NED; or a function of the time, s, that gives them (`follow_drone` makes one)
     trail     s of the path behind each drone; scale  by which drones are enlarged, None: so that they can be seen
     Raises DataError, ConfigError for what cannot be made.
     """
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
-        raise ConfigError(f"animation {path}: '{path.suffix}' is no format of animations; name it .mp4 or .gif")
+    if path.suffix.lower() not in ANIMATION_SUFFIXES:
+        raise ConfigError(f"animation {path}: '{path.suffix}' is not an animation format; use .mp4 or .gif")
     _check_rates(fps, speed_up)
     gif = path.suffix.lower() == ".gif"
     if gif:
-        fps = 100.0 / gif_hundredths(fps)  # so that the speed stays true
-    pictures = frames(motions, fps, speed_up, axes, figure, wrapper, limits, trail, scale, title)
+        fps = 100.0 / compute_gif_delay(fps)  # so that the speed stays true
+    pictures = render_frames(motions, fps, speed_up, axes, figure, wrapper, limits, trail, scale, title)
     return write_gif(path, pictures, fps) if gif else write_mp4(path, pictures, fps)
 
 
@@ -250,7 +250,7 @@ def write_gif(path: Path, pictures: Iterable[np.ndarray], fps: float) -> int:
 
     Each frame holds only the rectangle that changed, and no more than two pictures are kept in memory at a time.
     """
-    palette, hundredths = _palette(), gif_hundredths(fps)
+    palette, hundredths = _make_palette(), compute_gif_delay(fps)
     parts: list[bytes] = []
     before, count = np.zeros((0, 0), np.uint8), 0
     for picture in pictures:
@@ -270,13 +270,13 @@ def write_gif(path: Path, pictures: Iterable[np.ndarray], fps: float) -> int:
     return count
 
 
-def gif_hundredths(fps: float) -> int:
-    """How long a GIF's frame lasts: whole hundredths of a second, and no less than players show."""
+def compute_gif_delay(fps: float) -> int:
+    """Compute the duration of a GIF frame: whole hundredths of a second, at least the minimum of players."""
     return max(round(100.0 / fps), 2)
 
 
-def _palette() -> Image.Image:
-    """Greys, of which most of a picture consists, and an even choice of all colours: a wrapper may draw in any."""
+def _make_palette() -> Image.Image:
+    """Make a palette of greys, the most frequent colours, and evenly spaced other colours for wrappers."""
     greys = np.repeat(np.linspace(0, 255, 40), 3).reshape(-1, 3)
     cube = np.stack(np.meshgrid(*3 * [np.linspace(0, 255, 6)]), axis=-1).reshape(-1, 3)
     image = Image.new("P", (1, 1))
@@ -288,16 +288,16 @@ class _Course:
     """A motion at the times of the frames."""
 
     def __init__(self, motion: Motion, times: np.ndarray, trail: float) -> None:
-        seen = motion.seen
-        t = motion.t[seen]
+        drawable = motion.drawable
+        t = motion.t[drawable]
         self.motion, self.times, self.trail = motion, times, trail
-        self.quaternion = interpolate(motion.quaternion[seen], t, times)
-        self.position = np.stack([np.interp(times, t, column) for column in motion.position[seen].T], axis=1)
-        rows = np.flatnonzero(seen)
+        self.quaternion = interpolate(motion.quaternion[drawable], t, times)
+        self.position = np.stack([np.interp(times, t, column) for column in motion.position[drawable].T], axis=1)
+        rows = np.flatnonzero(drawable)
         self.opacity = motion.opacity(rows[np.clip(np.searchsorted(t, times), 0, len(rows) - 1)])
-        step = max(1, len(motion.t) // drawing.MOST_POINTS)
+        step = max(1, len(motion.t) // drawing.MAX_PATH_POINTS)
         self.path_t = motion.t[::step]
-        self.path = np.where(seen[:, None], motion.position, np.nan)[::step]
+        self.path = np.where(drawable[:, None], motion.position, np.nan)[::step]
 
     def at(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         now = self.times[k]
@@ -311,11 +311,11 @@ def _check_rates(fps: float, speed_up: float) -> None:
             raise ConfigError(f"animation: '{name}' is {value!r}, expected a positive number")
 
 
-def _axes(axes: Axes3D | None, figure: Figure | None) -> Axes3D:
+def _check_axes(axes: Axes3D | None, figure: Figure | None) -> Axes3D:
     if axes is None and figure is not None and figure.axes:
         axes = figure.axes[-1]
     if axes is None:
-        return new_axes(figure or Figure(figsize=(7.2, 5.76), dpi=100))
+        return make_axes(figure or Figure(figsize=(7.2, 5.76), dpi=100))
     if not isinstance(axes, Axes3D):
         raise ConfigError(
             "animation: the axes are not three-dimensional; make them with "

@@ -1,35 +1,41 @@
-"""Where the causes that an extended model carries act, in words."""
+"""Effects of the causes of an extended model, in words."""
 
 from collections.abc import Mapping
 from typing import Any
 
-STATES = {
-    "swinging load": "swings, with states of its own, in simulations and roll-outs; predictions hold its quasi-steady "
-    "part, a load at rest along the apparent vertical; no export carries it",
-    "inflow lag": "has states of its own in simulations and roll-outs; predictions and exported functions hold it to "
-    "first order in the rotor accelerations, and its quasi-steady part, nothing, where these are zero",
+STATE_TEXTS = {
+    "swinging load": "a swinging payload with states of its own in simulations and roll-outs; predictions contain "
+    "its quasi-steady part, a payload at rest along the apparent vertical; exports do not contain it",
+    "inflow lag": "has states of its own in simulations and roll-outs; predictions and exported functions contain it "
+    "to first order in the rotor accelerations, which is zero where these are zero",
 }
-ACTUATORS = {
+ACTUATOR_TEXTS = {
     "time constant": "rotors of simulations, roll-outs with commands and exported vehicles",
     "delay": "rotors of simulations, roll-outs with commands and exported vehicles",
-    "voltage exponent": "rotors of simulations that know the battery's voltage, and of exported vehicles",
-    "reference voltage": "rotors of simulations that know the battery's voltage, and of exported vehicles",
-    "telemetry delay": "taken off recorded rotor speeds in roll-outs",
-    "rotor speed scale": "taken off recorded rotor speeds in roll-outs",
+    "voltage exponent": "rotors of simulations with a battery voltage, and of exported vehicles",
+    "reference voltage": "rotors of simulations with a battery voltage, and of exported vehicles",
+    "telemetry delay": "corrects recorded rotor speeds in roll-outs",
+    "rotor speed scale": "corrects recorded rotor speeds in roll-outs",
 }
-REPLACED = ("time constant", "voltage exponent", "reference voltage")  # constants of rotors that stand as they are
-AIRFRAME = {
+REPLACED_CONSTANTS = (
+    "time constant",
+    "voltage exponent",
+    "reference voltage",
+)  # rotor constants that replace the values of the model
+AIRFRAME_TEXTS = {
     "mass": "the vehicle's mass",
     "inertia": "the vehicle's inertia",
     "cg offset": "moments about the true centre of gravity, among the terms",
 }
 
 
-def where_it_acts(extension: Mapping[str, Any]) -> str:
-    """Where an extension of a model acts: terms, vehicle, rotors, wind, states of its own."""
-    said = [STATES.get(name, f"{name}, which nothing here knows") for name in extension.get("states") or ()]
-    said += [ACTUATORS.get(name, name) for name in extension.get("actuators") or ()]
-    said += [AIRFRAME.get(name, name) for name in extension.get("airframe") or ()]
+def describe_effects(extension: Mapping[str, Any]) -> str:
+    """Describe the effects of an extension: terms, vehicle, rotors, wind, states of its own."""
+    text = [
+        STATE_TEXTS.get(name, f"{name}, which this version does not know") for name in extension.get("states") or ()
+    ]
+    text += [ACTUATOR_TEXTS.get(name, name) for name in extension.get("actuators") or ()]
+    text += [AIRFRAME_TEXTS.get(name, name) for name in extension.get("airframe") or ()]
     if (extension.get("environment") or {}).get("wind") is not None:
-        said.append("blows in simulations and roll-outs; predictions take the velocity through the air")
-    return "; ".join(dict.fromkeys(said)) or "among the terms"
+        text.append("wind in simulations and roll-outs; predictions use the velocity through the air")
+    return "; ".join(dict.fromkeys(text)) or "among the terms"

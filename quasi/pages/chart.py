@@ -1,4 +1,4 @@
-"""Traces over one time axis that all of them share: zoom and cursor act on every panel of the page.
+"""Traces over one common time axis: zoom and cursor act on every panel of the page.
 
 uPlot (vendor/, MIT licence) draws them. It is copied into the page, which therefore needs no network. Values are stored
 as 16-bit steps of their range; 65535 stands for an unknown value.
@@ -15,19 +15,19 @@ import numpy as np
 
 from quasi.errors import ShapeError
 from quasi.pages import frame
-from quasi.pages.chart_script import SCRIPT, STYLE
+from quasi.pages.chart_script import CHART_SCRIPT, CHART_STYLE
 from quasi.tables import read_text
 
-VENDOR = Path(__file__).parent / "vendor"
+VENDOR_FOLDER = Path(__file__).parent / "vendor"
 # SHA-256 of the copies from the npm package uplot 1.6.32; a test compares them
-UPLOT = {
+UPLOT_DIGESTS = {
     "uPlot.iife.min.js": "19c8d4c6ad88929a79f4ae49d6f7161566dfd0ba3d15cc495e974f787eb78f1f",
     "uPlot.min.css": "df630c6a8d6f8eeaff264b50f73ce5b114f646ffd9a0bb74f049b0a00135fa04",
     "LICENSE.uPlot": "8f989229699b4fe2f1a0432d0e9edc338a8a911e250e2d1b01ecd770a5f5b1bd",
 }
-UNKNOWN = 65535  # largest 16-bit number
-MAX_ROWS = 8_000  # of a panel: 8 to a pixel of a wide screen; 16 panels of a flight hold 1.3 MB
-KINDS = {
+UNKNOWN_CODE = 65535  # largest 16-bit number
+MAX_PANEL_ROWS = 8_000  # of a panel: 8 per pixel of a wide screen; 16 panels of a flight are 1.3 MB
+SPAN_KINDS = {
     "lost": ("#f6c6c2", "lost on board"),
     "uncaptured": ("#fbe3b5", "not seen by the capture"),
     "idle": ("#eceff1", "not in flight"),
@@ -70,7 +70,7 @@ class Panel:
 class Chart:
     """All panels of a page.
 
-    spans  (from, to, kind), s, kind of KINDS; views  (name, from, to, held out), s, one button each
+    spans  (from, to, kind), s, kind of SPAN_KINDS; views  (name, from, to, held out), s, one button each
     first  (from, to) shown at first, s, None for everything; marks  times of vertical lines, s
     """
 
@@ -81,21 +81,22 @@ class Chart:
     marks: Sequence[float] = field(default=())
 
     def place(self, numbers: Sequence[int], columns: int = 1) -> str:
-        """The element that holds some of the panels, by number."""
+        """Render the element for some of the panels, by number."""
         kind = ' class="panels two"' if columns == 2 else ' class="panels"'
         places = "".join(f'<div data-panel="{int(k)}"></div>' for k in numbers)
         return f"<div{kind}>{places}</div>"
 
     def bar(self) -> str:
-        """Buttons, what the shades mean, and how to zoom."""
+        """Render buttons, the key of the shades, and how to zoom."""
         held = {True: ' class="held"', False: ""}
         buttons = "".join(
             f'<button data-view="{k}"{held[bool(view[3])]}>{frame.escape(view[0])}</button>'
             for k, view in enumerate(self.views)
         )
-        kinds = [kind for kind in KINDS if any(span[2] == kind for span in self.spans)]
+        kinds = [kind for kind in SPAN_KINDS if any(span[2] == kind for span in self.spans)]
         keys = "".join(
-            f'<span><span class="key" style="background:{KINDS[kind][0]}"></span>{frame.escape(KINDS[kind][1])}</span>'
+            f'<span><span class="key" style="background:{SPAN_KINDS[kind][0]}"></span>'
+            f"{frame.escape(SPAN_KINDS[kind][1])}</span>"
             for kind in kinds
         )
         return (
@@ -105,7 +106,7 @@ class Chart:
         )
 
     def script(self) -> str:
-        """Numbers, uPlot and script; once, after the places of all panels."""
+        """Render numbers, uPlot and script; once, after the elements of all panels."""
         ends = [float(end) for p in self.panels for end in p.t[np.isfinite(p.t)][[0, -1]]] if self.panels else []
         low, high = (min(ends), max(ends)) if ends else (0.0, 1.0)
         data = {
@@ -113,35 +114,37 @@ class Chart:
             "to": high if high > low else low + 1.0,
             "first": dict(zip(("from", "to"), map(float, self.first))) if self.first else None,
             "panels": [pack_panel(p) for p in self.panels],
-            "spans": [{"from": float(a), "to": float(b), "colour": KINDS[k][0]} for a, b, k in self.spans],
+            "spans": [{"from": float(a), "to": float(b), "colour": SPAN_KINDS[k][0]} for a, b, k in self.spans],
             "views": [{"from": float(a), "to": float(b)} for _, a, b, _ in self.views],
             "marks": [{"at": float(t)} for t in self.marks],
         }
         text = json.dumps(data, separators=(",", ":"), allow_nan=False)
-        library = read_text(VENDOR / "uPlot.iife.min.js").partition("\n")[2]  # without its first line, a web address
-        licence = read_text(VENDOR / "LICENSE.uPlot").replace("*/", "")
+        library = read_text(VENDOR_FOLDER / "uPlot.iife.min.js").partition("\n")[
+            2
+        ]  # without its first line, a web address
+        licence = read_text(VENDOR_FOLDER / "LICENSE.uPlot").replace("*/", "")
         return (
             f'<script type="application/json" id="traces">{escape_json(text)}</script>'
-            f"<script>/* uPlot 1.6.32\n{licence}*/\n{library}</script><script>{SCRIPT}</script>"
+            f"<script>/* uPlot 1.6.32\n{licence}*/\n{library}</script><script>{CHART_SCRIPT}</script>"
         )
 
 
-def style() -> str:
-    """Style sheets of uPlot and of the panels."""
-    return f"<style>{read_text(VENDOR / 'uPlot.min.css')}{STYLE}</style>"
+def render_style() -> str:
+    """Render the style sheets of uPlot and of the panels."""
+    return f"<style>{read_text(VENDOR_FOLDER / 'uPlot.min.css')}{CHART_STYLE}</style>"
 
 
 def escape_json(text: str) -> str:
-    """JSON that cannot end the script element that holds it."""
+    """Escape JSON so that it cannot end its script element."""
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def pack_panel(panel: Panel) -> dict[str, Any]:
-    """A panel as plain data, decimated to MAX_ROWS."""
+    """Pack a panel as plain data, decimated to MAX_PANEL_ROWS."""
     known = np.flatnonzero(np.isfinite(panel.t))
     t = np.asarray(panel.t, float)[known]
     values = [np.asarray(trace.values, float)[known] for trace in panel.traces]
-    rows = decimate(values, len(t), MAX_ROWS)
+    rows = decimate(values, len(t), MAX_PANEL_ROWS)
     begins = float(t[0]) if len(t) else 0.0
     return {
         "label": panel.label,
@@ -154,7 +157,7 @@ def pack_panel(panel: Panel) -> dict[str, Any]:
                 "colour": trace.colour,
                 "width": trace.width,
                 "dash": list(trace.dash),
-                **pack(v[rows]),
+                **pack_values(v[rows]),
             }
             for trace, v in zip(panel.traces, values)
         ],
@@ -162,19 +165,21 @@ def pack_panel(panel: Panel) -> dict[str, Any]:
     }
 
 
-def pack(values: np.ndarray) -> dict[str, Any]:
-    """Values (N,) as "low", "step" and base-64 16-bit "steps" above low; a value that is not finite is UNKNOWN."""
+def pack_values(values: np.ndarray) -> dict[str, Any]:
+    """Pack values (N,) as "low", "step" and base-64 16-bit "steps" above low; a value that is not finite is
+    UNKNOWN_CODE.
+    """
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
-    step = high / (UNKNOWN - 1) - low / (UNKNOWN - 1) or 1.0  # the difference of large numbers may overflow
+    step = high / (UNKNOWN_CODE - 1) - low / (UNKNOWN_CODE - 1) or 1.0  # the difference of large numbers may overflow
     with np.errstate(invalid="ignore", over="ignore"):
-        scaled = np.clip(np.round(values / step - low / step), 0, UNKNOWN - 1)
-    steps = np.where(np.isfinite(values), np.nan_to_num(scaled), UNKNOWN)
+        scaled = np.clip(np.round(values / step - low / step), 0, UNKNOWN_CODE - 1)
+    steps = np.where(np.isfinite(values), np.nan_to_num(scaled), UNKNOWN_CODE)
     return {"low": low, "step": step, "steps": base64.b64encode(steps.astype("<u2").tobytes()).decode("ascii")}
 
 
 def decimate(values: Sequence[np.ndarray], rows: int, limit: int) -> np.ndarray:
-    """Rows to keep (M,) of traces with so many rows: each trace's least and greatest value of every bucket.
+    """Choose rows (M,) of traces with `rows` rows: the least and greatest value of each trace in every bucket.
 
     The first and last row stay, and one unknown row of every bucket in which a trace has one, so that its line breaks
     there. values  traces (rows,); limit  about the largest M. Kept rows hold measured values at their true times.

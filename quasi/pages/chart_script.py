@@ -1,6 +1,6 @@
 """Style and script of the traces: they unpack the page's numbers and hand them to uPlot."""
 
-STYLE = """
+CHART_STYLE = """
 .panels { display: grid; gap: 2px 14px; } .panels.two { grid-template-columns: 1fr 1fr; }
 .panels > div { min-width: 0; }
 .answer { display: grid; grid-template-columns: 390px minmax(0, 1fr); gap: 18px; align-items: start; margin: 12px 0; }
@@ -20,7 +20,7 @@ STYLE = """
 @media print { .bar button, .u-legend .u-value { display: none; } }
 """
 
-SCRIPT = """
+CHART_SCRIPT = """
 (function () {
   "use strict";
   var data = JSON.parse(document.getElementById("traces").textContent);

@@ -13,14 +13,14 @@ from mpl_toolkits.mplot3d import Axes3D
 from quasi.airframe import Airframe
 from quasi.attitude import from_euler
 from quasi.errors import DataError, ShapeError
-from quasi.pages.drone import Drone, Look, caption, get_limits, new_axes, path_line, set_limits, shape_of
+from quasi.pages.drone import Drone, Look, draw_path_line, get_limits, make_axes, make_shape, set_limits, write_caption
 from quasi.plausibility import measured_motion
 
-FAINTEST = 0.2  # opacity of the oldest still
-SHARE = 0.13  # of the largest extent of a figure: the span of a drone that is drawn enlarged
+MIN_STILL_OPACITY = 0.2  # opacity of the oldest still
+ENLARGED_SPAN_SHARE = 0.13  # span of an enlarged drone over the largest extent of the figure
 # columns of a trajectory as a table: time, position, Euler angles, body velocity, rotor speeds
-TRAJECTORY = ("t", "x", "y", "z", "roll", "pitch", "yaw", "u", "v", "w", "w1", "w2", "w3", "w4")
-MOST_POINTS = 4000  # of a path; more cannot be seen
+TRAJECTORY_COLUMNS = ("t", "x", "y", "z", "roll", "pitch", "yaw", "u", "v", "w", "w1", "w2", "w3", "w4")
+MAX_PATH_POINTS = 4000  # per path; more are not visible
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Motion:
             if values.shape != (len(t), width):
                 raise ShapeError(f"{who}: {name} must be ({len(t)}, {width}) like t, got {values.shape}")
             object.__setattr__(self, name, values)
-        if not self.seen.any():
+        if not self.drawable.any():
             raise DataError(
                 f"{who} has no row with finite time, position and attitude; draw a flight whose position was measured"
             )
@@ -63,29 +63,29 @@ class Motion:
             raise DataError(f"{who}: time steps back; sort the rows by time")
 
     @property
-    def seen(self) -> np.ndarray:
-        """Rows (N,) that can be drawn."""
+    def drawable(self) -> np.ndarray:
+        """Whether each row can be drawn, (N,)."""
         attitude = np.linalg.norm(self.quaternion, axis=1)
         return np.isfinite(self.t) & np.isfinite(self.position).all(axis=1) & np.isfinite(attitude) & (attitude > 0)
 
     def row_at(self, time: float) -> int:
-        """The row that can be drawn nearest to a time, s."""
-        rows = np.flatnonzero(self.seen)
+        """Find the drawable row nearest to a time, s."""
+        rows = np.flatnonzero(self.drawable)
         return int(rows[np.argmin(np.abs(self.t[rows] - time))])
 
-    def look_at(self, time: float) -> Look:
-        """The look at a time, s."""
+    def choose_look(self, time: float) -> Look:
+        """Choose the look at a time, s."""
         return next((look for since, look in reversed(self.changes) if time >= since), self.look)
 
     def opacity(self, rows: np.ndarray) -> np.ndarray:
-        """Opacity (M, 4) of the rotor discs at rows (M,)."""
+        """Compute the opacity (M, 4) of the rotor discs at rows (M,)."""
         if self.rotor_speeds is None or not self.look.rotor_opacity:
             return np.full((len(rows), 4), 0.35)
-        return np.clip(np.nan_to_num(self.rotor_speeds[rows]) / self.top, 0.0, 1.0)
+        return np.clip(np.nan_to_num(self.rotor_speeds[rows]) / self.brightest_speed, 0.0, 1.0)
 
     @property
-    def top(self) -> float:
-        """Rotor speed that is drawn opaque, rad/s."""
+    def brightest_speed(self) -> float:
+        """Rotor speed drawn opaque, rad/s."""
         if self.fastest:
             return self.fastest
         if self.airframe.max_rpm and self.airframe.logged_to_rad_s:
@@ -94,14 +94,16 @@ class Motion:
         return float(speeds.max(initial=0.0)) or 1.0
 
 
-def motion_of(table: pd.DataFrame, airframe: Airframe, name: str = "", look: Look | None = None) -> Motion:
-    """The motion in a table with columns t, x, y, z, roll, pitch, yaw and, where present, w1 .. w4.
+def make_motion(table: pd.DataFrame, airframe: Airframe, name: str = "", look: Look | None = None) -> Motion:
+    """Make the motion of a table with columns t, x, y, z, roll, pitch, yaw and, where present, w1 .. w4.
 
     Raises DataError naming the column that is absent.
     """
     for column in ("t", "x", "y", "z", "roll", "pitch", "yaw"):
         if column not in table:
-            raise DataError(f"{name or 'the table'} has no column '{column}', which a trajectory needs; make it anew")
+            raise DataError(
+                f"{name or 'the table'} has no column '{column}', which a trajectory needs; make the table again"
+            )
     wrapped = table[["roll", "pitch", "yaw"]].to_numpy(float)
     rotors = [f"w{i}" for i in range(1, 5)]
     speeds = table[rotors].to_numpy(float) if set(rotors) <= set(table.columns) else None
@@ -109,41 +111,41 @@ def motion_of(table: pd.DataFrame, airframe: Airframe, name: str = "", look: Loo
     return Motion(airframe, table["t"].to_numpy(float), where, from_euler(*wrapped.T), speeds, name, look or Look())
 
 
-def flown_rows(table: pd.DataFrame) -> pd.DataFrame:
-    """The rows of a filtered flight in which it flies; all of a table that does not say."""
+def select_flown_rows(table: pd.DataFrame) -> pd.DataFrame:
+    """Select the rows of a filtered flight in the air; all rows without an "in_flight" column."""
     return table[table["in_flight"] > 0.5] if "in_flight" in table else table
 
 
-def flown_motion(flying: pd.DataFrame, metadata: Mapping[str, Any], airframe: Airframe, key: str) -> Motion:
-    """The motion of a filtered flight. metadata  of its filtered table
+def make_flown_motion(flying: pd.DataFrame, metadata: Mapping[str, Any], airframe: Airframe, key: str) -> Motion:
+    """Make the motion of a filtered flight. metadata  of its filtered table
 
     Raises DataError, with the flight's name, where no source measured the position or no row can be drawn.
     """
     if not measured_motion(metadata)[1] or not {"x", "y", "z"} <= set(flying):
         raise DataError(
-            f"flight {key} has no trajectory: no source measured its position (x, y, z), and what the accelerometer "
-            "adds up to drifts; fly it with motion capture, or put a position into its log"
+            f"flight {key} has no trajectory: no source measured its position (x, y, z), and the integrated "
+            "accelerometer drifts; fly it with motion capture, or log a position"
         )
     if not len(flying):
         raise DataError(f"flight {key} has no trajectory: no row is in flight; its page shows why")
     try:
-        return motion_of(flying, airframe, key)
+        return make_motion(flying, airframe, key)
     except DataError as error:
         raise DataError(f"flight {key} has no trajectory: {error}") from None
 
 
-def told_apart(motions: Sequence[Motion]) -> list[Motion]:
-    """Several drones that nobody chose a look for get a colour each."""
+def assign_colours(motions: Sequence[Motion]) -> list[Motion]:
+    """Assign a colour to each of several drones with the default look."""
     if len(motions) < 2 or any(m.look != Look() or m.changes for m in motions):
         return list(motions)
     colours = [f"C{k % 10}" for k in range(len(motions))]
     return [replace(m, look=Look(frame=c, rotors=c, nose="black", history=c)) for m, c in zip(motions, colours)]
 
 
-def enlargement(motions: Sequence[Motion], share: float = SHARE) -> float:
-    """The factor by which drones are drawn so that they can be seen: 1 or more, to two digits."""
-    low, high = extent(motions)
-    span = min(shape_of(m.airframe).span for m in motions)
+def choose_enlargement(motions: Sequence[Motion], share: float = ENLARGED_SPAN_SHARE) -> float:
+    """Choose the enlargement at which drones are visible: 1 or more, with two digits."""
+    low, high = find_extent(motions)
+    span = min(make_shape(m.airframe).span for m in motions)
     factor = share * float((high - low).max()) / span
     if factor <= 1.0:
         return 1.0
@@ -151,16 +153,16 @@ def enlargement(motions: Sequence[Motion], share: float = SHARE) -> float:
     return max(round(factor, digits), 1.0)
 
 
-def extent(motions: Sequence[Motion]) -> tuple[np.ndarray, np.ndarray]:
-    """Least and greatest position (3,), (3,) of all motions, m, earth NED."""
-    where = np.concatenate([m.position[m.seen] for m in motions])
+def find_extent(motions: Sequence[Motion]) -> tuple[np.ndarray, np.ndarray]:
+    """Find least and greatest position (3,), (3,) of all motions, m, earth NED."""
+    where = np.concatenate([m.position[m.drawable] for m in motions])
     return where.min(axis=0), where.max(axis=0)
 
 
-def thinned(motion: Motion, until: float = math.inf) -> np.ndarray:
-    """The path (M, 3) up to a time, NaN where it cannot be drawn, no denser than can be seen."""
-    path = np.where(motion.seen[:, None], motion.position, np.nan)[motion.t <= until]
-    return path[:: max(1, len(path) // MOST_POINTS)]
+def thin_path(motion: Motion, until: float = math.inf) -> np.ndarray:
+    """Thin the path (M, 3) up to a time to a visible density; NaN where it cannot be drawn."""
+    path = np.where(motion.drawable[:, None], motion.position, np.nan)[motion.t <= until]
+    return path[:: max(1, len(path) // MAX_PATH_POINTS)]
 
 
 def trajectories(
@@ -174,7 +176,7 @@ def trajectories(
     labels: bool = True,
     shadow: bool = True,
 ) -> Figure:
-    """Paths of one or several drones with stills of each along it; the older a still, the fainter.
+    """Draw paths of one or several drones with stills; older stills are fainter.
 
     stills  drones drawn along each path, evenly in time; times  s, take their place where given
     axes    3-D axes to draw in, None for a figure of its own; a second call widens the limits to hold both
@@ -186,19 +188,19 @@ def trajectories(
     """
     if not motions:
         raise DataError("there is no motion to draw; give at least one")
-    motions = told_apart(motions)
+    motions = assign_colours(motions)
     if axes is None:
-        axes = new_axes(Figure(figsize=(8, 6.4)))
-    scale = enlargement(motions) if scale is None else scale
+        axes = make_axes(Figure(figsize=(8, 6.4)))
+    scale = choose_enlargement(motions) if scale is None else scale
     filled = axes.has_data()
     for motion in motions:
-        shape = shape_of(motion.airframe, scale)
-        path_line(axes, thinned(motion), motion.look.history, label=motion.name or None)
-        rows = _still_rows(motion, stills, times)
+        shape = make_shape(motion.airframe, scale)
+        draw_path_line(axes, thin_path(motion), motion.look.history, label=motion.name or None)
+        rows = _choose_still_rows(motion, stills, times)
         if len(rows):
-            first, last = motion.t[motion.seen][[0, -1]]
-            age = FAINTEST + (1 - FAINTEST) * (motion.t[rows] - first) / max(last - first, 1e-9)
-            looks = [motion.look_at(t) for t in motion.t[rows]]
+            first, last = motion.t[motion.drawable][[0, -1]]
+            age = MIN_STILL_OPACITY + (1 - MIN_STILL_OPACITY) * (motion.t[rows] - first) / max(last - first, 1e-9)
+            looks = [motion.choose_look(t) for t in motion.t[rows]]
             for look in dict.fromkeys(looks):
                 alike = np.array([other == look for other in looks])
                 of = rows[alike]
@@ -209,12 +211,12 @@ def trajectories(
             for k, row in enumerate(rows):
                 later = np.linalg.norm(motion.position[rows[k + 1 :]] - motion.position[row], axis=1)
                 if np.any(later < 0.5 * shape.span):
-                    continue  # it would stand on another; the later one says the time
+                    continue  # labels would overlap; the later one has the time
                 where = motion.position[row] - [0.0, 0.0, 0.55 * shape.span]
                 axes.text(*where, f"{motion.t[row]:.1f} s", fontsize=7, color="0.35", ha="center", va="bottom")
     if limits is None:
-        low, high = extent(motions)
-        room = 0.5 * max(shape_of(m.airframe, scale).span for m in motions)
+        low, high = find_extent(motions)
+        room = 0.5 * max(make_shape(m.airframe, scale).span for m in motions)
         low, high = low - room, high + room
         if filled:
             before = get_limits(axes)
@@ -223,24 +225,24 @@ def trajectories(
         low, high = limits
     set_limits(axes, low, high)
     if shadow:
-        _shadows(axes, motions)
+        _draw_shadows(axes, motions)
     if len([m for m in motions if m.name]) > 1:
         axes.legend(fontsize=8, loc="upper right")
-    caption(axes, title, scale)
+    write_caption(axes, title, scale)
     return axes.figure
 
 
-def _shadows(axes: Axes3D, motions: Sequence[Motion]) -> None:
-    """The paths on the floor of the box; after the limits, and again where a second call has moved the floor."""
+def _draw_shadows(axes: Axes3D, motions: Sequence[Motion]) -> None:
+    """Draw the paths on the floor of the box, after the limits; again where a later call moved the floor."""
     floor = get_limits(axes)[1][2]
     for line in axes.lines:
         if line.get_gid() == "shadow":
             x, y, z = line.get_data_3d()
             line.set_data_3d(x, y, np.full_like(z, floor))
     for motion in motions:
-        path = thinned(motion)
+        path = thin_path(motion)
         path[:, 2] = np.where(np.isnan(path[:, 2]), np.nan, floor)
-        path_line(axes, path, "0.8", 0.9, gid="shadow")
+        draw_path_line(axes, path, "0.8", 0.9, gid="shadow")
 
 
 def trajectory(
@@ -256,9 +258,9 @@ def trajectory(
     title: str = "",
     name: str = "",
 ) -> Figure:
-    """The path of one drone with stills along it; the older a still the fainter, the slower a rotor the fainter.
+    """Draw the path of one drone with stills; older stills and slower rotors are fainter.
 
-    axes  3-D axes of `new_axes`, or None; t (N,) s; position (N, 3) m, earth NED; quaternion (N, 4) wxyz, body to
+    axes  3-D axes of `make_axes`, or None; t (N,) s; position (N, 3) m, earth NED; quaternion (N, 4) wxyz, body to
     earth; rotor_speeds (N, 4) mechanical rad/s, or None. Others as `trajectories`. Raises ShapeError, DataError.
     """
     motion = Motion(airframe, t, position, quaternion, rotor_speeds, name, look or Look())
@@ -266,14 +268,14 @@ def trajectory(
 
 
 def snapshots(motions: Sequence[Motion], times: Sequence[float], scale: float | None = None, title: str = "") -> Figure:
-    """One panel per time, s, with the drones as they are and the paths they came by; the limits are the same in all.
+    """Draw one panel per time, s, with the drones and their paths until then; all limits are equal.
 
     Raises DataError when a time lies outside every motion.
     """
     if not motions or not len(times):
         raise DataError("snapshots need at least one motion and one time; give both")
-    motions = told_apart(motions)
-    first, last = min(float(m.t[m.seen][0]) for m in motions), max(float(m.t[m.seen][-1]) for m in motions)
+    motions = assign_colours(motions)
+    first, last = min(float(m.t[m.drawable][0]) for m in motions), max(float(m.t[m.drawable][-1]) for m in motions)
     for time in times:
         if not first <= time <= last:
             raise DataError(f"there is nothing to draw at {time:g} s; choose times from {first:g} to {last:g} s")
@@ -281,25 +283,25 @@ def snapshots(motions: Sequence[Motion], times: Sequence[float], scale: float | 
     rows = math.ceil(len(times) / columns)
     figure = Figure(figsize=(4.8 * columns, 4.2 * rows + 0.3))
     figure.subplots_adjust(0.05, 0.02, 0.98, 0.93, wspace=0.16, hspace=0.02)
-    scale = enlargement(motions, 1.4 * SHARE) if scale is None else scale
-    low, high = extent(motions)
-    room = 0.5 * max(shape_of(m.airframe, scale).span for m in motions)
+    scale = choose_enlargement(motions, 1.4 * ENLARGED_SPAN_SHARE) if scale is None else scale
+    low, high = find_extent(motions)
+    room = 0.5 * max(make_shape(m.airframe, scale).span for m in motions)
     for number, time in enumerate(times, 1):
-        axes = new_axes(figure, (rows, columns, number))
-        until = [_before(m, time) for m in motions]
+        axes = make_axes(figure, (rows, columns, number))
+        until = [_cut_motion(m, time) for m in motions]
         box = (low - room, high + room)
         trajectories([m for m in until if m is not None], 0, axes, [time], scale, box, labels=False)
-        caption(axes, f"{time:g} s", 1.0)
-    said = [title] if title else []
+        write_caption(axes, f"{time:g} s", 1.0)
+    lines = [title] if title else []
     if scale > 1.0:
-        said.append(f"drones drawn {scale:g} times their size")
-    figure.suptitle(", ".join(said), fontsize=10, x=0.01, ha="left")
+        lines.append(f"drones drawn {scale:g} times their size")
+    figure.suptitle(", ".join(lines), fontsize=10, x=0.01, ha="left")
     return figure
 
 
-def _before(motion: Motion, time: float) -> Motion | None:
+def _cut_motion(motion: Motion, time: float) -> Motion | None:
     keep = motion.t <= time
-    if not (keep & motion.seen).any():
+    if not (keep & motion.drawable).any():
         return None
     speeds = motion.rotor_speeds[keep] if motion.rotor_speeds is not None else None
     return replace(
@@ -308,12 +310,12 @@ def _before(motion: Motion, time: float) -> Motion | None:
         position=motion.position[keep],
         quaternion=motion.quaternion[keep],
         rotor_speeds=speeds,
-        fastest=motion.top,
+        fastest=motion.brightest_speed,
     )
 
 
-def _still_rows(motion: Motion, stills: int, times: Sequence[float] | None) -> np.ndarray:
+def _choose_still_rows(motion: Motion, stills: int, times: Sequence[float] | None) -> np.ndarray:
     if times is None:
-        first, last = motion.t[motion.seen][[0, -1]]
+        first, last = motion.t[motion.drawable][[0, -1]]
         times = np.linspace(first, last, stills) if stills > 1 else [last][:stills]
     return np.array(sorted({motion.row_at(time) for time in times}), int)

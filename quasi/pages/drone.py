@@ -1,4 +1,4 @@
-"""A quadrotor in 3-D axes: its shape and look, axes that show up as up, captions. Nothing is shown or saved here.
+"""A quadrotor in 3-D axes: shape, look, axes with z upwards, captions. Nothing is shown or saved here.
 
 Data coordinates of the axes are earth NED as everywhere. The y and z axes run backwards, which turns the picture half
 round about x: up is up, and nothing is mirrored, as it would be with the z axis alone turned round.
@@ -16,14 +16,14 @@ from mpl_toolkits.mplot3d.art3d import Line3D, Line3DCollection, Poly3DCollectio
 from quasi.airframe import Airframe
 from quasi.attitude import rotate
 
-_CORNERS = 28  # of a rotor disc
+_DISC_CORNERS = 28  # of a rotor disc
 _ELEVATION, _AZIMUTH = 24.0, -128.0  # deg, from which figures are seen at first
 _AXES_COLOURS = ("tab:red", "tab:green", "tab:blue")  # body x, y, z, as usual
 
 
 @dataclass(frozen=True)
 class Look:
-    """How a drone is drawn: matplotlib colours, line width (points), and what is shown.
+    """Look of a drone: matplotlib colours, line width (points), and visible parts.
 
     rotors         one colour, or four in the order of the rotors' numbers
     rotor_opacity  a disc's opacity is its rotor's speed as a share of the greatest one; otherwise all are alike
@@ -50,11 +50,11 @@ class Shape:
     span: float
 
 
-def shape_of(airframe: Airframe, scale: float = 1.0) -> Shape:
-    """The outline of an airframe from its hubs and rotor radius, enlarged by `scale`."""
+def make_shape(airframe: Airframe, scale: float = 1.0) -> Shape:
+    """Make the outline of an airframe from its hubs and rotor radius, enlarged by `scale`."""
     arms = np.stack([np.zeros((4, 3)), airframe.hubs], axis=1)
-    angle = np.linspace(0.0, 2.0 * np.pi, _CORNERS, endpoint=False)
-    circle = airframe.radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(_CORNERS)], axis=1)
+    angle = np.linspace(0.0, 2.0 * np.pi, _DISC_CORNERS, endpoint=False)
+    circle = airframe.radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(_DISC_CORNERS)], axis=1)
     reach = float(np.linalg.norm(airframe.hubs, axis=1).max())
     nose = reach * np.array([[1.05, 0.0, 0.0], [0.55, -0.2, 0.0], [0.55, 0.2, 0.0]])
     axes = np.stack([np.zeros((3, 3)), 1.6 * reach * np.eye(3)], axis=1)
@@ -62,8 +62,8 @@ def shape_of(airframe: Airframe, scale: float = 1.0) -> Shape:
     return Shape(scale * arms, scale * discs, scale * nose, scale * axes, 2.0 * scale * (reach + airframe.radius))
 
 
-def new_axes(figure: Figure, place: tuple[int, int, int] = (1, 1, 1)) -> Axes3D:
-    """3-D axes in a figure: NED coordinates with up shown as up; place  rows, columns, number of the panel."""
+def make_axes(figure: Figure, place: tuple[int, int, int] = (1, 1, 1)) -> Axes3D:
+    """Make 3-D axes in a figure: NED coordinates, drawn with up upwards; place  rows, columns, number of the panel."""
     axes = figure.add_subplot(*place, projection="3d")
     if place[:2] == (1, 1):
         axes.set_position((0.05, 0.0, 0.93, 1.0))
@@ -79,7 +79,7 @@ def new_axes(figure: Figure, place: tuple[int, int, int] = (1, 1, 1)) -> Axes3D:
 
 
 def set_limits(axes: Axes3D, low: np.ndarray, high: np.ndarray, least: float = 0.45) -> None:
-    """Show the box from low (3,) to high (3,), m, NED, at one scale on all axes and with up shown as up.
+    """Show the box from low (3,) to high (3,), m, NED, at one scale on all axes, with up upwards.
 
     least  a side shorter than this share of the longest is widened to it, so that a level flight stays readable
     """
@@ -99,29 +99,29 @@ def set_limits(axes: Axes3D, low: np.ndarray, high: np.ndarray, least: float = 0
 
 
 def get_limits(axes: Axes3D) -> tuple[np.ndarray, np.ndarray]:
-    """The box that is shown: low (3,) and high (3,), m, NED."""
+    """Return the visible box: low (3,) and high (3,), m, NED."""
     sides = np.array([sorted(axes.get_xlim()), sorted(axes.get_ylim()), sorted(axes.get_zlim())])
     return sides[:, 0], sides[:, 1]
 
 
 class Drone:
-    """A drone, or several stills of one, in 3-D axes, made to be moved: `pose` changes it without drawing anew."""
+    """A drone, or several stills of one, in 3-D axes; `pose` moves it without a new drawing."""
 
     def __init__(self, axes: Axes3D, shape: Shape, look: Look | None = None) -> None:
         self.shape, self.look = shape, look or Look()
         self._lines = Line3DCollection([np.zeros((2, 3))], linewidths=self.look.thickness, capstyle="round")
         self._faces = Poly3DCollection([np.zeros((3, 3))], linewidths=0.4 * self.look.thickness)
-        # limits are set on purpose: the drone's own points must not move them
+        # the drone's points must not move the limits
         axes.add_collection3d(self._lines, autolim=False)
         axes.add_collection3d(self._faces, autolim=False)
 
     @property
     def artists(self) -> tuple[Line3DCollection, Poly3DCollection]:
-        """What is drawn, back to front."""
+        """Drawn artists, back to front."""
         return self._lines, self._faces
 
-    def wear(self, look: Look) -> None:
-        """Take on another look, from the next `pose` on."""
+    def set_look(self, look: Look) -> None:
+        """Change the look from the next `pose` on."""
         if look != self.look:
             self.look = look
             self._lines.set_linewidth(look.thickness)
@@ -130,8 +130,10 @@ class Drone:
     def pose(
         self, position: np.ndarray, quaternion: np.ndarray, opacity: np.ndarray, age: np.ndarray | None = None
     ) -> None:
-        """Place one still per row: position (M, 3), quaternion (M, 4), opacity (M, 4) of the discs, age (M,) opacity
-        of the frame, 1 if not given."""
+        """Place one still per row.
+
+        position (M, 3); quaternion (M, 4); opacity (M, 4) of the discs; age (M,) opacity of the frame, None for 1
+        """
         position, quaternion = np.atleast_2d(position), np.atleast_2d(quaternion)
         quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
         opacity = np.atleast_2d(opacity)
@@ -162,21 +164,21 @@ class Drone:
         self._faces.set_edgecolor(rims)
 
 
-def path_line(axes: Axes3D, path: np.ndarray, colour: str, width: float = 1.2, **more: object) -> Line3D:
+def draw_path_line(axes: Axes3D, path: np.ndarray, colour: str, width: float = 1.2, **more: object) -> Line3D:
     """Draw a path (M, 3) without moving the limits."""
     line = Line3D(*path.T, color=colour, linewidth=width, **more)
     axes.add_line(line)
     return line
 
 
-def caption(axes: Axes3D, title: str, scale: float) -> None:
-    """Say in the upper left corner what is shown and by how much drones are enlarged, in place of what stood there."""
-    said = [title] if title else []
+def write_caption(axes: Axes3D, title: str, scale: float) -> None:
+    """Write title and enlargement of the drones in the upper left corner; replaces an earlier caption."""
+    lines = [title] if title else []
     if scale > 1.0:
-        said.append(f"drones drawn {scale:g} times their size")
+        lines.append(f"drones drawn {scale:g} times their size")
     for text in [t for t in axes.texts if t.get_gid() == "caption"]:
         text.remove()
-    if said:
+    if lines:
         axes.text2D(
-            0.02, 0.98, "\n".join(said), transform=axes.transAxes, fontsize=9, ha="left", va="top", gid="caption"
+            0.02, 0.98, "\n".join(lines), transform=axes.transAxes, fontsize=9, ha="left", va="top", gid="caption"
         )

@@ -1,6 +1,6 @@
-"""HTML pages that need nothing else: text, tables and pictures in one file, no scripts, fit for print.
+"""Self-contained HTML pages: text, tables and pictures in one file, without scripts, suitable for print.
 
-Pure functions from plain data to HTML; every text is escaped here, so callers pass it as it is.
+Pure functions from plain data to HTML. Every text is escaped here, so callers pass plain text.
 """
 
 import base64
@@ -8,7 +8,7 @@ import html
 import math
 from collections.abc import Container, Iterable, Sequence
 
-STYLE = """
+PAGE_STYLE = """
 :root { --ink: #1c2329; --soft: #5b6770; --line: #d9dee2; --good: #1e7d46; --care: #a86200; --bad: #b3261e; }
 * { box-sizing: border-box; }
 body { font: 15px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; color: var(--ink); background: #fff;
@@ -33,19 +33,19 @@ figcaption { color: var(--soft); font-size: 13.5px; margin-top: 4px; }
 @media print { body { max-width: none; padding: 0; font-size: 11pt; } h2 { break-after: avoid; }
   tr { break-inside: avoid; } .verdict { background: none; } @page { margin: 15mm; } }
 """
-KINDS = {
+VERDICT_CLASSES = {
     "good": "good", "usable with care": "care", "unusable": "bad", "agrees": "good", "explained": "good",
     "partly explained": "care", "unexplained": "bad", "not judged": "care",
 }  # fmt: skip
 
 
 def escape(text: object) -> str:
-    """Text as HTML."""
+    """Escape text for HTML."""
     return html.escape(str(text))
 
 
-def number(value: object, digits: int = 3) -> str:
-    """A number to so many significant digits, without needless powers of ten; a dash for what is not there."""
+def format_number(value: object, digits: int = 3) -> str:
+    """Format a number with this many significant digits, without needless powers of ten; a dash for missing values."""
     if value is None or isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         return "–"
     if value == 0:
@@ -56,26 +56,26 @@ def number(value: object, digits: int = 3) -> str:
     return f"{value:.{digits - 1}e}".replace("-", "−")
 
 
-def row_of(values: Sequence[float], digits: int = 3) -> list[str]:
-    """Numbers of one kind, all to the place that gives the largest of them so many significant digits."""
+def format_row(values: Sequence[float], digits: int = 3) -> list[str]:
+    """Format numbers of one kind with equal decimals, so that the largest has this many significant digits."""
     top = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
     places = min(max(digits - 1 - math.floor(math.log10(top)), 0), 9) if top > 0 else 0
-    said = (f"{v:.{places}f}" if math.isfinite(v) else "–" for v in values)
-    return [t.lstrip("-") if not t.strip("-0.") else t.replace("-", "−") for t in said]
+    texts = (f"{v:.{places}f}" if math.isfinite(v) else "–" for v in values)
+    return [t.lstrip("-") if not t.strip("-0.") else t.replace("-", "−") for t in texts]
 
 
-def with_error(value: object, std: object, unit: str = "", scale: float = 1.0) -> str:
-    """A value ± its standard error, both to the second digit of the error; scale multiplies both."""
+def format_with_error(value: object, std: object, unit: str = "", scale: float = 1.0) -> str:
+    """Format a value ± its standard error, both to the second digit of the error; scale multiplies both."""
     if not isinstance(value, int | float) or not math.isfinite(value):
         return "–"
     if not isinstance(std, int | float) or not math.isfinite(std) or std <= 0:
-        return f"{number(value * scale, 4)} {unit}".rstrip()
+        return f"{format_number(value * scale, 4)} {unit}".rstrip()
     places = min(max(1 - math.floor(math.log10(abs(std * scale))), 0), 9)
     return f"{value * scale:.{places}f} ± {std * scale:.{places}f} {unit}".replace("-", "−").rstrip()
 
 
-def share(value: object) -> str:
-    """A share as percent."""
+def format_share(value: object) -> str:
+    """Format a share as percent."""
     if not isinstance(value, int | float) or not math.isfinite(value):
         return "–"
     if value == 0:
@@ -85,18 +85,18 @@ def share(value: object) -> str:
     return f"{100 * value:.2f} %" if value < 0.1 else f"{100 * value:.1f} %"
 
 
-def facts(rows: Iterable[tuple[str, object]]) -> str:
-    """A table of names and what is said of them; rows that say nothing are left out."""
+def render_facts(rows: Iterable[tuple[str, object]]) -> str:
+    """Render a table of names and facts; rows without a fact are omitted."""
     lines = [
-        f'<tr><th scope="row">{escape(name)}</th><td>{escape(said)}</td></tr>'
-        for name, said in rows
-        if said not in (None, "")
+        f'<tr><th scope="row">{escape(name)}</th><td>{escape(texts)}</td></tr>'
+        for name, texts in rows
+        if texts not in (None, "")
     ]
     return f"<table><tbody>{''.join(lines)}</tbody></table>" if lines else ""
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[object]], words: Container[int] = ()) -> str:
-    """A table whose first column names the row and whose others hold numbers, but for the columns `words`."""
+def render_table(head: Sequence[str], rows: Iterable[Sequence[object]], words: Container[int] = ()) -> str:
+    """Render a table: the first column names the row, the others are numbers except the columns `words`."""
     kind = [' class="n"' if i and i not in words else "" for i in range(len(head))]
     top = "".join(f'<th scope="col"{k}>{escape(h)}</th>' for k, h in zip(kind, head))
     lines = [
@@ -108,49 +108,49 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]], words: Containe
     return f"<table><thead><tr>{top}</tr></thead><tbody>{''.join(lines)}</tbody></table>" if lines else ""
 
 
-def sentences(texts: Iterable[str]) -> str:
-    """A list of sentences."""
+def render_list(texts: Iterable[str]) -> str:
+    """Render a list of sentences."""
     lines = [f"<li>{escape(t)}</li>" for t in texts]
     return f"<ul>{''.join(lines)}</ul>" if lines else ""
 
 
-def paragraph(text: str) -> str:
-    """A paragraph."""
+def render_paragraph(text: str) -> str:
+    """Render a paragraph."""
     return f"<p>{escape(text)}</p>"
 
 
-def details(title: str, body: str) -> str:
-    """What only opens when it is asked for; nothing where the body is empty."""
+def render_details(title: str, body: str) -> str:
+    """Render a part that opens on click; nothing where the body is empty."""
     return f"<details><summary>{escape(title)}</summary>{body}</details>" if body else ""
 
 
-def picture(png: bytes, caption: str) -> str:
-    """A PNG picture inside the page, with its caption."""
+def render_picture(png: bytes, caption: str) -> str:
+    """Render a PNG picture inside the page, with its caption."""
     data = base64.b64encode(png).decode("ascii")
     text = escape(caption)
     return f'<figure><img alt="{text}" src="data:image/png;base64,{data}"><figcaption>{text}</figcaption></figure>'
 
 
-def section(title: str, *blocks: str) -> str:
-    """A titled part of the page; nothing where all blocks are empty."""
+def render_section(title: str, *blocks: str) -> str:
+    """Render a section with a title; nothing where all blocks are empty."""
     body = "".join(blocks)
     return f"<section><h2>{escape(title)}</h2>{body}</section>" if body else ""
 
 
-def page(
+def render_page(
     title: str, under: str, verdict: str, because: str, sections: Iterable[str], more: str | None = None
 ) -> str:  # fmt: skip
-    """The whole page: title, a line under it, the verdict and its reasons, then the sections.
+    """Render the whole page: title, a line under it, the verdict and its reasons, then the sections.
 
-    more  details below the reasons, which stand out then as the one sentence to read; nothing of both where None
+    more  details below the reasons, which are then emphasised; None for neither
     """
-    kind, reasons = KINDS.get(verdict, ""), f"{escape(because)}."
+    kind, reasons = VERDICT_CLASSES.get(verdict, ""), f"{escape(because)}."
     if more is not None:
         reasons = f"<strong>{reasons}</strong>" + (f'<span class="more">{escape(more)}</span>' if more else "")
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>"
+        f"<title>{escape(title)}</title><style>{PAGE_STYLE}</style></head><body>"
         f'<h1>{escape(title)}</h1><p class="under">{escape(under)}</p>'
         f'<p class="verdict {kind}"><b>{escape(verdict)}:</b> {reasons}</p>'
         f"{''.join(sections)}</body></html>\n"

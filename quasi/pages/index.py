@@ -1,6 +1,6 @@
 """The index page of a project folder: flights with verdicts, models side by side, gaps and simulations, all linked.
 
-It shows what stands in the folder and makes nothing. An artifact that cannot be read is listed with the reason.
+It shows existing results and makes none. An unreadable file is listed with the reason.
 """
 
 from collections import Counter
@@ -13,11 +13,11 @@ from quasi.errors import QuasiError
 from quasi.pages import frame
 from quasi.tables import read_json, write_text
 
-TARGET = "results/index.html"
+INDEX_TARGET = "results/index.html"
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
-MARKS = {"good": "#1e7d46", "care": "#a86200", "bad": "#b3261e", "": "#5b6770"}
-# kind: where its summaries stand, and the page of each, from the names that the stars stand for
-KINDS = {
+VERDICT_COLOURS = {"good": "#1e7d46", "care": "#a86200", "bad": "#b3261e", "": "#5b6770"}
+# kind: (pattern of its summaries, page of each; {0}, {1} are the names matched by the stars)
+ARTIFACT_KINDS = {
     "flights": ("results/parts/filtering/*/*/verdict.json", "results/reports/{0}/{1}.html"),
     "models": ("models/*/standalone/summary.json", "models/{0}/standalone/report.html"),
     "simulations": ("results/simulations/*/summary.json", "results/simulations/{0}"),
@@ -26,26 +26,30 @@ KINDS = {
 
 
 def list_sources(root: str | Path) -> list[str]:
-    """Absolute paths of the files that the index is made from: as such no rule of the workflow makes them."""
+    """List absolute paths of the source files of the index; no rule of the workflow makes absolute paths."""
     place = Path(root).absolute()
-    return sorted(str(path) for pattern, _ in KINDS.values() for path in place.glob(pattern))
+    return sorted(str(path) for pattern, _ in ARTIFACT_KINDS.values() for path in place.glob(pattern))
 
 
-def collect(root: str | Path) -> dict[str, list[dict[str, Any]]]:
-    """What stands in a project folder: {kind: entries with "name", "link", "file" and "data" or "fault"}.
+def collect_artifacts(root: str | Path) -> dict[str, list[dict[str, Any]]]:
+    """Collect the results of a project folder: {kind: entries with "name", "link", "file" and "data" or "fault"}.
 
     link  relative to results/, None where the page is absent
     """
     found: dict[str, list[dict[str, Any]]] = {}
-    for kind, (pattern, target) in KINDS.items():
+    for kind, (pattern, target) in ARTIFACT_KINDS.items():
         stars = [k for k, part in enumerate(Path(pattern).parts) if part == "*"]
         for path in sorted(Path(root).glob(pattern)):
             place = path.relative_to(root)
             names = [place.parts[k] for k in stars]
-            page = Path(target.format(*names))
+            render_index = Path(target.format(*names))
             entry: dict[str, Any] = {"name": " ".join(names), "file": place.as_posix(), "link": None}
-            if (Path(root) / page).exists():
-                entry["link"] = page.relative_to("results").as_posix() if page.parts[0] == "results" else f"../{page}"
+            if (Path(root) / render_index).exists():
+                entry["link"] = (
+                    render_index.relative_to("results").as_posix()
+                    if render_index.parts[0] == "results"
+                    else f"../{render_index}"
+                )
             try:
                 data = read_json(path)
                 entry |= {"data": data} if isinstance(data, dict) else {"fault": "expected an object"}
@@ -55,73 +59,78 @@ def collect(root: str | Path) -> dict[str, list[dict[str, Any]]]:
     return found
 
 
-def page(found: Mapping[str, Sequence[Mapping[str, Any]]], folder: str) -> str:
-    """The index page as HTML. found  of `collect`; folder  the name of the project folder"""
+def render_index(found: Mapping[str, Sequence[Mapping[str, Any]]], folder: str) -> str:
+    """Render the index page as HTML. found  of `collect_artifacts`; folder  the name of the project folder"""
     flights, models = list(found.get("flights", ())), list(found.get("models", ()))
     gaps, simulations = list(found.get("gaps", ())), list(found.get("simulations", ()))
-    counts = Counter(_word(entry) for entry in flights)
+    counts = Counter(_read_verdict(entry) for entry in flights)
     parts = [
-        _count(len(flights), "flight") + (f" ({', '.join(f'{n} {w}' for w, n in counts.items())})" if counts else "")
+        _format_count(len(flights), "flight")
+        + (f" ({', '.join(f'{n} {w}' for w, n in counts.items())})" if counts else "")
     ]
-    parts += [_count(len(models), "model"), _count(len(simulations), "simulation"), _count(len(gaps), "gap")]
+    parts += [
+        _format_count(len(models), "model"),
+        _format_count(len(simulations), "simulation"),
+        _format_count(len(gaps), "gap"),
+    ]
     faulty = [e for entries in found.values() for e in entries if "fault" in e]
     sections = [
-        _tiles([*flights, *models, *gaps]),
-        frame.section("Models", _models(models)),
-        frame.section("Gaps", _rows(gaps, _gap_sentence)),
-        frame.section("Flights", _rows(flights, lambda data: str(data.get("because", "")))),
-        frame.section("Simulations", _rows(simulations, _simulation_sentence)),
-        frame.section("Could not be read", frame.sentences(f"{e['file']}: {e['fault']}" for e in faulty)),
+        _render_tiles([*flights, *models, *gaps]),
+        frame.render_section("Models", _render_models(models)),
+        frame.render_section("Gaps", _render_rows(gaps, _read_gap_sentence)),
+        frame.render_section("Flights", _render_rows(flights, lambda data: str(data.get("because", "")))),
+        frame.render_section("Simulations", _render_rows(simulations, _describe_simulation)),
+        frame.render_section("Could not be read", frame.render_list(f"{e['file']}: {e['fault']}" for e in faulty)),
     ]
     worst = next((w for w in ("unusable", "unexplained", "usable with care") if any(map(w.__eq__, counts))), "good")
-    return frame.page(f"Project {folder}", "what stands in the folder", worst if flights else "nothing judged",
+    return frame.render_page(f"Project {folder}", "results in the folder", worst if flights else "nothing judged",
                       ", ".join(parts), sections)  # fmt: skip
 
 
 def write_index(root: str | Path, target: str | Path) -> None:
-    """Read the summaries that stand in a project folder; write its index page."""
-    write_text(target, page(collect(root), Path(root).absolute().name))
+    """Read the summaries in a project folder and write its index page."""
+    write_text(target, render_index(collect_artifacts(root), Path(root).absolute().name))
 
 
-def _count(number: int, noun: str) -> str:
+def _format_count(number: int, noun: str) -> str:
     return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
-def _word(entry: Mapping[str, Any]) -> str:
-    """The verdict of an entry; "not judged" where it has none."""
+def _read_verdict(entry: Mapping[str, Any]) -> str:
+    """Read the verdict of an entry; "not judged" without one."""
     word = (entry.get("data") or {}).get("verdict")
     return word if isinstance(word, str) and word else "not judged"
 
 
-def _linked(entry: Mapping[str, Any], text: str) -> str:
+def _render_link(entry: Mapping[str, Any], text: str) -> str:
     shown = frame.escape(text)
     link = entry.get("link")
     return f'<a href="{frame.escape(quote(str(link)))}">{shown}</a>' if link else shown
 
 
-def _colour(word: str) -> str:
-    return MARKS[frame.KINDS.get(word, "")]
+def _choose_colour(word: str) -> str:
+    return VERDICT_COLOURS[frame.VERDICT_CLASSES.get(word, "")]
 
 
-def _tiles(entries: Sequence[Mapping[str, Any]]) -> str:
-    """One tile per flight, model and gap, in the colour of its verdict."""
+def _render_tiles(entries: Sequence[Mapping[str, Any]]) -> str:
+    """Render one tile per flight, model and gap, in the colour of its verdict."""
     tiles = "".join(
-        f'<span style="display:inline-block;border-left:6px solid {_colour(_word(e))};background:#f6f8f9;'
-        f'margin:3px 6px 3px 0;padding:3px 10px">{_linked(e, str(e["name"]))}</span>'
+        f'<span style="display:inline-block;border-left:6px solid {_choose_colour(_read_verdict(e))};'
+        f'background:#f6f8f9;margin:3px 6px 3px 0;padding:3px 10px">{_render_link(e, str(e["name"]))}</span>'
         for e in entries
     )
     key = " · ".join(
-        f'<span style="color:{MARKS[k]}">{w}</span>'
+        f'<span style="color:{VERDICT_COLOURS[k]}">{w}</span>'
         for k, w in (("good", "good"), ("care", "with care"), ("bad", "unusable or unexplained"))
     )
     return f'<div>{tiles}</div><p class="under">{key}</p>' if tiles else ""
 
 
-def _rows(entries: Sequence[Mapping[str, Any]], describe: Any) -> str:
-    """A table of entries: name with link, verdict, one sentence."""
+def _render_rows(entries: Sequence[Mapping[str, Any]], describe: Any) -> str:
+    """Render a table of entries: name with link, verdict, one sentence."""
     lines = [
-        f'<tr><th scope="row">{_linked(e, str(e["name"]))}</th>'
-        f'<td style="color:{_colour(_word(e))};white-space:nowrap">{frame.escape(_word(e))}</td>'
+        f'<tr><th scope="row">{_render_link(e, str(e["name"]))}</th>'
+        f'<td style="color:{_choose_colour(_read_verdict(e))};white-space:nowrap">{frame.escape(_read_verdict(e))}</td>'
         f"<td>{frame.escape(describe(e['data']))}</td></tr>"
         for e in entries
         if "data" in e
@@ -129,46 +138,46 @@ def _rows(entries: Sequence[Mapping[str, Any]], describe: Any) -> str:
     return f"<table><tbody>{''.join(lines)}</tbody></table>" if lines else ""
 
 
-def _models(entries: Sequence[Mapping[str, Any]]) -> str:
-    """Scores of all models side by side: R2 and RMSE per axis on validation rows, else test, else training rows."""
+def _render_models(entries: Sequence[Mapping[str, Any]]) -> str:
+    """Render the scores of all models: R2 and RMSE per axis on validation rows, else test, else training rows."""
     lines = []
     for entry in entries:
         axes = (entry.get("data") or {}).get("axes")
         if "data" not in entry or not isinstance(axes, Mapping):
             continue
-        cells = "".join(f'<td class="n">{_score(axes.get(axis))}</td>' for axis in AXES)
-        word = _word(entry)
+        cells = "".join(f'<td class="n">{_format_score(axes.get(axis))}</td>' for axis in AXES)
+        word = _read_verdict(entry)
         lines.append(
-            f'<tr><th scope="row">{_linked(entry, str(entry["name"]))}</th>'
-            f'<td style="color:{_colour(word)}">{frame.escape(word)}</td>{cells}</tr>'
+            f'<tr><th scope="row">{_render_link(entry, str(entry["name"]))}</th>'
+            f'<td style="color:{_choose_colour(word)}">{frame.escape(word)}</td>{cells}</tr>'
         )
     if not lines:
         return ""
     head = "".join(f'<th class="n">{a}, {"N" if a[0] == "F" else "N m"}</th>' for a in AXES)
-    note = frame.paragraph("RMSE and R², on validation flights (v), else test rows (t), else training rows.")
+    note = frame.render_paragraph("RMSE and R², on validation flights (v), else test rows (t), else training rows.")
     top = f"<thead><tr><th>model</th><th>verdict</th>{head}</tr></thead>"
     return f"<table>{top}<tbody>{''.join(lines)}</tbody></table>{note}"
 
 
-def _score(axis: object) -> str:
+def _format_score(axis: object) -> str:
     scores = axis.get("scores") if isinstance(axis, Mapping) else None
     if not isinstance(scores, Mapping):
         return "–"
     for role, mark in (("validation", " v"), ("test", " t"), ("training", "")):
         one = scores.get(role)
         if isinstance(one, Mapping) and one:
-            return f"{frame.number(one.get('rmse'))}{mark}<br>R² {frame.number(one.get('r2'))}"
+            return f"{frame.format_number(one.get('rmse'))}{mark}<br>R² {frame.format_number(one.get('r2'))}"
     return "–"
 
 
-def _gap_sentence(data: Mapping[str, Any]) -> str:
-    """The first sentence of a diagnosis."""
+def _read_gap_sentence(data: Mapping[str, Any]) -> str:
+    """Read the first sentence of a diagnosis."""
     text = str(data.get("summary", ""))
     first, dot, _ = text.partition(". ")
     return first + dot.strip()
 
 
-def _simulation_sentence(data: Mapping[str, Any]) -> str:
+def _describe_simulation(data: Mapping[str, Any]) -> str:
     model = data.get("model")
     model = model.get("id") if isinstance(model, Mapping) else model
     ended = data.get("ended")

@@ -1,6 +1,6 @@
 """The page of a model: verdict and a predicted flight first, then scores, coverage, terms, rotors, warnings.
 
-One HTML file that needs nothing else and no network. Plain data in, text out.
+One self-contained HTML file without network access. Input is plain data, output is text.
 """
 
 from collections.abc import Mapping
@@ -10,25 +10,25 @@ import numpy as np
 import pandas as pd
 
 from quasi.pages import frame
-from quasi.pages.causes import REPLACED, where_it_acts
-from quasi.pages.chart import Chart, Panel, Trace, style
+from quasi.pages.causes import REPLACED_CONSTANTS, describe_effects
+from quasi.pages.chart import Chart, Panel, Trace, render_style
 from quasi.pages.model_ranges import show_coverage, show_quartiles
 from quasi.pages.model_warnings import show_warnings
 from quasi.pages.terms import list_variables, show_expression
 from quasi.tables import AGE_OFF
 from quasi.terms.rotor_map import describe_map
 
-PAUSE = 0.5  # s between two flights on the time axis
+PAUSE_BETWEEN_FLIGHTS = 0.5  # s between two flights on the time axis
 
 
-def page(
+def render_model_page(
     model: Mapping[str, Any],
     summary: Mapping[str, Any],
     diagnosis: Mapping[str, Any],
     coverage: pd.DataFrame,
     rows: pd.DataFrame,
 ) -> str:
-    """The page as HTML.
+    """Render the page as HTML.
 
     model      the model's document; summary, diagnosis  as plain data; coverage  of `diagnostics.covered_share`
     rows       of `thin`
@@ -39,54 +39,56 @@ def page(
         f" · validation {', '.join(flights['validation']) or 'none'}"
     )
     note = diagnosis["partition"]["note"]
-    chart = _chart(rows, summary)
-    variables = list_variables(_text_of(term) for part in model["axes"].values() for term in part["terms"])
+    chart = _make_chart(rows, summary)
+    variables = list_variables(_read_expression(term) for part in model["axes"].values() for term in part["terms"])
     sections = [
-        style(),
-        _answer(chart, summary),
-        frame.section("Axes", _verdicts(diagnosis), frame.paragraph(_sentence(note)) if note else ""),
-        frame.section("Scores", _scores(summary), _differences(diagnosis)),
-        frame.section("Along the measured range", show_quartiles(diagnosis)),
-        frame.section("Coverage of the validation flights by the training flights", show_coverage(coverage)),
-        _causes(model),
-        frame.section(
-            "Terms",
-            *(_terms(axis, part) for axis, part in model["axes"].items()),
-            frame.details("Variables", frame.table(("variable", "unit", "meaning"), variables, {1, 2})),
+        render_style(),
+        _render_answer(chart, summary),
+        frame.render_section(
+            "Axes", _render_verdicts(diagnosis), frame.render_paragraph(_capitalise(note)) if note else ""
         ),
-        frame.section("Rotors", _rotors(model)),
-        frame.section("Warnings", show_warnings(model["notes"]) or frame.paragraph("None.")),
+        frame.render_section("Scores", _render_scores(summary), _render_differences(diagnosis)),
+        frame.render_section("Along the measured range", show_quartiles(diagnosis)),
+        frame.render_section("Coverage of the validation flights by the training flights", show_coverage(coverage)),
+        _render_causes(model),
+        frame.render_section(
+            "Terms",
+            *(_render_terms(axis, part) for axis, part in model["axes"].items()),
+            frame.render_details("Variables", frame.render_table(("variable", "unit", "meaning"), variables, {1, 2})),
+        ),
+        frame.render_section("Rotors", _render_rotors(model)),
+        frame.render_section("Warnings", show_warnings(model["notes"]) or frame.render_paragraph("None.")),
         chart.script() if chart else "",
     ]
-    return frame.page(f"Model {model['id']}", under, diagnosis["verdict"], diagnosis["in short"], sections)
+    return frame.render_page(f"Model {model['id']}", under, diagnosis["verdict"], diagnosis["in short"], sections)
 
 
-def _sentence(text: str) -> str:
+def _capitalise(text: str) -> str:
     return text[:1].upper() + text[1:] + "."
 
 
-def _verdicts(diagnosis: Mapping[str, Any]) -> str:
+def _render_verdicts(diagnosis: Mapping[str, Any]) -> str:
     lines = []
     for axis, facts in diagnosis["axes"].items():
-        kind = frame.KINDS[facts["verdict"]]
-        said = facts["statement"].removeprefix(f"{axis}: ")
-        remedies = "".join(f"<br><i>{frame.escape(_sentence(r))}</i>" for r in facts["what to do"])
+        kind = frame.VERDICT_CLASSES[facts["verdict"]]
+        text = facts["statement"].removeprefix(f"{axis}: ")
+        remedies = "".join(f"<br><i>{frame.escape(_capitalise(r))}</i>" for r in facts["what to do"])
         mark = {"good": "#1e7d46", "care": "#a86200", "bad": "#b3261e"}[kind]
         lines.append(
             f'<tr><th scope="row" style="width:9%;border-left:5px solid {mark};padding-left:10px">'
             f"{frame.escape(axis)}</th>"
-            f"<td>{frame.escape(said)}{remedies}</td></tr>"
+            f"<td>{frame.escape(text)}{remedies}</td></tr>"
         )
     return f"<table><tbody>{''.join(lines)}</tbody></table>"
 
 
-def _roles(summary: Mapping[str, Any]) -> list[str]:
+def _list_roles(summary: Mapping[str, Any]) -> list[str]:
     known = {role for axis in summary["axes"].values() for role in axis["scores"]}
     return [r for r in ("training", "test", "validation") if r in known]
 
 
-def _scores(summary: Mapping[str, Any]) -> str:
-    roles = _roles(summary)
+def _render_scores(summary: Mapping[str, Any]) -> str:
+    roles = _list_roles(summary)
 
     def of(titles: Mapping[str, str], shown: Any) -> str:
         head = ["", *(f"{title}, {role}" for role in roles for title in titles.values())]
@@ -95,38 +97,38 @@ def _scores(summary: Mapping[str, Any]) -> str:
             found = [facts["scores"].get(role, {}) for role in roles]
             name = f"{axis}, {facts['unit']}".replace(" ", "\u00a0")
             rows.append([name, *(shown(s.get(what)) for s in found for what in titles)])
-        return frame.table(head, rows)
+        return frame.render_table(head, rows)
 
-    return of({"r2": "R²", "rmse": "RMSE"}, lambda v: frame.number(v, 4)) + of(
-        {"relative_rmse": "error of rms", "coverage": "in interval"}, frame.share
+    return of({"r2": "R²", "rmse": "RMSE"}, lambda v: frame.format_number(v, 4)) + of(
+        {"relative_rmse": "error of rms", "coverage": "in interval"}, frame.format_share
     )
 
 
-def _differences(diagnosis: Mapping[str, Any]) -> str:
+def _render_differences(diagnosis: Mapping[str, Any]) -> str:
     columns = ("test and training", "test and validation", "validation above training")
     some = [c for c in columns if any(f["relative difference"][c] is not None for f in diagnosis["axes"].values())]
     rows = []
     for axis, facts in diagnosis["axes"].items():
         marks = {"test and training": facts["warnings"]["test"], "test and validation": facts["warnings"]["validation"]}
         found = facts["relative difference"]
-        cells = (("–" if found[c] is None else _tenths(found[c])) + (" !" if marks.get(c) else "") for c in some)
+        cells = (("–" if found[c] is None else _format_tenths(found[c])) + (" !" if marks.get(c) else "") for c in some)
         rows.append([axis, *cells])
-    said = (
-        "100 (1 − training / test) and 100 (1 − validation / test); ! beyond 10 % on the side that means overfitting."
-    )
-    note = f"<p class=under>{frame.escape(said)}</p>" if set(some) & set(columns[:2]) else ""
-    return frame.table(("relative difference in RMSE, %", *some), rows) + note if some else ""
+    text = "100 (1 − training / test) and 100 (1 − validation / test); ! beyond 10 % in the direction of overfitting."
+    note = f"<p class=under>{frame.escape(text)}</p>" if set(some) & set(columns[:2]) else ""
+    return frame.render_table(("relative difference in RMSE, %", *some), rows) + note if some else ""
 
 
-def _tenths(value: float) -> str:
+def _format_tenths(value: float) -> str:
     return f"{round(value, 1) + 0.0:.1f}".replace("-", "−")
 
 
 # ---- the prediction ----
 
 
-def _chart(rows: pd.DataFrame, summary: Mapping[str, Any]) -> Chart | None:
-    """Measurement, prediction and its interval of every axis, flight behind flight; the first held-out flight first."""
+def _make_chart(rows: pd.DataFrame, summary: Mapping[str, Any]) -> Chart | None:
+    """Chart measurement, prediction and interval of every axis, flight after flight; the first held-out flight
+    first.
+    """
     if len(rows) < 2:
         return None
     t, views, spans, offset, begin = np.empty(len(rows)), [], [], 0.0, 0
@@ -138,7 +140,7 @@ def _chart(rows: pd.DataFrame, summary: Mapping[str, Any]) -> Chart | None:
         views.append((str(keys[begin]), float(t[begin]), float(t[end - 1]), held))
         if held:
             spans.append((float(t[begin]), float(t[end - 1]), "held"))
-        offset, begin = float(t[end - 1]) + PAUSE, end
+        offset, begin = float(t[end - 1]) + PAUSE_BETWEEN_FLIGHTS, end
     starts = np.flatnonzero(rows["start"].to_numpy() > 0)[1:]
     panels = []
     for axis, facts in summary["axes"].items():
@@ -157,18 +159,18 @@ def _chart(rows: pd.DataFrame, summary: Mapping[str, Any]) -> Chart | None:
     return Chart(panels, spans, views, first[1:3], [view[1] for view in views[1:]])
 
 
-def _answer(chart: Chart | None, summary: Mapping[str, Any]) -> str:
-    """The first screen: the model's prediction of a flight beside what was measured, and its error in one sentence."""
+def _render_answer(chart: Chart | None, summary: Mapping[str, Any]) -> str:
+    """Render the first screen: predicted and measured flight, and the error in one sentence."""
     if chart is None:
         return ""
     view = next((v for v in chart.views if v[3]), chart.views[0])
     role = "validation" if view[3] else "training"
     errors = [
-        f"{axis} {frame.share(facts['scores'][role].get('relative_rmse'))}"
+        f"{axis} {frame.format_share(facts['scores'][role].get('relative_rmse'))}"
         for axis, facts in summary["axes"].items()
         if facts["scores"].get(role)
     ]
-    flown = f"{view[0]}, a flight that the model was not fitted to" if view[3] else f"{view[0]}, a training flight"
+    flown = f"{view[0]}, a held-out flight" if view[3] else f"{view[0]}, a training flight"
     text = f"Prediction (red, with its interval) and measurement (black) of {flown}."
     if errors:
         of = "all held-out flights" if view[3] else "all training flights"
@@ -179,35 +181,35 @@ def _answer(chart: Chart | None, summary: Mapping[str, Any]) -> str:
 # ---- tables ----
 
 
-def _causes(model: Mapping[str, Any]) -> str:
-    """What extends the model, and where it acts; nothing for a model that nothing extends."""
+def _render_causes(model: Mapping[str, Any]) -> str:
+    """Render the causes that extend the model and their effects; nothing for a model without extensions."""
     rows = []
     for extension in model.get("extensions") or ():
         found = extension.get("parameters") or {}
-        instead = any(name in REPLACED for name in extension.get("actuators") or ())
+        instead = any(name in REPLACED_CONSTANTS for name in extension.get("actuators") or ())
         values = [
-            f"{n.replace('_', ' ')} {frame.number(p['value'], 4)}"
+            f"{n.replace('_', ' ')} {frame.format_number(p['value'], 4)}"
             + (f" {p['unit']}" if p["unit"] not in ("", "1") else "")
             for n, p in found.items()
             if p["value"] or instead
         ]
-        told = ", ".join(values) + (", in place of the model's own" if values and instead else "")
-        said = [extension.get("sentence"), told, f"where it acts: {where_it_acts(extension)}"]
-        rows.append((str(extension.get("id")), ". ".join(_sentence(part)[:-1] for part in said if part) + "."))
+        text = ", ".join(values) + (", replaces the value of the model" if values and instead else "")
+        text = [extension.get("sentence"), text, f"effects: {describe_effects(extension)}"]
+        rows.append((str(extension.get("id")), ". ".join(_capitalise(part)[:-1] for part in text if part) + "."))
     if not rows:
         return ""
-    told = (
-        "Numbers are deviations from what the model said before, but where they are said to stand in place of its own; "
-        "predictions are its quasi-steady part."
+    text = (
+        "Numbers are deviations from the values of the model, except where they replace them. "
+        "Predictions contain the quasi-steady part only."
     )
-    return frame.section("Causes that extend it", frame.facts(rows), frame.paragraph(told))
+    return frame.render_section("Causes that extend the model", frame.render_facts(rows), frame.render_paragraph(text))
 
 
-def _text_of(term: Mapping[str, Any]) -> str:
+def _read_expression(term: Mapping[str, Any]) -> str:
     return str(term.get("expression") or term["name"])
 
 
-def _terms(axis: str, part: Mapping[str, Any]) -> str:
+def _render_terms(axis: str, part: Mapping[str, Any]) -> str:
     often = any("inclusion frequency" in term for term in part["terms"])
     head = [f"{axis}", "coefficient", "std. error", "|t|", *(["inclusion"] if often else []), "unit"]
     rows = []
@@ -219,21 +221,21 @@ def _terms(axis: str, part: Mapping[str, Any]) -> str:
             "–" if t is None else f"{abs(t):.1f}",
         ]  # fmt: skip
         if often:
-            cells.append(frame.share(term.get("inclusion frequency")))
+            cells.append(frame.format_share(term.get("inclusion frequency")))
         rows.append([*cells, term["unit"]])
-    return frame.table(head, rows)
+    return frame.render_table(head, rows)
 
 
-def _delay(found: Mapping[str, Any]) -> str:
-    """What the row of the delay is called."""
-    said = (found.get("delay") or {}).get(AGE_OFF)
-    return "delay" if said is None else "delay of the command" if said else "delay of command and rotor telemetry"
+def _name_delay(found: Mapping[str, Any]) -> str:
+    """Name the row of the delay."""
+    text = (found.get("delay") or {}).get(AGE_OFF)
+    return "delay" if text is None else "delay of the command" if text else "delay of command and rotor telemetry"
 
 
-def _rotors(model: Mapping[str, Any]) -> str:
+def _render_rotors(model: Mapping[str, Any]) -> str:
     found = model.get("actuators")
     hover = model["hover speed"]
-    speed = frame.with_error(hover["value"], hover.get("std"), "rad/s") if hover["value"] else "unknown"
+    speed = frame.format_with_error(hover["value"], hover.get("std"), "rad/s") if hover["value"] else "unknown"
     facts = [("hover speed", speed)]
     facts += [("rotor speeds", f"{sentence}.") for sentence in describe_map(model)]
     for name, entry in model.get("simple model", {}).items():
@@ -242,19 +244,23 @@ def _rotors(model: Mapping[str, Any]) -> str:
             digits = f"{entry['value']:.4g}{doubt} {entry['unit']}"
             facts.append((name, digits.replace("-", "−")))
     if not found:
-        return frame.facts(facts) + frame.paragraph("No flight shows the rotors' time constants.")
+        return frame.render_facts(facts) + frame.render_paragraph("No flight shows the time constants of the rotors.")
     rows = []
     for title, key in (
         ("time constant, up", "time constants up"), ("time constant, down", "time constants down"),
-        ("one time constant for both", "time constants"), (_delay(found), "delay"),
+        ("one time constant for both", "time constants"), (_name_delay(found), "delay"),
     ):  # fmt: skip
         entry = found.get(key)
         if entry:
             std = entry.get("std") or [None] * 4
             spread = entry.get("spread")
-            between = frame.number(1e3 * float(np.mean(spread)), 2) if spread else "–"
+            between = frame.format_number(1e3 * float(np.mean(spread)), 2) if spread else "–"
             rows.append(
-                [f"{title}, ms", *(frame.with_error(v, s, "", 1e3) for v, s in zip(entry["value"], std)), between]
+                [
+                    f"{title}, ms",
+                    *(frame.format_with_error(v, s, "", 1e3) for v, s in zip(entry["value"], std)),
+                    between,
+                ]
             )
     mapped = found.get("command map")
     if mapped:
@@ -269,4 +275,4 @@ def _rotors(model: Mapping[str, Any]) -> str:
             law += f" x (V / {volts:.2f} V)^{exponent:.2f}"
         facts.append(("speed for command c (0 to 1)", f"{law}, {mapped.get('source', '')}".rstrip(", ")))
     head = ("rotor", "1", "2", "3", "4", "spread over flights")
-    return frame.facts(facts) + frame.table(head, rows)
+    return frame.render_facts(facts) + frame.render_table(head, rows)

@@ -1,4 +1,4 @@
-"""Where in the measured range a model errs, and whether the training flights cover the validation flights."""
+"""Errors of a model over the measured range, and the coverage of the validation flights by the training flights."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -11,8 +11,8 @@ from quasi.pages.terms import describe_variable
 from quasi.tables import ANY
 from quasi.terms.variables import plain_name
 
-COLOURS = {"training": "#59636b", "test": "#d97706", "validation": "#1d6fb8"}
-BANDS = ("#fde8e6", "#eef5ec", "#e6effa")
+ROLE_COLOURS = {"training": "#59636b", "test": "#d97706", "validation": "#1d6fb8"}
+BAND_COLOURS = ("#fde8e6", "#eef5ec", "#e6effa")
 
 
 def show_quartiles(diagnosis: Mapping[str, Any]) -> str:
@@ -20,23 +20,23 @@ def show_quartiles(diagnosis: Mapping[str, Any]) -> str:
     for axis, facts in diagnosis["axes"].items():
         roles = list(facts["histogram"]["density"]) or roles
         for band in facts["quartiles"]:
-            bounds = f"{frame.number(band['from'])} to {frame.number(band['to'])} {facts['unit']}"
+            bounds = f"{frame.format_number(band['from'])} to {frame.format_number(band['to'])} {facts['unit']}"
             ratios = [f"{band[k]:.2f}" if band[k] is not None else "–" for k in ("X/T", "V/T") if "test" in roles]
             rows.append(
-                (f"{axis}, {band['band']}", bounds, *(frame.number(band["rmse"].get(r)) for r in roles), *ratios)
+                (f"{axis}, {band['band']}", bounds, *(frame.format_number(band["rmse"].get(r)) for r in roles), *ratios)
             )
         pictures.append(draw_histogram(axis, facts))
-    said = (
-        "How the measured values of each kind of row are spread (logarithmic); colours part the lower 25 %, middle "
+    text = (
+        "Distribution of the measured values of each kind of row (logarithmic). Colours mark the lower 25 %, middle "
         "50 % and upper 25 %."
     )
     head = ["RMSE by quartile", "measured", *roles]
     head += ["training/test", "validation/test"] if "test" in roles else []
-    return frame.table(head, rows) + f"<figure>{''.join(pictures)}<figcaption>{said}</figcaption></figure>"
+    return frame.render_table(head, rows) + f"<figure>{''.join(pictures)}<figcaption>{text}</figcaption></figure>"
 
 
 def draw_histogram(axis: str, facts: Mapping[str, Any]) -> str:
-    """How the rows of each role are spread over the measured range, logarithmic; the quartiles in colour."""
+    """Draw the distribution of the rows of each role over the measured range, logarithmic, quartiles in colour."""
     edges, density = np.array(facts["histogram"]["edges"]), facts["histogram"]["density"]
     top = max((max(d) for d in density.values()), default=0.0)
     if not len(edges) or top <= 0:
@@ -52,36 +52,36 @@ def draw_histogram(axis: str, facts: Mapping[str, Any]) -> str:
         return height - 17 - (np.log(max(value, least) / least) / np.log(top / least)) * (height - 24)
 
     parts = []
-    for k, (band, colour) in enumerate(zip(facts["quartiles"], BANDS)):
+    for k, (band, colour) in enumerate(zip(facts["quartiles"], BAND_COLOURS)):
         a, b = x(band["from"]) if k else 0.0, x(band["to"]) if k < 2 else float(width)
         parts.append(f'<rect x="{a:.1f}" y="0" width="{max(b - a, 0.5):.1f}" height="{height - 17}" fill="{colour}"/>')
     for role, values in density.items():
         steps = " ".join(f"{x(edges[k + side]):.1f},{y(v):.1f}" for k, v in enumerate(values) for side in (0, 1))
-        parts.append(f'<polyline points="{steps}" fill="none" stroke="{COLOURS[role]}" stroke-width="1.5"/>')
+        parts.append(f'<polyline points="{steps}" fill="none" stroke="{ROLE_COLOURS[role]}" stroke-width="1.5"/>')
     for place, anchor in ((low, "start"), (edges[-1], "end")):
         parts.append(
             f'<text x="{x(place):.0f}" y="{height - 5}" font-size="12" fill="#5b6770" text-anchor="{anchor}">'
-            f"{frame.number(float(place))} {frame.escape(facts['unit'])}</text>"
+            f"{frame.format_number(float(place))} {frame.escape(facts['unit'])}</text>"
         )
     parts.append(f'<text x="6" y="15" font-size="13" fill="#1c2329">{frame.escape(axis)}</text>')
-    key = " · ".join(f'<tspan fill="{COLOURS[r]}">{r}</tspan>' for r in density)
+    key = " · ".join(f'<tspan fill="{ROLE_COLOURS[r]}">{r}</tspan>' for r in density)
     parts.append(f'<text x="{width / 2}" y="{height - 5}" font-size="12" text-anchor="middle">{key}</text>')
     return f'<svg viewBox="0 0 {width} {height}" width="100%" role="img">{"".join(parts)}</svg>'
 
 
 def show_coverage(coverage: pd.DataFrame) -> str:
-    """Ranges of each variable in the validation and the training rows as bars, with numbers and units."""
+    """Draw ranges of each variable in the validation and training rows as bars, with numbers and units."""
     if not len(coverage):
-        return frame.paragraph("No validation flights.")
+        return frame.render_paragraph("No validation flights.")
     beyond = [
-        f"{line.variable.removeprefix(ANY)} {frame.share(line.above)}"
+        f"{line.variable.removeprefix(ANY)} {frame.format_share(line.above)}"
         for line in coverage.itertuples()
         if line.variable.startswith(ANY)
     ]
     lines = [line for line in coverage.itertuples() if not line.variable.startswith(ANY)]
     lines = [line for line in lines if 0 < line.training_max - line.training_min < np.inf]
-    bars = "".join(_bar(line, k) for k, line in enumerate(lines))
-    drawn = f'<svg viewBox="0 0 1000 {ROW * len(lines) + 22}" width="100%" role="img">{_BAR_HEAD}{bars}</svg>'
+    bars = "".join(_draw_bar(line, k) for k, line in enumerate(lines))
+    drawn = f'<svg viewBox="0 0 1000 {BAR_HEIGHT * len(lines) + 22}" width="100%" role="img">{_BAR_HEAD}{bars}</svg>'
     caption = (
         "Grey: range of the training rows, dark its 1 to 99 %. Blue: validation rows, thick their 1 to 99 %. "
         "Validation rows with some variable beyond the training rows' 0.01 to 99.99 %: " + ", ".join(beyond) + "."
@@ -89,42 +89,42 @@ def show_coverage(coverage: pd.DataFrame) -> str:
     return f"<figure>{drawn}<figcaption>{frame.escape(caption)}</figcaption></figure>"
 
 
-LEAST_SHARE = 5e-4  # of the rows beyond the training range that is shown as a number
-ROW, LEFT, RIGHT = 24, 150, 560  # px: height of a bar, its ends
+MIN_SHOWN_SHARE = 5e-4  # of the rows beyond the training range; smaller shares are not shown
+BAR_HEIGHT, BAR_LEFT, BAR_RIGHT = 24, 150, 560  # px: height of a bar, its ends
 _BAR_HEAD = "".join(
     f'<text x="{x}" y="14" font-size="12" fill="#5b6770">{text}</text>'
-    for x, text in ((RIGHT + 14, "training"), (RIGHT + 185, "validation"), (RIGHT + 370, "beyond"))
+    for x, text in ((BAR_RIGHT + 14, "training"), (BAR_RIGHT + 185, "validation"), (BAR_RIGHT + 370, "beyond"))
 )
 
 
-def _bar(line: Any, number: int) -> str:
-    """One variable's ranges; line  a row of `covered_share`."""
-    top = number * ROW + 22
+def _draw_bar(line: Any, number: int) -> str:
+    """Draw the ranges of one variable; line  a row of `covered_share`."""
+    top = number * BAR_HEIGHT + 22
 
     def x(value: float) -> float:
         share = (value - line.training_min) / (line.training_max - line.training_min)
-        return LEFT + float(np.nan_to_num(np.clip(0.1 + 0.8 * share, 0, 1))) * (RIGHT - LEFT)
+        return BAR_LEFT + float(np.nan_to_num(np.clip(0.1 + 0.8 * share, 0, 1))) * (BAR_RIGHT - BAR_LEFT)
 
     parts = [
         f'<rect x="{x(a):.1f}" y="{top + y}" width="{max(x(b) - x(a), 1):.1f}" height="{tall}" fill="{colour}"/>'
         for a, b, y, tall, colour in (
             (line.training_min, line.training_max, 4, 16, "#e7eaed"),
             (line.training_p1, line.training_p99, 4, 16, "#c3cad0"),
-            (line.min, line.max, 11, 2, COLOURS["validation"]),
-            (line.p1, line.p99, 9, 6, COLOURS["validation"]),
+            (line.min, line.max, 11, 2, ROLE_COLOURS["validation"]),
+            (line.p1, line.p99, 9, 6, ROLE_COLOURS["validation"]),
         )
     ]
     unit = describe_variable(plain_name(line.variable))[0]
     name = f"{line.variable}, {unit}" if unit else line.variable
     share = line.below + line.above
-    beyond = share > LEAST_SHARE
+    beyond = share > MIN_SHOWN_SHARE
     texts = (
-        (LEFT - 8, name, 13, "#1c2329", "end"),
-        (RIGHT + 14, _range(line.training_min, line.training_max), 12, "#1c2329", "start"),
-        (RIGHT + 185, _range(line.min, line.max), 12, COLOURS["validation"], "start"),
+        (BAR_LEFT - 8, name, 13, "#1c2329", "end"),
+        (BAR_RIGHT + 14, _format_range(line.training_min, line.training_max), 12, "#1c2329", "start"),
+        (BAR_RIGHT + 185, _format_range(line.min, line.max), 12, ROLE_COLOURS["validation"], "start"),
         (
-            RIGHT + 370,
-            frame.share(share) if beyond else "none",
+            BAR_RIGHT + 370,
+            frame.format_share(share) if beyond else "none",
             12,
             "#b3261e" if beyond else "#5b6770",
             "start",
@@ -138,7 +138,7 @@ def _bar(line: Any, number: int) -> str:
     return "".join(parts)
 
 
-def _range(low: float, high: float) -> str:
-    """Two numbers to three digits; without powers of ten below 100,000."""
+def _format_range(low: float, high: float) -> str:
+    """Format two numbers with three digits, without powers of ten below 100,000."""
     texts = (f"{v:.0f}" if 100 <= abs(v) < 1e5 else f"{v:.3g}" for v in (low, high))
     return " to ".join(texts).replace("-", "−").replace("e+0", "e")

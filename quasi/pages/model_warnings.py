@@ -1,4 +1,4 @@
-"""Warnings of a model by kind, folded, each kind with what to do."""
+"""Warnings of a model by kind, collapsed, each kind with a remedy."""
 
 import re
 from collections.abc import Iterable
@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from quasi.pages import frame
 from quasi.pages.terms import show_expression
 
-# what a warning holds, its kind, what to do
-KINDS = (
+# text in a warning, its kind, its remedy
+WARNING_KINDS = (
     (
         "without the data noticing",
         "Terms that another term could replace",
@@ -17,7 +17,8 @@ KINDS = (
     (
         "the data hardly tell them apart",
         "Close decisions of the stepwise search",
-        "Keep the model if its validation is good. To settle the choice, add flights or remove one of the candidates.",
+        "Keep the model if its validation is good. To decide between them, add flights or remove "
+        "one candidate.",
     ),
     (
         "times what it would be alone",
@@ -45,23 +46,23 @@ KINDS = (
         "Use the delay in simulations with care; log rotor speeds with their own time stamps, or at a higher rate.",
     ),
 )  # fmt: skip
-OTHER = ("Other warnings", "Read each one; it names what it concerns.")
+OTHER_WARNINGS = ("Other warnings", "Read each one; it names its subject.")
 _TERM = re.compile(
     r"\((?:[^(),;]|\((?:[^(),;]|\([^(),;]*\))*\))*\)(?:\*\((?:[^(),;]|\((?:[^(),;]|\([^(),;]*\))*\))*\))*"
 )
 
 
 def show_warnings(notes: Iterable[str]) -> str:
-    """One folded list per kind of warning, with what to do; nothing where there are none."""
+    """Render one collapsed list per kind of warning, with its remedy; nothing without warnings."""
     groups: dict[tuple[str, str], list[str]] = {}
     for note in notes:
-        kind = next(((title, todo) for mark, title, todo in KINDS if mark in note), OTHER)
+        kind = next(((title, todo) for mark, title, todo in WARNING_KINDS if mark in note), OTHER_WARNINGS)
         groups.setdefault(kind, []).append(show_terms(note))
-    order = [*((title, todo) for _, title, todo in KINDS), OTHER]
+    order = [*((title, todo) for _, title, todo in WARNING_KINDS), OTHER_WARNINGS]
     return "".join(
-        frame.details(
+        frame.render_details(
             f"{kind[0]} ({len(groups[kind])})",
-            frame.paragraph(f"What to do: {kind[1]}") + frame.sentences(groups[kind]),
+            frame.render_paragraph(f"What to do: {kind[1]}") + frame.render_list(groups[kind]),
         )
         for kind in order
         if kind in groups
@@ -69,7 +70,7 @@ def show_warnings(notes: Iterable[str]) -> str:
 
 
 def show_terms(note: str) -> str:
-    """A warning with its terms as `show_expression` writes them."""
+    """Format the terms of a warning by `show_expression`."""
     return _TERM.sub(
         lambda found: show_expression(found[0]) if re.search(r"[a-z_]\w*\^|\)\*\(|\^\(", found[0]) else found[0], note
     )

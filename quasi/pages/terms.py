@@ -1,4 +1,4 @@
-"""Terms of a model as a reader writes them, and the legend of the variables in them."""
+"""Terms of a model in mathematical notation, and the legend of their variables."""
 
 from collections.abc import Iterable
 
@@ -16,10 +16,10 @@ VARIABLES: dict[str, tuple[str, str]] = {
     "w_tot": ("rad/s", "sum of the four rotor speeds"),
     "w_avg": ("rad/s", "root mean square of the four rotor speeds"),
     "d_w_tot": ("rad/s", "sum of the rotor speeds minus four times the hover speed"),
-    **{f"u_{a}": ("rad/s", f"rotor speeds weighted for {said}") for a, said in _AXES.items()},
-    **{f"U_{a}": ("rad²/s²", f"squared rotor speeds weighted for {said}") for a, said in _AXES.items()},
+    **{f"u_{a}": ("rad/s", f"rotor speeds weighted for {axis_text}") for a, axis_text in _AXES.items()},
+    **{f"U_{a}": ("rad²/s²", f"squared rotor speeds weighted for {axis_text}") for a, axis_text in _AXES.items()},
     "w_tot_dot": ("rad/s²", "sum of the rotor accelerations"),
-    **{f"u_{a}_dot": ("rad/s²", f"rotor accelerations weighted for {said}") for a, said in _AXES.items()},
+    **{f"u_{a}_dot": ("rad/s²", f"rotor accelerations weighted for {axis_text}") for a, axis_text in _AXES.items()},
     "u": ("m/s", "velocity through the air, forward"),
     "v": ("m/s", "velocity through the air, to the right"),
     "w": ("m/s", "velocity through the air, down"),
@@ -34,9 +34,9 @@ VARIABLES: dict[str, tuple[str, str]] = {
 
 
 def show_expression(text: str) -> str:
-    """An expression without needless brackets and powers of one: (w_avg^2)*(mu_x^(1.0)) is w_avg² · mu_x.
+    """Format an expression without needless brackets and powers of one: (w_avg^2)*(mu_x^(1.0)) is w_avg² · mu_x.
 
-    Text that is no expression comes back as it is.
+    Text that is no expression is returned unchanged.
     """
     try:
         return _show(parse(text))[0]
@@ -45,7 +45,7 @@ def show_expression(text: str) -> str:
 
 
 def _show(tree: Tree) -> tuple[str, int]:
-    """Text and how tightly it binds: 0 sum, 1 product, 2 sign, 3 power, 4 atom."""
+    """Return text and operator precedence: 0 sum, 1 product, 2 sign, 3 power, 4 atom."""
     kind = tree[0]
 
     def within(node: Tree, least: int) -> str:
@@ -84,7 +84,7 @@ def _show_power(tree: Tree, within) -> tuple[str, int]:
 
 
 def describe_variable(name: str) -> tuple[str, str]:
-    """Unit and meaning of a variable; ("", "a column of the flights") where nothing is known of it."""
+    """Return unit and meaning of a variable; ("", "a column of the flights") for an unknown one."""
     if name in VARIABLES:
         return VARIABLES[name]
     if name in FORMULAS:
@@ -97,7 +97,7 @@ def describe_variable(name: str) -> tuple[str, str]:
 
 
 def list_variables(expressions: Iterable[str]) -> list[tuple[str, str, str]]:
-    """(name, unit, meaning) of every variable in the expressions, in alphabetic order; |u| counts as u."""
+    """List (name, unit, meaning) of every variable in the expressions, in alphabetic order; |u| counts as u."""
     found: set[str] = set()
     for text in expressions:
         try:

@@ -9,7 +9,7 @@ from PIL import Image
 from quasi.attitude import from_euler
 from quasi.errors import ConfigError, DataError
 from quasi.pages import animation, drawing
-from quasi.pages.animation import Scene, animate, following, frame_times, frames
+from quasi.pages.animation import Scene, animate, follow_drone, list_frame_times, render_frames
 from quasi.pages.drawing import Look, Motion
 
 
@@ -26,12 +26,12 @@ def flight(airframe):
 
 
 def small():
-    return drawing.new_axes(Figure(figsize=(3.2, 2.56), dpi=100))
+    return drawing.make_axes(Figure(figsize=(3.2, 2.56), dpi=100))
 
 
 def test_a_picture_from_the_kept_background_is_the_picture_drawn_whole(flight):
     axes = small()
-    made = frames([flight], fps=2, axes=axes)
+    made = render_frames([flight], fps=2, axes=axes)
     next(made)
     kept = next(made).astype(int)  # the second one is drawn on the background of the first
     canvas = axes.figure.canvas
@@ -48,14 +48,14 @@ def test_a_picture_from_the_kept_background_is_the_picture_drawn_whole(flight):
 
 
 def test_frames_show_the_whole_flight_at_the_speed_asked_for(flight):
-    np.testing.assert_allclose(frame_times([flight], 25.0, 1.0), 2.0 + np.arange(51) / 25.0)
-    np.testing.assert_allclose(frame_times([flight], 10.0, 4.0), 2.0 + np.arange(6) * 0.4)
+    np.testing.assert_allclose(list_frame_times([flight], 25.0, 1.0), 2.0 + np.arange(51) / 25.0)
+    np.testing.assert_allclose(list_frame_times([flight], 10.0, 4.0), 2.0 + np.arange(6) * 0.4)
 
 
 def test_the_drone_stands_where_the_motion_is_at_the_time_of_the_frame(flight):
     axes = small()
     centres = []
-    for _ in frames([flight], fps=4, axes=axes, scale=1.0):
+    for _ in render_frames([flight], fps=4, axes=axes, scale=1.0):
         arms = np.asarray(axes.collections[0]._segments3d)
         centres.append(arms[0, 0])
     expected = [np.interp(np.linspace(2, 4, 9), flight.t, column) for column in flight.position.T]
@@ -127,7 +127,7 @@ def test_an_animation_goes_into_a_figure_of_the_users_with_a_wrapper(flight):
     height = figure.add_subplot(1, 2, 1)
     height.set(xlim=(2, 4), ylim=(2, 4))
     (line,) = height.plot([], [], "r", linewidth=4)
-    drawing.new_axes(figure, (1, 2, 2))  # last, so that the animation goes there
+    drawing.make_axes(figure, (1, 2, 2))  # last, so that the animation goes there
     canvas = figure.canvas
     seen = []
 
@@ -137,7 +137,7 @@ def test_an_animation_goes_into_a_figure_of_the_users_with_a_wrapper(flight):
         return [line]
 
     red = []
-    for picture in frames([flight], fps=2, figure=figure, wrapper=wrapper):
+    for picture in render_frames([flight], fps=2, figure=figure, wrapper=wrapper):
         left = picture[:, :300].astype(int)
         red.append(int(((left[..., 0] > 200) & (left[..., 1] < 80)).sum()))
     assert [time for time, _ in seen] == [2.0, 2.5, 3.0, 3.5, 4.0]
@@ -150,18 +150,20 @@ def test_what_a_silent_wrapper_moves_is_drawn_as_well(flight):
     figure = Figure(figsize=(6.4, 2.56), dpi=100)
     panel = figure.add_subplot(1, 2, 1)
     panel.set(xticks=[], yticks=[])
-    axes = drawing.new_axes(figure, (1, 2, 2))
+    axes = drawing.make_axes(figure, (1, 2, 2))
 
     def wrapper(time, axes):
         panel.set_facecolor("red" if time > 2.9 else "blue")
 
-    shown = [picture[128, 150] for picture in frames([flight], fps=1, axes=axes, wrapper=wrapper)]
+    shown = [picture[128, 150] for picture in render_frames([flight], fps=1, axes=axes, wrapper=wrapper)]
     np.testing.assert_array_equal(shown, [[0, 0, 255], [255, 0, 0], [255, 0, 0]])
 
 
 def test_limits_may_follow_the_drone(flight):
     axes = small()
-    boxes = [drawing.get_limits(axes) for _ in frames([flight], fps=1, axes=axes, limits=following(flight, 0.5))]
+    boxes = [
+        drawing.get_limits(axes) for _ in render_frames([flight], fps=1, axes=axes, limits=follow_drone(flight, 0.5))
+    ]
     where = [flight.position[flight.row_at(t)] for t in (2.0, 3.0, 4.0)]
     np.testing.assert_allclose([0.5 * (low + high) for low, high in boxes], where, atol=1e-12)
     np.testing.assert_allclose([high - low for low, high in boxes], 1.0)
@@ -178,7 +180,7 @@ def test_several_drones_move_at_once_and_the_nearer_hides_the_farther(airframe):
     for order in ([low, high], [high, low]):
         axes = small()
         axes.view_init(elev=90, azim=-128)
-        picture = next(iter(frames(order, axes=axes, scale=1.0))).astype(int)
+        picture = next(iter(render_frames(order, axes=axes, scale=1.0))).astype(int)
         red = ((picture[..., 0] > 200) & (picture[..., 2] < 60)).sum()
         blue = ((picture[..., 2] > 200) & (picture[..., 0] < 60)).sum()
         assert blue > 4 * red
@@ -188,7 +190,7 @@ def test_several_drones_move_at_once_and_the_nearer_hides_the_farther(airframe):
 def test_a_scene_on_a_window_keeps_up_with_redraws_from_outside(flight):
     axes = small()
     animation.FigureCanvasAgg(axes.figure)
-    drawing.set_limits(axes, *drawing.extent([flight]))
+    drawing.set_limits(axes, *drawing.find_extent([flight]))
     scene = Scene(axes, [(flight.airframe, flight.look)])
     scene.place(0, flight.position[0], flight.quaternion[0], np.ones(4), flight.position[:1])
     scene.draw()
@@ -203,7 +205,7 @@ def test_a_scene_on_a_window_keeps_up_with_redraws_from_outside(flight):
 @pytest.mark.parametrize(
     ("changed", "says"),
     [
-        ({"path": "a.avi"}, "'.avi' is no format of animations; name it .mp4 or .gif"),
+        ({"path": "a.avi"}, "'.avi' is not an animation format"),
         ({"fps": 0.0}, "'fps' is 0.0, expected a positive number"),
         ({"speed_up": float("nan")}, "'speed up factor' is nan"),
         ({"speed_up": 1e-5}, "frames, more than 20000; speed it up"),
@@ -231,7 +233,7 @@ def test_a_look_changes_in_the_middle_of_an_animation(flight):
         flight.airframe, flight.t, flight.position, flight.quaternion, changes=[(3.0, Look(frame="red", thickness=7.0))]
     )
     seen = []
-    for _ in frames([changed], fps=2, axes=axes):
+    for _ in render_frames([changed], fps=2, axes=axes):
         lines = axes.collections[0]
         seen.append((lines.get_linewidth()[0], lines.get_colors()[0, 0]))
     assert seen == [(2.0, 0.0)] * 2 + [(7.0, 1.0)] * 3

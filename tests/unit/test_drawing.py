@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from quasi.attitude import from_euler
 from quasi.errors import DataError, ShapeError
 from quasi.pages import drawing
-from quasi.pages.drawing import Motion, motion_of, trajectories, trajectory
-from quasi.pages.drone import Look, new_axes
+from quasi.pages.drawing import Motion, make_motion, trajectories, trajectory
+from quasi.pages.drone import Look, make_axes
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -53,14 +53,14 @@ def test_the_more_recent_a_still_the_more_opaque_its_frame(turn):
     figure = trajectories([turn], stills=4)
     lines = next(c for c in figure.axes[0].collections if hasattr(c, "_segments3d"))
     alpha = lines.get_colors()[::4, 3]
-    np.testing.assert_allclose(alpha, np.linspace(drawing.FAINTEST, 1.0, 4), atol=1e-12)
+    np.testing.assert_allclose(alpha, np.linspace(drawing.MIN_STILL_OPACITY, 1.0, 4), atol=1e-12)
     render(figure)
 
 
 def test_stills_are_even_in_time_or_at_the_times_asked_for(turn):
-    assert list(turn.t[drawing._still_rows(turn, 4, None)]) == pytest.approx([3.0, 5.0, 7.0, 9.0])
-    assert list(turn.t[drawing._still_rows(turn, 4, [8.004, 3.5])]) == pytest.approx([3.5, 8.0])
-    assert len(drawing._still_rows(turn, 0, None)) == 0
+    assert list(turn.t[drawing._choose_still_rows(turn, 4, None)]) == pytest.approx([3.0, 5.0, 7.0, 9.0])
+    assert list(turn.t[drawing._choose_still_rows(turn, 4, [8.004, 3.5])]) == pytest.approx([3.5, 8.0])
+    assert len(drawing._choose_still_rows(turn, 0, None)) == 0
 
 
 def test_options_of_the_look_reach_the_picture(turn):
@@ -76,7 +76,7 @@ def test_options_of_the_look_reach_the_picture(turn):
 
 
 def test_a_second_drone_in_the_same_axes_widens_the_limits(turn, airframe):
-    axes = new_axes(Figure())
+    axes = make_axes(Figure())
     trajectories([turn], axes=axes)
     first = drawing.get_limits(axes)
     away = Motion(airframe, turn.t, turn.position + [10.0, 0.0, 0.0], turn.quaternion)
@@ -91,7 +91,7 @@ def test_a_second_drone_in_the_same_axes_widens_the_limits(turn, airframe):
 
 def test_enlarged_drones_are_said_to_be_so(turn):
     figure = trajectories([turn])
-    factor = drawing.enlargement([turn])
+    factor = drawing.choose_enlargement([turn])
     assert factor > 1
     said = " ".join(t.get_text() for t in figure.axes[0].texts)
     assert f"{factor:g} times their size" in said
@@ -103,8 +103,8 @@ def test_rows_without_a_position_leave_gaps_and_no_still(turn):
     where = turn.position.copy()
     where[:200] = np.nan
     motion = Motion(turn.airframe, turn.t, where, turn.quaternion, turn.rotor_speeds)
-    assert turn.t[drawing._still_rows(motion, 2, None)][0] == pytest.approx(5.0)
-    assert np.isnan(drawing.thinned(motion)[:200]).all()
+    assert turn.t[drawing._choose_still_rows(motion, 2, None)][0] == pytest.approx(5.0)
+    assert np.isnan(drawing.thin_path(motion)[:200]).all()
     render(trajectories([motion]))
 
 
@@ -116,7 +116,7 @@ def test_what_cannot_be_drawn_is_told(turn, airframe):
     with pytest.raises(DataError, match="time steps back"):
         Motion(airframe, turn.t[::-1], turn.position, turn.quaternion)
     with pytest.raises(DataError, match="no column 'yaw'"):
-        motion_of(pd.DataFrame({c: [0.0] for c in ("t", "x", "y", "z", "roll", "pitch")}), airframe, "flight a")
+        make_motion(pd.DataFrame({c: [0.0] for c in ("t", "x", "y", "z", "roll", "pitch")}), airframe, "flight a")
     with pytest.raises(DataError, match="nothing to draw at 20 s; choose times from 3 to 9 s"):
         drawing.snapshots([turn], [4.0, 20.0])
     with pytest.raises(DataError, match="no motion"):
@@ -142,11 +142,11 @@ def test_a_hover_on_the_spot_can_be_drawn(airframe):
 
 def test_several_drones_that_nobody_chose_a_look_for_are_told_apart(turn, airframe):
     away = Motion(airframe, turn.t, turn.position + [1.0, 0.0, 0.0], turn.quaternion, name="away")
-    colours = [m.look.history for m in drawing.told_apart([turn, away])]
+    colours = [m.look.history for m in drawing.assign_colours([turn, away])]
     assert len(set(colours)) == 2
     chosen = Motion(airframe, turn.t, turn.position, turn.quaternion, look=Look(frame="red"))
-    assert [m.look for m in drawing.told_apart([turn, chosen])] == [turn.look, chosen.look]
-    assert drawing.told_apart([turn])[0].look == Look()
+    assert [m.look for m in drawing.assign_colours([turn, chosen])] == [turn.look, chosen.look]
+    assert drawing.assign_colours([turn])[0].look == Look()
     legend = trajectories([turn, away]).axes[0].get_legend()
     assert [t.get_text() for t in legend.get_texts()] == ["made", "away"]
 
@@ -163,8 +163,8 @@ def test_where_stills_stand_in_one_place_the_last_one_says_the_time(airframe):
 def test_a_look_may_change_on_the_way(turn):
     broken = Look(rotors=("red", "black", "black", "black"), history="turquoise")
     motion = drawing.replace(turn, changes=[(6.0, broken)])
-    assert motion.look_at(5.9) == turn.look
-    assert motion.look_at(6.0) == broken
+    assert motion.choose_look(5.9) == turn.look
+    assert motion.choose_look(6.0) == broken
     figure = trajectories([motion], stills=3)
     before, after = [c for c in figure.axes[0].collections if hasattr(c, "_faces")]
     assert not np.any(before._facecolor3d[:4, 0] == 1.0)

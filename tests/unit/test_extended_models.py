@@ -17,8 +17,8 @@ from quasi.gap.effect import Room, vehicle_of
 from quasi.gap.extension import extend
 from quasi.model.document import AXES
 from quasi.model.model import Model, read_model
-from quasi.pages.causes import where_it_acts
-from quasi.pages.model import _causes
+from quasi.pages.causes import describe_effects
+from quasi.pages.model import _render_causes
 from quasi.simulation.loop.run import simulate
 from quasi.simulation.loop.setup import make_setup
 from quasi.simulation.tools.portable import loop_constants, portable_setup
@@ -72,7 +72,7 @@ def test_an_extended_model_lives_like_any_other(base, name, tmp_path):
         state, np.full(4, 1500.0), np.full(4, 2000.0), {"t": 5.0} if "t" in model.inputs else None
     )
     assert np.isfinite([*force, *moment]).all()
-    assert name in model.summary() and where_it_acts(model.document["extensions"][0])
+    assert name in model.summary() and describe_effects(model.document["extensions"][0])
 
     runs = [simulate(make_setup({"model": {"model ID": m.id}, **FLIGHT}, m)) for m in (base, model)]
     assert all(run.stopped is None for run in runs)
@@ -175,9 +175,9 @@ def test_near_the_floor_less_speed_hovers_by_the_formula_up_to_its_limit(base):
 @pytest.mark.parametrize(
     ("name", "values", "said"),
     [
-        ("motor_lag", {"time_constant": 0.045}, "Time constant 0.04500 s, in place of the model's own."),
+        ("motor_lag", {"time_constant": 0.045}, "Time constant 0.04500 s, replaces the value of the model."),
         ("battery_sag", {"exponent": 0.0, "reference voltage": 15.8},
-         "Exponent 0, reference voltage 15.80 V, in place of the model's own."),
+         "Exponent 0, reference voltage 15.80 V, replaces the value of the model."),
         ("mass", {"mass": 0.02}, "Mass 0.02000 kg."),
         ("command_delay", {"delay": -0.004}, "Delay −0.004000 s."),
     ],
@@ -185,6 +185,6 @@ def test_near_the_floor_less_speed_hovers_by_the_formula_up_to_its_limit(base):
 def test_the_page_says_which_numbers_are_deviations(base, name, values, said):
     """A lag of 45 ms of the vehicle is no deviation of 45 ms; a delay 4 ms shorter than the model's is one."""
     document = extend(base, [(CATALOGUE[name], values)], vehicle_of(base), "x", "test")
-    text = html.unescape(_causes(document))
-    assert f". {said} Where it acts" in text
-    assert "Numbers are deviations" in text and "in place of its own" in text
+    text = html.unescape(_render_causes(document))
+    assert f". {said} Effects" in text
+    assert "Numbers are deviations" in text and "replace them" in text

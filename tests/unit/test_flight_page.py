@@ -8,7 +8,13 @@ import pytest
 
 from quasi.importing.streams import stream
 from quasi.pages import frame
-from quasi.pages.flight import page, ranges, saturation, unmeasured, verdict
+from quasi.pages.flight import (
+    compute_ranges,
+    compute_saturation,
+    derive_flight_verdict,
+    describe_unmeasured,
+    render_flight_page,
+)
 
 N = 500
 T = np.arange(N) / 100.0
@@ -60,14 +66,14 @@ def flight():
 
 def test_page_is_whole_in_itself_and_escapes_what_files_bring(flight):
     filtered, imported, about = flight
-    text = page(filtered, imported, filtered, about, {"Attitude": (b"\x89PNG", "roll & more")})
+    text = render_flight_page(filtered, imported, filtered, about, {"Attitude": (b"\x89PNG", "roll & more")})
     assert "http" not in text and "<link" not in text
     assert re.findall(r'src="(\w+:\w+)', text) == ["data:image"]
     assert "one &lt;b&gt;" in text and "<b>good:</b>" in text and "<log>" not in text
     assert "&lt;log&gt;.bbl: 3 rows &amp; more were lost" in text
     assert "time, motor[0..1]" in text
-    assert "1.00 ± 0.20 ms undone (PT1 160 Hz)" in text
-    assert "not known, taken as 0 ± 20 ms" in text
+    assert "1.00 ± 0.20 ms corrected (PT1 160 Hz)" in text
+    assert "unknown, assumed 0 ± 20 ms" in text
     assert "1, at 1.99 to 2.60 s" in text
     assert "16.00 V to" not in text and "15.95 V to 15.55 V" in text
     assert "0.573 ± 0.057" in text
@@ -87,12 +93,14 @@ def test_what_no_source_measured_is_marked_among_what_was_flown(flight, sources,
     filtered, imported, about = flight
     imported |= dict(zip(("position source", "velocity source"), sources))
     about["engine"] = engine
-    names = [row[0] for row in ranges(filtered, filtered["t"].to_numpy() >= 0, unmeasured(imported, about))]
+    names = [
+        row[0] for row in compute_ranges(filtered, filtered["t"].to_numpy() >= 0, describe_unmeasured(imported, about))
+    ]
     assert f"speed over ground ({velocity})".removesuffix(" ()") in names
     assert f"velocity down (body) ({velocity})".removesuffix(" ()") in names
     assert f"height above the origin ({height})".removesuffix(" ()") in names
     assert {"roll rate", "tilt", "load factor"} <= set(names)
-    assert names[0] in page(filtered, imported, filtered, about, {})
+    assert names[0] in render_flight_page(filtered, imported, filtered, about, {})
 
 
 @pytest.mark.parametrize(
@@ -103,13 +111,13 @@ def test_axes_are_laid_on_the_bodys_of_a_source_that_has_axes(flight, source, sh
     filtered, imported, about = flight
     imported["attitude source"] = source
     about["attitude alignment"] = {"roll": {"value": 0.01, "std": 0.001}}
-    text = page(filtered, imported, filtered, about, {})
+    text = render_flight_page(filtered, imported, filtered, about, {})
     assert (f"{shown} axes on the body&#x27;s" in text) if shown else ("axes on the body" not in text)
 
 
 def test_ranges_are_of_the_rows_in_flight(flight):
     filtered = flight[0]
-    found = {name: values for name, _, *values in ranges(filtered, filtered["in_flight"].to_numpy() > 0)}
+    found = {name: values for name, _, *values in compute_ranges(filtered, filtered["in_flight"].to_numpy() > 0)}
     assert found["speed over ground"] == [3.0, 3.0, 3.0]
     assert found["load factor"] == pytest.approx([9.81 / 9.80665] * 3, rel=1e-3)
     assert found["height above the origin"] == [1.5, 1.5, 1.5]
@@ -120,33 +128,36 @@ def test_motor_commands_at_their_limits_are_counted():
     flown = np.ones(N, bool)
     command = np.full(N, 0.5)
     command[:5], command[5:30] = 0.0, 1.0
-    found = saturation(pd.DataFrame({"command1": command}), flown)
+    found = compute_saturation(pd.DataFrame({"command1": command}), flown)
     assert found["command1 at its lower limit"] == pytest.approx(5 / N)
     assert found["command1 at its upper limit"] == pytest.approx(25 / N)
 
 
 def test_verdict_gets_worse_by_what_filtering_finds_and_never_better(flight):
     _, imported, about = flight
-    assert verdict(imported, about, {}) == ("good", "all sources are complete and agree")
-    word, why = verdict(imported, {**about, "consistent": False}, {"command1 at its upper limit": 0.02})
+    assert derive_flight_verdict(imported, about, {}) == ("good", "all sources are complete and agree")
+    word, why = derive_flight_verdict(imported, {**about, "consistent": False}, {"command1 at its upper limit": 0.02})
     assert word == "usable with care" and "innovations" in why and "2.00 %" in why and "agree" not in why
     told = "the filter is not consistent in position: 6 % of the measurements are rejected (limit 5 %)"
-    assert verdict(imported, {**about, "consistent": False, "doubts": [told]}, {}) == ("usable with care", told)
+    assert derive_flight_verdict(imported, {**about, "consistent": False, "doubts": [told]}, {}) == (
+        "usable with care",
+        told,
+    )
     none = {**about, "phases": {**about["phases"], "valid share": 0.0}}
     none["phases"]["none valid because"] = "no rotor turns (100 % of the flight)"
-    assert verdict(imported, none, {}) == (
+    assert derive_flight_verdict(imported, none, {}) == (
         "unusable",
         "no row is valid for identification: no rotor turns (100 % of the flight)",
     )
     bad = {**imported, "verdict": "unusable", "verdict because": "nothing was read"}
-    assert verdict(bad, {**about, "consistent": False}, {})[0] == "unusable"
+    assert derive_flight_verdict(bad, {**about, "consistent": False}, {})[0] == "unusable"
 
 
 def test_colour_follows_the_worst_warning_on_the_page(flight):
     filtered, imported, about = flight
     shakes = "vibration that moves with the rotors' speed passes the low-pass"
-    calm = page(filtered, imported, filtered, {**about, "notes": ["3 samples are bridged"]}, {})
-    shaken = page(filtered, imported, filtered, {**about, "notes": [shakes], "doubts": [shakes]}, {})
+    calm = render_flight_page(filtered, imported, filtered, {**about, "notes": ["3 samples are bridged"]}, {})
+    shaken = render_flight_page(filtered, imported, filtered, {**about, "notes": [shakes], "doubts": [shakes]}, {})
     assert 'class="verdict good"' in calm and "<b>good:</b>" in calm
     assert 'class="verdict care"' in shaken and "<b>usable with care:</b> <strong>vibration that moves" in shaken
 
@@ -154,14 +165,14 @@ def test_colour_follows_the_worst_warning_on_the_page(flight):
 @pytest.mark.parametrize(
     ("said", "expected"),
     [
-        (frame.with_error(-1.914417, 3.1e-5, "ms", 1e3), "−1914.417 ± 0.031 ms"),
-        (frame.with_error(12.0, None, "V"), "12.00 V"),
-        (frame.with_error(None, 1.0), "–"),
-        (frame.number(float("nan")), "–"),
-        (frame.number(0.00012345), "0.000123"),
-        (frame.share(0.0), "0 %"),
-        (frame.share(2e-5), "below 0.01 %"),
-        (", ".join(frame.row_of([-5.414, 0.0002, 5.33])), "−5.41, 0.00, 5.33"),
+        (frame.format_with_error(-1.914417, 3.1e-5, "ms", 1e3), "−1914.417 ± 0.031 ms"),
+        (frame.format_with_error(12.0, None, "V"), "12.00 V"),
+        (frame.format_with_error(None, 1.0), "–"),
+        (frame.format_number(float("nan")), "–"),
+        (frame.format_number(0.00012345), "0.000123"),
+        (frame.format_share(0.0), "0 %"),
+        (frame.format_share(2e-5), "below 0.01 %"),
+        (", ".join(frame.format_row([-5.414, 0.0002, 5.33])), "−5.41, 0.00, 5.33"),
     ],
 )
 def test_numbers_are_said_to_their_error(said, expected):

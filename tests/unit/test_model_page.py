@@ -14,7 +14,7 @@ from judged import made
 from matplotlib.figure import Figure
 
 from quasi.identification.isolation import excited
-from quasi.pages.model import _delay, page
+from quasi.pages.model import _name_delay, render_model_page
 from quasi.scoring.diagnostics import ANY
 from quasi.scoring.figures import (
     draw_actuators,
@@ -39,7 +39,7 @@ def found():
 def html(found):
     model, _, done = found
     summary = make_summary(model, done.scores, done.diagnosis)
-    return page(model.document, summary, done.diagnosis, done.coverage, thin_rows(done.comparisons, ["c"]))
+    return render_model_page(model.document, summary, done.diagnosis, done.coverage, thin_rows(done.comparisons, ["c"]))
 
 
 # ---- summaries ----
@@ -189,7 +189,7 @@ def test_actuator_boxes_hold_every_flight():
     assert [t.get_text() for t in apart.get_legend().get_texts()] == ["without telemetry delay", "with telemetry delay"]
     box = [x for line in apart.lines if len(line.get_xdata()) == 5 for x in line.get_ydata()]
     assert max(box) < 1.01 + 1e-9
-    titles = [_delay({"delay": {} if said is None else {AGE_OFF: said}}) for said in (True, False, None)]
+    titles = [_name_delay({"delay": {} if said is None else {AGE_OFF: said}}) for said in (True, False, None)]
     assert titles == ["delay of the command", "delay of command and rotor telemetry", "delay"]
 
 
@@ -254,10 +254,15 @@ def test_the_page_tells_where_the_causes_that_extend_the_model_act(found):
             "parameters": found_sizes}  # fmt: skip
     document = {**model.document, "extensions": [load]}
     summary = make_summary(model, done.scores, done.diagnosis)
-    text = page(document, summary, done.diagnosis, done.coverage, thin_rows(done.comparisons, []))
-    assert "Causes that extend it" in text and "A load hangs &lt;below&gt;. Mass at 0.5 m 0.02100 kg. Where" in text
-    assert "predictions hold its quasi-steady part" in text and "0.2 m" not in text.split("Causes that extend")[1][:600]
-    assert "Causes that extend it" not in page(
+    text = render_model_page(document, summary, done.diagnosis, done.coverage, thin_rows(done.comparisons, []))
+    assert (
+        "Causes that extend the model" in text
+        and "A load hangs &lt;below&gt;. Mass at 0.5 m 0.02100 kg. Effects" in text
+    )
+    assert (
+        "predictions contain its quasi-steady part" in text and "0.2 m" not in text.split("Causes that extend")[1][:600]
+    )
+    assert "Causes that extend the model" not in render_model_page(
         model.document, summary, done.diagnosis, done.coverage, thin_rows(done.comparisons, [])
     )
 
@@ -292,7 +297,9 @@ def test_a_missing_value_stays_unknown_in_the_page(found):
     held = done.comparisons["Fz"]
     codes = {key: held.role[held.flight == k] for k, key in enumerate(held.keys)}
     rows = thin_rows(compare_with_measurements(model, holed, codes), ["c"])
-    text = page(model.document, make_summary(model, done.scores, done.diagnosis), done.diagnosis, done.coverage, rows)
+    text = render_model_page(
+        model.document, make_summary(model, done.scores, done.diagnosis), done.diagnosis, done.coverage, rows
+    )
     assert np.isnan(line_of(json.loads(read(text).data)["panels"][1], 0)[1]).sum() == 11 + 2
 
 
@@ -310,11 +317,13 @@ def test_a_model_without_rotors_validation_or_test_rows_has_a_page():
     model, _, done = made(validation=(), options={"random partition": False}, rows=600)
     document = {**model.document, "actuators": None, "hover speed": {"value": None}, "simple model": {}}
     summary = make_summary(model, done.scores, done.diagnosis)
-    text = page(document, summary, done.diagnosis, done.coverage, thin_rows(done.comparisons, []))
+    text = render_model_page(document, summary, done.diagnosis, done.coverage, thin_rows(done.comparisons, []))
     assert "No validation flights." in text
-    assert "No flight shows the rotors" in text
+    assert "No flight shows the time constants" in text
     published = {**document, "simple model": {"kappaFz": {"value": 5e-7, "std": None, "unit": "N s2/rad2"}}}
-    assert "5e−07 N s2/rad2" in page(published, summary, done.diagnosis, done.coverage, thin_rows(done.comparisons, []))
+    assert "5e−07 N s2/rad2" in render_model_page(
+        published, summary, done.diagnosis, done.coverage, thin_rows(done.comparisons, [])
+    )
     assert "no test or validation rows" in text
     read(text)
 
@@ -325,6 +334,6 @@ def test_names_cannot_break_out_of_the_page(found):
     held = {axis: j._replace(keys=("a", "b", evil)) for axis, j in done.comparisons.items()}
     document = {**model.document, "flights": {"training": ["a", "b"], "validation": [evil]}}
     summary = make_summary(model, done.scores, done.diagnosis)
-    text = page(document, summary, done.diagnosis, done.coverage, thin_rows(held, [evil]))
+    text = render_model_page(document, summary, done.diagnosis, done.coverage, thin_rows(held, [evil]))
     assert evil not in text
     assert html_of(evil) in text

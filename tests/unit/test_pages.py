@@ -5,6 +5,7 @@ import hashlib
 import json
 import re
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -17,10 +18,10 @@ from test_flight_page import flight  # noqa: F401
 from quasi.identification import warnings as fit_warnings
 from quasi.pages import flight as flight_page
 from quasi.pages import index, model
-from quasi.pages.chart import UPLOT, VENDOR, Chart, Panel, Trace, decimate, pack_panel, style
+from quasi.pages.chart import UPLOT_DIGESTS, VENDOR_FOLDER, Chart, Panel, Trace, decimate, pack_panel, render_style
 from quasi.pages.flight_traces import draw_path, find_spans, make_panels
-from quasi.pages.gyro_spectrum import gyro_spectrum
-from quasi.pages.model_warnings import KINDS, OTHER, show_warnings
+from quasi.pages.gyro_spectrum import draw_gyro_spectrum
+from quasi.pages.model_warnings import OTHER_WARNINGS, WARNING_KINDS, show_warnings
 from quasi.pages.terms import VARIABLES, describe_variable, list_variables, show_expression
 from quasi.running.provenance import list_reached_files
 from quasi.scoring.summary import make_summary
@@ -85,7 +86,7 @@ def test_no_text_of_a_model_becomes_html(judged, seed):
     diagnosis = poison(done.diagnosis, texts, None, keep) | {"verdict": next(texts)}
     coverage = done.coverage.assign(variable=[next(texts) for _ in range(len(done.coverage))])
     rows = thin_rows(done.comparisons, ["c"]).assign(flight=next(texts))
-    check_harmless(model.page(document, summary, diagnosis, coverage, rows))
+    check_harmless(model.render_model_page(document, summary, diagnosis, coverage, rows))
 
 
 @settings(max_examples=12, deadline=None)
@@ -100,7 +101,7 @@ def test_no_number_of_a_model_breaks_its_page(judged, seed):
     numeric = coverage.columns.drop("variable")
     coverage.loc[generator.integers(len(coverage)), generator.choice(numeric)] = ODD[seed % len(ODD)]
     with np.errstate(all="ignore"):
-        html = model.page(
+        html = model.render_model_page(
             portable.document, make_summary(portable, done.scores, done.diagnosis), done.diagnosis, coverage, rows
         )
     json.loads(re.search(r'id="traces">(.*?)</script>', html, re.S)[1], parse_constant=pytest.fail)
@@ -118,8 +119,10 @@ def test_no_text_and_no_number_of_a_flight_breaks_its_page(flight, seed):  # noq
     for column in [c for c in table if c not in ("t", "in_flight")]:
         table.loc[generator.random(len(table)) < 0.3, column] = ODD[seed % len(ODD)]
     with np.errstate(all="ignore"):
-        html = flight_page.page(table, m, table, f, {next(texts): (b"\x89PNG", next(texts))}, (b"\x89PNG", next(texts)))
-        gyro_spectrum(table, np.ones(len(table), bool))
+        html = flight_page.render_flight_page(
+            table, m, table, f, {next(texts): (b"\x89PNG", next(texts))}, (b"\x89PNG", next(texts))
+        )
+        draw_gyro_spectrum(table, np.ones(len(table), bool))
     check_harmless(html)
 
 
@@ -130,8 +133,11 @@ def test_no_text_of_a_folder_becomes_html(seed):
     entry = {"name": next(texts), "link": next(texts), "file": next(texts)}
     data = {"verdict": next(texts), "because": next(texts), "summary": next(texts), "model": next(texts)}
     scores = {"Fx": {"scores": {"validation": {"rmse": float("nan"), "r2": next(texts)}}}, "Fy": None}
-    found = {kind: [entry | {"data": data | {"axes": scores}}, entry | {"fault": next(texts)}] for kind in index.KINDS}
-    check_harmless(index.page(found, next(texts)))
+    found = {
+        kind: [entry | {"data": data | {"axes": scores}}, entry | {"fault": next(texts)}]
+        for kind in index.ARTIFACT_KINDS
+    }
+    check_harmless(index.render_index(found, next(texts)))
 
 
 # ---- charts ----
@@ -179,15 +185,15 @@ def test_a_flight_of_90_s_at_500_hz_stays_below_3_mb_of_traces():
     t = np.arange(45_000) / 500.0
     wave = np.sin(np.outer(np.arange(1, 5), t)) + np.random.default_rng(0).standard_normal((4, len(t)))
     panels = [Panel(str(k), t, [Trace("a", row, "red") for row in wave]) for k in range(16)]
-    assert len(Chart(panels).script() + style()) < 2.2e6
+    assert len(Chart(panels).script() + render_style()) < 2.2e6
 
 
 def test_the_copy_of_uplot_is_the_published_one_and_every_page_names_its_licence():
-    for name, digest in UPLOT.items():
-        assert hashlib.sha256(bytes(read_bytes(VENDOR / name))).hexdigest() == digest
+    for name, digest in UPLOT_DIGESTS.items():
+        assert hashlib.sha256(bytes(read_bytes(VENDOR_FOLDER / name))).hexdigest() == digest
     html = Chart([Panel("x", np.arange(3.0), [Trace("a", np.zeros(3), "red")])]).script()
     assert "Copyright (c) 2022 Leon Sorokin" in html and "http" not in html
-    assert read_text(VENDOR / "LICENSE.uPlot").strip() in html
+    assert read_text(VENDOR_FOLDER / "LICENSE.uPlot").strip() in html
     assert html.count("</script>") == html.count("<script") == 3
 
 
@@ -225,7 +231,7 @@ def test_the_gyro_spectrum_shows_a_shake_at_its_frequency_and_throttle():
     throttle = np.where(t < 20, 0.2, 0.8)
     shake = 0.1 * np.sin(2 * np.pi * np.where(t < 20, 60.0, 150.0) * t)
     table = pd.DataFrame({"t": t, "p": shake, "q": 0 * t, "r": 0 * t, "throttle": throttle})
-    mesh = gyro_spectrum(table, t >= 0).axes[0].collections[0]
+    mesh = draw_gyro_spectrum(table, t >= 0).axes[0].collections[0]
     power = np.ma.filled(mesh.get_array(), np.nan).reshape(-1, 24)
     rows = np.nanargmax(power[:, [0, 23]], axis=0)
     frequency = np.fft.rfftfreq(200, 1 / 500)
@@ -234,8 +240,8 @@ def test_the_gyro_spectrum_shows_a_shake_at_its_frequency_and_throttle():
     # a sine of amplitude a holds a^2/2, in deg2/s2
     total = np.sum(10 ** (power[:, 0] / 10)) * 2.5
     assert total == pytest.approx(np.degrees(0.1) ** 2 / 2, rel=0.02)
-    assert gyro_spectrum(table.iloc[:100], t[:100] >= 0) is None
-    assert gyro_spectrum(table.drop(columns="throttle"), t >= 0) is None
+    assert draw_gyro_spectrum(table.iloc[:100], t[:100] >= 0) is None
+    assert draw_gyro_spectrum(table.drop(columns="throttle"), t >= 0) is None
 
 
 # ---- models ----
@@ -264,12 +270,17 @@ def test_every_variable_of_the_manual_has_a_unit_and_a_meaning():
 def test_warnings_of_a_fit_are_grouped_by_kind_with_what_to_do():
     source = read_text(fit_warnings.__file__)
     source = re.sub(r'"\s*\n?\s*f?"', "", source)  # strings that stand in parts
-    for mark, _, _ in KINDS[:-1]:
+    for mark, _, _ in WARNING_KINDS[:-1]:
         assert mark in source, f"no warning of a fit holds '{mark}'"
     notes = ["Fx: (u^(1.0)) could stand for (v^(1.0)) without the data noticing; its form is not settled", "else <b>"]
     html = show_warnings(notes)
     assert html.count("<details>") == html.count("What to do") == 2
-    assert KINDS[0][1] in html and OTHER[0] in html and "u could stand for v" in html and "else &lt;b&gt;" in html
+    assert (
+        WARNING_KINDS[0][1] in html
+        and OTHER_WARNINGS[0] in html
+        and "u could stand for v" in html
+        and "else &lt;b&gt;" in html
+    )
 
 
 # ---- the index ----
@@ -287,11 +298,11 @@ def test_the_index_lists_what_stands_in_a_folder_and_links_it(tmp_path):
     (tmp_path / "results/simulations/s").mkdir(parents=True)
     (tmp_path / "results/simulations/s/summary.json").write_text("{damaged")
     before = index.list_sources(tmp_path)
-    found = index.collect(tmp_path)
+    found = index.collect_artifacts(tmp_path)
     assert {k: [e["link"] for e in v] for k, v in found.items()} == {
         "flights": ["reports/Q/one.html"], "models": [None], "simulations": ["simulations/s"], "gaps": [None],
     }  # fmt: skip
-    html = index.page(found, "lab")
+    html = index.render_index(found, "lab")
     for words in (
         "1 flight (1 good)",
         "1 model",
@@ -311,3 +322,9 @@ def test_scripts_of_the_model_do_not_reach_the_pages(request):
     root = request.config.rootpath
     names = {p.relative_to(root).as_posix() for p in list_reached_files(root / "scripts/identification.py", root)}
     assert not any(name.startswith("quasi/pages/") for name in names)
+
+
+def test_every_kind_of_warning_is_one_that_identification_writes():
+    root = Path(fit_warnings.__file__).parent
+    text = "".join(re.sub(r'"\s*\n\s*f?"', "", p.read_text(encoding="utf-8")) for p in root.glob("*.py"))
+    assert [mark for mark, _, _ in WARNING_KINDS if mark not in text] == []

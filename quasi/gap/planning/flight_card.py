@@ -194,7 +194,7 @@ def _sight(sight: Sight) -> dict[str, Any]:
 def page(card: Card) -> str:
     """The card as one HTML page."""
     proposals: Sequence[str] = [
-        report.paragraph(f"{k}. {p.manoeuvre.name}: {p.manoeuvre.text}.") + report.sentences(steps(p))
+        report.render_paragraph(f"{k}. {p.manoeuvre.name}: {p.manoeuvre.text}.") + report.render_list(steps(p))
         for k, p in enumerate(card.proposals, 1)
     ]
     about = (
@@ -204,22 +204,22 @@ def page(card: Card) -> str:
         "terms can replace it. "
         f"Noise: {card.noise}."
     )
-    return report.page(
+    return report.render_page(
         "Flight card",
         flown_as(card),
         "Outlook",
         headline(card),
         [
-            report.section(MORE, *proposals, report.paragraph(together(card)) if proposals else ""),
-            report.section(
+            report.render_section(MORE, *proposals, report.render_paragraph(together(card)) if proposals else ""),
+            report.render_section(
                 "Causes",
-                report.table(HEAD, [[*_cells(r)[:-1], word_of(r.sight)] for r in card.rows]),
-                report.paragraph(about),
+                report.render_table(HEAD, [[*_cells(r)[:-1], word_of(r.sight)] for r in card.rows]),
+                report.render_paragraph(about),
             ),
-            report.section("No manoeuvre of the library shows", report.sentences(hopeless(card))),
-            report.section(
-                "Not judged", report.sentences(f"{name_of(n)}: {why}" for n, why in sorted(card.not_asked.items()))
+            report.render_section("No manoeuvre of the library shows", report.render_list(hopeless(card))),
+            report.render_section(
+                "Not judged", report.render_list(f"{name_of(n)}: {why}" for n, why in sorted(card.not_asked.items()))
             ),
-            report.section("Notes", report.sentences(card.notes)),
+            report.render_section("Notes", report.render_list(card.notes)),
         ],
     )

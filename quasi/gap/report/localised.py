@@ -61,13 +61,15 @@ def table_of(where: Mapping[str, pd.DataFrame], horizon: float) -> str:
             alike.append(name)
             continue
         name += f", {part['unit'].iloc[0]}{after}"
-        sizes = [report.number(far[0].elsewhere), report.number(far[0].there)]
+        sizes = [report.format_number(far[0].elsewhere), report.format_number(far[0].there)]
         lines.append([name, *sizes, _told(far[0]), "; ".join(map(_told, far[1 : 1 + ALSO])) or "–"])
     if not lines:
-        return report.paragraph(f"No error is {FAR:g} times as large in one place as elsewhere.") if alike else ""
+        return (
+            report.render_paragraph(f"No error is {FAR:g} times as large in one place as elsewhere.") if alike else ""
+        )
     head = ["root mean square before the extension", "elsewhere", "there", "greatest at", f"{FAR:g} times or more at"]
     rest = f" Nowhere that much greater: {listed(dict.fromkeys(alike))}." if alike else ""
-    return report.table(head, lines, words=(3, 4)) + report.paragraph(
+    return report.render_table(head, lines, words=(3, 4)) + report.render_paragraph(
         "Each place is cut into bins of equally many rows, and the worst one is set beside the others. Places go "
         "together (a fresh battery and the take-off, say): a place that is told is where to look, not what does it."
         + rest

@@ -30,7 +30,7 @@ from quasi.gap.report.wording import (
     words_of,
 )
 from quasi.pages import frame as report
-from quasi.pages.chart import Chart, Panel, Trace, style
+from quasi.pages.chart import Chart, Panel, Trace, render_style
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 THIN = 2  # every so many rows of the comparison are shown
@@ -87,46 +87,50 @@ def page(
     roles = diagnosis["flights"]
     keys = {r: [k for k, role in roles.items() if role == r] for r in ("compared", "held out", "reference")}
     under = f"model {diagnosis['model']} · " + " · ".join(f"{r} {', '.join(k) or 'none'}" for r, k in keys.items())
-    shown = {n: report.picture(pictures[n], caption) for n, caption in CAPTIONS.items() if n in pictures}
+    shown = {n: report.render_picture(pictures[n], caption) for n, caption in CAPTIONS.items() if n in pictures}
     sections = [
-        style(),
+        render_style(),
         shown.get("glance", ""),
-        report.section("What to do next", report.sentences(steps(diagnosis, effects))),
-        report.section("What is wrong", _forces(diagnosis), _lower(diagnosis)),
-        report.section("Why", *(_cause(e, effects) for e in diagnosis["effects"]), _rivals(diagnosis, effects)),
-        report.section("What cannot be told apart", _ties(diagnosis)),
-        report.section(
+        report.render_section("What to do next", report.render_list(steps(diagnosis, effects))),
+        report.render_section("What is wrong", _forces(diagnosis), _lower(diagnosis)),
+        report.render_section("Why", *(_cause(e, effects) for e in diagnosis["effects"]), _rivals(diagnosis, effects)),
+        report.render_section("What cannot be told apart", _ties(diagnosis)),
+        report.render_section(
             "What no cause explains",
-            report.sentences(left_sentence(u) for u in diagnosis["unexplained"]),
+            report.render_list(left_sentence(u) for u in diagnosis["unexplained"]),
             shown.get("unexplained", ""),
         ),
-        report.section("Trim in steady flight", report.sentences([diagnosis.get("hover trim", {}).get("text", "")])),
-        report.section("The extended model", _extended(diagnosis)),
-        report.section(
+        report.render_section(
+            "Trim in steady flight", report.render_list([diagnosis.get("hover trim", {}).get("text", "")])
+        ),
+        report.render_section("The extended model", _extended(diagnosis)),
+        report.render_section(
             "Simulated and flown",
             shown.get("overlays", ""),
             _rollouts(diagnosis),
             _halves(diagnosis),
             shown.get("horizons", ""),
         ),
-        report.section("Forces and moments over time", _chart(residuals)),
-        report.section(
+        report.render_section("Forces and moments over time", _chart(residuals)),
+        report.render_section(
             "Where the errors live", table_of(where or {}, SHOWN), shown.get("where", ""), shown.get("spectra", "")
         ),
-        report.section("Other findings", report.sentences(words_of(f["text"], effects) for f in diagnosis["findings"])),
-        report.section("What could not be asked", _unasked(diagnosis, effects)),
-        report.section(
+        report.render_section(
+            "Other findings", report.render_list(words_of(f["text"], effects) for f in diagnosis["findings"])
+        ),
+        report.render_section("What could not be asked", _unasked(diagnosis, effects)),
+        report.render_section(
             "Notes",
-            report.sentences(words_of(n, effects) for n in dict.fromkeys([*diagnosis["notes"], _rules(diagnosis)])),
+            report.render_list(words_of(n, effects) for n in dict.fromkeys([*diagnosis["notes"], _rules(diagnosis)])),
         ),
     ]
     first, *rest = summed_up(diagnosis, effects)
     if len(diagnosis["effects"]) > 1:  # what of several would be a wall of words is a list
-        sections.insert(2, report.sentences(rest))
+        sections.insert(2, report.render_list(rest))
         rest = []
     sections.insert(1, _answers(diagnosis, effects))
     box = (first.rstrip("."), sections, " ".join(rest))
-    return report.page(f"Gap {diagnosis['name']}", under, diagnosis["verdict"], *box)
+    return report.render_page(f"Gap {diagnosis['name']}", under, diagnosis["verdict"], *box)
 
 
 def _answers(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
@@ -139,7 +143,7 @@ def _answers(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
             ("how sure", certainty_of(effect)),
         ]
     first = next(iter(steps(diagnosis, known)), "")
-    return report.facts([*rows, ("what to do", first)] if first else rows) if rows else ""
+    return report.render_facts([*rows, ("what to do", first)] if first else rows) if rows else ""
 
 
 def _rules(diagnosis: Mapping[str, Any]) -> str:
@@ -159,7 +163,7 @@ def _value(diagnosis: Mapping[str, Any], key: str, level: str, channel: str, hor
 
 def _forces(diagnosis: Mapping[str, Any]) -> str:
     if "W" not in diagnosis["gap"]["before"]:
-        return report.paragraph("Forces and moments have no held-out flight to be judged on.")
+        return report.render_paragraph("Forces and moments have no held-out flight to be judged on.")
     removed, rows = diagnosis["scores"].get("removed", {}), []
     wrong = diagnosis["scores"].get("best wrong cause")
     beside = [diagnosis["scores"].get("best wrong cause removed", {}),
@@ -168,7 +172,7 @@ def _forces(diagnosis: Mapping[str, Any]) -> str:
         three = [_value(diagnosis, k, "W", axis) for k in ("before", "after", "noise_floor")]
         unit = "N" if axis[0] == "F" else "N m"
         rows.append(
-            [f"{CHANNELS[axis]} ({axis}), {unit}", *map(report.number, three), _share(removed.get(axis)),
+            [f"{CHANNELS[axis]} ({axis}), {unit}", *map(report.format_number, three), _share(removed.get(axis)),
              *(_share(other.get(axis)) for other in beside)]
         )  # fmt: skip
     tail = (
@@ -178,7 +182,7 @@ def _forces(diagnosis: Mapping[str, Any]) -> str:
         if diagnosis["scores"].get("generic polynomial")
         else ""
     )
-    return report.table(
+    return report.render_table(
         [
             "root mean square on held-out flights",
             "before",
@@ -189,7 +193,7 @@ def _forces(diagnosis: Mapping[str, Any]) -> str:
             "same-size polynomial",
         ],
         rows,
-    ) + report.paragraph(
+    ) + report.render_paragraph(
         "Removed: share of the error above the noise floor (squared) that is gone, with its 95 % interval; a dash "
         "where the floor holds nine tenths of the error. To the floor: nothing that was fitted leaves less." + tail
     )
@@ -221,12 +225,12 @@ def _rollouts(diagnosis: Mapping[str, Any]) -> str:
             (rest, [r for r in lines if r["horizon"] not in seen]),
         ):
             into.append(_rollout_table(title, part))
-    blocks.append(report.details("Other lengths of the simulation", "".join(rest)))
+    blocks.append(report.render_details("Other lengths of the simulation", "".join(rest)))
     if yardsticks:
         wrong = diagnosis["scores"].get("best wrong cause with commands")
         told = f" With commands, the best wrong cause would have been {name_of(wrong)}." if wrong else ""
         blocks.append(
-            report.paragraph(
+            report.render_paragraph(
                 "Removed, and what the best wrong cause and the polynomial would have removed: shares of the squared "
                 "error above the noise floor, with 95 % intervals; a dash where the floor holds nine tenths of the "
                 "error. To the floor: nothing that was fitted leaves less. "
@@ -239,14 +243,14 @@ def _rollouts(diagnosis: Mapping[str, Any]) -> str:
 def _rollout_table(title: str, lines: Sequence[Mapping[str, Any]]) -> str:
     rows = [
         [f"{quantity}, {unit}, after {r['horizon']:g} s",
-         *(report.number(r.get(k)) for k in ("before", "after", "noise_floor")), _share(r),
+         *(report.format_number(r.get(k)) for k in ("before", "after", "noise_floor")), _share(r),
          *(_share(r.get(k)) for k in ("removed", "best_wrong_cause", "generic_polynomial"))]
         for quantity, unit in UNITS.items()
         for r in lines
         if r["quantity"] == quantity
     ]  # fmt: skip
     head = ["before", "after", "noise floor", "error falls by", "removed", "best wrong cause", "same-size polynomial"]
-    return report.table([f"simulated with {title}", *head], rows)
+    return report.render_table([f"simulated with {title}", *head], rows)
 
 
 def _halves(diagnosis: Mapping[str, Any]) -> str:
@@ -256,7 +260,7 @@ def _halves(diagnosis: Mapping[str, Any]) -> str:
         return ""
     errors = found["errors"]
     rows = [
-        [f"{q}, {unit}, after {float(h):g} s", *(report.number(errors[who][q][h]) for who in errors)]
+        [f"{q}, {unit}, after {float(h):g} s", *(report.format_number(errors[who][q][h]) for who in errors)]
         for q, unit in UNITS.items()
         for h in [max(errors["before"][q], key=float)]
     ]
@@ -266,7 +270,7 @@ def _halves(diagnosis: Mapping[str, Any]) -> str:
         for axis, t in about["trim"].items()
         if abs(t["before"]) > 3.0 * t["std"]
     ]
-    return report.table(["second halves of the held-out flights", *errors], rows) + report.paragraph(
+    return report.render_table(["second halves of the held-out flights", *errors], rows) + report.render_paragraph(
         "Trim, a constant force and moment, and a flight's own parameters of the named causes are told by its first "
         f"half. The model lacks {', '.join(trims) or 'no trim'}."
     )
@@ -281,13 +285,13 @@ def _lower(diagnosis: Mapping[str, Any]) -> str:
             three = [_value(diagnosis, k, level, channel) for k in ("before", "after", "noise_floor")]
             name = CHANNELS.get(channel, channel) + ("" if channel in ROOM else f" ({channel})")
             gone = [_removed(e["removed"], channel) for e in named]
-            rows.append([f"{name}, {_unit(channel)}", *map(report.number, three), *gone])
+            rows.append([f"{name}, {_unit(channel)}", *map(report.format_number, three), *gone])
         head = [word, "before", "after", "noise floor", *(f"removed: {name_of(e['id'])}" for e in named)]
-        blocks.append(report.table(head, rows))
+        blocks.append(report.render_table(head, rows))
         if named:
-            blocks.append(report.paragraph(TAKEN_OFF))
+            blocks.append(report.render_paragraph(TAKEN_OFF))
         above = _above(diagnosis, level, word)
-        blocks.append(report.paragraph(above) if above else "")
+        blocks.append(report.render_paragraph(above) if above else "")
     return "".join(blocks)
 
 
@@ -313,7 +317,8 @@ def _above(diagnosis: Mapping[str, Any], level: str, word: str) -> str:
         left, floor = (_value(diagnosis, k, level, channel) for k in ("after", "noise_floor"))
         if left is not None and floor and left > FLOORS * floor and channel not in named:
             texts.append(
-                f"{channel} {left / floor:.1f} times ({report.number(left)} against {report.number(floor)} "
+                f"{channel} {left / floor:.1f} times ({report.format_number(left)} against "
+                f"{report.format_number(floor)} "
                 f"{_unit(channel)})"
             )
     if not texts:
@@ -331,7 +336,7 @@ def _cause(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     if not effect.get("judged", True):
         gains = ["not judged: held-out flights hardly show it"]
     evidence = effect["evidence"]
-    return f"<h3>{report.escape(name_of(effect['id']))}</h3>" + report.facts(
+    return f"<h3>{report.escape(name_of(effect['id']))}</h3>" + report.render_facts(
         [
             ("what happens", happening(effect, known) if about else ""),
             ("equation", about.equation if about else ""),
@@ -360,14 +365,14 @@ def _times(factor: float) -> str:
 def _rivals(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     lost = sorted(diagnosis["candidates"], key=lambda c: c["p"] if c.get("p") is not None else 1.0)[:MOST]
     rows = [[name_of(c["id"]), since_of(c) if c.get("since") else "", words_of(c["why_not"], known)] for c in lost]
-    return report.table(["tested and not named", "asked as", "why not"], rows, words=(1, 2))
+    return report.render_table(["tested and not named", "asked as", "why not"], rows, words=(1, 2))
 
 
 def _ties(diagnosis: Mapping[str, Any]) -> str:
-    blocks = [report.paragraph(tie_sentence(t)) for t in diagnosis["ties"]]
+    blocks = [report.render_paragraph(tie_sentence(t)) for t in diagnosis["ties"]]
     for tie in diagnosis["ties"]:
         blocks.append(
-            report.facts(
+            report.render_facts(
                 (name_of(i), ", ".join(f"{name_of(n)} = {value_of(p)}" for n, p in found.items()))
                 for i, found in tie["parameters"].items()
                 if found
@@ -389,14 +394,16 @@ def _extended(diagnosis: Mapping[str, Any]) -> str:
         said += " Its own terms were fitted anew to the flights."
     if sensors:
         said += f" The flights were processed anew with what was found of {', '.join(sensors)}."
-    return report.paragraph(f"{said} Make it, as any model, with the target models/{ident}/standalone.")
+    return report.render_paragraph(f"{said} Make it, as any model, with the target models/{ident}/standalone.")
 
 
 def _unasked(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     reasons: dict[str, list[str]] = {}
     for entry in diagnosis["cannot_be_asked"]:
         reasons.setdefault(entry["why"], []).append(name_of(entry["id"]))
-    return report.sentences(f"{', '.join(dict.fromkeys(ids))}: {words_of(why, known)}" for why, ids in reasons.items())
+    return report.render_list(
+        f"{', '.join(dict.fromkeys(ids))}: {words_of(why, known)}" for why, ids in reasons.items()
+    )
 
 
 def _chart(table: pd.DataFrame | None) -> str:

@@ -12,8 +12,8 @@ from mpl_toolkits.mplot3d import Axes3D
 from quasi.airframe import Airframe
 from quasi.attitude import conjugate, from_euler, logarithm, multiply, rotate_inverse
 from quasi.errors import DataError
-from quasi.pages.drawing import motion_of, trajectories
-from quasi.pages.drone import get_limits, new_axes, path_line
+from quasi.pages.drawing import make_motion, trajectories
+from quasi.pages.drone import draw_path_line, get_limits, make_axes
 
 STATE_COLOUR, REFERENCE_COLOUR, LIMIT_COLOUR, FAULT_COLOUR = "C0", "k", "0.5", "C3"
 ANGLE_JUMP = 120.0  # deg between rows: more is a wrap by 360, or a turn by 180 with the nose through the vertical
@@ -255,7 +255,7 @@ def _draw_overview(
 ) -> Figure:
     """Draw the path, and position, attitude and rotor speeds over time."""
     figure = Figure(figsize=(12, 5.2))
-    _draw_trajectory(table, airframe, about, new_axes(figure, (1, 2, 1)))
+    _draw_trajectory(table, airframe, about, make_axes(figure, (1, 2, 1)))
     figure.axes[0].set_position((0.01, -0.02, 0.54, 1.02))
     groups = (
         ([name for name, _ in POSITION_PANELS], "position, m"),
@@ -290,7 +290,7 @@ def _draw_overview(
 def _draw_trajectory(
     table: pd.DataFrame, airframe: Airframe, about: Mapping[str, Any], axes: Axes3D | None = None
 ) -> Figure:
-    motion = motion_of(cut_runaway_rows(table), airframe)
+    motion = make_motion(cut_runaway_rows(table), airframe)
     figure = trajectories(
         [motion], about.get("stills", 6), axes, title=_make_title("path" if axes is None else "flight", about)
     )
@@ -300,7 +300,7 @@ def _draw_trajectory(
         low, high = get_limits(figure.axes[0])
         aim[~((aim >= low) & (aim <= high)).all(axis=1)] = np.nan  # a step to a position that the drone has not reached
         if np.isfinite(aim).all(axis=1).any():
-            path_line(figure.axes[0], aim, REFERENCE_COLOUR, 0.8, linestyle="--", label="reference")
+            draw_path_line(figure.axes[0], aim, REFERENCE_COLOUR, 0.8, linestyle="--", label="reference")
             figure.axes[0].legend(fontsize=8, loc="upper right")
     return figure
 

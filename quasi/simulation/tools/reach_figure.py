@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from quasi.pages.drawing import new_axes, set_limits
+from quasi.pages.drawing import make_axes, set_limits
 from quasi.simulation.tools.reach import Reach, find_hull
 
 HALF_COLOUR, WHOLE_COLOUR = "C1", "C0"
@@ -22,7 +22,7 @@ def draw_reach(found: Reach) -> Figure:
         (found.at(horizon), WHOLE_COLOUR, f"{horizon:g} s"),
     ]
     start = found.setup.start[10:13]
-    space = new_axes(figure, (2, 2, 1))
+    space = make_axes(figure, (2, 2, 1))
     everywhere = np.vstack([start[None], *(points for points, _, _ in sets)])
     for points, colour, _ in sets:
         shape = find_hull(points)

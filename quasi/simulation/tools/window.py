@@ -14,7 +14,7 @@ from quasi.airframe import Airframe
 from quasi.errors import ConfigError
 from quasi.pages.animation import Scene
 from quasi.pages.drawing import Motion
-from quasi.pages.drone import Look, caption, new_axes, path_line, set_limits
+from quasi.pages.drone import Look, draw_path_line, make_axes, set_limits, write_caption
 from quasi.simulation.loop.simulator import Bus
 from quasi.simulation.tools.keyboard import HeldKeys
 
@@ -48,16 +48,16 @@ class Window:
         canvas.mpl_connect("close_event", self._close)
         canvas.mpl_connect("key_press_event", lambda event: self._events.append(("press", _name_key(event.key))))
         canvas.mpl_connect("key_release_event", lambda event: self._events.append(("release", _name_key(event.key))))
-        axes = new_axes(self._figure)
+        axes = make_axes(self._figure)
         self._path = np.zeros((0, 3)) if path is None else np.asarray(path, float)
         self._middle, self._half = _find_box(self._path)
         scale *= self._half / BOX_HALF_SIDE
-        caption(axes, f"{name}\n{help_text}" if help_text else name, scale)
+        write_caption(axes, f"{name}\n{help_text}" if help_text else name, scale)
         set_limits(axes, self._middle - self._half, self._middle + self._half)
         self._scene = Scene(axes, [(airframe, Look())], scale)
         nowhere = np.full((1, 3), np.nan)
-        self._reference = path_line(axes, nowhere, "0.5", 0.8, linestyle="--")
-        self._target = path_line(axes, nowhere, "k", marker="x")
+        self._reference = draw_path_line(axes, nowhere, "0.5", 0.8, linestyle="--")
+        self._target = draw_path_line(axes, nowhere, "k", marker="x")
         for line in (self._reference, self._target):
             line.set_animated(True)
         self._trail: deque[np.ndarray] = deque(maxlen=MAX_TRAIL_POINTS)
