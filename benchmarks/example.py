@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from measured_table import record
 from scipy.signal import butter, sosfiltfilt
 
 from quasi.airframe import read_airframe
@@ -132,6 +133,12 @@ def main() -> None:
     for pool, left in result["unexplained"].items():
         print(f"{pool}: {left['terms']} terms leave {100 * left['left']:.2f} % of the Fz rms, noise and nuisance off")
     write_json(ROOT / "results/benchmarks/example.json", result)
+    if "--record" in sys.argv:
+        (validation,) = result["validation"].values()
+        figures = {name: found["error"] for name, found in result["factors"].items()}
+        pool = "polyCands_DiffSys_quadraticU_symmetric_SIMPLE_FM"
+        figures |= {"Fz error": validation["model"]["Fz"], "unexplained": result["unexplained"][pool]["left"]}
+        record("example", figures)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from measured_table import record
 
 HERE = Path(__file__).parent
 REFERENCE = HERE.parent / "tests" / "unit" / "rotorpy_reference.json"
@@ -89,8 +90,11 @@ def main() -> None:
         REFERENCE.write_text(json.dumps(reference, indent=0) + "\n", encoding="utf-8")
     from test_rotorpy import derivative_error, rollout_error
 
-    print(f"state derivative: largest relative difference {derivative_error(reference):.1e} (asked: 1e-12)")
-    print(f"roll-out of 1 s:  largest difference {rollout_error(reference):.1e} (asked: 1e-6)")
+    figures = {"derivative": derivative_error(reference), "roll-out": rollout_error(reference)}
+    if "--record" in sys.argv:
+        record("rotorpy_agreement", figures)
+    print(f"state derivative: largest relative difference {figures['derivative']:.1e} (asked: 1e-12)")
+    print(f"roll-out of 1 s:  largest difference {figures['roll-out']:.1e} (asked: 1e-6)")
     print(f"rotorpy with DOP853 at 1e-12: {len(orders) / spent:.0f} steps of 10 ms per second")
 
 

@@ -18,6 +18,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import measured_table
 import numpy as np
 
 from quasi.model.model import Model, read_model
@@ -212,6 +213,7 @@ def main() -> None:
     ask.add_argument("--cores", type=int, default=2)
     ask.add_argument("--keep", action="store_true", help="compare what stands in results/round_trip, make nothing")
     ask.add_argument("--house", type=Path, default=ROOT, help="checkout whose Snakefile runs")
+    ask.add_argument("--record", action="store_true", help="store the figures for docs/measured.md")
     asked = ask.parse_args()
     true = read_model(asked.model)
     keys = [f"trip-{k + 1:02d}" for k in range(asked.flights + 1)]
@@ -258,6 +260,10 @@ def main() -> None:
         "seed": asked.seed,
     }
     write_json(ROOT / "results/benchmarks/round_trip.json", report)
+    if asked.record:
+        worst = {kind: max(v for a, v in difference.items() if a[0] == kind) for kind in "FM"}
+        figures = {"within": share, "coefficients": len(rows), "tracking": abs(change) / 100}
+        measured_table.record("round_trip", {**figures, "forces": worst["F"], "moments": worst["M"]})
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import argparse
 import os
 
 import numpy as np
+from measured_table import record
 from stopwatch import best
 
 from quasi.model.model import read_model
@@ -26,7 +27,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("model", nargs="?", default="models/example/standalone")
     parser.add_argument("--drones", type=int, default=1000)
+    parser.add_argument("--record", action="store_true", help="store the figures for docs/measured.md")
     options = parser.parse_args()
+    figures: dict[str, float] = {}
     model = read_model(options.model)
     terms = sum(len(part["terms"]) for part in model.document["axes"].values())
     print(f"model {model.id}: {terms} terms on {len(model.axes)} axes; {os.cpu_count()} cores")
@@ -61,7 +64,10 @@ def main() -> None:
                 )
 
             closed()
-            print(f"{controller}, {integrator}, everything logged: {setup.steps / best(closed, 60):,.0f} steps/s")
+            speed = setup.steps / best(closed, 60)
+            if (controller, integrator) == ("drone_INDI", "rk4"):
+                figures["closed loop steps/s"] = speed
+            print(f"{controller}, {integrator}, everything logged: {speed:,.0f} steps/s")
     setup = setup_of("drone_INDI", "rk4", 4.0)
     result = simulate(setup)  # compiles what is left
     print(f"whole simulation of {setup.steps} steps as a table: {1e3 * best(lambda: simulate(setup), 20):.1f} ms")
@@ -72,9 +78,13 @@ def main() -> None:
         ("forces and moments of the user's own", {"steps": {"forces_and_moments": lambda b: b.forces_and_moments(b)}}),
     ):
         simulate(setup, **arguments)
-        print(f"in Python with {what}: {setup.steps / best(lambda a=arguments: simulate(setup, **a), 4):,.0f} steps/s")
+        speed = setup.steps / best(lambda a=arguments: simulate(setup, **a), 4)
+        figures["Python steps/s"] = max(figures.get("Python steps/s", speed), speed)
+        figures["Python steps/s, slow"] = min(figures.get("Python steps/s, slow", speed), speed)
+        print(f"in Python with {what}: {speed:,.0f} steps/s")
     simulate_many(setup, 4)
     spent = best(lambda: simulate_many(setup, options.drones), 3)
+    figures["drone-steps/s"] = options.drones * setup.steps / spent
     print(
         f"batch of {options.drones} drones x {setup.steps} steps: {options.drones * setup.steps / spent:,.0f} steps/s"
     )
@@ -87,7 +97,10 @@ def main() -> None:
     for what, commands in (("measured speeds", None), ("commands", speeds)):
         replay(model, t, states, speeds, starts[:8], 0.1, commands)
         spent = best(lambda c=commands: replay(model, t, states, speeds, starts, 0.5, c), 5)
+        figures["roll-out steps/s"] = max(figures.get("roll-out steps/s", 0.0), len(starts) * 250 / spent)
         print(f"roll-outs with {what}: {len(starts)} windows of 250 steps, {len(starts) * 250 / spent:,.0f} steps/s")
+    if options.record:
+        record("simulation", figures)
 
 
 if __name__ == "__main__":

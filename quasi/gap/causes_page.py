@@ -38,10 +38,10 @@ def text(effects: Mapping[str, Effect], vehicle: Vehicle, whose: str) -> str:
 def _entry(effect: Effect, vehicle: Vehicle) -> list[str]:
     lines = ["", f"### {effect.id}", "", f"{effect.sentence[:1].upper()}{effect.sentence[1:]}.", ""]
     lines.append(f"- `{effect.equation}` ({effect.source})")
-    alike: dict[str, list[str]] = {}
+    groups: dict[str, list[str]] = {}
     for name, parameter in effect.parameters.items():
-        alike.setdefault(_told(parameter, vehicle), []).append(f"`{name}`")
-    lines += [f"- {', '.join(names)}{told}" for told, names in alike.items()]
+        groups.setdefault(_describe_parameter(parameter, vehicle), []).append(f"`{name}`")
+    lines += [f"- {', '.join(names)}{about}" for about, names in groups.items()]
     if effect.told:
         nothing = dict.fromkeys(effect.parameters, 0.0)
         names = [f"`{name}` in {size.unit}" for name, size in effect.told(nothing, nothing).items()]
@@ -54,12 +54,12 @@ def _entry(effect: Effect, vehicle: Vehicle) -> list[str]:
     return lines
 
 
-def _told(parameter: Parameter, vehicle: Vehicle) -> str:
+def _describe_parameter(parameter: Parameter, vehicle: Vehicle) -> str:
     unit = "" if parameter.unit in ("", "1") else f" {parameter.unit}"
     typical = parameter.typical(vehicle) if callable(parameter.typical) else parameter.typical
-    told = f"{f', {parameter.unit}' if unit else ''}, of the {SCOPES[parameter.scope]}"
+    about = f"{f', {parameter.unit}' if unit else ''}, of the {SCOPES[parameter.scope]}"
     if typical is None:
-        return told
+        return about
     if parameter.neutral is None:
-        return f"{told}: typically {typical:.3g}{unit} off"
-    return f"{told}: {parameter.neutral:g} where nothing is wrong, typically {typical:.3g}{unit} off"
+        return f"{about}: typically {typical:.3g}{unit} off"
+    return f"{about}: {parameter.neutral:g} where nothing is wrong, typically {typical:.3g}{unit} off"
