@@ -12,12 +12,13 @@ import numpy as np
 from hidden import DRIVE, SENSORS, STRANGE, deviation
 
 from quasi import attitude
-from quasi.gap.calibration import actuation, kinematic
 from quasi.gap.effect import Effect, Parameter, Vehicle
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.level import Level, clear
-from quasi.gap.statistics.mixed import Offer
-from quasi.gap.wrench.study import BLOCK, Study, gather_study
+from quasi.gap.levels.drive import identify as drive_level
+from quasi.gap.levels.forces.design import BLOCK, Design, gather_design
+from quasi.gap.levels.sensors import identify as sensor_level
+from quasi.gap.statistics.mixed import Candidate
 from quasi.synthesis.physics import BEAT, FAN, FAN_WIDTH, SHIFT
 from quasi.synthesis.vehicle import base_vehicle
 
@@ -33,7 +34,7 @@ class Asked(NamedTuple):
     own  whether the model was made of the compared flights: then it holds their drive as it was
     """
 
-    study: Study
+    study: Design
     vehicle: Vehicle
     compared: np.ndarray
     effects: Mapping[str, Effect]
@@ -53,39 +54,39 @@ def clarity(name: str, values: Mapping[str, float], asked: Asked) -> dict[str, A
         return _lower(name, values, asked.levels, since)
     if name in STRANGE:
         study = _strange(name, asked)
-        offer, size = Offer(name, since, (0,)), np.array([values["size"]])
+        offer, size = Candidate(name, since, (0,)), np.array([values["size"]])
         return {"detectability": _shown(study, offer, size, asked, []), "separability": None, "nearest": None,
                 "of the error": of_the_error(study, offer, size, asked)}  # fmt: skip
     effect, columns = asked.effects.get(name), asked.study.columns
-    if effect is None or name not in columns.causes or (effect.absorbed and since == "always"):
+    if effect is None or name not in columns.causes or (effect.absorbed_by_model and since == "always"):
         return NOTHING
     true = deviation(name, values)
     which = tuple(effect.fitted.index(k) for k in true if k in effect.fitted)
     theta = np.array([true[effect.fitted[k]] for k in which])
 
-    def shown(given: Sequence[Offer], study: Study) -> float:
-        return _shown(study, Offer(name, since, which), theta, asked, given)
+    def shown(given: Sequence[Candidate], study: Design) -> float:
+        return _shown(study, Candidate(name, since, which), theta, asked, given)
 
     beside = {
-        other: shown([Offer(other, since, tuple(range(len(own))))], asked.study)
+        other: shown([Candidate(other, since, tuple(range(len(own))))], asked.study)
         for other, own in columns.causes.items()
-        if other != name and not (asked.effects[other].absorbed and since == "always")
+        if other != name and not (asked.effects[other].absorbed_by_model and since == "always")
     }
     nearest = min(beside, key=beside.get)
     shorter = {f"{t:g}": shown([], _begun(asked.study, t)) for t in LENGTHS}
     return {"detectability": shown([], asked.study), "separability": beside[nearest], "nearest": nearest,
             "of shorter flights": shorter,
-            "of the error": of_the_error(asked.study, Offer(name, since, which), theta, asked)}  # fmt: skip
+            "of the error": of_the_error(asked.study, Candidate(name, since, which), theta, asked)}  # fmt: skip
 
 
-def _shown(study: Study, offer: Offer, theta: np.ndarray, asked: Asked, given: Sequence[Offer]) -> float:
+def _shown(study: Design, offer: Candidate, theta: np.ndarray, asked: Asked, given: Sequence[Candidate]) -> float:
     """|t| of the true deviations theta of an offer, beside others that are given."""
     mixed = study.mixed(range(len(asked.compared)), asked.compared)
     test = mixed.test(offer, given, mixed.pooled(offer.since))
     return float(np.sqrt(max(theta @ np.linalg.solve(test.covariance, theta), 0.0)))
 
 
-def of_the_error(study: Study, offer: Offer, theta: np.ndarray, asked: Asked) -> float:
+def of_the_error(study: Design, offer: Candidate, theta: np.ndarray, asked: Asked) -> float:
     """Share of the compared flights' squared error that the true deviations make, of the channel where it is largest.
 
     What a model made of these flights could take up by its own terms is taken off by least squares.
@@ -100,7 +101,7 @@ def of_the_error(study: Study, offer: Offer, theta: np.ndarray, asked: Asked) ->
     return float((np.mean(made**2, axis=0) / np.mean(error**2, axis=0)).max())
 
 
-def _begun(study: Study, seconds: float) -> Study:
+def _begun(study: Design, seconds: float) -> Design:
     """The study of the beginnings of its flights."""
     return study._replace(blocks=[b[: round(seconds / BLOCK)] for b in study.blocks])
 
@@ -111,23 +112,23 @@ def _lower(name: str, values: Mapping[str, float], levels: Sequence[Level], sinc
         # level K sees the distance between markers and IMU; which of the two is off, only forces tell
         turned = _lower("imu_lever_arm", {k: -v for k, v in values.items()}, levels, since)
         return {**turned, "separability": 0.0, "nearest": "imu_lever_arm"}
-    level = next(x for x in levels if x.level == ("K" if name in SENSORS else "A"))
+    level = next(x for x in levels if x.level == ("sensors" if name in SENSORS else "drive"))
     if level.tests is None or name not in level.tests.columns.causes:
         return NOTHING
-    size = kinematic.size_of(name, values) if name in SENSORS else actuation.size_of(name, values, HEALTHY)
+    size = sensor_level.size_of(name, values) if name in SENSORS else drive_level.size_of(name, values, HEALTHY)
     shown = clear(level.tests, name, since, size)
     return {"detectability": shown.detectability, "separability": shown.separability, "nearest": shown.nearest,
             "of the error": None}  # fmt: skip
 
 
-def _strange(name: str, asked: Asked) -> Study:
+def _strange(name: str, asked: Asked) -> Design:
     """The study with an effect that has no name as a cause of its true form, as were it in the catalogue."""
     form = Effect(
-        name, "W", "", "", "", {"size": Parameter("1", 0.0, "a", -np.inf, np.inf)},
+        name, "forces", "", "", "", {"size": Parameter("1", 0.0, "a", -np.inf, np.inf)},
         columns=lambda flight, _: {"size": strange_force(name, 1.0, flight)},
     )  # fmt: skip
     known = {n: asked.effects[n] for n in asked.study.columns.causes}
-    return gather_study(asked.study.flights, {**known, name: form}, asked.vehicle, asked.study.values)
+    return gather_design(asked.study.flights, {**known, name: form}, asked.vehicle, asked.study.values)
 
 
 def strange_force(name: str, size: float, flight: Evidence) -> np.ndarray:

@@ -21,11 +21,11 @@ from hide_and_seek import OUT, SAMPLING, SETTINGS
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from measured_table import record
 
-from quasi.gap.calibration import lower
-from quasi.gap.calibration.corrections import for_flight
 from quasi.gap.catalogue import catalogue
 from quasi.gap.diagnosis import diagnose
 from quasi.gap.flights.gathering import gather
+from quasi.gap.levels import sensors_and_drive
+from quasi.gap.levels.corrections import for_flight
 from quasi.gap.report.figures import figures
 from quasi.gap.report.page import page
 
@@ -51,7 +51,7 @@ def main() -> None:
             wall, cpu = np.diff(clock[-2:], axis=0)[0]
             print(f"{what:32s} {wall:6.1f} s, CPU {cpu:6.1f} s", flush=True)
 
-        told, _ = lower.examine(
+        told, _ = sensors_and_drive.examine(
             learning, model.document, SETTINGS, effects, lambda f, c: again([files[f.key]], [f], [c])[0], 1
         )
         tick("levels K and A")
@@ -72,7 +72,7 @@ def main() -> None:
         for name, figure in figures(found.tables).items():
             FigureCanvasAgg(figure).print_png(f"{folder}/{name}.png")
             pictures[name] = Path(f"{folder}/{name}.png").read_bytes()
-        text = page(found.document, effects, found.tables["W_residuals"], pictures)
+        text = page(found.document, effects, found.tables["forces_residuals"], pictures)
     tick("figures and report")
     wall, cpu = np.subtract(clock[-1], clock[0])
     rows = sum(len(f.filtered) for f in everything)

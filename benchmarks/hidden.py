@@ -16,7 +16,7 @@ import numpy as np
 
 from quasi.airframe import read_airframe
 from quasi.filtering.flight import filter_flight
-from quasi.gap.effects.payload_swing import LENGTHS
+from quasi.gap.causes.payload_swing import LENGTHS
 from quasi.gap.flights.level import Flown
 from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis

@@ -52,13 +52,13 @@ from hide_and_seek_page import CLEAR, page
 from study import run
 
 from quasi.errors import DataError
-from quasi.gap.calibration import lower
-from quasi.gap.calibration.corrections import for_flight
 from quasi.gap.catalogue import catalogue
 from quasi.gap.diagnosis import diagnose
 from quasi.gap.effect import room_of, vehicle_of
 from quasi.gap.flights.gathering import gather
 from quasi.gap.flights.level import Flown
+from quasi.gap.levels import sensors_and_drive
+from quasi.gap.levels.corrections import for_flight
 from quasi.model.model import Model
 from quasi.synthesis.vehicle import base_vehicle
 from quasi.tables import read_json, write_text
@@ -134,7 +134,7 @@ def seek(
     effects = catalogue()
     recorded, flown = [list(part) for part in zip(*learned)]
     raw = {f.key: r for r, f in learned}
-    told, levels = lower.examine(
+    told, levels = sensors_and_drive.examine(
         flown, model.document, settings, effects, lambda f, c: again([raw[f.key]], [f], [c])[0], 1
     )
     calibrations = [for_flight(told, f.compared) for f in [*flown, held[1]]]
@@ -209,7 +209,7 @@ def _error(said: Mapping[str, Any], planted: Mapping[str, Mapping[str, float]]) 
         return None
     value, std = said["parameters"][main]["value"], said["parameters"][main]["std"]
     true = planted[said["id"]].get(main, beyond[main])
-    if said["level"] == "W" and said["id"] == "inflow_lag":
+    if said["level"] == "forces" and said["id"] == "inflow_lag":
         true = beyond[main]  # told beyond what the model has
     error = value - true
     return {"relative": error / abs(beyond[main]), "in std": error / max(std, 1e-300)}

@@ -26,12 +26,12 @@ from study import ROOT, run
 
 from quasi.airframe import read_airframe
 from quasi.filtering.flight import filter_flight
-from quasi.gap.calibration import lower
-from quasi.gap.calibration.corrections import for_flight
 from quasi.gap.catalogue import catalogue
 from quasi.gap.diagnosis import diagnose
 from quasi.gap.flights.gathering import gather_all
 from quasi.gap.flights.level import Flown
+from quasi.gap.levels import sensors_and_drive
+from quasi.gap.levels.corrections import for_flight
 from quasi.importing.flight import import_flight
 from quasi.model.model import Model
 from quasi.tables import read_json
@@ -188,7 +188,7 @@ def draw(name: str, data: Path) -> dict[str, Any]:
             return processed(source, quadrotor, flown.airframe, flown.compared, calibration)
 
         learning = [f for k, f in flights.items() if ROLES[k] != "held out"]
-        found, _ = lower.examine(learning, model.document, SETTINGS, effects, again, 1)
+        found, _ = sensors_and_drive.examine(learning, model.document, SETTINGS, effects, again, 1)
         after = {k: again(f, for_flight(found, f.compared)) for k, f in flights.items()}
         read_flights = {k: (f.filtered, f.filtered_metadata, f.airframe) for k, f in after.items()}
         evidence, lost = gather_all(read_flights, model, 100.0)

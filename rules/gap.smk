@@ -9,7 +9,7 @@ Makes  results/calibrations/{gap}.json, what sensors and rotor drive were found 
 # the catalogue finds its causes in their folder, not by imports that the digest of a script could follow
 CATALOGUE = [
     compute_code_digest(str(path), LIBRARY)
-    for path in sorted(Path(LIBRARY, "quasi/gap/effects").glob("*.py"))
+    for path in sorted(Path(LIBRARY, "quasi/gap/causes").glob("*.py"))
 ]
 
 

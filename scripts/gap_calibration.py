@@ -9,11 +9,11 @@ from quasi.airframe import read_airframe
 from quasi.errors import ConfigError
 from quasi.filtering.flight import filter_flight
 from quasi.filtering.rotor_speeds import add_estimated_speeds
-from quasi.gap.calibration.lower import examine, units_of
 from quasi.gap.catalogue import catalogue, chosen
 from quasi.gap.flights.gathering import refuse_another_vehicle
 from quasi.gap.flights.level import Flown
 from quasi.gap.flights.unusable import USE_UNUSABLE, exclude_unusable, exclusion_notes
+from quasi.gap.levels.sensors_and_drive import examine, units_of
 from quasi.importing.flight import import_flight
 from quasi.model.model import read_model
 from quasi.project.gaps import recorded_twice, refuse_trained, same_recordings

@@ -13,14 +13,14 @@ import pandas as pd
 from quasi.airframe import read_airframe
 from quasi.errors import ConfigError, DataError
 from quasi.filtering.rotor_speeds import add_estimated_speeds
-from quasi.gap.calibration.lower import units_of
 from quasi.gap.catalogue import catalogue, chosen
 from quasi.gap.diagnosis import diagnose
 from quasi.gap.flights.gathering import gather_all
 from quasi.gap.flights.level import Flown
 from quasi.gap.flights.sessions import sessions_of
 from quasi.gap.flights.unusable import USE_UNUSABLE, exclude_unusable, exclusion_notes
-from quasi.gap.rollouts.open_loop import flight_of, windows
+from quasi.gap.levels.rollouts.open_loop import flight_of, windows
+from quasi.gap.levels.sensors_and_drive import units_of
 from quasi.identification.partition import UNITS, partition, to_table
 from quasi.model.model import read_model
 from quasi.project.gaps import recordings_told, unchecked

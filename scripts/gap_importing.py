@@ -1,7 +1,7 @@
 """Import a flight of a gap anew with the calibration that was found; where that corrects nothing, take it as it is."""
 
 from quasi.errors import ReadError
-from quasi.gap.calibration.corrections import for_flight
+from quasi.gap.levels.corrections import for_flight
 from quasi.importing.flight import import_flight
 from quasi.running.job_log import LOG, job
 from quasi.tables import copy_whole, read_json, write_json, write_table

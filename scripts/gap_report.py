@@ -14,7 +14,7 @@ def main(diagnosis: str, tables: list[str], figures: str, files: list[str], targ
     found = {p.stem: p for folder in tables for p in Path(folder).glob("*.parquet")}
     where = {level: read_table(found[f"{level}_where"]) for level in LEVELS if f"{level}_where" in found}
     pictures = {p.stem: read_bytes(p) for p in sorted(Path(figures).glob("*.png"))}
-    residuals = read_table(found["W_residuals"]) if "W_residuals" in found else None
+    residuals = read_table(found["forces_residuals"]) if "forces_residuals" in found else None
     write_text(target, page(read_json(diagnosis), catalogue(files), residuals, pictures, where))
 
 

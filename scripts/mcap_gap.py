@@ -5,8 +5,8 @@ from pathlib import Path
 from quasi.export.mcap.plotjuggler import layout_text
 from quasi.export.mcap.recording import write_recording
 from quasi.export.mcap.vehicles import AFTER, BEFORE, Event, phases_of, vehicle_of, with_residuals
-from quasi.gap.rollouts.continuous import chase, chased_table
-from quasi.gap.rollouts.open_loop import flight_of
+from quasi.gap.levels.rollouts.continuous import chase, chased_table
+from quasi.gap.levels.rollouts.open_loop import flight_of
 from quasi.model.model import read_model
 from quasi.running.job_log import job, print_at_end, show_progress
 from quasi.tables import read_json, read_table, write_text

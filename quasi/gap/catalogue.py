@@ -1,4 +1,4 @@
-"""The catalogue of causes: every file of quasi/gap/effects, and those of a project's own folder."""
+"""The catalogue of causes: every file of quasi/gap/causes, and those of a project's own folder."""
 
 import importlib
 import pkgutil
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from quasi.errors import ConfigError, DataError, QuasiError, nearest
-from quasi.gap import effects
+from quasi.gap import causes
 from quasi.gap.effect import Effect, Terms, Values, Vehicle
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.own_effect import effect_of
@@ -25,8 +25,8 @@ def catalogue(own: Iterable[str | Path] = ()) -> dict[str, Effect]:
     """
     found: dict[str, Effect] = {}
     source: dict[str, str] = {}
-    for module in sorted(m.name for m in pkgutil.iter_modules(effects.__path__)):
-        effect = importlib.import_module(f"{effects.__name__}.{module}").EFFECT
+    for module in sorted(m.name for m in pkgutil.iter_modules(causes.__path__)):
+        effect = importlib.import_module(f"{causes.__name__}.{module}").EFFECT
         found[effect.id] = effect
     for path in map(Path, own):
         effect = effect_of(path)
@@ -35,7 +35,7 @@ def catalogue(own: Iterable[str | Path] = ()) -> dict[str, Effect]:
             raise ConfigError(f"effect file {path}: the id '{effect.id}' is taken by {by}; choose another")
         found[effect.id], source[effect.id] = effect, str(path)
     for name, path in source.items():
-        for rival in (*found[name].rivals, *found[name].indistinct):
+        for rival in (*found[name].rivals, *found[name].always_tied_with):
             if rival not in found:
                 raise ConfigError(
                     f"effect file {path}: effect '{name}' names the rival '{rival}', which no cause has as its id"
@@ -64,7 +64,7 @@ def columns_of(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Val
     try:
         if effect.starts and any(values.values()):
             columns = {name: whole_of(effect, evidence, vehicle, values) / size for name, size in values.items()}
-        elif effect.bends and any(values.values()):
+        elif effect.is_nonlinear and any(values.values()):
             columns = {name: _slope(effect, evidence, vehicle, values, name) for name in effect.fitted}
         elif effect.columns is not None:
             columns = effect.columns(evidence, values)
@@ -108,11 +108,11 @@ def corrected(evidence: Evidence, effects: Mapping[str, Effect], values: Mapping
 def whole_of(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Values) -> np.ndarray:
     """All that a cause of these deviations adds to the residual (n, 6)."""
     full = dict.fromkeys(effect.parameters, 0.0) | dict(values)
-    if effect.bends:
-        if effect.whole is not None:
-            made = effect.whole(evidence, vehicle, full)
+    if effect.is_nonlinear:
+        if effect.full_effect is not None:
+            made = effect.full_effect(evidence, vehicle, full)
         else:
-            made = wrench_of(effect.curved(vehicle, full), evidence)
+            made = wrench_of(effect.nonlinear_terms(vehicle, full), evidence)
         if not np.isfinite(made).all():
             raise DataError(
                 f"effect '{effect.id}' with {', '.join(f'{n} = {v:.3g}' for n, v in full.items())} is no finite number "
@@ -132,7 +132,7 @@ def _slope(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Values,
 
 def beyond_slope(effect: Effect, evidence: Evidence, vehicle: Vehicle, values: Values) -> np.ndarray:
     """What a bending effect at `values` is more than its slope there times the values (n, 6); 0 for straight ones."""
-    if not effect.bends or not any(values.get(n, 0.0) for n in effect.parameters):
+    if not effect.is_nonlinear or not any(values.get(n, 0.0) for n in effect.parameters):
         return np.zeros((len(evidence), 6))
     slopes = columns_of(effect, evidence, vehicle, dict.fromkeys(effect.parameters, 0.0) | dict(values))
     return whole_of(effect, evidence, vehicle, values) - sum(slopes[n] * values[n] for n in values)

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from quasi.gap.effect import SCOPES, Effect, Parameter, Vehicle
 
 LEVELS = {
-    "K": "Sensors, mounting, frames and clocks",
-    "A": "Rotor drive",
-    "W": "Forces and moments",
+    "sensors": "Sensors, mounting, frames and clocks",
+    "drive": "Rotor drive",
+    "forces": "Forces and moments",
 }
 FINDINGS = "Findings: stated, never named as a cause"
 WIDTH = 120
@@ -42,9 +42,9 @@ def _entry(effect: Effect, vehicle: Vehicle) -> list[str]:
     for name, parameter in effect.parameters.items():
         groups.setdefault(_describe_parameter(parameter, vehicle), []).append(f"`{name}`")
     lines += [f"- {', '.join(names)}{about}" for about, names in groups.items()]
-    if effect.told:
+    if effect.reported:
         nothing = dict.fromkeys(effect.parameters, 0.0)
-        names = [f"`{name}` in {size.unit}" for name, size in effect.told(nothing, nothing).items()]
+        names = [f"`{name}` in {size.unit}" for name, size in effect.reported(nothing, nothing).items()]
         lines.append(f"- reported as {' and '.join(names)}")
     if effect.channels:
         lines.append(f"- shows in {', '.join(effect.channels)}")

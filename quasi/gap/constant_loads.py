@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from quasi.attitude import GRAVITY, rotate
 from quasi.gap.effect import Effect
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.wrench.nuisance import FORCE_BIAS
+from quasi.gap.levels.forces.nuisance import FORCE_BIAS
 
 CAUSES = ("wind", "tether", "accelerometer_bias")
 # what holds or moves a whole flight sideways as well; where one of these is named, the force has a cause

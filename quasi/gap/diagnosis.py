@@ -9,9 +9,6 @@ import pandas as pd
 
 from quasi.errors import DataError
 from quasi.gap.base_model import Worth, worth_of
-from quasi.gap.calibration import material
-from quasi.gap.calibration.corrections import corrected_at_import
-from quasi.gap.calibration.lower import rate_of
 from quasi.gap.constant_loads import constant_force_tie
 from quasi.gap.effect import Effect, room_of, vehicle_of
 from quasi.gap.entries import (
@@ -28,23 +25,26 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.gathering import gather_all
 from quasi.gap.flights.level import Flown
 from quasi.gap.flights.sessions import session_sentence
+from quasi.gap.levels import materiality
+from quasi.gap.levels.corrections import corrected_at_import
+from quasi.gap.levels.forces import polynomial_baseline
+from quasi.gap.levels.forces.case import Case
+from quasi.gap.levels.forces.effect_size import acting
+from quasi.gap.levels.forces.error_reduction import Squares, after, removed, wrench_squares
+from quasi.gap.levels.forces.findings import gusts
+from quasi.gap.levels.forces.held_out import best_wrong, everything, made_of, telling
+from quasi.gap.levels.forces.identify import Found, examine
+from quasi.gap.levels.forces.materiality import Cause
+from quasi.gap.levels.forces.tables import wrench_tables
+from quasi.gap.levels.rollouts import commanded, error_reduction, split_flights
+from quasi.gap.levels.rollouts.confirmation import Settled
+from quasi.gap.levels.rollouts.open_loop import CHANNELS as ALONG
+from quasi.gap.levels.sensors_and_drive import rate_of
 from quasi.gap.levels.trim_evidence import gather_trim, trim_entries
 from quasi.gap.report.wording import summary
-from quasi.gap.rollouts import commanded, halves, rollout_gain
-from quasi.gap.rollouts.confirmation import Settled
-from quasi.gap.rollouts.open_loop import CHANNELS as ALONG
 from quasi.gap.scores import scored
 from quasi.gap.standing import HORIZON, standing
 from quasi.gap.veto import correction_matters, losses
-from quasi.gap.wrench import generic
-from quasi.gap.wrench.acting import acting
-from quasi.gap.wrench.case import Case
-from quasi.gap.wrench.examination import Found, examine
-from quasi.gap.wrench.findings import gusts
-from quasi.gap.wrench.gain import Squares, after, removed, wrench_squares
-from quasi.gap.wrench.held_out import best_wrong, everything, made_of, telling
-from quasi.gap.wrench.tables import wrench_tables
-from quasi.gap.wrench.worth import Cause
 from quasi.model.extensions import configured_mass
 from quasi.model.model import AXES, Model
 
@@ -93,12 +93,12 @@ def diagnose(
     learning, held = [*groups["reference"], *groups["compared"]], groups["held out"]
     compared = [False] * len(groups["reference"]) + [True] * len(groups["compared"])
     levels = calibration["levels"]
-    material.judge(levels, *lower, share)
+    materiality.judge(levels, *lower, share)
     said: dict[str, Any] = {"candidates": [], "unexplained": [], "cannot_be_asked": [], "notes": list(lost)}
     said["notes"] += [s for s in [session_sentence(sessions, roles)] if s]
     said["notes"] += _weighed(model, [*groups["compared"], *held])
     # what import corrects is no part of the model: it would be taken off a second time
-    driving = [e for e in levels["A"]["effects"] if not corrected_at_import(e["id"], "A")]
+    driving = [e for e in levels["drive"]["effects"] if not corrected_at_import(e["id"], "drive")]
     drive = [(effects[e["id"]], deviations(effects[e["id"]], e["parameters"]))
              for e in driving if e["id"] in effects and effects[e["id"]].extension]  # fmt: skip
     corrected = any(c["since"] == "always" for c in calibration.get("causes", ())) and made_of(model, learning)
@@ -106,7 +106,9 @@ def diagnose(
     trim = gather_trim(flights, roles, sessions, vehicle, {k: e.mass for k, e in evidence.items()})
     case = Case(model, effects, vehicle, learning, compared, held, flights, drive, corrected, settings, always, trim)
     unable = _unable(groups, roles, lost) or _unusable(base)
-    silent = {n for n, e in effects.items() if e.level == "W" and e.channels and set(e.channels) <= set(base.excluded)}
+    silent = {
+        n for n, e in effects.items() if e.level == "forces" and e.channels and set(e.channels) <= set(base.excluded)
+    }
     why = f"the base model explains next to nothing of {', '.join(base.excluded)}"
     said["cannot_be_asked"] += [{"id": n, "why": why} for n in sorted(silent)] if not unable else []
     asked_of = {n: e for n, e in effects.items() if n not in silent}
@@ -114,7 +116,7 @@ def diagnose(
     lives, restless = pd.DataFrame(), []
     settled = Settled([], [], {}, {}, None, [])
     if unable:
-        asked = [n for n, e in effects.items() if e.level == "W"]
+        asked = [n for n, e in effects.items() if e.level == "forces"]
         said["cannot_be_asked"] += [{"id": n, "why": unable} for n in asked]
     else:
         rate, unheard = (rate_of(settings["false alarm rate"], sum(compared), n) for n in (len(held), 0))
@@ -139,9 +141,9 @@ def diagnose(
         at = found.study.values[compared.index(True)]
         floor = everything(found.study, effects, vehicle, compared, at)
     beside = _yardsticks(case, found, kept, levels, floor)
-    rolled = rollout_gain.score(model, extended, flights, held, settings["horizons"], beside)
+    rolled = error_reduction.score(model, extended, flights, held, settings["horizons"], beside)
     causes = [*((c.effect, c.value) for c in kept), *drive]
-    own = halves.judge(held, flights, learning, model, extended, causes, vehicle, settings["horizons"])
+    own = split_flights.judge(held, flights, learning, model, extended, causes, vehicle, settings["horizons"])
     gap, scores, errors = scored(model, extended, found, kept, held, beside, rolled, lower, document)
     flown = as_flown(vehicle, groups["compared"])
     effects_said = [wrench_effect(c, flown, settled) for c in kept]
@@ -154,7 +156,7 @@ def diagnose(
         said["unexplained"], lives, *_ = remains
         if not any(u["channel"][0] == "F" for u in said["unexplained"]):
             restless = gusts(found.study, compared, [c.effect.id for c in kept])
-    lower_effects = [lower_effect(e, level, gap) for level in ("K", "A") for e in levels[level]["effects"]]
+    lower_effects = [lower_effect(e, level, gap) for level in ("sensors", "drive") for e in levels[level]["effects"]]
     lower_effects, shifted = of_late_telemetry(lower_effects)
     corrected_ones = [e for e in lower_effects if corrected_at_import(e["id"], e["level"])]
     if corrected_ones and not _correction_matters(model, lower, settings):
@@ -162,7 +164,7 @@ def diagnose(
             effect["explains"] = False
     # forces and moments settle a tie of the levels below by naming one of it
     told = {e["id"] for e in effects_said}
-    ties = [t for level in ("K", "A") for t in levels[level]["ties"] if not told & set(t["ids"])]
+    ties = [t for level in ("sensors", "drive") for t in levels[level]["ties"] if not told & set(t["ids"])]
     ties += [tie_entry(since, tie, effects, flown) for since, tie in (found.ties if found else [])]
     if found is not None:
         taken = [*(e["id"] for e in [*lower_effects, *effects_said]), *(i for tie in ties for i in tie["ids"])]
@@ -171,7 +173,7 @@ def diagnose(
             groups["compared"], groups["reference"], left_over, taken, asked_of,
             min(found.level.values()), share,
         )  # fmt: skip
-    for level in ("K", "A"):
+    for level in ("sensors", "drive"):
         said["candidates"] += levels[level]["candidates"]
         said["cannot_be_asked"] += levels[level]["cannot_be_asked"]
         said["notes"] += levels[level]["notes"]
@@ -198,7 +200,7 @@ def diagnose(
         "losses": [{**loss._asdict(), "text": loss.sentence()} for loss in settled.losses],
         "effects": sorted([*lower_effects, *effects_said], key=lambda e: -float(e["evidence"].get("wald") or 0.0)),
         "ties": ties,
-        "findings": [*(f for level in ("K", "A") for f in levels[level]["findings"]), *shifted, *restless],
+        "findings": [*(f for level in ("sensors", "drive") for f in levels[level]["findings"]), *shifted, *restless],
         **said,
         "extended_model": settings["extended model ID"],
         "flights": dict(roles),
@@ -218,7 +220,7 @@ def diagnose(
     result["summary"] = summary(result, effects)
     tables = wrench_tables(evidence, roles, case.left(extended, kept, found and found.study, again, roles), vehicle)
     if len(lives):
-        tables["W_unexplained"] = lives
+        tables["forces_unexplained"] = lives
     tables |= {k: t for k, t in rolled.items() if isinstance(t, pd.DataFrame)}
     return Diagnosis(result, document, tables, found)
 
@@ -271,7 +273,7 @@ def _unable(groups: Mapping[str, Sequence[Evidence]], roles: Mapping[str, str], 
 def _yardsticks(
     case: Case, found: Found | None, kept: Sequence[Cause], levels: Mapping[str, Any],
     floor: Callable[[Evidence], np.ndarray] | None,
-) -> rollout_gain.Beside:  # fmt: skip
+) -> error_reduction.Beside:  # fmt: skip
     """What the gain is told beside: the floor, the best wrong causes, polynomials of the same size."""
     students = [e for e, flag in zip(case.learning, case.compared) if flag]
     about = [n for e, values in case.drive for n in values if e.parameters[n].typical is not None]
@@ -282,14 +284,14 @@ def _yardsticks(
         old, least = found.scores["before"], found.scores["noise_floor"]
         tied = {t.offer.cause for _, tie in found.ties for t in tie.tests}
         wrong, axes = best_wrong(case, found.study, kept, tied, old, least), telling(kept, old, least)
-    healthy, drive = levels["A"]["found on"].get("healthy") or {}, [e.id for e, _ in case.drive]
-    return rollout_gain.Beside(
+    healthy, drive = levels["drive"]["found on"].get("healthy") or {}, [e.id for e, _ in case.drive]
+    return error_reduction.Beside(
         floor,
         wrong,
-        generic.polynomial(students, sizes[0], axes) if kept else None,
+        polynomial_baseline.polynomial(students, sizes[0], axes) if kept else None,
         healthy.get("learned"),
         commanded.wrong_ones(healthy, drive, case.effects, case.model, case.vehicle) if kept or drive else {},
-        generic.polynomial(students, sum(sizes)) if drive and students else None,
+        polynomial_baseline.polynomial(students, sum(sizes)) if drive and students else None,
         [ALONG[AXES[k]] for k in (range(len(AXES)) if drive else axes)],
     )
 
@@ -311,10 +313,10 @@ def _gains(
         if len(kept) > 1 or again:
             rest = [c for c in kept if c is not cause]
             without = Model(case.extended(rest, found.study, "gap", again), "rest")
-            old = rollout_gain.simulated_errors(rolled["tracks"], without, case.model)
+            old = error_reduction.simulated_errors(rolled["tracks"], without, case.model)
         if best is not None:
             entry |= gain_entry(cause, removed(wrench_squares(case.held, after(without, case.model)), *best))
-        rows = rollout_gain.worth(rolled, old, cause.effect.channels, case.settings["horizons"])
+        rows = error_reduction.worth(rolled, old, cause.effect.channels, case.settings["horizons"])
         told = [row for row in rows if row["value"] is not None]
         main = min(told, key=lambda row: (abs(row["horizon"] - HORIZON), -row["moved"]), default=None)
         entry["gain"]["rollout"] = main and main["value"]

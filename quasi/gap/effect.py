@@ -1,4 +1,4 @@
-"""What a cause is: one file of quasi/gap/effects defines one EFFECT made of the parts here.
+"""What a cause is: one file of quasi/gap/causes defines one EFFECT made of the parts here.
 
 A cause that acts on the vehicle as a force or a moment is given as expressions, the same language as a candidate file:
 for each parameter, what one unit of it adds to each axis. The search evaluates them on the flights, the extended model
@@ -18,7 +18,7 @@ from quasi.gap.flights.evidence import Evidence, rotor_levers
 from quasi.model.model import Model
 from quasi.project.logbook import NAME
 
-LEVELS = ("K", "A", "W")
+LEVELS = ("sensors", "drive", "forces")
 PARTS = ("any", "all", "first", "one", "next")
 SCOPES = {"a": "airframe", "s": "session", "f": "flight"}
 Terms = dict[str, str]  # axis: expression, N or N m per unit of a parameter
@@ -175,7 +175,7 @@ Values = Mapping[str, float]
 class Effect:
     """One cause.
 
-    id, level ("K", "A", "W"), sentence (what happens, for a pilot), equation, source
+    id, level ("sensors", "drive", "forces"), sentence (what happens, for a pilot), equation, source
     opposite      the sentence where the leading parameter is below neutral, if it is another one
     parameters    {name: Parameter}
     channels      axes or signals where it shows
@@ -183,24 +183,25 @@ class Effect:
     terms         vehicle -> {parameter: {axis: expression}} at the neutral values; or
     columns       (evidence, values) -> {parameter: (n, 6)}: slope of the measured minus modelled wrench by each
                   parameter at `values`
-    curved        (vehicle, values) -> {axis: expression}, the whole effect where it is not in proportion to its
+    nonlinear_terms  (vehicle, values) -> {axis: expression}, the whole effect where it is not in proportion to its
                   parameter; or
-    whole         (evidence, vehicle, values) -> (n, 6), the same where no expression can say it
+    full_effect   (evidence, vehicle, values) -> (n, 6), the same where no expression can say it
     corrected     (evidence, values) -> evidence as right instruments would have shown it, for a cause that makes them
                   err: what other causes do is told by the truth; it must bend
     extension     (values, vehicle, model) -> Extension, where terms do not say it
     parts         how parameters may be found: "any" one alone or all; "all" only together; "first" the first few;
                   "one" a single one, the likeliest; "next" one after the other, each beside those before it
-    told          (deviations, standard errors) -> {name: Size} to be told instead of the parameters that are fitted
+    reported      (deviations, standard errors) -> {name: Size} to report instead of the parameters that are fitted
     starts        sizes of the one parameter of a cause that bends so much that its slope at nothing hardly shows it: it
-                  is looked for by the whole effect of one of them, the likeliest, see `quasi.gap.wrench.starts`
+                  is looked for by the whole effect of one of them, the likeliest, see
+                  `quasi.gap.levels.forces.nonlinear`
     sums          vehicle -> [({parameter: weight}, least)]: weighted sums of the deviations that cannot be less, where
                   what is physical is no range of each
-    indistinct    ids that differ from it by so little that a model's own errors would decide: always a tie with them
-    absorbed      whether the model's own terms can mimic it exactly, so that only a change between flights shows it
-    foreign       whether a sound vehicle in still air, far from anything, has none of it: what a model's terms miss of
-                  such a vehicle does not look like it
-    rough         share to which sizes are known at best, for its form follows what happens only roughly
+    always_tied_with     ids that differ from it by less than the errors of a model: always a tie with them
+    absorbed_by_model    whether the model's own terms can mimic it exactly: only a change between flights shows it
+    absent_when_healthy  whether a sound vehicle in still air, far from obstacles, has none of it: what a model's terms
+                  lack of such a vehicle does not look like it
+    form_uncertainty  share to which sizes are known at best, for its form follows what happens only roughly
     sensor        what is known of a fault of a sensor; only of level K
     corrects      (part, quantity) of a calibration that import corrects it by, in the order of its parameters
     finding       a stated finding, never fitted
@@ -217,19 +218,19 @@ class Effect:
     tie_breaker: str = ""
     terms: Callable[[Vehicle], dict[str, Terms]] | None = None
     columns: Callable[[Evidence, Values], dict[str, np.ndarray]] | None = None
-    curved: Callable[[Vehicle, Values], Terms] | None = None
-    whole: Callable[[Evidence, Vehicle, Values], np.ndarray] | None = None
+    nonlinear_terms: Callable[[Vehicle, Values], Terms] | None = None
+    full_effect: Callable[[Evidence, Vehicle, Values], np.ndarray] | None = None
     corrected: Callable[[Evidence, Values], Evidence] | None = None
     extension: Callable[[Values, Vehicle, Model], Extension] | None = None
-    told: Callable[[Values, Values], dict[str, Size]] | None = None
+    reported: Callable[[Values, Values], dict[str, Size]] | None = None
     starts: tuple[float, ...] = ()
     sums: Callable[[Vehicle], list[tuple[Values, float]]] | None = None
     opposite: str = ""
     parts: str = "any"
-    indistinct: tuple[str, ...] = ()
-    absorbed: bool = False
-    foreign: bool = False
-    rough: float = 0.0
+    always_tied_with: tuple[str, ...] = ()
+    absorbed_by_model: bool = False
+    absent_when_healthy: bool = False
+    form_uncertainty: float = 0.0
     sensor: Sensor | None = None
     corrects: tuple[str, str] | None = None
     finding: bool = False
@@ -261,16 +262,16 @@ class Effect:
                     f"{said}, parameter '{name}': neutral is {neutral}, expected a value from {parameter.low} to "
                     f"{parameter.high}; a cause that is not there lies in its range too"
                 )
-        if self.starts and (not self.bends or len(self.parameters) != 1 or not all(self.starts)):
+        if self.starts and (not self.is_nonlinear or len(self.parameters) != 1 or not all(self.starts)):
             raise ConfigError(
                 f"{said}: starts = {self.starts}, expected sizes other than 0 of its only parameter, and the whole "
-                "effect ('whole' or 'curved')"
+                "effect ('full_effect' or 'nonlinear_terms')"
             )
 
     @property
-    def bends(self) -> bool:
+    def is_nonlinear(self) -> bool:
         """Whether the effect is not in proportion to its parameters."""
-        return self.curved is not None or self.whole is not None
+        return self.nonlinear_terms is not None or self.full_effect is not None
 
     def happens(self, parameters: Values) -> str:
         """The sentence of parameters as they are told: {name: value}, the first of them leading."""

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from quasi.gap.calibration.corrections import uncorrected
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.rollouts.confirmation import Settled
-from quasi.gap.wrench.examination import Found
-from quasi.gap.wrench.worth import Cause
+from quasi.gap.levels.corrections import uncorrected
+from quasi.gap.levels.forces.identify import Found
+from quasi.gap.levels.forces.materiality import Cause
+from quasi.gap.levels.rollouts.confirmation import Settled
 from quasi.model.extensions import mass_in
 
 # shares of resamples in which a cause alone, the strongest of several, another one must be found again
@@ -26,8 +26,8 @@ def needed(cause: Cause, found: Found) -> float:
     unjudged = any((c.effect.id, c.since) == (cause.effect.id, cause.since) for c in found.unjudged)
     others = [c for c in [*found.causes, *found.stand_ins] if c.since == cause.since and c is not cause]
     # what a model misses of its own vehicle leaves nothing that looks like what no sound vehicle has
-    foreign = cause.effect.foreign and cause.since == "always"
-    stronger = [c for c in others if c.test.p <= cause.test.p and c.effect.foreign >= foreign]
+    foreign = cause.effect.absent_when_healthy and cause.since == "always"
+    stronger = [c for c in others if c.test.p <= cause.test.p and c.effect.absent_when_healthy >= foreign]
     if not stronger:
         return SURE if others or unjudged else ALONE
     if cause.test.p >= FAR * found.level[cause.since]:
@@ -62,8 +62,8 @@ def truth(effect: Effect, name: str, deviation: float, vehicle: Vehicle) -> floa
 
 def parameters_of(effect: Effect, value: Mapping[str, float], std: Mapping[str, float], vehicle: Vehicle) -> dict:
     """Parameters as they are, with standard errors and units, of deviations by name."""
-    if effect.told is not None:
-        return {n: size._asdict() for n, size in effect.told(value, std).items()}
+    if effect.reported is not None:
+        return {n: size._asdict() for n, size in effect.reported(value, std).items()}
     return {
         n: {"value": float(truth(effect, n, v, vehicle)), "std": float(std[n]), "unit": effect.parameters[n].unit}
         for n, v in value.items()
@@ -76,7 +76,7 @@ def wrench_effect(cause: Cause, vehicle: Vehicle, settled: Settled) -> dict[str,
     rolled = settled.estimates.get(key)
     return {
         "id": cause.effect.id,
-        "level": "W",
+        "level": "forces",
         "since": cause.since,
         "probability": cause.probability,
         "channels": list(cause.effect.channels),

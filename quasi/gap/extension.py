@@ -22,8 +22,8 @@ def extension_of(effect: Effect, values: Values, vehicle: Vehicle, model: Model)
     values = dict.fromkeys(effect.parameters, 0.0) | dict(values)
     if effect.extension is not None:
         return effect.extension(values, vehicle, model)
-    if effect.curved is not None:
-        return Extension(terms={axis: [(text, 1.0)] for axis, text in effect.curved(vehicle, values).items()})
+    if effect.nonlinear_terms is not None:
+        return Extension(terms={axis: [(text, 1.0)] for axis, text in effect.nonlinear_terms(vehicle, values).items()})
     terms: dict[str, list[tuple[str, float]]] = {}
     for name, parts in effect.terms(vehicle).items():
         if values[name]:
@@ -110,15 +110,15 @@ def _joined(causes: Sequence[tuple[Effect, Values]]) -> list[tuple[Effect, Value
     for effect, values in causes:
         _, together = found.setdefault(effect.id, (effect, {}))
         for name, value in values.items():
-            absolute = effect.level == "A" and effect.parameters[name].neutral is None
+            absolute = effect.level == "drive" and effect.parameters[name].neutral is None
             together[name] = float(value) if absolute else together.get(name, 0.0) + float(value)
     return list(found.values())
 
 
 def _told(effect: Effect, values: Values) -> dict[str, dict[str, Any]]:
     """{parameter: {"value", "unit"}} as a diagnosis tells them."""
-    if effect.told is not None:
-        sizes = effect.told(values, dict.fromkeys(values, 0.0))
+    if effect.reported is not None:
+        sizes = effect.reported(values, dict.fromkeys(values, 0.0))
         return {n: {"value": size.value, "unit": size.unit} for n, size in sizes.items()}
     return {n: {"value": float(v), "unit": effect.parameters[n].unit} for n, v in values.items()}
 

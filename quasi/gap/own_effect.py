@@ -19,7 +19,14 @@ from quasi.gap.effect import Effect, Room, Vehicle
 from quasi.model.model import AXES
 from quasi.terms.variables import check_expression
 
-FUNCTIONS = ("terms", "columns", "curved", "whole", "extension", "sums")  # of an effect, which a user writes
+FUNCTIONS = (
+    "terms",
+    "columns",
+    "nonlinear_terms",
+    "full_effect",
+    "extension",
+    "sums",
+)  # of an effect, which a user writes
 ARM = 0.06  # m
 # about that of the bundled example: what an effect makes of it is not used, only whether it makes sense
 TRIED = Vehicle(
@@ -101,7 +108,7 @@ def effect_of(path: Path) -> Effect:
         raise ConfigError(f"effect file {path}: {_words(error)}; correct the file") from error
     effect = getattr(module, "EFFECT", None)
     if not isinstance(effect, Effect):
-        raise ConfigError(f"effect file {path} defines no EFFECT = Effect(...); see quasi/gap/effects for examples")
+        raise ConfigError(f"effect file {path} defines no EFFECT = Effect(...); see quasi/gap/causes for examples")
     try:
         with _own_code():
             problem = _fault(effect)
@@ -121,8 +128,8 @@ def _fault(effect: Effect) -> str:
     """What is wrong with a cause, or nothing; its functions are tried on a usual vehicle, but for those of flights."""
     if effect.finding:
         return "finding is True, but a finding is never fitted; leave it out"
-    if effect.level != "W":
-        return f"level is '{effect.level}', expected 'W': a cause of one's own acts as a force or a moment"
+    if effect.level != "forces":
+        return f"level is '{effect.level}', expected 'forces': a cause of one's own acts as a force or a moment"
     if not effect.fitted:
         return "it has no parameter; give one that can be fitted"
     if (effect.terms is None) == (effect.columns is None):
@@ -131,7 +138,7 @@ def _fault(effect: Effect) -> str:
         given = getattr(effect, word)
         if given is not None and not callable(given):
             return f"{word} is {given!r}, expected a function"
-    if effect.terms is None and effect.extension is None and effect.curved is None:
+    if effect.terms is None and effect.extension is None and effect.nonlinear_terms is None:
         return "columns need an extension beside them, which says what the cause adds to a model"
     for axis in effect.channels:
         if axis not in AXES:
@@ -154,8 +161,10 @@ def _fault(effect: Effect) -> str:
         for axis in effect.channels:
             if axis not in acts:
                 return f"channels name {axis}, but its terms act on {', '.join(acts)} alone"
-    if effect.curved is not None:
-        return _wrench_fault(effect.curved(TRIED, dict.fromkeys(effect.parameters, 0.01)), "curved(vehicle, values)")
+    if effect.nonlinear_terms is not None:
+        return _wrench_fault(
+            effect.nonlinear_terms(TRIED, dict.fromkeys(effect.parameters, 0.01)), "nonlinear_terms(vehicle, values)"
+        )
     return ""
 
 

@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from quasi.gap.calibration.lower import judged
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.level import Flown
-from quasi.gap.rollouts.open_loop import TOLD
-from quasi.gap.rollouts.rollout_gain import Beside
-from quasi.gap.wrench.examination import Found
-from quasi.gap.wrench.gain import Squares, after, before, removed, wrench_squares
-from quasi.gap.wrench.worth import Cause
+from quasi.gap.levels.forces.error_reduction import Squares, after, before, removed, wrench_squares
+from quasi.gap.levels.forces.identify import Found
+from quasi.gap.levels.forces.materiality import Cause
+from quasi.gap.levels.rollouts.error_reduction import Beside
+from quasi.gap.levels.rollouts.open_loop import TOLD
+from quasi.gap.levels.sensors_and_drive import judged
 from quasi.model.model import AXES, Model
 
 
@@ -32,19 +32,19 @@ def scored(
         old, new = wrench_squares(held, before), wrench_squares(held, after(extended, model))
         if len(old.t):
             floor = np.minimum(found.scores["noise_floor"] if found else new.mean(), new.mean())
-            gap["before"]["W"], gap["after"]["W"] = _axes(old.mean()), _axes(new.mean())
+            gap["before"]["forces"], gap["after"]["forces"] = _axes(old.mean()), _axes(new.mean())
             if found:
-                gap["noise_floor"]["W"] = _axes(floor)
+                gap["noise_floor"]["forces"] = _axes(floor)
                 best = new, wrench_squares(held, beside.floor), floor
                 scores["removed"] = removed(old, *best)
                 if beside.yardstick is not None:
                     size = sum(len(c.value) for c in kept)
                     other = wrench_squares(held, beside.yardstick)
-                    gap["generic_polynomial"]["W"] = _axes(other.mean())
+                    gap["generic_polynomial"]["forces"] = _axes(other.mean())
                     scores["generic polynomial"] = {"terms": size, "removed": removed(old, other, *best[1:], new)}
                 for name, wrong in beside.wrong.items():
                     other = wrench_squares(held, after(wrong, model))
-                    gap["best_wrong_cause"]["W"] = _axes(other.mean())
+                    gap["best_wrong_cause"]["forces"] = _axes(other.mean())
                     scores["best wrong cause"] = name
                     scores["best wrong cause removed"] = removed(old, other, *best[1:], new)
     first, last = lower

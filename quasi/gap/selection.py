@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quasi.gap.effect import Effect, Limits
-from quasi.gap.statistics.mixed import Mixed, Offer, Test, ranked
+from quasi.gap.statistics.mixed import Candidate, MixedModel, Test, ranked
 
 COMPARED_RIVALS = 6  # most significant causes that are compared with each other in one step
 MOST_CAUSES = 12  # causes that one search accepts
@@ -32,7 +32,7 @@ LIMIT_ERRORS = 3.0  # standard errors by which an estimate may lie outside its p
 class Profile:
     """What the selection knows of a cause.
 
-    parts  how its parameters may be selected, see `Mixed.best`; rivals  causes that it is confused with
+    parts  how its parameters may be selected, see `MixedModel.best`; rivals  causes that it is confused with
     always_tied_with  causes that no data tell from it; absorbed  whether the model's own terms can mimic it exactly
     leading  (m,) whether a parameter is what the cause is about, not one that accompanies it
     limits   physical range of the parameters' deviations, None without
@@ -49,7 +49,7 @@ class Profile:
     def of(cls, effect: Effect, limits: Limits | None = None) -> "Profile":
         """The profile of a cause of the catalogue that acts on forces and moments."""
         leading = tuple(effect.parameters[name].typical is not None for name in effect.fitted)
-        return cls(effect.parts, effect.rivals, effect.indistinct, effect.absorbed, leading, limits)
+        return cls(effect.parts, effect.rivals, effect.always_tied_with, effect.absorbed_by_model, leading, limits)
 
     def is_possible(self, test: Test) -> bool:
         """Whether the parameters are physical within LIMIT_ERRORS standard errors."""
@@ -86,7 +86,7 @@ class Rules(NamedTuple):
 
     form_error: float = FORM_ERROR
     witness: Mapping[frozenset[str], str] = {}
-    judge: Mixed | None = None
+    judge: MixedModel | None = None
     overlap: Callable[[Test, str], float] = lambda _, __: 1.0
 
 
@@ -130,22 +130,24 @@ class Selection:
     named: list[Named] = field(default_factory=list)
     ties: list[Tie] = field(default_factory=list)
     ranking: list[Test] = field(default_factory=list)
-    marginal: dict[Offer, Test] = field(default_factory=dict)
+    marginal: dict[Candidate, Test] = field(default_factory=dict)
     level: dict[str, float] = field(default_factory=dict)
-    rejected: dict[Offer, str] = field(default_factory=dict)
+    rejected: dict[Candidate, str] = field(default_factory=dict)
 
     @property
-    def offers(self) -> list[Offer]:
+    def offers(self) -> list[Candidate]:
         """Accepted causes and the first of each tie: what other tests are given."""
         return [*(n.test.offer for n in self.named), *(tie.tests[0].offer for tie in self.ties)]
 
-    def test(self, mixed: Mixed, offer: Offer, without: Sequence[Offer] = (), given: Sequence[Offer] = ()) -> Test:
+    def test(
+        self, mixed: MixedModel, offer: Candidate, without: Sequence[Candidate] = (), given: Sequence[Candidate] = ()
+    ) -> Test:
         """A cause with all others given but its own tie and `without`."""
         own = {o for tie in self.ties if offer in (members := [t.offer for t in tie.tests]) for o in members}
         others = [o for o in self.offers if o not in own | {offer, *without}]
         return mixed.test(offer, [*others, *given], mixed.pooled(offer.since))
 
-    def why_not(self, offer: Offer) -> str:
+    def why_not(self, offer: Candidate) -> str:
         """Why a candidate was not accepted."""
         if offer in self.rejected:
             return self.rejected[offer]
@@ -155,9 +157,9 @@ class Selection:
         return f"p = {last.p:.2g}, not below {level:.2g}" if last else "another parameter of it was accepted"
 
     def reproducibility(
-        self, draw: Callable[[np.random.Generator], list[np.ndarray]], build: Callable[[list[np.ndarray]], Mixed],
+        self, draw: Callable[[np.random.Generator], list[np.ndarray]], build: Callable[[list[np.ndarray]], MixedModel],
         seed: int = 0,
-    ) -> dict[Offer, float]:  # fmt: skip
+    ) -> dict[Candidate, float]:  # fmt: skip
         """Share of resamples in which each accepted cause is significant again.
 
         draw  per-flight cross-products (P, P) with each flight's blocks drawn anew; build  makes the tests of them
@@ -177,8 +179,8 @@ def share_of_rate(compared: Sequence[bool]) -> dict[str, float]:
 
 
 def select_causes(
-    mixed: Mixed, profiles: Mapping[str, Profile], rate: float, rules: Rules = FORCES,
-    excluded: Sequence[str] = (), known: Sequence[Offer] = (),
+    mixed: MixedModel, profiles: Mapping[str, Profile], rate: float, rules: Rules = FORCES,
+    excluded: Sequence[str] = (), known: Sequence[Candidate] = (),
 ) -> Selection:  # fmt: skip
     """Select the causes of the residual: what changed, then what all flights have in common.
 
@@ -199,8 +201,8 @@ def select_causes(
 
 
 def search(
-    mixed: Mixed, profiles: Mapping[str, Profile], since: str, rate: float, rules: Rules = FORCES,
-    excluded: Sequence[str] = (), known: Sequence[Offer] = (),
+    mixed: MixedModel, profiles: Mapping[str, Profile], since: str, rate: float, rules: Rules = FORCES,
+    excluded: Sequence[str] = (), known: Sequence[Candidate] = (),
 ) -> Selection:  # fmt: skip
     """One search, for changes or for what all flights have in common. Arguments as for `select_causes`."""
     return _Search(mixed, profiles, since, rate, rules, excluded, known).run()
@@ -210,8 +212,8 @@ class _Search:
     """One search, for changes or for what all flights have in common."""
 
     def __init__(
-        self, mixed: Mixed, profiles: Mapping[str, Profile], since: str, rate: float, rules: Rules,
-        excluded: Sequence[str], known: Sequence[Offer],
+        self, mixed: MixedModel, profiles: Mapping[str, Profile], since: str, rate: float, rules: Rules,
+        excluded: Sequence[str], known: Sequence[Candidate],
     ) -> None:  # fmt: skip
         self.mixed, self.profiles, self.since, self.rules, self.known = mixed, profiles, since, rules, list(known)
         asked = [name for name in mixed.columns.causes if name not in excluded]
@@ -219,13 +221,13 @@ class _Search:
         self.level = rate / max(len(self.pairs), 1)
         self.parts = {name: profiles[name].parts for name in asked}
         self.pooled = mixed.pooled(since)
-        self.given: list[Offer] = list(known)
-        self.found: dict[Offer, list[Rival]] = {}
+        self.given: list[Candidate] = list(known)
+        self.found: dict[Candidate, list[Rival]] = {}
         self.ties: list[Tie] = []
         self.clear: list[Test] = []  # accepted, as they were found
         self.strong: list[Test] = []  # these, and the first of each tie
-        self.marginal: dict[Offer, Test] = {}
-        self.rejected: dict[Offer, str] = {}
+        self.marginal: dict[Candidate, Test] = {}
+        self.rejected: dict[Candidate, str] = {}
 
     def run(self) -> Selection:
         ranking: list[Test] = []
@@ -242,7 +244,7 @@ class _Search:
         level = {self.since: self.level}
         return Selection(named, [*self.ties, *simpler], ranking, self.marginal, level, self.rejected)
 
-    def _test(self, offer: Offer, *given: Offer, without: Offer | None = None) -> Test:
+    def _test(self, offer: Candidate, *given: Candidate, without: Candidate | None = None) -> Test:
         others = [g for g in self.given if g != without]
         return self.mixed.test(offer, [*others, *given], self.pooled)
 
@@ -296,15 +298,15 @@ class _Search:
             return "its size would be outside what is physical"
         return "" if profile.has_leading_deviation(t) else "only its accompanying parameters differ"
 
-    def _duplicates(self, offer: Offer) -> bool:
+    def _duplicates(self, offer: Candidate) -> bool:
         """Whether an offer is, or spans, what no data tell from an accepted cause: the two of them, large and
         opposite, would only correct the model's form."""
         alike = {n for g in self.given if g.cause in self.profiles for n in self.profiles[g.cause].always_tied_with}
         columns = self.mixed.columns.causes
-        complete = [Offer(n, offer.since, tuple(range(len(columns[n])))) for n in alike if n in columns]
+        complete = [Candidate(n, offer.since, tuple(range(len(columns[n])))) for n in alike if n in columns]
         return any(o.cause == offer.cause or self.mixed.spans(offer, o, self.given) for o in complete)
 
-    def _is_form(self, wide: Test, simple: Test, given: Sequence[Offer]) -> bool:
+    def _is_form(self, wide: Test, simple: Test, given: Sequence[Candidate]) -> bool:
         """Whether a cause with more parameters explains a simpler accepted one away but hardly more than that: it may
         be the error of the simple one's form. wide  its test with the simple one and the others given
         """
@@ -312,13 +314,13 @@ class _Search:
             return False
         return self.mixed.test(simple.offer, [*given, wide.offer], self.pooled).p >= self.level
 
-    def _stays(self, a: Offer, b: Offer, test: Test) -> bool:
+    def _stays(self, a: Candidate, b: Candidate, test: Test) -> bool:
         """Whether a stays significant with b given. test  of a with b given"""
         third = self.rules.witness.get(frozenset({a.cause, b.cause}))
         if third is None or third not in self.mixed.columns.causes:
             return test.p < self.level
         # two causes with nearly the same signature: with the wrong one given the witness is needed as well
-        witness = Offer(third, a.since, tuple(range(len(self.mixed.columns.causes[third]))))
+        witness = Candidate(third, a.since, tuple(range(len(self.mixed.columns.causes[third]))))
         if any(g.cause == third for g in self.given):
             return False
         judge = self.rules.judge if self.rules.judge is not None and a.since == "always" else self.mixed
@@ -422,7 +424,7 @@ class _Search:
             if len(which) < 2 or self.profiles[cause].parts != "any":
                 continue
             given = [*others, *(n.test.offer for n in kept if n not in parts)]
-            together = self.mixed.test(Offer(cause, self.since, which), given, self.pooled)
+            together = self.mixed.test(Candidate(cause, self.since, which), given, self.pooled)
             there = {g.cause for g in given}
             simpler = []
             for name, _ in self.pairs:

@@ -3,19 +3,19 @@ half, held-out flights and what stays unexplained say of each."""
 
 from collections.abc import Callable, Mapping, Sequence
 
-from quasi.gap.calibration.lower import SEARCHES
 from quasi.gap.effect import Effect
 from quasi.gap.entries import needed
+from quasi.gap.levels.forces import unexplained
+from quasi.gap.levels.forces.case import Case
+from quasi.gap.levels.forces.error_reduction import after
+from quasi.gap.levels.forces.identify import Found
+from quasi.gap.levels.forces.materiality import Cause
+from quasi.gap.levels.rollouts import split_flights
+from quasi.gap.levels.rollouts.confirmation import CONFIRMED, REFUTED, Settled, settle
+from quasi.gap.levels.sensors_and_drive import SEARCHES
 from quasi.gap.levels.trim_evidence import rejected_by_trim
-from quasi.gap.rollouts import halves
-from quasi.gap.rollouts.confirmation import CONFIRMED, REFUTED, Settled, settle
-from quasi.gap.statistics.mixed import Offer
+from quasi.gap.statistics.mixed import Candidate
 from quasi.gap.veto import losses, reject_losing_causes
-from quasi.gap.wrench import unexplained
-from quasi.gap.wrench.case import Case
-from quasi.gap.wrench.examination import Found
-from quasi.gap.wrench.gain import after
-from quasi.gap.wrench.worth import Cause
 from quasi.model.model import Model
 
 FORCES = ("Fx", "Fy", "Fz")
@@ -68,7 +68,9 @@ def _of_flights(case: Case, settled: Settled, made: Callable[[Sequence[Cause], b
         rest = [c for c in settled.causes if c is not cause]
         sides = [(made(of, anew), [*((c.effect, c.value) for c in of), *case.drive]) for of in (rest, settled.causes)]
         quantity = "velocity" if set(FORCES) & set(cause.effect.channels) else "rate"
-        gone = halves.gain(case.held, case.tables, case.learning, case.model, sides, case.vehicle, quantity, horizon)
+        gone = split_flights.gain(
+            case.held, case.tables, case.learning, case.model, sides, case.vehicle, quantity, horizon
+        )
         if gone is None or gone > 0.0:
             continue
         why = (
@@ -86,7 +88,7 @@ def _borne_out(settled: Settled, share: float) -> Settled:
     for cause in settled.causes:
         outcome = settled.confirmations[cause.effect.id, cause.since].outcome
         said = [v["value"] for v in cause.gain.values() if v["value"] is not None]
-        if cause.effect.foreign or outcome == CONFIRMED or not said or max(said) >= share:
+        if cause.effect.absent_when_healthy or outcome == CONFIRMED or not said or max(said) >= share:
             continue
         why = (
             f"on the held-out flights it removes {100 * max(said):.0f} % of the removable error at most, expected "
@@ -129,7 +131,7 @@ def _harmless(case: Case, settled: Settled, made: Callable[[Sequence[Cause], boo
 
 def _beside(
     found: Found, settled: Settled, effects: Mapping[str, Effect]
-) -> list[tuple[Effect, Offer, Mapping[str, float]]]:
+) -> list[tuple[Effect, Candidate, Mapping[str, float]]]:
     """Causes that what stays unexplained is asked beside: all that are there and not refuted, and those of ties."""
     refuted = [c for c, told in settled.dropped if told.outcome == REFUTED]
     accepted = [

@@ -12,12 +12,12 @@ import numpy as np
 import pandas as pd
 
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.rollouts import rollout_gain
-from quasi.gap.rollouts.open_loop import CHANNELS, PLAIN, TOLD, TRIMMED, fell, rms
+from quasi.gap.levels.forces.error_reduction import Squares, after, before, wrench_squares
+from quasi.gap.levels.forces.materiality import Cause
+from quasi.gap.levels.forces.nuisance import nuisances
+from quasi.gap.levels.rollouts import error_reduction
+from quasi.gap.levels.rollouts.open_loop import CHANNELS, PLAIN, TOLD, TRIMMED, fell, rms
 from quasi.gap.statistics import blocks
-from quasi.gap.wrench.gain import Squares, after, before, wrench_squares
-from quasi.gap.wrench.nuisance import nuisances
-from quasi.gap.wrench.worth import Cause
 from quasi.model.model import AXES, Model
 
 FORCES = "forces"  # the line of a loss of forces and moments
@@ -74,12 +74,12 @@ def losses(
     left = after(extended, base)
     pairs = [(wrench_squares(held, before, c), wrench_squares(held, left, c)) for c in (False, True)]
     found = _of_forces(pairs, share) if len(pairs[0][0].t) else []
-    tracks = rollout_gain.tracks_of(held, flights, horizons, (base, extended))
+    tracks = error_reduction.tracks_of(held, flights, horizons, (base, extended))
     if tracks:
-        lines = [line for line in rollout_gain.lines_of(tracks) if commanded or line != TOLD]
-        errors = [rollout_gain.simulated_errors(tracks, m, base, lines) for m in (base, extended)]
+        lines = [line for line in error_reduction.lines_of(tracks) if commanded or line != TOLD]
+        errors = [error_reduction.simulated_errors(tracks, m, base, lines) for m in (base, extended)]
         rows = {
-            line: fell(*(rollout_gain.end_table(tracks, e[line], horizons, line) for e in errors)) for line in lines
+            line: fell(*(error_reduction.end_table(tracks, e[line], horizons, line) for e in errors)) for line in lines
         }
         found += _of_simulations(rows, share, trim_is_usual(held, left))
     return sorted(found, key=lambda loss: -loss.growth)
@@ -99,11 +99,11 @@ def correction_matters(
         return True
     ends = []
     for held, tables in (first, last):
-        tracks = rollout_gain.tracks_of(held, tables, horizons)
+        tracks = error_reduction.tracks_of(held, tables, horizons)
         if not tracks:
             return False
-        errors = rollout_gain.simulated_errors(tracks, model, model, (PLAIN,))[PLAIN]
-        ends.append(rms(rollout_gain.end_table(tracks, errors, horizons)))
+        errors = error_reduction.simulated_errors(tracks, model, model, (PLAIN,))[PLAIN]
+        ends.append(rms(error_reduction.end_table(tracks, errors, horizons)))
     pairs = [(ends[0][q][h], ends[1][q][h]) for q in ends[0] for h in ends[0][q]]
     return any(abs(b**2 - a**2) >= share * a**2 for a, b in pairs if a > 0.0)
 

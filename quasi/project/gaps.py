@@ -69,7 +69,7 @@ class Comparisons(Project):
         if "all" in wanted and wanted != "all":
             raise ConfigError(f"{path}: 'effects' lists 'all'; write \"effects\": \"all\", or the ids without it")
         # each file is called by its id
-        known = {p.stem for p in (Path(__file__).parents[1] / "gap/effects").glob("*.py")} - {"__init__"}
+        known = {p.stem for p in (Path(__file__).parents[1] / "gap/causes").glob("*.py")} - {"__init__"}
         for name in [] if own or wanted == "all" else wanted:
             if name not in known:
                 raise ConfigError(f"{path}: effect '{name}' is not in the catalogue{nearest(name, known)}")

@@ -11,7 +11,7 @@ from simulations import setup_of
 
 from quasi import recognition
 from quasi.export.matlab_terms import axis_file
-from quasi.gap import effects
+from quasi.gap import causes as effects
 from quasi.gap.catalogue import catalogue
 from quasi.importing.readers import registry
 from quasi.importing.readers.reader import Reader, Request
@@ -69,7 +69,7 @@ from quasi.gap.effect import Effect, Parameter
 
 EFFECT = Effect(
     id="toy_wing",
-    level="W",
+    level="forces",
     sentence="the wing lifts in forward flight",
     equation="dFz = -c u |u|",
     source="this test",

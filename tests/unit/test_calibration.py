@@ -7,9 +7,11 @@ from scipy.spatial.transform import Rotation
 
 from quasi import attitude
 from quasi.errors import ConfigError
-from quasi.gap.calibration import actuation, corrections, kinematic
 from quasi.gap.catalogue import catalogue
 from quasi.gap.flights.level import Level
+from quasi.gap.levels import corrections
+from quasi.gap.levels.drive import identify as drive_level
+from quasi.gap.levels.sensors import identify as sensor_level
 from quasi.importing.calibration import check, is_identity, true_inertial, true_pose
 
 ACTUATORS = {  # of the vehicle that made flights are of
@@ -26,11 +28,11 @@ ACTUATORS = {  # of the vehicle that made flights are of
 
 def test_what_is_examined_and_corrected_bears_the_catalogues_names_and_units():
     causes = catalogue()
-    for cause, effect in kinematic.CAUSES.items():
-        assert effect.level == "K"
+    for cause, effect in sensor_level.CAUSES.items():
+        assert effect.level == "sensors"
         assert len({(p.unit, p.neutral) for p in effect.parameters.values()}) == 1
         assert (effect.corrects is None) == (cause == "attitude_error")
-    assert set(actuation.CAUSES) <= set(causes)
+    assert set(drive_level.CAUSES) <= set(causes)
     for cause, (_, _, names) in corrections.CORRECTS.items():
         assert tuple(causes[cause].parameters) == names
 
@@ -85,7 +87,7 @@ def test_faults_of_the_capture_are_undone_as_they_are_defined():
 
 def test_changes_are_corrected_in_compared_flights_alone_and_scales_multiply():
     effect = {"parameters": {a: {"value": v} for a, v in zip("xyz", (1.02, 1.0, 0.99))}}
-    level = Level("K", effects=[
+    level = Level("sensors", effects=[
         {"id": "gyro_scale", "since": "always", **effect}, {"id": "gyro_scale", "since": "changed", **effect},
         {"id": "clock_drift", "since": "changed", "parameters": {"rate": {"value": 1e-3}}},
         {"id": "motor_lag", "since": "changed", "parameters": {"time_constant": {"value": 0.04}}},
@@ -103,10 +105,10 @@ def test_of_a_tie_the_settled_member_is_corrected_else_the_first_with_a_note():
     turn = {n: {"value": 0.02} for n in ("roll", "pitch", "yaw")}
     tie = {"ids": ["imu_misalignment", "mocap_misalignment"], "since": "always",
            "parameters": {"imu_misalignment": turn, "mocap_misalignment": turn}}  # fmt: skip
-    whole = corrections.document([Level("K", ties=[tie])], settled=["mocap_misalignment"])
+    whole = corrections.document([Level("sensors", ties=[tie])], settled=["mocap_misalignment"])
     assert list(whole["compared"]) == ["capture"]
     assert not whole["notes"]
-    whole = corrections.document([Level("K", ties=[tie])])
+    whole = corrections.document([Level("sensors", ties=[tie])])
     assert list(whole["compared"]) == ["imu"]
     assert "look alike" in whole["notes"][0]
 
@@ -123,7 +125,9 @@ def test_eight_faults_at_once_are_told_from_raw_logs_and_gone_when_these_are_pro
 
     def levels(applied):
         flights = process(applied)
-        return kinematic.examine(flights, {}), actuation.examine(flights, {"id": "made", "actuators": ACTUATORS}, {})
+        return sensor_level.examine(flights, {}), drive_level.examine(
+            flights, {"id": "made", "actuators": ACTUATORS}, {}
+        )
 
     sensors, drive = levels(None)
     assert not sensors.ties

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from quasi.gap.calibration.drive_fit import commanded
+from quasi.gap.levels.drive.fit import commanded
 from quasi.importing.command_map import add_commanded_speeds
 from quasi.tables import IDENTIFIED_MAP, drop_identified_commands
 

@@ -24,7 +24,7 @@ from quasi.simulation.loop.setup import make_setup
 from quasi.simulation.tools.portable import loop_constants, portable_setup
 
 CATALOGUE = catalogue()
-EXTENDING = sorted(i for i, e in CATALOGUE.items() if not e.finding and (e.terms or e.curved or e.extension))
+EXTENDING = sorted(i for i, e in CATALOGUE.items() if not e.finding and (e.terms or e.nonlinear_terms or e.extension))
 ROOM = Room((-3.0, 3.0), (-3.0, 3.0), 4.0)
 RECORDED = {"telemetry_delay", "rotor_speed_scale"}  # of recordings: nothing to see in a simulation
 STATEFUL = {"payload_swing": "swinging load", "inflow_lag": "inflow lag"}

@@ -14,30 +14,31 @@ from test_gap_extension import base_of
 from test_gap_extension import flight as made
 
 from quasi.errors import ConfigError, DataError, QuasiError
-from quasi.gap.calibration import actuation, material, points, settling
-from quasi.gap.calibration.corrections import corrected_at_import, uncorrected
 from quasi.gap.catalogue import whole_of
 from quasi.gap.diagnosis import _unable, diagnose, verdict_of
 from quasi.gap.effect import vehicle_of
 from quasi.gap.entries import candidates
 from quasi.gap.extension import extend
+from quasi.gap.flights.covariates import places
 from quasi.gap.flights.gathering import gather, gather_all, refuse_another_vehicle
 from quasi.gap.flights.level import Flown, Level
-from quasi.gap.flights.places import places
 from quasi.gap.flights.residual_tables import where
+from quasi.gap.levels import imu_or_markers, materiality, tie_breaking
+from quasi.gap.levels.corrections import corrected_at_import, uncorrected
+from quasi.gap.levels.drive import identify as drive_level
+from quasi.gap.levels.forces.case import Case
+from quasi.gap.levels.forces.design import gather_design
+from quasi.gap.levels.forces.error_reduction import after
+from quasi.gap.levels.forces.identify import examine
+from quasi.gap.levels.forces.materiality import Cause
+from quasi.gap.levels.forces.tables import wrench_tables
+from quasi.gap.levels.rollouts import split_flights
+from quasi.gap.levels.rollouts.confirmation import CONFIRMED, UNJUDGED, Confirmation, Settled
 from quasi.gap.planning import plan
 from quasi.gap.planning.plan_input import flights_of
-from quasi.gap.rollouts import halves
-from quasi.gap.rollouts.confirmation import CONFIRMED, UNJUDGED, Confirmation, Settled
 from quasi.gap.standing import _borne_out
 from quasi.gap.statistics import mixed
-from quasi.gap.statistics.mixed import Offer
-from quasi.gap.wrench.case import Case
-from quasi.gap.wrench.examination import examine
-from quasi.gap.wrench.gain import after
-from quasi.gap.wrench.study import gather_study
-from quasi.gap.wrench.tables import wrench_tables
-from quasi.gap.wrench.worth import Cause
+from quasi.gap.statistics.mixed import Candidate
 from quasi.model.model import AXES, Model
 from quasi.tables import read_numbers, write_json, write_table
 
@@ -139,9 +140,9 @@ def test_a_cause_that_adds_nothing_or_no_number_is_not_asked_and_says_so(flight)
     evidence, vehicle = evidence_of(flight), vehicle_of(MODEL)
     good = CATALOGUE["body_drag"]
     still = replace(good, id="still", terms=lambda v: {"c": {"Fz": "0*u"}, "cz": {"Fz": "0*u"}})
-    study = gather_study([evidence], {"still": still, "body_drag": good}, vehicle)
+    study = gather_design([evidence], {"still": still, "body_drag": good}, vehicle)
     assert study.lacking == {"still": "effect 'still' adds no force or moment at all in these flights"}
-    odd = replace(good, id="odd", curved=lambda v, values: {"Fz": "(u - 100)^0.5"})
+    odd = replace(good, id="odd", nonlinear_terms=lambda v, values: {"Fz": "(u - 100)^0.5"})
     with pytest.raises(DataError, match="effect 'odd' with c = 1, cz = 0 is no finite number on flight a"):
         whole_of(odd, evidence, vehicle, {"c": 1.0})
 
@@ -149,11 +150,11 @@ def test_a_cause_that_adds_nothing_or_no_number_is_not_asked_and_says_so(flight)
 def test_a_change_that_the_compared_flights_do_not_show_is_no_crash(flight):
     """A cause that only reference flights excite: nothing is known of a change of it."""
     evidence, vehicle = evidence_of(flight), vehicle_of(MODEL)
-    study = gather_study([evidence] * 4, {"body_drag": CATALOGUE["body_drag"]}, vehicle)
+    study = gather_design([evidence] * 4, {"body_drag": CATALOGUE["body_drag"]}, vehicle)
     place = study.columns.causes["body_drag"]
     for blocks in study.blocks[2:]:
         blocks[:, place] = blocks[:, :, place] = 0.0
-    test = study.mixed(range(4), [False, False, True, True]).test(Offer("body_drag", "changed", (0,)))
+    test = study.mixed(range(4), [False, False, True, True]).test(Candidate("body_drag", "changed", (0,)))
     assert test.p > 0.99 and test.value[0] == 0.0
 
 
@@ -203,7 +204,7 @@ def test_a_place_that_one_flight_does_not_know_is_asked_of_none(flight):
         "not asked"
     ]
     effects = {n: CATALOGUE[n] for n in ("ground_effect", "tether", "body_drag")}
-    study = gather_study(list(found.values()), effects, vehicle_of(MODEL))
+    study = gather_design(list(found.values()), effects, vehicle_of(MODEL))
     assert set(study.lacking) == {"ground_effect", "tether"} and study.lacking["tether"].startswith("the place is not")
     assert set(places(found["a"])) >= {"speed", "heading"} and not {"height", "room x"} & set(places(found["a"]))
 
@@ -215,11 +216,12 @@ def test_a_gap_without_any_velocity_is_not_judged_and_says_why(flight):
     why = "no compared flight has a motion capture of enough flying"
     level = {"effects": [], "ties": [], "findings": [], "candidates": [], "cannot_be_asked": [], "notes": [],
              "found on": {"channels": list("pqr"), "healthy": {}, "worth": {}}}  # fmt: skip
-    deaf = {**level, "cannot_be_asked": [{"id": n, "why": why} for n, e in CATALOGUE.items() if e.level == "K"]}
+    deaf = {**level, "cannot_be_asked": [{"id": n, "why": why} for n, e in CATALOGUE.items() if e.level == "sensors"]}
     settings = {"room": None, "material share": 0.05, "false alarm rate": 0.01, "horizons": [0.5], "model": MODEL.id,
                 "extended model ID": "x", "effects": "all"}  # fmt: skip
     made = diagnose(
-        MODEL, {"levels": {"K": deaf, "A": level}}, evidence, dict.fromkeys(roles, flight), roles, CATALOGUE, settings,
+        MODEL, {"levels": {"sensors": deaf, "drive": level}}, evidence, dict.fromkeys(roles, flight), roles, CATALOGUE,
+        settings,
         ([], []), "bare", lost, "none",
     )  # fmt: skip
     said = made.document
@@ -233,8 +235,8 @@ def test_a_gap_without_any_velocity_is_not_judged_and_says_why(flight):
 
 
 def test_markers_cannot_be_asked_where_the_imu_cannot():
-    level = Level("K", cannot_be_asked=[{"id": "imu_lever_arm", "why": "no capture"}])
-    points.settle(level, [], MODEL, CATALOGUE, 0.01)
+    level = Level("sensors", cannot_be_asked=[{"id": "imu_lever_arm", "why": "no capture"}])
+    imu_or_markers.settle(level, [], MODEL, CATALOGUE, 0.01)
     assert level.cannot_be_asked[1:] == [{"id": "marker_offset", "why": "no capture"}]
 
 
@@ -265,7 +267,9 @@ def test_a_reference_flight_is_shown_without_what_only_changed(flight):
         always = ["rotor_speed_scale"] if drive_since == "always" else []
         case = Case(MODEL, CATALOGUE, vehicle, [], [], [], {}, drive, False, settings, always)
         extended = Model(case.extended(causes, None, "test", False), "test")
-        made = wrench_tables(evidence, roles, case.left(extended, causes, None, False, roles), vehicle)["W_residuals"]
+        made = wrench_tables(evidence, roles, case.left(extended, causes, None, False, roles), vehicle)[
+            "forces_residuals"
+        ]
         return {key: part.filter(regex="_after$").to_numpy() for key, part in made.groupby("flight")}
 
     def alone(*names):
@@ -285,7 +289,7 @@ def test_a_reference_flight_is_shown_without_what_only_changed(flight):
 
 
 def cause_of(name, since, value):
-    test = mixed.Test(Offer(name, since, (0,)), np.ones(1), np.eye(1), 1.0, 30.0, 1e-6)
+    test = mixed.Test(Candidate(name, since, (0,)), np.ones(1), np.eye(1), 1.0, 30.0, 1e-6)
     return Cause(CATALOGUE[name], since, value, dict.fromkeys(value, 0.1), test, [])
 
 
@@ -299,7 +303,7 @@ def test_what_net_forces_hold_already_cannot_be_asked_of_a_model_of_these():
 
 
 def test_a_tie_that_resamples_do_not_bear_out_is_told_among_the_candidates():
-    test = mixed.Test(Offer("wind", "always", (0,)), np.ones(1), np.eye(1), 1.0, 30.0, 1e-6)
+    test = mixed.Test(Candidate("wind", "always", (0,)), np.ones(1), np.eye(1), 1.0, 30.0, 1e-6)
     rare = Cause(CATALOGUE["wind"], "always", {"north": 1.0}, {"north": 0.2}, test, [], probability=0.1)
     found = SimpleNamespace(
         causes=[],
@@ -326,9 +330,9 @@ def test_a_tie_that_resamples_do_not_bear_out_is_told_among_the_candidates():
     ],
 )
 def test_what_a_model_lacks_has_to_be_borne_out_by_held_out_flights_or_roll_outs(gains, outcome, foreign, stands):
-    test = mixed.Test(Offer("inflow_lag", "always", (0,)), np.ones(1), np.eye(1), 1.0, 30.0, 1e-8)
+    test = mixed.Test(Candidate("inflow_lag", "always", (0,)), np.ones(1), np.eye(1), 1.0, 30.0, 1e-8)
     gain = {axis: {"value": value} for axis, value in zip(("Fz", "My"), gains)}
-    effect = replace(CATALOGUE["inflow_lag"], foreign=foreign)
+    effect = replace(CATALOGUE["inflow_lag"], absent_when_healthy=foreign)
     lack = Cause(effect, "always", {"tau": 0.004}, {"tau": 0.001}, test, [], gain, 1.0)
     told = Confirmation(outcome, 0.9, 2.6, 0.4)
     left = _borne_out(Settled([lack], [], {("inflow_lag", "always"): told}, {}, None, []), 0.05)
@@ -341,10 +345,12 @@ def test_what_a_model_lacks_has_to_be_borne_out_by_held_out_flights_or_roll_outs
 
 
 def test_late_telemetry_is_corrected_at_import_or_part_of_the_model_never_both():
-    assert corrected_at_import("telemetry_delay", "A") and not corrected_at_import("telemetry_delay", "W")
-    assert corrected_at_import("gyro_bias", "K") and not corrected_at_import("motor_lag", "A")
-    assert not corrected_at_import("attitude_error", "K")
-    assert [uncorrected(*c) for c in (("attitude_error", "K"), ("gyro_bias", "K"), ("motor_lag", "A"))] == [1, 0, 0]
+    assert corrected_at_import("telemetry_delay", "drive") and not corrected_at_import("telemetry_delay", "forces")
+    assert corrected_at_import("gyro_bias", "sensors") and not corrected_at_import("motor_lag", "drive")
+    assert not corrected_at_import("attitude_error", "sensors")
+    assert [
+        uncorrected(*c) for c in (("attitude_error", "sensors"), ("gyro_bias", "sensors"), ("motor_lag", "drive"))
+    ] == [1, 0, 0]
 
 
 def test_a_flight_without_a_second_in_one_piece_is_told(flight):
@@ -357,26 +363,26 @@ def test_a_flight_without_a_second_in_one_piece_is_told(flight):
 
 def test_without_any_flight_to_learn_from_halves_tell_nothing(flight):
     held = evidence_of(flight)
-    assert halves.judge([held], {"a": flight}, [], MODEL, MODEL, (), None, [0.5]) == {}
+    assert split_flights.judge([held], {"a": flight}, [], MODEL, MODEL, (), None, [0.5]) == {}
 
 
 def test_a_held_out_flight_without_commands_cannot_tell_whether_a_drive_matters():
-    level = actuation.examine([flown(s, up=0.04, down=0.05) for s in (1, 2)], DRIVES, {"effects": ["motor_lag"]})
-    levels = {"A": json.loads(json.dumps({
+    level = drive_level.examine([flown(s, up=0.04, down=0.05) for s in (1, 2)], DRIVES, {"effects": ["motor_lag"]})
+    levels = {"drive": json.loads(json.dumps({
         "effects": level.effects, "ties": [], "candidates": [], "notes": [],
         "found on": {"channels": ["w1", "w2", "w3", "w4"], "healthy": level.healthy, "worth": {}},
     }))}  # fmt: skip
     assert [e["id"] for e in level.effects] == ["motor_lag"]
     bare = flown(3).filtered.drop(columns=[f"command{i}" for i in range(1, 5)])
-    material.judge(levels, [Flown("f3", True, bare, {}, bare, {}, FRAME)], [], 0.05)
-    assert [e["id"] for e in levels["A"]["effects"]] == ["motor_lag"]
-    assert "flight f3 has no rotor commands" in levels["A"]["notes"][0]
+    materiality.judge(levels, [Flown("f3", True, bare, {}, bare, {}, FRAME)], [], 0.05)
+    assert [e["id"] for e in levels["drive"]["effects"]] == ["motor_lag"]
+    assert "flight f3 has no rotor commands" in levels["drive"]["notes"][0]
 
 
 def test_a_tie_that_a_flight_without_rotor_speeds_cannot_settle_says_so(flight):
     bare = flight.drop(columns="w2")
     with pytest.raises(DataError, match="flight f has no column 'w2', which forces and moments need"):
-        settling._good(Flown("f", True, bare, {}, bare, {}, FRAME))
+        tie_breaking._good(Flown("f", True, bare, {}, bare, {}, FRAME))
 
 
 # plans

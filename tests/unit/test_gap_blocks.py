@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from quasi.gap.levels.forces.error_reduction import Score, Squares, fraction, removed
 from quasi.gap.statistics import blocks
-from quasi.gap.wrench.gain import Score, Squares, fraction, removed
 
 STEP = 0.2  # s between windows
 

@@ -10,7 +10,6 @@ from test_gap_extension import CATALOGUE, base_of, flight
 from quasi.errors import ConfigError
 from quasi.export.contents import actuators_of as exported_rotors
 from quasi.export.contents import voltage_of
-from quasi.gap.calibration.drive_fit import belief_of
 from quasi.gap.diagnosis import _weighed
 from quasi.gap.effect import vehicle_of
 from quasi.gap.entries import as_flown
@@ -18,7 +17,8 @@ from quasi.gap.extension import extend
 from quasi.gap.flights.evidence import model_wrench
 from quasi.gap.flights.gathering import gather
 from quasi.gap.flights.instruments import shown
-from quasi.gap.wrench.examination import WEIGHING, _carried
+from quasi.gap.levels.drive.fit import belief_of
+from quasi.gap.levels.forces.identify import WEIGHING, _carried
 from quasi.model.extensions import as_read, drive_of, put_right, said_of_rotors, wind_of
 from quasi.model.model import AXES, STATE, Model
 from quasi.simulation.control.control_model import make_control_model

@@ -5,11 +5,11 @@ import pandas as pd
 import pytest
 from plain_plant import made_model
 
-from quasi.gap.calibration.drive_fit import NAMES
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import Vehicle
 from quasi.gap.flights.gathering import gather
-from quasi.gap.rollouts import commanded, open_loop, rollout_gain
+from quasi.gap.levels.drive.fit import NAMES
+from quasi.gap.levels.rollouts import commanded, error_reduction, open_loop
 from quasi.model.model import Model
 from quasi.simulation.tools.replay import replay, to_euler_states
 
@@ -74,32 +74,32 @@ def predicted(model, flight):
 def test_the_floor_knows_the_drive_that_the_other_flights_tell(model, table):
     lazy = slower(model, 0.09)
     held = [evidence_of(lazy, table)]
-    beside = rollout_gain.Beside(lambda f: f.residual, drive=known(LAG))
-    rolled = rollout_gain.score(lazy, lazy, {"a": table}, held, HORIZONS, beside)
-    rows = {(r["quantity"], r["horizon"]): r for r in rolled["fell"]["R commands"]}
+    beside = error_reduction.Beside(lambda f: f.residual, drive=known(LAG))
+    rolled = error_reduction.score(lazy, lazy, {"a": table}, held, HORIZONS, beside)
+    rows = {(r["quantity"], r["horizon"]): r for r in rolled["fell"]["rollouts from commands"]}
     row = rows["velocity z", 0.5]
     assert row["before"] == row["after"] > 0.01
     assert row["noise_floor"] < 0.02 * row["before"] and row["removed"]["value"] == pytest.approx(0.0, abs=1e-9)
     # with measured speeds the lag plays no part, and nothing can be removed
-    assert rolled["rms"]["before"]["R"]["velocity z"]["0.5"] < 1e-3
+    assert rolled["rms"]["before"]["rollouts"]["velocity z"]["0.5"] < 1e-3
     # a drive that the others tell worse than the model does is no floor
-    worse = rollout_gain.score(lazy, lazy, {"a": table}, held, HORIZONS, beside._replace(drive=known(0.3)))
-    found = worse["rms"]["noise_floor"]["R commands"]["velocity z"]["0.5"]
+    worse = error_reduction.score(lazy, lazy, {"a": table}, held, HORIZONS, beside._replace(drive=known(0.3)))
+    found = worse["rms"]["noise_floor"]["rollouts from commands"]["velocity z"]["0.5"]
     assert found == pytest.approx(row["before"], rel=1e-6)
 
 
 def test_every_quantity_and_horizon_has_floor_wrong_cause_and_polynomial_with_intervals(model, table):
     wrong = pushed(slower(model, 0.09), 0.05)
     extended, held = pushed(wrong, -0.04), [evidence_of(wrong, table)]
-    beside = rollout_gain.Beside(
+    beside = error_reduction.Beside(
         lambda f: f.measured - predicted(model, f),
         {"wind": pushed(wrong, -0.01)},
         lambda f: f.residual + np.array([0, 0, 0.02, 0, 0, 0]),
         known(LAG),
         {"motor_lag": slower(pushed(model, 0.05), 0.06), "command_delay": slower(pushed(model, 0.05), 0.12)},
     )
-    rolled = rollout_gain.score(wrong, extended, {"a": table}, held, HORIZONS, beside)
-    rows = rolled["fell"]["R commands"]
+    rolled = error_reduction.score(wrong, extended, {"a": table}, held, HORIZONS, beside)
+    rows = rolled["fell"]["rollouts from commands"]
     names = [*open_loop.QUANTITIES, *open_loop.CHANNELS.values()]
     assert [(r["quantity"], r["horizon"]) for r in rows] == [(q, h) for q in names for h in HORIZONS]
     for row in rows:
@@ -110,48 +110,51 @@ def test_every_quantity_and_horizon_has_floor_wrong_cause_and_polynomial_with_in
             assert share["value"] is None or share["low"] <= share["value"] <= share["high"]
     best = next(r for r in rows if (r["quantity"], r["horizon"]) == ("velocity z", 0.5))
     # the push is four fifths gone; with measured speeds a fifth of it is the whole rest
-    measured = next(r for r in rolled["fell"]["R"] if (r["quantity"], r["horizon"]) == ("velocity z", 0.5))
+    measured = next(r for r in rolled["fell"]["rollouts"] if (r["quantity"], r["horizon"]) == ("velocity z", 0.5))
     assert measured["removed"]["value"] == pytest.approx(1.0 - 0.2**2, abs=0.01)
     assert measured["best_wrong_cause"]["value"] == pytest.approx(1.0 - 0.8**2, abs=0.01)
     assert measured["generic_polynomial"]["value"] == pytest.approx(1.0 - 0.6**2, abs=0.02)
     assert best["removed"]["value"] > best["generic_polynomial"]["value"] > 0.0
     # a drive that is named asks for a polynomial with more terms, with commands alone
     larger = beside._replace(told_yardstick=lambda f: f.residual + np.array([0, 0, 0.03, 0, 0, 0]))
-    other = rollout_gain.score(wrong, extended, {"a": table}, held, HORIZONS, larger)
-    for line, gained in (("R", False), ("R commands", True)):
+    other = error_reduction.score(wrong, extended, {"a": table}, held, HORIZONS, larger)
+    for line, gained in (("rollouts", False), ("rollouts from commands", True)):
         first, last = (r["rms"]["generic_polynomial"][line]["velocity z"]["0.5"] for r in (rolled, other))
         assert (last < 0.99 * first) == gained
     # with commands a cause of the drive may be the best wrong one; the worse of two is not
-    assert rolled["wrong"] == {"R": "wind", "R with trim": "wind", "R commands": "motor_lag"}
-    table_ = rolled["R_gains"]
-    assert set(table_["driven"]) == {"R", "R with trim", "R commands"}
+    assert rolled["wrong"] == {"rollouts": "wind", "rollouts with trim": "wind", "rollouts from commands": "motor_lag"}
+    table_ = rolled["rollouts_gains"]
+    assert set(table_["driven"]) == {"rollouts", "rollouts with trim", "rollouts from commands"}
     assert set(table_["model"]) == {"after", "best_wrong_cause", "generic_polynomial"} and len(table_) == 3 * 3 * 20
-    one = table_.query("driven == 'R commands' and quantity == 'velocity z' and horizon == 0.5 and model == 'after'")
+    one = table_.query("driven == 'commands' and quantity == 'velocity z' and horizon == 0.5 and model == 'after'")
     told = one[["rms", "removed", "low", "high"]].to_numpy()[0]
     np.testing.assert_allclose(told, [best["after"], *best["removed"].values()])
 
 
 def test_a_change_of_forces_moves_command_driven_windows_as_the_changed_model_does(model, table):
     wrong = pushed(model, 0.05)
-    tracks = rollout_gain.tracks_of([evidence_of(wrong, table)], {"a": table}, HORIZONS, [wrong])
-    errors = rollout_gain.simulated_errors(tracks, wrong, wrong, [open_loop.TOLD])
-    better = rollout_gain.moved_errors(tracks, errors, lambda f: f.residual, lambda f: f.measured - predicted(model, f))
+    tracks = error_reduction.tracks_of([evidence_of(wrong, table)], {"a": table}, HORIZONS, [wrong])
+    errors = error_reduction.simulated_errors(tracks, wrong, wrong, [open_loop.TOLD])
+    better = error_reduction.moved_errors(
+        tracks, errors, lambda f: f.residual, lambda f: f.measured - predicted(model, f)
+    )
     assert np.abs(better[open_loop.TOLD][0]).max() < 0.02 * np.abs(errors[open_loop.TOLD][0]).max()
 
 
 def test_windows_without_commands_all_along_are_left_to_measured_speeds(model, table):
     gone = table.assign(w2_CMD=table["w2_CMD"].where(~table["t"].between(3.0, 3.1)))
-    track = rollout_gain.tracks_of([evidence_of(model, gone)], {"a": gone}, HORIZONS, [model])[0]
+    track = error_reduction.tracks_of([evidence_of(model, gone)], {"a": gone}, HORIZONS, [model])[0]
     starts = track.course.flight.t[track.course.starts]
     expected = (starts + 0.5 < 3.0 - 1e-9) | (starts > 3.1 + 1e-9)
     np.testing.assert_array_equal(track.told, expected)
     assert 0 < (~track.told).sum() < 5
-    found = rollout_gain.end_table([track], rollout_gain.simulated_errors([track], model, model, ["R commands"])[
-        "R commands"], HORIZONS, "R commands")  # fmt: skip
+    line = "rollouts from commands"
+    errors = error_reduction.simulated_errors([track], model, model, [line])
+    found = error_reduction.end_table([track], errors[line], HORIZONS, line)
     assert len(found) == 2 * track.told.sum() and found["velocity"].max() < 1e-3
     bare = gone.drop(columns=[f"w{i}_CMD" for i in range(1, 5)])
-    alone = rollout_gain.tracks_of([evidence_of(model, bare)], {"a": bare}, HORIZONS, [model])
-    assert rollout_gain.lines_of(alone) == rollout_gain.LINES
+    alone = error_reduction.tracks_of([evidence_of(model, bare)], {"a": bare}, HORIZONS, [model])
+    assert error_reduction.lines_of(alone) == error_reduction.LINES
 
 
 def test_learned_constants_make_speeds_of_commands(model, table):
@@ -172,9 +175,11 @@ def test_with_commands_the_best_wrong_cause_is_the_best_in_what_the_named_ones_m
     """One candidate mends the vertical motion, the other the sideward one."""
     wrong = pushed(pushed(model, 0.05), 0.05, "Fy")
     drives = {"motor_lag": pushed(model, 0.05, "Fy"), "battery_sag": pushed(model, 0.05)}
-    beside = rollout_gain.Beside(wrong_drives=drives, quantities=[quantity])
+    beside = error_reduction.Beside(wrong_drives=drives, quantities=[quantity])
     held = [evidence_of(wrong, table)]
-    assert rollout_gain.score(wrong, wrong, {"a": table}, held, HORIZONS, beside)["wrong"] == {"R commands": name}
+    assert error_reduction.score(wrong, wrong, {"a": table}, held, HORIZONS, beside)["wrong"] == {
+        "rollouts from commands": name
+    }
 
 
 def test_causes_of_the_drive_that_are_not_named_are_wrong_ones(model):

@@ -8,11 +8,11 @@ from quasi import attitude
 from quasi.airframe import read_airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
-from quasi.gap.calibration.corrections import CORRECTS
 from quasi.gap.catalogue import catalogue, chosen, columns_of, whole_of, wrench_of
 from quasi.gap.effect import Effect, Parameter, room_of, vehicle_of
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.inflow import overshoot
+from quasi.gap.levels.corrections import CORRECTS
 from quasi.gap.selection import Profile
 from quasi.gap.statistics import mixed
 from quasi.model.model import AXES
@@ -26,13 +26,13 @@ ROWS = 400
 CATALOGUE = catalogue()
 ROOM = room_of({"north": [-5, 5], "east": [-5, 5], "height": 5})
 LEVELS = {  # what the catalogue promises
-    "W": "rotor_drag body_drag blade_flapping translational_lift axial_inflow vortex_ring ground_effect proximity "
+    "forces": "rotor_drag body_drag blade_flapping translational_lift axial_inflow vortex_ring ground_effect proximity "
     "rotor_interference thrust_curve thrust_factor inflow_lag rotor_speed_scale thrust_drift rotor_effectiveness "
     "rotor_tilt rotor_gyroscopic rotor_acceleration_torque mass inertia cg_offset wind gusts payload_swing tether "
     "telemetry_delay",
-    "A": "battery_sag motor_lag command_delay actuator_saturation weak_motor",
-    "K": "imu_lever_arm marker_offset imu_misalignment accelerometer_bias accelerometer_scale gyro_bias gyro_scale "
-    "mocap_misalignment room_tilt mocap_delay clock_drift attitude_error timestamp_fault vibration",
+    "drive": "battery_sag motor_lag command_delay actuator_saturation weak_motor",
+    "sensors": "imu_lever_arm marker_offset imu_misalignment accelerometer_bias accelerometer_scale gyro_bias "
+    "gyro_scale mocap_misalignment room_tilt mocap_delay clock_drift attitude_error timestamp_fault vibration",
 }
 FINDINGS = {"gusts", "vibration", "timestamp_fault", "actuator_saturation", "weak_motor"}
 
@@ -172,7 +172,7 @@ def test_the_flow_that_thrust_drives_draws_torque(ground, name):
 
 def test_every_wrench_cause_of_the_catalogue_is_tested_for_its_sign():
     elsewhere = {"payload_swing", "inflow_lag", "telemetry_delay", "rotor_speed_scale", "wind"}
-    wrench = {name for name, e in CATALOGUE.items() if e.level == "W" and not e.finding}
+    wrench = {name for name, e in CATALOGUE.items() if e.level == "forces" and not e.finding}
     assert wrench - elsewhere <= set(CASES)
 
 
@@ -284,9 +284,9 @@ def test_a_definition_says_everything(name):
         assert parameter.neutral is None or parameter.low <= parameter.neutral <= parameter.high
     if effect.finding:
         assert not effect.parameters and effect.terms is None and effect.columns is None
-    elif effect.level == "W":
+    elif effect.level == "forces":
         assert effect.terms is not None or (effect.columns is not None and effect.extension is not None)
-    elif effect.level == "A":
+    elif effect.level == "drive":
         assert effect.parameters and effect.extension is not None
     else:  # a sensor's fault is corrected by import; how an estimate leans is not undone there
         assert effect.parameters and (name in CORRECTS or name == "attitude_error")
@@ -327,7 +327,7 @@ def test_a_curved_effect_starts_with_its_slope(ground):
     vehicle = vehicle_of(ground[2], evidence.mass)
     effect = CATALOGUE["ground_effect"]
     slope = columns_of(effect, evidence, vehicle, {"c": 0.0})["c"]
-    small = wrench_of(effect.curved(vehicle, {"c": 1e-4}), evidence)
+    small = wrench_of(effect.nonlinear_terms(vehicle, {"c": 1e-4}), evidence)
     np.testing.assert_allclose(small, slope * 1e-4, rtol=1e-2, atol=1e-12)
 
 
@@ -335,7 +335,7 @@ def test_a_user_adds_a_cause_with_one_file(tmp_path):
     path = tmp_path / "sticky.py"
     path.write_text(
         "from quasi.gap.effect import Effect, Parameter\n"
-        "EFFECT = Effect(id='sticky', level='W', sentence='s', equation='e', source='s',\n"
+        "EFFECT = Effect(id='sticky', level='forces', sentence='s', equation='e', source='s',\n"
         "    parameters={'k': Parameter('N', 0.0, 'a', 0.0, 1.0)}, terms=lambda vehicle: {'k': {'Fx': '1'}})\n"
     )
     assert "sticky" in catalogue([path])
@@ -353,7 +353,7 @@ def test_wrong_effects_are_refused_with_a_sentence():
     with pytest.raises(ConfigError, match="level is 'Q'"):
         Effect("a", "Q", "", "", "")
     with pytest.raises(ConfigError, match="parameter 'k'"):
-        Effect("a", "W", "", "", "", {"k": Parameter("1", 0.0, "x", 0.0, 1.0)})
+        Effect("a", "forces", "", "", "", {"k": Parameter("1", 0.0, "x", 0.0, 1.0)})
 
 
 def test_inertias_of_bodies_are_possible_and_others_are_not(ground):
@@ -364,7 +364,7 @@ def test_inertias_of_bodies_are_possible_and_others_are_not(ground):
     def told(tensor, std=1e-7):
         own = tensor - vehicle.inertia
         value = np.array([own[0, 0], own[1, 1], own[2, 2], -own[0, 1], -own[0, 2], -own[1, 2]])
-        offer = mixed.Offer("inertia", "changed", tuple(range(6)))
+        offer = mixed.Candidate("inertia", "changed", tuple(range(6)))
         return mixed.Test(offer, value, np.eye(6) * std**2, 0.0, 100.0, 1e-9)
 
     for _ in range(50):

@@ -7,15 +7,15 @@ import pytest
 
 from quasi.gap.effect import Effect
 from quasi.gap.entries import ALONE, BESIDE, SURE, needed, of_late_telemetry
+from quasi.gap.levels.forces.materiality import Cause
 from quasi.gap.statistics import mixed
-from quasi.gap.wrench.worth import Cause
 
 LEVEL = 1e-3
 
 
 def cause(name, p, foreign=False, since="always"):
-    effect = Effect(name, "W", "", "", "", foreign=foreign)
-    test = mixed.Test(mixed.Offer(name, since, (0,)), np.zeros(1), np.eye(1), 1.0, 50.0, p)
+    effect = Effect(name, "forces", "", "", "", absent_when_healthy=foreign)
+    test = mixed.Test(mixed.Candidate(name, since, (0,)), np.zeros(1), np.eye(1), 1.0, 50.0, p)
     return Cause(effect, since, {}, {}, test, [])
 
 

@@ -11,7 +11,7 @@ from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
 from quasi.gap.extension import extend
 from quasi.gap.flights.gathering import gather
-from quasi.gap.rollouts import halves
+from quasi.gap.levels.rollouts import split_flights
 from quasi.model.model import AXES, Model
 from quasi.simulation.tools.rollout import rollout
 
@@ -53,7 +53,7 @@ def test_a_flights_own_thrust_is_told_by_its_first_half_and_cures_the_second(bas
     table, evidence = flown(stronger(base, TRUE), base)
     _, other = flown(stronger(base, LEARNED), base, seed=1)
     causes = [(catalogue()["thrust_factor"], {"factor": LEARNED})]
-    found = halves.judge(
+    found = split_flights.judge(
         [evidence], {"a": table}, [other], base, stronger(base, LEARNED), causes, vehicle_of(base), [0.5]
     )
     about = found["flights"]["a"]
@@ -76,7 +76,7 @@ def test_a_cause_gains_where_it_is_there_and_loses_where_it_is_not(base):
     learned, vehicle = stronger(base, LEARNED), vehicle_of(base)
     for truth, there in ((stronger(base, 0.05), True), (base, False)):
         table, evidence = flown(truth, base)
-        share = halves.gain(
+        share = split_flights.gain(
             [evidence], {"a": table}, [other], base, [(base, []), (learned, causes)], vehicle, "velocity", 0.5
         )
         assert (share > 0.9) if there else (share < 0.0), share
@@ -86,23 +86,25 @@ def test_the_second_half_tells_nothing(base):
     truth = stronger(base, TRUE)
     _, evidence = flown(truth, base)
     level = np.full(6, 1e-4)
-    found = halves.own(evidence, base, base, (), vehicle_of(base), level)
-    late = evidence.t > found.until + halves.REACH
+    found = split_flights.own(evidence, base, base, (), vehicle_of(base), level)
+    late = evidence.t > found.until + split_flights.REACH
     spoiled = evidence.measured.copy()
     spoiled[late] += 1.0
-    other = halves.own(replace(evidence, measured=spoiled), base, base, (), vehicle_of(base), level)
+    other = split_flights.own(replace(evidence, measured=spoiled), base, base, (), vehicle_of(base), level)
     np.testing.assert_allclose(other.trim, found.trim, rtol=1e-6)  # the filter works by Fourier transforms
 
 
 def test_the_trim_is_the_ridge_solution_worked_out_by_hand_for_a_constant_force(base, monkeypatch):
     _, evidence = flown(base, base, noise=0.0)
     pushed = replace(evidence, measured=evidence.measured + [0, 0.02, 0, 0, 0, 0])
-    monkeypatch.setattr(halves, "nuisances", lambda e: [("constant Fy", e.only("Fy", 1.0), 0.01)])
+    monkeypatch.setattr(split_flights, "nuisances", lambda e: [("constant Fy", e.only("Fy", 1.0), 0.01)])
     level = np.full(6, 4e-4)
-    found = halves.own(pushed, base, base, (), vehicle_of(base), level)
-    part = halves.thin(pushed.only("Fy", 1.0)[:, :, None], pushed.breaks, pushed.t, halves.BAND, 2 * halves.ORDER)
+    found = split_flights.own(pushed, base, base, (), vehicle_of(base), level)
+    part = split_flights.thin(
+        pushed.only("Fy", 1.0)[:, :, None], pushed.breaks, pushed.t, split_flights.BAND, 2 * split_flights.ORDER
+    )
     n = np.count_nonzero(pushed.t[part.rows] <= found.until)
-    information = n / (halves.MEMORY * 4e-4)
+    information = n / (split_flights.MEMORY * 4e-4)
     assert found.trim[1] == pytest.approx(0.02 * information / (information + 0.01**-2), rel=1e-6)
     assert found.trim_std[1] == pytest.approx((information + 0.01**-2) ** -0.5, rel=1e-6)
     np.testing.assert_allclose(np.delete(found.trim, 1), 0.0, atol=1e-12)
@@ -112,4 +114,6 @@ def test_a_flight_too_short_for_two_halves_tells_nothing(base):
     table, evidence = flown(base, base)
     short = gather("a", table[table["t"] < 8.0], {}, base.airframe, base, 100.0)
     vehicle = vehicle_of(base)
-    assert halves.judge([short], {"a": table[table["t"] < 8.0]}, [evidence], base, base, (), vehicle, [0.5]) == {}
+    assert (
+        split_flights.judge([short], {"a": table[table["t"] < 8.0]}, [evidence], base, base, (), vehicle, [0.5]) == {}
+    )

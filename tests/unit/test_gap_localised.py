@@ -35,11 +35,11 @@ def test_the_greatest_bin_of_each_place_is_found_with_its_size_there_and_elsewhe
 
 def test_the_table_names_places_in_their_units_and_what_is_alike_everywhere():
     _, table = made()
-    text = table_of({"W": table}, 0.5)
+    text = table_of({"forces": table}, 0.5)
     assert '<th scope="row">vertical force, N</th>' in text and "<td>height 0 to 0.24 m</td>" in text
     assert "<td>heading 134 to 180 deg</td>" in text  # an eighth of a turn, of rows that are not quite even
     assert "Nowhere that much greater: roll moment." in text
-    alone = table_of({"W": table[table["channel"] == "Mx"]}, 0.5)
+    alone = table_of({"forces": table[table["channel"] == "Mx"]}, 0.5)
     assert "<table" not in alone and "No error is 1.5 times as large in one place as elsewhere." in alone
     assert table_of({}, 0.5) == ""
     one = table[(table["channel"] == "Fz") & (table["low"] < 0.1) & (table["where"] == "height")]
@@ -50,17 +50,18 @@ def test_of_simulations_the_horizon_nearest_to_the_page_s_is_told_driven_by_meas
     _, table = made(channels=("velocity", "velocity x"))
     faint = table.assign(rms_before=1.0)
     parts = [t.assign(driven=line, horizon=h) for line, h, t in
-             (("R", 0.1, faint), ("R", 0.6, table), ("R", 1.0, faint), ("R commands", 0.6, faint))]  # fmt: skip
-    text = table_of({"R": pd.concat(parts)}, 0.5)
+             (("rollouts", 0.1, faint), ("rollouts", 0.6, table), ("rollouts", 1.0, faint),
+              ("rollouts from commands", 0.6, faint))]  # fmt: skip
+    text = table_of({"rollouts": pd.concat(parts)}, 0.5)
     assert text.count(">velocity, N, simulated for 0.6 s</th>") == 1 and "height" in text
     assert "forward" not in text  # along the axes is in the table of the file
-    assert table_of({"R": pd.concat(parts[3:])}, 0.5) == ""
+    assert table_of({"rollouts": pd.concat(parts[3:])}, 0.5) == ""
 
 
 def test_the_page_holds_all_levels_in_their_order():
     _, table = made()
     sensors = made(channels=("north", "p"))[1]
-    text = page(document(), KNOWN, None, {}, {"W": table, "K": sensors})
+    text = page(document(), KNOWN, None, {}, {"forces": table, "sensors": sensors})
     part = text[text.index("Where the errors live") :]
     assert part.index("northward acceleration") < part.index("vertical force")
     assert "Where the errors live" not in page(document(), KNOWN, None, {})

@@ -5,9 +5,9 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from quasi.gap.statistics.mixed import SPREADS, Columns, Mixed, Offer, Witnessed
+from quasi.gap.levels.forces.design import in_stretches, joined
+from quasi.gap.statistics.mixed import SPREADS, Candidate, ClusteredMixedModel, Columns, MixedModel
 from quasi.gap.statistics.whitening import autoregression, block_grams, thin, whiten
-from quasi.gap.wrench.study import in_stretches, joined
 
 LAYOUT = Columns([1, 2], [3], np.array([0.5]), {"a": [4], "b": [5], "c": [6, 7]})
 
@@ -32,8 +32,8 @@ def test_estimate_and_covariance_equal_generalised_least_squares():
     """tau at its floor is known; then the whole model is y ~ N(X b, V) with V written out."""
     rng = np.random.default_rng(1)
     grams, data = flights(rng, 4, {3: 0.3})
-    mixed = Mixed(grams, [True] * 4, LAYOUT)
-    test = mixed.test(Offer("a", "always", (0,)))
+    mixed = MixedModel(grams, [True] * 4, LAYOUT)
+    test = mixed.test(Candidate("a", "always", (0,)))
     unit = 1.0 / np.sqrt(np.mean([g[4, 4] for g in mixed.grams]))
     information, right = np.zeros((3, 3)), np.zeros(3)
     for z in data:
@@ -61,11 +61,11 @@ def test_stretches_spread_and_likelihood_equal_those_of_the_covariance_written_o
         data.append(z)
         grams.append(np.array([z[part].T @ z[part] for part in (slice(0, 80), slice(80, 160), slice(160, 240))]))
 
-    class Alike(Mixed):
+    class Alike(MixedModel):
         informed = False
 
     mixed = Alike(grams, compared, LAYOUT)
-    given = [Offer("a", "always", (0,))]
+    given = [Candidate("a", "always", (0,))]
 
     def written_out(columns, tau):
         """-2 log restricted likelihood and likelihood, up to constants, estimate and covariance."""
@@ -89,7 +89,7 @@ def test_stretches_spread_and_likelihood_equal_those_of_the_covariance_written_o
 
     unlikely = []
     for cause in ("c", "b"):
-        test = mixed.test(Offer(cause, "changed", tuple(range(len(LAYOUT.causes[cause])))), given)
+        test = mixed.test(Candidate(cause, "changed", tuple(range(len(LAYOUT.causes[cause])))), given)
         expected = {tau: written_out(LAYOUT.causes[cause], tau) for tau in SPREADS}
         assert test.tau == min(expected, key=lambda tau: expected[tau][0])
         assert test.value == pytest.approx(expected[test.tau][2], rel=1e-6)
@@ -104,7 +104,7 @@ def test_truth_lies_within_its_standard_errors():
         rng = np.random.default_rng(seed)
         compared = [False] * 4 + [True] * 4
         grams, _ = flights(rng, 8, {3: 0.4}, compared, spread=0.1)
-        test = Mixed(grams, compared, LAYOUT).test(Offer("a", "changed", (0,)), pooled=["a", "b", "c"])
+        test = MixedModel(grams, compared, LAYOUT).test(Candidate("a", "changed", (0,)), pooled=["a", "b", "c"])
         inside += abs(test.value[0] - 0.4) < 2.0 * test.std[0]
     assert 52 <= inside <= 60
 
@@ -117,7 +117,7 @@ def test_p_values_are_no_smaller_than_chance_when_flights_merely_differ():
         compared = [False] * 4 + [True] * 4
         column, cause = ((3, "a"), (4, "b"))[seed % 2]
         grams, _ = flights(rng, 8, {column: 0.0}, None, rows=100, spread=0.3)
-        p.append(Mixed(grams, compared, LAYOUT).test(Offer(cause, "changed", (0,)), pooled=[cause]).p)
+        p.append(MixedModel(grams, compared, LAYOUT).test(Candidate(cause, "changed", (0,)), pooled=[cause]).p)
     p = np.array(p)
     assert np.mean(p < 0.1) < 0.15
     assert np.mean(p < 0.01) < 0.025
@@ -136,7 +136,7 @@ def test_of_alternatives_the_likeliest_is_taken_although_it_differs_more_between
             y = x[:, 0] + rng.standard_normal(400) + compared[f] * (0.6 + 0.2 * rng.standard_normal()) * x[:, 5]
             z = np.column_stack([y, x])
             grams.append(z.T @ z)
-        test = Mixed(grams, compared, LAYOUT).best("c", "changed", (), ["a", "b", "c"], "one")
+        test = MixedModel(grams, compared, LAYOUT).best("c", "changed", (), ["a", "b", "c"], "one")
         assert len(test.offer.which) == 1
         right += test.offer.which == (0,)
     assert right >= 19
@@ -149,7 +149,7 @@ def stretched(rng, compared, make, stretches=5, rows=400):
         x = rng.standard_normal((rows * stretches, 7))
         z = np.column_stack([make(x, flag), x])
         grams.append(np.array([part.T @ part for part in np.split(z, stretches)]))
-    return Mixed(grams, compared, LAYOUT)
+    return MixedModel(grams, compared, LAYOUT)
 
 
 def test_stretches_and_whole_flights_both_have_a_say_in_p():
@@ -166,16 +166,21 @@ def test_stretches_and_whole_flights_both_have_a_say_in_p():
             parts.append(np.einsum("kni,knj->kij", z, z))
         return parts
 
-    offer = Offer("a", "changed", (0,))
+    offer = Candidate("a", "changed", (0,))
     for size in (0.0, 0.3):
         grams = drawn(4, size)
-        both, own = Witnessed(grams, compared, LAYOUT).test(offer), Mixed(grams, compared, LAYOUT).test(offer)
-        whole = Mixed([g.sum(axis=0) for g in grams], compared, LAYOUT).test(offer)
+        both, own = (
+            ClusteredMixedModel(grams, compared, LAYOUT).test(offer),
+            MixedModel(grams, compared, LAYOUT).test(offer),
+        )
+        whole = MixedModel([g.sum(axis=0) for g in grams], compared, LAYOUT).test(offer)
         assert both.p == pytest.approx(np.sqrt(own.p * whole.p_known_spread))
         assert both._replace(p=0.0).wald == own.wald and both.value == own.value
     assert both.p < 1e-3
     short = drawn(1, 0.3)
-    assert Witnessed(short, compared, LAYOUT).test(offer).p == Mixed(short, compared, LAYOUT).test(offer).p
+    assert (
+        ClusteredMixedModel(short, compared, LAYOUT).test(offer).p == MixedModel(short, compared, LAYOUT).test(offer).p
+    )
 
 
 def test_a_flight_that_hardly_excites_a_cause_does_not_hide_it():
@@ -190,11 +195,11 @@ def test_a_flight_that_hardly_excites_a_cause_does_not_hide_it():
         y = x[:, 0] - 2.0 * x[:, 1] + value * x[:, 3] + rng.standard_normal(400)
         z = np.column_stack([y, x])
         grams.append(z.T @ z)
-    offer = Offer("a", "changed", (0,))
-    test = Mixed(grams, compared, LAYOUT).test(offer, pooled=["a"])
+    offer = Candidate("a", "changed", (0,))
+    test = MixedModel(grams, compared, LAYOUT).test(offer, pooled=["a"])
     assert test.value[0] == pytest.approx(2.0, abs=0.2) and test.p < 1e-4
 
-    class Alike(Mixed):
+    class Alike(MixedModel):
         informed = False
 
     assert Alike(grams, compared, LAYOUT).test(offer, pooled=["a"]).p > 0.01
@@ -252,9 +257,9 @@ def test_a_known_part_that_rounding_makes_indefinite_does_not_stop_a_test():
         g[2], g[:, 2] = g[1], g[:, 1]
         g[2, 2] = g[1, 1] * (1.0 - 1e-7)
         doubled.append(g)
-    offer = Offer("a", "always", (0,))
-    once = Mixed(grams, [True] * 6, LAYOUT._replace(shared=[1])).test(offer)
-    twice = Mixed(doubled, [True] * 6, LAYOUT).test(offer)
+    offer = Candidate("a", "always", (0,))
+    once = MixedModel(grams, [True] * 6, LAYOUT._replace(shared=[1])).test(offer)
+    twice = MixedModel(doubled, [True] * 6, LAYOUT).test(offer)
     assert twice.value == pytest.approx(once.value, abs=0.1 * once.std[0])
     assert twice.std == pytest.approx(once.std, rel=0.05)
 
@@ -288,7 +293,7 @@ def test_what_reference_flights_cannot_show_is_bounded_and_does_not_become_the_c
                 z = np.column_stack([x[:, 0] + 0.4 * flag * x[:, 3] + rng.standard_normal(200), x])
                 grams.append(z.T @ z)
             layout = LAYOUT._replace(bounds=bounds)
-            test = Mixed(grams, compared, layout).test(Offer("a", "changed", (0,)), pooled=["a"])
+            test = MixedModel(grams, compared, layout).test(Candidate("a", "changed", (0,)), pooled=["a"])
             errors.append(abs(test.value[0] - 0.4))
         off.append(np.median(errors))
     assert off[0] > 5.0

@@ -5,10 +5,11 @@ import pytest
 from made_model import simple_model
 from made_recordings import planted
 
-from quasi.gap.calibration import corrections, kinematic
-from quasi.gap.calibration.points import ACROSS, APART, TAKEN_UP, felt, settle, weigh
 from quasi.gap.catalogue import catalogue
 from quasi.gap.flights.level import Level
+from quasi.gap.levels import corrections
+from quasi.gap.levels.imu_or_markers import ACROSS, APART, TAKEN_UP, felt, settle, weigh
+from quasi.gap.levels.sensors import identify as sensor_level
 from quasi.synthesis.nuisance import nominal
 from quasi.synthesis.vehicle import hover_factors
 
@@ -19,7 +20,7 @@ STD = np.full(3, 4e-4)
 def test_arm_and_markers_are_told_apart_from_raw_logs_and_gone_when_these_are_imported_anew(tmp_path):
     process, airframe = planted(tmp_path, PLANTED, 770, 20.0)
     flights = process(None)
-    level = kinematic.examine(flights, {})
+    level = sensor_level.examine(flights, {})
     assert [e["id"] for e in level.effects] == ["imu_lever_arm"]  # level K alone cannot know
     factors = hover_factors(nominal(120.0, 0.0).vehicle.physics)
     model = simple_model(airframe, factors["thrust"], factors["torque"], Mx={"p": -1e-4}, My={"q": -1e-4})
@@ -31,7 +32,7 @@ def test_arm_and_markers_are_told_apart_from_raw_logs_and_gone_when_these_are_im
             assert abs(p["value"] - PLANTED[cause].get(axis, 0.0)) < min(4.0 * p["std"], 1.5e-3), (cause, axis, p)
     whole = corrections.document([level])
     assert whole["compared"]["capture"]["marker offset"][0] == found["marker_offset"]["x"]["value"]
-    assert not kinematic.examine(process(corrections.for_flight(whole, True)), {}).effects
+    assert not sensor_level.examine(process(corrections.for_flight(whole, True)), {}).effects
 
 
 def test_what_pulls_at_the_vehicle_is_not_taken_for_an_arm(tmp_path):
@@ -85,9 +86,9 @@ def test_a_little_beside_a_long_arm_is_not_told_as_the_other_point():
 
 def test_forces_that_cannot_tell_leave_a_tie_with_both_ways_to_read_it(monkeypatch):
     arm = {n: {"value": v, "std": 5e-4, "unit": "m"} for n, v in zip("xyz", (0.01, 0.0, -0.02))}
-    level = Level("K", effects=[{"id": "imu_lever_arm", "since": "always", "parameters": arm}])
+    level = Level("sensors", effects=[{"id": "imu_lever_arm", "since": "always", "parameters": arm}])
     blunt = np.full(3, 0.01)
-    monkeypatch.setattr("quasi.gap.calibration.points.felt", lambda *_: (np.array([0.004, 0.001, -0.008]), blunt))
+    monkeypatch.setattr("quasi.gap.levels.imu_or_markers.felt", lambda *_: (np.array([0.004, 0.001, -0.008]), blunt))
     settle(level, [], None, {}, 0.01)
     assert not level.effects
     (tie,) = level.ties

@@ -18,11 +18,11 @@ from gap_documents import (
     rows,
 )
 
-from quasi.gap.calibration.lower import units_of
+from quasi.gap.levels.rollouts.open_loop import TYPICAL
+from quasi.gap.levels.sensors_and_drive import units_of
 from quasi.gap.report.figures import figures, telling, with_errors
 from quasi.gap.report.page import page
 from quasi.gap.report.wording import confirmation_of, rollout_of, summary
-from quasi.gap.rollouts.open_loop import TYPICAL
 
 
 def test_the_page_tells_everything_escaped_and_without_network():
@@ -110,7 +110,7 @@ def test_a_page_without_any_row_or_picture_stands():
 
 
 def test_tables_without_rows_draw_nothing_and_every_column_has_a_unit():
-    assert figures({"W_where": pd.DataFrame(), "R_overlays": pd.DataFrame({"window": []})}) == {}
+    assert figures({"forces_where": pd.DataFrame(), "rollouts_overlays": pd.DataFrame({"window": []})}) == {}
     units = units_of(rows())
     assert units["Fz_before"] == ("N", "") and units["My_after"] == ("N m", "") and "t" not in units
 
@@ -136,7 +136,7 @@ def test_places_worth_a_panel_are_those_that_change_or_stand_out():
     scatter = 0.02 / np.sqrt(n / 2 / 50)
     assert (told[told["channel"] == "Fy"]["std_after"] / scatter).between(0.5, 2.0).all()
     assert {("Fz", "height"), ("Fx", "speed")} <= set(telling(told)) and ("Fy", "height") not in telling(told)
-    drawn = figures({"W_where": pd.DataFrame(bins), "W_residuals": table})["where"]
+    drawn = figures({"forces_where": pd.DataFrame(bins), "forces_residuals": table})["where"]
     labels = [t for panel in drawn.axes for t in (panel.xaxis.label, panel.yaxis.label, *panel.get_xticklabels())]
     assert min(t.get_fontsize() for t in labels) >= 9 and drawn.get_figwidth() == 10.5
 
@@ -165,7 +165,7 @@ def test_what_the_extension_changes_is_shown_at_a_glance(gained):
             one[f"{state}_{word}"] = 0.1 * t
     one["z_before"], one["pitch_before"] = one["z_before"] + 0.5 * t, one["pitch_before"] + 0.1 * t
     overlays = pd.concat([one, one.assign(why="the error was greatest", flight="new-4", window=1)])
-    drawn = figures({"W_where": pd.DataFrame(bins), "W_residuals": table, "R_overlays": overlays})
+    drawn = figures({"forces_where": pd.DataFrame(bins), "forces_residuals": table, "rollouts_overlays": overlays})
     assert ("glance" in drawn) == gained and "where" in drawn
     if gained:
         left, right = drawn["glance"].axes
@@ -185,11 +185,11 @@ def test_errors_of_simulations_are_drawn_from_nothing_with_few_names():
     ]
     rows = [
         {"flight": "new-3", "driven": line, "model": word, "horizon": h, **dict.fromkeys(quantities, size * h)}
-        for line in ("R", "R with trim", "R commands")
+        for line in ("rollouts", "rollouts with trim", "rollouts from commands")
         for word, size in (("before", 1.0), ("after", 0.8), ("noise_floor", 0.7))
         for h in (0.1, 0.5, 1.0)
     ]
-    drawn = figures({"R_errors": pd.DataFrame(rows)})["horizons"]
+    drawn = figures({"rollouts_errors": pd.DataFrame(rows)})["horizons"]
     titled = [p for p in drawn.axes if p.get_title()]
     assert len(titled) == 10
     for panel in titled:
@@ -220,7 +220,7 @@ def test_the_table_of_forces_has_the_yardsticks_with_their_intervals():
 
 def test_the_page_tells_what_roll_outs_say_of_a_cause():
     told = {
-        **EFFECT, "rollout channel": "velocity z", "rollout gain": {"horizon": 0.5, "line": "R with trim"},
+        **EFFECT, "rollout channel": "velocity z", "rollout gain": {"horizon": 0.5, "line": "rollouts with trim"},
         "confirmation": {"outcome": "confirmed", "amplitude": {"value": 0.93, "std": 0.11}, "why": ""},
         "output error": {"agrees": False, "parameters": {"c": {"value": 9.1, "std": 0.98, "unit": "1"}}},
     }  # fmt: skip
@@ -240,14 +240,14 @@ def test_the_page_tells_roll_outs_with_commands_beside_wrong_cause_and_polynomia
               "generic_polynomial": {"rms": 0.5, "value": None, "low": None, "high": None}}  # fmt: skip
     row = {"horizon": 0.5, "quantity": "velocity", "before": 0.52, "after": 0.41, "noise_floor": 0.39, **GAIN, **shares}
     made = document([EFFECT])
-    made["rollouts"]["R commands"] = [row, {**row, "quantity": "velocity z"}]
+    made["rollouts"]["rollouts from commands"] = [row, {**row, "quantity": "velocity z"}]
     made["scores"]["best wrong cause with commands"] = "motor_lag"
     text = page(made, KNOWN, None, {})
     table = text[text.index("simulated with commands") :]
     cells = re.findall(r"<t[hd][^>]*>([^<]*)</t[hd]>", table[table.index("velocity, m/s, after 0.5 s") - 40 :])[:8]
     assert cells == ["velocity, m/s, after 0.5 s", "0.520", "0.410", "0.390", "86 % (70 to 95)", "86 % (70 to 95)",
                      "12 % (−3 to 20)", "–"]  # fmt: skip
-    assert table.count("after 0.5 s</") == 1  # along the axes they are in the table R_gains
+    assert table.count("after 0.5 s</") == 1  # along the axes they are in the table rollouts_gains
     assert "With commands, the best wrong cause would have been motor lag." in text
 
 
@@ -264,7 +264,8 @@ def test_what_reaches_the_floor_is_no_hundred_percent():
             "gains": {c: {"value": 1.0, "low": 0.99, "high": 1.0} for c in EFFECT["gains"]}}  # fmt: skip
     made = document([sure])
     made["scores"]["removed"] = {"Fz": {"value": 1.0, "low": 0.66, "high": 1.0}}
-    made["rollouts"] = {"R": [{"quantity": q, "horizon": 0.5, "before": 1.0, "after": 1.0, "value": 0.0, "low": 0.0,
+    made["rollouts"] = {"rollouts": [{"quantity": q, "horizon": 0.5, "before": 1.0, "after": 1.0, "value": 0.0,
+                               "low": 0.0,
                                "high": 0.0, "removed": {"value": 1.0, "low": 0.2, "high": 1.0}}
                               for q in ("velocity", "rate")]}  # fmt: skip
     text = page(made, KNOWN, None, {})
@@ -288,7 +289,7 @@ def test_no_figure_and_no_chart_fails_on_what_is_not_finite(bad):
     )
     norms = ["position", "velocity", "attitude", "rate"]
     errors = pd.DataFrame(
-        [{"flight": "a", "driven": "R", "model": w, "horizon": h, **dict.fromkeys(norms, v)}
+        [{"flight": "a", "driven": "rollouts", "model": w, "horizon": h, **dict.fromkeys(norms, v)}
          for w in ("before", "after", "noise_floor") for h, v in ((0.1, 0.2), (0.5, bad))]
     )  # fmt: skip
     spectra = pd.DataFrame({"role": "held out", "channel": "Fx", "frequency": [1.0, 2.0],
@@ -296,8 +297,9 @@ def test_no_figure_and_no_chart_fails_on_what_is_not_finite(bad):
     left = pd.DataFrame({"channel": "Fx", "where": "speed", "middle": [0.0, 1.0], "mean": [bad, 0.1],
                          "std": [bad, bad], "fit": [0.0, bad]})  # fmt: skip
     for residuals in (some, none):
-        tables = {"W_where": bins, "W_residuals": residuals, "R_overlays": overlays, "R_errors": errors,
-                  "W_spectra": spectra, "W_unexplained": left}  # fmt: skip
+        tables = {"forces_where": bins, "forces_residuals": residuals, "rollouts_overlays": overlays,
+                  "rollouts_errors": errors,
+                  "forces_spectra": spectra, "forces_unexplained": left}  # fmt: skip
         drawn = figures(tables)
         assert {"where", "overlays", "horizons", "spectra", "unexplained"} <= set(drawn)
         for figure in drawn.values():

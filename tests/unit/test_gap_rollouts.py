@@ -7,8 +7,8 @@ from plain_plant import made_model
 
 from quasi.attitude import from_euler, rotate_inverse
 from quasi.gap.flights.gathering import gather
+from quasi.gap.levels.rollouts import error_reduction, open_loop
 from quasi.gap.report.figures import figures
-from quasi.gap.rollouts import open_loop, rollout_gain
 from quasi.model.extensions import CONFIGURED, mass_in
 from quasi.model.model import Model
 from quasi.simulation.tools.rollout import rollout
@@ -159,7 +159,7 @@ def test_overlays_show_the_window_that_gained_most_and_are_drawn(model):
     assert first["why"].iloc[0] == "the error falls most"
     np.testing.assert_allclose(first["w_after"], first["w_measured"], atol=1e-6)
     assert abs(first["w_before"].iloc[-1] - first["w_measured"].iloc[-1]) > 0.05
-    drawn = figures({"R_overlays": found})
+    drawn = figures({"rollouts_overlays": found})
     assert list(drawn) == ["overlays"] and len(drawn["overlays"].axes) == 18
 
 
@@ -181,16 +181,16 @@ def moved(model, of):
 
 def test_a_constant_error_goes_into_the_trim_of_the_seconds_before(model):
     wrong, table = moved(model, 0.05), flown(model)
-    tracks = rollout_gain.tracks_of([evidence_of(wrong, table)], {"a": table}, [0.5])
-    found = rollout_gain.simulated_errors(tracks, wrong, wrong)
-    plain, trimmed = (rollout_gain.end_table(tracks, found[line], [0.5]) for line in rollout_gain.LINES)
+    tracks = error_reduction.tracks_of([evidence_of(wrong, table)], {"a": table}, [0.5])
+    found = error_reduction.simulated_errors(tracks, wrong, wrong)
+    plain, trimmed = (error_reduction.end_table(tracks, found[line], [0.5]) for line in error_reduction.LINES)
     # 0.05 N on 0.43 kg against drag of 0.15 N per m/s
     c = 0.15 / 0.43
     assert plain["velocity"].mean() == pytest.approx(0.05 / 0.43 * (1 - np.exp(-0.5 * c)) / c, rel=0.08)
-    later = trimmed["start"] > rollout_gain.TRIM + rollout_gain.MARGIN
+    later = trimmed["start"] > error_reduction.TRIM + error_reduction.MARGIN
     assert later.any() and trimmed["velocity z"][later].max() < 0.02 * plain["velocity z"].mean()
     # before that only what was flown until then counts; without half a second of it there is no trim
-    first = trimmed["start"] < rollout_gain.MARGIN
+    first = trimmed["start"] < error_reduction.MARGIN
     np.testing.assert_allclose(trimmed["velocity z"][first], plain["velocity z"][first])
 
 
@@ -210,10 +210,10 @@ def test_a_trim_turns_a_model_of_another_inertia_as_the_flight_was_turned():
     turning = np.linalg.solve(true, (moments - np.cross(rates, rates @ true)).T).T
     read = turning @ own + np.cross(rates, rates @ own)
     table = table.assign(**{a: read[:, k] for k, a in enumerate(("Mx", "My", "Mz"))})
-    tracks = rollout_gain.tracks_of([evidence_of(base, table)], {"a": table}, [0.5])
-    found = rollout_gain.simulated_errors(tracks, extended, base)
-    plain, trimmed = (rollout_gain.end_table(tracks, found[line], [0.5]) for line in rollout_gain.LINES)
-    later = trimmed["start"] > rollout_gain.TRIM + rollout_gain.MARGIN
+    tracks = error_reduction.tracks_of([evidence_of(base, table)], {"a": table}, [0.5])
+    found = error_reduction.simulated_errors(tracks, extended, base)
+    plain, trimmed = (error_reduction.end_table(tracks, found[line], [0.5]) for line in error_reduction.LINES)
+    later = trimmed["start"] > error_reduction.TRIM + error_reduction.MARGIN
     for name in ("rate x", "rate y"):
         assert trimmed[name][later].max() < 0.01 * plain[name][later].min()
 
@@ -228,22 +228,22 @@ def test_a_trim_pushes_a_model_of_another_mass_as_the_flight_was_pushed():
     table = flown(moved(base, 0.05))
     read = {a: table[a] * document["airframe"]["mass"] / heavy for a in ("Fx", "Fy", "Fz")}
     evidence = evidence_of(Model(document), table.assign(**read))
-    tracks = rollout_gain.tracks_of([evidence], {"a": table}, [0.5])
-    found = rollout_gain.simulated_errors(tracks, base, base)
-    plain, trimmed = (rollout_gain.end_table(tracks, found[line], [0.5]) for line in rollout_gain.LINES)
-    later = trimmed["start"] > rollout_gain.TRIM + rollout_gain.MARGIN
+    tracks = error_reduction.tracks_of([evidence], {"a": table}, [0.5])
+    found = error_reduction.simulated_errors(tracks, base, base)
+    plain, trimmed = (error_reduction.end_table(tracks, found[line], [0.5]) for line in error_reduction.LINES)
+    later = trimmed["start"] > error_reduction.TRIM + error_reduction.MARGIN
     assert trimmed["velocity z"][later].max() < 0.01 * plain["velocity z"].mean()
 
 
 def test_errors_that_a_change_of_forces_moves_are_those_of_the_changed_model(model):
     wrong, table = moved(model, 0.05), flown(model)
-    tracks = rollout_gain.tracks_of([evidence_of(wrong, table)], {"a": table}, [0.2, 0.5])
-    errors = rollout_gain.simulated_errors(tracks, wrong, wrong)
-    better = rollout_gain.moved_errors(
+    tracks = error_reduction.tracks_of([evidence_of(wrong, table)], {"a": table}, [0.2, 0.5])
+    errors = error_reduction.simulated_errors(tracks, wrong, wrong)
+    better = error_reduction.moved_errors(
         tracks, errors, lambda flight: flight.residual, lambda flight: flight.measured - predicted(model, flight)
     )
-    for line in rollout_gain.LINES:
-        assert np.abs(better[line][0]).max() < 0.02 * np.abs(errors["R"][0]).max()
+    for line in error_reduction.LINES:
+        assert np.abs(better[line][0]).max() < 0.02 * np.abs(errors["rollouts"][0]).max()
 
 
 def predicted(model, flight):
@@ -255,7 +255,7 @@ def test_shares_are_of_what_can_be_removed_and_silent_where_the_floor_holds_it_a
 
     def share(last, floor, reached=None):
         tables = [table, *(table.assign(**{"rate x": e}) for e in (last, floor)), reached]
-        return rollout_gain.shares(*tables[:3], ["rate x"], tables[3])[0]
+        return error_reduction.shares(*tables[:3], ["rate x"], tables[3])[0]
 
     row = share(0.8**0.5, 0.6**0.5)
     assert row["removable"] == pytest.approx(0.4)
@@ -271,14 +271,14 @@ def test_shares_are_of_what_can_be_removed_and_silent_where_the_floor_holds_it_a
 def test_what_a_cause_is_worth_is_told_by_line_channel_and_horizon(model):
     wrong, table = moved(model, 0.05), flown(model)
     evidence = evidence_of(wrong, table)
-    beside = rollout_gain.Beside(lambda f: f.measured - predicted(model, f))
-    rolled = rollout_gain.score(wrong, model, {"a": table}, [evidence], [0.2, 0.5], beside)
-    rows = rollout_gain.worth(rolled, rolled["errors"]["before"], ("Fz", "My"), [0.2, 0.5])
+    beside = error_reduction.Beside(lambda f: f.measured - predicted(model, f))
+    rolled = error_reduction.score(wrong, model, {"a": table}, [evidence], [0.2, 0.5], beside)
+    rows = error_reduction.worth(rolled, rolled["errors"]["before"], ("Fz", "My"), [0.2, 0.5])
     assert len(rows) == 8
-    best = next(r for r in rows if (r["line"], r["quantity"], r["horizon"]) == ("R", "velocity z", 0.5))
+    best = next(r for r in rows if (r["line"], r["quantity"], r["horizon"]) == ("rollouts", "velocity z", 0.5))
     assert best["value"] == pytest.approx(1.0, abs=0.01) and best["moved"] == pytest.approx(1.0, abs=0.01)
     assert set(rolled["rms"]) == {"before", "after", "noise_floor"}
     assert (
-        rolled["rms"]["noise_floor"]["R with trim"]["velocity z"]["0.5"]
-        <= (rolled["rms"]["after"]["R with trim"]["velocity z"]["0.5"])
+        rolled["rms"]["noise_floor"]["rollouts with trim"]["velocity z"]["0.5"]
+        <= (rolled["rms"]["after"]["rollouts with trim"]["velocity z"]["0.5"])
     )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from quasi.gap.flights.sessions import date_of, session_sentence, sessions_of, units
-from quasi.gap.statistics.mixed import Columns, Offer, Witnessed
+from quasi.gap.statistics.mixed import Candidate, ClusteredMixedModel, Columns
 
 
 @pytest.mark.parametrize(
@@ -60,8 +60,8 @@ def test_what_sessions_differ_by_is_no_change():
                 z = np.column_stack([x[:, 0] + size * x[:, 1] + rng.standard_normal(80), x])
                 blocks.append(z.T @ z)
             grams.append(np.array(blocks))
-        offer = Offer("a", "changed", (0,))
-        small["flights"] += Witnessed(grams, flags, layout).test(offer, pooled=["a"]).p < 0.01
-        small["sessions"] += Witnessed(grams, flags, layout, members).test(offer, pooled=["a"]).p < 0.01
+        offer = Candidate("a", "changed", (0,))
+        small["flights"] += ClusteredMixedModel(grams, flags, layout).test(offer, pooled=["a"]).p < 0.01
+        small["sessions"] += ClusteredMixedModel(grams, flags, layout, members).test(offer, pooled=["a"]).p < 0.01
     assert small["flights"] > 15
     assert small["sessions"] < small["flights"] / 2

@@ -22,7 +22,7 @@ def cause(name):
 
 def test_a_cause_that_makes_held_out_flights_worse_is_rejected_and_the_others_stand():
     good, bad = cause("good"), cause("bad")
-    grown = Loss("R", "velocity x", 0.5, 1.0, 4.0)
+    grown = Loss("rollouts", "velocity x", 0.5, 1.0, 4.0)
     kept, rejected, left = reject_losing_causes([good, bad], list, lambda of: [grown] if bad in of else [])
     assert kept == [good]
     assert rejected == [(bad, grown)]
@@ -31,17 +31,17 @@ def test_a_cause_that_makes_held_out_flights_worse_is_rejected_and_the_others_st
 
 @pytest.mark.parametrize(
     "loss",
-    [Loss("R", "velocity y", 0.5, 1.0, 1.2), Loss("R with trim", "rate y", 0.5, 1.0, 1.2)],
+    [Loss("rollouts", "velocity y", 0.5, 1.0, 1.2), Loss("rollouts with trim", "rate y", 0.5, 1.0, 1.2)],
     ids=["beyond the cause's axes", "without the cause too"],
 )
 def test_what_a_cause_does_not_answer_for_rejects_nothing(loss):
     one = cause("one")
-    anyway = [loss] if loss.line == "R with trim" else []
+    anyway = [loss] if loss.line == "rollouts with trim" else []
     kept, rejected, left = reject_losing_causes([one], list, lambda of: [loss] if of else anyway)
     assert (kept, rejected, left) == ([one], [], [loss])
 
 
-@pytest.mark.parametrize("line", ["R", "R with trim", "forces"])
+@pytest.mark.parametrize("line", ["rollouts", "rollouts with trim", "forces"])
 @pytest.mark.parametrize(("channels", "stands"), [(("Fx", "My"), False), (("Fx", "Mx", "My"), True), (("Mx",), True)])
 def test_one_axis_of_a_vector_rejects_only_causes_that_act_on_that_axis_alone(line, channels, stands):
     one = SimpleNamespace(name="one", effect=SimpleNamespace(channels=channels))
@@ -53,7 +53,7 @@ def test_one_axis_of_a_vector_rejects_only_causes_that_act_on_that_axis_alone(li
 @pytest.mark.parametrize("of_trim", [True, False])
 def test_the_trim_of_a_flight_limits_the_verdict_and_rejects_nothing(of_trim):
     one = cause("one")
-    grown = Loss("R", "rate y", 0.5, 1.0, 1.5, of_trim)
+    grown = Loss("rollouts", "rate y", 0.5, 1.0, 1.5, of_trim)
     kept, _, left = reject_losing_causes([one], list, lambda of: [grown] if of else [])
     assert (kept, left) == (([one], [grown]) if of_trim else ([], []))
 

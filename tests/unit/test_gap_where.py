@@ -12,13 +12,14 @@ from test_gap_extension import base_of, flight
 from test_kinematic import flown as sensed
 
 from quasi.attitude import AIR_DENSITY, GRAVITY
-from quasi.gap.calibration import actuation, kinematic
-from quasi.gap.calibration.lower import units_of
 from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.level import Flown
 from quasi.gap.flights.residual_tables import LAG, LEAST, beside, where, whiteness
-from quasi.gap.rollouts.rollout_places import UNITS, channels_of, placed, where_of
-from quasi.gap.wrench.tables import _merged, _spectrum, wrench_tables
+from quasi.gap.levels.drive import identify as drive_level
+from quasi.gap.levels.forces.tables import _merged, _spectrum, wrench_tables
+from quasi.gap.levels.rollouts.covariates import UNITS, channels_of, placed, where_of
+from quasi.gap.levels.sensors import identify as sensor_level
+from quasi.gap.levels.sensors_and_drive import units_of
 from quasi.model.model import AXES
 
 N = 400
@@ -62,11 +63,11 @@ def test_bins_show_where_an_error_lives_and_hold_enough_rows():
 
 
 def test_levels_of_sensors_and_drive_tell_where_their_errors_live():
-    sensors = kinematic.examine([sensed(s) for s in (1, 2, 3)], {}).tables
+    sensors = sensor_level.examine([sensed(s) for s in (1, 2, 3)], {}).tables
     assert set(sensors["where"]["where"]) == {"t", "height", "heading", "room_x", "room_y"}
     assert set(sensors["where"]["channel"]) == {"p", "q", "r", "north", "east", "down"}
     slow = [driven(s, up=0.04, down=0.045) for s in (1, 2)]
-    tables = actuation.examine([driven(3, compared=False), *slow], MODEL, {}).tables
+    tables = drive_level.examine([driven(3, compared=False), *slow], MODEL, {}).tables
     found, rows = tables["where"], tables["residuals"]
     assert {"rotor_speed", "volts"} <= set(rows) and set(found["where"]) == {"t", "rotor_speed", "volts"}
     one = found.query("channel == 'w1' and where == 'volts'").iloc[0]
@@ -125,9 +126,9 @@ def test_every_level_tells_the_whiteness_of_its_own_rows():
         {"a": replace(evidence, measured=truth + 0.01 * slow[:, None])}, {"a": "compared"},
         lambda one: 0.5 * one.residual, vehicle_of(base),
     )  # fmt: skip
-    levels = [kinematic.examine([sensed(1, gyro_bias=(0.02, 0.0, 0.0)), sensed(2)], {}).tables,
-              actuation.examine([driven(1, up=0.04), driven(2, up=0.04)], MODEL, {}).tables,
-              {"channels": wrench["W_channels"], "residuals": wrench["W_residuals"]}]  # fmt: skip
+    levels = [sensor_level.examine([sensed(1, gyro_bias=(0.02, 0.0, 0.0)), sensed(2)], {}).tables,
+              drive_level.examine([driven(1, up=0.04), driven(2, up=0.04)], MODEL, {}).tables,
+              {"channels": wrench["forces_channels"], "residuals": wrench["forces_residuals"]}]  # fmt: skip
     for tables in levels:
         for _, row in tables["channels"].iterrows():
             rows = tables["residuals"].query(f"flight == {row['flight']!r}")
@@ -137,7 +138,7 @@ def test_every_level_tells_the_whiteness_of_its_own_rows():
                     x = rows[f"{row['channel']}_{word}"].to_numpy()
                     expected = np.corrcoef(x[step:], x[:-step])[0, 1]
                     assert row[f"whiteness_{word}"] == pytest.approx(expected, abs=0.03)
-    assert wrench["W_channels"]["whiteness_before"].max() > 0.2
+    assert wrench["forces_channels"]["whiteness_before"].max() > 0.2
 
 
 @pytest.fixture(name="errors")
@@ -152,7 +153,7 @@ def windows():
             size = np.where(8.0 - 2.0 * starts < 4.05, low, 1.0) * horizon
             size = np.where((model == "before") & (starts == starts[-1]), np.nan, size)
             parts.append(pd.DataFrame({"flight": "a", "start": starts, "horizon": horizon, **dict.fromkeys(UNITS, size),
-                                       "driven": "R", "model": model}))  # fmt: skip
+                                       "driven": "rollouts", "model": model}))  # fmt: skip
     return placed(pd.concat(parts, ignore_index=True), [flight])
 
 
@@ -193,7 +194,7 @@ def test_errors_come_again_where_windows_that_do_not_overlap_are_alike(memory, e
     }[memory][:, None]  # fmt: skip
     errors[700] = np.nan  # diverged
     flight = SimpleNamespace(key="a", t=np.arange(20 * n) / 100.0)
-    table = channels_of(flight, 20 * np.arange(n), [0.5], {"before": errors}, "R").set_index("channel")
+    table = channels_of(flight, 20 * np.arange(n), [0.5], {"before": errors}, "rollouts").set_index("channel")
     assert len(table) == 10 and table["unit"]["rate x"] == "rad/s" and table["unit"]["velocity x"] == "m/s"
     np.testing.assert_allclose(table["whiteness_before"], expected, atol=0.1)
     known = errors[np.isfinite(errors).all(axis=(1, 2))][:, 0]
@@ -202,7 +203,7 @@ def test_errors_come_again_where_windows_that_do_not_overlap_are_alike(memory, e
 
 def test_too_few_windows_tell_nothing_of_the_next():
     flight = SimpleNamespace(key="a", t=np.arange(200) / 100.0)
-    table = channels_of(flight, 20 * np.arange(9), [0.5], {"before": np.ones((9, 1, 12))}, "R")
+    table = channels_of(flight, 20 * np.arange(9), [0.5], {"before": np.ones((9, 1, 12))}, "rollouts")
     assert table["whiteness_before"].isna().all() and np.allclose(table["before"][table["channel"] == "rate z"], 1.0)
 
 

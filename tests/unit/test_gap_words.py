@@ -103,7 +103,7 @@ def test_the_summary_says_how_sure_a_cause_is_and_what_stays_as_it_is():
         "confirmation": {"outcome": "confirmed", "amplitude": {"value": 1.046, "std": 0.238}, "why": ""},
     }  # fmt: skip
     made = document([sure])
-    made["rollouts"]["R"] = [
+    made["rollouts"]["rollouts"] = [
         {"horizon": 1.0, "quantity": q, "before": before, "after": 1.01 * before}
         for q, before in (("velocity", 1.515), ("rate", 0.683))
     ]
@@ -121,8 +121,8 @@ def test_the_summary_says_how_sure_a_cause_is_and_what_stays_as_it_is():
 def test_an_error_that_stays_is_told_beside_the_best_fit_of_all(floor, told):
     """No cause is said to be missing: where the floor is as high, nothing that could be fitted takes it away."""
     made = document([EFFECT])
-    made["rollouts"]["R"] = [{"horizon": 1.0, "quantity": "rate", "before": 0.5, "after": 0.5}]
-    made["rollouts"]["R"][0] |= {"noise_floor": 0.5 * floor} if floor else {}
+    made["rollouts"]["rollouts"] = [{"horizon": 1.0, "quantity": "rate", "before": 0.5, "after": 0.5}]
+    made["rollouts"]["rollouts"][0] |= {"noise_floor": 0.5 * floor} if floor else {}
     stays = "the error of body rate (0.5 rad/s) stays as it is"
     assert f"{stays}{', even with the best fit of all causes' * told}." in summary(made, KNOWN)
 
@@ -186,7 +186,7 @@ def test_the_page_says_what_to_do_next(parts, words):
     for word in [*words, "Not asked: battery sag. No voltage & no commands."]:
         assert word in said
     assert ("Nothing has to be done" in said) == (not parts)
-    assert ("standalone" in said) == any(e["level"] != "K" for e in parts.get("effects", ()))
+    assert ("standalone" in said) == any(e["level"] != "sensors" for e in parts.get("effects", ()))
     text = page(made, KNOWN, None, {})
     assert text.index('class="verdict') < text.index("What to do next") < text.index("What is wrong")
 
@@ -194,7 +194,7 @@ def test_the_page_says_what_to_do_next(parts, words):
 def test_every_cause_of_sensors_has_its_remedy():
     made = document()
     for ident, effect in KNOWN.items():
-        if effect.level == "K" and effect.parameters:
+        if effect.level == "sensors" and effect.parameters:
             made["effects"] = [{**TURN, "id": ident}]
             assert "set it right where it arises" not in " ".join(steps(made, KNOWN)), ident
 
@@ -209,7 +209,7 @@ def test_ids_are_words_but_not_within_longer_names():
 def test_drive_errors_far_above_their_floor_are_told_where_nothing_is_named(left, named, told):
     made = document(named)
     for key, value in (("before", 10.8), ("after", left), ("noise_floor", 2.48)):
-        made["gap"][key] = {**made["gap"][key], "A": {"w1": {"0": value}}}
+        made["gap"][key] = {**made["gap"][key], "drive": {"w1": {"0": value}}}
     text = page(made, KNOWN, None, {})
     assert "speed of rotor 1 (w1), rad/s" in text and "roll rate (p), rad/s" in text
     assert ("w1 4.4 times (10.8 against 2.48 rad/s)" in text) == told
@@ -218,7 +218,7 @@ def test_drive_errors_far_above_their_floor_are_told_where_nothing_is_named(left
 def test_the_page_shows_two_lengths_of_the_simulation_and_folds_the_others():
     made = document([EFFECT])
     row = {"quantity": "velocity", "before": 0.5, "after": 0.4, **GAIN}
-    made["rollouts"]["R"] = [{**row, "horizon": h} for h in (0.1, 0.25, 0.5, 1.0)]
+    made["rollouts"]["rollouts"] = [{**row, "horizon": h} for h in (0.1, 0.25, 0.5, 1.0)]
     text = page(made, KNOWN, None, {"overlays": b"PNG"})
     seen, folded = text.split("<details>")
     assert "after 0.5 s" in seen and "after 1 s" in seen and "after 0.25 s" not in seen

@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation, Slerp
 from quasi import attitude
 from quasi.airframe import Airframe
 from quasi.errors import DataError
-from quasi.gap.calibration.kinematic import SPREAD, examine, size_of
-from quasi.gap.calibration.kinematic_columns import weak_form, windows
-from quasi.gap.calibration.sensor_findings import shaken, torn
 from quasi.gap.flights.level import Flown, clear
-from quasi.gap.statistics.mixed import Offer
+from quasi.gap.levels.sensors.columns import weak_form, windows
+from quasi.gap.levels.sensors.findings import shaken, torn
+from quasi.gap.levels.sensors.identify import SPREAD, examine, size_of
+from quasi.gap.statistics.mixed import Candidate
 from quasi.importing.resampling import resample_attitude
 
 RATE, CAPTURED, SECONDS = 500.0, 120.0, 24.0
@@ -212,7 +212,7 @@ def test_noise_of_either_source_makes_no_cause(noise, capture):
     assert level.ties == []
     for cause, columns in level.tests.columns.causes.items():
         for since in ("always", "changed"):
-            offer = Offer(cause, since, tuple(range(len(columns))))
+            offer = Candidate(cause, since, tuple(range(len(columns))))
             test = level.tests.test(offer, [], level.tests.pooled(since))
             assert (np.abs(test.value) < 4.0 * test.std).all(), (cause, since, test.value, test.std)
 

@@ -9,19 +9,21 @@ from test_actuation import MODEL, VOLTS
 from test_actuation import flown as driven
 from test_kinematic import flown as moved
 
-from quasi.gap.calibration import actuation, kinematic, lower, material
-from quasi.gap.calibration.corrections import document, for_flight
-from quasi.gap.calibration.lower import FAINTEST, SEARCHES, rate_of
-from quasi.gap.calibration.material import Side, worth
 from quasi.gap.entries import lower_effect
+from quasi.gap.levels import materiality, sensors_and_drive
+from quasi.gap.levels.corrections import document, for_flight
+from quasi.gap.levels.drive import identify as drive_level
+from quasi.gap.levels.materiality import Side, worth
+from quasi.gap.levels.sensors import identify as sensor_level
+from quasi.gap.levels.sensors_and_drive import FAINTEST, SEARCHES, rate_of
 
 SHARE = 0.05
 
 
 def settle_on(level, flights):
     """The level as the calibration's file holds it."""
-    level.found_on = material.found_on(level, flights)
-    return {level.level: json.loads(json.dumps(lower.plain(level)))}
+    level.found_on = materiality.found_on(level, flights)
+    return {level.level: json.loads(json.dumps(sensors_and_drive.plain(level)))}
 
 
 def test_what_leaving_a_cause_out_costs_by_hand():
@@ -41,15 +43,15 @@ def test_what_leaving_a_cause_out_costs_by_hand():
 @pytest.fixture(scope="module")
 def biased():
     flights = [moved(s, gyro_bias=np.array([0.08, 0.0, -0.05])) for s in (1, 2)]
-    level = kinematic.examine(flights, {})
+    level = sensor_level.examine(flights, {})
     assert [e["id"] for e in level.effects] == ["gyro_bias"]
     return settle_on(level, flights)
 
 
 def test_a_bias_that_held_out_flights_have_too_keeps_its_name_with_its_share(biased):
     levels = json.loads(json.dumps(biased))
-    material.judge(levels, [], [moved(3)], SHARE)  # held out and corrected: nothing is left of it
-    (effect,) = levels["K"]["effects"]
+    materiality.judge(levels, [], [moved(3)], SHARE)  # held out and corrected: nothing is left of it
+    (effect,) = levels["sensors"]["effects"]
     assert effect["removed"]["p"] > 0.95 and effect["removed"]["r"] > 0.95
     assert set(effect["removed"]) <= set("pqr")
 
@@ -57,54 +59,54 @@ def test_a_bias_that_held_out_flights_have_too_keeps_its_name_with_its_share(bia
 def test_a_bias_that_held_out_flights_do_not_have_loses_its_name_and_says_why(biased):
     levels = json.loads(json.dumps(biased))
     wrongly = moved(3, gyro_bias=-np.array([0.08, 0.0, -0.05]))  # corrected for what it never had
-    material.judge(levels, [], [wrongly], SHARE)
-    assert not levels["K"]["effects"]
-    (lost,) = [c for c in levels["K"]["candidates"] if c["id"] == "gyro_bias"]
+    materiality.judge(levels, [], [wrongly], SHARE)
+    assert not levels["sensors"]["effects"]
+    (lost,) = [c for c in levels["sensors"]["candidates"] if c["id"] == "gyro_bias"]
     assert "removes 0 % of the removable error on held-out flights, expected 5 %" in lost["why_not"]
-    assert any("stay corrected for it" in n for n in levels["K"]["notes"])
+    assert any("stay corrected for it" in n for n in levels["sensors"]["notes"])
 
 
 def test_a_leaning_attitude_is_judged_as_it_flew_for_nothing_corrects_it():
     flights = [moved(s, onboard_gain=0.5) for s in (1, 2)]
-    level = kinematic.examine(flights, {})
+    level = sensor_level.examine(flights, {})
     assert [e["id"] for e in level.effects] == ["attitude_error"]
     levels = settle_on(level, flights)
     assert for_flight(document([level]), True) is None
     for gain, least, most in ((0.5, 0.95, 1.01), (0.25, -1.0, 0.1)):  # twice what is there leaves as much
         anew = json.loads(json.dumps(levels))
-        material.judge(anew, [], [moved(3, onboard_gain=gain)], -2.0)
-        (effect,) = anew["K"]["effects"]
+        materiality.judge(anew, [], [moved(3, onboard_gain=gain)], -2.0)
+        (effect,) = anew["sensors"]["effects"]
         assert least < max(effect["removed"].values()) < most, effect["removed"]
-    told = lower_effect(effect, "K", {"before": {}, "after": {}, "noise_floor": {}})
+    told = lower_effect(effect, "sensors", {"before": {}, "after": {}, "noise_floor": {}})
     assert told["gain"]["wrench"] is None and "removed" not in told
-    material.judge(levels, [], [moved(3, onboard_gain=0.0)], SHARE)
-    assert not levels["K"]["effects"] and not any("stay corrected" in n for n in levels["K"]["notes"])
+    materiality.judge(levels, [], [moved(3, onboard_gain=0.0)], SHARE)
+    assert not levels["sensors"]["effects"] and not any("stay corrected" in n for n in levels["sensors"]["notes"])
 
 
 def test_without_a_held_out_flight_with_capture_it_is_not_asked(biased):
     levels = json.loads(json.dumps(biased))
-    material.judge(levels, [], [], SHARE)
-    assert [e["id"] for e in levels["K"]["effects"]] == ["gyro_bias"]
-    assert any("no flight is held out" in n for n in levels["K"]["notes"])
+    materiality.judge(levels, [], [], SHARE)
+    assert [e["id"] for e in levels["sensors"]["effects"]] == ["gyro_bias"]
+    assert any("no flight is held out" in n for n in levels["sensors"]["notes"])
 
 
 def test_a_voltage_that_stays_cannot_show_what_it_does():
     flights = [driven(s, exponent=0.5) for s in (1, 2)]
-    level = actuation.examine(flights, MODEL, {})
+    level = drive_level.examine(flights, MODEL, {})
     assert [e["id"] for e in level.effects] == ["battery_sag"]
     levels = settle_on(level, flights)
-    assert levels["A"]["found on"]["worth"]["battery_sag"] > 0.9
+    assert levels["drive"]["found on"]["worth"]["battery_sag"] > 0.9
     steady = driven(3, exponent=0.0)  # as good as a battery that stays
     still = steady.filtered.assign(battery_voltage=VOLTS)
     for held, shown in ((driven(4, exponent=0.5), True), (replace(steady, filtered=still, imported=still), False)):
         anew = json.loads(json.dumps(levels))
-        material.judge(anew, [held], [], SHARE)
-        (effect,) = anew["A"]["effects"]
+        materiality.judge(anew, [held], [], SHARE)
+        (effect,) = anew["drive"]["effects"]
         assert (max(effect["removed"].values(), default=0.0) > 0.9) == shown
-        assert any("cannot be told" in n for n in anew["A"]["notes"]) != shown
+        assert any("cannot be told" in n for n in anew["drive"]["notes"]) != shown
     other = json.loads(json.dumps(levels))
-    material.judge(other, [driven(5)], [], SHARE)  # follows the battery as the model says
-    assert not other["A"]["effects"]
+    materiality.judge(other, [driven(5)], [], SHARE)  # follows the battery as the model says
+    assert not other["drive"]["effects"]
 
 
 @pytest.mark.parametrize("compared, held", [(3, 1), (8, 1), (4, 4)])

@@ -17,8 +17,8 @@ from quasi.errors import ConfigError
 from quasi.export.mcap.plotjuggler import layout_text
 from quasi.export.mcap.recording import write_recording
 from quasi.export.mcap.vehicles import BEFORE, Event, phases_of, reference_of, vehicle_of, with_residuals
-from quasi.gap.rollouts.continuous import chase, chased_table
-from quasi.gap.rollouts.open_loop import flight_of
+from quasi.gap.levels.rollouts.continuous import chase, chased_table
+from quasi.gap.levels.rollouts.open_loop import flight_of
 from quasi.simulation.loop.run import simulate
 
 mcap = pytest.importorskip("mcap", reason="opens recordings; pip install quasi[mcap]")

@@ -17,8 +17,11 @@ from quasi.errors import DataError
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.gathering import gather
-from quasi.gap.rollouts import open_loop, output_error
-from quasi.gap.rollouts.confirmation import (
+from quasi.gap.levels.forces.axis_consistency import Voice, contradiction, disagreement, voices
+from quasi.gap.levels.forces.design import gather_design
+from quasi.gap.levels.forces.materiality import Cause
+from quasi.gap.levels.rollouts import open_loop, output_error
+from quasi.gap.levels.rollouts.confirmation import (
     CONFIRMED,
     REFUTED,
     UNJUDGED,
@@ -30,11 +33,8 @@ from quasi.gap.rollouts.confirmation import (
     outcome_of,
     settle,
 )
-from quasi.gap.rollouts.linear_response import course_of, responses
+from quasi.gap.levels.rollouts.linear_response import course_of, responses
 from quasi.gap.statistics import mixed
-from quasi.gap.wrench.agreement import Voice, contradiction, disagreement, voices
-from quasi.gap.wrench.study import gather_study
-from quasi.gap.wrench.worth import Cause
 from quasi.model.model import Model
 
 G, RATE, SECONDS = 9.81, 200.0, 20.0
@@ -158,7 +158,7 @@ def evidence(model, weak):
 
 @pytest.fixture(scope="module")
 def study(model, evidence):
-    return gather_study([evidence[f"f{k}"] for k in range(3)], EFFECTS, vehicle_of(model))
+    return gather_design([evidence[f"f{k}"] for k in range(3)], EFFECTS, vehicle_of(model))
 
 
 def cause(name, values, std, since="always"):
@@ -166,7 +166,7 @@ def cause(name, values, std, since="always"):
     which = tuple(effect.fitted.index(n) for n in values)
     covariance = np.diag([std[n] ** 2 for n in values])
     wald = sum((v / std[n]) ** 2 for n, v in values.items())
-    test = mixed.Test(mixed.Offer(name, since, which), np.array(list(values.values())), covariance, 1.0, wald, 1e-9)
+    test = mixed.Test(mixed.Candidate(name, since, which), np.array(list(values.values())), covariance, 1.0, wald, 1e-9)
     return Cause(effect, since, dict(values), dict(std), test, [])
 
 
@@ -371,7 +371,7 @@ def test_windows_that_remember_each_other_count_for_fewer():
 
 
 def heard(study, values, which):
-    offer = mixed.Offer("rotor_effectiveness", "always", which)
+    offer = mixed.Candidate("rotor_effectiveness", "always", which)
     test = mixed.Test(offer, np.array(values), np.eye(len(which)), 1.0, 1.0, 0.0)
     return {v.axis: v for v in voices(study, [True] * 3, test, [])}
 
@@ -398,8 +398,8 @@ def test_axes_of_what_changed_are_heard_whatever_the_base_would_take_up_of_the_o
     compared = [False] * 3 + [True] * 3
     tables = [flown(model, 10 + k, drag=0.1 * flag) for k, flag in enumerate(compared)]
     flights = [gather(f"f{k}", t, about, model.airframe, model, 100.0) for k, t in enumerate(tables)]
-    both = gather_study(flights, EFFECTS, vehicle_of(model))
-    test = mixed.Test(mixed.Offer("body_drag", "changed", (0,)), np.array([0.1]), np.eye(1), 1.0, 1.0, 0.0)
+    both = gather_design(flights, EFFECTS, vehicle_of(model))
+    test = mixed.Test(mixed.Candidate("body_drag", "changed", (0,)), np.array([0.1]), np.eye(1), 1.0, 1.0, 0.0)
     every = both.witnessed(range(6), compared).pooled("changed")
     assert "body_drag" in every
     told = voices(both, compared, test, every)

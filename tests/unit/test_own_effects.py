@@ -15,7 +15,7 @@ from quasi.gap.flights.gathering import gather
 from quasi.gap.own_effect import FUNCTIONS, effect_of
 
 SOUND = {
-    "id": "'sticky'", "level": "'W'", "sentence": "'s'", "equation": "'e'", "source": "'s'", "channels": "('Fx',)",
+    "id": "'sticky'", "level": "'forces'", "sentence": "'s'", "equation": "'e'", "source": "'s'", "channels": "('Fx',)",
     "parameters": "{'k': Parameter('N', 0.0, 'a', 0.0, 1.0, 0.1)}", "terms": "lambda vehicle: {'k': {'Fx': 'u'}}",
 }  # fmt: skip
 
@@ -41,7 +41,7 @@ def path(tmp_path):
         (text(id="'<b>'"), "effect '<b>': the id may hold letters"),
         (text(id="None"), "effect None: the id may hold letters"),
         (text(id="'tether'"), "the id 'tether' is taken by a built-in cause; choose another"),
-        (text(level="'K'"), "level is 'K', expected 'W'"),
+        (text(level="'sensors'"), "level is 'sensors', expected 'forces'"),
         (text(sentence="3"), "sentence is 3, expected text"),
         (text(parts="'some'"), "parts is 'some', expected one of any, all, first, one"),
         (text(channels="('fx',)"), "channel 'fx' is no axis (did you mean 'Fx'?)"),
@@ -53,7 +53,7 @@ def path(tmp_path):
         (text(parameters="{'k': Parameter('N', 0.0, 'a', 0.0, 1.0, lambda v: v.mas)}"), "no attribute 'mas'"),
         (text(parameters="{}"), "it has no parameter"),
         (text(starts="(0.1,)"), "starts = (0.1,), expected sizes other than 0 of its only parameter, and the whole"),
-        (text(starts="(0.0,)", curved="lambda vehicle, values: {'Fx': 'u'}"), "expected sizes other than 0"),
+        (text(starts="(0.0,)", nonlinear_terms="lambda vehicle, values: {'Fx': 'u'}"), "expected sizes other than 0"),
         (text(terms=None), "expected either terms or columns"),
         (text(terms="{'k': {'Fx': 'u'}}"), "expected a function"),
         (text(terms="lambda vehicle: 1 / 0"), "ZeroDivisionError: division by zero"),
@@ -62,7 +62,7 @@ def path(tmp_path):
         (text(terms="lambda vehicle: {'k': {'FX': 'u'}}"), "'FX' is no axis (did you mean 'Fx'?)"),
         (text(terms="lambda vehicle: {'k': {'Fx': 'heigt'}}"), "Fx: unknown variable 'heigt'"),
         (text(terms="lambda vehicle: {'k': {'Fx': 'u**'}}"), "'**' is not an operator"),
-        (text(curved="lambda vehicle, values: {'Fx': 'k*'}"), "curved(vehicle, values), Fx: "),
+        (text(nonlinear_terms="lambda vehicle, values: {'Fx': 'k*'}"), "nonlinear_terms(vehicle, values), Fx: "),
         (text(terms=None, columns="lambda evidence, values: {}"), "columns need an extension beside them"),
         (text(sums="[({'k': 1.0}, 0.0)]"), "expected a function"),
         (text(sums="lambda vehicle: [({'kk': 1.0}, 0.0)]"), "sums(vehicle) names 'kk', which is no parameter"),
@@ -90,8 +90,8 @@ def test_a_file_counts_as_it_stands_and_nothing_is_left_beside_it(path):
 
 def test_every_cause_of_forces_and_moments_in_the_catalogue_would_pass_as_a_users(path):
     for name, effect in catalogue().items():
-        if effect.level == "W" and not effect.finding:
-            path.write_text(f"from quasi.gap.effects.{name} import EFFECT\n")
+        if effect.level == "forces" and not effect.finding:
+            path.write_text(f"from quasi.gap.causes.{name} import EFFECT\n")
             own = effect_of(path)
             assert {f.name for f in fields(Effect) if getattr(own, f.name) != getattr(effect, f.name)} <= {*FUNCTIONS}
 
@@ -106,7 +106,7 @@ def test_every_cause_of_forces_and_moments_in_the_catalogue_would_pass_as_a_user
     ],
 )
 def test_columns_that_are_none_are_told_with_cause_and_flight(columns, words):
-    effect = Effect("sticky", "W", "s", "e", "s", {"k": Parameter("N", 0.0, "a", 0.0, 1.0)}, columns=columns)
+    effect = Effect("sticky", "forces", "s", "e", "s", {"k": Parameter("N", 0.0, "a", 0.0, 1.0)}, columns=columns)
     with pytest.raises(DataError, match=words) as caught:
         columns_of(effect, gather("a", follow(eight(3.0)), {}, MODEL.airframe, MODEL, 100.0), VEHICLE, {})
     assert "effect 'sticky'" in str(caught.value)

@@ -9,14 +9,14 @@ from made_plan import CATALOGUE, MODEL, VEHICLE, card_of, eight, follow, rows_of
 from scipy.signal import lfilter
 
 from quasi.errors import ConfigError
-from quasi.gap.calibration import kinematic
 from quasi.gap.catalogue import columns_of
 from quasi.gap.flights.gathering import gather
+from quasi.gap.levels.forces.design import gather_design, in_stretches
+from quasi.gap.levels.sensors import identify as sensor_level
 from quasi.gap.planning import plan, plan_noise
 from quasi.gap.planning.manoeuvres import library
 from quasi.gap.planning.outlook import Outlook, Repeated, Spread
-from quasi.gap.statistics.mixed import Offer
-from quasi.gap.wrench.study import gather_study, in_stretches
+from quasi.gap.statistics.mixed import Candidate
 from quasi.model.model import AXES
 
 # noise
@@ -78,7 +78,7 @@ def noisy():
             slow = np.convolve(rng.standard_normal(len(flight) + 200), np.exp(-np.arange(200) / 15.0), "valid")[:-1]
             flight[axis] += 0.004 * unit * slow / slow.std()
         evidence.append(gather(str(k), flight, {}, AIRFRAME, MODEL, 100.0))
-    return evidence, gather_study(evidence, effects, VEHICLE), effects
+    return evidence, gather_design(evidence, effects, VEHICLE), effects
 
 
 def test_expected_standard_errors_are_those_of_the_search_itself(noisy):
@@ -93,13 +93,13 @@ def test_expected_standard_errors_are_those_of_the_search_itself(noisy):
         flights.append(Repeated(grams, int(flag), int(not flag)))
     outlook = Outlook(flights, study.columns, size, 1, effects, 0.003)
     for cause, which in (("rotor_drag", (0,)), ("mass", (0,)), ("cg_offset", (0, 1, 2)), ("tether", (0,))):
-        offer = Offer(cause, "changed", which)
+        offer = Candidate(cause, "changed", which)
         test = mixed.test(offer, (), mixed.pooled("changed"))
         spread, covariance, _ = outlook.test(offer)
         assert spread.tau == test.tau
         np.testing.assert_allclose(covariance, test.covariance, rtol=1e-6)
     # beside a rival, at the spread that the search finds there
-    rival, offer = Offer("body_drag", "changed", (0,)), Offer("rotor_drag", "changed", (0,))
+    rival, offer = Candidate("body_drag", "changed", (0,)), Candidate("rotor_drag", "changed", (0,))
     beside = mixed.test(offer, [rival], mixed.pooled("changed"))
     found = [outlook.covariance(offer, Spread(beside.tau, informed), rival) for informed in (False, True)]
     assert min(abs(float(c[0, 0] / beside.covariance[0, 0]) - 1.0) for c in found) < 1e-6
@@ -179,15 +179,15 @@ def test_a_planted_cause_of_expected_t_10_measures_about_10():
                 noise = np.interp(np.arange(len(flight)) / 3.0, np.arange(len(coarse) - 20), coarse[20:])
                 flight[axis] += noise + shown[:, c]
             evidence.append(gather(str(k), flight, {}, AIRFRAME, MODEL, 100.0))
-        study = gather_study(evidence, effects, VEHICLE)
-        test = study.mixed(range(6), [True] * 3 + [False] * 3).test(Offer("tether", "changed", (0,)), (), names)
+        study = gather_design(evidence, effects, VEHICLE)
+        test = study.mixed(range(6), [True] * 3 + [False] * 3).test(Candidate("tether", "changed", (0,)), (), names)
         found.append(test.wald**0.5)
     assert 5.0 < np.median(found) < 20.0
 
 
 def test_sensor_faults_count_against_the_usual_spread(cards):
     """Well-moved flights: size over the spread of healthy flights, over the root of their number."""
-    alone = 0.03 / kinematic.SPREAD["gyro_bias"] * math.sqrt(4.0)
+    alone = 0.03 / sensor_level.SPREAD["gyro_bias"] * math.sqrt(4.0)
     assert cards["alone"]["gyro_bias"].t == pytest.approx(alone, rel=0.03)
     assert cards["straight"]["gyro_bias"].t == pytest.approx(alone / math.sqrt(2.0), rel=0.03)
     assert {cards["alone"]["imu_misalignment"].rival, "mocap_misalignment"} == {"mocap_misalignment"}

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from quasi import attitude
-from quasi.gap.wrench.rhythm import Signal, amplitudes, search
+from quasi.gap.levels.forces.spectral_peaks import Signal, amplitudes, search
 
 RATE, SECONDS = 25.0, 40.0
 T = np.arange(int(RATE * SECONDS)) / RATE

@@ -9,7 +9,7 @@ from test_gap_mixed import LAYOUT, flights, stretched
 from quasi.gap.effect import Effect, Limits, Parameter
 from quasi.gap.selection import FORCES, Named, Profile, _Search, search
 from quasi.gap.statistics import mixed as tests_on
-from quasi.gap.statistics.mixed import Columns, Mixed, Offer, Witnessed
+from quasi.gap.statistics.mixed import Candidate, ClusteredMixedModel, Columns, MixedModel
 
 
 def searching(mixed, effects, since="always", rate=0.01, within=None):
@@ -26,7 +26,7 @@ def select(mixed, effects, since, rate, within=None):
 def effects(**parts):
     p = Parameter("1", 0.0, "a", -10.0, 10.0)
     return {
-        c: Effect(c, "W", "", "", "", {str(k): p for k in range(len(LAYOUT.causes[c]))}, parts=parts.get(c, "any"))
+        c: Effect(c, "forces", "", "", "", {str(k): p for k in range(len(LAYOUT.causes[c]))}, parts=parts.get(c, "any"))
         for c in LAYOUT.causes
     }
 
@@ -36,7 +36,7 @@ def test_the_planted_cause_is_named_and_its_lookalike_is_not(since):
     rng = np.random.default_rng(5)
     compared = [False] * 4 + [True] * 4 if since == "changed" else [True] * 8
     grams, _ = flights(rng, 8, {3: 0.5}, compared)
-    names = select(Mixed(grams, compared, LAYOUT), effects(), (since,), 0.01)
+    names = select(MixedModel(grams, compared, LAYOUT), effects(), (since,), 0.01)
     assert [n.test.offer.cause for n in names.named] == ["a"]
     assert not names.ties
     assert [r.id for r in names.named[0].rivals] == ["b"]
@@ -62,8 +62,8 @@ def test_a_cause_that_explains_many_away_gives_way_to_the_one_that_explains_it_a
             return False
 
     told = Told()
-    tests = [told.test(Offer(c, "changed", (0,))) for c in alone]
-    catalogue = {c: Effect(c, "W", "", "", "") for c in alone}
+    tests = [told.test(Candidate(c, "changed", (0,))) for c in alone]
+    catalogue = {c: Effect(c, "forces", "", "", "") for c in alone}
     one = searching(told, catalogue, "changed", 5e-3)
     best, rivals, tie = one._dominant(tests)
     assert tie is None and best.offer.cause == "a"
@@ -78,7 +78,7 @@ def test_causes_that_the_data_cannot_split_are_a_tie():
         z[:, 5] = z[:, 4] + 1e-3 * rng.standard_normal(len(z))
         z[:, 0] += 0.5 * z[:, 4]
         twins.append(z.T @ z)
-    names = select(Mixed(twins, [True] * 6, LAYOUT), effects(), ("always",), 0.01)
+    names = select(MixedModel(twins, [True] * 6, LAYOUT), effects(), ("always",), 0.01)
     assert not names.named
     assert {t.offer.cause for t in names.ties[0].tests} == {"a", "b"}
     assert names.ties[0].separability < 3.0
@@ -88,10 +88,10 @@ def test_indistinct_causes_are_a_tie_however_clear_one_of_them_is():
     rng = np.random.default_rng(6)
     compared = [False] * 4 + [True] * 4
     grams, _ = flights(rng, 8, {3: 0.6}, compared)
-    mixed = Mixed(grams, compared, LAYOUT)
+    mixed = MixedModel(grams, compared, LAYOUT)
     plain = effects()
     assert select(mixed, plain, ("changed",), 0.01).named[0].test.offer.cause == "a"
-    alike = plain | {"a": replace(plain["a"], indistinct=("b",))}
+    alike = plain | {"a": replace(plain["a"], always_tied_with=("b",))}
     found = select(mixed, alike, ("changed",), 0.01)
     assert found.named == [] and {t.offer.cause for t in found.ties[0].tests} == {"a", "b"}
 
@@ -105,8 +105,10 @@ def test_beside_all_that_a_model_lacks_a_faint_cause_is_still_asked():
         z = np.column_stack([y, x])
         grams.append(z.T @ z)
     layout = Columns([1], [11], np.array([0.5]), {name: [2 + k] for k, name in enumerate(names)})
-    known = {n: Effect(n.replace(" ", "_"), "W", "", "", "", {"k": Parameter("1", 0.0, "a", -9.0, 9.0)}) for n in names}
-    found = select(Mixed(grams, [True] * 6, layout), known, ("always",), 0.01)
+    known = {
+        n: Effect(n.replace(" ", "_"), "forces", "", "", "", {"k": Parameter("1", 0.0, "a", -9.0, 9.0)}) for n in names
+    }
+    found = select(MixedModel(grams, [True] * 6, layout), known, ("always",), 0.01)
     assert {n.test.offer.cause for n in found.named} == set(names)
 
 
@@ -120,7 +122,7 @@ def test_a_declared_rival_that_is_likelier_though_unsteady_makes_a_tie():
         y = x[:, 0] + 0.5 * rng.standard_normal(400) + flag * (size * x[:, 3] + 0.35 * x[:, 4])
         z = np.column_stack([y, x])
         grams.append(z.T @ z)
-    mixed = Mixed(grams, compared, LAYOUT)
+    mixed = MixedModel(grams, compared, LAYOUT)
     plain = effects()
     assert select(mixed, plain, ("changed",), 1e-4).named[0].test.offer.cause == "b"
     rivals = plain | {"b": replace(plain["b"], rivals=("a",))}
@@ -138,7 +140,7 @@ def test_a_declared_rival_beside_which_a_cause_is_not_significant_makes_a_tie():
 
     mixed = stretched(rng, [False] * 4 + [True] * 4, made)
     pooled, level = ["a", "b", "c"], 5e-5
-    a, b = (Offer(name, "changed", (0,)) for name in "ab")
+    a, b = (Candidate(name, "changed", (0,)) for name in "ab")
     assert mixed.test(a, (), pooled).p < level < mixed.test(b, (), pooled).p < 0.01
     assert mixed.test(a, [b], pooled).p > level
     plain = effects()
@@ -159,7 +161,7 @@ def test_beside_a_clear_change_a_faint_one_may_be_its_form(since, named):
         rng, compared, lambda x, flag: x[:, 0] + rng.standard_normal(len(x)) + flag * (1.2 * x[:, 3] + 0.13 * x[:, 5])
     )
     pooled = ["a", "b", "c"] if since == "changed" else []
-    assert mixed.test(Offer("c", since, (0,)), [Offer("a", since, (0,))], pooled).p < 1e-4
+    assert mixed.test(Candidate("c", since, (0,)), [Candidate("a", since, (0,))], pooled).p < 1e-4
     found = select(mixed, effects(), (since,), 0.01).named
     assert {n.test.offer.cause for n in found} == named
 
@@ -179,7 +181,7 @@ def test_manoeuvres_of_one_flight_that_err_alike_are_one_witness(alike, named):
             own.append(z.T @ z)
         grams.append(np.array(own))
     compared = [False] * 4 + [True] * 3
-    stretches, witnessed = Mixed(grams, compared, LAYOUT), Witnessed(grams, compared, LAYOUT)
+    stretches, witnessed = MixedModel(grams, compared, LAYOUT), ClusteredMixedModel(grams, compared, LAYOUT)
     assert [n.test.offer.cause for n in select(stretches, effects(), ("changed",), 0.01).named] == ["a"]
     assert [n.test.offer.cause for n in select(witnessed, effects(), ("changed",), 0.01).named] == named
 
@@ -187,16 +189,18 @@ def test_manoeuvres_of_one_flight_that_err_alike_are_one_witness(alike, named):
 def test_two_causes_at_once_are_both_named():
     rng = np.random.default_rng(7)
     grams, _ = flights(rng, 6, {3: 0.5, 6: -0.4})
-    names = select(Mixed(grams, [True] * 6, LAYOUT), effects(), ("always",), 0.01)
+    names = select(MixedModel(grams, [True] * 6, LAYOUT), effects(), ("always",), 0.01)
     assert {(n.test.offer.cause, n.test.offer.which) for n in names.named} == {("a", (0,)), ("c", (1,))}
 
 
 def test_an_estimate_outside_its_physical_range_is_not_named():
     rng = np.random.default_rng(8)
     grams, _ = flights(rng, 6, {3: 0.5})
-    names = select(Mixed(grams, [True] * 6, LAYOUT), effects(), ("always",), 0.01, within={"a": Limits([(-0.1, 0.1)])})
+    names = select(
+        MixedModel(grams, [True] * 6, LAYOUT), effects(), ("always",), 0.01, within={"a": Limits([(-0.1, 0.1)])}
+    )
     assert "a" not in [n.test.offer.cause for n in names.named]
-    assert names.rejected[Offer("a", "always", (0,))] == "its size would be outside what is physical"
+    assert names.rejected[Candidate("a", "always", (0,))] == "its size would be outside what is physical"
 
 
 @pytest.mark.parametrize("about", [0, 1])
@@ -206,7 +210,7 @@ def test_a_cause_is_named_by_a_parameter_that_it_is_about_not_by_one_that_accomp
     known = effects(c="all")
     for k in (0, 1):
         known["c"].parameters[str(k)] = Parameter("1", 0.0, "a", -10.0, 10.0, 1.0 if k == about else None)
-    names = select(Mixed(grams, [True] * 6, LAYOUT), known, ("always",), 0.01)
+    names = select(MixedModel(grams, [True] * 6, LAYOUT), known, ("always",), 0.01)
     assert [n.test.offer.cause for n in names.named] == (["c"] if about == 1 else [])
     whys = {o.cause: why for o, why in names.rejected.items()}
     assert "c" not in whys if about == 1 else "only its accompanying parameters differ" in whys["c"]
@@ -224,8 +228,8 @@ def test_beside_a_clear_simple_cause_a_wider_one_needs_more_than_a_little():
             y = x[:, 0] + 0.3 * rng.standard_normal(1500) + flag * (x[:, 3] + size * x[:, 6])
             z = np.column_stack([y, x])
             grams.append(z.T @ z)
-        mixed = Mixed(grams, compared, LAYOUT)
-        beside = mixed.test(Offer("c", "changed", (0, 1)), [Offer("a", "changed", (0,))], ["a", "b", "c"])
+        mixed = MixedModel(grams, compared, LAYOUT)
+        beside = mixed.test(Candidate("c", "changed", (0, 1)), [Candidate("a", "changed", (0,))], ["a", "b", "c"])
         assert beside.p < 0.01 / 3
         assert select(mixed, effects(c="all"), ("changed",), 0.01).named[0].test.offer.cause == name
 
@@ -242,8 +246,10 @@ def test_several_parameters_of_one_cause_give_way_to_one_of_another_that_explain
         y = x[:, 0] + sizes[0] * x[:, 5] + sizes[1] * x[:, 6] + rng.standard_normal(400)
         z = np.column_stack([y, x])
         grams.append(z.T @ z)
-    mixed, known = Mixed(grams, [True] * 6, LAYOUT), effects()
-    parts = [Named(mixed.test(Offer("c", "always", (k,)), [Offer("c", "always", (1 - k,))]), []) for k in (0, 1)]
+    mixed, known = MixedModel(grams, [True] * 6, LAYOUT), effects()
+    parts = [
+        Named(mixed.test(Candidate("c", "always", (k,)), [Candidate("c", "always", (1 - k,))]), []) for k in (0, 1)
+    ]
     one = searching(mixed, known, rate=3e-3)
     one.given = [part.test.offer for part in parts]
     one.found = dict.fromkeys(one.given)

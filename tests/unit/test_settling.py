@@ -9,9 +9,8 @@ from scipy.spatial.transform import Rotation
 from test_gap_halves import flown as fly
 
 from quasi import attitude
-from quasi.gap.calibration import settling
-from quasi.gap.calibration.settling import compare, judged, settle
 from quasi.gap.flights.level import Flown, Level
+from quasi.gap.levels.tie_breaking import compare, judged, settle
 from quasi.importing.calibration import check
 from quasi.model.model import AXES, Model
 
@@ -94,7 +93,7 @@ def affected(flights, cause):
 
 @pytest.mark.parametrize("cause", PAIR)
 def test_of_turned_imu_and_turned_markers_the_one_that_is_turned_is_named(cause, flights, model):
-    level = Level("K", ties=[tie()])
+    level = Level("sensors", ties=[tie()])
     assert settle([level], affected(flights, cause), model, ALARM, process) == [cause]
     assert not level.ties
     assert [e["id"] for e in level.effects] == [cause]
@@ -106,14 +105,14 @@ def test_of_turned_imu_and_turned_markers_the_one_that_is_turned_is_named(cause,
 def test_a_turn_of_less_than_flights_differ_by_stays_a_tie(flights, model):
     small = 0.002 * TURN / np.linalg.norm(TURN)
     made = [replace(f, filtered=felt(f.filtered, small, f.airframe.inertia)) if f.compared else f for f in flights]
-    level = Level("K", ties=[tie(small)])
+    level = Level("sensors", ties=[tie(small)])
     assert settle([level], made, model, ALARM, process) == []
     assert level.ties and not level.effects
     assert "stay a tie" in level.notes[0]
 
 
 def test_a_turn_that_all_flights_have_stays_a_tie_whatever_the_model_leaves(flights, model):
-    level = Level("K", ties=[tie(since="always")])
+    level = Level("sensors", ties=[tie(since="always")])
     assert settle([level], affected(flights, PAIR[0]), model, ALARM, process) == []
     assert level.ties and "the model's own terms may hold it" in level.notes[0]
 
@@ -122,7 +121,7 @@ def test_the_lead_of_a_hypothesis_is_what_its_turn_costs_beyond_seating(flights,
     """Seating of 0.2 deg takes up a turned force of x at the price (x / 0.0035)^2: so the lead is about that."""
     turn = np.array([0.0, 0.02, 0.0])
     made = [replace(f, filtered=felt(f.filtered, turn, f.airframe.inertia)) if f.compared else f for f in flights]
-    left = compare([Level("K", ties=[tie(turn)])], PAIR, [], made, model, process)
+    left = compare([Level("sensors", ties=[tie(turn)])], PAIR, [], made, model, process)
     lead = left[:, 1] - left[:, 0]
     # moments and constant forces have spreads of their own and take up some
     assert ((lead > 3.0) & (lead < 1.3 * (0.02 / 0.0035) ** 2)).all(), lead
@@ -140,8 +139,8 @@ def test_the_lead_of_a_hypothesis_is_what_its_turn_costs_beyond_seating(flights,
 )
 def test_neither_one_flight_nor_a_contradicted_mean_settles(lead, settled, flights, model, monkeypatch):
     left = np.stack([np.full(3, 1000.0), 1000.0 + np.array(lead)], axis=1)
-    monkeypatch.setattr(settling, "compare", lambda *_: left)
-    level = Level("K", ties=[tie()])
+    monkeypatch.setattr("quasi.gap.levels.tie_breaking.compare", lambda *_: left)
+    level = Level("sensors", ties=[tie()])
     assert settle([level], flights, model, ALARM, process) == ([PAIR[0]] if settled else [])
     winner, each, odds = judged(left[:, ::-1])
     assert winner == 1 and odds <= each.mean()
@@ -153,6 +152,6 @@ def test_flights_that_are_valid_at_other_times_leave_the_tie_with_the_reason(fli
         late = check(calibration)["capture"]["misalignment"].any()
         return replace(anew, filtered=anew.filtered.assign(valid=(anew.filtered["t"] > (5.0 if late else 0.0)) * 1.0))
 
-    level = Level("K", ties=[tie()])
+    level = Level("sensors", ties=[tie()])
     assert settle([level], flights, model, ALARM, cut) == []
     assert "f2 is valid at other times" in level.notes[0]

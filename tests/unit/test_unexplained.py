@@ -12,13 +12,14 @@ from scipy.signal import lfilter
 from quasi.airframe import read_airframe
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
+from quasi.gap.flights.covariates import places
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.flights.places import places
-from quasi.gap.statistics.mixed import Offer
-from quasi.gap.wrench import recurring, unexplained
-from quasi.gap.wrench.gain import wrench_score
-from quasi.gap.wrench.generic import polynomial
-from quasi.gap.wrench.unexplained import outdone, search
+from quasi.gap.levels.forces import reproducibility as recurring
+from quasi.gap.levels.forces import unexplained
+from quasi.gap.levels.forces.error_reduction import wrench_score
+from quasi.gap.levels.forces.polynomial_baseline import polynomial
+from quasi.gap.levels.forces.unexplained import outdone, search
+from quasi.gap.statistics.mixed import Candidate
 from quasi.model.model import AXES
 from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
 
@@ -119,7 +120,7 @@ def test_what_changed_is_told_although_all_flights_lack_something_in_the_same_ch
 
 @pytest.mark.parametrize("drag", [0.0, 0.05])
 def test_a_cause_gives_way_to_a_place_that_explains_it_away_and_stays_where_it_is_there(ground, drag):
-    effect, offer = catalogue()["body_drag"], Offer("body_drag", "changed", (0,))
+    effect, offer = catalogue()["body_drag"], Candidate("body_drag", "changed", (0,))
 
     def dragged(c):
         velocity = np.stack([c["u"], c["v"], c["w"]], axis=1)

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 
 from quasi.gap.effect import Effect
+from quasi.gap.levels.forces.error_reduction import Score, surely
+from quasi.gap.levels.forces.materiality import Cause, Common, Judged, material, simplest
 from quasi.gap.statistics import mixed
-from quasi.gap.wrench.gain import Score, surely
-from quasi.gap.wrench.worth import Cause, Common, Judged, material, simplest
 
 SHARE = 0.05
 BLOCKS = 40
 
 
 def cause(name, since="changed", channels=("Fz",), p=1e-9, foreign=False, wald=50.0):
-    effect = Effect(name, "W", "", "", "", channels=channels, foreign=foreign)
+    effect = Effect(name, "forces", "", "", "", channels=channels, absent_when_healthy=foreign)
     return Cause(
-        effect, since, {}, {}, mixed.Test(mixed.Offer(name, since, (0,)), np.zeros(1), np.eye(1), 1.0, wald, p), []
+        effect, since, {}, {}, mixed.Test(mixed.Candidate(name, since, (0,)), np.zeros(1), np.eye(1), 1.0, wald, p), []
     )
 
 

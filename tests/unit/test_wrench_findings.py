@@ -6,8 +6,8 @@ from scipy.signal import lfilter
 from test_unexplained import RATE, ROWS, flight, ground  # noqa: F401
 
 from quasi.gap.effect import vehicle_of
-from quasi.gap.wrench.findings import gusts
-from quasi.gap.wrench.study import gather_study
+from quasi.gap.levels.forces.design import gather_design
+from quasi.gap.levels.forces.findings import gusts
 
 SLOPE = 0.15  # N s/m, of the model of these flights along each axis
 
@@ -28,7 +28,7 @@ def air(size, axes=(1.0, 1.0, 1.0)):
 def found(ground, now, before=None):  # noqa: F811
     flights = [flight(ground, s, now) for s in (1, 2, 3)]
     flights += [flight(ground, s, before) for s in (4, 5, 6)] if before else []
-    study = gather_study(flights, {}, vehicle_of(ground[1]))
+    study = gather_design(flights, {}, vehicle_of(ground[1]))
     return gusts(study, [True] * 3 + [False] * (len(flights) - 3))
 
 

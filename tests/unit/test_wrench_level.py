@@ -11,15 +11,17 @@ from quasi.gap.catalogue import catalogue, whole_of
 from quasi.gap.effect import vehicle_of
 from quasi.gap.extension import extend
 from quasi.gap.flights.instruments import reread
+from quasi.gap.levels.forces import held_out
+from quasi.gap.levels.forces import identify as examination
+from quasi.gap.levels.forces import search as sought
+from quasi.gap.levels.forces.design import gather_design, refit
+from quasi.gap.levels.forces.error_reduction import Score, after, wrench_score
+from quasi.gap.levels.forces.held_out import everything
+from quasi.gap.levels.forces.identify import examine
+from quasi.gap.levels.forces.left_out import LeftOut
+from quasi.gap.levels.forces.materiality import Cause
 from quasi.gap.statistics import mixed as tests_on
-from quasi.gap.statistics.mixed import Offer
-from quasi.gap.wrench import examination, held_out, sought
-from quasi.gap.wrench.examination import examine
-from quasi.gap.wrench.gain import Score, after, wrench_score
-from quasi.gap.wrench.held_out import everything
-from quasi.gap.wrench.left_out import LeftOut
-from quasi.gap.wrench.study import gather_study, refit
-from quasi.gap.wrench.worth import Cause
+from quasi.gap.statistics.mixed import Candidate
 from quasi.model.model import AXES, Model
 
 EFFECTS = {n: catalogue()[n] for n in ("ground_effect", "mass", "thrust_factor", "rotor_speed_scale", "body_drag")}
@@ -127,8 +129,8 @@ def test_flights_that_differ_too_much_are_no_cause_however_alike_their_manoeuvre
     for sizes, named in (([0.0] * 4 + [0.030, 0.017, -0.003, 0.015], []), ([0.0] * 4 + [0.015] * 4, ["body_drag"])):
         flights = [made(k, size) for k, size in enumerate(sizes)]
         compared, held = [k >= 4 for k in range(8)], [made(90, 0.015)]
-        study = gather_study(flights, {"body_drag": drag}, vehicle_of(model))
-        offer = Offer("body_drag", "changed", (0,))
+        study = gather_design(flights, {"body_drag": drag}, vehicle_of(model))
+        offer = Candidate("body_drag", "changed", (0,))
         assert study.mixed(range(8), compared).test(offer, (), ["body_drag"]).p < 0.005
         found = examine(flights, compared, held, model, {"body_drag": drag}, vehicle_of(model), 0.01, 0.05, "m", "test")
         assert [c.effect.id for c in found.causes] == named
@@ -144,8 +146,8 @@ def test_what_all_flights_have_is_no_change_whatever_the_model_s_terms_take_up(g
         return dataclasses.replace(plain, measured=plain.measured + whole_of(delay, plain, vehicle, {"delay": 0.004}))
 
     flights, flags = [late(k) for k in range(12)], [False] * 2 + [True] * 10
-    mixed = gather_study(flights, {"telemetry_delay": delay}, vehicle).mixed(range(12), flags)
-    offer = Offer("telemetry_delay", "changed", (0,))
+    mixed = gather_design(flights, {"telemetry_delay": delay}, vehicle).mixed(range(12), flags)
+    offer = Candidate("telemetry_delay", "changed", (0,))
     assert delay.absorbed and mixed.pooled("always") == []
     assert mixed.test(offer).p < 1e-3  # did reference flights not count
     beside = mixed.test(offer, (), mixed.pooled("changed"))
@@ -216,9 +218,9 @@ def test_flights_left_out_are_judged_by_what_the_others_tell(ground):  # noqa: F
     model = Model(ground[1].document, "test")
     vehicle, drag = vehicle_of(model), EFFECTS["body_drag"]
     flights = [hasty(ground, k, 0.03) for k in range(4)]
-    study = gather_study(flights, {"body_drag": drag}, vehicle)
+    study = gather_design(flights, {"body_drag": drag}, vehicle)
     everyone = [True] * 4
-    offer = Offer("body_drag", "always", (0,))
+    offer = Candidate("body_drag", "always", (0,))
     cause = Cause(drag, "always", {}, {}, study.witnessed(range(4), everyone).test(offer), [])
     for causes, anew in (([], False), ([cause], False), ([cause], True)):
         expected = []
@@ -306,7 +308,7 @@ def test_what_was_significant_beside_a_cause_that_axes_contradict_alone_goes_wit
     monkeypatch.setattr(examination, "disagreement", torn.get)
 
     def named(*names):
-        offers = [Offer(n, "changed", (0,)) for n in names]
+        offers = [Candidate(n, "changed", (0,)) for n in names]
         found = [Cause(effects[o.cause], o.since, {}, {}, mixed.test(o, offers, []), []) for o in offers]
         return examination._widened(found, [], effects, mixed, None, np.ones(3, bool), {"changed": 1e-3})
 

@@ -9,14 +9,14 @@ from test_wrench_level import EFFECTS, low
 
 from quasi.gap.catalogue import catalogue, whole_of
 from quasi.gap.effect import vehicle_of
-from quasi.gap.statistics.mixed import Offer
-from quasi.gap.wrench import held_out
-from quasi.gap.wrench.case import Case
-from quasi.gap.wrench.gain import after, before, wrench_score
-from quasi.gap.wrench.generic import polynomial
-from quasi.gap.wrench.held_out import best_wrong, telling
-from quasi.gap.wrench.study import gather_study, moved
-from quasi.gap.wrench.worth import Cause
+from quasi.gap.levels.forces import held_out
+from quasi.gap.levels.forces.case import Case
+from quasi.gap.levels.forces.design import gather_design, moved
+from quasi.gap.levels.forces.error_reduction import after, before, wrench_score
+from quasi.gap.levels.forces.held_out import best_wrong, telling
+from quasi.gap.levels.forces.materiality import Cause
+from quasi.gap.levels.forces.polynomial_baseline import polynomial
+from quasi.gap.statistics.mixed import Candidate
 from quasi.model.model import Model
 
 ASKED = {n: catalogue()[n] for n in ("ground_effect", "thrust_factor", "rotor_acceleration_torque", "wind")}
@@ -40,8 +40,8 @@ def case(ground):  # noqa: F811
     settings = {"extended model ID": "more"}
     case = Case(model, ASKED, vehicle, learning, compared, held, {}, [], False, settings)
     values = [{"ground_effect": {"c": 8.0}} if flag else {} for flag in compared]
-    study = gather_study(learning, ASKED, vehicle, values)
-    test = study.mixed(range(8), compared).test(Offer("ground_effect", "changed", (0,)))
+    study = gather_design(learning, ASKED, vehicle, values)
+    test = study.mixed(range(8), compared).test(Candidate("ground_effect", "changed", (0,)))
     named = [Cause(EFFECTS["ground_effect"], "changed", {"c": 8.0}, {"c": 0.1}, test, [])]
     old = wrench_score(held, before).mean()
     return case, study, named, old, wrench_score([flight(ground, 90)], before).mean()

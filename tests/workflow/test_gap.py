@@ -36,13 +36,14 @@ def test_a_gap_makes_diagnosis_report_and_a_model_and_a_second_run_does_nothing(
     assert code == 0, text
     folder = project.folder / TARGET
     made = {p.relative_to(folder).as_posix() for p in folder.rglob("*.*")}
-    assert made >= {"diagnosis.json", "report.html", "model.json", "calibration.json", "tables/W_residuals.parquet",
-                    "tables/W_where.parquet", "tables/R_errors.parquet", "figures/where.png"}  # fmt: skip
+    assert made >= {"diagnosis.json", "report.html", "model.json", "calibration.json",
+                    "tables/forces_residuals.parquet",
+                    "tables/forces_where.parquet", "tables/rollouts_errors.parquet", "figures/where.png"}  # fmt: skip
     found = json.loads((folder / "diagnosis.json").read_text())
     assert found["schema"] == "quasi.gap/1" and found["model"] == "small" and found["extended_model"] == "small-near"
     assert found["verdict"] in ("agrees", "explained", "partly explained", "unexplained") and found["summary"]
-    assert set(found["gap"]["before"]["R"]["velocity"]) == {"0.1", "0.5"}
-    assert set(found["gap"]["before"]["W"]) == {"Fx", "Fy", "Fz", "Mx", "My", "Mz"}
+    assert set(found["gap"]["before"]["rollouts"]["velocity"]) == {"0.1", "0.5"}
+    assert set(found["gap"]["before"]["forces"]) == {"Fx", "Fy", "Fz", "Mx", "My", "Mz"}
     page = (folder / "report.html").read_text()
     assert found["verdict"] in page and "http://" not in page and "https://" not in page
     lives = page[page.index("Where the errors live") :]  # of sensors, drive, forces and moments, simulations
@@ -50,7 +51,9 @@ def test_a_gap_makes_diagnosis_report_and_a_model_and_a_second_run_does_nothing(
         assert channel in lives
     model = json.loads((project.folder / EXTENDED / "model.json").read_text())
     assert model["id"] == "small-near" and model["provenance"]["extended from"] == "small"
-    assert {e["id"] for e in model["extensions"]} == {e["id"] for e in found["effects"] if e["level"] in ("W", "A")}
+    assert {e["id"] for e in model["extensions"]} == {
+        e["id"] for e in found["effects"] if e["level"] in ("forces", "drive")
+    }
     assert (project.folder / EXTENDED / "report.html").is_file()
 
     assert list((project.folder / "results/mcap/gaps/near").glob("*.mcap"))

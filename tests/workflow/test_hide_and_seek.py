@@ -62,7 +62,7 @@ def said(truth, names=(), ties=(), design="reference", kind="single", everywhere
     about = {"since": "always", "in training flights": everywhere}
     if design == "reference":
         about = {"since": "always" if everywhere else "changed"}
-    effects = [{"id": n, "level": "W", "probability": 1.0, "parameters": p, **about} for n, p in names]
+    effects = [{"id": n, "level": "forces", "probability": 1.0, "parameters": p, **about} for n, p in names]
     tied = [{"ids": list(t), **about} for t in ties]
     verdict = "explained" if effects else "partly explained" if tied else "agrees"
     return {"kind": kind, "design": design, "effects": truth, "unexplained": [], "effects said": effects, "ties": tied,

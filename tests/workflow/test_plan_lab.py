@@ -13,9 +13,9 @@ from hidden import affected, healthy_model, processed, references
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.gathering import gather
+from quasi.gap.levels.forces.design import gather_study
 from quasi.gap.planning import plan
 from quasi.gap.statistics.mixed import Offer
-from quasi.gap.wrench.study import gather_study
 
 CAUSE, PARAMETER = "tether", "k"
 
@@ -25,7 +25,7 @@ def test_a_made_flight_with_a_cause_of_expected_t_10_measures_about_10(healthy, 
     """Expected from four healthy flights with another four beside them; measured on four flights with the cause."""
     model = healthy_model(healthy)
     others = [f for _, f in references(healthy, 0)]
-    effects = {n: e for n, e in catalogue().items() if e.level == "W" and n != "proximity"}
+    effects = {n: e for n, e in catalogue().items() if e.level == "forces" and n != "proximity"}
     flights = [plan.read_flight(f.filtered, model, f.key) for f in others]
     card = plan.examine(flights, model, effects, 4, 4, propose=False)
     sight = next(r.sight for r in card.rows if r.effect.id == CAUSE)

@@ -9,7 +9,7 @@ import pandas as pd
 from scipy.stats import f as f_distribution
 
 from quasi.airframe import Airframe
-from quasi.gap.statistics.mixed import Columns, Mixed, Offer, Test
+from quasi.gap.statistics.mixed import Candidate, Columns, MixedModel, Test
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Level:
     healthy: dict[str, Any] = field(default_factory=dict)
 
 
-class Tests(Mixed):
+class Tests(MixedModel):
     """Tests whose nuisances have spreads known from many flights, not told by the few at hand.
 
     freedom   degrees of freedom that those spreads stand for, beside the flights' own
@@ -79,8 +79,8 @@ class Tests(Mixed):
         groups = 1 if self.compared.all() else 2
         self.freedom = max(len(grams) - groups, 1) + freedom
 
-    def test(self, offer: Offer, given: Sequence[Offer] = (), pooled: Sequence[str] = ()) -> Test:
-        """A cause with other causes given, see `Mixed.test`; what healthy set-ups have in common is no fault."""
+    def test(self, offer: Candidate, given: Sequence[Candidate] = (), pooled: Sequence[str] = ()) -> Test:
+        """A cause with other causes given, see `MixedModel.test`; what healthy set-ups have in common is no fault."""
         test = super().test(offer, given, pooled)
         size = self.common.get(offer.cause)
         if size is None or offer.since != "always":
@@ -91,9 +91,9 @@ class Tests(Mixed):
         return test._replace(covariance=covariance, wald=wald, p=max(p, test.p))
 
 
-def offers_of(mixed: Tests, since: str) -> list[Offer]:
+def offers_of(mixed: Tests, since: str) -> list[Candidate]:
     """Every cause with all its parameters."""
-    return [Offer(cause, since, tuple(range(len(columns)))) for cause, columns in mixed.columns.causes.items()]
+    return [Candidate(cause, since, tuple(range(len(columns)))) for cause, columns in mixed.columns.causes.items()]
 
 
 class Clear(NamedTuple):
@@ -122,7 +122,7 @@ def clear(mixed: Tests, cause: str, since: str, size: np.ndarray) -> Clear:
     offer = next(o for o in offers_of(mixed, since) if o.cause == cause)
     pooled = mixed.pooled(since)
 
-    def shown(given: Sequence[Offer]) -> float:
+    def shown(given: Sequence[Candidate]) -> float:
         covariance = mixed.test(offer, given, pooled).covariance
         return float(np.sqrt(max(size @ np.linalg.solve(covariance, size), 0.0)))
 

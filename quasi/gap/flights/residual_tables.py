@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 from scipy.signal import welch
 
+from quasi.gap.flights.covariates import HEADING, UNITS, along
 from quasi.gap.flights.evidence import induced_in_hover
 from quasi.gap.flights.level import Flown
-from quasi.gap.flights.places import HEADING, UNITS, along
 from quasi.gap.statistics.whitening import stretches
 
 WHERE = ("t", "speed", "height", "heading", "room_x", "room_y", "volts", "rotor_speed", "descent_ratio")

@@ -22,9 +22,9 @@ from quasi.gap.statistics.mixed import (
     RIDGE,
     SPANNED,
     SPREADS,
+    Candidate,
     Columns,
-    Mixed,
-    Offer,
+    MixedModel,
     marginal,
 )
 
@@ -121,13 +121,13 @@ class Outlook:
         count = sum(f.count * len(f.stretches) for f in self.flights)
         self.freedom = max(count - (2 if self.since == "changed" else 1), 1) + freedom
         alone = [f.stretches[:, :size, :size] for f in self.flights]  # how many residuals follow depends on the flight
-        self._whole = Mixed(alone, [True] * len(self.flights), columns)
+        self._whole = MixedModel(alone, [True] * len(self.flights), columns)
 
     def absorbed(self, cause: str) -> bool:
         """Whether the model's own terms take the cause up, so that without reference flights nothing is left of it."""
-        return self.since == "always" and self.effects[cause].absorbed
+        return self.since == "always" and self.effects[cause].absorbed_by_model
 
-    def taken_up(self, offer: Offer) -> bool:
+    def taken_up(self, offer: Candidate) -> bool:
         """Whether terms that the model has anyway hold the cause's columns: fitted anew, they leave nothing of them."""
         if self.since == "changed" or not self.columns.shared:
             return False
@@ -168,19 +168,19 @@ class Outlook:
         nearest = min(by_rival, key=by_rival.get, default=None)
         return Sight(cause, parameter, size, t, min([t, *by_rival.values()]), nearest, self.needed(offer, share))
 
-    def offer(self, cause: str, parameter: str) -> Offer:
+    def offer(self, cause: str, parameter: str) -> Candidate:
         """The parameter alone, or all of a cause whose parameters are found together."""
         effect = self.effects[cause]
         names = effect.fitted
         if self.together or effect.parts == "all":
             return self.whole(cause)
-        return Offer(cause, self.since, (names.index(parameter),))
+        return Candidate(cause, self.since, (names.index(parameter),))
 
-    def whole(self, cause: str) -> Offer:
+    def whole(self, cause: str) -> Candidate:
         """A cause with all its parameters."""
-        return Offer(cause, self.since, tuple(range(len(self.columns.causes[cause]))))
+        return Candidate(cause, self.since, tuple(range(len(self.columns.causes[cause]))))
 
-    def needed(self, offer: Offer, share: float) -> float:
+    def needed(self, offer: Candidate, share: float) -> float:
         """|t| at which nine of ten repeats pass the threshold of naming. share  of the variance that rests on tau."""
         effect, m = self.effects[offer.cause], len(offer.which)
         n = len(effect.fitted)
@@ -189,23 +189,23 @@ class Outlook:
         freedom = min(self.freedom / max(share, 1e-3) ** 2, MOST_FREEDOM)
         return float(np.sqrt(m * f_distribution.isf(self.level / selections, m, freedom)) + POWER)
 
-    def _t(self, offer: Offer, parameter: str, size: float, covariance: np.ndarray) -> float:
+    def _t(self, offer: Candidate, parameter: str, size: float, covariance: np.ndarray) -> float:
         theta = np.zeros(len(offer.which))
         theta[offer.which.index(self.effects[offer.cause].fitted.index(parameter))] = size
         return float(np.sqrt(max(theta @ np.linalg.solve(covariance, theta), 0.0)))
 
-    def _simpler(self, offer: Offer, other: str) -> bool:
+    def _simpler(self, offer: Candidate, other: str) -> bool:
         """Whether the other is no rival because it only holds this one among more parameters: the simpler is named."""
         wide = self.whole(other)
         return len(wide.which) > len(offer.which) and self._whole.spans(wide, offer)
 
-    def test(self, offer: Offer) -> tuple[Spread, np.ndarray, float]:
+    def test(self, offer: Candidate) -> tuple[Spread, np.ndarray, float]:
         """The spread, covariance (m, m) of the parameters and the share of the variance that rests on the spread."""
         spread, covariance = self.spread(offer)
         _, certain = self._solve(offer, Spread(CERTAIN, False), None)
         return spread, covariance, 1.0 - float(np.mean(np.diag(certain) / np.diag(covariance)))
 
-    def spread(self, offer: Offer) -> tuple[Spread, np.ndarray]:
+    def spread(self, offer: Candidate) -> tuple[Spread, np.ndarray]:
         """The most likely of the spreads that the search tries, and the covariance there."""
         best = None
         # without residuals nothing speaks for more than the least
@@ -222,11 +222,11 @@ class Outlook:
                     break
         return best[1], best[2]
 
-    def covariance(self, offer: Offer, spread: Spread, given: Offer) -> np.ndarray:
+    def covariance(self, offer: Candidate, spread: Spread, given: Candidate) -> np.ndarray:
         """Covariance (m, m) of the parameters with another cause, at a spread that is known."""
         return self._solve(offer, spread, given)[1]
 
-    def _solve(self, offer: Offer, assumed: Spread, given: Offer | None) -> tuple[float, np.ndarray]:
+    def _solve(self, offer: Candidate, assumed: Spread, given: Candidate | None) -> tuple[float, np.ndarray]:
         """-2 log likelihood, averaged over the residuals, and covariance."""
         columns = self.columns
         own = [columns.causes[offer.cause][k] for k in offer.which]
@@ -257,7 +257,7 @@ class Outlook:
         if self.prior is not None:
             base = slice(head, head + len(columns.shared))
             total[base, base] += self.prior
-        # what all flights have alike is bounded, as in Mixed.test
+        # what all flights have alike is bounded, as in MixedModel.test
         bounds = {c: b for n in columns.bounds for c, b in zip(columns.causes[n], columns.bounds[n])}
         for k, column in enumerate(pooled, head + len(columns.shared)):
             total[k, k] += bounds.get(column, np.inf) ** -2.0

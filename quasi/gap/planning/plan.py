@@ -12,16 +12,17 @@ import numpy as np
 import pandas as pd
 
 from quasi.errors import ConfigError, DataError
-from quasi.gap.calibration.lower import rate_of
 from quasi.gap.effect import Effect, Room, Vehicle, vehicle_of
 from quasi.gap.flights.evidence import NEEDED, Evidence
 from quasi.gap.flights.gathering import gather
-from quasi.gap.planning import plan_lower, plan_noise
+from quasi.gap.levels.forces.design import BLOCK, ORDER, Design, gather_design, in_stretches
+from quasi.gap.levels.sensors_and_drive import rate_of
+from quasi.gap.planning import plan_noise
+from quasi.gap.planning import sensors_and_drive as plan_lower
 from quasi.gap.planning.flatness import planned, read_plan, with_forces
 from quasi.gap.planning.manoeuvres import Manoeuvre, library
 from quasi.gap.planning.outlook import Outlook, Repeated, Row, Sight
 from quasi.gap.statistics.whitening import Whitener, block_grams
-from quasi.gap.wrench.study import BLOCK, ORDER, Study, gather_study, in_stretches
 from quasi.model.model import AXES, ROTORS, Model
 
 RATE = 100.0  # Hz of the evidence
@@ -190,8 +191,8 @@ def _wrench(
     flights: Sequence[Flight], evidence: Sequence[Evidence], shares: Sequence[tuple[int, int]], model: Model,
     asked: Mapping[str, Effect], vehicle: Vehicle, rate: float, noise: tuple[Whitener, str] | None, card: Card,
 ) -> Judge:  # fmt: skip
-    effects = {n: e for n, e in asked.items() if e.level == "W"}
-    study = gather_study(evidence, effects, vehicle)
+    effects = {n: e for n, e in asked.items() if e.level == "forces"}
+    study = gather_design(evidence, effects, vehicle)
     effects = {n: effects[n] for n in study.columns.causes}
     measured = all(f.measured for f in flights)
     if noise is None and measured:
@@ -209,7 +210,7 @@ def _wrench(
         flight = manoeuvre.flight
         flight = flight.assign(**{c: v for c, v in extra.items() if c not in flight})
         one = gather(manoeuvre.name, flight, evidence[0].metadata, model.airframe, model, RATE)
-        own = gather_study([one], effects, vehicle, idle=True)  # with the columns of the flights
+        own = gather_design([one], effects, vehicle, idle=True)  # with the columns of the flights
         return [_stretches(own, 0, whitener, False, model, number, rng) for number in numbers]
 
     return Judge(
@@ -222,7 +223,7 @@ def _wrench(
 
 
 def _stretches(
-    study: Study, k: int, whitener: Whitener, measured: bool, model: Model, number: int, rng: np.random.Generator
+    study: Design, k: int, whitener: Whitener, measured: bool, model: Model, number: int, rng: np.random.Generator
 ) -> np.ndarray:
     """Cross-products of a flight's stretches with `number` residuals like its own, or drawn ones."""
     part, t, columns = study.thinned[k], study.flights[k].t, study.columns
@@ -237,7 +238,7 @@ def _stretches(
 def _sensors(
     flights: Sequence[Flight], model: Model, asked: Mapping[str, Effect], rate: float, card: Card
 ) -> Judge | None:
-    effects = {n: e for n, e in asked.items() if e.level == "K"}
+    effects = {n: e for n, e in asked.items() if e.level == "sensors"}
     try:
         found = [plan_lower.sensed(f.columns, model) for f in flights]
     except DataError as error:
@@ -261,7 +262,7 @@ def _drives(
 ) -> Judge | None:
     effects = {n: e for n, e in asked.items() if n in plan_lower.DRIVES}
     card.not_asked |= {
-        n: "no closed form of what it shows" for n, e in asked.items() if e.level == "A" and n not in effects
+        n: "no closed form of what it shows" for n, e in asked.items() if e.level == "drive" and n not in effects
     }
     if not all("battery_voltage" in f.columns for f in flights) and effects.pop("battery_sag", None):
         card.not_asked["battery_sag"] = "no battery voltage is known"

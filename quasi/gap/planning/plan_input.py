@@ -83,7 +83,7 @@ def _same_kind(metadata: Mapping[str, Any], model: Model, path: Path) -> None:
 
 def noise_of(gap: str, directory: Path) -> tuple[Whitener, str]:
     """Noise as a finished gap left it. Raises ReadError where there is none."""
-    path = directory / "results/gaps" / gap / "tables/W_residuals.parquet"
+    path = directory / "results/gaps" / gap / "tables/forces_residuals.parquet"
     if not path.is_file():
         made = [p.name for p in directory.glob("results/gaps/*") if p.is_dir()]
         raise ReadError(f"no gap '{gap}': {path} does not exist{nearest(gap, made)}; make it with "

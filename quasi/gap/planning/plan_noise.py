@@ -15,9 +15,9 @@ from scipy.signal import firwin, freqz
 
 from quasi.errors import DataError
 from quasi.gap.effect import Vehicle
+from quasi.gap.levels.forces.design import BAND, LIGHT, ORDER
 from quasi.gap.statistics.mixed import marginal
 from quasi.gap.statistics.whitening import RIDGE, Whitener, autoregression, thin
-from quasi.gap.wrench.study import BAND, LIGHT, ORDER
 from quasi.model.model import AXES, Model
 
 # one-sided power densities of the residual, shares squared per Hz: slow / (1 + (f / corner)^2)^1.5 + white
@@ -55,7 +55,10 @@ def usual(vehicle: Vehicle, rate: float) -> Whitener:
 
 
 def of_residuals(table: pd.DataFrame, where: str) -> Whitener:
-    """Whitener of what a gap left of forces and moments: its table W_residuals. Raises DataError for another table."""
+    """Whitener of the residuals of forces and moments of a gap, its table forces_residuals.
+
+    Raises DataError for another table.
+    """
     names = [f"{axis}_after" for axis in AXES]
     missing = [n for n in ("t", "flight", *names) if n not in table]
     if missing:

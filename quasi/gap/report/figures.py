@@ -8,9 +8,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from quasi.gap.flights.places import UNITS as UNITS_AT
+from quasi.gap.flights.covariates import UNITS as UNITS_AT
+from quasi.gap.levels.rollouts.open_loop import TYPICAL
 from quasi.gap.report.wording import CHANNELS
-from quasi.gap.rollouts.open_loop import TYPICAL
 
 WIDTH = 10.5  # in, which the page shows at its own size: smaller figures would be blown up, larger ones shrunk
 SMALL = 9  # pt, of all that is to be read
@@ -44,15 +44,15 @@ WORTH = {"u": 1.0, "v": 1.0, "w": 1.0, "roll": 0.2, "pitch": 0.2, "z": 0.5}  # e
 def figures(tables: Mapping[str, pd.DataFrame]) -> dict[str, Figure]:
     """{name: figure} of what the tables hold; what is not finite is not drawn."""
     tables = {name: table.replace([np.inf, -np.inf], np.nan) for name, table in tables.items()}
-    where = tables.get("W_where")
-    where = with_errors(where, tables.get("W_residuals")) if where is not None and len(where) else None
+    where = tables.get("forces_where")
+    where = with_errors(where, tables.get("forces_residuals")) if where is not None and len(where) else None
     drawn = {
-        "glance": glance_figure(where, tables.get("R_overlays")),
-        "unexplained": unexplained_figure(tables.get("W_unexplained")),
+        "glance": glance_figure(where, tables.get("rollouts_overlays")),
+        "unexplained": unexplained_figure(tables.get("forces_unexplained")),
         "where": where_figure(where),
-        "spectra": spectra_figure(tables.get("W_spectra")),
-        "horizons": horizons_figure(tables.get("R_errors")),
-        "overlays": overlays_figure(tables.get("R_overlays")),
+        "spectra": spectra_figure(tables.get("forces_spectra")),
+        "horizons": horizons_figure(tables.get("rollouts_errors")),
+        "overlays": overlays_figure(tables.get("rollouts_overlays")),
     }
     return {name: figure for name, figure in drawn.items() if figure is not None}
 
@@ -248,13 +248,13 @@ def horizons_figure(table: pd.DataFrame | None) -> Figure | None:
     panels = figure.subplots(4, 3)
     norms = [*panels[0], panels[1, 0]]
     for panel, (quantity, unit) in zip(norms, UNITS.items()):
-        for driven, style in (("R", "-"), ("R commands", "--")):
-            _horizons(panel, table[table["driven"] == driven], quantity, style, driven == "R commands")
+        for driven, style in (("rollouts", "-"), ("rollouts from commands", "--")):
+            _horizons(panel, table[table["driven"] == driven], quantity, style, driven == "rollouts from commands")
         _framed(panel, f"error of {CHANNELS[quantity]}", unit)
-    line = "R with trim" if (table["driven"] == "R with trim").any() else "R"
+    line = "rollouts with trim" if (table["driven"] == "rollouts with trim").any() else "rollouts"
     for panel, quantity in zip(panels[2:].flat, [f"{q} {a}" for q in ("velocity", "rate") for a in "xyz"]):
         _horizons(panel, table[table["driven"] == line], quantity, "-", False)
-        tail = ", trim taken up" if line == "R with trim" else ""
+        tail = ", trim taken up" if line == "rollouts with trim" else ""
         _framed(panel, f"error of {CHANNELS[quantity]}{tail}", UNITS[quantity.split()[0]])
     for panel in panels[1, 1:]:
         panel.axis("off")

@@ -1,4 +1,4 @@
-"""Where errors are greatest, along the places of the tables K_where to R_where: a table of the page."""
+"""Where errors are greatest, along the places of the tables sensors_where to rollouts_where: a table of the page."""
 
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from quasi.pages import frame as report
 
 FAR = 1.5  # times the root mean square elsewhere: a place that is told
 ALSO = 2  # further places of an error
-LEVELS = ("K", "A", "W", "R")
+LEVELS = ("sensors", "drive", "forces", "rollouts")
 NAMES = {"t": "time", "volts": "battery voltage"}  # of places; the others are called as their column
 NORMS = ("position", "velocity", "attitude", "rate")
 
@@ -83,8 +83,8 @@ def _channels(where: Mapping[str, pd.DataFrame], horizon: float) -> Iterator[tup
         if table is None or not len(table):
             continue
         after = ""
-        if level == "R":
-            table = table[(table["driven"] == "R") & table["channel"].isin(NORMS)]
+        if level == "rollouts":
+            table = table[(table["driven"] == "rollouts") & table["channel"].isin(NORMS)]
             if not len(table):
                 continue
             nearest = min(table["horizon"].unique(), key=lambda h: abs(h - horizon))

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from quasi.gap.calibration.corrections import corrected_at_import, uncorrected
 from quasi.gap.effect import Effect
+from quasi.gap.levels.corrections import corrected_at_import, uncorrected
 from quasi.gap.report.wording import CHANNELS, listed, name_of, parameters_of, ranges_of, unasked, words_of
 
 MOST = 4  # names in a row, before the rest are counted

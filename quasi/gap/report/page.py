@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from quasi.gap.calibration.corrections import corrected_at_import
-from quasi.gap.calibration.lower import UNITS as UNITS_OF
 from quasi.gap.effect import Effect
+from quasi.gap.levels.corrections import corrected_at_import
+from quasi.gap.levels.sensors_and_drive import UNITS as UNITS_OF
 from quasi.gap.report.localised import table_of
 from quasi.gap.report.next_steps import in_model, steps
 from quasi.gap.report.shares import certainty_of, reaches_floor, share_of
@@ -36,9 +36,9 @@ AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 THIN = 2  # every so many rows of the comparison are shown
 UNITS = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
 LINES = {
-    "R": "measured rotor speeds",
-    "R with trim": "measured rotor speeds, trim of the 2 s before each window taken up",
-    "R commands": "commands",
+    "rollouts": "measured rotor speeds",
+    "rollouts with trim": "measured rotor speeds, trim of the 2 s before each window taken up",
+    "rollouts from commands": "commands",
 }
 ANSWERED = 2  # causes that the first screen has room for
 MOST = 15  # of the causes that are not named
@@ -50,7 +50,7 @@ TAKEN_OFF = (
     "IMU sat, what biases they had), which may hide a gain, or undo it. Removed is told with that taken off, before "
     "and after alike: the share of the squared error above the floor that goes with the cause."
 )
-LEVELS = {"K": "sensors against capture", "A": "rotor speeds against commands"}
+LEVELS = {"sensors": "sensors against capture", "drive": "rotor speeds against commands"}
 CAPTIONS = {
     "glance": "Left: the error of the model where it falls most, before (pale red) and after (blue) the extension, "
     "with standard errors, compared and held-out flights together. Right: a held-out flight (black) and what the "
@@ -61,13 +61,13 @@ CAPTIONS = {
     "extension, beside the flight (black); where only blue is seen with a red rim, nothing has changed.",
     "horizons": "Errors at the end of simulations of held-out flights over their length, before (pale red) and after "
     "(blue); dashed where commands drove the rotors. The lower panels are along the axes. Grey: what the model's terms "
-    "and all causes, fitted to the other flights, leave. The table R_errors holds all lines.",
+    "and all causes, fitted to the other flights, leave. The table rollouts_errors holds all lines.",
     "unexplained": "What no cause explains, where it lives: mean errors with standard errors (black) and the smooth "
     "function that stands for them (red), compared and held-out flights together.",
     "where": "Mean error of forces and moments where it was found, compared and held-out flights together, before "
     "(pale red) and after (blue), with standard errors of pieces of 2 s where there are enough. Shown are the places "
-    "where the two differ most and where the error stands out most from these; the table W_where holds all channels "
-    "and places.",
+    "where the two differ most and where the error stands out most from these; the table forces_where holds all "
+    "channels and places.",
     "spectra": "Power of the errors over frequency, before (pale red) and after (blue) the extension.",
 }
 
@@ -81,8 +81,8 @@ def page(
 ) -> str:
     """The page as HTML.
 
-    diagnosis  "quasi.gap/1"; effects  the catalogue; residuals  the table W_residuals; pictures {name: PNG}
-    where      {level: its table of places}: K_where to R_where
+    diagnosis  "quasi.gap/1"; effects  the catalogue; residuals  the table forces_residuals; pictures {name: PNG}
+    where      {level: its table of places}: sensors_where to rollouts_where
     """
     roles = diagnosis["flights"]
     keys = {r: [k for k, role in roles.items() if role == r] for r in ("compared", "held out", "reference")}
@@ -162,14 +162,14 @@ def _value(diagnosis: Mapping[str, Any], key: str, level: str, channel: str, hor
 
 
 def _forces(diagnosis: Mapping[str, Any]) -> str:
-    if "W" not in diagnosis["gap"]["before"]:
+    if "forces" not in diagnosis["gap"]["before"]:
         return report.render_paragraph("Forces and moments have no held-out flight to be judged on.")
     removed, rows = diagnosis["scores"].get("removed", {}), []
     wrong = diagnosis["scores"].get("best wrong cause")
     beside = [diagnosis["scores"].get("best wrong cause removed", {}),
               diagnosis["scores"].get("generic polynomial", {}).get("removed", {})]  # fmt: skip
     for axis in AXES:
-        three = [_value(diagnosis, k, "W", axis) for k in ("before", "after", "noise_floor")]
+        three = [_value(diagnosis, k, "forces", axis) for k in ("before", "after", "noise_floor")]
         unit = "N" if axis[0] == "F" else "N m"
         rows.append(
             [f"{CHANNELS[axis]} ({axis}), {unit}", *map(report.format_number, three), _share(removed.get(axis)),

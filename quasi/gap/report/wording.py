@@ -5,9 +5,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from quasi.gap.calibration.corrections import uncorrected
 from quasi.gap.effect import Effect
-from quasi.gap.flights.places import UNITS
+from quasi.gap.flights.covariates import UNITS
 from quasi.gap.report.shares import certainty_of, interval_of, percent, reaches_floor, share_of
 
 CHANNELS = {
@@ -36,8 +35,8 @@ REMOVABLE = {
     False: "Removable error of sensors and rotor speeds is what lies (squared) above a fit, to each flight by itself, "
     "of all that is known to go wrong there.",
 }  # by whether it is one of level W
-LEVELS = {"K": ("sensors", "clocks"), "A": ("the rotor drive",)}  # what stands below forces and moments
-LINES = {"R": "", "R commands": " from commands"}
+LEVELS = {"sensors": ("sensors", "clocks"), "drive": ("the rotor drive",)}  # what stands below forces and moments
+LINES = {"rollouts": "", "rollouts from commands": " from commands"}
 SINCE = {
     "changed": "this is new since the reference flights",
     "always": "the model lacks it in every flight",
@@ -141,7 +140,7 @@ def _explains(effect: Mapping[str, Any], roles: Mapping[str, str]) -> str:
         if reaches_floor(found["value"]):
             return f"brings the {name} down to the noise floor{interval_of(found)}{at}"
         return f"explains {share_of(gain, found)} of the removable {name}{at}"
-    if effect["level"] == "A":
+    if effect["level"] == "drive":
         if reaches_floor(gain):
             return f"brings the error of rotor speeds at given commands down to the noise floor{at}"
         return f"explains {percent(gain)} of the removable error of rotor speeds at given commands{at}"
@@ -300,9 +299,9 @@ def rollout_sentence(diagnosis: Mapping[str, Any]) -> str:
     Causes of the rotors' drive alone act only where commands drive the simulation.
     """
     levels = {e["level"] for e in diagnosis["effects"]}
-    if not levels & {"W", "A"} and not diagnosis.get("fitted anew"):
+    if not levels & {"forces", "drive"} and not diagnosis.get("fitted anew"):
         return ""
-    line = "R" if "W" in levels or diagnosis.get("fitted anew") else "R commands"
+    line = "rollouts" if "forces" in levels or diagnosis.get("fitted anew") else "rollouts from commands"
     rows = [r for r in diagnosis["rollouts"].get(line) or [] if r["quantity"] in ("velocity", "rate")]
     if not rows:
         return ""
@@ -331,7 +330,7 @@ def rollout_sentence(diagnosis: Mapping[str, Any]) -> str:
 
 def unasked(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     """Why forces and moments could not be asked, of a diagnosis that is not judged."""
-    whys = [c["why"] for c in diagnosis["cannot_be_asked"] if c["id"] in known and known[c["id"]].level == "W"]
+    whys = [c["why"] for c in diagnosis["cannot_be_asked"] if c["id"] in known and known[c["id"]].level == "forces"]
     return diagnosis.get("unable") or (whys[0] if whys else "the flights hold too little")
 
 
@@ -435,7 +434,7 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
     texts = [t for t in texts if t]
     if not any("removable" in t or "noise floor" in t for t in texts):
         return texts
-    levels = {e["level"] == "W" for e in effects} | ({True} if diagnosis["unexplained"] else set())
+    levels = {e["level"] == "forces" for e in effects} | ({True} if diagnosis["unexplained"] else set())
     return [*texts, " ".join(text for level, text in REMOVABLE.items() if level in levels)]
 
 

@@ -14,7 +14,7 @@ where a model that errs a little looks like a large parameter in flights that ha
 
 Everything works on per-flight cross-products of the columns (y, B, N, C...), so that a test costs small linear algebra
 however long the flights are.
-Sources: Pinheiro & Bates, Mixed-Effects Models in S and S-PLUS, 2000, sections 2.2 and 2.4; Harville, Maximum
+Sources: Pinheiro & Bates, MixedModel-Effects Models in S and S-PLUS, 2000, sections 2.2 and 2.4; Harville, Maximum
 likelihood approaches to variance component estimation, JASA 72, 1977; Vovk & Wang, Combining p-values via averaging,
 Biometrika 107, 2020.
 """
@@ -36,7 +36,7 @@ MOST_FREEDOM = 40.0  # the known spreads are not that well known
 RIDGE = 1e-9  # of scaled columns, so that interchangeable ones share instead of breaking the solution
 
 
-class Offer(NamedTuple):
+class Candidate(NamedTuple):
     """A cause, the flights it is offered to ("always": all, "changed": the compared ones), which of its parameters."""
 
     cause: str
@@ -47,7 +47,7 @@ class Offer(NamedTuple):
 class Columns(NamedTuple):
     """Which columns of the cross-products are what; column 0 is the target.
 
-    unpooled  causes that are never added to the base, see Mixed.pooled
+    unpooled  causes that are never added to the base, see MixedModel.pooled
     tries     {cause: how many forms of its columns were tried}
     bounds    {cause: (m,) standard deviation of each parameter in healthy flights; infinite where nothing is known}.
               It bounds the part that all flights have alike where changes are tested: reference flights that hardly
@@ -69,7 +69,7 @@ class Test(NamedTuple):
     p counts that the best of several selections of the cause's parameters was taken.
     """
 
-    offer: Offer
+    offer: Candidate
     value: np.ndarray
     covariance: np.ndarray
     tau: float
@@ -147,7 +147,7 @@ class _Spectrum(NamedTuple):
         return left + information, value, inverse, left
 
 
-class Mixed:
+class MixedModel:
     """Flights' cross-products and the tests on them.
 
     grams     (P, P) per flight, or (K, P, P) where a flight is cut into K stretches, each with a deviation of its own;
@@ -201,7 +201,7 @@ class Mixed:
         """
         return [c for c in self.columns.causes if c not in self.columns.unpooled] if "changed" in since else []
 
-    def test(self, offer: Offer, given: Sequence[Offer] = (), pooled: Sequence[str] = ()) -> Test:
+    def test(self, offer: Candidate, given: Sequence[Candidate] = (), pooled: Sequence[str] = ()) -> Test:
         """A cause beside what is given.
 
         given   offers already accepted; pooled  causes whose columns belong to the base here: fitted in all flights
@@ -239,7 +239,7 @@ class Mixed:
         unlikely = left + self._spread_out(own, unit, form / tau**2)
         return Test(offer, value * unit, covariance * np.outer(unit, unit), float(tau), wald, p, unlikely)
 
-    def spans(self, wide: Offer, narrow: Offer, given: Sequence[Offer] = ()) -> bool:
+    def spans(self, wide: Candidate, narrow: Candidate, given: Sequence[Candidate] = ()) -> bool:
         """Whether the columns of one offer hold those of another, base and given taken out of both."""
         of_wide, of_narrow = self._of(wide), self._of(narrow)
         use = self.offered(wide.since) & self.offered(narrow.since)
@@ -259,11 +259,11 @@ class Mixed:
         after = left([*known, *(c for c in of_wide if c not in of_narrow)], of_narrow)
         return bool(np.all(after < SPANNED * before))
 
-    def _of(self, offer: Offer) -> list[int]:
+    def _of(self, offer: Candidate) -> list[int]:
         columns = self.columns.causes[offer.cause]
         return [columns[k] for k in offer.which]
 
-    def _given(self, given: Sequence[Offer], pooled: Sequence[str]) -> _Given:
+    def _given(self, given: Sequence[Candidate], pooled: Sequence[str]) -> _Given:
         """The model's terms, given and pooled causes, ready to be taken out."""
         everywhere = np.ones(len(self.compared), bool)
         blocks = [(self.columns.shared, everywhere), *((self._of(o), self.offered(o.since)) for o in given)]
@@ -348,7 +348,7 @@ class Mixed:
         return float(np.linalg.slogdet(np.eye(len(whole)) + whole)[1])
 
     def best(
-        self, cause: str, since: str, given: Sequence[Offer] = (), pooled: Sequence[str] = (), parts: str = "any"
+        self, cause: str, since: str, given: Sequence[Candidate] = (), pooled: Sequence[str] = (), parts: str = "any"
     ) -> Test | None:
         """The most significant selection of a cause's parameters that are not given yet; None when all are given.
 
@@ -368,7 +368,7 @@ class Mixed:
             selections = [(k,) for k in free]
         elif parts == "first":
             selections = [free[: n + 1] for n in range(len(free))]
-        tests = [self.test(Offer(cause, since, which), given, pooled) for which in selections]
+        tests = [self.test(Candidate(cause, since, which), given, pooled) for which in selections]
         if parts == "any" and len(free) > 1:
             best = self._single_or_all(tests[0], tests[1:], given, pooled)
         else:
@@ -376,7 +376,7 @@ class Mixed:
         return best._replace(p=min(best.p * len(selections) * self.columns.tries.get(cause, 1), 1.0))
 
     def _single_or_all(
-        self, whole: Test, singles: Sequence[Test], given: Sequence[Offer], pooled: Sequence[str]
+        self, whole: Test, singles: Sequence[Test], given: Sequence[Candidate], pooled: Sequence[str]
     ) -> Test:
         """All parameters of a cause together, or the likeliest single one.
 
@@ -388,11 +388,11 @@ class Mixed:
         if single.p <= whole.p:
             return single
         rest = tuple(k for k in whole.offer.which if k not in single.offer.which)
-        others = self.test(Offer(*whole.offer[:2], rest), [*given, single.offer], pooled)
+        others = self.test(Candidate(*whole.offer[:2], rest), [*given, single.offer], pooled)
         return whole if others.p < NEEDED else single._replace(p=whole.p)
 
 
-class Witnessed(Mixed):
+class ClusteredMixedModel(MixedModel):
     """Tests by stretches whose p whole flights have a say in.
 
     A model errs with the manoeuvre, and manoeuvres change within a flight: stretches tell how much a cause's apparent
@@ -417,14 +417,14 @@ class Witnessed(Mixed):
         if units is not None:
             flags = [bool(compared[members[0]]) for members in units]
             whole = [sum(whole[k] for k in members) for members in units]
-        self._of_flights = None if alone else Mixed(whole, flags, columns)
+        self._of_flights = None if alone else MixedModel(whole, flags, columns)
 
-    def between(self, offer: Offer, given: Sequence[Offer] = (), pooled: Sequence[str] = ()) -> Test:
+    def between(self, offer: Candidate, given: Sequence[Candidate] = (), pooled: Sequence[str] = ()) -> Test:
         """The same with whole flights as witnesses alone."""
         return (self._of_flights or super()).test(offer, given, pooled)
 
-    def test(self, offer: Offer, given: Sequence[Offer] = (), pooled: Sequence[str] = ()) -> Test:
-        """A cause beside what is given, see `Mixed.test`."""
+    def test(self, offer: Candidate, given: Sequence[Candidate] = (), pooled: Sequence[str] = ()) -> Test:
+        """A cause beside what is given, see `MixedModel.test`."""
         test = super().test(offer, given, pooled)
         if self._of_flights is None:
             return test
@@ -433,15 +433,15 @@ class Witnessed(Mixed):
 
 
 def ranked(
-    mixed: Mixed,
+    mixed: MixedModel,
     causes: Sequence[tuple[str, str]],
-    given: Sequence[Offer] = (),
+    given: Sequence[Candidate] = (),
     pooled: Sequence[str] = (),
     parts: Mapping[str, str] | None = None,
 ) -> list[Test]:
     """Tests of (cause, since) pairs, the least probable to be nothing first.
 
-    parts  {cause: how its parameters may be selected}, see Mixed.best
+    parts  {cause: how its parameters may be selected}, see MixedModel.best
     """
     tests = [mixed.best(cause, since, given, pooled, (parts or {}).get(cause, "any")) for cause, since in causes]
     return sorted((t for t in tests if t is not None), key=lambda test: (test.p, -test.wald))

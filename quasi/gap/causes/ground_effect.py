@@ -1,0 +1,44 @@
+"""More thrust near the floor."""
+
+from quasi.gap.effect import Effect, Parameter, Terms, Values, Vehicle, hub_height, number, thrust_wrench
+
+NEAREST = 0.2  # rotor radii: below, the formula is not used
+MOST = 0.6  # of c (R/4h)^2: above, the formula runs towards its pole, where no rotor has been measured
+
+
+def _nearness(vehicle: Vehicle, rotor: int) -> str:
+    """(R/4h)^2, h kept above its smallest value."""
+    least, height = number(NEAREST * vehicle.radius), f"(-{hub_height(vehicle, rotor)})"
+    kept = f"(0.5*({height} + {least} + (({height} - {least})^2)^0.5))"
+    return f"({number(vehicle.radius)}/(4*{kept}))^2"
+
+
+def _terms(vehicle: Vehicle) -> dict[str, Terms]:
+    return {
+        "c": thrust_wrench(vehicle, [f"{number(vehicle.thrust)}*w{i + 1}^2*{_nearness(vehicle, i)}" for i in range(4)])
+    }
+
+
+def _curved(vehicle: Vehicle, values: Values) -> Terms:
+    thrusts = []
+    for i in range(4):
+        whole = f"{number(values['c'])}*{_nearness(vehicle, i)}"
+        near = f"(0.5*({whole} + {number(MOST)} - (({whole} - {number(MOST)})^2)^0.5))"
+        thrusts.append(f"{number(vehicle.thrust)}*w{i + 1}^2*({near}/(1 - {near}))")
+    return thrust_wrench(vehicle, thrusts)
+
+
+EFFECT = Effect(
+    id="ground_effect",
+    level="forces",
+    sentence="the rotors make more thrust near the floor",
+    equation="T/T0 = 1/(1 - c (R/4h)^2), h height of each hub",
+    source="Cheeseman & Bennett, The effect of the ground on a helicopter rotor in forward flight, ARC R&M 3021, 1955",
+    parameters={"c": Parameter("1", 0.0, "a", 0.0, 20.0, 3.0)},
+    channels=("Fz", "Mx", "My"),
+    rivals=("tether", "proximity"),
+    tie_breaker="a staircase of hovers from 2 cm to 50 cm",
+    terms=_terms,
+    nonlinear_terms=_curved,
+    absent_when_healthy=True,
+)

@@ -1,0 +1,1 @@
+"""Drive: rotor speeds against commands."""

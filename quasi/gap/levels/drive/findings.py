@@ -1,0 +1,107 @@
+"""Stated faults of the rotors' drive: commands that sit at a limit, one motor that turns slower than the others."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from quasi.gap.flights.level import Flown
+from quasi.gap.levels.drive.fit import DriveFit
+
+WIDTH = 0.002  # of a share, or of the largest speed: commands at one limit differ by less
+CROWD = 5.0  # times as many commands at a limit as just inside it
+SHARE = 0.005  # of the time in flight that a rotor sits at a limit, below which nobody minds
+WEAK = 0.02  # of its speed
+SURE = 4.0  # standard errors
+ALIKE = 0.005  # how much rotors' speeds at one command differ between flights
+
+
+def _crowded(values: np.ndarray, sign: float) -> float | None:
+    """The level near the upper (sign 1) or lower (-1) end at which commands pile up, None where they do not."""
+    values = np.sort(sign * values)
+    top = values[int(0.90 * len(values)) :]
+    edges = np.arange(values[0] if len(values) else 0.0, values[-1] + 2 * WIDTH, WIDTH)
+    counts = np.histogram(values, edges)[0]
+    best = None
+    for k in np.flatnonzero(edges[:-1] >= top[0] - WIDTH):
+        pile = counts[k : k + 2].sum()
+        inside = counts[max(k - 10, 0) : max(k - 2, 0)]
+        beyond = counts[k + 4 :].sum()
+        crowd = pile > CROWD * 2.0 * max(inside.mean() if len(inside) else 0.0, 1.0)
+        if crowd and beyond < 0.3 * pile and pile >= SHARE * len(values) and (best is None or pile > best[0]):
+            best = pile, edges[k] + WIDTH
+    return None if best is None else float(sign * best[1])
+
+
+def _closed(table: np.ndarray) -> np.ndarray:
+    """True (n,) where all four commands (n, 4) are as low as can be.
+
+    Then the throttle is closed, as where rotors are switched off above the floor, and no limit holds one rotor back.
+    """
+    lowest = np.nanmin(table, initial=np.inf)
+    return (table <= lowest + WIDTH * max(abs(lowest), 1.0)).all(axis=1)
+
+
+def saturated(flights: Sequence[Flown], kind: str) -> list[dict[str, Any]]:
+    """Commands of the compared flights that sit at a common limit: which rotor, how often, first when."""
+    names = [f"w{i}_CMD" if kind == "speeds" else f"command{i}" for i in range(1, 5)]
+    flights = [f for f in flights if f.compared and all(n in f.imported for n in names)]
+    if not flights:
+        return []
+    rows = [
+        (f.filtered["valid"].to_numpy() > 0.5) & np.isfinite(f.imported[names].to_numpy(float)).all(axis=1)
+        for f in flights
+    ]
+    tables = [f.imported[names].to_numpy(float) for f in flights]
+    rows = [good & ~_closed(table) for good, table in zip(rows, tables)]
+    pooled = np.concatenate([table[good].ravel() for table, good in zip(tables, rows)])
+    if len(pooled) < 1000:
+        return []
+    scale = 1.0 if kind == "shares" else max(float(np.max(pooled)), 1.0)
+    found = []
+    for sign, word in ((1.0, "an upper"), (-1.0, "a lower")):
+        limit = _crowded(pooled / scale, sign)
+        if limit is None:
+            continue
+        shares, when = {}, None
+        for flown, table, good in zip(flights, tables, rows):
+            at = good[:, None] & (np.abs(table / scale - limit) < WIDTH)
+            for i in range(4):
+                shares.setdefault(f"rotor{i + 1}", []).append(at[:, i].sum() / max(good.sum(), 1))
+            if when is None and at.any():
+                when = flown.key, float(flown.imported["t"].to_numpy()[np.argmax(at.any(axis=1))])
+        mean = {rotor: float(np.mean(v)) for rotor, v in shares.items()}
+        worst = max(mean, key=mean.get)
+        unit = "" if kind == "shares" else " rad/s"
+        found.append(
+            {
+                "id": "actuator_saturation",
+                "text": f"commands sit at {word} limit of {limit * scale:.3g}{unit}, {worst} for "
+                f"{100 * mean[worst]:.1f} % of the flight, first in {when[0]} at {when[1]:.2f} s",
+                "evidence": {"limit": limit * scale, "share": mean, "first": {"flight": when[0], "t": when[1]}},
+            }
+        )
+    return found
+
+
+def weak(flights: Sequence[Flown], fits: Sequence[DriveFit]) -> list[dict[str, Any]]:
+    """A rotor that turns slower (or faster) at the same command than the others do, beyond the reference flights."""
+    ratio = np.array([d.values[7:11] - d.values[7:11].mean() for d in fits])
+    compared = np.array([f.compared for f in flights])
+    now, before = ratio[compared], ratio[~compared]
+    usual = before.mean(axis=0) if len(before) else np.zeros(4)
+    std = np.maximum(now.std(axis=0), ALIKE) * np.sqrt(1.0 / len(now) + (1.0 / len(before) if len(before) else 0.0))
+    apart = now.mean(axis=0) - usual
+    i = int(np.argmax(np.abs(apart)))
+    if abs(apart[i]) < WEAK or abs(apart[i]) < SURE * std[i]:
+        return []
+    # the mean of four holds a quarter of the odd one
+    size = float(apart[i] / 0.75)
+    word = "slower" if size < 0 else "faster"
+    return [
+        {
+            "id": "weak_motor",
+            "text": f"rotor {i + 1} turns {100 * abs(size):.1f} % {word} at the same command than the others",
+            "evidence": {"rotor": i + 1, "speed": 1.0 + size, "std": float(std[i] / 0.75)},
+        }
+    ]

@@ -1,0 +1,334 @@
+"""Level A: how the rotors follow what they were told, from commands and measured rotor speeds alone.
+
+Each flight's constants are found by output error, as a model's are; then they are compared with the model's and with
+one another, with what motors and telemetry differ in between flights as nuisance. A late command and
+late telemetry look the same here; what import found of the telemetry's age on its own, from the motion, splits them.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from quasi.errors import DataError
+from quasi.gap.catalogue import catalogue
+from quasi.gap.flights.level import Flown, Level, Tests
+from quasi.gap.flights.residual_tables import beside, spectra, where, whiteness
+from quasi.gap.levels.drive.findings import saturated, weak
+from quasi.gap.levels.drive.fit import NAMES, RATE, Belief, DriveFit, belief_of, commanded, fit_drive, reference_voltage
+from quasi.gap.levels.selected import report_selection
+from quasi.gap.selection import EXACT, Profile, Selection, select_causes
+from quasi.gap.statistics.mixed import Candidate, Columns
+
+EXPONENT = NAMES.index("exponent")
+BLOCK = 5.0  # s
+PRIOR_FREEDOM = 16.0
+CAUSES = {"motor_lag": ("up", "down"), "command_delay": ("delay",), "telemetry_delay": ("late",),
+          "battery_sag": ("exponent",)}  # fmt: skip
+UNITS = {"up": "s", "down": "s", "delay": "s", "late": "s", "exponent": "1"}
+LATE = frozenset({"command_delay", "telemetry_delay"})
+USUAL_AGE, AGE_SPREAD = 2e-3, 7e-4  # s, of rotor telemetry that nothing is wrong with
+YAW_EXPLAINED = 0.96  # share of yaw below which the age that import found is no evidence
+# standard deviations of what differs between healthy flights, as shares for the time constants; and of the error of
+# what a model believes, common to all flights
+SPREAD = {"up": 0.05, "down": 0.05, "delay": 7e-4, "a0": 8.0, "a1": 40.0, "a2": 40.0, "exponent": 0.03,
+          "rotor1": 0.01, "rotor2": 0.01, "rotor3": 0.01, "rotor4": 0.01}  # fmt: skip
+BELIEVED = {
+    "up": 0.03,
+    "down": 0.03,
+    "delay": 1.2e-3,  # of a model that does not tell whether it holds the telemetry's age; else AGE_SPREAD
+    "a0": 40.0,
+    "a1": 200.0,
+    "a2": 200.0,
+    "exponent": 0.03,
+    "late": 5e-4,
+}
+UNPOOLED = ("telemetry_delay",)  # the usual age is known; left free, it would hide what tells it from a late command
+BREAKERS = {LATE: "quick yaw inputs: the motion determines the delay of the telemetry"}
+CATALOGUE = catalogue()
+
+
+def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapping[str, Any]) -> Level:
+    """Faults between command and rotor speed.
+
+    flights  at least one compared one; document  the model's (its "actuators" say what it believes); options  as of
+    level K. Flights without commands or rotor speeds are left out and named.
+    """
+    level = Level("drive")
+    asked = [c for c in CAUSES if options.get("effects", "all") == "all" or c in options["effects"]]
+    kinds = {commanded(f) for f in flights if f.compared} - {""}
+    if not kinds:
+        why = "no compared flight logs the commands of all four rotors"
+        level.cannot_be_asked = [{"id": c, "why": why} for c in [*asked, "actuator_saturation", "weak_motor"]]
+        return level
+    kind = "speeds" if "speeds" in kinds else "shares"
+    level.findings += saturated(flights, kind)
+    belief, told = _belief(flights, document, kind, level)
+    used, fits = _fits(flights, kind, belief, level)
+    if not any(f.compared for f in used):
+        why = "no compared flight has enough flying with commands and measured rotor speeds"
+        level.cannot_be_asked += [{"id": c, "why": why} for c in asked]
+        return level
+    constants = [whole(f, d) for f, d in zip(used, fits)]
+    if belief is None or not told:
+        first = [k for k, f in enumerate(used) if not f.compared] or list(range(len(used)))
+        middle = np.median([constants[k] for k in first], axis=0)
+        # what reference flights whose voltage stays do not tell of the battery is no change in the others
+        tell = [k for k in first if fits[k].volts_vary] or [k for k, d in enumerate(fits) if d.volts_vary]
+        middle[EXPONENT] = np.median([constants[k][EXPONENT] for k in tell or first])
+        reference = Belief(middle, belief and belief.voltage)
+        level.notes.append(
+            f"the model {document.get('id', '')} does not say how its rotors follow commands; only changes between "
+            "reference and compared flights can show there"
+        )
+    else:
+        # flights are compared with the age of their telemetry in the delay; an older model does not say if its own is
+        at = belief.values.copy()
+        at[2] += {True: 1.0, False: 0.0, None: 0.5}[belief.aged] * USUAL_AGE
+        reference = belief._replace(values=at)
+    if kind == "speeds" or not any(d.volts_vary for f, d in zip(used, fits) if f.compared):
+        why = ("commands are speeds, which the speed controllers hold whatever the battery" if kind == "speeds"
+               else "no compared flight logs a battery voltage that varies")  # fmt: skip
+        level.cannot_be_asked.append({"id": "battery_sag", "why": why})
+        asked = [c for c in asked if c != "battery_sag"]
+    level.findings += weak(used, fits)
+
+    compared = np.array([f.compared for f in used])
+    products = [
+        Products(v - reference.values, np.linalg.inv(d.covariance()), d.moves(BLOCK), _age(f))
+        for f, v, d in zip(used, constants, fits)
+    ]
+
+    doubt = _doubt(document)
+
+    def build(grams: list[np.ndarray]) -> Tests:
+        return _mixed(grams, compared, asked, reference, doubt)
+
+    mixed = build([p.gram() for p in products])
+    level.tests = mixed
+    students = [d for d, flag in zip(fits, compared) if flag]
+    learned = np.mean([d.values for d in students], axis=0)
+    learned[EXPONENT] = np.mean([d.values[EXPONENT] for d in students if d.volts_vary] or learned[EXPONENT])
+    level.healthy = {
+        "values": reference.values.tolist(), "voltage": reference.voltage,
+        "learned": {"kind": kind, "values": learned.tolist(), "voltage": belief and belief.voltage},
+    }  # fmt: skip
+    profiles = {n: Profile(rivals=CATALOGUE[n].rivals) for n in asked}
+    selection = select_causes(mixed, profiles, float(options.get("false alarm rate", 0.01)), EXACT)
+    alone = sorted(selection.marginal.values(), key=lambda test: test.wald)
+    level.healthy["alone"] = {test.offer.cause: test.value.tolist() for test in alone}
+    shares = selection.reproducibility(lambda rng: [p.gram(rng) for p in products], build)
+    volts = belief and belief.voltage
+
+    def parameters(offer: Candidate) -> dict[str, dict[str, Any]]:
+        return _parameters(mixed, selection, offer, students, volts)
+
+    def lags(offer: Candidate) -> dict[str, float]:
+        mean = np.mean([d.values[:2] for d in students], axis=0)
+        return dict(zip(("up", "down"), mean.tolist())) if offer.cause == "motor_lag" else {}
+
+    report_selection(level, selection, mixed, shares, CATALOGUE, parameters, BREAKERS, lags)
+    _tables(level, used, fits, [v - reference.values for v in constants])
+    return level
+
+
+def _belief(
+    flights: Sequence[Flown], document: Mapping[str, Any], kind: str, level: Level
+) -> tuple[Belief | None, bool]:
+    """Where the fits start, and whether the model tells it."""
+    held = belief_of(document, kind)
+    told = held is not None and "time constants up" in (document.get("actuators") or {})
+    volts = reference_voltage(flights)
+    if held is None:
+        values = np.zeros(len(NAMES))
+        values[:3] = 0.03, 0.03, 0.0
+        if kind == "speeds":
+            values[4] = 1.0
+        else:
+            values[3:6] = _first_map(flights)
+        return Belief(values, volts), False
+    if kind == "shares" and held.voltage is None and volts is not None:
+        # a map without voltage holds at the voltage of the flights that it was fitted on, which nobody noted
+        held = held._replace(voltage=volts)
+        told = False
+    return held, told
+
+
+def _first_map(flights: Sequence[Flown]) -> np.ndarray:
+    """Speed regressed on command share over all flights, as a start."""
+    command, speed = [], []
+    for f in flights:
+        if commanded(f) == "shares" and all(f"w{i}" in f.filtered for i in range(1, 5)):
+            rows = f.filtered["valid"].to_numpy() > 0.5 if "valid" in f.filtered else np.ones(len(f.filtered), bool)
+            command.append(f.filtered[[f"command{i}" for i in range(1, 5)]].to_numpy(float)[rows].ravel())
+            speed.append(f.filtered[[f"w{i}" for i in range(1, 5)]].to_numpy(float)[rows].ravel())
+    c, w = np.concatenate([*command, [0.0]]), np.concatenate([*speed, [0.0]])
+    fine = np.isfinite(c) & np.isfinite(w)
+    return np.linalg.lstsq(np.column_stack([np.ones(fine.sum()), c[fine], c[fine] ** 2]), w[fine], rcond=None)[0]
+
+
+def _fits(flights: Sequence[Flown], kind: str, start: Belief, level: Level) -> tuple[list[Flown], list[DriveFit]]:
+    used, fits = [], []
+    for flown in flights:
+        try:
+            if commanded(flown) != kind:
+                raise DataError(f"flight {flown.key} has no rotor commands of the kind that the others log")
+            fits.append(fit_drive(flown, kind, start))
+            used.append(flown)
+        except DataError as error:
+            level.notes.append(f"{error}; it is left out of the comparison of commands with speeds")
+    return used, fits
+
+
+def _doubt(document: Mapping[str, Any]) -> float:
+    """How many times BELIEVED the model's time constants may be wrong, by their standard errors."""
+    held = document.get("actuators") or {}
+    shares = [max(held[n]["std"]) / np.mean(held[n]["value"])
+              for n in ("time constants up", "time constants down") if held.get(n, {}).get("std")]  # fmt: skip
+    return float(np.hypot(1.0, max(shares, default=0.0) / BELIEVED["up"]))
+
+
+def _age(flown: Flown) -> tuple[float, float, float | None]:
+    """Seconds that import took off the rotor telemetry; what the motion says of its age, total, and the doubt."""
+    found = flown.metadata.get("rotor telemetry") or {}
+    if not found.get("applied"):
+        return 0.0, 0.0, None
+    value, std = found["age"]["value"], float(np.hypot(found["age"]["std"], AGE_SPREAD))
+    return value, value, std if found.get("explained variance", 0.0) > YAW_EXPLAINED else None
+
+
+class Products(NamedTuple):
+    """One flight's constants against the reference: apart (11,), its precision (11, 11), what blocks add (B, 11)."""
+
+    apart: np.ndarray
+    precision: np.ndarray
+    moves: np.ndarray
+    age: tuple[float, float, float | None]
+
+    def gram(self, rng: np.random.Generator | None = None) -> np.ndarray:
+        """Cross-products (13, 13) of: difference from the reference, constants by NAMES, late telemetry.
+
+        The delay is that of command and telemetry together; what the motion told of the telemetry alone is a
+        measurement of its own. rng  draws the flight's blocks anew.
+        """
+        apart = self.apart.copy()
+        if rng is not None:
+            apart += self.moves[rng.integers(0, len(self.moves), len(self.moves))].sum(axis=0)
+        _, seen, doubt = self.age
+        columns = np.column_stack([apart, np.eye(len(NAMES)), np.eye(len(NAMES))[:, 2]])
+        gram = columns.T @ self.precision @ columns
+        if doubt is not None:
+            row = np.zeros(len(gram))
+            row[0], row[-1] = (seen - USUAL_AGE) / doubt, 1.0 / doubt
+            gram += np.outer(row, row)
+        return gram
+
+
+def whole(flown: Flown, fit: DriveFit) -> np.ndarray:
+    """A flight's constants (11,), the age that import took off the rotor telemetry added to the delay again."""
+    values = fit.values.copy()
+    values[2] += _age(flown)[0]
+    return values
+
+
+def _mixed(
+    grams: Sequence[np.ndarray], compared: np.ndarray, asked: Sequence[str], reference: Belief,
+    doubt: float,
+) -> Tests:  # fmt: skip
+    place = {name: 1 + i for i, name in enumerate([*NAMES, "late"])}
+    scale = {"up": reference.values[0], "down": reference.values[1]}
+    width = len(place) + 1
+    own = [name for names in (CAUSES[c] for c in asked) for name in names]
+    source = list(range(width)) + [place[n] for n in SPREAD] + [place[n] for n in BELIEVED]
+    # the least spread between flights that a test allows for is as large again as a flight's own doubt
+    spread = [s * scale.get(n, 1.0) / (np.sqrt(2.0) if n in own else 1.0) for n, s in SPREAD.items()]
+    nuisance = list(range(width, width + len(SPREAD)))
+    shared = list(range(width + len(SPREAD), len(source)))
+    known = BELIEVED if reference.aged is None else {**BELIEVED, "delay": AGE_SPREAD}
+    believed = np.array([s * scale.get(n, 1.0) * (doubt if n in scale else 1.0) for n, s in known.items()])
+    columns = Columns(shared, nuisance, np.array(spread), {c: [place[n] for n in CAUSES[c]] for c in asked})
+    prior = np.diag(1.0 / believed**2)
+    return Tests([g[np.ix_(source, source)] for g in grams], compared, columns, PRIOR_FREEDOM, prior, UNPOOLED)
+
+
+def size_of(cause: str, values: Mapping[str, float], healthy: Mapping[str, float]) -> np.ndarray:
+    """Deviation from healthy (m,) of parameters as they are stated, in the units of the cause's columns.
+
+    healthy  {"up", "down": s, "exponent": 1} of the reference that flights are compared with
+    """
+    if cause == "motor_lag":
+        return np.array([values["time_constant"] - healthy[name] for name in ("up", "down")])
+    if cause == "battery_sag":
+        return np.array([values["exponent"] - healthy["exponent"]])
+    return np.array([values["delay"]])
+
+
+def _parameters(
+    mixed: Tests, selection: Selection, offer: Candidate, fits: Sequence[DriveFit], volts: float | None
+) -> dict[str, dict[str, Any]]:
+    """As they are stated: time constant and exponent absolute, of the compared flights; delays beyond the reference.
+
+    volts  at which the exponent's map holds
+    """
+    test = selection.test(mixed, offer)
+    # a flight whose voltage stays holds the exponent that its fit began with
+    telling = [d for d in fits if d.volts_vary] if offer.cause == "battery_sag" else fits
+    values = np.array([d.values for d in telling])
+    share = 1.0 / np.sqrt(len(telling))
+    if offer.cause == "motor_lag":
+        each = values[:, :2].mean(axis=1)
+        std = max(float(each.std()) * share, SPREAD["up"] * float(each.mean()) * share / np.sqrt(2.0))
+        return {"time_constant": {"value": float(each.mean()), "std": float(std), "unit": "s"}}
+    if offer.cause == "battery_sag":
+        each = values[:, EXPONENT]
+        std = max(float(each.std()) * share, SPREAD["exponent"] * share)
+        told = {"exponent": {"value": float(each.mean()), "std": float(std), "unit": "1"}}
+        return told | ({"reference voltage": {"value": volts, "std": 0.0, "unit": "V"}} if volts else {})
+    return {"delay": {"value": float(test.value[0]), "std": float(test.std[0]), "unit": "s"}}
+
+
+def _tables(level: Level, used: Sequence[Flown], fits: Sequence[DriveFit], apart: Sequence[np.ndarray]) -> None:
+    """Tables "residuals" (measured minus modelled speed), "channels" (rms, whiteness), "where", "parameters" and
+    "spectra".
+
+    apart  (11,) per flight: its constants minus the reference's
+    """
+    rows, channels, parameters, floors = [], [], [], []
+    for flown, fit, away in zip(used, fits, apart):
+        before = fit.residual + fit.slopes @ away
+        series = {"before": before, "floor": fit.residual}
+        memory = whiteness(series, fit.t, fit.breaks)
+        table = pd.DataFrame({"t": fit.t, "flight": flown.key, **beside(flown, fit.t)})
+        for i in range(4):
+            name = f"w{i + 1}"
+            for word, values in series.items():
+                table[f"{name}_{word}"] = values[:, i]
+            channels.append(
+                {"flight": flown.key, "compared": flown.compared, "channel": name, "unit": "rad/s",
+                 **{word: _rms(values[:, i]) for word, values in series.items()}, **memory[i]}
+            )  # fmt: skip
+        rows.append(table)
+        floors.append((fit.residual**2).mean(axis=0))
+        slopes = fit.slopes.reshape(-1, len(NAMES))
+        held = slopes.any(axis=0)
+        for name, value, known in zip(NAMES, fit.values, held):
+            if known:
+                parameters.append(
+                    {"flight": flown.key, "compared": flown.compared, "parameter": name, "value": float(value),
+                     "unit": UNITS.get(name, "rad/s" if name[0] == "a" else "1")}
+                )  # fmt: skip
+    whole = pd.concat(rows, ignore_index=True)
+    compared = whole[whole["flight"].isin([f.key for f in used if f.compared])]
+    level.tables = {
+        "residuals": whole,
+        "channels": pd.DataFrame(channels),
+        "where": where(compared, dict.fromkeys(("w1", "w2", "w3", "w4"), "rad/s"), ("before", "floor")),
+        "parameters": pd.DataFrame(parameters),
+        "spectra": spectra(rows, [d.breaks for d in fits], RATE),
+    }
+    level.noise_floor = {f"w{i + 1}": float(v) for i, v in enumerate(np.sqrt(np.mean(floors, axis=0)))}
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,91 @@
+"""Whether the axes of force and moment tell the same of a cause.
+
+A cause acts on several axes with one value. Something else that resembles it on one axis wants another value, or the
+other sign, on the next: what a name made of it explains here it spoils there.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from quasi.gap.levels.forces.design import BLOCK, Design, in_stretches
+from quasi.gap.statistics.mixed import Candidate, ClusteredMixedModel, Test
+from quasi.gap.statistics.whitening import block_grams
+from quasi.model.model import AXES
+
+SURE = 3.0  # |t| of an axis that speaks against a cause, and that it must show of the cause to have a say
+OPPOSITE = 0.3  # of what the cause is taken to be, with the other sign, that contradicts it
+
+
+class Voice(NamedTuple):
+    """What one axis alone tells: how much of the cause is there, 1 for all of it, with its standard error."""
+
+    axis: str
+    amount: float
+    std: float
+
+
+def voices(
+    study: Design, compared: Sequence[bool], test: Test, pooled: Sequence[str], given: Sequence[Candidate] = ()
+) -> list[Voice]:
+    """What each axis alone tells of a cause as a test found it, beside what is given: by stretches, as surely as these
+    or whole flights tell it, whichever is less.
+
+    Every axis has an amount of its own at the same time: what another axis shows of the cause would else be put into
+    the base, where all flights have it alike, and be missed from this one.
+    pooled  causes whose columns belong to the base, as in `MixedModel.test`
+    """
+    own = [study.columns.causes[test.offer.cause][k] for k in test.offer.which]
+    size = len(study.names)
+    grams, there = [], np.zeros(len(AXES), bool)
+    for flight, part in zip(study.flights, study.thinned):
+        made = part.columns[:, :, own] @ test.value
+        there |= (made**2).any(axis=0)
+        columns = np.concatenate([part.columns, made[:, :, None] * np.eye(len(AXES))], axis=2)
+        blocks = block_grams(columns, part.breaks, study.whitener, flight.t[part.rows], BLOCK)
+        grams.append(in_stretches(blocks, len(study.flights)))
+    names: Mapping[str, list[int]] = {a: [size + k] for k, a in enumerate(AXES) if there[k]}
+    mixed = ClusteredMixedModel(grams, compared, study.columns._replace(causes=study.columns.causes | names))
+    offers = [Candidate(axis, test.offer.since, (0,)) for axis in names]
+    result = []
+    for axis, offer in zip(names, offers):
+        beside = [*given, *(o for o in offers if o != offer)]
+        found, between = mixed.test(offer, beside, pooled), mixed.between(offer, beside, pooled)
+        result.append(Voice(axis, float(found.value[0]), float(max(found.std[0], between.std[0]))))
+    return result
+
+
+def disagreement(heard: Sequence[Voice]) -> float:
+    """How many times further apart the axes are than their standard errors say, 1 where they are not.
+
+    Axes that hardly show the cause are left out, which would hide that the others differ, unless they surely differ.
+    Source: Particle Data Group, Review of Particle Physics 2024, Introduction, section 5.2.2 (scale factor S).
+    """
+    if len(heard) < 2:
+        return 1.0
+    whole = sum(1.0 / v.std**2 for v in heard) ** -0.5
+    mean = sum(v.amount / v.std**2 for v in heard) * whole**2
+    told = [
+        v for v in heard
+        if v.std < 3.0 * len(heard) ** 0.5 * whole or abs(v.amount - mean) > SURE * (v.std**2 + whole**2) ** 0.5
+    ]  # fmt: skip
+    if len(told) < 2:
+        return 1.0
+    weights = [1.0 / v.std**2 for v in told]
+    mean = sum(w * v.amount for w, v in zip(weights, told)) / sum(weights)
+    spread = sum(w * (v.amount - mean) ** 2 for w, v in zip(weights, told)) / (len(told) - 1)
+    return max(spread**0.5, 1.0)
+
+
+def contradiction(heard: Sequence[Voice]) -> str:
+    """Why the axes do not tell of one cause, or nothing: one wants it, another its opposite, both surely."""
+    wanted = [v for v in heard if v.amount > SURE * v.std]
+    against = [v for v in heard if v.amount < min(-OPPOSITE, -SURE * v.std) and SURE * v.std < 1.0]
+    if not wanted or not against:
+        return ""
+    first, last = max(wanted, key=lambda v: v.amount / v.std), min(against, key=lambda v: v.amount / v.std)
+    return (
+        f"{first.axis} shows {first.amount:.2f} +- {first.std:.2f} of it and {last.axis} {last.amount:.2f} +- "
+        f"{last.std:.2f}: one cause acts on both alike"
+    )

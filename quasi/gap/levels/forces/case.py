@@ -1,0 +1,75 @@
+"""What a diagnosis works on, and the extended model that some causes make of it."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from quasi.gap.effect import Effect, Vehicle
+from quasi.gap.extension import extend
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.levels.forces.design import Design
+from quasi.gap.levels.forces.error_reduction import after
+from quasi.gap.levels.forces.materiality import Cause, refitted
+from quasi.model.model import Model
+
+
+class Case(NamedTuple):
+    """A model and flights that it is compared with.
+
+    effects    the catalogue; vehicle  what they act on
+    learning   flights that choose and fit; compared (F,) bool, False for reference flights
+    held       held-out flights; tables {key: filtered flight}
+    drive      causes of level A that belong in the model, with their deviations; always  ids of those that were
+               always there
+    corrected  whether flights that the model was identified from were corrected: its terms hold what their sensors
+               faked, and are fitted anew
+    settings   of the gap
+    trim       what the trim in steady flight says (`levels.trim_evidence.TrimEvidence`), None where it was not asked
+    """
+
+    model: Model
+    effects: Mapping[str, Effect]
+    vehicle: Vehicle
+    learning: Sequence[Evidence]
+    compared: Sequence[bool]
+    held: Sequence[Evidence]
+    tables: Mapping[str, pd.DataFrame]
+    drive: Sequence[tuple[Effect, Mapping[str, float]]]
+    corrected: bool
+    settings: Mapping[str, Any]
+    always: Sequence[str] = ()
+    trim: Any = None
+
+    def anew(self, causes: Sequence[Cause]) -> bool:
+        """Whether the model's own terms are fitted anew beside some causes: beside those that were always there."""
+        return self.corrected or any(c.since == "always" for c in causes)
+
+    def extended(
+        self, causes: Sequence[Cause], study: Design | None, where: str, anew: bool, changed: bool = True
+    ) -> dict[str, Any]:
+        """The document of the model with some causes and the drive's.
+
+        study    of the flights that learn, which the model's own terms are fitted to if `anew`, beside all these causes
+        changed  without: as reference flights have it, that is with what was always there alone
+        """
+        changes = None
+        if study is not None and anew:
+            changes = refitted(study, self.compared, [(c, c.value) for c in causes])
+        told = [(c.effect, c.value) for c in causes if changed or c.since == "always"]
+        told += [(effect, values) for effect, values in self.drive if changed or effect.id in self.always]
+        document = extend(self.model, told, self.vehicle, self.settings["extended model ID"], where, changes)
+        document.pop("differential form", None)
+        return document
+
+    def left(
+        self, extended: Model, causes: Sequence[Cause], study: Design | None, anew: bool, roles: Mapping[str, str]
+    ) -> Callable[[Evidence], np.ndarray]:
+        """Residual (n, 6), N and N m, of a flight under the model extended by `causes`, whatever its role.
+
+        A reference flight does not have what changed: there the model holds what was always there alone.
+        """
+        lasting = Model(self.extended(causes, study, "reference flights", anew, changed=False), "reference flights")
+        of_role = {"reference": after(lasting, self.model)}
+        return lambda flight: of_role.get(roles[flight.key], after(extended, self.model))(flight)

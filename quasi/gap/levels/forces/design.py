@@ -1,0 +1,251 @@
+"""Cross-products of all flights of a gap: the model's terms, nuisances, causes, and where a residual may live."""
+
+import re
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from quasi.errors import DataError, ExpressionError
+from quasi.gap.catalogue import beyond_slope, columns_of, corrected
+from quasi.gap.effect import Effect, Vehicle
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.sessions import units
+from quasi.gap.levels.forces.nuisance import nuisances
+from quasi.gap.statistics.mixed import ClusteredMixedModel, Columns, MixedModel, marginal
+from quasi.gap.statistics.whitening import Thinned, Whitener, autoregression, block_grams, thin
+from quasi.model.model import AXES
+from quasi.terms.expressions import Program, parse
+from quasi.terms.variables import Variables
+
+BAND = 10.0  # Hz
+ORDER = 6  # of the autoregression
+BLOCK = 5.0  # s, longer than the memory of gusts
+STRETCH = 2  # blocks, about a manoeuvre
+MOST_STRETCHES = 160  # stretches of all flights together: the time of a test grows with their cube
+BOUND = 3.0  # typical sizes: wide enough for any real vehicle, too narrow for what references without the cause return
+LIGHT = 1e-6  # ridge of the per-flight fit whose residual tells the noise
+Values = Mapping[str, Mapping[str, float]]  # {cause: {parameter: deviation}}
+
+
+class Design(NamedTuple):
+    """Everything the search works on.
+
+    flights   evidence, in order; thinned  their columns (m, 6, P) in the band of the analysis
+    columns   what is what in them; names  of all columns
+    blocks    per flight (B, P, P) whitened cross-products of its blocks
+    raw       per flight (6, P, P) plain cross-products per channel, for mean squared errors
+    whitener  of the residuals; lacking {cause: why it cannot be asked}
+    values    per flight, that causes are linearised at: a reference flight has none of what changed
+    """
+
+    flights: list[Evidence]
+    thinned: list[Thinned]
+    columns: Columns
+    names: list[str]
+    blocks: list[np.ndarray]
+    raw: list[np.ndarray]
+    whitener: Whitener
+    lacking: dict[str, str]
+    values: Sequence[Values]
+
+    def mixed(self, use: Sequence[int], compared: Sequence[bool], prior: np.ndarray | None = None) -> MixedModel:
+        """The mixed model of some of the flights. prior  precision (shared, shared) of the model's own terms.
+
+        A model errs with the manoeuvre, and manoeuvres change within a flight: a cause's apparent parameters deviate
+        from stretch to stretch. What differs between whole flights has known spreads, the nuisances.
+        """
+        return MixedModel([in_stretches(self.blocks[f], len(use)) for f in use], compared, self.columns, prior)
+
+    def witnessed(self, use: Sequence[int], compared: Sequence[bool]) -> ClusteredMixedModel:
+        """The mixed model of some of the flights that names causes."""
+        members = units([self.flights[f].session for f in use], compared)
+        return ClusteredMixedModel(
+            [in_stretches(self.blocks[f], len(use)) for f in use], compared, self.columns, members
+        )
+
+
+def in_stretches(blocks: np.ndarray, flights: int = 1) -> np.ndarray:
+    """Cross-products (K, P, P) of stretches of STRETCH blocks each, of more where there are many flights."""
+    return joined(blocks, min(len(blocks) // STRETCH, MOST_STRETCHES // flights))
+
+
+def joined(blocks: np.ndarray, count: int) -> np.ndarray:
+    """Sums (count, ...) of consecutive blocks (B, ...), all equally many but for the last, which takes what is over."""
+    count = max(min(count, len(blocks)), 1)
+    length = len(blocks) // count
+    ends = [0, *(length * (k + 1) for k in range(count - 1)), len(blocks)]
+    return np.array([blocks[a:b].sum(axis=0) for a, b in pairwise(ends)])
+
+
+MEMORY = 20.0  # samples that a residual remembers: information is counted that much lower
+
+
+def refit(
+    study: Design, use: Sequence[int], compared: Sequence[bool], values: Mapping[tuple[str, str], Mapping[int, float]]
+) -> np.ndarray:
+    """Changes (S,) of the model's own coefficients once causes are taken out, by least squares in plain residuals.
+
+    values  {(cause, since): {position of the parameter: deviation}}
+    Unwhitened, every axis by its own residual: what a simulation needs is a small error, not a white one. Flights'
+    nuisances are integrated out. Beside a cause, the terms that had to stand in for it find their own values.
+    """
+    columns, size = study.columns, len(study.names)
+    level = sum(np.einsum("kii->ki", study.raw[f])[:, 0] for f in use)
+    weight = sum(len(study.thinned[f].rows) for f in use) / np.maximum(level, 1e-300) / MEMORY
+    inner, right = np.zeros((len(columns.shared),) * 2), np.zeros(len(columns.shared))
+    for f, flag in zip(use, compared):
+        gram = marginal(np.einsum("k,kij->ij", weight, study.raw[f]), columns.nuisance, columns.spread)
+        target = np.zeros(size)
+        target[0] = 1.0
+        for (cause, since), deviations in values.items():
+            if flag or since == "always":
+                for position, deviation in deviations.items():
+                    target[columns.causes[cause][position]] -= deviation
+        inner += gram[np.ix_(columns.shared, columns.shared)]
+        right += gram[columns.shared] @ target
+    scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    return np.linalg.solve(inner / np.outer(scale, scale) + LIGHT * np.eye(len(scale)), right / scale) / scale
+
+
+def base_columns(evidence: Evidence) -> list[tuple[str, np.ndarray]]:
+    """Columns (n, 6) of the model's own terms."""
+    variables = Variables(evidence.columns, evidence.airframe, evidence.model.hover_speed)
+    result = []
+    for axis in AXES:
+        for term in evidence.model.document["axes"].get(axis, {"terms": []})["terms"]:
+            program = Program([parse(term["expression"])])
+            values = program.run({n: variables[n] for n in program.names}, len(evidence))[0]
+            result.append((f"{axis}: {term['expression']}", evidence.only(axis, values)))
+    return result
+
+
+def bounds_of(effect: Effect, vehicle: Vehicle) -> np.ndarray:
+    """Standard deviation (m,) of what all flights may have of each fitted parameter: BOUND typical sizes.
+
+    Infinite for parameters that only accompany others.
+    """
+    sizes = effect.typical(vehicle)
+    return np.array([BOUND * sizes.get(name, np.inf) for name in effect.fitted])
+
+
+def gather_design(
+    flights: Sequence[Evidence],
+    effects: Mapping[str, Effect],
+    vehicle: Vehicle,
+    values: Sequence[Values] | None = None,
+    idle: bool = False,
+) -> Design:
+    """Build the cross-products of all flights.
+
+    effects  causes to be asked; values  per flight, to linearise at where not neutral
+    idle     whether causes stay that do nothing in these flights, which stand beside others
+    A cause whose columns a flight cannot give is left out, with the reason in `lacking`.
+    """
+    lacking: dict[str, str] = {}
+    values = values or [{} for _ in flights]
+    asked = {name: e for name, e in effects.items() if e.terms is not None or e.columns is not None}
+    made: list[dict[str, dict[str, np.ndarray]]] = [{} for _ in flights]
+    true = [corrected(flight, asked, own) for flight, own in zip(flights, values)]
+    for name, effect in list(asked.items()):
+        try:
+            for columns, flight, own in zip(made, flights if effect.corrected else true, values):
+                at = own.get(name) or dict.fromkeys(effect.parameters, 0.0)
+                columns[name] = columns_of(effect, flight, vehicle, at)
+            if not idle and not any(column.any() for columns in made for column in columns[name].values()):
+                raise DataError(f"effect '{name}' adds no force or moment at all in these flights")
+        except (DataError, ExpressionError) as error:
+            nowhere = re.search("column '[xyz]'", str(error))
+            lacking[name] = f"the place is not known in every flight ({error})" if nowhere else str(error)
+            del asked[name]
+    thinned, names, layout = [], [], None
+    for flight, seen, columns, at in zip(flights, true, made, values):
+        parts = [("residual", _straight(flight, asked, vehicle, at))]
+        shared = base_columns(seen)
+        own = nuisances(seen)
+        parts += shared + [(n, c) for n, c, _ in own]
+        causes: dict[str, list[int]] = {}
+        for name in asked:
+            for parameter, column in columns.pop(name).items():
+                causes.setdefault(name, []).append(len(parts))
+                parts.append((f"{name}: {parameter}", column))
+        thinned.append(_thinned(flight, [column for _, column in parts]))
+        if not len(thinned[-1].rows):
+            raise DataError(f"flight {flight.key} has no second of valid data without a gap; fly longer")
+        names = [name for name, _ in parts]
+        first = 1 + len(shared)
+        # slopes at each flight's own values, beside terms that hold them all, would make up any change
+        bent = tuple(n for n in causes if asked[n].is_nonlinear and asked[n].absorbed_by_model)
+        spread = np.array([s for *_, s in own])
+        usual = {n: bounds_of(asked[n], vehicle) for n in causes}
+        layout = Columns(
+            list(range(1, first)), list(range(first, first + len(own))), spread, causes, bent, bounds=usual
+        )
+    breaks = [part.breaks for part in thinned]
+    whitener = autoregression([own_fit(part.columns, layout) for part in thinned], breaks, ORDER)
+    return _study(flights, thinned, layout, names, whitener, lacking, values)
+
+
+def moved(study: Design, effects: Mapping[str, Effect], vehicle: Vehicle, values: Sequence[Values]) -> Design:
+    """The study with its curved causes linearised at other values, per flight; nothing else is computed anew, unless
+    the flights' instruments are taken to have erred.
+    """
+    met = {n for own in (*values, *study.values) for n in own}
+    again = any(effects[n].corrected for n in met if n in effects)
+    changed = [n for n in study.columns.causes if again or n in met]
+    thinned = []
+    for flight, old, own in zip(study.flights, study.thinned, values):
+        place, parts = [0], [_straight(flight, effects, vehicle, own)]
+        true = corrected(flight, effects, own)
+        if again:  # terms of some flights read with the error would, beside causes read without, make up any change
+            place += [*study.columns.shared, *study.columns.nuisance]
+            parts += [c for _, c in base_columns(true)] + [c for _, c, _ in nuisances(true)]
+        for name in changed:
+            at = own.get(name) or dict.fromkeys(effects[name].parameters, 0.0)
+            place += study.columns.causes[name]
+            shown = flight if effects[name].corrected else true
+            parts += columns_of(effects[name], shown, vehicle, at).values()
+        columns = old.columns.copy()
+        columns[:, :, place] = _thinned(flight, parts).columns
+        thinned.append(old._replace(columns=columns))
+    return _study(study.flights, thinned, study.columns, study.names, study.whitener, study.lacking, values)
+
+
+def _straight(flight: Evidence, effects: Mapping[str, Effect], vehicle: Vehicle, values: Values) -> np.ndarray:
+    """Residual (n, 6) less what curved causes at their values are more than their slopes."""
+    true, left = corrected(flight, effects, values), flight.residual
+    for name, at in values.items():
+        if name in effects:
+            left = left - beyond_slope(effects[name], flight if effects[name].corrected else true, vehicle, at)
+    return left
+
+
+def _thinned(flight: Evidence, columns: Sequence[np.ndarray]) -> Thinned:
+    stacked = np.stack(columns, axis=2)
+    stacked[:, list(flight.excluded)] = 0.0
+    return thin(stacked, flight.breaks, flight.t, BAND, 2 * ORDER)
+
+
+def _study(
+    flights: Sequence[Evidence], thinned: list[Thinned], layout: Columns, names: list[str], whitener: Whitener,
+    lacking: dict[str, str], values: Sequence[Values],
+) -> Design:  # fmt: skip
+    blocks = [
+        block_grams(part.columns, part.breaks, whitener, flight.t[part.rows], BLOCK)
+        for part, flight in zip(thinned, flights)
+    ]
+    raw = [np.einsum("nki,nkj->kij", part.columns, part.columns, optimize=True) for part in thinned]
+    return Design(list(flights), thinned, layout, names, blocks, raw, whitener, lacking, values)
+
+
+def own_fit(stack: np.ndarray, layout: Columns) -> np.ndarray:
+    """What each flight's own fit of base and nuisances leaves (n, 6)."""
+    columns = [*layout.shared, *layout.nuisance]
+    left = np.empty(stack.shape[:2])
+    for k in range(stack.shape[1]):
+        x, y = stack[:, k, columns], stack[:, k, 0]
+        scale = np.sqrt(np.einsum("ni,ni->i", x, x))
+        x = x[:, scale > 0] / scale[scale > 0]
+        left[:, k] = y - x @ np.linalg.solve(x.T @ x + LIGHT * np.eye(x.shape[1]), x.T @ y)
+    return left

@@ -1,0 +1,183 @@
+"""What causes do for flights that had no part in finding them: extended models of them, and what these leave."""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from quasi.errors import ConfigError
+from quasi.gap.catalogue import beyond_slope, columns_of, corrected
+from quasi.gap.effect import Effect, Vehicle
+from quasi.gap.extension import extend
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.levels.forces.case import Case
+from quasi.gap.levels.forces.design import Design, base_columns, moved, refit
+from quasi.gap.levels.forces.error_reduction import Likelihood, Score, after, before, joined, wrench_score
+from quasi.gap.levels.forces.left_out import LeftOut
+from quasi.gap.levels.forces.materiality import (
+    ASIDE,
+    EXCITED,
+    LACKING,
+    Cause,
+    Common,
+    Deviations,
+    Judged,
+    acting_blocks,
+    refitted,
+    seen_in,
+    strength,
+)
+from quasi.gap.levels.forces.search import Sought
+from quasi.gap.statistics.blocks import HOLDS
+from quasi.model.model import AXES, Model
+
+RIDGES = (1e-3, 1e-2, 1e-1)  # of fits of everything at once, on scaled columns
+
+
+class HeldOut:
+    """Held-out flights as judges of causes that others told.
+
+    sought  what these told, from `flights` of which `compared` (F,) are no reference flights; asked  the causes, by id
+    share   least share of the removable error of some axis; where  what asked, for provenance
+    old, floor  errors before (a score), and (6,) what is left at best
+    """
+
+    def __init__(
+        self, held: Sequence[Evidence], sought: Sought, asked: Mapping[str, Effect], flights: Sequence[Evidence],
+        compared: np.ndarray, model: Model, vehicle: Vehicle, share: float, where: str,
+    ) -> None:  # fmt: skip
+        self.held, self.flights, self.compared, self.model, self.vehicle = held, flights, compared, model, vehicle
+        self.study, self.share, self.where = sought.study, share, where
+        self.old = wrench_score(held, before)
+        self._likelihood = Likelihood(held, self.study.whitener)
+        self._asked, self._values = asked, sought.values[True]
+        self.floor = self._least(held, self.old)
+
+    def _least(self, flights: Sequence[Evidence], old: Score) -> np.ndarray:
+        return least_left(self.study, self._asked, self.vehicle, self.compared, self._values, flights, old)
+
+    def made(self, causes: Sequence[Cause], ident: str, fitted_anew: bool) -> dict[str, Any]:
+        """The document of the model with some causes, its own terms fitted anew to the flights that learn or not."""
+        changes = refitted(self.study, self.compared, [(c, c.value) for c in causes]) if fitted_anew else None
+        told = [(c.effect, c.value) for c in causes]
+        return extend(self.model, told, self.vehicle, ident, self.where, changes)
+
+    def score(self, causes: Sequence[Cause], fitted_anew: bool) -> Judged:
+        """Errors of the held-out flights with some causes."""
+        left = after(Model(self.made(causes, "trial", fitted_anew), "trial"), self.model)
+        return Judged(wrench_score(self.held, left), wrench_score(self.held, left, True), self._likelihood(left))
+
+    def excited(self, cause: Cause) -> bool:
+        """Whether the held-out flights show a cause at all."""
+        there = [f for f, flag in zip(self.flights, self.compared) if flag]
+        here, usual = (strength(cause, some, self.vehicle, self.old.mean()) for some in (self.held, there))
+        return here > EXCITED * usual
+
+    def acting(self, cause: Cause) -> np.ndarray:
+        """Blocks (B,) bool of the held-out flights in which a cause acts."""
+        return acting_blocks(cause, self.held, self.vehicle, self.old.mean())
+
+    def common(self) -> Common:
+        """What judges causes that all flights have alike: where no flight is healthy, each of them as well, by what the
+        others tell."""
+        if not self.compared.all():
+            share = max(self.share, ASIDE)
+            return Common(lambda of, again: self.score(of, again).centred, self.old, self.floor, share)
+        in_turn = LeftOut(self.study, self.compared)
+        old = joined(self.old, in_turn([], False))
+        return Common(
+            lambda of, again: joined(self.score(of, again).centred, in_turn(of, again)), old,
+            self._least([*self.held, *self.flights], old), LACKING * self.share, made_of(self.model, self.flights),
+            self.share,
+        )  # fmt: skip
+
+
+def made_of(model: Model, flights: Sequence[Evidence]) -> bool:
+    """Whether the model was identified from some of the flights."""
+    trained = set((model.document.get("flights") or {}).get("training") or ())
+    return any(e.key in trained for e in flights)
+
+
+def least_left(
+    study: Design, asked: Mapping[str, Effect], vehicle: Vehicle, compared: np.ndarray,
+    values: Mapping[str, Deviations], held: Sequence[Evidence], old: Score,
+) -> np.ndarray:  # fmt: skip
+    """Mean square (6,) that the model's terms and all causes together, fitted to the other flights, leave at best."""
+    least = old.mean()
+    for ridge in RIDGES:
+        left = wrench_score(held, everything(study, asked, vehicle, compared, values, ridge))
+        least = np.minimum(least, left.mean())
+    return least
+
+
+def everything(
+    study: Design, asked: Mapping[str, Effect], vehicle: Vehicle, compared: Sequence[bool],
+    values: Mapping[str, Deviations], ridge: float = RIDGES[0],
+) -> Callable[[Evidence], np.ndarray]:  # fmt: skip
+    """Fit the model's terms and all causes together; returns flight -> (n, 6), what they leave of its wrench.
+
+    values  that the study's compared flights are linearised at; ridge  of the fit, on scaled columns
+    """
+    mixed = study.mixed(range(len(study.flights)), compared)
+    use = [*study.columns.shared, *(c for cause in study.columns.causes.values() for c in cause)]
+    # of the compared flights alone: what they have is what a held-out one has
+    total = sum(g for g, c in zip(mixed.grams, compared) if c)
+    scale = np.sqrt(np.maximum(np.diag(total)[use], 1e-300))
+    inner = total[np.ix_(use, use)] / np.outer(scale, scale) + ridge * np.eye(len(use))
+    coefficients = np.linalg.solve(inner, total[use, 0] / scale) / scale
+
+    def residual(flight: Evidence) -> np.ndarray:
+        bent, true = np.zeros((len(flight), len(AXES))), corrected(flight, asked, values)
+        columns = [c for _, c in base_columns(true)]
+        for cause in study.columns.causes:
+            at = values.get(cause) or dict.fromkeys(asked[cause].parameters, 0.0)
+            shown = flight if asked[cause].corrected else true
+            columns += list(columns_of(asked[cause], shown, vehicle, at).values())
+            bent += beyond_slope(asked[cause], shown, vehicle, at)
+        return flight.residual - bent - np.einsum("k,knj->nj", coefficients, np.array(columns))
+
+    return residual
+
+
+def telling(causes: Sequence[Cause], old: np.ndarray, floor: np.ndarray) -> list[int]:
+    """Axes that a gain of causes is told on: those where they act and something can be removed, else where they act.
+
+    old, floor (6,) mean squares before and at best
+    """
+    own = sorted({k for cause in causes for k in seen_in(cause.effect)})
+    return [k for k in own if floor[k] < HOLDS * old[k]] or own
+
+
+def best_wrong(
+    case: Case, study: Design, named: Sequence[Cause], tied: Collection[str], old: np.ndarray, floor: np.ndarray
+) -> dict[str, Model]:  # fmt: skip
+    """{id: the model with it alone} of the cause beside the named and tied ones that removes most where these act.
+
+    study  of the flights that learn; old, floor (6,) mean squares of held-out flights before and at best
+    What it removes is the mean share of the removable error over the axes of `telling`: over all six, one that mends
+    what the named ones do not touch would stand beside them. Nothing where each of them makes these axes worse.
+    """
+    own, since, anew = telling(named, old, floor), named[0].since, case.anew(named)
+    right, flights = {c.effect.id for c in named}, range(len(case.learning))
+    # a wrong cause is fitted to all that is there, not to what the bend of the right one leaves
+    values = [{n: at for n, at in flight.items() if n not in right} for flight in study.values]
+    study = moved(study, case.effects, case.vehicle, values)
+    mixed = study.witnessed(flights, case.compared)
+    removable = np.maximum(old - floor, (1.0 - HOLDS) * old)
+    best, most = {}, 0.0
+    for name in mixed.columns.causes:
+        if name in right or name in tied:
+            continue
+        effect = case.effects[name]
+        test = mixed.best(name, since, (), mixed.pooled(since), effect.parts)
+        found = dict(zip(test.offer.which, map(float, test.value)))
+        changes = refit(study, flights, case.compared, {(name, since): found}) if anew else None
+        told = [(effect, {effect.fitted[k]: v for k, v in found.items()})]
+        try:
+            model = Model(extend(case.model, told, case.vehicle, "wrong", "trial", changes), f"{name}, wrong")
+        except ConfigError:
+            continue  # what the model cannot carry is no model to be compared with
+        gone = (old - wrench_score(case.held, after(model, case.model)).mean()) / removable
+        if gone[own].mean() > most:
+            best, most = {name: model}, float(gone[own].mean())
+    return best

@@ -1,0 +1,226 @@
+"""Level W: causes of what the model leaves of measured forces and moments, and what they gain on held-out flights."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from quasi.errors import ConfigError
+from quasi.gap.effect import Effect, Limits, Vehicle
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.sessions import units
+from quasi.gap.levels.forces.axis_consistency import disagreement, voices
+from quasi.gap.levels.forces.design import Design, in_stretches
+from quasi.gap.levels.forces.error_reduction import after, wrench_score
+from quasi.gap.levels.forces.held_out import HeldOut
+from quasi.gap.levels.forces.materiality import Cause, material, simplest
+from quasi.gap.levels.forces.nonlinear import flatness
+from quasi.gap.levels.forces.search import Sought, estimate, merged, offers_of, seek
+from quasi.gap.selection import Named, Profile, Tie
+from quasi.gap.statistics.mixed import Candidate, ClusteredMixedModel, MixedModel, Test
+from quasi.model.model import Model
+
+SURELY = 2.0  # standard errors, widened, that some parameter must differ by
+WEIGHING = ("mass", "cg_offset")
+NET = "the model is of net forces (noGravity), which hold the weight; identify it withGravity"
+DRAWS = 40  # resamples of the flights' blocks
+
+
+@dataclass
+class Found:
+    """Result of the level. level {since: p that had to be passed}; scores {"before", "after", ...}: mean squares per
+    axis on held-out flights.
+
+    unjudged  those of the causes that the held-out flights do not excite; contradicted {cause: test, why}: those whose
+    axes do not agree; stand_ins  the first cause of each tie; passed  why significant offers were passed over
+    """
+
+    causes: list[Cause]
+    ties: list[tuple[str, Tie]]
+    immaterial: list[Cause]
+    ranking: list[Test]
+    level: dict[str, float]
+    lacking: dict[str, str]
+    study: Design
+    scores: dict[str, np.ndarray]
+    extended: dict[str, Any]
+    unjudged: list[Cause] = field(default_factory=list)
+    contradicted: dict[str, tuple[Test, str]] = field(default_factory=dict)
+    stand_ins: list[Cause] = field(default_factory=list)
+    passed: dict[Candidate, str] = field(default_factory=dict)
+
+
+def examine(
+    flights: Sequence[Evidence], compared: Sequence[bool], held: Sequence[Evidence], model: Model,
+    effects: Mapping[str, Effect], vehicle: Vehicle, rate: float, share: float, name: str, where: str,
+    unheard: float | None = None,
+) -> Found:  # fmt: skip
+    """Name the causes in `flights`, extend the model and measure the gain on `held` flights.
+
+    compared  (F,) bool, False for reference flights; rate  family-wise false alarm rate; share  least share of the
+    removable error of some axis that a cause must remove on held-out flights to be material
+    name      of the extended model; where  what asked, for provenance
+    unheard   false alarm rate of what held-out flights do not show and so cannot judge, where that is another
+    Raises ConfigError without two compared flights to learn from, or without a held-out one.
+    """
+    compared = np.asarray(compared, bool)
+    if compared.sum() < 2:
+        raise ConfigError(
+            f"{compared.sum()} compared flights are left to learn from, expected at least 2; one flight cannot tell a "
+            "cause from what flights merely differ by"
+        )
+    if not held:
+        raise ConfigError("no flight is held out; name at least one in 'rows of flights held out'")
+    asked = {n: e for n, e in effects.items() if e.level == "forces" and not e.finding}
+    # net forces hold the weight: a model of these cannot carry another mass, nor forces to another point
+    weightless = {} if model.with_gravity else {n: NET for n in WEIGHING if n in asked}
+    unbearable = weightless | _carried(asked, model)
+    asked = {n: e for n, e in asked.items() if n not in unbearable}
+    within = {n: e.limits(vehicle) for n, e in asked.items()}
+    sought = seek(flights, asked, vehicle, compared, rate, within)
+    study, mixed, ties = sought.study, sought.mixed, sought.ties
+    given = offers_of(sought.named, ties)
+    causes = merged(sought.named, asked, mixed, given)
+    stand_ins = merged([Named(tie.tests[0], []) for _, tie in ties], asked, mixed, given)
+    _count([*causes, *stand_ins], study, compared, min(sought.level.values()))
+    judge = HeldOut(held, sought, asked, flights, compared, model, vehicle, share, where)
+    kept, immaterial, unjudged = material(
+        [*causes, *stand_ins], judge.score, judge.excited, judge.old, judge.floor, share, judge.common(), judge.acting
+    )
+    contradicted = dict(sought.contradicted)
+    for cause in _faint(unjudged, sought.level, 1.0 if unheard is None else unheard / rate):
+        kept.remove(cause)
+        unjudged.remove(cause)
+        why = f"held-out flights do not show it, and of the others alone p = {cause.test.p:.2g} does not do"
+        contradicted[cause.effect.id] = cause.test, why
+    ties = [(since, tie) for since, tie in ties if any(c in kept for c in stand_ins if _stands_for(c, since, tie))]
+    fewer, ties = _fewest(kept, unjudged, ties, sought, judge, asked, within)
+    changed, beside = ([c for c in kept if c.since == since] for since in ("changed", "always"))
+    immaterial += [c for c in changed if not any(c.effect.id == f.effect.id for f in fewer)]
+    immaterial = [c for c in immaterial if not any(_stands_for(c, *tie) for tie in ties)]
+    kept = [c for c in (*fewer, *beside) if not any(_stands_for(c, *tie) for tie in ties)]
+    kept = sorted(kept, key=lambda c: c.test.p)
+    there = [c.test.offer for c in immaterial if c.since == "always" and c not in stand_ins]
+    kept, vague = _widened(kept, [*offers_of([], ties), *there], asked, mixed, study, compared, sought.level)
+    ties = [(since, _anew(tie, since, [*(c.test.offer for c in kept), *there], ties, mixed)) for since, tie in ties]
+    for cause in kept:
+        cause.std = {n: s * flatness(cause.effect, study, vehicle, cause.value) for n, s in cause.std.items()}
+    unjudged = [c for c in kept if any((c.effect.id, c.since) == (u.effect.id, u.since) for u in unjudged)]
+    extended = judge.made(kept, name, any(c.since == "always" for c in kept))
+    new = wrench_score(held, after(Model(extended, name), model)).mean()
+    scores = {"before": judge.old.mean(), "after": new, "noise_floor": np.minimum(judge.floor, new)}
+    return Found(
+        kept, ties, immaterial, sought.ranking, sought.level, study.lacking | unbearable, study, scores,
+        extended, unjudged, contradicted | vague,
+        [c for c in stand_ins if any(_stands_for(c, *tie) for tie in ties)],
+        sought.passed,
+    )  # fmt: skip
+
+
+def _carried(asked: Mapping[str, Effect], model: Model) -> dict[str, str]:
+    """{cause: why} of causes with states of their own that an earlier extension put into the model: there is room for
+    one of a kind."""
+    there = {e["id"] for e in model.document.get("extensions") or [] if e.get("states")}
+    why = f"model {model.id} carries it already; compare the flights with the model that this one was extended from"
+    return {n: why for n in asked if n in there}
+
+
+def _fewest(
+    kept: Sequence[Cause], unjudged: Sequence[Cause], ties: Sequence[tuple[str, Tie]], sought: Sought, judge: HeldOut,
+    asked: Mapping[str, Effect], within: Mapping[str, Limits],
+) -> tuple[list[Cause], list[tuple[str, Tie]]]:  # fmt: skip
+    """The fewest of the causes that changed that explain as much as all of them, and the ties that are left then."""
+    changed, beside = ([c for c in kept if c.since == since] for since in ("changed", "always"))
+
+    def tied(of: Sequence[Cause]) -> list[tuple[str, Tie]]:
+        """The ties whose first is among some causes, and those of what all flights show, which are not chosen from."""
+        return [tie for tie in ties if tie[0] == "always" or any(_stands_for(c, *tie) for c in of)]
+
+    def estimated(of: Sequence[Cause]) -> list[Cause] | None:
+        offers = {*offers_of([], tied(of)), *(c.test.offer for c in (*of, *beside))}
+        found = merged([Named(c.test, c.rivals) for c in of], asked, sought.mixed, sorted(offers, key=str))
+        physical = (Profile.of(c.effect, within.get(c.effect.id)).is_possible(c.test) for c in found)
+        return found if all(physical) else None
+
+    fewer = simplest(
+        changed, estimated, lambda of: judge.score([*beside, *of], bool(beside)), judge.old, judge.floor, judge.share,
+        [c for c in changed if c in unjudged], judge.acting,
+    )  # fmt: skip
+    # one that was significant beside another that is needless may not be without it
+    fewer = [
+        c for c in fewer if c.test.p < sought.level["changed"] and Profile.of(c.effect).has_leading_deviation(c.test)
+    ]
+    return fewer, tied(fewer)
+
+
+def _faint(causes: Sequence[Cause], level: Mapping[str, float], share: float) -> list[Cause]:
+    """Causes that are significant by less than `share` of the level."""
+    return [c for c in causes if c.test.p >= share * level[c.since]]
+
+
+def _widened(
+    causes: Sequence[Cause], given: Sequence[Candidate], asked: Mapping[str, Effect], mixed: MixedModel, study: Design,
+    compared: np.ndarray, level: Mapping[str, float],
+) -> tuple[list[Cause], dict[str, tuple[Test, str]]]:  # fmt: skip
+    """The causes, estimated beside each other and what is given, with wider standard errors where the axes of a cause
+    differ by more: then its form is not quite right, and which axis has the say decides on the value. Where nothing of
+    a cause is sure any more, it is left out, with the reason, and the others are estimated without it; of these, those
+    that were significant beside it alone go as well. level  {since: p that has to be passed}
+    """
+    kept, vague, torn = list(causes), {}, []
+    while True:
+        for cause in kept:
+            pooled = mixed.pooled(cause.since)
+            others = [c.test.offer for c in kept if c is not cause] + list(given)
+            again = mixed.test(cause.test.offer, others, pooled)
+            cause.test, cause.value, cause.std = again, *estimate(again, cause.effect)
+            cause.apart = disagreement(voices(study, compared, cause.test, pooled, others))
+        unsure = [
+            c
+            for c in kept
+            if c.apart > 1.0 and not Profile.of(c.effect).has_leading_deviation(c.test, SURELY * c.apart)
+        ]
+        faint = [c for c in kept if c.test.p >= level[c.since]] if torn else []
+        if unsure:
+            worst = max(unsure, key=lambda c: c.apart)
+            why = f"its axes differ by {worst.apart:.1f} times their standard errors, so that none of it is sure"
+            torn.append(worst.effect.id.replace("_", " "))
+        elif faint:
+            worst = max(faint, key=lambda c: c.test.p)
+            why = f"p = {worst.test.p:.2g} without {' and '.join(torn)}, whose axes differ"
+        else:
+            break
+        kept = [c for c in kept if c is not worst]
+        vague[worst.effect.id] = worst.test, why
+    for cause in kept:
+        cause.value, cause.std = estimate(cause.test, cause.effect, cause.apart)
+    return kept, vague
+
+
+def _anew(tie: Tie, since: str, given: Sequence[Candidate], ties: Sequence[tuple[str, Tie]], mixed: MixedModel) -> Tie:
+    """A tie with its sizes beside what is named in the end; later causes may resemble it."""
+    others = [*given, *offers_of([], [t for t in ties if t[1] is not tie])]
+    return tie._replace(tests=[mixed.test(t.offer, others, mixed.pooled(since)) for t in tie.tests])
+
+
+def _stands_for(cause: Cause, since: str, tie: Tie) -> bool:
+    return (cause.effect.id, cause.since) == (tie.tests[0].offer.cause, since)
+
+
+def _count(causes: Sequence[Cause], study: Design, compared: np.ndarray, level: float, seed: int = 0) -> None:
+    """Share of resamples, each flight's blocks drawn anew, in which each cause is significant again."""
+    if not causes:
+        return
+    rng = np.random.default_rng(seed)
+    counts = np.zeros(len(causes))
+    offers = [c.test.offer for c in causes]
+    for _ in range(DRAWS):
+        grams = [in_stretches(b[rng.integers(0, len(b), len(b))], len(study.blocks)) for b in study.blocks]
+        members = units([flight.session for flight in study.flights], compared)
+        mixed = ClusteredMixedModel(grams, compared, study.columns, members)
+        for k, offer in enumerate(offers):
+            pooled = mixed.pooled(offer.since)
+            counts[k] += mixed.test(offer, [o for o in offers if o != offer], pooled).p < level
+    for cause, count in zip(causes, counts):
+        cause.probability = float(count / DRAWS)

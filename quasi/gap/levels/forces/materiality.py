@@ -1,0 +1,282 @@
+"""Whether a cause matters: what it removes of the error of flights that had no part in finding it.
+
+Real airframes never match a fitted family exactly, and with enough samples everything is significant. What flights
+have in common is judged harder than what changed: the model was fitted to such flights, and what its terms leave there
+is mostly the form of the terms.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from quasi.gap.catalogue import whole_of
+from quasi.gap.effect import Effect, Vehicle
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.levels.forces.design import Design, refit
+from quasi.gap.levels.forces.error_reduction import Score, fraction, surely, wrench_score
+from quasi.gap.statistics.mixed import Test
+from quasi.model.model import AXES
+
+MOST_WEIGHED = 5  # causes of which every selection is tried
+EXCITED = 0.1  # of its mean square in the compared flights, that a held-out one must show to be judged by
+# least share of a channel's error that counts as removable
+SMALL = {"changed": 0.01, "spoken of": 0.1, "foreign": 0.1, "always": 0.25}
+SIMPLER = 2.0  # times the material share that a simpler explanation may leave
+ASIDE = 0.4  # share that what healthy flights show as well must gain beyond doubt
+LACKING = 3.0  # times the material share that what a model lacks must gain beyond doubt, where no flight is healthy
+LACKED = 6  # of what a model lacks of its own vehicle, the most significant that may be told
+ACTING = 0.9  # of a cause's mean square: the blocks that hold it are those in which it acts
+BESIDE = 0.3  # of the test statistic of the strongest foreign cause, below which another may be that one's form
+Deviations = dict[str, float]
+
+
+@dataclass
+class Cause:
+    """An accepted cause: deviations from neutral with standard errors, the test, rivals it beat, gain per axis.
+
+    apart  how many times further apart the axes are than they should be, by which `std` is widened
+    asked  share of the removable error that had to go beyond doubt, of what all flights have alike; None where it was
+           not weighed beside a stronger foreign cause
+    """
+
+    effect: Effect
+    since: str
+    value: Deviations
+    std: Deviations
+    test: Test
+    rivals: list[Any]
+    gain: dict[str, dict[str, float | None]] = field(default_factory=dict)
+    probability: float = 0.0
+    apart: float = 1.0
+    asked: float | None = None
+
+
+def refitted(study: Design, compared: Sequence[bool], told: Iterable[tuple[Cause, Mapping[str, float]]]) -> np.ndarray:
+    """Changes (S,) of the model's own coefficients beside causes with their deviations, from all flights that learn."""
+    values = {(c.effect.id, c.since): {c.effect.fitted.index(n): x for n, x in v.items()} for c, v in told}
+    return refit(study, range(len(compared)), compared, values)
+
+
+class Judged(NamedTuple):
+    """How flights look under a model: errors, the same with constant ones taken off, -2 log likelihood."""
+
+    errors: Score
+    centred: Score
+    unlikely: float
+
+
+class Common(NamedTuple):
+    """What judges causes that all flights have alike.
+
+    errors  with some causes taken into account, the model's own terms fitted anew or not: by blocks, constant errors
+            left out, which fitting anew moves and flights differ by
+    old, floor  errors (blocks, 6) before, at best (6,); share  of what is removable that must go beyond doubt
+    fitted  whether some of these flights made the model, which then says nothing of how it does on others
+    foreign  the share for causes that no sound vehicle has, if it is another
+    """
+
+    errors: Callable[[Sequence[Cause], bool], Score]
+    old: Score
+    floor: np.ndarray
+    share: float
+    fitted: bool = False
+    foreign: float | None = None
+
+
+def strength(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle, left: np.ndarray) -> float:
+    """Mean square of what the cause makes in these flights, each channel over `left` (6,)."""
+
+    def contribution(flight: Evidence) -> np.ndarray:
+        return whole_of(cause.effect, flight, vehicle, cause.value)
+
+    return float((wrench_score(flights, contribution).mean() / np.maximum(left, 1e-300)).sum())
+
+
+def within(score: Score, blocks: np.ndarray) -> Score:
+    """A score of some of its blocks (B,) bool."""
+    return Score(score.values[blocks], score.weight[blocks])
+
+
+def acting_blocks(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle, left: np.ndarray) -> np.ndarray:
+    """The fewest blocks (B,) bool of flights that hold ACTING of what a cause makes; left (6,) as in `strength`."""
+    made = wrench_score(flights, lambda flight: whole_of(cause.effect, flight, vehicle, cause.value))
+    size = (made.values / np.maximum(left, 1e-300)).sum(axis=1) * made.weight
+    order = np.argsort(-size)
+    count = int(np.searchsorted(np.cumsum(size[order]), ACTING * size.sum())) + 1
+    return np.isin(np.arange(len(size)), order[:count])
+
+
+def material(
+    causes: Sequence[Cause],
+    score: Callable[[Sequence[Cause], bool], Judged],
+    excited: Callable[[Cause], bool],
+    old: Score,
+    floor: np.ndarray,
+    share: float,
+    common: Common,
+    acting: Callable[[Cause], np.ndarray] | None = None,
+) -> tuple[list[Cause], list[Cause], list[Cause]]:
+    """Causes that matter, those that do not, and those of the first that these flights could not judge.
+
+    score    of held-out flights with some causes taken into account, the model's own terms fitted anew or not
+    excited  whether the held-out flights show a cause at all; old, floor  errors (blocks, 6) before, at best (6,)
+    share    least share of the removable error of some axis that leaving a cause out must cost; common  what judges
+             causes that all flights have alike; acting  cause -> the blocks (B,) bool in which it acts: a cause that
+             acts in a few seconds only counts there
+    """
+    unjudged = [c for c in causes if c.since == "changed" and not excited(c)]
+    kept = [c for c in causes if c.since == "changed"]
+    while kept:
+        whole, worth = score(kept, False), []
+        for cause in kept:
+            without = score([c for c in kept if c is not cause], False)
+            cause.gain = fraction(without.errors, whole.errors, floor)
+            first, last, own = without.errors.mean(), whole.errors.mean(), seen_in(cause.effect)
+            # a constant error, which flights differ by, may have the other sign on the held-out ones
+            gone = np.maximum(first - last, without.centred.mean() - whole.centred.mean())
+            part = float((gone / _removable(old, floor, "changed"))[own].max())
+            if acting is not None and (there := acting(cause)).any():
+                local = within(without.errors, there).mean() - within(whole.errors, there).mean()
+                part = max(part, float((local / _removable(within(old, there), floor, "changed"))[own].max()))
+            # a form that is not quite right may make a flight less likely although it takes the error away
+            better = without.unlikely > whole.unlikely or np.log(last / first)[own].sum() < 0.0
+            worth.append(part if better else min(part, 0.0))
+        poor = [w if c not in unjudged else np.inf for c, w in zip(kept, worth)]
+        if min(poor) >= share:
+            break
+        kept.pop(int(np.argmin(poor)))
+    shared = _common([c for c in causes if c.since == "always"], kept, score, floor, common)
+    kept = sorted([*kept, *shared], key=lambda c: c.test.p)
+    return kept, [c for c in causes if c not in kept], [c for c in unjudged if c in kept]
+
+
+def simplest(
+    causes: Sequence[Cause],
+    estimated: Callable[[Sequence[Cause]], list[Cause] | None],
+    score: Callable[[Sequence[Cause]], Judged],
+    old: Score,
+    floor: np.ndarray,
+    share: float,
+    unjudged: Sequence[Cause] = (),
+    acting: Callable[[Cause], np.ndarray] | None = None,
+) -> list[Cause]:
+    """The fewest of the causes that leave less than SIMPLER times `share` of the removable error more than all do.
+
+    Of as many, those that the other flights tell most clearly. Two causes that mend each other's mistakes are needed
+    both as long as both are there.
+    estimated  some causes -> the same with their parameters found without the others, None where these are impossible
+    score      of held-out flights; unjudged  causes that these do not show, and so cannot call needless
+    """
+    if not 1 < len(causes) <= MOST_WEIGHED:
+        return list(causes)
+    removable, whole = _removable(old, floor, "spoken of"), score(causes).errors
+
+    def lost(some: Sequence[Cause]) -> float:
+        """Largest share of the removable error of an axis that some causes leave, also where those left out act."""
+        errors, used = score(some).errors, {(c.effect.id, c.since) for c in some}
+        shares = [(errors.mean() - whole.mean()) / removable]
+        for cause in causes:
+            if acting is not None and (cause.effect.id, cause.since) not in used and (there := acting(cause)).any():
+                local = within(errors, there).mean() - within(whole, there).mean()
+                shares.append((local / _removable(within(old, there), floor, "spoken of"))[seen_in(cause.effect)])
+        return float(np.concatenate(shares).max())
+
+    shown = [c for c in causes if c not in unjudged]
+    for size in range(0 if unjudged else 1, len(shown)):
+        some_of = ([*some, *unjudged] for some in combinations(shown, size))
+        tried = [own for some in some_of if (own := estimated(some)) is not None]
+        if not tried:
+            continue
+        losses = [lost(some) for some in tried]
+        enough = [some for some, loss in zip(tried, losses) if loss < SIMPLER * share]
+        if enough:
+            # these flights only rule out; of what they leave, the others choose: where the faintest cause is clearest
+            best = min(enough, key=lambda some: max((c.test.p for c in some), default=0.0))
+            before = {c.effect.id: c for c in causes}
+            for cause in best:
+                cause.gain, cause.probability = before[cause.effect.id].gain, before[cause.effect.id].probability
+            return best
+    return list(causes)
+
+
+def _common(
+    causes: list[Cause], beside: list[Cause], score: Callable[[Sequence[Cause], bool], Judged], floor: np.ndarray,
+    common: Common,
+) -> list[Cause]:  # fmt: skip
+    """Causes that all flights have alike: the model's own terms, fitted anew beside them, must do better by a share of
+    the removable error, beyond doubt, than its own terms fitted anew without them and, on flights that did not make it,
+    than the model as it was; and so must each of them, unless the strongest foreign one needs it. The held-out flights
+    must not become less likely.
+    """
+    if not causes:
+        return []
+    offered, special = causes, None
+    if common.absent_when_healthy is not None:
+        special = max((c for c in causes if c.effect.absent_when_healthy), key=lambda c: c.test.wald, default=None)
+    if special is not None:
+        faint = BESIDE * special.test.wald
+        causes = [c for c in causes if c is special or not c.effect.absent_when_healthy or c.test.wald >= faint]
+    elif common.absent_when_healthy is not None:
+        causes = sorted(causes, key=lambda c: c.test.p)[:LACKED]
+
+    def sort_of(cause: Cause) -> str:
+        return "foreign" if special is not None and cause.effect.absent_when_healthy else "always"
+
+    for cause in offered:
+        share = common.absent_when_healthy if sort_of(cause) == "foreign" else common.share
+        cause.asked = share if cause in causes else None
+    removable = {flag: _removable(common.old, common.floor, flag) for flag in ("always", "foreign")}
+
+    def better(first: Score, last: Score, sort: str) -> float:
+        """The surest share of the removable error that goes on any axis, of the share that has to."""
+        share = common.share if sort == "always" else common.absent_when_healthy
+        return float(surely(first, last, removable[sort]).max()) / share
+
+    unlikely, known = score(beside, False).unlikely, dict[tuple[int, ...], Score]()
+
+    def errors(of: Sequence[Cause]) -> Score:
+        key = tuple(id(c) for c in of)
+        if key not in known:
+            known[key] = common.errors([*beside, *of], True)
+        return known[key]
+
+    def worth_of(cause: Cause, among: Sequence[Cause]) -> float:
+        rest = [c for c in among if c is not cause]
+        return better(errors(rest), errors(among), sort_of(cause))
+
+    def supports(cause: Cause) -> bool:
+        """Whether the strongest foreign one would not be sure any more if only the model's terms stood in for this."""
+        rest = [c for c in causes if c is not cause]
+        return cause is not special and worth_of(special, rest) < 1.0
+
+    others = [errors([])] + ([] if common.fitted else [common.errors(beside, False)])
+    while causes:
+        judged, worth = score([*beside, *causes], True), [worth_of(c, causes) for c in causes]
+        sort = "foreign" if special in causes else "always"
+        together = min(better(other, errors(causes), sort) for other in others) >= 1.0 and judged.unlikely < unlikely
+        order = [causes[k] for k in np.argsort(worth)]
+        poor = [c for c, w in zip(order, sorted(worth)) if w < 1.0]
+        least = next((c for c in poor if special not in causes or not supports(c)), None)
+        if together and least is None and special not in poor:
+            for cause in causes:
+                rest = [*beside, *(c for c in causes if c is not cause)]
+                cause.gain = fraction(score(rest, True).errors, judged.errors, floor)
+            return causes
+        if order[0] is special:  # which stands in nobody's way then
+            return _common([c for c in offered if c is not special], beside, score, floor, common)
+        causes = [c for c in causes if c is not (least or order[0])]
+    return []
+
+
+def seen_in(effect: Effect) -> list[int]:
+    """Axes in which a cause shows; all where it names none."""
+    return [k for k, axis in enumerate(AXES) if axis in effect.channels] or list(range(len(AXES)))
+
+
+def _removable(old: Score, floor: np.ndarray, since: str) -> np.ndarray:
+    """Error (6,) above the floor; infinite where that is too small a part to speak of, but for single causes."""
+    gone, small = np.maximum(old.mean() - floor, 0.0), SMALL[since] * old.mean()
+    return np.where(gone > small, gone, small if since in ("changed", "foreign") else np.inf)

@@ -1,0 +1,206 @@
+"""Causes sought in the flights that learn: searched, linearised where found, searched again until they stay."""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from quasi.gap.effect import Effect, Limits, Vehicle
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.levels.forces.axis_consistency import contradiction, voices
+from quasi.gap.levels.forces.design import Design, gather_design, moved
+from quasi.gap.levels.forces.materiality import Cause, Deviations, seen_in
+from quasi.gap.levels.forces.nonlinear import chords, started
+from quasi.gap.selection import FORCES, Named, Profile, Tie, select_causes
+from quasi.gap.statistics.mixed import Candidate, ClusteredMixedModel, MixedModel, Test
+
+ASTRAY = 0.5  # of its size, that a cause may move when it is linearised there
+LOOKS = 4  # how often curved causes are linearised anew, and contradicted ones left out
+KNOWN = 0.05  # share to which the forms hold and what they are made of is known: thrust of a rotor, hubs, own drag
+
+
+class Sought(NamedTuple):
+    """What the search ended with.
+
+    study, mixed  at the sizes found; values {compared or reference: {cause: sizes}} that causes are linearised at
+    named, ties, ranking, level  see `quasi.gap.selection.Selection`; ties with their since
+    contradicted  {cause: test, why}: those whose axes do not agree; passed  why others of the ranking were passed over
+    """
+
+    study: Design
+    mixed: ClusteredMixedModel
+    values: dict[bool, dict[str, Deviations]]
+    named: list[Named]
+    ties: list[tuple[str, Tie]]
+    ranking: list[Test]
+    level: dict[str, float]
+    contradicted: dict[str, tuple[Test, str]]
+    passed: dict[Candidate, str]
+
+
+def seek(
+    flights: Sequence[Evidence], asked: Mapping[str, Effect], vehicle: Vehicle, compared: np.ndarray, rate: float,
+    within: Mapping[str, Limits],
+) -> Sought:  # fmt: skip
+    """Search causes in flights.
+
+    asked  the causes, by id; compared (F,) bool, False for reference flights; rate  family-wise false alarm rate
+    within {cause: what is physical of its parameters' deviations}
+    """
+    neutral: set[str] = set()  # curved causes whose slope where they were found does not show them any more
+    contradicted: dict[str, tuple[Test, str]] = {}
+    study = started(gather_design(flights, asked, vehicle), asked, vehicle, compared)
+    values = {flag: dict(study.values[0]) for flag in (True, False)}  # of compared flights and of reference flights
+    for look in range(LOOKS):
+        study = moved(study, asked, vehicle, [values[bool(flag)] for flag in compared]) if look else study
+        mixed = study.witnessed(range(len(flights)), compared)
+        lacking = (*study.lacking, *contradicted)
+        profiles = {n: Profile.of(e, within.get(n)) for n, e in asked.items()}
+        rules = FORCES._replace(overlap=partial(_share_on_axes, study, compared, asked))
+        selection = select_causes(mixed, profiles, rate, rules, lacking)
+        named, ties = selection.named, [(tie.tests[0].offer.since, tie) for tie in selection.ties]
+        causes = merged(named, asked, mixed, offers_of(named, ties))
+        found = [(c.effect, c.since, c.value) for c in causes] + [_as_found(tie, since, asked) for since, tie in ties]
+        bent = [(e.id, since, sizes) for e, since, sizes in found if e.is_nonlinear]
+        now = _sizes(bent, True)
+        neutral |= {n for n, old in values[True].items() if not asked[n].starts and _astray(now.get(n, {}), old)}
+        straight = [b for b in bent if b[0] not in neutral]
+        curved = chords(asked, {flag: _sizes(straight, flag) for flag in (True, False)}, values[True])
+        elsewhere = any(_elsewhere(curved[flag], values[flag]) for flag in (True, False))
+        values = curved
+        torn = _contradicted(causes, ties, asked, mixed, study, compared)
+        contradicted |= torn
+        if not elsewhere and not torn:
+            break
+    ties = [(s, tie) for s, tie in ties if not any(t.offer.cause in contradicted for t in tie.tests)]
+    named = [n for n in named if n.test.offer.cause not in contradicted]
+    named, ties, twins = _with_twins(named, ties, contradicted, asked, mixed)
+    contradicted = {name: why for name, why in contradicted.items() if name not in twins}
+    level, ranking = selection.level, selection.ranking
+    return Sought(study, mixed, values, named, ties, ranking, level, contradicted, selection.rejected)
+
+
+def _share_on_axes(
+    study: Design, compared: Sequence[bool], asked: Mapping[str, Effect], test: Test, other: str
+) -> float:
+    """Share of what a tested cause adds to the compared flights that lies on the axes of another cause.
+
+    The mean squares of each axis count in units of the residual's mean square there.
+    """
+    own = [study.columns.causes[test.offer.cause][k] for k in test.offer.which]
+    raw = sum(gram for gram, flag in zip(study.raw, compared) if flag)  # (6, P, P)
+    added = np.einsum("i,kij,j->k", test.value, raw[:, own][:, :, own], test.value)
+    parts = added / np.maximum(raw[:, 0, 0], 1e-300)
+    return float(parts[seen_in(asked[other])].sum() / max(parts.sum(), 1e-300))
+
+
+def _as_found(tie: Tie, since: str, asked: Mapping[str, Effect]) -> tuple[Effect, str, Deviations]:
+    """The first cause of a tie, with its sizes as they were when the tie was met: later causes may resemble it."""
+    test = tie.tests[0]
+    effect = asked[test.offer.cause]
+    return effect, since, {effect.fitted[k]: float(v) for k, v in zip(test.offer.which, test.value)}
+
+
+def _sizes(causes: Sequence[tuple[str, str, Deviations]], compared: bool) -> dict[str, Deviations]:
+    """Deviations that causes (id, since, sizes) give a compared flight, or a reference flight."""
+    found: dict[str, Deviations] = {}
+    for name, since, sizes in causes:
+        if compared or since == "always":
+            own = found.setdefault(name, {})
+            for parameter, value in sizes.items():
+                own[parameter] = own.get(parameter, 0.0) + value
+    return found
+
+
+def _astray(new: Deviations, old: Deviations) -> bool:
+    """Whether a cause that was linearised at its sizes is found elsewhere altogether, or not at all."""
+    return any(abs(new.get(p, 0.0) - value) > ASTRAY * abs(value) for p, value in old.items())
+
+
+def _elsewhere(new: Mapping[str, Deviations], old: Mapping[str, Deviations]) -> bool:
+    """Whether causes have to be linearised anew."""
+    return new.keys() != old.keys() or any(
+        abs(value - old[n].get(p, 0.0)) > 0.02 * abs(value) for n, own in new.items() for p, value in own.items()
+    )
+
+
+def _contradicted(
+    causes: Sequence[Cause], ties: Sequence[tuple[str, Tie]], asked: Mapping[str, Effect], mixed: MixedModel,
+    study: Design, compared: np.ndarray,
+) -> dict[str, tuple[Test, str]]:  # fmt: skip
+    """Of causes and ties, those that one axis wants and another does not; what healthy flights show as well is no
+    matter of names alone, and not asked where others are compared with them."""
+    since = "always" if compared.all() else "changed"
+    pooled = mixed.pooled(since)
+    tests = [c.test for c in causes] + [test for _, tie in ties for test in tie.tests]
+    given = [*(c.test.offer for c in causes), *(tie.tests[0].offer for _, tie in ties)]
+    torn = {}
+    for test in tests:
+        if test.offer.since == since:
+            others = [g for g in given if g.cause != test.offer.cause]
+            others = [g for g in others if not _tied_with(g.cause, test.offer.cause, ties)]
+            why = contradiction(voices(study, compared, test, pooled, others))
+            if why:
+                torn[test.offer.cause] = test, why
+    return torn
+
+
+def _with_twins(
+    named: Sequence[Named], ties: Sequence[tuple[str, Tie]], contradicted: Mapping[str, tuple[Test, str]],
+    asked: Mapping[str, Effect], mixed: MixedModel,
+) -> tuple[list[Named], list[tuple[str, Tie]], set[str]]:  # fmt: skip
+    """Named causes and ties, and what stands again: a cause that is contradicted does not leave the one that is
+    indistinct from it named alone, for what contradicts it is what the model makes of it, and the two are a tie."""
+    clear, tied, twins = [], list(ties), set()
+    for one in named:
+        offer = one.test.offer
+        alike = [contradicted[n][0] for n in asked[offer.cause].always_tied_with if n in contradicted]
+        alike = [t for t in alike if t.offer.since == offer.since]
+        if not alike:
+            clear.append(one)
+            continue
+        given = [o for o in offers_of(named, ties) if o != offer]
+        beside = mixed.test(offer, [*given, alike[0].offer], mixed.pooled(offer.since))
+        tied.append((offer.since, Tie([one.test, *alike], float((beside.wald / len(offer.which)) ** 0.5))))
+        twins |= {t.offer.cause for t in alike}
+    return clear, tied, twins
+
+
+def _tied_with(one: str, other: str, ties: Sequence[tuple[str, Tie]]) -> bool:
+    return any({one, other} <= {t.offer.cause for t in tie.tests} for _, tie in ties)
+
+
+def offers_of(named: Sequence[Named], ties: Sequence[tuple[str, Tie]]) -> list[Candidate]:
+    return [*(n.test.offer for n in named), *(tie.tests[0].offer for _, tie in ties)]
+
+
+def merged(
+    named: Sequence[Named], asked: Mapping[str, Effect], mixed: MixedModel, given: Sequence[Candidate]
+) -> list[Cause]:
+    """One cause for each (id, since), its parameters estimated together beside all other causes."""
+    which: dict[tuple[str, str], list[int]] = {}
+    rivals: dict[tuple[str, str], list[Any]] = {}
+    for n in named:
+        key = n.test.offer.cause, n.test.offer.since
+        which.setdefault(key, []).extend(n.test.offer.which)
+        rivals.setdefault(key, []).extend(n.rivals)
+    causes = []
+    for (cause, since), picked in which.items():
+        offer = Candidate(cause, since, tuple(sorted(picked)))
+        others = [g for g in given if (g.cause, g.since) != (cause, since)]
+        pooled = mixed.pooled(since)
+        test = mixed.test(offer, others, pooled)
+        causes.append(Cause(asked[cause], since, *estimate(test, asked[cause]), test, rivals[cause, since]))
+    return sorted(causes, key=lambda c: c.test.p)
+
+
+def estimate(test: Test, effect: Effect, wider: float = 1.0) -> tuple[Deviations, Deviations]:
+    """Deviations and standard errors by name; how well the vehicle's constants are known in these.
+
+    wider  by which the test's own standard errors are too small
+    """
+    names = [effect.fitted[k] for k in test.offer.which]
+    known = max(KNOWN, effect.form_uncertainty)
+    value, std = map(float, test.value), map(float, np.hypot(wider * test.std, known * test.value))
+    return dict(zip(names, value)), dict(zip(names, std))

@@ -1,0 +1,244 @@
+"""Smooth functions of places as offers beside the model's terms and named causes: cross-products, tests, selection."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from quasi.gap.effect import Effect, Vehicle
+from quasi.gap.flights.covariates import Basis, Choice, basis_of
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.levels.forces.design import BAND, BLOCK, MOST_STRETCHES, ORDER, Design, gather_design, joined
+from quasi.gap.statistics.mixed import Candidate, Columns, MixedModel, Test, marginal
+from quasi.gap.statistics.whitening import thin, whiten
+from quasi.model.model import AXES
+
+MOST = 6  # functions of what is unexplained
+Cause = tuple[Effect, Candidate, Mapping[str, float]]
+
+
+class Place(NamedTuple):
+    """A smooth function offered to one channel of all flights ("always") or of the compared ones ("changed")."""
+
+    channel: int
+    choice: Choice
+    since: str
+
+    @property
+    def name(self) -> str:
+        """Unique."""
+        return f"{AXES[self.channel]} along {self.choice.where} {self.choice.which}"
+
+
+class Grounds(NamedTuple):
+    """What the tests work on: cross-products of the model's terms, nuisances, causes and smooth functions.
+
+    parts    per flight (K, 6, P, P): of each stretch and channel, whitened; the study's columns first, then the basis
+    columns  per flight (K, S, S): of the study's columns, the channels added up
+    """
+
+    study: Design
+    basis: Basis
+    parts: list[np.ndarray]
+    columns: list[np.ndarray]
+    thinned: list[np.ndarray]  # per flight (m, L): the basis in the band of the analysis
+
+    def of(self, use: Sequence[int]) -> "Grounds":
+        """Of some flights, for tests."""
+        return self._replace(parts=[self.parts[k] for k in use], columns=[self.columns[k] for k in use])
+
+    def whole(self) -> "Grounds":
+        """Of flights that are one stretch each, for tests."""
+        parts, columns = ([p.sum(axis=0, keepdims=True) for p in all_] for all_ in (self.parts, self.columns))
+        return self._replace(parts=parts, columns=columns)
+
+
+def _curved(causes: Sequence[Cause], compared: bool) -> dict[str, Mapping[str, float]]:
+    """Values to linearise a compared flight at, or a reference flight, which has none of what changed."""
+    return {e.id: v for e, offer, v in causes if e.is_nonlinear and (compared or offer.since == "always")}
+
+
+def grounds_of(
+    flights: Sequence[Evidence], compared: Sequence[bool], causes: Sequence[Cause], vehicle: Vehicle,
+    like: Grounds | None = None,
+) -> Grounds:  # fmt: skip
+    """Cross-products of the flights' blocks with the causes' columns and all smooth functions.
+
+    causes  effect, offer, values to linearise at; like  those whose functions and noise are taken over: held-out
+    flights choose neither
+    """
+    effects = {e.id: e for e, *_ in causes}
+    study = gather_design(flights, effects, vehicle, [_curved(causes, bool(flag)) for flag in compared])
+    if like is not None:
+        study = study._replace(whitener=like.study.whitener)
+    basis = basis_of(flights) if like is None else like.basis
+    parts, sums, thinned = [], [], []
+    size = len(study.names)
+    for flight, part in zip(flights, study.thinned):
+        functions = thin(basis.functions(flight)[:, None], flight.breaks, flight.t, BAND, 2 * ORDER).columns[:, 0]
+        thinned.append(functions)
+        columns = np.concatenate(
+            [part.columns, np.broadcast_to(functions[:, None], (len(functions), 6, functions.shape[1]))], axis=2
+        )
+        white, rows = whiten(columns, part.breaks, study.whitener)
+        number = ((flight.t[part.rows][rows] - flight.t[part.rows][rows[0]]) / BLOCK).astype(int)
+        white = white.transpose(1, 0, 2)
+        blocks = [w.transpose(0, 2, 1) @ w for w in (white[:, number == n] for n in np.unique(number))]
+        parts.append(joined(np.array(blocks), MOST_STRETCHES // len(flights)))
+        sums.append(parts[-1][:, :, :size, :size].sum(axis=1))
+    return Grounds(study, basis, parts, sums, thinned)
+
+
+def mixed_of(
+    grounds: Grounds, compared: Sequence[bool], given: Sequence[Candidate], places: Sequence[Place]
+) -> MixedModel:
+    """The mixed model with nothing but what is given and some smooth functions, a matter of small matrices."""
+    layout, size = grounds.study.columns, len(grounds.study.names)
+    names = dict.fromkeys(g.cause for g in given)
+    use = [0, *layout.shared, *layout.nuisance, *(c for n in names for c in layout.causes[n])]
+    place = {c: i for i, c in enumerate(use)}
+    causes = {n: [place[c] for c in layout.causes[n]] for n in names}
+    at = len(use)
+    for p in places:
+        causes[p.name] = list(range(at, at + len(p.choice.which)))
+        at += len(p.choice.which)
+    grams = []
+    for part, columns in zip(grounds.parts, grounds.columns):
+        gram = np.zeros((len(part), at, at))
+        gram[:, : len(use), : len(use)] = columns[:, use][:, :, use]
+        for p in places:
+            own, source = causes[p.name], [size + k for k in p.choice.which]
+            cross = part[:, p.channel][:, :, source][:, use]
+            gram[:, : len(use), own[0] : own[-1] + 1] = cross
+            gram[:, own[0] : own[-1] + 1, : len(use)] = cross.transpose(0, 2, 1)
+            for q in places:
+                if q.channel == p.channel:
+                    other, beside = causes[q.name], [size + k for k in q.choice.which]
+                    gram[:, own[0] : own[-1] + 1, other[0] : other[-1] + 1] = part[:, p.channel][:, source][
+                        :, :, beside
+                    ]
+        grams.append(gram)
+    return MixedModel(
+        grams,
+        compared,
+        Columns([place[c] for c in layout.shared], [place[c] for c in layout.nuisance], layout.spread, causes),
+    )
+
+
+def offer_of(place: Place) -> Candidate:
+    """A smooth function with all its parts."""
+    return Candidate(place.name, place.since, tuple(range(len(place.choice.which))))
+
+
+def tested(
+    grounds: Grounds, compared: Sequence[bool], given: Sequence[Candidate], others: Sequence[Place], place: Place
+) -> Test:
+    """The test of one function beside what is given and other functions."""
+    mixed = mixed_of(grounds, compared, given, [*others, place])
+    # the functions of a place share one spread, which is known as many times better
+    mixed.freedom *= len(place.choice.which)
+    pooled = [place.name] if place.since == "changed" else []
+    return mixed.test(offer_of(place), [*given, *(offer_of(o) for o in others)], pooled)
+
+
+def stages_of(compared: Sequence[bool]) -> list[str]:
+    """What can be asked of these flights, in order."""
+    return ["always"] if all(compared) else ["changed", "always"]
+
+
+def level_of(grounds: Grounds, compared: Sequence[bool], rate: float) -> float:
+    """p that a function must pass, of a family-wise rate."""
+    return rate / (len(stages_of(compared)) * 6 * len(grounds.basis.choices))
+
+
+def select(
+    grounds: Grounds, compared: Sequence[bool], given: Sequence[Candidate], rate: float
+) -> list[tuple[Place, Test]]:
+    """Forward selection with backward removal at a family-wise rate; first what changed, then what all have alike.
+
+    What changed is not taken back for what all flights have alike: a model's own errors of form can follow anything.
+    """
+    choices = [(k, choice) for k in range(6) for choice in grounds.basis.choices]
+    level, stages = level_of(grounds, compared, rate), stages_of(compared)
+    settled: list[tuple[Place, Test]] = []
+    for since in stages:
+        found = [place for place, _ in settled]
+        while len(found) < MOST:
+            taken = {(p.channel, p.choice.where) for p in found}
+            offered = [Place(k, c, since) for k, c in choices if (k, c.where) not in taken]
+            certain = _certain(grounds, compared, given, found, offered)
+            open_ = sorted((p for p in offered if certain[p] < level), key=certain.get)
+            tests = [(p, tested(grounds, compared, given, found, p)) for p in open_]
+            best = min(tests, key=lambda pair: pair[1].p, default=None)
+            if best is None or best[1].p >= level:
+                break
+            found.append(best[0])
+        while True:
+            new = [p for p in found if p.since == since]
+            tests = [(p, tested(grounds, compared, given, [f for f in found if f != p], p)) for p in new]
+            weak = max(tests, key=lambda pair: pair[1].p, default=None)
+            if weak is None or weak[1].p < level:
+                settled += tests
+                break
+            found.remove(weak[0])
+    return settled
+
+
+def _certain(
+    grounds: Grounds,
+    compared: Sequence[bool],
+    given: Sequence[Candidate],
+    found: Sequence[Place],
+    offered: Sequence[Place],
+) -> dict[Place, float]:
+    """Probability of nothing of each offer if flights did not differ: a lower bound, so that few need the full test."""
+    layout, size = grounds.study.columns, len(grounds.study.names)
+    base = [*layout.shared]
+    alike = [*base, *(layout.causes[g.cause][k] for g in given if g.since == "always" for k in g.which)]
+    new = [layout.causes[g.cause][k] for g in given if g.since == "changed" for k in g.which]
+    result = {}
+    for channel in dict.fromkeys(p.channel for p in offered):
+        beside = [p for p in found if p.channel == channel]
+        width = grounds.parts[0].shape[-1] - size
+        for since in dict.fromkeys(p.since for p in offered):
+            total = 0.0
+            for part, flag in zip(grounds.parts, compared):
+                summed = part.sum(axis=0)
+                gram = np.zeros((size + width, size + width))
+                gram[:size, :size] = summed[:, :size, :size].sum(axis=0)
+                gram[size:, :] = summed[channel][size:, :]
+                gram[:, size:] = summed[channel][:, size:]
+                gram = marginal(gram, layout.nuisance, layout.spread)
+                use = [0, *alike, *new, *(size + k for k in range(width))]
+                whole = gram[np.ix_(use, use)]
+                if not flag:
+                    off = slice(1 + len(alike), 1 + len(alike) + len(new))
+                    whole[off, :] = whole[:, off] = 0.0
+                # the functions twice: of all flights, and of the compared ones alone
+                own = slice(1 + len(alike) + len(new), None)
+                again = whole[:, own] * flag
+                corner = whole[own, own] * flag
+                total = total + np.block([[whole, again], [again.T, corner]])
+            scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
+            total = total / np.outer(scale, scale)
+            start = 1 + len(alike) + len(new)
+            known = list(range(1, start))
+            for p in beside:
+                shift = width if p.since == "changed" else 0
+                known += [start + k + shift for k in p.choice.which]
+            for p in offered:
+                if p.channel != channel or p.since != since:
+                    continue
+                shift = width if since == "changed" else 0
+                pooled = [start + k for k in p.choice.which] if since == "changed" else []
+                fixed = list(dict.fromkeys([*known, *pooled]))
+                own = [c for c in (start + k + shift for k in p.choice.which) if c not in fixed]
+                inner = total[np.ix_(fixed, fixed)] + 1e-9 * np.eye(len(fixed))
+                use = [0, *own]
+                rest = total[np.ix_(use, use)] - total[np.ix_(use, fixed)] @ np.linalg.solve(
+                    inner, total[np.ix_(fixed, use)]
+                )
+                gain = rest[0, 1:] @ np.linalg.solve(rest[1:, 1:] + 1e-9 * np.eye(len(own)), rest[1:, 0])
+                result[p] = float(chi2.sf(gain * scale[0] ** 2, len(own)))
+    return result

@@ -1,0 +1,205 @@
+"""Which of two points sits elsewhere than configured: the IMU, or what the motion capture tracks.
+
+Level K sees how far the IMU is from the tracked point and nothing else: an IMU at r from the cg and markers at -r look
+alike. Forces see how far the IMU is from the cg: it feels wdot x r + w x (w x r) too much, whatever the capture says.
+The two together tell each point.
+
+Source: rigid-body kinematics; the weighing is least squares on the two estimates of each component.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from quasi import attitude
+from quasi.attitude import GRAVITY
+from quasi.errors import DataError
+from quasi.gap.effect import Effect, Limits, vehicle_of
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.gathering import gather
+from quasi.gap.flights.level import Flown, Level
+from quasi.gap.levels.forces.design import Design, gather_design
+from quasi.gap.levels.forces.nonlinear import started
+from quasi.gap.selection import Profile, select_causes
+from quasi.gap.statistics.mixed import Candidate
+from quasi.model.model import Model
+
+IMU, MARKERS = "imu_lever_arm", "marker_offset"
+AXES = ("x", "y", "z")
+APART = 9.0  # difference of squared standard errors, three of them, from which one explanation wins
+TAKEN_UP = 0.1  # share of an arm's forces that the terms of a model may hold by chance
+ACROSS = 0.04  # share of the whole arm that they may make up along another axis
+RATE = 100.0  # Hz
+BREAKER = "sharp turns about all axes, compared with a model that was identified from other flights"
+
+
+class Points(NamedTuple):
+    """Where IMU and tracked point are from where they were taken to be, m: (3,) each, with standard errors.
+
+    between  IMU minus tracked point, level K; forces  IMU minus cg, level W, with the standard error it is weighed by
+    apart    how much worse the squared errors are if the IMU, or the markers, were where they are configured (3,)
+    """
+
+    imu: np.ndarray
+    markers: np.ndarray
+    imu_std: np.ndarray
+    markers_std: np.ndarray
+    between: np.ndarray
+    forces: np.ndarray
+    apart: np.ndarray
+
+    @property
+    def told(self) -> bool:
+        """Whether any component says which of the points it is."""
+        return bool((np.abs(self.apart) > APART).any())
+
+
+def weigh(between: np.ndarray, between_std: np.ndarray, forces: np.ndarray, forces_std: np.ndarray) -> Points:
+    """Share what level K sees between the two points, by what the forces see of one of them.
+
+    between (3,) IMU minus tracked point, m; forces (3,) IMU minus cg, m. Component by component either the IMU or the
+    markers are elsewhere, both where neither alone fits; a component that is not told follows those that are.
+    """
+    sharp = np.sqrt(forces_std**2 + (TAKEN_UP * between) ** 2 + ACROSS**2 * (between @ between))
+    only_imu = (between - forces) ** 2 / (between_std**2 + sharp**2)  # the best common value left free
+    only_markers = (forces / sharp) ** 2
+    apart = only_markers - only_imu  # positive: the markers alone fit worse
+    toward = np.where(np.abs(apart) > APART, apart, apart.sum())
+    both = (only_imu > APART) & (only_markers > APART)
+    # where one value serves both estimates, the sharper of them counts more
+    weight = between_std**-2.0 + sharp**-2.0
+    common, common_std = (between * between_std**-2.0 + forces * sharp**-2.0) / weight, weight**-0.5
+    zero = np.zeros(3)
+    imu = np.where(both, forces, np.where(toward > 0, common, zero))
+    markers = np.where(both, forces - between, np.where(toward > 0, zero, -between))
+    imu_std = np.where(both | (toward <= 0), sharp, common_std)
+    markers_std = np.where(both | (toward > 0), np.hypot(between_std, sharp), between_std)
+    return Points(imu, markers, imu_std, markers_std, between, forces, apart)
+
+
+def settle(level: Level, flights: Sequence[Flown], model: Model, effects: Mapping[str, Effect], rate: float) -> None:
+    """Tell `marker_offset` from `imu_lever_arm` in what level K found; nothing to do where it found neither.
+
+    flights  those that may choose and fit; effects  causes that forces may have beside; rate  false alarm rate of these
+    Changes the level: its effect becomes either cause or both, or a tie where the forces cannot tell.
+    """
+    arms = [e for e in level.effects if e["id"] == IMU]
+    if not arms:
+        # where the one could not be asked, neither could the other
+        level.cannot_be_asked += [{**said, "id": MARKERS} for said in level.cannot_be_asked if said["id"] == IMU]
+        return
+    for arm in arms:
+        _settle_arm(level, arm, flights, model, effects, rate)
+
+
+def _settle_arm(
+    level: Level,
+    arm: dict[str, Any],
+    flights: Sequence[Flown],
+    model: Model,
+    effects: Mapping[str, Effect],
+    rate: float,
+) -> None:
+    """`settle` for one arm: that of all flights, or that of the compared ones beyond it."""
+    try:
+        forces, std = felt(flights, model, arm["since"], effects, rate)
+    except DataError as error:
+        level.notes.append(f"whether the IMU or the markers sit elsewhere was not asked of the forces: {error}")
+        return
+    between = np.array([arm["parameters"][n]["value"] for n in AXES])
+    between_std = np.array([arm["parameters"][n]["std"] for n in AXES])
+    points = weigh(between, between_std, forces, std)
+    other = {
+        **arm,
+        "id": MARKERS,
+        "parameters": _named(points.markers if points.told else -between, points.markers_std),
+        "evidence": {**arm.get("evidence", {}), "IMU minus cg by forces": forces.tolist(),
+                     "standard error": std.tolist(), "apart": points.apart.tolist()},
+    }  # fmt: skip
+    if not points.told:
+        level.effects.remove(arm)
+        level.ties.append(
+            {"ids": [IMU, MARKERS], "since": arm["since"], "separability": float(np.sqrt(np.abs(points.apart).max())),
+             "tie_breaker": BREAKER, "parameters": {IMU: arm["parameters"], MARKERS: other["parameters"]}}
+        )  # fmt: skip
+        return
+    imu_there = _there(points.imu, points.imu_std)
+    if _there(points.markers, points.markers_std):
+        at = level.effects.index(arm)
+        mine = {**other, "id": IMU, "parameters": _named(points.imu, points.imu_std)}
+        level.effects[at : at + 1] = [other, mine] if imu_there else [other]
+    else:
+        arm["evidence"] = other["evidence"]
+
+
+def _there(value: np.ndarray, std: np.ndarray) -> bool:
+    return bool((np.abs(value) > 3.0 * std).any())
+
+
+def _named(value: np.ndarray, std: np.ndarray) -> dict[str, dict[str, Any]]:
+    return {n: {"value": float(v), "std": float(s), "unit": "m"} for n, v, s in zip(AXES, value, std)}
+
+
+def _columns(evidence: Evidence, _: Any) -> dict[str, np.ndarray]:
+    """Force (n, 6) that an accelerometer at 1 m from the cg shows too much, per axis."""
+    turning, rates = evidence.angular_acceleration, evidence.rates
+    return {
+        name: evidence.forces_only(
+            evidence.mass * (np.cross(turning, unit) + np.cross(rates, np.cross(rates, unit)))
+        )
+        for name, unit in zip(AXES, np.eye(3))
+    }  # fmt: skip
+
+
+FELT = Effect(
+    id=IMU, level="forces", sentence="the inertial sensors sit away from the centre of gravity",
+    equation="see the module",
+    source="rigid-body kinematics", channels=("Fx", "Fy", "Fz"), columns=_columns, parts="all",
+)  # fmt: skip
+
+
+def felt(
+    flights: Sequence[Flown], model: Model, since: str, effects: Mapping[str, Effect], rate: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """IMU minus cg (3,) m by the forces, with standard errors (3,); the model's own terms are fitted anew beside it.
+
+    since  "always": one arm in all flights; "changed": of the compared ones, beyond what all have
+    effects  causes by id; those of level W that the flights have beside the arm are taken out; rate  their false alarm
+    rate: what is left of a tether, say, blunts what forces tell of the arm
+    Raises DataError where no flight can be compared with the model.
+    """
+    seen = [(flown, _evidence(flown, model)) for flown in flights]
+    evidence, vehicle = [e for _, e in seen], vehicle_of(model)
+    compared = np.array([flown.compared for flown, _ in seen])
+    asked = {n: e for n, e in effects.items() if e.level == "forces" and not e.finding}
+    arm = Candidate(IMU, since, (0, 1, 2))
+    study = started(gather_design(evidence, asked | {IMU: FELT}, vehicle), asked | {IMU: FELT}, vehicle, compared)
+    beside = _beside(study, asked, {n: e.limits(vehicle) for n, e in asked.items()}, compared, rate, arm)
+    mixed = study.mixed(range(len(seen)), compared)
+    test = mixed.test(arm, beside, [IMU] if since == "changed" else [])
+    return np.asarray(test.value), np.asarray(test.std)
+
+
+def _beside(
+    study: Design, asked: Mapping[str, Effect], within: Mapping[str, Limits],
+    compared: np.ndarray, rate: float, arm: Candidate,
+) -> list[Candidate]:  # fmt: skip
+    """Causes that the forces have beside the arm."""
+    mixed = study.witnessed(range(len(compared)), compared)
+    profiles = {n: Profile.of(e, within.get(n)) for n, e in (asked | {IMU: FELT}).items()}
+    return select_causes(mixed, profiles, rate, excluded=(*study.lacking, IMU), known=[arm]).offers
+
+
+def _evidence(flown: Flown, model: Model) -> Evidence:
+    evidence = gather(flown.key, flown.filtered, flown.filtered_metadata, flown.airframe, model, RATE)
+    measured = evidence.measured
+    if not model.with_gravity:  # the flight is filtered with gravity left out of the forces
+        down = attitude.rotate_inverse(evidence.quaternion, np.array([0.0, 0.0, 1.0]))
+        measured = measured + evidence.forces_only(evidence.mass * GRAVITY * down)
+    taken_off = (flown.metadata.get("corrections") or {}).get("imu position") or {}
+    if taken_off.get("applied") and taken_off.get("source") == "hover":
+        columns = _columns(evidence, None)
+        measured = measured + sum(v * columns[n] for n, v in zip(AXES, taken_off["value"]))
+    return replace(evidence, measured=measured)

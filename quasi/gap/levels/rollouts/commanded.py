@@ -1,0 +1,70 @@
+"""What drives the rotors in simulations with commands, when the flights that may be learned from tell it.
+
+Level A fits the drive's constants (lag up and down, delay, map, battery exponent, each rotor's share) to every flight.
+Their mean over the compared flights is the drive of a model that knows all that flights can teach; each cause of level
+A that was not named, fitted alone, is a wrong cause that a named one has to beat.
+"""
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+import numpy as np
+
+from quasi.errors import ConfigError
+from quasi.gap.effect import Effect, Vehicle
+from quasi.gap.extension import extend
+from quasi.gap.levels.drive.fit import LOW_VOLTAGE, NAMES
+from quasi.gap.levels.drive.identify import CAUSES
+from quasi.gap.levels.rollouts.open_loop import COMMANDED, SHARES, Flight
+from quasi.model.extensions import said_of_rotors
+from quasi.model.model import Model
+from quasi.simulation.tools.replay import ActuatorDynamics, read_actuator_dynamics
+
+
+def learned(known: Mapping[str, Any], flight: Flight, model: Model) -> tuple[np.ndarray, ActuatorDynamics] | None:
+    """Settled speeds that a flight's commands ask for (N, 4), rad/s, and how rotors follow; None without its commands.
+
+    known  {"kind": "speeds" or "shares", "values": (11,) by `drive_fit.CONTROLLER_NAMES`, "voltage": V or None}
+    model  whose limits of rotor speed hold, and what it knows of the age of the telemetry, which is no delay
+    """
+    names = COMMANDED if known["kind"] == "speeds" else SHARES
+    if not all(n in flight.table for n in names):
+        return None
+    x = dict(zip(NAMES, known["values"]))
+    command = flight.table[list(names)].to_numpy(float)
+    wanted = x["a0"] + x["a1"] * command + x["a2"] * command**2
+    wanted *= 1.0 + np.array([x[f"rotor{i}"] for i in range(1, 5)])
+    if known["voltage"] and "battery_voltage" in flight.table:
+        ratio = flight.table["battery_voltage"].to_numpy(float) / known["voltage"]
+        wanted *= np.where(ratio > LOW_VOLTAGE, ratio, 1.0)[:, None] ** x["exponent"]
+    late = max(x["delay"] - said_of_rotors(model).get("telemetry delay", 0.0), 0.0)
+    limits = read_actuator_dynamics(model)
+    return wanted, limits._replace(up=np.array(x["up"]), down=np.array(x["down"]), delay=late)
+
+
+def wrong_ones(
+    healthy: Mapping[str, Any], named: Collection[str], effects: Mapping[str, Effect], model: Model, vehicle: Vehicle
+) -> dict[str, Model]:
+    """{cause: the model extended by it alone} of the causes of level A that are not named.
+
+    healthy  of level A: "values" (11,) that flights were compared with, "alone" {cause: deviations from them}
+    """
+    reference, found = dict(zip(NAMES, healthy.get("values", ()))), {}
+    for cause, apart in (healthy.get("alone") or {}).items():
+        if cause in named or cause not in effects or effects[cause].level != "drive":
+            continue
+        if cause == "motor_lag":
+            value = {"time_constant": float(np.mean([reference[n] + a for n, a in zip(CAUSES[cause], apart)]))}
+        elif cause == "battery_sag":
+            value = {"exponent": reference["exponent"] + apart[0]}
+            value |= {"reference voltage": healthy["voltage"]} if healthy.get("voltage") else {}
+        else:
+            value = {"delay": apart[0]}
+        own = effects[cause].parameters
+        value = {n: float(np.clip(v, own[n].low, own[n].high)) - (own[n].neutral or 0.0) for n, v in value.items()}
+        try:
+            document = extend(model, [(effects[cause], value)], vehicle, "wrong", "trial")
+        except ConfigError:
+            continue  # what cannot be simulated has nothing to be compared with
+        found[cause] = Model(document, f"{cause}, wrong")
+    return found

@@ -1,0 +1,263 @@
+"""Confirmation by roll-out: does a named cause, put into the simulator, lower the open-loop error on held-out flights?
+
+Windows of the held-out flights are simulated with all causes and with one left out. With that cause the simulation
+moves by D; without it the measurement deviates by
+
+    e = b D + S_nu nu + r,     nu, r as in `output_error`, their covariances from the learning flights
+
+b is 1 where the cause acts as it was named, 0 where nothing of it is there, below 0 where its sign is wrong. The
+squared error falls by (2 b - 1) D'D, so b = 1/2 divides gain from loss. How well b is known, given noise, nuisance and
+how much the flights excite the cause, is known before looking: where the standard error is large a missing gain says
+nothing.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from quasi.errors import ConfigError, DataError
+from quasi.gap.effect import Effect, Vehicle
+from quasi.gap.extension import extend
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.levels.forces.design import BAND, ORDER, in_stretches
+from quasi.gap.levels.forces.identify import Found
+from quasi.gap.levels.forces.materiality import Cause, refitted
+from quasi.gap.levels.forces.nuisance import nuisances
+from quasi.gap.levels.rollouts import output_error
+from quasi.gap.levels.rollouts.linear_response import Course
+from quasi.gap.levels.rollouts.output_error import Fitted, Values
+from quasi.gap.statistics.mixed import Candidate, Columns, MixedModel
+from quasi.gap.statistics.whitening import thin
+from quasi.model.model import Model
+
+CONFIRMED, REFUTED, UNJUDGED = "confirmed", "not confirmed", "cannot be judged"
+BETTER, WORSE = 1.64, 2.58  # one-sided 5 %: it gains; 0.5 %: it loses, or a gain would have been seen
+
+TWICE = 2.0  # a cause that would have to act twice as strongly as it was named is another one
+
+
+class Confirmation(NamedTuple):
+    """outcome; amplitude b with its standard error; predicted  |t| that the cause would show if it acts as named; plain
+    the amplitude with nothing of what flights differ by taken out.
+    """
+
+    outcome: str
+    amplitude: float
+    std: float
+    predicted: float
+    why: str = ""
+    plain: float = -np.inf
+
+    def document(self) -> dict[str, Any]:
+        """As plain data."""
+        seen = self.std < np.inf
+        return {"outcome": self.outcome, "amplitude": {"value": self.amplitude, "std": self.std} if seen else None,
+                "predicted t": self.predicted, "window": output_error.WINDOW, "why": self.why}  # fmt: skip
+
+
+def outcome_of(amplitude: float, std: float) -> str:
+    """What an amplitude with its standard error says."""
+    visible = 0.5 / std > WORSE
+    if (amplitude - 0.5) / std < -WORSE or (visible and amplitude <= 0.5) or (amplitude - TWICE) / std > WORSE:
+        return REFUTED
+    return CONFIRMED if (amplitude - 0.5) / std > BETTER else UNJUDGED
+
+
+def confirm(
+    held: Sequence[Evidence], tables: Mapping[str, pd.DataFrame], noise: np.ndarray, whole: Model,
+    without: Sequence[Model],
+) -> list[Confirmation]:  # fmt: skip
+    """Judge each cause on held-out flights.
+
+    held   evidence; tables {key: filtered flight}; noise  R of the learning flights, see `output_error.Fitted`
+    whole  model with all causes; without  for each cause the model with all but that one
+    Raises ConfigError for a model that cannot be simulated.
+    """
+    courses, other = [], []
+    spread = np.zeros(0)
+    for flight in held:
+        own = nuisances(flight)
+        spread = np.array([s for *_, s in own])
+        part = thin(np.stack([c for _, c, _ in own], axis=2), flight.breaks, flight.t, BAND, 2 * ORDER)
+        if len(part.rows):
+            courses.append(output_error.windows_in(flight, tables[flight.key], part))
+            other.append(output_error.sensitivities(courses[-1], part.columns))
+    if not sum(len(c.starts) for c in courses):
+        nothing = Confirmation(UNJUDGED, 0.0, np.inf, 0.0, "no held-out flight has a valid window")
+        return [nothing] * len(without)
+    best = [output_error.deviations(c, whole) for c in courses]
+    return [_judged(courses, other, spread, noise, best, model) for model in without]
+
+
+def _judged(
+    courses: Sequence[Course], other: Sequence[np.ndarray], spread: np.ndarray, noise: np.ndarray,
+    best: Sequence[np.ndarray], without: Model,
+) -> Confirmation:  # fmt: skip
+    grams, moved = [], 0.0
+    for course, columns, last in zip(courses, other, best):
+        error = output_error.deviations(course, without)
+        stack = np.concatenate([error[:, :, None], columns, (error - last)[:, :, None]], axis=2)
+        moved = max(moved, float(np.abs(np.nan_to_num(error - last)).max(initial=0.0)))
+        blocks = output_error.blocks_of(stack, noise, output_error.blocks_in(course))
+        if len(blocks):
+            grams.append(in_stretches(blocks))
+    if not grams or moved == 0.0:
+        return Confirmation(UNJUDGED, 0.0, np.inf, 0.0, "it does not act on the held-out flights")
+    size = len(spread)
+    layout = Columns([], list(range(1, size + 1)), spread, {"cause": [size + 1]})
+    offer = Candidate("cause", "always", (0,))
+    test = MixedModel(grams, [True] * len(grams), layout).test(offer)
+    plain = MixedModel(grams, [True] * len(grams), layout._replace(nuisance=[], spread=np.zeros(0))).test(offer)
+    amplitude, std = float(test.value[0]), float(test.std[0])
+    outcome = outcome_of(amplitude, std)
+    return Confirmation(outcome, amplitude, std, 1.0 / std, _why(outcome, amplitude, std), float(plain.value[0]))
+
+
+class Estimate(NamedTuple):
+    """Parameters by output error: deviations from neutral, standard errors, whether they agree with the cause's own."""
+
+    value: Values
+    std: Values
+    agrees: bool
+
+
+class Settled(NamedTuple):
+    """causes that stand, as they came; those dropped, with the reason; by (id, since): what roll-outs say of each;
+    losses  of the held-out flights that stay with these causes, see `quasi.gap.veto`."""
+
+    causes: list[Cause]
+    dropped: list[tuple[Cause, Confirmation]]
+    confirmations: dict[tuple[str, str], Confirmation]
+    estimates: dict[tuple[str, str], Estimate]
+    fitted: Fitted | None
+    notes: list[str]
+    losses: Sequence[Any] = ()
+
+
+def settle(
+    found: Found,
+    causes: Sequence[Cause],
+    model: Model,
+    compared: Sequence[bool],
+    effects: Mapping[str, Effect],
+    vehicle: Vehicle,
+    held: Sequence[Evidence],
+    tables: Mapping[str, pd.DataFrame],
+) -> Settled:
+    """Fit the causes of level W by output error and drop those that roll-outs of the held-out flights refute.
+
+    found, causes  of `wrench.examine` and those of its causes that are to be named; compared  flags of found.study's
+    flights; tables {key: filtered flight} of these and of the held-out ones
+    Parameters by output error are put into the simulator to confirm a cause, where they agree with its own; the cause
+    keeps those of the forces and moments. Causes that cannot be simulated cannot be judged, and stand.
+    """
+    kept, dropped = list(causes), []
+    if not kept:
+        return Settled([], [], {}, {}, None, [])
+    ranges = {n: e.limits(vehicle).ranges for n, e in effects.items()}
+    try:
+        windows = output_error.windows_of(found.study, tables)
+        while kept:
+            anew = any(c.since == "always" for c in kept)
+            maker = Maker(model, found, kept, compared, vehicle, anew)
+            fitted = output_error.fit(found.study, compared, kept, maker, windows, ranges)
+            values = [v if used else c.value for c, v, used in zip(kept, fitted.values, fitted.used)]
+            rest = [
+                Maker(model, found, _but(kept, k), compared, vehicle, anew)(_but(values, k), True)
+                for k in range(len(kept))
+            ]
+            whole = maker(values, True)
+            said = confirm(held, tables, fitted.noise, whole, rest)
+            count = {"always": len(compared), "changed": sum(compared)}
+            said = [_honest(s, c, count[c.since] / len(held)) for c, s in zip(kept, said)]
+            faint = {_key(c) for c in found.unjudged}
+            said = [_lenient(s, c, whole, _key(c) in faint) for c, s in zip(kept, said)]
+            refuted = [k for k, s in enumerate(said) if s.outcome == REFUTED]
+            if not refuted:
+                estimates = {_key(c): Estimate(*e) for c, *e in zip(kept, fitted.values, fitted.std, fitted.used)}
+                told = {_key(c): s for c, s in zip(kept, said)}
+                return Settled(kept, dropped, told, estimates, fitted, fitted.notes)
+            worst = min(refuted, key=lambda k: (said[k].amplitude - 0.5) / said[k].std)
+            dropped.append((kept.pop(worst), said[worst]))
+    except (ConfigError, DataError) as error:
+        nothing = Confirmation(UNJUDGED, 0.0, np.inf, 0.0, str(error))
+        note = f"the named causes could not be confirmed by roll-outs: {error}"
+        return Settled(kept, dropped, {_key(c): nothing for c in kept}, {}, None, [note])
+    return Settled([], dropped, {}, {}, None, [])
+
+
+def _honest(said: Confirmation, cause: Cause, flights: float) -> Confirmation:
+    """The amplitude with the standard error that repeats would show, and what that says.
+
+    A cause that was told with |t| has an amplitude known to 1/|t|; held-out flights, `flights` times fewer than those
+    that told it, differ among themselves as those did, which one flight's stretches alone do not show.
+    """
+    if not said.std < np.inf:
+        return said
+    told = 1.0 / max(cause.test.wald, 1e-300)
+    std = float(np.sqrt(told + max(said.std**2, flights * told)))
+    outcome = outcome_of(said.amplitude, std)
+    return said._replace(std=std, outcome=outcome, why=_why(outcome, said.amplitude, std))
+
+
+def _why(outcome: str, amplitude: float, std: float) -> str:
+    if outcome != REFUTED:
+        return ""
+    return (
+        f"roll-outs of the held-out flights do not confirm it: they show {amplitude:.2f} +- {std:.2f} of the "
+        "motion that it makes in the simulator, expected 1"
+    )
+
+
+def _lenient(said: Confirmation, cause: Cause, whole: Model, faint: bool = False) -> Confirmation:
+    """What held-out flights cannot refute: a value that each flight has of its own, a load whose swing is not known,
+    what they hardly show (`faint`): noise of rotor speeds moves the simulation there as much as the cause does; and a
+    motion that is there and goes only beside what flights differ by.
+    """
+    if said.outcome != REFUTED:
+        return said
+    if faint:
+        return said._replace(outcome=UNJUDGED, why="held-out flights hardly show it")
+    if 0.5 < said.plain < TWICE:
+        # a cause large enough is taken for many times what flights differ by: 30 % of torque for that of an inertia
+        why = f"{said.plain:.2f} of its motion is there, or {said.amplitude:.2f} beside all that flights may differ by"
+        return said._replace(outcome=UNJUDGED, why=why)
+    states = [e.get("states") or {} for e in whole.document["extensions"] if e["id"] == cause.effect.id]
+    if any("swinging load" in s for s in states):
+        return said._replace(outcome=UNJUDGED, why="how the load swings when a window begins is not measured")
+    if any(cause.effect.parameters[n].scope == "f" for n in cause.value):
+        return said._replace(outcome=UNJUDGED, why="each flight has its own value of it")
+    return said
+
+
+def _key(cause: Cause) -> tuple[str, str]:
+    return cause.effect.id, cause.since
+
+
+def _but(items: Sequence[Any], one: int) -> list[Any]:
+    return [item for k, item in enumerate(items) if k != one]
+
+
+class Maker:
+    """Models with causes of given parameters.
+
+    anew  whether the model's own terms are fitted anew beside the causes: what all flights have in common they had to
+    stand in for, and with and without such a cause alike
+    """
+
+    def __init__(
+        self, model: Model, found: Found, causes: Sequence[Cause], compared: Sequence[bool], vehicle: Vehicle,
+        anew: bool,
+    ) -> None:  # fmt: skip
+        self.model, self.found, self.causes = model, found, list(causes)
+        self.compared, self.vehicle, self.anew = list(compared), vehicle, anew
+
+    def __call__(self, values: Sequence[Values], changed: bool) -> Model:
+        """changed  whether what changed acts as well as what was always there."""
+        pairs = list(zip(self.causes, values))
+        changes = refitted(self.found.study, self.compared, pairs) if self.anew else None
+        acting = [(c.effect, v) for c, v in pairs if changed or c.since == "always"]
+        name = "+".join([self.model.id, *(c.id for c, _ in acting)])
+        return Model(extend(self.model, acting, self.vehicle, name, "roll-outs", changes), f"model {name}")

@@ -1,0 +1,1 @@
+"""Sensors, mounting, frames and clocks: inertial sensors against motion capture."""

@@ -1,0 +1,59 @@
+"""Cross-products of the kinematic columns of one flight: whitened by its own noise, block by block."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from quasi.errors import DataError
+from quasi.gap.levels.sensors.columns import RATE, Weak
+from quasi.gap.statistics.whitening import Whitener, autoregression, block_grams
+
+ORDER = 8  # of the autoregression: what correlates over 0.4 s
+BLOCK = 5.0  # s
+RIDGE = 1e-9
+SHARPEST = np.array([1e-5] * 3 + [1e-4] * 3)  # rad/s, m/s2: no averaged residual is known better
+
+
+def least_squares(columns: np.ndarray) -> np.ndarray:
+    """Least squares of the residual on all other columns, channels weighted alike; coefficients (P - 1,)."""
+    weight = columns[:, :, 0].std(axis=0)
+    flat = (columns / np.where(weight > 0, weight, 1.0)[None, :, None]).reshape(-1, columns.shape[2])
+    gram = flat.T @ flat
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    inner = (gram / np.outer(scale, scale))[1:, 1:] + RIDGE * np.eye(len(gram) - 1)
+    return np.linalg.solve(inner, gram[1:, 0] / scale[1:]) / scale[1:]
+
+
+def whitener_of(weak: Weak) -> Whitener:
+    """Each flight has a noise of its own: vibration, captures of different quality."""
+    left = weak.columns[:, :, 0] - weak.columns[:, :, 1:] @ least_squares(weak.columns)
+    found = autoregression([left], [weak.breaks], ORDER)
+    return found._replace(scale=np.fmax(found.scale, SHARPEST))
+
+
+def blocks_of(weak: Weak, whitener: Whitener) -> np.ndarray:
+    blocks = block_grams(weak.columns, weak.breaks, whitener, weak.t, BLOCK)
+    if not len(blocks):
+        raise DataError(f"flight {weak.key} has no {ORDER / RATE:.1f} s without gaps between sensors and capture")
+    return blocks
+
+
+def alone(gram: np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """One flight's own values of the columns (P,), and standard errors, 0 where left out.
+
+    A turned IMU and turned markers look alike in one flight; they are stated as the markers' turn.
+    """
+    single = [i for i, n in enumerate(names) if i > 0 and n.split(".")[0] not in ("imu_misalignment", "drawn")]
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))[single]
+    inverse = np.linalg.inv(gram[np.ix_(single, single)] / np.outer(scale, scale) + RIDGE * np.eye(len(single)))
+    values, std = np.zeros(len(names)), np.zeros(len(names))
+    values[single] = inverse @ (gram[single, 0] / scale) / scale
+    std[single] = np.sqrt(np.diag(inverse)) / scale
+    return values, std
+
+
+def added(blocks: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Cross-products with the residual raised by known values of the columns."""
+    change = np.eye(len(values))
+    change[:, 0] += values
+    return change.T @ blocks @ change
