@@ -29,7 +29,8 @@ NOTHING = {"detectability": 0.0, "separability": 0.0, "nearest": None, "of the e
 
 
 class Asked(NamedTuple):
-    """What the search worked on: columns and flights of level W, which flights are compared, levels K and A.
+    """What the search worked on: columns and flights of forces and moments, which flights are compared, sensors and
+    drive.
 
     own  whether the model was made of the compared flights: then it holds their drive as it was
     """
@@ -45,7 +46,7 @@ class Asked(NamedTuple):
 def clarity(name: str, values: Mapping[str, float], asked: Asked) -> dict[str, Any]:
     """{"detectability", "separability", "nearest", "of the error"} of a planted cause.
 
-    separability None for what has no name; of the error, see `of_the_error`, None for levels K and A
+    separability None for what has no name; of the error, see `of_the_error`, None for sensors and drive
     """
     since = "always" if asked.compared.all() else "changed"
     if name in DRIVE and asked.own:
@@ -107,9 +108,9 @@ def _begun(study: Design, seconds: float) -> Design:
 
 
 def _lower(name: str, values: Mapping[str, float], levels: Sequence[Level], since: str) -> dict[str, Any]:
-    """Of a cause of level K or A, by the tests of that level."""
+    """Of a cause of sensors or drive, by the tests of that level."""
     if name == "marker_offset":
-        # level K sees the distance between markers and IMU; which of the two is off, only forces tell
+        # the comparison of sensors sees the distance between markers and IMU; which of the two is off, only forces tell
         turned = _lower("imu_lever_arm", {k: -v for k, v in values.items()}, levels, since)
         return {**turned, "separability": 0.0, "nearest": "imu_lever_arm"}
     level = next(x for x in levels if x.level == ("sensors" if name in SENSORS else "drive"))

@@ -1,4 +1,5 @@
-"""How long a whole diagnosis takes: four flights at 500 Hz, levels K, A, W and R, figures and report, one process.
+"""How long a whole diagnosis takes: four flights at 500 Hz, sensors, drive, forces and roll-outs, figures and report,
+one process.
 
     python benchmarks/gap.py [--seconds 90] [--references]
 
@@ -54,7 +55,7 @@ def main() -> None:
         told, _ = sensors_and_drive.examine(
             learning, model.document, SETTINGS, effects, lambda f, c: again([files[f.key]], [f], [c])[0], 1
         )
-        tick("levels K and A")
+        tick("sensors and drive")
         corrections = [for_flight(told, f.compared) for f in [*learning, flown[0]]]
         everything = again([*recorded, made[0]], [*learning, flown[0]], corrections)
         tick("flights processed anew")
@@ -66,7 +67,7 @@ def main() -> None:
         {**SETTINGS, "horizons": [0.1, 0.25, 0.5, 1.0]}, ([flown[0]], [everything[-1]]), "benchmark", (),
         "training" if arguments.references else "none",
     )  # fmt: skip
-    tick("levels W and R, gain")
+    tick("forces and roll-outs, gain")
     pictures = {}
     with tempfile.TemporaryDirectory() as folder:
         for name, figure in figures(found.tables).items():

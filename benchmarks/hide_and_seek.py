@@ -6,7 +6,7 @@
 The study has the seeds from 30000. Its draws belong to WORLDS worlds by turns: `--world drawn` takes the seed modulo
 their number. World 0 is mild; `--world mild` takes it for every seed, as the study of seeds 10300 to 10699 did.
 
-Each draw makes four flights of 30 s, imports and filters the raw logs, settles levels K and A, processes the flights
+Each draw makes four flights of 30 s, imports and filters the raw logs, settles sensors and drive, processes the flights
 anew with what these found, diagnoses them (one is held out) as the workflow does, and compares the diagnosis with the
 truth, which nothing else reads. One JSON per draw; a study that was stopped goes on where it was. --table makes
 docs/hide-and-seek.md of the files that are there, without drawing. --rate seeks in the same flights at another false

@@ -22,7 +22,7 @@ from quasi.tables import read_json, read_table, write_json, write_table
 
 
 def main(source: dict, asked: dict, settings: dict, output: dict[str, str]) -> None:
-    """Read the flights that may choose and fit; write what levels K and A found, and their tables."""
+    """Read the flights that may choose and fit; write what sensors and drive found, and their tables."""
     if asked["problem"]:
         raise ConfigError(asked["problem"])
     twice = same_recordings(asked["held"], asked["trained"])

@@ -48,14 +48,15 @@ from quasi.gap.veto import correction_matters, losses
 from quasi.model.extensions import configured_mass
 from quasi.model.model import AXES, Model
 
-SCHEMA = "quasi.gap/1"
+SCHEMA = "quasi.gap/2"
 SAMPLING = 100.0  # Hz of the comparison of forces and moments
 SAME_MASS = 1e-3  # share: what a scale tells
 
 
 @dataclass
 class Diagnosis:
-    """document "quasi.gap/1"; model  the extended model's document; tables  by name; found  all that level W found."""
+    """document "quasi.gap/2"; model  the extended model's document; tables  by name; found  all that the search in
+    forces found."""
 
     document: dict[str, Any]
     model: dict[str, Any]
@@ -78,7 +79,8 @@ def diagnose(
 ) -> Diagnosis:
     """Compare a model with flights.
 
-    calibration  what levels K and A found, with "levels"; evidence, flights  by key, processed with that calibration,
+    calibration  what sensors and drive found, with "levels"; evidence, flights  by key, processed with that
+    calibration,
     of the kind of force that the model predicts; roles {key: "compared", "held out", "reference"}
     settings     of the gap; lower  the held-out flights before and after calibration; name  of the gap
     lost         sentences on flights that could not be used

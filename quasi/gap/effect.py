@@ -202,7 +202,7 @@ class Effect:
     absent_when_healthy  whether a sound vehicle in still air, far from obstacles, has none of it: what a model's terms
                   lack of such a vehicle does not look like it
     form_uncertainty  share to which sizes are known at best, for its form follows what happens only roughly
-    sensor        what is known of a fault of a sensor; only of level K
+    sensor        what is known of a fault of a sensor; only of sensors
     corrects      (part, quantity) of a calibration that import corrects it by, in the order of its parameters
     finding       a stated finding, never fitted
     """

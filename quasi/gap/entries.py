@@ -71,7 +71,7 @@ def parameters_of(effect: Effect, value: Mapping[str, float], std: Mapping[str, 
 
 
 def wrench_effect(cause: Cause, vehicle: Vehicle, settled: Settled) -> dict[str, Any]:
-    """An effect of level W. vehicle  of which masses and inertias are stated"""
+    """An effect of forces and moments. vehicle  of which masses and inertias are stated"""
     key = cause.effect.id, cause.since
     rolled = settled.estimates.get(key)
     return {
@@ -101,7 +101,7 @@ def gain_entry(cause: Cause, gains: Mapping[str, Mapping[str, float | None]]) ->
 
 
 def lower_effect(effect: Mapping[str, Any], level: str, gap: Mapping[str, Any]) -> dict[str, Any]:
-    """An effect of level K or A; its gain on held-out flights is that of its channel where most could be removed.
+    """An effect of sensors or drive; its gain on held-out flights is that of its channel where most could be removed.
 
     Of one that nothing corrects there is no gain.
     """
@@ -123,7 +123,7 @@ def lower_effect(effect: Mapping[str, Any], level: str, gap: Mapping[str, Any]) 
 
 
 def of_late_telemetry(effects: Sequence[Mapping[str, Any]]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Effects of level A without a delay of commands that is the other side of late telemetry, and the finding of it.
+    """Effects of the drive without a delay of commands that is the other side of late telemetry, and the finding of it.
 
     A model that was made of flights with late telemetry holds the lateness as a delay of commands: once the telemetry
     is put right that delay is too long by as much. It stays in the extended model, but is no cause of its own.

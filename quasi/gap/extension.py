@@ -105,7 +105,7 @@ def extend(
 
 
 def _joined(causes: Sequence[tuple[Effect, Values]]) -> list[tuple[Effect, Values]]:
-    """Each cause once: deviations add up; constants of level A that are stated as they are stand for both."""
+    """Each cause once: deviations add up; constants of the drive that are stated as they are stand for both."""
     found: dict[str, tuple[Effect, dict[str, float]]] = {}
     for effect, values in causes:
         _, together = found.setdefault(effect.id, (effect, {}))

@@ -43,7 +43,7 @@ def document(effects=(), ties=(), left=()):
         "noise_floor": {"forces": {"Fz": {"0": 0.03}}}, "best_wrong_cause": {}, "generic_polynomial": {},
     }  # fmt: skip
     made = {
-        "schema": "quasi.gap/1", "name": "low", "model": "X", "extended_model": "X-low", "flights": ROLES, "gap": gap,
+        "schema": "quasi.gap/2", "name": "low", "model": "X", "extended_model": "X-low", "flights": ROLES, "gap": gap,
         "effects": list(effects), "ties": list(ties), "unexplained": list(left), "findings": [
             {"id": "timestamp_fault", "text": "flight new-1: the log lost 0.2 s", "evidence": {}}],
         "candidates": [LOST], "cannot_be_asked": [{"id": "battery_sag", "why": "no voltage & no commands"}],

@@ -1,4 +1,4 @@
-"""Level A: rotors integrated by a plain loop, each fault of the drive found under its name with its size."""
+"""Drive: rotors integrated by a plain loop, each fault of the drive found under its name with its size."""
 
 import dataclasses
 import functools

@@ -21,7 +21,7 @@ def test_arm_and_markers_are_told_apart_from_raw_logs_and_gone_when_these_are_im
     process, airframe = planted(tmp_path, PLANTED, 770, 20.0)
     flights = process(None)
     level = sensor_level.examine(flights, {})
-    assert [e["id"] for e in level.effects] == ["imu_lever_arm"]  # level K alone cannot know
+    assert [e["id"] for e in level.effects] == ["imu_lever_arm"]  # the comparison of sensors alone cannot know
     factors = hover_factors(nominal(120.0, 0.0).vehicle.physics)
     model = simple_model(airframe, factors["thrust"], factors["torque"], Mx={"p": -1e-4}, My={"q": -1e-4})
     settle(level, flights, model, catalogue(), 0.01)

@@ -1,4 +1,4 @@
-"""Level K: each fault planted by its own definition in an analytic motion, found under its name with its size."""
+"""Sensors: each fault planted by its own definition in an analytic motion, found under its name with its size."""
 
 from dataclasses import replace
 

@@ -172,7 +172,7 @@ def cause(name, values, std, since="always"):
 
 @dataclasses.dataclass
 class Searched:
-    """What `settle` and `Maker` take of the search at level W."""
+    """What `settle` and `Maker` take of the search in forces and moments."""
 
     study: object
     unjudged: tuple = ()

@@ -58,7 +58,7 @@ def flights(model):
 
 
 def tie(turn=TURN, since="changed"):
-    """What level K says of a turn between IMU and markers."""
+    """What the comparison of sensors says of a turn between IMU and markers."""
     names = ("roll", "pitch", "yaw")
     return {
         "ids": list(PAIR), "since": since, "p": 1e-6, "wald": 50.0, "probability": 1.0, "separability": 0.0,
@@ -79,7 +79,7 @@ def process(flown, calibration):
 
 
 def affected(flights, cause):
-    """IMU turned, or markers turned the other way: level K sees the same."""
+    """IMU turned, or markers turned the other way: the comparison of sensors sees the same."""
     made = []
     for f in flights:
         table = f.filtered

@@ -1,4 +1,4 @@
-"""Level W on flights whose causes are known exactly: large bent ones, and one that shows along one axis only."""
+"""Forces and moments of flights whose causes are known exactly: large nonlinear ones, and one along one axis only."""
 
 import dataclasses
 

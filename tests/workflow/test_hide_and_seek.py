@@ -144,7 +144,7 @@ def test_a_model_holds_the_drive_of_the_flights_that_it_was_made_of():
     """What is hidden in their motors' lag leaves no gap, and counts as not shown."""
     asked = Asked(None, None, np.array([True]), {}, (), True)
     assert clarity("motor_lag", {"time_constant": 0.045}, asked) == NOTHING
-    with pytest.raises(StopIteration):  # of other flights, level A is asked
+    with pytest.raises(StopIteration):  # of other flights, the drive is asked
         clarity("motor_lag", {"time_constant": 0.045}, asked._replace(own=False))
 
 

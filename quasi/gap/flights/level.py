@@ -42,7 +42,7 @@ class Level:
     noise_floor       {channel: rms} that no cause of this level can explain
     tests             what causes were tested on, None where nothing could be asked
     found_on          what `material` needs to know of the flights that causes were found on
-    healthy           of level A: constants ("values") and voltage that flights were compared with
+    healthy           of the drive: constants ("values") and voltage that flights were compared with
     """
 
     level: str

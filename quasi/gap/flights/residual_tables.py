@@ -15,7 +15,8 @@ from quasi.gap.statistics.whitening import stretches
 WHERE = ("t", "speed", "height", "heading", "room_x", "room_y", "volts", "rotor_speed", "descent_ratio")
 BINS = 8  # along a place
 LEAST = 20  # rows of a bin
-LAG = 0.4  # s: filters and averages of no level remember as long (level K's windows are 0.4 s), so that white noise
+LAG = 0.4  # s: filters and averages of no level remember as long (the windows of sensors are 0.4 s), so that white
+# noise
 # shows nothing, and the rates of all levels hold whole steps of it
 SEGMENT = 4.0  # s, of a spectrum: its resolution is a quarter of a hertz
 

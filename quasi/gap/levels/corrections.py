@@ -1,4 +1,4 @@
-"""What levels K and A found, as a calibration that import applies: one for the compared flights, one for the others.
+"""What sensors and drive found, as a calibration that import applies: one for the compared flights, one for the others.
 
 A cause that changed is corrected in the compared flights alone, one that was always there in all of them. Biases,
 misalignments and the like add up; scales multiply. Motor lag, command delay and battery sag are the vehicle's, not a

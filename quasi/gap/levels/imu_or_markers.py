@@ -1,6 +1,7 @@
 """Which of two points sits elsewhere than configured: the IMU, or what the motion capture tracks.
 
-Level K sees how far the IMU is from the tracked point and nothing else: an IMU at r from the cg and markers at -r look
+The comparison of sensors sees how far the IMU is from the tracked point and nothing else: an IMU at r from the cg and
+markers at -r look
 alike. Forces see how far the IMU is from the cg: it feels wdot x r + w x (w x r) too much, whatever the capture says.
 The two together tell each point.
 
@@ -38,7 +39,8 @@ BREAKER = "sharp turns about all axes, compared with a model that was identified
 class Points(NamedTuple):
     """Where IMU and tracked point are from where they were taken to be, m: (3,) each, with standard errors.
 
-    between  IMU minus tracked point, level K; forces  IMU minus cg, level W, with the standard error it is weighed by
+    between  IMU minus tracked point, by sensors; forces  IMU minus cg, by forces, with the standard error it is
+    weighed by
     apart    how much worse the squared errors are if the IMU, or the markers, were where they are configured (3,)
     """
 
@@ -57,7 +59,7 @@ class Points(NamedTuple):
 
 
 def weigh(between: np.ndarray, between_std: np.ndarray, forces: np.ndarray, forces_std: np.ndarray) -> Points:
-    """Share what level K sees between the two points, by what the forces see of one of them.
+    """Share what the comparison of sensors sees between the two points, by what the forces see of one of them.
 
     between (3,) IMU minus tracked point, m; forces (3,) IMU minus cg, m. Component by component either the IMU or the
     markers are elsewhere, both where neither alone fits; a component that is not told follows those that are.
@@ -80,7 +82,8 @@ def weigh(between: np.ndarray, between_std: np.ndarray, forces: np.ndarray, forc
 
 
 def settle(level: Level, flights: Sequence[Flown], model: Model, effects: Mapping[str, Effect], rate: float) -> None:
-    """Tell `marker_offset` from `imu_lever_arm` in what level K found; nothing to do where it found neither.
+    """Tell `marker_offset` from `imu_lever_arm` in what the comparison of sensors found; nothing to do where it found
+    neither.
 
     flights  those that may choose and fit; effects  causes that forces may have beside; rate  false alarm rate of these
     Changes the level: its effect becomes either cause or both, or a tie where the forces cannot tell.
@@ -166,7 +169,7 @@ def felt(
     """IMU minus cg (3,) m by the forces, with standard errors (3,); the model's own terms are fitted anew beside it.
 
     since  "always": one arm in all flights; "changed": of the compared ones, beyond what all have
-    effects  causes by id; those of level W that the flights have beside the arm are taken out; rate  their false alarm
+    effects  causes by id; those of forces that the flights have beside the arm are taken out; rate  their false alarm
     rate: what is left of a tether, say, blunts what forces tell of the arm
     Raises DataError where no flight can be compared with the model.
     """

@@ -1,4 +1,4 @@
-"""Whether what levels K and A found matters: the share of the removable error that it removes on held-out flights.
+"""Whether what sensors and drive found matters: the share of the removable error that it removes on held-out flights.
 
 What flights differ by anyway is taken off, before and after alike, but for the named causes' own columns: how much
 those differ from flight to flight counts against them. The floor is what remains when everything that the level knows
@@ -141,7 +141,7 @@ def found_on(level: Level, flights: Sequence[Flown]) -> dict[str, Any]:
 def kinematic_worth(
     entries: Sequence[Mapping[str, Any]], flights: Sequence[Flown], corrected: bool = True
 ) -> dict[str, Worth]:
-    """What causes of level K remove, or would remove where import cannot correct them.
+    """What causes of sensors remove, or would remove where import cannot correct them.
 
     flights  with capture, processed with the calibration or (not corrected) without
 
@@ -205,7 +205,7 @@ def _taken_off(information: np.ndarray, spread: Mapping[int, float]) -> np.ndarr
 def drive_worth(
     entries: Sequence[Mapping[str, Any]], flights: Sequence[Flown], healthy: Mapping[str, Any]
 ) -> dict[str, Worth]:
-    """What causes of level A remove. flights  before any calibration; healthy  {"values", "voltage"} compared with.
+    """What causes of the drive remove. flights  before any calibration; healthy  {"values", "voltage"} compared with.
 
     Raises DataError when no flight has commands and rotor speeds enough.
     """
@@ -232,7 +232,7 @@ def _cause(entry: Mapping[str, Any]) -> str:
 
 
 def _acts(cause: str, channel: str) -> bool:
-    """Whether a cause of level K acts on body rates (p, q, r) or on the specific force (channels in earth axes)."""
+    """Whether a cause of sensors acts on body rates (p, q, r) or on the specific force (channels in earth axes)."""
     shows = drive_level.CATALOGUE[cause].channels
     return "clock" in shows or bool(set(shows) & set("pqr") if channel in "pqr" else set(shows) - set("pqr"))
 

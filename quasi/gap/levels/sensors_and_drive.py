@@ -1,4 +1,4 @@
-"""Levels K and A together: sensors, frames, clocks and the rotors' drive, settled before anything aerodynamic."""
+"""Sensors, frames, clocks and the rotors' drive, settled before anything aerodynamic."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ from quasi.gap.levels.tie_breaking import Process, settle
 from quasi.model.model import Model
 from quasi.tables import COLUMNS
 
-SEARCHES = 4  # that share the false alarm rate: levels K, A and W, and for what no cause explains
+SEARCHES = 4  # that share the false alarm rate: sensors, drive and forces, and for what no cause explains
 FAINTEST = 4.0  # |t| of what chance makes look like a cause
 UNITS = {
     "p": "rad/s", "q": "rad/s", "r": "rad/s", "ax": "m/s2", "ay": "m/s2", "az": "m/s2", "Fx": "N", "Fy": "N",
@@ -40,7 +40,7 @@ def examine(
     held     how many flights that are held out will judge the names
     """
     rate = rate_of(settings["false alarm rate"], sum(f.compared for f in flights), held)
-    # which of the two points sits elsewhere is asked of what level K takes for the IMU's
+    # which of the two points sits elsewhere is asked of what the comparison of sensors takes for the IMU's
     arm = [imu_or_markers.IMU] if imu_or_markers.MARKERS in effects and imu_or_markers.IMU not in effects else []
     options = {"false alarm rate": rate, "effects": [*effects, *arm]}
     levels = [sensor_level.examine(flights, options), drive_level.examine(flights, model, options)]

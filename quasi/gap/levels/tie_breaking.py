@@ -1,4 +1,4 @@
-"""Ties of levels K and A that forces and moments settle: correct either, and see what the model leaves of them.
+"""Ties of sensors and drive that forces and moments settle: correct either, and see what the model leaves of them.
 
 Each member of a tie is a calibration of its own; the flights are imported and filtered with each, and the model's
 residual is compared. Between two such hypotheses the ratio of their likelihoods decides: under the wrong one it

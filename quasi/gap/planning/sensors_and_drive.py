@@ -1,6 +1,7 @@
 """What the levels below aerodynamics could show on a trajectory: sensors against capture, rotors against commands.
 
-Level K uses the columns that it compares flights with; level A closed forms of first order about the measured speeds:
+The sensor level uses the columns that it compares flights with; the drive level closed forms of first order about the
+measured speeds:
     lag tau               dW/dtau = -(dW/dt) low-passed by the lag itself
     delay d               dW/dd   = -dW/dt
     voltage exponent e    dW/de   = W ln(V / V_mean)
@@ -25,7 +26,7 @@ from quasi.gap.statistics.mixed import Columns
 from quasi.model.extensions import drive_of
 from quasi.model.model import ROTORS, Model
 
-# of the averaged residuals at level K: p q r (rad/s) and earth accelerations (m/s2) of good captures; white
+# of the averaged residuals of sensors: p q r (rad/s) and earth accelerations (m/s2) of good captures; white
 SENSED = np.array([3.7e-3] * 3 + [1.6e-2] * 3)
 DRIVEN = 5.0  # rad/s, of commanded against measured rotor speeds at 100 Hz
 LATE = ("command_delay", "telemetry_delay")
@@ -35,7 +36,7 @@ DRIVES = ("motor_lag", "command_delay", "battery_sag")
 
 
 def sensed(flight: pd.DataFrame, model: Model) -> tuple[np.ndarray, list[str]]:
-    """Cross-products (1, P, P) of the columns of level K over the noise of a good capture, and their names.
+    """Cross-products (1, P, P) of the columns of sensors over the noise of a good capture, and their names.
 
     flight  columns of a filtered flight. Raises DataError where it lacks one or is too short.
     """
@@ -55,7 +56,7 @@ def sensed(flight: pd.DataFrame, model: Model) -> tuple[np.ndarray, list[str]]:
 def sensor_outlook(
     flights: Sequence[Repeated], names: Sequence[str], effects: Mapping[str, Effect], rate: float
 ) -> Outlook:
-    """Level K on cross-products of `sensed`: what healthy flights differ by stands in every flight."""
+    """Sensors on cross-products of `sensed`: what healthy flights differ by stands in every flight."""
     causes: dict[str, list[int]] = {}
     nuisance, spread = [], []
     for i, name in enumerate(names[1:], 1):
@@ -70,7 +71,7 @@ def sensor_outlook(
 
 
 def driven(flight: pd.DataFrame, model: Model) -> np.ndarray:
-    """Cross-products (1, P, P) of the closed forms of level A; without voltages those of the sag are nothing."""
+    """Cross-products (1, P, P) of the closed forms of the drive; without voltages those of the sag are nothing."""
     t = flight["t"].to_numpy(float)
     step = float(np.median(np.diff(t)))
     keep = np.exp(-step / _lag(model))
@@ -87,7 +88,7 @@ def driven(flight: pd.DataFrame, model: Model) -> np.ndarray:
 
 
 def drive_outlook(flights: Sequence[Repeated], model: Model, effects: Mapping[str, Effect], rate: float) -> Outlook:
-    """Level A on cross-products of `driven`. effects  those of DRIVES that can be asked"""
+    """Drive on cross-products of `driven`. effects  those of DRIVES that can be asked"""
     unit = {"motor_lag": _lag(model), "command_delay": 1.0, "battery_sag": 1.0}
     key = {"motor_lag": "up", "command_delay": "delay", "battery_sag": "exponent"}
     causes = {n: [1 + k] for k, n in enumerate(DRIVES) if n in effects}

@@ -52,7 +52,7 @@ def greatest(table: pd.DataFrame) -> list[Greatest]:
 def table_of(where: Mapping[str, pd.DataFrame], horizon: float) -> str:
     """The table of the page: errors that are far greater somewhere, and where; a sentence where none is.
 
-    where  {level: its table of places}; horizon  s, of the simulations that level R tells nearest to
+    where  {level: its table of places}; horizon  s, of the simulations of roll-outs nearest to
     """
     lines, alike = [], []
     for name, after, part in _channels(where, horizon):

@@ -81,7 +81,7 @@ def page(
 ) -> str:
     """The page as HTML.
 
-    diagnosis  "quasi.gap/1"; effects  the catalogue; residuals  the table forces_residuals; pictures {name: PNG}
+    diagnosis  "quasi.gap/2"; effects  the catalogue; residuals  the table forces_residuals; pictures {name: PNG}
     where      {level: its table of places}: sensors_where to rollouts_where
     """
     roles = diagnosis["flights"]

@@ -34,7 +34,7 @@ REMOVABLE = {
     "terms and all causes together, or above the extended model where that is better.",
     False: "Removable error of sensors and rotor speeds is what lies (squared) above a fit, to each flight by itself, "
     "of all that is known to go wrong there.",
-}  # by whether it is one of level W
+}  # by whether it is one of forces and moments
 LEVELS = {"sensors": ("sensors", "clocks"), "drive": ("the rotor drive",)}  # what stands below forces and moments
 LINES = {"rollouts": "", "rollouts from commands": " from commands"}
 SINCE = {
@@ -335,7 +335,8 @@ def unasked(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
 
 
 def silent_levels(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> dict[str, str]:
-    """{level: why not one cause of it could be asked, "" where some could} of those of K and A that the gap asks of."""
+    """{level: why not one cause of it could be asked, "" where some could} of those of sensors and drive that the gap
+    asks of."""
     wanted, found = diagnosis.get("effects asked") or "all", {}
     whys = {c["id"]: c["why"] for c in diagnosis["cannot_be_asked"]}
     for level in LEVELS:
@@ -439,7 +440,7 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
 
 
 def _sound(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
-    """How a sentence on levels K and A begins that found nothing; "" where none of them was asked."""
+    """How a sentence on sensors and drive begins that found nothing; "" where none of them was asked."""
     asked = [word for level, why in silent_levels(diagnosis, known).items() if not why for word in LEVELS[level]]
     return f"Nothing is wrong with {listed(asked)} as far as this data tells; " if asked else ""
 

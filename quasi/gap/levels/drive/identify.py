@@ -1,4 +1,4 @@
-"""Level A: how the rotors follow what they were told, from commands and measured rotor speeds alone.
+"""Drive: how the rotors follow what they were told, from commands and measured rotor speeds alone.
 
 Each flight's constants are found by output error, as a model's are; then they are compared with the model's and with
 one another, with what motors and telemetry differ in between flights as nuisance. A late command and
@@ -52,8 +52,8 @@ CATALOGUE = catalogue()
 def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapping[str, Any]) -> Level:
     """Faults between command and rotor speed.
 
-    flights  at least one compared one; document  the model's (its "actuators" say what it believes); options  as of
-    level K. Flights without commands or rotor speeds are left out and named.
+    flights  at least one compared one; document  the model's (its "actuators" say what it believes); options  as for
+    sensors. Flights without commands or rotor speeds are left out and named.
     """
     level = Level("drive")
     asked = [c for c in CAUSES if options.get("effects", "all") == "all" or c in options["effects"]]

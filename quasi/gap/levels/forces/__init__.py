@@ -1,1 +1,1 @@
-"""Level W: what causes forces and moments have that the model lacks, and what they are worth."""
+"""Forces and moments: what causes forces and moments have that the model lacks, and what they are worth."""

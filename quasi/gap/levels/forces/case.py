@@ -21,7 +21,7 @@ class Case(NamedTuple):
     effects    the catalogue; vehicle  what they act on
     learning   flights that choose and fit; compared (F,) bool, False for reference flights
     held       held-out flights; tables {key: filtered flight}
-    drive      causes of level A that belong in the model, with their deviations; always  ids of those that were
+    drive      causes of the drive that belong in the model, with their deviations; always  ids of those that were
                always there
     corrected  whether flights that the model was identified from were corrected: its terms hold what their sensors
                faked, and are fitted anew

@@ -22,7 +22,7 @@ STEP = 1e-3  # of a standard error, of slopes
 
 
 def acting(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle, channel: str | None) -> dict[str, Any] | None:
-    """What a cause of level W does to a channel (its first one where None) where it does most.
+    """What a cause of forces and moments does to a channel (its first one where None) where it does most.
 
     None for nothing at all, and for a cause that adds no forces: another mass, or a wind, is told by its parameters.
 

@@ -1,4 +1,5 @@
-"""Level W: causes of what the model leaves of measured forces and moments, and what they gain on held-out flights."""
+"""Forces and moments: causes of what the model leaves of measured forces and moments, and what they gain on held-out
+flights."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

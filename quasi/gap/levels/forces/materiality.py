@@ -75,7 +75,7 @@ class Common(NamedTuple):
             left out, which fitting anew moves and flights differ by
     old, floor  errors (blocks, 6) before, at best (6,); share  of what is removable that must go beyond doubt
     fitted  whether some of these flights made the model, which then says nothing of how it does on others
-    foreign  the share for causes that no sound vehicle has, if it is another
+    absent_when_healthy  the share for causes that no sound vehicle has, if it is another
     """
 
     errors: Callable[[Sequence[Cause], bool], Score]
@@ -83,7 +83,7 @@ class Common(NamedTuple):
     floor: np.ndarray
     share: float
     fitted: bool = False
-    foreign: float | None = None
+    absent_when_healthy: float | None = None
 
 
 def strength(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle, left: np.ndarray) -> float:

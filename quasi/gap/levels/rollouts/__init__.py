@@ -1,1 +1,1 @@
-"""Level R: simulations of the held-out flights, which confirm causes and measure the gain."""
+"""Roll-outs: simulations of the held-out flights, which confirm causes and measure the gain."""

@@ -1,6 +1,7 @@
 """What drives the rotors in simulations with commands, when the flights that may be learned from tell it.
 
-Level A fits the drive's constants (lag up and down, delay, map, battery exponent, each rotor's share) to every flight.
+The drive level fits the drive's constants (lag up and down, delay, map, battery exponent, each rotor's share) to
+every flight.
 Their mean over the compared flights is the drive of a model that knows all that flights can teach; each cause of level
 A that was not named, fitted alone, is a wrong cause that a named one has to beat.
 """
@@ -45,9 +46,9 @@ def learned(known: Mapping[str, Any], flight: Flight, model: Model) -> tuple[np.
 def wrong_ones(
     healthy: Mapping[str, Any], named: Collection[str], effects: Mapping[str, Effect], model: Model, vehicle: Vehicle
 ) -> dict[str, Model]:
-    """{cause: the model extended by it alone} of the causes of level A that are not named.
+    """{cause: the model extended by it alone} of the causes of the drive that are not named.
 
-    healthy  of level A: "values" (11,) that flights were compared with, "alone" {cause: deviations from them}
+    healthy  of the drive: "values" (11,) that flights were compared with, "alone" {cause: deviations from them}
     """
     reference, found = dict(zip(NAMES, healthy.get("values", ()))), {}
     for cause, apart in (healthy.get("alone") or {}).items():

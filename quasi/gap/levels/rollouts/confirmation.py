@@ -146,7 +146,8 @@ def settle(
     held: Sequence[Evidence],
     tables: Mapping[str, pd.DataFrame],
 ) -> Settled:
-    """Fit the causes of level W by output error and drop those that roll-outs of the held-out flights refute.
+    """Fit the causes of forces and moments by output error and drop those that roll-outs of the held-out flights
+    refute.
 
     found, causes  of `wrench.examine` and those of its causes that are to be named; compared  flags of found.study's
     flights; tables {key: filtered flight} of these and of the held-out ones

@@ -1,4 +1,5 @@
-"""Where the windows of level R begin, where their end errors live, and whether these come again in the next window."""
+"""Where the windows of roll-outs begin, where their end errors live, and whether these come again in the next
+window."""
 
 from collections.abc import Mapping, Sequence
 

@@ -9,7 +9,7 @@ the error shows.
 The floor is the error of a model that knows all that the flights can teach: its own terms and all causes of the
 catalogue together, fitted to the other flights, and with commands the drive's constants fitted to them as well, where
 that is better. It keeps what is this flight's own (its trim, its gusts, the errors of its starts), which no model of
-other flights can know. The best wrong cause and the polynomial are those of level W; with commands a wrong cause may be
+other flights can know. The best wrong cause and the polynomial are those of forces; with commands a wrong cause may be
 one of the drive. What floor and polynomial change of force and moment moves the windows by the equations of motion
 linearised about the measured path.
 """
@@ -71,7 +71,7 @@ class Beside(NamedTuple):
     """What a gain stands beside.
 
     floor         what everything together leaves of a flight's wrench
-    wrong         {the best wrong cause of level W: the model with it alone}, or nothing
+    wrong         {the best wrong cause of forces and moments: the model with it alone}, or nothing
     yardstick     what a polynomial of the same size leaves
     drive         what the other flights tell of the rotors' drive, see `commanded.learned`
     wrong_drives  {cause of the drive: the model with it alone} that may be the best wrong cause where commands drive
@@ -248,7 +248,8 @@ def score(
     """End errors with measured rotor speeds, plain and with trim, and with commands; overlays of windows.
 
     Returns "tracks"; "errors" {word: Errors}; "ends" {word: {line: table}}; "rms" {word: {line: {quantity: {horizon:
-    value}}}}; "fell" {line: rows of `gains`}; "wrong" {line: cause}; and the tables "rollouts_errors", "rollouts_where",
+    value}}}}; "fell" {line: rows of `gains`}; "wrong" {line: cause}; and the tables "rollouts_errors",
+    "rollouts_where",
     "rollouts_channels", "rollouts_gains" and "rollouts_overlays".
     """
     tracks = tracks_of(held, flights, horizons, (model, extended, *beside.wrong.values()))

@@ -1,4 +1,4 @@
-"""Level R: open-loop simulations of models over held-out flights, and how far they end from what was measured."""
+"""Roll-outs: open-loop simulations of models over held-out flights, and how far they end from what was measured."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
