@@ -17,7 +17,7 @@ from hide_and_seek import judge
 from hide_and_seek_page import group_of, page, wilson
 
 from quasi.gap.catalogue import catalogue
-from quasi.gap.statistics.mixed import Columns, Offer
+from quasi.gap.statistics.mixed import Columns, Candidate
 from quasi.synthesis.effects import check
 
 MASS = 0.433
@@ -157,7 +157,7 @@ def test_what_a_model_took_up_of_the_flights_that_it_was_made_of_is_no_error_of_
     columns = Columns([1], [], np.zeros(0), {"drag": [2]})
     study = SimpleNamespace(thinned=[reference, flight], columns=columns)
     asked = Asked(study, None, np.array([False, True]), {}, (), False)
-    offer, size = Offer("drag", "always", (0,)), np.array([0.5])
+    offer, size = Candidate("drag", "always", (0,)), np.array([0.5])
     assert of_the_error(study, offer, size, asked) == pytest.approx(0.25 / 1.25, rel=0.1)
     assert of_the_error(study, offer, size, asked._replace(own=True)) == pytest.approx(0.09 / 1.25, rel=0.1)
 

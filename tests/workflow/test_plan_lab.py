@@ -15,7 +15,7 @@ from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.gathering import gather
 from quasi.gap.levels.forces.design import gather_study
 from quasi.gap.planning import plan
-from quasi.gap.statistics.mixed import Offer
+from quasi.gap.statistics.mixed import Candidate
 
 CAUSE, PARAMETER = "tether", "k"
 
@@ -36,6 +36,6 @@ def test_a_made_flight_with_a_cause_of_expected_t_10_measures_about_10(healthy, 
     study = gather_study(evidence, effects, vehicle)
     flags = np.array([True] * 4 + [False] * 4)
     mixed = study.mixed(range(8), flags)
-    test = mixed.test(Offer(CAUSE, "changed", (0,)), (), mixed.pooled("changed"))
+    test = mixed.test(Candidate(CAUSE, "changed", (0,)), (), mixed.pooled("changed"))
     found = f"{test.value[0]:.3g} +- {test.std[0]:.2g}"
     assert 5.0 < test.wald**0.5 < 20.0, f"expected 10, measured {test.wald**0.5:.1f}; size {size:.3g}, found {found}"
