@@ -17,7 +17,7 @@ from hide_and_seek import judge
 from hide_and_seek_page import group_of, page, wilson
 
 from quasi.gap.catalogue import catalogue
-from quasi.gap.statistics.mixed import Columns, Candidate
+from quasi.gap.statistics.mixed import Candidate, Columns
 from quasi.synthesis.effects import check
 
 MASS = 0.433
