@@ -11,11 +11,13 @@ from made_model import SHARED, TERMS, part
 
 import quasi
 from quasi.command import _parser
+from quasi.errors import ReadError
 from quasi.gap.own_effect import effect_of
 from quasi.importing.readers.table_mapping import read_mapping
 from quasi.model.build import assemble
 from quasi.model.envelope import covered
 from quasi.model.model import Model
+from quasi.project.model_files import model_place
 from quasi.synthesis.campaign import read_campaign
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -98,3 +100,9 @@ def test_every_option_of_a_command_on_a_page_exists():
             ]
     assert sum(name in commands.choices for name, _ in found) > 20
     assert not wrong
+
+
+@pytest.mark.parametrize("given", ["made", "models/made/standalone", "models/made/standalone/model.json"])
+def test_a_model_that_does_not_exist_is_refused_with_the_target_that_makes_it(given, tmp_path):
+    with pytest.raises(ReadError, match=r"`snakemake -j2 models/made/standalone`"):
+        model_place(given, tmp_path)
