@@ -7,6 +7,7 @@ from typing import Any
 
 from quasi.gap.effect import Effect
 from quasi.gap.flights.covariates import UNITS
+from quasi.gap.levels.corrections import uncorrected
 from quasi.gap.report.shares import certainty_of, interval_of, percent, reaches_floor, share_of
 
 CHANNELS = {
