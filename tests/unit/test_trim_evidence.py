@@ -8,6 +8,7 @@ from gap_documents import KNOWN, document
 from quasi.attitude import GRAVITY
 from quasi.gap.effect import Vehicle
 from quasi.gap.levels.trim_evidence import expected_change, gather_trim, rejected_by_trim, trim_entries
+from quasi.gap.report.next_steps import steps
 from quasi.gap.report.page import page
 from quasi.gap.report.wording import summary
 
@@ -70,6 +71,8 @@ def test_flights_of_commands_get_the_name_of_the_trim_and_a_page():
     shown = document(effects) | {"hover trim": found.document}
     text = page(shown, KNOWN, None, {})
     assert "rotor 3 with the effectiveness" in text
+    assert "Nothing was added" in text  # to the model
+    assert not any("snakemake models" in step for step in steps(shown, KNOWN))
     assert "trim" in summary(shown, KNOWN)
     assert "resample" not in summary(shown, KNOWN)
 

@@ -47,6 +47,12 @@ def steps(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str
         for e in effects
         if uncorrected(e["id"], e["level"])
     ]
+    said += [
+        f"{_begun(e)}: look at the vehicle first (propellers, motors, battery seat, payload). The trim in steady flight "
+        "shows it, and the extended model does not hold it."
+        for e in effects
+        if e["level"] == "trim"
+    ]
     said += [f"{_begun(e)}: {CORRECT[e['id']]}." for e in own if e["id"] in CORRECT]
     for tie in diagnosis["ties"]:
         names = listed([name_of(i) for i in tie["ids"]])
@@ -70,6 +76,8 @@ def steps(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str
 
 def in_model(effect: Mapping[str, Any]) -> bool:
     """Whether a named cause is part of the extended model."""
+    if effect["level"] == "trim":
+        return False
     return not corrected_at_import(effect["id"], effect["level"]) and not uncorrected(effect["id"], effect["level"])
 
 
