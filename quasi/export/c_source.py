@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from quasi.export.command_map import c_map
 from quasi.export.contents import (
     MEANINGS,
     actuators_of,
@@ -130,6 +131,8 @@ def _header(model: Model, p: str) -> str:
             + f"{p}_real {p}_distance(\n    {arguments}, int *worst);\n"
         )
     parts.append(_rotors_header(model, p))
+    if mapped := c_map(model, p):
+        parts.append(mapped[0])
     parts.append("#ifdef __cplusplus\n}\n#endif\n\n#endif")
     return "\n".join(parts) + "\n"
 
@@ -160,6 +163,8 @@ def _source(model: Model, p: str) -> str:
     derivatives = of_derivatives(model, (*RATES, *u)) if u else None
     region = of_region(model) if has_region(model) else None
     used = set().union(*(part.functions for part in (forces, derivatives, region) if part is not None))
+    mapped = c_map(model, p)
+    used |= {"sqrt", "power"} if mapped else set()
     used |= {"exp", "floor"} | ({"rint"} if "wrap" in used else set()) | ({"sqrt"} if region else set())
     maths = sorted(_MATHS[f] for f in used if f in _MATHS)
     parts = [
@@ -201,6 +206,8 @@ def _source(model: Model, p: str) -> str:
     if region is not None:
         parts.append(_distance(model, region, p, arguments))
     parts.append(_ROTORS_SOURCE.replace("@ROWS@", f"{p}_DELAY_ROWS").replace("@", p))
+    if mapped:
+        parts.append(mapped[1])
     return "\n".join(parts)
 
 

@@ -20,6 +20,7 @@ from scipy.io import savemat
 
 from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.export.agreement import states_of
+from quasi.export.command_map import matlab_map
 from quasi.export.contents import check_exportable
 from quasi.export.matlab_simulation import write_simulation
 from quasi.export.matlab_terms import axis_file, differential_file, matlab_name, wrench_file
@@ -61,6 +62,8 @@ def write_matlab(
         u = None
     texts = {f"get_{axis}.m": axis_file(model, axis) for axis in model.axes}
     texts["getFM.m"] = wrench_file(model)
+    if mapped := matlab_map(model):
+        texts["steadySpeeds.m"] = mapped
     if u is not None:
         texts["get_PQRDiffSys.m"] = differential_file(model, u)
     for path in sorted(FILES.glob("*.m")):

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from quasi.export.command_map import python_map
 from quasi.export.contents import (
     MEANINGS,
     check_exportable,
@@ -72,6 +73,8 @@ def python_file(model: Model) -> tuple[str, str]:
         parts.append(f"# {MEANINGS[name]}\n{name.upper()} = {written}")
     parts.append("")
     parts.append(_PREDICT)
+    if mapped := python_map(model):
+        parts += [f"{part}\n" for part in mapped.split("\n\n\n")]
     parts.append(_body("_forces_and_moments", "Fx, Fy, Fz, Mx, My, Mz of columns.", of_model(model), _by_axis(model)))
     if u:
         parts.append(f"DIFFERENTIAL_INPUTS = {_names(u)}\n")

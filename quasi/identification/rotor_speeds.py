@@ -30,6 +30,7 @@ from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.errors import DataError
 from quasi.identification.joint_fit import AXES, JointFit, prepare_flight
 from quasi.identification.partition import usable
+from quasi.identification.taught_map import teach_map, teaching_flights
 from quasi.terms.rotor_map import (
     FORMS,
     SPEEDS,
@@ -270,15 +271,21 @@ def rotor_speeds_of(
         raise DataError(f"the quadrotor configuration gives {' and '.join(known)}; give one of them")
     if any(not value > 0.0 for value in known.values()):
         raise DataError(f"the quadrotor configuration: '{next(iter(known))}' must be positive")
-    unknown = [key for key in flights if masses.get(key) is None]
+    unknown = [key for key in lacking if masses.get(key) is None]
     if unknown:
         raise DataError(f"flight {unknown[0]}: the mass is unknown; fill in 'Mass' in the logbook")
     chosen = {}
-    for key in lacking:
+    teachers = teaching_flights(flights)
+    for key in (*lacking, *teachers):
         chosen[key] = np.zeros(len(flights[key]), bool)
         middle = usable(len(flights[key]), ratio)
         chosen[key][middle] = used_rows(flights[key])[middle]
-    drive, notes = identify_rotor_speeds({key: flights[key] for key in lacking}, airframe, masses, known, chosen)
+    if teachers and all(command_kind(flights[key]) == "share" for key in lacking):
+        drive = teach_map({key: flights[key] for key in teachers}, chosen, CANDIDATES)
+        notes = [f"the flights {', '.join(teachers)} measure rotor speeds; they teach the map for {', '.join(lacking)}"]
+        _note_errors(drive, notes)
+    else:
+        drive, notes = identify_rotor_speeds({k: flights[k] for k in lacking}, airframe, masses, known, chosen)
     drive["estimated flights"] = lacking
     return drive, notes
 

@@ -243,3 +243,22 @@ def test_a_rotor_without_command_is_named():
     assert silent_rotors({"w1_CMD", "w2_CMD", "w3_CMD", "w4_CMD"}) == []
     said = unusable_without({"command1": 0, "command2": 0, "command4": 0}, {})
     assert "no command of rotor 3" in said[0]
+
+
+def test_flights_with_speeds_teach_the_map_for_the_others(flights):
+    t = np.arange(1500) * 0.01
+    r = np.random.default_rng(5)
+    commands = 0.5 + 0.12 * lagged(r.standard_normal((1500, 4)), 0.01, 0.15, 0.0) * 3.0
+    volts = np.linspace(15.8, 14.2, 1500)
+    wanted = 800.0 * GAINS * (volts[:, None] / 15.0) ** 0.8 * (1.0 + 0.7 * (commands / 0.5 - 1.0))
+    speeds = lagged(wanted, 0.01, 0.045, 0.02) + r.normal(0.0, 4.0, (1500, 4))
+    table = {"t": t, "battery_voltage": volts}
+    table |= {f"command{i + 1}": commands[:, i] for i in range(4)} | {f"w{i + 1}": speeds[:, i] for i in range(4)}
+    drive, notes = rotor_speeds_of({"measured": pd.DataFrame(table), **flights}, to_draw(), MASSES, {})
+    assert drive["scale"]["relative"] is False and drive["estimated flights"] == ["a", "b"]
+    assert drive["time constant"]["value"] == pytest.approx(0.045, abs=4 * drive["time constant"]["std"] + 0.001)
+    assert drive["delay"]["value"] == pytest.approx(0.020, abs=0.002)
+    there = steady_speeds(drive, np.full((1, 4), 0.6), np.array([14.5]))
+    np.testing.assert_allclose(there, 800.0 * GAINS[None] * (14.5 / 15.0) ** 0.8 * 1.14, rtol=0.01)
+    assert drive["relative error"]["map"] == pytest.approx(4.0 / 800.0, rel=0.5)
+    assert any("teach" in n for n in notes)

@@ -1,0 +1,161 @@
+"""The map from commands to rotor speeds on flights that measure both, for flights of the same model that do not.
+
+    W_i = S_i f(c_i, V) behind its delay and lag
+
+Commands and speeds of filtered flights went through the same low-pass, which leaves the lag as it is. The speeds S_i
+are linear and are eliminated; lag, delay, shape and voltage exponent are searched (output error).
+
+Source: Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973 (variable projection); Schwarz, Annals of Statistics 6, 1978.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import least_squares
+
+from quasi.errors import DataError
+from quasi.identification.regression import memory_window
+from quasi.terms.rotor_map import DELAY_RANGE, EXPONENT_RANGE, FORMS, SHARES, SPEEDS, TAU_RANGE, lagged, shape
+
+FITTED_RATE = 125.0  # Hz of compared rows, as in the identification of actuators
+WARM_UP = 0.2  # s of each flight that are not compared: the state of the lag is unknown there
+MIN_SECONDS = 5.0  # s of compared rows, ten times the longest time constant
+
+
+class _Taught(NamedTuple):
+    """One flight: dt s, every rows of which one is compared, commands (N, 4) over the operating command, ratio (N, 1)
+    of voltages or 1, speeds (M, 4) rad/s at the compared rows (M,)."""
+
+    dt: float
+    commands: np.ndarray
+    ratio: np.ndarray | float
+    speeds: np.ndarray
+    rows: np.ndarray
+
+
+def teaching_flights(flights: Mapping[str, pd.DataFrame]) -> list[str]:
+    """Keys of flights that hold the speeds and the commanded shares of all four rotors."""
+    return [k for k, f in flights.items() if all(n in f for n in (*SPEEDS, *SHARES))]
+
+
+def teach_map(
+    flights: Mapping[str, pd.DataFrame], chosen: Mapping[str, np.ndarray], forms: Sequence[str]
+) -> dict[str, Any]:
+    """The section "rotor speeds" of a model from flights that measure rotor speeds.
+
+    flights  filtered; chosen {flight: (n,) bool} rows to use; forms  names of `rotor_map.FORMS`, compared by BIC
+    Raises DataError where the rows are too few.
+    """
+    commands = np.concatenate([f[list(SHARES)].to_numpy(float)[chosen[k]].ravel() for k, f in flights.items()])
+    operating, reference = float(np.median(commands)) if len(commands) else 0.0, None
+    if all("battery_voltage" in f for f in flights.values()):
+        volts = np.concatenate([f["battery_voltage"].to_numpy(float)[chosen[k]] for k, f in flights.items()])
+        if len(volts) and np.std(volts) >= 0.01 * np.median(volts) > 0.0:
+            reference = float(np.median(volts))
+    taught = {k: _prepare(f, chosen[k], operating, reference) for k, f in flights.items()}
+    seconds = sum(len(f.rows) for f in taught.values()) / FITTED_RATE
+    if seconds < MIN_SECONDS or operating <= 0.0:
+        raise DataError(
+            f"flights {', '.join(flights)} hold {seconds:.1f} s of commands and rotor speeds that could teach the "
+            f"others, {MIN_SECONDS:g} s are needed; log rotor speeds for longer, or leave the others out"
+        )
+    found = {form: _fit(form, list(taught.values()), reference is not None) for form in forms}
+    best = min(found, key=lambda form: found[form]["criterion"])
+    return _as_plain(found, best, list(flights), operating, reference)
+
+
+def _prepare(flight: pd.DataFrame, chosen: np.ndarray, operating: float, reference: float | None) -> _Taught:
+    t = flight["t"].to_numpy(float)
+    dt = float(np.median(np.diff(t)))
+    ratio: np.ndarray | float = 1.0
+    if reference is not None:
+        ratio = flight["battery_voltage"].to_numpy(float)[:, None] / reference
+    rows = np.flatnonzero(chosen & (t - t[0] > WARM_UP))[:: max(round(1.0 / (FITTED_RATE * dt)), 1)]
+    commands = np.maximum(flight[list(SHARES)].to_numpy(float), 0.0) / max(operating, 1e-9)
+    return _Taught(dt, commands, ratio, flight[list(SPEEDS)].to_numpy(float)[rows], rows)
+
+
+def _fit(form: str, flights: Sequence[_Taught], with_voltage: bool) -> dict[str, Any]:
+    about = FORMS[form]
+    count = len(about.names)
+    low = np.array([TAU_RANGE[0], DELAY_RANGE[0], *about.low, *[EXPONENT_RANGE[0]] * with_voltage])
+    high = np.array([TAU_RANGE[1], DELAY_RANGE[1], *about.high, *[EXPONENT_RANGE[1]] * with_voltage])
+    size = np.array([0.01, 0.005, *[0.2] * (len(low) - 2)])
+    speeds = np.concatenate([f.speeds for f in flights])
+
+    def relative(x: np.ndarray) -> np.ndarray:
+        exponent = x[-1] if with_voltage else 0.0
+        parts = [lagged(shape(form, f.commands, f.ratio, exponent, x[2 : 2 + count]), f.dt, x[0], x[1])[f.rows]
+                 for f in flights]  # fmt: skip
+        return np.concatenate(parts)
+
+    def project(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        columns = relative(x)
+        at = np.sum(columns * speeds, axis=0) / np.maximum(np.sum(columns**2, axis=0), 1e-12)
+        return at, speeds - columns * at
+
+    start = np.array([0.03, 0.005, *about.start, *[0.7] * with_voltage])
+    x = least_squares(
+        lambda x: project(x)[1].ravel(), start, bounds=(low, high), x_scale=size, diff_step=1e-3, max_nfev=40
+    ).x
+    at, residual = project(x)
+    steps = 1e-2 * size
+    ends = [[project(np.clip(x + s * d * (np.arange(len(x)) == k), low, high))[1] for s in (1, -1)]
+            for k, d in enumerate(steps)]  # fmt: skip
+    jacobian = np.stack([((a - b) / (2 * d)).ravel() for (a, b), d in zip(ends, steps)], axis=1)
+    # neighbouring residuals resemble each other: each counts for the share that is its own
+    lengths = np.cumsum([len(f.rows) for f in flights])
+    series = np.split(np.arange(lengths[-1]), lengths[:-1])
+    memory = np.mean([memory_window(residual[:, i], series) for i in range(4)]) / 5.0
+    variance = float(np.mean(residual**2)) * max(memory, 1.0)
+    covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
+    rows = residual.size / max(memory, 1.0)
+    means = [np.mean(r, axis=0) for r in np.split(residual, lengths[:-1])]
+    return {
+        "names": ("time constant", "delay", *about.names, *(("voltage exponent",) if with_voltage else ())),
+        "x": x,
+        "speeds": at,
+        "covariance": covariance,
+        "criterion": rows * np.log(np.mean(residual**2)) + (len(x) + 4) * np.log(residual.size),
+        "within": float(np.sqrt(np.mean(residual**2))) / float(np.mean(speeds)),
+        "between": float(np.std(means, ddof=1)) / float(np.mean(speeds)) if len(flights) > 1 else None,
+    }
+
+
+def _as_plain(
+    found: Mapping[str, Mapping[str, Any]], best: str, keys: list[str], operating: float, reference: float | None
+) -> dict[str, Any]:
+    fit = found[best]
+    std = np.sqrt(np.diag(fit["covariance"]))
+    units = {"time constant": "s", "delay": "s"}
+    entries = {
+        name: {"value": float(v), "std": float(s), "unit": units.get(name, "")}
+        for name, v, s in zip(fit["names"], fit["x"], std)
+    }
+    between = fit["between"]
+    return {
+        "source": "commands",
+        "input": "share",
+        "form": best,
+        "parameters": {name: entries[name] for name in FORMS[best].names},
+        "operating command": operating,
+        "reference voltage": reference,
+        "voltage exponent": entries.get("voltage exponent"),
+        "speeds": {"value": fit["speeds"].tolist(), "unit": "rad/s"},
+        "time constant": entries["time constant"],
+        "delay": entries["delay"],
+        "estimated": list(fit["names"]),
+        "covariance": fit["covariance"].tolist(),
+        "relative error": {
+            "map": fit["within"],
+            "between flights": between,
+            "total": float(np.hypot(fit["within"], between or 0.0)),
+        },
+        "scale": {"relative": False, "from": f"speeds measured in {', '.join(keys)}", "trimmed": False},
+        "factors": None,
+        "geometry": None,
+        "flights": keys,
+        "candidates": [{"form": n, "BIC": float(f["criterion"] - fit["criterion"])} for n, f in found.items()],
+    }
