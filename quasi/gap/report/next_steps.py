@@ -48,7 +48,7 @@ def steps(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str
         if uncorrected(e["id"], e["level"])
     ]
     said += [
-        f"{_begun(e)}: look at the vehicle first (propellers, motors, battery seat, payload). The trim in steady flight "
+        f"{_begun(e)}: look at the vehicle first (propellers, motors, battery, payload). The trim in steady flight "
         "shows it, and the extended model does not hold it."
         for e in effects
         if e["level"] == "trim"
