@@ -29,6 +29,7 @@ MIN_FORCE_SHARE = 0.3
 CROSSOVER = 1.0  # Hz, below which the velocity gives the acceleration: on CrazyPAD an offset of 0.7 deg in roll goes
 MIN_TRUSTED = 0.9  # share of the log around which the velocity has no gap
 ONE_SIGMA = 1.2816  # 80 % of normal errors are smaller than this many standard deviations
+NOISE = "noise above the bandwidth alone"
 MIN_SAMPLES = 20  # as of a sensor's own
 Find = Callable[[tuple[str, ...]], Any]
 
@@ -97,7 +98,7 @@ def _sentence(name: str, entry: Mapping[str, Any]) -> str:
     }[name]
     return (
         f"the log holds no {what}; it was made from {entry['from']}, up to {entry['bandwidth']['value']:.3g} Hz, with "
-        f"a standard error of {factor * entry['std']['value']:.2g} {unit}"
+        f"a standard error of {factor * entry['std']['value']:.2g} {unit} (by {entry['covers']})"
     )
 
 
@@ -126,7 +127,7 @@ def _acceleration(series: Mapping[str, Series], bandwidth: float) -> tuple[Signa
     """Acceleration over ground (n, 3), m/s2, earth NED, and how it was made; None where nothing serves."""
     linear, speed = _find(series, ("linear_ax", "linear_ay", "linear_az")), _find(series, ("vx", "vy", "vz"))
     place = _find(series, ("x", "y", "z"))
-    source, at = "the position", place
+    source, at, covers = "the position", place, NOISE
     if linear is not None:
         source, at = "the logged acceleration", linear
     elif speed is not None:
@@ -146,14 +147,28 @@ def _acceleration(series: Mapping[str, Series], bandwidth: float) -> tuple[Signa
             # the other estimate of the same motion, with the noise of both
             other, trusted = velocity(speed.t, speed.values, linear.t, min(3.0 * slow, bandwidth))
             error = typical_size((other - low_pass(values, rate, 3.0 * slow))[trusted]) if trusted.any() else error
+            covers = f"what acceleration and velocity differ by up to {min(3.0 * slow, bandwidth):g} Hz"
     elif speed is not None:
         values, _ = velocity(speed.t, speed.values, speed.t, bandwidth)
-        error = derivative_error(speed, rate, bandwidth, 1)
+        error, covers = derivative_error(speed, rate, bandwidth, 1), NOISE
+        if place is not None:
+            error = float(np.hypot(error, _disagreement(speed, place, 0.5 * bandwidth)))
+            covers = f"noise, and what velocity and position differ by up to {0.5 * bandwidth:g} Hz"
     else:
         first, _ = velocity(place.t, place.values, place.t, bandwidth)
         values, _ = velocity(place.t, first, place.t, bandwidth)
         error = derivative_error(place, rate, bandwidth, 2)
-    return Signal(at.t, values), _about(source, bandwidth, rate, error, "m/s2")
+    return Signal(at.t, values), _about(source, bandwidth, rate, error, "m/s2") | {"covers": covers}
+
+
+def _disagreement(speed: Signal, place: Signal, bandwidth: float) -> float:
+    """What the accelerations of a velocity and of a position differ by, m/s2. An estimate of both errs smoothly, which
+    no noise above the bandwidth shows."""
+    change, trusted = velocity(speed.t, speed.values, speed.t, bandwidth)
+    first, _ = velocity(place.t, place.values, place.t, bandwidth)
+    other, known = velocity(place.t, first, speed.t, bandwidth)
+    used = trusted & known
+    return typical_size((change - other)[used]) / ONE_SIGMA if used.any() else 0.0
 
 
 def typical_size(error: np.ndarray) -> float:
@@ -210,7 +225,10 @@ def _attitude(
         turning = np.concatenate([np.gradient(part, t) for part in np.split(off, len(known))])
         check = {"against": f"logged {known[0]}", "mean": float(off.mean()), "rate": typical_size(turning)}
     quaternion = continuous(from_euler(*(angles.get(n, found[n]) for n in ANGLES)))
-    entry = _about(f"yaw and {about['from']}, with the thrust along body z", bandwidth, _rate(t), error, "rad")
+    covers = check["against"] if check else "the error of the acceleration"
+    entry = {"covers": covers} | _about(
+        f"yaw and {about['from']}, with the thrust along body z", bandwidth, _rate(t), error, "rad"
+    )
     return Signal(t, quaternion), entry | {"angles": missing, "check": check}
 
 
@@ -235,7 +253,8 @@ def _rates(attitude: Signal, bandwidth: float, about: Mapping[str, Any] | None) 
     if about is not None:  # an error of the angle that is white up to the bandwidth, where nothing checks its rate
         white = 2.0 * np.pi * bandwidth / np.sqrt(3.0) * about["std"]["value"]
         error = float(np.hypot(error, about["check"]["rate"] if about["check"] else white))
-    return Signal(attitude.t, smooth), _about("the attitude", bandwidth, rate, error, "rad/s")
+    covers = NOISE if about is None or not about["check"] else about["check"]["against"]
+    return Signal(attitude.t, smooth), _about("the attitude", bandwidth, rate, error, "rad/s") | {"covers": covers}
 
 
 def _about(source: str, bandwidth: float, rate: float, error: float, unit: str) -> dict[str, Any]:

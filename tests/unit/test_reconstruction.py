@@ -1,5 +1,8 @@
 """Sensors that a log lacks, made from its other signals: against the truth of a made rigid-body motion."""
 
+import copy
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,8 +16,9 @@ from quasi.filtering.flight import filter_flight
 from quasi.importing.flight import import_flight
 from quasi.importing.readers.table_mapping import read_mapping
 from quasi.importing.reconstruction import Signal, complete_sensors, derivative_error, thrust_angles
-from quasi.importing.resampling import velocity
+from quasi.importing.resampling import low_pass, velocity
 from quasi.importing.series import Series
+from quasi.tables import read_json
 
 CRAZYPAD = SHARED.parent / "crazypad"
 POSITION, VELOCITY, LINEAR = ("x", "y", "z"), ("vx", "vy", "vz"), ("linear_ax", "linear_ay", "linear_az")
@@ -195,3 +199,29 @@ def test_a_real_flight_without_pitch_gyro_and_accelerometer():
     inside = slice(800, 2200)
     pitch = np.convolve(frame["pitch"], np.ones(20) / 20, "same")
     assert np.corrcoef(-pitch[inside], ahead[inside])[0, 1] > 0.6
+
+
+@pytest.mark.skipif(not (SHARED.parent / "nanodrone").is_dir(), reason="the nano-drone recordings are absent")
+def test_what_is_made_of_a_real_estimate_agrees_with_the_sensors_that_were_left_out():
+    config = read_json(Path(__file__).parents[2] / "examples/nanodrone/config/NanoDroneConfig.json")
+    flight = {"flight": "a", "quadrotor": "N", "flight controller": "table", "rigid body": "", "log number": None,
+              "onboard": str(SHARED.parent / "nanodrone" / "square_run3.csv"), "capture": None}  # fmt: skip
+    options = {"resampling rate": 100.0, "use onboard attitude": True}
+    bare = copy.deepcopy(config)
+    sources = bare["table columns"]["sources"]
+    bare["table columns"]["sources"] = [s for s in sources if s["name"] not in ("accelerometer", "poses")]
+    for name in "pqr":
+        del bare["table columns"]["sources"][0]["columns"][name]
+    truth, about = import_flight(flight, config, options)
+    made, made_about = import_flight(flight, bare, options)
+    assert set(made_about["reconstructed"]) == {"gyro", "accelerometer"}
+    t = truth["t"] + about["start"]["value"]
+    there = made["t"] + made_about["start"]["value"]
+    inside = ((t > there.min()) & (t < there.max()) & (truth["z"] < truth["z"].max() - 0.3)).to_numpy()
+    for names, sensor in ((("p", "q"), "gyro"), (("ax", "ay", "az"), "accelerometer")):
+        both = [(low_pass(np.interp(t, there, made[n])[:, None], 100.0, 10.0)[inside, 0],
+                 low_pass(truth[[n]].to_numpy(), 100.0, 10.0)[inside, 0]) for n in names]  # fmt: skip
+        assert min(np.corrcoef(*pair)[0, 1] for pair in both[-1:]) > (0.98 if sensor == "gyro" else 0.9)
+    off = np.std([a - b for a, b in both], axis=1)
+    stated = made_about["reconstructed"]["accelerometer"]["std"]["value"]
+    assert np.all((0.4 * off < stated) & (stated < 2.5 * off))
