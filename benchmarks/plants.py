@@ -109,34 +109,103 @@ def moved_marker(x: float) -> Callable[[dict[str, Any]], None]:
     return configure
 
 
+def configured(**changes: str) -> Callable[[dict[str, Any]], None]:
+    """Keys of the quadrotor's configuration with other values; `_` in a name stands for a space."""
+
+    def configure(quadrotor: dict[str, Any]) -> None:
+        quadrotor |= {name.replace("_", " "): value for name, value in changes.items()}
+
+    return configure
+
+
+def stretched(column: str, rate: float) -> Callable[[Table], None]:
+    """A time stamp column whose clock runs too fast by a rate, s/s."""
+
+    def change(table: Table) -> None:
+        first = table[column].iloc[0]
+        table[column] = first + (1.0 + rate) * (table[column] - first)
+
+    return change
+
+
+def swapped(first: int, second: int) -> Callable[[Table], None]:
+    """Speeds and commands of two rotors exchanged."""
+
+    def change(table: Table) -> None:
+        for name in ("m{}_erpm", "m{}_thrust"):
+            one, other = name.format(first), name.format(second)
+            table[[one, other]] = table[[other, one]].to_numpy()
+
+    return change
+
+
+def raised(column: str, size: float) -> Callable[[Table], None]:
+    """A constant added to a column."""
+
+    def change(table: Table) -> None:
+        table[column] += size
+
+    return change
+
+
 ERPM = [f"m{i}_erpm" for i in range(1, 5)]
+IXX, IZZ = 2.3951e-5, 3.2347e-6  # kg m2, as configured
 ACCELEROMETER, ROTOR = ("accelerometer_scale",), ("rotor_effectiveness",)
 POINTS, SPEEDS = ("marker_offset", "imu_lever_arm"), ("rotor_speed_scale", "thrust_factor")
+NOTHING = ()
+
+
+def rotor(number: int, factor: float) -> Plant:
+    """The speed column of one rotor scaled: it makes 1/factor^2 of the thrust that its speed says."""
+    return Plant(ROTOR, f"rotor{number}", factor**-2.0, scaled([f"m{number}_erpm"], factor))
+
+
+def inertia(roll_and_pitch: float, yaw: float, parameter: str, value: float) -> Plant:
+    """A configured inertia that is wrong by factors."""
+    wrong = f"[{roll_and_pitch * IXX}, 0, 0; 0, {roll_and_pitch * IXX}, 0; 0, 0, {yaw * IZZ}]"
+    return Plant(("inertia",), parameter, value, configure=configured(moment_of_inertia=wrong))
+
+
 PLANTS: dict[str, Plant] = {
-    "nothing": Plant(()),
+    "nothing": Plant(NOTHING),
     "accelerometer x 1.03": Plant(ACCELEROMETER, "z", 1.03, force_in_body(lambda f: 1.03 * f)),
     "accelerometer x 0.96": Plant(ACCELEROMETER, "z", 0.96, force_in_body(lambda f: 0.96 * f)),
+    "accelerometer x 1.015": Plant(ACCELEROMETER, "z", 1.015, force_in_body(lambda f: 1.015 * f)),
     "accelerometer z x 1.05": Plant(ACCELEROMETER, "z", 1.05, force_in_body(lambda f: f * [1.0, 1.0, 1.05])),
+    "accelerometer z x 0.97": Plant(ACCELEROMETER, "z", 0.97, force_in_body(lambda f: f * [1.0, 1.0, 0.97])),
     "markers 15 mm ahead": Plant(POINTS, "x", -0.015, configure=moved_marker(0.015)),
     "markers 15 mm behind": Plant(POINTS, "x", 0.015, configure=moved_marker(-0.015)),
     "markers 25 mm ahead": Plant(POINTS, "x", -0.025, configure=moved_marker(0.025)),
-    "rotor 1 x 0.96": Plant(ROTOR, "rotor1", 1 / 0.96**2, scaled(["m1_erpm"], 0.96)),
-    "rotor 2 x 0.95": Plant(ROTOR, "rotor2", 1 / 0.95**2, scaled(["m2_erpm"], 0.95)),
-    "rotor 3 x 0.97": Plant(ROTOR, "rotor3", 1 / 0.97**2, scaled(["m3_erpm"], 0.97)),
-    "rotor 3 x 1.06": Plant(ROTOR, "rotor3", 1 / 1.06**2, scaled(["m3_erpm"], 1.06)),
-    "rotor 4 x 1.04": Plant(ROTOR, "rotor4", 1 / 1.04**2, scaled(["m4_erpm"], 1.04)),
+    "markers 25 mm behind": Plant(POINTS, "x", 0.025, configure=moved_marker(-0.025)),
+    **{f"rotor {i} x {f}": rotor(i, f) for i, f in (
+        (1, 0.9), (1, 0.95), (1, 0.96), (1, 1.05), (2, 0.9), (2, 0.95), (2, 1.05), (3, 0.97), (3, 0.95), (3, 1.06),
+        (3, 1.1), (4, 0.95), (4, 1.04), (4, 1.1),
+    )},
     "all rotors x 0.9": Plant(SPEEDS, "scale", 0.9, scaled(ERPM, 0.9)),
     "all rotors x 1.07": Plant(SPEEDS, "scale", 1.07, scaled(ERPM, 1.07)),
+    "all rotors x 12/14": Plant(SPEEDS, "scale", 12 / 14, configure=lambda q: q.update({"motor poles": 14})),
     "mass 10 % low": Plant(("mass",), "mass", MASS, mass=MASS / 1.1),
     "mass 8 % high": Plant(("mass",), "mass", MASS, mass=MASS * 1.08),
     "mass 15 % high": Plant(("mass",), "mass", MASS, mass=MASS * 1.15),
+    "inertia x 1.3": inertia(1.3, 1.3, "Ixx", IXX),
+    "inertia x 0.75": inertia(0.75, 0.75, "Ixx", IXX),
+    "yaw inertia x 1.5": inertia(1.0, 1.5, "Izz", IZZ),
+    # a configured arm takes part in nothing that is measured, and the model has its own
+    "arm x 1.1": Plant(NOTHING, configure=configured(b="0.0549")),
+    # no cause of the catalogue
+    "rotors 1 and 3 exchanged": Plant(NOTHING, change=swapped(1, 3)),
     # import settles the stamps and the filter takes constant biases off; without captured attitude no more can be asked
-    "motors 30 ms late": Plant((), change=later("ros_timestamp_motors", 0.03)),
-    "motors 15 ms late": Plant((), change=later("ros_timestamp_motors", 0.015)),
-    "accelerometer z + 0.5": Plant((), change=force_in_body(lambda f: f + [0.0, 0.0, 0.5])),
-    "accelerometer x + 0.6": Plant((), change=force_in_body(lambda f: f + [0.6, 0.0, 0.0])),
-    "imu pitched 3 deg": Plant((), change=force_in_body(lambda f: turned(f, (0.0, 0.052, 0.0)))),
-    "gyro x 1.05": Plant((), change=scaled(["wx", "wy", "wz"], 1.05)),
+    "motors 30 ms late": Plant(NOTHING, change=later("ros_timestamp_motors", 0.03)),
+    "motors 15 ms late": Plant(NOTHING, change=later("ros_timestamp_motors", 0.015)),
+    "motors 20 ms early": Plant(NOTHING, change=later("ros_timestamp_motors", -0.02)),
+    "motors' clock 300 ppm fast": Plant(NOTHING, change=stretched("ros_timestamp_motors", 3e-4)),
+    "accelerometer 20 ms late": Plant(NOTHING, change=later("ros_timestamp_image_accel", 0.02)),
+    "accelerometer z + 0.5": Plant(NOTHING, change=force_in_body(lambda f: f + [0.0, 0.0, 0.5])),
+    "accelerometer x + 0.6": Plant(NOTHING, change=force_in_body(lambda f: f + [0.6, 0.0, 0.0])),
+    "imu pitched 3 deg": Plant(NOTHING, change=force_in_body(lambda f: turned(f, (0.0, 0.052, 0.0)))),
+    "imu rolled 3 deg": Plant(NOTHING, change=force_in_body(lambda f: turned(f, (0.052, 0.0, 0.0)))),
+    "gyro x 1.05": Plant(NOTHING, change=scaled(["wx", "wy", "wz"], 1.05)),
+    "gyro x + 0.1": Plant(NOTHING, change=raised("wx", 0.1)),
 }  # fmt: skip
 
 
