@@ -16,6 +16,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +25,28 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 from crazyflie_writer import encode_log as encode_crazyflie
+from log_formats import (
+    TABLE_COLUMNS,
+    Flight,
+    made_flight,
+    write_bag,
+    write_dataflash,
+    write_gzip,
+    write_mat,
+    write_npz,
+    write_ulog,
+)  # fmt: skip
+from scipy.spatial.transform import Rotation
+from test_captures import qualisys_text, vicon_text
 
 from quasi import tables
 from quasi.errors import QuasiError
 from quasi.importing.clocks.filter_delays import RPM_NOTCHES, STAGES, header_delays
 from quasi.importing.onboard_log import read_onboard, require_motion
 from quasi.importing.readers.motive import read_motive
+from quasi.importing.readers.qualisys import read_qualisys
 from quasi.importing.readers.table_reader import read_table_log
+from quasi.importing.readers.vicon import read_vicon
 from quasi.importing.series import Recording
 from quasi.importing.wind import read_lvm
 from quasi.synthesis.blackbox_writer import NAMES, encode_log, event, slow_frame
@@ -305,6 +321,41 @@ def read_crazyflie_log(path: Path) -> Recording:
     return recording
 
 
+def log_seeds(write: Callable[[Path, Flight], Path]) -> Callable[[np.random.Generator], list[bytes]]:
+    """A second of a made flight in one format."""
+
+    def seeds(rng: np.random.Generator) -> list[bytes]:
+        with tempfile.TemporaryDirectory() as folder:
+            return [write(Path(folder), made_flight(seconds=1.0)).read_bytes()]
+
+    return seeds
+
+
+def read_as(controller: str, suffix: str = "", quadrotor: dict | None = None) -> Callable[[Path], Recording]:
+    """A reader of logs of a flight controller; suffix  an extension that its library needs."""
+
+    def read(path: Path) -> Recording:
+        named = path.with_suffix(suffix) if suffix else path
+        if suffix:
+            named.write_bytes(path.read_bytes())
+        flight = {"onboard": named, "flight controller": controller, "log number": None}
+        return read_onboard(flight, quadrotor or {}, None)
+
+    return read
+
+
+def capture_seeds(text: Callable[..., str]) -> Callable[[np.random.Generator], list[bytes]]:
+    """A second of a made motion in the room's axes."""
+
+    def seeds(rng: np.random.Generator) -> list[bytes]:
+        t = np.arange(100) / 100
+        room = Rotation.from_rotvec(np.column_stack([0.2 * np.sin(6 * t), 0.3 * np.cos(5 * t), 2 * t]))
+        return [text((t, None, None, 1000 * np.column_stack([t, t**2, 1 - t]), room)).encode()]
+
+    return seeds
+
+
+ARRAYS = {"table columns": TABLE_COLUMNS}
 READERS: dict[str, tuple[Callable[[Path], Recording], Callable[[np.random.Generator], list[bytes]]]] = {
     "blackbox": (read_log, blackbox_seeds),
     "decoded": (read_log, lambda rng: [*decoded_seeds(rng), indiflight_rows(rng)]),
@@ -313,6 +364,15 @@ READERS: dict[str, tuple[Callable[[Path], Recording], Callable[[np.random.Genera
     "table": (lambda path: read_table_log(path, TABLE, 14), table_seeds),
     "parquet": (lambda path: read_table_log(path, TABLE, 14), parquet_seeds),
     "lvm": (read_lvm, lvm_seeds),
+    "px4": (read_as("px4"), log_seeds(write_ulog)),
+    "ardupilot": (read_as("ardupilot"), log_seeds(write_dataflash)),
+    "mcap": (read_as("rosbag", ".mcap"), log_seeds(write_bag)),
+    "ros1": (read_as("rosbag", ".bag"), log_seeds(partial(write_bag, version=1))),
+    "mat": (read_as("table", "", ARRAYS), log_seeds(write_mat)),
+    "npz": (read_as("table", "", ARRAYS), log_seeds(write_npz)),
+    "gzip": (read_as("table", "", ARRAYS), log_seeds(write_gzip)),
+    "vicon": (lambda path: read_vicon(path, None), capture_seeds(vicon_text)),
+    "qualisys": (lambda path: read_qualisys(path, None), capture_seeds(qualisys_text)),
 }
 LARGEST = 6 << 30  # bytes of address space that a run may take
 HANGING = 60  # s after which a reader is stopped (the first input compiles)

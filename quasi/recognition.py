@@ -97,7 +97,7 @@ def recognise(data: bytes) -> Format | None:
         if name and name.isascii() and name.decode().isprintable():
             return CRAZYFLIE
     # the number of the first parameter block, and 0x50 (the C3D file format, section "Header")
-    if data[1:2] == b"\x50" and 2 <= data[0] <= 64 and len(data) > 512:
+    if data[1:2] == b"\x50" and 2 <= data[0] <= 64 and len(data) > 512 and b"\0\0" in data[:512]:
         return C3D
     text = data.replace(b"\0", b"")  # UTF-16, too
     if re.match(rb'(\xef\xbb\xbf)?"?NO_OF_FRAMES[\t,;]', text):

@@ -195,3 +195,14 @@ def test_an_absent_package_is_named_with_the_command(tmp_path, flight, monkeypat
     path.write_bytes(Ulog().bytes())
     with pytest.raises(ReadError, match=r"pyulog.*pip install 'quasi\[px4\]'"):
         read(path, "px4")
+
+
+def test_a_damaged_ulog_ends(tmp_path):
+    needs("pyulog")
+    # a message of the definitions that claims more bytes than the file holds
+    log = Ulog()
+    log.define([], {})
+    path = tmp_path / "endless.ulg"
+    path.write_bytes(log.bytes() + b"\xff\x7f\x00" + b"F" * 200)
+    with pytest.raises(ReadError, match="endless"):
+        read(path, "px4")

@@ -107,7 +107,14 @@ def test_a_pickle_is_named_and_never_opened(tmp_path, protocol):
 
 
 def test_text_and_damaged_text_are_no_other_format():
-    for data in (b"t,p,q\n1,2,3\n", "t;p\n1,5;2\n".encode("utf-16"), b"\xbc\x07\x00abc", b"\x80abc", b""):
+    for data in (
+        b"t,p,q\n1,2,3\n",
+        "t;p\n1,5;2\n".encode("utf-16"),
+        b"\xbc\x07\x00abc",
+        b"\x80abc",
+        b"",
+        b'"Product","x"\n' + b"1,2\n" * 200,
+    ):
         assert recognise(data) is None
 
 

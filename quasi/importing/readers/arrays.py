@@ -98,4 +98,4 @@ def _columns(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _reason(error: Exception) -> str:
-    return " ".join(str(error).split())[:120] or type(error).__name__
+    return " ".join(str(error).split())[:120] or "damaged"

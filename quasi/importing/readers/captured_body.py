@@ -1,6 +1,6 @@
 """What is done with every captured rigid body alike: frames not seen, held or impossible, and the marker offset."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +12,21 @@ from quasi.importing.artefacts import flyable, stalled
 from quasi.importing.series import Recording, Series
 
 LARGEST_ROOM = 150.0  # m
+LARGEST = 1e10  # mm, frames or s: beyond any room, counter and clock (as in Motive exports)
 LENGTHS = {
     "meters": 1.0, "metres": 1.0, "m": 1.0,
     "centimeters": 0.01, "centimetres": 0.01, "cm": 0.01,
     "millimeters": 0.001, "millimetres": 0.001, "mm": 0.001,
 }  # fmt: skip
+
+
+def number_in(cell: str) -> float:
+    """The number in a cell; NaN where there is none, or one that no room, counter or clock holds."""
+    try:
+        number = float(cell)
+    except ValueError:
+        return np.nan
+    return number if abs(number) < LARGEST else np.nan
 
 
 def choose_body(bodies: list[str], wanted: str | None, path: Path) -> str:
@@ -63,6 +73,7 @@ def captured_recording(
     remove_outliers  whether frames that no vehicle can fly (marker swaps, reflections) become gaps
     Raises           ReadError where the body was never seen, or moves farther than any room is wide
     """
+    body = _in_order(path, body, notes)
     t, position = body.t, body.position.copy()
     quaternion = None if body.quaternion is None else body.quaternion.copy()
     unit = str(body.facts.get("length unit", "Meters"))
@@ -133,6 +144,22 @@ def captured_recording(
         "quaternion sign flips": flips,
     }
     return Recording({"capture": Series(t, series)}, metadata, notes)
+
+
+def _in_order(path: Path, body: Body, notes: list[str]) -> Body:
+    """The body without frames whose time is unknown, or no later than that of one before."""
+    known = np.where(np.isfinite(body.t), body.t, -np.inf)
+    before = np.concatenate([[-np.inf], np.maximum.accumulate(known)[:-1]])
+    order = known > before
+    if order.all():
+        return body
+    if np.count_nonzero(order) < 2:
+        raise ReadError(f"{path} holds fewer than two frames in order; export it again")
+    notes.append(f"{path}: {int((~order).sum())} frames out of order were left out")
+    quaternion = None if body.quaternion is None else body.quaternion[order]
+    return replace(
+        body, t=body.t[order], position=body.position[order], quaternion=quaternion, written=body.written[order]
+    )
 
 
 def _describe_held(held: np.ndarray, t: np.ndarray, name: str) -> str:

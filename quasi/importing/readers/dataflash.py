@@ -81,6 +81,8 @@ class _Type:
         """Layout of a message behind its header; None where it does not add up."""
         if len(self.characters) != len(self.fields) or not set(self.characters) <= {*NUMBERS, *TEXTS}:
             return None
+        if not all(re.fullmatch(r"\w+", name) for name in self.fields):
+            return None
         kinds = [NUMBERS[c][0] if c in NUMBERS else TEXTS[c] for c in self.characters]
         layout = np.dtype(list(zip(self.fields, kinds))) if len(set(self.fields)) == len(self.fields) else None
         return layout if layout is not None and layout.itemsize + 3 == self.length else None
@@ -152,17 +154,19 @@ class DataFlashFile:
             return
         clock, scale = ("TimeUS", 1e-6) if "TimeUS" in kind.fields else ("TimeMS", 1e-3)
         t = messages[clock].astype(float) * scale
-        numbers = {
-            f: messages[f].astype(float) * NUMBERS[c][1]
-            for f, c in zip(kind.fields, kind.characters)
-            if c in NUMBERS and f != clock
-        }
+        with np.errstate(invalid="ignore"):  # damaged floats may be signalling NaN
+            numbers = {
+                f: messages[f].astype(float) * NUMBERS[c][1]
+                for f, c in zip(kind.fields, kind.characters)
+                if c in NUMBERS and f != clock
+            }
         key = kind.fields[kind.units.index("#")] if "#" in kind.units[: len(kind.fields)] else None
         if key is None and not kind.units:
             key = next((f for f in INSTANCES if f in numbers), None)
         groups = {name: np.ones(len(t), bool)}
         if key is not None and key in numbers:
-            groups = {f"{name}:{int(i)}": numbers[key] == i for i in np.unique(numbers[key])}
+            found = np.unique(numbers[key][np.isfinite(numbers[key])])
+            groups = {f"{name}:{int(i)}": numbers[key] == i for i in found}
         for group, rows in groups.items():
             columns = {f: values[rows] for f, values in numbers.items()} | self._derived(name, group, numbers, rows)
             at = t[rows]

@@ -47,7 +47,8 @@ def numbers_of_column(column: pd.Series | pd.DataFrame, path: Path, name: str, n
                 f"{path}: column '{name}' holds text in {int(strange.sum())} rows (first in row {row}); left out"
             )
         column = numbers
-    values = column.to_numpy(float)
+    with np.errstate(invalid="ignore"):  # damaged floats may be signalling NaN
+        values = column.to_numpy(float)
     absurd = np.abs(values) >= ABSURD
     if absurd.any():
         notes.append(

@@ -26,12 +26,14 @@ from quasi.importing.readers.reader import Reader, Request, needs_extra
 from quasi.importing.readers.signals import Signals, Topic, seconds_of
 from quasi.importing.readers.topics import low_pass_delays, read_topics
 from quasi.importing.series import Recording
+from quasi.tables import read_bytes
 
 MICRO = 1e-6  # s
 INVALID_RELATIVE = 0x7FFFFFFF  # accelerometer_timestamp_relative of a sample without accelerometer (message reference)
 FIRST_MOTOR = 101  # actuator_function of motor 1 (message reference)
 PWM_RANGE = (1000.0, 2000.0)  # us, PWM_MIN and PWM_MAX of PX4 where the log does not hold them
 MOTORS = 8
+MOST_SHORT_READS = 1000  # of a whole or cut log there is one, at its end
 
 Group = tuple[str, np.ndarray, dict[str, np.ndarray]]  # name, clock in s, {field: samples}
 _VALID = {"xy_valid": ("x", "y"), "z_valid": ("z",), "v_xy_valid": ("vx", "vy"), "v_z_valid": ("vz",)}
@@ -78,13 +80,27 @@ KNOWN = (
 TOPICS = sorted({re.match(r"\w+", way.match)[0] for way in KNOWN})
 
 
+class _Bounded(io.BytesIO):
+    """A file in memory that ends: pyulog steps back from the end of a damaged one again and again."""
+
+    short = 0
+
+    def read(self, size: int | None = -1) -> bytes:
+        found = super().read(size)
+        if size is not None and 0 <= len(found) < size:
+            self.short += 1
+            if self.short > MOST_SHORT_READS:
+                raise ValueError("damaged up to its end")
+        return found
+
+
 class UlogFile:
     """A ULog as named signals; a second instance of a topic is called "topic:1"."""
 
     def __init__(self, path: Path, notes: list[str]) -> None:
         self.path = path
         log = self._parse(TOPICS)
-        self.parameters: dict[str, Any] = dict(log.initial_parameters)
+        self.parameters = {k: v for k, v in log.initial_parameters.items() if isinstance(v, int | float)}
         self.formats = {name: [f[2] for f in about.fields] for name, about in log.message_formats.items()}
         lost = sum(d.duration for d in log.dropouts) * 1e-3
         if lost:
@@ -99,7 +115,8 @@ class UlogFile:
         self.clocks: dict[str, np.ndarray] = {}
         self._take(log)
         release = log.msg_info_dict.get("ver_sw_release")
-        version = f"{release >> 24 & 255}.{release >> 16 & 255}.{release >> 8 & 255}" if release else ""
+        number = release if isinstance(release, int) else 0
+        version = f"{number >> 24 & 255}.{number >> 16 & 255}.{number >> 8 & 255}" if number else ""
         self.facts: dict[str, Any] = {
             "format": "ULog",
             "firmware": {"revision": f"PX4 {version}".strip(), "hash": str(log.msg_info_dict.get("ver_sw", ""))},
@@ -110,15 +127,13 @@ class UlogFile:
     def _parse(self, topics: Collection[str] | None) -> Any:
         with needs_extra("px4", self.path, "a PX4 ULog"):
             from pyulog import ULog
-        silenced = io.StringIO()
+        data, silenced = read_bytes(self.path), io.StringIO()
         try:
             with contextlib.redirect_stdout(silenced):
-                log = ULog(str(self.path), None if topics is None else list(topics))
-        except FileNotFoundError:
-            raise ReadError(f"{self.path} does not exist; correct the path in the logbook") from None
+                log = ULog(_Bounded(data), None if topics is None else list(topics))
         except Exception as error:  # pyulog raises whatever a damaged header makes of its parser
             raise ReadError(
-                f"{self.path} is no readable ULog ({' '.join(str(error).split())[:120] or type(error).__name__}); copy "
+                f"{self.path} is no readable ULog ({' '.join(str(error).split())[:120] or 'damaged'}); copy "
                 "it from the flight controller again"
             ) from None
         if not log.data_list and topics is None:
@@ -128,6 +143,8 @@ class UlogFile:
     def _take(self, log: Any) -> None:
         """Frames and clocks, s, of what was parsed."""
         for data in log.data_list:
+            if "timestamp" not in data.data:
+                continue  # its format is damaged
             suffix = f":{data.multi_id}" if data.multi_id else ""
             for group, stamps, columns in _groups(data.name, data.data, self.parameters):
                 name = f"{group}{suffix}"

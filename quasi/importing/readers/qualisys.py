@@ -15,7 +15,7 @@ import numpy as np
 
 from quasi.attitude import from_matrix, normalise
 from quasi.errors import ReadError
-from quasi.importing.readers.captured_body import Body, captured_recording, choose_body
+from quasi.importing.readers.captured_body import Body, captured_recording, choose_body, number_in
 from quasi.importing.readers.reader import Reader, Request
 from quasi.importing.readers.table_text import SEPARATORS, from_header
 from quasi.importing.series import Recording
@@ -43,7 +43,7 @@ def read_qualisys(
     unseen = ~np.isfinite(places).all(axis=1) | (places == 0.0).all(axis=1)
     quaternion = None
     if turned is not None:
-        unseen |= ~(np.abs(np.nan_to_num(turned)) > 0).any(axis=(1, 2))
+        unseen |= ~np.isfinite(turned).all(axis=(1, 2)) | (turned == 0.0).all(axis=(1, 2))
         quaternion = np.full((len(cells), 4), np.nan)
         axes = np.diag(HALF_TURN)
         quaternion[~unseen] = normalise(from_matrix(axes @ turned[~unseen] @ axes))
@@ -77,17 +77,10 @@ def _read_table(path: Path) -> tuple[dict[str, list[str]], list[str], np.ndarray
     if at >= len(rows):
         raise ReadError(f"{path} holds a header but no frames; export the measurement again")
     header, count = rows[at], len(rows[at])
-    cells = [[_number(c) for c in row[:count]] + [np.nan] * (count - len(row)) for row in rows[at + 1 :] if any(row)]
+    cells = [[number_in(c) for c in row[:count]] + [np.nan] * (count - len(row)) for row in rows[at + 1 :] if any(row)]
     if len(cells) < 2:
         raise ReadError(f"{path} holds fewer than two frames; export the measurement again")
     return facts, header, np.array(cells, float)
-
-
-def _number(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return np.nan
 
 
 def _rate(facts: dict[str, list[str]], path: Path) -> float:

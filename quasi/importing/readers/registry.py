@@ -1,6 +1,7 @@
 """The list of readers. A raw file goes to the reader of what it holds, whatever its extension.
 
-A further format is one file here with a `Reader`, its name in READERS, and its first bytes in `quasi.recognition`.
+A further format is one file here with a `Reader`, its name in LOGS or CAPTURES, and its first bytes in
+`quasi.recognition`.
 """
 
 from collections.abc import Mapping

@@ -179,7 +179,7 @@ class Bag:
         except ReadError:
             raise
         except Exception as error:  # rosbags, its codecs and SQLite raise their own kinds for a damaged file
-            reason = " ".join(str(error).split())[:160] or type(error).__name__
+            reason = " ".join(str(error).split())[:160] or "damaged"
             raise ReadError(f"{self.path} is no readable bag ({reason}); {_remedy(self.path, reason)}") from None
 
     def _decoded(self, reader: Any, connections: list[Any]) -> Iterator[tuple[Any, int, Any]]:

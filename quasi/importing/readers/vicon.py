@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quasi.errors import ReadError, add_caution
-from quasi.importing.readers.captured_body import LENGTHS, Body, captured_recording, choose_body
+from quasi.importing.readers.captured_body import LENGTHS, Body, captured_recording, choose_body, number_in
 from quasi.importing.readers.reader import Reader, Request
 from quasi.importing.readers.table_text import SEPARATORS, from_header
 from quasi.importing.series import Recording
@@ -52,11 +52,12 @@ def read_vicon(
     unit = table.units[columns["TX"]].lower() or "mm"
     if unit not in LENGTHS:
         raise ReadError(f"{path} gives lengths in '{unit}', expected mm, cm or m; export it anew")
-    turns = [table.cells[:, columns[q]] for q in ("RX", "RY", "RZ", "RW") if q in columns]
+    turned = [q for q in ("RX", "RY", "RZ", "RW") if q in columns] if {"RX", "RY", "RZ"} <= set(columns) else []
+    turns = [table.cells[:, columns[q]] for q in turned]
     written = np.column_stack([places, *turns])
     unseen = ~np.isfinite(written).all(axis=1) | (places == 0.0).all(axis=1)  # an occluded object is written as 0 0 0
     quaternion, how = None, "absent"
-    if len(turns) >= 3:
+    if turns:
         scale = ANGLES.get(table.units[columns["RX"]].lower(), 1.0)
         quaternion, how = _attitude(np.column_stack(turns), scale, ~unseen, path, notes)
         quaternion[unseen] = np.nan
@@ -95,18 +96,11 @@ def _read_table(path: Path) -> _Table:
     for row in rows[frame + 2 :]:
         if not row or not re.fullmatch(r"\d+", row[0]):
             break  # a blank line ends a section; another kind of data may follow
-        numbers = [_number(cell) for cell in row[:count]]
+        numbers = [number_in(cell) for cell in row[:count]]
         cells.append(numbers + [np.nan] * (count - len(numbers)))
     if len(cells) < 2:
         raise ReadError(f"{path} holds fewer than two frames; export the trial again")
     return _Table(rows[0][0], rate, names, quantities, units, np.array(cells, float))
-
-
-def _number(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return np.nan
 
 
 def _subframes(table: _Table) -> np.ndarray:
