@@ -1,6 +1,7 @@
 """A small project of made flights, run once by Snakemake for real; each test edits a copy of it."""
 
 import csv
+import fcntl
 import io
 import json
 import os
@@ -120,13 +121,33 @@ def lay(base):
     return project
 
 
+def shared_by_workers(tmp_path_factory, name, make):
+    """A folder that the first test process makes and all others wait for and use."""
+    base = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent  # of all workers of this session
+    folder = base / f"shared-{name}"
+    with (base / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "made").is_file():
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            make(folder)
+            (folder / "made").touch()
+    return folder
+
+
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory):
     """The small project with its model made; (project, what the run printed). Not to be edited."""
-    project = lay(tmp_path_factory.mktemp("small"))
-    code, text = project.snakemake("-j2", "models/small/standalone")
-    assert code == 0, text
-    return project, text
+
+    def make(folder):
+        code, text = lay(folder).snakemake("-j2", "models/small/standalone")
+        assert code == 0, text
+        (folder / "printed.txt").write_text(text)
+
+    folder = shared_by_workers(tmp_path_factory, "small", make)
+    return Project(folder), (folder / "printed.txt").read_text()
 
 
 @pytest.fixture
@@ -141,6 +162,4 @@ def project(finished, tmp_path):
 @pytest.fixture(scope="session")
 def healthy(tmp_path_factory):
     """Folder of healthy made flights and of the model that they made; the files grow with the flights asked for."""
-    folder = tmp_path_factory.mktemp("made") / "healthy"
-    healthy_model(folder)
-    return folder
+    return shared_by_workers(tmp_path_factory, "healthy", lambda folder: healthy_model(folder / "healthy")) / "healthy"

@@ -79,15 +79,6 @@ def plain(level: Level) -> dict[str, Any]:
     }
 
 
-def material_ones(
-    levels: Sequence[Level], first: Sequence[Flown], last: Sequence[Flown], share: float
-) -> Sequence[Level]:
-    """The levels without the names that do not matter on held-out flights, see `materiality.judge`."""
-    for level in levels:
-        materiality.judge({level.level: plain(level)}, first, last, share)
-    return levels
-
-
 def judged(flights: Sequence[Flown], model: Mapping[str, Any], effects: Sequence[str] = ()) -> dict[str, pd.DataFrame]:
     """{"sensors", "drive": table of "channels"} of flights without a search: rms "before" and "floor" of each."""
     options = {"false alarm rate": 0.01, "effects": list(effects)}
