@@ -11,16 +11,16 @@ from test_unexplained import flight, ground  # noqa: F401
 from quasi.airframe import read_airframe
 from quasi.gap.catalogue import catalogue, whole_of
 from quasi.gap.effect import vehicle_of
-from quasi.gap.statistics.mixed import Offer
-from quasi.gap.wrench.examination import examine
-from quasi.gap.wrench.study import gather_study
+from quasi.gap.levels.forces.design import gather_design
+from quasi.gap.levels.forces.identify import examine
+from quasi.gap.statistics.mixed import Candidate
 from quasi.model.model import AXES, Model
 from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
 
 NAMES = ("wind", "rotor_effectiveness", "cg_offset", "mass")
 EFFECTS = {n: catalogue()[n] for n in NAMES}
 PLANTED = {"wind": {"north": 0.8, "east": -0.5, "down": 0.0}, "rotor_effectiveness": {"rotor2": -0.06}}
-WIND, ROTOR = Offer("wind", "changed", (0, 1, 2)), Offer("rotor_effectiveness", "changed", (1,))
+WIND, ROTOR = Candidate("wind", "changed", (0, 1, 2)), Candidate("rotor_effectiveness", "changed", (1,))
 HEADING = 1.1  # rad
 LENGTH = 2400  # rows
 ROTORS = ("w1", "w2", "w3", "w4")
@@ -176,7 +176,7 @@ def test_one_flight_cut_in_two(ground, made, plain):  # noqa: F811
 def test_reference_and_compared_swapped(ground, made):  # noqa: F811
     """The estimates change their signs; a name also needs a model of the flights that are the reference then."""
     flights, flags = [*made[0], *made[1]], np.repeat([False, True], [len(made[0]), len(made[1])])
-    study = gather_study(flights, EFFECTS, vehicle_of(ground[1]))
+    study = gather_design(flights, EFFECTS, vehicle_of(ground[1]))
     for offer, other in ((WIND, ROTOR), (ROTOR, WIND)):
         sides = [study.witnessed(range(len(flights)), f) for f in (flags, ~flags)]
         one, two = (mixed.test(offer, [other], mixed.pooled("changed")) for mixed in sides)
