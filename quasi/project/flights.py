@@ -112,6 +112,11 @@ class Recordings(Comparisons):
         for path in candidates:
             if is_file(self._here(path)) or self._made(path):
                 return str(path), None
+        if inside := self._files_in(base):
+            return None, (
+                f"{row.logbook} row {row.number}, flight {row.key}: {base} is a folder; write '{row.cells[name]}' into "
+                f"'{folder}' of the logbook and one file of it into '{name}': {', '.join(inside[:3])}"
+            )
         expected = str(candidates[0]) if len(candidates) == 1 else f"{base}[{'|'.join(dict.fromkeys(suffixes))}]"
         near = self._near_files(base)
         remedy = (
@@ -121,6 +126,14 @@ class Recordings(Comparisons):
             else f"correct '{name}' or '{folder}' in the logbook, or copy the file there{self._data_hint(base)}"
         )
         return None, f"{row.logbook} row {row.number}, flight {row.key}: raw file {expected} does not exist; {remedy}"
+
+    def _files_in(self, folder: Path) -> list[str]:
+        """The names of the bag files in a folder that was named in place of one."""
+        try:
+            files = sorted(p for p in self._here(folder).iterdir() if p.suffix in CONTROLLERS["rosbag"])
+        except OSError:
+            return []
+        return [p.name for p in files]
 
     def _near_files(self, base: Path) -> list[str]:
         """Files of the same name but for extension and case, each with what it holds: "LOG1.TXT (a blackbox log)"."""

@@ -8,6 +8,8 @@ from log_formats import Ulog, dataflash_of, made_flight, ulog_of, write_bag, wri
 
 from quasi.errors import ConfigError, ReadError, cautions
 from quasi.importing.onboard_log import read_onboard
+from quasi.project.logbook import read_logbook
+from quasi.project.workflow import Folder
 
 
 @pytest.fixture(scope="module")
@@ -206,3 +208,45 @@ def test_a_damaged_ulog_ends(tmp_path):
     path.write_bytes(log.bytes() + b"\xff\x7f\x00" + b"F" * 200)
     with pytest.raises(ReadError, match="endless"):
         read(path, "px4")
+
+
+def test_a_folder_in_place_of_a_bag_is_named_with_its_file(tmp_path, flight):
+    needs("rosbags")
+    write_bag(tmp_path, flight)
+    (tmp_path / "config").mkdir()
+    (tmp_path / "config/processing.json").write_text("{}")
+    head = "Quadrotor,Onboard Name,OB Path,Flight controller,Drone Config File,Drone Config Path\n"
+    (tmp_path / "logbook.csv").write_text(f"{head}Q,bag_mcap,.,rosbag,q.json,.\n")
+    raw = Folder(tmp_path).raw(read_logbook(tmp_path / "logbook.csv")[2])
+    assert raw["onboard"] is None and "is a folder" in raw["problem"] and "bag_mcap.mcap" in raw["problem"]
+
+
+def test_a_bag_packed_by_an_unknown_codec_is_refused_with_the_remedy(tmp_path, flight):
+    needs("rosbags")
+    path = write_bag(tmp_path, flight, storage="db3")
+    about = path.parent / "metadata.yaml"
+    text = about.read_text()
+    assert "compression_format: ''" in text
+    about.write_text(
+        text.replace("compression_format: ''", "compression_format: brotli").replace(
+            "compression_mode: ''", "compression_mode: FILE"
+        )
+    )
+    with pytest.raises(ReadError, match="brotli.*decompress it first"):
+        read(path, "rosbag")
+
+
+def test_a_bag_of_several_files_is_read_whole_by_one_of_them(tmp_path, flight):
+    needs("rosbags")
+    path = write_bag(tmp_path, flight, storage="db3")
+    whole = read(path, "rosbag")
+    # the same recording in two files, the second without messages of its own
+    with sqlite3.connect(path) as first, sqlite3.connect(path.with_name("second.db3")) as second:
+        first.backup(second)
+        middle = first.execute("select timestamp from messages order by timestamp").fetchall()[1500][0]
+        first.execute("delete from messages where timestamp >= ?", (middle,))
+        second.execute("delete from messages where timestamp < ?", (middle,))
+    about = path.parent / "metadata.yaml"
+    about.write_text(about.read_text().replace(f"- {path.name}\n", f"- {path.name}\n  - second.db3\n", 1))
+    found = read(path, "rosbag")
+    assert np.array_equal(found.series["onboard"].t, whole.series["onboard"].t)
