@@ -23,13 +23,13 @@ from quasi.identification.fit import fit_axis
 from quasi.identification.partition import partition
 from quasi.identification.shared import shared
 from quasi.importing.flight import import_flight
-from quasi.model.build import assemble
+from quasi.model.build import assemble_model
 from quasi.model.model import AXES, Model
 from quasi.synthesis.campaign import make_flight, quadrotor_configuration, read_campaign, write_flight
 from quasi.synthesis.conditions import draw_world
 from quasi.synthesis.effects import OFFERED, UNLISTED
 from quasi.synthesis.vehicle import INERTIA, MASS, base_vehicle
-from quasi.tables import ages_taken_off, read_json, read_table, write_json, write_table
+from quasi.tables import list_telemetry_corrections, read_json, read_table, write_json, write_table
 
 ROOT = Path(__file__).resolve().parents[1]
 SECONDS = 30.0
@@ -318,7 +318,7 @@ def healthy_model(folder: Path, number: int = 0) -> Model:
 def identified(flown: Sequence[Flown]) -> dict[str, Any]:
     """The document of the model that the bundled example's settings make of some flights of one vehicle."""
     flights, airframe = {f.key: f.filtered for f in flown}, flown[0].airframe
-    ages = ages_taken_off({f.key: {"imported": f.metadata} for f in flown})
+    ages = list_telemetry_corrections({f.key: {"imported": f.metadata} for f in flown})
     settings = read_json(ROOT / "config/models/example.json")
     asked = settings["identification parameters"]
     specification = read_json(ROOT / f"config/polynomials/{asked['polynomial specification file']}.json")
@@ -331,7 +331,7 @@ def identified(flown: Sequence[Flown]) -> dict[str, Any]:
         )
         for axis in AXES
     }  # fmt: skip
-    return assemble(parts, common, {"id": "healthy", "airframe": airframe})
+    return assemble_model(parts, common, {"id": "healthy", "airframe": airframe})
 
 
 def references(folder: Path, seed: int, number: int = 4, of: World = MILD) -> list[tuple[Recorded, Flown]]:

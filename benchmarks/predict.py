@@ -18,10 +18,10 @@ from measured_table import record
 from stopwatch import best
 
 from quasi.airframe import read_airframe, to_plain
-from quasi.model.document import SCHEMA
+from quasi.model.document import MODEL_SCHEMA
 from quasi.model.model import Model, read_model
 from quasi.tables import write_json
-from quasi.terms.kernel import INPUTS, Kernel, wrench
+from quasi.terms.kernel import INPUTS, Kernel, compute_wrench
 
 ROOT = Path(__file__).resolve().parents[1]
 COMPILED, SINGLE, BATCH = 0.4e-6, 60e-6, 50e-3  # targets, s
@@ -57,7 +57,7 @@ def made() -> Model:
             "effective rows": 100, "confidence level": 0.95, "R2": 1.0, "RMSE": 0.0, "n": 100,
         }  # fmt: skip
     return Model(
-        {"schema": SCHEMA, "id": "made", "gravity": "withGravity", "airframe": to_plain(airframe),
+        {"schema": MODEL_SCHEMA, "id": "made", "gravity": "withGravity", "airframe": to_plain(airframe),
          "hover speed": {"value": 900.0}, "axes": axes}
     )  # fmt: skip
 
@@ -68,7 +68,7 @@ def loop(kernel: Kernel, rows: np.ndarray, work: np.ndarray, out: np.ndarray, ti
     total = 0.0
     for _ in range(times):
         for k in range(len(rows)):
-            wrench(kernel, rows[k], work, out)
+            compute_wrench(kernel, rows[k], work, out)
             total += out[2]
     return total
 

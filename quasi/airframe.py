@@ -14,7 +14,7 @@ import numpy as np
 
 from quasi.errors import ConfigError
 
-POSITIONS = {"front left": (1, -1), "front right": (1, 1), "aft right": (-1, 1), "aft left": (-1, -1)}
+ROTOR_POSITIONS = {"front left": (1, -1), "front right": (1, 1), "aft right": (-1, 1), "aft left": (-1, -1)}
 DEFAULT_POLES = 14  # magnets of the common 12N14P motor; Betaflight's own default for motor_poles
 
 
@@ -114,8 +114,8 @@ def read_airframe(config: Mapping[str, Any], where: str, mass: float | None = No
     Raises ConfigError naming file and key.
     """
     layout = config.get("rotor config")
-    if not isinstance(layout, Mapping) or set(layout) != set(POSITIONS):
-        raise ConfigError(f"{where}: 'rotor config' must name a rotor for each of {', '.join(POSITIONS)}")
+    if not isinstance(layout, Mapping) or set(layout) != set(ROTOR_POSITIONS):
+        raise ConfigError(f"{where}: 'rotor config' must name a rotor for each of {', '.join(ROTOR_POSITIONS)}")
     try:
         numbers = {place: int(n) for place, n in layout.items()}
     except (TypeError, ValueError):
@@ -142,7 +142,7 @@ def read_airframe(config: Mapping[str, Any], where: str, mass: float | None = No
             "give m, upwards positive, or each hub's place in 'rotor positions'"
         )
     hubs = np.zeros((4, 3))
-    for place, (front, right) in POSITIONS.items():
+    for place, (front, right) in ROTOR_POSITIONS.items():
         hubs[numbers[place] - 1] = *(arm / math.sqrt(2) * np.array([front, right])), -height
     for key, position in (config.get("rotor positions") or {}).items():
         hubs[int(key) - 1] = [float(c) for c in position]

@@ -295,7 +295,7 @@ def reach_of(simulation: str, directory: Path, horizon: float, radius: float, sp
     from quasi.project.folder import check_project
     from quasi.simulation.tools.reach import REACH_UNITS, find_reachable
     from quasi.simulation.tools.reach_figure import draw_reach
-    from quasi.tables import read_numbers, whole_file, write_json, write_table
+    from quasi.tables import read_numbers, replace_file, write_json, write_table
 
     check_project(directory)
     asked = folder_of(directory).simulation(simulation)
@@ -305,7 +305,7 @@ def reach_of(simulation: str, directory: Path, horizon: float, radius: float, sp
     folder, summary = directory / "results/reach" / simulation, found.summary()
     write_table(folder / "positions.parquet", found.table(), REACH_UNITS, {"simulation": simulation, "model": model.id})
     write_json(folder / "summary.json", summary)
-    with whole_file(folder / "reach.png") as part:
+    with replace_file(folder / "reach.png") as part:
         FigureCanvasAgg(draw_reach(found)).print_png(part)
     ends = summary["at the horizon"]["extremes"] if summary["at the horizon"] else {}
     spans = ", ".join(f"{a} {ends[a]['min']:.2f} to {ends[a]['max']:.2f} m" for a in ends)

@@ -1,11 +1,11 @@
-"""The errors a user can mend. Each message is one sentence: what, where, found, expected, remedy."""
+"""Errors that a user can correct. Each message is one sentence: what, where, found, expected, remedy."""
 
 import difflib
 from collections.abc import Iterable
 
 
 class QuasiError(ValueError):
-    """A fault in the input that a user can mend; the message is a sentence that says how."""
+    """A fault in the input that a user can correct; the message states the remedy."""
 
 
 class ConfigError(QuasiError):
@@ -17,11 +17,11 @@ class LogbookError(QuasiError):
 
 
 class ReadError(QuasiError):
-    """A raw recording is absent, damaged beyond use, or not what its name says."""
+    """A raw recording is absent, unusable or of another format than its name."""
 
 
 class DataError(QuasiError):
-    """A recording can be read, but what it holds cannot be used for what was asked."""
+    """A recording is readable, but its data cannot be used for the requested step."""
 
 
 class ShapeError(QuasiError):
@@ -29,11 +29,11 @@ class ShapeError(QuasiError):
 
 
 class ExpressionError(QuasiError):
-    """An expression of a polynomial specification cannot be understood or computed."""
+    """An expression of a polynomial specification cannot be parsed or computed."""
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """An aside that proposes the known name most like `name`: " (did you mean 'mass'?)", or the list if short.
+    """Suggest the known name most similar to `name`: " (did you mean 'mass'?)", or the list if short.
 
     >>> nearest("mas", ["mass", "b"])
     " (did you mean 'mass'?)"
@@ -41,7 +41,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
     known = sorted(map(str, known))
     close = difflib.get_close_matches(str(name).lower(), [k.lower() for k in known], n=1, cutoff=0.6)
     if close:
-        # of names that differ by case alone, such as U_q and u_q, the one in the case that was written
+        # among names that differ only by case, such as U_q and u_q, prefer the written case
         alike = [k for k in known if k.lower() == close[0]]
         meant = max(alike, key=lambda k: difflib.SequenceMatcher(None, k, str(name)).ratio())
         return f" (did you mean '{meant}'?)"
@@ -52,7 +52,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def quoted(text: object, longest: int = 40) -> str:
-    """Text from a file as a message shows it: in quotes, printable, cut to `longest` characters.
+    """Format text from a file for a message: in quotes, printable, cut to `longest` characters.
 
     >>> quoted("2I" + chr(1))
     "'2I?'"
@@ -62,7 +62,7 @@ def quoted(text: object, longest: int = 40) -> str:
 
 
 class Caution(str):
-    """A note on a fault that stays in the rows used for regression: the flight is to be used with care.
+    """A note on a fault that remains in the rows for regression: the flight needs care.
 
     Faults that were corrected, or whose rows are marked invalid, need no caution.
     """
@@ -71,15 +71,15 @@ class Caution(str):
 
 
 def add_caution(notes: list[str], text: str) -> None:
-    """Append a note that asks for care."""
+    """Append a caution to the notes."""
     notes.append(Caution(text))
 
 
 def cautions(notes: Iterable[str]) -> list[str]:
-    """The notes that ask for care, as plain text."""
+    """List the cautions as plain text."""
     return [str(note) for note in notes if isinstance(note, Caution)]
 
 
 def cautions_first(notes: Iterable[str]) -> list[str]:
-    """The notes in their order, those that ask for care first: a run may print only the first ones."""
+    """Order the notes with cautions first, because a run may print only the first ones."""
     return sorted(notes, key=lambda note: not isinstance(note, Caution))

@@ -15,7 +15,7 @@ from quasi.attitude import GRAVITY
 # product specification rev. 3.4, table 6.2); Bosch BMI088 and TDK ICM-42688-P state 20 mg
 ACCELEROMETER_BIAS = 2 * 0.080 * 9.80665
 GYRO_BIAS = np.radians(20.0)  # rad/s, initial zero-rate output of the MPU-6000 (table 6.1); newer ones state 0.5 to 1
-SIGMAS = 3.0  # standard errors that a bias must also exceed: what is hardly known contradicts nothing
+MIN_BIAS_SIGMAS = 3.0  # standard errors that a bias must also exceed: an uncertain bias contradicts nothing
 # rad. Rigid bodies are aligned by eye to some degrees; ours were off by 0.2 to 1.1 deg (nano-drone runs, null-1-told)
 MOUNTING_ANGLE = np.radians(10.0)
 REST_ANGLE = np.arcsin(
@@ -23,12 +23,12 @@ REST_ANGLE = np.arcsin(
 )  # rad, by which an allowed accelerometer bias tilts gravity at rest
 # Innovations of five times their standard errors on average, after the noise levels were re-estimated. Sound flights
 # showed 0.2 to 6 (nano-drone runs, null-1-told), a filter that lost the attitude 116 to 909
-LARGEST_NIS = 25.0
+MAX_NIS = 25.0
 # Body rates of a gyro over those of an attitude; scale errors of data sheets are 3 % (MPU-6000), ours were 0.87 to 1.01
 RATE_GAIN = (2 / 3, 3 / 2)
 # Accelerations of a captured position over those measured; sound flights showed 0.92 to 1.01
 LENGTH_RATIO = (3 / 4, 4 / 3)
-CORRELATED = (
+MIN_CORRELATION = (
     0.6  # horizontal accelerations after a turn or mirror, from which they are the same motion's (contradictions.ALIKE)
 )
 AXES = {"p": "roll", "q": "pitch", "r": "yaw"}
@@ -50,7 +50,7 @@ def to_plain(found: Sequence[Contradiction]) -> list[dict[str, Any]]:
     return [{**c._asdict(), "between": list(c.between)} for c in found]
 
 
-def reasons(found: Sequence[Mapping[str, Any]]) -> list[str]:
+def list_reasons(found: Sequence[Mapping[str, Any]]) -> list[str]:
     """The sentences of contradictions as `to_plain` makes them."""
     return [str(c["text"]) for c in found]
 
@@ -96,7 +96,7 @@ def check_directions(
     aligned, best = horizontal
     if vertical is not None and vertical[1] < 0.0:
         how, value = "it accelerates down where it should accelerate up", vertical[1]
-    elif best > CORRELATED and aligned < 0.5 * best:
+    elif best > MIN_CORRELATION and aligned < 0.5 * best:
         how, value = "its horizontal axes are turned or mirrored, as by x and y exchanged or one reversed", aligned
     else:
         wrong = [axis for axis, bounds in gains.items() if bounds[1] < 0.0]
@@ -158,7 +158,7 @@ def check_biases(value: np.ndarray, std: np.ndarray, sources: Mapping[str, str])
         ("accelerometer", slice(3, 6), ACCELEROMETER_BIAS, "m/s2", ("ax", "ay", "az")),
     ):
         bias, error = np.asarray(value[part], float), np.nan_to_num(np.asarray(std[part], float))
-        over = (np.abs(bias) > limit) & (np.abs(bias) > SIGMAS * error)
+        over = (np.abs(bias) > limit) & (np.abs(bias) > MIN_BIAS_SIGMAS * error)
         if not over.any():
             continue
         listed = ", ".join(f"{n} {b:+.2g}" for n, b, o in zip(names, bias, over) if o)
@@ -174,7 +174,7 @@ def check_angle(angle: float | None, limit: float, quantity: str, attitude: str)
     if angle is None or angle <= limit:
         return []
     how = f"{quantity} is {np.degrees(angle):.1f} deg, limit {np.degrees(limit):.1f} deg"
-    text = _contradict("accelerometer", attitude, how, "check the axes of both, or align the rigid body anew")
+    text = _contradict("accelerometer", attitude, how, "check the axes of both, or align the rigid body again")
     return [Contradiction(("accelerometer", attitude), quantity, float(angle), float(limit), "rad", text)]
 
 
@@ -183,19 +183,19 @@ def check_innovations(nis: Mapping[str, Mapping[str, Any]], sources: Mapping[str
     found = []
     for kind, entry in nis.items():
         mean = entry.get("mean")
-        if mean is None or not mean > LARGEST_NIS or kind not in sources:
+        if mean is None or not mean > MAX_NIS or kind not in sources:
             continue
         other = "gyro" if kind == "attitude" else "accelerometer"
         how = (
             f"the filter predicts the {kind} wrong by {np.sqrt(mean):.0f} standard errors on average (mean normalised "
-            f"innovation squared {mean:.3g}, limit {LARGEST_NIS:g})"
+            f"innovation squared {mean:.3g}, limit {MAX_NIS:g})"
         )
         text = _contradict(other, sources[kind], how, "check axes, units and time stamps of both")
-        found.append(Contradiction((other, sources[kind]), f"innovations of {kind}", mean, LARGEST_NIS, "1", text))
+        found.append(Contradiction((other, sources[kind]), f"innovations of {kind}", mean, MAX_NIS, "1", text))
     return found
 
 
-def impossible_inertia(inertia: np.ndarray) -> str | None:
+def describe_impossible_inertia(inertia: np.ndarray) -> str | None:
     """End of a sentence where no body has such an inertia (3, 3), kg m2, positive definite; else None.
 
     Each principal moment is at most the sum of the others: Goldstein, Classical Mechanics, 3rd ed., section 5.4.
@@ -205,18 +205,18 @@ def impossible_inertia(inertia: np.ndarray) -> str | None:
         return None
     return (
         f"'moment of inertia' has principal moments of {', '.join(f'{m:.3g}' for m in principal)} kg m2, of which the "
-        "greatest exceeds the sum of the others: no body has such; measure it anew"
+        "greatest exceeds the sum of the others, which is impossible; measure it again"
     )
 
 
-def source_names(metadata: Mapping[str, Any]) -> dict[str, str]:
+def name_sources(metadata: Mapping[str, Any]) -> dict[str, str]:
     """{"attitude", "position", "velocity": name of its source in messages} of what an import measured"""
     names = {}
     for kind in ("attitude", "position", "velocity"):
-        said = str(metadata.get(f"{kind} source") or "none")
-        if said.startswith("capture"):
+        source = str(metadata.get(f"{kind} source") or "none")
+        if source.startswith("capture"):
             names[kind] = f"captured {kind if kind == 'attitude' else 'position'}"
-        elif said == "onboard":
+        elif source == "onboard":
             names[kind] = f"on-board {kind}"
     return names
 
@@ -224,7 +224,7 @@ def source_names(metadata: Mapping[str, Any]) -> dict[str, str]:
 UNMEASURED = ("none", "standing still")  # sources of velocity or position that measure nothing in flight
 
 
-def silent_rotors(columns: Any) -> list[int]:
+def find_silent_rotors(columns: Any) -> list[int]:
     """Rotors without a command from which their speed could be estimated; [] where all four have one of a kind.
 
     columns  anything that `in` works on
@@ -233,7 +233,7 @@ def silent_rotors(columns: Any) -> list[int]:
     return min(kinds, key=len)
 
 
-def unusable_without(frame: Any, metadata: Mapping[str, Any]) -> list[str]:
+def find_missing_sources(frame: Any, metadata: Mapping[str, Any]) -> list[str]:
     """Why a flight without some source is unusable for identification, however good the rest is.
 
     frame  columns of the flight (anything that `in` works on); metadata  of the import
@@ -242,7 +242,7 @@ def unusable_without(frame: Any, metadata: Mapping[str, Any]) -> list[str]:
     found = []
     if metadata.get("position source") == "none" and metadata.get("velocity source") == "none":
         found.append("unusable for identification: neither position nor velocity")
-    silent = silent_rotors(frame)
+    silent = find_silent_rotors(frame)
     if lacking and silent:
         of = f" of {', '.join(lacking)}" if len(lacking) < 4 else ""
         commands = "" if len(silent) == 4 else f", and no command of rotor {', '.join(map(str, silent))}"
@@ -257,7 +257,7 @@ def unusable_without(frame: Any, metadata: Mapping[str, Any]) -> list[str]:
     return [*found, f"its page still shows {offered}"]
 
 
-def measured_motion(metadata: Mapping[str, Any]) -> tuple[bool, bool]:
+def check_measured_motion(metadata: Mapping[str, Any]) -> tuple[bool, bool]:
     """Whether a source other than the accelerometer measured a filtered flight's velocity, and its position.
 
     metadata  of the filtered flight; a source that it does not name counts as measured

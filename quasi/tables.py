@@ -1,7 +1,8 @@
 """The only module that opens files: Parquet tables with units, JSON documents, raw bytes and text.
 
-Writes are whole or not at all: a temporary file beside the target, then a rename.
-Every column of a flight carries its unit and its frame in the Parquet field metadata; the file carries how it was made.
+Writes are atomic: a temporary file in the folder of the target, then a rename.
+Every column of a flight carries its unit and its frame in the Parquet field metadata; the file metadata records how it
+was made.
 """
 
 import codecs
@@ -76,7 +77,7 @@ COLUMNS: dict[str, tuple[str, str, str]] = {
     "position_sample": ("1", "", "1 where a position was measured within half a step, else interpolated"),
     "velocity_sample": ("1", "", "1 where a velocity follows from a measurement within half a step, else interpolated"),
     "onboard_valid": ("1", "", "0 inside spans that the on-board log lost"),
-    "imu_clipped": ("1", "", "1 where gyro or accelerometer sat at the end of its range"),
+    "imu_clipped": ("1", "", "1 where gyro or accelerometer was clipped"),
     "onboard_roll": ("rad", "body to earth, 3-2-1", "roll angle of the on-board attitude"),
     "onboard_pitch": ("rad", "body to earth, 3-2-1", "pitch angle of the on-board attitude"),
     "onboard_yaw": ("rad", "body to earth, 3-2-1", "yaw angle of the on-board attitude, tied to the capture"),
@@ -90,14 +91,16 @@ COLUMNS: dict[str, tuple[str, str, str]] = {
 }
 
 _MADE = b"quasi"
-ANY = "any of "  # before an axis: the row of a coverage table for all variables of the axis
-AGE_OFF = "telemetry age taken off"  # of a delay in a model: else it may hold how late rotor speeds are logged
+ANY_PREFIX = "any of "  # before an axis: the row of a coverage table for all variables of the axis
+TELEMETRY_AGE_REMOVED = (
+    "telemetry age taken off"  # of a delay in a model; otherwise it may include the delay of logged rotor speeds
+)
 IDENTIFIED_MAP = "map identified on the flight"  # source of w1_CMD .. in the metadata of an import
 
 
 @contextmanager
-def whole_file(path: str | Path) -> Iterator[Path]:
-    """A temporary path beside `path` that takes its place when the block ends well and vanishes when it does not."""
+def replace_file(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary path that replaces `path` when the block succeeds and is removed otherwise."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
@@ -113,10 +116,10 @@ def whole_file(path: str | Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def copy_whole(source: str | Path, path: str | Path) -> None:
-    """Copy a table or a JSON document that can be read. Raises ReadError naming the source where it is damaged."""
+def copy_file(source: str | Path, path: str | Path) -> None:
+    """Copy a readable table or JSON document. Raises ReadError naming the source where it is damaged."""
     _ = read_table(source) if str(source).endswith(".parquet") else read_json(source)
-    with whole_file(path) as temporary:
+    with replace_file(path) as temporary:
         shutil.copyfile(source, temporary)
 
 
@@ -129,7 +132,7 @@ def write_table(
     """Write columns as Parquet with unit, frame and meaning on each field.
 
     frame  one column per quantity; units  {column: (unit, frame[, meaning])} for columns outside COLUMNS;
-    made   how the table was made (plain data), kept in the file's metadata.
+    made   how the table was made (plain data), stored in the file's metadata.
     Raises DataError for a column without a known unit.
     """
     units = dict(units or {})
@@ -143,7 +146,7 @@ def write_table(
         fields.append(pa.field(name, array.type, metadata={k: v for k, v in about.items() if v}))
         arrays.append(array)
     schema = pa.schema(fields, metadata={_MADE: _dumps(dict(made or {})).encode()})
-    with whole_file(path) as part:
+    with replace_file(path) as part:
         pq.write_table(pa.Table.from_arrays(arrays, schema=schema), part, compression="zstd")
 
 
@@ -157,7 +160,7 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> pd.Dat
             if missing:
                 raise DataError(f"{path} has no column '{missing[0]}'{nearest(missing[0], names)}")
             found = source.read(columns=list(columns) if columns is not None else None)
-            # what pandas notes about its index may be damaged, and is not needed
+            # the index metadata of pandas may be damaged and is not needed
             return found.to_pandas(ignore_metadata=True)
     except FileNotFoundError:
         raise ReadError(f"{path} does not exist; make it first, or correct the path") from None
@@ -172,7 +175,7 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> pd.Dat
 
 
 def read_numbers(path: str | Path) -> pd.DataFrame:
-    """A table of numbers: Parquet, or CSV (comma or semicolon) whose first line names the columns.
+    """Read a table of numbers: Parquet, or CSV (comma or semicolon) whose first line names the columns.
 
     Raises ReadError or DataError.
     """
@@ -182,7 +185,7 @@ def read_numbers(path: str | Path) -> pd.DataFrame:
     try:
         text = read_text(path)
         head = text.partition("\n")[0]
-        # as spreadsheets write it where the comma is the decimal sign
+        # spreadsheets write it so where the comma is the decimal sign
         marks = {"sep": ";", "decimal": ","} if ";" in head and "," not in head else {}
         table = pd.read_csv(io.StringIO(text), skipinitialspace=True, **marks)
     except ReadError:
@@ -204,21 +207,21 @@ def read_numbers(path: str | Path) -> pd.DataFrame:
 
 
 def read_fields(path: str | Path) -> dict[str, dict[str, str]]:
-    """{column: {"unit", "frame", "meaning"}} as written on the Parquet fields."""
+    """Read {column: {"unit", "frame", "meaning"}} of the Parquet fields."""
     schema = pq.read_schema(path)
     return {f.name: {k.decode(): v.decode() for k, v in (f.metadata or {}).items()} for f in schema}
 
 
 def read_made(path: str | Path) -> dict[str, Any]:
-    """How a table was made, as given to `write_table`."""
+    """Read how a table was made, as given to `write_table`."""
     return json.loads((pq.read_schema(path).metadata or {}).get(_MADE, b"{}"))
 
 
-def recordings_of(flights: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
-    """{flight: {"sha256", "log"}}, what tells the recordings of filtered flights from any others.
+def list_recordings(flights: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
+    """List {flight: {"sha256", "log"}}, which identifies the recordings of filtered flights.
 
-    flights  {key: how the filtered flight was made}; one that was imported before this was kept is left out
-    "sha256" is that of its on-board file, "log" the number of the log in it, "" where the file holds but one
+    flights  {key: how the filtered flight was made}; flights of imports without this record are omitted
+    "sha256" is that of its on-board file, "log" the number of the log in it, "" for a file with one log
     """
     found = {}
     for key, made in flights.items():
@@ -228,18 +231,18 @@ def recordings_of(flights: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[st
     return found
 
 
-def masses_of(flights: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
-    """{flight: kg that it was processed with}, of those that tell it.
+def list_masses(flights: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    """List {flight: mass of its processing, kg}, of flights that record it.
 
     flights  {key: how the filtered flight was made}
     """
     return {key: float(made["mass"]) for key, made in flights.items() if made.get("mass")}
 
 
-def ages_taken_off(flights: Mapping[str, Mapping[str, Any]]) -> dict[str, bool]:
-    """{flight: whether import took the age of the rotor telemetry off its times}, of those that tell it.
+def list_telemetry_corrections(flights: Mapping[str, Mapping[str, Any]]) -> dict[str, bool]:
+    """List {flight: whether import removed the telemetry delay from its times}, of flights that record it.
 
-    flights  {key: how the filtered flight was made}; one that was imported before this was kept is left out
+    flights  {key: how the filtered flight was made}; flights of imports without this record are omitted
     """
     imported = {key: made.get("imported") or {} for key, made in flights.items()}
     return {
@@ -288,14 +291,14 @@ def _dumps(document: Any, indent: int | None = None) -> str:
 
 def write_json(path: str | Path, document: Any) -> None:
     """Write plain data as JSON; NaN and infinities become null. Floats keep every digit."""
-    with whole_file(path) as part:
+    with replace_file(path) as part:
         part.write_text(_dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
 def read_json(path: str | Path) -> Any:
     """Read JSON. Raises ConfigError naming file, line and column; a key that stands twice is an error.
 
-    NaN and infinities are refused as JSON has none: they would slip through every range that is checked.
+    NaN and infinities are rejected: JSON has none, and they would pass every range check.
     """
     path = Path(path)
     text = read_text(path)
@@ -372,7 +375,7 @@ def read_unpacked(path: str | Path) -> bytes:
 
 
 def read_head(path: str | Path, count: int) -> bytes:
-    """The first bytes of a file, fewer where it is shorter; none where it cannot be read."""
+    """Read the first bytes of a file, fewer for a shorter file, none for an unreadable one."""
     try:
         with Path(path).open("rb") as file:
             return file.read(count)
@@ -381,16 +384,16 @@ def read_head(path: str | Path, count: int) -> bytes:
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:
-    """Write bytes, whole or not at all."""
-    with whole_file(path) as part:
+    """Write bytes atomically."""
+    with replace_file(path) as part:
         part.write_bytes(data)
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write text (UTF-8), whole or not at all."""
+    """Write text (UTF-8) atomically."""
     write_bytes(path, text.encode("utf-8"))
 
 
 def fingerprint(document: Any) -> str:
-    """Short digest of plain data, the same for the same content."""
+    """Compute a short digest of plain data, equal for equal content."""
     return hashlib.sha256(json.dumps(_plain(document), sort_keys=True).encode()).hexdigest()[:16]

@@ -25,7 +25,7 @@ from quasi.identification.partition import UNITS, partition, to_table
 from quasi.model.model import read_model
 from quasi.project.gaps import recordings_told, unchecked
 from quasi.running.job_log import LOG, job, show_progress
-from quasi.tables import drop_identified_commands, read_json, read_table, recordings_of, write_json, write_table
+from quasi.tables import drop_identified_commands, list_recordings, read_json, read_table, write_json, write_table
 
 RATE = 100.0  # Hz, of the comparison of forces and moments
 
@@ -83,7 +83,7 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
         write_table(folder / f"{name}.parquet", table, units_of(table))
     write_table(output["partition"], _partition(flights, roles, found.document["effects"]), UNITS)
     learning = {key: about for key, (_, about, _) in tables.items() if roles[key] != "held out"}
-    recordings = {**recordings_told(model.document), **recordings_of(learning)}
+    recordings = {**recordings_told(model.document), **list_recordings(learning)}
     write_json(output["model"], {**found.model, "recordings": recordings})
     write_json(output["diagnosis"], found.document)
 

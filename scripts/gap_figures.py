@@ -6,7 +6,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from quasi.gap.report.figures import figures
 from quasi.running.job_log import job, show_progress
-from quasi.tables import read_table, whole_file
+from quasi.tables import read_table, replace_file
 
 
 def main(tables: str, folder: str) -> None:
@@ -15,7 +15,7 @@ def main(tables: str, folder: str) -> None:
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
     for name, figure in show_progress(list(figures(found).items()), "drawing"):
-        with whole_file(target / f"{name}.png") as part:
+        with replace_file(target / f"{name}.png") as part:
             FigureCanvasAgg(figure).print_png(part)
 
 

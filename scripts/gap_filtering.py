@@ -4,7 +4,7 @@ from quasi.airframe import read_airframe
 from quasi.errors import ConfigError
 from quasi.filtering.flight import filter_flight
 from quasi.running.job_log import LOG, job, show_progress
-from quasi.tables import copy_whole, read_json, read_table, write_json, write_table
+from quasi.tables import copy_file, read_json, read_table, write_json, write_table
 
 
 def main(source: dict[str, str], settings: dict, output: dict[str, str]) -> None:
@@ -12,7 +12,7 @@ def main(source: dict[str, str], settings: dict, output: dict[str, str]) -> None
     about = read_json(source["metadata"])
     if not about.get("calibration"):
         for name, path in output.items():
-            copy_whole(source[name], path)
+            copy_file(source[name], path)
         return
     if settings["problem"]:
         raise ConfigError(settings["problem"])

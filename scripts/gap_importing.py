@@ -4,15 +4,15 @@ from quasi.errors import ReadError
 from quasi.gap.levels.corrections import for_flight
 from quasi.importing.flight import import_flight
 from quasi.running.job_log import LOG, job
-from quasi.tables import copy_whole, read_json, write_json, write_table
+from quasi.tables import copy_file, read_json, write_json, write_table
 
 
 def main(source: dict[str, str], settings: dict, role: str, flight: str, metadata: str) -> None:
     """Read the calibration and the raw files; write the flight and its metadata."""
     calibration = for_flight(read_json(source["calibration"]), role != "reference")
     if calibration is None:
-        copy_whole(source["flight"], flight)
-        copy_whole(source["metadata"], metadata)
+        copy_file(source["flight"], flight)
+        copy_file(source["metadata"], metadata)
         return
     if settings["problem"]:
         raise ReadError(settings["problem"])

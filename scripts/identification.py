@@ -12,7 +12,7 @@ from quasi.identification.partition import from_table
 from quasi.identification.steps import describe_steps
 from quasi.running.job_log import LOG, job, show_progress
 from quasi.tables import read_json, read_made, read_table, write_json
-from quasi.terms.normalisation import normalisation_of
+from quasi.terms.normalisation import make_normalisation
 
 
 def main(flights: list[str], shared: str, partition: str, settings: dict, output: str) -> None:
@@ -32,7 +32,7 @@ def main(flights: list[str], shared: str, partition: str, settings: dict, output
     airframe = from_plain(found["airframe"])
     scheme = None
     if settings["normalise"]:
-        scheme = normalisation_of(airframe, found["logged to rad/s"], settings["model file"])
+        scheme = make_normalisation(airframe, found["logged to rad/s"], settings["model file"])
     try:
         result = fit_axis(axis, tables, roles, airframe, found, settings, specification, scheme)
     except (DataError, ExpressionError) as error:

@@ -12,12 +12,12 @@ from quasi.identification.rotor_speeds import rotor_speeds_of
 from quasi.identification.shared import left_out_notes, refuse_speedless, shared, unusable_flights
 from quasi.running.job_log import LOG, job, show_progress
 from quasi.tables import (
-    ages_taken_off,
     drop_identified_commands,
-    masses_of,
+    list_masses,
+    list_recordings,
+    list_telemetry_corrections,
     read_made,
     read_table,
-    recordings_of,
     write_json,
     write_table,
 )
@@ -36,7 +36,7 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
     left_out = unusable_flights(made, tables, settings["use unusable flights"])
     tables, made = ({k: v for k, v in each.items() if k not in left_out} for each in (tables, made))
     because = {key: why for key, about in made.items() if (why := about.get("phases", {}).get("none valid because"))}
-    masses = masses_of(made)
+    masses = list_masses(made)
     drive, notes_of_speeds = rotor_speeds_of(
         tables, airframe, masses, settings["quadrotor"], settings["data partitioning"]["usable data ratio"]
     )
@@ -44,7 +44,9 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
     roles = partition(tables, options=settings["data partitioning"], because=because)
     mapped = settings["quadrotor"].get("command map")
     tables = {key: drop_identified_commands(table, made[key].get("imported")) for key, table in tables.items()}
-    found = shared(tables, roles, airframe, settings["gravity"], masses, mapped, ages_taken_off(made), drive)
+    found = shared(
+        tables, roles, airframe, settings["gravity"], masses, mapped, list_telemetry_corrections(made), drive
+    )
     found["notes"] = notes_of_speeds + found["notes"]
     if settings["mixed batteries"]:
         kinds = ", ".join(settings["mixed batteries"])
@@ -70,7 +72,7 @@ def main(flights: list[str], settings: dict, shared_json: str, partition_parquet
     inside = ("", "", "inside a region that excites this axis")
     units = PARTITION_UNITS | {f"{EXCITED}{axis}": inside for axis in regions}
     write_table(partition_parquet, to_table(roles, regions), units, made=about)
-    write_json(shared_json, {**found, **about, "recordings": recordings_of(made)})
+    write_json(shared_json, {**found, **about, "recordings": list_recordings(made)})
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from quasi.model.model import read_model
 from quasi.running.job_log import job, show_progress
 from quasi.simulation.tools.figures import draw_simulation
-from quasi.tables import read_json, read_table, whole_file
+from quasi.tables import read_json, read_table, replace_file
 
 
 def main(table: str, summary: str, model: str, folder: str) -> None:
@@ -23,7 +23,7 @@ def main(table: str, summary: str, model: str, folder: str) -> None:
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
     for name, figure in show_progress(list(figures.items()), "drawing"):
-        with whole_file(target / f"{name}.png") as part:
+        with replace_file(target / f"{name}.png") as part:
             FigureCanvasAgg(figure).print_png(part)
 
 

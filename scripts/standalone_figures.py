@@ -17,7 +17,7 @@ from quasi.scoring.figures import (
     draw_quartiles,
 )
 from quasi.scoring.review import review_model
-from quasi.tables import masses_of, read_made, read_table, whole_file
+from quasi.tables import list_masses, read_made, read_table, replace_file
 
 
 def main(model: str, partition: str, flights: list[str], roles: dict, options: dict, folder: str) -> None:
@@ -27,7 +27,7 @@ def main(model: str, partition: str, flights: list[str], roles: dict, options: d
     tables = {Path(path).stem: read_flight(path, drive) for path in show_progress(flights, "reading flights")}
     table = read_table(partition)
     codes, aside = judged_rows(table, tables, roles["validation"], options)
-    masses = masses_of({Path(path).stem: read_made(path) for path in flights})
+    masses = list_masses({Path(path).stem: read_made(path) for path in flights})
     found = review_model(portable, tables, codes, ROLES, aside, options, masses=masses)
     units = {axis: portable.document["axes"][axis]["unit"] for axis in portable.axes}
     drawings = {
@@ -51,7 +51,7 @@ def main(model: str, partition: str, flights: list[str], roles: dict, options: d
     for name, (draw, *arguments) in show_progress(list(drawings.items()), "drawing"):
         figure = draw(*arguments)
         if figure is not None:
-            with whole_file(Path(folder) / f"{name}.png") as part:
+            with replace_file(Path(folder) / f"{name}.png") as part:
                 FigureCanvasAgg(figure).print_png(part)
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 from quasi.airframe import from_plain
 from quasi.filtering.rotor_speeds import read_flight
 from quasi.identification.partition import fitted
-from quasi.model.build import assemble, with_differential_form
-from quasi.model.envelope import covered
+from quasi.model.build import add_differential_form, assemble_model
+from quasi.model.envelope import measure_coverage
 from quasi.running.job_log import job
 from quasi.tables import fingerprint, read_json, read_table, write_json
 
@@ -15,7 +15,7 @@ def extended(source: str, settings: dict, output: str) -> None:
     """Take over the model that a gap extended; its differential form, where it has one, is made anew."""
     document = read_json(source)
     if settings["u"] is not None:
-        document = with_differential_form(document, settings["u"], f"{settings['file']}, 'DiffSys u'")
+        document = add_differential_form(document, settings["u"], f"{settings['file']}, 'DiffSys u'")
     write_json(output, document)
 
 
@@ -40,12 +40,12 @@ def main(
         "airframe": airframe,
         "logged to rad/s": found["logged to rad/s"],
         "validation flights": roles["validation"],
-        **covered(tables, rows, airframe, found["hover speed"]["value"], parts),
+        **measure_coverage(tables, rows, airframe, found["hover speed"]["value"], parts),
         "provenance": {"axes": {axis: fingerprint(part) for axis, part in parts.items()}},
     }
-    document = assemble(parts, found, meta)
+    document = assemble_model(parts, found, meta)
     if settings["u"] is not None:
-        document = with_differential_form(document, settings["u"], f"{settings['file']}, 'DiffSys u'")
+        document = add_differential_form(document, settings["u"], f"{settings['file']}, 'DiffSys u'")
     write_json(output, document)
 
 

@@ -12,7 +12,7 @@ from quasi.scoring.score import SCORE_UNITS
 from quasi.scoring.summary import format_latex, format_summary, make_summary
 from quasi.scoring.thinning import list_thinned_units, thin_rows
 from quasi.scoring.verdict import describe_unusable_flights, lower_verdict
-from quasi.tables import masses_of, read_made, read_table, write_json, write_table, write_text
+from quasi.tables import list_masses, read_made, read_table, write_json, write_table, write_text
 
 
 def main(source: dict, roles: dict, options: dict, output: dict) -> None:
@@ -22,7 +22,7 @@ def main(source: dict, roles: dict, options: dict, output: dict) -> None:
     tables = {Path(path).stem: read_flight(path, drive) for path in show_progress(source["flights"], "reading flights")}
     codes, aside = judged_rows(read_table(source["partition"]), tables, roles["validation"], options)
     made = {Path(path).stem: read_made(path) for path in source["flights"]}
-    found = review_model(portable, tables, codes, ROLES, aside, options, base, masses_of(made))
+    found = review_model(portable, tables, codes, ROLES, aside, options, base, list_masses(made))
     unusable = describe_unusable_flights(made, roles["validation"])
     found = found._replace(diagnosis=lower_verdict(found.diagnosis, unusable))
     for sentence in unusable:

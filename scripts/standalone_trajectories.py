@@ -9,7 +9,7 @@ from quasi.errors import ConfigError, DataError
 from quasi.pages.animation import animate, can_write_mp4
 from quasi.pages.drawing import make_motion, trajectories
 from quasi.running.job_log import LOG, job, show_progress
-from quasi.tables import read_table, whole_file
+from quasi.tables import read_table, replace_file
 
 
 def main(flights: list[str], settings: dict, folder: str) -> None:
@@ -28,7 +28,7 @@ def main(flights: list[str], settings: dict, folder: str) -> None:
         except DataError as error:
             LOG.warning("flight %s has no trajectory: %s", key, error)
             continue
-        with whole_file(target / f"{key}.png") as part:
+        with replace_file(target / f"{key}.png") as part:
             FigureCanvasAgg(figure).print_png(part)
         if settings["animate"]:
             kind = "mp4" if can_write_mp4() else "gif"

@@ -6,7 +6,7 @@ from quasi.airframe import read_airframe
 from quasi.errors import ConfigError
 from quasi.pages.drawing import TRAJECTORY_COLUMNS, make_flown_motion, select_flown_rows, trajectories
 from quasi.running.job_log import job
-from quasi.tables import read_fields, read_json, read_table, whole_file, write_table
+from quasi.tables import read_fields, read_json, read_table, replace_file, write_table
 
 
 def main(flight: str, metadata: str, settings: dict, table: str, figure: str) -> None:
@@ -17,7 +17,7 @@ def main(flight: str, metadata: str, settings: dict, table: str, figure: str) ->
     key, flying = settings["flight"], select_flown_rows(read_table(flight))
     motion = make_flown_motion(flying, read_json(metadata), airframe, key)
     drawn = trajectories([motion], stills=settings["stills"], title=key)
-    with whole_file(figure) as part:
+    with replace_file(figure) as part:
         FigureCanvasAgg(drawn).print_png(part)
     fields, kept = read_fields(flight), [c for c in TRAJECTORY_COLUMNS if c in flying]
     units = {c: tuple(fields[c].get(k, "") for k in ("unit", "frame", "meaning")) for c in kept}

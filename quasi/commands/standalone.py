@@ -65,13 +65,13 @@ def align_log(options: argparse.Namespace) -> str:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     from quasi.importing import sync_files
-    from quasi.tables import read_json, whole_file
+    from quasi.tables import read_json, replace_file
 
     quadrotor = read_json(Path(options.quadrotor)) if options.quadrotor else {}  # a part of one will do
     found = sync_files.align_files(
         Path(options.log), Path(options.capture), quadrotor, options.rigid_body, options.log_number, options.longest_lag
     )
-    with whole_file(Path(options.out)) as part:
+    with replace_file(Path(options.out)) as part:
         FigureCanvasAgg(sync_files.alignment_picture(found)).print_png(part)
     if options.json:
         return json.dumps(sync_files.alignment_plain(found), indent=2)

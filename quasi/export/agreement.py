@@ -13,7 +13,7 @@ import numpy as np
 from quasi.errors import DataError
 from quasi.model.model import AXES, Model
 from quasi.tables import write_json, write_text
-from quasi.terms.differential import differential_system
+from quasi.terms.differential import make_differential_system
 from quasi.terms.kernel import INPUTS
 
 ROWS = 10_000
@@ -93,7 +93,7 @@ def wrench_of(model: Model, at: States) -> np.ndarray:
 
 def form_of(model: Model, at: States, u: Sequence[str]) -> np.ndarray:
     """(N, 9 + 3 K) reference: A and B of the differential form, row by row."""
-    form = differential_system(model, at.state, at.speeds, u, at.accelerations, at.extra)
+    form = make_differential_system(model, at.state, at.speeds, u, at.accelerations, at.extra)
     rows = len(at.state)
     return np.column_stack([form.A.reshape(rows, 9), form.B.reshape(rows, -1)])
 

@@ -9,10 +9,10 @@ from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
 from quasi.export.naming import identifier, shown
-from quasi.model.extensions import drive_of, extensions_of, said_of_rotors
+from quasi.model.extensions import drive_of, extensions_of, read_rotor_constants
 from quasi.model.model import AXES, Model
 from quasi.terms.kernel import INPUTS
-from quasi.terms.variables import inputs_of_system
+from quasi.terms.variables import check_system_inputs
 
 PREFIX = "quasi_"
 ROTORS = ("w1", "w2", "w3", "w4")
@@ -98,7 +98,7 @@ def configured_inputs(model: Model) -> tuple[str, ...]:
     """Inputs u of the differential form that a model names, else (). Raises ConfigError for inputs that cannot be."""
     chosen = model.document.get("differential form")
     u = chosen.get("u") if isinstance(chosen, Mapping) else None
-    return inputs_of_system(u, f"model {model.id}") if isinstance(u, list) and u else ()
+    return check_system_inputs(u, f"model {model.id}") if isinstance(u, list) and u else ()
 
 
 def has_region(model: Model) -> bool:
@@ -145,7 +145,7 @@ def voltage_of(model: Model) -> Voltage | None:
     the extension's exponent was found at, or 1 V, so that commands are true until both are given.
     Raises ConfigError for a model that reads the voltage in its terms but does not know what its flights had.
     """
-    said = said_of_rotors(model)
+    said = read_rotor_constants(model)
     exponent = said.get("voltage exponent", 0.0)
     reads = "battery_voltage" in extras_of(model)
     if not reads and not exponent:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from quasi.model.model import AXES, Model
 from quasi.terms import kernel as k
-from quasi.terms.differential import held_of
+from quasi.terms.differential import list_held_inputs
 from quasi.terms.expressions import names
 from quasi.terms.graph import Graph, Value
 from quasi.terms.kernel import Kernel, compile_outputs
@@ -184,7 +184,7 @@ def of_model(model: Model) -> Listing:
 
 def of_derivatives(model: Model, by: Sequence[str]) -> Listing:
     """Derivatives of Mx, My, Mz by some variables: outputs (3, len(by)), axis after axis; see `derivative_kernel`."""
-    graph, terms = model.graph(held_of(by))
+    graph, terms = model.graph(list_held_inputs(by))
     wrt = [graph.independent(name) for name in by]
     return _labelled(model, graph, [graph.combine(axis, node) for axis in terms[3:] for node in wrt], [])
 

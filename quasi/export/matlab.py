@@ -27,11 +27,11 @@ from quasi.export.matlab_terms import axis_file, differential_file, matlab_name,
 from quasi.model.extensions import drive_of
 from quasi.model.model import AXES, Model
 from quasi.tables import read_text, write_bytes, write_text
-from quasi.terms.differential import differential_system
+from quasi.terms.differential import make_differential_system
 from quasi.terms.kernel import INPUTS
-from quasi.terms.normalisation import LEAST_AIRSPEED
-from quasi.terms.singularities import lowest_speeds
-from quasi.terms.variables import inputs_of_system
+from quasi.terms.normalisation import MIN_AIRSPEED
+from quasi.terms.singularities import find_speed_limits
+from quasi.terms.variables import check_system_inputs
 
 FILES = Path(__file__).parent / "matlab_files"
 _UNKNOWN = float("nan")
@@ -55,7 +55,7 @@ def write_matlab(
     """
     folder, notes = Path(folder), []
     check_exportable(model)
-    u = inputs_of_system(u, f"model {model.id}") if u is not None else None
+    u = check_system_inputs(u, f"model {model.id}") if u is not None else None
     lacking = [axis for axis in AXES[3:] if axis not in model.axes]
     if u is not None and lacking:
         notes.append(f"get_PQRDiffSys.m is left out: model {model.id} lacks {', '.join(lacking)}")
@@ -93,14 +93,14 @@ def model_parameters(model: Model, u: Iterable[str] | None) -> dict[str, Any]:
         "usesPosition": any(c in model.columns for c in "xyz"),
         "usesRotorAccelerations": model.uses_rotor_accelerations,
         "axes": cells([[axis] for axis in model.axes], 1),
-        "lowestSpeeds": np.array([list(lowest_speeds(model.slowest).values())]),
+        "lowestSpeeds": np.array([list(find_speed_limits(model.slowest).values())]),
         "DiffSysInputs": cells([[name] for name in u or ()], 1),
     }
     if scheme:
         scale = 0.5 * AIR_DENSITY * 4 * np.pi * scheme.radius**2 * (scheme.radius * scheme.top**2) ** 2
         found |= {
             "topSpeed": scheme.top, "idleSpeed": scheme.idle, "rotorRadius": scheme.radius,
-            "armOverRadius": scheme.arm / scheme.radius, "leastAirspeed": LEAST_AIRSPEED,
+            "armOverRadius": scheme.arm / scheme.radius, "leastAirspeed": MIN_AIRSPEED,
             "forceScale": scale, "momentScale": scale * scheme.arm,
         }  # fmt: skip
     found["units"] = {
@@ -163,7 +163,7 @@ def reference_rows(model: Model, u: Iterable[str] | None, rows: int = 200) -> di
     columns |= {f"w{i + 1}_dot": at.accelerations[:, i : i + 1] for i in range(4)}
     found = {"state": at.state, "inputs": at.speeds, "extra": columns, "F": forces, "M": moments}
     if u is not None:
-        form = differential_system(model, at.state, at.speeds, u, at.accelerations, at.extra)
+        form = make_differential_system(model, at.state, at.speeds, u, at.accelerations, at.extra)
         found |= {"A": np.moveaxis(form.A, 0, 2), "B": np.moveaxis(form.B, 0, 2)}
     return found
 

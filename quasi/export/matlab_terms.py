@@ -14,7 +14,7 @@ from quasi.export.contents import head
 from quasi.export.naming import identifier, name_of, shown
 from quasi.model.model import AXES, Model
 from quasi.tables import COLUMNS
-from quasi.terms.differential import held_of
+from quasi.terms.differential import list_held_inputs
 from quasi.terms.expressions import Tree, names
 from quasi.terms.graph import ONE, Graph
 from quasi.terms.kernel import INPUTS
@@ -216,7 +216,7 @@ def wrench_file(model: Model) -> str:
 
 def differential_file(model: Model, u: tuple[str, ...]) -> str:
     """get_PQRDiffSys.m: A and B of d/dt (dx/dt) = A dx/dt + B du/dt, x = (p, q, r), see `quasi.terms.differential`."""
-    graph, terms = model.graph(held_of(u))
+    graph, terms = model.graph(list_held_inputs(u))
     by = ("p", "q", "r", *u)
     wrt = [graph.independent(name) for name in by]
     outputs = [graph.combine(axis, node) for axis in terms[3:] for node in wrt]

@@ -18,7 +18,7 @@ from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.export.contents import Actuators, actuators_of, check_exportable
 from quasi.model.extensions import drive_of
-from quasi.model.hover import extras, hover_speed, usual_place
+from quasi.model.hover import find_hover_position, find_hover_speed, list_usual_inputs
 from quasi.model.model import AXES, Model
 from quasi.terms.kernel import INPUTS
 
@@ -156,7 +156,7 @@ def physical_constants(model: Model) -> Physical:
         raise DataError(f"model {model.id} has no {what}, which a simulator needs; {remedy} and make the model anew")
     rotors = actuators_of(model)
     highest = rotors.highest if math.isfinite(rotors.highest) else None
-    about = _Hover(model, hover_speed(model, highest))
+    about = _Hover(model, find_hover_speed(model, highest))
     hover, hubs, spin = about.speed, np.asarray(frame.hubs, float), np.asarray(frame.spin, float)
     weight = float(frame.mass) * GRAVITY
     lift = about.level("Fz")
@@ -210,8 +210,8 @@ class _Hover:
 
     def __init__(self, model: Model, speed: float) -> None:
         self.model, self.speed = model, speed
-        place = dict(zip("xyz", usual_place(model)))
-        self.base = dict.fromkeys(INPUTS, 0.0) | place | dict(zip(model.inputs[20:], extras(model)))
+        place = dict(zip("xyz", find_hover_position(model)))
+        self.base = dict.fromkeys(INPUTS, 0.0) | place | dict(zip(model.inputs[20:], list_usual_inputs(model)))
         self.base |= {f"w{i}": speed for i in range(1, 5)}
 
     def level(self, axis: str) -> Estimate:

@@ -8,7 +8,7 @@ import numpy as np
 from quasi.attitude import GRAVITY
 from quasi.export.agreement import Check, compare
 from quasi.export.contents import Actuators, actuators_of
-from quasi.model.hover import extras, hover_speed, predict_at_rest, usual_place
+from quasi.model.hover import find_hover_position, find_hover_speed, list_usual_inputs, predict_at_rest
 from quasi.model.model import Model
 
 LIMIT = 1e-6  # relative; the files hold nine digits
@@ -62,7 +62,7 @@ def check_recovered(model: Model, found: Recovered) -> list[Check]:
     """
     frame, checks = model.airframe, []
     rotors = actuators_of(model)
-    hover = hover_speed(model, rotors.highest if np.isfinite(rotors.highest) else None)
+    hover = find_hover_speed(model, rotors.highest if np.isfinite(rotors.highest) else None)
     weight = float(frame.mass) * GRAVITY
     level = predict_at_rest(model, np.full((1, 4), hover))[0][0, 2]
     thrust = weight - level if not model.with_gravity else -level
@@ -113,9 +113,9 @@ def _by_velocity(model: Model, hover: float) -> tuple[float, np.ndarray]:
     From 1 m/s forwards, backwards and to both sides in hover.
     """
     state = np.zeros((4, 12))
-    state[:, 9:] = usual_place(model)
+    state[:, 9:] = find_hover_position(model)
     state[[0, 1], 3], state[[2, 3], 4] = (1.0, -1.0), (1.0, -1.0)
-    speeds, further = np.full((4, 4), hover), dict(zip(model.inputs[20:], extras(model)))
+    speeds, further = np.full((4, 4), hover), dict(zip(model.inputs[20:], list_usual_inputs(model)))
     force, moment = model.predict(state, speeds, np.zeros((4, 4)), further)
     against = force[1, 0] - force[0, 0] + force[3, 1] - force[2, 1]
     across = np.array([moment[0, 1] - moment[1, 1], moment[3, 0] - moment[2, 0]])
@@ -125,8 +125,8 @@ def _by_velocity(model: Model, hover: float) -> tuple[float, np.ndarray]:
 def _damping(model: Model, hover: float) -> np.ndarray:
     """(3,) N m/(rad/s): moments against 1 rad/s of p, q, r in both directions, in hover, by `Model.predict`."""
     state = np.zeros((6, 12))
-    state[:, 9:] = usual_place(model)
+    state[:, 9:] = find_hover_position(model)
     state[:3, 6:9], state[3:, 6:9] = np.eye(3), -np.eye(3)
-    speeds, further = np.full((6, 4), hover), dict(zip(model.inputs[20:], extras(model)))
+    speeds, further = np.full((6, 4), hover), dict(zip(model.inputs[20:], list_usual_inputs(model)))
     moment = model.predict(state, speeds, np.zeros((6, 4)), further)[1]
     return 0.5 * np.diag(moment[3:] - moment[:3])

@@ -16,7 +16,7 @@ from quasi.filtering import bias as biases
 from quasi.filtering import ekf, estimation, forces, measurements
 from quasi.filtering.rotor_speeds import commands_to_keep
 from quasi.filtering.verdict import judge_flight
-from quasi.plausibility import impossible_inertia
+from quasi.plausibility import describe_impossible_inertia
 from quasi.tables import COLUMNS
 from quasi.terms.rotor_map import RAW
 
@@ -106,7 +106,7 @@ def _check(airframe: Airframe, notes: list[str]) -> None:
         raise DataError(
             f"{airframe.name}: 'moment of inertia' is not positive definite; check its entries and units (kg m2)"
         )
-    if said := impossible_inertia(inertia):
+    if said := describe_impossible_inertia(inertia):
         add_caution(notes, f"{airframe.name}: {said}")
 
 

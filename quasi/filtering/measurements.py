@@ -10,7 +10,7 @@ import pandas as pd
 from quasi import attitude
 from quasi.errors import DataError, add_caution
 from quasi.filtering.ekf import ATTITUDE, KINDS, POSITION, STATES, VELOCITY
-from quasi.saturation import clipped
+from quasi.saturation import find_clipping
 
 GYRO, ACCEL = ("p", "q", "r"), ("ax", "ay", "az")
 
@@ -163,7 +163,7 @@ def read_imu(frame: pd.DataFrame, step: np.ndarray | None = None) -> Imu:
             )
             lost |= bad
         values = fill(np.where(bad, np.nan, values))
-        for end in clipped(values, sensor, 0.0 if step is None else float(step[len(columns)])):
+        for end in find_clipping(values, sensor, 0.0 if step is None else float(step[len(columns)])):
             stuck = end.where & ~known
             lost |= stuck
             pieces = [(t[a], t[b - 1]) for a, b in spans(stuck)]

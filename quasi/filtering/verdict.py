@@ -15,10 +15,10 @@ from quasi.plausibility import (
     check_angle,
     check_biases,
     check_innovations,
-    reasons,
-    source_names,
+    find_missing_sources,
+    list_reasons,
+    name_sources,
     to_plain,
-    unusable_without,
 )
 
 WORDS = ("good", "usable with care", "unusable")
@@ -34,8 +34,8 @@ def judge_flight(
     """
     own = find_contradictions(imported, imported_metadata, report, rest)
     earlier = list(imported_metadata.get("contradictions") or [])
-    bad = reasons(earlier) + reasons(to_plain(own))
-    bad += unusable_without(imported, imported_metadata)
+    bad = list_reasons(earlier) + list_reasons(to_plain(own))
+    bad += find_missing_sources(imported, imported_metadata)
     none_valid = report["phases"]["none valid because"]
     if none_valid:
         bad.append(f"no row is valid for identification: {none_valid}")
@@ -58,7 +58,7 @@ def find_contradictions(
     imported: pd.DataFrame, imported_metadata: Mapping[str, Any], report: Mapping[str, Any], rest: Rest | None
 ) -> list[Contradiction]:
     """What the filter shows beyond the limits of `quasi.plausibility`. Arguments as `judge_flight`."""
-    names = source_names(imported_metadata)
+    names = name_sources(imported_metadata)
     found = check_innovations({k: report["NIS"][k] for k in PREDICTED if k in report["NIS"]}, names)
     biases = report["biases"]
     value, std = (

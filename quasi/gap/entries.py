@@ -42,7 +42,7 @@ def deviations(effect: Effect, parameters: Mapping[str, Mapping[str, Any]]) -> d
 
 def as_flown(vehicle: Vehicle, flights: Sequence[Evidence]) -> Vehicle:
     """The vehicle with its mass in these flights, as far as it is known: their residuals tell another one."""
-    known = [mass for e in flights if (mass := mass_in(e.model, e.mass)) is not None]
+    known = [mass for e in flights if (mass := compute_flight_mass(e.model, e.mass)) is not None]
     return vehicle._replace(mass=float(np.mean(known))) if known else vehicle
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
 from quasi.gap.effect import EARTH, Effect, Extension, Values, Vehicle
-from quasi.model.extensions import CONFIGURED, said_of_rotors, wind_of
+from quasi.model.extensions import CONFIGURED_MASS_KEY, read_rotor_constants, wind_of
 from quasi.model.model import AXES, Model
 from quasi.simulation.vehicle.variants import list_part_names, read_payload_and_inflow
 
@@ -52,7 +52,7 @@ def extend(
     document["id"] = name
     # what an earlier gap found stays: a model that is extended already is extended further
     document["extensions"] = list(document.get("extensions") or [])
-    known, first = said_of_rotors(model), len(document["extensions"])
+    known, first = read_rotor_constants(model), len(document["extensions"])
     lengths = {axis: len(part["terms"]) for axis, part in document["axes"].items()}
     if changes is not None:
         own = [term for axis in AXES for term in document["axes"].get(axis, {"terms": []})["terms"]]
@@ -75,7 +75,7 @@ def extend(
                 )
             document["axes"][axis]["terms"] += [_term(effect.id, text, value, axis, stands) for text, value in parts]
         if "mass" in extension.airframe:
-            document.setdefault(CONFIGURED, model.airframe.mass)
+            document.setdefault(CONFIGURED_MASS_KEY, model.airframe.mass)
         for key in ("mass", "inertia"):
             if key in extension.airframe:
                 document["airframe"][key] = extension.airframe[key]

@@ -19,7 +19,7 @@ import pandas as pd
 from numba import njit
 
 from quasi.identification.regression import bartlett, memory_window
-from quasi.tables import AGE_OFF
+from quasi.tables import TELEMETRY_AGE_REMOVED
 
 SHORTEST, LONGEST = 0.002, 0.5  # s, of a time constant
 MOST_DELAY = 0.1  # s
@@ -310,16 +310,16 @@ def _tell_age(
     """Say of every delay whether it holds the age of the rotor telemetry, as far as the flights tell."""
     for key in found:
         if key in aged:
-            result["flights"][key]["delay"][AGE_OFF] = bool(aged[key])
+            result["flights"][key]["delay"][TELEMETRY_AGE_REMOVED] = bool(aged[key])
     rest = [key for key in found if not aged.get(key)]
     if len(rest) < len(found) or all(key in aged for key in found):
-        result["delay"][AGE_OFF] = len(rest) < len(found)
+        result["delay"][TELEMETRY_AGE_REMOVED] = len(rest) < len(found)
     if rest and len(rest) < len(found):
         notes.append(
             f"the rotors' delay is that of {len(found) - len(rest)} of {len(found)} flights: in {', '.join(rest)} "
             "import could not take off the age of the rotor telemetry, so that the delay there holds it too"
         )
-    elif rest and AGE_OFF in result["delay"]:
+    elif rest and TELEMETRY_AGE_REMOVED in result["delay"]:
         notes.append(
             "no flight told the age of its rotor telemetry, which the rotors' delay therefore holds; quick yaw inputs "
             "would tell it"

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from quasi.errors import ConfigError, ExpressionError, nearest
-from quasi.terms.expressions import Tree, canonical, parse
+from quasi.terms.expressions import Tree, canonicalise, parse
 from quasi.terms.variables import SYNONYMS
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -102,7 +102,7 @@ def read_specification(document: Mapping[str, Any], axis: str, where: str, bias:
 
 
 def _key(tree: Tree) -> tuple:
-    return canonical(tree, SYNONYMS)[1]
+    return canonicalise(tree, SYNONYMS)[1]
 
 
 def _term(text: Any, place: str) -> Term:

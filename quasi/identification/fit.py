@@ -22,7 +22,7 @@ from quasi.identification.warnings import warnings
 from quasi.terms.expressions import Program, Tree, names
 from quasi.terms.normalisation import Normalisation
 from quasi.terms.singularities import remove_singularities
-from quasi.terms.variables import Variables, base_columns, unit_of
+from quasi.terms.variables import Variables, base_columns, derive_unit
 
 UNITS = {**dict.fromkeys(("Fx", "Fy", "Fz"), "N"), **dict.fromkeys(("Mx", "My", "Mz"), "N m")}
 ROTORS = ("w1", "w2", "w3", "w4")
@@ -301,7 +301,7 @@ def _terms(axis, specification, terms, chosen, fixed, fit: Fit) -> list[dict[str
                 "std": std,
                 "plain std": plain,
                 "t": value / std if std > 0 else None,
-                "unit": unit_of(terms[k].tree, axis),
+                "unit": derive_unit(terms[k].tree, axis),
                 "fixed": k < fixed,
                 "inflation": float(fit.inflation[i]) if np.isfinite(fit.inflation[i]) else None,
             }
@@ -316,7 +316,7 @@ def _terms(axis, specification, terms, chosen, fixed, fit: Fit) -> list[dict[str
                     "std": 0.0,
                     "plain std": 0.0,
                     "t": None,
-                    "unit": unit_of(term.tree, axis),
+                    "unit": derive_unit(term.tree, axis),
                     "fixed": True,
                     "given": True,
                 }

@@ -12,7 +12,7 @@ import numpy as np
 from quasi.airframe import Airframe
 from quasi.errors import DataError
 from quasi.identification.regression import least_squares
-from quasi.plausibility import impossible_inertia
+from quasi.plausibility import describe_impossible_inertia
 from quasi.terms.expressions import Program, parse
 from quasi.terms.variables import Variables
 
@@ -61,7 +61,7 @@ def contradicting_places(
             f"the configuration has it {_side(*hubs[i])} (x = {hubs[i, 0]:.2f} m, y = {hubs[i, 1]:.2f} m)"
             for i in np.flatnonzero(elsewhere)
         ]
-    notes = [said] if (said := impossible_inertia(airframe.inertia)) else []
+    notes = [said] if (said := describe_impossible_inertia(airframe.inertia)) else []
     if scaled:
         notes.append(scaled)
     elif places:

@@ -19,7 +19,7 @@ from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import read_capture
 from quasi.importing.series import Series
 from quasi.importing.wind import read_lvm
-from quasi.plausibility import silent_rotors
+from quasi.plausibility import find_silent_rotors
 from quasi.running.checksums import read_identity
 from quasi.tables import read_json, write_json
 
@@ -76,7 +76,9 @@ def inspect_flight(settings: Mapping[str, Any]) -> dict[str, Any]:
         found["holds"].pop("rotor speeds", None)
         stopped = [ALL_STOPPED]
     found["remarks"] += stopped
-    found["silent rotors"] = silent_rotors({n for s in sources.get("onboard", ()) for n in s.values if _moves(s, n)})
+    found["silent rotors"] = find_silent_rotors(
+        {n for s in sources.get("onboard", ()) for n in s.values if _moves(s, n)}
+    )
     found["lacks"] = [name for name in HOLDINGS if name not in found["holds"]]
     return found
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quasi.importing.onboard_log import Onboard
-from quasi.saturation import clipped
+from quasi.saturation import find_clipping
 
 CHANNELS = {"gyro": ("p", "q", "r"), "accelerometer": ("ax", "ay", "az")}
 UNITS = {"gyro": ("rad/s", np.degrees(1.0), "deg/s"), "accelerometer": ("m/s2", 1.0 / 9.81, "g")}
@@ -38,7 +38,7 @@ def clipped_ends(board: Onboard, units: Mapping[str, Any]) -> list[End]:
         step = abs(float((units.get(sensor) or {}).get("factor") or 0.0))
         interval = float(np.median(np.diff(track.t)))
         for channel, values in zip(CHANNELS[sensor], track.values.T):
-            for end in clipped(values, sensor, step):
+            for end in find_clipping(values, sensor, step):
                 found.append(End(sensor, channel, end.level, end.full_scale, track.t[end.where], interval))
     return found
 

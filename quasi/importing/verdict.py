@@ -11,12 +11,12 @@ from quasi.importing import limits
 from quasi.importing.contradictions import doubtful_units
 from quasi.importing.onboard_log import Onboard
 from quasi.importing.resampling import covered
-from quasi.plausibility import reasons, unusable_without
+from quasi.plausibility import find_missing_sources, list_reasons
 
 
 def verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) -> dict[str, str]:
     """One word and why."""
-    bad, care = reasons(metadata["contradictions"]) + unusable_without(frame, metadata), []
+    bad, care = list_reasons(metadata["contradictions"]) + find_missing_sources(frame, metadata), []
     valid = float(frame["onboard_valid"].mean())
     duration = float(frame["t"].iloc[-1])
     if valid < 0.5:

@@ -1,4 +1,4 @@
-"""From identified axes to a model: assembly of the plain data."""
+"""Assembly of a model's plain data from identified axes."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -7,21 +7,21 @@ import numpy as np
 
 from quasi.airframe import to_plain
 from quasi.errors import ConfigError
-from quasi.model.document import AXES, SCHEMA
+from quasi.model.document import AXES, MODEL_SCHEMA
 from quasi.model.model import Model
 from quasi.terms.differential import RATES
-from quasi.terms.variables import inputs_of_system
+from quasi.terms.variables import check_system_inputs
 
 
-def assemble(
+def assemble_model(
     parts: Mapping[str, Mapping[str, Any]], shared: Mapping[str, Any], meta: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The whole model as plain data ("quasi.model/1"), checked by reading it.
+    """Assemble the whole model as plain data ("quasi.model/1"), checked by reading it.
 
     parts   {axis: what the identification of the axis found}
     shared  hover speed, simple model, actuators, gravity kind, training flights
     meta    "id", "airframe" (Airframe); optional "logged to rad/s", "validation flights", "provenance", "notes", and
-            "envelope", "joint envelope" as `quasi.model.envelope.covered` finds them
+            "envelope", "joint envelope" as `quasi.model.envelope.measure_coverage` finds them
     Raises ConfigError when no axis is given.
     """
     if not parts:
@@ -30,7 +30,7 @@ def assemble(
             "condition number", "confidence level", "log", "stop reason", "candidates", "flights", "bootstrap",
             "structure choice", "entry test")  # fmt: skip
     document = {
-        "schema": SCHEMA,
+        "schema": MODEL_SCHEMA,
         "id": meta["id"],
         "gravity": shared["gravity"],
         "airframe": to_plain(meta["airframe"]),
@@ -45,7 +45,7 @@ def assemble(
         },
         "recordings": dict(shared.get("recordings", {})),
         "axes": {axis: {k: parts[axis][k] for k in keep if k in parts[axis]} for axis in AXES if axis in parts},
-        "normalisation": _scheme(parts, meta["id"]),
+        "normalisation": _read_scheme(parts, meta["id"]),
         "envelope": dict(meta.get("envelope", {})),
         "joint envelope": dict(meta.get("joint envelope", {})),
         "extensions": [],
@@ -61,20 +61,20 @@ def assemble(
     return document
 
 
-def _scheme(parts: Mapping[str, Mapping[str, Any]], name: str) -> dict[str, float] | None:
+def _read_scheme(parts: Mapping[str, Mapping[str, Any]], name: str) -> dict[str, float] | None:
     schemes = [part.get("normalisation") for part in parts.values()]
     if any(scheme != schemes[0] for scheme in schemes):
-        raise ConfigError(f"model {name}: its axes are not normalised alike; identify all of them anew")
+        raise ConfigError(f"model {name}: its axes differ in normalisation; identify all of them again")
     return schemes[0]
 
 
-def with_differential_form(document: Mapping[str, Any], u: Iterable[str], where: str) -> dict[str, Any]:
+def add_differential_form(document: Mapping[str, Any], u: Iterable[str], where: str) -> dict[str, Any]:
     """The model with the inputs of its differential form, and notes on what it keeps constant or never uses.
 
     Raises ConfigError for inputs that cannot be, or when a moment was not identified.
     """
     model = Model(document, where)
-    u = inputs_of_system(u, where)
+    u = check_system_inputs(u, where)
     lacking = [axis for axis in AXES[3:] if axis not in model.axes]
     if lacking:
         raise ConfigError(

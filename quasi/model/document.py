@@ -1,4 +1,4 @@
-"""What a model's plain data must hold: checked when it is read, so that nothing later stumbles over a damaged file."""
+"""Check of a model's plain data when it is read, so that later code can rely on it."""
 
 import math
 from collections.abc import Mapping
@@ -11,24 +11,24 @@ from quasi.errors import ConfigError, ExpressionError, QuasiError
 from quasi.project.logbook import NAME
 from quasi.terms.expressions import Tree, parse
 
-SCHEMA = "quasi.model/1"
+MODEL_SCHEMA = "quasi.model/1"
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 _TOP = {"schema", "id", "gravity", "airframe", "hover speed", "axes"}
 
 
 def check_document(document: Any, where: str) -> None:
     """Check the plain data of a model. Raises ConfigError naming `where` and the key."""
-    if not isinstance(document, Mapping) or document.get("schema") != SCHEMA:
+    if not isinstance(document, Mapping) or document.get("schema") != MODEL_SCHEMA:
         found = document.get("schema") if isinstance(document, Mapping) else type(document).__name__
         raise ConfigError(
-            f"{where} is not a model of this version (schema {found!r}, expected '{SCHEMA}'); make it anew"
+            f"{where} is not a model of this version (schema {found!r}, expected '{MODEL_SCHEMA}'); build it again"
         )
     missing = sorted(_TOP - set(document))
     if missing:
-        raise ConfigError(f"{where} lacks the key '{missing[0]}'; make the model anew")
+        raise ConfigError(f"{where} lacks the key '{missing[0]}'; build the model again")
     if not isinstance(document["id"], str) or not NAME.fullmatch(document["id"]):
         raise ConfigError(
-            f"{where}: 'id' is {document['id']!r}, expected a name of letters, digits and . _ + -; make the model anew"
+            f"{where}: 'id' is {document['id']!r}, expected a name of letters, digits and . _ + -; build it again"
         )
     if document["gravity"] not in ("withGravity", "noGravity"):
         raise ConfigError(f"{where}: 'gravity' is {document['gravity']!r}, expected 'withGravity' or 'noGravity'")
@@ -37,11 +37,11 @@ def check_document(document: Any, where: str) -> None:
         hover.get("value") is None or (_finite(hover["value"]) and hover["value"] > 0.0)
     ):
         raise ConfigError(
-            f"{where}: 'hover speed' must hold a positive number of rad/s under 'value'; make the model anew"
+            f"{where}: 'hover speed' must hold a positive number of rad/s under 'value'; build the model again"
         )
     axes = document["axes"]
     if not isinstance(axes, Mapping) or not axes or set(axes) - set(AXES):
-        raise ConfigError(f"{where}: 'axes' must hold some of {', '.join(AXES)}; make the model anew")
+        raise ConfigError(f"{where}: 'axes' must hold some of {', '.join(AXES)}; build the model again")
     for axis, part in axes.items():
         _check_axis(part, f"{where}, {axis}")
     if document.get("normalisation") is not None and any("extension" in t for p in axes.values() for t in p["terms"]):
@@ -53,18 +53,18 @@ def check_document(document: Any, where: str) -> None:
 
 def _check_axis(part: Any, where: str) -> None:
     if not isinstance(part, Mapping) or not isinstance(part.get("terms"), list) or not part["terms"]:
-        raise ConfigError(f"{where} holds no terms; make the model anew")
+        raise ConfigError(f"{where} holds no terms; build the model again")
     for number, term in enumerate(part["terms"], 1):
         for key in ("expression", "name", "unit"):
             if not isinstance(term, Mapping) or not isinstance(term.get(key), str):
-                raise ConfigError(f"{where}, term {number} has no {key}; make the model anew")
+                raise ConfigError(f"{where}, term {number} has no {key}; build the model again")
         if term.get("t") is not None and not _finite(term["t"]):
-            raise ConfigError(f"{where}, term {number}: 't' is {term['t']!r}, expected a number; make the model anew")
+            raise ConfigError(f"{where}, term {number}: 't' is {term['t']!r}, expected a number; build the model again")
         for key in ("coefficient", "std"):
             if not _finite(term.get(key)):
                 raise ConfigError(
                     f"{where}, term {term['expression']!r}: '{key}' is {term.get(key)!r}, expected a finite number; "
-                    "make the model anew"
+                    "build the model again"
                 )
     covariance = part.get("covariance")
     try:
@@ -74,13 +74,13 @@ def _check_axis(part: Any, where: str) -> None:
     estimated = sum(not t.get("given", False) for t in part["terms"])
     if covariance.shape != (estimated, estimated) or not np.all(np.isfinite(covariance)):
         raise ConfigError(
-            f"{where}: 'covariance' must be {estimated} x {estimated} finite numbers; make the model anew"
+            f"{where}: 'covariance' must be {estimated} x {estimated} finite numbers; build the model again"
         )
     for key in ("sigma2", "effective rows", "confidence level", "R2", "RMSE", "n"):
         if not _finite(part.get(key)):
-            raise ConfigError(f"{where}: '{key}' is {part.get(key)!r}, expected a finite number; make the model anew")
+            raise ConfigError(f"{where}: '{key}' is {part.get(key)!r}, expected a finite number; build the model again")
     if part.get("unit") not in ("N", "N m"):
-        raise ConfigError(f"{where}: 'unit' is {part.get('unit')!r}, expected 'N' or 'N m'; make the model anew")
+        raise ConfigError(f"{where}: 'unit' is {part.get('unit')!r}, expected 'N' or 'N m'; build the model again")
 
 
 def _finite(value: Any) -> bool:
@@ -98,11 +98,11 @@ def airframe_of(plain: Any, where: str) -> Airframe:
     except QuasiError:
         raise
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ConfigError(f"{where}: 'airframe' is damaged ({error}); make the model anew") from None
+        raise ConfigError(f"{where}: 'airframe' is damaged ({error}); build the model again") from None
     if not good:
-        raise ConfigError(f"{where}: 'airframe' has hubs, spins or inertia of the wrong shape; make the model anew")
+        raise ConfigError(f"{where}: 'airframe' has hubs, spins or inertia of the wrong shape; build the model again")
     if not (lengths and weighs and tensor and np.all(np.isfinite(frame.hubs)) and np.all(np.abs(frame.spin) == 1.0)):
-        raise ConfigError(f"{where}: 'airframe' has impossible lengths, mass, spins or inertia; make the model anew")
+        raise ConfigError(f"{where}: 'airframe' has impossible lengths, mass, spins or inertia; build the model again")
     return frame
 
 

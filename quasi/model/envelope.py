@@ -1,17 +1,17 @@
-"""The region that a model's data covered, and how far outside of it a state lies.
+"""The region of a model's training data, and the distance of a state outside it.
 
 Two limits, both learnt from the training rows (where isolation applies, those that some axis was fitted to):
 
 - one range per variable: its 0.01 % to 99.99 % percentile. The variables are the base columns that the model reads and
-  those that its terms name (U_p, mu_x, ...), the latter because a combination may be new where each part is not. One
-  that never varied is not limited.
+  those that its terms name (U_p, mu_x, ...), the latter because a combination may be new where each part is not.
+  Constant variables are not limited.
 - one ellipsoid for the base columns together: distance from their mean in units of their covariance (Mahalanobis),
-  limited to the 99.99 % percentile of the training rows. It finds what no single range shows, such as full forward
-  speed at the rotor speeds of hover.
+  limited to the 99.99 % percentile of the training rows. It detects combinations that no single range shows, such as
+  full forward speed at the rotor speeds of hover.
 
 The distance is 0 inside; outside it is the largest overshoot over all limits, in units of the covered range: 0.5 means
 that a variable lies half of its covered range beyond the nearer end. The ellipsoid is measured alike: its diameter is
-its range. Polynomials turn wild quickly there: a figure above some tenths says that a prediction is not to be trusted.
+its range. Polynomials extrapolate badly: a distance above a few tenths means an unreliable prediction.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,15 +25,17 @@ from quasi.airframe import Airframe
 from quasi.tables import COLUMNS
 from quasi.terms.expressions import names, parse
 from quasi.terms.graph import ONE, Graph
-from quasi.terms.kernel import INPUTS, Kernel, compile_outputs, wrench, wrench_rows
+from quasi.terms.kernel import INPUTS, Kernel, compile_outputs, compute_wrench, compute_wrench_rows
 from quasi.terms.variables import SYNONYMS, Variables, base_columns, plain_name
 
 STATE = INPUTS[:12]
 PERCENTILES = (0.01, 1, 5, 25, 50, 75, 95, 99, 99.99)
-LOW, HIGH = "0.01", "99.99"
-JOINT = "all together"
+LOW_PERCENTILE, HIGH_PERCENTILE = "0.01", "99.99"
+JOINT_LIMIT = "all together"
 _NOT_LIMITED = ("F_den", "M_den")  # of the non-dimensional scheme; functions of the rotor speeds alone
-_FLOOR = 1e-4  # share of a variable's own deviation that the others never explain: keeps the ellipsoid from being flat
+_MIN_UNEXPLAINED_SHARE = (
+    1e-4  # share of a variable's own deviation that the others never explain: keeps the ellipsoid from being flat
+)
 
 
 class Limits(NamedTuple):
@@ -57,15 +59,15 @@ class Region(NamedTuple):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def distance_of_row(
+def compute_row_distance(
     kernel: Kernel, limits: Limits, inputs: np.ndarray, work: np.ndarray, values: np.ndarray
 ) -> tuple[float, int]:
     """(distance, number of the worst variable): 0 and -1 inside; V stands for the ellipsoid; NaN and -1 for NaN input.
 
-    kernel, limits  those of the region; inputs (20 + E,) as for `quasi.terms.kernel.wrench`
+    kernel, limits  those of the region; inputs (20 + E,) as for `quasi.terms.kernel.compute_wrench`
     work (len(kernel.work),) and values (kernel.outputs,) are scratch
     """
-    wrench(kernel, inputs, work, values)
+    compute_wrench(kernel, inputs, work, values)
     return _farthest(limits.low, limits.high, limits.whitening, limits.limit, values)
 
 
@@ -93,11 +95,11 @@ def _farthest(
 
 
 @nb.njit(cache=True, error_model="numpy")
-def distances(kernel: Kernel, limits: Limits, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def compute_distances(kernel: Kernel, limits: Limits, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distance and worst variable of many rows: columns (G, N), the inputs of `kernel.gather`."""
     rows = columns.shape[1]
     values = np.empty((kernel.code[4], rows))
-    wrench_rows(kernel, columns, values)
+    compute_wrench_rows(kernel, columns, values)
     low, high, whitening, limit = limits.low, limits.high, limits.whitening, limits.limit
     distance, worst, row = np.empty(rows), np.empty(rows, np.int64), np.empty(len(values))
     for k in range(rows):
@@ -119,14 +121,17 @@ def make_region(
     ranges = document.get("envelope", {})
     read = [name for name, reads in zip(inputs, used) if reads]
     ends = {}
-    for name in [*read, *limited_names(named)]:
+    for name in [*read, *list_limited_names(named)]:
         if name in ranges:
             shares = ranges[name]["percentiles"]
-            low, high = shares.get(LOW, ranges[name]["min"]), shares.get(HIGH, ranges[name]["max"])
+            low, high = (
+                shares.get(LOW_PERCENTILE, ranges[name]["min"]),
+                shares.get(HIGH_PERCENTILE, ranges[name]["max"]),
+            )
             if low < high:
                 ends[name] = (low, high)
     limited = tuple(ends)
-    names, mean, whitening, limit = _joint(document.get("joint envelope"), read)
+    names, mean, whitening, limit = _read_ellipsoid(document.get("joint envelope"), read)
     outputs = [graph.combine([(1.0, graph.variable(name))]) for name in limited]
     outputs += [graph.combine([(1.0, graph.variable(n)), (-m, (1.0, ONE))]) for n, m in zip(names, mean, strict=True)]
     limits = Limits(
@@ -138,7 +143,9 @@ def make_region(
     return Region(compile_outputs(graph, outputs, inputs), limits), limited
 
 
-def _joint(plain: Mapping[str, Any] | None, read: Sequence[str]) -> tuple[list[str], list[float], np.ndarray, float]:
+def _read_ellipsoid(
+    plain: Mapping[str, Any] | None, read: Sequence[str]
+) -> tuple[list[str], list[float], np.ndarray, float]:
     """The ellipsoid in the columns that a model reads; of others its shadow is taken, which never reaches further."""
     if not plain:
         return [], [], np.zeros((0, 0)), 1.0
@@ -151,7 +158,7 @@ def _joint(plain: Mapping[str, Any] | None, read: Sequence[str]) -> tuple[list[s
     return [plain["names"][k] for k in chosen], [plain["mean"][k] for k in chosen], whitening, plain["limit"]
 
 
-def limited_names(named: Iterable[str]) -> list[str]:
+def list_limited_names(named: Iterable[str]) -> list[str]:
     """Variables of terms as they are limited: without |..|, sin[..], cos[..], under one spelling; no squared speeds."""
     plain = dict.fromkeys(plain_name(name) for name in named)
     return [name for name in plain if name not in SYNONYMS and name not in _NOT_LIMITED]
@@ -160,17 +167,17 @@ def limited_names(named: Iterable[str]) -> list[str]:
 # ---- from the training rows ----
 
 
-def covered(
+def measure_coverage(
     flights: Mapping[str, pd.DataFrame],
     rows: Mapping[str, np.ndarray],
     airframe: Airframe,
     hover_speed: float | None,
     parts: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> dict[str, dict[str, Any]]:
-    """What the training data covered, as a model carries it: "envelope" and "joint envelope".
+    """Measure the coverage of the training data, as stored in a model: "envelope" and "joint envelope".
 
     flights  filtered flights; rows {flight: (n,) bool} those that were fitted
-    parts    identified axes, whose terms' variables are included beside the state and the rotor speeds
+    parts    identified axes, whose terms' variables are included in addition to the state and the rotor speeds
     "envelope" holds per variable its smallest and largest value and percentiles. "joint envelope" holds names, mean,
     whitening (lower triangular, x - mean becomes uncorrelated with unit variance) and limit, the distance within which
     99.99 % of the rows lie, of the base columns that the terms need; it is empty when no row holds all of them.
@@ -183,7 +190,7 @@ def covered(
     scheme = any(part.get("normalisation") for part in (parts or {}).values())
     speeds = {"w1", "w2", "w3", "w4"} if scheme else set()
     base = sorted(set().union(*(base_columns(n) for n in terms), speeds), key=_position)
-    wanted = list(dict.fromkeys([*STATE, "w1", "w2", "w3", "w4", *base, *terms, *limited_names(terms)]))
+    wanted = list(dict.fromkeys([*STATE, "w1", "w2", "w3", "w4", *base, *terms, *list_limited_names(terms)]))
     gathered: dict[str, list[np.ndarray]] = {}
     together: list[np.ndarray] = []
     for key, flight in flights.items():
@@ -201,8 +208,8 @@ def covered(
             together.append(np.column_stack([variables[name] for name in base]))
     ranges = {name: np.concatenate(chunks) for name, chunks in gathered.items()}
     return {
-        "envelope": {name: _range(name, values) for name, values in ranges.items() if len(values)},
-        "joint envelope": _ellipsoid(base, np.vstack(together)) if together else {},
+        "envelope": {name: _describe_range(name, values) for name, values in ranges.items() if len(values)},
+        "joint envelope": _fit_ellipsoid(base, np.vstack(together)) if together else {},
     }
 
 
@@ -210,7 +217,7 @@ def _position(name: str) -> tuple[int, str]:
     return (INPUTS.index(name) if name in INPUTS else len(INPUTS), name)
 
 
-def _range(name: str, values: np.ndarray) -> dict[str, Any]:
+def _describe_range(name: str, values: np.ndarray) -> dict[str, Any]:
     shares = np.percentile(values, PERCENTILES)
     return {
         "min": float(values.min()),
@@ -219,7 +226,7 @@ def _range(name: str, values: np.ndarray) -> dict[str, Any]:
     } | ({"unit": COLUMNS[name][0]} if name in COLUMNS else {})
 
 
-def _ellipsoid(base: list[str], table: np.ndarray) -> dict[str, Any]:
+def _fit_ellipsoid(base: list[str], table: np.ndarray) -> dict[str, Any]:
     table = table[np.isfinite(table).all(axis=1)]
     spread = table.std(axis=0) if len(table) > len(base) + 1 else np.zeros(len(base))
     chosen = spread > 0
@@ -227,12 +234,12 @@ def _ellipsoid(base: list[str], table: np.ndarray) -> dict[str, Any]:
         return {}
     mean, spread = table[:, chosen].mean(axis=0), spread[chosen]
     scaled = (table[:, chosen] - mean) / spread
-    correlation = scaled.T @ scaled / len(scaled) + _FLOOR * np.eye(len(spread))
+    correlation = scaled.T @ scaled / len(scaled) + _MIN_UNEXPLAINED_SHARE * np.eye(len(spread))
     whitening = np.linalg.inv(np.linalg.cholesky(correlation)) / spread
     size = np.sqrt(np.sum(((table[:, chosen] - mean) @ whitening.T) ** 2, axis=1))
     return {
         "names": [name for name, c in zip(base, chosen) if c],
         "mean": mean.tolist(),
         "whitening": np.tril(whitening).tolist(),
-        "limit": float(np.percentile(size, float(HIGH))),
+        "limit": float(np.percentile(size, float(HIGH_PERCENTILE))),
     }

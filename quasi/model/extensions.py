@@ -1,7 +1,7 @@
-"""What the extensions of a model know: of rotors and their logs, of the air, of mass, inertia and centre of gravity.
+"""Constants in the extensions of a model: rotors and their logs, wind, mass, inertia and centre of gravity.
 
-A flight is recorded and filtered with the constants that were configured. A model that was extended by other ones is
-compared with it once the recording is read with these.
+A flight is recorded and filtered with the configured constants. An extended model is compared with it after the
+recording is corrected by the constants of the extensions.
 """
 
 import math
@@ -14,31 +14,31 @@ import pandas as pd
 from quasi import attitude
 from quasi.errors import ConfigError, DataError, nearest
 from quasi.model.model import ROTORS, Model
-from quasi.tables import AGE_OFF
+from quasi.tables import TELEMETRY_AGE_REMOVED
 
-CONFIGURED = "configured mass"  # of a model's document, kg: that its flights were processed with
+CONFIGURED_MASS_KEY = "configured mass"  # key of a model's document: mass, kg, with which its flights were processed
 _LAGS = ("time constants", "time constants up", "time constants down")
 _ROTORS = ("time constant", "delay", "voltage exponent", "reference voltage", "telemetry delay", "rotor speed scale")
 
 
 def extensions_of(model: Model) -> list[Mapping[str, Any]]:
-    """The extensions of a model. Raises ConfigError where they are damaged."""
+    """List the extensions of a model. Raises ConfigError where they are damaged."""
     return _sections(model.document, model.id)
 
 
-def said_of_rotors(model: Model) -> dict[str, float]:
-    """What extensions say of the rotors and their logs; {} without any. Raises ConfigError for anything else.
+def read_rotor_constants(model: Model) -> dict[str, float]:
+    """Read the rotor constants of the extensions; {} without any. Raises ConfigError for unknown or invalid ones.
 
-    "time constant" s, the mean of speeding up and slowing down; "delay" s; "voltage exponent" of the settled speed and
-    the "reference voltage" V at which it is 1 where the model's command map tells none; and of the flights' recordings,
-    which play a part where recorded speeds drive a roll-out: "telemetry delay" s that they are late by, "rotor speed
-    scale" that they are too high by
+    "time constant" s, the mean of speeding up and slowing down; "delay" s; "voltage exponent" of the steady speed;
+    "reference voltage" V at which it is 1, for a command map without one. Recordings, where recorded speeds drive a
+    roll-out: "telemetry delay" s and "rotor speed scale", both subtracted from the record
     """
-    return _of_rotors(model.document, model.id)
+    return _collect_rotor_constants(model.document, model.id)
 
 
 def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
-    """The section "actuators" of a model's document with what its extensions say of the rotors in place of its own.
+    """Read the section "actuators" of a model's document, with the rotor constants of its extensions instead of its
+    own.
 
     A time constant of an extension is the mean of speeding up and slowing down; the model's own ratio of the two, and
     that of its rotors, is kept, and so is the reference voltage of its command map where it has one. Raises DataError
@@ -47,19 +47,19 @@ def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
     name = str(document.get("id", ""))
     known = document.get("actuators") or {}
     if not isinstance(known, Mapping):
-        raise DataError(f"model {name}: 'actuators' is {known!r:.60}, expected a section; make the model anew")
-    known, found = dict(known), _of_rotors(document, name)
+        raise DataError(f"model {name}: 'actuators' is {known!r:.60}, expected a section; build the model again")
+    known, found = dict(known), _collect_rotor_constants(document, name)
     if "time constant" in found:
         lag = found["time constant"]
-        own = {k: _seconds(known.pop(k), name, k) for k in _LAGS if k in known}
+        own = {k: _read_seconds(known.pop(k), name, k) for k in _LAGS if k in known}
         both = all(k in own for k in _LAGS[1:])
         middle = np.mean([np.mean(own[k]) for k in _LAGS[1:]] if both else own.get(_LAGS[0], lag))
         scaled = {k: (v * lag / middle).tolist() for k, v in own.items() if both or k == _LAGS[0]}
         known |= {k: {"value": v} for k, v in ({_LAGS[0]: lag} | scaled).items()}
     if "delay" in found:
         own = known.get("delay")
-        said = own.get(AGE_OFF) if isinstance(own, Mapping) else None
-        known["delay"] = {"value": found["delay"]} | ({} if said is None else {AGE_OFF: said})
+        removed = own.get(TELEMETRY_AGE_REMOVED) if isinstance(own, Mapping) else None
+        known["delay"] = {"value": found["delay"]} | ({} if removed is None else {TELEMETRY_AGE_REMOVED: removed})
     mapped = known.get("command map")
     if mapped and "voltage exponent" in found:
         volts = mapped.get("reference voltage") or found.get("reference voltage")
@@ -69,28 +69,28 @@ def drive_of(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def wind_of(model: Model) -> np.ndarray:
-    """Velocity of the air (3,), m/s, north east down, that the model's extensions found in its flights.
+    """Read the wind velocity (3,), m/s, north east down, of the model's extensions.
 
-    Raises ConfigError where it is no three numbers.
+    Raises ConfigError unless it is three numbers.
     """
     wind = np.zeros(3)
     for extension in extensions_of(model):
-        said = (extension.get("environment") or {}).get("wind", 0.0)
+        wind = (extension.get("environment") or {}).get("wind", 0.0)
         try:
-            found = np.broadcast_to(np.asarray(said, float), 3)
+            found = np.broadcast_to(np.asarray(wind, float), 3)
         except (TypeError, ValueError):
             found = np.full(3, np.nan)
         if not np.isfinite(found).all():
-            raise ConfigError(f"model {model.id}, extension '{extension.get('id')}': 'wind' is {said!r:.60}, expected "
-                              "three numbers of m/s; make the extended model anew")  # fmt: skip
+            raise ConfigError(f"model {model.id}, extension '{extension.get('id')}': 'wind' is {wind!r:.60}, expected "
+                              "three numbers of m/s; build the extended model again")  # fmt: skip
         wind = wind + found
     return wind
 
 
 def telemetry_of(model: Model) -> tuple[float, float]:
-    """How late (s) and by which factor too high recorded rotor speeds are."""
-    said = said_of_rotors(model)
-    return said.get("telemetry delay", 0.0), said.get("rotor speed scale", 1.0)
+    """Read delay (s) and scale factor of recorded rotor speeds."""
+    constants = read_rotor_constants(model)
+    return constants.get("telemetry delay", 0.0), constants.get("rotor speed scale", 1.0)
 
 
 def shift_of(model: Model) -> np.ndarray:
@@ -100,14 +100,14 @@ def shift_of(model: Model) -> np.ndarray:
 
 
 def configured_mass(model: Model) -> float | None:
-    """Mass, kg, that flights are read with; the model's own may differ from it by what extensions found."""
-    return model.document.get(CONFIGURED, model.airframe.mass)
+    """Read the mass, kg, with which flights were processed; the model's mass may differ by its extensions."""
+    return model.document.get(CONFIGURED_MASS_KEY, model.airframe.mass)
 
 
-def mass_in(model: Model, logged: float | None) -> float | None:
-    """Mass, kg, that the vehicle has by a model in a flight that was logged, and so processed, with another one.
+def compute_flight_mass(model: Model, logged: float | None) -> float | None:
+    """Compute the mass, kg, of a vehicle by a model in a flight with another logged mass.
 
-    What extensions found is more or less than was configured, whatever that was: it comes on top of the logged mass.
+    The extensions give a difference from the configured mass; it is added to the logged mass.
     """
     own, configured = model.airframe.mass, configured_mass(model)
     if own is None or configured is None or logged is None or not math.isfinite(logged):
@@ -115,8 +115,8 @@ def mass_in(model: Model, logged: float | None) -> float | None:
     return own + (logged - configured)
 
 
-def true_speeds(columns: Mapping[str, np.ndarray], late: float, scale: float) -> dict[str, np.ndarray]:
-    """A flight's columns with the rotor speeds as they were. late  s that they are late by; scale  too high by"""
+def correct_rotor_speeds(columns: Mapping[str, np.ndarray], late: float, scale: float) -> dict[str, np.ndarray]:
+    """Correct the rotor speeds of a flight's columns. late  delay, s; scale  factor of the recorded speeds"""
     result = dict(columns)
     if late or scale != 1.0:
         for name in ROTORS:
@@ -126,10 +126,9 @@ def true_speeds(columns: Mapping[str, np.ndarray], late: float, scale: float) ->
     return result
 
 
-def put_right(model: Model, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """A flight's columns as they would be without what the model knows of rotor speeds and air: the rotors' true
-    speeds, and the velocity through the air."""
-    result = true_speeds(columns, *telemetry_of(model))
+def correct_columns(model: Model, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Correct a flight's columns by the model's constants: true rotor speeds, and velocity through the air."""
+    result = correct_rotor_speeds(columns, *telemetry_of(model))
     wind = wind_of(model)
     if wind.any():
         quaternion = attitude.from_euler(*(columns[c] for c in ("roll", "pitch", "yaw")))
@@ -139,10 +138,10 @@ def put_right(model: Model, columns: Mapping[str, np.ndarray]) -> dict[str, np.n
     return result
 
 
-def as_read(model: Model, flight: pd.DataFrame, logged: float | None = None) -> pd.DataFrame:
-    """A filtered flight read with what the model knows: rotor speeds, air, and forces and moments by its own mass,
-    inertia and centre of gravity instead of the configured ones. logged  kg that it was processed with, where known
+def correct_flight(model: Model, flight: pd.DataFrame, logged: float | None = None) -> pd.DataFrame:
+    """Correct a filtered flight by the model's constants: rotor speeds, air, mass, inertia and centre of gravity.
 
+    logged  mass of its processing, kg, where known
     Parts with states of their own (a load that swings, inflow that lags) stay in the measurement. Source: the filter's
     definitions F = m f, M = I domega/dt + omega x I omega.
     """
@@ -150,9 +149,9 @@ def as_read(model: Model, flight: pd.DataFrame, logged: float | None = None) -> 
     if not sections:
         return flight
     columns = {n: flight[n].to_numpy(float) for n in flight if pd.api.types.is_numeric_dtype(flight[n])}
-    result = put_right(model, columns)
+    result = correct_columns(model, columns)
     rates, turning = (np.stack([columns[f"{c}{d}"] for c in "pqr"], axis=1) for d in ("", "_dot"))
-    shift, mass = shift_of(model), mass_in(model, logged)
+    shift, mass = shift_of(model), compute_flight_mass(model, logged)
     configured = configured_mass(model) if logged is None else logged
     force = np.stack([columns[a] for a in ("Fx", "Fy", "Fz")], axis=1)
     if shift.any():
@@ -170,11 +169,11 @@ def as_read(model: Model, flight: pd.DataFrame, logged: float | None = None) -> 
 def _sections(document: Mapping[str, Any], name: str) -> list[Mapping[str, Any]]:
     found = document.get("extensions") or []
     if not isinstance(found, list) or not all(isinstance(e, Mapping) for e in found):
-        raise ConfigError(f"model {name} holds an extension that is no section; make the model anew")
+        raise ConfigError(f"model {name} holds an extension that is no section; build the model again")
     return list(found)
 
 
-def _of_rotors(document: Mapping[str, Any], name: str) -> dict[str, float]:
+def _collect_rotor_constants(document: Mapping[str, Any], name: str) -> dict[str, float]:
     found: dict[str, float] = {}
     for extension in _sections(document, name):
         for key, value in (extension.get("actuators") or {}).items():
@@ -186,17 +185,17 @@ def _of_rotors(document: Mapping[str, Any], name: str) -> dict[str, float]:
             positive = key in ("time constant", "reference voltage", "rotor speed scale")
             if not math.isfinite(number) or (positive and number <= 0.0):
                 raise ConfigError(f"{what}: '{key}' is {value!r}, expected a {'positive' if positive else 'finite'} "
-                                  "number; make the extended model anew")  # fmt: skip
+                                  "number; build the extended model again")  # fmt: skip
             found[key] = number
     return found
 
 
-def _seconds(about: Any, name: str, key: str) -> np.ndarray:
+def _read_seconds(about: Any, name: str, key: str) -> np.ndarray:
     try:
         value = np.asarray(about["value"], float)
     except (KeyError, TypeError, ValueError):
         value = np.full(1, np.nan)
     if value.size not in (1, 4) or not np.all(np.isfinite(value) & (value > 0.0)):
         raise DataError(f"model {name}: 'actuators' / '{key}' is {about!r:.60}, expected positive seconds under "
-                          "'value'; make the model anew")  # fmt: skip
+                          "'value'; build the model again")  # fmt: skip
     return value

@@ -1,4 +1,4 @@
-"""A model about hover: the rotor speed that carries its weight, usual values of its further inputs, where it hovers."""
+"""A model in hover: rotor speed that carries the weight, usual values of further inputs, hover position."""
 
 import numpy as np
 
@@ -7,41 +7,43 @@ from quasi.errors import DataError
 from quasi.model.model import Model
 
 
-def hover_speed(model: Model, highest: float | None = None) -> float:
+def find_hover_speed(model: Model, highest: float | None = None) -> float:
     """Common rotor speed, rad/s, at which the model's Fz balances its weight at rest; raises DataError without one."""
     weight = model.airframe.mass * GRAVITY if model.with_gravity else 0.0
     guess = model.hover_speed or (0.6 * highest if highest else 1000.0)
 
-    def lack(speed: np.ndarray) -> np.ndarray:
+    def residual(speed: np.ndarray) -> np.ndarray:
         speeds = np.repeat(np.atleast_1d(speed)[:, None], 4, axis=1)
         return predict_at_rest(model, speeds)[0][:, 2] + weight
 
     mesh = np.linspace(0.05 * guess, 4.0 * guess, 800)
-    values = lack(mesh)
+    values = residual(mesh)
     found = np.flatnonzero((values[:-1] > 0.0) & (values[1:] <= 0.0))
     if not len(found):
         raise DataError(
-            f"model {model.id} carries its weight of {weight:.2f} N at no common rotor speed from "
+            f"model {model.id} has no common rotor speed that carries its weight of {weight:.2f} N from "
             f"{mesh[0]:.0f} to {mesh[-1]:.0f} rad/s; check the mass, the pole count and the sign of Fz"
         )
     first = found[np.argmin(np.abs(mesh[found] - guess))]
     low, high = mesh[first], mesh[first + 1]
     for _ in range(60):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if lack(np.array([middle]))[0] > 0.0 else (low, middle)
+        low, high = (middle, high) if residual(np.array([middle]))[0] > 0.0 else (low, middle)
     return 0.5 * (low + high)
 
 
-def extras(model: Model) -> np.ndarray:
-    """Usual values of the model's further inputs (battery_voltage, ...), the medians of its training data, or zero."""
+def list_usual_inputs(model: Model) -> np.ndarray:
+    """List usual values of the model's further inputs (battery_voltage, ...), the medians of its training data, or
+    zero.
+    """
     covered = model.document.get("envelope") or {}
     return np.array([covered.get(name, {}).get("percentiles", {}).get("50", 0.0) for name in model.inputs[20:]])
 
 
-def usual_place(model: Model) -> np.ndarray:
-    """Where a vehicle hovers (3,), m, earth NED: the middle of the training data, else a metre above the floor.
+def find_hover_position(model: Model) -> np.ndarray:
+    """Find the hover position (3,), m, earth NED: the middle of the training data, else 1 m above the floor.
 
-    It matters to a model with terms in the position alone (ground effect, walls); the origin to any other.
+    It matters only to models with terms in the position (ground effect, walls); others use the origin.
     """
     if not model.kernel.used[9:12].any():
         return np.zeros(3)
@@ -55,7 +57,7 @@ def predict_at_rest(
 ) -> tuple[np.ndarray, ...]:
     """Forces and moments (N, 3) at rest, level, at these rotor speeds (N, 4)."""
     turn = np.zeros_like(speeds) if accelerations is None else accelerations
-    further = dict(zip(model.inputs[20:], extras(model)))
+    further = dict(zip(model.inputs[20:], list_usual_inputs(model)))
     state = np.zeros((len(speeds), 12))
-    state[:, 9:] = usual_place(model)
+    state[:, 9:] = find_hover_position(model)
     return model.predict(state, speeds, turn, further)

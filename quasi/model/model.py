@@ -17,13 +17,13 @@ from quasi.airframe import Airframe
 from quasi.errors import ConfigError, ReadError, ShapeError, nearest
 from quasi.model.commands import relative_speed_error, rotor_speeds
 from quasi.model.document import AXES, airframe_of, check_document, trees_of
-from quasi.model.envelope import JOINT, Region, distances, make_region
+from quasi.model.envelope import JOINT_LIMIT, Region, compute_distances, make_region
 from quasi.pages.causes import describe_effects
-from quasi.terms.differential import Jacobian, held_back, held_of, split_jacobian
+from quasi.terms.differential import Jacobian, list_held_inputs, list_held_variables, split_jacobian
 from quasi.terms.expressions import Program, names
 from quasi.terms.graph import Graph, Value
-from quasi.terms.kernel import INPUTS, Kernel, compile_outputs, wrench, wrench_rows
-from quasi.terms.normalisation import from_plain as normalisation_from_plain
+from quasi.terms.kernel import INPUTS, Kernel, compile_outputs, compute_wrench, compute_wrench_rows
+from quasi.terms.normalisation import read_normalisation as normalisation_from_plain
 from quasi.terms.rotor_map import describe_map
 from quasi.terms.singularities import remove_singularities
 from quasi.terms.variables import Variables, base_columns, check_terms, plain_name
@@ -64,7 +64,7 @@ class Model:
         self.trees = {
             a: [t if scheme else remove_singularities(t, radius) for t in some] for a, some in written.items()
         }
-        self.slowest = _slowest(document, self.airframe)
+        self.slowest = _read_slowest_speeds(document, self.airframe)
         needed = set().union(*(base_columns(n, scheme) for n in self._names), set(ROTORS) if scheme else set())
         self.columns = tuple(sorted(needed))
         self._derivatives: dict[tuple[str, ...], Kernel] = {}
@@ -115,8 +115,8 @@ class Model:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Forces (N, 3), N, and moments (N, 3), N m, in body axes: the quasi-steady part of the model.
 
-        What has states of its own (a load that swings, air that follows late, the rotors' lag and delay) moves in the
-        simulator; here a load hangs at rest along the apparent vertical, and the rotors have the speeds given.
+        Parts with states of their own (payload, inflow, rotor lag and delay) move in the simulator only. Here a payload
+        is at rest along the apparent vertical, and the rotors have the given speeds.
 
         state                (N, 12) roll pitch yaw (rad), u v w (m/s, through the air), p q r (rad/s), x y z (m);
                              or (N, 9) without the position where no term needs it
@@ -194,7 +194,7 @@ class Model:
         if self.normalisation:
             trees = [self.normalisation.trees.get(plain_name(n), ("name", n)) for n in found]
             found = [n for tree in [*trees, self.normalisation.scale("Mx")] for n in names(tree)]
-        return held_back(found, u)
+        return list_held_variables(found, u)
 
     def derivative_kernel(self, by: Iterable[str]) -> Kernel:
         """Derivatives of Fx .. Mz by some variables for compiled loops: outputs (6, len(by)), axis after axis.
@@ -203,7 +203,7 @@ class Model:
         """
         by = tuple(by)
         if by not in self._derivatives:
-            graph, terms = self.graph(held_of(by))
+            graph, terms = self.graph(list_held_inputs(by))
             wrt = [graph.independent(name) for name in by]
             outputs = [graph.combine(axis, node) for axis in terms for node in wrt]
             lacking = [len(by) * m + k for m in self._lacking for k in range(len(by))]
@@ -217,10 +217,10 @@ class Model:
         rotor_accelerations: np.ndarray | None = None,
         extra: Mapping[str, np.ndarray] | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """How far outside the region that the training data covered, and in which variable most.
+        """Compute the distance outside the region of the training data, and the worst variable.
 
         Arguments as for `predict`. Returns (N,) distances, 0 inside, in units of the covered range (0.5: half of that
-        range beyond its end), and (N,) names of the worst variable, "" inside; `quasi.model.envelope` tells more.
+        range beyond its end), and (N,) names of the worst variable, "" inside; see `quasi.model.envelope`.
         One row gives a number and a name. A row that holds NaN has the distance NaN.
         Raises ShapeError, ExpressionError, or ConfigError for a model that carries no region.
         """
@@ -230,7 +230,7 @@ class Model:
         return (found[0], worst[0]) if state.ndim == 1 else (found, worst)
 
     def distance_columns(self, flight: pd.DataFrame | Mapping[str, np.ndarray]) -> pd.DataFrame:
-        """Columns "distance" and "worst" as `distance` tells them, of a table with roll .. z, w1 .. w4 and so on."""
+        """Compute columns "distance" and "worst" of `distance` for a table with roll .. z, w1 .. w4 and so on."""
         found, worst = self._distances(*_as_columns(flight))
         index = flight.index if isinstance(flight, pd.DataFrame) else None
         return pd.DataFrame({"distance": found, "worst": worst}, index=index)
@@ -242,24 +242,25 @@ class Model:
 
     @property
     def region_names(self) -> tuple[str, ...]:
-        """What the numbers of a worst variable mean; the last is the ellipsoid of all together."""
-        return (*self._region[1], JOINT)
+        """Names of the numbers of worst variables; the last is the joint ellipsoid."""
+        return (*self._region[1], JOINT_LIMIT)
 
     @cached_property
     def _region(self) -> tuple[Region, tuple[str, ...]]:
         if not self.document.get("envelope"):
-            raise ConfigError(f"model {self.id} carries no region that its data covered; make the model anew")
+            raise ConfigError(f"model {self.id} has no region of its training data; build the model again")
         graph = Graph(self.airframe, self.hover_speed, slowest=self.slowest)
         try:
             return make_region(self.document, graph, self.inputs, self.kernel.used, self._names)
         except (LookupError, TypeError, ValueError, AttributeError, np.linalg.LinAlgError) as error:
-            said = f"model {self.id}: the region that its data covered is damaged ({error}); make the model anew"
-            raise ConfigError(said) from None
+            raise ConfigError(
+                f"model {self.id}: the region of its training data is damaged ({error}); build the model again"
+            ) from None
 
     def _distances(self, columns: Mapping[str, np.ndarray], rows: int) -> tuple[np.ndarray, np.ndarray]:
         region = self.region
         columns = self._inputs_of(columns, rows)
-        found, worst = distances(*region, self._gathered(region.kernel, columns, rows))
+        found, worst = compute_distances(*region, self._gathered(region.kernel, columns, rows))
         return found, np.array([*self.region_names, ""])[worst]
 
     def interval(
@@ -294,7 +295,7 @@ class Model:
             freedom = part["effective rows"] - len(part["covariance"])
             share = 0.5 * (1.0 + confidence)
             width = (stdtrit(freedom, share) if freedom >= 1 else ndtri(share)) * deviation
-            if not part["n"]:  # coefficients that came without data tell nothing of their errors
+            if not part["n"]:  # coefficients without data have no known errors
                 width = np.full(rows, np.nan)
             if self.normalisation:
                 scale = self.normalisation.scale_of(axis, columns)
@@ -347,9 +348,9 @@ class Model:
             lines.append(f"Total number of terms {len(part['terms'])}")
             if part["n"]:
                 lines.append(f"R2 {part['R2']:.4f}, RMSE {part['RMSE']:.4g} {part['unit']} on the training rows")
-                lines.append(f"{part['n']} training rows, worth {part['effective rows']:.0f} independent ones")
+                lines.append(f"{part['n']} training rows, {part['effective rows']:.0f} effective independent rows")
             else:
-                lines.append("Coefficients as given; nothing is known of their errors")
+                lines.append("Coefficients as given, without standard errors")
         return "\n".join(lines)
 
     def _predict_row(
@@ -371,7 +372,7 @@ class Model:
         if len(self.inputs) > len(INPUTS) or (size == 9 and kernel.used[9:12].any()):
             self._say_what_lacks(dict(zip(INPUTS[: 9 if size == 9 else 12], state)) | dict.fromkeys(INPUTS[12:], 0.0))
         out = np.empty(len(AXES))
-        wrench(kernel, row, kernel.work, out)
+        compute_wrench(kernel, row, kernel.work, out)
         return out[:3], out[3:]
 
     def _columns(self, columns: Mapping[str, np.ndarray], rows: int) -> dict[str, np.ndarray]:
@@ -406,9 +407,9 @@ class Model:
         if rows == 1:  # the machine for many rows works on blocks of them
             inputs = np.zeros(len(self.inputs))
             inputs[kernel.gather] = table[:, 0]
-            wrench(kernel, inputs, kernel.work, result[:, 0])
+            compute_wrench(kernel, inputs, kernel.work, result[:, 0])
         else:
-            wrench_rows(kernel, table, result)
+            compute_wrench_rows(kernel, table, result)
         return result
 
     def _gathered(self, kernel: Kernel, columns: Mapping[str, np.ndarray], rows: int) -> np.ndarray:
@@ -419,7 +420,7 @@ class Model:
         return table
 
 
-def _slowest(document: Mapping[str, Any], airframe: Airframe) -> list[float] | None:
+def _read_slowest_speeds(document: Mapping[str, Any], airframe: Airframe) -> list[float] | None:
     """Lowest speed of each rotor in the training flights, else the idle speed, rad/s; None where neither is known."""
     ranges = document.get("envelope") or {}
     lowest = [(ranges.get(w) or {}).get("min") if isinstance(ranges, Mapping) else None for w in ROTORS]

@@ -18,14 +18,14 @@ from typing import Any
 
 from quasi.airframe import DEFAULT_POLES, Airframe, erpm100_to_rad_s, read_airframe
 from quasi.errors import ConfigError, ExpressionError, nearest
-from quasi.model.build import assemble
+from quasi.model.build import assemble_model
 from quasi.model.document import AXES
 from quasi.model.model import Model
 from quasi.project.logbook import NAME
 from quasi.tables import fingerprint, read_json
 from quasi.terms.expressions import Tree, names, parse, text
 from quasi.terms.kernel import INPUTS
-from quasi.terms.variables import SYNONYMS, base_columns, known_names, plain_name, split_function, unit_of
+from quasi.terms.variables import SYNONYMS, base_columns, derive_unit, known_names, plain_name, split_function
 
 _ROTORS = tuple(f"w{i}" for i in range(1, 5))
 _DEGREE = {
@@ -68,7 +68,7 @@ def read_published(path: str | Path, name: str | None = None, poles: int | None 
     if poles is None:
         poles = DEFAULT_POLES
         notes.append(
-            f"the file does not tell the number of motor poles; {poles} are assumed, and a wrong number scales every "
+            f"the file does not state the number of motor poles; {poles} are assumed, and a wrong number scales every "
             "rotor speed"
         )
     drone = _section(document, "droneParams", where)
@@ -84,8 +84,8 @@ def read_published(path: str | Path, name: str | None = None, poles: int | None 
     simple = _simple_model(drone, poles / 200.0, where)
     if simple.get("kappaMz", {}).get("value", 0.0) > 0:
         notes.append(
-            "the yaw moment grows with the speed of rotors said to turn clockwise, where a rotor's drag turns the body "
-            "the other way: seen from above, the rotors seem to turn against their stated sense"
+            "the yaw moment increases with the speed of clockwise rotors, although rotor drag turns the body the other "
+            "way: seen from above, the rotors probably turn against their stated direction"
         )
     hover = _number(drone, "wHover (rad/s)", f"{where}, 'droneParams'", None)
     shared = {
@@ -102,7 +102,7 @@ def read_published(path: str | Path, name: str | None = None, poles: int | None 
         "logged to rad/s": erpm100_to_rad_s(poles),
         "provenance": {"published model": _shown(given), "fingerprint": fingerprint(document)},
     }
-    return Model(assemble(parts, shared, meta), where)
+    return Model(assemble_model(parts, shared, meta), where)
 
 
 class _Reader:
@@ -163,7 +163,7 @@ class _Reader:
         self.columns |= set().union(*(base_columns(n) for n in names(tree)), set())
         return {
             "name": regressor, "expression": text(tree), "coefficient": coefficient, "std": 0.0, "t": None,
-            "unit": unit_of(tree, axis), "fixed": True, "given": True,
+            "unit": derive_unit(tree, axis), "fixed": True, "given": True,
         }  # fmt: skip
 
     def _replaced(self, tree: Tree, where: str) -> Tree:

@@ -20,7 +20,7 @@ from quasi.errors import ConfigError, DataError
 from quasi.pages import drawing
 from quasi.pages.drawing import Motion
 from quasi.pages.drone import Drone, Look, draw_path_line, get_limits, make_axes, make_shape, set_limits, write_caption
-from quasi.tables import whole_file, write_bytes
+from quasi.tables import replace_file, write_bytes
 
 Limits = tuple[np.ndarray, np.ndarray]
 Wrapper = Callable[[float, Axes3D], Iterable[Artist] | None]
@@ -226,7 +226,7 @@ def write_mp4(path: Path, pictures: Iterable[np.ndarray], fps: float) -> int:
 
     count = 0
     form = ["-f", "mp4", "-movflags", "+faststart"]
-    with whole_file(path) as part:
+    with replace_file(path) as part:
         writer = None
         try:
             for picture in pictures:

@@ -14,7 +14,7 @@ from quasi.airframe import Airframe
 from quasi.attitude import from_euler
 from quasi.errors import DataError, ShapeError
 from quasi.pages.drone import Drone, Look, draw_path_line, get_limits, make_axes, make_shape, set_limits, write_caption
-from quasi.plausibility import measured_motion
+from quasi.plausibility import check_measured_motion
 
 MIN_STILL_OPACITY = 0.2  # opacity of the oldest still
 ENLARGED_SPAN_SHARE = 0.13  # span of an enlarged drone over the largest extent of the figure
@@ -121,7 +121,7 @@ def make_flown_motion(flying: pd.DataFrame, metadata: Mapping[str, Any], airfram
 
     Raises DataError, with the flight's name, where no source measured the position or no row can be drawn.
     """
-    if not measured_motion(metadata)[1] or not {"x", "y", "z"} <= set(flying):
+    if not check_measured_motion(metadata)[1] or not {"x", "y", "z"} <= set(flying):
         raise DataError(
             f"flight {key} has no trajectory: no source measured its position (x, y, z), and the integrated "
             "accelerometer drifts; fly it with motion capture, or log a position"

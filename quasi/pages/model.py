@@ -15,7 +15,7 @@ from quasi.pages.chart import Chart, Panel, Trace, render_style
 from quasi.pages.model_ranges import show_coverage, show_quartiles
 from quasi.pages.model_warnings import show_warnings
 from quasi.pages.terms import list_variables, show_expression
-from quasi.tables import AGE_OFF
+from quasi.tables import TELEMETRY_AGE_REMOVED
 from quasi.terms.rotor_map import describe_map
 
 PAUSE_BETWEEN_FLIGHTS = 0.5  # s between two flights on the time axis
@@ -228,7 +228,7 @@ def _render_terms(axis: str, part: Mapping[str, Any]) -> str:
 
 def _name_delay(found: Mapping[str, Any]) -> str:
     """Name the row of the delay."""
-    text = (found.get("delay") or {}).get(AGE_OFF)
+    text = (found.get("delay") or {}).get(TELEMETRY_AGE_REMOVED)
     return "delay" if text is None else "delay of the command" if text else "delay of command and rotor telemetry"
 
 

@@ -8,7 +8,7 @@ import pandas as pd
 
 from quasi.pages import frame
 from quasi.pages.terms import describe_variable
-from quasi.tables import ANY
+from quasi.tables import ANY_PREFIX
 from quasi.terms.variables import plain_name
 
 ROLE_COLOURS = {"training": "#59636b", "test": "#d97706", "validation": "#1d6fb8"}
@@ -74,11 +74,11 @@ def show_coverage(coverage: pd.DataFrame) -> str:
     if not len(coverage):
         return frame.render_paragraph("No validation flights.")
     beyond = [
-        f"{line.variable.removeprefix(ANY)} {frame.format_share(line.above)}"
+        f"{line.variable.removeprefix(ANY_PREFIX)} {frame.format_share(line.above)}"
         for line in coverage.itertuples()
-        if line.variable.startswith(ANY)
+        if line.variable.startswith(ANY_PREFIX)
     ]
-    lines = [line for line in coverage.itertuples() if not line.variable.startswith(ANY)]
+    lines = [line for line in coverage.itertuples() if not line.variable.startswith(ANY_PREFIX)]
     lines = [line for line in lines if 0 < line.training_max - line.training_min < np.inf]
     bars = "".join(_draw_bar(line, k) for k, line in enumerate(lines))
     drawn = f'<svg viewBox="0 0 1000 {BAR_HEIGHT * len(lines) + 22}" width="100%" role="img">{_BAR_HEAD}{bars}</svg>'

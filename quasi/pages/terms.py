@@ -5,8 +5,8 @@ from collections.abc import Iterable
 from quasi.errors import ExpressionError
 from quasi.tables import COLUMNS
 from quasi.terms.expressions import Tree, names, parse
-from quasi.terms.singularities import FLOWN
-from quasi.terms.variables import FORMULAS, plain_name, unit_of_variable
+from quasi.terms.singularities import FLOWN_SPEEDS
+from quasi.terms.variables import FORMULAS, derive_variable_unit, plain_name
 
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _AXES = {"p": "roll, left minus right", "q": "pitch, front minus rear", "r": "yaw, by direction of rotation"}
@@ -27,7 +27,10 @@ VARIABLES: dict[str, tuple[str, str]] = {
     "mu_y": ("1/rad", "advance ratio v / (w_avg_flown R)"),
     "mu_z": ("1/rad", "advance ratio w / (w_avg_flown R)"),
     "mu_vin": ("1/rad", "induced velocity v_in / (w_avg_flown R)"),
-    **{name: ("rad/s", f"{speed}, at least its lowest value in the training flights") for name, speed in FLOWN.items()},
+    **{
+        name: ("rad/s", f"{speed}, at least its lowest value in the training flights")
+        for name, speed in FLOWN_SPEEDS.items()
+    },
     "F_den": ("N", "scale of non-dimensional forces"),
     "M_den": ("N m", "scale of non-dimensional moments"),
 }
@@ -89,7 +92,7 @@ def describe_variable(name: str) -> tuple[str, str]:
         return VARIABLES[name]
     if name in FORMULAS:
         formula, meaning = FORMULAS[name]
-        return unit_of_variable(name).replace("2", "²"), f"{meaning}, {show_expression(formula)}"
+        return derive_variable_unit(name).replace("2", "²"), f"{meaning}, {show_expression(formula)}"
     if name in COLUMNS:
         unit, _, meaning = COLUMNS[name]
         return ("" if unit == "1" else unit.replace("s2", "s²")), meaning

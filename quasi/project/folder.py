@@ -13,7 +13,7 @@ from quasi.project import configuration
 from quasi.project.logbook import NAME, Row, apart, pick, read_logbook
 from quasi.project.misplaced_files import misplaced_files
 from quasi.tables import read_json, read_text
-from quasi.terms.variables import check_expression, check_terms, inputs_of_system
+from quasi.terms.variables import check_expression, check_system_inputs, check_terms
 
 MADE = ("results", "models", "logs")  # folders that runs write into
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -199,7 +199,7 @@ class Project:
         for section in ("standalone", "matlab"):  # the stages that read them run after the whole identification
             u = config[section].get("DiffSys u", config["standalone"].get("DiffSys u"))
             if u or (u is not None and config[section]["make moment DiffSys"]):
-                inputs_of_system(u, f"{path}, '{section}' / 'DiffSys u'")
+                check_system_inputs(u, f"{path}, '{section}' / 'DiffSys u'")
         return config
 
     @functools.cache  # noqa: B019

@@ -17,7 +17,7 @@ from quasi.project.folder import AXES, check_model_file, check_specification, is
 from quasi.project.gaps import HELD, recorded_twice
 from quasi.project.logbook import Row
 from quasi.tables import read_json, read_text
-from quasi.terms.normalisation import normalisation_of
+from quasi.terms.normalisation import make_normalisation
 
 MADE_MODEL = re.compile(r"models/[^/]+/standalone/model\.json")  # as rules name it; one that was put there is absolute
 STILLS = {"number of drone stills": 5, "show animation": False, "animation speed up factor": 1}
@@ -83,7 +83,7 @@ class Folder(Recordings):
                 f"{where}: 'normalize data' needs {' and '.join(lacking)}, which {path} lacks; add what is missing, or "
                 "set 'normalize data' to false"
             )
-        normalisation_of(airframe, None, where)
+        make_normalisation(airframe, None, where)
 
     def _refuse_one_recording(self, name: str, rows: list[Row]) -> None:
         """Raises ConfigError for a flight that would train twice, or be judged by what it trained."""

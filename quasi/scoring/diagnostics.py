@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from quasi.model.envelope import HIGH, LOW, limited_names
+from quasi.model.envelope import HIGH_PERCENTILE, LOW_PERCENTILE, list_limited_names
 from quasi.model.model import Model
 from quasi.scoring.score import POOLED, AxisComparison
 from quasi.scoring.verdict import VERDICTS, compare_with_base, derive_verdict, group_axes_by_kind, summarise_axes
-from quasi.tables import ANY
+from quasi.tables import ANY_PREFIX
 from quasi.terms.expressions import names, parse
 from quasi.terms.variables import Variables
 
@@ -206,8 +206,10 @@ def compute_coverage(
     `above` is the share of rows with some variable of that axis beyond. Empty without rows.
     """
     known = model.document["envelope"]
-    of_axis = {axis: [n for n in _list_variables(model, axis) if LOW in known.get(n, {}).get("percentiles", {})]
-               for axis in model.axes}  # fmt: skip
+    of_axis = {}
+    for axis in model.axes:
+        variables = _list_variables(model, axis)
+        of_axis[axis] = [n for n in variables if LOW_PERCENTILE in known.get(n, {}).get("percentiles", {})]
     wanted = list(dict.fromkeys(n for some in of_axis.values() for n in some))
     values: dict[str, list[np.ndarray]] = {n: [] for n in wanted}
     for key, flight in flights.items():
@@ -226,7 +228,7 @@ def compute_coverage(
     for name in wanted:
         here = np.concatenate(values[name])
         there = known[name]["percentiles"]
-        below, above = here < there[LOW], here > there[HIGH]
+        below, above = here < there[LOW_PERCENTILE], here > there[HIGH_PERCENTILE]
         out[name] = below | above
         fine = here[np.isfinite(here)]
         shares = np.percentile(fine, [1, 99]) if len(fine) else [np.nan, np.nan]
@@ -244,13 +246,13 @@ def compute_coverage(
         axis: np.any([out[n] for n in some], axis=0) if some else np.zeros(count, bool)
         for axis, some in of_axis.items()
     }
-    lines += [{"variable": f"{ANY}{a}", "below": 0.0, "above": float(np.mean(b))} for a, b in beyond.items()]
+    lines += [{"variable": f"{ANY_PREFIX}{a}", "below": 0.0, "above": float(np.mean(b))} for a, b in beyond.items()]
     return pd.DataFrame(lines, columns=list(COVERAGE_UNITS)), beyond
 
 
 def _list_variables(model: Model, axis: str) -> list[str]:
     terms = model.document["axes"][axis]["terms"]
-    return limited_names(n for term in terms for n in names(parse(term["expression"])))
+    return list_limited_names(n for term in terms for n in names(parse(term["expression"])))
 
 
 def _describe_outside(

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from quasi.scoring.score import AxisComparison
-from quasi.tables import AGE_OFF, ANY
+from quasi.tables import ANY_PREFIX, TELEMETRY_AGE_REMOVED
 
 MEASURED_COLOUR, MODEL_COLOUR, SHADE_COLOUR = "0.25", "tab:red", "tab:blue"
 ROLE_COLOURS = {"training": "0.35", "test": "tab:orange", "validation": "tab:blue"}
@@ -159,7 +159,7 @@ def draw_coverage(coverage: pd.DataFrame) -> Figure | None:
 
     coverage  of `diagnostics.compute_coverage`; every range is drawn in units of the training rows' own, 0 to 1
     """
-    lines = coverage[~coverage["variable"].str.startswith(ANY)] if len(coverage) else coverage
+    lines = coverage[~coverage["variable"].str.startswith(ANY_PREFIX)] if len(coverage) else coverage
     lines = lines[lines["training_max"] > lines["training_min"]] if len(lines) else lines
     if not len(lines):
         return None
@@ -228,7 +228,7 @@ def draw_actuators(actuators: Mapping[str, Any] | None) -> Figure | None:
         return None
     figure = Figure(figsize=(10, 3.4), layout="constrained")
     titles = {"time constants up": "time constant up", "time constants down": "time constant down", "delay": "delay"}
-    aged = np.array([flight["delay"].get(AGE_OFF) is False for flight in flights.values()])
+    aged = np.array([flight["delay"].get(TELEMETRY_AGE_REMOVED) is False for flight in flights.values()])
     for panel, (name, title) in zip(figure.subplots(1, 3), titles.items()):
         values = 1e3 * np.array([flight[name]["value"] for flight in flights.values()])
         errors = 1e3 * np.array([flight[name]["std"] for flight in flights.values()])

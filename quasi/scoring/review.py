@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from quasi.model.extensions import as_read
+from quasi.model.extensions import correct_flight
 from quasi.model.model import Model
 from quasi.scoring.diagnostics import compute_coverage, diagnose
 from quasi.scoring.score import AxisComparison, compare_with_measurements, score_comparisons
@@ -37,10 +37,10 @@ def review_model(
     aside    {axis: {flight: (n,) bool}} training rows that isolation excludes; partitioning  how rows were drawn
     base     the model that a gap extended to this one: judged on the same rows, and compared with
     masses   {flight: mass of its processing, kg}, of flights that record it
-    Extended models are compared with flights corrected by their extensions, see `as_read`.
+    Extended models are compared with flights corrected by their extensions, see `correct_flight`.
     """
     masses = masses or {}
-    read = {key: as_read(model, flight, masses.get(key)) for key, flight in flights.items()}
+    read = {key: correct_flight(model, flight, masses.get(key)) for key, flight in flights.items()}
     comparisons = compare_with_measurements(model, read, partition, excluded)
     scores = score_comparisons(comparisons, model, roles)
     held = {key: np.asarray(partition[key]) == roles["validation"] for key in flights}
@@ -48,7 +48,7 @@ def review_model(
     coverage, beyond = compute_coverage(model, {key: read[key] for key in held}, held)
     against_base = None
     if base:
-        own = {key: as_read(base, flight, masses.get(key)) for key, flight in flights.items()}
+        own = {key: correct_flight(base, flight, masses.get(key)) for key, flight in flights.items()}
         against_base = (
             base.id,
             score_comparisons(compare_with_measurements(base, own, partition, excluded), base, roles),

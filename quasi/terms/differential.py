@@ -22,7 +22,7 @@ import numpy as np
 
 from quasi.errors import ConfigError
 from quasi.terms.kernel import INPUTS
-from quasi.terms.variables import base_columns, inputs_of_system, plain_name
+from quasi.terms.variables import base_columns, check_system_inputs, plain_name
 
 RATES = ("p", "q", "r")
 
@@ -85,7 +85,7 @@ def cross_matrix(vectors: np.ndarray) -> np.ndarray:
     return np.stack([np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], -2)
 
 
-def differential_system(
+def make_differential_system(
     model: Any,
     state: np.ndarray,
     rotor_speeds: np.ndarray,
@@ -107,7 +107,7 @@ def differential_system(
                 "or set 'make moment DiffSys' in the model's configuration"
             )
         u = chosen["u"]
-    u = inputs_of_system(u, f"model {model.id}")
+    u = check_system_inputs(u, f"model {model.id}")
     lacking = [axis for axis in ("Mx", "My", "Mz") if axis not in model.axes]
     if lacking:
         raise ConfigError(f"model {model.id} lacks {', '.join(lacking)}; a differential form needs all three moments")
@@ -118,14 +118,14 @@ def differential_system(
     return DifferentialSystem(*(part[0] for part in found[:-1]), u) if np.ndim(state) == 1 else found
 
 
-def held_of(u: Iterable[str]) -> tuple[str, ...]:
+def list_held_inputs(u: Iterable[str]) -> tuple[str, ...]:
     """Those of the inputs that are no base columns: derivatives treat them as independent."""
     return tuple(name for name in u if base_columns(name) != {name})
 
 
-def held_back(names: Iterable[str], u: Iterable[str]) -> list[str]:
+def list_held_variables(names: Iterable[str], u: Iterable[str]) -> list[str]:
     """Variables of a model that move with the same columns as a held input, and stay as they are in its derivative."""
-    held = held_of(u)
+    held = list_held_inputs(u)
     columns = set().union(*(base_columns(n) for n in held), set())
     found = []
     for name in names:

@@ -26,7 +26,7 @@ import numpy as np
 from quasi.errors import ExpressionError, nearest
 
 Tree = tuple
-DEPTH = 60  # brackets within brackets; far beyond any regressor, far below Python's own limit
+MAX_DEPTH = 60  # brackets within brackets; far beyond any regressor, far below Python's own limit
 
 _TOKEN = re.compile(r"\s*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|([A-Za-z_|][A-Za-z0-9_|\[\]]*)|(\*\*|.))", re.S)
 
@@ -85,8 +85,8 @@ class _Reader:
         base = self.atom(depth)
         if self.peek("^"):
             self.take()
-            if depth >= DEPTH:
-                raise self.fail(f"powers or brackets are nested deeper than {DEPTH}", "split the expression")
+            if depth >= MAX_DEPTH:
+                raise self.fail(f"powers or brackets are nested deeper than {MAX_DEPTH}", "split the expression")
             return ("power", base, self.signed(depth + 1))
         return base
 
@@ -105,8 +105,8 @@ class _Reader:
                 )
             return ("name", text)
         if text == "(":
-            if depth >= DEPTH:
-                raise self.fail(f"brackets are nested deeper than {DEPTH}", "split the expression", at)
+            if depth >= MAX_DEPTH:
+                raise self.fail(f"brackets are nested deeper than {MAX_DEPTH}", "split the expression", at)
             inner = self.expression(depth + 1)
             if not self.peek(")"):
                 raise self.fail(self.found("')'"), f"close the bracket of character {at}")
@@ -288,7 +288,7 @@ def evaluate(tree: Tree, lookup: Mapping[str, np.ndarray] | Callable[[str], np.n
     Raises ExpressionError for a name that a mapping lacks, with the nearest that it holds.
     """
     if not callable(lookup):
-        lookup = require(lookup)
+        lookup = require_columns(lookup)
     given = {name: np.asarray(lookup(name), float) for name in names(tree)}
     shape = np.broadcast_shapes(*(a.shape for a in given.values()))
     rows = int(np.prod(shape)) if shape else 1
@@ -296,7 +296,7 @@ def evaluate(tree: Tree, lookup: Mapping[str, np.ndarray] | Callable[[str], np.n
     return Program([tree]).run(flat, rows)[0].reshape(shape)
 
 
-def require(columns: Mapping[str, np.ndarray]) -> Callable[[str], np.ndarray]:
+def require_columns(columns: Mapping[str, np.ndarray]) -> Callable[[str], np.ndarray]:
     """A lookup on a mapping that raises ExpressionError with the nearest known name."""
 
     def get(name: str) -> np.ndarray:
@@ -310,10 +310,10 @@ def require(columns: Mapping[str, np.ndarray]) -> Callable[[str], np.ndarray]:
 
 # ---- algebra: which expressions are multiples of each other ----
 
-_TERMS = 400  # a sum with more terms after expansion stays closed
+_MAX_EXPANDED_TERMS = 400  # a sum with more terms after expansion stays closed
 
 
-def canonical(tree: Tree, synonyms: Mapping[str, Tree] | None = None) -> tuple[float, tuple]:
+def canonicalise(tree: Tree, synonyms: Mapping[str, Tree] | None = None) -> tuple[float, tuple]:
     """(factor, key): two expressions with equal keys are multiples of each other, their ratio that of the factors.
 
     Sums are multiplied out (up to a limit) and sorted, powers of one base are gathered, |a|^2 is a^2, and `synonyms`
@@ -321,16 +321,16 @@ def canonical(tree: Tree, synonyms: Mapping[str, Tree] | None = None) -> tuple[f
     prove the opposite.
     """
     try:
-        poly = _polynomial(tree, synonyms or {})
+        poly = _expand_polynomial(tree, synonyms or {})
     except (OverflowError, ZeroDivisionError, ValueError):  # numbers beyond the floats: compared as written
         return 1.0, ("as written", text(tree))
     if not poly:
         return 0.0, ()
-    factor, (_, key) = _closed(poly)
+    factor, (_, key) = _close_polynomial(poly)
     return factor, key
 
 
-def _gather(powers: dict[tuple, float]) -> tuple:
+def _gather_powers(powers: dict[tuple, float]) -> tuple:
     merged: dict[tuple, float] = {}
     for atom, exponent in powers.items():
         name = atom[1] if atom[0] == "name" else ""
@@ -350,40 +350,40 @@ def _multiply(a: dict, b: dict) -> dict:
             powers: dict = dict(ma)
             for atom, exponent in mb:
                 powers[atom] = powers.get(atom, 0.0) + exponent
-            monomial = _gather(powers)
+            monomial = _gather_powers(powers)
             result[monomial] = result.get(monomial, 0.0) + ca * cb
     return {m: c for m, c in result.items() if c != 0.0}
 
 
-def _closed(poly: dict) -> tuple[float, tuple]:
+def _close_polynomial(poly: dict) -> tuple[float, tuple]:
     items = sorted(poly.items(), key=lambda item: repr(item[0]))
     factor = items[0][1]
     # twelve digits: sums that were formed in another order differ in the last ones
     return factor, ("closed", tuple((m, float(f"{c / factor:.12g}")) for m, c in items))
 
 
-def _raise(poly: dict, exponent: float) -> dict:
+def _raise_polynomial(poly: dict, exponent: float) -> dict:
     if not poly:
         return {} if exponent > 0 else {((("name", "1/0"), 1.0),): 1.0}
     if len(poly) == 1:
         ((monomial, c),) = poly.items()
         whole = exponent == int(exponent)
-        roots = whole or all(_even(a, e) for a, e in monomial)
+        roots = whole or all(_is_even(a, e) for a, e in monomial)
         if (c > 0 and roots) or whole:
-            powers = [(_absolute(a) if not whole and e % 2 == 0 else a, e * exponent) for a, e in monomial]
+            powers = [(_make_absolute(a) if not whole and e % 2 == 0 else a, e * exponent) for a, e in monomial]
             gathered: dict = {}
             for atom, e in powers:
                 gathered[atom] = gathered.get(atom, 0.0) + e
-            return {_gather(gathered): c**exponent}
+            return {_gather_powers(gathered): c**exponent}
     if exponent == int(exponent) and 0 <= exponent <= 12:
         result: dict = {(): 1.0}
         for _ in range(int(exponent)):
-            if len(result) * len(poly) > _TERMS:
+            if len(result) * len(poly) > _MAX_EXPANDED_TERMS:
                 break
             result = _multiply(result, poly)
         else:
             return result
-    factor, atom = _closed(poly)
+    factor, atom = _close_polynomial(poly)
     if exponent == int(exponent):
         return {((atom, float(exponent)),): factor**exponent}
     # the sign belongs inside: (-s)^0.5 is not a multiple of s^0.5
@@ -391,54 +391,54 @@ def _raise(poly: dict, exponent: float) -> dict:
     return {(((*atom, sign), float(exponent)),): abs(factor) ** exponent}
 
 
-def _even(atom: tuple, exponent: float) -> bool:
+def _is_even(atom: tuple, exponent: float) -> bool:
     return exponent % 2 == 0 or (atom[0] == "name" and atom[1].startswith("|"))
 
 
-def _absolute(atom: tuple) -> tuple:
+def _make_absolute(atom: tuple) -> tuple:
     return ("name", f"|{atom[1]}|") if atom[0] == "name" and not atom[1].startswith("|") else atom
 
 
-def _polynomial(tree: Tree, synonyms: Mapping[str, Tree]) -> dict:
+def _expand_polynomial(tree: Tree, synonyms: Mapping[str, Tree]) -> dict:
     # {monomial: coefficient}, a monomial being sorted pairs (atom, exponent)
     kind = tree[0]
     if kind == "number":
         return {(): tree[1]} if tree[1] != 0.0 else {}
     if kind == "name":
         if tree[1] in synonyms:
-            return _polynomial(synonyms[tree[1]], synonyms)
+            return _expand_polynomial(synonyms[tree[1]], synonyms)
         return {((tree, 1.0),): 1.0}
     if kind == "negative":
-        return {m: -c for m, c in _polynomial(tree[1], synonyms).items()}
+        return {m: -c for m, c in _expand_polynomial(tree[1], synonyms).items()}
     if kind == "sum":
         result: dict = {}
         for sign, part in tree[1]:
-            for monomial, c in _polynomial(part, synonyms).items():
+            for monomial, c in _expand_polynomial(part, synonyms).items():
                 result[monomial] = result.get(monomial, 0.0) + sign * c
         return {m: c for m, c in result.items() if c != 0.0}
     if kind == "product":
         result = {(): 1.0}
         for sign, part in tree[1]:
-            factor = _polynomial(part, synonyms)
-            factor = factor if sign > 0 else _raise(factor, -1.0)
-            if len(result) * len(factor) > _TERMS:
+            factor = _expand_polynomial(part, synonyms)
+            factor = factor if sign > 0 else _raise_polynomial(factor, -1.0)
+            if len(result) * len(factor) > _MAX_EXPANDED_TERMS:
                 result, factor = _whole(result), _whole(factor)
             result = _multiply(result, factor)
         return result
-    base, exponent = _polynomial(tree[1], synonyms), _polynomial(tree[2], synonyms)
+    base, exponent = _expand_polynomial(tree[1], synonyms), _expand_polynomial(tree[2], synonyms)
     if not exponent:
         return {(): 1.0}
     if set(exponent) == {()}:
-        return _raise(base, exponent[()])
-    return {((("raised", repr(_sorted(base)), repr(_sorted(exponent))), 1.0),): 1.0}
+        return _raise_polynomial(base, exponent[()])
+    return {((("raised", repr(_sort_monomials(base)), repr(_sort_monomials(exponent))), 1.0),): 1.0}
 
 
-def _sorted(poly: dict) -> list:
+def _sort_monomials(poly: dict) -> list:
     return sorted(poly.items(), key=repr)
 
 
 def _whole(poly: dict) -> dict:
     if len(poly) <= 1:
         return poly
-    factor, atom = _closed(poly)
+    factor, atom = _close_polynomial(poly)
     return {((atom, 1.0),): factor}

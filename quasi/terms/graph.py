@@ -26,14 +26,14 @@ from quasi.airframe import Airframe
 from quasi.errors import ExpressionError
 from quasi.terms.expressions import Tree
 from quasi.terms.normalisation import Normalisation
-from quasi.terms.singularities import FLOWN, RATIOS, lowest_speeds
+from quasi.terms.singularities import ADVANCE_RATIOS, FLOWN_SPEEDS, find_speed_limits
 from quasi.terms.variables import SYNONYMS, split_function
 
 Value = tuple[float, int]
 Combination = dict[int, float]  # {node: factor}: the sum of factor x node
 ONE = 0
-_WHOLE = 32  # the largest power that is formed by multiplying
-_FACTORS = 64  # the most factors that a product is taken apart into
+_MAX_WHOLE_POWER = 32  # the largest power that is formed by multiplying
+_MAX_FACTORS = 64  # the most factors that a product is taken apart into
 
 
 class Graph:
@@ -54,7 +54,7 @@ class Graph:
         normalisation: Normalisation | None = None,
         slowest: Iterable[float] | None = None,
     ) -> None:
-        self._lowest = lowest_speeds(slowest)
+        self._lowest = find_speed_limits(slowest)
         self.nodes: list[tuple] = []
         self._known: dict[tuple, int] = {}
         self._airframe = airframe
@@ -156,7 +156,7 @@ class Graph:
                 return 1.0, ONE
             if n == 0.5:
                 return self.function("sqrt", base)
-            if n == int(n) and abs(n) <= _WHOLE:
+            if n == int(n) and abs(n) <= _MAX_WHOLE_POWER:
                 whole = self._whole_power(base, abs(int(n)))
                 return whole if n > 0 else self.over((1.0, ONE), whole)
         return 1.0, self.node("power", self.plain(base), self.plain(self.value(exponent)))
@@ -178,7 +178,7 @@ class Graph:
             for part, m in inner:
                 if part != ONE:
                     powers[part] = powers.get(part, 0) + n * m
-        if sum(powers.values()) > _FACTORS:  # powers of powers stay what they are: as lists of factors they explode
+        if sum(powers.values()) > _MAX_FACTORS:  # powers of powers stay what they are: as lists of factors they explode
             powers = {}
             for node, n in factors:
                 if node != ONE:
@@ -202,11 +202,11 @@ class Graph:
             return self.value(SYNONYMS[name])
         if name in ("roll", "pitch", "yaw"):
             return 1.0, self.node("wrap", self.node("input", name))
-        if name in RATIOS:
+        if name in ADVANCE_RATIOS:
             average = self.variable("w_avg_flown")
-            return self.over(self.variable(RATIOS[name]), (average[0] * self._airframe.radius, average[1]))
-        if name in FLOWN:
-            return self._at_least(self.variable(FLOWN[name]), self._lowest[FLOWN[name]])
+            return self.over(self.variable(ADVANCE_RATIOS[name]), (average[0] * self._airframe.radius, average[1]))
+        if name in FLOWN_SPEEDS:
+            return self._at_least(self.variable(FLOWN_SPEEDS[name]), self._lowest[FLOWN_SPEEDS[name]])
         if name in ("d_w1", "d_w2", "d_w3", "d_w4", "d_w_tot"):
             if self._hover is None:
                 raise ExpressionError(

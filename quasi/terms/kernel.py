@@ -2,16 +2,17 @@
 
     kernel = model.kernel                                   arrays only: an argument of any @njit function
     work, out = kernel.work, np.empty(6)
-    wrench(kernel, inputs, work, out)                       one row, no allocation; out = Fx Fy Fz (N), Mx My Mz (N m)
+    compute_wrench(kernel, inputs, work, out)                       one row, no allocation; out = Fx Fy Fz (N), Mx My Mz
+    (N m)
 
 inputs (20 + E,), the order of INPUTS and then the model's extra columns, `model.inputs[20:]`, such as battery_voltage:
 
     0-2 roll pitch yaw, rad       3-5 u v w, m/s through the air     6-8 p q r, rad/s       9-11 x y z, m
     12-15 w1..w4, rad/s           16-19 w1_dot..w4_dot, rad/s2       20.. extra columns
 
-kernel.used (20 + E,) tells which of them are read, so that a caller may leave the others unset (and, for instance, form
-no Euler angles when `kernel.used[:3]` is all false). An axis that the model lacks gives NaN. Nothing is allocated, so
-`work` may serve all calls of one thread.
+kernel.used (20 + E,) marks the inputs that are read, so that a caller may leave the others unset (and, for instance,
+form no Euler angles when `kernel.used[:3]` is all false). An axis that the model lacks gives NaN. Nothing is allocated,
+so `work` may serve all calls of one thread.
 
 The graph's nodes become two-operand instructions sorted into runs of one operation each, so that the machine decides
 once per run and not once per instruction; every instruction writes the slot after the one before. Products share the
@@ -33,10 +34,10 @@ INPUTS = (
     "w1", "w2", "w3", "w4", "w1_dot", "w2_dot", "w3_dot", "w4_dot",
 )  # fmt: skip
 MULTIPLY, ADD, SUBTRACT, DIVIDE, ABS, SQRT, SIN, COS, POWER, LOG, SIGN, WRAP = range(12)
-_OF_KIND = {"abs": ABS, "sqrt": SQRT, "sin": SIN, "cos": COS, "log": LOG, "sign": SIGN, "wrap": WRAP}
-_HEAD = 7  # sizes at the beginning of the code
+_OPERATION_OF_NODE = {"abs": ABS, "sqrt": SQRT, "sin": SIN, "cos": COS, "log": LOG, "sign": SIGN, "wrap": WRAP}
+_HEADER_SIZE = 7  # sizes at the beginning of the code
 
-_BLOCK = 128  # rows that are worked at a time: their slots stay in the nearest cache
+_BLOCK_ROWS = 128  # rows that are worked at a time: their slots stay in the nearest cache
 
 
 class Kernel(NamedTuple):
@@ -56,7 +57,7 @@ class Kernel(NamedTuple):
     @property
     def gather(self) -> np.ndarray:
         """(G,) positions of the inputs that are read."""
-        return self.code[_HEAD : _HEAD + self.code[0]]
+        return self.code[_HEADER_SIZE : _HEADER_SIZE + self.code[0]]
 
     @property
     def used(self) -> np.ndarray:
@@ -77,25 +78,25 @@ class Kernel(NamedTuple):
 
     def depends(self, outputs: Iterable[int]) -> bool:
         """Whether one of these outputs is anything but the number 0."""
-        at = _HEAD + int(self.code[0]) + 3 * int(self.code[2]) + 2 * int(self.code[3])
+        at = _HEADER_SIZE + int(self.code[0]) + 3 * int(self.code[2]) + 2 * int(self.code[3])
         ends = self.code[at : at + self.outputs + 1]
         offsets = self.numbers[len(self.numbers) - self.outputs :]
         return any(ends[m + 1] > ends[m] or offsets[m] != 0.0 for m in outputs)
 
 
 @nb.njit(cache=True, error_model="numpy")
-def wrench(kernel: Kernel, inputs: np.ndarray, work: np.ndarray, out: np.ndarray) -> None:
+def compute_wrench(kernel: Kernel, inputs: np.ndarray, work: np.ndarray, out: np.ndarray) -> None:
     """Evaluate one row: `out` (M,) from `inputs` (20 + E,); `work` (S,) is scratch. See the head of the module."""
     code, numbers = kernel.code, kernel.numbers
     gathered, constants = int(code[0]), int(code[1])
-    at = _HEAD + gathered
+    at = _HEADER_SIZE + gathered
     runs, at = code[at : at + 3 * code[2]], at + 3 * code[2]
     left, at = code[at : at + code[3]], at + code[3]
     right, at = code[at : at + code[3]], at + code[3]
     ends, terms = code[at : at + code[4] + 1], code[at + code[4] + 1 :]
     weights, offsets = numbers[constants:], numbers[constants + code[5] :]
     for k in range(gathered):
-        work[k] = inputs[code[_HEAD + k]]
+        work[k] = inputs[code[_HEADER_SIZE + k]]
     for k in range(constants):
         work[gathered + k] = numbers[k]
     base = gathered + constants
@@ -118,7 +119,7 @@ def wrench(kernel: Kernel, inputs: np.ndarray, work: np.ndarray, out: np.ndarray
                 work[base + k] = abs(work[left[k]])
         else:
             for k in range(start, stop):
-                work[base + k] = _seldom(operation, work[left[k]], work[right[k]])
+                work[base + k] = _apply_rare_operation(operation, work[left[k]], work[right[k]])
     for m in range(len(ends) - 1):
         total = offsets[m]
         for k in range(ends[m], ends[m + 1]):
@@ -127,7 +128,7 @@ def wrench(kernel: Kernel, inputs: np.ndarray, work: np.ndarray, out: np.ndarray
 
 
 @nb.njit(cache=True, error_model="numpy", inline="never")
-def _seldom(operation: int, a: float, b: float) -> float:
+def _apply_rare_operation(operation: int, a: float, b: float) -> float:
     if operation == SQRT:
         return np.sqrt(a)
     if operation == SIN:
@@ -144,23 +145,23 @@ def _seldom(operation: int, a: float, b: float) -> float:
 
 
 @nb.njit(cache=True, error_model="numpy")
-def wrench_rows(kernel: Kernel, columns: np.ndarray, out: np.ndarray) -> None:
+def compute_wrench_rows(kernel: Kernel, columns: np.ndarray, out: np.ndarray) -> None:
     """Evaluate many rows: columns (G, N), the used inputs in the order of `kernel.gather`; out (M, N)."""
     code, numbers = kernel.code, kernel.numbers
     gathered, constants = int(code[0]), int(code[1])
-    at = _HEAD + gathered
+    at = _HEADER_SIZE + gathered
     runs, at = code[at : at + 3 * code[2]], at + 3 * code[2]
     left, at = code[at : at + code[3]], at + code[3]
     right, at = code[at : at + code[3]], at + code[3]
     ends, terms = code[at : at + code[4] + 1], code[at + code[4] + 1 :]
     weights, offsets = numbers[constants:], numbers[constants + code[5] :]
     base = gathered + constants
-    work = np.empty((base + len(left), _BLOCK))
+    work = np.empty((base + len(left), _BLOCK_ROWS))
     for k in range(constants):
         work[gathered + k] = numbers[k]
     rows = out.shape[1]
-    for first in range(0, rows, _BLOCK):
-        n = min(_BLOCK, rows - first)
+    for first in range(0, rows, _BLOCK_ROWS):
+        n = min(_BLOCK_ROWS, rows - first)
         for k in range(gathered):
             work[k, :n] = columns[k, first : first + n]
         for run in range(0, len(runs), 3):
@@ -181,7 +182,7 @@ def wrench_rows(kernel: Kernel, columns: np.ndarray, out: np.ndarray) -> None:
                         to[i] = a[i] / b[i]
                 else:
                     for i in range(n):
-                        to[i] = abs(a[i]) if operation == ABS else _seldom(operation, a[i], b[i])
+                        to[i] = abs(a[i]) if operation == ABS else _apply_rare_operation(operation, a[i], b[i])
         for m in range(len(ends) - 1):
             total = out[m, first : first + n]
             total[:] = offsets[m]
@@ -268,7 +269,7 @@ class _Code:
             return self._multiply(products[node])
         if kind == "sum":
             return self._sum(given[0])
-        return self._do(_OF_KIND[kind], of[given[0]])
+        return self._do(_OPERATION_OF_NODE[kind], of[given[0]])
 
     def _multiply(self, factor: int) -> int:
         if factor >= 0:

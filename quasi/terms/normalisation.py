@@ -31,7 +31,7 @@ from quasi.attitude import AIR_DENSITY
 from quasi.errors import ConfigError
 from quasi.terms.expressions import Tree, evaluate, parse
 
-LEAST_AIRSPEED = 0.01  # m/s
+MIN_AIRSPEED = 0.01  # m/s
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Normalisation:
     @cached_property
     def trees(self) -> dict[str, Tree]:
         """{variable: expression of dimensional variables that it stands for}."""
-        a, speed = _at_least("w_avg", self.idle), _at_least("(u^2 + v^2 + w^2)^0.5", LEAST_AIRSPEED)
+        a, speed = _limit_below("w_avg", self.idle), _limit_below("(u^2 + v^2 + w^2)^0.5", MIN_AIRSPEED)
         texts = {f"w{i}{suffix}": f"w{i}{suffix}/{a}" for i in range(1, 5) for suffix in ("", "_CMD")}
         texts |= {f"w2_{i}": f"w{i}^2/{a}^2" for i in range(1, 5)}
         texts |= {f"w{i}_dot": f"w{i}_dot/{a}^2" for i in range(1, 5)}
@@ -75,16 +75,16 @@ class Normalisation:
         return f"{float(constant)!r}/({self.top!r} + w_avg)^2"
 
     def to_plain(self) -> dict[str, float]:
-        """As it stands in a model; `from_plain` reads it back."""
+        """As it stands in a model; `read_normalisation` reads it back."""
         return {"top": self.top, "idle": self.idle, "rotor radius": self.radius, "b": self.arm}
 
 
-def _at_least(text: str, least: float) -> str:
+def _limit_below(text: str, least: float) -> str:
     # the larger of two numbers in the grammar's own means: (x + l + |x - l|)/2
     return f"(0.5*({text} + {least!r} + (({text} - {least!r})^2)^0.5))"
 
 
-def from_plain(plain: Any, where: str) -> Normalisation | None:
+def read_normalisation(plain: Any, where: str) -> Normalisation | None:
     """Inverse of `Normalisation.to_plain`; None gives None. Raises ConfigError for damaged data."""
     if plain is None:
         return None
@@ -95,7 +95,7 @@ def from_plain(plain: Any, where: str) -> Normalisation | None:
     return Normalisation(*map(float, values))
 
 
-def normalisation_of(airframe: Airframe, logged_to_rad_s: float | None, where: str) -> Normalisation:
+def make_normalisation(airframe: Airframe, logged_to_rad_s: float | None, where: str) -> Normalisation:
     """The scheme of a quadrotor.
 
     logged_to_rad_s  factor from the unit of 'idle RPM' and 'max RPM' to rad/s, None takes the airframe's own

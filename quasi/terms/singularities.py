@@ -22,26 +22,28 @@ import numpy as np
 
 from quasi.terms.expressions import Tree, names
 
-STOPPED = 1.0  # rad/s, one turn in 6 s: lower limit of a speed in a denominator where no flown speed is known
+MIN_DENOMINATOR_SPEED = (
+    1.0  # rad/s, one turn in 6 s: lower limit of a speed in a denominator where no flown speed is known
+)
 SPEEDS = ("w_avg", "w_tot", "w1", "w2", "w3", "w4")
-FLOWN = {f"{name}_flown": name for name in SPEEDS}
-RATIOS = {"mu_x": "u", "mu_y": "v", "mu_z": "w", "mu_vin": "v_in"}  # over the tip speed w_avg R
+FLOWN_SPEEDS = {f"{name}_flown": name for name in SPEEDS}
+ADVANCE_RATIOS = {"mu_x": "u", "mu_y": "v", "mu_z": "w", "mu_vin": "v_in"}  # over the tip speed w_avg R
 _SAME = {"wavg": "w_avg", "wtot": "w_tot"}
-_MOST_PARTS = 64  # products that one regressor is multiplied out to; a larger sum keeps its form
-_HIGHEST = 12  # power up to which a sum of unlike products is multiplied out
+_MAX_PRODUCTS = 64  # products that one regressor is multiplied out to; a larger sum keeps its form
+_MAX_EXPANDED_POWER = 12  # power up to which a sum of unlike products is multiplied out
 
 Exponents = tuple[tuple[str, float], ...]
 Parts = dict[Exponents, Tree]
 _ONE: Tree = ("number", 1.0)
 
 
-def lowest_speeds(slowest: Iterable[float] | None) -> dict[str, float]:
+def find_speed_limits(slowest: Iterable[float] | None) -> dict[str, float]:
     """Lower limits {speed: rad/s} of the speeds in a denominator.
 
     slowest  (4,) lowest speed of each rotor in the training flights, rad/s; None where unknown
     Each limit is at most what the flights had at any time: the rotors need not have been slowest together.
     """
-    each = np.maximum(np.zeros(4) if slowest is None else np.asarray(list(slowest), float), STOPPED)
+    each = np.maximum(np.zeros(4) if slowest is None else np.asarray(list(slowest), float), MIN_DENOMINATOR_SPEED)
     limits = {"w_avg": float(np.sqrt(np.mean(each**2))), "w_tot": float(each.sum())}
     return limits | {f"w{i}": float(each[i - 1]) for i in range(1, 5)}
 
@@ -59,7 +61,7 @@ def remove_singularities(tree: Tree, radius: float) -> Tree:
 
 
 def _may_be_singular(tree: Tree) -> bool:
-    if any(name.strip("|") in RATIOS for name in names(tree)):
+    if any(name.strip("|") in ADVANCE_RATIOS for name in names(tree)):
         return True
     return _divides(tree) and any(name in SPEEDS or name in _SAME or name.startswith("w2_") for name in names(tree))
 
@@ -115,8 +117,8 @@ def _expand_name(name: str, radius: float) -> Parts:
         return {((f"w{name[3:]}", 2.0),): _ONE}
     magnitude = len(name) > 2 and name[0] == name[-1] == "|"
     inner = name.strip("|") if magnitude else name
-    if inner in RATIOS:
-        velocity = f"|{RATIOS[inner]}|" if magnitude else RATIOS[inner]
+    if inner in ADVANCE_RATIOS:
+        velocity = f"|{ADVANCE_RATIOS[inner]}|" if magnitude else ADVANCE_RATIOS[inner]
         return {(("w_avg", -1.0),): ("product", ((1, ("name", velocity)), (-1, ("number", radius))))}
     return {(): ("name", name)}
 
@@ -137,7 +139,7 @@ def _sum(signed: list[tuple[int, Tree]]) -> Tree:
 
 
 def _multiply(a: Parts, b: Parts) -> Parts:
-    if len(a) * len(b) > _MOST_PARTS:
+    if len(a) * len(b) > _MAX_PRODUCTS:
         a, b = ({(): _join(p)} if len(p) > 1 else p for p in (a, b))
     made = []
     for left, first in a.items():
@@ -173,7 +175,7 @@ def _raise(parts: Parts, exponent: float) -> Parts:
         if whole or all(name == "w_avg" for name, _ in key):
             raised = tuple((name, e * exponent) for name, e in key)
             return {raised: _ONE if tree == _ONE else _power(tree, exponent)}
-    elif whole and 2 <= exponent <= _HIGHEST:
+    elif whole and 2 <= exponent <= _MAX_EXPANDED_POWER:
         result = parts
         for _ in range(int(exponent) - 1):
             result = _multiply(result, parts)

@@ -28,7 +28,7 @@ from quasi.errors import ConfigError, ExpressionError, nearest
 from quasi.tables import COLUMNS
 from quasi.terms.expressions import Tree, evaluate, names, parse
 from quasi.terms.normalisation import Normalisation
-from quasi.terms.singularities import FLOWN, RATIOS, lowest_speeds
+from quasi.terms.singularities import ADVANCE_RATIOS, FLOWN_SPEEDS, find_speed_limits
 
 # name: (expression of other variables, meaning). A line here is all that a variable needs: flights, compiled models,
 # derivatives, units, exports and the legend of a model's page are made from it
@@ -47,22 +47,22 @@ _ROTORS = tuple(f"w{i}" for i in range(1, 5))
 _DOTS = tuple(f"w{i}_dot" for i in range(1, 5))
 _STATES = ("roll", "pitch", "yaw", *"uvwpqrxyz")
 _AIR = {"u": "u_air", "v": "v_air", "w": "w_air"}
-_OF = re.compile(r"^(?:\|(?P<abs>.+)\||(?P<function>sin|cos)\[(?P<of>.+)\])$")
+_FUNCTION_PATTERN = re.compile(r"^(?:\|(?P<abs>.+)\||(?P<function>sin|cos)\[(?P<of>.+)\])$")
 
 # name: the columns it is made from; hover speed, radius and signs come from elsewhere
-_MADE_FROM: dict[str, tuple[str, ...]] = {
+_SOURCE_COLUMNS: dict[str, tuple[str, ...]] = {
     **{f"d_w{i}": (f"w{i}",) for i in range(1, 5)},
     **dict.fromkeys(("w_tot", "w_avg", "d_w_tot", "u_p", "u_q", "u_r", "U_p", "U_q", "U_r"), _ROTORS),
     **dict.fromkeys(("w_tot_dot", "u_p_dot", "u_q_dot", "u_r_dot"), _DOTS),
-    **{ratio: (*_ROTORS, v) for ratio, v in RATIOS.items()},
-    **{name: _ROTORS if speed in ("w_avg", "w_tot") else (speed,) for name, speed in FLOWN.items()},
+    **{ratio: (*_ROTORS, v) for ratio, v in ADVANCE_RATIOS.items()},
+    **{name: _ROTORS if speed in ("w_avg", "w_tot") else (speed,) for name, speed in FLOWN_SPEEDS.items()},
 }
 
 # base dimensions: length, mass, time, angle, voltage; powers
 _UNITS: dict[str, tuple[float, ...]] = {}
 for _unit, _members in {
     (0, 0, -1, 1, 0): (*_ROTORS, *(f"w{i}_CMD" for i in range(1, 5)), *(f"d_w{i}" for i in range(1, 5)),
-                       "w_tot", "w_avg", "d_w_tot", *FLOWN, "u_p", "u_q", "u_r", "p", "q", "r"),
+                       "w_tot", "w_avg", "d_w_tot", *FLOWN_SPEEDS, "u_p", "u_q", "u_r", "p", "q", "r"),
     (0, 0, -2, 2, 0): ("U_p", "U_q", "U_r"),
     (0, 0, -2, 1, 0): (*_DOTS, "w_tot_dot", "u_p_dot", "u_q_dot", "u_r_dot", "p_dot", "q_dot", "r_dot"),
     (1, 0, -1, 0, 0): ("u", "v", "w", "v_in"),
@@ -88,19 +88,19 @@ def columns_of(tree: Tree, normalisation: Normalisation | None = None) -> set[st
 def base_columns(name: str, normalisation: Normalisation | None = None) -> set[str]:
     """Base columns that a variable is made from; a name outside the table is a column of its own."""
     name = SYNONYMS[name][1] if name in SYNONYMS and SYNONYMS[name][0] == "name" else name
-    match = _OF.match(name)
+    match = _FUNCTION_PATTERN.match(name)
     if match:
         return base_columns(match["abs"] or match["of"], normalisation)
     if normalisation and name in normalisation.trees:
         return columns_of(normalisation.trees[name])
     if name in SYNONYMS:
         return columns_of(SYNONYMS[name], normalisation)
-    return set(_MADE_FROM.get(name, (name,)))
+    return set(_SOURCE_COLUMNS.get(name, (name,)))
 
 
 def split_function(name: str) -> tuple[str | None, str]:
     """("abs", "sin" or "cos", name inside) of |name|, sin[name], cos[name]; (None, name) of any other."""
-    match = _OF.match(name)
+    match = _FUNCTION_PATTERN.match(name)
     if not match:
         return None, name
     return ("abs", match["abs"]) if match["abs"] else (match["function"], match["of"])
@@ -118,7 +118,7 @@ def known_names(columns: Mapping[str, object] | set[str]) -> list[str]:
     """Names that these columns make possible, without |..|, sin[..] and cos[..], which every name allows."""
     have = {*columns, *(v for v, air in _AIR.items() if air in columns)}
     made = [name for name in FORMULAS if have.issuperset(base_columns(name))]
-    made += [name for name, needs in _MADE_FROM.items() if have.issuperset(needs)]
+    made += [name for name, needs in _SOURCE_COLUMNS.items() if have.issuperset(needs)]
     return [*made, *(n for n in _AIR if n in have and n not in columns), *(n for n in columns if n not in made)]
 
 
@@ -128,7 +128,7 @@ def check_expression(text: str, place: str, normalised: bool = False) -> None:
     normalised  whether the scales of the non-dimensional scheme, F_den and M_den, may stand in it
     Whether the flights at hand hold it shows only once they are read. Raises ExpressionError beginning with `place`.
     """
-    known = {*_MADE_FROM, *_UNITS, *SYNONYMS, *COLUMNS, *(_SCALES if normalised else ())}
+    known = {*_SOURCE_COLUMNS, *_UNITS, *SYNONYMS, *COLUMNS, *(_SCALES if normalised else ())}
     try:
         found = names(parse(text))
     except ExpressionError as error:
@@ -158,11 +158,11 @@ def check_terms(document: object, where: str) -> None:
                 check_expression(text, f"{where}, {axis}, term '{text}'", normalised)
 
 
-def inputs_of_system(u: Iterable[str], where: str) -> tuple[str, ...]:
+def check_system_inputs(u: Iterable[str], where: str) -> tuple[str, ...]:
     """The inputs of a differential form under one spelling.
 
     Raises ConfigError for what cannot be one: a rate, |..|, sin[..], a squared speed, an unknown name, the same twice,
-    or a variable beside one that it is made of.
+    or a variable together with one of its parts.
     """
     found: list[str] = []
     logged = [n for n in COLUMNS if n.startswith(("command", "battery", "v_in", "throttle"))]
@@ -198,7 +198,7 @@ def inputs_of_system(u: Iterable[str], where: str) -> tuple[str, ...]:
 
 
 class Variables:
-    """Candidate variables by name, each computed when first asked for.
+    """Candidate variables by name, each computed on first access.
 
     columns      {name: (n,)} base columns in SI units: w1..w4, u v w, p q r, roll pitch yaw, and what else there is
     airframe     signs of the rotors and the rotor radius
@@ -215,7 +215,7 @@ class Variables:
         normalisation: Normalisation | None = None,
         slowest: Iterable[float] | None = None,
     ) -> None:
-        self._lowest = lowest_speeds(slowest)
+        self._lowest = find_speed_limits(slowest)
         self._columns = columns
         self._airframe = airframe
         self._hover = hover_speed
@@ -244,7 +244,7 @@ class Variables:
         return np.asarray(self._columns[name], float)
 
     def _make(self, name: str) -> np.ndarray:
-        match = _OF.match(name)
+        match = _FUNCTION_PATTERN.match(name)
         if match:
             if match["abs"]:
                 return np.abs(self[match["abs"]])
@@ -254,7 +254,7 @@ class Variables:
         if name in SYNONYMS:
             tree = SYNONYMS[name]
             return self[tree[1]] if tree[0] == "name" else evaluate(tree, self._of(name))
-        if name in _MADE_FROM:
+        if name in _SOURCE_COLUMNS:
             return self._derived(name)
         if name in ("roll", "pitch", "yaw"):
             angle = self.column(name, name)
@@ -270,9 +270,9 @@ class Variables:
 
     def _derived(self, name: str) -> np.ndarray:
         if name.startswith("mu_"):
-            return self.column(RATIOS[name], name) / (self["w_avg_flown"] * self._airframe.radius)
-        if name in FLOWN:
-            return np.maximum(self[FLOWN[name]], self._lowest[FLOWN[name]])
+            return self.column(ADVANCE_RATIOS[name], name) / (self["w_avg_flown"] * self._airframe.radius)
+        if name in FLOWN_SPEEDS:
+            return np.maximum(self[FLOWN_SPEEDS[name]], self._lowest[FLOWN_SPEEDS[name]])
         if name.endswith("_dot"):
             speeds = [self.column(c, name) for c in _DOTS]
             return self._weighted(name.removesuffix("_dot"), speeds)
@@ -295,7 +295,7 @@ class Variables:
         return sum(s * v for s, v in zip(signs, values))
 
 
-def unit_of(tree: Tree, target: str, lookup: Callable[[str], tuple] | None = None) -> str:
+def derive_unit(tree: Tree, target: str, lookup: Callable[[str], tuple] | None = None) -> str:
     """Unit of the coefficient that turns an expression into the target ("Fx" .. "Mz"), e.g. "N s2/rad2".
 
     "mixed" stands for those without one: sums of unlike quantities and for powers that vary.
@@ -307,7 +307,7 @@ def unit_of(tree: Tree, target: str, lookup: Callable[[str], tuple] | None = Non
     return _unit_text(length, mass, time, angle, voltage)
 
 
-def unit_of_variable(name: str) -> str:
+def derive_variable_unit(name: str) -> str:
     """Unit of a variable, e.g. "rad2/s2"; "mixed" where its formula adds unlike quantities, "" where unknown."""
     dimension = _unit_of_name(name)
     return ("mixed" if name in FORMULAS else "") if dimension is None else _unit_text(*dimension)
@@ -329,7 +329,7 @@ def _unit_text(length: float, mass: float, time: float, angle: float, voltage: f
 
 
 def _unit_of_name(name: str) -> tuple | None:
-    match = _OF.match(name)
+    match = _FUNCTION_PATTERN.match(name)
     if match:
         return _unit_of_name(match["abs"]) if match["abs"] else (0,) * 5
     if name in SYNONYMS:

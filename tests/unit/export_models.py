@@ -9,12 +9,12 @@ from made_model import SHARED, TERMS, document, part
 
 from quasi.airframe import read_airframe
 from quasi.identification.candidates import read_specification
-from quasi.model.build import assemble
+from quasi.model.build import assemble_model
 from quasi.model.model import Model
 from quasi.project.folder import AXES
 from quasi.tables import read_json
 from quasi.terms.expressions import text
-from quasi.terms.normalisation import normalisation_of
+from quasi.terms.normalisation import make_normalisation
 
 EVERY_FUNCTION = {
     "Fx": {"1": 0.02, "|u|*u": -2e-3, "sin[pitch]": -4.2, "cos[yaw]*u": 1e-2, "mu_x^3*w_avg": 1e-2, "x*v - -2*z": 1e-3},
@@ -34,7 +34,7 @@ THROUGH_THE_AIR = {**TERMS, "Fx": {"u": -0.1, "u_air": -0.2, "|u_air|*v_air": 0.
 def model(terms, name="m", **more):
     parts = {axis: part(axis, found) for axis, found in terms.items()}
     shared = {**SHARED, **{k: more.pop(k) for k in list(more) if k in SHARED}}
-    return Model({**assemble(parts, shared, {"id": name, "airframe": AIRFRAME}), **more})
+    return Model({**assemble_model(parts, shared, {"id": name, "airframe": AIRFRAME}), **more})
 
 
 def bundled(file=Path(__file__).parents[2] / "config/polynomials/physical_large.json"):
@@ -53,10 +53,10 @@ def normalised():
     inertia = "[8.65e-4, 1e-5, 0; 1e-5, 1.07e-3, 0; 0, 0, 1.71e-3]"
     limits = {"mass": 0.433, "motor poles": 14, "idle RPM": 250, "max RPM": 2500}
     frame = read_airframe({**BEETLE, "moment of inertia": inertia, **limits}, "test")
-    scheme = normalisation_of(frame, None, "test").to_plain()
+    scheme = make_normalisation(frame, None, "test").to_plain()
     terms = {"U_p": 0.3, "mu_x*w_avg": -0.1, "u": 0.2, "F_den^0.5": 1e-3, "|F_den|*v": 1e-3, "sin[M_den]": 1e-3}
     parts = {axis: {**part(axis, terms), "normalisation": scheme} for axis in AXES}
-    return Model(assemble(parts, SHARED, {"id": "normalised", "airframe": frame}))
+    return Model(assemble_model(parts, SHARED, {"id": "normalised", "airframe": frame}))
 
 
 MODELS = {

@@ -4,8 +4,8 @@ import numpy as np
 from flights import AIRFRAME, HOVER, flight
 
 from quasi.identification.partition import ROLES, partition
-from quasi.model.build import assemble
-from quasi.model.envelope import covered
+from quasi.model.build import assemble_model
+from quasi.model.envelope import measure_coverage
 from quasi.model.model import Model
 from quasi.scoring.review import review_model
 
@@ -76,12 +76,12 @@ def made(change=lambda f: f, options=None, rows=2000, validation=("c",), aside=N
     training = {key: c == ROLES["training"] for key, c in codes.items()}
     parts = {axis: fitted(axis, flights, training) for axis in TERMS}
     keys = [k for k in flights if training[k].any()]
-    document = assemble(
+    document = assemble_model(
         parts,
         {**SHARED, "training flights": keys},
         {
             "id": "made_up", "airframe": AIRFRAME, "validation flights": list(validation),
-            **covered(flights, training, AIRFRAME, HOVER, parts),
+            **measure_coverage(flights, training, AIRFRAME, HOVER, parts),
         },
     )  # fmt: skip
     model = Model(document)

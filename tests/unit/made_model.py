@@ -3,7 +3,7 @@
 import numpy as np
 from flights import AIRFRAME, HOVER
 
-from quasi.model.build import assemble
+from quasi.model.build import assemble_model
 from quasi.model.model import Model
 
 TERMS = {
@@ -54,7 +54,7 @@ SHARED = {
 
 def document(**more):
     parts = {axis: part(axis, terms) for axis, terms in TERMS.items()}
-    return assemble(parts, SHARED, {"id": "m", "airframe": AIRFRAME, **more})
+    return assemble_model(parts, SHARED, {"id": "m", "airframe": AIRFRAME, **more})
 
 
 def simple_model(airframe, thrust, torque, **more):
@@ -69,4 +69,4 @@ def simple_model(airframe, thrust, torque, **more):
         "simple model": {"kappaFz": {"value": thrust}, "kappaMz": {"value": -torque}},
     }  # fmt: skip
     parts = {axis: part(axis, {**of, **more.get(axis, {})}) for axis, of in terms.items()}
-    return Model(assemble(parts, shared, {"id": "m", "airframe": airframe}))
+    return Model(assemble_model(parts, shared, {"id": "m", "airframe": airframe}))

@@ -12,7 +12,7 @@ from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
 from quasi.gap.planning import plan
 from quasi.gap.planning.flatness import planned, read_plan
-from quasi.model.build import assemble
+from quasi.model.build import assemble_model
 from quasi.model.model import Model
 
 MASS, ARM, THRUST = 0.433, 0.077 / math.sqrt(2.0), 2.4e-7
@@ -38,7 +38,9 @@ def model_of(airframe=AIRFRAME, **more):
         "notes": [],
         **more,
     }
-    return Model(assemble({a: part(a, t) for a, t in TERMS.items()}, shared, {"id": "small", "airframe": airframe}))
+    return Model(
+        assemble_model({a: part(a, t) for a, t in TERMS.items()}, shared, {"id": "small", "airframe": airframe})
+    )
 
 
 MODEL = model_of()

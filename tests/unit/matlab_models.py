@@ -10,7 +10,7 @@ from test_normalisation import SCHEME, TRUTH
 from quasi.export.agreement import states_of
 from quasi.export.matlab_check import find_octave
 from quasi.identification.candidates import read_specification
-from quasi.model.build import assemble
+from quasi.model.build import assemble_model
 from quasi.model.model import Model
 from quasi.tables import read_json
 from quasi.terms.expressions import Program, parse
@@ -38,7 +38,7 @@ GRAMMAR = {
 
 def of_terms(expressions, **shared):
     """A model of these terms, {axis: [expression]}, each with a coefficient that makes it of ordinary size."""
-    plain = assemble({a: part(a, dict.fromkeys(e, 1.0)) for a, e in expressions.items()}, {**SHARED, **shared},
+    plain = assemble_model({a: part(a, dict.fromkeys(e, 1.0)) for a, e in expressions.items()}, {**SHARED, **shared},
                      {"id": "m", "airframe": Model(document()).airframe})  # fmt: skip
     model = Model(plain)
     at = states_of(model, 400)
@@ -68,7 +68,7 @@ def of_pool(name, seed=3):
 def normalised():
     scheme = SCHEME.to_plain()
     parts = {axis: {**part(axis, terms), "normalisation": scheme} for axis, terms in TRUTH.items()}
-    return Model(assemble(parts, SHARED, {"id": "m", "airframe": Model(document()).airframe}))
+    return Model(assemble_model(parts, SHARED, {"id": "m", "airframe": Model(document()).airframe}))
 
 
 def flown():

@@ -11,7 +11,7 @@ from numba import njit
 from quasi.attitude import from_euler
 from quasi.model.model import Model
 from quasi.simulation.control.controllers import controller_step, make_controller
-from quasi.terms.kernel import wrench
+from quasi.terms.kernel import compute_wrench
 
 G = 9.81
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -77,7 +77,7 @@ def _wrench_of(kernel, rot, velocity, rates, position, speeds, slopes, inputs, w
         inputs[9 + k] = position[k]
     for i in range(4):
         inputs[12 + i], inputs[16 + i] = speeds[i], slopes[i]
-    wrench(kernel, inputs, work, out)
+    compute_wrench(kernel, inputs, work, out)
 
 
 @njit(cache=True)

@@ -10,10 +10,7 @@ import pytest
 from quasi.airframe import Airframe
 from quasi.gap.catalogue import catalogue
 from quasi.gap.flights.level import Flown, clear
-from quasi.gap.levels.drive.findings import saturated
-from quasi.gap.levels.drive.fit import LOOSE, Belief, belief_of, fit_drive
-from quasi.gap.levels.drive.identify import SPREAD, examine, size_of
-from quasi.tables import AGE_OFF
+from quasi.tables import TELEMETRY_AGE_REMOVED
 
 RATE, SECONDS, FINER = 500.0, 14.0, 4
 MAP, VOLTS, UP, DOWN = (380.0, 4650.0, -1200.0), 15.2, 0.022, 0.030
@@ -190,11 +187,11 @@ def test_a_model_that_tells_whether_its_delay_holds_the_age_is_compared_like_wit
         channels = level.tables["channels"]
         return float((channels["before"] / channels["floor"]).max())
 
-    told, silent = examined({**delay, AGE_OFF: aged}), examined(delay)
+    told, silent = examined({**delay, TELEMETRY_AGE_REMOVED: aged}), examined(delay)
     assert not told.effects and not told.ties
     assert beyond(told) < beyond(silent)
     for fault in ({"late": 0.004}, {"late": 0.004, "told": True}):
-        sharp, blunt = (examined(d, **fault) for d in ({**delay, AGE_OFF: aged}, delay))
+        sharp, blunt = (examined(d, **fault) for d in ({**delay, TELEMETRY_AGE_REMOVED: aged}, delay))
         assert sharp.effects or sharp.ties
         assert wald(sharp) > wald(blunt)
 

@@ -11,7 +11,7 @@ from scipy.signal import firwin
 from quasi.errors import ConfigError
 from quasi.identification.actuators import actuators, flight_lags, follow
 from quasi.importing.command_map import add_commanded_speeds
-from quasi.tables import AGE_OFF
+from quasi.tables import TELEMETRY_AGE_REMOVED
 
 RATE = 500.0
 UP, DOWN, DELAY = 0.02, 0.032, 0.006
@@ -162,16 +162,20 @@ def test_the_delay_is_that_of_flights_whose_telemetry_was_set_right():
 
     told, notes = found(a=True, b=False, c=True)
     assert told["delay"]["value"] == pytest.approx([DELAY] * 4, abs=3e-4)
-    assert told["delay"][AGE_OFF] is True
-    assert [told["flights"][key]["delay"][AGE_OFF] for key in "abc"] == [True, False, True]
+    assert told["delay"][TELEMETRY_AGE_REMOVED] is True
+    assert [told["flights"][key]["delay"][TELEMETRY_AGE_REMOVED] for key in "abc"] == [True, False, True]
     assert told["time constants"]["value"] == found()[0]["time constants"]["value"]
     assert [n for n in notes if "2 of 3 flights: in b import could not" in n]
     none, notes = found(a=False, b=False, c=False)
-    assert none["delay"][AGE_OFF] is False and "no flight told the age" in notes[0]
+    assert none["delay"][TELEMETRY_AGE_REMOVED] is False and "no flight told the age" in notes[0]
     whole = np.median([[lag.delay for lag in flight_lags(f, rows[k], None)] for k, f in flights.items()], axis=0)
     assert none["delay"]["value"] == pytest.approx(whole)
     silent, notes = found(b=False)  # imported before anybody kept it
-    assert AGE_OFF not in silent["delay"] and AGE_OFF not in silent["flights"]["a"]["delay"] and not notes
+    assert (
+        TELEMETRY_AGE_REMOVED not in silent["delay"]
+        and TELEMETRY_AGE_REMOVED not in silent["flights"]["a"]["delay"]
+        and not notes
+    )
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from quasi.gap.catalogue import catalogue
 from quasi.importing.readers import registry
 from quasi.importing.readers.reader import Reader, Request
 from quasi.importing.series import Recording, Series
-from quasi.model.build import assemble
+from quasi.model.build import assemble_model
 from quasi.model.model import Model
 from quasi.pages.terms import describe_variable
 from quasi.simulation.loop.run import simulate
@@ -98,7 +98,7 @@ def test_recipe_of_a_regressor_variable(monkeypatch):
     def model(expression):
         parts = {axis: part(axis, terms) for axis, terms in TERMS.items()}
         parts["Mz"] = part("Mz", {"1": 1e-3, expression: 2e-4})
-        return Model(assemble(parts, SHARED, {"id": "m", "airframe": AIRFRAME}))
+        return Model(assemble_model(parts, SHARED, {"id": "m", "airframe": AIRFRAME}))
 
     named, written = model("toy"), model(f"({formula})")
     r = np.random.default_rng(0)
@@ -107,7 +107,7 @@ def test_recipe_of_a_regressor_variable(monkeypatch):
         np.testing.assert_array_equal(one, other)
     for one, other in zip(named.jacobian(state, speeds), written.jacobian(state, speeds)):
         np.testing.assert_allclose(one, other, rtol=1e-13)
-    assert variables.unit_of(parse("toy"), "Mz") == variables.unit_of(parse(formula), "Mz") == "N m s/rad"
+    assert variables.derive_unit(parse("toy"), "Mz") == variables.derive_unit(parse(formula), "Mz") == "N m s/rad"
     assert "(p.*u_r./w_avg)" in axis_file(named, "Mz")
     assert describe_variable("toy")[0] == "rad/s"
     variables.check_expression("toy^2", "here")

@@ -9,7 +9,7 @@ import pytest
 from quasi.errors import ConfigError, LogbookError, QuasiError
 from quasi.project.gaps import refuse_trained, same_recordings, unchecked
 from quasi.project.workflow import Folder
-from quasi.tables import ages_taken_off, recordings_of, sha256_of
+from quasi.tables import list_recordings, list_telemetry_corrections, sha256_of
 
 ROOT = Path(__file__).parents[2]
 MODEL = {
@@ -245,15 +245,15 @@ def test_an_older_model_is_asked_by_the_names_of_its_flights_and_says_that_conte
 def test_a_model_keeps_the_recordings_of_flights_that_tell_them():
     onboard = {"sha256": "ab", "log": 2}
     made = {"a": {"imported": {"sources": {"onboard": onboard}}}, "b": {"imported": {"sources": {}}}, "c": {}}
-    assert recordings_of(made) == {"a": {"sha256": "ab", "log": "2"}}
+    assert list_recordings(made) == {"a": {"sha256": "ab", "log": "2"}}
     del onboard["log"]
-    assert recordings_of(made) == {"a": {"sha256": "ab", "log": ""}}
+    assert list_recordings(made) == {"a": {"sha256": "ab", "log": ""}}
 
 
 def test_a_flight_tells_whether_its_rotor_telemetry_was_set_right():
     told = {"a": {"applied": True}, "b": {"applied": False}, "c": None}
     made = {key: {"imported": {"rotor telemetry": about}} for key, about in told.items()} | {"older": {}, "d": {}}
-    assert ages_taken_off(made) == {"a": True, "b": False, "c": False}
+    assert list_telemetry_corrections(made) == {"a": True, "b": False, "c": False}
 
 
 def test_a_gap_knows_whether_its_model_was_put_there(folder):

@@ -10,12 +10,12 @@ from made_model import SHARED, TERMS, document, part
 
 from quasi.airframe import to_plain
 from quasi.errors import ConfigError
-from quasi.model.build import assemble, with_differential_form
+from quasi.model.build import add_differential_form, assemble_model
 from quasi.model.model import Model
-from quasi.terms.differential import cross_matrix, differential_system
+from quasi.terms.differential import cross_matrix, make_differential_system
 from quasi.terms.expressions import parse
-from quasi.terms.kernel import INPUTS, wrench
-from quasi.terms.variables import inputs_of_system
+from quasi.terms.kernel import INPUTS, compute_wrench
+from quasi.terms.variables import check_system_inputs
 
 STEP = 1e-30  # of a complex step: no digits are lost, however small
 
@@ -31,7 +31,7 @@ RICH = {
 
 def rich(inertia=None):
     parts = {axis: part(axis, terms) for axis, terms in RICH.items()}
-    made = assemble(parts, SHARED, {"id": "m", "airframe": AIRFRAME})
+    made = assemble_model(parts, SHARED, {"id": "m", "airframe": AIRFRAME})
     if inertia is not None:
         made["airframe"] = to_plain(AIRFRAME) | {"inertia": inertia}
     return Model(made)
@@ -128,7 +128,7 @@ def test_one_row_equals_the_batch_and_the_compiled_form(data):
         np.testing.assert_allclose(one, many[7], rtol=1e-13)
     kernel = model.derivative_kernel(INPUTS)
     out = np.empty(kernel.outputs)
-    wrench(kernel, data[7], kernel.work, out)
+    compute_wrench(kernel, data[7], kernel.work, out)
     np.testing.assert_allclose(out.reshape(6, 20)[:, :12], single.state, rtol=1e-13)
 
 
@@ -157,7 +157,7 @@ def acceleration(terms, of, inertia):
 @pytest.mark.parametrize("u", [("U_p", "U_q", "U_r"), ("w1", "w2", "w3", "w4")])
 def test_a_and_b_are_the_derivatives_of_eulers_equations_with_full_inertia(data, u):
     model = rich(INERTIA)
-    found = differential_system(model, data[:, :12], data[:, 12:16], u, data[:, 16:])
+    found = make_differential_system(model, data[:, :12], data[:, 12:16], u, data[:, 16:])
     assert found.u == u
     for k in range(0, 60, 7):
         for matrix, names in ((found.A[k], ("p", "q", "r")), (found.B[k], u)):
@@ -175,9 +175,9 @@ def test_a_and_b_are_the_derivatives_of_eulers_equations_with_full_inertia(data,
 def test_off_diagonal_derivatives_reach_every_axis(data):
     # Mx alone depends on q; with a full inertia that moves all three accelerations
     terms = {"Mx": {"q": 1e-3}, "My": {"U_q": 1e-7}, "Mz": {"U_r": 1e-8}}
-    made = assemble({a: part(a, t) for a, t in terms.items()}, SHARED, {"id": "m", "airframe": AIRFRAME})
+    made = assemble_model({a: part(a, t) for a, t in terms.items()}, SHARED, {"id": "m", "airframe": AIRFRAME})
     made["airframe"] = to_plain(AIRFRAME) | {"inertia": INERTIA}
-    found = differential_system(Model(made), np.zeros(12), np.full(4, HOVER), ["U_q"])
+    found = make_differential_system(Model(made), np.zeros(12), np.full(4, HOVER), ["U_q"])
     np.testing.assert_allclose(found.A, np.linalg.inv(INERTIA) @ [[0, 1e-3, 0], [0, 0, 0], [0, 0, 0]], rtol=1e-12)
     np.testing.assert_allclose(found.B[:, 0], np.linalg.inv(INERTIA)[:, 1] * 1e-7, rtol=1e-12)
     assert np.isnan(found.forces_x).all()
@@ -190,7 +190,7 @@ def test_the_matrix_of_a_cross_product():
 
 def test_force_derivatives_come_with_it(data):
     model = rich()
-    found = differential_system(model, data[3, :12], data[3, 12:16], ["U_p", "u_r"], data[3, 16:])
+    found = make_differential_system(model, data[3, :12], data[3, 12:16], ["U_p", "u_r"], data[3, 16:])
     expected = steps(RICH, data[3], ("U_p", "u_r"), held=("U_p", "u_r"))
     np.testing.assert_allclose(found.forces_u, expected[:3], rtol=1e-10, atol=1e-20)
     np.testing.assert_allclose(found.moments_u, expected[3:], rtol=1e-10, atol=1e-20)
@@ -221,22 +221,22 @@ def test_what_stays_constant_is_told():
 )
 def test_inputs_that_cannot_be_are_refused(u, said):
     with pytest.raises(ConfigError, match=said):
-        inputs_of_system(u, "config/models/m.json")
+        check_system_inputs(u, "config/models/m.json")
 
 
 def test_without_a_configured_form_the_inputs_are_asked_for(data):
     model = Model(document())
     with pytest.raises(ConfigError, match="made without a differential form"):
-        differential_system(model, data[0, :12], data[0, 12:16])
+        make_differential_system(model, data[0, :12], data[0, 12:16])
     chosen = Model(copy.deepcopy(model.document) | {"differential form": {"x": ["p", "q", "r"], "u": ["U_p"]}})
-    assert differential_system(chosen, data[0, :12], data[0, 12:16]).B.shape == (3, 1)
-    only = assemble({"Fz": part("Fz", TERMS["Fz"])}, SHARED, {"id": "m", "airframe": AIRFRAME})
+    assert make_differential_system(chosen, data[0, :12], data[0, 12:16]).B.shape == (3, 1)
+    only = assemble_model({"Fz": part("Fz", TERMS["Fz"])}, SHARED, {"id": "m", "airframe": AIRFRAME})
     with pytest.raises(ConfigError, match="lacks Mx, My, Mz"):
-        differential_system(Model(only), data[0, :12], data[0, 12:16], ["U_p"])
+        make_differential_system(Model(only), data[0, :12], data[0, 12:16], ["U_p"])
 
 
 def test_a_configured_form_tells_what_it_keeps_constant_and_what_it_never_uses():
-    made = with_differential_form(rich().document, ["U_p", "U_q", "battery_voltage"], "config/models/m.json")
+    made = add_differential_form(rich().document, ["U_p", "U_q", "battery_voltage"], "config/models/m.json")
     assert made["differential form"]["u"] == ["U_p", "U_q", "battery_voltage"]
     assert made["differential form"]["kept constant"] == ["w_tot", "u_r", "U_r", "w_avg"]
     said = " ".join(made["notes"])
@@ -244,6 +244,6 @@ def test_a_configured_form_tells_what_it_keeps_constant_and_what_it_never_uses()
     assert "no moment depends on battery_voltage" in said
     assert "no moment depends on U_" not in said
     with pytest.raises(ConfigError, match="Mx, Mz is not identified"):
-        with_differential_form(
-            assemble({"My": part("My", TERMS["My"])}, SHARED, {"id": "m", "airframe": AIRFRAME}), ["U_q"], "here"
+        add_differential_form(
+            assemble_model({"My": part("My", TERMS["My"])}, SHARED, {"id": "m", "airframe": AIRFRAME}), ["U_q"], "here"
         )

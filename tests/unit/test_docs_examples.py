@@ -14,8 +14,8 @@ from quasi.command import _parser
 from quasi.errors import ReadError
 from quasi.gap.own_effect import effect_of
 from quasi.importing.readers.table_mapping import read_mapping
-from quasi.model.build import assemble
-from quasi.model.envelope import covered
+from quasi.model.build import assemble_model
+from quasi.model.envelope import measure_coverage
 from quasi.model.model import Model
 from quasi.project.model_files import model_place
 from quasi.synthesis.campaign import read_campaign
@@ -53,8 +53,8 @@ def model():
     """A made model of six axes with the region of made flights."""
     table = flight(1, rows=2000)
     parts = {axis: part(axis, terms) for axis, terms in TERMS.items()}
-    region = covered({"a": table}, {"a": np.ones(len(table), bool)}, AIRFRAME, HOVER, parts)
-    return Model(assemble(parts, SHARED, {"id": "example", "airframe": AIRFRAME, **region}))
+    region = measure_coverage({"a": table}, {"a": np.ones(len(table), bool)}, AIRFRAME, HOVER, parts)
+    return Model(assemble_model(parts, SHARED, {"id": "example", "airframe": AIRFRAME, **region}))
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ from made_model import SHARED, TERMS, part
 from scipy.spatial.distance import mahalanobis
 
 from quasi.errors import ConfigError
-from quasi.model.build import assemble
-from quasi.model.envelope import covered, distance_of_row
+from quasi.model.build import assemble_model
+from quasi.model.envelope import compute_row_distance, measure_coverage
 from quasi.model.model import ACCELERATIONS, ROTORS, STATE, Model
 
 READ = ["u", "v", "w", "p", "q", *ROTORS, *ACCELERATIONS]  # base columns of TERMS
@@ -29,8 +29,8 @@ def training():
 @pytest.fixture(scope="module")
 def model(training):
     rows = {"a": np.ones(len(training), bool)}
-    region = covered({"a": training}, rows, AIRFRAME, HOVER, parts())
-    return Model(assemble(parts(), SHARED, {"id": "m", "airframe": AIRFRAME, **region}))
+    region = measure_coverage({"a": training}, rows, AIRFRAME, HOVER, parts())
+    return Model(assemble_model(parts(), SHARED, {"id": "m", "airframe": AIRFRAME, **region}))
 
 
 def arrays(table):
@@ -82,8 +82,10 @@ def test_a_combination_may_be_new_where_each_part_is_not():
     table = flight(2, rows=20000)
     table["v"] = table["u"] + 0.05 * r.normal(size=len(table))
     terms = {"Fx": {"u": -0.1, "v": 0.02}}
-    region = covered({"a": table}, {"a": np.ones(len(table), bool)}, AIRFRAME, HOVER, {"Fx": part("Fx", terms["Fx"])})
-    model = Model(assemble({"Fx": part("Fx", terms["Fx"])}, SHARED, {"id": "m", "airframe": AIRFRAME, **region}))
+    region = measure_coverage(
+        {"a": table}, {"a": np.ones(len(table), bool)}, AIRFRAME, HOVER, {"Fx": part("Fx", terms["Fx"])}
+    )
+    model = Model(assemble_model({"Fx": part("Fx", terms["Fx"])}, SHARED, {"id": "m", "airframe": AIRFRAME, **region}))
     state = np.zeros(12)
     state[3], state[4] = 3.0, 3.0
     assert model.distance(state, np.full(4, HOVER)) == (0.0, "")
@@ -107,7 +109,7 @@ def test_the_compiled_form_gives_the_same(model, training):
     work, values = region.kernel.work, np.empty(region.kernel.outputs)
     assert (distance > 0).any()
     for k, row in enumerate(np.hstack([states, speeds, accelerations])):
-        d, number = distance_of_row(*region, row, work, values)
+        d, number = compute_row_distance(*region, row, work, values)
         assert d == pytest.approx(distance[k], rel=1e-12)
         assert names[number] == worst[k]
 

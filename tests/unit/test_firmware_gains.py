@@ -9,7 +9,7 @@ import pytest
 from quasi.errors import DataError
 from quasi.model.model import Model
 from quasi.simulation.control import gains as g
-from quasi.simulation.control.control_model import hover_speed, make_control_model, use_geometric_mixer
+from quasi.simulation.control.control_model import find_hover_speed, make_control_model, use_geometric_mixer
 from quasi.simulation.loop.setup import make_setup
 from quasi.simulation.tools.firmware_gains import command_slope, firmware_gains, gains_of_setup, gains_text, px4_effect
 from quasi.simulation.tools.margins import compute_margins
@@ -49,7 +49,7 @@ def test_betaflight_s_chain_gives_the_pid_s_angular_acceleration(axis, model, fo
     # motors that push the axis up gain what the others lose
     hubs, spin = model.airframe.hubs, model.airframe.spin
     pattern = np.sign([-hubs[:, 1], hubs[:, 0], -spin][axis])
-    hover = hover_speed(model)
+    hover = find_hover_speed(model)
     command = np.roots([100.0, 2100.0, 300.0 - hover])
     command = command[(command > 0) & (command < 1)][0] + pattern * total / 1000.0
     speeds = 300.0 + 2100.0 * command + 100.0 * command**2
@@ -61,13 +61,13 @@ def test_px4_s_chain_gives_the_pid_s_angular_acceleration(axis, model, found):
     setpoint = np.zeros(3)
     setpoint[axis] = found.px4["P"][axis] * 0.01
     frame, full = model.airframe, 2500.0
-    most = frame.mass * 9.81 / 4 * (full / hover_speed(model)) ** 2
+    most = frame.mass * 9.81 / 4 * (full / find_hover_speed(model)) ** 2
     effect = np.array([-frame.hubs[:, 1] * most, frame.hubs[:, 0] * most, -0.012 * most * frame.spin, [-most] * 4])
     mix = np.linalg.pinv(effect)
     # PX4: roll and pitch over the larger rms norm, yaw over its largest entry
     norms = [math.sqrt(np.sum(mix[:, k] ** 2) / 2.0) for k in (0, 1)]
     mix = mix[:, :3] / [max(norms), max(norms), mix[:, 2].max()]
-    share = (hover_speed(model) / full) ** 2 + mix @ setpoint
+    share = (find_hover_speed(model) / full) ** 2 + mix @ setpoint
     assert turned(model, full * np.sqrt(share))[axis] == pytest.approx(0.01 / wanted(model)[0][axis], rel=0.01)
 
 

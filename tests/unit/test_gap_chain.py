@@ -17,13 +17,12 @@ from quasi.gap.extension import extend
 from quasi.gap.flights.evidence import model_wrench
 from quasi.gap.flights.gathering import gather
 from quasi.gap.flights.instruments import shown
-from quasi.gap.levels.drive.fit import belief_of
-from quasi.gap.levels.forces.identify import WEIGHING, _carried
-from quasi.model.extensions import as_read, drive_of, put_right, said_of_rotors, wind_of
+from quasi.gap.wrench.examination import WEIGHING, _carried
+from quasi.model.extensions import correct_columns, correct_flight, drive_of, read_rotor_constants, wind_of
 from quasi.model.model import AXES, STATE, Model
 from quasi.simulation.control.control_model import make_control_model
 from quasi.simulation.tools.replay import read_actuator_dynamics, replay
-from quasi.tables import AGE_OFF
+from quasi.tables import TELEMETRY_AGE_REMOVED
 
 ONE = {
     "wind": {"north": 1.4, "east": -0.9, "down": 0.0},
@@ -79,10 +78,10 @@ def test_a_flight_read_with_what_the_model_knows_is_what_it_predicts(name):
     turning = np.linalg.solve(inertia, (table[["Mx", "My", "Mz"]].to_numpy() - np.cross(rates, rates @ inertia.T)).T).T
     table = table.assign(**{f"{c}_dot": turning[:, k] for k, c in enumerate("pqr")})
     for model, close in ((truth, True), (base, False)):
-        read = as_read(model, table)
+        read = correct_flight(model, table)
         apart = np.abs(model.predict_columns(read)[list(AXES)].to_numpy() - read[list(AXES)].to_numpy()).max()
         assert (apart < 1e-9) == close, apart
-    assert as_read(base, table) is table
+    assert correct_flight(base, table) is table
 
 
 @pytest.mark.parametrize("name", ["wind", "mass", "inertia", "rotor_speed_scale", "telemetry_delay", "body_drag"])
@@ -119,7 +118,7 @@ def test_what_is_found_comes_on_top_of_the_mass_that_a_flight_was_logged_with():
     assert as_flown(vehicle_of(truth), [again]).mass == pytest.approx(own + more + found)
     still = dict.fromkeys(("p_dot", "q_dot", "r_dot"), 0.0)
     table = pd.DataFrame({**evidence.columns, **dict(zip(AXES, evidence.predicted.T))}).assign(**still)
-    read = as_read(truth, table, own + more)
+    read = correct_flight(truth, table, own + more)
     np.testing.assert_allclose(read["Fz"], table["Fz"] * (own + more + found) / (own + more), rtol=1e-12)
     (note,) = _weighed(base, [evidence])
     assert f"logged with {own + more:.4g} kg" in note and not _weighed(base, [flight(base)[0]])
@@ -144,9 +143,9 @@ def test_constants_of_the_drive_add_up_where_they_are_differences():
     base = base_of("withGravity")
     base = Model({**base.document, "actuators": {"time constants": {"value": [0.03] * 4}, "delay": {"value": 0.004}}})
     late = extended(base, ("command_delay", {"delay": 0.003}), ("command_delay", {"delay": 0.005}))
-    assert said_of_rotors(late)["delay"] == pytest.approx(0.012)
+    assert read_rotor_constants(late)["delay"] == pytest.approx(0.012)
     slow = extended(base, ("motor_lag", {"time_constant": 0.045}), ("motor_lag", {"time_constant": 0.045}))
-    assert said_of_rotors(slow)["time constant"] == pytest.approx(0.045)
+    assert read_rotor_constants(slow)["time constant"] == pytest.approx(0.045)
 
 
 def test_what_an_earlier_extension_knows_stays_beside_a_later_one():
@@ -158,7 +157,7 @@ def test_what_an_earlier_extension_knows_stays_beside_a_later_one():
         assert [e["id"] for e in second.document["extensions"]][:5] == [e["id"] for e in first.document["extensions"]]
         np.testing.assert_allclose(wind_of(second), [1.4, -0.9, 0.0])
         assert second.document["environment"]["wind"] == pytest.approx([1.4, -0.9, 0.0])
-        assert said_of_rotors(second) == said_of_rotors(first)
+        assert read_rotor_constants(second) == read_rotor_constants(first)
         assert second.document["configured mass"] == base.airframe.mass
         assert second.airframe.mass == pytest.approx(base.airframe.mass + 0.05)
 
@@ -176,11 +175,11 @@ def test_the_air_of_an_earlier_wind_is_what_forces_are_asked_of():
     base = base_of("withGravity")
     first = extended(base, ("wind", ONE["wind"]))
     evidence, _ = flight(base)
-    right = put_right(first, evidence.columns)
+    right = correct_columns(first, evidence.columns)
     level = {**evidence.columns, **dict.fromkeys(("roll", "pitch", "yaw"), 0.0 * evidence.t)}
     assert "u_air" not in evidence.columns and "u_air" in right
-    np.testing.assert_allclose(put_right(first, level)["u_air"], evidence.columns["u"] - 1.4)
-    np.testing.assert_allclose(put_right(first, level)["v_air"], evidence.columns["v"] + 0.9)
+    np.testing.assert_allclose(correct_columns(first, level)["u_air"], evidence.columns["u"] - 1.4)
+    np.testing.assert_allclose(correct_columns(first, level)["v_air"], evidence.columns["v"] + 0.9)
 
 
 def test_a_second_load_is_not_asked_of_a_model_that_carries_one():
@@ -217,7 +216,7 @@ def test_a_lag_that_was_found_is_the_model_s_own_from_then_on():
         np.testing.assert_allclose([found.up, found.down], np.tile(lags, (4, 1)).T)
         assert found.delay == pytest.approx(0.014)
     for said in (True, False, None):  # whether the base's delay holds the telemetry's age stays known
-        held = {"value": [0.004] * 4} | ({} if said is None else {AGE_OFF: said})
+        held = {"value": [0.004] * 4} | ({} if said is None else {TELEMETRY_AGE_REMOVED: said})
         base = Model({**base.document, "actuators": {**actuators, "delay": held}})
         late = extended(base, ("command_delay", {"delay": 0.01}))
         for model in (base, late):

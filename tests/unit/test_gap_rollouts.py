@@ -9,7 +9,8 @@ from quasi.attitude import from_euler, rotate_inverse
 from quasi.gap.flights.gathering import gather
 from quasi.gap.levels.rollouts import error_reduction, open_loop
 from quasi.gap.report.figures import figures
-from quasi.model.extensions import CONFIGURED, mass_in
+from quasi.gap.rollouts import open_loop, rollout_gain
+from quasi.model.extensions import CONFIGURED_MASS_KEY, compute_flight_mass
 from quasi.model.model import Model
 from quasi.simulation.tools.rollout import rollout
 
@@ -76,10 +77,10 @@ def test_a_flight_is_simulated_with_the_mass_that_it_was_logged_with(model):
     # lighter by 50 g the same thrust, of about the weight of 0.48 kg, lifts it: dv = a (1 - exp(-c t))/c
     assert unknown == pytest.approx(9.81 * 0.05 / own * 0.5, rel=0.2)
     # what an extension found is on top of the logged mass
-    found = Model({**weighing(model, own + 0.01).document, CONFIGURED: own})
-    assert mass_in(found, own + 0.04) == pytest.approx(own + 0.05)
+    found = Model({**weighing(model, own + 0.01).document, CONFIGURED_MASS_KEY: own})
+    assert compute_flight_mass(found, own + 0.04) == pytest.approx(own + 0.05)
     assert open_loop.rms(ends_of(found, logged._replace(mass=own + 0.04), [0.5]))["velocity"]["0.5"] < 1e-6
-    assert mass_in(found, None) == mass_in(found, float("nan")) == pytest.approx(own + 0.01)
+    assert compute_flight_mass(found, None) == compute_flight_mass(found, float("nan")) == pytest.approx(own + 0.01)
 
 
 def heavier(model, share):
@@ -223,7 +224,11 @@ def test_a_trim_pushes_a_model_of_another_mass_as_the_flight_was_pushed():
     gap found the mass to be."""
     document, heavy = made_model(reaction=0.0).document, 0.47
     base = Model(
-        {**document, "airframe": {**document["airframe"], "mass": heavy}, CONFIGURED: document["airframe"]["mass"]}
+        {
+            **document,
+            "airframe": {**document["airframe"], "mass": heavy},
+            CONFIGURED_MASS_KEY: document["airframe"]["mass"],
+        }
     )
     table = flown(moved(base, 0.05))
     read = {a: table[a] * document["airframe"]["mass"] / heavy for a in ("Fx", "Fy", "Fz")}

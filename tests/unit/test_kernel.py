@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from quasi.errors import ExpressionError
 from quasi.terms.expressions import Program, parse
 from quasi.terms.graph import Graph
-from quasi.terms.kernel import INPUTS, compile_outputs, wrench, wrench_rows
+from quasi.terms.kernel import INPUTS, compile_outputs, compute_wrench, compute_wrench_rows
 from quasi.terms.variables import Variables
 
 NAMES = [
@@ -40,10 +40,10 @@ def compiled(terms, data):
     result, work = np.empty((len(terms), rows)), kernel.work
     for k in range(rows):
         out = np.empty(len(terms))
-        wrench(kernel, table[k], work, out)
+        compute_wrench(kernel, table[k], work, out)
         result[:, k] = out
     many = np.empty((len(terms), rows))
-    wrench_rows(kernel, np.ascontiguousarray(table[:, kernel.gather].T), many)
+    compute_wrench_rows(kernel, np.ascontiguousarray(table[:, kernel.gather].T), many)
     np.testing.assert_allclose(many, result, rtol=1e-13)
     return result
 
@@ -131,7 +131,7 @@ def test_powers_of_powers_stay_small():
     kernel = compile_outputs(graph, [graph.combine([(1.0, graph.value(parse("((((u^32)^32)^32)^32)^32")))])], INPUTS)
     assert kernel.code[3] == 25  # five squarings per level
     out = np.empty(1)
-    wrench(kernel, np.full(20, 1.0 + 1e-9), kernel.work, out)
+    compute_wrench(kernel, np.full(20, 1.0 + 1e-9), kernel.work, out)
     assert out[0] == pytest.approx((1.0 + 1e-9) ** (32**5), rel=1e-6)
 
 

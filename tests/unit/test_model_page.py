@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from quasi.identification.isolation import excited
 from quasi.pages.model import _name_delay, render_model_page
-from quasi.scoring.diagnostics import ANY
+from quasi.scoring.diagnostics import ANY_PREFIX
 from quasi.scoring.figures import (
     draw_actuators,
     draw_closeup,
@@ -27,7 +27,7 @@ from quasi.scoring.figures import (
 from quasi.scoring.score import compare_with_measurements
 from quasi.scoring.summary import escape_latex, format_latex, format_number, format_summary, format_unit, make_summary
 from quasi.scoring.thinning import MAX_PAGE_ROWS, thin_rows
-from quasi.tables import AGE_OFF
+from quasi.tables import TELEMETRY_AGE_REMOVED
 
 
 @pytest.fixture(scope="module")
@@ -154,7 +154,7 @@ def test_every_figure_is_drawn(found):
     ]
     assert all(isinstance(f, Figure) for f in drawn)
     assert "validation" in drawn[0].axes[0].get_title(loc="left")
-    lines = done.coverage[~done.coverage["variable"].str.startswith(ANY)]
+    lines = done.coverage[~done.coverage["variable"].str.startswith(ANY_PREFIX)]
     assert [t.get_text() for t in drawn[1].axes[0].get_yticklabels()] == list(lines["variable"])
     assert draw_coverage(done.coverage.iloc[:0]) is None
 
@@ -184,12 +184,14 @@ def test_actuator_boxes_hold_every_flight():
     assert sorted(points.get_ydata()) == pytest.approx(sorted([27.0, 30.0, 33.0] * 4))
     assert draw_actuators(None) is None
     for key in flights:  # of flight c the delay holds the telemetry's age: it is no part of the box
-        flights[key]["delay"] |= {AGE_OFF: key != "c"}
+        flights[key]["delay"] |= {TELEMETRY_AGE_REMOVED: key != "c"}
     apart = draw_actuators({"flights": flights}).axes[2]
     assert [t.get_text() for t in apart.get_legend().get_texts()] == ["without telemetry delay", "with telemetry delay"]
     box = [x for line in apart.lines if len(line.get_xdata()) == 5 for x in line.get_ydata()]
     assert max(box) < 1.01 + 1e-9
-    titles = [_name_delay({"delay": {} if said is None else {AGE_OFF: said}}) for said in (True, False, None)]
+    titles = [
+        _name_delay({"delay": {} if said is None else {TELEMETRY_AGE_REMOVED: said}}) for said in (True, False, None)
+    ]
     assert titles == ["delay of the command", "delay of command and rotor telemetry", "delay"]
 
 

@@ -15,16 +15,16 @@ from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis
 from quasi.identification.partition import partition
 from quasi.identification.redundancy import drop_redundant
-from quasi.model.build import assemble
+from quasi.model.build import assemble_model
 from quasi.model.document import AXES
-from quasi.model.envelope import covered
+from quasi.model.envelope import measure_coverage
 from quasi.model.model import Model, read_model
 from quasi.simulation.tools.rollout import Body, rollout
 from quasi.simulation.vehicle.variants import apply_extensions, make_simple_model
 from quasi.tables import read_json, write_json
-from quasi.terms.differential import differential_system
-from quasi.terms.kernel import INPUTS, wrench
-from quasi.terms.normalisation import Normalisation, from_plain, normalisation_of
+from quasi.terms.differential import make_differential_system
+from quasi.terms.kernel import INPUTS, compute_wrench
+from quasi.terms.normalisation import Normalisation, make_normalisation, read_normalisation
 from quasi.terms.variables import Variables, base_columns
 
 RADIUS, ARM, TOP, IDLE = AIRFRAME.radius, AIRFRAME.arm, 2000.0, 200.0
@@ -94,8 +94,8 @@ def parts(flights):
 @pytest.fixture(scope="module")
 def model(parts, flights):
     rows = {key: np.ones(len(f), bool) for key, f in flights.items()}
-    region = covered(flights, rows, AIRFRAME, HOVER, parts)
-    return Model(assemble(parts, SHARED, {"id": "m", "airframe": AIRFRAME, **region}))
+    region = measure_coverage(flights, rows, AIRFRAME, HOVER, parts)
+    return Model(assemble_model(parts, SHARED, {"id": "m", "airframe": AIRFRAME, **region}))
 
 
 def test_variables_are_those_of_the_scheme():
@@ -145,7 +145,7 @@ def test_an_equivalent_dimensional_pool_predicts_the_same(flights):
     same = [f"{n}*U_p/w_avg^2", f"{n}*p/w_avg"]  # no row is below idle speed
     plain = identify(flights, {"fixed": same, "candidates": []}, "Mx", None, False)
     models = [
-        Model(assemble({"Mx": found}, SHARED, {"id": "m", "airframe": AIRFRAME})) for found in (normalised, plain)
+        Model(assemble_model({"Mx": found}, SHARED, {"id": "m", "airframe": AIRFRAME})) for found in (normalised, plain)
     ]
     table = flights["a"]
     a, b = (m.predict_columns(table)["Mx"] for m in models)
@@ -155,8 +155,10 @@ def test_an_equivalent_dimensional_pool_predicts_the_same(flights):
 def test_scales_are_terms_and_the_model_is_read_again(flights, tmp_path):
     fixed = ["w_tot", "|mu_z|*mu_z", "F_den^0.5", "|M_den|"]
     found = {"Fz": identify(flights, {"fixed": fixed, "candidates": []}, "Fz", SCHEME, True)}
-    region = covered(flights, {key: np.ones(len(f), bool) for key, f in flights.items()}, AIRFRAME, HOVER, found)
-    model = Model(assemble(found, SHARED, {"id": "m", "airframe": AIRFRAME, **region}))
+    region = measure_coverage(
+        flights, {key: np.ones(len(f), bool) for key, f in flights.items()}, AIRFRAME, HOVER, found
+    )
+    model = Model(assemble_model(found, SHARED, {"id": "m", "airframe": AIRFRAME, **region}))
     write_json(tmp_path / "model.json", model.document)
     again, table = read_model(tmp_path), flights["a"]
     expected = model.predict_columns(table)["Fz"]
@@ -174,7 +176,7 @@ def test_intervals_are_in_si_and_hold_their_share(flights):
         table["Fz"] += r.normal(size=len(table)) * 0.02 * SCHEME.scale_of("Fz", table)
     fixed = {"fixed": ["w_tot", "|mu_z|*mu_z"], "candidates": []}
     found = identify(noisy, fixed, "Fz", SCHEME, True)
-    model = Model(assemble({"Fz": found}, SHARED, {"id": "m", "airframe": AIRFRAME}))
+    model = Model(assemble_model({"Fz": found}, SHARED, {"id": "m", "airframe": AIRFRAME}))
     table = noisy["b"]
     bands = model.interval(table)
     inside = (table["Fz"] >= bands["Fz_lower"]) & (table["Fz"] <= bands["Fz_upper"])
@@ -201,7 +203,7 @@ def test_derivatives_follow_the_predictions(model, flights):
     np.testing.assert_allclose((ends[0] - ends[1]) / size, expected / size, atol=1e-6)
     # held variables are the dimensional ones: dMx/dU_p = N b c / a^2
     row, w = states[3], speeds[3]
-    form = differential_system(model, row, w, ["U_p"])
+    form = make_differential_system(model, row, w, ["U_p"])
     a2 = np.mean(w**2)
     n = SCHEME.scale_of("Mx", dict(zip(("w1", "w2", "w3", "w4"), w[:, None])))[0]
     assert form.moments_u[0, 0] == pytest.approx(n * 2e-3 / a2, rel=1e-6)
@@ -221,7 +223,7 @@ def test_rotors_at_rest_and_hover_give_finite_forces(model):
 def test_the_kernel_holds_the_scheme(model, flights):
     row = flights["b"].iloc[7][list(INPUTS)].to_numpy(float)
     kernel, out = model.kernel, np.empty(6)
-    wrench(kernel, row, kernel.work, out)
+    compute_wrench(kernel, row, kernel.work, out)
     np.testing.assert_allclose(out, model.predict_columns(flights["b"].iloc[7:8]).to_numpy()[0], rtol=1e-12)
     assert kernel.used[12:16].all()
 
@@ -234,25 +236,25 @@ def test_the_region_of_a_normalised_model_is_that_of_the_quantities_themselves(m
 def test_axes_that_are_not_normalised_alike_make_no_model(parts, flights):
     other = copy.deepcopy(parts)
     other["Mz"]["normalisation"] = None
-    with pytest.raises(ConfigError, match="not normalised alike"):
-        assemble(other, SHARED, {"id": "m", "airframe": AIRFRAME})
+    with pytest.raises(ConfigError, match="differ in normalisation"):
+        assemble_model(other, SHARED, {"id": "m", "airframe": AIRFRAME})
 
 
 @pytest.mark.parametrize("damage", [{}, {"top": "2000"}, {"top": -1}, [], {"top": True}])
 def test_a_damaged_scheme_is_refused(damage, model):
     plain = damage if not damage else SCHEME.to_plain() | damage
     with pytest.raises(ConfigError, match="'normalisation' must hold"):
-        from_plain(plain, "model.json")
+        read_normalisation(plain, "model.json")
     with pytest.raises(ConfigError, match="'normalisation' must hold"):
         Model({**model.document, "normalisation": plain})
 
 
 def test_what_the_quadrotor_lacks_is_named():
     full = dataclasses.replace(AIRFRAME, max_rpm=2100.0, idle_rpm=200.0, poles=14)
-    assert normalisation_of(full, None, "m").top == pytest.approx(2100 * 100 / 7 * 2 * math.pi / 60)
+    assert make_normalisation(full, None, "m").top == pytest.approx(2100 * 100 / 7 * 2 * math.pi / 60)
     # with a pole count it is eRPM/100, whatever the log is written in: simulations know no log
-    assert normalisation_of(full, 1.0, "m").idle == normalisation_of(full, None, "m").idle
-    assert normalisation_of(dataclasses.replace(full, poles=None), 1.0, "m").idle == 200.0
+    assert make_normalisation(full, 1.0, "m").idle == make_normalisation(full, None, "m").idle
+    assert make_normalisation(dataclasses.replace(full, poles=None), 1.0, "m").idle == 200.0
     for change, said in (
         ({"max_rpm": None}, "needs 'max RPM'"),
         ({"idle_rpm": None}, "needs 'idle RPM'"),
@@ -260,7 +262,7 @@ def test_what_the_quadrotor_lacks_is_named():
         ({"idle_rpm": 3000.0}, "not below"),
     ):
         with pytest.raises(ConfigError, match=said):
-            normalisation_of(dataclasses.replace(full, **change), None, "config/models/m.json")
+            make_normalisation(dataclasses.replace(full, **change), None, "config/models/m.json")
 
 
 def test_a_simulation_flies_it_as_arithmetic_by_hand_does(model, flights):
@@ -286,11 +288,11 @@ def test_a_simulation_flies_it_as_arithmetic_by_hand_does(model, flights):
         ]  # fmt: skip
         return [n * f for f in forces], [n * ARM * m for m in moments]
 
-    def wrench(rows, speeds, accelerations):
+    def compute_wrench(rows, speeds, accelerations):
         found = [one(row) for row in np.hstack([rows, speeds, accelerations])]
         return np.array([f for f, _ in found]), np.array([m for _, m in found])
 
-    body = Body(AIRFRAME.mass, AIRFRAME.inertia, wrench, True)
+    body = Body(AIRFRAME.mass, AIRFRAME.inertia, compute_wrench, True)
     starts = np.array([0, 20])
     found, expected = (rollout(m, table["t"].to_numpy(), states, speeds, starts, 0.05) for m in (model, body))
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-7)

@@ -27,7 +27,7 @@ from quasi.running.provenance import list_reached_files
 from quasi.scoring.summary import make_summary
 from quasi.scoring.thinning import thin_rows
 from quasi.tables import COLUMNS, read_bytes, read_text, write_json
-from quasi.terms.variables import _MADE_FROM
+from quasi.terms.variables import _SOURCE_COLUMNS
 
 EVIL = ['<x-evil onload="1">', '"><x-evil>', "</script><x-evil>", "' onload='1", "<!--<x-evil>", "]]><x-evil>&lt;"]
 ODD = [float("nan"), float("inf"), -float("inf"), 1e308, -1e308, 0.0]
@@ -261,7 +261,7 @@ def test_terms_are_shown_without_needless_brackets_and_mean_the_same(text, shown
 
 
 def test_every_variable_of_the_manual_has_a_unit_and_a_meaning():
-    for name in {*_MADE_FROM, *"uvwpqr", "roll", "battery_voltage"}:
+    for name in {*_SOURCE_COLUMNS, *"uvwpqr", "roll", "battery_voltage"}:
         unit, meaning = describe_variable(name)
         assert unit and meaning and (name in VARIABLES or name in COLUMNS)
     assert [row[0] for row in list_variables(["(w_avg^2)*(|u|)", "bias", "<"])] == ["u", "w_avg"]

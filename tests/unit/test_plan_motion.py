@@ -16,7 +16,7 @@ from quasi.errors import DataError
 from quasi.gap.planning import plan
 from quasi.gap.planning.flatness import limits_of, turning
 from quasi.gap.planning.manoeuvres import library
-from quasi.model.build import assemble
+from quasi.model.build import assemble_model
 from quasi.model.model import AXES, ROTORS, Model
 
 
@@ -30,7 +30,7 @@ def test_in_hover_every_rotor_turns_at_hover_speed():
 
 def test_a_circle_without_drag_leans_by_the_centripetal_acceleration():
     bare = {**TERMS, "Fx": {"1": 0.0}, "Fy": {"1": 0.0}, "Fz": {"w1^2 + w2^2 + w3^2 + w4^2": -THRUST}}
-    document = assemble({a: part(a, t) for a, t in bare.items()}, {**MODEL.document, "training flights": ["a"]},
+    document = assemble_model({a: part(a, t) for a, t in bare.items()}, {**MODEL.document, "training flights": ["a"]},
                         {"id": "bare", "airframe": AIRFRAME})  # fmt: skip
     t, radius, omega = np.arange(0.0, 20.0, 0.05), 1.5, 1.6
     table = pd.DataFrame({"t": t, "x": radius * np.cos(omega * t), "y": radius * np.sin(omega * t), "z": -1.0 + 0 * t})

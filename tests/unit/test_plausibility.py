@@ -167,7 +167,7 @@ def test_each_limit_names_its_two_sources():
          plausibility.ACCELEROMETER_BIAS),
         (lambda v: plausibility.check_angle(v, plausibility.MOUNTING_ANGLE, "angle", names["attitude"]),
          plausibility.MOUNTING_ANGLE),
-        (lambda v: plausibility.check_innovations({"position": {"mean": v}}, names), plausibility.LARGEST_NIS),
+        (lambda v: plausibility.check_innovations({"position": {"mean": v}}, names), plausibility.MAX_NIS),
         (lambda v: plausibility.check_length_ratio(v, names["position"]), plausibility.LENGTH_RATIO[1]),
     ):  # fmt: skip
         assert check_one(0.99 * calm) == []
@@ -180,20 +180,20 @@ def test_each_limit_names_its_two_sources():
 
 
 def test_no_body_has_a_principal_moment_above_the_sum_of_the_others():
-    assert plausibility.impossible_inertia(np.diag([1.0, 1.0, 2.0])) is None
-    assert "3" in plausibility.impossible_inertia(np.diag([1.0, 1.0, 3.0]))
+    assert plausibility.describe_impossible_inertia(np.diag([1.0, 1.0, 2.0])) is None
+    assert "3" in plausibility.describe_impossible_inertia(np.diag([1.0, 1.0, 3.0]))
 
 
 def test_flights_alike_in_what_they_lack_get_the_same_verdict():
     whole = {"w1", "w2", "w3", "w4", "p", "ax", "roll", "x", "u"}
     seen = {"position source": "capture", "velocity source": "capture position"}
     unseen = {"position source": "none", "velocity source": "none"}
-    assert plausibility.unusable_without(whole, seen) == []
-    assert plausibility.unusable_without(whole, {**unseen, "velocity source": "onboard"}) == []
-    first, offer = plausibility.unusable_without(whole - {"x", "u"}, unseen)
+    assert plausibility.find_missing_sources(whole, seen) == []
+    assert plausibility.find_missing_sources(whole, {**unseen, "velocity source": "onboard"}) == []
+    first, offer = plausibility.find_missing_sources(whole - {"x", "u"}, unseen)
     assert first == "unusable for identification: neither position nor velocity"
     assert offer == "its page still shows body rates, specific force, attitude, rotor speeds"
-    assert plausibility.unusable_without(whole - {"w3"}, seen)[0].endswith("no rotor speeds of 3")
+    assert plausibility.find_missing_sources(whole - {"w3"}, seen)[0].endswith("no rotor speeds of 3")
 
 
 def test_an_unusable_flight_trains_no_model_unless_forced():

@@ -7,7 +7,7 @@ import pytest
 from plain_plant import G, made_model
 
 from quasi.errors import ConfigError
-from quasi.model.envelope import covered
+from quasi.model.envelope import measure_coverage
 from quasi.model.model import Model
 from quasi.simulation.loop.run import Session, simulate, simulate_many
 from quasi.simulation.loop.setup import make_setup
@@ -94,7 +94,7 @@ def test_divergence_outside_the_training_data_names_the_variable_and_the_time():
     table = simulate(setup_of(grown, 8.0, references=slow)).table
     rows = {"a": np.ones(len(table), bool)}
     axes = grown.document["axes"]
-    region = covered({"a": table}, rows, grown.airframe, 1500.0, axes)
+    region = measure_coverage({"a": table}, rows, grown.airframe, 1500.0, axes)
     known = Model({**grown.document, **region})
     fast = {"kind": "velocity steps", "steps": [[0, 0, 0, 0], [1, 8, 0, 0]]}
     sentences = [simulate(setup_of(m, 8.0, references=fast)).stopped for m in (grown, known)]

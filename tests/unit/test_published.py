@@ -140,7 +140,7 @@ def test_parameters_are_mechanical_and_in_si(tmp_path):
     assert model.document["actuators"]["time constants"]["value"] == [0.016, 0.017, 0.018, 0.019]
     said = " ".join(model.document["notes"])
     assert "no standard errors" in said
-    assert "against their stated sense" in said
+    assert "against their stated direction" in said
     assert "motor poles" not in said
     assert "14 are assumed" in " ".join(read_published(written(tmp_path)).document["notes"])
 
@@ -168,9 +168,9 @@ def test_nothing_is_known_of_its_errors(tmp_path):
     bands = model.interval(columns)
     assert np.isfinite(bands["Fz"]).all()
     assert bands["Fz_lower"].isna().all()
-    assert "nothing is known of their errors" in model.summary()
+    assert "without standard errors" in model.summary()
     assert "given" in model.summary()
-    with pytest.raises(ConfigError, match="carries no region"):
+    with pytest.raises(ConfigError, match="no region"):
         model.distance(states, erpm100)
 
 

@@ -24,7 +24,7 @@ from quasi.identification.rotor_speeds import (
 )
 from quasi.importing.command_units import recognise_unit, scale_commands
 from quasi.model.model import Model
-from quasi.plausibility import silent_rotors, unusable_without
+from quasi.plausibility import find_missing_sources, find_silent_rotors
 from quasi.terms.rotor_map import FORMS, delayed, drive_of_map, lagged, shape, speeds_of, steady_speeds
 
 MASSES = {"a": MASS, "b": MASS}
@@ -239,9 +239,9 @@ def test_commands_in_a_strange_range_are_refused_and_overshoot_is_counted():
 
 
 def test_a_rotor_without_command_is_named():
-    assert silent_rotors({"command1", "command2", "command4"}) == [3]
-    assert silent_rotors({"w1_CMD", "w2_CMD", "w3_CMD", "w4_CMD"}) == []
-    said = unusable_without({"command1": 0, "command2": 0, "command4": 0}, {})
+    assert find_silent_rotors({"command1", "command2", "command4"}) == [3]
+    assert find_silent_rotors({"w1_CMD", "w2_CMD", "w3_CMD", "w4_CMD"}) == []
+    said = find_missing_sources({"command1": 0, "command2": 0, "command4": 0}, {})
     assert "no command of rotor 3" in said[0]
 
 

@@ -6,7 +6,7 @@ from rigid_body import measure, move, quadrotor
 from scipy.signal import butter, lfilter, sosfiltfilt
 
 from quasi.filtering.flight import filter_flight
-from quasi.saturation import clipped
+from quasi.saturation import find_clipping
 
 RATE = 1000.0
 STEP = np.radians(1.0)
@@ -27,7 +27,7 @@ def test_a_clipped_channel_is_found_below_any_usual_range_and_where_it_is(seed, 
     seen = np.clip(true, -limit, limit)
     if step:
         seen = step * np.round(seen / step)
-    found = clipped(seen, "gyro", step)
+    found = find_clipping(seen, "gyro", step)
     assert sorted(np.sign(end.level) for end in found) == [-1, 1]
     for end in found:
         beyond = np.sign(end.level) * true >= limit
@@ -43,7 +43,7 @@ def test_peaks_are_not_clipped_however_coarse_the_log(seed, size, noise):
     for step in (0.0, STEP, 4 * STEP):
         seen = motion(seed, size, noise)
         seen = step * np.round(seen / step) if step else seen
-        assert clipped(seen, "gyro", step) == []
+        assert find_clipping(seen, "gyro", step) == []
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -53,14 +53,14 @@ def test_a_peak_that_happens_to_reach_a_usual_full_scale_is_none(seed, degrees, 
     seen = motion(seed, noise=0.0)
     seen *= share * np.radians(degrees) / np.abs(seen).max()
     for step in (0.0, STEP):
-        assert clipped(step * np.round(seen / step) if step else seen, "gyro", step) == []
+        assert find_clipping(step * np.round(seen / step) if step else seen, "gyro", step) == []
 
 
 def test_values_held_between_slow_updates_are_not_clipped():
     slow = motion(3)[::10]
     for step in (0.0, STEP):
         seen = np.repeat(step * np.round(slow / step) if step else slow, 10)
-        assert clipped(seen, "gyro", step) == []
+        assert find_clipping(seen, "gyro", step) == []
 
 
 @pytest.mark.parametrize("degrees", [250.0, 500.0, 2000.0])
@@ -69,7 +69,7 @@ def test_a_usual_full_scale_is_named_also_behind_the_filters_on_board(degrees):
     share = 1.0 - np.exp(-2 * np.pi * 250.0 / RATE)
     true = motion(1, 0.5 * full)
     seen = lfilter([share], [1.0, share - 1.0], np.clip(true, -full, full))
-    found = clipped(STEP * np.round(seen / STEP), "gyro", STEP)
+    found = find_clipping(STEP * np.round(seen / STEP), "gyro", STEP)
     assert {end.full_scale for end in found} == {full}
     beyond = np.abs(true) > full
     where = np.any([end.where for end in found], axis=0)
@@ -79,16 +79,16 @@ def test_a_usual_full_scale_is_named_also_behind_the_filters_on_board(degrees):
 def test_the_accelerometer_in_hover_and_at_its_range():
     rng = np.random.default_rng(2)
     hover = -9.81 + 0.3 * rng.standard_normal(20000)
-    assert clipped(hover, "accelerometer", 9.81 / 2048) == []
+    assert find_clipping(hover, "accelerometer", 9.81 / 2048) == []
     jolts = hover - 60.0 * np.exp(-((np.arange(20000) % 4000 - 2000.0) ** 2) / 200.0)
-    (end,) = clipped(np.maximum(jolts, -39.24), "accelerometer", 9.81 / 2048)
+    (end,) = find_clipping(np.maximum(jolts, -39.24), "accelerometer", 9.81 / 2048)
     assert end.level == pytest.approx(-39.24) and end.full_scale == pytest.approx(4 * 9.81)
-    assert clipped(jolts, "accelerometer", 9.81 / 2048) == []
+    assert find_clipping(jolts, "accelerometer", 9.81 / 2048) == []
 
 
 @pytest.mark.parametrize("values", [np.zeros(0), np.zeros(50), np.full(50, 3.0), np.array([5.0])])
 def test_signals_without_motion_are_not_clipped(values):
-    assert clipped(values, "gyro") == []
+    assert find_clipping(values, "gyro") == []
 
 
 @pytest.fixture(scope="module")

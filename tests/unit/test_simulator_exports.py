@@ -20,7 +20,7 @@ from quasi.export.physical_constants import constants_plain, facts, physical_con
 from quasi.export.registry import SIMULATORS, export_to_simulator, target_table
 from quasi.export.rotor_links import join_rotors, split_rotors
 from quasi.export.targets import SIMULATOR_NAMES, crazyflow, gazebo, px4
-from quasi.model.hover import hover_speed
+from quasi.model.hover import find_hover_speed
 from quasi.model.model import Model
 from quasi.tables import write_json
 
@@ -409,4 +409,4 @@ def test_the_command_prints_the_table_and_its_json(model, tmp_path, capsys):
 
 
 def test_the_hover_speed_used_is_the_model_s(model, physical):
-    assert physical.hover == hover_speed(model, model.airframe.max_rpm * model.airframe.logged_to_rad_s)
+    assert physical.hover == find_hover_speed(model, model.airframe.max_rpm * model.airframe.logged_to_rad_s)

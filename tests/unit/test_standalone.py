@@ -10,8 +10,8 @@ from made_model import SHARED, TERMS, document, part
 
 from quasi import tables
 from quasi.errors import ConfigError, ExpressionError, QuasiError, ReadError, ShapeError
-from quasi.model.build import assemble
-from quasi.model.envelope import covered
+from quasi.model.build import assemble_model
+from quasi.model.envelope import measure_coverage
 from quasi.model.model import STATE, Model, read_model
 from quasi.scoring.score import SCORE_UNITS, score_model
 
@@ -81,7 +81,7 @@ def test_without_rotor_accelerations_their_terms_are_zero(model, data):
 def test_velocity_through_the_air_has_two_names_that_may_stand_together(data):
     f, states, speeds = data
     made = Model(
-        assemble({"Fx": part("Fx", {"u": -0.1, "u_air": -0.2, "|u_air|*v_air": 0.03, "mu_x": 0.5, "w*w_air": 0.01})},
+        assemble_model({"Fx": part("Fx", {"u": -0.1, "u_air": -0.2, "|u_air|*v_air": 0.03, "mu_x": 0.5, "w*w_air": 0.01})},  # noqa: E501
                  SHARED, {"id": "m", "airframe": AIRFRAME})
     )  # fmt: skip
 
@@ -113,7 +113,7 @@ def test_long_batches_are_cut_without_a_seam(model, data, rows):
 
 def test_a_missing_axis_is_nan_never_zero(data):
     _, states, speeds = data
-    only = assemble({"Fz": part("Fz", TERMS["Fz"])}, SHARED, {"id": "m", "airframe": AIRFRAME})
+    only = assemble_model({"Fz": part("Fz", TERMS["Fz"])}, SHARED, {"id": "m", "airframe": AIRFRAME})
     forces, moments = Model(only).predict(states, speeds)
     assert np.isfinite(forces[:, 2]).all()
     assert np.isnan(forces[:, :2]).all()
@@ -122,7 +122,9 @@ def test_a_missing_axis_is_nan_never_zero(data):
 
 def test_extra_columns_and_position_are_asked_for_by_name(data):
     _, states, speeds = data
-    needy = Model(assemble({"Fz": part("Fz", {"z*battery_voltage": 1.0})}, SHARED, {"id": "m", "airframe": AIRFRAME}))
+    needy = Model(
+        assemble_model({"Fz": part("Fz", {"z*battery_voltage": 1.0})}, SHARED, {"id": "m", "airframe": AIRFRAME})
+    )
     forces, _ = needy.predict(states, speeds, extra={"battery_voltage": 16.0})
     np.testing.assert_allclose(forces[:, 2], 16.0 * states[:, 11])
     with pytest.raises(ExpressionError, match="'battery_voltage'"):
@@ -205,7 +207,7 @@ def test_a_tampered_file_is_refused_with_file_and_key(model, fault, tmp_path):
 
 def test_assembly_without_axes_is_refused():
     with pytest.raises(ConfigError, match="no identified axis"):
-        assemble({}, SHARED, {"id": "m", "airframe": AIRFRAME})
+        assemble_model({}, SHARED, {"id": "m", "airframe": AIRFRAME})
 
 
 def test_the_summary_names_terms_values_errors_and_units(model):
@@ -247,7 +249,7 @@ def test_intervals_of_a_true_model_cover_what_they_promise():
     residual = f["Fx"] + 2e-5 * f["u"] * f[["w1", "w2", "w3", "w4"]].sum(axis=1) + 0.01 * f["u"]
     truth["Fx"]["sigma2"] = float(residual.var())
     truth["Fx"]["covariance"] = [[0.0, 0.0], [0.0, 0.0]]
-    model = Model(assemble(truth, SHARED, {"id": "m", "airframe": AIRFRAME}))
+    model = Model(assemble_model(truth, SHARED, {"id": "m", "airframe": AIRFRAME}))
     table = score_model(model, {"a": f}, {"a": np.ones(4000, int)}, ROLES)
     assert table["coverage"].iloc[0] == pytest.approx(0.95, abs=0.01)
 
@@ -255,7 +257,7 @@ def test_intervals_of_a_true_model_cover_what_they_promise():
 def test_the_envelope_is_that_of_the_training_rows(data):
     f, _, _ = data
     rows = {"a": np.arange(300) < 100}
-    region = covered({"a": f}, rows, AIRFRAME, HOVER, {"Fz": part("Fz", TERMS["Fz"])})["envelope"]
+    region = measure_coverage({"a": f}, rows, AIRFRAME, HOVER, {"Fz": part("Fz", TERMS["Fz"])})["envelope"]
     assert region["u"]["min"] == f["u"][:100].min()
     assert region["u"]["percentiles"]["50"] == pytest.approx(f["u"][:100].median())
     assert region["u"]["unit"] == "m/s"

@@ -16,7 +16,7 @@ from quasi.export.matlab_check import run_octave
 from quasi.export.python_source import python_file
 from quasi.export.running import run_c, run_python
 from quasi.terms.expressions import Program, evaluate, names, parse
-from quasi.terms.singularities import STOPPED, remove_singularities
+from quasi.terms.singularities import MIN_DENOMINATOR_SPEED, remove_singularities
 from quasi.terms.variables import Variables
 
 R = AIRFRAME.radius
@@ -83,7 +83,7 @@ def test_a_pole_is_held_at_the_lowest_flown_speed():
     np.testing.assert_allclose(variables["mu_x"], U / (floor * R))
     assert set(names(remove_singularities(parse("w_avg*mu_x^2"), R))) == {"w_avg_flown", "u"}
     unknown = Variables(columns(np.zeros((1, 4))), AIRFRAME, HOVER)
-    assert unknown["mu_x"][0] == pytest.approx(U / (STOPPED * R))
+    assert unknown["mu_x"][0] == pytest.approx(U / (MIN_DENOMINATOR_SPEED * R))
 
 
 TERMS = {
@@ -113,7 +113,7 @@ def test_predictions_intervals_and_derivatives_are_finite(stopped):
     one = [np.hstack(made.predict(s, w)) for s, w in zip(at.state, at.speeds)]
     np.testing.assert_allclose(np.hstack([forces, moments]), one, rtol=1e-12, atol=1e-15)
     u = at.state[:20, 3]
-    cubic = 1e-6 * u**3 / (R**3 * STOPPED)  # the pole, at the limit where no flown speed is known
+    cubic = 1e-6 * u**3 / (R**3 * MIN_DENOMINATOR_SPEED)  # the pole, at the limit where no flown speed is known
     np.testing.assert_allclose(forces[:20, 0], -0.01 * u / R + cubic - 0.1 * u, rtol=1e-12)
     assert np.isfinite(moments).all()
     for part in made.jacobian(at.state, at.speeds):

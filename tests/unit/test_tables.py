@@ -6,7 +6,7 @@ import pytest
 
 from quasi.errors import ConfigError, DataError, ReadError
 from quasi.tables import (
-    copy_whole,
+    copy_file,
     read_bytes,
     read_fields,
     read_json,
@@ -117,10 +117,10 @@ def test_a_csv_as_spreadsheets_write_it_where_the_comma_is_the_decimal_sign_is_r
 def test_a_damaged_result_is_not_copied_on_and_is_named_itself(tmp_path):
     source, target = tmp_path / "filtered.parquet", tmp_path / "copy.parquet"
     write_table(source, pd.DataFrame({"t": np.arange(50.0)}))
-    copy_whole(source, target)
+    copy_file(source, target)
     assert target.read_bytes() == source.read_bytes()
     source.write_bytes(source.read_bytes()[:200])
     before = target.read_bytes()
     with pytest.raises(ReadError, match=r"filtered\.parquet is not a readable Parquet file .*delete it and run again"):
-        copy_whole(source, target)
+        copy_file(source, target)
     assert target.read_bytes() == before

@@ -7,7 +7,7 @@ from airframes import BEETLE
 from quasi.airframe import read_airframe
 from quasi.errors import ExpressionError
 from quasi.terms.expressions import parse
-from quasi.terms.variables import Variables, base_columns, known_names, unit_of
+from quasi.terms.variables import Variables, base_columns, derive_unit, known_names
 
 CONFIG = {**BEETLE, "mass": 0.433}
 HDBEETLE = read_airframe(CONFIG, "HDBeetle")
@@ -131,4 +131,4 @@ def test_base_columns_of_derived_names():
     ],
 )
 def test_units_of_coefficients(axis, expression, unit):
-    assert unit_of(parse(expression), axis) == unit
+    assert derive_unit(parse(expression), axis) == unit

@@ -11,7 +11,7 @@ from quasi.airframe import Airframe
 from quasi.errors import ConfigError
 from quasi.export.mcap.schemas import LOG_INFO, WELL_KNOWN, signals_schema
 from quasi.export.mcap.vehicles import Event, Vehicle, rotor_places
-from quasi.tables import whole_file
+from quasi.tables import replace_file
 
 WORLD = "world"
 PATH_POINTS = 2000  # of the line that shows where a vehicle flew
@@ -30,7 +30,7 @@ def write_recording(
     except ImportError:
         raise ConfigError("an MCAP file needs the package 'mcap'; install it with pip install 'quasi[mcap]'") from None
 
-    with whole_file(path) as part:
+    with replace_file(path) as part:
         writer = Writer(str(part))
         writer.start(profile="", library="quasi")
         schemas = {

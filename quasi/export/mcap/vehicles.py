@@ -8,7 +8,7 @@ import pandas as pd
 from quasi.airframe import Airframe
 from quasi.attitude import from_euler
 from quasi.export.frames import swap_vector
-from quasi.model.extensions import as_read
+from quasi.model.extensions import correct_flight
 from quasi.model.model import Model
 from quasi.tables import COLUMNS
 
@@ -80,7 +80,7 @@ def with_residuals(vehicle: Vehicle, model: Model, flight: pd.DataFrame, mass: f
 
     mass  kg that the flight was logged with, where known
     """
-    read = as_read(model, flight, mass)
+    read = correct_flight(model, flight, mass)
     predicted = model.predict_columns(read)
     thin = slice(None, None, step_of(flight["t"].to_numpy(float)))
     residual = (read[list(predicted)] - predicted).iloc[thin].reset_index(drop=True)

@@ -45,7 +45,7 @@ def compare_models(
         rows = rows_in_flight(flight)
         at = flight["t"].to_numpy(float)[rows]
         for model, column in ((a, 0), (b, 1)):
-            own = as_read(model, flight, masses.get(key))
+            own = correct_flight(model, flight, masses.get(key))
             predicted = model.predict_columns(own)
             for axis in axes:
                 error = (own[axis].to_numpy(float) - predicted[axis].to_numpy(float))[rows]

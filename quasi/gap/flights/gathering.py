@@ -12,9 +12,9 @@ from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError, ExpressionError
 from quasi.gap.flights.evidence import APART, NEEDED, PLACE, Evidence, model_wrench
 from quasi.gap.flights.instruments import as_shown
-from quasi.model.extensions import put_right
+from quasi.model.extensions import correct_columns
 from quasi.model.model import AXES, ROTORS, Model
-from quasi.plausibility import measured_motion
+from quasi.plausibility import check_measured_motion
 
 HEAVIER = 2.0  # a factor of mass that no load explains
 ELSEWHERE = 0.5  # of the arm: rotors are numbered otherwise, or it is another frame
@@ -63,7 +63,7 @@ def gather_all(
     found, lost, drifting, nowhere = {}, [], False, []
     rate = max([rate, *(_least_rate(metadata) for _, metadata, _ in flights.values())])
     for key, (table, metadata, airframe) in flights.items():
-        speed, place = measured_motion(metadata)
+        speed, place = check_measured_motion(metadata)
         if not speed:
             drifting = True
             lost.append(
@@ -162,7 +162,7 @@ def gather(
     columns = {
         name: flight[name].to_numpy(float)[rows] for name in flight if pd.api.types.is_numeric_dtype(flight[name])
     }
-    columns = put_right(model, columns)
+    columns = correct_columns(model, columns)
     try:
         predicted = model_wrench(model, columns)
     except ExpressionError as error:

@@ -14,7 +14,14 @@ from quasi.attitude import GRAVITY
 from quasi.gap.flights.evidence import Evidence, model_wrench
 from quasi.gap.flights.inflow import overshoot
 from quasi.gap.flights.pendulum import pull_of
-from quasi.model.extensions import configured_mass, mass_in, shift_of, telemetry_of, true_speeds, wind_of
+from quasi.model.extensions import (
+    compute_flight_mass,
+    configured_mass,
+    correct_rotor_speeds,
+    shift_of,
+    telemetry_of,
+    wind_of,
+)
 from quasi.model.model import Model
 from quasi.simulation.vehicle.variants import list_part_names, read_payload_and_inflow
 
@@ -39,14 +46,14 @@ def shown(extended: Model, base: Model, flight: Evidence) -> np.ndarray:
     Parts with states of their own act: a load swings, see `pendulum`, and air follows late, see `inflow`.
     """
     (late, scale), (known, factor) = telemetry_of(extended), telemetry_of(base)
-    columns = true_speeds(flight.columns, late - known, scale / factor)
+    columns = correct_rotor_speeds(flight.columns, late - known, scale / factor)
     wind = wind_of(extended) - wind_of(base)
     if wind.any():
         along = attitude.rotate_inverse(flight.quaternion, wind)
         columns = {**columns, **{f"{a}_air": flight.velocity[:, k] - along[:, k] for k, a in enumerate("uvw")}}
     wrench = model_wrench(extended, columns)
     configured = flight.mass if np.isfinite(flight.mass) else configured_mass(base)
-    mass = mass_in(extended, flight.mass)
+    mass = compute_flight_mass(extended, flight.mass)
     mass = configured if mass is None else mass
     configured = configured if configured is not None else mass
     inertia, own = np.asarray(extended.airframe.inertia), flight.inertia

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from quasi.errors import DataError
-from quasi.plausibility import reasons
+from quasi.plausibility import list_reasons
 from quasi.project.gaps import COMPARED, HELD
 
 USE_UNUSABLE = "use unusable flights"  # key of a gap's configuration
@@ -29,7 +29,7 @@ def exclude_unusable(
     found = {
         key: _first(sentences)
         for key, made in flights.items()
-        if (sentences := reasons(made.get("contradictions") or []))
+        if (sentences := list_reasons(made.get("contradictions") or []))
     }
     for role in dict.fromkeys(roles[key] for key in flights):
         of_role = [key for key in flights if roles[key] == role]

@@ -18,7 +18,7 @@ from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError, nearest
 from quasi.model.model import AXES, ROTORS, Model
-from quasi.simulation.control.control_model import extras
+from quasi.simulation.control.control_model import list_usual_inputs
 
 RATE = 100.0  # Hz of what is worked out
 LONGEST = 1800.0  # s of a trajectory: more than a battery gives, and more columns than memory holds
@@ -156,7 +156,7 @@ def _leaning(
 
 def _further(model: Model, t: np.ndarray) -> dict[str, np.ndarray]:
     """What the model reads beyond state and rotor speeds (n,): the time, and the usual values of anything else."""
-    usual = dict(zip(model.inputs[20:], extras(model)))
+    usual = dict(zip(model.inputs[20:], list_usual_inputs(model)))
     return {name: t if name == "t" else np.full(len(t), value) for name, value in usual.items()}
 
 

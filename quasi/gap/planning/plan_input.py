@@ -12,7 +12,7 @@ from quasi.gap.planning import plan_noise
 from quasi.gap.planning.plan import Flight, read_flight
 from quasi.gap.statistics.whitening import Whitener
 from quasi.model.model import Model
-from quasi.plausibility import measured_motion
+from quasi.plausibility import check_measured_motion
 from quasi.tables import read_json, read_numbers, read_table
 
 TABLES = (".csv", ".parquet")
@@ -35,7 +35,7 @@ def flights_of(names: Sequence[str], model: Model, directory: Path) -> tuple[lis
             if metadata.get("mass"):
                 refuse_another_vehicle(path.as_posix(), replace(model.airframe, mass=float(metadata["mass"])), model)
             about = about or {k: metadata[k] for k in ("mass", "inertia") if metadata.get(k) is not None}
-            speed, place = measured_motion(metadata)
+            speed, place = check_measured_motion(metadata)
             if not speed:
                 raise DataError(
                     f"{path} has no source of velocity but the accelerometer, which drifts, and forces and moments "

@@ -13,10 +13,18 @@ from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
 from quasi.model.extensions import drive_of
-from quasi.model.hover import extras, hover_speed, predict_at_rest, usual_place
+from quasi.model.hover import find_hover_position, find_hover_speed, list_usual_inputs, predict_at_rest
 from quasi.model.model import Model
 
-__all__ = ["ControlModel", "extras", "hover_speed", "make_control_model", "trim", "use_geometric_mixer", "usual_place"]
+__all__ = [
+    "ControlModel",
+    "find_hover_position",
+    "find_hover_speed",
+    "list_usual_inputs",
+    "make_control_model",
+    "trim",
+    "use_geometric_mixer",
+]
 
 DEFAULT_ACTUATOR_LAG = 1.0 / 35.0  # s, where the model has no time constants
 _HIGHEST_SPEED_RATIO, _LOWEST_SPEED_RATIO = 2.0, 0.1  # of the hover speed, where the airframe has no limits
@@ -62,7 +70,7 @@ def make_control_model(model: Model, actuators: Mapping[str, Any] | None = None)
     limits = [
         _read_speed_limit(given, key, rpm, airframe) for key, rpm in (("lowest", "idle_rpm"), ("highest", "max_rpm"))
     ]
-    hover = hover_speed(model, limits[1])
+    hover = find_hover_speed(model, limits[1])
     highest = limits[1] if limits[1] is not None else _HIGHEST_SPEED_RATIO * hover
     lowest = limits[0] if limits[0] is not None else _LOWEST_SPEED_RATIO * hover
     if not 0.0 <= lowest < hover < highest:

@@ -33,7 +33,7 @@ from quasi.errors import DataError
 from quasi.model.model import Model
 from quasi.simulation.control import gains as g
 from quasi.simulation.control.allocation import allocate_rotors, invert_matrix
-from quasi.simulation.control.control_model import extras, make_control_model, use_geometric_mixer
+from quasi.simulation.control.control_model import list_usual_inputs, make_control_model, use_geometric_mixer
 from quasi.simulation.control.outer_loop import (
     CONTROLLER_STATUS,
     RATES_SETPOINT,
@@ -45,7 +45,7 @@ from quasi.simulation.control.outer_loop import (
     run_outer_loop,
 )
 from quasi.simulation.vehicle.dynamics import euler_angles
-from quasi.terms.kernel import Kernel, wrench
+from quasi.terms.kernel import Kernel, compute_wrench
 
 # first entries in the memory; outer_loop.py has further ones
 INVERSE_EFFECTIVENESS, STEP_EFFECTIVENESS = 1, 17  # (16,) inverse and effectiveness of one step, row by row
@@ -285,7 +285,7 @@ def _run_ndi(p, m, dt, measurement, setpoint):
         inputs[16 + i] = 0.0  # the moment of rotor accelerations is part of the unknowns
     for i in range(20, len(inputs)):
         inputs[i] = further[i - 20]
-    wrench(kernel, inputs, work, out)
+    compute_wrench(kernel, inputs, work, out)
     for k in range(6):
         out[k] -= offset[k]
     r = rotation_matrix(measurement)
@@ -372,7 +372,7 @@ def _pack_model(model: Model, offset: np.ndarray) -> np.ndarray:
 
     Two integers of the code occupy the bytes of one float; `_unpack_model` reads them in place.
     """
-    kernel, further = model.kernel, extras(model)
+    kernel, further = model.kernel, list_usual_inputs(model)
     code = np.concatenate([kernel.code, np.zeros(len(kernel.code) % 2, np.uint32)]).astype(np.uint32)
     head = [float(model.with_gravity), *offset, len(further), len(kernel.code), len(kernel.numbers)]
     return np.concatenate([head, further, kernel.numbers, code.view(np.float64)])

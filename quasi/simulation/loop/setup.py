@@ -21,10 +21,10 @@ from quasi import attitude
 from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
-from quasi.model.extensions import drive_of, said_of_rotors, wind_of
+from quasi.model.extensions import drive_of, read_rotor_constants, wind_of
 from quasi.model.model import Model
 from quasi.project import configuration
-from quasi.simulation.control.control_model import DEFAULT_ACTUATOR_LAG, hover_speed
+from quasi.simulation.control.control_model import DEFAULT_ACTUATOR_LAG, find_hover_speed
 from quasi.simulation.control.controllers import make_controller
 from quasi.simulation.control.references import make_reference
 from quasi.simulation.loop.closed_loop import ActuatorLimits, Battery, LoopParameters, LoopState, make_loop_state
@@ -162,7 +162,7 @@ def make_setup(
     parts = read_payload_and_inflow(model)
     flown = drop_quasi_steady_terms(model)
     drive, up, down, rate = _make_actuator(settings["actuator"], model, notes, name)
-    hover = hover_speed(model, drive.high if math.isfinite(drive.high) else None)
+    hover = find_hover_speed(model, drive.high if math.isfinite(drive.high) else None)
     if not drive.low <= hover <= drive.high:
         raise ConfigError(
             f"{name}: hover takes rotor speeds of {hover:.0f} rad/s, but the actuator allows {drive.low:.0f} to "
@@ -374,7 +374,7 @@ def _make_battery(
             raise ConfigError(f"{name}: 'battery' names 'exponent', 'drain' or 'sag' but no 'voltage'; add it")
         start = 0.0
     exponent, reference = asked["exponent"], asked["reference voltage"]
-    of_causes = said_of_rotors(model)
+    of_causes = read_rotor_constants(model)
     if not exponent and "voltage exponent" in of_causes:
         if start:
             exponent = of_causes["voltage exponent"]

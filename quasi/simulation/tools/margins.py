@@ -21,7 +21,7 @@ from quasi.errors import ConfigError
 from quasi.model.model import Model
 from quasi.simulation.control import controllers as c
 from quasi.simulation.control import gains as g
-from quasi.simulation.control.control_model import extras, make_control_model, usual_place
+from quasi.simulation.control.control_model import find_hover_position, list_usual_inputs, make_control_model
 from quasi.simulation.control.outer_loop import SETPOINT_POSITION, SETPOINT_SIZE, SETPOINT_THRUST, VELOCITY_INTEGRAL
 from quasi.simulation.loop.setup import Setup
 from quasi.simulation.vehicle.dynamics import LAG_UP
@@ -142,7 +142,7 @@ def linearise(
     vehicle = make_control_model(model, actuators)
     level = np.zeros(_MOTION_SIZE + 4)
     level[_MOTION_SIZE:] = vehicle.hover_speed
-    level[9:12] = usual_place(model)
+    level[9:12] = find_hover_position(model)
     offset = _predict_loads(model, level, np.zeros(4), 0.0)
     offset[2] += vehicle.mass * GRAVITY if model.with_gravity else 0.0
     plant = _Plant(model, vehicle, offset)
@@ -209,7 +209,7 @@ class _Plant:
 def _predict_loads(model: Model, x: np.ndarray, slope: np.ndarray, angles: float) -> np.ndarray:
     """Forces and moments (6,); small rotation vectors are Euler angles to first order."""
     state = np.concatenate([angles * x[:3], x[3:_MOTION_SIZE]])[None]
-    further = dict(zip(model.inputs[20:], extras(model)))
+    further = dict(zip(model.inputs[20:], list_usual_inputs(model)))
     force, moment = model.predict(state, x[None, _MOTION_SIZE:], slope[None], further)
     return np.concatenate([force[0], moment[0]])
 

@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull, QhullError
 from quasi.attitude import rotate_inverse, to_euler
 from quasi.errors import ConfigError, DataError
 from quasi.model.model import Model
-from quasi.simulation.control.control_model import extras
+from quasi.simulation.control.control_model import list_usual_inputs
 from quasi.simulation.control.references import HOVER_REFERENCE
 from quasi.simulation.loop.run import simulate_many
 from quasi.simulation.loop.setup import Setup, make_setup
@@ -141,7 +141,7 @@ def find_reachable(
 def _distances(setup: Setup, t: np.ndarray, states: np.ndarray) -> np.ndarray:
     """Greatest distance outside the model's region by simulation, (B,), with the velocity through the steady air."""
     model, air = setup.model, setup.loop_parameters.wind[:3]
-    usual = dict(zip(model.inputs[20:], extras(model)))
+    usual = dict(zip(model.inputs[20:], list_usual_inputs(model)))
     if not model.document.get("envelope"):
         return np.full(len(states), np.nan)
     result = np.full(len(states), np.nan)

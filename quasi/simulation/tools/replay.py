@@ -16,7 +16,7 @@ from numba import njit
 
 from quasi.attitude import GRAVITY, from_euler, to_euler
 from quasi.errors import DataError, ShapeError
-from quasi.model.extensions import drive_of, said_of_rotors, wind_of
+from quasi.model.extensions import drive_of, read_rotor_constants, wind_of
 from quasi.model.model import Model
 from quasi.simulation.control.control_model import DEFAULT_ACTUATOR_LAG
 from quasi.simulation.vehicle.dynamics import (
@@ -176,7 +176,7 @@ def replay(
     A window that diverges holds inf or NaN from there on. Raises ShapeError or DataError.
     """
     model = apply_extensions(model)
-    parts, recorded, blows = read_payload_and_inflow(model), said_of_rotors(model), wind_of(model)
+    parts, recorded, blows = read_payload_and_inflow(model), read_rotor_constants(model), wind_of(model)
     model = drop_quasi_steady_terms(model)
     if len(model.axes) < 6:
         lacking = [a for a in ("Fx", "Fy", "Fz", "Mx", "My", "Mz") if a not in model.axes]
@@ -259,7 +259,7 @@ def read_actuator_dynamics(model: Model) -> ActuatorDynamics:
     frame = model.airframe
     factor = frame.logged_to_rad_s or model.document.get("logged to rad/s")
     # the limits are in recorded units as well
-    factor = factor and factor / said_of_rotors(model).get("rotor speed scale", 1.0)
+    factor = factor and factor / read_rotor_constants(model).get("rotor speed scale", 1.0)
     low = frame.idle_rpm * factor if frame.idle_rpm is not None and factor else 0.0
     high = frame.max_rpm * factor if frame.max_rpm is not None and factor else math.inf
     late = value("delay")

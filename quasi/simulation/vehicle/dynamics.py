@@ -54,7 +54,7 @@ from quasi.simulation.vehicle.payload_and_inflow import (
     project_constraints,
     trim_payload_and_inflow,
 )
-from quasi.terms.kernel import Kernel, wrench
+from quasi.terms.kernel import Kernel, compute_wrench
 
 
 class Scratch(NamedTuple):
@@ -157,7 +157,7 @@ def compute_loads(x, step_inputs, kernel, body, inputs, work, out):
         inputs[16 + i] = slope
     for i in range(20, len(inputs)):
         inputs[i] = step_inputs[EXTRA_INPUTS + i - 20]
-    wrench(kernel, inputs, work, out)
+    compute_wrench(kernel, inputs, work, out)
     for i in range(6):
         out[i] -= body[LOADS_OFFSET + i]
     if body[EXTRA_STATES] != 0.0:

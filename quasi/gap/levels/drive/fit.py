@@ -15,7 +15,7 @@ from quasi.errors import DataError
 from quasi.gap.flights.level import Flown
 from quasi.identification.actuators import follow
 from quasi.model.extensions import drive_of
-from quasi.tables import AGE_OFF
+from quasi.tables import TELEMETRY_AGE_REMOVED
 
 ROTORS = range(1, 5)
 RATE = 100.0  # Hz at which residuals are kept
@@ -148,7 +148,7 @@ def belief_of(document: Mapping[str, Any], kind: str) -> Belief | None:
             values[3 + power] = coefficient
         values[6] = float((table.get("voltage exponent") or {}).get("value") or 0.0)
         voltage = table.get("reference voltage")
-    aged = held["delay"].get(AGE_OFF) if "delay" in held else None
+    aged = held["delay"].get(TELEMETRY_AGE_REMOVED) if "delay" in held else None
     return Belief(values, voltage, aged if isinstance(aged, bool) else None)
 
 

@@ -38,7 +38,7 @@ def learned(known: Mapping[str, Any], flight: Flight, model: Model) -> tuple[np.
     if known["voltage"] and "battery_voltage" in flight.table:
         ratio = flight.table["battery_voltage"].to_numpy(float) / known["voltage"]
         wanted *= np.where(ratio > LOW_VOLTAGE, ratio, 1.0)[:, None] ** x["exponent"]
-    late = max(x["delay"] - said_of_rotors(model).get("telemetry delay", 0.0), 0.0)
+    late = max(x["delay"] - read_rotor_constants(model).get("telemetry delay", 0.0), 0.0)
     limits = read_actuator_dynamics(model)
     return wanted, limits._replace(up=np.array(x["up"]), down=np.array(x["down"]), delay=late)
 

@@ -153,7 +153,7 @@ def _errors(track: Track, model: Model, base: Model, line: str, drive: Mapping[s
     if line == TRIMMED:
         offsets = trim_of(track, after(model, base)(track.evidence))
         # what instruments show with the configured constants, in the model's own
-        logged, mass = track.evidence.mass, mass_in(model, track.evidence.mass)
+        logged, mass = track.evidence.mass, compute_flight_mass(model, track.evidence.mass)
         if mass and np.isfinite(logged):
             offsets[:, :3] *= mass / logged
         offsets[:, 3:] = offsets[:, 3:] @ np.linalg.solve(track.course.inertia, np.asarray(model.airframe.inertia))

@@ -104,7 +104,7 @@ def simulated(
     commands  (N, 4) rad/s that drive the rotors; None takes the measured rotor speeds; rotors  how they follow them,
               None takes what the model knows
     """
-    air, mass = air_of(model, flight), mass_in(model, flight.mass)
+    air, mass = air_of(model, flight), compute_flight_mass(model, flight.mass)
     extra = {n: np.nan_to_num(flight.table[n].to_numpy(float)) for n in model.inputs[20:] if n in flight.table}
     commands = None if commands is None else np.nan_to_num(commands)
     shift, states = shift_of(model), flight.states
