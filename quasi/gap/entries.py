@@ -11,7 +11,7 @@ from quasi.gap.levels.corrections import uncorrected
 from quasi.gap.levels.forces.identify import Found
 from quasi.gap.levels.forces.materiality import Cause
 from quasi.gap.levels.rollouts.confirmation import Settled
-from quasi.model.extensions import mass_in
+from quasi.model.extensions import compute_flight_mass
 
 # shares of resamples in which a cause alone, the strongest of several, another one must be found again
 ALONE, SURE, BESIDE = 0.2, 0.5, 0.8

@@ -19,7 +19,7 @@ from quasi.gap.comparing.differences import (
 from quasi.gap.comparing.flight_comparison import SCHEMA
 from quasi.gap.comparing.flight_quantities import BLOCK, LEAST_BLOCKS, rows_in_flight
 from quasi.gap.levels.rollouts.open_loop import QUANTITIES, flight_of, simulated, sizes, vectors, windows
-from quasi.model.extensions import as_read
+from quasi.model.extensions import correct_flight
 from quasi.model.model import Model
 from quasi.simulation.tools.replay import count_steps
 

@@ -17,7 +17,7 @@ from quasi.gap.extension import extend
 from quasi.gap.levels.drive.fit import LOW_VOLTAGE, NAMES
 from quasi.gap.levels.drive.identify import CAUSES
 from quasi.gap.levels.rollouts.open_loop import COMMANDED, SHARES, Flight
-from quasi.model.extensions import said_of_rotors
+from quasi.model.extensions import read_rotor_constants
 from quasi.model.model import Model
 from quasi.simulation.tools.replay import ActuatorDynamics, read_actuator_dynamics
 

@@ -46,7 +46,7 @@ from quasi.gap.levels.rollouts.open_loop import (
     vectors,
 )
 from quasi.gap.statistics import blocks
-from quasi.model.extensions import mass_in
+from quasi.model.extensions import compute_flight_mass
 from quasi.model.model import Model
 
 TRIM, MARGIN, LEAST = 2.0, 0.1, 0.5  # s before a window; s that low-pass filters look ahead; s that must be valid

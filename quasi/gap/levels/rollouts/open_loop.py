@@ -9,7 +9,7 @@ import pandas as pd
 from quasi.attitude import conjugate, from_euler, logarithm, multiply, rotate, rotate_inverse
 from quasi.gap.levels.forces.error_reduction import states_of
 from quasi.gap.statistics import blocks
-from quasi.model.extensions import drive_of, mass_in, shift_of, wind_of
+from quasi.model.extensions import compute_flight_mass, drive_of, shift_of, wind_of
 from quasi.model.model import Model
 from quasi.simulation.tools.replay import ActuatorDynamics, count_steps, replay, to_euler_states
 from quasi.simulation.tools.rollout import compute_errors
