@@ -10,6 +10,9 @@ import pytest
 from quasi.airframe import Airframe
 from quasi.gap.catalogue import catalogue
 from quasi.gap.flights.level import Flown, clear
+from quasi.gap.levels.drive.findings import saturated
+from quasi.gap.levels.drive.fit import LOOSE, Belief, belief_of, fit_drive
+from quasi.gap.levels.drive.identify import SPREAD, examine, size_of
 from quasi.tables import TELEMETRY_AGE_REMOVED
 
 RATE, SECONDS, FINER = 500.0, 14.0, 4

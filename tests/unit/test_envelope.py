@@ -128,7 +128,7 @@ def test_a_table_and_arrays_agree_and_nan_gives_nan(model, training):
 
 def test_a_model_without_its_region_says_so(model):
     bare = copy.deepcopy(model.document) | {"envelope": {}}
-    with pytest.raises(ConfigError, match="carries no region"):
+    with pytest.raises(ConfigError, match="no region"):
         Model(bare).distance(np.zeros(12), np.full(4, HOVER))
     damaged = copy.deepcopy(model.document)
     damaged["joint envelope"]["whitening"] = [[1.0]]

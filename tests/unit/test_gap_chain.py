@@ -17,7 +17,8 @@ from quasi.gap.extension import extend
 from quasi.gap.flights.evidence import model_wrench
 from quasi.gap.flights.gathering import gather
 from quasi.gap.flights.instruments import shown
-from quasi.gap.wrench.examination import WEIGHING, _carried
+from quasi.gap.levels.drive.fit import belief_of
+from quasi.gap.levels.forces.identify import WEIGHING, _carried
 from quasi.model.extensions import correct_columns, correct_flight, drive_of, read_rotor_constants, wind_of
 from quasi.model.model import AXES, STATE, Model
 from quasi.simulation.control.control_model import make_control_model

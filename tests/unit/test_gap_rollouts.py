@@ -9,7 +9,6 @@ from quasi.attitude import from_euler, rotate_inverse
 from quasi.gap.flights.gathering import gather
 from quasi.gap.levels.rollouts import error_reduction, open_loop
 from quasi.gap.report.figures import figures
-from quasi.gap.rollouts import open_loop
 from quasi.model.extensions import CONFIGURED_MASS_KEY, compute_flight_mass
 from quasi.model.model import Model
 from quasi.simulation.tools.rollout import rollout
