@@ -75,13 +75,13 @@ def wind_of(model: Model) -> np.ndarray:
     """
     wind = np.zeros(3)
     for extension in extensions_of(model):
-        wind = (extension.get("environment") or {}).get("wind", 0.0)
+        value = (extension.get("environment") or {}).get("wind", 0.0)
         try:
-            found = np.broadcast_to(np.asarray(wind, float), 3)
+            found = np.broadcast_to(np.asarray(value, float), 3)
         except (TypeError, ValueError):
             found = np.full(3, np.nan)
         if not np.isfinite(found).all():
-            raise ConfigError(f"model {model.id}, extension '{extension.get('id')}': 'wind' is {wind!r:.60}, expected "
+            raise ConfigError(f"model {model.id}, extension '{extension.get('id')}': 'wind' is {value!r:.60}, expected "
                               "three numbers of m/s; build the extended model again")  # fmt: skip
         wind = wind + found
     return wind
