@@ -295,17 +295,18 @@ def factors_of(drive: Mapping[str, Any], airframe: Airframe) -> dict[str, Any]:
     factor = float(drive["scale"]["thrust factor"]["value"])
     # all thrust factors follow from the scale; what the commands leave open is how thrust changes with them
     error = 2.0 * float(drive["relative error"]["map"]) * factor
+    # U_p and U_q count rotors left and in front as positive, U_r those that turn clockwise, whose drag is negative
     lever = {
         "kappaMx": ("Mx", float(np.mean(np.abs(airframe.hubs[:, 1])))),
         "kappaMy": ("My", float(np.mean(np.abs(airframe.hubs[:, 0])))),
-        "kappaMz": ("Mz", 1.0),
+        "kappaMz": ("Mz", -1.0),
     }
     beside = {"fitted beside": [], "estimated": "jointly with the rotor speeds"}
     found: dict[str, Any] = {"kappaFz": {"value": factor, "std": error, "unit": "N s2/rad2", **beside}}
     for name, (axis, arm) in lever.items():
         part = drive["factors"][axis]
         found[name] = {
-            "value": factor * arm * part["value"], "std": factor * arm * part["std"], "unit": "N m s2/rad2", **beside
+            "value": factor * arm * part["value"], "std": factor * abs(arm) * part["std"], "unit": "N m s2/rad2", **beside
         }  # fmt: skip
     return found
 

@@ -79,6 +79,7 @@ def test_scale_is_relative_until_something_fixes_it(flights, found):
     simple = factors_of(known, to_draw())
     arm = np.abs(to_draw().hubs[0, 1])
     assert simple["kappaMx"]["value"] / simple["kappaFz"]["value"] == pytest.approx(arm, rel=0.1)
+    assert simple["kappaMz"]["value"] / simple["kappaFz"]["value"] == pytest.approx(-0.02, rel=0.1)
     assert actuators_of(known)["time constants"]["value"] == [known["time constant"]["value"]] * 4
 
 
