@@ -87,7 +87,7 @@ def _read(
 def joined(series: Mapping[str, Series]) -> pd.DataFrame:
     """All quantities over the moments at which any was sampled: column t, s, then one for each; NaN without a sample.
 
-    A capture beside on-board quantities of the same name has its columns called "capture_x" and so on.
+    Columns of a capture that share a name with on-board ones are called "capture_x" and so on.
     """
     frames = []
     seen: set[str] = set()

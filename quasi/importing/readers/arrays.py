@@ -5,15 +5,14 @@ many samples were sampled together, and share a column of time of that length.
 """
 
 import io
-import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from quasi.errors import ReadError
+from quasi.importing.readers.mat5 import Damaged, read_variables
 from quasi.importing.readers.signals import Signals
 from quasi.recognition import recognise
 from quasi.tables import read_bytes
@@ -62,25 +61,10 @@ def _npz(path: Path, data: bytes, left_out: list[str]) -> Iterator[tuple[str, np
 
 
 def _mat(path: Path, data: bytes, left_out: list[str]) -> Iterator[tuple[str, np.ndarray]]:
-    from scipy.io import loadmat
-
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            variables = loadmat(io.BytesIO(data), simplify_cells=True)
-    except Exception as error:  # scipy raises whatever a damaged file makes of its parser
-        raise ReadError(f"{path} is no readable MATLAB file ({_reason(error)}); save it again with -v7") from None
-    yield from _nested("", {k: v for k, v in variables.items() if not k.startswith("__")}, left_out)
-
-
-def _nested(prefix: str, values: Mapping[str, Any], left_out: list[str]) -> Iterator[tuple[str, np.ndarray]]:
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _nested(f"{prefix}{name}.", value, left_out)
-        elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
-            yield f"{prefix}{name}", value
-        elif isinstance(value, np.ndarray | list):
-            left_out.append(f"{prefix}{name}")
+        yield from read_variables(data, left_out)
+    except Damaged as error:
+        raise ReadError(f"{path} is no readable MATLAB file ({error}); save it again with -v7") from None
 
 
 def _columns(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
