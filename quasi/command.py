@@ -100,7 +100,9 @@ def _parser() -> argparse.ArgumentParser:
     described = "filtered flight, simulation, or table of t x y z yaw (s, m, z down, rad); several are flown in turn"
     plan.add_argument("trajectories", nargs="+", metavar="TRAJECTORY", help=described)
     plan.add_argument("--flights", type=int, default=4, help="flights to compare (4)")
-    plan.add_argument("--references", type=int, default=0, help="reference flights beside them, believed clean (0)")
+    plan.add_argument(
+        "--references", type=int, default=0, help="further reference flights, believed free of faults (0)"
+    )
     plan.add_argument("--gap", help="take the noise, the room and further causes from this gap")
     plan.add_argument("--out", help="folder for the card: plan.json and plan.html")
     plan.set_defaults(
@@ -172,7 +174,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     published.add_argument("file", help="JSON file of the published model")
     published.add_argument("name", help="model ID that it gets")
-    published.add_argument("--motor-poles", type=int, help="magnets of its motors, which the file does not tell (14)")
+    published.add_argument("--motor-poles", type=int, help="magnets of its motors, which the file does not state (14)")
     published.set_defaults(run=lambda o: import_model(Path(o.file), o.name, Path(o.directory), o.motor_poles))
     parser.set_defaults(commands=list(commands.choices))
     return parser
@@ -239,7 +241,7 @@ def check_raw_files(directory: Path, data: str | None) -> tuple[str, int]:
 
 
 def summarise(model: str, directory: Path) -> str:
-    """The summary of a model given by ID or path, with its scores when they stand beside it."""
+    """The summary of a model given by ID or path, with its scores where they exist."""
     from quasi.model.model import read_model
     from quasi.tables import read_text
 

@@ -23,7 +23,7 @@ from quasi.gap.levels.rollouts.open_loop import flight_of, windows
 from quasi.gap.levels.sensors_and_drive import units_of
 from quasi.identification.partition import UNITS, partition, to_table
 from quasi.model.model import read_model
-from quasi.project.gaps import recordings_told, unchecked
+from quasi.project.gaps import list_model_recordings, unchecked
 from quasi.running.job_log import LOG, job, show_progress
 from quasi.tables import drop_identified_commands, list_recordings, read_json, read_table, write_json, write_table
 
@@ -83,7 +83,7 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
         write_table(folder / f"{name}.parquet", table, units_of(table))
     write_table(output["partition"], _partition(flights, roles, found.document["effects"]), UNITS)
     learning = {key: about for key, (_, about, _) in tables.items() if roles[key] != "held out"}
-    recordings = {**recordings_told(model.document), **list_recordings(learning)}
+    recordings = {**list_model_recordings(model.document), **list_recordings(learning)}
     write_json(output["model"], {**found.model, "recordings": recordings})
     write_json(output["diagnosis"], found.document)
 

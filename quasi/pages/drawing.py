@@ -182,7 +182,7 @@ def trajectories(
     axes    3-D axes to draw in, None for a figure of its own; a second call widens the limits to hold both
     scale   by which the drones are enlarged; None: so that they can be seen, and the figure says by how much
     limits  low (3,) and high (3,), m, NED; None for all that is drawn
-    labels  the time, s, beside each still, the last one's where several stand in one place
+    labels  the time, s, at each still; of overlapping stills only the last
     shadow  the path as seen from above, grey on the floor of the box
     Raises DataError when there is nothing to draw.
     """

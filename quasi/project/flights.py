@@ -150,7 +150,7 @@ class Recordings(Comparisons):
         """How to say where recordings lie, for a raw file that was sought in the folder's own data/."""
         if self.data or path.parts[:1] != ("data",):
             return ""
-        return "; where recordings lie elsewhere, `--config data=PATH` tells where data/ is"
+        return "; where recordings lie elsewhere, `--config data=PATH` sets the place of data/"
 
     def _made(self, path: Path) -> bool:
         """Whether the synthesis stage makes this raw file."""
@@ -186,7 +186,7 @@ class Recordings(Comparisons):
             )
         try:
             config = self._read(path, "quadrotor")
-            # what no schema tells: rotor numbers, inertia, poles; the mass is the row's affair
+            # checks beyond the schema: rotor numbers, inertia, poles; the row checks the mass
             read_airframe(config, str(path), mass=1.0)
         except QuasiError as error:
             return {}, str(error)

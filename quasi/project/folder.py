@@ -178,7 +178,7 @@ class Project:
         return self._names("config/simulations")
 
     def _names(self, folder: str) -> list[str]:
-        # names with a leading dot are what systems and editors leave beside a file
+        # systems and editors leave files with a leading dot
         return sorted(p.stem for p in self._here(folder).glob("*.json") if not p.name.startswith("."))
 
     @functools.cache  # noqa: B019 - a Folder lives as long as the run

@@ -148,19 +148,21 @@ class Comparisons(Project):
                 "moments can be asked)"
             )
         if not reference and section["training flights as reference"]:
-            reference = self._trained_beside(name, everything, quadrotors)
+            reference = self._select_unused_training(name, everything, quadrotors)
         return {COMPARED: learning, HELD: held, REFERENCE: reference}
 
-    def _trained_beside(self, name: str, compared: Sequence[Row], quadrotors: set[str]) -> list[Row]:
-        """Some of the flights that made the model and are not compared themselves: as many as those, at least FEWEST,
-        evenly taken from all. What these show as well, the model has always lacked."""
+    def _select_unused_training(self, name: str, compared: Sequence[Row], quadrotors: set[str]) -> list[Row]:
+        """Select training flights that are not compared: as many as those, at least FEWEST, evenly spaced.
+
+        An effect that they show too is one that the model always lacked.
+        """
         try:
             trained = self.gap_trained(name)
         except QuasiError:
             return []  # who makes the model says what is wrong with it
         keys = {r.key for r in compared}
-        beside = {r.key: r for r in trained if not r.problem and r.quadrotor in quadrotors and r.key not in keys}
-        rows, most = list(beside.values()), max(len(compared), FEWEST)
+        unused = {r.key: r for r in trained if not r.problem and r.quadrotor in quadrotors and r.key not in keys}
+        rows, most = list(unused.values()), max(len(compared), FEWEST)
         if len(rows) <= most:
             return rows
         return [rows[round(k * (len(rows) - 1) / (most - 1))] for k in range(most)]
@@ -275,15 +277,14 @@ def same_recordings(held: Mapping[str, list[str]], trained: Mapping[str, list[st
 
 
 def refuse_trained(asked: Mapping[str, Any], document: Mapping[str, Any]) -> None:
-    """Raise ConfigError where a held-out recording is one that a model says it was made from.
+    """Raise ConfigError where a held-out recording trained the model.
 
     asked  of `Folder.gap`; document  the model's
-    By content. A training flight whose recording the model does not tell, being older than that, is known by its key,
-    where the quadrotor's configuration has the same name; of a model made in this folder, the rows are known anyway
-    (`same_recordings`).
+    Recordings are compared by content. An older model without recordings is compared by flight keys, where the
+    quadrotor's configuration has the same name. For a model of this folder the rows are known (`same_recordings`).
     """
-    told = recordings_told(document)
-    known = {key: (about["sha256"], str(about.get("log") or ""), "") for key, about in told.items()}
+    recordings = list_model_recordings(document)
+    known = {key: (about["sha256"], str(about.get("log") or ""), "") for key, about in recordings.items()}
     head = f"{asked['file']}: held-out"
     if twice := _first_alike(asked["held"], known):
         raise ConfigError(
@@ -292,24 +293,24 @@ def refuse_trained(asked: Mapping[str, Any], document: Mapping[str, Any]) -> Non
         )
     if not asked["put there"] or (document.get("airframe") or {}).get("name") != asked["quadrotor"]["file"]:
         return
-    untold = set(_trained(document)) - set(told)
+    without_recording = set(_trained(document)) - set(recordings)
     for row, key in asked["held keys"].items():
-        if key in untold:
+        if key in without_recording:
             raise ConfigError(
                 f"{head} {row} is flight {key}, and a flight of that name trained model {document['id']}, whose "
-                "model.json does not tell recordings; hold out another one, or, if it is not that flight, give it a "
+                "model.json does not list recordings; hold out another one, or, if it is not that flight, give it a "
                 "name of its own in the logbook's column 'Flight key'"
             )
 
 
 def unchecked(asked: Mapping[str, Any], document: Mapping[str, Any]) -> list[str]:
     """A note where it cannot be known by content whether a held-out flight trained the model. Arguments as above."""
-    trained, told = _trained(document), recordings_told(document)
-    if not asked["put there"] or not asked["held"] or (trained and set(trained) <= set(told)):
+    trained, recordings = _trained(document), list_model_recordings(document)
+    if not asked["put there"] or not asked["held"] or (trained and set(trained) <= set(recordings)):
         return []
     return [
         f"whether a held-out flight trained model {document['id']} could not be checked by content: its model.json "
-        "does not tell the recordings of all flights that it was made from; make it anew where that is possible"
+        "does not list the recordings of all training flights; build it again where possible"
     ]
 
 
@@ -320,8 +321,8 @@ def _trained(document: Mapping[str, Any]) -> list[str]:
     return [k for k in named if isinstance(k, str)] if isinstance(named, Sequence) else []
 
 
-def recordings_told(document: Mapping[str, Any]) -> dict[str, Mapping[str, str]]:
-    """Flights and recordings that a model.json tells, as far as they can be used: anybody may have written it."""
+def list_model_recordings(document: Mapping[str, Any]) -> dict[str, Mapping[str, str]]:
+    """List the usable flights and recordings of a model.json, which may come from anybody."""
     given = document.get("recordings")
     given = given if isinstance(given, Mapping) else {}
     return {k: about for k, about in given.items() if isinstance(about, Mapping) and about.get("sha256")}

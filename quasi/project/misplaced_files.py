@@ -5,7 +5,7 @@ from pathlib import Path
 from quasi.errors import QuasiError
 from quasi.tables import read_json
 
-# QuaSI's name: (place in a project folder, keys of its first level that tell it from other JSON files)
+# QuaSI's name: (place in a project folder, keys of its first level that identify it among JSON files)
 PLACES = {
     "processConfig.json": ("config/processing.json", {"data importing", "data filtering"}),
     "identificationConfig.json": ("config/models/<model ID>.json", {"identification parameters"}),

@@ -33,8 +33,8 @@ def lay_folder(folder: Path, library: Path) -> str:
     shutil.copytree(
         library / "config" / "template", folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns(".gitkeep")
     )
-    beside = Path(sys.executable).parent / "snakemake"
-    snakemake = beside if beside.exists() and not shutil.which("snakemake") else "snakemake"
+    installed = Path(sys.executable).parent / "snakemake"
+    snakemake = installed if installed.exists() and not shutil.which("snakemake") else "snakemake"
     return (
         f"Made {folder}:\n"
         f"  data/logbook.csv                 one row per flight; fill it in\n"

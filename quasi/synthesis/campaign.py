@@ -1,4 +1,4 @@
-"""Campaigns of made flights: from a seed to raw logs in the real formats, and the truth beside them."""
+"""Campaigns of synthetic flights: from a seed to raw logs in the real formats, with their truth."""
 
 import csv
 import io
