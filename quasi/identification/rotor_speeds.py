@@ -306,7 +306,8 @@ def factors_of(drive: Mapping[str, Any], airframe: Airframe) -> dict[str, Any]:
     for name, (axis, arm) in lever.items():
         part = drive["factors"][axis]
         found[name] = {
-            "value": factor * arm * part["value"], "std": factor * abs(arm) * part["std"], "unit": "N m s2/rad2", **beside
+            "value": factor * arm * part["value"], "std": factor * abs(arm) * part["std"], "unit": "N m s2/rad2",
+            **beside,
         }  # fmt: skip
     return found
 
