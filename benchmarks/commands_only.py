@@ -7,7 +7,8 @@
 battery voltage, and prints: ratio of torque to thrust factors and time constants against those from telemetry, rms
 error of the speeds after one common scale, and rms error of Fz and moments by the simple rotor model of either speeds.
 `nanobench` makes the model of examples/crazyflie through the workflow and prints its scores on held-out flights, arms,
-and the mean error of 0.5 s roll-outs over that of holding the last state. Both write results/benchmarks/commands_only_*.json.
+and the mean error of 0.5 s roll-outs over that of holding the last state.
+Both write results/benchmarks/commands_only_*.json.
 """
 
 import argparse
