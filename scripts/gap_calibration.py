@@ -15,6 +15,7 @@ from quasi.gap.flights.level import Flown
 from quasi.gap.flights.unusable import USE_UNUSABLE, exclude_unusable, exclusion_notes
 from quasi.gap.levels.sensors_and_drive import examine, units_of
 from quasi.importing.flight import import_flight
+from quasi.model.commands import map_of
 from quasi.model.model import read_model
 from quasi.project.gaps import recorded_twice, refuse_trained, same_recordings
 from quasi.running.job_log import LOG, job, show_progress
@@ -48,7 +49,7 @@ def main(source: dict, asked: dict, settings: dict, output: dict[str, str]) -> N
         imported, about, filtered, filtered_about = (
             read_table(p) if p.endswith(".parquet") else read_json(p) for p in paths
         )
-        drive = model.document.get("rotor speeds")
+        drive = map_of(model.document)
         filtered = add_estimated_speeds(filtered, filtered_about, drive, trimmed=False)
         compared = asked["roles"][key] != "reference"
         flights.append(Flown(key, compared, imported, about, filtered, filtered_about, airframe))
@@ -60,7 +61,7 @@ def main(source: dict, asked: dict, settings: dict, output: dict[str, str]) -> N
     flights = [f for f in flights if f.key not in left_out]
 
     def process(flown: Flown, calibration: Mapping[str, Any] | None) -> Flown:
-        return anew(flown, settings[flown.key], calibration, model.document.get("rotor speeds"))
+        return anew(flown, settings[flown.key], calibration, map_of(model.document))
 
     result, levels = examine(flights, model.document, asked["settings"], effects, process, len(asked["held"]))
     result["left out"] = left_out

@@ -22,6 +22,7 @@ from quasi.gap.flights.unusable import USE_UNUSABLE, exclude_unusable, exclusion
 from quasi.gap.levels.rollouts.open_loop import flight_of, windows
 from quasi.gap.levels.sensors_and_drive import units_of
 from quasi.identification.partition import UNITS, partition, to_table
+from quasi.model.commands import map_of
 from quasi.model.model import read_model
 from quasi.project.gaps import list_model_recordings, unchecked
 from quasi.running.job_log import LOG, job, show_progress
@@ -42,7 +43,7 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
         airframes[key] = read_airframe(asked["quadrotor"], asked["quadrotor"]["file"], asked["masses"][key])
         made = read_json(about)
         # one map for all flights: a factor of each flight's own would hide a weak rotor
-        flight = add_estimated_speeds(read_table(path), made, model.document.get("rotor speeds"), trimmed=False)
+        flight = add_estimated_speeds(read_table(path), made, map_of(model.document), trimmed=False)
         tables[key] = flight, made, airframes[key]
     calibration = read_json(source["calibration"])
     left_out = _exclude(calibration, {key: about for key, (_, about, _) in tables.items()}, asked)
@@ -60,7 +61,7 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
     lost = exclusion_notes(left_out, roles) + lost + unchecked(asked, model.document)
     lost += too_short(flights, roles, max(asked["settings"]["horizons"]))
     held = [
-        [f for f in _flown(source, prefix, airframes, model.document.get("rotor speeds")) if f.key not in left_out]
+        [f for f in _flown(source, prefix, airframes, map_of(model.document)) if f.key not in left_out]
         for prefix in ("first", "held")
     ]
     found = diagnose(

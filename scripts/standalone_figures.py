@@ -6,6 +6,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from quasi.filtering.rotor_speeds import read_flight
 from quasi.identification.partition import ROLES, TRAINING, isolated, judged_rows
+from quasi.model.commands import map_of
 from quasi.model.model import read_model
 from quasi.running.job_log import job, show_progress
 from quasi.scoring.figures import (
@@ -23,7 +24,7 @@ from quasi.tables import list_masses, read_made, read_table, replace_file
 def main(model: str, partition: str, flights: list[str], roles: dict, options: dict, folder: str) -> None:
     """Read the model and all of its flights; write one PNG per figure."""
     portable = read_model(model)
-    drive = portable.document.get("rotor speeds")
+    drive = map_of(portable.document)
     tables = {Path(path).stem: read_flight(path, drive) for path in show_progress(flights, "reading flights")}
     table = read_table(partition)
     codes, aside = judged_rows(table, tables, roles["validation"], options)

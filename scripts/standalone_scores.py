@@ -4,6 +4,7 @@ from pathlib import Path
 
 from quasi.filtering.rotor_speeds import read_flight
 from quasi.identification.partition import ROLES, judged_rows
+from quasi.model.commands import map_of
 from quasi.model.model import read_model
 from quasi.running.job_log import LOG, job, show_progress
 from quasi.scoring.diagnostics import COVERAGE_UNITS
@@ -18,7 +19,7 @@ from quasi.tables import list_masses, read_made, read_table, write_json, write_t
 def main(source: dict, roles: dict, options: dict, output: dict) -> None:
     """Read the model, all of its flights, and of an extended one its base; write scores, diagnosis, summaries."""
     portable, base = (read_model(source[k]) if source.get(k) else None for k in ("model", "base"))
-    drive = portable.document.get("rotor speeds")
+    drive = map_of(portable.document)
     tables = {Path(path).stem: read_flight(path, drive) for path in show_progress(source["flights"], "reading flights")}
     codes, aside = judged_rows(read_table(source["partition"]), tables, roles["validation"], options)
     made = {Path(path).stem: read_made(path) for path in source["flights"]}

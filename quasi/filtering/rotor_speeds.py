@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from quasi.errors import DataError
 from quasi.filtering import forces
 from quasi.tables import read_made, read_table
 from quasi.terms.rotor_map import COMMANDED, SHARES, SPEEDS, raw_commands, raw_volts, speeds_of, used_rows
@@ -35,21 +36,28 @@ def lacks_speeds(table: pd.DataFrame) -> bool:
 def add_estimated_speeds(
     table: pd.DataFrame, made: Mapping[str, Any], drive: Mapping[str, Any] | None, trimmed: bool = True
 ) -> pd.DataFrame:
-    """A filtered flight with w1..w4 and w1_dot..w4_dot by a model's map; unchanged where it has them, or drive is None.
+    """A filtered flight with w1..w4 and w1_dot..w4_dot by a model's map; unchanged where it has them.
 
     made     how the flight was filtered; drive  section "rotor speeds" of a model
     trimmed  scale each rotor so that the mean force and moments of the flight are balanced (`balance`); False takes
              the map as it is for all flights
+    Raises DataError for a flight without rotor speeds where drive is None, or the flight keeps no commands of its kind.
     """
-    if drive is None or not lacks_speeds(table):
+    if not lacks_speeds(table):
         return table
-    commands = raw_commands(table, drive["input"])
+    commands = raw_commands(table, drive["input"]) if drive is not None else None
     if commands is None:
-        return table
+        lacking = (
+            "no map from commands to rotor speeds is identified" if drive is None else "the flight keeps no commands"
+        )
+        raise DataError(
+            f"flight {made.get('flight')} holds no rotor speeds, and {lacking}; train the model on flights with "
+            "commands, or leave the flight out"
+        )
     t = table["t"].to_numpy(float)
     dt = float(np.median(np.diff(t)))
     speeds = speeds_of(drive, commands, raw_volts(table), dt)
-    if trimmed and drive["scale"]["trimmed"]:
+    if trimmed and (drive.get("scale") or {}).get("trimmed"):
         speeds = speeds * trim_of(table, made, speeds, drive)
     cutoff, rate = float(made["filters"]["low-pass cutoff Hz"]), 1.0 / dt
     smooth, slope = forces.low_pass(speeds, cutoff, rate), forces.derivative(speeds, cutoff, rate)

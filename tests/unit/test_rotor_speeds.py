@@ -13,6 +13,7 @@ from made_model import document
 from quasi.airframe import read_airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError, ShapeError
+from quasi.filtering.rotor_speeds import add_estimated_speeds, trim_of
 from quasi.identification.geometry import contradicting_places
 from quasi.identification.map_error import add_map_error
 from quasi.identification.rotor_speeds import (
@@ -263,3 +264,24 @@ def test_flights_with_speeds_teach_the_map_for_the_others(flights):
     np.testing.assert_allclose(there, 800.0 * GAINS[None] * (14.5 / 15.0) ** 0.8 * 1.14, rtol=0.01)
     assert drive["relative error"]["map"] == pytest.approx(4.0 / 800.0, rel=0.5)
     assert any("teach" in n for n in notes)
+
+
+def test_a_filtered_flight_gets_speeds_with_their_slopes_in_its_band(flights, found):
+    table, made = flights["a"], {"flight": "a", "mass": MASS, "filters": {"low-pass cutoff Hz": 10.0}}
+    own, common = (add_estimated_speeds(table, made, found[0], trimmed) for trimmed in (True, False))
+    speeds = own[["w1", "w2", "w3", "w4"]].to_numpy()
+    apart = [(speeds[50 + k : -50 + k] - speeds[50 - k : -50 - k]) for k in (1, 2)]
+    slope = (8.0 * apart[0] - apart[1]) / (12.0 * 0.01)  # central, of fourth order
+    np.testing.assert_allclose(
+        own[[f"w{i}_dot" for i in range(1, 5)]].to_numpy()[50:-50], slope, atol=0.05 * slope.std()
+    )
+    # trimmed: mean thrust carries the mean force, and quarters of it balance the moments
+    raw = speeds_of(
+        found[0], table[[f"command{i}_raw" for i in range(1, 5)]].to_numpy(), table["battery_voltage"], 0.01
+    )
+    trim = trim_of(table, made, raw, found[0])
+    thrust = found[0]["scale"]["thrust factor"]["value"] * np.mean((raw * trim) ** 2, axis=0)
+    np.testing.assert_allclose(thrust, -MASS * table["az"].mean() / 4.0, rtol=1e-9)
+    np.testing.assert_allclose(own["w1"] / common["w1"], trim[0], rtol=1e-6)
+    with pytest.raises(DataError, match="flight a holds no rotor speeds"):
+        add_estimated_speeds(table, made, None)
