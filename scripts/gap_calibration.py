@@ -12,6 +12,7 @@ from quasi.filtering.rotor_speeds import add_estimated_speeds
 from quasi.gap.catalogue import catalogue, chosen
 from quasi.gap.flights.gathering import refuse_another_vehicle
 from quasi.gap.flights.level import Flown
+from quasi.gap.flights.sessions import sessions_of
 from quasi.gap.flights.unusable import USE_UNUSABLE, exclude_unusable, exclusion_notes
 from quasi.gap.levels.sensors_and_drive import examine, units_of
 from quasi.importing.flight import import_flight
@@ -63,7 +64,9 @@ def main(source: dict, asked: dict, settings: dict, output: dict[str, str]) -> N
     def process(flown: Flown, calibration: Mapping[str, Any] | None) -> Flown:
         return anew(flown, settings[flown.key], calibration, map_of(model.document))
 
-    result, levels = examine(flights, model.document, asked["settings"], effects, process, len(asked["held"]))
+    sessions = sessions_of(asked["sessions"], {f.key: f.metadata for f in flights})
+    asked_of = {**asked["settings"], "sessions": sessions}
+    result, levels = examine(flights, model.document, asked_of, effects, process, len(asked["held"]))
     result["left out"] = left_out
     folder = Path(output["tables"])
     folder.mkdir(parents=True, exist_ok=True)

@@ -65,3 +65,30 @@ def test_what_sessions_differ_by_is_no_change():
         small["sessions"] += ClusteredMixedModel(grams, flags, layout, members).test(offer, pooled=["a"]).p < 0.01
     assert small["flights"] > 15
     assert small["sessions"] < small["flights"] / 2
+
+
+def change_between_sessions(seed, jump, sessions, spread=0.3):
+    """p of a change of "a" between two reference sessions and a compared one, of 3 flights each."""
+    layout = Columns([1], [], np.zeros(0), {"a": [2]}, session=(2,), session_spread=(0.3,))
+    rng = np.random.default_rng(seed)
+    flags, grams = [False] * 6 + [True] * 3, []
+    for size in np.repeat(spread * rng.standard_normal(3) + [0.0, 0.0, jump], 3):
+        x = rng.standard_normal((200, 2))
+        z = np.column_stack([x[:, 0] + size * x[:, 1] + rng.standard_normal(200), x])
+        grams.append(z.T @ z)
+    return Witnessed(grams, flags, layout, sessions=sessions).test(Offer("a", "changed", (0,)), pooled=["a"])
+
+
+def test_a_change_has_to_exceed_the_known_spread_of_sessions_though_one_session_is_compared():
+    names = list("aaabbbccc")
+    healthy = [change_between_sessions(seed, 0.0, names) for seed in range(80)]
+    assert np.mean([t.p < 0.01 for t in healthy]) <= 0.05
+    assert np.mean([change_between_sessions(seed, 0.0, ()).p < 0.01 for seed in range(80)]) > 0.3
+    # of three values with spread s, the third less the mean of the others has the spread sqrt(3/2) s
+    assert np.median([t.std[0] for t in healthy]) == pytest.approx(0.3 * np.sqrt(1.5), rel=0.2)
+    assert all(change_between_sessions(seed, 2.5, names).p < 0.01 for seed in range(20))
+
+
+def test_flights_of_one_session_are_compared_as_if_sessions_were_unknown():
+    once = [change_between_sessions(seed, 0.2, sessions).p for seed in range(5) for sessions in ((), ["a"] * 9)]
+    assert once[0::2] == once[1::2]

@@ -66,6 +66,8 @@ class Tests(MixedModel):
     unpooled  causes that the base holds already, with what is known of them
     common    {cause: standard deviation of what healthy set-ups have in all flights alike}, added to the covariance of
               what all flights have in common
+    sessions  name of each flight's session, see `Mixed`. Healthy sessions differ as healthy flights do: sensors are
+              turned on, seated and calibrated anew
     """
 
     informed = False
@@ -73,8 +75,11 @@ class Tests(MixedModel):
     def __init__(
         self, grams: Sequence[np.ndarray], compared: Sequence[bool], columns: Columns, freedom: float,
         prior: np.ndarray | None = None, unpooled: Sequence[str] = (), common: Mapping[str, float] | None = None,
+        sessions: Sequence[str] = (),
     ) -> None:  # fmt: skip
-        super().__init__(grams, compared, columns._replace(unpooled=tuple(unpooled)), prior)
+        of_session = {"session": tuple(columns.nuisance), "session_spread": tuple(columns.spread)}
+        columns = columns._replace(unpooled=tuple(unpooled), **of_session)
+        super().__init__(grams, compared, columns, prior, sessions)
         self.common = dict(common or {})
         groups = 1 if self.compared.all() else 2
         self.freedom = max(len(grams) - groups, 1) + freedom

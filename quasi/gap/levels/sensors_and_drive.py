@@ -35,14 +35,15 @@ def examine(
 ) -> tuple[dict[str, Any], list[Level]]:  # fmt: skip
     """The calibration of a gap with what both levels found as plain data under "levels", and the levels themselves.
 
-    flights  those that may choose and fit; model  document; settings  of the gap; effects  that are asked, by id
+    flights  those that may choose and fit; model  document; settings  of the gap, with "sessions"
+              {flight: session} where they are known; effects  that are asked, by id
     process  imports and filters a flight anew with a calibration; without it ties stay ties
     held     how many flights that are held out will judge the names
     """
     rate = rate_of(settings["false alarm rate"], sum(f.compared for f in flights), held)
     # which of the two points sits elsewhere is asked of what the comparison of sensors takes for the IMU's
     arm = [imu_or_markers.IMU] if imu_or_markers.MARKERS in effects and imu_or_markers.IMU not in effects else []
-    options = {"false alarm rate": rate, "effects": [*effects, *arm]}
+    options = {"false alarm rate": rate, "effects": [*effects, *arm], "sessions": settings.get("sessions") or {}}
     levels = [sensor_level.examine(flights, options), drive_level.examine(flights, model, options)]
     if imu_or_markers.MARKERS in effects:
         imu_or_markers.settle(levels[0], flights, Model(model, "the compared model"), effects, rate)

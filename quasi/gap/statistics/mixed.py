@@ -5,12 +5,13 @@ Whitened residual y of flight f:
     y_f = B beta + N_f nu_f + C (theta g_f + e_f) + noise,   nu_f ~ N(0, S),  e_f ~ N(0, tau^2 D_f)
 
 B: the model's own terms, fitted anew, common to all flights. N: nuisances that each flight has its own value of, with
-known spread (mass, thrust factor, seating, biases). C: the columns of a cause, theta its parameters; g_f = 1 where the
-cause is offered (all flights, or the compared ones alone). e_f: how much the cause's apparent parameters differ between
-flights; the size of that spread, tau, is estimated by restricted maximum likelihood. It is the spread between flights,
-not that between samples, that decides whether a cause is there. Its form is the likelier of two: D alike for all, where
-the thing itself differs from flight to flight, or D_f in proportion to the inverse of the flight's own information,
-where a model that errs a little looks like a large parameter in flights that hardly excite it.
+known spread (mass, thrust factor, seating, biases). Each of several sessions adds values of its own, with known spreads
+as well (trim of the rotors, biases), that its flights share. C: the columns of a cause, theta its parameters; g_f = 1
+where the cause is offered (all flights, or the compared ones alone). e_f: how much the cause's apparent parameters
+differ between flights; the size of that spread, tau, is estimated by restricted maximum likelihood. It is the spread
+between flights, not that between samples, that decides whether a cause is there. Its form is the likelier of two: D
+alike for all, where the thing itself differs from flight to flight, or D_f in proportion to the inverse of the flight's
+own information, where a model that errs a little looks like a large parameter in flights that hardly excite it.
 
 Everything works on per-flight cross-products of the columns (y, B, N, C...), so that a test costs small linear algebra
 however long the flights are.
@@ -52,6 +53,7 @@ class Columns(NamedTuple):
     bounds    {cause: (m,) standard deviation of each parameter in healthy flights; infinite where nothing is known}.
               It bounds the part that all flights have alike where changes are tested: reference flights that hardly
               excite a cause would return any value, and its error would become the change
+    session   columns whose coefficients the flights of a session share, with session_spread their standard deviations
     """
 
     shared: list[int]
@@ -61,6 +63,8 @@ class Columns(NamedTuple):
     unpooled: tuple[str, ...] = ()
     tries: Mapping[str, int] = MappingProxyType({})
     bounds: Mapping[str, np.ndarray] = MappingProxyType({})
+    session: tuple[int, ...] = ()
+    session_spread: tuple[float, ...] = ()
 
 
 class Test(NamedTuple):
@@ -154,6 +158,7 @@ class MixedModel:
               compared  (F,) bool, False for reference flights; columns  what is where
     prior     precision (S, S) of the shared columns' coefficients about 0, where they are known from elsewhere
     informed  whether a spread in proportion to a flight's information is considered as well
+    sessions  name of each flight's session; () where they are not known. Of one session, its effect is common to all
     """
 
     informed = True
@@ -164,8 +169,11 @@ class MixedModel:
         compared: Sequence[bool],
         columns: Columns,
         prior: np.ndarray | None = None,
+        sessions: Sequence[str] = (),
     ) -> None:
         self.columns = columns
+        labels = np.array(sessions, dtype=str)
+        self._sessions = [labels == name for name in sorted(set(labels))] if len(set(labels)) > 1 else []
         self.prior = prior
         self.compared = np.asarray(compared, bool)
         parts = [g[None] if g.ndim == 2 else g for g in map(np.asarray, grams)]
@@ -268,15 +276,17 @@ class MixedModel:
         everywhere = np.ones(len(self.compared), bool)
         blocks = [(self.columns.shared, everywhere), *((self._of(o), self.offered(o.since)) for o in given)]
         known = {c for columns, offered in blocks[1:] if offered.all() for c in columns}
+        precision = [0.0] * sum(len(columns) for columns, _ in blocks)
         # a pooled cause under test is offered twice: to all, and to the compared flights
-        bounded = [p for p in pooled if p in self.columns.bounds]
-        blocks += [([c for c in self.columns.causes[p] if c not in known], everywhere) for p in pooled]
-        precision = {
-            c: size**-2.0
-            for p in bounded
-            for c, size in zip(self.columns.causes[p], self.columns.bounds[p])
-            if c not in known
-        }
+        for cause in pooled:
+            columns = self.columns.causes[cause]
+            sizes = self.columns.bounds.get(cause, np.full(len(columns), np.inf))
+            free = [(c, size) for c, size in zip(columns, sizes) if c not in known]
+            blocks.append(([c for c, _ in free], everywhere))
+            precision += [size**-2.0 for _, size in free]
+        for members in self._sessions:
+            blocks.append((list(self.columns.session), members))
+            precision += [size**-2.0 for size in self.columns.session_spread]
         source = np.array([c for columns, _ in blocks for c in columns], int)
         if not len(source):
             nothing = np.zeros(0)
@@ -286,10 +296,7 @@ class MixedModel:
         if self.prior is not None:
             first = len(self.columns.shared)
             total[:first, :first] += self.prior
-        if precision:
-            accepted = sum(len(columns) for columns, _ in blocks[: 1 + len(given)])
-            for k in range(accepted, len(source)):
-                total[k, k] += precision.get(int(source[k]), 0.0)
+        total[np.diag_indices_from(total)] += precision
         size = np.sqrt(np.maximum(np.diag(total), 1e-300))
         root = _inverse_root(total / np.outer(size, size) + RIDGE * np.eye(len(size)))
         target = root @ (np.einsum("if,fi->i", acting, self.grams[:, 0][:, source]) / size)
@@ -407,9 +414,9 @@ class ClusteredMixedModel(MixedModel):
 
     def __init__(
         self, grams: Sequence[np.ndarray], compared: Sequence[bool], columns: Columns,
-        units: Sequence[Sequence[int]] | None = None,
+        units: Sequence[Sequence[int]] | None = None, sessions: Sequence[str] = (),
     ) -> None:  # fmt: skip
-        super().__init__(grams, compared, columns)
+        super().__init__(grams, compared, columns, sessions=sessions)
         alone = self.count == len(self.compared) and units is None
         whole = [np.asarray(g).reshape(-1, *np.shape(g)[-2:]).sum(axis=0) for g in grams]
         flags = list(compared)
@@ -417,7 +424,8 @@ class ClusteredMixedModel(MixedModel):
         if units is not None:
             flags = [bool(compared[members[0]]) for members in units]
             whole = [sum(whole[k] for k in members) for members in units]
-        self._of_flights = None if alone else MixedModel(whole, flags, columns)
+            sessions = [sessions[members[0]] for members in units] if len(sessions) else ()
+        self._of_flights = None if alone else MixedModel(whole, flags, columns, sessions=sessions)
 
     def between(self, offer: Candidate, given: Sequence[Candidate] = (), pooled: Sequence[str] = ()) -> Test:
         """The same with whole flights as witnesses alone."""

@@ -101,9 +101,10 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     ]
 
     doubt = _doubt(document)
+    sessions = [(options.get("sessions") or {}).get(f.key, "") for f in used]
 
     def build(grams: list[np.ndarray]) -> Tests:
-        return _mixed(grams, compared, asked, reference, doubt)
+        return _mixed(grams, compared, asked, reference, doubt, sessions)
 
     mixed = build([p.gram() for p in products])
     level.tests = mixed
@@ -234,7 +235,7 @@ def whole(flown: Flown, fit: DriveFit) -> np.ndarray:
 
 def _mixed(
     grams: Sequence[np.ndarray], compared: np.ndarray, asked: Sequence[str], reference: Belief,
-    doubt: float,
+    doubt: float, sessions: Sequence[str],
 ) -> Tests:  # fmt: skip
     place = {name: 1 + i for i, name in enumerate([*NAMES, "late"])}
     scale = {"up": reference.values[0], "down": reference.values[1]}
@@ -249,7 +250,8 @@ def _mixed(
     believed = np.array([s * scale.get(n, 1.0) * (doubt if n in scale else 1.0) for n, s in known.items()])
     columns = Columns(shared, nuisance, np.array(spread), {c: [place[n] for n in CAUSES[c]] for c in asked})
     prior = np.diag(1.0 / believed**2)
-    return Tests([g[np.ix_(source, source)] for g in grams], compared, columns, PRIOR_FREEDOM, prior, UNPOOLED)
+    used = [g[np.ix_(source, source)] for g in grams]
+    return Tests(used, compared, columns, PRIOR_FREEDOM, prior, UNPOOLED, sessions=sessions)
 
 
 def size_of(cause: str, values: Mapping[str, float], healthy: Mapping[str, float]) -> np.ndarray:

@@ -12,7 +12,7 @@ from quasi.gap.catalogue import beyond_slope, columns_of, corrected
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.sessions import units
-from quasi.gap.levels.forces.nuisance import nuisances
+from quasi.gap.levels.forces.nuisance import nuisances, session_nuisances
 from quasi.gap.statistics.mixed import ClusteredMixedModel, Columns, MixedModel, marginal
 from quasi.gap.statistics.whitening import Thinned, Whitener, autoregression, block_grams, thin
 from quasi.model.model import AXES
@@ -56,14 +56,17 @@ class Design(NamedTuple):
         A model errs with the manoeuvre, and manoeuvres change within a flight: a cause's apparent parameters deviate
         from stretch to stretch. What differs between whole flights has known spreads, the nuisances.
         """
-        return MixedModel([in_stretches(self.blocks[f], len(use)) for f in use], compared, self.columns, prior)
+        sessions = [self.flights[f].session for f in use]
+        return MixedModel(
+            [in_stretches(self.blocks[f], len(use)) for f in use], compared, self.columns, prior, sessions
+        )
 
     def witnessed(self, use: Sequence[int], compared: Sequence[bool]) -> ClusteredMixedModel:
         """The mixed model of some of the flights that names causes."""
-        members = units([self.flights[f].session for f in use], compared)
-        return ClusteredMixedModel(
-            [in_stretches(self.blocks[f], len(use)) for f in use], compared, self.columns, members
-        )
+        sessions = [self.flights[f].session for f in use]
+        members = units(sessions, compared)
+        grams = [in_stretches(self.blocks[f], len(use)) for f in use]
+        return ClusteredMixedModel(grams, compared, self.columns, members, sessions)
 
 
 def in_stretches(blocks: np.ndarray, flights: int = 1) -> np.ndarray:
@@ -160,11 +163,12 @@ def gather_design(
             lacking[name] = f"the place is not known in every flight ({error})" if nowhere else str(error)
             del asked[name]
     thinned, names, layout = [], [], None
+    several = len({flight.session for flight in flights}) > 1
     for flight, seen, columns, at in zip(flights, true, made, values):
         parts = [("residual", _straight(flight, asked, vehicle, at))]
         shared = base_columns(seen)
-        own = nuisances(seen)
-        parts += shared + [(n, c) for n, c, _ in own]
+        own, of_session = nuisances(seen), session_nuisances(seen) if several else []
+        parts += shared + [(n, c) for n, c, _ in (*own, *of_session)]
         causes: dict[str, list[int]] = {}
         for name in asked:
             for parameter, column in columns.pop(name).items():
@@ -179,9 +183,11 @@ def gather_design(
         bent = tuple(n for n in causes if asked[n].is_nonlinear and asked[n].absorbed_by_model)
         spread = np.array([s for *_, s in own])
         usual = {n: bounds_of(asked[n], vehicle) for n in causes}
+        then = first + len(own)
         layout = Columns(
-            list(range(1, first)), list(range(first, first + len(own))), spread, causes, bent, bounds=usual
-        )
+            list(range(1, first)), list(range(first, then)), spread, causes, bent, bounds=usual,
+            session=tuple(range(then, then + len(of_session))), session_spread=tuple(s for *_, s in of_session),
+        )  # fmt: skip
     breaks = [part.breaks for part in thinned]
     whitener = autoregression([own_fit(part.columns, layout) for part in thinned], breaks, ORDER)
     return _study(flights, thinned, layout, names, whitener, lacking, values)
@@ -199,8 +205,9 @@ def moved(study: Design, effects: Mapping[str, Effect], vehicle: Vehicle, values
         place, parts = [0], [_straight(flight, effects, vehicle, own)]
         true = corrected(flight, effects, own)
         if again:  # terms of some flights read with the error would, beside causes read without, make up any change
-            place += [*study.columns.shared, *study.columns.nuisance]
+            place += [*study.columns.shared, *study.columns.nuisance, *study.columns.session]
             parts += [c for _, c in base_columns(true)] + [c for _, c, _ in nuisances(true)]
+            parts += [c for _, c, _ in session_nuisances(true)] if study.columns.session else []
         for name in changed:
             at = own.get(name) or dict.fromkeys(effects[name].parameters, 0.0)
             place += study.columns.causes[name]

@@ -218,8 +218,8 @@ def _count(causes: Sequence[Cause], study: Design, compared: np.ndarray, level: 
     offers = [c.test.offer for c in causes]
     for _ in range(DRAWS):
         grams = [in_stretches(b[rng.integers(0, len(b), len(b))], len(study.blocks)) for b in study.blocks]
-        members = units([flight.session for flight in study.flights], compared)
-        mixed = ClusteredMixedModel(grams, compared, study.columns, members)
+        sessions = [flight.session for flight in study.flights]
+        mixed = ClusteredMixedModel(grams, compared, study.columns, units(sessions, compared), sessions)
         for k, offer in enumerate(offers):
             pooled = mixed.pooled(offer.since)
             counts[k] += mixed.test(offer, [o for o in offers if o != offer], pooled).p < level

@@ -1,8 +1,11 @@
-"""What flights differ by without anybody's doing: columns with a known spread, for every flight its own values.
+"""Differences between healthy flights and between healthy sessions: columns with known spreads.
 
 Sizes: real flights of one vehicle differ in mass and thrust by 1 %, in how IMU and markers are seated by a fraction of
 a degree, in what is left of biases and of the rotor telemetry's age after import and filtering. The rotors' torque
 differs by more than the thrust: it follows thrust and inflow, and healthy made flights show 1.5 to 2 %.
+
+From session to session batteries are seated anew and propellers change: each rotor gives another thrust. The spreads of
+the four patterns (all rotors, left and right, front and rear, along the spin) are those measured for the hover trim.
 """
 
 import numpy as np
@@ -15,6 +18,9 @@ MASS, THRUST, TORQUE = 0.01, 0.01, 0.015  # shares
 SEATING, MARKERS = 0.0035, 0.0052  # rad, about each axis
 FORCE_BIAS, MOMENT_BIAS = 0.005, 0.0005  # of m g, and of m g times the arm: what filtering leaves of constant errors
 TELEMETRY = 0.003  # s, where the flight could not tell it
+# Standard deviation of each pattern's share of thrust between healthy sessions, and of the pattern along the spin:
+# medians on the healthy flights of CrazyPAD, by `benchmarks/real_causes.py`
+SESSION_SEATING, SESSION_YAW = 0.015, 0.008
 
 
 def nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]:
@@ -39,6 +45,25 @@ def nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]:
         result.append((f"IMU turned in {name}", seated, SEATING))
     delay = np.einsum("nij,nj->ni", evidence.gradient(*ROTORS), evidence.spin_up)
     result.append(("age of the rotor telemetry", delay, TELEMETRY))
+    return result
+
+
+def session_nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]:
+    """(name, column (n, 6), standard deviation) of each way in which sessions differ: thrust by a pattern of rotors."""
+    hubs = np.asarray(evidence.airframe.hubs)
+    vehicle = vehicle_of(evidence.model, evidence.mass, evidence.inertia)
+    patterns = {
+        "all rotors": (np.ones(len(hubs)), SESSION_SEATING),
+        "left and right": (np.sign(hubs[:, 1]), SESSION_SEATING),
+        "front and rear": (np.sign(hubs[:, 0]), SESSION_SEATING),
+        "along the spin": (np.asarray(evidence.spin, float), SESSION_YAW),
+    }
+    result = []
+    for name, (sign, spread) in patterns.items():
+        column = evidence.thrust_wrench(evidence.thrust * sign)
+        # the power goes with the thrust
+        column[:, 5] -= vehicle.drawn * (evidence.spin * evidence.speeds**2 * sign).sum(axis=1)
+        result.append((f"session: thrust, {name}", column, spread))
     return result
 
 

@@ -46,7 +46,8 @@ BREAKERS = {
 def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
     """Faults of sensors, mounting, frames and clocks.
 
-    flights  at least one compared one; options  "false alarm rate", family-wise (0.01), "effects" ("all" or ids)
+    flights  at least one compared one; options  "false alarm rate", family-wise (0.01), "effects" ("all" or ids),
+              "sessions" {flight: session}, {} where they are not known
     A flight without capture is left out and named; without any, nothing of this level can be asked.
     """
     level = Level("sensors")
@@ -87,7 +88,8 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
         "mocap_delay is that of its rotation against its position"
     )
     alarm = float(options.get("false alarm rate", 0.01))
-    search = _search(used, weak, asked, turning, alarm)
+    sessions = [(options.get("sessions") or {}).get(f.key, "") for f in used]
+    search = _search(used, weak, asked, turning, alarm, sessions)
     level.tests = search.mixed
     shares = search.selection.reproducibility(_resampled(search.blocks), search.build)
 
@@ -120,7 +122,10 @@ class Search(NamedTuple):
         return self.selection.test(self.mixed, offer)
 
 
-def _search(used: Sequence[Flown], weak: Sequence[Weak], asked: Sequence[str], turning: bool, alarm: float) -> Search:
+def _search(
+    used: Sequence[Flown], weak: Sequence[Weak], asked: Sequence[str], turning: bool, alarm: float,
+    sessions: Sequence[str],
+) -> Search:  # fmt: skip
     """Choose causes; where large ones are found, set the flights right and look again."""
     names = weak[0].names
     compared = np.array([f.compared for f in used])
@@ -128,7 +133,7 @@ def _search(used: Sequence[Flown], weak: Sequence[Weak], asked: Sequence[str], t
     profiles = {n: _profile(CAUSES[n]) for n in asked}
 
     def build(grams: list[np.ndarray], lever: float = SPREAD["imu_lever_arm"]) -> Tests:
-        return _mixed(grams, compared, names, asked, {**usual, "imu_lever_arm": lever}, turning)
+        return _mixed(grams, compared, names, asked, {**usual, "imu_lever_arm": lever}, turning, sessions)
 
     applied = [np.zeros(len(names)) for _ in used]
     offsets = [0.0 for _ in used]
@@ -207,6 +212,7 @@ def _mixed(
     asked: Sequence[str],
     usual: Mapping[str, float],
     turning: bool,
+    sessions: Sequence[str],
 ) -> Tests:
     """Tests on the cross-products: nuisances in every flight, causes beside them."""
     causes: dict[str, list[int]] = {}
@@ -222,7 +228,8 @@ def _mixed(
             spread.append(size / (np.sqrt(2.0) if cause in causes else 1.0))
     place = list(range(len(names))) + nuisance
     columns = Columns([], list(range(len(names), len(place))), np.array(spread), causes)
-    return Tests([g[np.ix_(place, place)] for g in grams], compared, columns, PRIOR_FREEDOM, common=COMMON)
+    used = [g[np.ix_(place, place)] for g in grams]
+    return Tests(used, compared, columns, PRIOR_FREEDOM, common=COMMON, sessions=sessions)
 
 
 def _neutral(cause: str) -> float:
