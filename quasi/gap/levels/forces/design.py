@@ -163,11 +163,10 @@ def gather_design(
             lacking[name] = f"the place is not known in every flight ({error})" if nowhere else str(error)
             del asked[name]
     thinned, names, layout = [], [], None
-    several = len({flight.session for flight in flights}) > 1
     for flight, seen, columns, at in zip(flights, true, made, values):
         parts = [("residual", _straight(flight, asked, vehicle, at))]
         shared = base_columns(seen)
-        own, of_session = nuisances(seen), session_nuisances(seen) if several else []
+        own, of_session = nuisances(seen), session_nuisances(seen)
         parts += shared + [(n, c) for n, c, _ in (*own, *of_session)]
         causes: dict[str, list[int]] = {}
         for name in asked:
@@ -207,7 +206,7 @@ def moved(study: Design, effects: Mapping[str, Effect], vehicle: Vehicle, values
         if again:  # terms of some flights read with the error would, beside causes read without, make up any change
             place += [*study.columns.shared, *study.columns.nuisance, *study.columns.session]
             parts += [c for _, c in base_columns(true)] + [c for _, c, _ in nuisances(true)]
-            parts += [c for _, c, _ in session_nuisances(true)] if study.columns.session else []
+            parts += [c for _, c, _ in session_nuisances(true)]
         for name in changed:
             at = own.get(name) or dict.fromkeys(effects[name].parameters, 0.0)
             place += study.columns.causes[name]
