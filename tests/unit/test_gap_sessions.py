@@ -76,7 +76,9 @@ def change_between_sessions(seed, jump, sessions, spread=0.3):
         x = rng.standard_normal((200, 2))
         z = np.column_stack([x[:, 0] + size * x[:, 1] + rng.standard_normal(200), x])
         grams.append(z.T @ z)
-    return Witnessed(grams, flags, layout, sessions=sessions).test(Offer("a", "changed", (0,)), pooled=["a"])
+    return ClusteredMixedModel(grams, flags, layout, sessions=sessions).test(
+        Candidate("a", "changed", (0,)), pooled=["a"]
+    )
 
 
 def test_a_change_has_to_exceed_the_known_spread_of_sessions_though_one_session_is_compared():
