@@ -6,22 +6,27 @@ of their shape (Kabsch, Acta Cryst. A32, 1976): the vehicle is to stand level th
 Axes: those of the file, whose vertical axis the parameters POINT:X_SCREEN and Y_SCREEN may name; else z up.
 """
 
+import io
 import re
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from quasi.attitude import from_matrix, normalise
 from quasi.errors import ReadError, add_caution, nearest
-from quasi.importing.readers.captured_body import LENGTHS, Body, captured_recording
+from quasi.importing.readers.captured_body import LARGEST, LENGTHS, Body, captured_recording
 from quasi.importing.readers.reader import Reader, Request, needs_extra
 from quasi.importing.series import Recording
+from quasi.tables import read_bytes
 
 HALF_TURN = np.array([1.0, -1.0, -1.0])  # about x: FLU to FRD, z up to down
 Y_UP = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # y up (forward z, left x) to z up
 FIRST = 100  # frames with all markers whose mean is the shape of the body, those before take-off
 LEAST_MARKERS = 3
+LONGEST_READING = 60.0  # s; an hour of ten markers at 100 Hz takes a few
 
 
 def read_c3d(
@@ -67,31 +72,52 @@ def turns_of(markers: np.ndarray) -> np.ndarray:
 def _markers(path: Path) -> tuple[list[str], np.ndarray, float, str, bool]:
     """Labels, points (frames, markers, 3) with NaN where not seen, rate Hz, unit of length, and whether y is up."""
     with needs_extra("c3d", path, "a C3D file"):
-        import ezc3d
-    if not path.is_file():
-        raise ReadError(f"{path} does not exist; correct the name or path in the logbook")
-    try:
-        file = ezc3d.c3d(str(path))
-        parameters = file["parameters"]["POINT"]
-        points = np.asarray(file["data"]["points"], float)[:3].transpose(2, 1, 0)
-    except Exception as error:  # ezc3d raises its own kinds for a damaged file
-        raise ReadError(
-            f"{path} is no readable C3D file ({' '.join(str(error).split())[:120]}); export it again"
-        ) from None
-    labels = [label.strip() for label in _value(parameters, "LABELS", [])]
-    rate = float(np.ravel(_value(parameters, "RATE", [0.0]))[0])
-    unit = str(next(iter(_value(parameters, "UNITS", ["mm"])), "mm")).strip().lower() or "mm"
-    if not labels or not len(points) or not rate > 0:
+        import ezc3d  # noqa: F401
+    read_bytes(path)  # absent and empty files are named
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "markers.npz"
+        command = [sys.executable, "-c", _WORKER, str(path), str(out)]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST_READING)
+            reason = " ".join(done.stderr.split()[-20:])[:120] or "damaged"
+        except subprocess.TimeoutExpired:
+            reason = f"it was not read within {LONGEST_READING:g} s"
+        if not out.is_file():
+            raise ReadError(f"{path} is no readable C3D file ({reason}); export it again")
+        found = np.load(io.BytesIO(read_bytes(out)), allow_pickle=False)
+        points, labels = found["points"], [str(label) for label in found["labels"]]
+        rate, unit, up = float(found["rate"]), str(found["unit"]) or "mm", str(found["up"])
+    if not labels or not len(points) or points.shape[1] < len(labels) or not rate > 0:
         raise ReadError(f"{path} holds {len(labels)} labelled markers at {rate:g} Hz; label them and export it again")
     if unit not in LENGTHS:
         raise ReadError(f"{path} gives lengths in '{unit}', expected mm, cm or m; export it again")
+    points[~(np.abs(points) < LARGEST).all(axis=2)] = np.nan
     points[(points == 0.0).all(axis=2)] = np.nan  # a marker without a residual is written as zeros by some programs
-    screen = [str(next(iter(_value(parameters, key, [""])), "")).strip().upper() for key in ("X_SCREEN", "Y_SCREEN")]
-    return labels, points[:, : len(labels)], rate, unit, screen[1] in ("+Y", "Y")
+    return labels, points[:, : len(labels)], rate, unit, up in ("+Y", "Y")
 
 
-def _value(parameters: Any, key: str, default: Any) -> Any:
-    return parameters[key]["value"] if key in parameters else default
+# run by a process of its own, because the C++ library hangs or crashes on some damaged files
+_WORKER = """
+import sys
+import ezc3d
+import numpy as np
+
+file = ezc3d.c3d(sys.argv[1])
+point = file["parameters"]["POINT"]
+
+def first(key, default):
+    values = list(point[key]["value"]) if key in point else []
+    return values[0] if values else default
+
+np.savez(
+    sys.argv[2],
+    points=np.asarray(file["data"]["points"], float)[:3].transpose(2, 1, 0),
+    labels=np.array([str(label).strip() for label in (point["LABELS"]["value"] if "LABELS" in point else [])], str),
+    rate=float(first("RATE", 0.0)),
+    unit=str(first("UNITS", "mm")).strip().lower(),
+    up=str(first("Y_SCREEN", "")).strip().upper(),
+)
+"""
 
 
 def _body(labels: list[str], wanted: str | None, path: Path) -> tuple[str, list[int], list[str]]:
