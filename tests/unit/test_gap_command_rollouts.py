@@ -126,7 +126,9 @@ def test_every_quantity_and_horizon_has_floor_wrong_cause_and_polynomial_with_in
     table_ = rolled["rollouts_gains"]
     assert set(table_["driven"]) == {"rollouts", "rollouts with trim", "rollouts from commands"}
     assert set(table_["model"]) == {"after", "best_wrong_cause", "generic_polynomial"} and len(table_) == 3 * 3 * 20
-    one = table_.query("driven == 'rollouts from commands' and quantity == 'velocity z' and horizon == 0.5 and model == 'after'")
+    one = table_.query(
+        "driven == 'rollouts from commands' and quantity == 'velocity z' and horizon == 0.5 and model == 'after'"
+    )
     told = one[["rms", "removed", "low", "high"]].to_numpy()[0]
     np.testing.assert_allclose(told, [best["after"], *best["removed"].values()])
 
