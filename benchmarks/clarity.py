@@ -99,7 +99,9 @@ def of_the_error(study: Design, offer: Candidate, theta: np.ndarray, asked: Aske
         terms = np.concatenate([part[:, :, study.columns.shared] for part in parts])
         made = made - terms @ np.linalg.lstsq(terms.reshape(made.size, -1), made.ravel(), rcond=1e-10)[0]
     error = np.concatenate([part[:, :, 0] for part in parts])
-    return float((np.mean(made**2, axis=0) / np.mean(error**2, axis=0)).max())
+    squares = np.mean(made**2, axis=0), np.mean(error**2, axis=0)
+    # an axis that is left out has no error
+    return float(np.divide(*squares, out=np.zeros_like(squares[0]), where=squares[1] > 0.0).max())
 
 
 def _begun(study: Design, seconds: float) -> Design:
