@@ -88,7 +88,7 @@ def test_a_log_of_which_hardly_a_frame_is_readable_is_not_said_to_lack_the_gyro(
     first = made.onboard.index(b"\n", made.onboard.rindex(b"\nH ") + 1) + 1
     garbage = np.random.default_rng(3).bytes(3000)
     write_bytes(asked["onboard"], made.onboard[: first + 200] + garbage)
-    refused(asked, "the log lists body rates (gyro), but only ")
+    refused(asked, "the log lists body rates (gyro), but fewer than 20 samples of it are readable")
     refused(asked, "bytes of the log are damaged), at least 20 are needed; copy the log from the controller again")
 
 

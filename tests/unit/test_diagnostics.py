@@ -143,7 +143,7 @@ def test_rows_beyond_the_training_data_are_the_reason_given():
     assert next(iter(facts["outside"]["variables"])) == "u"
     assert any("training data (u in" in b for b in facts["because"])
     assert facts["outside"]["rmse inside"] < 1.1 * facts["rmse"]["training"] < facts["rmse"]["validation"]
-    assert any("reach further in u" in r for r in facts["what to do"])
+    assert any("range of u" in r for r in facts["what to do"])
     assert facts["kind"] in ("beyond", "unusable")
     line = found.coverage.set_index("variable").loc["u"]
     assert line["below"] + line["above"] == pytest.approx(facts["outside"]["variables"]["u"])

@@ -167,7 +167,7 @@ simulateQuadrotor(0.02, 0.004, start, 900*ones(4, 1), reference, m, d, simParame
 def test_a_simulation_that_cannot_be_flown_says_why():
     found = document()
     found["axes"]["Fx"]["terms"][0]["expression"] = "v_in*u"
-    with pytest.raises(ConfigError, match="terms in 'v_in', which a simulation cannot know"):
+    with pytest.raises(ConfigError, match="terms in 'v_in', which a simulation cannot provide"):
         portable_setup(Model(found))
     noisy = make_setup({"model": {"model ID": "m"}, "controller": {"controller": "drone_INDI"}}, flown())
     with pytest.raises(ConfigError, match="sensor noise cannot be exported"):

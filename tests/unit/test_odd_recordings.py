@@ -7,9 +7,9 @@ from test_filter_delays import header_delays
 
 from quasi.errors import ReadError
 from quasi.filtering.measurements import Imu, frozen
+from quasi.importing.clocks.table_clocks import uncrowded
 from quasi.importing.clocks.telemetry import rotor_age
 from quasi.importing.onboard_log import read_onboard
-from quasi.importing.readers.table_reader import uncrowded
 from quasi.importing.readers.table_text import open_table
 
 

@@ -73,7 +73,7 @@ def test_a_limit_agrees_with_exact_arithmetic_at_vanishing_speed():
 def test_expressions_without_division_are_left_alone():
     for text in ("(w_tot)*(u^(1.0))", "|U_p|^0.5*q", "u*v - 2", "q/(1 + r^2)"):
         tree = parse(text)
-        assert remove_singularities(tree, R) is tree
+        assert remove_singularities(tree, R) == tree
 
 
 def test_a_pole_is_held_at_the_lowest_flown_speed():

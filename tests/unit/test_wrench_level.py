@@ -148,7 +148,7 @@ def test_what_all_flights_have_is_no_change_whatever_the_model_s_terms_take_up(g
     flights, flags = [late(k) for k in range(12)], [False] * 2 + [True] * 10
     mixed = gather_design(flights, {"telemetry_delay": delay}, vehicle).mixed(range(12), flags)
     offer = Candidate("telemetry_delay", "changed", (0,))
-    assert delay.absorbed and mixed.pooled("always") == []
+    assert delay.absorbed_by_model and mixed.pooled("always") == []
     assert mixed.test(offer).p < 1e-3  # did reference flights not count
     beside = mixed.test(offer, (), mixed.pooled("changed"))
     assert beside.p > 0.05 and abs(beside.value[0]) < 2.0 * beside.std[0]

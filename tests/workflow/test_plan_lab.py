@@ -13,7 +13,7 @@ from hidden import affected, healthy_model, processed, references
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.gathering import gather
-from quasi.gap.levels.forces.design import gather_study
+from quasi.gap.levels.forces.design import gather_design
 from quasi.gap.planning import plan
 from quasi.gap.statistics.mixed import Candidate
 
@@ -33,7 +33,7 @@ def test_a_made_flight_with_a_cause_of_expected_t_10_measures_about_10(healthy, 
     planted = [processed(r, True) for r in affected(tmp_path, 7, {CAUSE: {PARAMETER: size}}, 30.0)]
     vehicle = vehicle_of(model)
     evidence = [gather(f.key, f.filtered, f.filtered_metadata, f.airframe, model, 100.0) for f in [*planted, *others]]
-    study = gather_study(evidence, effects, vehicle)
+    study = gather_design(evidence, effects, vehicle)
     flags = np.array([True] * 4 + [False] * 4)
     mixed = study.mixed(range(8), flags)
     test = mixed.test(Candidate(CAUSE, "changed", (0,)), (), mixed.pooled("changed"))

@@ -27,8 +27,8 @@ def test_run_makes_the_model_and_tells_where_with_its_scores(finished):
         assert axis in tail
     assert "validation" in tail
     assert "Verdict: " in tail
-    assert "single samples whose neighbours train" not in text  # a flight was held out and judges
-    assert "single samples whose neighbours train" in (folder / "report.html").read_text()
+    assert "single samples between training samples" not in text  # a flight was held out and judges
+    assert "single samples between training samples" in (folder / "report.html").read_text()
 
 
 def test_run_is_a_line_per_job_with_what_was_noted(finished):
