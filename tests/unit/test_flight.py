@@ -169,7 +169,7 @@ def test_wrong_rigid_body_controller_and_rate_are_refused(made):
         import_flight(asked | {"flight controller": "px4"}, quadrotor, {})
     with pytest.raises(ReadError, match="is a blackbox log, expected a table"):
         import_flight(asked | {"flight controller": "table"}, quadrotor, {})
-    with pytest.raises(ReadError, match="not INDIflight's: it names the firmware 'Betaflight"):
+    with pytest.raises(ReadError, match="is not from INDIflight: it names the firmware 'Betaflight"):
         import_flight(asked | {"flight controller": "indiflight"}, quadrotor, {})
     with pytest.raises(ConfigError, match="expected 10 to 8000"):
         import_flight(asked, quadrotor, {"resampling rate": 0})
