@@ -25,7 +25,12 @@ from quasi.running.live_runs import (
     remove_stale_lock,
     withdraw_card,
 )
-from quasi.running.terminal import FaultFilter, Terminal, format_command, list_up_to_date_pages
+from quasi.running.terminal import (
+    FaultFilter,
+    Terminal,
+    format_command,
+    list_up_to_date_pages,
+)
 from quasi.project.workflow import Folder
 
 PROJECT = os.getcwd()  # at the end of a run it is another one
@@ -117,7 +122,8 @@ if MAIN and not workflow.output_settings.dryrun:
         FAULTS.append(fault)
         raise WorkflowError(fault)
     atexit.register(
-        withdraw_card, register_run(Path(PROJECT), shlex.join(["snakemake", *sys.argv[1:]]))
+        withdraw_card,
+        register_run(Path(PROJECT), shlex.join(["snakemake", *sys.argv[1:]])),
     )
     if notice := remove_stale_lock(PROJECT):
         print(f"[NOTICE] {notice}", file=sys.stderr)
