@@ -158,8 +158,8 @@ class FaultFilter(logging.Filter):
         missing = re.search(r"^No rule to produce (.+?) \(if you use input functions", text, flags=re.M)
         if missing:
             self.faults.append(
-                f"no rule makes '{missing[1]}'{nearest(missing[1], self.targets())}; correct the target: README.md "
-                "says under 'What is where' what can be made, and names hold letters, digits and . _ + - only"
+                f"no rule makes '{missing[1]}'{nearest(missing[1], self.targets())}; correct the target: "
+                "docs/running.md lists what can be made, and names hold letters, digits and . _ + - only"
             )
             return False
         # the place in the rules does not help to correct a fault of the configuration
