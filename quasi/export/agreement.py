@@ -63,7 +63,7 @@ class Check(NamedTuple):
 def states_of(model: Model, rows: int = ROWS, seed: int = 8) -> States:
     """Random states over half as much again as a model's training data covered; wide ranges where that is unknown.
 
-    Beside them: rest, and states whose velocities and rates are exactly zero.
+    Added to them: rest, and states whose velocities and rates are exactly zero.
     """
     random = np.random.default_rng(seed)
     hover = model.hover_speed or 2000.0
@@ -165,7 +165,7 @@ def insist(found: Mapping[str, Any]) -> None:
 def hand_over(
     folder: str | Path, model: Model, export: str, checks: Sequence[Check], notes: Sequence[str], files: Sequence[str]
 ) -> str:
-    """Write agreement.json and agreement.txt into an export's folder; returns what to tell of it.
+    """Write agreement.json and agreement.txt into an export's folder; returns the lines to report.
 
     files  what else stands there. Raises DataError when a comparison failed, after writing why.
     """

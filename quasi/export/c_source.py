@@ -32,7 +32,7 @@ from quasi.terms.kernel import INPUTS
 
 _MATHS = {"abs": "fabs", "sqrt": "sqrt", "sin": "sin", "cos": "cos", "log": "log", "power": "pow", "rint": "rint",
           "exp": "exp", "floor": "floor"}  # fmt: skip
-_SHORTEST = 0.0005  # s, the shortest time step for which the delay line has room unless told otherwise
+_SHORTEST = 0.0005  # s, the shortest time step for which the delay line has room by default
 _ARGUMENTS = (
     "const {real} state[12], const {real} rotor_speeds[4],\n    const {real} *rotor_accelerations, const {real} *extra"
 )

@@ -34,7 +34,7 @@ def write_files(folder: str | Path, files: Mapping[str, str]) -> None:
 def shared_library(
     folder: str | Path, sources: Sequence[str], library: str, defines: Sequence[str] = (), flags: Sequence[str] = FLAGS
 ) -> Path:
-    """Compile C files of a folder into a shared library beside them; returns its path.
+    """Compile C files of a folder into a shared library in the same folder; returns its path.
 
     sources  file names; library  file name; defines  such as "QUASI_FLOAT32"
     Raises DataError without a compiler, or with the first complaint of one that fails.
@@ -49,6 +49,8 @@ def shared_library(
     except subprocess.TimeoutExpired:
         raise DataError(f"{command[0]} did not finish {', '.join(sources)} within {_PATIENCE:.0f} s") from None
     if done.returncode:
-        said = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
-        raise DataError(f"{command[0]} refuses {', '.join(sources)}: {' '.join(said.split())}; please report this")
+        first_error = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
+        raise DataError(
+            f"{command[0]} refuses {', '.join(sources)}: {' '.join(first_error.split())}; please report this"
+        )
     return folder / library

@@ -23,7 +23,7 @@ DEFAULT_LAG = 1.0 / 35.0  # s, the rotors' time constant where a model knows non
 class Actuators(NamedTuple):
     """The rotors of a model: time constants (4,) s speeding up and slowing down, delay s, lowest and highest rad/s.
 
-    highest is inf and lowest 0 where the airframe does not tell; notes: what was assumed
+    highest is inf and lowest 0 where the airframe gives none; notes: what was assumed
     """
 
     up: np.ndarray
@@ -145,8 +145,8 @@ def voltage_of(model: Model) -> Voltage | None:
     the extension's exponent was found at, or 1 V, so that commands are true until both are given.
     Raises ConfigError for a model that reads the voltage in its terms but does not know what its flights had.
     """
-    said = read_rotor_constants(model)
-    exponent = said.get("voltage exponent", 0.0)
+    rotor_constants = read_rotor_constants(model)
+    exponent = rotor_constants.get("voltage exponent", 0.0)
     reads = "battery_voltage" in extras_of(model)
     if not reads and not exponent:
         return None
@@ -154,9 +154,9 @@ def voltage_of(model: Model) -> Voltage | None:
     start = covered.get("percentiles", {}).get("50")
     if start is None and reads:
         raise ConfigError(
-            f"model {model.id} reads the battery voltage but does not tell that of its flights; make the model anew"
+            f"model {model.id} reads the battery voltage but does not state that of its flights; make the model anew"
         )
-    start = float(said.get("reference voltage", 1.0) if start is None else start)
+    start = float(rotor_constants.get("reference voltage", 1.0) if start is None else start)
     return Voltage(start, start, exponent)
 
 
@@ -165,13 +165,13 @@ def head(model: Model) -> list[str]:
     frame = model.airframe
     spins = ", ".join(f"{i} {'clockwise' if s > 0 else 'counter-clockwise'}" for i, s in enumerate(frame.spin, 1))
     lacking = [axis for axis in AXES if axis not in model.axes]
-    told = [
+    lines = [
         f"Aerodynamic model {shown(model.id)} of quadrotor {shown(frame.name)}. Made by quasi; do not edit.",
         "",
         "Forces Fx Fy Fz in N and moments Mx My Mz in N m, about the centre of gravity, in body axes:",
         "x forward, y right, z down. Earth axes: x north or forward, y east or right, z down.",
     ]
-    told += (
+    lines += (
         [
             "Forces are mass times specific force (hover: Fz = -mass times gravity): in a simulation gravity is to be",
             "added.",
@@ -179,8 +179,8 @@ def head(model: Model) -> list[str]:
         if model.with_gravity
         else ["Forces are net forces: gravity is part of them (hover: Fz = 0), a simulation must not add it."]
     )
-    told += [f"Not identified, and NaN: {', '.join(lacking)}."] if lacking else []
-    told += [
+    lines += [f"Not identified, and NaN: {', '.join(lacking)}."] if lacking else []
+    lines += [
         "",
         "Inputs, SI:",
         "state                roll pitch yaw (rad, yaw about z first, then pitch, then roll), u v w (m/s, velocity",
@@ -189,20 +189,20 @@ def head(model: Model) -> list[str]:
         "rotor accelerations  rad/s2" + ("" if model.uses_rotor_accelerations else "; not used by this model"),
     ]
     extras = extras_of(model)
-    told += [f"extra inputs         {', '.join(shown(name) for name in extras)}"] if extras else []
-    told += ["", f"Rotors, seen from above: {spins}.", "Hubs, m, body axes:"]
-    told += [f"    rotor {i}  x {h[0]:+.6g}  y {h[1]:+.6g}  z {h[2]:+.6g}" for i, h in enumerate(frame.hubs, 1)]
+    lines += [f"extra inputs         {', '.join(shown(name) for name in extras)}"] if extras else []
+    lines += ["", f"Rotors, seen from above: {spins}.", "Hubs, m, body axes:"]
+    lines += [f"    rotor {i}  x {h[0]:+.6g}  y {h[1]:+.6g}  z {h[2]:+.6g}" for i, h in enumerate(frame.hubs, 1)]
     factor = frame.logged_to_rad_s or model.document.get("logged to rad/s")
     if factor:
-        told.append(f"Where a flight controller logs eRPM/100: mechanical rad/s = {factor:.12g} times that number.")
+        lines.append(f"Where a flight controller logs eRPM/100: mechanical rad/s = {factor:.12g} times that number.")
     extensions = [shown(e.get("id")) for e in extensions_of(model)]
-    told += [f"Extensions: {', '.join(extensions)}."] if extensions else []
+    lines += [f"Extensions: {', '.join(extensions)}."] if extensions else []
     if any(LATE_AIR in (e.get("states") or ()) for e in extensions_of(model)):
-        told += [
+        lines += [
             "Air through the discs that follows late stands here to first order in the rotor accelerations; with these",
             "zero, forces and moments are the quasi-steady part.",
         ]
-    return told
+    return lines
 
 
 def terms_of(model: Model, axis: str) -> list[str]:

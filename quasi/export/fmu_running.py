@@ -22,7 +22,7 @@ from quasi.terms.kernel import INPUTS
 
 MODEL_EXCHANGE, CO_SIMULATION = 0, 1
 _STEPS = 50
-_FAR = 100.0  # m/s, rad/s: a model that has left what it can tell is followed no further
+_FAR = 100.0  # m/s, rad/s: beyond these the run stops, the model is no longer valid
 _REFERENCES = ctypes.POINTER(ctypes.c_uint)
 _REALS = ctypes.POINTER(ctypes.c_double)
 

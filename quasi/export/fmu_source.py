@@ -35,7 +35,7 @@ from quasi.tables import COLUMNS, read_text
 from quasi.terms.kernel import INPUTS
 
 ROWS = 4096  # commands that are remembered for a delay
-NO_LIMIT = 1e9  # rad/s, where the airframe tells no highest speed
+NO_LIMIT = 1e9  # rad/s, where the airframe has no highest speed
 LONGEST_STEP = 0.002  # s, of the integration within a communication step
 STATE_NAMES = ("qw", "qx", "qy", "qz", "u", "v", "w", "p", "q", "r", "x", "y", "z", "w1", "w2", "w3", "w4")
 _UNITS = {
@@ -214,7 +214,7 @@ def _fmu(model: Model, kind: str, variables: Sequence[Variable], places: dict[st
         if variable.start is not None:
             starts[variable.at] = variable.start
     made = [
-        f"/* Model {shown(model.id)} as an FMU of FMI 2.0: the one file to compile beside {p}.c. Made by quasi. */",
+        f"/* Model {shown(model.id)} as an FMU of FMI 2.0: the one file to compile with {p}.c. Made by quasi. */",
         "#include <math.h>\n#include <stdlib.h>\n#include <string.h>\n",
         f'#include "{p}.h"\n#include "interface.h"\n',
         f"#define MODEL(name) {p}_##name",

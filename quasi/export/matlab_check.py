@@ -63,8 +63,8 @@ def run_octave(folder: str | Path, script: str, inputs: Mapping[str, Any] | None
             f"{octave} did not finish within {_PATIENCE:.0f} s; end what else runs, and try again"
         ) from None
     if done.returncode:
-        said = next((line for line in done.stderr.splitlines() if line.startswith("error:")), done.stderr[:200])
-        raise DataError(f"Octave refuses the exported functions ({' '.join(said.split())}); please report this")
+        first_error = next((line for line in done.stderr.splitlines() if line.startswith("error:")), done.stderr[:200])
+        raise DataError(f"Octave refuses the exported functions ({' '.join(first_error.split())}); please report this")
     made = folder / "found.mat"
     return loadmat(io.BytesIO(read_bytes(made)), squeeze_me=True, struct_as_record=False) if made.is_file() else {}
 

@@ -21,7 +21,7 @@ from quasi.terms.kernel import INPUTS
 from quasi.terms.variables import FORMULAS, SYNONYMS, known_names, plain_name, split_function
 
 EXTRA = "x_"  # before the identifiers of columns that are not known
-_LONGEST = 63  # characters that MATLAB tells names apart by
+_LONGEST = 63  # characters by which MATLAB distinguishes names
 _WHOLE = 32  # the largest power that is not left to powerOf
 _DEEPEST = 28  # brackets within brackets: MATLAB reads 32, and a line adds some
 _KNOWN = frozenset({*known_names({*INPUTS, "v_in"}), *INPUTS, "F_den", "M_den", *COLUMNS} - {"t", *AXES})

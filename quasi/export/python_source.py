@@ -54,7 +54,7 @@ def python_file(model: Model) -> tuple[str, str]:
     extras, u = extras_of(model), differential_inputs(model)
     constants = constants_of(model)
     example = name_in_source(model)
-    told = [
+    lines = [
         *head(model),
         "",
         f"    import {example}",
@@ -63,7 +63,7 @@ def python_file(model: Model) -> tuple[str, str]:
         "state (N, 12) or (12,), rotor_speeds (N, 4) or (4,); numpy is all that is needed.",
     ]
     parts = [
-        '"""' + "\n".join(told) + '\n"""\n\nimport numpy as np\n',
+        '"""' + "\n".join(lines) + '\n"""\n\nimport numpy as np\n',
         f'MODEL = "{shown(model.id)}"',
         f"EXTRA_INPUTS = {_names(extras)}  # columns that the argument `extra` must hold",
         f"NEEDS_POSITION = {bool(model.kernel.used[9:12].any())}",

@@ -65,8 +65,10 @@ def run_python(
         asked += ["form" if u else "-", "distance" if limited else "-"]
         done = subprocess.run(asked, input=np.ascontiguousarray(at.table).tobytes(), capture_output=True, cwd=folder)
     if done.returncode:
-        said = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
-        raise DataError(f"the Python export of model {model.id} does not run ({' '.join(said)}); please report this")
+        last_line = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
+        raise DataError(
+            f"the Python export of model {model.id} does not run ({' '.join(last_line)}); please report this"
+        )
     return _split(np.frombuffer(done.stdout).reshape(len(at.state), -1), len(u), limited)
 
 
@@ -116,7 +118,7 @@ def check_python(model: Model, name: str, text: str, rows: int = ROWS) -> list[C
 def check_c(model: Model, files: Mapping[str, str], rows: int = ROWS) -> list[Check]:
     """Compare an exported C file with its model, as double and as float. Raises DataError without a compiler.
 
-    A model whose terms float cannot hold is none the worse as double: that comparison is told, and not binding.
+    A model whose terms float cannot hold is none the worse as double: that comparison is reported but not binding.
     """
     at = states_of(model, rows)
     double = _checks(model, at, run_c(model, files, at), "C, double")

@@ -149,7 +149,7 @@ def _warn(
     """Say which harmonics show up inside the band of the low-pass, where no notch was asked for."""
     inside = (found.frequency < (1.0 + 0.5 * forces.TRANSITION) * cutoff) & (found.weight > 0.5) & flying[:, None]
     often = inside.sum(axis=0) > SELDOM * max(int(flying.sum()), 1)
-    told = []
+    listed = []
     for order in np.unique(found.harmonic):
         seen = [
             int(i)
@@ -159,11 +159,11 @@ def _warn(
         if seen:
             stands, true = (float(np.median(x[:, seen][inside[:, seen]])) for x in (found.frequency, found.true))
             folded = f", folded from {true:.0f} Hz" if true > stands + 1.0 else ""
-            told.append(f"harmonic {order} near {stands:.0f} Hz{folded}")
-    if told:
+            listed.append(f"harmonic {order} near {stands:.0f} Hz{folded}")
+    if listed:
         add_caution(
             notes,
-            f"vibration that moves with the rotors' speed ({'; '.join(told)}; the log's rate is {logged:.0f} Hz) "
+            f"vibration that moves with the rotors' speed ({'; '.join(listed)}; the log's rate is {logged:.0f} Hz) "
             f"passes the low-pass of {cutoff:g} Hz; lower 'low-pass cutoff Hz' or set 'rotor notch harmonics' to "
-            f"{told[-1].split(' ')[1]}",
+            f"{listed[-1].split(' ')[1]}",
         )

@@ -1,4 +1,4 @@
-"""Rest before take-off, time on the ground, and what the rest tells about the sensors' biases."""
+"""Rest before take-off, time on the ground, and the sensors' biases from the rest."""
 
 from dataclasses import dataclass, field
 

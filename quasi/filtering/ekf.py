@@ -27,7 +27,7 @@ STATES = 18
 ATTITUDE, POSITION, VELOCITY = 0, 1, 2  # kinds of measurement
 KINDS = ("attitude", "position", "velocity")
 TAIL = 4.0  # an outlier costs this times the logarithm of its NIS: more than the 3 by which less noise lowers the rest
-Watch = Callable[[Iterable[int], str], Iterable[int]]  # hands on sample numbers, and may tell how far they are
+Watch = Callable[[Iterable[int], str], Iterable[int]]  # hands on sample numbers, and may report progress
 _PACKED = STATES * (STATES + 1) // 2
 _ROW = 28  # innovation, its variance, two column numbers, 2 x 3 entries of the measurement row, 18 of the gain
 

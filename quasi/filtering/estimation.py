@@ -184,11 +184,11 @@ def estimate(
 ) -> Run:
     """States and biases by the filter, smoothed when asked. watch  see `filterpy_engine.forward`."""
     t, flying = frame["t"].to_numpy(float), ~found.on_ground
-    still, said, origin = measurements.sensor_noise(
+    still, noise_notes, origin = measurements.sensor_noise(
         airframe.noise, bool(chosen["use noise statistics in drone config"])
     )
     measured = measurements.collect(frame, metadata, airframe.noise, found.on_ground, dt)
-    notes += said + measured.notes
+    notes += noise_notes + measured.notes
     levels = _levels(still, origin, measurements.resolution(metadata), chosen, imu, found, notes)
     inputs = _inputs(frame, chosen, imu, measured, levels, found, dt)
     if "accelerometer" in (metadata.get("reconstructed") or {}):
@@ -207,7 +207,9 @@ def estimate(
     deviation, early = ekf.deviations(final.covariance), ekf.deviations(forward.covariance)
 
     independent = all(measured.source[k].startswith("capture") for k in ("attitude", "position"))
-    applied, told = _apply(chosen["bias policy"], independent, found, final, deviation, forward, early, flying, notes)
+    applied, bias_report = _apply(
+        chosen["bias policy"], independent, found, final, deviation, forward, early, flying, notes
+    )
     nis = _consistency(forward, notes)
     limit = round(float(chosen["capture gap limit s"]) / dt)
     unsure = _unsure(deviation, flying, notes) | _uncaptured(measured, forward, limit, t, flying, notes)
@@ -220,7 +222,7 @@ def estimate(
         ),
         "NIS": nis,
         "consistent": all(entry.get("consistent", False) for entry in nis.values()) if nis else None,
-        "biases": told,
+        "biases": bias_report,
         "attitude alignment": {
             axis: {"value": float(final.state[-1, 12 + i]), "std": float(deviation[-1, 15 + i]), "unit": "rad"}
             for i, axis in enumerate(("roll", "pitch", "yaw"))
@@ -320,8 +322,8 @@ def _consistency(forward: ekf.Pass, notes: list[str]) -> dict[str, dict[str, Any
     """Normalised innovations squared of each kind of measurement, with a note where they are not those expected."""
     nis = noise.consistency(forward)
     for kind, entry in nis.items():
-        if said := noise.beyond(entry):
-            add_caution(notes, f"the filter is not consistent in {kind}: {'; '.join(said)}")
+        if excesses := noise.beyond(entry):
+            add_caution(notes, f"the filter is not consistent in {kind}: {'; '.join(excesses)}")
     return nis
 
 

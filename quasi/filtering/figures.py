@@ -190,8 +190,8 @@ def figures(
             std = np.stack([np.interp(t, kept, convergence[f"position_std_{a}"].to_numpy()) for a in "xyz"], axis=1)
         result[kind] = _states(f"{flight}: {kind}", names, labels, imported, filtered, std, metadata, angle)
     with_gravity = metadata.get("forces", "withGravity") == "withGravity"
-    said = "mass times specific force" if with_gravity else "net force"
-    result["forces"] = _wrench(f"{flight}: forces ({said})", ["Fx", "Fy", "Fz"], "N", filtered, metadata)
+    kind = "mass times specific force" if with_gravity else "net force"
+    result["forces"] = _wrench(f"{flight}: forces ({kind})", ["Fx", "Fy", "Fz"], "N", filtered, metadata)
     result["moments"] = _wrench(f"{flight}: moments", ["Mx", "My", "Mz"], "N m", filtered, metadata)
     if convergence is not None:
         for key, sensors, unit in (("gyro", ["p", "q", "r"], "rad/s"), ("accelerometer", ["ax", "ay", "az"], "m/s²")):

@@ -36,7 +36,7 @@ def _process(F: np.ndarray, noise: np.ndarray, walk: np.ndarray, dt: float) -> n
 def _one_by_one(y: np.ndarray, S: np.ndarray, PHt: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The update as three scalar ones: innovations (3,), their variances (3,), gains (3, 18), and whitened (3,).
 
-    With S = L D L' the innovations are inv(L) y with the variances D: each is what is new beside those before it.
+    With S = L D L' the innovations are inv(L) y with the variances D: each is what the earlier ones do not predict.
     """
     root = np.linalg.cholesky(S)
     white = np.linalg.solve(root, y)
@@ -47,7 +47,7 @@ def _one_by_one(y: np.ndarray, S: np.ndarray, PHt: np.ndarray) -> tuple[np.ndarr
 def forward(inputs: Inputs, watch: Watch | None = None) -> Pass:
     """Filter forward in time; the same result as `ekf.forward`, some fifty times slower.
 
-    watch  hands on the numbers of the samples one by one and may tell how far they are (`joblog.progress`)
+    watch  hands on the numbers of the samples one by one and may report progress (`joblog.progress`)
     """
     from filterpy.kalman import ExtendedKalmanFilter  # a second to import, for nothing else
 

@@ -41,7 +41,7 @@ DEFAULTS: dict[str, Any] = {
 COURSE_RATE = 50.0  # Hz, of the filter's course where it is not asked for whole
 NONE_VALID = "no row of this flight is valid for identification"
 ENGINES = ("compiled", "filterpy")
-TOLD = 0.05  # share of a flight from which a reason for its invalid rows is named
+REPORTED_SHARE = 0.05  # share of a flight from which a reason for its invalid rows is named
 POLICIES = ("automatic", "rest", "whole flight", "time varying")
 
 
@@ -106,8 +106,8 @@ def _check(airframe: Airframe, notes: list[str]) -> None:
         raise DataError(
             f"{airframe.name}: 'moment of inertia' is not positive definite; check its entries and units (kg m2)"
         )
-    if said := describe_impossible_inertia(inertia):
-        add_caution(notes, f"{airframe.name}: {said}")
+    if fault := describe_impossible_inertia(inertia):
+        add_caution(notes, f"{airframe.name}: {fault}")
 
 
 def _filled(frame: pd.DataFrame, names: list[str], notes: list[str]) -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -147,7 +147,7 @@ def filter_flight(
     imported   standard columns on a uniform grid, with attitude_sample, position_sample, velocity_sample and
                onboard_valid as 0 or 1; imported_metadata  its metadata (sources, rate, "logged to rad/s")
     airframe   mass and inertia must be known; options  the section "data filtering" of the processing configuration
-    watch      tells how far a slow engine is (`joblog.progress`); the compiled one is done at once
+    watch      reports the progress of a slow engine (`joblog.progress`); the compiled one is done at once
     Returns    Filtered; every row of the import is kept, column `valid` is 1 where a row may be used for identification
     Raises     DataError where the flight cannot be filtered, ConfigError for an impossible option
     """
@@ -279,8 +279,8 @@ def _unsure_words(metadata: Mapping[str, Any]) -> str:
 def _spoilt(spoiling: Mapping[str, np.ndarray]) -> str:
     """What makes the rows of a flight invalid, and how many, the greatest first. spoiling  {words: (N,) bool}"""
     shares = sorted(((float(rows.mean()), words) for words, rows in spoiling.items()), reverse=True)
-    told = [(share, words) for share, words in shares if share >= TOLD] or shares[:1]
-    return "; ".join(f"{words} ({100 * share:.0f} % of the flight)" for share, words in told)
+    reported = [(share, words) for share, words in shares if share >= REPORTED_SHARE] or shares[:1]
+    return "; ".join(f"{words} ({100 * share:.0f} % of the flight)" for share, words in reported)
 
 
 def _commanded(actuators: Mapping[str, np.ndarray], logged: _Logged) -> np.ndarray | None:
@@ -309,7 +309,9 @@ def _phases(
     position = imported[["x", "y", "z"]].to_numpy(float) if {"x", "y", "z"} <= set(imported) else None
     idle = airframe.idle_rpm * factor if airframe.idle_rpm and factor else None
     if airframe.idle_rpm and idle is None and any(c[0] == "w" and c[1:].isdigit() for c in imported):
-        notes.append("'idle RPM' is in eRPM/100 and the quadrotor's 'motor poles' are unknown: rest is told without it")
+        notes.append(
+            "'idle RPM' is in eRPM/100 and the quadrotor's 'motor poles' are unknown: rest is found without it"
+        )
     found = biases.phases(imu.gyro, imu.accel, imu.lost, measurements.resolution(metadata), speeds, position, idle, dt)
     notes += found.notes
     return found

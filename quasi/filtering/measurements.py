@@ -268,7 +268,7 @@ def collect(
     source, used = {}, np.zeros((n, 3), np.int8)
     std = np.ones((3, 3))
     for i, kind in enumerate(KINDS):
-        said = str(metadata.get(f"{kind} source") or "none")
+        origin = str(metadata.get(f"{kind} source") or "none")
         column = f"{kind}_sample"
         fresh = frame[column].to_numpy(float) > 0.5 if column in frame else np.zeros(n, bool)
         with np.errstate(invalid="ignore"):
@@ -280,18 +280,18 @@ def collect(
                 "out",
             )
         fresh &= finite
-        capture = said.startswith("capture")
+        capture = origin.startswith("capture")
         if fresh.any() and np.ptp(values[kind][fresh], axis=0).max() == 0.0 and fresh.sum() > 10:
             add_caution(notes, f"the measured {kind} is constant in the whole flight and is left out; check its source")
             fresh[:] = False
         if kind == "velocity" and used[:, POSITION].any() and capture:
             fresh[:] = False  # the same information as the position
         if not fresh.any():
-            said = "none"
+            origin = "none"
         elif not capture:
             fresh = _thin(fresh, max(1, round(ONBOARD_INTERVAL[kind] / dt)))
         used[:, i] = fresh
-        source[kind] = said
+        source[kind] = origin
         std[i] = (CAPTURE_STD if capture else ONBOARD_STD)[kind]
         if kind == "attitude" and not capture:
             jitter = [float(statistics.get(a, {}).get("std", 0.0)) for a in ("roll", "pitch", "yaw")]

@@ -95,7 +95,7 @@ def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray) -> np
         beyond = np.maximum(logs - high, 0.0) + np.maximum(low - logs, 0.0)
         factors = np.exp(np.clip(logs, low, high))
         total = sum(cost(with_levels(part, factors, inside)) for part, inside in parts)
-        # where the innovations hardly tell, the levels stay near where they began
+        # where the innovations carry little information, the levels stay near where they began
         total += float(np.sum((logs / PRIOR) ** 2))
         return total / scale + 10.0 * float(np.sum(beyond**2))
 
@@ -156,20 +156,20 @@ def beyond(entry: Mapping[str, Any]) -> list[str]:
     if "mean" not in entry:
         return [f"at most two of {entry['measurements']} measurements are accepted"]
     low, high = CONSISTENT
-    said = []
+    excesses = []
     if not low < entry["mean"] < high:
         size = "larger" if entry["mean"] >= high else "smaller"
-        said.append(
+        excesses.append(
             f"innovations are {size} than their standard errors say (mean normalised square {entry['mean']:.2f}, "
             f"expected 1, limits {low:g} to {high:g})"
         )
     if not abs(entry["whiteness"]) < CORRELATED:
-        said.append(f"neighbouring ones go together (correlation {entry['whiteness']:.2f}, limit {CORRELATED:g})")
+        excesses.append(f"neighbouring ones go together (correlation {entry['whiteness']:.2f}, limit {CORRELATED:g})")
     if not entry["gated"] < REJECTED:
-        said.append(f"{100 * entry['gated']:.3g} % of the measurements are rejected (limit {100 * REJECTED:g} %)")
+        excesses.append(f"{100 * entry['gated']:.3g} % of the measurements are rejected (limit {100 * REJECTED:g} %)")
     if entry["forced"]:
-        said.append(
+        excesses.append(
             f"{entry['forced']} times a measurement had to be taken after a second of rejections in a row (limit 0): "
             "the states had strayed from it, or it jumped"
         )
-    return said
+    return excesses

@@ -45,12 +45,12 @@ def judge_flight(
     if before == WORDS[2] and not bad:
         bad.append(because)
     word = WORDS[2] if bad else max(before, WORDS[1] if care else WORDS[0], key=WORDS.index)
-    said = [b for b in bad if b not in because] + ([because] if before != WORDS[0] else []) + care
+    reasons = [b for b in bad if b not in because] + ([because] if before != WORDS[0] else []) + care
     return {
         "contradictions": [*earlier, *to_plain(own)],
         "verdict": word,
         "unusable because": bad,
-        "verdict because": "; ".join(said) or "all sources are complete and agree",
+        "verdict because": "; ".join(reasons) or "all sources are complete and agree",
     }
 
 

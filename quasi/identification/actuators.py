@@ -26,8 +26,8 @@ MOST_DELAY = 0.1  # s
 WARM_UP = 0.2  # s after the start of a stretch that is not compared: the starting speed is a noisy one
 COMPARED = 125.0  # Hz at which speeds are compared
 FEWEST = 100  # compared rows
-LIVELY = 0.02  # a rotor whose speed varies less than this share of its mean tells no time constant
-STEADY_VOLTAGE = 0.01  # relative variation below which a battery tells no exponent
+LIVELY = 0.02  # a rotor whose speed varies less than this share of its mean gives no time constant
+STEADY_VOLTAGE = 0.01  # relative variation below which a battery gives no exponent
 WORST_CONDITION = 1e14  # of the normal equations of scaled columns
 STEPS = 30
 POWERS = [0, 1, 2]
@@ -96,7 +96,7 @@ def rotor_lag(
     t               (n,) s, uniform
     command         (n,) commanded speed (rad/s) when commands_speed, else share of the motor output range
     speed           (n,) measured, rad/s, filtered as the command is; rows (n,) bool, those to compare
-    voltage         (n,) V, beside a reference voltage, where the wanted speed may go with the battery
+    voltage         (n,) V, as a share of a reference voltage, where the wanted speed may go with the battery
     """
     dt = float(np.median(np.diff(t)))
     finite = np.isfinite(command) & np.isfinite(speed)
@@ -141,7 +141,7 @@ def rotor_lag(
     values, jacobian, residual = two
     std, alone = standard_errors(jacobian, residual, groups), standard_errors(one[1], one[2], groups)
     if std is None or alone is None:
-        return "moves too little to tell its constants apart"
+        return "moves too little to separate its constants"
     found = _padded(values[3:], len(shape))
     names = ["up", "down", "delay", "offset" if commands_speed else "a0", "gain" if commands_speed else "a1"]
     names += [] if commands_speed else ["a2", "exponent"][: len(values) - 5]
@@ -158,7 +158,7 @@ def rotor_lag(
 
 
 def standard_errors(jacobian: np.ndarray, residual: np.ndarray, rows: np.ndarray) -> np.ndarray | None:
-    """Standard errors (p,) of least-squares values, robust to autocorrelation; None when they cannot be told apart.
+    """Standard errors (p,) of least-squares values, robust to autocorrelation; None when they cannot be separated.
 
     jacobian (n, p) of the prediction; residual (n,); rows (n,) their places in time, increasing
     """
@@ -260,11 +260,11 @@ def actuators(
     configured: Mapping[str, Any] | None = None,
     aged: Mapping[str, bool] | None = None,
 ) -> dict[str, Any] | None:
-    """Constants of the four rotors, medians over flights with their spread; None when no flight tells any.
+    """Constants of the four rotors, medians over flights with their spread; None when no flight gives any.
 
     flights     filtered training flights; rows {flight: (n,) bool} those to compare; notes  is added to
     configured  the quadrotor's given map from command to speed, which stands instead of a fitted one
-    aged        {flight: whether import took the age of its rotor telemetry off}, flights that tell it
+    aged        {flight: whether import took the age of its rotor telemetry off}, flights that know it
     Where import took it off in some flights, the delay is that of these alone: in the others it holds the age too.
     """
     reference = _reference(flights, rows)
@@ -285,15 +285,15 @@ def actuators(
         ("time constants down", "down"),
         ("delay", "delay"),
     ):
-        told = _without_age(found, aged or {}) if name == "delay" else found
-        values = np.array([[getattr(lag, field) for lag in lags] for lags in told.values()])
-        errors = np.array([[lag.std[field] for lag in lags] for lags in told.values()])
+        lags_by_flight = _without_age(found, aged or {}) if name == "delay" else found
+        values = np.array([[getattr(lag, field) for lag in lags] for lags in lags_by_flight.values()])
+        errors = np.array([[lag.std[field] for lag in lags] for lags in lags_by_flight.values()])
         result[name] = {"value": np.median(values, axis=0).tolist(), "std": _std(values, errors), "unit": "s",
                         "spread": _spread(values)}  # fmt: skip
     result["spread"] = result["time constants"]["spread"]
     result["per flight"] = {key: [lag.tau for lag in lags] for key, lags in found.items()}
     result["flights"] = {key: _plain(lags) for key, lags in found.items()}
-    _tell_age(found, aged or {}, result, notes)
+    _report_telemetry_age(found, aged or {}, result, notes)
     result["command map"] = given or _map(found, reference)
     _warn(found, result, notes)
     return result
@@ -304,10 +304,10 @@ def _without_age(found: Mapping[str, list[Lag]], aged: Mapping[str, bool]) -> Ma
     return {key: lags for key, lags in found.items() if aged.get(key)} or found
 
 
-def _tell_age(
+def _report_telemetry_age(
     found: Mapping[str, list[Lag]], aged: Mapping[str, bool], result: dict[str, Any], notes: list[str]
 ) -> None:
-    """Say of every delay whether it holds the age of the rotor telemetry, as far as the flights tell."""
+    """Say of every delay whether it holds the age of the rotor telemetry, as far as it is known."""
     for key in found:
         if key in aged:
             result["flights"][key]["delay"][TELEMETRY_AGE_REMOVED] = bool(aged[key])
@@ -321,8 +321,8 @@ def _tell_age(
         )
     elif rest and TELEMETRY_AGE_REMOVED in result["delay"]:
         notes.append(
-            "no flight told the age of its rotor telemetry, which the rotors' delay therefore holds; quick yaw inputs "
-            "would tell it"
+            "no flight gave the age of its rotor telemetry, so that the rotors' delay includes it; quick yaw inputs "
+            "would show it"
         )
 
 
@@ -336,7 +336,7 @@ def _reference(flights: Mapping[str, pd.DataFrame], rows: Mapping[str, np.ndarra
 
 
 def _std(values: np.ndarray, errors: np.ndarray) -> list[float]:
-    """Standard errors (4,) of the medians: from the spread over flights where three or more tell it, else their own."""
+    """Standard errors (4,) of the medians: from the spread over flights where three or more give it, else their own."""
     if len(values) < 3:
         return (np.linalg.norm(errors, axis=0) / len(values)).tolist()
     return (1.2533 * np.std(values, axis=0, ddof=1) / np.sqrt(len(values))).tolist()
@@ -359,18 +359,18 @@ def _map(found: Mapping[str, list[Lag]], reference: float | None) -> dict[str, A
     if not lags:
         return None
     maps = np.array([[lag.map for lag in each] for each in found.values() if each[0].exponent is not None])
-    told = [lag for lag in lags if "exponent" in lag.std]
-    exponents = np.array([lag.exponent for lag in told])
+    with_exponent = [lag for lag in lags if "exponent" in lag.std]
+    exponents = np.array([lag.exponent for lag in with_exponent])
     return {
         "coefficients": np.median(maps, axis=(0, 1)).tolist(),
         "powers": POWERS,
         "unit": "rad/s",
         "per rotor": np.median(maps, axis=0).tolist(),
         "voltage exponent": {
-            "value": float(np.median(exponents)) if len(told) else 0.0,
-            "std": float(np.std(exponents, ddof=1) / np.sqrt(len(told))) if len(told) > 1 else None,
+            "value": float(np.median(exponents)) if len(with_exponent) else 0.0,
+            "std": float(np.std(exponents, ddof=1) / np.sqrt(len(with_exponent))) if len(with_exponent) > 1 else None,
         },
-        "reference voltage": reference if told else None,
+        "reference voltage": reference if with_exponent else None,
         "source": f"fitted on {len(maps)} training flights",
     }
 

@@ -1,7 +1,7 @@
 """How sure a term is, the residuals' memory counted: t of every candidate and of every term from sums over cells.
 
 A cell is a stretch of flight longer than the residuals remember, so that sums over cells are nearly independent pieces
-of evidence, and their scatter tells how much a hundred thousand rows that resemble their neighbours really know. The
+of evidence, and their scatter shows how much a hundred thousand rows that resemble their neighbours really know. The
 scatter itself is only known from so many pieces, fewer when a few cells hold most of what a column has to say;
 Student's t has that many degrees of freedom.
 
@@ -18,7 +18,7 @@ from scipy.special import stdtr
 from quasi.identification.products import Products
 
 INDEPENDENT = 1e-9  # smallest share of a column that must be left after the selected ones
-ALIKE = 3.0  # standard errors by which a replacement must be worse to be told apart
+ALIKE = 3.0  # standard errors by which a replacement must be worse to be distinguished
 
 
 class Totals:
@@ -113,7 +113,7 @@ def entering(totals: Totals, columns: list[int], bandwidth: int = 1) -> tuple[np
 
 
 def standing(totals: Totals, columns: list[int], bandwidth: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Student's t and its degrees of freedom, (p,) each, of every column of a model beside its others."""
+    """Student's t and its degrees of freedom, (p,) each, of every column of a model given its others."""
     inverse = totals.inverse(columns)
     theta = inverse @ totals.target[columns]
     gram, own = _scores(totals, columns, theta)
@@ -130,7 +130,7 @@ def probability(t: np.ndarray, freedom: np.ndarray) -> np.ndarray:
 def left_out(totals: Totals, columns: list[int]) -> np.ndarray:
     """Squared error (F,) of each flight under the coefficients that the others have in common.
 
-    Infinite where these do not tell the columns apart; flights without weight do not count.
+    Infinite where these do not separate the columns; flights without weight do not count.
     """
     products, weights = totals.products, totals.weights
     member = (products.flight == np.unique(products.flight[weights > 0.0])[:, None]) * weights
@@ -153,7 +153,7 @@ def interchangeable(totals: Totals, columns: list[int], bandwidth: int = 1) -> d
 
     Returns {column: [{"column", "share of gain", "worse by"}, ...]} for the columns that are not fixed, best first.
     "share of gain" compares how much the two lower the squared error; "worse by" is the difference of the squared
-    errors in its own standard errors, from its scatter over cells: below ALIKE the data cannot tell the two apart.
+    errors in its own standard errors, from its scatter over cells: below ALIKE the data cannot distinguish the two.
     """
     products, found = totals.products, {}
     for taken in columns[totals.fixed :]:

@@ -165,7 +165,7 @@ def options_of(config: Mapping[str, Any], candidates: int) -> Options:
 def choose(
     pool: Pool, options: Options, config: Mapping[str, Any], names: list[str], total: float, series: list[np.ndarray]
 ) -> tuple[Selection, list[int], dict[str, Any] | None]:
-    """Select the terms: (selection, columns that came near, what leaving flights out told or None)."""
+    """Select the terms: (selection, columns that came near, result of leaving flights out or None)."""
     known: dict[tuple[int, ...], int] = {}
 
     def memory(columns: list[int]) -> int:

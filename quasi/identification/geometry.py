@@ -1,4 +1,4 @@
-"""Whether rotors sit and turn where the configuration says: what each one's speed does to the moments tells.
+"""Whether rotors sit and turn where the configuration says, from the effect of each one's speed on the moments.
 
 A thrust k W^2 at the hub (x, y) makes the moments -y k W^2 about x and x k W^2 about y; its drag turns the body against
 the rotor's sense. A wrong rotor order or sense leaves every score of an identified model as it was, and turns up
@@ -17,10 +17,10 @@ from quasi.terms.expressions import Program, parse
 from quasi.terms.variables import Variables
 
 SURE = 5.0  # standard errors
-APART = 0.6  # of the arm, between where a rotor is said to be and where it seems to be
-ALIKE = 1.5  # between the factors of roll and pitch that are told as one
-# what acts on a moment beside the rotors' thrusts and drag
-BESIDE = {
+APART = 0.6  # of the arm, between where a rotor is configured and where it seems to be
+ALIKE = 1.5  # between the factors of roll and pitch that are reported as one
+# what acts on a moment besides the rotors' thrusts and drag
+OTHER_MOMENT_TERMS = {
     "Mx": ("p", "w_tot*v", "u_p_dot"),
     "My": ("q", "w_tot*u", "u_q_dot"),
     "Mz": ("r", "u_r_dot"),
@@ -37,7 +37,9 @@ def contradictions(prepared: Mapping[str, tuple], airframe: Airframe, thrust: fl
             f"the faster the rotors turn, the less they lift (thrust factor {thrust:.2g} N s2/rad2): check the sign "
             "and axes of the accelerometer, and the rotor speeds"
         ]
-    return contradicting_places({axis: _slopes(prepared, airframe, axis) for axis in BESIDE}, airframe, thrust)
+    return contradicting_places(
+        {axis: _slopes(prepared, airframe, axis) for axis in OTHER_MOMENT_TERMS}, airframe, thrust
+    )
 
 
 def contradicting_places(
@@ -61,7 +63,7 @@ def contradicting_places(
             f"the configuration has it {_side(*hubs[i])} (x = {hubs[i, 0]:.2f} m, y = {hubs[i, 1]:.2f} m)"
             for i in np.flatnonzero(elsewhere)
         ]
-    notes = [said] if (said := describe_impossible_inertia(airframe.inertia)) else []
+    notes = [fault] if (fault := describe_impossible_inertia(airframe.inertia)) else []
     if scaled:
         notes.append(scaled)
     elif places:
@@ -84,7 +86,7 @@ def contradicting_places(
 def _scaled(seen: np.ndarray, std: np.ndarray, hubs: np.ndarray, arm: float) -> str | None:
     """A sentence where rotors push from their own directions, but as if all arms were longer or shorter; else None.
 
-    seen, std, hubs  (4, 2), x and y, m. A moment about x tells y: the factor on y is that of roll.
+    seen, std, hubs  (4, 2), x and y, m. A moment about x gives y: the factor on y is that of roll.
     """
     factor = np.sum(seen * hubs, axis=0) / np.sum(hubs**2, axis=0)
     doubt = np.sqrt(np.sum((std * hubs) ** 2, axis=0)) / np.sum(hubs**2, axis=0)
@@ -97,20 +99,20 @@ def _scaled(seen: np.ndarray, std: np.ndarray, hubs: np.ndarray, arm: float) -> 
 
     pitch, roll = factor.tolist()
     if max(pitch, roll) < ALIKE * min(pitch, roll):
-        said = words(float(np.sqrt(pitch * roll)))
+        ratio = words(float(np.sqrt(pitch * roll)))
     else:
-        said = f"{words(roll)} in roll and {words(pitch)} in pitch"
+        ratio = f"{words(roll)} in roll and {words(pitch)} in pitch"
     return (
-        f"all rotors push from the directions in which the configuration has them, but as if their arms were {said}: "
+        f"all rotors push from the directions in which the configuration has them, but as if their arms were {ratio}: "
         "check the mass, the moments of inertia, 'b' and the unit of the gyro, and import anew"
     )
 
 
 def _slopes(prepared: Mapping[str, tuple], airframe: Airframe, axis: str) -> tuple[np.ndarray, np.ndarray] | None:
-    """Slope of a moment by each rotor's squared speed (4,) with standard errors; None where these flights tell none."""
+    """Slope of a moment by each rotor's squared speed (4,) with standard errors; None where these flights give none."""
     accelerating = all("w1_dot" in values for _, values, _ in prepared.values())
-    beside = [e for e in BESIDE[axis] if accelerating or not e.endswith("_dot")]
-    program = Program([parse(e) for e in (*(f"w{i}^2" for i in range(1, 5)), *beside)])
+    others = [e for e in OTHER_MOMENT_TERMS[axis] if accelerating or not e.endswith("_dot")]
+    program = Program([parse(e) for e in (*(f"w{i}^2" for i in range(1, 5)), *others)])
     columns, target, series = [], [], []
     for rows, values, _ in prepared.values():
         variables = Variables(values, airframe, None)

@@ -87,24 +87,24 @@ def _none_left(flights: Mapping[str, pd.DataFrame], ratio: float, because: Mappi
     """Why flights that ought to train have no training row: none is valid, or the draw left none."""
     valid = {key: _valid(flight) for key, flight in flights.items()}
     barren = [key for key, rows in valid.items() if not rows.any()]
-    # what is the same of several flights is told once
+    # a reason that several flights share is reported once
     alike: dict[str, list[str]] = {}
     for key in barren:
         alike.setdefault(because.get(key, ""), []).append(key)
-    told = [
+    reasons = [
         f"no row of flight{'s' * (len(keys) > 1)} {', '.join(keys)} is valid for identification{': ' * bool(why)}{why}"
         for why, keys in alike.items()
     ]
     if len(barren) == len(flights):
         look = f"the pages results/reports/<quadrotor>/{barren[0] if len(barren) == 1 else '<flight>'}.html and "
-        look += "logs/filtering/ say more; mend or replace the recordings"
-        return f"no training rows are left: {'; '.join(told)}; {look}"
+        look += "logs/filtering/ say more; correct or replace the recordings"
+        return f"no training rows are left: {'; '.join(reasons)}; {look}"
     inside = [key for key, rows in valid.items() if rows[usable(len(rows), ratio)].any()]
     if not inside:
         advice = "the valid rows of the others lie in the ends that 'usable data ratio' cuts off; raise it"
     else:
         advice = "raise 'partition ratio', or add flights"
-    return f"no training rows are left in the flights {', '.join(flights)}; {'; '.join([*told, advice])}"
+    return f"no training rows are left in the flights {', '.join(flights)}; {'; '.join([*reasons, advice])}"
 
 
 def draw_flights(keys: list[str], share: float, seed: int) -> set[str]:
@@ -192,7 +192,7 @@ def fitted(table: pd.DataFrame, rows: Mapping[str, int], axes: Iterable[str]) ->
     """Rows that at least one of these axes was fitted to, {flight: (n,) bool}: training rows, where isolation applies
     those of an axis's regions only.
 
-    table, rows  as for `from_table`, which also tells what is raised
+    table, rows  as for `from_table`, which also lists what is raised
     """
     found = {key: np.zeros(count, bool) for key, count in rows.items()}
     for axis in axes:

@@ -3,7 +3,7 @@
 Columns are evaluated in chunks of rows. A first pass gathers every column's products with itself, with the target and
 with the fixed columns; a further pass is made only when a column's products with all others are asked for, and then
 for the most promising columns together. Everything is kept per cell, a stretch of one flight: sums over cells are the
-normal equations, sums over some of them are those of other flights or of a resample, and their scatter tells how much
+normal equations, sums over some of them are those of other flights or of a resample, and their scatter shows how much
 the residuals' memory takes from the evidence.
 """
 

@@ -301,13 +301,13 @@ def factors_of(drive: Mapping[str, Any], airframe: Airframe) -> dict[str, Any]:
         "kappaMy": ("My", float(np.mean(np.abs(airframe.hubs[:, 0])))),
         "kappaMz": ("Mz", -1.0),
     }
-    beside = {"fitted beside": [], "estimated": "jointly with the rotor speeds"}
-    found: dict[str, Any] = {"kappaFz": {"value": factor, "std": error, "unit": "N s2/rad2", **beside}}
+    how = {"fitted together with": [], "estimated": "jointly with the rotor speeds"}
+    found: dict[str, Any] = {"kappaFz": {"value": factor, "std": error, "unit": "N s2/rad2", **how}}
     for name, (axis, arm) in lever.items():
         part = drive["factors"][axis]
         found[name] = {
             "value": factor * arm * part["value"], "std": factor * abs(arm) * part["std"], "unit": "N m s2/rad2",
-            **beside,
+            **how,
         }  # fmt: skip
     return found
 

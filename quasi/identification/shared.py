@@ -13,7 +13,7 @@ from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.identification.actuators import actuators
-from quasi.identification.geometry import BESIDE, contradicting_places, contradictions
+from quasi.identification.geometry import OTHER_MOMENT_TERMS, contradicting_places, contradictions
 from quasi.identification.partition import TRAINING
 from quasi.identification.regression import least_squares
 from quasi.identification.rotor_speeds import actuators_of, command_kind, factors_of, places_of
@@ -99,7 +99,7 @@ def shared(
     gravity    what Fx..Fz hold: "withGravity" (mass x specific force) or "noGravity" (net force)
     masses     kg per flight, where they differ from the airframe's
     command_map  the quadrotor's configured map from command to rotor speed, where there is one
-    aged       {flight: whether import took the age of its rotor telemetry off}, as `tables.ages_taken_off` tells
+    aged       {flight: whether import took the age of its rotor telemetry off}, from `tables.ages_taken_off`
     drive      the identified "rotor speeds" (`rotor_speeds.rotor_speeds_of`); where all speeds are estimated from it,
                its thrust and torque factors, lag and geometry stand here, for they hold in closed loop
     Raises DataError when a column or the mass is missing.
@@ -195,7 +195,7 @@ _FACTORS = {
     "kappaMy_w": ("u_q", "My", "N m s/rad"),
     "kappaMz_w": ("u_r", "Mz", "N m s/rad"),
 }
-_BESIDE = {"thrust": ("w_tot*w", "u^2 + v^2"), **BESIDE}
+_OTHER_TERMS = {"thrust": ("w_tot*w", "u^2 + v^2"), **OTHER_MOMENT_TERMS}
 
 
 def _simple(prepared: Mapping[str, tuple], airframe: Airframe) -> dict[str, Any]:
@@ -211,12 +211,12 @@ def _simple(prepared: Mapping[str, tuple], airframe: Airframe) -> dict[str, Any]
     accelerating = all("w1_dot" in values for _, values, _ in prepared.values())
     result = {}
     for name, (regressor, target, unit) in _FACTORS.items():
-        texts = [regressor, *(e for e in _BESIDE[target] if accelerating or not e.endswith("_dot"))]
+        texts = [regressor, *(e for e in _OTHER_TERMS[target] if accelerating or not e.endswith("_dot"))]
         program = Program([parse(e) for e in texts])
         columns = np.hstack([program.run(v.__getitem__, len(rows)) for v, rows in zip(lookups, series)]).T
         used = [0, *(k for k in range(1, len(texts)) if columns[:, k].any())]
         fit = least_squares(columns[:, used], thrust if target == "thrust" else moments[target], series)
         std = float(np.sqrt(fit.covariance[0, 0]))
-        beside = [texts[k] for k in used[1:]]
-        result[name] = {"value": float(fit.coefficients[0]), "std": std, "unit": unit, "fitted beside": beside}
+        others = [texts[k] for k in used[1:]]
+        result[name] = {"value": float(fit.coefficients[0]), "std": std, "unit": unit, "fitted together with": others}
     return result

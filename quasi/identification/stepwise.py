@@ -61,7 +61,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Selection:
-    """chosen: columns of the pool beside the fixed ones, in order of entry; log: one entry per step, plain data;
+    """chosen: columns of the pool besides the fixed ones, in order of entry; log: one entry per step, plain data;
     reason: why it stopped, a sentence; bandwidth: neighbouring cells that resemble each other, for `evidence`;
     seen: {column: largest share of the best gain that it reached at any step} of those that came near being chosen."""
 
@@ -347,8 +347,8 @@ class _Search:
         added = sum(e["removed"] is None for e in done)
         dropped = sum(e["selected"] is None for e in done)
         counts = {"dropped": dropped, "added": added, "exchanged": len(done) - added - dropped}
-        said = ", ".join(f"{n} {what}" for what, n in counts.items() if n)
-        return f"; terms afterwards: {said}" if said else ""
+        changes = ", ".join(f"{n} {what}" for what, n in counts.items() if n)
+        return f"; terms afterwards: {changes}" if changes else ""
 
     def _settle(self) -> None:
         # terms on trial help once to find what belongs in their place
@@ -357,11 +357,11 @@ class _Search:
                 break
         self.drop()
         self.rounds()
-        sure, said, self.carrying = self.state, len(self.log), True
+        sure, logged, self.carrying = self.state, len(self.log), True
         self.rounds()
         if not self.carries(sure.columns, self.state.columns):
-            # each term may do well beside the others, and all of them together badly where no flight went
-            self.state, self.log = sure, self.log[:said]
+            # each term may do well with the others, and all of them together badly where no flight went
+            self.state, self.log = sure, self.log[:logged]
 
     def rounds(self) -> None:
         """Exchange, add and drop until nothing changes, ROUNDS times at most."""
@@ -422,7 +422,7 @@ def _worse(before: dict[str, Any], now: dict[str, Any], criterion: str) -> str |
 
 
 def _rivals(gain: np.ndarray, pick: int, describe: Sequence[str]) -> list[dict[str, Any]]:
-    """The next best candidates and their share of the pick's gain: near 1, they can hardly be told from it."""
+    """The next best candidates and their share of the pick's gain: near 1, they can hardly be distinguished from it."""
     # those with a larger gain were turned away by a test
     order = [int(k) for k in np.argsort(-gain) if k != pick and 0.0 < gain[k] <= gain[pick]]
     return [{"expression": describe[k], "share of gain": float(gain[k] / gain[pick])} for k in order[:RIVALS]]

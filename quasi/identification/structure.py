@@ -80,7 +80,7 @@ def inclusion(
     products   all products among the columns that matter, per cell
     bandwidth  cells over which the residuals resemble each other; a resampled stretch is at least so long
     Returns {"resamples", "of": "flights" or "stretches", "units", "share": (m,), "together": (resamples, m) bool}.
-    A resample in which a fixed regressor cannot be told from the others counts as one that chose nothing.
+    A resample in which a fixed regressor cannot be separated from the others counts as one that chose nothing.
     """
     flights = np.unique(products.flight)
     blocks = products.merged(_blocks(products.flight, bandwidth))

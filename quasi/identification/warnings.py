@@ -28,7 +28,7 @@ def warnings(
             best = 100 * close[0]["share of gain"]
             notes.append(
                 f"{axis}: step {entry['step']} took {entry['selected']}, but {_list(r['expression'] for r in close)} "
-                f"would do {best:.1f} % as well; the data hardly tell them apart"
+                f"would do {best:.1f} % as well; the data hardly distinguish them"
             )
     for term in terms:
         rivals = term.get("interchangeable with", [])
@@ -39,7 +39,9 @@ def warnings(
             )
     weak = [t["name"] for t in terms if t["t"] is not None and abs(t["t"]) < 2 and not t["fixed"]]
     if weak:
-        notes.append(f"{axis}: {', '.join(weak)} cannot be told from zero, the residuals' memory counted (|t| < 2)")
+        notes.append(
+            f"{axis}: {', '.join(weak)} cannot be distinguished from zero, the residuals' memory counted (|t| < 2)"
+        )
     notes += _inflated(axis, terms, fit)
     if resampled:
         what = f"{resampled['resamples']} resamples of {resampled['units']} {resampled['of']}"
@@ -58,10 +60,10 @@ def _inflated(axis: str, terms: list[dict[str, Any]], fit: Fit) -> list[str]:
     correlation = fit.plain_covariance / np.outer(std, std)
     for k in np.flatnonzero(fit.inflation > INFLATED):
         near = [i for i in np.argsort(-np.abs(correlation[k])) if i != k and abs(correlation[k, i]) > TOGETHER]
-        beside = _list(terms[i]["name"] for i in near) or "the other terms together"
+        correlated = _list(terms[i]["name"] for i in near) or "the other terms together"
         notes.append(
             f"{axis}: the variance of the coefficient of {terms[k]['name']} is {fit.inflation[k]:.0f} times what it "
-            f"would be alone, because it moves with {beside}; read their sum, not the single coefficients"
+            f"would be alone, because it moves with {correlated}; read their sum, not the single coefficients"
         )
     if fit.condition > ILL_CONDITIONED:
         notes.append(f"{axis}: the terms are nearly interchangeable (condition number {fit.condition:.1e})")

@@ -12,8 +12,8 @@ from quasi.importing.clocks.clock_fit import uniform
 from quasi.importing.clocks.synchronisation import Motion
 
 RATE, BAND = 100.0, 3.0  # Hz
-LEAST_TURNING = 0.1  # rad/s, rms body rate below which nothing can be said of an attitude
-LEAST_SPEED = 0.3  # m/s, rms velocity below which nothing can be said of a position
+LEAST_TURNING = 0.1  # rad/s, rms body rate below which an attitude is not judged
+LEAST_SPEED = 0.3  # m/s, rms velocity below which a position is not judged
 FASTEST_ROTOR, FULLEST, HIGHEST_VOLTAGE = 8000.0, 1.5, 100.0  # rad/s, share, V: beyond what flies indoors and out
 WRONG_RATES, REFUSED_RATES = (
     3.0,
@@ -21,7 +21,7 @@ WRONG_RATES, REFUSED_RATES = (
 )  # times, between gyro and attitude: beyond sensors' scales; beyond any slip but units
 ALIKE = 0.6  # correlation from which body rates are those of an attitude but for a factor
 STRETCH = 5.0  # s, of which each is asked by itself: one reset of an estimate is no wrong unit
-LEAST_MOTION = 0.2  # m/s2, rms acceleration below which nothing can be said
+LEAST_MOTION = 0.2  # m/s2, rms acceleration below which nothing is judged
 
 
 def length_ratio(onboard: Motion, t: np.ndarray, position: np.ndarray) -> float | None:
@@ -65,17 +65,17 @@ def refuse_wrong_lengths(onboard: Motion, t: np.ndarray, position: np.ndarray, u
     )
 
 
-def rates_explained(t: np.ndarray, rates: np.ndarray, t_told: np.ndarray, attitude: np.ndarray) -> float | None:
+def rates_explained(t: np.ndarray, rates: np.ndarray, t_reference: np.ndarray, attitude: np.ndarray) -> float | None:
     """Share of the body rates' variance that an attitude explains; 1 where they agree, below 0 where it misleads.
 
-    t (n,) s with rates (n, 3) rad/s; t_told (m,) s, same clock, with attitude (m, 4) body to earth, NaN where missing
+    t (n,) s with rates (n, 3) rad/s; t_reference (m,) s, same clock, with attitude (m, 4) body to earth, NaN for none
     None where the flight hardly turns or shares less than two seconds.
     """
     fine = np.isfinite(attitude).all(axis=1)
     if np.count_nonzero(fine) < 8:
         return None
-    told = body_rates(continuous(attitude[fine]), t_told[fine])
-    return _explained(t, rates, t_told[fine], told, LEAST_TURNING)
+    reference = body_rates(continuous(attitude[fine]), t_reference[fine])
+    return _explained(t, rates, t_reference[fine], reference, LEAST_TURNING)
 
 
 def exchanged_axes(t: np.ndarray, rates: np.ndarray, t_attitude: np.ndarray, attitude: np.ndarray) -> dict[str, str]:
@@ -201,21 +201,23 @@ def _slopes(one: np.ndarray, other: np.ndarray, least: float) -> tuple[float, fl
     return min(slopes), max(slopes)
 
 
-def velocity_explained(t: np.ndarray, velocity: np.ndarray, t_told: np.ndarray, position: np.ndarray) -> float | None:
+def velocity_explained(
+    t: np.ndarray, velocity: np.ndarray, t_reference: np.ndarray, position: np.ndarray
+) -> float | None:
     """Share of the velocity's variance that a position explains; as `rates_explained`.
 
-    t (n,) s with velocity (n, 3) m/s; t_told (m,) s, same clock, with position (m, 3) m; same axes, NaN where missing
+    t (n,) s with velocity (n, 3) m/s; t_reference (m,) s, same clock, with position (m, 3) m; same axes, NaN for none
     None where the flight hardly moves or shares less than two seconds.
     """
     fine = np.isfinite(position).all(axis=1)
     if np.count_nonzero(fine) < 8:
         return None
-    told = np.gradient(position[fine], t_told[fine], axis=0)
-    return _explained(t, velocity, t_told[fine], told, LEAST_SPEED)
+    reference = np.gradient(position[fine], t_reference[fine], axis=0)
+    return _explained(t, velocity, t_reference[fine], reference, LEAST_SPEED)
 
 
 def refuse_wrong_rates(
-    t: np.ndarray, rates: np.ndarray, t_told: np.ndarray, attitude: np.ndarray, whose: str, where: str
+    t: np.ndarray, rates: np.ndarray, t_reference: np.ndarray, attitude: np.ndarray, whose: str, where: str
 ) -> str | None:
     """A sentence where body rates go with those of an attitude but are several times as large or small; else None.
 
@@ -225,9 +227,9 @@ def refuse_wrong_rates(
     fine = np.isfinite(attitude).all(axis=1)
     if np.count_nonzero(fine) < 8:
         return None
-    told = body_rates(continuous(attitude[fine]), t_told[fine])
+    reference = body_rates(continuous(attitude[fine]), t_reference[fine])
     ratios = []
-    for there, here in _stretches(t, rates, t_told[fine], told):
+    for there, here in _stretches(t, rates, t_reference[fine], reference):
         power, own = np.sum(np.var(there, axis=0)), np.sum(np.var(here, axis=0))
         if max(power, own) < LEAST_TURNING**2 or min(power, own) == 0.0:
             continue
@@ -239,21 +241,25 @@ def refuse_wrong_rates(
     ratio = float(np.nanmedian(ratios))
     if 1.0 / WRONG_RATES < ratio < WRONG_RATES:
         return None
-    said = f"{where}: body rates are {ratio:.3g} times those of {whose}"
+    message = f"{where}: body rates are {ratio:.3g} times those of {whose}"
     if 1.0 / REFUSED_RATES < ratio < REFUSED_RATES:
-        return f"{said}; check the unit of the gyro, of the attitude and of time"
+        return f"{message}; check the unit of the gyro, of the attitude and of time"
     if 40.0 < ratio < 80.0:
-        said += ", as with deg/s taken for rad/s, or an attitude in rad taken for deg"
+        message += ", as with deg/s taken for rad/s, or an attitude in rad taken for deg"
     elif 40.0 < 1.0 / ratio < 80.0:
-        said += ", as with rad/s taken for deg/s"
-    raise DataError(f"{said}; check the unit of the gyro, of the attitude and of time, and correct it")
+        message += ", as with rad/s taken for deg/s"
+    raise DataError(f"{message}; check the unit of the gyro, of the attitude and of time, and correct it")
 
 
-def _explained(t: np.ndarray, felt: np.ndarray, t_told: np.ndarray, told: np.ndarray, least: float) -> float | None:
-    """Share of the variance of `felt` (n, 3) that `told` (m, 3) explains at low frequency, the median of all stretches;
-    None where none reaches `least` rms."""
+def _explained(
+    t: np.ndarray, felt: np.ndarray, t_reference: np.ndarray, reference: np.ndarray, least: float
+) -> float | None:
+    """Share of the variance of `felt` (n, 3) that `reference` (m, 3) explains at low frequency.
+
+    The median of all stretches; None where none reaches `least` rms.
+    """
     shares = []
-    for there, here in _stretches(t, felt, t_told, told):
+    for there, here in _stretches(t, felt, t_reference, reference):
         moving = np.sum(np.var(there, axis=0))
         if np.sqrt(moving) >= least:
             shares.append(1.0 - np.sum(np.var(here - there, axis=0)) / moving)
@@ -261,10 +267,10 @@ def _explained(t: np.ndarray, felt: np.ndarray, t_told: np.ndarray, told: np.nda
 
 
 def _stretches(
-    t: np.ndarray, felt: np.ndarray, t_told: np.ndarray, told: np.ndarray
+    t: np.ndarray, felt: np.ndarray, t_reference: np.ndarray, reference: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """`felt` (n, 3) and `told` (m, 3) at low frequency and at the same times, stretch by stretch."""
-    one, other = uniform(t, felt, RATE, BAND), uniform(t_told, told, RATE, BAND)
+    """`felt` (n, 3) and `reference` (m, 3) at low frequency and at the same times, stretch by stretch."""
+    one, other = uniform(t, felt, RATE, BAND), uniform(t_reference, reference, RATE, BAND)
     if one is None or other is None:
         return
     at = other.start + other.step * np.arange(len(other.values))

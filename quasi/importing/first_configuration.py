@@ -49,7 +49,7 @@ CRAZYFLIE = {
 
 @dataclass
 class FirstConfiguration:
-    """controller  value of 'Flight controller'; quadrotor  keys of its configuration that the log tells; remarks."""
+    """controller  value of 'Flight controller'; quadrotor  keys of its configuration that the log states; remarks."""
 
     controller: str
     quadrotor: dict[str, Any] = field(default_factory=dict)

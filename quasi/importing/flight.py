@@ -108,7 +108,7 @@ def import_flight(
     if calibration is not None:
         board, capture = calibrated_onboard(board, calibration), calibrated_capture(capture, marker, calibration)
         if (calibration.get("imu") or {}).get("lever arm") and "imu position" not in quadrotor:
-            chosen["do onboard c.g. correction"] = False  # what hover would tell is in the calibration
+            chosen["do onboard c.g. correction"] = False  # what hover would give is in the calibration
     try:
         sync = _align(flight, board, capture, captured, chosen, where, notes)
     except DataError as error:
@@ -200,8 +200,8 @@ def _read_capture(
     series = recording.series["capture"]
     main = recording.series["onboard"]
     # on-board time begins with the first sample of the gyro
-    told = np.isfinite(np.stack([main.values[n] for n in RATES], axis=-1)).all(axis=1)
-    series = Series(series.t - main.t[np.argmax(told)], dict(series.values))
+    sampled = np.isfinite(np.stack([main.values[n] for n in RATES], axis=-1)).all(axis=1)
+    series = Series(series.t - main.t[np.argmax(sampled)], dict(series.values))
     if chosen["filter optitrack outliers"]:
         seen = np.isfinite(_stack(series, POSITION)).all(axis=1)
         q = _stack(series, ATTITUDE)[seen] if "qw" in series.values else None
@@ -288,14 +288,14 @@ def _fuse(
     cut = [(latest, "begins", begin - board.gyro.t[0]), (earliest, "ends", board.gyro.t[-1] - end)]
     # a capture is started and stopped by hand; what is logged on board ought to be there all along
     if logged - (end - begin) > max(1.0, 0.1 * logged) or any(s > 1.0 for name, _, s in cut if name != "capture"):
-        told = " and ".join(
+        left_out = " and ".join(
             f"{s:.1f} s {'before' if does == 'begins' else 'after'} the {name} {does}"
             for name, does, s in cut
             if s >= 0.05
         )
         notes.append(
             f"{where}: the sources share {end - begin:.1f} s of the {logged:.1f} s that were logged on board; left out "
-            f"are {told}"
+            f"are {left_out}"
         )
     at = grid(begin, end, rate)
     columns: dict[str, np.ndarray] = {"t": at - at[0]}
@@ -419,18 +419,18 @@ def _lever_arm(
         return None
     about: dict[str, Any] = {"source": "configuration"}
     if arm is None:
-        told = None
+        hover = None
         if all(f"w{i}" in columns for i in range(1, 5)) and "rotor config" in quadrotor:
             hubs = read_airframe(quadrotor, str(quadrotor.get("file", where))).hubs
-            told = hover_arm(at, rates, force, np.stack([columns[f"w{i}"] for i in range(1, 5)], axis=1), hubs)
-        if told is None:
+            hover = hover_arm(at, rates, force, np.stack([columns[f"w{i}"] for i in range(1, 5)], axis=1), hubs)
+        if hover is None:
             notes.append(
-                f"{where}: 'do onboard c.g. correction' is on, but the flight does not hover long enough to tell the "
+                f"{where}: 'do onboard c.g. correction' is on, but the flight does not hover long enough to give the "
                 "IMU's place and the quadrotor configuration has no 'imu position'; nothing was corrected"
             )
             return None
-        arm = told.position
-        about = {"source": "hover", "std": told.std.tolist(), "hover": {"value": told.seconds, "unit": "s"}}
+        arm = hover.position
+        about = {"source": "hover", "std": hover.std.tolist(), "hover": {"value": hover.seconds, "unit": "s"}}
         notes.append(
             f"{where}: the IMU is taken to sit {1e3 * arm[0]:+.1f} mm ahead and {1e3 * arm[1]:+.1f} mm right of "
             "the cg, from rotor speeds in hover; a weak rotor would look the same"
@@ -442,12 +442,12 @@ def _lever_arm(
 
 
 def _settle_telemetry(board: Onboard, where: str, notes: list[str]) -> tuple[Onboard, dict[str, Any] | None]:
-    """Take the age of the rotor telemetry off its times where the flight tells it sharply; and what was found."""
+    """Take the age of the rotor telemetry off its times where the flight gives it precisely; and what was found."""
     if board.rotors is None or board.rotors.values.shape[1] < 4:
         return board, None
     age = rotor_age(board.rotors.t, board.rotors.values, board.gyro.t, board.gyro.values)
     if age is None:
-        notes.append(f"{where}: too little flying with all rotors to tell the age of the rotor telemetry; taken as 0")
+        notes.append(f"{where}: too little flying with all rotors to give the age of the rotor telemetry; taken as 0")
         return board, None
     # the gyro's own delay may be wrong by this much; what is left of it makes the telemetry seem younger
     late = board.delays["gyro"]["std"]
@@ -459,8 +459,8 @@ def _settle_telemetry(board: Onboard, where: str, notes: list[str]) -> tuple[Onb
     }
     if not sharp:
         notes.append(
-            f"{where}: the age of the rotor telemetry is not told by this flight ({1e3 * age.value:.1f} +- "
-            f"{1e3 * about['age']['std']:.1f} ms); taken as 0. Quick yaw inputs would tell it"
+            f"{where}: the age of the rotor telemetry is not known from this flight ({1e3 * age.value:.1f} +- "
+            f"{1e3 * about['age']['std']:.1f} ms); taken as 0. Quick yaw inputs would show it"
         )
         return board, about
 

@@ -1,7 +1,7 @@
 """Where the IMU sits from the cg, and what it measures too much there.
 
-An accelerometer at r from the cg feels a = a_cg + wdot x r + w x (w x r). The arm r is configured, or told by hover:
-with no angular acceleration the rotors' moments about the cg cancel, so the cg lies where the thrust does, at
+An accelerometer at r from the cg feels a = a_cg + wdot x r + w x (w x r). The arm r is configured or
+estimated from hover. Without angular acceleration the rotors' moments about the cg cancel: the cg lies at
 sum(r_i W_i^2) / sum(W_i^2) of the hubs, in x and y. That takes rotors for equal and the IMU for sitting at the centre
 of the hubs: a weak rotor passes for an offset.
 
@@ -23,7 +23,7 @@ LEAST = 1.0  # s of hover
 
 
 class Arm(NamedTuple):
-    """Position (3,) m of the IMU from the cg, body axes; std (3,) m; seconds of hover that told it."""
+    """Position (3,) m of the IMU from the cg, body axes; std (3,) m; seconds of hover used."""
 
     position: np.ndarray
     std: np.ndarray
@@ -31,7 +31,7 @@ class Arm(NamedTuple):
 
 
 def hover_arm(at: np.ndarray, rates: np.ndarray, force: np.ndarray, speeds: np.ndarray, hubs: np.ndarray) -> Arm | None:
-    """The arm that hover tells, or None where the flight hovers for less than a second.
+    """The arm from hover, or None where the flight hovers for less than a second.
 
     at (n,) s, even; rates (n, 3) rad/s, force (n, 3) m/s2 specific, speeds (n, 4) rad/s; hubs (4, 3) m
     Standard error from the spread between the stretches of hover, a second long each.

@@ -10,8 +10,8 @@ from quasi.saturation import find_clipping
 
 CHANNELS = {"gyro": ("p", "q", "r"), "accelerometer": ("ax", "ay", "az")}
 UNITS = {"gyro": ("rad/s", np.degrees(1.0), "deg/s"), "accelerometer": ("m/s2", 1.0 / 9.81, "g")}
-BESIDE = 2  # grid steps on either side that a clipped sample spoils, by the filters of the resampling
-APART = 0.05  # s, flat tops nearer than this are told as one
+SPOILED_STEPS = 2  # grid steps on either side that a clipped sample spoils, by the filters of the resampling
+APART = 0.05  # s, flat tops nearer than this count as one
 MOST_LISTED = 20
 
 
@@ -45,7 +45,7 @@ def clipped_ends(board: Onboard, units: Mapping[str, Any]) -> list[End]:
 
 def spoiled(ends: list[End], at: np.ndarray) -> np.ndarray:
     """True (m,) at the grid's times at (m,), s, on the on-board clock, that a clipped sample reaches."""
-    half = (BESIDE + 0.5) * float(at[1] - at[0])
+    half = (SPOILED_STEPS + 0.5) * float(at[1] - at[0])
     inside = np.zeros(len(at) + 1, np.int64)
     for end in ends:
         for places, sign in ((np.searchsorted(at, end.t - half), 1), (np.searchsorted(at, end.t + half), -1)):
@@ -86,7 +86,7 @@ def facts(ends: list[End], at: np.ndarray, where: str, notes: list[str]) -> dict
     return result
 
 
-def said(facts: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def describe_clipping(facts: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Reasons for care, in words, of the result of `facts`: one for each sensor that was clipped."""
     reasons = []
     for sensor, names in CHANNELS.items():

@@ -24,7 +24,7 @@ def verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) ->
     elif valid < 0.98:
         care.append(f"the on-board log lost {100 * (1 - valid):.1f} % of the flight")
     bad += doubtful_units(board.gyro.values, board.force.values)
-    care += limits.said(metadata["saturation"])
+    care += limits.describe_clipping(metadata["saturation"])
     if duration < 2.0:
         bad.append(f"only {duration:.1f} s are common to all sources")
     onboard = metadata["sources"]["onboard"]

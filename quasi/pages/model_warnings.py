@@ -15,7 +15,7 @@ WARNING_KINDS = (
         "rivals: other speeds, climbs, or rotor speeds.",
     ),
     (
-        "the data hardly tell them apart",
+        "% as well; the data hardly",
         "Close decisions of the stepwise search",
         "Keep the model if its validation is good. To decide between them, add flights or remove "
         "one candidate.",
@@ -26,7 +26,7 @@ WARNING_KINDS = (
         "Read the sum of the named terms. Add flights in which they vary independently, or remove one candidate.",
     ),
     (
-        "cannot be told from zero",
+        "from zero, the residuals' memory counted",
         "Terms that are not significant",
         "Remove them from the candidates, or add flights that excite them.",
     ),

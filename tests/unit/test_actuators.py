@@ -167,7 +167,7 @@ def test_the_delay_is_that_of_flights_whose_telemetry_was_set_right():
     assert told["time constants"]["value"] == found()[0]["time constants"]["value"]
     assert [n for n in notes if "2 of 3 flights: in b import could not" in n]
     none, notes = found(a=False, b=False, c=False)
-    assert none["delay"][TELEMETRY_AGE_REMOVED] is False and "no flight told the age" in notes[0]
+    assert none["delay"][TELEMETRY_AGE_REMOVED] is False and "no flight gave the age" in notes[0]
     whole = np.median([[lag.delay for lag in flight_lags(f, rows[k], None)] for k, f in flights.items()], axis=0)
     assert none["delay"]["value"] == pytest.approx(whole)
     silent, notes = found(b=False)  # imported before anybody kept it

@@ -133,7 +133,7 @@ def test_two_terms_that_do_the_same_are_reported_as_a_tie(flights, roles):
     twins = {k: f.assign(twin=f["w"] + 1e-3 * np.sin(f["t"])) for k, f in flights.items()}
     section = {"fixed": [], "candidates": [{"vars": ["w", "twin"], "degree": 1}]}
     found = identify("Fz", twins, roles, section, **{"regressor cap": 1})
-    assert any("hardly tell them apart" in n for n in found["notes"])
+    assert any("hardly distinguish them" in n for n in found["notes"])
 
 
 def test_false_terms_stay_out_when_the_residuals_memory_is_counted():

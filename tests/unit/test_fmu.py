@@ -366,7 +366,7 @@ def test_vehicle_needs_what_a_vehicle_knows():
         vehicle_fmu(model({axis: TERMS[axis] for axis in AXES[:5]}))
     with pytest.raises(ConfigError, match="knows no mass"):
         vehicle_fmu(Model({**document(), "airframe": {**document()["airframe"], "mass": None}}))
-    with pytest.raises(ConfigError, match="does not tell that of its flights"):
+    with pytest.raises(ConfigError, match="does not state that of its flights"):
         vehicle_fmu(model({**TERMS, "Mz": {"r*battery_voltage": 1.0}}))
     named = [v.name for v in forces_fmu(model({"Fz": TERMS["Fz"], "Mz": {"r*v_in": 1.0}})).variables]
     assert "v_in" in named and "Mz" in named and "Fx" not in named

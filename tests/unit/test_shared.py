@@ -62,7 +62,7 @@ def test_factors_are_not_centred_about_their_means():
     assert simple["value"] == pytest.approx(origin, rel=1e-9)
     assert centred == pytest.approx(THRUST, rel=1e-6)
     assert simple["value"] > 1.1 * centred  # what centring loses of the weight carried in hover
-    assert simple["fitted beside"] == []
+    assert simple["fitted together with"] == []
 
 
 def test_flights_without_commands_are_a_note(flights):

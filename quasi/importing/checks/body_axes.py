@@ -51,10 +51,10 @@ def settle_body_axes(recording: Recording, quadrotor: Mapping[str, Any], where: 
     elif turned == {True}:
         evidence = "the firmware's convention, for no attitude confirms what the specific force shows"
     elif turned and turned != {True}:
-        told = ", ".join(f"{name} {_fits(vote, assumed, other)}" for name, vote in found.items())
+        votes = ", ".join(f"{name} {_fits(vote, assumed, other)}" for name, vote in found.items())
         raise ReadError(
-            f"{where}: the body axes of the log are neither {FRD} nor {FLU}: {told}; check the board alignment and the "
-            f'firmware, or force the axes by \'{KEY}\': "FRD" or "FLU" in the quadrotor configuration'
+            f"{where}: the body axes of the log are neither {FRD} nor {FLU}: {votes}; check the board alignment and "
+            f'the firmware, or force the axes by \'{KEY}\': "FRD" or "FLU" in the quadrotor configuration'
         )
     notes = list(recording.notes)
     notes.append(f"{where}: the IMU is logged in {axes}, by {evidence}")

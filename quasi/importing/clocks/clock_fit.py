@@ -6,7 +6,7 @@ the first record's regressed on the second's, so that small turns of the axes, s
 matter. The noisier record should be the first: noise of the regressors passes for motion, which blurs the fit and makes
 it look surer than it is.
 
-Standard errors: residuals are far from white, and what tells the time is often a few bursts of motion. The spread of
+Standard errors: residuals are far from white, and often a few bursts of motion carry all information. The spread of
 the score is found twice: from the residuals' autocovariance over the whole record, which does not rest on these few
 bursts; and from blocks, which sees errors that grow with the motion or hit all signals at once. The larger one counts.
 
@@ -69,7 +69,7 @@ class ClockFit:
     mix: np.ndarray
 
     def inverted(self) -> "ClockFit":
-        """The same relation told from the other side: t and tau change places. `mix` stays as it was fitted."""
+        """The inverse relation: t and tau change places. `mix` stays as it was fitted."""
         return replace(
             self,
             lag=-self.lag,
@@ -192,7 +192,7 @@ def fit(
 ) -> ClockFit | None:
     """Lag and rate by robust separable least squares, beginning from values within about half a period.
 
-    Returns None when fewer than two seconds overlap or no lag can be told from the signals.
+    Returns None when fewer than two seconds overlap or the signals show no lag.
     """
     splines = [CubicSpline(p.other.t, p.other.values, axis=0) for p in pairs]
     start = lag
@@ -228,7 +228,7 @@ def fit(
                 w = weight[:, k] / variance[k]
                 g = np.stack([gradient[:, k], gradient[:, k] * (tau - reference)], axis=1)
                 root = np.sqrt(w)[:, None]
-                # what the mix and the offset could take up tells nothing about time
+                # what the mix and the offset could take up says nothing about time
                 g = g - basis @ np.linalg.lstsq(root * basis, root * g, rcond=None)[0]
                 normal += g.T @ (w[:, None] * g)
                 score = w[:, None] * g * residual[:, k : k + 1]

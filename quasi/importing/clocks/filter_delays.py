@@ -58,7 +58,7 @@ def header_delays(header: Mapping[str, Any], complete: bool = True) -> dict[str,
 
     header    as `plain_header` gives it; complete  False where lines of it are lost: what it lacks may have been on
     A dynamic low-pass is taken at its lowest cut-off, where it sits at low throttle; the true delay is then smaller.
-    A filter that a complete header lacks beside others is off. Where a header says nothing of any filter of a sensor,
+    A filter that a complete header lacks while it lists others is off. Where a header lists no filter of a sensor,
     holds a setting that no firmware writes, or comes from another firmware, the delay is not known: what is stated,
     with what the filters of usual settings add up to as its standard error. No setting raises an error.
     """

@@ -272,7 +272,7 @@ def _turned_between(t: np.ndarray, rates: np.ndarray, spacing: float) -> np.ndar
 
 
 def _with_gaps(t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """NaN beside gaps, where a difference spans what was not seen."""
+    """NaN next to gaps, where a difference spans what was not seen."""
     wide = np.flatnonzero(np.diff(t) > 3.1 * np.median(np.diff(t)))
     values = values.copy()
     values[wide] = np.nan
@@ -281,7 +281,7 @@ def _with_gaps(t: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _captured_acceleration(capture: Motion, cutoff: float) -> tuple[np.ndarray, np.ndarray] | None:
-    """Times (n,) and earth-frame acceleration (n, 3), m/s2, of the captured position, band-limited; NaN beside gaps."""
+    """Times (n,) and earth-frame acceleration (n, 3), m/s2, of the captured position, band-limited; NaN at gaps."""
     if capture.position is None:
         return None
     smooth = uniform(capture.t, capture.position, GRID, cutoff)

@@ -23,7 +23,7 @@ IDLE_SHARE = (
 STILL_RATE = 0.15  # rad/s, body rates of a quadrotor at rest, bias included (filtering.bias.STILL_GYRO)
 LEAST_EXPLAINED = 0.5  # share of one signal's variance that the other explains, from which a lag is applied
 LARGEST_LAG_STD = 0.01  # s, standard error of a lag up to which it is applied
-# s of a record from which a lag is estimated: more would cost time in proportion, and 120 s of flight tell it to 0.1 ms
+# s of a record from which a lag is estimated: more would cost time in proportion, and 120 s of flight give it to 0.1 ms
 LONGEST_RECORD = 120.0
 LEAST_SAMPLES = 20  # of a source within them, as of a table
 SIGMAS = 3.0  # standard errors from which a lag differs from zero

@@ -1,7 +1,7 @@
 """How old the telemetry of one on-board source is against another's: both saw one motion, each stamps it its own way.
 
 Between sources with clocks of their own, tens of milliseconds are at stake, and two rough relations that hold whatever
-the airframe tell them: roll and pitch acceleration are a mix of the squared rotor speeds; and the derivative of an
+the airframe give them: roll and pitch acceleration are a mix of the squared rotor speeds; and the derivative of an
 estimated velocity is the measured acceleration in world axes. Rates of change of the rotor speeds stay out of that mix:
 with them any delay could be explained away.
 
@@ -44,7 +44,7 @@ def rotor_age(t_rotor: np.ndarray, speeds: np.ndarray, t_gyro: np.ndarray, rates
     taken off. Yaw acceleration is fitted by the squares and the accelerations of all rotors, the body rates and a
     constant, all in one band, at every age of AGES; the best age is that of the least residual.
     Standard error by leaving out each of BLOCKS pieces of the flight in turn (jackknife).
-    None where the flight is too short or tells nothing.
+    None where the flight is too short or shows none.
     """
     if np.count_nonzero(np.isfinite(speeds).all(axis=1)) < 2:
         return None
@@ -113,7 +113,7 @@ def rotor_lag(t_rotor: np.ndarray, speeds: np.ndarray, t_motion: np.ndarray, rat
     """Lag of the motion's stamps behind the rotors' (t_motion = t_rotor + lag): how much later the gyro is stamped.
 
     t_rotor (n,) s with speeds (n, k) rad/s; t_motion (m,) s with rates (m, 3) rad/s. The age of the rotor telemetry
-    against the gyro is minus the lag. None where the motion is too poor to tell.
+    against the gyro is minus the lag. None where the motion is too poor.
     """
     moving, squares = uniform(t_motion, rates[:, :2], GRID, BAND), uniform(t_rotor, speeds**2 / 1e6, GRID, BAND)
     if moving is None or squares is None:
@@ -127,7 +127,7 @@ def acceleration_lag(
 ) -> ClockFit | None:
     """Lag of the velocity's stamps behind the acceleration's (t_state = t_force + lag).
 
-    acceleration (n, 3) m/s2 and velocity (m, 3) m/s in the same world axes. None where the motion is too poor to tell.
+    acceleration (n, 3) m/s2 and velocity (m, 3) m/s in the same world axes. None where the motion is too poor.
     """
     moving, pushed = uniform(t_state, velocity, GRID, BAND), uniform(t_force, acceleration, GRID, BAND)
     if moving is None or pushed is None:

@@ -95,7 +95,7 @@ def resolve(
     """Turn raw main fields into quantities; the arrays are scaled in place.
 
     raw     {field: (n,) float}, numbers as logged
-    header  the log's header; what it lacks is assumed and said in the notes
+    header  the log's header; what it lacks is assumed and noted
     poles   the configured number of motor magnets, or None
     known   {"gyro", "accelerometer", "rotor speed", "battery voltage", "battery current": (factor to SI, source)} where
             the numbers carry their own unit, which then counts instead of the header

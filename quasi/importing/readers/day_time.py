@@ -1,7 +1,7 @@
 """Times of day as programs print them, 12-hour clocks in the language of the computer among them.
 
 "2024-03-01 02.11.08.123 PM", "2024-03-01 02.11.08.123 下午", "14:11:08.5": the first number triple with dots or colons
-that stands alone is the time; letters beside it are the half of the day, in a language that may not be known here.
+that stands alone is the time; letters next to it are the half of the day, in a language that may not be known here.
 """
 
 import re
@@ -35,8 +35,8 @@ def read_day_time(text: str) -> DayTime | None:
     if hour > 23 or minute > 59 or second > 60:
         return None
     within = 60.0 * minute + second + (float(f"0.{match[4]}") if match[4] else 0.0)
-    beside = text[: match.start()] + " " + text[match.end() :]
-    word = re.sub(r"[\d\W_]+", "", beside).lower()
+    rest = text[: match.start()] + " " + text[match.end() :]
+    word = re.sub(r"[\d\W_]+", "", rest).lower()
     plain = 3600.0 * hour + within
     early, late = 3600.0 * (hour % 12) + within, 3600.0 * (hour % 12 + 12) + within
     shown = text.strip()[:60]

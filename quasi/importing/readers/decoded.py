@@ -2,7 +2,7 @@
 
 blackbox_decode writes one line of names with units in brackets, and between the samples lines of text (slow frames,
 events, notices). The viewer writes the log's header as name-value lines first, and raw numbers. INDIflight's CSV has
-the viewer's shape. The line of names tells where the samples begin, and what separates cells: both programs write
+the viewer's shape. The line of names shows where the samples begin, and what separates cells: both programs write
 commas and decimal points, of which a spreadsheet may have made semicolons or tabs and decimal commas.
 """
 
@@ -256,7 +256,7 @@ def _time(values: np.ndarray, unit: str, path: str, notes: list[str]) -> tuple[n
         first = int(np.flatnonzero(back)[0])
         raise ReadError(
             f"{path}: {100 * np.mean(back):.0f} % of the rows have no time or step back in time, the first is "
-            f"sample {first + 1}; its clock starts again, or one time is damaged: split or mend the file"
+            f"sample {first + 1}; its clock starts again, or one time is damaged: split or correct the file"
         )
     if back.any():
         notes.append(f"{int(back.sum())} rows have no time or step back in time; they were dropped")

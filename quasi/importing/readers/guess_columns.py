@@ -27,7 +27,7 @@ TIMES = r"t|time|timestamp|stamp|time_?(stamp)?_?(s|sec|ms|us|ns|min)?|t_?(s|ms|
 
 _A = r"(?P<axis>[xyz]|[012])\]?"
 _LAST = rf"_?\[?{_A}"
-# quantities, patterns of their columns in order of preference; `axis` is what tells their components apart
+# quantities, patterns of their columns in order of preference; `axis` is what distinguishes their components
 VECTORS: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
     (("p", "q", "r"), (rf".*(gyro|gyr|angular_?vel\w*|omega|body_?rates?).*?{_LAST}", rf"w{_LAST}",
                        r"(.*_)?(?P<axis>[pqr])",

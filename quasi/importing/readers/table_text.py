@@ -1,6 +1,6 @@
 """Tables as they come: Parquet, and CSV with the separators, decimal commas and encodings that spreadsheets write.
 
-One file is written in one manner: what separates cells and what marks decimals is told from the file or refused.
+One file is written in one manner: what separates cells and what marks decimals is found from the file or refused.
 """
 
 import io
@@ -18,7 +18,7 @@ from quasi.tables import read_table, read_text, read_unpacked
 
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 MARKS = {",": "comma", ".": "point"}
-COARSE = 0.1  # of the usual step of a clock, beyond which the digits that are left of its stamps do not tell them apart
+COARSE = 0.1  # of the usual step of a clock: coarser stamps are refused, their digits do not distinguish them
 REPEATED = 0.2  # share of rows that repeat a stamp, beyond which its digits may have been cut
 _ENTRY = re.compile(r"(.+)\[([0-9]+)\]")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
@@ -68,7 +68,7 @@ def open_table(
 ) -> pd.DataFrame:
     """The columns of a CSV (commas, semicolons or tabs) or Parquet file; what was left out or turned goes to the notes.
 
-    use      names of the columns whose decimal marks have to be told; None for all
+    use      names of the columns whose decimal marks have to be known; None for all
     clocks   names of the columns of time, which have to be whole
     Raises   ReadError when it is no readable table, when separator or decimal mark are ambiguous, or when a clock has
              lost its digits
@@ -214,7 +214,7 @@ def through_a_spreadsheet(path: Path | str, commas: bool, as_it_was: str) -> str
 
 
 def refuse_rounded_stamps(written: pd.Series, column: str, path: Path | str, rounded: bool = False) -> None:
-    """Raise ReadError where stamps were cut to fewer digits than tell them apart.
+    """Raise ReadError where stamps were cut to fewer digits than distinguish them.
 
     A spreadsheet shows, and saves, 1234567890 as 1.23E+09 and 1.2345 as 1.23 where the column is narrow.
     written  as in the file, with decimal points
@@ -223,7 +223,7 @@ def refuse_rounded_stamps(written: pd.Series, column: str, path: Path | str, rou
     text = written.dropna().astype(str).str.strip()
     parts = text.str.extract(r"^[+-]?[0-9]*(?:[.]([0-9]*))?(?:[eE]([+-]?[0-9]{1,2}))?$").fillna({0: "", 1: "0"})
     power = parts[1].astype(int)
-    # of one power of ten the longest tells to what step, for zeros at the end may be left out
+    # of one power of ten the longest shows to what step, for zeros at the end may be left out
     step = 10.0 ** (power - parts[0].str.len().groupby(power).transform("max")).to_numpy(float)
     stamps = pd.to_numeric(text, errors="coerce").to_numpy(float)
     ahead = np.diff(stamps[np.isfinite(stamps)])
