@@ -50,7 +50,7 @@ def passes_of(frame, about, airframe, options):
     return result, kept[0], kept[1]
 
 
-def errors_of(run: ekf.Pass, truth: dict[str, np.ndarray]) -> np.ndarray:
+def errors_of(run: ekf.FilterResult, truth: dict[str, np.ndarray]) -> np.ndarray:
     """Errors (N, 9) of attitude (rad, about the IMU's axes), velocity and position."""
     turn = attitude.logarithm(attitude.multiply(attitude.conjugate(run.quaternion), truth["imu"]))
     return np.hstack([turn, truth["v"] - run.state[:, :3], truth["p"] - run.state[:, 3:6]])

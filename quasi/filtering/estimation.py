@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,15 +13,11 @@ from quasi.airframe import Airframe
 from quasi.errors import DataError, add_caution
 from quasi.filtering import bias as biases
 from quasi.filtering import ekf, measurements, noise, timing
+from quasi.filtering.filter_inputs import SENSORS, NoiseLevels, make_inputs, noise_levels, without_accelerometer_bias
 from quasi.filtering.smoother import smooth
 
-DRIFTING = np.array([1e-3] * 3 + [1e-2] * 3)  # random walk of time-varying biases, per square root of a second
 DRIFT_SIGMAS = 4.0  # rest and flight that disagree by more are reported
-# Rounding to the log's steps errs alike for as long as a rate stays within one: as much white noise is greater by this
-ROUNDED = 1.5
-NO_BIAS_STD = 1e-4  # m/s2: moves no velocity within a flight, and keeps covariances positive
 UNSURE_ATTITUDE, UNSURE_VELOCITY = np.radians(3.0), 0.3  # rad, m/s: states with a larger standard error are not valid
-SENSORS = ("p", "q", "r", "ax", "ay", "az")
 
 CONVERGENCE_UNITS: dict[str, tuple[str, str, str]] = {
     "filter_roll": ("rad", "body to earth, 3-2-1", "roll angle of the forward filter"),
@@ -158,19 +154,6 @@ def _gaps(used: np.ndarray, limit: int) -> np.ndarray:
     return inside
 
 
-class _Levels(NamedTuple):
-    """Noise of the IMU, (6,) but for `each`: at rest, the least that it is in flight, what is assumed in flight before
-    the innovations are asked; each (N, 6) sample by sample; walk of the biases; origin  where the rest's is from.
-    """
-
-    still: np.ndarray
-    least: np.ndarray
-    moving: np.ndarray
-    each: np.ndarray
-    walk: np.ndarray
-    origin: str
-
-
 def estimate(
     frame: pd.DataFrame,
     metadata: Mapping[str, Any],
@@ -189,10 +172,10 @@ def estimate(
     )
     measured = measurements.collect(frame, metadata, airframe.noise, found.on_ground, dt)
     notes += noise_notes + measured.notes
-    levels = _levels(still, origin, measurements.resolution(metadata), chosen, imu, found, notes)
-    inputs = _inputs(frame, chosen, imu, measured, levels, found, dt)
+    levels = noise_levels(still, origin, measurements.resolution(metadata), chosen, imu, found, notes)
+    inputs = make_inputs(frame, chosen, imu, measured, levels, found, dt)
     if "accelerometer" in (metadata.get("reconstructed") or {}):
-        inputs = _without_accelerometer_bias(inputs)
+        inputs = without_accelerometer_bias(inputs)
         notes.append("the specific force was made from other signals; its bias is taken as 0")
     factors = np.ones(5)
     if chosen["re-estimate noise"]:
@@ -241,84 +224,7 @@ def estimate(
     )
 
 
-def _levels(
-    still: np.ndarray,
-    origin: str,
-    step: np.ndarray,
-    chosen: Mapping[str, Any],
-    imu: measurements.Imu,
-    found: biases.Phases,
-    notes: list[str],
-) -> _Levels:
-    """still, origin  of `measurements.sensor_noise`; step  (6,) of the log"""
-    if found.rest is not None:
-        still = np.maximum(still, found.rest.noise)  # what the rest itself shows, coloured noise included
-    each, both, hidden = np.tile(still, (len(imu.gyro), 1)), np.hstack([imu.gyro, imu.accel]), np.zeros(6, bool)
-    for first, last in measurements.spans(found.on_ground):
-        coarse = measurements.coarseness(both[first:last], step)
-        # however long it lasts, the mean may be wrong by this much: as much white noise leaves the same doubt
-        each[first:last] = np.maximum(each[first:last], coarse * np.sqrt(last - first))
-        hidden |= coarse > 0
-    if hidden.any():
-        notes.append(
-            f"the log's steps of {', '.join(s for s, h in zip(SENSORS, hidden) if h)} are coarser than their noise at "
-            "rest, which therefore says little about their biases"
-        )
-    least = np.maximum(still, ROUNDED * step / np.sqrt(12.0))
-    rough = np.array([measurements.FLIGHT_STD[s] for s in SENSORS])
-    moving = np.maximum(least, rough) if chosen["re-estimate noise"] else least
-    each[~found.on_ground] = moving
-    each[imu.lost] = np.maximum(each[imu.lost], measurements.LOST_STD)
-    walk = np.repeat([float(chosen["gyro bias random walk"]), float(chosen["accelerometer bias random walk"])], 3)
-    if chosen["bias policy"] == "time varying":
-        walk = np.maximum(walk, DRIFTING)
-    return _Levels(still, least, moving, each, walk, origin)
-
-
-def _inputs(
-    frame: pd.DataFrame,
-    chosen: Mapping[str, Any],
-    imu: measurements.Imu,
-    measured: measurements.Measurements,
-    levels: _Levels,
-    found: biases.Phases,
-    dt: float,
-) -> ekf.Inputs:
-    """What the filter is given; where no heading is measured, with the one that explains most."""
-    quaternion, state, covariance = measurements.start(
-        frame, measured, imu, dt, bool(found.on_ground[0]), bool(chosen["estimate attitude alignment"])
-    )
-    per_second = measured.used.sum(axis=0) / (len(frame) * dt)
-    inputs = ekf.Inputs(
-        dt,
-        imu.gyro,
-        imu.accel,
-        levels.each,
-        levels.walk,
-        measured.used,
-        measured.attitude,
-        np.ascontiguousarray(np.nan_to_num(measured.position)),
-        np.ascontiguousarray(np.nan_to_num(measured.velocity)),
-        measured.body,
-        measured.std,
-        noise.GATE,
-        np.maximum(3, per_second.astype(np.int64)),  # a second of rejections in a row
-        quaternion,
-        state,
-        covariance,
-    )
-    return _headings(inputs) if measured.source["attitude"] == "none" else inputs
-
-
-def _without_accelerometer_bias(inputs: ekf.Inputs) -> ekf.Inputs:
-    """Inputs by which the accelerometer's bias stays 0."""
-    walk, covariance = inputs.walk.copy(), inputs.covariance.copy()
-    walk[3:] = 0.0
-    covariance[12:15, 12:15] = np.eye(3) * NO_BIAS_STD**2
-    return inputs._replace(walk=walk, covariance=covariance)
-
-
-def _consistency(forward: ekf.Pass, notes: list[str]) -> dict[str, dict[str, Any]]:
+def _consistency(forward: ekf.FilterResult, notes: list[str]) -> dict[str, dict[str, Any]]:
     """Normalised innovations squared of each kind of measurement, with a note where they are not those expected."""
     nis = noise.consistency(forward)
     for kind, entry in nis.items():
@@ -341,7 +247,7 @@ def _unsure(deviation: np.ndarray, flying: np.ndarray, notes: list[str]) -> np.n
 
 def _uncaptured(
     measured: measurements.Measurements,
-    forward: ekf.Pass,
+    forward: ekf.FilterResult,
     limit: int,
     t: np.ndarray,
     flying: np.ndarray,
@@ -364,7 +270,7 @@ def _uncaptured(
 
 
 def _noise_report(
-    levels: _Levels,
+    levels: NoiseLevels,
     inputs: ekf.Inputs,
     factors: np.ndarray,
     measured: measurements.Measurements,
@@ -388,11 +294,11 @@ def _noise_report(
             for i, (kind, unit) in enumerate(zip(ekf.KINDS, ("rad", "m", "m/s")))
             if measured.source[kind] != "none"
         },
-        "bias random walk": dict(zip(SENSORS, levels.walk.tolist())),
+        "bias random walk": dict(zip(SENSORS, levels.bias_random_walk.tolist())),
     }
 
 
-def _forward(name: str, inputs: ekf.Inputs, watch: ekf.Watch | None) -> tuple[str, ekf.Pass]:
+def _forward(name: str, inputs: ekf.Inputs, watch: ekf.Watch | None) -> tuple[str, ekf.FilterResult]:
     """The forward pass by an engine, and the engine's name with what it ran on."""
     if name == "compiled":  # done in a tenth of a second, so that there is nothing to watch
         return name, ekf.forward(inputs)
@@ -401,24 +307,13 @@ def _forward(name: str, inputs: ekf.Inputs, watch: ekf.Watch | None) -> tuple[st
     return f"filterpy {version('filterpy')}", filterpy_engine.forward(inputs, watch)
 
 
-def _headings(inputs: ekf.Inputs) -> ekf.Inputs:
-    """Start from the heading, of eight tried, that explains the measurements best: none is measured."""
-    best: tuple[float, np.ndarray] | None = None
-    for yaw in np.arange(8) * np.pi / 4:
-        turned = attitude.multiply(attitude.exponential(np.array([0.0, 0.0, yaw])), inputs.quaternion)
-        value = ekf.cost(inputs._replace(quaternion=turned, gate=noise.LOOSE_GATE))
-        if np.isfinite(value) and (best is None or value < best[0]):
-            best = (value, turned)
-    return inputs if best is None else inputs._replace(quaternion=best[1])
-
-
 def _apply(
     policy: str,
     independent: bool,
     found: biases.Phases,
-    final: ekf.Pass,
+    final: ekf.FilterResult,
     deviation: np.ndarray,
-    forward: ekf.Pass,
+    forward: ekf.FilterResult,
     early: np.ndarray,
     flying: np.ndarray,
     notes: list[str],
@@ -463,7 +358,7 @@ def _apply(
 
 
 def _course(
-    t: np.ndarray, forward: ekf.Pass, early: np.ndarray, final: ekf.Pass, deviation: np.ndarray
+    t: np.ndarray, forward: ekf.FilterResult, early: np.ndarray, final: ekf.FilterResult, deviation: np.ndarray
 ) -> pd.DataFrame:
     table: dict[str, np.ndarray] = {"t": t}
     table |= dict(zip(("filter_roll", "filter_pitch", "filter_yaw"), attitude.to_euler(forward.quaternion).T))

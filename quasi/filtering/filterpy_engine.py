@@ -9,7 +9,7 @@ The result is that of `ekf.forward` to rounding, so that the smoother runs on ei
 import numpy as np
 
 from quasi import attitude
-from quasi.filtering.ekf import KINDS, STATES, TAIL, Inputs, Pass, Watch, innovation, predict
+from quasi.filtering.ekf import KINDS, STATES, TAIL, FilterResult, Inputs, Watch, innovation, predict
 
 _LOWER = np.tril_indices(STATES)
 
@@ -24,12 +24,12 @@ def transition(blocks: np.ndarray, dt: float) -> np.ndarray:
     return F
 
 
-def _process(F: np.ndarray, noise: np.ndarray, walk: np.ndarray, dt: float) -> np.ndarray:
+def _process(F: np.ndarray, noise: np.ndarray, bias_random_walk: np.ndarray, dt: float) -> np.ndarray:
     """Covariance (18, 18) that a step adds: sensor noise enters like a bias that lasts for it."""
     G = F[:, 9:15].copy()
     G[9:15] = 0.0
     Q = (G * noise**2) @ G.T
-    Q[range(9, 15), range(9, 15)] += walk**2 * dt
+    Q[range(9, 15), range(9, 15)] += bias_random_walk**2 * dt
     return Q
 
 
@@ -44,7 +44,7 @@ def _one_by_one(y: np.ndarray, S: np.ndarray, PHt: np.ndarray) -> tuple[np.ndarr
     return white * size, size**2, np.linalg.solve(root, PHt.T) / size[:, None], white
 
 
-def forward(inputs: Inputs, watch: Watch | None = None) -> Pass:
+def forward(inputs: Inputs, watch: Watch | None = None) -> FilterResult:
     """Filter forward in time; the same result as `ekf.forward`, some fifty times slower.
 
     watch  hands on the numbers of the samples one by one and may report progress (`joblog.progress`)
@@ -66,7 +66,7 @@ def forward(inputs: Inputs, watch: Watch | None = None) -> Pass:
         if k > 0:
             predict(q, x, inputs.gyro[k - 1], inputs.gyro[k], inputs.accel[k - 1], inputs.accel[k], dt, blocks, work)
             error.F = transition(blocks, dt)
-            error.Q = _process(error.F, inputs.noise[k], inputs.walk, dt)
+            error.Q = _process(error.F, inputs.noise[k], inputs.bias_random_walk, dt)
             error.predict()
         for kind in range(len(KINDS)):
             if inputs.used[k, kind] == 0:
@@ -83,7 +83,7 @@ def forward(inputs: Inputs, watch: Watch | None = None) -> Pass:
             cost += nis if nis <= inputs.gate else inputs.gate + TAIL * np.log(nis / inputs.gate)
             cost += float(np.sum(np.log(variance)))
             rejected[kind] = 0 if nis <= inputs.gate else rejected[kind] + 1
-            result = 1 if nis <= inputs.gate else 3 if rejected[kind] > inputs.patience[kind] else 2
+            result = 1 if nis <= inputs.gate else 3 if rejected[kind] > inputs.max_rejections[kind] else 2
             whitened[k, kind], outcome[k, kind] = white, result
             # the innovation is that of the nominal state: the error state is expected to be zero
             error.update(None if result == 2 else y, lambda _, H=H: H, lambda d, H=H: H @ d, R=R)
@@ -97,4 +97,4 @@ def forward(inputs: Inputs, watch: Watch | None = None) -> Pass:
         first_row[k + 1] = len(rows)
         Q[k], X[k], C[k] = q, x, error.P[_LOWER]
     kept = np.array(rows) if rows else np.empty((0, 10 + STATES))
-    return Pass(Q, X, C, whitened, outcome, cost, kept, first_row)
+    return FilterResult(Q, X, C, whitened, outcome, cost, kept, first_row)

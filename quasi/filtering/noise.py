@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 from scipy.stats import chi2
 
 from quasi.attitude import continuous
-from quasi.filtering.ekf import ATTITUDE, KINDS, POSITION, Inputs, Pass, cost, forward, unpack
+from quasi.filtering.ekf import ATTITUDE, KINDS, POSITION, FilterResult, Inputs, cost, forward, unpack
 
 GATE = float(chi2.ppf(0.9999, 3))  # an honest measurement is thrown away once in ten thousand
 LOOSE_GATE = 400.0  # while the levels are not yet known
@@ -20,7 +20,7 @@ REJECTED = 0.05  # share of measurements that an honest model rejects at most
 CORRELATED = 0.5  # autocorrelation from one innovation to the next that an honest model does not reach
 
 
-def _window(inputs: Inputs, run: Pass, first: int, last: int) -> Inputs:
+def _window(inputs: Inputs, run: FilterResult, first: int, last: int) -> Inputs:
     """The same flight from sample `first` to `last`, started from what the forward pass knew there."""
     part = slice(first, last)
     return inputs._replace(
@@ -112,7 +112,7 @@ def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray) -> np
     return np.exp(np.clip(logs, low, high))
 
 
-def consistency(run: Pass) -> dict[str, Any]:
+def consistency(run: FilterResult) -> dict[str, Any]:
     """Normalised innovations of a forward pass, per kind: {kind: {...}} for those that were measured.
 
     mean  mean NIS per degree of freedom of the accepted ones (1 when the noise levels are right); bounds  where 95 % of

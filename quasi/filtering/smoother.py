@@ -10,7 +10,8 @@ Source: Bierman, Fixed interval smoothing with discrete measurements, Int. J. Co
 import numpy as np
 from numba import njit
 
-from quasi.filtering.ekf import STATES, Inputs, Pass, _turn, predict
+from quasi.filtering.ekf import FilterResult, Inputs
+from quasi.filtering.ekf_steps import STATES, compose_rotation, predict
 
 
 @njit(cache=True)
@@ -92,7 +93,7 @@ def _backward(dt, gyro, accel, Q, X, C, rows, first):
                 Cs[k, c] = value
                 c += 1
         Qs[k] = Q[k]
-        _turn(Qs[k], delta[0], delta[1], delta[2], step)
+        compose_rotation(Qs[k], delta[0], delta[1], delta[2], step)
         for i in range(15):
             Xs[k, i] = X[k, i] + delta[3 + i]
         for m in range(first[k + 1] - 1, first[k] - 1, -1):
@@ -131,7 +132,7 @@ def _backward(dt, gyro, accel, Q, X, C, rows, first):
     return Qs, Xs, Cs
 
 
-def smooth(inputs: Inputs, filtered: Pass) -> Pass:
+def smooth(inputs: Inputs, filtered: FilterResult) -> FilterResult:
     """Every sample's estimate from all samples, earlier and later; shapes and innovations of the forward pass.
 
     inputs    those of the forward pass; filtered  its result

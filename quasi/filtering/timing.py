@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from quasi import attitude
-from quasi.filtering.ekf import Inputs, Pass
+from quasi.filtering.ekf import FilterResult, Inputs
 
 VELOCITY_ROW = 3  # of the error covariance; position follows it
 
@@ -30,7 +30,7 @@ def clock_uncertainty(metadata: Mapping[str, Any], t: np.ndarray) -> np.ndarray:
     return np.hypot(float(lag["std"]), (t - middle) * float(rate.get("std") or 0.0))
 
 
-def widen(run: Pass, inputs: Inputs, seconds: np.ndarray) -> Pass:
+def widen(run: FilterResult, inputs: Inputs, seconds: np.ndarray) -> FilterResult:
     """The pass with the clock's doubt (N,), s, in the covariance of velocity and position."""
     if not seconds.any():
         return run

@@ -20,7 +20,7 @@ def inputs_of(motion, frame, **changes):
         gyro=frame[["p", "q", "r"]].to_numpy().copy(),
         accel=frame[["ax", "ay", "az"]].to_numpy().copy(),
         noise=np.tile([0.02, 0.021, 0.022, 0.3, 0.31, 0.32], (n, 1)),
-        walk=np.array([1e-5, 2e-5, 3e-5, 1e-4, 2e-4, 3e-4]),
+        bias_random_walk=np.array([1e-5, 2e-5, 3e-5, 1e-4, 2e-4, 3e-4]),
         used=used,
         attitude=attitude.from_euler(*frame[["roll", "pitch", "yaw"]].to_numpy().T),
         position=frame[["x", "y", "z"]].to_numpy().copy(),
@@ -28,7 +28,7 @@ def inputs_of(motion, frame, **changes):
         body=False,
         std=np.array([[0.0035, 0.0036, 0.0037], [0.001, 0.0011, 0.0012], [0.05, 0.051, 0.052]]),
         gate=1e6,
-        patience=np.array([100, 100, 100]),
+        max_rejections=np.array([100, 100, 100]),
         quaternion=motion.q[0].copy(),
         state=np.concatenate([np.zeros(12), [0.01, -0.02, 0.015]]),
         covariance=np.diag(deviation**2),
@@ -72,7 +72,7 @@ class Plain:
         G[0:3, 0:3] = F[0:3, 9:12]
         G[3:6], G[6:9] = F[3:6, 9:15], F[6:9, 9:15]
         Q = G @ np.diag(i.noise[k] ** 2) @ G.T
-        Q[9:15, 9:15] += np.diag(i.walk**2) * dt
+        Q[9:15, 9:15] += np.diag(i.bias_random_walk**2) * dt
         v = self.x[:3] + dt / 2 * (R0 @ f0 + R1 @ f1) + dt * np.array([0, 0, attitude.GRAVITY])
         self.x[3:6] += dt / 2 * (self.x[:3] + v)
         self.x[:3], self.q = v, q1
@@ -145,7 +145,7 @@ def flown():
     inputs = inputs_of(
         motion,
         measure(motion, alignment=(0.004, -0.005, 0.003))[0],
-        walk=np.full(6, 1e-7),
+        bias_random_walk=np.full(6, 1e-7),
         noise=np.tile([0.02] * 3 + [0.3] * 3, (len(motion.t), 1)),
         std=np.repeat([[0.0035], [0.001], [0.05]], 3, axis=1),
     )
@@ -282,7 +282,7 @@ def test_outliers_are_rejected_and_counted(short):
 
 def test_filter_gives_in_when_rejections_go_on(short):
     motion, frame = short
-    inputs = inputs_of(motion, frame, gate=25.0, patience=np.array([30, 30, 30]))
+    inputs = inputs_of(motion, frame, gate=25.0, max_rejections=np.array([30, 30, 30]))
     shifted = inputs.position.copy()
     shifted[1500:] += 0.5
     run = ekf.forward(inputs._replace(position=shifted))

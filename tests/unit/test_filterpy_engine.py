@@ -18,7 +18,7 @@ def inputs():
     """A flight with loops, a gap of 2 s in the capture, outliers, a shift that forces the gate open, and velocity."""
     motion = move(seconds=11.0, rest=1.0, seed=2, size=0.3)
     frame = measure(motion, rest=1.0)[0]
-    made = inputs_of(motion, frame, gate=25.0, patience=np.array([20, 20, 20]))
+    made = inputs_of(motion, frame, gate=25.0, max_rejections=np.array([20, 20, 20]))
     used, position = made.used.copy(), made.position.copy()
     used[::7, ekf.VELOCITY] = 1
     used[3600:4600] = 0

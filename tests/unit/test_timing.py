@@ -42,7 +42,7 @@ def test_widening_adds_the_shift_of_velocity_and_position_alone():
     root = rng.normal(size=(18, 18))
     P = root @ root.T
     q, state = np.array([[1.0, 0, 0, 0]]), rng.normal(size=(1, 15))
-    run = ekf.Pass(q, state, P[np.tril_indices(18)][None], None, None, 0.0, None, None)
+    run = ekf.FilterResult(q, state, P[np.tril_indices(18)][None], None, None, 0.0, None, None)
     accel = rng.normal(size=(1, 3))
     inputs = ekf.Inputs(*[None] * 2, accel, *[None] * 13)
     wide = ekf.unpack(timing.widen(run, inputs, np.array([0.01])).covariance)[0]
