@@ -128,13 +128,12 @@ def stretched(column: str, rate: float) -> Callable[[Table], None]:
     return change
 
 
-def swapped(first: int, second: int) -> Callable[[Table], None]:
-    """Speeds and commands of two rotors exchanged."""
+def reordered(*order: int, kinds: tuple[str, ...] = ("m{}_erpm", "m{}_thrust")) -> Callable[[Table], None]:
+    """Rotor 1 to 4 logged in the columns of these numbers."""
 
     def change(table: Table) -> None:
-        for name in ("m{}_erpm", "m{}_thrust"):
-            one, other = name.format(first), name.format(second)
-            table[[one, other]] = table[[other, one]].to_numpy()
+        for kind in kinds:
+            table[[kind.format(n) for n in order]] = table[[kind.format(i) for i in range(1, 5)]].to_numpy()
 
     return change
 
@@ -152,7 +151,7 @@ ERPM = [f"m{i}_erpm" for i in range(1, 5)]
 IXX, IZZ = 2.3951e-5, 3.2347e-6  # kg m2, as configured
 ACCELEROMETER, ROTOR = ("accelerometer_scale",), ("rotor_effectiveness",)
 POINTS, SPEEDS = ("marker_offset", "imu_lever_arm"), ("rotor_speed_scale", "thrust_factor")
-NOTHING = ()
+NOTHING, ORDER = (), ("rotor_order",)
 
 
 def rotor(number: int, factor: float) -> Plant:
@@ -192,8 +191,12 @@ PLANTS: dict[str, Plant] = {
     "yaw inertia x 1.5": inertia(1.0, 1.5, "Izz", IZZ),
     # a configured arm takes part in nothing that is measured, and the model has its own
     "arm x 1.1": Plant(NOTHING, configure=configured(b="0.0549")),
-    # no cause of the catalogue
-    "rotors 1 and 3 exchanged": Plant(NOTHING, change=swapped(1, 3)),
+    "rotors 1 and 3 exchanged": Plant(ORDER, "rotor1", 3.0, change=reordered(3, 2, 1, 4)),
+    "rotors 1 and 2 exchanged": Plant(ORDER, "rotor1", 2.0, change=reordered(2, 1, 3, 4)),
+    "rotors numbered from another corner": Plant(ORDER, "rotor1", 2.0, change=reordered(2, 3, 4, 1)),
+    "speeds of rotors 2 and 4 exchanged": Plant(
+        ORDER, "rotor2", 4.0, change=reordered(1, 4, 3, 2, kinds=("m{}_erpm",))
+    ),
     # import settles the stamps and the filter takes constant biases off; without captured attitude no more can be asked
     "motors 30 ms late": Plant(NOTHING, change=later("ros_timestamp_motors", 0.03)),
     "motors 15 ms late": Plant(NOTHING, change=later("ros_timestamp_motors", 0.015)),

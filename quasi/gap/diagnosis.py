@@ -25,7 +25,7 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.gathering import gather_all
 from quasi.gap.flights.level import Flown
 from quasi.gap.flights.sessions import session_sentence
-from quasi.gap.levels import materiality
+from quasi.gap.levels import materiality, rotor_order
 from quasi.gap.levels.corrections import corrected_at_import
 from quasi.gap.levels.forces import polynomial_baseline
 from quasi.gap.levels.forces.case import Case
@@ -94,9 +94,16 @@ def diagnose(
     groups = {r: [e for k, e in evidence.items() if roles[k] == r] for r in ("reference", "compared", "held out")}
     learning, held = [*groups["reference"], *groups["compared"]], groups["held out"]
     compared = [False] * len(groups["reference"]) + [True] * len(groups["compared"])
-    levels = calibration["levels"]
+    levels, order = calibration["levels"], calibration.get("rotor order")
+    if order:
+        lower = ([rotor_order.reorder(f, order) for f in lower[0]], lower[1])
     materiality.judge(levels, *lower, share)
-    said: dict[str, Any] = {"candidates": [], "unexplained": [], "cannot_be_asked": [], "notes": list(lost)}
+    said: dict[str, Any] = {
+        "candidates": [],
+        "unexplained": [],
+        "cannot_be_asked": [],
+        "notes": [*lost, *([rotor_order.note_of(order)] if order else [])],
+    }
     said["notes"] += [s for s in [session_sentence(sessions, roles)] if s]
     said["notes"] += _weighed(model, [*groups["compared"], *held])
     # what import corrects is no part of the model: it would be taken off a second time
@@ -164,6 +171,7 @@ def diagnose(
     if corrected_ones and not _correction_matters(model, lower, settings):
         for effect in corrected_ones:
             effect["explains"] = False
+    lower_effects += [rotor_order.effect_of(order)] if order else []
     # forces and moments settle a tie of the levels below by naming one of it
     told = {e["id"] for e in effects_said}
     ties = [t for level in ("sensors", "drive") for t in levels[level]["ties"] if not told & set(t["ids"])]
@@ -200,7 +208,10 @@ def diagnose(
         "sessions": {k: sessions.get(k, "") for k in roles},
         "hover trim": trim.document,
         "losses": [{**loss._asdict(), "text": loss.sentence()} for loss in settled.losses],
-        "effects": sorted([*lower_effects, *effects_said], key=lambda e: -float(e["evidence"].get("wald") or 0.0)),
+        "effects": sorted(
+            [*lower_effects, *effects_said],
+            key=lambda e: (e["id"] != rotor_order.ID, -float(e["evidence"].get("wald") or 0.0)),
+        ),
         "ties": ties,
         "findings": [*(f for level in ("sensors", "drive") for f in levels[level]["findings"]), *shifted, *restless],
         **said,

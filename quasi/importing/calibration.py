@@ -9,6 +9,7 @@ A document (schema "quasi.calibration/1") states the truth about the sensors; no
               marker offset (3: tracked point minus where it is configured, m, body axes)
     clock     rate (by which the on-board clock runs fast)
     telemetry age (s that rotor speeds are logged late)
+    rotors    order of speeds, order of commands (4: number of the log's column that holds rotor 1, 2, 3, 4)
 Measured = scale x (true axes' x true) + bias, so true = turned(misalignment) ((measured - bias) / scale).
 """
 
@@ -27,8 +28,9 @@ from quasi.importing.onboard_log import Onboard, Track
 from quasi.importing.series import Series
 
 SCHEMA = "quasi.calibration/1"
+IN_ORDER = (1.0, 2.0, 3.0, 4.0)
 # part: quantity: (numbers, value that corrects nothing)
-KNOWN: dict[str, dict[str, tuple[int, float]]] = {
+KNOWN: dict[str, dict[str, tuple[int, float | tuple[float, ...]]]] = {
     "imu": {
         "gyro scale": (3, 1.0),
         "accelerometer scale": (3, 1.0),
@@ -40,6 +42,7 @@ KNOWN: dict[str, dict[str, tuple[int, float]]] = {
     "capture": {"misalignment": (3, 0.0), "room tilt": (2, 0.0), "rotation delay": (1, 0.0), "marker offset": (3, 0.0)},
     "clock": {"rate": (1, 0.0)},
     "telemetry": {"age": (1, 0.0)},
+    "rotors": {"order of speeds": (4, IN_ORDER), "order of commands": (4, IN_ORDER)},
 }
 Vectors = dict[str, dict[str, np.ndarray]]
 
@@ -71,6 +74,8 @@ def check(document: Mapping[str, Any] | None) -> Vectors:
                     f"calibration: '{name}' of the {part} is {value!r}, expected {size} finite number"
                     f"{'s' * (size > 1)}{', above zero' * (neutral == 1.0)}"
                 )
+            if neutral == IN_ORDER and sorted(array) != list(IN_ORDER):
+                raise ConfigError(f"calibration: '{name}' of the {part} is {value!r}, expected each of 1, 2, 3, 4 once")
             whole[part][name] = array
     return whole
 
@@ -138,6 +143,10 @@ def calibrated_onboard(board: Onboard, document: Mapping[str, Any]) -> Onboard:
     if board.attitude_source == "estimated on board":
         at_gyro = np.stack([np.interp(board.gyro.t, board.force.t, c) for c in force.T], axis=1)
         level = Track(gyro.t, estimate_attitude(gyro.t, rates, at_gyro).quaternion)
+    speeds, commands = (whole["rotors"][f"order of {kind}"].astype(int) for kind in ("speeds", "commands"))
+    rotors = timed(board.rotors, age)
+    if rotors is not None and rotors.values.shape[1] >= len(speeds):
+        rotors = Track(rotors.t, np.hstack([rotors.values[:, speeds - 1], rotors.values[:, len(speeds) :]]))
     return replace(
         board,
         gyro=gyro,
@@ -146,9 +155,24 @@ def calibrated_onboard(board: Onboard, document: Mapping[str, Any]) -> Onboard:
         position=timed(board.position),
         velocity=timed(board.velocity),
         body_velocity=timed(board.body_velocity),
-        others={n: timed(track, age if re.fullmatch(r"w[1-8]", n) else 0.0) for n, track in board.others.items()},
-        rotors=timed(board.rotors, age),
+        others={
+            _column_of_rotor(n, speeds, commands): timed(track, age if re.fullmatch(r"w[1-8]", n) else 0.0)
+            for n, track in board.others.items()
+        },
+        rotors=rotors,
     )
+
+
+def _column_of_rotor(name: str, speeds: np.ndarray, commands: np.ndarray) -> str:
+    """Name of a logged column by the rotor that it is of; other columns keep theirs.
+
+    speeds, commands  (4,) number of the column that holds rotor 1 to 4
+    """
+    found = re.fullmatch(r"(w|command)([1-4])(_CMD)?", name)
+    if found is None:
+        return name
+    order = speeds if found[1] == "w" and not found[3] else commands
+    return f"{found[1]}{list(order).index(int(found[2])) + 1}{found[3] or ''}"
 
 
 def calibrated_capture(series: Series | None, arm: np.ndarray | None, document: Mapping[str, Any]) -> Series | None:

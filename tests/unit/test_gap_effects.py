@@ -32,7 +32,8 @@ LEVELS = {  # what the catalogue promises
     "telemetry_delay",
     "drive": "battery_sag motor_lag command_delay actuator_saturation weak_motor",
     "sensors": "imu_lever_arm marker_offset imu_misalignment accelerometer_bias accelerometer_scale gyro_bias "
-    "gyro_scale mocap_misalignment room_tilt mocap_delay clock_drift attitude_error timestamp_fault vibration",
+    "gyro_scale mocap_misalignment room_tilt mocap_delay clock_drift attitude_error timestamp_fault vibration "
+    "rotor_order",
 }
 FINDINGS = {"gusts", "vibration", "timestamp_fault", "actuator_saturation", "weak_motor"}
 

@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from quasi.gap.effect import Effect
 from quasi.gap.flights.level import Flown, Level
-from quasi.gap.levels import imu_or_markers, materiality
+from quasi.gap.levels import imu_or_markers, materiality, rotor_order
 from quasi.gap.levels.corrections import document
 from quasi.gap.levels.drive import identify as drive_level
 from quasi.gap.levels.sensors import identify as sensor_level
@@ -44,6 +44,13 @@ def examine(
     # which of the two points sits elsewhere is asked of what the comparison of sensors takes for the IMU's
     arm = [imu_or_markers.IMU] if imu_or_markers.MARKERS in effects and imu_or_markers.IMU not in effects else []
     options = {"false alarm rate": rate, "effects": [*effects, *arm], "sessions": settings.get("sessions") or {}}
+    order = None
+    if rotor_order.ID in effects:
+        order = rotor_order.find_rotor_order(flights, Model(model, "the compared model"))
+    if order is not None:
+        process = process and rotor_order.corrected_process(process, order)
+        right = (lambda f: process(f, None)) if process else (lambda f: rotor_order.reorder(f, order.document()))
+        flights = [right(f) if f.compared else f for f in flights]
     levels = [sensor_level.examine(flights, options), drive_level.examine(flights, model, options)]
     if imu_or_markers.MARKERS in effects:
         imu_or_markers.settle(levels[0], flights, Model(model, "the compared model"), effects, rate)
@@ -51,8 +58,12 @@ def examine(
         settle(levels, flights, Model(model, "the compared model"), options["false alarm rate"], process)
     for level in levels:
         level.found_on = materiality.found_on(level, flights)
-    told = document(levels)
-    return {**told, "levels": {level.level: plain(level) for level in levels}}, levels
+    calibration = document(levels)
+    if order is not None:
+        calibration["rotor order"] = order.document()
+        calibration["compared"] |= order.calibration()
+        calibration["notes"].append(rotor_order.note_of(order.document()))
+    return {**calibration, "levels": {level.level: plain(level) for level in levels}}, levels
 
 
 def rate_of(rate: float, compared: int, held: int) -> float:

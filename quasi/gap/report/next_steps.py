@@ -27,6 +27,8 @@ CORRECT = {
     "attitude_error": "let the capture tell the attitude as well ('use onboard attitude' false, with orientations in "
     "its export), or tune the attitude estimator of the flight controller, and fly again",
     "telemetry_delay": "log rotor speeds as often and as little filtered as the flight controller can",
+    "rotor_order": f"number the rotors in 'rotor config' of {QUADROTOR} as the log has them, or map the columns anew; "
+    "where all rotors seem turned by a quarter or half, look at how the flight controller is mounted as well",
     "rotor_speed_scale": f"multiply 'motor poles' of {QUADROTOR} by it, if the poles are what is wrong",
 }
 

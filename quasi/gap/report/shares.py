@@ -38,6 +38,8 @@ def certainty_of(effect: Mapping[str, Any]) -> str:
     outcome, again = (effect.get("confirmation") or {}).get("outcome"), effect.get("probability")
     if effect.get("level") == "trim":
         return f"by the trim in steady flight alone, with the probability {again:.2f}"
+    if effect.get("sentence"):
+        return f"each compared flight by itself shows it, with the probability {again:.2f} among all orders"
     if not effect.get("judged", True):
         return "suspected: the held-out flights hardly show it"
     gained = (effect.get("gains") or {}).get(effect.get("gain channel")) or {}

@@ -89,6 +89,8 @@ def flights_of(roles: Mapping[str, str], role: str) -> str:
 
 def happening(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     """What a cause of these parameters does, for a pilot."""
+    if effect.get("sentence"):
+        return effect["sentence"]
     if effect["id"] not in known:
         return name_of(effect["id"])
     return known[effect["id"]].happens({n: p["value"] for n, p in effect["parameters"].items()})
@@ -173,7 +175,7 @@ def _sureness(effect: Mapping[str, Any]) -> str:
     elif told.get("outcome"):
         parts.append(f"in simulation it {told['outcome']}" + (f" ({told['why']})" if told.get("why") else ""))
     again = effect.get("probability")
-    if effect.get("level") == "trim":
+    if effect.get("level") == "trim" or effect.get("sentence"):
         parts.append(certainty_of(effect))
     elif again is not None:
         often = "every resample" if reaches_floor(again) else f"{percent(again)} of resamples"
