@@ -15,7 +15,7 @@ from quasi.errors import QuasiError
 from quasi.export.targets import SIMULATOR_NAMES
 from quasi.running.job_log import RUN_VARIABLE, read_reports
 from quasi.pages.index import INDEX_TARGET, list_sources, write_index
-from quasi.running.provenance import compute_code_digest
+from quasi.running.provenance import compute_code_digest, save_parsed
 from quasi.project.folder import check_project, check_writable, read_settings
 from quasi.running.checksums import Checksums
 from quasi.running.live_runs import (
@@ -136,6 +136,7 @@ FOLDER = Folder(".", data=config.get("data"), library=LIBRARY)
 CHECKSUMS = Checksums(".snakemake/quasi/checksums.json")
 if MAIN:
     atexit.register(CHECKSUMS.save)
+    atexit.register(save_parsed)
 
 
 def code(script):

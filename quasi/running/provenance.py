@@ -3,36 +3,98 @@
 import ast
 import functools
 import hashlib
+import os
+import sys
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
+from quasi.errors import QuasiError
+from quasi.tables import read_json, write_json
+
 PACKAGE = "quasi"
+PARSED: dict[str, list] = {}  # {SHA-256 of a file: [digest of its syntax tree, its imports of the package]}
+_NEW: set[str] = set()  # those of PARSED that were not read from the cache
+
+
+def _parsed_cache() -> Path | None:
+    """Locate the file that keeps PARSED between runs, in the folder of compiled kernels; None without such a folder.
+
+    The text of a syntax tree depends on Python's version.
+    """
+    folder = os.environ.get("NUMBA_CACHE_DIR")
+    return Path(folder, f"syntax-{sys.version_info[0]}.{sys.version_info[1]}.json") if folder else None
+
+
+@functools.cache
+def _read_parsed() -> None:
+    """Add what earlier runs parsed. A lost or damaged cache costs the time to parse every file again."""
+    path = _parsed_cache()
+    with suppress(QuasiError, OSError):
+        kept = read_json(path) if path and path.is_file() else {}
+        if isinstance(kept, Mapping):
+            PARSED.update({key: entry for key, entry in kept.items() if isinstance(entry, list) and len(entry) == 2})
+
+
+def save_parsed() -> None:
+    """Keep what this process parsed for the next run; without write permission, the next run parses again."""
+    path = _parsed_cache()
+    if _NEW and path:
+        with suppress(QuasiError, OSError):
+            write_json(path, PARSED)
+            _NEW.clear()
 
 
 @functools.cache
 def _parse_file(path: Path) -> tuple[str, tuple[str, ...]]:
     """Compute the digest of a file's syntax tree without comments, docstrings and layout, and list its imports."""
-    tree = ast.parse(path.read_bytes(), filename=str(path))
+    _read_parsed()
+    content = path.read_bytes()
+    key = hashlib.sha256(content).hexdigest()
+    if key not in PARSED:
+        PARSED[key] = _parse(content, path)
+        _NEW.add(key)
+    digest, inside = PARSED[key]
+    return digest, tuple(inside)
+
+
+def _parse(content: bytes, path: Path) -> list:
+    tree = ast.parse(content, filename=str(path))
     modules: list[str] = []
-    for node in ast.walk(tree):
+    for node in list(ast.walk(tree)):
         if isinstance(node, ast.Import):
             modules += [a.name for a in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             modules += [node.module, *(f"{node.module}.{a.name}" for a in node.names)]
-    inside = tuple(m for m in modules if m.split(".")[0] == PACKAGE)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+        elif isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             body = node.body
             if body and isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
                 node.body = body[1:]
-    return hashlib.sha256(ast.dump(tree).encode()).hexdigest(), inside
+    inside = [m for m in modules if m.split(".")[0] == PACKAGE]
+    return [hashlib.sha256(ast.dump(tree).encode()).hexdigest(), inside]
 
 
+@functools.cache
 def _find_file(module: str, root: Path) -> Path | None:
     base = root.joinpath(*module.split("."))
     for candidate in (base.with_suffix(".py"), base / "__init__.py"):
         if candidate.is_file():
             return candidate
     return None
+
+
+@functools.cache
+def _list_imported_files(path: Path, root: Path) -> tuple[Path, ...]:
+    """List the files of the package that a file imports directly."""
+    found: dict[Path, None] = {}
+    for module in _parse_file(path)[1]:
+        parts = module.split(".")
+        # importing a.b.c also runs a and a.b
+        for depth in range(1, len(parts) + 1):
+            file = _find_file(".".join(parts[:depth]), root)
+            if file is not None:
+                found[file] = None
+    return tuple(found)
 
 
 def list_reached_files(script: str | Path, root: str | Path) -> list[Path]:
@@ -42,16 +104,9 @@ def list_reached_files(script: str | Path, root: str | Path) -> list[Path]:
     waiting = [Path(script)]
     while waiting:
         path = waiting.pop()
-        if path in found:
-            continue
-        found[path] = None
-        for module in _parse_file(path)[1]:
-            parts = module.split(".")
-            # importing a.b.c also runs a and a.b
-            for depth in range(1, len(parts) + 1):
-                file = _find_file(".".join(parts[:depth]), root)
-                if file is not None:
-                    waiting.append(file)
+        if path not in found:
+            found[path] = None
+            waiting += _list_imported_files(path, root)
     return list(found)
 
 

@@ -2,7 +2,8 @@
 
 import pytest
 
-from quasi.running.provenance import compute_code_digest, list_reached_files
+from quasi.running import provenance
+from quasi.running.provenance import compute_code_digest, list_reached_files, save_parsed
 
 
 @pytest.fixture
@@ -22,11 +23,23 @@ def house(tmp_path):
     return tmp_path
 
 
-def digest(house):
-    compute_code_digest.cache_clear()
-    from quasi.running import provenance
+def forget():
+    """As a new process begins."""
+    for cached in ("compute_code_digest", "_list_imported_files", "_find_file", "_parse_file", "_read_parsed"):
+        getattr(provenance, cached).cache_clear()
+    provenance.PARSED.clear()
+    provenance._NEW.clear()
 
-    provenance._parse_file.cache_clear()
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    yield tmp_path / provenance._parsed_cache().name
+    forget()
+
+
+def digest(house):
+    forget()
     return compute_code_digest(house / "scripts/a.py", house)
 
 
@@ -44,3 +57,20 @@ def test_only_code_that_is_reached_changes_the_digest(house):
     assert digest(house) == before, "comments and docstrings do not count"
     (house / "quasi/deep.py").write_text("def f():\n    return 2\n")
     assert digest(house) != before
+
+
+def test_a_file_is_parsed_once_for_all_runs_and_again_when_its_content_changes(house, own_cache, monkeypatch):
+    first = digest(house)
+    save_parsed()
+    parsed, parse = [], provenance._parse
+    monkeypatch.setattr(provenance, "_parse", lambda content, path: parsed.append(path.name) or parse(content, path))
+    assert digest(house) == first and not parsed
+    (house / "quasi/deep.py").write_text("def f():\n    return 3\n")
+    assert digest(house) != first and parsed == ["deep.py"]
+    save_parsed()
+    (house / "quasi/deep.py").write_text("def f():\n    return 1\n")
+    assert digest(house) == first and parsed == ["deep.py"], "what was parsed before is kept"
+    for damaged in ("{", "[]", '{"a": 1}'):
+        own_cache.write_text(damaged)
+        assert digest(house) == first
+    assert parsed.count("a.py") == 3

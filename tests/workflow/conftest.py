@@ -1,4 +1,7 @@
-"""A small project of made flights, run once by Snakemake for real; each test edits a copy of it."""
+"""A small project of made flights, run once by Snakemake for real; each test edits a copy of it.
+
+The library runs from where it stands: Numba keeps compiled kernels by path, and a copy would compile all of them anew.
+"""
 
 import csv
 import fcntl
@@ -46,17 +49,25 @@ PROCESSING = {
 
 @dataclass
 class Project:
-    """A project folder beside a copy of the house, so that a test may edit either."""
+    """A project folder, and the library that runs it: this one, or a copy for a test that edits it."""
 
     base: Path
+    house: Path = ROOT
 
     @property
     def folder(self) -> Path:
         return self.base / "project"
 
-    @property
-    def house(self) -> Path:
-        return self.base / "house"
+    def copy_library(self):
+        """From now on a copy of the library runs the project."""
+        for name in HOUSE:
+            source, target = ROOT / name, self.base / "house" / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            if source.is_dir():
+                shutil.copytree(source, target, ignore=shutil.ignore_patterns("kernels-*"))
+            else:
+                shutil.copy(source, target)
+        self.house = self.base / "house"
 
     def snakemake(self, *arguments):
         """Run Snakemake; returns (exit code, everything printed)."""
@@ -103,14 +114,8 @@ def write_rows(path, rows):
 
 
 def lay(base):
+    """A folder with the small campaign, its model and its processing, nothing made yet."""
     project = Project(base)
-    for name in HOUSE:
-        source, target = ROOT / name, project.house / name
-        target.parent.mkdir(parents=True, exist_ok=True)
-        if source.is_dir():
-            shutil.copytree(source, target)  # with its compiled kernels
-        else:
-            shutil.copy(source, target)
     for name in ("config/models", "config/synthesis", "data"):
         (project.folder / name).mkdir(parents=True)
     (project.folder / "config/synthesis/small.json").write_text(json.dumps(CAMPAIGN))
@@ -155,7 +160,7 @@ def project(finished, tmp_path):
     """A copy of the finished project for one test to edit."""
     original = finished[0]
     # file times are part of what Snakemake compares: keep them
-    shutil.copytree(original.base, tmp_path / "copy", copy_function=shutil.copy2)
+    shutil.copytree(original.folder, tmp_path / "copy/project", copy_function=shutil.copy2)
     return Project(tmp_path / "copy")
 
 

@@ -1,7 +1,7 @@
 """Faults of one flight stop that flight, faults of shared configuration stop the run; the last line is the remedy."""
 
 import pytest
-from conftest import ROOT, Project
+from conftest import Project
 
 pytestmark = pytest.mark.workflow
 
@@ -144,7 +144,6 @@ def test_a_target_that_no_rule_makes_names_the_nearest(project, mode):
 
 def test_a_slip_in_the_folders_name_is_told_with_the_folder(tmp_path):
     slip = Project(tmp_path)
-    slip.house.symlink_to(ROOT)
     code, text = slip.snakemake("-n", "models/small/standalone")
     assert code != 0
     assert f"[ERROR] {slip.folder} is no project folder: it is empty, expected config/" in last_line(text)

@@ -1,11 +1,10 @@
 """Exports as targets: what they make, what reruns, and what is said of a model that is not there."""
 
 import json
-import shutil
 import sys
 
 import pytest
-from conftest import HOUSE, ROOT, Project
+from conftest import ROOT, Project
 
 sys.path.insert(0, str(ROOT / "tests" / "unit"))
 import plain_plant
@@ -24,10 +23,6 @@ FILES = {
 
 
 def test_exports_are_made_once_and_again_when_the_model_changes(tmp_path):
-    for part in HOUSE:
-        source, target = ROOT / part, tmp_path / "house" / part
-        target.parent.mkdir(parents=True, exist_ok=True)
-        (shutil.copytree if source.is_dir() else shutil.copy)(source, target)
     model = tmp_path / "project/models/m/standalone/model.json"
     model.parent.mkdir(parents=True)
     (tmp_path / "project/config").mkdir()

@@ -7,7 +7,7 @@ import sys
 import time
 
 import pytest
-from conftest import HOUSE, ROOT, Project
+from conftest import ROOT, Project
 
 sys.path.insert(0, str(ROOT / "tests/unit"))
 from made_lab import edit, lay_lab
@@ -18,9 +18,6 @@ pytestmark = pytest.mark.workflow
 @pytest.fixture
 def lab(tmp_path):
     project = Project(tmp_path)
-    for name in HOUSE:
-        (project.house / name).parent.mkdir(parents=True, exist_ok=True)
-        (project.house / name).symlink_to(ROOT / name)
     project.folder.mkdir()
     lay_lab(project.folder)
     return project

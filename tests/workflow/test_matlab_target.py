@@ -1,11 +1,10 @@
 """The MATLAB export as a target: what it makes and what reruns it."""
 
 import json
-import shutil
 import sys
 
 import pytest
-from conftest import HOUSE, ROOT, Project
+from conftest import ROOT, Project
 
 sys.path.insert(0, str(ROOT / "tests" / "unit"))
 from made_model import document
@@ -17,15 +16,12 @@ TARGET = "models/m/matlab"
 
 
 def test_the_folder_is_made_once_and_again_when_its_files_change(tmp_path):
-    for part in HOUSE:
-        source, target = ROOT / part, tmp_path / "house" / part
-        target.parent.mkdir(parents=True, exist_ok=True)
-        (shutil.copytree if source.is_dir() else shutil.copy)(source, target)
     model = tmp_path / "project/models/m/standalone/model.json"
     model.parent.mkdir(parents=True)
     (tmp_path / "project/config").mkdir()
     model.write_text(json.dumps(document()))
     project = Project(tmp_path)
+    project.copy_library()
     code, printed = project.snakemake(TARGET)
     assert code == 0, printed
     folder = tmp_path / "project" / TARGET
@@ -38,7 +34,7 @@ def test_the_folder_is_made_once_and_again_when_its_files_change(tmp_path):
     code, printed = project.snakemake(TARGET)
     assert code == 0 and "Nothing to be done" in printed
 
-    block = tmp_path / "house/quasi/export/matlab_files/simulation/shorten.m"
+    block = project.house / "quasi/export/matlab_files/simulation/shorten.m"
     block.write_text(block.read_text() + "% changed\n")
     code, printed = project.snakemake(TARGET)
     assert code == 0, printed

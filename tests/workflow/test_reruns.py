@@ -182,6 +182,7 @@ def test_importing_option_processes_the_models_flights_anew(project):
     ],
 )
 def test_edited_module_reruns_the_stages_that_use_it_and_no_others(project, module, stages):
+    project.copy_library()
     path = project.house / module
     text = path.read_text()
     path.write_text(text + "\n# a comment more\n")

@@ -1,13 +1,12 @@
 """Simulations as targets: what they make, what reruns, and what is said of a faulty configuration."""
 
 import json
-import shutil
 import sys
 from pathlib import Path
 
 import pandas as pd
 import pytest
-from conftest import HOUSE, ROOT, Project
+from conftest import ROOT, Project
 
 from quasi.tables import read_fields
 
@@ -21,10 +20,6 @@ TARGET = "results/simulations/turns"
 @pytest.fixture
 def project(tmp_path):
     """A folder with a model that was put there, a table of wind, and one simulation."""
-    for part in HOUSE:
-        source, target = ROOT / part, tmp_path / "house" / part
-        target.parent.mkdir(parents=True, exist_ok=True)
-        (shutil.copytree if source.is_dir() else shutil.copy)(source, target)
     folder = tmp_path / "project"
     for part in ("config/simulations", "data", "models/made/standalone"):
         (folder / part).mkdir(parents=True)
