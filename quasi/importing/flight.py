@@ -1,14 +1,12 @@
 """Import one flight: read its sources, tie their clocks, fuse them on one grid, say how far it can be trusted."""
 
-import re
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s, read_airframe
+from quasi.airframe import DEFAULT_POLES, erpm100_to_rad_s
 from quasi.attitude import exponential, interpolate, multiply, rotate, rotate_inverse, to_euler
 from quasi.errors import ConfigError, DataError, add_caution
 from quasi.importing import limits
@@ -16,31 +14,14 @@ from quasi.importing.artefacts import flyable
 from quasi.importing.calibration import calibrated_capture, calibrated_onboard
 from quasi.importing.checks import rows_in_spans
 from quasi.importing.clocks.synchronisation import Motion, Synchronisation, synchronise
-from quasi.importing.clocks.telemetry import rotor_age
 from quasi.importing.command_map import add_commanded_speeds
 from quasi.importing.contradictions import refuse_wrong_lengths, refuse_wrong_rates
 from quasi.importing.cross_checks import cross_check
-from quasi.importing.lever_arm import felt_too_much, hover_arm
-from quasi.importing.onboard_log import (
-    ATTITUDE,
-    POSITION,
-    RATES,
-    Onboard,
-    Track,
-    gather,
-    motor_poles,
-    read_onboard,
-)
+from quasi.importing.imu_and_telemetry import lever_arm_term, read_triple, remove_telemetry_age
+from quasi.importing.onboard_log import ATTITUDE, POSITION, RATES, Onboard, gather, motor_poles, read_onboard
 from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import read_capture
-from quasi.importing.resampling import (
-    covered,
-    fresh,
-    grid,
-    resample,
-    resample_attitude,
-    velocity,
-)
+from quasi.importing.resampling import covered, fresh, grid, resample, resample_attitude, velocity
 from quasi.importing.series import Recording, Series
 from quasi.importing.streams import stream
 from quasi.importing.verdict import verdict
@@ -58,9 +39,6 @@ DEFAULTS: dict[str, Any] = {
     "max permitted lag for optitrack": 25.0,
 }
 SAME_CLOCK_LAG = 1.0  # s, the most that a capture logged on board may be late
-SHARP_AGE = 0.6e-3  # s, standard error up to which an age of the rotor telemetry is corrected
-YAW_EXPLAINED = 0.96  # share of yaw that it explains; where less is, the best age can be centiseconds wrong
-LEAST_AGE = -1e-3  # s: telemetry cannot run ahead of the motion by more than filter delays are uncertain
 SCHEMA = "quasi.imported/1"
 
 
@@ -98,7 +76,7 @@ def import_flight(
             f"{where}: the log has {4 + len(turning)} turning rotors, expected the four of a quadrotor; such a vehicle "
             "cannot be modelled here"
         )
-    marker = _triple(quadrotor.get("optitrack marker cg offset"), "optitrack marker cg offset")
+    marker = read_triple(quadrotor.get("optitrack marker cg offset"), "optitrack marker cg offset")
     moved = ((calibration or {}).get("capture") or {}).get("marker offset")
     if moved is not None:
         marker = np.asarray(moved, float) + (np.zeros(3) if marker is None else marker)
@@ -116,7 +94,7 @@ def import_flight(
             raise DataError(f"{error}; the gyro was clipped at the end of its range, which may be why") from None
         raise
     contradictory = cross_check(board, capture, sync)
-    board, telemetry = _settle_telemetry(board, where, notes)
+    board, telemetry = remove_telemetry_age(board, where, notes)
     frame, facts = _fuse(board, capture, sync, quadrotor, chosen, where, notes)
     at = frame["t"].to_numpy() + facts["start"]["value"]
     frame["onboard_valid"] *= ~rows_in_spans(board.invalid, at)
@@ -168,20 +146,6 @@ def _streams(
     return {name: found for name, t in times.items() if (found := stream(t, zero)) is not None}
 
 
-def _triple(section: Any, key: str) -> np.ndarray | None:
-    """A vector (3,), m, written as {"x", "y", "z"} or as a list."""
-    if section in (None, "", {}, []):
-        return None
-    values = [section.get(axis, 0.0) for axis in "xyz"] if isinstance(section, Mapping) else section
-    try:
-        vector = np.array([float(v) for v in values])
-    except (TypeError, ValueError):
-        vector = np.zeros(0)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise ConfigError(f"'{key}' is {section!r}, expected x, y and z in m")
-    return vector
-
-
 def _read_capture(
     flight: Mapping[str, Any],
     quadrotor: Mapping[str, Any],
@@ -191,7 +155,7 @@ def _read_capture(
     notes: list[str],
 ) -> tuple[Series | None, Recording | None]:
     """The capture's series (clock of its own, or the table's on the on-board clock) and the capture file as read."""
-    offset = _triple(quadrotor.get("optitrack marker cg offset"), "optitrack marker cg offset")
+    offset = read_triple(quadrotor.get("optitrack marker cg offset"), "optitrack marker cg offset")
     if flight.get("capture"):
         captured = read_capture(Request.of_capture(flight, offset, bool(chosen["filter optitrack outliers"])))
         return captured.series["capture"], captured
@@ -308,7 +272,7 @@ def _fuse(
     if board.rotors is not None:
         valid &= covered(board.rotors.t[np.isfinite(board.rotors.values).all(axis=1)], at)
     acceleration = force.values
-    correction = _lever_arm(gyro.values, acceleration, at, columns, quadrotor, chosen, where, notes)
+    correction = lever_arm_term(gyro.values, acceleration, at, columns, quadrotor, chosen, where, notes)
     if correction is not None:
         acceleration = acceleration - correction["term"]
     columns |= {n: acceleration[:, i] for i, n in enumerate(("ax", "ay", "az"))}
@@ -402,70 +366,3 @@ def _motion(
             moving = resample(track.t, track.values, at)
             return place, (moving.values, moving.sample & moving.covered), sources | {"velocity source": name}
     return place, None, sources
-
-
-def _lever_arm(
-    rates: np.ndarray, force: np.ndarray, at: np.ndarray, columns: Mapping[str, np.ndarray],
-    quadrotor: Mapping[str, Any], chosen: Mapping[str, Any], where: str, notes: list[str],
-) -> dict[str, Any] | None:  # fmt: skip
-    """What an IMU away from the cg measures too much; None when not asked for or not known."""
-    arm = _triple(quadrotor.get("imu position"), "imu position")
-    if not chosen["do onboard c.g. correction"]:
-        if arm is not None and np.any(arm):
-            notes.append(
-                f"{where}: the quadrotor's 'imu position' is not used; set 'do onboard c.g. correction' of 'data "
-                "importing' to true to correct by it, or take it out"
-            )
-        return None
-    about: dict[str, Any] = {"source": "configuration"}
-    if arm is None:
-        hover = None
-        if all(f"w{i}" in columns for i in range(1, 5)) and "rotor config" in quadrotor:
-            hubs = read_airframe(quadrotor, str(quadrotor.get("file", where))).hubs
-            hover = hover_arm(at, rates, force, np.stack([columns[f"w{i}"] for i in range(1, 5)], axis=1), hubs)
-        if hover is None:
-            notes.append(
-                f"{where}: 'do onboard c.g. correction' is on, but the flight does not hover long enough to give the "
-                "IMU's place and the quadrotor configuration has no 'imu position'; nothing was corrected"
-            )
-            return None
-        arm = hover.position
-        about = {"source": "hover", "std": hover.std.tolist(), "hover": {"value": hover.seconds, "unit": "s"}}
-        notes.append(
-            f"{where}: the IMU is taken to sit {1e3 * arm[0]:+.1f} mm ahead and {1e3 * arm[1]:+.1f} mm right of "
-            "the cg, from rotor speeds in hover; a weak rotor would look the same"
-        )
-    return {
-        "term": felt_too_much(at, rates, arm),
-        "about": {"value": arm.tolist(), "unit": "m", "applied": True, **about},
-    }
-
-
-def _settle_telemetry(board: Onboard, where: str, notes: list[str]) -> tuple[Onboard, dict[str, Any] | None]:
-    """Take the age of the rotor telemetry off its times where the flight gives it precisely; and what was found."""
-    if board.rotors is None or board.rotors.values.shape[1] < 4:
-        return board, None
-    age = rotor_age(board.rotors.t, board.rotors.values, board.gyro.t, board.gyro.values)
-    if age is None:
-        notes.append(f"{where}: too little flying with all rotors to give the age of the rotor telemetry; taken as 0")
-        return board, None
-    # the gyro's own delay may be wrong by this much; what is left of it makes the telemetry seem younger
-    late = board.delays["gyro"]["std"]
-    sharp = age.std < SHARP_AGE and age.explained > YAW_EXPLAINED and age.value > min(LEAST_AGE, -late)
-    about = {
-        "age": {"value": age.value, "std": float(np.hypot(age.std, late)), "unit": "s"},
-        "explained variance": age.explained,
-        "applied": sharp,
-    }
-    if not sharp:
-        notes.append(
-            f"{where}: the age of the rotor telemetry is not known from this flight ({1e3 * age.value:.1f} +- "
-            f"{1e3 * about['age']['std']:.1f} ms); taken as 0. Quick yaw inputs would show it"
-        )
-        return board, about
-
-    def earlier(track: Track) -> Track:
-        return Track(track.t - age.value, track.values)
-
-    others = {n: earlier(k) if re.fullmatch(r"w[1-8]", n) else k for n, k in board.others.items()}
-    return replace(board, rotors=earlier(board.rotors), others=others), about

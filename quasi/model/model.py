@@ -15,6 +15,7 @@ from scipy.special import ndtri, stdtrit
 from quasi import tables
 from quasi.airframe import Airframe
 from quasi.errors import ConfigError, ReadError, ShapeError, nearest
+from quasi.model.columns import ACCELERATIONS, ROTORS, columns_from_state, columns_from_table, read_slowest_speeds
 from quasi.model.commands import relative_speed_error, rotor_speeds
 from quasi.model.document import AXES, airframe_of, check_document, trees_of
 from quasi.model.envelope import JOINT_LIMIT, Region, compute_distances, make_region
@@ -27,10 +28,6 @@ from quasi.terms.normalisation import read_normalisation as normalisation_from_p
 from quasi.terms.rotor_map import describe_map
 from quasi.terms.singularities import remove_singularities
 from quasi.terms.variables import Variables, base_columns, check_terms, plain_name
-
-STATE = ("roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z")
-ROTORS = ("w1", "w2", "w3", "w4")
-ACCELERATIONS = tuple(f"{w}_dot" for w in ROTORS)
 
 
 class Model:
@@ -64,7 +61,7 @@ class Model:
         self.trees = {
             a: [t if scheme else remove_singularities(t, radius) for t in some] for a, some in written.items()
         }
-        self.slowest = _read_slowest_speeds(document, self.airframe)
+        self.slowest = read_slowest_speeds(document, self.airframe)
         needed = set().union(*(base_columns(n, scheme) for n in self._names), set(ROTORS) if scheme else set())
         self.columns = tuple(sorted(needed))
         self._derivatives: dict[tuple[str, ...], Kernel] = {}
@@ -155,7 +152,7 @@ class Model:
 
     def predict_columns(self, flight: pd.DataFrame | Mapping[str, np.ndarray]) -> pd.DataFrame:
         """Predictions of the identified axes, one column each, of a table with roll .. z, w1 .. w4 and so on."""
-        columns, rows = _as_columns(flight)
+        columns, rows = columns_from_table(flight)
         result = self._run(self.kernel, columns, rows)
         index = flight.index if isinstance(flight, pd.DataFrame) else None
         return pd.DataFrame({axis: result[AXES.index(axis)] for axis in self.axes}, index=index)
@@ -186,7 +183,7 @@ class Model:
     ) -> np.ndarray:
         """Outputs (M, N) of one of the model's kernels; the other arguments as for `predict`."""
         state, speeds = np.asarray(state, float), np.asarray(rotor_speeds, float)
-        return self._run(kernel, *_from_state(state, speeds, rotor_accelerations, extra))
+        return self._run(kernel, *columns_from_state(state, speeds, rotor_accelerations, extra))
 
     def held_constant(self, u: Iterable[str]) -> list[str]:
         """Variables of the moments that move with the inputs u of a differential form but are kept constant in it."""
@@ -225,13 +222,13 @@ class Model:
         Raises ShapeError, ExpressionError, or ConfigError for a model that carries no region.
         """
         state = np.asarray(state, float)
-        columns, rows = _from_state(state, np.asarray(rotor_speeds, float), rotor_accelerations, extra)
+        columns, rows = columns_from_state(state, np.asarray(rotor_speeds, float), rotor_accelerations, extra)
         found, worst = self._distances(columns, rows)
         return (found[0], worst[0]) if state.ndim == 1 else (found, worst)
 
     def distance_columns(self, flight: pd.DataFrame | Mapping[str, np.ndarray]) -> pd.DataFrame:
         """Compute columns "distance" and "worst" of `distance` for a table with roll .. z, w1 .. w4 and so on."""
-        found, worst = self._distances(*_as_columns(flight))
+        found, worst = self._distances(*columns_from_table(flight))
         index = flight.index if isinstance(flight, pd.DataFrame) else None
         return pd.DataFrame({"distance": found, "worst": worst}, index=index)
 
@@ -276,7 +273,7 @@ class Model:
         error of rotor speeds that are estimated from commands, by the model's derivatives (delta method);
         quantile of Student's t with the effective number of rows less the number of terms.
         """
-        columns, rows = _as_columns(flight)
+        columns, rows = columns_from_table(flight)
         lookup = self._lookup(columns, rows)
         by_speeds = self._variance_by_speeds(columns, rows, trimmed)
         result = {}
@@ -317,7 +314,7 @@ class Model:
 
         The coefficients times these is the prediction, so that its derivative by the coefficients is exact.
         """
-        columns, rows = _as_columns(flight)
+        columns, rows = columns_from_table(flight)
         values = Program(self.trees[axis]).run(self._lookup(columns, rows), rows)
         return values * self.normalisation.scale_of(axis, columns) if self.normalisation else values
 
@@ -418,51 +415,6 @@ class Model:
         for k, position in enumerate(kernel.gather.tolist()):
             table[k] = columns[self.inputs[position]]
         return table
-
-
-def _read_slowest_speeds(document: Mapping[str, Any], airframe: Airframe) -> list[float] | None:
-    """Lowest speed of each rotor in the training flights, else the idle speed, rad/s; None where neither is known."""
-    ranges = document.get("envelope") or {}
-    lowest = [(ranges.get(w) or {}).get("min") if isinstance(ranges, Mapping) else None for w in ROTORS]
-    if all(isinstance(v, int | float) and np.isfinite(v) for v in lowest):
-        return [float(v) for v in lowest]
-    factor = airframe.logged_to_rad_s or document.get("logged to rad/s")
-    if airframe.idle_rpm and isinstance(factor, int | float) and np.isfinite(airframe.idle_rpm * factor):
-        return [float(airframe.idle_rpm * factor)] * 4
-    return None
-
-
-def _from_state(
-    state: np.ndarray,
-    speeds: np.ndarray,
-    accelerations: np.ndarray | None,
-    extra: Mapping[str, np.ndarray] | None,
-) -> tuple[dict[str, np.ndarray], int]:
-    """Columns and number of rows of what `predict` is given. Raises ShapeError."""
-    state, speeds = np.atleast_2d(state), np.atleast_2d(speeds)
-    if state.ndim != 2 or state.shape[1] not in (9, 12):
-        raise ShapeError(f"state must be (N, 12) or (N, 9), roll pitch yaw u v w p q r [x y z], got {state.shape}")
-    if speeds.shape != (len(state), 4):
-        raise ShapeError(f"rotor_speeds must be ({len(state)}, 4) like the state's rows, got {speeds.shape}")
-    columns = {name: state[:, k] for k, name in enumerate(STATE[: state.shape[1]])}
-    columns |= {name: speeds[:, k] for k, name in enumerate(ROTORS)}
-    if accelerations is not None:
-        accelerations = np.atleast_2d(np.asarray(accelerations, float))
-        if accelerations.shape != speeds.shape:
-            raise ShapeError(f"rotor_accelerations must be {speeds.shape} like rotor_speeds, got {accelerations.shape}")
-        columns |= {name: accelerations[:, k] for k, name in enumerate(ACCELERATIONS)}
-    for name, values in (extra or {}).items():
-        columns[name] = np.broadcast_to(np.asarray(values, float), (len(state),))
-    return columns, len(state)
-
-
-def _as_columns(flight: pd.DataFrame | Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], int]:
-    columns = {str(name): np.asarray(flight[name], float) for name in flight if _is_number(flight[name])}
-    return columns, len(next(iter(columns.values()))) if columns else 0
-
-
-def _is_number(values: Any) -> bool:
-    return np.issubdtype(np.asarray(values).dtype, np.number)
 
 
 def read_model(path: str | Path) -> Model:

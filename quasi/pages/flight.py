@@ -11,6 +11,7 @@ import pandas as pd
 from quasi.attitude import GRAVITY
 from quasi.pages import frame
 from quasi.pages.chart import Chart, render_style
+from quasi.pages.filter_facts import Section, list_filter_facts, render_biases, render_innovations
 from quasi.pages.flight_traces import draw_path, find_spans, make_panels
 
 VERDICTS = ("good", "usable with care", "unusable")
@@ -21,7 +22,6 @@ MAX_LISTED_GAPS = 8
 REASON_SEPARATOR = re.compile(r"; (?![^()]*\))")  # between reasons, not inside brackets
 FIRST_SCREEN_PANELS = 3  # panels of the first screen
 VELOCITY_COLUMNS = {"u", "v", "w", "u_air", "v_air", "w_air"}
-Section = Mapping[str, Any]
 
 
 def describe_unmeasured(imported: Section, filtered: Section) -> dict[str, str]:
@@ -157,9 +157,9 @@ def render_flight_page(
         ),
         frame.render_section(
             "States and biases",
-            frame.render_facts(_list_filter_facts(f, m["attitude source"])),
-            _render_biases(f),
-            _render_innovations(f),
+            frame.render_facts(list_filter_facts(f, m["attitude source"])),
+            render_biases(f),
+            render_innovations(f),
             frame.render_list(f["notes"]),
         ),
         *(frame.render_section(heading, frame.render_picture(png, text)) for heading, (png, text) in pictures.items()),
@@ -379,74 +379,3 @@ def _list_saturation(shares: Mapping[str, float]) -> list[tuple[str, object]]:
             each = ", ".join(f"{k.split(' at ')[0]} {frame.format_share(v)}" for k, v in found.items() if v)
             rows.append((f"motor command at its {end}", each if any(found.values()) else "never"))
     return rows
-
-
-def _list_filter_facts(f: Section, source: str) -> list[tuple[str, object]]:
-    """List facts of the filter. source  of the attitude; an attitude from the IMU has no axes of its own"""
-    of = {"capture": "capture's", "onboard": "on-board attitude's"}.get(source)
-    turned = (f.get("attitude alignment") or {}) if of else {}
-    angles = [
-        f"{a} {frame.format_with_error(turned[a]['value'], turned[a]['std'], 'deg', math.degrees(1))}"
-        for a in ("roll", "pitch", "yaw")
-        if a in turned
-    ]
-    phases = f["phases"]
-    rest = phases.get("rest")
-    return [
-        ("rows valid for identification", frame.format_share(phases["valid share"])),
-        (
-            "take-off",
-            "not found"
-            if phases.get("take-off") is None
-            else f"{phases['take-off']:.2f} s"
-            if phases["take-off"] > 0.0
-            else "before the record begins",
-        ),
-        ("rest used", f"{rest[0]:.2f} to {rest[1]:.2f} s" if rest else "none"),
-        ("biases by", (f.get("biases") or {}).get("policy")),
-        (f"{of} axes on the body's", ", ".join(angles)),
-        ("low-pass", f"{f['filters']['low-pass cutoff Hz']:g} Hz"),
-        ("notches at the rotors' harmonics", _describe_notches(f["filters"].get("rotor notches"))),
-    ]
-
-
-def _describe_notches(about: Section | None) -> str | None:
-    if not about:
-        return None
-    lines = [
-        f"{line['harmonic']} ({line['frequency']['value']:.0f} Hz"
-        + (f", aliased to {line['stands at']['value']:.0f} Hz" if line["folded share"] > 0.5 else "")
-        + f", in {frame.format_share(line['taken out share'])} of the flight)"
-        for line in about["lines"]
-        if line["taken out share"] > 0
-    ]
-    return ", ".join(lines) or "none needed"
-
-
-def _render_biases(f: Section) -> str:
-    rows = []
-    for key, axes, scale, unit in (
-        ("gyro", ("p", "q", "r"), math.degrees(1), "deg/s"),
-        ("accelerometer", ("ax", "ay", "az"), 1.0, "m/s²"),
-    ):
-        bias = (f.get("biases") or {}).get(key)
-        if bias and bias.get("value"):
-            text = [
-                frame.format_with_error(v, s, "", scale) for v, s in zip(bias["value"], bias.get("std") or [None] * 3)
-            ]
-            rows.append((f"bias of {key} ({', '.join(axes)}), {unit}", *text))
-    return frame.render_table(("± standard error", "x", "y", "z"), rows)
-
-
-def _render_innovations(f: Section) -> str:
-    rows = [
-        (
-            f"innovations of {kind}", n["measurements"], frame.format_number(n["mean"]),
-            " to ".join(map(frame.format_number, n["bounds"])), frame.format_share(n["gated"]),
-            frame.format_number(n["whiteness"], 2),
-        )
-        for kind, n in (f.get("NIS") or {}).items()
-        if n and n.get("mean") is not None
-    ]  # fmt: skip
-    head = ("", "measurements", "NIS (1 if consistent)", "95 % bounds if white", "gated", "autocorrelation")
-    return frame.render_table(head, rows)

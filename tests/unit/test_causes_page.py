@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quasi.command import made_vehicle, main
+from quasi.command import main
+from quasi.commands.models import made_vehicle
 from quasi.gap import causes_page
 from quasi.gap.catalogue import catalogue
 

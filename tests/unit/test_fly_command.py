@@ -10,6 +10,7 @@ from test_fly import Clock, Script, Shown
 import quasi.simulation.tools.manual_flight as fly_module
 import quasi.simulation.tools.reference_flight as watch_module
 from quasi import command
+from quasi.commands.simulations import fly_live
 from quasi.simulation.loop.run import Session
 from quasi.simulation.loop.setup import make_setup
 from quasi.simulation.tools import fly_command as live
@@ -135,7 +136,7 @@ CIRCLE = {
 
 def test_a_configured_flight_is_shown_with_its_reference_until_its_end(folder, windows):
     write_json(folder / "config/simulations/round.json", CIRCLE)
-    sentence = command.fly_live("round", folder, by_hand=False)
+    sentence = fly_live("round", folder, by_hand=False)
     (window,) = windows
     assert sentence.startswith("flew 6.0 s of 6.0 s, position error ")
     assert np.abs(np.hypot(*window.path[-100:, :2].T) - 2.0).max() < 1e-9 and window.path[-1, 2] == -2.0
@@ -148,7 +149,7 @@ def test_a_configured_flight_is_shown_with_its_reference_until_its_end(folder, w
 
 def test_by_hand_the_reference_of_the_simulation_takes_no_part(folder, windows):
     write_json(folder / "config/simulations/round.json", CIRCLE)
-    command.fly_live("round", folder, by_hand=True)
+    fly_live("round", folder, by_hand=True)
     (window,) = windows
     assert window.path is None and window.texts[-1][0] > 7.0
     assert np.linalg.norm(window.states[-1][10:13]) < 0.1

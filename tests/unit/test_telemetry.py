@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from quasi.importing import flight as importing
+from quasi.importing import imu_and_telemetry
 from quasi.importing.clocks.telemetry import Age, rotor_age
 from quasi.importing.onboard_log import Onboard, Track
 
@@ -64,9 +64,9 @@ def test_telemetry_that_would_run_ahead_of_the_motion_is_not_corrected(age, late
     track = Track(t, np.zeros((100, 4)))
     delays = {"gyro": {"std": late}}
     board = Onboard(track, track, track, "onboard", 0.0, None, None, None, {"w1": track}, track, delays)
-    monkeypatch.setattr(importing, "rotor_age", lambda *_: Age(age, 1e-4, 0.99))
+    monkeypatch.setattr(imu_and_telemetry, "rotor_age", lambda *_: Age(age, 1e-4, 0.99))
     notes = []
-    settled, about = importing._settle_telemetry(board, "here", notes)
+    settled, about = imu_and_telemetry.remove_telemetry_age(board, "here", notes)
     assert about["applied"] == taken and bool(notes) != taken
     assert about["age"]["std"] == pytest.approx(np.hypot(1e-4, late))
     expected = t - (age if taken else 0.0)
