@@ -58,7 +58,7 @@ wildcard_constraints:
 def print_reports():
     """The last line printed is the sentence that helps; before it, what was made."""
     sys.stdout.flush()
-    for notice in FOLDER.notices if "FOLDER" in globals() else ():
+    for notice in FOLDER.places.notices if "FOLDER" in globals() else ():
         print(f"[NOTICE] {notice}", file=sys.stderr)
     for terminal in TERMINALS:
         if summary := terminal.summary():
@@ -155,16 +155,16 @@ def filtered(rows, gravity):
 
 
 def training_flights(wildcards):
-    gap = ask(FOLDER.extended, wildcards.model)
+    gap = ask(FOLDER.gaps.maker_of, wildcards.model)
     if gap:
         return calibrated(gap, ("compared", "reference"))
-    notice = ask(FOLDER.changed_selection, wildcards.model)
-    if notice and notice not in FOLDER.notices:
-        FOLDER.notices.append(notice)
+    notice = ask(FOLDER.model_jobs.changed_selection, wildcards.model)
+    if notice and notice not in FOLDER.places.notices:
+        FOLDER.places.notices.append(notice)
         print(f"[NOTICE] {notice}", file=sys.stderr)
     return filtered(
-        ask(FOLDER.model_flights, wildcards.model, "training"),
-        ask(FOLDER.gravity, wildcards.model),
+        ask(FOLDER.logbooks.model_flights, wildcards.model, "training"),
+        ask(FOLDER.configuration.gravity, wildcards.model),
     )
 
 
@@ -172,8 +172,8 @@ def calibrated(
     gap, roles=("reference", "compared", "held out"), gravity=None, kind="parquet"
 ):
     """Flights of a gap as processed anew; those without gravity's part named are the imported ones."""
-    flights = ask(FOLDER.gap_flights, gap)
-    gravity = gravity or ask(FOLDER.gap_gravity, gap)
+    flights = ask(FOLDER.gaps.flights, gap)
+    gravity = gravity or ask(FOLDER.gaps.gravity, gap)
     stage = "imported/{}" if gravity == "imported" else f"filtered/{{}}/{gravity}"
     return [
         f"results/calibrated/{gap}/{stage.format(r.quadrotor)}/{r.key}.{kind}"
@@ -184,7 +184,7 @@ def calibrated(
 
 def as_processed(gap, roles, stage, kind="parquet"):
     """Flights of a gap before any calibration."""
-    flights = ask(FOLDER.gap_flights, gap)
+    flights = ask(FOLDER.gaps.flights, gap)
     place = "imported/{}" if stage == "imported" else f"filtered/{{}}/{stage}"
     return [
         f"results/{place.format(r.quadrotor)}/{r.key}.{kind}"
@@ -194,7 +194,7 @@ def as_processed(gap, roles, stage, kind="parquet"):
 
 
 def gap_model(wildcards):
-    return ask(FOLDER.gap_model, wildcards.gap)
+    return ask(FOLDER.gaps.model_path, wildcards.gap)
 
 
 def gap_recordings(wildcards):
@@ -206,7 +206,7 @@ def gap_recordings(wildcards):
 
 def model_sources(wildcards):
     """Of an extended model its gap's; else the identified parts, what they share, and the training flights."""
-    gap = ask(FOLDER.extended, wildcards.model)
+    gap = ask(FOLDER.gaps.maker_of, wildcards.model)
     if gap:
         return {"extended": f"results/parts/gap/{gap}/model.json"}
     return {
@@ -219,35 +219,38 @@ def model_sources(wildcards):
 
 def base_of(wildcards):
     """Of an extended model the one that it extends: both are judged on the same flights."""
-    gap = ask(FOLDER.extended, wildcards.model)
-    return {"base": ask(FOLDER.gap_model, gap)} if gap else {}
+    gap = ask(FOLDER.gaps.maker_of, wildcards.model)
+    return {"base": ask(FOLDER.gaps.model_path, gap)} if gap else {}
 
 
 def partition_of(wildcards):
-    gap = ask(FOLDER.extended, wildcards.model)
+    gap = ask(FOLDER.gaps.maker_of, wildcards.model)
     if gap:
         return f"results/parts/gap/{gap}/partition.parquet"
     return f"results/identified/{wildcards.model}/partition.parquet"
 
 
 def all_flights(wildcards):
-    gap = ask(FOLDER.extended, wildcards.model)
+    gap = ask(FOLDER.gaps.maker_of, wildcards.model)
     if gap:
         return calibrated(gap)
     return filtered(
-        ask(FOLDER.model_flights, wildcards.model), ask(FOLDER.gravity, wildcards.model)
+        ask(FOLDER.logbooks.model_flights, wildcards.model),
+        ask(FOLDER.configuration.gravity, wildcards.model),
     )
 
 
 def axis_parts(wildcards):
     return [
         f"results/identified/{wildcards.model}/{a}.json"
-        for a in ask(FOLDER.axes, wildcards.model)
+        for a in ask(FOLDER.model_jobs.axes, wildcards.model)
     ]
 
 
 def raw_files(wildcards):
-    raw = ask(FOLDER.importing, wildcards.quadrotor, wildcards.flight)["flight"]
+    raw = ask(FOLDER.recordings.importing, wildcards.quadrotor, wildcards.flight)[
+        "flight"
+    ]
     # an absent file is not an input: it fails this flight's job with a sentence, not the graph of all flights
     wind = raw.get("wind", {}).get("file")
     return [raw[k] for k in ("onboard", "capture") if raw[k]] + ([wind] if wind else [])
@@ -277,7 +280,7 @@ def inspected(kind, name):
 
 
 def inspected_for_model(wildcards):
-    gap = ask(FOLDER.extended, wildcards.model)
+    gap = ask(FOLDER.gaps.maker_of, wildcards.model)
     return inspected("gaps", gap) if gap else inspected("models", wildcards.model)
 
 
@@ -285,11 +288,11 @@ def learning_settings(gap):
     """Settings of import and filter of the flights that a gap learns from, by key."""
     return {
         r.key: {
-            "importing": ask(FOLDER.importing, r.quadrotor, r.key),
-            "filtering": ask(FOLDER.filtering, r.quadrotor, r.key),
+            "importing": ask(FOLDER.recordings.importing, r.quadrotor, r.key),
+            "filtering": ask(FOLDER.recordings.filtering, r.quadrotor, r.key),
         }
         for role in LEARN
-        for r in ask(FOLDER.gap_flights, gap)[role]
+        for r in ask(FOLDER.gaps.flights, gap)[role]
     }
 
 
@@ -316,7 +319,7 @@ def simulation_pictures(wildcards):
 
 
 def model_to_export(wildcards):
-    return ask(FOLDER.portable, wildcards.model)
+    return ask(FOLDER.model_jobs.portable, wildcards.model)
 
 
 def matlab_files(wildcards):
@@ -326,11 +329,11 @@ def matlab_files(wildcards):
 
 
 def every_model(wildcards):
-    return [f"models/{m}/standalone" for m in ask(FOLDER.every_model)]
+    return [f"models/{m}/standalone" for m in ask(FOLDER.configuration.every_model)]
 
 
 def every_processed_flight(wildcards):
-    rows = ask(FOLDER.processing_flights)
+    rows = ask(FOLDER.logbooks.processing_flights)
     pages = [f"results/reports/{r.quadrotor}/{r.key}.html" for r in rows]
     return filtered(rows, "withGravity") + pages
 

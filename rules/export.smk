@@ -79,7 +79,7 @@ rule export_matlab:
     benchmark:
         "results/benchmarks/export/{model}/matlab.tsv"
     params:
-        settings=lambda wildcards: ask(FOLDER.matlab, wildcards.model),
+        settings=lambda wildcards: ask(FOLDER.model_jobs.matlab, wildcards.model),
         contents=lambda wildcards: contents([model_to_export(wildcards)]),
         code=code("export_matlab.py"),
     script:

@@ -24,7 +24,7 @@ rule filtering:
         flights=1,
     params:
         settings=lambda wildcards: ask(
-            FOLDER.filtering, wildcards.quadrotor, wildcards.flight
+            FOLDER.recordings.filtering, wildcards.quadrotor, wildcards.flight
         ),
         code=code("filtering.py"),
     script:

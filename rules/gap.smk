@@ -60,8 +60,8 @@ rule gap_importing:
     log:
         "logs/gap/{gap}/importing/{quadrotor}/{flight}.log",
     params:
-        settings=lambda w: ask(FOLDER.importing, w.quadrotor, w.flight),
-        role=lambda w: ask(FOLDER.gap_roles, w.gap).get(w.flight),
+        settings=lambda w: ask(FOLDER.recordings.importing, w.quadrotor, w.flight),
+        role=lambda w: ask(FOLDER.gaps.roles, w.gap).get(w.flight),
         contents=lambda w: contents(raw_files(w)),
         code=code("gap_importing.py"),
     script:
@@ -84,7 +84,7 @@ rule gap_filtering:
     log:
         "logs/gap/{gap}/filtering/{quadrotor}/{flight}.log",
     params:
-        settings=lambda w: ask(FOLDER.filtering, w.quadrotor, w.flight),
+        settings=lambda w: ask(FOLDER.recordings.filtering, w.quadrotor, w.flight),
         code=code("gap_filtering.py"),
     script:
         "../scripts/gap_filtering.py"

@@ -16,7 +16,9 @@ rule identification_shared:
     benchmark:
         "results/benchmarks/identification/{model}/shared.tsv"
     params:
-        settings=lambda wildcards: ask(FOLDER.identification, wildcards.model),
+        settings=lambda wildcards: ask(
+            FOLDER.model_jobs.identification, wildcards.model
+        ),
         code=code("identification_shared.py"),
     script:
         "../scripts/identification_shared.py"
@@ -34,7 +36,9 @@ rule identification:
     benchmark:
         "results/benchmarks/identification/{model}/{axis}.tsv"
     params:
-        settings=lambda wildcards: ask(FOLDER.axis, wildcards.model, wildcards.axis),
+        settings=lambda wildcards: ask(
+            FOLDER.model_jobs.axis, wildcards.model, wildcards.axis
+        ),
         code=code("identification.py"),
     script:
         "../scripts/identification.py"

@@ -41,11 +41,11 @@ rule importing:
         flights=1,
     params:
         settings=lambda wildcards: ask(
-            FOLDER.importing, wildcards.quadrotor, wildcards.flight
+            FOLDER.recordings.importing, wildcards.quadrotor, wildcards.flight
         ),
         # the path alone: the job reads the row, so that a changed comment or a moved row makes nothing stale
         logbook=lambda wildcards: (
-            ask(FOLDER.row, wildcards.quadrotor, wildcards.flight).logbook
+            ask(FOLDER.logbooks.row, wildcards.quadrotor, wildcards.flight).logbook
         ),
         contents=lambda wildcards: contents(raw_files(wildcards)),
         code=code("importing.py"),

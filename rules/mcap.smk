@@ -14,7 +14,9 @@ rule mcap_flight:
     log:
         "logs/mcap/flights/{quadrotor}/{flight}.log",
     params:
-        settings=lambda w: ask(FOLDER.flight_trajectory, w.quadrotor, w.flight),
+        settings=lambda w: ask(
+            FOLDER.model_jobs.flight_trajectory, w.quadrotor, w.flight
+        ),
         code=code("mcap_flight.py"),
     script:
         "../scripts/mcap_flight.py"

@@ -13,8 +13,8 @@ rule standalone_model:
     log:
         "logs/standalone/{model}/model.log",
     params:
-        flights=lambda wildcards: ask(FOLDER.roles, wildcards.model),
-        settings=lambda wildcards: ask(FOLDER.standalone, wildcards.model),
+        flights=lambda wildcards: ask(FOLDER.model_jobs.roles, wildcards.model),
+        settings=lambda wildcards: ask(FOLDER.model_jobs.standalone, wildcards.model),
         code=code("standalone_model.py"),
     script:
         "../scripts/standalone_model.py"
@@ -39,8 +39,8 @@ rule standalone_scores:
     benchmark:
         "results/benchmarks/standalone/{model}/scores.tsv"
     params:
-        flights=lambda wildcards: ask(FOLDER.roles, wildcards.model),
-        options=lambda wildcards: ask(FOLDER.partitioning, wildcards.model),
+        flights=lambda wildcards: ask(FOLDER.model_jobs.roles, wildcards.model),
+        options=lambda wildcards: ask(FOLDER.model_jobs.partitioning, wildcards.model),
         code=code("standalone_scores.py"),
     script:
         "../scripts/standalone_scores.py"
@@ -58,8 +58,8 @@ rule standalone_figures:
     benchmark:
         "results/benchmarks/standalone/{model}/figures.tsv"
     params:
-        flights=lambda wildcards: ask(FOLDER.roles, wildcards.model),
-        options=lambda wildcards: ask(FOLDER.partitioning, wildcards.model),
+        flights=lambda wildcards: ask(FOLDER.model_jobs.roles, wildcards.model),
+        options=lambda wildcards: ask(FOLDER.model_jobs.partitioning, wildcards.model),
         code=code("standalone_figures.py"),
     script:
         "../scripts/standalone_figures.py"
@@ -75,7 +75,7 @@ rule standalone_trajectories:
     benchmark:
         "results/benchmarks/standalone/{model}/trajectories.tsv"
     params:
-        settings=lambda wildcards: ask(FOLDER.trajectories, wildcards.model),
+        settings=lambda wildcards: ask(FOLDER.model_jobs.trajectories, wildcards.model),
         code=code("standalone_trajectories.py"),
     script:
         "../scripts/standalone_trajectories.py"

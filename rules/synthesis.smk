@@ -16,7 +16,7 @@ rule synthesis:
         "results/benchmarks/synthesis/{campaign}/{flight}.tsv"
     params:
         campaign=lambda wildcards: ask(
-            FOLDER.made_flight, wildcards.campaign, wildcards.flight
+            FOLDER.configuration.made_flight, wildcards.campaign, wildcards.flight
         ),
         code=code("synthesis.py"),
     script:

@@ -16,7 +16,9 @@ rule trajectory:
     log:
         "logs/trajectories/{quadrotor}/{flight}.log",
     params:
-        settings=lambda w: ask(FOLDER.flight_trajectory, w.quadrotor, w.flight),
+        settings=lambda w: ask(
+            FOLDER.model_jobs.flight_trajectory, w.quadrotor, w.flight
+        ),
         code=code("trajectory.py"),
     script:
         "../scripts/trajectory.py"
@@ -33,7 +35,9 @@ rule trajectory_animation:
     wildcard_constraints:
         format="gif|mp4",
     params:
-        settings=lambda w: ask(FOLDER.flight_trajectory, w.quadrotor, w.flight),
+        settings=lambda w: ask(
+            FOLDER.model_jobs.flight_trajectory, w.quadrotor, w.flight
+        ),
         code=code("trajectory_animation.py"),
     script:
         "../scripts/trajectory_animation.py"

@@ -18,7 +18,7 @@ from quasi.gap.levels.sensors_and_drive import examine, units_of
 from quasi.importing.flight import import_flight
 from quasi.model.commands import map_of
 from quasi.model.model import read_model
-from quasi.project.gaps import recorded_twice, refuse_trained, same_recordings
+from quasi.project.same_recordings import recorded_twice, refuse_trained, same_recordings
 from quasi.running.job_log import LOG, job, show_progress
 from quasi.tables import read_json, read_table, write_json, write_table
 

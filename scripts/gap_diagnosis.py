@@ -24,7 +24,7 @@ from quasi.gap.levels.sensors_and_drive import units_of
 from quasi.identification.partition import UNITS, partition, to_table
 from quasi.model.commands import map_of
 from quasi.model.model import read_model
-from quasi.project.gaps import list_model_recordings, unchecked
+from quasi.project.same_recordings import list_model_recordings, unchecked
 from quasi.running.job_log import LOG, job, show_progress
 from quasi.tables import drop_identified_commands, list_recordings, read_json, read_table, write_json, write_table
 

@@ -2,7 +2,7 @@
 
 from quasi.errors import DataError
 from quasi.importing.inspection import MEMORY, Inspector, refusals
-from quasi.project.gaps import repeated_recordings
+from quasi.project.same_recordings import repeated_recordings
 from quasi.running.job_log import LOG, job, print_at_end, show_progress
 from quasi.tables import write_json
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from quasi.importing.inspection import MEMORY, Inspector, empty_result, refusals
 from quasi.importing.inspection_report import report
 from quasi.project.folder import check_project, read_settings
-from quasi.project.gaps import repeated_recordings
+from quasi.project.same_recordings import repeated_recordings
 from quasi.project.workflow import Folder
 from quasi.running.provenance import compute_code_digest
 
@@ -23,7 +23,7 @@ def check_folder(directory: Path, library: Path, data: str | None = None) -> tup
         asked, faults, untouched = folder.configured_work()
         inspector = Inspector(MEMORY, compute_code_digest(library / "scripts/inspection.py", library))
         flights = {key: about["settings"] for work in asked.values() for key, about in work["flights"].items()}
-        pending = {key for key, settings in flights.items() if folder.to_be_made(settings)}
+        pending = {key for key, settings in flights.items() if folder.recordings.to_be_made(settings)}
         found = {
             key: empty_result(settings) if key in pending else inspector.inspect(settings)
             for key, settings in flights.items()

@@ -1,18 +1,21 @@
-"""The flights of a project folder as the rules ask for them: raw files, quadrotor, mass, and settings of their jobs."""
+"""The recorded flights of a project folder: raw files, quadrotor, mass, and settings of their two stages."""
 
 import functools
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from quasi.airframe import read_airframe
 from quasi.errors import LogbookError, QuasiError, nearest
-from quasi.project.folder import is_file, with_suffix
-from quasi.project.gaps import Comparisons
+from quasi.project.configurations import Configurations
+from quasi.project.folder import Places, is_file, with_suffix
 from quasi.project.logbook import Row
+from quasi.project.logbooks import Logbooks
 from quasi.recognition import CONTROLLERS, HEAD, recognise
 from quasi.tables import read_head
 
 CAPTURE = (".csv", ".CSV", ".tsv", ".TSV", ".c3d", ".csv.gz")
+
 WIND = (".lvm", ".LVM", ".txt", ".csv")
 
 # What of a quadrotor configuration each stage reads: a change elsewhere in the file reruns nothing.
@@ -26,6 +29,7 @@ GEOMETRY = (
     "rotor positions",
     "rotor rotation directions",
 )
+
 IMPORTING = (
     *GEOMETRY,
     "optitrack marker cg offset",
@@ -39,15 +43,21 @@ IMPORTING = (
     "command map",
     "logged body axes",
 )
+
 FILTERING = (*GEOMETRY, "motor poles", "idle RPM", "max RPM", "(estimated) imu sensor noise statistics")
+
 IDENTIFICATION = (*GEOMETRY, "motor poles", "idle RPM", "max RPM", "command map", "hover speed", "thrust factor")
+
 LIGHTEST, HEAVIEST = 0.005, 100.0  # kg: outside lies a slip of unit, not a quadrotor
 
 
-class Recordings(Comparisons):
-    """A project folder's recorded flights: where each row's raw files lie, and the settings of its two stages."""
+class Recordings:
+    """Where each row's raw files lie, and the settings of import and filter."""
 
-    # raw files of one flight
+    def __init__(self, places: Places, configuration: Configurations, logbooks: Logbooks) -> None:
+        self.places = places
+        self.configuration = configuration
+        self.logbooks = logbooks
 
     def raw(self, row: Row) -> dict[str, Any]:
         """Paths of the "onboard" and "capture" files, found or to be made, or None, and a "problem" or None."""
@@ -70,7 +80,7 @@ class Recordings(Comparisons):
         """A flight controller of `recognition.CONTROLLERS`: the logbook's cell, else the quadrotor configuration's."""
         name = row.cells["Flight controller"].lower()
         if not name:
-            config, _ = self._quadrotor(row)
+            config, _ = self.quadrotor(row)
             name = str(config.get("flight controller", "")).lower()
         return {"cleanflight": "betaflight"}.get(name, name)
 
@@ -103,14 +113,14 @@ class Recordings(Comparisons):
         return wind, wind["file problem"] if static is None else None
 
     def _find(self, row: Row, folder: str, name: str, suffixes: tuple[str, ...]) -> tuple[str | None, str | None]:
-        base = self.place(row.cells.get(folder, "")) / row.cells[name]
+        base = self.places.place(row.cells.get(folder, "")) / row.cells[name]
         if base.suffix in suffixes:
             candidates = [base]
         else:
             # the name as it is written serves, too: what a file holds decides how it is read, not its extension
             candidates = [*(Path(f"{base}{s}") for s in suffixes), base]
         for path in candidates:
-            if is_file(self._here(path)) or self._made(path):
+            if is_file(self.places.here(path)) or self.is_made(path):
                 return str(path), None
         if inside := self._files_in(base):
             return None, (
@@ -130,14 +140,14 @@ class Recordings(Comparisons):
     def _files_in(self, folder: Path) -> list[str]:
         """The names of the bag files in a folder that was named in place of one."""
         try:
-            files = sorted(p for p in self._here(folder).iterdir() if p.suffix in CONTROLLERS["rosbag"])
+            files = sorted(p for p in self.places.here(folder).iterdir() if p.suffix in CONTROLLERS["rosbag"])
         except OSError:
             return []
         return [p.name for p in files]
 
     def _near_files(self, base: Path) -> list[str]:
         """Files of the same name but for extension and case, each with what it holds: "LOG1.TXT (a blackbox log)"."""
-        folder = self._here(base.parent)
+        folder = self.places.here(base.parent)
         stems = {base.name.lower(), base.stem.lower()}
         try:
             files = sorted(p for p in folder.iterdir() if {p.name.lower(), p.stem.lower()} & stems and is_file(p))
@@ -148,60 +158,71 @@ class Recordings(Comparisons):
 
     def _data_hint(self, path: Path) -> str:
         """How to say where recordings lie, for a raw file that was sought in the folder's own data/."""
-        if self.data or path.parts[:1] != ("data",):
+        if self.places.data or path.parts[:1] != ("data",):
             return ""
         return "; where recordings lie elsewhere, `--config data=PATH` sets the place of data/"
 
-    def _made(self, path: Path) -> bool:
+    def is_made(self, path: Path) -> bool:
         """Whether the synthesis stage makes this raw file."""
         parts = path.parts
-        if len(parts) != 5 or parts[:2] != ("results", "synthesis") or parts[2] not in self.campaigns:
+        if len(parts) != 5 or parts[:2] != ("results", "synthesis") or parts[2] not in self.configuration.campaigns:
             return False
         kind = {"onboard": ".bbl", "optitrack": ".csv"}.get(parts[3])
-        keys = [f.get("key") for f in self.campaign(parts[2]).get("flights", [])]
+        keys = [f.get("key") for f in self.configuration.campaign(parts[2]).get("flights", [])]
         return path.suffix == kind and path.stem in keys
 
-    # settings of the jobs
+    def to_be_made(self, settings: Mapping[str, Any]) -> bool:
+        """Whether a raw file of a flight, of whose import these are the settings, is absent and a rule makes it."""
+        files = [settings["flight"][k] for k in ("onboard", "capture")]
+        return any(f and self.is_made(Path(f)) and not is_file(self.places.here(f)) for f in files)
 
-    def _quadrotor(self, row: Row) -> tuple[dict[str, Any], str | None]:
+    def log_of(self, row: Row) -> list[str] | None:
+        """On-board file of a row and the number of the log in it; None where the file is absent."""
+        path = self.raw(row)["onboard"]
+        return [path, row.cells.get("Log number", "")] if path else None
+
+    def quadrotor(self, row: Row) -> tuple[dict[str, Any], str | None]:
+        """Quadrotor configuration of a row, {} where it cannot be read, and a sentence on what is wrong or None."""
         if not row.cells["Drone Config File"]:
             empty = "'Drone Config File' is empty; fill in the name of the quadrotor's JSON"
             return {}, f"{row.logbook} row {row.number}, flight {row.key}: {empty}"
-        config, problem = self._quadrotor_file(self._quadrotor_path(row))
+        config, problem = self._quadrotor_file(self.quadrotor_path(row))
         if problem and not config:
             problem = f"{row.logbook} row {row.number}, flight {row.key}: {problem}"
         return config, problem
 
-    def _quadrotor_path(self, row: Row) -> Path:
+    def quadrotor_path(self, row: Row) -> Path:
+        """Path of the quadrotor configuration that a row names."""
         path = Path(row.cells["Drone Config Path"].replace("\\", "/")) / row.cells["Drone Config File"]
-        return self._settled(with_suffix(path, ".json"))
+        return self.places.settled(with_suffix(path, ".json"))
 
     @functools.cache  # noqa: B019
     def _quadrotor_file(self, path: Path) -> tuple[dict[str, Any], str | None]:
-        if not is_file(self._here(path)):
-            known = [p.name for p in self._here(path.parent).glob("*.json")]
+        if not is_file(self.places.here(path)):
+            known = [p.name for p in self.places.here(path.parent).glob("*.json")]
             return {}, (
-                f"quadrotor configuration {path} does not exist{self._nor(path)}"
+                f"quadrotor configuration {path} does not exist{self.places.describe_other_place(path)}"
                 f"{nearest(path.name, known)}; correct 'Drone Config File' or 'Drone Config Path'"
             )
         try:
-            config = self._read(path, "quadrotor")
+            config = self.places.read(path, "quadrotor")
             # checks beyond the schema: rotor numbers, inertia, poles; the row checks the mass
             read_airframe(config, str(path), mass=1.0)
         except QuasiError as error:
             return {}, str(error)
         return config, None
 
-    def _part(self, row: Row, keys: tuple[str, ...]) -> dict[str, Any]:
-        config, problem = self._quadrotor(row)
+    def quadrotor_part(self, row: Row, keys: tuple[str, ...]) -> dict[str, Any]:
+        """The keys of a quadrotor configuration that a stage reads, and what is wrong with the file or None."""
+        config, problem = self.quadrotor(row)
         part = {k: config[k] for k in keys if k in config}
-        part["file"] = self._quadrotor_path(row).stem
+        part["file"] = self.quadrotor_path(row).stem
         return {"quadrotor": part, "problem": problem}
 
     def importing(self, quadrotor: str, flight: str) -> dict[str, Any]:
         """Settings of one import job."""
-        row = self.row(quadrotor, flight)
-        raw, part = self.raw(row), self._part(row, IMPORTING)
+        row = self.logbooks.row(quadrotor, flight)
+        raw, part = self.raw(row), self.quadrotor_part(row, IMPORTING)
         log_number = row.cells.get("Log number", "")
         wind, wind_problem = self.wind(row)
         return {
@@ -216,19 +237,19 @@ class Recordings(Comparisons):
             }
             | ({"wind": wind} if wind else {}),
             "quadrotor": part["quadrotor"],
-            "options": self.processing["data importing"],
+            "options": self.configuration.processing["data importing"],
             "problem": part["problem"] or raw["problem"] or wind_problem,
         }
 
     def filtering(self, quadrotor: str, flight: str) -> dict[str, Any]:
         """Settings of one filter job."""
-        row = self.row(quadrotor, flight)
-        part = self._part(row, FILTERING)
+        row = self.logbooks.row(quadrotor, flight)
+        part = self.quadrotor_part(row, FILTERING)
         mass, problem = self.mass(row)
         return {
             "mass": mass,
             "quadrotor": part["quadrotor"],
-            "options": self.processing["data filtering"],
+            "options": self.configuration.processing["data filtering"],
             "problem": part["problem"] or problem,
         }
 
@@ -243,7 +264,7 @@ class Recordings(Comparisons):
             if LIGHTEST <= grams * 1e-3 <= HEAVIEST:
                 return grams * 1e-3, None
             return None, f"{flight}: 'Mass' is {grams:g} grams, which no quadrotor weighs; the column holds grams"
-        config, problem = self._quadrotor(row)
+        config, problem = self.quadrotor(row)
         given = config.get("mass", "")
         if given == "":
             return None, problem or (

@@ -11,7 +11,7 @@ from quasi.airframe import read_airframe
 from quasi.identification.candidates import read_specification
 from quasi.model.build import assemble_model
 from quasi.model.model import Model
-from quasi.project.folder import AXES
+from quasi.project.configurations import AXES
 from quasi.tables import read_json
 from quasi.terms.expressions import text
 from quasi.terms.normalisation import make_normalisation

@@ -217,7 +217,7 @@ def test_a_folder_in_place_of_a_bag_is_named_with_its_file(tmp_path, flight):
     (tmp_path / "config/processing.json").write_text("{}")
     head = "Quadrotor,Onboard Name,OB Path,Flight controller,Drone Config File,Drone Config Path\n"
     (tmp_path / "logbook.csv").write_text(f"{head}Q,bag_mcap,.,rosbag,q.json,.\n")
-    raw = Folder(tmp_path).raw(read_logbook(tmp_path / "logbook.csv")[2])
+    raw = Folder(tmp_path).recordings.raw(read_logbook(tmp_path / "logbook.csv")[2])
     assert raw["onboard"] is None and "is a folder" in raw["problem"] and "bag_mcap.mcap" in raw["problem"]
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from quasi.errors import ConfigError, LogbookError, QuasiError
-from quasi.project.gaps import refuse_trained, same_recordings, unchecked
+from quasi.project.same_recordings import refuse_trained, same_recordings, unchecked
 from quasi.project.workflow import Folder
 from quasi.tables import list_recordings, list_telemetry_corrections, sha256_of
 
@@ -50,31 +50,31 @@ def write(folder, name="g", rows=None, **changes):
 
 def test_flights_have_one_role_each_and_the_extended_model_a_name(folder):
     project = Folder(folder)
-    assert project.gap_roles("g") == {"a": "reference", "c": "compared", "d": "compared", "e": "held out"}
-    assert project.extended("m-g") == "g" and project.extended("m") is None
-    assert project.gap_model("g") == "models/m/standalone/model.json"
-    assert project.gap_gravity("g") == "withGravity"
+    assert project.gaps.roles("g") == {"a": "reference", "c": "compared", "d": "compared", "e": "held out"}
+    assert project.gaps.maker_of("m-g") == "g" and project.gaps.maker_of("m") is None
+    assert project.gaps.model_path("g") == "models/m/standalone/model.json"
+    assert project.gaps.gravity("g") == "withGravity"
     asked = project.gap("g")
     assert asked["settings"]["false alarm rate"] == 0.01 and asked["settings"]["material share"] == 0.05
     assert set(asked["trained"]) == {"row 2 of log.csv", "row 3 of log.csv"}
-    assert project.roles("m-g") == {"training": ["a", "c", "d"], "validation": ["e"]}
-    assert project.partitioning("m-g") == {"random partition": False}
+    assert project.model_jobs.roles("m-g") == {"training": ["a", "c", "d"], "validation": ["e"]}
+    assert project.model_jobs.partitioning("m-g") == {"random partition": False}
 
 
 def test_without_reference_rows_flights_that_trained_the_model_and_are_not_compared_stand_for_them(folder):
     write(folder, rows={"rows of reference flights": []})
     project = Folder(folder)
-    assert project.gap_references("g") == "training"
-    assert project.gap_roles("g") == {
+    assert project.gaps.references("g") == "training"
+    assert project.gaps.roles("g") == {
         "a": "reference", "b": "reference", "c": "compared", "d": "compared", "e": "held out"
     }  # fmt: skip
     write(folder, rows={"rows of reference flights": [], "rows of flights to compare (all)": ["2-6"]})
     again = Folder(folder)  # the compared flights trained it: none is left beside them
-    assert again.gap_references("g") == "none" and "reference" not in again.gap_roles("g").values()
+    assert again.gaps.references("g") == "none" and "reference" not in again.gaps.roles("g").values()
     write(folder, rows={"rows of reference flights": [], "training flights as reference": False})
-    assert Folder(folder).gap_references("g") == "none"
+    assert Folder(folder).gaps.references("g") == "none"
     write(folder)
-    assert Folder(folder).gap_references("g") == "given"
+    assert Folder(folder).gaps.references("g") == "given"
 
 
 def test_flights_of_a_gap_alone_are_known_to_the_folder(folder):
@@ -84,15 +84,15 @@ def test_flights_of_a_gap_alone_are_known_to_the_folder(folder):
     places = {"filename": "other", "rows of flights to compare (all)": [2], "rows of flights held out": [],
               "rows of reference flights": []}  # fmt: skip
     write(folder, rows=places)
-    assert Folder(folder).importing("Beetle", "z")["flight"]["onboard"] == "data/raw/z.bbl"
+    assert Folder(folder).recordings.importing("Beetle", "z")["flight"]["onboard"] == "data/raw/z.bbl"
 
 
 def test_an_extended_model_may_be_compared_again_and_remembers_who_trained_it(folder):
     rows = {"rows of flights to compare (all)": [7], "rows of flights held out": [], "rows of reference flights": []}
     write(folder, "h", rows, model="m-g")
     project = Folder(folder)
-    assert project.gap_model("h") == "models/m-g/standalone/model.json"
-    assert {r.key for r in project.gap_trained("h")} == {"a", "b", "c", "d"}
+    assert project.gaps.model_path("h") == "models/m-g/standalone/model.json"
+    assert {r.key for r in project.gaps.trained("h")} == {"a", "b", "c", "d"}
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_an_extended_model_may_be_compared_again_and_remembers_who_trained_it(fo
 def test_a_faulty_configuration_is_told_in_one_sentence(folder, rows, changes, sentence):
     write(folder, "g", rows, **changes)
     with pytest.raises((ConfigError, LogbookError)) as told:
-        Folder(folder).gap_model("g")
+        Folder(folder).gaps.model_path("g")
         Folder(folder).gap("g")
     assert sentence in str(told.value) and "\n" not in str(told.value)
 
@@ -122,9 +122,13 @@ def test_an_extended_model_is_exported_with_the_settings_of_its_base(folder):
     for section, u in (({"DiffSys u": ["w1"]}, ["w1"]), ({}, ["U_q"]), ({"make moment DiffSys": False}, None)):
         model = {**MODEL, "matlab": section, "standalone": {"DiffSys u": ["U_q"]}}
         (folder / "config/models/m.json").write_text(json.dumps(model))
-        assert Folder(folder).matlab("m-g") == Folder(folder).matlab("m") == {"file": "config/models/m.json", "u": u}
+        assert (
+            Folder(folder).model_jobs.matlab("m-g")
+            == Folder(folder).model_jobs.matlab("m")
+            == {"file": "config/models/m.json", "u": u}
+        )
     write(folder, model="put_there")
-    assert Folder(folder).matlab("put_there-g") == {"file": None, "u": ["U_p", "U_q", "U_r"]}
+    assert Folder(folder).model_jobs.matlab("put_there-g") == {"file": None, "u": ["U_p", "U_q", "U_r"]}
 
 
 @pytest.mark.parametrize(
@@ -137,7 +141,7 @@ def test_an_extended_model_is_exported_with_the_settings_of_its_base(folder):
 )
 def test_who_asks_for_an_extended_model_is_told_the_fault_of_its_gap(folder, ident, changes, sentence):
     write(folder, "g", **changes)
-    for ask in (Folder(folder).extended, Folder(folder).portable):
+    for ask in (Folder(folder).gaps.maker_of, Folder(folder).model_jobs.portable):
         with pytest.raises(ConfigError) as told:
             ask(ident)
         assert sentence in str(told.value)
@@ -148,14 +152,14 @@ def test_a_gap_that_is_no_json_is_told_to_who_asks_for_its_model_alone(folder):
     file = folder / "config/gaps/g.json"
     file.write_text(file.read_text().removesuffix("}"))
     with pytest.raises(QuasiError, match=r"config/gaps/g.json is not valid JSON"):
-        Folder(folder).extended("better")
+        Folder(folder).gaps.maker_of("better")
     project = Folder(folder)
-    assert project.extended("m") is None and project.extended("other") is None
+    assert project.gaps.maker_of("m") is None and project.gaps.maker_of("other") is None
     with pytest.raises(ConfigError, match="neither config/models/other.json nor"):
-        project.portable("other")
+        project.model_jobs.portable("other")
     write(folder, "h", model="other")  # a fault of its own is not that of another gap
     with pytest.raises(ConfigError, match="config/gaps/h.json: 'model' is 'other', but neither"):
-        Folder(folder).gap_model("h")
+        Folder(folder).gaps.model_path("h")
 
 
 def test_an_extended_model_of_a_gap_that_is_faulty_since_is_not_taken_for_one_that_was_put_there(folder):
@@ -165,27 +169,27 @@ def test_an_extended_model_of_a_gap_that_is_faulty_since_is_not_taken_for_one_th
         place.parent.mkdir(parents=True)
         place.write_text(json.dumps({"id": ident, "axes": {}, "provenance": {"extended from": "m", "by": by}}))
     with pytest.raises(ConfigError, match="config/gaps/g.json: unknown key 'horizon'"):
-        Folder(folder).portable("m-g")
-    assert Folder(folder).portable("other-g").endswith("models/other-g/standalone/model.json")
+        Folder(folder).model_jobs.portable("m-g")
+    assert Folder(folder).model_jobs.portable("other-g").endswith("models/other-g/standalone/model.json")
 
 
 def test_two_gaps_may_not_make_the_same_model(folder):
     write(folder, "h", **{"extended model ID": "m-g"})
     with pytest.raises(ConfigError, match="g.json and config/gaps/h.json both make the model 'm-g'"):
-        Folder(folder).extended("m-g")
+        Folder(folder).gaps.maker_of("m-g")
 
 
 def test_models_may_not_extend_each_other_in_a_circle(folder):
     write(folder, "g", model="two", **{"extended model ID": "one"})
     write(folder, "h", model="one", **{"extended model ID": "two"})
     with pytest.raises(ConfigError, match="in a circle"):
-        Folder(folder).gap_model("g")
+        Folder(folder).gaps.model_path("g")
 
 
 def test_an_unknown_gap_names_the_nearest(folder):
     write(folder, "hover")
     with pytest.raises(QuasiError, match=r"config/gaps/hoover.json does not exist \(did you mean 'hover'\?\)"):
-        Folder(folder).gap_settings("hoover")
+        Folder(folder).configuration.gap("hoover")
 
 
 def test_a_recording_that_trained_is_known_by_its_content_whatever_its_name(tmp_path):
@@ -271,8 +275,8 @@ def test_a_model_put_there_with_an_unknown_variable_is_refused_before_anything_r
     place.parent.mkdir(parents=True)
     place.write_text(json.dumps({"axes": {"Fz": {"terms": [{"expression": "U_p"}, {"expression": "w_tot*spede"}]}}}))
     write(folder, model="given")
-    for ask in (Folder(folder).gap_model, Folder(folder).gap):
+    for ask in (Folder(folder).gaps.model_path, Folder(folder).gap):
         with pytest.raises(QuasiError, match=r"given/standalone/model.json, Fz, term 'w_tot\*spede': unknown variable"):
             ask("g")
     with pytest.raises(QuasiError, match="unknown variable 'spede'"):
-        Folder(folder).portable("given")
+        Folder(folder).model_jobs.portable("given")

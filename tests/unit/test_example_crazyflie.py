@@ -45,13 +45,13 @@ def test_the_names_of_flights_follow_the_folders_that_are_their_truth():
 @pytest.mark.parametrize("name", BOOKS)
 def test_every_flight_can_be_imported_and_filtered_by_the_configurations(name):
     folder = Folder(ROOT, DATA)
-    assert sorted(folder.models) == sorted(BOOKS)
-    assert folder.model(name)
+    assert sorted(folder.configuration.models) == sorted(BOOKS)
+    assert folder.configuration.model(name)
     for flight in rows(name):
-        settings = folder.importing(flight["Quadrotor"], flight["Flight key"])
+        settings = folder.recordings.importing(flight["Quadrotor"], flight["Flight key"])
         assert settings["problem"] is None, settings["problem"]
         assert Path(settings["flight"]["onboard"]).is_file()
-        assert folder.filtering(flight["Quadrotor"], flight["Flight key"])["problem"] is None
+        assert folder.recordings.filtering(flight["Quadrotor"], flight["Flight key"])["problem"] is None
 
 
 @needs_data

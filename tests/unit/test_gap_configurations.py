@@ -8,7 +8,7 @@ import pytest
 
 from quasi.command import main
 from quasi.errors import ConfigError, QuasiError
-from quasi.project.gaps import recorded_twice, same_recordings
+from quasi.project.same_recordings import recorded_twice, same_recordings
 from quasi.project.workflow import Folder
 
 ROOT = Path(__file__).parents[2]
@@ -129,8 +129,8 @@ def laid(tmp_path, capsys):
 
 def test_the_gap_of_a_new_folder_disturbs_nothing_and_says_what_it_lacks(laid):
     project = laid(2)
-    assert [r.key for r in project.model_flights("my_model")] == ["f0", "f1"]
-    assert project.every_model() == ["my_model"] and len(project.processing_flights()) == 2
+    assert [r.key for r in project.logbooks.model_flights("my_model")] == ["f0", "f1"]
+    assert project.configuration.every_model() == ["my_model"] and len(project.logbooks.processing_flights()) == 2
     assert project.simulation("my_simulation")["model"] == "models/my_model/standalone/model.json"
     with pytest.raises(QuasiError, match=r"config/gaps/my_gap.json, 'rows of flights to compare \(all\)'.*row 4"):
         project.gap("my_gap")

@@ -106,7 +106,7 @@ def test_several_faults_are_all_named(lab, capsys):
 def test_import_refuses_in_the_same_words(lab, monkeypatch):
     edit(lab, "Quad,433", "Qaud,433")
     _, found = inspected(lab, monkeypatch)
-    settings = Folder(".").importing("Lab", "b")
+    settings = Folder(".").recordings.importing("Lab", "b")
     with pytest.raises(ValueError) as refused:
         import_flight(settings["flight"], settings["quadrotor"], settings["options"])
     assert str(refused.value) == found["Lab/b"]["problem"]

@@ -159,15 +159,15 @@ def test_a_model_that_was_put_there_keeps_the_inputs_it_names(tmp_path):
 
 def test_the_configuration_chooses_the_differential_form(tmp_path):
     folder = Folder(tmp_path)
-    assert folder.matlab("imported")["u"] == U
+    assert folder.model_jobs.matlab("imported")["u"] == U
     for section, u in (({}, ["U_p"]), ({"DiffSys u": ["w1"]}, ["w1"]), ({"make moment DiffSys": False}, None)):
         (tmp_path / "config/models").mkdir(parents=True, exist_ok=True)
         config = read_json(ROOT / "config/models/example.json")
         config["matlab"] = {"model ID": "X", "droneConfig path": "data", **section}
         config["standalone"] = {"DiffSys u": ["U_p"]}
         write_json(tmp_path / "config/models/X.json", config)
-        assert Folder(tmp_path).matlab("X") == {"file": "config/models/X.json", "u": u}
+        assert Folder(tmp_path).model_jobs.matlab("X") == {"file": "config/models/X.json", "u": u}
     config["matlab"] = {"DiffSys": True}
     write_json(tmp_path / "config/models/X.json", config)
     with pytest.raises(ConfigError, match="'DiffSys'.*did you mean 'DiffSys u'"):
-        Folder(tmp_path).matlab("X")
+        Folder(tmp_path).model_jobs.matlab("X")

@@ -35,7 +35,10 @@ def test_files_copied_into_config_under_their_old_names_are_named_where_their_pl
     put(tmp_path, "config/processConfig.json", {})
     put(tmp_path, "config/identificationConfig.json", IDENTIFICATION)
     folder = Folder(tmp_path)
-    for ask, lacking in ((lambda: folder.processing, "processing.json"), (folder.every_model, "config/models")):
+    for ask, lacking in (
+        (lambda: folder.configuration.processing, "processing.json"),
+        (folder.configuration.every_model, "config/models"),
+    ):
         with pytest.raises(ConfigError) as refused:
             ask()
         assert lacking in str(refused.value)

@@ -146,7 +146,7 @@ def test_a_near_file_is_named_with_what_it_holds(tmp_path):
     for name, found in (("LOG00012.TXT", True), ("LOG00012", False), ("log00012.bbl", False)):
         (tmp_path / "logbook.csv").write_text(f"{head}Q,{name},.,betaflight,q.json,.\n")
         row = read_logbook(tmp_path / "logbook.csv")[2]
-        raw = Folder(tmp_path).raw(row)
+        raw = Folder(tmp_path).recordings.raw(row)
         assert (raw["onboard"] is not None) == found
         assert found or "LOG00012.TXT (a blackbox log)" in raw["problem"]
         assert row.key.lower() == "log00012"

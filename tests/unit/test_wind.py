@@ -310,7 +310,7 @@ def project(folder, **cells):
     import json
 
     (folder / "config/processing.json").write_text(json.dumps(config))
-    return Folder(folder).importing("Q", "f1")
+    return Folder(folder).recordings.importing("Q", "f1")
 
 
 def test_still_air_adds_nothing_to_the_settings_of_a_flight(tmp_path):

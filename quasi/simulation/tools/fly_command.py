@@ -28,8 +28,8 @@ def fly_simulation(name: str | None, directory: Path, folder: "Folder") -> str:
     name  of config/simulations/<name>.json; None for the only one
     Raises a QuasiError where it or its model is absent, or no window can be opened.
     """
-    name = name or _require_single(folder.simulations, directory / "config/simulations", "simulation")
-    if name not in folder.simulations and (directory / "models" / name).exists():
+    name = name or _require_single(folder.configuration.simulations, directory / "config/simulations", "simulation")
+    if name not in folder.configuration.simulations and (directory / "models" / name).exists():
         raise ConfigError(
             f"config/simulations/{name}.json does not exist, but a model '{name}' does; fly it by hand with "
             f"`quasi fly --by-hand {name}`, or add a simulation of it"
@@ -60,7 +60,7 @@ def fly_by_hand(
     find_model  finds the path of a model ID in a folder
     Raises a QuasiError where there is no such model or no window can be opened.
     """
-    if folder is not None and name in folder.simulations:
+    if folder is not None and name in folder.configuration.simulations:
         asked = folder.simulation(name)
         asked = {**asked, "settings": {**asked["settings"], "references": {}}, "reference": None}
         setup = _make_setup(asked, directory)
