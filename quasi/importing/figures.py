@@ -81,8 +81,8 @@ def _draw(frame: pd.DataFrame, metadata: Mapping[str, Any], window: tuple[float,
     sensed = rotate(attitude, force) + np.array([0.0, 0.0, GRAVITY])
     moved = _accelerations(t, frame, attitude) if metadata["velocity source"] == "capture position" else None
     # next to a gap the velocity jumps from what was bridged to what was seen
-    window = np.ones(2 * round(2 * NEAR / (t[1] - t[0])) + 1)
-    bridged = np.convolve(~_near(t, frame["velocity_sample"].to_numpy() > 0), window, "same") > 0.5
+    reach = np.ones(2 * round(2 * NEAR / (t[1] - t[0])) + 1)
+    bridged = np.convolve(~_near(t, frame["velocity_sample"].to_numpy() > 0), reach, "same") > 0.5
     for i, name in enumerate(("north", "east", "down")):
         lines = [(_smooth(t, sensed[:, i]), ONBOARD, "on board")]
         if moved is not None:

@@ -10,8 +10,9 @@ from scipy.spatial.distance import mahalanobis
 
 from quasi.errors import ConfigError
 from quasi.model.build import assemble_model
+from quasi.model.columns import ACCELERATIONS, ROTORS, STATE
 from quasi.model.envelope import compute_row_distance, measure_coverage
-from quasi.model.model import ACCELERATIONS, ROTORS, STATE, Model
+from quasi.model.model import Model
 
 READ = ["u", "v", "w", "p", "q", *ROTORS, *ACCELERATIONS]  # base columns of TERMS
 
