@@ -13,7 +13,8 @@ import pandas as pd
 
 from quasi import attitude
 from quasi.errors import ConfigError, DataError, nearest
-from quasi.model.model import ROTORS, Model
+from quasi.model.columns import ROTORS
+from quasi.model.model import Model
 from quasi.tables import TELEMETRY_AGE_REMOVED
 
 CONFIGURED_MASS_KEY = "configured mass"  # key of a model's document: mass, kg, with which its flights were processed

@@ -19,8 +19,9 @@ from quasi.gap.flights.gathering import gather
 from quasi.gap.flights.instruments import shown
 from quasi.gap.levels.drive.fit import belief_of
 from quasi.gap.levels.forces.identify import WEIGHING, _carried
+from quasi.model.columns import STATE
 from quasi.model.extensions import correct_columns, correct_flight, drive_of, read_rotor_constants, wind_of
-from quasi.model.model import AXES, STATE, Model
+from quasi.model.model import AXES, Model
 from quasi.simulation.control.control_model import make_control_model
 from quasi.simulation.tools.replay import read_actuator_dynamics, replay
 from quasi.tables import TELEMETRY_AGE_REMOVED

@@ -6,7 +6,7 @@ from made_recordings import written
 
 from quasi.errors import DataError
 from quasi.importing.flight import import_flight
-from quasi.importing.limits import End, facts, said, spoiled
+from quasi.importing.limits import End, describe_clipping, facts, spoiled
 from quasi.synthesis import campaign as campaigns
 
 
@@ -61,5 +61,5 @@ def test_spans_and_spoiled_grid_points():
     assert "its full scale of 2000 deg/s" in notes[0] and "at 0.10 to 0.10 s, 0.50 to 0.50 s" in notes[0]
     expected = [np.abs(t - x).min() < 0.005 for x in at]
     np.testing.assert_array_equal(spoiled([end], at), expected)
-    assert said({"q -": found}) == ["the gyro (q) was clipped at the end of its range for 0.005 s"]
-    assert said({}) == [] and not spoiled([], at).any()
+    assert describe_clipping({"q -": found}) == ["the gyro (q) was clipped at the end of its range for 0.005 s"]
+    assert describe_clipping({}) == [] and not spoiled([], at).any()

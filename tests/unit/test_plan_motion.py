@@ -17,7 +17,8 @@ from quasi.gap.planning import plan
 from quasi.gap.planning.flatness import limits_of, turning
 from quasi.gap.planning.manoeuvres import library
 from quasi.model.build import assemble_model
-from quasi.model.model import AXES, ROTORS, Model
+from quasi.model.columns import ROTORS
+from quasi.model.model import AXES, Model
 
 
 def test_in_hover_every_rotor_turns_at_hover_speed():

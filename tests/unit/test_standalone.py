@@ -11,8 +11,9 @@ from made_model import SHARED, TERMS, document, part
 from quasi import tables
 from quasi.errors import ConfigError, ExpressionError, QuasiError, ReadError, ShapeError
 from quasi.model.build import assemble_model
+from quasi.model.columns import STATE
 from quasi.model.envelope import measure_coverage
-from quasi.model.model import STATE, Model, read_model
+from quasi.model.model import Model, read_model
 from quasi.scoring.score import SCORE_UNITS, score_model
 
 ROLES = {"training": 1, "test": 2, "validation": 3}

@@ -5,7 +5,8 @@ import numpy as np
 from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.instruments import reread
-from quasi.model.model import ROTORS, Model
+from quasi.model.columns import ROTORS
+from quasi.model.model import Model
 
 
 def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from quasi.attitude import from_euler, rotate_inverse
 from quasi.gap.flights.evidence import Evidence
-from quasi.model.model import ROTORS
+from quasi.model.columns import ROTORS
 
 APART = 0.02  # a variable whose scaled spread is smaller is as good as constant
 HEADING, ROOM, EVERYWHERE = "heading", "room place", "everywhere"

@@ -15,7 +15,8 @@ from quasi import attitude
 from quasi.airframe import Airframe
 from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.errors import DataError
-from quasi.model.model import AXES, ROTORS, Model
+from quasi.model.columns import ROTORS
+from quasi.model.model import AXES, Model
 
 NEEDED = (*ROTORS, *(f"{w}_dot" for w in ROTORS), "p", "q", "r", "roll", "pitch", "yaw", "u", "v", "w", *AXES)
 STEPS = {"u": 0.2, "v": 0.2, "w": 0.2, "p": 0.05, "q": 0.05, "r": 0.05, **dict.fromkeys(ROTORS, 5.0)}  # of gradients

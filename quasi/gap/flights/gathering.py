@@ -12,8 +12,9 @@ from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError, ExpressionError
 from quasi.gap.flights.evidence import APART, NEEDED, PLACE, Evidence, model_wrench
 from quasi.gap.flights.instruments import as_shown
+from quasi.model.columns import ROTORS
 from quasi.model.extensions import correct_columns
-from quasi.model.model import AXES, ROTORS, Model
+from quasi.model.model import AXES, Model
 from quasi.plausibility import check_measured_motion
 
 HEAVIER = 2.0  # a factor of mass that no load explains

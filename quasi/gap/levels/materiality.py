@@ -21,7 +21,7 @@ from quasi.gap.levels.drive.fit import NAMES, Belief, DriveFit, commanded, fit_d
 from quasi.gap.levels.sensors import identify as sensor_level
 from quasi.gap.levels.sensors.columns import CHANNELS, Weak, corrected_already, weak_form
 from quasi.gap.levels.sensors.products import blocks_of, least_squares, whitener_of
-from quasi.model.model import ROTORS
+from quasi.model.columns import ROTORS
 
 DROWNED = 0.1  # a channel whose floor holds all but this share of its error tells no share
 

@@ -23,7 +23,8 @@ from quasi.errors import DataError
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.gathering import gather_all
 from quasi.gap.flights.level import Flown
-from quasi.model.model import AXES, ROTORS, Model
+from quasi.model.columns import ROTORS
+from quasi.model.model import AXES, Model
 
 ID = "rotor_order"
 MOMENTS = tuple(AXES.index(a) for a in ("Mx", "My", "Mz"))

@@ -17,7 +17,8 @@ from scipy.interpolate import make_interp_spline
 from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError, nearest
-from quasi.model.model import AXES, ROTORS, Model
+from quasi.model.columns import ROTORS
+from quasi.model.model import AXES, Model
 from quasi.simulation.control.control_model import list_usual_inputs
 
 RATE = 100.0  # Hz of what is worked out

@@ -23,7 +23,8 @@ from quasi.gap.planning.flatness import planned, read_plan, with_forces
 from quasi.gap.planning.manoeuvres import Manoeuvre, library
 from quasi.gap.planning.outlook import Outlook, Repeated, Row, Sight
 from quasi.gap.statistics.whitening import Whitener, block_grams
-from quasi.model.model import AXES, ROTORS, Model
+from quasi.model.columns import ROTORS
+from quasi.model.model import AXES, Model
 
 RATE = 100.0  # Hz of the evidence
 WORTH = 1.2  # a manoeuvre is proposed where it raises what is expected by this factor at least

@@ -23,8 +23,9 @@ from quasi.gap.levels.sensors import identify as sensor_level
 from quasi.gap.levels.sensors.columns import weak_form
 from quasi.gap.planning.outlook import Outlook, Repeated, Row
 from quasi.gap.statistics.mixed import Columns
+from quasi.model.columns import ROTORS
 from quasi.model.extensions import drive_of
-from quasi.model.model import ROTORS, Model
+from quasi.model.model import Model
 
 # of the averaged residuals of sensors: p q r (rad/s) and earth accelerations (m/s2) of good captures; white
 SENSED = np.array([3.7e-3] * 3 + [1.6e-2] * 3)

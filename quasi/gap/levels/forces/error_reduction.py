@@ -15,7 +15,8 @@ from quasi.gap.levels.forces.design import BAND, ORDER
 from quasi.gap.levels.forces.nuisance import nuisances
 from quasi.gap.statistics import blocks
 from quasi.gap.statistics.whitening import Whitener, thin, whiten
-from quasi.model.model import AXES, STATE, Model
+from quasi.model.columns import STATE
+from quasi.model.model import AXES, Model
 
 BLOCK = 5.0  # s
 DRAWS = 200

@@ -12,7 +12,8 @@ import numpy as np
 
 from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.evidence import Evidence
-from quasi.model.model import AXES, ROTORS
+from quasi.model.columns import ROTORS
+from quasi.model.model import AXES
 
 MASS, THRUST, TORQUE = 0.01, 0.01, 0.015  # shares
 SEATING, MARKERS = 0.0035, 0.0052  # rad, about each axis

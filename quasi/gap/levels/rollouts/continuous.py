@@ -6,7 +6,8 @@ import numpy as np
 import pandas as pd
 
 from quasi.gap.levels.rollouts.open_loop import Flight, simulated
-from quasi.model.model import STATE, Model
+from quasi.model.columns import STATE
+from quasi.model.model import Model
 from quasi.simulation.tools.replay import count_steps
 
 
