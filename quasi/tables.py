@@ -25,7 +25,15 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from quasi.errors import ConfigError, DataError, ReadError, nearest
+from quasi.errors import ConfigError, DataError, ReadError, nearest, quoted
+from quasi.input_limits import (
+    MAX_DIGITS,
+    MAX_FILE_BYTES,
+    MAX_JSON_BYTES,
+    MAX_UNPACKED_BYTES,
+    check_lines,
+    check_size,
+)
 
 # name: (unit, frame, meaning). Columns outside this list name their own unit when written.
 COLUMNS: dict[str, tuple[str, str, str]] = {
@@ -91,6 +99,8 @@ COLUMNS: dict[str, tuple[str, str, str]] = {
 }
 
 _MADE = b"quasi"
+UNPACK_STEP = 1 << 20  # bytes that are unpacked at a time
+SHORTEN = "cut it into shorter recordings, or keep only what is used"
 ANY_PREFIX = "any of "  # before an axis: the row of a coverage table for all variables of the axis
 TELEMETRY_AGE_REMOVED = (
     "telemetry age taken off"  # of a delay in a model; otherwise it may include the delay of logged rotor speeds
@@ -159,12 +169,13 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> pd.Dat
             missing = [c for c in columns or () if c not in names]
             if missing:
                 raise DataError(f"{path} has no column '{missing[0]}'{nearest(missing[0], names)}")
+            _check_unpacked_size(path, source, columns)
             found = source.read(columns=list(columns) if columns is not None else None)
             # the index metadata of pandas may be damaged and is not needed
             return found.to_pandas(ignore_metadata=True)
     except FileNotFoundError:
         raise ReadError(f"{path} does not exist; make it first, or correct the path") from None
-    except DataError:
+    except (DataError, ReadError):
         raise
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:
         reason = " ".join(str(error).split())[:200]
@@ -172,6 +183,21 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> pd.Dat
             f"{path} is not a readable Parquet file ({reason}); copy it anew, or, where a run made it, delete it and "
             "run again"
         ) from None
+
+
+def _check_unpacked_size(path: Path, source: pq.ParquetFile, columns: Sequence[str] | None) -> None:
+    """Raise ReadError where the footer announces more than MAX_UNPACKED_BYTES for the columns that are read.
+
+    A column of equal values has a few bytes in the file and 8 bytes per row in memory: the larger of both counts.
+    """
+    footer = source.metadata
+    size = 0
+    for k in range(footer.num_columns):
+        name = footer.schema.column(k).path.partition(".")[0]
+        if columns is None or name in columns:
+            stored = sum(footer.row_group(g).column(k).total_uncompressed_size for g in range(footer.num_row_groups))
+            size += max(stored, 8 * footer.num_rows)
+    check_size(path, size, MAX_UNPACKED_BYTES, "the unpacked table", SHORTEN)
 
 
 def read_numbers(path: str | Path) -> pd.DataFrame:
@@ -183,7 +209,7 @@ def read_numbers(path: str | Path) -> pd.DataFrame:
     if path.suffix.lower() != ".csv":
         return read_table(path)
     try:
-        text = read_text(path)
+        text = read_table_text(path)
         head = text.partition("\n")[0]
         # spreadsheets write it so where the comma is the decimal sign
         marks = {"sep": ";", "decimal": ","} if ";" in head and "," not in head else {}
@@ -301,18 +327,18 @@ def read_json(path: str | Path) -> Any:
     NaN and infinities are rejected: JSON has none, and they would pass every range check.
     """
     path = Path(path)
-    text = read_text(path)
+    text = read_text(path, MAX_JSON_BYTES)
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         seen: dict[str, Any] = {}
         for key, value in pairs:
             if key in seen:
-                raise ConfigError(f"{path} names the key '{key}' twice in one section; remove one")
+                raise ConfigError(f"{path} names the key {quoted(key)} twice in one section; remove one")
             seen[key] = value
         return seen
 
     def finite(written: str) -> float:
-        value = float(written) if len(written) < 400 else math.inf
+        value = float(written) if len(written) < MAX_DIGITS else math.inf
         if not math.isfinite(value):
             raise ConfigError(f"{path} holds the number {written[:40]}, which is not finite; correct it")
         return int(written) if written.lstrip("-").isdigit() else value
@@ -328,10 +354,10 @@ def read_json(path: str | Path) -> Any:
         raise ConfigError(f"{path} is nested too deeply to be a configuration; correct it") from None
 
 
-def read_text(path: str | Path) -> str:
+def read_text(path: str | Path, limit: int = MAX_UNPACKED_BYTES) -> str:
     """Read a text file, packed by gzip or not (UTF-8, with or without a byte order mark; UTF-16 with one;
-    or Latin-1)."""
-    data = read_unpacked(path)
+    or Latin-1). limit  bytes that it may have, packed and unpacked."""
+    data = read_unpacked(path, limit)
     try:
         if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
             return data.decode("utf-16")
@@ -340,15 +366,24 @@ def read_text(path: str | Path) -> str:
         return data.decode("latin-1")
 
 
-def read_bytes(path: str | Path) -> bytes:
-    """Read a raw file whole. Raises ReadError when it is absent, a folder, unreadable or empty."""
+def read_table_text(path: str | Path) -> str:
+    """Read the text of a table as `read_text`. Raises ReadError where a line is too long for a row."""
+    check_lines(path, read_unpacked(path))
+    return read_text(path)
+
+
+def read_bytes(path: str | Path, limit: int = MAX_FILE_BYTES) -> bytes:
+    """Read a raw file whole. Raises ReadError when it is absent, a folder, unreadable, empty or above `limit` bytes."""
     path = Path(path)
     try:
+        check_size(path, path.stat().st_size, limit, "the file", SHORTEN)
         data = path.read_bytes()
     except FileNotFoundError:
         raise ReadError(
             f"{path} does not exist; correct the name or path in the logbook, or copy the file there"
         ) from None
+    except ReadError:
+        raise
     except ValueError:
         raise ReadError(f"{str(path)!r} is no path; correct it") from None
     except OSError as error:
@@ -360,18 +395,27 @@ def read_bytes(path: str | Path) -> bytes:
     return data
 
 
-def read_unpacked(path: str | Path) -> bytes:
-    """Read a raw file whole, and unpack it where gzip packed it. Raises ReadError where the packing is damaged."""
-    data = read_bytes(path)
+def read_unpacked(path: str | Path, limit: int = MAX_UNPACKED_BYTES) -> bytes:
+    """Read a raw file whole, and unpack it where gzip packed it.
+
+    Raises ReadError where the packing is damaged, or the file has more than `limit` bytes, packed or unpacked.
+    """
+    data = read_bytes(path, limit)
     if not data.startswith(b"\x1f\x8b"):
         return data
     try:
-        return gzip.decompress(data)
+        with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
+            # the size at the end of a gzip file is modulo 4 GiB and of its last part: only unpacking shows the true one
+            unpacked = bytearray()
+            while len(unpacked) <= limit and (part := packed.read(UNPACK_STEP)):
+                unpacked += part
     except (OSError, EOFError, zlib.error) as error:
         raise ReadError(
             f"{path} is packed by gzip, but damaged ({str(error)[:80]}); copy it again, or unpack it and give the file "
             "in it"
         ) from None
+    check_size(path, len(unpacked), limit, "the unpacked file", SHORTEN)
+    return bytes(unpacked)
 
 
 def read_head(path: str | Path, count: int) -> bytes:

@@ -7,12 +7,14 @@ Source: QuaSI user manual V1.0.a, sections 6.4, 9.2, 9.3.
 """
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from quasi.errors import ConfigError, ExpressionError, nearest
-from quasi.terms.expressions import Tree, canonicalise, parse
+from quasi.terms.canonical import canonicalise
+from quasi.terms.expressions import Tree, parse
 from quasi.terms.variables import SYNONYMS
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -149,6 +151,13 @@ def _pool(entries: Any, place: str) -> Iterator[Term]:
             raise ConfigError(f"{here}: 'sets' must be a list of at least one number or expression such as 1")
         variables = [_term(v, f"{here}, vars") for v in entry["vars"]]
         factors = [_term(s, f"{here}, sets") for s in sets]
+        # by their number, before any is formed: repeated variables make duplicates that the pool's size does not count
+        degree = min(degree, LARGEST_POOL)
+        if len(factors) * (math.comb(len(variables) + degree, degree) - 1) > LARGEST_POOL:
+            raise ConfigError(
+                f"{here}: {len(variables)} variables at degree {degree} with {len(factors)} sets make more than "
+                f"{LARGEST_POOL:,} candidates; lower 'degree' or shorten 'vars' or 'sets'"
+            )
         for factor in factors:
             for powers in _exponents(len(variables), degree):
                 yield _monomial(factor, variables, powers)

@@ -23,7 +23,7 @@ from quasi.importing.readers.day_time import DAY, DayTime, clock, read_day_time
 from quasi.importing.resampling import covered, resample
 from quasi.importing.series import Recording, Series
 from quasi.recognition import refuse_other_formats
-from quasi.tables import read_bytes, read_text
+from quasi.tables import read_bytes, read_table_text
 
 FASTEST = 100.0  # m/s, beyond any tunnel that a quadrotor flies in
 LONGEST_GAP = 1.0  # s without a wind sample that is still bridged
@@ -40,7 +40,7 @@ def read_lvm(path: str | Path) -> Recording:
     """
     path = Path(path)
     refuse_other_formats(path, read_bytes(path), (), "a LabVIEW record of the wind (.lvm, text)")
-    lines = read_text(path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    lines = read_table_text(path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     comma = any(re.match(r"decimal_separator[\t;, ]+,\s*$", line.lower()) for line in lines[:60])
     start = _start(lines[:60])
     notes: list[str] = []

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from quasi.airframe import Airframe, from_plain
-from quasi.errors import ConfigError, ExpressionError, QuasiError
-from quasi.project.logbook import NAME
+from quasi.errors import ConfigError, ExpressionError, QuasiError, quoted
+from quasi.project.logbook import NAME, NAME_RULE
 from quasi.terms.expressions import Tree, parse
 
 MODEL_SCHEMA = "quasi.model/1"
@@ -27,9 +27,7 @@ def check_document(document: Any, where: str) -> None:
     if missing:
         raise ConfigError(f"{where} lacks the key '{missing[0]}'; build the model again")
     if not isinstance(document["id"], str) or not NAME.fullmatch(document["id"]):
-        raise ConfigError(
-            f"{where}: 'id' is {document['id']!r}, expected a name of letters, digits and . _ + -; build it again"
-        )
+        raise ConfigError(f"{where}: 'id' is {quoted(document['id'])}, expected {NAME_RULE}; build it again")
     if document["gravity"] not in ("withGravity", "noGravity"):
         raise ConfigError(f"{where}: 'gravity' is {document['gravity']!r}, expected 'withGravity' or 'noGravity'")
     hover = document["hover speed"]

@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import Any
 
 from quasi.airframe import DEFAULT_POLES, Airframe, erpm100_to_rad_s, read_airframe
-from quasi.errors import ConfigError, ExpressionError, nearest
+from quasi.errors import ConfigError, ExpressionError, nearest, quoted
 from quasi.model.build import assemble_model
 from quasi.model.document import AXES
 from quasi.model.model import Model
-from quasi.project.logbook import NAME
+from quasi.project.logbook import NAME, NAME_RULE
 from quasi.tables import fingerprint, read_json
 from quasi.terms.expressions import Tree, names, parse, text
 from quasi.terms.kernel import INPUTS
@@ -59,7 +59,7 @@ def read_published(path: str | Path, name: str | None = None, poles: int | None 
     given = about.get("model ID")
     name = given if name is None else name
     if not isinstance(name, str) or not NAME.fullmatch(name):
-        raise ConfigError(f"{where}: {name!r} is no model ID; give a name of letters, digits and . _ + -")
+        raise ConfigError(f"{where}: {quoted(name)} is no model ID; give {NAME_RULE}")
     if about.get("isNormalized") is not False:
         raise ConfigError(f"{where}: only models that are not normalised can be read; choose another model")
     if not isinstance(about.get("hasGravity"), bool):

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from quasi.errors import ConfigError, nearest
+from quasi.errors import ConfigError, nearest, quoted
 from quasi.project.folder import Places, is_file
-from quasi.project.logbook import NAME
+from quasi.project.logbook import NAME, NAME_RULE
 from quasi.project.misplaced_files import misplaced_files
 from quasi.tables import read_json, read_text
 from quasi.terms.variables import check_expression, check_system_inputs, check_terms
@@ -82,7 +82,7 @@ class Configurations:
         if name not in self.models:
             raise ConfigError(f"{path} does not exist{nearest(name, self.models)}{misplaced_files(self.places.root)}")
         if not NAME.fullmatch(name):
-            raise ConfigError(f"{path}: a model ID may hold letters, digits and . _ + - only; rename the file")
+            raise ConfigError(f"{path}: a model ID may hold {NAME_RULE}; rename the file")
         config = self.places.read(path, "model")
         given = config.get("saving models", {}).get("model ID", name)
         if given != name:
@@ -142,13 +142,13 @@ class Configurations:
         if name not in self.gaps:
             raise ConfigError(f"{path} does not exist{nearest(name, self.gaps)}")
         if not NAME.fullmatch(name):
-            raise ConfigError(f"{path}: the name of a gap may hold letters, digits and . _ + - only; rename the file")
+            raise ConfigError(f"{path}: the name of a gap may hold {NAME_RULE}; rename the file")
         settings = self.places.read(path, "gap")
         if settings["extended model ID"] is None:
             settings["extended model ID"] = f"{settings['model']}-{name}"
         ident = settings["extended model ID"]
         if not NAME.fullmatch(ident):
-            raise ConfigError(f"{path}: 'extended model ID' is {ident!r}; use letters, digits and . _ + - only")
+            raise ConfigError(f"{path}: 'extended model ID' is {quoted(ident)}; use {NAME_RULE}")
         if ident in self.models:
             raise ConfigError(
                 f"{path}: 'extended model ID' is '{ident}', but config/models/{ident}.json makes a model of that name; "

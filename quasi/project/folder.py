@@ -7,6 +7,7 @@ from typing import Any
 import yaml
 
 from quasi.errors import ConfigError, ReadError
+from quasi.input_limits import MAX_YAML_BYTES
 from quasi.project import configuration
 from quasi.project.misplaced_files import misplaced_files
 from quasi.tables import read_text
@@ -61,8 +62,8 @@ def read_settings(path: str | Path) -> dict[str, Any]:
     if not is_file(Path(path)):
         return {}
     try:
-        settings = yaml.safe_load(read_text(path))
-    except (yaml.YAMLError, ReadError) as error:
+        settings = yaml.safe_load(read_text(path, MAX_YAML_BYTES))
+    except (yaml.YAMLError, ReadError, ValueError, RecursionError) as error:
         mark = getattr(error, "problem_mark", None)
         line = f" at line {mark.line + 1}" if mark else ""
         raise ConfigError(f"{path} is not valid YAML{line}; write lines like `data: /path/to/recordings`") from None

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from quasi.errors import LogbookError, nearest
+from quasi.errors import LogbookError, nearest, quoted
+from quasi.input_limits import MAX_CELL_CHARACTERS, MAX_LOGBOOK_BYTES, MAX_NAME_CHARACTERS
 from quasi.recognition import CONTROLLERS
 from quasi.tables import read_text
 
@@ -40,7 +41,9 @@ OPTIONAL = (
     "Log number",
     "Session",
 )
-NAME = re.compile(r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*")
+NAME = re.compile(rf"[A-Za-z0-9_+-][A-Za-z0-9._+-]{{0,{MAX_NAME_CHARACTERS - 1}}}")
+_ROWS = re.compile(r"\s*([0-9]{1,9})\s*(?:-\s*([0-9]{1,9})\s*)?")  # digits enough for any logbook
+NAME_RULE = f"at most {MAX_NAME_CHARACTERS} letters, digits and . _ + -, not a dot first"
 
 
 def _plain(column: str) -> str:
@@ -81,7 +84,7 @@ class Row:
             value = math.nan
         if not math.isfinite(value):
             raise LogbookError(
-                f"{self.logbook} row {self.number}: '{column}' is {text!r}, expected a number; correct the cell"
+                f"{self.logbook} row {self.number}: '{column}' is {quoted(text)}, expected a number; correct the cell"
             )
         return value
 
@@ -104,7 +107,7 @@ def read_logbook(path: str | Path) -> dict[int, Row]:
 
     Raises LogbookError for a missing column or two rows that mean the same flight key of one quadrotor.
     """
-    text = read_text(path)
+    text = read_text(path, MAX_LOGBOOK_BYTES)
     if text.startswith("PK"):
         raise LogbookError(f"{path} is a spreadsheet file, not text; save the logbook as CSV from the spreadsheet")
     first = text.partition("\n")[0]
@@ -179,35 +182,45 @@ def _row(path: str, number: int, cells: dict[str, str]) -> Row:
     problem = None
     log_number = cells.get("Log number", "")
     if log_number:
-        if not log_number.isdigit() or int(log_number) < 1:
-            problem = f"{path} row {number}: 'Log number' is {log_number!r}, expected 1, 2, ...; correct the cell"
+        if not re.fullmatch(r"[0-9]{1,9}", log_number) or int(log_number) < 1:
+            problem = f"{path} row {number}: 'Log number' is {quoted(log_number)}, expected 1, 2, ...; correct the cell"
         elif not cells.get("Flight key"):
             key = f"{key}-{log_number}"
     quadrotor = cells["Quadrotor"]
     named = "Flight key" if cells.get("Flight key") else "Onboard Name"
     if not NAME.fullmatch(key):
         problem = (
-            f"{path} row {number}: {named} {key!r} cannot name a flight; use letters, digits, . _ + - only "
+            f"{path} row {number}: {named} {quoted(key)} cannot name a flight; use {NAME_RULE} "
             "(the optional column 'Flight key' gives a flight another name than its file)"
         )
         key = _possible(key, number)
     if not NAME.fullmatch(quadrotor):
-        what = f"{quadrotor!r} cannot name one" if quadrotor else "is empty"
-        problem = f"{path} row {number}: 'Quadrotor' {what}; write a name of letters, digits, . _ + - only"
+        what = f"{quoted(quadrotor)} cannot name one" if quadrotor else "is empty"
+        problem = f"{path} row {number}: 'Quadrotor' {what}; write a name of {NAME_RULE}"
         quadrotor = _possible(quadrotor, number)
     controller = cells["Flight controller"].lower()
     controller = {"cleanflight": "betaflight"}.get(controller, controller)
     if controller and controller not in CONTROLLERS:
         problem = (
-            f"{path} row {number}: 'Flight controller' is {cells['Flight controller']!r}"
+            f"{path} row {number}: 'Flight controller' is {quoted(cells['Flight controller'])}"
             f"{nearest(controller, CONTROLLERS)}; correct the cell"
         )
+    for column, text in cells.items():
+        if len(text) > MAX_CELL_CHARACTERS:
+            problem = (
+                f"{path} row {number}: {quoted(column)} has {len(text):,} characters, expected at most "
+                f"{MAX_CELL_CHARACTERS:,}; shorten the cell"
+            )
+            cells[column] = text[:MAX_NAME_CHARACTERS]
     return Row(path, number, key, quadrotor, cells, problem)
 
 
 def _possible(name: str, number: int) -> str:
     """A name that a target can have, so that the row fails in jobs of its own and the others go on."""
-    return re.sub(r"[^A-Za-z0-9._+-]+", "_", name).lstrip(".") or f"row-{number}"
+    possible = re.sub(r"[^A-Za-z0-9._+-]+", "_", name[:MAX_CELL_CHARACTERS]).lstrip(".")
+    if len(possible) > MAX_NAME_CHARACTERS:
+        possible = f"{possible[: MAX_NAME_CHARACTERS // 2]}-row-{number}"  # two long names may begin alike
+    return possible or f"row-{number}"
 
 
 def _refuse_clashes(rows: Iterable[Row]) -> None:
@@ -239,9 +252,9 @@ def select_rows(selection: Iterable[Any], where: str) -> list[int]:
     """
     numbers: list[int] = []
     for entry in selection:
-        match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", str(entry)) if not isinstance(entry, bool) else None
+        match = None if isinstance(entry, bool) else _ROWS.fullmatch(str(entry))
         if not match:
-            raise LogbookError(f'{where}: {entry!r} is not a row; write numbers like 2 or ranges like "2-6"')
+            raise LogbookError(f'{where}: {quoted(entry)} is not a row; write numbers like 2 or ranges like "2-6"')
         first, last = int(match[1]), int(match[2] or match[1])
         if first < 2 or last < first:
             raise LogbookError(

@@ -100,7 +100,7 @@ def test_fixed_coefficients_belong_to_fixed_regressors():
         ({"vars": [None], "degree": 1}, "None"),
         ({"vars": ["sin(u)"], "degree": 1}, "nothing can be called"),
         ({"vars": ["(" * 10_000 + "u"], "degree": 1}, "nested"),
-        ({"vars": list("uvwpqrxyz"), "degree": 20}, "candidates; lower a 'degree'"),
+        ({"vars": list("uvwpqrxyz"), "degree": 20}, "candidates; lower 'degree'"),
     ],
 )
 def test_a_wrong_entry_is_a_sentence_with_file_and_place(entry, hint, monkeypatch):

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quasi.errors import ExpressionError, nearest
-from quasi.terms.expressions import Program, canonicalise, evaluate, names, parse, text
+from quasi.terms.canonical import canonicalise
+from quasi.terms.expressions import Program, evaluate, names, parse, text
 
 VALUES = {"a": np.array([1.5, -0.7, 3.0]), "b": np.array([0.3, 2.0, -1.1]), "c": np.array([2.0, 2.5, 0.4])}
 

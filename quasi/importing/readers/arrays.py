@@ -14,6 +14,7 @@ import pandas as pd
 from quasi.errors import ReadError
 from quasi.importing.readers.mat5 import Damaged, read_variables
 from quasi.importing.readers.signals import Signals
+from quasi.input_limits import MAX_UNPACKED_BYTES, check_size
 from quasi.recognition import recognise
 from quasi.tables import read_bytes
 
@@ -48,6 +49,8 @@ def _npz(path: Path, data: bytes, left_out: list[str]) -> Iterator[tuple[str, np
         names = archive.files
     except Exception as error:  # zipfile and numpy raise their own kinds for a damaged archive
         raise ReadError(f"{path} is no readable NumPy archive ({_reason(error)}); save it by numpy.savez") from None
+    size = sum(member.file_size for member in archive.zip.infolist())
+    check_size(path, size, MAX_UNPACKED_BYTES, "the unpacked archive", "save only the signals that are used")
     for name in names:
         try:
             values = archive[name]

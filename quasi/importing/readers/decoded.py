@@ -33,7 +33,7 @@ from quasi.importing.readers.table_text import (
 from quasi.importing.series import Recording, Series
 from quasi.importing.streams import unwrapped
 from quasi.recognition import refuse_other_formats
-from quasi.tables import read_text, read_unpacked
+from quasi.tables import read_table_text, read_unpacked
 
 STANDARD_GRAVITY = 9.80665  # what blackbox_decode multiplies g with
 _ATTITUDE = ("roll", "pitch", "heading", "heading[0]", "heading[1]", "heading[2]")
@@ -93,7 +93,7 @@ def read_decoded(
     """
     path = str(path)
     refuse_other_formats(path, read_unpacked(path), (), "a decoded blackbox log (CSV)")
-    lines = from_header(read_text(path))[0].splitlines()
+    lines = from_header(read_table_text(path))[0].splitlines()
     at, separator, names, units = _names(lines, path)
     found = _header(lines[:at], separator)
     found.update(header or {})

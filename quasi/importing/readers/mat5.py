@@ -11,11 +11,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from quasi.input_limits import MAX_UNPACKED_BYTES
+
 HEADER = 128  # bytes; the last four are version and byte order
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 MATRIX, COMPRESSED = 14, 15
 STRUCTURE, FIRST_NUMERIC, LAST_NUMERIC = 2, 6, 15  # classes of arrays
-LARGEST = 1 << 31  # bytes of an array unpacked, as large as version 7 writes any
 DEEPEST = 8  # structures within structures
 
 
@@ -34,13 +35,17 @@ def read_variables(data: bytes, left_out: list[str]) -> Iterator[tuple[str, np.n
     order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if order is None:
         raise Damaged("its byte order is neither IM nor MI")
+    left = MAX_UNPACKED_BYTES
     for kind, body in _elements(data[HEADER:], order):
         if kind == COMPRESSED:
             unpacker = zlib.decompressobj()
             try:
-                body = unpacker.decompress(body, LARGEST)
+                body = unpacker.decompress(body, left + 1)
             except zlib.error as error:
                 raise Damaged(str(error)) from None
+            left -= len(body)
+            if left < 0:
+                raise Damaged(f"its variables unpack to more than {MAX_UNPACKED_BYTES / 1e6:,.0f} MB")
             kind, body = next(_elements(body, order), (0, b""))
         if kind == MATRIX:
             yield from _matrix(body, order, "", left_out, 0)

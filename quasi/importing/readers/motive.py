@@ -22,7 +22,7 @@ from quasi.importing.readers.reader import TEXT, Reader, Request
 from quasi.importing.readers.table_text import SEPARATORS, decimal_points, from_header, through_a_spreadsheet
 from quasi.importing.series import Recording
 from quasi.recognition import refuse_other_formats
-from quasi.tables import read_text, read_unpacked
+from quasi.tables import read_table_text, read_unpacked
 
 ROOM_TO_EARTH = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 TYPES = {
@@ -67,7 +67,7 @@ def read_motive(
     """
     path = Path(path)
     refuse_other_formats(path, read_unpacked(path), ("motive",), "a motion-capture export of Motive (CSV)")
-    text, _ = from_header(read_text(path))
+    text, _ = from_header(read_table_text(path))
     header = _read_header(text, path, rigid_body)
     notes: list[str] = []
     frame, clock, values = _read_frames(text, header, path, notes)

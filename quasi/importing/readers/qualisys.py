@@ -19,7 +19,7 @@ from quasi.importing.readers.captured_body import Body, captured_recording, choo
 from quasi.importing.readers.reader import Reader, Request
 from quasi.importing.readers.table_text import SEPARATORS, from_header
 from quasi.importing.series import Recording
-from quasi.tables import read_text
+from quasi.tables import read_table_text
 
 HALF_TURN = np.array([1.0, -1.0, -1.0])  # about x: FLU to FRD, z up to down
 MILLI = 1e-3  # m; QTM writes TSV files in mm
@@ -61,7 +61,7 @@ def read_qualisys(
 
 def _read_table(path: Path) -> tuple[dict[str, list[str]], list[str], np.ndarray]:
     """{key: values} above the line of names, that line, and the numbers below (n, columns)."""
-    lines = from_header(read_text(path))[0].splitlines()
+    lines = from_header(read_table_text(path))[0].splitlines()
     separator = max(SEPARATORS, key=lines[0].count)
     rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)]
     facts: dict[str, list[str]] = {}

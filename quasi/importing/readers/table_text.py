@@ -14,7 +14,7 @@ import pandas as pd
 
 from quasi.errors import ReadError
 from quasi.recognition import refuse_other_formats
-from quasi.tables import read_table, read_text, read_unpacked
+from quasi.tables import read_table, read_table_text, read_unpacked
 
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 MARKS = {",": "comma", ".": "point"}
@@ -77,7 +77,7 @@ def open_table(
     refuse_other_formats(path, data, ("parquet", "motive"), "a table (CSV, Parquet, MAT or npz)")
     if data[:4] == b"PAR1":
         return split_lists(read_table(path), use)
-    text, skipped = from_header(read_text(path))
+    text, skipped = from_header(read_table_text(path))
     separator = separator_of(text.partition("\n")[0], path)
     # cells as written, where a comma may be a decimal mark and a point stand between thousands
     written = separator != "," or '"' in text

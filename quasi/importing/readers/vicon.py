@@ -20,7 +20,7 @@ from quasi.importing.readers.captured_body import LENGTHS, Body, captured_record
 from quasi.importing.readers.reader import Reader, Request
 from quasi.importing.readers.table_text import SEPARATORS, from_header
 from quasi.importing.series import Recording
-from quasi.tables import read_text
+from quasi.tables import read_table_text
 
 HALF_TURN = np.array([1.0, -1.0, -1.0])  # about x: FLU to FRD, z up to down
 ANGLES = {"deg": np.pi / 180, "rad": 1.0}
@@ -70,7 +70,7 @@ def read_vicon(
 
 
 def _read_table(path: Path) -> _Table:
-    text, _ = from_header(read_text(path))
+    text, _ = from_header(read_table_text(path))
     head = text.split("\n", 5)
     separator = max(SEPARATORS, key=(head[3] if len(head) > 3 else "").count)
     rows = [[cell.strip() for cell in row] for row in csv.reader(text.splitlines(), delimiter=separator)]
