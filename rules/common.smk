@@ -31,6 +31,7 @@ from quasi.running.terminal import (
     format_command,
     list_up_to_date_pages,
 )
+from quasi.project.gaps import describe_run_code
 from quasi.project.workflow import Folder
 
 PROJECT = os.getcwd()  # at the end of a run it is another one
@@ -154,14 +155,18 @@ def filtered(rows, gravity):
     return [f"results/filtered/{r.quadrotor}/{gravity}/{r.key}.parquet" for r in rows]
 
 
+def announce(notice):
+    """Print a notice before the first job, once, and again at the end of the run."""
+    if MAIN and notice and notice not in FOLDER.places.notices:
+        FOLDER.places.notices.append(notice)
+        print(f"[NOTICE] {notice}", file=sys.stderr, flush=True)
+
+
 def training_flights(wildcards):
     gap = ask(FOLDER.gaps.maker_of, wildcards.model)
     if gap:
         return calibrated(gap, ("compared", "reference"))
-    notice = ask(FOLDER.model_jobs.changed_selection, wildcards.model)
-    if notice and notice not in FOLDER.places.notices:
-        FOLDER.places.notices.append(notice)
-        print(f"[NOTICE] {notice}", file=sys.stderr)
+    announce(ask(FOLDER.model_jobs.changed_selection, wildcards.model))
     return filtered(
         ask(FOLDER.logbooks.model_flights, wildcards.model, "training"),
         ask(FOLDER.configuration.gravity, wildcards.model),

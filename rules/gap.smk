@@ -14,7 +14,9 @@ CATALOGUE = [
 
 
 def own_effects(wildcards):
-    files = ask(FOLDER.gap, wildcards.gap)["effect files"]
+    asked = ask(FOLDER.gap, wildcards.gap)
+    announce(describe_run_code(asked))
+    files = asked["effect files"]
     # an absent one fails the job with a sentence
     return [path for path in files if Path(path).is_file()]
 

@@ -2,9 +2,10 @@
 
 import argparse
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from quasi.commands.folder import folder_of
 from quasi.errors import ConfigError, QuasiError
@@ -165,7 +166,7 @@ def plan_of(
     flown, about = flights_of(trajectories, used, directory)
     effects, noise, room, rate = catalogue(), None, None, 0.01
     if gap is not None:
-        asked = folder_of(directory).gap(gap)
+        asked = ask_gap(gap, directory)
         settings = asked["settings"]
         effects = chosen(settings["effects"], catalogue(directory / p for p in asked["effect files"]), asked["file"])
         room, rate, noise = room_of(settings["room"]), settings["false alarm rate"], noise_of(gap, directory)
@@ -179,6 +180,16 @@ def plan_of(
     return text
 
 
+def ask_gap(gap: str, directory: Path) -> dict[str, Any]:
+    """What a folder asks of a gap; a notice on stderr names the effect files that will run."""
+    from quasi.project.gaps import describe_run_code
+
+    asked = folder_of(directory).gap(gap)
+    if notice := describe_run_code(asked):
+        print(f"[NOTICE] {notice}", file=sys.stderr)
+    return asked
+
+
 def causes_of(model: str | None, directory: Path, gap: str | None = None) -> str:
     """The catalogue of causes in Markdown; sizes are typical of the model's vehicle, or of made flights' without one.
 
@@ -189,7 +200,7 @@ def causes_of(model: str | None, directory: Path, gap: str | None = None) -> str
     from quasi.gap.effect import vehicle_of
     from quasi.model.model import read_model
 
-    files = folder_of(directory).gap(gap)["effect files"] if gap is not None else []
+    files = ask_gap(gap, directory)["effect files"] if gap is not None else []
     effects = catalogue(directory / p for p in files)
     if model is None:
         return causes_page.text(effects, made_vehicle(), "the 0.43 kg vehicle of made flights")

@@ -1,12 +1,16 @@
 """XML of simulator files: numbers as text, comments that cannot end early, elements read back."""
 
+import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable, Sequence
-from xml.sax.saxutils import escape
+from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
 from quasi.errors import DataError
+
+# control characters, half pairs and non-characters (XML 1.0, production 2)
+_FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def number(value: float) -> str:
@@ -19,9 +23,14 @@ def numbers(values: Iterable[float]) -> str:
     return " ".join(number(v) for v in np.ravel(list(values)))
 
 
+def attribute(text: str) -> str:
+    """Text as the value of an attribute, in quotes; characters that XML cannot hold become full stops."""
+    return quoteattr(_FORBIDDEN.sub(".", text))
+
+
 def comment(lines: Sequence[str], indent: str = "") -> list[str]:
-    """Lines of one comment; a double hyphen, which would end it, gets a space."""
-    safe = [escape(line).replace("--", "- -") for line in lines]
+    """Lines of one comment; of hyphens in a row, which would end it, each gets a space."""
+    safe = [re.sub(r"-(?=-)", "- ", escape(_FORBIDDEN.sub(".", line))) for line in lines]
     return [f"{indent}<!--", *(f"{indent}  {line}" for line in safe), f"{indent}-->"]
 
 

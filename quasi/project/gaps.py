@@ -2,9 +2,11 @@
 
 import functools
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from quasi.errors import ConfigError, QuasiError, nearest
+from quasi.errors import ConfigError, QuasiError, nearest, quoted
+from quasi.input_limits import MAX_NAME_CHARACTERS
 from quasi.project.configurations import AXES, Configurations, check_model_file
 from quasi.project.folder import Places, is_file
 from quasi.project.logbook import Row
@@ -14,6 +16,14 @@ from quasi.tables import read_json, read_text
 HELD, COMPARED, REFERENCE = "held out", "compared", "reference"
 
 FEWEST = 4  # training flights that stand for reference flights
+
+
+def describe_run_code(asked: Mapping[str, Any]) -> str | None:
+    """Notice that names the effect files of a gap, which run as code; None without any. asked  of `Folder.gap`"""
+    if not asked["effect files"]:
+        return None
+    files = ", ".join(quoted(path, MAX_NAME_CHARACTERS) for path in asked["effect files"])
+    return f"{asked['file']} runs Python code: effect files {files}; name only files that you trust"
 
 
 class Gaps:

@@ -109,6 +109,11 @@ def test_a_faulty_configuration_ends_with_its_sentence(project, changes, sentenc
     code, text = project.snakemake("-j1", "results/calibrations/near.json")
     assert code != 0
     assert sentence in last_line(text)
+    notice = (
+        "[NOTICE] config/gaps/near.json runs Python code: effect files 'data/mine.py'; name only files that you trust"
+    )
+    # Snakemake's own lines on profiles come before any of a workflow
+    assert any(line.startswith(notice) for line in text.splitlines()[:4]) == ("effect files" in changes)
 
 
 def test_without_a_held_out_flight_forces_are_not_asked_and_the_rest_is(project):

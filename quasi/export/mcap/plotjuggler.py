@@ -5,9 +5,9 @@ plot, curve). A curve is named by its topic and field.
 """
 
 from collections.abc import Sequence
-from xml.sax.saxutils import quoteattr
 
 from quasi.export.mcap.vehicles import Vehicle
+from quasi.export.xml_text import attribute
 
 MOST_PLOTS = 6  # in a tab; more are too low to read
 
@@ -31,14 +31,14 @@ def layout_text(vehicles: Sequence[Vehicle]) -> str:
 def _tab(title: str, group: str, names: Sequence[str], vehicles: Sequence[Vehicle]) -> list[str]:
     sizes = ";".join([f"{1.0 / len(names):.6f}"] * len(names))
     lines = [
-        f'  <Tab tab_name={quoteattr(title)} containers="1">', "   <Container>",
+        f'  <Tab tab_name={attribute(title)} containers="1">', "   <Container>",
         f'    <DockSplitter orientation="-" count="{len(names)}" sizes="{sizes}">',
     ]  # fmt: skip
     for name in names:
         lines += ['     <DockArea name="...">', '      <plot style="Lines" mode="TimeSeries">', "       <limitY/>"]
         for vehicle in vehicles:
             if name in vehicle.signals.get(group, ()):
-                curve = quoteattr(f"/{vehicle.name}/{group}/{name}")
+                curve = attribute(f"/{vehicle.name}/{group}/{name}")
                 color = "#" + "".join(f"{round(255 * c):02x}" for c in vehicle.color)
                 lines.append(f'       <curve name={curve} color="{color}"/>')
         lines += ["      </plot>", "     </DockArea>"]
