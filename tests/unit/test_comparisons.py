@@ -103,7 +103,7 @@ def test_an_extended_model_may_be_compared_again_and_remembers_who_trained_it(fo
         ({"rows of flights to compare (all)": ["4-60"]}, {}, "row 8 is selected"),
         ({}, {"model": "mm"}, "neither config/models/mm.json nor models/mm/standalone/model.json exists"),
         ({}, {"extended model ID": "m"}, "config/models/m.json makes a model of that name"),
-        ({}, {"extended model ID": "../m"}, "use letters, digits and . _ + - only"),
+        ({}, {"extended model ID": "../m"}, "use at most 100 letters, digits"),
         ({}, {"effects": "al"}, "expected \"all\" or a list of ids"),
         ({}, {"horizon": [1]}, "unknown key 'horizon' (did you mean 'horizons'?)"),
         ({}, {"horizons": []}, "'horizons'"),

@@ -55,7 +55,7 @@ def gap(folder, name="g", rows=(), **changes):
         ({"room": {"north": [-5, 5], "east": [-4, 4], "hight": 3}}, "unknown key 'hight' in 'room' (did you mean"),
         ({"room": {"north": [-5, 5], "east": [4, -4]}}, "'room' / 'east' goes from 4 to -4 m, expected [low, high]"),
         ({"extended model ID": "m"}, "config/models/m.json makes a model of that name"),
-        ({"extended model ID": "../m"}, "use letters, digits and . _ + - only"),
+        ({"extended model ID": "../m"}, "use at most 100 letters, digits"),
     ],
 )
 def test_a_fault_of_a_gap_names_file_and_remedy(folder, changes, words):
