@@ -1,6 +1,6 @@
 """The only module that opens files: Parquet tables with units, JSON documents, raw bytes and text.
 
-Writes are atomic: a temporary file in the folder of the target, then a rename.
+Writes are atomic: a temporary file in the folder of the target, fsync, then a rename.
 Every column of a flight carries its unit and its frame in the Parquet field metadata; the file metadata records how it
 was made.
 """
@@ -121,6 +121,8 @@ def replace_file(path: str | Path) -> Iterator[Path]:
         umask = os.umask(0)
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)
+        with temporary.open("rb") as written:  # on the disk before the name: a power cut leaves the old or the new file
+            os.fsync(written.fileno())
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)

@@ -11,9 +11,13 @@ from pathlib import Path
 LIBRARY = str(Path(workflow.basedir).resolve())
 sys.path.insert(0, LIBRARY)
 
+from snakemake.benchmark import benchmarked
+from snakemake.scheduling.job_scheduler import JobScheduler
+from snakemake.script import PythonScript
 from quasi.errors import QuasiError
 from quasi.export.targets import SIMULATOR_NAMES
 from quasi.running.job_log import RUN_VARIABLE, read_reports
+from quasi.running.job_server import JobServer, use_server
 from quasi.pages.index import INDEX_TARGET, list_sources, write_index
 from quasi.running.provenance import compute_code_digest, save_parsed
 from quasi.project.folder import check_project, check_writable, read_settings
@@ -25,6 +29,7 @@ from quasi.running.live_runs import (
     remove_stale_lock,
     withdraw_card,
 )
+from quasi.running.termination import replace_handler
 from quasi.running.terminal import (
     FaultFilter,
     Terminal,
@@ -77,6 +82,8 @@ def print_reports():
 
 MAIN = RUN_VARIABLE not in os.environ
 
+replace_handler(JobScheduler)
+
 if MAIN:
     # the main process of a run; processes that it starts find the variable set
     scratch = tempfile.TemporaryDirectory(prefix="quasi-run-")
@@ -128,6 +135,11 @@ if MAIN and not workflow.output_settings.dryrun:
     )
     if notice := remove_stale_lock(PROJECT):
         print(f"[NOTICE] {notice}", file=sys.stderr)
+
+if MAIN and sys.platform == "linux" and not workflow.output_settings.dryrun:
+    SERVER = JobServer()
+    atexit.register(SERVER.close)
+    use_server(PythonScript, SERVER, benchmarked)
 
 # what the command line gives (--config) comes before the folder's own file
 for key, value in ask(read_settings, "config/config.yaml").items():

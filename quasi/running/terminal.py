@@ -40,7 +40,8 @@ class Terminal(logging.Filter):
         self.jobs: dict[int, Mapping[str, Any]] = {}
         self.done, self.total = 0, 0
         self.known: set[str] = set()
-        self.failed: set[int] = set()
+        self.failed: set[int] = set()  # jobs whose sentence was printed
+        self.errors: set[int] = set()  # all failed jobs, killed ones as well
         self.pending_errors: list[str] = []  # errors of failed commands until their job is known
         self.noted: list[str] = []  # pages of flights with notes
         self.pages: set[str] = set()
@@ -97,6 +98,7 @@ class Terminal(logging.Filter):
 
     def _job_error(self, record: logging.LogRecord) -> bool:
         """Print the sentence of a failed job once; pass the whole message where it has none."""
+        self.errors.add(record.jobid)
         found = read_outcome(self.run, *record.log[:1])
         if not found or found["failed"] is None:
             self._release()
@@ -123,16 +125,19 @@ class Terminal(logging.Filter):
         self.pending_errors = []
 
     def summary(self) -> str:
-        """Return the pages that collect the notes on flights at the end of the run, or nothing."""
+        """Return what a run prints at its end: pages that collect notes on flights; counts where jobs are missing."""
         self._release()
-        pages = sorted(set(self.noted) - self.pages)
-        if not pages:
-            return ""
-        return (
-            f"{_format_count(len(pages), 'flight')} with notes; each flight has a page that collects them: "
-            f"`{format_command(self.asked, pages[0])}`, or all of config/processing.json: "
-            f"`{format_command(self.asked, 'processing')}`"
-        )
+        lines = []
+        if pages := sorted(set(self.noted) - self.pages):
+            lines.append(
+                f"{_format_count(len(pages), 'flight')} with notes; each flight has a page that collects them: "
+                f"`{format_command(self.asked, pages[0])}`, or all of config/processing.json: "
+                f"`{format_command(self.asked, 'processing')}`"
+            )
+        if self.done < self.total:
+            untried = self.total - self.done - len(self.errors)
+            lines.append(f"{_format_count(self.done, 'job')} finished, {len(self.errors)} failed, {untried} not tried")
+        return "\n".join(lines)
 
     def _write(self, text: str) -> None:
         self.stream.write(text + "\n")

@@ -115,6 +115,20 @@ def test_a_failure_is_told_at_once_in_its_own_sentence_and_once(run):
     assert terminal.summary() == "" and "RuleException" not in stream.getvalue()
 
 
+def test_an_unfinished_batch_ends_with_its_counts(run):
+    terminal, _, say = run
+    say("run_info", stats={"importing": 9, "total": 9})
+    for number, flight in enumerate("abcd", 1):
+        log = begin(say, number, flight)
+        if number < 4:
+            with job(log, f"import of {flight}"):
+                pass
+            say("job_finished", job_id=number)
+        else:  # it was killed
+            say("job_error", jobid=number, log=[log])
+    assert terminal.summary() == "3 jobs finished, 1 failed, 5 not tried"
+
+
 def test_a_job_that_was_killed_keeps_snakemakes_whole_account(run):
     _, stream, say = run
     log = begin(say, 1, "a")

@@ -1,0 +1,107 @@
+"""Jobs forked from a server behave as jobs that start Python: arguments, folder, environment, exit codes, signals."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from contextlib import nullcontext, suppress
+from types import SimpleNamespace
+
+import psutil
+import pytest
+from snakemake.script import PythonScript
+
+from quasi.running.job_server import JobServer, use_server
+
+ENVIRONMENT = {"PATH": os.environ["PATH"], "OF_THE_JOB": "1"}
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the server needs Linux")
+
+
+@pytest.fixture
+def server():
+    found = JobServer(modules=("colorsys",))
+    yield found
+    found.close()
+
+
+def start(server, folder, text):
+    (folder / "script.py").write_text(text)
+    return server.start("script.py", ENVIRONMENT)
+
+
+def test_a_job_sees_what_it_sees_in_its_own_python(server, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (
+        "import json, os, sys; about = [__name__, __file__, sys.argv, sys.path[0], os.getcwd(), dict(os.environ),"
+        "'colorsys' in sys.modules, os.getpid()]\nwith open('seen.json', 'w') as f: json.dump(about, f)"
+    )
+    job = start(server, tmp_path, text)
+    assert job.wait() == 0
+    name, file, arguments, path, folder, environment, imported, pid = json.loads((tmp_path / "seen.json").read_text())
+    script = str(tmp_path / "script.py")
+    assert (name, file, arguments, path, folder) == ("__main__", script, [script], str(tmp_path), str(tmp_path))
+    assert environment == ENVIRONMENT and imported and pid == job.pid
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("raise SystemExit(3)", 3),
+        ("1 / 0", 1),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGTERM)", -signal.SIGTERM),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGINT)", -signal.SIGINT),
+        ("import atexit, os; atexit.register(os._exit, 7)", 7),
+    ],
+)
+def test_a_job_ends_with_its_own_code(server, tmp_path, monkeypatch, text, code):
+    monkeypatch.chdir(tmp_path)
+    assert start(server, tmp_path, text).wait() == code
+
+
+def test_two_jobs_run_at_once(server, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe")
+    reader = start(server, tmp_path, "raise SystemExit(len(open('pipe').read()))")
+    writer = start(server, tmp_path, "open('pipe', 'w').write('four')")
+    assert (writer.wait(), reader.wait()) == (0, 4)
+
+
+def test_an_ended_server_fails_its_job_and_starts_no_other(server, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    job = start(server, tmp_path, "import time; time.sleep(600)")
+    process = psutil.Process(job.pid)
+    server._process.kill()
+    process.kill()
+    assert job.wait() < 0
+    assert server.start("script.py", ENVIRONMENT) is None
+
+
+def test_jobs_end_with_the_main_process(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "script.py").write_text("import time; time.sleep(600)")
+    program = (
+        "import os; from quasi.running.job_server import JobServer; server = JobServer(modules=());"
+        "job = server.start('script.py', os.environ); print(job.pid, flush=True); os.kill(os.getpid(), 9)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    with suppress(psutil.NoSuchProcess):  # it may have ended already
+        psutil.Process(int(done.stdout)).wait(30)
+
+
+def test_scripts_of_snakemake_run_in_the_server_unless_they_ask_for_more(server, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    started = []
+    monkeypatch.setattr(PythonScript, "execute_script", lambda self, fname, edit=False: started.append(fname))
+    use_server(PythonScript, server, lambda pid, record: nullcontext(record.append(pid)))
+    (tmp_path / "script.py").write_text("import os, sys; sys.exit(int(os.environ['OMP_NUM_THREADS']) + 40)")
+    job = SimpleNamespace(
+        threads=1, conda_env=None, container_img=None, env_modules=None, resources={}, bench_record=[]
+    )
+    with pytest.raises(subprocess.CalledProcessError) as raised:
+        PythonScript.execute_script(job, "script.py")
+    assert raised.value.returncode == 41 and len(job.bench_record) == 1
+    job.threads = 2
+    PythonScript.execute_script(job, "own.py")
+    assert started == ["own.py"]
