@@ -1,6 +1,6 @@
 """Kills at random moments of all stages; the same command again has to finish with byte-equal artifacts.
 
-    python benchmarks/chaos.py [--kills 100] [--seed 1] [--folder chaos] [--targets flights|all] [--record]
+    python benchmarks/chaos.py [--kills 100] [--seed 1] [--folder chaos] [--targets flight|all] [--record]
 
 Lays a small project (four made flights; with `all` a model and a gap too) and runs it once undisturbed. Then it runs
 the project from nothing again and again. Each run is killed at a random moment and started again with the same command:
@@ -35,7 +35,7 @@ from quasi.tables import write_json
 
 ROOT = Path(__file__).resolve().parents[1]
 TARGETS = {
-    "flights": ("processing",),
+    "flight": ("results/filtered/MadeBeetle/withGravity/small-1.parquet",),
     "all": ("processing", "models/small/standalone", "results/gaps/near"),
 }
 MAX_END = 60.0  # s after SIGTERM within which a run has to end; a job is ended after 5 s
@@ -128,7 +128,9 @@ def wait_for_moment(process: subprocess.Popen, folder: Path, rng: np.random.Gene
     jobs = int(rng.integers(-1, MAX_JOBS + 1))
     while jobs >= 0 and process.poll() is None:
         output = (folder / "output.txt").read_text(errors="replace")
-        if len(re.findall(r"^\[ *\d+/\d+\]", output, flags=re.M)) >= jobs and " jobs: " in output:
+        if len(re.findall(r"^\[ *\d+/\d+\]", output, flags=re.M)) >= jobs and re.search(
+            r"^\d+ jobs?: ", output, flags=re.M
+        ):
             break
         time.sleep(0.05)
     try:

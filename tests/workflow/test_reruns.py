@@ -1,8 +1,10 @@
 """What reruns and why: only what is stale, and a validation flight never refits a model."""
 
 import json
+import os
 import re
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -51,6 +53,16 @@ def test_second_run_does_nothing_and_says_where_the_result_begins(finished):
     code, text = finished[0].snakemake("models/small/standalone")
     assert code == 0 and "Nothing to be done" in text
     assert text.rstrip().endswith("Up to date; start with models/small/standalone/report.html")
+
+
+def test_a_clock_that_jumped_between_jobs_and_a_moved_folder_rerun_nothing(project):
+    # `project` is a copy under another path; each result gets a time of its own within two hours before or after
+    rng = np.random.default_rng(1)
+    for path in sorted(project.folder.rglob("*")):
+        if {"results", "models"} & set(path.relative_to(project.folder).parts):
+            time = path.stat().st_mtime + rng.uniform(-7200, 7200)
+            os.utime(path, (time, time))
+    assert project.would_run() == {}
 
 
 def test_changed_comment_and_appended_row_rerun_nothing(project):
