@@ -27,7 +27,6 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-import psutil
 from measured_table import record
 
 from quasi.synthesis.campaign import project_files, read_campaign
@@ -83,6 +82,7 @@ def lay(folder: Path, flights: int = 4) -> None:
 
 def start(folder: Path, targets: str, *options: str) -> subprocess.Popen:
     """Start the command of every run, in a process group of its own."""
+    shutil.rmtree(folder / ".snakemake/scripts", ignore_errors=True)  # of killed jobs
     command = [sys.executable, "-m", "snakemake", "-s", str(ROOT / "Snakefile"), "-d", str(folder), "-j2"]
     command += ["--profile", str(ROOT / "profiles/default"), *options, "--", *TARGETS[targets]]
     environment = {k: v for k, v in os.environ.items() if k != "QUASI_RUN"} | {"PYTHONPATH": str(ROOT)}
@@ -110,17 +110,10 @@ def find_unlike(found: dict[str, str], expected: dict[str, str]) -> set[str]:
     return {k for k, digest in found.items() if k.endswith(whole) and digest != expected.get(k)}
 
 
-def find_stages(process: subprocess.Popen) -> list[str]:
-    """Find the stages whose jobs run now; `start` where none runs."""
-    stages = set()
-    for child in psutil.Process(process.pid).children(recursive=True):
-        try:
-            match = re.search(r"\.snakemake/scripts/\w+\.(\w+)\.py", " ".join(child.cmdline()))
-        except psutil.Error:
-            continue
-        if match:
-            stages.add(match[1])
-    return sorted(stages) or ["start"]
+def find_stages(folder: Path) -> list[str]:
+    """Find the stages whose jobs run now, by their scripts; `no job` where none runs."""
+    scripts = (folder / ".snakemake/scripts").glob("*.py")
+    return sorted({path.name.split(".")[1] for path in scripts}) or ["no job"]
 
 
 def wait_for_moment(process: subprocess.Popen, folder: Path, rng: np.random.Generator, seconds: float) -> bool:
@@ -188,7 +181,7 @@ def disturb(place: Path, options: argparse.Namespace, expected: dict[str, str], 
         process, state["open"] = start(folder, options.targets, *kept), True
         rng = np.random.default_rng([options.seed, state["kills"]])
         if state["kills"] < options.kills and wait_for_moment(process, folder, rng, seconds):
-            stages = find_stages(process)
+            stages = find_stages(folder)
             by = (signal.SIGKILL, signal.SIGTERM)[state["kills"] % 2]
             ended = kill(process, by)
             state["kills"] += 1
