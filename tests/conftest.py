@@ -1,18 +1,34 @@
-"""Tests run on two cores: whole files stay together, and so do all that share what is made once for them."""
+"""Tests run on two cores: whole files stay together, and so do the two that share what is made once for them."""
 
 import os
 from pathlib import Path
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # many small matrices: more threads would only wait
+# before NumPy is imported: many small matrices, of which more threads would only wait, and use the other core for that
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import pytest
 
-OF_HEALTHY = {"test_hide_and_seek.py", "test_plan_lab.py"}  # share made flights; the others of the workflow a project
+OF_HEALTHY = {"test_hide_and_seek.py", "test_plan_lab.py"}  # share made flights
+SIMULATOR = "test_controlled_flight.py"
+
+
+def rank(path):
+    """Long files first, so that only short ones are left for either core at the end; and as each kernel is compiled
+    once: one core those of import and filter, the other meanwhile those of the simulator. Then both run the workflow,
+    whose parallel jobs would compile all of them several times."""
+    if path.name in OF_HEALTHY:
+        return 0
+    if path.name == SIMULATOR:
+        return 1
+    return 2 if path.parent.name == "workflow" else 3
+
+
+def pytest_configure(config):
+    config.addinivalue_line("filterwarnings", "ignore::numba.core.errors.NumbaPerformanceWarning")
 
 
 def pytest_collection_modifyitems(items):
-    # the two longest groups first, side by side: at the end only short files are left for either core
-    items.sort(key=lambda item: item.path.parent.name != "workflow")
+    items.sort(key=lambda item: rank(item.path))
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -23,8 +39,6 @@ def pytest_xdist_make_scheduler(config, log):
     class Together(LoadScopeScheduling):
         def _split_scope(self, nodeid):
             path = Path(nodeid.split("::", 1)[0])
-            if path.parent.name != "workflow":
-                return path.stem
-            return "healthy flights" if path.name in OF_HEALTHY else "workflow"
+            return "healthy flights" if path.name in OF_HEALTHY else path.stem
 
     return Together(config, log)

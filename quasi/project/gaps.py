@@ -157,9 +157,10 @@ class Gaps:
         if is_file(self.places.here(path)):
             check_model_file(self.places.here(path), path)
             return self.places.here(path).absolute().as_posix()  # it was put there: no rule makes it
+        others = [made for gap, made in self.extensions[0].items() if gap != name]
         raise ConfigError(
             f"config/gaps/{name}.json: 'model' is '{model}', but neither config/models/{model}.json nor {path} exists"
-            f"{nearest(model, [*self.configuration.models, *self.extensions[0].values()])}"
+            f"{nearest(model, [*self.configuration.models, *others])}"
         )
 
     def _refuse_half_models(self, name: str, root: str) -> None:

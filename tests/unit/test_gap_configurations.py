@@ -55,6 +55,7 @@ def gap(folder, name="g", rows=(), **changes):
         ({"room": {"north": [-5, 5], "east": [-4, 4], "hight": 3}}, "unknown key 'hight' in 'room' (did you mean"),
         ({"room": {"north": [-5, 5], "east": [4, -4]}}, "'room' / 'east' goes from 4 to -4 m, expected [low, high]"),
         ({"extended model ID": "m"}, "config/models/m.json makes a model of that name"),
+        ({"model": "mm"}, "neither config/models/mm.json nor models/mm/standalone/model.json exists"),
         ({"extended model ID": "../m"}, "use at most 100 letters, digits"),
     ],
 )
@@ -62,6 +63,16 @@ def test_a_fault_of_a_gap_names_file_and_remedy(folder, changes, words):
     with pytest.raises(QuasiError) as caught:
         gap(folder, **changes)
     assert "config/gaps/g.json" in str(caught.value) and words in str(caught.value)
+
+
+def test_a_misspelt_model_is_not_answered_with_the_model_that_the_gap_itself_would_make(folder):
+    with pytest.raises(ConfigError) as caught:
+        gap(folder, model="beetel")
+    assert "did you mean" not in str(caught.value)
+    model = folder / "config/models/m.json"
+    (folder / "config/models/beetle.json").write_text(model.read_text())
+    with pytest.raises(ConfigError, match="did you mean 'beetle'"):
+        gap(folder, model="beetel")
 
 
 def test_a_normalised_model_is_refused_before_anything_is_computed(folder):
