@@ -182,7 +182,7 @@ class Effect:
     rivals        ids that it is confused with; tie_breaker  the manoeuvre that tells them apart
     terms         vehicle -> {parameter: {axis: expression}} at the neutral values; or
     columns       (evidence, values) -> {parameter: (n, 6)}: slope of the measured minus modelled wrench by each
-                  parameter at `values`
+                  parameter at `values`; of a cause with terms as well, the fit takes these and the extension the terms
     nonlinear_terms  (vehicle, values) -> {axis: expression}, the whole effect where it is not in proportion to its
                   parameter; or
     full_effect   (evidence, vehicle, values) -> (n, 6), the same where no expression can say it

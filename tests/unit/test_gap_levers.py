@@ -5,7 +5,7 @@ import pytest
 from flights import AIRFRAME
 from made_model import simple_model
 
-from quasi.gap.catalogue import catalogue, columns_of
+from quasi.gap.catalogue import catalogue, columns_of, wrench_of
 from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.evidence import Evidence, model_wrench, rotor_levers
 from quasi.model.model import AXES
@@ -52,3 +52,19 @@ def test_a_scaled_speed_column_is_what_the_cause_adds(model, rotor, factor):
         k = AXES.index(axis)
         estimate = 1.0 + column[:, k] @ residual[:, k] / (column[:, k] @ column[:, k])
         assert estimate == pytest.approx(factor**-2.0, abs=1e-3)
+
+
+def test_one_rotor_acts_by_the_model_s_slope_in_every_row_not_by_that_in_hover():
+    """A roll moment that grows with the sum of the speeds: levers of hover explain its mean alone."""
+    lever = THRUST * abs(AIRFRAME.hubs[0, 0])
+    model = simple_model(AIRFRAME, THRUST, TORQUE, Mx={"U_p": 0.75 * lever, "d_w_tot*U_p": -1e-4 * lever})
+    rng, factor = np.random.default_rng(1), 0.97
+    columns = {name: np.zeros(400) for name in (*"xyzuvwpqrt", "roll", "pitch", "yaw")}
+    columns |= {f"w{i}": HOVER + 150.0 * rng.standard_normal(400) for i in range(1, 5)}
+    columns |= {f"w{i}_dot": np.zeros(400) for i in range(1, 5)}
+    scaled, vehicle = flown(model, {**columns, "w2": factor * columns["w2"]}), vehicle_of(model, MASS)
+    residual = (model_wrench(model, columns) - scaled.predicted)[:, 3]
+    column = (factor**-2.0 - 1.0) * columns_of(catalogue()["rotor_effectiveness"], scaled, vehicle, {})["rotor2"][:, 3]
+    hover = (factor**-2.0 - 1.0) * wrench_of(catalogue()["rotor_effectiveness"].terms(vehicle)["rotor2"], scaled)[:, 3]
+    left, left_by_levers = (np.std(residual - c) / np.std(residual) for c in (column, hover))
+    assert left < 0.1 < 0.5 * left_by_levers

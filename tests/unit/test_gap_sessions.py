@@ -2,8 +2,14 @@
 
 import numpy as np
 import pytest
+from test_unexplained import flight, ground  # noqa: F401
 
+from quasi.gap.causes import cg_offset
 from quasi.gap.flights.sessions import date_of, session_sentence, sessions_of, units
+from quasi.gap.levels.forces.identify import compute_leading_p
+from quasi.gap.levels.forces.nuisance import session_nuisances
+from quasi.gap.selection import Profile
+from quasi.gap.statistics import mixed
 from quasi.gap.statistics.mixed import Candidate, ClusteredMixedModel, Columns
 
 
@@ -94,3 +100,31 @@ def test_a_change_has_to_exceed_the_known_spread_of_sessions_though_one_session_
 def test_flights_of_one_session_are_compared_as_if_sessions_were_unknown():
     once = [change_between_sessions(seed, 0.2, sessions).p for seed in range(5) for sessions in ((), ["a"] * 9)]
     assert once[0::2] == once[1::2]
+
+
+def test_a_battery_that_is_seated_elsewhere_is_what_sessions_differ_by(ground):  # noqa: F811
+    """A moved centre of gravity shows in the moments as thrust does, inflow included, and in what the IMU feels."""
+    seen = flight(ground, 0, rows=1200)
+    moved = cg_offset.EFFECT.columns(seen, {})["x"]
+    session = {name: (column, spread) for name, column, spread in session_nuisances(seen)}
+    np.testing.assert_array_equal(session["session: centre of gravity, x"][0], moved)
+    pattern, spread = session["session: thrust, front and rear"]
+    pitch = pattern[:, 4] * (moved[:, 4] @ pattern[:, 4]) / (pattern[:, 4] @ pattern[:, 4])
+    assert np.std(moved[:, 4] - pitch) < 1e-6 * np.std(moved[:, 4])
+    # place of the weight and propellers together make the spread that trims show
+    sizes = [np.abs(column[:, 4]).mean() * size for column, size in (session["session: centre of gravity, x"],
+                                                                    (pattern, spread))]  # fmt: skip
+    thrust = seen.carried_thrust.sum(axis=1).mean()
+    arm = abs(seen.hubs[0, 0])
+    assert np.hypot(*sizes) == pytest.approx(0.015 * arm * thrust, rel=0.1)
+
+
+def test_a_vector_whose_axes_differ_is_judged_as_a_whole():
+    """One of three components beyond two widened standard errors is no rare chance."""
+    profile = Profile(leading=(True, True, True))
+    test = mixed.Test(Candidate("a", "changed", (0, 1, 2)), np.array([6.6, 0.0, 0.0]), np.eye(3), 1.0, 43.6, 1e-6, 0.0)
+    assert compute_leading_p(profile, test, 3.0) == pytest.approx(0.184, abs=0.002)
+    alone = mixed.Test(Candidate("a", "changed", (0,)), np.array([6.6]), np.eye(1), 1.0, 43.6, 1e-6, 0.0)
+    assert compute_leading_p(profile, alone, 3.0) == pytest.approx(0.028, abs=0.001)
+    # parameters that only accompany others do not count
+    assert compute_leading_p(Profile(leading=(False, True, True)), test, 3.0) == 1.0

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2, norm
 
 from quasi.errors import ConfigError
 from quasi.gap.effect import Effect, Limits, Vehicle
@@ -22,7 +23,9 @@ from quasi.gap.selection import Named, Profile, Tie
 from quasi.gap.statistics.mixed import Candidate, ClusteredMixedModel, MixedModel, Test
 from quasi.model.model import Model
 
-SURELY = 2.0  # standard errors, widened, that some parameter must differ by
+# p-value, with standard errors widened, up to which the leading parameters together differ from neutral: two standard
+# errors of a single one
+SURELY = 2.0 * float(norm.sf(2.0))
 WEIGHING = ("mass", "cg_offset")
 NET = "the model is of net forces (noGravity), which hold the weight; identify it withGravity"
 DRAWS = 40  # resamples of the flights' blocks
@@ -160,6 +163,17 @@ def _faint(causes: Sequence[Cause], level: Mapping[str, float], share: float) ->
     return [c for c in causes if c.test.p >= share * level[c.since]]
 
 
+def compute_leading_p(profile: Profile, test: Test, widening: float) -> float:
+    """p-value of the leading parameters together (all where none leads), with standard errors times `widening`.
+
+    Of a vector one component is far from neutral by chance more often than a single parameter is.
+    """
+    leading = [i for i, k in enumerate(test.offer.which) if profile.leading and profile.leading[k]]
+    about = leading or list(range(len(test.value)))
+    value, covariance = test.value[about], test.covariance[np.ix_(about, about)]
+    return float(chi2.sf(value @ np.linalg.solve(covariance, value) / widening**2, len(about)))
+
+
 def _widened(
     causes: Sequence[Cause], given: Sequence[Candidate], asked: Mapping[str, Effect], mixed: MixedModel, study: Design,
     compared: np.ndarray, level: Mapping[str, float],
@@ -178,9 +192,7 @@ def _widened(
             cause.test, cause.value, cause.std = again, *estimate(again, cause.effect)
             cause.apart = disagreement(voices(study, compared, cause.test, pooled, others))
         unsure = [
-            c
-            for c in kept
-            if c.apart > 1.0 and not Profile.of(c.effect).has_leading_deviation(c.test, SURELY * c.apart)
+            c for c in kept if c.apart > 1.0 and compute_leading_p(Profile.of(c.effect), c.test, c.apart) > SURELY
         ]
         faint = [c for c in kept if c.test.p >= level[c.since]] if torn else []
         if unsure:

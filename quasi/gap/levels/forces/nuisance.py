@@ -4,12 +4,18 @@ Sizes: real flights of one vehicle differ in mass and thrust by 1 %, in how IMU 
 a degree, in what is left of biases and of the rotor telemetry's age after import and filtering. The rotors' torque
 differs by more than the thrust: it follows thrust and inflow, and healthy made flights show 1.5 to 2 %.
 
-From session to session batteries are seated anew and propellers change: each rotor gives another thrust. The spreads of
-the four patterns (all rotors, left and right, front and rear, along the spin) are those measured for the hover trim.
+Another propeller scales all that its rotor gives, with its inflow. Columns of squared speeds alone would leave the part
+of the inflow, which looks like a moved centre of gravity.
+
+From session to session batteries are seated anew and propellers change. The spreads of the four patterns of thrust (all
+rotors, left and right, front and rear, along the spin) are those measured for the hover trim. A trim does not tell the
+place of the weight from propellers: of the variance of left and right, front and rear, each has half. A battery that is
+seated elsewhere moves the centre of gravity against the IMU as well, which patterns of thrust do not hold.
 """
 
 import numpy as np
 
+from quasi.gap.causes.cg_offset import EFFECT as CG_OFFSET
 from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.evidence import Evidence
 from quasi.model.columns import ROTORS
@@ -22,6 +28,7 @@ TELEMETRY = 0.003  # s, where the flight could not tell it
 # Standard deviation of each pattern's share of thrust between healthy sessions, and of the pattern along the spin:
 # medians on the healthy flights of CrazyPAD, by `benchmarks/real_causes.py`
 SESSION_SEATING, SESSION_YAW = 0.015, 0.008
+HALF = 2.0**-0.5  # standard deviation of half of a variance
 
 
 def nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]:
@@ -33,7 +40,7 @@ def nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]:
         result.append((f"constant {axis}", evidence.only(axis, 1.0), spread))
     result.append(("mass", evidence.forces_only(-evidence.force), MASS))
     vehicle = vehicle_of(evidence.model, evidence.mass, evidence.inertia)
-    thrust = evidence.thrust_wrench(evidence.thrust)
+    thrust = evidence.thrust_wrench(evidence.carried_thrust)
     thrust[:, 5] -= vehicle.drawn * (evidence.spin * evidence.speeds**2).sum(axis=1)  # the power goes with the thrust
     result.append(("thrust", thrust, THRUST))
     result.append(("torque", evidence.only("Mz", -(evidence.spin * evidence.torque).sum(axis=1)), TORQUE))
@@ -50,21 +57,25 @@ def nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]:
 
 
 def session_nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]:
-    """(name, column (n, 6), standard deviation) of each way in which sessions differ: thrust by a pattern of rotors."""
+    """(name, column (n, 6), standard deviation) of each way in which sessions differ: thrust by pattern of rotors, and
+    the place of the weight."""
     hubs = np.asarray(evidence.airframe.hubs)
     vehicle = vehicle_of(evidence.model, evidence.mass, evidence.inertia)
     patterns = {
         "all rotors": (np.ones(len(hubs)), SESSION_SEATING),
-        "left and right": (np.sign(hubs[:, 1]), SESSION_SEATING),
-        "front and rear": (np.sign(hubs[:, 0]), SESSION_SEATING),
+        "left and right": (np.sign(hubs[:, 1]), HALF * SESSION_SEATING),
+        "front and rear": (np.sign(hubs[:, 0]), HALF * SESSION_SEATING),
         "along the spin": (np.asarray(evidence.spin, float), SESSION_YAW),
     }
     result = []
     for name, (sign, spread) in patterns.items():
-        column = evidence.thrust_wrench(evidence.thrust * sign)
+        column = evidence.thrust_wrench(evidence.carried_thrust * sign)
         # the power goes with the thrust
         column[:, 5] -= vehicle.drawn * (evidence.spin * evidence.speeds**2 * sign).sum(axis=1)
         result.append((f"session: thrust, {name}", column, spread))
+    arm = float(np.abs(hubs[:, :2]).mean())
+    for name, column in CG_OFFSET.columns(evidence, {}).items():
+        result.append((f"session: centre of gravity, {name}", column, HALF * SESSION_SEATING * arm))
     return result
 
 
