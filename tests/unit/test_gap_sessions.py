@@ -5,6 +5,7 @@ import pytest
 from test_unexplained import flight, ground  # noqa: F401
 
 from quasi.gap.causes import cg_offset
+from quasi.gap.flights import level
 from quasi.gap.flights.sessions import date_of, session_sentence, sessions_of, units
 from quasi.gap.levels.forces.identify import compute_leading_p
 from quasi.gap.levels.forces.nuisance import session_nuisances
@@ -128,3 +129,24 @@ def test_a_vector_whose_axes_differ_is_judged_as_a_whole():
     assert compute_leading_p(profile, alone, 3.0) == pytest.approx(0.028, abs=0.001)
     # parameters that only accompany others do not count
     assert compute_leading_p(Profile(leading=(False, True, True)), test, 3.0) == 1.0
+
+
+def test_what_one_session_has_in_all_its_flights_is_no_fault_of_them():
+    """A bias as large as healthy sessions have it, the same in all flights of the only session."""
+    layout = Columns([], [1], np.array([0.012]), {"bias": [2]})
+    rng, grams = np.random.default_rng(3), []
+    for _ in range(5):
+        x = 1e4 * np.repeat(rng.standard_normal((200, 1)), 2, axis=1)
+        z = np.column_stack([0.024 * x[:, 0] + rng.standard_normal(200), x])
+        grams.append(z.T @ z)
+    offer = Candidate("bias", "always", (0,))
+    known, unknown = (
+        level.Tests(grams, [True] * 5, layout, 1e6, sessions=s).test(offer) for s in (["hall"] * 5, [""] * 5)
+    )
+    assert unknown.p < 0.01
+    assert known.p > 0.05
+    assert known.std[0] == pytest.approx(
+        0.0142, rel=0.05
+    )  # of the session, and of five flights with twice its variance
+    large = [g * np.outer([1, 0.1, 0.1], [1, 0.1, 0.1]) for g in grams]  # ten times the bias
+    assert level.Tests(large, [True] * 5, layout, 1e6, sessions=["hall"] * 5).test(offer).p < 1e-6

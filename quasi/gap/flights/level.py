@@ -80,6 +80,9 @@ class Tests(MixedModel):
         of_session = {"session": tuple(columns.nuisance), "session_spread": tuple(columns.spread)}
         columns = columns._replace(unpooled=tuple(unpooled), **of_session)
         super().__init__(grams, compared, columns, prior, sessions)
+        if sessions and sessions[0] and len(set(sessions)) == 1:
+            # what the one session has is in all flights alike, and no evidence of a fault that they all have
+            self._sessions = [np.ones(len(self.compared), bool)]
         self.common = dict(common or {})
         groups = 1 if self.compared.all() else 2
         self.freedom = max(len(grams) - groups, 1) + freedom
