@@ -132,8 +132,8 @@ def _fault(effect: Effect) -> str:
         return f"level is '{effect.level}', expected 'forces': a cause of one's own acts as a force or a moment"
     if not effect.fitted:
         return "it has no parameter; give one that can be fitted"
-    if (effect.terms is None) == (effect.columns is None):
-        return "expected either terms or columns, which say what each parameter adds to forces and moments"
+    if effect.terms is None and effect.columns is None:
+        return "expected terms or columns, which say what each parameter adds to forces and moments"
     for word in FUNCTIONS:
         given = getattr(effect, word)
         if given is not None and not callable(given):

@@ -54,7 +54,7 @@ def path(tmp_path):
         (text(parameters="{}"), "it has no parameter"),
         (text(starts="(0.1,)"), "starts = (0.1,), expected sizes other than 0 of its only parameter, and the whole"),
         (text(starts="(0.0,)", nonlinear_terms="lambda vehicle, values: {'Fx': 'u'}"), "expected sizes other than 0"),
-        (text(terms=None), "expected either terms or columns"),
+        (text(terms=None), "expected terms or columns"),
         (text(terms="{'k': {'Fx': 'u'}}"), "expected a function"),
         (text(terms="lambda vehicle: 1 / 0"), "ZeroDivisionError: division by zero"),
         (text(terms="lambda vehicle: {'q': {'Fx': 'u'}}"), "expected {parameter: ...} for k"),
