@@ -112,6 +112,9 @@ STRANGE = {
     "unlisted_shift": Hidden(("size",), "one", 2e-3),
 }
 ALL = WRENCH | SENSORS | DRIVE | STRANGE
+# what the made vehicle has anyway and a fitted model may lack: reported of every flight, it is no wrong name
+INHERENT = {"rotor_drag", "body_drag", "blade_flapping", "axial_inflow", "vortex_ring", "rotor_interference",
+            "inflow_lag", "rotor_gyroscopic", "rotor_acceleration_torque", "translational_lift"}  # fmt: skip
 # channel in which an effect of no catalogue shows
 SHOWS = {"unlisted_heading": "Fz", "unlisted_height": "Fy", "unlisted_beat": "Fx", "unlisted_fan": "Fz",
          "unlisted_twist": "Mz", "unlisted_brake": "My", "unlisted_shift": "Mx"}  # fmt: skip

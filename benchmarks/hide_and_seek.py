@@ -31,6 +31,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from clarity import Asked, clarity
 from hidden import (
+    INHERENT,
     OWN,
     SHOWS,
     STRANGE,
@@ -73,9 +74,6 @@ SETTINGS = {
     "room": {"north": [-_ROOM[0], _ROOM[0]], "east": [-_ROOM[1], _ROOM[1]], "height": _ROOM[2]},
 }  # fmt: skip
 INDISTINCT = {"thrust_factor", "rotor_speed_scale"}  # the torque alone tells them apart: always a tie
-# what the made vehicle has anyway and a fitted model may lack: reported of every flight, it is no wrong name
-INHERENT = {"rotor_drag", "body_drag", "blade_flapping", "axial_inflow", "vortex_ring", "rotor_interference",
-            "inflow_lag", "rotor_gyroscopic", "rotor_acceleration_torque", "translational_lift"}  # fmt: skip
 
 
 def draw(settings: dict[str, Any], seconds: float = 30.0, folder: Path = OUT) -> dict[str, Any]:

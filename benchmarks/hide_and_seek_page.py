@@ -5,8 +5,10 @@ from typing import Any
 
 import numpy as np
 from hidden import ALL, world
+from probability import bin_table, brier, stated
 
 CLEAR, VISIBLE = 10.0, 3.0  # |t| above which a cause has to be named, and below which none is expected to be
+SURE = 0.9  # probability from which a name has to be right nine times of ten
 SEEN = 5.0  # |t| at which a cause is usually named
 
 
@@ -188,17 +190,19 @@ def page(results: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, Any
 
 
 def _calibration(results: Sequence[Mapping[str, Any]]) -> list[str]:
-    """How often names are right that are stated with a probability, and the Brier score of these probabilities."""
-    stated = [
-        (e["probability"], e["id"] not in r["wrong"])
-        for r in results for e in r["effects said"] if e.get("probability") is not None
-    ]  # fmt: skip
-    if not stated:
-        return []
-    sure = [right for p, right in stated if p >= 0.9]
-    brier = float(np.mean([(p - right) ** 2 for p, right in stated]))
-    return [f"Of {len(sure)} names stated with a probability of 0.9 or more, {sum(sure)} are right. Brier score of the "
-            f"{len(stated)} stated probabilities: {brier:.3f}."]  # fmt: skip
+    """How often names, ties and candidates are right that are stated with a probability, and its Brier score."""
+    lines: list[str] = []
+    entries = [e for r in results for e in stated(r)]
+    for kind, words in {"effects": "names", "ties": "ties", "candidates": "candidates"}.items():
+        own = [e for e in entries if e.kind == kind]
+        if not own:
+            continue
+        chance, right = [e.probability for e in own], [e.right for e in own]
+        sure = [r for p, r in zip(chance, right) if p >= SURE]
+        lines += ["", f"Of {len(sure)} {words} stated with a probability of {SURE} or more, {sum(sure)} are right. "
+                  f"Brier score of the {len(own)} stated probabilities: {brier(chance, right):.3f}.", "",
+                  *bin_table(chance, right)]  # fmt: skip
+    return lines
 
 
 def _worlds(results: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -41,6 +41,7 @@ from quasi.gap.levels.rollouts.confirmation import Settled
 from quasi.gap.levels.rollouts.open_loop import CHANNELS as ALONG
 from quasi.gap.levels.sensors_and_drive import rate_of
 from quasi.gap.levels.trim_evidence import gather_trim, trim_entries
+from quasi.gap.probability import add_probabilities
 from quasi.gap.report.wording import summary
 from quasi.gap.scores import scored
 from quasi.gap.standing import HORIZON, standing
@@ -230,6 +231,7 @@ def diagnose(
         "calibration": {k: calibration[k] for k in ("compared", "reference", "causes", "notes") if k in calibration},
     }
     _since_when(result, references)
+    add_probabilities(result)
     result["summary"] = summary(result, effects)
     tables = wrench_tables(evidence, roles, case.left(extended, kept, found and found.study, again, roles), vehicle)
     if len(lives):

@@ -78,7 +78,7 @@ def wrench_effect(cause: Cause, vehicle: Vehicle, settled: Settled) -> dict[str,
         "id": cause.effect.id,
         "level": "forces",
         "since": cause.since,
-        "probability": cause.probability,
+        "share of resamples": cause.probability,
         "channels": list(cause.effect.channels),
         "parameters": parameters_of(cause.effect, cause.value, cause.std, vehicle),
         **gain_entry(cause, cause.gain),
@@ -152,7 +152,7 @@ def tie_entry(since: str, tie: Any, effects: Mapping[str, Effect], vehicle: Vehi
         parameters[effect.id] = parameters_of(effect, value, std, vehicle)
     breaker = next((b for i in ids if (b := effects[i].tie_breaker)), "")
     return {"ids": ids, "since": since, "separability": tie.separability, "tie_breaker": breaker,
-            "parameters": parameters}  # fmt: skip
+            "parameters": parameters, "evidence": {"p": tie.tests[0].p, "axes apart": tie.apart}}  # fmt: skip
 
 
 def candidates(found: Found, settled: Settled, share: float) -> list[dict[str, Any]]:

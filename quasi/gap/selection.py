@@ -115,6 +115,7 @@ class Tie(NamedTuple):
 
     tests: list[Test]
     separability: float  # |t| of the first with its nearest rival given
+    apart: float = 1.0  # how many times further apart the axes of the first are than its standard errors say
 
 
 @dataclass

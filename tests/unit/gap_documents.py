@@ -11,8 +11,9 @@ KNOWN = catalogue()
 ROLES = {"ref-1": "reference", "new-1": "compared", "new-2": "compared", "new-3": "held out"}
 GAIN = {"value": 0.86, "low": 0.7, "high": 0.95}
 EFFECT = {
-    "id": "ground_effect", "level": "forces", "since": "changed", "probability": 0.98, "channels": ["Fz", "Mx", "My"],
+    "id": "ground_effect", "level": "forces", "since": "changed", "probability": 0.97, "channels": ["Fz", "Mx", "My"],
     "parameters": {"c": {"value": 5.64, "std": 0.48, "unit": "1"}}, "gain": {"wrench": 0.86, "rollout": 0.3},
+    "share of resamples": 0.98,
     "gain channel": "Fz", "rollout channel": "velocity", "gains": {"Fz": GAIN}, "confused_with": ["inflow_lag"],
     "evidence": {"p": 2e-13},
 }  # fmt: skip

@@ -260,7 +260,7 @@ def test_the_first_screen_answers_what_since_when_how_sure_and_what_to_do():
 
 def test_what_reaches_the_floor_is_no_hundred_percent():
     """The floor may be the extended model's own error: simulations need not have changed at all."""
-    sure = {**EFFECT, "gain": {"wrench": 1.0, "rollout": 1.0}, "probability": 1.0,
+    sure = {**EFFECT, "gain": {"wrench": 1.0, "rollout": 1.0}, "probability": 1.0, "share of resamples": 1.0,
             "gains": {c: {"value": 1.0, "low": 0.99, "high": 1.0} for c in EFFECT["gains"]}}  # fmt: skip
     made = document([sure])
     made["scores"]["removed"] = {"Fz": {"value": 1.0, "low": 0.66, "high": 1.0}}

@@ -67,7 +67,7 @@ def test_the_summary_names_cause_size_share_rivals_ties_and_what_is_left():
     text = document([EFFECT], [TIE], [LEFT])["summary"]
     for words in (
         "Ground effect: this is new since the reference flights. It explains 30 % of the removable error of the "
-        "simulated velocity. Named again in 98 % of resamples.",
+        "simulated velocity. Named again in 98 % of resamples; the probability that it is there is 0.97.",
         "the velocity error goes from 0.5 to 0.4 m/s. Removable error of forces, moments and motion is what lies "
         "(squared) above the best fit of the model's terms and all causes together",
         "Mass or thrust factor: this data cannot tell which (separability 1.3 standard errors); to settle it: weigh",
@@ -110,7 +110,8 @@ def test_the_summary_says_how_sure_a_cause_is_and_what_stays_as_it_is():
     text = summary(made, KNOWN)
     for words in (
         "vertical force error (Fz) down to the noise floor (95 %: below -100 to 100)",
-        "Confirmed in simulation: 1.05 ± 0.24 of the motion it should make is there; named again in 98 % of resamples.",
+        "Confirmed in simulation: 1.05 ± 0.24 of the motion it should make is there; named again in 98 % of resamples; "
+        "the probability that it is there is 0.97.",
         "Simulated for 1 s, velocity (1.51 m/s) and body rate (0.683 rad/s) errors stay as they are. Removable error",
     ):
         assert words in text

@@ -61,7 +61,7 @@ def tie(turn=TURN, since="changed"):
     """What the comparison of sensors says of a turn between IMU and markers."""
     names = ("roll", "pitch", "yaw")
     return {
-        "ids": list(PAIR), "since": since, "p": 1e-6, "wald": 50.0, "probability": 1.0, "separability": 0.0,
+        "ids": list(PAIR), "since": since, "p": 1e-6, "wald": 50.0, "share of resamples": 1.0, "separability": 0.0,
         "parameters": {i: {n: {"value": s * v, "std": 1e-3, "unit": "rad"} for n, v in zip(names, turn)}
                        for i, s in zip(PAIR, (1.0, -1.0))},
     }  # fmt: skip

@@ -15,6 +15,7 @@ from fixed_causes import TESTED, list_faults, seek_case
 from hidden import ALL, STRANGE, deviation, drawn
 from hide_and_seek import judge
 from hide_and_seek_page import group_of, page, wilson
+from probability import Stated, bin_table, brier, fit, left_out, stated
 
 from quasi.gap.catalogue import catalogue
 from quasi.gap.statistics.mixed import Candidate, Columns
@@ -43,7 +44,8 @@ def said(truth, names=(), ties=(), design="reference", kind="single", everywhere
     about = {"since": "always", "in training flights": everywhere}
     if design == "reference":
         about = {"since": "always" if everywhere else "changed"}
-    effects = [{"id": n, "level": "forces", "probability": 1.0, "parameters": p, **about} for n, p in names]
+    evidence = {"evidence": {"p": 1e-20}}
+    effects = [{"id": n, "level": "forces", **evidence, "parameters": p, **about} for n, p in names]
     tied = [{"ids": list(t), **about} for t in ties]
     verdict = "explained" if effects else "partly explained" if tied else "agrees"
     return {"kind": kind, "design": design, "effects": truth, "unexplained": [], "effects said": effects, "ties": tied,
@@ -115,11 +117,50 @@ def test_shares_have_wilsons_interval_and_the_page_every_draw():
     text = page(results)
     assert "| single, above 10, separable | 1 | 2 | 0.50 |" in text
     assert "| wind | 1 | 0 | tether 1 |" in text and "At a false alarm rate" not in text
+    assert "Of 2 names stated with a probability of 0.9 or more, 1 are right." in text
     others = [{**r, "settings": {**r["settings"], "rate": 0.05}} for r in (results[0], results[0])]
     others[1]["settings"]["seed"] = 1  # what was missed is found
     text = page(results, others)
     assert "## At a false alarm rate of 0.05" in text
     assert "| single, above 10, separable | 2 | 1 | 2 | 1 | 0 |" in text
+
+
+def entries(number, intercept, slope, seed=2):
+    """Entries that are right with the probability of a logistic function, five to a data set."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(0.0, 10.0, number)
+    right = rng.random(number) < 1.0 / (1.0 + np.exp(-intercept - slope * x))
+    return [Stated("effects", float(a), bool(b), str(k // 5)) for k, (a, b) in enumerate(zip(x, right))]
+
+
+def test_the_calibration_finds_a_known_function_and_is_finite_where_outcomes_are_separated():
+    assert fit(entries(4000, -3.0, 0.8)) == (pytest.approx(-3.0, abs=0.3), pytest.approx(0.8, abs=0.06))
+    apart = [Stated("effects", x, x > 5.0, str(x)) for x in (1.0, 2.0, 8.0, 9.0)]
+    intercept, slope = fit(apart)
+    assert 0.1 < slope < 3.0 and -15.0 < intercept < 0.0
+    opposite = [Stated("effects", x, x < 5.0, str(x)) for x in (1.0, 2.0, 8.0, 9.0)]
+    assert fit(opposite)[1] == 0.0  # more evidence is never less probable
+
+
+def test_probabilities_of_data_sets_left_out_are_right_as_often_as_they_say():
+    own = entries(600, -3.0, 0.8)
+    chance, right = left_out(own), np.array([e.right for e in own])
+    sure = chance >= 0.9
+    assert abs(right[sure].mean() - chance[sure].mean()) < 0.05
+    assert brier(chance, right) < brier(np.full(len(own), right.mean()), right)
+    assert brier([1.0, 0.0, 0.5], [True, False, True]) == pytest.approx(0.25 / 3.0)
+    assert bin_table([0.05, 0.95, 1.0], [False, True, False])[2:] == [
+        "| 0 to 0.1 | 1 | 0.050 | 0 | 0.000 |", "| 0.9 to 1 | 2 | 0.975 | 1 | 0.500 |"
+    ]  # fmt: skip
+
+
+def test_what_healthy_flights_show_as_well_counts_for_no_calibration():
+    truth = {"wind": {"north": 1.0, "east": 0.0}}
+    case = {**said(truth, [("wind", {}), ("tether", {})]), "settings": {"seed": 1}}
+    assert [e.right for e in stated(case)] == [True, False]
+    assert stated({**said({}, [("rotor_drag", {})], design="all", everywhere=True), "settings": {"seed": 1}}) == []
+    own = {**said({}, [("rotor_drag", {}), ("mass", {})], design="own", everywhere=True), "settings": {"seed": 1}}
+    assert [e.right for e in stated(own)] == [False]
 
 
 def test_a_model_holds_the_drive_of_the_flights_that_it_was_made_of():

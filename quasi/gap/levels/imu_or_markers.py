@@ -125,7 +125,8 @@ def _settle_arm(
         level.effects.remove(arm)
         level.ties.append(
             {"ids": [IMU, MARKERS], "since": arm["since"], "separability": float(np.sqrt(np.abs(points.apart).max())),
-             "tie_breaker": BREAKER, "parameters": {IMU: arm["parameters"], MARKERS: other["parameters"]}}
+             "tie_breaker": BREAKER, "parameters": {IMU: arm["parameters"], MARKERS: other["parameters"]},
+             "p": arm.get("evidence", {}).get("p")}
         )  # fmt: skip
         return
     imu_there = _there(points.imu, points.imu_std)

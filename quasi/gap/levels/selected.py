@@ -34,7 +34,7 @@ def report_selection(
                 "parameters": {o.cause: parameters(o) for o in offers},
                 "p": test.p,
                 "wald": test.wald,
-                "probability": reproducibility[offers[0]],
+                "share of resamples": reproducibility[offers[0]],
             }
         )
     for offer in (named.test.offer for named in selection.named):
@@ -43,7 +43,7 @@ def report_selection(
             {
                 "id": offer.cause,
                 "since": offer.since,
-                "probability": reproducibility[offer],
+                "share of resamples": reproducibility[offer],
                 "channels": list(effects[offer.cause].channels),
                 "parameters": parameters(offer),
                 "evidence": {"p": test.p, "wald": test.wald, "between flights": test.tau, **more(offer)},

@@ -79,7 +79,7 @@ def settle(
         level.ties.remove(tie)
         evidence = {"p": tie["p"], "wald": tie["wald"], "log odds by forces and moments": odds}
         level.effects.append(
-            {"id": best, "since": tie["since"], "probability": tie["probability"],
+            {"id": best, "since": tie["since"], "share of resamples": tie["share of resamples"],
              "channels": list(CATALOGUE[best].channels), "parameters": tie["parameters"][best],
              "evidence": evidence}
         )  # fmt: skip

@@ -187,8 +187,8 @@ def trim_entries(
     if not unable and document["source"] != "commands":
         return [], []
     ids, parameters = document["causes"], document["parameters"]
+    share = sum(document["probability"][name] for name in document["names"])
     if len(ids) == 1:
-        share = sum(document["probability"][name] for name in document["names"])
         entry = {
             "id": ids[0], "level": "trim", "since": "changed", "probability": share, "channels": CHANNELS[ids[0]],
             "parameters": {n: size for name in document["names"] for n, size in parameters[name].items()},
@@ -198,6 +198,6 @@ def trim_entries(
     tie = {
         "ids": ids, "since": "changed", "separability": 0.0, "parameters": {i: {} for i in ids},
         "tie_breaker": "weigh the vehicle and balance it on a string; fly heaves and steps of each axis",
-        "trim": parameters,
+        "trim": parameters, "probability": share,
     }  # fmt: skip
     return [], [tie]

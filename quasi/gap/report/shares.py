@@ -5,7 +5,8 @@ from typing import Any
 
 ALL = 0.995  # share from which whole percents print as 100
 FLOOR = "all above the noise floor"
-OFTEN, HALF = 0.8, 0.5  # shares of resamples that a cause needs beside a stronger one, and as the strongest of several
+# least probability of a word: 0.9 is what `hover_trim.NAMED` asks for, 0.99 is one error in a hundred names
+WORDS = ((0.99, "very sure"), (0.9, "sure"), (0.7, "fairly sure"), (0.5, "suspected"))
 
 
 def percent(share: float | None) -> str:
@@ -34,23 +35,51 @@ def share_of(gain: float | None, found: Mapping[str, Any] | None) -> str:
 
 
 def certainty_of(effect: Mapping[str, Any]) -> str:
-    """How sure a named cause is, in words: by simulations of held-out flights and by resamples."""
-    outcome, again = (effect.get("confirmation") or {}).get("outcome"), effect.get("probability")
+    """How sure a named cause is, in words: the word follows from the probability alone; then what else is known."""
+    chance, again = effect.get("probability"), effect.get("share of resamples")
     if effect.get("level") == "trim":
-        return f"by the trim in steady flight alone, with the probability {again:.2f}"
+        return f"{_word(chance)}: by the trim in steady flight alone, with the probability {chance:.2f}"
     if effect.get("sentence"):
-        return f"each compared flight by itself shows it, with the probability {again:.2f} among all orders"
-    if not effect.get("judged", True):
-        return "suspected: the held-out flights hardly show it"
-    gained = (effect.get("gains") or {}).get(effect.get("gain channel")) or {}
-    if outcome != "confirmed" and (gained.get("low") or 0.0) < 0.0:
-        return "suspected: its gain on the held-out flights may be chance"
-    often = again is not None and again >= OFTEN
+        shown = "each compared flight by itself shows it"
+        return f"{_word(chance)}: {shown}, with the probability {chance:.2f} among all orders"
+    outcome, reasons = (effect.get("confirmation") or {}).get("outcome"), []
     if outcome == "confirmed":
-        return "very sure: simulations of held-out flights confirm it" if often else "sure: simulations confirm it"
-    if again is None:
-        return "sure: it passed all tests"
-    count = "every resample" if reaches_floor(again) else f"{percent(again)} of resamples"
-    return (
-        f"{'sure' if often else 'fairly sure' if again >= HALF else 'suspected'}: found again in {count} of the flights"
-    )
+        reasons.append("simulations of held-out flights confirm it")
+    elif not effect.get("judged", True):
+        reasons.append("the held-out flights hardly show it")
+    elif (((effect.get("gains") or {}).get(effect.get("gain channel")) or {}).get("low") or 0.0) < 0.0:
+        reasons.append("its gain on the held-out flights may be chance")
+    if again is not None:
+        reasons.append(
+            f"found again in {'every resample' if reaches_floor(again) else f'{percent(again)} of resamples'}"
+        )
+    begin = _word(chance) + (f", with the probability {chance_of(chance)}" if chance is not None else "")
+    return f"{begin}: {'; '.join(reasons)}" if reasons else begin
+
+
+def support_of(effect: Mapping[str, Any]) -> list[str]:
+    """What resamples say of a cause, and its probability, a clause each."""
+    if effect.get("level") == "trim" or effect.get("sentence"):
+        return [certainty_of(effect)]
+    chance, again, parts = effect.get("probability"), effect.get("share of resamples"), []
+    if again is not None:
+        parts.append(f"named again in {'every resample' if reaches_floor(again) else f'{percent(again)} of resamples'}")
+    return parts + ([f"the probability that it is there is {chance_of(chance)}"] if chance is not None else [])
+
+
+def separability_of(tie: Mapping[str, Any]) -> str:
+    """How far the causes of a tie are apart, and the probability that one of them is there, where it is known."""
+    chance, text = tie.get("probability"), f"separability {tie['separability']:.1f} standard errors"
+    return text if chance is None else f"{text}; one of them is there with the probability {chance_of(chance)}"
+
+
+def chance_of(probability: float) -> str:
+    """A probability in two digits; what two digits cannot tell from certainty is not printed as certain."""
+    return "above 0.99" if probability >= ALL else "below 0.01" if probability < 1.0 - ALL else f"{probability:.2f}"
+
+
+def _word(probability: float | None) -> str:
+    """A probability as a word. Without one, all tests were passed and nothing else is known."""
+    if probability is None:
+        return "it passed all tests"
+    return next((word for least, word in WORDS if probability >= least), "doubtful")

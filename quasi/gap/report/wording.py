@@ -8,7 +8,7 @@ from typing import Any
 from quasi.gap.effect import Effect
 from quasi.gap.flights.covariates import UNITS
 from quasi.gap.levels.corrections import uncorrected
-from quasi.gap.report.shares import certainty_of, interval_of, percent, reaches_floor, share_of
+from quasi.gap.report.shares import interval_of, percent, reaches_floor, separability_of, share_of, support_of
 
 CHANNELS = {
     "Fx": "forward force", "Fy": "sideward force", "Fz": "vertical force", "Mx": "roll moment", "My": "pitch moment",
@@ -174,13 +174,7 @@ def _sureness(effect: Mapping[str, Any]) -> str:
         parts.append(f"confirmed in simulation: {there} of the motion it should make is there")
     elif told.get("outcome"):
         parts.append(f"in simulation it {told['outcome']}" + (f" ({told['why']})" if told.get("why") else ""))
-    again = effect.get("probability")
-    if effect.get("level") == "trim" or effect.get("sentence"):
-        parts.append(certainty_of(effect))
-    elif again is not None:
-        often = "every resample" if reaches_floor(again) else f"{percent(again)} of resamples"
-        parts.append(f"named again in {often}")
-    return "; ".join(parts)
+    return "; ".join([*parts, *support_of(effect)])
 
 
 def _sentence(text: str) -> str:
@@ -249,9 +243,7 @@ def tie_sentence(tie: Mapping[str, Any]) -> str:
         )
     return (
         f"{names[:1].upper()}{names[1:]}: this data cannot tell which "
-        f"(separability {tie['separability']:.1f} standard errors)"
-        + (f"; to settle it: {tie['tie_breaker']}" if tie["tie_breaker"] else "")
-        + "."
+        f"({separability_of(tie)})" + (f"; to settle it: {tie['tie_breaker']}" if tie["tie_breaker"] else "") + "."
     )
 
 

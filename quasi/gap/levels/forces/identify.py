@@ -107,7 +107,8 @@ def examine(
     kept = sorted(kept, key=lambda c: c.test.p)
     there = [c.test.offer for c in immaterial if c.since == "always" and c not in stand_ins]
     kept, vague = _widened(kept, [*offers_of([], ties), *there], asked, mixed, study, compared, sought.level)
-    ties = [(since, _anew(tie, since, [*(c.test.offer for c in kept), *there], ties, mixed)) for since, tie in ties]
+    given = [*(c.test.offer for c in kept), *there]
+    ties = [(since, _anew(tie, since, given, ties, mixed, study, compared)) for since, tie in ties]
     for cause in kept:
         cause.std = {n: s * flatness(cause.effect, study, vehicle, cause.value) for n, s in cause.std.items()}
     unjudged = [c for c in kept if any((c.effect.id, c.since) == (u.effect.id, u.since) for u in unjudged)]
@@ -211,10 +212,14 @@ def _widened(
     return kept, vague
 
 
-def _anew(tie: Tie, since: str, given: Sequence[Candidate], ties: Sequence[tuple[str, Tie]], mixed: MixedModel) -> Tie:
+def _anew(
+    tie: Tie, since: str, given: Sequence[Candidate], ties: Sequence[tuple[str, Tie]], mixed: MixedModel, study: Design,
+    compared: np.ndarray,
+) -> Tie:  # fmt: skip
     """A tie with its sizes beside what is named in the end; later causes may resemble it."""
-    others = [*given, *offers_of([], [t for t in ties if t[1] is not tie])]
-    return tie._replace(tests=[mixed.test(t.offer, others, mixed.pooled(since)) for t in tie.tests])
+    others, pooled = [*given, *offers_of([], [t for t in ties if t[1] is not tie])], mixed.pooled(since)
+    tests = [mixed.test(t.offer, others, pooled) for t in tie.tests]
+    return tie._replace(tests=tests, apart=disagreement(voices(study, compared, tests[0], pooled, others)))
 
 
 def _stands_for(cause: Cause, since: str, tie: Tie) -> bool:
