@@ -64,7 +64,7 @@ FLOORS = [
     {"levels.sensors", "levels.drive", "levels.selected"},
     {"levels"},
     {"levels.rollouts"},
-    {"entries", "scores"},
+    {"entries", "probability", "scores"},
     {"report"},
     {"base_model", "constant_loads", "veto"},
     {"standing", "diagnosis"},
