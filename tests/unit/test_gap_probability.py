@@ -1,13 +1,18 @@
 """Probability of names, ties and candidates: in [0, 1], rising with the evidence, right as often as it says."""
 
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from gap_documents import EFFECT, LOST, TIE
+from gap_documents import EFFECT, KNOWN, LOST, TIE
 
+from quasi.gap.entries import tie_entry
 from quasi.gap.probability import KINDS, MOST_DECADES, add_probabilities, decades, decades_of, probability_of
 from quasi.gap.report.shares import certainty_of, separability_of
+from quasi.gap.selection import Tie
+from quasi.gap.statistics.mixed import Candidate
+from quasi.gap.statistics.mixed import Test as CauseTest
 
 
 def stated(**parts):
@@ -63,3 +68,11 @@ def test_the_word_follows_from_the_probability_alone(chance, word):
 def test_a_tie_states_its_probability_where_it_has_one():
     assert "0.91" in separability_of({**TIE, "probability": 0.912})
     assert "probability" not in separability_of(TIE)
+
+
+def test_a_tie_of_forces_holds_what_its_probability_is_made_of():
+    test = CauseTest(Candidate("mass", "changed", (0,)), np.array([0.02]), np.array([[1e-6]]), 1.0, 400.0, 1e-9)
+    rival = test._replace(offer=Candidate("thrust_factor", "changed", (0,)))
+    vehicle = SimpleNamespace(mass=0.4)
+    entry = tie_entry("changed", Tie([test, rival], 1.3, 3.0), KNOWN, vehicle)
+    assert stated(ties=[entry])["ties"][0]["probability"] == pytest.approx(probability_of("ties", 1.0))
