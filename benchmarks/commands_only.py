@@ -21,7 +21,7 @@ import numpy as np
 from quasi.airframe import read_airframe
 from quasi.filtering.flight import filter_flight
 from quasi.filtering.rotor_speeds import add_estimated_speeds, read_flight
-from quasi.identification.joint_fit import AXES
+from quasi.identification.joint_fit import JOINT_AXES
 from quasi.identification.partition import partition, usable
 from quasi.identification.rotor_speeds import rotor_speeds_of
 from quasi.identification.shared import shared
@@ -39,7 +39,7 @@ def thrusts_and_moments(table, airframe, factors) -> np.ndarray:
     """Fz, Mx, My, Mz (N, 4) of the simple rotor model, with the factors given."""
     squares = table[list(SPEEDS)].to_numpy(float) ** 2
     signs = np.stack([-np.ones(4), airframe.left, airframe.front, airframe.spin])
-    kappa = [factors[f"kappa{axis}"]["value"] for axis in AXES]
+    kappa = [factors[f"kappa{axis}"]["value"] for axis in JOINT_AXES]
     return np.stack([k * squares @ s for k, s in zip(kappa, signs)], axis=1)
 
 
@@ -75,7 +75,7 @@ def withheld(numbers: list[int]) -> dict:
         axis: own["simple model"][f"kappa{axis}"]["value"]
         / base["commands"]
         / (truth["simple model"][f"kappa{axis}"]["value"] / base["telemetry"])
-        for axis in AXES[1:]
+        for axis in JOINT_AXES[1:]
     }
     speeds, loads, size = [], [], []
     for key in keys:
@@ -91,7 +91,7 @@ def withheld(numbers: list[int]) -> dict:
         size.append(by_telemetry)
     report["speed rms"] = float(np.sqrt(np.mean(np.concatenate(speeds) ** 2)))
     error, scale = (np.sqrt(np.mean(np.concatenate(x) ** 2, axis=0)) for x in (loads, size))
-    report["rms over rms"] = dict(zip(AXES, (error / scale).tolist()))
+    report["rms over rms"] = dict(zip(JOINT_AXES, (error / scale).tolist()))
     return report
 
 
@@ -115,7 +115,7 @@ def nanobench(path: str) -> dict:
     subprocess.run([*command, "--config", f"data={path}", "--", "models/nanobench/standalone"], check=True)
     model = read_model(folder / "models/nanobench/standalone")
     drive = model.document["rotor speeds"]
-    report = {"arms over configured": {axis: drive["factors"][axis] for axis in AXES[1:3]}}
+    report = {"arms over configured": {axis: drive["factors"][axis] for axis in JOINT_AXES[1:3]}}
     report |= {k: drive[k] for k in ("form", "time constant", "delay", "relative error", "voltage exponent")}
     errors: dict[str, list] = {}
     pooled: dict[str, list] = {}
@@ -127,7 +127,7 @@ def nanobench(path: str) -> dict:
         rows = partition({key: flight}, {key}, {"usable data ratio": 0.7})[key] > 0
         part = flight[rows]
         found = model.predict_columns(part)
-        for axis in AXES:
+        for axis in JOINT_AXES:
             pooled.setdefault(axis, []).append((part[axis].to_numpy(float), found[axis].to_numpy(float)))
     report["R2 of held-out flights"] = {}
     for axis, pairs in pooled.items():

@@ -41,7 +41,7 @@ np.savez(sys.argv[3], names=np.array(names[:count]), table=table, took=took)
 
 def made_log(seconds: float, rate: int = 1000) -> bytes:
     """A log with the fields and the packing of a Betaflight 4.5 flight, values wandering as in flight."""
-    from quasi.synthesis.blackbox_writer import FIELDS, NAMES, encode_log, event
+    from quasi.synthesis.blackbox_writer import BLACKBOX_FIELDS, FIELD_NAMES, encode_log, event
 
     rng = np.random.default_rng(0)
     n = int(seconds * rate)
@@ -56,8 +56,8 @@ def made_log(seconds: float, rate: int = 1000) -> bytes:
         "rcCommand": 1,
     }
     start = {"motor": 800, "eRPM": 900, "vbatLatest": 1600}
-    values = np.zeros((n, len(NAMES)), np.int64)
-    for i, name in enumerate(NAMES):
+    values = np.zeros((n, len(FIELD_NAMES)), np.int64)
+    for i, name in enumerate(FIELD_NAMES):
         base = name.split("[")[0]
         steps = np.round(rng.normal(0, spread.get(base, 0.3), n))
         walk = np.zeros(n)
@@ -65,11 +65,11 @@ def made_log(seconds: float, rate: int = 1000) -> bytes:
         for k in range(1, n):
             walk[k] = 0.98 * walk[k - 1] + steps[k]
         values[:, i] = start.get(base, 0) + walk
-    values[:, NAMES.index("loopIteration")] = 4 * np.arange(n)
-    values[:, NAMES.index("time")] = 10_000_000 + np.round(np.arange(n) * 1e6 / rate + rng.normal(0, 2, n))
-    whole = [i for i, field in enumerate(FIELDS) if not field[1]]
+    values[:, FIELD_NAMES.index("loopIteration")] = 4 * np.arange(n)
+    values[:, FIELD_NAMES.index("time")] = 10_000_000 + np.round(np.arange(n) * 1e6 / rate + rng.normal(0, 2, n))
+    whole = [i for i, field in enumerate(BLACKBOX_FIELDS) if not field[1]]
     values[:, whole] = np.maximum(values[:, whole], 0)
-    motors = [i for i, name in enumerate(NAMES) if name.startswith("motor[")]
+    motors = [i for i, name in enumerate(FIELD_NAMES) if name.startswith("motor[")]
     values[:, motors] = np.maximum(values[:, motors], 158)
     return encode_log(values, [(0, event("sync beep", 9_999_000))])[0] + event("end")
 

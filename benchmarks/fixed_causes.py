@@ -17,13 +17,13 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 from hidden import STRANGE
 from hide_and_seek import OUT, draw
 
-from quasi.synthesis.vehicle import MASS
+from quasi.synthesis.vehicle import BASE_MASS
 
 CASES = {
     "ground effect": ("reference", {"ground_effect": {"c": 12.0}}),
     "weak rotor": ("reference", {"rotor_effectiveness": {"rotor2": 0.9}}),
     "moved battery": ("reference", {"cg_offset": {"x": 0.004, "y": -0.003}}),
-    "heavier": ("reference", {"mass": {"mass": 1.15 * MASS}}),
+    "heavier": ("reference", {"mass": {"mass": 1.15 * BASE_MASS}}),
     "tether": ("reference", {"tether": {"k": 0.4}}),
     "drag": ("reference", {"rotor_drag": {"k": 2.5e-5}}),
     "lever arm": ("reference", {"imu_lever_arm": {"x": 0.015, "y": -0.01}}),

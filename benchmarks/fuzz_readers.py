@@ -49,15 +49,15 @@ from quasi.importing.readers.table_reader import read_table_log
 from quasi.importing.readers.vicon import read_vicon
 from quasi.importing.series import Recording
 from quasi.importing.wind import read_lvm
-from quasi.synthesis.blackbox_writer import NAMES, encode_log, event, slow_frame
+from quasi.synthesis.blackbox_writer import FIELD_NAMES, encode_log, event, slow_frame
 
 
 def blackbox_seeds(rng: np.random.Generator) -> list[bytes]:
     """Short logs: one, two in one file, headers without frames."""
     n = 120
-    values = rng.integers(0, 40, (n, len(NAMES)))
-    values[:, NAMES.index("loopIteration")] = 4 * np.arange(n)
-    values[:, NAMES.index("time")] = 1_000_000 + 1000 * np.arange(n)
+    values = rng.integers(0, 40, (n, len(FIELD_NAMES)))
+    values[:, FIELD_NAMES.index("loopIteration")] = 4 * np.arange(n)
+    values[:, FIELD_NAMES.index("time")] = 1_000_000 + 1000 * np.arange(n)
     others = [(0, event("sync beep", 5)), (3, slow_frame(1, 0)), (60, event("flight mode", 1, 0))]
     log = encode_log(values, others)[0] + event("end")
     bare = log[: log.rfind(b"H ")]

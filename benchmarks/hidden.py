@@ -28,7 +28,7 @@ from quasi.model.model import AXES, Model
 from quasi.synthesis.campaign import make_flight, quadrotor_configuration, read_campaign, write_flight
 from quasi.synthesis.conditions import draw_world
 from quasi.synthesis.effects import OFFERED, UNLISTED
-from quasi.synthesis.vehicle import INERTIA, MASS, base_vehicle
+from quasi.synthesis.vehicle import BASE_INERTIA, BASE_MASS, base_vehicle
 from quasi.tables import list_telemetry_corrections, read_json, read_table, write_json, write_table
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -76,7 +76,7 @@ WRENCH = {
     "rotor_tilt": Hidden(ROTORS, "pick", 0.03),
     "rotor_gyroscopic": Hidden(("inertia",), "one", 1e-6),
     "rotor_acceleration_torque": Hidden(("inertia",), "one", 7e-7),
-    "mass": Hidden(("mass",), "one", 0.04 * MASS, MASS),
+    "mass": Hidden(("mass",), "one", 0.04 * BASE_MASS, BASE_MASS),
     "inertia": Hidden(("Ixx", "Iyy", "Izz"), "pick", 0.1),
     "cg_offset": Hidden(XYZ, "vector", 0.003),
     "wind": Hidden(("north", "east"), "vector", 1.0),
@@ -171,7 +171,7 @@ def values_of(name: str, factor: float, rng: np.random.Generator) -> dict[str, f
 
 def _own_inertia(name: str) -> float:
     k = "xyz".index(name[1])
-    return float(INERTIA[k, k])
+    return float(BASE_INERTIA[k, k])
 
 
 def deviation(name: str, values: Mapping[str, float]) -> dict[str, float]:

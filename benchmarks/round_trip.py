@@ -28,10 +28,10 @@ from quasi.simulation.loop.run import simulate
 from quasi.simulation.loop.setup import make_setup
 from quasi.synthesis import campaign
 from quasi.synthesis.controller import command_for, control_of
-from quasi.synthesis.flight import LOG, MOTOR_HIGH, MOTOR_LOW
+from quasi.synthesis.flight import LOGGED_SIGNALS, MOTOR_HIGH, MOTOR_LOW
 from quasi.synthesis.motive_writer import motive_csv
 from quasi.synthesis.nuisance import Setup, nominal
-from quasi.synthesis.pilot import OFF_TIME, REST
+from quasi.synthesis.pilot import OFF_TIME, REST_BEFORE
 from quasi.synthesis.recorder import record
 from quasi.synthesis.sensors import capture
 from quasi.synthesis.vehicle import base_vehicle
@@ -89,18 +89,18 @@ def write_raw(result, key: str, seed: int, sensed: Setup) -> None:
     """A simulated flight as raw files, with its rest on the ground before it."""
     rng = np.random.default_rng(1000 + seed)
     table = result.table
-    before = int(REST * RATE)
+    before = int(REST_BEFORE * RATE)
     t = np.arange(before + len(table)) / RATE
     drive = control_of(base_vehicle())
 
     def with_rest(name: str, at_rest: float = 0.0) -> np.ndarray:
         return np.concatenate([np.full(before, at_rest), table[name].to_numpy()])
 
-    log = np.zeros((len(t), len(LOG)))
-    column = {name: k for k, name in enumerate(LOG)}
+    log = np.zeros((len(t), len(LOGGED_SIGNALS)))
+    column = {name: k for k, name in enumerate(LOGGED_SIGNALS)}
     specific = {a: with_rest(f"F{a}") / result.setup.airframe.mass for a in "xyz"}
     specific["z"][:before] = -9.81
-    idle = (t >= OFF_TIME) & (t < REST)
+    idle = (t >= OFF_TIME) & (t < REST_BEFORE)
     for k, axis in enumerate("xyz"):
         rate = with_rest("pqr"[k]) + rng.normal(0.0, GYRO_NOISE, len(t))
         log[:, column[f"gyro{k}"]] = log[:, column[f"raw{k}"]] = rate
@@ -121,7 +121,8 @@ def write_raw(result, key: str, seed: int, sensed: Setup) -> None:
     paths = campaign.raw_paths(_campaign([key]), key)
     write_bytes(FOLDER / _given(paths["onboard"]), onboard)
     write_text(
-        FOLDER / _given(paths["capture"]), motive_csv(take, campaign.BODY, key, f"{campaign.DAY} 10.21.33.412 AM")
+        FOLDER / _given(paths["capture"]),
+        motive_csv(take, campaign.BODY, key, f"{campaign.FLIGHT_DATE} 10.21.33.412 AM"),
     )
 
 

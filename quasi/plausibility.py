@@ -31,7 +31,7 @@ LENGTH_RATIO = (3 / 4, 4 / 3)
 MIN_CORRELATION = (
     0.6  # horizontal accelerations after a turn or mirror, from which they are the same motion's (contradictions.ALIKE)
 )
-AXES = {"p": "roll", "q": "pitch", "r": "yaw"}
+AXIS_OF_RATE = {"p": "roll", "q": "pitch", "r": "yaw"}
 
 
 class Contradiction(NamedTuple):
@@ -66,7 +66,7 @@ def check_rate_gains(gains: Mapping[str, tuple[float, float]], attitude: str) ->
     if not wrong:
         return []
     axis, gain = max(wrong.items(), key=lambda item: abs(item[1] - 1.0))
-    listed = ", ".join(f"{n} ({AXES[n]}) is {g:.2f} times that of the attitude" for n, g in wrong.items())
+    listed = ", ".join(f"{n} ({AXIS_OF_RATE[n]}) is {g:.2f} times that of the attitude" for n, g in wrong.items())
     limits = f"limits {low:.2f} to {high:.2f}"
     text = _contradict("gyro", attitude, f"{listed}, {limits}", "check sign, unit, order and axes of both")
     return [Contradiction(("gyro", attitude), f"gain of {axis}", gain, low if gain < low else high, "1", text)]
@@ -76,7 +76,9 @@ def check_axis_order(exchanged: Mapping[str, str], attitude: str) -> list[Contra
     """exchanged  {axis of the gyro: axis of the attitude that turns as it does}; attitude  name of its source"""
     if not exchanged:
         return []
-    how = ", ".join(f"{one} of the gyro turns as {AXES[other]} of the attitude" for one, other in exchanged.items())
+    how = ", ".join(
+        f"{one} of the gyro turns as {AXIS_OF_RATE[other]} of the attitude" for one, other in exchanged.items()
+    )
     text = _contradict("gyro", attitude, how, "check the order of the axes of both")
     return [Contradiction(("gyro", attitude), "order of axes", float(len(exchanged)), 0.0, "1", text)]
 

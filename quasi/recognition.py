@@ -12,7 +12,7 @@ from pathlib import Path
 from quasi.errors import ReadError
 
 MARKER = b"H Product:Blackbox"  # the first header line of each blackbox log
-HEAD = 4096  # bytes in which a blackbox log begins: text that a terminal put before it is skipped
+HEAD_SIZE = 4096  # bytes in which a blackbox log begins: text that a terminal put before it is skipped
 # values of 'Flight controller', and the extensions that the logbook may leave out
 CONTROLLERS = {
     "betaflight": (".bbl", ".BBL", ".bfl", ".BFL", ".csv", ".CSV"),
@@ -66,21 +66,21 @@ STARTS = (
     (b"7z\xbc\xaf\x27\x1c", Format("7z", "a 7-Zip archive", UNPACK)),
     (b"\x28\xb5\x2f\xfd", Format("zstd", "packed by zstd", UNPACK)),
 )
-CAPTURE = "name it in 'Raw OptiTrack Name' of the logbook"
-VICON = Format("vicon", "a motion-capture export of Vicon", CAPTURE)
-QUALISYS = Format("qualisys", "a motion-capture export of Qualisys", CAPTURE)
-C3D = Format("c3d", "a C3D file of a motion capture", CAPTURE)
+CAPTURE_REMEDY = "name it in 'Raw OptiTrack Name' of the logbook"
+VICON = Format("vicon", "a motion-capture export of Vicon", CAPTURE_REMEDY)
+QUALISYS = Format("qualisys", "a motion-capture export of Qualisys", CAPTURE_REMEDY)
+C3D = Format("c3d", "a C3D file of a motion capture", CAPTURE_REMEDY)
 # kind of data, then its rate; the line of quantities stands below the names
 _VICON = re.compile(
     rb'(\xef\xbb\xbf)?"?(Objects|Segments|Global \w+|Model Outputs|Trajectories)"?[,;\t]*\r?\n"?[0-9.]+'
 )
 PICKLE = Format("pickle", "a Python pickle, which may run code when it is opened and is never read", CONVERT)
-CRAZYFLIE = Format("crazyflie", "a Crazyflie micro-SD log", SET.format("crazyflie"))
+CRAZYFLIE_FORMAT = Format("crazyflie", "a Crazyflie micro-SD log", SET.format("crazyflie"))
 
 
 def recognise(data: bytes) -> Format | None:
     """The format of a file by its first bytes (n >= 4096 of them or all); None for text and what is not known."""
-    data = bytes(data[:HEAD])
+    data = bytes(data[:HEAD_SIZE])
     for start, found in STARTS:
         if data.startswith(start):
             return found
@@ -95,7 +95,7 @@ def recognise(data: bytes) -> Format | None:
     if data[:1] == b"\xbc" and int.from_bytes(data[1:3], "little") in (1, 2):
         name = data[7 : max(7, data.find(b"\0", 7))]
         if name and name.isascii() and name.decode().isprintable():
-            return CRAZYFLIE
+            return CRAZYFLIE_FORMAT
     # the number of the first parameter block, and 0x50 (the C3D file format, section "Header")
     if data[1:2] == b"\x50" and 2 <= data[0] <= 64 and len(data) > 512 and b"\0\0" in data[:512]:
         return C3D

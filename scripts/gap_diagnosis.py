@@ -21,7 +21,7 @@ from quasi.gap.flights.sessions import sessions_of
 from quasi.gap.flights.unusable import USE_UNUSABLE, exclude_unusable, exclusion_notes
 from quasi.gap.levels.rollouts.open_loop import flight_of, windows
 from quasi.gap.levels.sensors_and_drive import units_of
-from quasi.identification.partition import UNITS, partition, to_table
+from quasi.identification.partition import PARTITION_UNITS, partition, to_table
 from quasi.model.commands import map_of
 from quasi.model.model import read_model
 from quasi.project.same_recordings import list_model_recordings, unchecked
@@ -82,7 +82,7 @@ def main(source: dict, asked: dict, output: dict[str, str]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name, table in found.tables.items():
         write_table(folder / f"{name}.parquet", table, units_of(table))
-    write_table(output["partition"], _partition(flights, roles, found.document["effects"]), UNITS)
+    write_table(output["partition"], _partition(flights, roles, found.document["effects"]), PARTITION_UNITS)
     learning = {key: about for key, (_, about, _) in tables.items() if roles[key] != "held out"}
     recordings = {**list_model_recordings(model.document), **list_recordings(learning)}
     write_json(output["model"], {**found.model, "recordings": recordings})

@@ -6,8 +6,7 @@ from quasi.airframe import read_airframe, to_plain
 from quasi.errors import ConfigError
 from quasi.filtering.rotor_speeds import add_estimated_speeds
 from quasi.identification.isolation import excited
-from quasi.identification.partition import EXCITED, partition, to_table
-from quasi.identification.partition import UNITS as PARTITION_UNITS
+from quasi.identification.partition import EXCITED, PARTITION_UNITS, partition, to_table
 from quasi.identification.rotor_speeds import rotor_speeds_of
 from quasi.identification.shared import left_out_notes, refuse_speedless, shared, unusable_flights
 from quasi.running.job_log import LOG, job, show_progress

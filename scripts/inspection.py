@@ -1,7 +1,7 @@
 """Read the raw files of a model, a gap or all processed flights; stop where they show that it cannot be made."""
 
 from quasi.errors import DataError
-from quasi.importing.inspection import MEMORY, Inspector, refusals
+from quasi.importing.inspection import INSPECTION_MEMORY, Inspector, refusals
 from quasi.project.same_recordings import repeated_recordings
 from quasi.running.job_log import LOG, job, print_at_end, show_progress
 from quasi.tables import write_json
@@ -9,7 +9,7 @@ from quasi.tables import write_json
 
 def main(asked: dict, version: str, target: str) -> None:
     """Write what each flight holds. Raises DataError with the last of the refusals, after reporting the others."""
-    inspector = Inspector(MEMORY, version)
+    inspector = Inspector(INSPECTION_MEMORY, version)
     flights = show_progress(asked["flights"].items(), "reading raw files")
     found = {key: inspector.inspect(about["settings"]) for key, about in flights}
     refused = list(dict.fromkeys(refusals(asked, found) + repeated_recordings(asked)))

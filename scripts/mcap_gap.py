@@ -4,7 +4,7 @@ from pathlib import Path
 
 from quasi.export.mcap.plotjuggler import layout_text
 from quasi.export.mcap.recording import write_recording
-from quasi.export.mcap.vehicles import AFTER, BEFORE, Event, phases_of, vehicle_of, with_residuals
+from quasi.export.mcap.vehicles import PATH_AFTER, PATH_BEFORE, Event, phases_of, vehicle_of, with_residuals
 from quasi.gap.levels.rollouts.continuous import chase, chased_table
 from quasi.gap.levels.rollouts.open_loop import flight_of
 from quasi.model.model import read_model
@@ -21,7 +21,7 @@ def main(flights: list, models: tuple, diagnosis: str, masses: dict, horizon: fl
         key, table = Path(path).stem, read_table(path)
         flight = flight_of(key, table, masses.get(key))
         vehicles, events = [vehicle_of("measured", table)], [Event(0.0, summary), *phases_of(table)]
-        for name, model, color in (("before", before, BEFORE), ("after", after, AFTER)):
+        for name, model, color in (("before", before, PATH_BEFORE), ("after", after, PATH_AFTER)):
             found = chase(model, flight, horizon)
             vehicle = vehicle_of(name, chased_table(flight, found), color)
             vehicles.append(with_residuals(vehicle, model, table, masses.get(key)))

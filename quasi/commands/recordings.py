@@ -138,7 +138,7 @@ def noise_at_rest(
 
     Raises a QuasiError for a log that cannot be read or moves; the configuration is then left as it was.
     """
-    from quasi.filtering.noise_statistics import ANGLES, RestLog, noise_statistics, section
+    from quasi.filtering.noise_statistics import EULER_ANGLES, RestLog, noise_statistics, section
     from quasi.importing.rest import read_rest
     from quasi.project.configuration import check, read, with_section
     from quasi.tables import read_bytes, write_bytes
@@ -148,7 +148,7 @@ def noise_at_rest(
     notes = [note for rest in rests.values() for note in rest.notes]
     # a log's own attitude is what its noise is needed for; a capture's stands in where there is none
     if any({"p", "roll"} <= set(rest.columns) for rest in rests.values()):
-        for name in [name for name, rest in rests.items() if set(rest.columns) == set(ANGLES)]:
+        for name in [name for name, rest in rests.items() if set(rest.columns) == set(EULER_ANGLES)]:
             notes.append(f"{name}: not used, the logs hold an attitude of their own")
             del rests[name]
     found = noise_statistics(
@@ -156,7 +156,7 @@ def noise_at_rest(
     )
     lines = [f"{'':6}{'standard deviation':>20}{'mean':>14}{'samples':>10}"]
     for name, entry in found.values.items():
-        unit = "rad/s" if name in "pqr" else "rad" if name in ANGLES else "m/s2"
+        unit = "rad/s" if name in "pqr" else "rad" if name in EULER_ANGLES else "m/s2"
         lines.append(f"{name:6}{entry['std']:>14.5g} {unit:<5}{entry['mean']:>14.4g}{found.samples[name]:>10}")
     lines += [f"{seconds:.1f} s of {name}" for name, seconds in found.seconds.items()]
     lines += [f"note: {note}" for note in [*notes, *found.notes]]

@@ -16,8 +16,8 @@ from quasi.tables import write_json, write_text
 from quasi.terms.differential import make_differential_system
 from quasi.terms.kernel import INPUTS
 
-ROWS = 10_000
-LIMIT = 1e-12  # of the relative difference, float64
+COMPARED_STATES_ROWS = 10_000
+AGREEMENT_LIMIT = 1e-12  # of the relative difference, float64
 LIMIT_FLOAT32 = 1e-3  # polynomials of the fourth power of rotor speeds cancel to some digits less than float's seven
 _FLOOR = 1e-3
 _RANGES = {
@@ -60,7 +60,7 @@ class Check(NamedTuple):
         return self.largest <= self.limit
 
 
-def states_of(model: Model, rows: int = ROWS, seed: int = 8) -> States:
+def states_of(model: Model, rows: int = COMPARED_STATES_ROWS, seed: int = 8) -> States:
     """Random states over half as much again as a model's training data covered; wide ranges where that is unknown.
 
     Added to them: rest, and states whose velocities and rates are exactly zero.
@@ -105,7 +105,7 @@ def names_of_form(u: Sequence[str]) -> list[str]:
 
 
 def compare(
-    what: str, found: np.ndarray, reference: np.ndarray, names: Sequence[str] = AXES, limit: float = LIMIT
+    what: str, found: np.ndarray, reference: np.ndarray, names: Sequence[str] = AXES, limit: float = AGREEMENT_LIMIT
 ) -> Check:
     """Compare (N, M) numbers with their reference; NaN and infinities must stand in the same places."""
     found, reference = np.asarray(found, float), np.asarray(reference, float)

@@ -15,7 +15,7 @@ from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.export.agreement import Check, States, compare, states_of, wrench_of
 from quasi.export.contents import actuators_of
-from quasi.export.fmu_source import LONGEST_STEP, STATE_NAMES, Fmu
+from quasi.export.fmu_source import LONGEST_FMU_STEP, STATE_NAMES, Fmu
 from quasi.model.extensions import wind_of
 from quasi.model.model import AXES, Model
 from quasi.terms.kernel import INPUTS
@@ -118,7 +118,7 @@ def check_vehicle(model: Model, fmu: Fmu, library: str | Path) -> list[Check]:
     names = [f"der({name})" for name in STATE_NAMES]
     checks = [compare("FMU, derivatives of the vehicle", found, reference, names)]
     flown, expected = _fly(model, fmu, library)
-    return [*checks, compare(f"FMU, flight of {len(flown) * LONGEST_STEP:g} s", flown, expected, STATE_NAMES)]
+    return [*checks, compare(f"FMU, flight of {len(flown) * LONGEST_FMU_STEP:g} s", flown, expected, STATE_NAMES)]
 
 
 def _states(at: States) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -141,11 +141,11 @@ def _fly(model: Model, fmu: Fmu, library: str | Path) -> tuple[np.ndarray, np.nd
     inputs = ["w1_CMD", "w2_CMD", "w3_CMD", "w4_CMD", "wind_north", "wind_east", "wind_down"]
     with Instance(fmu, library, CO_SIMULATION, _plain_rotors(fmu)) as instance:
         for k, command in enumerate(commands):
-            x = runge_kutta(model, x, limited(model, command[None]), wind[None], extra, LONGEST_STEP)
+            x = runge_kutta(model, x, limited(model, command[None]), wind[None], extra, LONGEST_FMU_STEP)
             if not np.abs(x[0, 4:10]).max() < _FAR:
                 break
             instance.set(inputs, [*command, *wind])
-            instance.step(k * LONGEST_STEP, LONGEST_STEP)
+            instance.step(k * LONGEST_FMU_STEP, LONGEST_FMU_STEP)
             expected.append(x[0])
             flown.append(instance.get(STATE_NAMES))
     return np.reshape(flown, (-1, 17)), np.reshape(expected, (-1, 17))

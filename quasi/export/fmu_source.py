@@ -34,11 +34,11 @@ from quasi.model.model import AXES, Model
 from quasi.tables import COLUMNS, read_text
 from quasi.terms.kernel import INPUTS
 
-ROWS = 4096  # commands that are remembered for a delay
+DELAYED_COMMANDS = 4096  # commands that are remembered for a delay
 NO_LIMIT = 1e9  # rad/s, where the airframe has no highest speed
-LONGEST_STEP = 0.002  # s, of the integration within a communication step
+LONGEST_FMU_STEP = 0.002  # s, of the integration within a communication step
 STATE_NAMES = ("qw", "qx", "qy", "qz", "u", "v", "w", "p", "q", "r", "x", "y", "z", "w1", "w2", "w3", "w4")
-_UNITS = {
+_FMI_UNITS = {
     "m": {"m": 1}, "s": {"s": 1}, "rad": {"rad": 1}, "kg": {"kg": 1}, "m/s": {"m": 1, "s": -1},
     "m/s2": {"m": 1, "s": -2}, "rad/s": {"rad": 1, "s": -1}, "rad/s2": {"rad": 1, "s": -2},
     "N": {"kg": 1, "m": 1, "s": -2}, "N m": {"kg": 1, "m": 2, "s": -2}, "kg m2": {"kg": 1, "m": 2}, "1/s": {"s": -1},
@@ -160,7 +160,9 @@ def vehicle_fmu(model: Model) -> Fmu:
         meaning = "rotor speeds grow with (battery_voltage / reference_voltage) ^ this"
         add("AT_EXPONENT", ["voltage_exponent"], given, "1", [voltage.exponent], meaning)
         add("AT_REFERENCE_VOLTAGE", ["reference_voltage"], given, "V", [voltage.reference], "where commands are true")
-    add("AT_LONGEST", ["longest_step"], given, "s", [LONGEST_STEP], "of the integration within a communication step")
+    add(
+        "AT_LONGEST", ["longest_step"], given, "s", [LONGEST_FMU_STEP], "of the integration within a communication step"
+    )
     start = [1.0, *[0.0] * 12, *[speed] * 4]
     add("AT_X", STATE_NAMES, "output state", "", start, "")
     add("AT_SLOPE", [f"der({name})" for name in STATE_NAMES], "local continuous", "", None, "")
@@ -170,7 +172,7 @@ def vehicle_fmu(model: Model) -> Fmu:
     add("AT_FELT", ["ax", "ay", "az"], out, "m/s2", None, "specific force at the centre of gravity, body axes")
     variables = [_detailed(v) for v in variables]
     places |= {"STATES": 17, "VALUES": sum(sizes), "INPUT_VALUES": places["AT_MASS"], "SETTABLE": places["AT_SLOPE"],
-               "MEMORY_ROWS": ROWS}  # fmt: skip
+               "MEMORY_ROWS": DELAYED_COMMANDS}  # fmt: skip
     return _fmu(model, "vehicle", variables, places)
 
 
@@ -253,17 +255,17 @@ def _description(
         for name in units:
             ElementTree.SubElement(files, "File", name=name)
     definitions = ElementTree.SubElement(root, "UnitDefinitions")
-    for unit in sorted({v.unit for v in variables} & set(_UNITS)):
+    for unit in sorted({v.unit for v in variables} & set(_FMI_UNITS)):
         element = ElementTree.SubElement(definitions, "Unit", name=unit)
-        ElementTree.SubElement(element, "BaseUnit", {base: str(n) for base, n in _UNITS[unit].items()})
-    ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize=repr(LONGEST_STEP))
+        ElementTree.SubElement(element, "BaseUnit", {base: str(n) for base, n in _FMI_UNITS[unit].items()})
+    ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize=repr(LONGEST_FMU_STEP))
     listed = ElementTree.SubElement(root, "ModelVariables")
     for v in variables:
         about = {"name": v.name, "valueReference": str(v.at), "description": v.meaning, "causality": v.causality,
                  "variability": v.variability}  # fmt: skip
         if v.name in STATE_NAMES and states:
             about["initial"] = "exact"
-        real = {"unit": v.unit} if v.unit in _UNITS else {}
+        real = {"unit": v.unit} if v.unit in _FMI_UNITS else {}
         if v.start is not None:
             real["start"] = repr(v.start)
         if v.derivative_of:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.io import loadmat
 
 from quasi.errors import DataError
-from quasi.export.agreement import LIMIT, Check, compare, form_of, names_of_form, states_of, wrench_of
+from quasi.export.agreement import AGREEMENT_LIMIT, Check, compare, form_of, names_of_form, states_of, wrench_of
 from quasi.export.matlab import write_mat
 from quasi.export.matlab_terms import matlab_name
 from quasi.model.model import Model
@@ -81,5 +81,5 @@ def check_matlab(model: Model, folder: str | Path, u: Iterable[str] | None) -> l
     if u is not None:
         u = list(u)
         form = np.asarray(found["form"]).reshape(len(at.state), -1)
-        checks.append(compare("differential form", form, form_of(model, at, u), names_of_form(u), LIMIT))
+        checks.append(compare("differential form", form, form_of(model, at, u), names_of_form(u), AGREEMENT_LIMIT))
     return checks

@@ -21,10 +21,10 @@ from quasi.terms.kernel import INPUTS
 from quasi.terms.variables import FORMULAS, SYNONYMS, known_names, plain_name, split_function
 
 EXTRA = "x_"  # before the identifiers of columns that are not known
-_LONGEST = 63  # characters by which MATLAB distinguishes names
+_LONGEST_NAME = 63  # characters by which MATLAB distinguishes names
 _WHOLE = 32  # the largest power that is not left to powerOf
 _DEEPEST = 28  # brackets within brackets: MATLAB reads 32, and a line adds some
-_KNOWN = frozenset({*known_names({*INPUTS, "v_in"}), *INPUTS, "F_den", "M_den", *COLUMNS} - {"t", *AXES})
+_MATLAB_NAMES = frozenset({*known_names({*INPUTS, "v_in"}), *INPUTS, "F_den", "M_den", *COLUMNS} - {"t", *AXES})
 _COMPUTED = frozenset(f"w2_{i}" for i in range(1, 5))  # formulas that getDroneInputs.m computes; others are written out
 _CALLS = {"abs": "abs", "sign": "sign", "sqrt": "rootOf", "sin": "sin", "cos": "cos", "log": "logOf",
           "wrap": "wrapAngle"}  # fmt: skip
@@ -35,13 +35,13 @@ def matlab_name(name: str) -> str:
 
     Raises ConfigError where it is longer than MATLAB allows.
     """
-    if name in _KNOWN:
+    if name in _MATLAB_NAMES:
         return name
     made = identifier(name, EXTRA)
-    if len(made) > _LONGEST:
+    if len(made) > _LONGEST_NAME:
         raise ConfigError(
-            f"variable '{shown(name, 60)}' becomes a MATLAB name of {len(made)} characters, of which {_LONGEST} are "
-            "allowed; give the column a shorter name and make the model anew"
+            f"variable '{shown(name, 60)}' becomes a MATLAB name of {len(made)} characters, of which {_LONGEST_NAME} "
+            "are allowed; give the column a shorter name and make the model anew"
         )
     return made
 

@@ -25,7 +25,7 @@ from quasi.terms.kernel import INPUTS
 SCHEMA = "quasi.constants/1"
 ROTOR_STEP = 1e-3  # of the hover speed, for central differences; Fz is smooth on that scale
 SPEED = 1.0  # m/s, secants of drag between -SPEED and SPEED: the range of slow indoor flight
-RATE = 1.0  # rad/s, secants of rate damping
+DAMPING_RATE = 1.0  # rad/s, secants of rate damping
 TURN = 100.0  # rad/s2, central difference by rotor acceleration; terms in it are linear
 HIGHEST_DRAG = 2.0  # arms: beyond it a moment by velocity is no drag above the rotors (nanodrone, blade flapping: 1.2)
 SMALL = 1e-9  # of the thrust and torque in hover: what is less counts as zero
@@ -193,7 +193,7 @@ def physical_constants(model: Model) -> Physical:
         roll=_scaled(roll, 1.0 / thrust.value),
         pitch=_scaled(pitch, 1.0 / thrust.value),
         drag=tuple(about.secant(axis, name, SPEED, -1.0) for axis, name in zip(("Fx", "Fy", "Fz"), "uvw")),
-        damping=tuple(about.secant(axis, name, RATE, -1.0) for axis, name in zip(("Mx", "My", "Mz"), "pqr")),
+        damping=tuple(about.secant(axis, name, DAMPING_RATE, -1.0) for axis, name in zip(("Mx", "My", "Mz"), "pqr")),
         rolling=_mean(about.secant("Mx", "u", SPEED, -1.0), about.secant("My", "v", SPEED, -1.0)),
         pitching=(about.secant("My", "u", SPEED, 1.0), about.secant("Mx", "v", SPEED, -1.0)),
         rotor_inertia=reaction if abs(reaction.value) > 0.0 else None,

@@ -26,7 +26,7 @@ from quasi.model.model import AXES, Model
 from quasi.terms.differential import RATES
 from quasi.terms.kernel import INPUTS
 
-_FUNCTIONS = {"abs": "np.abs", "sqrt": "np.sqrt", "sin": "np.sin", "cos": "np.cos", "log": "np.log",
+_NUMPY_FUNCTIONS = {"abs": "np.abs", "sqrt": "np.sqrt", "sin": "np.sin", "cos": "np.cos", "log": "np.log",
               "power": "np.power", "divide": "np.divide", "sign": "np.sign", "wrap": "_wrap"}  # fmt: skip
 _WIDTH = 110
 
@@ -45,7 +45,7 @@ def local(name: str) -> str:
     return name if name in INPUTS else identifier(name, "extra_")
 
 
-WRITER = Writer(number, lambda function, parts: f"{_FUNCTIONS[function]}({', '.join(parts)})", local)
+WRITER = Writer(number, lambda function, parts: f"{_NUMPY_FUNCTIONS[function]}({', '.join(parts)})", local)
 
 
 def python_file(model: Model) -> tuple[str, str]:

@@ -12,9 +12,9 @@ import numpy as np
 
 from quasi.errors import DataError
 from quasi.export.agreement import (
-    LIMIT,
+    AGREEMENT_LIMIT,
+    COMPARED_STATES_ROWS,
     LIMIT_FLOAT32,
-    ROWS,
     Check,
     States,
     compare,
@@ -109,13 +109,13 @@ def run_c(model: Model, files: Mapping[str, str], at: States, float32: bool = Fa
     return _split(found.astype(float), len(u), limited)
 
 
-def check_python(model: Model, name: str, text: str, rows: int = ROWS) -> list[Check]:
+def check_python(model: Model, name: str, text: str, rows: int = COMPARED_STATES_ROWS) -> list[Check]:
     """Compare an exported Python file with its model."""
     at = states_of(model, rows)
     return _checks(model, at, run_python(model, name, text, at), "Python")
 
 
-def check_c(model: Model, files: Mapping[str, str], rows: int = ROWS) -> list[Check]:
+def check_c(model: Model, files: Mapping[str, str], rows: int = COMPARED_STATES_ROWS) -> list[Check]:
     """Compare an exported C file with its model, as double and as float. Raises DataError without a compiler.
 
     A model whose terms float cannot hold is none the worse as double: that comparison is reported but not binding.
@@ -131,7 +131,7 @@ def _checks(
     at: States,
     found: Found,
     export: str,
-    limit: float = LIMIT,
+    limit: float = AGREEMENT_LIMIT,
 ) -> list[Check]:
     checks = [compare(f"{export}: forces and moments", found.wrench, wrench_of(model, at), limit=limit)]
     u = differential_inputs(model)

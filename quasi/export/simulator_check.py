@@ -11,9 +11,9 @@ from quasi.export.contents import Actuators, actuators_of
 from quasi.model.hover import find_hover_position, find_hover_speed, list_usual_inputs, predict_at_rest
 from quasi.model.model import Model
 
-LIMIT = 1e-6  # relative; the files hold nine digits
+RECOVERY_LIMIT = 1e-6  # relative; the files hold nine digits
 LIMIT_SLOPES = 1e-4  # of moments by the rotor speeds: two difference quotients about hover with different steps
-STEP = 2e-3  # of the hover speed, for those quotients
+QUOTIENT_STEP = 2e-3  # of the hover speed, for those quotients
 
 
 class Recovered(NamedTuple):
@@ -69,29 +69,29 @@ def check_recovered(model: Model, found: Recovered) -> list[Check]:
     drag, pitching = _by_velocity(model, hover)
     patterns = np.array([-frame.hubs[:, 1], frame.hubs[:, 0], -frame.spin])
     reference: dict[str, tuple[object, object, list[str], float]] = {
-        "mass": (found.mass, frame.mass, ["mass"], LIMIT),
-        "inertia": (found.inertia, frame.inertia, [f"I{a}{b}" for a in "xyz" for b in "xyz"], LIMIT),
-        "hover thrust": (found.hover_thrust, thrust, ["thrust"], LIMIT),
+        "mass": (found.mass, frame.mass, ["mass"], RECOVERY_LIMIT),
+        "inertia": (found.inertia, frame.inertia, [f"I{a}{b}" for a in "xyz" for b in "xyz"], RECOVERY_LIMIT),
+        "hover thrust": (found.hover_thrust, thrust, ["thrust"], RECOVERY_LIMIT),
         "moments by rotor speed": (
             None if found.moments is None else np.sum(found.moments * patterns, axis=1),
             np.sum(_slopes(model, hover) * patterns, axis=1),
             ["roll", "pitch", "yaw"],
             LIMIT_SLOPES,
         ),
-        "highest speed": (found.highest, rotors.highest, ["speed"], LIMIT),
-        "horizontal drag": (found.drag, max(drag, 0.0), ["drag"], LIMIT),
+        "highest speed": (found.highest, rotors.highest, ["speed"], RECOVERY_LIMIT),
+        "horizontal drag": (found.drag, max(drag, 0.0), ["drag"], RECOVERY_LIMIT),
         "pitching moment": (
             found.pitching,
             pitching if np.size(found.pitching) == 2 else pitching.mean(),
             ["by forward velocity", "by sideways velocity"],
-            LIMIT,
+            RECOVERY_LIMIT,
         ),
-        "rate damping": (found.damping, _damping(model, hover), ["roll", "pitch", "yaw"], LIMIT),
+        "rate damping": (found.damping, _damping(model, hover), ["roll", "pitch", "yaw"], RECOVERY_LIMIT),
     }
     known = time_constants_of(rotors)
     for which, value in (found.times or {}).items():
         names = [f"rotor {i}" for i in range(1, 5)] if np.size(known[which]) == 4 else [which]
-        reference[f"time constants {which}"] = (value, known[which], names, LIMIT)
+        reference[f"time constants {which}"] = (value, known[which], names, RECOVERY_LIMIT)
     for what, (value, expected, names, limit) in reference.items():
         if value is not None:
             row = np.reshape(np.asarray(value, float), (1, -1))
@@ -101,10 +101,10 @@ def check_recovered(model: Model, found: Recovered) -> list[Check]:
 
 def _slopes(model: Model, hover: float) -> np.ndarray:
     """(3, 4) moments by the square of each rotor's speed about hover, by `Model.predict`."""
-    step = STEP * hover * np.eye(4)
+    step = QUOTIENT_STEP * hover * np.eye(4)
     level = np.full((4, 4), hover)
     up, down = (predict_at_rest(model, level + sign * step)[1] for sign in (1.0, -1.0))
-    return (up - down).T / (4.0 * hover * STEP * hover)
+    return (up - down).T / (4.0 * hover * QUOTIENT_STEP * hover)
 
 
 def _by_velocity(model: Model, hover: float) -> tuple[float, np.ndarray]:

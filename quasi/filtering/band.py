@@ -113,12 +113,12 @@ def choose(
 
 
 def _cutoff(wanted: float, logged: float, rate: float, notes: list[str]) -> float:
-    if wanted > forces.HIGHEST * rate:
+    if wanted > forces.HIGHEST_CUTOFF * rate:
         notes.append(
             f"the low-pass cut-off of {wanted:g} Hz is too high for a grid of {rate:g} Hz; "
-            f"{forces.HIGHEST * rate:g} Hz is used"
+            f"{forces.HIGHEST_CUTOFF * rate:g} Hz is used"
         )
-        wanted = forces.HIGHEST * rate
+        wanted = forces.HIGHEST_CUTOFF * rate
     if wanted > 0.5 * logged:
         add_caution(
             notes,

@@ -8,9 +8,9 @@ from quasi import attitude
 from quasi.errors import add_caution
 from quasi.filtering.measurements import coarseness, spans
 
-BLOCK = 0.1  # s
+REST_BLOCK = 0.1  # s
 LEAST_REST = 1.0  # s, shorter rests are refused
-LEAST_SAMPLES = 100
+LEAST_STILL_SAMPLES = 100
 SHARE = 0.9  # of the rest is used: its end already holds the spool-up
 STILL_GYRO, STILL_ACCEL = 0.15, 0.8  # rad/s, m/s2: block means at rest, biases included
 STEADY_GYRO, STEADY_ACCEL = 0.03, 0.15  # rad/s, m/s2: how far block means of one rest may differ
@@ -72,7 +72,7 @@ def find_rest(
 
     gyro, accel (N, 3); lost (N,) bool; step (6,) steps of the log's numbers; dt s
     """
-    size = max(2, round(BLOCK / dt))
+    size = max(2, round(REST_BLOCK / dt))
     if last < size * 3:
         return None
     w, a = _blocks(gyro[:last], size), _blocks(accel[:last], size)
@@ -92,7 +92,7 @@ def find_rest(
                 best = (start + i, start + j)
     first = best[0] * size
     length = int(SHARE * (best[1] - best[0]) * size)
-    if length < LEAST_SAMPLES or length * dt < SHARE * LEAST_REST:
+    if length < LEAST_STILL_SAMPLES or length * dt < SHARE * LEAST_REST:
         return None
     part = slice(first, first + length)
     w, a = _blocks(gyro[part], size), _blocks(accel[part], size)

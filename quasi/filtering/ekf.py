@@ -31,8 +31,8 @@ from quasi.filtering.ekf_steps import (
     propagate_covariance,
 )  # fmt: skip
 
-ATTITUDE, POSITION, VELOCITY = 0, 1, 2  # kinds of measurement
-KINDS = ("attitude", "position", "velocity")
+ATTITUDE_KIND, POSITION_KIND, VELOCITY_KIND = 0, 1, 2  # kinds of measurement
+MEASUREMENT_KINDS = ("attitude", "position", "velocity")
 TAIL = 4.0  # an outlier costs this times the logarithm of its NIS: more than the 3 by which less noise lowers the rest
 Watch = Callable[[Iterable[int], str], Iterable[int]]  # hands on sample numbers, and may report progress
 _PACKED = STATES * (STATES + 1) // 2

@@ -45,7 +45,8 @@ CONVERGENCE_UNITS: dict[str, tuple[str, str, str]] = {
         )
     },
     **{
-        f"{kind}_nis": ("1", "", f"normalised innovation squared of {kind}, 3 degrees of freedom") for kind in ekf.KINDS
+        f"{kind}_nis": ("1", "", f"normalised innovation squared of {kind}, 3 degrees of freedom")
+        for kind in ekf.MEASUREMENT_KINDS
     },
 }
 
@@ -255,7 +256,7 @@ def _uncaptured(
 ) -> np.ndarray:
     """True (N,) where the capture gives nothing for more than `limit` samples."""
     unseen = np.zeros(len(t), bool)
-    for i, kind in enumerate(ekf.KINDS):
+    for i, kind in enumerate(ekf.MEASUREMENT_KINDS):
         if not measured.source[kind].startswith("capture"):
             continue
         gap = _gaps(forward.outcome[:, i] > 0, limit)
@@ -291,7 +292,7 @@ def _noise_report(
                 "source": measured.source[kind],
                 "factor": float(factors[2 + i]),
             }
-            for i, (kind, unit) in enumerate(zip(ekf.KINDS, ("rad", "m", "m/s")))
+            for i, (kind, unit) in enumerate(zip(ekf.MEASUREMENT_KINDS, ("rad", "m", "m/s")))
             if measured.source[kind] != "none"
         },
         "bias random walk": dict(zip(SENSORS, levels.bias_random_walk.tolist())),
@@ -370,6 +371,6 @@ def _course(
     for i, name in enumerate(SENSORS):
         table[f"filter_bias_{name}"], table[f"filter_bias_std_{name}"] = forward.state[:, 6 + i], early[:, 9 + i]
         table[f"bias_{name}"], table[f"bias_std_{name}"] = final.state[:, 6 + i], deviation[:, 9 + i]
-    for i, kind in enumerate(ekf.KINDS):
+    for i, kind in enumerate(ekf.MEASUREMENT_KINDS):
         table[f"{kind}_nis"] = np.sum(forward.whitened[:, i] ** 2, axis=1)
     return pd.DataFrame(table)

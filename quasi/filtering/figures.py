@@ -12,7 +12,7 @@ from scipy.signal import welch
 from quasi.filtering import harmonics
 from quasi.filtering.measurements import fill
 
-BEFORE, AFTER, BAND, UNUSED = "C1", "C0", "C0", "0.6"
+BEFORE_COLOUR, AFTER_COLOUR, BAND_COLOUR, UNUSED_COLOUR = "C1", "C0", "C0", "0.6"
 MOST_POINTS = 8000  # a line drawn denser shows nothing more
 
 
@@ -73,12 +73,12 @@ def _states(
         after = show(filtered[name].to_numpy(float)[thin])
         if name in imported and np.isfinite(imported[name].to_numpy(float)).any():
             before, when = show(imported[name].to_numpy(float)[thin].copy()), imported["t"].to_numpy()[thin]
-            axis.plot(when, before, color=BEFORE, linestyle="--", linewidth=0.9, label="imported", zorder=3)
-        axis.plot(t, after, color=AFTER, linewidth=1.4, label="filtered")
+            axis.plot(when, before, color=BEFORE_COLOUR, linestyle="--", linewidth=0.9, label="imported", zorder=3)
+        axis.plot(t, after, color=AFTER_COLOUR, linewidth=1.4, label="filtered")
         if std is not None:
             half = 2.0 * (np.degrees(std[thin, i]) if angle else std[thin, i])
             axis.fill_between(
-                t, after - half, after + half, color=BAND, alpha=0.25, linewidth=0, label="± 2 standard errors"
+                t, after - half, after + half, color=BAND_COLOUR, alpha=0.25, linewidth=0, label="± 2 standard errors"
             )
     _rest(axes, metadata)
     _legend(figure, axes)
@@ -94,10 +94,10 @@ def _bias(
     applied = metadata["biases"][key]
     for i, (axis, sensor) in enumerate(zip(axes, sensors)):
         value, std = (convergence[f"filter_{k}_{sensor}"].to_numpy()[thin] for k in ("bias", "bias_std"))
-        axis.plot(t, value, color=AFTER, linewidth=1, label="forward filter")
+        axis.plot(t, value, color=AFTER_COLOUR, linewidth=1, label="forward filter")
         for sign in (-2.0, 2.0):
             label = "± 2 standard errors" if sign > 0 else None
-            axis.plot(t, value + sign * std, color=BAND, alpha=0.5, linestyle="--", linewidth=1, label=label)
+            axis.plot(t, value + sign * std, color=BAND_COLOUR, alpha=0.5, linestyle="--", linewidth=1, label=label)
         if metadata["biases"]["policy"] == "time varying":
             axis.plot(t, convergence[f"bias_{sensor}"].to_numpy()[thin], color="C3", linewidth=1, label="taken off")
         else:
@@ -117,8 +117,10 @@ def _wrench(title: str, names: list[str], unit: str, filtered: pd.DataFrame, met
     t, valid = filtered["t"].to_numpy()[thin], filtered["valid"].to_numpy()[thin] > 0
     for axis, name in zip(axes, names):
         values = filtered[name].to_numpy(float)[thin]
-        axis.plot(t, np.where(valid, np.nan, values), color=UNUSED, linewidth=0.8, label="not valid for identification")
-        axis.plot(t, np.where(valid, values, np.nan), color=AFTER, linewidth=0.8, label="valid")
+        axis.plot(
+            t, np.where(valid, np.nan, values), color=UNUSED_COLOUR, linewidth=0.8, label="not valid for identification"
+        )
+        axis.plot(t, np.where(valid, values, np.nan), color=AFTER_COLOUR, linewidth=0.8, label="valid")
     _rest(axes, metadata)
     _legend(figure, axes)
     return figure
@@ -148,9 +150,9 @@ def _vibration(imported: pd.DataFrame, filtered: pd.DataFrame, metadata: Mapping
     rotors = [c for c in filtered if c[0] == "w" and c[1:].isdigit()]
     turning = filtered[rotors].to_numpy()[flying] / (2.0 * np.pi)
     for axis, (names, label) in zip(axes, sensors):
-        axis.semilogy(*_density(imported, names, flying, rate), color=BEFORE, linewidth=0.9, label="imported")
+        axis.semilogy(*_density(imported, names, flying, rate), color=BEFORE_COLOUR, linewidth=0.9, label="imported")
         frequency, after = _density(filtered, names, flying, rate)
-        axis.semilogy(frequency, after, color=AFTER, linewidth=1.4, label="filtered")
+        axis.semilogy(frequency, after, color=AFTER_COLOUR, linewidth=1.4, label="filtered")
         for order in range(1, harmonics.LOOKED_FOR + 1):
             stands, there = harmonics.on_grid(order * turning, float(gyro.get("rate") or rate), rate)
             if there.sum() > 0.2 * max(there.size, 1):

@@ -9,7 +9,7 @@ The result is that of `ekf.forward` to rounding, so that the smoother runs on ei
 import numpy as np
 
 from quasi import attitude
-from quasi.filtering.ekf import KINDS, STATES, TAIL, FilterResult, Inputs, Watch, innovation, predict
+from quasi.filtering.ekf import MEASUREMENT_KINDS, STATES, TAIL, FilterResult, Inputs, Watch, innovation, predict
 
 _LOWER = np.tril_indices(STATES)
 
@@ -68,7 +68,7 @@ def forward(inputs: Inputs, watch: Watch | None = None) -> FilterResult:
             error.F = transition(blocks, dt)
             error.Q = _process(error.F, inputs.noise[k], inputs.bias_random_walk, dt)
             error.predict()
-        for kind in range(len(KINDS)):
+        for kind in range(len(MEASUREMENT_KINDS)):
             if inputs.used[k, kind] == 0:
                 continue
             y, one, two, first, second = innovation(inputs, kind, k, q, x)

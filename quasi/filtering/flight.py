@@ -20,7 +20,7 @@ from quasi.plausibility import describe_impossible_inertia
 from quasi.tables import COLUMNS
 from quasi.terms.rotor_map import RAW
 
-DEFAULTS: dict[str, Any] = {
+KALMAN_DEFAULTS: dict[str, Any] = {
     "use noise statistics in drone config": True,
     "run extended kalman filter": True,
     "add induced velocity": False,
@@ -79,7 +79,7 @@ def course(result: Filtered, whole: bool) -> pd.DataFrame:
 
 
 def _options(options: Mapping[str, Any]) -> dict[str, Any]:
-    chosen = {**DEFAULTS, **options}
+    chosen = {**KALMAN_DEFAULTS, **options}
     for key, known in (("bias policy", POLICIES), ("engine", ENGINES)):
         if chosen[key] not in known:
             raise ConfigError(f"'{key}' is {chosen[key]!r}, expected one of {', '.join(known)}")

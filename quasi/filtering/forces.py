@@ -14,7 +14,7 @@ from quasi.errors import DataError
 
 BETA = 6.0  # Kaiser: -63 dB beyond the transition band
 TRANSITION = 0.8  # width of the transition band over the cut-off frequency
-HIGHEST = 0.2  # cut-off over sampling rate: beyond, the central difference is no derivative any more
+HIGHEST_CUTOFF = 0.2  # cut-off over sampling rate: beyond, the central difference is no derivative any more
 SLOPE = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])  # times the sampling rate
 SINKING = 0.25  # of the hover induced velocity: faster descent leaves the range of momentum theory
 

@@ -9,7 +9,7 @@ import pandas as pd
 
 from quasi import attitude
 from quasi.errors import DataError, add_caution
-from quasi.filtering.ekf import ATTITUDE, KINDS, POSITION, STATES, VELOCITY
+from quasi.filtering.ekf import ATTITUDE_KIND, MEASUREMENT_KINDS, POSITION_KIND, STATES, VELOCITY_KIND
 from quasi.saturation import find_clipping
 
 GYRO, ACCEL = ("p", "q", "r"), ("ax", "ay", "az")
@@ -24,9 +24,9 @@ STILL_STD = 0.01  # m/s, of the velocity of a quadrotor that stands on the groun
 REST_STD = {"p": 0.015, "q": 0.015, "r": 0.015, "ax": 0.05, "ay": 0.05, "az": 0.05}
 # Vibration in flight on top of it, before the innovations are asked
 FLIGHT_STD = {"p": 0.05, "q": 0.05, "r": 0.05, "ax": 1.0, "ay": 1.0, "az": 1.0}
-LARGEST = {"gyro": 150.0, "accelerometer": 1000.0}  # rad/s, m/s2: no sensor of a quadrotor measures more
-FARTHEST, FASTEST = 1e4, 300.0  # m, m/s
-ROUNDING = 1e-9  # of a value
+LARGEST_READING = {"gyro": 150.0, "accelerometer": 1000.0}  # rad/s, m/s2: no sensor of a quadrotor measures more
+FARTHEST_STATE, FASTEST_STATE = 1e4, 300.0  # m, m/s
+STEP_ROUNDING = 1e-9  # of a value
 FROZEN = 0.1  # s in flight for which no channel of a sensor changes
 LOST_STD = np.array([3.0, 3.0, 3.0, 20.0, 20.0, 20.0])  # of an IMU sample that was filled in
 
@@ -135,14 +135,14 @@ def read_imu(frame: pd.DataFrame, step: np.ndarray | None = None) -> Imu:
             )
         values = frame[name].to_numpy(float)
         bad = ~np.isfinite(values)
-        absurd = ~bad & (np.abs(values) > LARGEST[sensor])
+        absurd = ~bad & (np.abs(values) > LARGEST_READING[sensor])
         if absurd.any():
             first = int(np.argmax(absurd))
             add_caution(
                 notes,
                 f"{sensor} channel '{name}' is {values[first]:.4g} at t = {t[first]:.3f} s, more than any sensor "
-                f"measures ({LARGEST[sensor]:g}), and so in {int(absurd.sum())} samples; they count as missing: check "
-                "its units",
+                f"measures ({LARGEST_READING[sensor]:g}), and so in {int(absurd.sum())} samples; they count as "
+                "missing: check its units",
             )
             bad |= absurd
         if bad.mean() > 0.5:
@@ -194,7 +194,7 @@ def frozen(imu: Imu, on_ground: np.ndarray, t: np.ndarray, dt: float) -> tuple[n
     found, notes = np.zeros(len(t), bool), []
     for sensor, values in (("gyro", imu.gyro), ("accelerometer", imu.accel)):
         # resampling leaves rounding where the log repeats itself
-        close = np.abs(np.diff(values, axis=0)) <= ROUNDING * np.maximum(np.abs(values[1:]), 1.0)
+        close = np.abs(np.diff(values, axis=0)) <= STEP_ROUNDING * np.maximum(np.abs(values[1:]), 1.0)
         same = np.concatenate([[False], close.all(axis=1)])
         for a, b in spans(same & ~on_ground & ~imu.lost):
             if (b - a) * dt >= FROZEN:
@@ -267,12 +267,12 @@ def collect(
     values = {"attitude": euler, "position": _columns(frame, ("x", "y", "z")), "velocity": uvw}
     source, used = {}, np.zeros((n, 3), np.int8)
     std = np.ones((3, 3))
-    for i, kind in enumerate(KINDS):
+    for i, kind in enumerate(MEASUREMENT_KINDS):
         origin = str(metadata.get(f"{kind} source") or "none")
         column = f"{kind}_sample"
         fresh = frame[column].to_numpy(float) > 0.5 if column in frame else np.zeros(n, bool)
         with np.errstate(invalid="ignore"):
-            finite = (np.abs(values[kind]) <= {"velocity": FASTEST}.get(kind, FARTHEST)).all(axis=1)
+            finite = (np.abs(values[kind]) <= {"velocity": FASTEST_STATE}.get(kind, FARTHEST_STATE)).all(axis=1)
         if (fresh & ~finite).any():
             add_caution(
                 notes,
@@ -284,7 +284,7 @@ def collect(
         if fresh.any() and np.ptp(values[kind][fresh], axis=0).max() == 0.0 and fresh.sum() > 10:
             add_caution(notes, f"the measured {kind} is constant in the whole flight and is left out; check its source")
             fresh[:] = False
-        if kind == "velocity" and used[:, POSITION].any() and capture:
+        if kind == "velocity" and used[:, POSITION_KIND].any() and capture:
             fresh[:] = False  # the same information as the position
         if not fresh.any():
             origin = "none"
@@ -312,9 +312,9 @@ def collect(
         )
     if source["position"] == "none" and source["velocity"] == "none":
         still = _thin(on_ground, max(1, round(0.1 / dt)))
-        used[:, VELOCITY] = still
+        used[:, VELOCITY_KIND] = still
         velocity, body = np.zeros((n, 3)), False
-        std[VELOCITY] = STILL_STD
+        std[VELOCITY_KIND] = STILL_STD
         source["velocity"] = "standing still" if still.any() else "none"
         add_caution(
             notes,
@@ -349,12 +349,12 @@ def start(frame: pd.DataFrame, measurements: Measurements, imu: Imu, dt: float, 
     """
     soon = max(2, round(0.1 / dt))
     deviation = np.empty(STATES)
-    early = np.flatnonzero(measurements.used[:soon, ATTITUDE])
-    any_attitude = np.flatnonzero(measurements.used[:, ATTITUDE])
+    early = np.flatnonzero(measurements.used[:soon, ATTITUDE_KIND])
+    any_attitude = np.flatnonzero(measurements.used[:, ATTITUDE_KIND])
     mean = imu.accel[: max(2, round(0.2 / dt))].mean(axis=0)
     if len(early):
         quaternion = measurements.attitude[early[0]]
-        deviation[:3] = np.maximum(2.0 * measurements.std[ATTITUDE], 0.03)
+        deviation[:3] = np.maximum(2.0 * measurements.std[ATTITUDE_KIND], 0.03)
     else:
         yaw = 0.0
         if len(any_attitude):
@@ -372,7 +372,7 @@ def start(frame: pd.DataFrame, measurements: Measurements, imu: Imu, dt: float, 
         deviation[3:6] = 0.5
     else:
         deviation[3:6] = 3.0
-    first = np.flatnonzero(measurements.used[:, POSITION])
+    first = np.flatnonzero(measurements.used[:, POSITION_KIND])
     if len(first):
         state[3:6] = measurements.position[first[0]]
         deviation[6:9] = 0.05 if first[0] < soon else 5.0

@@ -8,11 +8,20 @@ from scipy.optimize import minimize
 from scipy.stats import chi2
 
 from quasi.attitude import continuous
-from quasi.filtering.ekf import ATTITUDE, KINDS, POSITION, FilterResult, Inputs, cost, forward, unpack
+from quasi.filtering.ekf import (
+    ATTITUDE_KIND,
+    MEASUREMENT_KINDS,
+    POSITION_KIND,
+    FilterResult,
+    Inputs,
+    cost,
+    forward,
+    unpack,
+)
 
 GATE = float(chi2.ppf(0.9999, 3))  # an honest measurement is thrown away once in ten thousand
 LOOSE_GATE = 400.0  # while the levels are not yet known
-WINDOW, WINDOWS = 5.0, 3  # s, number of stretches of flight in which the levels are asked
+NOISE_WINDOW, WINDOWS = 5.0, 3  # s, number of stretches of flight in which the levels are asked
 PRIOR = 1.0  # standard deviation of the logarithm of a noise level before the innovations are asked
 SEEN = 0.7  # of the scatter that positions show by themselves, at least, is their noise
 CONSISTENT = (0.6, 1.6)  # mean normalised innovation squared per degree of freedom
@@ -78,14 +87,15 @@ def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray) -> np
     present = np.array([True, True, *(inputs.used[flying].sum(axis=0) > 10)])
     if not present[2:].any():
         return np.ones(5)
-    at = np.flatnonzero(inputs.used[:, POSITION] * flying)
-    seen = SEEN * scatter(at * inputs.dt, inputs.position[at]) / inputs.std[POSITION].mean()
+    at = np.flatnonzero(inputs.used[:, POSITION_KIND] * flying)
+    seen = SEEN * scatter(at * inputs.dt, inputs.position[at]) / inputs.std[POSITION_KIND].mean()
     low = np.log(np.concatenate([np.minimum(floor, 1.0), [0.1, float(np.clip(seen, 0.1, 10.0)), 0.1]]))
     high = np.log(np.array([30.0, 10.0, 30.0, 50.0, 30.0]))
     wide = with_levels(inputs, np.array([2.0, 2.0, 3.0, 3.0, 3.0]), flying)._replace(gate=LOOSE_GATE)
     run = forward(wide)
     parts = [
-        (_window(inputs, run, a, b), flying[a:b]) for a, b in _stretches(flying, len(flying), round(WINDOW / inputs.dt))
+        (_window(inputs, run, a, b), flying[a:b])
+        for a, b in _stretches(flying, len(flying), round(NOISE_WINDOW / inputs.dt))
     ]
     scale = sum(int(part.used.sum()) for part, _ in parts) + 1
 
@@ -99,10 +109,13 @@ def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray) -> np
         total += float(np.sum((logs / PRIOR) ** 2))
         return total / scale + 10.0 * float(np.sum(beyond**2))
 
-    at = np.flatnonzero(inputs.used[:, ATTITUDE] * flying)
+    at = np.flatnonzero(inputs.used[:, ATTITUDE_KIND] * flying)
     # four components of a quaternion share three halves of a rotation
     turned = (
-        scatter(at * inputs.dt, continuous(inputs.attitude[at])) * 2.0 / np.sqrt(0.75) / inputs.std[ATTITUDE].mean()
+        scatter(at * inputs.dt, continuous(inputs.attitude[at]))
+        * 2.0
+        / np.sqrt(0.75)
+        / inputs.std[ATTITUDE_KIND].mean()
     )
     begin = np.clip(np.log([1.0, 1.0, max(turned, 1e-3), max(seen / SEEN, 1e-3), 1.0]), low, high)[present]
     # one line search after the other: a simplex of five corners does not arrive in as many runs
@@ -122,7 +135,7 @@ def consistency(run: FilterResult) -> dict[str, Any]:
     Source: Bar-Shalom, Li & Kirubarajan, 2001, section 5.4.2.
     """
     result: dict[str, Any] = {}
-    for i, kind in enumerate(KINDS):
+    for i, kind in enumerate(MEASUREMENT_KINDS):
         seen = run.outcome[:, i] > 0
         if not seen.any():
             continue

@@ -12,12 +12,12 @@ import numpy as np
 
 from quasi import attitude
 from quasi.errors import DataError
-from quasi.filtering.bias import BLOCK, STEADY_ACCEL, STEADY_GYRO, STILL_ACCEL, STILL_GYRO
+from quasi.filtering.bias import REST_BLOCK, STEADY_ACCEL, STEADY_GYRO, STILL_ACCEL, STILL_GYRO
 from quasi.filtering.measurements import spans
 
-RATES, FORCE, ANGLES = ("p", "q", "r"), ("ax", "ay", "az"), ("roll", "pitch", "yaw")
+RATES, FORCE, EULER_ANGLES = ("p", "q", "r"), ("ax", "ay", "az"), ("roll", "pitch", "yaw")
 CUT = 0.1  # of a log is left out at either end: switching, hands
-LEAST_SECONDS, LEAST_SAMPLES = 2.0, 200
+LEAST_SECONDS, LEAST_REST_SAMPLES = 2.0, 200
 STEADY_ANGLE = np.radians(1.0)  # rad, how far block means of an attitude at rest may differ
 TURNING = 0.3  # of the greatest rotor speed: rotors turn
 UNEVEN = 3.0  # ratio of noise levels within a log that is worth a word
@@ -64,13 +64,13 @@ def noise_statistics(logs: Sequence[RestLog], cut: float = CUT) -> Statistics:
         for name, column in log.columns.items():
             values = np.asarray(column, float)[part]
             fine = np.isfinite(values)
-            if not fine.any() and name in ANGLES:
+            if not fine.any() and name in EULER_ANGLES:
                 continue
             if fine.mean() < 0.5:
                 raise DataError(f"{log.name}: '{name}' is missing in more than half of the log; log it again")
             if not fine.all():
                 notes.append(f"{log.name}: '{name}' is missing in {int((~fine).sum())} samples, which are left out")
-            values = np.unwrap(values[fine]) if name in ANGLES else values[fine]
+            values = np.unwrap(values[fine]) if name in EULER_ANGLES else values[fine]
             _refuse_motion(log, name, log.t[part][fine], values)
             step = max(float(log.step.get(name, 0.0)), _seen_step(values))
             if np.ptp(values) == 0.0 and step == 0.0:
@@ -87,7 +87,7 @@ def noise_statistics(logs: Sequence[RestLog], cut: float = CUT) -> Statistics:
     if missing:
         raise DataError(f"the rest logs hold no '{missing[0]}'; log gyro and accelerometer")
     values = {}
-    for name in (*FORCE, *RATES, *ANGLES):
+    for name in (*FORCE, *RATES, *EULER_ANGLES):
         if name not in sums:
             continue
         count, freedom, squares, total = sums[name]
@@ -115,18 +115,18 @@ def _still_part(log: RestLog, cut: float, notes: list[str]) -> slice:
             )
     length = last - first
     first, last = first + int(cut * length), last - int(cut * length)
-    if last - first < LEAST_SAMPLES or log.t[last - 1] - log.t[first] < LEAST_SECONDS:
+    if last - first < LEAST_REST_SAMPLES or log.t[last - 1] - log.t[first] < LEAST_SECONDS:
         span = float(log.t[last - 1] - log.t[first]) if last > first else 0.0
         raise DataError(
             f"{log.name}: {span:.1f} s and {max(last - first, 0)} samples are left after cutting {100 * cut:g} % from "
-            f"either end, at least {LEAST_SECONDS:g} s and {LEAST_SAMPLES} are needed; log a longer rest"
+            f"either end, at least {LEAST_SECONDS:g} s and {LEAST_REST_SAMPLES} are needed; log a longer rest"
         )
     return slice(first, last)
 
 
 def _blocks(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Means of blocks of BLOCK s, and the times at which these begin."""
-    size = max(2, round(BLOCK / float(np.median(np.diff(t)))))
+    size = max(2, round(REST_BLOCK / float(np.median(np.diff(t)))))
     count = len(values) // size
     return t[: count * size : size], values[: count * size].reshape(count, size).mean(axis=1)
 
@@ -135,7 +135,7 @@ def _refuse_motion(log: RestLog, name: str, t: np.ndarray, values: np.ndarray) -
     limit, unit = {
         **dict.fromkeys(RATES, (STEADY_GYRO, "rad/s")),
         **dict.fromkeys(FORCE, (STEADY_ACCEL, "m/s2")),
-        **dict.fromkeys(ANGLES, (STEADY_ANGLE, "rad")),
+        **dict.fromkeys(EULER_ANGLES, (STEADY_ANGLE, "rad")),
     }[name]
     at, means = _blocks(t, values)
     away = np.abs(means - np.median(means))

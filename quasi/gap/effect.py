@@ -16,7 +16,7 @@ from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.errors import ConfigError
 from quasi.gap.flights.evidence import Evidence, rotor_levers
 from quasi.model.model import Model
-from quasi.project.logbook import NAME, NAME_RULE
+from quasi.project.logbook import NAME_RULE, VALID_NAME
 
 LEVELS = ("sensors", "drive", "forces")
 PARTS = ("any", "all", "first", "one", "next")
@@ -237,7 +237,7 @@ class Effect:
 
     def __post_init__(self) -> None:
         said = f"effect {self.id!r}"
-        if not isinstance(self.id, str) or not NAME.fullmatch(self.id):
+        if not isinstance(self.id, str) or not VALID_NAME.fullmatch(self.id):
             raise ConfigError(f"{said}: the id may hold {NAME_RULE}, and no path; choose another")
         for word in ("sentence", "equation", "source", "opposite"):
             if not isinstance(getattr(self, word), str):

@@ -21,17 +21,17 @@ from numba import njit
 from quasi.identification.regression import bartlett, memory_window
 from quasi.tables import TELEMETRY_AGE_REMOVED
 
-SHORTEST, LONGEST = 0.002, 0.5  # s, of a time constant
+SHORTEST_TIME_CONSTANT, LONGEST_TIME_CONSTANT = 0.002, 0.5  # s, of a time constant
 MOST_DELAY = 0.1  # s
-WARM_UP = 0.2  # s after the start of a stretch that is not compared: the starting speed is a noisy one
-COMPARED = 125.0  # Hz at which speeds are compared
-FEWEST = 100  # compared rows
+STRETCH_WARM_UP = 0.2  # s after the start of a stretch that is not compared: the starting speed is a noisy one
+COMPARED_RATE_HZ = 125.0  # Hz at which speeds are compared
+FEWEST_ROWS = 100  # compared rows
 LIVELY = 0.02  # a rotor whose speed varies less than this share of its mean gives no time constant
 STEADY_VOLTAGE = 0.01  # relative variation below which a battery gives no exponent
-WORST_CONDITION = 1e14  # of the normal equations of scaled columns
+WORST_NORMAL_CONDITION = 1e14  # of the normal equations of scaled columns
 STEPS = 30
 POWERS = [0, 1, 2]
-ROTORS = range(1, 5)
+ROTOR_NUMBERS = range(1, 5)
 
 
 class Lag(NamedTuple):
@@ -107,12 +107,12 @@ def rotor_lag(
     start = finite & ~np.concatenate([[False], finite[:-1]])
     start |= ~finite
     age = np.arange(len(t)) - np.maximum.accumulate(np.where(start, np.arange(len(t)), 0))
-    use = rows & finite & (age * dt > WARM_UP)
-    every = max(round(1.0 / (COMPARED * dt)), 1)
+    use = rows & finite & (age * dt > STRETCH_WARM_UP)
+    every = max(round(1.0 / (COMPARED_RATE_HZ * dt)), 1)
     # one compared row per group of neighbours: where rows were drawn at random, whichever trains
     groups, places = np.unique(np.flatnonzero(use) // every, return_index=True)
     chosen = np.flatnonzero(use)[places]
-    if len(chosen) < FEWEST:
+    if len(chosen) < FEWEST_ROWS:
         return f"has {len(chosen)} rows with command and speed"
     target = speed[chosen]
     if np.std(target) < LIVELY * np.mean(np.abs(target)):
@@ -167,7 +167,7 @@ def standard_errors(jacobian: np.ndarray, residual: np.ndarray, rows: np.ndarray
         return None
     scaled = jacobian / scale
     normal = scaled.T @ scaled
-    if np.linalg.cond(normal) > WORST_CONDITION:
+    if np.linalg.cond(normal) > WORST_NORMAL_CONDITION:
         return None
     bread = np.linalg.inv(normal)
     scores = scaled * residual[:, None]
@@ -194,8 +194,8 @@ def _fit(run, target: np.ndarray, begin: list[float], lags: int) -> tuple[np.nda
     The first `lags` values are time constants, the next the delay; what follows is free.
     """
     x = np.array(begin)
-    low = np.array([SHORTEST] * lags + [-0.25 * MOST_DELAY] + [-np.inf] * (len(x) - lags - 1))
-    high = np.array([LONGEST] * lags + [MOST_DELAY] + [np.inf] * (len(x) - lags - 1))
+    low = np.array([SHORTEST_TIME_CONSTANT] * lags + [-0.25 * MOST_DELAY] + [-np.inf] * (len(x) - lags - 1))
+    high = np.array([LONGEST_TIME_CONSTANT] * lags + [MOST_DELAY] + [np.inf] * (len(x) - lags - 1))
     size = np.array([0.01] * lags + [0.005] + [max(abs(v), 0.1) for v in x[lags + 1 :]])
     predicted = run(x)
     cost = float(np.sum((target - predicted) ** 2))
@@ -224,7 +224,7 @@ def _fit(run, target: np.ndarray, begin: list[float], lags: int) -> tuple[np.nda
         damping = max(damping / 10, 1e-6)
         if gained < 1e-7 * cost:
             break
-    if np.any(x[:lags] <= SHORTEST) or np.any(x[:lags] >= LONGEST) or x[lags] >= MOST_DELAY:
+    if np.any(x[:lags] <= SHORTEST_TIME_CONSTANT) or np.any(x[:lags] >= LONGEST_TIME_CONSTANT) or x[lags] >= MOST_DELAY:
         return "does not follow its command with a lag"
     return x, jacobian, target - predicted
 
@@ -235,13 +235,13 @@ def flight_lags(flight: pd.DataFrame, rows: np.ndarray, reference: float | None 
     flight     columns t, w1.., and w1_CMD.. or command1..; battery_voltage is used where it is logged
     rows       (n,) bool, those to compare; reference  voltage at which the map holds, V
     """
-    direct = all(f"w{i}_CMD" in flight and np.isfinite(flight[f"w{i}_CMD"]).any() for i in ROTORS)
-    shares = all(f"command{i}" in flight and np.isfinite(flight[f"command{i}"]).any() for i in ROTORS)
+    direct = all(f"w{i}_CMD" in flight and np.isfinite(flight[f"w{i}_CMD"]).any() for i in ROTOR_NUMBERS)
+    shares = all(f"command{i}" in flight and np.isfinite(flight[f"command{i}"]).any() for i in ROTOR_NUMBERS)
     if not direct and not shares:
         return "logs no rotor command"
     voltage = flight["battery_voltage"].to_numpy(float) if reference and "battery_voltage" in flight else None
     lags = []
-    for i in ROTORS:
+    for i in ROTOR_NUMBERS:
         name = f"w{i}_CMD" if direct else f"command{i}"
         lag = rotor_lag(
             flight["t"].to_numpy(float), flight[name].to_numpy(float), flight[f"w{i}"].to_numpy(float),

@@ -18,7 +18,7 @@ from scipy.special import stdtr
 from quasi.identification.products import Products
 
 INDEPENDENT = 1e-9  # smallest share of a column that must be left after the selected ones
-ALIKE = 3.0  # standard errors by which a replacement must be worse to be distinguished
+LEAST_DISTINGUISHABLE_T = 3.0  # standard errors by which a replacement must be worse to be distinguished
 
 
 class Totals:
@@ -183,7 +183,7 @@ def interchangeable(totals: Totals, columns: list[int], bandwidth: int = 1) -> d
             spread += 2.0 * weight * np.einsum("bq,bq->q", centred[later], centred[before])
         with np.errstate(all="ignore"):
             distance = np.where(spread > 0.0, mean / np.sqrt(spread), np.where(mean > 0.0, np.inf, 0.0))
-        alike = usable & (distance < ALIKE) & (gain > 0.5 * gain[taken])
+        alike = usable & (distance < LEAST_DISTINGUISHABLE_T) & (gain > 0.5 * gain[taken])
         alike[taken] = False
         order = sorted(np.flatnonzero(alike), key=lambda k: -gain[k])
         found[taken] = [

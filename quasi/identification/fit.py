@@ -24,9 +24,9 @@ from quasi.terms.normalisation import Normalisation
 from quasi.terms.singularities import remove_singularities
 from quasi.terms.variables import Variables, base_columns, derive_unit
 
-UNITS = {**dict.fromkeys(("Fx", "Fy", "Fz"), "N"), **dict.fromkeys(("Mx", "My", "Mz"), "N m")}
+AXIS_UNITS = {**dict.fromkeys(("Fx", "Fy", "Fz"), "N"), **dict.fromkeys(("Mx", "My", "Mz"), "N m")}
 ROTORS = ("w1", "w2", "w3", "w4")
-NEAR = 128  # candidates that came near being chosen, among which flights are left out and data resampled
+NEAR_KEPT = 128  # candidates that came near being chosen, among which flights are left out and data resampled
 CONSTANT = Term(BIAS, ("number", 1.0))
 
 
@@ -105,7 +105,7 @@ def fit_axis(
     return {
         "schema": "quasi.identified/1",
         "axis": axis,
-        "unit": UNITS[axis],
+        "unit": AXIS_UNITS[axis],
         "normalisation": normalisation.to_plain() if normalisation else None,
         "terms": entries,
         "estimated": estimated,
@@ -191,7 +191,7 @@ def choose(
 
 
 def _near(pool: Pool, selection: Selection) -> list[int]:
-    order = sorted(selection.seen, key=lambda k: -selection.seen[k])[:NEAR]
+    order = sorted(selection.seen, key=lambda k: -selection.seen[k])[:NEAR_KEPT]
     return [*range(pool.fixed), *sorted(order)]
 
 

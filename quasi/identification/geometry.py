@@ -17,8 +17,8 @@ from quasi.terms.expressions import Program, parse
 from quasi.terms.variables import Variables
 
 SURE = 5.0  # standard errors
-APART = 0.6  # of the arm, between where a rotor is configured and where it seems to be
-ALIKE = 1.5  # between the factors of roll and pitch that are reported as one
+LARGEST_MISPLACEMENT = 0.6  # of the arm, between where a rotor is configured and where it seems to be
+LARGEST_COMMON_RATIO = 1.5  # between the factors of roll and pitch that are reported as one
 # what acts on a moment besides the rotors' thrusts and drag
 OTHER_MOMENT_TERMS = {
     "Mx": ("p", "w_tot*v", "u_p_dot"),
@@ -56,7 +56,7 @@ def contradicting_places(
         hubs = airframe.hubs[:, :2]
         seen = np.stack([slopes["My"][0], -slopes["Mx"][0]], axis=1) / thrust
         std = np.stack([slopes["My"][1], slopes["Mx"][1]], axis=1) / thrust
-        elsewhere = (np.abs(seen - hubs) > np.maximum(APART * airframe.arm, SURE * std)).any(axis=1)
+        elsewhere = (np.abs(seen - hubs) > np.maximum(LARGEST_MISPLACEMENT * airframe.arm, SURE * std)).any(axis=1)
         scaled = _scaled(seen, std, hubs, airframe.arm) if elsewhere.any() else None
         places = [
             f"rotor {i + 1} pushes as if it were {_side(*seen[i])} (x = {seen[i, 0]:.2f} m, y = {seen[i, 1]:.2f} m), "
@@ -91,14 +91,14 @@ def _scaled(seen: np.ndarray, std: np.ndarray, hubs: np.ndarray, arm: float) -> 
     factor = np.sum(seen * hubs, axis=0) / np.sum(hubs**2, axis=0)
     doubt = np.sqrt(np.sum((std * hubs) ** 2, axis=0)) / np.sum(hubs**2, axis=0)
     left = np.abs(seen - factor * hubs)
-    if (factor <= SURE * doubt).any() or (left > np.maximum(APART * arm * factor, SURE * std)).any():
+    if (factor <= SURE * doubt).any() or (left > np.maximum(LARGEST_MISPLACEMENT * arm * factor, SURE * std)).any():
         return None
 
     def words(f: float) -> str:
         return f"{max(f, 1 / f):.2g} times {'longer' if f > 1 else 'shorter'} than configured"
 
     pitch, roll = factor.tolist()
-    if max(pitch, roll) < ALIKE * min(pitch, roll):
+    if max(pitch, roll) < LARGEST_COMMON_RATIO * min(pitch, roll):
         ratio = words(float(np.sqrt(pitch * roll)))
     else:
         ratio = f"{words(roll)} in roll and {words(pitch)} in pitch"

@@ -19,8 +19,8 @@ from quasi.attitude import GRAVITY
 from quasi.errors import DataError, nearest
 from quasi.identification.partition import UNUSED
 
-WINDOW = 0.01  # of the flight, over which the variance is taken
-TOP = 0.05  # share of the largest standard deviations that is no yardstick
+VARIANCE_WINDOW = 0.01  # of the flight, over which the variance is taken
+YARDSTICK_SHARE = 0.05  # share of the largest standard deviations that is no yardstick
 FLOOR = 0.06  # of weight x arm: smaller moments are no manoeuvre (0.02 N m on the manual's quadrotor)
 HEIGHT, PROMINENCE = 0.5, 0.9  # of threshold x largest magnitude, that a peak must reach
 
@@ -32,14 +32,14 @@ def varied(values: np.ndarray, threshold: float, spread: float) -> np.ndarray:
     The start is reflected, so that the first rows have a past.
     """
     n = len(values)
-    window = max(int(WINDOW * n), 2)
+    window = max(int(VARIANCE_WINDOW * n), 2)
     if n < window:
         return np.zeros(n, bool)
     centred = np.concatenate([values[window - 1 : 0 : -1], values]) - np.mean(values)
     running = np.cumsum(np.concatenate([[[0.0, 0.0]], np.column_stack([centred, centred**2])]), axis=0)
     mean, square = ((running[window:] - running[:-window]) / window).T
     deviation = np.sqrt(np.maximum(square - mean**2, 0.0))
-    yardstick = np.sort(deviation)[max(n - int(TOP * n) - 1, 0)]
+    yardstick = np.sort(deviation)[max(n - int(YARDSTICK_SHARE * n) - 1, 0)]
     if yardstick <= 0:
         return np.zeros(n, bool)
     return widened(deviation >= threshold * yardstick, int(spread * n))

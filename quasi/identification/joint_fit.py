@@ -25,12 +25,12 @@ from quasi.terms.rotor_map import (
     shape,
 )
 
-STEP = 0.01  # s between compared rows: half the shortest lag of a brushed motor, and no finer than slow logs
+COMPARED_STEP = 0.01  # s between compared rows: half the shortest lag of a brushed motor, and no finer than slow logs
 # of the autoregressive disturbance, 0.12 s: on nanobench the factors rise up to there and are level up to 0.2 s
-ORDER = 12
-ROUNDS = 3  # disturbance model and map are estimated in turn
-WORST_CONDITION = 1e12  # of the normal equations of scaled parameters; beyond it doubles hold no digits
-AXES = ("Fz", "Mx", "My", "Mz")
+DISTURBANCE_ORDER = 12
+DISTURBANCE_ROUNDS = 3  # disturbance model and map are estimated in turn
+WORST_JOINT_CONDITION = 1e12  # of the normal equations of scaled parameters; beyond it doubles hold no digits
+JOINT_AXES = ("Fz", "Mx", "My", "Mz")
 
 
 @dataclass
@@ -62,7 +62,7 @@ def prepare_flight(
     operating, reference = point
     t = flight["t"].to_numpy(float)
     dt = float(np.median(np.diff(t)))
-    fine = max(round(STEP / dt), 1)
+    fine = max(round(COMPARED_STEP / dt), 1)
 
     def mean(values: np.ndarray) -> np.ndarray:
         return block_means(values, fine)
@@ -76,7 +76,7 @@ def prepare_flight(
     middle = 0.5 * (rates[1:] + rates[:-1])
     inertia = np.asarray(airframe.inertia, float)
     moments = slope @ inertia.T + np.cross(middle, middle @ inertia.T)
-    targets = {"Fz": mass * raw("az")[1:], **{axis: moments[:, i] for i, axis in enumerate(AXES[1:])}}
+    targets = {"Fz": mass * raw("az")[1:], **{axis: moments[:, i] for i, axis in enumerate(JOINT_AXES[1:])}}
     air = {n: f"{n}_air" if f"{n}_air" in flight else n for n in "uvw"}
     columns = {n: mean(flight[air[n]].to_numpy(float)) for n in "uvw"}
     columns = {n: 0.5 * (c[1:] + c[:-1]) for n, c in columns.items()}
@@ -90,7 +90,16 @@ def prepare_flight(
         ratio = raw_volts(flight)[:, None] / reference
     weight = -float(np.mean(targets["Fz"][rows])) if rows.any() else 0.0
     return PreparedFlight(
-        fine, dt, h, raw_commands(flight, kind) / operating, ratio, targets, columns, rows & (age > ORDER), used, weight
+        fine,
+        dt,
+        h,
+        raw_commands(flight, kind) / operating,
+        ratio,
+        targets,
+        columns,
+        rows & (age > DISTURBANCE_ORDER),
+        used,
+        weight,
     )
 
 
@@ -113,8 +122,8 @@ class JointFit:
         self.size = np.array([0.01, 0.005, *[0.2] * (len(self.low) - 2)])
         self.x = np.array([0.04, 0.005, *about.start, *[0.7] * last])
         self.shares = thrust_shares(airframe)
-        self.colour = {axis: np.zeros(ORDER) for axis in AXES}
-        self.scale = dict.fromkeys(AXES, 1.0)
+        self.colour = {axis: np.zeros(DISTURBANCE_ORDER) for axis in JOINT_AXES}
+        self.scale = dict.fromkeys(JOINT_AXES, 1.0)
         self.with_voltage = with_voltage
         self.independent = 1.0  # independent rows of the vertical force over all its rows
         self.criterion = np.inf
@@ -150,7 +159,7 @@ class JointFit:
     def whitened(self, x: np.ndarray, white: bool = True) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """{axis: (target, columns)} of all compared rows; moments through the inverse of the disturbance model, about
         the means of each flight. Vertical force is compared as it is: its signal is slow, and so is its feedback."""
-        found: dict[str, list] = {axis: [] for axis in AXES}
+        found: dict[str, list] = {axis: [] for axis in JOINT_AXES}
         for flight in self.flights:
             for axis, (target, columns) in self.equations(flight, x).items():
                 both = np.column_stack([target, columns])
@@ -182,7 +191,7 @@ class JointFit:
                                for n, v in zip(self.names, self.x)])  # fmt: skip
         else:
             self._update_noise(self.solve(self.x))
-        for _ in range(ROUNDS if begin is None else ROUNDS - 1):
+        for _ in range(DISTURBANCE_ROUNDS if begin is None else DISTURBANCE_ROUNDS - 1):
             found = least_squares(
                 self._error, self.x, bounds=(self.low, self.high), x_scale=self.size, diff_step=1e-2, xtol=1e-5,
                 ftol=1e-6, max_nfev=25,
@@ -199,13 +208,15 @@ class JointFit:
 
         Flights are not weighed by their noise: quiet ones have the smallest residuals, but the strongest feedback.
         """
-        for axis in AXES:
+        for axis in JOINT_AXES:
             past, now = [], []
             for flight in self.flights:
                 target, columns = self.equations(flight, self.x)[axis]
                 left = target - columns @ solved[axis][0]
                 left = left - left[flight.rows].mean()
-                lags = np.stack([np.concatenate([np.zeros(k), left[:-k]]) for k in range(1, ORDER + 1)], axis=1)
+                lags = np.stack(
+                    [np.concatenate([np.zeros(k), left[:-k]]) for k in range(1, DISTURBANCE_ORDER + 1)], axis=1
+                )
                 past.append(lags[flight.rows])
                 now.append(left[flight.rows])
             a, b = np.concatenate(past), np.concatenate(now)
@@ -221,18 +232,18 @@ class JointFit:
         count = len(solved["Fz"][2])
         self.sigma = {axis: float(np.std(part[2])) for axis, part in solved.items()}
         free = len(self.x) + sum(len(part[0]) for part in solved.values())
-        rows = {axis: count * (self.independent if axis == "Fz" else 1.0) for axis in AXES}
+        rows = {axis: count * (self.independent if axis == "Fz" else 1.0) for axis in JOINT_AXES}
         self.criterion = 2.0 * sum(rows[a] * np.log(s) for a, s in self.sigma.items()) + free * np.log(count)
         self.coefficients = {axis: part[0] for axis, part in solved.items()}
         self.scale = {a: s / np.sqrt(self.independent if a == "Fz" else 1.0) for a, s in self.sigma.items()}
-        jacobian = np.empty((count * len(AXES), len(self.x)))
+        jacobian = np.empty((count * len(JOINT_AXES), len(self.x)))
         for k, step in enumerate(1e-2 * self.size):
             ends = [self._error(np.clip(self.x + sign * step * (np.arange(len(self.x)) == k), self.low, self.high))
                     for sign in (1, -1)]  # fmt: skip
             jacobian[:, k] = (ends[0] - ends[1]) / (2 * step)
         scaled = jacobian * self.size
         normal = scaled.T @ scaled
-        if np.linalg.cond(normal) > WORST_CONDITION:
+        if np.linalg.cond(normal) > WORST_JOINT_CONDITION:
             raise DataError(
                 "the commands vary too little to identify how rotor speeds follow from them; add flights with quick "
                 "manoeuvres"

@@ -17,7 +17,7 @@ from quasi.errors import DataError
 
 UNUSED, TRAINING, TEST, VALIDATION = 0, 1, 2, 3
 ROLES = {"training": TRAINING, "test": TEST, "validation": VALIDATION}
-UNITS = {
+PARTITION_UNITS = {
     "flight": ("", "", "flight key"),
     "row": ("", "", "row of the filtered flight"),
     "role": ("", "", "role code: 1 training, 2 test, 3 validation"),

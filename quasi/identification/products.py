@@ -17,8 +17,8 @@ from quasi.terms.expressions import Program, Tree
 
 CHUNK = 4096  # rows at a time: a pool of a thousand columns then takes 32 MB
 CELLS = 256  # stretches over all flights
-SHORTEST = 4  # rows of a cell
-HELD = 2e8  # bytes of products formed in one pass
+SHORTEST_CELL = 4  # rows of a cell
+BYTES_IN_ONE_PASS = 2e8  # bytes of products formed in one pass
 PREFETCH = 24  # columns whose products are formed in one pass
 
 
@@ -185,7 +185,7 @@ class Pool(Products):
         if column not in self.crossed:
             wanted = [column]
             if promising is not None:
-                most = int(np.clip(HELD // (8 * self.square.size), 1, PREFETCH))
+                most = int(np.clip(BYTES_IN_ONE_PASS // (8 * self.square.size), 1, PREFETCH))
                 order = np.argsort(-promising)[: PREFETCH + len(self.crossed)]
                 wanted += [int(k) for k in order if int(k) not in self.crossed and k != column][: most - 1]
             self._form(wanted)
@@ -243,7 +243,7 @@ def _cells(series: Sequence[np.ndarray], columns: int) -> tuple[list[np.ndarray]
     """Cell of every row per flight, and the flight of every cell; cells last equally long."""
     spans = [int(rows[-1] - rows[0]) + 1 if len(rows) else 0 for rows in series]
     wanted = max(min(CELLS, int(2e6 // max(columns, 1))), 64)
-    length = max(sum(spans) / wanted, SHORTEST)
+    length = max(sum(spans) / wanted, SHORTEST_CELL)
     cells, flight = [], []
     for number, (rows, span) in enumerate(zip(series, spans)):
         count = max(round(span / length), 1) if span else 0

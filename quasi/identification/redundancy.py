@@ -19,9 +19,9 @@ from quasi.terms.expressions import Program, names
 from quasi.terms.normalisation import Normalisation
 from quasi.terms.variables import Variables, base_columns
 
-STATES = 48  # random states at which regressors are compared
+COMPARED_STATES = 48  # random states at which regressors are compared
 DEPENDENT = 1e-9  # share of a column left after the others that is no more than rounding
-DIGITS = 9  # significant ones to which two proportional columns must agree
+COMPARED_DIGITS = 9  # significant ones to which two proportional columns must agree
 
 
 def drop_redundant(
@@ -77,7 +77,7 @@ def drop_redundant(
 def _at_random_states(terms: Sequence[Term], scheme: Normalisation, airframe: Airframe) -> np.ndarray:
     """Values (terms, STATES) of regressors at random states above the scheme's limits."""
     random = np.random.default_rng(0)
-    rows = STATES + len(terms[:STATES])
+    rows = COMPARED_STATES + len(terms[:COMPARED_STATES])
     wanted = {name for term in terms for name in names(term.tree)}
     columns = {}
     # sorted: the same numbers whatever the order of the set
@@ -105,4 +105,4 @@ def _direction(column: np.ndarray) -> tuple[str, ...]:
     """The column up to a factor, as text that rounding does not change."""
     largest = int(np.argmax(np.abs(column)))
     scale = column[largest] if column[largest] else 1.0
-    return tuple(f"{value:.{DIGITS}f}" for value in column / scale)
+    return tuple(f"{value:.{COMPARED_DIGITS}f}" for value in column / scale)

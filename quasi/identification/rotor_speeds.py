@@ -28,7 +28,7 @@ import pandas as pd
 from quasi.airframe import Airframe, number
 from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.errors import DataError
-from quasi.identification.joint_fit import AXES, JointFit, prepare_flight
+from quasi.identification.joint_fit import JOINT_AXES, JointFit, prepare_flight
 from quasi.identification.partition import usable
 from quasi.identification.taught_map import teach_map, teaching_flights
 from quasi.terms.rotor_map import (
@@ -39,10 +39,10 @@ from quasi.terms.rotor_map import (
     used_rows,
 )
 
-SHORTEST = 5.0  # s of compared rows of all flights together: ten times the longest time constant
+SHORTEST_COMPARED = 5.0  # s of compared rows of all flights together: ten times the longest time constant
 MIN_VOLTAGE_VARIATION = 0.01  # std over median of the voltage, as in the identification of actuators
 AFTER_LIMIT = 0.2  # s after a command left its limit: five lags of a brushed motor
-LIMIT = 0.999  # a share of the command from which on it is at its limit
+SATURATED_SHARE = 0.999  # a share of the command from which on it is at its limit
 # Static thrust coefficient T / (rho n2 D4) of small propellers is 0.08 to 0.14 (Deters, Ananda & Selig, AIAA 2014-2151,
 # 2.25 to 9 inch); its middle, as T = C rho A (W R)2: times 4 / pi3
 NOMINAL_THRUST_COEFFICIENT = 0.11 * 4.0 / np.pi**3
@@ -90,10 +90,10 @@ def identify_rotor_speeds(
     made = {k: prepare_flight(f, chosen[k], airframe, masses[k], kind, point) for k, f in flights.items()}
     made = {k: f for k, f in made.items() if f.rows.any()}
     seconds = sum(float(f.rows.sum()) * f.h for f in made.values())
-    if seconds < SHORTEST:
+    if seconds < SHORTEST_COMPARED:
         raise DataError(
             f"flights {', '.join(flights)} hold {seconds:.1f} s from which rotor speeds could be estimated, "
-            f"{SHORTEST:g} s are needed; add flights"
+            f"{SHORTEST_COMPARED:g} s are needed; add flights"
         )
     names = ["speed"] if kind == "speed" else list(CANDIDATES)
     fits, begin = {}, None
@@ -107,7 +107,7 @@ def identify_rotor_speeds(
     drive["candidates"] = [
         {"form": n, "BIC": f.criterion - fit.criterion, "parameters": len(f.x)} for n, f in fits.items()
     ]
-    drive["geometry"] = {axis: fit.places(axis) for axis in AXES[1:]}
+    drive["geometry"] = {axis: fit.places(axis) for axis in JOINT_AXES[1:]}
     _note_errors(drive, notes)
     return drive, notes
 
@@ -149,7 +149,7 @@ def rows_within_limits(
     found = {}
     for key, flight in flights.items():
         commands, t = raw_commands(flight, "share"), flight["t"].to_numpy(float)
-        full = commands >= LIMIT
+        full = commands >= SATURATED_SHARE
         memory = max(round(AFTER_LIMIT / float(np.median(np.diff(t)))), 1)
         last = np.maximum.accumulate(np.where(full.any(axis=1), np.arange(len(t)), -memory - 1))
         rows = chosen[key] & (np.arange(len(t)) - last > memory)
@@ -182,7 +182,9 @@ def _as_plain(
     relative_map = _relative_error(fit)
     scatter = float(np.std(np.log(trims), ddof=1)) if len(keys) > 1 else None
     total = float(np.hypot(relative_map, scatter or 0.0))
-    arms = {axis: {"value": float(fit.coefficients[axis][0]), "std": float(fit.errors[axis][0])} for axis in AXES[1:]}
+    arms = {
+        axis: {"value": float(fit.coefficients[axis][0]), "std": float(fit.errors[axis][0])} for axis in JOINT_AXES[1:]
+    }
     return {
         "source": "commands",
         "input": kind,

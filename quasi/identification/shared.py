@@ -23,14 +23,14 @@ from quasi.terms.variables import Variables
 UPRIGHT = 0.99  # share of gravity along body z from which a sample counts as hover
 LEAST_HOVER = 50  # samples
 USE_UNUSABLE = "use unusable flights"  # key of a model's configuration
-NEEDED = ("w1", "w2", "w3", "w4", "Fz", "Mx", "My", "Mz", "roll", "pitch", "u", "v", "w", "p", "q", "r")
-OPTIONAL = ("w1_dot", "w2_dot", "w3_dot", "w4_dot", "u_air", "v_air", "w_air")
+NEEDED_COLUMNS = ("w1", "w2", "w3", "w4", "Fz", "Mx", "My", "Mz", "roll", "pitch", "u", "v", "w", "p", "q", "r")
+OPTIONAL_COLUMNS = ("w1_dot", "w2_dot", "w3_dot", "w4_dot", "u_air", "v_air", "w_air")
 
 
 def refuse_speedless(flights: Mapping[str, pd.DataFrame]) -> None:
     """Raise DataError for filtered flights without rotor speeds, and without commands to estimate them from."""
     lacking = {
-        key: [n for n in NEEDED[:4] if n not in flight]
+        key: [n for n in NEEDED_COLUMNS[:4] if n not in flight]
         for key, flight in flights.items()
         if command_kind(flight) is None
     }
@@ -109,10 +109,10 @@ def shared(
     prepared = {}
     for key, flight in training.items():
         rows = np.flatnonzero(partition[key] == TRAINING)
-        missing = [c for c in NEEDED if c not in flight]
+        missing = [c for c in NEEDED_COLUMNS if c not in flight]
         if missing:
             raise DataError(f"flight {key} has no column '{missing[0]}', which every model needs; filter it anew")
-        chosen = [*NEEDED, *(c for c in OPTIONAL if c in flight)]
+        chosen = [*NEEDED_COLUMNS, *(c for c in OPTIONAL_COLUMNS if c in flight)]
         part = flight[chosen].iloc[rows]
         good = np.isfinite(part.to_numpy()).all(axis=1)
         values = {c: part[c].to_numpy(float)[good] for c in chosen}

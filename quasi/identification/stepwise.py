@@ -27,14 +27,15 @@ from quasi.identification.evidence import INDEPENDENT, Totals, entering, left_ou
 from quasi.identification.products import Products
 
 TRIALS = 6  # steps in a row that may be taken on trial
-ROUNDS = 4  # of exchanging, adding and dropping at the end
+FINAL_ROUNDS = 4  # of exchanging, adding and dropping at the end
 PROPOSALS = 3  # exchanges that are tried before none is found
 RIVAL = 0.98  # share of the best candidate's gain from which another is a rival
 RIVALS = 10  # most that are listed
-ROUNDING = 1e-13  # share of a sum of squares that is no more than rounding
-LEAST = 0.1  # share of the squared error of left-out flights that a term must take away to stand without significance
+SQUARES_ROUNDING = 1e-13  # share of a sum of squares that is no more than rounding
+# share of the squared error of left-out flights that a term must take away to stand without significance
+LEAST_SHARE_TAKEN = 0.1
 WORSE = 0.1  # of what it takes away of all flights together, that it may add to one of them
-NEAR = 30  # candidates of a step that are remembered as near
+NEAR_REMEMBERED = 30  # candidates of a step that are remembered as near
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ class State:
         self.left = self.left - row**2
         self.with_target = self.with_target - row * step
         # of a perfect fit rounding is left, of either sign
-        self.error = max(self.error - step**2, ROUNDING * self.totals.target_square)
+        self.error = max(self.error - step**2, SQUARES_ROUNDING * self.totals.target_square)
         self.factor = np.vstack([self.factor, row])
         self.columns.append(column)
 
@@ -162,7 +163,7 @@ def start(totals: Totals, unusable: dict[int, str], describe: Sequence[str], con
         if constant and k == 0:
             # how far a mean lies from zero says nothing about how much of a column is left; where nothing but rounding
             # is, the column is constant
-            state.scale = np.where(state.left > ROUNDING * state.scale, state.left, np.inf)
+            state.scale = np.where(state.left > SQUARES_ROUNDING * state.scale, state.left, np.inf)
     return state
 
 
@@ -224,7 +225,7 @@ class _Search:
             return pick, {}
         chance, carried = self.judge_candidates(), []
         passing = np.flatnonzero((gain > 0.0) & (chance < self.share))
-        self.remember(passing[np.argsort(-gain[passing])[:NEAR]], gain)
+        self.remember(passing[np.argsort(-gain[passing])[:NEAR_REMEMBERED]], gain)
         if len(passing):
             pick = int(passing[np.argmax(gain[passing])])
         elif self.carrying:
@@ -248,13 +249,13 @@ class _Search:
         """Take one candidate and drop one term that became weak; why not, where the search ends."""
         state, o, describe = self.state, self.options, self.describe
         gain = state.gain()
-        self.remember(np.argsort(-gain)[:NEAR], gain)
+        self.remember(np.argsort(-gain)[:NEAR_REMEMBERED], gain)
         found = self.best(gain, trial)
         if isinstance(found, str):
             return found
         pick, more = found
         freedom = state.freedom() - 1
-        left = max(state.error - gain[pick], ROUNDING * state.totals.target_square)
+        left = max(state.error - gain[pick], SQUARES_ROUNDING * state.totals.target_square)
         partial = gain[pick] / left * max(freedom, 0)
         if partial <= o.f_in:
             return f"the best candidate, {describe[pick]}, has a partial F of {partial:.3g}, not above {o.f_in:g}"
@@ -299,7 +300,7 @@ class _Search:
         columns `before`, and none of them much worse."""
         old, new = left_out(self.state.totals, before), left_out(self.state.totals, after)
         gone = float((old - new).sum()) if np.isfinite(new).all() else -np.inf
-        return len(old) > 1 and gone >= LEAST * old.sum() and float((new - old).max()) <= WORSE * gone
+        return len(old) > 1 and gone >= LEAST_SHARE_TAKEN * old.sum() and float((new - old).max()) <= WORSE * gone
 
     def drop(self) -> bool:
         """Remove terms that do not stand by themselves, weakest first. True when something went."""
@@ -327,7 +328,7 @@ class _Search:
         rows = np.arange(len(free))
         better = gains[rows, new] - gains[rows, free]
         for gain in gains:
-            self.remember(np.argpartition(-gain, min(NEAR, len(gain) - 1))[:NEAR], gain)
+            self.remember(np.argpartition(-gain, min(NEAR_REMEMBERED, len(gain) - 1))[:NEAR_REMEMBERED], gain)
         for row in np.argsort(-better)[: PROPOSALS if strict else 1]:
             if better[row] <= 1e-9 * self.state.error:
                 return False
@@ -365,7 +366,7 @@ class _Search:
 
     def rounds(self) -> None:
         """Exchange, add and drop until nothing changes, ROUNDS times at most."""
-        for _ in range(ROUNDS):
+        for _ in range(FINAL_ROUNDS):
             changed = False
             for _ in range(2 * len(self.state.columns)):
                 if not self.exchange(strict=True):

@@ -19,7 +19,7 @@ from quasi.identification.evidence import Totals
 from quasi.identification.products import Products
 from quasi.identification.stepwise import Options, select, start
 
-ROUNDING = 1e-12  # of the target's squares, that a difference of products is known to: less of an error is none
+TARGET_ROUNDING = 1e-12  # of the target's squares, that a difference of products is known to: less of an error is none
 WHOLE_FLIGHTS = 8  # from so many flights on, flights are resampled rather than stretches
 
 
@@ -62,7 +62,7 @@ def _errors(products: Products, held: np.ndarray, cap: int, describe: Sequence[s
         theta = train.inverse(state.columns) @ train.target[state.columns]
         fitted = theta @ test.gram(state.columns) @ theta - 2.0 * theta @ test.target[state.columns]
         left = test.target_square + fitted
-        errors.append(left if left > ROUNDING * test.target_square else 0.0)
+        errors.append(left if left > TARGET_ROUNDING * test.target_square else 0.0)
     return np.array(errors)
 
 

@@ -9,9 +9,9 @@ and can be flown throughout.
 import numba
 import numpy as np
 
-MAX_ACCELERATION = 200.0  # m/s2, far above any quadrotor (20 g)
+LARGEST_FLOWN_ACCELERATION = 200.0  # m/s2, far above any quadrotor (20 g)
 MAX_ANGULAR_ACCELERATION = 1500.0  # rad/s2, above a 3-inch racer's
-MAX_SPEED = 40.0  # m/s
+LARGEST_FLOWN_SPEED = 40.0  # m/s
 MAX_RATE = 45.0  # rad/s
 LONGEST_SWAP = 2.0  # s; a piece longer than this is believed, and so is what follows it
 SHORTEST_HOLD = 0.05  # s that a pose is held at least, and
@@ -78,9 +78,11 @@ def _chain(
                 vb = (x[b + 1, c] - x[b, c]) / (t[b + 1] - t[b]) if last[k] > first[k] else va
                 if last[j] == first[j]:
                     va = vb
-                mean = min(max(0.5 * (va + vb), -MAX_SPEED), MAX_SPEED)
+                mean = min(max(0.5 * (va + vb), -LARGEST_FLOWN_SPEED), LARGEST_FLOWN_SPEED)
                 distance += (x[b, c] - x[a, c] - mean * gap) ** 2
-            near = np.sqrt(distance) <= floor_x + min(0.25 * MAX_ACCELERATION * gap * gap, MAX_SPEED * gap)
+            near = np.sqrt(distance) <= floor_x + min(
+                0.25 * LARGEST_FLOWN_ACCELERATION * gap * gap, LARGEST_FLOWN_SPEED * gap
+            )
             if near and turns:
                 near = _turn(q[a], q[b]) <= floor_q + min(
                     0.1 + 0.5 * MAX_ANGULAR_ACCELERATION * gap * gap, MAX_RATE * gap
@@ -116,7 +118,7 @@ def flyable(t: np.ndarray, position: np.ndarray, quaternion: np.ndarray | None) 
     # noise of the tracker itself: six times the usual unexpected step
     floor_x = max(1e-3, 6 * 1.4826 * float(np.median(odd)))
     floor_q = max(0.02, 6 * 1.4826 * float(np.median(turned)))
-    cut = odd > floor_x + 2.0 * MAX_ACCELERATION * usual**2
+    cut = odd > floor_x + 2.0 * LARGEST_FLOWN_ACCELERATION * usual**2
     if turns:
         cut |= turned > floor_q + 2.0 * MAX_ANGULAR_ACCELERATION * usual**2
     if not cut.any():
@@ -166,7 +168,7 @@ def stalled(t: np.ndarray, written: np.ndarray, position: np.ndarray, quaternion
     near_x = 2e-3 + 3.0 * digit
     near_q = 0.02 + 3.0 * min(0.02, float(np.min(turn[turn > 1e-6], initial=0.02)))
     # beyond what a body at rest can do within a step
-    flown = far > near_x + np.minimum(0.5 * MAX_ACCELERATION * gap**2, MAX_SPEED * gap)
+    flown = far > near_x + np.minimum(0.5 * LARGEST_FLOWN_ACCELERATION * gap**2, LARGEST_FLOWN_SPEED * gap)
     turned = turn > near_q + np.minimum(0.5 * MAX_ANGULAR_ACCELERATION * gap**2, MAX_RATE * gap)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
     for a, b in zip(edges[::2], edges[1::2]):  # frames a to b are alike

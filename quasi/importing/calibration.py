@@ -30,7 +30,7 @@ from quasi.importing.series import Series
 SCHEMA = "quasi.calibration/1"
 IN_ORDER = (1.0, 2.0, 3.0, 4.0)
 # part: quantity: (numbers, value that corrects nothing)
-KNOWN: dict[str, dict[str, tuple[int, float | tuple[float, ...]]]] = {
+CALIBRATED_CONSTANTS: dict[str, dict[str, tuple[int, float | tuple[float, ...]]]] = {
     "imu": {
         "gyro scale": (3, 1.0),
         "accelerometer scale": (3, 1.0),
@@ -55,16 +55,18 @@ def check(document: Mapping[str, Any] | None) -> Vectors:
     document = document or {}
     if document.get("schema", SCHEMA) != SCHEMA:
         raise ConfigError(f"a calibration has schema {document['schema']!r}, expected '{SCHEMA}'")
-    whole = {p: {n: np.full(size, value) for n, (size, value) in q.items()} for p, q in KNOWN.items()}
+    whole = {p: {n: np.full(size, value) for n, (size, value) in q.items()} for p, q in CALIBRATED_CONSTANTS.items()}
     for part, quantities in document.items():
         if part in ("schema", "notes", "from"):
             continue
-        if part not in KNOWN:
-            raise ConfigError(f"a calibration has no part '{part}'{nearest(part, KNOWN)}")
+        if part not in CALIBRATED_CONSTANTS:
+            raise ConfigError(f"a calibration has no part '{part}'{nearest(part, CALIBRATED_CONSTANTS)}")
         for name, value in quantities.items():
-            if name not in KNOWN[part]:
-                raise ConfigError(f"a calibration of the {part} has no '{name}'{nearest(name, KNOWN[part])}")
-            size, neutral = KNOWN[part][name]
+            if name not in CALIBRATED_CONSTANTS[part]:
+                raise ConfigError(
+                    f"a calibration of the {part} has no '{name}'{nearest(name, CALIBRATED_CONSTANTS[part])}"
+                )
+            size, neutral = CALIBRATED_CONSTANTS[part][name]
             try:
                 array = np.atleast_1d(np.array(value, float))
             except (TypeError, ValueError):
@@ -84,7 +86,9 @@ def is_identity(document: Mapping[str, Any] | None) -> bool:
     """True when a calibration corrects nothing."""
     whole = check(document)
     return all(
-        np.array_equal(whole[p][n], np.full(size, value)) for p, q in KNOWN.items() for n, (size, value) in q.items()
+        np.array_equal(whole[p][n], np.full(size, value))
+        for p, q in CALIBRATED_CONSTANTS.items()
+        for n, (size, value) in q.items()
     )
 
 

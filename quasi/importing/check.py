@@ -3,7 +3,7 @@
 from contextlib import chdir
 from pathlib import Path
 
-from quasi.importing.inspection import MEMORY, Inspector, empty_result, refusals
+from quasi.importing.inspection import INSPECTION_MEMORY, Inspector, empty_result, refusals
 from quasi.importing.inspection_report import report
 from quasi.project.folder import check_project, read_settings
 from quasi.project.same_recordings import repeated_recordings
@@ -21,7 +21,7 @@ def check_folder(directory: Path, library: Path, data: str | None = None) -> tup
     with chdir(directory):  # as a run sees the paths of configuration and logbook
         folder = Folder(".", data=data or read_settings("config/config.yaml").get("data"), library=library)
         asked, faults, untouched = folder.configured_work()
-        inspector = Inspector(MEMORY, compute_code_digest(library / "scripts/inspection.py", library))
+        inspector = Inspector(INSPECTION_MEMORY, compute_code_digest(library / "scripts/inspection.py", library))
         flights = {key: about["settings"] for work in asked.values() for key, about in work["flights"].items()}
         pending = {key for key, settings in flights.items() if folder.recordings.to_be_made(settings)}
         found = {

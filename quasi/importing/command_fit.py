@@ -16,16 +16,16 @@ import pandas as pd
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-ROTORS = range(1, 5)
+ROTOR_NUMBERS = range(1, 5)
 FIT_RATE = 125.0  # Hz, commands and speeds are averaged to it, as the identification of actuators compares at
 TAU_RANGE = (0.002, 0.5)  # s, as in the identification of actuators
 DELAY_RANGE = (-0.025, 0.1)  # s, as in the identification of actuators; negative where telemetry is stamped early
-WARM_UP = 1.0  # s at the start that are not compared: the state of the lag is unknown there
+COMMAND_WARM_UP = 1.0  # s at the start that are not compared: the state of the lag is unknown there
 SHORTEST_FIT = 5.0  # s of compared rows: ten times the longest time constant
 MIN_SPEED_VARIATION = 0.02  # std over mean of a rotor's speed, as in the identification of actuators
 MIN_VOLTAGE_VARIATION = 0.01  # std over median of the voltage, as in the identification of actuators
 MIN_EXPLAINED = 0.8  # share of the variance; below it a first-order lag does not describe the rotors
-MEMORY = 0.3  # s over which residuals may be correlated, as in the drive's output-error fit
+RESIDUAL_MEMORY = 0.3  # s over which residuals may be correlated, as in the drive's output-error fit
 LAG_GRID = [(tau, delay) for tau in (0.01, 0.03, 0.1) for delay in (0.0, 0.02)]  # s, starting values
 
 
@@ -46,9 +46,9 @@ def identify_command_map(frame: pd.DataFrame) -> dict[str, Any] | str:
     Returns  "coefficients" (4, 3) rad/s of 1, c, c^2; "voltage exponent", "time constant" (s), "delay" (s), each with
              "value" and "std"; "reference voltage" (V or None); "rms error" (4,) rad/s; "explained" (4,)
     """
-    if not all(f"command{i}" in frame for i in ROTORS):
+    if not all(f"command{i}" in frame for i in ROTOR_NUMBERS):
         return "the log holds no commands of the four rotors"
-    if not all(f"w{i}" in frame and np.isfinite(frame[f"w{i}"]).any() for i in ROTORS):
+    if not all(f"w{i}" in frame and np.isfinite(frame[f"w{i}"]).any() for i in ROTOR_NUMBERS):
         return "the log holds no speeds of the four rotors"
     samples, reference = _average(frame)
     if np.sum(samples.rows) * samples.dt < SHORTEST_FIT:
@@ -110,7 +110,7 @@ def map_commands(frame: pd.DataFrame, found: dict[str, Any]) -> dict[str, np.nda
         volts = np.maximum(frame["battery_voltage"].to_numpy(float) / found["reference voltage"], 0.0)
         factor = volts ** found["voltage exponent"]["value"]
     result = {}
-    for i, (a0, a1, a2) in zip(ROTORS, found["coefficients"]["value"]):
+    for i, (a0, a1, a2) in zip(ROTOR_NUMBERS, found["coefficients"]["value"]):
         c = frame[f"command{i}"].to_numpy(float)
         result[f"w{i}_CMD"] = np.maximum(factor * (a0 + a1 * c + a2 * c * c), 0.0)
     return result
@@ -125,8 +125,8 @@ def _average(frame: pd.DataFrame) -> tuple[_Samples, float | None]:
     def mean(columns: np.ndarray) -> np.ndarray:
         return columns[: len(t) // every * every].reshape(len(t) // every, every, -1).mean(axis=1)
 
-    command = mean(frame[[f"command{i}" for i in ROTORS]].to_numpy(float))
-    speed = mean(frame[[f"w{i}" for i in ROTORS]].to_numpy(float))
+    command = mean(frame[[f"command{i}" for i in ROTOR_NUMBERS]].to_numpy(float))
+    speed = mean(frame[[f"w{i}" for i in ROTOR_NUMBERS]].to_numpy(float))
     rows = np.isfinite(command).all(axis=1) & np.isfinite(speed).all(axis=1)
     rows &= (command > 0.0).all(axis=1) & (speed > 0.0).all(axis=1)  # stopped rotors follow no map
     if "onboard_valid" in frame:
@@ -140,7 +140,7 @@ def _average(frame: pd.DataFrame) -> tuple[_Samples, float | None]:
         if median > 0.0 and np.std(volts[known & rows]) >= MIN_VOLTAGE_VARIATION * median:
             reference, rows = median, rows & known
             ratio = np.log(np.where(known, volts, median) / median)
-    rows[: round(WARM_UP / (dt * every))] = False
+    rows[: round(COMMAND_WARM_UP / (dt * every))] = False
     # rows after a gap or a stop wait until the lag has forgotten it
     broken = ~rows
     age = np.arange(len(rows)) - np.maximum.accumulate(np.where(broken, np.arange(len(rows)), -1))
@@ -193,7 +193,7 @@ def _standard_errors(
         return None
     bread = np.linalg.inv(normal)
     scores = np.einsum("mip,mi->mp", jacobian / scale, residual)
-    meat, reach = scores.T @ scores, round(MEMORY / samples.dt)
+    meat, reach = scores.T @ scores, round(RESIDUAL_MEMORY / samples.dt)
     for lag in range(1, reach):
         cross = scores[lag:].T @ scores[:-lag]
         meat += (1.0 - lag / reach) * (cross + cross.T)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.errors import ConfigError
-from quasi.importing.command_fit import ROTORS, identify_command_map, map_commands
+from quasi.importing.command_fit import ROTOR_NUMBERS, identify_command_map, map_commands
 from quasi.tables import IDENTIFIED_MAP
 
 
@@ -25,9 +25,9 @@ def add_commanded_speeds(
              its constants, their standard errors and the rms error of the speeds; without a source "why"
     Raises ConfigError when the configured map falls somewhere between command 0 and 1.
     """
-    if any(f"w{i}_CMD" in frame for i in ROTORS):
+    if any(f"w{i}_CMD" in frame for i in ROTOR_NUMBERS):
         return frame, {"source": "logged"}
-    if given is None or any(f"command{i}" not in frame for i in ROTORS):
+    if given is None or any(f"command{i}" not in frame for i in ROTOR_NUMBERS):
         return _identified(frame, where, notes)
     polynomial = np.polynomial.Polynomial([float(c) for c in given["coefficients"]])
     if np.min(polynomial.deriv()(np.linspace(0.0, 1.0, 101))) < 0 or polynomial(1.0) <= 0:
@@ -42,7 +42,7 @@ def add_commanded_speeds(
             factor = np.maximum(frame["battery_voltage"].to_numpy(float) / float(reference), 0.0) ** exponent
         else:
             notes.append(f"{where}: no battery voltage is logged; the command map is used as at its reference voltage")
-    mapped = {f"w{i}_CMD": factor * polynomial(frame[f"command{i}"].to_numpy(float)) for i in ROTORS}
+    mapped = {f"w{i}_CMD": factor * polynomial(frame[f"command{i}"].to_numpy(float)) for i in ROTOR_NUMBERS}
     return frame.assign(**mapped), {"source": "configured map"}
 
 
@@ -50,7 +50,7 @@ def _identified(frame: pd.DataFrame, where: str, notes: list[str]) -> tuple[pd.D
     """Commanded speeds by the map that the flight itself shows, as `add_commanded_speeds` returns them."""
     found = identify_command_map(frame)
     if isinstance(found, str):
-        if any(f"command{i}" in frame for i in ROTORS):
+        if any(f"command{i}" in frame for i in ROTOR_NUMBERS):
             notes.append(
                 f"{where}: w1_CMD to w4_CMD are not made: {found}; a 'command map' of the quadrotor gives them"
             )

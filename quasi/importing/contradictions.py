@@ -11,7 +11,7 @@ from quasi.errors import DataError
 from quasi.importing.clocks.clock_fit import uniform
 from quasi.importing.clocks.synchronisation import Motion
 
-RATE, BAND = 100.0, 3.0  # Hz
+COMPARED_RATE, COMPARED_BAND = 100.0, 3.0  # Hz
 LEAST_TURNING = 0.1  # rad/s, rms body rate below which an attitude is not judged
 LEAST_SPEED = 0.3  # m/s, rms velocity below which a position is not judged
 FASTEST_ROTOR, FULLEST, HIGHEST_VOLTAGE = 8000.0, 1.5, 100.0  # rad/s, share, V: beyond what flies indoors and out
@@ -19,7 +19,7 @@ WRONG_RATES, REFUSED_RATES = (
     3.0,
     30.0,
 )  # times, between gyro and attitude: beyond sensors' scales; beyond any slip but units
-ALIKE = 0.6  # correlation from which body rates are those of an attitude but for a factor
+LEAST_CORRELATION = 0.6  # correlation from which body rates are those of an attitude but for a factor
 STRETCH = 5.0  # s, of which each is asked by itself: one reset of an estimate is no wrong unit
 LEAST_MOTION = 0.2  # m/s2, rms acceleration below which nothing is judged
 
@@ -33,15 +33,18 @@ def length_ratio(onboard: Motion, t: np.ndarray, position: np.ndarray) -> float 
     if onboard.quaternion is None:
         return None
     sensed = rotate(onboard.quaternion, onboard.specific_force) + np.array([0.0, 0.0, GRAVITY])
-    felt, seen = uniform(onboard.t, sensed, RATE, BAND), uniform(t, position, RATE, BAND)
+    felt, seen = (
+        uniform(onboard.t, sensed, COMPARED_RATE, COMPARED_BAND),
+        uniform(t, position, COMPARED_RATE, COMPARED_BAND),
+    )
     if felt is None or seen is None:
         return None
     acceleration = np.gradient(np.gradient(seen.values, seen.step, axis=0), seen.step, axis=0)
     # the filter's own ends are no motion
-    edge = int(RATE / BAND)
+    edge = int(COMPARED_RATE / COMPARED_BAND)
     acceleration, at, good = acceleration[edge:-edge], seen.t[edge:-edge], seen.good[edge:-edge]
     good = good & (at > felt.t[0] + 1.0) & (at < felt.t[-1] - 1.0)
-    if np.count_nonzero(good) < 2 * RATE:
+    if np.count_nonzero(good) < 2 * COMPARED_RATE:
         return None
     there = np.stack([np.interp(at[good], felt.t, v) for v in felt.values.T], axis=-1)
     needed = float(np.sqrt(np.mean((there - there.mean(axis=0)) ** 2) * 3))
@@ -99,7 +102,7 @@ def exchanged_axes(t: np.ndarray, rates: np.ndarray, t_attitude: np.ndarray, att
     return {
         "pqr"[k]: "pqr"[j]
         for k, j in enumerate(best)
-        if j != k and alike[k, j] > ALIKE and alike[k, k] < 0.5 * alike[k, j]
+        if j != k and alike[k, j] > LEAST_CORRELATION and alike[k, k] < 0.5 * alike[k, j]
     }
 
 
@@ -123,7 +126,9 @@ def rate_gains(
     both = np.array([np.mean(a * b, axis=0) for a, b in pairs])
     gains = {}
     for k, name in enumerate("pqr"):
-        alike = (gyro[:, k] >= LEAST_TURNING**2) & (np.abs(both[:, k]) > ALIKE * np.sqrt(gyro[:, k] * own[:, k]))
+        alike = (gyro[:, k] >= LEAST_TURNING**2) & (
+            np.abs(both[:, k]) > LEAST_CORRELATION * np.sqrt(gyro[:, k] * own[:, k])
+        )
         if alike.any():
             slopes = np.median(both[alike, k] / own[alike, k]), np.median(gyro[alike, k] / both[alike, k])
             gains[name] = (float(min(slopes)), float(max(slopes)))
@@ -161,15 +166,18 @@ def compare_forces(
     differ from the position's axes. None where they share less than two seconds.
     """
     fine = np.isfinite(attitude).all(axis=1)
-    felt, seen = uniform(onboard.t, onboard.specific_force, RATE, BAND), uniform(t, position, RATE, BAND)
+    felt, seen = (
+        uniform(onboard.t, onboard.specific_force, COMPARED_RATE, COMPARED_BAND),
+        uniform(t, position, COMPARED_RATE, COMPARED_BAND),
+    )
     if felt is None or seen is None or np.count_nonzero(fine) < 8:
         return None
     acceleration = np.gradient(np.gradient(seen.values, seen.step, axis=0), seen.step, axis=0)
-    edge, gravity, q_t = int(RATE / BAND), np.array([0.0, 0.0, GRAVITY]), t_attitude[fine]
+    edge, gravity, q_t = int(COMPARED_RATE / COMPARED_BAND), np.array([0.0, 0.0, GRAVITY]), t_attitude[fine]
     good = seen.good[edge:-edge]
     at = seen.t[edge:-edge]
     good = good & (at > max(felt.t[0], q_t[0]) + 1.0) & (at < min(felt.t[-1], q_t[-1]) - 1.0)
-    if np.count_nonzero(good) < 2 * RATE:
+    if np.count_nonzero(good) < 2 * COMPARED_RATE:
         return None
     at, acceleration = at[good], acceleration[edge:-edge][good]
     q = interpolate(attitude[fine], q_t, at)
@@ -195,7 +203,7 @@ def _slopes(one: np.ndarray, other: np.ndarray, least: float) -> tuple[float, fl
     not correlate."""
     a, b = one - one.mean(), other - other.mean()
     power, own, both = float(np.mean(a * a)), float(np.mean(b * b)), float(np.mean(a * b))
-    if min(power, own) < least**2 or abs(both) <= ALIKE * np.sqrt(power * own):
+    if min(power, own) < least**2 or abs(both) <= LEAST_CORRELATION * np.sqrt(power * own):
         return None
     slopes = both / own, power / both
     return min(slopes), max(slopes)
@@ -235,7 +243,7 @@ def refuse_wrong_rates(
             continue
         along = np.sum(np.mean((there - there.mean(axis=0)) * (here - here.mean(axis=0)), axis=0))
         # what does not go together has another cause than a unit
-        ratios.append(np.sqrt(power / own) if along / np.sqrt(power * own) > ALIKE else np.nan)
+        ratios.append(np.sqrt(power / own) if along / np.sqrt(power * own) > LEAST_CORRELATION else np.nan)
     if not ratios or np.mean(np.isfinite(ratios)) < 0.5:
         return None
     ratio = float(np.nanmedian(ratios))
@@ -270,18 +278,21 @@ def _stretches(
     t: np.ndarray, felt: np.ndarray, t_reference: np.ndarray, reference: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """`felt` (n, 3) and `reference` (m, 3) at low frequency and at the same times, stretch by stretch."""
-    one, other = uniform(t, felt, RATE, BAND), uniform(t_reference, reference, RATE, BAND)
+    one, other = (
+        uniform(t, felt, COMPARED_RATE, COMPARED_BAND),
+        uniform(t_reference, reference, COMPARED_RATE, COMPARED_BAND),
+    )
     if one is None or other is None:
         return
     at = other.start + other.step * np.arange(len(other.values))
-    good = other.good & (at > t[0] + 1.0 / BAND) & (at < t[-1] - 1.0 / BAND)
-    if np.count_nonzero(good) < 2 * RATE:
+    good = other.good & (at > t[0] + 1.0 / COMPARED_BAND) & (at < t[-1] - 1.0 / COMPARED_BAND)
+    if np.count_nonzero(good) < 2 * COMPARED_RATE:
         return
     grid = one.start + one.step * np.arange(len(one.values))
     there = np.stack([np.interp(at[good], grid, v) for v in one.values.T], axis=-1)
     here, number = other.values[good], ((at[good] - at[good][0]) / STRETCH).astype(int)
     for rows in (number == k for k in np.unique(number)):
-        if np.count_nonzero(rows) >= RATE:
+        if np.count_nonzero(rows) >= COMPARED_RATE:
             yield there[rows], here[rows]
 
 

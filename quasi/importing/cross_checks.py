@@ -7,7 +7,7 @@ import numpy as np
 from quasi.attitude import interpolate
 from quasi.importing.clocks.synchronisation import Synchronisation
 from quasi.importing.contradictions import compare_forces, exchanged_axes, length_ratio, rate_gains
-from quasi.importing.onboard_log import ATTITUDE, POSITION, Onboard
+from quasi.importing.onboard_log import POSITION_COLUMNS, QUATERNION, Onboard
 from quasi.importing.series import Series
 from quasi.plausibility import (
     Contradiction,
@@ -18,7 +18,7 @@ from quasi.plausibility import (
     check_residual,
 )
 
-CAPTURED, ONBOARD, CAPTURED_POSITION = "captured attitude", "on-board attitude", "captured position"
+CAPTURED, ONBOARD_ATTITUDE, CAPTURED_POSITION = "captured attitude", "on-board attitude", "captured position"
 
 
 def cross_check(board: Onboard, capture: Series | None, sync: Synchronisation | None) -> list[Contradiction]:
@@ -28,22 +28,22 @@ def cross_check(board: Onboard, capture: Series | None, sync: Synchronisation | 
     """
     found: list[Contradiction] = []
     logged = board.attitude_source == "onboard"
-    attitudes = {ONBOARD: (board.attitude.t, board.attitude.values)} if logged else {}
+    attitudes = {ONBOARD_ATTITUDE: (board.attitude.t, board.attitude.values)} if logged else {}
     if capture is not None:
         there = sync.to_onboard(capture.t) if sync else capture.t
         if "qw" in capture.values:
-            attitudes[CAPTURED] = there, np.stack([capture.values[n] for n in ATTITUDE], axis=-1)
+            attitudes[CAPTURED] = there, np.stack([capture.values[n] for n in QUATERNION], axis=-1)
     for name, (t, attitude) in attitudes.items():
         both = (board.gyro.t, board.gyro.values, t, attitude)
         found += check_axis_order(exchanged_axes(*both), name) or check_rate_gains(rate_gains(*both), name)
     if capture is None:
         return found
-    motion, position = board.motion(), np.stack([capture.values[n] for n in POSITION], axis=-1)
+    motion, position = board.motion(), np.stack([capture.values[n] for n in POSITION_COLUMNS], axis=-1)
     if not attitudes:  # levelled by the accelerometer: only the vertical says something
         forces = compare_forces(motion, there, position, board.attitude.t, board.attitude.values, True)
         return found + check_residual(None if forces is None else forces.residual, None, CAPTURED_POSITION)
     for name, (t, attitude) in attitudes.items():
-        forces = compare_forces(motion, there, position, t, attitude, name == ONBOARD)
+        forces = compare_forces(motion, there, position, t, attitude, name == ONBOARD_ATTITUDE)
         if forces is None:
             continue
         wrong = check_residual(forces.residual, name, CAPTURED_POSITION) or check_directions(

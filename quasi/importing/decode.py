@@ -22,13 +22,13 @@ from quasi.importing.readers.table_mapping import UNIT
 from quasi.importing.series import Recording, Series
 from quasi.tables import COLUMNS, write_bytes, write_table, write_text
 
-SUFFIXES = (".parquet", ".csv", ".mcap")
-QUATERNION = {
+DECODED_SUFFIXES = (".parquet", ".csv", ".mcap")
+QUATERNION_UNITS = {
     name: ("1", "body to earth", f"attitude quaternion, {part}")
     for name, part in zip(("qw", "qx", "qy", "qz"), ("scalar", "x", "y", "z"))
 }
-DIGITS = 7  # decimals of a time stamp, s: what is sampled within 0.1 us is sampled at once
-NANO = 1e9  # ns in a second
+TIME_DIGITS = 7  # decimals of a time stamp, s: what is sampled within 0.1 us is sampled at once
+NANOSECONDS = 1e9  # ns in a second
 
 
 def decode_file(
@@ -46,8 +46,10 @@ def decode_file(
     Raises     ReadError, DataError or ConfigError
     """
     out = Path(f"{log.name.split('.')[0]}.parquet") if out is None else out
-    if out.suffix.lower() not in SUFFIXES:
-        raise ConfigError(f"{out} has the extension '{out.suffix}', expected one of {', '.join(SUFFIXES)}; correct it")
+    if out.suffix.lower() not in DECODED_SUFFIXES:
+        raise ConfigError(
+            f"{out} has the extension '{out.suffix}', expected one of {', '.join(DECODED_SUFFIXES)}; correct it"
+        )
     if out.exists() and out.resolve() == log.resolve():
         raise ConfigError(f"{out} is the log itself; name another file by -o")
     remarks: list[str] = []
@@ -94,7 +96,7 @@ def joined(series: Mapping[str, Series]) -> pd.DataFrame:
     for name, one in series.items():
         columns = {f"capture_{n}" if name == "capture" and n in seen else n: v for n, v in one.values.items()}
         seen |= set(columns)
-        frames.append(pd.DataFrame({"t": np.round(one.t, DIGITS), **columns}))
+        frames.append(pd.DataFrame({"t": np.round(one.t, TIME_DIGITS), **columns}))
     t = np.unique(np.concatenate([frame["t"].to_numpy() for frame in frames]))
     table = pd.DataFrame({"t": t})
     for frame in frames:
@@ -111,7 +113,7 @@ def unit_of(name: str) -> tuple[str, str, str]:
     plain = name.removeprefix("capture_")
     if name == "t":
         return ("s", "", "time on the log's clock")
-    return COLUMNS.get(plain) or QUATERNION.get(plain) or (UNIT.get(plain, ""), "", "as logged")
+    return COLUMNS.get(plain) or QUATERNION_UNITS.get(plain) or (UNIT.get(plain, ""), "", "as logged")
 
 
 def _summary(recording: Recording, log: Path, out: Path) -> list[str]:
@@ -143,7 +145,7 @@ def _mcap(series: Mapping[str, Series], log: Path) -> bytes:
         channel = writer.register_channel(topic=topic, message_encoding="json", schema_id=schema)
         stacked = np.stack(list(one.values.values()), axis=1)
         for t, row in zip(one.t, stacked):
-            stamp = round((float(t) - first) * NANO)
+            stamp = round((float(t) - first) * NANOSECONDS)
             message = {n: float(v) for n, v in zip(one.values, row) if np.isfinite(v)}
             writer.add_message(
                 channel_id=channel, log_time=stamp, publish_time=stamp, data=json.dumps(message).encode()

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 
 from quasi.attitude import GRAVITY, body_rates, from_euler, rotate
 
-ONBOARD, CAPTURE, BEFORE = "tab:blue", "tab:red", "0.7"
+ONBOARD_COLOUR, CAPTURE_COLOUR, UNALIGNED_COLOUR = "tab:blue", "tab:red", "0.7"
 CLOSE = 8.0  # s
-NEAR = 0.05  # s
+NEAR_SAMPLE = 0.05  # s
 MOST_POINTS = 8000  # a line drawn denser shows nothing more
 
 
@@ -60,20 +60,20 @@ def _draw(frame: pd.DataFrame, metadata: Mapping[str, Any], window: tuple[float,
     seen = frame["attitude_sample"].to_numpy() > 0
     hidden = ~_near(t, seen)
     for i, name in enumerate(("roll", "pitch", "yaw")):
-        lines = [(np.degrees(np.unwrap(onboard[:, i])), ONBOARD, "on board")]
+        lines = [(np.degrees(np.unwrap(onboard[:, i])), ONBOARD_COLOUR, "on board")]
         if captured:
             angle = np.degrees(np.unwrap(chosen[:, i]))
             angle += 360.0 * np.round(np.median(lines[0][0] - angle) / 360.0)
             angle[hidden] = np.nan
-            lines.append((angle, CAPTURE, "capture"))
+            lines.append((angle, CAPTURE_COLOUR, "capture"))
         panel(axes[0, i], lines, f"{name}, deg")
 
     gyro = frame[["p", "q", "r"]].to_numpy()
     turned = _rates(t, chosen, seen) if captured else None
     for i, name in enumerate(("roll rate p", "pitch rate q", "yaw rate r")):
-        lines = [(gyro[:, i], ONBOARD, "on board")]
+        lines = [(gyro[:, i], ONBOARD_COLOUR, "on board")]
         if turned is not None:
-            lines.append((turned[:, i], CAPTURE, "capture"))
+            lines.append((turned[:, i], CAPTURE_COLOUR, "capture"))
         panel(axes[1, i], lines, f"{name}, rad/s")
 
     force = frame[["ax", "ay", "az"]].to_numpy()
@@ -81,13 +81,13 @@ def _draw(frame: pd.DataFrame, metadata: Mapping[str, Any], window: tuple[float,
     sensed = rotate(attitude, force) + np.array([0.0, 0.0, GRAVITY])
     moved = _accelerations(t, frame, attitude) if metadata["velocity source"] == "capture position" else None
     # next to a gap the velocity jumps from what was bridged to what was seen
-    reach = np.ones(2 * round(2 * NEAR / (t[1] - t[0])) + 1)
+    reach = np.ones(2 * round(2 * NEAR_SAMPLE / (t[1] - t[0])) + 1)
     bridged = np.convolve(~_near(t, frame["velocity_sample"].to_numpy() > 0), reach, "same") > 0.5
     for i, name in enumerate(("north", "east", "down")):
-        lines = [(_smooth(t, sensed[:, i]), ONBOARD, "on board")]
+        lines = [(_smooth(t, sensed[:, i]), ONBOARD_COLOUR, "on board")]
         if moved is not None:
             moved[bridged, i] = np.nan
-            lines.append((moved[:, i], CAPTURE, "capture"))
+            lines.append((moved[:, i], CAPTURE_COLOUR, "capture"))
         panel(axes[2, i], lines, f"acceleration {name}, m/s²")
         axes[2, i].set_xlabel("time, s")
     fullest = max(axes.flat, key=lambda axis: len(axis.lines))
@@ -103,7 +103,7 @@ def _near(t: np.ndarray, seen: np.ndarray) -> np.ndarray:
     if not len(at):
         return np.zeros(len(t), bool)
     i = np.clip(np.searchsorted(at, t), 1, max(len(at) - 1, 1))
-    return np.minimum(np.abs(t - at[i - 1]), np.abs(t - at[np.minimum(i, len(at) - 1)])) < NEAR
+    return np.minimum(np.abs(t - at[i - 1]), np.abs(t - at[np.minimum(i, len(at) - 1)])) < NEAR_SAMPLE
 
 
 def _title(metadata: Mapping[str, Any], sync: Mapping[str, Any] | None) -> str:
@@ -124,7 +124,7 @@ def _panel(
     """Lines within the window; the second of them, the capture's, also `shift` s earlier, as before the alignment."""
     drawn = [(t, *line) for line in lines]
     if len(lines) > 1 and abs(shift) > 1e-3:
-        drawn.insert(0, (t - shift, lines[1][0], BEFORE, "capture before alignment"))
+        drawn.insert(0, (t - shift, lines[1][0], UNALIGNED_COLOUR, "capture before alignment"))
     for when, values, colour, name in drawn:
         inside = (when >= window[0]) & (when <= window[1])
         thin = slice(None, None, max(1, np.count_nonzero(inside) // MOST_POINTS))

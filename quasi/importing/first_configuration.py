@@ -20,9 +20,9 @@ from quasi.importing.readers.registry import controller_of, read_capture
 from quasi.importing.readers.signals import Signals
 from quasi.importing.readers.table_reader import ARRAYS
 from quasi.importing.readers.table_text import open_table
-from quasi.project.logbook import NAME, key_of
+from quasi.project.logbook import VALID_NAME, key_of
 from quasi.project.templates import lay_folder
-from quasi.recognition import HEAD, recognise
+from quasi.recognition import HEAD_SIZE, recognise
 from quasi.tables import read_head, read_json, read_text, write_json, write_text
 
 QUADROTOR = "my_quadrotor"
@@ -37,7 +37,7 @@ ARDUPILOT_FRAMES = {
 }
 # Crazyflie 2.1: Bitcraze's data sheet (arm, rotors); inertia: Foerster, System identification of the Crazyflie 2.0,
 # ETH Zurich 2015, of 28 g
-CRAZYFLIE = {
+CRAZYFLIE_FRAME = {
     "rotor config": {"front left": 4, "front right": 1, "aft right": 2, "aft left": 3},
     "rotor1 rotation direction": "CCW",
     "rotor radius": "0.0235",
@@ -61,10 +61,10 @@ def recognise_log(path: Path) -> FirstConfiguration:
 
     Raises ReadError where no reader knows it, or it is damaged.
     """
-    found = recognise(read_head(path, HEAD))
+    found = recognise(read_head(path, HEAD_SIZE))
     kind = found.kind if found else None
     text = read_text(path) if kind in (None, "gzip") else ""
-    if kind in (*ARRAYS, "parquet") or (text and not re.search(r"gyroADC|H Product:Blackbox", text[:HEAD])):
+    if kind in (*ARRAYS, "parquet") or (text and not re.search(r"gyroADC|H Product:Blackbox", text[:HEAD_SIZE])):
         return _recognise_table(path, kind)
     controller = controller_of(path, {})
     first = FirstConfiguration(controller)
@@ -73,7 +73,7 @@ def recognise_log(path: Path) -> FirstConfiguration:
     elif controller == "ardupilot":
         first.quadrotor, first.remarks = _ardupilot_geometry(DataFlashFile(path, []).parameters)
     elif controller == "crazyflie":
-        first.quadrotor = dict(CRAZYFLIE)
+        first.quadrotor = dict(CRAZYFLIE_FRAME)
         first.remarks.append("geometry and inertia are those of a Crazyflie 2.1; weigh yours")
     elif controller == "betaflight":
         head = read_head(path, 1 << 20)
@@ -184,7 +184,7 @@ def _path_from(folder: Path, target: Path) -> str:
 
 def _key_of(log: Path) -> str:
     key = re.sub(r"[^A-Za-z0-9._+-]+", "_", key_of(log.name)).strip(".") or "flight"
-    return key if NAME.fullmatch(key) else f"flight_{key}"
+    return key if VALID_NAME.fullmatch(key) else f"flight_{key}"
 
 
 def _quoted(cell: str) -> str:

@@ -18,7 +18,7 @@ from quasi.importing.command_map import add_commanded_speeds
 from quasi.importing.contradictions import refuse_wrong_lengths, refuse_wrong_rates
 from quasi.importing.cross_checks import cross_check
 from quasi.importing.imu_and_telemetry import lever_arm_term, read_triple, remove_telemetry_age
-from quasi.importing.onboard_log import ATTITUDE, POSITION, RATES, Onboard, gather, motor_poles, read_onboard
+from quasi.importing.onboard_log import POSITION_COLUMNS, QUATERNION, RATES, Onboard, gather, motor_poles, read_onboard
 from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import read_capture
 from quasi.importing.resampling import covered, fresh, grid, resample, resample_attitude, velocity
@@ -29,7 +29,7 @@ from quasi.importing.wind import add_wind
 from quasi.plausibility import to_plain
 from quasi.tables import sha256_of
 
-DEFAULTS: dict[str, Any] = {
+IMPORT_DEFAULTS: dict[str, Any] = {
     "resampling rate": 500.0,
     "use onboard attitude": False,
     "do onboard c.g. correction": False,
@@ -60,7 +60,7 @@ def import_flight(
                its range, as 0 or 1; and the metadata
     Raises     ReadError, DataError or ConfigError: a sentence that names the file and the remedy
     """
-    chosen = {**DEFAULTS, **{k: v for k, v in options.items() if k in DEFAULTS and v is not None}}
+    chosen = {**IMPORT_DEFAULTS, **{k: v for k, v in options.items() if k in IMPORT_DEFAULTS and v is not None}}
     rate = float(chosen["resampling rate"])
     where = str(flight["flight"])
     if not 10.0 <= rate <= 8000.0:
@@ -167,21 +167,21 @@ def _read_capture(
     sampled = np.isfinite(np.stack([main.values[n] for n in RATES], axis=-1)).all(axis=1)
     series = Series(series.t - main.t[np.argmax(sampled)], dict(series.values))
     if chosen["filter optitrack outliers"]:
-        seen = np.isfinite(_stack(series, POSITION)).all(axis=1)
-        q = _stack(series, ATTITUDE)[seen] if "qw" in series.values else None
-        bad = np.flatnonzero(seen)[~flyable(series.t[seen], _stack(series, POSITION)[seen], q)]
+        seen = np.isfinite(_stack(series, POSITION_COLUMNS)).all(axis=1)
+        q = _stack(series, QUATERNION)[seen] if "qw" in series.values else None
+        bad = np.flatnonzero(seen)[~flyable(series.t[seen], _stack(series, POSITION_COLUMNS)[seen], q)]
         for name, values in series.values.items():
             series.values[name] = values.copy()
             series.values[name][bad] = np.nan
         if len(bad):
             notes.append(f"{flight['flight']}: {len(bad)} captured samples were removed as impossible to fly")
     if offset is not None and np.any(offset):
-        q = _stack(series, ATTITUDE) if "qw" in series.values else None
+        q = _stack(series, QUATERNION) if "qw" in series.values else None
         if q is None:
             fine = np.isfinite(board.attitude.values).all(axis=1)
             q = interpolate(board.attitude.values[fine], board.attitude.t[fine], series.t)
-        moved = _stack(series, POSITION) - rotate(np.nan_to_num(q, nan=0.5), offset)
-        series.values.update({n: moved[:, i] for i, n in enumerate(POSITION)})
+        moved = _stack(series, POSITION_COLUMNS) - rotate(np.nan_to_num(q, nan=0.5), offset)
+        series.values.update({n: moved[:, i] for i, n in enumerate(POSITION_COLUMNS)})
     return series, None
 
 
@@ -201,8 +201,8 @@ def _align(
         return None
     seen = Motion(
         capture.t,
-        quaternion=_stack(capture, ATTITUDE) if "qw" in capture.values else None,
-        position=_stack(capture, POSITION) if "x" in capture.values else None,
+        quaternion=_stack(capture, QUATERNION) if "qw" in capture.values else None,
+        position=_stack(capture, POSITION_COLUMNS) if "x" in capture.values else None,
     )
     using = list(chosen["align with optitrack using"])
     if captured is not None:
@@ -281,7 +281,7 @@ def _fuse(
     onboard = resample_attitude(board.attitude.t, _tied(board, sync), at)
     seen = None
     if capture is not None and "qw" in capture.values:
-        seen = resample_attitude(there, _stack(capture, ATTITUDE), at)
+        seen = resample_attitude(there, _stack(capture, QUATERNION), at)
     use_board = bool(chosen["use onboard attitude"]) or seen is None
     attitude = onboard if use_board else seen
     euler = to_euler(attitude.values)
@@ -292,7 +292,7 @@ def _fuse(
     zeros = np.zeros(len(at), bool)
     position_sample = velocity_sample = zeros
     if place is not None:
-        columns |= {n: place.values[:, i] for i, n in enumerate(POSITION)}
+        columns |= {n: place.values[:, i] for i, n in enumerate(POSITION_COLUMNS)}
         position_sample = place.sample & place.covered
     if moving is not None:
         in_body = moving[0]
@@ -354,7 +354,7 @@ def _motion(
 ) -> tuple[Any, tuple[np.ndarray, np.ndarray] | None, dict[str, str]]:
     """Position on the grid, velocity (earth axes; body axes if logged so) with its flags, and their sources."""
     if capture is not None:
-        position = _stack(capture, POSITION)
+        position = _stack(capture, POSITION_COLUMNS)
         place = resample(there, position, at)
         speed, trusted = velocity(there, position, at, float(chosen["optitrack velocity Hz cutoff"]))
         measured = fresh(there[np.isfinite(position).all(axis=1)], at)

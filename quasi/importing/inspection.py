@@ -14,7 +14,14 @@ from typing import Any
 import numpy as np
 
 from quasi.errors import QuasiError, cautions
-from quasi.importing.onboard_log import BODY_VELOCITY, POSITION, VELOCITY, motor_poles, read_onboard, require_motion
+from quasi.importing.onboard_log import (
+    BODY_VELOCITY,
+    POSITION_COLUMNS,
+    VELOCITY_COLUMNS,
+    motor_poles,
+    read_onboard,
+    require_motion,
+)
 from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import read_capture
 from quasi.importing.series import Series
@@ -24,9 +31,9 @@ from quasi.running.checksums import read_identity
 from quasi.tables import read_json, write_json
 
 Read = tuple[dict[str, Any], list[Series], list[str]]  # facts on a source, its series, the notes of its reader
-MEMORY = ".snakemake/quasi/inspected"  # results of inspections, in the project folder
+INSPECTION_MEMORY = ".snakemake/quasi/inspected"  # results of inspections, in the project folder
 SCHEMA = "quasi.inspection/1"
-ROTORS = tuple(f"w{i}" for i in range(1, 5))
+ROTORS = ("w1", "w2", "w3", "w4")
 COMMANDS = tuple(f"command{i}" for i in range(1, 5))
 ALL_STOPPED = "the speeds of all rotors are 0 throughout: bidirectional DShot is off"
 QUATERNION = ("qw", "qx", "qy", "qz")
@@ -36,8 +43,8 @@ HOLDINGS = {
     "commands": (COMMANDS, tuple(f"{w}_CMD" for w in ROTORS)),
     "battery": (("battery_voltage",),),
     "attitude": (QUATERNION,),
-    "position": (POSITION,),
-    "velocity": (VELOCITY, BODY_VELOCITY),
+    "position": (POSITION_COLUMNS,),
+    "velocity": (VELOCITY_COLUMNS, BODY_VELOCITY),
 }
 
 

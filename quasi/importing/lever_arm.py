@@ -17,9 +17,9 @@ from scipy.signal import butter, sosfiltfilt
 from quasi.attitude import GRAVITY
 from quasi.importing.resampling import angular_acceleration
 
-BAND = 2.0  # Hz
+HOVER_BAND = 2.0  # Hz
 STILL, SPINNING_UP, LEANING, CLIMBING = 0.15, 0.5, 0.6, 0.3  # rad/s, rad/s2, m/s2 sideways, m/s2 off g
-LEAST = 1.0  # s of hover
+SHORTEST_HOVER = 1.0  # s of hover
 
 
 class Arm(NamedTuple):
@@ -37,7 +37,7 @@ def hover_arm(at: np.ndarray, rates: np.ndarray, force: np.ndarray, speeds: np.n
     Standard error from the spread between the stretches of hover, a second long each.
     """
     rate = 1.0 / float(np.median(np.diff(at)))
-    low = butter(2, BAND, fs=rate, output="sos")
+    low = butter(2, HOVER_BAND, fs=rate, output="sos")
     w, a, rotors = (sosfiltfilt(low, np.nan_to_num(x), axis=0) for x in (rates, force, speeds))
     hover = np.abs(w).max(axis=1) < STILL
     hover &= np.abs(np.gradient(w, at, axis=0)).max(axis=1) < SPINNING_UP
@@ -45,7 +45,7 @@ def hover_arm(at: np.ndarray, rates: np.ndarray, force: np.ndarray, speeds: np.n
     # on the ground the accelerometer feels g as well
     hover &= rotors.min(axis=1) > 0.5 * np.percentile(rotors.mean(axis=1), 90)
     rows = np.flatnonzero(hover)
-    if len(rows) < LEAST * rate:
+    if len(rows) < SHORTEST_HOVER * rate:
         return None
     thrust = rotors[rows] ** 2
     centre = thrust @ (hubs - hubs.mean(axis=0)) / thrust.sum(axis=1, keepdims=True)

@@ -16,8 +16,8 @@ from quasi.attitude import GRAVITY, continuous, interpolate, rotate_inverse
 from quasi.importing.clocks.clock_fit import uniform
 from quasi.importing.clocks.synchronisation import GRID, SLOW_BAND, Motion, Synchronisation
 
-BLOCK = 2.0  # s, longer than what correlates accelerations band-limited to SLOW_BAND
-LEAST_BLOCKS = 5
+ARM_BLOCK = 2.0  # s, longer than what correlates accelerations band-limited to SLOW_BAND
+LEAST_ARM_BLOCKS = 5
 
 
 class ArmFit(NamedTuple):
@@ -54,8 +54,8 @@ def fit_arm(onboard: Motion, capture: Motion, clocks: Synchronisation) -> ArmFit
     for signal in (force, rates):
         good &= (t >= signal.t[0]) & (t <= signal.t[-1])
         good &= np.interp(t, signal.t, signal.good.astype(float)) > 0.99
-    blocks = np.floor((t - t[0]) / BLOCK).astype(int)[good]
-    if len(np.unique(blocks)) < LEAST_BLOCKS:
+    blocks = np.floor((t - t[0]) / ARM_BLOCK).astype(int)[good]
+    if len(np.unique(blocks)) < LEAST_ARM_BLOCKS:
         return None
     captured = rotate_inverse(quaternion, acceleration - np.array([0.0, 0.0, GRAVITY]))
     late = np.gradient(captured, place.step, axis=0)

@@ -9,10 +9,10 @@ from quasi.importing.onboard_log import Onboard
 from quasi.saturation import find_clipping
 
 CHANNELS = {"gyro": ("p", "q", "r"), "accelerometer": ("ax", "ay", "az")}
-UNITS = {"gyro": ("rad/s", np.degrees(1.0), "deg/s"), "accelerometer": ("m/s2", 1.0 / 9.81, "g")}
+CLIPPING_UNITS = {"gyro": ("rad/s", np.degrees(1.0), "deg/s"), "accelerometer": ("m/s2", 1.0 / 9.81, "g")}
 SPOILED_STEPS = 2  # grid steps on either side that a clipped sample spoils, by the filters of the resampling
-APART = 0.05  # s, flat tops nearer than this count as one
-MOST_LISTED = 20
+LONGEST_JOINED_TOP = 0.05  # s, flat tops nearer than this count as one
+MOST_CLIPPED_LISTED = 20
 
 
 class End(NamedTuple):
@@ -61,11 +61,11 @@ def facts(ends: list[End], at: np.ndarray, where: str, notes: list[str]) -> dict
     """
     result: dict[str, Any] = {}
     for end in ends:
-        unit, scale, familiar = UNITS[end.sensor]
+        unit, scale, familiar = CLIPPING_UNITS[end.sensor]
         t = end.t[(end.t >= at[0]) & (end.t <= at[-1])] - at[0]
         if not len(t):
             continue
-        cut = np.flatnonzero(np.diff(t) > APART)
+        cut = np.flatnonzero(np.diff(t) > LONGEST_JOINED_TOP)
         begin, finish = t[np.concatenate([[0], cut + 1])], t[np.concatenate([cut, [-1]])]
         seconds = len(t) * end.interval
         result[f"{end.channel} {'+' if end.level > 0 else '-'}"] = {
@@ -74,7 +74,7 @@ def facts(ends: list[End], at: np.ndarray, where: str, notes: list[str]) -> dict
             "samples": len(t),
             "seconds": seconds,
             "span count": len(begin),
-            "spans": np.stack([begin, finish], axis=1)[:MOST_LISTED].tolist(),
+            "spans": np.stack([begin, finish], axis=1)[:MOST_CLIPPED_LISTED].tolist(),
         }
         known = f", its full scale of {end.full_scale * scale:.0f} {familiar}," if end.full_scale else ""
         places = ", ".join(f"{a:.2f} to {b:.2f} s" for a, b in zip(begin[:3], finish[:3]))

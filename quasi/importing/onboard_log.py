@@ -21,15 +21,26 @@ from quasi.importing.reconstruction import Completed, complete_sensors
 from quasi.importing.resampling import covered
 from quasi.importing.series import Recording, Series
 
-LEAST_EXPLAINED = 0.3  # share of the variance that a log of the same motion explains, a late one too
+LEAST_LOG_EXPLAINED = 0.3  # share of the variance that a log of the same motion explains, a late one too
 LEAST_SAMPLES = 20
 BANDWIDTH = 10.0  # Hz of made sensors, as of velocities from captured positions
-MADE = "reconstructed"
+MADE_COLUMN = "reconstructed"
 RATES, FORCE = ("p", "q", "r"), ("ax", "ay", "az")
-ATTITUDE = ("qw", "qx", "qy", "qz")
-POSITION, VELOCITY, BODY_VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz"), ("u", "v", "w")
+QUATERNION = ("qw", "qx", "qy", "qz")
+POSITION_COLUMNS, VELOCITY_COLUMNS, BODY_VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz"), ("u", "v", "w")
 LINEAR = ("linear_ax", "linear_ay", "linear_az")
-_KNOWN = {*RATES, *FORCE, *ATTITUDE, *POSITION, *VELOCITY, *BODY_VELOCITY, *LINEAR, "roll", "pitch", "yaw"}
+_KNOWN_COLUMNS = {
+    *RATES,
+    *FORCE,
+    *QUATERNION,
+    *POSITION_COLUMNS,
+    *VELOCITY_COLUMNS,
+    *BODY_VELOCITY,
+    *LINEAR,
+    "roll",
+    "pitch",
+    "yaw",
+}
 
 
 @dataclass(frozen=True)
@@ -138,9 +149,9 @@ def gather(recording: Recording, where: str, notes: list[str], bandwidth: float 
     sensors = require_motion(recording, where, notes, bandwidth)
     gyro, force = (Track(s.t, s.values) for s in (sensors.gyro, sensors.force))
     delays = _delays(recording, where, notes)
-    attitude, source, rest = _find(series, ATTITUDE), "onboard", 0.0
+    attitude, source, rest = _find(series, QUATERNION), "onboard", 0.0
     if attitude is None and sensors.attitude is not None:
-        attitude, source = Track(sensors.attitude.t, sensors.attitude.values), MADE
+        attitude, source = Track(sensors.attitude.t, sensors.attitude.values), MADE_COLUMN
     at_gyro = np.stack([np.interp(gyro.t, force.t, v) for v in force.values.T], axis=-1)
     try:
         estimate = estimate_attitude(gyro.t, gyro.values, at_gyro)
@@ -162,16 +173,16 @@ def gather(recording: Recording, where: str, notes: list[str], bandwidth: float 
         scaled, explained = refuse_wrong_rates(*of_both, "the on-board attitude", where), rates_explained(*of_both)
         if scaled:
             add_caution(notes, scaled)
-        elif explained is not None and explained < LEAST_EXPLAINED:
+        elif explained is not None and explained < LEAST_LOG_EXPLAINED:
             add_caution(
                 notes,
                 f"{where}: the on-board attitude turns unlike the gyro (it explains {100 * max(0.0, explained):.0f} % "
                 "of the body rates); check the unit, order and axes of both",
             )
-    position, velocity = _find(series, POSITION), _find(series, VELOCITY)
+    position, velocity = _find(series, POSITION_COLUMNS), _find(series, VELOCITY_COLUMNS)
     if position is not None and velocity is not None:
         explained = velocity_explained(velocity.t, velocity.values, position.t, position.values)
-        if explained is not None and explained < LEAST_EXPLAINED:
+        if explained is not None and explained < LEAST_LOG_EXPLAINED:
             add_caution(
                 notes,
                 f"{where}: the on-board velocity is not that of the on-board position (which explains "
@@ -186,7 +197,7 @@ def gather(recording: Recording, where: str, notes: list[str], bandwidth: float 
     for name, one in series.items():
         if name.startswith("onboard"):
             for quantity, values in one.values.items():
-                if quantity not in _KNOWN and np.isfinite(values).any():
+                if quantity not in _KNOWN_COLUMNS and np.isfinite(values).any():
                     others.setdefault(quantity, Track(one.t - zero, values[:, None]))
     names = tuple(f"w{i}" for i in range(1, 9) if f"w{i}" in others)
     rotors = moved(_find(series, names)) if names else None

@@ -23,7 +23,7 @@ from quasi.errors import DataError, add_caution
 from quasi.importing.resampling import low_pass, velocity
 from quasi.importing.series import Series
 
-ANGLES = ("roll", "pitch", "yaw")
+EULER_ANGLES = ("roll", "pitch", "yaw")
 # share of g below which the direction of the specific force is that of its errors: 0.5 m/s2 of error is 10 deg there
 MIN_FORCE_SHARE = 0.3
 CROSSOVER = 1.0  # Hz, below which the velocity gives the acceleration: on CrazyPAD an offset of 0.7 deg in roll goes
@@ -196,8 +196,8 @@ def _attitude(
 
     Raises DataError where yaw or the motion is missing.
     """
-    logged = {name: found for name in ANGLES if (found := _find(series, (name,))) is not None}
-    missing = [name for name in ANGLES if name not in logged]
+    logged = {name: found for name in EULER_ANGLES if (found := _find(series, (name,))) is not None}
+    missing = [name for name in EULER_ANGLES if name not in logged]
     if "yaw" not in logged:
         raise DataError(
             f"{where}: the log holds no attitude: {', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing; "
@@ -224,7 +224,7 @@ def _attitude(
         error = typical_size(off)
         turning = np.concatenate([np.gradient(part, t) for part in np.split(off, len(known))])
         check = {"against": f"logged {known[0]}", "mean": float(off.mean()), "rate": typical_size(turning)}
-    quaternion = continuous(from_euler(*(angles.get(n, found[n]) for n in ANGLES)))
+    quaternion = continuous(from_euler(*(angles.get(n, found[n]) for n in EULER_ANGLES)))
     covers = check["against"] if check else "the error of the acceleration"
     entry = {"covers": covers} | _about(
         f"yaw and {about['from']}, with the thrust along body z", bandwidth, _rate(t), error, "rad"

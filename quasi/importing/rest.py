@@ -9,7 +9,7 @@ import numpy as np
 
 from quasi.attitude import to_euler
 from quasi.errors import DataError
-from quasi.importing.onboard_log import ATTITUDE, FORCE, RATES, read_onboard
+from quasi.importing.onboard_log import FORCE, QUATERNION, RATES, read_onboard
 from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import is_capture, read_capture
 
@@ -59,7 +59,7 @@ def read_rest(
             continue
         if t is None and all(n in series.values for n in RATES):
             t = series.t
-        for wanted in (RATES, FORCE, ATTITUDE):
+        for wanted in (RATES, FORCE, QUATERNION):
             if wanted[0] not in columns and all(n in series.values for n in wanted) and t is not None:
                 columns |= {n: _at(t, series.t, series.values[n]) for n in wanted}
         rotors = [series.values[f"w{i}"] for i in range(1, 9) if f"w{i}" in series.values]
@@ -69,7 +69,7 @@ def read_rest(
         raise DataError(f"{path} holds no body rates (gyro); log them")
     if "qw" in columns:
         columns |= _angles(columns)
-    columns = {n: v for n, v in columns.items() if n not in ATTITUDE}
+    columns = {n: v for n, v in columns.items() if n not in QUATERNION}
     units = recording.metadata.get("units") or {}
     step = {
         n: abs(float((units.get(sensor) or {}).get("factor") or 0.0))
@@ -88,7 +88,7 @@ def _at(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _angles(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    quaternion = np.stack([values[n] for n in ATTITUDE], axis=-1)
+    quaternion = np.stack([values[n] for n in QUATERNION], axis=-1)
     fine = np.isfinite(quaternion).all(axis=1)
     angles = np.full((len(quaternion), 3), np.nan)
     angles[fine] = to_euler(quaternion[fine])

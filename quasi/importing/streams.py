@@ -7,7 +7,7 @@ import numpy as np
 COUNTER = 2.0**32  # numbers that a clock of 32 bits counts before it starts again from 0
 LONGEST_TURN = 1000  # usual steps, over which a counter may start again unseen
 GAP = 3.1  # usual intervals without a sample that count as a gap
-MOST_LISTED = 50
+MOST_GAPS_LISTED = 50
 
 
 def stream(t: np.ndarray, zero: float = 0.0) -> dict[str, Any] | None:
@@ -21,7 +21,7 @@ def stream(t: np.ndarray, zero: float = 0.0) -> dict[str, Any] | None:
     interval = np.diff(t)
     usual = float(np.median(interval))
     wide = np.flatnonzero(interval > GAP * usual)
-    listed = np.sort(wide[np.argsort(-interval[wide], kind="stable")[:MOST_LISTED]])
+    listed = np.sort(wide[np.argsort(-interval[wide], kind="stable")[:MOST_GAPS_LISTED]])
     return {
         "samples": len(t),
         "rate": 1.0 / usual if usual > 0 else None,

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from quasi.attitude import body_rates, continuous, interpolate, to_euler
 from quasi.importing.clocks.synchronisation import Motion, Synchronisation, synchronise
 from quasi.importing.lever_arm_fit import ArmFit, fit_arm
-from quasi.importing.onboard_log import ATTITUDE, POSITION, gather, motor_poles, read_onboard
+from quasi.importing.onboard_log import POSITION_COLUMNS, QUATERNION, gather, motor_poles, read_onboard
 from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import controller_of, read_capture
 
@@ -20,8 +20,8 @@ SCHEMA = "quasi.sync/1"
 USING = ("pitch", "yaw")  # the signals of 'align with optitrack using' where a project says nothing
 LONGEST_LAG = 25.0  # s, that of 'max permitted lag for optitrack' where a project says nothing
 YAW_BLOCK = 5.0  # s, over which the yaw difference is averaged before its spread is taken
-LEAST_BLOCKS = 3
-WINDOW = 8.0  # s drawn, those that turn most
+LEAST_SYNC_BLOCKS = 3
+DRAWN_WINDOW = 8.0  # s drawn, those that turn most
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def align_files(
     def stack(names: tuple[str, ...]) -> np.ndarray | None:
         return np.stack([series.values[n] for n in names], axis=-1) if names[0] in series.values else None
 
-    seen = Motion(series.t, quaternion=stack(ATTITUDE), position=stack(POSITION))
+    seen = Motion(series.t, quaternion=stack(QUATERNION), position=stack(POSITION_COLUMNS))
     onboard = board.motion()
     clocks = synchronise(onboard, seen, USING, longest_lag, log.name)
     all_notes = (*captured.notes, *recording.notes, *clocks.notes, *notes)
@@ -104,7 +104,7 @@ def yaw_difference(onboard: Motion, capture: Motion, clocks: Synchronisation) ->
     times = np.array([t[block == b].mean() for b in labels])
     means = np.array([difference[block == b].mean() for b in labels])
     reference = float(times.mean())
-    if len(labels) < LEAST_BLOCKS:
+    if len(labels) < LEAST_SYNC_BLOCKS:
         return Yaw(_wrapped(float(means.mean())), math.nan, 0.0, math.nan, reference)
     slope, offset = np.polyfit(times - reference, means, 1)
     variance = float(np.sum((means - offset - slope * (times - reference)) ** 2)) / (len(labels) - 2)
@@ -233,11 +233,11 @@ def alignment_picture(found: Alignment) -> Figure:
 def _window(onboard: Motion, seen: np.ndarray) -> tuple[float, float]:
     """Begin and end, s, of the WINDOW in the common span that turns most."""
     low, high = max(onboard.t[0], seen[0]), min(onboard.t[-1], seen[-1])
-    starts = np.arange(low, max(high - WINDOW, low) + 1e-9, 1.0)
+    starts = np.arange(low, max(high - DRAWN_WINDOW, low) + 1e-9, 1.0)
     power = np.concatenate([[0.0], np.cumsum(np.nan_to_num(np.sum(onboard.rates**2, axis=1)))])
-    sums = [power[np.searchsorted(onboard.t, s + WINDOW)] - power[np.searchsorted(onboard.t, s)] for s in starts]
+    sums = [power[np.searchsorted(onboard.t, s + DRAWN_WINDOW)] - power[np.searchsorted(onboard.t, s)] for s in starts]
     begin = float(starts[int(np.argmax(sums))])
-    return begin, min(begin + WINDOW, high)
+    return begin, min(begin + DRAWN_WINDOW, high)
 
 
 def _wrapped(angle: float) -> float:

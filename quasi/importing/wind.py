@@ -19,7 +19,7 @@ import pandas as pd
 
 from quasi.attitude import from_euler, rotate_inverse
 from quasi.errors import DataError, ReadError
-from quasi.importing.readers.day_time import DAY, DayTime, clock, read_day_time
+from quasi.importing.readers.day_time import SECONDS_PER_DAY, DayTime, clock, read_day_time
 from quasi.importing.resampling import covered, resample
 from quasi.importing.series import Recording, Series
 from quasi.recognition import refuse_other_formats
@@ -182,7 +182,7 @@ def _at(
     for first in began.seconds:
         for second in record.metadata["start"]:
             # the two times of day may stand on either side of midnight
-            for day in (0.0, DAY, -DAY):
+            for day in (0.0, SECONDS_PER_DAY, -SECONDS_PER_DAY):
                 shift = first - offset - second + day
                 shared = min(tau[-1] + shift, series.t[-1]) - max(tau[0] + shift, series.t[0])
                 if shared >= LEAST_OVERLAP:

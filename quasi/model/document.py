@@ -8,7 +8,7 @@ import numpy as np
 
 from quasi.airframe import Airframe, from_plain
 from quasi.errors import ConfigError, ExpressionError, QuasiError, quoted
-from quasi.project.logbook import NAME, NAME_RULE
+from quasi.project.logbook import NAME_RULE, VALID_NAME
 from quasi.terms.expressions import Tree, parse
 
 MODEL_SCHEMA = "quasi.model/1"
@@ -26,7 +26,7 @@ def check_document(document: Any, where: str) -> None:
     missing = sorted(_TOP - set(document))
     if missing:
         raise ConfigError(f"{where} lacks the key '{missing[0]}'; build the model again")
-    if not isinstance(document["id"], str) or not NAME.fullmatch(document["id"]):
+    if not isinstance(document["id"], str) or not VALID_NAME.fullmatch(document["id"]):
         raise ConfigError(f"{where}: 'id' is {quoted(document['id'])}, expected {NAME_RULE}; build it again")
     if document["gravity"] not in ("withGravity", "noGravity"):
         raise ConfigError(f"{where}: 'gravity' is {document['gravity']!r}, expected 'withGravity' or 'noGravity'")

@@ -28,7 +28,7 @@ from quasi.terms.graph import ONE, Graph
 from quasi.terms.kernel import INPUTS, Kernel, compile_outputs, compute_wrench, compute_wrench_rows
 from quasi.terms.variables import SYNONYMS, Variables, base_columns, plain_name
 
-STATE = INPUTS[:12]
+STATE_INPUTS = INPUTS[:12]
 PERCENTILES = (0.01, 1, 5, 25, 50, 75, 95, 99, 99.99)
 LOW_PERCENTILE, HIGH_PERCENTILE = "0.01", "99.99"
 JOINT_LIMIT = "all together"
@@ -190,7 +190,7 @@ def measure_coverage(
     scheme = any(part.get("normalisation") for part in (parts or {}).values())
     speeds = {"w1", "w2", "w3", "w4"} if scheme else set()
     base = sorted(set().union(*(base_columns(n) for n in terms), speeds), key=_position)
-    wanted = list(dict.fromkeys([*STATE, "w1", "w2", "w3", "w4", *base, *terms, *list_limited_names(terms)]))
+    wanted = list(dict.fromkeys([*STATE_INPUTS, "w1", "w2", "w3", "w4", *base, *terms, *list_limited_names(terms)]))
     gathered: dict[str, list[np.ndarray]] = {}
     together: list[np.ndarray] = []
     for key, flight in flights.items():
@@ -200,7 +200,7 @@ def measure_coverage(
         columns = {c: flight[c].to_numpy(float)[use] for c in flight if pd.api.types.is_numeric_dtype(flight[c])}
         variables = Variables(columns, airframe, hover_speed)
         for name in wanted:
-            if name in STATE and name not in columns:
+            if name in STATE_INPUTS and name not in columns:
                 continue
             values = variables[name]
             gathered.setdefault(name, []).append(values[np.isfinite(values)])

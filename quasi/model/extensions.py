@@ -19,7 +19,14 @@ from quasi.tables import TELEMETRY_AGE_REMOVED
 
 CONFIGURED_MASS_KEY = "configured mass"  # key of a model's document: mass, kg, with which its flights were processed
 _LAGS = ("time constants", "time constants up", "time constants down")
-_ROTORS = ("time constant", "delay", "voltage exponent", "reference voltage", "telemetry delay", "rotor speed scale")
+_ROTOR_CONSTANTS = (
+    "time constant",
+    "delay",
+    "voltage exponent",
+    "reference voltage",
+    "telemetry delay",
+    "rotor speed scale",
+)
 
 
 def extensions_of(model: Model) -> list[Mapping[str, Any]]:
@@ -179,9 +186,9 @@ def _collect_rotor_constants(document: Mapping[str, Any], name: str) -> dict[str
     for extension in _sections(document, name):
         for key, value in (extension.get("actuators") or {}).items():
             what = f"model {name}, extension '{extension.get('id')}'"
-            if key not in _ROTORS:
+            if key not in _ROTOR_CONSTANTS:
                 raise ConfigError(f"{what} changes the rotors' '{key}', which the simulator does not know"
-                                  f"{nearest(key, _ROTORS)}; extend the model without it")  # fmt: skip
+                                  f"{nearest(key, _ROTOR_CONSTANTS)}; extend the model without it")  # fmt: skip
             number = float(value) if isinstance(value, int | float) else math.nan
             positive = key in ("time constant", "reference voltage", "rotor speed scale")
             if not math.isfinite(number) or (positive and number <= 0.0):

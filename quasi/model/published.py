@@ -21,7 +21,7 @@ from quasi.errors import ConfigError, ExpressionError, nearest, quoted
 from quasi.model.build import assemble_model
 from quasi.model.document import AXES
 from quasi.model.model import Model
-from quasi.project.logbook import NAME, NAME_RULE
+from quasi.project.logbook import NAME_RULE, VALID_NAME
 from quasi.tables import fingerprint, read_json
 from quasi.terms.expressions import Tree, names, parse, text
 from quasi.terms.kernel import INPUTS
@@ -36,10 +36,16 @@ _DEGREE = {
     **dict.fromkeys(("mu_x", "mu_y", "mu_z", "mu_vin"), -1),
 }
 _ONE = ("F_den", "M_den")  # 1 in a model that is not normalised
-_FUNCTIONS = {"abs": abs, "sin": math.sin, "cos": math.cos}
-_KNOWN = [*known_names({*INPUTS, "v_in"}), *SYNONYMS, *(f"w{i}_CMD" for i in range(1, 5)), "battery_voltage", *_ONE]
+_PUBLISHED_FUNCTIONS = {"abs": abs, "sin": math.sin, "cos": math.cos}
+_PUBLISHED_NAMES = [
+    *known_names({*INPUTS, "v_in"}),
+    *SYNONYMS,
+    *(f"w{i}_CMD" for i in range(1, 5)),
+    "battery_voltage",
+    *_ONE,
+]
 _WRITTEN_OUT = {"U_r": "w1^2 - w2^2 - w3^2 + w4^2", "u_r": "w1 - w2 - w3 + w4"}
-_LONGEST = 10_000  # characters of a regressor
+_LONGEST_REGRESSOR = 10_000  # characters of a regressor
 
 
 def read_published(path: str | Path, name: str | None = None, poles: int | None = None) -> Model:
@@ -58,7 +64,7 @@ def read_published(path: str | Path, name: str | None = None, poles: int | None 
     about = _section(document, "metadata", where)
     given = about.get("model ID")
     name = given if name is None else name
-    if not isinstance(name, str) or not NAME.fullmatch(name):
+    if not isinstance(name, str) or not VALID_NAME.fullmatch(name):
         raise ConfigError(f"{where}: {quoted(name)} is no model ID; give {NAME_RULE}")
     if about.get("isNormalized") is not False:
         raise ConfigError(f"{where}: only models that are not normalised can be read; choose another model")
@@ -139,7 +145,7 @@ class _Reader:
         }  # fmt: skip
 
     def _term(self, regressor: Any, coefficient: float, axis: str, where: str) -> dict[str, Any]:
-        if not isinstance(regressor, str) or len(regressor) > _LONGEST:
+        if not isinstance(regressor, str) or len(regressor) > _LONGEST_REGRESSOR:
             raise ConfigError(f"{where}: the regressor {_shown(regressor)} is no expression; give the model's own file")
         if regressor == "bias":
             tree: Tree = ("number", 1.0)
@@ -149,10 +155,10 @@ class _Reader:
             except ExpressionError as error:
                 raise ExpressionError(f"{where}: {' '.join(str(error).split())}") from None
         for name in names(tree):
-            if plain_name(name) not in _KNOWN and name not in _KNOWN:
+            if plain_name(name) not in _PUBLISHED_NAMES and name not in _PUBLISHED_NAMES:
                 raise ExpressionError(
-                    f"{where}, regressor {_shown(regressor)}: unknown variable '{name}'{nearest(name, _KNOWN)}; "
-                    "it has no counterpart here"
+                    f"{where}, regressor {_shown(regressor)}: unknown variable '{name}'"
+                    f"{nearest(name, _PUBLISHED_NAMES)}; it has no counterpart here"
                 )
         tree = self._replaced(tree, where)
         degree = _degree(tree)
@@ -199,7 +205,7 @@ class _Reader:
 def _of_one(name: str) -> float:
     """The number that F_den, |F_den|, sin[F_den] and so on stand for where the scale is 1."""
     function, inner = split_function(name)
-    return 1.0 if function is None else _FUNCTIONS[function](_of_one(inner))
+    return 1.0 if function is None else _PUBLISHED_FUNCTIONS[function](_of_one(inner))
 
 
 def _substitute(tree: Tree, replace: Any) -> Tree:

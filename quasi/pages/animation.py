@@ -295,7 +295,7 @@ class _Course:
         self.position = np.stack([np.interp(times, t, column) for column in motion.position[drawable].T], axis=1)
         rows = np.flatnonzero(drawable)
         self.opacity = motion.opacity(rows[np.clip(np.searchsorted(t, times), 0, len(rows) - 1)])
-        step = max(1, len(motion.t) // drawing.MAX_PATH_POINTS)
+        step = max(1, len(motion.t) // drawing.MAX_DRAWN_POINTS)
         self.path_t = motion.t[::step]
         self.path = np.where(drawable[:, None], motion.position, np.nan)[::step]
 

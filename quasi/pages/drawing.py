@@ -20,7 +20,7 @@ MIN_STILL_OPACITY = 0.2  # opacity of the oldest still
 ENLARGED_SPAN_SHARE = 0.13  # span of an enlarged drone over the largest extent of the figure
 # columns of a trajectory as a table: time, position, Euler angles, body velocity, rotor speeds
 TRAJECTORY_COLUMNS = ("t", "x", "y", "z", "roll", "pitch", "yaw", "u", "v", "w", "w1", "w2", "w3", "w4")
-MAX_PATH_POINTS = 4000  # per path; more are not visible
+MAX_DRAWN_POINTS = 4000  # per path; more are not visible
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ def find_extent(motions: Sequence[Motion]) -> tuple[np.ndarray, np.ndarray]:
 def thin_path(motion: Motion, until: float = math.inf) -> np.ndarray:
     """Thin the path (M, 3) up to a time to a visible density; NaN where it cannot be drawn."""
     path = np.where(motion.drawable[:, None], motion.position, np.nan)[motion.t <= until]
-    return path[:: max(1, len(path) // MAX_PATH_POINTS)]
+    return path[:: max(1, len(path) // MAX_DRAWN_POINTS)]
 
 
 def trajectories(

@@ -21,7 +21,7 @@ COMMAND_LOW, COMMAND_HIGH = 0.001, 0.999
 MAX_LISTED_GAPS = 8
 REASON_SEPARATOR = re.compile(r"; (?![^()]*\))")  # between reasons, not inside brackets
 FIRST_SCREEN_PANELS = 3  # panels of the first screen
-VELOCITY_COLUMNS = {"u", "v", "w", "u_air", "v_air", "w_air"}
+VELOCITY_KEYS = {"u", "v", "w", "u_air", "v_air", "w_air"}
 
 
 def describe_unmeasured(imported: Section, filtered: Section) -> dict[str, str]:
@@ -48,7 +48,7 @@ def compute_ranges(
 
     def add(name: str, unit: str, needs: Sequence[str], of: Any) -> None:
         if set(needs) <= set(one):
-            kind = "velocity" if set(needs) & VELOCITY_COLUMNS else "position" if "z" in needs else ""
+            kind = "velocity" if set(needs) & VELOCITY_KEYS else "position" if "z" in needs else ""
             if doubtful and kind in doubtful:
                 name = f"{name} ({doubtful[kind]})"
             found.append((name, unit, of(*(one[n].to_numpy(float) for n in needs))))

@@ -10,7 +10,7 @@ from quasi.pages import frame
 from quasi.pages.chart import Panel, Trace
 
 TRACE_COLOURS = ("#1d6fb8", "#d97706", "#1e7d46", "#8e44ad", "#b3261e", "#5b6770", "#0f8b8d", "#c2185b")
-MEASURED_COLOUR, SETPOINT_COLOUR = "#3b444b", "#f0a0a0"
+MEASURED_TRACE_COLOUR, SETPOINT_COLOUR = "#3b444b", "#f0a0a0"
 CAPTURE_STREAMS = ("capture", "position", "attitude", "velocity")  # streams of the pose
 MAX_SPANS = 200  # the longest; narrower ones are not visible
 MAX_PATH_POINTS = 1500  # of the drawn path
@@ -52,7 +52,7 @@ def make_panels(imported: pd.DataFrame, filtered: pd.DataFrame, measured: Sequen
             continue
         pair = "set-point" in dict(columns)
         colours = (
-            {"gyro": MEASURED_COLOUR, "set-point": SETPOINT_COLOUR}
+            {"gyro": MEASURED_TRACE_COLOUR, "set-point": SETPOINT_COLOUR}
             if pair
             else dict(zip([n for n, _ in found], TRACE_COLOURS))
         )

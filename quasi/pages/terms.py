@@ -9,17 +9,23 @@ from quasi.terms.singularities import FLOWN_SPEEDS
 from quasi.terms.variables import FORMULAS, derive_variable_unit, plain_name
 
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_AXES = {"p": "roll, left minus right", "q": "pitch, front minus rear", "r": "yaw, by direction of rotation"}
+_AXIS_MEANINGS = {"p": "roll, left minus right", "q": "pitch, front minus rear", "r": "yaw, by direction of rotation"}
 # name: (unit, meaning), of the manual's Table 2; columns of flights stand in quasi.tables
 VARIABLES: dict[str, tuple[str, str]] = {
     **{f"d_w{i}": ("rad/s", f"speed of rotor {i} minus the hover speed") for i in range(1, 5)},
     "w_tot": ("rad/s", "sum of the four rotor speeds"),
     "w_avg": ("rad/s", "root mean square of the four rotor speeds"),
     "d_w_tot": ("rad/s", "sum of the rotor speeds minus four times the hover speed"),
-    **{f"u_{a}": ("rad/s", f"rotor speeds weighted for {axis_text}") for a, axis_text in _AXES.items()},
-    **{f"U_{a}": ("rad²/s²", f"squared rotor speeds weighted for {axis_text}") for a, axis_text in _AXES.items()},
+    **{f"u_{a}": ("rad/s", f"rotor speeds weighted for {axis_text}") for a, axis_text in _AXIS_MEANINGS.items()},
+    **{
+        f"U_{a}": ("rad²/s²", f"squared rotor speeds weighted for {axis_text}")
+        for a, axis_text in _AXIS_MEANINGS.items()
+    },
     "w_tot_dot": ("rad/s²", "sum of the rotor accelerations"),
-    **{f"u_{a}_dot": ("rad/s²", f"rotor accelerations weighted for {axis_text}") for a, axis_text in _AXES.items()},
+    **{
+        f"u_{a}_dot": ("rad/s²", f"rotor accelerations weighted for {axis_text}")
+        for a, axis_text in _AXIS_MEANINGS.items()
+    },
     "u": ("m/s", "velocity through the air, forward"),
     "v": ("m/s", "velocity through the air, to the right"),
     "w": ("m/s", "velocity through the air, down"),

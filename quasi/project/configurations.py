@@ -7,7 +7,7 @@ from typing import Any
 
 from quasi.errors import ConfigError, nearest, quoted
 from quasi.project.folder import Places, is_file
-from quasi.project.logbook import NAME, NAME_RULE
+from quasi.project.logbook import NAME_RULE, VALID_NAME
 from quasi.project.misplaced_files import misplaced_files
 from quasi.tables import read_json, read_text
 from quasi.terms.variables import check_expression, check_system_inputs, check_terms
@@ -81,7 +81,7 @@ class Configurations:
         path = f"config/models/{name}.json"
         if name not in self.models:
             raise ConfigError(f"{path} does not exist{nearest(name, self.models)}{misplaced_files(self.places.root)}")
-        if not NAME.fullmatch(name):
+        if not VALID_NAME.fullmatch(name):
             raise ConfigError(f"{path}: a model ID may hold {NAME_RULE}; rename the file")
         config = self.places.read(path, "model")
         given = config.get("saving models", {}).get("model ID", name)
@@ -141,13 +141,13 @@ class Configurations:
         path = f"config/gaps/{name}.json"
         if name not in self.gaps:
             raise ConfigError(f"{path} does not exist{nearest(name, self.gaps)}")
-        if not NAME.fullmatch(name):
+        if not VALID_NAME.fullmatch(name):
             raise ConfigError(f"{path}: the name of a gap may hold {NAME_RULE}; rename the file")
         settings = self.places.read(path, "gap")
         if settings["extended model ID"] is None:
             settings["extended model ID"] = f"{settings['model']}-{name}"
         ident = settings["extended model ID"]
-        if not NAME.fullmatch(ident):
+        if not VALID_NAME.fullmatch(ident):
             raise ConfigError(f"{path}: 'extended model ID' is {quoted(ident)}; use {NAME_RULE}")
         if ident in self.models:
             raise ConfigError(

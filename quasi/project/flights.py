@@ -11,12 +11,12 @@ from quasi.project.configurations import Configurations
 from quasi.project.folder import Places, is_file, with_suffix
 from quasi.project.logbook import Row
 from quasi.project.logbooks import Logbooks
-from quasi.recognition import CONTROLLERS, HEAD, recognise
+from quasi.recognition import CONTROLLERS, HEAD_SIZE, recognise
 from quasi.tables import read_head
 
-CAPTURE = (".csv", ".CSV", ".tsv", ".TSV", ".c3d", ".csv.gz")
+CAPTURE_SUFFIXES = (".csv", ".CSV", ".tsv", ".TSV", ".c3d", ".csv.gz")
 
-WIND = (".lvm", ".LVM", ".txt", ".csv")
+WIND_SUFFIXES = (".lvm", ".LVM", ".txt", ".csv")
 
 # What of a quadrotor configuration each stage reads: a change elsewhere in the file reruns nothing.
 GEOMETRY = (
@@ -72,7 +72,7 @@ class Recordings:
                     "fill it in"
                 )
             else:
-                capture, missing = self._find(row, "Raw OT Path", "Raw OptiTrack Name", CAPTURE)
+                capture, missing = self._find(row, "Raw OT Path", "Raw OptiTrack Name", CAPTURE_SUFFIXES)
                 problem = problem or missing
         return {"onboard": onboard, "capture": capture, "problem": row.problem or problem}
 
@@ -104,7 +104,7 @@ class Recordings:
         except LogbookError as error:
             return None, str(error)
         if row.has("Has OJF data") and row.cells.get("OJF name"):
-            wind["file"], wind["file problem"] = self._find(row, "OJF path", "OJF name", WIND)
+            wind["file"], wind["file problem"] = self._find(row, "OJF path", "OJF name", WIND_SUFFIXES)
         elif static is None:
             return None, (
                 f"{row.logbook} row {row.number}: 'Has OJF data' is yes, but neither 'OJF name' nor "
@@ -153,7 +153,7 @@ class Recordings:
             files = sorted(p for p in folder.iterdir() if {p.name.lower(), p.stem.lower()} & stems and is_file(p))
         except OSError:
             return []
-        kinds = [recognise(read_head(p, HEAD)) for p in files]
+        kinds = [recognise(read_head(p, HEAD_SIZE)) for p in files]
         return [f"{p.name}{f' ({kind.name})' if kind else ''}" for p, kind in zip(files, kinds)]
 
     def _data_hint(self, path: Path) -> str:

@@ -15,7 +15,7 @@ from quasi.tables import read_json, read_text
 
 HELD, COMPARED, REFERENCE = "held out", "compared", "reference"
 
-FEWEST = 4  # training flights that stand for reference flights
+FEWEST_REFERENCES = 4  # training flights that stand for reference flights
 
 
 def describe_run_code(asked: Mapping[str, Any]) -> str | None:
@@ -122,7 +122,7 @@ class Gaps:
             return []  # who makes the model says what is wrong with it
         keys = {r.key for r in compared}
         unused = {r.key: r for r in trained if not r.problem and r.quadrotor in quadrotors and r.key not in keys}
-        rows, most = list(unused.values()), max(len(compared), FEWEST)
+        rows, most = list(unused.values()), max(len(compared), FEWEST_REFERENCES)
         if len(rows) <= most:
             return rows
         return [rows[round(k * (len(rows) - 1) / (most - 1))] for k in range(most)]

@@ -41,7 +41,7 @@ OPTIONAL = (
     "Log number",
     "Session",
 )
-NAME = re.compile(rf"[A-Za-z0-9_+-][A-Za-z0-9._+-]{{0,{MAX_NAME_CHARACTERS - 1}}}")
+VALID_NAME = re.compile(rf"[A-Za-z0-9_+-][A-Za-z0-9._+-]{{0,{MAX_NAME_CHARACTERS - 1}}}")
 _ROWS = re.compile(r"\s*([0-9]{1,9})\s*(?:-\s*([0-9]{1,9})\s*)?")  # digits enough for any logbook
 NAME_RULE = f"at most {MAX_NAME_CHARACTERS} letters, digits and . _ + -, not a dot first"
 
@@ -51,7 +51,9 @@ def _plain(column: str) -> str:
 
 
 # columns are known however their letters, spaces and signs are written, the mass also with its unit
-COLUMNS = {_plain(c): c for c in (*NEEDED, *OPTIONAL)} | dict.fromkeys(("massg", "massgram", "massgrams"), "Mass")
+LOGBOOK_COLUMNS = {_plain(c): c for c in (*NEEDED, *OPTIONAL)} | dict.fromkeys(
+    ("massg", "massgram", "massgrams"), "Mass"
+)
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,7 @@ def read_logbook(path: str | Path) -> dict[int, Row]:
             "comma-separated text from the spreadsheet"
         ) from None
     header = [c.strip() for c in lines[0]]
-    header = [COLUMNS.get(_plain(c), c) for c in header]
+    header = [LOGBOOK_COLUMNS.get(_plain(c), c) for c in header]
     for column in NEEDED:
         if column not in header:
             raise LogbookError(
@@ -188,13 +190,13 @@ def _row(path: str, number: int, cells: dict[str, str]) -> Row:
             key = f"{key}-{log_number}"
     quadrotor = cells["Quadrotor"]
     named = "Flight key" if cells.get("Flight key") else "Onboard Name"
-    if not NAME.fullmatch(key):
+    if not VALID_NAME.fullmatch(key):
         problem = (
             f"{path} row {number}: {named} {quoted(key)} cannot name a flight; use {NAME_RULE} "
             "(the optional column 'Flight key' gives a flight another name than its file)"
         )
         key = _possible(key, number)
-    if not NAME.fullmatch(quadrotor):
+    if not VALID_NAME.fullmatch(quadrotor):
         what = f"{quoted(quadrotor)} cannot name one" if quadrotor else "is empty"
         problem = f"{path} row {number}: 'Quadrotor' {what}; write a name of {NAME_RULE}"
         quadrotor = _possible(quadrotor, number)

@@ -12,7 +12,7 @@ from quasi.scoring.score import AxisComparison
 from quasi.tables import ANY_PREFIX, TELEMETRY_AGE_REMOVED
 
 MEASURED_COLOUR, MODEL_COLOUR, SHADE_COLOUR = "0.25", "tab:red", "tab:blue"
-ROLE_COLOURS = {"training": "0.35", "test": "tab:orange", "validation": "tab:blue"}
+ROLE_LINE_COLOURS = {"training": "0.35", "test": "tab:orange", "validation": "tab:blue"}
 BAND_COLOURS = ("#fde8e6", "#eef5ec", "#e6effa")
 MAX_FIGURE_POINTS = 60_000  # per figure; more are not visible
 
@@ -128,7 +128,7 @@ def draw_quartiles(found: AxisComparison, axis: str, facts: Mapping[str, Any]) -
     left.margins(x=0)
     edges = np.array(spread["edges"])
     for role, density in spread["density"].items():
-        right.stairs(density, edges, orientation="horizontal", color=ROLE_COLOURS[role], label=role, lw=1.2)
+        right.stairs(density, edges, orientation="horizontal", color=ROLE_LINE_COLOURS[role], label=role, lw=1.2)
     if len(edges):
         low, high = float(edges[0]), float(edges[-1])
         margin = 0.08 * (high - low)

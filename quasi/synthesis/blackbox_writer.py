@@ -43,9 +43,9 @@ def _fields() -> list[tuple[str, int, int, int, int, int]]:
     return rows
 
 
-FIELDS = _fields()
-NAMES = tuple(row[0] for row in FIELDS)
-_TABLE = np.array([row[1:] for row in FIELDS], dtype=np.int64)
+BLACKBOX_FIELDS = _fields()
+FIELD_NAMES = tuple(row[0] for row in BLACKBOX_FIELDS)
+_TABLE = np.array([row[1:] for row in BLACKBOX_FIELDS], dtype=np.int64)
 SLOW_NAMES = ("flightModeFlags", "stateFlags", "failsafePhase", "rxSignalReceived", "rxFlightChannelsValid")
 ARMED, ANGLE_MODE = 1, 2
 DISARM_SWITCH = 4
@@ -56,7 +56,7 @@ FIRMWARE = "4.5.1"
 
 def headers(settings: dict[str, str | None]) -> bytes:
     """The text before the frames; `settings` are added or replaced by name (`H name:value`), removed where None."""
-    column = {k: ",".join(str(row[k]) for row in FIELDS) for k in range(6)}
+    column = {k: ",".join(str(row[k]) for row in BLACKBOX_FIELDS) for k in range(6)}
     lines: dict[str, str | None] = {
         "Product": "Blackbox flight data recorder by Nicholas Sherlock",
         "Data version": "2",
@@ -351,8 +351,8 @@ def encode_log(
     blobs = np.frombuffer(b"".join(b for _, b in others) or b"\0", np.uint8)
     ends = np.cumsum([len(b) for _, b in others], dtype=np.int64)
     places = np.array([row for row, _ in others], np.int64)
-    out = np.empty(len(values) * (len(NAMES) * 5 + 8) + len(blobs) + 16, np.uint8)
+    out = np.empty(len(values) * (len(FIELD_NAMES) * 5 + 8) + len(blobs) + 16, np.uint8)
     data = np.ascontiguousarray(values, np.int64)
-    motor = NAMES.index("motor[0]")
+    motor = FIELD_NAMES.index("motor[0]")
     size, rows = _encode(data, _TABLE, whole_every, step, reference, 158, motor, places, blobs, ends, out)
     return head + out[:size].tobytes(), rows

@@ -16,21 +16,21 @@ import pandas as pd
 from quasi import attitude
 from quasi.errors import ConfigError, nearest
 from quasi.synthesis import vehicle as made
-from quasi.synthesis.conditions import KEYS as CONDITIONS
+from quasi.synthesis.conditions import CONDITION_KEYS as CONDITIONS
 from quasi.synthesis.conditions import apply_conditions, packet_faults, read_conditions
 from quasi.synthesis.controller import control_of
 from quasi.synthesis.effects import check, plant
-from quasi.synthesis.flight import AIR_RATE, LOG, LOOP, TRUTH, fly
+from quasi.synthesis.flight import AIR_RATE, LOGGED_SIGNALS, LOOP, TRUTH, fly
 from quasi.synthesis.motive_writer import motive_csv
 from quasi.synthesis.nuisance import Session, Setup, air, nominal, vary
-from quasi.synthesis.pilot import OFF_TIME, PROFILES, REST, pilot
+from quasi.synthesis.pilot import OFF_TIME, PROFILES, REST_BEFORE, pilot
 from quasi.synthesis.recorder import record
 from quasi.synthesis.sensors import Capture, capture
 from quasi.tables import write_bytes, write_table, write_text
 
-NAME = re.compile(r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*")
+VALID_NAME = re.compile(r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*")
 BODY = "MadeBeetle"
-DAY = "2026-03-14"
+FLIGHT_DATE = "2026-03-14"
 
 
 class Flight(NamedTuple):
@@ -68,8 +68,8 @@ class Made(NamedTuple):
 
 
 # key: (default, check, what is expected)
-KEYS: dict[str, tuple[Any, Any, str]] = {
-    "quadrotor": ("MadeBeetle", lambda v: isinstance(v, str) and NAME.fullmatch(v), "a name"),
+CAMPAIGN_KEYS: dict[str, tuple[Any, Any, str]] = {
+    "quadrotor": ("MadeBeetle", lambda v: isinstance(v, str) and VALID_NAME.fullmatch(v), "a name"),
     "seed": (1, lambda v: isinstance(v, int) and not isinstance(v, bool) and v >= 0, "a whole number from 0"),
     "flights": (None, lambda v: isinstance(v, list) and v, "a list of flights"),
     "duration": (90.0, lambda v: _number(v, 5.0, 1200.0), "seconds from 5 to 1200"),
@@ -87,8 +87,8 @@ def _number(value: Any, low: float, high: float) -> bool:
 
 
 def _valid(name: str, value: Any, where: str) -> Any:
-    if not KEYS[name][1](value):
-        raise ConfigError(f"{where}: '{name}' is {value!r}, expected {KEYS[name][2]}; correct it")
+    if not CAMPAIGN_KEYS[name][1](value):
+        raise ConfigError(f"{where}: '{name}' is {value!r}, expected {CAMPAIGN_KEYS[name][2]}; correct it")
     return value
 
 
@@ -104,9 +104,9 @@ def read_campaign(config: Mapping[str, Any], name: str = "campaign") -> Campaign
     """
     where = f"campaign '{name}'"
     for key in config:
-        if key not in (*KEYS, *CONDITIONS):
-            raise ConfigError(f"{where} has an unknown key '{key}'{nearest(key, (*KEYS, *CONDITIONS))}")
-    whole = {k: _valid(k, config.get(k, default), where) for k, (default, _, _) in KEYS.items()}
+        if key not in (*CAMPAIGN_KEYS, *CONDITIONS):
+            raise ConfigError(f"{where} has an unknown key '{key}'{nearest(key, (*CAMPAIGN_KEYS, *CONDITIONS))}")
+    whole = {k: _valid(k, config.get(k, default), where) for k, (default, _, _) in CAMPAIGN_KEYS.items()}
     flights, seen = [], set()
     for i, row in enumerate(whole["flights"]):
         here = f"{where}, flight {i + 1}"
@@ -116,7 +116,7 @@ def read_campaign(config: Mapping[str, Any], name: str = "campaign") -> Campaign
             if key not in FLIGHT_KEYS:
                 raise ConfigError(f"{here} has an unknown key '{key}'{nearest(key, FLIGHT_KEYS)}")
         flight_key, profile = row["key"], row.get("profile", "mixed")
-        if not isinstance(flight_key, str) or not NAME.fullmatch(flight_key):
+        if not isinstance(flight_key, str) or not VALID_NAME.fullmatch(flight_key):
             raise ConfigError(
                 f"{here}: 'key' is {flight_key!r}, expected letters, digits and . _ + -, not beginning with a dot"
             )
@@ -134,7 +134,7 @@ def read_campaign(config: Mapping[str, Any], name: str = "campaign") -> Campaign
         seed = row.get("seed", (whole["seed"] * 1_000_003 + zlib.crc32(flight_key.encode())) % 2**32)
         numbers = [float(_valid(k, row.get(k, whole[k]), here)) for k in ("duration", "nuisance", "noise")]
         session = row.get("session", "")
-        if not isinstance(session, str) or (session and not NAME.fullmatch(session)):
+        if not isinstance(session, str) or (session and not VALID_NAME.fullmatch(session)):
             raise ConfigError(f"{here}: 'session' is {session!r}, expected a name of letters and digits; correct it")
         flights.append(Flight(flight_key, profile, _valid("seed", seed, here), check(both, here), *numbers, session))
     conditions = read_conditions(config, where)
@@ -182,7 +182,7 @@ def _fly(campaign: Campaign, flight: Flight) -> _Flown:
         faults = packet_faults(reports, conditions["telemetry"], streams["telemetry"])
         telemetry = telemetry._replace(faults=faults)
     truth = np.empty((-(-steps // every), len(TRUTH)))
-    log = np.empty((len(truth), len(LOG)))
+    log = np.empty((len(truth), len(LOGGED_SIGNALS)))
     _, tilt = fly(
         steps,
         every,
@@ -220,7 +220,7 @@ def make_flight(campaign: Campaign, flight: Flight) -> Made:
     flown = _fly(campaign, flight)
     metadata = {**_metadata(campaign, flight, flown.setup, flown.drawn, flown.take), **flown.found}
     metadata["verdict"] = "flown" if flown.found["largest tilt"] < math.radians(85.0) else "tumbled"
-    started = f"{DAY} {9 + zlib.crc32(flight.key.encode()) % 3:02d}.21.33.412 AM"
+    started = f"{FLIGHT_DATE} {9 + zlib.crc32(flight.key.encode()) % 3:02d}.21.33.412 AM"
     text = motive_csv(flown.take, BODY, flight.key, started)
     return Made(flown.onboard, text, _truth(flown.truth, flown.setup), metadata)
 
@@ -304,7 +304,7 @@ def _metadata(
             "boot": setup.boot,
         },
         "gust": setup.gust,
-        "rest": {"rotors off until": OFF_TIME, "idle until": REST},
+        "rest": {"rotors off until": OFF_TIME, "idle until": REST_BEFORE},
         "frames": "earth NED, body FRD, SI; F = specific force x mass at the cg; t on the on-board clock",
     }
 
@@ -394,8 +394,14 @@ def _rest_noise(campaign: Campaign) -> dict[str, dict[str, str]]:
     angles = attitude.to_euler(take.quaternion[np.isfinite(take.error)])
     angles = angles[np.all(np.abs(angles - np.median(angles, axis=0)) < 0.02, axis=1)]  # without marker swaps
     columns = {
-        **{a: (degree * np.rint(log[idle, LOG.index(f"gyro{k}")] / degree), degree) for k, a in enumerate("pqr")},
-        **{f"a{a}": (count * np.rint(log[idle, LOG.index(f"acc{k}")] / count), count) for k, a in enumerate("xyz")},
+        **{
+            a: (degree * np.rint(log[idle, LOGGED_SIGNALS.index(f"gyro{k}")] / degree), degree)
+            for k, a in enumerate("pqr")
+        },
+        **{
+            f"a{a}": (count * np.rint(log[idle, LOGGED_SIGNALS.index(f"acc{k}")] / count), count)
+            for k, a in enumerate("xyz")
+        },
         **{a: (angles[:, k], 2e-4) for k, a in enumerate(("roll", "pitch", "yaw"))},
     }
     return {

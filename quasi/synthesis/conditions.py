@@ -13,7 +13,7 @@ import numpy as np
 from quasi.errors import ConfigError, nearest
 from quasi.synthesis.flight import LOOP
 from quasi.synthesis.nuisance import Setup
-from quasi.synthesis.sensors import BIQUAD, FILTER_KINDS, LOST, NO_FILTER, PT2, REPEATED
+from quasi.synthesis.sensors import BIQUAD, FILTER_KINDS, LOST, NO_FILTER, PT2, REPEATED_PACKET
 
 WHITE_RATE = 2000.0  # Hz, the sampling rate that white noise is stated for
 
@@ -33,7 +33,7 @@ PLAIN = {
     "gyro noise": Number(0.0, 5.0, "deg/s per sample at 2 kHz"),
 }
 # keys that hold several numbers by name
-GROUPS = {
+NUMBER_GROUPS = {
     "sensor delay": {"gyro": Number(0.0, 0.005, "s", 0.0), "accelerometer": Number(0.0, 0.005, "s", 0.0)},
     "telemetry": {"lost": Number(0.0, 0.5, "(share)", 0.0), "repeated": Number(0.0, 0.5, "(share)", 0.0)},
     "sessions": {"between": Number(0.0, 0.1, "(share)"), "within": Number(0.0, 0.1, "(share)")},
@@ -47,7 +47,7 @@ MODE = {
 }
 FILTER_KEYS = ("firmware", "gyro", "accelerometer")
 FIRMWARES = ("4.2.11", "4.3.2", "4.4.3", "4.5.1")
-KEYS = (*PLAIN, *GROUPS, "structural modes", "filters", "fixed heading")
+CONDITION_KEYS = (*PLAIN, *NUMBER_GROUPS, "structural modes", "filters", "fixed heading")
 
 
 def read_conditions(config: Mapping[str, Any], where: str) -> dict[str, Any]:
@@ -59,7 +59,7 @@ def read_conditions(config: Mapping[str, Any], where: str) -> dict[str, Any]:
     for key, limits in PLAIN.items():
         if key in config:
             found[key] = _number(config[key], limits, f"{where}: '{key}'")
-    for key, numbers in GROUPS.items():
+    for key, numbers in NUMBER_GROUPS.items():
         if key in config:
             found[key] = _numbers(config[key], numbers, f"{where}: '{key}'")
     if "structural modes" in config:
@@ -195,7 +195,7 @@ def packet_faults(packets: int, losses: Mapping[str, float], rng: np.random.Gene
     faults = np.zeros((packets, 4), np.int8)
     share = losses["lost"]
     for rotor in range(4):
-        faults[rng.random(packets) < losses["repeated"], rotor] = REPEATED
+        faults[rng.random(packets) < losses["repeated"], rotor] = REPEATED_PACKET
         if share > 0.0:
             # lengths of alternating spans, good and lost, both geometric
             good = BURST * (1.0 - share) / share

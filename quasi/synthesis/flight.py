@@ -7,11 +7,11 @@ from numba import njit
 
 from quasi.attitude import GRAVITY
 from quasi.synthesis.controller import Control, mix, outer_loop, rate_loop, steady_speed
-from quasi.synthesis.physics import CONTACT_STIFFNESS, STATES, advance, body_to_earth
-from quasi.synthesis.pilot import RATE
+from quasi.synthesis.physics import CONTACT_STIFFNESS, PLANT_STATES, advance, body_to_earth
+from quasi.synthesis.pilot import REFERENCE_RATE
 from quasi.synthesis.sensors import (
     LOST,
-    REPEATED,
+    REPEATED_PACKET,
     Inertial,
     Telemetry,
     delay_and_add_noise,
@@ -37,7 +37,7 @@ TRUTH = (
     *("gust_north", "gust_east", "gust_down", "command1", "command2", "command3", "command4"),
     *("battery_voltage", "battery_current"),
 )
-LOG = (
+LOGGED_SIGNALS = (
     *("gyro0", "gyro1", "gyro2", "raw0", "raw1", "raw2", "acc0", "acc1", "acc2"),
     *("motor0", "motor1", "motor2", "motor3", "erpm0", "erpm1", "erpm2", "erpm3"),
     *(
@@ -76,7 +76,7 @@ def fly(steps, every, table, air, noise, p: Physics, d: Drive, c: Control, s: In
     Returns the number of rows and the largest tilt, rad (more than a right angle means that the vehicle was lost).
     """
     dt = 1.0 / LOOP
-    x = np.zeros(STATES)
+    x = np.zeros(PLANT_STATES)
     x[2] = p.mass * GRAVITY / (4.0 * CONTACT_STIFFNESS) - p.leg[2]  # settled on its feet
     x[6] = 1.0
     x[21], x[22], x[23] = (
@@ -84,8 +84,14 @@ def fly(steps, every, table, air, noise, p: Physics, d: Drive, c: Control, s: In
         min(0.3, 0.8 * p.load_length),
         0.0,
     )  # the payload lies next to the vehicle, its line slack
-    k1, k2, k3, k4, y = (np.empty(STATES), np.empty(STATES), np.empty(STATES), np.empty(STATES), np.empty(STATES))
-    before, out, spare = np.empty(STATES), np.zeros(14), np.empty(14)
+    k1, k2, k3, k4, y = (
+        np.empty(PLANT_STATES),
+        np.empty(PLANT_STATES),
+        np.empty(PLANT_STATES),
+        np.empty(PLANT_STATES),
+        np.empty(PLANT_STATES),
+    )
+    before, out, spare = np.empty(PLANT_STATES), np.zeros(14), np.empty(14)
     rot, wind, wanted = np.empty((3, 3)), np.zeros(7), np.zeros(4)
     phases, raw, gyro, acc = np.zeros(4), np.zeros(6), np.zeros(3), np.zeros(3)
     readings, modes, memory = np.zeros((HISTORY, 6)), np.zeros((3, 2)), np.zeros((3, 3, 2))
@@ -123,7 +129,7 @@ def fly(steps, every, table, air, noise, p: Physics, d: Drive, c: Control, s: In
                 wanted[i] = speed * (voltage / d.reference_voltage) ** d.sag_exponent
             else:
                 wanted[i] = 0.0
-        for k in range(STATES):
+        for k in range(PLANT_STATES):
             before[k] = x[k]
         advance(t, x, wanted, wind, dt, p, k1, k2, k3, k4, y, out, spare)
 
@@ -164,7 +170,7 @@ def fly(steps, every, table, air, noise, p: Physics, d: Drive, c: Control, s: In
                 heard = speeds[(step - age) % HISTORY, i] if step >= age else 0.0
                 new = math.floor(heard * g.scale * g.to_log + 0.5)
                 fault = g.faults[number, i] if number < g.faults.shape[0] else 0
-                if fault == REPEATED:
+                if fault == REPEATED_PACKET:
                     erpm[i] = report[i]
                 elif fault != LOST:
                     erpm[i] = new
@@ -186,7 +192,7 @@ def fly(steps, every, table, air, noise, p: Physics, d: Drive, c: Control, s: In
                 norm += sensed[k] ** 2
             for k in range(4):
                 sensed[k] /= math.sqrt(norm)
-            spot = min(t * RATE, table.shape[0] - 1.001)
+            spot = min(t * REFERENCE_RATE, table.shape[0] - 1.001)
             j = int(spot)
             near = spot - j
             for k in range(15):

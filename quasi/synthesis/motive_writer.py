@@ -6,7 +6,7 @@ G's z is roll, about -x pitch, about -y yaw. Quaternions are written X Y Z W, le
 
 import numpy as np
 
-from quasi.synthesis.sensors import SEEN, Capture
+from quasi.synthesis.sensors import SEEN_MARKERS, Capture
 
 # rows: the axes of G in earth coordinates
 EARTH_TO_MOTIVE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -79,8 +79,8 @@ def motive_csv(take: Capture, body: str, name: str, started: str) -> str:
 def _turned(take: Capture) -> np.ndarray:
     """Markers about their centroid (N, K, 3), turned by the pose, in Motive's axes."""
     w, v = take.quaternion[:, :1], take.quaternion[:, 1:]
-    out = np.empty((len(w), len(SEEN), 3))
-    for k, marker in enumerate(SEEN):
+    out = np.empty((len(w), len(SEEN_MARKERS), 3))
+    for k, marker in enumerate(SEEN_MARKERS):
         t = 2.0 * np.cross(v, marker[None, :])
         out[:, k] = to_motive(marker[None, :] + w * t + np.cross(v, t))
     return out

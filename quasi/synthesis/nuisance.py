@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from quasi import attitude
 from quasi.synthesis.sensors import PT1, PT2, CaptureErrors, Inertial, Telemetry
-from quasi.synthesis.vehicle import HOVER_SPEED, MARKER_OFFSET, POLES, Vehicle, base_vehicle
+from quasi.synthesis.vehicle import BASE_HOVER_SPEED, MARKER_OFFSET, POLES, Vehicle, base_vehicle
 
 # standard deviations (or ranges) at scale 1
 SPREAD = {
@@ -64,7 +64,7 @@ def nominal(capture_rate: float, noise: float) -> Setup:
         acc_noise=180e-6 * attitude.GRAVITY * math.sqrt(2000.0) * noise,
         gyro_vibration=math.radians(1.5) * noise,
         acc_vibration=1.2 * noise,
-        hover_speed=HOVER_SPEED,
+        hover_speed=BASE_HOVER_SPEED,
         gyro_kind_1=PT1,
         gyro_cut_1=250.0,
         gyro_kind_2=PT1,

@@ -24,14 +24,14 @@ import numpy as np
 from numba import njit
 
 from quasi.attitude import GRAVITY
-from quasi.synthesis.vehicle import HOVER_SPEED, Physics
+from quasi.synthesis.vehicle import BASE_HOVER_SPEED, Physics
 
-STATES = 27
+PLANT_STATES = 27
 CONTACT_STIFFNESS = 2200.0  # N/m per foot
 CONTACT_DAMPING = 9.0  # N s/m per foot
 CONTACT_FRICTION = 6.0  # N s/m per foot
 LOAD_STIFFNESS = 900.0  # N/m, of the line
-LOAD_DAMPING = 1.0  # N s/m
+PENDULUM_DAMPING = 1.0  # N s/m
 BEAT = 0.4  # Hz, of the pull that comes and goes
 FAN = (1.2, -0.8)  # m north and east, place of the fan
 FAN_WIDTH = 1.0  # m
@@ -133,7 +133,7 @@ def derivative(t, x, wanted, air, p: Physics, dx, out):
         gain = 0.25 * p.density * p.lift_slope * p.solidity * area * tip
         thrust = gain * (2.0 / 3.0 * p.pitch * tip * (1.0 + 1.5 * advance * advance) - climb - induced)
         if p.thrust_exponent != 2.0:
-            thrust *= (max(speed, 1.0) / HOVER_SPEED) ** (p.thrust_exponent - 2.0)
+            thrust *= (max(speed, 1.0) / BASE_HOVER_SPEED) ** (p.thrust_exponent - 2.0)
         turning = min(speed / 300.0, 1.0)
         thrust += turning * (p.thrust_constant + p.thrust_per_speed * speed) - p.axial_gain * speed * climb
 
@@ -243,7 +243,7 @@ def derivative(t, x, wanted, air, p: Physics, dx, out):
         length = max(math.sqrt(lx * lx + ly * ly + lz * lz), 1e-6)
         lx, ly, lz = lx / length, ly / length, lz / length
         rate = (x[24] - x[3]) * lx + (x[25] - x[4]) * ly + (x[26] - x[5]) * lz
-        pull = LOAD_STIFFNESS * (length - p.load_length) + LOAD_DAMPING * rate
+        pull = LOAD_STIFFNESS * (length - p.load_length) + PENDULUM_DAMPING * rate
         if length < p.load_length:
             pull = 0.0
         pull = max(pull, 0.0)
@@ -287,16 +287,16 @@ def derivative(t, x, wanted, air, p: Physics, dx, out):
 def advance(t, x, wanted, air, dt, p: Physics, k1, k2, k3, k4, y, out, spare):
     """One classical Runge-Kutta step in place; k1 and out keep derivative and loads at the step's beginning."""
     derivative(t, x, wanted, air, p, k1, out)
-    for i in range(STATES):
+    for i in range(PLANT_STATES):
         y[i] = x[i] + 0.5 * dt * k1[i]
     derivative(t, y, wanted, air, p, k2, spare)
-    for i in range(STATES):
+    for i in range(PLANT_STATES):
         y[i] = x[i] + 0.5 * dt * k2[i]
     derivative(t, y, wanted, air, p, k3, spare)
-    for i in range(STATES):
+    for i in range(PLANT_STATES):
         y[i] = x[i] + dt * k3[i]
     derivative(t, y, wanted, air, p, k4, spare)
-    for i in range(STATES):
+    for i in range(PLANT_STATES):
         x[i] += dt / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
     norm = math.sqrt(x[6] ** 2 + x[7] ** 2 + x[8] ** 2 + x[9] ** 2)
     for i in range(6, 10):

@@ -10,10 +10,10 @@ import numpy as np
 
 from quasi.errors import ConfigError, nearest
 
-RATE = 200.0
-COLUMNS = 16
-OFF, IDLE, FLYING = 0.0, 1.0, 2.0
-REST = 6.0  # s on the ground before take-off
+REFERENCE_RATE = 200.0
+REFERENCE_COLUMNS = 16
+OFF, IDLE, IN_FLIGHT = 0.0, 1.0, 2.0
+REST_BEFORE = 6.0  # s on the ground before take-off
 OFF_TIME = 3.5  # s of it with the rotors off
 TAKE_OFF = 3.0
 LANDING = 6.0
@@ -31,7 +31,7 @@ def smooth(n: int) -> np.ndarray:
 
 
 def _samples(seconds: float) -> int:
-    return max(round(seconds * RATE), 2)
+    return max(round(seconds * REFERENCE_RATE), 2)
 
 
 def _move(here: np.ndarray, there: np.ndarray, speed: float, least: float = 0.5) -> np.ndarray:
@@ -178,20 +178,20 @@ def pilot(profile: str, duration: float, rng: np.random.Generator, is_heading_fi
     if profile not in PROFILES:
         raise ConfigError(f"profile '{profile}' of a made flight is unknown{nearest(profile, PROFILES)}")
     vigour, names = PROFILES[profile]
-    n = int(np.ceil(duration * RATE)) + 2
-    table = np.zeros((n, COLUMNS))
+    n = int(np.ceil(duration * REFERENCE_RATE)) + 2
+    table = np.zeros((n, REFERENCE_COLUMNS))
     table[:, 2] = GROUND
     table[_samples(OFF_TIME) :, 15] = IDLE
     if not names:
         return table
-    least = REST + TAKE_OFF + LANDING + 3.0
+    least = REST_BEFORE + TAKE_OFF + LANDING + 3.0
     if duration < least:
         raise ConfigError(f"'duration' of a made flight is {duration:g} s, expected at least {least:g} s; fly longer")
     start = np.array([0.0, 0.0, GROUND])
     here, yaw = np.array([0.0, 0.0, -1.5]), 0.0
     lift = start + smooth(_samples(TAKE_OFF))[:, None] * (here - start)
     pieces = [_still(lift, None, yaw)]
-    left = int(n - (REST + TAKE_OFF + LANDING) * RATE)
+    left = int(n - (REST_BEFORE + TAKE_OFF + LANDING) * REFERENCE_RATE)
     order: list[str] = []
     while left > 0:
         order = order or list(rng.permutation(names))
@@ -201,14 +201,14 @@ def pilot(profile: str, duration: float, rng: np.random.Generator, is_heading_fi
         here, yaw = piece[0][-1], float(piece[1][-1])
     position, angle, overlay = (np.concatenate([p[k] for p in pieces]) for k in range(3))
     # the last manoeuvre is cut short where the landing must begin, and the way home starts from there
-    stop = int(n - (REST + LANDING) * RATE)
+    stop = int(n - (REST_BEFORE + LANDING) * REFERENCE_RATE)
     position, angle, overlay = position[:stop], angle[:stop], overlay[:stop]
     if is_heading_fixed:
         angle, overlay = np.zeros_like(angle), overlay * [1.0, 1.0, 0.0, 1.0]
-    first = _samples(REST)
+    first = _samples(REST_BEFORE)
     used = slice(first, first + stop)
     table[used, :3], table[used, 9], table[used, 11:15] = position, angle, overlay
-    table[first:, 15] = FLYING
+    table[first:, 15] = IN_FLIGHT
     above = np.array([0.0, 0.0, -0.5])
     home = _samples(0.55 * LANDING)
     down = n - first - stop - home
@@ -220,9 +220,9 @@ def pilot(profile: str, duration: float, rng: np.random.Generator, is_heading_fi
     table[first + stop + home + touch :, 15] = IDLE
     table[first + stop :, 9] = angle[-1]
     table[:, :3] = _rounded(table[:, :3])
-    table[:, 3:6] = np.gradient(table[:, :3], 1.0 / RATE, axis=0)
-    table[:, 6:9] = np.gradient(table[:, 3:6], 1.0 / RATE, axis=0)
-    table[:, 10] = np.gradient(table[:, 9], 1.0 / RATE)
+    table[:, 3:6] = np.gradient(table[:, :3], 1.0 / REFERENCE_RATE, axis=0)
+    table[:, 6:9] = np.gradient(table[:, 3:6], 1.0 / REFERENCE_RATE, axis=0)
+    table[:, 10] = np.gradient(table[:, 9], 1.0 / REFERENCE_RATE)
     return table
 
 

@@ -8,9 +8,9 @@ from quasi import attitude
 from quasi.synthesis import blackbox_writer as blackbox
 from quasi.synthesis import vehicle as made
 from quasi.synthesis.controller import control_of
-from quasi.synthesis.flight import LOG, LOOP, MOTOR_HIGH, MOTOR_LOW
+from quasi.synthesis.flight import LOGGED_SIGNALS, LOOP, MOTOR_HIGH, MOTOR_LOW
 from quasi.synthesis.nuisance import Setup
-from quasi.synthesis.pilot import OFF_TIME, REST
+from quasi.synthesis.pilot import OFF_TIME, REST_BEFORE
 from quasi.synthesis.sensors import BIQUAD, NO_FILTER, PT1, PT2
 
 
@@ -21,9 +21,9 @@ def record(
 
     log (N, len(LOG)) from the flight loop at true times t (N,), s; craft  its name in the headers; log_rate Hz.
     """
-    column = {name: log[:, i] for i, name in enumerate(LOG)}
+    column = {name: log[:, i] for i, name in enumerate(LOGGED_SIGNALS)}
     n = len(log)
-    values = {name: np.zeros(n) for name in blackbox.NAMES}
+    values = {name: np.zeros(n) for name in blackbox.FIELD_NAMES}
     step = int(LOOP) // log_rate
     values["loopIteration"] = 1024 + step * np.arange(n)  # a multiple of the I interval, so that the log begins whole
     clock = (setup.boot + t * (1.0 + setup.clock_rate)) * 1e6
@@ -48,7 +48,7 @@ def record(
     values["rssi"] = np.full(n, 1023.0)
     for k in range(4):
         values[f"motor[{k}]"], values[f"eRPM[{k}]"] = column[f"motor{k}"], column[f"erpm{k}"]
-    whole = np.rint(np.column_stack([values[name] for name in blackbox.NAMES])).astype(np.int64)
+    whole = np.rint(np.column_stack([values[name] for name in blackbox.FIELD_NAMES])).astype(np.int64)
 
     def row_at(seconds: float) -> int:
         return min(int(np.searchsorted(t, seconds)), n)
@@ -65,7 +65,7 @@ def record(
     ]
     keep, lost = np.ones(n, bool), []
     for _ in range(setup.log_gaps):
-        start = float(rng.uniform(REST + 4.0, max(t[-1] - 2.0, REST + 4.5)))
+        start = float(rng.uniform(REST_BEFORE + 4.0, max(t[-1] - 2.0, REST_BEFORE + 4.5)))
         a, b = row_at(start), row_at(start + float(rng.uniform(0.05, 0.4)))
         keep[a:b] = False
         lost.append([float(t[a]), float(t[min(b, n - 1)])])
@@ -79,7 +79,7 @@ def record(
         "motor_poles": str(made.POLES),
         **filter_settings(setup),
     }
-    reference = int(whole[0, blackbox.NAMES.index("vbatLatest")])
+    reference = int(whole[0, blackbox.FIELD_NAMES.index("vbatLatest")])
     data, _ = blackbox.encode_log(whole[keep], others, settings, whole_every=interval, step=step, reference=reference)
     return data, lost
 

@@ -18,7 +18,7 @@ from quasi import attitude
 
 NO_FILTER, PT1, PT2, BIQUAD = 0, 1, 2, 3
 FILTER_KINDS = {"PT1": PT1, "PT2": PT2, "biquad": BIQUAD}
-LOST, REPEATED = 1, 2  # fates of a packet of rotor telemetry; 0 is none
+LOST, REPEATED_PACKET = 1, 2  # fates of a packet of rotor telemetry; 0 is none
 PT2_CORNER = 1.0 / math.sqrt(math.sqrt(2.0) - 1.0)  # corner of each of two PT1 for a pair 3 dB down
 
 
@@ -219,7 +219,7 @@ class CaptureErrors(NamedTuple):
 
 
 MARKERS = np.array([[0.055, 0.030, -0.004], [0.050, -0.045, 0.006], [-0.060, -0.020, -0.002], [-0.045, 0.035, 0.0]])
-SEEN = MARKERS - MARKERS.mean(axis=0)  # m, about their centroid, body axes
+SEEN_MARKERS = MARKERS - MARKERS.mean(axis=0)  # m, about their centroid, body axes
 
 
 def capture(
@@ -244,7 +244,7 @@ def capture(
     noise = errors.attitude_noise * rng.standard_normal((n, 3))
     seen = attitude.multiply(seen, attitude.exponential(noise))
     place = place + errors.position_noise * rng.standard_normal((n, 3))
-    markers = place[:, None, :] + np.stack([attitude.rotate(seen, m) for m in SEEN], axis=1)
+    markers = place[:, None, :] + np.stack([attitude.rotate(seen, m) for m in SEEN_MARKERS], axis=1)
     markers += 0.5 * errors.position_noise * rng.standard_normal(markers.shape)
     error = 1e-4 + 5e-5 * np.abs(rng.standard_normal(n)) * (errors.position_noise > 0)
     faults: dict[str, list[list[float]]] = {"drop-outs": [], "swaps": [], "sign flips": []}
@@ -268,7 +268,7 @@ def capture(
         place[i : i + width] = np.nan
         seen[i : i + width] = np.nan
         error[i : i + width] = np.nan
-        for k in rng.permutation(len(SEEN))[: rng.integers(2, len(SEEN) + 1)]:
+        for k in rng.permutation(len(SEEN_MARKERS))[: rng.integers(2, len(SEEN_MARKERS) + 1)]:
             markers[i : i + width, k] = np.nan
         faults["drop-outs"].append([float(clock[i]), float(clock[i + width])])
     return Capture(clock, frame, place, seen, markers, error, errors.rate, faults)

@@ -11,7 +11,7 @@ import numpy as np
 
 from quasi.attitude import AIR_DENSITY, GRAVITY
 
-HOVER_SPEED = 2100.0  # rad/s, 20,000 rpm: a 3-inch propeller that carries 1.06 N
+BASE_HOVER_SPEED = 2100.0  # rad/s, 20,000 rpm: a 3-inch propeller that carries 1.06 N
 POLES = 14
 REFERENCE_VOLTAGE = 15.2  # V, at which the command map holds
 
@@ -90,8 +90,8 @@ class Vehicle(NamedTuple):
     cg_offset: np.ndarray  # (3,) m, true minus configured cg
 
 
-MASS = 0.433
-INERTIA = np.diag([8.65e-4, 1.07e-3, 1.71e-3])
+BASE_MASS = 0.433
+BASE_INERTIA = np.diag([8.65e-4, 1.07e-3, 1.71e-3])
 RADIUS = 0.0381
 ARM = 0.077
 HUB_HEIGHT = 0.012  # m above the cg
@@ -125,9 +125,9 @@ def base_vehicle() -> Vehicle:
     spin = np.where(hubs[:, 0] * hubs[:, 1] * hubs[0, 0] * hubs[0, 1] > 0, 1.0, -1.0)
     solidity, lift_slope = 0.276, 5.0
     physics = Physics(
-        mass=MASS,
-        inertia=INERTIA.copy(),
-        inverse_inertia=np.linalg.inv(INERTIA),
+        mass=BASE_MASS,
+        inertia=BASE_INERTIA.copy(),
+        inverse_inertia=np.linalg.inv(BASE_INERTIA),
         hubs=hubs,
         thrust_axis=np.tile([0.0, 0.0, -1.0], (4, 1)),
         spin=spin,
@@ -135,7 +135,7 @@ def base_vehicle() -> Vehicle:
         density=AIR_DENSITY,
         solidity=solidity,
         lift_slope=lift_slope,
-        pitch=blade_pitch(MASS * GRAVITY / 4.0, HOVER_SPEED, RADIUS, AIR_DENSITY, solidity, lift_slope),
+        pitch=blade_pitch(BASE_MASS * GRAVITY / 4.0, BASE_HOVER_SPEED, RADIUS, AIR_DENSITY, solidity, lift_slope),
         profile_drag=0.05,
         induced_factor=1.15,
         inflow_lag=0.007,

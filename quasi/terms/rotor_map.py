@@ -25,10 +25,10 @@ from scipy.signal import lfilter
 
 from quasi.errors import DataError
 
-ROTORS = range(1, 5)
-SPEEDS = tuple(f"w{i}" for i in ROTORS)
-SHARES = tuple(f"command{i}" for i in ROTORS)
-COMMANDED = tuple(f"w{i}_CMD" for i in ROTORS)
+ROTOR_NUMBERS = range(1, 5)
+SPEEDS = tuple(f"w{i}" for i in ROTOR_NUMBERS)
+SHARES = tuple(f"command{i}" for i in ROTOR_NUMBERS)
+COMMANDED = tuple(f"w{i}_CMD" for i in ROTOR_NUMBERS)
 RAW = "_raw"  # ending of columns that the filter keeps without its low-pass, where rotor speeds are to be estimated
 TAU_RANGE = (0.002, 0.5)  # s, as in the identification of actuators
 DELAY_RANGE = (-0.025, 0.1)  # s, as in the identification of actuators; negative where commands are logged late

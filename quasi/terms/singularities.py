@@ -25,8 +25,8 @@ from quasi.terms.expressions import Tree, names
 MIN_DENOMINATOR_SPEED = (
     1.0  # rad/s, one turn in 6 s: lower limit of a speed in a denominator where no flown speed is known
 )
-SPEEDS = ("w_avg", "w_tot", "w1", "w2", "w3", "w4")
-FLOWN_SPEEDS = {f"{name}_flown": name for name in SPEEDS}
+SPEED_VARIABLES = ("w_avg", "w_tot", "w1", "w2", "w3", "w4")
+FLOWN_SPEEDS = {f"{name}_flown": name for name in SPEED_VARIABLES}
 ADVANCE_RATIOS = {"mu_x": "u", "mu_y": "v", "mu_z": "w", "mu_vin": "v_in"}  # over the tip speed w_avg R
 _SAME = {"wavg": "w_avg", "wtot": "w_tot"}
 _MAX_PRODUCTS = 64  # products that one regressor is multiplied out to; a larger sum keeps its form
@@ -34,7 +34,7 @@ _MAX_EXPANDED_POWER = 12  # power up to which a sum of unlike products is multip
 
 Exponents = tuple[tuple[str, float], ...]
 Parts = dict[Exponents, Tree]
-_ONE: Tree = ("number", 1.0)
+_UNIT_NUMBER: Tree = ("number", 1.0)
 
 
 def find_speed_limits(slowest: Iterable[float] | None) -> dict[str, float]:
@@ -63,7 +63,9 @@ def remove_singularities(tree: Tree, radius: float) -> Tree:
 def _may_be_singular(tree: Tree) -> bool:
     if any(name.strip("|") in ADVANCE_RATIOS for name in names(tree)):
         return True
-    return _divides(tree) and any(name in SPEEDS or name in _SAME or name.startswith("w2_") for name in names(tree))
+    return _divides(tree) and any(
+        name in SPEED_VARIABLES or name in _SAME or name.startswith("w2_") for name in names(tree)
+    )
 
 
 def _divides(tree: Tree) -> bool:
@@ -98,7 +100,7 @@ def _expand(tree: Tree, radius: float) -> Parts:
     if kind == "sum":
         return _add([(sign, _expand(part, radius)) for sign, part in tree[1]])
     if kind == "product":
-        result: Parts = {(): _ONE}
+        result: Parts = {(): _UNIT_NUMBER}
         for sign, part in tree[1]:
             factor = _expand(part, radius)
             result = _multiply(result, factor if sign > 0 else _raise(factor, -1.0))
@@ -111,10 +113,10 @@ def _expand(tree: Tree, radius: float) -> Parts:
 
 def _expand_name(name: str, radius: float) -> Parts:
     name = _SAME.get(name, name)
-    if name in SPEEDS:
-        return {((name, 1.0),): _ONE}
+    if name in SPEED_VARIABLES:
+        return {((name, 1.0),): _UNIT_NUMBER}
     if name.startswith("w2_"):
-        return {((f"w{name[3:]}", 2.0),): _ONE}
+        return {((f"w{name[3:]}", 2.0),): _UNIT_NUMBER}
     magnitude = len(name) > 2 and name[0] == name[-1] == "|"
     inner = name.strip("|") if magnitude else name
     if inner in ADVANCE_RATIOS:
@@ -155,26 +157,26 @@ def _multiply(a: Parts, b: Parts) -> Parts:
 def _product(a: Tree, b: Tree) -> Tree:
     factors = [*_factors(a), *_factors(b)]
     if not factors:
-        return _ONE
+        return _UNIT_NUMBER
     return factors[0][1] if len(factors) == 1 and factors[0][0] > 0 else ("product", tuple(factors))
 
 
 def _factors(tree: Tree) -> list[tuple[int, Tree]]:
-    if tree == _ONE:
+    if tree == _UNIT_NUMBER:
         return []
     return list(tree[1]) if tree[0] == "product" else [(1, tree)]
 
 
 def _raise(parts: Parts, exponent: float) -> Parts:
     if exponent == 0.0:
-        return {(): _ONE}
+        return {(): _UNIT_NUMBER}
     whole = exponent == int(exponent)
     if len(parts) == 1:
         ((key, tree),) = parts.items()
         # a root may only be taken of what is never negative: the root mean square, and even powers
         if whole or all(name == "w_avg" for name, _ in key):
             raised = tuple((name, e * exponent) for name, e in key)
-            return {raised: _ONE if tree == _ONE else _power(tree, exponent)}
+            return {raised: _UNIT_NUMBER if tree == _UNIT_NUMBER else _power(tree, exponent)}
     elif whole and 2 <= exponent <= _MAX_EXPANDED_POWER:
         result = parts
         for _ in range(int(exponent) - 1):
@@ -187,7 +189,7 @@ def _power(tree: Tree, exponent: float) -> Tree:
     if exponent == 1.0:
         return tree
     if exponent == -1.0:
-        return ("product", ((1, _ONE), (-1, tree)))
+        return ("product", ((1, _UNIT_NUMBER), (-1, tree)))
     return ("power", tree, ("number", exponent))
 
 
@@ -200,9 +202,9 @@ def _join(parts: Parts) -> Tree:
             size = abs(exponent)
             factors.append((1 if exponent > 0 else -1, speed if size == 1.0 else ("power", speed, ("number", size))))
         if not factors:
-            terms.append((1, _ONE))
+            terms.append((1, _UNIT_NUMBER))
         elif len(factors) == 1 and factors[0][0] > 0:
             terms.append((1, factors[0][1]))
         else:
-            terms.append((1, ("product", tuple([(1, _ONE), *factors] if factors[0][0] < 0 else factors))))
+            terms.append((1, ("product", tuple([(1, _UNIT_NUMBER), *factors] if factors[0][0] < 0 else factors))))
     return _sum(terms)

@@ -59,7 +59,7 @@ _SOURCE_COLUMNS: dict[str, tuple[str, ...]] = {
 }
 
 # base dimensions: length, mass, time, angle, voltage; powers
-_UNITS: dict[str, tuple[float, ...]] = {}
+_DIMENSIONS: dict[str, tuple[float, ...]] = {}
 for _unit, _members in {
     (0, 0, -1, 1, 0): (*_ROTORS, *(f"w{i}_CMD" for i in range(1, 5)), *(f"d_w{i}" for i in range(1, 5)),
                        "w_tot", "w_avg", "d_w_tot", *FLOWN_SPEEDS, "u_p", "u_q", "u_r", "p", "q", "r"),
@@ -72,7 +72,7 @@ for _unit, _members in {
     (0, 0, 0, 0, 1): ("battery_voltage",),
     (0, 0, 0, 0, 0): ("throttle", *(f"command{i}" for i in range(1, 5))),
 }.items():  # fmt: skip
-    _UNITS.update(dict.fromkeys(_members, _unit))
+    _DIMENSIONS.update(dict.fromkeys(_members, _unit))
 _SCALES = ("F_den", "M_den")  # of forces and moments, in the non-dimensional scheme alone
 _TARGETS = {
     **dict.fromkeys(("Fx", "Fy", "Fz"), (1, 1, -2, 0, 0)),
@@ -128,7 +128,7 @@ def check_expression(text: str, place: str, normalised: bool = False) -> None:
     normalised  whether the scales of the non-dimensional scheme, F_den and M_den, may stand in it
     Whether the flights at hand hold it shows only once they are read. Raises ExpressionError beginning with `place`.
     """
-    known = {*_SOURCE_COLUMNS, *_UNITS, *SYNONYMS, *COLUMNS, *(_SCALES if normalised else ())}
+    known = {*_SOURCE_COLUMNS, *_DIMENSIONS, *SYNONYMS, *COLUMNS, *(_SCALES if normalised else ())}
     try:
         found = names(parse(text))
     except ExpressionError as error:
@@ -259,7 +259,7 @@ class Variables:
         if name in ("roll", "pitch", "yaw"):
             angle = self.column(name, name)
             return angle - 2 * np.pi * np.round(angle / (2 * np.pi))
-        if name in _UNITS or name in self._columns:
+        if name in _DIMENSIONS or name in self._columns:
             return self.column(name, name)
         raise ExpressionError(f"unknown variable '{name}'{nearest(name, self.known())}")
 
@@ -334,7 +334,7 @@ def _unit_of_name(name: str) -> tuple | None:
         return _unit_of_name(match["abs"]) if match["abs"] else (0,) * 5
     if name in SYNONYMS:
         return _dimension(SYNONYMS[name], _unit_of_name)
-    return _UNITS.get(name)
+    return _DIMENSIONS.get(name)
 
 
 def _dimension(tree: Tree, lookup: Callable[[str], tuple | None]) -> tuple | None:

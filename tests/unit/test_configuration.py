@@ -115,14 +115,14 @@ def test_key_of_ones_own_in_a_quadrotor_is_allowed_but_a_slip_of_the_pen_is_refu
 
 
 def test_campaign_schema_holds_the_keys_that_the_synthesis_takes():
-    from quasi.synthesis.campaign import FLIGHT_KEYS, KEYS
-    from quasi.synthesis.conditions import KEYS as CONDITIONS
+    from quasi.synthesis.campaign import CAMPAIGN_KEYS, FLIGHT_KEYS
+    from quasi.synthesis.conditions import CONDITION_KEYS as CONDITIONS
 
     rules = configuration.schema("synthesis")["properties"]
-    assert set(rules) == {*KEYS, *CONDITIONS}
+    assert set(rules) == {*CAMPAIGN_KEYS, *CONDITIONS}
     assert set(rules["flights"]["items"]["properties"]) == set(FLIGHT_KEYS)
     assert {k: v["default"] for k, v in rules.items() if "default" in v} == {
-        k: v[0] for k, v in KEYS.items() if v[0] is not None
+        k: v[0] for k, v in CAMPAIGN_KEYS.items() if v[0] is not None
     } | {"fixed heading": False}
 
 

@@ -9,7 +9,7 @@ from recordings import SHARED
 from scipy.spatial.transform import Rotation
 
 from quasi.errors import ReadError, cautions
-from quasi.importing.readers.crazyflie import TIME, read_crazyflie
+from quasi.importing.readers.crazyflie import TIME_COLUMN, read_crazyflie
 from quasi.importing.readers.crazyflie_events import decode_events
 from quasi.recognition import recognise
 
@@ -81,7 +81,7 @@ def test_a_mapping_replaces_the_standard_names_and_reads_other_event_types(tmp_p
     records = [(1, 0.01 * i, [i, 2, 3]) for i in range(N)] + [(2, 0.02 * i, [3.5 + i]) for i in range(N // 2)]
     (tmp_path / "log").write_bytes(encode_log(types, sorted(records, key=lambda r: r[1])))
     mapping = {
-        "time": {"column": TIME},
+        "time": {"column": TIME_COLUMN},
         "sources": [
             {"name": "imu", "columns": {n: {"column": f"g.{a}", "unit": "deg/s"} for n, a in zip("pqr", "xyz")}},
             {"name": "power", "columns": {"battery_voltage": "power/bat"}},

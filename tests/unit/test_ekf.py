@@ -13,7 +13,7 @@ from quasi.filtering.smoother import smooth
 def inputs_of(motion, frame, **changes):
     n = len(frame)
     used = np.zeros((n, 3), np.int8)
-    used[:, ekf.ATTITUDE] = used[:, ekf.POSITION] = frame["attitude_sample"]
+    used[:, ekf.ATTITUDE_KIND] = used[:, ekf.POSITION_KIND] = frame["attitude_sample"]
     deviation = np.repeat([0.02, 0.1, 0.01, 0.1, 0.5, 0.01], 3)
     values = ekf.Inputs(
         dt=motion.t[1] - motion.t[0],
@@ -82,12 +82,12 @@ class Plain:
 
     def update(self, kind, k):
         i, H = self.i, np.zeros((3, 18))
-        if kind == ekf.ATTITUDE:
+        if kind == ekf.ATTITUDE_KIND:
             expected = attitude.multiply(self.q, attitude.exponential(self.x[12:15]))
             y = attitude.logarithm(attitude.multiply(attitude.conjugate(expected), i.attitude[k]))
             H[:, 0:3] = attitude.matrix(attitude.exponential(self.x[12:15])).T
             H[:, 15:18] = np.eye(3)
-        elif kind == ekf.POSITION:
+        elif kind == ekf.POSITION_KIND:
             y = i.position[k] - self.x[3:6]
             H[:, 6:9] = np.eye(3)
         elif i.body:
@@ -157,7 +157,7 @@ def flown():
 def test_filter_and_smoother_equal_plain_matrices(short, body):
     motion, frame = short
     used = inputs_of(motion, frame).used.copy()
-    used[::7, ekf.VELOCITY] = 1
+    used[::7, ekf.VELOCITY_KIND] = 1
     velocity = attitude.rotate_inverse(motion.q, motion.v) if body else motion.v
     velocity = velocity + np.random.default_rng(7).normal(0, 0.05, velocity.shape)
     inputs = inputs_of(motion, frame, used=used, velocity=velocity, body=body)
@@ -262,7 +262,7 @@ def test_covariance_is_positive_and_smoothing_never_enlarges_it(flown):
 
 def test_innovations_are_normal_and_white_when_the_levels_are_right(flown):
     forward = flown[2]
-    for kind in (ekf.ATTITUDE, ekf.POSITION):
+    for kind in (ekf.ATTITUDE_KIND, ekf.POSITION_KIND):
         white = forward.whitened[forward.outcome[:, kind] == 1, kind]
         assert np.mean(white**2) == pytest.approx(1.0, abs=0.06)
         assert abs(np.mean(white[1:] * white[:-1])) < 0.05
@@ -272,10 +272,10 @@ def test_outliers_are_rejected_and_counted(short):
     motion, frame = short
     clean = inputs_of(motion, frame, gate=25.0)
     spoiled = clean.position.copy()
-    hit = np.flatnonzero(clean.used[:, ekf.POSITION])[100:700:60]
+    hit = np.flatnonzero(clean.used[:, ekf.POSITION_KIND])[100:700:60]
     spoiled[hit] += 0.3
     run = ekf.forward(clean._replace(position=spoiled))
-    assert set(hit) <= set(np.flatnonzero(run.outcome[:, ekf.POSITION] == 2))
+    assert set(hit) <= set(np.flatnonzero(run.outcome[:, ekf.POSITION_KIND] == 2))
     before = ekf.forward(clean)
     assert np.abs(run.state[-1] - before.state[-1]).max() < 2e-3
 
@@ -286,7 +286,7 @@ def test_filter_gives_in_when_rejections_go_on(short):
     shifted = inputs.position.copy()
     shifted[1500:] += 0.5
     run = ekf.forward(inputs._replace(position=shifted))
-    assert (run.outcome[:, ekf.POSITION] == 3).any()
+    assert (run.outcome[:, ekf.POSITION_KIND] == 3).any()
     assert np.abs(run.state[-1, 3:6] - shifted[-1]).max() < 0.02
 
 

@@ -16,7 +16,7 @@ from programs import script
 
 from quasi.errors import ConfigError, DataError
 from quasi.export import agreement, contents
-from quasi.export.agreement import LIMIT, LIMIT_FLOAT32, compare, states_of, wrench_of
+from quasi.export.agreement import AGREEMENT_LIMIT, LIMIT_FLOAT32, compare, states_of, wrench_of
 from quasi.export.c_source import c_files
 from quasi.export.compiler import find_compiler, shared_library, write_files
 from quasi.export.contents import actuators_of, check_exportable, differential_inputs, name_in_source
@@ -46,7 +46,7 @@ def test_c_file_gives_the_model_s_numbers_in_both_precisions(exported):
     assert [c.what for c in checks][:2] == ["C, double: forces and moments", "C, double: differential form"]
     for check in checks:
         assert check.agrees, check
-        assert check.rows == 10_000 and check.limit == (LIMIT_FLOAT32 if "float" in check.what else LIMIT)
+        assert check.rows == 10_000 and check.limit == (LIMIT_FLOAT32 if "float" in check.what else AGREEMENT_LIMIT)
 
 
 def test_python_file_gives_the_model_s_numbers_without_quasi(exported):

@@ -20,9 +20,9 @@ def inputs():
     frame = measure(motion, rest=1.0)[0]
     made = inputs_of(motion, frame, gate=25.0, max_rejections=np.array([20, 20, 20]))
     used, position = made.used.copy(), made.position.copy()
-    used[::7, ekf.VELOCITY] = 1
+    used[::7, ekf.VELOCITY_KIND] = 1
     used[3600:4600] = 0
-    position[np.flatnonzero(used[:, ekf.POSITION])[100:700:60]] += 0.3
+    position[np.flatnonzero(used[:, ekf.POSITION_KIND])[100:700:60]] += 0.3
     position[5000:] += 0.5
     pitch = np.abs(attitude.to_euler(motion.q)[:, 1])
     assert np.degrees(pitch.max()) > 89.5

@@ -12,9 +12,9 @@ from quasi.attitude import from_euler, rotate
 from quasi.errors import ConfigError
 from quasi.simulation.tools import window
 from quasi.simulation.tools.manual_flight import (
-    ATTITUDE,
+    ATTITUDE_SETPOINT,
     MAX_SIMULATED_TIME,
-    VELOCITY,
+    VELOCITY_SETPOINT,
     Handling,
     Pace,
     Pilot,
@@ -33,7 +33,7 @@ def settle(pilot, held, seconds=2.0, dt=0.02):
 
 def test_no_key_asks_to_stand():
     goal = settle(Pilot(WEIGHT), "")
-    assert goal[0] == VELOCITY
+    assert goal[0] == VELOCITY_SETPOINT
     np.testing.assert_array_equal(goal[4:7], 0.0)
     assert goal[14] == 0.0
 
@@ -71,7 +71,7 @@ def test_an_attitude_reference_carries_the_weight_and_accelerates_the_way_of_the
     pilot.switch()
     for key, axis, sign in (("w", 0, 1), ("s", 0, -1), ("d", 1, 1), ("a", 1, -1)):
         goal = settle(pilot, {key})
-        assert goal[0] == ATTITUDE
+        assert goal[0] == ATTITUDE_SETPOINT
         force = rotate(from_euler(*goal[7:10]), np.array([0.0, 0.0, -goal[13]])) + [0, 0, WEIGHT]
         assert force[axis] == pytest.approx(sign * WEIGHT * math.tan(hand.tilt))
         assert force[2] == pytest.approx(0.0, abs=1e-12)

@@ -19,7 +19,7 @@ from quasi.export.agreement import states_of, wrench_of
 from quasi.export.compiler import find_compiler, shared_library, write_files
 from quasi.export.fmu_archive import compile_fmu, platform_folder, write_fmu
 from quasi.export.fmu_running import CO_SIMULATION, MODEL_EXCHANGE, Instance, check_forces, check_vehicle, slopes
-from quasi.export.fmu_source import ROWS, STATE_NAMES, forces_fmu, vehicle_fmu
+from quasi.export.fmu_source import DELAYED_COMMANDS, STATE_NAMES, forces_fmu, vehicle_fmu
 from quasi.model.model import AXES, Model
 from quasi.simulation.loop.python_loop import QuadrotorSimulator
 from quasi.simulation.loop.setup import make_setup
@@ -356,7 +356,7 @@ def test_commands_that_cannot_be_remembered_end_a_flight(vehicle):
             for k in range(5000):
                 instance._call("fmi2SetTime", ctypes.c_double(k * 1e-6))
                 instance._call("fmi2CompletedIntegratorStep", 1, *flags)
-        assert k == ROWS - 1
+        assert k == DELAYED_COMMANDS - 1
 
 
 def test_vehicle_needs_what_a_vehicle_knows():

@@ -19,7 +19,7 @@ from quasi.model.model import AXES
 from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
 from quasi.synthesis.effects import check, plant
 from quasi.synthesis.nuisance import nominal
-from quasi.synthesis.physics import STATES, derivative, induced_velocity
+from quasi.synthesis.physics import PLANT_STATES, derivative, induced_velocity
 from quasi.synthesis.vehicle import hover_factors
 
 ROWS = 400
@@ -59,9 +59,9 @@ def physics(columns, setup):
     quaternion = attitude.from_euler(columns["roll"], columns["pitch"], columns["yaw"])
     velocity = attitude.rotate(quaternion, np.stack([columns[a] for a in "uvw"], axis=1))
     wrench, turning = np.empty((ROWS, 6)), np.empty((ROWS, 3))
-    dx, out = np.empty(STATES), np.empty(14)
+    dx, out = np.empty(PLANT_STATES), np.empty(14)
     for k in range(ROWS):
-        x = np.zeros(STATES)
+        x = np.zeros(PLANT_STATES)
         x[:3] = [columns[a][k] for a in "xyz"]
         x[3:6], x[6:10] = velocity[k], quaternion[k]
         x[10:13] = [columns[a][k] for a in "pqr"]

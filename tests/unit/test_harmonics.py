@@ -11,7 +11,7 @@ from quasi.airframe import read_airframe
 from quasi.errors import ConfigError
 from quasi.filtering import band as bands
 from quasi.filtering import forces, harmonics
-from quasi.filtering.flight import DEFAULTS, filter_flight
+from quasi.filtering.flight import KALMAN_DEFAULTS, filter_flight
 
 RATE = 500.0
 T = np.arange(10000) / RATE
@@ -255,8 +255,8 @@ def test_defaults_are_those_of_the_schema():
     from quasi.tables import read_json
 
     keys = read_json("config/schemas/processing.schema.json")["properties"]["data filtering"]["properties"]
-    assert {k: keys[k]["default"] for k in DEFAULTS} == DEFAULTS
-    assert bands.check(DEFAULTS) is None
+    assert {k: keys[k]["default"] for k in KALMAN_DEFAULTS} == KALMAN_DEFAULTS
+    assert bands.check(KALMAN_DEFAULTS) is None
 
 
 @pytest.mark.parametrize("every", [5, 10])

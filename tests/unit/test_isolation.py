@@ -10,7 +10,7 @@ from programs import script
 from quasi.airframe import to_plain
 from quasi.errors import DataError
 from quasi.identification.isolation import excited, peaked, varied, widened
-from quasi.identification.partition import EXCITED, TRAINING, UNITS, UNUSED, from_table, partition, to_table
+from quasi.identification.partition import EXCITED, PARTITION_UNITS, TRAINING, UNUSED, from_table, partition, to_table
 from quasi.tables import read_json, write_json, write_table
 
 
@@ -146,7 +146,7 @@ def test_the_covered_region_is_that_of_the_rows_that_were_fitted(tmp_path):
     for axis, found in parts.items():
         write_json(tmp_path / f"{axis}.json", found)
 
-    units = UNITS | dict.fromkeys([f"{EXCITED}{axis}" for axis in regions], ("", "", "inside"))
+    units = PARTITION_UNITS | dict.fromkeys([f"{EXCITED}{axis}" for axis in regions], ("", "", "inside"))
 
     def covered(excitation):
         write_table(files["partition.parquet"], to_table(roles, excitation), units)

@@ -16,7 +16,7 @@ from simulations import setup_of
 from quasi.errors import ConfigError
 from quasi.export.mcap.plotjuggler import layout_text
 from quasi.export.mcap.recording import write_recording
-from quasi.export.mcap.vehicles import BEFORE, Event, phases_of, reference_of, vehicle_of, with_residuals
+from quasi.export.mcap.vehicles import PATH_BEFORE, Event, phases_of, reference_of, vehicle_of, with_residuals
 from quasi.gap.levels.rollouts.continuous import chase, chased_table
 from quasi.gap.levels.rollouts.open_loop import flight_of
 from quasi.simulation.loop.run import simulate
@@ -136,7 +136,7 @@ def test_a_gap_is_three_vehicles_with_residuals(tmp_path):
     model = plain_plant.made_model()
     table = flown_of_model(model)
     flown = flight_of("made", table)
-    vehicle = vehicle_of("before", chased_table(flown, chase(model, flown, 0.5)), BEFORE)
+    vehicle = vehicle_of("before", chased_table(flown, chase(model, flown, 0.5)), PATH_BEFORE)
     vehicle = with_residuals(vehicle, model, table, model.airframe.mass)
     vehicles = [vehicle_of("measured", table), vehicle, vehicle._replace(name="after")]
     write_recording(tmp_path / "g.mcap", vehicles)

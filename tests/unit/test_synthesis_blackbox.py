@@ -29,8 +29,8 @@ def test_the_plain_decoder_and_the_writer_agree_with_a_printed_quadruple():
 def sample(n: int, seed: int, wild: bool) -> np.ndarray:
     rng = np.random.default_rng(seed)
     size = {"axis": 300, "rcCommand": 500, "setpoint": 700, "gyro": 2000, "acc": 30000}
-    values = np.zeros((n, len(writer.NAMES)), np.int64)
-    for k, name in enumerate(writer.NAMES):
+    values = np.zeros((n, len(writer.FIELD_NAMES)), np.int64)
+    for k, name in enumerate(writer.FIELD_NAMES):
         top = next((v for word, v in size.items() if name.startswith(word)), 100)
         steps = rng.normal(0, top if wild else top / 50, n)
         values[:, k] = np.clip(steps if wild else np.cumsum(steps), -32000, 32000)
@@ -53,7 +53,7 @@ def test_every_value_written_is_read_back_by_the_plain_decoder(wild):
     data, rows = writer.encode_log(values, others)
     assert rows == 300
     names, frames = Plain(data).frames()
-    assert tuple(names) == writer.NAMES
+    assert tuple(names) == writer.FIELD_NAMES
     np.testing.assert_array_equal([row for kind, row in frames if kind in "IP"], values)
     assert [f for f in frames if f[0] not in "IP"] == [
         ("S", [2, 0, 0, 1, 1]),
@@ -80,7 +80,7 @@ def test_whole_frames_come_every_interval_and_after_lost_rows_only_from_the_next
 
 def test_headers_describe_every_field_and_name_what_a_reader_needs():
     plain = Plain(writer.headers({"motor_poles": "12", "Craft name": "X"}))
-    count = len(writer.NAMES)
+    count = len(writer.FIELD_NAMES)
     for name in ("I signed", "I predictor", "I encoding", "P predictor", "P encoding"):
         assert len(plain.numbers(f"Field {name}")) == count
     assert plain.header["motor_poles"] == "12" and plain.header["Craft name"] == "X"

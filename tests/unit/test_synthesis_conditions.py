@@ -17,8 +17,8 @@ from quasi.project import configuration
 from quasi.synthesis import conditions, nuisance, physics, sensors
 from quasi.synthesis.campaign import logbook, make_flight, read_campaign
 from quasi.synthesis.pilot import pilot
-from quasi.synthesis.sensors import BIQUAD, LOST, PT1, PT2, REPEATED
-from quasi.synthesis.vehicle import HOVER_SPEED
+from quasi.synthesis.sensors import BIQUAD, LOST, PT1, PT2, REPEATED_PACKET
+from quasi.synthesis.vehicle import BASE_HOVER_SPEED
 
 QUIET = {"duration": 24, "nuisance": 0.0, "noise": 0.0, "log rate": 4000, "seed": 3}
 STEP = 1.0 / 4000.0
@@ -132,7 +132,7 @@ def test_filters_are_flown_as_they_are_declared():
 def test_packets_are_lost_in_bursts_and_repeated_alone_at_their_shares():
     faults = conditions.packet_faults(200_000, {"lost": 0.08, "repeated": 0.05}, np.random.default_rng(1))
     assert np.mean(faults == LOST) == pytest.approx(0.08, abs=0.005)
-    assert np.mean(faults == REPEATED) == pytest.approx(0.05 * 0.92, abs=0.005)
+    assert np.mean(faults == REPEATED_PACKET) == pytest.approx(0.05 * 0.92, abs=0.005)
     lost = (faults[:, 0] == LOST).astype(int)
     bursts = np.count_nonzero(np.diff(lost) == 1)
     assert lost.sum() / bursts == pytest.approx(conditions.BURST, rel=0.15)
@@ -191,19 +191,19 @@ def test_the_nose_keeps_its_heading_where_the_heading_is_fixed():
 
 def loads(airframe, speed, velocity=(4.0, 0.0, 0.0)):
     setup = conditions.apply_conditions(nuisance.nominal(120.0, 0.0), {"airframe": airframe})
-    x = np.zeros(physics.STATES)
-    x[2], x[3:6], x[6], x[13:17], x[17:21] = -2.0, velocity, 1.0, speed, 9.5 * speed / HOVER_SPEED
-    dx, out = np.empty(physics.STATES), np.empty(14)
+    x = np.zeros(physics.PLANT_STATES)
+    x[2], x[3:6], x[6], x[13:17], x[17:21] = -2.0, velocity, 1.0, speed, 9.5 * speed / BASE_HOVER_SPEED
+    dx, out = np.empty(physics.PLANT_STATES), np.empty(14)
     physics.derivative(0.0, x, x[13:17].copy(), np.zeros(7), setup.vehicle.physics, dx, out)
     return out.copy()
 
 
 def test_thrust_follows_its_exponent_and_flapping_its_scale():
     usual, other = ({"thrust exponent": n, "flapping": 1.0} for n in (2.0, 1.9))
-    np.testing.assert_allclose(loads(other, HOVER_SPEED)[6:10], loads(usual, HOVER_SPEED)[6:10])
-    ratio = loads(other, 1.2 * HOVER_SPEED, (0, 0, 0))[6:10] / loads(other, HOVER_SPEED, (0, 0, 0))[6:10]
+    np.testing.assert_allclose(loads(other, BASE_HOVER_SPEED)[6:10], loads(usual, BASE_HOVER_SPEED)[6:10])
+    ratio = loads(other, 1.2 * BASE_HOVER_SPEED, (0, 0, 0))[6:10] / loads(other, BASE_HOVER_SPEED, (0, 0, 0))[6:10]
     np.testing.assert_allclose(ratio, 1.2**1.9, rtol=1e-6)
-    x_force, pitching = ([loads({"thrust exponent": 2.0, "flapping": f}, HOVER_SPEED)[k] for f in (0.0, 1.0, 2.0)]
+    x_force, pitching = ([loads({"thrust exponent": 2.0, "flapping": f}, BASE_HOVER_SPEED)[k] for f in (0.0, 1.0, 2.0)]
                          for k in (0, 4))  # fmt: skip
     assert x_force[2] - x_force[1] == pytest.approx(x_force[1] - x_force[0], rel=1e-6)
     assert x_force[1] < x_force[0] and pitching[1] > pitching[0]  # against the motion, nose up
@@ -245,7 +245,7 @@ def test_drawn_worlds_are_valid_campaigns_and_cover_their_ranges():
     worlds = [conditions.draw_world(seed) for seed in range(80)]
     for world in worlds:
         config = {"flights": [{"key": "a", "session": "s"}], **world}
-        assert set(read_campaign(config).conditions) == set(conditions.KEYS)
+        assert set(read_campaign(config).conditions) == set(conditions.CONDITION_KEYS)
         jsonschema.validate(config, rules)
     noise = [w["accelerometer noise"] for w in worlds]
     assert min(noise) < 0.07 and max(noise) > 0.7

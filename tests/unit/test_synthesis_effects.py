@@ -11,7 +11,7 @@ from quasi.errors import ConfigError
 from quasi.synthesis import nuisance, physics, sensors
 from quasi.synthesis.campaign import make_flight, read_campaign
 from quasi.synthesis.effects import OFFERED, check, plant
-from quasi.synthesis.vehicle import ARM, HOVER_SPEED, MASS, RADIUS
+from quasi.synthesis.vehicle import ARM, BASE_HOVER_SPEED, BASE_MASS, RADIUS
 
 NOMINAL = nuisance.nominal(120.0, 0.0)
 V = np.array([4.0, -3.0, 1.5])  # m/s, body = earth
@@ -22,10 +22,10 @@ def planted(**effects):
     return plant(NOMINAL, check(effects, "test"))
 
 
-def loads(setup, velocity=V, rates=RATES, z=-2.0, t=0.0, speeds=HOVER_SPEED, place=(0.0, 0.0)):
-    x = np.zeros(physics.STATES)
+def loads(setup, velocity=V, rates=RATES, z=-2.0, t=0.0, speeds=BASE_HOVER_SPEED, place=(0.0, 0.0)):
+    x = np.zeros(physics.PLANT_STATES)
     x[:2], x[2], x[3:6], x[6], x[10:13], x[13:17], x[17:21] = place, z, velocity, 1.0, rates, speeds, 9.5
-    dx, out = np.empty(physics.STATES), np.empty(14)
+    dx, out = np.empty(physics.PLANT_STATES), np.empty(14)
     physics.derivative(t, x, x[13:17].copy(), np.zeros(7), setup.vehicle.physics, dx, out)
     return out[:3].copy(), out[3:6].copy(), dx
 
@@ -35,7 +35,7 @@ def change(velocity=V, rates=RATES, **effects):
     return with_it[0] - base[0], with_it[1] - base[1]
 
 
-TOTAL = 4 * HOVER_SPEED
+TOTAL = 4 * BASE_HOVER_SPEED
 NONE = np.zeros(3)
 
 
@@ -151,10 +151,10 @@ def test_inertial_errors_have_their_stated_signs():
 
 def test_a_hover_needs_the_weight_of_what_hangs_below():
     setup = planted(payload_swing={"mass": 0.02, "length": 0.5})
-    x = np.zeros(physics.STATES)
-    x[2], x[6], x[13:17], x[17:21] = -2.0, 1.0, HOVER_SPEED, 9.5
+    x = np.zeros(physics.PLANT_STATES)
+    x[2], x[6], x[13:17], x[17:21] = -2.0, 1.0, BASE_HOVER_SPEED, 9.5
     x[23] = -2.0 + 0.5 + 0.02 * GRAVITY / physics.LOAD_STIFFNESS
-    dx, out = np.empty(physics.STATES), np.empty(14)
+    dx, out = np.empty(physics.PLANT_STATES), np.empty(14)
     physics.derivative(0.0, x, x[13:17].copy(), np.zeros(7), setup.vehicle.physics, dx, out)
     np.testing.assert_allclose(dx[24:27], 0, atol=1e-9)
     assert out[2] - loads(NOMINAL, NONE, NONE)[0][2] == pytest.approx(0.02 * GRAVITY)
@@ -207,8 +207,8 @@ def test_an_inertia_that_no_body_can_have_is_refused():
 
 
 def test_the_base_vehicle_is_of_the_stated_class():
-    assert NOMINAL.vehicle.physics.mass == MASS == 0.433
-    assert 1900 <= HOVER_SPEED <= 2300
+    assert NOMINAL.vehicle.physics.mass == BASE_MASS == 0.433
+    assert 1900 <= BASE_HOVER_SPEED <= 2300
 
 
 def test_what_is_in_no_catalogue_acts_as_it_is_described():
@@ -233,9 +233,9 @@ def test_what_is_in_no_catalogue_acts_as_it_is_described():
     loose = planted(unlisted_shift={"size": 4e-3})
     early, late = (loads(loose, t=physics.SHIFT + s, **still)[1][0] - base_moment[0] for s in (-0.1, 0.1))
     assert (early, late) == (pytest.approx(0.0, abs=1e-12), pytest.approx(4e-3))
-    x = np.zeros(physics.STATES)
-    x[2], x[6], x[9], x[13:17], x[17:21] = -2.0, math.cos(math.pi / 8), math.sin(math.pi / 8), HOVER_SPEED, 9.5
-    dx, out = np.empty(physics.STATES), np.empty(14)
+    x = np.zeros(physics.PLANT_STATES)
+    x[2], x[6], x[9], x[13:17], x[17:21] = -2.0, math.cos(math.pi / 8), math.sin(math.pi / 8), BASE_HOVER_SPEED, 9.5
+    dx, out = np.empty(physics.PLANT_STATES), np.empty(14)
     turned = planted(unlisted_heading={"size": 0.1}).vehicle.physics  # nose to the north-east
     physics.derivative(0.0, x, x[13:17].copy(), np.zeros(7), turned, dx, out)
     assert -out[2] == pytest.approx(1.1 * thrust)

@@ -9,24 +9,24 @@ from scipy.optimize import brentq
 from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.synthesis import physics
-from quasi.synthesis.vehicle import ARM, HOVER_SPEED, MASS, base_vehicle, hover_factors
+from quasi.synthesis.vehicle import ARM, BASE_HOVER_SPEED, BASE_MASS, base_vehicle, hover_factors
 
 BASE = base_vehicle().physics
 HIGH = -2.0  # m, far from the floor
 
 
-def state(velocity=(0, 0, 0), quaternion=(1, 0, 0, 0), rates=(0, 0, 0), speeds=HOVER_SPEED, induced=None, z=HIGH):
-    x = np.zeros(physics.STATES)
+def state(velocity=(0, 0, 0), quaternion=(1, 0, 0, 0), rates=(0, 0, 0), speeds=BASE_HOVER_SPEED, induced=None, z=HIGH):
+    x = np.zeros(physics.PLANT_STATES)
     x[2] = z
     x[3:6], x[6:10], x[10:13], x[13:17] = velocity, quaternion, rates, speeds
-    hover = math.sqrt(MASS * GRAVITY / (8 * BASE.density * math.pi * BASE.radius**2))
+    hover = math.sqrt(BASE_MASS * GRAVITY / (8 * BASE.density * math.pi * BASE.radius**2))
     x[17:21] = hover if induced is None else induced
     return x
 
 
 def loads(x, p=BASE, wanted=None, air=None, t=0.0):
     """(dx, force, moment, thrusts, torques) of the compiled kernel."""
-    dx, out = np.empty(physics.STATES), np.empty(14)
+    dx, out = np.empty(physics.PLANT_STATES), np.empty(14)
     wanted = x[13:17].copy() if wanted is None else np.asarray(wanted, float)
     physics.derivative(t, x, wanted, np.zeros(7) if air is None else air, p, dx, out)
     return dx, out[:3].copy(), out[3:6].copy(), out[6:10].copy(), out[10:14].copy()
@@ -105,12 +105,12 @@ def plain(t, x, wanted, air, p):
         line = x[21:24] - position
         length = np.linalg.norm(line)
         stretch = (x[24:27] - velocity) @ line / length
-        pull = physics.LOAD_STIFFNESS * (length - p.load_length) + physics.LOAD_DAMPING * stretch
+        pull = physics.LOAD_STIFFNESS * (length - p.load_length) + physics.PENDULUM_DAMPING * stretch
         pull = max(pull, 0.0) if length >= p.load_length else 0.0
         earth = earth + pull * line / length
         load = -pull * line / length / p.load_mass + [0, 0, GRAVITY]
     force += attitude.rotate_inverse(q, earth)
-    dx = np.zeros(physics.STATES)
+    dx = np.zeros(physics.PLANT_STATES)
     dx[:3] = velocity
     dx[3:6] = attitude.rotate(q, force) / p.mass + [0, 0, GRAVITY]
     dx[6:10] = 0.5 * attitude.multiply(q, np.concatenate([[0.0], omega]))
@@ -165,7 +165,7 @@ def test_the_compiled_derivative_equals_a_plain_version_with_every_part_switched
 def test_in_hover_four_rotors_carry_the_weight_and_nothing_turns():
     x = settled(state())
     dx, force, moment, thrusts, _ = loads(x)
-    np.testing.assert_allclose(force, [0, 0, -MASS * GRAVITY], atol=1e-6)
+    np.testing.assert_allclose(force, [0, 0, -BASE_MASS * GRAVITY], atol=1e-6)
     np.testing.assert_allclose(moment, 0, atol=1e-9)
     np.testing.assert_allclose(dx[:17], 0, atol=1e-5)
     # momentum theory's induced velocity of hover, sqrt(T / 2 rho A)
@@ -175,7 +175,7 @@ def test_in_hover_four_rotors_carry_the_weight_and_nothing_turns():
 
 @pytest.mark.parametrize("speed", [900.0, 1500.0, 2100.0, 3300.0])
 def test_hovering_thrust_and_torque_follow_the_square_of_speed_with_the_stated_factors(speed):
-    x = settled(state(speeds=speed, induced=9.0 * speed / HOVER_SPEED))
+    x = settled(state(speeds=speed, induced=9.0 * speed / BASE_HOVER_SPEED))
     _, _, _, thrusts, torques = loads(x)
     factors = hover_factors(BASE)
     np.testing.assert_allclose(thrusts, factors["thrust"] * speed**2, rtol=1e-5)
@@ -199,7 +199,7 @@ def test_yaw_reaction_is_opposite_to_the_spin_in_torque_and_in_acceleration():
         faster = state()
         faster[13 + i] += 50.0
         assert np.sign(loads(faster)[2][2]) == -BASE.spin[i]
-        wanted = np.full(4, HOVER_SPEED)
+        wanted = np.full(4, BASE_HOVER_SPEED)
         wanted[i] += 100.0
         moment = loads(state(), wanted=wanted)[2] - loads(state())[2]
         np.testing.assert_allclose(moment[2], -BASE.spin[i] * BASE.rotor_inertia * 100.0 / BASE.lag_up, rtol=1e-9)
@@ -218,7 +218,7 @@ def test_forward_flight_pitches_up_and_flight_to_the_right_lowers_the_left_side(
     bare = BASE._replace(interference=0.0, body_drag=np.zeros(3), body_lift=0.0, h_force=0.0, disc_tilt=0.0)
     still = loads(state(), bare)[2]
     forward, right = loads(state((5, 0, 0)), bare)[2] - still, loads(state((0, 5, 0)), bare)[2] - still
-    total = bare.flapping_moment * 5.0 * 4 * HOVER_SPEED
+    total = bare.flapping_moment * 5.0 * 4 * BASE_HOVER_SPEED
     np.testing.assert_allclose(forward[:2], [0, total], atol=1e-9)
     np.testing.assert_allclose(right[:2], [-total, 0], atol=1e-9)
     hubs_above = BASE._replace(flapping_moment=0.0, interference=0.0, drag_centre=np.zeros(3))
@@ -227,7 +227,7 @@ def test_forward_flight_pitches_up_and_flight_to_the_right_lowers_the_left_side(
 
 def test_hub_damping_and_gyroscopic_moment_have_their_textbook_signs():
     one = BASE._replace(spin=np.ones(4), flapping_damping=0.0)
-    spun = 4 * BASE.gyroscopic_inertia * HOVER_SPEED
+    spun = 4 * BASE.gyroscopic_inertia * BASE_HOVER_SPEED
     rest = loads(state(), one)[2]
     still_air = one._replace(h_force=0.0, disc_tilt=0.0, lift_slope=1e-9, flapping_moment=0.0, body_drag=np.zeros(3))
     still_air = still_air._replace(body_lift=0.0, induced_factor=0.0)
@@ -239,7 +239,7 @@ def test_hub_damping_and_gyroscopic_moment_have_their_textbook_signs():
 
 
 def test_descent_into_the_own_wake_loses_thrust_and_buffets_it():
-    hover = math.sqrt(MASS * GRAVITY / (8 * BASE.density * math.pi * BASE.radius**2))
+    hover = math.sqrt(BASE_MASS * GRAVITY / (8 * BASE.density * math.pi * BASE.radius**2))
     for ratio in (0.3, 1.0, 1.7):
         x = state((0, 0, ratio * hover))
         with_ring, without = loads(x)[3], loads(x, BASE._replace(vortex_depth=0.0))[3]
@@ -277,7 +277,7 @@ def test_a_tumbling_body_keeps_its_angular_momentum_and_a_fall_its_acceleration(
     x = state(rates=(3.0, -2.0, 4.0), speeds=0.0, induced=0.0)
     p = BASE._replace(body_drag=np.zeros(3), body_lift=0.0)
     before = attitude.rotate(x[6:10], p.inertia @ x[10:13])
-    work = [np.empty(physics.STATES) for _ in range(5)]
+    work = [np.empty(physics.PLANT_STATES) for _ in range(5)]
     for step in range(2000):
         physics.advance(step / 4000, x, np.zeros(4), np.zeros(7), 1 / 4000, p, *work, np.empty(14), np.empty(14))
     np.testing.assert_allclose(attitude.rotate(x[6:10], p.inertia @ x[10:13]), before, rtol=1e-6)
@@ -286,11 +286,11 @@ def test_a_tumbling_body_keeps_its_angular_momentum_and_a_fall_its_acceleration(
 
 def test_the_vehicle_rests_on_its_feet():
     x = state(speeds=0.0, induced=0.0, z=-0.03)
-    work = [np.empty(physics.STATES) for _ in range(5)]
+    work = [np.empty(physics.PLANT_STATES) for _ in range(5)]
     for step in range(6000):
         physics.advance(step / 4000, x, np.zeros(4), np.zeros(7), 1 / 4000, BASE, *work, np.empty(14), np.empty(14))
     dx, force, moment, _, _ = loads(x)
-    np.testing.assert_allclose(force, [0, 0, -MASS * GRAVITY], atol=1e-4)
+    np.testing.assert_allclose(force, [0, 0, -BASE_MASS * GRAVITY], atol=1e-4)
     assert abs(x[2] + 0.03) < 1e-3 and np.abs(x[3:6]).max() < 1e-4 and np.abs(moment).max() < 1e-6
 
 

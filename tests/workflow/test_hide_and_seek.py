@@ -20,7 +20,7 @@ from probability import Stated, bin_table, brier, fit, left_out, stated
 from quasi.gap.catalogue import catalogue
 from quasi.gap.statistics.mixed import Candidate, Columns
 from quasi.synthesis.effects import check
-from quasi.synthesis.vehicle import MASS
+from quasi.synthesis.vehicle import BASE_MASS
 
 
 @pytest.mark.workflow
@@ -53,11 +53,11 @@ def said(truth, names=(), ties=(), design="reference", kind="single", everywhere
 
 
 def heavier(value, std):
-    return [("mass", {"mass": {"value": MASS + value, "std": std}})]
+    return [("mass", {"mass": {"value": BASE_MASS + value, "std": std}})]
 
 
 def test_a_swapped_truth_turns_a_hit_into_a_wrong_name():
-    right = judge(said({"mass": {"mass": MASS + 0.04}}, heavier(0.043, 0.002)))
+    right = judge(said({"mass": {"mass": BASE_MASS + 0.04}}, heavier(0.043, 0.002)))
     assert right["outcome"] == "hit" and right["first"]
     assert right["errors"]["mass"]["relative"] == pytest.approx(0.003 / 0.04)
     assert right["errors"]["mass"]["in std"] == pytest.approx(1.5)
@@ -106,7 +106,7 @@ def test_draws_come_from_their_seed_alone_and_spread_over_everything():
 def test_shares_have_wilsons_interval_and_the_page_every_draw():
     assert wilson(9, 10) == (pytest.approx(0.596, abs=1e-3), pytest.approx(0.982, abs=1e-3))
     size = {"detectability": 20.0, "separability": 15.0, "nearest": "tether"}
-    hit = said({"mass": {"mass": MASS + 0.04}}, heavier(0.04, 0.002))
+    hit = said({"mass": {"mass": BASE_MASS + 0.04}}, heavier(0.04, 0.002))
     miss = said({"wind": {"north": 1.0, "east": 0.0}}, [("tether", {})])
     results = []
     for seed, result in enumerate((hit, miss)):

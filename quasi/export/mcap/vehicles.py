@@ -13,14 +13,14 @@ from quasi.model.model import Model
 from quasi.tables import COLUMNS
 
 MOST_RATE = 100.0  # Hz of messages per topic; viewers draw no more
-MEASURED, BEFORE, AFTER = (0.1, 0.4, 0.9), (0.9, 0.4, 0.1), (0.1, 0.7, 0.2)  # red, green, blue
-GROUPS = {
+MEASURED, PATH_BEFORE, PATH_AFTER = (0.1, 0.4, 0.9), (0.9, 0.4, 0.1), (0.1, 0.7, 0.2)  # red, green, blue
+SIGNAL_GROUPS = {
     "state": ("roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z"),
     "rotors": ("w1", "w2", "w3", "w4", "w1_CMD", "w2_CMD", "w3_CMD", "w4_CMD"),
     "loads": ("Fx", "Fy", "Fz", "Mx", "My", "Mz"),
     "sensors": ("ax", "ay", "az", "battery_voltage"),
 }
-ATTITUDE, PLACE = ("roll", "pitch", "yaw"), ("x", "y", "z")
+EULER_ANGLES, PLACE = ("roll", "pitch", "yaw"), ("x", "y", "z")
 
 
 class Vehicle(NamedTuple):
@@ -52,9 +52,9 @@ def vehicle_of(name: str, table: pd.DataFrame, color: tuple[float, float, float]
     thin = slice(None, None, step_of(table["t"].to_numpy(float)))
     part = table.iloc[thin].reset_index(drop=True)
     t = part["t"].to_numpy(float)
-    angles = part[list(ATTITUDE)].to_numpy(float)
+    angles = part[list(EULER_ANGLES)].to_numpy(float)
     place = part[list(PLACE)].to_numpy(float) if all(n in part for n in PLACE) else np.zeros((len(part), 3))
-    groups = {topic: [n for n in names if n in part] for topic, names in GROUPS.items()}
+    groups = {topic: [n for n in names if n in part] for topic, names in SIGNAL_GROUPS.items()}
     signals = {topic: part[names] for topic, names in groups.items() if names}
     units = {n: COLUMNS[n][0] for s in signals.values() for n in s if n in COLUMNS}
     return Vehicle(name, t - t[0], swap_vector(place), _upright(from_euler(*angles.T)), signals, units, color)
@@ -65,12 +65,12 @@ def step_of(t: np.ndarray) -> int:
     return max(round(1.0 / (float(np.median(np.diff(t))) * MOST_RATE)), 1) if len(t) > 1 else 1
 
 
-def reference_of(table: pd.DataFrame, color: tuple[float, float, float] = BEFORE) -> Vehicle | None:
+def reference_of(table: pd.DataFrame, color: tuple[float, float, float] = PATH_BEFORE) -> Vehicle | None:
     """The reference of a simulation as a vehicle that is upright where no attitude is asked; None without a place."""
     if not all(f"{n}_ref" in table for n in PLACE):
         return None
     wanted = pd.DataFrame({"t": table["t"], **{n: table[f"{n}_ref"] for n in PLACE}})
-    for n in ATTITUDE:
+    for n in EULER_ANGLES:
         wanted[n] = table[f"{n}_ref"].fillna(0.0) if f"{n}_ref" in table else 0.0
     return vehicle_of("reference", wanted, color) if np.isfinite(wanted["x"]).any() else None
 

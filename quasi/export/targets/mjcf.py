@@ -26,7 +26,7 @@ CARRIES = frozenset({
     "mass", "inertia", "products of inertia", "thrust coefficient", "torque coefficient", "speed limits",
     "horizontal drag", "vertical drag", "rate damping",
 })  # fmt: skip
-STEP = 0.002  # s, as the exported FMUs take it
+MJCF_STEP = 0.002  # s, as the exported FMUs take it
 
 
 def write(physical: Physical) -> dict[str, str]:
@@ -53,7 +53,7 @@ def write(physical: Physical) -> dict[str, str]:
     lines = [
         '<?xml version="1.0"?>', *comment(head), f'<mujoco model="{physical.name}">',
         '  <compiler inertiafromgeom="false" autolimits="true"/>',
-        f'  <option timestep="{number(STEP)}" integrator="RK4" gravity="0 0 {number(-GRAVITY)}"/>',
+        f'  <option timestep="{number(MJCF_STEP)}" integrator="RK4" gravity="0 0 {number(-GRAVITY)}"/>',
         "  <worldbody>", '    <body name="quadrotor" pos="0 0 1">', '      <freejoint name="root"/>',
         f'      <inertial pos="0 0 0" mass="{number(physical.mass)}" fullinertia="{entries}"/>',
         f'      <geom name="base" type="box" size="{size}" mass="0"/>',

@@ -22,7 +22,7 @@ NEEDS = "PX4 1.14 or later, or QGroundControl"
 CARRIES = frozenset({"thrust coefficient", "torque coefficient", "speed limits"})
 CARRIES_SIMULATED = CARRIES | {"mass", "inertia", "products of inertia"}
 # places of motors 1 to 4 in PX4's quadrotor x, which SIH assumes: (front, right) and clockwise from above
-ORDER = ((1, 1, False), (-1, -1, False), (1, -1, True), (-1, 1, True))
+MOTOR_ORDER = ((1, 1, False), (-1, -1, False), (1, -1, True), (-1, 1, True))
 INTEGERS = ("CA_AIRFRAME", "CA_ROTOR_COUNT", "SIM_GZ_EC_MIN", "SIM_GZ_EC_MAX")
 MIXER_POINTS = 101  # of the output range, at which THR_MDL_FAC is fitted
 
@@ -116,7 +116,7 @@ def is_px4_order(physical: Physical) -> bool:
     """Whether rotors 1 to 4 are numbered and turn as PX4's quadrotor x has them."""
     return all(
         hub[0] * front > 0.0 and hub[1] * right > 0.0 and (spin > 0.0) == clockwise
-        for hub, spin, (front, right, clockwise) in zip(physical.hubs, physical.spin, ORDER)
+        for hub, spin, (front, right, clockwise) in zip(physical.hubs, physical.spin, MOTOR_ORDER)
     )
 
 

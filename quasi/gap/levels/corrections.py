@@ -12,7 +12,7 @@ import numpy as np
 
 from quasi.gap.catalogue import catalogue
 from quasi.gap.flights.level import Level
-from quasi.importing.calibration import KNOWN, SCHEMA, check, is_identity
+from quasi.importing.calibration import CALIBRATED_CONSTANTS, SCHEMA, check, is_identity
 
 # cause: (part, quantity, its parameters in order)
 CORRECTS: dict[str, tuple[str, str, tuple[str, ...]]] = {
@@ -81,7 +81,7 @@ def _parts(causes: Sequence[tuple[str, Mapping[str, Any]]]) -> dict[str, dict[st
     parts: dict[str, dict[str, Any]] = {}
     for cause, parameters in causes:
         part, quantity, names = CORRECTS[cause]
-        size, neutral = KNOWN[part][quantity]
+        size, neutral = CALIBRATED_CONSTANTS[part][quantity]
         value = np.array([parameters[n]["value"] if n in parameters else neutral for n in names])
         before = np.atleast_1d(parts.setdefault(part, {}).get(quantity, np.full(size, neutral)))
         total = before * value if neutral == 1.0 else before + value

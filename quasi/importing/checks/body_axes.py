@@ -23,9 +23,9 @@ FRD, FLU = "x forward, y right, z down", "x forward, y left, z up"
 CHOICES = {"from the log": None, "FRD": FRD, "FLU": FLU}
 HALF_TURN = np.array([1.0, -1.0, -1.0])  # about x: between both kinds
 TURNED = ("q", "r", "ay", "az", "setpoint_q", "setpoint_r")  # quantities that the half turn reverses
-RATES, FORCE, ATTITUDE = ("p", "q", "r"), ("ax", "ay", "az"), ("qw", "qx", "qy", "qz")
+RATES, FORCE, QUATERNION = ("p", "q", "r"), ("ax", "ay", "az"), ("qw", "qx", "qy", "qz")
 LEAST_UP = 0.5  # of the force's size, that has to point up or down to decide; at rest and in mean flight it is about 1
-LEAST_EXPLAINED = 0.3  # share of the gyro's variance that the attitude explains in the right axes, and the margin
+LEAST_AXES_EXPLAINED = 0.3  # share of the gyro's variance that the attitude explains in the right axes, and the margin
 
 
 def settle_body_axes(recording: Recording, quadrotor: Mapping[str, Any], where: str) -> Recording:
@@ -88,7 +88,7 @@ def _votes(series: Series, where: str) -> dict[str, bool | str | None]:
     votes: dict[str, bool | str | None] = {}
     rates, force, attitude = (
         np.stack([series.values[n] for n in names], axis=1) if all(n in series.values for n in names) else None
-        for names in (RATES, FORCE, ATTITUDE)
+        for names in (RATES, FORCE, QUATERNION)
     )
     if force is not None:
         votes["the specific force"] = _by_force(series.t, rates, force, attitude)
@@ -132,8 +132,8 @@ def _by_gyro(t: np.ndarray, rates: np.ndarray, attitude: np.ndarray, where: str)
     shares = [rates_explained(t[fine], kind * rates[fine], t, attitude) for kind in (np.ones(3), HALF_TURN)]
     if None in shares:
         return None
-    if max(shares) >= LEAST_EXPLAINED:
-        return shares[1] > shares[0] if abs(shares[1] - shares[0]) > LEAST_EXPLAINED else None
+    if max(shares) >= LEAST_AXES_EXPLAINED:
+        return shares[1] > shares[0] if abs(shares[1] - shares[0]) > LEAST_AXES_EXPLAINED else None
     try:
         # a wrong unit hides the axes, and is reported where units are checked
         scaled = [refuse_wrong_rates(t[fine], k * rates[fine], t, attitude, "", where) for k in (np.ones(3), HALF_TURN)]

@@ -6,7 +6,7 @@ import numpy as np
 
 from quasi.importing.checks.spans import InvalidSpan, constant_runs
 
-SENSORS = {"gyro": ("p", "q", "r"), "accelerometer": ("ax", "ay", "az")}
+SENSOR_CHANNELS = {"gyro": ("p", "q", "r"), "accelerometer": ("ax", "ay", "az")}
 # s: a gyro that logs whole deg/s repeats a value for 0.16 s at most in flight of the recordings that the tests read
 SHORTEST_FREEZE = 1.0
 
@@ -21,7 +21,7 @@ def frozen_sensor_spans(
     spans: list[InvalidSpan] = []
     if flying is None:
         return spans
-    for sensor, names in SENSORS.items():
+    for sensor, names in SENSOR_CHANNELS.items():
         for name in (n for n in names if n in values):
             for a, b in constant_runs(t, np.where(flying, values[name], np.nan)):
                 if t[b - 1] - t[a] >= SHORTEST_FREEZE:

@@ -10,12 +10,12 @@ from quasi.importing.checks.spans import InvalidSpan, constant_runs, runs_of
 from quasi.importing.contradictions import FASTEST_ROTOR
 
 LARGEST_STEP = 0.3  # of a rotor's largest speed, from the median of seven samples; as `artefacts.spikes` needs it
-FLYING = 0.35  # of the 90 % quantile of the rotors' median speed, above which a quadrotor flies; as `rotor_age`
+FLYING_SHARE = 0.35  # of the 90 % quantile of the rotors' median speed, above which a quadrotor flies; as `rotor_age`
 STANDING = 0.02  # of the same, below which a rotor stands still; idle speeds of electric rotors lie above 0.05
 SHORTEST_STOP = 0.1  # s; rotors start and stop staggered by less, and telemetry drops out for less
 # s: equal speeds last 0.19 s at most in healthy flight of the recordings that the tests read (eRPM of a Betaflight log;
 # 0.016 s INDIflight, 0.073 s nano-drone)
-SHORTEST_FREEZE = 0.5
+SHORTEST_ROTOR_FREEZE = 0.5
 MANY_HOLDS = 20  # times a rotor's usual time between changes; a log of held set-points is not frozen
 MOST_IMPOSSIBLE = 0.2  # share of impossible samples from which none of the rotor's samples is believed
 
@@ -126,7 +126,7 @@ def unreliable_spans(t: np.ndarray, values: Mapping[str, np.ndarray]) -> list[In
         usual = float(np.sum(np.diff(t)[flying[1:]])) / changing if changing else np.inf
         for a, b in constant_runs(t, np.where(flying & ~standing, speeds, np.nan)):
             varies = any(changes[other][b - 1] > changes[other][a] for other in names if other != name)
-            long = t[b - 1] - t[a] >= SHORTEST_FREEZE
+            long = t[b - 1] - t[a] >= SHORTEST_ROTOR_FREEZE
             if long and (varies or t[b - 1] - t[a] >= MANY_HOLDS * usual):
                 spans.append(
                     InvalidSpan(float(t[a]), float(t[b - 1]), f"rotor {name[1:]} ({name}) is constant in flight")
@@ -142,4 +142,4 @@ def _flight_level(speeds: np.ndarray) -> float:
 
 def _flying(speeds: np.ndarray) -> np.ndarray:
     """True (n,) where the median of rotors (rotors, n) is that of a flight."""
-    return np.median(np.nan_to_num(speeds), axis=0) > FLYING * _flight_level(speeds)
+    return np.median(np.nan_to_num(speeds), axis=0) > FLYING_SHARE * _flight_level(speeds)

@@ -23,7 +23,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
-BLOCK = 1.0  # s, longer than what correlates the residuals
+RESIDUAL_BLOCK = 1.0  # s, longer than what correlates the residuals
 
 
 @dataclass(frozen=True)
@@ -277,7 +277,7 @@ def _stationary_spread(
     cell (n,) places on the grid of `step` s; weighted (n, 2); residual (n,), taken to within 4 `scale`.
     """
     cell = cell - cell[0]
-    reach, count = int(BLOCK / step), int(cell[-1]) + 1
+    reach, count = int(RESIDUAL_BLOCK / step), int(cell[-1]) + 1
     size = next_fast_len(count + reach + 1, real=True)
     lined = np.zeros((3, count))
     lined[0, cell], lined[1:, cell] = np.clip(residual, -4 * scale, 4 * scale), weighted.T
@@ -294,9 +294,9 @@ def _stationary_spread(
 def _block_spread(scores: Sequence[tuple[np.ndarray, np.ndarray]], active: int) -> np.ndarray:
     """Sum over blocks of the outer product of the block's score: the spread of the right-hand side."""
     start = min(t[0] for t, _ in scores)
-    blocks = np.zeros((int((max(t[-1] for t, _ in scores) - start) / BLOCK) + 1, active))
+    blocks = np.zeros((int((max(t[-1] for t, _ in scores) - start) / RESIDUAL_BLOCK) + 1, active))
     for t, score in scores:
-        which = ((t - start) / BLOCK).astype(int)
+        which = ((t - start) / RESIDUAL_BLOCK).astype(int)
         for c in range(active):
             blocks[:, c] += np.bincount(which, weights=score[:, c], minlength=len(blocks))[: len(blocks)]
     used = np.count_nonzero(np.any(blocks != 0, axis=1))

@@ -17,7 +17,7 @@ from typing import Any
 from quasi.errors import quoted
 from quasi.importing.readers.blackbox_header import is_other_firmware, version
 
-KINDS = {0: "PT1", 1: "biquad", 2: "PT2", 3: "PT3"}
+LOWPASS_KINDS = {0: "PT1", 1: "biquad", 2: "PT2", 3: "PT3"}
 # static cut-off, dynamic range, type of each low-pass on the gyro, under the names up to version 4.2 and since 4.3
 STAGES = (
     ("gyro_lowpass_hz", "gyro_lowpass_dyn_hz", "gyro_lowpass_type"),
@@ -30,7 +30,8 @@ RPM_NOTCHES = (
     ("gyro_rpm_notch_harmonics", "gyro_rpm_notch_q", "gyro_rpm_notch_min"),
     ("rpm_filter_harmonics", "rpm_filter_q", "rpm_filter_min_hz"),
 )
-HIGHEST = 4000.0  # Hz, of any filter on the gyro; larger numbers are hundredths of a hertz, as old firmware writes them
+# Hz, of any filter on the gyro; larger numbers are hundredths of a hertz, as old firmware writes them
+HIGHEST_CORNER = 4000.0
 # the most that firmware accepts (Betaflight 4.5 settings: gyro filters 1000 Hz and older ones 4000 Hz, in hundredths
 # then; dyn_notch_count 7 with older 5, rpm_filter_harmonics 3, quality 10 as 1000 hundredths of the spectrum's notches
 # and 30 as 3000 of the rotors'); a larger or a negative number is no setting
@@ -104,7 +105,7 @@ def _lowpasses(header: Mapping[str, Any], strange: list[str]) -> Iterator[tuple[
         if not cutoff:
             continue
         number = header.get(kind_key, 0)
-        kind = KINDS.get(number if isinstance(number, int) else -1)
+        kind = LOWPASS_KINDS.get(number if isinstance(number, int) else -1)
         if kind is None:
             strange.append(f"{kind_key} {quoted(number)} is no type")
             kind = "PT1"
@@ -160,4 +161,4 @@ def _setting(header: Mapping[str, Any], key: str, largest: float, strange: list[
 
 
 def _hertz(number: float) -> float:
-    return number / 100 if number > HIGHEST else number
+    return number / 100 if number > HIGHEST_CORNER else number

@@ -18,9 +18,9 @@ from quasi.importing.clocks.clock_fit import ClockFit, Pair, Uniform, correlatio
 
 SIGNALS = ("roll", "pitch", "yaw", "p", "q", "r", "ax", "ay", "az")
 GRID = 200.0  # Hz, of the signals compared
-BAND = 15.0  # Hz, to which both sides are band-limited: less is motion, more is noise and vibration
+MOTION_BAND = 15.0  # Hz, to which both sides are band-limited: less is motion, more is noise and vibration
 SLOW_BAND = 8.0  # Hz, for twice differentiated positions
-COARSE = 50.0  # Hz
+COARSE_RATE = 50.0  # Hz
 LARGEST_TURN = 0.5  # of the mix from what it must be, weighted by how much each axis moves
 
 
@@ -198,7 +198,7 @@ def _signals(
     onboard: Motion, capture: Motion, using: Sequence[str], notes: list[str], where: str
 ) -> tuple[list[tuple[str, Uniform, Uniform]], list[Pair], str]:
     """Signals for the coarse search (name, on board, capture) and groups for the fit."""
-    band = BAND
+    band = MOTION_BAND
     spacing = float(np.median(np.diff(capture.t)))
     band = min(band, 0.2 / spacing)
     coarse: list[tuple[str, Uniform, Uniform]] = []
@@ -211,7 +211,7 @@ def _signals(
 
     def search(name: str, t_on: np.ndarray, on: np.ndarray, t_cap: np.ndarray, cap: np.ndarray) -> None:
         cutoff = min(SLOW_BAND, band)
-        a, b = uniform(t_on, on, COARSE, cutoff), uniform(t_cap, cap, COARSE, cutoff)
+        a, b = uniform(t_on, on, COARSE_RATE, cutoff), uniform(t_cap, cap, COARSE_RATE, cutoff)
         if a is not None and b is not None and np.std(b.values[b.good]) > 0 and np.std(a.values[a.good]) > 0:
             coarse.append((name, a, b))
 

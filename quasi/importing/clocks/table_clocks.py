@@ -13,15 +13,15 @@ import numpy as np
 
 from quasi.attitude import body_rates, continuous
 from quasi.importing.clocks.clock_fit import ClockFit, Pair, uniform
-from quasi.importing.clocks.telemetry import BAND, GRID, acceleration_lag, best_fit, rotor_lag
-from quasi.importing.readers.table_mapping import QUATERNION, VECTORS, Source
+from quasi.importing.clocks.telemetry import GRID, TELEMETRY_BAND, acceleration_lag, best_fit, rotor_lag
+from quasi.importing.readers.table_mapping import QUATERNION, VECTOR_COLUMNS, Source
 
 LONGEST_WAIT = 0.2  # s; messages that crowd after a longer wait are left where they are
 IDLE_SHARE = (
     0.3  # of the rotor speed in flight, below which a rotor lifts less than a tenth: thrust goes with its square
 )
 STILL_RATE = 0.15  # rad/s, body rates of a quadrotor at rest, bias included (filtering.bias.STILL_GYRO)
-LEAST_EXPLAINED = 0.5  # share of one signal's variance that the other explains, from which a lag is applied
+LEAST_LAG_EXPLAINED = 0.5  # share of one signal's variance that the other explains, from which a lag is applied
 LARGEST_LAG_STD = 0.01  # s, standard error of a lag up to which it is applied
 # s of a record from which a lag is estimated: more would cost time in proportion, and 120 s of flight give it to 0.1 ms
 LONGEST_RECORD = 120.0
@@ -70,7 +70,7 @@ def rows_possibly_at_rest(raw: Sequence[TableSource]) -> np.ndarray:
     if rotors:
         speed = np.nan_to_num(np.abs(np.stack(rotors))).max(axis=0)
         return speed <= IDLE_SHARE * np.quantile(speed, 0.9)
-    rates = [r.values[n] for r in sources for n in VECTORS["rates"] if n in r.values]
+    rates = [r.values[n] for r in sources for n in VECTOR_COLUMNS["rates"] if n in r.values]
     if not rates:
         commands = [v for r in sources for n, v in r.values.items() if n.startswith("command")]
         return np.nan_to_num(np.stack(commands)).max(axis=0) <= 0.0 if commands else np.zeros(1, bool)
@@ -105,12 +105,12 @@ def correct_source_lags(
                 "value": clock.lag, "std": clock.lag_std, "unit": "s", "from": relation,
                 "explained variance": clock.explained, "applied": False,
             }  # fmt: skip
-        found = [f for f in found if f[1].explained > LEAST_EXPLAINED and f[1].lag_std < LARGEST_LAG_STD]
+        found = [f for f in found if f[1].explained > LEAST_LAG_EXPLAINED and f[1].lag_std < LARGEST_LAG_STD]
         if not found:
             continue
         r, clock, relation = min(found, key=lambda f: f[1].lag_std)
         least = SIGMAS * clock.lag_std
-        if relation == ROTORS and (r.stamps is None or main.stamps is None):
+        if relation == BY_ROTOR_SPEEDS and (r.stamps is None or main.stamps is None):
             least = max(least, ROTOR_LAG_BIAS)  # within the rows' own clock a smaller lag is estimated from yaw later
         if abs(clock.lag) <= least:
             continue
@@ -134,7 +134,7 @@ def _same_stamps(one: TableSource, other: TableSource) -> bool:
     )
 
 
-ROTORS = "angular acceleration and rotor speeds"
+BY_ROTOR_SPEEDS = "angular acceleration and rotor speeds"
 
 
 @dataclass
@@ -152,7 +152,9 @@ def _liveliest(main: TableSource) -> tuple[float, float]:
     t = main.t
     if t[-1] - t[0] <= LONGEST_RECORD:
         return float(t[0]), float(t[-1])
-    moving = next((names for names in (VECTORS["rates"], VECTORS["velocity"]) if names[0] in main.values), None)
+    moving = next(
+        (names for names in (VECTOR_COLUMNS["rates"], VECTOR_COLUMNS["velocity"]) if names[0] in main.values), None
+    )
     if moving is None:
         return float(t[0]), float(t[0]) + LONGEST_RECORD
     energy = np.concatenate([[0.0], np.cumsum(np.nan_to_num(_stack(main, moving) ** 2).sum(axis=1))])
@@ -180,13 +182,13 @@ def _motion_lag(r: TableSource, main: TableSource) -> tuple[ClockFit | None, str
     for state, force, sign in ((main, r, 1.0), (r, main, -1.0)):
         if all(n in s.values and not s.source.columns[n].body for n, s in (("ax", force), ("vx", state))):
             clock = acceleration_lag(
-                force.t, _stack(force, VECTORS["force"]), state.t, _stack(state, VECTORS["velocity"])
+                force.t, _stack(force, VECTOR_COLUMNS["force"]), state.t, _stack(state, VECTOR_COLUMNS["velocity"])
             )
             if clock is not None and sign < 0:
                 clock = clock.inverted()
             return clock, "velocity derivative and acceleration"
     if len(rotors) >= 3 and "p" in main.values:
-        return rotor_lag(r.t, _stack(r, rotors), main.t, _stack(main, VECTORS["rates"])), ROTORS
+        return rotor_lag(r.t, _stack(r, rotors), main.t, _stack(main, VECTOR_COLUMNS["rates"])), BY_ROTOR_SPEEDS
     return None, ""
 
 
@@ -197,8 +199,8 @@ def _attitude_lag(r: TableSource, main: TableSource) -> ClockFit | None:
     if np.count_nonzero(fine) < 8:
         return None
     t = r.t[fine]
-    turned = uniform(t, body_rates(continuous(q[fine]), t), GRID, BAND)
-    gyro = uniform(main.t, _stack(main, VECTORS["rates"]), GRID, BAND)
+    turned = uniform(t, body_rates(continuous(q[fine]), t), GRID, TELEMETRY_BAND)
+    gyro = uniform(main.t, _stack(main, VECTOR_COLUMNS["rates"]), GRID, TELEMETRY_BAND)
     return None if turned is None or gyro is None else best_fit([Pair("body rates", gyro, turned)])
 
 

@@ -21,8 +21,8 @@ from scipy.signal import butter, sosfiltfilt
 from quasi.importing.clocks.clock_fit import ClockFit, Pair, Uniform, fit, uniform
 
 GRID = 200.0  # Hz
-BAND = 12.0  # Hz
-LONGEST = 0.15  # s
+TELEMETRY_BAND = 12.0  # Hz
+LONGEST_TELEMETRY_AGE = 0.15  # s
 AGE_GRID, AGE_BAND = 250.0, 30.0  # Hz
 AGES = np.arange(-0.010, 0.0401, 0.001)  # s, tried ages of the rotor telemetry
 BLOCKS = 12  # pieces of a flight, for the standard error
@@ -115,7 +115,10 @@ def rotor_lag(t_rotor: np.ndarray, speeds: np.ndarray, t_motion: np.ndarray, rat
     t_rotor (n,) s with speeds (n, k) rad/s; t_motion (m,) s with rates (m, 3) rad/s. The age of the rotor telemetry
     against the gyro is minus the lag. None where the motion is too poor.
     """
-    moving, squares = uniform(t_motion, rates[:, :2], GRID, BAND), uniform(t_rotor, speeds**2 / 1e6, GRID, BAND)
+    moving, squares = (
+        uniform(t_motion, rates[:, :2], GRID, TELEMETRY_BAND),
+        uniform(t_rotor, speeds**2 / 1e6, GRID, TELEMETRY_BAND),
+    )
     if moving is None or squares is None:
         return None
     first = Uniform(moving.start, moving.step, np.gradient(moving.values, moving.step, axis=0), moving.good)
@@ -129,7 +132,10 @@ def acceleration_lag(
 
     acceleration (n, 3) m/s2 and velocity (m, 3) m/s in the same world axes. None where the motion is too poor.
     """
-    moving, pushed = uniform(t_state, velocity, GRID, BAND), uniform(t_force, acceleration, GRID, BAND)
+    moving, pushed = (
+        uniform(t_state, velocity, GRID, TELEMETRY_BAND),
+        uniform(t_force, acceleration, GRID, TELEMETRY_BAND),
+    )
     if moving is None or pushed is None:
         return None
     first = Uniform(moving.start, moving.step, np.gradient(moving.values, moving.step, axis=0), moving.good)
@@ -140,5 +146,5 @@ def best_fit(pairs: Sequence[Pair]) -> ClockFit | None:
     """The best constant lag within LONGEST, searched from several beginnings, for the mix may fit at the wrong one."""
     reference = pairs[0].other.start + 0.5 * pairs[0].other.step * len(pairs[0].other.values)
     fits = [fit(pairs, start, 0.0, reference, fit_rate=False) for start in (-0.06, -0.02, 0.02, 0.06)]
-    fits = [f for f in fits if f is not None and abs(f.lag) < LONGEST]
+    fits = [f for f in fits if f is not None and abs(f.lag) < LONGEST_TELEMETRY_AGE]
     return max(fits, key=lambda f: f.explained, default=None)

@@ -9,18 +9,18 @@ from quasi.importing.readers.blackbox import read_blackbox
 from quasi.importing.readers.decoded import read_decoded
 from quasi.importing.readers.reader import TEXT, Reader, Request
 from quasi.importing.series import Recording
-from quasi.recognition import HEAD, MARKER
+from quasi.recognition import HEAD_SIZE, MARKER
 from quasi.tables import read_bytes
 
 COUNTS = "betaflight raw acceleration correction factor"
-SUFFIXES = (".bbl", ".bfl")
+BLACKBOX_SUFFIXES = (".bbl", ".bfl")
 
 
 def _read_text(request: Request) -> Recording:
     """A decoded CSV, or a blackbox file without its first header lines."""
     path = request.path
     data = read_bytes(path)
-    if MARKER in data or (path.suffix.lower() in SUFFIXES and b"gyroADC" not in data[:HEAD]):
+    if MARKER in data or (path.suffix.lower() in BLACKBOX_SUFFIXES and b"gyroADC" not in data[:HEAD_SIZE]):
         return _read_blackbox(request)
     if (request.log_number or 1) > 1:
         raise ReadError(

@@ -20,7 +20,7 @@ MOST_EVENTS = 2000
 MOST_CHANGES = 2000
 MOST_GPS = 100_000
 CHOOSE = " (another: 'Log number' in the logbook, `--log-number` of `quasi noise`)"
-GAP = 1.5  # times the usual step: a longer one is a gap
+BLACKBOX_GAP = 1.5  # times the usual step: a longer one is a gap
 EVENT_NAMES = {
     0: "beep",
     13: "adjustment",
@@ -97,7 +97,7 @@ def decode(data: bytes, log: Log, fields: set[str] | None = None) -> Frames:
         events,
     )
     n = int(tally[kernel.MAIN])
-    counts = {letter: int(tally[k]) for k, letter in enumerate(kernel.KINDS)}
+    counts = {letter: int(tally[k]) for k, letter in enumerate(kernel.FRAME_KINDS)}
     counts["P after damage"] = int(tally[kernel.DROPPED_P])
     counts["rejected"] = int(tally[kernel.REJECTED])
     counts["unknown events"] = int(tally[kernel.UNKNOWN_EVENTS])
@@ -285,7 +285,7 @@ def time_gaps(t: np.ndarray, spans: list[dict], resumed: np.ndarray) -> list[dic
     step = np.diff(t)
     if not len(step):
         return []
-    places = np.flatnonzero(step > GAP * np.median(step))
+    places = np.flatnonzero(step > BLACKBOX_GAP * np.median(step))
     starts, ends = t[places], t[places + 1]
     causes = np.full(len(places), "not logged", object)
     paused = np.searchsorted(np.sort(resumed), ends, "right") > np.searchsorted(np.sort(resumed), starts, "right")

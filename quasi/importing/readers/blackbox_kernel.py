@@ -11,7 +11,7 @@ Source: Betaflight documentation, "Blackbox logging internals" (betaflight.com/d
 import numpy as np
 from numba import njit
 
-KINDS = "IPSGHE"
+FRAME_KINDS = "IPSGHE"
 ENCODING, PREDICTOR, ARGUMENT, SIGNED, GROUP = range(5)
 # constants that predictors refer to; three home coordinates follow HOME
 MIN_THROTTLE, BATTERY_REFERENCE, MAIN_TIME, MIN_MOTOR, HOME = range(5)
@@ -19,12 +19,12 @@ DROPPED_P, REJECTED, UNKNOWN_EVENTS, ENDED, MAIN, SLOW, GPS, SPANS, EVENTS, LAST
 TALLY = 16
 
 _MASK = 0xFFFFFFFF
-_LONGEST = 1024  # bytes of one frame; the longest that firmware writes are about 300
+_LONGEST_FRAME = 1024  # bytes of one frame; the longest that firmware writes are about 300
 _JUMP = 10_000_000  # us; a longer step between frames needs a resume event or a second witness
 _MOST_STEPS = 320_000  # iterations in that time at 32 kHz
-_PATIENCE = 32  # bytes after an unknown event in which the next frame must begin
+_EVENT_BYTES = 32  # bytes after an unknown event in which the next frame must begin
 _KIND_OF = np.full(256, -1, np.int64)
-_KIND_OF[[ord(letter) for letter in KINDS]] = np.arange(len(KINDS))
+_KIND_OF[[ord(letter) for letter in FRAME_KINDS]] = np.arange(len(FRAME_KINDS))
 _END_TEXT = np.frombuffer(b"End of log", np.uint8)
 
 
@@ -281,7 +281,7 @@ def decode_frames(
         after = -1
         if 0 <= kind < 5:
             if sizes[kind] > 0:
-                after = read_fields(data, at + 1, min(end, at + _LONGEST), layout, kind, sizes[kind], raw)
+                after = read_fields(data, at + 1, min(end, at + _LONGEST_FRAME), layout, kind, sizes[kind], raw)
         elif kind == 5:
             after, code, a, b, known = _read_event(data, at + 1, end)
             if not known and lost >= 0:
@@ -400,7 +400,7 @@ def decode_frames(
                 break
             elif not known:
                 tally[UNKNOWN_EVENTS] += 1
-                patience = _PATIENCE
+                patience = _EVENT_BYTES
         at = after
     if lost >= 0:
         m = min(tally[SPANS], spans.shape[0] - 1)

@@ -17,7 +17,7 @@ from quasi.attitude import GRAVITY
 from quasi.errors import add_caution, quoted
 from quasi.importing.readers.blackbox_header import hex_float, is_other_firmware, version
 
-_AXES = range(3)
+_AXIS_INDICES = range(3)
 _MOTORS = range(8)
 DEG = math.pi / 180.0
 STANDARD_ACC_1G = 2048.0
@@ -29,9 +29,9 @@ WANTED = {
     *(
         f"{name}[{i}]"
         for name in ("gyroADC", "accSmooth", "imuQuaternion", "setpoint", "extPos", "extVel", "pos", "vel")
-        for i in _AXES
+        for i in _AXIS_INDICES
     ),
-    *(f"{name}[{i}]" for name in ("gyroADCafterRpm", "accADCafterRpm") for i in _AXES),
+    *(f"{name}[{i}]" for name in ("gyroADCafterRpm", "accADCafterRpm") for i in _AXIS_INDICES),
     *(f"{name}[{i}]" for name in ("motor", "eRPM", "omega", "omegaUnfiltered") for i in _MOTORS),
     *(f"{name}[{i}]" for name in ("debug", "quat") for i in range(4)),
     "setpoint[3]",
@@ -208,7 +208,7 @@ def _gyro(raw, header, sign, fine, known, out: Resolved) -> None:
 def _is_scaled(raw: Mapping[str, np.ndarray], name: str, to_deg: float) -> bool:
     """Whether a decoder took the tenths of a high-resolution gyro into account: by its gain on set-points in tenths."""
     both = power = 0.0
-    for i in _AXES:
+    for i in _AXIS_INDICES:
         if f"setpoint[{i}]" in raw and f"{name}[{i}]" in raw:
             rate, setpoint = to_deg * raw[f"{name}[{i}]"], raw[f"setpoint[{i}]"]
             fine = np.isfinite(rate) & np.isfinite(setpoint)
@@ -246,8 +246,8 @@ def _acceleration(raw, header, sign, known, out: Resolved) -> None:
 
 
 def _attitude(raw, out: Resolved) -> None:
-    if all(f"imuQuaternion[{i}]" in raw for i in _AXES):
-        x, y, z = (_scaled(raw[f"imuQuaternion[{i}]"], 1.0 / QUATERNION_FULL) for i in _AXES)
+    if all(f"imuQuaternion[{i}]" in raw for i in _AXIS_INDICES):
+        x, y, z = (_scaled(raw[f"imuQuaternion[{i}]"], 1.0 / QUATERNION_FULL) for i in _AXIS_INDICES)
         w = np.sqrt(np.clip(1.0 - x * x - y * y - z * z, 0.0, None))
         # from x north, y west, z up and x forward, y left, z up: half a turn about x on both sides
         q = [w, x, -y, -z]

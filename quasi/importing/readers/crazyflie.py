@@ -21,7 +21,7 @@ from quasi.importing.readers.table_reader import read_signals
 from quasi.importing.series import Recording
 from quasi.tables import read_bytes
 
-TIME = "time stamp"
+TIME_COLUMN = "time stamp"
 ESTIMATE = "stateEstimate"
 # quantity: names of which the first that the log holds is taken, each with its unit
 STANDARD: dict[str, tuple[tuple[str, str], ...]] = {
@@ -37,7 +37,7 @@ STANDARD: dict[str, tuple[tuple[str, str], ...]] = {
     "throttle": (("stabilizer.thrust", "1/65535"),),
     "battery_voltage": (("pm.vbatMV", "mV"), ("pm.vbat", "V")),
 }
-GROUPS = (("p", "q", "r"), ("ax", "ay", "az"), ("qw", "qx", "qy", "qz"), ("x", "y", "z"), ("vx", "vy", "vz"),
+LOGGED_TOGETHER = (("p", "q", "r"), ("ax", "ay", "az"), ("qw", "qx", "qy", "qz"), ("x", "y", "z"), ("vx", "vy", "vz"),
           ("linear_ax", "linear_ay", "linear_az"))  # fmt: skip
 REVERSED_PITCH = (f"{ESTIMATE}.pitch", "stabilizer.pitch")
 MIN_RECORDS = 20  # as of a table's rows
@@ -95,12 +95,12 @@ def standard_mapping(names: Collection[str]) -> dict[str, Any]:
         found = next(((name, unit) for name, unit in candidates if name in names), None)
         if found is not None:
             columns[quantity] = {"column": found[0], "unit": found[1]}
-    for group in GROUPS:
+    for group in LOGGED_TOGETHER:
         if not all(name in columns for name in group):
             for name in group:
                 columns.pop(name, None)
     source = {"name": "log", "frame": "FLU", "world": "z-up", "columns": columns}
-    return {"time": {"column": TIME, "unit": "s"}, "sources": [source]}
+    return {"time": {"column": TIME_COLUMN, "unit": "s"}, "sources": [source]}
 
 
 def _signals(log: EventLog, main: EventType) -> Signals:

@@ -25,39 +25,39 @@ from quasi.importing.readers.topics import low_pass_delays, read_topics
 from quasi.importing.series import Recording
 from quasi.tables import read_bytes
 
-HEAD = b"\xa3\x95"
+MESSAGE_HEAD = b"\xa3\x95"
 FMT = 128  # type of the messages that describe types
 FMT_LENGTH = 89  # bytes: header 3, type 1, length 1, name 4, format 16, field names 64
 # format character: numpy type, factor
-NUMBERS = {
+NUMBER_FORMATS = {
     "b": ("i1", 1.0), "B": ("u1", 1.0), "h": ("<i2", 1.0), "H": ("<u2", 1.0), "i": ("<i4", 1.0), "I": ("<u4", 1.0),
     "q": ("<i8", 1.0), "Q": ("<u8", 1.0), "f": ("<f4", 1.0), "d": ("<f8", 1.0), "g": ("<f2", 1.0), "M": ("u1", 1.0),
     "c": ("<i2", 0.01), "C": ("<u2", 0.01), "e": ("<i4", 0.01), "E": ("<u4", 0.01), "L": ("<i4", 1e-7),
 }  # fmt: skip
 TEXTS = {"n": "S4", "N": "S16", "Z": "S64", "a": "V64"}
 INSTANCES = ("I", "C", "Instance", "Inst", "Id")  # fields that number instances, in logs without FMTU
-FIRST_MOTOR = 33  # SERVOn_FUNCTION of motor 1 (parameter reference)
+FIRST_SERVO_FUNCTION = 33  # SERVOn_FUNCTION of motor 1 (parameter reference)
 PWM_RANGE = (1000.0, 2000.0)  # us, MOT_PWM_MIN and MOT_PWM_MAX where the log does not hold them
 MOTORS = 8
 LONGEST_LOG = 86400.0  # s from the middle of a log, beyond which a stamp is damaged
 
-_RATES = {"p": ("GyrX", "rad/s"), "q": ("GyrY", "rad/s"), "r": ("GyrZ", "rad/s")}
+_GYRO_FIELDS = {"p": ("GyrX", "rad/s"), "q": ("GyrY", "rad/s"), "r": ("GyrZ", "rad/s")}
 _FORCE = {"ax": ("AccX", "m/s2"), "ay": ("AccY", "m/s2"), "az": ("AccZ", "m/s2")}
 _ANGLES = {"roll": ("Roll", "deg"), "pitch": ("Pitch", "deg"), "yaw": ("Yaw", "deg")}
 _PLACE = {"x": ("PN", "m"), "y": ("PE", "m"), "z": ("PD", "m")}
-_SPEED = {"vx": ("VN", "m/s"), "vy": ("VE", "m/s"), "vz": ("VD", "m/s")}
+_EKF_SPEED = {"vx": ("VN", "m/s"), "vy": ("VE", "m/s"), "vz": ("VD", "m/s")}
 _INSTANCE = r"(:\d+)?"
 _FILTERS = ("XKF1", "NKF1", "EKF1")
 KNOWN = (
-    Known("body rates", f"IMU{_INSTANCE}", _RATES),
-    Known("body rates", r"IMU[23]", _RATES),
-    Known("body rates", f"GYR{_INSTANCE}", _RATES, better=1.5),
+    Known("body rates", f"IMU{_INSTANCE}", _GYRO_FIELDS),
+    Known("body rates", r"IMU[23]", _GYRO_FIELDS),
+    Known("body rates", f"GYR{_INSTANCE}", _GYRO_FIELDS, better=1.5),
     Known("specific force", f"IMU{_INSTANCE}", _FORCE),
     Known("specific force", r"IMU[23]", _FORCE),
     Known("specific force", f"ACC{_INSTANCE}", _FORCE, better=1.5),
     Known("attitude", f"ATT{_INSTANCE}", _ANGLES),
     *(Known("position", f"{name}{_INSTANCE}", _PLACE) for name in _FILTERS),
-    *(Known("velocity", f"{name}{_INSTANCE}", _SPEED) for name in _FILTERS),
+    *(Known("velocity", f"{name}{_INSTANCE}", _EKF_SPEED) for name in _FILTERS),
     Known("rotor speeds", f"ESC{_INSTANCE}", {f"w{i}": (f"motor{i}_rpm", "rpm") for i in range(1, MOTORS + 1)}),
     Known("commands", "RCOU", {f"command{i}": (f"motor{i}_share", "1") for i in range(1, MOTORS + 1)}),
     Known("battery", f"BATT?{_INSTANCE}", {"battery_voltage": ("Volt", "V"), "battery_current": ("Curr", "A")}),
@@ -79,11 +79,11 @@ class _Type:
     @property
     def layout(self) -> np.dtype | None:
         """Layout of a message behind its header; None where it does not add up."""
-        if len(self.characters) != len(self.fields) or not set(self.characters) <= {*NUMBERS, *TEXTS}:
+        if len(self.characters) != len(self.fields) or not set(self.characters) <= {*NUMBER_FORMATS, *TEXTS}:
             return None
         if not all(re.fullmatch(r"\w+", name) for name in self.fields):
             return None
-        kinds = [NUMBERS[c][0] if c in NUMBERS else TEXTS[c] for c in self.characters]
+        kinds = [NUMBER_FORMATS[c][0] if c in NUMBER_FORMATS else TEXTS[c] for c in self.characters]
         layout = np.dtype(list(zip(self.fields, kinds))) if len(set(self.fields)) == len(self.fields) else None
         return layout if layout is not None and layout.itemsize + 3 == self.length else None
 
@@ -107,7 +107,7 @@ class DataFlashFile:
             "format": "DataFlash",
             "firmware": {"revision": self._firmware()},
             "lost bytes": lost,
-            "parameters": {k: v for k, v in self.parameters.items() if re.match(_FACTS, k)},
+            "parameters": {k: v for k, v in self.parameters.items() if re.match(_ARDUPILOT_FACTS, k)},
         }
 
     def _messages(self, name: str) -> np.ndarray | None:
@@ -143,8 +143,8 @@ class DataFlashFile:
         found = {}
         for channel in range(1, 17):
             function = self.parameters.get(f"SERVO{channel}_FUNCTION")
-            if function is not None and FIRST_MOTOR <= function < FIRST_MOTOR + MOTORS:
-                found[channel] = int(function) - FIRST_MOTOR + 1
+            if function is not None and FIRST_SERVO_FUNCTION <= function < FIRST_SERVO_FUNCTION + MOTORS:
+                found[channel] = int(function) - FIRST_SERVO_FUNCTION + 1
         return found or {channel: channel for channel in range(1, MOTORS + 1)}
 
     def _decode(self, name: str) -> None:
@@ -156,9 +156,9 @@ class DataFlashFile:
         t = messages[clock].astype(float) * scale
         with np.errstate(invalid="ignore"):  # damaged floats may be signalling NaN
             numbers = {
-                f: messages[f].astype(float) * NUMBERS[c][1]
+                f: messages[f].astype(float) * NUMBER_FORMATS[c][1]
                 for f, c in zip(kind.fields, kind.characters)
-                if c in NUMBERS and f != clock
+                if c in NUMBER_FORMATS and f != clock
             }
         key = kind.fields[kind.units.index("#")] if "#" in kind.units[: len(kind.fields)] else None
         if key is None and not kind.units:
@@ -226,7 +226,9 @@ class DataFlashFile:
         return Signals(frames, {group: self.clocks[group] for group in frames})
 
 
-_FACTS = r"MOT_PWM_M|MOT_SPIN_|MOT_THST_EXPO|FRAME_(CLASS|TYPE)$|SERVO\d+_FUNCTION|INS_GYRO_FILTER|INS_ACCEL_FILTER"
+_ARDUPILOT_FACTS = (
+    r"MOT_PWM_M|MOT_SPIN_|MOT_THST_EXPO|FRAME_(CLASS|TYPE)$|SERVO\d+_FUNCTION|INS_GYRO_FILTER|INS_ACCEL_FILTER"
+)
 
 
 def _scan(data: bytes) -> tuple[dict[int, _Type], int]:
@@ -239,7 +241,7 @@ def _scan(data: bytes) -> tuple[dict[int, _Type], int]:
     while at + 3 <= end:
         length = lengths[data[at + 2]] if data[at] == 0xA3 and data[at + 1] == 0x95 else 0
         if not length or at + length > end:
-            following = data.find(HEAD, at + 1)
+            following = data.find(MESSAGE_HEAD, at + 1)
             # a file is cut off within its last message, and padded with zeros or ones
             stop = end if following < 0 else following
             lost += stop - at if data[at:stop].strip(b"\0\xff") else 0

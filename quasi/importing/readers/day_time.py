@@ -7,7 +7,7 @@ that stands alone is the time; letters next to it are the half of the day, in a 
 import re
 from dataclasses import dataclass
 
-DAY = 86400.0
+SECONDS_PER_DAY = 86400.0
 _TIME = re.compile(r"(?<![\d.:])(\d{1,2})[.:](\d{2})[.:](\d{2})(?!\d)(?:[.,](\d{1,9}))?")
 _MORNING = frozenset("am a 上午 午前 凌晨 早上 오전 vorm vormittag πμ de fm sa ص dop ap".split())  # noqa: SIM905
 _AFTERNOON = frozenset("pm p 下午 午後 午后 中午 晚上 오후 nachm nachmittag μμ du em ch م odp ip".split())  # noqa: SIM905
@@ -55,5 +55,5 @@ def clock(seconds: float) -> str:
     >>> clock(51068.4)
     '14:11:08'
     """
-    whole = int(seconds % DAY)
+    whole = int(seconds % SECONDS_PER_DAY)
     return f"{whole // 3600:02d}:{whole // 60 % 60:02d}:{whole % 60:02d}"

@@ -11,9 +11,9 @@ import numpy as np
 
 from quasi.importing.series import Series
 
-POSITION, VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz")
-FIELDS = {"x": "extPos", "vx": "extVel"}
-REST = 0.005  # m or 10 x m/s; a larger change after a pause means that messages were lost
+POSITION_COLUMNS, VELOCITY_COLUMNS = ("x", "y", "z"), ("vx", "vy", "vz")
+EXTERNAL_TOPICS = {"x": "extPos", "vx": "extVel"}
+LARGEST_PAUSE_CHANGE = 0.005  # m or 10 x m/s; a larger change after a pause means that messages were lost
 
 
 def external_series(
@@ -24,19 +24,27 @@ def external_series(
     t       (n,) s, of the log's rows; values {x y z, vx vy vz: (n,)} m, m/s, earth NED, as repeated in the rows
     about   gains what was taken for what; notes  gain a sentence where nothing was sent
     """
-    groups = [names for names in (POSITION, VELOCITY) if all(n in values for n in names)]
+    groups = [names for names in (POSITION_COLUMNS, VELOCITY_COLUMNS) if all(n in values for n in names)]
     if not groups or len(t) < 3:
         return {}
     stack = np.stack([values[n] for names in groups for n in names], axis=-1)
     known = np.isfinite(stack).all(axis=1)
     t, stack = t[known], stack[known]
-    fields = " and ".join(FIELDS[names[0]] for names in groups)
+    fields = " and ".join(EXTERNAL_TOPICS[names[0]] for names in groups)
     if len(t) < 3 or not np.ptp(stack, axis=0).any():
         notes.append(f"{fields} never change: no captured motion reached the flight controller")
         return {}
-    rows = messages(stack, np.concatenate([np.full(3, REST if names == POSITION else REST * 10) for names in groups]))
+    rows = messages(
+        stack,
+        np.concatenate(
+            [
+                np.full(3, LARGEST_PAUSE_CHANGE if names == POSITION_COLUMNS else LARGEST_PAUSE_CHANGE * 10)
+                for names in groups
+            ]
+        ),
+    )
     columns = {n: stack[rows, i] for i, n in enumerate(n for names in groups for n in names)}
-    where = "capture" if groups[0] == POSITION else "onboard external"
+    where = "capture" if groups[0] == POSITION_COLUMNS else "onboard external"
     about["external motion"] = {
         "fields": fields,
         "meaning": "motion capture as sent to the flight controller, earth axes NED, on the controller's clock",

@@ -22,13 +22,27 @@ LARGEST_RATE = 35.0  # rad/s, full scale of the common gyros (2000 deg/s); the 9
 LARGEST_ANGLE = 6.5  # rad; larger angles are in degrees
 LARGEST_SPEED = 4000.0  # rad/s of a rotor, four times that of a 5-inch propeller in hover; larger numbers are rpm
 DEMANDS = r"set_?point|(^|_)sp_|_sp$|target|ref|cmd|command|desired|goal|integral|cov|std|bias|err"
-AXES = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2, "roll": 0, "pitch": 1, "yaw": 2, "p": 0, "q": 1, "r": 2, "w": 3}
-TIMES = r"t|time|timestamp|stamp|time_?(stamp)?_?(s|sec|ms|us|ns|min)?|t_?(s|ms|us|ns)|timeus|timestamp_?\w{0,2}"
+AXIS_NUMBERS = {
+    "x": 0,
+    "y": 1,
+    "z": 2,
+    "0": 0,
+    "1": 1,
+    "2": 2,
+    "roll": 0,
+    "pitch": 1,
+    "yaw": 2,
+    "p": 0,
+    "q": 1,
+    "r": 2,
+    "w": 3,
+}
+TIME_PATTERN = r"t|time|timestamp|stamp|time_?(stamp)?_?(s|sec|ms|us|ns|min)?|t_?(s|ms|us|ns)|timeus|timestamp_?\w{0,2}"
 
 _A = r"(?P<axis>[xyz]|[012])\]?"
 _LAST = rf"_?\[?{_A}"
 # quantities, patterns of their columns in order of preference; `axis` is what distinguishes their components
-VECTORS: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
+VECTOR_PATTERNS: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
     (("p", "q", "r"), (rf".*(gyro|gyr|angular_?vel\w*|omega|body_?rates?).*?{_LAST}", rf"w{_LAST}",
                        r"(.*_)?(?P<axis>[pqr])",
                        r".*(rate|rates)_(?P<axis>roll|pitch|yaw)", r"(?P<axis>roll|pitch|yaw)_?rate")),
@@ -41,18 +55,18 @@ QUATERNIONS = (
     r".*(quat\w*|orientation|attitude|att)_q?(?P<axis>[wxyz])",
     r".*_q(?P<axis>[wxyz])",
 )
-ANGLES = (
+ANGLE_PATTERNS = (
     r"(?P<axis>roll|pitch|yaw)(_?(deg|rad))?",
     r".*(attitude|att|euler|angle)_?\w*_(?P<axis>roll|pitch|yaw)(_?(deg|rad))?",
 )
 _ROTOR = r"(motor|rotor|m|w|esc|omega)"
 _K = r"(?P<axis>[0-8])\]?"
-SPEEDS = (
+SPEED_PATTERNS = (
     rf".*?{_ROTOR}_?\[?{_K}_?(erpm|rpm|speed|omega|vel\w*|rad_?s|krpm)",
     rf".*(erpm|rpm|omega|rotor_?speeds?|motor_?speeds?)_?m?\[?{_K}",
     rf"w_?{_K}",
 )
-SHARES = (
+SHARE_PATTERNS = (
     rf".*?(motor|m|pwm|esc|out\w*|thr\w*|u|command|cmd)_?m?\[?{_K}(_?(pwm|thrust|cmd|command|out|throttle|duty))?",
 )
 # sources of a guess: each may have been sampled at a rate of its own, and repeat in the rows between
@@ -79,7 +93,7 @@ def guess_columns(frames: Mapping[str, pd.DataFrame]) -> Guess:
     sources: list[dict[str, Any]] = []
     clocks: list[dict[str, str]] = []
     taken: set[str] = set()
-    order = sorted(frames, key=lambda g: not _columns(frames[g], VECTORS[0][1], 3))
+    order = sorted(frames, key=lambda g: not _columns(frames[g], VECTOR_PATTERNS[0][1], 3))
     for group in order:
         table = _with_lists(frames[group])
         columns = _quantities(table, guess.remarks, taken)
@@ -129,7 +143,7 @@ def _columns(table: pd.DataFrame, patterns: tuple[str, ...], count: int, avoid: 
             found = re.fullmatch(pattern, plain)
             if found and not re.search(avoid, plain) and _is_number(table[name]):
                 axis = found["axis"]
-                place = AXES[axis] if axis in AXES and count < 5 else int(axis)
+                place = AXIS_NUMBERS[axis] if axis in AXIS_NUMBERS and count < 5 else int(axis)
                 stem = plain[: found.start("axis")] + "*" + plain[found.end("axis") :]
                 stems.setdefault(stem, {}).setdefault(place, name)
         for places in stems.values():
@@ -171,18 +185,18 @@ def _quantities(table: pd.DataFrame, remarks: list[str], taken: set[str]) -> dic
                     {"column": name} | ({"unit": unit} if unit else {}) | ({"frame": frame} if frame else {})
                 )
 
-    for names, patterns in VECTORS:
+    for names, patterns in VECTOR_PATTERNS:
         found = _columns(table, patterns, 3)
         if found and not set(found) & {c["column"] for c in columns.values()}:
             put(names, found, _unit(names, table[found].to_numpy(float)))
     turn = _columns(table, QUATERNIONS, 4)
     put(("qw", "qx", "qy", "qz"), turn)
-    if turn is None and (angles := _columns(table, ANGLES, 3)):
+    if turn is None and (angles := _columns(table, ANGLE_PATTERNS, 3)):
         put(("roll", "pitch", "yaw"), angles, _unit(("roll",), table[angles].to_numpy(float)))
-    speeds = _rotor_columns(table, SPEEDS, r"set_?point|target|ref|cmd|command|thrust|pwm")
+    speeds = _rotor_columns(table, SPEED_PATTERNS, r"set_?point|target|ref|cmd|command|thrust|pwm")
     if speeds:
         put(tuple(f"w{i}" for i in range(1, 5)), speeds, _speed_unit(speeds, table[speeds].to_numpy(float)))
-    outputs = _rotor_columns(table, SHARES, r"set_?point|target|rpm|speed|temp|curr|volt")
+    outputs = _rotor_columns(table, SHARE_PATTERNS, r"set_?point|target|rpm|speed|temp|curr|volt")
     if outputs and outputs != speeds:
         try:
             put(tuple(f"command{i}" for i in range(1, 5)), outputs, recognise_unit(table[outputs].to_numpy(float), ""))
@@ -239,7 +253,7 @@ def _clock(table: pd.DataFrame) -> dict[str, str] | None:
     """The first column of time, and its unit: its name's, else the one in which the table lasts between 1 s and 5 h."""
     for name in map(str, table.columns):
         plain = _plain(name)
-        if not re.fullmatch(TIMES, plain) or not _is_number(table[name]):
+        if not re.fullmatch(TIME_PATTERN, plain) or not _is_number(table[name]):
             continue
         stamps = table[name].dropna().to_numpy(float)
         ahead = np.diff(stamps)

@@ -15,7 +15,7 @@ from quasi.errors import ConfigError, ReadError, nearest
 from quasi.importing.readers.signals import Topic
 
 LEAST_SAMPLES = 20  # of a topic, as of a table's source
-ROLES = {
+ROLE_COLUMNS = {
     "body rates": ("p", "q", "r"),
     "specific force": ("ax", "ay", "az"),
     "attitude": ("qw", "qx", "qy", "qz", "roll", "pitch", "yaw"),
@@ -26,7 +26,7 @@ ROLES = {
     "battery": ("battery_voltage", "battery_current"),
     "capture": (),
 }
-NEEDED = ("body rates", "specific force")
+NEEDED_ROLES = ("body rates", "specific force")
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Known:
 def candidates(topics: Mapping[str, Topic], known: Sequence[Known]) -> dict[str, list[tuple[str, Known]]]:
     """{role: [(topic name, how it is logged)]} of what a log holds, best first; topics with too few samples last."""
     found: dict[str, list[tuple[str, Known]]] = {}
-    for role in ROLES:
+    for role in ROLE_COLUMNS:
         own = [
             (name, way)
             for way in known
@@ -111,8 +111,8 @@ def plan_known(
     """
     found = candidates(topics, known)
     for role, name in chosen.items():
-        if role not in ROLES:
-            raise ConfigError(f"'log topics': unknown key '{role}'{nearest(role, ROLES)}; correct it")
+        if role not in ROLE_COLUMNS:
+            raise ConfigError(f"'log topics': unknown key '{role}'{nearest(role, ROLE_COLUMNS)}; correct it")
         able = [item for item in found.get(role, []) if item[0] == name]
         if name and not able:
             others = [n for n, _ in found.get(role, [])] or list(topics)
@@ -121,7 +121,7 @@ def plan_known(
                 f"{role}{nearest(name, others)}; correct it"
             )
         found[role] = able
-    for role in NEEDED:
+    for role in NEEDED_ROLES:
         if not found.get(role) or topics[found[role][0][0]].samples < LEAST_SAMPLES:
             raise ReadError(_missing_role(path, role, topics, known, found.get(role, [])))
     sources: list[dict[str, Any]] = []
@@ -159,7 +159,7 @@ def _source(role: str, name: str, way: Known, topic: Topic) -> dict[str, Any]:
         entry: dict[str, Any] = {"column": column, "unit": unit}
         if way.body is not None and quantity in ("vx", "vy", "vz", "ax", "ay", "az"):
             entry["frame"] = "body" if way.body else "world"
-        if role not in NEEDED:
+        if role not in NEEDED_ROLES:
             entry["optional"] = True
         columns[quantity] = entry
     source = {"name": f"{role} ({name})", "// topic": name, "frame": way.frame, "world": way.world}

@@ -13,7 +13,7 @@ from quasi.importing.checks.rotor_speeds import clean_rotor_speeds
 from quasi.importing.clocks.table_clocks import in_long_runs, uncrowded
 from quasi.importing.command_units import scale_commands
 from quasi.importing.readers.signals import Signals
-from quasi.importing.readers.table_mapping import EULER, QUATERNION, VECTORS, Source
+from quasi.importing.readers.table_mapping import EULER_ANGLES, QUATERNION, VECTOR_COLUMNS, Source
 from quasi.importing.streams import unwrapped
 
 HALF_TURN = np.array([1.0, -1.0, -1.0])  # half a turn about x: FLU to FRD, z-up to NED
@@ -121,7 +121,7 @@ class MappedSource:
         for quantity, values in self.values.items():
             if not np.isfinite(values).any() and source.columns[quantity].optional:
                 lacking.add(quantity)
-        for members in (*VECTORS.values(), QUATERNION):
+        for members in (*VECTOR_COLUMNS.values(), QUATERNION):
             if lacking & set(members):
                 lacking |= set(members) & set(source.columns)
         if lacking:
@@ -278,7 +278,7 @@ class MappedSource:
         """Earth NED and body FRD; Euler angles become a quaternion, its length one."""
         body = HALF_TURN if self.source.flu else np.ones(3)
         world = HALF_TURN if self.source.z_up else np.ones(3)
-        for members in VECTORS.values():
+        for members in VECTOR_COLUMNS.values():
             if members[0] in self.values:
                 axes = body if self.source.columns[members[0]].body else world
                 for name, sign in zip(members, axes):
@@ -287,15 +287,15 @@ class MappedSource:
             q = np.stack([self.values[n] for n in QUATERNION], axis=-1)
             length = np.linalg.norm(q, axis=-1, keepdims=True)
             q = np.where(length > 0.5, q / np.where(length > 0.5, length, 1.0), np.nan)
-        elif all(n in self.values for n in EULER):
-            q = from_euler(*[self.values.pop(n) for n in EULER])
+        elif all(n in self.values for n in EULER_ANGLES):
+            q = from_euler(*[self.values.pop(n) for n in EULER_ANGLES])
         else:
             # half a turn about x on either side: R_z(yaw) and R_y(pitch) change sign, R_x(roll) does not
             for name, axis in (("pitch", body[1]), ("yaw", body[2])):
                 if name in self.values:
                     self.values[name] = axis * self.values[name]
             return
-        for n in EULER:
+        for n in EULER_ANGLES:
             self.values.pop(n, None)
         half = np.array([0.0, 1.0, 0.0, 0.0])
         if self.source.z_up:
@@ -314,7 +314,7 @@ class MappedSource:
     def world_to_body(self, raw: list["MappedSource"], path: Path) -> None:
         """Turn world-axis specific force by the attitude at its own times, body-axis velocity into u v w."""
         if "vx" in self.values and self.source.columns["vx"].body:
-            for old, new in zip(VECTORS["velocity"], VECTORS["body velocity"]):
+            for old, new in zip(VECTOR_COLUMNS["velocity"], VECTOR_COLUMNS["body velocity"]):
                 self.values[new] = self.values.pop(old)
         if "ax" in self.values and not self.source.columns["ax"].body:
             holder = (
@@ -329,8 +329,8 @@ class MappedSource:
             q = np.stack([holder.values[n] for n in QUATERNION], axis=-1)
             fine = np.isfinite(q).all(axis=-1)
             at = interpolate(q[fine], holder.t[fine], self.t)
-            force = rotate_inverse(at, np.stack([self.values[n] for n in VECTORS["force"]], axis=-1))
-            self.values |= {n: force[:, i] for i, n in enumerate(VECTORS["force"])}
+            force = rotate_inverse(at, np.stack([self.values[n] for n in VECTOR_COLUMNS["force"]], axis=-1))
+            self.values |= {n: force[:, i] for i, n in enumerate(VECTOR_COLUMNS["force"])}
 
 
 def stack_columns(r: "MappedSource", names: tuple[str, ...]) -> np.ndarray:

@@ -14,7 +14,7 @@ import numpy as np
 from quasi.input_limits import MAX_UNPACKED_BYTES
 
 HEADER = 128  # bytes; the last four are version and byte order
-TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+MAT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 MATRIX, COMPRESSED = 14, 15
 STRUCTURE, FIRST_NUMERIC, LAST_NUMERIC = 2, 6, 15  # classes of arrays
 DEEPEST = 8  # structures within structures
@@ -71,9 +71,9 @@ def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
 
 def _numbers(element: tuple[int, bytes], order: str) -> np.ndarray:
     kind, body = element
-    if kind not in TYPES or len(body) % np.dtype(TYPES[kind]).itemsize:
+    if kind not in MAT_TYPES or len(body) % np.dtype(MAT_TYPES[kind]).itemsize:
         raise Damaged(f"an element of type {kind} and {len(body)} bytes in place of numbers")
-    return np.frombuffer(body, order + TYPES[kind])
+    return np.frombuffer(body, order + MAT_TYPES[kind])
 
 
 def _matrix(

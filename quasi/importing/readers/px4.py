@@ -30,41 +30,41 @@ from quasi.tables import read_bytes
 
 MICRO = 1e-6  # s
 INVALID_RELATIVE = 0x7FFFFFFF  # accelerometer_timestamp_relative of a sample without accelerometer (message reference)
-FIRST_MOTOR = 101  # actuator_function of motor 1 (message reference)
+FIRST_ACTUATOR_FUNCTION = 101  # actuator_function of motor 1 (message reference)
 PWM_RANGE = (1000.0, 2000.0)  # us, PWM_MIN and PWM_MAX of PX4 where the log does not hold them
 MOTORS = 8
 MOST_SHORT_READS = 1000  # of a whole or cut log there is one, at its end
 
 Group = tuple[str, np.ndarray, dict[str, np.ndarray]]  # name, clock in s, {field: samples}
 _VALID = {"xy_valid": ("x", "y"), "z_valid": ("z",), "v_xy_valid": ("vx", "vy"), "v_z_valid": ("vz",)}
-_XYZ = ("[0]", "[1]", "[2]")
-_Q = dict(zip(("qw", "qx", "qy", "qz"), (("q[0]", "1"), ("q[1]", "1"), ("q[2]", "1"), ("q[3]", "1"))))
+_INDICES = ("[0]", "[1]", "[2]")
+_Q_ARRAY = dict(zip(("qw", "qx", "qy", "qz"), (("q[0]", "1"), ("q[1]", "1"), ("q[2]", "1"), ("q[3]", "1"))))
 
 
 def _vector(names: Collection[str], field: str, unit: str) -> dict[str, tuple[str, str]]:
-    return {n: (f"{field}{place}", unit) for n, place in zip(names, _XYZ)}
+    return {n: (f"{field}{place}", unit) for n, place in zip(names, _INDICES)}
 
 
 def _odometry(topic: str) -> list[Known]:
     """A pose from outside, in the fields of both generations of the message."""
     return [
-        Known("capture", topic, {**_vector("xyz", "position", "m"), **_Q}),
-        Known("capture", topic, {n: (n, "m") for n in "xyz"} | _Q),
+        Known("capture", topic, {**_vector("xyz", "position", "m"), **_Q_ARRAY}),
+        Known("capture", topic, {n: (n, "m") for n in "xyz"} | _Q_ARRAY),
     ]
 
 
 _INSTANCE = r"(:\d+)?"
-_RATES = _vector("pqr", "xyz", "rad/s")
-_SPEED = {"vx": ("vx", "m/s"), "vy": ("vy", "m/s"), "vz": ("vz", "m/s")}
+_XYZ_RATES = _vector("pqr", "xyz", "rad/s")
+_LOCAL_SPEED = {"vx": ("vx", "m/s"), "vy": ("vy", "m/s"), "vz": ("vz", "m/s")}
 KNOWN = (
     Known("body rates", f"sensor_combined{_INSTANCE}", _vector("pqr", "gyro_rad", "rad/s")),
-    Known("body rates", f"vehicle_angular_velocity{_INSTANCE}", _RATES, better=1.5),
+    Known("body rates", f"vehicle_angular_velocity{_INSTANCE}", _XYZ_RATES, better=1.5),
     Known("specific force", f"sensor_combined/accelerometer{_INSTANCE}",
           _vector(("ax", "ay", "az"), "accelerometer_m_s2", "m/s2")),
     Known("specific force", f"vehicle_acceleration{_INSTANCE}", _vector(("ax", "ay", "az"), "xyz", "m/s2"), better=1.5),
-    Known("attitude", f"vehicle_attitude{_INSTANCE}", _Q),
+    Known("attitude", f"vehicle_attitude{_INSTANCE}", _Q_ARRAY),
     Known("position", f"vehicle_local_position{_INSTANCE}", {n: (n, "m") for n in "xyz"}),
-    Known("velocity", f"vehicle_local_position{_INSTANCE}", _SPEED),
+    Known("velocity", f"vehicle_local_position{_INSTANCE}", _LOCAL_SPEED),
     Known("rotor speeds", r"esc_status(/\d+)?(:\d+)?",
           {f"w{i}": (f"motor{i}_rpm", "rpm") for i in range(1, MOTORS + 1)}),
     Known("commands", f"actuator_motors{_INSTANCE}",
@@ -75,7 +75,7 @@ KNOWN = (
           {"battery_voltage": ("voltage_v", "V"), "battery_current": ("current_a", "A")}),
     *_odometry(f"vehicle_mocap_odometry{_INSTANCE}"),
     *_odometry(f"vehicle_visual_odometry{_INSTANCE}"),
-    Known("capture", f"att_pos_mocap{_INSTANCE}", {n: (n, "m") for n in "xyz"} | _Q),
+    Known("capture", f"att_pos_mocap{_INSTANCE}", {n: (n, "m") for n in "xyz"} | _Q_ARRAY),
 )  # fmt: skip
 TOPICS = sorted({re.match(r"\w+", way.match)[0] for way in KNOWN})
 
@@ -121,7 +121,7 @@ class UlogFile:
             "format": "ULog",
             "firmware": {"revision": f"PX4 {version}".strip(), "hash": str(log.msg_info_dict.get("ver_sw", ""))},
             "drop-outs": {"count": len(log.dropouts), "lost": lost, "unit": "s"},
-            "parameters": {k: v for k, v in self.parameters.items() if re.match(_FACTS, k)},
+            "parameters": {k: v for k, v in self.parameters.items() if re.match(_PX4_FACTS, k)},
         }
 
     def _parse(self, topics: Collection[str] | None) -> Any:
@@ -175,7 +175,9 @@ class UlogFile:
         return Signals(frames, {name: self.clocks[name] for name in frames})
 
 
-_FACTS = r"CA_ROTOR|CA_AIRFRAME|THR_MDL_FAC|PWM_M(IN|AX)$|PWM_MAIN_M|IMU_GYRO_|IMU_ACCEL_CUTOFF|SYS_AUTOSTART|MAV_TYPE"
+_PX4_FACTS = (
+    r"CA_ROTOR|CA_AIRFRAME|THR_MDL_FAC|PWM_M(IN|AX)$|PWM_MAIN_M|IMU_GYRO_|IMU_ACCEL_CUTOFF|SYS_AUTOSTART|MAV_TYPE"
+)
 
 
 def _groups(name: str, data: Mapping[str, np.ndarray], parameters: Mapping[str, Any]) -> list[Group]:
@@ -223,11 +225,11 @@ def _escs(data: Mapping[str, np.ndarray], stamp: np.ndarray, parameters: Mapping
     """Speed of each motor: one group where all ESCs were stamped alike, else one for each ESC."""
     escs = [k for k in range(MOTORS) if f"esc[{k}].esc_rpm" in data]
     functions = {k: int(f[-1]) for k in escs if len(f := data.get(f"esc[{k}].actuator_function", ()))}
-    named = any(function >= FIRST_MOTOR for function in functions.values())
+    named = any(function >= FIRST_ACTUATOR_FUNCTION for function in functions.values())
     count = int(parameters.get("CA_ROTOR_COUNT") or MOTORS)
     found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     for k in escs:
-        motor = functions[k] - FIRST_MOTOR + 1 if named else k + 1
+        motor = functions[k] - FIRST_ACTUATOR_FUNCTION + 1 if named else k + 1
         own = data.get(f"esc[{k}].timestamp")
         if not 1 <= motor <= min(count, MOTORS) or (own is not None and not own.any()):
             continue
@@ -245,10 +247,10 @@ def _shares(data: Mapping[str, np.ndarray], parameters: Mapping[str, Any]) -> di
     shares: dict[str, np.ndarray] = {}
     for k in range(16):
         output = data.get(f"output[{k}]")
-        function = int(parameters.get(f"PWM_MAIN_FUNC{k + 1}", FIRST_MOTOR + k))
+        function = int(parameters.get(f"PWM_MAIN_FUNC{k + 1}", FIRST_ACTUATOR_FUNCTION + k))
         if (
             output is None
-            or not FIRST_MOTOR <= function < FIRST_MOTOR + MOTORS
+            or not FIRST_ACTUATOR_FUNCTION <= function < FIRST_ACTUATOR_FUNCTION + MOTORS
             or not np.nanmax(output, initial=0.0) > 0
         ):
             continue
@@ -260,7 +262,7 @@ def _shares(data: Mapping[str, np.ndarray], parameters: Mapping[str, Any]) -> di
             if not low < high or np.nanmax(output) > 1.2 * high:
                 continue
             share = np.clip((output - low) / (high - low), 0.0, 1.0)
-        shares[f"share[{function - FIRST_MOTOR}]"] = share
+        shares[f"share[{function - FIRST_ACTUATOR_FUNCTION}]"] = share
     return shares
 
 

@@ -21,7 +21,7 @@ from quasi.importing.readers.rosbag import READER as ROSBAG
 from quasi.importing.readers.table_reader import READER as TABLE
 from quasi.importing.readers.vicon import READER as VICON
 from quasi.importing.series import Recording
-from quasi.recognition import CONTROLLERS, HEAD, recognise
+from quasi.recognition import CONTROLLERS, HEAD_SIZE, recognise
 from quasi.tables import read_head
 
 LOGS: tuple[Reader, ...] = (BLACKBOX_READER, DECODED_READER, TABLE, PX4, DATAFLASH, ROSBAG, CRAZYFLIE)
@@ -49,7 +49,7 @@ def read_capture(request: Request) -> Recording:
 
 def controller_of(path: Path, quadrotor: Mapping[str, Any]) -> str:
     """The flight controller that a log is of, by what it holds. Raises ReadError where no reader knows it."""
-    found = recognise(read_head(path, HEAD))
+    found = recognise(read_head(path, HEAD_SIZE))
     kind = TEXT if found is None else found.kind
     if kind == TEXT and "table columns" in quadrotor:
         return "table"
@@ -62,13 +62,13 @@ def controller_of(path: Path, quadrotor: Mapping[str, Any]) -> str:
 
 def is_capture(path: object) -> bool:
     """Whether a file is a motion-capture export by what it holds."""
-    found = recognise(read_head(path, HEAD))
+    found = recognise(read_head(path, HEAD_SIZE))
     return found is not None and any(found.kind in r.kinds and not r.controllers for r in READERS)
 
 
 def _reader_of(request: Request, able: list[Reader]) -> Reader:
     """The reader of a file among those able to read for a purpose."""
-    found = recognise(read_head(request.path, HEAD))
+    found = recognise(read_head(request.path, HEAD_SIZE))
     kind = TEXT if found is None else found.kind
     for reader in able:
         if kind in reader.kinds:

@@ -26,12 +26,12 @@ from quasi.importing.readers.signals import Signals, Topic
 from quasi.importing.readers.topics import read_topics
 from quasi.importing.series import Recording
 
-NANO = 1e-9  # s
+NANOSECOND = 1e-9  # s
 LONGEST_SEQUENCE = 64  # entries of a list that become columns; images and point clouds are longer
 OTHER_CLOCK = 0.5  # s between stamps and their recording, from which they count as another clock's (as in a table)
 BYTES = {"uint8", "int8", "byte", "char", "octet"}  # elements of images and other blobs
-NUMBERS = {"bool", "float32", "float64", "int16", "int32", "int64", "uint16", "uint32", "uint64", "int8", "uint8"}
-TIMES = {"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"}
+NUMBER_TYPES = {"bool", "float32", "float64", "int16", "int32", "int64", "uint16", "uint32", "uint64", "int8", "uint8"}
+TIME_TYPES = {"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"}
 TYPE_NAME = r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)+"
 MOTORS = 8
 
@@ -71,7 +71,7 @@ def _poses(kind: str, place: str, turn: str) -> list[Known]:
     ]
 
 
-_Q = _listed(("qw", "qx", "qy", "qz"), "q", "1")
+_Q_LISTED = _listed(("qw", "qx", "qy", "qz"), "q", "1")
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _ARRAYS = r"std_msgs/msg/Float(32|64)MultiArray"
 _ROTOR_WORDS = r"motor|rotor|prop|esc|rpm|omega"
@@ -87,7 +87,7 @@ KNOWN = (
           _listed(("ax", "ay", "az"), "accelerometer_m_s2", "m/s2"), **_FRD),
     Known("attitude", _ODOMETRY, _quaternion("pose.pose.orientation"), names=rf"^(?!.*({_CAPTURES}))", **_FLU),
     Known("attitude", "sensor_msgs/msg/Imu", _quaternion("orientation"), **_FLU),
-    Known("attitude", "px4_msgs/msg/VehicleAttitude", _Q, **_FRD),
+    Known("attitude", "px4_msgs/msg/VehicleAttitude", _Q_LISTED, **_FRD),
     Known("position", _ODOMETRY, _vector("xyz", "pose.pose.position", "m"), names=rf"^(?!.*({_CAPTURES}))", **_FLU),
     Known("position", "px4_msgs/msg/VehicleLocalPosition", {n: (n, "m") for n in "xyz"}, **_FRD),
     Known("velocity", _ODOMETRY, _BODY_SPEED, body=True, names=rf"^(?!.*({_CAPTURES}))", **_FLU),
@@ -99,7 +99,7 @@ KNOWN = (
     *_poses("geometry_msgs/msg/TransformStamped", "transform.translation", "transform.rotation"),
     Known("capture", _ODOMETRY, {**_vector("xyz", "pose.pose.position", "m"), **_quaternion("pose.pose.orientation")},
           names=_CAPTURES, **_FLU),
-    Known("capture", "px4_msgs/msg/VehicleOdometry", {**_listed("xyz", "position", "m"), **_Q},
+    Known("capture", "px4_msgs/msg/VehicleOdometry", {**_listed("xyz", "position", "m"), **_Q_LISTED},
           names="mocap|visual", **_FRD),
     Known("rotor speeds", "mavros_msgs/msg/ESCTelemetry", _rotors("esc_telemetry[{}].rpm", "rpm"), by_kind=True),
     Known("rotor speeds", "mavros_msgs/msg/ESCStatus", _rotors("esc_status[{}].rpm", "rpm"), by_kind=True),
@@ -142,7 +142,7 @@ class Bag:
         unknown: list[str] = []
         with self._open() as reader:
             self.start: int = reader.start_time
-            seconds = (reader.end_time - reader.start_time) * NANO
+            seconds = (reader.end_time - reader.start_time) * NANOSECOND
             for name in sorted({c.topic for c in reader.connections}):
                 own = [c for c in reader.connections if c.topic == name]
                 samples = sum(c.msgcount for c in own)
@@ -213,10 +213,10 @@ class Bag:
             frame = pd.DataFrame(
                 {c: np.frombuffer(values, float) if values else [] for c, values in columns_of.items()}
             )
-            recorded = (np.array(times[name], np.int64) - self.start) * NANO
+            recorded = (np.array(times[name], np.int64) - self.start) * NANOSECOND
             stamp = f"{name}.header.stamp"
             if stamp in frame:
-                frame[stamp] -= self.start * NANO
+                frame[stamp] -= self.start * NANOSECOND
             lost = self.topics[name].samples - len(frame)
             if lost > 0:
                 add_caution(notes, f"{self.path}: {lost} messages of '{name}' are damaged and were left out")
@@ -271,9 +271,9 @@ def _getters(definitions: Mapping[str, Any], kind: str, message: Any, depth: int
     found: dict[str, Getter] = {}
     for name, (node, detail) in definitions[kind][1]:
         value, get = getattr(message, name, None), operator.attrgetter(name)
-        if node.name == "BASE" and detail[0] in NUMBERS:
+        if node.name == "BASE" and detail[0] in NUMBER_TYPES:
             found[name] = _number_of(get)
-        elif node.name == "NAME" and detail in TIMES:
+        elif node.name == "NAME" and detail in TIME_TYPES:
             found[name] = _seconds_of(get)
         elif node.name == "NAME" and depth < 6:
             inner = _getters(definitions, detail, value, depth + 1)
@@ -282,7 +282,7 @@ def _getters(definitions: Mapping[str, Any], kind: str, message: Any, depth: int
             (element, about), _ = detail
             for i in range(len(value)):
                 entry = _entry(get, i)
-                if element.name == "BASE" and about[0] in NUMBERS - BYTES:
+                if element.name == "BASE" and about[0] in NUMBER_TYPES - BYTES:
                     found[f"{name}[{i}]"] = _number_of(entry)
                 elif element.name == "NAME" and depth < 6:
                     inner = _getters(definitions, about, value[i], depth + 1)
@@ -319,7 +319,7 @@ def _chain(get: Callable[[Any], Any], then: Getter) -> Getter:
 def _seconds_of(get: Callable[[Any], Any]) -> Getter:
     def seconds(message: Any) -> float:
         stamp = get(message)
-        return stamp.sec + NANO * stamp.nanosec
+        return stamp.sec + NANOSECOND * stamp.nanosec
 
     return seconds
 

@@ -22,7 +22,7 @@ from quasi.errors import ConfigError, nearest
 from quasi.importing.command_units import RANGES
 from quasi.importing.units import to_si
 
-VECTORS = {
+VECTOR_COLUMNS = {
     "rates": ("p", "q", "r"),
     "force": ("ax", "ay", "az"),
     "velocity": ("vx", "vy", "vz"),
@@ -32,18 +32,18 @@ VECTORS = {
     "setpoint": ("setpoint_p", "setpoint_q", "setpoint_r"),
 }
 QUATERNION = ("qw", "qx", "qy", "qz")
-EULER = ("roll", "pitch", "yaw")
-ROTORS = range(1, 9)
+EULER_ANGLES = ("roll", "pitch", "yaw")
+MAPPED_ROTORS = range(1, 9)
 UNIT = {
-    **dict.fromkeys(VECTORS["rates"] + VECTORS["setpoint"], "rad/s"),
-    **dict.fromkeys(VECTORS["force"] + VECTORS["linear acceleration"], "m/s2"),
-    **dict.fromkeys(VECTORS["velocity"] + VECTORS["body velocity"], "m/s"),
-    **dict.fromkeys(VECTORS["position"], "m"),
+    **dict.fromkeys(VECTOR_COLUMNS["rates"] + VECTOR_COLUMNS["setpoint"], "rad/s"),
+    **dict.fromkeys(VECTOR_COLUMNS["force"] + VECTOR_COLUMNS["linear acceleration"], "m/s2"),
+    **dict.fromkeys(VECTOR_COLUMNS["velocity"] + VECTOR_COLUMNS["body velocity"], "m/s"),
+    **dict.fromkeys(VECTOR_COLUMNS["position"], "m"),
     **dict.fromkeys(QUATERNION, "1"),
-    **dict.fromkeys(EULER, "rad"),
-    **{f"w{i}": "rad/s" for i in ROTORS},
-    **{f"w{i}_CMD": "rad/s" for i in ROTORS},
-    **{f"command{i}": "1" for i in ROTORS},
+    **dict.fromkeys(EULER_ANGLES, "rad"),
+    **{f"w{i}": "rad/s" for i in MAPPED_ROTORS},
+    **{f"w{i}_CMD": "rad/s" for i in MAPPED_ROTORS},
+    **{f"command{i}": "1" for i in MAPPED_ROTORS},
     "throttle": "1",
     "battery_voltage": "V",
     "battery_current": "A",
@@ -154,7 +154,7 @@ def read_mapping(section: Any, poles: int | None, where: str, log_has_clock: boo
                 raise ConfigError(f"{where}: sources '{other}' and '{source.name}' both map {quantity}; remove one")
     if sum(s.capture for s in sources) > 1:
         raise ConfigError(f"{where}: more than one source is motion capture; merge them into one")
-    if not any((name, False) in seen for name in ("p", "qw", *EULER)):
+    if not any((name, False) in seen for name in ("p", "qw", *EULER_ANGLES)):
         raise ConfigError(
             f"{where}: no source maps body rates (p, q, r) or an attitude (qw, qx, qy, qz or roll, pitch, yaw); map "
             "one of them, nothing can be identified without"
@@ -180,7 +180,7 @@ def _source(section: Any, poles: int | None, where: str) -> Source:
         if quantity not in UNIT:
             raise ConfigError(f"{where}: unknown quantity '{quantity}'{nearest(quantity, UNIT)}")
         columns[quantity] = _column(entry, quantity, poles, f"{where}, {quantity}")
-    for members in (*VECTORS.values(), QUATERNION):
+    for members in (*VECTOR_COLUMNS.values(), QUATERNION):
         present = [m for m in members if m in columns]
         if present and len(present) < len(members):
             lacking = next(m for m in members if m not in columns)
@@ -189,8 +189,8 @@ def _source(section: Any, poles: int | None, where: str) -> Source:
             )
         if present and len({columns[m].body for m in members}) > 1:
             raise ConfigError(f"{where}: {', '.join(members)} must all have the same 'frame'")
-    angles = [m for m in EULER if m in columns]
-    if 0 < len(angles) < len(EULER) and flu != z_up:
+    angles = [m for m in EULER_ANGLES if m in columns]
+    if 0 < len(angles) < len(EULER_ANGLES) and flu != z_up:
         axes = f"'frame' {'FLU' if flu else 'FRD'} and 'world' {'z-up' if z_up else 'NED'}"
         raise ConfigError(
             f"{where}: {' and '.join(angles)} alone cannot be turned from {axes}; "
@@ -219,7 +219,7 @@ def _column(entry: Any, quantity: str, poles: int | None, where: str) -> Column:
     factor = to_si(
         str(entry.get("unit", UNIT[quantity])), UNIT[quantity], where, poles if quantity[1:2].isdigit() else None
     )
-    vector = next((v for v, members in VECTORS.items() if quantity in members), None)
+    vector = next((v for v, members in VECTOR_COLUMNS.items() if quantity in members), None)
     body = _IN_BODY.get(vector, True)
     if "frame" in entry:
         if vector is None:

@@ -25,10 +25,10 @@ from quasi.importing.readers.mapped_source import (
 )
 from quasi.importing.readers.reader import TEXT, Reader, Request
 from quasi.importing.readers.signals import Signals
-from quasi.importing.readers.table_mapping import EULER, QUATERNION, VECTORS, TableMapping, read_mapping
+from quasi.importing.readers.table_mapping import EULER_ANGLES, QUATERNION, VECTOR_COLUMNS, TableMapping, read_mapping
 from quasi.importing.readers.table_text import open_table
 from quasi.importing.series import Recording, Series
-from quasi.recognition import HEAD, recognise
+from quasi.recognition import HEAD_SIZE, recognise
 from quasi.tables import read_head
 
 LONGEST_STEP = 0.12  # s between body rates, beyond any motion's; seconds in place of milliseconds exceed it up to 8 kHz
@@ -55,7 +55,7 @@ def read_table_log(
 
 def open_signals(path: Path, plan: TableMapping, notes: list[str]) -> Signals:
     """The columns of a CSV, Parquet, MAT or npz file. Raises ReadError where it is none, or too short."""
-    found = recognise(read_head(path, HEAD))
+    found = recognise(read_head(path, HEAD_SIZE))
     if found is not None and found.kind in ARRAYS:
         return read_arrays(path, notes)
     table = open_table(path, notes, plan.names, plan.clocks)
@@ -109,8 +109,8 @@ def read_signals(
     for r in raw:
         r.world_to_body(raw, path)
     felt = next((r for r in raw if "ax" in r.values and not r.source.capture), None)
-    force = np.zeros((0, 3)) if felt is None else stack_columns(felt, VECTORS["force"])
-    turning = stack_columns(main, VECTORS["rates"]) if "p" in main.values else np.zeros((0, 3))
+    force = np.zeros((0, 3)) if felt is None else stack_columns(felt, VECTOR_COLUMNS["force"])
+    turning = stack_columns(main, VECTOR_COLUMNS["rates"]) if "p" in main.values else np.zeros((0, 3))
     notes += [f"{path}: {end} in 'table columns'" for end in doubtful_units(turning, force)]
     for end in doubtful_values({n: v for r in raw for n, v in r.values.items()}):
         add_caution(notes, f"{path}: {end} in 'table columns'")
@@ -144,7 +144,7 @@ def _row_times(
 
 def _main_source(raw: "list[MappedSource]", path: Path) -> "MappedSource":
     """The source whose clock is the flight's: that of the gyro, else of the attitude. Raises ReadError without both."""
-    for names in (VECTORS["rates"], QUATERNION, EULER):
+    for names in (VECTOR_COLUMNS["rates"], QUATERNION, EULER_ANGLES):
         for r in raw:
             if not r.source.capture and any(n in r.values for n in names):
                 return r

@@ -156,7 +156,7 @@ def _thrust_force(p, u0, u1, u2, u3):
     """Compute Fz of the rotors, N, from squared speeds, linear about hover."""
     e, h2 = g.EFFECTIVENESS + 12, p[g.HOVER_SPEED] ** 2
     return (
-        -p[g.MASS] * GRAVITY
+        -p[g.CONTROL_MASS] * GRAVITY
         + p[e] * (u0 - h2) + p[e + 1] * (u1 - h2) + p[e + 2] * (u2 - h2) + p[e + 3] * (u3 - h2)
     )  # fmt: skip
 
@@ -167,7 +167,7 @@ def _set_wanted_loads(p, m, dt, mx, my, mz, thrust):
     e = g.EFFECTIVENESS + 12
     m[WANTED_LOADS], m[WANTED_LOADS + 1] = mx, my
     m[WANTED_LOADS + 3] = (
-        -thrust + p[g.MASS] * GRAVITY + p[g.HOVER_SPEED] ** 2 * (p[e] + p[e + 1] + p[e + 2] + p[e + 3])
+        -thrust + p[g.CONTROL_MASS] * GRAVITY + p[g.HOVER_SPEED] ** 2 * (p[e] + p[e + 1] + p[e + 2] + p[e + 3])
     )
     for i in range(4):
         mz += p[g.YAW_REACTION + i] / (2.0 * p[g.HOVER_SPEED] * dt) * m[LAST_COMMANDS_SQUARED + i]
@@ -177,7 +177,7 @@ def _set_wanted_loads(p, m, dt, mx, my, mz, thrust):
 @njit(cache=True, error_model="numpy")
 def _multiply_inertia(p, a, b, c):
     """Multiply the inertia by an angular acceleration."""
-    i = g.INERTIA
+    i = g.CONTROL_INERTIA
     return (
         p[i] * a + p[i + 1] * b + p[i + 2] * c,
         p[i + 3] * a + p[i + 4] * b + p[i + 5] * c,
@@ -236,7 +236,7 @@ def _run_indi(p, m, dt, measurement, setpoint):
     # acceleration not caused by thrust: accelerometer and rotor speeds of the same instant, with the same filter
     u0, u1, u2, u3 = measurement[13] ** 2, measurement[14] ** 2, measurement[15] ** 2, measurement[16] ** 2
     ax, ay = measurement[17], measurement[18]
-    az = measurement[19] - _thrust_force(p, u0, u1, u2, u3) / p[g.MASS]
+    az = measurement[19] - _thrust_force(p, u0, u1, u2, u3) / p[g.CONTROL_MASS]
     r = rotation_matrix(measurement)
     _filter_value(m, ACCELERATION_FILTERS, 0.5 * dt, r[0] * ax + r[1] * ay + r[2] * az)
     _filter_value(m, ACCELERATION_FILTERS + 3, 0.5 * dt, r[3] * ax + r[4] * ay + r[5] * az)
@@ -289,7 +289,7 @@ def _run_ndi(p, m, dt, measurement, setpoint):
     for k in range(6):
         out[k] -= offset[k]
     r = rotation_matrix(measurement)
-    mass = p[g.MASS]
+    mass = p[g.CONTROL_MASS]
     if p[g.MODEL_START] == 0.0:  # the model's forces include the weight
         for k in range(3):
             out[k] -= mass * GRAVITY * r[6 + k]

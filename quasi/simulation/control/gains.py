@@ -23,7 +23,7 @@ ALLOCATION_METHODS = {"inverse": 0.0, "weighted": 1.0}
 CONTROLLER_SECTIONS = ("controller", "gains", "limits", "filter", "allocation", "time step")
 
 # places in the flat array of parameters
-MASS, INERTIA, EFFECTIVENESS, YAW_REACTION, HOVER_SPEED, LOWEST_SPEED, HIGHEST_SPEED, ACTUATOR_LAG = (
+CONTROL_MASS, CONTROL_INERTIA, EFFECTIVENESS, YAW_REACTION, HOVER_SPEED, LOWEST_SPEED, HIGHEST_SPEED, ACTUATOR_LAG = (
     0,
     1,
     10,
@@ -160,9 +160,9 @@ def pack_parameters(complete: Mapping[str, Any], known: ControlModel) -> np.ndar
     """Parameters (MODEL_START,) of the kernels, from complete settings and the vehicle."""
     gains, limits, allocation = complete["gains"], complete["limits"], complete["allocation"]
     out = np.zeros(MODEL_START)
-    out[MASS], out[HOVER_SPEED], out[ACTUATOR_LAG] = known.mass, known.hover_speed, known.lag + known.delay
+    out[CONTROL_MASS], out[HOVER_SPEED], out[ACTUATOR_LAG] = known.mass, known.hover_speed, known.lag + known.delay
     out[LOWEST_SPEED], out[HIGHEST_SPEED] = known.lowest, known.highest
-    out[INERTIA : INERTIA + 9] = known.inertia.ravel()
+    out[CONTROL_INERTIA : CONTROL_INERTIA + 9] = known.inertia.ravel()
     out[EFFECTIVENESS : EFFECTIVENESS + 16] = known.effectiveness.ravel()
     out[YAW_REACTION : YAW_REACTION + 4] = known.yaw_reaction
     out[ALLOCATION_WEIGHTS : ALLOCATION_WEIGHTS + 4] = allocation["weights"]

@@ -126,7 +126,7 @@ def run_outer_loop(parameters, memory, dt, measurement, setpoint, dx, dy, dz):
     dx dy dz: acceleration caused by neither gravity nor thrust, m/s2, earth axes.
     """
     p, wanted_rates = parameters, memory[WANTED_RATES : WANTED_RATES + 3]
-    kind, mass = setpoint[SETPOINT_KIND], p[g.MASS]
+    kind, mass = setpoint[SETPOINT_KIND], p[g.CONTROL_MASS]
     if kind == RATES_SETPOINT:
         for k in range(3):
             wanted_rates[k] = setpoint[SETPOINT_RATES + k]

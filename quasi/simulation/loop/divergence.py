@@ -10,7 +10,7 @@ from quasi.simulation.vehicle.dynamics import compute_loads, make_scratch
 from quasi.simulation.vehicle.layout import ROOT_EFFECTIVENESS, SPEED_CAP
 from quasi.simulation.vehicle.undefined_loads import describe_undefined_loads
 
-_UNITS = ("1",) * 4 + ("m/s",) * 3 + ("rad/s",) * 3 + ("m",) * 3 + ("rad/s",) * 4
+_STATE_UNITS = ("1",) * 4 + ("m/s",) * 3 + ("rad/s",) * 3 + ("m",) * 3 + ("rad/s",) * 4
 _MEANINGS = {
     **dict.fromkeys(("qw", "qx", "qy", "qz"), "attitude quaternion"),
     "u": "forward velocity", "v": "sideways velocity", "w": "downward velocity",
@@ -47,7 +47,7 @@ def explain_end(
 
 def _describe_state(setup: Setup, status: int, after: np.ndarray | None) -> str:
     name, limit = STATE_NAMES[status - 1], setup.loop_parameters.limits[status - 1]
-    text = f"{_MEANINGS[name]} {name} left its limit of {limit:g} {_UNITS[status - 1]}"
+    text = f"{_MEANINGS[name]} {name} left its limit of {limit:g} {_STATE_UNITS[status - 1]}"
     value = np.nan if after is None else after[status - 1]
     return f"{text} and became {value:.4g}" if np.isfinite(value) else text
 

@@ -29,7 +29,7 @@ PTERM_SCALE, ITERM_SCALE, DTERM_SCALE = 0.032029, 0.244381, 0.000529  # Betaflig
 PID_MIXER_SCALING = 1000.0  # Betaflight: sum of the terms that takes a motor through its whole range
 LEVEL_SCALE = 10.0  # Betaflight: level P over the rate set-point per angle, 1/s
 MOST_BETAFLIGHT = 250  # largest P, I or D that the configurator takes
-AXES = ("roll", "pitch", "yaw")
+FIRMWARE_AXES = ("roll", "pitch", "yaw")
 
 
 class FirmwareGains(NamedTuple):
@@ -142,7 +142,7 @@ def gains_text(found: FirmwareGains) -> str:
     for key in ("P", "I", "D"):
         lines.append(f"  {'Betaflight ' + key:<24}" + "".join(f"{v:>9.0f}" for v in found.betaflight[key]))
     lines.append(f"  {'Betaflight level P':<24}{found.betaflight['level P']:>9.0f}")
-    by_axis = [found.margins.by_direction[axis] for axis in AXES]
+    by_axis = [found.margins.by_direction[axis] for axis in FIRMWARE_AXES]
     for name, unit, values in (
         ("gain up", "dB", [m.gain_up for m in by_axis]),
         ("gain down", "dB", [m.gain_down for m in by_axis]),

@@ -44,10 +44,10 @@ def fly_simulation(name: str | None, directory: Path, folder: "Folder") -> str:
         session.duration,
     )
     with ExitStack() as opened:
-        window, keys = _open_window(setup, name, watch.HELP, opened, path)
+        window, keys = _open_window(setup, name, watch.REFERENCE_HELP, opened, path)
         session.advance(None, 1)  # compiles
         session.restart()
-        print(watch.HELP, flush=True)
+        print(watch.REFERENCE_HELP, flush=True)
         return watch.show_reference_flight(session, window, keys)
 
 
@@ -70,10 +70,10 @@ def fly_by_hand(
         setup = make_setup({**START, "model": {"model ID": model.id}}, model, name=f"flight of {model.id}")
     session = Session(setup)
     with ExitStack() as opened:
-        window, keys = _open_window(setup, setup.model.id, fly.HELP, opened)
+        window, keys = _open_window(setup, setup.model.id, fly.MANUAL_HELP, opened)
         session.advance(fly.Pilot(session.weight).setpoint(set(), session.dt), 1)  # compiles
         session.restart()
-        print(fly.HELP, flush=True)
+        print(fly.MANUAL_HELP, flush=True)
         return fly.fly_manually(session, window, keys)
 
 

@@ -13,14 +13,14 @@ from typing import Protocol
 
 import numpy as np
 
+from quasi.simulation.control.outer_loop import ATTITUDE_SETPOINT, VELOCITY_SETPOINT
 from quasi.simulation.tools.keyboard import HeldKeys
 
-VELOCITY, ATTITUDE = 1, 2  # kinds of a setpoint, see `outer_loop`
 SETPOINT_SIZE = 20
 MAX_SIMULATED_TIME = (
     0.1  # s of simulation between two pictures at most; a slow computer then simulates slower than real time
 )
-HELP = "w a s d fly, arrows height and heading, m mode, space halt, r again, q end"
+MANUAL_HELP = "w a s d fly, arrows height and heading, m mode, space halt, r again, q end"
 
 
 @dataclass(frozen=True)
@@ -45,12 +45,12 @@ class Pilot:
     def __init__(self, weight: float, yaw: float = 0.0, handling: Handling | None = None) -> None:
         self.weight, self.yaw = weight, yaw
         self.handling = handling or Handling()
-        self.kind = VELOCITY
+        self.kind = VELOCITY_SETPOINT
         self._commanded = np.zeros(3)  # forward, right, up: m/s, or rad and a share with an attitude reference
 
     def switch(self) -> None:
         """Switch between velocity and attitude setpoints."""
-        self.kind = ATTITUDE if self.kind == VELOCITY else VELOCITY
+        self.kind = ATTITUDE_SETPOINT if self.kind == VELOCITY_SETPOINT else VELOCITY_SETPOINT
         self._commanded[:] = 0.0
 
     def halt(self) -> None:
@@ -69,7 +69,7 @@ class Pilot:
         )
         turn = handling_limits.turn * difference(("right", "l"), ("left", "j"))
         wanted[:2] /= max(math.hypot(wanted[0], wanted[1]), 1.0)  # a diagonal is not faster
-        if self.kind == VELOCITY:
+        if self.kind == VELOCITY_SETPOINT:
             full, rate = (
                 np.array([handling_limits.speed, handling_limits.speed, handling_limits.climb]),
                 handling_limits.acceleration,
@@ -84,7 +84,7 @@ class Pilot:
         setpoint = np.zeros(SETPOINT_SIZE)
         setpoint[0], setpoint[9], setpoint[14] = self.kind, self.yaw, turn
         forward, right, up = self._commanded
-        if self.kind == VELOCITY:
+        if self.kind == VELOCITY_SETPOINT:
             c, s = math.cos(self.yaw), math.sin(self.yaw)
             setpoint[4:7] = c * forward - s * right, s * forward + c * right, -up
             setpoint[13] = np.nan
@@ -203,7 +203,7 @@ def describe_flight(state: np.ndarray, pilot: Pilot, pace: Pace, ended: str | No
     """Describe the flight for the view: mode, speed, height, and exceptions."""
     if ended is not None:
         return f"{ended}; r starts again"
-    mode = "velocity" if pilot.kind == VELOCITY else "attitude"
+    mode = "velocity" if pilot.kind == VELOCITY_SETPOINT else "attitude"
     text = f"{mode}   {np.linalg.norm(state[4:7]):.1f} m/s   height {-state[12]:.1f} m"
     return text if pace.speed_ratio > 0.95 else f"{text}   {pace.speed_ratio:.1f} x real time"
 

@@ -72,8 +72,8 @@ def loop_constants(setup: Setup) -> dict[str, Any]:
         "battery voltage": loop_parameters.battery.start if loop_parameters.battery.place >= 0 else None,
         "start speeds": setup.start[ROTOR_SPEEDS:STATE_SIZE],
         "controller": {
-            "mass": gains[g.MASS],
-            "inertia": gains[g.INERTIA : g.INERTIA + 9].reshape(3, 3),
+            "mass": gains[g.CONTROL_MASS],
+            "inertia": gains[g.CONTROL_INERTIA : g.CONTROL_INERTIA + 9].reshape(3, 3),
             "effectiveness": gains[g.EFFECTIVENESS : g.EFFECTIVENESS + 16].reshape(4, 4),
             "yaw reaction": gains[g.YAW_REACTION : g.YAW_REACTION + 4],
             "hover speed": gains[g.HOVER_SPEED],

@@ -13,9 +13,9 @@ import numpy as np
 from quasi.simulation.tools.keyboard import HeldKeys
 from quasi.simulation.tools.manual_flight import Keys, Pace
 
-HELP = "space pauses, r starts again, q ends"
+REFERENCE_HELP = "space pauses, r starts again, q ends"
 POSITION_SETPOINT = 0.0
-MAX_PATH_POINTS = 2000  # of a reference's path; more are not visible
+MAX_REFERENCE_POINTS = 2000  # of a reference's path; more are not visible
 
 
 class Followed(Protocol):
@@ -114,7 +114,7 @@ def describe_flight(flight: Followed, pace: Pace, ended: str | None, paused: boo
 def sample_path(evaluate_setpoint: Callable[[float, np.ndarray], None], duration: float) -> np.ndarray:
     """Sample the positions (M, 3), m, earth NED, of a reference over its duration, s; (0, 3) without any."""
     setpoint, path = np.zeros(20), []
-    for t in np.linspace(0.0, duration, MAX_PATH_POINTS):
+    for t in np.linspace(0.0, duration, MAX_REFERENCE_POINTS):
         evaluate_setpoint(t, setpoint)
         if setpoint[0] == POSITION_SETPOINT:
             path.append(setpoint[1:4].copy())
