@@ -28,7 +28,7 @@ from quasi.synthesis.recorder import record
 from quasi.synthesis.sensors import Capture, capture
 from quasi.tables import write_bytes, write_table, write_text
 
-VALID_NAME = re.compile(r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*")
+CAMPAIGN_NAME = re.compile(r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*")
 BODY = "MadeBeetle"
 FLIGHT_DATE = "2026-03-14"
 
@@ -69,7 +69,7 @@ class Made(NamedTuple):
 
 # key: (default, check, what is expected)
 CAMPAIGN_KEYS: dict[str, tuple[Any, Any, str]] = {
-    "quadrotor": ("MadeBeetle", lambda v: isinstance(v, str) and VALID_NAME.fullmatch(v), "a name"),
+    "quadrotor": ("MadeBeetle", lambda v: isinstance(v, str) and CAMPAIGN_NAME.fullmatch(v), "a name"),
     "seed": (1, lambda v: isinstance(v, int) and not isinstance(v, bool) and v >= 0, "a whole number from 0"),
     "flights": (None, lambda v: isinstance(v, list) and v, "a list of flights"),
     "duration": (90.0, lambda v: _number(v, 5.0, 1200.0), "seconds from 5 to 1200"),
@@ -116,7 +116,7 @@ def read_campaign(config: Mapping[str, Any], name: str = "campaign") -> Campaign
             if key not in FLIGHT_KEYS:
                 raise ConfigError(f"{here} has an unknown key '{key}'{nearest(key, FLIGHT_KEYS)}")
         flight_key, profile = row["key"], row.get("profile", "mixed")
-        if not isinstance(flight_key, str) or not VALID_NAME.fullmatch(flight_key):
+        if not isinstance(flight_key, str) or not CAMPAIGN_NAME.fullmatch(flight_key):
             raise ConfigError(
                 f"{here}: 'key' is {flight_key!r}, expected letters, digits and . _ + -, not beginning with a dot"
             )
@@ -134,7 +134,7 @@ def read_campaign(config: Mapping[str, Any], name: str = "campaign") -> Campaign
         seed = row.get("seed", (whole["seed"] * 1_000_003 + zlib.crc32(flight_key.encode())) % 2**32)
         numbers = [float(_valid(k, row.get(k, whole[k]), here)) for k in ("duration", "nuisance", "noise")]
         session = row.get("session", "")
-        if not isinstance(session, str) or (session and not VALID_NAME.fullmatch(session)):
+        if not isinstance(session, str) or (session and not CAMPAIGN_NAME.fullmatch(session)):
             raise ConfigError(f"{here}: 'session' is {session!r}, expected a name of letters and digits; correct it")
         flights.append(Flight(flight_key, profile, _valid("seed", seed, here), check(both, here), *numbers, session))
     conditions = read_conditions(config, where)

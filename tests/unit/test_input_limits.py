@@ -17,7 +17,7 @@ from quasi.importing.readers import mat5
 from quasi.importing.readers.arrays import read_arrays
 from quasi.importing.readers.table_text import open_table
 from quasi.project.folder import read_settings
-from quasi.project.logbook import NAME, NEEDED, pick, read_logbook, select_rows
+from quasi.project.logbook import NEEDED, VALID_NAME, pick, read_logbook, select_rows
 from quasi.terms.canonical import canonicalise
 from quasi.terms.expressions import parse
 
@@ -158,7 +158,7 @@ def test_a_cell_too_long_spoils_its_row_and_no_other(tmp_path, cells):
     assert [row.problem is None for row in found.values()] == [True, False, True]
     problem = found[3].problem
     assert "row 3" in problem and len(problem) < 600
-    assert NAME.fullmatch(found[3].key) and NAME.fullmatch(found[3].quadrotor)
+    assert VALID_NAME.fullmatch(found[3].key) and VALID_NAME.fullmatch(found[3].quadrotor)
 
 
 def test_a_number_of_5000_digits_is_refused_where_it_is_used(tmp_path):
@@ -177,7 +177,7 @@ def test_a_number_of_5000_digits_is_refused_where_it_is_used(tmp_path):
 
 
 def test_names_have_a_longest_length():
-    assert NAME.fullmatch("a" * 100) and not NAME.fullmatch("a" * 101)
+    assert VALID_NAME.fullmatch("a" * 100) and not VALID_NAME.fullmatch("a" * 101)
 
 
 def test_two_long_names_that_begin_alike_are_two_flights(tmp_path):
