@@ -78,6 +78,12 @@ def test_the_right_order_a_weak_rotor_and_flights_of_two_orders_are_left_alone(f
     assert find_rotor_order([*flights[:3], logged(flights[3], (2, 1, 0, 3), True)], model) is None
 
 
+def test_a_model_that_contradicts_its_configuration_shows_no_order(flights, model):
+    """Reference flights in a wrong order: the compared ones, in the right one, are not at fault."""
+    wrong = Model({**model.document, "contradictions": ["rotor 1 pushes as if it were aft left"]})
+    assert find_rotor_order([logged(f, (2, 1, 0, 3), True) for f in flights], wrong) is None
+
+
 def test_the_finding_reaches_calibration_and_words(flights, model):
     wrong = [logged(f, (2, 1, 0, 3), True) for f in flights]
     effects = {n: catalogue()[n] for n in (ID, "inertia")}

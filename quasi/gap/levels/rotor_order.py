@@ -91,8 +91,11 @@ def find_rotor_order(flights: Sequence[Flown], model: Model) -> RotorOrder | Non
     """The order in which compared flights log their rotors, where it is surely another one than the model's.
 
     Each compared flight by itself must favour the same order decisively. Without a velocity, or where reference
-    flights do not show the model's own order, nothing is found.
+    flights do not show the model's own order, nothing is found. Nor is it where the model's rotors contradict its
+    configuration: then the order of the flights that made it is wrong, which the diagnosis reports of the model.
     """
+    if model.document.get("contradictions"):
+        return None
     read = {f.key: (f.filtered, f.filtered_metadata, f.airframe) for f in flights}
     try:
         evidence, _ = gather_all(read, model, RATE)
