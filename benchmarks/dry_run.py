@@ -1,13 +1,16 @@
-"""How long Snakemake needs to see what is to be done for a logbook of many flights.
+"""How long Snakemake needs to see what is to be done for a logbook of many flights, and how much of it is ours.
 
-    python benchmarks/dry_run.py [--rows 200]
+    python benchmarks/dry_run.py [--rows 200] [--repeats 3]
 
-Lays a project whose logbook has that many rows, all of them used by one model, and times a dry run of the model.
+Lays a project whose logbook has that many rows, all of them used by one model, and times a dry run of the model. The
+same graph as bare rules, without configuration, checks and digests, is what Snakemake itself needs. Processor times
+are compared, because they depend little on other work of the machine; ours may be 20 % above Snakemake's own.
 """
 
 import argparse
 import csv
 import json
+import resource
 import shutil
 import subprocess
 import sys
@@ -18,6 +21,7 @@ from pathlib import Path
 from measured_table import record
 
 ROOT = Path(__file__).parents[1]
+MAX_SHARE = 0.2  # processor time of a dry run beyond that of bare rules, the target
 
 
 def lay(folder: Path, rows: int) -> None:
@@ -47,26 +51,106 @@ def lay(folder: Path, rows: int) -> None:
     (folder / "config/models/example.json").write_text(json.dumps(model))
 
 
-def main() -> None:
+BARE = """
+FLIGHTS = [f"flight-{i}" for i in range(ROWS)]
+rule standalone:
+    input: "inspected.json", expand("{part}.json", part=["model", "scores", "figures", "trajectories", "report"])
+    output: "standalone.json"
+    shell: "x"
+rule inspection:
+    input: expand("data/raw/{f}.{k}", f=FLIGHTS, k=["bbl", "csv"])
+    output: "inspected.json"
+    shell: "x"
+rule importing:
+    input: "data/raw/{flight}.bbl", "data/raw/{flight}.csv"
+    output: "imported/{flight}.parquet", "imported/{flight}.json"
+    log: "logs/importing/{flight}.log"
+    shell: "x"
+rule filtering:
+    input: "imported/{flight}.parquet", "imported/{flight}.json"
+    output: expand("{k}/{{flight}}.{e}", k=["with", "no"], e=["parquet", "json"]), "c/{flight}.parquet"
+    log: "logs/filtering/{flight}.log"
+    shell: "x"
+rule shared:
+    input: expand("with/{f}.parquet", f=FLIGHTS[:-1])
+    output: "shared.json", "partition.parquet"
+    shell: "x"
+rule identification:
+    input: expand("with/{f}.parquet", f=FLIGHTS[:-1]), "shared.json", "partition.parquet"
+    output: "axis-{axis}.json"
+    shell: "x"
+rule model:
+    input: expand("axis-{axis}.json", axis=range(6)), expand("with/{f}.parquet", f=FLIGHTS[:-1])
+    output: "model.json"
+    shell: "x"
+rule scores:
+    input: "model.json", "partition.parquet", expand("with/{f}.parquet", f=FLIGHTS)
+    output: "scores.json"
+    shell: "x"
+rule figures:
+    input: "model.json", "partition.parquet", expand("with/{f}.parquet", f=FLIGHTS)
+    output: "figures.json"
+    shell: "x"
+rule trajectories:
+    input: expand("with/{f}.parquet", f=FLIGHTS)
+    output: "trajectories.json"
+    shell: "x"
+rule report:
+    input: "model.json", "scores.json"
+    output: "report.json"
+    shell: "x"
+"""
+
+
+def measure(snakefile: Path, folder: Path, target: str, repeats: int) -> tuple[float, float]:
+    """Measure a dry run: least seconds and least processor time."""
+    command = [
+        sys.executable,
+        "-m",
+        "snakemake",
+        "-s",
+        str(snakefile),
+        "-d",
+        str(folder),
+        "-n",
+        "-q",
+        "all",
+        "--",
+        target,
+    ]
+    seconds, processor = [], []
+    for _ in range(repeats):
+        before, started = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+        done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
+        seconds.append(time.perf_counter() - started)
+        now = resource.getrusage(resource.RUSAGE_CHILDREN)
+        processor.append(now.ru_utime + now.ru_stime - before.ru_utime - before.ru_stime)
+        if done.returncode:
+            raise SystemExit(done.stdout + done.stderr)
+    return min(seconds), min(processor)
+
+
+def main() -> int:
+    """Run the benchmark; 0 where the target is met."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rows", type=int, default=200)
+    parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--record", action="store_true", help="store the figures for docs/measured.md")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "project"
         lay(folder, options.rows)
-        command = [sys.executable, "-m", "snakemake", "-s", str(ROOT / "Snakefile"), "-d", str(folder), "-n", "-q"]
-        times = []
-        for _ in range(3):
-            started = time.perf_counter()
-            done = subprocess.run([*command, "all", "--", "models/example/standalone"], capture_output=True, text=True)
-            times.append(time.perf_counter() - started)
-            assert done.returncode == 0, done.stderr
-    shown = ", ".join(f"{t:.1f}" for t in sorted(times))
+        bare = Path(name) / "Snakefile"
+        bare.write_text(f"ROWS = {options.rows}\n{BARE}")
+        ours = measure(ROOT / "Snakefile", folder, "models/example/standalone", options.repeats)
+        own = measure(bare, folder, "standalone.json", options.repeats)
+    share = ours[1] / own[1] - 1
+    print(f"dry run of a model of {options.rows} logbook rows: {ours[0]:.1f} s, processor {ours[1]:.1f} s")
+    print(f"the same graph as bare rules: {own[0]:.1f} s, processor {own[1]:.1f} s; ours is {100 * share:+.0f} %")
     if options.record:
-        record("dry_run", {"best s": min(times)})
-    print(f"dry run of a model of {options.rows} logbook rows, three times: {shown} s")
+        record("dry_run", {"best s": ours[0]})
+    return int(share > MAX_SHARE)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
