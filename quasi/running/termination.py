@@ -3,6 +3,7 @@
 The handler of Snakemake 9 takes a lock of its scheduler inside the signal handler. The signal can interrupt the main
 thread while that thread holds the lock; then the run waits for itself forever. Here the handler writes one byte to a
 pipe. A thread reads it, calls Snakemake's handler outside the main thread, and ends the processes of the running jobs.
+docs/snakemake-sigterm.patch has the same for Snakemake itself.
 """
 
 import os
