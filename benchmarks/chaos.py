@@ -38,6 +38,7 @@ TARGETS = {
     "all": ("processing", "models/small/standalone", "results/gaps/near"),
 }
 MAX_END = 60.0  # s after SIGTERM within which a run has to end; a job is ended after 5 s
+MAX_WAIT = 3.0  # s, so that a kill comes within a job where the undisturbed run was slow because it compiled
 MAX_JOBS = 1  # finished jobs before a kill, so that each folder takes many kills
 # what a rerun makes with the same bytes; logs and Snakemake's benchmark tables hold times
 COMPARED = (".parquet", ".json", ".csv", ".bbl", ".txt", ".tex", ".png", ".html")
@@ -98,7 +99,9 @@ def read_digests(folder: Path) -> dict[str, str]:
     for place in ("results", "models"):
         for path in sorted((folder / place).rglob("*")):
             name = path.relative_to(folder)
-            # a name with a dot in front is a file that is still being written
+            # a name with a dot in front is a file that is still being written; the index has the name of the folder
+            if str(name) == "results/index.html":
+                continue
             if path.suffix in COMPARED and not path.name.startswith(".") and path.is_file():
                 found[str(name)] = hashlib.sha256(path.read_bytes()).hexdigest()
     return found
@@ -127,7 +130,7 @@ def wait_for_moment(process: subprocess.Popen, folder: Path, rng: np.random.Gene
             break
         time.sleep(0.05)
     try:
-        process.wait(rng.uniform(0.0, seconds))
+        process.wait(rng.uniform(0.0, min(seconds, MAX_WAIT)))
     except subprocess.TimeoutExpired:
         return True
     return False
