@@ -3,8 +3,10 @@
 The library runs from where it stands: Numba keeps compiled kernels by path, and a copy would compile all of them anew.
 """
 
+import atexit
 import csv
 import fcntl
+import functools
 import io
 import json
 import os
@@ -47,6 +49,15 @@ PROCESSING = {
 }
 
 
+@functools.cache
+def starter():
+    """The process that starts the runs of this test process; it ends with its standard input."""
+    program = [sys.executable, str(Path(__file__).with_name("starter.py"))]
+    process = subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    atexit.register(process.communicate)
+    return process
+
+
 @dataclass
 class Project:
     """A project folder, and the library that runs it: this one, or a copy for a test that edits it."""
@@ -73,12 +84,17 @@ class Project:
         """Run Snakemake; returns (exit code, everything printed)."""
         environment = {**os.environ, "PYTHONPATH": str(self.house), "NO_COLOR": "1"}
         environment.pop("QUASI_RUN", None)
-        command = [sys.executable, "-m", "snakemake", "-s", str(self.house / "Snakefile"), "-d", str(self.folder)]
-        command += ["--profile", str(self.house / "profiles/default"), *arguments]
-        done = subprocess.run(
-            command, cwd=self.base, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-        )
-        return done.returncode, done.stdout
+        arguments = ["-s", str(self.house / "Snakefile"), "-d", str(self.folder), *arguments]
+        arguments[4:4] = ["--profile", str(self.house / "profiles/default")]
+        printed = self.base / "printed.txt"
+        request = {
+            "folder": str(self.base),
+            "environment": environment,
+            "arguments": arguments,
+            "printed": str(printed),
+        }
+        print(json.dumps(request), file=starter().stdin, flush=True)
+        return int(starter().stdout.readline()), printed.read_text()
 
     def would_run(self, target="models/small/standalone"):
         """{rule: number of jobs} of a dry run; {} when nothing is to be done."""
@@ -149,10 +165,10 @@ def finished(tmp_path_factory):
     def make(folder):
         code, text = lay(folder).snakemake("-j2", "models/small/standalone")
         assert code == 0, text
-        (folder / "printed.txt").write_text(text)
+        (folder / "first.txt").write_text(text)
 
     folder = shared_by_workers(tmp_path_factory, "small", make)
-    return Project(folder), (folder / "printed.txt").read_text()
+    return Project(folder), (folder / "first.txt").read_text()
 
 
 @pytest.fixture

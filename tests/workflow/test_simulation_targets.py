@@ -2,7 +2,6 @@
 
 import json
 import sys
-from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -62,21 +61,13 @@ def test_a_simulation_makes_its_table_summary_and_figures_and_reruns_what_change
     assert project.would_run(TARGET)["simulation_flight"] == 1
 
 
-@pytest.mark.parametrize(
-    "change, sentence",
-    [
-        ({"wnd": {}}, "config/simulations/turns.json: unknown key 'wnd' (did you mean 'wind'?)"),
-        ({"model": {"model ID": "maid"}}, "neither config/models/maid.json nor models/maid/standalone/model.json"),
-        ({"wind": {"file": "data/wnd.csv"}}, "the wind's table data/wnd.csv does not exist"),
-        ({"controller": {"controller": "drone_INDY"}}, "drone_INDY"),
-    ],
-)
-def test_a_faulty_configuration_ends_with_its_sentence(project, change, sentence):
-    project.edit_json("config/simulations/turns.json", lambda d: d.update(change))
+def test_a_faulty_configuration_ends_with_its_sentence(project):
+    """One that only the job sees: `tests/unit/test_workflow.py` has the others."""
+    project.edit_json("config/simulations/turns.json", lambda d: d.update(controller={"controller": "drone_INDY"}))
     code, text = project.snakemake("-j1", TARGET)
     assert code != 0
-    assert sentence in text.strip().splitlines()[-1]
-    assert not (Path(project.folder) / TARGET).exists()
+    assert "drone_INDY" in text.strip().splitlines()[-1]
+    assert not (project.folder / TARGET).exists()
 
 
 def test_an_unknown_simulation_names_the_nearest(project):
