@@ -199,10 +199,13 @@ def _calibration(results: Sequence[Mapping[str, Any]]) -> list[str]:
             continue
         chance, right = [e.probability for e in own], [e.right for e in own]
         sure = [r for p, r in zip(chance, right) if p >= SURE]
-        lines += ["", f"Of {len(sure)} {words} stated with a probability of {SURE} or more, {sum(sure)} are right. "
-                  f"Brier score of the {len(own)} stated probabilities: {brier(chance, right):.3f}.", "",
-                  *bin_table(chance, right)]  # fmt: skip
-    return lines
+        score = f"Brier score of the stated probabilities of {len(own)} {words}: {brier(chance, right):.3f}."
+        if sure:
+            known = f"{len(sure)} {words} stated with a probability of {SURE} or more, {sum(sure)} are right"
+            score = f"Of {known}. {score}"
+        lines += ["", score, "", *bin_table(chance, right)]
+    fitted = "The [calibration](probability.md) was fitted with seeds 30000 to 30027: of these it is no prediction."
+    return [*lines, "", fitted] if lines else []
 
 
 def _worlds(results: Sequence[Mapping[str, Any]]) -> list[str]:
