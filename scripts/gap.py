@@ -1,22 +1,21 @@
 """Gather a finished diagnosis, its report, tables and figures into the folder that is handed over."""
 
-import shutil
 from pathlib import Path
 
-from quasi.running.job_log import job, print_at_end
+from quasi.running.job_log import hand_over, job, print_at_end
 from quasi.tables import read_json
 
 
+def name_in_folder(path: Path) -> str:
+    """Name of a result in the folder of the gap."""
+    if path.parent.name == "calibrations":
+        return "calibration.json"
+    return "tables" if path.name == "sensors" and path.is_dir() else path.name
+
+
 def main(files: list[str], folder: str) -> None:
-    """Copy files and folders into the folder and say what was found."""
-    target = Path(folder)
-    target.mkdir(parents=True, exist_ok=True)
-    for path in map(Path, files):
-        name = "calibration.json" if path.parent.name == "calibrations" else path.name
-        if path.is_dir():
-            shutil.copytree(path, target / ("tables" if name == "sensors" else name), dirs_exist_ok=True)
-        else:
-            shutil.copy(path, target / name)
+    """Copy files and folders into the folder and print what was found."""
+    target = hand_over(files, folder, name_in_folder)
     found = read_json(target / "diagnosis.json")
     print_at_end(
         f"{target.name}: {found['verdict']}. {found['summary']}\nMade {folder}; begin with {folder}/report.html"

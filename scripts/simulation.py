@@ -1,21 +1,14 @@
 """Gather a finished simulation, its summary and pictures into the folder that is handed over."""
 
-import shutil
 from pathlib import Path
 
-from quasi.running.job_log import job, print_at_end
+from quasi.running.job_log import hand_over, job, print_at_end
 from quasi.tables import read_text
 
 
 def main(files: list[str], folder: str) -> None:
-    """Copy files and folders into the folder and say what was made."""
-    target = Path(folder)
-    target.mkdir(parents=True, exist_ok=True)
-    for path in map(Path, files):
-        if path.is_dir():
-            shutil.copytree(path, target / path.name, dirs_exist_ok=True)
-        else:
-            shutil.copy(path, target / path.name)
+    """Copy files and folders into the folder and print what was made."""
+    target = hand_over(files, folder)
     made = ", ".join(sorted(Path(p).name for p in files))
     print_at_end(f"{read_text(target / 'summary.txt').rstrip()}\nMade {folder}: {made}")
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from quasi.errors import ConfigError
 from quasi.export.contents import head
-from quasi.export.naming import identifier, name_of, shown
+from quasi.export.naming import identifier, shown
 from quasi.model.model import AXES, Model
 from quasi.tables import COLUMNS
 from quasi.terms.differential import list_held_inputs
@@ -31,7 +31,7 @@ _CALLS = {"abs": "abs", "sign": "sign", "sqrt": "rootOf", "sin": "sin", "cos": "
 
 
 def matlab_name(name: str) -> str:
-    """Identifier of a variable: a known one under its own name, another one under a marked name (`original_name`).
+    """Identifier of a variable: a known one under its own name, another one under a marked name.
 
     Raises ConfigError where it is longer than MATLAB allows.
     """
@@ -44,11 +44,6 @@ def matlab_name(name: str) -> str:
             "are allowed; give the column a shorter name and make the model anew"
         )
     return made
-
-
-def original_name(made: str) -> str:
-    """The variable that `matlab_name` was given."""
-    return name_of(made, EXTRA) if made.startswith(EXTRA) else made
 
 
 def number(value: float) -> str:

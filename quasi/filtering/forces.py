@@ -48,22 +48,21 @@ def _convolve(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return np.convolve(np.concatenate([before, values, after]), weights, mode="valid")
 
 
-def low_pass(values: np.ndarray, cutoff: float, rate: float) -> np.ndarray:
-    """Zero-phase low-pass of the columns of (N,) or (N, m), finite. cutoff, rate Hz. Same shape."""
-    weights = kernel(cutoff, rate)[0]
+def _convolve_columns(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
     values = np.asarray(values, float)
     if values.ndim == 1:
         return _convolve(values, weights)
     return np.stack([_convolve(column, weights) for column in values.T], axis=1)
+
+
+def low_pass(values: np.ndarray, cutoff: float, rate: float) -> np.ndarray:
+    """Zero-phase low-pass of the columns of (N,) or (N, m), finite. cutoff, rate Hz. Same shape."""
+    return _convolve_columns(values, kernel(cutoff, rate)[0])
 
 
 def derivative(values: np.ndarray, cutoff: float, rate: float) -> np.ndarray:
     """Time derivative of `low_pass(values)`, per second. Same shape."""
-    weights = kernel(cutoff, rate)[1]
-    values = np.asarray(values, float)
-    if values.ndim == 1:
-        return _convolve(values, weights)
-    return np.stack([_convolve(column, weights) for column in values.T], axis=1)
+    return _convolve_columns(values, kernel(cutoff, rate)[1])
 
 
 def spread(mask: np.ndarray, samples: int) -> np.ndarray:

@@ -12,7 +12,7 @@ Source: Mellinger & Kumar, Minimum snap trajectory generation and control for qu
 noise of a band-limited derivative: integral of (2 pi f)^2 times a white spectrum up to the bandwidth.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -31,7 +31,6 @@ MIN_TRUSTED = 0.9  # share of the log around which the velocity has no gap
 ONE_SIGMA = 1.2816  # 80 % of normal errors are smaller than this many standard deviations
 NOISE = "noise above the bandwidth alone"
 MIN_SAMPLES = 20  # as of a sensor's own
-Find = Callable[[tuple[str, ...]], Any]
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,11 @@ import hashlib
 import json
 import logging
 import os
+import shutil
 import sys
 import time
 import traceback
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Callable, Iterable, Iterator, Sized
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -117,6 +118,18 @@ def read_outcome(folder: str | Path, log: str = "") -> dict[str, Any] | None:
     """
     place = _outcome_file(folder, log)
     return json.loads(place.read_text(encoding="utf-8")) if place.is_file() else None
+
+
+def hand_over(files: Iterable[str], folder: str | Path, rename: Callable[[Path], str] = lambda path: path.name) -> Path:
+    """Copy files and folders of results into the folder that is handed over, under the names that `rename` gives."""
+    target = Path(folder)
+    target.mkdir(parents=True, exist_ok=True)
+    for path in map(Path, files):
+        if path.is_dir():
+            shutil.copytree(path, target / rename(path), dirs_exist_ok=True)
+        else:
+            shutil.copy(path, target / rename(path))
+    return target
 
 
 def print_at_end(text: str, kind: str = "made") -> None:

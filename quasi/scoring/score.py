@@ -84,16 +84,6 @@ def compare_with_measurements(
     }
 
 
-def score_model(
-    model: Model,
-    flights: Mapping[str, pd.DataFrame],
-    partition: Mapping[str, np.ndarray],
-    roles: Mapping[str, int],
-) -> pd.DataFrame:
-    """Score a model on flights: `score_comparisons` of `compare_with_measurements`."""
-    return score_comparisons(compare_with_measurements(model, flights, partition), model, roles)
-
-
 def score_comparisons(
     comparisons: Mapping[str, AxisComparison], model: Model, roles: Mapping[str, int]
 ) -> pd.DataFrame:

@@ -2,6 +2,7 @@
 
 import math
 import struct
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from blackbox_writer import END, inter_frame, intra_frame, log_bytes, svb
 from quasi.airframe import erpm100_to_rad_s
 from quasi.errors import ReadError, cautions
 from quasi.importing.readers import blackbox_header, blackbox_units
-from quasi.importing.readers.blackbox import list_logs, read_blackbox
+from quasi.importing.readers.blackbox import _about_log, read_blackbox
+from quasi.importing.readers.blackbox_header import find_logs
 
 FULL = [
     *((f"gyroADC[{i}]", True) for i in range(3)),
@@ -148,8 +150,13 @@ def test_longest_log_is_taken_and_any_can_be_chosen(tmp_path):
     one = log_bytes([], intra_frame(0, 1000) + inter_frame(100) + END)
     two = log_bytes([], intra_frame(0, 5000) + inter_frame(9000) + END)
     path = tmp_path / "three.bbl"
-    path.write_bytes(one + two + log_bytes([], b""))
-    assert [(log["number"], log["frames"]) for log in list_logs(path)] == [(1, 2), (2, 2), (3, 0)]
+    data = one + two + log_bytes([], b"")
+    path.write_bytes(data)
+    assert [(log["number"], log["frames"]) for log in map(partial(_about_log, data), find_logs(data, str(path)))] == [
+        (1, 2),
+        (2, 2),
+        (3, 0),
+    ]
     longest = read_blackbox(path)
     assert longest.metadata["log"] == 2
     assert longest.metadata["duration"] == pytest.approx(0.009)

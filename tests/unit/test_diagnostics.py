@@ -11,7 +11,7 @@ from quasi.errors import DataError
 from quasi.identification.partition import ROLES, TRAINING
 from quasi.model.model import Model
 from quasi.scoring.review import review_model
-from quasi.scoring.score import compare_with_measurements, score_comparisons, score_model
+from quasi.scoring.score import compare_with_measurements, score_comparisons
 from quasi.scoring.summary import format_summary
 from quasi.scoring.verdict import (
     derive_verdict,
@@ -100,7 +100,9 @@ def test_rmse_differences_and_quartiles_equal_plain_arithmetic(good, axis):
 def test_scores_are_those_of_the_judged_rows(good):
     model, flights, found = good
     codes = codes_of(found.comparisons)
-    pd.testing.assert_frame_equal(score_model(model, flights, codes, ROLES), found.scores)
+    pd.testing.assert_frame_equal(
+        score_comparisons(compare_with_measurements(model, flights, codes), model, ROLES), found.scores
+    )
     z, y = plain(model, flights, codes, "My", "validation")
     row = found.scores.query("flight == 'all' and role == 'validation' and axis == 'My'").iloc[0]
     assert row["r2"] == pytest.approx(1 - np.mean((z - y) ** 2) / np.var(z))

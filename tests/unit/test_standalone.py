@@ -14,7 +14,7 @@ from quasi.model.build import assemble_model
 from quasi.model.columns import STATE
 from quasi.model.envelope import measure_coverage
 from quasi.model.model import Model, read_model
-from quasi.scoring.score import SCORE_UNITS, score_model
+from quasi.scoring.score import SCORE_UNITS, compare_with_measurements, score_comparisons
 
 ROLES = {"training": 1, "test": 2, "validation": 3}
 
@@ -223,7 +223,7 @@ def test_the_summary_names_terms_values_errors_and_units(model):
 def test_scores_equal_their_definitions(model):
     flights = {"a": flight(1, rows=400), "b": flight(2, rows=200)}
     codes = {"a": np.repeat([0, 1, 2, 1], 100), "b": np.full(200, 3)}
-    table = score_model(model, flights, codes, ROLES)
+    table = score_comparisons(compare_with_measurements(model, flights, codes), model, ROLES)
     assert list(table.columns) == list(SCORE_UNITS)
     assert set(zip(table["flight"], table["role"])) == {
         ("a", "training"),
@@ -251,7 +251,7 @@ def test_intervals_of_a_true_model_cover_what_they_promise():
     truth["Fx"]["sigma2"] = float(residual.var())
     truth["Fx"]["covariance"] = [[0.0, 0.0], [0.0, 0.0]]
     model = Model(assemble_model(truth, SHARED, {"id": "m", "airframe": AIRFRAME}))
-    table = score_model(model, {"a": f}, {"a": np.ones(4000, int)}, ROLES)
+    table = score_comparisons(compare_with_measurements(model, {"a": f}, {"a": np.ones(4000, int)}), model, ROLES)
     assert table["coverage"].iloc[0] == pytest.approx(0.95, abs=0.01)
 
 

@@ -119,15 +119,6 @@ def _whole(text: str | None) -> int:
     return int(number) if number is not None and abs(number) < 2**31 else 0
 
 
-def list_logs(path: str | Path) -> list[dict[str, Any]]:
-    """The logs of a blackbox file: number (1-based), duration (s), frames, bytes, firmware, and fault ("" if none).
-
-    Raises ReadError when the file cannot be read or holds no log.
-    """
-    data = read_bytes(path)
-    return [_about_log(data, log) for log in find_logs(data, str(path))]
-
-
 def _longest(about: list[dict[str, Any]]) -> int:
     return max(about, key=lambda one: (one["duration"], one["frames"], -one["number"]))["number"]
 
