@@ -55,14 +55,15 @@ def test_second_run_does_nothing_and_says_where_the_result_begins(finished):
     assert text.rstrip().endswith("Up to date; start with models/small/standalone/report.html")
 
 
-def test_a_clock_that_jumped_between_jobs_and_a_moved_folder_rerun_nothing(project):
+def test_a_clock_that_jumped_between_jobs_and_a_moved_folder_compute_nothing_anew(project):
     # `project` is a copy under another path; each result gets a time of its own within two hours before or after
     rng = np.random.default_rng(1)
     for path in sorted(project.folder.rglob("*")):
         if {"results", "models"} & set(path.relative_to(project.folder).parts):
             time = path.stat().st_mtime + rng.uniform(-7200, 7200)
             os.utime(path, (time, time))
-    assert project.would_run() == {}
+    # folders have no checksum: the job that copies figures and trajectories to the result may run again
+    assert set(project.would_run()) <= {"standalone"}
 
 
 def test_changed_comment_and_appended_row_rerun_nothing(project):
