@@ -76,8 +76,9 @@ class Card:
     notes: list[str] = field(default_factory=list)
 
 
-UNTOLD = {
+WHY_NOT_PLANNED = {
     "attitude_error": "only on flights without captured attitude, and its file gives no typical size",
+    "rotor_order": "has no size: any flight with roll, pitch and yaw inputs shows it",
     "marker_offset": "looks like the imu lever arm, which represents it: forces and moments distinguish the two",
 }
 
@@ -158,7 +159,7 @@ def examine(
     asked = {n: e for n, e in effects.items() if not e.finding and e.typical(vehicle)}
     card = Card(model.id, [f.key for f in flights], seconds, compared, reference, "", [])
     card.not_asked = {
-        n: UNTOLD.get(n, "its file gives no typical size")
+        n: WHY_NOT_PLANNED.get(n, "its file gives no typical size")
         for n, e in effects.items()
         if not e.finding and n not in asked
     }
@@ -247,7 +248,7 @@ def _sensors(
         return None
     names = found[0][1]
     there = {n.split(".")[0] for n in names}
-    card.not_asked |= {n: UNTOLD.get(n, "no closed form of what it shows") for n in effects if n not in there}
+    card.not_asked |= {n: WHY_NOT_PLANNED.get(n, "no closed form of what it shows") for n in effects if n not in there}
     effects = {n: e for n, e in effects.items() if n in there}
     return Judge(
         effects,
