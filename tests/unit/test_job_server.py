@@ -26,9 +26,9 @@ def server():
     found.close()
 
 
-def start(server, folder, text):
-    (folder / "script.py").write_text(text)
-    return server.start("script.py", ENVIRONMENT)
+def start(server, folder, text, name="script.py"):
+    (folder / name).write_text(text)
+    return server.start(name, ENVIRONMENT)
 
 
 def test_a_job_sees_what_it_sees_in_its_own_python(server, tmp_path, monkeypatch):
@@ -64,7 +64,7 @@ def test_two_jobs_run_at_once(server, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     os.mkfifo("pipe")
     reader = start(server, tmp_path, "raise SystemExit(len(open('pipe').read()))")
-    writer = start(server, tmp_path, "open('pipe', 'w').write('four')")
+    writer = start(server, tmp_path, "open('pipe', 'w').write('four')", "writer.py")
     assert (writer.wait(), reader.wait()) == (0, 4)
 
 
