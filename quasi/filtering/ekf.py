@@ -22,7 +22,10 @@ import numpy as np
 from numba import njit
 
 from quasi.filtering.ekf_steps import (
+    BLOCKS,
     STATES,
+    WIDTH,
+    WORK_SHAPE,
     compose_rotation,
     measurement_model,
     measurement_update,
@@ -30,6 +33,7 @@ from quasi.filtering.ekf_steps import (
     predict,
     propagate_covariance,
 )  # fmt: skip
+from quasi.lanes import make_vectors, view_lanes
 
 ATTITUDE_KIND, POSITION_KIND, VELOCITY_KIND = 0, 1, 2  # kinds of measurement
 MEASUREMENT_KINDS = ("attitude", "position", "velocity")
@@ -112,6 +116,7 @@ def _forward(
     x0,
     P0,
     keep,
+    room,
 ):
     n = gyro.shape[0]
     kept = n if keep else 0
@@ -126,31 +131,34 @@ def _forward(
     outcome = np.zeros((kept, 3), np.int8)
     rows = np.empty((total, _ROW))
     first_row = np.zeros(kept + 1, np.int64)
-    q, x, P = q0.copy(), x0.copy(), P0.copy()
+    q, x = q0.copy(), x0.copy()
+    P_vectors, T_vectors, s_vectors = room[: STATES * BLOCKS], room[STATES * BLOCKS : -BLOCKS], room[-BLOCKS:]
+    P, T, s = P_vectors.reshape((STATES, WIDTH)), T_vectors.reshape((9, WIDTH)), s_vectors.reshape(WIDTH)
+    P_rows, T_rows, s_rows = view_lanes(P_vectors), view_lanes(T_vectors), view_lanes(s_vectors)
+    room[:] = 0.0
+    P[:, :STATES] = P0
     blocks = np.empty((5, 3, 3))
-    work = np.empty((4, 3, 3))
-    T = np.empty((9, STATES))
-    y = np.empty(3)
+    work = np.empty(WORK_SHAPE)
+    y, var = np.empty(3), np.empty(3)
     H_first = np.empty((3, 3))
     H_second = np.empty((3, 3))
     delta = np.empty(STATES)
-    s = np.empty(STATES)
-    step = np.empty(4)
     rejected = np.zeros(3, np.int64)
     cost = 0.0
     count = 0
     for k in range(n):
         if k > 0:
-            predict(q, x, gyro[k - 1], gyro[k], accel[k - 1], accel[k], dt, blocks, work)
-            propagate_covariance(P, blocks, dt, noise[k], bias_random_walk, T)
+            predict(q, x, gyro, accel, k - 1, dt, blocks, work)
+            propagate_covariance(P, P_rows, blocks, dt, noise, k, bias_random_walk, T, T_rows)
         for kind in range(3):
             if used[k, kind] == 0:
                 continue
             first, second = measurement_model(
-                kind, k, q, x, attitude, position, velocity, body, y, H_first, H_second, work[0]
+                kind, k, q, x, attitude, position, velocity, body, y, H_first, H_second, work
             )
-            var = std[kind] * std[kind]
-            e0, e1, e2, log_det = normalised_innovation(P, y, var, first, H_first, second, H_second)
+            for i in range(3):
+                var[i] = std[kind, i] * std[kind, i]
+            e0, e1, e2, log_det = normalised_innovation(P, y, var, first, H_first, second, H_second, work)
             nis = e0 * e0 + e1 * e1 + e2 * e2
             cost += (nis if nis <= gate else gate + TAIL * np.log(nis / gate)) + log_det
             result = 1
@@ -164,22 +172,29 @@ def _forward(
                 outcome[k, kind] = result
             if result == 2:
                 continue
-            measurement_update(P, y, var, first, H_first, second, H_second, delta, s, rows, count)
+            measurement_update(P_rows, y, var, first, H_first, second, H_second, delta, s, s_rows, rows, count)
             if keep:
                 count += 3
-            compose_rotation(q, delta[0], delta[1], delta[2], step)
+            compose_rotation(q, delta[0], delta[1], delta[2])
             for i in range(15):
                 x[i] += delta[3 + i]
         if keep:
             first_row[k + 1] = count
-            Q[k] = q
-            X[k] = x
+            for i in range(4):
+                Q[k, i] = q[i]
+            for i in range(15):
+                X[k, i] = x[i]
             c = 0
             for i in range(STATES):
                 for j in range(i + 1):
                     C[k, c] = P[i, j]
                     c += 1
     return Q, X, C, whitened, outcome, cost, rows, first_row
+
+
+def _make_room() -> np.ndarray:
+    """Vectors of the covariance, of nine rows of its product with the Jacobian, and of one row."""
+    return make_vectors((STATES + 9 + 1) * BLOCKS)
 
 
 def innovation(inputs: Inputs, kind: int, k: int, q: np.ndarray, x: np.ndarray):
@@ -200,19 +215,19 @@ def innovation(inputs: Inputs, kind: int, k: int, q: np.ndarray, x: np.ndarray):
         y,
         H_first,
         H_second,
-        np.empty((3, 3)),
+        np.empty(WORK_SHAPE),
     )
     return y, H_first, H_second, first, second
 
 
 def forward(inputs: Inputs) -> FilterResult:
     """Filter forward in time; every sample's estimate uses the samples up to it."""
-    return FilterResult(*_forward(*inputs, True))
+    return FilterResult(*_forward(*inputs, True, _make_room()))
 
 
 def cost(inputs: Inputs) -> float:
     """`FilterResult.cost` alone, without keeping anything: for the choice of noise levels."""
-    return _forward(*inputs, False)[5]
+    return _forward(*inputs, False, _make_room())[5]
 
 
 def unpack(packed: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ The result is that of `ekf.forward` to rounding, so that the smoother runs on ei
 import numpy as np
 
 from quasi import attitude
-from quasi.filtering.ekf import MEASUREMENT_KINDS, STATES, TAIL, FilterResult, Inputs, Watch, innovation, predict
+from quasi.filtering.ekf import MEASUREMENT_KINDS, STATES, TAIL, WORK_SHAPE, FilterResult, Inputs, Watch, innovation, predict
 
 _LOWER = np.tril_indices(STATES)
 
@@ -61,10 +61,10 @@ def forward(inputs: Inputs, watch: Watch | None = None) -> FilterResult:
     first_row = np.zeros(n + 1, np.int64)
     rejected = np.zeros(3, np.int64)
     cost = 0.0
-    blocks, work = np.empty((5, 3, 3)), np.empty((4, 3, 3))
+    blocks, work = np.empty((5, 3, 3)), np.empty(WORK_SHAPE)
     for k in watch(range(n), "filtering samples") if watch else range(n):
         if k > 0:
-            predict(q, x, inputs.gyro[k - 1], inputs.gyro[k], inputs.accel[k - 1], inputs.accel[k], dt, blocks, work)
+            predict(q, x, inputs.gyro, inputs.accel, k - 1, dt, blocks, work)
             error.F = transition(blocks, dt)
             error.Q = _process(error.F, inputs.noise[k], inputs.bias_random_walk, dt)
             error.predict()

@@ -11,124 +11,143 @@ import numpy as np
 from numba import njit
 
 from quasi.filtering.ekf import FilterResult, Inputs
-from quasi.filtering.ekf_steps import STATES, compose_rotation, predict
+from quasi.filtering.ekf_steps import BLOCKS, STATES, WIDTH, WORK_SHAPE, compose_rotation, predict, unpack_triangle
+from quasi.lanes import LANES, make_vectors, view_lanes
 
 
 @njit(cache=True)
-def _pull(L, blocks, dt, Y):
-    """Y = F' L, rows of L (18, m) mixed by the transposed Jacobian."""
+def _pull(L, blocks, dt, Y, width):
+    """Y = F' L, rows of L (18 width) mixed by the transposed Jacobian; numbers of arrays, or vectors of views."""
     half = 0.5 * dt
-    m = L.shape[1]
-    for i in range(3):
-        for j in range(m):
-            turn = L[9 + i, j]
-            lean = L[12 + i, j]
-            head = 0.0
-            for b in range(3):
-                u = L[3 + b, j] + half * L[6 + b, j]
-                head += blocks[0, b, i] * L[b, j] + blocks[2, b, i] * u
-                turn += blocks[1, b, i] * L[b, j] + blocks[3, b, i] * u
-                lean += blocks[4, b, i] * u
-            Y[i, j] = head
-            Y[9 + i, j] = turn
-            Y[12 + i, j] = lean
-            Y[3 + i, j] = L[3 + i, j] + dt * L[6 + i, j]
-            Y[6 + i, j] = L[6 + i, j]
-            Y[15 + i, j] = L[15 + i, j]
+    for j in range(width):
+        u0 = L[3 * width + j] + half * L[6 * width + j]
+        u1 = L[4 * width + j] + half * L[7 * width + j]
+        u2 = L[5 * width + j] + half * L[8 * width + j]
+        r0, r1, r2 = L[j], L[width + j], L[2 * width + j]
+        for i in range(3):
+            attitude = blocks[0, 0, i] * r0 + blocks[0, 1, i] * r1 + blocks[0, 2, i] * r2
+            attitude += blocks[2, 0, i] * u0 + blocks[2, 1, i] * u1 + blocks[2, 2, i] * u2
+            gyro = L[(9 + i) * width + j] + blocks[1, 0, i] * r0 + blocks[1, 1, i] * r1 + blocks[1, 2, i] * r2
+            gyro += blocks[3, 0, i] * u0 + blocks[3, 1, i] * u1 + blocks[3, 2, i] * u2
+            accel = L[(12 + i) * width + j]
+            accel += blocks[4, 0, i] * u0 + blocks[4, 1, i] * u1 + blocks[4, 2, i] * u2
+            Y[i * width + j] = attitude
+            Y[(9 + i) * width + j] = gyro
+            Y[(12 + i) * width + j] = accel
+            Y[(3 + i) * width + j] = L[(3 + i) * width + j] + dt * L[(6 + i) * width + j]
+            Y[(6 + i) * width + j] = L[(6 + i) * width + j]
+            Y[(15 + i) * width + j] = L[(15 + i) * width + j]
 
 
 @njit(cache=True)
-def _backward(dt, gyro, accel, Q, X, C, rows, first):
-    n = Q.shape[0]
-    lam = np.zeros((STATES, 1))
-    lam2 = np.zeros((STATES, 1))
-    L = np.zeros((STATES, STATES))
-    Y = np.zeros((STATES, STATES))
-    P = np.empty((STATES, STATES))
-    T = np.empty((STATES, STATES))
-    g = np.empty(STATES)
-    delta = np.empty(STATES)
-    blocks = np.empty((5, 3, 3))
-    work = np.empty((4, 3, 3))
-    step = np.empty(4)
-    q = np.empty(4)
-    x = np.empty(15)
-    Qs = np.empty_like(Q)
-    Xs = np.empty_like(X)
-    Cs = np.empty_like(C)
+def _reduce_covariance(P, P_rows, L_rows, T, T_rows, out, out_rows, packed, k):
+    """packed[k] = P - P L P, lower triangle; T, out (18, WIDTH) scratch. Two rows at a time share what they read."""
+    for i in range(0, STATES, 2):
+        for c in range(BLOCKS):
+            one, other = P[i, 0] * L_rows[c], P[i + 1, 0] * L_rows[c]
+            for m in range(1, STATES):
+                row = L_rows[m * BLOCKS + c]
+                one += P[i, m] * row
+                other += P[i + 1, m] * row
+            T_rows[i * BLOCKS + c] = one
+            T_rows[(i + 1) * BLOCKS + c] = other
+    for i in range(0, STATES, 2):
+        for c in range((i + 1) // LANES + 1):
+            one, other = P_rows[i * BLOCKS + c], P_rows[(i + 1) * BLOCKS + c]
+            for m in range(STATES):
+                row = P_rows[m * BLOCKS + c]
+                one -= T[i, m] * row
+                other -= T[i + 1, m] * row
+            out_rows[i * BLOCKS + c] = one
+            out_rows[(i + 1) * BLOCKS + c] = other
+    c = 0
+    for i in range(STATES):
+        for j in range(i + 1):
+            packed[k, c] = out[i, j]
+            c += 1
+
+
+@njit(cache=True)
+def _revert_update(rows, m, lam, L, L_rows, g, g_rows):
+    """Carry the adjoint lam (18,) and its information L back over scalar update m; g (WIDTH,) scratch.
+
+    L becomes (I - h K') L (I - K h') + h h' / S, with h zero but for six entries.
+    """
+    a, b = int(rows[m, 2]), int(rows[m, 3])
+    push, weight = rows[m, 0] / rows[m, 1], 1.0 / rows[m, 1]
+    for c in range(BLOCKS):
+        total = rows[m, 10] * L_rows[c]
+        for j in range(1, STATES):
+            total += rows[m, 10 + j] * L_rows[j * BLOCKS + c]
+        g_rows[c] = total
+    for i in range(STATES):
+        push -= rows[m, 10 + i] * lam[i]
+        weight += rows[m, 10 + i] * g[i]
+    for e in range(3):
+        lam[a + e] += rows[m, 4 + e] * push
+        lam[b + e] += rows[m, 7 + e] * push
+    for i in range(STATES):
+        for e in range(3):
+            L[i, a + e] -= g[i] * rows[m, 4 + e]
+            L[i, b + e] -= g[i] * rows[m, 7 + e]
+    for e in range(3):
+        for c in range(BLOCKS):
+            L_rows[(a + e) * BLOCKS + c] -= rows[m, 4 + e] * g_rows[c]
+            L_rows[(b + e) * BLOCKS + c] -= rows[m, 7 + e] * g_rows[c]
+    for e in range(3):
+        for f in range(3):
+            L[a + e, a + f] += weight * rows[m, 4 + e] * rows[m, 4 + f]
+            L[a + e, b + f] += weight * rows[m, 4 + e] * rows[m, 7 + f]
+            L[b + e, a + f] += weight * rows[m, 7 + e] * rows[m, 4 + f]
+            L[b + e, b + f] += weight * rows[m, 7 + e] * rows[m, 7 + f]
+
+
+@njit(cache=True)
+def _backward(dt, gyro, accel, Q, X, C, rows, first, room):
+    n, size, shape = Q.shape[0], STATES * BLOCKS, (STATES, WIDTH)
+    room[:] = 0.0
+    P, L, T = room[:size].reshape(shape), room[size : 2 * size].reshape(shape), room[2 * size : 3 * size].reshape(shape)
+    Y, g = room[3 * size : 4 * size].reshape(shape), room[4 * size :].reshape(WIDTH)
+    P_rows, L_rows, T_rows = view_lanes(room[:size]), view_lanes(room[size : 2 * size]), view_lanes(room[2 * size :])
+    Y_rows, g_rows = view_lanes(room[3 * size : 4 * size]), view_lanes(room[4 * size :])
+    lam, pulled, delta = np.zeros(STATES), np.zeros(STATES), np.empty(STATES)
+    blocks, work = np.empty((5, 3, 3)), np.empty(WORK_SHAPE)
+    q, x = np.empty(4), np.empty(15)
+    Qs, Xs, Cs = np.empty_like(Q), np.empty_like(X), np.empty_like(C)
     for k in range(n - 1, -1, -1):
         if k < n - 1:
-            q[:] = Q[k]
-            x[:] = X[k]
-            predict(q, x, gyro[k], gyro[k + 1], accel[k], accel[k + 1], dt, blocks, work)
-            _pull(lam, blocks, dt, lam2)
-            lam, lam2 = lam2, lam
-            _pull(L, blocks, dt, Y)
+            for i in range(4):
+                q[i] = Q[k, i]
+            for i in range(15):
+                x[i] = X[k, i]
+            predict(q, x, gyro, accel, k, dt, blocks, work)
+            _pull(lam, blocks, dt, pulled, 1)
+            lam[:] = pulled
+            _pull(L_rows, blocks, dt, Y_rows, BLOCKS)
             for i in range(STATES):
                 for j in range(i):
                     Y[i, j], Y[j, i] = Y[j, i], Y[i, j]
-            _pull(Y, blocks, dt, L)
-        c = 0
-        for i in range(STATES):
-            for j in range(i + 1):
-                P[i, j] = C[k, c]
-                P[j, i] = C[k, c]
-                c += 1
-        c = 0
+            _pull(Y_rows, blocks, dt, L_rows, BLOCKS)
+            # exactly symmetric: what rounding leaves would grow, because the updates do not reduce it
+            for i in range(STATES):
+                for j in range(i):
+                    L[j, i] = L[i, j]
+        unpack_triangle(C, k, P)
         for i in range(STATES):
             value = 0.0
             for j in range(STATES):
-                value += P[i, j] * lam[j, 0]
-                T[i, j] = 0.0
+                value += P[i, j] * lam[j]
             delta[i] = value
-            for m in range(STATES):
-                p = P[i, m]
-                for j in range(STATES):
-                    T[i, j] += p * L[m, j]
-        for i in range(STATES):
-            for j in range(i + 1):
-                value = P[i, j]
-                for m in range(STATES):
-                    value -= T[i, m] * P[j, m]
-                Cs[k, c] = value
-                c += 1
-        Qs[k] = Q[k]
-        compose_rotation(Qs[k], delta[0], delta[1], delta[2], step)
+        _reduce_covariance(P, P_rows, L_rows, T, T_rows, Y, Y_rows, Cs, k)
+        for i in range(4):
+            q[i] = Q[k, i]
+        compose_rotation(q, delta[0], delta[1], delta[2])
+        for i in range(4):
+            Qs[k, i] = q[i]
         for i in range(15):
             Xs[k, i] = X[k, i] + delta[3 + i]
         for m in range(first[k + 1] - 1, first[k] - 1, -1):
-            row = rows[m]
-            a = int(row[2])
-            b = int(row[3])
-            gain = row[10:]
-            push = row[0] / row[1]
-            weight = 1.0 / row[1]
-            for i in range(STATES):
-                push -= gain[i] * lam[i, 0]
-                value = 0.0
-                for j in range(STATES):
-                    value += L[i, j] * gain[j]
-                g[i] = value
-            for i in range(STATES):
-                weight += gain[i] * g[i]
-            for i in range(3):
-                lam[a + i, 0] += row[4 + i] * push
-                lam[b + i, 0] += row[7 + i] * push
-            # L becomes (I - h K') L (I - K h') + h h' / S, with h zero but for six entries
-            for i in range(STATES):
-                for e in range(3):
-                    L[i, a + e] -= g[i] * row[4 + e]
-                    L[i, b + e] -= g[i] * row[7 + e]
-            for e in range(3):
-                for j in range(STATES):
-                    L[a + e, j] -= row[4 + e] * g[j]
-                    L[b + e, j] -= row[7 + e] * g[j]
-            for e in range(3):
-                for f in range(3):
-                    L[a + e, a + f] += weight * row[4 + e] * row[4 + f]
-                    L[a + e, b + f] += weight * row[4 + e] * row[7 + f]
-                    L[b + e, a + f] += weight * row[7 + e] * row[4 + f]
-                    L[b + e, b + f] += weight * row[7 + e] * row[7 + f]
+            _revert_update(rows, m, lam, L, L_rows, g, g_rows)
     return Qs, Xs, Cs
 
 
@@ -146,5 +165,6 @@ def smooth(inputs: Inputs, filtered: FilterResult) -> FilterResult:
         filtered.covariance,
         filtered.rows,
         filtered.first,
+        make_vectors((4 * STATES + 1) * BLOCKS),
     )
     return filtered._replace(quaternion=q, state=x, covariance=c)

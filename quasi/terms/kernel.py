@@ -19,6 +19,7 @@ once per run and not once per instruction; every instruction writes the slot aft
 pairs of factors that most products hold. No code is generated, and nothing from a file is run.
 """
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from heapq import heapify, heappop, heappush
@@ -27,6 +28,7 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 
+from quasi.lanes import choose
 from quasi.terms.graph import ONE, Graph
 
 INPUTS = (
@@ -86,7 +88,10 @@ class Kernel(NamedTuple):
 
 @nb.njit(cache=True, error_model="numpy")
 def compute_wrench(kernel: Kernel, inputs: np.ndarray, work: np.ndarray, out: np.ndarray) -> None:
-    """Evaluate one row: `out` (M,) from `inputs` (20 + E,); `work` (S,) is scratch. See the head of the module."""
+    """Evaluate one row: `out` (M,) from `inputs` (20 + E,); `work` (S,) is scratch. See the head of the module.
+
+    Arrays, or views of `quasi.lanes` for eight rows.
+    """
     code, numbers = kernel.code, kernel.numbers
     gathered, constants = int(code[0]), int(code[1])
     at = _HEADER_SIZE + gathered
@@ -128,19 +133,19 @@ def compute_wrench(kernel: Kernel, inputs: np.ndarray, work: np.ndarray, out: np
 
 
 @nb.njit(cache=True, error_model="numpy", inline="never")
-def _apply_rare_operation(operation: int, a: float, b: float) -> float:
+def _apply_rare_operation(operation, a, b):
     if operation == SQRT:
-        return np.sqrt(a)
+        return math.sqrt(a)
     if operation == SIN:
-        return np.sin(a)
+        return math.sin(a)
     if operation == COS:
-        return np.cos(a)
+        return math.cos(a)
     if operation == POWER:
-        return np.power(a, b)
+        return math.pow(a, b)
     if operation == LOG:
-        return np.log(a)
+        return math.log(a)
     if operation == SIGN:
-        return np.sign(a)
+        return choose(a > 0.0, 1.0, choose(a < 0.0, -1.0, choose(a == 0.0, 0.0, a)))
     return a - 2.0 * np.pi * np.rint(a / (2.0 * np.pi))  # WRAP
 
 

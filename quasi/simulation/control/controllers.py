@@ -30,6 +30,7 @@ from numba import njit
 
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
+from quasi.lanes import all_lanes, any_lane, choose, common_value, count_lanes, get_entry, set_entry
 from quasi.model.model import Model
 from quasi.simulation.control import gains as g
 from quasi.simulation.control.allocation import allocate_rotors, invert_matrix
@@ -105,18 +106,27 @@ def make_controller(
 def controller_step(kind, parameters, memory, t, dt, measurement, setpoint, commands):
     """Run one step of the controller `kind`: fill commands (4,), rad/s, and update the memory."""
     if memory[CONTROLLER_STATUS] == 0.0:
-        _initialise_memory(kind, parameters, memory, dt, measurement)
+        initialise_memory(parameters, memory, dt, measurement)
+    run_controller(kind, parameters, parameters, memory, dt, measurement, setpoint, commands)
+
+
+@njit(cache=True, error_model="numpy")
+def run_controller(kind, parameters, packed, memory, dt, measurement, setpoint, commands):
+    """Run one step with an initialised memory; arrays, or views of eight drones (`quasi.lanes`).
+
+    packed  parameters of one drone as an array, of which NDI reads its model
+    """
     if kind == g.PID:
         _run_pid(parameters, memory, dt, measurement, setpoint)
     elif kind == g.NDI:
-        _run_ndi(parameters, memory, dt, measurement, setpoint)
+        _run_ndi(parameters, packed, memory, dt, measurement, setpoint)
     else:
         _run_indi(parameters, memory, dt, measurement, setpoint)
     _allocate_commands(parameters, memory, dt, measurement, commands)
 
 
 @njit(cache=True, error_model="numpy")
-def _initialise_memory(kind, p, m, dt, measurement):
+def initialise_memory(p, m, dt, measurement):
     """Initialise the filters with the measurement and invert the effectiveness of one step."""
     for k in range(16):
         m[STEP_EFFECTIVENESS + k] = p[g.EFFECTIVENESS + k]
@@ -142,7 +152,7 @@ def _initialise_memory(kind, p, m, dt, measurement):
 def _filter_value(m, at, half, value):
     """Second-order low-pass filter by the trapezoidal rule over two halves of a step, s.
 
-    m[at:at+3]: output, its derivative, last input; m[FILTER_KEEP], m[FILTER_GAIN] from `_initialise_memory`.
+    m[at:at+3]: output, its derivative, last input; m[FILTER_KEEP], m[FILTER_GAIN] from `initialise_memory`.
     """
     y, v = m[at], m[at + 1]
     new = m[FILTER_KEEP] * v + m[FILTER_GAIN] * (m[at + 2] + value - 2.0 * y)
@@ -154,7 +164,7 @@ def _filter_value(m, at, half, value):
 @njit(cache=True, error_model="numpy")
 def _thrust_force(p, u0, u1, u2, u3):
     """Compute Fz of the rotors, N, from squared speeds, linear about hover."""
-    e, h2 = g.EFFECTIVENESS + 12, p[g.HOVER_SPEED] ** 2
+    e, h2 = g.EFFECTIVENESS + 12, p[g.HOVER_SPEED] * p[g.HOVER_SPEED]
     return (
         -p[g.CONTROL_MASS] * GRAVITY
         + p[e] * (u0 - h2) + p[e + 1] * (u1 - h2) + p[e + 2] * (u2 - h2) + p[e + 3] * (u3 - h2)
@@ -167,7 +177,7 @@ def _set_wanted_loads(p, m, dt, mx, my, mz, thrust):
     e = g.EFFECTIVENESS + 12
     m[WANTED_LOADS], m[WANTED_LOADS + 1] = mx, my
     m[WANTED_LOADS + 3] = (
-        -thrust + p[g.CONTROL_MASS] * GRAVITY + p[g.HOVER_SPEED] ** 2 * (p[e] + p[e + 1] + p[e + 2] + p[e + 3])
+        -thrust + p[g.CONTROL_MASS] * GRAVITY + p[g.HOVER_SPEED] * p[g.HOVER_SPEED] * (p[e] + p[e + 1] + p[e + 2] + p[e + 3])
     )
     for i in range(4):
         mz += p[g.YAW_REACTION + i] / (2.0 * p[g.HOVER_SPEED] * dt) * m[LAST_COMMANDS_SQUARED + i]
@@ -200,13 +210,14 @@ def _compute_moments(p, m, measurement, setpoint):
     rotors' lag are compensated (exact for a steady spin).
     """
     p_, q, r = measurement[7], measurement[8], measurement[9]
-    if setpoint[SETPOINT_KIND] != RATES_SETPOINT:
+    keeps_heading = common_value(setpoint[SETPOINT_KIND]) != RATES_SETPOINT
+    if keeps_heading:
         m[ANGULAR_ACCELERATION] += r * m[WANTED_RATES + 1]
         m[ANGULAR_ACCELERATION + 1] -= r * m[WANTED_RATES]
     mx, my, mz = _multiply_inertia(p, m[ANGULAR_ACCELERATION], m[ANGULAR_ACCELERATION + 1], m[ANGULAR_ACCELERATION + 2])
     hx, hy, hz = _multiply_inertia(p, p_, q, r)
     mx, my, mz = mx + q * hz - r * hy, my + r * hx - p_ * hz, mz + p_ * hy - q * hx
-    if setpoint[SETPOINT_KIND] == RATES_SETPOINT:
+    if not keeps_heading:
         return mx, my, mz
     lead = min(max(p[g.ACTUATOR_LAG] * r, -1.0), 1.0)
     return mx + lead * my, my - lead * mx, mz
@@ -220,10 +231,10 @@ def _run_pid(p, m, dt, measurement, setpoint):
         _filter_value(m, RATE_FILTERS + 3 * k, 0.5 * dt, measurement[7 + k])
         error = m[WANTED_RATES + k] - measurement[7 + k]
         # anti-windup: no integration further into a limit of the rotors
-        if m[CONTROLLER_STATUS] == RUNNING or error * m[RATE_INTEGRAL + k] < 0.0:
-            most = p[g.RATE_GAINS + k] * p[g.MAX_TILT_RATE]
-            total = m[RATE_INTEGRAL + k] + p[g.RATE_INTEGRAL_GAINS + k] * error * dt
-            m[RATE_INTEGRAL + k] = min(max(total, -most), most)
+        integrates = (m[CONTROLLER_STATUS] == RUNNING) | (error * m[RATE_INTEGRAL + k] < 0.0)
+        most = p[g.RATE_GAINS + k] * p[g.MAX_TILT_RATE]
+        total = m[RATE_INTEGRAL + k] + p[g.RATE_INTEGRAL_GAINS + k] * error * dt
+        m[RATE_INTEGRAL + k] = choose(integrates, min(max(total, -most), most), m[RATE_INTEGRAL + k])
         m[ANGULAR_ACCELERATION + k] += (
             m[RATE_INTEGRAL + k] - p[g.RATE_DERIVATIVE_GAINS + k] * m[RATE_FILTERS + 3 * k + 1]
         )
@@ -234,7 +245,8 @@ def _run_pid(p, m, dt, measurement, setpoint):
 @njit(cache=True, error_model="numpy")
 def _run_indi(p, m, dt, measurement, setpoint):
     # acceleration not caused by thrust: accelerometer and rotor speeds of the same instant, with the same filter
-    u0, u1, u2, u3 = measurement[13] ** 2, measurement[14] ** 2, measurement[15] ** 2, measurement[16] ** 2
+    u0, u1 = measurement[13] * measurement[13], measurement[14] * measurement[14]
+    u2, u3 = measurement[15] * measurement[15], measurement[16] * measurement[16]
     ax, ay = measurement[17], measurement[18]
     az = measurement[19] - _thrust_force(p, u0, u1, u2, u3) / p[g.CONTROL_MASS]
     r = rotation_matrix(measurement)
@@ -255,7 +267,7 @@ def _run_indi(p, m, dt, measurement, setpoint):
     for k in range(3):
         _filter_value(m, RATE_FILTERS + 3 * k, 0.5 * dt, measurement[7 + k])
     for i in range(4):
-        _filter_value(m, SPEED_FILTERS + 3 * i, 0.5 * dt, measurement[13 + i] ** 2)
+        _filter_value(m, SPEED_FILTERS + 3 * i, 0.5 * dt, measurement[13 + i] * measurement[13 + i])
     mx, my, mz = _compute_moments(p, m, measurement, setpoint)
     # moments of neither rotors nor gyroscopic terms: rates and rotor speeds with the same filter
     ax, ay, az = _multiply_inertia(p, m[RATE_FILTERS + 1], m[RATE_FILTERS + 4], m[RATE_FILTERS + 7])
@@ -273,8 +285,8 @@ def _run_indi(p, m, dt, measurement, setpoint):
 
 
 @njit(cache=True, error_model="numpy")
-def _run_ndi(p, m, dt, measurement, setpoint):
-    kernel, offset, further = _unpack_model(p)
+def _run_ndi(p, packed, m, dt, measurement, setpoint):
+    kernel, offset, further = _unpack_model(packed)
     inputs = m[MODEL_INPUTS : MODEL_INPUTS + 20 + len(further)]
     work = m[MODEL_INPUTS + 20 + len(further) :]
     out = m[MODEL_LOADS : MODEL_LOADS + 6]
@@ -290,10 +302,11 @@ def _run_ndi(p, m, dt, measurement, setpoint):
         out[k] -= offset[k]
     r = rotation_matrix(measurement)
     mass = p[g.CONTROL_MASS]
-    if p[g.MODEL_START] == 0.0:  # the model's forces include the weight
+    if packed[g.MODEL_START] == 0.0:  # the model's forces include the weight
         for k in range(3):
             out[k] -= mass * GRAVITY * r[6 + k]
-    u0, u1, u2, u3 = measurement[13] ** 2, measurement[14] ** 2, measurement[15] ** 2, measurement[16] ** 2
+    u0, u1 = measurement[13] * measurement[13], measurement[14] * measurement[14]
+    u2, u3 = measurement[15] * measurement[15], measurement[16] * measurement[16]
     ax, ay = out[0] / mass, out[1] / mass
     az = (out[2] - _thrust_force(p, u0, u1, u2, u3)) / mass
     thrust = run_outer_loop(
@@ -305,7 +318,7 @@ def _run_ndi(p, m, dt, measurement, setpoint):
     mx, my, mz = mx - out[3], my - out[4], mz - out[5]
     e = g.EFFECTIVENESS
     for i in range(4):
-        u = measurement[13 + i] ** 2
+        u = measurement[13 + i] * measurement[13 + i]
         mx += p[e + i] * u
         my += p[e + 4 + i] * u
         mz += p[e + 8 + i] * u
@@ -315,34 +328,48 @@ def _run_ndi(p, m, dt, measurement, setpoint):
 @njit(cache=True, error_model="numpy")
 def _allocate_commands(p, m, dt, measurement, commands):
     """Compute rotor speeds for the wanted loads within the rotors' limits, and monitor whether the rotors follow."""
-    if p[g.LEARNS_ROTOR_LIMITS] > 0.0:
+    if any_lane(p[g.LEARNS_ROTOR_LIMITS] > 0.0):
         _learn_limits(p, m, dt, measurement)
-    u = m[ALLOCATED_INPUTS : ALLOCATED_INPUTS + 4]
-    low, high = m[LOWEST_INPUTS : LOWEST_INPUTS + 4], m[HIGHEST_INPUTS : HIGHEST_INPUTS + 4]
     inside = True
     for i in range(4):
-        low[i], high[i] = p[g.LOWEST_SPEED] ** 2, m[LEARNT_LIMITS + i] ** 2
-        u[i] = 0.0
+        low, high = p[g.LOWEST_SPEED] * p[g.LOWEST_SPEED], m[LEARNT_LIMITS + i] * m[LEARNT_LIMITS + i]
+        u = 0.0
         for k in range(4):
-            u[i] += m[INVERSE_EFFECTIVENESS + 4 * i + k] * m[WANTED_LOADS + k]
-        if not low[i] <= u[i] <= high[i]:
-            inside = False
-    if not inside:
-        if p[g.USES_WEIGHTED_ALLOCATION] > 0.0:
-            for i in range(4):
-                u[i] = min(max(u[i], low[i]), high[i])
-            allocate_rotors(
-                m[STEP_EFFECTIVENESS : STEP_EFFECTIVENESS + 16], m[WANTED_LOADS : WANTED_LOADS + 4],
-                p[g.ALLOCATION_WEIGHTS : g.ALLOCATION_WEIGHTS + 4], low, high, p[g.HOVER_SPEED] ** 2, u,
-                m[ALLOCATION_SCRATCH : ALLOCATION_SCRATCH + 64],
-            )  # fmt: skip
-        else:
-            for i in range(4):
-                u[i] = min(max(u[i], low[i]), high[i])
-    m[CONTROLLER_STATUS] = RUNNING if inside else SATURATED
+            u += m[INVERSE_EFFECTIVENESS + 4 * i + k] * m[WANTED_LOADS + k]
+        inside = inside & (low <= u) & (u <= high)
+        m[LOWEST_INPUTS + i], m[HIGHEST_INPUTS + i] = low, high
+        m[ALLOCATED_INPUTS + i] = min(max(u, low), high)
+    m[CONTROLLER_STATUS] = choose(inside, RUNNING, SATURATED)
+    if not all_lanes(inside):
+        _allocate_saturated(p, m)
     for i in range(4):
-        m[LAST_COMMANDS_SQUARED + i] = u[i]
-        commands[i] = m[LAST_COMMANDS + i] = math.sqrt(u[i])
+        u = m[ALLOCATED_INPUTS + i]
+        m[LAST_COMMANDS_SQUARED + i] = u
+        commands[i] = m[LAST_COMMANDS + i] = math.sqrt(u)
+
+
+@njit(cache=True, error_model="numpy")
+def _allocate_saturated(p, m):
+    """Solve the weighted allocation of each drone whose rotors reach a limit, one after another."""
+    known = np.empty(ALLOCATION_SCRATCH + 64 - STEP_EFFECTIVENESS)  # of the memory, so that offsets stay the same
+    weights = np.empty(4)
+    for lane in range(count_lanes(m)):
+        if get_entry(m, CONTROLLER_STATUS, lane) == RUNNING or get_entry(p, g.USES_WEIGHTED_ALLOCATION, lane) == 0.0:
+            continue
+        for part, size in ((STEP_EFFECTIVENESS, 16), (WANTED_LOADS, 16)):
+            for i in range(part, part + size):
+                known[i - STEP_EFFECTIVENESS] = get_entry(m, i, lane)
+        for i in range(4):
+            weights[i] = get_entry(p, g.ALLOCATION_WEIGHTS + i, lane)
+        hover = get_entry(p, g.HOVER_SPEED, lane)
+        wanted, low, high, u, scratch = (
+            known[WANTED_LOADS - STEP_EFFECTIVENESS :], known[LOWEST_INPUTS - STEP_EFFECTIVENESS :],
+            known[HIGHEST_INPUTS - STEP_EFFECTIVENESS :], known[ALLOCATED_INPUTS - STEP_EFFECTIVENESS :],
+            known[ALLOCATION_SCRATCH - STEP_EFFECTIVENESS :],
+        )  # fmt: skip
+        allocate_rotors(known, wanted, weights, low, high, hover * hover, u, scratch)
+        for i in range(4):
+            set_entry(m, ALLOCATED_INPUTS + i, lane, u[i])
 
 
 @njit(cache=True, error_model="numpy")
@@ -357,14 +384,15 @@ def _learn_limits(p, m, dt, measurement):
         alike = max(alike, measurement[13 + i] / max(m[EXPECTED_SPEEDS + i], 1e-3))
     alike = min(alike, 1.0)
     for i in range(4):
-        behind = alike * m[EXPECTED_SPEEDS + i] - measurement[13 + i] > 0.03 * p[g.HOVER_SPEED]
-        m[TIME_BEHIND + i] = max(m[TIME_BEHIND + i] + (dt if behind else -dt), 0.0)
-        if m[TIME_BEHIND + i] > _MAX_TIME_BEHIND:
-            m[LEARNT_LIMITS + i] = max(1.01 * measurement[13 + i], 1.001 * p[g.LOWEST_SPEED])
-            m[EXPECTED_SPEEDS + i] = measurement[13 + i]
-            m[TIME_BEHIND + i] = 0.0
-        elif m[LEARNT_LIMITS + i] < p[g.HIGHEST_SPEED] and not behind:
-            m[LEARNT_LIMITS + i] = min(m[LEARNT_LIMITS + i] * (1.0 + dt / _LIMIT_RECOVERY_TIME), p[g.HIGHEST_SPEED])
+        limit, speed = m[LEARNT_LIMITS + i], measurement[13 + i]
+        behind = alike * m[EXPECTED_SPEEDS + i] - speed > 0.03 * p[g.HOVER_SPEED]
+        time = max(m[TIME_BEHIND + i] + choose(behind, dt, -dt), 0.0)
+        learns = (time > _MAX_TIME_BEHIND) & (p[g.LEARNS_ROTOR_LIMITS] > 0.0)
+        recovered = min(limit * (1.0 + dt / _LIMIT_RECOVERY_TIME), p[g.HIGHEST_SPEED])
+        kept = choose(behind, limit, choose(limit < p[g.HIGHEST_SPEED], recovered, limit))
+        m[LEARNT_LIMITS + i] = choose(learns, max(1.01 * speed, 1.001 * p[g.LOWEST_SPEED]), kept)
+        m[EXPECTED_SPEEDS + i] = choose(learns, speed, m[EXPECTED_SPEEDS + i])
+        m[TIME_BEHIND + i] = choose(learns, 0.0, time)
 
 
 def _pack_model(model: Model, offset: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ import math
 from numba import njit
 
 from quasi.attitude import GRAVITY
+from quasi.lanes import any_lane, choose, common_value
 from quasi.simulation.control import gains as g
 
 SETPOINT_SIZE = 20
@@ -65,12 +66,11 @@ def turn_towards(r, d, parameters, out):
     nz = r[2] * d[2] + r[5] * d[5] + r[8] * d[8]
     # the shortest rotation of the body's z axis onto the wanted one
     sine = math.sqrt(nx * nx + ny * ny)
-    if sine > 1e-9:
-        factor = math.atan2(sine, nz) / sine
-        out[0], out[1] = -parameters[g.ATTITUDE_GAIN] * factor * ny, parameters[g.ATTITUDE_GAIN] * factor * nx
-    else:
-        # upside down: any axis will do
-        out[0], out[1] = (0.0 if nz > 0.0 else parameters[g.ATTITUDE_GAIN] * math.pi), 0.0
+    gain, tilted = parameters[g.ATTITUDE_GAIN], sine > 1e-9
+    factor = math.atan2(sine, nz) / sine
+    # upside down: any axis will do
+    out[0] = choose(tilted, -gain * factor * ny, choose(nz > 0.0, 0.0, gain * math.pi))
+    out[1] = choose(tilted, gain * factor * nx, 0.0)
     # the remaining rotation is about z (swing and twist of the error quaternion)
     out[2] = parameters[g.YAW_GAIN] * math.atan2(e10 - e01, e00 + e11)
 
@@ -108,15 +108,21 @@ def attitude_of_angles(roll, pitch, yaw):
 @njit(cache=True, error_model="numpy")
 def _limit_length(x, y, most):
     size = math.sqrt(x * x + y * y)
-    return (x, y) if size <= most else (x * most / size, y * most / size)
+    return choose(size <= most, x, x * most / size), choose(size <= most, y, y * most / size)
 
 
 @njit(cache=True, error_model="numpy")
 def _limit_approach_gain(distance, gain, brake, most):
     """Wanted speed per distance, 1/s: the gain when near; when far no more than can be braked, nor than `most`, m/s."""
     linear = brake / (gain * gain)
-    speed = gain * distance if distance <= linear else math.sqrt(2.0 * brake * distance - brake * linear)
-    return min(speed, most) / distance if distance > 0.0 else gain
+    speed = choose(distance <= linear, gain * distance, math.sqrt(2.0 * brake * distance - brake * linear))
+    return choose(distance > 0.0, min(speed, most) / distance, gain)
+
+
+@njit(cache=True, error_model="numpy")
+def _given_or(given, default):
+    """`given` unless it is NaN."""
+    return choose(given == given, given, default)
 
 
 @njit(cache=True, error_model="numpy")
@@ -126,11 +132,11 @@ def run_outer_loop(parameters, memory, dt, measurement, setpoint, dx, dy, dz):
     dx dy dz: acceleration caused by neither gravity nor thrust, m/s2, earth axes.
     """
     p, wanted_rates = parameters, memory[WANTED_RATES : WANTED_RATES + 3]
-    kind, mass = setpoint[SETPOINT_KIND], p[g.CONTROL_MASS]
+    kind, mass = common_value(setpoint[SETPOINT_KIND]), p[g.CONTROL_MASS]
     if kind == RATES_SETPOINT:
         for k in range(3):
             wanted_rates[k] = setpoint[SETPOINT_RATES + k]
-        return setpoint[SETPOINT_THRUST] if setpoint[SETPOINT_THRUST] == setpoint[SETPOINT_THRUST] else mass * GRAVITY
+        return _given_or(setpoint[SETPOINT_THRUST], mass * GRAVITY)
     r = rotation_matrix(measurement)
     if kind == ATTITUDE_SETPOINT:
         turn_towards(
@@ -142,9 +148,7 @@ def run_outer_loop(parameters, memory, dt, measurement, setpoint, dx, dy, dz):
         for k in range(3):
             wanted_rates[k] += setpoint[SETPOINT_RATES + k] + r[6 + k] * setpoint[SETPOINT_YAW_RATE]
         _limit_rates(p, wanted_rates)
-        if setpoint[SETPOINT_THRUST] == setpoint[SETPOINT_THRUST]:
-            return setpoint[SETPOINT_THRUST]
-        return mass * GRAVITY / max(r[8], math.cos(p[g.MAX_TILT]))
+        return _given_or(setpoint[SETPOINT_THRUST], mass * GRAVITY / max(r[8], math.cos(p[g.MAX_TILT])))
 
     vx = r[0] * measurement[4] + r[1] * measurement[5] + r[2] * measurement[6]
     vy = r[3] * measurement[4] + r[4] * measurement[5] + r[5] * measurement[6]
@@ -187,9 +191,9 @@ def run_outer_loop(parameters, memory, dt, measurement, setpoint, dx, dy, dz):
         (fy - memory[LAST_ACCELERATION + 1]) / dt,
         (fz - memory[LAST_ACCELERATION + 2]) / dt,
     )
-    if jx * jx + jy * jy + jz * jz < _MAX_JERK * _MAX_JERK:
-        wanted_rates[0] += (r[1] * jx + r[4] * jy + r[7] * jz) / size
-        wanted_rates[1] -= (r[0] * jx + r[3] * jy + r[6] * jz) / size
+    smooth = jx * jx + jy * jy + jz * jz < _MAX_JERK * _MAX_JERK
+    wanted_rates[0] += choose(smooth, (r[1] * jx + r[4] * jy + r[7] * jz) / size, 0.0)
+    wanted_rates[1] -= choose(smooth, (r[0] * jx + r[3] * jy + r[6] * jz) / size, 0.0)
     for k in range(3):
         memory[LAST_ACCELERATION + k] = setpoint[SETPOINT_ACCELERATION + k]
         wanted_rates[k] += r[6 + k] * setpoint[SETPOINT_YAW_RATE]
@@ -197,17 +201,19 @@ def run_outer_loop(parameters, memory, dt, measurement, setpoint, dx, dy, dz):
 
     # anti-windup: integrals stop at a limit; large errors belong to a manoeuvre and are limited
     gain = p[g.VELOCITY_INTEGRAL_GAIN] * dt
-    if gain > 0.0:
-        inside = sx == wide_x and sy == wide_y
-        if inside or ex * wide_x + ey * wide_y < 0.0:
-            ex, ey = _limit_length(ex, ey, _MAX_INTEGRATED_ERROR)
-            x, y = _limit_length(
-                memory[VELOCITY_INTEGRAL] + gain * ex, memory[VELOCITY_INTEGRAL + 1] + gain * ey, p[g.MAX_INTEGRAL]
-            )
-            memory[VELOCITY_INTEGRAL], memory[VELOCITY_INTEGRAL + 1] = x, y
-        if (sz < -0.2 * GRAVITY or ez < 0.0) and memory[CONTROLLER_STATUS] != SATURATED:
-            z = memory[VELOCITY_INTEGRAL + 2] + gain * min(max(ez, -_MAX_INTEGRATED_ERROR), _MAX_INTEGRATED_ERROR)
-            memory[VELOCITY_INTEGRAL + 2] = min(max(z, -p[g.MAX_INTEGRAL]), p[g.MAX_INTEGRAL])
+    if any_lane(gain > 0.0):
+        inside = (sx == wide_x) & (sy == wide_y)
+        level = inside | (ex * wide_x + ey * wide_y < 0.0)
+        ex, ey = _limit_length(ex, ey, _MAX_INTEGRATED_ERROR)
+        old_x, old_y, old_z = (
+            memory[VELOCITY_INTEGRAL], memory[VELOCITY_INTEGRAL + 1], memory[VELOCITY_INTEGRAL + 2]
+        )  # fmt: skip
+        x, y = _limit_length(old_x + gain * ex, old_y + gain * ey, p[g.MAX_INTEGRAL])
+        memory[VELOCITY_INTEGRAL] = choose(level, x, old_x)
+        memory[VELOCITY_INTEGRAL + 1] = choose(level, y, old_y)
+        vertical = ((sz < -0.2 * GRAVITY) | (ez < 0.0)) & (memory[CONTROLLER_STATUS] != SATURATED)
+        z = old_z + gain * min(max(ez, -_MAX_INTEGRATED_ERROR), _MAX_INTEGRATED_ERROR)
+        memory[VELOCITY_INTEGRAL + 2] = choose(vertical, min(max(z, -p[g.MAX_INTEGRAL]), p[g.MAX_INTEGRAL]), old_z)
     # thrust along the present axis only, so that none acts sideways while the body still turns
     return max(-mass * (sx * r[2] + sy * r[5] + sz * r[8]), 0.0)
 

@@ -1,8 +1,8 @@
 """The closed loop, compiled: reference, sensors, controller, actuator, model, equations of motion, integrator.
 
 Each part is a function. The Python loop (`python_loop`) calls the same functions in the same order on the same arrays,
-so both loops give the same numbers. `run_loop` runs one simulation, `run_batch_part` runs part of a batch. A Machine
-holds what is constant during a run; a Live and a Scratch hold what changes.
+so both loops give the same numbers. `run_loop` runs one simulation; `batch` runs eight with the same functions.
+LoopParameters hold what is constant during a run; a LoopState and a Scratch hold what changes.
 """
 
 import math
@@ -12,13 +12,13 @@ import numpy as np
 from numba import njit
 
 from quasi.attitude import GRAVITY
+from quasi.lanes import any_lane, choose
 from quasi.simulation.control.controllers import controller_step
 from quasi.simulation.control.references import evaluate_reference
 from quasi.simulation.vehicle.dynamics import (
     compute_loads,
     count_inputs,
     integrate_step,
-    make_scratch,
     rotor_acceleration,
 )
 from quasi.simulation.vehicle.layout import (
@@ -172,10 +172,12 @@ def update_environment(t, wind, wind_table, fault, battery, clock, x, step_input
     wind_velocity(wind, wind_table, t, gust, air)
     for i in range(3):
         step_inputs[WIND_VELOCITY + i] = air[i]
-    if t >= fault[0] - 1e-9:
+    acts = t >= fault[0] - 1e-9
+    if any_lane(acts):
         for i in range(4):
-            step_inputs[ROOT_EFFECTIVENESS + i] = math.sqrt(fault[1 + i])
-            step_inputs[SPEED_CAP + i] = fault[5 + i]
+            healthy, free = step_inputs[ROOT_EFFECTIVENESS + i], step_inputs[SPEED_CAP + i]
+            step_inputs[ROOT_EFFECTIVENESS + i] = choose(acts, math.sqrt(fault[1 + i]), healthy)
+            step_inputs[SPEED_CAP + i] = choose(acts, fault[5 + i], free)
     power = 0.0
     for i in range(4):
         speeds[i] = min(x[ROTOR_SPEEDS + i], step_inputs[SPEED_CAP + i])
@@ -191,7 +193,7 @@ def update_environment(t, wind, wind_table, fault, battery, clock, x, step_input
 def measure(body, sensors, x, last_loads, speeds, random, random_numbers, measurement):
     """Write sensor readings to measurement (26,); the accelerometer measures the forces at the last step's end."""
     fx, fy, fz = last_loads[0] / body[MASS], last_loads[1] / body[MASS], last_loads[2] / body[MASS]
-    if body[ADDED_GRAVITY] == 0.0:  # the model's forces are net forces
+    if any_lane(body[ADDED_GRAVITY] == 0.0):  # the model's forces are net forces
         w, rx, ry, rz = x[0], x[1], x[2], x[3]
         fx -= 2.0 * (rx * rz - w * ry) * GRAVITY
         fy -= 2.0 * (ry * rz + w * rx) * GRAVITY
@@ -208,7 +210,7 @@ def actuate_rotors(k, dt, drive, battery, body, x, step_inputs, ring, commands, 
     share = max(whole - late, 0.0)
     factor = 1.0
     if battery.exponent != 0.0:
-        factor = (max(voltage[0], 0.0) / battery.reference) ** battery.exponent
+        factor = math.pow(max(voltage[0], 0.0) / battery.reference, battery.exponent)
     for i in range(4):
         ring[k % size, i] = commands[i]
         wanted = ring[(k - late) % size, i]
@@ -216,16 +218,12 @@ def actuate_rotors(k, dt, drive, battery, body, x, step_inputs, ring, commands, 
             wanted = (1.0 - share) * wanted + share * ring[(k - late - 1) % size, i]
         target = min(max(wanted * factor, drive.low), drive.high * factor)
         step_inputs[TARGET_SPEED + i] = target
-        if body[LAG_UP + i] > 0.0:
-            step_inputs[GIVEN_ACCELERATION + i] = np.nan
-        elif body[MAX_ROTOR_ACCELERATION] == np.inf:
-            x[ROTOR_SPEEDS + i] = target
-            step_inputs[GIVEN_ACCELERATION + i] = 0.0
-        else:
-            slope = (target - x[ROTOR_SPEEDS + i]) / dt
-            step_inputs[GIVEN_ACCELERATION + i] = min(
-                max(slope, -body[MAX_ROTOR_ACCELERATION]), body[MAX_ROTOR_ACCELERATION]
-            )
+        lags, fastest = body[LAG_UP + i] > 0.0, body[MAX_ROTOR_ACCELERATION]
+        slope = min(max((target - x[ROTOR_SPEEDS + i]) / dt, -fastest), fastest)
+        prescribed = choose(fastest == np.inf, 0.0, slope)
+        step_inputs[GIVEN_ACCELERATION + i] = choose(lags, np.nan, prescribed)
+        moved = choose(fastest == np.inf, target, x[ROTOR_SPEEDS + i])
+        x[ROTOR_SPEEDS + i] = choose(lags, x[ROTOR_SPEEDS + i], moved)
         speeds[i] = min(x[ROTOR_SPEEDS + i], step_inputs[SPEED_CAP + i])
 
 
@@ -348,44 +346,3 @@ def run_loop(parameters, state, scratch, first, steps, every, log, close):
         if status != STATUS_FINE:
             return status, k + 1 - first, row
     return STATUS_FINE, steps, row
-
-
-class BatchParameters(NamedTuple):
-    """Parameters that differ between the simulations of a batch, one row each.
-
-    x (B, 17 + extra states) initial states; seeds (B, 2) uint64 of noise and gusts; body (B, BODY_SIZE); fault (B, 9);
-    wind (B, 9); gains (B, G) of the controller; path (B, R) parameters of the reference
-    """
-
-    x: np.ndarray
-    seeds: np.ndarray
-    body: np.ndarray
-    fault: np.ndarray
-    wind: np.ndarray
-    gains: np.ndarray
-    path: np.ndarray
-
-
-@njit(cache=True, error_model="numpy")
-def run_one_of_batch(parameters, batch, b, memory, steps, every, log):
-    """Run simulation number b of a batch; return (status, steps done)."""
-    p = parameters
-    varied = LoopParameters(
-        p.kernel, batch.body[b], p.drive, p.battery, batch.fault[b], p.sensors, batch.wind[b], p.wind_table,
-        p.controller, batch.gains[b], p.reference, batch.path[b], p.table, p.dt, p.substeps, p.method, p.limits,
-        p.clock,
-    )  # fmt: skip
-    state = make_loop_state(varied, batch.x[b], memory, batch.seeds[b, 0], batch.seeds[b, 1])
-    scratch = make_scratch(p.kernel, len(state.x) - STATE_SIZE)
-    status, done, _ = run_loop(varied, state, scratch, 0, steps, every, log, True)
-    return status, done
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def run_batch_part(parameters, batch, first, stop, memory, steps, every, logs, status, done):
-    """Run simulations first .. stop - 1 of a batch; fill logs (B, rows, log size), status (B,) and done (B,).
-
-    It releases Python's global lock, so that several threads can run parts of a batch at once.
-    """
-    for b in range(first, stop):
-        status[b], done[b] = run_one_of_batch(parameters, batch, b, memory, steps, every, logs[b])

@@ -14,6 +14,8 @@ import numpy as np
 
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, ShapeError, nearest
+from quasi.lanes import LANES
+from quasi.simulation.loop.batch import BatchParameters, make_block_memory, run_batch_part
 from quasi.simulation.loop.closed_loop import (
     EXTERNAL_REFERENCE,
     FAULT_SIZE,
@@ -21,8 +23,6 @@ from quasi.simulation.loop.closed_loop import (
     LOG_STATE,
     SHORT_LOG_SIZE,
     STATUS_FINE,
-    BatchParameters,
-    run_batch_part,
     run_loop,
 )
 from quasi.simulation.loop.divergence import explain_end, recompute_state_before
@@ -207,16 +207,16 @@ def simulate_many(
     logs = np.full((count, setup.steps // every + 1, SHORT_LOG_SIZE), np.nan)
     status, done = np.zeros(count, np.int64), np.zeros(count, np.int64)
     threads = max(min(os.cpu_count() or 1, count), 1)
-    part = max(count // (8 * threads), 1)
+    part = LANES * max(count // (8 * threads * LANES), 1)
 
-    def work(begin: int) -> None:
-        end = min(begin + part, count)
+    def work(begin: int, end: int) -> None:
+        room = make_block_memory(loop_parameters, setup.extra_states, setup.memory)
         run_batch_part(
-            loop_parameters, random_numbers, begin, end, setup.memory, setup.steps, every, logs, status, done
+            loop_parameters, random_numbers, begin, end, setup.memory, setup.steps, every, logs, status, done, room
         )
 
-    work(0)  # the first part runs alone, so that the kernel is compiled once
+    work(0, 0)  # an empty part comes first, so that the kernel is compiled once
     with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(work, range(part, count, part)))
+        list(pool.map(lambda begin: work(begin, min(begin + part, count)), range(0, count, part)))
     t = np.arange(logs.shape[1]) * every * loop_parameters.dt
     return BatchResult(t, logs[:, :, LOG_STATE : LOG_STATE + len(STATE_NAMES)], status, done)

@@ -16,7 +16,8 @@ of the thrust and torque acts like a healthy one at sqrt(e) W. Terms in rotor ac
 
 The step inputs (STEP_INPUTS_SIZE + extras,) are constant within one step; `body` (BODY_SIZE,) is constant throughout
 (`layout`). Compiled functions take their arrays one by one. Reading an array from a tuple counts a reference, and in a
-step of two microseconds that would cost more than the physics.
+step of two microseconds that would cost more than the physics. They accept arrays, or views of eight drones
+(`quasi.lanes`).
 Source: Stevens, Lewis & Johnson, Aircraft Control and Simulation, 3rd ed., 2016, section 1.7.
 """
 
@@ -27,6 +28,7 @@ import numpy as np
 from numba import njit
 
 from quasi.attitude import POLE
+from quasi.lanes import any_lane, choose
 from quasi.simulation.vehicle.layout import (
     ADDED_GRAVITY,
     BODY_SIZE,
@@ -113,11 +115,10 @@ def make_body_constants(
 def rotor_acceleration(i, speed, step_inputs, body):
     """Acceleration of rotor i at this speed, rad/s2."""
     given = step_inputs[GIVEN_ACCELERATION + i]
-    if given == given:
-        return given
     gap = step_inputs[TARGET_SPEED + i] - speed
-    slope = gap / (body[LAG_UP + i] if gap > 0.0 else body[LAG_DOWN + i])
-    return min(max(slope, -body[MAX_ROTOR_ACCELERATION]), body[MAX_ROTOR_ACCELERATION])
+    slope = gap / choose(gap > 0.0, body[LAG_UP + i], body[LAG_DOWN + i])
+    lagged = min(max(slope, -body[MAX_ROTOR_ACCELERATION]), body[MAX_ROTOR_ACCELERATION])
+    return choose(given == given, given, lagged)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -127,18 +128,17 @@ def euler_angles(q, out):
     north, east = 1.0 - 2.0 * (y * y + z * z), 2.0 * (w * z + x * y)
     level = math.sqrt(north * north + east * east)
     out[1] = math.atan2(2.0 * (w * y - z * x), level)
-    if level < POLE:
-        out[0] = 0.0
-        out[2] = math.atan2(2.0 * (w * z - x * y), 1.0 - 2.0 * (x * x + z * z))
-    else:
-        out[0] = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-        out[2] = math.atan2(east, north)
+    at_pole = level < POLE  # where roll is 0 and yaw takes the whole rotation
+    out[0] = math.atan2(choose(at_pole, 0.0, 2.0 * (w * x + y * z)), choose(at_pole, 1.0, 1.0 - 2.0 * (x * x + y * y)))
+    out[2] = math.atan2(
+        choose(at_pole, 2.0 * (w * z - x * y), east), choose(at_pole, 1.0 - 2.0 * (x * x + z * z), north)
+    )
 
 
 @njit(cache=True, error_model="numpy", inline="always")
 def compute_loads(x, step_inputs, kernel, body, inputs, work, out):
     """Forces and moments that act in this state, into out (6,), N and N m, body axes."""
-    if body[USES_ANGLES] != 0.0:
+    if any_lane(body[USES_ANGLES] != 0.0):
         euler_angles(x, inputs)
     w, rx, ry, rz = x[0], x[1], x[2], x[3]
     # wind into body axes by the conjugate quaternion
@@ -151,16 +151,15 @@ def compute_loads(x, step_inputs, kernel, body, inputs, work, out):
         inputs[6 + i] = x[7 + i]
     for i in range(4):
         speed, slope = x[ROTOR_SPEEDS + i], rotor_acceleration(i, x[ROTOR_SPEEDS + i], step_inputs, body)
-        if speed > step_inputs[SPEED_CAP + i]:
-            speed, slope = step_inputs[SPEED_CAP + i], 0.0
-        inputs[12 + i] = speed * step_inputs[ROOT_EFFECTIVENESS + i]
-        inputs[16 + i] = slope
+        capped = speed > step_inputs[SPEED_CAP + i]
+        inputs[12 + i] = choose(capped, step_inputs[SPEED_CAP + i], speed) * step_inputs[ROOT_EFFECTIVENESS + i]
+        inputs[16 + i] = choose(capped, 0.0, slope)
     for i in range(20, len(inputs)):
         inputs[i] = step_inputs[EXTRA_INPUTS + i - 20]
     compute_wrench(kernel, inputs, work, out)
     for i in range(6):
         out[i] -= body[LOADS_OFFSET + i]
-    if body[EXTRA_STATES] != 0.0:
+    if any_lane(body[EXTRA_STATES] != 0.0):
         add_payload_and_inflow_loads(x, body, inputs, out)
 
 
@@ -217,7 +216,7 @@ def equations_of_motion(x, loads, step_inputs, body, derivatives, row):
     derivatives[row, 12] = vz + w * tz + rx * ty - ry * tx
     for i in range(4):
         derivatives[row, ROTOR_SPEEDS + i] = rotor_acceleration(i, x[ROTOR_SPEEDS + i], step_inputs, body)
-    if body[EXTRA_STATES] != 0.0:
+    if any_lane(body[EXTRA_STATES] != 0.0):
         differentiate_payload_and_inflow(x, loads, step_inputs, body, derivatives, row)
 
 
@@ -274,5 +273,5 @@ def integrate_step(method, dt, x, step_inputs, kernel, body, inputs, work, loads
                 dt / 6.0 * (derivatives[0, i] + 2.0 * derivatives[1, i] + 2.0 * derivatives[2, i] + derivatives[3, i])
             )
     normalise_quaternion(x)
-    if body[EXTRA_STATES] != 0.0:
+    if any_lane(body[EXTRA_STATES] != 0.0):
         project_constraints(x, body)

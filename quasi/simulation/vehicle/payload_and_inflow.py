@@ -23,6 +23,7 @@ import numpy as np
 from numba import njit
 
 from quasi.attitude import GRAVITY
+from quasi.lanes import any_lane
 from quasi.simulation.vehicle.layout import (
     ADDED_GRAVITY,
     EXTRA_STATES,
@@ -68,14 +69,16 @@ def write_payload_and_inflow(parts: PayloadAndInflow, hubs: np.ndarray, body: np
 
 
 @njit(cache=True, error_model="numpy")
-def _compute_apparent_gravity(x, loads, body, s):
-    """Gravity less the cg's acceleration under forces `loads` of the body, earth axes, into s (3,), m/s2."""
+def _compute_apparent_gravity(x, loads, body):
+    """Gravity less the cg's acceleration under forces `loads` of the body, earth axes, m/s2: three numbers."""
     w, rx, ry, rz = x[0], x[1], x[2], x[3]
     ax, ay, az = loads[0] / body[MASS], loads[1] / body[MASS], loads[2] / body[MASS]
     tx, ty, tz = 2.0 * (ry * az - rz * ay), 2.0 * (rz * ax - rx * az), 2.0 * (rx * ay - ry * ax)
-    s[0] = -(ax + w * tx + ry * tz - rz * ty)
-    s[1] = -(ay + w * ty + rz * tx - rx * tz)
-    s[2] = GRAVITY - body[ADDED_GRAVITY] - (az + w * tz + rx * ty - ry * tx)
+    return (
+        -(ax + w * tx + ry * tz - rz * ty),
+        -(ay + w * ty + rz * tx - rx * tz),
+        GRAVITY - body[ADDED_GRAVITY] - (az + w * tz + rx * ty - ry * tx),
+    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -89,7 +92,7 @@ def _compute_damping_rate(body):
 def add_payload_and_inflow_loads(x, body, inputs, out):
     """Add the loads of payload and inflow to forces and moments out (6,); the model's inputs hold the rotor speeds."""
     at = STATE_SIZE
-    if body[INFLOW_LAG] > 0.0:
+    if any_lane(body[INFLOW_LAG] > 0.0):
         for i in range(4):
             speed = inputs[12 + i]
             more = body[INFLOW_GAIN] * speed * (speed - x[at + i])
@@ -97,9 +100,8 @@ def add_payload_and_inflow_loads(x, body, inputs, out):
             out[3] -= body[HUB_POSITIONS + 2 * i + 1] * more
             out[4] += body[HUB_POSITIONS + 2 * i] * more
         at += 4
-    if body[LOAD_MASS] > 0.0:
-        s = np.empty(3)
-        _compute_apparent_gravity(x, out, body, s)
+    if any_lane(body[LOAD_MASS] > 0.0):
+        s = _compute_apparent_gravity(x, out, body)
         length, share = body[LOAD_LENGTH], body[LOAD_MASS] / (1.0 + body[LOAD_MASS] / body[MASS])
         pull = length * (x[at + 3] * x[at + 3] + x[at + 4] * x[at + 4] + x[at + 5] * x[at + 5])
         for k in range(3):
@@ -120,14 +122,13 @@ def add_payload_and_inflow_loads(x, body, inputs, out):
 def differentiate_payload_and_inflow(x, loads, step_inputs, body, derivatives, row):
     """Derivatives of the parts' states into slopes[row, 17:]; loads (6,) include their own."""
     at = STATE_SIZE
-    if body[INFLOW_LAG] > 0.0:
+    if any_lane(body[INFLOW_LAG] > 0.0):
         for i in range(4):
             speed = min(x[ROTOR_SPEEDS + i], step_inputs[SPEED_CAP + i]) * step_inputs[ROOT_EFFECTIVENESS + i]
             derivatives[row, at + i] = (speed - x[at + i]) / body[INFLOW_LAG]
         at += 4
-    if body[LOAD_MASS] > 0.0:
-        s = np.empty(3)
-        _compute_apparent_gravity(x, loads, body, s)
+    if any_lane(body[LOAD_MASS] > 0.0):
+        s = _compute_apparent_gravity(x, loads, body)
         length, along, turning = body[LOAD_LENGTH], 0.0, 0.0
         for k in range(3):
             along += s[k] * x[at + k]
@@ -142,8 +143,8 @@ def differentiate_payload_and_inflow(x, loads, step_inputs, body, derivatives, r
 @njit(cache=True, error_model="numpy")
 def project_constraints(x, body):
     """Project the payload onto its constraints: a direction of unit length, and a rate perpendicular to it."""
-    if body[LOAD_MASS] > 0.0:
-        at = STATE_SIZE + 4 if body[INFLOW_LAG] > 0.0 else STATE_SIZE
+    if any_lane(body[LOAD_MASS] > 0.0):
+        at = STATE_SIZE + 4 if any_lane(body[INFLOW_LAG] > 0.0) else STATE_SIZE
         size = math.sqrt(x[at] * x[at] + x[at + 1] * x[at + 1] + x[at + 2] * x[at + 2])
         along = 0.0
         for k in range(3):
@@ -166,8 +167,7 @@ def trim_payload_and_inflow(x, inputs, bare, body):
             x[at + i] = inputs[12 + i] - body[INFLOW_LAG] * inputs[16 + i]
         at += 4
     if body[LOAD_MASS] > 0.0:
-        s = np.empty(3)
-        _compute_apparent_gravity(x, bare, body, s)
+        s = _compute_apparent_gravity(x, bare, body)
         size = math.sqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2])
         for k in range(3):
             x[at + k] = s[k] / size if size > 1e-9 else 1.0 if k == 2 else 0.0

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from quasi.lanes import LANES, any_lane, set_entry
 from quasi.simulation.vehicle.layout import STATE_SIZE
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -52,30 +53,63 @@ def seed_generator(seed, row):
 
 
 @njit(cache=True, error_model="numpy")
-def draw_uniform(random, row):
-    """Draw the next number in [0, 1) of a stream; random (2,) uint64 holds the generators' states."""
-    random[row] += _GOLDEN
-    z = random[row]
+def draw_uniform(state):
+    """Advance a generator's state (uint64); return it and a number in [0, 1)."""
+    state += _GOLDEN
+    z = state
     z = (z ^ (z >> np.uint64(30))) * _FIRST_MULTIPLIER
     z = (z ^ (z >> np.uint64(27))) * _SECOND_MULTIPLIER
     z = z ^ (z >> np.uint64(31))
-    return np.float64(z >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+    return state, np.float64(z >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _draw_point(state):
+    """Draw a point in the unit circle; return the generator's state, both coordinates and the squared radius."""
+    s = 2.0
+    a = b = 0.0
+    while s >= 1.0 or s == 0.0:
+        state, first = draw_uniform(state)
+        state, second = draw_uniform(state)
+        a, b = 2.0 * first - 1.0, 2.0 * second - 1.0
+        s = a * a + b * b
+    return state, a, b, s
+
+
+@njit(cache=True, error_model="numpy")
+def _polar_factor(s):
+    """Factor that makes two normal numbers of a point with squared radius s."""
+    return math.sqrt(-2.0 * math.log(s) / s)
 
 
 @njit(cache=True, error_model="numpy")
 def draw_normals(random, row, out, n):
-    """Fill out[:n] with standard normal numbers."""
-    for i in range(0, n, 2):
-        s = 2.0
-        a = b = 0.0
-        while s >= 1.0 or s == 0.0:
-            a = 2.0 * draw_uniform(random, row) - 1.0
-            b = 2.0 * draw_uniform(random, row) - 1.0
-            s = a * a + b * b
-        factor = math.sqrt(-2.0 * math.log(s) / s)
-        out[i] = a * factor
-        if i + 1 < n:
-            out[i + 1] = b * factor
+    """Fill out[:n] with standard normal numbers; random (2,) uint64 holds the states of two generators.
+
+    For eight drones: random (2, 8), out a view; the squared radii of the points follow the n + 1 first rows.
+    """
+    if random.ndim == 1:
+        state = random[row]
+        for i in range(0, n, 2):
+            state, a, b, s = _draw_point(state)
+            factor = _polar_factor(s)
+            out[i] = a * factor
+            if i + 1 < n:
+                out[i + 1] = b * factor
+        random[row] = state
+    else:
+        for lane in range(LANES):
+            state = random[row, lane]
+            for i in range(0, n, 2):
+                state, a, b, s = _draw_point(state)
+                set_entry(out, i, lane, a)
+                set_entry(out, i + 1, lane, b)
+                set_entry(out, n + 1 + i // 2, lane, s)
+            random[row, lane] = state
+        for i in range(0, n, 2):
+            factor = _polar_factor(out[n + 1 + i // 2])
+            out[i] *= factor
+            out[i + 1] *= factor
 
 
 @njit(cache=True, error_model="numpy")
@@ -103,7 +137,8 @@ def add_sensor_noise(x, fx, fy, fz, sensors, speeds, random, random_numbers, mea
     measurement[1] = rx + w * a + ry * c - rz * b
     measurement[2] = ry + w * b + rz * a - rx * c
     measurement[3] = rz + w * c + rx * b - ry * a
-    norm = math.sqrt(measurement[0] ** 2 + measurement[1] ** 2 + measurement[2] ** 2 + measurement[3] ** 2)
+    w, rx, ry, rz = measurement[0], measurement[1], measurement[2], measurement[3]
+    norm = math.sqrt(w * w + rx * rx + ry * ry + rz * rz)
     for i in range(4):
         measurement[i] /= norm
     for i in range(3):
@@ -153,7 +188,7 @@ def wind_velocity(wind, table, t, gust, out):
 @njit(cache=True, error_model="numpy")
 def draw_first_gust(wind, random, random_numbers, gust):
     """Draw a gust from the stationary distribution into gust (3,)."""
-    if wind[GUST_DEVIATION] + wind[GUST_DEVIATION + 1] + wind[GUST_DEVIATION + 2] > 0.0:
+    if any_lane(wind[GUST_DEVIATION] + wind[GUST_DEVIATION + 1] + wind[GUST_DEVIATION + 2] > 0.0):
         draw_normals(random, GUST_ROW, random_numbers, 3)
         for k in range(3):
             gust[k] = wind[GUST_DEVIATION + k] * random_numbers[k]
@@ -162,7 +197,7 @@ def draw_first_gust(wind, random, random_numbers, gust):
 @njit(cache=True, error_model="numpy")
 def advance_gust(wind, dt, random, random_numbers, gust):
     """Advance gust (3,) by dt, exactly for a first-order Gauss-Markov process."""
-    if wind[GUST_DEVIATION] + wind[GUST_DEVIATION + 1] + wind[GUST_DEVIATION + 2] > 0.0:
+    if any_lane(wind[GUST_DEVIATION] + wind[GUST_DEVIATION + 1] + wind[GUST_DEVIATION + 2] > 0.0):
         draw_normals(random, GUST_ROW, random_numbers, 3)
         for k in range(3):
             keep = math.exp(-dt / wind[GUST_TIME + k])

@@ -1,0 +1,479 @@
+"""Vectors of eight numbers in compiled code: one formula serves one number and eight of them.
+
+    cells = view_lanes(array)         array (rows, 8) float64, C order: cells[i] holds row i, one vector register
+    cells[0] = cells[1] * 2.0 + cells[2]
+    cells[3] = choose(cells[0] > 1.0, cells[1], cells[2])
+
+A function of this project that is written with `choose`, `any_lane` and `all_lanes` in place of branches accepts plain
+numbers and arrays, or vectors and views. The compiler makes one version of each. Vectors are LLVM's <8 x double>:
+one AVX-512 register, two of AVX2, four of SSE2 or Neon. Every lane carries out the operations of the plain version in
+the same order, without contraction, so its results are the same to the last bit. sin, cos, atan2, exp and log call
+the scalar function lane by lane.
+
+A view does not own its memory: the caller of the compiled function keeps the array.
+Source: LLVM Language Reference Manual, "Vector Type"; Numba documentation, "Extending Numba", low-level interface.
+"""
+
+import math
+import operator
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core.typeconv import Conversion
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin, lower_cast, models, overload, register_model
+
+LANES = 8  # numbers of a vector: 512 bits, the widest register of x86-64
+_ALIGNMENT = 8  # bytes, of a row: that of its numbers
+_DOUBLE, _VECTOR = ir.DoubleType(), ir.VectorType(ir.DoubleType(), LANES)
+_BITS = ir.VectorType(ir.IntType(1), LANES)
+_INDEX = ir.IntType(32)
+
+
+class _LanesType(types.Type):
+    def __init__(self):
+        super().__init__("lanes")
+
+    def unify(self, typingctx, other):
+        return self if isinstance(other, types.Number) else None
+
+    def can_convert_from(self, typingctx, other):
+        return Conversion.safe if isinstance(other, types.Number) else None
+
+
+class _MaskType(types.Type):
+    def __init__(self):
+        super().__init__("lane_mask")
+
+    def unify(self, typingctx, other):
+        return self if isinstance(other, types.Boolean) else None
+
+    def can_convert_from(self, typingctx, other):
+        return Conversion.safe if isinstance(other, types.Boolean) else None
+
+
+class _ViewType(types.Type):
+    def __init__(self, ndim):
+        self.ndim = ndim
+        super().__init__(f"lane_view({ndim})")
+
+    @property
+    def key(self):
+        return self.ndim
+
+
+lanes, mask = _LanesType(), _MaskType()
+
+
+@register_model(_LanesType)
+class _LanesModel(models.PrimitiveModel):
+    def __init__(self, manager, kind):
+        super().__init__(manager, kind, _VECTOR)
+
+
+@register_model(_MaskType)
+class _MaskModel(models.PrimitiveModel):
+    def __init__(self, manager, kind):
+        super().__init__(manager, kind, _BITS)
+
+
+@register_model(_ViewType)
+class _ViewModel(models.StructModel):
+    def __init__(self, manager, kind):
+        members = [("data", types.CPointer(types.float64)), ("rows", types.intp), ("columns", types.intp)]
+        super().__init__(manager, kind, members)
+
+
+def _splat(builder, number):
+    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), number, ir.Constant(_INDEX, 0))
+    first = ir.Constant(ir.VectorType(_INDEX, LANES), [0] * LANES)
+    return builder.shuffle_vector(one, ir.Constant(_VECTOR, ir.Undefined), first)
+
+
+@lower_cast(types.Number, _LanesType)
+def _cast_number(context, builder, fromty, toty, value):
+    return _splat(builder, context.cast(builder, value, fromty, types.float64))
+
+
+def _is_number(kind):
+    return isinstance(kind, types.Float | types.Integer)
+
+
+def _type_operation(function, result):
+    """Accept vectors and numbers, at least one vector, as arguments of a function."""
+
+    @infer_global(function)
+    class Template(AbstractTemplate):
+        def generic(self, args, kws):
+            if not kws and lanes in args and all(a == lanes or _is_number(a) for a in args):
+                return signature(result, *[lanes] * len(args))
+            return None
+
+
+def _lower_arithmetic(function, instruction):
+    _type_operation(function, lanes)
+
+    @lower_builtin(function, _LanesType, _LanesType)
+    def lower(context, builder, sig, args):
+        return getattr(builder, instruction)(*args)
+
+
+def _lower_comparison(function, symbol):
+    _type_operation(function, mask)
+
+    @lower_builtin(function, _LanesType, _LanesType)
+    def lower(context, builder, sig, args):
+        compare = builder.fcmp_unordered if symbol == "!=" else builder.fcmp_ordered
+        return compare(symbol, *args)
+
+
+def _lower_extremum(function, symbol):
+    """min and max as Python and Numba define them: the first argument, unless the second is beyond it."""
+    _type_operation(function, lanes)
+
+    @lower_builtin(function, _LanesType, _LanesType)
+    def lower(context, builder, sig, args):
+        return builder.select(builder.fcmp_ordered(symbol, args[1], args[0]), args[1], args[0])
+
+
+def _lower_intrinsic(function, name):
+    _type_operation(function, lanes)
+
+    @lower_builtin(function, _LanesType)
+    def lower(context, builder, sig, args):
+        made = cgutils.get_or_insert_function(builder.module, ir.FunctionType(_VECTOR, [_VECTOR]), name)
+        return builder.call(made, args)
+
+
+for _function, _instruction in (
+    (operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"), (operator.truediv, "fdiv"),
+    (operator.iadd, "fadd"), (operator.isub, "fsub"), (operator.imul, "fmul"), (operator.itruediv, "fdiv"),
+):  # fmt: skip
+    _lower_arithmetic(_function, _instruction)
+for _function, _symbol in (
+    (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="), (operator.eq, "=="),
+    (operator.ne, "!="),
+):  # fmt: skip
+    _lower_comparison(_function, _symbol)
+_lower_extremum(min, "<")
+_lower_extremum(max, ">")
+_lower_intrinsic(math.sqrt, "llvm.sqrt.v8f64")
+_lower_intrinsic(abs, "llvm.fabs.v8f64")
+_lower_intrinsic(np.rint, "llvm.rint.v8f64")
+_type_operation(operator.neg, lanes)
+
+
+@lower_builtin(operator.neg, _LanesType)
+def _lower_negation(context, builder, sig, args):
+    return builder.fneg(args[0])
+
+
+def _lower_logic(function, instruction):
+    @infer_global(function)
+    class Template(AbstractTemplate):
+        def generic(self, args, kws):
+            if mask in args and all(a in (mask, types.boolean) for a in args):
+                return signature(mask, mask, mask)
+            return None
+
+    @lower_builtin(function, _MaskType, _MaskType)
+    def lower(context, builder, sig, args):
+        return getattr(builder, instruction)(*args)
+
+
+_lower_logic(operator.and_, "and_")
+_lower_logic(operator.or_, "or_")
+
+
+@lower_cast(types.Boolean, _MaskType)
+def _cast_boolean(context, builder, fromty, toty, value):
+    bit = context.cast(builder, value, fromty, types.boolean)
+    return builder.select(cgutils.is_not_null(builder, bit), ir.Constant(_BITS, [1] * LANES), ir.Constant(_BITS, None))
+
+
+# entries of views
+
+
+def _address(context, builder, view_type, view, index_type, index):
+    """Pointer to the first number of a row."""
+    view = cgutils.create_struct_proxy(view_type)(context, builder, view)
+    if view_type.ndim == 2:
+        row, column = cgutils.unpack_tuple(builder, index)
+        row = context.cast(builder, row, index_type[0], types.intp)
+        column = context.cast(builder, column, index_type[1], types.intp)
+        at = builder.add(builder.mul(row, view.columns), column)
+    else:
+        at = context.cast(builder, index, index_type, types.intp)
+    return builder.gep(view.data, [builder.mul(at, ir.Constant(at.type, LANES))])
+
+
+def _is_index(view, index):
+    if view.ndim == 2:
+        return isinstance(index, types.BaseTuple) and len(index) == 2
+    return isinstance(index, types.Integer)
+
+
+@infer_global(operator.getitem)
+class _GetItem(AbstractTemplate):
+    def generic(self, args, kws):
+        view, index = args
+        if not isinstance(view, _ViewType):
+            return None
+        if _is_index(view, index):
+            return signature(lanes, view, index)
+        return signature(view, view, index) if view.ndim == 1 and isinstance(index, types.SliceType) else None
+
+
+@lower_builtin(operator.getitem, _ViewType, types.Any)
+def _lower_getitem(context, builder, sig, args):
+    view_type, index_type = sig.args
+    if not isinstance(index_type, types.SliceType):
+        at = _address(context, builder, view_type, args[0], index_type, args[1])
+        return builder.load(builder.bitcast(at, _VECTOR.as_pointer()), align=_ALIGNMENT)
+    view = cgutils.create_struct_proxy(view_type)(context, builder, args[0])
+    part = context.make_helper(builder, index_type, args[1])
+    stop = builder.select(builder.icmp_signed("<", part.stop, view.rows), part.stop, view.rows)
+    out = cgutils.create_struct_proxy(view_type)(context, builder)
+    out.data = builder.gep(view.data, [builder.mul(part.start, ir.Constant(part.start.type, LANES))])
+    out.rows, out.columns = builder.sub(stop, part.start), ir.Constant(view.columns.type, 1)
+    return out._getvalue()
+
+
+@infer_global(operator.setitem)
+class _SetItem(AbstractTemplate):
+    def generic(self, args, kws):
+        view, index, value = args
+        if isinstance(view, _ViewType) and _is_index(view, index) and (value == lanes or _is_number(value)):
+            return signature(types.none, view, index, value)
+        return None
+
+
+@lower_builtin(operator.setitem, _ViewType, types.Any, types.Any)
+def _lower_setitem(context, builder, sig, args):
+    at = _address(context, builder, sig.args[0], args[0], sig.args[1], args[1])
+    value = context.cast(builder, args[2], sig.args[2], lanes)
+    builder.store(value, builder.bitcast(at, _VECTOR.as_pointer()), align=_ALIGNMENT)
+    return context.get_dummy_value()
+
+
+@infer_global(len)
+class _Length(AbstractTemplate):
+    def generic(self, args, kws):
+        return signature(types.intp, *args) if len(args) == 1 and isinstance(args[0], _ViewType) else None
+
+
+@lower_builtin(len, _ViewType)
+def _lower_length(context, builder, sig, args):
+    return cgutils.create_struct_proxy(sig.args[0])(context, builder, args[0]).rows
+
+
+def make_vectors(rows: int) -> np.ndarray:
+    """Array (rows, 8) of zeros for `view_lanes`, each row in one cache line."""
+    row_bytes = 8 * LANES
+    raw = np.zeros((rows + 1) * LANES)
+    begin = -raw.ctypes.data % row_bytes // 8
+    return raw[begin : begin + rows * LANES].reshape(rows, LANES)
+
+
+@intrinsic
+def view_lanes(typingctx, array):
+    """View an array (rows, 8) float64 in C order as `rows` vectors."""
+    if not (isinstance(array, types.Array) and array.ndim == 2 and array.layout == "C"):
+        return None
+
+    def lower(context, builder, sig, args):
+        given = context.make_array(sig.args[0])(context, builder, args[0])
+        out = cgutils.create_struct_proxy(sig.return_type)(context, builder)
+        out.data = builder.bitcast(given.data, out.data.type)
+        out.rows = cgutils.unpack_tuple(builder, given.shape)[0]
+        out.columns = ir.Constant(out.rows.type, 1)
+        return out._getvalue()
+
+    return signature(_ViewType(1), array), lower
+
+
+@intrinsic
+def reshape_lanes(typingctx, view, columns):
+    """View (rows,) vectors as (rows / columns, columns) of them."""
+
+    def lower(context, builder, sig, args):
+        given = cgutils.create_struct_proxy(sig.args[0])(context, builder, args[0])
+        out = cgutils.create_struct_proxy(sig.return_type)(context, builder)
+        out.data, out.columns = given.data, args[1]
+        out.rows = builder.sdiv(given.rows, args[1])
+        return out._getvalue()
+
+    return signature(_ViewType(2), view, types.intp), lower
+
+
+@intrinsic
+def _get_view_entry(typingctx, view, row, lane):
+
+    def lower(context, builder, sig, args):
+        at = _address(context, builder, sig.args[0], args[0], types.intp, args[1])
+        return builder.load(builder.gep(at, [args[2]]))
+
+    return signature(types.float64, view, types.intp, types.intp), lower
+
+
+@intrinsic
+def _set_view_entry(typingctx, view, row, lane, value):
+
+    def lower(context, builder, sig, args):
+        at = _address(context, builder, sig.args[0], args[0], types.intp, args[1])
+        builder.store(args[3], builder.gep(at, [args[2]]))
+        return context.get_dummy_value()
+
+    return signature(types.none, view, types.intp, types.intp, types.float64), lower
+
+
+def get_entry(array, row, lane):
+    """Number of one lane in a row of a view (rows,); an array (rows,) has one lane."""
+    return array[row]
+
+
+def set_entry(array, row, lane, value):
+    """Set the number of one lane in a row of a view (rows,); an array (rows,) has one lane."""
+    array[row] = value
+
+
+def count_lanes(array):
+    """Lanes of a view, 1 for an array."""
+    return 1
+
+
+@overload(get_entry)
+def _overload_get_entry(array, row, lane):
+    if isinstance(array, _ViewType):
+        return lambda array, row, lane: _get_view_entry(array, row, lane)
+    return lambda array, row, lane: array[row]
+
+
+@overload(set_entry)
+def _overload_set_entry(array, row, lane, value):
+    def set_array(array, row, lane, value):
+        array[row] = value
+
+    def set_view(array, row, lane, value):
+        _set_view_entry(array, row, lane, value)
+
+    return set_view if isinstance(array, _ViewType) else set_array
+
+
+@overload(count_lanes)
+def _overload_count_lanes(array):
+    number = LANES if isinstance(array, _ViewType) else 1
+    return lambda array: number
+
+
+# vectors as values
+
+
+@intrinsic
+def get_lane(typingctx, vector, lane):
+    """Number of one lane of a vector."""
+
+    def lower(context, builder, sig, args):
+        return builder.extract_element(args[0], args[1])
+
+    return signature(types.float64, lanes, types.intp), lower
+
+
+@intrinsic
+def set_lane(typingctx, vector, lane, value):
+    """Vector with one lane replaced."""
+
+    def lower(context, builder, sig, args):
+        return builder.insert_element(args[0], args[2], args[1])
+
+    return signature(lanes, lanes, types.intp, types.float64), lower
+
+
+@intrinsic
+def choose(typingctx, condition, one, other):
+    """`one` where the condition holds, else `other`; both are evaluated. Numbers, or vectors with a mask."""
+    if condition == mask or lanes in (one, other):
+        kind, deciding = lanes, mask if condition == mask else types.boolean
+    else:
+        kind, deciding = types.float64, types.boolean
+
+    def lower(context, builder, sig, args):
+        return builder.select(args[0], args[1], args[2])
+
+    return signature(kind, deciding, kind, kind), lower
+
+
+@intrinsic
+def common_value(typingctx, value):
+    """Value of the first lane, for what is equal in all lanes; a number is returned as it is."""
+
+    def lower(context, builder, sig, args):
+        return builder.extract_element(args[0], ir.Constant(_INDEX, 0)) if sig.args[0] == lanes else args[0]
+
+    return signature(types.float64, value if value == lanes else types.float64), lower
+
+
+def _reduce_mask(builder, value, wanted):
+    bits = builder.bitcast(value, ir.IntType(LANES))
+    return builder.icmp_unsigned("!=" if wanted == 0 else "==", bits, ir.Constant(bits.type, wanted))
+
+
+@intrinsic
+def any_lane(typingctx, condition):
+    """Whether the condition holds in a lane; a plain condition is returned as it is."""
+
+    def lower(context, builder, sig, args):
+        return args[0] if sig.args[0] == types.boolean else _reduce_mask(builder, args[0], 0)
+
+    return signature(types.boolean, condition if condition == mask else types.boolean), lower
+
+
+@intrinsic
+def all_lanes(typingctx, condition):
+    """Whether the condition holds in every lane; a plain condition is returned as it is."""
+
+    def lower(context, builder, sig, args):
+        return args[0] if sig.args[0] == types.boolean else _reduce_mask(builder, args[0], 2**LANES - 1)
+
+    return signature(types.boolean, condition if condition == mask else types.boolean), lower
+
+
+def _map_function(function):
+    @overload(function)
+    def map_lanes(x):
+        if x != lanes:
+            return None
+
+        def apply(x):
+            out = x
+            for i in range(LANES):
+                out = set_lane(out, i, function(get_lane(x, i)))
+            return out
+
+        return apply
+
+
+for _function in (math.sin, math.cos, math.exp, math.log):
+    _map_function(_function)
+
+
+def _map_function_of_two(function):
+    @overload(function)
+    def map_lanes(x, y):
+        if lanes not in (x, y):
+            return None
+
+        def apply(x, y):
+            out = x + y  # of vectors, where one of both is a number
+            a, b = choose(True, x, out), choose(True, y, out)
+            for i in range(LANES):
+                out = set_lane(out, i, function(get_lane(a, i), get_lane(b, i)))
+            return out
+
+        return apply
+
+
+for _function in (math.atan2, math.pow):
+    _map_function_of_two(_function)
