@@ -24,7 +24,7 @@ from quasi.filtering.flight import filter_flight
 from quasi.filtering.smoother import smooth
 from quasi.tables import write_json
 
-FORWARD, BOTH, STAGE = 400_000.0, 150_000.0, 2.0  # targets: samples/s, samples/s, s
+FORWARD, BOTH, STAGE = 1_000_000.0, 500_000.0, 2.0  # targets: samples/s, samples/s, s
 PLAIN = 4_065.0  # samples/s of the published pipeline's filter, interpreted
 
 

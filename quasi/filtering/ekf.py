@@ -33,7 +33,7 @@ from quasi.filtering.ekf_steps import (
     predict,
     propagate_covariance,
 )  # fmt: skip
-from quasi.lanes import make_vectors, view_lanes
+from quasi.terms.lanes import make_vectors, view_lanes
 
 ATTITUDE_KIND, POSITION_KIND, VELOCITY_KIND = 0, 1, 2  # kinds of measurement
 MEASUREMENT_KINDS = ("attitude", "position", "velocity")
@@ -117,19 +117,15 @@ def _forward(
     P0,
     keep,
     room,
+    C,
+    rows,
 ):
     n = gyro.shape[0]
     kept = n if keep else 0
-    total = 0
-    if keep:
-        for k in range(n):
-            total += 3 * (used[k, 0] + used[k, 1] + used[k, 2])
     Q = np.empty((kept, 4))
     X = np.empty((kept, 15))
-    C = np.empty((kept, _PACKED))
     whitened = np.full((kept, 3, 3), np.nan)
     outcome = np.zeros((kept, 3), np.int8)
-    rows = np.empty((total, _ROW))
     first_row = np.zeros(kept + 1, np.int64)
     q, x = q0.copy(), x0.copy()
     P_vectors, T_vectors, s_vectors = room[: STATES * BLOCKS], room[STATES * BLOCKS : -BLOCKS], room[-BLOCKS:]
@@ -192,9 +188,13 @@ def _forward(
     return Q, X, C, whitened, outcome, cost, rows, first_row
 
 
-def _make_room() -> np.ndarray:
-    """Vectors of the covariance, of nine rows of its product with the Jacobian, and of one row."""
-    return make_vectors((STATES + 9 + 1) * BLOCKS)
+def _run(inputs: Inputs, keep: bool) -> tuple:
+    # vectors of the covariance, of nine rows of its product with the Jacobian, and of one row
+    room = make_vectors((STATES + 9 + 1) * BLOCKS)
+    # NumPy asks the kernel for large pages; arrays made in compiled code spend half the pass on page faults
+    covariance = np.empty((len(inputs.gyro) if keep else 0, _PACKED))
+    rows = np.empty((3 * int(inputs.used.sum()) if keep else 0, _ROW))
+    return _forward(*inputs, keep, room, covariance, rows)
 
 
 def innovation(inputs: Inputs, kind: int, k: int, q: np.ndarray, x: np.ndarray):
@@ -222,12 +222,12 @@ def innovation(inputs: Inputs, kind: int, k: int, q: np.ndarray, x: np.ndarray):
 
 def forward(inputs: Inputs) -> FilterResult:
     """Filter forward in time; every sample's estimate uses the samples up to it."""
-    return FilterResult(*_forward(*inputs, True, _make_room()))
+    return FilterResult(*_run(inputs, True))
 
 
 def cost(inputs: Inputs) -> float:
     """`FilterResult.cost` alone, without keeping anything: for the choice of noise levels."""
-    return _forward(*inputs, False, _make_room())[5]
+    return _run(inputs, False)[5]
 
 
 def unpack(packed: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 States and their order are those of `ekf`. The compiler sees plain loops over small blocks, for the 18 x 18 Jacobian
 is mostly zero. Matrices with 18 columns have WIDTH columns, the last ones zero, so that a row is whole vectors; they
-come twice, as array (rows, WIDTH) and as view of BLOCKS vectors a row (`quasi.lanes`). Nothing is allocated here.
+come twice, as array (rows, WIDTH) and as view of BLOCKS vectors a row (`quasi.terms.lanes`). Nothing is allocated here.
 
 Sources: those of `ekf`.
 """
@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from quasi.attitude import GRAVITY
-from quasi.lanes import LANES
+from quasi.terms.lanes import LANES
 
 STATES = 18
 BLOCKS = -(-STATES // LANES)  # vectors of a row

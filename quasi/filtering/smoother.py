@@ -12,7 +12,9 @@ from numba import njit
 
 from quasi.filtering.ekf import FilterResult, Inputs
 from quasi.filtering.ekf_steps import BLOCKS, STATES, WIDTH, WORK_SHAPE, compose_rotation, predict, unpack_triangle
-from quasi.lanes import LANES, make_vectors, view_lanes
+from quasi.terms.lanes import LANES, make_vectors, view_lanes
+
+SYMMETRISED = 8  # samples between two symmetrisations; rounding differences grow, for no update reduces them
 
 
 @njit(cache=True)
@@ -103,7 +105,7 @@ def _revert_update(rows, m, lam, L, L_rows, g, g_rows):
 
 
 @njit(cache=True)
-def _backward(dt, gyro, accel, Q, X, C, rows, first, room):
+def _backward(dt, gyro, accel, Q, X, C, rows, first, room, Cs):
     n, size, shape = Q.shape[0], STATES * BLOCKS, (STATES, WIDTH)
     room[:] = 0.0
     P, L, T = room[:size].reshape(shape), room[size : 2 * size].reshape(shape), room[2 * size : 3 * size].reshape(shape)
@@ -113,7 +115,7 @@ def _backward(dt, gyro, accel, Q, X, C, rows, first, room):
     lam, pulled, delta = np.zeros(STATES), np.zeros(STATES), np.empty(STATES)
     blocks, work = np.empty((5, 3, 3)), np.empty(WORK_SHAPE)
     q, x = np.empty(4), np.empty(15)
-    Qs, Xs, Cs = np.empty_like(Q), np.empty_like(X), np.empty_like(C)
+    Qs, Xs = np.empty_like(Q), np.empty_like(X)
     for k in range(n - 1, -1, -1):
         if k < n - 1:
             for i in range(4):
@@ -128,10 +130,10 @@ def _backward(dt, gyro, accel, Q, X, C, rows, first, room):
                 for j in range(i):
                     Y[i, j], Y[j, i] = Y[j, i], Y[i, j]
             _pull(Y_rows, blocks, dt, L_rows, BLOCKS)
-            # exactly symmetric: what rounding leaves would grow, because the updates do not reduce it
-            for i in range(STATES):
-                for j in range(i):
-                    L[j, i] = L[i, j]
+            if k % SYMMETRISED == 0:
+                for i in range(STATES):
+                    for j in range(i):
+                        L[j, i] = L[i, j]
         unpack_triangle(C, k, P)
         for i in range(STATES):
             value = 0.0
@@ -148,7 +150,7 @@ def _backward(dt, gyro, accel, Q, X, C, rows, first, room):
             Xs[k, i] = X[k, i] + delta[3 + i]
         for m in range(first[k + 1] - 1, first[k] - 1, -1):
             _revert_update(rows, m, lam, L, L_rows, g, g_rows)
-    return Qs, Xs, Cs
+    return Qs, Xs
 
 
 def smooth(inputs: Inputs, filtered: FilterResult) -> FilterResult:
@@ -156,7 +158,8 @@ def smooth(inputs: Inputs, filtered: FilterResult) -> FilterResult:
 
     inputs    those of the forward pass; filtered  its result
     """
-    q, x, c = _backward(
+    covariance = np.empty_like(filtered.covariance)  # NumPy asks for large pages, see `ekf`
+    q, x = _backward(
         inputs.dt,
         inputs.gyro,
         inputs.accel,
@@ -166,5 +169,6 @@ def smooth(inputs: Inputs, filtered: FilterResult) -> FilterResult:
         filtered.rows,
         filtered.first,
         make_vectors((4 * STATES + 1) * BLOCKS),
+        covariance,
     )
-    return filtered._replace(quaternion=q, state=x, covariance=c)
+    return filtered._replace(quaternion=q, state=x, covariance=covariance)

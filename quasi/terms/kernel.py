@@ -28,8 +28,8 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 
-from quasi.lanes import choose
 from quasi.terms.graph import ONE, Graph
+from quasi.terms.lanes import choose
 
 INPUTS = (
     "roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z",
@@ -90,7 +90,7 @@ class Kernel(NamedTuple):
 def compute_wrench(kernel: Kernel, inputs: np.ndarray, work: np.ndarray, out: np.ndarray) -> None:
     """Evaluate one row: `out` (M,) from `inputs` (20 + E,); `work` (S,) is scratch. See the head of the module.
 
-    Arrays, or views of `quasi.lanes` for eight rows.
+    Arrays, or views of `quasi.terms.lanes` for eight rows.
     """
     code, numbers = kernel.code, kernel.numbers
     gathered, constants = int(code[0]), int(code[1])

@@ -4,11 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from made_model import made_model
 from numba import njit
+from plain_plant import made_model
 from simulations import ROUGH, setup_of
 
-from quasi.lanes import (
+from quasi.simulation.loop.run import simulate, simulate_many
+from quasi.simulation.loop.setup import STATE_NAMES
+from quasi.terms.lanes import (
     LANES,
     all_lanes,
     any_lane,
@@ -21,13 +23,11 @@ from quasi.lanes import (
     set_entry,
     view_lanes,
 )
-from quasi.simulation.loop.run import simulate, simulate_many
-from quasi.simulation.loop.setup import STATE_NAMES
 
 
 @pytest.fixture(scope="module")
 def model():
-    return made_model()
+    return made_model(asymmetric=True)
 
 
 @njit
@@ -107,7 +107,7 @@ OPTIONS = {
     "everything, INDI": {"controller": {"controller": "INDI"}, "simulation": {"substeps": 2}, **ROUGH},
     "Euler, weak rotor": {
         "simulation": {"integrator": "euler"},
-        "faults": {"inject failure": True, "time of failure": 0.1, "rotor effectiveness after failure": [0.55, 1, 1, 1]},
+        "faults": {**ROUGH["faults"], "time of failure": 0.1, "rotor effectiveness after failure": [0.55, 1, 1, 1]},
     },
 }  # fmt: skip
 

@@ -30,7 +30,6 @@ from numba import njit
 
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
-from quasi.lanes import all_lanes, any_lane, choose, common_value, count_lanes, get_entry, set_entry
 from quasi.model.model import Model
 from quasi.simulation.control import gains as g
 from quasi.simulation.control.allocation import allocate_rotors, invert_matrix
@@ -47,6 +46,7 @@ from quasi.simulation.control.outer_loop import (
 )
 from quasi.simulation.vehicle.dynamics import euler_angles
 from quasi.terms.kernel import Kernel, compute_wrench
+from quasi.terms.lanes import all_lanes, any_lane, choose, common_value, count_lanes, get_entry, set_entry
 
 # first entries in the memory; outer_loop.py has further ones
 INVERSE_EFFECTIVENESS, STEP_EFFECTIVENESS = 1, 17  # (16,) inverse and effectiveness of one step, row by row
@@ -112,7 +112,7 @@ def controller_step(kind, parameters, memory, t, dt, measurement, setpoint, comm
 
 @njit(cache=True, error_model="numpy")
 def run_controller(kind, parameters, packed, memory, dt, measurement, setpoint, commands):
-    """Run one step with an initialised memory; arrays, or views of eight drones (`quasi.lanes`).
+    """Run one step with an initialised memory; arrays, or views of eight drones (`quasi.terms.lanes`).
 
     packed  parameters of one drone as an array, of which NDI reads its model
     """

@@ -17,8 +17,8 @@ import math
 from numba import njit
 
 from quasi.attitude import GRAVITY
-from quasi.lanes import any_lane, choose, common_value
 from quasi.simulation.control import gains as g
+from quasi.terms.lanes import any_lane, choose, common_value
 
 SETPOINT_SIZE = 20
 POSITION_SETPOINT, VELOCITY_SETPOINT, ATTITUDE_SETPOINT, RATES_SETPOINT = 0.0, 1.0, 2.0, 3.0

@@ -1,7 +1,7 @@
 """Many closed loops at once, compiled: eight drones in the lanes of vectors, with the functions of `closed_loop`.
 
 A block of eight drones keeps its whole state in one array (rows, 8), which fits in the nearest cache. Each function of
-a step runs once for the block, on views of its rows (`quasi.lanes`). Every lane carries out the operations of the
+a step runs once for the block, on views of its rows (`quasi.terms.lanes`). Every lane carries out the operations of the
 single loop in the same order and draws from the same streams, so each drone gives the numbers of its own simulation.
 Only these run drone by drone: the initial state of the loop and the controller, the reference where drones have
 different ones, saturated allocations, and rows of the log.
@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from quasi.lanes import LANES, all_lanes, get_entry, make_vectors, reshape_lanes, set_entry, view_lanes
 from quasi.simulation.control.controllers import initialise_memory, run_controller
 from quasi.simulation.control.gains import MODEL_START
 from quasi.simulation.control.references import STEPS_REFERENCE, TABLE_REFERENCE, evaluate_reference
@@ -33,6 +32,7 @@ from quasi.simulation.loop.closed_loop import (
 from quasi.simulation.vehicle.dynamics import compute_loads, integrate_step
 from quasi.simulation.vehicle.layout import BODY_SIZE, STATE_SIZE
 from quasi.simulation.vehicle.sensors_and_wind import MEASUREMENT_SIZE, advance_gust
+from quasi.terms.lanes import LANES, all_lanes, get_entry, make_vectors, reshape_lanes, set_entry, view_lanes
 
 _RANDOM_ROWS = 30  # 19 normal numbers, one left over, and 10 squared radii; see `draw_normals`
 _WIND_SIZE = 9

@@ -12,7 +12,6 @@ import numpy as np
 from numba import njit
 
 from quasi.attitude import GRAVITY
-from quasi.lanes import any_lane, choose
 from quasi.simulation.control.controllers import controller_step
 from quasi.simulation.control.references import evaluate_reference
 from quasi.simulation.vehicle.dynamics import (
@@ -48,6 +47,7 @@ from quasi.simulation.vehicle.sensors_and_wind import (
     wind_velocity,
 )
 from quasi.terms.kernel import Kernel
+from quasi.terms.lanes import any_lane, choose
 
 SETPOINT_SIZE = 20
 EXTERNAL_REFERENCE = -1  # kind of a reference whose setpoint is set by the caller

@@ -14,7 +14,6 @@ import numpy as np
 
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, ShapeError, nearest
-from quasi.lanes import LANES
 from quasi.simulation.loop.batch import BatchParameters, make_block_memory, run_batch_part
 from quasi.simulation.loop.closed_loop import (
     EXTERNAL_REFERENCE,
@@ -30,6 +29,7 @@ from quasi.simulation.loop.result import Result, make_result
 from quasi.simulation.loop.setup import STATE_NAMES, Setup
 from quasi.simulation.vehicle.dynamics import INTEGRATORS, append_extra_states, make_scratch
 from quasi.simulation.vehicle.layout import INERTIA, INVERSE_INERTIA, MASS, STATE_SIZE
+from quasi.terms.lanes import LANES
 
 
 def simulate(

@@ -17,7 +17,7 @@ of the thrust and torque acts like a healthy one at sqrt(e) W. Terms in rotor ac
 The step inputs (STEP_INPUTS_SIZE + extras,) are constant within one step; `body` (BODY_SIZE,) is constant throughout
 (`layout`). Compiled functions take their arrays one by one. Reading an array from a tuple counts a reference, and in a
 step of two microseconds that would cost more than the physics. They accept arrays, or views of eight drones
-(`quasi.lanes`).
+(`quasi.terms.lanes`).
 Source: Stevens, Lewis & Johnson, Aircraft Control and Simulation, 3rd ed., 2016, section 1.7.
 """
 
@@ -28,7 +28,6 @@ import numpy as np
 from numba import njit
 
 from quasi.attitude import POLE
-from quasi.lanes import any_lane, choose
 from quasi.simulation.vehicle.layout import (
     ADDED_GRAVITY,
     BODY_SIZE,
@@ -57,6 +56,7 @@ from quasi.simulation.vehicle.payload_and_inflow import (
     trim_payload_and_inflow,
 )
 from quasi.terms.kernel import Kernel, compute_wrench
+from quasi.terms.lanes import any_lane, choose
 
 
 class Scratch(NamedTuple):

@@ -23,7 +23,6 @@ import numpy as np
 from numba import njit
 
 from quasi.attitude import GRAVITY
-from quasi.lanes import any_lane
 from quasi.simulation.vehicle.layout import (
     ADDED_GRAVITY,
     EXTRA_STATES,
@@ -39,6 +38,7 @@ from quasi.simulation.vehicle.layout import (
     SPEED_CAP,
     STATE_SIZE,
 )
+from quasi.terms.lanes import any_lane
 
 
 class PayloadAndInflow(NamedTuple):

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from quasi.lanes import LANES, any_lane, set_entry
 from quasi.simulation.vehicle.layout import STATE_SIZE
+from quasi.terms.lanes import LANES, any_lane, set_entry
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST_MULTIPLIER = np.uint64(0xBF58476D1CE4E5B9)

@@ -30,6 +30,7 @@ _ALIGNMENT = 8  # bytes, of a row: that of its numbers
 _DOUBLE, _VECTOR = ir.DoubleType(), ir.VectorType(ir.DoubleType(), LANES)
 _BITS = ir.VectorType(ir.IntType(1), LANES)
 _INDEX = ir.IntType(32)
+_read = ir.IRBuilder.load  # of memory, not of a file
 
 
 class _LanesType(types.Type):
@@ -231,7 +232,7 @@ def _lower_getitem(context, builder, sig, args):
     view_type, index_type = sig.args
     if not isinstance(index_type, types.SliceType):
         at = _address(context, builder, view_type, args[0], index_type, args[1])
-        return builder.load(builder.bitcast(at, _VECTOR.as_pointer()), align=_ALIGNMENT)
+        return _read(builder, builder.bitcast(at, _VECTOR.as_pointer()), align=_ALIGNMENT)
     view = cgutils.create_struct_proxy(view_type)(context, builder, args[0])
     part = context.make_helper(builder, index_type, args[1])
     stop = builder.select(builder.icmp_signed("<", part.stop, view.rows), part.stop, view.rows)
@@ -313,7 +314,7 @@ def _get_view_entry(typingctx, view, row, lane):
 
     def lower(context, builder, sig, args):
         at = _address(context, builder, sig.args[0], args[0], types.intp, args[1])
-        return builder.load(builder.gep(at, [args[2]]))
+        return _read(builder, builder.gep(at, [args[2]]))
 
     return signature(types.float64, view, types.intp, types.intp), lower
 
