@@ -9,7 +9,17 @@ The result is that of `ekf.forward` to rounding, so that the smoother runs on ei
 import numpy as np
 
 from quasi import attitude
-from quasi.filtering.ekf import MEASUREMENT_KINDS, STATES, TAIL, WORK_SHAPE, FilterResult, Inputs, Watch, innovation, predict
+from quasi.filtering.ekf import (
+    MEASUREMENT_KINDS,
+    STATES,
+    TAIL,
+    WORK_SHAPE,
+    FilterResult,
+    Inputs,
+    Watch,
+    innovation,
+    predict,
+)
 
 _LOWER = np.tril_indices(STATES)
 

@@ -177,7 +177,9 @@ def _set_wanted_loads(p, m, dt, mx, my, mz, thrust):
     e = g.EFFECTIVENESS + 12
     m[WANTED_LOADS], m[WANTED_LOADS + 1] = mx, my
     m[WANTED_LOADS + 3] = (
-        -thrust + p[g.CONTROL_MASS] * GRAVITY + p[g.HOVER_SPEED] * p[g.HOVER_SPEED] * (p[e] + p[e + 1] + p[e + 2] + p[e + 3])
+        -thrust
+        + p[g.CONTROL_MASS] * GRAVITY
+        + p[g.HOVER_SPEED] * p[g.HOVER_SPEED] * (p[e] + p[e + 1] + p[e + 2] + p[e + 3])
     )
     for i in range(4):
         mz += p[g.YAW_REACTION + i] / (2.0 * p[g.HOVER_SPEED] * dt) * m[LAST_COMMANDS_SQUARED + i]
