@@ -21,177 +21,13 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.core.typeconv import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import intrinsic, lower_builtin, lower_cast, models, overload, register_model
+from numba.extending import intrinsic, lower_builtin, overload
 
-LANES = 8  # numbers of a vector: 512 bits, the widest register of x86-64
+from quasi.terms.lane_types import INDEX, LANES, VECTOR, ViewType, is_number, lanes, mask
+
 _ALIGNMENT = 8  # bytes, of a row: that of its numbers
-_DOUBLE, _VECTOR = ir.DoubleType(), ir.VectorType(ir.DoubleType(), LANES)
-_BITS = ir.VectorType(ir.IntType(1), LANES)
-_INDEX = ir.IntType(32)
 _read = ir.IRBuilder.load  # of memory, not of a file
-
-
-class _LanesType(types.Type):
-    def __init__(self):
-        super().__init__("lanes")
-
-    def unify(self, typingctx, other):
-        return self if isinstance(other, types.Number) else None
-
-    def can_convert_from(self, typingctx, other):
-        return Conversion.safe if isinstance(other, types.Number) else None
-
-
-class _MaskType(types.Type):
-    def __init__(self):
-        super().__init__("lane_mask")
-
-    def unify(self, typingctx, other):
-        return self if isinstance(other, types.Boolean) else None
-
-    def can_convert_from(self, typingctx, other):
-        return Conversion.safe if isinstance(other, types.Boolean) else None
-
-
-class _ViewType(types.Type):
-    def __init__(self, ndim):
-        self.ndim = ndim
-        super().__init__(f"lane_view({ndim})")
-
-    @property
-    def key(self):
-        return self.ndim
-
-
-lanes, mask = _LanesType(), _MaskType()
-
-
-@register_model(_LanesType)
-class _LanesModel(models.PrimitiveModel):
-    def __init__(self, manager, kind):
-        super().__init__(manager, kind, _VECTOR)
-
-
-@register_model(_MaskType)
-class _MaskModel(models.PrimitiveModel):
-    def __init__(self, manager, kind):
-        super().__init__(manager, kind, _BITS)
-
-
-@register_model(_ViewType)
-class _ViewModel(models.StructModel):
-    def __init__(self, manager, kind):
-        members = [("data", types.CPointer(types.float64)), ("rows", types.intp), ("columns", types.intp)]
-        super().__init__(manager, kind, members)
-
-
-def _splat(builder, number):
-    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), number, ir.Constant(_INDEX, 0))
-    first = ir.Constant(ir.VectorType(_INDEX, LANES), [0] * LANES)
-    return builder.shuffle_vector(one, ir.Constant(_VECTOR, ir.Undefined), first)
-
-
-@lower_cast(types.Number, _LanesType)
-def _cast_number(context, builder, fromty, toty, value):
-    return _splat(builder, context.cast(builder, value, fromty, types.float64))
-
-
-def _is_number(kind):
-    return isinstance(kind, types.Float | types.Integer)
-
-
-def _type_operation(function, result):
-    """Accept vectors and numbers, at least one vector, as arguments of a function."""
-
-    @infer_global(function)
-    class Template(AbstractTemplate):
-        def generic(self, args, kws):
-            if not kws and lanes in args and all(a == lanes or _is_number(a) for a in args):
-                return signature(result, *[lanes] * len(args))
-            return None
-
-
-def _lower_arithmetic(function, instruction):
-    _type_operation(function, lanes)
-
-    @lower_builtin(function, _LanesType, _LanesType)
-    def lower(context, builder, sig, args):
-        return getattr(builder, instruction)(*args)
-
-
-def _lower_comparison(function, symbol):
-    _type_operation(function, mask)
-
-    @lower_builtin(function, _LanesType, _LanesType)
-    def lower(context, builder, sig, args):
-        compare = builder.fcmp_unordered if symbol == "!=" else builder.fcmp_ordered
-        return compare(symbol, *args)
-
-
-def _lower_extremum(function, symbol):
-    """min and max as Python and Numba define them: the first argument, unless the second is beyond it."""
-    _type_operation(function, lanes)
-
-    @lower_builtin(function, _LanesType, _LanesType)
-    def lower(context, builder, sig, args):
-        return builder.select(builder.fcmp_ordered(symbol, args[1], args[0]), args[1], args[0])
-
-
-def _lower_intrinsic(function, name):
-    _type_operation(function, lanes)
-
-    @lower_builtin(function, _LanesType)
-    def lower(context, builder, sig, args):
-        made = cgutils.get_or_insert_function(builder.module, ir.FunctionType(_VECTOR, [_VECTOR]), name)
-        return builder.call(made, args)
-
-
-for _function, _instruction in (
-    (operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"), (operator.truediv, "fdiv"),
-    (operator.iadd, "fadd"), (operator.isub, "fsub"), (operator.imul, "fmul"), (operator.itruediv, "fdiv"),
-):  # fmt: skip
-    _lower_arithmetic(_function, _instruction)
-for _function, _symbol in (
-    (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="), (operator.eq, "=="),
-    (operator.ne, "!="),
-):  # fmt: skip
-    _lower_comparison(_function, _symbol)
-_lower_extremum(min, "<")
-_lower_extremum(max, ">")
-_lower_intrinsic(math.sqrt, "llvm.sqrt.v8f64")
-_lower_intrinsic(abs, "llvm.fabs.v8f64")
-_lower_intrinsic(np.rint, "llvm.rint.v8f64")
-_type_operation(operator.neg, lanes)
-
-
-@lower_builtin(operator.neg, _LanesType)
-def _lower_negation(context, builder, sig, args):
-    return builder.fneg(args[0])
-
-
-def _lower_logic(function, instruction):
-    @infer_global(function)
-    class Template(AbstractTemplate):
-        def generic(self, args, kws):
-            if mask in args and all(a in (mask, types.boolean) for a in args):
-                return signature(mask, mask, mask)
-            return None
-
-    @lower_builtin(function, _MaskType, _MaskType)
-    def lower(context, builder, sig, args):
-        return getattr(builder, instruction)(*args)
-
-
-_lower_logic(operator.and_, "and_")
-_lower_logic(operator.or_, "or_")
-
-
-@lower_cast(types.Boolean, _MaskType)
-def _cast_boolean(context, builder, fromty, toty, value):
-    bit = context.cast(builder, value, fromty, types.boolean)
-    return builder.select(cgutils.is_not_null(builder, bit), ir.Constant(_BITS, [1] * LANES), ir.Constant(_BITS, None))
 
 
 # entries of views
@@ -220,19 +56,19 @@ def _is_index(view, index):
 class _GetItem(AbstractTemplate):
     def generic(self, args, kws):
         view, index = args
-        if not isinstance(view, _ViewType):
+        if not isinstance(view, ViewType):
             return None
         if _is_index(view, index):
             return signature(lanes, view, index)
         return signature(view, view, index) if view.ndim == 1 and isinstance(index, types.SliceType) else None
 
 
-@lower_builtin(operator.getitem, _ViewType, types.Any)
+@lower_builtin(operator.getitem, ViewType, types.Any)
 def _lower_getitem(context, builder, sig, args):
     view_type, index_type = sig.args
     if not isinstance(index_type, types.SliceType):
         at = _address(context, builder, view_type, args[0], index_type, args[1])
-        return _read(builder, builder.bitcast(at, _VECTOR.as_pointer()), align=_ALIGNMENT)
+        return _read(builder, builder.bitcast(at, VECTOR.as_pointer()), align=_ALIGNMENT)
     view = cgutils.create_struct_proxy(view_type)(context, builder, args[0])
     part = context.make_helper(builder, index_type, args[1])
     stop = builder.select(builder.icmp_signed("<", part.stop, view.rows), part.stop, view.rows)
@@ -246,26 +82,26 @@ def _lower_getitem(context, builder, sig, args):
 class _SetItem(AbstractTemplate):
     def generic(self, args, kws):
         view, index, value = args
-        if isinstance(view, _ViewType) and _is_index(view, index) and (value == lanes or _is_number(value)):
+        if isinstance(view, ViewType) and _is_index(view, index) and (value == lanes or is_number(value)):
             return signature(types.none, view, index, value)
         return None
 
 
-@lower_builtin(operator.setitem, _ViewType, types.Any, types.Any)
+@lower_builtin(operator.setitem, ViewType, types.Any, types.Any)
 def _lower_setitem(context, builder, sig, args):
     at = _address(context, builder, sig.args[0], args[0], sig.args[1], args[1])
     value = context.cast(builder, args[2], sig.args[2], lanes)
-    builder.store(value, builder.bitcast(at, _VECTOR.as_pointer()), align=_ALIGNMENT)
+    builder.store(value, builder.bitcast(at, VECTOR.as_pointer()), align=_ALIGNMENT)
     return context.get_dummy_value()
 
 
 @infer_global(len)
 class _Length(AbstractTemplate):
     def generic(self, args, kws):
-        return signature(types.intp, *args) if len(args) == 1 and isinstance(args[0], _ViewType) else None
+        return signature(types.intp, *args) if len(args) == 1 and isinstance(args[0], ViewType) else None
 
 
-@lower_builtin(len, _ViewType)
+@lower_builtin(len, ViewType)
 def _lower_length(context, builder, sig, args):
     return cgutils.create_struct_proxy(sig.args[0])(context, builder, args[0]).rows
 
@@ -292,7 +128,7 @@ def view_lanes(typingctx, array):
         out.columns = ir.Constant(out.rows.type, 1)
         return out._getvalue()
 
-    return signature(_ViewType(1), array), lower
+    return signature(ViewType(1), array), lower
 
 
 @intrinsic
@@ -306,7 +142,7 @@ def reshape_lanes(typingctx, view, columns):
         out.rows = builder.sdiv(given.rows, args[1])
         return out._getvalue()
 
-    return signature(_ViewType(2), view, types.intp), lower
+    return signature(ViewType(2), view, types.intp), lower
 
 
 @intrinsic
@@ -347,7 +183,7 @@ def count_lanes(array):
 
 @overload(get_entry)
 def _overload_get_entry(array, row, lane):
-    if isinstance(array, _ViewType):
+    if isinstance(array, ViewType):
         return lambda array, row, lane: _get_view_entry(array, row, lane)
     return lambda array, row, lane: array[row]
 
@@ -360,12 +196,12 @@ def _overload_set_entry(array, row, lane, value):
     def set_view(array, row, lane, value):
         _set_view_entry(array, row, lane, value)
 
-    return set_view if isinstance(array, _ViewType) else set_array
+    return set_view if isinstance(array, ViewType) else set_array
 
 
 @overload(count_lanes)
 def _overload_count_lanes(array):
-    number = LANES if isinstance(array, _ViewType) else 1
+    number = LANES if isinstance(array, ViewType) else 1
     return lambda array: number
 
 
@@ -411,7 +247,7 @@ def common_value(typingctx, value):
     """Value of the first lane, for what is equal in all lanes; a number is returned as it is."""
 
     def lower(context, builder, sig, args):
-        return builder.extract_element(args[0], ir.Constant(_INDEX, 0)) if sig.args[0] == lanes else args[0]
+        return builder.extract_element(args[0], ir.Constant(INDEX, 0)) if sig.args[0] == lanes else args[0]
 
     return signature(types.float64, value if value == lanes else types.float64), lower
 
