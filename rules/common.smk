@@ -86,7 +86,13 @@ replace_handler(JobScheduler)
 
 if MAIN:
     # the main process of a run; processes that it starts find the variable set
-    scratch = tempfile.TemporaryDirectory(prefix="quasi-run-")
+    # jobs on other computers see the project folder alone
+    shared = None if workflow.local_exec or workflow.dryrun else ".snakemake/quasi"
+    if shared:
+        Path(shared).mkdir(parents=True, exist_ok=True)
+    scratch = tempfile.TemporaryDirectory(
+        prefix="quasi-run-", dir=shared and str(Path(PROJECT) / shared)
+    )
     os.environ[RUN_VARIABLE] = scratch.name
     atexit.register(print_reports)
     quiet = not (workflow.output_settings.dryrun or workflow.output_settings.verbose)
