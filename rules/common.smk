@@ -142,7 +142,13 @@ if MAIN and not workflow.output_settings.dryrun:
     if notice := remove_stale_lock(PROJECT):
         print(f"[NOTICE] {notice}", file=sys.stderr)
 
-if MAIN and sys.platform == "linux" and not workflow.output_settings.dryrun:
+# jobs of a cluster start elsewhere
+if (
+    MAIN
+    and sys.platform == "linux"
+    and workflow.local_exec
+    and not workflow.output_settings.dryrun
+):
     SERVER = JobServer()
     atexit.register(SERVER.close)
     use_server(PythonScript, SERVER, benchmarked)
