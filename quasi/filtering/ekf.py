@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit
 
 from quasi.filtering.ekf_steps import (
-    BLOCKS,
+    CHUNKS,
     STATES,
     WIDTH,
     WORK_SHAPE,
@@ -128,7 +128,7 @@ def _forward(
     outcome = np.zeros((kept, 3), np.int8)
     first_row = np.zeros(kept + 1, np.int64)
     q, x = q0.copy(), x0.copy()
-    P_vectors, T_vectors, s_vectors = room[: STATES * BLOCKS], room[STATES * BLOCKS : -BLOCKS], room[-BLOCKS:]
+    P_vectors, T_vectors, s_vectors = room[: STATES * CHUNKS], room[STATES * CHUNKS : -CHUNKS], room[-CHUNKS:]
     P, T, s = P_vectors.reshape((STATES, WIDTH)), T_vectors.reshape((9, WIDTH)), s_vectors.reshape(WIDTH)
     P_rows, T_rows, s_rows = view_lanes(P_vectors), view_lanes(T_vectors), view_lanes(s_vectors)
     room[:] = 0.0
@@ -190,7 +190,7 @@ def _forward(
 
 def _run(inputs: Inputs, keep: bool) -> tuple:
     # vectors of the covariance, of nine rows of its product with the Jacobian, and of one row
-    room = make_vectors((STATES + 9 + 1) * BLOCKS)
+    room = make_vectors((STATES + 9 + 1) * CHUNKS)
     # NumPy asks the kernel for large pages; arrays made in compiled code spend half the pass on page faults
     covariance = np.empty((len(inputs.gyro) if keep else 0, _PACKED))
     rows = np.empty((3 * int(inputs.used.sum()) if keep else 0, _ROW))

@@ -2,7 +2,7 @@
 
 States and their order are those of `ekf`. The compiler sees plain loops over small blocks, for the 18 x 18 Jacobian
 is mostly zero. Matrices with 18 columns have WIDTH columns, the last ones zero, so that a row is whole vectors; they
-come twice, as array (rows, WIDTH) and as view of BLOCKS vectors a row (`quasi.terms.lanes`). Nothing is allocated here.
+come twice, as array (rows, WIDTH) and as view of CHUNKS vectors a row (`quasi.terms.lanes`). Nothing is allocated here.
 
 Sources: those of `ekf`.
 """
@@ -14,8 +14,8 @@ from quasi.attitude import GRAVITY
 from quasi.terms.lanes import LANES
 
 STATES = 18
-BLOCKS = -(-STATES // LANES)  # vectors of a row
-WIDTH = BLOCKS * LANES  # columns of a row, with those that fill up its last vector
+CHUNKS = -(-STATES // LANES)  # vectors of a row
+WIDTH = CHUNKS * LANES  # columns of a row, with those that fill up its last vector
 WORK_SHAPE = (5, 3, 3)  # scratch of the functions below: four matrices, and one innovation covariance
 
 
@@ -136,23 +136,23 @@ def propagate_covariance(P, P_rows, blocks, dt, noise, sample, bias_random_walk,
     for i in range(3):
         d0, d1, d2 = blocks[0, i, 0], blocks[0, i, 1], blocks[0, i, 2]
         g0, g1, g2 = blocks[1, i, 0], blocks[1, i, 1], blocks[1, i, 2]
-        for c in range(BLOCKS):
-            T_rows[i * BLOCKS + c] = (
-                d0 * P_rows[c] + d1 * P_rows[BLOCKS + c] + d2 * P_rows[2 * BLOCKS + c]
-                + g0 * P_rows[9 * BLOCKS + c] + g1 * P_rows[10 * BLOCKS + c] + g2 * P_rows[11 * BLOCKS + c]
+        for c in range(CHUNKS):
+            T_rows[i * CHUNKS + c] = (
+                d0 * P_rows[c] + d1 * P_rows[CHUNKS + c] + d2 * P_rows[2 * CHUNKS + c]
+                + g0 * P_rows[9 * CHUNKS + c] + g1 * P_rows[10 * CHUNKS + c] + g2 * P_rows[11 * CHUNKS + c]
             )  # fmt: skip
         d0, d1, d2 = blocks[2, i, 0], blocks[2, i, 1], blocks[2, i, 2]
         g0, g1, g2 = blocks[3, i, 0], blocks[3, i, 1], blocks[3, i, 2]
         a0, a1, a2 = blocks[4, i, 0], blocks[4, i, 1], blocks[4, i, 2]
-        for c in range(BLOCKS):
+        for c in range(CHUNKS):
             change = (
-                d0 * P_rows[c] + d1 * P_rows[BLOCKS + c] + d2 * P_rows[2 * BLOCKS + c]
-                + g0 * P_rows[9 * BLOCKS + c] + g1 * P_rows[10 * BLOCKS + c] + g2 * P_rows[11 * BLOCKS + c]
+                d0 * P_rows[c] + d1 * P_rows[CHUNKS + c] + d2 * P_rows[2 * CHUNKS + c]
+                + g0 * P_rows[9 * CHUNKS + c] + g1 * P_rows[10 * CHUNKS + c] + g2 * P_rows[11 * CHUNKS + c]
             )  # fmt: skip
-            change += a0 * P_rows[12 * BLOCKS + c] + a1 * P_rows[13 * BLOCKS + c] + a2 * P_rows[14 * BLOCKS + c]
-            velocity, position = P_rows[(3 + i) * BLOCKS + c], P_rows[(6 + i) * BLOCKS + c]
-            T_rows[(3 + i) * BLOCKS + c] = velocity + change
-            T_rows[(6 + i) * BLOCKS + c] = position + dt * velocity + half * change
+            change += a0 * P_rows[12 * CHUNKS + c] + a1 * P_rows[13 * CHUNKS + c] + a2 * P_rows[14 * CHUNKS + c]
+            velocity, position = P_rows[(3 + i) * CHUNKS + c], P_rows[(6 + i) * CHUNKS + c]
+            T_rows[(3 + i) * CHUNKS + c] = velocity + change
+            T_rows[(6 + i) * CHUNKS + c] = position + dt * velocity + half * change
     for i in range(9):
         for j in range(9, STATES):
             P[i, j] = T[i, j]
@@ -273,14 +273,14 @@ def measurement_update(P_rows, y, var, first, H_first, second, H_second, delta, 
     P_rows  view of P; s (WIDTH,) scratch and its view s_rows
     """
     delta[:] = 0.0
-    at, to = first * BLOCKS, second * BLOCKS
+    at, to = first * CHUNKS, second * CHUNKS
     for r in range(3):
         h0, h1, h2 = H_first[r, 0], H_first[r, 1], H_first[r, 2]
         g0, g1, g2 = H_second[r, 0], H_second[r, 1], H_second[r, 2]
-        for c in range(BLOCKS):
+        for c in range(CHUNKS):
             s_rows[c] = (
-                h0 * P_rows[at + c] + h1 * P_rows[at + BLOCKS + c] + h2 * P_rows[at + 2 * BLOCKS + c]
-                + g0 * P_rows[to + c] + g1 * P_rows[to + BLOCKS + c] + g2 * P_rows[to + 2 * BLOCKS + c]
+                h0 * P_rows[at + c] + h1 * P_rows[at + CHUNKS + c] + h2 * P_rows[at + 2 * CHUNKS + c]
+                + g0 * P_rows[to + c] + g1 * P_rows[to + CHUNKS + c] + g2 * P_rows[to + 2 * CHUNKS + c]
             )  # fmt: skip
         variance = var[r]
         innovation_left = y[r]
@@ -290,8 +290,8 @@ def measurement_update(P_rows, y, var, first, H_first, second, H_second, delta, 
         inverse = 1.0 / variance
         for i in range(STATES):
             delta[i] += s[i] * inverse * innovation_left
-            for c in range(BLOCKS):
-                P_rows[i * BLOCKS + c] -= (s[i] * s_rows[c]) * inverse
+            for c in range(CHUNKS):
+                P_rows[i * CHUNKS + c] -= (s[i] * s_rows[c]) * inverse
         if rows.shape[0] > 0:
             n = count + r
             rows[n, 0], rows[n, 1], rows[n, 2], rows[n, 3] = innovation_left, variance, first, second

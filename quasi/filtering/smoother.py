@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from quasi.filtering.ekf import FilterResult, Inputs
-from quasi.filtering.ekf_steps import BLOCKS, STATES, WIDTH, WORK_SHAPE, compose_rotation, predict, unpack_triangle
+from quasi.filtering.ekf_steps import CHUNKS, STATES, WIDTH, WORK_SHAPE, compose_rotation, predict, unpack_triangle
 from quasi.terms.lanes import LANES, make_vectors, view_lanes
 
 SYMMETRISED = 8  # samples between two symmetrisations; rounding differences grow, for no update reduces them
@@ -45,23 +45,23 @@ def _pull(L, blocks, dt, Y, width):
 def _reduce_covariance(P, P_rows, L_rows, T, T_rows, out, out_rows, packed, k):
     """packed[k] = P - P L P, lower triangle; T, out (18, WIDTH) scratch. Two rows at a time share what they read."""
     for i in range(0, STATES, 2):
-        for c in range(BLOCKS):
+        for c in range(CHUNKS):
             one, other = P[i, 0] * L_rows[c], P[i + 1, 0] * L_rows[c]
             for m in range(1, STATES):
-                row = L_rows[m * BLOCKS + c]
+                row = L_rows[m * CHUNKS + c]
                 one += P[i, m] * row
                 other += P[i + 1, m] * row
-            T_rows[i * BLOCKS + c] = one
-            T_rows[(i + 1) * BLOCKS + c] = other
+            T_rows[i * CHUNKS + c] = one
+            T_rows[(i + 1) * CHUNKS + c] = other
     for i in range(0, STATES, 2):
         for c in range((i + 1) // LANES + 1):
-            one, other = P_rows[i * BLOCKS + c], P_rows[(i + 1) * BLOCKS + c]
+            one, other = P_rows[i * CHUNKS + c], P_rows[(i + 1) * CHUNKS + c]
             for m in range(STATES):
-                row = P_rows[m * BLOCKS + c]
+                row = P_rows[m * CHUNKS + c]
                 one -= T[i, m] * row
                 other -= T[i + 1, m] * row
-            out_rows[i * BLOCKS + c] = one
-            out_rows[(i + 1) * BLOCKS + c] = other
+            out_rows[i * CHUNKS + c] = one
+            out_rows[(i + 1) * CHUNKS + c] = other
     c = 0
     for i in range(STATES):
         for j in range(i + 1):
@@ -77,10 +77,10 @@ def _revert_update(rows, m, lam, L, L_rows, g, g_rows):
     """
     a, b = int(rows[m, 2]), int(rows[m, 3])
     push, weight = rows[m, 0] / rows[m, 1], 1.0 / rows[m, 1]
-    for c in range(BLOCKS):
+    for c in range(CHUNKS):
         total = rows[m, 10] * L_rows[c]
         for j in range(1, STATES):
-            total += rows[m, 10 + j] * L_rows[j * BLOCKS + c]
+            total += rows[m, 10 + j] * L_rows[j * CHUNKS + c]
         g_rows[c] = total
     for i in range(STATES):
         push -= rows[m, 10 + i] * lam[i]
@@ -93,9 +93,9 @@ def _revert_update(rows, m, lam, L, L_rows, g, g_rows):
             L[i, a + e] -= g[i] * rows[m, 4 + e]
             L[i, b + e] -= g[i] * rows[m, 7 + e]
     for e in range(3):
-        for c in range(BLOCKS):
-            L_rows[(a + e) * BLOCKS + c] -= rows[m, 4 + e] * g_rows[c]
-            L_rows[(b + e) * BLOCKS + c] -= rows[m, 7 + e] * g_rows[c]
+        for c in range(CHUNKS):
+            L_rows[(a + e) * CHUNKS + c] -= rows[m, 4 + e] * g_rows[c]
+            L_rows[(b + e) * CHUNKS + c] -= rows[m, 7 + e] * g_rows[c]
     for e in range(3):
         for f in range(3):
             L[a + e, a + f] += weight * rows[m, 4 + e] * rows[m, 4 + f]
@@ -106,7 +106,7 @@ def _revert_update(rows, m, lam, L, L_rows, g, g_rows):
 
 @njit(cache=True)
 def _backward(dt, gyro, accel, Q, X, C, rows, first, room, Cs):
-    n, size, shape = Q.shape[0], STATES * BLOCKS, (STATES, WIDTH)
+    n, size, shape = Q.shape[0], STATES * CHUNKS, (STATES, WIDTH)
     room[:] = 0.0
     P, L, T = room[:size].reshape(shape), room[size : 2 * size].reshape(shape), room[2 * size : 3 * size].reshape(shape)
     Y, g = room[3 * size : 4 * size].reshape(shape), room[4 * size :].reshape(WIDTH)
@@ -125,11 +125,11 @@ def _backward(dt, gyro, accel, Q, X, C, rows, first, room, Cs):
             predict(q, x, gyro, accel, k, dt, blocks, work)
             _pull(lam, blocks, dt, pulled, 1)
             lam[:] = pulled
-            _pull(L_rows, blocks, dt, Y_rows, BLOCKS)
+            _pull(L_rows, blocks, dt, Y_rows, CHUNKS)
             for i in range(STATES):
                 for j in range(i):
                     Y[i, j], Y[j, i] = Y[j, i], Y[i, j]
-            _pull(Y_rows, blocks, dt, L_rows, BLOCKS)
+            _pull(Y_rows, blocks, dt, L_rows, CHUNKS)
             if k % SYMMETRISED == 0:
                 for i in range(STATES):
                     for j in range(i):
@@ -168,7 +168,7 @@ def smooth(inputs: Inputs, filtered: FilterResult) -> FilterResult:
         filtered.covariance,
         filtered.rows,
         filtered.first,
-        make_vectors((4 * STATES + 1) * BLOCKS),
+        make_vectors((4 * STATES + 1) * CHUNKS),
         covariance,
     )
     return filtered._replace(quaternion=q, state=x, covariance=covariance)

@@ -15,7 +15,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import lower_builtin, lower_cast, models, register_model
 
 LANES = 8  # numbers of a vector: 512 bits, the widest register of x86-64
-_DOUBLE, VECTOR = ir.DoubleType(), ir.VectorType(ir.DoubleType(), LANES)
+_DOUBLE, LANE_VECTOR = ir.DoubleType(), ir.VectorType(ir.DoubleType(), LANES)
 _BITS = ir.VectorType(ir.IntType(1), LANES)
 INDEX = ir.IntType(32)
 
@@ -58,7 +58,7 @@ lanes, mask = LanesType(), MaskType()
 @register_model(LanesType)
 class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager, kind):
-        super().__init__(manager, kind, VECTOR)
+        super().__init__(manager, kind, LANE_VECTOR)
 
 
 @register_model(MaskType)
@@ -75,9 +75,9 @@ class _ViewModel(models.StructModel):
 
 
 def _splat(builder, number):
-    one = builder.insert_element(ir.Constant(VECTOR, ir.Undefined), number, ir.Constant(INDEX, 0))
+    one = builder.insert_element(ir.Constant(LANE_VECTOR, ir.Undefined), number, ir.Constant(INDEX, 0))
     first = ir.Constant(ir.VectorType(INDEX, LANES), [0] * LANES)
-    return builder.shuffle_vector(one, ir.Constant(VECTOR, ir.Undefined), first)
+    return builder.shuffle_vector(one, ir.Constant(LANE_VECTOR, ir.Undefined), first)
 
 
 @lower_cast(types.Number, LanesType)
@@ -131,7 +131,7 @@ def _lower_intrinsic(function, name):
 
     @lower_builtin(function, LanesType)
     def lower(context, builder, sig, args):
-        made = cgutils.get_or_insert_function(builder.module, ir.FunctionType(VECTOR, [VECTOR]), name)
+        made = cgutils.get_or_insert_function(builder.module, ir.FunctionType(LANE_VECTOR, [LANE_VECTOR]), name)
         return builder.call(made, args)
 
 

@@ -24,7 +24,7 @@ from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, overload
 
-from quasi.terms.lane_types import INDEX, LANES, VECTOR, ViewType, is_number, lanes, mask
+from quasi.terms.lane_types import INDEX, LANE_VECTOR, LANES, ViewType, is_number, lanes, mask
 
 _ALIGNMENT = 8  # bytes, of a row: that of its numbers
 _read = ir.IRBuilder.load  # of memory, not of a file
@@ -68,7 +68,7 @@ def _lower_getitem(context, builder, sig, args):
     view_type, index_type = sig.args
     if not isinstance(index_type, types.SliceType):
         at = _address(context, builder, view_type, args[0], index_type, args[1])
-        return _read(builder, builder.bitcast(at, VECTOR.as_pointer()), align=_ALIGNMENT)
+        return _read(builder, builder.bitcast(at, LANE_VECTOR.as_pointer()), align=_ALIGNMENT)
     view = cgutils.create_struct_proxy(view_type)(context, builder, args[0])
     part = context.make_helper(builder, index_type, args[1])
     stop = builder.select(builder.icmp_signed("<", part.stop, view.rows), part.stop, view.rows)
@@ -91,7 +91,7 @@ class _SetItem(AbstractTemplate):
 def _lower_setitem(context, builder, sig, args):
     at = _address(context, builder, sig.args[0], args[0], sig.args[1], args[1])
     value = context.cast(builder, args[2], sig.args[2], lanes)
-    builder.store(value, builder.bitcast(at, VECTOR.as_pointer()), align=_ALIGNMENT)
+    builder.store(value, builder.bitcast(at, LANE_VECTOR.as_pointer()), align=_ALIGNMENT)
     return context.get_dummy_value()
 
 
