@@ -1,6 +1,7 @@
 """The map from commands to rotor speeds in other languages: `rotor_map.steady_speeds`, from the same constants.
 
-Delay and lag are not in it: exports carry them with their rotors. An export of a model without a map has none of this.
+Delay and lag are not in it: exports carry them with their rotors. The speeds are those of warm motors; the Python
+module's `predict_from_commands` adds the surplus of cold ones. An export of a model without a map has none of this.
 """
 
 from collections.abc import Mapping
@@ -8,7 +9,7 @@ from typing import Any
 
 from quasi.model.commands import map_of
 from quasi.model.model import Model
-from quasi.terms.rotor_map import FORMS
+from quasi.terms.rotor_map import FORMS, WARM_UP
 
 # f of rotor_map.shape by form: x command over the operating command, v = (volts / reference)^n, b and d parameters.
 # MAX, SQRT and N(number) are replaced by what a language calls them
@@ -34,6 +35,7 @@ def constants_of_map(drive: Mapping[str, Any]) -> dict[str, Any]:
         "b": parameters[0] if parameters else 0.0,
         "d": parameters[1] if len(parameters) > 1 else 0.0,
         "highest": 1.0 if drive["input"] == "share" else float("inf"),
+        "warm-up": tuple(float(drive[n]["value"]) for n in WARM_UP) if drive.get(WARM_UP[0]) else (0.0, 1.0),
     }
 
 
@@ -52,6 +54,8 @@ def python_map(model: Model) -> str | None:
     if drive is None:
         return None
     c = constants_of_map(drive)
+    drop, warming = c["warm-up"]
+    lower, upper = ("-np.inf", "np.inf") if c["highest"] > 1.0 else ("0.0", "1.0")
     return f'''\
 def steady_speeds(commands, volts={c["reference"]!r}):
     """Rotor speeds (N, 4), rad/s, for constant commands (N, 4), {_input_words(drive)}; volts (N,) or one number."""
@@ -62,9 +66,25 @@ def steady_speeds(commands, volts={c["reference"]!r}):
     return np.array({c["speeds"]!r}) * ({_shape(drive, "np.maximum", "np.sqrt", "{}.0")})
 
 
+def _lagged(wanted, time_step, lag):
+    keep, share = np.exp(-time_step / lag), time_step / lag
+    last = 1.0 - (1.0 - keep) / share
+    first = (1.0 - keep) / share - keep
+    behind = np.empty_like(wanted)
+    behind[0] = wanted[0]
+    for i in range(1, len(wanted)):
+        behind[i] = keep * behind[i - 1] + first * wanted[i - 1] + last * wanted[i]
+    return behind
+
+
 def rotor_speeds(commands, volts, time_step):
-    """Speeds (N, 4), rad/s, and accelerations (N, 4), rad/s2, of rotors behind their commands in steps of s."""
+    """Speeds (N, 4), rad/s, and accelerations (N, 4), rad/s2, of rotors behind their commands in steps of s.
+
+    Motors that begin at rest begin cold.
+    """
     wanted = steady_speeds(commands, volts)
+    heat = np.clip(np.atleast_2d(np.asarray(commands, float)), {lower}, {upper})
+    wanted = wanted * (1.0 + {drop!r} * (1.0 - _lagged(heat / {c["operating"]!r}, time_step, {warming!r})))
     late = {float(drive["delay"]["value"])!r} / time_step
     whole = int(np.floor(late))
     part = late - whole
@@ -75,13 +95,7 @@ def rotor_speeds(commands, volts, time_step):
     )
     wanted = sum(w * wanted[np.clip(at - k, 0, len(wanted) - 1)] for k, w in weights)
     lag = {float(drive["time constant"]["value"])!r}
-    keep, share = np.exp(-time_step / lag), time_step / lag
-    last = 1.0 - (1.0 - keep) / share
-    first = (1.0 - keep) / share - keep
-    speeds = np.empty_like(wanted)
-    speeds[0] = wanted[0]
-    for i in range(1, len(wanted)):
-        speeds[i] = keep * speeds[i - 1] + first * wanted[i - 1] + last * wanted[i]
+    speeds = _lagged(wanted, time_step, lag)
     return speeds, (wanted - speeds) / lag
 
 

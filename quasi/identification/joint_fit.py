@@ -15,10 +15,14 @@ from quasi.airframe import Airframe
 from quasi.errors import DataError
 from quasi.terms.rotor_map import (
     DELAY_RANGE,
+    DROP_RANGE,
     EXPONENT_RANGE,
     FORMS,
     RAW,
     TAU_RANGE,
+    WARM_UP,
+    WARM_UP_RANGE,
+    cold_surplus,
     lagged,
     raw_commands,
     raw_volts,
@@ -110,17 +114,29 @@ def block_means(values: np.ndarray, size: int) -> np.ndarray:
 
 
 class JointFit:
-    """One form of the map on all flights: parameters x = time constant, delay, shape, voltage exponent."""
+    """One form of the map on all flights: parameters x = time constant, delay, shape, voltage exponent, warm-up."""
 
-    def __init__(self, form: str, flights: Sequence[PreparedFlight], airframe: Airframe, with_voltage: bool) -> None:
+    def __init__(
+        self,
+        form: str,
+        flights: Sequence[PreparedFlight],
+        airframe: Airframe,
+        with_voltage: bool,
+        warming: bool = False,
+    ) -> None:
         self.form, self.flights, self.airframe = form, flights, airframe
         about = FORMS[form]
         self.names = ("time constant", "delay", *about.names, *(("voltage exponent",) if with_voltage else ()))
-        last = len(self.names) - 2 - len(about.names)
-        self.low = np.array([TAU_RANGE[0], DELAY_RANGE[0], *about.low, *[EXPONENT_RANGE[0]] * last])
-        self.high = np.array([TAU_RANGE[1], DELAY_RANGE[1], *about.high, *[EXPONENT_RANGE[1]] * last])
-        self.size = np.array([0.01, 0.005, *[0.2] * (len(self.low) - 2)])
-        self.x = np.array([0.04, 0.005, *about.start, *[0.7] * last])
+        self.names += WARM_UP if warming else ()
+        volts, warm = int(with_voltage), int(warming)
+        drop, time = DROP_RANGE, WARM_UP_RANGE
+        self.low = np.array([TAU_RANGE[0], DELAY_RANGE[0], *about.low, *[EXPONENT_RANGE[0]] * volts,
+                             *[drop[0], time[0]] * warm])  # fmt: skip
+        self.high = np.array([TAU_RANGE[1], DELAY_RANGE[1], *about.high, *[EXPONENT_RANGE[1]] * volts,
+                              *[drop[1], time[1]] * warm])  # fmt: skip
+        self.size = np.array([0.01, 0.005, *[0.2] * (len(about.low) + volts), *[0.02, 2.0] * warm])
+        self.x = np.array([0.04, 0.005, *about.start, *[0.7] * volts, *[0.02, 10.0] * warm])
+        self.warming = warming
         self.shares = thrust_shares(airframe)
         self.colour = {axis: np.zeros(DISTURBANCE_ORDER) for axis in JOINT_AXES}
         self.scale = dict.fromkeys(JOINT_AXES, 1.0)
@@ -132,8 +148,10 @@ class JointFit:
     def thrusts(self, flight: PreparedFlight, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Thrusts (N, 4), N, on the flight's grid, their rotors' speeds over the square root of N, factors (4,)."""
         parts = len(FORMS[self.form].names)
-        exponent = x[-1] if self.with_voltage else 0.0
+        exponent = x[2 + parts] if self.with_voltage else 0.0
         speeds = shape(self.form, flight.commands, flight.ratio, exponent, x[2 : 2 + parts])
+        if self.warming:
+            speeds = speeds * cold_surplus(flight.commands, flight.dt, *x[-2:])
         speeds = lagged(speeds, flight.dt, x[0], x[1])
         mean = np.mean(speeds[flight.used] ** 2, axis=0)
         factor = self.shares * flight.thrust / np.maximum(mean, 1e-12)
@@ -187,7 +205,8 @@ class JointFit:
             self.colour, self.scale = dict(begin.colour), dict(begin.scale)
             self.independent = begin.independent
             shared = dict(zip(begin.names, begin.x))
-            self.x = np.array([shared[n] if n not in FORMS[self.form].names and n in shared else v
+            own = () if begin.form == self.form else FORMS[self.form].names
+            self.x = np.array([shared[n] if n not in own and n in shared else v
                                for n, v in zip(self.names, self.x)])  # fmt: skip
         else:
             self._update_noise(self.solve(self.x))
@@ -199,6 +218,14 @@ class JointFit:
             self.x = found.x
             self._update_noise(self.solve(self.x))
         self._finish()
+
+    def improvement(self, other: "JointFit") -> float:
+        """By how much another map lowers twice the negative log-likelihood, with the disturbance model of this one."""
+        keep = other.colour, other.scale
+        other.colour, other.scale = self.colour, self.scale
+        gain = float(np.sum(self._error(self.x) ** 2) - np.sum(other._error(other.x) ** 2))
+        other.colour, other.scale = keep
+        return gain
 
     def _error(self, x: np.ndarray) -> np.ndarray:
         return np.concatenate([part[2] / self.scale[axis] for axis, part in self.solve(x).items()])

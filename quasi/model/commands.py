@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from quasi.errors import ConfigError, ShapeError
-from quasi.terms.rotor_map import delayed, drive_of_map, lagged, steady_speeds
+from quasi.terms.rotor_map import commanded_speeds, delayed, drive_of_map, lagged
 
 
 def map_of(document: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -42,6 +42,6 @@ def rotor_speeds(
     if not np.all(np.abs(step - step.mean()) <= 0.01 * step.mean()):
         raise ShapeError("t must be evenly spaced and increasing; resample commands and states first")
     dt, tau, delay = float(step.mean()), drive["time constant"]["value"], drive["delay"]["value"]
-    wanted = steady_speeds(drive, commands, volts)
+    wanted = commanded_speeds(drive, commands, volts, dt)
     speeds = lagged(wanted, dt, tau, delay)
     return speeds, (delayed(wanted, dt, delay) - speeds) / tau

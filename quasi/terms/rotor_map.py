@@ -3,7 +3,8 @@
     dW/dt = (wanted(t - delay) - W) / tau,    wanted_i = S_i f(c_i, V / V_ref)
 
 S_i is the speed of rotor i at the operating command and the reference voltage, so f is 1 there. With c0 the operating
-command, v = V / V_ref and n the voltage exponent, the forms of f are
+command, v = V / V_ref and n the voltage exponent, the forms of f are given below. Where a map has a warm-up, wanted_i
+is multiplied by 1 + d (1 - h_i): h_i is c_i / c0 behind a lag of seconds, 0 for cold motors and 1 for warm ones.
 
     linear        v^n (1 + b (c / c0 - 1))
     square root   v^n sqrt(1 + b (c / c0 - 1)), a thrust that is linear in the command
@@ -33,6 +34,12 @@ RAW = "_raw"  # ending of columns that the filter keeps without its low-pass, wh
 TAU_RANGE = (0.002, 0.5)  # s, as in the identification of actuators
 DELAY_RANGE = (-0.025, 0.1)  # s, as in the identification of actuators; negative where commands are logged late
 EXPONENT_RANGE = (-1.0, 3.0)  # of the voltage; 0 with ideal battery compensation, 1 for duty times volts
+
+
+WARM_UP = ("warm-up drop", "warm-up time constant")  # of a map: share of the speed that cold motors have more, s
+DROP_RANGE = (-0.1, 0.3)  # copper gains 30 % of resistance over 75 K
+# s: from the longest lag of a rotor, times four, to a flight of some minutes; windings of small motors take 5 to 30 s
+WARM_UP_RANGE = (2.0, 120.0)
 
 
 class Form(NamedTuple):
@@ -80,6 +87,18 @@ def shape(form: str, share: np.ndarray, ratio: np.ndarray | float, exponent: flo
     return np.maximum(z, 0.0)
 
 
+def cold_surplus(share: np.ndarray, dt: float, drop: float, tau: float) -> np.ndarray:
+    """Speed (N, R) over that of warm motors: 1 + drop (1 - h), where h is the share behind a lag of tau, s.
+
+    share  (N, R) command over the operating command, in steps of dt, s. A log that begins with motors at rest begins
+    with cold motors; one that begins in flight begins at the steady state of its first command.
+
+    A winding that warms gains resistance, and the motor loses speed at the same command and voltage.
+    Source: Hughes & Drury, Electric Motors and Drives, 5th ed., 2019, chapter 3.
+    """
+    return 1.0 + drop * (1.0 - lagged(share, dt, tau, 0.0))
+
+
 def lagged(wanted: np.ndarray, dt: float, tau: float, delay: float) -> np.ndarray:
     """What follows wanted (N, R) late by `delay`, s, and with a first-order lag, s; linear between samples."""
     keep, share = np.exp(-dt / tau), dt / tau
@@ -109,7 +128,7 @@ def delayed(values: np.ndarray, dt: float, delay: float) -> np.ndarray:
 
 
 def steady_speeds(drive: Mapping[str, Any], commands: np.ndarray, volts: np.ndarray | None = None) -> np.ndarray:
-    """Speeds (N, 4), rad/s, at which the rotors settle for constant commands.
+    """Speeds (N, 4), rad/s, at which the rotors settle for constant commands, with warm motors.
 
     drive     section "rotor speeds" of a model; commands (N, 4) as its "input" says: shares 0 to 1, or rad/s
     volts     (N,) V; None takes the reference voltage
@@ -136,8 +155,19 @@ def speeds_of(drive: Mapping[str, Any], commands: np.ndarray, volts: np.ndarray 
 
     Arguments as `steady_speeds`.
     """
-    wanted = steady_speeds(drive, commands, volts)
+    wanted = commanded_speeds(drive, commands, volts, dt)
     return lagged(wanted, dt, drive["time constant"]["value"], drive["delay"]["value"])
+
+
+def commanded_speeds(drive: Mapping[str, Any], commands: np.ndarray, volts: np.ndarray | None, dt: float) -> np.ndarray:
+    """Speeds (N, 4), rad/s, that the rotors follow: `steady_speeds` of motors that warm up. Arguments as there."""
+    wanted = steady_speeds(drive, commands, volts)
+    drop, tau = (drive.get(name) for name in WARM_UP)
+    if not drop:
+        return wanted
+    commands = np.asarray(commands, float)
+    commands = np.clip(commands, 0.0, 1.0) if drive["input"] == "share" else commands
+    return wanted * cold_surplus(commands / drive["operating command"], dt, drop["value"], tau["value"])
 
 
 def drive_of_map(actuators: Mapping[str, Any] | None) -> dict[str, Any] | None:
@@ -191,6 +221,9 @@ def describe_map(document: Mapping[str, Any]) -> list[str]:
     ]
     if drive["voltage exponent"]:
         sentences[0] += f", voltage exponent {drive['voltage exponent']['value']:.2f}"
+    if drive.get("warm-up drop"):
+        drop, tau = (drive[name]["value"] for name in WARM_UP)
+        sentences[0] += f", {100 * drop:.1f} % faster with cold motors, which warm up in {tau:.0f} s"
     if drive["scale"]["relative"]:
         sentences.append(f"Rotor speeds are relative; their scale is fixed by a {drive['scale']['from']}")
     else:

@@ -8,14 +8,18 @@ from quasi.attitude import GRAVITY
 
 MASS, TAU, DELAY, EXPONENT, SLOPE = 0.5, 0.04, 0.012, 0.8, 0.7
 DT = 0.002
+WARMING = 8.0  # s
 OPERATING, REFERENCE = 0.5, 15.0
 GAINS = np.array([1.0, 0.97, 1.02, 1.01])
 
 
-def flight(seed=0, seconds=25.0, hidden=0.0, tau=TAU, delay=DELAY, exponent=EXPONENT, late=0.0, every=5, sag=1.5):
+def flight(
+    seed=0, seconds=25.0, hidden=0.0, tau=TAU, delay=DELAY, exponent=EXPONENT, late=0.0, every=5, sag=1.5, cold=0.0
+):
     """One flight, logged at 100 Hz: a rate loop and a vertical loop fly through gusts; speeds follow a linear map.
 
     hidden  std of torque disturbances, N m; late  s by which commands are logged late; sag  V lost over the flight
+    cold  speed that cold motors have more than warm ones; the flight then begins cold, after 0.5 s at rest
     """
     r, frame = np.random.default_rng(seed), to_draw()
     n = round(seconds / DT)
@@ -32,7 +36,7 @@ def flight(seed=0, seconds=25.0, hidden=0.0, tau=TAU, delay=DELAY, exponent=EXPO
     gust = _coloured(r, n, 0.15, 3) * hidden
     lift = _coloured(r, n, 0.3, 1)[:, 0] * hidden * 8
     rates, w = np.zeros(3), 0.0
-    relative = np.ones(4)
+    relative, heat = np.ones(4), np.zeros(4)
     commands = np.full((n, 4), OPERATING)
     out = np.zeros((n, 9))
     steps = round(delay / DT)
@@ -46,6 +50,8 @@ def flight(seed=0, seconds=25.0, hidden=0.0, tau=TAU, delay=DELAY, exponent=EXPO
         commands[k] = np.clip(OPERATING * (1.0 + (speed - 1.0) / SLOPE), 0.0, 1.0)
         late_k = max(k - steps, 0)
         steady = GAINS * (volts[late_k] / REFERENCE) ** exponent * (1.0 + SLOPE * (commands[late_k] / OPERATING - 1.0))
+        steady = steady * (1.0 + cold * (1.0 - heat))
+        heat = heat + DT / WARMING * (commands[late_k] / OPERATING - heat)
         relative = steady + (relative - steady) * keep
         lifted = hover * relative**2
         acting = mix @ lifted
@@ -61,7 +67,11 @@ def flight(seed=0, seconds=25.0, hidden=0.0, tau=TAU, delay=DELAY, exponent=EXPO
     table |= {f"a{name}_raw": (out[rows, 6] if name == "z" else 0 * t[rows]) for name in "xyz"}
     table |= {f"command{i + 1}_raw": shown[rows, i] for i in range(4)}
     table |= {"az": out[rows, 6], "valid": 1.0 + 0 * t[rows], "in_flight": 1.0 + 0 * t[rows]}
-    return pd.DataFrame(table)
+    if not cold:
+        return pd.DataFrame(table)
+    rest = {name: np.zeros(50) for name in table} | {"battery_voltage": np.full(50, volts[0])}
+    made = pd.concat([pd.DataFrame(rest), pd.DataFrame(table)], ignore_index=True)
+    return made.assign(t=np.arange(len(made)) * DT * every)
 
 
 def _steps(r, n, size):

@@ -12,6 +12,7 @@ from made_model import document
 from quasi.export.c_source import c_files
 from quasi.export.command_map import matlab_map
 from quasi.export.python_source import python_file
+from quasi.model.commands import rotor_speeds
 from quasi.model.model import Model
 from quasi.terms.rotor_map import FORMS, steady_speeds
 
@@ -52,6 +53,20 @@ def test_python(model):
         model.predict_from_commands(t, state, COMMANDS, VOLTS),
     ):
         np.testing.assert_allclose(got, own, rtol=1e-9, atol=1e-12)
+
+
+def test_python_with_motors_that_warm_up():
+    model = driven("linear")
+    model.document["rotor speeds"] |= {"warm-up drop": {"value": 0.06}, "warm-up time constant": {"value": 8.0}}
+    module = types.ModuleType("made")
+    exec(python_file(model)[1], module.__dict__)
+    commands, t = np.concatenate([np.zeros((20, 4)), COMMANDS[:20]]), np.arange(40) * 0.004
+    got, slopes = module.rotor_speeds(commands, 15.0, 0.004)
+    own = rotor_speeds(model.document, t, commands, 15.0)
+    np.testing.assert_allclose(got, own[0], rtol=1e-12)
+    np.testing.assert_allclose(slopes, own[1], rtol=1e-9, atol=1e-9)
+    warm = rotor_speeds(driven("linear").document, t, commands, 15.0)[0]
+    np.testing.assert_allclose(own[0][-1] / warm[-1], 1.06, atol=2e-3)
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from airframes import LAYOUT, to_draw
-from commanded_flights import DELAY, EXPONENT, GAINS, MASS, OPERATING, SLOPE, TAU, flight
+from commanded_flights import DELAY, EXPONENT, GAINS, MASS, OPERATING, SLOPE, TAU, WARMING, flight
 from made_model import document
 
 from quasi.airframe import read_airframe
@@ -57,6 +57,21 @@ def test_map_lag_delay_and_voltage_exponent_are_found(found):
         ratio = speeds / true
         np.testing.assert_allclose(ratio / ratio.mean(), 1.0, atol=0.03)
     assert drive["trims"].keys() == {"a", "b"}
+
+
+def test_motors_that_warm_up_are_found_and_others_are_not_taken_for_it(found):
+    assert found[0]["warm-up drop"] is None and found[0]["warm-up time constant"] is None
+    flights = {k: flight(n, 25.0, hidden=0.004, cold=0.06) for k, n in (("a", 1), ("b", 2))}
+    drive, notes = identify_rotor_speeds(flights, to_draw(), MASSES)
+    drop, warming = drive["warm-up drop"], drive["warm-up time constant"]
+    assert drop["value"] == pytest.approx(0.06, abs=max(3 * drop["std"], 0.01)) and drop["std"] < 0.02
+    assert warming["value"] == pytest.approx(WARMING, abs=max(3 * warming["std"], 2.0)) and warming["std"] < 4.0
+    assert drive["voltage exponent"]["value"] == pytest.approx(EXPONENT, abs=0.15)
+    assert any("warm up" in n for n in notes)
+    commands = np.full((5000, 4), OPERATING)
+    commands[0] = 0.0
+    speeds = speeds_of(drive, commands, np.full(5000, 15.0), 0.01)
+    assert speeds[50, 0] / speeds[-1, 0] == pytest.approx(1.0 + drop["value"], abs=0.01)
 
 
 def test_factors_hold_in_closed_loop(found):
