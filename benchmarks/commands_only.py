@@ -7,7 +7,7 @@
 battery voltage, and prints: ratio of torque to thrust factors and time constants against those from telemetry, rms
 error of the speeds after one common scale, and rms error of Fz and moments by the simple rotor model of either speeds.
 `nanobench` makes the model of examples/crazyflie through the workflow and prints its scores on held-out flights, arms,
-and the mean error of 0.5 s roll-outs over that of holding the last state.
+and the mean error of roll-outs of 0.1, 0.2 and 0.5 s over that of holding the last state.
 Both write results/benchmarks/commands_only_*.json.
 """
 
@@ -28,11 +28,11 @@ from quasi.identification.shared import shared
 from quasi.model.model import read_model
 from quasi.simulation.tools.rollout import compute_errors, count_steps, hold_states, rollout
 from quasi.tables import read_json, read_made, read_table, write_json
-from quasi.terms.rotor_map import SPEEDS, used_rows
+from quasi.terms.rotor_map import SPEEDS, WARM_UP, used_rows
 
 ROOT = Path(__file__).parents[1]
 STATE = ["roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z"]
-HORIZON, EVERY = 0.5, 0.1  # s
+HORIZONS, EVERY = (0.1, 0.2, 0.5), 0.1  # s
 
 
 def thrusts_and_moments(table, airframe, factors) -> np.ndarray:
@@ -70,6 +70,8 @@ def withheld(numbers: list[int]) -> dict:
     report = {"drive": {k: drive[k] for k in ("form", "time constant", "delay", "voltage exponent", "relative error")}}
     tau = float(np.mean(truth["actuators"]["time constants"]["value"]))
     report["time constant"] = {"telemetry": tau, "ratio": drive["time constant"]["value"] / tau}
+    if drive["yaw"]:
+        report["time constant"]["ratio by yaw moment"] = drive["yaw"]["time constant"]["value"] / tau
     base = {name: f["simple model"]["kappaFz"]["value"] for name, f in (("telemetry", truth), ("commands", own))}
     report["factors"] = {
         axis: own["simple model"][f"kappa{axis}"]["value"]
@@ -95,17 +97,18 @@ def withheld(numbers: list[int]) -> dict:
     return report
 
 
-def roll_outs(model, flight, made) -> dict[str, list[float]]:
-    """Mean error norms after HORIZON of the model, and of holding the last state."""
+def roll_outs(model, flight) -> dict[str, np.ndarray]:
+    """Mean error norms (2, H) after HORIZONS of the model, and of holding the last state."""
     t, states = flight["t"].to_numpy(float), flight[STATE].to_numpy(float)
-    good, steps = np.zeros(len(flight), bool), count_steps(t, HORIZON)
+    good, steps = np.zeros(len(flight), bool), count_steps(t, HORIZONS[-1])
     good[usable(len(flight), 0.7)] = True
     good &= used_rows(flight)
     starts = np.arange(0, len(t) - steps - 1, max(round(EVERY / float(np.median(np.diff(t)))), 1))
     starts = starts[[bool(good[s : s + steps + 1].all()) for s in starts]]
-    run = rollout(model, t, states, flight[list(SPEEDS)].to_numpy(float), starts, HORIZON)
+    run = rollout(model, t, states, flight[list(SPEEDS)].to_numpy(float), starts, HORIZONS[-1])
     own, held = compute_errors(run, states, starts), compute_errors(hold_states(states, starts, steps), states, starts)
-    return {k: [float(np.nanmean(own[k][:, -1])), float(np.nanmean(held[k][:, -1]))] for k in own}
+    at = [count_steps(t, horizon) for horizon in HORIZONS]
+    return {k: np.array([np.nanmean(own[k][:, at], axis=0), np.nanmean(held[k][:, at], axis=0)]) for k in own}
 
 
 def nanobench(path: str) -> dict:
@@ -116,13 +119,13 @@ def nanobench(path: str) -> dict:
     model = read_model(folder / "models/nanobench/standalone")
     drive = model.document["rotor speeds"]
     report = {"arms over configured": {axis: drive["factors"][axis] for axis in JOINT_AXES[1:3]}}
-    report |= {k: drive[k] for k in ("form", "time constant", "delay", "relative error", "voltage exponent")}
+    report |= {k: drive[k] for k in ("form", "time constant", "delay", "relative error", "voltage exponent", *WARM_UP)}
     errors: dict[str, list] = {}
     pooled: dict[str, list] = {}
     for key in model.document["flights"]["validation"]:
         place = folder / f"results/filtered/Nano/withGravity/{key}.parquet"
-        flight, made = read_flight(place, drive), read_made(place)
-        for kind, values in roll_outs(model, flight, made).items():
+        flight = read_flight(place, drive)
+        for kind, values in roll_outs(model, flight).items():
             errors.setdefault(kind, []).append(values)
         rows = partition({key: flight}, {key}, {"usable data ratio": 0.7})[key] > 0
         part = flight[rows]
@@ -138,7 +141,7 @@ def nanobench(path: str) -> dict:
             "each without its mean": [float(x) for x in level],
         }
     report["roll-outs over holding"] = {
-        kind: float(np.mean([v[0] for v in values]) / np.mean([v[1] for v in values]))
+        kind: dict(zip(map(str, HORIZONS), (np.mean(values, axis=0)[0] / np.mean(values, axis=0)[1]).tolist()))
         for kind, values in errors.items()
     }
     return report

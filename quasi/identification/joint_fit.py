@@ -209,14 +209,14 @@ class JointFit:
             self.x = np.array([shared[n] if n not in own and n in shared else v
                                for n, v in zip(self.names, self.x)])  # fmt: skip
         else:
-            self._update_noise(self.solve(self.x))
+            self.update_noise(self.solve(self.x))
         for _ in range(DISTURBANCE_ROUNDS if begin is None else DISTURBANCE_ROUNDS - 1):
             found = least_squares(
                 self._error, self.x, bounds=(self.low, self.high), x_scale=self.size, diff_step=1e-2, xtol=1e-5,
                 ftol=1e-6, max_nfev=25,
             )  # fmt: skip
             self.x = found.x
-            self._update_noise(self.solve(self.x))
+            self.update_noise(self.solve(self.x))
         self._finish()
 
     def improvement(self, other: "JointFit") -> float:
@@ -230,7 +230,7 @@ class JointFit:
     def _error(self, x: np.ndarray) -> np.ndarray:
         return np.concatenate([part[2] / self.scale[axis] for axis, part in self.solve(x).items()])
 
-    def _update_noise(self, solved: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
+    def update_noise(self, solved: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
         """The autoregression of the residuals of each axis by least squares, and the std of what it cannot predict.
 
         Flights are not weighed by their noise: quiet ones have the smallest residuals, but the strongest feedback.

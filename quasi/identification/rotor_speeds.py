@@ -31,6 +31,7 @@ from quasi.errors import DataError
 from quasi.identification.joint_fit import JOINT_AXES, JointFit, prepare_flight
 from quasi.identification.partition import usable
 from quasi.identification.taught_map import teach_map, teaching_flights
+from quasi.identification.yaw_fit import fit_yaw
 from quasi.terms.rotor_map import (
     FORMS,
     SPEEDS,
@@ -104,7 +105,11 @@ def identify_rotor_speeds(
         begin = begin if begin is not None else fits[name]
     best = min(fits, key=lambda n: fits[n].criterion)
     fit = _with_warm_up(fits[best], notes)
+    yaw = fit_yaw(fit)
     drive = _as_plain(fit, best, kind, operating, reference, list(made), airframe, masses, known or {})
+    drive["yaw"] = {n: yaw[n] for n in ("time constant", "delay")} if yaw else None
+    if yaw:
+        drive["factors"]["Mz"] = yaw["factor"]
     drive["candidates"] = [
         {"form": n, "BIC": f.criterion - fits[best].criterion, "parameters": len(f.x)} for n, f in fits.items()
     ]

@@ -37,9 +37,10 @@ EXPONENT_RANGE = (-1.0, 3.0)  # of the voltage; 0 with ideal battery compensatio
 
 
 WARM_UP = ("warm-up drop", "warm-up time constant")  # of a map: share of the speed that cold motors have more, s
-DROP_RANGE = (-0.1, 0.3)  # copper gains 30 % of resistance over 75 K
-# s: from the longest lag of a rotor, times four, to a flight of some minutes; windings of small motors take 5 to 30 s
-WARM_UP_RANGE = (2.0, 120.0)
+DROP_RANGE = (0.0, 0.3)  # motors lose speed as they warm; copper gains 30 % of resistance over 75 K
+# s. Faster changes look like those of the battery. On nanobench, R2 of vertical force with one flight left out is
+# highest at 8 s, and level from 4 to 30 s
+WARM_UP_RANGE = (5.0, 60.0)
 
 
 class Form(NamedTuple):
@@ -228,6 +229,11 @@ def describe_map(document: Mapping[str, Any]) -> list[str]:
         sentences.append(f"Rotor speeds are relative; their scale is fixed by a {drive['scale']['from']}")
     else:
         sentences.append(f"The scale of the rotor speeds is that of the {drive['scale']['from']}")
+    if drive.get("yaw"):
+        sentences.append(
+            f"The rotors' own time constant, by yaw moments, is {1e3 * drive['yaw']['time constant']['value']:.1f} ms; "
+            "the lag of thrust differs, because air follows the blades late"
+        )
     if drive.get("factors"):
         roll, pitch = (drive["factors"][axis] for axis in ("Mx", "My"))
         sentences.append(

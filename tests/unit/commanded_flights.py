@@ -14,11 +14,22 @@ GAINS = np.array([1.0, 0.97, 1.02, 1.01])
 
 
 def flight(
-    seed=0, seconds=25.0, hidden=0.0, tau=TAU, delay=DELAY, exponent=EXPONENT, late=0.0, every=5, sag=1.5, cold=0.0
+    seed=0,
+    seconds=25.0,
+    hidden=0.0,
+    tau=TAU,
+    delay=DELAY,
+    exponent=EXPONENT,
+    late=0.0,
+    every=5,
+    sag=1.5,
+    cold=0.0,
+    tau_yaw=None,
 ):
     """One flight, logged at 100 Hz: a rate loop and a vertical loop fly through gusts; speeds follow a linear map.
 
     hidden  std of torque disturbances, N m; late  s by which commands are logged late; sag  V lost over the flight
+    tau_yaw  lag, s, of the speed that makes yaw torque, where it is not that of thrust
     cold  speed that cold motors have more than warm ones; the flight then begins cold, after 0.5 s at rest
     """
     r, frame = np.random.default_rng(seed), to_draw()
@@ -36,7 +47,8 @@ def flight(
     gust = _coloured(r, n, 0.15, 3) * hidden
     lift = _coloured(r, n, 0.3, 1)[:, 0] * hidden * 8
     rates, w = np.zeros(3), 0.0
-    relative, heat = np.ones(4), np.zeros(4)
+    relative, heat, turning = np.ones(4), np.zeros(4), np.ones(4)
+    keep_yaw = np.exp(-DT / (tau_yaw or tau))
     commands = np.full((n, 4), OPERATING)
     out = np.zeros((n, 9))
     steps = round(delay / DT)
@@ -55,6 +67,8 @@ def flight(
         relative = steady + (relative - steady) * keep
         lifted = hover * relative**2
         acting = mix @ lifted
+        turning = steady + (turning - steady) * keep_yaw
+        acting[3] = -turn * spin @ (hover * turning**2)
         moments = acting[1:] + gust[k]
         up = acting[0] + lift[k]
         out[k] = [*rates, *moments, -up / MASS, w, up]

@@ -74,6 +74,17 @@ def test_motors_that_warm_up_are_found_and_others_are_not_taken_for_it(found):
     assert speeds[50, 0] / speeds[-1, 0] == pytest.approx(1.0 + drop["value"], abs=0.01)
 
 
+def test_yaw_torque_behind_another_lag_than_thrust(found):
+    assert found[0]["yaw"] is None
+    flights = {k: flight(n, 20.0, hidden=0.004, tau_yaw=0.07) for k, n in (("a", 1), ("b", 2))}
+    drive, _ = identify_rotor_speeds(flights, to_draw(), MASSES)
+    assert drive["time constant"]["value"] == pytest.approx(TAU, rel=0.2)
+    own = drive["yaw"]
+    together = own["time constant"]["value"] + own["delay"]["value"]
+    assert together == pytest.approx(0.07 + DELAY, rel=0.15)
+    assert drive["factors"]["Mz"]["value"] == pytest.approx(0.02, rel=0.1)
+
+
 def test_factors_hold_in_closed_loop(found):
     drive, _ = found
     assert drive["factors"]["Mx"]["value"] == pytest.approx(1.0, abs=0.1)
