@@ -28,7 +28,7 @@ from quasi.identification.shared import shared
 from quasi.model.model import read_model
 from quasi.simulation.tools.rollout import compute_errors, count_steps, hold_states, rollout
 from quasi.tables import read_json, read_made, read_table, write_json
-from quasi.terms.rotor_map import SPEEDS, WARM_UP, used_rows
+from quasi.terms.rotor_map import SPEEDS, WARM_UP_NAMES, used_rows
 
 ROOT = Path(__file__).parents[1]
 STATE = ["roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z"]
@@ -119,7 +119,9 @@ def nanobench(path: str) -> dict:
     model = read_model(folder / "models/nanobench/standalone")
     drive = model.document["rotor speeds"]
     report = {"arms over configured": {axis: drive["factors"][axis] for axis in JOINT_AXES[1:3]}}
-    report |= {k: drive[k] for k in ("form", "time constant", "delay", "relative error", "voltage exponent", *WARM_UP)}
+    report |= {
+        k: drive[k] for k in ("form", "time constant", "delay", "relative error", "voltage exponent", *WARM_UP_NAMES)
+    }
     errors: dict[str, list] = {}
     pooled: dict[str, list] = {}
     for key in model.document["flights"]["validation"]:

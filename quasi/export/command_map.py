@@ -9,7 +9,7 @@ from typing import Any
 
 from quasi.model.commands import map_of
 from quasi.model.model import Model
-from quasi.terms.rotor_map import FORMS, WARM_UP
+from quasi.terms.rotor_map import FORMS, WARM_UP_NAMES
 
 # f of rotor_map.shape by form: x command over the operating command, v = (volts / reference)^n, b and d parameters.
 # MAX, SQRT and N(number) are replaced by what a language calls them
@@ -35,7 +35,9 @@ def constants_of_map(drive: Mapping[str, Any]) -> dict[str, Any]:
         "b": parameters[0] if parameters else 0.0,
         "d": parameters[1] if len(parameters) > 1 else 0.0,
         "highest": 1.0 if drive["input"] == "share" else float("inf"),
-        "warm-up": tuple(float(drive[n]["value"]) for n in WARM_UP) if drive.get(WARM_UP[0]) else (0.0, 1.0),
+        "warm-up": tuple(float(drive[n]["value"]) for n in WARM_UP_NAMES)
+        if drive.get(WARM_UP_NAMES[0])
+        else (0.0, 1.0),
     }
 
 

@@ -20,7 +20,7 @@ from quasi.terms.rotor_map import (
     FORMS,
     RAW,
     TAU_RANGE,
-    WARM_UP,
+    WARM_UP_NAMES,
     WARM_UP_RANGE,
     cold_surplus,
     lagged,
@@ -127,7 +127,7 @@ class JointFit:
         self.form, self.flights, self.airframe = form, flights, airframe
         about = FORMS[form]
         self.names = ("time constant", "delay", *about.names, *(("voltage exponent",) if with_voltage else ()))
-        self.names += WARM_UP if warming else ()
+        self.names += WARM_UP_NAMES if warming else ()
         volts, warm = int(with_voltage), int(warming)
         drop, time = DROP_RANGE, WARM_UP_RANGE
         self.low = np.array([TAU_RANGE[0], DELAY_RANGE[0], *about.low, *[EXPONENT_RANGE[0]] * volts,

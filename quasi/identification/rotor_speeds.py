@@ -35,7 +35,7 @@ from quasi.identification.yaw_fit import fit_yaw
 from quasi.terms.rotor_map import (
     FORMS,
     SPEEDS,
-    WARM_UP,
+    WARM_UP_NAMES,
     raw_commands,
     raw_volts,
     used_rows,
@@ -130,7 +130,7 @@ def _with_warm_up(fit: JointFit, notes: list[str]) -> JointFit:
         return fit  # cold and warm motors cannot be distinguished
     rows = sum(int(f.rows.sum()) for f in fit.flights)
     gain = fit.improvement(warm)
-    penalty = len(WARM_UP) * np.log(rows)
+    penalty = len(WARM_UP_NAMES) * np.log(rows)
     if gain < penalty:
         return fit
     drop, tau = warm.x[-2:]
@@ -224,7 +224,7 @@ def _as_plain(
         "reference voltage": reference,
         "voltage exponent": entry("voltage exponent", "") if fit.with_voltage else None,
         "speeds": {"value": np.sqrt(common / factor).tolist(), "unit": "rad/s"},
-        **{n: entry(n, u) if n in fit.names else None for n, u in zip(WARM_UP, ("", "s"))},
+        **{n: entry(n, u) if n in fit.names else None for n, u in zip(WARM_UP_NAMES, ("", "s"))},
         "time constant": entry("time constant", "s"),
         "delay": entry("delay", "s"),
         "estimated": list(fit.names),

@@ -36,7 +36,7 @@ DELAY_RANGE = (-0.025, 0.1)  # s, as in the identification of actuators; negativ
 EXPONENT_RANGE = (-1.0, 3.0)  # of the voltage; 0 with ideal battery compensation, 1 for duty times volts
 
 
-WARM_UP = ("warm-up drop", "warm-up time constant")  # of a map: share of the speed that cold motors have more, s
+WARM_UP_NAMES = ("warm-up drop", "warm-up time constant")  # of a map: share of the speed that cold motors have more, s
 DROP_RANGE = (0.0, 0.3)  # motors lose speed as they warm; copper gains 30 % of resistance over 75 K
 # s. Faster changes look like those of the battery. On nanobench, R2 of vertical force with one flight left out is
 # highest at 8 s, and level from 4 to 30 s
@@ -163,7 +163,7 @@ def speeds_of(drive: Mapping[str, Any], commands: np.ndarray, volts: np.ndarray 
 def commanded_speeds(drive: Mapping[str, Any], commands: np.ndarray, volts: np.ndarray | None, dt: float) -> np.ndarray:
     """Speeds (N, 4), rad/s, that the rotors follow: `steady_speeds` of motors that warm up. Arguments as there."""
     wanted = steady_speeds(drive, commands, volts)
-    drop, tau = (drive.get(name) for name in WARM_UP)
+    drop, tau = (drive.get(name) for name in WARM_UP_NAMES)
     if not drop:
         return wanted
     commands = np.asarray(commands, float)
@@ -223,7 +223,7 @@ def describe_map(document: Mapping[str, Any]) -> list[str]:
     if drive["voltage exponent"]:
         sentences[0] += f", voltage exponent {drive['voltage exponent']['value']:.2f}"
     if drive.get("warm-up drop"):
-        drop, tau = (drive[name]["value"] for name in WARM_UP)
+        drop, tau = (drive[name]["value"] for name in WARM_UP_NAMES)
         sentences[0] += f", {100 * drop:.1f} % faster with cold motors, which warm up in {tau:.0f} s"
     if drive["scale"]["relative"]:
         sentences.append(f"Rotor speeds are relative; their scale is fixed by a {drive['scale']['from']}")
