@@ -11,9 +11,6 @@ from pathlib import Path
 LIBRARY = str(Path(workflow.basedir).resolve())
 sys.path.insert(0, LIBRARY)
 
-from snakemake.benchmark import benchmarked
-from snakemake.scheduling.job_scheduler import JobScheduler
-from snakemake.script import PythonScript
 from quasi.errors import QuasiError
 from quasi.export.targets import SIMULATOR_NAMES
 from quasi.running.job_log import RUN_VARIABLE, read_reports
@@ -38,6 +35,15 @@ from quasi.running.terminal import (
 )
 from quasi.project.gaps import describe_run_code
 from quasi.project.workflow import Folder
+
+# parts of Snakemake that are no interface: where a later one has moved them, each job starts Python anew and
+# Snakemake's own handler answers SIGTERM
+try:
+    from snakemake.benchmark import benchmarked
+    from snakemake.scheduling.job_scheduler import JobScheduler
+    from snakemake.script import PythonScript
+except ImportError:
+    JobScheduler = PythonScript = None
 
 PROJECT = os.getcwd()  # at the end of a run it is another one
 FAULTS = []
@@ -82,7 +88,8 @@ def print_reports():
 
 MAIN = RUN_VARIABLE not in os.environ
 
-replace_handler(JobScheduler)
+if JobScheduler is not None:
+    replace_handler(JobScheduler)
 
 if MAIN:
     # the main process of a run; processes that it starts find the variable set
@@ -145,6 +152,7 @@ if MAIN and not workflow.output_settings.dryrun:
 # jobs of a cluster start elsewhere
 if (
     MAIN
+    and PythonScript is not None
     and sys.platform == "linux"
     and workflow.local_exec
     and not workflow.output_settings.dryrun
