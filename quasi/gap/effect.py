@@ -236,35 +236,35 @@ class Effect:
     finding: bool = False
 
     def __post_init__(self) -> None:
-        said = f"effect {self.id!r}"
+        where = f"effect {self.id!r}"
         if not isinstance(self.id, str) or not VALID_NAME.fullmatch(self.id):
-            raise ConfigError(f"{said}: the id may hold {NAME_RULE}, and no path; choose another")
+            raise ConfigError(f"{where}: the id may hold {NAME_RULE}, and no path; choose another")
         for word in ("sentence", "equation", "source", "opposite"):
             if not isinstance(getattr(self, word), str):
-                raise ConfigError(f"{said}: {word} is {getattr(self, word)!r}, expected text")
+                raise ConfigError(f"{where}: {word} is {getattr(self, word)!r}, expected text")
         if self.level not in LEVELS:
-            raise ConfigError(f"{said}: level is {self.level!r}, expected one of {', '.join(LEVELS)}")
+            raise ConfigError(f"{where}: level is {self.level!r}, expected one of {', '.join(LEVELS)}")
         if self.parts not in PARTS:
-            raise ConfigError(f"{said}: parts is {self.parts!r}, expected one of {', '.join(PARTS)}")
+            raise ConfigError(f"{where}: parts is {self.parts!r}, expected one of {', '.join(PARTS)}")
         for name, parameter in self.parameters.items():
             if not isinstance(parameter, Parameter):
                 raise ConfigError(
-                    f"{said}, parameter '{name}' is {parameter!r}, expected Parameter(unit, neutral, ...)"
+                    f"{where}, parameter '{name}' is {parameter!r}, expected Parameter(unit, neutral, ...)"
                 )
             if parameter.scope not in SCOPES or not parameter.low < parameter.high:
                 raise ConfigError(
-                    f"{said}, parameter '{name}': expected a scope of {', '.join(SCOPES)} and a range from low to "
+                    f"{where}, parameter '{name}': expected a scope of {', '.join(SCOPES)} and a range from low to "
                     f"high, got {parameter}"
                 )
             neutral = parameter.neutral
             if neutral is not None and not parameter.low <= neutral <= parameter.high:
                 raise ConfigError(
-                    f"{said}, parameter '{name}': neutral is {neutral}, expected a value from {parameter.low} to "
+                    f"{where}, parameter '{name}': neutral is {neutral}, expected a value from {parameter.low} to "
                     f"{parameter.high}; a cause that is not there lies in its range too"
                 )
         if self.starts and (not self.is_nonlinear or len(self.parameters) != 1 or not all(self.starts)):
             raise ConfigError(
-                f"{said}: starts = {self.starts}, expected sizes other than 0 of its only parameter, and the whole "
+                f"{where}: starts = {self.starts}, expected sizes other than 0 of its only parameter, and the whole "
                 "effect ('full_effect' or 'nonlinear_terms')"
             )
 
