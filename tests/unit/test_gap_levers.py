@@ -7,8 +7,9 @@ from made_model import simple_model
 
 from quasi.gap.catalogue import catalogue, columns_of, wrench_of
 from quasi.gap.effect import vehicle_of
+from quasi.gap.extension import extend
 from quasi.gap.flights.evidence import Evidence, model_wrench, rotor_levers
-from quasi.model.model import AXES
+from quasi.model.model import AXES, Model
 
 THRUST, TORQUE, MASS, HOVER = 2.4e-7, 3e-9, 0.43, 2100.0
 SHRUNK = {
@@ -68,3 +69,18 @@ def test_one_rotor_acts_by_the_model_s_slope_in_every_row_not_by_that_in_hover()
     hover = (factor**-2.0 - 1.0) * wrench_of(catalogue()["rotor_effectiveness"].terms(vehicle)["rotor2"], scaled)[:, 3]
     left, left_by_levers = (np.std(residual - c) / np.std(residual) for c in (column, hover))
     assert left < 0.1 < 0.5 * left_by_levers
+
+
+def test_an_extended_model_is_the_model_at_the_speeds_that_its_rotors_act_with():
+    every = {"w_avg^2": 2e-7, "d_w2*|u_q|": 3e-8, "mu_x*u": 0.4, "|w_tot|*sin[roll]": 1e-5, "w2_3/w1": 1e-4, "u": -0.02}
+    model = simple_model(
+        AIRFRAME, THRUST, TORQUE, Fz={**every, "w1^2 + w2^2 + w3^2 + w4^2": -THRUST},
+        Mx={"U_p": 1e-8, "u_r*q": 1e-6, "u_p*d_w_tot": 1e-9}, My={"U_q*mu_z": 1e-8, "d_w_tot*U_q": 1e-12},
+    )  # fmt: skip
+    effect, shares = catalogue()["rotor_effectiveness"], {"rotor2": -0.12, "rotor4": 0.2}
+    extended = Model(extend(model, [(effect, shares)], vehicle_of(model, MASS), "extended", "a test"))
+    acting = np.sqrt([1.0, 0.88, 1.0, 1.2])
+    rng = np.random.default_rng(1)
+    for state, speeds in zip(rng.standard_normal((20, 9)), rng.uniform(0.8, 1.2, (20, 4)) * HOVER):
+        found, true = (np.concatenate(m.predict(state, w)) for m, w in ((extended, speeds), (model, acting * speeds)))
+        np.testing.assert_allclose(found[2:5], true[2:5], rtol=1e-9, atol=1e-12)

@@ -1,19 +1,36 @@
 """One rotor weaker than the others.
 
-A rotor of effectiveness e acts as one whose squared speed is e times the logged one. The fit takes what the model makes
-of that in every row. Its levers of hover, which the extended model's terms have, are the mean of it: terms such as the
-change of all rotors times a difference let them differ by a third from row to row. With levers of hover the deviations
-of rotors planted in real recordings came out 10 to 18 % too small, with the slopes of each row within 5 %.
+A rotor of effectiveness e acts as one whose squared speed is e times the logged one, in the fit and in the extended
+model. Levers of hover are only the mean of that: terms such as the change of all rotors times a difference let them
+differ by a third from row to row. With levers of hover the deviations of rotors planted in real recordings came out 10
+to 18 % too small, with the slopes of each row within 5 %.
 """
+
+from collections.abc import Mapping
 
 import numpy as np
 
-from quasi.gap.effect import Effect, Parameter, Terms, Values, Vehicle, number, thrust_wrench, total, vehicle_of
+from quasi.airframe import Airframe
+from quasi.gap.effect import (
+    Effect,
+    Extension,
+    Parameter,
+    Terms,
+    Values,
+    Vehicle,
+    number,
+    thrust_wrench,
+    total,
+    vehicle_of,
+)
 from quasi.gap.flights.evidence import Evidence
-from quasi.model.model import ROTORS
+from quasi.model.model import ROTORS, Model
+from quasi.terms.expressions import Tree, parse, text
+from quasi.terms.variables import SYNONYMS, split_function
 
 SLOPES_KNOWN = 0.05  # share, from rotors planted in real recordings: docs/measured.md
 THRUST = slice(2, 5)  # Fz, Mx, My: Fx and Fy of rotor speeds come from an IMU next to the configured place
+THRUST_AXES = ("Fz", "Mx", "My")
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
@@ -38,6 +55,66 @@ def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
     return result
 
 
+def _extension(values: Values, vehicle: Vehicle, model: Model) -> Extension:
+    """The model's own terms of thrust at the speeds that the rotors act with, in place of those at logged speeds."""
+    effective = _effective_speeds(model.airframe, [1.0 + values[f"rotor{i}"] for i in range(1, 5)])
+    terms: dict[str, list[tuple[str, float]]] = {}
+    for name, parts in _terms(vehicle).items():
+        if values[name]:
+            terms.setdefault("Mz", []).append((parts["Mz"], values[name]))
+    for axis in THRUST_AXES:
+        for term in model.document["axes"].get(axis, {"terms": []})["terms"]:
+            tree = parse(term["expression"])
+            acting = _replace(tree, effective)
+            if acting != tree and term["coefficient"] and not term.get("stands for"):
+                pair = [(text(acting), term["coefficient"]), (term["expression"], -term["coefficient"])]
+                terms.setdefault(axis, []).extend(pair)
+    return Extension(terms=terms)
+
+
+def _effective_speeds(frame: Airframe, e: list[float]) -> dict[str, Tree]:
+    """{variable: its expression in logged speeds}, of squared speeds that act e times as large, (4,)."""
+    weights = {"w_tot": (1.0,) * 4, "u_p": frame.left, "u_q": frame.front, "u_r": frame.spin}
+    each = {f"w{i}": np.eye(4)[i - 1] for i in range(1, 5)}
+
+    def beyond(weight: np.ndarray, gain: np.ndarray, power: int) -> str:
+        parts = [
+            f" + {number(w * g)}*w{i}^{power}" for i, w, g in zip(range(1, 5), np.asarray(weight, float), gain) if w * g
+        ]
+        return "".join(parts)
+
+    speed, square = np.sqrt(np.array(e)) - 1.0, np.array(e) - 1.0
+    found = {name: name + beyond(weight, speed, 1) for name, weight in {**weights, **each}.items()}
+    found |= {
+        f"d_{name}": f"d_{name}" + beyond(weights.get(name, each.get(name)), speed, 1) for name in (*each, "w_tot")
+    }
+    found |= {f"w2_{i}": f"w2_{i}" + beyond(each[f"w{i}"], square, 2) for i in range(1, 5)}
+    found |= {f"U_{a}": f"U_{a}" + beyond(weights[f"u_{a}"], square, 2) for a in "pqr"}
+    average = f"(w_avg^2{beyond(np.full(4, 0.25), square, 2)})^0.5"
+    found["w_avg"] = average
+    found |= {name: f"{name}*w_avg/{average}" for name in ("mu_x", "mu_y", "mu_z", "mu_vin")}
+    return {name: parse(f"({expression})") for name, expression in found.items() if expression != name}
+
+
+def _replace(tree: Tree, by: Mapping[str, Tree]) -> Tree:
+    """A tree with names replaced; |a| becomes the root of its square, sines and cosines stay."""
+    kind = tree[0]
+    if kind == "name":
+        function, inner = split_function(tree[1])
+        synonym = SYNONYMS.get(inner, ("", ""))
+        inner = synonym[1] if synonym[0] == "name" else inner
+        if inner not in by or function not in (None, "abs"):
+            return tree
+        if function is None:
+            return by[inner]
+        return ("power", ("power", by[inner], ("number", 2.0)), ("number", 0.5))
+    if kind in ("sum", "product"):
+        return (kind, tuple((sign, _replace(part, by)) for sign, part in tree[1]))
+    if kind in ("negative", "power"):
+        return (kind, *(_replace(part, by) for part in tree[1:]))
+    return tree
+
+
 EFFECT = Effect(
     id="rotor_effectiveness",
     level="forces",
@@ -50,6 +127,7 @@ EFFECT = Effect(
     tie_breaker="heave with a large range of thrust, and steps of each axis",
     terms=_terms,
     columns=_columns,
+    extension=_extension,
     absent_when_healthy=True,
     form_uncertainty=SLOPES_KNOWN,
 )
