@@ -295,9 +295,19 @@ class _Search:
             and t.wald < form_error * self.rules.overlap(strongest, t.offer.cause)
         ):
             return f"it explains so little that it may be the error of the form of {strongest.offer.cause}"
-        if not profile.is_possible(t):
+        if not profile.is_possible(t) and not self._is_absent(t, profile):
             return "its size would be outside what is physical"
         return "" if profile.has_leading_deviation(t) else "only its accompanying parameters differ"
+
+    def _is_absent(self, t: Test, profile: Profile) -> bool:
+        """Whether a change is that reference flights show the cause and the compared ones less of it: what each have
+        by themselves is physical, and the references' part is significant."""
+        if t.offer.since != "changed":
+            return False
+        parts = [t.offer._replace(since=since) for since in ("reference", "changed")]
+        others = [n for n in self.pooled if n != t.offer.cause]
+        seen, left = (self.mixed.test(a, [*self.given, b], others) for a, b in (parts, parts[::-1]))
+        return seen.p < self.level and profile.is_possible(seen) and profile.is_possible(left)
 
     def _duplicates(self, offer: Candidate) -> bool:
         """Whether an offer is, or spans, what no data tell from an accepted cause: the two of them, large and

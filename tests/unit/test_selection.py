@@ -203,6 +203,23 @@ def test_an_estimate_outside_its_physical_range_is_not_named():
     assert names.rejected[Candidate("a", "always", (0,))] == "its size would be outside what is physical"
 
 
+@pytest.mark.parametrize("shown", [True, False], ids=["references show it", "nobody shows it"])
+def test_a_change_below_zero_is_physical_where_reference_flights_show_the_cause(shown):
+    rng = np.random.default_rng(9)
+    compared = [False] * 4 + [True] * 4
+    planted = [not c for c in compared] if shown else compared
+    grams, _ = flights(rng, 8, {3: 0.5 if shown else -0.5}, planted)
+    within = {"a": Limits([(0.0, 10.0)])}
+    names = select(MixedModel(grams, compared, LAYOUT), effects(), ("changed",), 0.01, within=within)
+    found = {n.test.offer: n.test for n in names.named}
+    change = Candidate("a", "changed", (0,))
+    assert (change in found) == shown
+    if shown:
+        assert found[change].value[0] == pytest.approx(-0.5, abs=3.0 * found[change].std[0])
+    else:
+        assert names.rejected[change] == "its size would be outside what is physical"
+
+
 @pytest.mark.parametrize("about", [0, 1])
 def test_a_cause_is_named_by_a_parameter_that_it_is_about_not_by_one_that_accompanies(about):
     rng = np.random.default_rng(10)

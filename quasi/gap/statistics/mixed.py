@@ -38,7 +38,10 @@ RIDGE = 1e-9  # of scaled columns, so that interchangeable ones share instead of
 
 
 class Candidate(NamedTuple):
-    """A cause, the flights it is offered to ("always": all, "changed": the compared ones), which of its parameters."""
+    """A cause, the flights it is offered to, which of its parameters.
+
+    since  "always": all flights, "changed": the compared ones, "reference": the others
+    """
 
     cause: str
     since: str
@@ -200,6 +203,8 @@ class MixedModel:
 
     def offered(self, since: str) -> np.ndarray:
         """(F,) bool: flights that a cause is offered to."""
+        if since == "reference":
+            return ~self.compared
         return self.compared if since == "changed" else np.ones(len(self.compared), bool)
 
     def pooled(self, since: str | Sequence[str]) -> list[str]:

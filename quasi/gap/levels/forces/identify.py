@@ -138,6 +138,11 @@ def _fewest(
     """The fewest of the causes that changed that explain as much as all of them, and the ties that are left then."""
     changed, beside = ([c for c in kept if c.since == since] for since in ("changed", "always"))
 
+    def possible(c: Cause) -> bool:
+        return Profile.of(c.effect, within.get(c.effect.id)).is_possible(c.test)
+
+    absent = {c.test.offer for c in kept if not possible(c)}  # the search found that reference flights have more of it
+
     def tied(of: Sequence[Cause]) -> list[tuple[str, Tie]]:
         """The ties whose first is among some causes, and those of what all flights show, which are not chosen from."""
         return [tie for tie in ties if tie[0] == "always" or any(_stands_for(c, *tie) for c in of)]
@@ -145,8 +150,7 @@ def _fewest(
     def estimated(of: Sequence[Cause]) -> list[Cause] | None:
         offers = {*offers_of([], tied(of)), *(c.test.offer for c in (*of, *beside))}
         found = merged([Named(c.test, c.rivals) for c in of], asked, sought.mixed, sorted(offers, key=str))
-        physical = (Profile.of(c.effect, within.get(c.effect.id)).is_possible(c.test) for c in found)
-        return found if all(physical) else None
+        return found if all(possible(c) or c.test.offer in absent for c in found) else None
 
     fewer = simplest(
         changed, estimated, lambda of: judge.score([*beside, *of], bool(beside)), judge.old, judge.floor, judge.share,
