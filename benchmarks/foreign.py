@@ -1,0 +1,330 @@
+"""Flights of foreign simulators: does a gap name the one parameter that was changed in them, and nothing else?
+
+    python benchmarks/foreign.py PLACE OUT [--simulators rotorpy mujoco] [--cases mass ...] [--seeds 1 2] [--record]
+
+PLACE is a folder with the simulators (`pip install --target PLACE --no-deps rotorpy mujoco`), which are no dependency
+of quasi. For each simulator and seed, OUT holds one project folder, as a lab would have it: four reference flights,
+and five flights per case, two of them held out. Each case changes one parameter of the simulator, or of the sensors
+when the logs are written. The workflow imports, filters, identifies and compares. Flights and results stay in OUT, so
+that a second run makes only what is missing.
+"""
+
+import argparse
+import importlib
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from foreign_flights import Motion, Sensors, Vehicle, film, measure, write_arrays, write_csv, write_vicon
+from foreign_pilot import course
+from measured_table import record
+
+ROOT = Path(__file__).resolve().parents[1]
+REFERENCES, COMPARED, HELD_OUT = 4, 5, 2
+COLUMNS = (
+    "Flight key,Quadrotor,Flight controller,Mass,Batteries,Drone Config File,Drone Config Path,Onboard Name,OB Path,"
+    "Has OT data,Raw OptiTrack Name,Raw OT Path,Rigid Body Name"
+)
+
+
+class Case(NamedTuple):
+    """One hidden cause.
+
+    right   ids of which one must be named or stand in a tie; empty where the catalogue has none: nothing may be named
+    also    ids that are true as well, or that import settles; they are no wrong names
+    value   {parameter: true value} of the first right id
+    change  keywords of the simulator's `fly`; sensors  of `Sensors`
+    may_miss  whether `agrees` is right too: import or filter takes the cause off, or it is below what flights show
+    """
+
+    right: tuple[str, ...] = ()
+    also: tuple[str, ...] = ()
+    value: Mapping[str, float] = {}
+    change: Mapping[str, Any] = {}
+    sensors: Mapping[str, Any] = {}
+    may_miss: bool = False
+    unexplained: bool = False
+
+
+def scaled(**factors: float) -> dict[str, Any]:
+    """Parameters of RotorPy times factors."""
+
+    def change(p: dict[str, Any]) -> None:
+        for key, factor in factors.items():
+            p[key] = p[key] * factor
+
+    return {"change": change}
+
+
+def rotorpy_cases() -> dict[str, Case]:
+    """One parameter of RotorPy each, and faults of sensors."""
+    from foreign_rotorpy import moved, parameters
+
+    p = parameters()
+    shift = (0.006, -0.004, 0.0)  # m, forward and to the right
+
+    def shifted(document: dict[str, Any]) -> None:
+        moved(document, shift)
+
+    # what sits on the frame moves backwards against the cg
+    frame = {"imu": (-0.006, 0.004, 0.0), "markers": (-0.006, 0.004, 0.03)}
+    return {
+        "clean": Case(may_miss=True),
+        "mass x 1.08": Case(("mass",), value={"mass": 1.08 * p["mass"]}, change=scaled(mass=1.08)),
+        "rotor 3 x 0.93": Case(("rotor_effectiveness",), value={"rotor3": 0.93}, change={"weak": {3: 0.93}}),
+        "thrust x 0.95": Case(("thrust_factor",), value={"factor": 0.95}, change=scaled(k_eta=0.95)),
+        "torque x 1.2": Case(unexplained=True, change=scaled(k_m=1.2)),
+        "inertia x 1.2": Case(("inertia",), value={"Ixx": 1.2 * p["Ixx"], "Iyy": 1.2 * p["Iyy"], "Izz": 1.2 * p["Izz"]},
+                              change=scaled(Ixx=1.2, Iyy=1.2, Izz=1.2)),
+        "cg moved": Case(("cg_offset",), ("imu_lever_arm", "marker_offset"), {"x": shift[0], "y": -shift[1]},
+                         {"change": shifted}, frame),
+        "rotor drag x 2": Case(("rotor_drag",), value={"k": p["k_d"]}, change=scaled(k_d=2.0)),
+        "body drag x 6": Case(("body_drag",), value={"c": 5 * p["c_Dx"]}, change=scaled(c_Dx=6.0, c_Dy=6.0, c_Dz=6.0)),
+        "wind 3 m/s": Case(("wind",), value={"north": 2.4, "east": -1.8}, change={"wind": (2.4, 1.8, 0.0)}),
+        "motor lag x 2": Case(("motor_lag",), value={"time_constant": 0.04}, change=scaled(tau_m=2.0)),
+        **sensor_cases(),
+        "inflow x 2": Case(("axial_inflow",), value={"k": p["k_z"]}, change=scaled(k_z=2.0)),
+        "lift x 3": Case(("translational_lift",), value={"k": 8 * p["k_h"]}, change=scaled(k_h=3.0)),
+    }  # fmt: skip
+
+
+def sensor_cases() -> dict[str, Case]:
+    """Faults made when the logs are written."""
+    scale = dict.fromkeys("xyz", 1.04)
+    late = ("mocap_delay",)  # as a whole it equals the offset of two clocks, which import takes off
+    bias = (0.4, -0.3, 0.3)
+    return {
+        "gyro x 1.04": Case(("gyro_scale",), value=scale, sensors={"gyro_scale": 1.04}),
+        "capture 8 ms late": Case(late, sensors={"capture_delay": 0.012}, may_miss=True),
+        "attitude 8 ms late": Case(late, value={"delay": 0.008}, sensors={"attitude_delay": 0.008}),
+        "accelerometer bias": Case(("accelerometer_bias",), value={"x": bias[0], "y": -bias[1], "z": -bias[2]},
+                                   sensors={"accelerometer_bias": bias}),
+        "markers 10 mm ahead": Case(("marker_offset",), value={"x": 0.01}, sensors={"markers": (0.01, 0.0, 0.03)}),
+    }  # fmt: skip
+
+
+def mujoco_cases() -> dict[str, Case]:
+    """One value of MuJoCo's compiled model each, and faults of sensors."""
+    from foreign_mujoco import INERTIA, MASS
+
+    def multiplied(field: str, factor: float) -> dict[str, Any]:
+        def change(model: Any) -> None:
+            setattr(model, field, getattr(model, field) * factor)
+
+        return {"change": change}
+
+    def blowing(model: Any) -> None:
+        model.opt.wind[:] = (2.4, 1.8, 0.0)
+
+    def dense(model: Any) -> None:
+        model.opt.density *= 3.0
+
+    return {
+        "clean": Case(may_miss=True),
+        "mass x 1.08": Case(("mass",), value={"mass": 1.08 * MASS}, change=multiplied("body_mass", 1.08)),
+        "inertia x 1.2": Case(("inertia",), value=dict(zip(("Ixx", "Iyy", "Izz"), 1.2 * np.array(INERTIA))),
+                              change=multiplied("body_inertia", 1.2)),
+        # the frame's sensors stay, so the IMU and the markers are away from the cg as well
+        "cg moved": Case(("cg_offset",), ("imu_lever_arm", "marker_offset"), {"x": 0.006, "y": 0.004},
+                         {"cg": (0.006, -0.004, 0.0)}),
+        "wind 3 m/s": Case(("wind",), value={"north": 2.4, "east": -1.8}, change={"change": blowing}),
+        "density x 3": Case(("body_drag",), ("translational_lift",), change={"change": dense}),
+        **sensor_cases(),
+    }  # fmt: skip
+
+
+SIMULATORS = {"rotorpy": rotorpy_cases, "mujoco": mujoco_cases}
+
+
+def slug(name: str) -> str:
+    """A case's name in file names."""
+    return name.replace(" ", "-").replace("/", "").replace(".", "")
+
+
+def write_flight(folder: Path, simulator: str, key: str, seeds: tuple[int, int], case: Case) -> None:
+    """Fly, and write log and capture, where they are not there yet; seeds of the course and of the sensors."""
+    module = importlib.import_module(f"foreign_{simulator}")
+    arrays = module.vehicle().arrays
+    onboard, capture = folder / f"data/raw/{key}.{'npz' if arrays else 'csv'}", folder / f"data/raw/{key}-capture.csv"
+    if onboard.is_file():
+        return
+    onboard.parent.mkdir(parents=True, exist_ok=True)
+    motion = flown(folder / f"motions/{seeds[0]}.npz", module, seeds[0], case)
+    rng, sensors = np.random.default_rng(seeds[1]), Sensors(**{**module.SENSORS, **case.sensors})
+    board, poses = measure(motion, sensors, rng), film(motion, sensors, rng)
+    if arrays:
+        write_arrays(onboard, board, poses)
+    else:
+        write_vicon(capture, poses)
+        write_csv(onboard, board)
+
+
+def flown(path: Path, module: Any, seed: int, case: Case) -> Motion:
+    """The motion of a course; that of cases which change the sensors alone is flown once."""
+    if path.is_file():
+        with np.load(path) as held:
+            return Motion(**held)
+    motion = module.fly(course(seed), **case.change)
+    path.parent.mkdir(exist_ok=True)
+    np.savez(path, **asdict(motion))
+    return motion
+
+
+def write_project(folder: Path, simulator: str, seed: int, cases: Mapping[str, Case]) -> None:
+    """Flights, logbook, quadrotor and the configurations of processing, model and gaps."""
+    vehicle: Vehicle = importlib.import_module(f"foreign_{simulator}").vehicle()
+    numbers = list(SIMULATORS[simulator]())
+    keys = [f"reference-{i + 1}" for i in range(REFERENCES)]
+    for i, key in enumerate(keys):
+        write_flight(folder, simulator, key, (1000 * seed + i, 1000 * seed + i), Case())
+    rows: dict[str, list[int]] = {}
+    for name, case in cases.items():
+        own = [f"{slug(name)}-{i + 1}" for i in range(COMPARED)]
+        for i, key in enumerate(own):
+            own_seed = 1000 * seed + 20 * (1 + numbers.index(name)) + i
+            flown_seed = own_seed if case.change else 1000 * seed + 20 + i
+            write_flight(folder, simulator, key, (flown_seed, own_seed), case)
+        rows[name] = list(range(2 + len(keys), 2 + len(keys) + COMPARED))
+        keys += own
+    line = "{0},{1},table,{2:g},1,vehicle,data,{0},data/raw,"
+    line += "N,,," if vehicle.arrays else "Y,{0}-capture,data/raw,Quad"
+    text = "\n".join([COLUMNS, *(line.format(k, vehicle.name, 1000 * vehicle.mass) for k in keys), ""])
+    write_changed(folder / "data/logbook.csv", text)
+    flown = {"directory": "data", "filename": "logbook"}
+    references = list(range(2, 2 + REFERENCES))
+    documents: dict[str, Any] = {
+        "data/vehicle.json": vehicle.document(),
+        "config/processing.json": {"logging file": {**flown, "rows of flights to use (all)": [f"2-{len(keys) + 1}"]}},
+        "config/models/base.json": {
+            "logging file": {**flown, "rows of flights to use (all)": references,
+                             "rows of flights for validation": references[-1:]},
+            "filtered data save directory": "withGravity",
+            "identification parameters": {"polynomial specification file": "physical"},
+        },
+    }  # fmt: skip
+    for name, own in rows.items():
+        documents[f"config/gaps/{slug(name)}.json"] = {
+            "model": "base", "extended model ID": f"base-{slug(name)}",
+            "logging file": {**flown, "rows of flights to compare (all)": own,
+                             "rows of flights held out": own[-HELD_OUT:], "rows of reference flights": references},
+        }  # fmt: skip
+    for path, content in documents.items():
+        write_changed(folder / path, json.dumps(content, indent=1))
+    write_changed(folder / "config/config.yaml", "{}\n")
+
+
+def is_flown(folder: Path, name: str) -> bool:
+    """Whether all flights of a case are there."""
+    return any((folder / "data/raw").glob(f"{slug(name)}-{COMPARED}.*"))
+
+
+def write_changed(path: Path, text: str) -> None:
+    """Write a file that is new or differs, so that the workflow repeats no more than it must."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not path.is_file() or path.read_text() != text:
+        path.write_text(text)
+
+
+def diagnose(folder: Path, name: str) -> dict[str, Any]:
+    """The diagnosis that the workflow makes of a case."""
+    target = f"results/gaps/{slug(name)}/diagnosis.json"
+    command = [sys.executable, "-m", "snakemake", "-s", str(ROOT / "Snakefile"), "-d", str(folder), "-j1", target]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
+    if done.returncode:
+        raise SystemExit(f"{folder}, {name}: the workflow failed\n{done.stdout[-3000:]}\n{done.stderr[-5000:]}")
+    return json.loads((folder / target).read_text())
+
+
+def judge(case: Case, found: Mapping[str, Any]) -> dict[str, Any]:
+    """What is right: {"verdict", "named", "ties", "wrong", "hit", "score"}.
+
+    A name is wrong where neither `right` nor `also` holds it, a tie where no member is there. What reference flights
+    show as well (`since` is always) is judged like any other name.
+    """
+    named = {e["id"]: e for e in found["effects"]}
+    ties = [t["ids"] for t in found["ties"]]
+    true = {*case.right, *case.also}
+    wrong = [i for i in named if i not in true] + ["/".join(t) for t in ties if not true & set(t)]
+    hit = any(i in named for i in case.right)
+    tied = any(set(case.right) & set(t) for t in ties)
+    if case.unexplained:
+        hit = bool(found["unexplained"])
+    if wrong:
+        score = "WRONG NAME" if case.right or case.unexplained else "FALSE ALARM"
+    elif hit or tied:
+        score = "right" if hit else "right, in a tie"
+    elif case.may_miss and found["verdict"] == "agrees":
+        score = "right"
+    else:
+        score = "missed" if case.right or case.unexplained else "FALSE ALARM"
+    return {"verdict": found["verdict"], "named": list(named), "ties": ties, "wrong": wrong, "score": score}
+
+
+def show(title: str, case: Case, found: Mapping[str, Any], result: Mapping[str, Any], seconds: float) -> None:
+    """Print what was found of a case."""
+    print(f"{title}: {result['score']} ({found['verdict']}, {seconds:.0f} s)")
+    for e in found["effects"]:
+        mark = "wrong " if e["id"] in result["wrong"] else ""
+        values = []
+        for k, p in e["parameters"].items():
+            known = case.value.get(k) if e["id"] in case.right else None
+            values.append(
+                f"{k} {p['value']:.4g} +- {p['std']:.2g}" + (f" (true {known:.4g})" if known is not None else "")
+            )
+        print(f"   {mark}name {e['id']}, {e['since']}, probability {e.get('probability')}: {', '.join(values)}")
+    for tie in found["ties"]:
+        print(f"   tie {' / '.join(tie['ids'])}")
+    for left in found["unexplained"]:
+        print(f"   unexplained {left['channel']} along {left['where']}, share {left['share']}")
+    for loss in found.get("losses", ()):
+        print(f"   loss {loss}")
+    if case.right and result["score"] == "missed":
+        for c in found["candidates"]:
+            if c["id"] in case.right:
+                print(f"   candidate {c['id']}: {c.get('why_not')}")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    """Fly, diagnose, print, and record when asked to."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("place", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--simulators", nargs="*", default=list(SIMULATORS), choices=list(SIMULATORS))
+    parser.add_argument("--cases", nargs="*", default=[], help="parts of names; all without")
+    parser.add_argument("--seeds", nargs="*", type=int, default=[1])
+    parser.add_argument("--record", action="store_true")
+    arguments = parser.parse_args()
+    sys.path.append(str(arguments.place))
+    tally: dict[str, list[str]] = {}
+    for simulator in arguments.simulators:
+        every = SIMULATORS[simulator]()
+        cases = {k: c for k, c in every.items() if not arguments.cases or any(p in k for p in arguments.cases)}
+        for seed in arguments.seeds:
+            folder = arguments.out.resolve() / f"{simulator}-{seed}"
+            for name, case in cases.items():
+                write_project(
+                    folder, simulator, seed, {k: c for k, c in every.items() if k == name or (is_flown(folder, k))}
+                )
+                began = time.perf_counter()
+                found = diagnose(folder, name)
+                result = judge(case, found)
+                show(f"{simulator} {seed}, {name}", case, found, result, time.perf_counter() - began)
+                tally.setdefault(result["score"], []).append(f"{simulator} {seed} {name}")
+    for score, names in tally.items():
+        print(f"{score}: {len(names)}")
+    if arguments.record:
+        record("foreign", {k: len(v) for k, v in tally.items()})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,87 @@
+"""Courses of a lab's flights: hover, circles, lemniscates, steps, heave, yaw and sprints, ordered by a seed."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+RATE = 250  # Hz
+REST, RISE = 3.0, 2.5  # s
+HEIGHT = 1.2  # m
+
+
+class Course(NamedTuple):
+    """Wanted position (n, 3) m, velocity, acceleration, yaw (n,) rad and its rate, world z up; armed (n,)."""
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    yaw: np.ndarray
+    yaw_rate: np.ndarray
+    armed: np.ndarray
+
+
+def blend(t: np.ndarray, length: float) -> np.ndarray:
+    """From 0 to 1 in `length` s, with two continuous derivatives."""
+    s = np.clip(t / length, 0.0, 1.0)
+    return s**3 * (10 - 15 * s + 6 * s**2)
+
+
+def there_and_back(t: np.ndarray, length: float, ramp: float) -> np.ndarray:
+    """0, then 1, then 0 again at `length`."""
+    return blend(t, ramp) - blend(t - length + ramp, ramp)
+
+
+def manoeuvre(kind: str, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Smooth path (n, 3), jumps of the wanted position (n, 3) and yaw (n,)."""
+    length = {"hover": 2.5, "circle": 6.0, "lemniscate": 6.0, "heave": 5.0, "sprint x": 5.0, "sprint y": 5.0}.get(
+        kind, 4.0
+    )
+    t = np.arange(0.0, length, 1 / RATE)
+    path, jump, yaw = np.zeros((len(t), 3)), np.zeros((len(t), 3)), np.zeros(len(t))
+    window, sign = there_and_back(t, length, 1.2), rng.choice([-1.0, 1.0])
+    if kind == "circle":
+        radius, angle = rng.uniform(0.7, 1.1), sign * rng.uniform(2.0, 2.6) * t
+        path[:, 0], path[:, 1] = radius * window * np.cos(angle), radius * window * np.sin(angle)
+    elif kind == "lemniscate":
+        size, angle = rng.uniform(1.2, 1.6), rng.uniform(1.5, 1.9) * t
+        path[:, 0], path[:, 1] = size * window * np.sin(angle), sign * size / 2 * window * np.sin(2 * angle)
+    elif kind == "heave":
+        rate = np.linspace(0.4, rng.uniform(0.9, 1.1), len(t))
+        path[:, 2] = 0.22 * window * np.sin(2 * np.pi * np.cumsum(rate) / RATE)
+    elif kind.startswith("sprint"):
+        path[:, "xy".index(kind[-1])] = sign * rng.uniform(2.2, 2.8) * there_and_back(t, length, 1.7)
+    elif kind == "yaw":
+        yaw = sign * rng.uniform(0.5, 0.8) * window * np.sin(2 * np.pi * rng.uniform(0.35, 0.5) * t)
+        yaw += sign * rng.uniform(0.3, 0.4) * there_and_back(t - 1.0, 2.0, 0.5)
+    elif kind.startswith("steps"):
+        size = {"x": 0.5, "y": 0.5, "z": 0.25}[kind[-1]]
+        jump[:, "xyz".index(kind[-1])] = (
+            sign * size * np.where((t > 0.5) & (t < 1.6), 1.0, np.where((t > 1.6) & (t < 2.7), -0.7, 0.0))
+        )
+    return path, jump, yaw
+
+
+KINDS = ("hover", "circle", "lemniscate", "steps x", "steps y", "steps z", "heave", "yaw", "sprint x", "sprint y")
+
+
+def course(seed: int) -> Course:
+    """Rest, rise, eight or nine manoeuvres of the ten, landing and rest: about 45 s at 250 Hz."""
+    rng = np.random.default_rng(seed)
+    kinds = [k for k in rng.permutation(KINDS) if k not in rng.choice(["hover", "heave", "circle", "lemniscate"], 1)]
+    parts = [manoeuvre(k, rng) for k in kinds]
+    path, jump, yaw = (np.concatenate([p[i] for p in parts]) for i in range(3))
+    up = np.arange(0.0, RISE, 1 / RATE)
+    rest, land, end = int(REST * RATE), len(up), int(1.2 * RATE)
+    zeros = np.zeros((rest + land, 3))
+    path = np.concatenate([zeros, path, np.zeros((land + end, 3))])
+    jump = np.concatenate([zeros, jump, np.zeros((land + end, 3))])
+    yaw = np.concatenate([zeros[:, 0], yaw, np.zeros(land + end)])
+    yaw = yaw + rng.uniform(-3.0, 3.0) * blend(np.arange(len(yaw)) / RATE - REST - RISE, len(yaw) / RATE - 10.0)
+    lift = np.concatenate([np.zeros(rest), blend(up, RISE), np.ones(len(path) - rest - 2 * land - end)])
+    path[:, 2] += HEIGHT * np.concatenate([lift, 1 - blend(up, RISE), np.full(end, -0.02)])
+    velocity = np.gradient(path, 1 / RATE, axis=0)
+    armed = np.ones(len(path), bool)
+    armed[:rest] = armed[-end // 2 :] = False
+    return Course(
+        path + jump, velocity, np.gradient(velocity, 1 / RATE, axis=0), yaw, np.gradient(yaw, 1 / RATE), armed
+    )
