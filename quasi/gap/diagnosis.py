@@ -10,9 +10,8 @@ import pandas as pd
 from quasi.errors import DataError
 from quasi.gap.base_model import Worth, worth_of
 from quasi.gap.constant_loads import constant_force_tie
-from quasi.gap.effect import Effect, room_of, vehicle_of
+from quasi.gap.effect import Effect, as_flown, room_of, vehicle_of
 from quasi.gap.entries import (
-    as_flown,
     candidates,
     deviations,
     gain_entry,

@@ -15,6 +15,7 @@ import numpy as np
 from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.errors import ConfigError
 from quasi.gap.flights.evidence import Evidence, rotor_levers
+from quasi.model.extensions import compute_flight_inertia, compute_flight_mass
 from quasi.model.model import Model
 from quasi.project.logbook import NAME_RULE, VALID_NAME
 
@@ -191,6 +192,9 @@ class Effect:
     extension     (values, vehicle, model) -> Extension, where terms do not say it
     parts         how parameters may be found: "any" one alone or all; "all" only together; "first" the first few;
                   "one" a single one, the likeliest; "next" one after the other, each beside those before it
+    exact         (deviations of the linear fit, vehicle as flown) -> deviations, where the cause divides by its own
+                  parameter: its columns hold the model's wrench, which the true mass or inertia would have turned into
+                  other accelerations
     reported      (deviations, standard errors) -> {name: Size} to report instead of the parameters that are fitted
     starts        sizes of the one parameter of a cause that bends so much that its slope at nothing hardly shows it: it
                   is looked for by the whole effect of one of them, the likeliest, see
@@ -222,6 +226,7 @@ class Effect:
     full_effect: Callable[[Evidence, Vehicle, Values], np.ndarray] | None = None
     corrected: Callable[[Evidence, Values], Evidence] | None = None
     extension: Callable[[Values, Vehicle, Model], Extension] | None = None
+    exact: Callable[[Values, Vehicle], Values] | None = None
     reported: Callable[[Values, Values], dict[str, Size]] | None = None
     starts: tuple[float, ...] = ()
     sums: Callable[[Vehicle], list[tuple[Values, float]]] | None = None
@@ -327,6 +332,15 @@ def vehicle_of(
         room,
         rotor_levers(model, mass),
     )
+
+
+def as_flown(vehicle: Vehicle, flights: Sequence[Evidence]) -> Vehicle:
+    """The vehicle with its mass and inertia in these flights, as far as they are known: their residuals tell others."""
+    if not flights:
+        return vehicle
+    known = [mass for e in flights if (mass := compute_flight_mass(e.model, e.mass)) is not None]
+    vehicle = vehicle._replace(inertia=np.mean([compute_flight_inertia(e.model, e.inertia) for e in flights], axis=0))
+    return vehicle._replace(mass=float(np.mean(known))) if known else vehicle
 
 
 def _drawn(simple: Mapping[str, Mapping[str, float]], mass: float, radius: float) -> float:

@@ -6,12 +6,10 @@ from typing import Any
 import numpy as np
 
 from quasi.gap.effect import Effect, Vehicle
-from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.corrections import uncorrected
 from quasi.gap.levels.forces.identify import Found
 from quasi.gap.levels.forces.materiality import Cause
 from quasi.gap.levels.rollouts.confirmation import Settled
-from quasi.model.extensions import compute_flight_mass
 
 # shares of resamples in which a cause alone, the strongest of several, another one must be found again
 ALONE, SURE, BESIDE = 0.2, 0.5, 0.8
@@ -38,12 +36,6 @@ def needed(cause: Cause, found: Found) -> float:
 def deviations(effect: Effect, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
     """Deviations from neutral of parameters as they are stated."""
     return {n: p["value"] - (effect.parameters[n].neutral or 0.0) for n, p in parameters.items()}
-
-
-def as_flown(vehicle: Vehicle, flights: Sequence[Evidence]) -> Vehicle:
-    """The vehicle with its mass in these flights, as far as it is known: their residuals tell another one."""
-    known = [mass for e in flights if (mass := compute_flight_mass(e.model, e.mass)) is not None]
-    return vehicle._replace(mass=float(np.mean(known))) if known else vehicle
 
 
 def truth(effect: Effect, name: str, deviation: float, vehicle: Vehicle) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
 from quasi.gap.effect import EARTH, Effect, Extension, Values, Vehicle
-from quasi.model.extensions import CONFIGURED_MASS_KEY, read_rotor_constants, wind_of
+from quasi.model.extensions import CONFIGURED_INERTIA_KEY, CONFIGURED_MASS_KEY, read_rotor_constants, wind_of
 from quasi.model.model import AXES, Model
 from quasi.simulation.vehicle.variants import list_part_names, read_payload_and_inflow
 
@@ -76,6 +76,8 @@ def extend(
             document["axes"][axis]["terms"] += [_term(effect.id, text, value, axis, stands) for text, value in parts]
         if "mass" in extension.airframe:
             document.setdefault(CONFIGURED_MASS_KEY, model.airframe.mass)
+        if "inertia" in extension.airframe:
+            document.setdefault(CONFIGURED_INERTIA_KEY, np.asarray(model.airframe.inertia, float).tolist())
         for key in ("mass", "inertia"):
             if key in extension.airframe:
                 document["airframe"][key] = extension.airframe[key]

@@ -17,7 +17,8 @@ from quasi.model.columns import ROTORS
 from quasi.model.model import Model
 from quasi.tables import TELEMETRY_AGE_REMOVED
 
-CONFIGURED_MASS_KEY = "configured mass"  # key of a model's document: mass, kg, with which its flights were processed
+# keys of a model's document: mass, kg, and inertia, kg m2, with which its flights were processed
+CONFIGURED_MASS_KEY, CONFIGURED_INERTIA_KEY = "configured mass", "configured inertia"
 _LAGS = ("time constants", "time constants up", "time constants down")
 _ROTOR_CONSTANTS = (
     "time constant",
@@ -121,6 +122,15 @@ def compute_flight_mass(model: Model, logged: float | None) -> float | None:
     if own is None or configured is None or logged is None or not math.isfinite(logged):
         return own
     return own + (logged - configured)
+
+
+def compute_flight_inertia(model: Model, logged: np.ndarray) -> np.ndarray:
+    """Compute the inertia (3, 3), kg m2, of a vehicle by a model in a flight that was processed with another one.
+
+    The extensions give a difference from the configured inertia; it is added to that of the processing.
+    """
+    own = np.asarray(model.airframe.inertia, float)
+    return own + (logged - np.asarray(model.document.get(CONFIGURED_INERTIA_KEY, own), float))
 
 
 def correct_rotor_speeds(columns: Mapping[str, np.ndarray], late: float, scale: float) -> dict[str, np.ndarray]:

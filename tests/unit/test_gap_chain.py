@@ -10,9 +10,10 @@ from test_gap_extension import CATALOGUE, base_of, flight
 from quasi.errors import ConfigError
 from quasi.export.contents import actuators_of as exported_rotors
 from quasi.export.contents import voltage_of
+from quasi.gap.catalogue import columns_of
+from quasi.gap.causes.inertia import ENTRIES
 from quasi.gap.diagnosis import _weighed
-from quasi.gap.effect import vehicle_of
-from quasi.gap.entries import as_flown
+from quasi.gap.effect import as_flown, vehicle_of
 from quasi.gap.extension import extend
 from quasi.gap.flights.evidence import model_wrench
 from quasi.gap.flights.gathering import gather
@@ -68,6 +69,39 @@ def test_flights_agree_with_the_model_that_holds_their_cause(name, gravity):
     left = np.abs(gathered(table, truth, base).residual).max(axis=0)
     assert apart.max() > 1e-4
     assert left.max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("name", "share"), [("mass", 0.25), ("mass", -0.2), ("Ixx", 0.3), ("Iyy", -0.25), ("Izz", 0.4)]
+)
+def test_a_large_change_of_mass_or_inertia_comes_out_as_it_is(name, share):
+    """A linear fit of a mass that is a quarter larger finds a fifth: the columns hold the model's accelerations."""
+    base = base_of("withGravity")
+    effect, vehicle = CATALOGUE["mass" if name == "mass" else "inertia"], vehicle_of(base)
+    own = vehicle.mass if name == "mass" else vehicle.inertia["xyz".index(name[1]), "xyz".index(name[1])]
+    truth = extended(base, (effect.id, {name: share * own}))
+    evidence, _ = flight(base)
+    added = shown(truth, base, evidence) - evidence.predicted
+    column = columns_of(effect, evidence, vehicle, {})[name]
+    fitted = float(np.sum(column * added) / np.sum(column**2))
+    assert fitted / own == pytest.approx(share / (1.0 + share), rel=0.05)
+    assert effect.exact({name: fitted}, vehicle)[name] / own == pytest.approx(share, rel=0.05)
+    assert effect.exact({name: 0.0}, vehicle)[name] == 0.0
+
+
+def test_a_cause_adds_to_the_inertia_that_a_flight_was_processed_with():
+    """Nothing found leaves the moments of the model, whatever inertia a flight was processed with."""
+    base = base_of("withGravity")
+    evidence, _ = flight(base)
+    own = np.asarray(base.airframe.inertia)
+    evidence = replace(evidence, inertia=1.3 * own)
+    nothing = extended(base, ("body_drag", {"c": 0.0}))
+    np.testing.assert_allclose(shown(nothing, base, evidence), evidence.predicted, atol=1e-12)
+    less = {n: (-0.3 if i == j else 0.3) * own[i, j] for n, (i, j) in ENTRIES.items()}
+    back = extended(base, ("inertia", less))
+    moments = shown(back, base, evidence)[:, 3:] - evidence.gyroscopic(1.3 * own)
+    np.testing.assert_allclose(moments, 1.3 * (evidence.predicted[:, 3:] - evidence.gyroscopic(own)), atol=1e-12)
+    assert as_flown(vehicle_of(base), [evidence]).inertia == pytest.approx(1.3 * own)
 
 
 @pytest.mark.parametrize("name", [n for n in ONE if n not in ("inflow_lag", "payload_swing")])

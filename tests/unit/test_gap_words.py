@@ -20,8 +20,8 @@ from gap_documents import (
     not_judged,
 )
 
-from quasi.gap.effect import Vehicle
-from quasi.gap.entries import as_flown, truth
+from quasi.gap.effect import Vehicle, as_flown
+from quasi.gap.entries import truth
 from quasi.gap.report.next_steps import steps
 from quasi.gap.report.page import page
 from quasi.gap.report.wording import left_sentence, summary, value_of, words_of
@@ -243,8 +243,10 @@ def test_a_value_goes_as_far_as_its_standard_error(parameter, words):
 def test_parameters_are_stated_as_they_are_not_as_deviations():
     vehicle = Vehicle(np.zeros((4, 3)), np.ones(4), 0.04, 1e-7, 1e-9, 0.43, np.diag([1e-3, 2e-3, 3e-3]), 9.7, 0.0, 0.0)
     assert truth(KNOWN["mass"], "mass", 0.02, vehicle) == pytest.approx(0.45)
-    model = SimpleNamespace(airframe=SimpleNamespace(mass=0.43), document={})
-    heavier = as_flown(vehicle, [SimpleNamespace(mass=m, model=model) for m in (0.44, 0.46)])  # as the logbook says
+    model = SimpleNamespace(airframe=SimpleNamespace(mass=0.43, inertia=vehicle.inertia), document={})
+    heavier = as_flown(
+        vehicle, [SimpleNamespace(mass=m, inertia=vehicle.inertia, model=model) for m in (0.44, 0.46)]
+    )  # as the logbook says
     assert truth(KNOWN["mass"], "mass", 0.02, heavier) == pytest.approx(0.47)
     assert as_flown(vehicle, []) is vehicle
     assert truth(KNOWN["inertia"], "Iyy", 1e-4, vehicle) == pytest.approx(2.1e-3)

@@ -10,12 +10,14 @@ from quasi.model.model import Model
 
 ENTRIES = {"Ixx": (0, 0), "Iyy": (1, 1), "Izz": (2, 2), "Ixy": (0, 1), "Ixz": (0, 2), "Iyz": (1, 2)}
 
+DIAGONAL = ("Ixx", "Iyy", "Izz")
+
 
 def change(name: str) -> np.ndarray:
     """Change of the tensor by one unit of a moment, or of a product I_xy = integral of x y dm (3, 3)."""
     i, j = ENTRIES[name]
     tensor = np.zeros((3, 3))
-    tensor[i, j] = tensor[j, i] = 1.0 if i == j else -1.0
+    tensor[i, j] = tensor[j, i] = 1.0 if name in DIAGONAL else -1.0
     return tensor
 
 
@@ -41,6 +43,16 @@ def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
     return result
 
 
+def _exact(values: Values, vehicle: Vehicle) -> Values:
+    # the residual is (I J^-1 - 1) M of a true inertia J, the fit's is -C I^-1 M
+    fitted = sum(value * change(name) for name, value in values.items())
+    left = vehicle.inertia - fitted
+    if np.linalg.eigvalsh(left).min() <= 0.0:  # no body: refused by its range
+        return values
+    true = vehicle.inertia @ np.linalg.solve(left, vehicle.inertia) - vehicle.inertia
+    return {name: float(true[ENTRIES[name]]) * (1.0 if name in DIAGONAL else -1.0) for name in values}
+
+
 def _extension(values: Values, vehicle: Vehicle, _: Model) -> Extension:
     tensor = vehicle.inertia + sum(values[name] * change(name) for name in ENTRIES)
     return Extension(airframe={"inertia": tensor.tolist()})
@@ -61,6 +73,7 @@ EFFECT = Effect(
     tie_breaker="excite the three axes together; a bifilar pendulum test",
     columns=_columns,
     extension=_extension,
+    exact=_exact,
     sums=_body,
     absorbed_by_model=True,
 )

@@ -12,6 +12,13 @@ def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
     return {"mass": evidence.forces_only(-evidence.force / evidence.mass)}
 
 
+def _exact(values: Values, vehicle: Vehicle) -> Values:
+    # the residual is -F dm / (m + dm), the fit's is -F c / m
+    own, most = vehicle.mass, EFFECT.parameters["mass"].high
+    found = min(values["mass"], own * most / (own + most))
+    return {"mass": own * found / (own - found)}
+
+
 def _extension(values: Values, vehicle: Vehicle, _: Model) -> Extension:
     return Extension(airframe={"mass": vehicle.mass + values["mass"]})
 
@@ -28,5 +35,6 @@ EFFECT = Effect(
     tie_breaker="weigh it; or roll and pitch doublets with a rich thrust range",
     columns=_columns,
     extension=_extension,
+    exact=_exact,
     absorbed_by_model=True,
 )

@@ -15,6 +15,7 @@ from quasi.gap.flights.evidence import Evidence, model_wrench
 from quasi.gap.flights.inflow import overshoot
 from quasi.gap.flights.pendulum import pull_of
 from quasi.model.extensions import (
+    compute_flight_inertia,
     compute_flight_mass,
     configured_mass,
     correct_rotor_speeds,
@@ -56,7 +57,7 @@ def shown(extended: Model, base: Model, flight: Evidence) -> np.ndarray:
     mass = compute_flight_mass(extended, flight.mass)
     mass = configured if mass is None else mass
     configured = configured if configured is not None else mass
-    inertia, own = np.asarray(extended.airframe.inertia), flight.inertia
+    inertia, own = compute_flight_inertia(extended, flight.inertia), flight.inertia
     turning = np.linalg.solve(inertia, (wrench[:, 3:] - flight.gyroscopic(inertia)).T).T
     scale = configured / mass if mass else 1.0
     force = wrench[:, :3] * scale

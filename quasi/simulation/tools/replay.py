@@ -155,6 +155,7 @@ def replay(
     threads: int | None = None,
     floor: float | None = None,
     mass: float | None = None,
+    inertia: np.ndarray | None = None,
 ) -> np.ndarray:
     """Roll out a model with its extensions; return (S, steps + 1, 17), the simulator's states.
 
@@ -172,7 +173,7 @@ def replay(
     offsets       (S, 6) N, N m, added to the model's forces and moments in each window
     threads       that share the windows, None takes all cores
     floor         z of the floor, m: a payload on it at the start of a window has no effect; None for no floor
-    mass          mass of the vehicle in this flight, kg; None for the model's
+    mass          mass of the vehicle in this flight, kg; None for the model's; inertia (3, 3) kg m2, alike
     A window that diverges holds inf or NaN from there on. Raises ShapeError or DataError.
     """
     model = apply_extensions(model)
@@ -216,9 +217,8 @@ def replay(
     added = np.zeros((0, 6)) if offsets is None else -_check_rows(offsets, "offsets", (count, 6))
     frame = model.airframe
     gravity = GRAVITY if model.with_gravity else 0.0
-    body = make_body_constants(
-        frame.mass if mass is None else mass, frame.inertia, model.kernel, gravity, given.up, given.down
-    )
+    own = frame.mass if mass is None else mass, frame.inertia if inertia is None else inertia
+    body = make_body_constants(*own, model.kernel, gravity, given.up, given.down)
     write_payload_and_inflow(parts, frame.hubs, body)
     lying = np.zeros(count, bool) if floor is None else states[starts, 11] > floor - parts.load_length
     out = np.empty((count, steps + 1, STATE_SIZE))

@@ -85,8 +85,8 @@ def examine(
     sought = seek(flights, asked, vehicle, compared, rate, within)
     study, mixed, ties = sought.study, sought.mixed, sought.ties
     given = offers_of(sought.named, ties)
-    causes = merged(sought.named, asked, mixed, given)
-    stand_ins = merged([Named(tie.tests[0], []) for _, tie in ties], asked, mixed, given)
+    causes = merged(sought.named, asked, mixed, given, sought.flown)
+    stand_ins = merged([Named(tie.tests[0], []) for _, tie in ties], asked, mixed, given, sought.flown)
     _count([*causes, *stand_ins], study, compared, min(sought.level.values()))
     judge = HeldOut(held, sought, asked, flights, compared, model, vehicle, share, where)
     kept, immaterial, unjudged = material(
@@ -106,7 +106,7 @@ def examine(
     kept = [c for c in (*fewer, *beside) if not any(_stands_for(c, *tie) for tie in ties)]
     kept = sorted(kept, key=lambda c: c.test.p)
     there = [c.test.offer for c in immaterial if c.since == "always" and c not in stand_ins]
-    kept, vague = _widened(kept, [*offers_of([], ties), *there], asked, mixed, study, compared, sought.level)
+    kept, vague = _widened(kept, [*offers_of([], ties), *there], sought, compared)
     given = [*(c.test.offer for c in kept), *there]
     ties = [(since, _anew(tie, since, given, ties, mixed, study, compared)) for since, tie in ties]
     for cause in kept:
@@ -149,7 +149,9 @@ def _fewest(
 
     def estimated(of: Sequence[Cause]) -> list[Cause] | None:
         offers = {*offers_of([], tied(of)), *(c.test.offer for c in (*of, *beside))}
-        found = merged([Named(c.test, c.rivals) for c in of], asked, sought.mixed, sorted(offers, key=str))
+        found = merged(
+            [Named(c.test, c.rivals) for c in of], asked, sought.mixed, sorted(offers, key=str), sought.flown
+        )
         return found if all(possible(c) or c.test.offer in absent for c in found) else None
 
     fewer = simplest(
@@ -180,26 +182,25 @@ def compute_leading_p(profile: Profile, test: Test, widening: float) -> float:
 
 
 def _widened(
-    causes: Sequence[Cause], given: Sequence[Candidate], asked: Mapping[str, Effect], mixed: MixedModel, study: Design,
-    compared: np.ndarray, level: Mapping[str, float],
-) -> tuple[list[Cause], dict[str, tuple[Test, str]]]:  # fmt: skip
+    causes: Sequence[Cause], given: Sequence[Candidate], sought: Sought, compared: np.ndarray
+) -> tuple[list[Cause], dict[str, tuple[Test, str]]]:
     """The causes, estimated beside each other and what is given, with wider standard errors where the axes of a cause
     differ by more: then its form is not quite right, and which axis has the say decides on the value. Where nothing of
     a cause is sure any more, it is left out, with the reason, and the others are estimated without it; of these, those
-    that were significant beside it alone go as well. level  {since: p that has to be passed}
+    that were significant beside it alone go as well.
     """
     kept, vague, torn = list(causes), {}, []
     while True:
         for cause in kept:
-            pooled = mixed.pooled(cause.since)
+            pooled = sought.mixed.pooled(cause.since)
             others = [c.test.offer for c in kept if c is not cause] + list(given)
-            again = mixed.test(cause.test.offer, others, pooled)
-            cause.test, cause.value, cause.std = again, *estimate(again, cause.effect)
-            cause.apart = disagreement(voices(study, compared, cause.test, pooled, others))
+            again = sought.mixed.test(cause.test.offer, others, pooled)
+            cause.test, cause.value, cause.std = again, *estimate(again, cause.effect, sought.flown)
+            cause.apart = disagreement(voices(sought.study, compared, cause.test, pooled, others))
         unsure = [
             c for c in kept if c.apart > 1.0 and compute_leading_p(Profile.of(c.effect), c.test, c.apart) > SURELY
         ]
-        faint = [c for c in kept if c.test.p >= level[c.since]] if torn else []
+        faint = [c for c in kept if c.test.p >= sought.level[c.since]] if torn else []
         if unsure:
             worst = max(unsure, key=lambda c: c.apart)
             why = f"its axes differ by {worst.apart:.1f} times their standard errors, so that none of it is sure"
@@ -212,7 +213,7 @@ def _widened(
         kept = [c for c in kept if c is not worst]
         vague[worst.effect.id] = worst.test, why
     for cause in kept:
-        cause.value, cause.std = estimate(cause.test, cause.effect, cause.apart)
+        cause.value, cause.std = estimate(cause.test, cause.effect, sought.flown, cause.apart)
     return kept, vague
 
 

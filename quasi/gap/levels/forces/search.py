@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quasi.gap.effect import Effect, Limits, Vehicle
+from quasi.gap.effect import Effect, Limits, Vehicle, as_flown
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.axis_consistency import contradiction, voices
 from quasi.gap.levels.forces.design import Design, gather_design, moved
@@ -26,6 +26,7 @@ class Sought(NamedTuple):
     study, mixed  at the sizes found; values {compared or reference: {cause: sizes}} that causes are linearised at
     named, ties, ranking, level  see `quasi.gap.selection.Selection`; ties with their since
     contradicted  {cause: test, why}: those whose axes do not agree; passed  why others of the ranking were passed over
+    flown  the vehicle as the compared flights were processed
     """
 
     study: Design
@@ -37,6 +38,7 @@ class Sought(NamedTuple):
     level: dict[str, float]
     contradicted: dict[str, tuple[Test, str]]
     passed: dict[Candidate, str]
+    flown: Vehicle
 
 
 def seek(
@@ -48,6 +50,7 @@ def seek(
     asked  the causes, by id; compared (F,) bool, False for reference flights; rate  family-wise false alarm rate
     within {cause: what is physical of its parameters' deviations}
     """
+    flown = as_flown(vehicle, [flight for flight, flag in zip(flights, compared) if flag])
     neutral: set[str] = set()  # curved causes whose slope where they were found does not show them any more
     contradicted: dict[str, tuple[Test, str]] = {}
     study = started(gather_design(flights, asked, vehicle), asked, vehicle, compared)
@@ -60,7 +63,7 @@ def seek(
         rules = FORCES._replace(overlap=partial(_share_on_axes, study, compared, asked))
         selection = select_causes(mixed, profiles, rate, rules, lacking)
         named, ties = selection.named, [(tie.tests[0].offer.since, tie) for tie in selection.ties]
-        causes = merged(named, asked, mixed, offers_of(named, ties))
+        causes = merged(named, asked, mixed, offers_of(named, ties), flown)
         found = [(c.effect, c.since, c.value) for c in causes] + [_as_found(tie, since, asked) for since, tie in ties]
         bent = [(e.id, since, sizes) for e, since, sizes in found if e.is_nonlinear]
         now = _sizes(bent, True)
@@ -78,7 +81,7 @@ def seek(
     named, ties, twins = _with_twins(named, ties, contradicted, asked, mixed)
     contradicted = {name: why for name, why in contradicted.items() if name not in twins}
     level, ranking = selection.level, selection.ranking
-    return Sought(study, mixed, values, named, ties, ranking, level, contradicted, selection.rejected)
+    return Sought(study, mixed, values, named, ties, ranking, level, contradicted, selection.rejected, flown)
 
 
 def _share_on_axes(
@@ -176,9 +179,12 @@ def offers_of(named: Sequence[Named], ties: Sequence[tuple[str, Tie]]) -> list[C
 
 
 def merged(
-    named: Sequence[Named], asked: Mapping[str, Effect], mixed: MixedModel, given: Sequence[Candidate]
+    named: Sequence[Named], asked: Mapping[str, Effect], mixed: MixedModel, given: Sequence[Candidate], flown: Vehicle
 ) -> list[Cause]:
-    """One cause for each (id, since), its parameters estimated together beside all other causes."""
+    """One cause for each (id, since), its parameters estimated together beside all other causes.
+
+    flown  the vehicle as the compared flights were processed
+    """
     which: dict[tuple[str, str], list[int]] = {}
     rivals: dict[tuple[str, str], list[Any]] = {}
     for n in named:
@@ -191,16 +197,20 @@ def merged(
         others = [g for g in given if (g.cause, g.since) != (cause, since)]
         pooled = mixed.pooled(since)
         test = mixed.test(offer, others, pooled)
-        causes.append(Cause(asked[cause], since, *estimate(test, asked[cause]), test, rivals[cause, since]))
+        causes.append(Cause(asked[cause], since, *estimate(test, asked[cause], flown), test, rivals[cause, since]))
     return sorted(causes, key=lambda c: c.test.p)
 
 
-def estimate(test: Test, effect: Effect, wider: float = 1.0) -> tuple[Deviations, Deviations]:
+def estimate(test: Test, effect: Effect, flown: Vehicle, wider: float = 1.0) -> tuple[Deviations, Deviations]:
     """Deviations and standard errors by name; how well the vehicle's constants are known in these.
 
-    wider  by which the test's own standard errors are too small
+    flown  as in `merged`; wider  by which the test's own standard errors are too small
     """
     names = [effect.fitted[k] for k in test.offer.which]
     known = max(KNOWN, effect.form_uncertainty)
     value, std = map(float, test.value), map(float, np.hypot(wider * test.std, known * test.value))
-    return dict(zip(names, value)), dict(zip(names, std))
+    found, error = dict(zip(names, value)), dict(zip(names, std))
+    if effect.exact is None:
+        return found, error
+    sides = {n: [effect.exact({**found, n: found[n] + s * error[n]}, flown)[n] for s in (-0.5, 0.5)] for n in names}
+    return dict(effect.exact(found, flown)), {n: abs(high - low) for n, (low, high) in sides.items()}

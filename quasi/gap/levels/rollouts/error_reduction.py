@@ -46,7 +46,7 @@ from quasi.gap.levels.rollouts.open_loop import (
     vectors,
 )
 from quasi.gap.statistics import blocks
-from quasi.model.extensions import compute_flight_mass
+from quasi.model.extensions import compute_flight_inertia, compute_flight_mass
 from quasi.model.model import Model
 
 TRIM, MARGIN, LEAST = 2.0, 0.1, 0.5  # s before a window; s that low-pass filters look ahead; s that must be valid
@@ -98,7 +98,7 @@ def tracks_of(
     """
     found = []
     for evidence in held:
-        flight = flight_of(evidence.key, tables[evidence.key], evidence.mass)
+        flight = flight_of(evidence.key, tables[evidence.key], evidence.mass, evidence.inertia)
         course = course_of(evidence, flight, sorted(horizons), EVERY)
         if len(course.starts):
             units = np.broadcast_to(np.eye(6), (len(evidence), 6, 6))
@@ -156,7 +156,9 @@ def _errors(track: Track, model: Model, base: Model, line: str, drive: Mapping[s
         logged, mass = track.evidence.mass, compute_flight_mass(model, track.evidence.mass)
         if mass and np.isfinite(logged):
             offsets[:, :3] *= mass / logged
-        offsets[:, 3:] = offsets[:, 3:] @ np.linalg.solve(track.course.inertia, np.asarray(model.airframe.inertia))
+        offsets[:, 3:] = offsets[:, 3:] @ np.linalg.solve(
+            track.course.inertia, compute_flight_inertia(model, track.course.inertia)
+        )
     if line == TOLD:
         commands = commands_of(model, course.flight)
         other = commanded.learned(drive, course.flight, model) if drive and commands is not None else None

@@ -9,7 +9,7 @@ import pandas as pd
 from quasi.attitude import conjugate, from_euler, logarithm, multiply, rotate, rotate_inverse
 from quasi.gap.levels.forces.error_reduction import states_of
 from quasi.gap.statistics import blocks
-from quasi.model.extensions import compute_flight_mass, drive_of, shift_of, wind_of
+from quasi.model.extensions import compute_flight_inertia, compute_flight_mass, drive_of, shift_of, wind_of
 from quasi.model.model import Model
 from quasi.simulation.tools.replay import ActuatorDynamics, count_steps, replay, to_euler_states
 from quasi.simulation.tools.rollout import compute_errors
@@ -41,11 +41,12 @@ class Flight(NamedTuple):
     speeds: np.ndarray
     valid: np.ndarray
     mass: float | None = None
+    inertia: np.ndarray | None = None
 
 
-def flight_of(key: str, table: pd.DataFrame, mass: float | None = None) -> Flight:
-    """A filtered flight made ready. mass  kg that it was logged with"""
-    return Flight(key, table, *states_of(table), mass)
+def flight_of(key: str, table: pd.DataFrame, mass: float | None = None, inertia: np.ndarray | None = None) -> Flight:
+    """A filtered flight made ready. mass  kg, inertia  (3, 3) kg m2: those that it was processed with"""
+    return Flight(key, table, *states_of(table), mass, inertia)
 
 
 def air_of(model: Model, flight: Flight) -> np.ndarray | None:
@@ -105,6 +106,7 @@ def simulated(
               None takes what the model knows
     """
     air, mass = air_of(model, flight), compute_flight_mass(model, flight.mass)
+    inertia = None if flight.inertia is None else compute_flight_inertia(model, flight.inertia)
     extra = {n: np.nan_to_num(flight.table[n].to_numpy(float)) for n in model.inputs[20:] if n in flight.table}
     commands = None if commands is None else np.nan_to_num(commands)
     shift, states = shift_of(model), flight.states
@@ -114,7 +116,7 @@ def simulated(
         states[:, 9:] += rotate(from_euler(*states[:, :3].T), shift)
     driven = (commands, rotors, air, extra or None, offsets)
     run = to_euler_states(
-        replay(model, flight.t, states, flight.speeds, starts, horizon, *driven, floor=0.0, mass=mass)
+        replay(model, flight.t, states, flight.speeds, starts, horizon, *driven, floor=0.0, mass=mass, inertia=inertia)
     )
     if shift.any():
         run[..., 3:6] -= np.cross(run[..., 6:9], shift)

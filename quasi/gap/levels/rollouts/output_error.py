@@ -67,7 +67,7 @@ def windows_of(study: Design, tables: Mapping[str, pd.DataFrame], window: float 
 def windows_in(evidence: Evidence, table: pd.DataFrame, thinned: Thinned, window: float = WINDOW) -> Course:
     """Windows one after another through a flight, starting at the rows of its thinned columns."""
     times = window * np.arange(1, PARTS + 1) / PARTS
-    flight = flight_of(evidence.key, table, evidence.mass)
+    flight = flight_of(evidence.key, table, evidence.mass, evidence.inertia)
     return course_of(evidence, flight, times, window, thinned.rows, thinned.breaks)
 
 

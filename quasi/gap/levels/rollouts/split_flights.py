@@ -126,7 +126,7 @@ def gain(
     """
     sums = np.zeros(2)
     for evidence in held:
-        flight = open_loop.flight_of(evidence.key, tables[evidence.key], evidence.mass)
+        flight = open_loop.flight_of(evidence.key, tables[evidence.key], evidence.mass, evidence.inertia)
         for k, (model, causes) in enumerate(sides):
             level = wrench_score(learning, after(model, base)).mean()
             found = own(evidence, model, base, causes, vehicle, level)
@@ -176,7 +176,7 @@ def judge(
     for evidence in held:
         bare = own(evidence, base, base, (), vehicle, old)
         mine = own(evidence, extended, base, causes, vehicle, new)
-        flight = open_loop.flight_of(evidence.key, tables[evidence.key], evidence.mass)
+        flight = open_loop.flight_of(evidence.key, tables[evidence.key], evidence.mass, evidence.inertia)
         if bare is None or mine is None:
             continue
         starts = _late(flight, bare.until, max(horizons))
