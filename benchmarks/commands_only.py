@@ -17,6 +17,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from plain_rollout import hold_states
 
 from quasi.airframe import read_airframe
 from quasi.filtering.flight import filter_flight
@@ -26,7 +27,7 @@ from quasi.identification.partition import partition, usable
 from quasi.identification.rotor_speeds import rotor_speeds_of
 from quasi.identification.shared import shared
 from quasi.model.model import read_model
-from quasi.simulation.tools.rollout import compute_errors, count_steps, hold_states, rollout
+from quasi.simulation.tools.rollout import compute_errors, count_steps, rollout
 from quasi.tables import read_json, read_made, read_table, write_json
 from quasi.terms.rotor_map import SPEEDS, WARM_UP_NAMES, used_rows
 

@@ -22,9 +22,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from plain_rollout import Body, hold_states, make_body, rollout_body
 
 from quasi.model.model import read_model
-from quasi.simulation.tools.rollout import Body, compute_errors, count_steps, hold_states, make_body, rollout
+from quasi.simulation.tools.rollout import compute_errors, count_steps
 from quasi.tables import read_table, write_json
 
 ROOT = Path(__file__).parents[1]
@@ -102,7 +103,9 @@ def judge(run: int, against: str, extended: bool = False) -> dict:
     dt = float(np.median(np.diff(t)))
     runs = {
         "holding the last state (a)": hold_states(states, starts, steps),
-        "authors' constants (b)": rollout(authors(make_body(model).mass), t, states, speeds, starts, max(HORIZONS)),
+        "authors' constants (b)": rollout_body(
+            authors(make_body(model).mass), t, states, speeds, starts, max(HORIZONS)
+        ),
     }
     contenders = {"quasi": model}
     if extended:
@@ -111,9 +114,9 @@ def judge(run: int, against: str, extended: bool = False) -> dict:
     for name, contender in contenders.items():
         trim, usual[name] = trims(contender, filtered, starts, dt)
         body = make_body(contender)
-        runs[name] = rollout(body, t, states, speeds, starts, max(HORIZONS))
+        runs[name] = rollout_body(body, t, states, speeds, starts, max(HORIZONS))
         own = trimmed(body, trim[:, :3], trim[:, 3:])
-        runs[f"{name} with trim"] = rollout(own, t, states, speeds, starts, max(HORIZONS))
+        runs[f"{name} with trim"] = rollout_body(own, t, states, speeds, starts, max(HORIZONS))
     result = {}
     for name, prediction in runs.items():
         norms = compute_errors(prediction, states, starts)

@@ -8,6 +8,7 @@ Source: Stevens, Lewis & Johnson, Aircraft Control and Simulation, 3rd ed., 2016
 """
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 GRAVITY = 9.81  # m/s^2
 # cosine of the pitch below which roll and yaw are one angle: roll and yaw lose 1e-16 / POLE rad to rounding
@@ -67,49 +68,11 @@ def matrix(q: np.ndarray) -> np.ndarray:
 
 
 def from_matrix(m: np.ndarray) -> np.ndarray:
-    """Quaternion of rotation matrices (..., 3, 3) body to earth, by the largest of the four components.
+    """Quaternions (4,) or (n, 4) of rotation matrices (3, 3) or (n, 3, 3) body to earth, the nearest rotation of each.
 
-    Source: Shepperd, Quaternion from rotation matrix, J. Guidance and Control 1(3), 1978.
+    Raises ValueError for a reflection, a singular matrix or NaN.
     """
-    m = np.asarray(m, float)
-    m00, m11, m22 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
-    four = np.stack([m00 + m11 + m22, m00, m11, m22], axis=-1)
-    columns = [
-        np.stack(
-            [1 + four[..., 0], m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]],
-            -1,
-        ),
-        np.stack(
-            [
-                m[..., 2, 1] - m[..., 1, 2],
-                1 + m00 - m11 - m22,
-                m[..., 0, 1] + m[..., 1, 0],
-                m[..., 0, 2] + m[..., 2, 0],
-            ],
-            -1,
-        ),
-        np.stack(
-            [
-                m[..., 0, 2] - m[..., 2, 0],
-                m[..., 0, 1] + m[..., 1, 0],
-                1 - m00 + m11 - m22,
-                m[..., 1, 2] + m[..., 2, 1],
-            ],
-            -1,
-        ),
-        np.stack(
-            [
-                m[..., 1, 0] - m[..., 0, 1],
-                m[..., 0, 2] + m[..., 2, 0],
-                m[..., 1, 2] + m[..., 2, 1],
-                1 - m00 - m11 + m22,
-            ],
-            -1,
-        ),
-    ]
-    pick = np.argmax(four, axis=-1)
-    q = np.take_along_axis(np.stack(columns, axis=-2), pick[..., None, None], axis=-2)[..., 0, :]
-    return normalise(q)
+    return Rotation.from_matrix(m).as_quat(scalar_first=True)
 
 
 def from_euler(roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) -> np.ndarray:

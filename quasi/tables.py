@@ -26,14 +26,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from quasi.errors import ConfigError, DataError, ReadError, nearest, quoted
-from quasi.input_limits import (
-    MAX_DIGITS,
-    MAX_FILE_BYTES,
-    MAX_JSON_BYTES,
-    MAX_UNPACKED_BYTES,
-    check_lines,
-    check_size,
-)
+from quasi.input_limits import MAX_DIGITS, MAX_FILE_BYTES, MAX_JSON_BYTES, MAX_UNPACKED_BYTES, check_lines, check_size
 
 # name: (unit, frame, meaning). Columns outside this list name their own unit when written.
 COLUMNS: dict[str, tuple[str, str, str]] = {

@@ -198,14 +198,7 @@ def wrench_file(model: Model) -> str:
         arguments = ", ".join(f"d.{matlab_name(v)}" for v in variables_of(model, axis))
         scale = (".*d.F_den" if axis[0] == "F" else ".*d.M_den") if model.normalisation else ""
         lines.append(f"{where} = get_{axis}({arguments}){scale};")
-    lines += [
-        "if size(state, 2) == 1 && size(state, 1) > 1",
-        "    F = F.';",
-        "    M = M.';",
-        "end",
-        "end",
-        "",
-    ]
+    lines += ["if size(state, 2) == 1 && size(state, 1) > 1", "    F = F.';", "    M = M.';", "end", "end", ""]
     return "\n".join(lines)
 
 

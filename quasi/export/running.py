@@ -126,13 +126,7 @@ def check_c(model: Model, files: Mapping[str, str], rows: int = COMPARED_STATES_
     return [*double, single._replace(binding=False)]
 
 
-def _checks(
-    model: Model,
-    at: States,
-    found: Found,
-    export: str,
-    limit: float = AGREEMENT_LIMIT,
-) -> list[Check]:
+def _checks(model: Model, at: States, found: Found, export: str, limit: float = AGREEMENT_LIMIT) -> list[Check]:
     checks = [compare(f"{export}: forces and moments", found.wrench, wrench_of(model, at), limit=limit)]
     u = differential_inputs(model)
     if found.form is not None:

@@ -118,11 +118,7 @@ def _smoothed(values: np.ndarray, size: int) -> np.ndarray:
 
 
 def find_ground(
-    gyro: np.ndarray,
-    accel: np.ndarray,
-    speeds: np.ndarray | None,
-    position: np.ndarray | None,
-    dt: float,
+    gyro: np.ndarray, accel: np.ndarray, speeds: np.ndarray | None, position: np.ndarray | None, dt: float
 ) -> np.ndarray:
     """True (N,) where the quadrotor stands on the ground.
 

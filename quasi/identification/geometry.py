@@ -20,11 +20,7 @@ SURE = 5.0  # standard errors
 LARGEST_MISPLACEMENT = 0.6  # of the arm, between where a rotor is configured and where it seems to be
 LARGEST_COMMON_RATIO = 1.5  # between the factors of roll and pitch that are reported as one
 # what acts on a moment besides the rotors' thrusts and drag
-OTHER_MOMENT_TERMS = {
-    "Mx": ("p", "w_tot*v", "u_p_dot"),
-    "My": ("q", "w_tot*u", "u_q_dot"),
-    "Mz": ("r", "u_r_dot"),
-}
+OTHER_MOMENT_TERMS = {"Mx": ("p", "w_tot*v", "u_p_dot"), "My": ("q", "w_tot*u", "u_q_dot"), "Mz": ("r", "u_r_dot")}
 
 
 def contradictions(prepared: Mapping[str, tuple], airframe: Airframe, thrust: float) -> list[str]:

@@ -32,14 +32,7 @@ from quasi.identification.joint_fit import JOINT_AXES, JointFit, prepare_flight
 from quasi.identification.partition import usable
 from quasi.identification.taught_map import teach_map, teaching_flights
 from quasi.identification.yaw_fit import fit_yaw
-from quasi.terms.rotor_map import (
-    FORMS,
-    SPEEDS,
-    WARM_UP_NAMES,
-    raw_commands,
-    raw_volts,
-    used_rows,
-)
+from quasi.terms.rotor_map import FORMS, SPEEDS, WARM_UP_NAMES, raw_commands, raw_volts, used_rows
 
 SHORTEST_COMPARED = 5.0  # s of compared rows of all flights together: ten times the longest time constant
 MIN_VOLTAGE_VARIATION = 0.01  # std over median of the voltage, as in the identification of actuators

@@ -25,7 +25,7 @@ from quasi.errors import ConfigError, nearest
 from quasi.importing.lever_arm import felt_too_much
 from quasi.importing.onboard_attitude import estimate_attitude
 from quasi.importing.onboard_log import Onboard, Track
-from quasi.importing.series import Series
+from quasi.importing.series import Series, interpolate_columns
 
 SCHEMA = "quasi.calibration/1"
 IN_ORDER = (1.0, 2.0, 3.0, 4.0)
@@ -142,10 +142,10 @@ def calibrated_onboard(board: Onboard, document: Mapping[str, Any]) -> Onboard:
     if arm.any():
         even = np.arange(len(rates)) * float(np.median(np.diff(gyro.t)))
         felt = felt_too_much(even, rates, arm)
-        force = force - np.stack([np.interp(board.force.t, board.gyro.t, c) for c in felt.T], axis=1)
+        force = force - interpolate_columns(board.force.t, board.gyro.t, felt)
     level = timed(board.attitude)
     if board.attitude_source == "estimated on board":
-        at_gyro = np.stack([np.interp(board.gyro.t, board.force.t, c) for c in force.T], axis=1)
+        at_gyro = interpolate_columns(board.gyro.t, board.force.t, force)
         level = Track(gyro.t, estimate_attitude(gyro.t, rates, at_gyro).quaternion)
     speeds, commands = (whole["rotors"][f"order of {kind}"].astype(int) for kind in ("speeds", "commands"))
     rotors = timed(board.rotors, age)
@@ -184,8 +184,7 @@ def calibrated_capture(series: Series | None, arm: np.ndarray | None, document: 
     names, angles = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
     if series is None or not all(n in series.values for n in names):
         return series
-    position = np.stack([series.values[n] for n in names], axis=1)
-    quaternion = np.stack([series.values[n] for n in angles], axis=1) if "qw" in series.values else None
+    position, quaternion = series.matrix(names), series.matrix(angles)
     arm = np.zeros(3) if arm is None else np.asarray(arm, float)
     place, turned = true_pose(series.t, position, quaternion, arm, check(document)["capture"])
     values = dict(series.values) | {n: place[:, i] for i, n in enumerate(names)}

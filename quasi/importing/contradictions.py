@@ -10,6 +10,7 @@ from quasi.attitude import GRAVITY, body_rates, continuous, interpolate, rotate,
 from quasi.errors import DataError
 from quasi.importing.clocks.clock_fit import uniform
 from quasi.importing.clocks.synchronisation import Motion
+from quasi.importing.series import interpolate_columns
 
 COMPARED_RATE, COMPARED_BAND = 100.0, 3.0  # Hz
 LEAST_TURNING = 0.1  # rad/s, rms body rate below which an attitude is not judged
@@ -33,25 +34,30 @@ def length_ratio(onboard: Motion, t: np.ndarray, position: np.ndarray) -> float 
     if onboard.quaternion is None:
         return None
     sensed = rotate(onboard.quaternion, onboard.specific_force) + np.array([0.0, 0.0, GRAVITY])
-    felt, seen = (
-        uniform(onboard.t, sensed, COMPARED_RATE, COMPARED_BAND),
-        uniform(t, position, COMPARED_RATE, COMPARED_BAND),
-    )
-    if felt is None or seen is None:
+    felt = uniform(onboard.t, sensed, COMPARED_RATE, COMPARED_BAND)
+    moved = _slow_acceleration(t, position)
+    if felt is None or moved is None:
         return None
-    acceleration = np.gradient(np.gradient(seen.values, seen.step, axis=0), seen.step, axis=0)
-    # the filter's own ends are no motion
-    edge = int(COMPARED_RATE / COMPARED_BAND)
-    acceleration, at, good = acceleration[edge:-edge], seen.t[edge:-edge], seen.good[edge:-edge]
+    at, acceleration, good = moved
     good = good & (at > felt.t[0] + 1.0) & (at < felt.t[-1] - 1.0)
     if np.count_nonzero(good) < 2 * COMPARED_RATE:
         return None
-    there = np.stack([np.interp(at[good], felt.t, v) for v in felt.values.T], axis=-1)
+    there = interpolate_columns(at[good], felt.t, felt.values)
     needed = float(np.sqrt(np.mean((there - there.mean(axis=0)) ** 2) * 3))
     if needed < LEAST_MOTION:
         return None
     here = acceleration[good]
     return float(np.sqrt(np.mean((here - here.mean(axis=0)) ** 2) * 3)) / needed
+
+
+def _slow_acceleration(t: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Times (k,), s, acceleration (k, 3), m/s2, of a captured position at low frequency, and where it is known (k,)."""
+    seen = uniform(t, position, COMPARED_RATE, COMPARED_BAND)
+    if seen is None:
+        return None
+    acceleration = np.gradient(np.gradient(seen.values, seen.step, axis=0), seen.step, axis=0)
+    inner = slice(edge := int(COMPARED_RATE / COMPARED_BAND), -edge)  # the filter's own ends are no motion
+    return seen.t[inner], acceleration[inner], seen.good[inner]
 
 
 def refuse_wrong_lengths(onboard: Motion, t: np.ndarray, position: np.ndarray, unit: str, where: str) -> None:
@@ -74,11 +80,16 @@ def rates_explained(t: np.ndarray, rates: np.ndarray, t_reference: np.ndarray, a
     t (n,) s with rates (n, 3) rad/s; t_reference (m,) s, same clock, with attitude (m, 4) body to earth, NaN for none
     None where the flight hardly turns or shares less than two seconds.
     """
+    turned = _rates_of(t_reference, attitude)
+    return None if turned is None else _explained(t, rates, *turned, LEAST_TURNING)
+
+
+def _rates_of(t: np.ndarray, attitude: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Times (k,), s, and body rates (k, 3) of an attitude (n, 4) where it is known; None for fewer than 8 samples."""
     fine = np.isfinite(attitude).all(axis=1)
     if np.count_nonzero(fine) < 8:
         return None
-    reference = body_rates(continuous(attitude[fine]), t_reference[fine])
-    return _explained(t, rates, t_reference[fine], reference, LEAST_TURNING)
+    return t[fine], body_rates(continuous(attitude[fine]), t[fine])
 
 
 def exchanged_axes(t: np.ndarray, rates: np.ndarray, t_attitude: np.ndarray, attitude: np.ndarray) -> dict[str, str]:
@@ -87,11 +98,10 @@ def exchanged_axes(t: np.ndarray, rates: np.ndarray, t_attitude: np.ndarray, att
     Arguments as `rates_explained`. By correlation over the whole flight: above ALIKE with the other axis, and with its
     own less than half of that.
     """
-    fine = np.isfinite(attitude).all(axis=1)
-    if np.count_nonzero(fine) < 8:
+    turned = _rates_of(t_attitude, attitude)
+    if turned is None:
         return {}
-    turned = body_rates(continuous(attitude[fine]), t_attitude[fine])
-    pairs = list(_stretches(t, rates, t_attitude[fine], turned))
+    pairs = list(_stretches(t, rates, *turned))
     if not pairs:
         return {}
     gyro, own = (np.concatenate([p[k] - p[k].mean(axis=0) for p in pairs]) for k in (0, 1))
@@ -115,11 +125,10 @@ def rate_gains(
     on the other and the reverse. Axes whose rates correlate by less than ALIKE are left out. Medians over stretches,
     for an estimate may be reset once. Source: Frisch, Statistical Confluence Analysis, 1934 (errors in both variables).
     """
-    fine = np.isfinite(attitude).all(axis=1)
-    if np.count_nonzero(fine) < 8:
+    turned = _rates_of(t_attitude, attitude)
+    if turned is None:
         return {}
-    turned = body_rates(continuous(attitude[fine]), t_attitude[fine])
-    pairs = [(a - a.mean(axis=0), b - b.mean(axis=0)) for a, b in _stretches(t, rates, t_attitude[fine], turned)]
+    pairs = [(a - a.mean(axis=0), b - b.mean(axis=0)) for a, b in _stretches(t, rates, *turned)]
     if not pairs:
         return {}
     gyro, own = (np.array([np.mean(p[k] ** 2, axis=0) for p in pairs]) for k in (0, 1))
@@ -166,23 +175,19 @@ def compare_forces(
     differ from the position's axes. None where they share less than two seconds.
     """
     fine = np.isfinite(attitude).all(axis=1)
-    felt, seen = (
-        uniform(onboard.t, onboard.specific_force, COMPARED_RATE, COMPARED_BAND),
-        uniform(t, position, COMPARED_RATE, COMPARED_BAND),
-    )
-    if felt is None or seen is None or np.count_nonzero(fine) < 8:
+    felt = uniform(onboard.t, onboard.specific_force, COMPARED_RATE, COMPARED_BAND)
+    moved = _slow_acceleration(t, position)
+    if felt is None or moved is None or np.count_nonzero(fine) < 8:
         return None
-    acceleration = np.gradient(np.gradient(seen.values, seen.step, axis=0), seen.step, axis=0)
-    edge, gravity, q_t = int(COMPARED_RATE / COMPARED_BAND), np.array([0.0, 0.0, GRAVITY]), t_attitude[fine]
-    good = seen.good[edge:-edge]
-    at = seen.t[edge:-edge]
+    gravity, q_t = np.array([0.0, 0.0, GRAVITY]), t_attitude[fine]
+    at, acceleration, good = moved
     good = good & (at > max(felt.t[0], q_t[0]) + 1.0) & (at < min(felt.t[-1], q_t[-1]) - 1.0)
     if np.count_nonzero(good) < 2 * COMPARED_RATE:
         return None
-    at, acceleration = at[good], acceleration[edge:-edge][good]
+    at, acceleration = at[good], acceleration[good]
     q = interpolate(attitude[fine], q_t, at)
     needed = rotate_inverse(q, acceleration - gravity)
-    there = np.stack([np.interp(at, felt.t, v) for v in felt.values.T], axis=-1)
+    there = interpolate_columns(at, felt.t, felt.values)
     sensed = rotate(q, there) + gravity
     found = {n: _slopes(there[:, k], needed[:, k], LEAST_MOTION) for k, n in enumerate(("ax", "ay", "az"))}
     one, other = (
@@ -232,12 +237,11 @@ def refuse_wrong_rates(
     Arguments as `rates_explained`; whose  attitude, for the message
     Raises DataError where they are as much off as degrees are from radians or beyond: no such flight is to be used.
     """
-    fine = np.isfinite(attitude).all(axis=1)
-    if np.count_nonzero(fine) < 8:
+    turned = _rates_of(t_reference, attitude)
+    if turned is None:
         return None
-    reference = body_rates(continuous(attitude[fine]), t_reference[fine])
     ratios = []
-    for there, here in _stretches(t, rates, t_reference[fine], reference):
+    for there, here in _stretches(t, rates, *turned):
         power, own = np.sum(np.var(there, axis=0)), np.sum(np.var(here, axis=0))
         if max(power, own) < LEAST_TURNING**2 or min(power, own) == 0.0:
             continue
@@ -284,12 +288,11 @@ def _stretches(
     )
     if one is None or other is None:
         return
-    at = other.start + other.step * np.arange(len(other.values))
+    at = other.t
     good = other.good & (at > t[0] + 1.0 / COMPARED_BAND) & (at < t[-1] - 1.0 / COMPARED_BAND)
     if np.count_nonzero(good) < 2 * COMPARED_RATE:
         return
-    grid = one.start + one.step * np.arange(len(one.values))
-    there = np.stack([np.interp(at[good], grid, v) for v in one.values.T], axis=-1)
+    there = interpolate_columns(at[good], one.t, one.values)
     here, number = other.values[good], ((at[good] - at[good][0]) / STRETCH).astype(int)
     for rows in (number == k for k in np.unique(number)):
         if np.count_nonzero(rows) >= COMPARED_RATE:

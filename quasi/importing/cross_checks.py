@@ -32,13 +32,13 @@ def cross_check(board: Onboard, capture: Series | None, sync: Synchronisation | 
     if capture is not None:
         there = sync.to_onboard(capture.t) if sync else capture.t
         if "qw" in capture.values:
-            attitudes[CAPTURED] = there, np.stack([capture.values[n] for n in QUATERNION], axis=-1)
+            attitudes[CAPTURED] = there, capture.matrix(QUATERNION)
     for name, (t, attitude) in attitudes.items():
         both = (board.gyro.t, board.gyro.values, t, attitude)
         found += check_axis_order(exchanged_axes(*both), name) or check_rate_gains(rate_gains(*both), name)
     if capture is None:
         return found
-    motion, position = board.motion(), np.stack([capture.values[n] for n in POSITION_COLUMNS], axis=-1)
+    motion, position = board.motion(), capture.matrix(POSITION_COLUMNS)
     if not attitudes:  # levelled by the accelerometer: only the vertical says something
         forces = compare_forces(motion, there, position, board.attitude.t, board.attitude.values, True)
         return found + check_residual(None if forces is None else forces.residual, None, CAPTURED_POSITION)

@@ -164,29 +164,25 @@ def _read_capture(
     series = recording.series["capture"]
     main = recording.series["onboard"]
     # on-board time begins with the first sample of the gyro
-    sampled = np.isfinite(np.stack([main.values[n] for n in RATES], axis=-1)).all(axis=1)
+    sampled = np.isfinite(main.matrix(RATES)).all(axis=1)
     series = Series(series.t - main.t[np.argmax(sampled)], dict(series.values))
     if chosen["filter optitrack outliers"]:
-        seen = np.isfinite(_stack(series, POSITION_COLUMNS)).all(axis=1)
-        q = _stack(series, QUATERNION)[seen] if "qw" in series.values else None
-        bad = np.flatnonzero(seen)[~flyable(series.t[seen], _stack(series, POSITION_COLUMNS)[seen], q)]
+        seen = np.isfinite(series.matrix(POSITION_COLUMNS)).all(axis=1)
+        q = series.matrix(QUATERNION)[seen] if "qw" in series.values else None
+        bad = np.flatnonzero(seen)[~flyable(series.t[seen], series.matrix(POSITION_COLUMNS)[seen], q)]
         for name, values in series.values.items():
             series.values[name] = values.copy()
             series.values[name][bad] = np.nan
         if len(bad):
             notes.append(f"{flight['flight']}: {len(bad)} captured samples were removed as impossible to fly")
     if offset is not None and np.any(offset):
-        q = _stack(series, QUATERNION) if "qw" in series.values else None
+        q = series.matrix(QUATERNION)
         if q is None:
             fine = np.isfinite(board.attitude.values).all(axis=1)
             q = interpolate(board.attitude.values[fine], board.attitude.t[fine], series.t)
-        moved = _stack(series, POSITION_COLUMNS) - rotate(np.nan_to_num(q, nan=0.5), offset)
+        moved = series.matrix(POSITION_COLUMNS) - rotate(np.nan_to_num(q, nan=0.5), offset)
         series.values.update({n: moved[:, i] for i, n in enumerate(POSITION_COLUMNS)})
     return series, None
-
-
-def _stack(series: Series, names: tuple[str, ...]) -> np.ndarray:
-    return np.stack([series.values[n] for n in names], axis=-1)
 
 
 def _align(
@@ -199,11 +195,7 @@ def _align(
             f"{where}: there is no motion capture; position and velocity come from the on-board log, if it has them"
         )
         return None
-    seen = Motion(
-        capture.t,
-        quaternion=_stack(capture, QUATERNION) if "qw" in capture.values else None,
-        position=_stack(capture, POSITION_COLUMNS) if "x" in capture.values else None,
-    )
+    seen = Motion(capture.t, quaternion=capture.matrix(QUATERNION), position=capture.matrix(POSITION_COLUMNS))
     using = list(chosen["align with optitrack using"])
     if captured is not None:
         sync = synchronise(board.motion(), seen, using, float(chosen["max permitted lag for optitrack"]), where)
@@ -281,7 +273,7 @@ def _fuse(
     onboard = resample_attitude(board.attitude.t, _tied(board, sync), at)
     seen = None
     if capture is not None and "qw" in capture.values:
-        seen = resample_attitude(there, _stack(capture, QUATERNION), at)
+        seen = resample_attitude(there, capture.matrix(QUATERNION), at)
     use_board = bool(chosen["use onboard attitude"]) or seen is None
     attitude = onboard if use_board else seen
     euler = to_euler(attitude.values)
@@ -317,9 +309,7 @@ def _fuse(
             f"{what} filter delay": {**board.delays[what], "applied": board.delays[what]["value"] > 0}
             for what in ("gyro", "accelerometer")
         }
-        | {
-            "imu position": correction["about"] if correction else None,
-        },
+        | {"imu position": correction["about"] if correction else None},
         "velocity bandwidth": {"value": float(chosen["optitrack velocity Hz cutoff"]), "unit": "Hz"},
     }
     order = sorted(columns, key=lambda name: (_ORDER.index(name) if name in _ORDER else len(_ORDER), name))
@@ -354,7 +344,7 @@ def _motion(
 ) -> tuple[Any, tuple[np.ndarray, np.ndarray] | None, dict[str, str]]:
     """Position on the grid, velocity (earth axes; body axes if logged so) with its flags, and their sources."""
     if capture is not None:
-        position = _stack(capture, POSITION_COLUMNS)
+        position = capture.matrix(POSITION_COLUMNS)
         place = resample(there, position, at)
         speed, trusted = velocity(there, position, at, float(chosen["optitrack velocity Hz cutoff"]))
         measured = fresh(there[np.isfinite(position).all(axis=1)], at)

@@ -15,6 +15,7 @@ import numpy as np
 from quasi.attitude import GRAVITY, continuous, interpolate, rotate_inverse
 from quasi.importing.clocks.clock_fit import uniform
 from quasi.importing.clocks.synchronisation import GRID, SLOW_BAND, Motion, Synchronisation
+from quasi.importing.series import interpolate_columns
 
 ARM_BLOCK = 2.0  # s, longer than what correlates accelerations band-limited to SLOW_BAND
 LEAST_ARM_BLOCKS = 5
@@ -50,7 +51,7 @@ def fit_arm(onboard: Motion, capture: Motion, clocks: Synchronisation) -> ArmFit
     known = np.isfinite(capture.quaternion).all(axis=1)
     quaternion = interpolate(continuous(capture.quaternion[known]), at[known], t)
     turning = np.gradient(rates.values, rates.step, axis=0)
-    sensed, w, wdot = (_at(t, force.t, v) for v in (force.values, rates.values, turning))
+    sensed, w, wdot = (interpolate_columns(t, force.t, v) for v in (force.values, rates.values, turning))
     for signal in (force, rates):
         good &= (t >= signal.t[0]) & (t <= signal.t[-1])
         good &= np.interp(t, signal.t, signal.good.astype(float)) > 0.99
@@ -76,10 +77,6 @@ def fit_arm(onboard: Motion, capture: Motion, clocks: Synchronisation) -> ArmFit
     explained = 1.0 - float(np.sum(residual**2) / np.sum(centred**2))
     std = np.sqrt(np.diag(covariance)) / scale
     return ArmFit((solution / scale)[:3], std[:3], explained, float(np.count_nonzero(good) * place.step))
-
-
-def _at(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
-    return np.stack([np.interp(t, times, column) for column in values.T], axis=-1)
 
 
 def _arm_matrix(w: np.ndarray, wdot: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import read_log
 from quasi.importing.reconstruction import Completed, complete_sensors
 from quasi.importing.resampling import covered
-from quasi.importing.series import Recording, Series
+from quasi.importing.series import Recording, Series, Track, interpolate_columns
 
 LEAST_LOG_EXPLAINED = 0.3  # share of the variance that a log of the same motion explains, a late one too
 LEAST_SAMPLES = 20
@@ -30,25 +30,9 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 POSITION_COLUMNS, VELOCITY_COLUMNS, BODY_VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz"), ("u", "v", "w")
 LINEAR = ("linear_ax", "linear_ay", "linear_az")
 _KNOWN_COLUMNS = {
-    *RATES,
-    *FORCE,
-    *QUATERNION,
-    *POSITION_COLUMNS,
-    *VELOCITY_COLUMNS,
-    *BODY_VELOCITY,
-    *LINEAR,
-    "roll",
-    "pitch",
-    "yaw",
+    *(*RATES, *FORCE, *QUATERNION, *POSITION_COLUMNS, *VELOCITY_COLUMNS, *BODY_VELOCITY, *LINEAR),
+    *("roll", "pitch", "yaw"),
 }
-
-
-@dataclass(frozen=True)
-class Track:
-    """One quantity group on its own times: t (n,) s, values (n, k); NaN where missing."""
-
-    t: np.ndarray
-    values: np.ndarray
 
 
 @dataclass
@@ -80,7 +64,7 @@ class Onboard:
     def motion(self) -> Motion:
         """For the alignment: everything at the gyro's times."""
         t = self.gyro.t
-        force = np.stack([np.interp(t, self.force.t, v) for v in self.force.values.T], axis=-1)
+        force = interpolate_columns(t, self.force.t, self.force.values)
         fine = np.isfinite(self.attitude.values).all(axis=1)
         q = interpolate(self.attitude.values[fine], self.attitude.t[fine], t)
         return Motion(
@@ -126,7 +110,7 @@ def _find(series: Mapping[str, Series], names: tuple[str, ...]) -> Track | None:
     """The first on-board series that holds all of these."""
     for name, one in series.items():
         if name.startswith("onboard") and all(n in one.values for n in names):
-            return Track(one.t, np.stack([one.values[n] for n in names], axis=-1))
+            return Track(one.t, one.matrix(names))
     return None
 
 
@@ -147,12 +131,12 @@ def gather(recording: Recording, where: str, notes: list[str], bandwidth: float 
     """
     series = recording.series
     sensors = require_motion(recording, where, notes, bandwidth)
-    gyro, force = (Track(s.t, s.values) for s in (sensors.gyro, sensors.force))
+    gyro, force = sensors.gyro, sensors.force
     delays = _delays(recording, where, notes)
     attitude, source, rest = _find(series, QUATERNION), "onboard", 0.0
     if attitude is None and sensors.attitude is not None:
-        attitude, source = Track(sensors.attitude.t, sensors.attitude.values), MADE_COLUMN
-    at_gyro = np.stack([np.interp(gyro.t, force.t, v) for v in force.values.T], axis=-1)
+        attitude, source = sensors.attitude, MADE_COLUMN
+    at_gyro = interpolate_columns(gyro.t, force.t, force.values)
     try:
         estimate = estimate_attitude(gyro.t, gyro.values, at_gyro)
     except DataError as error:

@@ -21,7 +21,7 @@ import numpy as np
 from quasi.attitude import GRAVITY, body_rates, continuous, from_euler, interpolate, rotate_inverse, to_euler
 from quasi.errors import DataError, add_caution
 from quasi.importing.resampling import low_pass, velocity
-from quasi.importing.series import Series
+from quasi.importing.series import Series, Track
 
 EULER_ANGLES = ("roll", "pitch", "yaw")
 # share of g below which the direction of the specific force is that of its errors: 0.5 m/s2 of error is 10 deg there
@@ -33,21 +33,13 @@ NOISE = "noise above the bandwidth alone"
 MIN_SAMPLES = 20  # as of a sensor's own
 
 
-@dataclass(frozen=True)
-class Signal:
-    """Samples of one quantity: t (n,) s, values (n, k)."""
-
-    t: np.ndarray
-    values: np.ndarray
-
-
 @dataclass
 class Completed:
-    """gyro, force, attitude  Signals, logged or made; made  {"gyro", "accelerometer", "attitude": how it was made}."""
+    """gyro, force, attitude  Tracks, logged or made; made  {"gyro", "accelerometer", "attitude": how it was made}."""
 
-    gyro: Signal
-    force: Signal
-    attitude: Signal | None
+    gyro: Track
+    force: Track
+    attitude: Track | None
     made: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
@@ -78,7 +70,7 @@ def complete_sensors(
             )
         turned = interpolate(attitude.values, attitude.t, acceleration.t)
         felt = acceleration.values - np.array([0.0, 0.0, GRAVITY])
-        force, made["accelerometer"] = Signal(acceleration.t, rotate_inverse(turned, felt)), about
+        force, made["accelerometer"] = Track(acceleration.t, rotate_inverse(turned, felt)), about
     if gyro is None:
         gyro, made["gyro"] = _rates(attitude, bandwidth, made.get("attitude"))
     for name, entry in made.items():
@@ -101,17 +93,17 @@ def _sentence(name: str, entry: Mapping[str, Any]) -> str:
     )
 
 
-def _find(series: Mapping[str, Series], names: Sequence[str]) -> Signal | None:
+def _find(series: Mapping[str, Series], names: Sequence[str]) -> Track | None:
     """The rows of the first on-board series with all of these that hold a number in each; None where there are few."""
     for name, one in series.items():
         if name.startswith("onboard") and all(n in one.values for n in names):
-            values = np.stack([one.values[n] for n in names], axis=-1)
+            values = one.matrix(names)
             fine = np.isfinite(values).all(axis=1) & np.isfinite(one.t)
-            return Signal(one.t[fine], values[fine]) if np.count_nonzero(fine) >= MIN_SAMPLES else None
+            return Track(one.t[fine], values[fine]) if np.count_nonzero(fine) >= MIN_SAMPLES else None
     return None
 
 
-def _logged(series: Mapping[str, Series], names: tuple[str, ...], what: str, where: str, damage: str) -> Signal | None:
+def _logged(series: Mapping[str, Series], names: tuple[str, ...], what: str, where: str, damage: str) -> Track | None:
     """A sensor's readable samples, None where it is not logged. Raises DataError where too few are readable."""
     found = _find(series, names)
     if found is None and any(all(n in s.values for n in names) for k, s in series.items() if k.startswith("onboard")):
@@ -122,7 +114,7 @@ def _logged(series: Mapping[str, Series], names: tuple[str, ...], what: str, whe
     return found
 
 
-def _acceleration(series: Mapping[str, Series], bandwidth: float) -> tuple[Signal | None, dict[str, Any]]:
+def _acceleration(series: Mapping[str, Series], bandwidth: float) -> tuple[Track | None, dict[str, Any]]:
     """Acceleration over ground (n, 3), m/s2, earth NED, and how it was made; None where nothing serves."""
     linear, speed = _find(series, ("linear_ax", "linear_ay", "linear_az")), _find(series, ("vx", "vy", "vz"))
     place = _find(series, ("x", "y", "z"))
@@ -157,10 +149,10 @@ def _acceleration(series: Mapping[str, Series], bandwidth: float) -> tuple[Signa
         first, _ = velocity(place.t, place.values, place.t, bandwidth)
         values, _ = velocity(place.t, first, place.t, bandwidth)
         error = derivative_error(place, rate, bandwidth, 2)
-    return Signal(at.t, values), _about(source, bandwidth, rate, error, "m/s2") | {"covers": covers}
+    return Track(at.t, values), _about(source, bandwidth, rate, error, "m/s2") | {"covers": covers}
 
 
-def _disagreement(speed: Signal, place: Signal, bandwidth: float) -> float:
+def _disagreement(speed: Track, place: Track, bandwidth: float) -> float:
     """What the accelerations of a velocity and of a position differ by, m/s2. An estimate of both errs smoothly, which
     no noise above the bandwidth shows."""
     change, trusted = velocity(speed.t, speed.values, speed.t, bandwidth)
@@ -176,7 +168,7 @@ def typical_size(error: np.ndarray) -> float:
     return float(np.quantile(np.abs(error), 0.8))
 
 
-def derivative_error(signal: Signal, rate: float, bandwidth: float, order: int) -> float:
+def derivative_error(signal: Track, rate: float, bandwidth: float, order: int) -> float:
     """Standard error of a derivative of a signal whose noise is white, low-passed at `bandwidth`.
 
     The noise is what lies above the bandwidth. order  of the derivative; rate  Hz of the samples
@@ -189,8 +181,8 @@ def derivative_error(signal: Signal, rate: float, bandwidth: float, order: int) 
 
 
 def _attitude(
-    series: Mapping[str, Series], acceleration: Signal | None, about: Mapping[str, Any], bandwidth: float, where: str
-) -> tuple[Signal, dict[str, Any]]:
+    series: Mapping[str, Series], acceleration: Track | None, about: Mapping[str, Any], bandwidth: float, where: str
+) -> tuple[Track, dict[str, Any]]:
     """Attitude with the angles that are logged, and pitch and roll along the specific force where they are not.
 
     Raises DataError where yaw or the motion is missing.
@@ -228,7 +220,7 @@ def _attitude(
     entry = {"covers": covers} | _about(
         f"yaw and {about['from']}, with the thrust along body z", bandwidth, _rate(t), error, "rad"
     )
-    return Signal(t, quaternion), entry | {"angles": missing, "check": check}
+    return Track(t, quaternion), entry | {"angles": missing, "check": check}
 
 
 def thrust_angles(force: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -243,17 +235,17 @@ def thrust_angles(force: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.nd
     return np.arcsin(np.clip(-right, -1.0, 1.0)), np.arctan2(ahead, down[:, 2])
 
 
-def _rates(attitude: Signal, bandwidth: float, about: Mapping[str, Any] | None) -> tuple[Signal, dict[str, Any]]:
+def _rates(attitude: Track, bandwidth: float, about: Mapping[str, Any] | None) -> tuple[Track, dict[str, Any]]:
     """Body rates (n, 3), rad/s, of an attitude, and how they were made. about  how the attitude was, None for logged"""
     rate = _rate(attitude.t)
     rates = body_rates(continuous(attitude.values), attitude.t)
     smooth = low_pass(rates, rate, bandwidth)
-    error = derivative_error(Signal(attitude.t, np.unwrap(to_euler(attitude.values), axis=0)), rate, bandwidth, 1)
+    error = derivative_error(Track(attitude.t, np.unwrap(to_euler(attitude.values), axis=0)), rate, bandwidth, 1)
     if about is not None:  # an error of the angle that is white up to the bandwidth, where nothing checks its rate
         white = 2.0 * np.pi * bandwidth / np.sqrt(3.0) * about["std"]["value"]
         error = float(np.hypot(error, about["check"]["rate"] if about["check"] else white))
     covers = NOISE if about is None or not about["check"] else about["check"]["against"]
-    return Signal(attitude.t, smooth), _about("the attitude", bandwidth, rate, error, "rad/s") | {"covers": covers}
+    return Track(attitude.t, smooth), _about("the attitude", bandwidth, rate, error, "rad/s") | {"covers": covers}
 
 
 def _about(source: str, bandwidth: float, rate: float, error: float, unit: str) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
 from quasi.attitude import continuous, interpolate, normalise
+from quasi.importing.series import interpolate_columns
 
 GAP = 3.1  # sampling intervals without a sample make a gap
 LONGEST_BRIDGE = 0.1  # s of missing positions across which a velocity is still trusted
@@ -64,7 +65,7 @@ def resample(t: np.ndarray, values: np.ndarray, at: np.ndarray, smooth: bool = T
     step = float(at[1] - at[0]) if len(at) > 1 else np.inf
     known = covered(t, at)
     filtered = anti_alias(t, values, usual, step) if usual < 0.75 * step else values
-    out = np.stack([np.interp(at, t, v) for v in filtered.T], axis=1)
+    out = interpolate_columns(at, t, filtered)
     if smooth:
         _curve(out, t, filtered, at, max(GAP * usual, 1.01 * step))
     return Resampled(out, fresh(t, at), known)
@@ -100,9 +101,9 @@ def anti_alias(t: np.ndarray, values: np.ndarray, usual: float, step: float) -> 
         if b - a < 30:
             continue
         even = np.arange(t[a], t[b - 1] + 0.5 * usual, usual)
-        dense = np.stack([np.interp(even, t[a:b], v) for v in values[a:b].T], axis=1)
+        dense = interpolate_columns(even, t[a:b], values[a:b])
         dense = sosfiltfilt(sos, dense, axis=0, padlen=min(len(dense) - 2, 60))
-        out[a:b] = np.stack([np.interp(t[a:b], even, v) for v in dense.T], axis=1)
+        out[a:b] = interpolate_columns(t[a:b], even, dense)
     return out
 
 
@@ -144,7 +145,7 @@ def velocity(t: np.ndarray, position: np.ndarray, at: np.ndarray, cutoff: float)
         if even_spacing:
             path = CubicSpline(t[a:b], position[a:b], axis=0)(even)
         else:
-            path = np.stack([np.interp(even, t[a:b], x) for x in position[a:b].T], axis=1)
+            path = interpolate_columns(even, t[a:b], position[a:b])
         smoothed = low_pass(path, 1 / usual, cutoff)
         # at a torn end the filter has only one side to lean on
         torn = 0.25 / cutoff

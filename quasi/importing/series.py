@@ -1,5 +1,6 @@
 """What every reader returns: samples on their own clock, in standard quantities."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,6 +18,23 @@ class Series:
 
     t: np.ndarray
     values: dict[str, np.ndarray]
+
+    def matrix(self, names: Sequence[str]) -> np.ndarray | None:
+        """Quantities side by side (n, len(names)); None where one is absent."""
+        return np.stack([self.values[n] for n in names], axis=-1) if all(n in self.values for n in names) else None
+
+
+def interpolate_columns(at: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Columns of values (n, k) at times t (n,) by straight lines at times `at` (m,); returns (m, k)."""
+    return np.stack([np.interp(at, t, column) for column in values.T], axis=-1)
+
+
+@dataclass(frozen=True)
+class Track:
+    """One quantity group on its own times: t (n,) s, values (n, k); NaN where missing."""
+
+    t: np.ndarray
+    values: np.ndarray
 
 
 @dataclass(frozen=True)

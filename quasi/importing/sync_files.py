@@ -76,11 +76,7 @@ def align_files(
     board = gather(recording, log.name, notes)
     captured = read_capture(Request(capture, rigid_body=rigid_body))
     series = captured.series["capture"]
-
-    def stack(names: tuple[str, ...]) -> np.ndarray | None:
-        return np.stack([series.values[n] for n in names], axis=-1) if names[0] in series.values else None
-
-    seen = Motion(series.t, quaternion=stack(QUATERNION), position=stack(POSITION_COLUMNS))
+    seen = Motion(series.t, quaternion=series.matrix(QUATERNION), position=series.matrix(POSITION_COLUMNS))
     onboard = board.motion()
     clocks = synchronise(onboard, seen, USING, longest_lag, log.name)
     all_notes = (*captured.notes, *recording.notes, *clocks.notes, *notes)

@@ -27,10 +27,7 @@ def read_slowest_speeds(document: Mapping[str, Any], airframe: Airframe) -> list
 
 
 def columns_from_state(
-    state: np.ndarray,
-    speeds: np.ndarray,
-    accelerations: np.ndarray | None,
-    extra: Mapping[str, np.ndarray] | None,
+    state: np.ndarray, speeds: np.ndarray, accelerations: np.ndarray | None, extra: Mapping[str, np.ndarray] | None
 ) -> tuple[dict[str, np.ndarray], int]:
     """Columns and number of rows of what `predict` is given. Raises ShapeError."""
     state, speeds = np.atleast_2d(state), np.atleast_2d(speeds)

@@ -25,7 +25,7 @@ from quasi.airframe import Airframe
 from quasi.tables import COLUMNS
 from quasi.terms.expressions import names, parse
 from quasi.terms.graph import ONE, Graph
-from quasi.terms.kernel import INPUTS, Kernel, compile_outputs, compute_wrench, compute_wrench_rows
+from quasi.terms.kernel import INPUTS, Kernel, compile_outputs, compute_wrench_rows
 from quasi.terms.variables import SYNONYMS, Variables, base_columns, plain_name
 
 STATE_INPUTS = INPUTS[:12]
@@ -56,19 +56,6 @@ class Region(NamedTuple):
 
     kernel: Kernel
     limits: Limits
-
-
-@nb.njit(cache=True, error_model="numpy")
-def compute_row_distance(
-    kernel: Kernel, limits: Limits, inputs: np.ndarray, work: np.ndarray, values: np.ndarray
-) -> tuple[float, int]:
-    """(distance, number of the worst variable): 0 and -1 inside; V stands for the ellipsoid; NaN and -1 for NaN input.
-
-    kernel, limits  those of the region; inputs (20 + E,) as for `quasi.terms.kernel.compute_wrench`
-    work (len(kernel.work),) and values (kernel.outputs,) are scratch
-    """
-    compute_wrench(kernel, inputs, work, values)
-    return _farthest(limits.low, limits.high, limits.whitening, limits.limit, values)
 
 
 @nb.njit(cache=True, error_model="numpy")

@@ -26,15 +26,15 @@ class Control(NamedTuple):
     idle_speed: float
     max_speed: float
     curvature: float
-    position: float  # 1/s2
-    velocity: float  # 1/s
-    velocity_integral: float  # 1/s2
-    attitude: float  # 1/s
-    rate: np.ndarray  # (3,) 1/s
-    rate_integral: float  # 1/s2
-    rate_forward: float  # share of the wanted rate's derivative fed forward
-    tilt_limit: float  # rad
-    rate_limit: float  # rad/s
+    position: float = 6.0  # 1/s2
+    velocity: float = 4.5  # 1/s
+    velocity_integral: float = 3.0  # 1/s2
+    attitude: float = 8.0  # 1/s
+    rate: np.ndarray = np.array([30.0, 28.0, 14.0])  # (3,) 1/s
+    rate_integral: float = 60.0  # 1/s2
+    rate_forward: float = 0.5  # share of the wanted rate's derivative fed forward
+    tilt_limit: float = math.radians(62.0)  # rad
+    rate_limit: float = 9.0  # rad/s
 
 
 def control_of(vehicle: Vehicle) -> Control:
@@ -51,15 +51,6 @@ def control_of(vehicle: Vehicle) -> Control:
         idle_speed=drive.idle_speed,
         max_speed=drive.max_speed,
         curvature=drive.curvature,
-        position=6.0,
-        velocity=4.5,
-        velocity_integral=3.0,
-        attitude=8.0,
-        rate=np.array([30.0, 28.0, 14.0]),
-        rate_integral=60.0,
-        rate_forward=0.5,
-        tilt_limit=math.radians(62.0),
-        rate_limit=9.0,
     )
 
 

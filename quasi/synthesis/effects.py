@@ -183,10 +183,7 @@ OFFERED: dict[str, tuple[dict[str, Parameter], Change]] = {
         {"factor": Parameter("1", 1.0, 0.3, 3.0)},
         lambda s, v: _physics(s, thrust_gain=s.vehicle.physics.thrust_gain * v["factor"]),
     ),
-    "inflow_lag": (
-        {"tau": Parameter("s", None, 0.0005, 0.1, True)},
-        lambda s, v: _physics(s, inflow_lag=v["tau"]),
-    ),
+    "inflow_lag": ({"tau": Parameter("s", None, 0.0005, 0.1, True)}, lambda s, v: _physics(s, inflow_lag=v["tau"])),
     "battery_sag": (
         {"exponent": Parameter("1", None, 0.0, 3.0, True)},
         lambda s, v: _drive(s, sag_exponent=v["exponent"]),

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from quasi import attitude
-from quasi.synthesis.sensors import PT1, PT2, CaptureErrors, Inertial, Telemetry
-from quasi.synthesis.vehicle import BASE_HOVER_SPEED, MARKER_OFFSET, POLES, Vehicle, base_vehicle
+from quasi.synthesis.sensors import CaptureErrors, Inertial, Telemetry
+from quasi.synthesis.vehicle import POLES, Vehicle, base_vehicle
 
 # standard deviations (or ranges) at scale 1
 SPREAD = {
@@ -54,45 +54,17 @@ def nominal(capture_rate: float, noise: float) -> Setup:
     """The set-up without variation; noise 0 switches all random errors of sensors off, 1 is usual."""
     vehicle = base_vehicle()
     inertial = Inertial(
-        position=np.zeros(3),
-        axes=np.eye(3),
-        gyro_bias=np.zeros(3),
-        gyro_scale=np.ones(3),
-        acc_bias=np.zeros(3),
-        acc_scale=np.ones(3),
         gyro_noise=math.radians(0.008) * math.sqrt(2000.0) * noise,
         acc_noise=180e-6 * attitude.GRAVITY * math.sqrt(2000.0) * noise,
         gyro_vibration=math.radians(1.5) * noise,
         acc_vibration=1.2 * noise,
-        hover_speed=BASE_HOVER_SPEED,
-        gyro_kind_1=PT1,
-        gyro_cut_1=250.0,
-        gyro_kind_2=PT1,
-        gyro_cut_2=500.0,
-        acc_kind=PT2,
-        acc_cut=100.0,
-        gyro_delay=0.0,
-        acc_delay=0.0,
-        mode_frequency=np.zeros(3),
-        mode_damping=np.zeros(3),
-        mode_acceleration=np.zeros(3),
-        mode_rate=np.zeros(3),
-        gyro_range=math.radians(2000.0),
-        acc_range=16.0 * attitude.GRAVITY,
     )
     to_log = 60.0 / (2.0 * math.pi) * POLES / 2.0 / 100.0
     telemetry = Telemetry(age=0.002, interval=4, scale=1.0, to_log=to_log, faults=np.zeros((0, 4), np.int8))
     capture = CaptureErrors(
         rate=capture_rate,
-        start=-3.0,
-        skew=0.0,
         position_noise=2e-4 * noise,
         attitude_noise=math.radians(0.07) * noise,
-        latency=0.0,
-        rotation_delay=0.0,
-        body_turn=np.zeros(3),
-        room_turn=np.zeros(3),
-        offset=MARKER_OFFSET.copy(),
         drop_outs=round(8 * noise),
         swaps=round(3 * noise),
     )

@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 
 from quasi import attitude
+from quasi.synthesis.vehicle import BASE_HOVER_SPEED, MARKER_OFFSET
 
 NO_FILTER, PT1, PT2, BIQUAD = 0, 1, 2, 3
 FILTER_KINDS = {"PT1": PT1, "PT2": PT2, "biquad": BIQUAD}
@@ -29,31 +30,31 @@ class Inertial(NamedTuple):
     of the rotors excite it in proportion to their squared speed. A mode of zero size is absent.
     """
 
-    position: np.ndarray  # (3,) m from the true cg, body axes
-    axes: np.ndarray  # (3, 3), columns: the true sensor axes in body axes
-    gyro_bias: np.ndarray  # (3,) rad/s
-    gyro_scale: np.ndarray  # (3,)
-    acc_bias: np.ndarray  # (3,) m/s2
-    acc_scale: np.ndarray  # (3,)
-    gyro_noise: float  # rad/s per sample of the loop
-    acc_noise: float  # m/s2 per sample of the loop
-    gyro_vibration: float  # rad/s of one rotor's line at hover speed
-    acc_vibration: float  # m/s2 of one rotor's line at hover speed
-    hover_speed: float  # rad/s
-    gyro_kind_1: int  # NO_FILTER, PT1, PT2 or BIQUAD
-    gyro_cut_1: float  # Hz
-    gyro_kind_2: int
-    gyro_cut_2: float  # Hz
-    acc_kind: int
-    acc_cut: float  # Hz
-    gyro_delay: float  # s, from a motion to the reading, before the filters
-    acc_delay: float  # s
-    mode_frequency: np.ndarray  # (3,) rad/s
-    mode_damping: np.ndarray  # (3,) of critical
-    mode_acceleration: np.ndarray  # (3,) m/s2, standard deviation at hover speed
-    mode_rate: np.ndarray  # (3,) rad/s, standard deviation at hover speed
-    gyro_range: float  # rad/s
-    acc_range: float  # m/s2
+    position: np.ndarray = np.zeros(3)  # (3,) m from the true cg, body axes
+    axes: np.ndarray = np.eye(3)  # (3, 3), columns: the true sensor axes in body axes
+    gyro_bias: np.ndarray = np.zeros(3)  # (3,) rad/s
+    gyro_scale: np.ndarray = np.ones(3)  # (3,)
+    acc_bias: np.ndarray = np.zeros(3)  # (3,) m/s2
+    acc_scale: np.ndarray = np.ones(3)  # (3,)
+    gyro_noise: float = 0.0  # rad/s per sample of the loop
+    acc_noise: float = 0.0  # m/s2 per sample of the loop
+    gyro_vibration: float = 0.0  # rad/s of one rotor's line at hover speed
+    acc_vibration: float = 0.0  # m/s2 of one rotor's line at hover speed
+    hover_speed: float = BASE_HOVER_SPEED  # rad/s
+    gyro_kind_1: int = PT1  # NO_FILTER, PT1, PT2 or BIQUAD
+    gyro_cut_1: float = 250.0  # Hz
+    gyro_kind_2: int = PT1
+    gyro_cut_2: float = 500.0  # Hz
+    acc_kind: int = PT2
+    acc_cut: float = 100.0  # Hz
+    gyro_delay: float = 0.0  # s, from a motion to the reading, before the filters
+    acc_delay: float = 0.0  # s
+    mode_frequency: np.ndarray = np.zeros(3)  # (3,) rad/s
+    mode_damping: np.ndarray = np.zeros(3)  # (3,) of critical
+    mode_acceleration: np.ndarray = np.zeros(3)  # (3,) m/s2, standard deviation at hover speed
+    mode_rate: np.ndarray = np.zeros(3)  # (3,) rad/s, standard deviation at hover speed
+    gyro_range: float = math.radians(2000.0)  # rad/s
+    acc_range: float = 16.0 * attitude.GRAVITY  # m/s2
 
 
 class Telemetry(NamedTuple):
@@ -204,18 +205,18 @@ class Capture(NamedTuple):
 class CaptureErrors(NamedTuple):
     """What a capture system adds to the truth; angles rad, times s."""
 
-    rate: float
-    start: float  # true time at which the take begins, s after the log's first frame
-    skew: float  # capture clock fast by this share
-    position_noise: float
-    attitude_noise: float
-    latency: float
-    rotation_delay: float
-    body_turn: np.ndarray  # (3,) assumed marker axes onto the true ones, body axes
-    room_turn: np.ndarray  # (3,) assumed room axes onto the true ones, earth axes
-    offset: np.ndarray  # (3,) marker centroid from the true cg, body axes
-    drop_outs: int
-    swaps: int
+    rate: float = 120.0
+    start: float = -3.0  # true time at which the take begins, s after the log's first frame
+    skew: float = 0.0  # capture clock fast by this share
+    position_noise: float = 0.0
+    attitude_noise: float = 0.0
+    latency: float = 0.0
+    rotation_delay: float = 0.0
+    body_turn: np.ndarray = np.zeros(3)  # (3,) assumed marker axes onto the true ones, body axes
+    room_turn: np.ndarray = np.zeros(3)  # (3,) assumed room axes onto the true ones, earth axes
+    offset: np.ndarray = MARKER_OFFSET  # (3,) marker centroid from the true cg, body axes
+    drop_outs: int = 0
+    swaps: int = 0
 
 
 MARKERS = np.array([[0.055, 0.030, -0.004], [0.050, -0.045, 0.006], [-0.060, -0.020, -0.002], [-0.045, 0.035, 0.0]])

@@ -11,7 +11,7 @@ from scipy.spatial.distance import mahalanobis
 from quasi.errors import ConfigError
 from quasi.model.build import assemble_model
 from quasi.model.columns import ACCELERATIONS, ROTORS, STATE
-from quasi.model.envelope import compute_row_distance, measure_coverage
+from quasi.model.envelope import measure_coverage
 from quasi.model.model import Model
 
 READ = ["u", "v", "w", "p", "q", *ROTORS, *ACCELERATIONS]  # base columns of TERMS
@@ -99,20 +99,6 @@ def test_a_combination_may_be_new_where_each_part_is_not():
     sizes = [mahalanobis(row, data.mean(axis=0), inverse) for row in data]
     expected = 0.5 * (mahalanobis([3.0, -3.0], data.mean(axis=0), inverse) / np.percentile(sizes, 99.99) - 1)
     assert distance == pytest.approx(expected, rel=1e-9)
-
-
-def test_the_compiled_form_gives_the_same(model, training):
-    table = training.copy()
-    table[["u", "p", "w1"]] *= 1.6
-    states, speeds, accelerations = arrays(table.iloc[::100])
-    distance, worst = model.distance(states, speeds, accelerations)
-    region, names = model.region, (*model.region_names, "")
-    work, values = region.kernel.work, np.empty(region.kernel.outputs)
-    assert (distance > 0).any()
-    for k, row in enumerate(np.hstack([states, speeds, accelerations])):
-        d, number = compute_row_distance(*region, row, work, values)
-        assert d == pytest.approx(distance[k], rel=1e-12)
-        assert names[number] == worst[k]
 
 
 def test_a_table_and_arrays_agree_and_nan_gives_nan(model, training):

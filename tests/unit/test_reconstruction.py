@@ -15,9 +15,9 @@ from quasi.errors import ConfigError, DataError, cautions
 from quasi.filtering.flight import filter_flight
 from quasi.importing.flight import import_flight
 from quasi.importing.readers.table_mapping import read_mapping
-from quasi.importing.reconstruction import Signal, complete_sensors, derivative_error, thrust_angles
+from quasi.importing.reconstruction import complete_sensors, derivative_error, thrust_angles
 from quasi.importing.resampling import low_pass, velocity
-from quasi.importing.series import Series
+from quasi.importing.series import Series, Track
 from quasi.tables import read_json
 
 CRAZYPAD = SHARED.parent / "crazypad"
@@ -132,7 +132,7 @@ def test_the_error_of_a_derivative_is_that_of_white_noise():
     noise = rng.normal(0, 0.01, (20000, 3))
     t = np.arange(len(noise)) / rate
     found, _ = velocity(t, noise, t, 10.0)
-    assert derivative_error(Signal(t, noise), rate, 10.0, 1) == pytest.approx(found.std(), rel=0.2)
+    assert derivative_error(Track(t, noise), rate, 10.0, 1) == pytest.approx(found.std(), rel=0.2)
 
 
 def test_single_angles_need_axes_that_turn_alike():

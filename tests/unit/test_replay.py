@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from plain_plant import made_model
+from plain_rollout import make_body, rollout_body
 
 from quasi.attitude import to_euler
 from quasi.errors import DataError, ShapeError
@@ -10,7 +11,7 @@ from quasi.model.model import Model
 from quasi.simulation.loop.run import simulate
 from quasi.simulation.loop.setup import make_setup
 from quasi.simulation.tools.replay import ActuatorDynamics, read_actuator_dynamics, replay, to_euler_states
-from quasi.simulation.tools.rollout import make_body, rollout
+from quasi.simulation.tools.rollout import rollout
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +32,7 @@ def test_compiled_windows_equal_the_plain_ones_to_1e_9(gravity, substeps):
     model = made_model(asymmetric=True, gravity=gravity)
     t, states, speeds = flight()
     starts = np.array([0, 17, 111, 250])
-    plain = rollout(make_body(model), t, states, speeds, starts, 0.25, substeps)
+    plain = rollout_body(make_body(model), t, states, speeds, starts, 0.25, substeps)
     compiled = rollout(model, t, states, speeds, starts, 0.25, substeps)
     assert compiled.shape == (4, 126, 12)
     np.testing.assert_allclose(compiled, plain, rtol=1e-9, atol=1e-9)

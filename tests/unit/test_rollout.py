@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from plain_rollout import Body, hold_states, rollout_body
 from scipy.integrate import solve_ivp
 
 from quasi.attitude import GRAVITY, from_euler, matrix, rotate
 from quasi.errors import DataError, ShapeError
-from quasi.simulation.tools.rollout import Body, compute_errors, hold_states, rollout
+from quasi.simulation.tools.rollout import compute_errors
 
 INERTIA = np.array([[8.65e-4, 2e-5, 4e-5], [2e-5, 1.07e-3, -3e-5], [4e-5, -3e-5, 1.71e-3]])
 MASS = 0.433
@@ -31,7 +32,7 @@ def states(n, **values):
 def test_free_fall_is_a_parabola_whatever_the_attitude_and_spin():
     n = 501
     s = states(n, roll=0.5, pitch=-0.4, yaw=1.0, u=3.0, v=-1.0, w=0.5, p=4.0, q=-3.0, r=5.0, x=1.0, z=-2.0)
-    out = rollout(Body(MASS, INERTIA, nothing), grid(n), s, np.zeros((n, 4)), np.array([0]), 1.0)[0]
+    out = rollout_body(Body(MASS, INERTIA, nothing), grid(n), s, np.zeros((n, 4)), np.array([0]), 1.0)[0]
     v0 = rotate(from_euler(0.5, -0.4, 1.0), np.array([3.0, -1.0, 0.5]))
     expected = np.array([1.0, 0.0, -2.0]) + v0 + 0.5 * np.array([0, 0, GRAVITY])
     np.testing.assert_allclose(out[-1, 9:], expected, atol=1e-7)
@@ -41,7 +42,7 @@ def test_free_fall_is_a_parabola_whatever_the_attitude_and_spin():
 
 def test_net_forces_need_no_gravity():
     n = 101
-    out = rollout(Body(MASS, INERTIA, nothing, False), grid(n), states(n, u=1.0), np.zeros((n, 4)), [0], 0.2)[0]
+    out = rollout_body(Body(MASS, INERTIA, nothing, False), grid(n), states(n, u=1.0), np.zeros((n, 4)), [0], 0.2)[0]
     np.testing.assert_allclose(out[-1, 9:], [0.2, 0, 0], atol=1e-12)
 
 
@@ -50,7 +51,9 @@ def test_a_symmetric_top_precesses_at_the_printed_rate():
     n, dt = 1001, 0.001
     inertia = np.diag([1e-3, 1e-3, 1.8e-3])
     r, p = 12.0, 1.5
-    out = rollout(Body(1.0, inertia, nothing, False), grid(n, dt), states(n, p=p, r=r), np.zeros((n, 4)), [0], 1.0)[0]
+    out = rollout_body(
+        Body(1.0, inertia, nothing, False), grid(n, dt), states(n, p=p, r=r), np.zeros((n, 4)), [0], 1.0
+    )[0]
     rate = (1.8e-3 - 1e-3) / 1e-3 * r
     t = grid(n, dt)
     np.testing.assert_allclose(out[:, 6], p * np.cos(rate * t), atol=1e-7)
@@ -61,7 +64,7 @@ def test_a_symmetric_top_precesses_at_the_printed_rate():
 def test_a_torque_free_body_keeps_energy_and_angular_momentum_in_the_earth_frame():
     n = 1001
     s = states(n, roll=0.2, pitch=0.1, p=6.0, q=-4.0, r=3.0)
-    out = rollout(Body(MASS, INERTIA, nothing, False), grid(n), s, np.zeros((n, 4)), [0], 2.0)[0]
+    out = rollout_body(Body(MASS, INERTIA, nothing, False), grid(n), s, np.zeros((n, 4)), [0], 2.0)[0]
     energy = 0.5 * np.einsum("ni,ij,nj->n", out[:, 6:9], INERTIA, out[:, 6:9])
     np.testing.assert_allclose(energy, energy[0], rtol=1e-8)
     momentum = rotate(from_euler(*out[:, :3].T), out[:, 6:9] @ INERTIA)
@@ -90,7 +93,7 @@ def test_a_window_equals_an_independent_integrator():
     speeds = 900 + 40 * np.column_stack([np.sin((3 + k) * t + k) for k in range(4)])
     s = states(n, roll=0.3, pitch=-0.2, yaw=2.0, u=2.0, v=1.0, w=-0.5, p=1.0, q=0.5, r=-1.0)
     start, steps = 20, 200
-    out = rollout(Body(MASS, INERTIA, lively), t, s, speeds, np.array([start]), steps * dt)[0]
+    out = rollout_body(Body(MASS, INERTIA, lively), t, s, speeds, np.array([start]), steps * dt)[0]
 
     def equations(time, y):
         # rotation matrix instead of quaternion, linear interpolation by numpy
@@ -126,12 +129,14 @@ def test_windows_together_equal_windows_alone_and_substeps_agree():
     speeds = 900 + 10 * r.standard_normal((n, 4))
     body = Body(MASS, INERTIA, lively)
     starts = np.array([0, 50, 111, 190])
-    together = rollout(body, t, s, speeds, starts, 0.2)
+    together = rollout_body(body, t, s, speeds, starts, 0.2)
     assert together.shape == (4, 101, 12)
     np.testing.assert_array_equal(together[:, 0, 3:], s[starts, 3:])
     for k, start in enumerate(starts):
-        np.testing.assert_allclose(rollout(body, t, s, speeds, [start], 0.2)[0], together[k], rtol=1e-12, atol=1e-14)
-    np.testing.assert_allclose(rollout(body, t, s, speeds, starts, 0.2, substeps=4), together, atol=1e-6)
+        np.testing.assert_allclose(
+            rollout_body(body, t, s, speeds, [start], 0.2)[0], together[k], rtol=1e-12, atol=1e-14
+        )
+    np.testing.assert_allclose(rollout_body(body, t, s, speeds, starts, 0.2, substeps=4), together, atol=1e-6)
 
 
 def test_errors_are_angles_and_earth_frame_vectors():
@@ -156,8 +161,8 @@ def test_holding_keeps_the_start():
 def test_wrong_input_is_refused():
     body = Body(MASS, INERTIA, nothing)
     with pytest.raises(DataError, match="leaves the 50 rows"):
-        rollout(body, grid(50), states(50), np.zeros((50, 4)), [40], 0.1)
+        rollout_body(body, grid(50), states(50), np.zeros((50, 4)), [40], 0.1)
     with pytest.raises(ShapeError, match="states must be"):
-        rollout(body, grid(50), states(49), np.zeros((50, 4)), [0], 0.01)
+        rollout_body(body, grid(50), states(49), np.zeros((50, 4)), [0], 0.01)
     with pytest.raises(DataError, match="evenly spaced"):
-        rollout(body, np.sort(np.random.default_rng(0).random(50)), states(50), np.zeros((50, 4)), [0], 0.01)
+        rollout_body(body, np.sort(np.random.default_rng(0).random(50)), states(50), np.zeros((50, 4)), [0], 0.01)

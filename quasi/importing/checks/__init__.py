@@ -53,9 +53,7 @@ def check_recording(recording: Recording, where: str) -> Recording:
             f"{where}: {reason} for {seconds:.2f} s, first from {own[0].begin - start:.2f} s; these rows are invalid "
             "and serve no identification: check the sensor, its wiring and its telemetry",
         )
-    found: dict[str, Any] = {
-        "invalid spans": [{"begin": s.begin, "end": s.end, "reason": s.reason} for s in spans],
-    }
+    found: dict[str, Any] = {"invalid spans": [{"begin": s.begin, "end": s.end, "reason": s.reason} for s in spans]}
     if not from_table:
         found["spikes removed"] = removed
     return replace(recording, series=series, metadata={**recording.metadata, **found}, notes=notes)

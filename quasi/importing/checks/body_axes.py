@@ -86,10 +86,7 @@ def _votes(series: Series, where: str) -> dict[str, bool | str | None]:
     series  t (n,) s with quantities of RATES, FORCE and ATTITUDE, as far as logged
     """
     votes: dict[str, bool | str | None] = {}
-    rates, force, attitude = (
-        np.stack([series.values[n] for n in names], axis=1) if all(n in series.values for n in names) else None
-        for names in (RATES, FORCE, QUATERNION)
-    )
+    rates, force, attitude = (series.matrix(names) for names in (RATES, FORCE, QUATERNION))
     if force is not None:
         votes["the specific force"] = _by_force(series.t, rates, force, attitude)
     if rates is not None and attitude is not None:

@@ -23,6 +23,8 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
+from quasi.importing.series import interpolate_columns
+
 RESIDUAL_BLOCK = 1.0  # s, longer than what correlates the residuals
 
 
@@ -110,9 +112,9 @@ def uniform(t: np.ndarray, values: np.ndarray, rate: float, cutoff: float) -> Un
     if usual < 0.7 * step and cutoff < 0.5 / step:
         # denser than the grid: filter on the source's own spacing first
         dense = np.arange(t[0], t[-1], usual)
-        inner = np.stack([np.interp(dense, t, v) for v in values.T], axis=1)
+        inner = interpolate_columns(dense, t, values)
         inner = _low_pass(inner, 1 / usual, cutoff)
-        out = np.stack([np.interp(grid, dense, v) for v in inner.T], axis=1)
+        out = interpolate_columns(grid, dense, inner)
     else:
         # straight lines between samples as coarse as these would weaken the faster motion
         out = _low_pass(CubicSpline(t, values, axis=0)(grid), rate, cutoff)

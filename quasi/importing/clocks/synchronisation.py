@@ -82,12 +82,7 @@ class Synchronisation:
 
 
 def synchronise(
-    onboard: Motion,
-    capture: Motion,
-    using: Sequence[str],
-    longest_lag: float,
-    where: str,
-    same_clock: bool = False,
+    onboard: Motion, capture: Motion, using: Sequence[str], longest_lag: float, where: str, same_clock: bool = False
 ) -> Synchronisation:
     """Find the on-board clock's reading for every capture time.
 

@@ -5,7 +5,7 @@ or earlier than those of the gyro. The lag follows from the motion that both mea
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from copy import copy
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -39,6 +39,9 @@ class TableSource(Protocol):
     t: np.ndarray
     values: dict[str, np.ndarray]
     stamps: np.ndarray | None
+
+    def matrix(self, names: Sequence[str]) -> np.ndarray:
+        """Quantities side by side (n, len(names))."""
 
 
 def uncrowded(t: np.ndarray) -> np.ndarray:
@@ -137,16 +140,6 @@ def _same_stamps(one: TableSource, other: TableSource) -> bool:
 BY_ROTOR_SPEEDS = "angular acceleration and rotor speeds"
 
 
-@dataclass
-class _Stretch:
-    """The samples of a source within a span of time; see `TableSource`."""
-
-    source: Source
-    t: np.ndarray
-    values: dict[str, np.ndarray]
-    stamps: np.ndarray | None
-
-
 def _liveliest(main: TableSource) -> tuple[float, float]:
     """The LONGEST_RECORD seconds of a source in which it moves most, as begin and end; all where it is shorter."""
     t = main.t
@@ -157,7 +150,7 @@ def _liveliest(main: TableSource) -> tuple[float, float]:
     )
     if moving is None:
         return float(t[0]), float(t[0]) + LONGEST_RECORD
-    energy = np.concatenate([[0.0], np.cumsum(np.nan_to_num(_stack(main, moving) ** 2).sum(axis=1))])
+    energy = np.concatenate([[0.0], np.cumsum(np.nan_to_num(main.matrix(moving) ** 2).sum(axis=1))])
     after = np.searchsorted(t, t + LONGEST_RECORD, side="right")
     best = int(np.argmax(np.where(t + LONGEST_RECORD <= t[-1], energy[after] - energy[:-1], -1.0)))
     return float(t[best]), float(t[best]) + LONGEST_RECORD
@@ -167,7 +160,9 @@ def _within(r: TableSource, span: tuple[float, float]) -> TableSource:
     rows = (r.t >= span[0]) & (r.t <= span[1])
     if np.count_nonzero(rows) < LEAST_SAMPLES or rows.all():
         return r
-    return _Stretch(r.source, r.t[rows], {n: v[rows] for n, v in r.values.items()}, r.stamps)
+    part = copy(r)
+    part.t, part.values = r.t[rows], {n: v[rows] for n, v in r.values.items()}
+    return part
 
 
 def _motion_lag(r: TableSource, main: TableSource) -> tuple[ClockFit | None, str]:
@@ -182,27 +177,23 @@ def _motion_lag(r: TableSource, main: TableSource) -> tuple[ClockFit | None, str
     for state, force, sign in ((main, r, 1.0), (r, main, -1.0)):
         if all(n in s.values and not s.source.columns[n].body for n, s in (("ax", force), ("vx", state))):
             clock = acceleration_lag(
-                force.t, _stack(force, VECTOR_COLUMNS["force"]), state.t, _stack(state, VECTOR_COLUMNS["velocity"])
+                force.t, force.matrix(VECTOR_COLUMNS["force"]), state.t, state.matrix(VECTOR_COLUMNS["velocity"])
             )
             if clock is not None and sign < 0:
                 clock = clock.inverted()
             return clock, "velocity derivative and acceleration"
     if len(rotors) >= 3 and "p" in main.values:
-        return rotor_lag(r.t, _stack(r, rotors), main.t, _stack(main, VECTOR_COLUMNS["rates"])), BY_ROTOR_SPEEDS
+        return rotor_lag(r.t, r.matrix(rotors), main.t, main.matrix(VECTOR_COLUMNS["rates"])), BY_ROTOR_SPEEDS
     return None, ""
 
 
 def _attitude_lag(r: TableSource, main: TableSource) -> ClockFit | None:
     """Lag of the gyro's stamps behind those of an attitude of another source, from the body rates of both."""
-    q = _stack(r, QUATERNION)
+    q = r.matrix(QUATERNION)
     fine = np.isfinite(q).all(axis=1)
     if np.count_nonzero(fine) < 8:
         return None
     t = r.t[fine]
     turned = uniform(t, body_rates(continuous(q[fine]), t), GRID, TELEMETRY_BAND)
-    gyro = uniform(main.t, _stack(main, VECTOR_COLUMNS["rates"]), GRID, TELEMETRY_BAND)
+    gyro = uniform(main.t, main.matrix(VECTOR_COLUMNS["rates"]), GRID, TELEMETRY_BAND)
     return None if turned is None or gyro is None else best_fit([Pair("body rates", gyro, turned)])
-
-
-def _stack(r: TableSource, names: tuple[str, ...]) -> np.ndarray:
-    return np.stack([r.values[n] for n in names], axis=-1)

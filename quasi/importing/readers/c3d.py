@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quasi.attitude import from_matrix, normalise
+from quasi.attitude import from_matrix
 from quasi.errors import ReadError, add_caution, nearest
 from quasi.importing.readers.captured_body import LARGEST, LENGTHS, Body, captured_recording
 from quasi.importing.readers.reader import Reader, Request, needs_extra
@@ -46,7 +46,7 @@ def read_c3d(
     if len(rows) >= LEAST_MARKERS and np.count_nonzero(complete) > FIRST:
         quaternion = np.full((len(markers), 4), np.nan)
         axes = np.diag(HALF_TURN)
-        quaternion[complete] = normalise(from_matrix(axes @ turns_of(markers[complete]) @ axes))
+        quaternion[complete] = from_matrix(axes @ turns_of(markers[complete]) @ axes)
         add_caution(
             notes,
             f"{path} holds markers alone: the attitude of '{name}' is its turn since the first {FIRST} frames, in "

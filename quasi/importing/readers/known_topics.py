@@ -98,11 +98,7 @@ def candidates(topics: Mapping[str, Topic], known: Sequence[Known]) -> dict[str,
 
 
 def plan_known(
-    topics: Mapping[str, Topic],
-    known: Sequence[Known],
-    chosen: Mapping[str, str],
-    path: Path,
-    notes: list[str],
+    topics: Mapping[str, Topic], known: Sequence[Known], chosen: Mapping[str, str], path: Path, notes: list[str]
 ) -> dict[str, Any]:
     """The section "table columns" of a log whose topics are known.
 

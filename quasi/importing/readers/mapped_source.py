@@ -146,6 +146,10 @@ class MappedSource:
             "motion capture": source.capture,
         }
 
+    def matrix(self, names: Sequence[str]) -> np.ndarray:
+        """Quantities side by side (n, len(names))."""
+        return np.stack([self.values[n] for n in names], axis=-1)
+
     def settle(self, rows: np.ndarray | None, at_rest: np.ndarray, path: Path, notes: list[str]) -> None:
         """Keep the rows that bring a new sample: stamp larger than any before, values not merely held.
 
@@ -284,7 +288,7 @@ class MappedSource:
                 for name, sign in zip(members, axes):
                     self.values[name] = sign * self.values[name]
         if "qw" in self.values:
-            q = np.stack([self.values[n] for n in QUATERNION], axis=-1)
+            q = self.matrix(QUATERNION)
             length = np.linalg.norm(q, axis=-1, keepdims=True)
             q = np.where(length > 0.5, q / np.where(length > 0.5, length, 1.0), np.nan)
         elif all(n in self.values for n in EULER_ANGLES):
@@ -326,12 +330,8 @@ class MappedSource:
                 raise ReadError(
                     f"{path}: ax, ay, az are in world axes but no on-board attitude is mapped to turn them; map one"
                 )
-            q = np.stack([holder.values[n] for n in QUATERNION], axis=-1)
+            q = holder.matrix(QUATERNION)
             fine = np.isfinite(q).all(axis=-1)
             at = interpolate(q[fine], holder.t[fine], self.t)
-            force = rotate_inverse(at, np.stack([self.values[n] for n in VECTOR_COLUMNS["force"]], axis=-1))
+            force = rotate_inverse(at, self.matrix(VECTOR_COLUMNS["force"]))
             self.values |= {n: force[:, i] for i, n in enumerate(VECTOR_COLUMNS["force"])}
-
-
-def stack_columns(r: "MappedSource", names: tuple[str, ...]) -> np.ndarray:
-    return np.stack([r.values[n] for n in names], axis=-1)

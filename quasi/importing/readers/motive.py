@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.spatial.transform import Rotation
 
-from quasi.attitude import from_matrix, normalise
 from quasi.errors import ReadError, add_caution, nearest
 from quasi.importing.readers.captured_body import LENGTHS, Body, captured_recording
 from quasi.importing.readers.reader import TEXT, Reader, Request
@@ -267,23 +267,13 @@ def _attitude(header: _Header, values: dict[tuple[str, str], np.ndarray], path: 
     order = header.facts.get("rotation type", "XYZ").upper()
     if sorted(order) != ["X", "Y", "Z"]:
         raise ReadError(f"{path} gives rotations as '{order}', expected Quaternion or an order of angles such as XYZ")
-    turn = np.broadcast_to(np.eye(3), (len(values["rotation", "x"]), 3, 3))
-    for letter in order:  # turns about the body's own axes, in the order named
-        turn = turn @ _elementary("XYZ".index(letter), np.radians(values["rotation", letter.lower()]))
-    q = np.full((len(turn), 4), np.nan)
-    good = np.isfinite(turn).all(axis=(1, 2))
-    q[good] = normalise(from_matrix(ROOM_TO_EARTH @ turn[good] @ ROOM_TO_EARTH.T))
+    angles = np.column_stack([values["rotation", letter.lower()] for letter in order])
+    q = np.full((len(angles), 4), np.nan)
+    good = np.isfinite(angles).all(axis=1)
+    # turns about the body's own axes, in the order named
+    q[good] = Rotation.from_euler(order, angles[good], degrees=True).as_quat(scalar_first=True)
+    q[:, 1:] @= ROOM_TO_EARTH.T
     return q, f"{order} angles"
-
-
-def _elementary(axis: int, angle: np.ndarray) -> np.ndarray:
-    """Rotation matrices (n, 3, 3) by `angle` (n,), rad, about x, y or z (0, 1, 2)."""
-    m = np.zeros((len(angle), 3, 3))
-    c, s = np.cos(angle), np.sin(angle)
-    j, k = (axis + 1) % 3, (axis + 2) % 3
-    m[:, axis, axis] = 1.0
-    m[:, j, j], m[:, k, k], m[:, k, j], m[:, j, k] = c, c, s, -s
-    return m
 
 
 def _read(request: Request) -> Recording:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quasi.attitude import from_matrix, normalise
+from quasi.attitude import from_matrix
 from quasi.errors import ReadError
 from quasi.importing.readers.captured_body import Body, captured_recording, choose_body, number_in
 from quasi.importing.readers.reader import Reader, Request
@@ -43,10 +43,12 @@ def read_qualisys(
     unseen = ~np.isfinite(places).all(axis=1) | (places == 0.0).all(axis=1)
     quaternion = None
     if turned is not None:
-        unseen |= ~np.isfinite(turned).all(axis=(1, 2)) | (turned == 0.0).all(axis=(1, 2))
+        unseen |= ~np.isfinite(turned).all(axis=(1, 2))
+        turned[unseen] = 0.0
+        unseen |= np.linalg.det(turned) <= 0.0  # written as zeros, or no rotation
         quaternion = np.full((len(cells), 4), np.nan)
         axes = np.diag(HALF_TURN)
-        quaternion[~unseen] = normalise(from_matrix(axes @ turned[~unseen] @ axes))
+        quaternion[~unseen] = from_matrix(axes @ turned[~unseen] @ axes)
     position = MILLI * places * HALF_TURN
     position[unseen] = np.nan
     about = {

@@ -16,13 +16,7 @@ from quasi.errors import ReadError, add_caution
 from quasi.importing.clocks.table_clocks import correct_source_lags, rows_possibly_at_rest
 from quasi.importing.contradictions import doubtful_units, doubtful_values
 from quasi.importing.readers.arrays import read_arrays
-from quasi.importing.readers.mapped_source import (
-    LEAST_ROWS,
-    MappedSource,
-    missing_column,
-    stack_columns,
-    times_of_column,
-)
+from quasi.importing.readers.mapped_source import LEAST_ROWS, MappedSource, missing_column, times_of_column
 from quasi.importing.readers.reader import TEXT, Reader, Request
 from quasi.importing.readers.signals import Signals
 from quasi.importing.readers.table_mapping import EULER_ANGLES, QUATERNION, VECTOR_COLUMNS, TableMapping, read_mapping
@@ -109,8 +103,8 @@ def read_signals(
     for r in raw:
         r.world_to_body(raw, path)
     felt = next((r for r in raw if "ax" in r.values and not r.source.capture), None)
-    force = np.zeros((0, 3)) if felt is None else stack_columns(felt, VECTOR_COLUMNS["force"])
-    turning = stack_columns(main, VECTOR_COLUMNS["rates"]) if "p" in main.values else np.zeros((0, 3))
+    force = np.zeros((0, 3)) if felt is None else felt.matrix(VECTOR_COLUMNS["force"])
+    turning = main.matrix(VECTOR_COLUMNS["rates"]) if "p" in main.values else np.zeros((0, 3))
     notes += [f"{path}: {end} in 'table columns'" for end in doubtful_units(turning, force)]
     for end in doubtful_values({n: v for r in raw for n, v in r.values.items()}):
         add_caution(notes, f"{path}: {end} in 'table columns'")

@@ -14,12 +14,7 @@ from numba import njit
 from quasi.attitude import GRAVITY
 from quasi.simulation.control.controllers import controller_step
 from quasi.simulation.control.references import evaluate_reference
-from quasi.simulation.vehicle.dynamics import (
-    compute_loads,
-    count_inputs,
-    integrate_step,
-    rotor_acceleration,
-)
+from quasi.simulation.vehicle.dynamics import compute_loads, count_inputs, integrate_step, rotor_acceleration
 from quasi.simulation.vehicle.layout import (
     ADDED_GRAVITY,
     EXTRA_INPUTS,

@@ -140,14 +140,7 @@ class QuadrotorSimulator(Simulator):
         state.measurement[:20] = bus.measured_state[k]
         state.setpoint[:] = bus.reference[k]
         controller_step(
-            m.controller,
-            m.gains,
-            state.memory,
-            k * m.dt,
-            m.dt,
-            state.measurement,
-            state.setpoint,
-            state.commands,
+            m.controller, m.gains, state.memory, k * m.dt, m.dt, state.measurement, state.setpoint, state.commands
         )
         if not np.all(np.isfinite(state.commands)):
             raise _NoCommandError

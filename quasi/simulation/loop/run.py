@@ -33,9 +33,7 @@ from quasi.terms.lanes import LANES
 
 
 def simulate(
-    setup: Setup,
-    steps: Mapping[str, Callable] | None = None,
-    between: Mapping[str, Callable] | None = None,
+    setup: Setup, steps: Mapping[str, Callable] | None = None, between: Mapping[str, Callable] | None = None
 ) -> Result:
     """Run a closed loop to its end, or until it diverges.
 

@@ -59,7 +59,6 @@ class Pilot:
 
     def setpoint(self, held_keys: set[str], dt: float) -> np.ndarray:
         """Return the setpoint (20,) after dt s with keys: kind; velocity (earth) or angles; yaw, yaw rate; thrust."""
-        handling_limits = self.handling
 
         def difference(more: tuple[str, ...], less: tuple[str, ...]) -> int:
             return bool(held_keys & set(more)) - bool(held_keys & set(less))
@@ -67,18 +66,13 @@ class Pilot:
         wanted = np.array(
             [difference(("w",), ("s",)), difference(("d",), ("a",)), difference(("up", "i"), ("down", "k"))], float
         )
-        turn = handling_limits.turn * difference(("right", "l"), ("left", "j"))
+        turn = self.handling.turn * difference(("right", "l"), ("left", "j"))
         wanted[:2] /= max(math.hypot(wanted[0], wanted[1]), 1.0)  # a diagonal is not faster
+        limits = self.handling
         if self.kind == VELOCITY_SETPOINT:
-            full, rate = (
-                np.array([handling_limits.speed, handling_limits.speed, handling_limits.climb]),
-                handling_limits.acceleration,
-            )
+            full, rate = np.array([limits.speed, limits.speed, limits.climb]), limits.acceleration
         else:
-            full, rate = (
-                np.array([handling_limits.tilt, handling_limits.tilt, handling_limits.lift]),
-                handling_limits.tilting,
-            )
+            full, rate = np.array([limits.tilt, limits.tilt, limits.lift]), limits.tilting
         self._commanded += np.clip(full * wanted - self._commanded, -rate * dt, rate * dt)
         self.yaw = (self.yaw + turn * dt + math.pi) % (2.0 * math.pi) - math.pi
         setpoint = np.zeros(SETPOINT_SIZE)
@@ -117,16 +111,20 @@ class Pace:
 
 
 class Flight(Protocol):
-    """The simulation that `fly_manually` needs."""
+    """The simulation that a live view shows."""
 
     dt: float  # s
     t: float  # s
+    duration: float  # s, of a flight that follows a reference
     weight: float  # N
 
     def state(self) -> np.ndarray:
         """(17,) attitude w x y z, u v w, p q r, x y z, rotor speeds."""
 
-    def advance(self, setpoint: np.ndarray, steps: int) -> str | None:
+    def setpoint(self) -> np.ndarray:
+        """(20,) present setpoint of the reference, see `outer_loop`."""
+
+    def advance(self, setpoint: np.ndarray | None, steps: int) -> str | None:
         """Run this many steps; return a sentence when the simulation ends early."""
 
     def restart(self) -> None:
@@ -149,8 +147,8 @@ class View(Protocol):
     def poll(self, held_keys: HeldKeys, now: float) -> list[str]:
         """Process window events: register held keys in `held_keys`, return pressed keys."""
 
-    def show(self, t: float, state: np.ndarray, text: str) -> None:
-        """Draw the drone."""
+    def show(self, t: float, state: np.ndarray, text: str, target: np.ndarray | None = None) -> None:
+        """Draw the drone, and a mark at the target (3,), m, earth NED."""
 
 
 def fly_manually(

@@ -6,53 +6,19 @@ simulation ends early, the last picture stays visible.
 
 import time
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 
 from quasi.simulation.tools.keyboard import HeldKeys
-from quasi.simulation.tools.manual_flight import Keys, Pace
+from quasi.simulation.tools.manual_flight import Flight, Keys, Pace, View
 
 REFERENCE_HELP = "space pauses, r starts again, q ends"
 POSITION_SETPOINT = 0.0
 MAX_REFERENCE_POINTS = 2000  # of a reference's path; more are not visible
 
 
-class Followed(Protocol):
-    """The simulation that `show_reference_flight` needs."""
-
-    dt: float  # s
-    t: float  # s
-    duration: float  # s
-
-    def state(self) -> np.ndarray:
-        """(17,) attitude w x y z, u v w, p q r, x y z, rotor speeds."""
-
-    def setpoint(self) -> np.ndarray:
-        """(20,) present setpoint of the reference, see `outer_loop`."""
-
-    def advance(self, setpoint: np.ndarray | None, steps: int) -> str | None:
-        """Run this many steps; return a sentence when the simulation ends early."""
-
-    def restart(self) -> None:
-        """Restart the simulation."""
-
-
-class View(Protocol):
-    """A live view of the flight."""
-
-    def is_open(self) -> bool:
-        """Whether the flight continues."""
-
-    def poll(self, held_keys: HeldKeys, now: float) -> list[str]:
-        """Process window events; return the pressed keys."""
-
-    def show(self, t: float, state: np.ndarray, text: str, target: np.ndarray | None = None) -> None:
-        """Draw the drone and a mark at the target (3,), m, earth NED."""
-
-
 def show_reference_flight(
-    flight: Followed,
+    flight: Flight,
     view: View,
     keys: Keys | None = None,
     clock: Callable[[], float] = time.perf_counter,
@@ -96,7 +62,7 @@ def _target(setpoint: np.ndarray) -> np.ndarray | None:
     return setpoint[1:4].copy() if setpoint[0] == POSITION_SETPOINT else None
 
 
-def describe_flight(flight: Followed, pace: Pace, ended: str | None, paused: bool, error: float | None) -> str:
+def describe_flight(flight: Flight, pace: Pace, ended: str | None, paused: bool, error: float | None) -> str:
     """Describe the flight for the view: speed, height, position error, and exceptions."""
     if ended is not None:
         return f"{ended}; r starts again"
