@@ -286,7 +286,7 @@ def show(title: str, case: Case, found: Mapping[str, Any], result: Mapping[str, 
     for left in found["unexplained"]:
         print(f"   unexplained {left['channel']} along {left['where']}, share {left['share']}")
     for loss in found.get("losses", ()):
-        print(f"   loss {loss}")
+        print(f"   loss: {loss['text']}")
     if case.right and result["score"] == "missed":
         for c in found["candidates"]:
             if c["id"] in case.right:
