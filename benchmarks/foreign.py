@@ -26,7 +26,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from foreign_flights import Motion, Sensors, Vehicle, film, measure, write_arrays, write_csv, write_vicon
 from foreign_pilot import course
-from measured_table import record
+from measured_table import RESULTS, record
+
+from quasi.tables import read_json, write_json
 
 ROOT = Path(__file__).resolve().parents[1]
 REFERENCES, COMPARED, HELD_OUT = 4, 5, 2
@@ -294,6 +296,30 @@ def show(title: str, case: Case, found: Mapping[str, Any], result: Mapping[str, 
     sys.stdout.flush()
 
 
+def answer(found: Mapping[str, Any]) -> str:
+    """What a diagnosis names, in a cell."""
+    parts = []
+    for e in found["effects"]:
+        values = ", ".join(f"{k} {p['value']:.4g} ± {p['std']:.2g}" for k, p in e["parameters"].items())
+        parts.append(f"`{e['id']}` {values}")
+    parts += [f"tie of {', '.join(f'`{i}`' for i in t['ids'])}" for t in found["ties"]]
+    parts += [f"unexplained {left['channel']}" for left in found["unexplained"]]
+    return "; ".join(parts) or found["verdict"]
+
+
+def figures(rows: list[list[str]]) -> dict[str, int]:
+    """Counts of a table."""
+    clean = [row for row in rows if row[1] == "clean"]
+    return {
+        "sets": len(rows),
+        "clean": len(clean),
+        "agree": sum(row[3] == "right" for row in clean),
+        "right": sum(row[3].startswith("right") for row in rows),
+        "missed": sum(row[3] == "missed" for row in rows),
+        "wrong": sum(row[3] in ("WRONG NAME", "FALSE ALARM") for row in rows),
+    }
+
+
 def main() -> None:
     """Fly, diagnose, print, and record when asked to."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -306,6 +332,7 @@ def main() -> None:
     arguments = parser.parse_args()
     sys.path.append(str(arguments.place))
     tally: dict[str, list[str]] = {}
+    rows: list[list[str]] = []
     for simulator in arguments.simulators:
         every = SIMULATORS[simulator]()
         cases = {k: c for k, c in every.items() if not arguments.cases or any(p in k for p in arguments.cases)}
@@ -319,11 +346,15 @@ def main() -> None:
                 found = diagnose(folder, name)
                 result = judge(case, found)
                 show(f"{simulator} {seed}, {name}", case, found, result, time.perf_counter() - began)
+                rows.append([f"{simulator} {seed}", name, answer(found), result["score"]])
                 tally.setdefault(result["score"], []).append(f"{simulator} {seed} {name}")
     for score, names in tally.items():
         print(f"{score}: {len(names)}")
     if arguments.record:
-        record("foreign", {k: len(v) for k, v in tally.items()})
+        document = read_json(RESULTS / "foreign.json")
+        document["table"]["rows"] = rows
+        write_json(RESULTS / "foreign.json", document)
+        record("foreign", figures(rows))
 
 
 if __name__ == "__main__":

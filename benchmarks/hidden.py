@@ -69,6 +69,7 @@ WRENCH = {
     "rotor_interference": Hidden(("k",), "one", 0.1),
     "thrust_curve": Hidden(("c1",), "one", 3e-5),
     "thrust_factor": Hidden(("factor",), "one", 0.04, 1.0),
+    "torque_factor": Hidden(("factor",), "one", 0.1, 1.0),
     "inflow_lag": Hidden(("tau",), "one", 0.006, _P.inflow_lag, False),
     "rotor_speed_scale": Hidden(("scale",), "one", 0.05, 1.0),
     "thrust_drift": Hidden(("rate",), "one", 0.001),

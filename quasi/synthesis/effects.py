@@ -16,6 +16,7 @@ import numpy as np
 from quasi import attitude
 from quasi.errors import ConfigError, nearest
 from quasi.synthesis.nuisance import Setup
+from quasi.synthesis.vehicle import hover_factors
 
 
 class Parameter(NamedTuple):
@@ -35,6 +36,13 @@ Change = Callable[[Setup, Values], Setup]
 def _physics(setup: Setup, **changes: object) -> Setup:
     vehicle = setup.vehicle
     return setup._replace(vehicle=vehicle._replace(physics=vehicle.physics._replace(**changes)))
+
+
+def _torque_factor(setup: Setup, v: Mapping[str, float]) -> Setup:
+    """More profile drag of the blades, until a hovering rotor takes that torque."""
+    rotor = setup.vehicle.physics
+    whole, bare = (hover_factors(p)["torque"] for p in (rotor, rotor._replace(profile_drag=0.0)))
+    return _physics(setup, profile_drag=rotor.profile_drag * (1.0 + (v["factor"] - 1.0) * whole / (whole - bare)))
 
 
 def _drive(setup: Setup, **changes: object) -> Setup:
@@ -183,6 +191,7 @@ OFFERED: dict[str, tuple[dict[str, Parameter], Change]] = {
         {"factor": Parameter("1", 1.0, 0.3, 3.0)},
         lambda s, v: _physics(s, thrust_gain=s.vehicle.physics.thrust_gain * v["factor"]),
     ),
+    "torque_factor": ({"factor": Parameter("1", 1.0, 0.3, 3.0)}, _torque_factor),
     "inflow_lag": ({"tau": Parameter("s", None, 0.0005, 0.1, True)}, lambda s, v: _physics(s, inflow_lag=v["tau"])),
     "battery_sag": (
         {"exponent": Parameter("1", None, 0.0, 3.0, True)},

@@ -27,7 +27,7 @@ CATALOGUE = catalogue()
 ROOM = room_of({"north": [-5, 5], "east": [-5, 5], "height": 5})
 LEVELS = {  # what the catalogue promises
     "forces": "rotor_drag body_drag blade_flapping translational_lift axial_inflow vortex_ring ground_effect proximity "
-    "rotor_interference thrust_curve thrust_factor inflow_lag rotor_speed_scale thrust_drift rotor_effectiveness "
+    "rotor_interference thrust_curve thrust_factor torque_factor inflow_lag rotor_speed_scale thrust_drift rotor_effectiveness "
     "rotor_tilt rotor_gyroscopic rotor_acceleration_torque mass inertia cg_offset wind gusts payload_swing tether "
     "telemetry_delay",
     "drive": "battery_sag motor_lag command_delay actuator_saturation weak_motor",
@@ -124,6 +124,7 @@ CASES = {
     "axial_inflow": ({"k": 3e-5}, {"k": 3e-5}, 0.05),
     "thrust_curve": ({"c1": 3e-5, "c0": 0.02}, {"c1": 3e-5, "c0": 0.02}, 0.05),
     "thrust_factor": ({"factor": 0.97}, {"factor": -0.03}, 0.2),
+    "torque_factor": ({"factor": 1.2}, {"factor": 0.2}, 0.3),
     "thrust_drift": ({"rate": -0.002}, {"rate": -0.002}, 0.2),
     "rotor_effectiveness": ({"rotor2": 0.95}, {"rotor2": -0.05}, 0.2),
     "rotor_tilt": ({"rotor1": 0.03}, {"rotor1": 0.03}, 0.3),

@@ -84,7 +84,7 @@ NEUTRAL = {
     "accelerometer_bias", "accelerometer_scale", "battery_sag", "cg_offset", "gyro_bias", "gyro_scale",
     "imu_lever_arm", "imu_misalignment", "inertia", "marker_offset", "mass", "mocap_misalignment", "motor_lag",
     "room_tilt", "rotor_effectiveness", "rotor_speed_scale", "rotor_tilt", "thrust_curve", "thrust_drift",
-    "thrust_factor", "wind",
+    "thrust_factor", "torque_factor", "wind",
 }  # fmt: skip
 
 

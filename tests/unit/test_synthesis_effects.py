@@ -63,6 +63,10 @@ def test_flapping_lift_and_axial_inflow_follow_their_equations():
 def test_thrust_effects_scale_or_add_thrust():
     base = loads(NOMINAL, NONE, NONE)[0][2]
     assert loads(planted(thrust_factor={"factor": 0.95}), NONE, NONE)[0][2] == pytest.approx(0.95 * base)
+    speeds = BASE_HOVER_SPEED + np.array([50.0, -50.0, -50.0, 50.0])
+    plain, more = (loads(s, NONE, NONE, speeds=speeds) for s in (NOMINAL, planted(torque_factor={"factor": 1.2})))
+    assert more[1][2] == pytest.approx(1.2 * plain[1][2], rel=0.02)
+    np.testing.assert_allclose(more[0], plain[0])
     assert loads(planted(thrust_drift={"rate": -1e-3}), NONE, NONE, t=50.0)[0][2] == pytest.approx(0.95 * base)
     curve = loads(planted(thrust_curve={"c1": 1e-5, "c0": 0.02}), NONE, NONE)[0][2]
     assert curve - base == pytest.approx(-(1e-5 * TOTAL + 4 * 0.02))

@@ -69,7 +69,7 @@ EFFECT = Effect(
         for name, entry in ENTRIES.items()
     },
     channels=("Mx", "My", "Mz"),
-    rivals=("gyro_scale", "rotor_gyroscopic"),
+    rivals=("gyro_scale", "rotor_gyroscopic", "torque_factor"),
     tie_breaker="excite the three axes together; a bifilar pendulum test",
     columns=_columns,
     extension=_extension,
