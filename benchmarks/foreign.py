@@ -84,7 +84,7 @@ def rotorpy_cases() -> dict[str, Case]:
         "mass x 1.08": Case(("mass",), value={"mass": 1.08 * p["mass"]}, change=scaled(mass=1.08)),
         "rotor 3 x 0.93": Case(("rotor_effectiveness",), value={"rotor3": 0.93}, change={"weak": {3: 0.93}}),
         "thrust x 0.95": Case(("thrust_factor",), value={"factor": 0.95}, change=scaled(k_eta=0.95)),
-        "torque x 1.2": Case(unexplained=True, change=scaled(k_m=1.2)),
+        "torque x 1.2": Case(("torque_factor",), value={"factor": 1.2}, change=scaled(k_m=1.2)),
         "inertia x 1.2": Case(("inertia",), value={"Ixx": 1.2 * p["Ixx"], "Iyy": 1.2 * p["Iyy"], "Izz": 1.2 * p["Izz"]},
                               change=scaled(Ixx=1.2, Iyy=1.2, Izz=1.2)),
         "cg moved": Case(("cg_offset",), ("imu_lever_arm", "marker_offset"), {"x": shift[0], "y": -shift[1]},
