@@ -27,9 +27,9 @@ CATALOGUE = catalogue()
 ROOM = room_of({"north": [-5, 5], "east": [-5, 5], "height": 5})
 LEVELS = {  # what the catalogue promises
     "forces": "rotor_drag body_drag blade_flapping translational_lift axial_inflow vortex_ring ground_effect proximity "
-    "rotor_interference thrust_curve thrust_factor torque_factor inflow_lag rotor_speed_scale thrust_drift rotor_effectiveness "
+    "rotor_interference thrust_curve thrust_factor inflow_lag rotor_speed_scale thrust_drift rotor_effectiveness "
     "rotor_tilt rotor_gyroscopic rotor_acceleration_torque mass inertia cg_offset wind gusts payload_swing tether "
-    "telemetry_delay",
+    "telemetry_delay torque_factor",
     "drive": "battery_sag motor_lag command_delay actuator_saturation weak_motor",
     "sensors": "imu_lever_arm marker_offset imu_misalignment accelerometer_bias accelerometer_scale gyro_bias "
     "gyro_scale mocap_misalignment room_tilt mocap_delay clock_drift attitude_error timestamp_fault vibration "
