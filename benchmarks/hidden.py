@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from worlds import draw_world
 
 from quasi.airframe import read_airframe
 from quasi.filtering.flight import filter_flight
@@ -26,7 +27,6 @@ from quasi.importing.flight import import_flight
 from quasi.model.build import assemble_model
 from quasi.model.model import AXES, Model
 from quasi.synthesis.campaign import make_flight, quadrotor_configuration, read_campaign, write_flight
-from quasi.synthesis.conditions import draw_world
 from quasi.synthesis.effects import OFFERED, UNLISTED
 from quasi.synthesis.vehicle import BASE_INERTIA, BASE_MASS, base_vehicle
 from quasi.tables import list_telemetry_corrections, read_json, read_table, write_json, write_table

@@ -18,9 +18,8 @@ GYRO_BIAS = np.radians(20.0)  # rad/s, initial zero-rate output of the MPU-6000 
 MIN_BIAS_SIGMAS = 3.0  # standard errors that a bias must also exceed: an uncertain bias contradicts nothing
 # rad. Rigid bodies are aligned by eye to some degrees; ours were off by 0.2 to 1.1 deg (nano-drone runs, null-1-told)
 MOUNTING_ANGLE = np.radians(10.0)
-REST_ANGLE = np.arcsin(
-    ACCELEROMETER_BIAS / 9.80665
-)  # rad, by which an allowed accelerometer bias tilts gravity at rest
+# rad, by which an allowed accelerometer bias tilts gravity at rest
+REST_ANGLE = np.arcsin(ACCELEROMETER_BIAS / 9.80665)
 # Innovations of five times their standard errors on average, after the noise levels were re-estimated. Sound flights
 # showed 0.2 to 6 (nano-drone runs, null-1-told), a filter that lost the attitude 116 to 909
 MAX_NIS = 25.0

@@ -21,10 +21,8 @@ MAX_LEVEL_ERROR = 0.01  # of a full scale; bias and alignment change the clippin
 MAX_CREEP = 0.005  # of a full scale; on-board filters let a clipped signal approach it slowly
 LEVEL_TOLERANCE = 1e-6  # of the extreme, for an unknown full scale
 MIN_FLAT_SAMPLES, MIN_TOTAL_SAMPLES = 3, 6  # samples of one flat top, and of all flat tops of a level
-MIN_FALL_STEPS, MIN_FALL_SHARE = (
-    6.0,
-    0.01,
-)  # steps of the log, and share of the extreme: fall of a clipped signal next to a flat top
+# fall of a clipped signal next to a flat top: steps of the log, and share of the extreme
+MIN_FALL_STEPS, MIN_FALL_SHARE = 6.0, 0.01
 MIN_FALL_WIDTHS = 8.0  # times the width of the top band; a smooth peak falls by 4 widths
 MIN_HOLD_RATIO = 3.0  # hold of the top over the usual hold of the signal
 # for tops shortened by noise: separate visits of the extreme, and its samples over those of neighbouring values
@@ -41,10 +39,9 @@ class Clipped(NamedTuple):
     where: np.ndarray
 
 
-def _runs(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First and one-past-last index of each run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return edges[::2], edges[1::2]
+def runs_of(mask: np.ndarray) -> np.ndarray:
+    """First and one-past-last index (k, 2) of each run of True in mask (N,)."""
+    return np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(mask, np.int8), [0]]))).reshape(-1, 2)
 
 
 def _measure_fall(signal: np.ndarray, first: np.ndarray, last: np.ndarray, top: float) -> np.ndarray:
@@ -67,7 +64,7 @@ def _find_usual_hold(signal: np.ndarray, top: float, at_top: np.ndarray) -> floa
 def _is_piled(signal: np.ndarray, top: float, at_top: np.ndarray, step: float) -> bool:
     """Whether the extreme has far more samples than its neighbours, on many separate visits."""
     near = (signal >= top - 1.5 * (step or NEIGHBOUR_WIDTH * top)) & ~at_top
-    return len(_runs(at_top)[0]) >= MIN_VISITS and int(at_top.sum()) > MIN_PILE_RATIO * int(near.sum())
+    return len(runs_of(at_top)) >= MIN_VISITS and int(at_top.sum()) > MIN_PILE_RATIO * int(near.sum())
 
 
 def find_clipping(values: np.ndarray, sensor: str, step: float = 0.0) -> list[Clipped]:
@@ -88,7 +85,7 @@ def find_clipping(values: np.ndarray, sensor: str, step: float = 0.0) -> list[Cl
         full = next((r for r in FULL_SCALES[sensor] if abs(top - r) <= MAX_LEVEL_ERROR * r), None)
         within = MAX_CREEP * full if full is not None else LEVEL_TOLERANCE * top
         at_top = signal >= top - within
-        first, last = _runs(at_top)
+        first, last = runs_of(at_top).T
         long = last - first >= max(MIN_FLAT_SAMPLES, MIN_HOLD_RATIO * _find_usual_hold(signal, top, at_top))
         first, last = first[long], last[long]
         steep = _measure_fall(signal, first, last, top) > max(

@@ -16,8 +16,7 @@ def add_simulation_commands(commands: argparse._SubParsersAction, place: argpars
         parents=[place],
         help="show a configured simulation live, or fly its model by hand",
         description="Shows config/simulations/NAME.json in real time with its reference. With --by-hand: w a s d fly, "
-        "arrows turn and change height. q or closing the window ends. Keys work in the "
-        "terminal and in the window.",
+        "arrows turn and change height. q or closing the window ends. Keys work in the terminal and in the window.",
     )
     fly.add_argument(
         "name",

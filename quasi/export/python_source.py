@@ -28,7 +28,6 @@ from quasi.terms.kernel import INPUTS
 
 _NUMPY_FUNCTIONS = {"abs": "np.abs", "sqrt": "np.sqrt", "sin": "np.sin", "cos": "np.cos", "log": "np.log",
               "power": "np.power", "divide": "np.divide", "sign": "np.sign", "wrap": "_wrap"}  # fmt: skip
-_WIDTH = 110
 
 
 def number(value: float) -> str:

@@ -6,7 +6,8 @@ import numpy as np
 
 from quasi import attitude
 from quasi.errors import add_caution
-from quasi.filtering.measurements import coarseness, spans
+from quasi.filtering.measurements import coarseness
+from quasi.saturation import runs_of
 
 REST_BLOCK = 0.1  # s
 LEAST_REST = 1.0  # s, shorter rests are refused
@@ -52,7 +53,7 @@ def take_off_sample(speeds: np.ndarray, threshold: float, least: int) -> tuple[i
     """
     reached, never = [], []
     for rotor in range(speeds.shape[1]):
-        runs = [a for a, b in spans(speeds[:, rotor] >= threshold) if b - a >= least or b == len(speeds)]
+        runs = [a for a, b in runs_of(speeds[:, rotor] >= threshold).tolist() if b - a >= least or b == len(speeds)]
         if runs:
             reached.append(runs[0])
         else:
@@ -83,11 +84,11 @@ def find_rest(
         & ~bad
     )
     best = (0, 0)
-    for start, end in spans(quiet):
+    for start, end in runs_of(quiet).tolist():
         # a rest is a stretch whose block means agree with their own median; carrying the quadrotor about is none
         steady = (np.abs(w[start:end] - np.median(w[start:end], axis=0)) < STEADY_GYRO).all(axis=1)
         steady &= (np.abs(a[start:end] - np.median(a[start:end], axis=0)) < STEADY_ACCEL).all(axis=1)
-        for i, j in spans(steady):
+        for i, j in runs_of(steady).tolist():
             if j - i > best[1] - best[0]:
                 best = (start + i, start + j)
     first = best[0] * size
@@ -138,7 +139,7 @@ def find_ground(
     still = np.linalg.norm(w, axis=1) < 2 * STILL_GYRO
     still &= np.abs(np.linalg.norm(a, axis=1) - attitude.GRAVITY) < 1.5
     ground = np.zeros(n, bool)
-    for start, end in spans(still & (thrust < 0.4 * typical)):
+    for start, end in runs_of(still & (thrust < 0.4 * typical)).tolist():
         if (end - start) * dt < 0.5 and start > 0 and end < n:
             continue
         margin = round(0.2 / dt)  # touch-down shakes the IMU before it is quiet again

@@ -1,6 +1,5 @@
 """States and biases of one flight: by the filter and smoother, or as imported."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
@@ -9,12 +8,19 @@ import numpy as np
 import pandas as pd
 
 from quasi import attitude
-from quasi.airframe import Airframe
 from quasi.errors import DataError, add_caution
 from quasi.filtering import bias as biases
 from quasi.filtering import ekf, measurements, noise, timing
-from quasi.filtering.filter_inputs import SENSORS, NoiseLevels, make_inputs, noise_levels, without_accelerometer_bias
+from quasi.filtering.filter_inputs import (
+    SENSORS,
+    Material,
+    NoiseLevels,
+    make_inputs,
+    noise_levels,
+    without_accelerometer_bias,
+)
 from quasi.filtering.smoother import smooth
+from quasi.saturation import runs_of
 
 DRIFT_SIGMAS = 4.0  # rest and flight that disagree by more are reported
 UNSURE_ATTITUDE, UNSURE_VELOCITY = np.radians(3.0), 0.3  # rad, m/s: states with a larger standard error are not valid
@@ -89,17 +95,9 @@ def _bias_report(policy: str, value: np.ndarray, std: np.ndarray, **more: Any) -
     return {"policy": policy, **parts, **more}
 
 
-def copy(
-    frame: pd.DataFrame,
-    metadata: Mapping[str, Any],
-    airframe: Airframe,
-    chosen: Mapping[str, Any],
-    imu: measurements.Imu,
-    found: biases.Phases,
-    dt: float,
-    notes: list[str],
-) -> Run:
+def copy(flight: Material) -> Run:
     """States as imported; biases from the rest before take-off, or none."""
+    frame, found, notes = flight.frame, flight.found, flight.notes
     n = len(frame)
     needed = {"attitude": ("roll", "pitch", "yaw"), "position": ("x", "y", "z"), "velocity": ("u", "v", "w")}
     states: dict[str, np.ndarray] = {}
@@ -121,7 +119,7 @@ def copy(
         states[kind] = values
     quaternion = attitude.from_euler(*states["attitude"].T)
     notes.append("the Kalman filter was not run: states are those imported")
-    made = metadata.get("reconstructed") or {}
+    made = flight.metadata.get("reconstructed") or {}
     if "gyro" in made or found.rest is None:  # what is made from an attitude has no bias of its own
         value, std, policy = np.zeros(6), np.full(6, np.nan), "none"
         notes.append("no bias correction is made")
@@ -155,26 +153,17 @@ def _gaps(used: np.ndarray, limit: int) -> np.ndarray:
     return inside
 
 
-def estimate(
-    frame: pd.DataFrame,
-    metadata: Mapping[str, Any],
-    airframe: Airframe,
-    chosen: Mapping[str, Any],
-    imu: measurements.Imu,
-    found: biases.Phases,
-    dt: float,
-    notes: list[str],
-    watch: ekf.Watch | None = None,
-) -> Run:
+def estimate(flight: Material, watch: ekf.Watch | None = None) -> Run:
     """States and biases by the filter, smoothed when asked. watch  see `filterpy_engine.forward`."""
+    frame, metadata, airframe, chosen, imu, found, dt, notes = flight
     t, flying = frame["t"].to_numpy(float), ~found.on_ground
     still, noise_notes, origin = measurements.sensor_noise(
         airframe.noise, bool(chosen["use noise statistics in drone config"])
     )
     measured = measurements.collect(frame, metadata, airframe.noise, found.on_ground, dt)
     notes += noise_notes + measured.notes
-    levels = noise_levels(still, origin, measurements.resolution(metadata), chosen, imu, found, notes)
-    inputs = make_inputs(frame, chosen, imu, measured, levels, found, dt)
+    levels = noise_levels(flight, still, origin)
+    inputs = make_inputs(flight, measured, levels)
     if "accelerometer" in (metadata.get("reconstructed") or {}):
         inputs = without_accelerometer_bias(inputs)
         notes.append("the specific force was made from other signals; its bias is taken as 0")
@@ -191,12 +180,10 @@ def estimate(
     deviation, early = ekf.deviations(final.covariance), ekf.deviations(forward.covariance)
 
     independent = all(measured.source[k].startswith("capture") for k in ("attitude", "position"))
-    applied, bias_report = _apply(
-        chosen["bias policy"], independent, found, final, deviation, forward, early, flying, notes
-    )
+    applied, bias_report = _apply(flight, independent, final, deviation, forward, early)
     nis = _consistency(forward, notes)
     limit = round(float(chosen["capture gap limit s"]) / dt)
-    unsure = _unsure(deviation, flying, notes) | _uncaptured(measured, forward, limit, t, flying, notes)
+    unsure = _unsure(deviation, flying, notes) | _uncaptured(flight, measured, forward, limit)
     aligned = chosen["estimate attitude alignment"] and measured.source["attitude"] != "none"
     report = {
         "engine": engine,
@@ -240,31 +227,25 @@ def _unsure(deviation: np.ndarray, flying: np.ndarray, notes: list[str]) -> np.n
     if (unsure & flying).any():
         notes.append(
             f"attitude or velocity is known to no better than {np.degrees(UNSURE_ATTITUDE):.0f} deg or "
-            f"{UNSURE_VELOCITY:g} m/s "
-            f"in {100 * (unsure & flying).mean():.3g} % of the flight, which is marked invalid"
+            f"{UNSURE_VELOCITY:g} m/s in {100 * (unsure & flying).mean():.3g} % of the flight, which is marked invalid"
         )
     return unsure
 
 
 def _uncaptured(
-    measured: measurements.Measurements,
-    forward: ekf.FilterResult,
-    limit: int,
-    t: np.ndarray,
-    flying: np.ndarray,
-    notes: list[str],
+    flight: Material, measured: measurements.Measurements, forward: ekf.FilterResult, limit: int
 ) -> np.ndarray:
     """True (N,) where the capture gives nothing for more than `limit` samples."""
+    t = flight.frame["t"].to_numpy(float)
     unseen = np.zeros(len(t), bool)
     for i, kind in enumerate(ekf.MEASUREMENT_KINDS):
         if not measured.source[kind].startswith("capture"):
             continue
         gap = _gaps(forward.outcome[:, i] > 0, limit)
-        for a, b in measurements.spans(gap & flying):
-            notes.append(
-                f"the capture gives no {kind} from t = {t[a]:.2f} s to {t[b - 1]:.2f} s; the states are "
-                "bridged by the IMU "
-                "and marked invalid"
+        for a, b in runs_of(gap & ~flight.found.on_ground):
+            flight.notes.append(
+                f"the capture gives no {kind} from t = {t[a]:.2f} s to {t[b - 1]:.2f} s; the states are bridged by "
+                "the IMU and marked invalid"
             )
         unseen |= gap
     return unseen
@@ -309,17 +290,16 @@ def _forward(name: str, inputs: ekf.Inputs, watch: ekf.Watch | None) -> tuple[st
 
 
 def _apply(
-    policy: str,
+    flight: Material,
     independent: bool,
-    found: biases.Phases,
     final: ekf.FilterResult,
     deviation: np.ndarray,
     forward: ekf.FilterResult,
     early: np.ndarray,
-    flying: np.ndarray,
-    notes: list[str],
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Biases (N, 6) to take off the measurements (corrected = measured - bias), and what to say of them."""
+    policy, found, notes = flight.chosen["bias policy"], flight.found, flight.notes
+    flying = ~found.on_ground
     n = len(flying)
     part = flying if flying.any() else np.ones(n, bool)
     whole, whole_std = final.state[part, 6:12].mean(axis=0), np.sqrt((deviation[part, 9:15] ** 2).mean(axis=0))

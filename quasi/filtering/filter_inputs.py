@@ -7,14 +7,32 @@ import numpy as np
 import pandas as pd
 
 from quasi import attitude
+from quasi.airframe import Airframe
 from quasi.filtering import bias as biases
 from quasi.filtering import ekf, measurements, noise
+from quasi.saturation import runs_of
 
 DRIFTING = np.array([1e-3] * 3 + [1e-2] * 3)  # random walk of time-varying biases, per square root of a second
 # Rounding to the log's steps errs alike for as long as a rate stays within one: as much white noise is greater by this
 ROUNDED = 1.5
 NO_BIAS_STD = 1e-4  # m/s2: moves no velocity within a flight, and keeps covariances positive
 SENSORS = ("p", "q", "r", "ax", "ay", "az")
+
+
+class Material(NamedTuple):
+    """What the states of a flight are found from.
+
+    frame, metadata  the imported flight; chosen  the options, complete; dt  s; notes  are added to
+    """
+
+    frame: pd.DataFrame
+    metadata: Mapping[str, Any]
+    airframe: Airframe
+    chosen: Mapping[str, Any]
+    imu: measurements.Imu
+    found: biases.Phases
+    dt: float
+    notes: list[str]
 
 
 class NoiseLevels(NamedTuple):
@@ -30,20 +48,14 @@ class NoiseLevels(NamedTuple):
     origin: str
 
 
-def noise_levels(
-    still: np.ndarray,
-    origin: str,
-    step: np.ndarray,
-    chosen: Mapping[str, Any],
-    imu: measurements.Imu,
-    found: biases.Phases,
-    notes: list[str],
-) -> NoiseLevels:
-    """still, origin  of `measurements.sensor_noise`; step  (6,) of the log"""
+def noise_levels(flight: Material, still: np.ndarray, origin: str) -> NoiseLevels:
+    """still, origin  of `measurements.sensor_noise`"""
+    _, metadata, _, chosen, imu, found, _, notes = flight
+    step = measurements.resolution(metadata)
     if found.rest is not None:
         still = np.maximum(still, found.rest.noise)  # what the rest itself shows, coloured noise included
     each, both, hidden = np.tile(still, (len(imu.gyro), 1)), np.hstack([imu.gyro, imu.accel]), np.zeros(6, bool)
-    for first, last in measurements.spans(found.on_ground):
+    for first, last in runs_of(found.on_ground):
         coarse = measurements.coarseness(both[first:last], step)
         # however long it lasts, the mean may be wrong by this much: as much white noise leaves the same doubt
         each[first:last] = np.maximum(each[first:last], coarse * np.sqrt(last - first))
@@ -64,16 +76,9 @@ def noise_levels(
     return NoiseLevels(still, least, moving, each, walk, origin)
 
 
-def make_inputs(
-    frame: pd.DataFrame,
-    chosen: Mapping[str, Any],
-    imu: measurements.Imu,
-    measured: measurements.Measurements,
-    levels: NoiseLevels,
-    found: biases.Phases,
-    dt: float,
-) -> ekf.Inputs:
+def make_inputs(flight: Material, measured: measurements.Measurements, levels: NoiseLevels) -> ekf.Inputs:
     """What the filter is given; where no heading is measured, with the one that explains most."""
+    frame, _, _, chosen, imu, found, dt, _ = flight
     quaternion, state, covariance = measurements.start(
         frame, measured, imu, dt, bool(found.on_ground[0]), bool(chosen["estimate attitude alignment"])
     )

@@ -14,6 +14,7 @@ from quasi.errors import ConfigError, DataError, add_caution, cautions
 from quasi.filtering import band as bands
 from quasi.filtering import bias as biases
 from quasi.filtering import ekf, estimation, forces, measurements
+from quasi.filtering.filter_inputs import Material
 from quasi.filtering.rotor_speeds import commands_to_keep
 from quasi.filtering.verdict import judge_flight
 from quasi.plausibility import describe_impossible_inertia
@@ -123,8 +124,7 @@ def _filled(frame: pd.DataFrame, names: list[str], notes: list[str]) -> tuple[di
         if bad.any():
             notes.append(
                 f"column '{name}' is missing in {int(bad.sum())} samples, first at t = "
-                f"{frame['t'].iloc[int(np.argmax(bad))]:.3f} s; "
-                "they are bridged by straight lines and marked invalid"
+                f"{frame['t'].iloc[int(np.argmax(bad))]:.3f} s; they are bridged by straight lines and marked invalid"
             )
             lost |= bad
         elif np.ptp(values) == 0.0 and name[0] == "w" and name[1:2].isdigit():
@@ -188,7 +188,7 @@ def filter_flight(
         )
     use_filter = chosen["run extended kalman filter"] and "gyro" not in made
     find = partial(estimation.estimate, watch=watch) if use_filter else estimation.copy
-    run = find(imported, imported_metadata, airframe, chosen, imu, found, dt, notes)
+    run = find(Material(imported, imported_metadata, airframe, chosen, imu, found, dt, notes))
 
     in_flight = ~found.on_ground
     log_rate = ((imported_metadata.get("streams") or {}).get("gyro") or {}).get("rate")

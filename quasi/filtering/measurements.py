@@ -10,7 +10,7 @@ import pandas as pd
 from quasi import attitude
 from quasi.errors import DataError, add_caution
 from quasi.filtering.ekf import ATTITUDE_KIND, MEASUREMENT_KINDS, POSITION_KIND, STATES, VELOCITY_KIND
-from quasi.saturation import find_clipping
+from quasi.saturation import find_clipping, runs_of
 
 GYRO, ACCEL = ("p", "q", "r"), ("ax", "ay", "az")
 
@@ -58,12 +58,6 @@ class Measurements:
     std: np.ndarray
     source: dict[str, str]
     notes: list[str] = field(default_factory=list)
-
-
-def spans(mask: np.ndarray) -> list[tuple[int, int]]:
-    """First and one-past-last index of each run of True in mask (N,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], np.asarray(mask, bool), [False]]).astype(int)))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist()))
 
 
 def fill(values: np.ndarray) -> np.ndarray:
@@ -166,7 +160,7 @@ def read_imu(frame: pd.DataFrame, step: np.ndarray | None = None) -> Imu:
         for end in find_clipping(values, sensor, 0.0 if step is None else float(step[len(columns)])):
             stuck = end.where & ~known
             lost |= stuck
-            pieces = [(t[a], t[b - 1]) for a, b in spans(stuck)]
+            pieces = [(t[a], t[b - 1]) for a, b in runs_of(stuck)]
             if pieces:
                 notes.append(
                     f"{sensor} channel '{name}' is saturated at {end.level:.4g} in {int(stuck.sum())} samples in "
@@ -178,7 +172,7 @@ def read_imu(frame: pd.DataFrame, step: np.ndarray | None = None) -> Imu:
         out = ~(frame["onboard_valid"].to_numpy(float) > 0.5)
         if out.any():
             notes.append(
-                f"the on-board log lost {100 * out.mean():.3g} % of the flight in {len(spans(out))} spans; "
+                f"the on-board log lost {100 * out.mean():.3g} % of the flight in {len(runs_of(out))} spans; "
                 "they are bridged and marked invalid"
             )
             lost |= out
@@ -196,7 +190,7 @@ def frozen(imu: Imu, on_ground: np.ndarray, t: np.ndarray, dt: float) -> tuple[n
         # resampling leaves rounding where the log repeats itself
         close = np.abs(np.diff(values, axis=0)) <= STEP_ROUNDING * np.maximum(np.abs(values[1:]), 1.0)
         same = np.concatenate([[False], close.all(axis=1)])
-        for a, b in spans(same & ~on_ground & ~imu.lost):
+        for a, b in runs_of(same & ~on_ground & ~imu.lost):
             if (b - a) * dt >= FROZEN:
                 notes.append(
                     f"the {sensor} repeats its values from t = {t[a - 1]:.2f} s to {t[b - 1]:.2f} s; they are trusted "
@@ -221,9 +215,8 @@ def sensor_noise(statistics: Mapping[str, Mapping[str, float]], wanted: bool) ->
         std = float(statistics.get(name, {}).get("std", 0.0))
         if not std > 0.0:
             notes.append(
-                f"the noise statistics of the quadrotor configuration give {std:g} for the standard deviation "
-                f"of '{name}', "
-                f"which no sensor has; the default {REST_STD[name]:g} is used"
+                f"the noise statistics of the quadrotor configuration give {std:g} for the standard deviation of "
+                f"'{name}', which no sensor has; the default {REST_STD[name]:g} is used"
             )
             std = REST_STD[name]
         values.append(std)

@@ -13,7 +13,7 @@ import numpy as np
 from quasi import attitude
 from quasi.errors import DataError
 from quasi.filtering.bias import REST_BLOCK, STEADY_ACCEL, STEADY_GYRO, STILL_ACCEL, STILL_GYRO
-from quasi.filtering.measurements import spans
+from quasi.saturation import runs_of
 
 RATES, FORCE, EULER_ANGLES = ("p", "q", "r"), ("ax", "ay", "az"), ("roll", "pitch", "yaw")
 CUT = 0.1  # of a log is left out at either end: switching, hands
@@ -106,8 +106,8 @@ def _still_part(log: RestLog, cut: float, notes: list[str]) -> slice:
     first, last = 0, len(log.t)
     if log.speeds is not None and len(log.t):
         mean = np.nan_to_num(np.asarray(log.speeds, float)).mean(axis=1)
-        turning = spans(mean > TURNING * mean.max()) if mean.max() > 0 else []
-        if turning and turning != [(0, last)]:
+        turning = runs_of(mean > TURNING * mean.max()).tolist()
+        if turning and turning != [[0, last]]:
             first, last = max(turning, key=lambda span: span[1] - span[0])
             notes.append(
                 f"{log.name}: the rotors turn from t = {log.t[first]:.2f} s to {log.t[last - 1]:.2f} s only; this part "

@@ -265,9 +265,8 @@ def _relative_error(fit: JointFit) -> float:
 def _note_errors(drive: Mapping[str, Any], notes: list[str]) -> None:
     error, scale = drive["relative error"], drive["scale"]
     notes.append(
-        f"rotor speeds are estimated from commands, +- {100 * error['total']:.1f} % "
-        f"({drive['form']} map, time constant {1e3 * drive['time constant']['value']:.0f} ms, delay "
-        f"{1e3 * drive['delay']['value']:.0f} ms)"
+        f"rotor speeds are estimated from commands, +- {100 * error['total']:.1f} % ({drive['form']} map, time "
+        f"constant {1e3 * drive['time constant']['value']:.0f} ms, delay {1e3 * drive['delay']['value']:.0f} ms)"
     )
     if scale["relative"]:
         notes.append(

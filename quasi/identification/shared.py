@@ -40,8 +40,7 @@ def refuse_speedless(flights: Mapping[str, pd.DataFrame]) -> None:
         raise DataError(
             f"flight{'s' * (len(keys) > 1)} {', '.join(keys)}: the log holds no rotor speeds ({', '.join(names)}), "
             "and no commands of all four rotors to estimate them from; log either (docs/your-own-data.md, section 4), "
-            "or leave "
-            f"{'these flights' if len(keys) > 1 else 'this flight'} out"
+            f"or leave {'these flights' if len(keys) > 1 else 'this flight'} out"
         )
 
 

@@ -9,6 +9,8 @@ and can be flown throughout.
 import numba
 import numpy as np
 
+from quasi.saturation import runs_of
+
 LARGEST_FLOWN_ACCELERATION = 200.0  # m/s2, far above any quadrotor (20 g)
 MAX_ANGULAR_ACCELERATION = 1500.0  # rad/s2, above a 3-inch racer's
 LARGEST_FLOWN_SPEED = 40.0  # m/s
@@ -170,8 +172,7 @@ def stalled(t: np.ndarray, written: np.ndarray, position: np.ndarray, quaternion
     # beyond what a body at rest can do within a step
     flown = far > near_x + np.minimum(0.5 * LARGEST_FLOWN_ACCELERATION * gap**2, LARGEST_FLOWN_SPEED * gap)
     turned = turn > near_q + np.minimum(0.5 * MAX_ANGULAR_ACCELERATION * gap**2, MAX_RATE * gap)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
-    for a, b in zip(edges[::2], edges[1::2]):  # frames a to b are alike
+    for a, b in runs_of(same):  # frames a to b are alike
         if b - a < FEWEST_REPEATS or t[b] - t[a] < SHORTEST_HOLD:
             continue
         lost = False

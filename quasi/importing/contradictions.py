@@ -16,10 +16,8 @@ COMPARED_RATE, COMPARED_BAND = 100.0, 3.0  # Hz
 LEAST_TURNING = 0.1  # rad/s, rms body rate below which an attitude is not judged
 LEAST_SPEED = 0.3  # m/s, rms velocity below which a position is not judged
 FASTEST_ROTOR, FULLEST, HIGHEST_VOLTAGE = 8000.0, 1.5, 100.0  # rad/s, share, V: beyond what flies indoors and out
-WRONG_RATES, REFUSED_RATES = (
-    3.0,
-    30.0,
-)  # times, between gyro and attitude: beyond sensors' scales; beyond any slip but units
+# times, between gyro and attitude: beyond sensors' scales; beyond any slip but units
+WRONG_RATES, REFUSED_RATES = (3.0, 30.0)
 LEAST_CORRELATION = 0.6  # correlation from which body rates are those of an attitude but for a factor
 STRETCH = 5.0  # s, of which each is asked by itself: one reset of an estimate is no wrong unit
 LEAST_MOTION = 0.2  # m/s2, rms acceleration below which nothing is judged

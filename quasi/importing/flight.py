@@ -237,8 +237,7 @@ def _fuse(
     if end - begin < 1.0:
         raise DataError(
             f"{where}: its sources ({', '.join(f'{n} {t[0]:.1f} to {t[-1]:.1f} s' for n, t in spans.items())}) have "
-            f"{max(0.0, end - begin):.1f} s in common, at least 1 s is needed; "
-            "check that they are of the same flight"
+            f"{max(0.0, end - begin):.1f} s in common, at least 1 s is needed; check that they are of the same flight"
         )
     logged = board.gyro.t[-1] - board.gyro.t[0]
     cut = [(latest, "begins", begin - board.gyro.t[0]), (earliest, "ends", board.gyro.t[-1] - end)]

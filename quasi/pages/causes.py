@@ -17,11 +17,8 @@ ACTUATOR_TEXTS = {
     "telemetry delay": "corrects recorded rotor speeds in roll-outs",
     "rotor speed scale": "corrects recorded rotor speeds in roll-outs",
 }
-REPLACED_CONSTANTS = (
-    "time constant",
-    "voltage exponent",
-    "reference voltage",
-)  # rotor constants that replace the values of the model
+# rotor constants that replace the values of the model
+REPLACED_CONSTANTS = ("time constant", "voltage exponent", "reference voltage")
 AIRFRAME_TEXTS = {
     "mass": "the vehicle's mass",
     "inertia": "the vehicle's inertia",

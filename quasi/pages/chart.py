@@ -119,9 +119,8 @@ class Chart:
             "marks": [{"at": float(t)} for t in self.marks],
         }
         text = json.dumps(data, separators=(",", ":"), allow_nan=False)
-        library = read_text(VENDOR_FOLDER / "uPlot.iife.min.js").partition("\n")[
-            2
-        ]  # without its first line, a web address
+        # without its first line, a web address
+        library = read_text(VENDOR_FOLDER / "uPlot.iife.min.js").partition("\n")[2]
         licence = read_text(VENDOR_FOLDER / "LICENSE.uPlot").replace("*/", "")
         return (
             f'<script type="application/json" id="traces">{escape_json(text)}</script>'

@@ -8,6 +8,7 @@ import pandas as pd
 
 from quasi.pages import frame
 from quasi.pages.chart import Panel, Trace
+from quasi.saturation import runs_of
 
 TRACE_COLOURS = ("#1d6fb8", "#d97706", "#1e7d46", "#8e44ad", "#b3261e", "#5b6770", "#0f8b8d", "#c2185b")
 MEASURED_TRACE_COLOUR, SETPOINT_COLOUR = "#3b444b", "#f0a0a0"
@@ -83,8 +84,7 @@ def find_spans(
 def _find_runs(table: pd.DataFrame, mask: np.ndarray) -> list[tuple[float, float]]:
     """Find begin and end, s, of the longest runs of True."""
     t = table["t"].to_numpy(float)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
-    found = [(float(t[a]), float(t[min(b, len(t) - 1)])) for a, b in zip(edges[::2], edges[1::2])]
+    found = [(float(t[a]), float(t[min(b, len(t) - 1)])) for a, b in runs_of(mask)]
     return sorted(found, key=lambda run: run[0] - run[1])[:MAX_SPANS]
 
 
@@ -110,8 +110,7 @@ def draw_path(filtered: pd.DataFrame, spans: Sequence[tuple[float, float, str]])
         if kind != "idle":
             lost |= (t >= begin) & (t <= end)
     parts = [_draw_line(x, y, "#1d6fb8", 1.2)]
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
-    for a, b in zip(edges[::2], edges[1::2]):
+    for a, b in runs_of(lost):
         around = slice(max(a - 1, 0), b + 1)
         parts.append(_draw_line(x[around], y[around], "#d62728", 2.6))
     for k, colour, name, up in ((0, "#1e7d46", "begin", -6), (-1, "#1c2329", "end", 14)):

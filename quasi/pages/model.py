@@ -76,8 +76,7 @@ def _render_verdicts(diagnosis: Mapping[str, Any]) -> str:
         mark = {"good": "#1e7d46", "care": "#a86200", "bad": "#b3261e"}[kind]
         lines.append(
             f'<tr><th scope="row" style="width:9%;border-left:5px solid {mark};padding-left:10px">'
-            f"{frame.escape(axis)}</th>"
-            f"<td>{frame.escape(text)}{remedies}</td></tr>"
+            f"{frame.escape(axis)}</th><td>{frame.escape(text)}{remedies}</td></tr>"
         )
     return f"<table><tbody>{''.join(lines)}</tbody></table>"
 

@@ -17,8 +17,7 @@ WARNING_KINDS = (
     (
         "% as well; the data hardly",
         "Close decisions of the stepwise search",
-        "Keep the model if its validation is good. To decide between them, add flights or remove "
-        "one candidate.",
+        "Keep the model if its validation is good. To decide between them, add flights or remove one candidate.",
     ),
     (
         "times what it would be alone",

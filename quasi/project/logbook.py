@@ -279,9 +279,8 @@ def pick(rows: Mapping[int, Row], selection: Iterable[Any], where: str, logbook:
     for number in numbers:
         if number not in rows:
             raise LogbookError(
-                f"{where}: row {number} is selected, but {logbook} has flights in rows "
-                f"{_ranges(rows)} (header = row 1, last row {last}; a row without 'Onboard Name' holds none); "
-                "correct the selection, or add the row"
+                f"{where}: row {number} is selected, but {logbook} has flights in rows {_ranges(rows)} (header = row "
+                f"1, last row {last}; a row without 'Onboard Name' holds none); correct the selection, or add the row"
             )
     return [rows[n] for n in numbers]
 

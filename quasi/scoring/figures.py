@@ -8,6 +8,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from quasi.saturation import runs_of
 from quasi.scoring.score import AxisComparison
 from quasi.tables import ANY_PREFIX, TELEMETRY_AGE_REMOVED
 
@@ -205,8 +206,7 @@ def draw_isolation(
         inside = np.asarray(regions[key], bool)
         every = max(len(t) * len(flights) // MAX_FIGURE_POINTS, 1)
         panel.plot(t[::every], flight[axis].to_numpy()[::every], color=MEASURED_COLOUR, lw=0.6)
-        change = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
-        for a, b in change.reshape(-1, 2):
+        for a, b in runs_of(inside):
             panel.axvspan(t[a], t[b - 1], color="tab:green", alpha=0.2, lw=0)
         kept, total = kept + int(inside.sum()), total + len(inside)
         _mark_flight_end((panel,), start, float(t[-1]), key, False)

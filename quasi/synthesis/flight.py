@@ -79,11 +79,8 @@ def fly(steps, every, table, air, noise, p: Physics, d: Drive, c: Control, s: In
     x = np.zeros(PLANT_STATES)
     x[2] = p.mass * GRAVITY / (4.0 * CONTACT_STIFFNESS) - p.leg[2]  # settled on its feet
     x[6] = 1.0
-    x[21], x[22], x[23] = (
-        0.0,
-        min(0.3, 0.8 * p.load_length),
-        0.0,
-    )  # the payload lies next to the vehicle, its line slack
+    # the payload lies next to the vehicle, its line slack
+    x[21], x[22], x[23] = (0.0, min(0.3, 0.8 * p.load_length), 0.0)
     k1, k2, k3, k4, y = (
         np.empty(PLANT_STATES),
         np.empty(PLANT_STATES),

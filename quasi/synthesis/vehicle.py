@@ -144,9 +144,8 @@ def hover_factors(physics: Physics) -> dict[str, float]:
     In hover every speed in blade-element momentum theory is in proportion to W, so both are exactly ~ W2.
     """
     area = math.pi * physics.radius**2
-    gain = (
-        0.25 * physics.density * physics.lift_slope * physics.solidity * area * physics.radius
-    )  # T = gain W (top W - v)
+    # T = gain W (top W - v)
+    gain = 0.25 * physics.density * physics.lift_slope * physics.solidity * area * physics.radius
     top = 2.0 / 3.0 * physics.pitch * physics.radius
     # v = x W: 2 rho A x2 = gain (top - x)
     a = 2.0 * physics.density * area

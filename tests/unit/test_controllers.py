@@ -14,7 +14,7 @@ from quasi.errors import ConfigError, DataError
 from quasi.model.model import Model
 from quasi.simulation.control import controllers as c
 from quasi.simulation.control import gains as g
-from quasi.simulation.control.control_model import find_hover_speed, make_control_model, trim, use_geometric_mixer
+from quasi.simulation.control.control_model import make_control_model, use_geometric_mixer
 from quasi.simulation.control.controllers import controller_step, make_controller
 from quasi.simulation.control.outer_loop import (
     _limit_approach_gain,
@@ -53,13 +53,6 @@ def test_the_plain_mixer_is_that_of_thrusts_at_the_hubs(model):
         force = np.array([0.0, 0.0, mixer[3, i]])
         assert np.allclose(np.cross(frame.hubs[i], force)[:2], mixer[:2, i], rtol=1e-3)
         assert np.sign(mixer[2, i]) == -frame.spin[i], "a rotor that turns clockwise pushes the body anticlockwise"
-
-
-def test_trim_balances_an_asymmetric_model():
-    model = plain.made_model(asymmetric=True)
-    speeds = trim(model, find_hover_speed(model))
-    force, moment = model.predict(np.zeros(12), speeds, np.zeros(4))
-    assert force[2] == pytest.approx(-0.43 * 9.81, rel=1e-9) and np.allclose(moment, 0.0, atol=1e-12)
 
 
 def test_a_model_in_the_controllers_parameters_gives_what_the_model_predicts(model):

@@ -7,9 +7,10 @@ import plain_plant
 import pytest
 
 from quasi.errors import DataError
+from quasi.model.hover import find_hover_speed
 from quasi.model.model import Model
 from quasi.simulation.control import gains as g
-from quasi.simulation.control.control_model import find_hover_speed, make_control_model, use_geometric_mixer
+from quasi.simulation.control.control_model import make_control_model, use_geometric_mixer
 from quasi.simulation.loop.setup import make_setup
 from quasi.simulation.tools.firmware_gains import command_slope, firmware_gains, gains_of_setup, gains_text, px4_effect
 from quasi.simulation.tools.margins import compute_margins

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from plain_blackbox import Plain
 from scipy.signal import lfilter, welch
+from worlds import draw_world
 
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
@@ -242,7 +243,7 @@ def test_a_wrong_condition_is_refused_by_name(config, words):
 
 def test_drawn_worlds_are_valid_campaigns_and_cover_their_ranges():
     rules = configuration.schema("synthesis")
-    worlds = [conditions.draw_world(seed) for seed in range(80)]
+    worlds = [draw_world(seed) for seed in range(80)]
     for world in worlds:
         config = {"flights": [{"key": "a", "session": "s"}], **world}
         assert set(read_campaign(config).conditions) == set(conditions.CONDITION_KEYS)
@@ -252,4 +253,4 @@ def test_drawn_worlds_are_valid_campaigns_and_cover_their_ranges():
     assert {w["log rate"] for w in worlds} == {250, 500, 1000, 2000}
     assert {s["type"] for w in worlds for s in w["filters"]["gyro"]} == {"PT1", "PT2", "biquad"}
     assert 0.1 < np.mean([w["fixed heading"] for w in worlds]) < 0.4
-    assert conditions.draw_world(3) == conditions.draw_world(3) != conditions.draw_world(4)
+    assert draw_world(3) == draw_world(3) != draw_world(4)

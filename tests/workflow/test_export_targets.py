@@ -11,23 +11,30 @@ import plain_plant
 from made_model import document
 
 from quasi.export.compiler import find_compiler
+from quasi.export.matlab_check import find_octave
 from quasi.export.targets import SIMULATOR_NAMES
 
 pytestmark = [pytest.mark.workflow, pytest.mark.skipif(find_compiler() is None, reason="no C compiler")]
-TARGETS = ("models/m/c", "models/m/fmu", "models/m/python")
 FILES = {
     "c": {"quasi_m.h", "quasi_m.c"},
     "fmu": {"quasi_m_forces_and_moments.fmu", "quasi_m_vehicle.fmu"},
     "python": {"quasi_m.py"},
 }
+MATLAB = {
+    *(f"get_{axis}.m" for axis in ("Fx", "Fy", "Fz", "Mx", "My", "Mz")),
+    *("getFM.m", "getDroneInputs.m", "get_PQRDiffSys.m", "model_init.m", "main.m", "simulation"),
+    *("droneParams.mat", "modelParams.mat", "Eul2Quat.m", "agreement.json"),
+}
+TARGETS = ("models/m/matlab", *(f"models/m/{kind}" for kind in FILES))
 
 
-def test_exports_are_made_once_and_again_when_the_model_changes(tmp_path):
+def test_exports_are_made_once_and_again_when_model_or_files_change(tmp_path):
     model = tmp_path / "project/models/m/standalone/model.json"
     model.parent.mkdir(parents=True)
     (tmp_path / "project/config").mkdir()
     model.write_text(json.dumps(document()))
     project = Project(tmp_path)
+    project.copy_library()
     code, printed = project.snakemake(*TARGETS)
     assert code == 0, printed
     for kind, files in FILES.items():
@@ -37,8 +44,17 @@ def test_exports_are_made_once_and_again_when_the_model_changes(tmp_path):
         }  # fmt: skip
         assert json.loads((folder / "agreement.json").read_text())["agrees"] is True
         assert f"Made models/m/{kind}: " in printed
+    matlab = tmp_path / "project/models/m/matlab"
+    assert {p.name for p in matlab.iterdir()} >= MATLAB
+    assert json.loads((matlab / "agreement.json").read_text())["agrees"] is (True if find_octave() else None)
     code, printed = project.snakemake(*TARGETS)
     assert code == 0 and "Nothing to be done" in printed
+
+    block = project.house / "quasi/export/matlab_files/simulation/shorten.m"
+    block.write_text(block.read_text() + "% changed\n")
+    code, printed = project.snakemake("models/m/matlab")
+    assert code == 0, printed
+    assert (matlab / "simulation/shorten.m").read_text().endswith("% changed\n")
 
     made = tmp_path / "project/models/made/standalone/model.json"
     made.parent.mkdir(parents=True)

@@ -7,7 +7,7 @@ import pandas as pd
 from scipy.ndimage import uniform_filter1d
 
 from quasi.attitude import GRAVITY
-from quasi.filtering.measurements import spans
+from quasi.saturation import runs_of
 from quasi.terms.rotor_map import RAW
 
 ROTORS = range(1, 5)
@@ -74,13 +74,13 @@ def steady_flight(frame: pd.DataFrame, radius: float | None = None) -> SteadyFli
     if seconds < MIN_STEADY:
         raise ValueError(f"{seconds:.1f} s of steady flight, {MIN_STEADY:g} s are needed")
     volts = frame["battery_voltage"].to_numpy(float)[rows] if "battery_voltage" in frame else np.array([np.nan])
-    return SteadyFlight(asked[rows].mean(axis=0), float(np.mean(volts)), seconds, len(spans(touched)), source)
+    return SteadyFlight(asked[rows].mean(axis=0), float(np.mean(volts)), seconds, len(runs_of(touched)), source)
 
 
 def _without_ends(flying: np.ndarray, dt: float) -> np.ndarray:
     """True (n,) inside each span of flight, away from its take-off and its touch-down."""
     rows = np.zeros(len(flying), bool)
-    for first, last in spans(flying):
+    for first, last in runs_of(flying):
         rows[first + round(SETTLING / dt) : max(first, last - round(LANDING / dt))] = True
     return rows
 
@@ -107,6 +107,6 @@ def _contacts(frame: pd.DataFrame, asked: np.ndarray, rows: np.ndarray, dt: floa
     felt = frame[["ax", "ay", "az"]].to_numpy(float) / GRAVITY
     beyond = np.linalg.norm(felt + np.stack([0 * lift, 0 * lift, lift], axis=1), axis=1)
     margin = round(CONTACT_MARGIN / dt)
-    for first, last in spans((beyond > CONTACT) & rows):
+    for first, last in runs_of((beyond > CONTACT) & rows):
         touched[max(0, first - margin) : last + margin] = True
     return touched & rows

@@ -18,8 +18,8 @@ from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError, nearest
 from quasi.model.columns import ROTORS
+from quasi.model.hover import list_usual_inputs
 from quasi.model.model import AXES, Model
-from quasi.simulation.control.control_model import list_usual_inputs
 
 RATE = 100.0  # Hz of what is worked out
 LONGEST = 1800.0  # s of a trajectory: more than a battery gives, and more columns than memory holds

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quasi.importing.streams import GAP
+from quasi.saturation import runs_of
 
 # s; nearer spans of one reason are one, for the filters of the resampling reach so far
 JOIN = 0.1
@@ -16,12 +17,6 @@ class InvalidSpan(NamedTuple):
     begin: float
     end: float
     reason: str
-
-
-def runs_of(rows: np.ndarray) -> np.ndarray:
-    """First and one past the last index (k, 2) of each run of True in rows (n,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(np.int8), [0]])))
-    return edges.reshape(-1, 2)
 
 
 def constant_runs(t: np.ndarray, values: np.ndarray) -> np.ndarray:

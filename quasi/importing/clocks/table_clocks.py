@@ -15,6 +15,7 @@ from quasi.attitude import body_rates, continuous
 from quasi.importing.clocks.clock_fit import ClockFit, Pair, uniform
 from quasi.importing.clocks.telemetry import GRID, TELEMETRY_BAND, acceleration_lag, best_fit, rotor_lag
 from quasi.importing.readers.table_mapping import QUATERNION, VECTOR_COLUMNS, Source
+from quasi.saturation import runs_of
 
 LONGEST_WAIT = 0.2  # s; messages that crowd after a longer wait are left where they are
 IDLE_SHARE = (
@@ -82,9 +83,8 @@ def rows_possibly_at_rest(raw: Sequence[TableSource]) -> np.ndarray:
 
 def in_long_runs(same: np.ndarray, longest: int) -> np.ndarray:
     """True inside runs of more than `longest` True in a row."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
     result = np.zeros(len(same), bool)
-    for a, b in zip(edges[::2], edges[1::2]):
+    for a, b in runs_of(same):
         result[a:b] = b - a > longest
     return result
 

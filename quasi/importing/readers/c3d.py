@@ -17,8 +17,8 @@ import numpy as np
 
 from quasi.attitude import from_matrix
 from quasi.errors import ReadError, add_caution, nearest
-from quasi.importing.readers.captured_body import LARGEST, LENGTHS, Body, captured_recording
-from quasi.importing.readers.reader import Reader, Request, needs_extra
+from quasi.importing.readers.captured_body import LARGEST, LENGTHS, Body, capture_reader, captured_recording
+from quasi.importing.readers.reader import needs_extra
 from quasi.importing.series import Recording
 from quasi.tables import read_bytes
 
@@ -141,8 +141,4 @@ def _body(labels: list[str], wanted: str | None, path: Path) -> tuple[str, list[
     return wanted, rows, bodies
 
 
-def _read(request: Request) -> Recording:
-    return read_c3d(request.path, request.rigid_body, request.marker_offset, request.remove_outliers)
-
-
-READER = Reader("a C3D file", ("c3d",), _read)
+READER = capture_reader("a C3D file", ("c3d",), read_c3d)

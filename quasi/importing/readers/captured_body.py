@@ -1,5 +1,6 @@
 """What is done with every captured rigid body alike: frames not seen, held or impossible, and the marker offset."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,9 @@ import numpy as np
 from quasi.attitude import continuous, rotate
 from quasi.errors import ReadError, nearest
 from quasi.importing.artefacts import flyable, stalled
+from quasi.importing.readers.reader import Reader
 from quasi.importing.series import Recording, Series
+from quasi.saturation import runs_of
 
 LARGEST_ROOM = 150.0  # m
 LARGEST = 1e10  # mm, frames or s: beyond any room, counter and clock (as in Motive exports)
@@ -43,6 +46,11 @@ def choose_body(bodies: list[str], wanted: str | None, path: Path) -> str:
         what = f"no rigid body '{wanted}'{nearest(str(wanted), bodies)}" if bodies else "no rigid body at all"
         raise ReadError(f"{path} holds {what}; correct 'Rigid Body Name' in the logbook, or export its 6DOF data")
     return name
+
+
+def capture_reader(name: str, kinds: tuple[str, ...], read: Callable[..., Recording]) -> Reader:
+    """A format of captures. read  (path, rigid body, marker offset, whether to remove outliers)"""
+    return Reader(name, kinds, lambda r: read(r.path, r.rigid_body, r.marker_offset, r.remove_outliers))
 
 
 @dataclass(frozen=True)
@@ -164,7 +172,7 @@ def _in_order(path: Path, body: Body, notes: list[str]) -> Body:
 
 def _describe_held(held: np.ndarray, t: np.ndarray, name: str) -> str:
     """What was found of frames (n,) that hold an older pose, t (n,) s."""
-    starts = np.flatnonzero(np.diff(np.concatenate([[0], held.astype(int)])) > 0)
+    starts = runs_of(held)[:, 0]
     step = float(np.median(np.diff(t)))
     when = ", ".join(f"{t[i]:.3f}" for i in starts[:5]) + (", ..." if len(starts) > 5 else "")
     return (

@@ -19,10 +19,8 @@ import pandas as pd
 
 from quasi.errors import ReadError, add_caution
 from quasi.importing.readers.known_topics import Known
-from quasi.importing.readers.reader import Reader, Request
 from quasi.importing.readers.signals import Signals, Topic, seconds_of
-from quasi.importing.readers.topics import low_pass_delays, read_topics
-from quasi.importing.series import Recording
+from quasi.importing.readers.topics import low_pass_delays, topics_reader
 from quasi.tables import read_bytes
 
 MESSAGE_HEAD = b"\xa3\x95"
@@ -218,12 +216,7 @@ class DataFlashFile:
                 kind.name == name and kind.at for kind in self.types.values()
             ):
                 self._decode(name)
-        frames = {
-            group: frame[[c for c in frame.columns if c in columns]]
-            for group, frame in self.frames.items()
-            if any(c in columns for c in frame.columns)
-        }
-        return Signals(frames, {group: self.clocks[group] for group in frames})
+        return Signals(self.frames, self.clocks).only(columns)
 
 
 _ARDUPILOT_FACTS = (
@@ -280,10 +273,4 @@ def _delays(log: DataFlashFile, mapping: Mapping[str, Any]) -> dict[str, dict[st
     })  # fmt: skip
 
 
-def _read(request: Request) -> Recording:
-    notes: list[str] = []
-    log = DataFlashFile(request.path, notes)
-    return read_topics(request, log, KNOWN, notes, lambda mapping: {"filter delays": _delays(log, mapping)})
-
-
-READER = Reader("an ArduPilot DataFlash log (.bin)", ("dataflash",), _read, ("ardupilot",))
+READER = topics_reader("an ArduPilot DataFlash log (.bin)", ("dataflash",), DataFlashFile, KNOWN, "ardupilot", _delays)

@@ -17,8 +17,8 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from quasi.errors import ReadError, add_caution, nearest
-from quasi.importing.readers.captured_body import LENGTHS, Body, captured_recording
-from quasi.importing.readers.reader import TEXT, Reader, Request
+from quasi.importing.readers.captured_body import LENGTHS, Body, capture_reader, captured_recording
+from quasi.importing.readers.reader import TEXT
 from quasi.importing.readers.table_text import SEPARATORS, decimal_points, from_header, through_a_spreadsheet
 from quasi.importing.series import Recording
 from quasi.recognition import refuse_other_formats
@@ -276,8 +276,4 @@ def _attitude(header: _Header, values: dict[tuple[str, str], np.ndarray], path: 
     return q, f"{order} angles"
 
 
-def _read(request: Request) -> Recording:
-    return read_motive(request.path, request.rigid_body, request.marker_offset, request.remove_outliers)
-
-
-READER = Reader("a motion-capture export of Motive (CSV)", ("motive", TEXT, "gzip"), _read)
+READER = capture_reader("a motion-capture export of Motive (CSV)", ("motive", TEXT, "gzip"), read_motive)

@@ -22,10 +22,9 @@ import pandas as pd
 
 from quasi.errors import ReadError, add_caution
 from quasi.importing.readers.known_topics import Known
-from quasi.importing.readers.reader import Reader, Request, needs_extra
+from quasi.importing.readers.reader import needs_extra
 from quasi.importing.readers.signals import Signals, Topic, seconds_of
-from quasi.importing.readers.topics import low_pass_delays, read_topics
-from quasi.importing.series import Recording
+from quasi.importing.readers.topics import low_pass_delays, topics_reader
 from quasi.tables import read_bytes
 
 MICRO = 1e-6  # s
@@ -167,12 +166,7 @@ class UlogFile:
         further = {re.split("[:/]", name)[0] for name in names - set(self.frames)} & set(self.formats)
         if further:
             self._take(self._parse(further))
-        frames = {
-            name: frame[[c for c in frame.columns if c in columns]]
-            for name, frame in self.frames.items()
-            if any(c in columns for c in frame.columns)
-        }
-        return Signals(frames, {name: self.clocks[name] for name in frames})
+        return Signals(self.frames, self.clocks).only(columns)
 
 
 _PX4_FACTS = (
@@ -275,10 +269,4 @@ def _delays(log: UlogFile, mapping: Mapping[str, Any]) -> dict[str, dict[str, An
     })  # fmt: skip
 
 
-def _read(request: Request) -> Recording:
-    notes: list[str] = []
-    log = UlogFile(request.path, notes)
-    return read_topics(request, log, KNOWN, notes, lambda mapping: {"filter delays": _delays(log, mapping)})
-
-
-READER = Reader("a PX4 ULog", ("ulog",), _read, ("px4",))
+READER = topics_reader("a PX4 ULog", ("ulog",), UlogFile, KNOWN, "px4", _delays)

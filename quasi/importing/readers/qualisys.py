@@ -15,8 +15,7 @@ import numpy as np
 
 from quasi.attitude import from_matrix
 from quasi.errors import ReadError
-from quasi.importing.readers.captured_body import Body, captured_recording, choose_body, number_in
-from quasi.importing.readers.reader import Reader, Request
+from quasi.importing.readers.captured_body import Body, capture_reader, captured_recording, choose_body, number_in
 from quasi.importing.readers.table_text import SEPARATORS, from_header
 from quasi.importing.series import Recording
 from quasi.tables import read_table_text
@@ -104,8 +103,4 @@ def _body(bodies: list[str], header: list[str], wanted: str | None, path: Path) 
     return name, starts[bodies.index(name)]
 
 
-def _read(request: Request) -> Recording:
-    return read_qualisys(request.path, request.rigid_body, request.marker_offset, request.remove_outliers)
-
-
-READER = Reader("a Qualisys export (TSV)", ("qualisys",), _read)
+READER = capture_reader("a Qualisys export (TSV)", ("qualisys",), read_qualisys)

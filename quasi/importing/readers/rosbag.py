@@ -21,10 +21,9 @@ import pandas as pd
 
 from quasi.errors import ReadError, add_caution, quoted
 from quasi.importing.readers.known_topics import Known
-from quasi.importing.readers.reader import Reader, Request, needs_extra
+from quasi.importing.readers.reader import needs_extra
 from quasi.importing.readers.signals import Signals, Topic
-from quasi.importing.readers.topics import read_topics
-from quasi.importing.series import Recording
+from quasi.importing.readers.topics import topics_reader
 
 NANOSECOND = 1e-9  # s
 LONGEST_SEQUENCE = 64  # entries of a list that become columns; images and point clouds are longer
@@ -324,9 +323,4 @@ def _seconds_of(get: Callable[[Any], Any]) -> Getter:
     return seconds
 
 
-def _read(request: Request) -> Recording:
-    notes: list[str] = []
-    return read_topics(request, Bag(request.path, notes), KNOWN, notes)
-
-
-READER = Reader("a ROS bag or MCAP recording", ("rosbag", "mcap", "db3"), _read, ("rosbag",))
+READER = topics_reader("a ROS bag or MCAP recording", ("rosbag", "mcap", "db3"), Bag, KNOWN, "rosbag")

@@ -49,6 +49,12 @@ class Signals:
         """The group that holds a column, or None."""
         return next((group for group, frame in self.frames.items() if column in frame.columns), None)
 
+    def only(self, columns: Collection[str]) -> "Signals":
+        """These columns alone; groups without any of them are left out."""
+        held = {g: [c for c in frame.columns if c in columns] for g, frame in self.frames.items()}
+        frames = {g: self.frames[g][names] for g, names in held.items() if names}
+        return Signals(frames, {g: self.clocks[g] for g in frames})
+
     @property
     def columns(self) -> list[str]:
         """Names of all columns."""

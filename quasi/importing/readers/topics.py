@@ -2,46 +2,55 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from quasi.airframe import DEFAULT_POLES
 from quasi.errors import ConfigError
 from quasi.importing.clocks.filter_delays import USUAL_ACCELEROMETER, USUAL_GYRO, delay
 from quasi.importing.readers.known_topics import Known, plan_known
-from quasi.importing.readers.reader import Request
+from quasi.importing.readers.reader import Reader, Request
 from quasi.importing.readers.signals import LogFile
 from quasi.importing.readers.table_mapping import read_mapping
 from quasi.importing.readers.table_reader import read_signals
 from quasi.importing.series import Recording
 
 
-def read_topics(
-    request: Request,
-    log: LogFile,
+def topics_reader(
+    name: str,
+    kinds: tuple[str, ...],
+    opens: Callable[[Path, list[str]], LogFile],
     known: Sequence[Known],
-    notes: list[str],
-    further: Callable[[Mapping[str, Any]], dict[str, Any]] | None = None,
-) -> Recording:
-    """The recording of a log: its sources, units, axes and clocks as a table's.
+    controller: str,
+    delays: Callable[[Any, Mapping[str, Any]], dict[str, Any]] | None = None,
+) -> Reader:
+    """A format whose logs are read by the configured columns, or by the topics that it knows.
 
-    further  returns more metadata for the mapping in use
-    Raises   ConfigError or ReadError: a topic that is needed is absent, or the configuration names a wrong one
+    opens   (path, notes) -> the open log; controller  value of 'Flight controller'
+    delays  (log, mapping in use) -> how late sensors were filtered on board
     """
-    mapping = request.quadrotor.get("table columns")
-    if not isinstance(mapping, Mapping):
-        chosen = request.quadrotor.get("log topics") or {}
-        if not isinstance(chosen, Mapping):
-            raise ConfigError(f"'log topics' is {chosen!r}, expected a section that names a topic for each role")
-        mapping = plan_known(log.topics, known, chosen, request.path, notes)
-    plan = read_mapping(mapping, request.poles or DEFAULT_POLES, "table columns", log_has_clock=True)
-    signals = log.samples_of(plan.names, notes)
-    known_names = [column for topic in log.topics.values() for column in topic.columns]
-    electrical = "eRPM" in str(mapping)
-    recording = read_signals(request.path, signals, plan, request.poles, electrical, notes, known_names)
-    recording.metadata.update(log.facts)
-    if further is not None:
-        recording.metadata.update(further(mapping))
-    return recording
+
+    def read(request: Request) -> Recording:
+        """Units, axes and clocks as a table's. Raises ConfigError or ReadError for a topic that is absent or wrong."""
+        notes: list[str] = []
+        log = opens(request.path, notes)
+        mapping = request.quadrotor.get("table columns")
+        if not isinstance(mapping, Mapping):
+            chosen = request.quadrotor.get("log topics") or {}
+            if not isinstance(chosen, Mapping):
+                raise ConfigError(f"'log topics' is {chosen!r}, expected a section that names a topic for each role")
+            mapping = plan_known(log.topics, known, chosen, request.path, notes)
+        plan = read_mapping(mapping, request.poles or DEFAULT_POLES, "table columns", log_has_clock=True)
+        signals = log.samples_of(plan.names, notes)
+        known_names = [column for topic in log.topics.values() for column in topic.columns]
+        electrical = "eRPM" in str(mapping)
+        recording = read_signals(request.path, signals, plan, request.poles, electrical, notes, known_names)
+        recording.metadata.update(log.facts)
+        if delays is not None:
+            recording.metadata["filter delays"] = delays(log, mapping)
+        return recording
+
+    return Reader(name, kinds, read, (controller,))
 
 
 def low_pass_delays(

@@ -16,8 +16,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quasi.errors import ReadError, add_caution
-from quasi.importing.readers.captured_body import LENGTHS, Body, captured_recording, choose_body, number_in
-from quasi.importing.readers.reader import Reader, Request
+from quasi.importing.readers.captured_body import (
+    LENGTHS,
+    Body,
+    capture_reader,
+    captured_recording,
+    choose_body,
+    number_in,
+)
 from quasi.importing.readers.table_text import SEPARATORS, from_header
 from quasi.importing.series import Recording
 from quasi.tables import read_table_text
@@ -152,8 +158,4 @@ def _attitude(
     return q, how
 
 
-def _read(request: Request) -> Recording:
-    return read_vicon(request.path, request.rigid_body, request.marker_offset, request.remove_outliers)
-
-
-READER = Reader("a Vicon export (CSV)", ("vicon",), _read)
+READER = capture_reader("a Vicon export (CSV)", ("vicon",), read_vicon)

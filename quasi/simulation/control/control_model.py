@@ -10,21 +10,10 @@ from typing import Any
 import numpy as np
 
 from quasi.airframe import Airframe
-from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
 from quasi.model.extensions import drive_of
-from quasi.model.hover import find_hover_position, find_hover_speed, list_usual_inputs, predict_at_rest
+from quasi.model.hover import find_hover_speed, predict_at_rest
 from quasi.model.model import Model
-
-__all__ = [
-    "ControlModel",
-    "find_hover_position",
-    "find_hover_speed",
-    "list_usual_inputs",
-    "make_control_model",
-    "trim",
-    "use_geometric_mixer",
-]
 
 DEFAULT_ACTUATOR_LAG = 1.0 / 35.0  # s, where the model has no time constants
 _HIGHEST_SPEED_RATIO, _LOWEST_SPEED_RATIO = 2.0, 0.1  # of the hover speed, where the airframe has no limits
@@ -106,31 +95,6 @@ def use_geometric_mixer(vehicle: ControlModel) -> ControlModel:
     scale_pitch = float(x @ vehicle.effectiveness[1] / (x @ x))
     mixer = np.array([scale_roll * y, scale_pitch * x, -torque * spin, np.full(4, -thrust)])
     return replace(vehicle, effectiveness=mixer, yaw_reaction=np.zeros(4))
-
-
-def trim(model: Model, start: float) -> np.ndarray:
-    """Find rotor speeds (4,), rad/s, at which the model hovers without moments, by Newton's method from a common speed.
-
-    Raises DataError where the rotors cannot balance the model's moments about hover.
-    """
-    weight = model.airframe.mass * GRAVITY if model.with_gravity else 0.0
-    speeds = np.full(4, float(start))
-
-    def residual(at: np.ndarray) -> np.ndarray:
-        force, moment = predict_at_rest(model, at[None])
-        return np.array([*moment[0], force[0, 2] + weight])
-
-    for _ in range(50):
-        steps = 1e-4 * start * np.eye(4)
-        jacobian = np.column_stack([(residual(speeds + s) - residual(speeds - s)) / (2e-4 * start) for s in steps])
-        change = np.linalg.solve(jacobian, residual(speeds))
-        speeds = speeds - change
-        if np.max(np.abs(change)) < 1e-10 * start:
-            return speeds
-    raise DataError(
-        f"model {model.id} has no rotor speeds at which it hovers without moments; "
-        "switch 'correct for moment asymmetries' on"
-    )
 
 
 def _linearise_rotors(model: Model, hover: float) -> tuple[np.ndarray, np.ndarray]:

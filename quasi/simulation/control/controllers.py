@@ -30,10 +30,11 @@ from numba import njit
 
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
+from quasi.model.hover import list_usual_inputs
 from quasi.model.model import Model
 from quasi.simulation.control import gains as g
 from quasi.simulation.control.allocation import allocate_rotors, invert_matrix
-from quasi.simulation.control.control_model import list_usual_inputs, make_control_model, use_geometric_mixer
+from quasi.simulation.control.control_model import make_control_model, use_geometric_mixer
 from quasi.simulation.control.outer_loop import (
     CONTROLLER_STATUS,
     RATES_SETPOINT,
@@ -51,24 +52,13 @@ from quasi.terms.lanes import all_lanes, any_lane, choose, common_value, count_l
 # first entries in the memory; outer_loop.py has further ones
 INVERSE_EFFECTIVENESS, STEP_EFFECTIVENESS = 1, 17  # (16,) inverse and effectiveness of one step, row by row
 LAST_COMMANDS_SQUARED, LAST_COMMANDS = 33, 180  # (4,) the last commands, squared and as they are
-EXPECTED_SPEEDS, LEARNT_LIMITS, TIME_BEHIND = (
-    37,
-    41,
-    45,
-)  # (4,) speeds by the rotors' lag, their limits, how long they have lagged, s
+# (4,) speeds by the rotors' lag, their limits, how long they have lagged, s
+EXPECTED_SPEEDS, LEARNT_LIMITS, TIME_BEHIND = (37, 41, 45)
 RATE_INTEGRAL = 52  # (3,) rad/s2
-RATE_FILTERS, SPEED_FILTERS, ACCELERATION_FILTERS = (
-    58,
-    67,
-    79,
-)  # filters, three numbers each: of 3 rates, 4 squared speeds, 3 accelerations
-WANTED_LOADS, LOWEST_INPUTS, HIGHEST_INPUTS, ALLOCATED_INPUTS, ALLOCATION_SCRATCH = (
-    88,
-    92,
-    96,
-    100,
-    104,
-)  # of the allocation
+# filters, three numbers each: of 3 rates, 4 squared speeds, 3 accelerations
+RATE_FILTERS, SPEED_FILTERS, ACCELERATION_FILTERS = (58, 67, 79)
+# of the allocation
+WANTED_LOADS, LOWEST_INPUTS, HIGHEST_INPUTS, ALLOCATED_INPUTS, ALLOCATION_SCRATCH = (88, 92, 96, 100, 104)
 ANGULAR_ACCELERATION, MODEL_LOADS = 171, 174  # (3,) wanted angular accelerations; (6,) forces and moments of the model
 FILTER_KEEP, FILTER_GAIN, LAG_SHARE = 184, 185, 186  # constants of the filters and of the rotor lag for one step
 MODEL_INPUTS = 188  # first entry of the work array of NDI's model

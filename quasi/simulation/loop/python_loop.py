@@ -163,9 +163,8 @@ class QuadrotorSimulator(Simulator):
             state.voltage,
             state.speeds,
         )
-        bus.state[k, ROTOR_SPEEDS:STATE_SIZE] = state.x[
-            ROTOR_SPEEDS:STATE_SIZE
-        ]  # rotors without lag reach their target at once
+        # rotors without lag reach their target at once
+        bus.state[k, ROTOR_SPEEDS:STATE_SIZE] = state.x[ROTOR_SPEEDS:STATE_SIZE]
         end = np.empty(4)
         for i in range(4):
             speed, target = state.x[ROTOR_SPEEDS + i], state.step_inputs[TARGET_SPEED + i]

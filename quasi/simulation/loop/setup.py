@@ -22,9 +22,10 @@ from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
 from quasi.model.extensions import drive_of, read_rotor_constants, wind_of
+from quasi.model.hover import find_hover_speed
 from quasi.model.model import Model
 from quasi.project import configuration
-from quasi.simulation.control.control_model import DEFAULT_ACTUATOR_LAG, find_hover_speed
+from quasi.simulation.control.control_model import DEFAULT_ACTUATOR_LAG
 from quasi.simulation.control.controllers import make_controller
 from quasi.simulation.control.references import make_reference
 from quasi.simulation.loop.closed_loop import ActuatorLimits, Battery, LoopParameters, LoopState, make_loop_state

@@ -18,10 +18,11 @@ from scipy.linalg import expm, schur
 
 from quasi.attitude import GRAVITY, exponential, rotate_inverse
 from quasi.errors import ConfigError
+from quasi.model.hover import find_hover_position, list_usual_inputs
 from quasi.model.model import Model
 from quasi.simulation.control import controllers as c
 from quasi.simulation.control import gains as g
-from quasi.simulation.control.control_model import find_hover_position, list_usual_inputs, make_control_model
+from quasi.simulation.control.control_model import make_control_model
 from quasi.simulation.control.outer_loop import SETPOINT_POSITION, SETPOINT_SIZE, SETPOINT_THRUST, VELOCITY_INTEGRAL
 from quasi.simulation.loop.setup import Setup
 from quasi.simulation.vehicle.dynamics import LAG_UP

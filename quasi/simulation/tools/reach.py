@@ -15,8 +15,8 @@ from scipy.spatial import ConvexHull, QhullError
 
 from quasi.attitude import rotate_inverse, to_euler
 from quasi.errors import ConfigError, DataError
+from quasi.model.hover import list_usual_inputs
 from quasi.model.model import Model
-from quasi.simulation.control.control_model import list_usual_inputs
 from quasi.simulation.control.references import HOVER_REFERENCE
 from quasi.simulation.loop.run import simulate_many
 from quasi.simulation.loop.setup import Setup, make_setup

@@ -81,8 +81,7 @@ def read_payload_and_inflow(model: Model) -> PayloadAndInflow:
                 given = states[part] if isinstance(states, Mapping) else states
                 raise ConfigError(
                     f"{what}: '{part}' is {given!r}, expected positive numbers for "
-                    f"{', '.join(_CONSTANTS_OF_PARTS[part])}; make the "
-                    "extended model anew"
+                    f"{', '.join(_CONSTANTS_OF_PARTS[part])}; make the extended model anew"
                 )
             if set(found) & set(constants):
                 raise ConfigError(f"{what} is the second {part} of the model, which can have one; extend it again")
