@@ -47,7 +47,6 @@ FLIGHTS = {
     "run1": (1, "reference"), "run2": (2, "reference"), "run1-planted": (1, "compared"),
     "run2-planted": (2, "compared"), "run3-planted": (3, "held out"),
 }  # fmt: skip
-ROLES = {key: role for key, (_, role) in FLIGHTS.items()}
 Table = pd.DataFrame
 
 
@@ -65,6 +64,26 @@ class Plant(NamedTuple):
     change: Callable[[Table], None] | None = None
     configure: Callable[[dict[str, Any]], None] | None = None
     mass: float = MASS
+
+
+class Written(NamedTuple):
+    """How the same recordings are written down: flights {key: (run, role)} in their order; change of every table, the
+    planted ones included; configure of every quadrotor; parts {key: (first, last) share of the rows}; healthy: the
+    role that has no plant."""
+
+    flights: Mapping[str, tuple[int, str]] = FLIGHTS
+    change: Callable[[Table], Table] = lambda table: table
+    configure: Callable[[dict[str, Any]], None] = lambda quadrotor: None
+    parts: Mapping[str, tuple[float, float]] = {}
+    healthy: tuple[str, ...] = ("reference",)
+
+    @property
+    def roles(self) -> dict[str, str]:
+        """{key: role}."""
+        return {key: role for key, (_, role) in self.flights.items()}
+
+
+AS_IT_IS = Written()
 
 
 def scaled(columns: list[str], factor: float) -> Callable[[Table], None]:
@@ -212,17 +231,25 @@ PLANTS: dict[str, Plant] = {
 }  # fmt: skip
 
 
-def read(data: Path, key: str, plant: Plant | None, folder: Path) -> tuple[Flown, dict[str, Any], dict[str, Any]]:
+def read(
+    data: Path, key: str, planted: Plant, folder: Path, written: Written
+) -> tuple[Flown, dict[str, Any], dict[str, Any]]:
     """A run imported and filtered, with its source and quadrotor for another import."""
-    table = pd.read_csv(data / f"nanodrone/square_run{FLIGHTS[key][0]}.csv")
+    run_number, role = written.flights[key]
+    table = pd.read_csv(data / f"nanodrone/square_run{run_number}.csv")
+    first, last = (round(share * len(table)) for share in written.parts.get(key, (0.0, 1.0)))
+    table = table.iloc[first:last].reset_index(drop=True)
     quadrotor = copy.deepcopy(read_json(EXAMPLE / "config/NanoDroneConfig.json"))
     mass = MASS
+    plant = None if role in written.healthy else planted
     if plant is not None:
         mass = plant.mass
         if plant.change is not None:
             plant.change(table)
         if plant.configure is not None:
             plant.configure(quadrotor)
+    table = written.change(table)
+    written.configure(quadrotor)
     path = folder / f"{key}.csv"
     table.to_csv(path, index=False)
     quadrotor["file"] = "NanoDroneConfig.json"
@@ -231,7 +258,7 @@ def read(data: Path, key: str, plant: Plant | None, folder: Path) -> tuple[Flown
         "capture": None, "log number": None,
     }  # fmt: skip
     airframe = read_airframe(quadrotor, quadrotor["file"], mass)
-    return processed(source, quadrotor, airframe, ROLES[key] != "reference", None), source, quadrotor
+    return processed(source, quadrotor, airframe, role != "reference", None), source, quadrotor
 
 
 def processed(
@@ -245,13 +272,13 @@ def processed(
     return Flown(source["flight"], compared, imported, about, made.with_gravity, made.metadata, airframe)
 
 
-def draw(name: str, data: Path) -> dict[str, Any]:
+def draw(name: str, data: Path, written: Written = AS_IT_IS) -> dict[str, Any]:
     """Plant, diagnose and compare."""
-    plant, effects = PLANTS[name], catalogue()
+    plant, effects, roles = PLANTS[name], catalogue(), written.roles
     with tempfile.TemporaryDirectory() as folder:
-        made = {k: read(data, k, None if role == "reference" else plant, Path(folder)) for k, role in ROLES.items()}
+        made = {key: read(data, key, plant, Path(folder), written) for key in roles}
         flights = {k: flown for k, (flown, *_) in made.items()}
-        model = Model(identified([flights[k] for k, r in ROLES.items() if r == "reference"]))
+        model = Model(identified([flights[k] for k, r in roles.items() if r == "reference"]))
 
         def again(flown: Flown, calibration: Mapping[str, Any] | None) -> Flown:
             if calibration is None:
@@ -259,14 +286,14 @@ def draw(name: str, data: Path) -> dict[str, Any]:
             _, source, quadrotor = made[flown.key]
             return processed(source, quadrotor, flown.airframe, flown.compared, calibration)
 
-        learning = [f for k, f in flights.items() if ROLES[k] != "held out"]
+        learning = [f for k, f in flights.items() if roles[k] != "held out"]
         found, _ = sensors_and_drive.examine(learning, model.document, SETTINGS, effects, again, 1)
         after = {k: again(f, for_flight(found, f.compared)) for k, f in flights.items()}
         read_flights = {k: (f.filtered, f.filtered_metadata, f.airframe) for k, f in after.items()}
         evidence, lost = gather_all(read_flights, model, 100.0)
         document = diagnose(
-            model, found, evidence, {k: f.filtered for k, f in after.items()}, ROLES, effects, SETTINGS,
-            ([flights["run3-planted"]], [after["run3-planted"]]), name, lost,
+            model, found, evidence, {k: f.filtered for k, f in after.items()}, roles, effects, SETTINGS,
+            tuple([f for k, f in part.items() if roles[k] == "held out"] for part in (flights, after)), name, lost,
         ).document  # fmt: skip
     kept = ("verdict", "summary", "effects", "ties", "unexplained", "losses", "candidates", "base model", "notes")
     return {k: document[k] for k in kept}

@@ -411,12 +411,20 @@ class _Search:
         kept = list(self.given)
         while True:
             tests = {o: self.mixed.test(o, [g for g in kept if g != o], self.pooled) for o in kept if o in self.found}
-            weak = [o for o, test in tests.items() if test.p >= self.level]
+            weak = [o for o, test in tests.items() if test.p >= self.level or self._lacks_partner(o, kept)]
             if not weak:
                 self.given = kept
                 order = sorted(tests.values(), key=lambda test: test.p)
                 return [Named(test, self.found[test.offer]) for test in order]
             kept.remove(max(weak, key=lambda o: tests[o].p))
+
+    def _lacks_partner(self, offer: Candidate, kept: Sequence[Candidate]) -> bool:
+        """Whether an offer holds a parameter that accompanies another one, which is not accepted."""
+        if self.profiles[offer.cause].parts != "paired":
+            return False
+        half = len(self.mixed.columns.causes[offer.cause]) // 2
+        there = {k for o in kept if (o.cause, o.since) == (offer.cause, offer.since) for k in o.which}
+        return any(k >= half and k - half not in there for k in offer.which)
 
     def _one_for_several(self, named: Sequence[Named]) -> tuple[list[Named], list[Tie]]:
         """Named causes, and ties of a cause that needs several of its parameters with a simpler or a declared rival.
@@ -432,7 +440,9 @@ class _Search:
             several.setdefault(one.test.offer.cause, []).append(one)
         for cause, parts in several.items():
             which = tuple(sorted(k for one in parts for k in one.test.offer.which))
-            if len(which) < 2 or self.profiles[cause].parts != "any":
+            if self.profiles[cause].parts == "paired":
+                which = tuple(k for k in which if k < len(self.mixed.columns.causes[cause]) // 2)
+            if len(which) < 2 or self.profiles[cause].parts not in ("any", "paired"):
                 continue
             given = [*others, *(n.test.offer for n in kept if n not in parts)]
             together = self.mixed.test(Candidate(cause, self.since, which), given, self.pooled)

@@ -168,6 +168,9 @@ def test_the_flow_that_thrust_drives_draws_torque(ground, name):
     evidence = residual_of(ground, {name: planted})
     vehicle = vehicle_of(ground[2], evidence.mass, evidence.inertia, ROOM)
     columns = columns_of(CATALOGUE[name], evidence, vehicle, dict.fromkeys(CATALOGUE[name].parameters, 0.0))
+    torques = {p.replace("rotor", "torque").replace("factor", "torque"): v for p, v in expected.items()}
+    share = vehicle.drawn / vehicle.torque
+    expected = expected | {p: share * v for p, v in torques.items() if name != "thrust_curve"}
     yaw, predicted = evidence.residual[:, 5], sum(columns[p] * value for p, value in expected.items())[:, 5]
     assert np.square(yaw - predicted).mean() < 0.25 * np.square(yaw).mean()
 

@@ -220,6 +220,19 @@ def test_a_change_below_zero_is_physical_where_reference_flights_show_the_cause(
         assert names.rejected[change] == "its size would be outside what is physical"
 
 
+@pytest.mark.parametrize(
+    ("planted", "found"), [({5: 0.5, 6: 0.4}, {0, 1}), ({5: 0.5}, {0}), ({6: 0.4}, set())],
+    ids=["both", "the first alone", "the companion alone"],
+)  # fmt: skip
+def test_a_parameter_that_accompanies_another_is_asked_only_where_that_one_is_there(planted, found):
+    rng = np.random.default_rng(12)
+    grams, _ = flights(rng, 6, planted)
+    known = effects(c="paired")
+    layout = LAYOUT._replace(causes={"c": LAYOUT.causes["c"]})
+    names = select(MixedModel(grams, [True] * 6, layout), {"c": known["c"]}, ("always",), 0.01)
+    assert {k for n in names.named for k in n.test.offer.which} == found
+
+
 @pytest.mark.parametrize("about", [0, 1])
 def test_a_cause_is_named_by_a_parameter_that_it_is_about_not_by_one_that_accompanies(about):
     rng = np.random.default_rng(10)

@@ -4,6 +4,9 @@ A rotor of effectiveness e acts as one whose squared speed is e times the logged
 model. Levers of hover are only the mean of that: terms such as the change of all rotors times a difference let them
 differ by a third from row to row. With levers of hover the deviations of rotors planted in real recordings came out 10
 to 18 % too small, with the slopes of each row within 5 %.
+
+How much torque a rotor takes with another thrust depends on why: a speed that is logged wrong changes both by one
+factor, a twisted blade hardly the torque. Torque is therefore a parameter of its own, asked where the thrust differs.
 """
 
 from collections.abc import Mapping
@@ -20,48 +23,44 @@ from quasi.gap.effect import (
     Vehicle,
     number,
     thrust_wrench,
-    total,
-    vehicle_of,
 )
 from quasi.gap.flights.evidence import Evidence
-from quasi.model.model import ROTORS, Model
+from quasi.model.model import AXES, ROTORS, Model
 from quasi.terms.expressions import Tree, parse, text
 from quasi.terms.variables import SYNONYMS, split_function
 
 SLOPES_KNOWN = 0.05  # share, from rotors planted in real recordings: docs/measured.md
-THRUST = slice(2, 5)  # Fz, Mx, My: Fx and Fy of rotor speeds come from an IMU next to the configured place
-THRUST_AXES = ("Fz", "Mx", "My")
+THRUST_AXES = AXES[:5]  # all but the yaw moment, which is that of the shaft
+NUMBERS = range(1, 5)
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
-    result = {}
-    for i in range(1, 5):
+    result: dict[str, Terms] = {}
+    for i in NUMBERS:
         thrusts = ["", "", "", ""]
         thrusts[i - 1] = f"{number(vehicle.thrust)}*w{i}^2"
-        yaw = {"Mz": f"{number(-vehicle.spin[i - 1] * vehicle.drawn)}*w{i}^2"}
-        result[f"rotor{i}"] = total([thrust_wrench(vehicle, thrusts), yaw])
+        result[f"rotor{i}"] = thrust_wrench(vehicle, thrusts)
+    for i, spin in zip(NUMBERS, vehicle.spin):
+        result[f"torque{i}"] = {"Mz": f"{number(-spin * vehicle.torque)}*w{i}^2"}
     return result
 
 
 def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
     slopes = evidence.gradient(*ROTORS) * (0.5 * evidence.speeds)[:, None, :]  # by the logarithm of squared speed
-    drawn = vehicle_of(evidence.model, evidence.mass, evidence.inertia).drawn
-    result = {}
-    for i, spin in enumerate(evidence.spin):
-        column = np.zeros((len(evidence), 6))
-        column[:, THRUST] = slopes[:, THRUST, i]
-        column[:, 5] = -spin * drawn * evidence.speeds[:, i] ** 2
-        result[f"rotor{i + 1}"] = column
-    return result
+    slopes[:, AXES.index("Mz")] = 0.0
+    torques = -evidence.spin * evidence.torque
+    return {f"rotor{i}": slopes[:, :, i - 1] for i in NUMBERS} | {
+        f"torque{i}": evidence.only("Mz", torques[:, i - 1]) for i in NUMBERS
+    }
 
 
 def _extension(values: Values, vehicle: Vehicle, model: Model) -> Extension:
     """The model's own terms of thrust at the speeds that the rotors act with, in place of those at logged speeds."""
-    effective = _effective_speeds(model.airframe, [1.0 + values[f"rotor{i}"] for i in range(1, 5)])
+    effective = _effective_speeds(model.airframe, [1.0 + values.get(f"rotor{i}", 0.0) for i in NUMBERS])
     terms: dict[str, list[tuple[str, float]]] = {}
-    for name, parts in _terms(vehicle).items():
-        if values[name]:
-            terms.setdefault("Mz", []).append((parts["Mz"], values[name]))
+    for i in NUMBERS:
+        if share := values.get(f"torque{i}", 0.0):
+            terms.setdefault("Mz", []).append((_terms(vehicle)[f"torque{i}"]["Mz"], share))
     for axis in THRUST_AXES:
         for term in model.document["axes"].get(axis, {"terms": []})["terms"]:
             tree = parse(term["expression"])
@@ -119,15 +118,17 @@ EFFECT = Effect(
     id="rotor_effectiveness",
     level="forces",
     sentence="one rotor makes less or more thrust than its speed says (chipped or wrong propeller)",
-    equation="T_i = e_i T0_i: dFz : dMx : dMy in the ratio of the hub's place, dMz by the power saved",
+    equation="T_i = e_i T0_i: dFz : dMx : dMy in the ratio of the hub's place; Q_i = torque_i Q0_i",
     source="definition",
-    parameters={f"rotor{i}": Parameter("1", 1.0, "s", 0.3, 2.0, 0.1) for i in range(1, 5)},
+    parameters={f"rotor{i}": Parameter("1", 1.0, "s", 0.3, 2.0, 0.1) for i in NUMBERS}
+    | {f"torque{i}": Parameter("1", 1.0, "s", 0.3, 2.0, None) for i in NUMBERS},
     channels=("Fz", "Mx", "My"),
     rivals=("cg_offset", "rotor_tilt"),
     tie_breaker="heave with a large range of thrust, and steps of each axis",
     terms=_terms,
     columns=_columns,
     extension=_extension,
+    parts="paired",
     absent_when_healthy=True,
     form_uncertainty=SLOPES_KNOWN,
 )

@@ -27,7 +27,7 @@ from quasi.gap.selection import Profile, select_causes
 from quasi.gap.statistics.mixed import Candidate
 from quasi.model.model import Model
 
-IMU, MARKERS = "imu_lever_arm", "marker_offset"
+IMU, MARKERS, CG = "imu_lever_arm", "marker_offset", "cg_offset"
 AXES = ("x", "y", "z")
 APART = 9.0  # difference of squared standard errors, three of them, from which one explanation wins
 TAKEN_UP = 0.1  # share of an arm's forces that the terms of a model may hold by chance
@@ -110,7 +110,7 @@ def _settle_arm(
         forces, std = felt(flights, model, arm["since"], effects, rate)
     except DataError as error:
         level.notes.append(f"whether the IMU or the markers sit elsewhere was not asked of the forces: {error}")
-        return
+        forces, std = np.zeros(3), np.full(3, np.inf)
     between = np.array([arm["parameters"][n]["value"] for n in AXES])
     between_std = np.array([arm["parameters"][n]["std"] for n in AXES])
     points = weigh(between, between_std, forces, std)
@@ -174,7 +174,14 @@ def felt(
     rate: what is left of a tether, say, blunts what forces tell of the arm
     Raises DataError where no flight can be compared with the model.
     """
-    seen = [(flown, _evidence(flown, model)) for flown in flights]
+    seen = []
+    for flown in flights:
+        try:
+            seen.append((flown, _evidence(flown, model)))
+        except DataError:  # a flight without valid data is stated where forces are compared
+            continue
+    if not any(flown.compared for flown, _ in seen):
+        raise DataError("no compared flight has valid data")
     evidence, vehicle = [e for _, e in seen], vehicle_of(model)
     compared = np.array([flown.compared for flown, _ in seen])
     asked = {n: e for n, e in effects.items() if e.level == "forces" and not e.finding}
@@ -190,10 +197,13 @@ def _beside(
     study: Design, asked: Mapping[str, Effect], within: Mapping[str, Limits],
     compared: np.ndarray, rate: float, arm: Candidate,
 ) -> list[Candidate]:  # fmt: skip
-    """Causes that the forces have beside the arm."""
+    """Causes that the forces have beside the arm.
+
+    A moved centre of gravity is none: what the accelerometer feels is its place from where that is.
+    """
     mixed = study.witnessed(range(len(compared)), compared)
     profiles = {n: Profile.of(e, within.get(n)) for n, e in (asked | {IMU: FELT}).items()}
-    return select_causes(mixed, profiles, rate, excluded=(*study.lacking, IMU), known=[arm]).offers
+    return select_causes(mixed, profiles, rate, excluded=(*study.lacking, IMU, CG), known=[arm]).offers
 
 
 def _evidence(flown: Flown, model: Model) -> Evidence:

@@ -131,9 +131,10 @@ def expected_change(cause: str, deviations: Mapping[str, float], evidence: TrimE
     change = np.zeros(ROTORS)
     if cause == "rotor_effectiveness":
         for name, deviation in deviations.items():
-            change[int(name[-1]) - 1] = -np.log(max(1.0 + deviation, 0.01))
+            if name.startswith("rotor"):
+                change[int(name[-1]) - 1] = -np.log(max(1.0 + deviation, 0.01))
     elif cause == "thrust_factor":
-        change -= np.log(max(1.0 + sum(deviations.values()), 0.01))
+        change -= np.log(max(1.0 + deviations.get("factor", 0.0), 0.01))
     elif cause == "mass":
         change += np.log(max(1.0 + sum(deviations.values()) / mass, 0.01))
     elif cause == "cg_offset" and evidence.geometry is not None:

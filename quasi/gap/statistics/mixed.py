@@ -365,14 +365,20 @@ class MixedModel:
         """The most significant selection of a cause's parameters that are not given yet; None when all are given.
 
         parts  "any": all of them, or one alone (the likeliest); "all": only together; "first": the first, or the first
-        few; "one": one alone, the likeliest; "next": one after the other, each beside those before it
+        few; "one": one alone, the likeliest; "next": one after the other, each beside those before it; "paired":
+        as "any" of the first half, and of the second half those whose partner is given
         """
         taken = {k for o in given if o.cause == cause and o.since == since for k in o.which}
         free = tuple(k for k in range(len(self.columns.causes[cause])) if k not in taken)
-        if not free:
+        partners: list[tuple[int, ...]] = []
+        if parts == "paired":
+            half = len(self.columns.causes[cause]) // 2
+            partners = [(k,) for k in free if k >= half and k - half in taken]
+            free = tuple(k for k in free if k < half)
+        if not free and not partners:
             return None
-        selections = [free]
-        if parts == "any" and len(free) > 1:
+        selections = [free] if free else []
+        if parts in ("any", "paired") and len(free) > 1:
             selections += [(k,) for k in free]
         elif parts == "next":
             selections = [free[:1]]
@@ -380,12 +386,15 @@ class MixedModel:
             selections = [(k,) for k in free]
         elif parts == "first":
             selections = [free[: n + 1] for n in range(len(free))]
-        tests = [self.test(Candidate(cause, since, which), given, pooled) for which in selections]
-        if parts == "any" and len(free) > 1:
+        tests, beside = (
+            [self.test(Candidate(cause, since, which), given, pooled) for which in of] for of in (selections, partners)
+        )
+        if parts in ("any", "paired") and len(free) > 1:
             best = self._single_or_all(tests[0], tests[1:], given, pooled)
         else:
-            best = min(tests, key=lambda test: test.unlikely if parts == "one" else test.p)
-        return best._replace(p=min(best.p * len(selections) * self.columns.tries.get(cause, 1), 1.0))
+            best = min(tests, key=lambda test: test.unlikely if parts == "one" else test.p, default=None)
+        best = min((t for t in (best, *beside) if t is not None), key=lambda test: test.p)
+        return best._replace(p=min(best.p * (len(selections) + len(partners)) * self.columns.tries.get(cause, 1), 1.0))
 
     def _single_or_all(
         self, whole: Test, singles: Sequence[Test], given: Sequence[Candidate], pooled: Sequence[str]
