@@ -200,7 +200,8 @@ def test_a_trim_turns_a_model_of_another_inertia_as_the_flight_was_turned():
     document = base.document
     own = np.asarray(document["airframe"]["inertia"])
     true = own + np.array([[2e-4, 3e-4, 0], [3e-4, 1e-4, 1e-4], [0, 1e-4, 2e-4]])
-    extended = Model({**document, "airframe": {**document["airframe"], "inertia": true.tolist()}})
+    told = {"airframe": {**document["airframe"], "inertia": true.tolist()}, "configured inertia": own.tolist()}
+    extended = Model({**document, **told})
     axes = {**document["axes"]}
     for axis, moment in (("Mx", 6e-6), ("My", -9e-6)):
         term = {"name": "1", "expression": "1", "coefficient": moment, "std": 0.0, "unit": "", "given": True}

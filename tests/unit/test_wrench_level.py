@@ -1,6 +1,7 @@
 """Forces and moments of flights whose causes are known exactly: large nonlinear ones, and one along one axis only."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -310,7 +311,8 @@ def test_what_was_significant_beside_a_cause_that_axes_contradict_alone_goes_wit
     def named(*names):
         offers = [Candidate(n, "changed", (0,)) for n in names]
         found = [Cause(effects[o.cause], o.since, {}, {}, mixed.test(o, offers, []), []) for o in offers]
-        return examination._widened(found, [], effects, mixed, None, np.ones(3, bool), {"changed": 1e-3})
+        sought = SimpleNamespace(mixed=mixed, study=None, level={"changed": 1e-3}, flown=None)
+        return examination._widened(found, [], sought, np.ones(3, bool))
 
     kept, vague = named("body_drag", "rotor_drag", "ground_effect")
     assert [c.effect.id for c in kept] == ["ground_effect"]
