@@ -96,6 +96,9 @@ def rotorpy_cases() -> dict[str, Case]:
         **sensor_cases(),
         "inflow x 2": Case(("axial_inflow",), value={"k": p["k_z"]}, change=scaled(k_z=2.0)),
         "lift x 3": Case(("translational_lift",), value={"k": 8 * p["k_h"]}, change=scaled(k_h=3.0)),
+        # thinner air: all that the rotors do, in proportion
+        "air x 0.93": Case(("thrust_factor",), ("torque_factor", "rotor_drag", "axial_inflow"), {"factor": 0.93},
+                           scaled(k_eta=0.93, k_m=0.93, k_d=0.93, k_z=0.93, k_h=0.93)),
     }  # fmt: skip
 
 
