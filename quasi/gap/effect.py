@@ -20,7 +20,7 @@ from quasi.model.model import Model
 from quasi.project.logbook import NAME_RULE, VALID_NAME
 
 LEVELS = ("sensors", "drive", "forces")
-PARTS = ("any", "all", "first", "one", "next", "paired")
+PARTS = ("any", "all", "first", "one", "led", "paired")
 SCOPES = {"a": "airframe", "s": "session", "f": "flight"}
 Terms = dict[str, str]  # axis: expression, N or N m per unit of a parameter
 
@@ -191,7 +191,7 @@ class Effect:
                   err: what other causes do is told by the truth; it must bend
     extension     (values, vehicle, model) -> Extension, where terms do not say it
     parts         how parameters may be found: "any" one alone or all; "all" only together; "first" the first few;
-                  "one" a single one, the likeliest; "next" one after the other, each beside those before it;
+                  "one" a single one, the likeliest; "led" the first, and where that is there each other;
                   "paired" as "any" of the first half, each of the second half only where its partner is there
     exact         (deviations of the linear fit, vehicle as flown) -> deviations, where the cause divides by its own
                   parameter: its columns hold the model's wrench, which the true mass or inertia would have turned into

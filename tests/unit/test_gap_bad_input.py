@@ -139,11 +139,11 @@ def test_a_rotor_without_telemetry_and_a_model_beyond_sense_are_told_by_name(fli
 def test_a_cause_that_adds_nothing_or_no_number_is_not_asked_and_says_so(flight):
     evidence, vehicle = evidence_of(flight), vehicle_of(MODEL)
     good = CATALOGUE["body_drag"]
-    still = replace(good, id="still", terms=lambda v: {"c": {"Fz": "0*u"}, "cz": {"Fz": "0*u"}})
+    still = replace(good, id="still", terms=lambda v: {n: {"Fz": "0*u"} for n in good.parameters})
     study = gather_design([evidence], {"still": still, "body_drag": good}, vehicle)
     assert study.lacking == {"still": "effect 'still' adds no force or moment at all in these flights"}
     odd = replace(good, id="odd", nonlinear_terms=lambda v, values: {"Fz": "(u - 100)^0.5"})
-    with pytest.raises(DataError, match="effect 'odd' with c = 1, cz = 0 is no finite number on flight a"):
+    with pytest.raises(DataError, match="effect 'odd' with c = 1, cz = 0, vertical = 0 is no finite number on flight a"):
         whole_of(odd, evidence, vehicle, {"c": 1.0})
 
 

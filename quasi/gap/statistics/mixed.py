@@ -365,7 +365,7 @@ class MixedModel:
         """The most significant selection of a cause's parameters that are not given yet; None when all are given.
 
         parts  "any": all of them, or one alone (the likeliest); "all": only together; "first": the first, or the first
-        few; "one": one alone, the likeliest; "next": one after the other, each beside those before it; "paired":
+        few; "one": one alone, the likeliest; "led": the first, and once that is given each other; "paired":
         as "any" of the first half, and of the second half those whose partner is given
         """
         taken = {k for o in given if o.cause == cause and o.since == since for k in o.which}
@@ -380,8 +380,8 @@ class MixedModel:
         selections = [free] if free else []
         if parts in ("any", "paired") and len(free) > 1:
             selections += [(k,) for k in free]
-        elif parts == "next":
-            selections = [free[:1]]
+        elif parts == "led":
+            selections = [(k,) for k in free] if 0 in taken else [free[:1]]
         elif parts == "one":
             selections = [(k,) for k in free]
         elif parts == "first":
