@@ -13,6 +13,7 @@ import argparse
 import importlib
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -82,7 +83,7 @@ def rotorpy_cases() -> dict[str, Case]:
     return {
         "clean": Case(may_miss=True),
         "mass x 1.08": Case(("mass",), value={"mass": 1.08 * p["mass"]}, change=scaled(mass=1.08)),
-        "rotor 3 x 0.93": Case(("rotor_effectiveness",), value={"rotor3": 0.93}, change={"weak": {3: 0.93}}),
+        "rotor 3 x 0.93": Case(("rotor_effectiveness",), value={"rotor3": 0.93}, change={"weak": {3: (0.93, 1.0)}}),
         "thrust x 0.95": Case(("thrust_factor",), value={"factor": 0.95}, change=scaled(k_eta=0.95)),
         "torque x 1.2": Case(("torque_factor",), value={"factor": 1.2}, change=scaled(k_m=1.2)),
         "inertia x 1.2": Case(("inertia",), value={"Ixx": 1.2 * p["Ixx"], "Iyy": 1.2 * p["Iyy"], "Izz": 1.2 * p["Izz"]},
@@ -99,6 +100,8 @@ def rotorpy_cases() -> dict[str, Case]:
         # thinner air: all that the rotors do, in proportion
         "air x 0.93": Case(("thrust_factor",), ("torque_factor", "rotor_drag", "axial_inflow"), {"factor": 0.93},
                            scaled(k_eta=0.93, k_m=0.93, k_d=0.93, k_z=0.93, k_h=0.93)),
+        "rotor 2 x 0.92, its torque too": Case(("rotor_effectiveness",), value={"rotor2": 0.92, "torque2": 0.92},
+                                               change={"weak": {2: (0.92, 0.92)}}),
     }  # fmt: skip
 
 
@@ -152,7 +155,7 @@ SIMULATORS = {"rotorpy": rotorpy_cases, "mujoco": mujoco_cases}
 
 def slug(name: str) -> str:
     """A case's name in file names."""
-    return name.replace(" ", "-").replace("/", "").replace(".", "")
+    return re.sub(r"[^\w-]", "", name.replace(" ", "-"))
 
 
 def write_flight(folder: Path, simulator: str, key: str, seeds: tuple[int, int], case: Case) -> None:

@@ -44,13 +44,13 @@ def fly(
     course: Course,
     change: Callable[[dict[str, Any]], None] | None = None,
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    weak: Mapping[int, float] | None = None,
+    weak: Mapping[int, tuple[float, float]] | None = None,
 ) -> Motion:
     """One flight.
 
     change  alters the vehicle's parameters, which the controller does not know
     wind    m/s, world
-    weak    {rotor from 1: factor of its thrust coefficient}
+    weak    {rotor from 1: factors of its thrust and torque coefficients}
     """
     from rotorpy.controllers.quadrotor_control import SE3Control
     from rotorpy.vehicles.multirotor import Multirotor
@@ -90,15 +90,18 @@ def fly(
     )  # fmt: skip
 
 
-def _with_weak_rotors(craft: Any, weak: Mapping[int, float]) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
-    """The simulator's wrench, with some rotors' thrust coefficients times a factor: it has one for all rotors."""
+def _with_weak_rotors(
+    craft: Any, weak: Mapping[int, tuple[float, float]]
+) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
+    """The simulator's wrench, with some rotors' coefficients times factors: it has those of all rotors alike."""
     plain = craft.compute_body_wrench
 
     def wrench(rates: np.ndarray, speeds: np.ndarray, airspeed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         force, moment = plain(rates, speeds, airspeed)
-        for i, factor in weak.items():
-            lost = np.array([0.0, 0.0, (factor - 1.0) * craft.k_eta * speeds[i - 1] ** 2])
+        for i, (thrust, torque) in weak.items():
+            lost = np.array([0.0, 0.0, (thrust - 1.0) * craft.k_eta * speeds[i - 1] ** 2])
             force, moment = force + lost, moment + np.cross(craft.rotor_geometry[i - 1], lost)
+            moment[2] += (torque - 1.0) * craft.rotor_dir[i - 1] * craft.k_m * speeds[i - 1] ** 2
         return force, moment
 
     return wrench
