@@ -102,6 +102,7 @@ def fly(
     model = mujoco.MjModel.from_xml_string(scene(cg))
     if change is not None:
         change(model)
+        mujoco.mj_setConst(model, mujoco.MjData(model))  # what follows from masses, such as those of subtrees
     data = mujoco.MjData(model)
     data.act[:] = FACTOR * IDLE**2
     control, h, n = Cascade(), 1 / RATE / STEPS, STEPS * len(course.yaw)
