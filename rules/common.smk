@@ -157,7 +157,7 @@ if (
     and workflow.local_exec
     and not workflow.output_settings.dryrun
 ):
-    SERVER = JobServer()
+    SERVER = JobServer(cores=workflow.cores)
     atexit.register(SERVER.close)
     use_server(PythonScript, SERVER, benchmarked)
 

@@ -132,7 +132,9 @@ def _forward(
     P, T, s = P_vectors.reshape((STATES, WIDTH)), T_vectors.reshape((9, WIDTH)), s_vectors.reshape(WIDTH)
     P_rows, T_rows, s_rows = view_lanes(P_vectors), view_lanes(T_vectors), view_lanes(s_vectors)
     room[:] = 0.0
-    P[:, :STATES] = P0
+    for i in range(STATES):
+        for j in range(STATES):
+            P[i, j] = P0[i, j]
     blocks = np.empty((5, 3, 3))
     work = np.empty(WORK_SHAPE)
     y, var = np.empty(3), np.empty(3)
@@ -141,7 +143,7 @@ def _forward(
     delta = np.empty(STATES)
     rejected = np.zeros(3, np.int64)
     cost = 0.0
-    count = 0
+    count = np.int64(0)  # as a literal it would be a type of its own, for which the update is compiled again
     for k in range(n):
         if k > 0:
             predict(q, x, gyro, accel, k - 1, dt, blocks, work)

@@ -20,18 +20,17 @@ WORK_SHAPE = (5, 3, 3)  # scratch of the functions below: four matrices, and one
 
 
 @njit(cache=True)
-def rotation_matrix(q, m, n):
-    """Rotation matrix of a quaternion into m[n] (3, 3)."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    m[n, 0, 0] = 1.0 - 2.0 * (y * y + z * z)
-    m[n, 0, 1] = 2.0 * (x * y - w * z)
-    m[n, 0, 2] = 2.0 * (x * z + w * y)
-    m[n, 1, 0] = 2.0 * (x * y + w * z)
-    m[n, 1, 1] = 1.0 - 2.0 * (x * x + z * z)
-    m[n, 1, 2] = 2.0 * (y * z - w * x)
-    m[n, 2, 0] = 2.0 * (x * z - w * y)
-    m[n, 2, 1] = 2.0 * (y * z + w * x)
-    m[n, 2, 2] = 1.0 - 2.0 * (x * x + y * y)
+def rotation_matrix(w, x, y, z, m):
+    """Rotation matrix of a quaternion into m (3, 3)."""
+    m[0, 0] = 1.0 - 2.0 * (y * y + z * z)
+    m[0, 1] = 2.0 * (x * y - w * z)
+    m[0, 2] = 2.0 * (x * z + w * y)
+    m[1, 0] = 2.0 * (x * y + w * z)
+    m[1, 1] = 1.0 - 2.0 * (x * x + z * z)
+    m[1, 2] = 2.0 * (y * z - w * x)
+    m[2, 0] = 2.0 * (x * z - w * y)
+    m[2, 1] = 2.0 * (y * z + w * x)
+    m[2, 2] = 1.0 - 2.0 * (x * x + y * y)
 
 
 @njit(cache=True)
@@ -74,9 +73,9 @@ def predict(q, x, gyro, accel, k, dt, blocks, work):
     pz = (0.5 * (gyro[k, 2] + gyro[k + 1, 2]) - x[8]) * dt
     f0x, f0y, f0z = accel[k, 0] - x[9], accel[k, 1] - x[10], accel[k, 2] - x[11]
     f1x, f1y, f1z = accel[k + 1, 0] - x[9], accel[k + 1, 1] - x[10], accel[k + 1, 2] - x[11]
-    rotation_matrix(q, work, 0)
+    rotation_matrix(q[0], q[1], q[2], q[3], work[0])
     step = compose_rotation(q, px, py, pz)
-    rotation_matrix(q, work, 1)
+    rotation_matrix(q[0], q[1], q[2], q[3], work[1])
     for i in range(3):
         old = x[i]
         a, b, c = work[0, i, 0], work[0, i, 1], work[0, i, 2]
@@ -94,7 +93,7 @@ def predict(q, x, gyro, accel, k, dt, blocks, work):
         work[3, i, 0] = e * f1z - f * f1y
         work[3, i, 1] = f * f1x - d * f1z
         work[3, i, 2] = d * f1y - e * f1x
-    rotation_matrix(step, blocks, 1)
+    rotation_matrix(step[0], step[1], step[2], step[3], blocks[1])
     for i in range(3):
         for j in range(3):
             blocks[0, i, j] = blocks[1, j, i]
@@ -211,7 +210,7 @@ def measurement_model(kind, k, q, x, attitude, position, velocity, body, y, H_fi
         s = np.sqrt(a * a + b * b + c * c)
         factor = 2.0 if s < 1e-12 else 2.0 * np.arctan2(s, w) / s
         y[0], y[1], y[2] = factor * a, factor * b, factor * c
-        rotation_matrix(step, work, 0)
+        rotation_matrix(step[0], step[1], step[2], step[3], work[0])
         for i in range(3):
             for j in range(3):
                 H_first[i, j] = work[0, j, i]
@@ -227,7 +226,7 @@ def measurement_model(kind, k, q, x, attitude, position, velocity, body, y, H_fi
             y[i] = velocity[k, i] - x[i]
             H_first[i, i] = 1.0
         return 3, 0
-    rotation_matrix(q, work, 0)
+    rotation_matrix(q[0], q[1], q[2], q[3], work[0])
     for j in range(3):
         for i in range(3):
             H_first[i, j] = work[0, j, i]

@@ -124,7 +124,8 @@ def _backward(dt, gyro, accel, Q, X, C, rows, first, room, Cs):
                 x[i] = X[k, i]
             predict(q, x, gyro, accel, k, dt, blocks, work)
             _pull(lam, blocks, dt, pulled, 1)
-            lam[:] = pulled
+            for i in range(STATES):
+                lam[i] = pulled[i]
             _pull(L_rows, blocks, dt, Y_rows, CHUNKS)
             for i in range(STATES):
                 for j in range(i):

@@ -30,6 +30,16 @@ def _turn(a: np.ndarray, b: np.ndarray) -> float:
 
 
 @numba.njit(cache=True)
+def _median(values: np.ndarray, m: int) -> float:
+    """Median of values[:m], which are put in order; NumPy's takes longer to compile than all of this module."""
+    for i in range(1, m):
+        for j in range(i, 0, -1):
+            if values[j - 1] > values[j]:
+                values[j - 1], values[j] = values[j], values[j - 1]
+    return 0.5 * (values[(m - 1) // 2] + values[m // 2])
+
+
+@numba.njit(cache=True)
 def _steps(t: np.ndarray, x: np.ndarray, q: np.ndarray, turns: bool) -> tuple[np.ndarray, np.ndarray]:
     """Size of what each step (n - 1,) differs from the step that its four neighbours lead to expect: m and rad."""
     n = len(t)
@@ -45,7 +55,7 @@ def _steps(t: np.ndarray, x: np.ndarray, q: np.ndarray, turns: bool) -> tuple[np
                     around[m] = (x[j + 1, c] - x[j, c]) / (t[j + 1] - t[j])
                     m += 1
             if m:
-                squared += (x[i + 1, c] - x[i, c] - np.median(around[:m]) * step) ** 2
+                squared += (x[i + 1, c] - x[i, c] - _median(around, m) * step) ** 2
         odd[i] = np.sqrt(squared)
         if turns:
             m = 0
@@ -54,7 +64,7 @@ def _steps(t: np.ndarray, x: np.ndarray, q: np.ndarray, turns: bool) -> tuple[np
                     around[m] = _turn(q[j], q[j + 1]) / (t[j + 1] - t[j])
                     m += 1
             if m:
-                turned[i] = max(0.0, _turn(q[i], q[i + 1]) - np.median(around[:m]) * step)
+                turned[i] = max(0.0, _turn(q[i], q[i + 1]) - _median(around, m) * step)
     return odd, turned
 
 
@@ -95,7 +105,10 @@ def _chain(
                 best[k] = best[j] + size
                 before[k] = j
     kept = np.zeros(n, np.bool_)
-    k = int(np.argmax(best))
+    k = 0
+    for j in range(1, n):
+        if best[j] > best[k]:
+            k = j
     while k >= 0:
         kept[k] = True
         k = before[k]

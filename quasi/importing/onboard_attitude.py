@@ -48,7 +48,8 @@ def _filter(
     q = start.copy()
     b = bias.copy()
     w = np.empty(3)
-    out[0] = q
+    for c in range(4):
+        out[0, c] = q[c]
     for i in range(1, n):
         dt = t[i] - t[i - 1]
         ahead = 1.0 if dt > 0 else -1.0
@@ -81,7 +82,8 @@ def _filter(
         p3 = q[0] * c3 + q[1] * c2 - q[2] * c1 + q[3] * c0
         length = np.sqrt(p0 * p0 + p1 * p1 + p2 * p2 + p3 * p3)
         q[0], q[1], q[2], q[3] = p0 / length, p1 / length, p2 / length, p3 / length
-        out[i] = q
+        for c in range(4):
+            out[i, c] = q[c]
     return out
 
 
@@ -137,7 +139,8 @@ def estimate_attitude(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, time_c
     # critically damped; a bias measured at rest is better than one learnt in flight
     ki = 0.05 * kp**2 if still else 0.25 * kp**2
     forwards = _filter(t, gyro, accel, start, bias, kp, ki)
-    backwards = _filter(t[::-1], gyro[::-1], accel[::-1], forwards[-1].copy(), bias, kp, ki)[::-1]
+    reverse = (np.ascontiguousarray(values[::-1]) for values in (t, gyro, accel))
+    backwards = _filter(*reverse, forwards[-1].copy(), bias, kp, ki)[::-1]
     # the backward run starts from the forward one's end; headings agree there, tilt errors are of opposite lag
     half = 0.5 * logarithm(multiply(conjugate(forwards), backwards))
     q = multiply(forwards, exponential(half))

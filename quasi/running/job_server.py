@@ -3,6 +3,10 @@
 A job on one flight computes for less than a second, but Python needs a second and more to import NumPy, SciPy, pandas
 and Numba. The server imports them once per run, while Snakemake still builds its graph of jobs. It has one thread, so
 that a fork is safe. Linux only; elsewhere, and for jobs that ask for their own environment, each job starts Python.
+
+Jobs of a room with kernels are forked from a process of that room, itself a fork of the server. It compiles the kernels
+or loads them from the cache; until then its jobs wait. So no two jobs compile the same kernel, and no job loads one.
+With the first job of a room, the rooms behind it prepare themselves on another core.
 """
 
 import gc
@@ -22,6 +26,17 @@ from typing import Any
 
 MAX_REQUEST = 1 << 17  # bytes of a request, nearly all of it the environment; Linux allows 208 kB in a packet
 REPLY = 16  # bytes; a process number or an exit code in decimal
+ROOMS = ("synthesis", "importing", "filtering")  # those with kernels, in the order in which a flight passes them
+ROOM_OF_SCRIPT = {
+    "synthesis.py": "synthesis",
+    "inspection.py": "importing",
+    "importing.py": "importing",
+    "gap_importing.py": "importing",
+    "filtering.py": "filtering",
+    "gap_filtering.py": "filtering",
+    "gap_calibration.py": "filtering",
+    "gap_diagnosis.py": "filtering",
+}
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
     "GOTO_NUM_THREADS",
@@ -60,11 +75,16 @@ class Job:
 
 
 class JobServer:
-    """The server as the main process of a run sees it. modules  names of what it imports"""
+    """The server as the main process of a run sees it.
 
-    def __init__(self, modules: Sequence[str] = PRELOADED):
+    modules  names of what it imports; cores  with more than one, later rooms prepare themselves ahead of their jobs
+    """
+
+    def __init__(self, modules: Sequence[str] = PRELOADED, cores: int = 1):
         self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._lock = threading.Lock()
+        self._rooms: dict[str, socket.socket] = {}
+        self._cores = cores
         program = f"from quasi.running.job_server import serve; serve({theirs.fileno()}, {list(modules)!r})"
         environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1")
         with theirs:
@@ -72,15 +92,16 @@ class JobServer:
                 [sys.executable, "-P", "-c", program], pass_fds=[theirs.fileno()], env=environment
             )
 
-    def start(self, script: str, environment: Mapping[str, str]) -> Job | None:
-        """Start a script in the current folder; None where the server cannot do it."""
+    def start(self, script: str, environment: Mapping[str, str], room: str | None = None) -> Job | None:
+        """Start a script in the current folder; None where the server cannot do it. room  one of ROOMS"""
         request = json.dumps({"script": script, "folder": os.getcwd(), "environment": dict(environment)}).encode()
         if len(request) > MAX_REQUEST:
             return None
         channel, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             with theirs, self._lock:
-                socket.send_fds(self._control, [request], [theirs.fileno()])
+                control = self._open(room) if room else self._control
+                socket.send_fds(control, [request], [theirs.fileno()])
             reply = channel.recv(REPLY)
         except OSError:
             reply = b""
@@ -89,60 +110,121 @@ class JobServer:
             return None
         return Job(channel, int(reply))
 
+    def _open(self, room: str) -> socket.socket:
+        """Find the control socket of a room; with its first job, its process starts, and one for the later rooms."""
+        if room not in self._rooms:
+            later = [name for name in ROOMS[ROOMS.index(room) + 1 :] if name not in self._rooms]
+            for rooms in ([room], later if self._cores > 1 else []):
+                if not rooms:
+                    continue
+                pairs = [socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET) for _ in rooms]
+                self._rooms |= {name: ours for name, (ours, _) in zip(rooms, pairs)}
+                theirs = [end for _, end in pairs]
+                socket.send_fds(self._control, [json.dumps({"rooms": rooms}).encode()], [s.fileno() for s in theirs])
+                for end in theirs:
+                    end.close()
+        return self._rooms[room]
+
     def close(self) -> None:
         """End the server; no job is running any more."""
-        self._control.close()
-        self._process.terminate()
+        for control in (self._control, *self._rooms.values()):
+            control.close()
+        if not self._rooms:
+            self._process.terminate()  # it may still be importing
         self._process.wait()
 
 
 def serve(descriptor: int, modules: Sequence[str]) -> None:
     """Run the server until the main process closes its end of the control socket. Each job returns from here too."""
-    control = socket.socket(fileno=descriptor)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the jobs by themselves
     for module in modules:
         importlib.import_module(module)
+    _serve(socket.socket(fileno=descriptor))
+
+
+def _serve(control: socket.socket, rooms: Sequence[int] = ()) -> None:
+    """Serve until the control socket closes or SIGTERM. rooms  processes that end with this one"""
     gc.collect()
     gc.freeze()
     woken, waker = os.pipe()
     os.set_blocking(waker, False)
     signal.set_wakeup_fd(waker, warn_on_full_buffer=False)
+    stopped: list[int] = []
     signal.signal(signal.SIGCHLD, lambda *_: None)
-    running: dict[int, socket.socket] = {}
-    while True:
+    signal.signal(signal.SIGTERM, lambda number, _: stopped.append(number))
+    running: dict[int, socket.socket | None] = dict.fromkeys(rooms)  # jobs; of a room nobody waits for the end
+    while not stopped:
         ready, _, _ = select.select([control, woken], [], [])
         if woken in ready:
             os.read(woken, 4096)
             _report_ended(running)
-        if control not in ready:
+        if control not in ready or stopped:
             continue
-        request, descriptors, _, _ = socket.recv_fds(control, MAX_REQUEST, 1)
-        if not request:
+        message, descriptors, _, _ = socket.recv_fds(control, MAX_REQUEST, len(ROOMS))
+        if not message:
             break
-        channel = socket.socket(fileno=descriptors[0])
-        pid = os.fork()
+        request = json.loads(message)
+        channels = [socket.socket(fileno=descriptor) for descriptor in descriptors]
+        pid = _fork()
         if pid == 0:
-            signal.set_wakeup_fd(-1)
-            for open_socket in (control, channel, *running.values()):
-                open_socket.close()
+            for open_socket in (control, *running.values()):
+                if open_socket:
+                    open_socket.close()
             os.close(woken)
             os.close(waker)
-            _run(json.loads(request))
+            if "rooms" in request:
+                _prepare(request["rooms"], channels)
+            else:
+                channels[0].close()
+                _run(request)
             return
-        with suppress(OSError):
-            channel.send(str(pid).encode())
-        running[pid] = channel
+        if "rooms" in request:
+            running[pid] = None
+            for channel in channels:
+                channel.close()
+        else:
+            with suppress(OSError):
+                channels[0].send(str(pid).encode())
+            running[pid] = channels[0]
     for pid in running:
         with suppress(ProcessLookupError):
             os.kill(pid, signal.SIGTERM)
 
 
-def _report_ended(running: dict[int, socket.socket]) -> None:
+def _fork() -> int:
+    """Fork a process that SIGTERM ends; a signal that arrives meanwhile waits until it does."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
+    pid = os.fork()
+    if pid == 0:
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
+    return pid
+
+
+def _prepare(rooms: Sequence[str], controls: Sequence[socket.socket]) -> None:
+    """Compile or load the kernels of the first room and serve its jobs; a fork does so for the rooms behind it."""
+    with suppress(Exception):  # then its jobs compile them, and report what is wrong
+        importlib.import_module(f"quasi.{rooms[0]}.kernels").compile_kernels()
+    later = _fork() if len(rooms) > 1 else None
+    if later == 0:
+        controls[0].close()
+        _prepare(rooms[1:], controls[1:])
+        return
+    for control in controls[1:]:
+        control.close()
+    _serve(controls[0], [later] if later else [])
+
+
+def _report_ended(running: dict[int, socket.socket | None]) -> None:
     while running:
         pid, status = os.waitpid(-1, os.WNOHANG)
         if pid == 0:
             return
-        with running.pop(pid) as channel, suppress(OSError):  # the main process may have ended
+        channel = running.pop(pid, None)
+        if channel is None:
+            continue
+        with channel, suppress(OSError):  # the main process may have ended
             channel.send(str(os.waitstatus_to_exitcode(status)).encode())
 
 
@@ -170,7 +252,8 @@ def use_server(scripts: type, server: JobServer, measure: Callable[..., Any]) ->
         environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1")
         if folder := self.resources.get("tmpdir"):
             environment |= dict.fromkeys(("TMPDIR", "TMP", "TEMPDIR", "TEMP"), str(folder))
-        job = None if special else server.start(fname, environment)
+        room = ROOM_OF_SCRIPT.get(os.path.basename(fname).rpartition(".py")[0].rpartition(".")[2] + ".py")
+        job = None if special else server.start(fname, environment, room)
         if job is None:
             original(self, fname, edit)
             return

@@ -290,7 +290,7 @@ def _encode(values, table, whole_every, step, reference, lowest, motor, places, 
             elif predictor == 11:
                 guess = lowest
             diff[k] = row[k] - guess
-        k = 0
+        k = np.int64(0)  # as a literal it would be a type of its own, for which the functions are compiled again
         while k < f:
             encoding = table[k, 2] if whole else table[k, 4]
             if encoding == 0:

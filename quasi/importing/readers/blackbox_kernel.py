@@ -139,7 +139,7 @@ def _four(data, at, end, raw, i, n):
 @njit(cache=True)
 def read_fields(data, at, end, layout, kind, n, raw):
     """Encoded values of one frame of `kind`, before prediction, into raw (n,); the position after it, or -1."""
-    i = 0
+    i = np.int64(0)  # as a literal it would be a type of its own, for which the functions are compiled again
     while i < n:
         code = layout[kind, ENCODING, i]
         group = layout[kind, GROUP, i]
@@ -268,7 +268,8 @@ def decode_frames(
     raw = np.zeros(width, np.int64)
     history = np.zeros((3, width), np.int64)
     other = np.zeros((2, width), np.int64)
-    before, before2, now = 0, 0, 1
+    zero, one = np.int64(0), np.int64(1)  # see `read_fields`
+    before, before2, now = zero, zero, one
     clock_time, clock_iteration = clock[0], clock[1]
     valid = False
     last, witness, witness_iteration, resumed = -1, -1, 0, -1
@@ -305,7 +306,7 @@ def decode_frames(
                 good = False
                 tally[DROPPED_P] += 1
             else:
-                skipped = skips[iteration % interval] if kind == 1 else 0
+                skipped = skips[iteration % interval] if kind == 1 else zero
                 add_predictions(layout, kind, sizes[kind], raw, history, before, before2, now, constants, skipped)
                 stamp = history[now, clock_time] & _MASK
                 count = history[now, clock_iteration] if clock_iteration >= 0 else 0
@@ -363,7 +364,7 @@ def decode_frames(
                 if lost < 0:
                     lost, lost_time = at, last
         elif kind == 2:
-            add_predictions(layout, 2, sizes[2], raw, other, 0, 0, 1, constants, 0)
+            add_predictions(layout, kind, sizes[2], raw, other, zero, zero, one, constants, zero)
             tally[2] += 1
             m = tally[SLOW]
             new = m == 0
@@ -371,18 +372,20 @@ def decode_frames(
                 if m > 0 and slow[m - 1, i] != other[1, i]:
                     new = True
             if new and m < slow.shape[0]:
-                slow[m, : sizes[2]] = other[1, : sizes[2]]
+                for i in range(sizes[2]):
+                    slow[m, i] = other[1, i]
                 slow_time[m] = last
                 tally[SLOW] += 1
         elif kind == 3:
-            add_predictions(layout, 3, sizes[3], raw, other, 0, 0, 1, constants, 0)
+            add_predictions(layout, kind, sizes[3], raw, other, zero, zero, one, constants, zero)
             m = tally[GPS]
             if m < gps.shape[0]:
-                gps[m, : sizes[3]] = other[1, : sizes[3]]
+                for i in range(sizes[3]):
+                    gps[m, i] = other[1, i]
                 tally[GPS] += 1
             tally[3] += 1
         elif kind == 4:
-            add_predictions(layout, 4, sizes[4], raw, other, 0, 0, 1, constants, 0)
+            add_predictions(layout, kind, sizes[4], raw, other, zero, zero, one, constants, zero)
             for i in range(min(3, sizes[4])):
                 constants[HOME + i] = other[1, i]
             tally[4] += 1

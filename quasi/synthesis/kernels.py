@@ -1,0 +1,33 @@
+"""The kernels that make a flight, compiled ahead of the jobs (`quasi.running.job_server`)."""
+
+import numpy as np
+
+from quasi.synthesis import blackbox_writer as blackbox
+from quasi.synthesis import vehicle as made
+from quasi.synthesis.controller import control_of
+from quasi.synthesis.flight import LOGGED_SIGNALS, TRUTH, fly
+from quasi.synthesis.nuisance import nominal
+
+STEPS, EVERY = 8, 4  # steps of the loop, and from one row of the log to the next
+
+
+def compile_kernels() -> None:
+    """Call every kernel with the argument types of a real flight; compiled ones are loaded from the cache."""
+    setup = nominal(120.0, 1.0)
+    rows = STEPS // EVERY
+    fly(
+        STEPS,
+        EVERY,
+        np.zeros((2, 16)),
+        np.zeros((2, 7)),
+        np.zeros((STEPS, 9)),
+        setup.vehicle.physics,
+        setup.vehicle.drive,
+        control_of(made.base_vehicle()),
+        setup.inertial,
+        setup.telemetry,
+        np.empty((rows, len(TRUTH))),
+        np.empty((rows, len(LOGGED_SIGNALS))),
+    )
+    values = np.zeros((rows, len(blackbox.FIELD_NAMES)), np.int64)
+    blackbox.encode_log(values, [], {}, whole_every=EVERY, step=EVERY, reference=0)
