@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 from numba import njit
 
-from quasi.identification.regression import bartlett, memory_window
+from quasi.identification.regression import bartlett, memory_windows
 from quasi.tables import TELEMETRY_AGE_REMOVED
 
 SHORTEST_TIME_CONSTANT, LONGEST_TIME_CONSTANT = 0.002, 0.5  # s, of a time constant
@@ -171,7 +171,7 @@ def standard_errors(jacobian: np.ndarray, residual: np.ndarray, rows: np.ndarray
         return None
     bread = np.linalg.inv(normal)
     scores = scaled * residual[:, None]
-    bandwidth = max(memory_window(s, [rows]) for s in (residual, *scores.T))
+    bandwidth = max(memory_windows(np.vstack([residual, scores.T]), [rows]))
     covariance = bread @ bartlett(scores, [rows], bandwidth) @ bread
     return np.sqrt(np.diag(covariance)) / scale
 

@@ -66,7 +66,7 @@ def least_squares(a: np.ndarray, z: np.ndarray, series: Sequence[np.ndarray], ba
     sigma2 = float(residuals @ residuals) / (n - p)
     scores = scaled * residuals[:, None]
     if bandwidth is None:
-        bandwidth = max(memory_window(residuals, series), *(memory_window(s, series) for s in scores.T))
+        bandwidth = max(memory_windows(np.vstack([residuals, scores.T]), series))
         meat = flat_top(scores, series, bandwidth)
         variance = flat_top(residuals[:, None], series, bandwidth)[0, 0]
     else:
@@ -136,26 +136,37 @@ def memory_window(values: np.ndarray, series: Sequence[np.ndarray]) -> int:
 
     Missing rows are left out of the products. At least 1, at most a third of the longest flight.
     """
+    return memory_windows(values[None], series)[0]
+
+
+def memory_windows(values: np.ndarray, series: Sequence[np.ndarray]) -> list[int]:
+    """As `memory_window`, of each row of values (k, n)."""
     longest = max((int(rows[-1] - rows[0]) + 1 for rows in series if len(rows)), default=1)
     limit = max(longest // 3, 1)
     size = fft.next_fast_len(longest + limit, real=True)
-    product, pairs = np.zeros(limit), np.zeros(limit)
+    # the last row counts the pairs of rows that are there
+    total = np.zeros((len(values) + 1, limit))
     start = 0
     for rows in series:
-        part = values[start : start + len(rows)]
+        part = values[:, start : start + len(rows)]
         start += len(rows)
         if not len(rows):
             continue
-        both = np.zeros((2, size))
-        both[0, rows - rows[0]] = part
-        both[1, rows - rows[0]] = 1.0
-        correlation = fft.irfft(np.abs(fft.rfft(both, axis=1)) ** 2, size, axis=1)[:, :limit]
-        product += correlation[0]
-        pairs += np.round(correlation[1])
+        dense = np.zeros((len(values) + 1, size))
+        dense[:-1, rows - rows[0]] = part
+        dense[-1, rows - rows[0]] = 1.0
+        correlation = fft.irfft(np.abs(fft.rfft(dense, axis=1)) ** 2, size, axis=1)[:, :limit]
+        correlation[-1] = np.round(correlation[-1])
+        total += correlation
+    return [_window(product, total[-1]) for product in total[:-1]]
+
+
+def _window(product: np.ndarray, pairs: np.ndarray) -> int:
+    """Window of sums of products (limit,) per lag over so many pairs (limit,)."""
     if product[0] <= 0:
         return 1
     rho = product / np.maximum(pairs, 1.0)
     rho = np.where(pairs > 0, rho / rho[0], 0.0)
     memory = np.maximum(2.0 * np.cumsum(rho) - 1.0, 0.0)
-    enough = np.flatnonzero(np.arange(limit) >= MEMORY_WINDOW * memory)
-    return max(int(enough[0]) if len(enough) else limit, 1)
+    enough = np.flatnonzero(np.arange(len(product)) >= MEMORY_WINDOW * memory)
+    return max(int(enough[0]) if len(enough) else len(product), 1)

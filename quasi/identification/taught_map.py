@@ -16,7 +16,7 @@ import pandas as pd
 from scipy.optimize import least_squares
 
 from quasi.errors import DataError
-from quasi.identification.regression import memory_window
+from quasi.identification.regression import memory_windows
 from quasi.terms.rotor_map import DELAY_RANGE, EXPONENT_RANGE, FORMS, SHARES, SPEEDS, TAU_RANGE, lagged, shape
 
 FITTED_RATE = 125.0  # Hz of compared rows, as in the identification of actuators
@@ -108,7 +108,7 @@ def _fit(form: str, flights: Sequence[_Taught], with_voltage: bool) -> dict[str,
     # neighbouring residuals resemble each other: each counts for the share that is its own
     lengths = np.cumsum([len(f.rows) for f in flights])
     series = np.split(np.arange(lengths[-1]), lengths[:-1])
-    memory = np.mean([memory_window(residual[:, i], series) for i in range(4)]) / 5.0
+    memory = np.mean(memory_windows(residual.T, series)) / 5.0
     variance = float(np.mean(residual**2)) * max(memory, 1.0)
     covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
     rows = residual.size / max(memory, 1.0)

@@ -189,6 +189,10 @@ def _serve(control: socket.socket, rooms: Sequence[int] = ()) -> None:
     for pid in running:
         with suppress(ProcessLookupError):
             os.kill(pid, signal.SIGTERM)
+    for pid, channel in running.items():
+        if channel is None:  # a room; its jobs' times count as the main process's
+            with suppress(ChildProcessError):
+                os.waitpid(pid, 0)
 
 
 def _fork() -> int:

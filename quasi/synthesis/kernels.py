@@ -3,6 +3,7 @@
 import numpy as np
 
 from quasi.synthesis import blackbox_writer as blackbox
+from quasi.synthesis import campaign as campaign  # its jobs begin with this import
 from quasi.synthesis import vehicle as made
 from quasi.synthesis.controller import control_of
 from quasi.synthesis.flight import LOGGED_SIGNALS, TRUTH, fly

@@ -68,11 +68,9 @@ def motive_csv(take: Capture, body: str, name: str, started: str) -> str:
     table = np.column_stack([rotation, position, take.error, blocks, to_motive(take.markers).reshape(n, -1)])
     row_form = ",".join(["%.6f"] * table.shape[1])
     bad = ~np.isfinite(table).all(axis=1)
-    for k in range(n):
-        text = row_form % tuple(table[k])
-        if bad[k]:
-            text = text.replace("nan", "")
-        lines.append(f"{take.frame[k]},{take.time[k]:.6f},{text}")
+    for frame, time, row, incomplete in zip(take.frame.tolist(), take.time.tolist(), table.tolist(), bad.tolist()):
+        text = row_form % tuple(row)
+        lines.append(f"{frame},{time:.6f},{text.replace('nan', '') if incomplete else text}")
     return "\n".join(lines) + "\n"
 
 

@@ -105,3 +105,56 @@ def test_scripts_of_snakemake_run_in_the_server_unless_they_ask_for_more(server,
     job.threads = 2
     PythonScript.execute_script(job, "own.py")
     assert started == ["own.py"]
+
+
+def children_of(server):
+    return psutil.Process(server._process.pid).children(recursive=True)
+
+
+def test_a_job_of_a_room_finds_its_kernels_compiled(server, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (
+        "import sys; from quasi.filtering.ekf import _forward; from quasi.importing import kernels\n"
+        "sys.exit(10 * len(_forward.signatures))"
+    )
+    (tmp_path / "script.py").write_text(text)
+    jobs = [server.start("script.py", ENVIRONMENT, "filtering") for _ in range(2)]
+    assert [job.wait() for job in jobs] == [10, 10]
+    processes = children_of(server)
+    assert len(processes) == 1  # with one core no other room prepares itself
+    server.close()
+    assert not any(process.is_running() for process in processes)
+
+
+def test_later_rooms_prepare_themselves_and_end_with_the_server(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    server = JobServer(modules=(), cores=2)
+    assert start(server, tmp_path, "raise SystemExit(5)").wait() == 5
+    (tmp_path / "script.py").write_text("import sys; sys.exit('quasi.importing.kernels' in sys.modules)")
+    assert server.start("script.py", ENVIRONMENT, "importing").wait() == 1
+    processes = children_of(server)
+    assert len(processes) == 2  # importing, filtering
+    server.close()
+    assert not any(process.is_running() for process in processes)
+
+
+def test_without_its_room_a_job_starts_python_itself(server, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "script.py").write_text("raise SystemExit(6)")
+    assert server.start("script.py", ENVIRONMENT, "importing").wait() == 6
+    (room,) = children_of(server)
+    room.kill()
+    psutil.wait_procs([room], 30)
+    assert server.start("script.py", ENVIRONMENT, "importing") is None
+
+
+def test_jobs_of_a_room_end_with_the_main_process(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "script.py").write_text("import time; time.sleep(600)")
+    program = (
+        "import os; from quasi.running.job_server import JobServer; server = JobServer(modules=());"
+        "job = server.start('script.py', os.environ, 'importing'); print(job.pid, flush=True); os.kill(os.getpid(), 9)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
+    with suppress(psutil.NoSuchProcess):
+        psutil.Process(int(done.stdout)).wait(30)

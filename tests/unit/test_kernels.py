@@ -1,0 +1,59 @@
+"""Kernels that are compiled ahead of the jobs are those that the jobs call, with the same types of arguments."""
+
+import sys
+
+import pytest
+from numba.core.dispatcher import Dispatcher
+from rigid_body import measure, move, quadrotor
+
+from quasi.filtering import kernels as filtering
+from quasi.filtering.flight import filter_flight
+from quasi.importing import kernels as importing
+from quasi.importing.flight import import_flight
+from quasi.synthesis import kernels as synthesis
+from quasi.synthesis.campaign import make_flight, read_campaign, write_flight
+
+
+def compiled(room):
+    return {
+        (name, key): set(thing.signatures)
+        for name, module in list(sys.modules.items())
+        if name.startswith(f"quasi.{room}.")
+        for key, thing in vars(module).items()
+        if isinstance(thing, Dispatcher)
+    }
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("flown")
+    synthesis.compile_kernels()
+    before = compiled("synthesis")
+    campaign = read_campaign({"flights": [{"key": "short"}], "duration": 20.0})
+    files = [folder / name for name in ("short.bbl", "short.csv", "short.parquet")]
+    write_flight(make_flight(campaign, campaign.flights[0]), *files)
+    return files, before
+
+
+def test_a_made_flight_compiles_nothing_else(flown):
+    _, before = flown
+    assert len(before["quasi.synthesis.flight", "fly"]) == 1
+    assert compiled("synthesis") == before
+
+
+def test_an_imported_flight_compiles_nothing_else(flown):
+    (onboard, capture, _), _ = flown
+    importing.compile_kernels()
+    before = compiled("importing")
+    about = {"flight": "short", "flight controller": "betaflight", "quadrotor": "MadeBeetle", "rigid body": "MadeBeetle"}
+    import_flight({**about, "onboard": str(onboard), "capture": str(capture)}, {}, {})
+    assert sum(map(len, before.values())) > 10
+    assert compiled("importing") == before
+
+
+def test_a_filtered_flight_compiles_nothing_else():
+    filtering.compile_kernels()
+    before = compiled("filtering")
+    filter_flight(*measure(move(seconds=18.0, seed=4)), quadrotor(), {"rotor notch harmonics": 1})
+    assert len(before["quasi.filtering.ekf", "_forward"]) == len(before["quasi.filtering.smoother", "_backward"]) == 1
+    assert compiled("filtering") == before
