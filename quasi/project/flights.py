@@ -58,9 +58,16 @@ class Recordings:
         self.places = places
         self.configuration = configuration
         self.logbooks = logbooks
+        self._raw: dict[tuple[str, int], dict[str, Any]] = {}  # by logbook and row: each is asked for several times
 
     def raw(self, row: Row) -> dict[str, Any]:
         """Paths of the "onboard" and "capture" files, found or to be made, or None, and a "problem" or None."""
+        key = row.logbook, row.number
+        if key not in self._raw:
+            self._raw[key] = self._find_raw(row)
+        return self._raw[key]
+
+    def _find_raw(self, row: Row) -> dict[str, Any]:
         controller = self.controller(row)
         suffixes = CONTROLLERS.get(controller, CONTROLLERS["betaflight"])
         onboard, problem = self._find(row, "OB Path", "Onboard Name", suffixes)
@@ -193,8 +200,11 @@ class Recordings:
 
     def quadrotor_path(self, row: Row) -> Path:
         """Path of the quadrotor configuration that a row names."""
-        path = Path(row.cells["Drone Config Path"].replace("\\", "/")) / row.cells["Drone Config File"]
-        return self.places.settled(with_suffix(path, ".json"))
+        return self._quadrotor_path(row.cells["Drone Config Path"], row.cells["Drone Config File"])
+
+    @functools.cache  # noqa: B019
+    def _quadrotor_path(self, folder: str, name: str) -> Path:
+        return self.places.settled(with_suffix(Path(folder.replace("\\", "/")) / name, ".json"))
 
     @functools.cache  # noqa: B019
     def _quadrotor_file(self, path: Path) -> tuple[dict[str, Any], str | None]:

@@ -1,6 +1,6 @@
 """Recordings that are the same by content: held out and trained, or in two rows."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
@@ -92,7 +92,12 @@ def recorded_twice(rows: Mapping[str, list[str]]) -> tuple[str, str] | None:
         row: _content(path, number) if sizes[path] and often[sizes[path]] > 1 else (path, number, path)
         for row, (path, number) in rows.items()
     }
-    return next((pair for pair in combinations(contents, 2) if _alike(*(contents[row] for row in pair))), None)
+    groups, order = defaultdict(list), {row: number for number, row in enumerate(contents)}
+    for row, content in contents.items():
+        groups[content[0]].append(row)  # rows of unlike content are no pair, and there may be thousands
+    pairs = (pair for group in groups.values() for pair in combinations(group, 2))
+    found = [(a, b) for a, b in pairs if _alike(contents[a], contents[b])]
+    return min(found, key=lambda pair: (order[pair[0]], order[pair[1]]), default=None)
 
 
 def repeated_recordings(asked: Mapping[str, Any]) -> list[str]:
