@@ -1,6 +1,11 @@
-"""The page on architecture: its paths exist, and each of its four recipes works as written."""
+"""The page on architecture: its paths exist, and each of its recipes works as written."""
 
+import json
+import os
 import re
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -127,3 +132,65 @@ def test_recipe_of_a_controller():
     result = simulate(setup, steps={"controller": mine})
     assert not result.stopped
     assert result.table["z"].iloc[-1] == pytest.approx(-1.0, abs=0.1)
+
+
+LAW = '''"""The weight as thrust, and no moments."""
+
+from numba import njit
+
+from quasi.simulation.control import law
+from quasi.simulation.control import parameters as g
+
+
+@njit(cache=True, error_model="numpy")
+def run_toy(p, m, dt, measurement, setpoint):
+    """Set the wanted loads."""
+    law.set_wanted_loads(p, m, dt, 0.0, 0.0, 0.0, 9.81 * p[g.CONTROL_MASS])
+
+
+TOY = law.Law("toy", gains={"velocity": ("integral time",)}, memory=())
+'''
+LISTED = (
+    ("import PID, run_pid\n", "import PID, run_pid\nfrom quasi.simulation.control.toy import TOY, run_toy\n"),
+    ("LAWS = (PID, NDI, INDI)", "LAWS = (PID, NDI, INDI, TOY)"),
+    ("    else:\n", "    elif kind == 3:\n        run_toy(parameters, memory, dt, measurement, setpoint)\n    else:\n"),
+)
+ASKED = """
+import json
+import numpy as np
+from plain_plant import made_model
+from quasi.simulation.control.control_model import make_control_model
+from quasi.simulation.control.controllers import make_controller
+from quasi.simulation.control.gains import complete_settings
+from quasi.simulation.control.law import WANTED_LOADS
+from quasi.simulation.control.registry import run_law
+model = made_model()
+settled = complete_settings({"controller": "drone_toy"}, make_control_model(model))
+kind, parameters, size = make_controller(settled, model)
+memory = np.zeros(size)
+run_law(kind, parameters, parameters, memory, 0.004, np.zeros(26), np.zeros(20))
+hover = make_control_model(model).hover_speed
+print(json.dumps([settled["gains"], memory[WANTED_LOADS : WANTED_LOADS + 4].tolist(), hover]))
+"""
+
+
+def test_recipe_of_a_compiled_controller(tmp_path):
+    shutil.copytree(ROOT / "quasi", tmp_path / "quasi", ignore=shutil.ignore_patterns("__pycache__"))
+    control = tmp_path / "quasi/simulation/control"
+    (control / "toy.py").write_text(LAW)
+    text = (control / "registry.py").read_text()
+    for sound, listed in LISTED:
+        assert text.count(sound) == 1
+        text = text.replace(sound, listed)
+    (control / "registry.py").write_text(text)
+    places = os.pathsep.join([str(tmp_path), str(ROOT / "tests/unit")])
+    done = subprocess.run(
+        [sys.executable, "-c", ASKED], cwd=tmp_path, capture_output=True, text=True,
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": places},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    gains, loads, hover = json.loads(done.stdout)
+    assert set(gains["velocity"]) == {"time constant", "integral time"} and "integral time" not in gains["rates"]
+    # Fz of four rotors at hover is the weight, which is what the rotors' squared speeds have to give
+    effectiveness = -0.43 * 9.81 / (4 * hover**2)
+    assert loads == pytest.approx([0.0, 0.0, 0.0, 4 * effectiveness * hover**2], rel=1e-6)

@@ -7,10 +7,10 @@ import plain_plant as plain
 import pytest
 from plain_plant import KINDS, POSITION, TARGETS, UPRIGHT
 
-from quasi.simulation.control import controllers as c
-from quasi.simulation.control import gains as g
+from quasi.simulation.control import parameters as g
 from quasi.simulation.control.control_model import make_control_model
 from quasi.simulation.control.controllers import controller_step, make_controller
+from quasi.simulation.control.law import LEARNT_LIMITS
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def test_a_learnt_limit_is_forgotten_when_the_rotor_follows_again(model):
         goal[3] = -5.0 if step < 300 else 0.0
         capped = 1400.0 if step < 300 else np.inf
         controller_step(kind, p, memory, 0.004 * step, 0.004, seen, goal, out)
-        limits.append(memory[c.LEARNT_LIMITS])
+        limits.append(memory[LEARNT_LIMITS])
         seen[13:17] += (np.clip(out, 0, np.inf) - seen[13:17]) * (1 - math.exp(-0.004 / 0.03))
         seen[13] = min(seen[13], capped)
     assert min(limits[:300]) < 1450.0

@@ -7,8 +7,9 @@ import plain_plant as plain
 import pytest
 from plain_plant import KINDS, POSITION, RATES, TARGETS, UPRIGHT, YAW, rate_goals
 
-from quasi.simulation.control import gains as g
 from quasi.simulation.control.control_model import make_control_model
+from quasi.simulation.control.gains import derive_gains
+from quasi.simulation.control.registry import find_law
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +31,7 @@ def test_in_trim_the_commands_are_those_of_the_hover(name, model):
 def test_rates_answer_like_the_wanted_angular_acceleration_through_the_rotors_lag(name, axis, block, model):
     # nu = (wish - rate)/T and rate' = nu/(lag s + 1): rate = wish/(T lag s^2 + T s + 1)
     known = make_control_model(model)
-    time = g.derive_gains(g.find_kind(name), known, 0.001)["rates"][block]
+    time = derive_gains(find_law(name), known, 0.001)["rates"][block]
     size = 0.2
     log = plain.fly({"controller": name, "time step": 0.001}, model, rate_goals(400, **{axis: size}), dt=0.001)
     t = np.arange(400) * 0.001

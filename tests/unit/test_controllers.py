@@ -12,10 +12,12 @@ from plain_plant import KINDS
 from quasi.attitude import from_euler, rotate_inverse
 from quasi.errors import ConfigError, DataError
 from quasi.model.model import Model
-from quasi.simulation.control import controllers as c
-from quasi.simulation.control import gains as g
+from quasi.simulation.control import parameters as g
 from quasi.simulation.control.control_model import make_control_model, use_geometric_mixer
 from quasi.simulation.control.controllers import controller_step, make_controller
+from quasi.simulation.control.gains import complete_settings, derive_gains
+from quasi.simulation.control.law import RATE_FILTERS, SPEED_FILTERS
+from quasi.simulation.control.ndi import unpack_model
 from quasi.simulation.control.outer_loop import (
     _limit_approach_gain,
     attitude_of_angles,
@@ -23,6 +25,7 @@ from quasi.simulation.control.outer_loop import (
     rotation_matrix,
     turn_towards,
 )
+from quasi.simulation.control.registry import LAWS
 from quasi.terms.kernel import compute_wrench
 
 
@@ -68,7 +71,7 @@ def test_a_model_in_the_controllers_parameters_gives_what_the_model_predicts(mod
 
 @njit
 def _from_parameters(parameters, inputs, out):
-    kernel, offset, _ = c._unpack_model(parameters)
+    kernel, offset, _ = unpack_model(parameters)
     compute_wrench(kernel, inputs, np.zeros(len(kernel.code) + len(kernel.numbers)), out)
     out -= offset
 
@@ -132,10 +135,10 @@ def test_filtered_rates_and_rotor_speeds_are_of_the_same_moment(model):
         acceleration = p[g.EFFECTIVENESS] * left[0] * np.sum(left * speeds**2) / light.airframe.inertia[0, 0]
         seen[7], seen[13:17] = rate, speeds
         controller_step(kind, p, memory, step * dt, dt, seen, goal, out)
-        moment = np.sum(p[g.EFFECTIVENESS : g.EFFECTIVENESS + 4] * memory[c.SPEED_FILTERS : c.SPEED_FILTERS + 12 : 3])
+        moment = np.sum(p[g.EFFECTIVENESS : g.EFFECTIVENESS + 4] * memory[SPEED_FILTERS : SPEED_FILTERS + 12 : 3])
         raw = np.sum(p[g.EFFECTIVENESS : g.EFFECTIVENESS + 4] * speeds**2)
-        late.append(light.airframe.inertia[0, 0] * memory[c.RATE_FILTERS + 1] - moment)
-        early.append(light.airframe.inertia[0, 0] * memory[c.RATE_FILTERS + 1] - raw)
+        late.append(light.airframe.inertia[0, 0] * memory[RATE_FILTERS + 1] - moment)
+        early.append(light.airframe.inertia[0, 0] * memory[RATE_FILTERS + 1] - raw)
         rate += dt * acceleration
     assert np.std(late[100:]) < 0.05 * np.std(early[100:])
 
@@ -157,16 +160,16 @@ def test_a_far_goal_is_approached_no_faster_than_can_be_braked():
 def test_settled_settings_are_plain_and_settle_to_themselves(model):
     known = make_control_model(model)
     for name in KINDS:
-        settled = g.complete_settings({"controller": f"drone_{name}"}, known)
-        assert g.complete_settings(json.loads(json.dumps(settled)), known) == settled
+        settled = complete_settings({"controller": f"drone_{name}"}, known)
+        assert complete_settings(json.loads(json.dumps(settled)), known) == settled
         assert np.array_equal(
-            g.pack_parameters(settled, known), g.pack_parameters(g.complete_settings(settled, known), known)
+            g.pack_parameters(settled, known), g.pack_parameters(complete_settings(settled, known), known)
         )
 
 
 def test_each_default_loop_is_slower_than_the_one_inside(model):
-    for kind in range(3):
-        gains = g.derive_gains(kind, make_control_model(model))
+    for law in LAWS:
+        gains = derive_gains(law, make_control_model(model))
         times = [gains[b]["time constant"] for b in ("rates", "attitude", "velocity", "position")]
         assert np.allclose(np.divide(times[1:], times[:-1]), 2.0)
         assert times[0] > make_control_model(model).lag

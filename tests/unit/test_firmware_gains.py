@@ -9,8 +9,9 @@ import pytest
 from quasi.errors import DataError
 from quasi.model.hover import find_hover_speed
 from quasi.model.model import Model
-from quasi.simulation.control import gains as g
 from quasi.simulation.control.control_model import make_control_model, use_geometric_mixer
+from quasi.simulation.control.gains import derive_gains
+from quasi.simulation.control.registry import PID
 from quasi.simulation.loop.setup import make_setup
 from quasi.simulation.tools.firmware_gains import command_slope, firmware_gains, gains_of_setup, gains_text, px4_effect
 from quasi.simulation.tools.margins import compute_margins
@@ -34,7 +35,7 @@ def found(model):
 
 def wanted(model):
     """Time constants (3,) of the rates."""
-    rates = g.derive_gains(g.PID, use_geometric_mixer(make_control_model(model)), STEP)["rates"]
+    rates = derive_gains(PID, use_geometric_mixer(make_control_model(model)), STEP)["rates"]
     return np.array([rates["time constant"]] * 2 + [rates["yaw time constant"]]), rates
 
 
@@ -87,7 +88,7 @@ def test_integral_and_derivative_follow_from_the_same_times(model, found):
     b = found.betaflight
     np.testing.assert_allclose(b["I"] * 0.244381, b["P"] * 0.032029 / rates["integral time"])
     np.testing.assert_allclose(b["D"] * 0.000529, b["P"] * 0.032029 * rates["derivative time"])
-    attitude = g.derive_gains(g.PID, use_geometric_mixer(make_control_model(model)), STEP)["attitude"]
+    attitude = derive_gains(PID, use_geometric_mixer(make_control_model(model)), STEP)["attitude"]
     assert b["level P"] == pytest.approx(10.0 / attitude["time constant"])
     np.testing.assert_allclose(found.px4["attitude P"][:2], 1.0 / attitude["time constant"])
 

@@ -12,7 +12,7 @@ from quasi.errors import ConfigError, DataError
 from quasi.export.matlab import write_matlab
 from quasi.export.matlab_check import run_octave
 from quasi.model.model import Model
-from quasi.simulation.control import gains
+from quasi.simulation.control.parameters import VELOCITY_INTEGRAL_GAIN
 from quasi.simulation.loop.run import simulate
 from quasi.simulation.loop.setup import make_setup
 from quasi.simulation.tools.portable import loop_constants, portable_setup
@@ -98,7 +98,7 @@ def test_the_blocks_follow_other_settings_of_the_simulator(make, tmp_path):
         "references": {"kind": "position steps", "steps": [[0, 3, -2, -1, 0.7], [0.5, 0, 0, 0, -0.7]]},
     }  # fmt: skip
     setup = make_setup(base, model)
-    setup.loop_parameters.gains[gains.VELOCITY_INTEGRAL_GAIN] = 0.8
+    setup.loop_parameters.gains[VELOCITY_INTEGRAL_GAIN] = 0.8
     write_matlab(model, tmp_path, None, loop_constants(setup))
     script = """addpath('simulation');
 [modelParams, droneParams] = model_init('m');

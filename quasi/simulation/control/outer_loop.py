@@ -17,7 +17,7 @@ import math
 from numba import njit
 
 from quasi.attitude import GRAVITY
-from quasi.simulation.control import gains as g
+from quasi.simulation.control import parameters as g
 from quasi.terms.lanes import any_lane, choose, common_value
 
 SETPOINT_SIZE = 20

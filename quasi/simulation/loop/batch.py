@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from quasi.simulation.control.controllers import initialise_memory, run_controller
-from quasi.simulation.control.gains import MODEL_START
+from quasi.simulation.control.parameters import MODEL_START
 from quasi.simulation.control.references import STEPS_REFERENCE, TABLE_REFERENCE, evaluate_reference
 from quasi.simulation.loop.closed_loop import (
     FAULT_SIZE,

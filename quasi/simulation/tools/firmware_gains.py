@@ -20,8 +20,9 @@ import numpy as np
 from quasi.errors import DataError
 from quasi.model.extensions import drive_of
 from quasi.model.model import Model
-from quasi.simulation.control import gains as g
 from quasi.simulation.control.control_model import ControlModel, make_control_model, use_geometric_mixer
+from quasi.simulation.control.gains import complete_settings
+from quasi.simulation.control.registry import PID, find_law
 from quasi.simulation.loop.setup import Setup
 from quasi.simulation.tools.margins import Margins, actuators_of_setup, compute_margins
 
@@ -56,10 +57,10 @@ def firmware_gains(
     dt                   s, of the loop
     Raises DataError for a model whose command map does not rise at hover, and what `compute_margins` raises.
     """
-    asked = dict(settings) if g.find_kind(settings.get("controller", "INDI")) == g.PID else {"controller": "PID"}
+    asked = dict(settings) if find_law(settings.get("controller", "INDI")) is PID else {"controller": "PID"}
     asked["time step"] = dt
     known = use_geometric_mixer(make_control_model(model, actuators))
-    settled = g.complete_settings(asked, known)["gains"]
+    settled = complete_settings(asked, known)["gains"]
     slope, notes = command_slope(model, known)
     rates, attitude = settled["rates"], settled["attitude"]
     constants = np.array([rates["time constant"]] * 2 + [rates["yaw time constant"]])

@@ -20,10 +20,11 @@ from quasi.attitude import GRAVITY, exponential, rotate_inverse
 from quasi.errors import ConfigError
 from quasi.model.hover import find_hover_position, list_usual_inputs
 from quasi.model.model import Model
-from quasi.simulation.control import controllers as c
-from quasi.simulation.control import gains as g
 from quasi.simulation.control.control_model import make_control_model
-from quasi.simulation.control.outer_loop import SETPOINT_POSITION, SETPOINT_SIZE, SETPOINT_THRUST, VELOCITY_INTEGRAL
+from quasi.simulation.control.controllers import controller_step, make_controller
+from quasi.simulation.control.gains import complete_settings
+from quasi.simulation.control.outer_loop import SETPOINT_POSITION, SETPOINT_SIZE, SETPOINT_THRUST
+from quasi.simulation.control.registry import LAWS
 from quasi.simulation.loop.setup import Setup
 from quasi.simulation.vehicle.dynamics import LAG_UP
 
@@ -113,7 +114,7 @@ def describe_margins(setup: Setup) -> str:
     """Describe gains and margins of a simulation's controller as text."""
     actuators = actuators_of_setup(setup)
     asked = {**setup.settings["controller"], "time step": setup.dt}
-    complete = g.complete_settings(asked, make_control_model(setup.model, actuators))
+    complete = complete_settings(asked, make_control_model(setup.model, actuators))
     found = compute_margins(asked, setup.model, setup.dt, actuators)
     stability = "stable" if found.stable else "NOT STABLE"
     lines = [
@@ -233,38 +234,23 @@ def _linear_controller(
     measurement: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Matrices of the controller: next memory and commands, each by memory and by measurement."""
-    kind, parameters, size = c.make_controller(settings, model, actuators, offset)
+    kind, parameters, size = make_controller(settings, model, actuators, offset)
     setpoint, memory = np.zeros(SETPOINT_SIZE), np.zeros(size)
     setpoint[SETPOINT_THRUST] = np.nan
     setpoint[SETPOINT_POSITION : SETPOINT_POSITION + 3] = measurement[10:13]
     commands = np.zeros(4)
     for _ in range(3):
-        c.controller_step(kind, parameters, memory, 0.0, dt, measurement, setpoint, commands)
-    squares = measurement[13] ** 2
-    entries_of_memory = {  # memory of the controller: (first entry, count, size of a small step)
-        g.PID: (
-            (c.LAST_COMMANDS_SQUARED, 4, squares),
-            (VELOCITY_INTEGRAL, 3, 1.0),
-            (c.RATE_INTEGRAL, 3, 1.0),
-            (c.RATE_FILTERS, 9, 1.0),
-        ),
-        g.NDI: ((c.LAST_COMMANDS_SQUARED, 4, squares), (VELOCITY_INTEGRAL, 3, 1.0)),
-        g.INDI: (
-            (c.LAST_COMMANDS_SQUARED, 4, squares),
-            (c.RATE_FILTERS, 9, 1.0),
-            (c.SPEED_FILTERS, 12, squares),
-            (c.ACCELERATION_FILTERS, 9, 1.0),
-        ),
-    }[kind]
-    entries = np.concatenate([np.arange(first, first + n) for first, n, _ in entries_of_memory])
-    steps = np.concatenate([np.full(n, 1e-6 * s) for _, n, s in entries_of_memory])
+        controller_step(kind, parameters, memory, 0.0, dt, measurement, setpoint, commands)
+    carried = LAWS[kind].memory
+    entries = np.concatenate([np.arange(first, first + n) for first, n, _ in carried])
+    steps = np.concatenate([np.full(n, 1e-6 * (measurement[13] ** 2 if squared else 1.0)) for _, n, squared in carried])
 
     def run_step(entry: int | None, by: float, measurement: np.ndarray) -> np.ndarray:
         trial = memory.copy()
         if entry is not None:
             trial[entry] += by
         out = np.zeros(4)
-        c.controller_step(kind, parameters, trial, 0.0, dt, measurement, setpoint, out)
+        controller_step(kind, parameters, trial, 0.0, dt, measurement, setpoint, out)
         return np.concatenate([trial[entries], out])
 
     by_memory = np.column_stack(

@@ -10,7 +10,8 @@ import numpy as np
 
 from quasi.errors import ConfigError
 from quasi.model.model import Model
-from quasi.simulation.control import gains as g
+from quasi.simulation.control import parameters as g
+from quasi.simulation.control.registry import INDI, LAWS
 from quasi.simulation.loop.setup import Setup, make_setup
 from quasi.simulation.vehicle.dynamics import RK4
 from quasi.simulation.vehicle.layout import (
@@ -106,7 +107,7 @@ def _refuse(setup: Setup) -> None:
     loop_parameters = setup.loop_parameters
     battery = loop_parameters.battery
     found = {
-        f"the controller {g.CONTROLLER_LABELS[loop_parameters.controller]}": loop_parameters.controller != g.INDI,
+        f"the controller {LAWS[loop_parameters.controller].name}": LAWS[loop_parameters.controller] is not INDI,
         "sensor noise": any(loop_parameters.sensors),
         "gusts": bool(np.any(loop_parameters.wind[GUST_DEVIATION : GUST_DEVIATION + 3])),
         "a changing wind": len(loop_parameters.wind_table) > 0,
