@@ -303,10 +303,11 @@ def show(title: str, case: Case, found: Mapping[str, Any], result: Mapping[str, 
 
 
 def answer(found: Mapping[str, Any]) -> str:
-    """What a diagnosis names, in a cell."""
+    """What a diagnosis names, in a cell: the first three parameters of each cause."""
     parts = []
     for e in found["effects"]:
-        values = ", ".join(f"{k} {p['value']:.4g} ± {p['std']:.2g}" for k, p in e["parameters"].items())
+        shown = list(e["parameters"].items())[:3]
+        values = ", ".join(f"{k} {p['value']:.4g} ± {p['std']:.2g}" for k, p in shown)
         parts.append(f"`{e['id']}` {values}")
     parts += [f"tie of {', '.join(f'`{i}`' for i in t['ids'])}" for t in found["ties"]]
     parts += [f"unexplained {left['channel']}" for left in found["unexplained"]]
@@ -319,10 +320,10 @@ def figures(rows: list[list[str]]) -> dict[str, int]:
     return {
         "sets": len(rows),
         "clean": len(clean),
-        "agree": sum(row[3] == "right" for row in clean),
-        "right": sum(row[3].startswith("right") for row in rows),
-        "missed": sum(row[3] == "missed" for row in rows),
-        "wrong": sum(row[3] in ("WRONG NAME", "FALSE ALARM") for row in rows),
+        "agree": sum(row[-1] == "right" for row in clean),
+        "right": sum(row[-1].startswith("right") for row in rows),
+        "missed": sum(row[-1] == "missed" for row in rows),
+        "wrong": sum(row[-1] in ("WRONG NAME", "FALSE ALARM") for row in rows),
     }
 
 
@@ -352,7 +353,8 @@ def main() -> None:
                 found = diagnose(folder, name)
                 result = judge(case, found)
                 show(f"{simulator} {seed}, {name}", case, found, result, time.perf_counter() - began)
-                rows.append([f"{simulator} {seed}", name, answer(found), result["score"]])
+                true = ", ".join(f"{k} {v:.4g}" for k, v in list(case.value.items())[:3]) or "-"
+                rows.append([f"{simulator} {seed}", name, true, answer(found), result["score"]])
                 tally.setdefault(result["score"], []).append(f"{simulator} {seed} {name}")
     for score, names in tally.items():
         print(f"{score}: {len(names)}")

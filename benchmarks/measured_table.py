@@ -28,7 +28,7 @@ from quasi.tables import read_json, write_json
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
-PAGES = ("docs/measured.md", "README.md")
+PAGES = ("docs/measured.md", "docs/other-simulators.md", "README.md")
 PLACE = re.compile(r"\{([^{}*:]+)(?:\*([0-9.e+-]+))?(?::([^{}]*))?\}")
 
 
