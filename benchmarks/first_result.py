@@ -90,6 +90,8 @@ def show(title: str, about: dict) -> None:
     print(
         f"{title}: {about['s']:.0f} s, processor {about['processor s']:.0f} s; load before {about['load before']:.1f}"
     )
+    within = sum(row["processor s"] for row in about["rules"].values())
+    print(f"  Snakemake, imports, kernels, other rules: processor {about['processor s'] - within:.1f} s")
     for rule, row in sorted(about["rules"].items(), key=lambda item: -item[1]["processor s"]):
         print(f"  {rule:28} {row['jobs']:3.0f} jobs {row['s']:8.1f} s, processor {row['processor s']:6.1f} s")
 

@@ -8,7 +8,6 @@ Source: Stevens, Lewis & Johnson, Aircraft Control and Simulation, 3rd ed., 2016
 """
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 GRAVITY = 9.81  # m/s^2
 # cosine of the pitch below which roll and yaw are one angle: roll and yaw lose 1e-16 / POLE rad to rounding
@@ -72,6 +71,8 @@ def from_matrix(m: np.ndarray) -> np.ndarray:
 
     Raises ValueError for a reflection, a singular matrix or NaN.
     """
+    from scipy.spatial.transform import Rotation  # takes longer to import than all else that starts a run
+
     return Rotation.from_matrix(m).as_quat(scalar_first=True)
 
 

@@ -160,8 +160,8 @@ class FaultFilter(logging.Filter):
         if "Directory cannot be locked" in text:
             self.faults.append(self.lock())
             return False
-        missing = re.search(r"^No rule to produce (.+?) \(if you use input functions", text, flags=re.M)
-        if missing:
+        pattern = r"^No rule to produce (.+?) \(if you use input functions"
+        if "No rule to produce" in text and (missing := re.search(pattern, text, flags=re.M)):
             self.faults.append(
                 f"no rule makes '{missing[1]}'{nearest(missing[1], self.targets())}; correct the target: "
                 "docs/running.md lists what can be made, and names hold letters, digits and . _ + - only"
