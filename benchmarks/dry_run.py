@@ -154,9 +154,7 @@ def main() -> int:
     print(f"dry run of a model of {options.rows} logbook rows: {ours[0]:.1f} s, processor {ours[1]:.1f} s")
     for title, (seconds, processor) in (("shell commands", own), ("scripts", with_scripts)):
         more = 100 * (ours[1] / processor - 1)
-        print(
-            f"the same graph as bare rules, {title}: {seconds:.1f} s, processor {processor:.1f} s; ours {more:+.0f} %"
-        )
+        print(f"the same as bare rules, {title}: {seconds:.1f} s, processor {processor:.1f} s; ours {more:+.0f} %")
     if options.record:
         record("dry_run", {"best s": ours[0]})
     return int(share > MAX_SHARE)
