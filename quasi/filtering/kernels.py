@@ -5,20 +5,24 @@ import numpy as np
 from quasi.filtering import ekf, harmonics
 from quasi.filtering.smoother import smooth
 
-SAMPLES, RATE = 500, 500.0  # samples and Hz; enough for the filters of `harmonics`
+FILTERED_SAMPLES, RATE = 500, 500.0  # samples and Hz; enough for the filters of `harmonics`
 
 
 def compile_kernels() -> None:
     """Call every kernel with the argument types of a real flight; compiled ones are loaded from the cache."""
-    vectors, upright, all_rows = np.zeros((SAMPLES, 3)), np.array([1.0, 0.0, 0.0, 0.0]), np.ones(SAMPLES, bool)
+    vectors, upright, all_rows = (
+        np.zeros((FILTERED_SAMPLES, 3)),
+        np.array([1.0, 0.0, 0.0, 0.0]),
+        np.ones(FILTERED_SAMPLES, bool),
+    )
     inputs = ekf.Inputs(
         dt=1.0 / RATE,
         gyro=vectors,
         accel=vectors,
-        noise=np.ones((SAMPLES, 6)),
+        noise=np.ones((FILTERED_SAMPLES, 6)),
         bias_random_walk=np.zeros(6),
-        used=np.ones((SAMPLES, 3), np.int8),
-        attitude=np.tile(upright, (SAMPLES, 1)),
+        used=np.ones((FILTERED_SAMPLES, 3), np.int8),
+        attitude=np.tile(upright, (FILTERED_SAMPLES, 1)),
         position=vectors,
         velocity=vectors,
         body=False,
@@ -30,6 +34,6 @@ def compile_kernels() -> None:
         covariance=np.eye(ekf.STATES),
     )
     smooth(inputs, ekf.forward(inputs))
-    speeds = np.full((SAMPLES, 4), 2.0 * np.pi * 100.0)  # rad/s, of four rotors
+    speeds = np.full((FILTERED_SAMPLES, 4), 2.0 * np.pi * 100.0)  # rad/s, of four rotors
     found = harmonics.lines(speeds, all_rows, 1, "measured speed", 5.0, 30.0, RATE, RATE)
     harmonics.clearness(vectors, found, 0, all_rows)

@@ -7,7 +7,7 @@ from quasi.importing.onboard_attitude import estimate_attitude
 from quasi.importing.readers.blackbox import decode
 from quasi.importing.readers.blackbox_header import MARKER, find_logs
 
-SAMPLES, STEP = 100, 0.01  # samples and s between two
+IMPORTED_SAMPLES, STEP = 100, 0.01  # samples and s between two
 # a log without frames
 _LOG = (
     MARKER
@@ -28,8 +28,8 @@ H Field P encoding:9,0
 def compile_kernels() -> None:
     """Call every kernel with the argument types of a real flight; compiled ones are loaded from the cache."""
     decode(_LOG, find_logs(_LOG, "")[0])
-    t, vectors = STEP * np.arange(SAMPLES), np.zeros((SAMPLES, 3))
+    t, vectors = STEP * np.arange(IMPORTED_SAMPLES), np.zeros((IMPORTED_SAMPLES, 3))
     estimate_attitude(t, vectors, vectors - [0.0, 0.0, 9.8])
     swapped = vectors.copy()
-    swapped[SAMPLES // 2] = 100.0  # m, a jump that no vehicle flies
-    flyable(t, swapped, np.tile([1.0, 0.0, 0.0, 0.0], (SAMPLES, 1)))
+    swapped[IMPORTED_SAMPLES // 2] = 100.0  # m, a jump that no vehicle flies
+    flyable(t, swapped, np.tile([1.0, 0.0, 0.0, 0.0], (IMPORTED_SAMPLES, 1)))

@@ -9,19 +9,19 @@ from quasi.synthesis.controller import control_of
 from quasi.synthesis.flight import LOGGED_SIGNALS, TRUTH, fly
 from quasi.synthesis.nuisance import nominal
 
-STEPS, EVERY = 8, 4  # steps of the loop, and from one row of the log to the next
+LOOP_STEPS, STEPS_EACH_ROW = 8, 4  # steps of the loop, and from one row of the log to the next
 
 
 def compile_kernels() -> None:
     """Call every kernel with the argument types of a real flight; compiled ones are loaded from the cache."""
     setup = nominal(120.0, 1.0)
-    rows = STEPS // EVERY
+    rows = LOOP_STEPS // STEPS_EACH_ROW
     fly(
-        STEPS,
-        EVERY,
+        LOOP_STEPS,
+        STEPS_EACH_ROW,
         np.zeros((2, 16)),
         np.zeros((2, 7)),
-        np.zeros((STEPS, 9)),
+        np.zeros((LOOP_STEPS, 9)),
         setup.vehicle.physics,
         setup.vehicle.drive,
         control_of(made.base_vehicle()),
@@ -31,4 +31,4 @@ def compile_kernels() -> None:
         np.empty((rows, len(LOGGED_SIGNALS))),
     )
     values = np.zeros((rows, len(blackbox.FIELD_NAMES)), np.int64)
-    blackbox.encode_log(values, [], {}, whole_every=EVERY, step=EVERY, reference=0)
+    blackbox.encode_log(values, [], {}, whole_every=STEPS_EACH_ROW, step=STEPS_EACH_ROW, reference=0)

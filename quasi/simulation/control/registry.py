@@ -11,7 +11,9 @@ from quasi.simulation.control.ndi import NDI, run_ndi
 from quasi.simulation.control.pid import PID, run_pid
 
 LAWS = (PID, NDI, INDI)
-NAMES = {prefix + law.name: law for prefix in ("drone_", "") for law in LAWS}  # the manual's names and short ones
+CONTROLLER_NAMES = {
+    prefix + law.name: law for prefix in ("drone_", "") for law in LAWS
+}  # the manual's names and short ones
 
 
 @njit(cache=True, error_model="numpy")
@@ -27,7 +29,7 @@ def run_law(kind, parameters, packed, memory, dt, measurement, setpoint):
 
 def find_law(name: Any) -> Law:
     """The law of a controller's name; raises ConfigError that names the nearest known one."""
-    for known, law in NAMES.items():
+    for known, law in CONTROLLER_NAMES.items():
         if str(name).lower() == known.lower():
             return law
-    raise ConfigError(f"controller {name!r} is not known{nearest(str(name), NAMES)}; choose one of them")
+    raise ConfigError(f"controller {name!r} is not known{nearest(str(name), CONTROLLER_NAMES)}; choose one of them")
