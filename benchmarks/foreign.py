@@ -252,16 +252,17 @@ def diagnose(folder: Path, name: str) -> dict[str, Any]:
     return json.loads((folder / target).read_text())
 
 
-def judge(case: Case, found: Mapping[str, Any]) -> dict[str, Any]:
+def judge(case: Case, found: Mapping[str, Any], always: frozenset[str]) -> dict[str, Any]:
     """What is right: {"verdict", "named", "ties", "wrong", "hit", "score"}.
 
-    A name is wrong where neither `right` nor `also` holds it, a tie where no member is there. What reference flights
-    show as well (`since` is always) is judged like any other name.
+    A name is wrong where neither `right` nor `also` holds it, a tie where no member is there. What the simulator has in
+    every flight (`always`) is true where it is reported so; the score adds it.
     """
     named = {e["id"]: e for e in found["effects"]}
     ties = [t["ids"] for t in found["ties"]]
     true = {*case.right, *case.also}
-    wrong = [i for i in named if i not in true] + ["/".join(t) for t in ties if not true & set(t)]
+    own = [i for i, e in named.items() if i not in true and i in always and e["since"] == "always"]
+    wrong = [i for i in named if i not in true and i not in own] + ["/".join(t) for t in ties if not true & set(t)]
     hit = any(i in named for i in case.right)
     tied = any(set(case.right) & set(t) for t in ties)
     if case.unexplained:
@@ -274,6 +275,7 @@ def judge(case: Case, found: Mapping[str, Any]) -> dict[str, Any]:
         score = "right"
     else:
         score = "missed" if case.right or case.unexplained else "FALSE ALARM"
+    score += "".join(f"; {i} is always there" for i in own)
     return {"verdict": found["verdict"], "named": list(named), "ties": ties, "wrong": wrong, "score": score}
 
 
@@ -322,8 +324,8 @@ def figures(rows: list[list[str]]) -> dict[str, int]:
         "clean": len(clean),
         "agree": sum(row[-1] == "right" for row in clean),
         "right": sum(row[-1].startswith("right") for row in rows),
-        "missed": sum(row[-1] == "missed" for row in rows),
-        "wrong": sum(row[-1] in ("WRONG NAME", "FALSE ALARM") for row in rows),
+        "missed": sum(row[-1].startswith("missed") for row in rows),
+        "wrong": sum(row[-1].startswith(("WRONG NAME", "FALSE ALARM")) for row in rows),
     }
 
 
@@ -351,7 +353,7 @@ def main() -> None:
                 )
                 began = time.perf_counter()
                 found = diagnose(folder, name)
-                result = judge(case, found)
+                result = judge(case, found, importlib.import_module(f"foreign_{simulator}").ALWAYS)
                 show(f"{simulator} {seed}, {name}", case, found, result, time.perf_counter() - began)
                 true = ", ".join(f"{k} {v:.4g}" for k, v in list(case.value.items())[:3]) or "-"
                 rows.append([f"{simulator} {seed}", name, true, answer(found), result["score"]])

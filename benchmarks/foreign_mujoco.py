@@ -20,6 +20,8 @@ MASS, INERTIA = 0.62, (2.6e-3, 3.1e-3, 4.9e-3)
 # aft right, front right, aft left, front left, as Betaflight counts; x forward, y left, z up, m
 HUBS = np.array([[-0.095, -0.105, 0.02], [0.095, -0.105, 0.02], [-0.095, 0.105, 0.02], [0.095, 0.105, 0.02]])
 TURNS = np.array([1.0, -1.0, -1.0, 1.0])  # torque about z up on the body; a clockwise rotor gives 1
+# what its vehicle has in every flight: true where a diagnosis reports it as always there
+ALWAYS = frozenset({"body_drag", "translational_lift"})
 SENSORS: dict[str, Any] = {"hover": 1007.0, "accelerometer_noise": 0.6, "gyro_noise": 0.015}
 
 

@@ -15,6 +15,8 @@ from scipy.spatial.transform import Rotation
 
 IDLE = 60.0  # rad/s
 SENSORS: dict[str, Any] = {}
+# what its vehicle has in every flight: true where a diagnosis reports it as always there
+ALWAYS = frozenset({"rotor_drag", "body_drag", "axial_inflow", "translational_lift"})
 
 
 def parameters() -> dict[str, Any]:
