@@ -14,10 +14,10 @@ from hidden import DRIVE, SENSORS, STRANGE, deviation
 from quasi import attitude
 from quasi.gap.effect import Effect, Parameter, Vehicle
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.flights.level import Level, clear
-from quasi.gap.levels.drive import identify as drive_level
-from quasi.gap.levels.forces.design import BLOCK, Design, gather_design
+from quasi.gap.flights.level import Level, SensorMixedModel, offers_of
+from quasi.gap.levels.forces.design import Design, gather_design
 from quasi.gap.levels.sensors import identify as sensor_level
+from quasi.gap.statistics.blocks import BLOCK
 from quasi.gap.statistics.mixed import Candidate
 from quasi.synthesis.physics import BEAT, FAN, FAN_WIDTH, SHIFT
 from quasi.synthesis.vehicle import base_vehicle
@@ -118,10 +118,55 @@ def _lower(name: str, values: Mapping[str, float], levels: Sequence[Level], sinc
     level = next(x for x in levels if x.level == ("sensors" if name in SENSORS else "drive"))
     if level.tests is None or name not in level.tests.columns.causes:
         return NOTHING
-    size = sensor_level.size_of(name, values) if name in SENSORS else drive_level.size_of(name, values, HEALTHY)
+    size = sensor_level.size_of(name, values) if name in SENSORS else drive_size(name, values)
     shown = clear(level.tests, name, since, size)
     return {"detectability": shown.detectability, "separability": shown.separability, "nearest": shown.nearest,
             "of the error": None}  # fmt: skip
+
+
+class Clear(NamedTuple):
+    """Standard errors by which a cause of some size stands out: alone, and with each rival given."""
+
+    detectability: float
+    with_rival: dict[str, float]
+
+    @property
+    def nearest(self) -> str | None:
+        """The rival with which it stands out least."""
+        return min(self.with_rival, key=self.with_rival.get, default=None)
+
+    @property
+    def separability(self) -> float:
+        """Standard errors with the nearest rival given."""
+        return self.with_rival[self.nearest] if self.with_rival else self.detectability
+
+
+def clear(mixed: SensorMixedModel, cause: str, since: str, size: np.ndarray) -> Clear:
+    """How clearly a cause of a given size (m,) shows in the flights: sqrt(size' covariance^-1 size).
+
+    size  deviation from healthy in the units of the cause's columns. The covariance is that of the cause's parameters
+    once base, nuisances and the spread between flights are projected out, then the rival too.
+    """
+    offer = next(o for o in offers_of(mixed, since) if o.cause == cause)
+    pooled = mixed.pooled(since)
+
+    def shown(given: Sequence[Candidate]) -> float:
+        covariance = mixed.test(offer, given, pooled).covariance
+        return float(np.sqrt(max(size @ np.linalg.solve(covariance, size), 0.0)))
+
+    return Clear(shown([]), {o.cause: shown([o]) for o in offers_of(mixed, since) if o.cause != cause})
+
+
+def drive_size(cause: str, values: Mapping[str, float], healthy: Mapping[str, float] = HEALTHY) -> np.ndarray:
+    """Deviation from healthy (m,) of parameters of the drive, in the units of the cause's columns.
+
+    healthy  {"up", "down": s, "exponent": 1} of the reference that flights are compared with
+    """
+    if cause == "motor_lag":
+        return np.array([values["time_constant"] - healthy[name] for name in ("up", "down")])
+    if cause == "battery_sag":
+        return np.array([values["exponent"] - healthy["exponent"]])
+    return np.array([values["delay"]])
 
 
 def _strange(name: str, asked: Asked) -> Design:

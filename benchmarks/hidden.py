@@ -17,7 +17,7 @@ from worlds import draw_world
 
 from quasi.airframe import read_airframe
 from quasi.filtering.flight import filter_flight
-from quasi.gap.causes.payload_swing import LENGTHS
+from quasi.gap.causes.payload_swing import LOAD_LENGTHS
 from quasi.gap.flights.level import Flown
 from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis
@@ -178,7 +178,7 @@ def _own_inertia(name: str) -> float:
 def deviation(name: str, values: Mapping[str, float]) -> dict[str, float]:
     """Planted values as deviations from what the vehicle has anyway; a load at the length that the catalogue has."""
     if name == "payload_swing":
-        shown = min(LENGTHS, key=lambda n: abs(np.log(LENGTHS[n] / (0.85 * values["length"]))))
+        shown = min(LOAD_LENGTHS, key=lambda n: abs(np.log(LOAD_LENGTHS[n] / (0.85 * values["length"]))))
         return {shown: values["mass"]}
     how = ALL[name]
     return {k: v - (_own_inertia(k) if name == "inertia" else how.neutral) for k, v in values.items() if k in how.names}

@@ -5,13 +5,13 @@ from collections.abc import Mapping
 
 from quasi.gap.effect import SCOPES, Effect, Parameter, Vehicle
 
-LEVELS = {
+LEVEL_HEADINGS = {
     "sensors": "Sensors, mounting, frames and clocks",
     "drive": "Rotor drive",
     "forces": "Forces and moments",
 }
 FINDINGS = "Findings: stated, never named as a cause"
-WIDTH = 120
+LINE_WIDTH = 120
 
 
 def text(effects: Mapping[str, Effect], vehicle: Vehicle, whose: str) -> str:
@@ -22,8 +22,8 @@ def text(effects: Mapping[str, Effect], vehicle: Vehicle, whose: str) -> str:
         "a flight should be able to show: hide and seek draws around it, the flight card uses it. A parameter without "
         "one only accompanies others. Scopes: a parameter belongs to the airframe, to a session, or to a single flight."
     )
-    lines = ["# Causes", "", *textwrap.wrap(about, WIDTH)]
-    for level, title in LEVELS.items():
+    lines = ["# Causes", "", *textwrap.wrap(about, LINE_WIDTH)]
+    for level, title in LEVEL_HEADINGS.items():
         lines += ["", f"## {title}"]
         for effect in effects.values():
             if effect.level == level and not effect.finding:

@@ -16,9 +16,9 @@ from quasi.gap.effect import Effect
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.nuisance import FORCE_BIAS
 
-CAUSES = ("wind", "tether", "accelerometer_bias")
+FORCE_CAUSES = ("wind", "tether", "accelerometer_bias")
 # what holds or moves a whole flight sideways as well; where one of these is named, the force has a cause
-ALSO = ("room_tilt", "imu_misalignment", "mocap_misalignment")
+LEANING_CAUSES = ("room_tilt", "imu_misalignment", "mocap_misalignment")
 TIE_BREAKER = (
     "hover at several headings and at several places: wind keeps its direction in the room, an accelerometer bias "
     "keeps its direction on the vehicle, a tether points to its anchor"
@@ -37,8 +37,8 @@ def constant_force_tie(
     Means are taken in earth axes (room) and are compared with FORCE_BIAS of the weight and with the spread of the
     reference flights. Forces of the causes are not separable here, so each parameter is what the force would take.
     """
-    asked = [c for c in CAUSES if c in effects]
-    if not compared or not asked or set(named) & {*CAUSES, *ALSO}:
+    asked = [c for c in FORCE_CAUSES if c in effects]
+    if not compared or not asked or set(named) & {*FORCE_CAUSES, *LEANING_CAUSES}:
         return []
     means = np.array([_mean_force(e, left) for e in compared])
     usual = np.array([_mean_force(e, left) for e in reference]) if reference else np.zeros((0, 2))

@@ -20,42 +20,41 @@ from quasi.gap.entries import (
     tie_entry,
     wrench_effect,
 )
-from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.evidence import RATE, Evidence
 from quasi.gap.flights.gathering import gather_all
 from quasi.gap.flights.level import Flown
 from quasi.gap.flights.sessions import session_sentence
-from quasi.gap.levels import materiality, rotor_order
+from quasi.gap.levels import rotor_order
 from quasi.gap.levels.corrections import corrected_at_import
 from quasi.gap.levels.forces import polynomial_baseline
 from quasi.gap.levels.forces.case import Case
 from quasi.gap.levels.forces.effect_size import acting
 from quasi.gap.levels.forces.error_reduction import Squares, after, removed, wrench_squares
 from quasi.gap.levels.forces.findings import gusts
-from quasi.gap.levels.forces.held_out import best_wrong, everything, made_of, telling
+from quasi.gap.levels.forces.held_out import best_wrong, everything, gain_axes, made_of
 from quasi.gap.levels.forces.identify import Found, examine
-from quasi.gap.levels.forces.materiality import Cause
 from quasi.gap.levels.forces.tables import wrench_tables
 from quasi.gap.levels.rollouts import commanded, error_reduction, split_flights
 from quasi.gap.levels.rollouts.confirmation import Settled
-from quasi.gap.levels.rollouts.open_loop import CHANNELS as ALONG
-from quasi.gap.levels.sensors_and_drive import rate_of
+from quasi.gap.levels.rollouts.open_loop import HORIZON, MOVED_BY
+from quasi.gap.levels.sensors_and_drive import rate_of, reject_immaterial
 from quasi.gap.levels.trim_evidence import gather_trim, trim_entries
+from quasi.gap.materiality import Cause
 from quasi.gap.probability import add_probabilities
 from quasi.gap.report.wording import summary
 from quasi.gap.scores import scored
-from quasi.gap.standing import HORIZON, standing
+from quasi.gap.standing import standing
 from quasi.gap.veto import correction_matters, losses
 from quasi.model.extensions import configured_mass
 from quasi.model.model import AXES, Model
 
-SCHEMA = "quasi.gap/2"
-SAMPLING = 100.0  # Hz of the comparison of forces and moments
-SAME_MASS = 1e-3  # share: what a scale tells
+SCHEMA = "quasi.gap/3"
+SAME_MASS = 1e-3  # share, resolution of a scale
 
 
 @dataclass
 class Diagnosis:
-    """document "quasi.gap/2"; model  the extended model's document; tables  by name; found  all that the search in
+    """document "quasi.gap/3"; model  the extended model's document; tables  by name; found  all that the search in
     forces found."""
 
     document: dict[str, Any]
@@ -97,15 +96,15 @@ def diagnose(
     levels, order = calibration["levels"], calibration.get("rotor order")
     if order:
         lower = ([rotor_order.reorder(f, order) for f in lower[0]], lower[1])
-    materiality.judge(levels, *lower, share)
-    said: dict[str, Any] = {
+    reject_immaterial(levels, *lower, share)
+    lists: dict[str, Any] = {
         "candidates": [],
         "unexplained": [],
         "cannot_be_asked": [],
         "notes": [*lost, *([rotor_order.note_of(order)] if order else [])],
     }
-    said["notes"] += [s for s in [session_sentence(sessions, roles)] if s]
-    said["notes"] += _weighed(model, [*groups["compared"], *held])
+    lists["notes"] += [s for s in [session_sentence(sessions, roles)] if s]
+    lists["notes"] += _weighed(model, [*groups["compared"], *held])
     # what import corrects is no part of the model: it would be taken off a second time
     driving = [e for e in levels["drive"]["effects"] if not corrected_at_import(e["id"], "drive")]
     drive = [(effects[e["id"]], deviations(effects[e["id"]], e["parameters"]))
@@ -119,29 +118,29 @@ def diagnose(
         n for n, e in effects.items() if e.level == "forces" and e.channels and set(e.channels) <= set(base.excluded)
     }
     why = f"the base model explains next to nothing of {', '.join(base.excluded)}"
-    said["cannot_be_asked"] += [{"id": n, "why": why} for n in sorted(silent)] if not unable else []
+    lists["cannot_be_asked"] += [{"id": n, "why": why} for n in sorted(silent)] if not unable else []
     asked_of = {n: e for n, e in effects.items() if n not in silent}
     found, kept = None, []
     lives, restless = pd.DataFrame(), []
     settled = Settled([], [], {}, {}, None, [])
     if unable:
         asked = [n for n, e in effects.items() if e.level == "forces"]
-        said["cannot_be_asked"] += [{"id": n, "why": unable} for n in asked]
+        lists["cannot_be_asked"] += [{"id": n, "why": unable} for n in asked]
     else:
         rate, unheard = (rate_of(settings["false alarm rate"], sum(compared), n) for n in (len(held), 0))
         ident = settings["extended model ID"]
         found = examine(learning, compared, held, model, asked_of, vehicle, rate, share, ident, f"gap {name}", unheard)
         if case.corrected and _refit_loses(case, found):
             case = case._replace(corrected=False)
-            said["notes"].append(
+            lists["notes"].append(
                 "fitting the model's own terms anew to the corrected flights would make held-out flights worse; the "
                 "model keeps its terms"
             )
         settled, remains = standing(case, found)
         kept = settled.causes
-        said["notes"] += settled.notes
-        said["candidates"] += candidates(found, settled, share)
-        said["cannot_be_asked"] += [{"id": n, "why": why} for n, why in found.lacking.items()]
+        lists["notes"] += settled.notes
+        lists["candidates"] += candidates(found, settled, share)
+        lists["cannot_be_asked"] += [{"id": n, "why": why} for n, why in found.lacking.items()]
     again = case.anew(kept)
     document = case.extended(kept, found and found.study, f"gap {name}", again)
     extended = Model(document, f"model {settings['extended model ID']}")
@@ -149,21 +148,21 @@ def diagnose(
     if found is not None:
         at = found.study.values[compared.index(True)]
         floor = everything(found.study, effects, vehicle, compared, at)
-    beside = _yardsticks(case, found, kept, levels, floor)
-    rolled = error_reduction.score(model, extended, flights, held, settings["horizons"], beside)
+    yardsticks = _yardsticks(case, found, kept, levels, floor)
+    rolled = error_reduction.score(model, extended, flights, held, settings["horizons"], yardsticks)
     causes = [*((c.effect, c.value) for c in kept), *drive]
     own = split_flights.judge(held, flights, learning, model, extended, causes, vehicle, settings["horizons"])
-    gap, scores, errors = scored(model, extended, found, kept, held, beside, rolled, lower, document)
+    gap, scores, errors = scored(model, extended, found, kept, held, yardsticks, rolled, lower, document)
     flown = as_flown(vehicle, groups["compared"])
-    effects_said = [wrench_effect(c, flown, settled) for c in kept]
-    for effect in effects_said:
+    named = [wrench_effect(c, flown, settled) for c in kept]
+    for effect in named:
         effect["judged"] = not any((effect["id"], effect["since"]) == (c.effect.id, c.since) for c in found.unjudged)
     if found is not None:
-        _gains(case, effects_said, kept, found, rolled, again, errors)
-        for effect, cause in zip(effects_said, kept):
+        _gains(case, named, kept, found, rolled, again, errors)
+        for effect, cause in zip(named, kept):
             effect["acts"] = acting(cause, [*groups["compared"], *held], vehicle, effect["gain channel"])
-        said["unexplained"], lives, *_ = remains
-        if not any(u["channel"][0] == "F" for u in said["unexplained"]):
+        lists["unexplained"], lives, *_ = remains
+        if not any(u["channel"][0] == "F" for u in lists["unexplained"]):
             restless = gusts(found.study, compared, [c.effect.id for c in kept])
     lower_effects = [lower_effect(e, level, gap) for level in ("sensors", "drive") for e in levels[level]["effects"]]
     lower_effects, shifted = of_late_telemetry(lower_effects)
@@ -173,21 +172,21 @@ def diagnose(
             effect["explains"] = False
     lower_effects += [rotor_order.effect_of(order)] if order else []
     # forces and moments settle a tie of the levels below by naming one of it
-    told = {e["id"] for e in effects_said}
-    ties = [t for level in ("sensors", "drive") for t in levels[level]["ties"] if not told & set(t["ids"])]
+    named_ids = {e["id"] for e in named}
+    ties = [t for level in ("sensors", "drive") for t in levels[level]["ties"] if not named_ids & set(t["ids"])]
     ties += [tie_entry(since, tie, effects, flown) for since, tie in (found.ties if found else [])]
     if found is not None:
-        taken = [*(e["id"] for e in [*lower_effects, *effects_said]), *(i for tie in ties for i in tie["ids"])]
+        taken = [*(e["id"] for e in [*lower_effects, *named]), *(i for tie in ties for i in tie["ids"])]
         left_over = after(extended, model)
         ties += constant_force_tie(
             groups["compared"], groups["reference"], left_over, taken, asked_of,
             min(found.level.values()), share,
         )  # fmt: skip
     for level in ("sensors", "drive"):
-        said["candidates"] += levels[level]["candidates"]
-        said["cannot_be_asked"] += levels[level]["cannot_be_asked"]
-        said["notes"] += levels[level]["notes"]
-    taken = [*(e["id"] for e in [*lower_effects, *effects_said]), *(i for tie in ties for i in tie["ids"])]
+        lists["candidates"] += levels[level]["candidates"]
+        lists["cannot_be_asked"] += levels[level]["cannot_be_asked"]
+        lists["notes"] += levels[level]["notes"]
+    taken = [*(e["id"] for e in [*lower_effects, *named]), *(i for tie in ties for i in tie["ids"])]
     named_by_trim, tied_by_trim = trim_entries(trim, taken, bool(unable))
     lower_effects += named_by_trim
     ties += tied_by_trim
@@ -196,7 +195,7 @@ def diagnose(
         "gap": gap,
         "model": settings["model"],
         "verdict": verdict_of(
-            [*lower_effects, *effects_said], ties, said["unexplained"], unable, bool(base.excluded or settled.losses)
+            [*lower_effects, *named], ties, lists["unexplained"], unable, bool(base.excluded or settled.losses)
         ),
         "summary": "",
         "base model": {
@@ -209,12 +208,12 @@ def diagnose(
         "hover trim": trim.document,
         "losses": [{**loss._asdict(), "text": loss.sentence()} for loss in settled.losses],
         "effects": sorted(
-            [*lower_effects, *effects_said],
+            [*lower_effects, *named],
             key=lambda e: (e["id"] != rotor_order.ID, -float(e["evidence"].get("wald") or 0.0)),
         ),
         "ties": ties,
         "findings": [*(f for level in ("sensors", "drive") for f in levels[level]["findings"]), *shifted, *restless],
-        **said,
+        **lists,
         "extended_model": settings["extended model ID"],
         "flights": dict(roles),
         "name": name,
@@ -240,8 +239,8 @@ def diagnose(
 
 
 def _since_when(result: dict[str, Any], references: str) -> None:
-    """Without reference flights of the user's choice nothing is said to be new; whether flights that made the model
-    show a cause as well stands beside it."""
+    """Without reference flights of the user's choice nothing is reported as new; an entry states whether flights
+    that made the model show the cause as well."""
     result["reference flights"] = references
     if references == "training":
         for part in ("effects", "ties", "candidates", "unexplained"):
@@ -264,17 +263,17 @@ def _weighed(model: Model, flights: Sequence[Evidence]) -> list[str]:
 
 
 def _unable(groups: Mapping[str, Sequence[Evidence]], roles: Mapping[str, str], lost: Sequence[str]) -> str:
-    """Why no force or moment can be told from another, or nothing. lost  sentences on flights that could not be used"""
+    """Why causes of forces and moments cannot be distinguished, or nothing. lost  sentences on unusable flights"""
 
     def why(role: str) -> str:
         keys = [k for k, r in roles.items() if r == role]
-        return next((said.split("; ")[0] for said in lost if any(f"flight {k} " in said for k in keys)), "")
+        return next((s.split("; ")[0] for s in lost if any(f"flight {k} " in s for k in keys)), "")
 
     if len(groups["compared"]) < 2:
         count, because = len(groups["compared"]), why("compared")
         return (
             f"{count or 'no'} compared flight{'s' * (count != 1)} {'is' if count == 1 else 'are'} left to learn from"
-            f"{f' ({because})' * bool(because)}, and a cause needs at least 2 beside those held out"
+            f"{f' ({because})' * bool(because)}, and a cause needs at least 2 in addition to those held out"
         )
     if not groups["held out"]:
         if "held out" in roles.values():
@@ -287,8 +286,8 @@ def _unable(groups: Mapping[str, Sequence[Evidence]], roles: Mapping[str, str], 
 def _yardsticks(
     case: Case, found: Found | None, kept: Sequence[Cause], levels: Mapping[str, Any],
     floor: Callable[[Evidence], np.ndarray] | None,
-) -> error_reduction.Beside:  # fmt: skip
-    """What the gain is told beside: the floor, the best wrong causes, polynomials of the same size."""
+) -> error_reduction.Yardsticks:  # fmt: skip
+    """What the gain is compared with: the floor, the best wrong causes, polynomials of the same size."""
     students = [e for e, flag in zip(case.learning, case.compared) if flag]
     about = [n for e, values in case.drive for n in values if e.parameters[n].typical is not None]
     sizes = [sum(len(c.value) for c in kept), len(about)]
@@ -297,32 +296,32 @@ def _yardsticks(
     if kept:
         old, least = found.scores["before"], found.scores["noise_floor"]
         tied = {t.offer.cause for _, tie in found.ties for t in tie.tests}
-        wrong, axes = best_wrong(case, found.study, kept, tied, old, least), telling(kept, old, least)
+        wrong, axes = best_wrong(case, found.study, kept, tied, old, least), gain_axes(kept, old, least)
     healthy, drive = levels["drive"]["found on"].get("healthy") or {}, [e.id for e, _ in case.drive]
-    return error_reduction.Beside(
+    return error_reduction.Yardsticks(
         floor,
         wrong,
         polynomial_baseline.polynomial(students, sizes[0], axes) if kept else None,
         healthy.get("learned"),
         commanded.wrong_ones(healthy, drive, case.effects, case.model, case.vehicle) if kept or drive else {},
         polynomial_baseline.polynomial(students, sum(sizes)) if drive and students else None,
-        [ALONG[AXES[k]] for k in (range(len(AXES)) if drive else axes)],
+        [MOVED_BY[AXES[k]] for k in (range(len(AXES)) if drive else axes)],
     )
 
 
 def _gains(
-    case: Case, said: Sequence[dict[str, Any]], kept: Sequence[Cause], found: Found, rolled: Mapping[str, Any],
+    case: Case, named: Sequence[dict[str, Any]], kept: Sequence[Cause], found: Found, rolled: Mapping[str, Any],
     again: bool, best: tuple[Squares, Squares, np.ndarray] | None,
 ) -> None:  # fmt: skip
     """Fill in what each cause is worth, left out alone: of forces and moments, and of roll-outs in the quantities where
     it acts.
 
-    The one figure of roll-outs is that of the quantity and line where it moves the simulation most, beside the error,
-    after HORIZON or the nearest that there is. best  squared errors with all causes, at the floor, its mean
+    The one figure of roll-outs is that of the quantity and line where it moves the simulation most compared with the
+    error, after HORIZON or the nearest that there is. best  squared errors with all causes, at the floor, its mean
     """
     if "noise_floor" not in rolled["ends"]:
         return
-    for entry, cause in zip(said, kept):
+    for entry, cause in zip(named, kept):
         old, without = rolled["errors"]["before"], case.model
         if len(kept) > 1 or again:
             rest = [c for c in kept if c is not cause]
@@ -331,8 +330,8 @@ def _gains(
         if best is not None:
             entry |= gain_entry(cause, removed(wrench_squares(case.held, after(without, case.model)), *best))
         rows = error_reduction.worth(rolled, old, cause.effect.channels, case.settings["horizons"])
-        told = [row for row in rows if row["value"] is not None]
-        main = min(told, key=lambda row: (abs(row["horizon"] - HORIZON), -row["moved"]), default=None)
+        known = [row for row in rows if row["value"] is not None]
+        main = min(known, key=lambda row: (abs(row["horizon"] - HORIZON), -row["moved"]), default=None)
         entry["gain"]["rollout"] = main and main["value"]
         entry["rollout channel"] = main and main["quantity"]
         entry["rollout gain"], entry["rollout gains"] = main, rows
@@ -340,9 +339,9 @@ def _gains(
 
 def _refit_loses(case: Case, found: Found) -> bool:
     """Whether the model's own terms, fitted anew to corrected flights without any cause, do worse on held-out ones."""
-    refitted = Model(case.extended([], found.study, "trial", True), "trial")
+    refit_with = Model(case.extended([], found.study, "trial", True), "trial")
     horizons, share = case.settings["horizons"], case.settings["material share"]
-    return bool(losses(case.model, refitted, case.held, case.tables, horizons, share, commanded=False))
+    return bool(losses(case.model, refit_with, case.held, case.tables, horizons, share, commanded=False))
 
 
 def _correction_matters(
@@ -353,7 +352,7 @@ def _correction_matters(
     for flights in lower:
         read = {f.key: (f.filtered, f.filtered_metadata, f.airframe) for f in flights}
         try:
-            evidence, _ = gather_all(read, model, SAMPLING)
+            evidence, _ = gather_all(read, model, RATE)
         except DataError:
             return True
         sides.append((list(evidence.values()), {f.key: f.filtered for f in flights}))

@@ -20,7 +20,7 @@ from quasi.model.model import Model
 from quasi.project.logbook import NAME_RULE, VALID_NAME
 
 LEVELS = ("sensors", "drive", "forces")
-PARTS = ("any", "all", "first", "one", "led", "paired")
+PARTS_OF = ("any", "all", "first", "one", "led", "paired")
 SCOPES = {"a": "airframe", "s": "session", "f": "flight"}
 Terms = dict[str, str]  # axis: expression, N or N m per unit of a parameter
 
@@ -68,7 +68,7 @@ class Limits(NamedTuple):
 
 
 class Size(NamedTuple):
-    """A figure as it is told: value and standard error in a unit."""
+    """A figure as it is reported: value and standard error in a unit."""
 
     value: float
     std: float
@@ -180,7 +180,7 @@ class Effect:
     opposite      the sentence where the leading parameter is below neutral, if it is another one
     parameters    {name: Parameter}
     channels      axes or signals where it shows
-    rivals        ids that it is confused with; tie_breaker  the manoeuvre that tells them apart
+    rivals        ids that it is confused with; tie_breaker  the manoeuvre that distinguishes them
     terms         vehicle -> {parameter: {axis: expression}} at the neutral values; or
     columns       (evidence, values) -> {parameter: (n, 6)}: slope of the measured minus modelled wrench by each
                   parameter at `values`; of a cause with terms as well, the fit takes these and the extension the terms
@@ -188,7 +188,7 @@ class Effect:
                   parameter; or
     full_effect   (evidence, vehicle, values) -> (n, 6), the same where no expression can say it
     corrected     (evidence, values) -> evidence as right instruments would have shown it, for a cause that makes them
-                  err: what other causes do is told by the truth; it must bend
+                  err: what other causes do follows from the truth; it must be nonlinear
     extension     (values, vehicle, model) -> Extension, where terms do not say it
     parts         how parameters may be found: "any" one alone or all; "all" only together; "first" the first few;
                   "one" a single one, the likeliest; "led" the first, and where that is there each other;
@@ -250,8 +250,8 @@ class Effect:
                 raise ConfigError(f"{where}: {word} is {getattr(self, word)!r}, expected text")
         if self.level not in LEVELS:
             raise ConfigError(f"{where}: level is {self.level!r}, expected one of {', '.join(LEVELS)}")
-        if self.parts not in PARTS:
-            raise ConfigError(f"{where}: parts is {self.parts!r}, expected one of {', '.join(PARTS)}")
+        if self.parts not in PARTS_OF:
+            raise ConfigError(f"{where}: parts is {self.parts!r}, expected one of {', '.join(PARTS_OF)}")
         for name, parameter in self.parameters.items():
             if not isinstance(parameter, Parameter):
                 raise ConfigError(
@@ -280,7 +280,7 @@ class Effect:
         return self.nonlinear_terms is not None or self.full_effect is not None
 
     def happens(self, parameters: Values) -> str:
-        """The sentence of parameters as they are told: {name: value}, the first of them leading."""
+        """The sentence of parameters as they are reported: {name: value}, the first of them leading."""
         name = next(iter(self.parameters), None)
         below = name in parameters and parameters[name] < (self.parameters[name].neutral or 0.0)
         return self.opposite if below and self.opposite else self.sentence
@@ -336,7 +336,7 @@ def vehicle_of(
 
 
 def as_flown(vehicle: Vehicle, flights: Sequence[Evidence]) -> Vehicle:
-    """The vehicle with its mass and inertia in these flights, as far as they are known: their residuals tell others."""
+    """The vehicle with its mass and inertia in these flights, as far as they are known: residuals may show others."""
     if not flights:
         return vehicle
     known = [mass for e in flights if (mass := compute_flight_mass(e.model, e.mass)) is not None]

@@ -8,29 +8,29 @@ import numpy as np
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.levels.corrections import uncorrected
 from quasi.gap.levels.forces.identify import Found
-from quasi.gap.levels.forces.materiality import Cause
 from quasi.gap.levels.rollouts.confirmation import Settled
+from quasi.gap.materiality import Cause
 
 # shares of resamples in which a cause alone, the strongest of several, another one must be found again
-ALONE, SURE, BESIDE = 0.2, 0.5, 0.8
-SAME = 3.0  # standard errors within which two delays are the same
-FAR = 0.01  # of the level: what is that improbable needs half as many beside another, for a resample holds two thirds
+ALONE, STRONGEST, WEAKER = 0.2, 0.5, 0.8
+SAME_DELAY = 3.0  # standard errors within which two delays are the same
+FAR_BELOW = 0.01  # of the level: so improbable a cause needs half as many next to another; a resample holds two thirds
 
 
 def needed(cause: Cause, found: Found) -> float:
     """Share of resamples in which a cause must be found again. One alone stands by its significance and by what held-
     out flights say, unless a few seconds of flight make all of it; where these cannot say anything, it has to come
-    again more often. Beside a stronger one, it may only mend what that one leaves."""
+    again more often. Next to a stronger one, it may only correct what that one leaves."""
     unjudged = any((c.effect.id, c.since) == (cause.effect.id, cause.since) for c in found.unjudged)
     others = [c for c in [*found.causes, *found.stand_ins] if c.since == cause.since and c is not cause]
     # what a model misses of its own vehicle leaves nothing that looks like what no sound vehicle has
     foreign = cause.effect.absent_when_healthy and cause.since == "always"
     stronger = [c for c in others if c.test.p <= cause.test.p and c.effect.absent_when_healthy >= foreign]
     if not stronger:
-        return SURE if others or unjudged else ALONE
-    if cause.test.p >= FAR * found.level[cause.since]:
-        return BESIDE
-    return max(0.5 * BESIDE, SURE) if unjudged else 0.5 * BESIDE
+        return STRONGEST if others or unjudged else ALONE
+    if cause.test.p >= FAR_BELOW * found.level[cause.since]:
+        return WEAKER
+    return max(0.5 * WEAKER, STRONGEST) if unjudged else 0.5 * WEAKER
 
 
 def deviations(effect: Effect, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
@@ -98,8 +98,8 @@ def lower_effect(effect: Mapping[str, Any], level: str, gap: Mapping[str, Any]) 
     Of one that nothing corrects there is no gain.
     """
     if uncorrected(effect["id"], level):
-        told = {k: v for k, v in effect.items() if k != "removed"}
-        return {**told, "level": level, "gain": {"wrench": None, "rollout": None}, "confused_with": []}
+        kept = {k: v for k, v in effect.items() if k != "removed"}
+        return {**kept, "level": level, "gain": {"wrench": None, "rollout": None}, "confused_with": []}
     best: tuple[float, float | None] = (0.0, None)
     if effect.get("removed"):
         gain = {"wrench": min(max(effect["removed"].values()), 1.0), "rollout": None}
@@ -124,7 +124,7 @@ def of_late_telemetry(effects: Sequence[Mapping[str, Any]]) -> tuple[list[dict[s
     if len(delays) == 2:
         late, own = (delays[n]["parameters"]["delay"] for n in ("telemetry_delay", "command_delay"))
         std = float(np.hypot(late["std"], own["std"]))
-        if own["value"] < 0.0 and abs(late["value"] + own["value"]) < SAME * std:
+        if own["value"] < 0.0 and abs(late["value"] + own["value"]) < SAME_DELAY * std:
             text = (
                 "the model's delay of commands holds the late telemetry of the flights that it was made from: in the "
                 f"extended model it is {-1e3 * own['value']:.1f} ± {1e3 * own['std']:.1f} ms shorter"
@@ -151,15 +151,15 @@ def candidates(found: Found, settled: Settled, share: float) -> list[dict[str, A
     """Causes that were asked and are not named, the most significant first, with the reason."""
     kept = settled.causes
     out = {(c.effect.id, c.since) for c in kept} | {(t.offer.cause, s) for s, tie in found.ties for t in tie.tests}
-    said = []
+    entries = []
 
     def add(cause: str, since: str, test: Any, why: str) -> None:
         if (cause, since) not in out:
             out.add((cause, since))
-            said.append({"id": cause, "since": since, "score": test.wald, "p": test.p, "why_not": why})
+            entries.append({"id": cause, "since": since, "score": test.wald, "p": test.p, "why_not": why})
 
-    for c, told in settled.dropped:
-        add(c.effect.id, c.since, c.test, told.why)
+    for c, confirmation in settled.dropped:
+        add(c.effect.id, c.since, c.test, confirmation.why)
     for c in [*found.causes, *found.stand_ins]:
         again, least = 100 * c.probability, 100 * needed(c, found)
         why = f"found again in {again:.0f} % of the resamples only, expected {least:.0f} %"
@@ -168,25 +168,26 @@ def candidates(found: Found, settled: Settled, share: float) -> list[dict[str, A
         why = f"there, but it removes less than {100 * share:.0f} % of the removable error on held-out flights"
         if c.since == "always":
             why = (
-                "there, but beside the model's own terms, fitted anew, it is not sure to remove "
+                "there, but with the model's own terms fitted anew it is not sure to remove "
                 f"{100 * c.asked:.0f} % of the removable error on flights left out"
                 if c.asked is not None
-                else "so little beside stronger causes that it may be their form"
+                else "so little next to stronger causes that it may be their form"
             )
         add(c.effect.id, c.since, c.test, why)
     for name, (test, why) in found.contradicted.items():
         add(name, test.offer.since, test, why)
     for c in kept:
         for r in c.rivals:
-            why = f"beside {c.effect.id} it adds nothing (p = {r.beside_named:.2g}); {c.effect.id} stays beside it"
+            name = c.effect.id
+            why = f"with {name} given it adds nothing (p = {r.p_given_cause:.2g}); {name} stays significant with it"
             if (r.id, c.since) not in out:
                 out.add((r.id, c.since))
-                said.append({"id": r.id, "since": c.since, "score": None, "p": r.beside_named, "why_not": why})
+                entries.append({"id": r.id, "since": c.since, "score": None, "p": r.p_given_cause, "why_not": why})
     named = ", ".join(sorted({c.effect.id for c in found.causes})) or "the model's own terms"
     for test in found.ranking:
         level = found.level[test.offer.since]
-        why = f"p = {test.p:.2g} beside {named}, not below {level:.2g}"
+        why = f"p = {test.p:.2g} with {named} given, not below {level:.2g}"
         if test.p < level:
             why = found.passed.get(test.offer, "others explain what it does")
         add(test.offer.cause, test.offer.since, test, why)
-    return said
+    return entries

@@ -84,7 +84,7 @@ def extend(
         document["extensions"].append(
             {
                 "id": effect.id,
-                "parameters": _told(effect, values),
+                "parameters": _reported(effect, values),
                 "sentence": effect.happens({n: v + (effect.parameters[n].neutral or 0.0) for n, v in values.items()}),
                 "airframe": extension.airframe,
                 "actuators": _in_all(extension.actuators, known),
@@ -117,8 +117,8 @@ def _joined(causes: Sequence[tuple[Effect, Values]]) -> list[tuple[Effect, Value
     return list(found.values())
 
 
-def _told(effect: Effect, values: Values) -> dict[str, dict[str, Any]]:
-    """{parameter: {"value", "unit"}} as a diagnosis tells them."""
+def _reported(effect: Effect, values: Values) -> dict[str, dict[str, Any]]:
+    """{parameter: {"value", "unit"}} as a diagnosis reports them."""
     if effect.reported is not None:
         sizes = effect.reported(values, dict.fromkeys(values, 0.0))
         return {n: {"value": size.value, "unit": size.unit} for n, size in sizes.items()}
@@ -176,7 +176,7 @@ def _term(cause: str, expression: str, coefficient: float, axis: str, stands: st
 
 
 def _moments_of(model: Model, shift: np.ndarray, cause: str) -> dict[str, list[tuple[str, float]]]:
-    """-shift x F, term by term: moments about a cg that lies `shift` beside the configured one."""
+    """-shift x F, term by term: moments about a cg at `shift` from the configured one."""
     if not model.with_gravity:
         raise ConfigError(
             f"cause '{cause}' needs a model whose forces leave gravity out; identify {model.id} withGravity"

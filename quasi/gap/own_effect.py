@@ -27,10 +27,10 @@ FUNCTIONS = (
     "extension",
     "sums",
 )  # of an effect, which a user writes
-ARM = 0.06  # m
+TRIAL_ARM = 0.06  # m
 # about that of the bundled example: what an effect makes of it is not used, only whether it makes sense
 TRIED = Vehicle(
-    hubs=np.array([[-ARM, ARM, 0.0], [ARM, ARM, 0.0], [-ARM, -ARM, 0.0], [ARM, -ARM, 0.0]]),
+    hubs=TRIAL_ARM * np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, -1.0, 0.0], [1.0, -1.0, 0.0]]),
     spin=np.array([1.0, -1.0, -1.0, 1.0]),
     radius=0.04,
     thrust=2.4e-7,
@@ -45,7 +45,7 @@ TRIED = Vehicle(
 
 
 class Fresh(SourceFileLoader):
-    """Takes a file as it stands: byte code beside it may be of another text of the same second and length."""
+    """Takes a file as it stands: cached byte code may be of another text of the same second and length."""
 
     def get_code(self, fullname: str) -> CodeType:
         """Its code, from the text."""
@@ -56,11 +56,11 @@ class Fresh(SourceFileLoader):
 def _own_code(where: str = "") -> Iterator[None]:
     """Run a user's code: where it would end the program, it raises a ConfigError instead. A Ctrl-C stays one.
 
-    where  what the error begins with; without it the caller says where and how to mend it
+    where  what the error begins with; without it the caller says where and how to correct it
     """
     pressed: list[int] = []
     before = signal.getsignal(signal.SIGINT)
-    # only the main thread is told of a Ctrl-C, and only where a handler makes an exception of it
+    # only the main thread receives a Ctrl-C, and only where a handler makes an exception of it
     watched = threading.current_thread() is threading.main_thread() and callable(before)
 
     def press(number: int, frame: Any) -> None:
@@ -76,9 +76,9 @@ def _own_code(where: str = "") -> Iterator[None]:
     except BaseException as error:
         if pressed and isinstance(error, KeyboardInterrupt):
             raise
-        said = f"{type(error).__name__}: {error}".removesuffix(": ")
+        reason = f"{type(error).__name__}: {error}".removesuffix(": ")
         remedy = "; correct the file" if where else ""
-        raise ConfigError(f"{where}it would end the whole program ({said}){remedy}") from error
+        raise ConfigError(f"{where}it would end the whole program ({reason}){remedy}") from error
     finally:
         if watched:
             signal.signal(signal.SIGINT, before)
@@ -139,7 +139,7 @@ def _fault(effect: Effect) -> str:
         if given is not None and not callable(given):
             return f"{word} is {given!r}, expected a function"
     if effect.terms is None and effect.extension is None and effect.nonlinear_terms is None:
-        return "columns need an extension beside them, which says what the cause adds to a model"
+        return "columns need an extension as well, which says what the cause adds to a model"
     for axis in effect.channels:
         if axis not in AXES:
             return f"channel '{axis}' is no axis{nearest(axis, AXES)}"

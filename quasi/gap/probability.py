@@ -26,8 +26,8 @@ class Logistic(NamedTuple):
 
 # benchmarks/probability.py with 28 draws and 20 plants: 38 names, 35 right; 1642 candidates, 8 right. A tie passes the
 # tests of a name but for its rivals; three with a known truth are too few for a function of their own.
-NAMES = Logistic(-0.52, 0.608)
-KINDS = {"effects": NAMES, "ties": NAMES, "candidates": Logistic(-5.55, 0.457)}
+NAMED_CAUSES = Logistic(-0.52, 0.608)
+KINDS = {"effects": NAMED_CAUSES, "ties": NAMED_CAUSES, "candidates": Logistic(-5.55, 0.457)}
 
 
 def decades(p: float, apart: float = 1.0) -> float:

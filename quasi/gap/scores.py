@@ -1,4 +1,4 @@
-"""Errors of every level on held-out flights before and after, at the floor and of the yardsticks, as told."""
+"""Errors of every level on held-out flights before and after, at the floor and of the yardsticks."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -9,20 +9,20 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.level import Flown
 from quasi.gap.levels.forces.error_reduction import Squares, after, before, removed, wrench_squares
 from quasi.gap.levels.forces.identify import Found
-from quasi.gap.levels.forces.materiality import Cause
-from quasi.gap.levels.rollouts.error_reduction import Beside
-from quasi.gap.levels.rollouts.open_loop import TOLD
+from quasi.gap.levels.rollouts.error_reduction import Yardsticks
+from quasi.gap.levels.rollouts.open_loop import WITH_COMMANDS
 from quasi.gap.levels.sensors_and_drive import judged
+from quasi.gap.materiality import Cause
 from quasi.model.model import AXES, Model
 
 
 def scored(
     model: Model, extended: Model, found: Found | None, kept: Sequence[Cause], held: Sequence[Evidence],
-    beside: Beside, rolled: Mapping[str, Any], lower: tuple[Sequence[Flown], Sequence[Flown]],
+    yardsticks: Yardsticks, rolled: Mapping[str, Any], lower: tuple[Sequence[Flown], Sequence[Flown]],
     document: Mapping[str, Any],
 ) -> tuple[dict[str, Any], dict[str, Any], tuple[Squares, Squares, np.ndarray] | None]:  # fmt: skip
     """Root mean squares before, after and at the floor by level, channel and horizon; shares of W with intervals; and
-    the squared errors of W after, at the floor, and its mean. beside  what the gain is told beside"""
+    the squared errors of W after, at the floor, and its mean. yardsticks  what the gain is compared with"""
     gap: dict[str, Any] = {k: {} for k in ("before", "after", "noise_floor", "best_wrong_cause", "generic_polynomial")}
     for key in gap:
         gap[key] |= rolled["rms"].get(key, {})
@@ -35,14 +35,14 @@ def scored(
             gap["before"]["forces"], gap["after"]["forces"] = _axes(old.mean()), _axes(new.mean())
             if found:
                 gap["noise_floor"]["forces"] = _axes(floor)
-                best = new, wrench_squares(held, beside.floor), floor
+                best = new, wrench_squares(held, yardsticks.floor), floor
                 scores["removed"] = removed(old, *best)
-                if beside.yardstick is not None:
+                if yardsticks.polynomial is not None:
                     size = sum(len(c.value) for c in kept)
-                    other = wrench_squares(held, beside.yardstick)
+                    other = wrench_squares(held, yardsticks.polynomial)
                     gap["generic_polynomial"]["forces"] = _axes(other.mean())
                     scores["generic polynomial"] = {"terms": size, "removed": removed(old, other, *best[1:], new)}
-                for name, wrong in beside.wrong.items():
+                for name, wrong in yardsticks.wrong.items():
                     other = wrench_squares(held, after(wrong, model))
                     gap["best_wrong_cause"]["forces"] = _axes(other.mean())
                     scores["best wrong cause"] = name
@@ -56,8 +56,8 @@ def scored(
                 if word == "after":
                     least = {c: float(np.sqrt(np.mean(t["floor"] ** 2))) for c, t in channels.groupby("channel")}
                     gap["noise_floor"][level] = {c: {"0": min(v, mean[c])} for c, v in least.items()}
-    if TOLD in rolled["wrong"]:
-        scores["best wrong cause with commands"] = rolled["wrong"][TOLD]
+    if WITH_COMMANDS in rolled["wrong"]:
+        scores["best wrong cause with commands"] = rolled["wrong"][WITH_COMMANDS]
     return gap, scores, best
 
 

@@ -17,13 +17,12 @@ from typing import NamedTuple
 import numpy as np
 
 from quasi.gap.effect import Effect, Limits
-from quasi.gap.statistics.mixed import Candidate, MixedModel, Test, ranked
+from quasi.gap.statistics.mixed import Candidate, MixedModel, Test, ranked, share_of_rate
 
 COMPARED_RIVALS = 6  # most significant causes that are compared with each other in one step
 MOST_CAUSES = 12  # causes that one search accepts
 FORM_ERROR = 0.05  # share of a cause's Wald statistic that the error of its form may explain, in forces and moments
 SUSPECT = 0.01  # p-value below which a declared rival has to be ruled out
-COMMON_SHARE = 0.2  # share of the false alarm rate for what reference and compared flights have in common
 RESAMPLES = 40  # of the blocks of each flight
 LIMIT_ERRORS = 3.0  # standard errors by which an estimate may lie outside its physical range
 
@@ -33,7 +32,7 @@ class Profile:
     """What the selection knows of a cause.
 
     parts  how its parameters may be selected, see `MixedModel.best`; rivals  causes that it is confused with
-    always_tied_with  causes that no data tell from it; absorbed  whether the model's own terms can mimic it exactly
+    always_tied_with  causes that no data separate from it; absorbed  whether the model's own terms can mimic it exactly
     leading  (m,) whether a parameter is what the cause is about, not one that accompanies it
     limits   physical range of the parameters' deviations, None without
     """
@@ -99,8 +98,8 @@ class Rival(NamedTuple):
 
     id: str
     p: float
-    beside_named: float
-    named_beside: float
+    p_given_cause: float
+    cause_p_given_rival: float
 
 
 class Named(NamedTuple):
@@ -174,11 +173,6 @@ class Selection:
         return {offer: count / RESAMPLES for offer, count in counts.items()}
 
 
-def share_of_rate(compared: Sequence[bool]) -> dict[str, float]:
-    """{since: share of the false alarm rate}: changes between the groups are selected first, with most of it."""
-    return {"always": 1.0} if np.all(compared) else {"changed": 1.0 - COMMON_SHARE, "always": COMMON_SHARE}
-
-
 def select_causes(
     mixed: MixedModel, profiles: Mapping[str, Profile], rate: float, rules: Rules = FORCES,
     excluded: Sequence[str] = (), known: Sequence[Candidate] = (),
@@ -190,7 +184,7 @@ def select_causes(
     found = Selection()
     for since, share in share_of_rate(mixed.compared).items():
         given = [*known, *found.offers]
-        one = search(mixed, profiles, since, rate * share, rules, excluded, given)
+        one = Search(mixed, profiles, since, rate * share, rules, excluded, given).run()
         found.named += one.named
         found.ties += one.ties
         found.ranking += one.ranking
@@ -201,20 +195,12 @@ def select_causes(
     return found
 
 
-def search(
-    mixed: MixedModel, profiles: Mapping[str, Profile], since: str, rate: float, rules: Rules = FORCES,
-    excluded: Sequence[str] = (), known: Sequence[Candidate] = (),
-) -> Selection:  # fmt: skip
-    """One search, for changes or for what all flights have in common. Arguments as for `select_causes`."""
-    return _Search(mixed, profiles, since, rate, rules, excluded, known).run()
-
-
-class _Search:
-    """One search, for changes or for what all flights have in common."""
+class Search:
+    """One search, for changes or for what all flights have in common; arguments as for `select_causes`."""
 
     def __init__(
-        self, mixed: MixedModel, profiles: Mapping[str, Profile], since: str, rate: float, rules: Rules,
-        excluded: Sequence[str], known: Sequence[Candidate],
+        self, mixed: MixedModel, profiles: Mapping[str, Profile], since: str, rate: float, rules: Rules = FORCES,
+        excluded: Sequence[str] = (), known: Sequence[Candidate] = (),
     ) -> None:  # fmt: skip
         self.mixed, self.profiles, self.since, self.rules, self.known = mixed, profiles, since, rules, list(known)
         asked = [name for name in mixed.columns.causes if name not in excluded]
@@ -283,7 +269,7 @@ class _Search:
         if t.offer.cause in self._tied:
             return "it stands in a tie already"
         if self._duplicates(t.offer):
-            return "it cannot be told from a named cause, and the two would only correct each other"
+            return "it looks the same as a named cause, and the two would only correct each other"
         for c in self.clear:
             if self._is_form(t, c, [g for g in self.given if g != c.offer]):
                 return f"it has more parameters than {c.offer.cause} and explains hardly more"
@@ -310,7 +296,7 @@ class _Search:
         return seen.p < self.level and profile.is_possible(seen) and profile.is_possible(left)
 
     def _duplicates(self, offer: Candidate) -> bool:
-        """Whether an offer is, or spans, what no data tell from an accepted cause: the two of them, large and
+        """Whether an offer is, or spans, what no data distinguish from an accepted cause: the two of them, large and
         opposite, would only correct the model's form."""
         alike = {n for g in self.given if g.cause in self.profiles for n in self.profiles[g.cause].always_tied_with}
         columns = self.mixed.columns.causes

@@ -9,17 +9,17 @@ from quasi.gap.levels.forces import unexplained
 from quasi.gap.levels.forces.case import Case
 from quasi.gap.levels.forces.error_reduction import after
 from quasi.gap.levels.forces.identify import Found
-from quasi.gap.levels.forces.materiality import Cause
 from quasi.gap.levels.rollouts import split_flights
 from quasi.gap.levels.rollouts.confirmation import CONFIRMED, REFUTED, Settled, settle
+from quasi.gap.levels.rollouts.open_loop import HORIZON
 from quasi.gap.levels.sensors_and_drive import SEARCHES
 from quasi.gap.levels.trim_evidence import rejected_by_trim
+from quasi.gap.materiality import Cause
 from quasi.gap.statistics.mixed import Candidate
 from quasi.gap.veto import losses, reject_losing_causes
 from quasi.model.model import Model
 
-FORCES = ("Fx", "Fy", "Fz")
-HORIZON = 0.5  # s, at which a gain in roll-outs is told
+FORCE_AXES = ("Fx", "Fy", "Fz")
 
 
 def standing(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
@@ -42,7 +42,7 @@ def standing(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
     def left_by(settled: Settled) -> unexplained.Left:
         residual = after(made(settled.causes, case.anew(settled.causes)), case.model)
         return unexplained.search(
-            case.learning, case.compared, case.held, _beside(found, settled, case.effects), residual,
+            case.learning, case.compared, case.held, _given(found, settled, case.effects), residual,
             found.scores["noise_floor"], case.vehicle, case.settings["false alarm rate"] / SEARCHES,
             case.settings["material share"],
         )  # fmt: skip
@@ -52,14 +52,14 @@ def standing(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
 
 def _without(settled: Settled, cause: Cause, why: str, outcome: str = REFUTED) -> Settled:
     """The others; the cause is dropped, with the reason."""
-    told = settled.confirmations[cause.effect.id, cause.since]._replace(outcome=outcome, why=why)
+    confirmation = settled.confirmations[cause.effect.id, cause.since]._replace(outcome=outcome, why=why)
     rest = [c for c in settled.causes if c is not cause]
-    return settled._replace(causes=rest, dropped=[*settled.dropped, (cause, told)])
+    return settled._replace(causes=rest, dropped=[*settled.dropped, (cause, confirmation)])
 
 
 def _of_flights(case: Case, settled: Settled, made: Callable[[Sequence[Cause], bool], Model]) -> Settled:
     """Causes that every flight has its own value of must lower the error of a held-out flight's second half, with the
-    value that its first half tells; others lose their name."""
+    value estimated on its first half; others lose their name."""
     horizon = min(case.settings["horizons"], key=lambda h: abs(h - HORIZON))
     for cause in settled.causes:
         if not any(cause.effect.parameters[n].scope == "f" for n in cause.value):
@@ -67,14 +67,14 @@ def _of_flights(case: Case, settled: Settled, made: Callable[[Sequence[Cause], b
         anew = case.anew(settled.causes)
         rest = [c for c in settled.causes if c is not cause]
         sides = [(made(of, anew), [*((c.effect, c.value) for c in of), *case.drive]) for of in (rest, settled.causes)]
-        quantity = "velocity" if set(FORCES) & set(cause.effect.channels) else "rate"
+        quantity = "velocity" if set(FORCE_AXES) & set(cause.effect.channels) else "rate"
         gone = split_flights.gain(
             case.held, case.tables, case.learning, case.model, sides, case.vehicle, quantity, horizon
         )
         if gone is None or gone > 0.0:
             continue
         why = (
-            f"with the value that a held-out flight's first half tells, the simulated {quantity} of its second half "
+            f"with the value from a held-out flight's first half, the simulated {quantity} of its second half "
             f"has {-100 * gone:.0f} % more squared error after {horizon:g} s than without it"
         )
         settled = _without(settled, cause, why)
@@ -87,11 +87,11 @@ def _borne_out(settled: Settled, share: float) -> Settled:
     """
     for cause in settled.causes:
         outcome = settled.confirmations[cause.effect.id, cause.since].outcome
-        said = [v["value"] for v in cause.gain.values() if v["value"] is not None]
-        if cause.effect.absent_when_healthy or outcome == CONFIRMED or not said or max(said) >= share:
+        gains = [v["value"] for v in cause.gain.values() if v["value"] is not None]
+        if cause.effect.absent_when_healthy or outcome == CONFIRMED or not gains or max(gains) >= share:
             continue
         why = (
-            f"on the held-out flights it removes {100 * max(said):.0f} % of the removable error at most, expected "
+            f"on the held-out flights it removes {100 * max(gains):.0f} % of the removable error at most, expected "
             f"{100 * share:.0f} %, and roll-outs do not confirm it"
         )
         settled = _without(settled, cause, why, outcome)
@@ -129,11 +129,11 @@ def _harmless(case: Case, settled: Settled, made: Callable[[Sequence[Cause], boo
     return settled._replace(losses=left)
 
 
-def _beside(
+def _given(
     found: Found, settled: Settled, effects: Mapping[str, Effect]
 ) -> list[tuple[Effect, Candidate, Mapping[str, float]]]:
-    """Causes that what stays unexplained is asked beside: all that are there and not refuted, and those of ties."""
-    refuted = [c for c, told in settled.dropped if told.outcome == REFUTED]
+    """Causes given in the search for the unexplained rest: all that are there and not refuted, and those of ties."""
+    refuted = [c for c, confirmation in settled.dropped if confirmation.outcome == REFUTED]
     accepted = [
         (c.effect, c.test.offer, c.value)
         for c in [*found.causes, *found.immaterial]
@@ -148,7 +148,7 @@ def _outdone(
     """Without the names that roll-outs do not confirm and that give way to what no cause explains; and what that is."""
     while True:
         doubtful = [c for c in settled.causes if settled.confirmations[c.effect.id, c.since].outcome != CONFIRMED]
-        left, offers = left_by(settled), [o for _, o, _ in _beside(found, settled, case.effects)]
+        left, offers = left_by(settled), [o for _, o, _ in _given(found, settled, case.effects)]
         for cause in sorted(doubtful, key=lambda c: -c.test.p):
             why = unexplained.outdone(left, case.compared, offers, cause.test.offer, cause.effect.channels,
                                       cause.test.p, found.level[cause.since])  # fmt: skip

@@ -13,18 +13,18 @@ import pandas as pd
 
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.error_reduction import Squares, after, before, wrench_squares
-from quasi.gap.levels.forces.materiality import Cause
 from quasi.gap.levels.forces.nuisance import nuisances
 from quasi.gap.levels.rollouts import error_reduction
-from quasi.gap.levels.rollouts.open_loop import CHANNELS, PLAIN, TOLD, TRIMMED, fell, rms
+from quasi.gap.levels.rollouts.open_loop import MOVED_BY, WITH_COMMANDS, WITH_TRIM, WITHOUT_TRIM, fell, rms
+from quasi.gap.materiality import Cause
 from quasi.gap.statistics import blocks
 from quasi.model.model import AXES, Model
 
-FORCES = "forces"  # the line of a loss of forces and moments
-SAME = 0.05  # share by which an error must exceed that of the model without causes to be a cause's fault
+FORCES_LINE = "forces"  # the line of a loss of forces and moments
+OWN_LOSS = 0.05  # share by which an error must exceed that of the model without causes to be a cause's fault
 
 
-TRIM = 3.0  # standard deviations of what healthy flights differ by, within which a constant error is a flight's own
+OWN_TRIM = 3.0  # standard deviations of what healthy flights differ by, within which a constant error is a flight's own
 
 
 class Loss(NamedTuple):
@@ -50,7 +50,7 @@ class Loss(NamedTuple):
 
     def sentence(self) -> str:
         """The loss in words."""
-        where = "on the held-out flights" if self.line == FORCES else f"after {self.horizon:g} s of simulation"
+        where = "on the held-out flights" if self.line == FORCES_LINE else f"after {self.horizon:g} s of simulation"
         return f"the error of {self.quantity} {where} grows from {self.before:.3g} to {self.after:.3g}"
 
 
@@ -76,7 +76,7 @@ def losses(
     found = _of_forces(pairs, share) if len(pairs[0][0].t) else []
     tracks = error_reduction.tracks_of(held, flights, horizons, (base, extended))
     if tracks:
-        lines = [line for line in error_reduction.lines_of(tracks) if commanded or line != TOLD]
+        lines = [line for line in error_reduction.lines_of(tracks) if commanded or line != WITH_COMMANDS]
         errors = [error_reduction.simulated_errors(tracks, m, base, lines) for m in (base, extended)]
         rows = {
             line: fell(*(error_reduction.end_table(tracks, e[line], horizons, line) for e in errors)) for line in lines
@@ -102,7 +102,7 @@ def correction_matters(
         tracks = error_reduction.tracks_of(held, tables, horizons)
         if not tracks:
             return False
-        errors = error_reduction.simulated_errors(tracks, model, model, (PLAIN,))[PLAIN]
+        errors = error_reduction.simulated_errors(tracks, model, model, (WITHOUT_TRIM,))[WITHOUT_TRIM]
         ends.append(rms(error_reduction.end_table(tracks, errors, horizons)))
     pairs = [(ends[0][q][h], ends[1][q][h]) for q in ends[0] for h in ends[0][q]]
     return any(abs(b**2 - a**2) >= share * a**2 for a, b in pairs if a > 0.0)
@@ -121,7 +121,7 @@ def _of_forces(pairs: Sequence[tuple[Squares, Squares]], share: float) -> list[L
     rms = np.sqrt([old.mean(), new.mean()])
     shrinks = np.repeat(np.diff((rms**2).reshape(2, 2, 3).sum(axis=2), axis=0)[0] < 0.0, 3)  # force, moment
     return [
-        Loss(FORCES, axis, 0.0, float(rms[0, k]), float(rms[1, k]), one_axis=bool(shrinks[k]))
+        Loss(FORCES_LINE, axis, 0.0, float(rms[0, k]), float(rms[1, k]), one_axis=bool(shrinks[k]))
         for k, axis in enumerate(AXES)
         if worse[0][k] and worse[1][k]
     ]
@@ -130,13 +130,13 @@ def _of_forces(pairs: Sequence[tuple[Squares, Squares]], share: float) -> list[L
 def trim_is_usual(held: Sequence[Evidence], left: Callable[[Evidence], np.ndarray]) -> bool:
     """Whether the constant errors that an extended model leaves are those by which healthy flights differ.
 
-    left  flight -> residual (n, 6). Each axis of each flight must stay within TRIM standard deviations of the nuisances
+    left  flight -> residual (n, 6). Each axis of each flight must stay within OWN_TRIM standard deviations of nuisances
     together, or be no more than one standard deviation larger than before.
     """
     for flight in held:
         usual = np.sqrt(sum((spread * column.mean(axis=0)) ** 2 for _, column, spread in nuisances(flight)))
         last, first = (np.abs(residual.mean(axis=0)) for residual in (left(flight), flight.residual))
-        if np.any(last > np.maximum(TRIM * usual, first + usual)):
+        if np.any(last > np.maximum(OWN_TRIM * usual, first + usual)):
             return False
     return True
 
@@ -144,7 +144,7 @@ def trim_is_usual(held: Sequence[Evidence], left: Callable[[Evidence], np.ndarra
 def _of_simulations(
     rows: Mapping[str, Sequence[Mapping[str, Any]]], share: float, usual_trim: bool = False
 ) -> list[Loss]:
-    trimmed = {(r["quantity"], r["horizon"]): r for r in rows.get(TRIMMED, ())}
+    trimmed = {(r["quantity"], r["horizon"]): r for r in rows.get(WITH_TRIM, ())}
     found = []
     for line, of in rows.items():
         vectors = {(r["quantity"], r["horizon"]): r for r in of}
@@ -153,9 +153,9 @@ def _of_simulations(
             if not (row["high"] < 0.0 and row["after"] ** 2 > (1.0 + share) * row["before"] ** 2):
                 continue
             other = trimmed.get((row["quantity"], row["horizon"]))
-            if line == PLAIN and other is not None and other["value"] > 0.0:
+            if line == WITHOUT_TRIM and other is not None and other["value"] > 0.0:
                 continue
-            of_trim = usual_trim and line == PLAIN and other is not None and other["high"] >= 0.0
+            of_trim = usual_trim and line == WITHOUT_TRIM and other is not None and other["high"] >= 0.0
             vector = vectors.get((row["quantity"].split()[0], row["horizon"]))
             one_axis = vector is not None and vector is not row and vector["high"] >= 0.0
             found.append(Loss(line, row["quantity"], row["horizon"], row["before"], row["after"], of_trim, one_axis))
@@ -180,11 +180,11 @@ def reject_losing_causes(
     anyway = {loss[:3]: loss.after for loss in judge(made([]))}
 
     axes = {axis for cause in causes for axis in cause.effect.channels}
-    moved = axes | {CHANNELS[axis] for axis in axes if axis in CHANNELS}
+    moved = axes | {MOVED_BY[axis] for axis in axes if axis in MOVED_BY}
 
     def alone(quantity: str) -> bool:
         """Whether some cause acts on this axis of a vector and on no other axis of it."""
-        kinds = [[axis if quantity in AXES else CHANNELS[axis] for axis in c.effect.channels] for c in causes]
+        kinds = [[axis if quantity in AXES else MOVED_BY[axis] for axis in c.effect.channels] for c in causes]
         first = quantity[0] if quantity in AXES else quantity.split()[0]
         return any([axis for axis in own if axis.startswith(first)] == [quantity] for own in kinds)
 
@@ -194,8 +194,8 @@ def reject_losing_causes(
             for loss in losses_
             if not loss.of_trim
             and not (loss.one_axis and not alone(loss.quantity))
-            and loss.after > (1.0 + SAME) * anyway.get(loss[:3], 0.0)
-            and (loss.line not in (PLAIN, FORCES) or loss.quantity in moved)
+            and loss.after > (1.0 + OWN_LOSS) * anyway.get(loss[:3], 0.0)
+            and (loss.line not in (WITHOUT_TRIM, FORCES_LINE) or loss.quantity in moved)
         ]
 
     while own(found) and kept:

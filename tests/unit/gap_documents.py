@@ -33,7 +33,7 @@ LEAN = {**TURN, "id": "attitude_error", "channels": ["ax", "ay"], "gain": {"wren
         "parameters": {"gain": {"value": 0.48, "std": 0.02, "unit": "s"}}}  # fmt: skip
 LAG = {**TURN, "id": "motor_lag", "level": "drive", "channels": ["w1", "w2", "w3", "w4"],
        "parameters": {"time_constant": {"value": 0.03, "std": 0.001, "unit": "s"}}}  # fmt: skip
-TOO_FEW = "1 compared flight is left to learn from, and a cause needs at least 2 beside those held out"
+TOO_FEW = "1 compared flight is left to learn from, and a cause needs at least 2 in addition to those held out"
 LOST = {"id": "tether", "since": "changed", "score": 0.4, "p": 0.69, "why_not": "p = 0.69 <beside> ground_effect"}
 
 
@@ -44,7 +44,7 @@ def document(effects=(), ties=(), left=()):
         "noise_floor": {"forces": {"Fz": {"0": 0.03}}}, "best_wrong_cause": {}, "generic_polynomial": {},
     }  # fmt: skip
     made = {
-        "schema": "quasi.gap/2", "name": "low", "model": "X", "extended_model": "X-low", "flights": ROLES, "gap": gap,
+        "schema": "quasi.gap/3", "name": "low", "model": "X", "extended_model": "X-low", "flights": ROLES, "gap": gap,
         "effects": list(effects), "ties": list(ties), "unexplained": list(left), "findings": [
             {"id": "timestamp_fault", "text": "flight new-1: the log lost 0.2 s", "evidence": {}}],
         "candidates": [LOST], "cannot_be_asked": [{"id": "battery_sag", "why": "no voltage & no commands"}],

@@ -6,13 +6,14 @@ import functools
 import numpy as np
 import pandas as pd
 import pytest
+from clarity import clear, drive_size
 
 from quasi.airframe import Airframe
 from quasi.gap.catalogue import catalogue
-from quasi.gap.flights.level import Flown, clear
+from quasi.gap.flights.level import Flown
 from quasi.gap.levels.drive.findings import saturated
 from quasi.gap.levels.drive.fit import LOOSE, Belief, belief_of, fit_drive
-from quasi.gap.levels.drive.identify import SPREAD, examine, size_of
+from quasi.gap.levels.drive.identify import NORMAL, examine
 from quasi.tables import TELEMETRY_AGE_REMOVED
 
 RATE, SECONDS, FINER = 500.0, 14.0, 4
@@ -202,13 +203,13 @@ def test_a_model_that_tells_whether_its_delay_holds_the_age_is_compared_like_wit
 def test_how_clearly_a_size_shows_by_level_a():
     level = examine([flown(s) for s in (1, 2, 3)], MODEL, {})
     healthy = {"up": UP, "down": DOWN, "exponent": 1.0}
-    sag = clear(level.tests, "battery_sag", "always", size_of("battery_sag", {"exponent": 0.7}, healthy))
+    sag = clear(level.tests, "battery_sag", "always", drive_size("battery_sag", {"exponent": 0.7}, healthy))
     # spread between three flights, and as much doubt about the model's own exponent
-    assert sag.detectability == pytest.approx(0.3 / np.hypot(SPREAD["exponent"] / np.sqrt(3.0), 0.03), rel=0.3)
-    late = clear(level.tests, "command_delay", "always", size_of("command_delay", {"delay": 0.008}, healthy))
+    assert sag.detectability == pytest.approx(0.3 / np.hypot(NORMAL["exponent"] / np.sqrt(3.0), 0.03), rel=0.3)
+    late = clear(level.tests, "command_delay", "always", drive_size("command_delay", {"delay": 0.008}, healthy))
     assert late.nearest == "telemetry_delay"
     assert late.separability < 0.3 * late.detectability
-    np.testing.assert_allclose(size_of("motor_lag", {"time_constant": 0.04}, healthy), [0.04 - UP, 0.04 - DOWN])
+    np.testing.assert_allclose(drive_size("motor_lag", {"time_constant": 0.04}, healthy), [0.04 - UP, 0.04 - DOWN])
 
 
 def test_rotors_that_are_switched_off_in_the_air_sit_at_no_limit():

@@ -28,11 +28,11 @@ ACTUATORS = {  # of the vehicle that made flights are of
 
 def test_what_is_examined_and_corrected_bears_the_catalogues_names_and_units():
     causes = catalogue()
-    for cause, effect in sensor_level.CAUSES.items():
+    for cause, effect in sensor_level.SENSOR_CAUSES.items():
         assert effect.level == "sensors"
         assert len({(p.unit, p.neutral) for p in effect.parameters.values()}) == 1
         assert (effect.corrects is None) == (cause == "attitude_error")
-    assert set(drive_level.CAUSES) <= set(causes)
+    assert set(drive_level.DRIVE_CAUSES) <= set(causes)
     for cause, (_, _, names) in corrections.CORRECTS.items():
         assert tuple(causes[cause].parameters) == names
 
@@ -98,7 +98,7 @@ def test_changes_are_corrected_in_compared_flights_alone_and_scales_multiply():
     np.testing.assert_allclose(reference["imu"]["gyro scale"], [1.02, 1.0, 0.99])
     assert compared["clock"] == {"rate": 1e-3}
     assert "clock" not in reference
-    assert corrections.for_flight(corrections.identity(), True) is None
+    assert corrections.for_flight(corrections.document([]), True) is None
 
 
 def test_of_a_tie_the_settled_member_is_corrected_else_the_first_with_a_note():

@@ -11,7 +11,7 @@ from quasi.command import main
 from quasi.errors import DataError
 from quasi.gap.comparing.differences import Estimate, differences, reject_by_holm
 from quasi.gap.comparing.flight_comparison import compare_flights, flights_plain, spread_between
-from quasi.gap.comparing.flight_quantities import UNITS, patterns_of, quantities_of
+from quasi.gap.comparing.flight_quantities import QUANTITY_UNITS, patterns_of, quantities_of
 from quasi.gap.comparing.model_comparison import compare_models
 from quasi.tables import write_json, write_table
 
@@ -31,7 +31,7 @@ def clean():
 
 def test_quantities_are_those_that_the_flight_was_made_with(clean):
     found = quantities_of(clean["clean-1"], "flight")
-    assert set(found) <= set(UNITS)
+    assert set(found) <= set(QUANTITY_UNITS)
     # the flight has a term in u^2 that the quantities lack
     assert found["thrust coefficient"].value == pytest.approx(THRUST, rel=0.03)
     for name, made in (("roll", ROLL), ("pitch", PITCH), ("yaw", YAW)):

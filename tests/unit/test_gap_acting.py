@@ -9,7 +9,7 @@ from test_gap_extension import CATALOGUE, base_of
 from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.effect_size import acting
-from quasi.gap.levels.forces.materiality import Cause
+from quasi.gap.materiality import Cause
 from quasi.gap.report.wording import amount_of
 from quasi.model.model import AXES
 

@@ -23,17 +23,18 @@ from quasi.gap.flights.covariates import places
 from quasi.gap.flights.gathering import gather, gather_all, refuse_another_vehicle
 from quasi.gap.flights.level import Flown, Level
 from quasi.gap.flights.residual_tables import where
-from quasi.gap.levels import imu_or_markers, materiality, tie_breaking
+from quasi.gap.levels import imu_or_markers, tie_breaking
 from quasi.gap.levels.corrections import corrected_at_import, uncorrected
 from quasi.gap.levels.drive import identify as drive_level
 from quasi.gap.levels.forces.case import Case
 from quasi.gap.levels.forces.design import gather_design
 from quasi.gap.levels.forces.error_reduction import after
 from quasi.gap.levels.forces.identify import examine
-from quasi.gap.levels.forces.materiality import Cause
 from quasi.gap.levels.forces.tables import wrench_tables
 from quasi.gap.levels.rollouts import split_flights
 from quasi.gap.levels.rollouts.confirmation import CONFIRMED, UNJUDGED, Confirmation, Settled
+from quasi.gap.levels.sensors_and_drive import reject_immaterial
+from quasi.gap.materiality import Cause
 from quasi.gap.planning import plan
 from quasi.gap.planning.plan_input import flights_of
 from quasi.gap.standing import _borne_out
@@ -227,7 +228,7 @@ def test_a_gap_without_any_velocity_is_not_judged_and_says_why(flight):
     said = made.document
     assert said["verdict"] == "not judged" and made.tables == {} and said["rollouts"] == {}
     assert said["summary"].startswith(
-        "Nothing is wrong with the rotor drive as far as this data tells; forces and moments could not be asked: no "
+        "Nothing is wrong with the rotor drive as far as this data shows; forces and moments could not be asked: no "
         "compared flights are left to learn from (flight a has no source of velocity but the accelerometer"
     )
     assert said["summary"].endswith(f"Sensors and clocks could not be asked: {why}.")
@@ -374,7 +375,7 @@ def test_a_held_out_flight_without_commands_cannot_tell_whether_a_drive_matters(
     }))}  # fmt: skip
     assert [e["id"] for e in level.effects] == ["motor_lag"]
     bare = flown(3).filtered.drop(columns=[f"command{i}" for i in range(1, 5)])
-    materiality.judge(levels, [Flown("f3", True, bare, {}, bare, {}, FRAME)], [], 0.05)
+    reject_immaterial(levels, [Flown("f3", True, bare, {}, bare, {}, FRAME)], [], 0.05)
     assert [e["id"] for e in levels["drive"]["effects"]] == ["motor_lag"]
     assert "flight f3 has no rotor commands" in levels["drive"]["notes"][0]
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from quasi.gap.levels.forces.error_reduction import Score, Squares, fraction, removed
+from quasi.gap.levels.forces.error_reduction import Squares, removed
 from quasi.gap.statistics import blocks
+from quasi.gap.statistics.scores import Score, fraction
 
 STEP = 0.2  # s between windows
 
@@ -58,7 +59,7 @@ def test_blocks_keep_to_their_flight_and_all_rows_count_alike():
     t = np.concatenate([np.arange(40), np.arange(20)]) * 0.5
     found = blocks.drawn(flight, t, np.where(flight == 0, 1.0, 3.0)[:, None])
     # two rows a second, 5 s a block: a block of the first flight sums to 10, one of the second to 30
-    assert found.sums.shape == (blocks.DRAWS, 1)
+    assert found.sums.shape == (blocks.BLOCK_DRAWS, 1)
     assert set(np.unique(found.sums)) <= {10.0 * (6 - k) + 30.0 * k for k in range(7)}
     assert found.sums.mean() == pytest.approx(40 * 1.0 + 20 * 3.0, rel=0.05)
     # six blocks: t of five degrees of freedom, and a variance that is a sixth too small

@@ -8,7 +8,7 @@ from plain_plant import made_model
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import Vehicle
 from quasi.gap.flights.gathering import gather
-from quasi.gap.levels.drive.fit import NAMES
+from quasi.gap.levels.drive.fit import CONSTANTS
 from quasi.gap.levels.rollouts import commanded, error_reduction, open_loop
 from quasi.model.model import Model
 from quasi.simulation.tools.replay import replay, to_euler_states
@@ -74,8 +74,8 @@ def predicted(model, flight):
 def test_the_floor_knows_the_drive_that_the_other_flights_tell(model, table):
     lazy = slower(model, 0.09)
     held = [evidence_of(lazy, table)]
-    beside = error_reduction.Beside(lambda f: f.residual, drive=known(LAG))
-    rolled = error_reduction.score(lazy, lazy, {"a": table}, held, HORIZONS, beside)
+    yardsticks = error_reduction.Yardsticks(lambda f: f.residual, drive=known(LAG))
+    rolled = error_reduction.score(lazy, lazy, {"a": table}, held, HORIZONS, yardsticks)
     rows = {(r["quantity"], r["horizon"]): r for r in rolled["fell"]["rollouts from commands"]}
     row = rows["velocity z", 0.5]
     assert row["before"] == row["after"] > 0.01
@@ -83,7 +83,7 @@ def test_the_floor_knows_the_drive_that_the_other_flights_tell(model, table):
     # with measured speeds the lag plays no part, and nothing can be removed
     assert rolled["rms"]["before"]["rollouts"]["velocity z"]["0.5"] < 1e-3
     # a drive that the others tell worse than the model does is no floor
-    worse = error_reduction.score(lazy, lazy, {"a": table}, held, HORIZONS, beside._replace(drive=known(0.3)))
+    worse = error_reduction.score(lazy, lazy, {"a": table}, held, HORIZONS, yardsticks._replace(drive=known(0.3)))
     found = worse["rms"]["noise_floor"]["rollouts from commands"]["velocity z"]["0.5"]
     assert found == pytest.approx(row["before"], rel=1e-6)
 
@@ -91,16 +91,16 @@ def test_the_floor_knows_the_drive_that_the_other_flights_tell(model, table):
 def test_every_quantity_and_horizon_has_floor_wrong_cause_and_polynomial_with_intervals(model, table):
     wrong = pushed(slower(model, 0.09), 0.05)
     extended, held = pushed(wrong, -0.04), [evidence_of(wrong, table)]
-    beside = error_reduction.Beside(
+    yardsticks = error_reduction.Yardsticks(
         lambda f: f.measured - predicted(model, f),
         {"wind": pushed(wrong, -0.01)},
         lambda f: f.residual + np.array([0, 0, 0.02, 0, 0, 0]),
         known(LAG),
         {"motor_lag": slower(pushed(model, 0.05), 0.06), "command_delay": slower(pushed(model, 0.05), 0.12)},
     )
-    rolled = error_reduction.score(wrong, extended, {"a": table}, held, HORIZONS, beside)
+    rolled = error_reduction.score(wrong, extended, {"a": table}, held, HORIZONS, yardsticks)
     rows = rolled["fell"]["rollouts from commands"]
-    names = [*open_loop.QUANTITIES, *open_loop.CHANNELS.values()]
+    names = [*open_loop.ERROR_UNITS, *open_loop.MOVED_BY.values()]
     assert [(r["quantity"], r["horizon"]) for r in rows] == [(q, h) for q in names for h in HORIZONS]
     for row in rows:
         assert 0.0 <= row["noise_floor"] <= row["after"] * 1.000001
@@ -116,7 +116,7 @@ def test_every_quantity_and_horizon_has_floor_wrong_cause_and_polynomial_with_in
     assert measured["generic_polynomial"]["value"] == pytest.approx(1.0 - 0.6**2, abs=0.02)
     assert best["removed"]["value"] > best["generic_polynomial"]["value"] > 0.0
     # a drive that is named asks for a polynomial with more terms, with commands alone
-    larger = beside._replace(told_yardstick=lambda f: f.residual + np.array([0, 0, 0.03, 0, 0, 0]))
+    larger = yardsticks._replace(commanded_polynomial=lambda f: f.residual + np.array([0, 0, 0.03, 0, 0, 0]))
     other = error_reduction.score(wrong, extended, {"a": table}, held, HORIZONS, larger)
     for line, gained in (("rollouts", False), ("rollouts from commands", True)):
         first, last = (r["rms"]["generic_polynomial"][line]["velocity z"]["0.5"] for r in (rolled, other))
@@ -136,11 +136,11 @@ def test_every_quantity_and_horizon_has_floor_wrong_cause_and_polynomial_with_in
 def test_a_change_of_forces_moves_command_driven_windows_as_the_changed_model_does(model, table):
     wrong = pushed(model, 0.05)
     tracks = error_reduction.tracks_of([evidence_of(wrong, table)], {"a": table}, HORIZONS, [wrong])
-    errors = error_reduction.simulated_errors(tracks, wrong, wrong, [open_loop.TOLD])
+    errors = error_reduction.simulated_errors(tracks, wrong, wrong, [open_loop.COMMANDED])
     better = error_reduction.moved_errors(
         tracks, errors, lambda f: f.residual, lambda f: f.measured - predicted(model, f)
     )
-    assert np.abs(better[open_loop.TOLD][0]).max() < 0.02 * np.abs(errors[open_loop.TOLD][0]).max()
+    assert np.abs(better[open_loop.COMMANDED][0]).max() < 0.02 * np.abs(errors[open_loop.COMMANDED][0]).max()
 
 
 def test_windows_without_commands_all_along_are_left_to_measured_speeds(model, table):
@@ -148,19 +148,19 @@ def test_windows_without_commands_all_along_are_left_to_measured_speeds(model, t
     track = error_reduction.tracks_of([evidence_of(model, gone)], {"a": gone}, HORIZONS, [model])[0]
     starts = track.course.flight.t[track.course.starts]
     expected = (starts + 0.5 < 3.0 - 1e-9) | (starts > 3.1 + 1e-9)
-    np.testing.assert_array_equal(track.told, expected)
-    assert 0 < (~track.told).sum() < 5
+    np.testing.assert_array_equal(track.has_commands, expected)
+    assert 0 < (~track.has_commands).sum() < 5
     line = "rollouts from commands"
     errors = error_reduction.simulated_errors([track], model, model, [line])
     found = error_reduction.end_table([track], errors[line], HORIZONS, line)
-    assert len(found) == 2 * track.told.sum() and found["velocity"].max() < 1e-3
+    assert len(found) == 2 * track.has_commands.sum() and found["velocity"].max() < 1e-3
     bare = gone.drop(columns=[f"w{i}_CMD" for i in range(1, 5)])
     alone = error_reduction.tracks_of([evidence_of(model, bare)], {"a": bare}, HORIZONS, [model])
-    assert error_reduction.lines_of(alone) == error_reduction.LINES
+    assert error_reduction.lines_of(alone) == error_reduction.SPEED_LINES
 
 
 def test_learned_constants_make_speeds_of_commands(model, table):
-    values = dict(zip(NAMES, [0.02, 0.04, 0.005, 400.0, 3000.0, -500.0, 0.5, 0.01, 0.0, 0.0, -0.01]))
+    values = dict(zip(CONSTANTS, [0.02, 0.04, 0.005, 400.0, 3000.0, -500.0, 0.5, 0.01, 0.0, 0.0, -0.01]))
     about = {"kind": "shares", "values": list(values.values()), "voltage": 16.0}
     shares = table.assign(**{f"command{i}": 0.1 * i for i in range(1, 5)}, battery_voltage=14.0)
     found, rotors = commanded.learned(about, open_loop.flight_of("a", shares), model)
@@ -177,9 +177,9 @@ def test_with_commands_the_best_wrong_cause_is_the_best_in_what_the_named_ones_m
     """One candidate mends the vertical motion, the other the sideward one."""
     wrong = pushed(pushed(model, 0.05), 0.05, "Fy")
     drives = {"motor_lag": pushed(model, 0.05, "Fy"), "battery_sag": pushed(model, 0.05)}
-    beside = error_reduction.Beside(wrong_drives=drives, quantities=[quantity])
+    yardsticks = error_reduction.Yardsticks(wrong_drives=drives, quantities=[quantity])
     held = [evidence_of(wrong, table)]
-    assert error_reduction.score(wrong, wrong, {"a": table}, held, HORIZONS, beside)["wrong"] == {
+    assert error_reduction.score(wrong, wrong, {"a": table}, held, HORIZONS, yardsticks)["wrong"] == {
         "rollouts from commands": name
     }
 

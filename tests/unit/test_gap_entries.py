@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from quasi.gap.effect import Effect
-from quasi.gap.entries import ALONE, BESIDE, SURE, needed, of_late_telemetry
-from quasi.gap.levels.forces.materiality import Cause
+from quasi.gap.entries import ALONE, STRONGEST, WEAKER, needed, of_late_telemetry
+from quasi.gap.materiality import Cause
 from quasi.gap.statistics import mixed
 
 LEVEL = 1e-3
@@ -27,30 +27,30 @@ def share(p, others=(), foreign=False, since="always", judged=True):
 
 def test_a_cause_needs_to_come_again_more_often_beside_a_stronger_one():
     assert share(1e-4) == ALONE
-    assert share(1e-4, [cause("fainter", 9e-4)]) == SURE
-    assert share(1e-4, [cause("stronger", 1e-9)]) == BESIDE
+    assert share(1e-4, [cause("fainter", 9e-4)]) == STRONGEST
+    assert share(1e-4, [cause("stronger", 1e-9)]) == WEAKER
     assert share(1e-4, [cause("elsewhere", 1e-9, since="changed")]) == ALONE
 
 
 def test_what_is_far_beyond_chance_needs_half_as_many_beside_a_stronger_one():
     stronger = [cause("stronger", 1e-12)]
     assert share(0.009 * LEVEL, stronger) == pytest.approx(0.5 * share(0.011 * LEVEL, stronger))
-    for others, least in (([], ALONE), ([cause("fainter", 9e-4)], SURE)):
+    for others, least in (([], ALONE), ([cause("fainter", 9e-4)], STRONGEST)):
         assert share(1e-9, others) == least  # a few seconds of flight, or what resembles it, may make all of it
 
 
-@pytest.mark.parametrize("since, least", [("always", SURE), ("changed", BESIDE)])
+@pytest.mark.parametrize("since, least", [("always", STRONGEST), ("changed", WEAKER)])
 def test_what_no_sound_vehicle_has_is_no_remainder_of_what_a_model_lacks_of_its_own(since, least):
     lacking = cause("drag", 1e-20, since=since)
     assert share(1e-4, [lacking], foreign=True, since=since) == least
-    assert share(1e-4, [cause("wind", 1e-20, True, since)], foreign=True, since=since) == BESIDE
+    assert share(1e-4, [cause("wind", 1e-20, True, since)], foreign=True, since=since) == WEAKER
 
 
 def test_what_held_out_flights_cannot_judge_comes_again_more_often():
-    assert share(1e-9, judged=False) == SURE > ALONE
+    assert share(1e-9, judged=False) == STRONGEST > ALONE
     stronger = [cause("stronger", 1e-12)]
-    assert share(1e-9, stronger, judged=False) == SURE > share(1e-9, stronger)
-    assert share(9e-4, stronger, judged=False) == BESIDE
+    assert share(1e-9, stronger, judged=False) == STRONGEST > share(1e-9, stronger)
+    assert share(9e-4, stronger, judged=False) == WEAKER
 
 
 def delay(name, value, std=0.001, since="always"):

@@ -87,7 +87,7 @@ def test_the_second_half_tells_nothing(base):
     _, evidence = flown(truth, base)
     level = np.full(6, 1e-4)
     found = split_flights.own(evidence, base, base, (), vehicle_of(base), level)
-    late = evidence.t > found.until + split_flights.REACH
+    late = evidence.t > found.until + split_flights.FILTER_REACH
     spoiled = evidence.measured.copy()
     spoiled[late] += 1.0
     other = split_flights.own(replace(evidence, measured=spoiled), base, base, (), vehicle_of(base), level)

@@ -8,7 +8,7 @@ from made_recordings import planted
 from quasi.gap.catalogue import catalogue
 from quasi.gap.flights.level import Level
 from quasi.gap.levels import corrections
-from quasi.gap.levels.imu_or_markers import ACROSS, APART, TAKEN_UP, felt, settle, weigh
+from quasi.gap.levels.imu_or_markers import ACROSS, DECIDED, TAKEN_UP, felt, settle, weigh
 from quasi.gap.levels.sensors import identify as sensor_level
 from quasi.synthesis.nuisance import nominal
 from quasi.synthesis.vehicle import hover_factors
@@ -51,7 +51,7 @@ def test_the_weighing_names_what_leaves_the_smaller_squared_error(arm):
     arm = np.array(arm)
     for imu, markers in ((arm, 0 * arm), (0 * arm, -arm)):
         points = weigh(imu - markers, STD, imu, STD)
-        assert points.told
+        assert points.is_decided
         np.testing.assert_allclose(points.imu, imu, atol=1e-12)
         np.testing.assert_allclose(points.markers, markers, atol=1e-12)
 
@@ -77,11 +77,11 @@ def test_both_points_are_moved_where_neither_alone_explains_what_is_seen():
 def test_a_little_beside_a_long_arm_is_not_told_as_the_other_point():
     # a twenty-fifth of the arm is what a model's terms may make up on another axis
     points = weigh(np.array([0.015, 0, 0]), STD, np.array([0.014, 0, 0.0015]), STD)
-    assert points.told
+    assert points.is_decided
     np.testing.assert_allclose(points.markers, 0.0)
     assert abs(points.imu[2]) < 5e-4
     alone = weigh(np.array([0.0, 0, 0.002]), STD, np.array([0.0, 0, 0.002]), STD)
-    assert alone.told and alone.imu[2] == pytest.approx(0.002)
+    assert alone.is_decided and alone.imu[2] == pytest.approx(0.002)
 
 
 def test_forces_that_cannot_tell_leave_a_tie_with_both_ways_to_read_it(monkeypatch):
@@ -93,6 +93,6 @@ def test_forces_that_cannot_tell_leave_a_tie_with_both_ways_to_read_it(monkeypat
     assert not level.effects
     (tie,) = level.ties
     assert tie["ids"] == ["imu_lever_arm", "marker_offset"]
-    assert tie["separability"] < APART**0.5
+    assert tie["separability"] < DECIDED**0.5
     for axis in "xyz":
         assert tie["parameters"]["marker_offset"][axis]["value"] == -arm[axis]["value"]

@@ -20,7 +20,7 @@ from gap_documents import (
 
 from quasi.gap.levels.rollouts.open_loop import TYPICAL
 from quasi.gap.levels.sensors_and_drive import units_of
-from quasi.gap.report.figures import figures, telling, with_errors
+from quasi.gap.report.figures import figures, select_panels, with_errors
 from quasi.gap.report.page import page
 from quasi.gap.report.wording import confirmation_of, rollout_of, summary
 
@@ -44,8 +44,8 @@ def test_several_causes_are_a_line_and_a_list_not_a_wall_of_words():
         "<strong>2 causes are named: the rotors make more thrust near the floor (ground effect), which explains 86 % "
         "(95 %: 70 to 95) of the removable vertical force error (Fz) on the held-out flight; the rotors follow their "
         "commands with another lag than the model&#x27;s (motor lag), which explains 80 % of the removable error of "
-        "rotor speeds at given commands on the held-out flight; tested in their place and lost: tether; it cannot be "
-        "told whether mass or thrust factor is there; something in yaw moment stays unexplained.</strong></p>"
+        "rotor speeds at given commands on the held-out flight; tested in their place and lost: tether; the data "
+        "cannot decide whether mass or thrust factor is there; something in yaw moment stays unexplained.</strong></p>"
     ) in line
     assert "±" not in line
     listed = re.findall(r"<li>(.*?)</li>", text[text.index("</p>", text.index("verdict")) : text.index("What to do")])
@@ -132,10 +132,11 @@ def test_places_worth_a_panel_are_those_that_change_or_stand_out():
             for kind, f in (("mean", np.mean), ("rms", lambda v: np.sqrt(np.mean(v**2))))}}
         for where in ("height", "speed") for at, part in table.groupby(where) for axis in ("Fx", "Fy", "Fz")
     ]  # fmt: skip
-    told = with_errors(pd.DataFrame(bins), table)
+    errors = with_errors(pd.DataFrame(bins), table)
     scatter = 0.02 / np.sqrt(n / 2 / 50)
-    assert (told[told["channel"] == "Fy"]["std_after"] / scatter).between(0.5, 2.0).all()
-    assert {("Fz", "height"), ("Fx", "speed")} <= set(telling(told)) and ("Fy", "height") not in telling(told)
+    assert (errors[errors["channel"] == "Fy"]["std_after"] / scatter).between(0.5, 2.0).all()
+    panels = select_panels(errors)
+    assert {("Fz", "height"), ("Fx", "speed")} <= set(panels) and ("Fy", "height") not in panels
     drawn = figures({"forces_where": pd.DataFrame(bins), "forces_residuals": table})["where"]
     labels = [t for panel in drawn.axes for t in (panel.xaxis.label, panel.yaxis.label, *panel.get_xticklabels())]
     assert min(t.get_fontsize() for t in labels) >= 9 and drawn.get_figwidth() == 10.5

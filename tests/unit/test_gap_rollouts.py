@@ -183,11 +183,11 @@ def test_a_constant_error_goes_into_the_trim_of_the_seconds_before(model):
     wrong, table = moved(model, 0.05), flown(model)
     tracks = error_reduction.tracks_of([evidence_of(wrong, table)], {"a": table}, [0.5])
     found = error_reduction.simulated_errors(tracks, wrong, wrong)
-    plain, trimmed = (error_reduction.end_table(tracks, found[line], [0.5]) for line in error_reduction.LINES)
+    plain, trimmed = (error_reduction.end_table(tracks, found[line], [0.5]) for line in error_reduction.SPEED_LINES)
     # 0.05 N on 0.43 kg against drag of 0.15 N per m/s
     c = 0.15 / 0.43
     assert plain["velocity"].mean() == pytest.approx(0.05 / 0.43 * (1 - np.exp(-0.5 * c)) / c, rel=0.08)
-    later = trimmed["start"] > error_reduction.TRIM + error_reduction.MARGIN
+    later = trimmed["start"] > error_reduction.TRIM_S + error_reduction.MARGIN
     assert later.any() and trimmed["velocity z"][later].max() < 0.02 * plain["velocity z"].mean()
     # before that only what was flown until then counts; without half a second of it there is no trim
     first = trimmed["start"] < error_reduction.MARGIN
@@ -213,8 +213,8 @@ def test_a_trim_turns_a_model_of_another_inertia_as_the_flight_was_turned():
     table = table.assign(**{a: read[:, k] for k, a in enumerate(("Mx", "My", "Mz"))})
     tracks = error_reduction.tracks_of([evidence_of(base, table)], {"a": table}, [0.5])
     found = error_reduction.simulated_errors(tracks, extended, base)
-    plain, trimmed = (error_reduction.end_table(tracks, found[line], [0.5]) for line in error_reduction.LINES)
-    later = trimmed["start"] > error_reduction.TRIM + error_reduction.MARGIN
+    plain, trimmed = (error_reduction.end_table(tracks, found[line], [0.5]) for line in error_reduction.SPEED_LINES)
+    later = trimmed["start"] > error_reduction.TRIM_S + error_reduction.MARGIN
     for name in ("rate x", "rate y"):
         assert trimmed[name][later].max() < 0.01 * plain[name][later].min()
 
@@ -235,8 +235,8 @@ def test_a_trim_pushes_a_model_of_another_mass_as_the_flight_was_pushed():
     evidence = evidence_of(Model(document), table.assign(**read))
     tracks = error_reduction.tracks_of([evidence], {"a": table}, [0.5])
     found = error_reduction.simulated_errors(tracks, base, base)
-    plain, trimmed = (error_reduction.end_table(tracks, found[line], [0.5]) for line in error_reduction.LINES)
-    later = trimmed["start"] > error_reduction.TRIM + error_reduction.MARGIN
+    plain, trimmed = (error_reduction.end_table(tracks, found[line], [0.5]) for line in error_reduction.SPEED_LINES)
+    later = trimmed["start"] > error_reduction.TRIM_S + error_reduction.MARGIN
     assert trimmed["velocity z"][later].max() < 0.01 * plain["velocity z"].mean()
 
 
@@ -247,7 +247,7 @@ def test_errors_that_a_change_of_forces_moves_are_those_of_the_changed_model(mod
     better = error_reduction.moved_errors(
         tracks, errors, lambda flight: flight.residual, lambda flight: flight.measured - predicted(model, flight)
     )
-    for line in error_reduction.LINES:
+    for line in error_reduction.SPEED_LINES:
         assert np.abs(better[line][0]).max() < 0.02 * np.abs(errors["rollouts"][0]).max()
 
 
@@ -276,8 +276,8 @@ def test_shares_are_of_what_can_be_removed_and_silent_where_the_floor_holds_it_a
 def test_what_a_cause_is_worth_is_told_by_line_channel_and_horizon(model):
     wrong, table = moved(model, 0.05), flown(model)
     evidence = evidence_of(wrong, table)
-    beside = error_reduction.Beside(lambda f: f.measured - predicted(model, f))
-    rolled = error_reduction.score(wrong, model, {"a": table}, [evidence], [0.2, 0.5], beside)
+    yardsticks = error_reduction.Yardsticks(lambda f: f.measured - predicted(model, f))
+    rolled = error_reduction.score(wrong, model, {"a": table}, [evidence], [0.2, 0.5], yardsticks)
     rows = error_reduction.worth(rolled, rolled["errors"]["before"], ("Fz", "My"), [0.2, 0.5])
     assert len(rows) == 8
     best = next(r for r in rows if (r["line"], r["quantity"], r["horizon"]) == ("rollouts", "velocity z", 0.5))

@@ -11,7 +11,8 @@ from quasi.gap.levels.forces.identify import compute_leading_p
 from quasi.gap.levels.forces.nuisance import session_nuisances
 from quasi.gap.selection import Profile
 from quasi.gap.statistics import mixed
-from quasi.gap.statistics.mixed import Candidate, ClusteredMixedModel, Columns
+from quasi.gap.statistics.clustered import ClusteredMixedModel
+from quasi.gap.statistics.mixed import Candidate, Columns
 
 
 @pytest.mark.parametrize(
@@ -141,7 +142,7 @@ def test_what_one_session_has_in_all_its_flights_is_no_fault_of_them():
         grams.append(z.T @ z)
     offer = Candidate("bias", "always", (0,))
     known, unknown = (
-        level.Tests(grams, [True] * 5, layout, 1e6, sessions=s).test(offer) for s in (["hall"] * 5, [""] * 5)
+        level.SensorMixedModel(grams, [True] * 5, layout, 1e6, sessions=s).test(offer) for s in (["hall"] * 5, [""] * 5)
     )
     assert unknown.p < 0.01
     assert known.p > 0.05
@@ -149,4 +150,4 @@ def test_what_one_session_has_in_all_its_flights_is_no_fault_of_them():
         0.0142, rel=0.05
     )  # of the session, and of five flights with twice its variance
     large = [g * np.outer([1, 0.1, 0.1], [1, 0.1, 0.1]) for g in grams]  # ten times the bias
-    assert level.Tests(large, [True] * 5, layout, 1e6, sessions=["hall"] * 5).test(offer).p < 1e-6
+    assert level.SensorMixedModel(large, [True] * 5, layout, 1e6, sessions=["hall"] * 5).test(offer).p < 1e-6

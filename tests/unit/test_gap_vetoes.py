@@ -10,7 +10,7 @@ from test_gap_extension import flight as made
 
 from quasi.gap.base_model import worth_of
 from quasi.gap.catalogue import catalogue
-from quasi.gap.constant_loads import CAUSES, constant_force_tie
+from quasi.gap.constant_loads import FORCE_CAUSES, constant_force_tie
 from quasi.gap.diagnosis import verdict_of
 from quasi.gap.veto import Loss, reject_losing_causes, trim_is_usual
 from quasi.model.model import Model
@@ -127,7 +127,7 @@ def test_a_constant_force_far_beyond_trim_is_a_tie_and_trim_is_not(flights, shar
         assert found == []
         return
     [tie] = found
-    assert tie["ids"] == list(CAUSES)
+    assert tie["ids"] == list(FORCE_CAUSES)
     assert tie["constant force"]["north"]["value"] == pytest.approx(share * compared[0].mass * 9.81, rel=0.02)
     assert tie["constant force"]["east"]["value"] == pytest.approx(0.0, abs=1e-6)
 

@@ -14,10 +14,10 @@ from test_kinematic import flown as sensed
 from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.level import Flown
-from quasi.gap.flights.residual_tables import LAG, LEAST, beside, where, whiteness
+from quasi.gap.flights.residual_tables import FAR_LAG, LEAST_BIN_ROWS, places_at, where, whiteness
 from quasi.gap.levels.drive import identify as drive_level
 from quasi.gap.levels.forces.tables import _merged, _spectrum, wrench_tables
-from quasi.gap.levels.rollouts.covariates import UNITS, channels_of, placed, where_of
+from quasi.gap.levels.rollouts.covariates import UNIT_OF, channels_of, placed, where_of
 from quasi.gap.levels.sensors import identify as sensor_level
 from quasi.gap.levels.sensors_and_drive import units_of
 from quasi.model.model import AXES
@@ -37,7 +37,7 @@ def frame():
 def test_a_flight_tells_all_places_that_it_knows():
     flight = Flown("a", True, frame()[["t", "z"]], {}, frame(), {}, FRAME)
     at = np.array([0.505, 2.003])
-    found = beside(flight, at)
+    found = places_at(flight, at)
     induced = np.sqrt(FRAME.mass * GRAVITY / (2.0 * AIR_DENSITY * 4.0 * np.pi * FRAME.radius**2))
     for name, value in {
         "speed": 2.0, "height": 8.0 - 2.0 * at, "heading": [np.pi - 0.7475, 0.0015 - np.pi], "room_x": 0.3 * at,
@@ -45,7 +45,7 @@ def test_a_flight_tells_all_places_that_it_knows():
     }.items():  # fmt: skip
         np.testing.assert_allclose(found.pop(name), np.broadcast_to(value, 2), atol=1e-4, err_msg=name)
     assert not found
-    assert set(beside(Flown("a", True, frame()[["t", "z"]], {}, frame()[["t"]], {}, FRAME), at)) == {"height"}
+    assert set(places_at(Flown("a", True, frame()[["t", "z"]], {}, frame()[["t"]], {}, FRAME), at)) == {"height"}
 
 
 def test_bins_show_where_an_error_lives_and_hold_enough_rows():
@@ -58,8 +58,8 @@ def test_bins_show_where_an_error_lives_and_hold_enough_rows():
     assert first["middle"] < 0.5 and rest["mean_before"].abs().max() < 0.02
     np.testing.assert_allclose(found["mean_after"], 0.1)
     few = where(table.iloc[::8], {"Fz": "N"}, ("before", "after"))
-    assert len(few) == 2 and (few["rows"] >= LEAST).all()
-    assert not len(where(table.iloc[: LEAST - 1], {"Fz": "N"}, ("before", "after")))
+    assert len(few) == 2 and (few["rows"] >= LEAST_BIN_ROWS).all()
+    assert not len(where(table.iloc[: LEAST_BIN_ROWS - 1], {"Fz": "N"}, ("before", "after")))
 
 
 def test_levels_of_sensors_and_drive_tell_where_their_errors_live():
@@ -100,13 +100,13 @@ def test_whiteness_is_the_correlation_of_the_residual_with_itself_at_any_rate(ra
     t = np.arange(n) / rate
     series = {"before": np.column_stack([7.0 + slow, noise]), "floor": np.column_stack([noise, 0.0 * noise])}
     first, second = whiteness(series, t, one_break(n))
-    assert first["whiteness_before"] == pytest.approx(np.exp(-LAG / 0.5), abs=0.05)
+    assert first["whiteness_before"] == pytest.approx(np.exp(-FAR_LAG / 0.5), abs=0.05)
     assert first["whiteness_floor"] == second["whiteness_before"] == pytest.approx(0.0, abs=0.03)
     assert np.isnan(second["whiteness_floor"])
 
 
 def test_whiteness_reaches_over_no_break():
-    """Each stretch is one number: beside its neighbours it is at random, within itself it stays."""
+    """Each stretch is one number: places_at its neighbours it is at random, within itself it stays."""
     length, n = 60, 6000  # rows of 0.01 s: a stretch of 0.6 s
     levels = np.repeat(np.random.default_rng(7).standard_normal(n // length), length)[:, None]
     t, starts = np.arange(n) / 100.0, np.arange(n) % length == 0
@@ -132,7 +132,7 @@ def test_every_level_tells_the_whiteness_of_its_own_rows():
     for tables in levels:
         for _, row in tables["channels"].iterrows():
             rows = tables["residuals"].query(f"flight == {row['flight']!r}")
-            step = round(LAG / np.median(np.diff(rows["t"])))
+            step = round(FAR_LAG / np.median(np.diff(rows["t"])))
             for word in ("before", "after", "floor"):
                 if f"whiteness_{word}" in row:
                     x = rows[f"{row['channel']}_{word}"].to_numpy()
@@ -152,8 +152,8 @@ def windows():
         for horizon in (0.5, 1.0):
             size = np.where(8.0 - 2.0 * starts < 4.05, low, 1.0) * horizon
             size = np.where((model == "before") & (starts == starts[-1]), np.nan, size)
-            parts.append(pd.DataFrame({"flight": "a", "start": starts, "horizon": horizon, **dict.fromkeys(UNITS, size),
-                                       "driven": "rollouts", "model": model}))  # fmt: skip
+            parts.append(pd.DataFrame({"flight": "a", "start": starts, "horizon": horizon, "driven": "rollouts",
+                                       "model": model, **dict.fromkeys(UNIT_OF, size)}))  # fmt: skip
     return placed(pd.concat(parts, ignore_index=True), [flight])
 
 

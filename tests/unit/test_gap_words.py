@@ -53,14 +53,14 @@ def test_an_unexplained_residual_is_told_with_its_size_and_where_it_lives():
     left = {"channel": "Fz", "judged": True, "share": 0.5, "size": 0.123, "unit": "N", "since": "changed"}
     at = left_sentence({**left, "where": "heading", "mostly": [[0.7, 1.05], [2.0, 2.1]]})
     assert "is off by 0.12 N rms in the compared flights along the heading, mostly at 40 to 60 and 114.6 to 120.3" in at
-    assert "deg: 50 % of its removable error on the held-out flights, which no cause explains." in at
+    assert "deg, with 50 % of its removable error on the held-out flights. No cause explains this." in at
     place = left_sentence({**left, "where": "room place", "mostly": [[1.2, -0.8]]})
     assert "along the room place, mostly near x = 1.2 m, y = -0.8 m" in place
     assert "rms in time, at 0.38 to 0.42 Hz" in left_sentence({**left, "where": "frequency", "mostly": [[0.38, 0.42]]})
     whole = left_sentence({**left, "where": "time", "mostly": [[0.0, 20.0]], "share": None})
-    assert whole.endswith("along the time, mostly at 0 to 20 s, on the held-out flights too, which no cause explains.")
+    assert whole.endswith("along the time, mostly at 0 to 20 s, on the held-out flights too. No cause explains this.")
     nowhere = left_sentence({**left, "where": "everywhere", "mostly": [], "judged": False, "share": None})
-    assert "rms in the compared flights everywhere: which cannot be judged on the held-out flights" in nowhere
+    assert "rms in the compared flights everywhere; the held-out flights do not go there" in nowhere
 
 
 def test_the_summary_names_cause_size_share_rivals_ties_and_what_is_left():
@@ -70,9 +70,9 @@ def test_the_summary_names_cause_size_share_rivals_ties_and_what_is_left():
         "simulated velocity. Named again in 98 % of resamples; the probability that it is there is 0.97.",
         "the velocity error goes from 0.5 to 0.4 m/s. Removable error of forces, moments and motion is what lies "
         "(squared) above the best fit of the model's terms and all causes together",
-        "Mass or thrust factor: this data cannot tell which (separability 1.3 standard errors); to settle it: weigh",
-        "The yaw moment (Mz) is off along the heading: 40 % of its removable error on the held-out flights, which no "
-        "cause explains.",
+        "Mass or thrust factor: this data cannot decide which (separability 1.3 standard errors); to settle it: weigh",
+        "The yaw moment (Mz) is off along the heading, with 40 % of its removable error on the held-out flights. No "
+        "cause explains this.",
     ):
         assert words in text
     assert "sensors and rotor speeds" not in text
@@ -89,8 +89,8 @@ def test_the_box_begins_with_one_sentence_that_says_it_all():
     assert first == (
         "The rotors make more thrust near the floor (ground effect: c = 5.64 ± 0.48); it explains 86 % (95 %: 70 to "
         "95) of the removable vertical force error (Fz) on the held-out flight; tether was tested in place of ground "
-        "effect and lost (tether: p = 0.69); it cannot be told whether mass or thrust factor is there; something in "
-        "yaw moment stays unexplained."
+        "effect and lost (tether: p = 0.69); the data cannot decide whether mass or thrust factor is there; something "
+        "in yaw moment stays unexplained."
     )
     assert html.unescape(f"{first} {more}") == made["summary"] and more.startswith("Ground effect: this is new")
     none = re.search(r'class="verdict.*?<strong>(.*?)</strong></p>', page(document(), KNOWN, None, {}))[1]
@@ -149,7 +149,7 @@ def test_a_leaning_attitude_is_told_as_not_corrected_and_what_to_do():
 def test_a_diagnosis_without_judged_forces_says_why_and_is_never_green(why):
     made = not_judged(why)
     assert made["summary"] == (
-        "Nothing is wrong with sensors, clocks and the rotor drive as far as this data tells; forces and moments could "
+        "Nothing is wrong with sensors, clocks and the rotor drive as far as this data shows; forces and moments could "
         f"not be asked: {why}."
     )
     text = page(made, KNOWN, None, {})
@@ -173,7 +173,7 @@ def test_causes_that_the_gap_names_and_that_could_not_be_asked_are_told():
         ({"effects": [EFFECT]}, ["snakemake models/X-low/standalone", "X with ground effect"]),
         ({"effects": [LAG]}, ["X with motor lag: snakemake models/X-low/standalone"]),
         ({"effects": [TURN]}, ["(x = 0.0120 ± 0.0010 m): add it to 'optitrack marker cg offset'", "corrected already"]),
-        ({"ties": [TIE]}, ["To tell mass and thrust factor apart: weigh it"]),
+        ({"ties": [TIE]}, ["To distinguish mass and thrust factor: weigh it"]),
         ({"left": [{**LEFT, "mostly": [[0.7, 1.05]]}]}, ["along the heading, mostly at 40 to 60 deg", "gaps.md"]),
         ({"left": [{**LEFT, "where": "frequency", "mostly": [[1.2, 1.4]]}]}, ["swings at 1.20 to 1.40 Hz"]),
         ({"left": [{**LEFT, "where": "everywhere"}]}, ["off everywhere"]),

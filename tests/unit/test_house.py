@@ -59,7 +59,7 @@ FLOORS = [
     {"statistics"},
     {"flights"},
     {"effect", "causes", "extension", "own_effect", "catalogue", "causes_page"},
-    {"selection"},
+    {"selection", "materiality"},
     {"levels.forces"},
     {"levels.sensors", "levels.drive", "levels.selected"},
     {"levels"},

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from clarity import clear
 from made_motion import at_times, body
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
@@ -12,10 +13,10 @@ from scipy.spatial.transform import Rotation, Slerp
 from quasi import attitude
 from quasi.airframe import Airframe
 from quasi.errors import DataError
-from quasi.gap.flights.level import Flown, clear
+from quasi.gap.flights.level import Flown
 from quasi.gap.levels.sensors.columns import weak_form, windows
 from quasi.gap.levels.sensors.findings import shaken, torn
-from quasi.gap.levels.sensors.identify import SPREAD, examine, size_of
+from quasi.gap.levels.sensors.identify import NORMAL_SPREAD, examine, size_of
 from quasi.gap.statistics.mixed import Candidate
 from quasi.importing.resampling import resample_attitude
 
@@ -143,7 +144,7 @@ def test_how_clearly_a_size_shows_follows_from_what_flights_differ_by(clean):
     """Biases are seen sharply in each flight, so that the spread between the three is all the doubt there is."""
     for cause, size in (("gyro_bias", 0.05), ("accelerometer_bias", 0.4)):
         shown = clear(clean.tests, cause, "always", size_of(cause, {"x": size}))
-        assert shown.detectability == pytest.approx(size / (SPREAD[cause] / np.sqrt(3.0)), rel=0.25)
+        assert shown.detectability == pytest.approx(size / (NORMAL_SPREAD[cause] / np.sqrt(3.0)), rel=0.25)
         assert shown.separability == pytest.approx(shown.detectability, rel=0.1)
         twice = clear(clean.tests, cause, "always", size_of(cause, {"x": 2.0 * size}))
         assert twice.detectability == pytest.approx(2.0 * shown.detectability)
@@ -154,7 +155,7 @@ def test_beside_its_twin_a_turn_shows_least(clean):
         shown = clear(clean.tests, cause, "always", size_of(cause, {"roll": 0.03, "yaw": 0.02}))
         assert shown.nearest == twin
         assert shown.separability < 0.8 * shown.detectability
-        assert all(v <= 1.001 * shown.detectability for v in shown.beside.values())
+        assert all(v <= 1.001 * shown.detectability for v in shown.with_rival.values())
 
 
 def test_a_stated_scale_is_what_it_takes_off_the_measurement():

@@ -10,19 +10,19 @@ from test_actuation import flown as driven
 from test_kinematic import flown as moved
 
 from quasi.gap.entries import lower_effect
-from quasi.gap.levels import materiality, sensors_and_drive
+from quasi.gap.levels import sensors_and_drive
 from quasi.gap.levels.corrections import document, for_flight
 from quasi.gap.levels.drive import identify as drive_level
-from quasi.gap.levels.materiality import Side, worth
 from quasi.gap.levels.sensors import identify as sensor_level
-from quasi.gap.levels.sensors_and_drive import FAINTEST, SEARCHES, rate_of
+from quasi.gap.levels.sensors_and_drive import FAINTEST, SEARCHES, rate_of, reject_immaterial
+from quasi.gap.materiality import LinearErrors, gains_of
 
 SHARE = 0.05
 
 
 def settle_on(level, flights):
     """The level as the calibration's file holds it."""
-    level.found_on = materiality.found_on(level, flights)
+    level.found_on = sensors_and_drive.found_on(level, flights)
     return {level.level: json.loads(json.dumps(sensors_and_drive.plain(level)))}
 
 
@@ -32,8 +32,8 @@ def test_what_leaving_a_cause_out_costs_by_hand():
     noise = 0.01 * np.sin(2 * np.pi * 40 * t)
     columns = np.stack([np.stack([one, two], axis=1), np.zeros((1000, 2))], axis=1)  # the second channel feels nothing
     before = np.stack([3.0 * one + 1.0 * two + noise, noise], axis=1)
-    side = Side(before, np.stack([noise, noise], axis=1), columns)
-    found = worth([side], {"a": np.array([3.0, 0.0]), "b": np.array([0.0, 0.5])})
+    side = LinearErrors(before, np.stack([noise, noise], axis=1), columns)
+    found = gains_of([side], {"a": np.array([3.0, 0.0]), "b": np.array([0.0, 0.5])})
     # a takes off all of 9/2; b leaves a half of its amplitude: of 1/2 goes 1/2 - 1/8
     np.testing.assert_allclose([found["a"].removed[0], found["b"].removed[0]], [9 / 10, (1 - 0.25) / 10], rtol=1e-6)
     np.testing.assert_allclose([found["a"].most[0], found["b"].most[0]], [9 / 10, 0.25 / 10], rtol=1e-6)
@@ -50,7 +50,7 @@ def biased():
 
 def test_a_bias_that_held_out_flights_have_too_keeps_its_name_with_its_share(biased):
     levels = json.loads(json.dumps(biased))
-    materiality.judge(levels, [], [moved(3)], SHARE)  # held out and corrected: nothing is left of it
+    reject_immaterial(levels, [], [moved(3)], SHARE)  # held out and corrected: nothing is left of it
     (effect,) = levels["sensors"]["effects"]
     assert effect["removed"]["p"] > 0.95 and effect["removed"]["r"] > 0.95
     assert set(effect["removed"]) <= set("pqr")
@@ -59,7 +59,7 @@ def test_a_bias_that_held_out_flights_have_too_keeps_its_name_with_its_share(bia
 def test_a_bias_that_held_out_flights_do_not_have_loses_its_name_and_says_why(biased):
     levels = json.loads(json.dumps(biased))
     wrongly = moved(3, gyro_bias=-np.array([0.08, 0.0, -0.05]))  # corrected for what it never had
-    materiality.judge(levels, [], [wrongly], SHARE)
+    reject_immaterial(levels, [], [wrongly], SHARE)
     assert not levels["sensors"]["effects"]
     (lost,) = [c for c in levels["sensors"]["candidates"] if c["id"] == "gyro_bias"]
     assert "removes 0 % of the removable error on held-out flights, expected 5 %" in lost["why_not"]
@@ -74,18 +74,18 @@ def test_a_leaning_attitude_is_judged_as_it_flew_for_nothing_corrects_it():
     assert for_flight(document([level]), True) is None
     for gain, least, most in ((0.5, 0.95, 1.01), (0.25, -1.0, 0.1)):  # twice what is there leaves as much
         anew = json.loads(json.dumps(levels))
-        materiality.judge(anew, [], [moved(3, onboard_gain=gain)], -2.0)
+        reject_immaterial(anew, [], [moved(3, onboard_gain=gain)], -2.0)
         (effect,) = anew["sensors"]["effects"]
         assert least < max(effect["removed"].values()) < most, effect["removed"]
-    told = lower_effect(effect, "sensors", {"before": {}, "after": {}, "noise_floor": {}})
-    assert told["gain"]["wrench"] is None and "removed" not in told
-    materiality.judge(levels, [], [moved(3, onboard_gain=0.0)], SHARE)
+    effect = lower_effect(effect, "sensors", {"before": {}, "after": {}, "noise_floor": {}})
+    assert effect["gain"]["wrench"] is None and "removed" not in effect
+    reject_immaterial(levels, [], [moved(3, onboard_gain=0.0)], SHARE)
     assert not levels["sensors"]["effects"] and not any("stay corrected" in n for n in levels["sensors"]["notes"])
 
 
 def test_without_a_held_out_flight_with_capture_it_is_not_asked(biased):
     levels = json.loads(json.dumps(biased))
-    materiality.judge(levels, [], [], SHARE)
+    reject_immaterial(levels, [], [], SHARE)
     assert [e["id"] for e in levels["sensors"]["effects"]] == ["gyro_bias"]
     assert any("no flight is held out" in n for n in levels["sensors"]["notes"])
 
@@ -100,12 +100,12 @@ def test_a_voltage_that_stays_cannot_show_what_it_does():
     still = steady.filtered.assign(battery_voltage=VOLTS)
     for held, shown in ((driven(4, exponent=0.5), True), (replace(steady, filtered=still, imported=still), False)):
         anew = json.loads(json.dumps(levels))
-        materiality.judge(anew, [held], [], SHARE)
+        reject_immaterial(anew, [held], [], SHARE)
         (effect,) = anew["drive"]["effects"]
         assert (max(effect["removed"].values(), default=0.0) > 0.9) == shown
-        assert any("cannot be told" in n for n in anew["drive"]["notes"]) != shown
+        assert any("is unknown" in n for n in anew["drive"]["notes"]) != shown
     other = json.loads(json.dumps(levels))
-    materiality.judge(other, [driven(5)], [], SHARE)  # follows the battery as the model says
+    reject_immaterial(other, [driven(5)], [], SHARE)  # follows the battery as the model says
     assert not other["drive"]["effects"]
 
 

@@ -19,7 +19,6 @@ from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.gathering import gather
 from quasi.gap.levels.forces.axis_consistency import Voice, contradiction, disagreement, voices
 from quasi.gap.levels.forces.design import gather_design
-from quasi.gap.levels.forces.materiality import Cause
 from quasi.gap.levels.rollouts import open_loop, output_error
 from quasi.gap.levels.rollouts.confirmation import (
     CONFIRMED,
@@ -34,6 +33,7 @@ from quasi.gap.levels.rollouts.confirmation import (
     settle,
 )
 from quasi.gap.levels.rollouts.linear_response import course_of, responses
+from quasi.gap.materiality import Cause
 from quasi.gap.statistics import mixed
 from quasi.model.model import Model
 

@@ -63,7 +63,7 @@ def path(tmp_path):
         (text(terms="lambda vehicle: {'k': {'Fx': 'heigt'}}"), "Fx: unknown variable 'heigt'"),
         (text(terms="lambda vehicle: {'k': {'Fx': 'u**'}}"), "'**' is not an operator"),
         (text(nonlinear_terms="lambda vehicle, values: {'Fx': 'k*'}"), "nonlinear_terms(vehicle, values), Fx: "),
-        (text(terms=None, columns="lambda evidence, values: {}"), "columns need an extension beside them"),
+        (text(terms=None, columns="lambda evidence, values: {}"), "columns need an extension as well"),
         (text(sums="[({'k': 1.0}, 0.0)]"), "expected a function"),
         (text(sums="lambda vehicle: [({'kk': 1.0}, 0.0)]"), "sums(vehicle) names 'kk', which is no parameter"),
     ],

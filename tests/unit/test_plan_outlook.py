@@ -28,7 +28,7 @@ def test_the_usual_noise_has_the_spectrum_that_is_stated():
     z = np.exp(-2j * np.pi * np.outer(f / (100.0 / 3.0), np.arange(whitener.coefficients.shape[1])))
     for c, unit in enumerate(plan_noise.units(VEHICLE)):
         density = 2.0 * whitener.scale[c] ** 2 / np.abs(z @ whitener.coefficients[c]) ** 2 / (100.0 / 3.0)
-        told = plan_noise.SLOW[c] / (1 + (f / plan_noise.CORNER[c]) ** 2) ** 1.5 + plan_noise.WHITE[c]
+        told = plan_noise.SLOW_PSD[c] / (1 + (f / plan_noise.CORNER_HZ[c]) ** 2) ** 1.5 + plan_noise.WHITE_PSD[c]
         assert np.all(np.abs(np.log(density / (told * unit**2))) < np.log(1.8))
 
 
@@ -187,7 +187,7 @@ def test_a_planted_cause_of_expected_t_10_measures_about_10():
 
 def test_sensor_faults_count_against_the_usual_spread(cards):
     """Well-moved flights: size over the spread of healthy flights, over the root of their number."""
-    alone = 0.03 / sensor_level.SPREAD["gyro_bias"] * math.sqrt(4.0)
+    alone = 0.03 / sensor_level.NORMAL_SPREAD["gyro_bias"] * math.sqrt(4.0)
     assert cards["alone"]["gyro_bias"].t == pytest.approx(alone, rel=0.03)
     assert cards["straight"]["gyro_bias"].t == pytest.approx(alone / math.sqrt(2.0), rel=0.03)
     assert {cards["alone"]["imu_misalignment"].rival, "mocap_misalignment"} == {"mocap_misalignment"}

@@ -7,20 +7,21 @@ import pytest
 from test_gap_mixed import LAYOUT, flights, stretched
 
 from quasi.gap.effect import Effect, Limits, Parameter
-from quasi.gap.selection import FORCES, Named, Profile, _Search, search
+from quasi.gap.selection import Named, Profile, Search
 from quasi.gap.statistics import mixed as tests_on
-from quasi.gap.statistics.mixed import Candidate, ClusteredMixedModel, Columns, MixedModel
+from quasi.gap.statistics.clustered import ClusteredMixedModel
+from quasi.gap.statistics.mixed import Candidate, Columns, MixedModel
 
 
 def searching(mixed, effects, since="always", rate=0.01, within=None):
     """A search for one kind of cause, ready to run."""
     profiles = {n: Profile.of(e, (within or {}).get(n)) for n, e in effects.items()}
-    return _Search(mixed, profiles, since, rate, FORCES, (), ())
+    return Search(mixed, profiles, since, rate)
 
 
 def select(mixed, effects, since, rate, within=None):
     profiles = {n: Profile.of(e, (within or {}).get(n)) for n, e in effects.items()}
-    return search(mixed, profiles, since[0], rate)
+    return Search(mixed, profiles, since[0], rate).run()
 
 
 def effects(**parts):

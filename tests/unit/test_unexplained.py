@@ -142,7 +142,7 @@ def test_a_cause_gives_way_to_a_place_that_explains_it_away_and_stays_where_it_i
         0.01,
         0.05,
     )
-    assert ("Fx", "room place") in [(AXES[p.channel], p.choice.where) for p, _ in left.told]
+    assert ("Fx", "room place") in [(AXES[p.channel], p.choice.where) for p, _ in left.reported]
     why = outdone(left, compared, [offer], offer, ["Fx"], 1e-5, 1e-4)
     assert ("room place" in why) is (drag == 0.0)
     assert not outdone(left, compared, [offer], offer, ["Fx"], 1e-99, 1e-4)  # the cause is the more significant
@@ -267,7 +267,7 @@ def test_where_no_flight_is_healthy_flights_left_out_may_be_sure_of_a_place(grou
     flights = [flight(ground, s, lambda c, k=k: only(axis, k * wrong(c))) for s, k in enumerate(sizes)]
     vehicle, floor = vehicle_of(ground[1]), np.full(6, np.inf)
     left = search(flights, [True] * 5, [flight(ground, 90, away)], [], lambda f: f.residual, floor, vehicle, 0.01, 0.05)
-    assert [(u["channel"], u["where"], u["judged"]) for u in left.said] == [("Mz", "room x", False)] * told
+    assert [(u["channel"], u["where"], u["judged"]) for u in left.entries] == [("Mz", "room x", False)] * told
 
 
 def test_what_changed_along_own_motions_is_told_though_the_held_out_flight_cannot_judge(ground):

@@ -13,9 +13,7 @@ SUFFIXES = {".py", ".smk", ".md", ".json", ".js"}
 WORDS = r"told|tells?|untold|beside|said|whereabouts"
 FOUND = re.compile(rf"(?<![A-Za-z])(?:{WORDS}|mend(?:s|ed|ing)?)(?![A-Za-z])", re.IGNORECASE)
 EXEMPT = re.compile(r"null-1-told")  # the name of a data set
-ALLOWED = {
-    "quasi/gap": 583,
-}
+ALLOWED: dict[str, int] = {}
 
 
 def room_of(path):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from quasi.gap.effect import Effect
-from quasi.gap.levels.forces.error_reduction import Score, surely
-from quasi.gap.levels.forces.materiality import Cause, Common, Judged, material, simplest
+from quasi.gap.materiality import Cause, Common, Judged, material, simplest
 from quasi.gap.statistics import mixed
+from quasi.gap.statistics.scores import Score, surely
 
 SHARE = 0.05
 BLOCKS = 40

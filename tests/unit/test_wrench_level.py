@@ -16,13 +16,14 @@ from quasi.gap.levels.forces import held_out
 from quasi.gap.levels.forces import identify as examination
 from quasi.gap.levels.forces import search as sought
 from quasi.gap.levels.forces.design import gather_design, refit
-from quasi.gap.levels.forces.error_reduction import Score, after, wrench_score
+from quasi.gap.levels.forces.error_reduction import after, wrench_score
 from quasi.gap.levels.forces.held_out import everything
 from quasi.gap.levels.forces.identify import examine
 from quasi.gap.levels.forces.left_out import LeftOut
-from quasi.gap.levels.forces.materiality import Cause
+from quasi.gap.materiality import Cause
 from quasi.gap.statistics import mixed as tests_on
 from quasi.gap.statistics.mixed import Candidate
+from quasi.gap.statistics.scores import Score
 from quasi.model.model import AXES, Model
 
 EFFECTS = {n: catalogue()[n] for n in ("ground_effect", "mass", "thrust_factor", "rotor_speed_scale", "body_drag")}

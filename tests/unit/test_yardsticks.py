@@ -13,9 +13,9 @@ from quasi.gap.levels.forces import held_out
 from quasi.gap.levels.forces.case import Case
 from quasi.gap.levels.forces.design import gather_design, moved
 from quasi.gap.levels.forces.error_reduction import after, before, wrench_score
-from quasi.gap.levels.forces.held_out import best_wrong, telling
-from quasi.gap.levels.forces.materiality import Cause
+from quasi.gap.levels.forces.held_out import best_wrong, gain_axes
 from quasi.gap.levels.forces.polynomial_baseline import polynomial
+from quasi.gap.materiality import Cause
 from quasi.gap.statistics.mixed import Candidate
 from quasi.model.model import Model
 
@@ -54,11 +54,11 @@ def gone(case, found, old):
 
 def test_the_best_wrong_cause_is_the_best_where_the_named_ones_act(case, monkeypatch):
     case, study, named, old, floor = case
-    assert [(2 in telling(named, old, floor)), (5 in telling(named, old, floor))] == [True, False]
+    assert [(2 in gain_axes(named, old, floor)), (5 in gain_axes(named, old, floor))] == [True, False]
     name, share = gone(case, best_wrong(case, study, named, [], old, floor), old)
     assert name == "thrust_factor" and share[2] > 0.1 and abs(share[5]) < 0.01
     # over all six axes another one is better, which mends what the named cause has no part in
-    monkeypatch.setattr(held_out, "telling", lambda *_: range(6))
+    monkeypatch.setattr(held_out, "gain_axes", lambda *_: range(6))
     assert [*best_wrong(case, study, named, [], old, floor)] == ["rotor_acceleration_torque"]
 
 
@@ -85,8 +85,8 @@ def test_a_wrong_cause_is_fitted_to_all_that_is_there_not_to_what_the_right_one_
 
 def test_where_nothing_can_be_removed_a_gain_is_told_on_all_axes_of_the_causes(case):
     _, _, named, old, _ = case
-    assert telling(named, old, 0.95 * old) == [2, 3, 4]
-    assert telling(named, old, old * [0.1, 0.1, 0.95, 0.1, 0.95, 0.1]) == [3]
+    assert gain_axes(named, old, 0.95 * old) == [2, 3, 4]
+    assert gain_axes(named, old, old * [0.1, 0.1, 0.95, 0.1, 0.95, 0.1]) == [3]
 
 
 def test_a_polynomial_spends_its_terms_on_the_axes_that_it_is_given(ground):  # noqa: F811

@@ -41,7 +41,7 @@ def test_a_gap_makes_diagnosis_report_and_a_model_and_a_second_run_does_nothing(
                     "tables/forces_residuals.parquet",
                     "tables/forces_where.parquet", "tables/rollouts_errors.parquet", "figures/where.png"}  # fmt: skip
     found = json.loads((folder / "diagnosis.json").read_text())
-    assert found["schema"] == "quasi.gap/2" and found["model"] == "small" and found["extended_model"] == "small-near"
+    assert found["schema"] == "quasi.gap/3" and found["model"] == "small" and found["extended_model"] == "small-near"
     assert found["verdict"] in ("agrees", "explained", "partly explained", "unexplained") and found["summary"]
     assert set(found["gap"]["before"]["rollouts"]["velocity"]) == {"0.1", "0.5"}
     assert set(found["gap"]["before"]["forces"]) == {"Fx", "Fy", "Fz", "Mx", "My", "Mz"}

@@ -7,7 +7,7 @@ VOLTAGE = "reference voltage"
 
 
 def _extension(values: Values, _: Vehicle, __: Model) -> Extension:
-    # a map that tells no voltage of its own holds at that of the flights which told the exponent
+    # a command map without a voltage of its own holds at the voltage of the flights that gave the exponent
     volts = {"reference voltage": values[VOLTAGE]} if values[VOLTAGE] else {}
     return Extension(actuators={"voltage exponent": values["exponent"], **volts})
 

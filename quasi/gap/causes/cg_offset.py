@@ -1,4 +1,4 @@
-"""A centre of gravity beside the configured one."""
+"""A centre of gravity away from the configured one."""
 
 import numpy as np
 

@@ -3,7 +3,7 @@
 from quasi.gap.effect import Effect, Parameter, Terms, Values, Vehicle, hub_height, number, thrust_wrench
 
 NEAREST = 0.2  # rotor radii: below, the formula is not used
-MOST = 0.6  # of c (R/4h)^2: above, the formula runs towards its pole, where no rotor has been measured
+MOST_GROUND_EFFECT = 0.6  # of c (R/4h)^2: above, the formula runs towards its pole, where no rotor has been measured
 
 
 def _nearness(vehicle: Vehicle, rotor: int) -> str:
@@ -23,7 +23,7 @@ def _curved(vehicle: Vehicle, values: Values) -> Terms:
     thrusts = []
     for i in range(4):
         whole = f"{number(values['c'])}*{_nearness(vehicle, i)}"
-        near = f"(0.5*({whole} + {number(MOST)} - (({whole} - {number(MOST)})^2)^0.5))"
+        near = f"(0.5*({whole} + {number(MOST_GROUND_EFFECT)} - (({whole} - {number(MOST_GROUND_EFFECT)})^2)^0.5))"
         thrusts.append(f"{number(vehicle.thrust)}*w{i + 1}^2*({near}/(1 - {near}))")
     return thrust_wrench(vehicle, thrusts)
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from quasi.gap.effect import Effect, Extension, Parameter, Terms, Values, Vehicle, number, upward
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.flights.inflow import SHORTEST, overshoot
+from quasi.gap.flights.inflow import SHORTEST_LAG, overshoot
 from quasi.model.model import Model
 
 
@@ -19,7 +19,7 @@ def _whole(evidence: Evidence, vehicle: Vehicle, values: Values) -> np.ndarray:
 def _extension(values: Values, vehicle: Vehicle, _: Model) -> Extension:
     tau = values["tau"]
     terms = {axis: [(text, tau)] for axis, text in _terms(vehicle)["tau"].items()} if tau else {}
-    states = {"inflow lag": {"time constant": tau, "gain": vehicle.inflow}} if tau >= SHORTEST else {}
+    states = {"inflow lag": {"time constant": tau, "gain": vehicle.inflow}} if tau >= SHORTEST_LAG else {}
     return Extension(terms=terms, states=states)
 
 

@@ -3,7 +3,7 @@
 from quasi.errors import DataError
 from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, hub_position, number, thrust_wrench
 
-REACH = 1.0  # m, over which the air that a wall throws back dies away
+WALL_REACH = 1.0  # m, over which the air that a wall throws back dies away
 NEAREST = 0.2  # rotor radii: below, the formula of the ceiling is not used
 
 
@@ -33,7 +33,7 @@ def _terms(vehicle: Vehicle) -> dict[str, Terms]:
         ]
         wall = _most(_least(*along), "0")
         thrust = f"{number(vehicle.thrust)}*w{i + 1}^2"
-        walls.append(f"-{thrust}*2.718281828459045^(-({wall}/{number(REACH)})^2)")
+        walls.append(f"-{thrust}*2.718281828459045^(-({wall}/{number(WALL_REACH)})^2)")
         if room.height is not None:
             below = _most(f"({number(room.height)} + {down})", number(NEAREST * vehicle.radius))
             ceiling.append(f"{thrust}*({number(vehicle.radius)}/(4*{below}))^2")

@@ -7,20 +7,20 @@ from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
 from quasi.gap.flights.evidence import Evidence
 from quasi.model.model import Model
 
-NAMES = ("north", "east", "down")
+WINDS = ("north", "east", "down")
 
 
 def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
     slope = evidence.gradient("u", "v", "w")
     result = {}
-    for k, name in enumerate(NAMES):
+    for k, name in enumerate(WINDS):
         along = attitude.rotate_inverse(evidence.quaternion, np.eye(3)[k])
         result[name] = -np.einsum("nij,nj->ni", slope, along)
     return result
 
 
 def _extension(values: Values, _: Vehicle, __: Model) -> Extension:
-    return Extension(environment={"wind": [values[name] for name in NAMES]})
+    return Extension(environment={"wind": [values[name] for name in WINDS]})
 
 
 EFFECT = Effect(
@@ -29,7 +29,7 @@ EFFECT = Effect(
     sentence="a steady wind blows through the room",
     equation="V = V_ground - R' W",
     source="definition of airspeed",
-    parameters={name: Parameter("m/s", 0.0, "f", -15.0, 15.0, None if name == "down" else 1.0) for name in NAMES},
+    parameters={name: Parameter("m/s", 0.0, "f", -15.0, 15.0, None if name == "down" else 1.0) for name in WINDS},
     channels=("Fx", "Fy"),
     rivals=("accelerometer_bias", "room_tilt", "tether"),
     tie_breaker="out and back, and a yaw sweep",

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from scipy.stats import t as student
 
-RATE = 0.01  # family-wise rate of false differences, that of a gap's configuration
+FALSE_RATE = 0.01  # family-wise rate of false differences, that of a gap's configuration
 
 
 class Estimate(NamedTuple):
@@ -39,7 +39,7 @@ def differences(
     b: Mapping[str, Estimate],
     units: Mapping[str, str],
     between: Mapping[str, Estimate] | None = None,
-    rate: float = RATE,
+    rate: float = FALSE_RATE,
 ) -> list[Difference]:
     """Every quantity that both sides have, in the order of a.
 

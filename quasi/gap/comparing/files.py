@@ -11,7 +11,7 @@ from quasi.gap.comparing.model_comparison import compare_models, models_plain, m
 from quasi.model.model import Model
 from quasi.tables import read_made, read_table
 
-MANY = 1e6  # degrees of freedom of a standard error that comes from a whole model
+MODEL_FREEDOM = 1e6  # degrees of freedom of a standard error that comes from a whole model
 Constants = Mapping[str, tuple[float, float, str]]
 
 
@@ -88,5 +88,5 @@ def trained_on(model: Model) -> list[str]:
 
 def constant_differences(a: Constants, b: Constants) -> list[Difference]:
     """Constants of two models with their standard errors."""
-    sides = [{n: Estimate(value, std, MANY) for n, (value, std, _) in side.items()} for side in (a, b)]
+    sides = [{n: Estimate(value, std, MODEL_FREEDOM) for n, (value, std, _) in side.items()} for side in (a, b)]
     return differences(*sides, {n: unit for n, (_, _, unit) in a.items()})

@@ -8,14 +8,14 @@ import pandas as pd
 
 from quasi.errors import DataError
 from quasi.gap.comparing.differences import (
-    RATE,
+    FALSE_RATE,
     Difference,
     Estimate,
     differences,
     differences_plain,
     differences_text,
 )
-from quasi.gap.comparing.flight_quantities import UNITS, patterns_of, quantities_of
+from quasi.gap.comparing.flight_quantities import QUANTITY_UNITS, patterns_of, quantities_of
 
 SCHEMA = "quasi.comparison/1"
 LEAST_REPEATS = 3
@@ -40,7 +40,7 @@ def compare_flights(
                 f"{len(repeats)} repeated flights were given, at least {LEAST_REPEATS} are needed for a scatter"
             )
         between = spread_between([quantities_of(table, key, patterns) for key, table in repeats.items()])
-    return differences(first, second, UNITS, between)
+    return differences(first, second, QUANTITY_UNITS, between)
 
 
 def spread_between(flights: list[dict[str, Estimate]]) -> dict[str, Estimate]:
@@ -61,7 +61,7 @@ def flights_plain(rows: list[Difference], names: tuple[str, str], repeats: int) 
         "a": names[0],
         "b": names[1],
         "repeats": repeats,
-        "false alarm rate": RATE,
+        "false alarm rate": FALSE_RATE,
         "differences": differences_plain(rows),
     }
 
@@ -77,7 +77,7 @@ def flights_text(rows: list[Difference], names: tuple[str, str], repeats: int) -
         lines = [f"No quantity differs from {names[0]} to {names[1]} beyond the spread ({len(rows)} compared)."]
     lines.append(differences_text(rows, names))
     lines.append(
-        f"* differs; {100 * RATE:g} % risk of any false mark (Holm). ± is the standard error, from blocks of 5 s."
+        f"* differs; {100 * FALSE_RATE:g} % risk of any false mark (Holm). ± is the standard error, from blocks of 5 s."
     )
     if repeats:
         lines.append(f"The spread holds the scatter between {repeats} repeated flights.")

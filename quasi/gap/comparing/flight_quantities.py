@@ -20,13 +20,13 @@ from scipy.signal import butter, sosfiltfilt
 
 from quasi.errors import DataError
 from quasi.gap.comparing.differences import Estimate
+from quasi.gap.statistics.blocks import BLOCK
 
-BLOCK = 5.0  # s; errors of a flight remember for seconds
 LEAST_BLOCKS = 4
 VIBRATION = 10.0  # Hz, above which a rate or specific force counts as vibration and not as motion
 PATTERNS = np.array([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0], [1.0, -1.0, -1.0, 1.0]])
-NEEDED = ("t", "w1", "w2", "w3", "w4", "Fx", "Fy", "Fz", "Mx", "My", "Mz", "u", "v", "w", "p", "q", "r")
-UNITS = {
+COMPARED_COLUMNS = ("t", "w1", "w2", "w3", "w4", "Fx", "Fy", "Fz", "Mx", "My", "Mz", "u", "v", "w", "p", "q", "r")
+QUANTITY_UNITS = {
     "force x, constant": "N", "force y, constant": "N", "drag x": "N/(m/s)", "drag y": "N/(m/s)",
     "thrust coefficient": "N/(rad/s)^2", "thrust by vertical speed": "N s2/m",
     **{f"{a} moment, constant": "N m" for a in ("roll", "pitch", "yaw")},
@@ -46,7 +46,7 @@ def quantities_of(flight: pd.DataFrame, where: str, patterns: Mapping[str, int] 
     patterns  {axis: row of PATTERNS} of another flight, so that both use the same; None finds them here
     Raises DataError for a flight without a column, or shorter than LEAST_BLOCKS blocks of BLOCK s in flight.
     """
-    missing = [n for n in NEEDED if n not in flight]
+    missing = [n for n in COMPARED_COLUMNS if n not in flight]
     if missing:
         raise DataError(f"{where} has no column '{missing[0]}'; give a filtered flight (results/filtered/...)")
     rows = rows_in_flight(flight)
@@ -62,7 +62,7 @@ def quantities_of(flight: pd.DataFrame, where: str, patterns: Mapping[str, int] 
 
 def rows_in_flight(flight: pd.DataFrame) -> np.ndarray:
     """(n,) bool: rows that are in flight, valid, and finite in all that is needed."""
-    rows = np.isfinite(flight[list(NEEDED)].to_numpy(float)).all(axis=1)
+    rows = np.isfinite(flight[list(COMPARED_COLUMNS)].to_numpy(float)).all(axis=1)
     for flag in ("valid", "in_flight"):
         if flag in flight:
             rows &= flight[flag].to_numpy(float) > 0.5

@@ -9,7 +9,7 @@ from scipy.stats import t as student
 
 from quasi.errors import DataError
 from quasi.gap.comparing.differences import (
-    RATE,
+    FALSE_RATE,
     Difference,
     Estimate,
     differences_plain,
@@ -17,13 +17,12 @@ from quasi.gap.comparing.differences import (
     reject_by_holm,
 )
 from quasi.gap.comparing.flight_comparison import SCHEMA
-from quasi.gap.comparing.flight_quantities import BLOCK, LEAST_BLOCKS, rows_in_flight
-from quasi.gap.levels.rollouts.open_loop import QUANTITIES, flight_of, simulated, sizes, vectors, windows
+from quasi.gap.comparing.flight_quantities import LEAST_BLOCKS, rows_in_flight
+from quasi.gap.levels.rollouts.open_loop import ERROR_UNITS, HORIZON, flight_of, simulated, sizes, vectors, windows
+from quasi.gap.statistics.blocks import BLOCK
 from quasi.model.extensions import correct_flight
 from quasi.model.model import Model
 from quasi.simulation.tools.replay import count_steps
-
-HORIZON = 0.5  # s of the open-loop simulations; beyond it small vehicles are half a turn off and errors say little
 
 
 def compare_models(
@@ -60,7 +59,7 @@ def compare_models(
         raise DataError(
             f"the flights hold {count} blocks of {BLOCK:g} s, at least {LEAST_BLOCKS} are needed; give more flights"
         )
-    rejected = reject_by_holm([row.p_value for row in rows], RATE)
+    rejected = reject_by_holm([row.p_value for row in rows], FALSE_RATE)
     return [row._replace(differs=bad) for row, bad in zip(rows, rejected)]
 
 
@@ -74,7 +73,7 @@ def models_plain(
         "a": names[0],
         "b": names[1],
         "flights": list(flights),
-        "false alarm rate": RATE,
+        "false alarm rate": FALSE_RATE,
         "errors": differences_plain(rows),
         "constants": differences_plain(constants),
     }
@@ -96,7 +95,7 @@ def models_text(
     if constants:
         lines += ["Constants of the models about hover:", differences_text(constants, names)]
         lines.append("Both models' standard errors are taken as independent; models of the same flights share data.")
-    lines.append(f"* differs; {100 * RATE:g} % risk of any false mark in a table (Holm).")
+    lines.append(f"* differs; {100 * FALSE_RATE:g} % risk of any false mark in a table (Holm).")
     return "\n".join(lines)
 
 
@@ -109,7 +108,7 @@ def _rolled(model: Model, key: str, table: pd.DataFrame, mass: float | None) -> 
         return {}
     last = np.array([count_steps(flight.t, HORIZON)])
     found = sizes(vectors(simulated(model, flight, starts, HORIZON), flight, starts, last)[:, 0])
-    kept = {q: np.nan_to_num(found[q], nan=np.nanmax(found[q], initial=0.0)) for q in QUANTITIES}
+    kept = {q: np.nan_to_num(found[q], nan=np.nanmax(found[q], initial=0.0)) for q in ERROR_UNITS}
     return {q: _block_means(flight.t[starts], v**2) for q, v in kept.items()}
 
 
@@ -146,4 +145,4 @@ def _difference(name: str, a: np.ndarray, b: np.ndarray) -> Difference:
 
 def _unit_of(name: str) -> str:
     quantity = name.split(" after ")[0]
-    return QUANTITIES[quantity] if quantity in QUANTITIES else "N" if name.startswith("F") else "N m"
+    return ERROR_UNITS[quantity] if quantity in ERROR_UNITS else "N" if name.startswith("F") else "N m"

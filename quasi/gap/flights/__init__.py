@@ -1,1 +1,1 @@
-"""Flights as the search for causes sees them: beside a model, read with what it knows, and where they went."""
+"""Flights for the search for causes: compared with a model, read with what it knows, and where they went."""

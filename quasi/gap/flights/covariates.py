@@ -10,14 +10,14 @@ from quasi.attitude import from_euler, rotate_inverse
 from quasi.gap.flights.evidence import Evidence
 from quasi.model.columns import ROTORS
 
-APART = 0.02  # a variable whose scaled spread is smaller is as good as constant
-HEADING, ROOM, EVERYWHERE = "heading", "room place", "everywhere"
+CONSTANT_SPREAD = 0.02  # a variable whose scaled spread is smaller is as good as constant
+HEADING, ROOM_PLACE, EVERYWHERE = "heading", "room place", "everywhere"
 # what a model's terms depend on; the voltage falls with what the rotors draw
-OWN = ("speed", "rotor speed", "descent ratio", "roll rate", "pitch rate", "yaw rate", "volts")
+OWN_COVARIATES = ("speed", "rotor speed", "descent ratio", "roll rate", "pitch rate", "yaw rate", "volts")
 # in which functions of them are offered
-ORDER = ("speed", HEADING, "time", "rotor speed", "descent ratio", "roll rate", "pitch rate", "yaw rate", "height",
+COVARIATES = ("speed", HEADING, "time", "rotor speed", "descent ratio", "roll rate", "pitch rate", "yaw rate", "height",
          "room x", "room y", "volts")  # fmt: skip
-PLAIN = {
+COLUMN_OF = {
     HEADING: "yaw",
     "time": "t",
     "roll rate": "p",
@@ -29,17 +29,18 @@ PLAIN = {
 }  # columns that are a place as they are
 SPOTS = (1.0, 2.0)  # m, width of a bump over the room's floor: a fan, a rotor's wake returning, a corner
 APART_SPOTS = 0.8  # of the width
-STEPS = 6  # parts of a flight between which something may come loose
-SEEN = 0.02  # share of the time that must be spent near a place of the room
-UNITS = {
-    "speed": "m/s", "height": "m", HEADING: "rad", ROOM: "m", "room x": "m", "room y": "m", "time": "s", "volts": "V",
-    "rotor speed": "rad/s", "descent ratio": "", "roll rate": "rad/s", "pitch rate": "rad/s", "yaw rate": "rad/s",
+TIME_PARTS = 6  # parts of a flight between which something may come loose
+VISITED_SHARE = 0.02  # share of the time that must be spent near a place of the room
+UNITS_AT = {
+    "speed": "m/s", "height": "m", HEADING: "rad", ROOM_PLACE: "m", "room x": "m", "room y": "m", "time": "s",
+    "volts": "V", "rotor speed": "rad/s", "descent ratio": "", "roll rate": "rad/s", "pitch rate": "rad/s",
+    "yaw rate": "rad/s",
     "frequency": "Hz",
 }  # fmt: skip
 
 
 def along(columns: Mapping[str, np.ndarray], hover: float, down: np.ndarray | None = None) -> dict[str, np.ndarray]:
-    """Where a flight is, row by row, {name: (n,)}, as far as its columns tell: SI units, heading rad.
+    """Where a flight is, row by row, {name: (n,)}, as far as its columns allow: SI units, heading rad.
 
     hover  induced velocity in hover, m/s, which the descent ratio counts in; down (n, 3) the earth's down direction in
     body axes, None takes it from the attitude. Speeds are through the air where the wind is known.
@@ -51,7 +52,7 @@ def along(columns: Mapping[str, np.ndarray], hover: float, down: np.ndarray | No
     def take(*names: str) -> np.ndarray:
         return np.stack([np.asarray(columns[n], float) for n in names], axis=1)
 
-    found = {name: np.asarray(columns[own], float) for name, own in PLAIN.items() if own in columns}
+    found = {name: np.asarray(columns[own], float) for name, own in COLUMN_OF.items() if own in columns}
     velocity = [f"{c}_air" if f"{c}_air" in columns else c for c in "uvw"]
     angles = ("roll", "pitch", "yaw")
     if has(*velocity):
@@ -70,7 +71,7 @@ def along(columns: Mapping[str, np.ndarray], hover: float, down: np.ndarray | No
 def places(flight: Evidence) -> dict[str, np.ndarray]:
     """Where a residual may live, {name: (n,)}: SI units, heading rad, the descent ratio without unit."""
     found = along(flight.columns, flight.hover_induced, flight.down)
-    return {name: found[name] for name in ORDER if name in found and np.isfinite(found[name]).all()}
+    return {name: found[name] for name in COVARIATES if name in found and np.isfinite(found[name]).all()}
 
 
 class Choice(NamedTuple):
@@ -127,7 +128,7 @@ def basis_of(flights: Sequence[Evidence]) -> Basis:
             continue
         # to the very ends: a flip lasts a hundredth of a flight, and a line that bends there is no term of the model's
         low, high = min(float(k[where].min()) for k in known), max(float(k[where].max()) for k in known)
-        if where != HEADING and not high - low > APART * max(abs(high), abs(low), 1e-9):
+        if where != HEADING and not high - low > CONSTANT_SPREAD * max(abs(high), abs(low), 1e-9):
             continue
         scales[where], first[where] = (low, high), at
         if where == HEADING:
@@ -139,18 +140,18 @@ def basis_of(flights: Sequence[Evidence]) -> Basis:
     spots: list[tuple[float, float, float]] = []
     if {"room x", "room y"} <= set(scales):
         x, y = first["room x"], first["room y"]
-        choices.append(Choice(ROOM, (x, x + 1, y, y + 1, at)))
+        choices.append(Choice(ROOM_PLACE, (x, x + 1, y, y + 1, at)))
         flown = [np.concatenate([k[f"room {a}"] for k in known]) for a in "xy"]
         for width in SPOTS:
             sides = [np.arange(*(q + 0.5 * s * width for q, s in zip(scales[f"room {a}"], (1, -1))),
                                APART_SPOTS * width) for a in "xy"]  # fmt: skip
             for a, b in itertools.product(*sides):
                 near = np.hypot(flown[0] - a, flown[1] - b) < width
-                if SEEN < near.mean() < 1.0 - SEEN:
+                if VISITED_SHARE < near.mean() < 1.0 - VISITED_SHARE:
                     spots.append((float(a), float(b), width))
-                    choices.append(Choice(ROOM, (at + len(spots),), (float(a), float(b))))
+                    choices.append(Choice(ROOM_PLACE, (at + len(spots),), (float(a), float(b))))
         at += 1 + len(spots)
     low, high = scales["time"]
-    steps = [low + k / STEPS * (high - low) for k in range(1, STEPS)]
+    steps = [low + k / TIME_PARTS * (high - low) for k in range(1, TIME_PARTS)]
     choices += [Choice("time", (at + k,), (step,)) for k, step in enumerate(steps)]
     return Basis(scales, choices, spots, steps)

@@ -1,4 +1,4 @@
-"""One flight as the search for causes sees it: measured wrench beside the model's, at the rate of the analysis.
+"""One flight as the search for causes sees it: measured and modelled wrench at the rate of the analysis.
 
 Forces and angular accelerations that a cause is proportional to are taken from the model, not from the measurement:
 the measurement is the regression's target, and a regressor that shares its noise would explain it (errors in
@@ -18,9 +18,10 @@ from quasi.errors import DataError
 from quasi.model.columns import ROTORS
 from quasi.model.model import AXES, Model
 
-NEEDED = (*ROTORS, *(f"{w}_dot" for w in ROTORS), "p", "q", "r", "roll", "pitch", "yaw", "u", "v", "w", *AXES)
-STEPS = {"u": 0.2, "v": 0.2, "w": 0.2, "p": 0.05, "q": 0.05, "r": 0.05, **dict.fromkeys(ROTORS, 5.0)}  # of gradients
-APART = 1.5  # samples: a longer step of time is a gap
+RATE = 100.0  # Hz of the comparison of forces and moments, of drive residuals and of planned flights
+REQUIRED = (*ROTORS, *(f"{w}_dot" for w in ROTORS), "p", "q", "r", "roll", "pitch", "yaw", "u", "v", "w", *AXES)
+DELTAS = {"u": 0.2, "v": 0.2, "w": 0.2, "p": 0.05, "q": 0.05, "r": 0.05, **dict.fromkeys(ROTORS, 5.0)}  # of gradients
+GAP_SAMPLES = 1.5  # samples: a longer step of time is a gap
 PLACE = ("x", "y", "z")
 
 
@@ -69,7 +70,7 @@ class Evidence:
     def breaks(self) -> np.ndarray:
         """(n,) bool: the first row, and each row that does not follow its predecessor without a gap."""
         steps = np.diff(self.t)
-        return np.concatenate([[True], steps > APART * np.median(steps)])
+        return np.concatenate([[True], steps > GAP_SAMPLES * np.median(steps)])
 
     def take(self, *names: str) -> np.ndarray:
         """Columns side by side (n, len(names)). Raises DataError naming the missing one."""
@@ -215,7 +216,7 @@ class Evidence:
         cache = self.__dict__.setdefault("_slopes", {})
         if name not in cache:
             here = f"{name}_air" if f"{name}_air" in self.columns else name
-            step = STEPS[name]
+            step = DELTAS[name]
             sides = [model_wrench(self.model, {**self.columns, here: self.columns[here] + s * step}) for s in (1, -1)]
             cache[name] = (sides[0] - sides[1]) / (2.0 * step)
         return cache[name]
@@ -228,17 +229,17 @@ def rotor_levers(model: Model, mass: float) -> np.ndarray:
     inertia that is configured too small shrinks all its moments, and noise of the rotor speeds shrinks its
     coefficients. A rotor that fails is balanced by the others, so that the residual holds what the *model* makes of
     the speeds. A cause that acts through thrust must therefore use the lever of the model.
-    Fx and Fy are left out: terms of rotor speeds there come from an IMU beside the configured place, and are fitted
+    Fx and Fy are left out: terms of rotor speeds there come from an IMU away from the configured place, and are fitted
     anew once that is corrected.
     """
     thrust = float(model.document["simple model"]["kappaFz"]["value"])
     hover = float(np.sqrt(mass * GRAVITY / (4.0 * thrust)))
     speeds = np.full((8, 4), hover)
-    speeds[range(4), range(4)] += STEPS["w1"]
-    speeds[range(4, 8), range(4)] -= STEPS["w1"]
+    speeds[range(4), range(4)] += DELTAS["w1"]
+    speeds[range(4, 8), range(4)] -= DELTAS["w1"]
     forces, moments = model.predict(np.zeros((8, 12)), speeds)
     wrench = np.column_stack([forces[:, 2], moments[:, :2]])
-    return (wrench[:4] - wrench[4:]) / (4.0 * hover * STEPS["w1"] * thrust)
+    return (wrench[:4] - wrench[4:]) / (4.0 * hover * DELTAS["w1"] * thrust)
 
 
 def model_wrench(model: Model, columns: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -10,7 +10,7 @@ import pandas as pd
 from quasi.airframe import Airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError, ExpressionError
-from quasi.gap.flights.evidence import APART, NEEDED, PLACE, Evidence, model_wrench
+from quasi.gap.flights.evidence import GAP_SAMPLES, PLACE, REQUIRED, Evidence, model_wrench
 from quasi.gap.flights.instruments import as_shown
 from quasi.model.columns import ROTORS
 from quasi.model.extensions import correct_columns
@@ -24,7 +24,7 @@ SENSELESS = 1e4  # times the weight, and the weight at the arm: no model of a qu
 TOUCHING = (
     0.01  # m from the height at which the vehicle stands: legs spring, and capture and attitude err by millimetres
 )
-RINGING = 0.1  # s around a contact, in which the low-pass of forces still holds its blow
+CONTACT_RINGING = 0.1  # s around a contact, in which the low-pass of forces still holds its blow
 SAMPLES = 2.5  # per period of the filters' cut-off: what they let pass is then not folded
 
 
@@ -80,7 +80,7 @@ def gather_all(
             lost.append(str(error))
     if not found and not drifting:
         raise DataError(f"no flight can be compared with model {model.id}: {lost[0] if lost else 'none is given'}")
-    lost = [f"{said}; it is left out of the comparison of forces and moments" for said in lost]
+    lost = [f"{why}; it is left out of the comparison of forces and moments" for why in lost]
     if nowhere:
         found = {
             key: replace(one, columns={n: v for n, v in one.columns.items() if n not in PLACE})
@@ -115,7 +115,7 @@ def touching(flight: pd.DataFrame, memory: int) -> np.ndarray:
 
 
 def _least_rate(metadata: Mapping[str, Any]) -> float:
-    """Hz that a flight's forces need, by the low-pass that they went through; 0 where nobody tells."""
+    """Hz that a flight's forces need, by the low-pass that they went through; 0 where it is unknown."""
     return SAMPLES * float((metadata.get("filters") or {}).get("low-pass cutoff Hz") or 0.0)
 
 
@@ -140,21 +140,21 @@ def gather(
             f"model {model.id} is normalised; a comparison with flights needs one that was identified with 'normalize "
             "data' false"
         )
-    missing = [c for c in NEEDED if c not in flight]
+    missing = [c for c in REQUIRED if c not in flight]
     if missing:
         raise DataError(f"flight {key} has no column '{missing[0]}', which a comparison with a model needs")
     sampling = 1.0 / float(np.median(np.diff(flight["t"].to_numpy())))
     # the step of time is known to rounding alone: 499.99.. Hz are no less than 500
     every = max(int((sampling + 1e-6) // max(rate, _least_rate(metadata))), 1)
-    good = np.isfinite(flight[list(NEEDED)].to_numpy()).all(axis=1)
+    good = np.isfinite(flight[list(REQUIRED)].to_numpy()).all(axis=1)
     if "valid" in flight:
         good &= flight["valid"].to_numpy() > 0.5
-    good &= ~touching(flight, round(RINGING * sampling))
+    good &= ~touching(flight, round(CONTACT_RINGING * sampling))
     rows = np.flatnonzero(good)
     rows = rows[rows % every == 0]
     if len(rows) * every < SECOND * sampling:
         raise DataError(f"flight {key} has {len(rows) * every / sampling:.1f} s of valid data, expected more than 1 s")
-    ends = np.flatnonzero(np.append(np.diff(rows) > APART * every, True))
+    ends = np.flatnonzero(np.append(np.diff(rows) > GAP_SAMPLES * every, True))
     longest = int(np.max(np.diff(ends, prepend=-1))) * every / sampling
     if longest < SECOND:
         raise DataError(

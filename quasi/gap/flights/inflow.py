@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.statistics.whitening import stretches
 
-SHORTEST = 5e-4  # s: a shorter lag is over within a step of any simulation, and its first order is all of it
+SHORTEST_LAG = 5e-4  # s: a shorter lag is over within a step of any simulation, and its first order is all of it
 
 
 def overshoot(evidence: Evidence, gain: float, lag: float) -> np.ndarray:
@@ -16,7 +16,7 @@ def overshoot(evidence: Evidence, gain: float, lag: float) -> np.ndarray:
     The induced velocity goes with W and follows with a first-order lag: half the gain times W^2 less its low-passed
     value, exact for squares that change linearly between samples.
     """
-    if lag < SHORTEST:  # also below nothing, where slopes are taken
+    if lag < SHORTEST_LAG:  # also below nothing, where slopes are taken
         return evidence.upward(gain * lag * evidence.speeds * evidence.spin_up)
     step = float(np.median(np.diff(evidence.t)))
     keep = np.exp(-step / lag)

@@ -69,7 +69,7 @@ def shown(extended: Model, base: Model, flight: Evidence) -> np.ndarray:
             bare = (wrench[:, :3] - weight) * (mass + load["mass"]) / mass
             # what a model that carries the load already predicts holds it hanging at rest
             driving = bare / mass if "swinging load" in list_part_names(read_payload_and_inflow(base)) else None
-            # the accelerometer feels the string's pull beside the rotors', over the true mass
+            # the accelerometer feels the string's pull as well as the rotors' thrust, over the true mass
             force = scale * (bare + weight + load["mass"] * pull_of(flight, load["length"], driving))
     for extension in sections:
         lag = extension.get("states", {}).get("inflow lag")

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -10,6 +10,9 @@ from scipy.stats import f as f_distribution
 
 from quasi.airframe import Airframe
 from quasi.gap.statistics.mixed import Candidate, Columns, MixedModel, Test
+
+# of spreads between healthy flights: they are known from many flights, not estimated from the few at hand
+PRIOR_FREEDOM = 16.0
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class Level:
     tables            {name: table} of residuals for the report
     noise_floor       {channel: rms} that no cause of this level can explain
     tests             what causes were tested on, None where nothing could be asked
-    found_on          what `material` needs to know of the flights that causes were found on
+    found_on          what held-out flights are compared with, see `sensors_and_drive.found_on`
     healthy           of the drive: constants ("values") and voltage that flights were compared with
     """
 
@@ -54,15 +57,31 @@ class Level:
     tables: dict[str, pd.DataFrame] = field(default_factory=dict)
     noise_floor: dict[str, float] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
-    tests: "Tests | None" = None
+    tests: "SensorMixedModel | None" = None
     found_on: dict[str, Any] = field(default_factory=dict)
     healthy: dict[str, Any] = field(default_factory=dict)
 
 
-class Tests(MixedModel):
-    """Tests whose nuisances have spreads known from many flights, not told by the few at hand.
+def causes_of(entries: Sequence[Mapping[str, Any]]) -> set[str]:
+    """All causes of effects and ties."""
+    return {c for e in entries for c in (e["ids"] if "ids" in e else [e["id"]])}
 
-    freedom   degrees of freedom that those spreads stand for, beside the flights' own
+
+def cause_of(entry: Mapping[str, Any]) -> str:
+    """The cause of an effect; of a tie, the one that the flights were corrected for."""
+    return entry["id"] if "id" in entry else entry["ids"][0]
+
+
+def values_of(entry: Mapping[str, Any]) -> dict[str, float]:
+    """Parameters of `cause_of` an effect or a tie."""
+    parameters = entry["parameters"] if "id" in entry else entry["parameters"][cause_of(entry)]
+    return {n: p["value"] for n, p in parameters.items()}
+
+
+class SensorMixedModel(MixedModel):
+    """Tests whose nuisances have spreads known from many flights, not estimated from the few at hand.
+
+    freedom   degrees of freedom that those spreads stand for, in addition to the flights' own
     unpooled  causes that the base holds already, with what is known of them
     common    {cause: standard deviation of what healthy set-ups have in all flights alike}, added to the covariance of
               what all flights have in common
@@ -99,39 +118,6 @@ class Tests(MixedModel):
         return test._replace(covariance=covariance, wald=wald, p=max(p, test.p))
 
 
-def offers_of(mixed: Tests, since: str) -> list[Candidate]:
+def offers_of(mixed: SensorMixedModel, since: str) -> list[Candidate]:
     """Every cause with all its parameters."""
     return [Candidate(cause, since, tuple(range(len(columns)))) for cause, columns in mixed.columns.causes.items()]
-
-
-class Clear(NamedTuple):
-    """Standard errors by which a cause of some size stands out: alone, and beside each rival that is offered too."""
-
-    detectability: float
-    beside: dict[str, float]
-
-    @property
-    def nearest(self) -> str | None:
-        """The rival beside which it stands out least."""
-        return min(self.beside, key=self.beside.get, default=None)
-
-    @property
-    def separability(self) -> float:
-        """Standard errors beside the nearest rival."""
-        return self.beside[self.nearest] if self.beside else self.detectability
-
-
-def clear(mixed: Tests, cause: str, since: str, size: np.ndarray) -> Clear:
-    """How clearly a cause of a given size (m,) shows in the flights: sqrt(size' covariance^-1 size).
-
-    size  deviation from healthy in the units of the cause's columns. The covariance is that of the cause's parameters
-    once base, nuisances and the spread between flights are projected out, then the rival too.
-    """
-    offer = next(o for o in offers_of(mixed, since) if o.cause == cause)
-    pooled = mixed.pooled(since)
-
-    def shown(given: Sequence[Candidate]) -> float:
-        covariance = mixed.test(offer, given, pooled).covariance
-        return float(np.sqrt(max(size @ np.linalg.solve(covariance, size), 0.0)))
-
-    return Clear(shown([]), {o.cause: shown([o]) for o in offers_of(mixed, since) if o.cause != cause})

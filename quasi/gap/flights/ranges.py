@@ -6,15 +6,15 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
-from quasi.gap.flights.covariates import EVERYWHERE, HEADING, ROOM, Basis, Choice, places
+from quasi.gap.flights.covariates import EVERYWHERE, HEADING, ROOM_PLACE, Basis, Choice, places
 from quasi.gap.flights.evidence import Evidence
 
-CELLS = 24  # along a place
+RANGE_CELLS = 24  # along a place
 MOSTLY = 0.7  # of the largest value
-VISITED = 0.005  # share of the time in a cell below which it counts as not visited
+VISITED_CELL = 0.005  # share of the time in a cell below which it counts as not visited
 
 
-def whereabouts(
+def find_ranges(
     basis: Basis, choice: Choice, value: np.ndarray, flights: Sequence[Evidence], compared: Sequence[bool]
 ) -> list[list[float]]:
     """Ranges [low, high] of the place where the function is mostly at work; of the room, the middle [x, y] of it.
@@ -27,11 +27,11 @@ def whereabouts(
     function = np.concatenate([basis.functions(f)[:, list(choice.which)] @ value for f in use])
     function = np.abs(function - function.mean())
     known = [places(f) for f in use]
-    if choice.where == ROOM and choice.at:
+    if choice.where == ROOM_PLACE and choice.at:
         return [list(choice.at)]
     if choice.at:
         return [[choice.at[0], max(float(f.t[-1]) for f in use)]]
-    if choice.where == ROOM:
+    if choice.where == ROOM_PLACE:
         x, y = (np.concatenate([k[f"room {a}"] for k in known]) for a in "xy")
         top = function >= np.quantile(function, 0.95)
         return [[float(np.median(x[top])), float(np.median(y[top]))]]
@@ -39,12 +39,12 @@ def whereabouts(
     low, high = (-np.pi, np.pi) if choice.where == HEADING else basis.scales[choice.where]
     if choice.where == HEADING:
         x = np.angle(np.exp(1j * x))
-    cell = np.clip(((x - low) / (high - low) * CELLS).astype(int), 0, CELLS - 1)
-    count = np.bincount(cell, minlength=CELLS)
-    mean = np.bincount(cell, function, CELLS) / np.maximum(count, 1)
-    mean[count < VISITED * len(x)] = 0.0
+    cell = np.clip(((x - low) / (high - low) * RANGE_CELLS).astype(int), 0, RANGE_CELLS - 1)
+    count = np.bincount(cell, minlength=RANGE_CELLS)
+    mean = np.bincount(cell, function, RANGE_CELLS) / np.maximum(count, 1)
+    mean[count < VISITED_CELL * len(x)] = 0.0
     large = mean >= MOSTLY * mean.max()
-    edges = np.linspace(low, high, CELLS + 1)
+    edges = np.linspace(low, high, RANGE_CELLS + 1)
     ranges: list[list[float]] = []
     for k in np.flatnonzero(large):
         if ranges and np.isclose(ranges[-1][1], edges[k]):
@@ -65,10 +65,10 @@ def profile(
     mean. std  of the mean, from that of the flights' parts in the cell. Of a place in the room: over the distance.
     """
     parts = []
-    middle = whereabouts(basis, choice, value, flights, [True] * len(flights))
+    middle = find_ranges(basis, choice, value, flights, [True] * len(flights))
     for number, (flight, rest) in enumerate(zip(flights, left)):
         known = places(flight)
-        if choice.where == ROOM:
+        if choice.where == ROOM_PLACE:
             [[x, y]] = middle
             along = np.hypot(known["room x"] - x, known["room y"] - y)
         else:
@@ -80,7 +80,7 @@ def profile(
             pd.DataFrame({"at": along, "mean": rest - rest.mean(), "fit": function - function.mean(), "block": block})
         )
     table = pd.concat(parts, ignore_index=True)
-    edges = np.unique(np.quantile(table["at"], np.linspace(0.0, 1.0, CELLS // 2 + 1)))
+    edges = np.unique(np.quantile(table["at"], np.linspace(0.0, 1.0, RANGE_CELLS // 2 + 1)))
     rows = []
     for low, high in pairwise(edges):
         cell = table[(table["at"] >= low) & (table["at"] <= high)]

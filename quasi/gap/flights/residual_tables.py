@@ -1,27 +1,69 @@
-"""Where residuals live: beside the state they were found in, and over frequency."""
+"""Residuals by the state of flight in which they occur, and by frequency."""
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from scipy.signal import welch
 
-from quasi.gap.flights.covariates import HEADING, UNITS, along
+from quasi.gap.flights.covariates import HEADING, UNITS_AT, along
 from quasi.gap.flights.evidence import induced_in_hover
 from quasi.gap.flights.level import Flown
 from quasi.gap.statistics.whitening import stretches
 
 WHERE = ("t", "speed", "height", "heading", "room_x", "room_y", "volts", "rotor_speed", "descent_ratio")
 BINS = 8  # along a place
-LEAST = 20  # rows of a bin
-LAG = 0.4  # s: filters and averages of no level remember as long (the windows of sensors are 0.4 s), so that white
-# noise
-# shows nothing, and the rates of all levels hold whole steps of it
+LEAST_BIN_ROWS = 20  # rows of a bin
+# s: filters and averages of no level remember as long (the windows of sensors are 0.4 s), so that white noise shows
+# nothing, and the rates of all levels hold whole steps of it
+FAR_LAG = 0.4
 SEGMENT = 4.0  # s, of a spectrum: its resolution is a quarter of a hertz
 
 
-def beside(flown: Flown, t: np.ndarray) -> dict[str, np.ndarray]:
+class Residuals(NamedTuple):
+    """Residuals of one flight: series {word: (n, C)}, t (n,) s, breaks (n,) bool, True where a stretch begins."""
+
+    series: Mapping[str, np.ndarray]
+    t: np.ndarray
+    breaks: np.ndarray
+
+
+def level_tables(
+    flights: Sequence[Flown], residuals: Sequence[Residuals], units: Mapping[str, str], parameters: pd.DataFrame,
+    rate: float,
+) -> tuple[dict[str, pd.DataFrame], dict[str, float]]:  # fmt: skip
+    """Tables "residuals" (rows), "channels" (rms, whiteness), "where", "parameters", "spectra"; rms of "floor".
+
+    units  of the channels, in the order of the residuals' columns; parameters  of the flights; rate  Hz of the rows
+    """
+    rows, channels = [], []
+    for flown, one in zip(flights, residuals):
+        memory = whiteness(*one)
+        table = pd.DataFrame({"t": one.t, "flight": flown.key, **places_at(flown, one.t)})
+        for c, (channel, unit) in enumerate(units.items()):
+            rms = {word: float(np.sqrt(np.mean(values[:, c] ** 2))) for word, values in one.series.items()}
+            for word, values in one.series.items():
+                table[f"{channel}_{word}"] = values[:, c]
+            channels.append(
+                {"flight": flown.key, "compared": flown.compared, "channel": channel, "unit": unit, **rms, **memory[c]}
+            )
+        rows.append(table)
+    whole = pd.concat(rows, ignore_index=True)
+    compared = whole[whole["flight"].isin([f.key for f in flights if f.compared])]
+    floor = np.sqrt(np.mean([(one.series["floor"] ** 2).mean(axis=0) for one in residuals], axis=0))
+    found = {
+        "residuals": whole,
+        "channels": pd.DataFrame(channels),
+        "where": where(compared, units, list(residuals[0].series)),
+        "parameters": parameters,
+        "spectra": spectra(rows, [one.breaks for one in residuals], rate),
+    }
+    return found, dict(zip(units, map(float, floor)))
+
+
+def places_at(flown: Flown, t: np.ndarray) -> dict[str, np.ndarray]:
     """Where a flight is at times t (n,), as far as it knows, see `located`."""
     frame = flown.filtered if {"t", "u", "v", "w", "z", "yaw"} <= set(flown.filtered) else flown.imported
     hover = induced_in_hover(flown.airframe.mass, flown.airframe.radius)
@@ -33,7 +75,7 @@ def located(known: Mapping[str, np.ndarray], at: np.ndarray, t: np.ndarray) -> d
     found = {}
     for column in WHERE[1:]:
         name = column.replace("_", " ")
-        if name == HEADING and name in known:  # north is in the middle of what is beside it
+        if name == HEADING and name in known:  # circular mean
             found[column] = np.angle(np.interp(t, at, np.exp(1j * known[name])))
         elif name in known:
             found[column] = np.interp(t, at, known[name])
@@ -51,12 +93,12 @@ def where(table: pd.DataFrame, units: Mapping[str, str], words: Sequence[str]) -
     for place in [c for c in table if c in WHERE]:
         at = table[place].to_numpy(float)
         known = at[np.isfinite(at)]
-        bins = min(BINS, len(known) // LEAST)
+        bins = min(BINS, len(known) // LEAST_BIN_ROWS)
         edges = np.unique(np.quantile(known, np.linspace(0, 1, bins + 1))) if bins else []
-        unit = UNITS["time" if place == "t" else place.replace("_", " ")]
+        unit = UNITS_AT["time" if place == "t" else place.replace("_", " ")]
         for low, high in pairwise(edges):
             inside = (at >= low) & (at <= high)
-            if inside.sum() < LEAST:
+            if inside.sum() < LEAST_BIN_ROWS:
                 continue
             mean, square = values[inside].mean(axis=0), (values[inside] ** 2).mean(axis=0)
             about = {"where": place, "where_unit": unit, "low": low, "high": high,
@@ -71,12 +113,12 @@ def where(table: pd.DataFrame, units: Mapping[str, str], words: Sequence[str]) -
 
 
 def whiteness(series: Mapping[str, np.ndarray], t: np.ndarray, breaks: np.ndarray) -> list[dict[str, float]]:
-    """{"whiteness_<word>": correlation of the residual with itself LAG later} of each channel; 0 for white noise.
+    """{"whiteness_<word>": correlation of the residual with itself FAR_LAG later}; 0 for white noise.
 
     series  {word: (n, C)}, t (n,) s, breaks (n,) bool, True where a stretch begins: no pair reaches over one
     About the mean of all rows; NaN where no stretch is long enough or nothing varies.
     """
-    step = max(round(LAG / float(np.median(np.diff(t)))), 1) if len(t) > 1 else 1
+    step = max(round(FAR_LAG / float(np.median(np.diff(t)))), 1) if len(t) > 1 else 1
     first = np.concatenate([np.arange(p.start, p.stop - step) for p in stretches(breaks)] or [[]]).astype(int)
     found: list[dict[str, float]] = [{} for _ in range(next(iter(series.values())).shape[1])]
     for word, values in series.items():

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-_DATE = re.compile(r"(?<!\d)(\d{4}-[01]\d-[0-3]\d)(?!\d)")
+_DAY = re.compile(r"(?<!\d)(\d{4}-[01]\d-[0-3]\d)(?!\d)")
 UNSET = "0000-"  # a flight controller without a clock writes the year 0
 
 
@@ -22,7 +22,7 @@ def date_of(metadata: Mapping[str, Any]) -> str:
         str(((sources.get("onboard") or {}).get("header") or {}).get("Log start datetime") or ""),
     ]
     for text in written:
-        found = _DATE.search(text)
+        found = _DAY.search(text)
         if found and not found[1].startswith(UNSET):
             return found[1]
     return ""
@@ -57,6 +57,6 @@ def session_sentence(sessions: Mapping[str, str], roles: Mapping[str, str]) -> s
     if of["compared"] == {only}:
         return ""
     return (
-        f"All reference flights are of one session{named}, so that a difference between sessions cannot be told from a "
+        f"All reference flights are of one session{named}, so that a difference between sessions looks the same as a "
         "change; fly references in two sessions, and name them in the logbook's column 'Session'"
     )

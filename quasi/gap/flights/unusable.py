@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from quasi.errors import DataError
+from quasi.identification.shared import USE_UNUSABLE
 from quasi.plausibility import list_reasons
 from quasi.project.gaps import COMPARED, HELD
 
-USE_UNUSABLE = "use unusable flights"  # key of a gap's configuration
 FEWEST_COMPARED = 2  # flights: a cause must recur in another flight to be found (docs/gaps.md)
 
 

@@ -72,11 +72,6 @@ def for_flight(whole: Mapping[str, Any] | None, compared: bool) -> dict[str, Any
     return None if is_identity(parts) else parts
 
 
-def identity() -> dict[str, Any]:
-    """A calibration that corrects nothing."""
-    return document([])
-
-
 def _parts(causes: Sequence[tuple[str, Mapping[str, Any]]]) -> dict[str, dict[str, Any]]:
     parts: dict[str, dict[str, Any]] = {}
     for cause, parameters in causes:

@@ -23,12 +23,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-ROTORS = 4
+N_ROTORS = 4
 # Prior medians of the spreads of log thrust that one rotor is asked for: between sessions by the weight and its place
 # (battery, payload) and by the balance about yaw; between flights. SPREAD_FACTOR is one standard deviation of each.
 # Measured on the healthy flights of CrazyPAD and its flights with tape, `benchmarks/real_causes.py`.
 SEATING_SPREAD, YAW_SPREAD, FLIGHT_SPREAD, SPREAD_FACTOR = 0.015, 0.008, 0.009, 1.5
-GRID = SPREAD_FACTOR ** np.linspace(-2.0, 2.0, 5)  # of each spread, in units of its median
+SPREAD_GRID = SPREAD_FACTOR ** np.linspace(-2.0, 2.0, 5)  # of each spread, in units of its median
 MEAN_STD = 10.0  # of log thrust: nothing is known of the trim itself
 VOLTAGE_STD = (
     0.5  # exponent by which the assumed map from command and voltage to thrust may be wrong, standard deviation
@@ -40,7 +40,7 @@ FREE_STD = 0.1  # of each rotor by itself, where no hypothesis fits: as large as
 # Prior probabilities: of a healthy vehicle, and the shares in which the causes divide the rest. A damaged or wrong
 # propeller is the most frequent fault, and it may be any of four.
 PRIOR_HEALTHY = 0.4
-SHARES = {"rotor": 1.0, "mass": 1.0, "cg": 1.0, "weight": 1.0, "yaw": 0.25, "unexplained": 0.25}
+PRIOR_SHARES = {"rotor": 1.0, "mass": 1.0, "cg": 1.0, "weight": 1.0, "yaw": 0.25, "unexplained": 0.25}
 NAMED = 0.9  # probability from which a cause has a name: of such names one in ten may be wrong
 MAX_TIED = 3  # hypotheses in a tie
 
@@ -93,8 +93,8 @@ def geometry_of(positions: np.ndarray, spins: np.ndarray) -> Geometry:
     """
     x, y = positions[:, 0], positions[:, 1]
     arm = float(np.mean(np.hypot(x, y)))
-    balance = np.stack([np.ones(ROTORS), y / arm, x / arm, spins])
-    carried = np.linalg.solve(balance, np.eye(ROTORS))  # thrusts (4,) that make a unit of each row alone
+    balance = np.stack([np.ones(N_ROTORS), y / arm, x / arm, spins])
+    carried = np.linalg.solve(balance, np.eye(N_ROTORS))  # thrusts (4,) that make a unit of each row alone
     return Geometry(arm, carried / carried[:, :1])
 
 
@@ -104,23 +104,23 @@ def hypotheses(geometry: Geometry) -> list[Hypothesis]:
     shares = {"mass": relative[:, :1], "cg": relative[:, [2, 1]], "yaw": relative[:, 3:]}
     weight = np.hstack([shares["mass"], shares["cg"]])
     found = [
-        Hypothesis(f"rotor {i + 1}", ("rotor_effectiveness",), -np.eye(ROTORS)[:, i : i + 1], (f"rotor{i + 1}",),
-                   (ROTOR_STD,), SHARES["rotor"])
-        for i in range(ROTORS)
+        Hypothesis(f"rotor {i + 1}", ("rotor_effectiveness",), -np.eye(N_ROTORS)[:, i : i + 1], (f"rotor{i + 1}",),
+                   (ROTOR_STD,), PRIOR_SHARES["rotor"])
+        for i in range(N_ROTORS)
     ]  # fmt: skip
     cg = tuple(f"{a}_cg" for a in "xy")
     found += [
-        Hypothesis("mass", ("mass", "thrust_factor"), shares["mass"], ("mass",), (SHARE_STD,), SHARES["mass"]),
-        Hypothesis("cg", ("cg_offset",), shares["cg"], cg, (ARM_STD,) * 2, SHARES["cg"]),
+        Hypothesis("mass", ("mass", "thrust_factor"), shares["mass"], ("mass",), (SHARE_STD,), PRIOR_SHARES["mass"]),
+        Hypothesis("cg", ("cg_offset",), shares["cg"], cg, (ARM_STD,) * 2, PRIOR_SHARES["cg"]),
         Hypothesis("weight", ("mass", "cg_offset"), weight, ("mass", *cg), (SHARE_STD, ARM_STD, ARM_STD),
-                   SHARES["weight"]),
-        Hypothesis("yaw", ("rotor_tilt",), shares["yaw"], ("yaw",), (YAW_STD,), SHARES["yaw"]),
-        Hypothesis("unexplained", (), np.eye(ROTORS), tuple(f"free{i}" for i in range(1, 5)), (FREE_STD,) * 4,
-                   SHARES["unexplained"]),
+                   PRIOR_SHARES["weight"]),
+        Hypothesis("yaw", ("rotor_tilt",), shares["yaw"], ("yaw",), (YAW_STD,), PRIOR_SHARES["yaw"]),
+        Hypothesis("unexplained", (), np.eye(N_ROTORS), tuple(f"free{i}" for i in range(1, 5)), (FREE_STD,) * 4,
+                   PRIOR_SHARES["unexplained"]),
     ]  # fmt: skip
     total = sum(h.prior for h in found)
     found = [h._replace(prior=(1.0 - PRIOR_HEALTHY) * h.prior / total) for h in found]
-    return [Hypothesis("healthy", (), np.zeros((ROTORS, 0)), (), (), PRIOR_HEALTHY), *found]
+    return [Hypothesis("healthy", (), np.zeros((N_ROTORS, 0)), (), (), PRIOR_HEALTHY), *found]
 
 
 def compare(flights: Sequence[Flight], candidates: Sequence[Hypothesis], geometry: Geometry) -> Comparison:
@@ -136,9 +136,9 @@ def compare(flights: Sequence[Flight], candidates: Sequence[Hypothesis], geometr
     shared = (sessions[:, None] == sessions[None, :]).astype(float)
     seating, yaw = (np.kron(shared, part @ part.T) for part in (geometry.relative[:, :3], geometry.relative[:, 3:]))
     columns = [np.kron(compared[:, None].astype(float), h.directions * np.array(h.std)) for h in candidates]
-    free = np.kron(compared[:, None].astype(float), np.eye(ROTORS))
+    free = np.kron(compared[:, None].astype(float), np.eye(N_ROTORS))
     log_posterior, fits, changes, sizes = [], [], [], []
-    for scale in itertools.product(GRID, repeat=3):
+    for scale in itertools.product(SPREAD_GRID, repeat=3):
         sizes.append(np.array(scale) * (SEATING_SPREAD, YAW_SPREAD, FLIGHT_SPREAD))
         a, b, c = sizes[-1] ** 2
         factor = np.linalg.cholesky(fixed + a * seating + b * yaw + c * np.eye(len(y)))
@@ -162,7 +162,7 @@ def _fixed_covariance(flights: Sequence[Flight]) -> np.ndarray:
     if known.any():
         level = np.where(known, level - level[known].mean(), 0.0)
     common = np.outer(level, level) * VOLTAGE_STD**2
-    return np.kron(np.ones((n, n)), np.eye(ROTORS)) * MEAN_STD**2 + np.kron(common, np.ones((ROTORS, ROTORS)))
+    return np.kron(np.ones((n, n)), np.eye(N_ROTORS)) * MEAN_STD**2 + np.kron(common, np.ones((N_ROTORS, N_ROTORS)))
 
 
 def _marginal(columns: np.ndarray, white: np.ndarray) -> tuple[float, tuple[np.ndarray, np.ndarray]]:

@@ -3,7 +3,7 @@
 The comparison of sensors sees how far the IMU is from the tracked point and nothing else: an IMU at r from the cg and
 markers at -r look
 alike. Forces see how far the IMU is from the cg: it feels wdot x r + w x (w x r) too much, whatever the capture says.
-The two together tell each point.
+The two together determine each point.
 
 Source: rigid-body kinematics; the weighing is least squares on the two estimates of each component.
 """
@@ -18,21 +18,20 @@ from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.gap.effect import Effect, Limits, vehicle_of
-from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.evidence import RATE, Evidence
 from quasi.gap.flights.gathering import gather
 from quasi.gap.flights.level import Flown, Level
 from quasi.gap.levels.forces.design import Design, gather_design
 from quasi.gap.levels.forces.nonlinear import started
+from quasi.gap.levels.sensors.columns import XYZ
 from quasi.gap.selection import Profile, select_causes
 from quasi.gap.statistics.mixed import Candidate
 from quasi.model.model import Model
 
-IMU, MARKERS, CG = "imu_lever_arm", "marker_offset", "cg_offset"
-AXES = ("x", "y", "z")
-APART = 9.0  # difference of squared standard errors, three of them, from which one explanation wins
+IMU, OFFSET, CG = "imu_lever_arm", "marker_offset", "cg_offset"
+DECIDED = 9.0  # difference of squared standard errors, three of them, from which one explanation wins
 TAKEN_UP = 0.1  # share of an arm's forces that the terms of a model may hold by chance
 ACROSS = 0.04  # share of the whole arm that they may make up along another axis
-RATE = 100.0  # Hz
 BREAKER = "sharp turns about all axes, compared with a model that was identified from other flights"
 
 
@@ -53,23 +52,23 @@ class Points(NamedTuple):
     apart: np.ndarray
 
     @property
-    def told(self) -> bool:
+    def is_decided(self) -> bool:
         """Whether any component says which of the points it is."""
-        return bool((np.abs(self.apart) > APART).any())
+        return bool((np.abs(self.apart) > DECIDED).any())
 
 
 def weigh(between: np.ndarray, between_std: np.ndarray, forces: np.ndarray, forces_std: np.ndarray) -> Points:
     """Share what the comparison of sensors sees between the two points, by what the forces see of one of them.
 
     between (3,) IMU minus tracked point, m; forces (3,) IMU minus cg, m. Component by component either the IMU or the
-    markers are elsewhere, both where neither alone fits; a component that is not told follows those that are.
+    markers are elsewhere, both where neither alone fits; an undecided component follows the decided ones.
     """
     sharp = np.sqrt(forces_std**2 + (TAKEN_UP * between) ** 2 + ACROSS**2 * (between @ between))
     only_imu = (between - forces) ** 2 / (between_std**2 + sharp**2)  # the best common value left free
     only_markers = (forces / sharp) ** 2
     apart = only_markers - only_imu  # positive: the markers alone fit worse
-    toward = np.where(np.abs(apart) > APART, apart, apart.sum())
-    both = (only_imu > APART) & (only_markers > APART)
+    toward = np.where(np.abs(apart) > DECIDED, apart, apart.sum())
+    both = (only_imu > DECIDED) & (only_markers > DECIDED)
     # where one value serves both estimates, the sharper of them counts more
     weight = between_std**-2.0 + sharp**-2.0
     common, common_std = (between * between_std**-2.0 + forces * sharp**-2.0) / weight, weight**-0.5
@@ -82,16 +81,15 @@ def weigh(between: np.ndarray, between_std: np.ndarray, forces: np.ndarray, forc
 
 
 def settle(level: Level, flights: Sequence[Flown], model: Model, effects: Mapping[str, Effect], rate: float) -> None:
-    """Tell `marker_offset` from `imu_lever_arm` in what the comparison of sensors found; nothing to do where it found
-    neither.
+    """Separate `marker_offset` from `imu_lever_arm` in what the comparison of sensors found, if it found either.
 
-    flights  those that may choose and fit; effects  causes that forces may have beside; rate  false alarm rate of these
-    Changes the level: its effect becomes either cause or both, or a tie where the forces cannot tell.
+    flights  those that may choose and fit; effects  other causes of forces; rate  their false alarm rate
+    Changes the level: its effect becomes either cause or both, or a tie where the forces cannot decide.
     """
     arms = [e for e in level.effects if e["id"] == IMU]
     if not arms:
         # where the one could not be asked, neither could the other
-        level.cannot_be_asked += [{**said, "id": MARKERS} for said in level.cannot_be_asked if said["id"] == IMU]
+        level.cannot_be_asked += [{**entry, "id": OFFSET} for entry in level.cannot_be_asked if entry["id"] == IMU]
         return
     for arm in arms:
         _settle_arm(level, arm, flights, model, effects, rate)
@@ -111,21 +109,21 @@ def _settle_arm(
     except DataError as error:
         level.notes.append(f"whether the IMU or the markers sit elsewhere was not asked of the forces: {error}")
         forces, std = np.zeros(3), np.full(3, np.inf)
-    between = np.array([arm["parameters"][n]["value"] for n in AXES])
-    between_std = np.array([arm["parameters"][n]["std"] for n in AXES])
+    between = np.array([arm["parameters"][n]["value"] for n in XYZ])
+    between_std = np.array([arm["parameters"][n]["std"] for n in XYZ])
     points = weigh(between, between_std, forces, std)
     other = {
         **arm,
-        "id": MARKERS,
-        "parameters": _named(points.markers if points.told else -between, points.markers_std),
+        "id": OFFSET,
+        "parameters": _named(points.markers if points.is_decided else -between, points.markers_std),
         "evidence": {**arm.get("evidence", {}), "IMU minus cg by forces": forces.tolist(),
                      "standard error": std.tolist(), "apart": points.apart.tolist()},
     }  # fmt: skip
-    if not points.told:
+    if not points.is_decided:
         level.effects.remove(arm)
         level.ties.append(
-            {"ids": [IMU, MARKERS], "since": arm["since"], "separability": float(np.sqrt(np.abs(points.apart).max())),
-             "tie_breaker": BREAKER, "parameters": {IMU: arm["parameters"], MARKERS: other["parameters"]},
+            {"ids": [IMU, OFFSET], "since": arm["since"], "separability": float(np.sqrt(np.abs(points.apart).max())),
+             "tie_breaker": BREAKER, "parameters": {IMU: arm["parameters"], OFFSET: other["parameters"]},
              "p": arm.get("evidence", {}).get("p")}
         )  # fmt: skip
         return
@@ -143,7 +141,7 @@ def _there(value: np.ndarray, std: np.ndarray) -> bool:
 
 
 def _named(value: np.ndarray, std: np.ndarray) -> dict[str, dict[str, Any]]:
-    return {n: {"value": float(v), "std": float(s), "unit": "m"} for n, v, s in zip(AXES, value, std)}
+    return {n: {"value": float(v), "std": float(s), "unit": "m"} for n, v, s in zip(XYZ, value, std)}
 
 
 def _columns(evidence: Evidence, _: Any) -> dict[str, np.ndarray]:
@@ -153,7 +151,7 @@ def _columns(evidence: Evidence, _: Any) -> dict[str, np.ndarray]:
         name: evidence.forces_only(
             evidence.mass * (np.cross(turning, unit) + np.cross(rates, np.cross(rates, unit)))
         )
-        for name, unit in zip(AXES, np.eye(3))
+        for name, unit in zip(XYZ, np.eye(3))
     }  # fmt: skip
 
 
@@ -167,11 +165,11 @@ FELT = Effect(
 def felt(
     flights: Sequence[Flown], model: Model, since: str, effects: Mapping[str, Effect], rate: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """IMU minus cg (3,) m by the forces, with standard errors (3,); the model's own terms are fitted anew beside it.
+    """IMU minus cg (3,) m by the forces, with standard errors (3,); the model's own terms are fitted anew with it.
 
     since  "always": one arm in all flights; "changed": of the compared ones, beyond what all have
-    effects  causes by id; those of forces that the flights have beside the arm are taken out; rate  their false alarm
-    rate: what is left of a tether, say, blunts what forces tell of the arm
+    effects  causes by id; causes of forces other than the arm are taken out, since a tether, say, would bias the arm;
+    rate  their false alarm rate
     Raises DataError where no flight can be compared with the model.
     """
     seen = []
@@ -187,17 +185,17 @@ def felt(
     asked = {n: e for n, e in effects.items() if e.level == "forces" and not e.finding}
     arm = Candidate(IMU, since, (0, 1, 2))
     study = started(gather_design(evidence, asked | {IMU: FELT}, vehicle), asked | {IMU: FELT}, vehicle, compared)
-    beside = _beside(study, asked, {n: e.limits(vehicle) for n, e in asked.items()}, compared, rate, arm)
+    given = _other_causes(study, asked, {n: e.limits(vehicle) for n, e in asked.items()}, compared, rate, arm)
     mixed = study.mixed(range(len(seen)), compared)
-    test = mixed.test(arm, beside, [IMU] if since == "changed" else [])
+    test = mixed.test(arm, given, [IMU] if since == "changed" else [])
     return np.asarray(test.value), np.asarray(test.std)
 
 
-def _beside(
+def _other_causes(
     study: Design, asked: Mapping[str, Effect], within: Mapping[str, Limits],
     compared: np.ndarray, rate: float, arm: Candidate,
 ) -> list[Candidate]:  # fmt: skip
-    """Causes that the forces have beside the arm.
+    """Causes of forces other than the arm.
 
     A moved centre of gravity is none: what the accelerometer feels is its place from where that is.
     """
@@ -215,5 +213,5 @@ def _evidence(flown: Flown, model: Model) -> Evidence:
     taken_off = (flown.metadata.get("corrections") or {}).get("imu position") or {}
     if taken_off.get("applied") and taken_off.get("source") == "hover":
         columns = _columns(evidence, None)
-        measured = measured + sum(v * columns[n] for n, v in zip(AXES, taken_off["value"]))
+        measured = measured + sum(v * columns[n] for n, v in zip(XYZ, taken_off["value"]))
     return replace(evidence, measured=measured)

@@ -20,20 +20,19 @@ import numpy as np
 import pandas as pd
 
 from quasi.errors import DataError
-from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.evidence import RATE, Evidence
 from quasi.gap.flights.gathering import gather_all
 from quasi.gap.flights.level import Flown
 from quasi.model.columns import ROTORS
 from quasi.model.model import AXES, Model
 
 ID = "rotor_order"
-MOMENTS = tuple(AXES.index(a) for a in ("Mx", "My", "Mz"))
+MOMENT_AXES = tuple(AXES.index(a) for a in ("Mx", "My", "Mz"))
 RIGHT = tuple(range(4))
 ORDERS = tuple(itertools.permutations(RIGHT))  # order[i]: column, from 0, that holds rotor i
 DECISIVE = np.log(100.0)  # of the odds, beyond the 23 to 1 that chance has more tries with the other orders
-RATE = 100.0  # Hz of the comparison of moments
-COLUMNS = ("w{}", "w{}_dot")
-COMMANDS = ("command{}", "command{}_raw", "w{}_CMD", "w{}_CMD_raw")
+ROTOR_COLUMNS = ("w{}", "w{}_dot")
+COMMAND_COLUMNS = ("command{}", "command{}_raw", "w{}_CMD", "w{}_CMD_raw")
 
 
 class RotorOrder(NamedTuple):
@@ -74,7 +73,7 @@ def sentence_of(order: Sequence[int]) -> str:
 def reordered(table: pd.DataFrame, speeds: Sequence[int], commands: Sequence[int]) -> pd.DataFrame:
     """A table whose rotor columns stand in the order of the rotors. Orders count from 0."""
     names = {}
-    for order, patterns in ((speeds, COLUMNS), (commands, COMMANDS)):
+    for order, patterns in ((speeds, ROTOR_COLUMNS), (commands, COMMAND_COLUMNS)):
         for i, pattern in itertools.product(RIGHT, patterns):
             names[pattern.format(order[i] + 1)] = pattern.format(i + 1)
     # the columns keep their places, so that a table looks as it did
@@ -102,7 +101,7 @@ def find_rotor_order(flights: Sequence[Flown], model: Model) -> RotorOrder | Non
     except DataError:
         return None
     compared = {f.key: f for f in flights if f.compared and f.key in evidence}
-    known = [np.isfinite(evidence[k].predicted[:, MOMENTS]).all() for k in compared]
+    known = [np.isfinite(evidence[k].predicted[:, MOMENT_AXES]).all() for k in compared]
     if not compared or not all(known):
         return None
     left = {key: residual_variances(one, model) for key, one in evidence.items()}
@@ -116,10 +115,10 @@ def find_rotor_order(flights: Sequence[Flown], model: Model) -> RotorOrder | Non
     weight = np.exp(total - total.max())
     speeds = ORDERS[best]
     rows = np.array([len(evidence[key]) for key in compared], float)
-    measured = rows @ [evidence[key].measured[:, MOMENTS].var(axis=0) for key in compared]
+    measured = rows @ [evidence[key].measured[:, MOMENT_AXES].var(axis=0) for key in compared]
     rest = np.einsum("f,fok->ok", rows, [left[key] for key in compared])
     share = 1.0 - rest / np.maximum(measured, 1e-300)
-    explained = {AXES[a]: (float(share[0, k]), float(share[best, k])) for k, a in enumerate(MOMENTS)}
+    explained = {AXES[a]: (float(share[0, k]), float(share[best, k])) for k, a in enumerate(MOMENT_AXES)}
     return RotorOrder(
         speeds, _order_of_commands([f.filtered for f in compared.values()], speeds),
         {key: float(odds[key][best]) for key in compared}, float(weight[best] / weight.sum()), explained,
@@ -133,8 +132,8 @@ def residual_variances(flight: Evidence, model: Model) -> np.ndarray:
     found = []
     for order in ORDERS:
         moved = {n: flight.columns[f"w{order[int(n[1]) - 1] + 1}{n[2:]}"] for n in names}
-        predicted = model.predict_columns({**flight.columns, **moved})[[AXES[a] for a in MOMENTS]].to_numpy()
-        found.append((flight.measured[:, MOMENTS] - predicted).var(axis=0))
+        predicted = model.predict_columns({**flight.columns, **moved})[[AXES[a] for a in MOMENT_AXES]].to_numpy()
+        found.append((flight.measured[:, MOMENT_AXES] - predicted).var(axis=0))
     return np.array(found)
 
 
@@ -149,7 +148,7 @@ def log_odds(left: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 def _order_of_commands(tables: Sequence[pd.DataFrame], speeds: tuple[int, ...]) -> tuple[int, ...]:
     """Order of the commands: that of the speeds or the logged one, whichever the reordered speeds follow better."""
-    for pattern in COMMANDS:
+    for pattern in COMMAND_COLUMNS:
         names = [pattern.format(i + 1) for i in RIGHT]
         if not all(set(names) <= set(t) for t in tables):
             continue

@@ -8,19 +8,24 @@ import numpy as np
 import pandas as pd
 from scipy.stats import norm
 
+from quasi.errors import DataError
 from quasi.gap.effect import Effect
-from quasi.gap.flights.level import Flown, Level
-from quasi.gap.levels import imu_or_markers, materiality, rotor_order
-from quasi.gap.levels.corrections import document
+from quasi.gap.flights.level import Flown, Level, cause_of
+from quasi.gap.levels import imu_or_markers, rotor_order
+from quasi.gap.levels.corrections import corrected_at_import, document
+from quasi.gap.levels.drive import held_out as drive_held_out
 from quasi.gap.levels.drive import identify as drive_level
+from quasi.gap.levels.sensors import held_out as sensor_held_out
 from quasi.gap.levels.sensors import identify as sensor_level
+from quasi.gap.levels.sensors.columns import SENSED_CHANNELS
 from quasi.gap.levels.tie_breaking import Process, settle
+from quasi.model.columns import ROTORS
 from quasi.model.model import Model
 from quasi.tables import COLUMNS
 
 SEARCHES = 4  # that share the false alarm rate: sensors, drive and forces, and for what no cause explains
 FAINTEST = 4.0  # |t| of what chance makes look like a cause
-UNITS = {
+CHANNEL_UNITS = {
     "p": "rad/s", "q": "rad/s", "r": "rad/s", "ax": "m/s2", "ay": "m/s2", "az": "m/s2", "Fx": "N", "Fy": "N",
     "Fz": "N", "Mx": "N m", "My": "N m", "Mz": "N m", "w1": "rad/s", "w2": "rad/s", "w3": "rad/s", "w4": "rad/s",
     "height": "m", "speed": "m/s", "volts": "V", "frequency": "Hz", "rotor": "rad/s", "heading": "rad", "time": "s",
@@ -42,7 +47,7 @@ def examine(
     """
     rate = rate_of(settings["false alarm rate"], sum(f.compared for f in flights), held)
     # which of the two points sits elsewhere is asked of what the comparison of sensors takes for the IMU's
-    arm = [imu_or_markers.IMU] if imu_or_markers.MARKERS in effects and imu_or_markers.IMU not in effects else []
+    arm = [imu_or_markers.IMU] if imu_or_markers.OFFSET in effects and imu_or_markers.IMU not in effects else []
     options = {"false alarm rate": rate, "effects": [*effects, *arm], "sessions": settings.get("sessions") or {}}
     order = None
     if rotor_order.ID in effects:
@@ -52,12 +57,12 @@ def examine(
         right = (lambda f: process(f, None)) if process else (lambda f: rotor_order.reorder(f, order.document()))
         flights = [right(f) if f.compared else f for f in flights]
     levels = [sensor_level.examine(flights, options), drive_level.examine(flights, model, options)]
-    if imu_or_markers.MARKERS in effects:
+    if imu_or_markers.OFFSET in effects:
         imu_or_markers.settle(levels[0], flights, Model(model, "the compared model"), effects, rate)
     if process is not None:
         settle(levels, flights, Model(model, "the compared model"), options["false alarm rate"], process)
     for level in levels:
-        level.found_on = materiality.found_on(level, flights)
+        level.found_on = found_on(level, flights)
     calibration = document(levels)
     if order is not None:
         calibration["rotor order"] = order.document()
@@ -75,6 +80,91 @@ def rate_of(rate: float, compared: int, held: int) -> float:
     """
     passes = float(norm.sf(0.5 * FAINTEST * np.sqrt(held / max(compared, 1)))) if held else 1.0
     return rate / SEARCHES / max(passes, 1.0 / SEARCHES)
+
+
+def found_on(level: Level, flights: Sequence[Flown]) -> dict[str, Any]:
+    """What causes remove where they were found: {"channels", "healthy", "worth": {cause: largest share}}.
+
+    flights  as they were before any calibration; the compared ones count
+    """
+    entries, compared = [*level.effects, *level.ties], [f for f in flights if f.compared]
+    found = {}
+    if entries and level.level == "sensors":
+        found = sensor_held_out.gains(entries, compared, corrected=False)
+    elif entries:
+        found = drive_held_out.gains(entries, compared, level.healthy)
+    return {
+        "channels": list(SENSED_CHANNELS if level.level == "sensors" else ROTORS),
+        "healthy": level.healthy,
+        "worth": {c: float(np.nanmax(g.removed)) for c, g in found.items() if np.isfinite(g.removed).any()},
+    }
+
+
+def reject_immaterial(
+    levels: Mapping[str, Mapping[str, list[Any]]], first: Sequence[Flown], last: Sequence[Flown], share: float
+) -> None:
+    """Reject effects and ties of sensors and drive that remove too little error on held-out flights, in place.
+
+    levels  {"sensors", "drive": lists "effects", "ties", "candidates", "notes", and "found on"}, see `plain`
+    first, last  held-out flights before and after the calibration; share  least share of some channel's removable error
+    What is judged carries "removed": {channel: share}.
+    """
+    for name, level in levels.items():
+        entries = [*level["effects"], *level["ties"]]
+        if not entries:
+            continue
+        about = level["found on"]
+        try:
+            found = (
+                sensor_held_out.gains(entries, last) if name == "sensors"
+                else drive_held_out.gains(entries, first, about["healthy"])
+            )  # fmt: skip
+        except DataError as error:
+            level["notes"].append(f"whether {', '.join(map(_words, entries))} matter was not asked: {error}")
+            continue
+        for entry in entries:
+            cause = cause_of(entry)
+            if cause not in found:
+                continue
+            acts = [k for k, c in enumerate(about["channels"]) if name == "drive" or _acts(cause, c)]
+            removed, most = found[cause].removed[acts], found[cause].most[acts]
+            entry["removed"] = {about["channels"][k]: float(v) for k, v in zip(acts, removed) if np.isfinite(v)}
+            if not np.isfinite(removed).any():
+                level["notes"].append(
+                    f"whether {_words(entry)} matters is unknown on held-out flights: noise hides what it does"
+                )
+            elif np.nanmax(removed) < share and np.nanmax(most) < share <= about["worth"].get(cause, 0.0):
+                level["notes"].append(
+                    f"held-out flights hardly excite {_words(entry)}; what it removes of their error is unknown"
+                )
+            elif np.nanmax(removed) < share:
+                _reject(level, entry, name, max(np.nanmax(removed), 0.0), share)
+
+
+def _reject(level: Mapping[str, list[Any]], entry: Mapping[str, Any], name: str, removed: float, share: float) -> None:
+    """Move an effect or a tie to the causes that were asked and are not named, with the reason."""
+    level["effects" if "id" in entry else "ties"].remove(entry)
+    why = (
+        f"there, but it removes {100 * removed:.0f} % of the removable error on held-out flights, expected "
+        f"{100 * share:.0f} %"
+    )
+    wald = entry["evidence"].get("wald") if "id" in entry else entry.get("wald")
+    level["candidates"] += [
+        {"id": i, "since": entry["since"], "score": wald, "p": None, "why_not": why}
+        for i in ([entry["id"]] if "id" in entry else entry["ids"])
+    ]
+    stays = "; the flights stay corrected for it" if corrected_at_import(cause_of(entry), name) else ""
+    level["notes"].append(f"{_words(entry)} is {why}{stays}")
+
+
+def _acts(cause: str, channel: str) -> bool:
+    """Whether a cause of sensors acts on body rates (p, q, r) or on the specific force (channels in earth axes)."""
+    shows = drive_level.CATALOGUE[cause].channels
+    return "clock" in shows or bool(set(shows) & set("pqr") if channel in "pqr" else set(shows) - set("pqr"))
+
+
+def _words(entry: Mapping[str, Any]) -> str:
+    return entry["id"] if "id" in entry else " or ".join(entry["ids"])
 
 
 def plain(level: Level) -> dict[str, Any]:
@@ -104,7 +194,7 @@ def judged(flights: Sequence[Flown], model: Mapping[str, Any], effects: Sequence
 def units_of(table: pd.DataFrame) -> dict[str, tuple[str, str]]:
     """Units of the columns of a residual table, by the quantity that a name begins with."""
     return {
-        name: (UNITS.get(name, UNITS.get(re.split("[_ ]", name)[0], "")), "")
+        name: (CHANNEL_UNITS.get(name, CHANNEL_UNITS.get(re.split("[_ ]", name)[0], "")), "")
         for name in table.columns
         if name not in COLUMNS
     }

@@ -8,13 +8,12 @@ from scipy.ndimage import uniform_filter1d
 
 from quasi.attitude import GRAVITY
 from quasi.saturation import runs_of
-from quasi.terms.rotor_map import RAW
+from quasi.terms.rotor_map import RAW, SHARES, SPEEDS
 
-ROTORS = range(1, 5)
-MAX_SPEED = 1.0  # m/s: at 1 m/s a small quadrotor's drag is some percent of its weight; there and back it cancels
+MAX_STEADY_SPEED = 1.0  # m/s: a small quadrotor's drag is then some percent of its weight; there and back it cancels
 GROUND_RADII = 4.0  # rotor radii above the floor: thrust gains 0.4 % there (Cheeseman & Bennett, ARC R&M 3021, 1955)
 MIN_HEIGHT = 0.1  # m above the lowest place, where the rotor's radius is not known
-SETTLING, LANDING = 1.0, 0.5  # s after take-off and before touch-down: integrators of a controller wind up
+SETTLING, BEFORE_LANDING = 1.0, 0.5  # s after take-off and before touch-down: integrators of a controller wind up
 CALM_RATE, CALM_FORCE = 0.5, 0.15  # rad/s and share of g, means over CALM_WINDOW: a tilt of 9 deg adds 1 % of thrust
 CALM_WINDOW = 0.5  # s
 CONTACT = 0.5  # of the weight, force that the rotors do not give: no wind makes it at the speeds above
@@ -39,11 +38,11 @@ def asked_of_rotors(frame: pd.DataFrame) -> tuple[np.ndarray, str]:
     Speeds that were estimated from commands may be balanced flight by flight, so that the commands count then.
     Raises ValueError, with a reason for the page, where neither the speeds nor the commands of four rotors are there.
     """
-    if all(f"w{i}" in frame for i in ROTORS) and f"command1{RAW}" not in frame:
-        return frame[[f"w{i}" for i in ROTORS]].to_numpy(float) ** 2, "speeds"
-    if not all(f"command{i}" in frame for i in ROTORS):
+    if all(w in frame for w in SPEEDS) and f"command1{RAW}" not in frame:
+        return frame[list(SPEEDS)].to_numpy(float) ** 2, "speeds"
+    if not all(c in frame for c in SHARES):
         raise ValueError("neither speeds nor commands of the four rotors are known")
-    commands = np.maximum(frame[[f"command{i}" for i in ROTORS]].to_numpy(float), 0.0)
+    commands = np.maximum(frame[list(SHARES)].to_numpy(float), 0.0)
     if "battery_voltage" in frame:
         commands = commands * frame["battery_voltage"].to_numpy(float)[:, None]
     return commands**2, "commands"
@@ -68,7 +67,7 @@ def steady_flight(frame: pd.DataFrame, radius: float | None = None) -> SteadyFli
     rows = _without_ends(flying, dt)
     touched = _contacts(frame, asked, rows, dt)
     if {"u", "v", "w"} <= set(frame):
-        rows &= np.linalg.norm(frame[["u", "v", "w"]].to_numpy(float), axis=1) < MAX_SPEED
+        rows &= np.linalg.norm(frame[["u", "v", "w"]].to_numpy(float), axis=1) < MAX_STEADY_SPEED
     rows &= ~touched & _calm(frame, dt)
     seconds = float(rows.sum() * dt)
     if seconds < MIN_STEADY:
@@ -81,7 +80,7 @@ def _without_ends(flying: np.ndarray, dt: float) -> np.ndarray:
     """True (n,) inside each span of flight, away from its take-off and its touch-down."""
     rows = np.zeros(len(flying), bool)
     for first, last in runs_of(flying):
-        rows[first + round(SETTLING / dt) : max(first, last - round(LANDING / dt))] = True
+        rows[first + round(SETTLING / dt) : max(first, last - round(BEFORE_LANDING / dt))] = True
     return rows
 
 

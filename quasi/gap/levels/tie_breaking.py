@@ -9,8 +9,8 @@ session has in common would else be counted as often as it was flown; the flight
 needed for it, and none speaks against it as clearly as it takes to choose.
 
 A turn that stands in all flights may stand in those that the model was identified from: its own terms may hold it, and
-no residual tells what is turned. Such a tie stays. Timing is not for a model of rotor speeds to hold; late telemetry
-and late commands are told apart in all flights too.
+no residual shows what is turned. Such a tie stays. Timing is not for a model of rotor speeds to hold; late telemetry
+and late commands are distinguished in all flights too.
 Source: Wald, Sequential tests of statistical hypotheses, Ann. Math. Stat. 16, 1945 (the bound).
 """
 
@@ -24,20 +24,19 @@ from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError
 from quasi.gap.effect import vehicle_of
-from quasi.gap.flights.evidence import NEEDED
+from quasi.gap.flights.evidence import RATE, REQUIRED
 from quasi.gap.flights.gathering import gather
 from quasi.gap.flights.level import Flown, Level
 from quasi.gap.levels.corrections import document, for_flight
 from quasi.gap.levels.drive.identify import CATALOGUE, LATE
-from quasi.gap.levels.forces.design import BLOCK, Design, gather_design
-from quasi.gap.levels.sensors.identify import TURNED
-from quasi.gap.statistics.mixed import marginal
+from quasi.gap.levels.forces.design import Design, gather_design
+from quasi.gap.levels.sensors.identify import TURNED_PAIR
+from quasi.gap.statistics.blocks import BLOCK
+from quasi.gap.statistics.mixed import RIDGE, marginal
 from quasi.gap.statistics.whitening import Whitener, block_grams
 from quasi.model.model import Model
 
-RATE = 100.0  # Hz of the comparison of forces and moments
 ROWS = 0.98  # share of the rows that must be comparable
-RIDGE = 1e-9  # of scaled columns
 Process = Callable[[Flown, Mapping[str, Any] | None], Flown]
 
 
@@ -50,11 +49,11 @@ def settle(
     process  imports and filters a flight anew with a calibration
     Returns the winners. What cannot be settled stays a tie, with a note that says why.
     """
-    ties = [(level, tie) for level in levels for tie in level.ties if set(tie["ids"]) in (TURNED, LATE)]
+    ties = [(level, tie) for level in levels for tie in level.ties if set(tie["ids"]) in (TURNED_PAIR, LATE)]
     winners: list[str] = []
     for level, tie in ties:
         names = " and ".join(tie["ids"])
-        if set(tie["ids"]) == TURNED and tie["since"] == "always":
+        if set(tie["ids"]) == TURNED_PAIR and tie["since"] == "always":
             level.notes.append(
                 f"{names} stay a tie: all flights have it, and the model's own terms may hold it as well; flights from "
                 "before it would settle it"
@@ -173,10 +172,10 @@ def _times(flown: Flown) -> np.ndarray:
 def _good(flown: Flown) -> np.ndarray:
     """(n,) 1 where a row can be compared, 0 elsewhere."""
     frame = flown.filtered
-    missing = [c for c in NEEDED if c not in frame]
+    missing = [c for c in REQUIRED if c not in frame]
     if missing:
         raise DataError(f"flight {flown.key} has no column '{missing[0]}', which forces and moments need")
-    fine = np.isfinite(frame[list(NEEDED)].to_numpy(float)).all(axis=1)
+    fine = np.isfinite(frame[list(REQUIRED)].to_numpy(float)).all(axis=1)
     return (fine & (frame["valid"].to_numpy() > 0.5) if "valid" in frame else fine).astype(float)
 
 

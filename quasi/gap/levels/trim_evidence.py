@@ -9,7 +9,7 @@ import pandas as pd
 
 from quasi.gap.effect import Vehicle
 from quasi.gap.levels.hover_trim import (
-    ROTORS,
+    N_ROTORS,
     Comparison,
     Flight,
     Geometry,
@@ -22,10 +22,10 @@ from quasi.gap.levels.steady_flight import steady_flight
 
 # Log likelihood by which the trim has to be less probable with a cause than without, so that it rejects the cause: 1 to
 # 100, "decisive" (Kass & Raftery, Bayes factors, JASA 90, 1995).
-REJECTED = -np.log(100.0)
-WORDS = {"mass": "another mass", "cg": "a moved centre of gravity", "weight": "a weight that was added or moved",
+REJECTED_LOG = -np.log(100.0)
+HYPOTHESES = {"mass": "another mass", "cg": "a moved centre of gravity", "weight": "a weight that was added or moved",
          "yaw": "another balance about yaw (a tilted rotor)"}  # fmt: skip
-CHANNELS = {"rotor_effectiveness": ["Fz", "Mx", "My"], "mass": ["Fz"], "thrust_factor": ["Fz"],
+TRIM_CHANNELS = {"rotor_effectiveness": ["Fz", "Mx", "My"], "mass": ["Fz"], "thrust_factor": ["Fz"],
             "cg_offset": ["Mx", "My"], "rotor_tilt": ["Mz"]}  # fmt: skip
 
 
@@ -112,15 +112,15 @@ def _text(word: str, names: Sequence[str], found: Comparison, parameters: Mappin
         return f"{first} That is a change, but it fits none of the causes that a trim can show."
     total = sum(p for n, p in found.probability.items() if n != "unexplained")
     share = sum(found.probability[n] for n in names) / total
-    said = " or ".join(_words(n, parameters[n]) for n in names)
-    return f"{first} The trim shows {said}, with the probability {share:.2f}."
+    answer = " or ".join(_words(n, parameters[n]) for n in names)
+    return f"{first} The trim shows {answer}, with the probability {share:.2f}."
 
 
 def _words(name: str, parameters: Mapping[str, Mapping[str, Any]]) -> str:
     if name.startswith("rotor "):
         (size,) = parameters.values()
         return f"{name} with the effectiveness {size['value']:.2f} ± {size['std']:.2f}"
-    return WORDS[name]
+    return HYPOTHESES[name]
 
 
 def expected_change(cause: str, deviations: Mapping[str, float], evidence: TrimEvidence, mass: float) -> np.ndarray:
@@ -128,7 +128,7 @@ def expected_change(cause: str, deviations: Mapping[str, float], evidence: TrimE
 
     deviations  of its parameters from neutral, as the search has them; mass  configured, kg
     """
-    change = np.zeros(ROTORS)
+    change = np.zeros(N_ROTORS)
     if cause == "rotor_effectiveness":
         for name, deviation in deviations.items():
             if name.startswith("rotor"):
@@ -146,7 +146,7 @@ def expected_change(cause: str, deviations: Mapping[str, float], evidence: TrimE
 def rejected_by_trim(
     evidence: TrimEvidence | None, causes: Sequence[tuple[str, Mapping[str, float]]], mass: float
 ) -> dict[int, str]:
-    """Causes, by position, without which the trim is REJECTED more probable, and why.
+    """Causes, by position, without which the trim is exp(REJECTED_LOG) more probable, and why.
 
     causes  [(id, deviations)] that compared flights have and reference flights lack, all together
     """
@@ -164,7 +164,7 @@ def rejected_by_trim(
     result = {}
     for k, effect in enumerate(effects):
         gain = log_likelihood(together) - log_likelihood(together - effect)
-        if gain < REJECTED:
+        if gain < REJECTED_LOG:
             i = int(np.argmax(np.abs(effect)))
             result[k] = (
                 f"with it rotor {i + 1} would be asked for {100 * np.expm1(effect[i]):+.0f} % more thrust in steady "
@@ -191,7 +191,7 @@ def trim_entries(
     share = sum(document["probability"][name] for name in document["names"])
     if len(ids) == 1:
         entry = {
-            "id": ids[0], "level": "trim", "since": "changed", "probability": share, "channels": CHANNELS[ids[0]],
+            "id": ids[0], "level": "trim", "since": "changed", "probability": share, "channels": TRIM_CHANNELS[ids[0]],
             "parameters": {n: size for name in document["names"] for n, size in parameters[name].items()},
             "gain": {"wrench": None, "rollout": None}, "confused_with": [], "evidence": {"trim": share},
         }  # fmt: skip

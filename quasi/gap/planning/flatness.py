@@ -17,15 +17,15 @@ from scipy.interpolate import make_interp_spline
 from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError, nearest
+from quasi.gap.flights.evidence import RATE
 from quasi.model.columns import ROTORS
 from quasi.model.hover import list_usual_inputs
 from quasi.model.model import AXES, Model
 
-RATE = 100.0  # Hz of what is worked out
-LONGEST = 1800.0  # s of a trajectory: more than a battery gives, and more columns than memory holds
+MOST_TIME = 1800.0  # s of a trajectory: more than a battery gives, and more columns than memory holds
 LEANS = 6  # rounds of attitude and side force
 SOLVES = 12  # Newton steps for the rotor speeds
-CLOSE = 1e-6  # of the weight, or of weight times arm: good enough
+CONVERGED = 1e-6  # of the weight, or of weight times arm: good enough
 DOWN = np.array([0.0, 0.0, 1.0])
 DEGREE = 5  # of the splines through planned points: the fourth derivative of position sets the moments
 
@@ -67,9 +67,9 @@ def read_plan(table: pd.DataFrame, where: str) -> tuple[np.ndarray, np.ndarray, 
         raise DataError(
             f"{where}: time goes from {t[back[0]]:g} to {t[back[0] + 1]:g} s in row {back[0] + 2}; times must grow"
         )
-    if t[-1] - t[0] > LONGEST:
+    if t[-1] - t[0] > MOST_TIME:
         raise DataError(
-            f"{where}: the trajectory lasts {t[-1] - t[0]:.0f} s, expected {LONGEST:.0f} s at most; times are in s, "
+            f"{where}: the trajectory lasts {t[-1] - t[0]:.0f} s, expected {MOST_TIME:.0f} s at most; times are in s, "
             "and a part of a long flight holds as much information"
         )
     yaw = np.unwrap(table["yaw"].to_numpy(float)) if "yaw" in table else np.zeros(len(t))
@@ -232,7 +232,7 @@ def _speeds(
         move = np.linalg.solve(slope, left[..., None])[..., 0]
         speeds = np.clip(speeds - np.clip(move, -0.5 * hover, 0.5 * hover), 0.02 * hover, 4.0 * hover)
         left = miss(speeds)
-        if np.abs(left).max() < CLOSE:
+        if np.abs(left).max() < CONVERGED:
             break
     beyond = np.maximum(speeds.max(axis=1) - high, low - speeds.min(axis=1))
     beyond = np.where(np.abs(left).max(axis=1) > 1e-3, np.inf, beyond)

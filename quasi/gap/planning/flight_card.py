@@ -12,7 +12,7 @@ from quasi.pages import frame as report
 
 SCHEMA = "quasi.plan/2"
 MORE = "What to fly as well, one of these after the trajectory in each flight"
-MANY = 5.0  # times the flights asked for: beyond, another manoeuvre is meant
+MANY_TIMES = 5.0  # times the flights asked for: beyond, another manoeuvre is meant
 HEAD = ("cause", "typical size", "expected t", "with rival", "needed", "nearest rival", "verdict")
 
 
@@ -97,10 +97,10 @@ def hopeless(card: Card) -> list[str]:
 
 
 def more_flights(card: Card, sight: Sight) -> int | None:
-    """How many such flights would show a cause, t growing with the root of their number; None beyond MANY times."""
+    """How many such flights would show a cause, t growing with the root of their number; None beyond MANY_TIMES."""
     t = min(sight.t, sight.with_rival)
     share = sight.needed / t if t > 0.0 else math.inf
-    if sight.verdict == "tie" or share > math.sqrt(MANY) or t < 0.8 * sight.t:
+    if sight.verdict == "tie" or share > math.sqrt(MANY_TIMES) or t < 0.8 * sight.t:
         return None
     return max(math.ceil(card.compared * share**2), card.compared + 1)
 

@@ -12,7 +12,8 @@ import numpy as np
 import pandas as pd
 
 from quasi.errors import DataError
-from quasi.gap.planning.flatness import RATE, planned, turning
+from quasi.gap.flights.evidence import RATE
+from quasi.gap.planning.flatness import planned, turning
 from quasi.model.model import Model
 
 SMALLER = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15)  # shares of the full size, tried in turn
@@ -33,7 +34,7 @@ def library(model: Model, place: Sequence[float], yaw: float = 0.0) -> list[Mano
     """All manoeuvres about a place (earth NED, m), in the order of least trouble; what cannot be flown is left out."""
     start = np.array([place[0], place[1], min(float(place[2]), -LEAST_HEIGHT)])
     found = []
-    for make in MANOEUVRES:
+    for make in MAKERS:
         for size in SMALLER:
             try:
                 name, text, flight = make(model, start, yaw, size)
@@ -222,7 +223,7 @@ def _places(model: Model, start: np.ndarray, yaw: float, size: float) -> Made:
     return "places", text, _flown(model, start, yaw, way, np.zeros(len(way)), "places")
 
 
-MANOEUVRES: tuple[Callable[[Model, np.ndarray, float, float], Made], ...] = (
+MAKERS: tuple[Callable[[Model, np.ndarray, float, float], Made], ...] = (
     _yaw_sweep, _speed_steps, _sideslip, _throttle, _heave, _places, _stops, _descents, _yaw_doublets, _doublets,
     _staircase,
 )  # fmt: skip

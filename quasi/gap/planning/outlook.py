@@ -13,7 +13,6 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from quasi.gap.effect import Effect
-from quasi.gap.selection import share_of_rate
 from quasi.gap.statistics.mixed import (
     CERTAIN,
     FAINT,
@@ -26,9 +25,10 @@ from quasi.gap.statistics.mixed import (
     Columns,
     MixedModel,
     marginal,
+    share_of_rate,
 )
 
-TINY = 1e-70  # of a column that is nothing
+EMPTY_COLUMN = 1e-70  # of a column that is nothing
 POWER = 1.28  # standard errors above the threshold: nine of ten repeats are named
 
 
@@ -133,7 +133,7 @@ class Outlook:
             return False
         own = [self.columns.causes[offer.cause][k] for k in offer.which]
         total = sum(g * f.count for g, f in zip(self._whole.grams, self.flights))
-        scale = np.maximum(np.sqrt(np.maximum(np.diag(total), 0.0)), TINY)
+        scale = np.maximum(np.sqrt(np.maximum(np.diag(total), 0.0)), EMPTY_COLUMN)
         total = total / np.outer(scale, scale)
         base = self.columns.shared
         inner = total[np.ix_(base, base)] + RIDGE * np.eye(len(base))
@@ -237,7 +237,7 @@ class Outlook:
         common = [*columns.shared, *pooled]
         count = sum(len(f.stretches) * f.count for f in self.flights)
         typical = sum(f.count * self._whole.grams[k][own, own] for k, f in enumerate(self.flights))
-        alike = np.diag(np.maximum(typical / count, TINY**2))
+        alike = np.diag(np.maximum(typical / count, EMPTY_COLUMN**2))
         # those that all flights have, then what is offered to the compared ones alone
         source, head, wide = [*common, *others, *own], self.draws, len(common)
         total, logs = np.zeros((head + len(source),) * 2), 0.0
@@ -261,7 +261,7 @@ class Outlook:
         bounds = {c: b for n in columns.bounds for c, b in zip(columns.causes[n], columns.bounds[n])}
         for k, column in enumerate(pooled, head + len(columns.shared)):
             total[k, k] += bounds.get(column, np.inf) ** -2.0
-        scale = np.maximum(np.sqrt(np.maximum(np.diag(total), 0.0)), TINY)
+        scale = np.maximum(np.sqrt(np.maximum(np.diag(total), 0.0)), EMPTY_COLUMN)
         scaled = total / np.outer(scale, scale)
         inner = scaled[head:, head:] + RIDGE * np.eye(len(source))
         inverse = np.linalg.inv(inner)

@@ -13,27 +13,27 @@ import pandas as pd
 
 from quasi.errors import ConfigError, DataError
 from quasi.gap.effect import Effect, Room, Vehicle, vehicle_of
-from quasi.gap.flights.evidence import NEEDED, Evidence
+from quasi.gap.flights.evidence import RATE, REQUIRED, Evidence
 from quasi.gap.flights.gathering import gather
-from quasi.gap.levels.forces.design import BLOCK, ORDER, Design, gather_design, in_stretches
+from quasi.gap.levels.forces.design import ORDER, Design, gather_design, in_stretches
 from quasi.gap.levels.sensors_and_drive import rate_of
 from quasi.gap.planning import plan_noise
 from quasi.gap.planning import sensors_and_drive as plan_lower
 from quasi.gap.planning.flatness import planned, read_plan, with_forces
 from quasi.gap.planning.manoeuvres import Manoeuvre, library
 from quasi.gap.planning.outlook import Outlook, Repeated, Row, Sight
+from quasi.gap.statistics.blocks import BLOCK
 from quasi.gap.statistics.whitening import Whitener, block_grams
 from quasi.model.columns import ROTORS
 from quasi.model.model import AXES, Model
 
-RATE = 100.0  # Hz of the evidence
-WORTH = 1.2  # a manoeuvre is proposed where it raises what is expected by this factor at least
-HEIGHT = 1.5  # m, at which manoeuvres are tried where the flights have no position
-MOST = 200  # flights: what is drawn for each stands in one matrix
+LEAST_RAISE = 1.2  # a manoeuvre is proposed where it raises what is expected by this factor at least
+TRIAL_HEIGHT = 1.5  # m, at which manoeuvres are tried where the flights have no position
+LIMIT = 200  # flights: what is drawn for each stands in one matrix
 HALFWAY = 0.5  # of what is needed: less is no help
 SEED = 0
-USUAL = "usual for made flights with gusts of 0.1-0.4 m/s, in shares of weight and of weight times arm"
-OWN = "what the model leaves of these flights' own forces and moments"
+USUAL_NOISE = "usual for made flights with gusts of 0.1-0.4 m/s, in shares of weight and of weight times arm"
+OWN_NOISE = "what the model leaves of these flights' own forces and moments"
 
 
 class Flight(NamedTuple):
@@ -101,7 +101,7 @@ def read_flight(table: pd.DataFrame, model: Model, where: str, simulated: bool =
     taken as they are, with the model's forces; t, x, y, z and yaw are followed by the model.
     Raises DataError for a table that is none of these.
     """
-    states = [n for n in NEEDED if n not in AXES and not n.endswith("_dot")]
+    states = [n for n in REQUIRED if n not in AXES and not n.endswith("_dot")]
     if not set(states) <= set(table):
         return Flight(where, planned(*read_plan(table, where), model, where), False)
     t = table["t"].to_numpy(float) if "t" in table else np.zeros(0)
@@ -140,9 +140,9 @@ def examine(
             f"a plan for {compared} compared and {reference} reference flights, expected at least 2 and 0: one flight "
             "cannot distinguish a cause from normal differences between flights"
         )
-    if compared + reference > MOST:
+    if compared + reference > LIMIT:
         raise ConfigError(
-            f"a plan for {compared} compared and {reference} reference flights, expected at most {MOST} together"
+            f"a plan for {compared} compared and {reference} reference flights, expected at most {LIMIT} together"
         )
     if len(flights) > max(compared, reference):
         raise ConfigError(
@@ -184,7 +184,7 @@ def examine(
     card.rows = _sorted(plan_lower.judged_by_motion(rows))
     if propose:
         located = {"x", "y", "z"} <= set(evidence[0].columns)
-        place = np.median(evidence[0].take("x", "y", "z"), axis=0) if located else np.array([0.0, 0.0, -HEIGHT])
+        place = np.median(evidence[0].take("x", "y", "z"), axis=0) if located else np.array([0.0, 0.0, -TRIAL_HEIGHT])
         _propose(card, judges, shares, library(model, place, float(evidence[0].columns["yaw"][0])), vehicle)
     return card
 
@@ -198,14 +198,14 @@ def _wrench(
     effects = {n: effects[n] for n in study.columns.causes}
     measured = all(f.measured for f in flights)
     if noise is None and measured:
-        noise = study.whitener, OWN
+        noise = study.whitener, OWN_NOISE
     elif noise is None:
-        noise = plan_noise.usual(vehicle, 1.0 / float(np.median(np.diff(evidence[0].t)))), USUAL
+        noise = plan_noise.usual(vehicle, 1.0 / float(np.median(np.diff(evidence[0].t)))), USUAL_NOISE
     whitener, card.noise = noise
     card.not_asked |= study.lacking
     extra = {c: float(np.median(v)) for c, v in evidence[0].columns.items()}
 
-    numbers = [plan_noise.DRAWS * sum(share) for share in shares]
+    numbers = [plan_noise.NOISE_DRAWS * sum(share) for share in shares]
     rng = np.random.default_rng(SEED)
 
     def of(manoeuvre: Manoeuvre) -> list[np.ndarray]:
@@ -220,7 +220,7 @@ def _wrench(
         [_stretches(study, k, whitener, measured, model, number, rng) for k, number in enumerate(numbers)],
         of,
         np.concatenate,
-        lambda flown: Outlook(flown, study.columns, len(study.names), plan_noise.DRAWS, effects, rate),
+        lambda flown: Outlook(flown, study.columns, len(study.names), plan_noise.NOISE_DRAWS, effects, rate),
     )
 
 
@@ -305,7 +305,7 @@ def _merit(sight: Sight) -> float:
 
 
 def _helps(before: Sight, after: Sight) -> bool:
-    return _merit(after) > max(WORTH * _merit(before), HALFWAY)
+    return _merit(after) > max(LEAST_RAISE * _merit(before), HALFWAY)
 
 
 def _propose(
@@ -323,7 +323,7 @@ def _propose(
         for judge, parts in zip(judges, added):
             outlook = _look(judge, shares, [parts[k]])
             # late telemetry is tested too: it decides about a late command
-            names = [n for n in judge.effects if n in open_ or n in plan_lower.LATE]
+            names = [n for n in judge.effects if n in open_ or n in plan_lower.PAIR]
             for row in (r for r in card.rows if r.effect.id in names and not r.sight.absorbed):
                 sights = tuple(
                     outlook.look(s.cause, s.parameter, s.size, [s.rival] if s.rival else []) for s in row.all
@@ -338,7 +338,7 @@ def _propose(
         rows = []
         for judge, parts in zip(judges, added):
             asked = [
-                n for n in judge.effects if n in names or (n in plan_lower.LATE and set(plan_lower.LATE) & set(names))
+                n for n in judge.effects if n in names or (n in plan_lower.PAIR and set(plan_lower.PAIR) & set(names))
             ]
             rows += _rows(_look(judge, shares, [parts[k]]), judge.effects, vehicle, asked) if asked else []
         looks[k] |= {r.effect.id: r.sight for r in plan_lower.judged_by_motion(rows) if r.effect.id in names}
@@ -349,7 +349,7 @@ def _propose(
     flown = [options.index(p.manoeuvre) for p in card.proposals] if card.proposals else []
     rows = []
     for judge, parts in zip(judges, added):
-        names = [n for n in judge.effects if n in open_ or n in plan_lower.LATE]
+        names = [n for n in judge.effects if n in open_ or n in plan_lower.PAIR]
         if flown and names:
             rows += _rows(_look(judge, shares, [parts[k] for k in flown]), judge.effects, vehicle, names)
     card.after = {r.effect.id: r.sight for r in plan_lower.judged_by_motion(rows) if r.effect.id in open_}

@@ -17,18 +17,18 @@ from quasi.errors import DataError
 from quasi.gap.effect import Vehicle
 from quasi.gap.levels.forces.design import BAND, LIGHT, ORDER
 from quasi.gap.statistics.mixed import marginal
-from quasi.gap.statistics.whitening import RIDGE, Whitener, autoregression, thin
+from quasi.gap.statistics.whitening import WHITENING_RIDGE, Whitener, autoregression, thin
 from quasi.model.model import AXES, Model
 
 # one-sided power densities of the residual, shares squared per Hz: slow / (1 + (f / corner)^2)^1.5 + white
-SLOW = np.array([2.1e-4, 2.1e-4, 1.0e-4, 7.5e-6, 7.5e-6, 0.0])
-CORNER = np.array([0.6, 0.6, 1.2, 0.7, 0.7, 1.0])  # Hz
-WHITE = np.array([9e-7, 9e-7, 2e-6, 7e-7, 7e-7, 6e-8])
+SLOW_PSD = np.array([2.1e-4, 2.1e-4, 1.0e-4, 7.5e-6, 7.5e-6, 0.0])
+CORNER_HZ = np.array([0.6, 0.6, 1.2, 0.7, 0.7, 1.0])  # Hz
+WHITE_PSD = np.array([9e-7, 9e-7, 2e-6, 7e-7, 7e-7, 6e-8])
 # shares by which the model's terms differ from stretch to stretch: of forces, of moments, and of the rotors' reaction
 # to being accelerated, which hangs on the timing of the rotor telemetry
-FORCES, MOMENTS, SLOPES = 0.005, 0.03, 0.05
-DRAWS = 4  # residuals that a plan is judged by
-GRID = 2048  # frequencies of the integral
+FORCE_DOUBT, MOMENT, REACTION = 0.005, 0.03, 0.05
+NOISE_DRAWS = 4  # residuals that a plan is judged by
+FREQUENCIES = 2048  # frequencies of the integral
 
 
 def units(vehicle: Vehicle) -> np.ndarray:
@@ -41,13 +41,13 @@ def usual(vehicle: Vehicle, rate: float) -> Whitener:
     half = round(rate / BAND)
     weights = firwin(2 * half + 1, BAND, fs=rate, window=("kaiser", 5.0))
     every = max(int(rate / (2.8 * BAND)), 1)
-    f, gain = freqz(weights, worN=GRID, fs=rate)
+    f, gain = freqz(weights, worN=FREQUENCIES, fs=rate)
     lags = np.cos(2.0 * np.pi * np.outer(np.arange(ORDER + 1) * every / rate, f))
     coefficients, scale = np.ones((6, ORDER + 1)), np.ones(6)
     for c, unit in enumerate(units(vehicle)):
-        density = (SLOW[c] / (1.0 + (f / CORNER[c]) ** 2) ** 1.5 + WHITE[c]) * unit**2 * np.abs(gain) ** 2
+        density = (SLOW_PSD[c] / (1.0 + (f / CORNER_HZ[c]) ** 2) ** 1.5 + WHITE_PSD[c]) * unit**2 * np.abs(gain) ** 2
         covariance = lags @ density * (f[1] - f[0])
-        covariance[0] *= 1.0 + RIDGE
+        covariance[0] *= 1.0 + WHITENING_RIDGE
         own = solve_toeplitz(covariance[:-1], covariance[1:])
         coefficients[c, 1:] = -own
         scale[c] = np.sqrt(covariance[0] - own @ covariance[1:])
@@ -137,6 +137,6 @@ def doubts(model: Model) -> np.ndarray:
     shares = []
     for k, axis in enumerate(AXES):
         for term in model.document["axes"].get(axis, {"terms": []})["terms"]:
-            share = SLOPES if axis == "Mz" and "_dot" in term["expression"] else FORCES if k < 3 else MOMENTS
+            share = REACTION if axis == "Mz" and "_dot" in term["expression"] else FORCE_DOUBT if k < 3 else MOMENT
             shares.append(share * abs(term["coefficient"]))
     return np.array(shares)

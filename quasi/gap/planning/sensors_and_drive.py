@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 
 from quasi.errors import DataError
 from quasi.gap.effect import Effect
-from quasi.gap.flights.level import Flown
+from quasi.gap.flights.level import PRIOR_FREEDOM, Flown
 from quasi.gap.levels.drive import identify as drive_level
 from quasi.gap.levels.sensors import identify as sensor_level
 from quasi.gap.levels.sensors.columns import weak_form
@@ -30,9 +30,9 @@ from quasi.model.model import Model
 # of the averaged residuals of sensors: p q r (rad/s) and earth accelerations (m/s2) of good captures; white
 SENSED = np.array([3.7e-3] * 3 + [1.6e-2] * 3)
 DRIVEN = 5.0  # rad/s, of commanded against measured rotor speeds at 100 Hz
-LATE = ("command_delay", "telemetry_delay")
+PAIR = ("command_delay", "telemetry_delay")
 USUAL_LAG = 0.03  # s, where the model does not say how its rotors follow commands
-STATES = ("p", "q", "r", "ax", "ay", "az", "roll", "pitch", "yaw", "x", "y", "z")
+STATE_COLUMNS = ("p", "q", "r", "ax", "ay", "az", "roll", "pitch", "yaw", "x", "y", "z")
 DRIVES = ("motor_lag", "command_delay", "battery_sag")
 
 
@@ -41,12 +41,12 @@ def sensed(flight: pd.DataFrame, model: Model) -> tuple[np.ndarray, list[str]]:
 
     flight  columns of a filtered flight. Raises DataError where it lacks one or is too short.
     """
-    missing = [c for c in STATES if c not in flight]
+    missing = [c for c in STATE_COLUMNS if c not in flight]
     if missing:
         raise DataError(f"no column '{missing[0]}'")
     ones = dict.fromkeys(("position_sample", "attitude_sample", "onboard_valid"), 1.0)
     about = {"position source": "capture", "attitude source": "capture"}
-    table = flight[["t", *STATES]].assign(**ones)
+    table = flight[["t", *STATE_COLUMNS]].assign(**ones)
     weak = weak_form(Flown("the plan", True, table, about, pd.DataFrame(), {}, model.airframe))
     columns = weak.columns / SENSED[None, :, None]
     columns[:, :, 0] = 0.0  # nothing is measured yet
@@ -58,17 +58,8 @@ def sensor_outlook(
     flights: Sequence[Repeated], names: Sequence[str], effects: Mapping[str, Effect], rate: float
 ) -> Outlook:
     """Sensors on cross-products of `sensed`: what healthy flights differ by stands in every flight."""
-    causes: dict[str, list[int]] = {}
-    nuisance, spread = [], []
-    for i, name in enumerate(names[1:], 1):
-        cause = name.split(".")[0]
-        if cause in effects:
-            causes.setdefault(cause, []).append(i)
-        if cause in sensor_level.SPREAD:
-            nuisance.append(i)
-            # the least spread between flights that a test allows for is as large again as a flight's own doubt
-            spread.append(sensor_level.SPREAD[cause] / (np.sqrt(2.0) if cause in causes else 1.0))
-    return _outlook(flights, [], nuisance, spread, causes, effects, rate, sensor_level.PRIOR_FREEDOM)
+    causes, nuisance, spread = sensor_level.layout(names, effects, sensor_level.NORMAL_SPREAD)
+    return _outlook(flights, [], nuisance, spread, causes, effects, rate, PRIOR_FREEDOM)
 
 
 def driven(flight: pd.DataFrame, model: Model) -> np.ndarray:
@@ -93,12 +84,10 @@ def drive_outlook(flights: Sequence[Repeated], model: Model, effects: Mapping[st
     unit = {"motor_lag": _lag(model), "command_delay": 1.0, "battery_sag": 1.0}
     key = {"motor_lag": "up", "command_delay": "delay", "battery_sag": "exponent"}
     causes = {n: [1 + k] for k, n in enumerate(DRIVES) if n in effects}
-    spread = [unit[n] * drive_level.SPREAD[key[n]] / (np.sqrt(2.0) if n in causes else 1.0) for n in DRIVES]
-    spread += [drive_level.SPREAD["a0"], drive_level.SPREAD["a1"]]
+    spread = [unit[n] * drive_level.NORMAL[key[n]] / (np.sqrt(2.0) if n in causes else 1.0) for n in DRIVES]
+    spread += [drive_level.NORMAL["a0"], drive_level.NORMAL["a1"]]
     prior = np.diag([1.0 / (unit[n] * drive_level.BELIEVED[key[n]]) ** 2 for n in DRIVES])
-    return _outlook(
-        flights, [1, 2, 3], [1, 2, 3, 4, 5], spread, causes, effects, rate, drive_level.PRIOR_FREEDOM, prior
-    )
+    return _outlook(flights, [1, 2, 3], [1, 2, 3, 4, 5], spread, causes, effects, rate, PRIOR_FREEDOM, prior)
 
 
 def _outlook(
@@ -122,13 +111,13 @@ def _lag(model: Model) -> float:
 
 def judged_by_motion(rows: Sequence[Row]) -> list[Row]:
     """A late command with its twin, late telemetry: what the motion would show of the latter separates them."""
-    found = [s for row in rows for s in row.all if s.cause == LATE[1]]
+    found = [s for row in rows for s in row.all if s.cause == PAIR[1]]
     result = []
     for row in rows:
-        if row.effect.id == LATE[0]:
+        if row.effect.id == PAIR[0]:
             shown = max((s.t * abs(row.sight.size / s.size) for s in found), default=0.0)
             if shown < row.sight.with_rival:
-                sight = row.sight._replace(with_rival=shown, rival=LATE[1])
+                sight = row.sight._replace(with_rival=shown, rival=PAIR[1])
                 row = Row(row.effect, sight, (sight,))
         result.append(row)
     return result

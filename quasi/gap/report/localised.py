@@ -6,13 +6,13 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from quasi.gap.report.wording import CHANNELS, listed, ranges_of
+from quasi.gap.report.wording import CHANNEL_NAMES, listed, ranges_of
 from quasi.pages import frame as report
 
-FAR = 1.5  # times the root mean square elsewhere: a place that is told
-ALSO = 2  # further places of an error
-LEVELS = ("sensors", "drive", "forces", "rollouts")
-NAMES = {"t": "time", "volts": "battery voltage"}  # of places; the others are called as their column
+RATIO = 1.5  # times the root mean square elsewhere, from which a place is listed
+FURTHER = 2  # further places of an error
+LEVELS_WITH_PLACES = ("sensors", "drive", "forces", "rollouts")
+PLACE_NAMES = {"t": "time", "volts": "battery voltage"}  # of places; the others are called as their column
 NORMS = ("position", "velocity", "attitude", "rate")
 
 
@@ -35,7 +35,7 @@ class Greatest(NamedTuple):
 def greatest(table: pd.DataFrame) -> list[Greatest]:
     """The bin of each place where the error of one channel before the extension is greatest, the furthest out first.
 
-    table  the rows of one channel of a table of `residual_tables.where`; places with a single bin tell nothing
+    table  the rows of one channel of a table of `residual_tables.where`; places with a single bin are left out
     """
     found = []
     for place, part in table.groupby("where"):
@@ -56,29 +56,28 @@ def table_of(where: Mapping[str, pd.DataFrame], horizon: float) -> str:
     """
     lines, alike = [], []
     for name, after, part in _channels(where, horizon):
-        far = [g for g in greatest(part) if g.times >= FAR]
+        far = [g for g in greatest(part) if g.times >= RATIO]
         if not far:
             alike.append(name)
             continue
         name += f", {part['unit'].iloc[0]}{after}"
         sizes = [report.format_number(far[0].elsewhere), report.format_number(far[0].there)]
-        lines.append([name, *sizes, _told(far[0]), "; ".join(map(_told, far[1 : 1 + ALSO])) or "–"])
+        lines.append([name, *sizes, _place_text(far[0]), "; ".join(map(_place_text, far[1 : 1 + FURTHER])) or "–"])
     if not lines:
         return (
-            report.render_paragraph(f"No error is {FAR:g} times as large in one place as elsewhere.") if alike else ""
+            report.render_paragraph(f"No error is {RATIO:g} times as large in one place as elsewhere.") if alike else ""
         )
-    head = ["root mean square before the extension", "elsewhere", "there", "greatest at", f"{FAR:g} times or more at"]
+    head = ["root mean square before the extension", "elsewhere", "there", "greatest at", f"{RATIO:g} times or more at"]
     rest = f" Nowhere that much greater: {listed(dict.fromkeys(alike))}." if alike else ""
     return report.render_table(head, lines, words=(3, 4)) + report.render_paragraph(
-        "Each place is cut into bins of equally many rows, and the worst one is set beside the others. Places go "
-        "together (a fresh battery and the take-off, say): a place that is told is where to look, not what does it."
-        + rest
+        "Each place is cut into bins of equally many rows, and the worst one is compared with the others. Places go "
+        "together, such as a fresh battery and the take-off: a listed place is where to look, not the cause." + rest
     )
 
 
 def _channels(where: Mapping[str, pd.DataFrame], horizon: float) -> Iterator[tuple[str, str, pd.DataFrame]]:
     """What an error is called, after how long a simulation, and its rows, level by level."""
-    for level in LEVELS:
+    for level in LEVELS_WITH_PLACES:
         table = where.get(level)
         if table is None or not len(table):
             continue
@@ -90,10 +89,10 @@ def _channels(where: Mapping[str, pd.DataFrame], horizon: float) -> Iterator[tup
             nearest = min(table["horizon"].unique(), key=lambda h: abs(h - horizon))
             table, after = table[table["horizon"] == nearest], f", simulated for {nearest:g} s"
         for channel, part in table.groupby("channel", sort=False):
-            yield CHANNELS.get(str(channel), str(channel)), after, part
+            yield CHANNEL_NAMES.get(str(channel), str(channel)), after, part
 
 
-def _told(found: Greatest) -> str:
-    name = NAMES.get(found.place, found.place.replace("_", " "))
+def _place_text(found: Greatest) -> str:
+    name = PLACE_NAMES.get(found.place, found.place.replace("_", " "))
     where = "time" if found.place == "t" else found.place.replace("_", " ")
     return f"{name} {ranges_of(where, [[found.low, found.high]]).removeprefix('at ')}"

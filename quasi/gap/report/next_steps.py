@@ -5,15 +5,15 @@ from typing import Any
 
 from quasi.gap.effect import Effect
 from quasi.gap.levels.corrections import corrected_at_import, uncorrected
-from quasi.gap.report.wording import CHANNELS, listed, name_of, parameters_of, ranges_of, unasked, words_of
+from quasi.gap.report.wording import CHANNEL_NAMES, listed, name_of, parameters_of, ranges_of, unasked, words_of
 
-MOST = 4  # names in a row, before the rest are counted
-QUADROTOR = "the quadrotor's configuration"
+LISTED = 4  # names in a row, before the rest are counted
+VEHICLE = "the quadrotor's configuration"
 # what a named fault of sensors, mounting or logging asks for, where flights are made or read
 CORRECT = {
-    "imu_lever_arm": f"add it to 'imu position' of {QUADROTOR} (it counts from 0 where none stands there), and set "
+    "imu_lever_arm": f"add it to 'imu position' of {VEHICLE} (it counts from 0 where none stands there), and set "
     "'do onboard c.g. correction'",
-    "marker_offset": f"add it to 'optitrack marker cg offset' of {QUADROTOR}",
+    "marker_offset": f"add it to 'optitrack marker cg offset' of {VEHICLE}",
     "imu_misalignment": "mount the flight controller straight, or set its board alignment",
     "mocap_misalignment": "align the rigid body with the vehicle's axes in the capture's software",
     "room_tilt": "level the capture's ground plane anew",
@@ -24,56 +24,58 @@ CORRECT = {
     "gyro_scale": "calibrate the gyro, or exchange it",
     "accelerometer_scale": "calibrate the accelerometer, or exchange it",
     "clock_drift": "let one clock stamp log and capture, where that can be",
-    "attitude_error": "let the capture tell the attitude as well ('use onboard attitude' false, with orientations in "
-    "its export), or tune the attitude estimator of the flight controller, and fly again",
+    "attitude_error": "let the capture measure the attitude as well ('use onboard attitude' false, with orientations "
+    "in its export), or tune the attitude estimator of the flight controller, and fly again",
     "telemetry_delay": "log rotor speeds as often and as little filtered as the flight controller can",
-    "rotor_order": f"number the rotors in 'rotor config' of {QUADROTOR} as the log has them, or map the columns anew; "
+    "rotor_order": f"number the rotors in 'rotor config' of {VEHICLE} as the log has them, or map the columns anew; "
     "where all rotors seem turned by a quarter or half, look at how the flight controller is mounted as well",
-    "rotor_speed_scale": f"multiply 'motor poles' of {QUADROTOR} by it, if the poles are what is wrong",
+    "rotor_speed_scale": f"multiply 'motor poles' of {VEHICLE} by it, if the poles are what is wrong",
 }
 
 
 def steps(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str]:
     """What to do next, a sentence each; the first is the most useful one."""
-    effects, said = diagnosis["effects"], []
+    effects, sentences = diagnosis["effects"], []
     own = [e for e in effects if in_model(e)]
     if own:
-        said.append(
+        sentences.append(
             f"Make the extended model, {diagnosis['model']} with {listed([name_of(e['id']) for e in own])}: "
             f"snakemake models/{diagnosis['extended_model']}/standalone. A gap of its own ('model': "
-            f"'{diagnosis['extended_model']}') tells what is left."
+            f"'{diagnosis['extended_model']}') shows what is left."
         )
-    said += [_corrected(e) for e in effects if corrected_at_import(e["id"], e["level"])]
-    said += [
+    sentences += [_corrected(e) for e in effects if corrected_at_import(e["id"], e["level"])]
+    sentences += [
         f"{_begun(e)}: {CORRECT.get(e['id'], 'set it right where it arises')}. Nothing corrects it in these flights."
         for e in effects
         if uncorrected(e["id"], e["level"])
     ]
-    said += [
+    sentences += [
         f"{_begun(e)}: look at the vehicle first (propellers, motors, battery, payload). The trim in steady flight "
         "shows it, and the extended model does not hold it."
         for e in effects
         if e["level"] == "trim"
     ]
-    said += [f"{_begun(e)}: {CORRECT[e['id']]}." for e in own if e["id"] in CORRECT]
+    sentences += [f"{_begun(e)}: {CORRECT[e['id']]}." for e in own if e["id"] in CORRECT]
     for tie in diagnosis["ties"]:
         names = listed([name_of(i) for i in tie["ids"]])
-        how = tie["tie_breaker"] or "fly other manoeuvres (quasi plan tells which), or measure one of them"
-        said.append(f"To tell {names} apart: {words_of(how, known)}; then compare again with these flights as well.")
-    said += [_visit(left) for left in diagnosis["unexplained"]]
+        how = tie["tie_breaker"] or "fly other manoeuvres (quasi plan lists them), or measure one of them"
+        sentences.append(
+            f"To distinguish {names}: {words_of(how, known)}; then compare again with these flights as well."
+        )
+    sentences += [_visit(left) for left in diagnosis["unexplained"]]
     if diagnosis["unexplained"]:
-        said.append("A cause that you suspect there can be added and is then tested ('effect files', docs/gaps.md).")
+        sentences.append("Add a cause that you suspect there, and it is tested ('effect files', docs/gaps.md).")
     if diagnosis["verdict"] == "not judged":
-        said.append(
+        sentences.append(
             f"Forces and moments are not judged yet: {unasked(diagnosis, known)}. Add flights to 'rows of flights to "
             "compare (all)' and 'rows of flights held out' of the gap accordingly."
         )
-    elif not said:
-        said.append(
+    elif not sentences:
+        sentences.append(
             "Nothing has to be done. How large a cause would have to be to show in such flights: quasi plan "
             f"{diagnosis['model']} FLIGHT --gap {diagnosis['name']} (docs/flight-card.md)."
         )
-    return said + _askable(diagnosis, known)
+    return sentences + _askable(diagnosis, known)
 
 
 def in_model(effect: Mapping[str, Any]) -> bool:
@@ -93,7 +95,7 @@ def _corrected(effect: Mapping[str, Any]) -> str:
     how = CORRECT.get(effect["id"], "set it right where it arises")
     whose = (
         ", for flights like the compared ones only: the reference flights do not have it"
-        if effect["since"] == "changed" and QUADROTOR in how
+        if effect["since"] == "changed" and VEHICLE in how
         else ""
     )
     return (
@@ -105,11 +107,11 @@ def _corrected(effect: Mapping[str, Any]) -> str:
 def _visit(left: Mapping[str, Any]) -> str:
     """Where to go and look for what no cause explains."""
     channel, where, mostly = left["channel"], left["where"], left.get("mostly")
-    name = f"{CHANNELS.get(channel, channel)} ({channel})"
+    name = f"{CHANNEL_NAMES.get(channel, channel)} ({channel})"
     if where == "frequency" and mostly:
         return (
             f"The {name}: look for what turns or swings at {mostly[0][0]:.2f} to {mostly[0][1]:.2f} Hz; hover for a "
-            "minute, so that the beat is told from the motion."
+            "minute, so that the beat is distinct from the motion."
         )
     if where == "everywhere" or where == "frequency":
         return f"The {name} is off everywhere: look for what is mounted, loaded or configured otherwise."
@@ -124,15 +126,15 @@ def _at(where: str, mostly: Any) -> str:
 
 
 def _askable(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str]:
-    """What would make askable what was not; what is said of forces and moments as a whole is not said again."""
+    """What would make askable what was not; reasons given for forces and moments as a whole are not repeated."""
     reasons: dict[str, list[str]] = {}
     for entry in diagnosis["cannot_be_asked"]:
         reasons.setdefault(entry["why"], []).append(name_of(entry["id"]))
     if diagnosis["verdict"] == "not judged":
         reasons.pop(unasked(diagnosis, known), None)
-    said = []
+    sentences = []
     for why, names in reasons.items():
         names = list(dict.fromkeys(names))
-        few = listed(names) if len(names) <= MOST else f"{', '.join(names[:MOST])} and {len(names) - MOST} more"
-        said.append(f"Not asked: {few}. {why[:1].upper()}{words_of(why[1:], known)}.")
-    return said
+        few = listed(names) if len(names) <= LISTED else f"{', '.join(names[:LISTED])} and {len(names) - LISTED} more"
+        sentences.append(f"Not asked: {few}. {why[:1].upper()}{words_of(why[1:], known)}.")
+    return sentences

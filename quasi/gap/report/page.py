@@ -11,12 +11,13 @@ import pandas as pd
 
 from quasi.gap.effect import Effect
 from quasi.gap.levels.corrections import corrected_at_import
-from quasi.gap.levels.sensors_and_drive import UNITS as UNITS_OF
+from quasi.gap.levels.rollouts.open_loop import ERROR_UNITS
+from quasi.gap.levels.sensors_and_drive import CHANNEL_UNITS as UNITS_OF
 from quasi.gap.report.localised import table_of
 from quasi.gap.report.next_steps import in_model, steps
 from quasi.gap.report.shares import certainty_of, reaches_floor, share_of
 from quasi.gap.report.wording import (
-    CHANNELS,
+    CHANNEL_NAMES,
     confirmation_of,
     happening,
     left_sentence,
@@ -29,36 +30,35 @@ from quasi.gap.report.wording import (
     value_of,
     words_of,
 )
+from quasi.model.model import AXES
 from quasi.pages import frame as report
 from quasi.pages.chart import Chart, Panel, Trace, render_style
 
-AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 THIN = 2  # every so many rows of the comparison are shown
-UNITS = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
-LINES = {
+LINE_TITLES = {
     "rollouts": "measured rotor speeds",
     "rollouts with trim": "measured rotor speeds, trim of the 2 s before each window taken up",
     "rollouts from commands": "commands",
 }
 ANSWERED = 2  # causes that the first screen has room for
-MOST = 15  # of the causes that are not named
-SHOWN = 0.5  # s: rows of the horizon nearest to it, and of the longest, stand on the page; the others open on demand
+MOST_CANDIDATES = 15  # of the causes that are not named
+SHOWN_AT = 0.5  # s: rows of the horizon nearest to it, and of the longest, stand on the page; the others open on demand
 FLOORS = 3.0  # times its floor that a channel of sensors or drive may keep unmentioned
-ROOM = ("north", "east", "down")  # accelerations along the room's axes
+ROOM_ACCELERATIONS = ("north", "east", "down")  # accelerations along the room's axes
 TAKEN_OFF = (
     "Before and after are errors as they stand; they hold what every flight has of its own as well (how markers and "
-    "IMU sat, what biases they had), which may hide a gain, or undo it. Removed is told with that taken off, before "
-    "and after alike: the share of the squared error above the floor that goes with the cause."
+    "IMU sat, what biases they had), which may hide a gain, or undo it. Removed is computed without these, before "
+    "and after alike: the share of the squared error above the floor that the cause removes."
 )
-LEVELS = {"sensors": "sensors against capture", "drive": "rotor speeds against commands"}
+LEVEL_TITLES = {"sensors": "sensors against capture", "drive": "rotor speeds against commands"}
 CAPTIONS = {
     "glance": "Left: the error of the model where it falls most, before (pale red) and after (blue) the extension, "
     "with standard errors, compared and held-out flights together. Right: a held-out flight (black) and what the "
     "simulation makes of its rotor speeds, in a typical window, that of the median gain; the best and the worst window "
-    "stand below. Where causes are named that all flights have, the model's own terms were fitted anew beside them, "
+    "stand below. Where causes are named that all flights have, the model's own terms were fitted anew with them, "
     "and the gain is that of both.",
     "overlays": "Simulated from measured states with measured rotor speeds, before (pale red) and after (blue) the "
-    "extension, beside the flight (black); where only blue is seen with a red rim, nothing has changed.",
+    "extension, with the flight (black); where only blue is seen with a red rim, nothing has changed.",
     "horizons": "Errors at the end of simulations of held-out flights over their length, before (pale red) and after "
     "(blue); dashed where commands drove the rotors. The lower panels are along the axes. Grey: what the model's terms "
     "and all causes, fitted to the other flights, leave. The table rollouts_errors holds all lines.",
@@ -81,7 +81,7 @@ def page(
 ) -> str:
     """The page as HTML.
 
-    diagnosis  "quasi.gap/2"; effects  the catalogue; residuals  the table forces_residuals; pictures {name: PNG}
+    diagnosis  "quasi.gap/3"; effects  the catalogue; residuals  the table forces_residuals; pictures {name: PNG}
     where      {level: its table of places}: sensors_where to rollouts_where
     """
     roles = diagnosis["flights"]
@@ -94,7 +94,7 @@ def page(
         report.render_section("What to do next", report.render_list(steps(diagnosis, effects))),
         report.render_section("What is wrong", _forces(diagnosis), _lower(diagnosis)),
         report.render_section("Why", *(_cause(e, effects) for e in diagnosis["effects"]), _rivals(diagnosis, effects)),
-        report.render_section("What cannot be told apart", _ties(diagnosis)),
+        report.render_section("What cannot be distinguished", _ties(diagnosis)),
         report.render_section(
             "What no cause explains",
             report.render_list(left_sentence(u) for u in diagnosis["unexplained"]),
@@ -113,7 +113,7 @@ def page(
         ),
         report.render_section("Forces and moments over time", _chart(residuals)),
         report.render_section(
-            "Where the errors live", table_of(where or {}, SHOWN), shown.get("where", ""), shown.get("spectra", "")
+            "Where the errors live", table_of(where or {}, SHOWN_AT), shown.get("where", ""), shown.get("spectra", "")
         ),
         report.render_section(
             "Other findings", report.render_list(words_of(f["text"], effects) for f in diagnosis["findings"])
@@ -151,9 +151,9 @@ def _rules(diagnosis: Mapping[str, Any]) -> str:
         "a cause of forces and moments is named at a family-wise false alarm rate of "
         f"{diagnosis['false alarm rate']:g}, which all searches and the held-out flights share, when it removes at "
         f"least {100 * diagnosis['material share']:g} % of the removable error on held-out flights and comes again in "
-        "enough resamples of the flights' blocks: 20 % alone, 50 % as the strongest of several, 80 % beside a stronger "
-        "one; what all flights have alike has to gain more than that, beyond doubt, beside the model's own terms "
-        "fitted anew"
+        "enough resamples of the flights' blocks: 20 % alone, 50 % as the strongest of several, 80 % next to a "
+        "stronger one; what all flights have alike has to gain more than that, beyond doubt, with the model's own "
+        "terms fitted anew"
     )
 
 
@@ -166,17 +166,17 @@ def _forces(diagnosis: Mapping[str, Any]) -> str:
         return report.render_paragraph("Forces and moments have no held-out flight to be judged on.")
     removed, rows = diagnosis["scores"].get("removed", {}), []
     wrong = diagnosis["scores"].get("best wrong cause")
-    beside = [diagnosis["scores"].get("best wrong cause removed", {}),
-              diagnosis["scores"].get("generic polynomial", {}).get("removed", {})]  # fmt: skip
+    yardsticks = [diagnosis["scores"].get("best wrong cause removed", {}),
+                  diagnosis["scores"].get("generic polynomial", {}).get("removed", {})]  # fmt: skip
     for axis in AXES:
         three = [_value(diagnosis, k, "forces", axis) for k in ("before", "after", "noise_floor")]
         unit = "N" if axis[0] == "F" else "N m"
         rows.append(
-            [f"{CHANNELS[axis]} ({axis}), {unit}", *map(report.format_number, three), _share(removed.get(axis)),
-             *(_share(other.get(axis)) for other in beside)]
+            [f"{CHANNEL_NAMES[axis]} ({axis}), {unit}", *map(report.format_number, three), _share(removed.get(axis)),
+             *(_share(other.get(axis)) for other in yardsticks)]
         )  # fmt: skip
     tail = (
-        " Beside it, where the named causes act: what the best wrong cause alone would have removed"
+        " Next to it, where the named causes act: what the best wrong cause alone would have removed"
         + (f" ({name_of(wrong)})" if wrong else " (none would have removed anything)")
         + ", and a polynomial with as many terms."
         if diagnosis["scores"].get("generic polynomial")
@@ -210,15 +210,15 @@ def _share(found: Mapping[str, float | None] | None) -> str:
 def _rollouts(diagnosis: Mapping[str, Any]) -> str:
     """Errors of simulations by line, and what of their removable part the extension and its yardsticks remove.
 
-    On the page stand the horizon nearest to SHOWN and the longest one; the others open on demand.
+    On the page stand the horizon nearest to SHOWN_AT and the longest one; the others open on demand.
     """
     blocks, rest, yardsticks = [], [], False
-    for driven, title in LINES.items():
-        lines = [r for r in diagnosis["rollouts"].get(driven, []) if r["quantity"] in UNITS]
+    for driven, title in LINE_TITLES.items():
+        lines = [r for r in diagnosis["rollouts"].get(driven, []) if r["quantity"] in ERROR_UNITS]
         if not lines:
             continue
         horizons = sorted({r["horizon"] for r in lines})
-        seen = {min(horizons, key=lambda h: abs(h - SHOWN)), horizons[-1]}
+        seen = {min(horizons, key=lambda h: abs(h - SHOWN_AT)), horizons[-1]}
         yardsticks |= any("removed" in r for r in lines)
         for into, part in (
             (blocks, [r for r in lines if r["horizon"] in seen]),
@@ -228,13 +228,13 @@ def _rollouts(diagnosis: Mapping[str, Any]) -> str:
     blocks.append(report.render_details("Other lengths of the simulation", "".join(rest)))
     if yardsticks:
         wrong = diagnosis["scores"].get("best wrong cause with commands")
-        told = f" With commands, the best wrong cause would have been {name_of(wrong)}." if wrong else ""
+        tail = f" With commands, the best wrong cause would have been {name_of(wrong)}." if wrong else ""
         blocks.append(
             report.render_paragraph(
                 "Removed, and what the best wrong cause and the polynomial would have removed: shares of the squared "
                 "error above the noise floor, with 95 % intervals; a dash where the floor holds nine tenths of the "
                 "error. To the floor: nothing that was fitted leaves less. "
-                "The floor with commands knows the rotors' drive as the other flights tell it." + told
+                "The floor with commands knows the rotors' drive as estimated from the other flights." + tail
             )
         )
     return "".join(blocks)
@@ -245,7 +245,7 @@ def _rollout_table(title: str, lines: Sequence[Mapping[str, Any]]) -> str:
         [f"{quantity}, {unit}, after {r['horizon']:g} s",
          *(report.format_number(r.get(k)) for k in ("before", "after", "noise_floor")), _share(r),
          *(_share(r.get(k)) for k in ("removed", "best_wrong_cause", "generic_polynomial"))]
-        for quantity, unit in UNITS.items()
+        for quantity, unit in ERROR_UNITS.items()
         for r in lines
         if r["quantity"] == quantity
     ]  # fmt: skip
@@ -254,14 +254,14 @@ def _rollout_table(title: str, lines: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _halves(diagnosis: Mapping[str, Any]) -> str:
-    """Errors on the second halves of held-out flights, with what their first halves tell of their own."""
+    """Errors on the second halves of held-out flights, with trim and parameters estimated from their first halves."""
     found = diagnosis.get("halves") or {}
     if not found:
         return ""
     errors = found["errors"]
     rows = [
         [f"{q}, {unit}, after {float(h):g} s", *(report.format_number(errors[who][q][h]) for who in errors)]
-        for q, unit in UNITS.items()
+        for q, unit in ERROR_UNITS.items()
         for h in [max(errors["before"][q], key=float)]
     ]
     trims = [
@@ -271,19 +271,19 @@ def _halves(diagnosis: Mapping[str, Any]) -> str:
         if abs(t["before"]) > 3.0 * t["std"]
     ]
     return report.render_table(["second halves of the held-out flights", *errors], rows) + report.render_paragraph(
-        "Trim, a constant force and moment, and a flight's own parameters of the named causes are told by its first "
-        f"half. The model lacks {', '.join(trims) or 'no trim'}."
+        "Trim, a constant force and moment, and a flight's own parameters of the named causes are estimated from its "
+        f"first half. The model lacks {', '.join(trims) or 'no trim'}."
     )
 
 
 def _lower(diagnosis: Mapping[str, Any]) -> str:
     """Errors of sensors and of the rotors' drive on the held-out flights, and what of them stays without a name."""
     blocks = []
-    for level, word in LEVELS.items():
+    for level, word in LEVEL_TITLES.items():
         rows, named = [], [e for e in diagnosis["effects"] if e["level"] == level and e.get("removed")]
         for channel in diagnosis["gap"]["before"].get(level, {}):
             three = [_value(diagnosis, k, level, channel) for k in ("before", "after", "noise_floor")]
-            name = CHANNELS.get(channel, channel) + ("" if channel in ROOM else f" ({channel})")
+            name = CHANNEL_NAMES.get(channel, channel) + ("" if channel in ROOM_ACCELERATIONS else f" ({channel})")
             gone = [_removed(e["removed"], channel) for e in named]
             rows.append([f"{name}, {_unit(channel)}", *map(report.format_number, three), *gone])
         head = [word, "before", "after", "noise floor", *(f"removed: {name_of(e['id'])}" for e in named)]
@@ -304,14 +304,14 @@ def _removed(shares: Mapping[str, float], channel: str) -> str:
 
 def _unit(channel: str) -> str:
     """Unit of a channel of sensors or drive; north, east and down are accelerations there."""
-    return "m/s2" if channel in ROOM else UNITS_OF.get(channel, "")
+    return "m/s2" if channel in ROOM_ACCELERATIONS else UNITS_OF.get(channel, "")
 
 
 def _above(diagnosis: Mapping[str, Any], level: str, word: str) -> str:
     """What stays far above its floor though no cause is named there: a finding without a name, not to be missed."""
     named = {c for e in diagnosis["effects"] if e["level"] == level for c in e["channels"]}
     if named & {"ax", "ay", "az"}:
-        named |= {*ROOM}  # the same readings, along the room's axes
+        named |= {*ROOM_ACCELERATIONS}  # the same readings, along the room's axes
     texts = []
     for channel in diagnosis["gap"]["before"].get(level, {}):
         left, floor = (_value(diagnosis, k, level, channel) for k in ("after", "noise_floor"))
@@ -363,7 +363,7 @@ def _times(factor: float) -> str:
 
 
 def _rivals(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
-    lost = sorted(diagnosis["candidates"], key=lambda c: c["p"] if c.get("p") is not None else 1.0)[:MOST]
+    lost = sorted(diagnosis["candidates"], key=lambda c: c["p"] if c.get("p") is not None else 1.0)[:MOST_CANDIDATES]
     rows = [[name_of(c["id"]), since_of(c) if c.get("since") else "", words_of(c["why_not"], known)] for c in lost]
     return report.render_table(["tested and not named", "asked as", "why not"], rows, words=(1, 2))
 
@@ -385,16 +385,16 @@ def _extended(diagnosis: Mapping[str, Any]) -> str:
     ident = diagnosis["extended_model"]
     own = [name_of(e["id"]) for e in diagnosis["effects"] if in_model(e)]
     sensors = [name_of(e["id"]) for e in diagnosis["effects"] if corrected_at_import(e["id"], e["level"])]
-    said = (
+    text = (
         f"{ident} is {diagnosis['model']} with {', '.join(own)}."
         if own
         else f"Nothing was added: {ident} is {diagnosis['model']}."
     )
     if diagnosis.get("fitted anew"):
-        said += " Its own terms were fitted anew to the flights."
+        text += " Its own terms were fitted anew to the flights."
     if sensors:
-        said += f" The flights were processed anew with what was found of {', '.join(sensors)}."
-    return report.render_paragraph(f"{said} Make it, as any model, with the target models/{ident}/standalone.")
+        text += f" The flights were processed anew with what was found of {', '.join(sensors)}."
+    return report.render_paragraph(f"{text} Make it, as any model, with the target models/{ident}/standalone.")
 
 
 def _unasked(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from typing import Any
 
 ALL = 0.995  # share from which whole percents print as 100
-FLOOR = "all above the noise floor"
+TO_THE_FLOOR = "all above the noise floor"
 # least probability of a word: 0.9 is what `hover_trim.NAMED` asks for, 0.99 is one error in a hundred names
-WORDS = ((0.99, "very sure"), (0.9, "sure"), (0.7, "fairly sure"), (0.5, "suspected"))
+CERTAINTY_WORDS = ((0.99, "very sure"), (0.9, "sure"), (0.7, "fairly sure"), (0.5, "suspected"))
 
 
 def percent(share: float | None) -> str:
@@ -31,7 +31,7 @@ def interval_of(found: Mapping[str, Any] | None) -> str:
 def share_of(gain: float | None, found: Mapping[str, Any] | None) -> str:
     """A share in whole percent, with its 95 % interval where there is one; in words where it reaches the floor."""
     share = found["value"] if found and found.get("value") is not None else gain
-    return (FLOOR if reaches_floor(share) else percent(share)) + interval_of(found)
+    return (TO_THE_FLOOR if reaches_floor(share) else percent(share)) + interval_of(found)
 
 
 def certainty_of(effect: Mapping[str, Any]) -> str:
@@ -74,7 +74,7 @@ def separability_of(tie: Mapping[str, Any]) -> str:
 
 
 def chance_of(probability: float) -> str:
-    """A probability in two digits; what two digits cannot tell from certainty is not printed as certain."""
+    """A probability in two digits; values that round to certainty are printed as bounds."""
     return "above 0.99" if probability >= ALL else "below 0.01" if probability < 1.0 - ALL else f"{probability:.2f}"
 
 
@@ -82,4 +82,4 @@ def _word(probability: float | None) -> str:
     """A probability as a word. Without one, all tests were passed and nothing else is known."""
     if probability is None:
         return "it passed all tests"
-    return next((word for least, word in WORDS if probability >= least), "doubtful")
+    return next((word for least, word in CERTAINTY_WORDS if probability >= least), "doubtful")

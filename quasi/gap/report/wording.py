@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from quasi.gap.effect import Effect
-from quasi.gap.flights.covariates import UNITS
+from quasi.gap.flights.covariates import UNITS_AT
 from quasi.gap.levels.corrections import uncorrected
 from quasi.gap.report.shares import interval_of, percent, reaches_floor, separability_of, share_of, support_of
 
-CHANNELS = {
+CHANNEL_NAMES = {
     "Fx": "forward force", "Fy": "sideward force", "Fz": "vertical force", "Mx": "roll moment", "My": "pitch moment",
     "Mz": "yaw moment", "p": "roll rate", "q": "pitch rate", "r": "yaw rate", "ax": "forward acceleration",
     "ay": "sideward acceleration", "az": "vertical acceleration", "position": "position", "velocity": "velocity",
@@ -27,17 +27,17 @@ WAYS = {
     "My": ("nose-up", "nose-down"),
     "Mz": ("right yaw", "left yaw"),
 }  # what a positive and a negative force or moment means to a pilot
-NOTHING = 0.01  # probability from which a rival adds nothing
-STAYS = 0.02  # share of a simulated error by which it has to change to be said to change
-FEW = 2  # causes that one sentence can still tell in a pilot's words
+RIVAL_P = 0.01  # probability from which a rival adds nothing
+STAYS = 0.02  # share of a simulated error; smaller changes are reported as no change
+MOST_DESCRIBED = 2  # causes that one sentence describes in a pilot's words
 REMOVABLE = {
     True: "Removable error of forces, moments and motion is what lies (squared) above the best fit of the model's "
     "terms and all causes together, or above the extended model where that is better.",
     False: "Removable error of sensors and rotor speeds is what lies (squared) above a fit, to each flight by itself, "
     "of all that is known to go wrong there.",
 }  # by whether it is one of forces and moments
-LEVELS = {"sensors": ("sensors", "clocks"), "drive": ("the rotor drive",)}  # what stands below forces and moments
-LINES = {"rollouts": "", "rollouts from commands": " from commands"}
+LEVEL_WORDS = {"sensors": ("sensors", "clocks"), "drive": ("the rotor drive",)}  # what stands below forces and moments
+LINE_WORDS = {"rollouts": "", "rollouts from commands": " from commands"}
 SINCE = {
     "changed": "this is new since the reference flights",
     "always": "the model lacks it in every flight",
@@ -96,11 +96,11 @@ def happening(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     return known[effect["id"]].happens({n: p["value"] for n, p in effect["parameters"].items()})
 
 
-def _told(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
+def _state(effect: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     """What a cause does, with its name and parameters, how much it does and where."""
     sentence, amount = happening(effect, known), amount_of(effect)
-    told = f"{sentence[:1].upper()}{sentence[1:]} ({name_of(effect['id'])}: {parameters_of(effect['parameters'])})"
-    return told + (f", which is {amount}" if amount else "")
+    text = f"{sentence[:1].upper()}{sentence[1:]} ({name_of(effect['id'])}: {parameters_of(effect['parameters'])})"
+    return text + (f", which is {amount}" if amount else "")
 
 
 def amount_of(effect: Mapping[str, Any]) -> str:
@@ -114,7 +114,8 @@ def amount_of(effect: Mapping[str, Any]) -> str:
         text = f"{value_of({**found, 'value': abs(found['value']), 'unit': '%'})}{way or ' of'} thrust"
     else:
         of = {"F": "force", "M": "moment"}[acts["channel"][0]]
-        way = WAYS[acts["channel"]][acts["value"] < 0.0] if acts["signed"] else CHANNELS[acts["channel"]].split()[0]
+        channel = acts["channel"]
+        way = WAYS[channel][acts["value"] < 0.0] if acts["signed"] else CHANNEL_NAMES[channel].split()[0]
         size = value_of({"value": abs(acts["value"]), "std": acts["std"], "unit": acts["unit"]})
         text = f"{size} {way} {of}" if acts["signed"] else f"{size} rms of {way} {of}"
     return text + (f" {at_place(acts['where'], [acts['range']])}" if acts["where"] else "")
@@ -123,7 +124,7 @@ def amount_of(effect: Mapping[str, Any]) -> str:
 def cause_sentence(effect: Mapping[str, Any], known: Mapping[str, Effect], roles: Mapping[str, str]) -> str:
     """What a named cause is, how large and since when; then what it explains and how sure that is."""
     explains = _explains(effect, roles)
-    texts = [f"{_told(effect, known)}; {since_of(effect)}.", _sentence(explains and f"it {explains}"), _beyond(effect)]
+    texts = [f"{_state(effect, known)}; {since_of(effect)}.", _sentence(explains and f"it {explains}"), _beyond(effect)]
     return " ".join(t for t in texts if t)
 
 
@@ -131,14 +132,14 @@ def _explains(effect: Mapping[str, Any], roles: Mapping[str, str]) -> str:
     """What a cause explains on held-out flights: what follows "it"; nothing where that is not known."""
     gain, channel = effect["gain"]["wrench"], effect.get("gain channel")
     if uncorrected(effect["id"], effect["level"]):
-        return "is not corrected: the flights hold it, and what is said of forces and moments with them"
+        return "is not corrected: the flights hold it, and results on forces and moments contain it"
     at = f" on {flights_of(roles, 'held out')}" if "held out" in roles.values() else ""
     if not effect.get("judged", True):
         return f"is hardly shown by {flights_of(roles, 'held out')} and so not judged there"
     if gain is None:
         return ""
     if channel:
-        name = f"{CHANNELS.get(channel, channel)} error ({channel})"
+        name = f"{CHANNEL_NAMES.get(channel, channel)} error ({channel})"
         found = effect.get("gains", {}).get(channel) or {"value": gain}
         if reaches_floor(found["value"]):
             return f"brings the {name} down to the noise floor{interval_of(found)}{at}"
@@ -149,7 +150,7 @@ def _explains(effect: Mapping[str, Any], roles: Mapping[str, str]) -> str:
         return f"explains {percent(gain)} of the removable error of rotor speeds at given commands{at}"
     removed = effect.get("removed") or {}
     best = max(removed, key=removed.get, default=None)
-    which = f"{CHANNELS.get(best, best)} error" if best else "error"
+    which = f"{CHANNEL_NAMES.get(best, best)} error" if best else "error"
     if reaches_floor(gain):
         return f"brings the {which} down to the noise floor{at}, corrected at import"
     return f"takes {percent(gain)} of the removable {which} away{at}, corrected at import"
@@ -168,12 +169,13 @@ def _beyond(effect: Mapping[str, Any]) -> str:
 
 def _sureness(effect: Mapping[str, Any]) -> str:
     """What else speaks for a cause: roll-outs of held-out flights, and resamples."""
-    told, parts = effect.get("confirmation") or {}, []
-    if told.get("outcome") == "confirmed" and told.get("amplitude"):
-        there = value_of({**told["amplitude"], "unit": "1"})
+    confirmation, parts = effect.get("confirmation") or {}, []
+    if confirmation.get("outcome") == "confirmed" and confirmation.get("amplitude"):
+        there = value_of({**confirmation["amplitude"], "unit": "1"})
         parts.append(f"confirmed in simulation: {there} of the motion it should make is there")
-    elif told.get("outcome"):
-        parts.append(f"in simulation it {told['outcome']}" + (f" ({told['why']})" if told.get("why") else ""))
+    elif confirmation.get("outcome"):
+        why = f" ({confirmation['why']})" if confirmation.get("why") else ""
+        parts.append(f"in simulation it {confirmation['outcome']}{why}")
     return "; ".join([*parts, *support_of(effect)])
 
 
@@ -182,11 +184,11 @@ def _sentence(text: str) -> str:
 
 
 def rollout_of(effect: Mapping[str, Any]) -> str:
-    """Which simulated quantity a cause's gain in roll-outs is told of."""
+    """Which simulated quantity a cause's gain in roll-outs belongs to."""
     channel, at = effect.get("rollout channel"), effect.get("rollout gain") or {}
     if not channel:
         return ""
-    text = f" of the simulated {CHANNELS.get(channel, channel)}"
+    text = f" of the simulated {CHANNEL_NAMES.get(channel, channel)}"
     return (
         text
         + (f" after {at['horizon']:g} s" if at else "")
@@ -196,15 +198,15 @@ def rollout_of(effect: Mapping[str, Any]) -> str:
 
 def confirmation_of(effect: Mapping[str, Any]) -> str:
     """What roll-outs of the held-out flights say of a cause, and its parameters by output error."""
-    told, other = effect.get("confirmation"), effect.get("output error")
-    if not told:
+    confirmation, other = effect.get("confirmation"), effect.get("output error")
+    if not confirmation:
         return ""
-    text = told["outcome"]
-    if told["amplitude"]:
-        share = {**told["amplitude"], "unit": "1"}
+    text = confirmation["outcome"]
+    if confirmation["amplitude"]:
+        share = {**confirmation["amplitude"], "unit": "1"}
         text += f": {value_of(share)} of the motion that it should make is there"
-    elif told["why"]:
-        text += f": {told['why']}"
+    elif confirmation["why"]:
+        text += f": {confirmation['why']}"
     if other:
         text += f"; by output error {parameters_of(other['parameters'])}"
         text += "" if other["agrees"] else ", which does not agree"
@@ -227,7 +229,7 @@ def rivals_words(effect: Mapping[str, Any], diagnosis: Mapping[str, Any], known:
     lost = {c["id"]: c for c in diagnosis["candidates"]}
     were = "were" if len(tested) > 1 else "was"
     # of one that is there as well, only too little of it, its p would say the opposite
-    why = next((f" ({name_of(i)}: p = {lost[i]['p']:.2g})" for i in tested if (lost[i].get("p") or 0.0) > NOTHING), "")
+    why = next((f" ({name_of(i)}: p = {lost[i]['p']:.2g})" for i in tested if (lost[i].get("p") or 0.0) > RIVAL_P), "")
     return f"{listed([name_of(i) for i in tested])} {were} tested in place of {name_of(effect['id'])} and lost{why}"
 
 
@@ -242,7 +244,7 @@ def tie_sentence(tie: Mapping[str, Any]) -> str:
             f"{tie['tie_breaker']}."
         )
     return (
-        f"{names[:1].upper()}{names[1:]}: this data cannot tell which "
+        f"{names[:1].upper()}{names[1:]}: this data cannot decide which "
         f"({separability_of(tie)})" + (f"; to settle it: {tie['tie_breaker']}" if tie["tie_breaker"] else "") + "."
     )
 
@@ -259,12 +261,13 @@ def left_sentence(left: Mapping[str, Any]) -> str:
         low, high = left["mostly"][0]
         along = f"in time, at {low:.2f} to {high:.2f} Hz"
     if not left["judged"]:
-        told = ": which cannot be judged on the held-out flights, for they do not go there"
+        share = "; the held-out flights do not go there and cannot judge it"
     elif left["share"] is None:
-        told = ", on the held-out flights too"
+        share = ", on the held-out flights too"
     else:
-        told = f": {percent(left['share'])} of its removable error on the held-out flights"
-    return f"The {CHANNELS.get(channel, channel)} ({channel}) is off{size} {along}{at}{told}, which no cause explains."
+        share = f", with {percent(left['share'])} of its removable error on the held-out flights"
+    name = f"{CHANNEL_NAMES.get(channel, channel)} ({channel})"
+    return f"The {name} is off{size} {along}{at}{share}. No cause explains this."
 
 
 def at_place(where: str, mostly: Sequence[Sequence[float]]) -> str:
@@ -277,7 +280,7 @@ def ranges_of(where: str, mostly: Sequence[Sequence[float]]) -> str:
     if where == "room place":
         x, y = mostly[0]
         return f"near x = {x:.1f} m, y = {y:.1f} m"
-    factor, unit = (math.degrees(1.0), "deg") if where == "heading" else (1.0, UNITS.get(where, ""))
+    factor, unit = (math.degrees(1.0), "deg") if where == "heading" else (1.0, UNITS_AT.get(where, ""))
     texts = [_range(low * factor, high * factor) for low, high in mostly[:3]]
     return f"at {listed(texts)}{' ' if unit else ''}{unit}"
 
@@ -306,7 +309,7 @@ def rollout_sentence(diagnosis: Mapping[str, Any]) -> str:
     for r in rows:
         if r["horizon"] != longest:
             continue
-        name, unit = CHANNELS[r["quantity"]], units[r["quantity"]]
+        name, unit = CHANNEL_NAMES[r["quantity"]], units[r["quantity"]]
         if abs(r["after"] - r["before"]) < STAYS * r["before"]:
             stay.append(f"{name} ({r['before']:.3g} {unit})")
             floors.append((r["after"], r.get("noise_floor")))
@@ -320,7 +323,7 @@ def rollout_sentence(diagnosis: Mapping[str, Any]) -> str:
         texts.append(f"{listed(stay)} errors stay as they are{why}")
     elif stay:
         texts.append(f"the error of {stay[0]} stays as it is{why}")
-    return f"Simulated{LINES[line]} for {longest:g} s, {listed(texts)}."
+    return f"Simulated{LINE_WORDS[line]} for {longest:g} s, {listed(texts)}."
 
 
 def unasked(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
@@ -334,7 +337,7 @@ def silent_levels(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> 
     asks of."""
     wanted, found = diagnosis.get("effects asked") or "all", {}
     whys = {c["id"]: c["why"] for c in diagnosis["cannot_be_asked"]}
-    for level in LEVELS:
+    for level in LEVEL_WORDS:
         of = [n for n, e in known.items() if e.level == level and not e.finding and (wanted == "all" or n in wanted)]
         if of:
             found[level] = whys[of[0]] if all(n in whys for n in of) else ""
@@ -348,7 +351,7 @@ def asked_in_vain(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> 
     if wanted == "all":
         for level, why in silent_levels(diagnosis, known).items():
             if why:
-                reasons.setdefault(why, []).extend(LEVELS[level])
+                reasons.setdefault(why, []).extend(LEVEL_WORDS[level])
     for entry in diagnosis["cannot_be_asked"]:
         if not isinstance(wanted, str) and entry["id"] in wanted:
             reasons.setdefault(entry["why"], []).append(name_of(entry["id"]))
@@ -370,9 +373,9 @@ def headline(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     roles, effects = diagnosis["flights"], diagnosis["effects"]
     if len(effects) == 1:
         explains = _explains(effects[0], roles)
-        clauses = [_told(effects[0], known), explains and f"it {explains}", rivals_words(effects[0], diagnosis, known)]
+        clauses = [_state(effects[0], known), explains and f"it {explains}", rivals_words(effects[0], diagnosis, known)]
     else:
-        few = len(effects) <= FEW
+        few = len(effects) <= MOST_DESCRIBED
         causes = [
             (f"{happening(e, known)} ({name_of(e['id'])})" if few else name_of(e["id"]))
             + (f", which {_explains(e, roles)}" if _explains(e, roles) else "")
@@ -384,8 +387,8 @@ def headline(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     idle = [name_of(e["id"]) for e in effects if not e.get("explains", True)]
     clauses.append(f"correcting {listed(idle)} changes neither forces nor simulations" if idle else "")
     ties = [listed([name_of(i) for i in t["ids"]], "or") for t in diagnosis["ties"]]
-    clauses.append(f"it cannot be told whether {listed(ties)} is there" if ties else "")
-    left = dict.fromkeys(CHANNELS.get(u["channel"], u["channel"]) for u in diagnosis["unexplained"])
+    clauses.append(f"the data cannot decide whether {listed(ties)} is there" if ties else "")
+    left = dict.fromkeys(CHANNEL_NAMES.get(u["channel"], u["channel"]) for u in diagnosis["unexplained"])
     clauses.append(f"something in {listed(list(left))} stays unexplained" if left else "")
     return _sentence("; ".join(c for c in clauses if c))
 
@@ -397,7 +400,7 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
     limits = [s for s in [(diagnosis.get("base model") or {}).get("sentence")] if s]
     worse = [_sentence(loss["text"]) for loss in (diagnosis.get("losses") or [])[:1]]
     texts = [*limits, headline(diagnosis, known)] if effects else limits
-    if len(effects) == 1:  # the sentence has told the rest
+    if len(effects) == 1:  # the headline contains the rest
         since = since_of(effects[0])
         if diagnosis["ties"] or diagnosis["unexplained"]:  # which the sentence ended with
             since = f"{name_of(effects[0]['id'])}: {since}"
@@ -436,8 +439,8 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
 
 def _sound(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     """How a sentence on sensors and drive begins that found nothing; "" where none of them was asked."""
-    asked = [word for level, why in silent_levels(diagnosis, known).items() if not why for word in LEVELS[level]]
-    return f"Nothing is wrong with {listed(asked)} as far as this data tells; " if asked else ""
+    asked = [word for level, why in silent_levels(diagnosis, known).items() if not why for word in LEVEL_WORDS[level]]
+    return f"Nothing is wrong with {listed(asked)} as far as this data shows; " if asked else ""
 
 
 def listed(texts: Sequence[str], last: str = "and") -> str:

@@ -16,15 +16,16 @@ import numpy as np
 from scipy.stats import norm
 from scipy.stats import t as student
 
-CELL, BLOCK = 1.0, 5.0  # s between the begins of blocks; s of a block
-DRAWS = 400
+CELL = 1.0  # s between the begins of blocks
+BLOCK = 5.0  # s of a block, longer than the memory of gusts
+BLOCK_DRAWS = 400
 LEVEL = 0.95
-HOLDS = 0.9  # share of the squared error: where the floor holds more, no share of the rest is told
-LEAST = 0.25  # of the removable error: a draw that has less of it counts as having that much
+HOLDS = 0.9  # share of the squared error: where the floor holds more, no share is reported
+LEAST_REMOVABLE = 0.25  # of the removable error: a draw that has less of it counts as having that much
 
 
 class Drawn(NamedTuple):
-    """Sums over resampled flights (DRAWS, ...), and how much wider than theirs an interval is."""
+    """Sums over resampled flights (BLOCK_DRAWS, ...), and how much wider than theirs an interval is."""
 
     sums: np.ndarray
     wider: float
@@ -45,10 +46,10 @@ def drawn(flight: np.ndarray, t: np.ndarray, values: np.ndarray, seed: int = 0) 
         blocks.append((around[long:] - around[:-long]) * (BLOCK / CELL) / long)
     whole = np.vstack(blocks)
     count = max(round(len(whole) * CELL / BLOCK), 2)
-    picks = np.random.default_rng(seed).integers(0, len(whole), (DRAWS, count))
+    picks = np.random.default_rng(seed).integers(0, len(whole), (BLOCK_DRAWS, count))
     high = 0.5 + 0.5 * LEVEL
     wider = student.ppf(high, count - 1) / norm.ppf(high) * np.sqrt(count / (count - 1))
-    return Drawn(whole[picks].sum(axis=1).reshape(DRAWS, *values.shape[1:]), float(wider))
+    return Drawn(whole[picks].sum(axis=1).reshape(BLOCK_DRAWS, *values.shape[1:]), float(wider))
 
 
 def interval(value: float, draws: np.ndarray, wider: float, most: float = 1.0) -> tuple[float, float]:
@@ -76,7 +77,7 @@ def shares(
         row = {"removable": float(1.0 - least / max(was, 1e-300)), "value": None, "low": None, "high": None}
         if least < HOLDS * was:
             a, b, c, d = found.sums[:, :, k].T
-            removable = np.maximum(a - np.minimum(c, d), LEAST * row["removable"] * np.maximum(a, 1e-3 * was))
+            removable = np.maximum(a - np.minimum(c, d), LEAST_REMOVABLE * row["removable"] * np.maximum(a, 1e-3 * was))
             value = float((was - now) / (was - least))
             row["value"] = value
             row["low"], row["high"] = interval(value, (a - b) / removable, found.wider, max(value, 1.0))

@@ -28,8 +28,9 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 SPREADS = 2.0 ** np.arange(0, 11)  # tau, in standard errors that one flight alone would give
-NEEDED = 0.05  # p-value of the other parameters beside the likeliest one, below which all of them are needed
+ALL_NEEDED_P = 0.05  # p-value of the other parameters with the likeliest one given, below which all of them are needed
 FAINT = 1e-6  # of the usual information, that a flight without any is taken to have
+COMMON_SHARE = 0.2  # share of the false alarm rate for what reference and compared flights have in common
 PATIENCE = 3  # spreads in a row that are less likely before the search for the likeliest ends
 SPANNED = 0.02  # share of a column that others leave
 CERTAIN = 1e-3  # as good as no spread
@@ -71,7 +72,7 @@ class Columns(NamedTuple):
 
 
 class Test(NamedTuple):
-    """One cause beside what is given: parameters (m,), their covariance, Wald statistic, probability of nothing.
+    """One cause with others given: parameters (m,), their covariance, Wald statistic, probability of nothing.
 
     p counts that the best of several selections of the cause's parameters was taken.
     """
@@ -114,7 +115,7 @@ def _inverse_root(matrix: np.ndarray) -> np.ndarray:
 
 
 class _Given(NamedTuple):
-    """What a test is made beside: the model's terms, given and pooled causes, ready to be taken out.
+    """What a test is conditioned on: the model's terms, given and pooled causes, ready to be taken out.
 
     source (z,) their columns; acting (z, F) 1 where a flight is offered one; size (z,) for scaling; root (z, z) that
     makes their scaled cross-products one; target (z,) root times their products with the target
@@ -196,7 +197,7 @@ class MixedModel:
             self._half = (root / scale[:, None, :])[self._flight] @ self._stretch[:, own, :]
         halves = np.zeros((len(parts), len(own), size))
         np.add.at(halves, self._flight, self._half)
-        self._beside = self._stretch - np.swapaxes(self._half, 1, 2) @ halves[self._flight]  # stretch against flight
+        self._within = self._stretch - np.swapaxes(self._half, 1, 2) @ halves[self._flight]  # stretch against flight
         self.grams = whole - np.swapaxes(halves, 1, 2) @ halves
         self._typical = np.einsum("fii->i", self.grams)
         self._taken_out: dict[tuple, _Given] = {}
@@ -215,7 +216,7 @@ class MixedModel:
         return [c for c in self.columns.causes if c not in self.columns.unpooled] if "changed" in since else []
 
     def test(self, offer: Candidate, given: Sequence[Candidate] = (), pooled: Sequence[str] = ()) -> Test:
-        """A cause beside what is given.
+        """A cause with others given.
 
         given   offers already accepted; pooled  causes whose columns belong to the base here: fitted in all flights
                 alike, without being claimed
@@ -310,7 +311,7 @@ class MixedModel:
     def _spectra(
         self, own: Sequence[int], unit: np.ndarray, flags: np.ndarray, given: _Given, forms: Sequence[np.ndarray]
     ) -> list[_Spectrum]:  # fmt: skip
-        """The cause of columns `own`, scaled by unit, offered to the flights of flags, beside what is given.
+        """The cause of columns `own`, scaled by unit, offered to the flights of flags, with others given.
 
         forms  (K, m, m) precision of each stretch's deviation at tau = 1
         """
@@ -320,7 +321,7 @@ class MixedModel:
         inner = np.einsum("fi,fj,fij->ij", act, act, self.grams[:, place][:, :, place]) * np.outer(scale, scale)
         least = RIDGE * np.diag(inner)[1:]
         inner[range(1, m + 1), range(1, m + 1)] += least
-        rows = self._beside[:, own] * unit[:, None]  # (K, m, P)
+        rows = self._within[:, own] * unit[:, None]  # (K, m, P)
         deviations = (rows[:, :, place] * (act * scale)[self._flight][:, None, :]).reshape(-1, 1 + m)
         among = self._among(own, unit)
         if len(given.source):
@@ -386,14 +387,14 @@ class MixedModel:
             selections = [(k,) for k in free]
         elif parts == "first":
             selections = [free[: n + 1] for n in range(len(free))]
-        tests, beside = (
+        tests, paired = (
             [self.test(Candidate(cause, since, which), given, pooled) for which in of] for of in (selections, partners)
         )
         if parts in ("any", "paired") and len(free) > 1:
             best = self._single_or_all(tests[0], tests[1:], given, pooled)
         else:
             best = min(tests, key=lambda test: test.unlikely if parts == "one" else test.p, default=None)
-        best = min((t for t in (best, *beside) if t is not None), key=lambda test: test.p)
+        best = min((t for t in (best, *paired) if t is not None), key=lambda test: test.p)
         return best._replace(p=min(best.p * (len(selections) + len(partners)) * self.columns.tries.get(cause, 1), 1.0))
 
     def _single_or_all(
@@ -403,55 +404,14 @@ class MixedModel:
 
         The likelihood chooses between single parameters. Their p-values cannot: the true parameter's may be larger than
         that of another one, because its spread between stretches is estimated anew. A test of all parameters counts for
-        the single one where the others are not significant beside it.
+        the single one where the others are not significant with it given.
         """
         single = min(singles, key=lambda test: test.unlikely)
         if single.p <= whole.p:
             return single
         rest = tuple(k for k in whole.offer.which if k not in single.offer.which)
         others = self.test(Candidate(*whole.offer[:2], rest), [*given, single.offer], pooled)
-        return whole if others.p < NEEDED else single._replace(p=whole.p)
-
-
-class ClusteredMixedModel(MixedModel):
-    """Tests by stretches whose p whole flights have a say in.
-
-    A model errs with the manoeuvre, and manoeuvres change within a flight: stretches tell how much a cause's apparent
-    parameters deviate. Manoeuvres of one flight may err alike, though, and then are no independent witnesses. The
-    geometric mean of both p is a p where these rise and fall together, as tests of the same samples do: exactly so when
-    they are equal, and too large when they are independent. (Of p that may oppose each other e times as much is needed,
-    Vovk & Wang, 2020.)
-
-    units  positions of the flights of each session, where sessions and not flights are the independent witnesses. Then
-           a cause has to stand out from their spread as well: flights of one sitting repeat each other
-    """
-
-    def __init__(
-        self, grams: Sequence[np.ndarray], compared: Sequence[bool], columns: Columns,
-        units: Sequence[Sequence[int]] | None = None, sessions: Sequence[str] = (),
-    ) -> None:  # fmt: skip
-        super().__init__(grams, compared, columns, sessions=sessions)
-        alone = self.count == len(self.compared) and units is None
-        whole = [np.asarray(g).reshape(-1, *np.shape(g)[-2:]).sum(axis=0) for g in grams]
-        flags = list(compared)
-        self._by_session = units is not None
-        if units is not None:
-            flags = [bool(compared[members[0]]) for members in units]
-            whole = [sum(whole[k] for k in members) for members in units]
-            sessions = [sessions[members[0]] for members in units] if len(sessions) else ()
-        self._of_flights = None if alone else MixedModel(whole, flags, columns, sessions=sessions)
-
-    def between(self, offer: Candidate, given: Sequence[Candidate] = (), pooled: Sequence[str] = ()) -> Test:
-        """The same with whole flights as witnesses alone."""
-        return (self._of_flights or super()).test(offer, given, pooled)
-
-    def test(self, offer: Candidate, given: Sequence[Candidate] = (), pooled: Sequence[str] = ()) -> Test:
-        """A cause beside what is given, see `MixedModel.test`."""
-        test = super().test(offer, given, pooled)
-        if self._of_flights is None:
-            return test
-        p = self.between(offer, given, pooled).p_known_spread
-        return test._replace(p=max(test.p, p) if self._by_session else float(np.sqrt(test.p * p)))
+        return whole if others.p < ALL_NEEDED_P else single._replace(p=whole.p)
 
 
 def ranked(
@@ -467,3 +427,8 @@ def ranked(
     """
     tests = [mixed.best(cause, since, given, pooled, (parts or {}).get(cause, "any")) for cause, since in causes]
     return sorted((t for t in tests if t is not None), key=lambda test: (test.p, -test.wald))
+
+
+def share_of_rate(compared: Sequence[bool]) -> dict[str, float]:
+    """{since: share of the false alarm rate}: changes between the groups are selected first, with most of it."""
+    return {"always": 1.0} if np.all(compared) else {"changed": 1.0 - COMMON_SHARE, "always": COMMON_SHARE}

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import solve_toeplitz
 from scipy.signal import fftconvolve, firwin, lfilter
 
-RIDGE = 1e-6  # of the variance, so that a silent band does not make the recursion singular
+WHITENING_RIDGE = 1e-6  # of the variance, so that a silent band does not make the recursion singular
 
 
 class Whitener(NamedTuple):
@@ -71,7 +71,7 @@ def autoregression(residuals: Sequence[np.ndarray], breaks: Sequence[np.ndarray]
                 rows += len(x)
                 for lag in range(min(order + 1, len(x))):
                     covariance[lag] += x[lag:] @ x[: len(x) - lag]
-        covariance[0] *= 1.0 + RIDGE
+        covariance[0] *= 1.0 + WHITENING_RIDGE
         if covariance[0] <= 0.0:
             continue  # a channel without residual: nothing to whiten
         weights = solve_toeplitz(covariance[:-1], covariance[1:])

@@ -7,12 +7,13 @@ import numpy as np
 
 from quasi.gap.flights.level import Flown
 from quasi.gap.levels.drive.fit import DriveFit
+from quasi.terms.rotor_map import COMMANDED, SHARES
 
-WIDTH = 0.002  # of a share, or of the largest speed: commands at one limit differ by less
+LIMIT_WIDTH = 0.002  # of a share, or of the largest speed: commands at one limit differ by less
 CROWD = 5.0  # times as many commands at a limit as just inside it
-SHARE = 0.005  # of the time in flight that a rotor sits at a limit, below which nobody minds
+LIMIT_SHARE = 0.005  # of the time in flight that a rotor sits at a limit, below which nobody minds
 WEAK = 0.02  # of its speed
-SURE = 4.0  # standard errors
+WEAK_MOTOR_T = 4.0  # standard errors
 ALIKE = 0.005  # how much rotors' speeds at one command differ between flights
 
 
@@ -20,16 +21,16 @@ def _crowded(values: np.ndarray, sign: float) -> float | None:
     """The level near the upper (sign 1) or lower (-1) end at which commands pile up, None where they do not."""
     values = np.sort(sign * values)
     top = values[int(0.90 * len(values)) :]
-    edges = np.arange(values[0] if len(values) else 0.0, values[-1] + 2 * WIDTH, WIDTH)
+    edges = np.arange(values[0] if len(values) else 0.0, values[-1] + 2 * LIMIT_WIDTH, LIMIT_WIDTH)
     counts = np.histogram(values, edges)[0]
     best = None
-    for k in np.flatnonzero(edges[:-1] >= top[0] - WIDTH):
+    for k in np.flatnonzero(edges[:-1] >= top[0] - LIMIT_WIDTH):
         pile = counts[k : k + 2].sum()
         inside = counts[max(k - 10, 0) : max(k - 2, 0)]
         beyond = counts[k + 4 :].sum()
         crowd = pile > CROWD * 2.0 * max(inside.mean() if len(inside) else 0.0, 1.0)
-        if crowd and beyond < 0.3 * pile and pile >= SHARE * len(values) and (best is None or pile > best[0]):
-            best = pile, edges[k] + WIDTH
+        if crowd and beyond < 0.3 * pile and pile >= LIMIT_SHARE * len(values) and (best is None or pile > best[0]):
+            best = pile, edges[k] + LIMIT_WIDTH
     return None if best is None else float(sign * best[1])
 
 
@@ -39,12 +40,12 @@ def _closed(table: np.ndarray) -> np.ndarray:
     Then the throttle is closed, as where rotors are switched off above the floor, and no limit holds one rotor back.
     """
     lowest = np.nanmin(table, initial=np.inf)
-    return (table <= lowest + WIDTH * max(abs(lowest), 1.0)).all(axis=1)
+    return (table <= lowest + LIMIT_WIDTH * max(abs(lowest), 1.0)).all(axis=1)
 
 
 def saturated(flights: Sequence[Flown], kind: str) -> list[dict[str, Any]]:
     """Commands of the compared flights that sit at a common limit: which rotor, how often, first when."""
-    names = [f"w{i}_CMD" if kind == "speeds" else f"command{i}" for i in range(1, 5)]
+    names = list(COMMANDED if kind == "speeds" else SHARES)
     flights = [f for f in flights if f.compared and all(n in f.imported for n in names)]
     if not flights:
         return []
@@ -65,7 +66,7 @@ def saturated(flights: Sequence[Flown], kind: str) -> list[dict[str, Any]]:
             continue
         shares, when = {}, None
         for flown, table, good in zip(flights, tables, rows):
-            at = good[:, None] & (np.abs(table / scale - limit) < WIDTH)
+            at = good[:, None] & (np.abs(table / scale - limit) < LIMIT_WIDTH)
             for i in range(4):
                 shares.setdefault(f"rotor{i + 1}", []).append(at[:, i].sum() / max(good.sum(), 1))
             if when is None and at.any():
@@ -93,7 +94,7 @@ def weak(flights: Sequence[Flown], fits: Sequence[DriveFit]) -> list[dict[str, A
     std = np.maximum(now.std(axis=0), ALIKE) * np.sqrt(1.0 / len(now) + (1.0 / len(before) if len(before) else 0.0))
     apart = now.mean(axis=0) - usual
     i = int(np.argmax(np.abs(apart)))
-    if abs(apart[i]) < WEAK or abs(apart[i]) < SURE * std[i]:
+    if abs(apart[i]) < WEAK or abs(apart[i]) < WEAK_MOTOR_T * std[i]:
         return []
     # the mean of four holds a quarter of the odd one
     size = float(apart[i] / 0.75)

@@ -12,32 +12,31 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quasi.errors import DataError
+from quasi.gap.flights.evidence import RATE
 from quasi.gap.flights.level import Flown
-from quasi.identification.actuators import follow
+from quasi.identification.actuators import STRETCH_WARM_UP, follow
+from quasi.importing.command_fit import RESIDUAL_MEMORY
 from quasi.model.extensions import drive_of
 from quasi.tables import TELEMETRY_AGE_REMOVED
+from quasi.terms.rotor_map import COMMANDED, SHARES, SPEEDS
 
-ROTORS = range(1, 5)
-RATE = 100.0  # Hz at which residuals are kept
-WARM_UP = 0.2  # s after a gap that only settle the lag
-STEPS = 12
-FEWEST = 300  # rows
-SHARPEST = 0.1  # rad/s: no residual is known better
-STEADY = 0.003  # natural log of the voltage: a battery that varies less in a flight tells no exponent
-MEMORY = 0.3  # s over which residuals are taken to remember
-SHORTEST, LONGEST, EARLIEST, LATEST = 0.002, 0.4, -0.03, 0.1  # s
+DRIVE_ITERATIONS = 12
+FEWEST_DRIVE_ROWS = 300  # rows
+LEAST_DRIVE_NOISE = 0.1  # rad/s: no residual is known better
+LEAST_SAG = 0.003  # natural log of the voltage: below this variation within a flight the exponent is not estimated
+LEAST_LAG, MOST_LAG, EARLIEST, LATEST = 0.002, 0.4, -0.03, 0.1  # s
 LOW_VOLTAGE = 0.1  # of the reference, below which a reading is none
 # parameters in order: time constants, delay, map, battery exponent, each rotor's speed relative to the common map
-NAMES = ("up", "down", "delay", "a0", "a1", "a2", "exponent", "rotor1", "rotor2", "rotor3", "rotor4")
-STEP = np.array([5e-4, 5e-4, 3e-4, 2.0, 20.0, 20.0, 0.02, 0.002, 0.002, 0.002, 0.002])
-# how far a flight may stray from where the fit starts, so that what it does not tell stays there (standard deviations)
+CONSTANTS = ("up", "down", "delay", "a0", "a1", "a2", "exponent", "rotor1", "rotor2", "rotor3", "rotor4")
+DIFFERENCES = np.array([5e-4, 5e-4, 3e-4, 2.0, 20.0, 20.0, 0.02, 0.002, 0.002, 0.002, 0.002])
+# prior standard deviations of a flight's constants about the start of the fit, where those without information stay
 LOOSE = np.array([0.05, 0.05, 0.05, 300.0, 2000.0, 2000.0, 0.5, 0.1, 0.1, 0.1, 0.1])
 
 
 class Belief(NamedTuple):
-    """Constants that a model or a group of flights holds: values (11,) by NAMES, and the voltage that they hold at.
+    """Constants that a model or a group of flights holds: values (11,) by CONSTANTS, and the voltage that they hold at.
 
-    aged  whether the age of the rotor telemetry was taken off the delay; None where nobody tells
+    aged  whether the age of the rotor telemetry was taken off the delay; None where it is unknown
     """
 
     values: np.ndarray
@@ -48,7 +47,7 @@ class Belief(NamedTuple):
 class DriveFit(NamedTuple):
     """One flight at its best constants.
 
-    values (11,) by NAMES; t (n,) s; breaks (n,) bool; residual (n, 4) rad/s; slopes (n, 4, 11) of the modelled speed
+    values (11,) by CONSTANTS; t (n,) s; breaks (n,) bool; residual (n, 4) rad/s; slopes (n, 4, 11) of modelled speed
     held (11,) rad2/s2 per unit squared: how strongly each value was held where the fit began; noise rad/s that weighed
     the residual against that
     """
@@ -71,13 +70,13 @@ class DriveFit(NamedTuple):
         inverse = self._inverse()
         scores = np.einsum("ncp,nc->np", self.slopes, self.residual)
         meat = scores.T @ scores
-        reach = round(MEMORY * RATE)
+        reach = round(RESIDUAL_MEMORY * RATE)
         for lag in range(1, min(reach, len(scores) - 1)):
             cross = scores[lag:].T @ scores[:-lag]
             meat += (1.0 - lag / reach) * (cross + cross.T)
-        flat = self.slopes.reshape(-1, len(NAMES))
+        flat = self.slopes.reshape(-1, len(CONSTANTS))
         # a value that is only held may be off by its looseness, noise / sqrt(held)
-        return inverse @ (meat + SHARPEST**2 * flat.T @ flat + self.noise**2 * np.diag(self.held)) @ inverse
+        return inverse @ (meat + LEAST_DRIVE_NOISE**2 * flat.T @ flat + self.noise**2 * np.diag(self.held)) @ inverse
 
     def moves(self, seconds: float) -> np.ndarray:
         """What each block of the flight adds to the values (B, 11), to first order; they sum to nothing much."""
@@ -87,7 +86,7 @@ class DriveFit(NamedTuple):
         return (parts - parts.mean(axis=0)) @ self._inverse()
 
     def _inverse(self) -> np.ndarray:
-        flat = self.slopes.reshape(-1, len(NAMES))
+        flat = self.slopes.reshape(-1, len(CONSTANTS))
         normal = flat.T @ flat + np.diag(self.held)
         scale = np.sqrt(np.diag(normal))
         return np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
@@ -96,7 +95,7 @@ class DriveFit(NamedTuple):
 def commanded(flown: Flown) -> str:
     """ "speeds", "shares" or "" for no commands of all four rotors."""
     frame = flown.filtered
-    for kind, names in (("speeds", [f"w{i}_CMD" for i in ROTORS]), ("shares", [f"command{i}" for i in ROTORS])):
+    for kind, names in (("speeds", COMMANDED), ("shares", SHARES)):
         if all(n in frame and np.isfinite(frame[n]).any() for n in names):
             # a speed that was made from the share by a map is that map, no measurement
             made = flown.metadata.get("commanded speeds") if kind == "speeds" else None
@@ -133,7 +132,7 @@ def belief_of(document: Mapping[str, Any], kind: str) -> Belief | None:
         return float(np.mean(held[name]["value"])) if name in held else otherwise
 
     tau = mean("time constants", 0.03)
-    values = np.zeros(len(NAMES))
+    values = np.zeros(len(CONSTANTS))
     values[:3] = mean("time constants up", tau), mean("time constants down", tau), mean("delay", 0.0)
     voltage = None
     if kind == "speeds":
@@ -159,10 +158,10 @@ def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
     dt = float(np.median(np.diff(t)))
     if commanded(flown) != kind or not kind:
         raise DataError(f"flight {flown.key} has no rotor commands of the kind that the others log")
-    command = np.stack([frame[f"w{i}_CMD" if kind == "speeds" else f"command{i}"] for i in ROTORS], axis=1)
-    if not all(f"w{i}" in frame for i in ROTORS):
+    command = np.stack([frame[c] for c in (COMMANDED if kind == "speeds" else SHARES)], axis=1)
+    if not all(w in frame for w in SPEEDS):
         raise DataError(f"flight {flown.key} has no measured rotor speeds")
-    speed = np.stack([frame[f"w{i}"] for i in ROTORS], axis=1)
+    speed = np.stack([frame[w] for w in SPEEDS], axis=1)
     volts = voltage_of(flown) if kind == "shares" and start.voltage else None
     finite = np.isfinite(command).all(axis=1) & np.isfinite(speed).all(axis=1)
     ratio = np.zeros(len(t))
@@ -171,16 +170,16 @@ def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
         ratio = np.log(np.where(finite, volts, start.voltage) / start.voltage)
     begins = ~finite | ~np.concatenate([[False], finite[:-1]])
     age = np.arange(len(t)) - np.maximum.accumulate(np.where(begins, np.arange(len(t)), 0))
-    use = finite & (age * dt > WARM_UP)
+    use = finite & (age * dt > STRETCH_WARM_UP)
     if "valid" in frame:
         use &= frame["valid"].to_numpy() > 0.5
     every = max(round(1.0 / (RATE * dt)), 1)
     rows = np.arange(0, len(t), every)
     rows = rows[use[rows]]
-    if len(rows) < FEWEST:
+    if len(rows) < FEWEST_DRIVE_ROWS:
         raise DataError(
             f"flight {flown.key} has {len(rows) / RATE:.1f} s of flight with commands and measured rotor speeds, "
-            f"expected at least {FEWEST / RATE:.0f} s"
+            f"expected at least {FEWEST_DRIVE_ROWS / RATE:.0f} s"
         )
     command, speed = (np.where(finite[:, None], x, 0.0) for x in (command, speed))
     buffer = np.empty(len(t))
@@ -194,11 +193,11 @@ def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
             out[:, i] = buffer[rows]
         return out
 
-    low = np.concatenate([[SHORTEST, SHORTEST, EARLIEST], np.full(8, -np.inf)])
-    high = np.concatenate([[LONGEST, LONGEST, LATEST], np.full(8, np.inf)])
-    step = STEP if kind == "shares" else np.concatenate([STEP[:3], [2.0, 0.01, 1e-6], STEP[6:]])
+    low = np.concatenate([[LEAST_LAG, LEAST_LAG, EARLIEST], np.full(8, -np.inf)])
+    high = np.concatenate([[MOST_LAG, MOST_LAG, LATEST], np.full(8, np.inf)])
+    step = DIFFERENCES if kind == "shares" else np.concatenate([DIFFERENCES[:3], [2.0, 0.01, 1e-6], DIFFERENCES[6:]])
     loose = LOOSE if kind == "shares" else np.concatenate([LOOSE[:3], [200.0, 0.3, 1e-9], LOOSE[6:]])
-    loose = np.where(np.arange(len(NAMES)) == 6, loose if volts is not None else 1e-6, loose)
+    loose = np.where(np.arange(len(CONSTANTS)) == 6, loose if volts is not None else 1e-6, loose)
     target = speed[rows]
     noise = max(0.02 * float(np.std(target)), 1.0)  # rad/s, weighs the looseness against the data
 
@@ -218,7 +217,7 @@ def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
         return float(((target - out) ** 2).sum() / noise**2 + (((x - start.values) / loose) ** 2).sum())
 
     value = cost(x, here)
-    for _ in range(STEPS):
+    for _ in range(DRIVE_ITERATIONS):
         slopes = slopes_at(x, here).reshape(-1, len(x)) * step / noise
         normal = slopes.T @ slopes + np.diag((step / loose) ** 2)
         gradient = slopes.T @ (target - here).ravel() / noise - (x - start.values) * step / loose**2
@@ -235,5 +234,5 @@ def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
         if gained < 1e-6 * value:
             break
     breaks = np.concatenate([[True], np.diff(rows) > every])
-    vary = volts is not None and float(np.std(ratio[rows])) > STEADY
+    vary = volts is not None and float(np.std(ratio[rows])) > LEAST_SAG
     return DriveFit(flown.key, x, t[rows], breaks, target - here, slopes_at(x, here), vary, (noise / loose) ** 2, noise)

@@ -1,4 +1,4 @@
-"""Drive: how the rotors follow what they were told, from commands and measured rotor speeds alone.
+"""Drive: how the rotors follow their commands, from commands and measured rotor speeds alone.
 
 Each flight's constants are found by output error, as a model's are; then they are compared with the model's and with
 one another, with what motors and telemetry differ in between flights as nuisance. A late command and
@@ -13,39 +13,49 @@ import pandas as pd
 
 from quasi.errors import DataError
 from quasi.gap.catalogue import catalogue
-from quasi.gap.flights.level import Flown, Level, Tests
-from quasi.gap.flights.residual_tables import beside, spectra, where, whiteness
+from quasi.gap.flights.level import PRIOR_FREEDOM, Flown, Level, SensorMixedModel
+from quasi.gap.flights.residual_tables import Residuals, level_tables
 from quasi.gap.levels.drive.findings import saturated, weak
-from quasi.gap.levels.drive.fit import NAMES, RATE, Belief, DriveFit, belief_of, commanded, fit_drive, reference_voltage
+from quasi.gap.levels.drive.fit import (
+    CONSTANTS,
+    RATE,
+    Belief,
+    DriveFit,
+    belief_of,
+    commanded,
+    fit_drive,
+    reference_voltage,
+)
 from quasi.gap.levels.selected import report_selection
 from quasi.gap.selection import EXACT, Profile, Selection, select_causes
+from quasi.gap.statistics.blocks import BLOCK
 from quasi.gap.statistics.mixed import Candidate, Columns
+from quasi.importing.imu_and_telemetry import YAW_EXPLAINED
+from quasi.model.columns import ROTORS
+from quasi.terms.rotor_map import SHARES
 
-EXPONENT = NAMES.index("exponent")
-BLOCK = 5.0  # s
-PRIOR_FREEDOM = 16.0
-CAUSES = {"motor_lag": ("up", "down"), "command_delay": ("delay",), "telemetry_delay": ("late",),
+EXPONENT = CONSTANTS.index("exponent")
+DRIVE_CAUSES = {"motor_lag": ("up", "down"), "command_delay": ("delay",), "telemetry_delay": ("late",),
           "battery_sag": ("exponent",)}  # fmt: skip
-UNITS = {"up": "s", "down": "s", "delay": "s", "late": "s", "exponent": "1"}
+DRIVE_UNITS = {"up": "s", "down": "s", "delay": "s", "late": "s", "exponent": "1"}
 LATE = frozenset({"command_delay", "telemetry_delay"})
 USUAL_AGE, AGE_SPREAD = 2e-3, 7e-4  # s, of rotor telemetry that nothing is wrong with
-YAW_EXPLAINED = 0.96  # share of yaw below which the age that import found is no evidence
 # standard deviations of what differs between healthy flights, as shares for the time constants; and of the error of
 # what a model believes, common to all flights
-SPREAD = {"up": 0.05, "down": 0.05, "delay": 7e-4, "a0": 8.0, "a1": 40.0, "a2": 40.0, "exponent": 0.03,
+NORMAL = {"up": 0.05, "down": 0.05, "delay": 7e-4, "a0": 8.0, "a1": 40.0, "a2": 40.0, "exponent": 0.03,
           "rotor1": 0.01, "rotor2": 0.01, "rotor3": 0.01, "rotor4": 0.01}  # fmt: skip
 BELIEVED = {
     "up": 0.03,
     "down": 0.03,
-    "delay": 1.2e-3,  # of a model that does not tell whether it holds the telemetry's age; else AGE_SPREAD
+    "delay": 1.2e-3,  # of a model for which it is unknown whether it holds the telemetry's age; else AGE_SPREAD
     "a0": 40.0,
     "a1": 200.0,
     "a2": 200.0,
     "exponent": 0.03,
     "late": 5e-4,
 }
-UNPOOLED = ("telemetry_delay",)  # the usual age is known; left free, it would hide what tells it from a late command
-BREAKERS = {LATE: "quick yaw inputs: the motion determines the delay of the telemetry"}
+UNPOOLED = ("telemetry_delay",)  # the usual age is known; left free, it would hide its difference from a late command
+DRIVE_TIE_BREAKERS = {LATE: "quick yaw inputs: the motion determines the delay of the telemetry"}
 CATALOGUE = catalogue()
 
 
@@ -56,7 +66,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     sensors. Flights without commands or rotor speeds are left out and named.
     """
     level = Level("drive")
-    asked = [c for c in CAUSES if options.get("effects", "all") == "all" or c in options["effects"]]
+    asked = [c for c in DRIVE_CAUSES if options.get("effects", "all") == "all" or c in options["effects"]]
     kinds = {commanded(f) for f in flights if f.compared} - {""}
     if not kinds:
         why = "no compared flight logs the commands of all four rotors"
@@ -64,19 +74,19 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         return level
     kind = "speeds" if "speeds" in kinds else "shares"
     level.findings += saturated(flights, kind)
-    belief, told = _belief(flights, document, kind, level)
+    belief, is_known = _belief(flights, document, kind, level)
     used, fits = _fits(flights, kind, belief, level)
     if not any(f.compared for f in used):
         why = "no compared flight has enough flying with commands and measured rotor speeds"
         level.cannot_be_asked += [{"id": c, "why": why} for c in asked]
         return level
     constants = [whole(f, d) for f, d in zip(used, fits)]
-    if belief is None or not told:
+    if belief is None or not is_known:
         first = [k for k, f in enumerate(used) if not f.compared] or list(range(len(used)))
         middle = np.median([constants[k] for k in first], axis=0)
-        # what reference flights whose voltage stays do not tell of the battery is no change in the others
-        tell = [k for k in first if fits[k].volts_vary] or [k for k, d in enumerate(fits) if d.volts_vary]
-        middle[EXPONENT] = np.median([constants[k][EXPONENT] for k in tell or first])
+        # reference flights of constant voltage have no information on the battery, so its exponent is no change
+        informative = [k for k in first if fits[k].volts_vary] or [k for k, d in enumerate(fits) if d.volts_vary]
+        middle[EXPONENT] = np.median([constants[k][EXPONENT] for k in informative or first])
         reference = Belief(middle, belief and belief.voltage)
         level.notes.append(
             f"the model {document.get('id', '')} does not say how its rotors follow commands; only changes between "
@@ -103,7 +113,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
     doubt = _doubt(document)
     sessions = [(options.get("sessions") or {}).get(f.key, "") for f in used]
 
-    def build(grams: list[np.ndarray]) -> Tests:
+    def build(grams: list[np.ndarray]) -> SensorMixedModel:
         return _mixed(grams, compared, asked, reference, doubt, sessions)
 
     mixed = build([p.gram() for p in products])
@@ -129,7 +139,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         mean = np.mean([d.values[:2] for d in students], axis=0)
         return dict(zip(("up", "down"), mean.tolist())) if offer.cause == "motor_lag" else {}
 
-    report_selection(level, selection, mixed, shares, CATALOGUE, parameters, BREAKERS, lags)
+    report_selection(level, selection, mixed, shares, CATALOGUE, parameters, DRIVE_TIE_BREAKERS, lags)
     _tables(level, used, fits, [v - reference.values for v in constants])
     return level
 
@@ -137,12 +147,12 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
 def _belief(
     flights: Sequence[Flown], document: Mapping[str, Any], kind: str, level: Level
 ) -> tuple[Belief | None, bool]:
-    """Where the fits start, and whether the model tells it."""
+    """Where the fits start, and whether the model knows it."""
     held = belief_of(document, kind)
-    told = held is not None and "time constants up" in (document.get("actuators") or {})
+    is_known = held is not None and "time constants up" in (document.get("actuators") or {})
     volts = reference_voltage(flights)
     if held is None:
-        values = np.zeros(len(NAMES))
+        values = np.zeros(len(CONSTANTS))
         values[:3] = 0.03, 0.03, 0.0
         if kind == "speeds":
             values[4] = 1.0
@@ -152,18 +162,18 @@ def _belief(
     if kind == "shares" and held.voltage is None and volts is not None:
         # a map without voltage holds at the voltage of the flights that it was fitted on, which nobody noted
         held = held._replace(voltage=volts)
-        told = False
-    return held, told
+        is_known = False
+    return held, is_known
 
 
 def _first_map(flights: Sequence[Flown]) -> np.ndarray:
     """Speed regressed on command share over all flights, as a start."""
     command, speed = [], []
     for f in flights:
-        if commanded(f) == "shares" and all(f"w{i}" in f.filtered for i in range(1, 5)):
+        if commanded(f) == "shares" and all(w in f.filtered for w in ROTORS):
             rows = f.filtered["valid"].to_numpy() > 0.5 if "valid" in f.filtered else np.ones(len(f.filtered), bool)
-            command.append(f.filtered[[f"command{i}" for i in range(1, 5)]].to_numpy(float)[rows].ravel())
-            speed.append(f.filtered[[f"w{i}" for i in range(1, 5)]].to_numpy(float)[rows].ravel())
+            command.append(f.filtered[list(SHARES)].to_numpy(float)[rows].ravel())
+            speed.append(f.filtered[list(ROTORS)].to_numpy(float)[rows].ravel())
     c, w = np.concatenate([*command, [0.0]]), np.concatenate([*speed, [0.0]])
     fine = np.isfinite(c) & np.isfinite(w)
     return np.linalg.lstsq(np.column_stack([np.ones(fine.sum()), c[fine], c[fine] ** 2]), w[fine], rcond=None)[0]
@@ -208,16 +218,16 @@ class Products(NamedTuple):
     age: tuple[float, float, float | None]
 
     def gram(self, rng: np.random.Generator | None = None) -> np.ndarray:
-        """Cross-products (13, 13) of: difference from the reference, constants by NAMES, late telemetry.
+        """Cross-products (13, 13) of: difference from the reference, constants by CONSTANTS, late telemetry.
 
-        The delay is that of command and telemetry together; what the motion told of the telemetry alone is a
+        The delay is that of command and telemetry together; the motion's estimate of the telemetry delay is a
         measurement of its own. rng  draws the flight's blocks anew.
         """
         apart = self.apart.copy()
         if rng is not None:
             apart += self.moves[rng.integers(0, len(self.moves), len(self.moves))].sum(axis=0)
         _, seen, doubt = self.age
-        columns = np.column_stack([apart, np.eye(len(NAMES)), np.eye(len(NAMES))[:, 2]])
+        columns = np.column_stack([apart, np.eye(len(CONSTANTS)), np.eye(len(CONSTANTS))[:, 2]])
         gram = columns.T @ self.precision @ columns
         if doubt is not None:
             row = np.zeros(len(gram))
@@ -236,38 +246,26 @@ def whole(flown: Flown, fit: DriveFit) -> np.ndarray:
 def _mixed(
     grams: Sequence[np.ndarray], compared: np.ndarray, asked: Sequence[str], reference: Belief,
     doubt: float, sessions: Sequence[str],
-) -> Tests:  # fmt: skip
-    place = {name: 1 + i for i, name in enumerate([*NAMES, "late"])}
+) -> SensorMixedModel:  # fmt: skip
+    place = {name: 1 + i for i, name in enumerate([*CONSTANTS, "late"])}
     scale = {"up": reference.values[0], "down": reference.values[1]}
     width = len(place) + 1
-    own = [name for names in (CAUSES[c] for c in asked) for name in names]
-    source = list(range(width)) + [place[n] for n in SPREAD] + [place[n] for n in BELIEVED]
+    own = [name for names in (DRIVE_CAUSES[c] for c in asked) for name in names]
+    source = list(range(width)) + [place[n] for n in NORMAL] + [place[n] for n in BELIEVED]
     # the least spread between flights that a test allows for is as large again as a flight's own doubt
-    spread = [s * scale.get(n, 1.0) / (np.sqrt(2.0) if n in own else 1.0) for n, s in SPREAD.items()]
-    nuisance = list(range(width, width + len(SPREAD)))
-    shared = list(range(width + len(SPREAD), len(source)))
+    spread = [s * scale.get(n, 1.0) / (np.sqrt(2.0) if n in own else 1.0) for n, s in NORMAL.items()]
+    nuisance = list(range(width, width + len(NORMAL)))
+    shared = list(range(width + len(NORMAL), len(source)))
     known = BELIEVED if reference.aged is None else {**BELIEVED, "delay": AGE_SPREAD}
     believed = np.array([s * scale.get(n, 1.0) * (doubt if n in scale else 1.0) for n, s in known.items()])
-    columns = Columns(shared, nuisance, np.array(spread), {c: [place[n] for n in CAUSES[c]] for c in asked})
+    columns = Columns(shared, nuisance, np.array(spread), {c: [place[n] for n in DRIVE_CAUSES[c]] for c in asked})
     prior = np.diag(1.0 / believed**2)
     used = [g[np.ix_(source, source)] for g in grams]
-    return Tests(used, compared, columns, PRIOR_FREEDOM, prior, UNPOOLED, sessions=sessions)
-
-
-def size_of(cause: str, values: Mapping[str, float], healthy: Mapping[str, float]) -> np.ndarray:
-    """Deviation from healthy (m,) of parameters as they are stated, in the units of the cause's columns.
-
-    healthy  {"up", "down": s, "exponent": 1} of the reference that flights are compared with
-    """
-    if cause == "motor_lag":
-        return np.array([values["time_constant"] - healthy[name] for name in ("up", "down")])
-    if cause == "battery_sag":
-        return np.array([values["exponent"] - healthy["exponent"]])
-    return np.array([values["delay"]])
+    return SensorMixedModel(used, compared, columns, PRIOR_FREEDOM, prior, UNPOOLED, sessions=sessions)
 
 
 def _parameters(
-    mixed: Tests, selection: Selection, offer: Candidate, fits: Sequence[DriveFit], volts: float | None
+    mixed: SensorMixedModel, selection: Selection, offer: Candidate, fits: Sequence[DriveFit], volts: float | None
 ) -> dict[str, dict[str, Any]]:
     """As they are stated: time constant and exponent absolute, of the compared flights; delays beyond the reference.
 
@@ -275,62 +273,33 @@ def _parameters(
     """
     test = selection.test(mixed, offer)
     # a flight whose voltage stays holds the exponent that its fit began with
-    telling = [d for d in fits if d.volts_vary] if offer.cause == "battery_sag" else fits
-    values = np.array([d.values for d in telling])
-    share = 1.0 / np.sqrt(len(telling))
+    informative = [d for d in fits if d.volts_vary] if offer.cause == "battery_sag" else fits
+    values = np.array([d.values for d in informative])
+    share = 1.0 / np.sqrt(len(informative))
     if offer.cause == "motor_lag":
         each = values[:, :2].mean(axis=1)
-        std = max(float(each.std()) * share, SPREAD["up"] * float(each.mean()) * share / np.sqrt(2.0))
+        std = max(float(each.std()) * share, NORMAL["up"] * float(each.mean()) * share / np.sqrt(2.0))
         return {"time_constant": {"value": float(each.mean()), "std": float(std), "unit": "s"}}
     if offer.cause == "battery_sag":
         each = values[:, EXPONENT]
-        std = max(float(each.std()) * share, SPREAD["exponent"] * share)
-        told = {"exponent": {"value": float(each.mean()), "std": float(std), "unit": "1"}}
-        return told | ({"reference voltage": {"value": volts, "std": 0.0, "unit": "V"}} if volts else {})
+        std = max(float(each.std()) * share, NORMAL["exponent"] * share)
+        found = {"exponent": {"value": float(each.mean()), "std": float(std), "unit": "1"}}
+        return found | ({"reference voltage": {"value": volts, "std": 0.0, "unit": "V"}} if volts else {})
     return {"delay": {"value": float(test.value[0]), "std": float(test.std[0]), "unit": "s"}}
 
 
 def _tables(level: Level, used: Sequence[Flown], fits: Sequence[DriveFit], apart: Sequence[np.ndarray]) -> None:
-    """Tables "residuals" (measured minus modelled speed), "channels" (rms, whiteness), "where", "parameters" and
-    "spectra".
-
-    apart  (11,) per flight: its constants minus the reference's
-    """
-    rows, channels, parameters, floors = [], [], [], []
+    """Tables of measured minus modelled speeds, see `level_tables`. apart  (11,) per flight: minus the reference's"""
+    residuals, parameters = [], []
     for flown, fit, away in zip(used, fits, apart):
-        before = fit.residual + fit.slopes @ away
-        series = {"before": before, "floor": fit.residual}
-        memory = whiteness(series, fit.t, fit.breaks)
-        table = pd.DataFrame({"t": fit.t, "flight": flown.key, **beside(flown, fit.t)})
-        for i in range(4):
-            name = f"w{i + 1}"
-            for word, values in series.items():
-                table[f"{name}_{word}"] = values[:, i]
-            channels.append(
-                {"flight": flown.key, "compared": flown.compared, "channel": name, "unit": "rad/s",
-                 **{word: _rms(values[:, i]) for word, values in series.items()}, **memory[i]}
-            )  # fmt: skip
-        rows.append(table)
-        floors.append((fit.residual**2).mean(axis=0))
-        slopes = fit.slopes.reshape(-1, len(NAMES))
-        held = slopes.any(axis=0)
-        for name, value, known in zip(NAMES, fit.values, held):
-            if known:
-                parameters.append(
-                    {"flight": flown.key, "compared": flown.compared, "parameter": name, "value": float(value),
-                     "unit": UNITS.get(name, "rad/s" if name[0] == "a" else "1")}
-                )  # fmt: skip
-    whole = pd.concat(rows, ignore_index=True)
-    compared = whole[whole["flight"].isin([f.key for f in used if f.compared])]
-    level.tables = {
-        "residuals": whole,
-        "channels": pd.DataFrame(channels),
-        "where": where(compared, dict.fromkeys(("w1", "w2", "w3", "w4"), "rad/s"), ("before", "floor")),
-        "parameters": pd.DataFrame(parameters),
-        "spectra": spectra(rows, [d.breaks for d in fits], RATE),
-    }
-    level.noise_floor = {f"w{i + 1}": float(v) for i, v in enumerate(np.sqrt(np.mean(floors, axis=0)))}
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+        series = {"before": fit.residual + fit.slopes @ away, "floor": fit.residual}
+        residuals.append(Residuals(series, fit.t, fit.breaks))
+        held = fit.slopes.reshape(-1, len(CONSTANTS)).any(axis=0)
+        parameters += [
+            {"flight": flown.key, "compared": flown.compared, "parameter": name, "value": float(value),
+             "unit": DRIVE_UNITS.get(name, "rad/s" if name[0] == "a" else "1")}
+            for name, value, known in zip(CONSTANTS, fit.values, held)
+            if known
+        ]  # fmt: skip
+    units = dict.fromkeys(ROTORS, "rad/s")
+    level.tables, level.noise_floor = level_tables(used, residuals, units, pd.DataFrame(parameters), RATE)

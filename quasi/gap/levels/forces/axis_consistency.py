@@ -1,4 +1,4 @@
-"""Whether the axes of force and moment tell the same of a cause.
+"""Whether the axes of force and moment agree on a cause.
 
 A cause acts on several axes with one value. Something else that resembles it on one axis wants another value, or the
 other sign, on the next: what a name made of it explains here it spoils there.
@@ -9,17 +9,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quasi.gap.levels.forces.design import BLOCK, Design, in_stretches
-from quasi.gap.statistics.mixed import Candidate, ClusteredMixedModel, Test
+from quasi.gap.levels.forces.design import Design, in_stretches
+from quasi.gap.statistics.blocks import BLOCK
+from quasi.gap.statistics.clustered import ClusteredMixedModel
+from quasi.gap.statistics.mixed import Candidate, Test
 from quasi.gap.statistics.whitening import block_grams
 from quasi.model.model import AXES
 
-SURE = 3.0  # |t| of an axis that speaks against a cause, and that it must show of the cause to have a say
+AXIS_T = 3.0  # |t| of an axis that speaks against a cause, and that it must show of the cause to have a say
 OPPOSITE = 0.3  # of what the cause is taken to be, with the other sign, that contradicts it
 
 
 class Voice(NamedTuple):
-    """What one axis alone tells: how much of the cause is there, 1 for all of it, with its standard error."""
+    """The estimate of one axis alone: how much of the cause is there, 1 for all of it, with its standard error."""
 
     axis: str
     amount: float
@@ -29,8 +31,8 @@ class Voice(NamedTuple):
 def voices(
     study: Design, compared: Sequence[bool], test: Test, pooled: Sequence[str], given: Sequence[Candidate] = ()
 ) -> list[Voice]:
-    """What each axis alone tells of a cause as a test found it, beside what is given: by stretches, as surely as these
-    or whole flights tell it, whichever is less.
+    """The estimate of each axis alone of a cause as a test found it, with others given: by segments, with the larger of
+    the standard errors by segments and by whole flights.
 
     Every axis has an amount of its own at the same time: what another axis shows of the cause would else be put into
     the base, where all flights have it alike, and be missed from this one.
@@ -50,8 +52,8 @@ def voices(
     offers = [Candidate(axis, test.offer.since, (0,)) for axis in names]
     result = []
     for axis, offer in zip(names, offers):
-        beside = [*given, *(o for o in offers if o != offer)]
-        found, between = mixed.test(offer, beside, pooled), mixed.between(offer, beside, pooled)
+        others = [*given, *(o for o in offers if o != offer)]
+        found, between = mixed.test(offer, others, pooled), mixed.between(offer, others, pooled)
         result.append(Voice(axis, float(found.value[0]), float(max(found.std[0], between.std[0]))))
     return result
 
@@ -66,22 +68,22 @@ def disagreement(heard: Sequence[Voice]) -> float:
         return 1.0
     whole = sum(1.0 / v.std**2 for v in heard) ** -0.5
     mean = sum(v.amount / v.std**2 for v in heard) * whole**2
-    told = [
+    sharp = [
         v for v in heard
-        if v.std < 3.0 * len(heard) ** 0.5 * whole or abs(v.amount - mean) > SURE * (v.std**2 + whole**2) ** 0.5
+        if v.std < 3.0 * len(heard) ** 0.5 * whole or abs(v.amount - mean) > AXIS_T * (v.std**2 + whole**2) ** 0.5
     ]  # fmt: skip
-    if len(told) < 2:
+    if len(sharp) < 2:
         return 1.0
-    weights = [1.0 / v.std**2 for v in told]
-    mean = sum(w * v.amount for w, v in zip(weights, told)) / sum(weights)
-    spread = sum(w * (v.amount - mean) ** 2 for w, v in zip(weights, told)) / (len(told) - 1)
+    weights = [1.0 / v.std**2 for v in sharp]
+    mean = sum(w * v.amount for w, v in zip(weights, sharp)) / sum(weights)
+    spread = sum(w * (v.amount - mean) ** 2 for w, v in zip(weights, sharp)) / (len(sharp) - 1)
     return max(spread**0.5, 1.0)
 
 
 def contradiction(heard: Sequence[Voice]) -> str:
-    """Why the axes do not tell of one cause, or nothing: one wants it, another its opposite, both surely."""
-    wanted = [v for v in heard if v.amount > SURE * v.std]
-    against = [v for v in heard if v.amount < min(-OPPOSITE, -SURE * v.std) and SURE * v.std < 1.0]
+    """Why the axes contradict one cause, or nothing: one wants it, another its opposite, both surely."""
+    wanted = [v for v in heard if v.amount > AXIS_T * v.std]
+    against = [v for v in heard if v.amount < min(-OPPOSITE, -AXIS_T * v.std) and AXIS_T * v.std < 1.0]
     if not wanted or not against:
         return ""
     first, last = max(wanted, key=lambda v: v.amount / v.std), min(against, key=lambda v: v.amount / v.std)

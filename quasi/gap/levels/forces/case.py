@@ -9,9 +9,9 @@ import pandas as pd
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.extension import extend
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.levels.forces.design import Design
+from quasi.gap.levels.forces.design import Design, refit_with
 from quasi.gap.levels.forces.error_reduction import after
-from quasi.gap.levels.forces.materiality import Cause, refitted
+from quasi.gap.materiality import Cause
 from quasi.model.model import Model
 
 
@@ -43,7 +43,7 @@ class Case(NamedTuple):
     trim: Any = None
 
     def anew(self, causes: Sequence[Cause]) -> bool:
-        """Whether the model's own terms are fitted anew beside some causes: beside those that were always there."""
+        """Whether the model's own terms are fitted anew with some causes: with those that were always there."""
         return self.corrected or any(c.since == "always" for c in causes)
 
     def extended(
@@ -51,15 +51,15 @@ class Case(NamedTuple):
     ) -> dict[str, Any]:
         """The document of the model with some causes and the drive's.
 
-        study    of the flights that learn, which the model's own terms are fitted to if `anew`, beside all these causes
+        study    of the flights that learn, which the model's own terms are fitted to if `anew`, with all these causes
         changed  without: as reference flights have it, that is with what was always there alone
         """
         changes = None
         if study is not None and anew:
-            changes = refitted(study, self.compared, [(c, c.value) for c in causes])
-        told = [(c.effect, c.value) for c in causes if changed or c.since == "always"]
-        told += [(effect, values) for effect, values in self.drive if changed or effect.id in self.always]
-        document = extend(self.model, told, self.vehicle, self.settings["extended model ID"], where, changes)
+            changes = refit_with(study, self.compared, [(c, c.value) for c in causes])
+        acting = [(c.effect, c.value) for c in causes if changed or c.since == "always"]
+        acting += [(effect, values) for effect, values in self.drive if changed or effect.id in self.always]
+        document = extend(self.model, acting, self.vehicle, self.settings["extended model ID"], where, changes)
         document.pop("differential form", None)
         return document
 

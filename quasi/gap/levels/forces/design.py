@@ -13,7 +13,10 @@ from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.sessions import units
 from quasi.gap.levels.forces.nuisance import nuisances, session_nuisances
-from quasi.gap.statistics.mixed import ClusteredMixedModel, Columns, MixedModel, marginal
+from quasi.gap.materiality import Cause
+from quasi.gap.statistics.blocks import BLOCK
+from quasi.gap.statistics.clustered import ClusteredMixedModel
+from quasi.gap.statistics.mixed import Columns, MixedModel, marginal
 from quasi.gap.statistics.whitening import Thinned, Whitener, autoregression, block_grams, thin
 from quasi.model.model import AXES
 from quasi.terms.expressions import Program, parse
@@ -21,11 +24,10 @@ from quasi.terms.variables import Variables
 
 BAND = 10.0  # Hz
 ORDER = 6  # of the autoregression
-BLOCK = 5.0  # s, longer than the memory of gusts
-STRETCH = 2  # blocks, about a manoeuvre
+STRETCH_BLOCKS = 2  # blocks, about a manoeuvre
 MOST_STRETCHES = 160  # stretches of all flights together: the time of a test grows with their cube
 BOUND = 3.0  # typical sizes: wide enough for any real vehicle, too narrow for what references without the cause return
-LIGHT = 1e-6  # ridge of the per-flight fit whose residual tells the noise
+LIGHT = 1e-6  # ridge of the per-flight fit whose residual gives the noise
 Values = Mapping[str, Mapping[str, float]]  # {cause: {parameter: deviation}}
 
 
@@ -70,8 +72,8 @@ class Design(NamedTuple):
 
 
 def in_stretches(blocks: np.ndarray, flights: int = 1) -> np.ndarray:
-    """Cross-products (K, P, P) of stretches of STRETCH blocks each, of more where there are many flights."""
-    return joined(blocks, min(len(blocks) // STRETCH, MOST_STRETCHES // flights))
+    """Cross-products (K, P, P) of stretches of STRETCH_BLOCKS blocks each, of more where there are many flights."""
+    return joined(blocks, min(len(blocks) // STRETCH_BLOCKS, MOST_STRETCHES // flights))
 
 
 def joined(blocks: np.ndarray, count: int) -> np.ndarray:
@@ -82,7 +84,15 @@ def joined(blocks: np.ndarray, count: int) -> np.ndarray:
     return np.array([blocks[a:b].sum(axis=0) for a, b in pairwise(ends)])
 
 
-MEMORY = 20.0  # samples that a residual remembers: information is counted that much lower
+ROW_MEMORY = 20.0  # samples that a residual remembers: information is counted that much lower
+
+
+def refit_with(
+    study: Design, compared: Sequence[bool], pairs: Sequence[tuple[Cause, Mapping[str, float]]]
+) -> np.ndarray:
+    """`refit` to all flights of a design, with causes and their deviations by name."""
+    values = {(c.effect.id, c.since): {c.effect.fitted.index(n): x for n, x in v.items()} for c, v in pairs}
+    return refit(study, range(len(compared)), compared, values)
 
 
 def refit(
@@ -92,11 +102,11 @@ def refit(
 
     values  {(cause, since): {position of the parameter: deviation}}
     Unwhitened, every axis by its own residual: what a simulation needs is a small error, not a white one. Flights'
-    nuisances are integrated out. Beside a cause, the terms that had to stand in for it find their own values.
+    nuisances are integrated out. With a cause, the terms that had to stand in for it find their own values.
     """
     columns, size = study.columns, len(study.names)
     level = sum(np.einsum("kii->ki", study.raw[f])[:, 0] for f in use)
-    weight = sum(len(study.thinned[f].rows) for f in use) / np.maximum(level, 1e-300) / MEMORY
+    weight = sum(len(study.thinned[f].rows) for f in use) / np.maximum(level, 1e-300) / ROW_MEMORY
     inner, right = np.zeros((len(columns.shared),) * 2), np.zeros(len(columns.shared))
     for f, flag in zip(use, compared):
         gram = marginal(np.einsum("k,kij->ij", weight, study.raw[f]), columns.nuisance, columns.spread)
@@ -143,7 +153,7 @@ def gather_design(
     """Build the cross-products of all flights.
 
     effects  causes to be asked; values  per flight, to linearise at where not neutral
-    idle     whether causes stay that do nothing in these flights, which stand beside others
+    idle     whether causes stay that do nothing in these flights, to match the columns of others
     A cause whose columns a flight cannot give is left out, with the reason in `lacking`.
     """
     lacking: dict[str, str] = {}
@@ -178,7 +188,7 @@ def gather_design(
             raise DataError(f"flight {flight.key} has no second of valid data without a gap; fly longer")
         names = [name for name, _ in parts]
         first = 1 + len(shared)
-        # slopes at each flight's own values, beside terms that hold them all, would make up any change
+        # slopes at each flight's own values, with terms that hold them all, would make up any change
         bent = tuple(n for n in causes if asked[n].is_nonlinear and asked[n].absorbed_by_model)
         spread = np.array([s for *_, s in own])
         usual = {n: bounds_of(asked[n], vehicle) for n in causes}
@@ -203,7 +213,7 @@ def moved(study: Design, effects: Mapping[str, Effect], vehicle: Vehicle, values
     for flight, old, own in zip(study.flights, study.thinned, values):
         place, parts = [0], [_straight(flight, effects, vehicle, own)]
         true = corrected(flight, effects, own)
-        if again:  # terms of some flights read with the error would, beside causes read without, make up any change
+        if again:  # terms of some flights read with the error would, with causes read without, make up any change
             place += [*study.columns.shared, *study.columns.nuisance, *study.columns.session]
             parts += [c for _, c in base_columns(true)] + [c for _, c, _ in nuisances(true)]
             parts += [c for _, c, _ in session_nuisances(true)]

@@ -9,27 +9,27 @@ from quasi.gap.catalogue import whole_of
 from quasi.gap.effect import Vehicle
 from quasi.gap.flights.covariates import HEADING, places
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.levels.forces.materiality import Cause
+from quasi.gap.flights.ranges import MOSTLY
+from quasi.gap.materiality import Cause
 from quasi.model.model import AXES
 
-CELLS = 16  # along a place, each with as many rows
-MOSTLY = 0.7  # of the largest cell
-TELLS = 0.5  # share of what a cause does that a place has to tell for it to be named
-STEADY = 0.2  # of its mean: what spreads less is the same everywhere
-ONE_WAY = 0.9  # of its square that has to have one sign more than the other for the sign to be told
+EFFECT_CELLS = 16  # along a place, each with as many rows
+EXPLAINED = 0.5  # share of the variance of what a cause does, from which a place is reported
+STEADY_EFFECT = 0.2  # of its mean: what spreads less is the same everywhere
+ONE_WAY = 0.9  # of its square that has to have one sign more than the other for the sign to be reported
 NEVER = ("time", "volts", "room x", "room y")  # places of single flights, no way to fly
-STEP = 1e-3  # of a standard error, of slopes
+SLOPE_STEP = 1e-3  # of a standard error, of slopes
 
 
 def acting(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle, channel: str | None) -> dict[str, Any] | None:
     """What a cause of forces and moments does to a channel (its first one where None) where it does most.
 
-    None for nothing at all, and for a cause that adds no forces: another mass, or a wind, is told by its parameters.
+    None for nothing at all, and for a cause that adds no forces: a mass or a wind is described by its parameters.
 
     {"channel", "unit", "value", "std", "signed", "share", "where", "range"}: newtons or newton metres as the mean where
     the sign is always the same (signed), else as root mean square; its standard error by the parameters'; "share"
     {"value", "std"} of the model's thrust, of Fz alone; "where" the place and "range" [low, high] of it, SI, heading in
-    rad, both None for what acts everywhere alike or where no place tells.
+    rad, both None for what acts everywhere alike or where no place explains enough.
     """
     if cause.effect.terms is None and cause.effect.nonlinear_terms is None:
         return None
@@ -51,7 +51,7 @@ def acting(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle, channel:
         return float(values[rows].mean()) if signed else float(np.sqrt(np.mean(values[rows] ** 2)))
 
     names, value = list(cause.value), size(does)
-    steps = {n: STEP * cause.std[n] for n in names}
+    steps = {n: SLOPE_STEP * cause.std[n] for n in names}
     slopes = [
         (size(made({**cause.value, n: cause.value[n] + steps[n]})) - value) / steps[n] if steps[n] > 0.0 else 0.0
         for n in names
@@ -69,25 +69,25 @@ def acting(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle, channel:
 
 
 def _place(does: np.ndarray, flights: Sequence[Evidence]) -> tuple[str | None, np.ndarray | None]:
-    """The place that tells most of how much is done, and the rows (n,) of the stretch of it where most is done."""
+    """The place that explains most of how much is done, and the rows (n,) of its range where most is done."""
     size = np.abs(does)
-    if size.std() < STEADY * size.mean():
+    if size.std() < STEADY_EFFECT * size.mean():
         return None, None
     known = [set(places(f)) for f in flights]
-    best, most, there = None, TELLS, None
+    best, most, there = None, EXPLAINED, None
     for where in places(flights[0]):
         if where in NEVER or not all(where in k for k in known):
             continue
         along = np.concatenate([_along(f, where) for f in flights])
-        edges = np.unique(np.quantile(along, np.linspace(0.0, 1.0, CELLS + 1)))
+        edges = np.unique(np.quantile(along, np.linspace(0.0, 1.0, EFFECT_CELLS + 1)))
         if len(edges) < 3:
             continue
         cell = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, len(edges) - 2)
         count = np.bincount(cell)
         mean = np.bincount(cell, size) / np.maximum(count, 1)
-        told = float(np.sum(count * (mean - size.mean()) ** 2) / np.sum((size - size.mean()) ** 2))
-        if told > most:
-            best, most, there = where, told, np.isin(cell, _about(mean))
+        explained = float(np.sum(count * (mean - size.mean()) ** 2) / np.sum((size - size.mean()) ** 2))
+        if explained > most:
+            best, most, there = where, explained, np.isin(cell, _about(mean))
     return best, there
 
 

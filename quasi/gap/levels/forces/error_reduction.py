@@ -14,29 +14,11 @@ from quasi.gap.flights.instruments import shown
 from quasi.gap.levels.forces.design import BAND, ORDER
 from quasi.gap.levels.forces.nuisance import nuisances
 from quasi.gap.statistics import blocks
+from quasi.gap.statistics.blocks import BLOCK
+from quasi.gap.statistics.scores import Score
 from quasi.gap.statistics.whitening import Whitener, thin, whiten
-from quasi.model.columns import STATE
+from quasi.model.columns import ROTORS, STATE
 from quasi.model.model import AXES, Model
-
-BLOCK = 5.0  # s
-DRAWS = 200
-LEVEL = 0.95
-
-
-class Score(NamedTuple):
-    """Mean squared error in a block; blocks of all flights one after another. values (B, C), weight (B,) samples."""
-
-    values: np.ndarray
-    weight: np.ndarray
-
-    def mean(self) -> np.ndarray:
-        """(C,) over all blocks."""
-        return self.weight @ self.values / self.weight.sum()
-
-
-def joined(first: Score, last: Score) -> Score:
-    """Blocks of both."""
-    return Score(*(np.concatenate(parts) for parts in zip(first, last)))
 
 
 class Squares(NamedTuple):
@@ -91,7 +73,7 @@ def scored_in_blocks(found: Squares) -> Score:
 class Likelihood:
     """How likely residuals of flights are, whatever nuisances these flights have: -2 log, up to a constant.
 
-    A constant error of a moment, say, is as likely after an extension as before, and tells nothing about it.
+    A constant error of a moment, say, is as likely after an extension as before.
     """
 
     def __init__(self, flights: Sequence[Evidence], whitener: Whitener) -> None:
@@ -126,46 +108,6 @@ def after(extended: Model, base: Model) -> Callable[[Evidence], np.ndarray]:
     return lambda flight: flight.measured - shown(extended, base, flight)
 
 
-def fraction(
-    old: Score, new: Score, floor: np.ndarray | None = None, seed: int = 0
-) -> dict[str, dict[str, float | None]]:
-    """Share of the removable squared error that is gone, per axis, with its interval over resampled blocks.
-
-    floor (6,) mean squared noise; the share is None where the floor holds 90 % of the old error. The floor is not drawn
-    with the errors, which makes the interval cautious: what decides whether a cause matters asks for it. What is told
-    of a gain has the interval of `removed`.
-    """
-    rng = np.random.default_rng(seed)
-    noise = np.zeros(old.values.shape[1]) if floor is None else floor
-    draws = []
-    for _ in range(DRAWS):
-        pick = rng.integers(0, len(old.weight), len(old.weight))
-        w = old.weight[pick]
-        draws.append([w @ s.values[pick] / w.sum() for s in (old, new)])
-    result = {}
-    for k, axis in enumerate(AXES[: len(noise)]):
-        first, last = old.mean()[k], new.mean()[k]
-        if noise[k] >= 0.9 * first:
-            result[axis] = {"value": None, "low": None, "high": None}
-            continue
-        shares = [(d[0][k] - d[1][k]) / max(d[0][k] - noise[k], 0.1 * d[0][k]) for d in draws]
-        low, high = np.quantile(shares, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
-        result[axis] = {"value": float((first - last) / (first - noise[k])), "low": float(low), "high": float(high)}
-    return result
-
-
-def surely(old: Score, new: Score, removable: np.ndarray, seed: int = 0) -> np.ndarray:
-    """Lower ends (6,) of the intervals of the squared error that is gone, as shares of what is removable.
-
-    removable (6,) mean square, held: blocks in which there is little to remove say little, whatever their share is
-    """
-    rng = np.random.default_rng(seed)
-    picks = rng.integers(0, len(old.weight), (DRAWS, len(old.weight)))
-    weight = old.weight[picks]
-    gone = np.einsum("db,dbc->dc", weight, (old.values - new.values)[picks]) / weight.sum(axis=1)[:, None]
-    return np.quantile(gone, 0.5 - 0.5 * LEVEL, axis=0) / removable
-
-
 def removed(
     old: Squares, new: Squares, floor: Squares, least: np.ndarray, reached: Squares | None = None
 ) -> dict[str, dict[str, float | None]]:
@@ -176,14 +118,14 @@ def removed(
     """
     best = (reached or new).mean()
     known = np.where(least < best, least / np.maximum(floor.mean(), 1e-300), 1.0)
-    told = blocks.shares(old.flight, old.t, old.values, new.values, known * floor.values, reached and reached.values)
-    return dict(zip(AXES, told))
+    shares = blocks.shares(old.flight, old.t, old.values, new.values, known * floor.values, reached and reached.values)
+    return dict(zip(AXES, shares))
 
 
 def states_of(flight: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """What a roll-out starts from and is judged by, of a filtered flight."""
     states = np.stack([np.asarray(flight[name], float) for name in STATE], axis=1)
-    speeds = np.stack([np.asarray(flight[f"w{i}"], float) for i in range(1, 5)], axis=1)
+    speeds = np.stack([np.asarray(flight[w], float) for w in ROTORS], axis=1)
     valid = np.isfinite(states).all(axis=1) & np.isfinite(speeds).all(axis=1)
     if "valid" in flight:
         valid &= np.asarray(flight["valid"], float) > 0.5

@@ -13,17 +13,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import welch
 from scipy.stats import norm
-from scipy.stats import t as t_distribution
 
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.design import Design, own_fit
+from quasi.gap.statistics.log_ratio import larger
 from quasi.gap.statistics.whitening import stretches
 
-AIR, WHITE = (0.1, 3.0), (6.0, 9.0)  # Hz: where gusts are, and where only the sensors' noise is
-SEGMENT = 8.0  # s, of a spectrum
-USUAL = 0.4  # m/s, standard deviation of a component that flights indoors have without anybody's remark
-LIKE = 0.4  # natural log: spread of that between flights, from 0.1 to 0.4 m/s
-LOUDER = 1.5  # times the reference flights'
+GUST_BAND, NOISE_BAND = (0.1, 3.0), (6.0, 9.0)  # Hz: where gusts are, and where only the sensors' noise is
+GUST_SEGMENT = 8.0  # s, of a spectrum
+USUAL_GUSTS = 0.4  # m/s, standard deviation of a component that flights indoors have without anybody's remark
+GUST_SPREAD = 0.4  # natural log: spread of that between flights, from 0.1 to 0.4 m/s
+STRONGER_GUSTS = 1.5  # times the reference flights'
 EVEN = 2.0  # largest over smallest axis
 LEAST_SLOPE = 0.02  # of m g per m/s: below, a force says nothing about the air
 
@@ -43,7 +43,7 @@ def unrest_of(flight: Evidence, left: np.ndarray, breaks: np.ndarray, t: np.ndar
     left (m, 6) what the flight's own fit leaves, in the band of the analysis; breaks (m,), t (m,) of its rows
     """
     rate = 1.0 / float(np.median(np.diff(t)))
-    length = round(SEGMENT * rate)
+    length = round(GUST_SEGMENT * rate)
     densities, weights, lags = [], [], []
     for part in stretches(breaks):
         if part.stop - part.start < length:
@@ -56,8 +56,8 @@ def unrest_of(flight: Evidence, left: np.ndarray, breaks: np.ndarray, t: np.ndar
     if not densities:
         return None
     mean = np.average(densities, axis=0, weights=weights)
-    white = np.median(mean[(frequency > WHITE[0]) & (frequency < WHITE[1])], axis=0)
-    band = (frequency >= AIR[0]) & (frequency < AIR[1])
+    white = np.median(mean[(frequency > NOISE_BAND[0]) & (frequency < NOISE_BAND[1])], axis=0)
+    band = (frequency >= GUST_BAND[0]) & (frequency < GUST_BAND[1])
     force = np.sqrt(np.maximum((mean[band] - white).sum(axis=0) * frequency[1], 0.0))
     gradient = flight.gradient("u", "v", "w")
     slope = np.abs([gradient[:, k, k].mean() for k in range(3)])
@@ -81,7 +81,7 @@ def gusts(
 ) -> list[dict[str, Any]]:
     """Restless air in the compared flights: more than is usual, or more than in the reference flights.
 
-    causes  named ones, fitted to each flight beside the model's terms
+    causes  named ones, fitted to each flight with the model's terms
     alarm  probability of a false finding. Stated only where the air would have to be alike along all three axes.
     """
     named = [c for cause in causes for c in study.columns.causes.get(cause, [])]
@@ -102,7 +102,7 @@ def gusts(
     size = float(np.sqrt(np.mean(sizes**2)))
     # a variance of n independent samples is known to sqrt(2/n), its root to half of that
     error = float(np.sqrt(np.mean([1.0 / (2.0 * 3.0 * u.count) for u in now]) / len(now)))
-    unusual = float(norm.sf(np.log(size / USUAL) / error))
+    unusual = float(norm.sf(np.log(size / USUAL_GUSTS) / error))
     force = np.sqrt(np.mean([u.force**2 for u in now], axis=0))
     memory = float(np.mean([u.memory for u in now]))
     evidence: dict[str, Any] = {
@@ -111,16 +111,11 @@ def gusts(
     }  # fmt: skip
     because = ""
     if unusual < alarm:
-        because = f"more than the {USUAL:g} m/s that flights usually have"
+        because = f"more than the {USUAL_GUSTS:g} m/s that flights usually have"
     elif len(before) >= 2:
         rest = np.array([np.sqrt(np.mean(u.velocity**2)) for u in before])
-        gain = float(np.log(sizes).mean() - np.log(rest).mean())
-        # the usual spread counts as much as ten flights of a group would
-        freedom = len(now) + len(before) - 2
-        squares = sum(float(np.sum((np.log(g) - np.log(g).mean()) ** 2)) for g in (sizes, rest))
-        std = np.sqrt((squares + 10.0 * LIKE**2) / (freedom + 10.0) * (1.0 / len(now) + 1.0 / len(before)))
-        p = float(t_distribution.sf(gain / std, freedom + 10.0))
-        if p < alarm and gain > np.log(LOUDER):
+        gain, p = larger(sizes, rest, GUST_SPREAD)
+        if p < alarm and gain > np.log(STRONGER_GUSTS):
             because = f"{np.exp(gain):.1f} times as much as in the reference flights"
             evidence |= {"times the reference flights": float(np.exp(gain)), "p": p}
     if not because:

@@ -6,38 +6,29 @@ from typing import Any
 import numpy as np
 
 from quasi.errors import ConfigError
-from quasi.gap.catalogue import beyond_slope, columns_of, corrected
+from quasi.gap.catalogue import beyond_slope, columns_of, corrected, whole_of
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.extension import extend
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.case import Case
-from quasi.gap.levels.forces.design import Design, base_columns, moved, refit
-from quasi.gap.levels.forces.error_reduction import Likelihood, Score, after, before, joined, wrench_score
+from quasi.gap.levels.forces.design import Design, base_columns, moved, refit, refit_with
+from quasi.gap.levels.forces.error_reduction import Likelihood, after, before, wrench_score
 from quasi.gap.levels.forces.left_out import LeftOut
-from quasi.gap.levels.forces.materiality import (
-    ASIDE,
-    EXCITED,
-    LACKING,
-    Cause,
-    Common,
-    Deviations,
-    Judged,
-    acting_blocks,
-    refitted,
-    seen_in,
-    strength,
-)
 from quasi.gap.levels.forces.search import Sought
+from quasi.gap.materiality import ASIDE, LACKING, Cause, Common, Deviations, Judged, seen_in
 from quasi.gap.statistics.blocks import HOLDS
+from quasi.gap.statistics.scores import Score, joined
 from quasi.model.model import AXES, Model
 
+EXCITED_SHARE = 0.1  # of its mean square in the compared flights, that a held-out one must show to be judged by
+ACTING = 0.9  # of a cause's mean square: the blocks that hold it are those in which it acts
 RIDGES = (1e-3, 1e-2, 1e-1)  # of fits of everything at once, on scaled columns
 
 
 class HeldOut:
-    """Held-out flights as judges of causes that others told.
+    """Held-out flights as judges of causes that other flights gave.
 
-    sought  what these told, from `flights` of which `compared` (F,) are no reference flights; asked  the causes, by id
+    sought  what these gave, from `flights` of which `compared` (F,) are no reference flights; asked  the causes, by id
     share   least share of the removable error of some axis; where  what asked, for provenance
     old, floor  errors before (a score), and (6,) what is left at best
     """
@@ -58,9 +49,9 @@ class HeldOut:
 
     def made(self, causes: Sequence[Cause], ident: str, fitted_anew: bool) -> dict[str, Any]:
         """The document of the model with some causes, its own terms fitted anew to the flights that learn or not."""
-        changes = refitted(self.study, self.compared, [(c, c.value) for c in causes]) if fitted_anew else None
-        told = [(c.effect, c.value) for c in causes]
-        return extend(self.model, told, self.vehicle, ident, self.where, changes)
+        changes = refit_with(self.study, self.compared, [(c, c.value) for c in causes]) if fitted_anew else None
+        acting = [(c.effect, c.value) for c in causes]
+        return extend(self.model, acting, self.vehicle, ident, self.where, changes)
 
     def score(self, causes: Sequence[Cause], fitted_anew: bool) -> Judged:
         """Errors of the held-out flights with some causes."""
@@ -70,16 +61,25 @@ class HeldOut:
     def excited(self, cause: Cause) -> bool:
         """Whether the held-out flights show a cause at all."""
         there = [f for f, flag in zip(self.flights, self.compared) if flag]
-        here, usual = (strength(cause, some, self.vehicle, self.old.mean()) for some in (self.held, there))
-        return here > EXCITED * usual
+        here, usual = (float(self._strength(cause, some).mean().sum()) for some in (self.held, there))
+        return here > EXCITED_SHARE * usual
 
     def acting(self, cause: Cause) -> np.ndarray:
-        """Blocks (B,) bool of the held-out flights in which a cause acts."""
-        return acting_blocks(cause, self.held, self.vehicle, self.old.mean())
+        """The fewest blocks (B,) bool of the held-out flights that hold ACTING of what a cause makes."""
+        made = self._strength(cause, self.held)
+        size = made.values.sum(axis=1) * made.weight
+        order = np.argsort(-size)
+        count = int(np.searchsorted(np.cumsum(size[order]), ACTING * size.sum())) + 1
+        return np.isin(np.arange(len(size)), order[:count])
+
+    def _strength(self, cause: Cause, flights: Sequence[Evidence]) -> Score:
+        """Mean square of what a cause makes in flights, each channel over the held-out error before."""
+        made = wrench_score(flights, lambda flight: whole_of(cause.effect, flight, self.vehicle, cause.value))
+        return Score(made.values / np.maximum(self.old.mean(), 1e-300), made.weight)
 
     def common(self) -> Common:
-        """What judges causes that all flights have alike: where no flight is healthy, each of them as well, by what the
-        others tell."""
+        """What judges causes that all flights have alike: where no flight is healthy, each of them as well, by the
+        values from the others."""
         if not self.compared.all():
             share = max(self.share, ASIDE)
             return Common(lambda of, again: self.score(of, again).centred, self.old, self.floor, share)
@@ -139,8 +139,8 @@ def everything(
     return residual
 
 
-def telling(causes: Sequence[Cause], old: np.ndarray, floor: np.ndarray) -> list[int]:
-    """Axes that a gain of causes is told on: those where they act and something can be removed, else where they act.
+def gain_axes(causes: Sequence[Cause], old: np.ndarray, floor: np.ndarray) -> list[int]:
+    """Axes on which a gain is measured: those where causes act and something can be removed, else where they act.
 
     old, floor (6,) mean squares before and at best
     """
@@ -151,13 +151,13 @@ def telling(causes: Sequence[Cause], old: np.ndarray, floor: np.ndarray) -> list
 def best_wrong(
     case: Case, study: Design, named: Sequence[Cause], tied: Collection[str], old: np.ndarray, floor: np.ndarray
 ) -> dict[str, Model]:  # fmt: skip
-    """{id: the model with it alone} of the cause beside the named and tied ones that removes most where these act.
+    """{id: the model with it alone} of the cause outside the named and tied ones that removes most where these act.
 
     study  of the flights that learn; old, floor (6,) mean squares of held-out flights before and at best
-    What it removes is the mean share of the removable error over the axes of `telling`: over all six, one that mends
-    what the named ones do not touch would stand beside them. Nothing where each of them makes these axes worse.
+    What it removes is the mean share of the removable error over the axes of `gain_axes`: over all six, one that
+    corrects what the named ones do not touch would count. Nothing where each of them makes these axes worse.
     """
-    own, since, anew = telling(named, old, floor), named[0].since, case.anew(named)
+    own, since, anew = gain_axes(named, old, floor), named[0].since, case.anew(named)
     right, flights = {c.effect.id for c in named}, range(len(case.learning))
     # a wrong cause is fitted to all that is there, not to what the bend of the right one leaves
     values = [{n: at for n, at in flight.items() if n not in right} for flight in study.values]
@@ -172,9 +172,9 @@ def best_wrong(
         test = mixed.best(name, since, (), mixed.pooled(since), effect.parts)
         found = dict(zip(test.offer.which, map(float, test.value)))
         changes = refit(study, flights, case.compared, {(name, since): found}) if anew else None
-        told = [(effect, {effect.fitted[k]: v for k, v in found.items()})]
+        wrong = [(effect, {effect.fitted[k]: v for k, v in found.items()})]
         try:
-            model = Model(extend(case.model, told, case.vehicle, "wrong", "trial", changes), f"{name}, wrong")
+            model = Model(extend(case.model, wrong, case.vehicle, "wrong", "trial", changes), f"{name}, wrong")
         except ConfigError:
             continue  # what the model cannot carry is no model to be compared with
         gone = (old - wrench_score(case.held, after(model, case.model)).mean()) / removable

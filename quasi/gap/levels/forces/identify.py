@@ -16,11 +16,12 @@ from quasi.gap.levels.forces.axis_consistency import disagreement, voices
 from quasi.gap.levels.forces.design import Design, in_stretches
 from quasi.gap.levels.forces.error_reduction import after, wrench_score
 from quasi.gap.levels.forces.held_out import HeldOut
-from quasi.gap.levels.forces.materiality import Cause, material, simplest
 from quasi.gap.levels.forces.nonlinear import flatness
 from quasi.gap.levels.forces.search import Sought, estimate, merged, offers_of, seek
+from quasi.gap.materiality import Cause, material, simplest
 from quasi.gap.selection import Named, Profile, Tie
-from quasi.gap.statistics.mixed import Candidate, ClusteredMixedModel, MixedModel, Test
+from quasi.gap.statistics.clustered import ClusteredMixedModel
+from quasi.gap.statistics.mixed import Candidate, MixedModel, Test
 from quasi.model.model import Model
 
 # p-value, with standard errors widened, up to which the leading parameters together differ from neutral: two standard
@@ -28,7 +29,7 @@ from quasi.model.model import Model
 SURELY = 2.0 * float(norm.sf(2.0))
 WEIGHING = ("mass", "cg_offset")
 NET = "the model is of net forces (noGravity), which hold the weight; identify it withGravity"
-DRAWS = 40  # resamples of the flights' blocks
+RESAMPLED_SEARCHES = 40  # resamples of the flights' blocks
 
 
 @dataclass
@@ -71,8 +72,8 @@ def examine(
     compared = np.asarray(compared, bool)
     if compared.sum() < 2:
         raise ConfigError(
-            f"{compared.sum()} compared flights are left to learn from, expected at least 2; one flight cannot tell a "
-            "cause from what flights merely differ by"
+            f"{compared.sum()} compared flights are left to learn from, expected at least 2; one flight cannot "
+            "distinguish a cause from usual differences between flights"
         )
     if not held:
         raise ConfigError("no flight is held out; name at least one in 'rows of flights held out'")
@@ -100,10 +101,10 @@ def examine(
         contradicted[cause.effect.id] = cause.test, why
     ties = [(since, tie) for since, tie in ties if any(c in kept for c in stand_ins if _stands_for(c, since, tie))]
     fewer, ties = _fewest(kept, unjudged, ties, sought, judge, asked, within)
-    changed, beside = ([c for c in kept if c.since == since] for since in ("changed", "always"))
+    changed, common = ([c for c in kept if c.since == since] for since in ("changed", "always"))
     immaterial += [c for c in changed if not any(c.effect.id == f.effect.id for f in fewer)]
     immaterial = [c for c in immaterial if not any(_stands_for(c, *tie) for tie in ties)]
-    kept = [c for c in (*fewer, *beside) if not any(_stands_for(c, *tie) for tie in ties)]
+    kept = [c for c in (*fewer, *common) if not any(_stands_for(c, *tie) for tie in ties)]
     kept = sorted(kept, key=lambda c: c.test.p)
     there = [c.test.offer for c in immaterial if c.since == "always" and c not in stand_ins]
     kept, vague = _widened(kept, [*offers_of([], ties), *there], sought, compared)
@@ -136,7 +137,7 @@ def _fewest(
     asked: Mapping[str, Effect], within: Mapping[str, Limits],
 ) -> tuple[list[Cause], list[tuple[str, Tie]]]:  # fmt: skip
     """The fewest of the causes that changed that explain as much as all of them, and the ties that are left then."""
-    changed, beside = ([c for c in kept if c.since == since] for since in ("changed", "always"))
+    changed, common = ([c for c in kept if c.since == since] for since in ("changed", "always"))
 
     def possible(c: Cause) -> bool:
         return Profile.of(c.effect, within.get(c.effect.id)).is_possible(c.test)
@@ -148,17 +149,17 @@ def _fewest(
         return [tie for tie in ties if tie[0] == "always" or any(_stands_for(c, *tie) for c in of)]
 
     def estimated(of: Sequence[Cause]) -> list[Cause] | None:
-        offers = {*offers_of([], tied(of)), *(c.test.offer for c in (*of, *beside))}
+        offers = {*offers_of([], tied(of)), *(c.test.offer for c in (*of, *common))}
         found = merged(
             [Named(c.test, c.rivals) for c in of], asked, sought.mixed, sorted(offers, key=str), sought.flown
         )
         return found if all(possible(c) or c.test.offer in absent for c in found) else None
 
     fewer = simplest(
-        changed, estimated, lambda of: judge.score([*beside, *of], bool(beside)), judge.old, judge.floor, judge.share,
+        changed, estimated, lambda of: judge.score([*common, *of], bool(common)), judge.old, judge.floor, judge.share,
         [c for c in changed if c in unjudged], judge.acting,
     )  # fmt: skip
-    # one that was significant beside another that is needless may not be without it
+    # one that was significant with a needless one given may not be without it
     fewer = [
         c for c in fewer if c.test.p < sought.level["changed"] and Profile.of(c.effect).has_leading_deviation(c.test)
     ]
@@ -184,10 +185,10 @@ def compute_leading_p(profile: Profile, test: Test, widening: float) -> float:
 def _widened(
     causes: Sequence[Cause], given: Sequence[Candidate], sought: Sought, compared: np.ndarray
 ) -> tuple[list[Cause], dict[str, tuple[Test, str]]]:
-    """The causes, estimated beside each other and what is given, with wider standard errors where the axes of a cause
+    """The causes, estimated together and with what is given, with wider standard errors where the axes of a cause
     differ by more: then its form is not quite right, and which axis has the say decides on the value. Where nothing of
     a cause is sure any more, it is left out, with the reason, and the others are estimated without it; of these, those
-    that were significant beside it alone go as well.
+    that were significant only with it given go as well.
     """
     kept, vague, torn = list(causes), {}, []
     while True:
@@ -221,7 +222,7 @@ def _anew(
     tie: Tie, since: str, given: Sequence[Candidate], ties: Sequence[tuple[str, Tie]], mixed: MixedModel, study: Design,
     compared: np.ndarray,
 ) -> Tie:  # fmt: skip
-    """A tie with its sizes beside what is named in the end; later causes may resemble it."""
+    """A tie with its sizes with all named causes given; later causes may resemble it."""
     others, pooled = [*given, *offers_of([], [t for t in ties if t[1] is not tie])], mixed.pooled(since)
     tests = [mixed.test(t.offer, others, pooled) for t in tie.tests]
     return tie._replace(tests=tests, apart=disagreement(voices(study, compared, tests[0], pooled, others)))
@@ -238,7 +239,7 @@ def _count(causes: Sequence[Cause], study: Design, compared: np.ndarray, level: 
     rng = np.random.default_rng(seed)
     counts = np.zeros(len(causes))
     offers = [c.test.offer for c in causes]
-    for _ in range(DRAWS):
+    for _ in range(RESAMPLED_SEARCHES):
         grams = [in_stretches(b[rng.integers(0, len(b), len(b))], len(study.blocks)) for b in study.blocks]
         sessions = [flight.session for flight in study.flights]
         mixed = ClusteredMixedModel(grams, compared, study.columns, units(sessions, compared), sessions)
@@ -246,4 +247,4 @@ def _count(causes: Sequence[Cause], study: Design, compared: np.ndarray, level: 
             pooled = mixed.pooled(offer.since)
             counts[k] += mixed.test(offer, [o for o in offers if o != offer], pooled).p < level
     for cause, count in zip(causes, counts):
-        cause.probability = float(count / DRAWS)
+        cause.probability = float(count / RESAMPLED_SEARCHES)

@@ -32,7 +32,7 @@ class Joint(NamedTuple):
 def joint_of(
     grounds: Grounds, compared: Sequence[bool], causes: Sequence[Cause], found: Sequence[tuple[Place, Test]]
 ) -> Joint:
-    """The model's own terms fitted anew beside causes and functions; as they were where all of these are changes."""
+    """The model's own terms fitted anew with causes and functions; as they were where all of these are changes."""
     study, fitted = grounds.study, []
     given = [offer for _, offer, _ in causes]
     for effect, offer, values in causes:
@@ -121,7 +121,7 @@ def residual_of(flight: Evidence, joint: Joint, vehicle: Vehicle) -> np.ndarray:
 
 
 def signals_of(grounds: Grounds, joint: Joint, flights: Sequence[Evidence]) -> list[rhythm.Signal]:
-    """What each flight's own fit of terms, nuisances and causes leaves, beside functions, for its spectrum."""
+    """What each flight's own fit of terms, nuisances and causes leaves, without the functions, for its spectrum."""
     study, columns = grounds.study, grounds.study.columns
     fit = [0, *columns.shared, *columns.nuisance, *(c for own in columns.causes.values() for c in own)]
     signals = []

@@ -10,13 +10,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from quasi.gap.levels.forces.design import Design, refit
-from quasi.gap.levels.forces.error_reduction import Score, Squares, scored_in_blocks
-from quasi.gap.levels.forces.materiality import Cause
+from quasi.gap.levels.forces.error_reduction import Squares, scored_in_blocks
+from quasi.gap.materiality import Cause
 from quasi.gap.statistics.mixed import MixedModel
+from quasi.gap.statistics.scores import Score
 
 
 class LeftOut:
-    """Errors of a study's flights, each by what the others tell. compared (F,) bool, False for reference flights."""
+    """Errors of flights, each with values from the others. compared (F,) bool, False for reference flights."""
 
     def __init__(self, study: Design, compared: Sequence[bool]) -> None:
         self.study, self.compared = study, np.asarray(compared, bool)
@@ -28,7 +29,7 @@ class LeftOut:
     def __call__(self, causes: Sequence[Cause], fitted_anew: bool) -> Score:
         """Mean squared errors by blocks, each flight's mean taken off, with some causes taken into account.
 
-        fitted_anew  whether the model's own terms are fitted to the other flights beside the causes
+        fitted_anew  whether the model's own terms are fitted to the other flights with the causes
         """
         study, columns, found = self.study, self.study.columns, []
         for number, (rest, mixed) in enumerate(self._others):
@@ -48,7 +49,7 @@ class LeftOut:
         return scored_in_blocks(Squares(*(np.concatenate(parts) for parts in zip(*found))))
 
     def _sizes(self, mixed: MixedModel, causes: Sequence[Cause]) -> dict[tuple[str, str], dict[int, float]]:
-        """Deviations that some flights tell, of each cause beside the others."""
+        """Deviations from some flights, of each cause with the others given."""
         sizes = {}
         for cause in causes:
             others = [c.test.offer for c in causes if c is not cause]

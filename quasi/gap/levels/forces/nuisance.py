@@ -8,9 +8,9 @@ Another propeller scales all that its rotor gives, with its inflow. Columns of s
 of the inflow, which looks like a moved centre of gravity.
 
 From session to session batteries are seated anew and propellers change. The spreads of the four patterns of thrust (all
-rotors, left and right, front and rear, along the spin) are those measured for the hover trim. A trim does not tell the
-place of the weight from propellers: of the variance of left and right, front and rear, each has half. A battery that is
-seated elsewhere moves the centre of gravity against the IMU as well, which patterns of thrust do not hold.
+rotors, left and right, front and rear, along the spin) are those measured for the hover trim. A trim does not separate
+the place of the weight from propellers: of the variance of left and right, front and rear, each has half. A battery
+that is seated elsewhere moves the centre of gravity against the IMU as well, which patterns of thrust do not hold.
 """
 
 import numpy as np
@@ -21,14 +21,14 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.model.columns import ROTORS
 from quasi.model.model import AXES
 
-MASS, THRUST, TORQUE = 0.01, 0.01, 0.015  # shares
-SEATING, MARKERS = 0.0035, 0.0052  # rad, about each axis
+MASS_SPREAD, THRUST_SPREAD, TORQUE_SPREAD = 0.01, 0.01, 0.015  # shares
+SEATING_TURN, MARKER_TURN = 0.0035, 0.0052  # rad, about each axis
 FORCE_BIAS, MOMENT_BIAS = 0.005, 0.0005  # of m g, and of m g times the arm: what filtering leaves of constant errors
-TELEMETRY = 0.003  # s, where the flight could not tell it
+TELEMETRY = 0.003  # s, where it is unknown
 # Standard deviation of each pattern's share of thrust between healthy sessions, and of the pattern along the spin:
 # medians on the healthy flights of CrazyPAD, by `benchmarks/real_causes.py`
 SESSION_SEATING, SESSION_YAW = 0.015, 0.008
-HALF = 2.0**-0.5  # standard deviation of half of a variance
+HALF_VARIANCE = 2.0**-0.5  # standard deviation of half of a variance
 
 
 def nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]:
@@ -38,19 +38,19 @@ def nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]:
     for k, axis in enumerate(AXES):
         spread = FORCE_BIAS * weight if k < 3 else MOMENT_BIAS * weight * evidence.airframe.arm * 10.0
         result.append((f"constant {axis}", evidence.only(axis, 1.0), spread))
-    result.append(("mass", evidence.forces_only(-evidence.force), MASS))
+    result.append(("mass", evidence.forces_only(-evidence.force), MASS_SPREAD))
     vehicle = vehicle_of(evidence.model, evidence.mass, evidence.inertia)
     thrust = evidence.thrust_wrench(evidence.carried_thrust)
     thrust[:, 5] -= vehicle.drawn * (evidence.spin * evidence.speeds**2).sum(axis=1)  # the power goes with the thrust
-    result.append(("thrust", thrust, THRUST))
-    result.append(("torque", evidence.only("Mz", -(evidence.spin * evidence.torque).sum(axis=1)), TORQUE))
+    result.append(("thrust", thrust, THRUST_SPREAD))
+    result.append(("torque", evidence.only("Mz", -(evidence.spin * evidence.torque).sum(axis=1)), TORQUE_SPREAD))
     by_velocity, by_rates = evidence.gradient("u", "v", "w"), evidence.gradient("p", "q", "r")
     for k, name in enumerate(("roll", "pitch", "yaw")):
         axis = np.eye(3)[k]
         turned = np.einsum("nij,nj->ni", by_velocity, np.cross(axis, evidence.velocity))
-        result.append((f"markers turned in {name}", turned, MARKERS))
+        result.append((f"markers turned in {name}", turned, MARKER_TURN))
         seated = turned + np.einsum("nij,nj->ni", by_rates, np.cross(axis, evidence.rates)) + _measured(evidence, axis)
-        result.append((f"IMU turned in {name}", seated, SEATING))
+        result.append((f"IMU turned in {name}", seated, SEATING_TURN))
     delay = np.einsum("nij,nj->ni", evidence.gradient(*ROTORS), evidence.spin_up)
     result.append(("age of the rotor telemetry", delay, TELEMETRY))
     return result
@@ -63,8 +63,8 @@ def session_nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]
     vehicle = vehicle_of(evidence.model, evidence.mass, evidence.inertia)
     patterns = {
         "all rotors": (np.ones(len(hubs)), SESSION_SEATING),
-        "left and right": (np.sign(hubs[:, 1]), HALF * SESSION_SEATING),
-        "front and rear": (np.sign(hubs[:, 0]), HALF * SESSION_SEATING),
+        "left and right": (np.sign(hubs[:, 1]), HALF_VARIANCE * SESSION_SEATING),
+        "front and rear": (np.sign(hubs[:, 0]), HALF_VARIANCE * SESSION_SEATING),
         "along the spin": (np.asarray(evidence.spin, float), SESSION_YAW),
     }
     result = []
@@ -75,7 +75,7 @@ def session_nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]
         result.append((f"session: thrust, {name}", column, spread))
     arm = float(np.abs(hubs[:, :2]).mean())
     for name, column in CG_OFFSET.columns(evidence, {}).items():
-        result.append((f"session: centre of gravity, {name}", column, HALF * SESSION_SEATING * arm))
+        result.append((f"session: centre of gravity, {name}", column, HALF_VARIANCE * SESSION_SEATING * arm))
     return result
 
 

@@ -7,16 +7,17 @@ from scipy.special import stdtrit
 
 from quasi.gap.effect import Vehicle
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.levels.forces.error_reduction import surely, wrench_score
+from quasi.gap.levels.forces.error_reduction import wrench_score
 from quasi.gap.levels.forces.joint_fit import Joint, joint_of, residual_of, slope_of
-from quasi.gap.levels.forces.materiality import ASIDE
 from quasi.gap.levels.forces.smooth_functions import Cause, Grounds, Place, level_of, tested
+from quasi.gap.materiality import ASIDE
 from quasi.gap.statistics.mixed import Candidate, Test
+from quasi.gap.statistics.scores import surely
 
-AGAIN = 0.5  # of what other flights tell that a flight must show
+AGAIN = 0.5  # share of the estimate from other flights that a flight must show
 ELSE = 2  # other functions of a place that are tried
 BETWEEN = 0.002  # probability of nothing that whole flights as witnesses must leave as well, |t| = 3.3
-GROWN = 4.0  # times its square without the others of its channel, that no function is beside them
+GROWN = 4.0  # times its square without the others of its channel, that no function reaches with them
 
 
 def witnessed(
@@ -44,8 +45,8 @@ def coming_again(
         tests = [(p, tested(grounds, compared, given, others, p)) for p in (place._replace(choice=c) for c in choices)]
         near = sorted((pair for pair in tests if pair[1].p < level), key=lambda pair: pair[1].p)[:ELSE]
         for other, seen in [(place, test), *near]:
-            told = joint._replace(functions=[(other, seen.value) if p == place else (p, v) for p, v in joint.functions])
-            if _comes_again(grounds, compared, given, told, other):
+            functions = [(other, seen.value) if p == place else (p, v) for p, v in joint.functions]
+            if _comes_again(grounds, compared, given, joint._replace(functions=functions), other):
                 kept.append((other, seen))
                 break
     return kept
@@ -60,7 +61,7 @@ def apart(
 ) -> list[tuple[Place, Test]]:
     """Without functions that hold each other: where two places go together (volts fall with time, flights kept one
     heading), two functions, large and opposite, stand for the little that is left of both. The one that grows most
-    beside the others goes: it is there to take off what they have too much."""
+    with the others goes: it is there to take off what they have too much."""
     kept = list(found)
 
     def square(place: Place, test: Test) -> float:
@@ -99,9 +100,9 @@ def beyond_doubt(
 def _comes_again(
     grounds: Grounds, compared: Sequence[bool], given: Sequence[Candidate], joint: Joint, place: Place
 ) -> bool:
-    """Whether what the other flights tell of a function is there in each compared flight that was left out in turn.
+    """Whether a function as estimated from the other flights is there in each compared flight left out in turn.
 
-    One flight that went alone to a place cannot tell the place from what else was on in that flight.
+    One flight that went alone to a place cannot separate the place from other peculiarities of that flight.
     """
     slopes, weights = _left_out(grounds, compared, given, joint, place)
     return float(np.average(slopes, weights=weights)) > AGAIN if weights.sum() > 0 else False
@@ -123,14 +124,14 @@ def surely_again(
 def _left_out(
     grounds: Grounds, compared: Sequence[bool], given: Sequence[Candidate], joint: Joint, place: Place
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How much of what the others tell of a function each compared flight shows, with weights, (F,) each."""
+    """How much of a function, as estimated from the others, each compared flight shows, with weights, (F,) each."""
     others = [p for p, _ in joint.functions if p != place]
     found = []
     for out in np.flatnonzero(compared):
         keep = [k for k in range(len(compared)) if k != out]
         fewer, flags = grounds.of(keep), [compared[k] for k in keep]
         value = tested(fewer, flags, given, others, place).value
-        told = joint._replace(functions=[(p, value if p == place else v) for p, v in joint.functions])
-        found.append(slope_of(fewer, flags, [grounds.parts[out]], told, place))
+        assumed = joint._replace(functions=[(p, value if p == place else v) for p, v in joint.functions])
+        found.append(slope_of(fewer, flags, [grounds.parts[out]], assumed, place))
     slopes, weights = np.array(found).T
     return slopes, weights

@@ -10,13 +10,14 @@ from quasi.gap.effect import Effect, Limits, Vehicle, as_flown
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.axis_consistency import contradiction, voices
 from quasi.gap.levels.forces.design import Design, gather_design, moved
-from quasi.gap.levels.forces.materiality import Cause, Deviations, seen_in
 from quasi.gap.levels.forces.nonlinear import chords, started
+from quasi.gap.materiality import Cause, Deviations, seen_in
 from quasi.gap.selection import FORCES, Named, Profile, Tie, select_causes
-from quasi.gap.statistics.mixed import Candidate, ClusteredMixedModel, MixedModel, Test
+from quasi.gap.statistics.clustered import ClusteredMixedModel
+from quasi.gap.statistics.mixed import Candidate, MixedModel, Test
 
 ASTRAY = 0.5  # of its size, that a cause may move when it is linearised there
-LOOKS = 4  # how often curved causes are linearised anew, and contradicted ones left out
+FORCE_ITERATIONS = 4  # how often curved causes are linearised anew, and contradicted ones left out
 KNOWN = 0.05  # share to which the forms hold and what they are made of is known: thrust of a rotor, hubs, own drag
 
 
@@ -55,7 +56,7 @@ def seek(
     contradicted: dict[str, tuple[Test, str]] = {}
     study = started(gather_design(flights, asked, vehicle), asked, vehicle, compared)
     values = {flag: dict(study.values[0]) for flag in (True, False)}  # of compared flights and of reference flights
-    for look in range(LOOKS):
+    for look in range(FORCE_ITERATIONS):
         study = moved(study, asked, vehicle, [values[bool(flag)] for flag in compared]) if look else study
         mixed = study.witnessed(range(len(flights)), compared)
         lacking = (*study.lacking, *contradicted)
@@ -164,8 +165,8 @@ def _with_twins(
             clear.append(one)
             continue
         given = [o for o in offers_of(named, ties) if o != offer]
-        beside = mixed.test(offer, [*given, alike[0].offer], mixed.pooled(offer.since))
-        tied.append((offer.since, Tie([one.test, *alike], float((beside.wald / len(offer.which)) ** 0.5))))
+        given_twin = mixed.test(offer, [*given, alike[0].offer], mixed.pooled(offer.since))
+        tied.append((offer.since, Tie([one.test, *alike], float((given_twin.wald / len(offer.which)) ** 0.5))))
         twins |= {t.offer.cause for t in alike}
     return clear, tied, twins
 
@@ -181,7 +182,7 @@ def offers_of(named: Sequence[Named], ties: Sequence[tuple[str, Tie]]) -> list[C
 def merged(
     named: Sequence[Named], asked: Mapping[str, Effect], mixed: MixedModel, given: Sequence[Candidate], flown: Vehicle
 ) -> list[Cause]:
-    """One cause for each (id, since), its parameters estimated together beside all other causes.
+    """One cause for each (id, since), its parameters estimated together with all other causes.
 
     flown  the vehicle as the compared flights were processed
     """

@@ -1,4 +1,4 @@
-"""Smooth functions of places as offers beside the model's terms and named causes: cross-products, tests, selection."""
+"""Smooth functions of places as offers next to the model's terms and named causes: cross-products, tests, selection."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -9,12 +9,13 @@ from scipy.stats import chi2
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.flights.covariates import Basis, Choice, basis_of
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.levels.forces.design import BAND, BLOCK, MOST_STRETCHES, ORDER, Design, gather_design, joined
+from quasi.gap.levels.forces.design import BAND, MOST_STRETCHES, ORDER, Design, gather_design, joined
+from quasi.gap.statistics.blocks import BLOCK
 from quasi.gap.statistics.mixed import Candidate, Columns, MixedModel, Test, marginal
 from quasi.gap.statistics.whitening import thin, whiten
 from quasi.model.model import AXES
 
-MOST = 6  # functions of what is unexplained
+MOST_FUNCTIONS = 6  # functions of what is unexplained
 Cause = tuple[Effect, Candidate, Mapping[str, float]]
 
 
@@ -114,9 +115,9 @@ def mixed_of(
             gram[:, own[0] : own[-1] + 1, : len(use)] = cross.transpose(0, 2, 1)
             for q in places:
                 if q.channel == p.channel:
-                    other, beside = causes[q.name], [size + k for k in q.choice.which]
+                    other, source_columns = causes[q.name], [size + k for k in q.choice.which]
                     gram[:, own[0] : own[-1] + 1, other[0] : other[-1] + 1] = part[:, p.channel][:, source][
-                        :, :, beside
+                        :, :, source_columns
                     ]
         grams.append(gram)
     return MixedModel(
@@ -134,7 +135,7 @@ def offer_of(place: Place) -> Candidate:
 def tested(
     grounds: Grounds, compared: Sequence[bool], given: Sequence[Candidate], others: Sequence[Place], place: Place
 ) -> Test:
-    """The test of one function beside what is given and other functions."""
+    """The test of one function with causes and other functions given."""
     mixed = mixed_of(grounds, compared, given, [*others, place])
     # the functions of a place share one spread, which is known as many times better
     mixed.freedom *= len(place.choice.which)
@@ -164,7 +165,7 @@ def select(
     settled: list[tuple[Place, Test]] = []
     for since in stages:
         found = [place for place, _ in settled]
-        while len(found) < MOST:
+        while len(found) < MOST_FUNCTIONS:
             taken = {(p.channel, p.choice.where) for p in found}
             offered = [Place(k, c, since) for k, c in choices if (k, c.where) not in taken]
             certain = _certain(grounds, compared, given, found, offered)
@@ -199,7 +200,7 @@ def _certain(
     new = [layout.causes[g.cause][k] for g in given if g.since == "changed" for k in g.which]
     result = {}
     for channel in dict.fromkeys(p.channel for p in offered):
-        beside = [p for p in found if p.channel == channel]
+        accepted = [p for p in found if p.channel == channel]
         width = grounds.parts[0].shape[-1] - size
         for since in dict.fromkeys(p.since for p in offered):
             total = 0.0
@@ -224,7 +225,7 @@ def _certain(
             total = total / np.outer(scale, scale)
             start = 1 + len(alike) + len(new)
             known = list(range(1, start))
-            for p in beside:
+            for p in accepted:
                 shift = width if p.since == "changed" else 0
                 known += [start + k + shift for k in p.choice.which]
             for p in offered:

@@ -24,7 +24,7 @@ AROUND = 8  # bins of background on each side, for each bin of width
 GUARD = 1  # bins between, for each bin of width
 EACH = 0.05  # probability of nothing that two flights must pass each by itself
 OUTSIDE = 0.5  # of what the model's own terms do at a frequency: less may be an error of these
-MOST = 4
+MOST_PEAKS = 4
 VIEWS = (*AXES, "north", "east", "down")
 
 
@@ -92,7 +92,7 @@ def search(signals: Sequence[Signal], compared: Sequence[bool], rate: float) -> 
             peaks.append(Line(VIEWS[v], middle - half, middle + half, middle, float(p[g, v]), since))
     for peak in sorted(peaks, key=lambda line: line.p):
         # one peak spills into its neighbours, and from the room's axes into the body's
-        if len(found) < MOST and not any(_same(peak, other) for other in found) and _outside(peak, own):
+        if len(found) < MOST_PEAKS and not any(_same(peak, other) for other in found) and _outside(peak, own):
             found.append(peak)
     return found
 

@@ -8,13 +8,12 @@ import pandas as pd
 from quasi.gap.effect import Vehicle
 from quasi.gap.flights.covariates import places
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.flights.residual_tables import where, whiteness
+from quasi.gap.flights.residual_tables import SEGMENT, where, whiteness
 from quasi.gap.levels.forces.design import BAND
 from quasi.gap.statistics.whitening import stretches
 from quasi.model.model import AXES
 
-UNITS = {axis: "N" if axis[0] == "F" else "N m" for axis in AXES}
-SEGMENT = 4.0  # s, of a spectrum
+WRENCH_UNITS = {axis: "N" if axis[0] == "F" else "N m" for axis in AXES}
 
 
 def wrench_tables(
@@ -37,7 +36,7 @@ def wrench_tables(
             for word, values in series.items():
                 table[f"{axis}_{word}"] = values[:, k]
             channels.append(
-                {"flight": key, "role": roles[key], "channel": axis, "unit": UNITS[axis],
+                {"flight": key, "role": roles[key], "channel": axis, "unit": WRENCH_UNITS[axis],
                  **{w: float(np.sqrt(np.mean(v[:, k] ** 2))) for w, v in series.items()},
                  **memory[k]}
             )  # fmt: skip
@@ -49,7 +48,7 @@ def wrench_tables(
         "forces_residuals": whole,
         "forces_channels": pd.DataFrame(channels),
         # what reference flights show as well does not hide where compared and held-out ones differ
-        "forces_where": where(whole[whole["role"] != "reference"], UNITS, ("before", "after")),
+        "forces_where": where(whole[whole["role"] != "reference"], WRENCH_UNITS, ("before", "after")),
         "forces_spectra": _merged(spectra),
     }
 

@@ -12,32 +12,32 @@ import numpy as np
 import pandas as pd
 
 from quasi.gap.effect import Vehicle
-from quasi.gap.flights.covariates import EVERYWHERE, OWN
+from quasi.gap.flights.covariates import EVERYWHERE, OWN_COVARIATES
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.flights.ranges import profile, whereabouts
+from quasi.gap.flights.ranges import find_ranges, profile
 from quasi.gap.levels.forces import spectral_peaks as rhythm
 from quasi.gap.levels.forces.error_reduction import wrench_score
 from quasi.gap.levels.forces.joint_fit import Joint, joint_of, residual_of, signals_of, slope_of
-from quasi.gap.levels.forces.materiality import SMALL
 from quasi.gap.levels.forces.reproducibility import apart, beyond_doubt, coming_again, surely_again, witnessed
 from quasi.gap.levels.forces.smooth_functions import Cause, Grounds, Place, grounds_of, mixed_of, offer_of, select
+from quasi.gap.materiality import LEAST_ABOVE_FLOOR
 from quasi.gap.statistics.blocks import HOLDS
 from quasi.gap.statistics.mixed import Candidate, Test
 from quasi.model.model import AXES
 
-LEAST = 0.05  # of the squared error, below which nothing is left to be removed, by what changed
-BESIDE = 0.3  # of the power along its first axis that a peak has along another one where that is told too
-VISITED = 0.3  # share of the function's usual size below which a held-out flight cannot judge it
+LEAST_LEFT = 0.05  # of the squared error, below which nothing is left to be removed, by what changed
+SECOND_AXIS = 0.3  # share of the power along its first axis, from which a peak is reported along another one
+SHOWN_SHARE = 0.3  # share of the function's usual size below which a held-out flight cannot judge it
 UNHEARD = 0.3  # share of the squared error of the flights where it was found, that it must be then
 
 
 class Left(NamedTuple):
-    """What no cause explains: as the diagnosis says it, a table of it along its places, and what was told of it, with
-    the grounds that it was found on."""
+    """What no cause explains: entries of the diagnosis, a table of it along its places, the functions reported, and
+    the grounds that they were found on."""
 
-    said: list[dict[str, Any]]
+    entries: list[dict[str, Any]]
     table: pd.DataFrame
-    told: list[tuple[Place, Test]]
+    reported: list[tuple[Place, Test]]
     grounds: Grounds
 
 
@@ -59,7 +59,7 @@ def search(
     frequencies; share  least material one
     """
     # what healthy flights show as well is mostly the form of the model's own terms
-    least = {"changed": LEAST, "always": LEAST if all(compared) else SMALL["always"]}
+    least = {"changed": LEAST_LEFT, "always": LEAST_LEFT if all(compared) else LEAST_ABOVE_FLOOR["always"]}
     grounds = grounds_of(flights, compared, causes, vehicle)
 
     def sure(found: Sequence[tuple[Place, Test]], joint: Joint, place: Place) -> bool:
@@ -74,7 +74,7 @@ def search(
     # a flight's constant error, which flights differ by, must not outweigh what depends on a place
     centred = wrench_score(held, left, True).mean()
     found_in = wrench_score([f for f, flag in zip(flights, compared) if flag], left, True).mean()
-    said: list[dict[str, Any]] = []
+    entries: list[dict[str, Any]] = []
     parts: list[float] = []
 
     def material(channel: int, gone: float, before: float, since: str) -> float | None:
@@ -84,32 +84,32 @@ def search(
         return float(part) if gone > least[since] * before and part >= share else None
 
     profiles: list[pd.DataFrame] = []
-    told: list[tuple[Place, Test]] = []
+    reported: list[tuple[Place, Test]] = []
 
     def say(channel: int, where: str, part: float | None, size: float, **rest: Any) -> None:
         # where the best fit leaves as much, what goes by a function is all there is, and no share of anything
         shown = part if floor[channel] < HOLDS * whole[channel] else None
-        said.append({"channel": AXES[channel], "where": where, "judged": part is not None, "share": shown,
-                     "size": float(size), "unit": "N" if channel < 3 else "N m", **rest})  # fmt: skip
+        entries.append({"channel": AXES[channel], "where": where, "judged": part is not None, "share": shown,
+                        "size": float(size), "unit": "N" if channel < 3 else "N m", **rest})  # fmt: skip
         parts.append(part or 0.0)
 
     for place, test in found:
         k, where = place.channel, place.choice.where
         usual, here = _sizes(grounds, compared, place, test.value, held)
-        if where in OWN:
+        if where in OWN_COVARIATES:
             others = joint_of(grounds, compared, causes, [(p, t) for p, t in found if p != place])
-            without, beside = (wrench_score(held, lambda f, j=j: residual_of(f, j, vehicle), True).mean()
-                               for j in (others, joint))  # fmt: skip
-            part = material(k, max(float(without[k] - beside[k]), 0.0), float(without[k]), place.since)
+            without, together = (wrench_score(held, lambda f, j=j: residual_of(f, j, vehicle), True).mean()
+                                 for j in (others, joint))  # fmt: skip
+            part = material(k, max(float(without[k] - together[k]), 0.0), float(without[k]), place.since)
         else:
             slope, _ = slope_of(grounds, compared, judge.parts, joint, place)
             before = whole if where == EVERYWHERE else centred
             part = material(k, max(2.0 * slope - 1.0, 0.0) * here**2, float(before[k]), place.since)
         # what a model's own terms depend on may be their form, unless healthy flights do not show it
-        unjudged = here < VISITED * usual and (where not in OWN or place.since == "changed")
+        unjudged = here < SHOWN_SHARE * usual and (where not in OWN_COVARIATES or place.since == "changed")
         unjudged = unjudged and usual**2 > UNHEARD * float(found_in[k])
         if part is not None or unjudged:
-            told += [(place, test)] if not unjudged else []
+            reported += [(place, test)] if not unjudged else []
             if where != EVERYWHERE:
                 shown = [f for f, flag in zip(flights, compared) if flag] + list(held)
                 rest = joint._replace(functions=[(p, v) for p, v in joint.functions if p != place])
@@ -117,19 +117,19 @@ def search(
                 table = profile(grounds.basis, place.choice, test.value, shown, left_of)
                 profiles.append(table.assign(channel=AXES[k], where=where))
             say(k, where, None if unjudged else part, usual, since=place.since,
-                mostly=whereabouts(grounds.basis, place.choice, test.value, flights, compared),
+                mostly=find_ranges(grounds.basis, place.choice, test.value, flights, compared),
                 evidence={"p": test.p, "wald": test.wald})  # fmt: skip
     signals = signals_of(judge, joint, held)
     for line in lines:
         power = np.mean([rhythm.amplitudes(line, s) for s in signals], axis=0)
-        for k in np.flatnonzero(power > BESIDE * power.max()):
+        for k in np.flatnonzero(power > SECOND_AXIS * power.max()):
             part = material(k, float(power[k]), float(whole[k]), line.since)
             if part is not None:
                 say(k, "frequency", part, np.sqrt(power[k]), since=line.since, mostly=[[line.low, line.high]],
                     evidence={"p": line.p, "seen along": line.view})  # fmt: skip
     table = pd.concat(profiles, ignore_index=True) if profiles else pd.DataFrame({"channel": [], "where": []})
     order = np.argsort(-np.array(parts), kind="stable")
-    return Left([said[k] for k in order], table, told, grounds)
+    return Left([entries[k] for k in order], table, reported, grounds)
 
 
 def _held_up(
@@ -144,11 +144,11 @@ def _held_up(
     found = coming_again(grounds, compared, given, joint, witnessed(grounds, compared, given, found), rate)
     found = apart(grounds, compared, given, found, rate)
     joint = joint_of(grounds, compared, causes, found)
-    # what healthy flights show as well and is not sure must not stand beside what changed; where none is healthy, what
+    # what healthy flights show as well and is not sure must not be added to what changed; where none is healthy, what
     # no term of a model can depend on is no form of terms, and the flights that it was found on may be sure of it
     return [
         (p, t) for p, t in found if p.since == "changed"
-        or (all(compared) and p.choice.where not in OWN and surely_again(grounds, compared, given, joint, p))
+        or (all(compared) and p.choice.where not in OWN_COVARIATES and surely_again(grounds, compared, given, joint, p))
         or sure(found, joint, p)
     ]  # fmt: skip
 
@@ -157,25 +157,25 @@ def outdone(
     left: Left, compared: Sequence[bool], offers: Sequence[Candidate], asked: Candidate, channels: Sequence[str],
     p: float, level: float,
 ) -> str:  # fmt: skip
-    """Why a cause gives way to what no cause explains, or nothing: beside what lives along a place, in a channel of its
-    own and more significant than it is, it is nothing any more, as one cause gives way to another.
+    """Why a cause gives way to what no cause explains, or nothing: with a more significant function of a place given,
+    in one of its own channels, it is not significant any more.
 
     A place that the model's own terms depend on may be the form of a cause that is not quite right, and does not count.
-    left    found beside the cause; offers  of all causes that it was found beside; p of the cause, which passed level
+    left    found with the cause given; offers  of all causes that were given; p of the cause, which passed level
     """
     stronger = [
-        place for place, test in left.told
+        place for place, test in left.reported
         if test.p < p and place.since == asked.since and AXES[place.channel] in channels
-        and place.choice.where not in (*OWN, EVERYWHERE)
+        and place.choice.where not in (*OWN_COVARIATES, EVERYWHERE)
     ]  # fmt: skip
     for place in stronger:
         mixed = mixed_of(left.grounds, compared, offers, [place])
         pooled = [place.name] if place.since == "changed" else []
-        beside = mixed.test(asked, [*(o for o in offers if o != asked), offer_of(place)], pooled)
-        if beside.p >= level:
+        test = mixed.test(asked, [*(o for o in offers if o != asked), offer_of(place)], pooled)
+        if test.p >= level:
             return (
-                f"beside what {AXES[place.channel]} lacks along the {place.choice.where}, which no cause explains, it "
-                f"adds nothing (p = {beside.p:.2g})"
+                f"with what {AXES[place.channel]} lacks along the {place.choice.where}, which no cause explains, it "
+                f"adds nothing (p = {test.p:.2g})"
             )
     return ""
 

@@ -1,4 +1,4 @@
-"""What drives the rotors in simulations with commands, when the flights that may be learned from tell it.
+"""What drives the rotors in simulations with commands, as the learning flights determine it.
 
 The drive level fits the drive's constants (lag up and down, delay, map, battery exponent, each rotor's share) to
 every flight.
@@ -14,12 +14,13 @@ import numpy as np
 from quasi.errors import ConfigError
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.extension import extend
-from quasi.gap.levels.drive.fit import LOW_VOLTAGE, NAMES
-from quasi.gap.levels.drive.identify import CAUSES
-from quasi.gap.levels.rollouts.open_loop import COMMANDED, SHARES, Flight
+from quasi.gap.levels.drive.fit import CONSTANTS, LOW_VOLTAGE
+from quasi.gap.levels.drive.identify import DRIVE_CAUSES
+from quasi.gap.levels.rollouts.open_loop import Flight
 from quasi.model.extensions import read_rotor_constants
 from quasi.model.model import Model
 from quasi.simulation.tools.replay import ActuatorDynamics, read_actuator_dynamics
+from quasi.terms.rotor_map import COMMANDED, SHARES
 
 
 def learned(known: Mapping[str, Any], flight: Flight, model: Model) -> tuple[np.ndarray, ActuatorDynamics] | None:
@@ -31,7 +32,7 @@ def learned(known: Mapping[str, Any], flight: Flight, model: Model) -> tuple[np.
     names = COMMANDED if known["kind"] == "speeds" else SHARES
     if not all(n in flight.table for n in names):
         return None
-    x = dict(zip(NAMES, known["values"]))
+    x = dict(zip(CONSTANTS, known["values"]))
     command = flight.table[list(names)].to_numpy(float)
     wanted = x["a0"] + x["a1"] * command + x["a2"] * command**2
     wanted *= 1.0 + np.array([x[f"rotor{i}"] for i in range(1, 5)])
@@ -50,12 +51,12 @@ def wrong_ones(
 
     healthy  of the drive: "values" (11,) that flights were compared with, "alone" {cause: deviations from them}
     """
-    reference, found = dict(zip(NAMES, healthy.get("values", ()))), {}
+    reference, found = dict(zip(CONSTANTS, healthy.get("values", ()))), {}
     for cause, apart in (healthy.get("alone") or {}).items():
         if cause in named or cause not in effects or effects[cause].level != "drive":
             continue
         if cause == "motor_lag":
-            value = {"time_constant": float(np.mean([reference[n] + a for n, a in zip(CAUSES[cause], apart)]))}
+            value = {"time_constant": float(np.mean([reference[n] + a for n, a in zip(DRIVE_CAUSES[cause], apart)]))}
         elif cause == "battery_sag":
             value = {"exponent": reference["exponent"] + apart[0]}
             value |= {"reference voltage": healthy["voltage"]} if healthy.get("voltage") else {}

@@ -21,19 +21,19 @@ from quasi.errors import ConfigError, DataError
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.extension import extend
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.levels.forces.design import BAND, ORDER, in_stretches
+from quasi.gap.levels.forces.design import BAND, ORDER, in_stretches, refit_with
 from quasi.gap.levels.forces.identify import Found
-from quasi.gap.levels.forces.materiality import Cause, refitted
 from quasi.gap.levels.forces.nuisance import nuisances
 from quasi.gap.levels.rollouts import output_error
 from quasi.gap.levels.rollouts.linear_response import Course
 from quasi.gap.levels.rollouts.output_error import Fitted, Values
+from quasi.gap.materiality import Cause
 from quasi.gap.statistics.mixed import Candidate, Columns, MixedModel
 from quasi.gap.statistics.whitening import thin
 from quasi.model.model import Model
 
 CONFIRMED, REFUTED, UNJUDGED = "confirmed", "not confirmed", "cannot be judged"
-BETTER, WORSE = 1.64, 2.58  # one-sided 5 %: it gains; 0.5 %: it loses, or a gain would have been seen
+GAIN_T, LOSS_T = 1.64, 2.58  # one-sided 5 %: it gains; 0.5 %: it loses, or a gain would have been seen
 
 TWICE = 2.0  # a cause that would have to act twice as strongly as it was named is another one
 
@@ -59,10 +59,10 @@ class Confirmation(NamedTuple):
 
 def outcome_of(amplitude: float, std: float) -> str:
     """What an amplitude with its standard error says."""
-    visible = 0.5 / std > WORSE
-    if (amplitude - 0.5) / std < -WORSE or (visible and amplitude <= 0.5) or (amplitude - TWICE) / std > WORSE:
+    visible = 0.5 / std > LOSS_T
+    if (amplitude - 0.5) / std < -LOSS_T or (visible and amplitude <= 0.5) or (amplitude - TWICE) / std > LOSS_T:
         return REFUTED
-    return CONFIRMED if (amplitude - 0.5) / std > BETTER else UNJUDGED
+    return CONFIRMED if (amplitude - 0.5) / std > GAIN_T else UNJUDGED
 
 
 def confirm(
@@ -170,18 +170,18 @@ def settle(
                 for k in range(len(kept))
             ]
             whole = maker(values, True)
-            said = confirm(held, tables, fitted.noise, whole, rest)
+            results = confirm(held, tables, fitted.noise, whole, rest)
             count = {"always": len(compared), "changed": sum(compared)}
-            said = [_honest(s, c, count[c.since] / len(held)) for c, s in zip(kept, said)]
+            results = [_honest(s, c, count[c.since] / len(held)) for c, s in zip(kept, results)]
             faint = {_key(c) for c in found.unjudged}
-            said = [_lenient(s, c, whole, _key(c) in faint) for c, s in zip(kept, said)]
-            refuted = [k for k, s in enumerate(said) if s.outcome == REFUTED]
+            results = [_lenient(s, c, whole, _key(c) in faint) for c, s in zip(kept, results)]
+            refuted = [k for k, s in enumerate(results) if s.outcome == REFUTED]
             if not refuted:
                 estimates = {_key(c): Estimate(*e) for c, *e in zip(kept, fitted.values, fitted.std, fitted.used)}
-                told = {_key(c): s for c, s in zip(kept, said)}
-                return Settled(kept, dropped, told, estimates, fitted, fitted.notes)
-            worst = min(refuted, key=lambda k: (said[k].amplitude - 0.5) / said[k].std)
-            dropped.append((kept.pop(worst), said[worst]))
+                confirmations = {_key(c): s for c, s in zip(kept, results)}
+                return Settled(kept, dropped, confirmations, estimates, fitted, fitted.notes)
+            worst = min(refuted, key=lambda k: (results[k].amplitude - 0.5) / results[k].std)
+            dropped.append((kept.pop(worst), results[worst]))
     except (ConfigError, DataError) as error:
         nothing = Confirmation(UNJUDGED, 0.0, np.inf, 0.0, str(error))
         note = f"the named causes could not be confirmed by roll-outs: {error}"
@@ -189,18 +189,18 @@ def settle(
     return Settled([], dropped, {}, {}, None, [])
 
 
-def _honest(said: Confirmation, cause: Cause, flights: float) -> Confirmation:
+def _honest(result: Confirmation, cause: Cause, flights: float) -> Confirmation:
     """The amplitude with the standard error that repeats would show, and what that says.
 
-    A cause that was told with |t| has an amplitude known to 1/|t|; held-out flights, `flights` times fewer than those
-    that told it, differ among themselves as those did, which one flight's stretches alone do not show.
+    A cause found with |t| has an amplitude known to 1/|t|; held-out flights, `flights` times fewer than those that
+    found it, differ among themselves as those did, which one flight's segments alone do not show.
     """
-    if not said.std < np.inf:
-        return said
-    told = 1.0 / max(cause.test.wald, 1e-300)
-    std = float(np.sqrt(told + max(said.std**2, flights * told)))
-    outcome = outcome_of(said.amplitude, std)
-    return said._replace(std=std, outcome=outcome, why=_why(outcome, said.amplitude, std))
+    if not result.std < np.inf:
+        return result
+    variance = 1.0 / max(cause.test.wald, 1e-300)
+    std = float(np.sqrt(variance + max(result.std**2, flights * variance)))
+    outcome = outcome_of(result.amplitude, std)
+    return result._replace(std=std, outcome=outcome, why=_why(outcome, result.amplitude, std))
 
 
 def _why(outcome: str, amplitude: float, std: float) -> str:
@@ -212,25 +212,25 @@ def _why(outcome: str, amplitude: float, std: float) -> str:
     )
 
 
-def _lenient(said: Confirmation, cause: Cause, whole: Model, faint: bool = False) -> Confirmation:
+def _lenient(result: Confirmation, cause: Cause, whole: Model, faint: bool = False) -> Confirmation:
     """What held-out flights cannot refute: a value that each flight has of its own, a load whose swing is not known,
     what they hardly show (`faint`): noise of rotor speeds moves the simulation there as much as the cause does; and a
-    motion that is there and goes only beside what flights differ by.
+    motion that is there, but not once usual flight differences are taken out.
     """
-    if said.outcome != REFUTED:
-        return said
+    if result.outcome != REFUTED:
+        return result
     if faint:
-        return said._replace(outcome=UNJUDGED, why="held-out flights hardly show it")
-    if 0.5 < said.plain < TWICE:
+        return result._replace(outcome=UNJUDGED, why="held-out flights hardly show it")
+    if 0.5 < result.plain < TWICE:
         # a cause large enough is taken for many times what flights differ by: 30 % of torque for that of an inertia
-        why = f"{said.plain:.2f} of its motion is there, or {said.amplitude:.2f} beside all that flights may differ by"
-        return said._replace(outcome=UNJUDGED, why=why)
+        why = f"{result.plain:.2f} of its motion is there, or {result.amplitude:.2f} without usual flight differences"
+        return result._replace(outcome=UNJUDGED, why=why)
     states = [e.get("states") or {} for e in whole.document["extensions"] if e["id"] == cause.effect.id]
     if any("swinging load" in s for s in states):
-        return said._replace(outcome=UNJUDGED, why="how the load swings when a window begins is not measured")
+        return result._replace(outcome=UNJUDGED, why="how the load swings when a window begins is not measured")
     if any(cause.effect.parameters[n].scope == "f" for n in cause.value):
-        return said._replace(outcome=UNJUDGED, why="each flight has its own value of it")
-    return said
+        return result._replace(outcome=UNJUDGED, why="each flight has its own value of it")
+    return result
 
 
 def _key(cause: Cause) -> tuple[str, str]:
@@ -244,7 +244,7 @@ def _but(items: Sequence[Any], one: int) -> list[Any]:
 class Maker:
     """Models with causes of given parameters.
 
-    anew  whether the model's own terms are fitted anew beside the causes: what all flights have in common they had to
+    anew  whether the model's own terms are fitted anew with the causes: what all flights have in common they had to
     stand in for, and with and without such a cause alike
     """
 
@@ -258,7 +258,7 @@ class Maker:
     def __call__(self, values: Sequence[Values], changed: bool) -> Model:
         """changed  whether what changed acts as well as what was always there."""
         pairs = list(zip(self.causes, values))
-        changes = refitted(self.found.study, self.compared, pairs) if self.anew else None
+        changes = refit_with(self.found.study, self.compared, pairs) if self.anew else None
         acting = [(c.effect, v) for c, v in pairs if changed or c.since == "always"]
         name = "+".join([self.model.id, *(c.id for c, _ in acting)])
         return Model(extend(self.model, acting, self.vehicle, name, "roll-outs", changes), f"model {name}")

@@ -9,11 +9,11 @@ import pandas as pd
 from quasi.gap.flights.covariates import places
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.residual_tables import located, where
-from quasi.gap.levels.rollouts.open_loop import CHANNELS, COLUMN, EVERY, QUANTITIES, VECTORS, Flight, finite
+from quasi.gap.levels.rollouts.open_loop import COLUMN, ERROR_UNITS, EVERY, MOVED_BY, VECTORS, Flight, finite
 
 MODELS = ("before", "after", "noise_floor")
-PAIRS = 8  # of windows that tell whether errors come again
-UNITS = QUANTITIES | {name: QUANTITIES[name.split()[0]] for name in CHANNELS.values()}
+PAIRS = 8  # of windows from which it is decided whether errors come again
+UNIT_OF = ERROR_UNITS | {name: ERROR_UNITS[name.split()[0]] for name in MOVED_BY.values()}
 
 
 def placed(errors: pd.DataFrame, flights: Sequence[Evidence]) -> pd.DataFrame:
@@ -37,10 +37,10 @@ def where_of(errors: pd.DataFrame) -> pd.DataFrame:
         by_model = {m: part.reset_index(drop=True) for m, part in rows.groupby("model")}
         if not all(m in by_model for m in models):
             continue
-        table = by_model["before"].drop(columns=[*UNITS]).rename(columns={"start": "t"})
+        table = by_model["before"].drop(columns=[*UNIT_OF]).rename(columns={"start": "t"})
         for model in models:
-            table = table.assign(**{f"{q}_{model}": finite(by_model[model][q]) for q in UNITS})
-        parts.append(where(table, UNITS, models).assign(driven=line, horizon=horizon))
+            table = table.assign(**{f"{q}_{model}": finite(by_model[model][q]) for q in UNIT_OF})
+        parts.append(where(table, UNIT_OF, models).assign(driven=line, horizon=horizon))
     return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=["channel", "where"])
 
 
@@ -53,12 +53,12 @@ def channels_of(
     The whiteness is the correlation of the end errors of windows that follow one another without overlap: 0 where a
     window says nothing of the next, NaN where there are too few.
     """
-    columns = VECTORS | {name: slice(COLUMN[c], COLUMN[c] + 1) for c, name in CHANNELS.items()}
+    columns = VECTORS | {name: slice(COLUMN[c], COLUMN[c] + 1) for c, name in MOVED_BY.items()}
     rows = []
     for k, horizon in enumerate(sorted(horizons)):
         for name, place in columns.items():
             row = {"flight": flight.key, "driven": line, "horizon": float(horizon), "channel": name,
-                   "unit": UNITS[name]}  # fmt: skip
+                   "unit": UNIT_OF[name]}  # fmt: skip
             for word, values in errors.items():
                 own = values[:, k, place]
                 size = finite(np.linalg.norm(own, axis=1))

@@ -1,4 +1,4 @@
-"""What the extended model gains in simulations of the held-out flights, beside what could be gained.
+"""What the extended model gains in simulations of the held-out flights, and what could be gained.
 
 Every window is simulated with measured rotor speeds, plainly and with trim, the mean error of force and moment that the
 flight itself showed in the seconds before the window (only what was known then), which each model has its own of; and
@@ -27,13 +27,13 @@ from quasi.gap.levels.rollouts import commanded
 from quasi.gap.levels.rollouts.covariates import channels_of, placed, where_of
 from quasi.gap.levels.rollouts.linear_response import Course, course_of, responses
 from quasi.gap.levels.rollouts.open_loop import (
-    CHANNELS,
     COLUMN,
+    ERROR_UNITS,
     EVERY,
-    PLAIN,
-    QUANTITIES,
-    TOLD,
-    TRIMMED,
+    MOVED_BY,
+    WITH_COMMANDS,
+    WITH_TRIM,
+    WITHOUT_TRIM,
     commands_of,
     fell,
     flight_of,
@@ -49,9 +49,9 @@ from quasi.gap.statistics import blocks
 from quasi.model.extensions import compute_flight_inertia, compute_flight_mass
 from quasi.model.model import Model
 
-TRIM, MARGIN, LEAST = 2.0, 0.1, 0.5  # s before a window; s that low-pass filters look ahead; s that must be valid
-TINY = 1e-12  # squared error, SI units, that is none
-LINES = (PLAIN, TRIMMED)
+TRIM_S, MARGIN, LEAST_S = 2.0, 0.1, 0.5  # s before a window; s that low-pass filters look ahead; s that must be valid
+NO_ERROR = 1e-12  # squared error, SI units, that is none
+SPEED_LINES = (WITHOUT_TRIM, WITH_TRIM)
 YARDSTICKS = ("best_wrong_cause", "generic_polynomial")
 Residual = Callable[[Evidence], np.ndarray]
 Errors = dict[str, list[np.ndarray]]  # {line: (S, K, OUTPUTS) of each flight}
@@ -64,28 +64,28 @@ class Track(NamedTuple):
     evidence: Evidence
     course: Course
     constants: np.ndarray
-    told: np.ndarray
+    has_commands: np.ndarray
 
 
-class Beside(NamedTuple):
-    """What a gain stands beside.
+class Yardsticks(NamedTuple):
+    """What a gain is compared with.
 
     floor         what everything together leaves of a flight's wrench
     wrong         {the best wrong cause of forces and moments: the model with it alone}, or nothing
-    yardstick     what a polynomial of the same size leaves
-    drive         what the other flights tell of the rotors' drive, see `commanded.learned`
+    polynomial    what a polynomial of the same size leaves
+    drive         the rotors' drive as estimated from the other flights, see `commanded.learned`
     wrong_drives  {cause of the drive: the model with it alone} that may be the best wrong cause where commands drive
-    told_yardstick  as yardstick, where commands drive, when causes of the drive are named; None for the same
+    commanded_polynomial  the same where commands drive, when causes of the drive are named; None for the same
     quantities  by whose errors the best wrong cause is chosen where commands drive: those that the named causes move
     """
 
     floor: Residual | None = None
     wrong: Mapping[str, Model] = MappingProxyType({})
-    yardstick: Residual | None = None
+    polynomial: Residual | None = None
     drive: Mapping[str, Any] | None = None
     wrong_drives: Mapping[str, Model] = MappingProxyType({})
-    told_yardstick: Residual | None = None
-    quantities: Sequence[str] = (*QUANTITIES, *CHANNELS.values())
+    commanded_polynomial: Residual | None = None
+    quantities: Sequence[str] = (*ERROR_UNITS, *MOVED_BY.values())
 
 
 def tracks_of(
@@ -103,8 +103,8 @@ def tracks_of(
         if len(course.starts):
             units = np.broadcast_to(np.eye(6), (len(evidence), 6, 6))
             known = [_known(course, commands_of(model, course.flight)) for model in models]
-            told = np.logical_and.reduce(known) if known else np.zeros(len(course.starts), bool)
-            found.append(Track(evidence, course, responses(course, units), told))
+            driven = np.logical_and.reduce(known) if known else np.zeros(len(course.starts), bool)
+            found.append(Track(evidence, course, responses(course, units), driven))
     return found
 
 
@@ -118,12 +118,12 @@ def _known(course: Course, commands: np.ndarray | None) -> np.ndarray:
 
 def lines_of(tracks: Sequence[Track]) -> tuple[str, ...]:
     """How windows can be driven."""
-    return (*LINES, TOLD) if any(track.told.any() for track in tracks) else LINES
+    return (*SPEED_LINES, WITH_COMMANDS) if any(track.has_commands.any() for track in tracks) else SPEED_LINES
 
 
 def _of(track: Track, line: str) -> np.ndarray:
     """Windows (S,) of a line."""
-    return track.told if line == TOLD else np.ones(len(track.told), bool)
+    return track.has_commands if line == WITH_COMMANDS else np.ones(len(track.has_commands), bool)
 
 
 def trim_of(track: Track, residual: np.ndarray) -> np.ndarray:
@@ -134,14 +134,14 @@ def trim_of(track: Track, residual: np.ndarray) -> np.ndarray:
     t = track.evidence.t
     sums = np.vstack([np.zeros(6), np.cumsum(residual, axis=0)])
     starts = track.course.flight.t[track.course.starts]
-    first, last = np.searchsorted(t, starts - MARGIN - TRIM), np.searchsorted(t, starts - MARGIN)
+    first, last = np.searchsorted(t, starts - MARGIN - TRIM_S), np.searchsorted(t, starts - MARGIN)
     count = (last - first)[:, None]
-    enough = count * track.course.step > LEAST
+    enough = count * track.course.step > LEAST_S
     return np.where(enough, (sums[last] - sums[first]) / np.maximum(count, 1), 0.0)
 
 
 def simulated_errors(
-    tracks: Sequence[Track], model: Model, base: Model, lines: Sequence[str] = LINES,
+    tracks: Sequence[Track], model: Model, base: Model, lines: Sequence[str] = SPEED_LINES,
     drive: Mapping[str, Any] | None = None,
 ) -> Errors:  # fmt: skip
     """Errors of a model, an extension of `base` or itself; drive  as of `commanded.learned` instead of its own."""
@@ -150,7 +150,7 @@ def simulated_errors(
 
 def _errors(track: Track, model: Model, base: Model, line: str, drive: Mapping[str, Any] | None) -> np.ndarray:
     course, offsets, commands, rotors = track.course, None, None, None
-    if line == TRIMMED:
+    if line == WITH_TRIM:
         offsets = trim_of(track, after(model, base)(track.evidence))
         # what instruments show with the configured constants, in the model's own
         logged, mass = track.evidence.mass, compute_flight_mass(model, track.evidence.mass)
@@ -159,7 +159,7 @@ def _errors(track: Track, model: Model, base: Model, line: str, drive: Mapping[s
         offsets[:, 3:] = offsets[:, 3:] @ np.linalg.solve(
             track.course.inertia, compute_flight_inertia(model, track.course.inertia)
         )
-    if line == TOLD:
+    if line == WITH_COMMANDS:
         commands = commands_of(model, course.flight)
         other = commanded.learned(drive, course.flight, model) if drive and commands is not None else None
         if other is not None and np.isfinite(other[0][np.isfinite(commands).all(axis=1)]).all():
@@ -178,7 +178,7 @@ def moved_errors(tracks: Sequence[Track], errors: Errors, of: Residual, to: Resi
         plain = responses(track.course, (old - new)[:, :, None])[..., 0]
         for line, found in errors.items():
             change = plain[_of(track, line)]
-            if line == TRIMMED:
+            if line == WITH_TRIM:
                 difference = trim_of(track, new) - trim_of(track, old)
                 change = plain + np.einsum("sjkc,sc->sjk", track.constants, difference)
             result[line].append(found[k] - change)
@@ -186,7 +186,7 @@ def moved_errors(tracks: Sequence[Track], errors: Errors, of: Residual, to: Resi
 
 
 def end_table(
-    tracks: Sequence[Track], errors: Sequence[np.ndarray], horizons: Sequence[float], line: str = PLAIN
+    tracks: Sequence[Track], errors: Sequence[np.ndarray], horizons: Sequence[float], line: str = WITHOUT_TRIM
 ) -> pd.DataFrame:
     """End errors of all flights, see `open_loop.table_of`."""
     rising = sorted(horizons)
@@ -199,7 +199,7 @@ def lesser(one: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
     best = one.copy()
     for horizon in one["horizon"].unique():
         rows = (one["horizon"] == horizon).to_numpy()
-        for quantity in (*QUANTITIES, *CHANNELS.values()):
+        for quantity in (*ERROR_UNITS, *MOVED_BY.values()):
             here, there = (squares(table[rows], [quantity]).mean() for table in (one, other))
             if there < here:
                 best.loc[rows, quantity] = other.loc[rows, quantity].to_numpy()
@@ -210,7 +210,7 @@ def shares(
     first: pd.DataFrame, last: pd.DataFrame, floor: pd.DataFrame, quantities: Sequence[str],
     reached: pd.DataFrame | None = None,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Share of the removable squared error that is gone, by quantity and horizon, as `blocks.shares` tells it.
+    """Share of the removable squared error that is gone, by quantity and horizon, as by `blocks.shares`.
 
     Tables of the same windows; reached  errors that the floor cannot lie above, None takes the last ones.
     """
@@ -218,8 +218,8 @@ def shares(
     for horizon, old in first.groupby("horizon"):
         others = [old, *(t[t["horizon"] == horizon] for t in (last, floor, last if reached is None else reached))]
         flight, start = old["flight"].to_numpy(), old["start"].to_numpy()
-        told = blocks.shares(flight, start, *(squares(table, quantities) for table in others))
-        rows += [{"quantity": q, "horizon": float(horizon), **row} for q, row in zip(quantities, told)]
+        removed = blocks.shares(flight, start, *(squares(table, quantities) for table in others))
+        rows += [{"quantity": q, "horizon": float(horizon), **row} for q, row in zip(quantities, removed)]
     return sorted(rows, key=lambda row: quantities.index(row["quantity"]))
 
 
@@ -230,8 +230,8 @@ def worth(rolled: Mapping[str, Any], old: Errors, channels: Sequence[str], horiz
     Rows of `shares` with "line" and "moved", the mean square of what the cause moves over that of the old error.
     """
     rows = []
-    quantities = [CHANNELS[channel] for channel in channels]
-    for line in LINES:
+    quantities = [MOVED_BY[channel] for channel in channels]
+    for line in SPEED_LINES:
         new = rolled["errors"]["after"][line]
         tables = [end_table(rolled["tracks"], old[line], horizons)]
         tables += [rolled["ends"][word][line] for word in ("after", "noise_floor")]
@@ -245,7 +245,7 @@ def worth(rolled: Mapping[str, Any], old: Errors, channels: Sequence[str], horiz
 
 def score(
     model: Model, extended: Model, flights: Mapping[str, pd.DataFrame], held: Sequence[Evidence],
-    horizons: Sequence[float], beside: Beside,
+    horizons: Sequence[float], yardsticks: Yardsticks,
 ) -> dict[str, Any]:  # fmt: skip
     """End errors with measured rotor speeds, plain and with trim, and with commands; overlays of windows.
 
@@ -254,22 +254,22 @@ def score(
     "rollouts_where",
     "rollouts_channels", "rollouts_gains" and "rollouts_overlays".
     """
-    tracks = tracks_of(held, flights, horizons, (model, extended, *beside.wrong.values()))
+    tracks = tracks_of(held, flights, horizons, (model, extended, *yardsticks.wrong.values()))
     lines, left = lines_of(tracks), after(extended, model)
     errors = {"before": simulated_errors(tracks, model, model, lines)}
     errors["after"] = simulated_errors(tracks, extended, model, lines)
-    if beside.floor is not None:
-        errors["noise_floor"] = moved_errors(tracks, errors["after"], left, beside.floor)
-    for other in beside.wrong.values():
+    if yardsticks.floor is not None:
+        errors["noise_floor"] = moved_errors(tracks, errors["after"], left, yardsticks.floor)
+    for other in yardsticks.wrong.values():
         errors["best_wrong_cause"] = simulated_errors(tracks, other, model, lines)
-    if beside.yardstick is not None:
-        errors["generic_polynomial"] = moved_errors(tracks, errors["before"], before, beside.yardstick)
+    if yardsticks.polynomial is not None:
+        errors["generic_polynomial"] = moved_errors(tracks, errors["before"], before, yardsticks.polynomial)
     ends = {word: {line: end_table(tracks, e, horizons, line) for line, e in of.items()}
             for word, of in errors.items() if tracks}  # fmt: skip
     whole: dict[str, Any] = {"tracks": tracks, "errors": errors, "ends": ends, "fell": {}, "rms": {}}
-    whole["wrong"] = {line: name for name in beside.wrong for line in lines}
-    if TOLD in lines:
-        _commanded(ends, whole["wrong"], tracks, model, extended, errors, horizons, beside)
+    whole["wrong"] = {line: name for name in yardsticks.wrong for line in lines}
+    if WITH_COMMANDS in lines:
+        _commanded(ends, whole["wrong"], tracks, model, extended, errors, horizons, yardsticks)
     for word, of in ends.items():
         whole["rms"][word] = {line: rms(table) for line, table in of.items()}
     for line, least in whole["rms"].get("noise_floor", {}).items():
@@ -303,37 +303,38 @@ def _channels(tracks: Sequence[Track], errors: Mapping[str, Errors], horizons: S
 
 def _commanded(
     ends: dict[str, dict[str, pd.DataFrame]], named: dict[str, str], tracks: Sequence[Track], model: Model,
-    extended: Model, errors: Mapping[str, Errors], horizons: Sequence[float], beside: Beside,
+    extended: Model, errors: Mapping[str, Errors], horizons: Sequence[float], yardsticks: Yardsticks,
 ) -> None:  # fmt: skip
     """Put in what the drive adds where commands drive: a better floor, another wrong cause, a larger polynomial."""
 
     def table_for(found: Errors) -> pd.DataFrame:
-        return end_table(tracks, found[TOLD], horizons, TOLD)
+        return end_table(tracks, found[WITH_COMMANDS], horizons, WITH_COMMANDS)
 
-    if beside.floor is not None and beside.drive is not None:
-        found = simulated_errors(tracks, extended, model, [TOLD], beside.drive)
-        table = table_for(moved_errors(tracks, found, after(extended, model), beside.floor))
-        ends["noise_floor"][TOLD] = lesser(ends["noise_floor"][TOLD], table)
+    if yardsticks.floor is not None and yardsticks.drive is not None:
+        found = simulated_errors(tracks, extended, model, [WITH_COMMANDS], yardsticks.drive)
+        table = table_for(moved_errors(tracks, found, after(extended, model), yardsticks.floor))
+        ends["noise_floor"][WITH_COMMANDS] = lesser(ends["noise_floor"][WITH_COMMANDS], table)
 
     def ratio(table: pd.DataFrame) -> float:
-        return _ratio(table, ends["before"][TOLD], beside.quantities)
+        return _ratio(table, ends["before"][WITH_COMMANDS], yardsticks.quantities)
 
-    for name, other in beside.wrong_drives.items():
-        table = table_for(simulated_errors(tracks, other, model, [TOLD]))
-        best = ends.setdefault("best_wrong_cause", {}).get(TOLD)
+    for name, other in yardsticks.wrong_drives.items():
+        table = table_for(simulated_errors(tracks, other, model, [WITH_COMMANDS]))
+        best = ends.setdefault("best_wrong_cause", {}).get(WITH_COMMANDS)
         if best is None or ratio(table) < ratio(best):
-            ends["best_wrong_cause"][TOLD], named[TOLD] = table, name
-    if beside.told_yardstick is not None:
-        found = moved_errors(tracks, {TOLD: errors["before"][TOLD]}, before, beside.told_yardstick)
-        ends.setdefault("generic_polynomial", {})[TOLD] = table_for(found)
+            ends["best_wrong_cause"][WITH_COMMANDS], named[WITH_COMMANDS] = table, name
+    if yardsticks.commanded_polynomial is not None:
+        driven = {WITH_COMMANDS: errors["before"][WITH_COMMANDS]}
+        found = moved_errors(tracks, driven, before, yardsticks.commanded_polynomial)
+        ends.setdefault("generic_polynomial", {})[WITH_COMMANDS] = table_for(found)
 
 
 def _ratio(table: pd.DataFrame, old: pd.DataFrame, names: Sequence[str]) -> float:
-    """Mean over horizons and quantities of the squared errors beside the old ones."""
+    """Mean over horizons and quantities of the squared errors over the old ones."""
     parts = []
     for horizon, first in old.groupby("horizon"):
         new, was = (squares(t, names).mean(axis=0) for t in (table[table["horizon"] == horizon], first))
-        parts.append((new + TINY) / (was + TINY))
+        parts.append((new + NO_ERROR) / (was + NO_ERROR))
     return float(np.mean(parts))
 
 
@@ -343,7 +344,7 @@ def gains(ends: Mapping[str, Mapping[str, pd.DataFrame]], line: str) -> list[dic
     Added are "removable"; "removed" {"value", "low", "high"} by the extension; "noise_floor", root mean square; and of
     each of YARDSTICKS "rms" with its "value", "low", "high". A share is None where the floor holds nine tenths.
     """
-    names = [*QUANTITIES, *CHANNELS.values()]
+    names = [*ERROR_UNITS, *MOVED_BY.values()]
     tables = {word: of[line] for word, of in ends.items() if line in of}
     rows = sorted(fell(tables["before"], tables["after"]), key=lambda row: names.index(row["quantity"]))
     if "noise_floor" not in tables:
@@ -352,8 +353,8 @@ def gains(ends: Mapping[str, Mapping[str, pd.DataFrame]], line: str) -> list[dic
         if word not in tables:
             continue
         found = rms(tables[word])
-        told = shares(tables["before"], tables[word], tables["noise_floor"], names, tables["after"])
-        for row, share in zip(rows, told, strict=True):
+        removed = shares(tables["before"], tables[word], tables["noise_floor"], names, tables["after"])
+        for row, share in zip(rows, removed, strict=True):
             three = {k: share[k] for k in ("value", "low", "high")}
             if word == "after":
                 row |= {"removable": share["removable"], "removed": three,
@@ -371,9 +372,9 @@ def gains_table(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> pd.DataFrame
         for row in of:
             about = {"driven": line, **{k: row[k] for k in ("quantity", "horizon", "before")}}
             about |= {k: row.get(k, np.nan) for k in ("noise_floor", "removable")}
-            told = {"after": {"rms": row["after"], **(row.get("removed") or {})}}
-            told |= {word: row[word] for word in YARDSTICKS if word in row}
-            for word, values in told.items():
+            models = {"after": {"rms": row["after"], **(row.get("removed") or {})}}
+            models |= {word: row[word] for word in YARDSTICKS if word in row}
+            for word, values in models.items():
                 three = {n: values.get(k) for n, k in (("removed", "value"), ("low", "low"), ("high", "high"))}
                 three = {n: np.nan if v is None else v for n, v in three.items()}
                 found.append({**about, "model": word, "rms": values["rms"], **three})

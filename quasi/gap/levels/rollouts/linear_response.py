@@ -19,7 +19,7 @@ from numba import njit
 
 from quasi.attitude import GRAVITY
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.levels.rollouts.open_loop import OUTPUTS, Flight
+from quasi.gap.levels.rollouts.open_loop import VECTOR_SIZE, Flight
 from quasi.gap.statistics.whitening import stretches
 
 
@@ -158,8 +158,8 @@ def _respond(step, first, places, rates, velocity, down, slopes, columns, mass, 
 
 
 def responses(course: Course, columns: np.ndarray) -> np.ndarray:
-    """What columns (m, 6, C) of the wrench, N and N m, make of the windows (S, K, OUTPUTS, C), see `vectors`."""
-    out = np.zeros((len(course.first), len(course.places), OUTPUTS, columns.shape[2]))
+    """What columns (m, 6, C) of the wrench, N and N m, make of the windows (S, K, VECTOR_SIZE, C), see `vectors`."""
+    out = np.zeros((len(course.first), len(course.places), VECTOR_SIZE, columns.shape[2]))
     _respond(
         course.step, course.first, course.places, course.rates, course.velocity, course.down, course.slopes,
         np.ascontiguousarray(columns), course.mass, course.inertia, np.linalg.inv(course.inertia), out,

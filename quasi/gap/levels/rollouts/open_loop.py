@@ -13,18 +13,18 @@ from quasi.model.extensions import compute_flight_inertia, compute_flight_mass, 
 from quasi.model.model import Model
 from quasi.simulation.tools.replay import ActuatorDynamics, count_steps, replay, to_euler_states
 from quasi.simulation.tools.rollout import compute_errors
+from quasi.terms.rotor_map import COMMANDED, SHARES
 
 EVERY = 0.2  # s between the starts of two windows
+HORIZON = 0.5  # s, of the reported error: beyond it small vehicles are half a turn off and errors say little
 GAINED = "the error falls most"  # why one of the windows is shown
 TYPICAL = "the error falls as in the median"
-COMMANDED = tuple(f"w{i}_CMD" for i in range(1, 5))
-SHARES = tuple(f"command{i}" for i in range(1, 5))
-QUANTITIES = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
-OUTPUTS = 12  # of `vectors`
-CHANNELS = {"Fx": "velocity x", "Fy": "velocity y", "Fz": "velocity z", "Mx": "rate x", "My": "rate y", "Mz": "rate z"}
-COLUMN = dict(zip(CHANNELS, (0, 1, 2, 6, 7, 8)))  # of `vectors`
+ERROR_UNITS = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
+VECTOR_SIZE = 12  # of `vectors`
+MOVED_BY = {"Fx": "velocity x", "Fy": "velocity y", "Fz": "velocity z", "Mx": "rate x", "My": "rate y", "Mz": "rate z"}
+COLUMN = dict(zip(MOVED_BY, (0, 1, 2, 6, 7, 8)))  # of `vectors`
 VECTORS = {"position": slice(9, 12), "velocity": slice(0, 3), "attitude": slice(3, 6), "rate": slice(6, 9)}
-PLAIN, TRIMMED, TOLD = (
+WITHOUT_TRIM, WITH_TRIM, WITH_COMMANDS = (
     "rollouts",
     "rollouts with trim",
     "rollouts from commands",
@@ -66,7 +66,7 @@ def commands_of(model: Model, flight: Flight) -> np.ndarray | None:
     """Commanded rotor speeds (N, 4), rad/s: logged, or by the model's command map; None where neither is there.
 
     The map is (V / reference voltage)^exponent times a polynomial of the command; an extension may replace the
-    exponent, and tell the reference where the map does not. Without a voltage, or a reference for it, the map holds as
+    exponent, and give the reference where the map does not. Without a voltage, or a reference for it, the map holds as
     it is.
     """
     table = flight.table
@@ -125,7 +125,7 @@ def simulated(
 
 
 def vectors(run: np.ndarray, flight: Flight, starts: np.ndarray, lags: np.ndarray) -> np.ndarray:
-    """Measured minus simulated at `lags` rows after the starts (S, K, OUTPUTS), along the measured body axes.
+    """Measured minus simulated at `lags` rows after the starts (S, K, VECTOR_SIZE), along the measured body axes.
 
     run  (S, steps + 1, 12) of `simulated`
     Velocity in the earth frame, m/s; attitude as a rotation vector, rad; rates, rad/s; position, m. NaN once a window
@@ -142,7 +142,7 @@ def vectors(run: np.ndarray, flight: Flight, starts: np.ndarray, lags: np.ndarra
 
 
 def table_of(flight: Flight, starts: np.ndarray, compute_errors: np.ndarray, horizons: Sequence[float]) -> pd.DataFrame:
-    """Errors (S, K, OUTPUTS) after each of the horizons as rows: flight, start (s), horizon (s), and `sizes`."""
+    """Errors (S, K, VECTOR_SIZE) after each of the horizons as rows: flight, start (s), horizon (s), and `sizes`."""
     about = {"flight": flight.key, "start": flight.t[starts]}
     return joined(
         [pd.DataFrame({**about, "horizon": float(h), **sizes(compute_errors[:, k])}) for k, h in enumerate(horizons)]
@@ -151,21 +151,21 @@ def table_of(flight: Flight, starts: np.ndarray, compute_errors: np.ndarray, hor
 
 def joined(rows: Sequence[pd.DataFrame]) -> pd.DataFrame:
     """Tables of errors under one another."""
-    columns = ["flight", "start", "horizon", *QUANTITIES, *CHANNELS.values()]
+    columns = ["flight", "start", "horizon", *ERROR_UNITS, *MOVED_BY.values()]
     return pd.concat(rows, ignore_index=True) if rows else pd.DataFrame(columns=columns)
 
 
 def sizes(compute_errors: np.ndarray) -> dict[str, np.ndarray]:
-    """{quantity: (S,)} of errors (S, OUTPUTS): the norms of QUANTITIES and the absolute values of CHANNELS."""
+    """{quantity: (S,)} of errors (S, VECTOR_SIZE): the norms of ERROR_UNITS, absolute values of MOVED_BY."""
     norms = {q: np.linalg.norm(compute_errors[:, place], axis=1) for q, place in VECTORS.items()}
-    return norms | dict(zip(CHANNELS.values(), np.abs(compute_errors[:, list(COLUMN.values())]).T))
+    return norms | dict(zip(MOVED_BY.values(), np.abs(compute_errors[:, list(COLUMN.values())]).T))
 
 
 def rms(table: pd.DataFrame) -> dict[str, dict[str, float]]:
     """{quantity: {horizon: root mean square}} of end errors; diverged windows count with the largest finite error."""
     result: dict[str, dict[str, float]] = {}
     for horizon, part in table.groupby("horizon"):
-        for quantity in (*QUANTITIES, *CHANNELS.values()):
+        for quantity in (*ERROR_UNITS, *MOVED_BY.values()):
             result.setdefault(quantity, {})[f"{horizon:g}"] = float(np.sqrt(np.mean(finite(part[quantity]) ** 2)))
     return result
 
@@ -180,7 +180,7 @@ def fell(old: pd.DataFrame, new: pd.DataFrame, seed: int = 0) -> list[dict[str, 
 
     Windows are drawn anew in blocks of the flights, the same ones before and after, see `blocks`.
     """
-    names = (*QUANTITIES, *CHANNELS.values())
+    names = (*ERROR_UNITS, *MOVED_BY.values())
     rows = []
     for horizon, first in old.groupby("horizon"):
         both = np.stack([squares(first, names), squares(new[new["horizon"] == horizon], names)], axis=1)

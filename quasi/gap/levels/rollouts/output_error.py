@@ -28,23 +28,24 @@ import pandas as pd
 
 from quasi.errors import DataError
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.levels.forces.design import BLOCK, Design, in_stretches
-from quasi.gap.levels.forces.materiality import Cause
+from quasi.gap.levels.forces.design import Design, in_stretches
 from quasi.gap.levels.rollouts.linear_response import Course, course_of, responses
 from quasi.gap.levels.rollouts.open_loop import flight_of, simulated, vectors
+from quasi.gap.materiality import Cause
+from quasi.gap.statistics.blocks import BLOCK
 from quasi.gap.statistics.mixed import Columns, MixedModel
 from quasi.gap.statistics.whitening import Thinned
 from quasi.model.model import Model
 
 WINDOW = 0.4  # s; at this length the start is not forgotten and the response still about linear
-PARTS = 4  # places of a window that are compared, its end among them
-OUTPUTS = 9  # velocity, attitude, rate; a position says what the velocities before it said
+COMPARED_TIMES = 4  # places of a window that are compared, its end among them
+COMPARED_OUTPUTS = 9  # velocity, attitude, rate; a position follows from the velocities before it
 NEXT = 4  # windows after one that may still remember it
 SHRUNK = 0.1  # share of the covariance within a window that is drawn to its diagonal
-STEPS = 5  # of Gauss-Newton, at most
-SMALL = 0.1  # standard errors: a smaller step ends it
-APART = 4.0  # standard errors between the two estimates of one parameter that count as disagreement
-LEAST = 8  # windows of all flights
+MOST_STEPS = 5  # of Gauss-Newton, at most
+CONVERGED_STEP = 0.1  # standard errors: a smaller step ends it
+DISAGREEMENT = 4.0  # standard errors between the two estimates of one parameter that count as disagreement
+FEWEST_WINDOWS = 8  # windows of all flights
 
 Values = dict[str, float]
 
@@ -66,24 +67,24 @@ def windows_of(study: Design, tables: Mapping[str, pd.DataFrame], window: float 
 
 def windows_in(evidence: Evidence, table: pd.DataFrame, thinned: Thinned, window: float = WINDOW) -> Course:
     """Windows one after another through a flight, starting at the rows of its thinned columns."""
-    times = window * np.arange(1, PARTS + 1) / PARTS
+    times = window * np.arange(1, COMPARED_TIMES + 1) / COMPARED_TIMES
     flight = flight_of(evidence.key, table, evidence.mass, evidence.inertia)
     return course_of(evidence, flight, times, window, thinned.rows, thinned.breaks)
 
 
 def sensitivities(course: Course, columns: np.ndarray) -> np.ndarray:
     """What columns (m, 6, C) make of the outputs that are fitted (S, D, C)."""
-    found = responses(course, columns)[:, :, :OUTPUTS]
-    return found.reshape(len(found), found.shape[1] * OUTPUTS, found.shape[3])
+    found = responses(course, columns)[:, :, :COMPARED_OUTPUTS]
+    return found.reshape(len(found), found.shape[1] * COMPARED_OUTPUTS, found.shape[3])
 
 
 def deviations(course: Course, model: Model) -> np.ndarray:
     """Measured minus simulated, the outputs that are fitted (S, D); NaN in a window that has diverged."""
     if not len(course.starts):
-        return np.zeros((0, len(course.lags) * OUTPUTS))
+        return np.zeros((0, len(course.lags) * COMPARED_OUTPUTS))
     horizon = float(course.flight.t[course.lags[-1]] - course.flight.t[0])
     run = simulated(model, course.flight, course.starts, horizon)
-    found = vectors(run, course.flight, course.starts, course.lags)[:, :, :OUTPUTS]
+    found = vectors(run, course.flight, course.starts, course.lags)[:, :, :COMPARED_OUTPUTS]
     return found.reshape(len(found), -1)
 
 
@@ -97,8 +98,10 @@ def covariance_of(errors: Sequence[np.ndarray], nuisance: Sequence[np.ndarray], 
     """Covariance R (D, D) within a window, of errors (S, D) per flight once flights' nuisances (S, D, N) are out."""
     level = np.concatenate(errors)
     level = level[np.isfinite(level).all(axis=1)]
-    if len(level) < LEAST:
-        raise DataError(f"{len(level)} windows of {WINDOW:g} s can be simulated, expected at least {LEAST}; fly longer")
+    if len(level) < FEWEST_WINDOWS:
+        raise DataError(
+            f"{len(level)} windows of {WINDOW:g} s can be simulated, expected at least {FEWEST_WINDOWS}; fly longer"
+        )
     level = np.sqrt(np.mean(level**2, axis=0))
     left = []
     for error, columns in zip(errors, nuisance):
@@ -113,7 +116,7 @@ def covariance_of(errors: Sequence[np.ndarray], nuisance: Sequence[np.ndarray], 
 
 
 def _repeated(left: Sequence[np.ndarray], inner: np.ndarray) -> float:
-    """How many windows in a row tell the same: 1 + 2 (sum of the correlations with the next ones), gusts outlast them.
+    """Effective number of windows in a row that repeat one: 1 + 2 (sum of correlations with the next), as gusts last.
 
     Source: Box, Jenkins & Reinsel, Time Series Analysis, 3rd ed., 1994, section 2.1.5: variance of a mean.
     """
@@ -179,7 +182,7 @@ def fit(
 
     found = errors(values)
     noise = covariance_of(found, [s[:, :, own] for s in slopes], study.columns.spread)
-    while causes and steps < STEPS:
+    while causes and steps < MOST_STEPS:
         steps += 1
         mixed = _mixed(found, slopes, noise, courses, flags, study.columns)
         tests = []
@@ -190,17 +193,17 @@ def fit(
             moved[k] = np.max(np.abs(test.value) / test.std)
             for n, step in zip(_names(cause), test.value):
                 value[n] = value.get(n, 0.0) + float(step)
-        if moved.max() < SMALL:
+        if moved.max() < CONVERGED_STEP:
             break
         found = errors(values)
     std = [dict(zip(_names(c), map(float, t.std))) for c, t in zip(causes, tests)]
     used, notes = [], []
     for cause, value, error, last in zip(causes, values, std, moved):
-        why = _against(cause, value, error, last < SMALL, ranges.get(cause.effect.id))
+        why = _against(cause, value, error, last < CONVERGED_STEP, ranges.get(cause.effect.id))
         used.append(not why)
         if why:
-            notes.append(f"{cause.effect.id}: {why}; it was judged in roll-outs as forces and moments tell it")
-    return Fitted(values, std, used, notes, bool(np.all(moved < SMALL)), noise, steps)
+            notes.append(f"{cause.effect.id}: {why}; roll-outs used its value from forces and moments")
+    return Fitted(values, std, used, notes, bool(np.all(moved < CONVERGED_STEP)), noise, steps)
 
 
 def _names(cause: Cause) -> list[str]:
@@ -225,12 +228,12 @@ def _against(
 ) -> str:
     """Why an estimate by output error is not to be used, or nothing."""
     if not settled:
-        return f"its fit by output error did not settle in {STEPS} steps"
+        return f"its fit by output error did not settle in {MOST_STEPS} steps"
     for n in _names(cause):
         apart = abs(value[n] - cause.value[n]) / np.hypot(std[n], cause.std[n])
-        if apart > APART:
+        if apart > DISAGREEMENT:
             return (
-                f"output error puts {n} {apart:.1f} standard errors off what forces and moments tell "
+                f"output error puts {n} {apart:.1f} standard errors off the value from forces and moments "
                 f"({value[n]:.3g} against {cause.value[n]:.3g} beyond neutral)"
             )
         low, high = (limits or {})[cause.effect.fitted.index(n)] if limits else (-np.inf, np.inf)

@@ -1,7 +1,7 @@
-"""What a held-out flight has of its own, told by its first half and judged on its second.
+"""What a held-out flight has of its own, estimated on its first half and judged on its second.
 
-A battery put back half a millimetre off trims a light quadrotor anew: no other flight can tell that, and no model made
-of other flights can know it. The flight's first half tells it: parameters of named causes that belong to a flight or a
+A battery put back half a millimetre off trims a light quadrotor anew: no other flight shows that, and no model made
+of other flights can know it. The flight's first half shows it: parameters of named causes that belong to a flight or a
 session (their scope), and the constant force and moment that its usual differences from other flights amount to
 (`nuisance`). All are estimated with what is known of them beforehand: a cause's parameters lie about what the other
 flights say, within the size that is typical of it; nuisances within their known spreads. Then every model is judged on
@@ -23,7 +23,7 @@ from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.extension import extend
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.instruments import shown
-from quasi.gap.levels.forces.design import BAND, MEMORY, ORDER
+from quasi.gap.levels.forces.design import BAND, ORDER, ROW_MEMORY
 from quasi.gap.levels.forces.error_reduction import after, wrench_score
 from quasi.gap.levels.forces.nuisance import nuisances
 from quasi.gap.levels.rollouts import open_loop
@@ -32,8 +32,8 @@ from quasi.model.model import AXES, Model
 from quasi.simulation.tools.rollout import count_steps
 
 OWN_SCOPES = ("s", "f")
-REACH = 0.2  # s: the filter of a flight sees that far ahead, windows start so much later
-LEAST = 5.0  # s of a half that a trim is told by
+FILTER_REACH = 0.2  # s: the filter of a flight sees that far ahead, windows start so much later
+LEAST_HALF = 5.0  # s of a half, from which a trim is estimated
 Values = Mapping[str, float]
 
 
@@ -52,7 +52,7 @@ def own(
     flight: Evidence, model: Model, base: Model, causes: Sequence[tuple[Effect, Values]], vehicle: Vehicle,
     level: np.ndarray,
 ) -> Own | None:  # fmt: skip
-    """Estimate on a flight's first half; None where that has less than LEAST seconds.
+    """Estimate on a flight's first half; None where that has less than LEAST_HALF seconds.
 
     model   whose residual is explained: `base` itself, or its extension by `causes` (deviations from neutral)
     level   (6,) mean squared residual of the flights that were learned from
@@ -71,10 +71,10 @@ def own(
     part = thin(np.stack(columns, axis=2), flight.breaks, flight.t, BAND, 2 * ORDER)
     first = flight.t[part.rows] <= until
     step = float(np.median(np.diff(flight.t[part.rows]))) if len(part.rows) > 1 else 0.0
-    if np.count_nonzero(first) * step < LEAST:
+    if np.count_nonzero(first) * step < LEAST_HALF:
         return None
     seen = part.columns[first]
-    gram = np.einsum("k,nki,nkj->ij", 1.0 / (MEMORY * np.maximum(level, 1e-300)), seen, seen)
+    gram = np.einsum("k,nki,nkj->ij", 1.0 / (ROW_MEMORY * np.maximum(level, 1e-300)), seen, seen)
     scaled = gram[1:, 1:] * np.outer(spread, spread) + np.eye(len(spread))
     inverse = np.linalg.inv(scaled) * np.outer(spread, spread)
     value, std = inverse @ gram[1:, 0], np.sqrt(np.diag(inverse))
@@ -105,7 +105,7 @@ def _size(effect: Effect, name: str, vehicle: Vehicle) -> float:
 def with_own(
     extended: Model, base: Model, causes: Sequence[tuple[Effect, Values]], found: Own, vehicle: Vehicle
 ) -> Model:
-    """The extended model with a flight's own parameters; what was fitted anew beside the causes stays as it was."""
+    """The extended model with a flight's own parameters; what was fitted anew with the causes stays as it was."""
     changes = []
     for axis in AXES:
         old = base.document["axes"].get(axis, {"terms": []})["terms"]
@@ -121,7 +121,7 @@ def gain(
 ) -> float | None:  # fmt: skip
     """Share of the squared error of a quantity that the second of two extended models removes on second halves.
 
-    sides  (extended model, its causes), each with the flights' own parameters of its causes, told by the first halves
+    sides  (extended model, its causes), each with the flights' own parameters of its causes, from the first halves
     None where no held-out flight has both halves. Other arguments as for `judge`.
     """
     sums = np.zeros(2)
@@ -146,7 +146,7 @@ def gain(
 def _late(flight: open_loop.Flight, until: float, horizon: float) -> np.ndarray:
     """Rows at which windows of the second half start."""
     starts = open_loop.windows(flight, horizon)
-    return starts[flight.t[starts] > until + REACH]
+    return starts[flight.t[starts] > until + FILTER_REACH]
 
 
 def judge(
@@ -161,15 +161,15 @@ def judge(
 ) -> dict[str, Any]:
     """Roll-outs of the second halves of held-out flights with measured rotor speeds.
 
-    tables  {key: filtered flight}; learning  flights whose residuals tell the noise; causes  of the extension, all of
-    them, with the values that the other flights tell
+    tables  {key: filtered flight}; learning  flights whose residuals give the noise; causes  of the extension, all of
+    them, with the values from the other flights
     Returns {"flights": {key: {"until", "windows", "parameters", "trim"}}, "errors": {who: {quantity: {horizon: rms}}},
     "fell": {who: rows of `open_loop.fell` against "before"}}; who is "before", "after", "after, own parameters" where a
     cause has any, "before, trimmed", "after, trimmed". Empty where no flight has enough of both
     halves, or none is left to learn from.
     """
     if not learning:
-        return {}  # nothing tells the noise
+        return {}  # the noise is unknown
     old, new = (wrench_score(learning, after(m, base)).mean() for m in (base, extended))
     flights: dict[str, Any] = {}
     parts: dict[str, list[pd.DataFrame]] = {}
@@ -193,7 +193,7 @@ def judge(
             run = open_loop.simulated(model, flight, starts, max(horizons), None, offsets)
             errors = open_loop.vectors(run, flight, starts, lags)
             parts.setdefault(who, []).append(open_loop.table_of(flight, starts, errors, horizons))
-        flights[evidence.key] = _said(bare, mine, len(starts))
+        flights[evidence.key] = _document(bare, mine, len(starts))
     if not flights:
         return {}
     whole = {who: open_loop.joined(tables) for who, tables in parts.items()}
@@ -204,7 +204,7 @@ def judge(
     }
 
 
-def _said(bare: Own, mine: Own, windows: int) -> dict[str, Any]:
+def _document(bare: Own, mine: Own, windows: int) -> dict[str, Any]:
     trim = {
         axis: {"before": float(bare.trim[k]), "after": float(mine.trim[k]), "std": float(bare.trim_std[k])}
         for k, axis in enumerate(AXES)

@@ -31,16 +31,17 @@ from quasi.attitude import GRAVITY
 from quasi.errors import DataError
 from quasi.gap.flights.level import Flown
 from quasi.importing.calibration import true_inertial, true_pose
+from quasi.importing.resampling import GAP
+from quasi.model.columns import ROTORS
 
-WIDTH = 0.05  # s, standard deviation of the window
-RATE = 20.0  # Hz at which the averaged residuals are kept
-LAG = 6.0 * WIDTH  # s: two averages this far apart share exp(-9) of their noise
+SIGMA = 0.05  # s, standard deviation of the window
+KEPT_RATE = 20.0  # Hz at which the averaged residuals are kept
+WINDOW_LAG = 6.0 * SIGMA  # s: two averages this far apart share exp(-9) of their noise
 ABOVE_MOTION = 20.0  # Hz: above what a vehicle turns with
-GAP = 3.1  # usual intervals between captured samples that make a gap
 LAGGED = 1.0  # s, time constant with which an on-board attitude is taken to lean after the apparent vertical
-CHANNELS = ("p", "q", "r", "north", "east", "down")
-AXES, ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")
-FEWEST = 60  # rows
+SENSED_CHANNELS = ("p", "q", "r", "north", "east", "down")
+XYZ, EULER_ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")
+FEWEST_KEPT = 60  # rows
 
 
 class Weak(NamedTuple):
@@ -105,7 +106,7 @@ def noise_free(
     rows = np.arange(len(values))
     usable = good & np.roll(good, lag) & np.roll(good, -lag)
     usable[:lag] = usable[len(usable) - lag :] = False
-    if np.count_nonzero(usable) < FEWEST:
+    if np.count_nonzero(usable) < FEWEST_KEPT:
         return values
     before, after = np.maximum(rows - lag, 0), np.minimum(rows + lag, len(rows) - 1)
     instruments = np.column_stack(
@@ -125,13 +126,13 @@ def least_noise(raw: np.ndarray, rates: np.ndarray, other: np.ndarray, good: np.
     noise whose density is the median above the motion, where vibration is a few lines; the rest of the difference's
     variance is the capture's.
     """
-    if np.count_nonzero(good) < FEWEST:
+    if np.count_nonzero(good) < FEWEST_KEPT:
         return rates
     frequency, density = welch(raw, rate, nperseg=min(1024, len(raw)), axis=0)
     quiet = (frequency > ABOVE_MOTION) & (frequency < 0.4 * rate)
     if not quiet.any():
         return rates
-    own = np.median(density[quiet], axis=0) / (4.0 * np.sqrt(np.pi) * WIDTH)  # one-sided density through the window
+    own = np.median(density[quiet], axis=0) / (4.0 * np.sqrt(np.pi) * SIGMA)  # one-sided density through the window
     both = (rates - other)[good].var(axis=0)
     share = np.clip(own / np.maximum(both, 1e-300), 0.0, 1.0)
     return (1.0 - share) * rates + share * other
@@ -146,8 +147,8 @@ def straightened(flown: Flown, calibration: Mapping[str, Mapping[str, np.ndarray
     frame = flown.imported.copy()
     gyro, force = true_inertial(frame[list("pqr")].to_numpy(float), frame[["ax", "ay", "az"]].to_numpy(float),
                                 calibration["imu"])  # fmt: skip
-    t, place = frame["t"].to_numpy(float), frame[list(AXES)].to_numpy(float)
-    q = attitude.from_euler(*frame[list(ANGLES)].to_numpy(float).T)
+    t, place = frame["t"].to_numpy(float), frame[list(XYZ)].to_numpy(float)
+    q = attitude.from_euler(*frame[list(EULER_ANGLES)].to_numpy(float).T)
     arm = np.asarray(flown.airframe.marker_offset, float)
     if late:
         offset = attitude.rotate(q, arm)
@@ -159,8 +160,8 @@ def straightened(flown: Flown, calibration: Mapping[str, Mapping[str, np.ndarray
         place = marker - attitude.rotate(q, arm)
     capture = {**calibration["capture"], "rotation delay": np.zeros(1)}
     place, turned = true_pose(t, place, q, arm, capture)
-    frame[list("pqr")], frame[["ax", "ay", "az"]], frame[list(AXES)] = gyro, force, place
-    frame[list(ANGLES)] = attitude.to_euler(turned)
+    frame[list("pqr")], frame[["ax", "ay", "az"]], frame[list(XYZ)] = gyro, force, place
+    frame[list(EULER_ANGLES)] = attitude.to_euler(turned)
     return replace(flown, imported=frame)
 
 
@@ -175,7 +176,7 @@ def known(flown: Flown) -> np.ndarray:
     flags = ["position_sample"] + (["attitude_sample"] if flown.metadata["attitude source"] == "capture" else [])
     for flag in flags:
         at = np.flatnonzero(frame[flag].to_numpy() > 0.5)
-        if len(at) < FEWEST:
+        if len(at) < FEWEST_KEPT:
             return np.zeros(len(frame), bool)
         wide = np.flatnonzero(np.diff(at) > GAP * np.median(np.diff(at)))
         for i in wide:
@@ -186,7 +187,7 @@ def known(flown: Flown) -> np.ndarray:
 
 def weak_form(flown: Flown) -> Weak:
     """Residual and columns of one flight. Raises DataError when it lacks what is needed or too little of it is left."""
-    needed = ["t", *"pqr", "ax", "ay", "az", *ANGLES, *AXES, "position_sample", "attitude_sample", "onboard_valid"]
+    needed = ["t", *"pqr", "ax", "ay", "az", *EULER_ANGLES, *XYZ, "position_sample", "attitude_sample", "onboard_valid"]
     missing = [c for c in needed if c not in flown.imported]
     if missing or flown.metadata.get("position source") != "capture":
         raise DataError(f"flight {flown.key} has no motion capture, which the comparison with inertial sensors needs")
@@ -200,10 +201,10 @@ def weak_form(flown: Flown) -> Weak:
     t = frame["t"].to_numpy(float)
     dt = float(np.median(np.diff(t)))
     good = known(flown) & np.isfinite(frame[needed].to_numpy(float)).all(axis=1)
-    w, f, x = (np.nan_to_num(frame[list(c)].to_numpy(float)) for c in ("pqr", ("ax", "ay", "az"), AXES))
-    q = attitude.continuous(attitude.from_euler(*np.nan_to_num(frame[list(ANGLES)].to_numpy(float)).T))
+    w, f, x = (np.nan_to_num(frame[list(c)].to_numpy(float)) for c in ("pqr", ("ax", "ay", "az"), XYZ))
+    q = attitude.continuous(attitude.from_euler(*np.nan_to_num(frame[list(EULER_ANGLES)].to_numpy(float)).T))
     turn = attitude.matrix(q)
-    window, slope, bend = windows(WIDTH, 1.0 / dt)
+    window, slope, bend = windows(SIGMA, 1.0 / dt)
     spacing = np.median(np.diff(np.flatnonzero(frame["attitude_sample"].to_numpy() > 0.5))) if turning else 1
     reach = max(round(float(spacing)), 1)
 
@@ -233,7 +234,7 @@ def weak_form(flown: Flown) -> Weak:
 
     force = earth(f)
     rates, growth = _average(sensed, window), _average(sensed, slope)
-    lag, thrusts = round(LAG / dt), _thrusts(frame, window)
+    lag, thrusts = round(WINDOW_LAG / dt), _thrusts(frame, window)
     captured = np.einsum("nji,nj->ni", turn, _average(x - x.mean(0), bend) - down)
     f_free = noise_free(_average(f, window), captured, thrusts, good, lag)
     rates_free = least_noise(w, rates, _average(seen, window), good, 1.0 / dt)
@@ -242,20 +243,20 @@ def weak_form(flown: Flown) -> Weak:
     swing = _average(turn - turn.mean(axis=0), bend)
     coriolis = _average(earth(np.cross(w, f)), window)
     jerk = _average(force + down, slope) - coriolis
-    for i, axis in enumerate(AXES):
+    for i, axis in enumerate(XYZ):
         add(f"gyro_bias.{axis}", unit[i], nothing)
         add(f"gyro_scale.{axis}", rates_free * unit[i], nothing)
         add(f"accelerometer_bias.{axis}", nothing, axes[:, :, i])
         add(f"accelerometer_scale.{axis}", nothing, _average(turn[:, :, i] * f_free[:, i : i + 1], window))
         add(f"imu_lever_arm.{axis}", nothing, swing[:, :, i])
     arm = np.asarray(flown.airframe.marker_offset, float)
-    for i, axis in enumerate(ANGLES):
+    for i, axis in enumerate(EULER_ANGLES):
         askew = _average(earth(np.cross(unit[i], f_free)), window)
         add(f"imu_misalignment.{axis}", -np.cross(unit[i], rates_free), -askew)
         # turned markers displace the tracked point as well
         moved = swing @ np.cross(unit[i], arm)
         add(f"mocap_misalignment.{axis}", np.cross(unit[i], rates_free), askew + moved)
-    for i, axis in enumerate(ANGLES[:2]):
+    for i, axis in enumerate(EULER_ANGLES[:2]):
         add(f"room_tilt.{axis}", nothing, np.cross(unit[i], down))
     add("mocap_delay.delay", growth, -coriolis - _average(earth(np.cross(w, arm)), bend))
     add("clock.offset", growth, jerk)
@@ -270,13 +271,13 @@ def weak_form(flown: Flown) -> Weak:
     far = len(window) // 2 + reach
     fine = np.convolve(spoiled.astype(float), np.ones(2 * far + 1), "same") < 0.5
     fine[:far] = fine[-far:] = False
-    every = max(round(1.0 / (RATE * dt)), 1)
+    every = max(round(1.0 / (KEPT_RATE * dt)), 1)
     rows = np.arange(0, len(t), every)
     rows = rows[fine[rows]]
-    if len(rows) < FEWEST:
+    if len(rows) < FEWEST_KEPT:
         raise DataError(
-            f"flight {flown.key} has {len(rows) / RATE:.1f} s in the air that sensors and capture both saw without "
-            f"gaps, expected at least {FEWEST / RATE:.0f} s"
+            f"flight {flown.key} has {len(rows) / KEPT_RATE:.1f} s in the air that sensors and capture saw without "
+            f"gaps, expected at least {FEWEST_KEPT / KEPT_RATE:.0f} s"
         )
     breaks = np.concatenate([[True], np.diff(rows) > every])
     stacked = np.stack([c[rows] for c in columns], axis=2)
@@ -285,10 +286,9 @@ def weak_form(flown: Flown) -> Weak:
 
 def _thrusts(frame: pd.DataFrame, window: np.ndarray) -> list[np.ndarray]:
     """Windowed sum of squared rotor speeds (n,), and that times the velocity by the capture; none without telemetry."""
-    rotors = [f"w{i}" for i in range(1, 5)]
-    if not all(n in frame for n in rotors):
+    if not all(n in frame for n in ROTORS):
         return []
-    squares = np.nan_to_num(frame[rotors].to_numpy(float) ** 2).sum(axis=1)
+    squares = np.nan_to_num(frame[list(ROTORS)].to_numpy(float) ** 2).sum(axis=1)
     moving = [np.nan_to_num(frame[n].to_numpy(float)) for n in "uvw" if n in frame]
     return [_average(column, window) for column in (squares, *(np.sqrt(squares) * m for m in moving), *moving)]
 
@@ -301,6 +301,6 @@ def corrected_already(flown: Flown, names: list[str]) -> np.ndarray:
     values[names.index("drawn.clock")] = float((sync.get("clock rate") or {}).get("value") or 0.0)
     arm = (flown.metadata.get("corrections") or {}).get("imu position") or {}
     if arm.get("applied") and arm.get("source") == "hover":
-        for axis, value in zip(AXES, arm["value"]):
+        for axis, value in zip(XYZ, arm["value"]):
             values[names.index(f"imu_lever_arm.{axis}")] = value
     return values

@@ -5,18 +5,18 @@ from typing import Any
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
-from scipy.stats import t as t_distribution
 
 from quasi.gap.flights.level import Flown
+from quasi.gap.statistics.log_ratio import larger
 
 LOST_ON_BOARD = 0.0  # s a log may lose unmentioned
 LOST_CAPTURE = 0.10  # share of a flight the capture may miss unmentioned
-UNEVEN = 0.15  # jitter of on-board intervals as a share of the interval
+UNEVEN_INTERVALS = 0.15  # jitter of on-board intervals as a share of the interval
 SHAKE_BAND = 30.0  # Hz, above any motion worth the name
 SECONDS = 0.5  # s, of the pieces whose median is the flight's level
 LOUD = 1.0  # m/s2 above which vibration is stated whatever other flights show
-LOUDER = 1.3  # times the reference flights'
-LIKE = 0.15  # natural log, spread of the level between healthy flights
+LOUDER_VIBRATION = 1.3  # times the reference flights'
+VIBRATION_SPREAD = 0.15  # natural log, spread of the level between healthy flights
 
 
 def torn(flown: Flown) -> list[dict[str, Any]]:
@@ -24,29 +24,29 @@ def torn(flown: Flown) -> list[dict[str, Any]]:
     if not flown.compared:
         return []
     streams = flown.metadata.get("streams") or {}
-    said, evidence = [], {}
+    clauses, evidence = [], {}
     board = streams.get("gyro") or {}
     if board.get("gap count") and board.get("lost", 0.0) > LOST_ON_BOARD:
         first = f", the first at {board['gaps'][0][0]:.2f} s" if board.get("gaps") else ""
         count = board["gap count"]
-        said.append(f"the on-board log lost {board['lost']:.2f} s in {count} gap{'s' * (count > 1)}{first}")
+        clauses.append(f"the on-board log lost {board['lost']:.2f} s in {count} gap{'s' * (count > 1)}{first}")
         evidence |= {"on-board gaps": count, "on-board lost": board["lost"]}
     interval = 1.0 / board["rate"] if board.get("rate") else 0.0
-    if interval and board.get("jitter", 0.0) > UNEVEN * interval:
-        said.append(f"its stamps jitter by {1e3 * board['jitter']:.2f} ms at intervals of {1e3 * interval:.2f} ms")
+    if interval and board.get("jitter", 0.0) > UNEVEN_INTERVALS * interval:
+        clauses.append(f"its stamps jitter by {1e3 * board['jitter']:.2f} ms at intervals of {1e3 * interval:.2f} ms")
         evidence["on-board jitter"] = board["jitter"]
     seen = streams.get("capture") or {}
     span = (seen.get("last") or 0.0) - (seen.get("first") or 0.0)
     if span > 0 and seen.get("lost", 0.0) > LOST_CAPTURE * span:
-        said.append(f"the capture missed {seen['lost']:.1f} s of {span:.0f} s")
+        clauses.append(f"the capture missed {seen['lost']:.1f} s of {span:.0f} s")
         evidence["capture lost"] = seen["lost"]
-    if not said:
+    if not clauses:
         return []
-    return [{"id": "timestamp_fault", "text": f"flight {flown.key}: {'; '.join(said)}", "evidence": evidence}]
+    return [{"id": "timestamp_fault", "text": f"flight {flown.key}: {'; '.join(clauses)}", "evidence": evidence}]
 
 
 def level_of(flown: Flown) -> float:
-    """Vibration of the accelerometer in flight above SHAKE_BAND, m/s2 rms over the axes; NaN where it cannot be told.
+    """Vibration of the accelerometer in flight above SHAKE_BAND, m/s2 rms over the axes; NaN where it is unknown.
 
     The median over pieces of SECONDS, so that a knock at landing is none.
     """
@@ -70,7 +70,7 @@ def level_of(flown: Flown) -> float:
 def shaken(flights: Sequence[Flown], alarm: float = 0.001) -> list[dict[str, Any]]:
     """Vibration of the compared flights: loud by itself, or louder than the reference flights by more than they vary.
 
-    alarm  probability of a false finding. The level's logarithm is compared; its spread is at least LIKE.
+    alarm  probability of a false finding. The level's logarithm is compared; its spread is at least VIBRATION_SPREAD.
     """
     levels = {True: [], False: []}
     for flown in flights:
@@ -83,14 +83,9 @@ def shaken(flights: Sequence[Flown], alarm: float = 0.001) -> list[dict[str, Any
     typical = float(np.exp(np.mean(np.log(now))))
     evidence = {"level": typical, "unit": "m/s2", "above": SHAKE_BAND}
     if len(before):
-        freedom = len(now) + len(before) - 2
-        spread = sum(float(np.sum((np.log(g) - np.log(g).mean()) ** 2)) for g in (now, before))
-        # LIKE counts as much as ten flights of a group would
-        std = np.sqrt((spread + 10.0 * LIKE**2) / (freedom + 10.0))
-        gain = float(np.log(now).mean() - np.log(before).mean())
-        probable = float(t_distribution.sf(gain / (std * np.sqrt(1 / len(now) + 1 / len(before))), freedom + 10))
-        if probable < alarm and gain > np.log(LOUDER):
-            evidence |= {"times the reference flights": float(np.exp(gain)), "p": probable}
+        gain, p = larger(now, before, VIBRATION_SPREAD)
+        if p < alarm and gain > np.log(LOUDER_VIBRATION):
+            evidence |= {"times the reference flights": float(np.exp(gain)), "p": p}
             return [
                 {
                     "id": "vibration",

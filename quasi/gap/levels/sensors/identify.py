@@ -5,7 +5,7 @@ cause's file); a cause has to exceed it. What import corrected on its own (clock
 added to the residual again: it is evidence for the same causes.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from quasi.errors import DataError
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import Effect, Limits
-from quasi.gap.flights.level import Flown, Level, Tests
+from quasi.gap.flights.level import PRIOR_FREEDOM, Flown, Level, SensorMixedModel
 from quasi.gap.levels.selected import report_selection
 from quasi.gap.levels.sensors.columns import Weak, corrected_already, straightened, weak_form
 from quasi.gap.levels.sensors.findings import shaken, torn
@@ -24,22 +24,20 @@ from quasi.gap.statistics.mixed import Candidate, Columns, Test
 from quasi.gap.statistics.whitening import Whitener
 from quasi.importing.calibration import check
 
-# Freedom that the spreads below stand for: they are known from many flights, not told by the few at hand
-PRIOR_FREEDOM = 16.0
-CAUSES: dict[str, Effect] = {n: e for n, e in catalogue().items() if e.sensor is not None}
+SENSOR_CAUSES: dict[str, Effect] = {n: e for n, e in catalogue().items() if e.sensor is not None}
 CLOCK_OFFSET = 0.05  # s, between healthy flights
 # standard deviations of what differs between healthy flights, in the units of the columns
-SPREAD = {n: e.sensor.spread for n, e in CAUSES.items() if e.sensor.spread is not None} | {"clock": CLOCK_OFFSET}
-UNCAPTURED = {n: s for n, e in CAUSES.items() if (s := e.sensor.without_attitude) is not None}
-COMMON = {n: e.sensor.common for n, e in CAUSES.items() if e.sensor.common}
-LINEAR = {n: e.sensor.linear for n, e in CAUSES.items() if e.sensor.linear is not None}
-LOOKS = 3
+NORMAL_SPREAD = {n: s for n, e in SENSOR_CAUSES.items() if (s := e.sensor.spread) is not None} | {"clock": CLOCK_OFFSET}
+UNCAPTURED = {n: s for n, e in SENSOR_CAUSES.items() if (s := e.sensor.without_attitude) is not None}
+COMMON = {n: e.sensor.common for n, e in SENSOR_CAUSES.items() if e.sensor.common}
+LINEAR_RANGE = {n: e.sensor.linear for n, e in SENSOR_CAUSES.items() if e.sensor.linear is not None}
+LINEARISED = 3
 MARKERS_KNOWN = 1.5e-3  # m, how well the marker offset is measured: turned markers move the tracked point by less
 UNHIDDEN = ("accelerometer_scale.z",)  # what an attitude estimated on board does not hide
-TURNED = frozenset({"imu_misalignment", "mocap_misalignment"})
-WITNESS = {TURNED: "imu_lever_arm"}  # turned markers displace the tracked point, a turned IMU does not
-BREAKERS = {
-    TURNED: "correct either and compare what the model leaves of forces and moments; the smaller residual wins",
+TURNED_PAIR = frozenset({"imu_misalignment", "mocap_misalignment"})
+WITNESS = {TURNED_PAIR: "imu_lever_arm"}  # turned markers displace the tracked point, a turned IMU does not
+SENSOR_TIE_BREAKERS = {
+    TURNED_PAIR: "correct either and compare what the model leaves of forces and moments; the smaller residual wins",
 }
 
 
@@ -63,7 +61,7 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
         except DataError as error:
             level.notes.append(f"{error}; it is left out of the comparison of sensors with capture")
     turning = bool(weak) and all(w.turning for w in weak)
-    asked = [c for c in CAUSES if options.get("effects", "all") == "all" or c in options["effects"]]
+    asked = [c for c in SENSOR_CAUSES if options.get("effects", "all") == "all" or c in options["effects"]]
     if not any(f.compared for f in used):
         why = "no compared flight has a motion capture of enough flying"
         level.cannot_be_asked = [{"id": c, "why": why} for c in asked]
@@ -75,16 +73,16 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
         asked = [c for c in asked if c != "attitude_error"]
     else:
         why = "the attitude is not captured in every flight (or 'use onboard attitude' is on)"
-        level.cannot_be_asked += [{"id": c, "why": why} for c in asked if CAUSES[c].sensor.needs_attitude]
-        asked = [c for c in asked if not CAUSES[c].sensor.needs_attitude]
+        level.cannot_be_asked += [{"id": c, "why": why} for c in asked if SENSOR_CAUSES[c].sensor.needs_attitude]
+        asked = [c for c in asked if not SENSOR_CAUSES[c].sensor.needs_attitude]
         weak = [w._replace(columns=_only_forces(w.columns), turning=False) for w in weak]
     names = [n for n in weak[0].names if all(n in w.names for w in weak)]
     if "attitude_error" in asked and not any(n.startswith("attitude_error") for n in names):
-        why = "not every flight is told by the flight controller's own attitude"
+        why = "not every flight has the flight controller's own attitude"
         level.cannot_be_asked.append({"id": "attitude_error", "why": why})
     weak = [w._replace(columns=w.columns[:, :, [w.names.index(n) for n in names]], names=names) for w in weak]
     level.notes.append(
-        "a delay of the whole capture is the same as an offset between its clock and the log's and cannot be told; "
+        "a delay of the whole capture is the same as an offset between its clock and the log's and is not reported; "
         "mocap_delay is that of its rotation against its position"
     )
     alarm = float(options.get("false alarm rate", 0.01))
@@ -96,10 +94,10 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
     def parameters(offer: Candidate) -> dict[str, dict[str, Any]]:
         return _parameters(names, search, offer)
 
-    report_selection(level, search.selection, search.mixed, shares, CAUSES, parameters, BREAKERS)
+    report_selection(level, search.selection, search.mixed, shares, SENSOR_CAUSES, parameters, SENSOR_TIE_BREAKERS)
     fitted = {o: search.test(o) for o in search.selection.offers}
-    usual = SPREAD if turning else SPREAD | UNCAPTURED
-    units = {n: next(iter(e.parameters.values())).unit for n, e in CAUSES.items()}
+    usual = NORMAL_SPREAD if turning else NORMAL_SPREAD | UNCAPTURED
+    units = {n: next(iter(e.parameters.values())).unit for n, e in SENSOR_CAUSES.items()}
     level.tables, level.noise_floor = tables(
         used, search.weak, search.whiteners, search.known, fitted, search.mixed.columns.causes, usual, units
     )
@@ -113,9 +111,9 @@ class Search(NamedTuple):
     whiteners: list[Whitener]
     blocks: list[np.ndarray]
     known: list[np.ndarray]
-    mixed: Tests
+    mixed: SensorMixedModel
     selection: Selection
-    build: Callable[..., Tests]
+    build: Callable[..., SensorMixedModel]
 
     def test(self, offer: Candidate) -> Test:
         """A selected cause with all others given."""
@@ -129,16 +127,16 @@ def _search(
     """Choose causes; where large ones are found, set the flights right and look again."""
     names = weak[0].names
     compared = np.array([f.compared for f in used])
-    usual = SPREAD if turning else SPREAD | UNCAPTURED
-    profiles = {n: _profile(CAUSES[n]) for n in asked}
+    usual = NORMAL_SPREAD if turning else NORMAL_SPREAD | UNCAPTURED
+    profiles = {n: _profile(SENSOR_CAUSES[n]) for n in asked}
 
-    def build(grams: list[np.ndarray], lever: float = SPREAD["imu_lever_arm"]) -> Tests:
+    def build(grams: list[np.ndarray], lever: float = NORMAL_SPREAD["imu_lever_arm"]) -> SensorMixedModel:
         return _mixed(grams, compared, names, asked, {**usual, "imu_lever_arm": lever}, turning, sessions)
 
     applied = [np.zeros(len(names)) for _ in used]
     offsets = [0.0 for _ in used]
     late, turn_late = names.index("clock.offset"), names.index("mocap_delay.delay")
-    for look in range(LOOKS):
+    for look in range(LINEARISED):
         whiteners = [whitener_of(w) for w in weak]
         known = [corrected_already(f, names) + values for f, values in zip(used, applied)]
         blocks = [added(blocks_of(w, by), values) for w, by, values in zip(weak, whiteners, known)]
@@ -147,7 +145,7 @@ def _search(
         rules = Rules(0.0, WITNESS, build(grams, MARKERS_KNOWN * np.sqrt(len(blocks))))
         selection = select_causes(mixed, profiles, alarm, rules)
         wanted = [_nonlinear_values(mixed, selection, names, flag) for flag in compared]
-        if not turning or look == LOOKS - 1 or max(_apart(a, b, names) for a, b in zip(wanted, applied)) < 1.0:
+        if not turning or look == LINEARISED - 1 or max(_apart(a, b, names) for a, b in zip(wanted, applied)) < 1.0:
             break
         for k, (gram, target) in enumerate(zip(grams, wanted)):
             own, _ = alone(gram, names)
@@ -172,11 +170,11 @@ def _resampled(blocks: Sequence[np.ndarray]) -> Callable[[np.random.Generator], 
     return lambda rng: [b[rng.integers(0, len(b), len(b))].sum(axis=0) for b in blocks]
 
 
-def _nonlinear_values(mixed: Tests, selection: Selection, names: Sequence[str], flag: bool) -> np.ndarray:
+def _nonlinear_values(mixed: SensorMixedModel, selection: Selection, names: Sequence[str], flag: bool) -> np.ndarray:
     """(P,) values of the selected causes whose columns hold for small sizes only, for a compared flight or another."""
     values = np.zeros(len(names))
     for offer in selection.offers:
-        if offer.cause in LINEAR and (flag or offer.since == "always"):
+        if offer.cause in LINEAR_RANGE and (flag or offer.since == "always"):
             test = selection.test(mixed, offer)
             values[[mixed.columns.causes[offer.cause][k] for k in offer.which]] += test.value
     return values
@@ -184,15 +182,15 @@ def _nonlinear_values(mixed: Tests, selection: Selection, names: Sequence[str], 
 
 def _apart(wanted: np.ndarray, applied: np.ndarray, names: Sequence[str]) -> float:
     """Largest difference of two sets of values, in sizes below which columns are as good as exact."""
-    return max(abs(a - b) / LINEAR.get(n.split(".")[0], np.inf) for n, a, b in zip(names, wanted, applied))
+    return max(abs(a - b) / LINEAR_RANGE.get(n.split(".")[0], np.inf) for n, a, b in zip(names, wanted, applied))
 
 
 def _set_right(values: np.ndarray, names: Sequence[str]) -> dict[str, dict[str, np.ndarray]]:
     """The calibration of fitted values."""
     found = dict(zip(names, values))
     parts: dict[str, dict[str, np.ndarray]] = {}
-    for cause in LINEAR:
-        effect = CAUSES[cause]
+    for cause in LINEAR_RANGE:
+        effect = SENSOR_CAUSES[cause]
         part, quantity = effect.corrects
         size = np.array([found.get(f"{cause}.{label}", 0.0) for label in effect.parameters])
         parts.setdefault(part, {})[quantity] = _stated(cause, size, size)[0]
@@ -213,8 +211,19 @@ def _mixed(
     usual: Mapping[str, float],
     turning: bool,
     sessions: Sequence[str],
-) -> Tests:
-    """Tests on the cross-products: nuisances in every flight, causes beside them."""
+) -> SensorMixedModel:
+    """Tests on the cross-products: nuisances in every flight, and causes."""
+    causes, nuisance, spread = layout(names, asked, usual, turning)
+    place = list(range(len(names))) + nuisance
+    columns = Columns([], list(range(len(names), len(place))), np.array(spread), causes)
+    used = [g[np.ix_(place, place)] for g in grams]
+    return SensorMixedModel(used, compared, columns, PRIOR_FREEDOM, common=COMMON, sessions=sessions)
+
+
+def layout(
+    names: Sequence[str], asked: Collection[str], usual: Mapping[str, float], turning: bool = True
+) -> tuple[dict[str, list[int]], list[int], list[float]]:
+    """Columns of the causes, columns of the nuisances and their spreads, of columns that are called `names`."""
     causes: dict[str, list[int]] = {}
     nuisance, spread = [], []
     for i, name in enumerate(names[1:], 1):
@@ -224,16 +233,13 @@ def _mixed(
         if cause in usual:
             nuisance.append(i)
             # the least spread between flights that a test allows for is as large again as a flight's own doubt
-            size = SPREAD[cause] if name in UNHIDDEN else usual[cause]
+            size = NORMAL_SPREAD[cause] if name in UNHIDDEN else usual[cause]
             spread.append(size / (np.sqrt(2.0) if cause in causes else 1.0))
-    place = list(range(len(names))) + nuisance
-    columns = Columns([], list(range(len(names), len(place))), np.array(spread), causes)
-    used = [g[np.ix_(place, place)] for g in grams]
-    return Tests(used, compared, columns, PRIOR_FREEDOM, common=COMMON, sessions=sessions)
+    return causes, nuisance, spread
 
 
 def _neutral(cause: str) -> float:
-    return next(iter(CAUSES[cause].parameters.values())).neutral
+    return next(iter(SENSOR_CAUSES[cause].parameters.values())).neutral
 
 
 def _stated(cause: str, value: np.ndarray, std: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -246,7 +252,7 @@ def _stated(cause: str, value: np.ndarray, std: np.ndarray) -> tuple[np.ndarray,
 def size_of(cause: str, values: Mapping[str, float]) -> np.ndarray:
     """Deviation from healthy (m,) of parameters as they are stated, in the units of the cause's columns."""
     neutral = _neutral(cause)
-    stated = np.array([values.get(label, neutral) for label in CAUSES[cause].parameters])
+    stated = np.array([values.get(label, neutral) for label in SENSOR_CAUSES[cause].parameters])
     return 1.0 - 1.0 / stated if neutral else stated
 
 
@@ -254,5 +260,5 @@ def _parameters(names: Sequence[str], search: Search, offer: Candidate) -> dict[
     test = search.test(offer)
     value, std = _stated(offer.cause, test.value, test.std)
     labels = [names[i].split(".")[1] for i in search.mixed.columns.causes[offer.cause]]
-    units = {n: p.unit for n, p in CAUSES[offer.cause].parameters.items()}
+    units = {n: p.unit for n, p in SENSOR_CAUSES[offer.cause].parameters.items()}
     return {n: {"value": float(v), "std": float(s), "unit": units[n]} for n, v, s in zip(labels, value, std)}

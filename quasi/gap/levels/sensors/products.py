@@ -5,13 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from quasi.errors import DataError
-from quasi.gap.levels.sensors.columns import RATE, Weak
+from quasi.gap.levels.sensors.columns import KEPT_RATE, Weak
+from quasi.gap.statistics.blocks import BLOCK
+from quasi.gap.statistics.mixed import RIDGE
 from quasi.gap.statistics.whitening import Whitener, autoregression, block_grams
 
-ORDER = 8  # of the autoregression: what correlates over 0.4 s
-BLOCK = 5.0  # s
-RIDGE = 1e-9
-SHARPEST = np.array([1e-5] * 3 + [1e-4] * 3)  # rad/s, m/s2: no averaged residual is known better
+AR_ORDER = 8  # of the autoregression: what correlates over 0.4 s
+LEAST_SENSOR_NOISE = np.array([1e-5] * 3 + [1e-4] * 3)  # rad/s, m/s2: no averaged residual is known better
 
 
 def least_squares(columns: np.ndarray) -> np.ndarray:
@@ -27,14 +27,14 @@ def least_squares(columns: np.ndarray) -> np.ndarray:
 def whitener_of(weak: Weak) -> Whitener:
     """Each flight has a noise of its own: vibration, captures of different quality."""
     left = weak.columns[:, :, 0] - weak.columns[:, :, 1:] @ least_squares(weak.columns)
-    found = autoregression([left], [weak.breaks], ORDER)
-    return found._replace(scale=np.fmax(found.scale, SHARPEST))
+    found = autoregression([left], [weak.breaks], AR_ORDER)
+    return found._replace(scale=np.fmax(found.scale, LEAST_SENSOR_NOISE))
 
 
 def blocks_of(weak: Weak, whitener: Whitener) -> np.ndarray:
     blocks = block_grams(weak.columns, weak.breaks, whitener, weak.t, BLOCK)
     if not len(blocks):
-        raise DataError(f"flight {weak.key} has no {ORDER / RATE:.1f} s without gaps between sensors and capture")
+        raise DataError(f"flight {weak.key} has no {AR_ORDER / KEPT_RATE:.1f} s without gaps in sensors and capture")
     return blocks
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 
 from quasi.gap.flights.level import Flown
-from quasi.gap.flights.residual_tables import beside, spectra, where, whiteness
-from quasi.gap.levels.sensors.columns import CHANNELS, RATE, Weak
+from quasi.gap.flights.residual_tables import Residuals, level_tables
+from quasi.gap.levels.sensors.columns import KEPT_RATE, SENSED_CHANNELS, Weak
 from quasi.gap.levels.sensors.products import added, alone, blocks_of, least_squares
 from quasi.gap.statistics.mixed import Candidate, Test
 from quasi.gap.statistics.whitening import Whitener
@@ -16,9 +16,9 @@ from quasi.gap.statistics.whitening import Whitener
 def tables(
     flights: Sequence[Flown], weak: Sequence[Weak], whiteners: Sequence[Whitener], known: Sequence[np.ndarray],
     fitted: Mapping[Candidate, Test], causes: Mapping[str, Sequence[int]], usual: Mapping[str, float],
-    units: Mapping[str, str],
+    parameter_units: Mapping[str, str],
 ) -> tuple[dict[str, pd.DataFrame], dict[str, float]]:  # fmt: skip
-    """Tables "residuals" (rows), "channels" (rms, whiteness), "where", "parameters", "spectra"; the floor.
+    """Tables of the level, see `level_tables`, and its noise floor.
 
     known   (P,) per flight: values of the columns that were taken off before, and are added again here
     fitted  causes taken; causes {cause: columns}; usual  {cause: spread} of nuisances
@@ -29,55 +29,30 @@ def tables(
     place = {n: i for i, n in enumerate(names)}
     nuisance = [i for i, n in enumerate(names) if i > 0 and n.split(".")[0] in usual]
     weight = np.diag([1.0 / usual[names[i].split(".")[0]] ** 2 for i in nuisance])
-    shown = [c for c in range(len(CHANNELS)) if all(w.turning for w in weak) or c >= 3]
-    unit = {CHANNELS[c]: "rad/s" if c < 3 else "m/s2" for c in shown}
-    rows, channels, parameters, floors = [], [], [], []
+    shown = [c for c in range(len(SENSED_CHANNELS)) if all(w.turning for w in weak) or c >= 3]
+    residuals, parameters = [], []
     for flown, one, whitener, values in zip(flights, weak, whiteners, known):
         gram = added(blocks_of(one, whitener).sum(axis=0), values)
         columns = one.columns.copy()
         columns[:, :, 0] += one.columns @ values
         healthy = np.zeros(len(names))
         healthy[0] = 1.0
-        told = healthy.copy()
+        corrected = healthy.copy()
         for offer, test in fitted.items():
             if offer.since == "always" or flown.compared:
-                told[[causes[offer.cause][k] for k in offer.which]] -= test.value
+                corrected[[causes[offer.cause][k] for k in offer.which]] -= test.value
         series = {}
-        for word, taken in (("before", healthy), ("after", told)):
+        for word, taken in (("before", healthy), ("after", corrected)):
             usually = np.linalg.solve(gram[np.ix_(nuisance, nuisance)] + weight, gram[nuisance] @ taken)
             series[word] = columns @ taken - columns[:, :, nuisance] @ usually
-        series["floor"] = left = one.columns[:, :, 0] - one.columns[:, :, 1:] @ least_squares(one.columns)
-        floors.append((left**2).mean(axis=0))
-        memory = whiteness(series, one.t, one.breaks)
-        table = pd.DataFrame({"t": one.t, "flight": flown.key, **beside(flown, one.t)})
-        for c in shown:
-            channel = CHANNELS[c]
-            for word, values in series.items():
-                table[f"{channel}_{word}"] = values[:, c]
-            channels.append(
-                {"flight": flown.key, "compared": flown.compared, "channel": channel,
-                 "unit": unit[channel], **{word: _rms(values[:, c]) for word, values in series.items()}, **memory[c]}
-            )  # fmt: skip
-        rows.append(table)
+        series["floor"] = one.columns[:, :, 0] - one.columns[:, :, 1:] @ least_squares(one.columns)
+        residuals.append(Residuals({word: v[:, shown] for word, v in series.items()}, one.t, one.breaks))
         own, std = alone(gram, names)
         parameters += [
             {"flight": flown.key, "compared": flown.compared, "id": n.split(".")[0], "parameter": n.split(".")[1],
-             "value": own[i], "std": std[i], "unit": units.get(n.split(".")[0], "s")}
+             "value": own[i], "std": std[i], "unit": parameter_units.get(n.split(".")[0], "s")}
             for n, i in place.items()
             if std[i] > 0 and gram[i, i] > 0
         ]  # fmt: skip
-    floor = np.sqrt(np.mean(floors, axis=0))
-    whole = pd.concat(rows, ignore_index=True)
-    compared = whole[whole["flight"].isin([f.key for f in flights if f.compared])]
-    found = {
-        "residuals": whole,
-        "channels": pd.DataFrame(channels),
-        "where": where(compared, unit, ("before", "after", "floor")),
-        "parameters": pd.DataFrame(parameters),
-        "spectra": spectra(rows, [w.breaks for w in weak], RATE),
-    }
-    return found, {CHANNELS[c]: float(floor[c]) for c in shown}
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    units = {SENSED_CHANNELS[c]: "rad/s" if c < 3 else "m/s2" for c in shown}
+    return level_tables(flights, residuals, units, pd.DataFrame(parameters), KEPT_RATE)

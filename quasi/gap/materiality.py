@@ -1,35 +1,39 @@
 """Whether a cause matters: what it removes of the error of flights that had no part in finding it.
 
-Real airframes never match a fitted family exactly, and with enough samples everything is significant. What flights
-have in common is judged harder than what changed: the model was fitted to such flights, and what its terms leave there
-is mostly the form of the terms.
+A cause matters where leaving it out costs a share of the removable error of some channel on held-out flights. Removable
+is the error above the floor, the best fit of all that the level knows. A cause that held-out flights hardly excite
+cannot be judged and keeps its name.
+
+Forces and moments: causes may be nonlinear, so sets of causes are scored (`material`), and of sets that explain as
+much the smallest is kept (`simplest`). Real airframes never match a fitted family exactly, and with enough samples
+everything is significant. What flights have in common is judged harder than what changed: the model was fitted to such
+flights, and what its terms leave there is mostly the form of the terms.
+
+Sensors and drive: errors are linear in the causes, so what each removes follows from its columns (`gains_of`).
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from quasi.gap.catalogue import whole_of
-from quasi.gap.effect import Effect, Vehicle
-from quasi.gap.flights.evidence import Evidence
-from quasi.gap.levels.forces.design import Design, refit
-from quasi.gap.levels.forces.error_reduction import Score, fraction, surely, wrench_score
+from quasi.errors import DataError
+from quasi.gap.effect import Effect
+from quasi.gap.statistics.blocks import HOLDS
 from quasi.gap.statistics.mixed import Test
+from quasi.gap.statistics.scores import Score, fraction, surely, within
 from quasi.model.model import AXES
 
 MOST_WEIGHED = 5  # causes of which every selection is tried
-EXCITED = 0.1  # of its mean square in the compared flights, that a held-out one must show to be judged by
 # least share of a channel's error that counts as removable
-SMALL = {"changed": 0.01, "spoken of": 0.1, "foreign": 0.1, "always": 0.25}
+LEAST_ABOVE_FLOOR = {"changed": 0.01, "spoken of": 0.1, "foreign": 0.1, "always": 0.25}
 SIMPLER = 2.0  # times the material share that a simpler explanation may leave
 ASIDE = 0.4  # share that what healthy flights show as well must gain beyond doubt
 LACKING = 3.0  # times the material share that what a model lacks must gain beyond doubt, where no flight is healthy
-LACKED = 6  # of what a model lacks of its own vehicle, the most significant that may be told
-ACTING = 0.9  # of a cause's mean square: the blocks that hold it are those in which it acts
-BESIDE = 0.3  # of the test statistic of the strongest foreign cause, below which another may be that one's form
+LACKED = 6  # of what a model lacks of its own vehicle, the most significant that may be reported
+FORM_SHARE = 0.3  # of the test statistic of the strongest foreign cause, below which another may be that one's form
 Deviations = dict[str, float]
 
 
@@ -39,7 +43,7 @@ class Cause:
 
     apart  how many times further apart the axes are than they should be, by which `std` is widened
     asked  share of the removable error that had to go beyond doubt, of what all flights have alike; None where it was
-           not weighed beside a stronger foreign cause
+           not weighed, as a stronger foreign cause is present
     """
 
     effect: Effect
@@ -52,12 +56,6 @@ class Cause:
     probability: float = 0.0
     apart: float = 1.0
     asked: float | None = None
-
-
-def refitted(study: Design, compared: Sequence[bool], told: Iterable[tuple[Cause, Mapping[str, float]]]) -> np.ndarray:
-    """Changes (S,) of the model's own coefficients beside causes with their deviations, from all flights that learn."""
-    values = {(c.effect.id, c.since): {c.effect.fitted.index(n): x for n, x in v.items()} for c, v in told}
-    return refit(study, range(len(compared)), compared, values)
 
 
 class Judged(NamedTuple):
@@ -84,29 +82,6 @@ class Common(NamedTuple):
     share: float
     fitted: bool = False
     absent_when_healthy: float | None = None
-
-
-def strength(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle, left: np.ndarray) -> float:
-    """Mean square of what the cause makes in these flights, each channel over `left` (6,)."""
-
-    def contribution(flight: Evidence) -> np.ndarray:
-        return whole_of(cause.effect, flight, vehicle, cause.value)
-
-    return float((wrench_score(flights, contribution).mean() / np.maximum(left, 1e-300)).sum())
-
-
-def within(score: Score, blocks: np.ndarray) -> Score:
-    """A score of some of its blocks (B,) bool."""
-    return Score(score.values[blocks], score.weight[blocks])
-
-
-def acting_blocks(cause: Cause, flights: Sequence[Evidence], vehicle: Vehicle, left: np.ndarray) -> np.ndarray:
-    """The fewest blocks (B,) bool of flights that hold ACTING of what a cause makes; left (6,) as in `strength`."""
-    made = wrench_score(flights, lambda flight: whole_of(cause.effect, flight, vehicle, cause.value))
-    size = (made.values / np.maximum(left, 1e-300)).sum(axis=1) * made.weight
-    order = np.argsort(-size)
-    count = int(np.searchsorted(np.cumsum(size[order]), ACTING * size.sum())) + 1
-    return np.isin(np.arange(len(size)), order[:count])
 
 
 def material(
@@ -165,8 +140,8 @@ def simplest(
 ) -> list[Cause]:
     """The fewest of the causes that leave less than SIMPLER times `share` of the removable error more than all do.
 
-    Of as many, those that the other flights tell most clearly. Two causes that mend each other's mistakes are needed
-    both as long as both are there.
+    Of as many, those that are clearest in the other flights. Two causes that correct each other are needed both as
+    long as both are there.
     estimated  some causes -> the same with their parameters found without the others, None where these are impossible
     score      of held-out flights; unjudged  causes that these do not show, and so cannot call needless
     """
@@ -203,10 +178,10 @@ def simplest(
 
 
 def _common(
-    causes: list[Cause], beside: list[Cause], score: Callable[[Sequence[Cause], bool], Judged], floor: np.ndarray,
+    causes: list[Cause], changed: list[Cause], score: Callable[[Sequence[Cause], bool], Judged], floor: np.ndarray,
     common: Common,
 ) -> list[Cause]:  # fmt: skip
-    """Causes that all flights have alike: the model's own terms, fitted anew beside them, must do better by a share of
+    """Causes that all flights have alike: the model's own terms, fitted anew with them, must do better by a share of
     the removable error, beyond doubt, than its own terms fitted anew without them and, on flights that did not make it,
     than the model as it was; and so must each of them, unless the strongest foreign one needs it. The held-out flights
     must not become less likely.
@@ -217,7 +192,7 @@ def _common(
     if common.absent_when_healthy is not None:
         special = max((c for c in causes if c.effect.absent_when_healthy), key=lambda c: c.test.wald, default=None)
     if special is not None:
-        faint = BESIDE * special.test.wald
+        faint = FORM_SHARE * special.test.wald
         causes = [c for c in causes if c is special or not c.effect.absent_when_healthy or c.test.wald >= faint]
     elif common.absent_when_healthy is not None:
         causes = sorted(causes, key=lambda c: c.test.p)[:LACKED]
@@ -235,12 +210,12 @@ def _common(
         share = common.share if sort == "always" else common.absent_when_healthy
         return float(surely(first, last, removable[sort]).max()) / share
 
-    unlikely, known = score(beside, False).unlikely, dict[tuple[int, ...], Score]()
+    unlikely, known = score(changed, False).unlikely, dict[tuple[int, ...], Score]()
 
     def errors(of: Sequence[Cause]) -> Score:
         key = tuple(id(c) for c in of)
         if key not in known:
-            known[key] = common.errors([*beside, *of], True)
+            known[key] = common.errors([*changed, *of], True)
         return known[key]
 
     def worth_of(cause: Cause, among: Sequence[Cause]) -> float:
@@ -252,9 +227,9 @@ def _common(
         rest = [c for c in causes if c is not cause]
         return cause is not special and worth_of(special, rest) < 1.0
 
-    others = [errors([])] + ([] if common.fitted else [common.errors(beside, False)])
+    others = [errors([])] + ([] if common.fitted else [common.errors(changed, False)])
     while causes:
-        judged, worth = score([*beside, *causes], True), [worth_of(c, causes) for c in causes]
+        judged, worth = score([*changed, *causes], True), [worth_of(c, causes) for c in causes]
         sort = "foreign" if special in causes else "always"
         together = min(better(other, errors(causes), sort) for other in others) >= 1.0 and judged.unlikely < unlikely
         order = [causes[k] for k in np.argsort(worth)]
@@ -262,11 +237,11 @@ def _common(
         least = next((c for c in poor if special not in causes or not supports(c)), None)
         if together and least is None and special not in poor:
             for cause in causes:
-                rest = [*beside, *(c for c in causes if c is not cause)]
+                rest = [*changed, *(c for c in causes if c is not cause)]
                 cause.gain = fraction(score(rest, True).errors, judged.errors, floor)
             return causes
         if order[0] is special:  # which stands in nobody's way then
-            return _common([c for c in offered if c is not special], beside, score, floor, common)
+            return _common([c for c in offered if c is not special], changed, score, floor, common)
         causes = [c for c in causes if c is not (least or order[0])]
     return []
 
@@ -278,5 +253,67 @@ def seen_in(effect: Effect) -> list[int]:
 
 def _removable(old: Score, floor: np.ndarray, since: str) -> np.ndarray:
     """Error (6,) above the floor; infinite where that is too small a part to speak of, but for single causes."""
-    gone, small = np.maximum(old.mean() - floor, 0.0), SMALL[since] * old.mean()
+    gone, small = np.maximum(old.mean() - floor, 0.0), LEAST_ABOVE_FLOOR[since] * old.mean()
     return np.where(gone > small, gone, small if since in ("changed", "foreign") else np.inf)
+
+
+class LinearErrors(NamedTuple):
+    """Errors of one flight: before (n, C), at its floor (n, C); columns (n, C, P) of what causes move."""
+
+    before: np.ndarray
+    floor: np.ndarray
+    columns: np.ndarray
+
+
+class Gain(NamedTuple):
+    """Per channel (C,), as shares of the removable error: what a cause removes, and what it could remove at most.
+
+    NaN where the floor holds nearly all of the error.
+    """
+
+    removed: np.ndarray
+    most: np.ndarray
+
+
+def gains_of(flights: Sequence[LinearErrors], sizes: Mapping[str, np.ndarray]) -> dict[str, Gain]:
+    """What each cause removes that all others leave. sizes {cause: (P,) values of the columns}."""
+    rows = sum(len(f.before) for f in flights)
+
+    def mean(parts: Sequence[np.ndarray]) -> np.ndarray:
+        return sum((p**2).sum(axis=0) for p in parts) / rows
+
+    before = mean([f.before for f in flights])
+    above = before - mean([f.floor for f in flights])
+    moves = {c: [f.columns @ v for f in flights] for c, v in sizes.items()}
+    after = [f.before - sum(m[k] for m in moves.values()) for k, f in enumerate(flights)]
+    left = mean(after)
+    found = {}
+    for cause, own in moves.items():
+        # a cause that is not there leaves nothing to remove, but would do harm of its own size
+        most = mean(own)
+        removable = np.maximum(above, most)
+        removable = np.where(removable > (1.0 - HOLDS) * before, removable, np.nan)
+        found[cause] = Gain((mean([a + m for a, m in zip(after, own)]) - left) / removable, most / removable)
+    return found
+
+
+def each_usable(flights: Sequence[Any], make: Callable[[Any], Any]) -> list[Any]:
+    """What `make` gives for the flights that it can use. Raises its DataError where there is none."""
+    found, failure = [], DataError("no flight is held out")
+    for flight in flights:
+        try:
+            found.append(make(flight))
+        except DataError as error:
+            failure = error
+    if not found:
+        raise failure
+    return found
+
+
+def without_nuisances(information: np.ndarray, spread: Mapping[int, float]) -> np.ndarray:
+    """(P, P) that takes off the best values of the columns in `spread`, held by these standard deviations."""
+    columns = list(spread)
+    weight = np.diag([v**-2.0 for v in spread.values()])
+    kept = np.eye(len(information))
+    kept[columns] -= np.linalg.solve(information[np.ix_(columns, columns)] + weight, information[columns])
+    return kept

@@ -1,0 +1,49 @@
+"""Errors of rotor speeds on held-out flights, and what causes of the drive remove of them, as for sensors."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from quasi.gap.flights.level import Flown, cause_of, causes_of, values_of
+from quasi.gap.levels.drive.fit import CONSTANTS, Belief, DriveFit, commanded, fit_drive
+from quasi.gap.levels.drive.identify import DRIVE_CAUSES, LATE, NORMAL, whole
+from quasi.gap.materiality import Gain, LinearErrors, each_usable, gains_of, without_nuisances
+
+
+def gains(
+    entries: Sequence[Mapping[str, Any]], flights: Sequence[Flown], healthy: Mapping[str, Any]
+) -> dict[str, Gain]:
+    """What causes of the drive remove. flights  before any calibration; healthy  {"values", "voltage"} compared with.
+
+    Raises DataError when no flight has commands and rotor speeds enough.
+    """
+    reference = Belief(np.array(healthy["values"], float), healthy["voltage"])
+
+    def errors(flown: Flown) -> LinearErrors:
+        fit = fit_drive(flown, commanded(flown), reference)
+        slopes = fit.slopes @ _without_nuisances(fit, reference, causes_of(entries))
+        return LinearErrors(fit.residual + slopes @ (whole(flown, fit) - reference.values), fit.residual, slopes)
+
+    return gains_of(each_usable(flights, errors), {cause_of(e): _deviations(e, reference.values) for e in entries})
+
+
+def _without_nuisances(fit: DriveFit, reference: Belief, own: set[str]) -> np.ndarray:
+    """(11, 11): columns times this have the flight's usual nuisances taken off, all but those of the `own` causes."""
+    named = {n for c in own for n in DRIVE_CAUSES.get(c, ())} | ({"delay"} if own & LATE else set())
+    scale = {"up": reference.values[0], "down": reference.values[1]}
+    spread = {k: NORMAL[n] * scale.get(n, 1.0) for k, n in enumerate(CONSTANTS) if n in NORMAL and n not in named}
+    return without_nuisances(np.linalg.inv(fit.covariance()), spread)
+
+
+def _deviations(entry: Mapping[str, Any], healthy: np.ndarray) -> np.ndarray:
+    """Values (11,) of the drive's constants, as deviations from healthy ones."""
+    cause, stated = cause_of(entry), values_of(entry)
+    size = np.zeros(len(CONSTANTS))
+    if cause == "motor_lag":
+        size[:2] = [entry["evidence"][n] - healthy[k] for k, n in enumerate(("up", "down"))]
+    elif cause == "battery_sag":
+        size[6] = stated["exponent"] - healthy[6]
+    else:
+        size[2] = stated["delay"]
+    return size

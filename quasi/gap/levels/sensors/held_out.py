@@ -1,0 +1,62 @@
+"""Errors of sensors on held-out flights, and what causes of sensors remove of them.
+
+What flights differ by anyway is taken off, before and after alike, but for the named causes' own columns: how much
+those differ from flight to flight counts against them. The floor is what remains when everything that the level knows
+is fitted to the flight itself. A calibration stays as it is: it was fixed before the held-out flights were looked at.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from quasi.gap.catalogue import catalogue
+from quasi.gap.flights.level import Flown, cause_of, causes_of, values_of
+from quasi.gap.levels.sensors.columns import Weak, corrected_already, weak_form
+from quasi.gap.levels.sensors.identify import NORMAL_SPREAD, SENSOR_CAUSES, size_of
+from quasi.gap.levels.sensors.products import blocks_of, least_squares, whitener_of
+from quasi.gap.materiality import Gain, LinearErrors, each_usable, gains_of, without_nuisances
+
+
+def gains(entries: Sequence[Mapping[str, Any]], flights: Sequence[Flown], corrected: bool = True) -> dict[str, Gain]:
+    """What causes of sensors remove, or would remove where import cannot correct them.
+
+    flights  with capture, processed with the calibration or (not corrected) without
+
+    Raises DataError when no flight can be compared with its capture.
+    """
+
+    def errors(flown: Flown) -> tuple[LinearErrors, dict[str, np.ndarray]]:
+        weak = weak_form(flown)
+        columns = weak.columns @ _without_nuisances(weak, causes_of(entries))
+        position = {n: k for k, n in enumerate(weak.names)}
+        sizes = {cause_of(e): _in_columns(e, position) for e in entries}
+        values = corrected_already(flown, weak.names)
+        values[0] = 1.0
+        if corrected:  # what import took off is added again; it takes off none but what it can correct
+            values = values + sum(v for c, v in sizes.items() if catalogue()[c].corrects)
+        floor = weak.columns[:, :, 0] - weak.columns[:, :, 1:] @ least_squares(weak.columns)
+        return LinearErrors(columns @ values, floor, columns), sizes
+
+    found = each_usable(flights, errors)
+    return gains_of([e for e, _ in found], found[-1][1])
+
+
+def _without_nuisances(weak: Weak, own: set[str]) -> np.ndarray:
+    """(P, P): columns times this have the flight's usual nuisances taken off, all but those of the `own` causes."""
+    own = own | ({"imu_lever_arm"} if "marker_offset" in own else set())
+    of = [n.split(".")[0] for n in weak.names]
+    spread = {k: NORMAL_SPREAD[c] for k, c in enumerate(of) if k > 0 and c in NORMAL_SPREAD and c not in own}
+    return without_nuisances(blocks_of(weak, whitener_of(weak)).sum(axis=0), spread)
+
+
+def _in_columns(entry: Mapping[str, Any], position: Mapping[str, int]) -> np.ndarray:
+    """Values (P,) of the columns; markers that sit elsewhere look like an IMU that sits the other way."""
+    cause, sign = cause_of(entry), 1.0
+    if cause == "marker_offset":
+        cause, sign = "imu_lever_arm", -1.0
+    values = np.zeros(len(position))
+    for label, value in zip(SENSOR_CAUSES[cause].parameters, size_of(cause, values_of(entry))):
+        if f"{cause}.{label}" in position:
+            values[position[f"{cause}.{label}"]] = sign * value
+    return values
