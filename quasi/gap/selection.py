@@ -254,8 +254,7 @@ class Search:
         """The best of the significant causes with the rivals that it dominates, or a tie."""
         best, rivals, tie = self._dominant(accepted[:COMPARED_RIVALS])
         if tie is None:
-            tied = self._tied
-            free = [t for t in ranking if t.offer.cause not in tied and not self._duplicates(t.offer)]
+            free = [t for t in ranking if t.offer.cause not in self._tied and not self._duplicates(t.offer)]
             tie = self._not_ruled_out(best, free)
         return best, rivals, tie
 
