@@ -104,7 +104,7 @@ def test_the_trim_is_the_ridge_solution_worked_out_by_hand_for_a_constant_force(
         pushed.only("Fy", 1.0)[:, :, None], pushed.breaks, pushed.t, split_flights.BAND, 2 * split_flights.ORDER
     )
     n = np.count_nonzero(pushed.t[part.rows] <= found.until)
-    information = n / (split_flights.MEMORY * 4e-4)
+    information = n / (split_flights.ROW_MEMORY * 4e-4)
     assert found.trim[1] == pytest.approx(0.02 * information / (information + 0.01**-2), rel=1e-6)
     assert found.trim_std[1] == pytest.approx((information + 0.01**-2) ** -0.5, rel=1e-6)
     np.testing.assert_allclose(np.delete(found.trim, 1), 0.0, atol=1e-12)

@@ -167,7 +167,7 @@ def test_what_held_out_flights_do_not_show_has_to_be_surer_by_itself(ground, mon
         whole = whole_of(drag, plain, vehicle_of(model), {"c": 0.015})
         return dataclasses.replace(plain, measured=plain.measured + whole)
 
-    monkeypatch.setattr(held_out, "EXCITED", 10.0)  # no held-out flight shows that much
+    monkeypatch.setattr(held_out, "EXCITED_SHARE", 10.0)  # no held-out flight shows that much
     flights, held, compared = [made(k) for k in range(8)], [made(90)], [k >= 4 for k in range(8)]
     for unheard, named in ((None, ["body_drag"]), (1e-45, [])):
         found = examine(
