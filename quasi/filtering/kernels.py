@@ -5,7 +5,7 @@ import numpy as np
 from quasi.filtering import ekf, harmonics
 from quasi.filtering.smoother import smooth
 
-FILTERED_SAMPLES, RATE = 500, 500.0  # samples and Hz; enough for the filters of `harmonics`
+FILTERED_SAMPLES, SAMPLE_RATE = 500, 500.0  # samples and Hz; enough for the filters of `harmonics`
 
 
 def compile_kernels() -> None:
@@ -16,7 +16,7 @@ def compile_kernels() -> None:
         np.ones(FILTERED_SAMPLES, bool),
     )
     inputs = ekf.Inputs(
-        dt=1.0 / RATE,
+        dt=1.0 / SAMPLE_RATE,
         gyro=vectors,
         accel=vectors,
         noise=np.ones((FILTERED_SAMPLES, 6)),
@@ -35,5 +35,5 @@ def compile_kernels() -> None:
     )
     smooth(inputs, ekf.forward(inputs))
     speeds = np.full((FILTERED_SAMPLES, 4), 2.0 * np.pi * 100.0)  # rad/s, of four rotors
-    found = harmonics.lines(speeds, all_rows, 1, "measured speed", 5.0, 30.0, RATE, RATE)
+    found = harmonics.lines(speeds, all_rows, 1, "measured speed", 5.0, 30.0, SAMPLE_RATE, SAMPLE_RATE)
     harmonics.clearness(vectors, found, 0, all_rows)
