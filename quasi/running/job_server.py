@@ -26,7 +26,8 @@ from typing import Any
 
 MAX_REQUEST = 1 << 17  # bytes of a request, nearly all of it the environment; Linux allows 208 kB in a packet
 REPLY = 16  # bytes; a process number or an exit code in decimal
-ROOMS = ("synthesis", "importing", "filtering")  # those with kernels, in the order in which a flight passes them
+# rooms with kernels, in the order in which a flight passes them
+ROOMS = ("synthesis", "importing", "filtering", "identification")
 ROOM_OF_SCRIPT = {
     "synthesis.py": "synthesis",
     "inspection.py": "importing",
@@ -34,6 +35,7 @@ ROOM_OF_SCRIPT = {
     "gap_importing.py": "importing",
     "filtering.py": "filtering",
     "gap_filtering.py": "filtering",
+    "identification_shared.py": "identification",
     "gap_calibration.py": "filtering",
     "gap_diagnosis.py": "filtering",
 }

@@ -2,12 +2,15 @@
 
 import sys
 
+import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 from rigid_body import measure, move, quadrotor
 
 from quasi.filtering import kernels as filtering
 from quasi.filtering.flight import filter_flight
+from quasi.identification import kernels as identification
+from quasi.identification.actuators import follow, rotor_lag
 from quasi.importing import kernels as importing
 from quasi.importing.flight import import_flight
 from quasi.synthesis import kernels as synthesis
@@ -63,3 +66,13 @@ def test_a_filtered_flight_compiles_nothing_else():
     filter_flight(*measure(move(seconds=18.0, seed=4)), quadrotor(), {"rotor notch harmonics": 1})
     assert len(before["quasi.filtering.ekf", "_forward"]) == len(before["quasi.filtering.smoother", "_backward"]) == 1
     assert compiled("filtering") == before
+
+
+def test_a_rotor_lag_compiles_nothing_else():
+    identification.compile_kernels()
+    before = set(follow.signatures)
+    t = np.arange(2000) / 250.0
+    command = 800.0 + 100.0 * np.sin(3.0 * t)
+    rotor_lag(t, command, np.append(command[5:], command[:5]), np.ones(2000, bool), commands_speed=True)
+    assert len(before) == 1
+    assert set(follow.signatures) == before
