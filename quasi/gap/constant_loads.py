@@ -1,12 +1,12 @@
 """Constant forces far beyond what flights differ by: reported as a tie, never silently absorbed.
 
 A flight's constant force and moment are nuisances: trim, seating and biases make them. A force of a twentieth of the
-weight is none of these. At one heading and one place its cause stays open: wind, a tether or an accelerometer bias all
-push alike.
+weight is none of these. At one heading and one place the cause of a horizontal one stays open: wind, a tether or an
+accelerometer bias all push alike. A vertical one is another mass, another thrust or another scale of the accelerometer.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
@@ -14,56 +14,86 @@ from scipy.stats import chi2
 from quasi.attitude import GRAVITY, rotate
 from quasi.gap.effect import Effect
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.levels.forces.nuisance import FORCE_BIAS
+from quasi.gap.levels.forces.nuisance import FORCE_BIAS, MASS, SESSION_SEATING, THRUST
 
-FORCE_CAUSES = ("wind", "tether", "accelerometer_bias")
-# what holds or moves a whole flight sideways as well; where one of these is named, the force has a cause
-LEANING_CAUSES = ("room_tilt", "imu_misalignment", "mocap_misalignment")
-TIE_BREAKER = (
-    "hover at several headings and at several places: wind keeps its direction in the room, an accelerometer bias "
-    "keeps its direction on the vehicle, a tether points to its anchor"
-)
 Residual = Callable[[Evidence], np.ndarray]
 
 
-def constant_force_tie(
+class Load(NamedTuple):
+    """A direction of a constant force: its earth axes by name, causes that push so, others that would explain it where
+    they are named, what settles the tie, and the share of the weight by which flights differ anyway (standard
+    deviation). A model is identified with some vertical force, so that only a change of it shows."""
+
+    axes: dict[str, int]
+    causes: tuple[str, ...]
+    also: tuple[str, ...]
+    tie_breaker: str
+    spread: float
+    needs_references: bool = False
+
+
+LOADS = (
+    Load(
+        {"north": 0, "east": 1},
+        ("wind", "tether", "accelerometer_bias"),
+        ("room_tilt", "imu_misalignment", "mocap_misalignment"),
+        "hover at several headings and at several places: wind keeps its direction in the room, an accelerometer bias "
+        "keeps its direction on the vehicle, a tether points to its anchor",
+        FORCE_BIAS,
+    ),
+    Load(
+        {"down": 2},
+        ("mass", "thrust_factor", "accelerometer_scale"),
+        ("rotor_speed_scale", "rotor_effectiveness", "accelerometer_bias", "tether", "payload_swing", "ground_effect"),
+        "weigh the vehicle; at rest the accelerometer shows 9.81 m/s2; if both are right, the thrust has changed",
+        float(np.sqrt(FORCE_BIAS**2 + MASS**2 + THRUST**2 + SESSION_SEATING**2)),
+        needs_references=True,
+    ),
+)
+
+
+def constant_force_ties(
     compared: Sequence[Evidence], reference: Sequence[Evidence], left: Residual, named: Sequence[str],
     effects: Mapping[str, Effect], level: float, share: float,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """A tie entry of diagnosis.json where the compared flights feel a constant horizontal force, else nothing.
+    """Tie entries of diagnosis.json where the compared flights feel a constant force.
 
     left   residual (n, 6) of a flight under the extended model; named  causes that have a name or stand in a tie
     level  probability of nothing below which the force is significant; share  of the weight that is material
-    Means are taken in earth axes (room) and are compared with FORCE_BIAS of the weight and with the spread of the
+    Means are taken in earth axes (room) and are compared with what flights differ by and with the spread of the
     reference flights. Forces of the causes are not separable here, so each parameter is what the force would take.
     """
-    asked = [c for c in FORCE_CAUSES if c in effects]
-    if not compared or not asked or set(named) & {*FORCE_CAUSES, *LEANING_CAUSES}:
-        return []
-    means = np.array([_mean_force(e, left) for e in compared])
-    usual = np.array([_mean_force(e, left) for e in reference]) if reference else np.zeros((0, 2))
-    spread = usual.std(axis=0, ddof=1) if len(usual) > 1 else np.zeros(2)
-    center = usual.mean(axis=0) if len(usual) else np.zeros(2)
-    weights = np.array([e.mass * GRAVITY for e in compared])
-    std = np.hypot(FORCE_BIAS * weights[:, None], spread)
-    away = means - center
-    p = float(chi2.sf(np.sum((away / std) ** 2), away.size))
-    sizes = np.linalg.norm(away, axis=1) / weights
-    if p >= level or np.median(sizes) < share:
-        return []
-    mean = away.mean(axis=0)
-    error = np.sqrt((std**2).mean(axis=0) / len(compared))
-    force = {n: {"value": float(v), "std": float(s), "unit": "N"} for n, v, s in zip(("north", "east"), mean, error)}
-    return [
-        {"ids": asked, "since": "changed" if len(usual) else "always", "separability": 0.0,
-         "tie_breaker": TIE_BREAKER, "parameters": {c: {} for c in asked},
-         "constant force": {**force, "share of the weight": float(np.median(sizes)), "p": p,
-                            "by flight": {e.key: m.tolist() for e, m in zip(compared, away)}}}
-    ]  # fmt: skip
+    ties = []
+    for load in LOADS:
+        asked = [c for c in load.causes if c in effects]
+        lacking = load.needs_references and len(reference) < 2
+        if not compared or not asked or lacking or set(named) & {*load.causes, *load.also}:
+            continue
+        axes = list(load.axes.values())
+        means = np.array([_mean_force(e, left)[axes] for e in compared])
+        usual = np.array([_mean_force(e, left)[axes] for e in reference]) if reference else np.zeros((0, len(axes)))
+        spread = usual.std(axis=0, ddof=1) if len(usual) > 1 else np.zeros(len(axes))
+        center = usual.mean(axis=0) if len(usual) else np.zeros(len(axes))
+        weights = np.array([e.mass * GRAVITY for e in compared])
+        std = np.hypot(load.spread * weights[:, None], spread)
+        away = means - center
+        p = float(chi2.sf(np.sum((away / std) ** 2), away.size))
+        sizes = np.linalg.norm(away, axis=1) / weights
+        if p >= level or np.median(sizes) < share:
+            continue
+        mean, error = away.mean(axis=0), np.sqrt((std**2).mean(axis=0) / len(compared))
+        force = {n: {"value": float(v), "std": float(s), "unit": "N"} for n, v, s in zip(load.axes, mean, error)}
+        ties.append(
+            {"ids": asked, "since": "changed" if len(usual) else "always", "separability": 0.0,
+             "tie_breaker": load.tie_breaker, "parameters": {c: {} for c in asked},
+             "constant force": {**force, "share of the weight": float(np.median(sizes)), "p": p,
+                                "by flight": {e.key: m.tolist() for e, m in zip(compared, away)}}}
+        )  # fmt: skip
+    return ties
 
 
 def _mean_force(flight: Evidence, left: Residual) -> np.ndarray:
-    """Mean residual force (2,) north and east, N; axes that do not count are taken as 0."""
+    """Mean residual force (3,) north, east and down, N; axes that do not count are taken as 0."""
     residual = left(flight)[:, :3].copy()
     residual[:, [k for k in flight.excluded if k < 3]] = 0.0
-    return rotate(flight.quaternion, residual)[:, :2].mean(axis=0)
+    return rotate(flight.quaternion, residual).mean(axis=0)

@@ -9,7 +9,7 @@ import pandas as pd
 
 from quasi.errors import DataError
 from quasi.gap.base_model import Worth, worth_of
-from quasi.gap.constant_loads import constant_force_tie
+from quasi.gap.constant_loads import constant_force_ties
 from quasi.gap.effect import Effect, as_flown, room_of, vehicle_of
 from quasi.gap.entries import (
     candidates,
@@ -178,7 +178,7 @@ def diagnose(
     if found is not None:
         taken = [*(e["id"] for e in [*lower_effects, *named]), *(i for tie in ties for i in tie["ids"])]
         left_over = after(extended, model)
-        ties += constant_force_tie(
+        ties += constant_force_ties(
             groups["compared"], groups["reference"], left_over, taken, asked_of,
             min(found.level.values()), share,
         )  # fmt: skip

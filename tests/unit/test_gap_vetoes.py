@@ -10,8 +10,9 @@ from test_gap_extension import flight as made
 
 from quasi.gap.base_model import worth_of
 from quasi.gap.catalogue import catalogue
-from quasi.gap.constant_loads import FORCE_CAUSES, constant_force_tie
+from quasi.gap.constant_loads import LOADS, constant_force_ties
 from quasi.gap.diagnosis import verdict_of
+from quasi.gap.report.wording import tie_sentence
 from quasi.gap.veto import Loss, reject_losing_causes, trim_is_usual
 from quasi.model.model import Model
 
@@ -121,15 +122,36 @@ def test_a_constant_force_far_beyond_trim_is_a_tie_and_trim_is_not(flights, shar
     def left(e):
         return e.only("Fx", share * e.mass * 9.81 if e.key in pushed else 0.0)
 
-    found = constant_force_tie(compared, reference, left, [], catalogue(), 1e-3, 0.05)
-    assert constant_force_tie(compared, reference, left, ["wind"], catalogue(), 1e-3, 0.05) == []
+    found = constant_force_ties(compared, reference, left, [], catalogue(), 1e-3, 0.05)
+    assert constant_force_ties(compared, reference, left, ["wind"], catalogue(), 1e-3, 0.05) == []
     if share < 0.05:
         assert found == []
         return
     [tie] = found
-    assert tie["ids"] == list(FORCE_CAUSES)
+    assert tie["ids"] == list(LOADS[0].causes)
     assert tie["constant force"]["north"]["value"] == pytest.approx(share * compared[0].mass * 9.81, rel=0.02)
     assert tie["constant force"]["east"]["value"] == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(("share", "references"), [(0.0, 2), (-0.03, 2), (-0.1, 2), (0.1, 2), (-0.1, 1)])
+def test_a_constant_vertical_force_beyond_what_flights_differ_by_is_a_tie(flights, share, references):
+    evidence = [replace_attitude(e) for e in flights[1]]
+    compared, reference = evidence[:2], evidence[2 : 2 + references]
+    pushed = {e.key for e in compared}
+
+    def left(e):
+        return e.only("Fz", share * e.mass * 9.81 if e.key in pushed else 0.0)
+
+    found = constant_force_ties(compared, reference, left, [], catalogue(), 1e-3, 0.05)
+    for named in ("mass", "rotor_speed_scale", "ground_effect"):
+        assert constant_force_ties(compared, reference, left, [named], catalogue(), 1e-3, 0.05) == []
+    if abs(share) < 0.05 or references < 2:  # a model is identified with whatever vertical force there is
+        assert found == []
+        return
+    [tie] = found
+    assert tie["ids"] == ["mass", "thrust_factor", "accelerometer_scale"] and tie["since"] == "changed"
+    assert tie["constant force"]["down"]["value"] == pytest.approx(share * compared[0].mass * 9.81, rel=0.02)
+    assert tie_sentence(tie).startswith("A constant vertical force of 10 % of the weight pushes the vehicle (down = ")
 
 
 def replace_attitude(evidence):
@@ -145,4 +167,4 @@ def test_excluded_axes_do_not_push(flights):
     def left(e):
         return np.full((len(e), 6), 10.0)
 
-    assert constant_force_tie(there, [], left, [], catalogue(), 1e-3, 0.05) == []
+    assert constant_force_ties(there, [], left, [], catalogue(), 1e-3, 0.05) == []

@@ -238,9 +238,11 @@ def tie_sentence(tie: Mapping[str, Any]) -> str:
     names = listed([name_of(i) for i in tie["ids"]], "or")
     if "constant force" in tie:
         force = tie["constant force"]
+        axes = [n for n in ("north", "east", "down") if n in force]
         return (
-            f"A constant horizontal force of {100 * force['share of the weight']:.0f} % of the weight pushes the "
-            f"vehicle ({parameters_of({n: force[n] for n in ('north', 'east')})}): {names}. To find out which: "
+            f"A constant {'vertical' if 'down' in axes else 'horizontal'} force of "
+            f"{100 * force['share of the weight']:.0f} % of the weight pushes the "
+            f"vehicle ({parameters_of({n: force[n] for n in axes})}): {names}. To find out which: "
             f"{tie['tie_breaker']}."
         )
     return (

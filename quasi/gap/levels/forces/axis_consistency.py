@@ -29,14 +29,16 @@ class Voice(NamedTuple):
 
 
 def voices(
-    study: Design, compared: Sequence[bool], test: Test, pooled: Sequence[str], given: Sequence[Candidate] = ()
-) -> list[Voice]:
+    study: Design, compared: Sequence[bool], test: Test, pooled: Sequence[str], given: Sequence[Candidate] = (),
+    channels: Sequence[str] = AXES,
+) -> list[Voice]:  # fmt: skip
     """The estimate of each axis alone of a cause as a test found it, with others given: by segments, with the larger of
     the standard errors by segments and by whole flights.
 
     Every axis has an amount of its own at the same time: what another axis shows of the cause would else be put into
     the base, where all flights have it alike, and be missed from this one.
-    pooled  causes whose columns belong to the base, as in `MixedModel.test`
+    pooled  causes whose columns belong to the base, as in `MixedModel.test`; channels  axes that have a say: on others
+    a cause only takes up what the model makes of its signals
     """
     own = [study.columns.causes[test.offer.cause][k] for k in test.offer.which]
     size = len(study.names)
@@ -52,6 +54,8 @@ def voices(
     offers = [Candidate(axis, test.offer.since, (0,)) for axis in names]
     result = []
     for axis, offer in zip(names, offers):
+        if axis not in channels:
+            continue
         others = [*given, *(o for o in offers if o != offer)]
         found, between = mixed.test(offer, others, pooled), mixed.between(offer, others, pooled)
         result.append(Voice(axis, float(found.value[0]), float(max(found.std[0], between.std[0]))))

@@ -21,7 +21,7 @@ from quasi.gap.levels.forces.search import Sought, estimate, merged, offers_of, 
 from quasi.gap.materiality import Cause, material, simplest
 from quasi.gap.selection import Named, Profile, Tie
 from quasi.gap.statistics.clustered import ClusteredMixedModel
-from quasi.gap.statistics.mixed import Candidate, MixedModel, Test
+from quasi.gap.statistics.mixed import Candidate, Test
 from quasi.model.model import Model
 
 # p-value, with standard errors widened, up to which the leading parameters together differ from neutral: two standard
@@ -109,7 +109,7 @@ def examine(
     there = [c.test.offer for c in immaterial if c.since == "always" and c not in stand_ins]
     kept, vague = _widened(kept, [*offers_of([], ties), *there], sought, compared)
     given = [*(c.test.offer for c in kept), *there]
-    ties = [(since, _anew(tie, since, given, ties, mixed, study, compared)) for since, tie in ties]
+    ties = [(since, _anew(tie, given, ties, sought, compared, asked)) for since, tie in ties]
     for cause in kept:
         cause.std = {n: s * flatness(cause.effect, study, vehicle, cause.value) for n, s in cause.std.items()}
     unjudged = [c for c in kept if any((c.effect.id, c.since) == (u.effect.id, u.since) for u in unjudged)]
@@ -197,7 +197,8 @@ def _widened(
             others = [c.test.offer for c in kept if c is not cause] + list(given)
             again = sought.mixed.test(cause.test.offer, others, pooled)
             cause.test, cause.value, cause.std = again, *estimate(again, cause.effect, sought.flown)
-            cause.apart = disagreement(voices(sought.study, compared, cause.test, pooled, others))
+            heard = voices(sought.study, compared, cause.test, pooled, others, cause.effect.channels)
+            cause.apart = disagreement(heard)
         unsure = [
             c for c in kept if c.apart > 1.0 and compute_leading_p(Profile.of(c.effect), c.test, c.apart) > SURELY
         ]
@@ -219,13 +220,18 @@ def _widened(
 
 
 def _anew(
-    tie: Tie, since: str, given: Sequence[Candidate], ties: Sequence[tuple[str, Tie]], mixed: MixedModel, study: Design,
-    compared: np.ndarray,
+    tie: Tie, given: Sequence[Candidate], ties: Sequence[tuple[str, Tie]], sought: Sought, compared: np.ndarray,
+    asked: Mapping[str, Effect],
 ) -> Tie:  # fmt: skip
-    """A tie with its sizes with all named causes given; later causes may resemble it."""
-    others, pooled = [*given, *offers_of([], [t for t in ties if t[1] is not tie])], mixed.pooled(since)
-    tests = [mixed.test(t.offer, others, pooled) for t in tie.tests]
-    return tie._replace(tests=tests, apart=disagreement(voices(study, compared, tests[0], pooled, others)))
+    """A tie with its sizes beside what is named in the end; later causes may resemble it."""
+    others, pooled = (
+        [*given, *offers_of([], [t for t in ties if t[1] is not tie])],
+        sought.mixed.pooled(tie.tests[0].offer.since),
+    )
+    tests = [sought.mixed.test(t.offer, others, pooled) for t in tie.tests]
+    channels = asked[tests[0].offer.cause].channels
+    apart = disagreement(voices(sought.study, compared, tests[0], pooled, others, channels))
+    return tie._replace(tests=tests, apart=apart)
 
 
 def _stands_for(cause: Cause, since: str, tie: Tie) -> bool:

@@ -144,7 +144,7 @@ def _contradicted(
         if test.offer.since == since:
             others = [g for g in given if g.cause != test.offer.cause]
             others = [g for g in others if not _tied_with(g.cause, test.offer.cause, ties)]
-            why = contradiction(voices(study, compared, test, pooled, others))
+            why = contradiction(voices(study, compared, test, pooled, others, asked[test.offer.cause].channels))
             if why:
                 torn[test.offer.cause] = test, why
     return torn
@@ -213,5 +213,6 @@ def estimate(test: Test, effect: Effect, flown: Vehicle, wider: float = 1.0) -> 
     found, error = dict(zip(names, value)), dict(zip(names, std))
     if effect.exact is None:
         return found, error
-    sides = {n: [effect.exact({**found, n: found[n] + s * error[n]}, flown)[n] for s in (-0.5, 0.5)] for n in names}
-    return dict(effect.exact(found, flown)), {n: abs(high - low) for n, (low, high) in sides.items()}
+    exact = dict(effect.exact(found, flown))  # may leave out what only accompanies
+    sides = {n: [effect.exact({**found, n: found[n] + s * error[n]}, flown)[n] for s in (-0.5, 0.5)] for n in exact}
+    return exact, {n: abs(high - low) for n, (low, high) in sides.items()}
