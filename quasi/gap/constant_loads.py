@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from quasi.attitude import GRAVITY, rotate
 from quasi.gap.effect import Effect
 from quasi.gap.flights.evidence import Evidence
-from quasi.gap.levels.forces.nuisance import FORCE_BIAS, MASS, SESSION_SEATING, THRUST
+from quasi.gap.levels.forces.nuisance import FORCE_BIAS, MASS_SPREAD, SESSION_SEATING, THRUST_SPREAD
 
 Residual = Callable[[Evidence], np.ndarray]
 
@@ -46,7 +46,7 @@ LOADS = (
         ("mass", "thrust_factor", "accelerometer_scale"),
         ("rotor_speed_scale", "rotor_effectiveness", "accelerometer_bias", "tether", "payload_swing", "ground_effect"),
         "weigh the vehicle; at rest the accelerometer shows 9.81 m/s2; if both are right, the thrust has changed",
-        float(np.sqrt(FORCE_BIAS**2 + MASS**2 + THRUST**2 + SESSION_SEATING**2)),
+        float(np.sqrt(FORCE_BIAS**2 + MASS_SPREAD**2 + THRUST_SPREAD**2 + SESSION_SEATING**2)),
         needs_references=True,
     ),
 )

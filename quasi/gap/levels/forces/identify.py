@@ -223,7 +223,7 @@ def _anew(
     tie: Tie, given: Sequence[Candidate], ties: Sequence[tuple[str, Tie]], sought: Sought, compared: np.ndarray,
     asked: Mapping[str, Effect],
 ) -> Tie:  # fmt: skip
-    """A tie with its sizes beside what is named in the end; later causes may resemble it."""
+    """A tie with its sizes with all named causes given; later causes may resemble it."""
     others, pooled = (
         [*given, *offers_of([], [t for t in ties if t[1] is not tie])],
         sought.mixed.pooled(tie.tests[0].offer.since),
