@@ -241,9 +241,8 @@ def tie_sentence(tie: Mapping[str, Any]) -> str:
         axes = [n for n in ("north", "east", "down") if n in force]
         return (
             f"A constant {'vertical' if 'down' in axes else 'horizontal'} force of "
-            f"{100 * force['share of the weight']:.0f} % of the weight pushes the "
-            f"vehicle ({parameters_of({n: force[n] for n in axes})}): {names}. To find out which: "
-            f"{tie['tie_breaker']}."
+            f"{100 * force['share of the weight']:.0f} % of the weight pushes the vehicle "
+            f"({parameters_of({n: force[n] for n in axes})}): {names}. To find out which: {tie['tie_breaker']}."
         )
     return (
         f"{names[:1].upper()}{names[1:]}: this data cannot decide which "
