@@ -166,6 +166,9 @@ def candidates(found: Found, settled: Settled, share: float) -> list[dict[str, A
         add(c.effect.id, c.since, c.test, why)
     for c in found.immaterial:
         why = f"there, but it removes less than {100 * share:.0f} % of the removable error on held-out flights"
+        lead = c.effect.fitted[0]
+        if c.effect.parameters[lead].neutral == c.effect.parameters[lead].low and c.value.get(lead, 0.0) < 0.0:
+            why = "the reference flights have more of it than the compared ones, which the model fits without it"
         if c.since == "always":
             why = (
                 "there, but with the model's own terms fitted anew it is not sure to remove "

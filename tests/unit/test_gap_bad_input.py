@@ -321,6 +321,18 @@ def test_a_tie_that_resamples_do_not_bear_out_is_told_among_the_candidates():
 
 
 @pytest.mark.parametrize(
+    ("size", "words"), [(1.4, "removes less than 5 %"), (-1.4, "the reference flights have more of it")]
+)
+def test_a_change_that_does_not_matter_says_which_flights_have_more_of_it(size, words):
+    test = mixed.Test(Candidate("ground_effect", "changed", (0,)), np.array([size]), np.eye(1), 1.0, 30.0, 1e-6)
+    small = Cause(CATALOGUE["ground_effect"], "changed", {"c": size}, {"c": 0.3}, test, [])
+    found = SimpleNamespace(causes=[], stand_ins=[], unjudged=[], ties=[], immaterial=[small], contradicted={},
+                            ranking=[], level={"always": 1e-3, "changed": 1e-3})  # fmt: skip
+    (entry,) = candidates(found, Settled([], [], {}, {}, None, []), 0.05)
+    assert words in entry["why_not"]
+
+
+@pytest.mark.parametrize(
     ("gains", "outcome", "foreign", "stands"),
     [
         ((-0.02, None), UNJUDGED, False, False),

@@ -40,7 +40,7 @@ LEVEL_WORDS = {"sensors": ("sensors", "clocks"), "drive": ("the rotor drive",)} 
 LINE_WORDS = {"rollouts": "", "rollouts from commands": " from commands"}
 SINCE = {
     "changed": "this is new since the reference flights",
-    "always": "the model lacks it in every flight",
+    "always": "it is there in every flight",
 }
 
 
