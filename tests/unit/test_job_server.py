@@ -108,6 +108,23 @@ def test_scripts_of_snakemake_run_in_the_server_unless_they_ask_for_more(server,
     assert started == ["own.py"]
 
 
+def _lives(process):
+    try:
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+def all_end(processes, seconds=20.0):
+    """Whether processes end in time; one that ended and that nobody has waited for yet counts as well."""
+    deadline = time.monotonic() + seconds
+    left = list(processes)
+    while left and time.monotonic() < deadline:
+        left = [p for p in left if _lives(p)]
+        time.sleep(0.05)
+    return not left
+
+
 def children_of(server):
     return psutil.Process(server._process.pid).children(recursive=True)
 
@@ -124,7 +141,7 @@ def test_a_job_of_a_room_finds_its_kernels_compiled(server, tmp_path, monkeypatc
     processes = children_of(server)
     assert len(processes) == 1  # with one core no other room prepares itself
     server.close()
-    assert not any(process.is_running() for process in processes)
+    assert all_end(processes)
 
 
 def test_later_rooms_prepare_themselves_and_end_with_the_server(tmp_path, monkeypatch):
@@ -138,7 +155,7 @@ def test_later_rooms_prepare_themselves_and_end_with_the_server(tmp_path, monkey
         assert time.monotonic() < deadline
         time.sleep(0.1)
     server.close()
-    assert not any(process.is_running() for process in processes)
+    assert all_end(processes)
 
 
 def test_without_its_room_a_job_starts_python_itself(server, tmp_path, monkeypatch):
