@@ -79,7 +79,7 @@ def constant_force_ties(
         away = means - center
         p = float(chi2.sf(np.sum((away / std) ** 2), away.size))
         sizes = np.linalg.norm(away, axis=1) / weights
-        if p >= level or np.median(sizes) < share:
+        if p >= level or np.median(sizes) < share or _drifts(compared, left, axes, away):
             continue
         mean, error = away.mean(axis=0), np.sqrt((std**2).mean(axis=0) / len(compared))
         force = {n: {"value": float(v), "std": float(s), "unit": "N"} for n, v, s in zip(load.axes, mean, error)}
@@ -92,8 +92,17 @@ def constant_force_ties(
     return ties
 
 
-def _mean_force(flight: Evidence, left: Residual) -> np.ndarray:
-    """Mean residual force (3,) north, east and down, N; axes that do not count are taken as 0."""
+def _drifts(compared: Sequence[Evidence], left: Residual, axes: Sequence[int], away: np.ndarray) -> bool:
+    """Whether the force differs between the halves of the flights by half of it and more: it is not constant."""
+    halves = [[_mean_force(e, left, half)[axes] for e in compared] for half in (0, 1)]
+    apart = np.median(np.linalg.norm(np.subtract(*halves), axis=1))
+    return bool(2.0 * apart > np.median(np.linalg.norm(away, axis=1)))
+
+
+def _mean_force(flight: Evidence, left: Residual, half: int | None = None) -> np.ndarray:
+    """Mean residual force (3,) north, east and down, N, of one half of a flight or all of it; excluded axes are 0."""
     residual = left(flight)[:, :3].copy()
     residual[:, [k for k in flight.excluded if k < 3]] = 0.0
-    return rotate(flight.quaternion, residual).mean(axis=0)
+    middle = len(residual) // 2
+    rows = slice(None) if half is None else (slice(0, middle), slice(middle, None))[half]
+    return rotate(flight.quaternion, residual)[rows].mean(axis=0)

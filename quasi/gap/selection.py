@@ -438,7 +438,7 @@ class Search:
                     continue
                 declared = name in self.profiles[cause].rivals or cause in self.profiles[name].rivals
                 best = self.mixed.best(name, self.since, given, self.pooled, self.profiles[name].parts)
-                if best is None or best.p >= self.level or not (declared or len(best.offer.which) < len(which)):
+                if best is None or best.p >= SUSPECT or not (declared or len(best.offer.which) < len(which)):
                     continue
                 without = self.mixed.test(together.offer, [*given, best.offer], self.pooled)
                 if without.p >= self.level:

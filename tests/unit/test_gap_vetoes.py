@@ -154,6 +154,18 @@ def test_a_constant_vertical_force_beyond_what_flights_differ_by_is_a_tie(flight
     assert tie_sentence(tie).startswith("A constant vertical force of 10 % of the weight pushes the vehicle (down = ")
 
 
+def test_a_force_that_drifts_is_no_constant_one(flights):
+    """Thrust that fades from nothing to a fifth of the weight has a mean of a tenth, and none at first."""
+    evidence = [replace_attitude(e) for e in flights[1]]
+    compared, reference = evidence[:2], evidence[2:4]
+    pushed = {e.key for e in compared}
+
+    def left(e):
+        return e.only("Fz", 0.2 * e.mass * 9.81 * np.linspace(0.0, 1.0, len(e)) if e.key in pushed else 0.0)
+
+    assert constant_force_ties(compared, reference, left, [], catalogue(), 1e-3, 0.05) == []
+
+
 def replace_attitude(evidence):
     """The same flight, level and heading north."""
     level = dict.fromkeys(("roll", "pitch", "yaw"), np.zeros(len(evidence)))
