@@ -44,7 +44,16 @@ LOADS = (
     Load(
         {"down": 2},
         ("mass", "thrust_factor", "accelerometer_scale"),
-        ("rotor_speed_scale", "rotor_effectiveness", "accelerometer_bias", "tether", "payload_swing", "ground_effect"),
+        (
+            "rotor_speed_scale",
+            "rotor_effectiveness",
+            "accelerometer_bias",
+            "tether",
+            "payload_swing",
+            "ground_effect",
+            "thrust_drift",
+            "thrust_curve",
+        ),
         "weigh the vehicle; at rest the accelerometer shows 9.81 m/s2; if both are right, the thrust has changed",
         float(np.sqrt(FORCE_BIAS**2 + MASS_SPREAD**2 + THRUST_SPREAD**2 + SESSION_SEATING**2)),
         needs_references=True,

@@ -3,11 +3,13 @@ half, held-out flights and what stays unexplained say of each."""
 
 from collections.abc import Callable, Mapping, Sequence
 
+import numpy as np
+
 from quasi.gap.effect import Effect
 from quasi.gap.entries import needed
 from quasi.gap.levels.forces import unexplained
 from quasi.gap.levels.forces.case import Case
-from quasi.gap.levels.forces.error_reduction import after
+from quasi.gap.levels.forces.error_reduction import after, wrench_squares
 from quasi.gap.levels.forces.identify import Found
 from quasi.gap.levels.rollouts import split_flights
 from quasi.gap.levels.rollouts.confirmation import CONFIRMED, REFUTED, Settled, settle
@@ -123,6 +125,7 @@ def _harmless(case: Case, settled: Settled, made: Callable[[Sequence[Cause], boo
             case.settings["material share"],
             commanded=False,
         ),
+        lambda model: np.sqrt(wrench_squares(case.held, after(model, case.model), False).mean()),
     )
     for cause, loss in rejected:
         settled = _without(settled, cause, f"with it {loss.sentence()}")

@@ -163,11 +163,15 @@ def _of_simulations(
 
 
 def reject_losing_causes(
-    causes: Sequence[Cause], made: Callable[[Sequence[Cause]], Model], judge: Callable[[Model], list[Loss]]
-) -> tuple[list[Cause], list[tuple[Cause, Loss]], list[Loss]]:
+    causes: Sequence[Cause], made: Callable[[Sequence[Cause]], Model], judge: Callable[[Model], list[Loss]],
+    errors: Callable[[Model], np.ndarray] = lambda model: np.ones(len(AXES)),
+) -> tuple[list[Cause], list[tuple[Cause, Loss]], list[Loss]]:  # fmt: skip
     """Causes that stand, those rejected with what they made worse, and the losses that no rejection ends.
 
-    made  causes -> extended model; judge  extended model -> its losses
+    made  causes -> extended model; judge  extended model -> its losses; errors  extended model -> root mean square of
+    what it leaves of the held-out flights' forces and moments (6,)
+    A cause that makes an axis of force or moment better by a larger factor than anything worse is none that is not
+    there: its form errs, the loss limits the verdict, and the name stands.
     A loss that the model has without any cause (its own terms fitted anew) is no cause's fault, nor is one of trim,
     nor one of forces or of a simulation without trim beyond the axes of the causes: there another trim turns a gain of
     one axis into a loss of another. One cause after another is left out, each time the one without which the
@@ -199,12 +203,17 @@ def reject_losing_causes(
         ]
 
     while own(found) and kept:
+        whole, factor = errors(made(kept)), 1.0 + own(found)[0].growth
         trials = [[c for c in kept if c is not cause] for cause in kept]
+        trials = [t for t in trials if np.max(errors(made(t)) / np.maximum(whole, 1e-300)) < factor]
+        if not trials:
+            break
         outcomes = [judge(made(trial)) for trial in trials]
         worst = [max((loss.growth for loss in own(outcome)), default=0.0) for outcome in outcomes]
         best = int(np.argmin(worst))
         if worst[best] >= own(found)[0].growth:
             break
-        rejected.append((kept[best], own(found)[0]))
+        [gone] = [c for c in kept if not any(c is other for other in trials[best])]
+        rejected.append((gone, own(found)[0]))
         kept, found = trials[best], outcomes[best]
     return kept, rejected, found

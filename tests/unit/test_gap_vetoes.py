@@ -59,6 +59,17 @@ def test_the_trim_of_a_flight_limits_the_verdict_and_rejects_nothing(of_trim):
     assert (kept, left) == (([one], [grown]) if of_trim else ([], []))
 
 
+@pytest.mark.parametrize(("better", "stands"), [(3.0, True), (1.2, False)])
+def test_a_cause_that_makes_more_better_than_worse_limits_the_verdict_and_stands(better, stands):
+    one = cause("one")
+    grown = Loss("rollouts", "rate y", 0.5, 1.0, 1.5)
+    found = reject_losing_causes(
+        [one], list, lambda of: [grown] if of else [],
+        lambda of: np.array([1.0, 1.0, 1.0 if of else better, 1.0, 1.1, 1.0]),
+    )  # fmt: skip
+    assert found == (([one], [], [grown]) if stands else ([], [(one, grown)], []))
+
+
 def test_a_loss_that_no_rejection_ends_stays_and_rejects_nothing():
     one = cause("one")
     grown = Loss("forces", "Fz", 0.0, 1.0, 2.0)
