@@ -88,7 +88,7 @@ def constant_force_ties(
         away = means - center
         p = float(chi2.sf(np.sum((away / std) ** 2), away.size))
         sizes = np.linalg.norm(away, axis=1) / weights
-        if p >= level or np.median(sizes) < share or _drifts(compared, left, axes, away):
+        if p >= level or np.median(sizes) < share or _varies(compared, left, axes, away):
             continue
         mean, error = away.mean(axis=0), np.sqrt((std**2).mean(axis=0) / len(compared))
         force = {n: {"value": float(v), "std": float(s), "unit": "N"} for n, v, s in zip(load.axes, mean, error)}
@@ -101,17 +101,33 @@ def constant_force_ties(
     return ties
 
 
-def _drifts(compared: Sequence[Evidence], left: Residual, axes: Sequence[int], away: np.ndarray) -> bool:
-    """Whether the force differs between the halves of the flights by half of it and more: it is not constant."""
-    halves = [[_mean_force(e, left, half)[axes] for e in compared] for half in (0, 1)]
-    apart = np.median(np.linalg.norm(np.subtract(*halves), axis=1))
-    return bool(2.0 * apart > np.median(np.linalg.norm(away, axis=1)))
+def _varies(compared: Sequence[Evidence], left: Residual, axes: Sequence[int], away: np.ndarray) -> bool:
+    """Whether the force is not constant: over the flight with the largest range of time or of height it changes by
+    half of it and more. The slope is fitted to the two halves of every flight."""
+    usual = np.median(np.linalg.norm(away, axis=1))
+    for name in ("t", "z"):
+        halves = [_halves(f, left, name, axes) for f in compared if name in f.columns]
+        distances = np.array([distance for distance, _ in halves])
+        if not distances.any():
+            continue
+        slope = distances @ np.array([change for _, change in halves]) / (distances @ distances)
+        if 2.0 * distances.max() * np.linalg.norm(slope) > usual:
+            return True
+    return False
 
 
-def _mean_force(flight: Evidence, left: Residual, half: int | None = None) -> np.ndarray:
-    """Mean residual force (3,) north, east and down, N, of one half of a flight or all of it; excluded axes are 0."""
+def _halves(flight: Evidence, left: Residual, name: str, axes: Sequence[int]) -> tuple[float, np.ndarray]:
+    """Distance of the means of a column below and above its median, and change of the mean residual force, N."""
+    column = flight.columns[name]
+    below = column <= np.median(column)
+    if below.all():
+        return 0.0, np.zeros(len(axes))
+    first, last = (_mean_force(flight, left, rows)[axes] for rows in (below, ~below))
+    return float(column[~below].mean() - column[below].mean()), last - first
+
+
+def _mean_force(flight: Evidence, left: Residual, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
+    """Mean residual force (3,) north, east and down, N, of some rows of a flight; excluded axes are 0."""
     residual = left(flight)[:, :3].copy()
     residual[:, [k for k in flight.excluded if k < 3]] = 0.0
-    middle = len(residual) // 2
-    rows = slice(None) if half is None else (slice(0, middle), slice(middle, None))[half]
     return rotate(flight.quaternion, residual)[rows].mean(axis=0)

@@ -154,7 +154,8 @@ def _outdone(
         left, offers = left_by(settled), [o for _, o, _ in _given(found, settled, case.effects)]
         for cause in sorted(doubtful, key=lambda c: -c.test.p):
             why = unexplained.outdone(left, case.compared, offers, cause.test.offer, cause.effect.channels,
-                                      cause.test.p, found.level[cause.since])  # fmt: skip
+                                      cause.test.p, found.level[cause.since],
+                                      0.5 * case.settings["false alarm rate"] / SEARCHES)  # fmt: skip
             if why:
                 settled = _without(settled, cause, why)
                 break

@@ -86,12 +86,14 @@ class Basis(NamedTuple):
     """Functions of the places that all flights know.
 
     scales {place: (low, high)}; choices  what is offered; spots  places x, y of the room with a width, m; steps  times
+    mean (L,)  of the functions over the flights, taken off: a constant belongs to no place
     """
 
     scales: dict[str, tuple[float, float]]
     choices: list[Choice]
     spots: list[tuple[float, float, float]]
     steps: list[float]
+    mean: np.ndarray | float = 0.0
 
     def functions(self, flight: Evidence) -> np.ndarray:
         """(n, L) values of all functions on a flight."""
@@ -110,7 +112,7 @@ class Basis(NamedTuple):
             x, y = known["room x"], known["room y"]
             columns += [np.exp(-((x - a) ** 2 + (y - b) ** 2) / s**2) for a, b, s in self.spots]
         columns += [(flight.t > step).astype(float) for step in self.steps]
-        return np.stack(columns, axis=1)
+        return np.stack(columns, axis=1) - self.mean
 
 
 def basis_of(flights: Sequence[Evidence]) -> Basis:
@@ -154,4 +156,7 @@ def basis_of(flights: Sequence[Evidence]) -> Basis:
     low, high = scales["time"]
     steps = [low + k / TIME_PARTS * (high - low) for k in range(1, TIME_PARTS)]
     choices += [Choice("time", (at + k,), (step,)) for k, step in enumerate(steps)]
-    return Basis(scales, choices, spots, steps)
+    basis = Basis(scales, choices, spots, steps)
+    mean = np.mean([basis.functions(f).mean(axis=0) for f in flights], axis=0)
+    mean[0] = 0.0
+    return basis._replace(mean=mean)

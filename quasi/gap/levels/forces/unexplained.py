@@ -5,6 +5,7 @@ to pass, and the residual's spectrum is searched for what repeats in time. What 
 model is wrong there, and along what.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -19,7 +20,17 @@ from quasi.gap.levels.forces import spectral_peaks as rhythm
 from quasi.gap.levels.forces.error_reduction import wrench_score
 from quasi.gap.levels.forces.joint_fit import Joint, joint_of, residual_of, signals_of, slope_of
 from quasi.gap.levels.forces.reproducibility import apart, beyond_doubt, coming_again, surely_again, witnessed
-from quasi.gap.levels.forces.smooth_functions import Cause, Grounds, Place, grounds_of, mixed_of, offer_of, select
+from quasi.gap.levels.forces.smooth_functions import (
+    Cause,
+    Grounds,
+    Place,
+    grounds_of,
+    level_of,
+    mixed_of,
+    offer_of,
+    select,
+    tested,
+)
 from quasi.gap.materiality import LEAST_ABOVE_FLOOR
 from quasi.gap.statistics.blocks import HOLDS
 from quasi.gap.statistics.mixed import Candidate, Test
@@ -155,27 +166,32 @@ def _held_up(
 
 def outdone(
     left: Left, compared: Sequence[bool], offers: Sequence[Candidate], asked: Candidate, channels: Sequence[str],
-    p: float, level: float,
+    p: float, level: float, rate: float,
 ) -> str:  # fmt: skip
-    """Why a cause gives way to what no cause explains, or nothing: with a more significant function of a place given,
-    in one of its own channels, it is not significant any more.
+    """Why a cause gives way to what no cause explains, or nothing.
 
-    A place that the model's own terms depend on may be the form of a cause that is not quite right, and does not count.
+    It gives way to a more significant function of a place, in one of its own channels, with which it is not significant
+    any more; and to a function that adds more to the cause than the cause adds to the function: of the two the cause is
+    the worse description. A place that the model's own terms depend on may be the form of a cause that is not quite
+    right, and does not count.
     left    found with the cause given; offers  of all causes that were given; p of the cause, which passed level
+    rate    family-wise false alarm rate of functions
     """
-    stronger = [
-        place for place, test in left.reported
-        if test.p < p and place.since == asked.since and AXES[place.channel] in channels
-        and place.choice.where not in (*OWN_COVARIATES, EVERYWHERE)
-    ]  # fmt: skip
-    for place in stronger:
-        mixed = mixed_of(left.grounds, compared, offers, [place])
+    found = {place for place, test in left.reported if test.p < p and place.choice.where != EVERYWHERE}
+    grounds, others = left.grounds, [o for o in offers if o != asked]
+    for k, choice in itertools.product([AXES.index(c) for c in channels], grounds.basis.choices):
+        place = Place(k, choice, asked.since)
+        if choice.where in OWN_COVARIATES:
+            continue
+        mixed = mixed_of(grounds, compared, offers, [place])
         pooled = [place.name] if place.since == "changed" else []
-        test = mixed.test(asked, [*(o for o in offers if o != asked), offer_of(place)], pooled)
-        if test.p >= level:
+        cause = mixed.test(asked, [*others, offer_of(place)], pooled)
+        function = tested(grounds, compared, offers, [], place)
+        if (place in found and cause.p >= level) or function.p < min(level_of(grounds, compared, rate), cause.p):
             return (
-                f"with what {AXES[place.channel]} lacks along the {place.choice.where}, which no cause explains, it "
-                f"adds nothing (p = {test.p:.2g})"
+                f"{AXES[k]} differs {'' if choice.where == EVERYWHERE else 'along the '}{choice.where} in a way that no "
+                f"cause explains (p = {function.p:.2g} with the cause given); with that given the cause has "
+                f"p = {cause.p:.2g}"
             )
     return ""
 
