@@ -84,3 +84,15 @@ def test_an_extended_model_is_the_model_at_the_speeds_that_its_rotors_act_with()
     for state, speeds in zip(rng.standard_normal((20, 9)), rng.uniform(0.8, 1.2, (20, 4)) * HOVER):
         found, true = (np.concatenate(m.predict(state, w)) for m, w in ((extended, speeds), (model, acting * speeds)))
         np.testing.assert_allclose(found[2:5], true[2:5], rtol=1e-9, atol=1e-12)
+
+
+def test_a_trial_of_less_than_no_thrust_acts_as_the_weakest_rotor_that_is_physical():
+    model = simple_model(AIRFRAME, THRUST, TORQUE, Mx={"U_p": 1e-8, "mu_x*w_avg": 0.1})
+    effect = catalogue()["rotor_effectiveness"]
+
+    def moment(share):
+        extended = Model(extend(model, [(effect, {"rotor2": share})], vehicle_of(model, MASS), "extended", "a test"))
+        return np.concatenate(extended.predict(np.ones(9), np.full(4, HOVER)))
+
+    np.testing.assert_array_equal(moment(-1.4), moment(effect.parameters["rotor2"].low - 1.0))
+    assert np.isfinite(moment(-1.4)).all()

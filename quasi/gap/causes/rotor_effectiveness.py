@@ -32,6 +32,7 @@ from quasi.terms.variables import SYNONYMS, split_function
 SLOPES_KNOWN = 0.05  # share, from rotors planted in real recordings: docs/measured.md
 THRUST_AXES = AXES[:5]  # all but the yaw moment, which is that of the shaft
 NUMBERS = range(1, 5)
+LOWEST, HIGHEST = 0.3, 2.0  # physical: a rotor without two thirds of its thrust does not fly
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
@@ -55,8 +56,11 @@ def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
 
 
 def _extension(values: Values, vehicle: Vehicle, model: Model) -> Extension:
-    """The model's own terms of thrust at the speeds that the rotors act with, in place of those at logged speeds."""
-    effective = _effective_speeds(model.airframe, [1.0 + values.get(f"rotor{i}", 0.0) for i in NUMBERS])
+    """The model's own terms of thrust at the speeds that the rotors act with, in place of those at logged speeds.
+
+    A trial beyond what is physical acts as its limit: no speed has a square below zero."""
+    shares = np.clip([1.0 + values.get(f"rotor{i}", 0.0) for i in NUMBERS], LOWEST, HIGHEST)
+    effective = _effective_speeds(model.airframe, shares)
     terms: dict[str, list[tuple[str, float]]] = {}
     for i in NUMBERS:
         if share := values.get(f"torque{i}", 0.0):
@@ -71,7 +75,7 @@ def _extension(values: Values, vehicle: Vehicle, model: Model) -> Extension:
     return Extension(terms=terms)
 
 
-def _effective_speeds(frame: Airframe, e: list[float]) -> dict[str, Tree]:
+def _effective_speeds(frame: Airframe, e: np.ndarray) -> dict[str, Tree]:
     """{variable: its expression in logged speeds}, of squared speeds that act e times as large, (4,)."""
     weights = {"w_tot": (1.0,) * 4, "u_p": frame.left, "u_q": frame.front, "u_r": frame.spin}
     each = {f"w{i}": np.eye(4)[i - 1] for i in range(1, 5)}
@@ -82,7 +86,7 @@ def _effective_speeds(frame: Airframe, e: list[float]) -> dict[str, Tree]:
         ]
         return "".join(parts)
 
-    speed, square = np.sqrt(np.array(e)) - 1.0, np.array(e) - 1.0
+    speed, square = np.sqrt(e) - 1.0, e - 1.0
     found = {name: name + beyond(weight, speed, 1) for name, weight in {**weights, **each}.items()}
     found |= {
         f"d_{name}": f"d_{name}" + beyond(weights.get(name, each.get(name)), speed, 1) for name in (*each, "w_tot")
@@ -120,8 +124,8 @@ EFFECT = Effect(
     sentence="one rotor makes less or more thrust than its speed says (chipped or wrong propeller)",
     equation="T_i = e_i T0_i: dFz : dMx : dMy in the ratio of the hub's place; Q_i = torque_i Q0_i",
     source="definition",
-    parameters={f"rotor{i}": Parameter("1", 1.0, "s", 0.3, 2.0, 0.1) for i in NUMBERS}
-    | {f"torque{i}": Parameter("1", 1.0, "s", 0.3, 2.0, None) for i in NUMBERS},
+    parameters={f"rotor{i}": Parameter("1", 1.0, "s", LOWEST, HIGHEST, 0.1) for i in NUMBERS}
+    | {f"torque{i}": Parameter("1", 1.0, "s", LOWEST, HIGHEST, None) for i in NUMBERS},
     channels=("Fz", "Mx", "My"),
     rivals=("cg_offset", "rotor_tilt"),
     tie_breaker="heave with a large range of thrust, and steps of each axis",
