@@ -102,7 +102,33 @@ def rotorpy_cases() -> dict[str, Case]:
                            scaled(k_eta=0.93, k_m=0.93, k_d=0.93, k_z=0.93, k_h=0.93)),
         "rotor 2 x 0.92, its torque too": Case(("rotor_effectiveness",), value={"rotor2": 0.92, "torque2": 0.92},
                                                change={"weak": {2: (0.92, 0.92)}}),
+        "rotors 2 and 3 exchanged": Case(("rotor_order",), value={"rotor2": 3, "rotor3": 2},
+                                         sensors={"rotors": (0, 2, 1, 3)}),
+        # commands against measured speeds: forces hold with the speeds that were measured
+        "motor of rotor 2 slower": Case(("motor_lag",), change=scaled(tau_m=np.array([1.0, 2.0, 1.0, 1.0]))),
+        "thrust fades": Case(("thrust_drift",), value={"rate": -0.002}, change={"fading": 0.002}),
+        **unlisted_cases(),
     }  # fmt: skip
+
+
+def unlisted_cases() -> dict[str, Case]:
+    """Forces and moments of RotorPy that no cause of the catalogue describes."""
+
+    def cubic(_: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return -0.03 * float(velocity @ velocity) * velocity, np.zeros(3)  # N s3/m3
+
+    def layered(position: np.ndarray, _: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.array([0.0, 0.0, 0.3 * np.sin(2 * np.pi * position[2] / 0.4)]), np.zeros(3)  # N, m
+
+    def sideways(_: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.array([0.0, 0.05 * velocity[0] * abs(velocity[0]), 0.0]), np.zeros(3)  # N s2/m2
+
+    # a drag with the cube of speed differs from body drag by its form alone
+    near = {"cubic drag": ("body_drag",)}
+    loads = {"cubic drag": cubic, "lift in layers of height": layered, "side force of forward speed": sideways}
+    return {
+        name: Case(also=near.get(name, ()), change={"load": load}, unexplained=True) for name, load in loads.items()
+    }
 
 
 def sensor_cases() -> dict[str, Case]:
@@ -316,6 +342,18 @@ def answer(found: Mapping[str, Any]) -> str:
     return "; ".join(parts) or found["verdict"]
 
 
+def merged(before: list[list[str]], rows: list[list[str]]) -> list[list[str]]:
+    """Rows of a table with those that were flown now: by simulator, seed and order of the cases."""
+    every = {tuple(row[:2]): row for row in [*before, *rows]}
+    order = {name: list(cases()) for name, cases in SIMULATORS.items()}
+
+    def place(row: list[str]) -> tuple[int, int, int]:
+        simulator, seed = row[0].split()
+        return list(SIMULATORS).index(simulator), int(seed), order[simulator].index(row[1])
+
+    return sorted(every.values(), key=place)
+
+
 def figures(rows: list[list[str]]) -> dict[str, int]:
     """Counts of a table."""
     clean = [row for row in rows if row[1] == "clean"]
@@ -362,7 +400,7 @@ def main() -> None:
         print(f"{score}: {len(names)}")
     if arguments.record:
         document = read_json(RESULTS / "foreign.json")
-        document["table"]["rows"] = rows
+        document["table"]["rows"] = rows = merged(document["table"]["rows"], rows)
         write_json(RESULTS / "foreign.json", document)
         record("foreign", figures(rows))
 

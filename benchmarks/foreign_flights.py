@@ -58,6 +58,7 @@ class Sensors:
     gyro_noise: float = 0.01  # rad/s
     vibration: float = 1.5  # m/s2 at hover, along each axis, of each rotor's line
     hover: float = 469.0  # rad/s
+    rotors: tuple[int, int, int, int] = (0, 1, 2, 3)  # rotor, from 0, that each column of speeds and commands holds
 
 
 @dataclass(frozen=True)
@@ -173,7 +174,8 @@ def measure(motion: Motion, sensors: Sensors, rng: np.random.Generator) -> Board
     jitter = 1 + rng.normal(0, 0.002, (len(stamps), 4))
     telemetry = np.round(at(stamps - 0.002, motion, motion.speeds) * ERPM * jitter)
     rows = np.clip(np.searchsorted(motion.t, stamps, "right") - 1, 0, len(motion.t) - 1)
-    return Board(stamps, gyro, acc, telemetry, motion.commands[rows])
+    columns = list(sensors.rotors)
+    return Board(stamps, gyro, acc, telemetry[:, columns], motion.commands[rows][:, columns])
 
 
 def film(motion: Motion, sensors: Sensors, rng: np.random.Generator) -> Capture:

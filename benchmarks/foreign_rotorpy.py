@@ -13,6 +13,7 @@ from foreign_flights import GRAVITY, Motion, Vehicle
 from foreign_pilot import RATE, Course
 from scipy.spatial.transform import Rotation
 
+Load = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 IDLE = 60.0  # rad/s
 SENSORS: dict[str, Any] = {}
 # what its vehicle has in every flight: true where a diagnosis reports it as always there
@@ -47,12 +48,16 @@ def fly(
     change: Callable[[dict[str, Any]], None] | None = None,
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
     weak: Mapping[int, tuple[float, float]] | None = None,
+    fading: float = 0.0,
+    load: Load | None = None,
 ) -> Motion:
     """One flight.
 
     change  alters the vehicle's parameters, which the controller does not know
     wind    m/s, world
     weak    {rotor from 1: factors of its thrust and torque coefficients}
+    fading  1/s, share of all rotors' thrust and torque that is lost with time
+    load    (position m, velocity through the air m/s body) to a force N and moment N m, body, of no parameter
     """
     from rotorpy.controllers.quadrotor_control import SE3Control
     from rotorpy.vehicles.multirotor import Multirotor
@@ -64,6 +69,8 @@ def fly(
     craft = Multirotor(p, enable_ground=True)
     if weak:
         craft.compute_body_wrench = _with_weak_rotors(craft, weak)
+    if load:
+        craft.compute_body_wrench = _loaded(craft.compute_body_wrench, load, position := np.zeros(3))
     state = {**copy.deepcopy(craft.initial_state), "x": np.zeros(3), "rotor_speeds": np.full(4, IDLE)}
     state["wind"] = np.array(wind, float)
     n, h = len(course.yaw), 1 / RATE
@@ -75,6 +82,9 @@ def fly(
             commands[k] = control.update(k * h, state, wanted)["cmd_motor_speeds"]
         commands[k] = np.clip(commands[k], IDLE, p["rotor_speed_max"])
         s = craft._pack_state(state)
+        craft.k_eta, craft.k_m = p["k_eta"] * (1.0 - fading * k * h), p["k_m"] * (1.0 - fading * k * h)
+        if load:
+            position[:] = state["x"]
         one = craft._s_dot_fn(0.0, s, commands[k])
         two = craft._s_dot_fn(0.0, s + h / 2 * one, commands[k])
         three = craft._s_dot_fn(0.0, s + h / 2 * two, commands[k])
@@ -90,6 +100,18 @@ def fly(
         h * np.arange(n), states[:, :3], states[:, 6:10], states[:, 10:13], slopes[:, 10:13], force, states[:, 16:],
         commands / p["rotor_speed_max"],
     )  # fmt: skip
+
+
+def _loaded(
+    plain: Callable[..., tuple[np.ndarray, np.ndarray]], load: Load, position: np.ndarray
+) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
+    """A wrench with a further force and moment, which may depend on the position (3,) that the caller keeps."""
+
+    def wrench(rates: np.ndarray, speeds: np.ndarray, airspeed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        own, further = plain(rates, speeds, airspeed), load(position, airspeed)
+        return own[0] + further[0], own[1] + further[1]
+
+    return wrench
 
 
 def _with_weak_rotors(
