@@ -6,6 +6,8 @@
 `withheld` filters imported flights of the example again without their rotor speeds, estimates these from commands and
 battery voltage, and prints: ratio of torque to thrust factors and time constants against those from telemetry, rms
 error of the speeds after one common scale, and rms error of Fz and moments by the simple rotor model of either speeds.
+Estimated speeds have the lag of thrust. The errors are printed as well for speeds with the rotors' own lag, by the yaw
+moment, as telemetry has it; and for both, R2 of the measured Fz and moments by squared speeds, damping and airspeed.
 `nanobench` makes the model of examples/crazyflie through the workflow and prints its scores on held-out flights, arms,
 and the mean error of roll-outs of 0.1, 0.2 and 0.5 s over that of holding the last state.
 Both write results/benchmarks/commands_only_*.json.
@@ -17,9 +19,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from plain_rollout import hold_states
 
-from quasi.airframe import read_airframe
+from quasi.airframe import Airframe, read_airframe
 from quasi.filtering.flight import filter_flight
 from quasi.filtering.rotor_speeds import add_estimated_speeds, read_flight
 from quasi.identification.joint_fit import JOINT_AXES
@@ -80,22 +83,65 @@ def withheld(numbers: list[int]) -> dict:
         / (truth["simple model"][f"kappa{axis}"]["value"] / base["telemetry"])
         for axis in JOINT_AXES[1:]
     }
+    kinds = {"lag of thrust": estimated}
+    if drive["yaw"]:
+        turning = drive | {name: drive["yaw"][name] for name in ("time constant", "delay")}
+        kinds["lag of the rotors"] = {k: add_estimated_speeds(t, made, turning) for k, (t, made) in blind.items()}
+    report["R2 of the measurement"] = {"telemetry": explained(measured, measured, airframe)}
+    for name, tables in kinds.items():
+        report[name] = compared(measured, tables, airframe, (truth["simple model"], own["simple model"]))
+        report["R2 of the measurement"][name] = explained(measured, tables, airframe)
+    return report
+
+
+def compared(measured: dict, estimated: dict, airframe: Airframe, models: tuple[dict, dict]) -> dict:
+    """Errors of estimated speeds against measured ones. models  simple models of telemetry and of commands"""
     speeds, loads, size = [], [], []
-    for key in keys:
-        a, b = measured[key], estimated[key]
-        rows = np.zeros(len(a), bool)
-        rows[usable(len(a), 0.9)] = True
-        rows &= used_rows(a) & used_rows(b)
+    for key, a in measured.items():
+        b = estimated[key]
+        rows = used_together(a, b)
         w, v = a[list(SPEEDS)].to_numpy(float)[rows], b[list(SPEEDS)].to_numpy(float)[rows]
         v = v * float(np.sum(w * v) / np.sum(v * v))
         speeds.append(((v - w) / w.mean()).ravel())
-        by_telemetry = thrusts_and_moments(a[rows], airframe, truth["simple model"])
-        loads.append(thrusts_and_moments(b[rows], airframe, own["simple model"]) - by_telemetry)
+        by_telemetry = thrusts_and_moments(a[rows], airframe, models[0])
+        loads.append(thrusts_and_moments(b[rows], airframe, models[1]) - by_telemetry)
         size.append(by_telemetry)
-    report["speed rms"] = float(np.sqrt(np.mean(np.concatenate(speeds) ** 2)))
     error, scale = (np.sqrt(np.mean(np.concatenate(x) ** 2, axis=0)) for x in (loads, size))
-    report["rms over rms"] = dict(zip(JOINT_AXES, (error / scale).tolist()))
-    return report
+    speed = float(np.sqrt(np.mean(np.concatenate(speeds) ** 2)))
+    return {"speed rms": speed, "rms over rms": dict(zip(JOINT_AXES, (error / scale).tolist()))}
+
+
+def used_together(a: pd.DataFrame, b: pd.DataFrame) -> np.ndarray:
+    """True (N,) in the middle rows of a flight that are used in both of its tables."""
+    rows = np.zeros(len(a), bool)
+    rows[usable(len(a), 0.9)] = True
+    return rows & used_rows(a) & used_rows(b)
+
+
+def explained(measured: dict, speeds: dict, airframe: Airframe) -> dict[str, float]:
+    """R2 of measured Fz and moments by least squares on squared speeds, damping, airspeed and rotor acceleration."""
+    signs = np.stack([-np.ones(4), airframe.left, airframe.front, airframe.spin])
+    found = {}
+    for axis, sign in zip(JOINT_AXES, signs):
+        y, x = [], []
+        for key, table in measured.items():
+            rows = used_together(table, speeds[key])
+            a, b = table[rows], speeds[key][rows]
+            w = b[list(SPEEDS)].to_numpy(float)
+            faster = b[[f"{s}_dot" for s in SPEEDS]].to_numpy(float) @ airframe.spin
+            further = {
+                "Fz": (a["w"] * w.sum(axis=1), a["u"] ** 2 + a["v"] ** 2),
+                "Mx": (a["p"], a["v"] * w.sum(axis=1)),
+                "My": (a["q"], a["u"] * w.sum(axis=1)),
+                "Mz": (a["r"], faster),
+            }[axis]
+            y.append(a[axis].to_numpy(float))
+            x.append(np.column_stack([w**2 @ sign, *further, np.ones(len(a))]))
+        target, columns = np.concatenate(y), np.concatenate(x)
+        columns = columns / np.linalg.norm(columns, axis=0)
+        left = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
+        found[axis] = float(1.0 - np.var(left) / np.var(target))
+    return found
 
 
 def roll_outs(model, flight) -> dict[str, np.ndarray]:

@@ -8,7 +8,7 @@ flights of a world and the model that is identified from some of them are made o
 import dataclasses
 import functools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,14 +17,17 @@ from worlds import draw_world
 
 from quasi.airframe import read_airframe
 from quasi.filtering.flight import filter_flight
+from quasi.filtering.rotor_speeds import add_estimated_speeds
 from quasi.gap.causes.payload_swing import LOAD_LENGTHS
 from quasi.gap.flights.level import Flown
 from quasi.identification.candidates import read_specification
 from quasi.identification.fit import fit_axis
 from quasi.identification.partition import partition
+from quasi.identification.rotor_speeds import rotor_speeds_of
 from quasi.identification.shared import shared
 from quasi.importing.flight import import_flight
 from quasi.model.build import assemble_model
+from quasi.model.commands import map_of
 from quasi.model.model import AXES, Model
 from quasi.synthesis.campaign import make_flight, quadrotor_configuration, read_campaign, write_flight
 from quasi.synthesis.effects import OFFERED, UNLISTED
@@ -116,21 +119,24 @@ ALL = WRENCH | SENSORS | DRIVE | STRANGE
 # what the made vehicle has anyway and a fitted model may lack: reported of every flight, it is no wrong name
 INHERENT = {"rotor_drag", "body_drag", "blade_flapping", "axial_inflow", "vortex_ring", "rotor_interference",
             "inflow_lag", "rotor_gyroscopic", "rotor_acceleration_torque", "translational_lift"}  # fmt: skip
+# without measured rotor speeds these change nothing that is logged
+TELEMETRY_CAUSES = ("rotor_speed_scale", "telemetry_delay")
 # channel in which an effect of no catalogue shows
 SHOWS = {"unlisted_heading": "Fz", "unlisted_height": "Fy", "unlisted_beat": "Fx", "unlisted_fan": "Fz",
          "unlisted_twist": "Mz", "unlisted_brake": "My", "unlisted_shift": "Mx"}  # fmt: skip
 
 
-def drawn(seed: int) -> dict[str, Any]:
+def drawn(seed: int, without: Collection[str] = ()) -> dict[str, Any]:
     """What is hidden in the flights of a seed: {"kind", "design", "effects": {id: {parameter: value}}, "factors"}.
 
     Sizes are log-uniform over a factor of RANGE around the typical one. design  "reference": healthy flights are given
     as well; "all": every flight is affected; "own": and the model was identified from these same flights.
+    without  causes that are not hidden
     """
     rng = np.random.default_rng([seed, 7])
     kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
     design = str(rng.choice(list(DESIGNS), p=list(DESIGNS.values())))
-    listed = [*WRENCH, *SENSORS, *DRIVE]
+    listed = [n for n in (*WRENCH, *SENSORS, *DRIVE) if n not in without]
     ids = {
         "clean": [],
         "single": [listed[seed % len(listed)]],  # every cause is hidden about as often
@@ -185,15 +191,17 @@ def deviation(name: str, values: Mapping[str, float]) -> dict[str, float]:
 
 
 class World(NamedTuple):
-    """Conditions that all flights of a data set share: a number, and keys of a campaign."""
+    """Conditions that all flights of a data set share: a number, keys of a campaign; telemetry  are speeds logged?"""
 
     number: int
     config: dict[str, Any]
+    telemetry: bool = True
 
     @property
     def folder(self) -> str:
         """Folder of its healthy flights, below that of the mild world."""
-        return f"world-{self.number}" if self.number else "."
+        own = f"world-{self.number}" if self.number else "."
+        return own if self.telemetry else f"{own}/commands-only"
 
     @property
     def learned(self) -> Sequence[int]:
@@ -205,9 +213,9 @@ MILD = World(0, {})
 
 
 @functools.cache
-def world(number: int) -> World:
+def world(number: int, telemetry: bool = True) -> World:
     """The world of a number from 0 to WORLDS - 1."""
-    return World(number, draw_world(number)) if number else MILD
+    return World(number, draw_world(number) if number else MILD.config, telemetry)
 
 
 class Recorded(NamedTuple):
@@ -233,11 +241,20 @@ def record(
     onboard, capture = str(folder / f"{key}.bbl"), str(folder / f"{key}.csv")
     write_flight(made, onboard, capture, folder / f"{key}.truth.parquet")
     (folder / f"{key}.truth.parquet").unlink()
+    if not of.telemetry:
+        withhold_telemetry(Path(onboard))
     source = {
         "flight": key, "quadrotor": campaign.quadrotor, "flight controller": "betaflight", "rigid body": "MadeBeetle",
         "onboard": onboard, "capture": capture, "log number": None,
     }  # fmt: skip
     return Recorded(source, _quadrotor(of.number))
+
+
+def withhold_telemetry(onboard: Path) -> None:
+    """Rename the fields of rotor speeds in a made log, so that readers find none, as with DShot in one direction."""
+    text, end, frames = onboard.read_bytes().partition(b"H fields_disabled_mask")
+    text = text.replace(b"eRPM[", b"none[").replace(b"H dshot_bidir:1", b"H dshot_bidir:0")
+    onboard.write_bytes(text + end + frames)
 
 
 @functools.cache
@@ -310,9 +327,9 @@ def _plain(value: Any) -> Any:
 
 
 @functools.cache
-def healthy_model(folder: Path, number: int = 0) -> Model:
+def healthy_model(folder: Path, number: int = 0, telemetry: bool = True) -> Model:
     """The model that the bundled example's settings make of a world's healthy flights, identified once and kept."""
-    of = world(number)
+    of = world(number, telemetry)
     path = folder / of.folder / "model.json"
     if not path.is_file():
         write_json(path, identified([healthy(folder, seed, of)[1] for seed in of.learned]))
@@ -322,12 +339,15 @@ def healthy_model(folder: Path, number: int = 0) -> Model:
 def identified(flown: Sequence[Flown]) -> dict[str, Any]:
     """The document of the model that the bundled example's settings make of some flights of one vehicle."""
     flights, airframe = {f.key: f.filtered for f in flown}, flown[0].airframe
+    masses = {f.key: f.filtered_metadata["mass"] for f in flown}
+    drive, _ = rotor_speeds_of(flights, airframe, masses, {})
+    flights = {f.key: add_estimated_speeds(f.filtered, f.filtered_metadata, drive) for f in flown}
     ages = list_telemetry_corrections({f.key: {"imported": f.metadata} for f in flown})
     settings = read_json(ROOT / "config/models/example.json")
     asked = settings["identification parameters"]
     specification = read_json(ROOT / f"config/polynomials/{asked['polynomial specification file']}.json")
     roles = partition(flights, (), settings["data partitioning"])
-    common = shared(flights, roles, airframe, aged=ages)
+    common = shared(flights, roles, airframe, masses=masses, aged=ages, drive=drive)
     parts = {
         axis: fit_axis(
             axis, flights, roles, airframe, common, {**asked["polynomial"], "bootstrap": 0},
@@ -349,6 +369,12 @@ def trained(folder: Path, seed: int, number: int = 4, of: World = MILD) -> list[
     """Some of the flights that made the model, evenly taken from all; the seed changes nothing."""
     seeds = of.learned
     return [healthy(folder, seeds[round(k * (len(seeds) - 1) / (number - 1))], of) for k in range(number)]
+
+
+def with_speeds(flown: Flown, model: Model) -> Flown:
+    """The flight with the rotor speeds that the model's map makes of its commands, where it measures none."""
+    table = add_estimated_speeds(flown.filtered, flown.filtered_metadata, map_of(model.document), trimmed=False)
+    return dataclasses.replace(flown, filtered=table)
 
 
 def again(recorded: Sequence[Recorded], flown: Sequence[Flown], calibrations: Sequence[Any]) -> list[Flown]:

@@ -1,7 +1,7 @@
 """Hide and seek: causes drawn from a seed are hidden in raw logs; are they named, and nothing else?
 
     python benchmarks/hide_and_seek.py [--first 30000] [--draws 300] [--world drawn] [--rate 0.05] [--table]
-                                       [--out results/benchmarks/hide_and_seek]
+                                       [--commands-only] [--out results/benchmarks/hide_and_seek]
 
 The study has the seeds from 30000. Its draws belong to WORLDS worlds by turns: `--world drawn` takes the seed modulo
 their number. World 0 is mild; `--world mild` takes it for every seed, as the study of seeds 10300 to 10699 did.
@@ -11,6 +11,10 @@ anew with what these found, diagnoses them (one is held out) as the workflow doe
 truth, which nothing else reads. One JSON per draw; a study that was stopped goes on where it was. --table makes
 docs/hide-and-seek.md of the files that are there, without drawing. --rate seeks in the same flights at another false
 alarm rate; such draws are in a table of their own.
+
+--commands-only withholds the rotor speeds from every log: the model's map makes them of commands and battery voltage.
+Such draws are counted on the terminal and stand in no page. What cannot show without measured speeds is not hidden
+there (`TELEMETRY_CAUSES`).
 
 The model was identified from sixteen other healthy flights. Half and more of the draws have four healthy reference
 flights in addition to the affected ones ("reference"); in others every flight is affected, and four of those that made
@@ -22,6 +26,7 @@ import argparse
 import os
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -35,6 +40,7 @@ from hidden import (
     OWN,
     SHOWS,
     STRANGE,
+    TELEMETRY_CAUSES,
     WORLDS,
     Recorded,
     affected,
@@ -47,6 +53,7 @@ from hidden import (
     references,
     session_of,
     trained,
+    with_speeds,
     world,
 )
 from hide_and_seek_page import CLEAR, page
@@ -75,15 +82,20 @@ SETTINGS = {
 }  # fmt: skip
 INDISTINCT = {"thrust_factor", "rotor_speed_scale"}  # the torque alone tells them apart: always a tie
 
+# without measured speeds, more thrust at the same command is one of these
+INDISTINCT_BY_COMMANDS = {"thrust_factor", "thrust_curve", "thrust_drift", "battery_sag"}
+
 
 def draw(settings: dict[str, Any], seconds: float = 30.0, folder: Path = OUT) -> dict[str, Any]:
     """Hide, seek, and compare.
 
     settings  {"seed"} of `drawn`; "world": number of its world (0, the mild one); "hide": what `drawn` would return;
-    "rate": another false alarm rate; "restless": see `hidden.affected`
+    "rate": another false alarm rate; "restless": see `hidden.affected`; "telemetry":
+              False withholds the rotor speeds
     """
-    seed = settings["seed"]
-    hidden, of = settings.get("hide") or drawn(seed), world(settings.get("world", 0))
+    seed, telemetry = settings["seed"], settings.get("telemetry", True)
+    hidden = settings.get("hide") or drawn(seed, () if telemetry else TELEMETRY_CAUSES)
+    of = world(settings.get("world", 0), telemetry)
     begin = time.perf_counter()
     with tempfile.TemporaryDirectory() as raw:
         own = hidden["design"] == "own"
@@ -102,7 +114,7 @@ def draw(settings: dict[str, Any], seconds: float = 30.0, folder: Path = OUT) ->
         if own:
             model = Model(identified(flown[1:]))
         else:
-            model = healthy_model(folder / "healthy", of.number)
+            model = healthy_model(folder / "healthy", of.number, telemetry)
         asked_with = {**SETTINGS, "false alarm rate": settings.get("rate", SETTINGS["false alarm rate"])}
         if of.number:
             healthy_seeds = {r.source["flight"]: int(r.source["flight"].split("-")[1]) for r, f in learned
@@ -121,7 +133,7 @@ def draw(settings: dict[str, Any], seconds: float = 30.0, folder: Path = OUT) ->
         "sizes": sizes,
     }
     result["seconds"] = {"made": made, "whole": time.perf_counter() - begin}
-    return {**result, **judge(result)}
+    return {**result, **judge({**result, "settings": settings})}
 
 
 def seek(
@@ -131,18 +143,21 @@ def seek(
     """The diagnosis of flights, without any knowledge of what is hidden, and what it was made of."""
     effects = catalogue()
     recorded, flown = [list(part) for part in zip(*learned)]
+    flown, last = [with_speeds(f, model) for f in flown], with_speeds(held[1], model)
     raw = {f.key: r for r, f in learned}
-    told, levels = sensors_and_drive.examine(
-        flown, model.document, settings, effects, lambda f, c: again([raw[f.key]], [f], [c])[0], 1
-    )
-    calibrations = [for_flight(told, f.compared) for f in [*flown, held[1]]]
-    everything = again([*recorded, held[0]], [*flown, held[1]], calibrations)
+
+    def process(flight: Flown, calibration: Mapping[str, Any] | None) -> Flown:
+        return with_speeds(again([raw[flight.key]], [flight], [calibration])[0], model)
+
+    told, levels = sensors_and_drive.examine(flown, model.document, settings, effects, process, 1)
+    calibrations = [for_flight(told, f.compared) for f in [*flown, last]]
+    everything = [with_speeds(f, model) for f in again([*recorded, held[0]], [*flown, last], calibrations)]
     roles = {f.key: "compared" if f.compared else "reference" for f in everything}
-    roles[held[1].key] = "held out"
+    roles[last.key] = "held out"
     evidence = {f.key: gather(f.key, f.filtered, f.filtered_metadata, f.airframe, model, SAMPLING) for f in everything}
     found = diagnose(
         model, told, evidence, {f.key: f.filtered for f in everything}, roles, effects, settings,
-        ([held[1]], [everything[-1]]), "hidden", (), given,
+        ([last], [everything[-1]]), "hidden", (), given,
     )  # fmt: skip
     vehicle = vehicle_of(model, room=room_of(SETTINGS["room"]))
     compared = np.array([f.compared for f in flown])
@@ -162,7 +177,7 @@ def judge(result: Mapping[str, Any]) -> dict[str, Any]:
     ties = [t["ids"] for t in result["ties"]]
     # what the data can tell apart has to be named
     apart = {c for c in truth if (result["sizes"].get(c, {}).get("separability") or 0.0) > CLEAR}
-    apart -= {c for c in truth if c in INDISTINCT}
+    apart -= INDISTINCT if result.get("settings", {}).get("telemetry", True) else INDISTINCT_BY_COMMANDS
     found = {c for c in truth if c in named or any(c in t and len(t) <= 3 and c not in apart for t in ties)}
     inherent = INHERENT | ({"thrust_curve"} if result.get("world", 0) else set())
     own = [e["id"] for e in result["effects said"] if e["id"] not in truth and e["id"] in inherent and in_all(e)]
@@ -213,6 +228,16 @@ def _error(said: Mapping[str, Any], planted: Mapping[str, Mapping[str, float]]) 
     return {"relative": error / abs(beyond[main]), "in std": error / max(std, 1e-300)}
 
 
+def print_draws(results: Sequence[Mapping[str, Any]]) -> None:
+    """Print each draw's truth and names, and the counts of outcomes."""
+    for r in results:
+        ties = "; ".join(" or ".join(ids) for ids in r.get("tied", ()))
+        truth = ", ".join(f"{n} {r['factors'][n]:.1f}" for n in r["effects"]) or "-"
+        named = ", ".join(f"{e['id']} ({e['level']}, {e['since']})" for e in r.get("effects said", ()))
+        print(f"{r['settings']['seed']} {r['design']:9s} {r['outcome']:14s} {truth} | {named or '-'} | {ties or '-'}")
+    print(dict(Counter(r["outcome"] for r in results)), f"wrong names: {sum(len(r.get('wrong', ())) for r in results)}")
+
+
 def main() -> None:
     """Draw, or make the table of what was drawn."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -220,6 +245,7 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=300)
     parser.add_argument("--world", choices=("drawn", "mild"), default="drawn")
     parser.add_argument("--rate", type=float, help="another false alarm rate")
+    parser.add_argument("--commands-only", action="store_true", help="withhold the rotor speeds")
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--table", action="store_true", help="the table alone, of the draws that are there")
     arguments = parser.parse_args()
@@ -227,6 +253,7 @@ def main() -> None:
     seeds = range(arguments.first, arguments.first + arguments.draws)
     if not arguments.table:
         other = {"rate": arguments.rate} if arguments.rate else {}
+        other |= {"telemetry": False} if arguments.commands_only else {}
         number = {s: s % WORLDS if arguments.world == "drawn" else 0 for s in seeds}
         run(
             [{"seed": s, "world": number[s], **other} for s in seeds],
@@ -238,6 +265,10 @@ def main() -> None:
         r for r in map(read_json, sorted(folder.glob("*.json"))) if arguments.table or r["settings"]["seed"] in seeds
     ]
     results = [{**r, **judge(r)} if r["outcome"] != "lost" else r for r in read]
+    if arguments.commands_only:
+        print_draws([r for r in results if not r["settings"].get("telemetry", True)])
+        return
+    results = [r for r in results if r["settings"].get("telemetry", True)]
     plain = [r for r in results if "rate" not in r["settings"]]
     if not plain:
         raise SystemExit(

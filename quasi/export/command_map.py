@@ -7,7 +7,7 @@ module's `predict_from_commands` adds the surplus of cold ones. An export of a m
 from collections.abc import Mapping
 from typing import Any
 
-from quasi.model.commands import map_of
+from quasi.model.commands import extended_map
 from quasi.model.model import Model
 from quasi.terms.rotor_map import FORMS, WARM_UP_NAMES
 
@@ -52,7 +52,7 @@ def _input_words(drive: Mapping[str, Any]) -> str:
 
 def python_map(model: Model) -> str | None:
     """Functions steady_speeds, rotor_speeds and predict_from_commands of the Python module; None without a map."""
-    drive = map_of(model.document)
+    drive = extended_map(model.document)
     if drive is None:
         return None
     c = constants_of_map(drive)
@@ -110,7 +110,7 @@ def predict_from_commands(state, commands, volts, time_step, extra=None):
 
 def c_map(model: Model, p: str) -> tuple[str, str] | None:
     """Declaration and definition of <model>_steady_speeds in C; None for a model without a map."""
-    drive = map_of(model.document)
+    drive = extended_map(model.document)
     if drive is None:
         return None
     c = constants_of_map(drive)
@@ -137,7 +137,7 @@ def c_map(model: Model, p: str) -> tuple[str, str] | None:
 
 def matlab_map(model: Model) -> str | None:
     """The function steadySpeeds.m of MATLAB; None for a model without a map."""
-    drive = map_of(model.document)
+    drive = extended_map(model.document)
     if drive is None:
         return None
     c = constants_of_map(drive)

@@ -30,6 +30,7 @@ from quasi.gap.levels.forces import polynomial_baseline
 from quasi.gap.levels.forces.case import Case
 from quasi.gap.levels.forces.effect_size import acting
 from quasi.gap.levels.forces.error_reduction import Squares, after, removed, wrench_squares
+from quasi.gap.levels.forces.estimated_speeds import with_estimated_speeds
 from quasi.gap.levels.forces.findings import gusts
 from quasi.gap.levels.forces.held_out import best_wrong, everything, gain_axes, made_of
 from quasi.gap.levels.forces.identify import Found, examine
@@ -94,13 +95,15 @@ def diagnose(
     learning, held = [*groups["reference"], *groups["compared"]], groups["held out"]
     compared = [False] * len(groups["reference"]) + [True] * len(groups["compared"])
     levels, order = calibration["levels"], calibration.get("rotor order")
+    effects, without_speeds = with_estimated_speeds(effects, model, [*learning, *held])
+    asked_of_forces = {n for n, e in effects.items() if e.level == "forces"}
     if order:
         lower = ([rotor_order.reorder(f, order) for f in lower[0]], lower[1])
     reject_immaterial(levels, *lower, share)
     lists: dict[str, Any] = {
         "candidates": [],
         "unexplained": [],
-        "cannot_be_asked": [],
+        "cannot_be_asked": without_speeds,
         "notes": [*lost, *([rotor_order.note_of(order)] if order else [])],
     }
     lists["notes"] += [s for s in [session_sentence(sessions, roles)] if s]
@@ -184,10 +187,11 @@ def diagnose(
         )  # fmt: skip
     for level in ("sensors", "drive"):
         lists["candidates"] += levels[level]["candidates"]
-        lists["cannot_be_asked"] += levels[level]["cannot_be_asked"]
+        lists["cannot_be_asked"] += [c for c in levels[level]["cannot_be_asked"] if c["id"] not in asked_of_forces]
         lists["notes"] += levels[level]["notes"]
     taken = [*(e["id"] for e in [*lower_effects, *named]), *(i for tie in ties for i in tie["ids"])]
-    named_by_trim, tied_by_trim = trim_entries(trim, taken, bool(unable))
+    acting_on = {channel for e in named for channel in e["channels"]}
+    named_by_trim, tied_by_trim = trim_entries(trim, taken, bool(unable), acting_on)
     lower_effects += named_by_trim
     ties += tied_by_trim
     result = {

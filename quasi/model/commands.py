@@ -6,12 +6,33 @@ from typing import Any
 import numpy as np
 
 from quasi.errors import ConfigError, ShapeError
-from quasi.terms.rotor_map import commanded_speeds, delayed, drive_of_map, lagged
+from quasi.terms.rotor_map import commanded_speeds, delayed, drive_of_map, lagged, voltage_elasticity
 
 
 def map_of(document: Mapping[str, Any]) -> dict[str, Any] | None:
     """The map from commands to rotor speeds that a model carries, as `rotor_map` takes it; None without one."""
     return document.get("rotor speeds") or drive_of_map(document.get("actuators"))
+
+
+def extended_map(document: Mapping[str, Any]) -> dict[str, Any] | None:
+    """`map_of` with what the model's extensions know of voltage, time constant, delay and scale; the last one counts.
+
+    An extension's exponent is that of the speed at the operating command.
+    """
+    own = drive = map_of(document)
+    for extension in document.get("extensions") or ():
+        found = extension.get("actuators") or {}
+        if drive is None or not found:
+            continue
+        reference = drive["reference voltage"] or found.get("reference voltage")
+        drive = drive | {n: {"value": float(found[n]), "unit": "s"} for n in ("time constant", "delay") if n in found}
+        if "voltage exponent" in found and reference:
+            exponent = float(found["voltage exponent"]) / voltage_elasticity(drive)
+            drive |= {"voltage exponent": {"value": exponent}, "reference voltage": reference}
+        if "rotor speed scale" in found:
+            true = (np.asarray(own["speeds"]["value"], float) / float(found["rotor speed scale"])).tolist()
+            drive |= {"speeds": {**own["speeds"], "value": true}}
+    return drive
 
 
 def relative_speed_error(document: Mapping[str, Any], trimmed: bool) -> float:
@@ -27,7 +48,7 @@ def rotor_speeds(
     document: Mapping[str, Any], t: np.ndarray, commands: np.ndarray, volts: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rotor speeds (N, 4), rad/s, and their slopes (N, 4), rad/s2; arguments as `Model.predict_from_commands`."""
-    drive = map_of(document)
+    drive = extended_map(document)
     if drive is None:
         raise ConfigError(
             f"model {document.get('id')} carries no map from commands to rotor speeds; identify it on flights whose "

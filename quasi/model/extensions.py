@@ -14,8 +14,10 @@ import pandas as pd
 from quasi import attitude
 from quasi.errors import ConfigError, DataError, nearest
 from quasi.model.columns import ROTORS
+from quasi.model.commands import map_of
 from quasi.model.model import Model
 from quasi.tables import TELEMETRY_AGE_REMOVED
+from quasi.terms.rotor_map import COMMANDED, RAW, SHARES, speed_exponent
 
 # keys of a model's document: mass, kg, and inertia, kg m2, with which its flights were processed
 CONFIGURED_MASS_KEY, CONFIGURED_INERTIA_KEY = "configured mass", "configured inertia"
@@ -144,9 +146,40 @@ def correct_rotor_speeds(columns: Mapping[str, np.ndarray], late: float, scale: 
     return result
 
 
+def are_estimated(columns: Mapping[str, np.ndarray] | pd.DataFrame) -> bool:
+    """Whether the rotor speeds of a filtered flight's columns come from a map of its commands."""
+    return any(f"{name}{RAW}" in columns for name in (SHARES[0], COMMANDED[0]))
+
+
+def voltage_of_map(model: Model) -> tuple[float, float | None]:
+    """Voltage exponent of the speed by the extensions minus that by the model's map; reference V or None."""
+    drive, found = map_of(model.document), read_rotor_constants(model)
+    if drive is None:
+        return 0.0, None
+    own = speed_exponent(drive)
+    return found.get("voltage exponent", own) - own, drive["reference voltage"] or found.get("reference voltage")
+
+
+def correct_estimated_speeds(
+    columns: Mapping[str, np.ndarray], exponent: float, reference: float | None
+) -> dict[str, np.ndarray]:
+    """Correct rotor speeds estimated from commands for another voltage exponent of the map; measured ones stay.
+
+    exponent  beyond that of the map, see `voltage_of_map`. A voltage that is not positive leaves the speed.
+    """
+    result = dict(columns)
+    if exponent and reference and "battery_voltage" in columns and are_estimated(columns):
+        ratio = np.asarray(columns["battery_voltage"], float) / reference
+        factor = np.where(ratio > 0.0, ratio, 1.0) ** exponent
+        names = [name for rotor in ROTORS for name in (rotor, f"{rotor}_dot") if name in columns]
+        result |= {name: np.asarray(columns[name], float) * factor for name in names}
+    return result
+
+
 def correct_columns(model: Model, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Correct a flight's columns by the model's constants: true rotor speeds, and velocity through the air."""
     result = correct_rotor_speeds(columns, *telemetry_of(model))
+    result = correct_estimated_speeds(result, *voltage_of_map(model))
     wind = wind_of(model)
     if wind.any():
         quaternion = attitude.from_euler(*(columns[c] for c in ("roll", "pitch", "yaw")))

@@ -88,6 +88,19 @@ def shape(form: str, share: np.ndarray, ratio: np.ndarray | float, exponent: flo
     return np.maximum(z, 0.0)
 
 
+def voltage_elasticity(drive: Mapping[str, Any]) -> float:
+    """d ln W / d ln V at the operating command over the map's exponent; 1 unless voltage acts on the command."""
+    parameters = [drive["parameters"][name]["value"] for name in FORMS[drive["form"]].names]
+    step, one = 1e-4, np.ones((1, 1))
+    ends = [float(shape(drive["form"], one, one + sign * step, 1.0, parameters)[0, 0]) for sign in (1, -1)]
+    return (ends[0] - ends[1]) / (2.0 * step)
+
+
+def speed_exponent(drive: Mapping[str, Any]) -> float:
+    """Exponent of the voltage that the steady speed follows at the operating command; 0 for a map without voltage."""
+    return drive["voltage exponent"]["value"] * voltage_elasticity(drive) if drive["voltage exponent"] else 0.0
+
+
 def cold_surplus(share: np.ndarray, dt: float, drop: float, tau: float) -> np.ndarray:
     """Speed (N, R) over that of warm motors: 1 + drop (1 - h), where h is the share behind a lag of tau, s.
 

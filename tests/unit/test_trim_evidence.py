@@ -77,6 +77,30 @@ def test_flights_of_commands_get_the_name_of_the_trim_and_a_page():
     assert "resample" not in summary(shown, KNOWN)
 
 
+def commanded(thrust):
+    """Trim of flights that hold commands, of which compared ones are asked for `thrust` times as much."""
+    tables = {
+        k: table(0.5 * np.sqrt(np.array(thrust) if k[0] == "c" else np.ones(4)), i) for i, k in enumerate(SESSIONS)
+    }
+    tables = {k: t.rename(columns={f"w{i}": f"command{i}" for i in range(1, 5)}) for k, t in tables.items()}
+    return gather_trim(tables, ROLES_OF, SESSIONS, vehicle())
+
+
+def test_more_command_for_the_same_thrust_may_be_the_battery():
+    """It had been a tie of mass and thrust factor alone."""
+    _, ties = trim_entries(commanded([1.25] * 4), unable=False)
+    assert [set(tie["ids"]) for tie in ties] == [{"mass", "thrust_factor", "battery_sag"}]
+    assert [set(tie["ids"]) for tie in trim_entries(evidence([1.25] * 4))[1]] == [{"mass", "thrust_factor"}]
+    assert trim_entries(commanded([1.25] * 4), ["battery_sag"], unable=False) == ([], [])
+
+
+def test_a_named_cause_of_the_vertical_force_leaves_no_second_reason_for_the_total_thrust():
+    """A load on a string had been named together with a tie of mass and thrust factor."""
+    assert trim_entries(commanded([1.25] * 4), ["payload_swing"], False, {"Fx", "Fy", "Fz"}) == ([], [])
+    rotor = commanded([1.0, 1.0, 1.0 / 0.7, 1.0])
+    assert [e["id"] for e in trim_entries(rotor, ["tether"], False, {"Fz"})[0]] == ["rotor_effectiveness"]
+
+
 def test_the_trim_rejects_causes_that_it_contradicts_and_keeps_the_true_one():
     found = evidence((1.0, 1.0, 1.0 / 0.75, 1.0))
     right, wrong = ("rotor_effectiveness", {"rotor3": -0.25}), ("rotor_effectiveness", {"rotor1": -0.25})

@@ -18,9 +18,11 @@ from quasi.model.extensions import (
     compute_flight_inertia,
     compute_flight_mass,
     configured_mass,
+    correct_estimated_speeds,
     correct_rotor_speeds,
     shift_of,
     telemetry_of,
+    voltage_of_map,
     wind_of,
 )
 from quasi.model.model import Model
@@ -48,6 +50,8 @@ def shown(extended: Model, base: Model, flight: Evidence) -> np.ndarray:
     """
     (late, scale), (known, factor) = telemetry_of(extended), telemetry_of(base)
     columns = correct_rotor_speeds(flight.columns, late - known, scale / factor)
+    (exponent, volts), (before, _) = voltage_of_map(extended), voltage_of_map(base)
+    columns = correct_estimated_speeds(columns, exponent - before, volts)
     wind = wind_of(extended) - wind_of(base)
     if wind.any():
         along = attitude.rotate_inverse(flight.quaternion, wind)

@@ -1,6 +1,6 @@
 """What the trim in steady flight says of a gap: its statement, and the causes of forces and moments that it rejects."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -174,20 +174,25 @@ def rejected_by_trim(
 
 
 def trim_entries(
-    evidence: TrimEvidence, taken: Sequence[str] = (), unable: bool = True
+    evidence: TrimEvidence, taken: Sequence[str] = (), unable: bool = True, acting: Collection[str] = ()
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Effects and ties of diagnosis.json that the trim names alone.
 
     Only where forces and moments were not judged (`unable`), or where the flights hold commands in place of measured
-    speeds; never where one of its causes has a name or stands in a tie already.
-    taken  ids of these
+    speeds; never where one of its causes has a name or stands in a tie already. A named cause of the vertical force,
+    such as a load that hangs, changes the total thrust of the trim as well: then the trim names no other reason for it.
+    taken  ids of these; acting  channels of the named causes of forces and moments
     """
     document = evidence.document
-    if document["word"] not in ("named", "tied") or set(taken) & set(document["causes"]):
+    if document["word"] not in ("named", "tied"):
         return [], []
-    if not unable and document["source"] != "commands":
+    ids, parameters, commands = list(document["causes"]), document["parameters"], document["source"] == "commands"
+    if commands and "thrust_factor" in ids:
+        ids.append("battery_sag")  # more command for the same thrust: a battery asks for it as propellers do
+    if set(taken) & set(ids) or ("Fz" in acting and all(TRIM_CHANNELS[i] == ["Fz"] for i in document["causes"])):
         return [], []
-    ids, parameters = document["causes"], document["parameters"]
+    if not unable and not commands:
+        return [], []
     share = sum(document["probability"][name] for name in document["names"])
     if len(ids) == 1:
         entry = {

@@ -9,7 +9,17 @@ import pandas as pd
 from quasi.attitude import conjugate, from_euler, logarithm, multiply, rotate, rotate_inverse
 from quasi.gap.levels.forces.error_reduction import states_of
 from quasi.gap.statistics import blocks
-from quasi.model.extensions import compute_flight_inertia, compute_flight_mass, drive_of, shift_of, wind_of
+from quasi.model.columns import ROTORS
+from quasi.model.extensions import (
+    are_estimated,
+    compute_flight_inertia,
+    compute_flight_mass,
+    correct_estimated_speeds,
+    drive_of,
+    shift_of,
+    voltage_of_map,
+    wind_of,
+)
 from quasi.model.model import Model
 from quasi.simulation.tools.replay import ActuatorDynamics, count_steps, replay, to_euler_states
 from quasi.simulation.tools.rollout import compute_errors
@@ -115,8 +125,13 @@ def simulated(
         states[:, 3:6] += np.cross(states[:, 6:9], shift)
         states[:, 9:] += rotate(from_euler(*states[:, :3].T), shift)
     driven = (commands, rotors, air, extra or None, offsets)
+    exponent, volts = voltage_of_map(model)
+    speeds = flight.speeds
+    if exponent and are_estimated(flight.table):
+        corrected = correct_estimated_speeds({n: flight.table[n] for n in flight.table}, exponent, volts)
+        speeds = np.nan_to_num(np.stack([corrected[n] for n in ROTORS], axis=1))
     run = to_euler_states(
-        replay(model, flight.t, states, flight.speeds, starts, horizon, *driven, floor=0.0, mass=mass, inertia=inertia)
+        replay(model, flight.t, states, speeds, starts, horizon, *driven, floor=0.0, mass=mass, inertia=inertia)
     )
     if shift.any():
         run[..., 3:6] -= np.cross(run[..., 6:9], shift)

@@ -1,0 +1,106 @@
+"""Causes of the drive in flights whose rotor speeds are estimated from commands: they show in forces and moments.
+
+Where speeds are measured, the level of the drive compares them with commands. Estimated speeds follow the model's map
+whatever the rotors did, so that a battery that acts otherwise shows as thrust that follows voltage.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.instruments import reread
+from quasi.model.columns import ROTORS
+from quasi.model.commands import map_of
+from quasi.model.extensions import are_estimated, correct_estimated_speeds, correct_rotor_speeds, voltage_of_map
+from quasi.model.model import Model
+from quasi.terms.rotor_map import speed_exponent
+
+SAG, SCALE = "battery_sag", "rotor_speed_scale"
+OF_TELEMETRY = (SCALE, "telemetry_delay")  # causes of measured speeds alone
+NO_TELEMETRY = "no flight logs rotor speeds; those estimated from commands have no unit and no delay of a telemetry"
+OF_THRUST = ("thrust_factor", "thrust_curve", "thrust_drift")  # of all rotors alike, at the same speed
+LEVELS = (0.5, 2.0)  # of speed at the same command: beyond it lies another motor
+MIN_RATIO = 0.1  # of the reference voltage: below it a log holds no battery
+RIVALS = ("thrust_factor", "mass", "thrust_drift", "thrust_curve")
+TIE_BREAKER = "a long flight from a full to an empty battery with pulls of the throttle, or batteries of other charge"
+
+
+def with_estimated_speeds(
+    effects: Mapping[str, Effect], model: Model, flights: Sequence[Evidence]
+) -> tuple[dict[str, Effect], list[dict[str, str]]]:
+    """The causes to ask of flights, and entries of those that cannot be asked; unchanged where speeds are measured.
+
+    Where all flights hold estimated speeds, a battery that acts otherwise becomes a cause of forces and moments, and
+    causes of the telemetry go. Another thrust at the same speed and another speed at the same command look the same:
+    where voltage does not show the battery by itself, the two are a tie.
+    """
+    if not flights or not all(are_estimated(e.columns) for e in flights):
+        return dict(effects), []
+    gone = [n for n in OF_TELEMETRY if n in effects]
+    found = {
+        n: replace(e, always_tied_with=tuple(i for i in e.always_tied_with if i not in gone))
+        for n, e in effects.items()
+        if n not in gone
+    }
+    lists = [{"id": n, "why": NO_TELEMETRY} for n in gone]
+    reference = voltage_of_map(model)[1]
+    if SAG in found:
+        if reference and all("battery_voltage" in e.columns for e in flights):
+            found[SAG] = sag_of_forces(found[SAG], model, reference)
+            for n in OF_THRUST:
+                if n in found:
+                    found[n] = replace(found[n], always_tied_with=(*found[n].always_tied_with, SAG))
+        else:
+            lists.append({"id": SAG, "why": "the model's map from commands to rotor speeds has no voltage"})
+    return found, lists
+
+
+def sag_of_forces(effect: Effect, model: Model, reference: float) -> Effect:
+    """The cause `battery_sag` as thrust that follows the voltage otherwise than the model's map says.
+
+    W = (1 + level) (V / V_ref)^(exponent - the map's) W_map: nobody knows the voltage at which both agree, so that a
+    level goes with the exponent. A level alone is what a thrust factor is.
+    reference  V at which the map's voltage factor is 1
+    """
+    own = speed_exponent(map_of(model.document)) + voltage_of_map(model)[0]
+
+    def columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
+        ratio = np.maximum(evidence.take("battery_voltage")[:, 0], MIN_RATIO * reference) / reference
+        slope = evidence.gradient(*ROTORS)
+        parts = {"exponent": evidence.speeds * np.log(ratio)[:, None], "level": evidence.speeds}
+        return {name: np.einsum("nij,nj->ni", slope, part) for name, part in parts.items()}
+
+    def corrected(evidence: Evidence, values: Values) -> Evidence:
+        turned = correct_rotor_speeds(evidence.columns, 0.0, 1.0 / (1.0 + values["level"]))
+        turned = correct_estimated_speeds(turned, values["exponent"], reference)
+        return reread(evidence, {n: turned[n] for n in (*ROTORS, *(f"{w}_dot" for w in ROTORS)) if n in turned})
+
+    def full(evidence: Evidence, _: Vehicle, values: Values) -> np.ndarray:
+        return corrected(evidence, values).predicted - evidence.predicted
+
+    def extension(values: Values, _: Vehicle, __: Model) -> Extension:
+        actuators = {"voltage exponent": own + values["exponent"], "reference voltage": reference}
+        scale = {"rotor speed scale": 1.0 / (1.0 + values["level"])} if values["level"] else {}
+        return Extension(actuators={**actuators, **scale})
+
+    known: dict[str, Any] = effect.parameters["exponent"]._asdict()
+    exponent = Parameter(**{**known, "neutral": own, "low": min(known["low"], own), "high": max(known["high"], own)})
+    return replace(
+        effect,
+        level="forces",
+        equation="W = level W_map (V / V_ref)^(exponent - that of the map)",
+        parameters={"exponent": exponent, "level": Parameter("1", 1.0, "a", *LEVELS)},
+        parts="first",
+        channels=("Fz", "Mx", "My"),
+        rivals=RIVALS,
+        tie_breaker=TIE_BREAKER,
+        columns=columns,
+        corrected=corrected,
+        full_effect=full,
+        extension=extension,
+        absorbed_by_model=True,
+    )

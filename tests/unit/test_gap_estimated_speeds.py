@@ -1,0 +1,162 @@
+"""A battery that acts otherwise, where rotor speeds are estimated from commands: thrust follows voltage."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from made_model import simple_model
+
+from quasi.airframe import read_airframe
+from quasi.gap.catalogue import catalogue, columns_of, whole_of
+from quasi.gap.effect import vehicle_of
+from quasi.gap.extension import extend
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.instruments import shown
+from quasi.gap.levels.forces.estimated_speeds import OF_TELEMETRY, with_estimated_speeds
+from quasi.model.commands import rotor_speeds
+from quasi.model.extensions import correct_columns
+from quasi.model.model import Model
+from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
+
+ROWS, EXPONENT, REFERENCE = 300, 0.9, 16.0
+MAP = {
+    "source": "commands", "input": "share", "form": "linear", "parameters": {"slope": {"value": 0.7}},
+    "operating command": 0.4, "reference voltage": REFERENCE, "voltage exponent": {"value": EXPONENT},
+    "speeds": {"value": [2100.0] * 4}, "time constant": {"value": 0.026}, "delay": {"value": 0.0},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def ground():
+    campaign = read_campaign({"flights": [{"key": "a", "profile": "mixed", "seed": 1}], "duration": 30}, "t")
+    airframe = read_airframe(quadrotor_configuration(campaign), "made")
+    model = simple_model(airframe, 2.4e-7, 3e-9)
+    return Model(model.document | {"rotor speeds": MAP})
+
+
+def evidence_of(model, apart=0.0, estimated=True, agreeing=REFERENCE):
+    """A flight whose rotors follow the voltage with an exponent `apart` from the map's; its speeds are the map's.
+
+    agreeing  V at which the two are the same
+    """
+    rng = np.random.default_rng(2)
+    columns = {a: s * rng.standard_normal(ROWS) for a, s in zip("uvwpqr", (2.0, 2.0, 1.0, 2.0, 2.0, 1.0))}
+    columns |= {a: 0.2 * rng.standard_normal(ROWS) for a in ("roll", "pitch", "yaw")}
+    columns |= {"t": np.arange(ROWS) * 0.01, "battery_voltage": np.linspace(16.6, 14.8, ROWS)}
+    speeds = 2100.0 + 150.0 * rng.standard_normal((ROWS, 4))
+    columns |= {f"w{i + 1}": speeds[:, i] for i in range(4)} | {f"w{i + 1}_dot": np.zeros(ROWS) for i in range(4)}
+    if estimated:
+        columns |= {f"command{i}_raw": np.full(ROWS, 0.4) for i in range(1, 5)}
+    state = np.stack([columns[a] for a in ("roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r")], axis=1)
+    true = speeds * (columns["battery_voltage"][:, None] / agreeing) ** apart
+    measured, predicted = (np.hstack(model.predict(state, w)) for w in (true, speeds))
+    inertia = np.asarray(model.airframe.inertia)
+    return Evidence("a", model.airframe, model, 0.433, inertia, columns, measured, predicted)
+
+
+def sag_of(model, evidence):
+    return with_estimated_speeds(catalogue(), model, [evidence])[0]["battery_sag"]
+
+
+def test_measured_speeds_leave_the_catalogue_as_it_is(ground):
+    effects, lists = with_estimated_speeds(catalogue(), ground, [evidence_of(ground, estimated=False)])
+    assert effects == catalogue() and not lists
+
+
+def test_causes_of_the_telemetry_go_where_none_is_logged(ground):
+    effects, lists = with_estimated_speeds(catalogue(), ground, [evidence_of(ground)])
+    assert set(catalogue()) - set(effects) == set(OF_TELEMETRY) == {entry["id"] for entry in lists}
+    assert effects["battery_sag"].level == "forces"
+    assert not set(OF_TELEMETRY) & {i for e in effects.values() for i in e.always_tied_with}
+
+
+def test_a_map_without_voltage_cannot_be_asked(ground):
+    model = Model(ground.document | {"rotor speeds": MAP | {"reference voltage": None, "voltage exponent": None}})
+    effects, lists = with_estimated_speeds(catalogue(), model, [evidence_of(model)])
+    assert effects["battery_sag"].level == "drive"
+    assert "battery_sag" in {entry["id"] for entry in lists}
+
+
+@pytest.mark.parametrize("apart", [0.3, -0.5])
+def test_the_effect_is_thrust_at_the_voltage_of_the_flight(ground, apart):
+    evidence = evidence_of(ground, apart)
+    effect, vehicle = (
+        with_estimated_speeds(catalogue(), ground, [evidence])[0]["battery_sag"],
+        vehicle_of(ground, 0.433),
+    )
+    whole = whole_of(effect, evidence, vehicle, {"exponent": apart})
+    np.testing.assert_allclose(whole, evidence.residual, atol=1e-9)
+    slope = columns_of(effect, evidence, vehicle, {"exponent": 0.0})["exponent"]
+    small = evidence_of(ground, 1e-3).residual / 1e-3
+    np.testing.assert_allclose(slope, small, rtol=2e-2, atol=2e-2 * np.abs(small).max())
+
+
+def test_a_level_goes_with_the_exponent(ground):
+    """The two batteries agree at 15.2 V, not at the voltage of the model's map."""
+    evidence = evidence_of(ground, 0.3, agreeing=15.2)
+    values = {"exponent": 0.3, "level": (REFERENCE / 15.2) ** 0.3 - 1.0}
+    effect, vehicle = sag_of(ground, evidence), vehicle_of(ground, 0.433)
+    np.testing.assert_allclose(whole_of(effect, evidence, vehicle, values), evidence.residual, atol=1e-9)
+    extended = Model(extend(ground, [(effect, values)], vehicle, "more", "test"))
+    np.testing.assert_allclose(shown(extended, ground, evidence), evidence.measured, atol=1e-9)
+    t, commands, volts = evidence.columns["t"], np.full((ROWS, 4), 0.4), np.full(ROWS, 14.0)
+    before, after = (rotor_speeds(m.document, t, commands, volts)[0] for m in (ground, extended))
+    np.testing.assert_allclose(after / before, (14.0 / 15.2) ** 0.3)
+
+
+def test_what_changes_thrust_at_the_same_command_is_tied_with_the_battery(ground):
+    """A battery of another exponent had been named thrust_curve."""
+    effects = with_estimated_speeds(catalogue(), ground, [evidence_of(ground)])[0]
+    tied = {n for n, e in effects.items() if "battery_sag" in e.always_tied_with}
+    assert tied == {"thrust_factor", "thrust_curve", "thrust_drift"}
+    assert not effects["battery_sag"].always_tied_with
+
+
+FORMS = {"linear": {"slope": 0.7}, "quadratic": {"slope": 0.7, "curvature": -0.1}, "thrust map": {"saturation": 0.5}}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_exponent_of_an_extension_is_that_of_the_speed(ground, form):
+    """Where the map's voltage acts on the command, its own exponent is another number."""
+    drive = MAP | {"form": form, "parameters": {n: {"value": v} for n, v in FORMS[form].items()}}
+    model = Model(ground.document | {"rotor speeds": drive})
+    evidence = evidence_of(model)
+    effect, vehicle = sag_of(model, evidence), vehicle_of(model, 0.433)
+    extended = Model(extend(model, [(effect, {"exponent": 0.2})], vehicle, "more", "test"))
+    t, commands = evidence.columns["t"], np.full((ROWS, 4), MAP["operating command"])
+    volts = np.full(ROWS, REFERENCE * 0.99)
+    before, after = (rotor_speeds(m.document, t, commands, volts)[0] for m in (model, extended))
+    np.testing.assert_allclose(after / before, 0.99**0.2, atol=1e-4)
+
+
+def test_the_extended_model_holds_the_exponent(ground):
+    """Its forces, its correction of estimated speeds, and its speeds from commands agree."""
+    evidence = evidence_of(ground, 0.3)
+    effect, vehicle = (
+        with_estimated_speeds(catalogue(), ground, [evidence])[0]["battery_sag"],
+        vehicle_of(ground, 0.433),
+    )
+    extended = Model(extend(ground, [(effect, {"exponent": 0.3})], vehicle, "more", "test"))
+    np.testing.assert_allclose(shown(extended, ground, evidence), evidence.measured, atol=1e-9)
+    corrected = correct_columns(extended, evidence.columns)["w1"]
+    ratio = evidence.columns["battery_voltage"] / REFERENCE
+    np.testing.assert_allclose(corrected, evidence.columns["w1"] * ratio**0.3)
+    measured = {n: v for n, v in evidence.columns.items() if not n.endswith("_raw")}
+    np.testing.assert_array_equal(correct_columns(extended, measured)["w1"], evidence.columns["w1"])
+    t, commands = evidence.columns["t"], np.full((ROWS, 4), 0.4)
+    volts = np.full(ROWS, 15.0)
+    before, after = (rotor_speeds(m.document, t, commands, volts)[0] for m in (ground, extended))
+    np.testing.assert_allclose(after / before, (15.0 / REFERENCE) ** 0.3)
+
+
+def test_a_model_that_is_extended_already_is_asked_beyond_it(ground):
+    evidence = evidence_of(ground, 0.3)
+    effect, vehicle = (
+        with_estimated_speeds(catalogue(), ground, [evidence])[0]["battery_sag"],
+        vehicle_of(ground, 0.433),
+    )
+    extended = Model(extend(ground, [(effect, {"exponent": 0.3})], vehicle, "more", "test"))
+    columns = correct_columns(extended, evidence.columns)
+    again = dataclasses.replace(evidence, model=extended, columns=columns)
+    further = sag_of(extended, again)
+    assert further.parameters["exponent"].neutral == pytest.approx(EXPONENT + 0.3)
