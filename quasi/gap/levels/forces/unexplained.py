@@ -188,10 +188,10 @@ def outdone(
         cause = mixed.test(asked, [*others, offer_of(place)], pooled)
         function = tested(grounds, compared, offers, [], place)
         if (place in found and cause.p >= level) or function.p < min(level_of(grounds, compared, rate), cause.p):
-            along = "" if choice.where == EVERYWHERE else "along the "
+            where = choice.where if choice.where == EVERYWHERE else f"along the {choice.where}"
             return (
-                f"{AXES[k]} differs {along}{choice.where} in a way that no cause explains (p = "
-                f"{function.p:.2g} with the cause given); with that given the cause has p = {cause.p:.2g}"
+                f"{AXES[k]} differs {where} in a way that no cause explains (p = {function.p:.2g} with the cause "
+                f"given); with that given the cause has p = {cause.p:.2g}"
             )
     return ""
 
