@@ -12,6 +12,7 @@ from quasi import attitude
 from quasi.gap.flights.level import Flown, Level
 from quasi.gap.levels.tie_breaking import compare, judged, settle
 from quasi.importing.calibration import check
+from quasi.model.columns import ROTORS
 from quasi.model.model import AXES, Model
 
 TURN = np.array([0.03, -0.04, 0.01])
@@ -48,8 +49,12 @@ def model():
 @pytest.fixture(scope="module")
 def flights(model):
     """Two reference flights and three to compare, all healthy: turned by each test."""
+    return healthy(model, 0.05)
+
+
+def healthy(model, noise):
     table, _ = fly(model, model, noise=0.0)
-    made, scale = [], np.array([0.05, 0.05, 0.05, 1e-3, 1e-3, 1e-3])
+    made, scale = [], noise * np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
     for k in range(5):
         noise = scale * np.random.default_rng(k).standard_normal((len(table), 6))
         noisy = table.assign(**dict(zip(AXES, (table[list(AXES)].to_numpy() + noise).T)))
@@ -155,3 +160,46 @@ def test_flights_that_are_valid_at_other_times_leave_the_tie_with_the_reason(fli
     level = Level("sensors", ties=[tie()])
     assert settle([level], flights, model, ALARM, cut) == []
     assert "f2 is valid at other times" in level.notes[0]
+
+
+def late_tie(delay, since="changed"):
+    """What the comparison of the drive says where rotors answer late."""
+    found = {"value": delay, "std": 1e-3, "unit": "s"}
+    ids = ["telemetry_delay", "command_delay"]
+    return {
+        "ids": ids, "since": since, "p": 1e-6, "wald": 50.0, "share of resamples": 1.0, "separability": 0.0,
+        "parameters": {i: {"delay": found} for i in ids},
+    }  # fmt: skip
+
+
+def logged_late(flights, delay, lag=0.0):
+    """Speeds logged late in the compared flights; thrust lags behind the speeds in all, as they would be logged early.
+
+    Interpolated by the same part of a sample in all flights, so that noise is smoothed alike."""
+    made = []
+    for f in flights:
+        t, late = f.filtered["t"].to_numpy(), (delay if f.compared else 0.0) - lag
+        columns = [c for c in f.filtered if c in ROTORS or c.removesuffix("_dot") in ROTORS]
+        shown = {c: np.interp(t - late, t, f.filtered[c].to_numpy()) for c in columns}
+        made.append(replace(f, filtered=f.filtered.assign(**shown)))
+    return made
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.008])
+@pytest.mark.parametrize(("delay", "cause"), [(0.04, "telemetry_delay"), (0.0, "command_delay")])
+def test_of_late_telemetry_and_late_commands_the_one_that_is_there_is_named(delay, cause, lag, model):
+    """Speeds change slowly in these flights, so that noise has to be low for their delay to show."""
+    level = Level("drive", ties=[late_tie(0.04)])
+    assert settle([level], logged_late(healthy(model, 1e-4), delay, lag), model, ALARM, process) == [cause], level.notes
+
+
+def test_a_delay_as_large_as_flights_differ_by_stays_a_tie(flights, model):
+    level = Level("drive", ties=[late_tie(0.003)])
+    assert settle([level], logged_late(flights, 0.003), model, ALARM, process) == [] and level.ties
+
+
+def test_late_commands_of_all_flights_stay_a_tie_for_thrust_may_lag(flights, model):
+    alike = [replace(f, compared=True) for f in flights]
+    level = Level("drive", ties=[late_tie(0.02, "always")])
+    assert settle([level], alike, model, ALARM, process) == []
+    assert "thrust that lags" in level.notes[0]

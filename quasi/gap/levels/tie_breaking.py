@@ -9,12 +9,17 @@ session has in common would else be counted as often as it was flown; the flight
 needed for it, and none speaks against it as clearly as it takes to choose.
 
 A turn that stands in all flights may stand in those that the model was identified from: its own terms may hold it, and
-no residual shows what is turned. Such a tie stays. Timing is not for a model of rotor speeds to hold; late telemetry
-and late commands are distinguished in all flights too.
+no residual shows what is turned. Such a tie stays. Timing is not for a model of rotor speeds to hold: late telemetry,
+with which forces lead the logged speeds, is distinguished in all flights too. Late commands are not, for thrust that
+lags behind the speeds hides late telemetry, and does so in every flight.
+
+Late telemetry moves the logged speeds against all else, which is one column of the study. To process the flights anew
+would move the grid of the samples, and smooth the noise by another amount: that alone had odds of e^7.
 Source: Wald, Sequential tests of statistical hypotheses, Ann. Math. Stat. 16, 1945 (the bound).
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +35,7 @@ from quasi.gap.flights.level import Flown, Level
 from quasi.gap.levels.corrections import document, for_flight
 from quasi.gap.levels.drive.identify import CATALOGUE, LATE
 from quasi.gap.levels.forces.design import Design, gather_design
+from quasi.gap.levels.forces.nuisance import AGE
 from quasi.gap.levels.sensors.identify import TURNED_PAIR
 from quasi.gap.statistics.blocks import BLOCK
 from quasi.gap.statistics.mixed import RIDGE, marginal
@@ -60,13 +66,22 @@ def settle(
             )
             continue
         try:
-            left = compare(levels, tie["ids"], winners, flights, model, process)
+            if set(tie["ids"]) == LATE:
+                left = compare_late(levels, tie, winners, flights, model, process)
+            else:
+                left = compare(levels, tie["ids"], winners, flights, model, process)
         except (ConfigError, DataError) as error:
             level.notes.append(f"{names} stay a tie: {error}")
             continue
         winner, each, odds = judged(left)
         needed = float(np.log(len(ties) / alarm))
         best, other = tie["ids"][winner], tie["ids"][1 - winner]
+        if best == "command_delay" and tie["since"] == "always":
+            level.notes.append(
+                f"{names} stay a tie: all flights have it, and thrust that lags behind the rotor speeds would hide late "
+                "telemetry; flights from before it would settle it"
+            )
+            continue
         agree = each.min() > -needed
         if odds < needed or not agree:
             level.notes.append(
@@ -120,8 +135,28 @@ def compare(
     studies = _studies([kind[c] for c in ids], model)
     compared = np.array([f.compared for f in flights])
     rows = np.min([[len(part.rows) for part in s.thinned] for s in studies], axis=0)[:, None]
-    both = [(rows * np.stack([_left(s, by.whitener) for s in studies], axis=1))[compared] for by in studies]
+    both = [(rows * np.stack([_left(s, by.whitener, compared) for s in studies], axis=1))[compared] for by in studies]
     return min(both, key=lambda left: abs(float(np.mean(left[:, 1] - left[:, 0]))))
+
+
+def compare_late(
+    levels: Sequence[Level], tie: Mapping[str, Any], settled: Sequence[str], flights: Sequence[Flown], model: Model,
+    process: Process,
+) -> np.ndarray:  # fmt: skip
+    """As `compare`, of late telemetry and late commands: with the logged speeds taken as late as the tie says, and not.
+
+    Raises DataError when the flights cannot be compared.
+    """
+    without = [replace(lv, ties=[t for t in lv.ties if t is not tie]) for lv in levels]
+    whole = document(without, settled)
+    wanted = [for_flight(whole, f.compared) for f in flights]
+    (study,) = _studies([[f if c is None else process(f, c) for f, c in zip(flights, wanted)]], model)
+    compared = np.array([f.compared for f in flights])
+    delay = tie["parameters"]["telemetry_delay"]["delay"]["value"]
+    rows = np.array([len(part.rows) for part in study.thinned])[:, None]
+    delays = {"telemetry_delay": delay, "command_delay": 0.0}
+    sides = [_left(study, study.whitener, compared, delays[cause]) for cause in tie["ids"]]
+    return (rows * np.stack(sides, axis=1))[compared]
 
 
 def _studies(sides: Sequence[Sequence[Flown]], model: Model) -> list[Design]:
@@ -179,18 +214,25 @@ def _good(flown: Flown) -> np.ndarray:
     return (fine & (frame["valid"].to_numpy() > 0.5) if "valid" in frame else fine).astype(float)
 
 
-def _left(study: Design, whitener: Whitener) -> np.ndarray:
-    """Whitened squared error a row (F,) of each flight, nuisances integrated out, the model's terms fitted to all."""
+def _left(study: Design, whitener: Whitener, compared: np.ndarray, delay: float = 0.0) -> np.ndarray:
+    """Whitened squared error a row (F,) of each flight, nuisances integrated out, the model's terms fitted to all.
+
+    Where there are reference flights, what resembles a nuisance and is in all flights alike is fitted to all as well:
+    thrust that lags behind rotor speeds in every flight would speak for late commands, as it hides late telemetry.
+    delay  s, by which the rotor speeds of the compared flights are logged late
+    """
     grams = np.array([
         marginal(block_grams(part.columns, part.breaks, whitener, flight.t[part.rows], BLOCK).sum(axis=0),
                  study.columns.nuisance, study.columns.spread)
         for part, flight in zip(study.thinned, study.flights)
     ])  # fmt: skip
-    base = study.columns.shared
+    base = [*study.columns.shared, *([] if compared.all() else study.columns.nuisance)]
+    own = np.zeros((len(grams), grams.shape[1]))
+    own[:, 0] = 1.0
+    own[compared, study.names.index(AGE)] -= delay
     total = grams.sum(axis=0)
     scale = np.sqrt(np.maximum(np.diag(total)[base], 1e-300))
     inner = total[np.ix_(base, base)] / np.outer(scale, scale) + RIDGE * np.eye(len(base))
-    own = np.zeros(len(total))
-    own[0] = 1.0
-    own[base] = -np.linalg.solve(inner, total[base, 0] / scale) / scale
-    return np.einsum("fij,i,j->f", grams, own, own) / [len(part.rows) for part in study.thinned]
+    right = np.einsum("fij,fj->i", grams, own)[base]
+    own[:, base] -= np.linalg.solve(inner, right / scale) / scale
+    return np.einsum("fij,fi,fj->f", grams, own, own) / [len(part.rows) for part in study.thinned]

@@ -400,7 +400,7 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
     roles, effects = diagnosis["flights"], diagnosis["effects"]
     limits = [s for s in [(diagnosis.get("base model") or {}).get("sentence")] if s]
     worse = [_sentence(loss["text"]) for loss in (diagnosis.get("losses") or [])[:1]]
-    texts = [*limits, headline(diagnosis, known)] if effects else limits
+    texts = [*limits, headline(diagnosis, known)] if effects else list(limits)
     if len(effects) == 1:  # the headline contains the rest
         since = since_of(effects[0])
         if diagnosis["ties"] or diagnosis["unexplained"]:  # which the sentence ended with

@@ -162,7 +162,7 @@ class MixedModel:
               compared  (F,) bool, False for reference flights; columns  what is where
     prior     precision (S, S) of the shared columns' coefficients about 0, where they are known from elsewhere
     informed  whether a spread in proportion to a flight's information is considered as well
-    sessions  name of each flight's session; () where they are not known. Of one session, its effect is common to all
+    sessions  name of each flight's session; () where they are not known
     """
 
     informed = True
@@ -177,9 +177,11 @@ class MixedModel:
     ) -> None:
         self.columns = columns
         labels = np.array(sessions, dtype=str)
-        self._sessions = [labels == name for name in sorted(set(labels))] if len(set(labels)) > 1 else []
         self.prior = prior
         self.compared = np.asarray(compared, bool)
+        # one session among references and compared flights has no effect; compared with a model alone it has
+        tell = len(set(labels)) > 1 or (self.compared.all() and "" not in labels)
+        self._sessions = [labels == name for name in sorted(set(labels))] if tell else []
         parts = [g[None] if g.ndim == 2 else g for g in map(np.asarray, grams)]
         self._flight = np.repeat(np.arange(len(parts)), [len(g) for g in parts])
         self._stretch = np.concatenate([0.5 * (g + np.swapaxes(g, 1, 2)) for g in parts])

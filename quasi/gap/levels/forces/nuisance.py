@@ -25,6 +25,7 @@ MASS_SPREAD, THRUST_SPREAD, TORQUE_SPREAD = 0.01, 0.01, 0.015  # shares
 SEATING_TURN, MARKER_TURN = 0.0035, 0.0052  # rad, about each axis
 FORCE_BIAS, MOMENT_BIAS = 0.005, 0.0005  # of m g, and of m g times the arm: what filtering leaves of constant errors
 TELEMETRY = 0.003  # s, where it is unknown
+AGE = "age of the rotor telemetry"  # name of its column
 # Standard deviation of each pattern's share of thrust between healthy sessions, and of the pattern along the spin:
 # medians on the healthy flights of CrazyPAD, by `benchmarks/real_causes.py`
 SESSION_SEATING, SESSION_YAW = 0.015, 0.008
@@ -52,7 +53,7 @@ def nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]:
         seated = turned + np.einsum("nij,nj->ni", by_rates, np.cross(axis, evidence.rates)) + _measured(evidence, axis)
         result.append((f"IMU turned in {name}", seated, SEATING_TURN))
     delay = np.einsum("nij,nj->ni", evidence.gradient(*ROTORS), evidence.spin_up)
-    result.append(("age of the rotor telemetry", delay, TELEMETRY))
+    result.append((AGE, delay, TELEMETRY))
     return result
 
 

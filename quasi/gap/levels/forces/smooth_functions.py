@@ -44,10 +44,15 @@ class Grounds(NamedTuple):
     parts: list[np.ndarray]
     columns: list[np.ndarray]
     thinned: list[np.ndarray]  # per flight (m, L): the basis in the band of the analysis
+    sessions: Sequence[str]
 
     def of(self, use: Sequence[int]) -> "Grounds":
         """Of some flights, for tests."""
-        return self._replace(parts=[self.parts[k] for k in use], columns=[self.columns[k] for k in use])
+        return self._replace(
+            parts=[self.parts[k] for k in use],
+            columns=[self.columns[k] for k in use],
+            sessions=[self.sessions[k] for k in use],
+        )
 
     def whole(self) -> "Grounds":
         """Of flights that are one stretch each, for tests."""
@@ -88,7 +93,7 @@ def grounds_of(
         blocks = [w.transpose(0, 2, 1) @ w for w in (white[:, number == n] for n in np.unique(number))]
         parts.append(joined(np.array(blocks), MOST_STRETCHES // len(flights)))
         sums.append(parts[-1][:, :, :size, :size].sum(axis=1))
-    return Grounds(study, basis, parts, sums, thinned)
+    return Grounds(study, basis, parts, sums, thinned, [f.session for f in flights])
 
 
 def mixed_of(
@@ -97,7 +102,7 @@ def mixed_of(
     """The mixed model with nothing but what is given and some smooth functions, a matter of small matrices."""
     layout, size = grounds.study.columns, len(grounds.study.names)
     names = dict.fromkeys(g.cause for g in given)
-    use = [0, *layout.shared, *layout.nuisance, *(c for n in names for c in layout.causes[n])]
+    use = [0, *layout.shared, *layout.nuisance, *layout.session, *(c for n in names for c in layout.causes[n])]
     place = {c: i for i, c in enumerate(use)}
     causes = {n: [place[c] for c in layout.causes[n]] for n in names}
     at = len(use)
@@ -120,11 +125,11 @@ def mixed_of(
                         :, :, source_columns
                     ]
         grams.append(gram)
-    return MixedModel(
-        grams,
-        compared,
-        Columns([place[c] for c in layout.shared], [place[c] for c in layout.nuisance], layout.spread, causes),
+    shared, nuisance, session = ([place[c] for c in own] for own in (layout.shared, layout.nuisance, layout.session))
+    columns = Columns(
+        shared, nuisance, layout.spread, causes, session=tuple(session), session_spread=layout.session_spread
     )
+    return MixedModel(grams, compared, columns, sessions=grounds.sessions)
 
 
 def offer_of(place: Place) -> Candidate:
