@@ -78,8 +78,8 @@ def settle(
         best, other = tie["ids"][winner], tie["ids"][1 - winner]
         if best == "command_delay" and tie["since"] == "always":
             level.notes.append(
-                f"{names} stay a tie: all flights have it, and thrust that lags behind the rotor speeds would hide late "
-                "telemetry; flights from before it would settle it"
+                f"{names} stay a tie: all flights have it, and thrust that lags behind the rotor speeds would hide "
+                "late telemetry; flights from before it would settle it"
             )
             continue
         agree = each.min() > -needed
