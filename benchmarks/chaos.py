@@ -29,8 +29,8 @@ from pathlib import Path
 import numpy as np
 from measured_table import record
 
-from quasi.synthesis.campaign import project_files, read_campaign
 from quasi.tables import write_json
+from quasi_synthesis.campaign import project_files, read_campaign
 
 ROOT = Path(__file__).resolve().parents[1]
 TARGETS = {

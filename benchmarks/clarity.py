@@ -19,8 +19,8 @@ from quasi.gap.levels.forces.design import Design, gather_design
 from quasi.gap.levels.sensors import identify as sensor_level
 from quasi.gap.statistics.blocks import BLOCK
 from quasi.gap.statistics.mixed import Candidate
-from quasi.synthesis.physics import BEAT, FAN, FAN_WIDTH, SHIFT
-from quasi.synthesis.vehicle import base_vehicle
+from quasi_synthesis.physics import BEAT, FAN, FAN_WIDTH, SHIFT
+from quasi_synthesis.vehicle import base_vehicle
 
 _P = base_vehicle().physics
 HEALTHY = {"up": _P.lag_up, "down": _P.lag_down, "exponent": 1.0}  # the made vehicle's drive
@@ -180,7 +180,7 @@ def _strange(name: str, asked: Asked) -> Design:
 
 
 def strange_force(name: str, size: float, flight: Evidence) -> np.ndarray:
-    """Wrench (n, 6) of an effect without a name, as `quasi.synthesis.physics` has it."""
+    """Wrench (n, 6) of an effect without a name, as `quasi_synthesis.physics` has it."""
     c = flight.columns
     if name == "unlisted_heading":
         return flight.forces_only(np.outer(size * np.sin(2.0 * c["yaw"]) * flight.force[:, 2], [0.0, 0.0, 1.0]))

@@ -41,7 +41,7 @@ np.savez(sys.argv[3], names=np.array(names[:count]), table=table, took=took)
 
 def made_log(seconds: float, rate: int = 1000) -> bytes:
     """A log with the fields and the packing of a Betaflight 4.5 flight, values wandering as in flight."""
-    from quasi.synthesis.blackbox_writer import BLACKBOX_FIELDS, FIELD_NAMES, encode_log, event
+    from quasi_synthesis.blackbox_writer import BLACKBOX_FIELDS, FIELD_NAMES, encode_log, event
 
     rng = np.random.default_rng(0)
     n = int(seconds * rate)

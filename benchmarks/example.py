@@ -24,10 +24,10 @@ from quasi.airframe import read_airframe
 from quasi.attitude import interpolate, to_euler
 from quasi.identification.candidates import read_specification
 from quasi.model.model import read_model
-from quasi.synthesis.campaign import flight_of, make_flight, read_campaign
 from quasi.tables import read_json, read_made, read_table, write_json
 from quasi.terms.expressions import Program
 from quasi.terms.variables import Variables
+from quasi_synthesis.campaign import flight_of, make_flight, read_campaign
 
 ROOT = Path(__file__).parents[1]
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")

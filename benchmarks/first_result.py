@@ -30,7 +30,7 @@ from quasi.tables import write_json
 
 ROOT = Path(__file__).resolve().parents[1]
 TARGET = "models/example/standalone"
-FOLDERS = ("rules", "scripts", "quasi", "config", "profiles", "data")
+FOLDERS = ("rules", "scripts", "quasi", "quasi_synthesis", "config", "profiles", "data")
 FILES = ("Snakefile", "pyproject.toml", "README.md", "LICENSE")
 
 

@@ -17,7 +17,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 from hidden import STRANGE
 from hide_and_seek import OUT, draw
 
-from quasi.synthesis.vehicle import BASE_MASS
+from quasi_synthesis.vehicle import BASE_MASS
 
 CASES = {
     "ground effect": ("reference", {"ground_effect": {"c": 12.0}}),

@@ -29,10 +29,10 @@ from quasi.importing.flight import import_flight
 from quasi.model.build import assemble_model
 from quasi.model.commands import map_of
 from quasi.model.model import AXES, Model
-from quasi.synthesis.campaign import make_flight, quadrotor_configuration, read_campaign, write_flight
-from quasi.synthesis.effects import OFFERED, UNLISTED
-from quasi.synthesis.vehicle import BASE_INERTIA, BASE_MASS, base_vehicle
 from quasi.tables import list_telemetry_corrections, read_json, read_table, write_json, write_table
+from quasi_synthesis.campaign import make_flight, quadrotor_configuration, read_campaign, write_flight
+from quasi_synthesis.effects import OFFERED, UNLISTED
+from quasi_synthesis.vehicle import BASE_INERTIA, BASE_MASS, base_vehicle
 
 ROOT = Path(__file__).resolve().parents[1]
 SECONDS = 30.0

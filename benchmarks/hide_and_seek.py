@@ -68,8 +68,8 @@ from quasi.gap.flights.level import Flown
 from quasi.gap.levels import sensors_and_drive
 from quasi.gap.levels.corrections import for_flight
 from quasi.model.model import Model
-from quasi.synthesis.vehicle import base_vehicle
 from quasi.tables import read_json, write_text
+from quasi_synthesis.vehicle import base_vehicle
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT = ROOT / "results/benchmarks/hide_and_seek"

@@ -89,7 +89,7 @@ FAULTS = (
 
 def plant(fault: Fault | None, folder: Path) -> None:
     """Copy what the search needs into a folder, with the fault. Raises ValueError where its text is not there once."""
-    for part in ("quasi", "config/schemas", "benchmarks", "tests/unit"):
+    for part in ("quasi", "quasi_synthesis", "config/schemas", "benchmarks", "tests/unit"):
         shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__", "results", "vendor"))
     if fault is not None:
         path = folder / fault.file

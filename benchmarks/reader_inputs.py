@@ -36,7 +36,7 @@ from quasi.importing.readers.table_reader import read_table_log
 from quasi.importing.readers.vicon import read_vicon
 from quasi.importing.series import Recording
 from quasi.importing.wind import read_lvm
-from quasi.synthesis.blackbox_writer import FIELD_NAMES, encode_log, event, slow_frame
+from quasi_synthesis.blackbox_writer import FIELD_NAMES, encode_log, event, slow_frame
 
 
 def blackbox_seeds(rng: np.random.Generator) -> list[bytes]:

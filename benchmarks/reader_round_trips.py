@@ -39,9 +39,9 @@ from quasi.importing.readers.qualisys import read_qualisys
 from quasi.importing.readers.vicon import read_vicon
 from quasi.importing.series import Recording
 from quasi.importing.wind import read_lvm
-from quasi.synthesis.blackbox_writer import FIELD_NAMES, SLOW_NAMES, encode_log, event, slow_frame
-from quasi.synthesis.motive_writer import motive_csv
-from quasi.synthesis.sensors import Capture
+from quasi_synthesis.blackbox_writer import FIELD_NAMES, SLOW_NAMES, encode_log, event, slow_frame
+from quasi_synthesis.motive_writer import motive_csv
+from quasi_synthesis.sensors import Capture
 
 WIDEST = 16_000  # counts: differences of two values fill the 16 bits of the widest code of TAG8_4S16
 RATE = 250.0  # Hz of the made flights

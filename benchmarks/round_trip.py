@@ -26,16 +26,16 @@ from quasi.simulation.control.control_model import make_control_model
 from quasi.simulation.control.gains import complete_settings
 from quasi.simulation.loop.run import simulate
 from quasi.simulation.loop.setup import make_setup
-from quasi.synthesis import campaign
-from quasi.synthesis.controller import command_for, control_of
-from quasi.synthesis.flight import LOGGED_SIGNALS, MOTOR_HIGH, MOTOR_LOW
-from quasi.synthesis.motive_writer import motive_csv
-from quasi.synthesis.nuisance import Setup, nominal
-from quasi.synthesis.pilot import OFF_TIME, REST_BEFORE
-from quasi.synthesis.recorder import record
-from quasi.synthesis.sensors import capture
-from quasi.synthesis.vehicle import base_vehicle
 from quasi.tables import read_json, write_bytes, write_json, write_text
+from quasi_synthesis import campaign
+from quasi_synthesis.controller import command_for, control_of
+from quasi_synthesis.flight import LOGGED_SIGNALS, MOTOR_HIGH, MOTOR_LOW
+from quasi_synthesis.motive_writer import motive_csv
+from quasi_synthesis.nuisance import Setup, nominal
+from quasi_synthesis.pilot import OFF_TIME, REST_BEFORE
+from quasi_synthesis.recorder import record
+from quasi_synthesis.sensors import capture
+from quasi_synthesis.vehicle import base_vehicle
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "results/round_trip"

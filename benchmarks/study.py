@@ -13,8 +13,8 @@ import pandas as pd
 
 from quasi.importing.flight import import_flight
 from quasi.running.provenance import compute_code_digest
-from quasi.synthesis.campaign import Made, make_flight, quadrotor_configuration, read_campaign, write_flight
 from quasi.tables import read_json, write_json
+from quasi_synthesis.campaign import Made, make_flight, quadrotor_configuration, read_campaign, write_flight
 
 HERE = Path(__file__).resolve()
 ROOT = HERE.parents[1]

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from quasi.synthesis.conditions import FIRMWARES
+from quasi_synthesis.conditions import FIRMWARES
 
 
 def draw_world(seed: int) -> dict[str, Any]:

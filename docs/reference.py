@@ -25,7 +25,8 @@ def modules_of(folder: Path) -> list[str]:
 def pages() -> dict[str, str]:
     """{path in the site: Markdown} of the reference."""
     rooms = [folder for folder in sorted(LIBRARY.iterdir()) if (folder / "__init__.py").is_file()]
-    made = {f"reference/{room.name}.md": _page(f"quasi.{room.name}", modules_of(room)) for room in rooms}
+    titles = {f"quasi.{room.name}": room for room in rooms} | {"quasi_synthesis": ROOT / "quasi_synthesis"}
+    made = {f"reference/{room.name}.md": _page(title, modules_of(room)) for title, room in titles.items()}
     loose = [f"quasi.{p.stem}" for p in sorted(LIBRARY.glob("*.py")) if p.stem != "__init__"]
     made["reference/top-level.md"] = _page("quasi: top level", loose)
     rows = [f"| [{path.split('/')[1][:-3]}]({path.split('/')[1]}) |" for path in made]

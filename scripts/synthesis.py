@@ -1,7 +1,7 @@
 """Make one flight of a campaign and write it as a raw on-board log, a capture export and the truth."""
 
 from quasi.running.job_log import job
-from quasi.synthesis.campaign import flight_of, make_flight, read_campaign, write_flight
+from quasi_synthesis.campaign import flight_of, make_flight, read_campaign, write_flight
 
 
 def main(campaign: str, flight: str, settings: dict, onboard: str, capture: str, truth: str) -> None:

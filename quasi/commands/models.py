@@ -214,7 +214,7 @@ def made_vehicle() -> "Vehicle":
 
     from quasi.attitude import GRAVITY
     from quasi.gap.effect import Vehicle
-    from quasi.synthesis.vehicle import base_vehicle, hover_factors
+    from quasi_synthesis.vehicle import base_vehicle, hover_factors
 
     p = base_vehicle().physics
     factors = hover_factors(p)

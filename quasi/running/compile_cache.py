@@ -12,6 +12,7 @@ import sys
 import time
 from pathlib import Path
 
+PACKAGES = ("quasi", "quasi_synthesis")  # those with kernels
 _IMPORT = re.compile(rb"^from (quasi[\w.]*) import (\([^)]*\)|[^\n(]*)", re.M)
 CACHE_LIFETIME = 2 * 86400.0  # s, age at which unused folders of other states are removed
 
@@ -21,7 +22,7 @@ def use_cache_folder() -> Path | None:
     then).
     """
     package = Path(__file__).parents[1]
-    name = f"kernels-{_compute_state(package)}"
+    name = f"kernels-{_compute_state(package.parent)}"
     given = os.environ.get("NUMBA_CACHE_DIR")
     if given and Path(given).name == name:
         return Path(given)  # a process started by this one
@@ -42,19 +43,19 @@ def use_cache_folder() -> Path | None:
     return None
 
 
-def _compute_state(package: Path) -> str:
+def _compute_state(library: Path) -> str:
     """Compute the digest of every file with a kernel, or with constants that such a file imports."""
-    contents = {path: path.read_bytes() for path in sorted(package.rglob("*.py"))}
+    contents = {path: path.read_bytes() for package in PACKAGES for path in sorted((library / package).rglob("*.py"))}
     kept = {path for path, content in contents.items() if b"njit" in content}
     for path in list(kept):
         for module, names in _IMPORT.findall(contents[path]):
-            base = package.joinpath(*module.decode().split(".")[1:])
+            base = library.joinpath(*module.decode().split("."))
             for name in re.findall(r"(\w+)(?: as \w+)?", names.decode()):
                 # a constant of a module, or a module of constants: both are compiled into the code
                 kept.add(base.with_suffix(".py") if name.isupper() else base / f"{name}.py")
     digest = hashlib.sha256()
     for path in sorted(kept & set(contents)):
-        digest.update(str(path.relative_to(package)).encode() + b"\0" + contents[path])
+        digest.update(str(path.relative_to(library)).encode() + b"\0" + contents[path])
     return digest.hexdigest()[:16]
 
 

@@ -27,17 +27,17 @@ from typing import Any
 MAX_REQUEST = 1 << 17  # bytes of a request, nearly all of it the environment; Linux allows 208 kB in a packet
 REPLY = 16  # bytes; a process number or an exit code in decimal
 # rooms with kernels, in the order in which a flight passes them
-ROOMS = ("synthesis", "importing", "filtering", "identification")
+ROOMS = ("quasi_synthesis", "quasi.importing", "quasi.filtering", "quasi.identification")
 ROOM_OF_SCRIPT = {
-    "synthesis.py": "synthesis",
-    "inspection.py": "importing",
-    "importing.py": "importing",
-    "gap_importing.py": "importing",
-    "filtering.py": "filtering",
-    "gap_filtering.py": "filtering",
-    "identification_shared.py": "identification",
-    "gap_calibration.py": "filtering",
-    "gap_diagnosis.py": "filtering",
+    "synthesis.py": "quasi_synthesis",
+    "inspection.py": "quasi.importing",
+    "importing.py": "quasi.importing",
+    "gap_importing.py": "quasi.importing",
+    "filtering.py": "quasi.filtering",
+    "gap_filtering.py": "quasi.filtering",
+    "identification_shared.py": "quasi.identification",
+    "gap_calibration.py": "quasi.filtering",
+    "gap_diagnosis.py": "quasi.filtering",
 }
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -211,7 +211,7 @@ def _fork() -> int:
 def _prepare(rooms: Sequence[str], controls: Sequence[socket.socket]) -> None:
     """Compile or load the kernels of the first room and serve its jobs; a fork does so for the rooms behind it."""
     with suppress(Exception):  # then its jobs compile them, and report what is wrong
-        importlib.import_module(f"quasi.{rooms[0]}.kernels").compile_kernels()
+        importlib.import_module(f"{rooms[0]}.kernels").compile_kernels()
     later = _fork() if len(rooms) > 1 else None
     if later == 0:
         controls[0].close()

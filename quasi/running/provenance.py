@@ -10,9 +10,9 @@ from contextlib import suppress
 from pathlib import Path
 
 from quasi.errors import QuasiError
+from quasi.running.compile_cache import PACKAGES
 from quasi.tables import read_json, write_json
 
-PACKAGE = "quasi"
 PARSED: dict[str, list] = {}  # {SHA-256 of a file: [digest of its syntax tree, its imports of the package]}
 _NEW: set[str] = set()  # those of PARSED that were not read from the cache
 
@@ -70,7 +70,7 @@ def _parse(content: bytes, path: Path) -> list:
             body = node.body
             if body and isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
                 node.body = body[1:]
-    inside = [m for m in modules if m.split(".")[0] == PACKAGE]
+    inside = [m for m in modules if m.split(".")[0] in PACKAGES]
     return [hashlib.sha256(ast.dump(tree).encode()).hexdigest(), inside]
 
 

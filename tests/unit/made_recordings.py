@@ -4,8 +4,8 @@ from quasi.airframe import read_airframe
 from quasi.filtering.flight import filter_flight
 from quasi.gap.flights.level import Flown
 from quasi.importing.flight import import_flight
-from quasi.synthesis.campaign import make_flight, quadrotor_configuration, read_campaign
 from quasi.tables import write_bytes, write_text
+from quasi_synthesis.campaign import make_flight, quadrotor_configuration, read_campaign
 
 
 def written(folder, key, made):

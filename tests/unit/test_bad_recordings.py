@@ -9,8 +9,8 @@ from spreadsheets import saved_anew
 
 from quasi.errors import QuasiError
 from quasi.importing.flight import import_flight
-from quasi.synthesis.campaign import make_flight, read_campaign
 from quasi.tables import read_bytes, write_bytes, write_text
+from quasi_synthesis.campaign import make_flight, read_campaign
 
 RATE = 120.0
 

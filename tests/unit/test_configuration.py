@@ -115,8 +115,8 @@ def test_key_of_ones_own_in_a_quadrotor_is_allowed_but_a_slip_of_the_pen_is_refu
 
 
 def test_campaign_schema_holds_the_keys_that_the_synthesis_takes():
-    from quasi.synthesis.campaign import CAMPAIGN_KEYS, FLIGHT_KEYS
-    from quasi.synthesis.conditions import CONDITION_KEYS as CONDITIONS
+    from quasi_synthesis.campaign import CAMPAIGN_KEYS, FLIGHT_KEYS
+    from quasi_synthesis.conditions import CONDITION_KEYS as CONDITIONS
 
     rules = configuration.schema("synthesis")["properties"]
     assert set(rules) == {*CAMPAIGN_KEYS, *CONDITIONS}

@@ -18,7 +18,7 @@ from quasi.model.build import assemble_model
 from quasi.model.envelope import measure_coverage
 from quasi.model.model import Model
 from quasi.project.model_files import model_place
-from quasi.synthesis.campaign import read_campaign
+from quasi_synthesis.campaign import read_campaign
 
 DOCS = Path(__file__).parents[2] / "docs"
 

@@ -16,8 +16,8 @@ from quasi.errors import ConfigError, DataError, ReadError
 from quasi.importing.contradictions import rates_explained
 from quasi.importing.figures import alignment_figure
 from quasi.importing.flight import import_flight
-from quasi.synthesis.campaign import make_flight, read_campaign
 from quasi.tables import COLUMNS, read_json
+from quasi_synthesis.campaign import make_flight, read_campaign
 
 ROOT = Path(__file__).parents[2]
 NANODRONE = SHARED.parent / "nanodrone"

@@ -16,11 +16,11 @@ from quasi.gap.levels.corrections import CORRECTS
 from quasi.gap.selection import Profile
 from quasi.gap.statistics import mixed
 from quasi.model.model import AXES
-from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
-from quasi.synthesis.effects import check, plant
-from quasi.synthesis.nuisance import nominal
-from quasi.synthesis.physics import PLANT_STATES, derivative, induced_velocity
-from quasi.synthesis.vehicle import hover_factors
+from quasi_synthesis.campaign import quadrotor_configuration, read_campaign
+from quasi_synthesis.effects import check, plant
+from quasi_synthesis.nuisance import nominal
+from quasi_synthesis.physics import PLANT_STATES, derivative, induced_velocity
+from quasi_synthesis.vehicle import hover_factors
 
 ROWS = 400
 CATALOGUE = catalogue()

@@ -15,7 +15,7 @@ from quasi.gap.levels.forces.design import gather_design
 from quasi.gap.levels.forces.identify import examine
 from quasi.gap.statistics.mixed import Candidate
 from quasi.model.model import AXES, Model
-from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
+from quasi_synthesis.campaign import quadrotor_configuration, read_campaign
 
 NAMES = ("wind", "rotor_effectiveness", "cg_offset", "mass")
 EFFECTS = {n: catalogue()[n] for n in NAMES}

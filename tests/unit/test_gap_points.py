@@ -10,8 +10,8 @@ from quasi.gap.flights.level import Level
 from quasi.gap.levels import corrections
 from quasi.gap.levels.imu_or_markers import ACROSS, DECIDED, TAKEN_UP, felt, settle, weigh
 from quasi.gap.levels.sensors import identify as sensor_level
-from quasi.synthesis.nuisance import nominal
-from quasi.synthesis.vehicle import hover_factors
+from quasi_synthesis.nuisance import nominal
+from quasi_synthesis.vehicle import hover_factors
 
 PLANTED = {"imu_lever_arm": {"y": -0.007}, "marker_offset": {"x": -0.009, "z": 0.012}}
 STD = np.full(3, 4e-4)

@@ -136,7 +136,7 @@ def test_a_job_of_a_room_finds_its_kernels_compiled(server, tmp_path, monkeypatc
         "sys.exit(10 * len(_forward.signatures))"
     )
     (tmp_path / "script.py").write_text(text)
-    jobs = [server.start("script.py", ENVIRONMENT, "filtering") for _ in range(2)]
+    jobs = [server.start("script.py", ENVIRONMENT, "quasi.filtering") for _ in range(2)]
     assert [job.wait() for job in jobs] == [10, 10]
     processes = children_of(server)
     assert len(processes) == 1  # with one core no other room prepares itself
@@ -149,7 +149,7 @@ def test_later_rooms_prepare_themselves_and_end_with_the_server(tmp_path, monkey
     server = JobServer(modules=(), cores=2)
     assert start(server, tmp_path, "raise SystemExit(5)").wait() == 5
     (tmp_path / "script.py").write_text("import sys; sys.exit('quasi.importing.kernels' in sys.modules)")
-    assert server.start("script.py", ENVIRONMENT, "importing").wait() == 1
+    assert server.start("script.py", ENVIRONMENT, "quasi.importing").wait() == 1
     deadline = time.monotonic() + 120.0
     while len(processes := children_of(server)) < 3:  # importing; filtering, and behind it identification
         assert time.monotonic() < deadline
@@ -161,11 +161,11 @@ def test_later_rooms_prepare_themselves_and_end_with_the_server(tmp_path, monkey
 def test_without_its_room_a_job_starts_python_itself(server, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "script.py").write_text("raise SystemExit(6)")
-    assert server.start("script.py", ENVIRONMENT, "importing").wait() == 6
+    assert server.start("script.py", ENVIRONMENT, "quasi.importing").wait() == 6
     (room,) = children_of(server)
     room.kill()
     psutil.wait_procs([room], 30)
-    assert server.start("script.py", ENVIRONMENT, "importing") is None
+    assert server.start("script.py", ENVIRONMENT, "quasi.importing") is None
 
 
 def test_jobs_of_a_room_end_with_the_main_process(tmp_path, monkeypatch):
@@ -173,7 +173,8 @@ def test_jobs_of_a_room_end_with_the_main_process(tmp_path, monkeypatch):
     (tmp_path / "script.py").write_text("import time; time.sleep(600)")
     program = (
         "import os; from quasi.running.job_server import JobServer; server = JobServer(modules=());"
-        "job = server.start('script.py', os.environ, 'importing'); print(job.pid, flush=True); os.kill(os.getpid(), 9)"
+        "job = server.start('script.py', os.environ, 'quasi.importing'); print(job.pid, flush=True);"
+        "os.kill(os.getpid(), 9)"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
     with suppress(psutil.NoSuchProcess):

@@ -13,15 +13,15 @@ from quasi.identification import kernels as identification
 from quasi.identification.actuators import follow, rotor_lag
 from quasi.importing import kernels as importing
 from quasi.importing.flight import import_flight
-from quasi.synthesis import kernels as synthesis
-from quasi.synthesis.campaign import make_flight, read_campaign, write_flight
+from quasi_synthesis import kernels as synthesis
+from quasi_synthesis.campaign import make_flight, read_campaign, write_flight
 
 
 def compiled(room):
     return {
         (name, key): set(thing.signatures)
         for name, module in list(sys.modules.items())
-        if name.startswith(f"quasi.{room}.")
+        if name.startswith(f"{room}.")
         for key, thing in vars(module).items()
         if isinstance(thing, Dispatcher)
     }
@@ -31,7 +31,7 @@ def compiled(room):
 def flown(tmp_path_factory):
     folder = tmp_path_factory.mktemp("flown")
     synthesis.compile_kernels()
-    before = compiled("synthesis")
+    before = compiled("quasi_synthesis")
     campaign = read_campaign({"flights": [{"key": "short"}], "duration": 20.0})
     files = [folder / name for name in ("short.bbl", "short.csv", "short.parquet")]
     write_flight(make_flight(campaign, campaign.flights[0]), *files)
@@ -40,14 +40,14 @@ def flown(tmp_path_factory):
 
 def test_a_made_flight_compiles_nothing_else(flown):
     _, before = flown
-    assert len(before["quasi.synthesis.flight", "fly"]) == 1
-    assert compiled("synthesis") == before
+    assert len(before["quasi_synthesis.flight", "fly"]) == 1
+    assert compiled("quasi_synthesis") == before
 
 
 def test_an_imported_flight_compiles_nothing_else(flown):
     (onboard, capture, _), _ = flown
     importing.compile_kernels()
-    before = compiled("importing")
+    before = compiled("quasi.importing")
     about = {
         "flight": "short",
         "flight controller": "betaflight",
@@ -57,15 +57,15 @@ def test_an_imported_flight_compiles_nothing_else(flown):
     import_flight({**about, "onboard": str(onboard), "capture": str(capture)}, {}, {})
     names = {name for (_, name), signatures in before.items() if signatures}
     assert names >= {"decode_frames", "_filter", "_steps", "_chain"}
-    assert compiled("importing") == before
+    assert compiled("quasi.importing") == before
 
 
 def test_a_filtered_flight_compiles_nothing_else():
     filtering.compile_kernels()
-    before = compiled("filtering")
+    before = compiled("quasi.filtering")
     filter_flight(*measure(move(seconds=18.0, seed=4)), quadrotor(), {"rotor notch harmonics": 1})
     assert len(before["quasi.filtering.ekf", "_forward"]) == len(before["quasi.filtering.smoother", "_backward"]) == 1
-    assert compiled("filtering") == before
+    assert compiled("quasi.filtering") == before
 
 
 def test_a_rotor_lag_compiles_nothing_else():

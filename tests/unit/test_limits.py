@@ -7,7 +7,7 @@ from made_recordings import written
 from quasi.errors import DataError
 from quasi.importing.flight import import_flight
 from quasi.importing.limits import End, describe_clipping, facts, spoiled
-from quasi.synthesis import campaign as campaigns
+from quasi_synthesis import campaign as campaigns
 
 
 def flown(folder, monkeypatch, limit):

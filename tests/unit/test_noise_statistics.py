@@ -9,7 +9,7 @@ from quasi import command
 from quasi.errors import DataError
 from quasi.filtering.noise_statistics import RestLog, noise_statistics, section
 from quasi.project.configuration import with_section
-from quasi.synthesis.campaign import make_flight, quadrotor_configuration, read_campaign, write_flight
+from quasi_synthesis.campaign import make_flight, quadrotor_configuration, read_campaign, write_flight
 
 PLANTED = {"p": 0.02, "q": 0.01, "r": 0.015, "ax": 0.05, "ay": 0.06, "az": 0.04}
 MEANS = {"p": 0.01, "q": -0.02, "r": 0.0, "ax": 0.1, "ay": -0.05, "az": -9.8}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from plain_blackbox import Plain
 
-from quasi.synthesis import blackbox_writer as writer
+from quasi_synthesis import blackbox_writer as writer
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,8 @@ from plain_blackbox import Plain
 from quasi import attitude, tables
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
-from quasi.synthesis import campaign as campaigns
-from quasi.synthesis.vehicle import base_vehicle, hover_factors
+from quasi_synthesis import campaign as campaigns
+from quasi_synthesis.vehicle import base_vehicle, hover_factors
 
 ROOT = Path(__file__).parents[2]
 SHORT = {"duration": 24, "nuisance": 0.0, "noise": 0.0}

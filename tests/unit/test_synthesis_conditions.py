@@ -15,11 +15,11 @@ from quasi.importing.clocks.filter_delays import delay, header_delays
 from quasi.importing.readers.blackbox import decode
 from quasi.importing.readers.blackbox_header import find_logs, plain_header
 from quasi.project import configuration
-from quasi.synthesis import conditions, nuisance, physics, sensors
-from quasi.synthesis.campaign import logbook, make_flight, read_campaign
-from quasi.synthesis.pilot import pilot
-from quasi.synthesis.sensors import BIQUAD, LOST, PT1, PT2, REPEATED_PACKET
-from quasi.synthesis.vehicle import BASE_HOVER_SPEED
+from quasi_synthesis import conditions, nuisance, physics, sensors
+from quasi_synthesis.campaign import logbook, make_flight, read_campaign
+from quasi_synthesis.pilot import pilot
+from quasi_synthesis.sensors import BIQUAD, LOST, PT1, PT2, REPEATED_PACKET
+from quasi_synthesis.vehicle import BASE_HOVER_SPEED
 
 QUIET = {"duration": 24, "nuisance": 0.0, "noise": 0.0, "log rate": 4000, "seed": 3}
 STEP = 1.0 / 4000.0

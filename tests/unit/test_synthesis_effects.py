@@ -8,10 +8,10 @@ import pytest
 from quasi import attitude
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError
-from quasi.synthesis import nuisance, physics, sensors
-from quasi.synthesis.campaign import make_flight, read_campaign
-from quasi.synthesis.effects import OFFERED, check, plant
-from quasi.synthesis.vehicle import ARM, BASE_HOVER_SPEED, BASE_MASS, RADIUS
+from quasi_synthesis import nuisance, physics, sensors
+from quasi_synthesis.campaign import make_flight, read_campaign
+from quasi_synthesis.effects import OFFERED, check, plant
+from quasi_synthesis.vehicle import ARM, BASE_HOVER_SPEED, BASE_MASS, RADIUS
 
 NOMINAL = nuisance.nominal(120.0, 0.0)
 V = np.array([4.0, -3.0, 1.5])  # m/s, body = earth

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from quasi import attitude
-from quasi.synthesis import motive_writer, nuisance, sensors
+from quasi_synthesis import motive_writer, nuisance, sensors
 
 # rotation of the capture frame G onto earth E: conjugate of q_x(90 deg) q_z(90 deg) = (0.5, -0.5, 0.5, -0.5)
 FRAME = attitude.conjugate(

@@ -8,8 +8,8 @@ from scipy.optimize import brentq
 
 from quasi import attitude
 from quasi.attitude import GRAVITY
-from quasi.synthesis import physics
-from quasi.synthesis.vehicle import ARM, BASE_HOVER_SPEED, BASE_MASS, base_vehicle, hover_factors
+from quasi_synthesis import physics
+from quasi_synthesis.vehicle import ARM, BASE_HOVER_SPEED, BASE_MASS, base_vehicle, hover_factors
 
 BASE = base_vehicle().physics
 HIGH = -2.0  # m, far from the floor

@@ -21,7 +21,7 @@ from quasi.gap.levels.forces.polynomial_baseline import polynomial
 from quasi.gap.levels.forces.unexplained import outdone, search
 from quasi.gap.statistics.mixed import Candidate
 from quasi.model.model import AXES
-from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
+from quasi_synthesis.campaign import quadrotor_configuration, read_campaign
 
 RATE, SECONDS = 100.0, 40.0
 ROWS = int(RATE * SECONDS)

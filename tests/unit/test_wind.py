@@ -16,9 +16,9 @@ from quasi.importing.readers.day_time import clock, read_day_time
 from quasi.importing.series import Recording
 from quasi.importing.wind import add_wind, read_lvm
 from quasi.project.workflow import Folder
-from quasi.synthesis.campaign import make_flight, read_campaign
 from quasi.tables import COLUMNS, read_json, write_text
 from quasi.terms.variables import Variables
+from quasi_synthesis.campaign import make_flight, read_campaign
 
 ROOT = Path(__file__).parents[2]
 HOURS = 3600.0

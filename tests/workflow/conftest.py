@@ -20,10 +20,11 @@ from pathlib import Path
 import pytest
 from hidden import healthy_model
 
-from quasi.synthesis.campaign import project_files, read_campaign
+from quasi_synthesis.campaign import project_files, read_campaign
 
 ROOT = Path(__file__).parents[2]
-HOUSE = ("Snakefile", "rules", "scripts", "quasi", "config/schemas", "config/polynomials", "profiles")
+PACKAGES = ("quasi", "quasi_synthesis")
+HOUSE = ("Snakefile", "rules", "scripts", *PACKAGES, "config/schemas", "config/polynomials", "profiles")
 CAMPAIGN = {
     "quadrotor": "MadeBeetle",
     "seed": 7,

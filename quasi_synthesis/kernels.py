@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from quasi.synthesis import blackbox_writer as blackbox
-from quasi.synthesis import campaign as campaign  # its jobs begin with this import
-from quasi.synthesis import vehicle as made
-from quasi.synthesis.controller import control_of
-from quasi.synthesis.flight import LOGGED_SIGNALS, TRUTH, fly
-from quasi.synthesis.nuisance import nominal
+from quasi_synthesis import blackbox_writer as blackbox
+from quasi_synthesis import campaign as campaign  # its jobs begin with this import
+from quasi_synthesis import vehicle as made
+from quasi_synthesis.controller import control_of
+from quasi_synthesis.flight import LOGGED_SIGNALS, TRUTH, fly
+from quasi_synthesis.nuisance import nominal
 
 LOOP_STEPS, STEPS_EACH_ROW = 8, 4  # steps of the loop, and from one row of the log to the next
 

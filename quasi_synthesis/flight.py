@@ -6,10 +6,10 @@ import numpy as np
 from numba import njit
 
 from quasi.attitude import GRAVITY
-from quasi.synthesis.controller import Control, mix, outer_loop, rate_loop, steady_speed
-from quasi.synthesis.physics import CONTACT_STIFFNESS, PLANT_STATES, advance, body_to_earth
-from quasi.synthesis.pilot import REFERENCE_RATE
-from quasi.synthesis.sensors import (
+from quasi_synthesis.controller import Control, mix, outer_loop, rate_loop, steady_speed
+from quasi_synthesis.physics import CONTACT_STIFFNESS, PLANT_STATES, advance, body_to_earth
+from quasi_synthesis.pilot import REFERENCE_RATE
+from quasi_synthesis.sensors import (
     LOST,
     REPEATED_PACKET,
     Inertial,
@@ -21,7 +21,7 @@ from quasi.synthesis.sensors import (
     shake_modes,
     start_filter,
 )
-from quasi.synthesis.vehicle import Drive, Physics
+from quasi_synthesis.vehicle import Drive, Physics
 
 LOOP = 4000.0  # Hz: physics step, sensor step and rate loop
 OUTER = 16  # loop steps of the position and attitude loop (250 Hz)

@@ -15,18 +15,18 @@ import pandas as pd
 
 from quasi import attitude
 from quasi.errors import ConfigError, nearest
-from quasi.synthesis import vehicle as made
-from quasi.synthesis.conditions import CONDITION_KEYS as CONDITIONS
-from quasi.synthesis.conditions import apply_conditions, packet_faults, read_conditions
-from quasi.synthesis.controller import control_of
-from quasi.synthesis.effects import check, plant
-from quasi.synthesis.flight import AIR_RATE, LOGGED_SIGNALS, LOOP, TRUTH, fly
-from quasi.synthesis.motive_writer import motive_csv
-from quasi.synthesis.nuisance import Session, Setup, air, nominal, vary
-from quasi.synthesis.pilot import OFF_TIME, PROFILES, REST_BEFORE, pilot
-from quasi.synthesis.recorder import record
-from quasi.synthesis.sensors import Capture, capture
 from quasi.tables import write_bytes, write_table, write_text
+from quasi_synthesis import vehicle as made
+from quasi_synthesis.conditions import CONDITION_KEYS as CONDITIONS
+from quasi_synthesis.conditions import apply_conditions, packet_faults, read_conditions
+from quasi_synthesis.controller import control_of
+from quasi_synthesis.effects import check, plant
+from quasi_synthesis.flight import AIR_RATE, LOGGED_SIGNALS, LOOP, TRUTH, fly
+from quasi_synthesis.motive_writer import motive_csv
+from quasi_synthesis.nuisance import Session, Setup, air, nominal, vary
+from quasi_synthesis.pilot import OFF_TIME, PROFILES, REST_BEFORE, pilot
+from quasi_synthesis.recorder import record
+from quasi_synthesis.sensors import Capture, capture
 
 CAMPAIGN_NAME = re.compile(r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*")
 BODY = "MadeBeetle"
@@ -99,7 +99,7 @@ def read_campaign(config: Mapping[str, Any], name: str = "campaign") -> Campaign
     scales, "log rate" and "capture rate" Hz, "effects"}; a flight may replace seed, duration, nuisance and noise, and
     adds its effects to the campaign's (its own parameters win). A flight's seed follows from campaign seed and key
     unless given, so that adding or moving flights changes no other. Further keys state the conditions, see
-    `quasi.synthesis.conditions`; a flight's "session" names the flights that share their session's part of them.
+    `quasi_synthesis.conditions`; a flight's "session" names the flights that share their session's part of them.
     Raises ConfigError naming the campaign, flight and key, with the nearest known one.
     """
     where = f"campaign '{name}'"

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from quasi import attitude
-from quasi.synthesis.sensors import CaptureErrors, Inertial, Telemetry
-from quasi.synthesis.vehicle import POLES, Vehicle, base_vehicle
+from quasi_synthesis.sensors import CaptureErrors, Inertial, Telemetry
+from quasi_synthesis.vehicle import POLES, Vehicle, base_vehicle
 
 # standard deviations (or ranges) at scale 1
 SPREAD = {

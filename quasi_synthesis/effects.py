@@ -15,8 +15,8 @@ import numpy as np
 
 from quasi import attitude
 from quasi.errors import ConfigError, nearest
-from quasi.synthesis.nuisance import Setup
-from quasi.synthesis.vehicle import hover_factors
+from quasi_synthesis.nuisance import Setup
+from quasi_synthesis.vehicle import hover_factors
 
 
 class Parameter(NamedTuple):

@@ -24,7 +24,7 @@ import numpy as np
 from numba import njit
 
 from quasi.attitude import GRAVITY
-from quasi.synthesis.vehicle import BASE_HOVER_SPEED, Physics
+from quasi_synthesis.vehicle import BASE_HOVER_SPEED, Physics
 
 PLANT_STATES = 27
 CONTACT_STIFFNESS = 2200.0  # N/m per foot

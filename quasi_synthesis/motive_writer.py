@@ -6,7 +6,7 @@ G's z is roll, about -x pitch, about -y yaw. Quaternions are written X Y Z W, le
 
 import numpy as np
 
-from quasi.synthesis.sensors import SEEN_MARKERS, Capture
+from quasi_synthesis.sensors import SEEN_MARKERS, Capture
 
 # rows: the axes of G in earth coordinates
 EARTH_TO_MOTIVE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])

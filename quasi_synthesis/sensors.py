@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from quasi import attitude
-from quasi.synthesis.vehicle import BASE_HOVER_SPEED, MARKER_OFFSET
+from quasi_synthesis.vehicle import BASE_HOVER_SPEED, MARKER_OFFSET
 
 NO_FILTER, PT1, PT2, BIQUAD = 0, 1, 2, 3
 FILTER_KINDS = {"PT1": PT1, "PT2": PT2, "biquad": BIQUAD}

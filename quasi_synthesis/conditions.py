@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quasi.errors import ConfigError, nearest
-from quasi.synthesis.flight import LOOP
-from quasi.synthesis.nuisance import Setup
-from quasi.synthesis.sensors import BIQUAD, FILTER_KINDS, LOST, NO_FILTER, PT2, REPEATED_PACKET
+from quasi_synthesis.flight import LOOP
+from quasi_synthesis.nuisance import Setup
+from quasi_synthesis.sensors import BIQUAD, FILTER_KINDS, LOST, NO_FILTER, PT2, REPEATED_PACKET
 
 WHITE_RATE = 2000.0  # Hz, the sampling rate that white noise is stated for
 

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from quasi.attitude import GRAVITY
-from quasi.synthesis.vehicle import Vehicle, hover_factors
+from quasi_synthesis.vehicle import Vehicle, hover_factors
 
 
 class Control(NamedTuple):

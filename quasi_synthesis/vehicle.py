@@ -105,7 +105,7 @@ class Physics(NamedTuple):
     lag_up: float = 0.022  # s, motor lag when speeding up
     lag_down: float = 0.030  # s, motor lag when slowing down
     leg: np.ndarray = np.array([0.06, 0.06, 0.03])  # (3,) m, |x|, |y| and z of the four feet from the true cg
-    unlisted: np.ndarray = np.zeros(7)  # (7,) sizes of what belongs to no known cause, see `quasi.synthesis.physics`
+    unlisted: np.ndarray = np.zeros(7)  # (7,) sizes of what belongs to no known cause, see `quasi_synthesis.physics`
 
 
 class Drive(NamedTuple):

@@ -5,13 +5,13 @@ import math
 import numpy as np
 
 from quasi import attitude
-from quasi.synthesis import blackbox_writer as blackbox
-from quasi.synthesis import vehicle as made
-from quasi.synthesis.controller import control_of
-from quasi.synthesis.flight import LOGGED_SIGNALS, LOOP, MOTOR_HIGH, MOTOR_LOW
-from quasi.synthesis.nuisance import Setup
-from quasi.synthesis.pilot import OFF_TIME, REST_BEFORE
-from quasi.synthesis.sensors import BIQUAD, NO_FILTER, PT1, PT2
+from quasi_synthesis import blackbox_writer as blackbox
+from quasi_synthesis import vehicle as made
+from quasi_synthesis.controller import control_of
+from quasi_synthesis.flight import LOGGED_SIGNALS, LOOP, MOTOR_HIGH, MOTOR_LOW
+from quasi_synthesis.nuisance import Setup
+from quasi_synthesis.pilot import OFF_TIME, REST_BEFORE
+from quasi_synthesis.sensors import BIQUAD, NO_FILTER, PT1, PT2
 
 
 def record(
