@@ -49,7 +49,7 @@ FILTERING = (*GEOMETRY, "motor poles", "idle RPM", "max RPM", "(estimated) imu s
 IDENTIFICATION = (*GEOMETRY, "motor poles", "idle RPM", "max RPM", "command map", "hover speed", "thrust factor")
 
 # the comparison of sensors turns the markers about the cg
-GAP = (*IDENTIFICATION, "optitrack marker cg offset")
+GAP_KEYS = (*IDENTIFICATION, "optitrack marker cg offset")
 
 LIGHTEST, HEAVIEST = 0.005, 100.0  # kg: outside lies a slip of unit, not a quadrotor
 

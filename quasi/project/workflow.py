@@ -12,7 +12,7 @@ from typing import Any
 
 from quasi.errors import ConfigError, QuasiError, nearest
 from quasi.project.configurations import Configurations
-from quasi.project.flights import GAP, Recordings
+from quasi.project.flights import GAP_KEYS, Recordings
 from quasi.project.folder import Places, is_file
 from quasi.project.gaps import HELD, Gaps
 from quasi.project.logbooks import Logbooks
@@ -92,7 +92,7 @@ class Folder:
         settings = {k: v for k, v in self.configuration.gap(name).items() if k != "logging file"}
         self.gaps.model_path(name)
         rows, trained = self.gaps.rows(name), self.gaps.trained(name)
-        part = self.recordings.quadrotor_part(rows[0], GAP)
+        part = self.recordings.quadrotor_part(rows[0], GAP_KEYS)
         held = self.gaps.flights(name)[HELD]
         return {
             "name": name,

@@ -18,7 +18,7 @@ from quasi.gap.levels.forces.design import ORDER
 from quasi.gap.statistics.whitening import autoregression, whiten
 from quasi.model.model import AXES
 
-HIGHEST = 8.0  # Hz, where the band of the analysis ends
+HIGHEST_FREQUENCY = 8.0  # Hz, where the band of the analysis ends
 WIDTHS = (1, 5)  # bins: what keeps time, and what rings
 AROUND = 8  # bins of background on each side, for each bin of width
 GUARD = 1  # bins between, for each bin of width
@@ -66,7 +66,7 @@ def search(signals: Sequence[Signal], compared: Sequence[bool], rate: float) -> 
     whitener = autoregression(views, [s.breaks for s in signals], ORDER)
     white = [_whitened(v, s, whitener) for v, s in zip(views, signals)]
     longest = max(t[-1] - t[0] for _, t in white)
-    grid = np.arange(1, int(HIGHEST * longest) + 1) / longest
+    grid = np.arange(1, int(HIGHEST_FREQUENCY * longest) + 1) / longest
     powers = [_power(values, t, grid) for values, t in white]
     flags = np.asarray(compared, bool)
     level = rate / (len(VIEWS) * len(WIDTHS) * len(grid))
@@ -158,7 +158,7 @@ def amplitudes(line: Line, signal: Signal) -> np.ndarray:
 def _excess(line: Line, t: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Mean square (C,) of a peak above the background around it, of values (m, C)."""
     span = t[-1] - t[0]
-    grid = np.arange(1, int(HIGHEST * span) + 1) / span
+    grid = np.arange(1, int(HIGHEST_FREQUENCY * span) + 1) / span
     power = _power(values, t, grid)
     away = np.abs(grid - line.middle) * span  # bins
     half = 0.5 * max((line.high - line.low) * span, 1.0) + 0.5
