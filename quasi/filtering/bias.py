@@ -7,7 +7,7 @@ import numpy as np
 from quasi import attitude
 from quasi.errors import add_caution
 from quasi.filtering.measurements import coarseness
-from quasi.saturation import runs_of
+from quasi.sensor_limits import runs_of
 
 REST_BLOCK = 0.1  # s
 LEAST_REST = 1.0  # s, shorter rests are refused

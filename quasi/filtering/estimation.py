@@ -20,7 +20,7 @@ from quasi.filtering.filter_inputs import (
     without_accelerometer_bias,
 )
 from quasi.filtering.smoother import smooth
-from quasi.saturation import runs_of
+from quasi.sensor_limits import runs_of
 
 DRIFT_SIGMAS = 4.0  # rest and flight that disagree by more are reported
 UNSURE_ATTITUDE, UNSURE_VELOCITY = np.radians(3.0), 0.3  # rad, m/s: states with a larger standard error are not valid

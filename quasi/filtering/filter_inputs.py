@@ -10,7 +10,7 @@ from quasi import attitude
 from quasi.airframe import Airframe
 from quasi.filtering import bias as biases
 from quasi.filtering import ekf, measurements, noise
-from quasi.saturation import runs_of
+from quasi.sensor_limits import runs_of
 
 DRIFTING = np.array([1e-3] * 3 + [1e-2] * 3)  # random walk of time-varying biases, per square root of a second
 # Rounding to the log's steps errs alike for as long as a rate stays within one: as much white noise is greater by this

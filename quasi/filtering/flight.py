@@ -17,7 +17,7 @@ from quasi.filtering import ekf, estimation, forces, measurements
 from quasi.filtering.filter_inputs import Material
 from quasi.filtering.rotor_speeds import commands_to_keep
 from quasi.filtering.verdict import judge_flight
-from quasi.plausibility import describe_impossible_inertia
+from quasi.sensor_limits import describe_impossible_inertia
 from quasi.tables import COLUMNS
 from quasi.terms.rotor_map import RAW
 

@@ -10,7 +10,7 @@ import pandas as pd
 from quasi import attitude
 from quasi.errors import DataError, add_caution
 from quasi.filtering.ekf import ATTITUDE_KIND, MEASUREMENT_KINDS, POSITION_KIND, STATES, VELOCITY_KIND
-from quasi.saturation import find_clipping, runs_of
+from quasi.sensor_limits import find_clipping, runs_of
 
 GYRO, ACCEL = ("p", "q", "r"), ("ax", "ay", "az")
 

@@ -13,7 +13,7 @@ import numpy as np
 from quasi import attitude
 from quasi.errors import DataError
 from quasi.filtering.bias import REST_BLOCK, STEADY_ACCEL, STEADY_GYRO, STILL_ACCEL, STILL_GYRO
-from quasi.saturation import runs_of
+from quasi.sensor_limits import runs_of
 
 RATES, FORCE, EULER_ANGLES = ("p", "q", "r"), ("ax", "ay", "az"), ("roll", "pitch", "yaw")
 CUT = 0.1  # of a log is left out at either end: switching, hands

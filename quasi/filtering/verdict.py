@@ -8,7 +8,7 @@ import pandas as pd
 
 from quasi import attitude
 from quasi.filtering.bias import Rest
-from quasi.plausibility import (
+from quasi.sensor_limits import (
     MOUNTING_ANGLE,
     REST_ANGLE,
     Contradiction,
@@ -57,7 +57,7 @@ def judge_flight(
 def find_contradictions(
     imported: pd.DataFrame, imported_metadata: Mapping[str, Any], report: Mapping[str, Any], rest: Rest | None
 ) -> list[Contradiction]:
-    """What the filter shows beyond the limits of `quasi.plausibility`. Arguments as `judge_flight`."""
+    """What the filter shows beyond the limits of `quasi.sensor_limits`. Arguments as `judge_flight`."""
     names = name_sources(imported_metadata)
     found = check_innovations({k: report["NIS"][k] for k in PREDICTED if k in report["NIS"]}, names)
     biases = report["biases"]

@@ -12,7 +12,7 @@ import numpy as np
 from quasi.airframe import Airframe
 from quasi.errors import DataError
 from quasi.identification.regression import least_squares
-from quasi.plausibility import describe_impossible_inertia
+from quasi.sensor_limits import describe_impossible_inertia
 from quasi.terms.expressions import Program, parse
 from quasi.terms.variables import Variables
 

@@ -9,7 +9,7 @@ and can be flown throughout.
 import numba
 import numpy as np
 
-from quasi.saturation import runs_of
+from quasi.sensor_limits import runs_of
 
 LARGEST_FLOWN_ACCELERATION = 200.0  # m/s2, far above any quadrotor (20 g)
 MAX_ANGULAR_ACCELERATION = 1500.0  # rad/s2, above a 3-inch racer's

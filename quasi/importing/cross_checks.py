@@ -9,7 +9,7 @@ from quasi.importing.clocks.synchronisation import Synchronisation
 from quasi.importing.contradictions import compare_forces, exchanged_axes, length_ratio, rate_gains
 from quasi.importing.onboard_log import POSITION_COLUMNS, QUATERNION, Onboard
 from quasi.importing.series import Series
-from quasi.plausibility import (
+from quasi.sensor_limits import (
     Contradiction,
     check_axis_order,
     check_directions,
@@ -22,7 +22,7 @@ CAPTURED, ONBOARD_ATTITUDE, CAPTURED_POSITION = "captured attitude", "on-board a
 
 
 def cross_check(board: Onboard, capture: Series | None, sync: Synchronisation | None) -> list[Contradiction]:
-    """Contradictions between the sources of a flight beyond the limits of `quasi.plausibility`.
+    """Contradictions between the sources of a flight beyond the limits of `quasi.sensor_limits`.
 
     capture  on its own clock, which `sync` ties to the on-board clock; None where it has that clock
     """

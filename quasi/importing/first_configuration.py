@@ -21,8 +21,8 @@ from quasi.importing.readers.signals import Signals
 from quasi.importing.readers.table_reader import ARRAYS
 from quasi.importing.readers.table_text import open_table
 from quasi.project.logbook import VALID_NAME, key_of
+from quasi.project.recognition import HEAD_SIZE, recognise
 from quasi.project.templates import lay_folder
-from quasi.recognition import HEAD_SIZE, recognise
 from quasi.tables import read_head, read_json, read_text, write_json, write_text
 
 QUADROTOR = "my_quadrotor"

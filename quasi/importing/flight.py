@@ -26,7 +26,7 @@ from quasi.importing.series import Recording, Series
 from quasi.importing.streams import stream
 from quasi.importing.verdict import verdict
 from quasi.importing.wind import add_wind
-from quasi.plausibility import to_plain
+from quasi.sensor_limits import to_plain
 from quasi.tables import sha256_of
 
 IMPORT_DEFAULTS: dict[str, Any] = {

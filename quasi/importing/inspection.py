@@ -26,8 +26,8 @@ from quasi.importing.readers.reader import Request
 from quasi.importing.readers.registry import read_capture
 from quasi.importing.series import Series
 from quasi.importing.wind import read_lvm
-from quasi.plausibility import find_silent_rotors
 from quasi.running.checksums import read_identity
+from quasi.sensor_limits import find_silent_rotors
 from quasi.tables import read_json, write_json
 
 Read = tuple[dict[str, Any], list[Series], list[str]]  # facts on a source, its series, the notes of its reader

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quasi.importing.onboard_log import Onboard
-from quasi.saturation import find_clipping
+from quasi.sensor_limits import find_clipping
 
 CHANNELS = {"gyro": ("p", "q", "r"), "accelerometer": ("ax", "ay", "az")}
 CLIPPING_UNITS = {"gyro": ("rad/s", np.degrees(1.0), "deg/s"), "accelerometer": ("m/s2", 1.0 / 9.81, "g")}

@@ -11,7 +11,7 @@ from quasi.importing import limits
 from quasi.importing.contradictions import doubtful_units
 from quasi.importing.onboard_log import Onboard
 from quasi.importing.resampling import covered
-from quasi.plausibility import find_missing_sources, list_reasons
+from quasi.sensor_limits import find_missing_sources, list_reasons
 
 
 def verdict(frame: pd.DataFrame, board: Onboard, metadata: Mapping[str, Any]) -> dict[str, str]:

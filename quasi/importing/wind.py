@@ -22,7 +22,7 @@ from quasi.errors import DataError, ReadError
 from quasi.importing.readers.day_time import SECONDS_PER_DAY, DayTime, clock, read_day_time
 from quasi.importing.resampling import covered, resample
 from quasi.importing.series import Recording, Series
-from quasi.recognition import refuse_other_formats
+from quasi.project.recognition import refuse_other_formats
 from quasi.tables import read_bytes, read_table_text
 
 FASTEST = 100.0  # m/s, beyond any tunnel that a quadrotor flies in

@@ -14,7 +14,7 @@ from quasi.airframe import Airframe
 from quasi.attitude import from_euler
 from quasi.errors import DataError, ShapeError
 from quasi.pages.drone import Drone, Look, draw_path_line, get_limits, make_axes, make_shape, set_limits, write_caption
-from quasi.plausibility import check_measured_motion
+from quasi.sensor_limits import check_measured_motion
 
 MIN_STILL_OPACITY = 0.2  # opacity of the oldest still
 ENLARGED_SPAN_SHARE = 0.13  # span of an enlarged drone over the largest extent of the figure

@@ -8,7 +8,7 @@ import pandas as pd
 
 from quasi.pages import frame
 from quasi.pages.chart import Panel, Trace
-from quasi.saturation import runs_of
+from quasi.sensor_limits import runs_of
 
 TRACE_COLOURS = ("#1d6fb8", "#d97706", "#1e7d46", "#8e44ad", "#b3261e", "#5b6770", "#0f8b8d", "#c2185b")
 MEASURED_TRACE_COLOUR, SETPOINT_COLOUR = "#3b444b", "#f0a0a0"

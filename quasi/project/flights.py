@@ -11,7 +11,7 @@ from quasi.project.configurations import Configurations
 from quasi.project.folder import Places, is_file, with_suffix
 from quasi.project.logbook import Row
 from quasi.project.logbooks import Logbooks
-from quasi.recognition import CONTROLLERS, HEAD_SIZE, recognise
+from quasi.project.recognition import CONTROLLERS, HEAD_SIZE, recognise
 from quasi.tables import read_head
 
 CAPTURE_SUFFIXES = (".csv", ".CSV", ".tsv", ".TSV", ".c3d", ".csv.gz")

@@ -12,7 +12,7 @@ from typing import Any
 
 from quasi.errors import LogbookError, nearest, quoted
 from quasi.input_limits import MAX_CELL_CHARACTERS, MAX_LOGBOOK_BYTES, MAX_NAME_CHARACTERS
-from quasi.recognition import CONTROLLERS
+from quasi.project.recognition import CONTROLLERS
 from quasi.tables import read_text
 
 NEEDED = ("Quadrotor", "Onboard Name", "OB Path", "Flight controller", "Drone Config File", "Drone Config Path")

@@ -8,8 +8,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from quasi.saturation import runs_of
 from quasi.scoring.score import AxisComparison
+from quasi.sensor_limits import runs_of
 from quasi.tables import ANY_PREFIX, TELEMETRY_AGE_REMOVED
 
 MEASURED_COLOUR, MODEL_COLOUR, SHADE_COLOUR = "0.25", "tab:red", "tab:blue"

@@ -14,7 +14,6 @@ from flights import AIRFRAME
 from made_model import SHARED, TERMS, document, part
 from simulations import setup_of
 
-from quasi import recognition
 from quasi.export.matlab_terms import axis_file
 from quasi.gap import causes as effects
 from quasi.gap.catalogue import catalogue
@@ -24,6 +23,7 @@ from quasi.importing.series import Recording, Series
 from quasi.model.build import assemble_model
 from quasi.model.model import Model
 from quasi.pages.terms import describe_variable
+from quasi.project import recognition
 from quasi.simulation.loop.run import simulate
 from quasi.terms import variables
 from quasi.terms.expressions import parse

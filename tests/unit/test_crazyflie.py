@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from quasi.errors import ReadError, cautions
 from quasi.importing.readers.crazyflie import TIME_COLUMN, read_crazyflie
 from quasi.importing.readers.crazyflie_events import decode_events
-from quasi.recognition import recognise
+from quasi.project.recognition import recognise
 
 CRAZYPAD = SHARED.parent / "crazypad"
 needs_crazypad = pytest.mark.skipif(not CRAZYPAD.is_dir(), reason=f"the flights of CrazyPAD are not at {CRAZYPAD}")

@@ -10,7 +10,7 @@ from made_motion import body
 from recordings import SHARED
 from rigid_body import quadrotor
 
-from quasi import plausibility
+from quasi import sensor_limits as plausibility
 from quasi.airframe import read_airframe
 from quasi.attitude import from_euler, multiply
 from quasi.errors import DataError

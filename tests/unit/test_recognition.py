@@ -20,8 +20,8 @@ from quasi.importing.onboard_log import read_onboard
 from quasi.importing.readers.motive import read_motive
 from quasi.importing.wind import read_lvm
 from quasi.project.logbook import read_logbook
+from quasi.project.recognition import recognise
 from quasi.project.workflow import Folder
-from quasi.recognition import recognise
 
 MAPPING = {"time": {"column": "t"}, "sources": [{"name": "imu", "columns": {n: n for n in "pqr"}}]}
 

@@ -25,7 +25,7 @@ from quasi.identification.rotor_speeds import (
 )
 from quasi.importing.command_units import recognise_unit, scale_commands
 from quasi.model.model import Model
-from quasi.plausibility import find_missing_sources, find_silent_rotors
+from quasi.sensor_limits import find_missing_sources, find_silent_rotors
 from quasi.terms.rotor_map import FORMS, delayed, drive_of_map, lagged, shape, speeds_of, steady_speeds
 
 MASSES = {"a": MASS, "b": MASS}

@@ -6,7 +6,7 @@ from rigid_body import measure, move, quadrotor
 from scipy.signal import butter, lfilter, sosfiltfilt
 
 from quasi.filtering.flight import filter_flight
-from quasi.saturation import find_clipping
+from quasi.sensor_limits import find_clipping
 
 RATE = 1000.0
 STEP = np.radians(1.0)

@@ -15,7 +15,7 @@ from quasi.gap.flights.instruments import as_shown
 from quasi.model.columns import ROTORS
 from quasi.model.extensions import correct_columns
 from quasi.model.model import AXES, Model
-from quasi.plausibility import check_measured_motion
+from quasi.sensor_limits import check_measured_motion
 
 HEAVIER = 2.0  # a factor of mass that no load explains
 ELSEWHERE = 0.5  # of the arm: rotors are numbered otherwise, or it is another frame

@@ -8,8 +8,8 @@ from typing import Any
 
 from quasi.errors import DataError
 from quasi.identification.shared import USE_UNUSABLE
-from quasi.plausibility import list_reasons
 from quasi.project.gaps import COMPARED, HELD
+from quasi.sensor_limits import list_reasons
 
 FEWEST_COMPARED = 2  # flights: a cause must recur in another flight to be found (docs/gaps.md)
 

@@ -7,7 +7,7 @@ import pandas as pd
 from scipy.ndimage import uniform_filter1d
 
 from quasi.attitude import GRAVITY
-from quasi.saturation import runs_of
+from quasi.sensor_limits import runs_of
 from quasi.terms.rotor_map import RAW, SHARES, SPEEDS
 
 MAX_STEADY_SPEED = 1.0  # m/s: a small quadrotor's drag is then some percent of its weight; there and back it cancels

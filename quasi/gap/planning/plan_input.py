@@ -12,7 +12,7 @@ from quasi.gap.planning import plan_noise
 from quasi.gap.planning.plan import Flight, read_flight
 from quasi.gap.statistics.whitening import Whitener
 from quasi.model.model import Model
-from quasi.plausibility import check_measured_motion
+from quasi.sensor_limits import check_measured_motion
 from quasi.tables import read_json, read_numbers, read_table
 
 TABLES = (".csv", ".parquet")

@@ -180,8 +180,8 @@ class MixedModel:
         self.prior = prior
         self.compared = np.asarray(compared, bool)
         # one session among references and compared flights has no effect; compared with a model alone it has
-        tell = len(set(labels)) > 1 or (self.compared.all() and "" not in labels)
-        self._sessions = [labels == name for name in sorted(set(labels))] if tell else []
+        known = len(set(labels)) > 1 or (self.compared.all() and "" not in labels)
+        self._sessions = [labels == name for name in sorted(set(labels))] if known else []
         parts = [g[None] if g.ndim == 2 else g for g in map(np.asarray, grams)]
         self._flight = np.repeat(np.arange(len(parts)), [len(g) for g in parts])
         self._stretch = np.concatenate([0.5 * (g + np.swapaxes(g, 1, 2)) for g in parts])

@@ -8,7 +8,7 @@ import numpy as np
 from quasi.importing.artefacts import spikes
 from quasi.importing.checks.spans import InvalidSpan, constant_runs
 from quasi.importing.contradictions import FASTEST_ROTOR
-from quasi.saturation import runs_of
+from quasi.sensor_limits import runs_of
 
 LARGEST_STEP = 0.3  # of a rotor's largest speed, from the median of seven samples; as `artefacts.spikes` needs it
 FLYING_SHARE = 0.35  # of the 90 % quantile of the rotors' median speed, above which a quadrotor flies; as `rotor_age`

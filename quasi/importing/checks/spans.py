@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quasi.importing.streams import GAP
-from quasi.saturation import runs_of
+from quasi.sensor_limits import runs_of
 
 # s; nearer spans of one reason are one, for the filters of the resampling reach so far
 JOIN = 0.1

@@ -15,7 +15,7 @@ from quasi.attitude import body_rates, continuous
 from quasi.importing.clocks.clock_fit import ClockFit, Pair, uniform
 from quasi.importing.clocks.telemetry import GRID, TELEMETRY_BAND, acceleration_lag, best_fit, rotor_lag
 from quasi.importing.readers.table_mapping import QUATERNION, VECTOR_COLUMNS, Source
-from quasi.saturation import runs_of
+from quasi.sensor_limits import runs_of
 
 LONGEST_WAIT = 0.2  # s; messages that crowd after a longer wait are left where they are
 IDLE_SHARE = (

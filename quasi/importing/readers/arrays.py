@@ -15,7 +15,7 @@ from quasi.errors import ReadError
 from quasi.importing.readers.mat5 import Damaged, read_variables
 from quasi.importing.readers.signals import Signals
 from quasi.input_limits import MAX_UNPACKED_BYTES, check_size
-from quasi.recognition import recognise
+from quasi.project.recognition import recognise
 from quasi.tables import read_bytes
 
 MOST_COLUMNS = 64  # of a matrix; a wider one is an image, not a vector

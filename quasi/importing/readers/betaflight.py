@@ -9,7 +9,7 @@ from quasi.importing.readers.blackbox import read_blackbox
 from quasi.importing.readers.decoded import read_decoded
 from quasi.importing.readers.reader import TEXT, Reader, Request
 from quasi.importing.series import Recording
-from quasi.recognition import HEAD_SIZE, MARKER
+from quasi.project.recognition import HEAD_SIZE, MARKER
 from quasi.tables import read_bytes
 
 COUNTS = "betaflight raw acceleration correction factor"

@@ -12,7 +12,7 @@ from quasi.importing.readers.blackbox_header import Log, find_logs, hex_float, p
 from quasi.importing.readers.blackbox_units import WANTED, debug_mode, other_firmware_note, resolve
 from quasi.importing.readers.external import external_series
 from quasi.importing.series import Recording, Series
-from quasi.recognition import refuse_other_formats
+from quasi.project.recognition import refuse_other_formats
 from quasi.tables import read_bytes
 
 MOST_SPANS = 2000

@@ -11,7 +11,7 @@ import numpy as np
 
 from quasi.errors import ReadError, quoted
 from quasi.importing.readers.blackbox_kernel import ARGUMENT, ENCODING, GROUP, PREDICTOR, SIGNED
-from quasi.recognition import MARKER
+from quasi.project.recognition import MARKER
 
 MOST_LOGS = 1000  # flash chips hold dozens
 MOST_FIELDS = 255

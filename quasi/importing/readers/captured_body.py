@@ -12,7 +12,7 @@ from quasi.errors import ReadError, nearest
 from quasi.importing.artefacts import flyable, stalled
 from quasi.importing.readers.reader import Reader
 from quasi.importing.series import Recording, Series
-from quasi.saturation import runs_of
+from quasi.sensor_limits import runs_of
 
 LARGEST_ROOM = 150.0  # m
 LARGEST = 1e10  # mm, frames or s: beyond any room, counter and clock (as in Motive exports)

@@ -32,7 +32,7 @@ from quasi.importing.readers.table_text import (
 )
 from quasi.importing.series import Recording, Series
 from quasi.importing.streams import unwrapped
-from quasi.recognition import refuse_other_formats
+from quasi.project.recognition import refuse_other_formats
 from quasi.tables import read_table_text, read_unpacked
 
 STANDARD_GRAVITY = 9.80665  # what blackbox_decode multiplies g with

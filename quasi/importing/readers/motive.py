@@ -21,7 +21,7 @@ from quasi.importing.readers.captured_body import LENGTHS, Body, capture_reader,
 from quasi.importing.readers.reader import TEXT
 from quasi.importing.readers.table_text import SEPARATORS, decimal_points, from_header, through_a_spreadsheet
 from quasi.importing.series import Recording
-from quasi.recognition import refuse_other_formats
+from quasi.project.recognition import refuse_other_formats
 from quasi.tables import read_table_text, read_unpacked
 
 ROOM_TO_EARTH = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])

@@ -11,7 +11,7 @@ import numpy as np
 from quasi.errors import ReadError
 from quasi.importing.series import Recording
 
-TEXT = "text"  # kind of a file that `quasi.recognition` finds no binary format in
+TEXT = "text"  # kind of a file that `quasi.project.recognition` finds no binary format in
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Reader:
     """One format.
 
     name         of the format, for messages: "a PX4 ULog"
-    kinds        of files by content, as `quasi.recognition` names them, or TEXT
+    kinds        of files by content, as `quasi.project.recognition` names them, or TEXT
     controllers  values of 'Flight controller' under which it reads on-board logs; none for a capture
     read         returns the Recording of a Request: series "onboard" (and "onboard ...", "capture"), or "capture"
                  alone; raises ReadError, DataError or ConfigError

@@ -1,7 +1,7 @@
 """The list of readers. A raw file goes to the reader of what it holds, whatever its extension.
 
 A further format is one file here with a `Reader`, its name in LOGS or CAPTURES, and its first bytes in
-`quasi.recognition`.
+`quasi.project.recognition`.
 """
 
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ from quasi.importing.readers.rosbag import READER as ROSBAG
 from quasi.importing.readers.table_reader import READER as TABLE
 from quasi.importing.readers.vicon import READER as VICON
 from quasi.importing.series import Recording
-from quasi.recognition import CONTROLLERS, HEAD_SIZE, recognise
+from quasi.project.recognition import CONTROLLERS, HEAD_SIZE, recognise
 from quasi.tables import read_head
 
 LOGS: tuple[Reader, ...] = (BLACKBOX_READER, DECODED_READER, TABLE, PX4, DATAFLASH, ROSBAG, CRAZYFLIE)

@@ -22,7 +22,7 @@ from quasi.importing.readers.signals import Signals
 from quasi.importing.readers.table_mapping import EULER_ANGLES, QUATERNION, VECTOR_COLUMNS, TableMapping, read_mapping
 from quasi.importing.readers.table_text import open_table
 from quasi.importing.series import Recording, Series
-from quasi.recognition import HEAD_SIZE, recognise
+from quasi.project.recognition import HEAD_SIZE, recognise
 from quasi.tables import read_head
 
 LONGEST_STEP = 0.12  # s between body rates, beyond any motion's; seconds in place of milliseconds exceed it up to 8 kHz

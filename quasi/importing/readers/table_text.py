@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from quasi.errors import ReadError
-from quasi.recognition import refuse_other_formats
+from quasi.project.recognition import refuse_other_formats
 from quasi.tables import read_table, read_table_text, read_unpacked
 
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}

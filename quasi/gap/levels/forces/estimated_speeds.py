@@ -23,9 +23,9 @@ SAG, SCALE = "battery_sag", "rotor_speed_scale"
 OF_TELEMETRY = (SCALE, "telemetry_delay")  # causes of measured speeds alone
 NO_TELEMETRY = "no flight logs rotor speeds; those estimated from commands have no unit and no delay of a telemetry"
 OF_THRUST = ("thrust_factor", "thrust_curve", "thrust_drift")  # of all rotors alike, at the same speed
-LEVELS = (0.5, 2.0)  # of speed at the same command: beyond it lies another motor
+SPEED_LEVELS = (0.5, 2.0)  # of speed at the same command: beyond it lies another motor
 MIN_RATIO = 0.1  # of the reference voltage: below it a log holds no battery
-RIVALS = ("thrust_factor", "mass", "thrust_drift", "thrust_curve")
+OF_THE_SAME_THRUST = ("thrust_factor", "mass", "thrust_drift", "thrust_curve")
 TIE_BREAKER = "a long flight from a full to an empty battery with pulls of the throttle, or batteries of other charge"
 
 
@@ -93,10 +93,10 @@ def sag_of_forces(effect: Effect, model: Model, reference: float) -> Effect:
         effect,
         level="forces",
         equation="W = level W_map (V / V_ref)^(exponent - that of the map)",
-        parameters={"exponent": exponent, "level": Parameter("1", 1.0, "a", *LEVELS)},
+        parameters={"exponent": exponent, "level": Parameter("1", 1.0, "a", *SPEED_LEVELS)},
         parts="first",
         channels=("Fz", "Mx", "My"),
-        rivals=RIVALS,
+        rivals=OF_THE_SAME_THRUST,
         tie_breaker=TIE_BREAKER,
         columns=columns,
         corrected=corrected,
