@@ -155,7 +155,7 @@ def _gaps(used: np.ndarray, limit: int) -> np.ndarray:
 
 def estimate(flight: Material, watch: ekf.Watch | None = None) -> Run:
     """States and biases by the filter, smoothed when asked. watch  see `filterpy_engine.forward`."""
-    frame, metadata, airframe, chosen, imu, found, dt, notes = flight
+    frame, metadata, airframe, chosen, imu, found, folded, dt, notes = flight
     t, flying = frame["t"].to_numpy(float), ~found.on_ground
     still, noise_notes, origin = measurements.sensor_noise(
         airframe.noise, bool(chosen["use noise statistics in drone config"])
@@ -167,11 +167,12 @@ def estimate(flight: Material, watch: ekf.Watch | None = None) -> Run:
     if "accelerometer" in (metadata.get("reconstructed") or {}):
         inputs = without_accelerometer_bias(inputs)
         notes.append("the specific force was made from other signals; its bias is taken as 0")
-    factors = np.ones(5)
+    factors = np.ones(noise.LEVELS)
     if chosen["re-estimate noise"]:
-        share = levels.least / levels.moving
-        factors = noise.estimate_levels(inputs, flying, np.array([share[:3].max(), share[3:].max()]))
-        inputs = noise.with_levels(inputs, factors, flying & ~imu.lost)
+        share = levels.lowest / levels.moving
+        floor = np.array([share[:3].max(), share[3:].max()])
+        factors = noise.estimate_levels(inputs, flying, floor, folded)
+        inputs = noise.with_levels(inputs, factors, flying & ~imu.lost, folded)
     engine, forward = _forward(chosen["engine"], inputs, watch)
     final = smooth(inputs, forward) if chosen["smoother"] else forward
     if measured.source["position"].startswith("capture"):

@@ -23,6 +23,7 @@ class Material(NamedTuple):
     """What the states of a flight are found from.
 
     frame, metadata  the imported flight; chosen  the options, complete; dt  s; notes  are added to
+    folded  (N,) of `harmonics.near_zero`
     """
 
     frame: pd.DataFrame
@@ -31,17 +32,19 @@ class Material(NamedTuple):
     chosen: Mapping[str, Any]
     imu: measurements.Imu
     found: biases.Phases
+    folded: np.ndarray
     dt: float
     notes: list[str]
 
 
 class NoiseLevels(NamedTuple):
-    """Noise of the IMU, (6,) but for `each`: at rest, the least that it is in flight, what is assumed in flight before
-    the innovations are asked; each (N, 6) sample by sample; bias_random_walk (6,); origin  where the rest's is from.
+    """Noise of the IMU, (6,) but for `each`: at rest, the lowest that the innovations may find in flight, what is
+    assumed in flight before they are asked; each (N, 6) sample by sample; bias_random_walk (6,); origin  where the
+    rest's is from.
     """
 
     still: np.ndarray
-    least: np.ndarray
+    lowest: np.ndarray
     moving: np.ndarray
     each: np.ndarray
     bias_random_walk: np.ndarray
@@ -49,8 +52,13 @@ class NoiseLevels(NamedTuple):
 
 
 def noise_levels(flight: Material, still: np.ndarray, origin: str) -> NoiseLevels:
-    """still, origin  of `measurements.sensor_noise`"""
-    _, metadata, _, chosen, imu, found, _, notes = flight
+    """still, origin  of `measurements.sensor_noise`
+
+    A log denser than the grid is averaged at its import: white noise, and rounding that vibration dithers, keep their
+    density and leave sqrt(grid rate / log rate) of their standard deviation per sample.
+    Source: Widrow & Kollar, Quantization Noise, 2008, chapters 5 and 19.
+    """
+    _, metadata, _, chosen, imu, found, _, dt, notes = flight
     step = measurements.resolution(metadata)
     if found.rest is not None:
         still = np.maximum(still, found.rest.noise)  # what the rest itself shows, coloured noise included
@@ -73,12 +81,14 @@ def noise_levels(flight: Material, still: np.ndarray, origin: str) -> NoiseLevel
     walk = np.repeat([float(chosen["gyro bias random walk"]), float(chosen["accelerometer bias random walk"])], 3)
     if chosen["bias policy"] == "time varying":
         walk = np.maximum(walk, DRIFTING)
-    return NoiseLevels(still, least, moving, each, walk, origin)
+    log_rate = float(((metadata.get("streams") or {}).get("gyro") or {}).get("rate") or 1.0 / dt)
+    lowest = least * np.sqrt(min(1.0, 1.0 / (dt * log_rate)))
+    return NoiseLevels(still, lowest, moving, each, walk, origin)
 
 
 def make_inputs(flight: Material, measured: measurements.Measurements, levels: NoiseLevels) -> ekf.Inputs:
     """What the filter is given; where no heading is measured, with the one that explains most."""
-    frame, _, _, chosen, imu, found, dt, _ = flight
+    frame, _, _, chosen, imu, found, _, dt, _ = flight
     quaternion, state, covariance = measurements.start(
         frame, measured, imu, dt, bool(found.on_ground[0]), bool(chosen["estimate attitude alignment"])
     )

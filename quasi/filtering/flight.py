@@ -13,7 +13,7 @@ from quasi.airframe import Airframe
 from quasi.errors import ConfigError, DataError, add_caution, cautions
 from quasi.filtering import band as bands
 from quasi.filtering import bias as biases
-from quasi.filtering import ekf, estimation, forces, measurements
+from quasi.filtering import ekf, estimation, forces, harmonics, measurements
 from quasi.filtering.filter_inputs import Material
 from quasi.filtering.rotor_speeds import commands_to_keep
 from quasi.filtering.verdict import judge_flight
@@ -188,10 +188,11 @@ def filter_flight(
         )
     use_filter = chosen["run extended kalman filter"] and "gyro" not in made
     find = partial(estimation.estimate, watch=watch) if use_filter else estimation.copy
-    run = find(Material(imported, imported_metadata, airframe, chosen, imu, found, dt, notes))
+    log_rate = ((imported_metadata.get("streams") or {}).get("gyro") or {}).get("rate")
+    folded = np.zeros(len(t)) if speeds is None else harmonics.near_zero(speeds, float(log_rate or rate), rate)
+    run = find(Material(imported, imported_metadata, airframe, chosen, imu, found, folded, dt, notes))
 
     in_flight = ~found.on_ground
-    log_rate = ((imported_metadata.get("streams") or {}).get("gyro") or {}).get("rate")
     band = bands.choose(chosen, speeds, np.hstack([imu.gyro, imu.accel]), in_flight, log_rate, rate, notes)
     reach = band.reach
     rates, rates_dot = band.both(imu.gyro - run.bias[:, :3])

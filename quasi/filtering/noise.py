@@ -21,7 +21,10 @@ from quasi.filtering.ekf import (
 
 GATE = float(chi2.ppf(0.9999, 3))  # an honest measurement is thrown away once in ten thousand
 LOOSE_GATE = 400.0  # while the levels are not yet known
+LEVELS = 6  # factors on gyro, accelerometer, attitude, position, velocity, and on the accelerometer by folded lines
+FOLDED = 5  # place of the last
 NOISE_WINDOW, WINDOWS = 5.0, 3  # s, number of stretches of flight in which the levels are asked
+LEAST_FOLDED = 0.1  # standard deviation of the share of folded lines, below which their factor cannot be separated
 PRIOR = 1.0  # standard deviation of the logarithm of a noise level before the innovations are asked
 SEEN = 0.7  # of the scatter that positions show by themselves, at least, is their noise
 CONSISTENT = (0.6, 1.6)  # mean normalised innovation squared per degree of freedom
@@ -46,22 +49,36 @@ def _window(inputs: Inputs, run: FilterResult, first: int, last: int) -> Inputs:
     )
 
 
-def _stretches(flying: np.ndarray, n: int, length: int) -> list[tuple[int, int]]:
-    """Up to WINDOWS stretches of `length` samples spread over the flight, or all of it when it is short."""
+def _stretches(flying: np.ndarray, n: int, length: int, folded: np.ndarray) -> list[tuple[int, int]]:
+    """Up to WINDOWS stretches of `length` samples spread over the flight, or all of it when it is short.
+
+    Where folded lines (share `folded` (N,)) are asked for as well and these stretches hold few, the stretch that has
+    most of them follows.
+    """
     at = np.flatnonzero(flying)
     first, last = (int(at[0]), int(at[-1]) + 1) if len(at) > length else (0, n)
     count = min(WINDOWS, max(1, (last - first) // length))
     length = min(length, last - first)
     starts = np.linspace(first, last - length, count + 2)[1:-1] if count > 1 else [(first + last - length) / 2]
-    return [(int(s), int(s) + length) for s in starts]
+    found = [(int(s), int(s) + length) for s in starts]
+    if folded.any() and last - first > length:
+        total = np.concatenate([[0.0], np.cumsum(folded * flying)])
+        sums = total[first + length : last + 1] - total[first : last + 1 - length]
+        most = first + int(np.argmax(sums))
+        if max(total[b] - total[a] for a, b in found) < 0.5 * sums.max():
+            found.append((most, most + length))
+    return found
 
 
-def with_levels(inputs: Inputs, factors: np.ndarray, flying: np.ndarray) -> Inputs:
-    """Noise scaled by factors (5,): gyro and accelerometer where `flying`, then attitude, position, velocity."""
+def with_levels(inputs: Inputs, factors: np.ndarray, flying: np.ndarray, folded: np.ndarray) -> Inputs:
+    """Noise scaled by factors (LEVELS,): gyro and accelerometer where `flying`, then attitude, position, velocity.
+
+    The last factor, raised to the share `folded` (N,), scales the accelerometer as well.
+    """
     noise = inputs.noise.copy()
     noise[flying, :3] *= factors[0]
-    noise[flying, 3:] *= factors[1]
-    return inputs._replace(noise=noise, std=inputs.std * factors[2:, None])
+    noise[flying, 3:] *= (factors[1] * factors[FOLDED] ** folded[flying])[:, None]
+    return inputs._replace(noise=noise, std=inputs.std * factors[2:FOLDED, None])
 
 
 def scatter(t: np.ndarray, values: np.ndarray) -> float:
@@ -76,35 +93,38 @@ def scatter(t: np.ndarray, values: np.ndarray) -> float:
     return float(np.median(np.abs(found)) / 0.6745)
 
 
-def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray) -> np.ndarray:
-    """Factors (5,) on the noise of gyro, accelerometer, attitude, position, velocity, by maximum likelihood.
+def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray, folded: np.ndarray) -> np.ndarray:
+    """Factors (LEVELS,) on the noise of gyro, accelerometer, attitude, position, velocity, by maximum likelihood.
 
     The likelihood of the innovations is maximised over stretches of flight; an outlier counts little more than
-    the gate's value, so that it does not drive the levels. flying (N,) bool; floor (2,) least factors of gyro and
-    accelerometer, at which the noise equals that at rest.
+    the gate's value, so that it does not drive the levels. The last factor is on the accelerometer while a rotor's line
+    folds to nearly 0 Hz: such a line is no white noise, and one level for the whole flight would be too low there and
+    too high elsewhere. flying (N,) bool; floor (2,) least factors of gyro and accelerometer, at which the noise equals
+    that at rest; folded (N,) of `harmonics.near_zero`.
     Source: Schweppe, Evaluation of likelihood functions for Gaussian signals, IEEE Trans. Inf. Theory 11(1), 1965.
     """
-    present = np.array([True, True, *(inputs.used[flying].sum(axis=0) > 10)])
-    if not present[2:].any():
-        return np.ones(5)
+    lines = bool(flying.any() and folded[flying].std() > LEAST_FOLDED)
+    present = np.array([True, True, *(inputs.used[flying].sum(axis=0) > 10), lines])
+    if not present[2:FOLDED].any():
+        return np.ones(LEVELS)
     at = np.flatnonzero(inputs.used[:, POSITION_KIND] * flying)
     seen = SEEN * scatter(at * inputs.dt, inputs.position[at]) / inputs.std[POSITION_KIND].mean()
-    low = np.log(np.concatenate([np.minimum(floor, 1.0), [0.1, float(np.clip(seen, 0.1, 10.0)), 0.1]]))
-    high = np.log(np.array([30.0, 10.0, 30.0, 50.0, 30.0]))
-    wide = with_levels(inputs, np.array([2.0, 2.0, 3.0, 3.0, 3.0]), flying)._replace(gate=LOOSE_GATE)
+    low = np.log(np.concatenate([np.minimum(floor, 1.0), [0.1, float(np.clip(seen, 0.1, 10.0)), 0.1, 1.0]]))
+    high = np.log(np.array([30.0, 10.0, 30.0, 50.0, 30.0, 10.0]))
+    wide = with_levels(inputs, np.array([2.0, 2.0, 3.0, 3.0, 3.0, 1.0]), flying, folded)._replace(gate=LOOSE_GATE)
     run = forward(wide)
     parts = [
-        (_window(inputs, run, a, b), flying[a:b])
-        for a, b in _stretches(flying, len(flying), round(NOISE_WINDOW / inputs.dt))
+        (_window(inputs, run, a, b), flying[a:b], folded[a:b])
+        for a, b in _stretches(flying, len(flying), round(NOISE_WINDOW / inputs.dt), folded * lines)
     ]
-    scale = sum(int(part.used.sum()) for part, _ in parts) + 1
+    scale = sum(int(part.used.sum()) for part, *_ in parts) + 1
 
     def target(free: np.ndarray) -> float:
-        logs = np.zeros(5)
+        logs = np.zeros(LEVELS)
         logs[present] = free
         beyond = np.maximum(logs - high, 0.0) + np.maximum(low - logs, 0.0)
         factors = np.exp(np.clip(logs, low, high))
-        total = sum(cost(with_levels(part, factors, inside)) for part, inside in parts)
+        total = sum(cost(with_levels(part, factors, *where)) for part, *where in parts)
         # where the innovations carry little information, the levels stay near where they began
         total += float(np.sum((logs / PRIOR) ** 2))
         return total / scale + 10.0 * float(np.sum(beyond**2))
@@ -117,10 +137,10 @@ def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray) -> np
         / np.sqrt(0.75)
         / inputs.std[ATTITUDE_KIND].mean()
     )
-    begin = np.clip(np.log([1.0, 1.0, max(turned, 1e-3), max(seen / SEEN, 1e-3), 1.0]), low, high)[present]
-    # one line search after the other: a simplex of five corners does not arrive in as many runs
+    begin = np.clip(np.log([1.0, 1.0, max(turned, 1e-3), max(seen / SEEN, 1e-3), 1.0, 1.5]), low, high)[present]
+    # one line search after the other: a simplex of six corners does not arrive in as many runs
     found = minimize(target, begin, method="Powell", options={"xtol": 0.05, "ftol": 1e-4, "maxfev": 150})
-    logs = np.zeros(5)
+    logs = np.zeros(LEVELS)
     logs[present] = found.x
     return np.exp(np.clip(logs, low, high))
 
