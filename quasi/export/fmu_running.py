@@ -16,9 +16,11 @@ from quasi.errors import DataError
 from quasi.export.agreement import Check, States, compare, states_of, wrench_of
 from quasi.export.contents import actuators_of
 from quasi.export.fmu_source import LONGEST_FMU_STEP, STATE_NAMES, Fmu
+from quasi.model.commands import extended_map
 from quasi.model.extensions import wind_of
 from quasi.model.model import AXES, Model
 from quasi.terms.kernel import INPUTS
+from quasi.terms.rotor_map import steady_speeds
 
 MODEL_EXCHANGE, CO_SIMULATION = 0, 1
 _STEPS = 50
@@ -117,8 +119,28 @@ def check_vehicle(model: Model, fmu: Fmu, library: str | Path) -> list[Check]:
     reference = slopes(model, x, limited(model, commands), wind, at.extra)
     names = [f"der({name})" for name in STATE_NAMES]
     checks = [compare("FMU, derivatives of the vehicle", found, reference, names)]
+    if any(v.name == "takes_commands" for v in fmu.variables):
+        checks.append(check_commands(model, fmu, library))
     flown, expected = _fly(model, fmu, library)
     return [*checks, compare(f"FMU, flight of {len(flown) * LONGEST_FMU_STEP:g} s", flown, expected, STATE_NAMES)]
+
+
+def check_commands(model: Model, fmu: Fmu, library: str | Path) -> Check:
+    """Compare the derivatives of a vehicle that commands and battery voltage drive with the model's map and numpy."""
+    drive, at = extended_map(model.document), states_of(model, 200)
+    x, _, wind = _states(at)
+    random = np.random.default_rng(7)
+    commands = drive["operating command"] * random.uniform(0.5, 1.5, (len(x), 4))
+    volts = fmu_start(fmu, "battery_voltage") * random.uniform(0.9, 1.05, len(x))
+    extra = at.extra | ({"battery_voltage": volts} if "battery_voltage" in at.extra else {})
+    inputs = [f"command{i}" for i in range(1, 5)] + ["wind_north", "wind_east", "wind_down", "battery_voltage"]
+    table, found = np.column_stack([commands, wind, volts]), np.empty((len(x), 17))
+    with Instance(fmu, library, MODEL_EXCHANGE, _plain_rotors(fmu) | {"takes_commands": 1.0}) as instance:
+        for k, row in enumerate(table):
+            instance.set(inputs, row)
+            found[k] = instance.slope(0.0, x[k])
+    reference = slopes(model, x, limited(model, steady_speeds(drive, commands, volts)), wind, extra)
+    return compare("FMU, derivatives by commands and volts", found, reference, [f"der({n})" for n in STATE_NAMES])
 
 
 def _states(at: States) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -19,6 +19,7 @@ import numpy as np
 
 from quasi.errors import ConfigError
 from quasi.export.c_source import c_files
+from quasi.export.command_map import constants_of_map
 from quasi.export.contents import (
     actuators_of,
     check_exportable,
@@ -29,6 +30,7 @@ from quasi.export.contents import (
     voltage_of,
 )
 from quasi.export.naming import shown
+from quasi.model.commands import extended_map
 from quasi.model.extensions import wind_of
 from quasi.model.model import AXES, Model
 from quasi.tables import COLUMNS, read_text
@@ -100,6 +102,7 @@ def forces_fmu(model: Model) -> Fmu:
 def vehicle_fmu(model: Model) -> Fmu:
     """A whole quadrotor: commanded rotor speeds and wind in, its motion out.
 
+    Where the model carries a map from commands to rotor speeds, commands and battery voltage can drive it instead.
     Raises ConfigError for a model that lacks an axis or the mass, or that reads what a vehicle does not know, by name.
     """
     check_vehicle(model)
@@ -114,7 +117,7 @@ def vehicle_fmu(model: Model) -> Fmu:
             f"model {model.id} has terms in '{shown(unknown[0])}', which a vehicle cannot supply; identify it without "
             "that variable, or use the force-and-moment model alone"
         )
-    rotors, voltage = actuators_of(model), voltage_of(model)
+    rotors, voltage, drive = actuators_of(model), voltage_of(model), extended_map(model.document)
     speed = float(model.hover_speed or 0.5 * (rotors.lowest + min(rotors.highest, 4000.0)))
     variables: list[Variable] = []
     places: dict[str, int] = {}
@@ -145,6 +148,15 @@ def vehicle_fmu(model: Model) -> Fmu:
         add("AT_VOLTAGE", ["battery_voltage"], put, "V", [voltage.start], "battery voltage")
     else:
         places |= {"AT_VOLTAGE": 0, "AT_EXPONENT": 0, "AT_REFERENCE_VOLTAGE": 0}  # nothing reads them
+    if drive is not None:
+        unit = "1" if drive["input"] == "share" else "rad/s"
+        names, meaning = [f"command{i}" for i in each], "command, where takes_commands is 1"
+        add("AT_SHARES", names, put, unit, [drive["operating command"]] * 4, meaning)
+        if not voltage:
+            volts = constants_of_map(drive)["reference"]
+            add("AT_VOLTAGE", ["battery_voltage"], put, "V", [volts], "battery voltage, of the map of commands")
+    else:
+        places["AT_SHARES"] = 0  # nothing reads it
     given = "parameter fixed"
     inertia = np.asarray(model.airframe.inertia, float)
     add("AT_MASS", ["mass"], given, "kg", [model.airframe.mass], "mass")
@@ -160,6 +172,11 @@ def vehicle_fmu(model: Model) -> Fmu:
         meaning = "rotor speeds grow with (battery_voltage / reference_voltage) ^ this"
         add("AT_EXPONENT", ["voltage_exponent"], given, "1", [voltage.exponent], meaning)
         add("AT_REFERENCE_VOLTAGE", ["reference_voltage"], given, "V", [voltage.reference], "where commands are true")
+    if drive is not None:
+        meaning = "1: command1 to command4 and battery_voltage drive the rotors by the model's map; 0: w1_CMD to w4_CMD"
+        add("AT_TAKES", ["takes_commands"], given, "1", [0.0], meaning)
+    else:
+        places["AT_TAKES"] = 0
     add(
         "AT_LONGEST", ["longest_step"], given, "s", [LONGEST_FMU_STEP], "of the integration within a communication step"
     )
@@ -222,7 +239,8 @@ def _fmu(model: Model, kind: str, variables: Sequence[Variable], places: dict[st
         f"#define MODEL(name) {p}_##name",
         f'#define BEHAVIOUR "{kind}.c"',
         f"#define GRAVITY_ADDED {int(model.with_gravity)}",
-        f"#define BATTERY {int('battery_voltage' in [v.name for v in variables])}",
+        f"#define BATTERY {int('voltage_exponent' in [v.name for v in variables])}",
+        f"#define COMMAND_MAP {int('takes_commands' in [v.name for v in variables])}",
         "enum {\n" + "".join(f"    {name} = {at},\n" for name, at in places.items()).rstrip(",\n") + "\n};",
         "#define START_VALUES {" + ", ".join(repr(v) for v in starts) + "}",
     ]

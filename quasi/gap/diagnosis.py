@@ -30,7 +30,7 @@ from quasi.gap.levels.forces import polynomial_baseline
 from quasi.gap.levels.forces.case import Case
 from quasi.gap.levels.forces.effect_size import acting
 from quasi.gap.levels.forces.error_reduction import Squares, after, removed, wrench_squares
-from quasi.gap.levels.forces.estimated_speeds import with_estimated_speeds
+from quasi.gap.levels.forces.estimated_speeds import add_battery, with_estimated_speeds
 from quasi.gap.levels.forces.findings import gusts
 from quasi.gap.levels.forces.held_out import best_wrong, everything, gain_axes, made_of
 from quasi.gap.levels.forces.identify import Found, examine
@@ -178,6 +178,7 @@ def diagnose(
     named_ids = {e["id"] for e in named}
     ties = [t for level in ("sensors", "drive") for t in levels[level]["ties"] if not named_ids & set(t["ids"])]
     ties += [tie_entry(since, tie, effects, flown) for since, tie in (found.ties if found else [])]
+    ties = add_battery(ties, effects)
     if found is not None:
         taken = [*(e["id"] for e in [*lower_effects, *named]), *(i for tie in ties for i in tie["ids"])]
         left_over = after(extended, model)

@@ -20,10 +20,12 @@ from quasi.export.compiler import find_compiler, shared_library, write_files
 from quasi.export.fmu_archive import compile_fmu, platform_folder, write_fmu
 from quasi.export.fmu_running import CO_SIMULATION, MODEL_EXCHANGE, Instance, check_forces, check_vehicle, slopes
 from quasi.export.fmu_source import DELAYED_COMMANDS, STATE_NAMES, forces_fmu, vehicle_fmu
+from quasi.model.commands import extended_map
 from quasi.model.model import AXES, Model
 from quasi.simulation.loop.python_loop import QuadrotorSimulator
 from quasi.simulation.loop.setup import make_setup
 from quasi.tables import read_json, write_json
+from quasi.terms.rotor_map import steady_speeds
 
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
 
@@ -191,6 +193,42 @@ def test_battery_slows_the_rotors_as_in_the_simulator(reads, tmp_path):
         found = instance.get(STATE_NAMES)
     assert found[13] < 0.99 * commands[0, 0]
     np.testing.assert_allclose(found, expected[-1], rtol=1e-11, atol=1e-11)
+
+
+DRIVE = {
+    "source": "commands", "input": "share", "form": "quadratic",
+    "parameters": {"slope": {"value": 0.7}, "curvature": {"value": 0.1}}, "operating command": 0.47,
+    "reference voltage": 15.1, "voltage exponent": {"value": 0.83}, "speeds": {"value": [90.0, 87.0, 91.5, 90.5]},
+    "time constant": {"value": 0.034}, "delay": {"value": 0.0065},
+}  # fmt: skip
+
+
+def test_commands_and_volts_fly_the_vehicle_as_their_speeds_do(tmp_path):
+    """By the model's map, with a delay of no whole number of steps; an extension's exponent counts once."""
+    made = with_rotors(**{"rotor speeds": DRIVE, "extensions": [{"id": "sag", "actuators": {"voltage exponent": 0.9}}]})
+    fmu = vehicle_fmu(made)
+    library = write_fmu(tmp_path / "vehicle.fmu", fmu, tmp_path)
+    checks = check_vehicle(made, fmu, library)
+    assert all(check.agrees for check in checks)
+    assert "FMU, derivatives by commands and volts" in {check.what for check in checks}
+    random = np.random.default_rng(3)
+    commands, volts = 0.47 * random.uniform(0.9, 1.1, (40, 4)), np.linspace(15.5, 14.5, 40)
+    speeds = steady_speeds(extended_map(made.document), commands, volts)
+    flown = []
+    for names, rows, start in (
+        ([f"w{i}_CMD" for i in range(1, 5)], speeds, {"voltage_exponent": 0.0}),
+        ([f"command{i}" for i in range(1, 5)], commands, {"takes_commands": 1.0}),
+    ):
+        with Instance(fmu, library, CO_SIMULATION, start) as instance:
+            for k, row in enumerate(rows):
+                instance.set([*names, "battery_voltage"], [*row, volts[k]])
+                instance.step(k * 0.004, 0.004)
+            flown.append(instance.get(STATE_NAMES))
+    np.testing.assert_allclose(flown[1], flown[0], rtol=1e-9, atol=1e-12)
+
+
+def test_a_vehicle_without_a_map_takes_speeds_alone(vehicle):
+    assert not {"takes_commands", "command1"} & {v.name for v in vehicle[1].variables}
 
 
 def test_vehicle_by_model_exchange_agrees_with_co_simulation(vehicle):

@@ -12,7 +12,7 @@ from quasi.gap.effect import vehicle_of
 from quasi.gap.extension import extend
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.instruments import shown
-from quasi.gap.levels.forces.estimated_speeds import OF_TELEMETRY, with_estimated_speeds
+from quasi.gap.levels.forces.estimated_speeds import OF_TELEMETRY, add_battery, with_estimated_speeds
 from quasi.model.commands import rotor_speeds
 from quasi.model.extensions import correct_columns
 from quasi.model.model import Model
@@ -52,6 +52,14 @@ def evidence_of(model, apart=0.0, estimated=True, agreeing=REFERENCE):
     measured, predicted = (np.hstack(model.predict(state, w)) for w in (true, speeds))
     inertia = np.asarray(model.airframe.inertia)
     return Evidence("a", model.airframe, model, 0.433, inertia, columns, measured, predicted)
+
+
+def test_a_tie_of_thrust_holds_the_battery(ground):
+    """A battery had been a tie of thrust_factor and four weak rotors."""
+    effects = with_estimated_speeds(catalogue(), ground, [evidence_of(ground)])[0]
+    ties = [{"ids": ids, "parameters": {}} for ids in (["rotor_effectiveness", "thrust_factor"], ["mass", "wind"])]
+    assert [tie["ids"] for tie in add_battery(ties, effects)] == [[*ties[0]["ids"], "battery_sag"], ties[1]["ids"]]
+    assert add_battery(ties, catalogue()) == ties
 
 
 def sag_of(model, evidence):

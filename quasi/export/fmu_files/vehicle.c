@@ -11,6 +11,25 @@
 
 enum { Q = 0, V = 4, OMEGA = 7, POSITION = 10, ROTORS = 13 };
 
+/* The speeds that are asked of the rotors at present: w1_CMD to w4_CMD, or what the model's map makes of commands and
+ * battery voltage. */
+static int takes_commands(const Instance *fmu)
+{
+    return COMMAND_MAP && fmu->data.value[AT_TAKES] != 0.0;
+}
+
+static void asked(const Instance *fmu, double *speeds)
+{
+    const double *value = fmu->data.value;
+#if COMMAND_MAP
+    if (takes_commands(fmu)) {
+        MODEL(steady_speeds)(value + AT_SHARES, value[AT_VOLTAGE], speeds);
+        return;
+    }
+#endif
+    memcpy(speeds, value + AT_COMMANDS, 4*sizeof *speeds);
+}
+
 /* What is remembered at the beginning, from parameters and initial states as they are. Returns what is wrong with them,
  * NULL where nothing is. */
 static const char *start_memory(Instance *fmu)
@@ -87,7 +106,7 @@ static fmi2Status note(Instance *fmu, double time)
         return fmi2Error;
     }
     memory->when[memory->count] = time;
-    memcpy(memory->command[memory->count], fmu->data.value + AT_COMMANDS, sizeof memory->command[0]);
+    asked(fmu, memory->command[memory->count]);
     memory->count++;
     return fmi2OK;
 }
@@ -112,7 +131,9 @@ static double command_at(const Instance *fmu, int rotor, double time)
 {
     const Memory *memory = &fmu->data.memory;
     int k = memory->count - 1;
-    double next_time = fmu->data.time, next = fmu->data.value[AT_COMMANDS + rotor];
+    double now[4], next_time = fmu->data.time, next;
+    asked(fmu, now);
+    next = now[rotor];
     while (k >= 0 && memory->when[k] > time) {
         next_time = memory->when[k];
         next = memory->command[k][rotor];
@@ -133,7 +154,7 @@ static double settled(const Instance *fmu, double command)
 {
     const double *value = fmu->data.value;
     double factor = 1.0, low, high;
-    if (BATTERY && value[AT_EXPONENT] != 0.0) {
+    if (BATTERY && value[AT_EXPONENT] != 0.0 && !takes_commands(fmu)) { /* the map holds the voltage already */
         const double voltage = value[AT_VOLTAGE] > 0.0 ? value[AT_VOLTAGE] : 0.0;
         factor = pow(voltage/value[AT_REFERENCE_VOLTAGE], value[AT_EXPONENT]);
     }
@@ -212,8 +233,9 @@ static void derivative(const Instance *fmu, const double *x, const double *targe
 
 static void calculate(Instance *fmu)
 {
-    double *value = fmu->data.value, target[4], loads[6], x[17], w, rx, ry, rz, down[3];
+    double *value = fmu->data.value, target[4], now[4], loads[6], x[17], w, rx, ry, rz, down[3];
     int k;
+    asked(fmu, now);
     memcpy(x, value + AT_X, sizeof x);
     if (!fmu->data.begun) { /* as it will begin; the states that were set stay as they are until then */
         make_unit(x);
@@ -229,7 +251,7 @@ static void calculate(Instance *fmu)
         } else if (value[AT_DELAY] > 0.0 && fmu->data.memory.count > 0) {
             target[k] = settled(fmu, command_at(fmu, k, fmu->data.time - value[AT_DELAY]));
         } else {
-            target[k] = settled(fmu, value[AT_COMMANDS + k]);
+            target[k] = settled(fmu, now[k]);
         }
     }
     derivative(fmu, x, target, value + AT_SLOPE, loads);
@@ -255,8 +277,9 @@ static fmi2Status advance(Instance *fmu, double step)
     const double parts = ceil(step/value[AT_LONGEST] - 1e-9);
     const int count = parts > 1.0 ? (int)parts : 1;
     const double dt = step/count;
-    double slope[4][17], middle[17], loads[6];
+    double now[4], slope[4][17], middle[17], loads[6];
     int k, n, stage;
+    asked(fmu, now);
     if (delay > 0.0 && note(fmu, fmu->data.time) != fmi2OK) {
         return fmi2Error;
     }
@@ -265,7 +288,7 @@ static fmi2Status advance(Instance *fmu, double step)
         for (k = 0; k < 4; k++) {
             const double command = delay > 0.0
                 ? mean_command(&fmu->data.memory, k, from + n*dt, n + 1 == count ? from + step : from + (n + 1)*dt)
-                : value[AT_COMMANDS + k];
+                : now[k];
             target[k] = settled(fmu, command);
         }
         for (stage = 0; stage < 4; stage++) {

@@ -59,6 +59,18 @@ def with_estimated_speeds(
     return found, lists
 
 
+def add_battery(ties: list[dict[str, Any]], effects: Mapping[str, Effect]) -> list[dict[str, Any]]:
+    """Ties of diagnosis.json; one with a cause of OF_THRUST holds the battery too, where it is asked of forces."""
+    if SAG not in effects or effects[SAG].level != "forces":
+        return ties
+    return [
+        {**tie, "ids": [*tie["ids"], SAG], "parameters": {**tie["parameters"], SAG: {}}}
+        if set(OF_THRUST) & set(tie["ids"]) and SAG not in tie["ids"]
+        else tie
+        for tie in ties
+    ]
+
+
 def sag_of_forces(effect: Effect, model: Model, reference: float) -> Effect:
     """The cause `battery_sag` as thrust that follows the voltage otherwise than the model's map says.
 
