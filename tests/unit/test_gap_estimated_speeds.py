@@ -16,7 +16,7 @@ from quasi.gap.levels.forces.estimated_speeds import OF_TELEMETRY, add_battery, 
 from quasi.model.commands import rotor_speeds
 from quasi.model.extensions import correct_columns
 from quasi.model.model import Model
-from quasi.synthesis.campaign import quadrotor_configuration, read_campaign
+from quasi_synthesis.campaign import quadrotor_configuration, read_campaign
 
 ROWS, EXPONENT, REFERENCE = 300, 0.9, 16.0
 MAP = {
