@@ -12,7 +12,7 @@ from quasi.gap.catalogue import beyond_slope, columns_of, corrected
 from quasi.gap.effect import Effect, Vehicle
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.sessions import units
-from quasi.gap.levels.forces.nuisance import nuisances, session_nuisances
+from quasi.gap.levels.forces.nuisance import SEATED, nuisances, session_nuisances
 from quasi.gap.materiality import Cause
 from quasi.gap.statistics.blocks import BLOCK
 from quasi.gap.statistics.clustered import ClusteredMixedModel
@@ -193,9 +193,12 @@ def gather_design(
         spread = np.array([s for *_, s in own])
         usual = {n: bounds_of(asked[n], vehicle) for n in causes}
         then = first + len(own)
+        # how sensors are seated is a session's as well: its flights share it
+        seated = [k for k, (n, *_) in enumerate(own) if n.startswith(SEATED)]
+        session = (*range(then, then + len(of_session)), *(first + k for k in seated))
         layout = Columns(
             list(range(1, first)), list(range(first, then)), spread, causes, bent, bounds=usual,
-            session=tuple(range(then, then + len(of_session))), session_spread=tuple(s for *_, s in of_session),
+            session=session, session_spread=(*(s for *_, s in of_session), *spread[seated]),
         )  # fmt: skip
     breaks = [part.breaks for part in thinned]
     whitener = autoregression([own_fit(part.columns, layout) for part in thinned], breaks, ORDER)
@@ -214,7 +217,8 @@ def moved(study: Design, effects: Mapping[str, Effect], vehicle: Vehicle, values
         place, parts = [0], [_straight(flight, effects, vehicle, own)]
         true = corrected(flight, effects, own)
         if again:  # terms of some flights read with the error would, with causes read without, make up any change
-            place += [*study.columns.shared, *study.columns.nuisance, *study.columns.session]
+            nuisance = study.columns.nuisance
+            place += [*study.columns.shared, *nuisance, *(c for c in study.columns.session if c not in nuisance)]
             parts += [c for _, c in base_columns(true)] + [c for _, c, _ in nuisances(true)]
             parts += [c for _, c, _ in session_nuisances(true)]
         for name in changed:

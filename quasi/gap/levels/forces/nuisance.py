@@ -26,6 +26,7 @@ SEATING_TURN, MARKER_TURN = 0.0035, 0.0052  # rad, about each axis
 FORCE_BIAS, MOMENT_BIAS = 0.005, 0.0005  # of m g, and of m g times the arm: what filtering leaves of constant errors
 TELEMETRY = 0.003  # s, where it is unknown
 AGE = "age of the rotor telemetry"  # name of its column
+SEATED = ("IMU turned", "markers turned")  # how names of columns begin that are a session's as well as a flight's
 # Standard deviation of each pattern's share of thrust between healthy sessions, and of the pattern along the spin:
 # medians on the healthy flights of CrazyPAD, by `benchmarks/real_causes.py`
 SESSION_SEATING, SESSION_YAW = 0.015, 0.008

@@ -102,7 +102,8 @@ def mixed_of(
     """The mixed model with nothing but what is given and some smooth functions, a matter of small matrices."""
     layout, size = grounds.study.columns, len(grounds.study.names)
     names = dict.fromkeys(g.cause for g in given)
-    use = [0, *layout.shared, *layout.nuisance, *layout.session, *(c for n in names for c in layout.causes[n])]
+    own = (c for n in names for c in layout.causes[n])
+    use = list(dict.fromkeys([0, *layout.shared, *layout.nuisance, *layout.session, *own]))
     place = {c: i for i, c in enumerate(use)}
     causes = {n: [place[c] for c in layout.causes[n]] for n in names}
     at = len(use)
