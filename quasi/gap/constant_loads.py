@@ -43,9 +43,8 @@ LOADS = (
     ),
     Load(
         {"down": 2},
-        ("mass", "thrust_factor", "accelerometer_scale"),
+        ("mass", "thrust_factor", "rotor_speed_scale", "accelerometer_scale"),
         (
-            "rotor_speed_scale",
             "rotor_effectiveness",
             "accelerometer_bias",
             "tether",
@@ -54,7 +53,8 @@ LOADS = (
             "thrust_drift",
             "thrust_curve",
         ),
-        "weigh the vehicle; at rest the accelerometer shows 9.81 m/s2; if both are right, the thrust has changed",
+        "weigh the vehicle; at rest the accelerometer shows 9.81 m/s2; if both are right, the thrust has changed, "
+        "or the rotor speeds are logged wrong",
         float(np.sqrt(FORCE_BIAS**2 + MASS_SPREAD**2 + THRUST_SPREAD**2 + SESSION_SEATING**2)),
         needs_references=True,
     ),

@@ -154,13 +154,14 @@ def test_a_constant_vertical_force_beyond_what_flights_differ_by_is_a_tie(flight
         return e.only("Fz", share * e.mass * 9.81 if e.key in pushed else 0.0)
 
     found = constant_force_ties(compared, reference, left, [], catalogue(), 1e-3, 0.05)
-    for named in ("mass", "rotor_speed_scale", "ground_effect"):
+    for named in ("mass", "rotor_effectiveness", "ground_effect"):
         assert constant_force_ties(compared, reference, left, [named], catalogue(), 1e-3, 0.05) == []
     if abs(share) < 0.05 or references < 2:  # a model is identified with whatever vertical force there is
         assert found == []
         return
     [tie] = found
-    assert tie["ids"] == ["mass", "thrust_factor", "accelerometer_scale"] and tie["since"] == "changed"
+    assert tie["ids"] == ["mass", "thrust_factor", "rotor_speed_scale", "accelerometer_scale"]
+    assert tie["since"] == "changed"
     assert tie["constant force"]["down"]["value"] == pytest.approx(share * compared[0].mass * 9.81, rel=0.02)
     assert tie_sentence(tie).startswith("A constant vertical force of 10 % of the weight pushes the vehicle (down = ")
 

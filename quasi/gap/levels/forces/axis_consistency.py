@@ -50,7 +50,8 @@ def voices(
         blocks = block_grams(columns, part.breaks, study.whitener, flight.t[part.rows], BLOCK)
         grams.append(in_stretches(blocks, len(study.flights)))
     names: Mapping[str, list[int]] = {a: [size + k] for k, a in enumerate(AXES) if there[k]}
-    mixed = ClusteredMixedModel(grams, compared, study.columns._replace(causes=study.columns.causes | names))
+    layout = study.columns._replace(causes=study.columns.causes | names)
+    mixed = ClusteredMixedModel(grams, compared, layout, sessions=[f.session for f in study.flights])
     offers = [Candidate(axis, test.offer.since, (0,)) for axis in names]
     result = []
     for axis, offer in zip(names, offers):

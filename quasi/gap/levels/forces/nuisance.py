@@ -11,11 +11,14 @@ From session to session batteries are seated anew and propellers change. The spr
 rotors, left and right, front and rear, along the spin) are those measured for the hover trim. A trim does not separate
 the place of the weight from propellers: of the variance of left and right, front and rear, each has half. A battery
 that is seated elsewhere moves the centre of gravity against the IMU as well, which patterns of thrust do not hold.
+Columns are those of the causes `rotor_effectiveness` and `cg_offset`: with another form, the data would tell a weak
+rotor of a fifth of the thrust from a session by their forms, and give most of it to the session.
 """
 
 import numpy as np
 
 from quasi.gap.causes.cg_offset import EFFECT as CG_OFFSET
+from quasi.gap.causes.rotor_effectiveness import EFFECT as ROTOR
 from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.evidence import Evidence
 from quasi.model.columns import ROTORS
@@ -62,19 +65,17 @@ def session_nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]
     """(name, column (n, 6), standard deviation) of each way in which sessions differ: thrust by pattern of rotors, and
     the place of the weight."""
     hubs = np.asarray(evidence.airframe.hubs)
-    vehicle = vehicle_of(evidence.model, evidence.mass, evidence.inertia)
     patterns = {
         "all rotors": (np.ones(len(hubs)), SESSION_SEATING),
         "left and right": (np.sign(hubs[:, 1]), HALF_VARIANCE * SESSION_SEATING),
         "front and rear": (np.sign(hubs[:, 0]), HALF_VARIANCE * SESSION_SEATING),
         "along the spin": (np.asarray(evidence.spin, float), SESSION_YAW),
     }
-    result = []
+    result, rotors = [], ROTOR.columns(evidence, {})
     for name, (sign, spread) in patterns.items():
-        column = evidence.thrust_wrench(evidence.carried_thrust * sign)
-        # the power goes with the thrust
-        column[:, 5] -= vehicle.drawn * (evidence.spin * evidence.speeds**2 * sign).sum(axis=1)
-        result.append((f"session: thrust, {name}", column, spread))
+        for kind, each in (("thrust", "rotor"), ("torque", "torque")):
+            column = sum(s * rotors[f"{each}{i}"] for i, s in enumerate(sign, 1))
+            result.append((f"session: {kind}, {name}", column, spread))
     arm = float(np.abs(hubs[:, :2]).mean())
     for name, column in CG_OFFSET.columns(evidence, {}).items():
         result.append((f"session: centre of gravity, {name}", column, HALF_VARIANCE * SESSION_SEATING * arm))
