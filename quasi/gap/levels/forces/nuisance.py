@@ -11,8 +11,8 @@ From session to session batteries are seated anew and propellers change. The spr
 rotors, left and right, front and rear, along the spin) are those measured for the hover trim. A trim does not separate
 the place of the weight from propellers: of the variance of left and right, front and rear, each has half. A battery
 that is seated elsewhere moves the centre of gravity against the IMU as well, which patterns of thrust do not hold.
-Columns are those of the causes `rotor_effectiveness` and `cg_offset`: with another form, the data would tell a weak
-rotor of a fifth of the thrust from a session by their forms, and give most of it to the session.
+Columns are those of the causes `rotor_effectiveness` and `cg_offset`: with other forms, the data would take a rotor
+that is a fifth weaker for a session, by the difference of the forms.
 """
 
 import numpy as np
