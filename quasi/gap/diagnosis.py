@@ -44,8 +44,7 @@ from quasi.gap.materiality import Cause
 from quasi.gap.probability import add_probabilities
 from quasi.gap.report.wording import summary
 from quasi.gap.scores import scored
-from quasi.gap.standing import standing
-from quasi.gap.veto import correction_matters, losses
+from quasi.gap.verdict import correction_matters, judge_causes, losses
 from quasi.model.extensions import configured_mass
 from quasi.model.model import AXES, Model
 
@@ -139,7 +138,7 @@ def diagnose(
                 "fitting the model's own terms anew to the corrected flights would make held-out flights worse; the "
                 "model keeps its terms"
             )
-        settled, remains = standing(case, found)
+        settled, remains = judge_causes(case, found)
         kept = settled.causes
         lists["notes"] += settled.notes
         lists["candidates"] += candidates(found, settled, share)

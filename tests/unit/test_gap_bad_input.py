@@ -37,9 +37,9 @@ from quasi.gap.levels.sensors_and_drive import reject_immaterial
 from quasi.gap.materiality import Cause
 from quasi.gap.planning import plan
 from quasi.gap.planning.plan_input import flights_of
-from quasi.gap.standing import _borne_out
 from quasi.gap.statistics import mixed
 from quasi.gap.statistics.mixed import Candidate
+from quasi.gap.verdict import _borne_out
 from quasi.model.model import AXES, Model
 from quasi.tables import read_numbers, write_json, write_table
 

@@ -13,7 +13,7 @@ from quasi.gap.catalogue import catalogue
 from quasi.gap.constant_loads import LOADS, constant_force_ties
 from quasi.gap.diagnosis import verdict_of
 from quasi.gap.report.wording import tie_sentence
-from quasi.gap.veto import Loss, reject_losing_causes, trim_is_usual
+from quasi.gap.verdict import Loss, reject_losing_causes, trim_is_usual
 from quasi.model.model import Model
 
 

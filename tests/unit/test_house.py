@@ -68,8 +68,8 @@ FLOORS = [
     {"levels.rollouts"},
     {"entries", "probability", "scores"},
     {"report"},
-    {"base_model", "constant_loads", "veto"},
-    {"standing", "diagnosis"},
+    {"base_model", "constant_loads"},
+    {"verdict", "diagnosis"},
     {"planning"},
     {"comparing"},
 ]

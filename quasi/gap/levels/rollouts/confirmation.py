@@ -125,7 +125,7 @@ class Estimate(NamedTuple):
 
 class Settled(NamedTuple):
     """causes that stand, as they came; those dropped, with the reason; by (id, since): what roll-outs say of each;
-    losses  of the held-out flights that stay with these causes, see `quasi.gap.veto`."""
+    losses  of the held-out flights that stay with these causes, see `quasi.gap.verdict`."""
 
     causes: list[Cause]
     dropped: list[tuple[Cause, Confirmation]]
