@@ -184,7 +184,7 @@ def _common(
     """Causes that all flights have alike: the model's own terms, fitted anew with them, must do better by a share of
     the removable error, beyond doubt, than its own terms fitted anew without them and, on flights that did not make it,
     than the model as it was; and so must each of them, unless the strongest foreign one needs it. The held-out flights
-    must not become less likely.
+    must not become less likely. Axes outside a cause's channels have no say.
     """
     if not causes:
         return []
@@ -205,10 +205,11 @@ def _common(
         cause.asked = share if cause in causes else None
     removable = {flag: _removable(common.old, common.floor, flag) for flag in ("always", "foreign")}
 
-    def better(first: Score, last: Score, sort: str) -> float:
-        """The surest share of the removable error that goes on any axis, of the share that has to."""
+    def better(first: Score, last: Score, sort: str, of: Sequence[Cause]) -> float:
+        """The surest share of the removable error that goes on any axis of some causes, of the share that has to."""
         share = common.share if sort == "always" else common.absent_when_healthy
-        return float(surely(first, last, removable[sort]).max()) / share
+        axes = sorted({k for cause in of for k in seen_in(cause.effect)})
+        return float(surely(first, last, removable[sort])[axes].max()) / share
 
     unlikely, known = score(changed, False).unlikely, dict[tuple[int, ...], Score]()
 
@@ -220,7 +221,7 @@ def _common(
 
     def worth_of(cause: Cause, among: Sequence[Cause]) -> float:
         rest = [c for c in among if c is not cause]
-        return better(errors(rest), errors(among), sort_of(cause))
+        return better(errors(rest), errors(among), sort_of(cause), [cause])
 
     def supports(cause: Cause) -> bool:
         """Whether the strongest foreign one would not be sure any more if only the model's terms stood in for this."""
@@ -231,7 +232,8 @@ def _common(
     while causes:
         judged, worth = score([*changed, *causes], True), [worth_of(c, causes) for c in causes]
         sort = "foreign" if special in causes else "always"
-        together = min(better(other, errors(causes), sort) for other in others) >= 1.0 and judged.unlikely < unlikely
+        all_better = min(better(other, errors(causes), sort, causes) for other in others) >= 1.0
+        together = all_better and judged.unlikely < unlikely
         order = [causes[k] for k in np.argsort(worth)]
         poor = [c for c, w in zip(order, sorted(worth)) if w < 1.0]
         least = next((c for c in poor if special not in causes or not supports(c)), None)

@@ -98,6 +98,14 @@ def test_what_all_flights_have_must_gain_on_a_channel_that_is_not_at_its_floor()
         assert (judged_by([a], score, old=old)[0] == [a]) is there
 
 
+def test_what_all_flights_have_must_gain_on_an_axis_of_its_own():
+    # rotor drag was named of all flights for a yaw moment alone, although the model held the force that it makes
+    score = scored({frozenset("a"): fz(1.0)}, OLD)
+    for channels, there in ((("Fz",), True), (("Mz",), False), (("Fx", "My"), False)):
+        a = cause("a", "always", channels=channels)
+        assert (judged_by([a], score)[0] == [a]) is there
+
+
 def test_what_no_sound_vehicle_has_needs_a_smaller_share_where_no_flight_is_healthy():
     """A tenth of what can go. A second one, a fifth as significant, may be the form of the first."""
     for foreign, share, there in ((True, SHARE, True), (False, SHARE, False), (True, None, False)):
