@@ -99,6 +99,12 @@ def test_a_residual_along_the_heading_is_periodic(ground):
     assert [(u["channel"], u["where"]) for u in said] == [("Mz", "heading")]
 
 
+def test_a_force_that_turns_with_the_direction_of_flight_is_found(ground):
+    # of a side force by the forward speed, RotorPy's flights `agreed`: it has no mean at any speed without direction
+    said = found(ground, lambda c: only(1, 0.05 * c["u"] * np.abs(c["u"])), references=4)
+    assert [(u["channel"], u["where"], u["since"]) for u in said] == [("Fy", "forward speed", "changed")]
+
+
 def test_beside_reference_flights_it_is_told_what_changed(ground):
     said = found(ground, lambda c: only(2, 0.1 * np.tanh(c["x"])), references=4)
     assert (said[0]["channel"], said[0]["where"], said[0]["since"]) == ("Fz", "room x", "changed")

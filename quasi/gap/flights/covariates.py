@@ -12,11 +12,12 @@ from quasi.model.columns import ROTORS
 
 CONSTANT_SPREAD = 0.02  # a variable whose scaled spread is smaller is as good as constant
 HEADING, ROOM_PLACE, EVERYWHERE = "heading", "room place", "everywhere"
+DIRECTED = ("forward speed", "sideways speed", "downward speed")  # along the body's axes
 # what a model's terms depend on; the voltage falls with what the rotors draw
-OWN_COVARIATES = ("speed", "rotor speed", "descent ratio", "roll rate", "pitch rate", "yaw rate", "volts")
+OWN_COVARIATES = ("speed", *DIRECTED, "rotor speed", "descent ratio", "roll rate", "pitch rate", "yaw rate", "volts")
 # in which functions of them are offered
-COVARIATES = ("speed", HEADING, "time", "rotor speed", "descent ratio", "roll rate", "pitch rate", "yaw rate", "height",
-         "room x", "room y", "volts")  # fmt: skip
+COVARIATES = ("speed", *DIRECTED, HEADING, "time", "rotor speed", "descent ratio", "roll rate", "pitch rate",
+              "yaw rate", "height", "room x", "room y", "volts")  # fmt: skip
 COLUMN_OF = {
     HEADING: "yaw",
     "time": "t",
@@ -34,7 +35,7 @@ VISITED_SHARE = 0.02  # share of the time that must be spent near a place of the
 UNITS_AT = {
     "speed": "m/s", "height": "m", HEADING: "rad", ROOM_PLACE: "m", "room x": "m", "room y": "m", "time": "s",
     "volts": "V", "rotor speed": "rad/s", "descent ratio": "", "roll rate": "rad/s", "pitch rate": "rad/s",
-    "yaw rate": "rad/s",
+    "yaw rate": "rad/s", **dict.fromkeys(DIRECTED, "m/s"),
     "frequency": "Hz",
 }  # fmt: skip
 
@@ -56,6 +57,7 @@ def along(columns: Mapping[str, np.ndarray], hover: float, down: np.ndarray | No
     velocity = [f"{c}_air" if f"{c}_air" in columns else c for c in "uvw"]
     angles = ("roll", "pitch", "yaw")
     if has(*velocity):
+        found |= dict(zip(DIRECTED, take(*velocity).T))
         found["speed"] = np.linalg.norm(take(*velocity), axis=1)
     if has(*velocity) and (down is not None or has(*angles)):
         down = rotate_inverse(from_euler(*take(*angles).T), np.array([0.0, 0.0, 1.0])) if down is None else down

@@ -31,6 +31,7 @@ CHANNEL_UNITS = {
     "height": "m", "speed": "m/s", "volts": "V", "frequency": "Hz", "rotor": "rad/s", "heading": "rad", "time": "s",
     "position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s", "horizon": "s", "start": "s", "room": "m",
     "roll_rate": "rad/s", "pitch_rate": "rad/s", "yaw_rate": "rad/s",
+    "forward_speed": "m/s", "sideways_speed": "m/s", "downward_speed": "m/s",
 }  # fmt: skip
 
 

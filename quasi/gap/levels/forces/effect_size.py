@@ -7,7 +7,7 @@ import numpy as np
 
 from quasi.gap.catalogue import whole_of
 from quasi.gap.effect import Vehicle
-from quasi.gap.flights.covariates import HEADING, places
+from quasi.gap.flights.covariates import DIRECTED, HEADING, places
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.ranges import MOSTLY
 from quasi.gap.materiality import Cause
@@ -17,7 +17,8 @@ EFFECT_CELLS = 16  # along a place, each with as many rows
 EXPLAINED = 0.5  # share of the variance of what a cause does, from which a place is reported
 STEADY_EFFECT = 0.2  # of its mean: what spreads less is the same everywhere
 ONE_WAY = 0.9  # of its square that has to have one sign more than the other for the sign to be reported
-NEVER = ("time", "volts", "room x", "room y")  # places of single flights, no way to fly
+# places of single flights are no way to fly; the size of what a cause does has no direction
+NEVER = ("time", "volts", "room x", "room y", *DIRECTED)
 SLOPE_STEP = 1e-3  # of a standard error, of slopes
 
 
