@@ -167,7 +167,7 @@ def estimate(flight: Material, watch: ekf.Watch | None = None) -> Run:
     if "accelerometer" in (metadata.get("reconstructed") or {}):
         inputs = without_accelerometer_bias(inputs)
         notes.append("the specific force was made from other signals; its bias is taken as 0")
-    factors = np.ones(noise.LEVELS)
+    factors = np.ones(noise.FACTORS)
     if chosen["re-estimate noise"]:
         share = levels.lowest / levels.moving
         floor = np.array([share[:3].max(), share[3:].max()])

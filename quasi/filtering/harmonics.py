@@ -32,7 +32,7 @@ HALF = (1.0 + np.sqrt(2.0)) ** 0.25  # x where the gain is one half
 LOOKED_FOR = 3  # harmonics looked for where no notch is asked for
 # Hz, below which a folded line disturbs velocity; errors double below and are usual above twice it:
 # benchmarks/consistency.py --nuisance 1
-MOTION_BAND = 8.0
+VELOCITY_BAND = 8.0
 
 
 class Lines(NamedTuple):
@@ -107,7 +107,7 @@ def near_zero(speeds: np.ndarray, log_rate: float, rate: float) -> np.ndarray:
     """Share (N,) of the strongest line's power that folding has moved among the motion: 1 at 0 Hz, 0 far above.
 
     A line that folds to nearly 0 Hz acts like an acceleration of the vehicle, and no filter can separate the two. The
-    share is the power gain of a second-order Butterworth low-pass of MOTION_BAND; only lines above twice this band
+    share is the power gain of a second-order Butterworth low-pass of VELOCITY_BAND; only lines above twice this band
     count, for a slower one is no folded line.
 
     speeds    (N, R) rad/s, finite; log_rate  Hz of the log; rate  Hz of the grid
@@ -115,7 +115,7 @@ def near_zero(speeds: np.ndarray, log_rate: float, rate: float) -> np.ndarray:
     """
     true = np.abs(speeds)[:, None, :] / (2.0 * np.pi) * (1.0 + np.arange(LOOKED_FOR))[:, None]
     stands, there = on_grid(true, log_rate, rate)
-    share = np.where(there & (true > 2.0 * MOTION_BAND), 1.0 / (1.0 + (stands / MOTION_BAND) ** 4), 0.0)
+    share = np.where(there & (true > 2.0 * VELOCITY_BAND), 1.0 / (1.0 + (stands / VELOCITY_BAND) ** 4), 0.0)
     return share.max(axis=(1, 2))
 
 

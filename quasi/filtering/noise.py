@@ -21,7 +21,7 @@ from quasi.filtering.ekf import (
 
 GATE = float(chi2.ppf(0.9999, 3))  # an honest measurement is thrown away once in ten thousand
 LOOSE_GATE = 400.0  # while the levels are not yet known
-LEVELS = 6  # factors on gyro, accelerometer, attitude, position, velocity, and on the accelerometer by folded lines
+FACTORS = 6  # factors on gyro, accelerometer, attitude, position, velocity, and on the accelerometer by folded lines
 FOLDED = 5  # place of the last
 NOISE_WINDOW, WINDOWS = 5.0, 3  # s, number of stretches of flight in which the levels are asked
 LEAST_FOLDED = 0.1  # standard deviation of the share of folded lines, below which their factor cannot be separated
@@ -71,7 +71,7 @@ def _stretches(flying: np.ndarray, n: int, length: int, folded: np.ndarray) -> l
 
 
 def with_levels(inputs: Inputs, factors: np.ndarray, flying: np.ndarray, folded: np.ndarray) -> Inputs:
-    """Noise scaled by factors (LEVELS,): gyro and accelerometer where `flying`, then attitude, position, velocity.
+    """Noise scaled by factors (FACTORS,): gyro and accelerometer where `flying`, then attitude, position, velocity.
 
     The last factor, raised to the share `folded` (N,), scales the accelerometer as well.
     """
@@ -94,7 +94,7 @@ def scatter(t: np.ndarray, values: np.ndarray) -> float:
 
 
 def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray, folded: np.ndarray) -> np.ndarray:
-    """Factors (LEVELS,) on the noise of gyro, accelerometer, attitude, position, velocity, by maximum likelihood.
+    """Factors (FACTORS,) on the noise of gyro, accelerometer, attitude, position, velocity, by maximum likelihood.
 
     The likelihood of the innovations is maximised over stretches of flight; an outlier counts little more than
     the gate's value, so that it does not drive the levels. The last factor is on the accelerometer while a rotor's line
@@ -106,7 +106,7 @@ def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray, folde
     lines = bool(flying.any() and folded[flying].std() > LEAST_FOLDED)
     present = np.array([True, True, *(inputs.used[flying].sum(axis=0) > 10), lines])
     if not present[2:FOLDED].any():
-        return np.ones(LEVELS)
+        return np.ones(FACTORS)
     at = np.flatnonzero(inputs.used[:, POSITION_KIND] * flying)
     seen = SEEN * scatter(at * inputs.dt, inputs.position[at]) / inputs.std[POSITION_KIND].mean()
     low = np.log(np.concatenate([np.minimum(floor, 1.0), [0.1, float(np.clip(seen, 0.1, 10.0)), 0.1, 1.0]]))
@@ -120,7 +120,7 @@ def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray, folde
     scale = sum(int(part.used.sum()) for part, *_ in parts) + 1
 
     def target(free: np.ndarray) -> float:
-        logs = np.zeros(LEVELS)
+        logs = np.zeros(FACTORS)
         logs[present] = free
         beyond = np.maximum(logs - high, 0.0) + np.maximum(low - logs, 0.0)
         factors = np.exp(np.clip(logs, low, high))
@@ -140,7 +140,7 @@ def estimate_levels(inputs: Inputs, flying: np.ndarray, floor: np.ndarray, folde
     begin = np.clip(np.log([1.0, 1.0, max(turned, 1e-3), max(seen / SEEN, 1e-3), 1.0, 1.5]), low, high)[present]
     # one line search after the other: a simplex of six corners does not arrive in as many runs
     found = minimize(target, begin, method="Powell", options={"xtol": 0.05, "ftol": 1e-4, "maxfev": 150})
-    logs = np.zeros(LEVELS)
+    logs = np.zeros(FACTORS)
     logs[present] = found.x
     return np.exp(np.clip(logs, low, high))
 

@@ -15,8 +15,8 @@ def test_share_is_the_power_that_a_low_pass_leaves_of_the_sampled_line(frequency
     t = np.arange(20000) / LOG
     spectrum = np.abs(np.fft.rfft(np.cos(2 * np.pi * 3 * frequency * t + 0.3) * np.hanning(len(t)))) ** 2
     f = np.fft.rfftfreq(len(t), 1 / LOG)
-    expected = np.sum(spectrum / (1.0 + (f / harmonics.MOTION_BAND) ** 4)) / np.sum(spectrum)
-    others = [1.0 / (1.0 + (harmonics.fold(k * frequency, LOG) / harmonics.MOTION_BAND) ** 4) for k in (1, 2)]
+    expected = np.sum(spectrum / (1.0 + (f / harmonics.VELOCITY_BAND) ** 4)) / np.sum(spectrum)
+    others = [1.0 / (1.0 + (harmonics.fold(k * frequency, LOG) / harmonics.VELOCITY_BAND) ** 4) for k in (1, 2)]
     share = harmonics.near_zero(np.full((5, 4), 2 * np.pi * frequency), LOG, LOG)
     assert share == pytest.approx(max(expected, *others), rel=0.05, abs=1e-6)
 
@@ -48,4 +48,4 @@ def test_without_folding_there_is_no_factor_for_it():
     motion = move(seconds=8.0, rest=0.5, seed=3, loops=False)
     inputs = inputs_of(motion, measure(motion, rest=0.5)[0])
     found = noise.estimate_levels(inputs, motion.t > 1.0, np.array([0.1, 0.1]), np.zeros(len(motion.t)))
-    assert found[noise.FOLDED] == 1.0 and len(found) == noise.LEVELS
+    assert found[noise.FOLDED] == 1.0 and len(found) == noise.FACTORS
