@@ -11,7 +11,7 @@ Source: QuaSI user manual V1.0.a, listing 4 ("show actuator constant estimation"
 Identification, 2006, section 6.3 (output error by modified Newton-Raphson).
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -189,44 +189,64 @@ def _first_map(command: np.ndarray, ratio: np.ndarray, target: np.ndarray, comma
 
 
 def _fit(run, target: np.ndarray, begin: list[float], lags: int) -> tuple[np.ndarray, np.ndarray, np.ndarray] | str:
-    """Least squares by damped Gauss-Newton steps: (values, Jacobian, residual), or why there are none.
+    """Values, Jacobian and residual of the best fit, or why there are none.
 
     The first `lags` values are time constants, the next the delay; what follows is free.
     """
-    x = np.array(begin)
-    low = np.array([SHORTEST_TIME_CONSTANT] * lags + [-0.25 * MOST_DELAY] + [-np.inf] * (len(x) - lags - 1))
-    high = np.array([LONGEST_TIME_CONSTANT] * lags + [MOST_DELAY] + [np.inf] * (len(x) - lags - 1))
-    size = np.array([0.01] * lags + [0.005] + [max(abs(v), 0.1) for v in x[lags + 1 :]])
-    predicted = run(x)
-    cost = float(np.sum((target - predicted) ** 2))
-    damping = 1e-3
-    jacobian = np.empty((len(target), len(x)))
-    for _ in range(STEPS):
-        for k in range(len(x)):
-            moved = x.copy()
-            moved[k] += 1e-3 * size[k]
-            jacobian[:, k] = (run(moved) - predicted) / (1e-3 * size[k])
-        scaled = jacobian * size
-        normal, gradient = scaled.T @ scaled, scaled.T @ (target - predicted)
-        better = False
-        while damping < 1e6:
-            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12 * np.trace(normal)), gradient)
-            candidate = np.clip(x + step * size, low, high)
-            there = run(candidate)
-            new = float(np.sum((target - there) ** 2))
-            if new < cost:
-                better = True
-                break
-            damping *= 10
-        if not better:
-            break
-        gained, x, predicted, cost = cost - new, candidate, there, new
-        damping = max(damping / 10, 1e-6)
-        if gained < 1e-7 * cost:
-            break
+    free = len(begin) - lags - 1
+    low = np.array([SHORTEST_TIME_CONSTANT] * lags + [-0.25 * MOST_DELAY] + [-np.inf] * free)
+    high = np.array([LONGEST_TIME_CONSTANT] * lags + [MOST_DELAY] + [np.inf] * free)
+    size = np.array([0.01] * lags + [0.005] + [max(abs(v), 0.1) for v in begin[lags + 1 :]])
+    x, jacobian, predicted = fit_damped(run, target, np.array(begin), (low, high), 1e-3 * size)
     if np.any(x[:lags] <= SHORTEST_TIME_CONSTANT) or np.any(x[:lags] >= LONGEST_TIME_CONSTANT) or x[lags] >= MOST_DELAY:
         return "does not follow its command with a lag"
     return x, jacobian, target - predicted
+
+
+def slopes_of(
+    run: Callable[[np.ndarray], np.ndarray], x: np.ndarray, predicted: np.ndarray, step: np.ndarray
+) -> np.ndarray:
+    """Derivatives (n, p) of run at x (p,), where it gives predicted (n,), by forward differences over step (p,)."""
+    return np.stack(
+        [(run(x + np.where(np.arange(len(x)) == k, h, 0.0)) - predicted) / h for k, h in enumerate(step)], 1
+    )
+
+
+def fit_damped(
+    run: Callable[[np.ndarray], np.ndarray],
+    target: np.ndarray,
+    start: np.ndarray,
+    bounds: tuple[np.ndarray, np.ndarray],
+    step: np.ndarray,
+    iterations: int = STEPS,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Least squares by damped Gauss-Newton steps: values (p,), last Jacobian (n, p), prediction (n,).
+
+    run  values -> prediction (n,) of target (n,); bounds  two (p,), at which steps are clipped
+    step  (p,) of the forward differences, in proportion to the sizes of the values
+    Source: Marquardt, SIAM J. Appl. Math. 11, 1963 (damping in proportion to the diagonal).
+    """
+    x, predicted = start, run(start)
+    cost = float(np.sum((target - predicted) ** 2))
+    damping, jacobian = 1e-3, np.empty((len(target), len(x)))
+    for _ in range(iterations):
+        jacobian = slopes_of(run, x, predicted, step)
+        scaled = jacobian * step
+        normal, gradient = scaled.T @ scaled, scaled.T @ (target - predicted)
+        diagonal = np.diag(np.diag(normal) + 1e-12 * np.trace(normal))
+        gained = 0.0
+        while damping < 1e6:
+            candidate = np.clip(x + np.linalg.solve(normal + damping * diagonal, gradient) * step, *bounds)
+            there = run(candidate)
+            new = float(np.sum((target - there) ** 2))
+            if new < cost:
+                gained, x, predicted, cost = cost - new, candidate, there, new
+                damping = max(damping / 10, 1e-6)
+                break
+            damping *= 10
+        if gained < 1e-7 * cost or gained == 0.0:
+            break
+    return x, jacobian, predicted
 
 
 def flight_lags(flight: pd.DataFrame, rows: np.ndarray, reference: float | None = None) -> list[Lag] | str:

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from scipy.optimize import least_squares
-from scipy.signal import lfilter
+
+from quasi.terms.rotor_map import lagged
 
 ROTOR_NUMBERS = range(1, 5)
 FIT_RATE = 125.0  # Hz, commands and speeds are averaged to it, as the identification of actuators compares at
@@ -150,20 +151,10 @@ def _average(frame: pd.DataFrame) -> tuple[_Samples, float | None]:
 
 def _regressors(samples: _Samples, x: np.ndarray) -> np.ndarray:
     """1, c and c^2 (4, m, 3) with voltage, delay x[1] and lag x[0], at the compared rows."""
-    keep = np.exp(-samples.dt / x[0])
-    share = samples.dt / x[0]
-    last = 1.0 - (1.0 - keep) / share  # wanted is linear between samples
-    first = (1.0 - keep) / share - keep
-    factor = np.exp((x[2] if len(x) > 2 else 0.0) * samples.ratio)
-    at = np.arange(len(factor), dtype=float)
-    out = np.empty((4, int(samples.rows.sum()), 3))
-    for i in range(4):
-        for power in range(3):
-            wanted = factor * samples.command[:, i] ** power
-            late = np.interp(at - x[1] / samples.dt, at, wanted)
-            start = [(1.0 - last) * late[0]]
-            out[i, :, power] = lfilter([last, first], [1.0, -keep], late, zi=start)[0][samples.rows]
-    return out
+    factor = np.exp((x[2] if len(x) > 2 else 0.0) * samples.ratio)[:, None]
+    wanted = np.concatenate([factor * samples.command**power for power in range(3)], axis=1)
+    followed = lagged(wanted, samples.dt, x[0], x[1])[samples.rows]
+    return followed.reshape(-1, 3, 4).transpose(2, 0, 1)
 
 
 def _project(samples: _Samples, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,8 @@ import numpy as np
 from quasi.errors import DataError
 from quasi.gap.flights.evidence import RATE
 from quasi.gap.flights.level import Flown
-from quasi.identification.actuators import STRETCH_WARM_UP, follow
+from quasi.identification.actuators import STRETCH_WARM_UP, fit_damped, follow, slopes_of
+from quasi.identification.regression import bartlett
 from quasi.importing.command_fit import RESIDUAL_MEMORY
 from quasi.model.extensions import drive_of
 from quasi.tables import TELEMETRY_AGE_REMOVED
@@ -69,11 +70,7 @@ class DriveFit(NamedTuple):
         """
         inverse = self._inverse()
         scores = np.einsum("ncp,nc->np", self.slopes, self.residual)
-        meat = scores.T @ scores
-        reach = round(RESIDUAL_MEMORY * RATE)
-        for lag in range(1, min(reach, len(scores) - 1)):
-            cross = scores[lag:].T @ scores[:-lag]
-            meat += (1.0 - lag / reach) * (cross + cross.T)
+        meat = bartlett(scores, [np.arange(len(scores))], round(RESIDUAL_MEMORY * RATE))
         flat = self.slopes.reshape(-1, len(CONSTANTS))
         # a value that is only held may be off by its looseness, noise / sqrt(held)
         return inverse @ (meat + LEAST_DRIVE_NOISE**2 * flat.T @ flat + self.noise**2 * np.diag(self.held)) @ inverse
@@ -201,38 +198,16 @@ def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
     target = speed[rows]
     noise = max(0.02 * float(np.std(target)), 1.0)  # rad/s, weighs the looseness against the data
 
-    def slopes_at(x: np.ndarray, here: np.ndarray) -> np.ndarray:
-        columns = []
-        for k in range(len(x)):
-            moved = x.copy()
-            moved[k] += step[k]
-            columns.append((run(moved) - here) / step[k])
-        return np.stack(columns, axis=2)
+    def weighed(speeds: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return np.concatenate([speeds.ravel() / noise, x / loose])
 
-    x, damping = start.values.copy(), 1e-3
-    x[:3] = np.clip(x[:3], low[:3] + 1e-3, high[:3])
+    begin = start.values.copy()
+    begin[:3] = np.clip(begin[:3], low[:3] + 1e-3, high[:3])
+    x, _, _ = fit_damped(
+        lambda x: weighed(run(x), x), weighed(target, start.values), begin, (low, high), step, DRIVE_ITERATIONS
+    )
     here = run(x)
-
-    def cost(x: np.ndarray, out: np.ndarray) -> float:
-        return float(((target - out) ** 2).sum() / noise**2 + (((x - start.values) / loose) ** 2).sum())
-
-    value = cost(x, here)
-    for _ in range(DRIVE_ITERATIONS):
-        slopes = slopes_at(x, here).reshape(-1, len(x)) * step / noise
-        normal = slopes.T @ slopes + np.diag((step / loose) ** 2)
-        gradient = slopes.T @ (target - here).ravel() / noise - (x - start.values) * step / loose**2
-        gained = 0.0
-        while damping < 1e6:
-            move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient) * step
-            candidate = np.clip(x + move, low, high)
-            there = run(candidate)
-            if (new := cost(candidate, there)) < value:
-                gained, x, here, value = value - new, candidate, there, new
-                damping = max(damping / 10.0, 1e-9)
-                break
-            damping *= 10.0
-        if gained < 1e-6 * value:
-            break
+    slopes = slopes_of(lambda x: run(x).ravel(), x, here.ravel(), step).reshape(*here.shape, len(x))
     breaks = np.concatenate([[True], np.diff(rows) > every])
     vary = volts is not None and float(np.std(ratio[rows])) > LEAST_SAG
-    return DriveFit(flown.key, x, t[rows], breaks, target - here, slopes_at(x, here), vary, (noise / loose) ** 2, noise)
+    return DriveFit(flown.key, x, t[rows], breaks, target - here, slopes, vary, (noise / loose) ** 2, noise)
