@@ -59,6 +59,12 @@ def list_reasons(found: Sequence[Mapping[str, Any]]) -> list[str]:
     return [str(c["text"]) for c in found]
 
 
+def first_reason(reasons: Sequence[str]) -> str:
+    """The first of some reasons, and how many more a flight's page has."""
+    more = f"; its page has {len(reasons) - 1} more reasons" if len(reasons) > 1 else ""
+    return f"{reasons[0]}{more}"
+
+
 def _contradict(one: str, other: str, how: str, advice: str) -> str:
     return f"{one} and {other} contradict each other: {how}; {advice}"
 

@@ -17,6 +17,7 @@ from quasi.identification.geometry import OTHER_MOMENT_TERMS, contradicting_plac
 from quasi.identification.partition import TRAINING
 from quasi.identification.regression import least_squares
 from quasi.identification.rotor_speeds import actuators_of, command_kind, factors_of, places_of
+from quasi.sensor_limits import first_reason
 from quasi.terms.expressions import Program, parse
 from quasi.terms.variables import Variables
 
@@ -53,7 +54,7 @@ def unusable_flights(
     Raises DataError where no flight would be left.
     """
     found = {
-        key: _first(made[key]["unusable because"])
+        key: first_reason(made[key]["unusable because"])
         for key, flight in flights.items()
         if made[key].get("unusable because") and (flight["valid"].to_numpy() > 0.5).any()
     }
@@ -66,11 +67,6 @@ def unusable_flights(
             f"'{USE_UNUSABLE}' in 'logging file' of the model's configuration to true"
         )
     return found
-
-
-def _first(sentences: list[str]) -> str:
-    more = f"; its page has {len(sentences) - 1} more reasons" if len(sentences) > 1 else ""
-    return f"{sentences[0]}{more}"
 
 
 def left_out_notes(left_out: Mapping[str, str]) -> list[str]:

@@ -132,6 +132,13 @@ def hand_over(files: Iterable[str], folder: str | Path, rename: Callable[[Path],
     return target
 
 
+def hand_over_with_summary(files: Iterable[str], folder: str | Path) -> None:
+    """Hand over files and folders of which one is summary.txt; print the summary and what was made."""
+    files = list(files)
+    summary = (hand_over(files, folder) / "summary.txt").read_text(encoding="utf-8").rstrip()
+    print_at_end(f"{summary}\nMade {folder}: {', '.join(sorted(Path(p).name for p in files))}")
+
+
 def print_at_end(text: str, kind: str = "made") -> None:
     """Report text at the end of the run ("made" or "errors"); print it at once outside a run."""
     folder = os.environ.get(RUN_VARIABLE)

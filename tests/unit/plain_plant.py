@@ -66,6 +66,13 @@ def made_model(hover=1500.0, asymmetric=False, lag=0.03, reaction=6e-7, damping=
     return Model(document)
 
 
+def with_simple_model(model, torque):
+    """The model with a simple one of thrust alone; torque  m, of a rotor for its thrust."""
+    thrust = model.airframe.mass * G / (4 * model.hover_speed**2)
+    simple = {"kappaFz": {"value": thrust}, "kappaMz": {"value": -torque * thrust}}
+    return Model({**model.document, "simple model": simple})
+
+
 @njit(cache=True)
 def _wrench_of(kernel, rot, velocity, rates, position, speeds, slopes, inputs, work, out):
     inputs[0] = math.atan2(rot[2, 1], rot[2, 2])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from plain_plant import made_model
+from plain_plant import made_model, with_simple_model
 
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
@@ -43,10 +43,7 @@ def stronger(base, share):
 
 @pytest.fixture(scope="module")
 def base():
-    plain = made_model(reaction=0.0)
-    thrust = plain.airframe.mass * 9.81 / (4 * 1500.0**2)
-    simple = {"kappaFz": {"value": thrust}, "kappaMz": {"value": -0.012 * thrust}}
-    return Model({**plain.document, "simple model": simple})
+    return with_simple_model(made_model(reaction=0.0), 0.012)
 
 
 def test_a_flights_own_thrust_is_told_by_its_first_half_and_cures_the_second(base):

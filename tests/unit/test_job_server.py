@@ -79,14 +79,15 @@ def test_an_ended_server_fails_its_job_and_starts_no_other(server, tmp_path, mon
     assert server.start("script.py", ENVIRONMENT) is None
 
 
-def test_jobs_end_with_the_main_process(tmp_path, monkeypatch):
+@pytest.mark.parametrize("room", [None, "quasi.importing"])
+def test_jobs_end_with_the_main_process(tmp_path, monkeypatch, room):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "script.py").write_text("import time; time.sleep(600)")
     program = (
         "import os; from quasi.running.job_server import JobServer; server = JobServer(modules=());"
-        "job = server.start('script.py', os.environ); print(job.pid, flush=True); os.kill(os.getpid(), 9)"
+        f"job = server.start('script.py', os.environ, {room!r}); print(job.pid, flush=True); os.kill(os.getpid(), 9)"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
     with suppress(psutil.NoSuchProcess):  # it may have ended already
         psutil.Process(int(done.stdout)).wait(30)
 
@@ -166,16 +167,3 @@ def test_without_its_room_a_job_starts_python_itself(server, tmp_path, monkeypat
     room.kill()
     psutil.wait_procs([room], 30)
     assert server.start("script.py", ENVIRONMENT, "quasi.importing") is None
-
-
-def test_jobs_of_a_room_end_with_the_main_process(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "script.py").write_text("import time; time.sleep(600)")
-    program = (
-        "import os; from quasi.running.job_server import JobServer; server = JobServer(modules=());"
-        "job = server.start('script.py', os.environ, 'quasi.importing'); print(job.pid, flush=True);"
-        "os.kill(os.getpid(), 9)"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
-    with suppress(psutil.NoSuchProcess):
-        psutil.Process(int(done.stdout)).wait(30)

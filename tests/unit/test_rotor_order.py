@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plain_plant import made_model
+from plain_plant import made_model, with_simple_model
 from test_gap_halves import flown as fly
 
 from quasi.errors import ConfigError
@@ -25,11 +25,7 @@ SETTINGS = {"false alarm rate": 0.01, "sessions": {}}
 
 @pytest.fixture(scope="module")
 def model():
-    plain = made_model(reaction=0.01)
-    thrust = plain.airframe.mass * 9.81 / (4 * 1500.0**2)
-    return Model(
-        {**plain.document, "simple model": {"kappaFz": {"value": thrust}, "kappaMz": {"value": -0.01 * thrust}}}
-    )
+    return with_simple_model(made_model(reaction=0.01), 0.01)
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plain_plant import made_model
+from plain_plant import made_model, with_simple_model
 from scipy.spatial.transform import Rotation
 from test_gap_halves import flown as fly
 
@@ -13,7 +13,7 @@ from quasi.gap.flights.level import Flown, Level
 from quasi.gap.levels.tie_breaking import compare, judged, settle
 from quasi.importing.calibration import check
 from quasi.model.columns import ROTORS
-from quasi.model.model import AXES, Model
+from quasi.model.model import AXES
 
 TURN = np.array([0.03, -0.04, 0.01])
 PAIR = ["imu_misalignment", "mocap_misalignment"]
@@ -39,11 +39,7 @@ def felt(table, vector, inertia):
 
 @pytest.fixture(scope="module")
 def model():
-    plain = made_model(reaction=0.0)
-    thrust = plain.airframe.mass * 9.81 / (4 * 1500.0**2)
-    return Model(
-        {**plain.document, "simple model": {"kappaFz": {"value": thrust}, "kappaMz": {"value": -0.01 * thrust}}}
-    )
+    return with_simple_model(made_model(reaction=0.0), 0.01)
 
 
 @pytest.fixture(scope="module")

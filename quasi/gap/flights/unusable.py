@@ -9,7 +9,7 @@ from typing import Any
 from quasi.errors import DataError
 from quasi.identification.shared import USE_UNUSABLE
 from quasi.project.gaps import COMPARED, HELD
-from quasi.sensor_limits import list_reasons
+from quasi.sensor_limits import first_reason, list_reasons
 
 FEWEST_COMPARED = 2  # flights: a cause must recur in another flight to be found (docs/gaps.md)
 
@@ -27,7 +27,7 @@ def exclude_unusable(
     if use:
         return {}
     found = {
-        key: _first(sentences)
+        key: first_reason(sentences)
         for key, made in flights.items()
         if (sentences := list_reasons(made.get("contradictions") or []))
     }
@@ -44,11 +44,6 @@ def exclude_unusable(
             f"the recordings or their configuration, name other flights, or set '{USE_UNUSABLE}' to true"
         )
     return found
-
-
-def _first(sentences: list[str]) -> str:
-    more = f"; its page has {len(sentences) - 1} more reasons" if len(sentences) > 1 else ""
-    return f"{sentences[0]}{more}"
 
 
 def exclusion_notes(left_out: Mapping[str, str], roles: Mapping[str, str]) -> list[str]:
