@@ -82,8 +82,8 @@ SETTINGS = {
 }  # fmt: skip
 INDISTINCT = {"thrust_factor", "rotor_speed_scale"}  # the torque alone tells them apart: always a tie
 
-# without measured speeds, more thrust at the same command is one of these
-INDISTINCT_BY_COMMANDS = {"thrust_factor", "thrust_curve", "thrust_drift", "battery_sag"}
+# without measured speeds: more thrust at the same command, or rotors that follow late
+INDISTINCT_BY_COMMANDS = {"thrust_factor", "thrust_curve", "thrust_drift", "battery_sag", "motor_lag", "command_delay"}
 
 
 def draw(settings: dict[str, Any], seconds: float = 30.0, folder: Path = OUT) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from quasi.gap.extension import extend
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.instruments import shown
 from quasi.gap.levels.forces.estimated_speeds import OF_TELEMETRY, add_battery, with_estimated_speeds
-from quasi.model.commands import rotor_speeds
+from quasi.model.commands import extended_map, rotor_speeds
 from quasi.model.extensions import correct_columns
 from quasi.model.model import Model
 from quasi_synthesis.campaign import quadrotor_configuration, read_campaign
@@ -168,3 +168,30 @@ def test_a_model_that_is_extended_already_is_asked_beyond_it(ground):
     again = dataclasses.replace(evidence, model=extended, columns=columns)
     further = sag_of(extended, again)
     assert further.parameters["exponent"].neutral == pytest.approx(EXPONENT + 0.3)
+
+
+@pytest.mark.parametrize("cause", ["motor_lag", "command_delay"])
+def test_rotors_that_follow_late_act_before_their_estimated_speeds(ground, cause):
+    """A lag and a delay beyond the model's look the same in forces and moments, and are a tie."""
+    model = Model(
+        ground.document | {"actuators": {"time constants": {"value": [0.026] * 4}, "delay": {"value": 0.001}}}
+    )
+    plain = evidence_of(model)
+    dots = 3000.0 * np.random.default_rng(5).standard_normal((ROWS, 4))
+    columns = {**plain.columns, **{f"w{i + 1}_dot": dots[:, i] for i in range(4)}}
+    late = 1e-4
+    state = np.stack([columns[a] for a in ("roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r")], axis=1)
+    true = np.hstack(model.predict(state, plain.speeds - late * dots))
+    evidence = dataclasses.replace(plain, columns=columns, measured=true)
+    effects, vehicle = with_estimated_speeds(catalogue(), model, [evidence])[0], vehicle_of(model, 0.433)
+    effect = effects[cause]
+    other = ({"motor_lag", "command_delay"} - {cause}).pop()
+    assert (effect.level, effect.always_tied_with) == ("forces", (other,))
+    (name,) = effect.parameters
+    column = columns_of(effect, evidence, vehicle, {name: 0.0})[name]
+    left = evidence.residual
+    np.testing.assert_allclose(column * late, left, rtol=2e-2, atol=2e-3 * np.abs(left).max())
+    extended = Model(extend(model, [(effect, {name: late})], vehicle, "more", "test"))
+    np.testing.assert_allclose(shown(extended, model, evidence), true, atol=1e-9)
+    key, known = ("time constant", 0.026) if cause == "motor_lag" else ("delay", 0.001)
+    assert extended_map(extended.document)[key]["value"] == pytest.approx(known + late)

@@ -15,13 +15,21 @@ from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.instruments import reread
 from quasi.model.columns import ROTORS
 from quasi.model.commands import map_of
-from quasi.model.extensions import are_estimated, correct_estimated_speeds, correct_rotor_speeds, voltage_of_map
+from quasi.model.extensions import (
+    are_estimated,
+    correct_estimated_speeds,
+    correct_rotor_speeds,
+    drive_of,
+    voltage_of_map,
+)
 from quasi.model.model import Model
 from quasi.terms.rotor_map import speed_exponent
 
 SAG, SCALE = "battery_sag", "rotor_speed_scale"
 OF_TELEMETRY = (SCALE, "telemetry_delay")  # causes of measured speeds alone
 NO_TELEMETRY = "no flight logs rotor speeds; those estimated from commands have no unit and no delay of a telemetry"
+# causes of rotors that follow late: the constant of the model that each changes, its parameter
+LATE = {"motor_lag": ("time constants", "time_constant"), "command_delay": ("delay", "delay")}
 OF_THRUST = ("thrust_factor", "thrust_curve", "thrust_drift")  # of all rotors alike, at the same speed
 SPEED_LEVELS = (0.5, 2.0)  # of speed at the same command: beyond it lies another motor
 MIN_RATIO = 0.1  # of the reference voltage: below it a log holds no battery
@@ -36,7 +44,8 @@ def with_estimated_speeds(
 
     Where all flights hold estimated speeds, a battery that acts otherwise becomes a cause of forces and moments, and
     causes of the telemetry go. Another thrust at the same speed and another speed at the same command look the same:
-    where voltage does not show the battery by itself, the two are a tie.
+    where voltage does not show the battery by itself, the two are a tie. Rotors that follow late show in all forces and
+    moments at once; a lag and a delay are a tie.
     """
     if not flights or not all(are_estimated(e.columns) for e in flights):
         return dict(effects), []
@@ -47,6 +56,9 @@ def with_estimated_speeds(
         if n not in gone
     }
     lists = [{"id": n, "why": NO_TELEMETRY} for n in gone]
+    for name, (key, parameter) in LATE.items():
+        if name in found:
+            found[name] = late_of_forces(found[name], model, key, parameter, [n for n in LATE if n != name])
     reference = voltage_of_map(model)[1]
     if SAG in found:
         if reference and all("battery_voltage" in e.columns for e in flights):
@@ -69,6 +81,38 @@ def add_battery(ties: list[dict[str, Any]], effects: Mapping[str, Effect]) -> li
         else tie
         for tie in ties
     ]
+
+
+def late_of_forces(effect: Effect, model: Model, key: str, parameter: str, tied: Sequence[str]) -> Effect:
+    """A lag or delay of the rotors beyond the model's as speeds that are estimated too early.
+
+    W(t) = W_map(t - d), to first order for a lag. The extension's negative delay of recorded speeds holds d where
+    flights are compared; its time constant or delay holds it where commands drive a simulation.
+    key  of the model's actuators; parameter  of the cause; tied  ids that look the same
+    """
+    held = (drive_of(model.document).get(key) or {}).get("value", 0.0)
+    own = float(np.mean(held))
+    about = effect.parameters[parameter]
+    is_delay = about.neutral is not None
+
+    def columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
+        return {parameter: -np.einsum("nij,nj->ni", evidence.gradient(*ROTORS), evidence.spin_up)}
+
+    def extension(values: Values, _: Vehicle, __: Model) -> Extension:
+        name = "delay" if is_delay else "time constant"
+        return Extension(actuators={"telemetry delay": -values[parameter], name: own + values[parameter]})
+
+    return replace(
+        effect,
+        level="forces",
+        parameters={parameter: about if is_delay else about._replace(neutral=own, low=min(about.low, own))},
+        channels=("Fz", "Mx", "My", "Mz"),
+        rivals=("inflow_lag", "rotor_acceleration_torque"),
+        always_tied_with=tuple(tied),
+        columns=columns,
+        extension=extension,
+        absorbed_by_model=True,
+    )
 
 
 def sag_of_forces(effect: Effect, model: Model, reference: float) -> Effect:
