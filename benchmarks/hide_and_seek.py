@@ -83,7 +83,8 @@ SETTINGS = {
 INDISTINCT = {"thrust_factor", "rotor_speed_scale"}  # the torque alone tells them apart: always a tie
 
 # without measured speeds: more thrust at the same command, or rotors that follow late
-INDISTINCT_BY_COMMANDS = {"thrust_factor", "thrust_curve", "thrust_drift", "battery_sag", "motor_lag", "command_delay"}
+INDISTINCT_BY_COMMANDS = {"thrust_factor", "thrust_curve", "thrust_drift", "battery_sag", "motor_lag", "command_delay",
+                          "inflow_lag"}  # fmt: skip
 
 
 def draw(settings: dict[str, Any], seconds: float = 30.0, folder: Path = OUT) -> dict[str, Any]:

@@ -54,6 +54,12 @@ def evidence_of(model, apart=0.0, estimated=True, agreeing=REFERENCE):
     return Evidence("a", model.airframe, model, 0.433, inertia, columns, measured, predicted)
 
 
+def test_thrust_that_leads_estimated_speeds_may_be_faster_rotors(ground):
+    """Motors of 17 ms in place of 26 ms had been named inflow_lag."""
+    effects = with_estimated_speeds(catalogue(), ground, [evidence_of(ground)])[0]
+    assert effects["inflow_lag"].always_tied_with == ("motor_lag", "command_delay")
+
+
 def test_a_tie_of_thrust_holds_the_battery(ground):
     """A battery had been a tie of thrust_factor and four weak rotors."""
     effects = with_estimated_speeds(catalogue(), ground, [evidence_of(ground)])[0]
