@@ -9,6 +9,7 @@ from test_indiflight import FIELDS, as_csv, flown  # noqa: F401
 
 from quasi.errors import ConfigError, ReadError, cautions
 from quasi.importing.checks import check_recording, rows_in_spans
+from quasi.importing.checks.channels import frozen_sensor_spans
 from quasi.importing.flight import import_flight
 from quasi.importing.onboard_log import read_onboard
 from quasi.importing.series import Recording, Series
@@ -234,3 +235,30 @@ def test_cases_of_rotor_speeds(tmp_path, name, valid, named):
     if name in ("spikes", "zeros10"):
         assert all(removed[f"w{k}"] > 100 for k in range(1, 5))
         assert frame[["w1", "w2", "w3", "w4"]].max().max() < 4000
+
+
+def coarse_gyro(still):
+    """Ten seconds at 200 Hz in steps of 0.02 rad/s; from 4 to 8 s nothing turns, or the sensor keeps its value."""
+    t = np.arange(2000) / 200.0
+    rate = np.sin(1.3 * np.pi * (t - 4.0)) * np.where((t < 4.0) | (t > 8.0), 1.0, 0.0 if still else 1.0)
+    logged = np.round(rate / 0.02) * 0.02
+    if not still:
+        logged[(t >= 4.0) & (t < 8.2)] = logged[800]
+    return t, {"p": logged}
+
+
+def test_a_quiet_channel_in_coarse_steps_is_not_frozen():
+    t, values = coarse_gyro(still=True)
+    assert frozen_sensor_spans(t, values, np.ones(len(t), bool)) == []
+
+
+def test_a_channel_that_jumps_after_it_kept_its_value_is_frozen():
+    t, values = coarse_gyro(still=False)
+    (span,) = frozen_sensor_spans(t, values, np.ones(len(t), bool))
+    assert (span.begin, span.end) == (pytest.approx(4.0, abs=0.02), pytest.approx(8.2, abs=0.02))
+    assert "gyro channel 'p' is constant in flight" in span.reason
+
+
+def test_a_channel_that_never_changes_is_frozen():
+    t = np.arange(2000) / 200.0
+    assert len(frozen_sensor_spans(t, {"r": np.zeros(2000)}, np.ones(2000, bool))) == 1
