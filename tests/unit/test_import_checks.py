@@ -240,7 +240,7 @@ def test_cases_of_rotor_speeds(tmp_path, name, valid, named):
 def coarse_gyro(still):
     """Ten seconds at 200 Hz in steps of 0.02 rad/s; from 4 to 8 s nothing turns, or the sensor keeps its value."""
     t = np.arange(2000) / 200.0
-    rate = np.sin(1.3 * np.pi * (t - 4.0)) * np.where((t < 4.0) | (t > 8.0), 1.0, 0.0 if still else 1.0)
+    rate = np.sin(np.pi * (t - 4.0)) * np.where((t < 4.0) | (t > 8.0), 1.0, 0.0 if still else 1.0)
     logged = np.round(rate / 0.02) * 0.02
     if not still:
         logged[(t >= 4.0) & (t < 8.2)] = logged[800]
