@@ -24,6 +24,7 @@ MOST_CAUSES = 12  # causes that one search accepts
 FORM_ERROR = 0.05  # share of a cause's Wald statistic that the error of its form may explain, in forces and moments
 SUSPECT = 0.01  # p-value below which a declared rival has to be ruled out
 RESAMPLES = 40  # of the blocks of each flight
+UNPHYSICAL = "its size would be outside what is physical"
 LIMIT_ERRORS = 3.0  # standard errors by which an estimate may lie outside its physical range
 
 
@@ -274,14 +275,11 @@ class Search:
                 return f"it has more parameters than {c.offer.cause} and explains hardly more"
         strongest = max(self.strong, key=lambda c: c.wald, default=None)
         form_error = self.rules.form_error * strongest.wald if strongest is not None else 0.0
-        if (
-            t.offer.since == "changed"
-            and t.wald < form_error
-            and t.wald < form_error * self.rules.overlap(strongest, t.offer.cause)
-        ):
+        small = t.offer.since == "changed" and t.wald < form_error
+        if small and t.wald < form_error * self.rules.overlap(strongest, t.offer.cause):
             return f"it explains so little that it may be the error of the form of {strongest.offer.cause}"
         if not profile.is_possible(t) and not self._is_absent(t, profile):
-            return "its size would be outside what is physical"
+            return UNPHYSICAL
         return "" if profile.has_leading_deviation(t) else "only its accompanying parameters differ"
 
     def _is_absent(self, t: Test, profile: Profile) -> bool:

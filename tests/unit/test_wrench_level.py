@@ -21,6 +21,7 @@ from quasi.gap.levels.forces.held_out import everything
 from quasi.gap.levels.forces.identify import examine
 from quasi.gap.levels.forces.left_out import LeftOut
 from quasi.gap.materiality import Cause
+from quasi.gap.selection import Tie
 from quasi.gap.statistics import mixed as tests_on
 from quasi.gap.statistics.mixed import Candidate
 from quasi.gap.statistics.scores import Score
@@ -291,7 +292,7 @@ def test_a_cause_that_is_contradicted_leaves_no_twin_named_alone(ground, monkeyp
 
 
 def test_what_was_significant_beside_a_cause_that_axes_contradict_alone_goes_with_it(monkeypatch):
-    """b mends what a does wrong: without a there is nothing of it; c stands by itself."""
+    """Rotor drag mends what body drag does wrong: without it there is nothing of it. Ground effect stands by itself."""
     torn = {"body_drag": 5.0, "rotor_drag": 1.0, "ground_effect": 1.0}
     effects = {n: catalogue()[n] for n in torn}
 
@@ -312,12 +313,27 @@ def test_what_was_significant_beside_a_cause_that_axes_contradict_alone_goes_wit
     def named(*names):
         offers = [Candidate(n, "changed", (0,)) for n in names]
         found = [Cause(effects[o.cause], o.since, {}, {}, mixed.test(o, offers, []), []) for o in offers]
-        sought = SimpleNamespace(mixed=mixed, study=None, level={"changed": 1e-3}, flown=None)
-        return examination._widened(found, [], sought, np.ones(3, bool))
+        sought = SimpleNamespace(mixed=mixed, study=None, level={"changed": 1e-3}, flown=None, ranking=[], passed={})
+        kept, ties, vague = examination._widened(found, tied, [], sought, np.ones(3, bool), effects)
+        left.extend(ties)
+        return kept, vague
 
+    monkeypatch.setattr(examination, "share_on_axes", lambda *_: shared)
+    shared, tied, left = 0.0, [], []
     kept, vague = named("body_drag", "rotor_drag", "ground_effect")
     assert [c.effect.id for c in kept] == ["ground_effect"]
     assert "axes differ by 5.0 times" in vague["body_drag"][1]
     assert vague["rotor_drag"][1] == "p = 0.4 without body drag, whose axes differ"
+    # a tie whose axes differ goes as well, with all its members
+    pair = [mixed.test(Candidate(n, "changed", (0,)), [], []) for n in ("body_drag", "rotor_drag")]
+    tied = [("changed", Tie(pair, 3.0))]
+    kept, vague = named("ground_effect")
+    assert [c.effect.id for c in kept] == ["ground_effect"] and not left
+    assert all("axes differ by 5.0 times" in vague[n][1] for n in ("body_drag", "rotor_drag"))
+    # what explains too small a share of it on the same axes may be the error of its form
+    monkeypatch.setattr(examination, "FORM_ERROR", 1.5)
+    tied, shared = [], 1.0
+    kept, vague = named("body_drag", "ground_effect")
+    assert kept == [] and "error of the form" in vague["ground_effect"][1]
     torn["body_drag"] = 1.0
     assert [c.effect.id for c in named("body_drag", "rotor_drag")[0]] == ["body_drag", "rotor_drag"]

@@ -29,7 +29,7 @@ SAG, SCALE = "battery_sag", "rotor_speed_scale"
 OF_TELEMETRY = (SCALE, "telemetry_delay")  # causes of measured speeds alone
 NO_TELEMETRY = "no flight logs rotor speeds; those estimated from commands have no unit and no delay of a telemetry"
 # causes of rotors that follow late: the constant of the model that each changes, its parameter
-LATE = {"motor_lag": ("time constants", "time_constant"), "command_delay": ("delay", "delay")}
+LATE_OF_FORCES = {"motor_lag": ("time constants", "time_constant"), "command_delay": ("delay", "delay")}
 LAG_OF_AIR = "inflow_lag"  # thrust that leads the rotor speed, as it does where rotors are faster than the map says
 OF_THRUST = ("thrust_factor", "thrust_curve", "thrust_drift")  # of all rotors alike, at the same speed
 SPEED_LEVELS = (0.5, 2.0)  # of speed at the same command: beyond it lies another motor
@@ -57,11 +57,11 @@ def with_estimated_speeds(
         if n not in gone
     }
     lists = [{"id": n, "why": NO_TELEMETRY} for n in gone]
-    for name, (key, parameter) in LATE.items():
+    for name, (key, parameter) in LATE_OF_FORCES.items():
         if name in found:
-            found[name] = late_of_forces(found[name], model, key, parameter, [n for n in LATE if n != name])
+            found[name] = late_of_forces(found[name], model, key, parameter, [n for n in LATE_OF_FORCES if n != name])
     if LAG_OF_AIR in found:
-        found[LAG_OF_AIR] = replace(found[LAG_OF_AIR], always_tied_with=tuple(n for n in LATE if n in found))
+        found[LAG_OF_AIR] = replace(found[LAG_OF_AIR], always_tied_with=tuple(n for n in LATE_OF_FORCES if n in found))
     reference = voltage_of_map(model)[1]
     if SAG in found:
         if reference and all("battery_voltage" in e.columns for e in flights):

@@ -17,9 +17,9 @@ from quasi.gap.levels.forces.design import Design, in_stretches
 from quasi.gap.levels.forces.error_reduction import after, wrench_score
 from quasi.gap.levels.forces.held_out import HeldOut
 from quasi.gap.levels.forces.nonlinear import flatness
-from quasi.gap.levels.forces.search import Sought, estimate, merged, offers_of, seek
+from quasi.gap.levels.forces.search import Sought, estimate, merged, offers_of, seek, share_on_axes
 from quasi.gap.materiality import Cause, material, simplest
-from quasi.gap.selection import Named, Profile, Tie
+from quasi.gap.selection import FORM_ERROR, UNPHYSICAL, Named, Profile, Tie
 from quasi.gap.statistics.clustered import ClusteredMixedModel
 from quasi.gap.statistics.mixed import Candidate, Test
 from quasi.model.model import Model
@@ -107,9 +107,7 @@ def examine(
     kept = [c for c in (*fewer, *common) if not any(_stands_for(c, *tie) for tie in ties)]
     kept = sorted(kept, key=lambda c: c.test.p)
     there = [c.test.offer for c in immaterial if c.since == "always" and c not in stand_ins]
-    kept, vague = _widened(kept, [*offers_of([], ties), *there], sought, compared)
-    given = [*(c.test.offer for c in kept), *there]
-    ties = [(since, _anew(tie, given, ties, sought, compared, asked)) for since, tie in ties]
+    kept, ties, vague = _widened(kept, ties, there, sought, compared, asked)
     for cause in kept:
         cause.std = {n: s * flatness(cause.effect, study, vehicle, cause.value) for n, s in cause.std.items()}
     unjudged = [c for c in kept if any((c.effect.id, c.since) == (u.effect.id, u.since) for u in unjudged)]
@@ -183,55 +181,76 @@ def compute_leading_p(profile: Profile, test: Test, widening: float) -> float:
 
 
 def _widened(
-    causes: Sequence[Cause], given: Sequence[Candidate], sought: Sought, compared: np.ndarray
-) -> tuple[list[Cause], dict[str, tuple[Test, str]]]:
-    """The causes, estimated together and with what is given, with wider standard errors where the axes of a cause
+    causes: Sequence[Cause], ties: Sequence[tuple[str, Tie]], there: Sequence[Candidate], sought: Sought,
+    compared: np.ndarray, asked: Mapping[str, Effect],
+) -> tuple[list[Cause], list[tuple[str, Tie]], dict[str, tuple[Test, str]]]:  # fmt: skip
+    """The causes and ties, estimated together and with what is given, with wider standard errors where the axes of one
     differ by more: then its form is not quite right, and which axis has the say decides on the value. Where nothing of
-    a cause is sure any more, it is left out, with the reason, and the others are estimated without it; of these, those
-    that were significant only with it given go as well.
+    one is sure any more, it is left out, with the reason, and the others are estimated without it; of these, those that
+    were significant only with it given go as well. What was left out, or is unphysical, stands for something unknown;
+    what explains next to nothing of it may be the error of its form.
     """
-    kept, vague, torn = list(causes), {}, []
+    kept, tied, vague, torn = list(causes), list(ties), {}, []
+    unknown = [t for t in sought.ranking if sought.passed.get(t.offer) == UNPHYSICAL]
     while True:
+        every = [*(c.test.offer for c in kept), *offers_of([], tied), *there]
         for cause in kept:
-            pooled = sought.mixed.pooled(cause.since)
-            others = [c.test.offer for c in kept if c is not cause] + list(given)
-            again = sought.mixed.test(cause.test.offer, others, pooled)
-            cause.test, cause.value, cause.std = again, *estimate(again, cause.effect, sought.flown)
-            heard = voices(sought.study, compared, cause.test, pooled, others, cause.effect.channels)
-            cause.apart = disagreement(heard)
-        unsure = [
-            c for c in kept if c.apart > 1.0 and compute_leading_p(Profile.of(c.effect), c.test, c.apart) > SURELY
-        ]
-        faint = [c for c in kept if c.test.p >= sought.level[c.since]] if torn else []
+            others = [g for g in every if g != cause.test.offer]
+            cause.test, cause.apart = _again(cause.test.offer, others, cause.effect, sought, compared)
+            cause.value, cause.std = estimate(cause.test, cause.effect, sought.flown)
+        for k, (since, tie) in enumerate(tied):
+            others = [g for g in every if g != tie.tests[0].offer]
+            heard = [_again(t.offer, others, asked[t.offer.cause], sought, compared) for t in tie.tests]
+            tied[k] = since, tie._replace(tests=[t for t, _ in heard], apart=heard[0][1])
+        listed = [(c, c.test, c.apart) for c in kept] + [(pair, pair[1].tests[0], pair[1].apart) for pair in tied]
+        unsure = [one for one in listed if one[2] > 1.0 and _leading_p(one[1], one[2], asked) > SURELY]
+        faint = [one for one in listed if one[1].p >= sought.level[one[1].offer.since]] if torn else []
+        small = [one for one in listed if any(_may_be_form(one[1], u, sought, compared, asked) for u in unknown)]
         if unsure:
-            worst = max(unsure, key=lambda c: c.apart)
-            why = f"its axes differ by {worst.apart:.1f} times their standard errors, so that none of it is sure"
-            torn.append(worst.effect.id.replace("_", " "))
+            worst, test, apart = max(unsure, key=lambda one: one[2])
+            unknown.append(test)
+            why = f"its axes differ by {apart:.1f} times their standard errors, so that none of it is sure"
+            torn.append(test.offer.cause.replace("_", " "))
         elif faint:
-            worst = max(faint, key=lambda c: c.test.p)
-            why = f"p = {worst.test.p:.2g} without {' and '.join(torn)}, whose axes differ"
+            worst, test, _ = max(faint, key=lambda one: one[1].p)
+            why = f"p = {test.p:.2g} without {' and '.join(torn)}, whose axes differ"
+        elif small:
+            worst, test, _ = min(small, key=lambda one: one[1].wald)
+            why = "it explains so little that it may be the error of the form of what no cause explains on its axes"
         else:
             break
         kept = [c for c in kept if c is not worst]
-        vague[worst.effect.id] = worst.test, why
+        tied = [pair for pair in tied if pair is not worst]
+        for lost in [test] if isinstance(worst, Cause) else worst[1].tests:
+            vague[lost.offer.cause] = lost, why
     for cause in kept:
         cause.value, cause.std = estimate(cause.test, cause.effect, sought.flown, cause.apart)
-    return kept, vague
+    return kept, tied, vague
 
 
-def _anew(
-    tie: Tie, given: Sequence[Candidate], ties: Sequence[tuple[str, Tie]], sought: Sought, compared: np.ndarray,
-    asked: Mapping[str, Effect],
-) -> Tie:  # fmt: skip
-    """A tie with its sizes with all named causes given; later causes may resemble it."""
-    others, pooled = (
-        [*given, *offers_of([], [t for t in ties if t[1] is not tie])],
-        sought.mixed.pooled(tie.tests[0].offer.since),
-    )
-    tests = [sought.mixed.test(t.offer, others, pooled) for t in tie.tests]
-    channels = asked[tests[0].offer.cause].channels
-    apart = disagreement(voices(sought.study, compared, tests[0], pooled, others, channels))
-    return tie._replace(tests=tests, apart=apart)
+def _may_be_form(
+    test: Test, unknown: Test, sought: Sought, compared: np.ndarray, asked: Mapping[str, Effect]
+) -> bool:  # fmt: skip
+    """Whether a cause explains less than the share that an error of form may have of what an unknown one does on its
+    axes, see `quasi.gap.selection.Rules`."""
+    if test.offer.since != "changed" or unknown.offer.since != "changed" or test.offer.cause == unknown.offer.cause:
+        return False
+    shared = share_on_axes(sought.study, compared, asked, unknown, test.offer.cause)
+    return test.wald < FORM_ERROR * unknown.wald * shared
+
+
+def _again(
+    offer: Candidate, others: Sequence[Candidate], effect: Effect, sought: Sought, compared: np.ndarray
+) -> tuple[Test, float]:
+    """The test of an offer with others given, and how many times further apart its axes are than they should be."""
+    pooled = sought.mixed.pooled(offer.since)
+    test = sought.mixed.test(offer, others, pooled)
+    heard = voices(sought.study, compared, test, pooled, others, effect.channels)
+    return test, disagreement(heard)
+
+
+def _leading_p(test: Test, apart: float, asked: Mapping[str, Effect]) -> float:
+    return compute_leading_p(Profile.of(asked[test.offer.cause]), test, apart)
 
 
 def _stands_for(cause: Cause, since: str, tie: Tie) -> bool:

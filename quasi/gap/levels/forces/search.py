@@ -61,7 +61,7 @@ def seek(
         mixed = study.witnessed(range(len(flights)), compared)
         lacking = (*study.lacking, *contradicted)
         profiles = {n: Profile.of(e, within.get(n)) for n, e in asked.items()}
-        rules = FORCES._replace(overlap=partial(_share_on_axes, study, compared, asked))
+        rules = FORCES._replace(overlap=partial(share_on_axes, study, compared, asked))
         selection = select_causes(mixed, profiles, rate, rules, lacking)
         named, ties = selection.named, [(tie.tests[0].offer.since, tie) for tie in selection.ties]
         causes = merged(named, asked, mixed, offers_of(named, ties), flown)
@@ -85,7 +85,7 @@ def seek(
     return Sought(study, mixed, values, named, ties, ranking, level, contradicted, selection.rejected, flown)
 
 
-def _share_on_axes(
+def share_on_axes(
     study: Design, compared: Sequence[bool], asked: Mapping[str, Effect], test: Test, other: str
 ) -> float:
     """Share of what a tested cause adds to the compared flights that lies on the axes of another cause.
