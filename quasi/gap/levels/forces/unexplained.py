@@ -179,7 +179,10 @@ def outdone(
     """
     found = {place for place, test in left.reported if test.p < p and place.choice.where != EVERYWHERE}
     grounds, others = left.grounds, [o for o in offers if o != asked]
-    for k, choice in itertools.product([AXES.index(c) for c in channels], grounds.basis.choices):
+    judged = [
+        k for k, a in enumerate(AXES) if a in channels and any(k not in f.excluded for f in grounds.study.flights)
+    ]
+    for k, choice in itertools.product(judged, grounds.basis.choices):
         place = Place(k, choice, asked.since)
         if choice.where in OWN_COVARIATES:
             continue
