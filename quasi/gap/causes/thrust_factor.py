@@ -1,16 +1,36 @@
 """All rotors stronger or weaker.
 
 Air that is thinner changes torque as it changes thrust; blades of another shape do not: torque is a parameter of its
-own, asked together with thrust.
+own, asked together with thrust. In the fit and in the extended model it is four rotors of one `rotor_effectiveness`:
+what sessions differ by has the same columns, and no form of its own gives one away.
 """
 
-from quasi.gap.effect import Effect, Parameter, Terms, Vehicle, number, thrust_wrench
+from collections.abc import Mapping
+
+import numpy as np
+
+from quasi.gap.causes.rotor_effectiveness import EFFECT as ROTOR
+from quasi.gap.effect import Effect, Extension, Parameter, Terms, Values, Vehicle, number, thrust_wrench
+from quasi.gap.flights.evidence import Evidence
+from quasi.model.model import Model
+
+PARTS = {"factor": "rotor", "torque": "torque"}  # parameters here and there
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
     up = thrust_wrench(vehicle, [f"{number(vehicle.thrust)}*w{i}^2" for i in range(1, 5)])
     yaw = " + ".join(f"{number(-s * vehicle.torque)}*w{i}^2" for i, s in enumerate(vehicle.spin, 1))
     return {"factor": up, "torque": {"Mz": yaw}}
+
+
+def _columns(evidence: Evidence, values: Values) -> Mapping[str, np.ndarray]:
+    each = ROTOR.columns(evidence, values)
+    return {name: sum(each[f"{kind}{i}"] for i in range(1, 5)) for name, kind in PARTS.items()}
+
+
+def _extension(values: Values, vehicle: Vehicle, model: Model) -> Extension:
+    alike = {f"{PARTS[name]}{i}": value for name, value in values.items() for i in range(1, 5)}
+    return ROTOR.extension(alike, vehicle, model)
 
 
 EFFECT = Effect(
@@ -25,6 +45,8 @@ EFFECT = Effect(
     rivals=("mass", "rotor_speed_scale", "accelerometer_scale"),
     tie_breaker="roll and pitch doublets: a mass leaves their effectiveness alone",
     terms=_terms,
+    columns=_columns,
+    extension=_extension,
     always_tied_with=("rotor_speed_scale",),
     absorbed_by_model=True,
 )

@@ -11,8 +11,8 @@ From session to session batteries are seated anew and propellers change. The spr
 rotors, left and right, front and rear, along the spin) are those measured for the hover trim. A trim does not separate
 the place of the weight from propellers: of the variance of left and right, front and rear, each has half. A battery
 that is seated elsewhere moves the centre of gravity against the IMU as well, which patterns of thrust do not hold.
-Columns are those of the causes `rotor_effectiveness` and `cg_offset`: with other forms, the data would take a rotor
-that is a fifth weaker for a session, by the difference of the forms.
+Columns are those of the causes `rotor_effectiveness`, `cg_offset` and, of torque, `rotor_speed_scale` as well: with
+other forms, the data would take a rotor that is a fifth weaker for a session, or a session for a scale of all speeds.
 """
 
 import numpy as np
@@ -71,9 +71,11 @@ def session_nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]
         "front and rear": (np.sign(hubs[:, 0]), HALF_VARIANCE * SESSION_SEATING),
         "along the spin": (np.asarray(evidence.spin, float), SESSION_YAW),
     }
-    result, rotors = [], ROTOR.columns(evidence, {})
+    result, rotors = [], dict(ROTOR.columns(evidence, {}))
+    yaw = (evidence.gradient(*ROTORS) * (0.5 * evidence.speeds)[:, None, :])[:, 5]
+    rotors |= {f"yaw{i}": evidence.only("Mz", yaw[:, i - 1]) for i in range(1, 5)}
     for name, (sign, spread) in patterns.items():
-        for kind, each in (("thrust", "rotor"), ("torque", "torque")):
+        for kind, each in (("thrust", "rotor"), ("torque", "torque"), ("torque by the model", "yaw")):
             column = sum(s * rotors[f"{each}{i}"] for i, s in enumerate(sign, 1))
             result.append((f"session: {kind}, {name}", column, spread))
     arm = float(np.abs(hubs[:, :2]).mean())
