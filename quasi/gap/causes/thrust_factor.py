@@ -14,7 +14,7 @@ from quasi.gap.effect import Effect, Extension, Parameter, Terms, Values, Vehicl
 from quasi.gap.flights.evidence import Evidence
 from quasi.model.model import Model
 
-PARTS = {"factor": "rotor", "torque": "torque"}  # parameters here and there
+ROTOR_PARTS = {"factor": "rotor", "torque": "torque"}  # parameters here and there
 
 
 def _terms(vehicle: Vehicle) -> dict[str, Terms]:
@@ -25,11 +25,11 @@ def _terms(vehicle: Vehicle) -> dict[str, Terms]:
 
 def _columns(evidence: Evidence, values: Values) -> Mapping[str, np.ndarray]:
     each = ROTOR.columns(evidence, values)
-    return {name: sum(each[f"{kind}{i}"] for i in range(1, 5)) for name, kind in PARTS.items()}
+    return {name: sum(each[f"{kind}{i}"] for i in range(1, 5)) for name, kind in ROTOR_PARTS.items()}
 
 
 def _extension(values: Values, vehicle: Vehicle, model: Model) -> Extension:
-    alike = {f"{PARTS[name]}{i}": value for name, value in values.items() for i in range(1, 5)}
+    alike = {f"{ROTOR_PARTS[name]}{i}": value for name, value in values.items() for i in range(1, 5)}
     return ROTOR.extension(alike, vehicle, model)
 
 
