@@ -17,7 +17,7 @@ from quasi.errors import DataError
 from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.gathering import gather
-from quasi.gap.levels.forces.axis_consistency import Voice, contradiction, disagreement, voices
+from quasi.gap.levels.forces.axis_consistency import Voice, contradiction, disagreement, hear, p_together, voices
 from quasi.gap.levels.forces.design import gather_design
 from quasi.gap.levels.rollouts import open_loop, output_error
 from quasi.gap.levels.rollouts.confirmation import (
@@ -406,6 +406,11 @@ def test_axes_of_what_changed_are_heard_whatever_the_base_would_take_up_of_the_o
     assert len([v for v in told if v.std < 0.1]) >= 2
     for voice in told:
         assert voice.amount == pytest.approx(1.0, abs=4.0 * voice.std), told
+    # axes without a say do not make a cause significant
+    assert hear(both, compared, test, every, (), [v.axis for v in told])[0] == test.p
+    [loud, *_] = sorted(told, key=lambda v: v.std)
+    assert hear(both, compared, test, every, (), [loud.axis])[0] == p_together([loud], 1) > test.p
+    assert hear(both, compared, test, every, (), [])[0] == 1.0
 
 
 def test_what_contradicts_a_cause_is_a_sure_axis_with_the_other_sign():
@@ -422,3 +427,9 @@ def test_axes_that_differ_widen_standard_errors_by_how_much_they_do():
     assert disagreement([*apart, Voice("Mz", 0.7, 5.0)]) == pytest.approx(18.0**0.5)  # which says nothing
     assert disagreement([Voice("Fx", 1.0, 0.1), Voice("Fz", 0.9, 0.1)]) == 1.0
     assert disagreement([Voice("Fx", 1.0, 0.1)]) == 1.0
+
+
+def test_the_axes_together_are_tested_by_their_weighted_mean():
+    """Mean of 1.0 +- 0.5 and 0.5 +- 0.5: 0.75 +- 0.354, which is 2.12 standard errors."""
+    assert p_together([Voice("Fx", 1.0, 0.5), Voice("Fz", 0.5, 0.5)], 1) == pytest.approx(0.0339, abs=1e-4)
+    assert p_together([], 1) == 1.0

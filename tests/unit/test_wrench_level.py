@@ -307,8 +307,10 @@ def test_what_was_significant_beside_a_cause_that_axes_contradict_alone_goes_wit
             return tests_on.Test(offer, np.full(count, value), np.eye(count), 1.0, value**2, p)
 
     mixed = Together()
-    monkeypatch.setattr(examination, "voices", lambda study, compared, test, *_: test.offer.cause)
-    monkeypatch.setattr(examination, "disagreement", torn.get)
+    heard = {}  # p-values on the axes where the form holds
+    monkeypatch.setattr(
+        examination, "hear", lambda _, __, test, *___: (heard.get(test.offer.cause, test.p), torn[test.offer.cause])
+    )
 
     def named(*names):
         offers = [Candidate(n, "changed", (0,)) for n in names]
@@ -337,3 +339,13 @@ def test_what_was_significant_beside_a_cause_that_axes_contradict_alone_goes_wit
     assert kept == [] and "error of the form" in vague["ground_effect"][1]
     torn["body_drag"] = 1.0
     assert [c.effect.id for c in named("body_drag", "rotor_drag")[0]] == ["body_drag", "rotor_drag"]
+    # what only axes without a say show is no cause
+    heard["rotor_drag"] = 0.04
+    kept, vague = named("body_drag", "rotor_drag")
+    assert [c.effect.id for c in kept] == ["body_drag"]
+    assert vague["rotor_drag"][1] == "p = 0.04 on the axes where its form holds"
+    # nor is what is not significant with standard errors as wide as its axes are apart: 36 / 2^2 is 3 standard errors
+    torn["ground_effect"] = 2.0
+    assert [c.effect.id for c in named("ground_effect")[0]] == []
+    torn["ground_effect"] = 1.5
+    assert [c.effect.id for c in named("ground_effect")[0]] == ["ground_effect"]

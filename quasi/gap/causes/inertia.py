@@ -75,5 +75,6 @@ EFFECT = Effect(
     extension=_extension,
     exact=_exact,
     sums=_body,
+    parts="paired",  # products alone are no other mass distribution, but most often the error of another form
     absorbed_by_model=True,
 )

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import chi2
 
 from quasi.gap.levels.forces.design import Design, in_stretches
 from quasi.gap.statistics.blocks import BLOCK
@@ -83,6 +84,27 @@ def disagreement(heard: Sequence[Voice]) -> float:
     mean = sum(w * v.amount for w, v in zip(weights, sharp)) / sum(weights)
     spread = sum(w * (v.amount - mean) ** 2 for w, v in zip(weights, sharp)) / (len(sharp) - 1)
     return max(spread**0.5, 1.0)
+
+
+def hear(
+    study: Design, compared: Sequence[bool], test: Test, pooled: Sequence[str], given: Sequence[Candidate],
+    channels: Sequence[str],
+) -> tuple[float, float]:  # fmt: skip
+    """p-value of a cause on the axes where its form holds, and `disagreement` of these; arguments as for `voices`.
+
+    Where the cause adds to further axes, these do not make it significant.
+    """
+    everywhere = voices(study, compared, test, pooled, given)
+    heard = [v for v in everywhere if v.axis in channels]
+    p = test.p if len(heard) == len(everywhere) else max(test.p, p_together(heard, len(test.offer.which)))
+    return p, disagreement(heard)
+
+
+def p_together(heard: Sequence[Voice], parameters: int) -> float:
+    """p-value of the axes' weighted mean, 1 where none is heard; parameters  that the cause was fitted with."""
+    weights = np.array([v.std**-2.0 for v in heard])
+    amounts = np.array([v.amount for v in heard])
+    return float(chi2.sf((weights @ amounts) ** 2 / weights.sum(), parameters)) if heard else 1.0
 
 
 def contradiction(heard: Sequence[Voice]) -> str:

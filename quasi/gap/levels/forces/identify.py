@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.stats import chi2
 
 from quasi.errors import ConfigError
 from quasi.gap.effect import Effect, Limits, Vehicle
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.sessions import units
-from quasi.gap.levels.forces.axis_consistency import disagreement, voices
+from quasi.gap.levels.forces.axis_consistency import hear
 from quasi.gap.levels.forces.design import Design, in_stretches
 from quasi.gap.levels.forces.error_reduction import after, wrench_score
 from quasi.gap.levels.forces.held_out import HeldOut
@@ -24,9 +24,6 @@ from quasi.gap.statistics.clustered import ClusteredMixedModel
 from quasi.gap.statistics.mixed import Candidate, Test
 from quasi.model.model import Model
 
-# p-value, with standard errors widened, up to which the leading parameters together differ from neutral: two standard
-# errors of a single one
-SURELY = 2.0 * float(norm.sf(2.0))
 WEIGHING = ("mass", "cg_offset")
 NET = "the model is of net forces (noGravity), which hold the weight; identify it withGravity"
 RESAMPLED_SEARCHES = 40  # resamples of the flights' blocks
@@ -185,10 +182,10 @@ def _widened(
     compared: np.ndarray, asked: Mapping[str, Effect],
 ) -> tuple[list[Cause], list[tuple[str, Tie]], dict[str, tuple[Test, str]]]:  # fmt: skip
     """The causes and ties, estimated together and with what is given, with wider standard errors where the axes of one
-    differ by more: then its form is not quite right, and which axis has the say decides on the value. Where nothing of
-    one is sure any more, it is left out, with the reason, and the others are estimated without it; of these, those that
-    were significant only with it given go as well. What was left out, or is unphysical, stands for something unknown;
-    what explains next to nothing of it may be the error of its form.
+    differ by more: then its form is not quite right, and which axis has the say decides on the value. One that is not
+    significant with wider errors is left out, with the reason, and the others are estimated without it; of these, those
+    that were significant only with it given go as well, and one that only axes without a say show. What was left out,
+    or is unphysical, stands for something unknown; what explains next to nothing of it may be the error of its form.
     """
     kept, tied, vague, torn = list(causes), list(ties), {}, []
     unknown = [t for t in sought.ranking if sought.passed.get(t.offer) == UNPHYSICAL]
@@ -203,17 +200,21 @@ def _widened(
             heard = [_again(t.offer, others, asked[t.offer.cause], sought, compared) for t in tie.tests]
             tied[k] = since, tie._replace(tests=[t for t, _ in heard], apart=heard[0][1])
         listed = [(c, c.test, c.apart) for c in kept] + [(pair, pair[1].tests[0], pair[1].apart) for pair in tied]
-        unsure = [one for one in listed if one[2] > 1.0 and _leading_p(one[1], one[2], asked) > SURELY]
-        faint = [one for one in listed if one[1].p >= sought.level[one[1].offer.since]] if torn else []
+        unsure = [
+            one for one in listed
+            if one[2] > 1.0 and _leading_p(one[1], one[2], asked) >= sought.level[one[1].offer.since]
+        ]  # fmt: skip
+        faint = [one for one in listed if one[1].p >= sought.level[one[1].offer.since]]
         small = [one for one in listed if any(_may_be_form(one[1], u, sought, compared, asked) for u in unknown)]
         if unsure:
             worst, test, apart = max(unsure, key=lambda one: one[2])
             unknown.append(test)
-            why = f"its axes differ by {apart:.1f} times their standard errors, so that none of it is sure"
+            why = f"its axes differ by {apart:.1f} times their standard errors; with wider ones it is not significant"
             torn.append(test.offer.cause.replace("_", " "))
         elif faint:
             worst, test, _ = max(faint, key=lambda one: one[1].p)
-            why = f"p = {test.p:.2g} without {' and '.join(torn)}, whose axes differ"
+            where = f"without {' and '.join(torn)}, whose axes differ" if torn else "on the axes where its form holds"
+            why = f"p = {test.p:.2g} {where}"
         elif small:
             worst, test, _ = min(small, key=lambda one: one[1].wald)
             why = "it explains so little that it may be the error of the form of what no cause explains on its axes"
@@ -245,8 +246,8 @@ def _again(
     """The test of an offer with others given, and how many times further apart its axes are than they should be."""
     pooled = sought.mixed.pooled(offer.since)
     test = sought.mixed.test(offer, others, pooled)
-    heard = voices(sought.study, compared, test, pooled, others, effect.channels)
-    return test, disagreement(heard)
+    p, apart = hear(sought.study, compared, test, pooled, others, effect.channels)
+    return test._replace(p=p), apart
 
 
 def _leading_p(test: Test, apart: float, asked: Mapping[str, Effect]) -> float:
