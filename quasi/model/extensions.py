@@ -136,13 +136,15 @@ def compute_flight_inertia(model: Model, logged: np.ndarray) -> np.ndarray:
 
 
 def correct_rotor_speeds(columns: Mapping[str, np.ndarray], late: float, scale: float) -> dict[str, np.ndarray]:
-    """Correct the rotor speeds of a flight's columns. late  delay, s; scale  factor of the recorded speeds"""
+    """Correct the rotor speeds of a flight's columns. late  delay, s; scale  factor of the recorded speeds
+
+    Speeds are read `late` later, linear between samples: W + late dW/dt would miss what bends within the delay.
+    """
     result = dict(columns)
     if late or scale != 1.0:
-        for name in ROTORS:
-            slope = f"{name}_dot"
-            result[name] = (columns[name] + late * columns[slope]) / scale
-            result[slope] = columns[slope] / scale
+        t = np.asarray(columns["t"], float)
+        for name in (*ROTORS, *(f"{rotor}_dot" for rotor in ROTORS)):
+            result[name] = np.interp(t + late, t, np.asarray(columns[name], float)) / scale
     return result
 
 

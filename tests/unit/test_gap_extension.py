@@ -47,7 +47,8 @@ def with_cause(model, name, values):
 @pytest.mark.parametrize(
     "name, values, recorded",
     [
-        ("telemetry_delay", {"delay": 0.01}, lambda w, slope: w - 0.01 * slope),
+        # one sample of 10 ms; the last value is held
+        ("telemetry_delay", {"delay": 0.01}, lambda w, slope: np.append(w[0] - 0.01 * slope[0], w[:-1])),
         ("rotor_speed_scale", {"scale": 0.08}, lambda w, slope: 1.08 * w),
     ],
 )
@@ -55,7 +56,7 @@ def test_a_wrong_recording_is_put_right(name, values, recorded):
     model = base_of("withGravity")
     evidence, truth = flight(model, recorded)
     found = shown(with_cause(model, name, values), model, evidence)
-    assert np.abs(found - truth).max() < 1e-9
+    assert np.abs(found - truth)[:-1].max() < 1e-9
     assert np.abs(evidence.predicted - truth).max() > 0.005
 
 

@@ -4,13 +4,24 @@ import numpy as np
 
 from quasi.gap.effect import Effect, Extension, Parameter, Values, Vehicle
 from quasi.gap.flights.evidence import Evidence
+from quasi.gap.flights.instruments import reread
 from quasi.model.columns import ROTORS
+from quasi.model.extensions import correct_rotor_speeds
 from quasi.model.model import Model
 
 
 def _columns(evidence: Evidence, _: Values) -> dict[str, np.ndarray]:
     slope = evidence.gradient(*ROTORS)
     return {"delay": np.einsum("nij,nj->ni", slope, evidence.spin_up)}
+
+
+def _corrected(evidence: Evidence, values: Values) -> Evidence:
+    return reread(evidence, correct_rotor_speeds(evidence.columns, values["delay"], 1.0))
+
+
+def _whole(evidence: Evidence, _: Vehicle, values: Values) -> np.ndarray:
+    # beyond first order a late moment looks like another moment of inertia
+    return _corrected(evidence, values).predicted - evidence.predicted
 
 
 def _extension(values: Values, _: Vehicle, __: Model) -> Extension:
@@ -29,6 +40,8 @@ EFFECT = Effect(
     rivals=("inflow_lag", "command_delay", "rotor_acceleration_torque"),
     tie_breaker="sharp doublets about all axes",
     columns=_columns,
+    full_effect=_whole,
+    corrected=_corrected,
     extension=_extension,
     absorbed_by_model=True,
     corrects=("telemetry", "age"),

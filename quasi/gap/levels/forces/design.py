@@ -143,6 +143,11 @@ def bounds_of(effect: Effect, vehicle: Vehicle) -> np.ndarray:
     return np.array([BOUND * sizes.get(name, np.inf) for name in effect.fitted])
 
 
+def _one_for_all(effect: Effect) -> bool:
+    """Whether all flights have the same value of a cause."""
+    return all(effect.parameters[name].scope != "f" for name in effect.fitted)
+
+
 def gather_design(
     flights: Sequence[Evidence],
     effects: Mapping[str, Effect],
@@ -188,8 +193,11 @@ def gather_design(
             raise DataError(f"flight {flight.key} has no second of valid data without a gap; fly longer")
         names = [name for name, _ in parts]
         first = 1 + len(shared)
-        # slopes at each flight's own values, with terms that hold them all, would make up any change
-        bent = tuple(n for n in causes if asked[n].is_nonlinear and asked[n].absorbed_by_model)
+        # slopes at each flight's own values, with terms that hold them all, would make up any change; what every
+        # flight has its own value of, no terms hold
+        bent = tuple(
+            n for n in causes if asked[n].is_nonlinear and asked[n].absorbed_by_model and _one_for_all(asked[n])
+        )
         spread = np.array([s for *_, s in own])
         usual = {n: bounds_of(asked[n], vehicle) for n in causes}
         then = first + len(own)

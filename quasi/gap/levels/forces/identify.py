@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from quasi.errors import ConfigError
 from quasi.gap.effect import Effect, Limits, Vehicle
@@ -24,6 +24,9 @@ from quasi.gap.statistics.clustered import ClusteredMixedModel
 from quasi.gap.statistics.mixed import Candidate, Test
 from quasi.model.model import Model
 
+# p-value, with standard errors widened, up to which the leading parameters of a tie, which names nothing, together
+# differ from neutral: two standard errors of a single one
+SURELY = 2.0 * float(norm.sf(2.0))
 WEIGHING = ("mass", "cg_offset")
 NET = "the model is of net forces (noGravity), which hold the weight; identify it withGravity"
 RESAMPLED_SEARCHES = 40  # resamples of the flights' blocks
@@ -182,12 +185,17 @@ def _widened(
     compared: np.ndarray, asked: Mapping[str, Effect],
 ) -> tuple[list[Cause], list[tuple[str, Tie]], dict[str, tuple[Test, str]]]:  # fmt: skip
     """The causes and ties, estimated together and with what is given, with wider standard errors where the axes of one
-    differ by more: then its form is not quite right, and which axis has the say decides on the value. One that is not
-    significant with wider errors is left out, with the reason, and the others are estimated without it; of these, those
-    that were significant only with it given go as well, and one that only axes without a say show. What was left out,
-    or is unphysical, stands for something unknown; what explains next to nothing of it may be the error of its form.
+    differ by more: then its form is not quite right, and which axis has the say decides on the value. A cause that is
+    not significant with wider errors, or a tie that nothing is sure of, is left out, with the reason, and the others
+    are estimated without it; of these, those that were significant only with it given go as well, and one that only
+    axes without a say show. What was left out, or is unphysical, stands for something unknown; what explains next to
+    nothing of it may be the error of its form.
     """
     kept, tied, vague, torn = list(causes), list(ties), {}, []
+
+    def enough(one: tuple) -> float:
+        return sought.level[one[1].offer.since] if isinstance(one[0], Cause) else SURELY
+
     unknown = [t for t in sought.ranking if sought.passed.get(t.offer) == UNPHYSICAL]
     while True:
         every = [*(c.test.offer for c in kept), *offers_of([], tied), *there]
@@ -200,10 +208,7 @@ def _widened(
             heard = [_again(t.offer, others, asked[t.offer.cause], sought, compared) for t in tie.tests]
             tied[k] = since, tie._replace(tests=[t for t, _ in heard], apart=heard[0][1])
         listed = [(c, c.test, c.apart) for c in kept] + [(pair, pair[1].tests[0], pair[1].apart) for pair in tied]
-        unsure = [
-            one for one in listed
-            if one[2] > 1.0 and _leading_p(one[1], one[2], asked) >= sought.level[one[1].offer.since]
-        ]  # fmt: skip
+        unsure = [one for one in listed if one[2] > 1.0 and _leading_p(one[1], one[2], asked) >= enough(one)]
         faint = [one for one in listed if one[1].p >= sought.level[one[1].offer.since]]
         small = [one for one in listed if any(_may_be_form(one[1], u, sought, compared, asked) for u in unknown)]
         if unsure:
