@@ -1,15 +1,18 @@
 """Rotor speeds estimated from commands: against telemetry that was withheld, and on real flights without any.
 
-    python benchmarks/commands_only.py withheld [--flights 1 2 3]     the bundled example, in this folder
-    python benchmarks/commands_only.py nanobench PATH                 PATH holds nanobench/ as published
+    python benchmarks/commands_only.py withheld [--flights 1 2 3] [--record]   the bundled example, in this folder
+    python benchmarks/commands_only.py nanobench PATH [--record]               PATH holds nanobench/ as published
 
 `withheld` filters imported flights of the example again without their rotor speeds, estimates these from commands and
 battery voltage, and prints: ratio of torque to thrust factors and time constants against those from telemetry, rms
 error of the speeds after one common scale, and rms error of Fz and moments by the simple rotor model of either speeds.
 Estimated speeds have the lag of thrust. The errors are printed as well for speeds with the rotors' own lag, by the yaw
-moment, as telemetry has it; and for both, R2 of the measured Fz and moments by squared speeds, damping and airspeed.
+moment, as telemetry has it. Then least squares of the measured Fz and moments on squared speeds, damping and airspeed,
+with and without W dW/dt: thrust leads the rotor speed, because the air through the rotor follows late. Printed are R2
+of the measurement, and the rms error against the truth below the low-pass, over the rms of the truth about its mean.
 `nanobench` makes the model of examples/crazyflie through the workflow and prints its scores on held-out flights, arms,
-and the mean error of roll-outs of 0.1, 0.2 and 0.5 s over that of holding the last state.
+the mean error of roll-outs of 0.1, 0.2 and 0.5 s over that of holding the last state, and the difference of held-out
+flights from the moment factors of the training flights over the standard error that is stated for one flight.
 Both write results/benchmarks/commands_only_*.json.
 """
 
@@ -20,14 +23,17 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from measured_table import record
 from plain_rollout import hold_states
+from scipy.signal import butter, sosfiltfilt
 
 from quasi.airframe import Airframe, read_airframe
 from quasi.filtering.flight import filter_flight
 from quasi.filtering.rotor_speeds import add_estimated_speeds, read_flight
-from quasi.identification.joint_fit import JOINT_AXES
+from quasi.identification.flight_scatter import flight_factor
+from quasi.identification.joint_fit import JOINT_AXES, JointFit, prepare_flight
 from quasi.identification.partition import partition, usable
-from quasi.identification.rotor_speeds import rotor_speeds_of
+from quasi.identification.rotor_speeds import rotor_speeds_of, rows_within_limits
 from quasi.identification.shared import shared
 from quasi.model.model import read_model
 from quasi.simulation.tools.rollout import compute_errors, count_steps, rollout
@@ -87,11 +93,26 @@ def withheld(numbers: list[int]) -> dict:
     if drive["yaw"]:
         turning = drive | {name: drive["yaw"][name] for name in ("time constant", "delay")}
         kinds["lag of the rotors"] = {k: add_estimated_speeds(t, made, turning) for k, (t, made) in blind.items()}
-    report["R2 of the measurement"] = {"telemetry": explained(measured, measured, airframe)}
+    truth_of_axes = {key: true_axes(key, table, options) for key, table in measured.items()}
     for name, tables in kinds.items():
         report[name] = compared(measured, tables, airframe, (truth["simple model"], own["simple model"]))
-        report["R2 of the measurement"][name] = explained(measured, tables, airframe)
+    fits = {"telemetry": measured, **kinds}
+    report["fits"] = {
+        f"{name}{', with W dW/dt' if lead else ''}": fitted(measured, tables, airframe, truth_of_axes, lead)
+        for name, tables in fits.items()
+        for lead in (False, True)
+    }
     return report
+
+
+def true_axes(key: str, table: pd.DataFrame, options: dict) -> dict[str, np.ndarray]:
+    """True Fz and moments (N,) of a made flight at the times of its filtered table, below the same low-pass."""
+    start = read_json(ROOT / f"results/imported/MadeBeetle/{key}.json")["start"]["value"]
+    whole = read_table(ROOT / f"results/synthesis/example/truth/{key}.parquet")
+    t = whole["t"].to_numpy(float)
+    low = butter(4, options.get("low-pass cutoff Hz", 40.0), fs=1.0 / float(np.median(np.diff(t))), output="sos")
+    at = table["t"].to_numpy(float) + start
+    return {axis: np.interp(at, t, sosfiltfilt(low, whole[axis].to_numpy(float))) for axis in JOINT_AXES}
 
 
 def compared(measured: dict, estimated: dict, airframe: Airframe, models: tuple[dict, dict]) -> dict:
@@ -118,29 +139,65 @@ def used_together(a: pd.DataFrame, b: pd.DataFrame) -> np.ndarray:
     return rows & used_rows(a) & used_rows(b)
 
 
-def explained(measured: dict, speeds: dict, airframe: Airframe) -> dict[str, float]:
-    """R2 of measured Fz and moments by least squares on squared speeds, damping, airspeed and rotor acceleration."""
+def fitted(measured: dict, speeds: dict, airframe: Airframe, truth: dict, lead: bool) -> dict[str, dict[str, float]]:
+    """R2 of measured Fz and moments by least squares on squared speeds, damping, airspeed and rotor acceleration, and
+    the error against the truth. lead  with the term in W dW/dt, whose coefficient is a time by which thrust leads"""
     signs = np.stack([-np.ones(4), airframe.left, airframe.front, airframe.spin])
     found = {}
     for axis, sign in zip(JOINT_AXES, signs):
-        y, x = [], []
+        y, x, true = [], [], []
         for key, table in measured.items():
             rows = used_together(table, speeds[key])
             a, b = table[rows], speeds[key][rows]
-            w = b[list(SPEEDS)].to_numpy(float)
-            faster = b[[f"{s}_dot" for s in SPEEDS]].to_numpy(float) @ airframe.spin
+            w, faster = b[list(SPEEDS)].to_numpy(float), b[[f"{s}_dot" for s in SPEEDS]].to_numpy(float)
             further = {
                 "Fz": (a["w"] * w.sum(axis=1), a["u"] ** 2 + a["v"] ** 2),
                 "Mx": (a["p"], a["v"] * w.sum(axis=1)),
                 "My": (a["q"], a["u"] * w.sum(axis=1)),
-                "Mz": (a["r"], faster),
+                "Mz": (a["r"], faster @ airframe.spin),
             }[axis]
+            further = (*further, (2.0 * w * faster) @ sign) if lead else further
             y.append(a[axis].to_numpy(float))
             x.append(np.column_stack([w**2 @ sign, *further, np.ones(len(a))]))
-        target, columns = np.concatenate(y), np.concatenate(x)
-        columns = columns / np.linalg.norm(columns, axis=0)
-        left = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
-        found[axis] = float(1.0 - np.var(left) / np.var(target))
+            true.append(truth[key][axis][rows])
+        target, columns, true = np.concatenate(y), np.concatenate(x), np.concatenate(true)
+        size = np.linalg.norm(columns, axis=0)
+        theta = np.linalg.lstsq(columns / size, target, rcond=None)[0] / size
+        left = target - columns @ theta
+        found[axis] = {
+            "R2": float(1.0 - np.var(left) / np.var(target)),
+            "error": float(np.std(columns @ theta - true) / np.std(true)),
+        }
+        if lead:
+            found[axis]["lead"] = float(theta[-2] / theta[0])
+    return found
+
+
+def spread_of_factors(tables: dict, drive: dict, airframe: Airframe, masses: dict) -> dict[str, float]:
+    """Root mean square, over held-out flights, of the difference of their moment factors from those of the model over
+    its standard error: that of the flight, of the model, and the deviation between flights. About 1 where all hold."""
+    chosen = {}
+    for key, table in tables.items():
+        chosen[key] = np.zeros(len(table), bool)
+        chosen[key][usable(len(table), 0.7)] = used_rows(table)[usable(len(table), 0.7)]
+    rows = rows_within_limits(tables, chosen, [])
+    point = drive["operating command"], drive["reference voltage"]
+    flights = [prepare_flight(t, rows[k], airframe, masses[k], drive["input"], point) for k, t in tables.items()]
+    warming = drive["warm-up drop"] is not None
+    fit = JointFit(drive["form"], flights, airframe, drive["voltage exponent"] is not None, warming=warming)
+    entries = {**drive["parameters"], **{n: drive[n] for n in ("time constant", "delay", "voltage exponent")}}
+    entries |= {n: drive[n] for n in WARM_UP_NAMES}
+    fit.x = np.array([entries[n]["value"] for n in fit.names])
+    fit.colour = {axis: np.array(colour) for axis, colour in drive["disturbance"].items()}
+    found = {}
+    for axis in ("Mx", "My"):
+        factor = drive["factors"][axis]
+        ones = [one for one in (flight_factor(fit, f, axis) for f in flights) if one is not None]
+        variances = [std**2 + factor["std"] ** 2 + factor["between flights"] ** 2 for _, std, _ in ones]
+        shifts = [(value - factor["value"]) ** 2 / v for (value, _, _), v in zip(ones, variances)]
+        found[axis] = float(np.sqrt(np.mean(shifts)))
+        plain = [(value - factor["value"]) ** 2 / std**2 for value, std, _ in ones]
+        found[f"{axis}, within flights alone"] = float(np.sqrt(np.mean(plain)))
     return found
 
 
@@ -171,9 +228,11 @@ def nanobench(path: str) -> dict:
     }
     errors: dict[str, list] = {}
     pooled: dict[str, list] = {}
+    held_out, masses = {}, {}
     for key in model.document["flights"]["validation"]:
         place = folder / f"results/filtered/Nano/withGravity/{key}.parquet"
         flight = read_flight(place, drive)
+        held_out[key], masses[key] = read_table(place), read_made(place)["mass"]
         for kind, values in roll_outs(model, flight).items():
             errors.setdefault(kind, []).append(values)
         rows = partition({key: flight}, {key}, {"usable data ratio": 0.7})[key] > 0
@@ -193,7 +252,33 @@ def nanobench(path: str) -> dict:
         kind: dict(zip(map(str, HORIZONS), (np.mean(values, axis=0)[0] / np.mean(values, axis=0)[1]).tolist()))
         for kind, values in errors.items()
     }
+    airframe = read_airframe(read_json(folder / "config/Nano.json"), "Nano", float(np.mean(list(masses.values()))))
+    report["held-out factors over stated errors"] = spread_of_factors(held_out, drive, airframe, masses)
     return report
+
+
+def figures_of(what: str, report: dict) -> dict[str, float]:
+    """The values of benchmarks/results/commands_only.json that a report holds."""
+    if what == "withheld":
+        names = {"telemetry": "telemetry", "lag of thrust": "commands", "telemetry, with W dW/dt": "lead",
+                 "lag of the rotors, with W dW/dt": "commands_lead"}  # fmt: skip
+        found = {
+            f"{short}_{axis}": part["error"] for k, short in names.items() for axis, part in report["fits"][k].items()
+        }
+        return found | {"lead_time": report["fits"]["telemetry, with W dW/dt"]["Mx"]["lead"]}
+    found = {f"R2_{axis}": part["pooled"] for axis, part in report["R2 of held-out flights"].items()}
+    found |= {f"arm_{axis}": part["value"] for axis, part in report["arms over configured"].items()}
+    found |= {f"arm_std_{axis}": part["std"] for axis, part in report["arms over configured"].items()}
+    found |= {f"between_{axis}": part["between flights"] for axis, part in report["arms over configured"].items()}
+    found |= {
+        f"{kind}_{horizon}": value
+        for kind, part in report["roll-outs over holding"].items()
+        for horizon, value in zip(("first", "second", "last"), part.values())
+    }
+    spread = report["held-out factors over stated errors"]
+    return found | {f"spread_{axis}": spread[axis] for axis in ("Mx", "My")} | {
+        f"spread_within_{axis}": spread[f"{axis}, within flights alone"] for axis in ("Mx", "My")
+    }  # fmt: skip
 
 
 def main() -> None:
@@ -202,6 +287,7 @@ def main() -> None:
     parser.add_argument("what", choices=("withheld", "nanobench"))
     parser.add_argument("path", nargs="?", help="folder that holds nanobench/")
     parser.add_argument("--flights", type=int, nargs="+", default=[1, 2, 3])
+    parser.add_argument("--record", action="store_true", help="store the figures in benchmarks/results")
     chosen = parser.parse_args()
     if chosen.what == "nanobench" and not chosen.path:
         parser.error("nanobench needs the folder that holds nanobench/")
@@ -209,6 +295,8 @@ def main() -> None:
     write_json(ROOT / f"results/benchmarks/commands_only_{chosen.what}.json", report)
     for name, value in report.items():
         print(f"{name}: {value}")
+    if chosen.record:
+        record("commands_only", figures_of(chosen.what, report))
 
 
 if __name__ == "__main__":

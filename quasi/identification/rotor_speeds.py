@@ -28,6 +28,7 @@ import pandas as pd
 from quasi.airframe import Airframe, number
 from quasi.attitude import AIR_DENSITY, GRAVITY
 from quasi.errors import DataError
+from quasi.identification.flight_scatter import factor_error
 from quasi.identification.joint_fit import JOINT_AXES, JointFit, prepare_flight
 from quasi.identification.partition import usable
 from quasi.identification.taught_map import teach_map, teaching_flights
@@ -103,6 +104,8 @@ def identify_rotor_speeds(
     drive["yaw"] = {n: yaw[n] for n in ("time constant", "delay")} if yaw else None
     if yaw:
         drive["factors"]["Mz"] = yaw["factor"]
+    for axis, factor in drive["factors"].items():
+        factor["std"], factor["between flights"] = factor_error(fit, axis, factor["std"])
     drive["candidates"] = [
         {"form": n, "BIC": f.criterion - fits[best].criterion, "parameters": len(f.x)} for n, f in fits.items()
     ]

@@ -253,6 +253,8 @@ def describe_map(document: Mapping[str, Any]) -> list[str]:
             f"Arms by roll and pitch moments over those configured: {roll['value']:.2f} +- {roll['std']:.2f}, "
             f"{pitch['value']:.2f} +- {pitch['std']:.2f}"
         )
+        if roll.get("between flights") is not None:
+            sentences[-1] += f"; std between flights {roll['between flights']:.2f}, {pitch['between flights']:.2f}"
     return sentences
 
 

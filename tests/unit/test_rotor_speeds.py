@@ -1,5 +1,7 @@
 """Rotor speeds from commands: the map, lag and factors of made flights are found again; bad commands are refused."""
 
+import copy
+import dataclasses
 import json
 from pathlib import Path
 
@@ -14,7 +16,9 @@ from quasi.airframe import read_airframe
 from quasi.attitude import GRAVITY
 from quasi.errors import ConfigError, DataError, ShapeError
 from quasi.filtering.rotor_speeds import add_estimated_speeds, trim_of
+from quasi.identification.flight_scatter import factor_error, variance_between
 from quasi.identification.geometry import contradicting_places
+from quasi.identification.joint_fit import JointFit, prepare_flight
 from quasi.identification.map_error import add_map_error
 from quasi.identification.rotor_speeds import (
     actuators_of,
@@ -91,6 +95,41 @@ def test_factors_hold_in_closed_loop(found):
     assert drive["factors"]["My"]["value"] == pytest.approx(1.0, abs=0.1)
     assert drive["factors"]["Mz"]["value"] == pytest.approx(0.02, rel=0.1)
     assert contradicting_places(places_of(drive), to_draw(), 1.0) == []
+
+
+def test_errors_of_factors_hold_the_scatter_between_flights():
+    airframe = to_draw()
+    wide = dataclasses.replace(airframe, inertia=1.4 * np.asarray(airframe.inertia))
+    made = [flight(n, 20.0, hidden=0.004) for n in (1, 2, 3)]
+    point = OPERATING, 15.0
+
+    def fit_of(frames):
+        flights = [
+            prepare_flight(f, np.ones(len(f), bool), frame, MASS, "share", point) for f, frame in zip(made, frames)
+        ]
+        fit = JointFit("linear", flights, airframe, True)
+        fit.run()
+        return fit
+
+    alike, unlike = fit_of([airframe] * 3), fit_of([airframe, airframe, wide])
+    for axis in ("Mx", "My"):
+        plain = alike.errors[axis][0]
+        std, between = factor_error(alike, axis, plain)
+        assert plain <= std < 0.1 and between < 0.1
+        # one flight of three at 1.4: the std of (1, 1, 1.4) is 0.23, that of their mean 0.13
+        std, between = factor_error(unlike, axis, unlike.errors[axis][0])
+        assert 0.15 < between < 0.35 and 0.09 < std < 0.21
+    lonely = copy.copy(alike)
+    lonely.flights = alike.flights[:1]
+    assert factor_error(lonely, "Mx", 0.02) == (0.02, None)
+
+
+def test_variance_between_flights_is_that_of_what_their_errors_leave():
+    r = np.random.default_rng(3)
+    draws = [variance_between(r.normal(0, np.sqrt(0.2**2 + 0.1**2), 8), np.full(8, 0.01)) for _ in range(2000)]
+    assert np.mean(draws) == pytest.approx(0.04, rel=0.1)
+    none = [variance_between(r.normal(0, 0.1, 8), np.full(8, 0.01)) for _ in range(2000)]
+    assert np.mean(none) < 0.004 and min(none) == 0.0
 
 
 def test_scale_is_relative_until_something_fixes_it(flights, found):
