@@ -109,7 +109,7 @@ def identify_rotor_speeds(
     drive["candidates"] = [
         {"form": n, "BIC": f.criterion - fits[best].criterion, "parameters": len(f.x)} for n, f in fits.items()
     ]
-    drive["geometry"] = {axis: fit.places(axis) for axis in JOINT_AXES[1:]}
+    drive["geometry"] = {axis: _places(fit, axis, drive["factors"][axis]) for axis in JOINT_AXES[1:]}
     _note_errors(drive, notes)
     return drive, notes
 
@@ -136,6 +136,14 @@ def _with_warm_up(fit: JointFit, notes: list[str]) -> JointFit:
         "exports of the map hold warm motors"
     )
     return warm
+
+
+def _places(fit: JointFit, axis: str, factor: Mapping[str, float]) -> dict[str, list[float]]:
+    """Moment per N of thrust of each rotor, m; its standard errors hold those of the map and between flights, which
+    scale all four rotors alike."""
+    places = fit.places(axis)
+    common = factor["std"] / max(abs(factor["value"]), 1e-12)
+    return places | {"std": np.hypot(places["std"], common * np.abs(places["value"])).tolist()}
 
 
 def _operating_point(

@@ -124,6 +124,13 @@ def test_errors_of_factors_hold_the_scatter_between_flights():
     assert factor_error(lonely, "Mx", 0.02) == (0.02, None)
 
 
+def test_errors_of_rotor_places_hold_the_error_that_is_common_to_all_rotors(found):
+    drive, _ = found
+    for axis, places in drive["geometry"].items():
+        common = drive["factors"][axis]["std"] / drive["factors"][axis]["value"]
+        assert np.all(np.array(places["std"]) > common * np.abs(places["value"]))
+
+
 def test_variance_between_flights_is_that_of_what_their_errors_leave():
     r = np.random.default_rng(3)
     draws = [variance_between(r.normal(0, np.sqrt(0.2**2 + 0.1**2), 8), np.full(8, 0.01)) for _ in range(2000)]
