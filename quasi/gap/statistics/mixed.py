@@ -25,7 +25,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 SPREADS = 2.0 ** np.arange(0, 11)  # tau, in standard errors that one flight alone would give
 ALL_NEEDED_P = 0.05  # p-value of the other parameters with the likeliest one given, below which all of them are needed
@@ -93,7 +93,7 @@ class Test(NamedTuple):
     @property
     def p_known_spread(self) -> float:
         """Probability of nothing were the spread as well known as nuisances are, however few flights there are."""
-        return float(f_distribution.sf(self.wald / len(self.offer.which), len(self.offer.which), MOST_FREEDOM))
+        return float(fdtrc(len(self.offer.which), MOST_FREEDOM, self.wald / len(self.offer.which)))
 
 
 def marginal(gram: np.ndarray, columns: Sequence[int], spread: np.ndarray) -> np.ndarray:
@@ -141,17 +141,24 @@ class _Spectrum(NamedTuple):
     inner: np.ndarray
     least: np.ndarray
 
-    def at(self, tau: float) -> tuple[float, np.ndarray, np.ndarray, float]:
-        """-2 log restricted likelihood but for a constant, coefficients (m,), covariance (m, m), squared error left."""
-        rest = self.inner - self.cross.T @ (self.cross / (self.known + 1.0 / tau**2)[:, None])
-        size = np.sqrt(np.maximum(np.diag(rest)[1:], self.least))
-        scaled = rest[1:, 1:] / np.outer(size, size)
+    def at(self, taus: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """At each tau (T,): -2 log restricted likelihood but for a constant (T,), coefficients (T, m), covariance
+        (T, m, m), squared error left (T,)."""
+        count, size = self.cross.shape
+        squares = (self.cross[:, :, None] * self.cross[:, None, :]).reshape(count, size * size)
+        weights = 1.0 / (self.known + 1.0 / taus[:, None] ** 2)
+        rest = self.inner - (weights @ squares).reshape(len(taus), size, size)
+        own, diagonal = rest[:, 1:, 0], np.arange(size - 1)
+        sizes = np.sqrt(np.maximum(rest[:, 1 + diagonal, 1 + diagonal], self.least))
+        outer = sizes[:, :, None] * sizes[:, None, :]
+        scaled = rest[:, 1:, 1:] / outer
         # what the compared flights do not show at all has no slope: nothing is known of it
-        scaled[np.diag_indices_from(scaled)] = np.maximum(np.diag(scaled), RIDGE)
-        inverse = np.linalg.inv(scaled) / np.outer(size, size)
-        value = inverse @ rest[1:, 0]
-        left = float(rest[0, 0] - rest[1:, 0] @ value)
-        information = float(np.log1p(self.known * tau**2).sum() + np.linalg.slogdet(scaled)[1] + 2 * np.log(size).sum())
+        scaled[:, diagonal, diagonal] = np.maximum(scaled[:, diagonal, diagonal], RIDGE)
+        inverse = np.linalg.inv(scaled) / outer
+        value = (inverse @ own[:, :, None])[:, :, 0]
+        left = rest[:, 0, 0] - (own * value).sum(axis=1)
+        information = np.log1p(self.known * taus[:, None] ** 2).sum(axis=1)
+        information += np.linalg.slogdet(scaled)[1] + 2.0 * np.log(sizes).sum(axis=1)
         return left + information, value, inverse, left
 
 
@@ -233,14 +240,15 @@ class MixedModel:
         if self.informed:
             seen = self._stretch[:, own][:, :, own] * np.outer(unit, unit)
             forms.append(seen + FAINT * alike)
-        spectra = self._spectra(own, unit, flags, self._taken_out[key], forms)
+        among = self._among(own, unit)
+        spectra = self._spectra(own, unit, flags, self._taken_out[key], forms, among)
         best = None
         for form, spectrum in zip(forms, spectra):
+            criteria, *fits = spectrum.at(SPREADS)
             least, worse = np.inf, 0
-            for tau in SPREADS:
-                criterion, *fit = spectrum.at(tau)
+            for k, criterion in enumerate(criteria):
                 if best is None or criterion < best[0]:
-                    best = criterion, tau, form, *fit
+                    best = criterion, SPREADS[k], form, *(fit[k] for fit in fits)
                 worse = 0 if criterion < least else worse + 1
                 least = min(least, criterion)
                 if worse == PATIENCE:
@@ -248,11 +256,11 @@ class MixedModel:
         _, tau, form, value, covariance, left = best
         wald = float(value @ np.linalg.solve(covariance, value))
         # only the part of the variance that rests on tau is uncertain for want of flights (Satterthwaite)
-        certain = spectra[0].at(CERTAIN)[2]
+        certain = spectra[0].at(np.array([CERTAIN]))[2][0]
         share = 1.0 - float(np.mean(np.diag(certain) / np.diag(covariance)))
         freedom = min(self.freedom / max(share, 1e-3) ** 2, MOST_FREEDOM)
-        p = float(f_distribution.sf(wald / len(own), len(own), freedom))
-        unlikely = left + self._spread_out(own, unit, form / tau**2)
+        p = float(fdtrc(len(own), freedom, wald / len(own)))
+        unlikely = left + self._spread_out(among, form / tau**2)
         return Test(offer, value * unit, covariance * np.outer(unit, unit), float(tau), wald, p, unlikely)
 
     def spans(self, wide: Candidate, narrow: Candidate, given: Sequence[Candidate] = ()) -> bool:
@@ -311,11 +319,12 @@ class MixedModel:
         return _Given(source, acting, size, root, target)
 
     def _spectra(
-        self, own: Sequence[int], unit: np.ndarray, flags: np.ndarray, given: _Given, forms: Sequence[np.ndarray]
+        self, own: Sequence[int], unit: np.ndarray, flags: np.ndarray, given: _Given, forms: Sequence[np.ndarray],
+        among: np.ndarray,
     ) -> list[_Spectrum]:  # fmt: skip
         """The cause of columns `own`, scaled by unit, offered to the flights of flags, with others given.
 
-        forms  (K, m, m) precision of each stretch's deviation at tau = 1
+        forms  (K, m, m) precision of each stretch's deviation at tau = 1; among  see `_among`
         """
         place, m = [0, *own], len(own)
         scale = np.array([1.0, *unit])
@@ -325,7 +334,6 @@ class MixedModel:
         inner[range(1, m + 1), range(1, m + 1)] += least
         rows = self._within[:, own] * unit[:, None]  # (K, m, P)
         deviations = (rows[:, :, place] * (act * scale)[self._flight][:, None, :]).reshape(-1, 1 + m)
-        among = self._among(own, unit)
         if len(given.source):
             with_own = np.einsum("if,f,fij->ij", given.acting, flags, self.grams[:, given.source][:, :, own])
             taken = np.column_stack([given.target, given.root @ (with_own * unit / given.size[:, None])])
@@ -354,11 +362,11 @@ class MixedModel:
         among[each, :, each] += self._stretch[:, own][:, :, own] * np.outer(unit, unit)
         return among.reshape(self.count * m, self.count * m)
 
-    def _spread_out(self, own: Sequence[int], unit: np.ndarray, precision: np.ndarray) -> float:
-        """Log determinant that deviations of this precision (K, m, m) leave in the likelihood."""
+    def _spread_out(self, among: np.ndarray, precision: np.ndarray) -> float:
+        """Log determinant that deviations of this precision (K, m, m) leave in the likelihood; among  see `_among`."""
         root = np.linalg.inv(np.linalg.cholesky(precision))
-        m = len(own)
-        half = (root @ self._among(own, unit).reshape(self.count, m, -1)).reshape(self.count * m, -1)
+        m = precision.shape[1]
+        half = (root @ among.reshape(self.count, m, -1)).reshape(self.count * m, -1)
         whole = (root @ half.T.reshape(self.count, m, -1)).reshape(self.count * m, -1)
         return float(np.linalg.slogdet(np.eye(len(whole)) + whole)[1])
 
