@@ -36,6 +36,8 @@ class Totals:
         self.rows = round(float(self.weights @ products.rows))
         self.spread = self.target_square - float(self.weights @ products.target_sum) ** 2 / max(self.rows, 1)
         self._cross: dict[int, np.ndarray] = {}
+        self._inverse: dict[tuple[int, ...], np.ndarray] = {}
+        self._left_out: dict[tuple[int, ...], np.ndarray] = {}
 
     def cross(self, column: int, promising: np.ndarray | None = None) -> np.ndarray:
         """Products (m,) of a column with all columns; `promising` (m,) ranks what else may be wanted soon."""
@@ -50,9 +52,19 @@ class Totals:
 
     def inverse(self, columns: Sequence[int]) -> np.ndarray:
         """Inverse of `gram`."""
-        gram = self.gram(columns)
-        scale = np.sqrt(np.diag(gram))
-        return np.linalg.inv(gram / np.outer(scale, scale)) / np.outer(scale, scale)
+        key = tuple(columns)
+        if key not in self._inverse:
+            gram = self.gram(columns)
+            scale = np.sqrt(np.diag(gram))
+            self._inverse[key] = np.linalg.inv(gram / np.outer(scale, scale)) / np.outer(scale, scale)
+        return self._inverse[key]
+
+    def left_out(self, columns: Sequence[int]) -> np.ndarray:
+        """`left_out` of these columns; a search asks for those of its present model many times."""
+        key = tuple(columns)
+        if key not in self._left_out:
+            self._left_out[key] = left_out(self, list(columns))
+        return self._left_out[key]
 
 
 def _scores(totals: Totals, columns: list[int], theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -136,15 +148,15 @@ def left_out(totals: Totals, columns: list[int]) -> np.ndarray:
     member = (products.flight == np.unique(products.flight[weights > 0.0])[:, None]) * weights
     gram = np.stack([member @ products.cross(k)[:, columns] for k in columns], axis=1)
     target, errors = member @ products.target[:, columns], member @ products.target_square
-    for f, (own, goal) in enumerate(zip(gram, target)):
-        rest = gram.sum(axis=0) - own
-        scale = np.sqrt(np.maximum(np.diag(rest), 1e-300))
-        rest = rest / np.outer(scale, scale)
-        if np.linalg.cond(rest) > 1.0 / INDEPENDENT:
-            errors[f] = np.inf
-        else:
-            theta = np.linalg.solve(rest, (target.sum(axis=0) - goal) / scale) / scale
-            errors[f] = max(errors[f] - 2.0 * theta @ goal + theta @ own @ theta, 0.0)
+    rest = gram.sum(axis=0) - gram
+    scale = np.sqrt(np.maximum(np.diagonal(rest, axis1=1, axis2=2), 1e-300))
+    rest = rest / (scale[:, :, None] * scale[:, None, :])
+    apart = ~(np.linalg.cond(rest) > 1.0 / INDEPENDENT)
+    goal = (target.sum(axis=0) - target) / scale
+    found = np.linalg.solve(rest[apart], goal[apart][:, :, None])[:, :, 0] / scale[apart]
+    errors[~apart] = np.inf
+    for f, theta in zip(np.flatnonzero(apart), found):
+        errors[f] = max(errors[f] - 2.0 * theta @ target[f] + theta @ gram[f] @ theta, 0.0)
     return errors
 
 

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from quasi.errors import ConfigError, DataError
-from quasi.identification.evidence import INDEPENDENT, Totals, entering, left_out, probability, standing
+from quasi.identification.evidence import INDEPENDENT, Totals, entering, probability, standing
 from quasi.identification.products import Products
 
 TRIALS = 6  # steps in a row that may be taken on trial
@@ -298,7 +298,7 @@ class _Search:
     def carries(self, before: list[int], after: list[int]) -> bool:
         """Whether flights that had no part in the coefficients are predicted better by the columns `after` than by the
         columns `before`, and none of them much worse."""
-        old, new = left_out(self.state.totals, before), left_out(self.state.totals, after)
+        old, new = self.state.totals.left_out(before), self.state.totals.left_out(after)
         gone = float((old - new).sum()) if np.isfinite(new).all() else -np.inf
         return len(old) > 1 and gone >= LEAST_SHARE_TAKEN * old.sum() and float((new - old).max()) <= WORSE * gone
 
