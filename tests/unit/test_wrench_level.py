@@ -21,7 +21,7 @@ from quasi.gap.levels.forces.held_out import everything
 from quasi.gap.levels.forces.identify import examine
 from quasi.gap.levels.forces.left_out import LeftOut
 from quasi.gap.materiality import Cause
-from quasi.gap.selection import Tie
+from quasi.gap.selection import Named, Tie
 from quasi.gap.statistics import mixed as tests_on
 from quasi.gap.statistics.mixed import Candidate
 from quasi.gap.statistics.scores import Score
@@ -349,3 +349,32 @@ def test_what_was_significant_beside_a_cause_that_axes_contradict_alone_goes_wit
     assert [c.effect.id for c in named("ground_effect")[0]] == []
     torn["ground_effect"] = 1.5
     assert [c.effect.id for c in named("ground_effect")[0]] == ["ground_effect"]
+
+
+@pytest.mark.parametrize(("share", "tied"), [(0.07, True), (0.02, False)])
+def test_mass_and_inertia_that_grow_in_proportion_may_be_weaker_rotors(share, tied):
+    """Air thinner by 7 % and 7 % more mass and inertia fly alike; with 2 % more mass it is not the air."""
+    effects = {n: catalogue()[n] for n in ("mass", "inertia", "thrust_factor")}
+    own = np.diag([9e-4, 1.1e-3, 1.7e-3])
+    about = SimpleNamespace(mass=0.43, inertia=own)
+
+    class Rotors:
+        def pooled(self, since):
+            return []
+
+        def test(self, offer, given, pooled):
+            assert offer == Candidate("thrust_factor", "changed", (0, 1)) and not given
+            return tests_on.Test(offer, np.array([-share, -share]), np.eye(2), 1.0, 400.0, 1e-20)
+
+    def named(cause, sizes, stds):
+        offer = Candidate(cause, "changed", tuple(range(len(sizes))))
+        return Named(tests_on.Test(offer, np.array(sizes), np.diag(np.square(stds)), 1.0, 100.0, 1e-9), [])
+
+    turned = named("inertia", 0.07 * np.diag(own), 0.004 * np.diag(own))
+    found, ties = sought._with_weaker_rotors(
+        [named("mass", [share * 0.43], [0.01 * 0.43]), turned], [], effects, Rotors(), about
+    )
+    assert [n.test.offer.cause for n in found] == ([] if tied else ["mass", "inertia"])
+    assert [[t.offer.cause for t in tie.tests] for _, tie in ties] == ([["thrust_factor", "mass", "inertia"]] * tied)
+    # one of them alone is what it is
+    assert sought._with_weaker_rotors([turned], [], effects, Rotors(), about) == ([turned], [])

@@ -5,6 +5,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.stats import chi2
 
 from quasi.gap.effect import Effect, Limits, Vehicle, as_flown
 from quasi.gap.flights.evidence import Evidence
@@ -14,7 +15,7 @@ from quasi.gap.levels.forces.nonlinear import chords, started
 from quasi.gap.materiality import Cause, Deviations, seen_in
 from quasi.gap.selection import FORCES, Named, Profile, Tie, select_causes
 from quasi.gap.statistics.clustered import ClusteredMixedModel
-from quasi.gap.statistics.mixed import Candidate, MixedModel, Test
+from quasi.gap.statistics.mixed import ALL_NEEDED_P, Candidate, MixedModel, Test
 
 ASTRAY = 0.5  # of its size, that a cause may move when it is linearised there
 FORCE_ITERATIONS = 4  # how often curved causes are linearised anew, and contradicted ones left out
@@ -81,6 +82,7 @@ def seek(
     named = [n for n in named if n.test.offer.cause not in contradicted]
     named, ties, twins = _with_twins(named, ties, contradicted, asked, mixed)
     contradicted = {name: why for name, why in contradicted.items() if name not in twins}
+    named, ties = _with_weaker_rotors(named, ties, asked, mixed, flown)
     level, ranking = selection.level, selection.ranking
     return Sought(study, mixed, values, named, ties, ranking, level, contradicted, selection.rejected, flown)
 
@@ -169,6 +171,39 @@ def _with_twins(
         tied.append((offer.since, Tie([one.test, *alike], float((given_twin.wald / len(offer.which)) ** 0.5))))
         twins |= {t.offer.cause for t in alike}
     return clear, tied, twins
+
+
+def _with_weaker_rotors(
+    named: Sequence[Named], ties: Sequence[tuple[str, Tie]], asked: Mapping[str, Effect], mixed: MixedModel,
+    flown: Vehicle,
+) -> tuple[list[Named], list[tuple[str, Tie]]]:  # fmt: skip
+    """Named causes and ties: a mass and moments of inertia that grew in proportion are all that the rotors do, shrunk.
+
+    Thinner air takes thrust, torque and hub forces alike, and F = m a, M = I domega/dt do not show which side changed.
+    """
+    own = {"mass": {"mass": flown.mass}} | {"inertia": {f"I{a}{a}": flown.inertia[k, k] for k, a in enumerate("xyz")}}
+    rest, tied = list(named), list(ties)
+    for since in ("changed", "always") if "thrust_factor" in asked else ():
+        pair = [n for n in rest if n.test.offer.since == since and n.test.offer.cause in own]
+        if {n.test.offer.cause for n in pair} != set(own):
+            continue
+        sizes = [
+            (value / own[n.test.offer.cause][name], std / own[n.test.offer.cause][name])
+            for n in pair
+            for name, value, std in zip(
+                (asked[n.test.offer.cause].fitted[k] for k in n.test.offer.which), n.test.value, n.test.std
+            )
+            if name in own[n.test.offer.cause]
+        ]
+        share, error = np.array(sizes).T
+        mean = (share / error**2).sum() / (error**-2.0).sum()
+        if chi2.sf((((share - mean) / error) ** 2).sum(), len(share) - 1) < ALL_NEEDED_P:
+            continue
+        rest = [n for n in rest if n not in pair]
+        rotors = Candidate("thrust_factor", since, (0, 1))
+        test = mixed.test(rotors, offers_of(rest, tied), mixed.pooled(since))
+        tied.append((since, Tie([test, *(n.test for n in pair)], 0.0)))
+    return rest, tied
 
 
 def _tied_with(one: str, other: str, ties: Sequence[tuple[str, Tie]]) -> bool:
