@@ -54,6 +54,10 @@ def contradicting_places(
         std = np.stack([slopes["My"][1], slopes["Mx"][1]], axis=1) / thrust
         elsewhere = (np.abs(seen - hubs) > np.maximum(LARGEST_MISPLACEMENT * airframe.arm, SURE * std)).any(axis=1)
         scaled = _scaled(seen, std, hubs, airframe.arm) if elsewhere.any() else None
+        # rotors that push nowhere are in moments that do not hold their answer (rates without a gyro), not elsewhere
+        reach = np.hypot(*seen.T) + SURE * np.hypot(*std.T)
+        if not scaled and (reach < (1.0 - LARGEST_MISPLACEMENT) * airframe.arm).all():
+            elsewhere[:] = False
         places = [
             f"rotor {i + 1} pushes as if it were {_side(*seen[i])} (x = {seen[i, 0]:.2f} m, y = {seen[i, 1]:.2f} m), "
             f"the configuration has it {_side(*hubs[i])} (x = {hubs[i, 0]:.2f} m, y = {hubs[i, 1]:.2f} m)"

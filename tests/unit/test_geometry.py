@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from flights import AIRFRAME, flight
 
+from quasi.identification.geometry import contradicting_places
 from quasi.identification.partition import partition
 from quasi.identification.shared import shared
 
@@ -23,6 +24,23 @@ def told(airframe):
 
 def test_rotors_that_are_where_they_are_said_to_be_are_not_remarked():
     assert told(TRUE) == []
+
+
+def test_moments_that_do_not_hold_the_answer_to_the_rotors_contradict_no_place():
+    """Rates made of slow attitudes leave next to no slope; that is no sign of rotors at the centre."""
+    turns = -1e-3 * TRUE.spin, np.full(4, 1e-4)
+
+    def seen(share, std):
+        x, y = share * TRUE.hubs[:, 0], share * TRUE.hubs[:, 1]
+        errors = np.full(4, std * TRUE.arm)
+        return contradicting_places({"Mx": (-y, errors), "My": (x, errors), "Mz": turns}, TRUE, 1.0)
+
+    assert seen(1.0, 0.01) == []
+    assert seen(0.0, 0.01) == []
+    [note] = seen(-1.0, 0.01)
+    assert "numbers or places" in note
+    [note] = seen(0.1, 0.01)  # in the right directions: a unit or an inertia
+    assert "10 times shorter" in note
 
 
 @pytest.mark.parametrize("pair", [(0, 3), (0, 1), (2, 3)])
