@@ -359,6 +359,8 @@ def test_mass_and_inertia_that_grow_in_proportion_may_be_weaker_rotors(share, ti
     about = SimpleNamespace(mass=0.43, inertia=own)
 
     class Rotors:
+        columns = SimpleNamespace(causes={"thrust_factor": [0, 1]})
+
         def pooled(self, since):
             return []
 

@@ -183,7 +183,7 @@ def _with_weaker_rotors(
     """
     own = {"mass": {"mass": flown.mass}} | {"inertia": {f"I{a}{a}": flown.inertia[k, k] for k, a in enumerate("xyz")}}
     rest, tied = list(named), list(ties)
-    for since in ("changed", "always") if "thrust_factor" in asked else ():
+    for since in ("changed", "always") if "thrust_factor" in mixed.columns.causes else ():
         pair = [n for n in rest if n.test.offer.since == since and n.test.offer.cause in own]
         if {n.test.offer.cause for n in pair} != set(own):
             continue
