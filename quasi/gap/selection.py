@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quasi.gap.effect import Effect, Limits
+from quasi.gap.profile import Profile
 from quasi.gap.statistics.mixed import Candidate, MixedModel, Test, ranked, share_of_rate
 
 COMPARED_RIVALS = 6  # most significant causes that are compared with each other in one step
@@ -25,53 +25,7 @@ FORM_ERROR = 0.05  # share of a cause's Wald statistic that the error of its for
 SUSPECT = 0.01  # p-value below which a declared rival has to be ruled out
 RESAMPLES = 40  # of the blocks of each flight
 UNPHYSICAL = "its size would be outside what is physical"
-LIMIT_ERRORS = 3.0  # standard errors by which an estimate may lie outside its physical range
-
-
-@dataclass(frozen=True)
-class Profile:
-    """What the selection knows of a cause.
-
-    parts  how its parameters may be selected, see `MixedModel.best`; rivals  causes that it is confused with
-    always_tied_with  causes that no data separate from it; absorbed  whether the model's own terms can mimic it exactly
-    leading  (m,) whether a parameter is what the cause is about, not one that accompanies it
-    limits   physical range of the parameters' deviations, None without
-    """
-
-    parts: str = "all"
-    rivals: tuple[str, ...] = ()
-    always_tied_with: tuple[str, ...] = ()
-    absorbed: bool = False
-    leading: tuple[bool, ...] = ()
-    limits: Limits | None = None
-
-    @classmethod
-    def of(cls, effect: Effect, limits: Limits | None = None) -> "Profile":
-        """The profile of a cause of the catalogue that acts on forces and moments."""
-        leading = tuple(effect.parameters[name].typical is not None for name in effect.fitted)
-        return cls(effect.parts, effect.rivals, effect.always_tied_with, effect.absorbed_by_model, leading, limits)
-
-    def is_possible(self, test: Test) -> bool:
-        """Whether the parameters are physical within LIMIT_ERRORS standard errors."""
-        if self.limits is None:
-            return True
-        which = list(test.offer.which)
-        low, high = np.array(self.limits.ranges, float)[which].T
-        margin = LIMIT_ERRORS * test.std
-        inside = (low - margin <= test.value) & (test.value <= high + margin)
-        sums = [(w[which], least) for w, least in self.limits.sums]
-        return bool(inside.all()) and all(
-            w @ test.value + LIMIT_ERRORS * np.sqrt(w @ test.covariance @ w) >= least for w, least in sums
-        )
-
-    def has_leading_deviation(self, test: Test, errors: float = 3.0) -> bool:
-        """Whether a leading parameter differs from neutral by `errors` standard errors.
-
-        Still air with a downdraught, or a centre of gravity that is off in height alone, stand in for another cause.
-        """
-        about = [self.leading[k] for k in test.offer.which] if self.leading else []
-        far = [abs(value) > errors * std for value, std in zip(test.value, test.std)]
-        return not any(about) or any(a and f for a, f in zip(about, far))
+EXCESSIVE = "it would make so much that the error of its form alone exceeds all that the model leaves of an axis"
 
 
 class Rules(NamedTuple):
@@ -82,12 +36,18 @@ class Rules(NamedTuple):
                 cause is needed; judge  tests for that, None for the level's own
     overlap     (test, id of another cause) -> share of what the tested cause explains on the axes of the other one: an
                 error of its form can only be there
+    excess      test -> mean square of what a change makes of an axis, as a multiple of all that the model leaves there
     """
 
     form_error: float = FORM_ERROR
     witness: Mapping[frozenset[str], str] = {}
     judge: MixedModel | None = None
     overlap: Callable[[Test, str], float] = lambda _, __: 1.0
+    excess: Callable[[Test], float] = lambda _: 0.0
+
+    def is_excessive(self, test: Test) -> bool:
+        """Whether the error of a cause's form alone exceeds all that the model leaves of an axis."""
+        return self.form_error * self.excess(test) > 1.0
 
 
 FORCES = Rules()  # forms of forces and moments err
@@ -278,6 +238,8 @@ class Search:
         small = t.offer.since == "changed" and t.wald < form_error
         if small and t.wald < form_error * self.rules.overlap(strongest, t.offer.cause):
             return f"it explains so little that it may be the error of the form of {strongest.offer.cause}"
+        if self.rules.is_excessive(t):
+            return EXCESSIVE
         if not profile.is_possible(t) and not self._is_absent(t, profile):
             return UNPHYSICAL
         return "" if profile.has_leading_deviation(t) else "only its accompanying parameters differ"
@@ -285,7 +247,7 @@ class Search:
     def _is_absent(self, t: Test, profile: Profile) -> bool:
         """Whether a change is that reference flights show the cause and the compared ones less of it: what each have
         by themselves is physical, and the references' part is significant."""
-        if t.offer.since != "changed":
+        if t.offer.since != "changed" or profile.absorbed:  # a model of the reference flights holds their part
             return False
         parts = [t.offer._replace(since=since) for since in ("reference", "changed")]
         others = [n for n in self.pooled if n != t.offer.cause]
@@ -390,11 +352,15 @@ class Search:
         return best, rivals, None
 
     def _eliminate(self) -> list[Named]:
-        """Backward elimination: every accepted cause must stay significant with all the others given."""
+        """Backward elimination: with all others given every accepted cause must stay significant, and not excessive."""
         kept = list(self.given)
         while True:
             tests = {o: self.mixed.test(o, [g for g in kept if g != o], self.pooled) for o in kept if o in self.found}
-            weak = [o for o, test in tests.items() if test.p >= self.level or self._lacks_partner(o, kept)]
+            weak = [
+                o
+                for o, t in tests.items()
+                if t.p >= self.level or self._lacks_partner(o, kept) or self.rules.is_excessive(t)
+            ]
             if not weak:
                 self.given = kept
                 order = sorted(tests.values(), key=lambda test: test.p)

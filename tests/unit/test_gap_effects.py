@@ -13,7 +13,7 @@ from quasi.gap.effect import Effect, Parameter, room_of, vehicle_of
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.inflow import overshoot
 from quasi.gap.levels.corrections import CORRECTS
-from quasi.gap.selection import Profile
+from quasi.gap.profile import Profile
 from quasi.gap.statistics import mixed
 from quasi.model.model import AXES
 from quasi_synthesis.campaign import quadrotor_configuration, read_campaign

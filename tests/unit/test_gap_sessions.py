@@ -9,7 +9,7 @@ from quasi.gap.flights import level
 from quasi.gap.flights.sessions import date_of, session_sentence, sessions_of, units
 from quasi.gap.levels.forces.identify import compute_leading_p
 from quasi.gap.levels.forces.nuisance import session_nuisances
-from quasi.gap.selection import Profile
+from quasi.gap.profile import Profile
 from quasi.gap.statistics import mixed
 from quasi.gap.statistics.clustered import ClusteredMixedModel
 from quasi.gap.statistics.mixed import Candidate, Columns

@@ -1,13 +1,17 @@
 """Selection of causes: dominance, ties, elimination, physical ranges, several parameters against one."""
 
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from test_gap_mixed import LAYOUT, flights, stretched
 
 from quasi.gap.effect import Effect, Limits, Parameter
-from quasi.gap.selection import Named, Profile, Search
+from quasi.gap.levels.forces.search import excess_of
+from quasi.gap.profile import Profile
+from quasi.gap.selection import FORM_ERROR, Named, Search
 from quasi.gap.statistics import mixed as tests_on
 from quasi.gap.statistics.clustered import ClusteredMixedModel
 from quasi.gap.statistics.mixed import Candidate, Columns, MixedModel
@@ -219,6 +223,33 @@ def test_a_change_below_zero_is_physical_where_reference_flights_show_the_cause(
         assert found[change].value[0] == pytest.approx(-0.5, abs=3.0 * found[change].std[0])
     else:
         assert names.rejected[change] == "its size would be outside what is physical"
+
+
+@pytest.mark.parametrize("size", [0.5, 3.0])
+def test_two_causes_that_cancel_are_not_named_where_each_makes_far_more_than_the_model_leaves(size):
+    """F = m a: a drag that grew is what a mass and a thrust that shrank in proportion leave, whatever their size."""
+    rng = np.random.default_rng(13)
+    compared = [False] * 4 + [True] * 4
+    thrust = [2.0 + 0.5 * rng.standard_normal(400) for _ in compared]
+    drag = [0.2 * rng.standard_normal(400) for _ in compared]
+    data = []
+    for flag, push, pull in zip(compared, thrust, drag):
+        measured = push + pull + 1e-3 * rng.standard_normal(400)
+        y = flag * size * pull + 0.02 * rng.standard_normal(400)
+        data.append(np.column_stack([y, rng.standard_normal((400, 3)), measured, push]))
+    layout = Columns([1, 2], [3], np.array([0.5]), {"a": [4], "b": [5]})
+    mixed = MixedModel([z.T @ z for z in data], compared, layout)
+    design = SimpleNamespace(columns=layout, raw=[np.stack([z.T @ z] * 6) for z in data])
+    known = {n: e for n, e in effects().items() if n in layout.causes}
+    one = searching(mixed, known, "changed")
+    pair = [Candidate(n, "changed", (0,)) for n in "ab"]
+    both = [mixed.test(pair[0], pair[1:]), mixed.test(pair[1], pair[:1])]
+    assert both[0].p < one.level and excess_of(design, compared, both[0]) > 1.0 / FORM_ERROR
+    one.rules = one.rules._replace(excess=partial(excess_of, design, compared))
+    one.given, one.found = list(pair), {key: [] for key in pair}
+    assert len(one._eliminate()) < 2
+    always = both[0]._replace(offer=pair[0]._replace(since="always"))  # the model's own terms take part of it
+    assert excess_of(design, compared, always) == 0.0
 
 
 @pytest.mark.parametrize(

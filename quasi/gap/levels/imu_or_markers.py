@@ -24,7 +24,8 @@ from quasi.gap.flights.level import Flown, Level
 from quasi.gap.levels.forces.design import Design, gather_design
 from quasi.gap.levels.forces.nonlinear import started
 from quasi.gap.levels.sensors.columns import XYZ
-from quasi.gap.selection import Profile, select_causes
+from quasi.gap.profile import Profile
+from quasi.gap.selection import select_causes
 from quasi.gap.statistics.mixed import Candidate
 from quasi.model.model import Model
 

@@ -27,7 +27,8 @@ from quasi.gap.levels.drive.fit import (
     reference_voltage,
 )
 from quasi.gap.levels.selected import report_selection
-from quasi.gap.selection import EXACT, Profile, Selection, select_causes
+from quasi.gap.profile import Profile
+from quasi.gap.selection import EXACT, Selection, select_causes
 from quasi.gap.statistics.blocks import BLOCK
 from quasi.gap.statistics.mixed import Candidate, Columns
 from quasi.importing.imu_and_telemetry import YAW_EXPLAINED

@@ -19,7 +19,8 @@ from quasi.gap.levels.forces.held_out import HeldOut
 from quasi.gap.levels.forces.nonlinear import flatness
 from quasi.gap.levels.forces.search import Sought, estimate, merged, offers_of, seek, share_on_axes
 from quasi.gap.materiality import Cause, material, simplest
-from quasi.gap.selection import FORM_ERROR, UNPHYSICAL, Named, Profile, Tie
+from quasi.gap.profile import Profile
+from quasi.gap.selection import EXCESSIVE, FORM_ERROR, UNPHYSICAL, Named, Tie
 from quasi.gap.statistics.clustered import ClusteredMixedModel
 from quasi.gap.statistics.mixed import Candidate, Test
 from quasi.model.model import Model
@@ -187,9 +188,9 @@ def _widened(
     """The causes and ties, estimated together and with what is given, with wider standard errors where the axes of one
     differ by more: then its form is not quite right, and which axis has the say decides on the value. A cause that is
     not significant with wider errors, or a tie that nothing is sure of, is left out, with the reason, and the others
-    are estimated without it; of these, those that were significant only with it given go as well, and one that only
-    axes without a say show. What was left out, or is unphysical, stands for something unknown; what explains next to
-    nothing of it may be the error of its form.
+    are estimated without it; of these, those that were significant only with it given go as well, one that only axes
+    without a say show, and one that is excessive. What was left out, or is unphysical, stands for something unknown;
+    what explains next to nothing of it may be the error of its form.
     """
     kept, tied, vague, torn = list(causes), list(ties), {}, []
 
@@ -210,8 +211,12 @@ def _widened(
         listed = [(c, c.test, c.apart) for c in kept] + [(pair, pair[1].tests[0], pair[1].apart) for pair in tied]
         unsure = [one for one in listed if one[2] > 1.0 and _leading_p(one[1], one[2], asked) >= enough(one)]
         faint = [one for one in listed if one[1].p >= sought.level[one[1].offer.since]]
+        large = [one for one in listed if sought.rules.is_excessive(one[1])]
         small = [one for one in listed if any(_may_be_form(one[1], u, sought, compared, asked) for u in unknown)]
-        if unsure:
+        if large:
+            worst, test, _ = max(large, key=lambda one: sought.rules.excess(one[1]))
+            why = EXCESSIVE
+        elif unsure:
             worst, test, apart = max(unsure, key=lambda one: one[2])
             unknown.append(test)
             why = f"its axes differ by {apart:.1f} times their standard errors; with wider ones it is not significant"

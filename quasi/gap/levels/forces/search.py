@@ -13,7 +13,8 @@ from quasi.gap.levels.forces.axis_consistency import contradiction, voices
 from quasi.gap.levels.forces.design import Design, gather_design, moved
 from quasi.gap.levels.forces.nonlinear import chords, started
 from quasi.gap.materiality import Cause, Deviations, seen_in
-from quasi.gap.selection import FORCES, Named, Profile, Tie, select_causes
+from quasi.gap.profile import Profile
+from quasi.gap.selection import FORCES, Named, Rules, Tie, select_causes
 from quasi.gap.statistics.clustered import ClusteredMixedModel
 from quasi.gap.statistics.mixed import ALL_NEEDED_P, Candidate, MixedModel, Test
 
@@ -28,7 +29,7 @@ class Sought(NamedTuple):
     study, mixed  at the sizes found; values {compared or reference: {cause: sizes}} that causes are linearised at
     named, ties, ranking, level  see `quasi.gap.selection.Selection`; ties with their since
     contradicted  {cause: test, why}: those whose axes do not agree; passed  why others of the ranking were passed over
-    flown  the vehicle as the compared flights were processed
+    flown  the vehicle as the compared flights were processed; rules  of the selection
     """
 
     study: Design
@@ -41,6 +42,7 @@ class Sought(NamedTuple):
     contradicted: dict[str, tuple[Test, str]]
     passed: dict[Candidate, str]
     flown: Vehicle
+    rules: Rules
 
 
 def seek(
@@ -62,7 +64,9 @@ def seek(
         mixed = study.witnessed(range(len(flights)), compared)
         lacking = (*study.lacking, *contradicted)
         profiles = {n: Profile.of(e, within.get(n)) for n, e in asked.items()}
-        rules = FORCES._replace(overlap=partial(share_on_axes, study, compared, asked))
+        rules = FORCES._replace(
+            overlap=partial(share_on_axes, study, compared, asked), excess=partial(excess_of, study, compared)
+        )
         selection = select_causes(mixed, profiles, rate, rules, lacking)
         named, ties = selection.named, [(tie.tests[0].offer.since, tie) for tie in selection.ties]
         causes = merged(named, asked, mixed, offers_of(named, ties), flown)
@@ -84,7 +88,7 @@ def seek(
     contradicted = {name: why for name, why in contradicted.items() if name not in twins}
     named, ties = _with_weaker_rotors(named, ties, asked, mixed, flown)
     level, ranking = selection.level, selection.ranking
-    return Sought(study, mixed, values, named, ties, ranking, level, contradicted, selection.rejected, flown)
+    return Sought(study, mixed, values, named, ties, ranking, level, contradicted, selection.rejected, flown, rules)
 
 
 def share_on_axes(
@@ -99,6 +103,18 @@ def share_on_axes(
     added = np.einsum("i,kij,j->k", test.value, raw[:, own][:, :, own], test.value)
     parts = added / np.maximum(raw[:, 0, 0], 1e-300)
     return float(parts[seen_in(asked[other])].sum() / max(parts.sum(), 1e-300))
+
+
+def excess_of(study: Design, compared: Sequence[bool], test: Test) -> float:
+    """Mean square of what a change adds to an axis of the compared flights, as a multiple of the residual's there; the
+    largest of the axes. What is there by itself adds no more than is left; causes that cancel may add any amount.
+    """
+    if test.offer.since != "changed":
+        return 0.0
+    own = [study.columns.causes[test.offer.cause][k] for k in test.offer.which]
+    raw = sum(gram for gram, flag in zip(study.raw, compared) if flag)  # (6, P, P)
+    added = np.einsum("i,kij,j->k", test.value, raw[:, own][:, :, own], test.value)
+    return float((added / np.maximum(raw[:, 0, 0], 1e-300)).max())
 
 
 def _as_found(tie: Tie, since: str, asked: Mapping[str, Effect]) -> tuple[Effect, str, Deviations]:

@@ -19,7 +19,8 @@ from quasi.gap.levels.sensors.columns import Weak, corrected_already, straighten
 from quasi.gap.levels.sensors.findings import shaken, torn
 from quasi.gap.levels.sensors.products import added, alone, blocks_of, whitener_of
 from quasi.gap.levels.sensors.tables import tables
-from quasi.gap.selection import Profile, Rules, Selection, select_causes
+from quasi.gap.profile import Profile
+from quasi.gap.selection import Rules, Selection, select_causes
 from quasi.gap.statistics.mixed import Candidate, Columns, Test
 from quasi.gap.statistics.whitening import Whitener
 from quasi.importing.calibration import check
