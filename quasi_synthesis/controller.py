@@ -54,7 +54,7 @@ def control_of(vehicle: Vehicle) -> Control:
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def command_for(speed, idle, top, curvature):
     """Command 0..1 whose steady speed at reference voltage is `speed`; inverse of `steady_speed`."""
     share = min(max((speed - idle) / (top - idle), 0.0), 1.0)
@@ -62,13 +62,13 @@ def command_for(speed, idle, top, curvature):
     return (b - math.sqrt(b * b - 4.0 * curvature * share)) / (2.0 * curvature)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def steady_speed(command, idle, top, curvature):
     """Steady rotor speed, rad/s, of a command 0..1 at reference voltage: concave, as motors with drag are."""
     return idle + (top - idle) * command * (1.0 + curvature * (1.0 - command))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def outer_loop(ref, position, velocity, quaternion, integral, dt, c: Control, rates):
     """Wanted body rates (filled into rates (3,), rad/s) and collective thrust, N, returned.
 
@@ -113,7 +113,7 @@ def outer_loop(ref, position, velocity, quaternion, integral, dt, c: Control, ra
     return c.mass * max(-wish[0] * bz_x - wish[1] * bz_y + up * bz_z, 0.15 * GRAVITY)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def rate_loop(wanted, rates, forward, integral, dt, c: Control, terms):
     """Wanted moments, N m, as P, I and feed-forward terms (3, 3) in `terms`; integral (3,) rad is updated."""
     for k in range(3):
@@ -124,14 +124,13 @@ def rate_loop(wanted, rates, forward, integral, dt, c: Control, terms):
         terms[2, k] = c.inertia[k] * c.rate_forward * min(max(forward[k], -250.0), 250.0)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def mix(collective, terms, limit, c: Control, commands):
     """Motor commands (4,), 0..limit, for a collective thrust, N, and the moments' terms (3, 3), N m.
 
     A left rotor rolls right, a front rotor pitches up, a clockwise rotor yaws left: the inverse of M = r x F.
     When a rotor would leave its range the collective gives way first, as flight controllers do ("air mode").
     """
-    lift = np.empty(4)
     roll = terms[0, 0] + terms[1, 0] + terms[2, 0]
     pitch = terms[0, 1] + terms[1, 1] + terms[2, 1]
     yaw = terms[0, 2] + terms[1, 2] + terms[2, 2]
@@ -142,8 +141,8 @@ def mix(collective, terms, limit, c: Control, commands):
     low, high = 1e9, -1e9
     for i in range(4):
         x, y = c.hubs[i, 0], c.hubs[i, 1]
-        lift[i] = -roll / (4.0 * y) + pitch / (4.0 * x) - c.spin[i] * yaw / (4.0 * c.torque_per_thrust)
-        low, high = min(low, lift[i]), max(high, lift[i])
+        commands[i] = -roll / (4.0 * y) + pitch / (4.0 * x) - c.spin[i] * yaw / (4.0 * c.torque_per_thrust)
+        low, high = min(low, commands[i]), max(high, commands[i])
     share = 1.0
     if high - low > most - least:
         share = (most - least) / (high - low)
@@ -151,5 +150,5 @@ def mix(collective, terms, limit, c: Control, commands):
     base = min(base, most - share * high)
     base = max(base, least - share * low)
     for i in range(4):
-        speed = math.sqrt(max(base + share * lift[i], 0.0) / c.thrust_factor)
+        speed = math.sqrt(max(base + share * commands[i], 0.0) / c.thrust_factor)
         commands[i] = min(command_for(speed, c.idle_speed, c.max_speed, c.curvature), limit)

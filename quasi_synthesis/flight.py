@@ -60,14 +60,14 @@ LOGGED_SIGNALS = (
 )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def open_voltage(used, d: Drive):
     """Voltage of the resting battery, V, when the share `used` of its charge is gone (lithium polymer, per cell)."""
     used = min(max(used, 0.0), 1.2)
     return d.cells * (4.18 - 0.62 * used - 0.08 * (1.0 - math.exp(-used / 0.04)) - 0.6 * max(used - 0.85, 0.0))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def fly(steps, every, table, air, noise, p: Physics, d: Drive, c: Control, s: Inertial, g: Telemetry, truth, log):
     """Fly `steps` loop steps; each `every` steps a row of truth (M, len(TRUTH)) and of log (M, len(LOG)) is filled.
 
@@ -89,7 +89,7 @@ def fly(steps, every, table, air, noise, p: Physics, d: Drive, c: Control, s: In
         np.empty(PLANT_STATES),
     )
     before, out, spare = np.empty(PLANT_STATES), np.zeros(14), np.empty(14)
-    rot, wind, wanted = np.empty((3, 3)), np.zeros(7), np.zeros(4)
+    wind, wanted = np.zeros(7), np.zeros(4)
     phases, raw, gyro, acc = np.zeros(4), np.zeros(6), np.zeros(3), np.zeros(3)
     readings, modes, memory = np.zeros((HISTORY, 6)), np.zeros((3, 2)), np.zeros((3, 3, 2))
     sent, applied = np.zeros((HISTORY, 4)), np.zeros(4)
@@ -219,8 +219,8 @@ def fly(steps, every, table, air, noise, p: Physics, d: Drive, c: Control, s: In
             sent[step % HISTORY, i] = (motor[i] - MOTOR_LOW) / (MOTOR_HIGH - MOTOR_LOW)
 
         if step % every == 0:
-            body_to_earth(before[6:10], rot)
-            tilt = max(tilt, math.acos(min(max(rot[2, 2], -1.0), 1.0)))
+            rot = body_to_earth(before[6], before[7], before[8], before[9])
+            tilt = max(tilt, math.acos(min(max(rot[2][2], -1.0), 1.0)))
             truth[row, 0] = t
             for k in range(6):
                 truth[row, 1 + k] = before[k]

@@ -20,7 +20,6 @@ flow, blade element torque); Stevens, Lewis & Johnson, Aircraft Control and Simu
 
 import math
 
-import numpy as np
 from numba import njit
 
 from quasi.attitude import GRAVITY
@@ -38,7 +37,7 @@ FAN_WIDTH = 1.0  # m
 SHIFT = 14.0  # s, when something comes loose
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def induced_velocity(speed, climb, inplane, start, p: Physics):
     """Equilibrium induced velocity, m/s, of one rotor: blade-element thrust equals momentum thrust (Glauert).
 
@@ -67,7 +66,7 @@ def induced_velocity(speed, climb, inplane, start, p: Physics):
     return v
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def vortex_loss(climb, inplane, hover_induced):
     """Share of the vortex-ring depth felt: 0 outside descent ratios (0, 2), 1 at 1; swept away by in-plane flow."""
     ratio = -climb / hover_induced
@@ -76,22 +75,17 @@ def vortex_loss(climb, inplane, hover_induced):
     return math.sin(0.5 * math.pi * ratio) ** 2 * math.exp(-((inplane / hover_induced) ** 2))
 
 
-@njit(cache=True)
-def body_to_earth(q, m):
-    """Fill m (3, 3) with the rotation of the unit quaternion q (4,)."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    m[0, 0] = 1 - 2 * (y * y + z * z)
-    m[0, 1] = 2 * (x * y - w * z)
-    m[0, 2] = 2 * (x * z + w * y)
-    m[1, 0] = 2 * (x * y + w * z)
-    m[1, 1] = 1 - 2 * (x * x + z * z)
-    m[1, 2] = 2 * (y * z - w * x)
-    m[2, 0] = 2 * (x * z - w * y)
-    m[2, 1] = 2 * (y * z + w * x)
-    m[2, 2] = 1 - 2 * (x * x + y * y)
+@njit(cache=True, error_model="numpy")
+def body_to_earth(w, x, y, z):
+    """Rotation (3, 3), as rows, of the unit quaternion w x y z."""
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def derivative(t, x, wanted, air, p: Physics, dx, out):
     """Time derivative of the state.
 
@@ -100,29 +94,28 @@ def derivative(t, x, wanted, air, p: Physics, dx, out):
     dx (27,) is filled; out (14,) is filled with force about the cg without gravity (N, body), moment (N m, body),
     thrust of each rotor (N), shaft torque of each rotor (N m).
     """
-    rot = np.empty((3, 3))
-    body_to_earth(x[6:10], rot)
-    va = np.empty(3)  # velocity through the air, body
-    for k in range(3):
-        va[k] = 0.0
-        for j in range(3):
-            va[k] += rot[j, k] * (x[3 + j] - p.wind[j] - air[j])
+    # no array is made here: with one, every call would count the references to all arrays of `p`, a third of its time
+    rot = body_to_earth(x[6], x[7], x[8], x[9])
+    north, east, down = x[3] - p.wind[0] - air[0], x[4] - p.wind[1] - air[1], x[5] - p.wind[2] - air[2]
+    # velocity through the air, body
+    vx = rot[0][0] * north + rot[1][0] * east + rot[2][0] * down
+    vy = rot[0][1] * north + rot[1][1] * east + rot[2][1] * down
+    vz = rot[0][2] * north + rot[1][2] * east + rot[2][2] * down
     wx, wy, wz = x[10], x[11], x[12]
     area = math.pi * p.radius**2
     fx = fy = fz = mx = my = mz = 0.0
     momentum = 0.0  # of all rotors about z
-    plane = math.sqrt(va[0] ** 2 + va[1] ** 2)
+    plane = math.sqrt(vx**2 + vy**2)
     hover = math.sqrt(p.mass * GRAVITY / (8.0 * p.density * area))
     wake = plane / hover
     wake = wake * wake / (0.16 + wake * wake)
-    heading = math.sin(2.0 * math.atan2(rot[1, 0], rot[0, 0]))
     for i in range(4):
         rx, ry, rz = p.hubs[i, 0], p.hubs[i, 1], p.hubs[i, 2]
         nx, ny, nz = p.thrust_axis[i, 0], p.thrust_axis[i, 1], p.thrust_axis[i, 2]
         speed, induced = x[13 + i], x[17 + i]
-        ux = va[0] + wy * rz - wz * ry
-        uy = va[1] + wz * rx - wx * rz
-        uz = va[2] + wx * ry - wy * rx
+        ux = vx + wy * rz - wz * ry
+        uy = vy + wz * rx - wx * rz
+        uz = vz + wx * ry - wy * rx
         climb = ux * nx + uy * ny + uz * nz
         ux -= climb * nx
         uy -= climb * ny
@@ -140,12 +133,12 @@ def derivative(t, x, wanted, air, p: Physics, dx, out):
         loss = p.vortex_depth * vortex_loss(climb, inplane, hover)
         factor = p.thrust_gain[i] * (1.0 + p.thrust_drift * t) * (1.0 - loss * (1.0 + p.vortex_buffet * air[3 + i]))
         if plane > 1e-6:
-            behind = -(rx * va[0] + ry * va[1]) / (plane * math.sqrt(rx * rx + ry * ry))
+            behind = -(rx * vx + ry * vy) / (plane * math.sqrt(rx * rx + ry * ry))
             if behind > 0.0:
                 factor *= 1.0 - p.interference * wake * behind * behind
-        hub_x = x[0] + rot[0, 0] * rx + rot[0, 1] * ry + rot[0, 2] * rz
-        hub_y = x[1] + rot[1, 0] * rx + rot[1, 1] * ry + rot[1, 2] * rz
-        height = -(x[2] + rot[2, 0] * rx + rot[2, 1] * ry + rot[2, 2] * rz)
+        hub_x = x[0] + rot[0][0] * rx + rot[0][1] * ry + rot[0][2] * rz
+        hub_y = x[1] + rot[1][0] * rx + rot[1][1] * ry + rot[1][2] * rz
+        height = -(x[2] + rot[2][0] * rx + rot[2][1] * ry + rot[2][2] * rz)
         if p.ground_gain > 0.0:
             near = p.ground_gain * (p.radius / (4.0 * max(height, 0.2 * p.radius))) ** 2
             factor /= 1.0 - min(near, 0.6)
@@ -153,7 +146,7 @@ def derivative(t, x, wanted, air, p: Physics, dx, out):
             wall = min(p.room[0] - abs(hub_x), p.room[1] - abs(hub_y))
             factor *= 1.0 - p.proximity_gain * math.exp(-(max(wall, 0.0) ** 2))
         if p.unlisted[0] != 0.0:  # thrust that depends on the heading
-            factor *= 1.0 + p.unlisted[0] * heading
+            factor *= 1.0 + p.unlisted[0] * math.sin(2.0 * math.atan2(rot[1][0], rot[0][0]))
         thrust *= factor
 
         # torque on the shaft: profile, and the power that thrust takes from the flow through the disc
@@ -186,9 +179,9 @@ def derivative(t, x, wanted, air, p: Physics, dx, out):
     mx -= wy * momentum
     my += wx * momentum
 
-    total = math.sqrt(va[0] ** 2 + va[1] ** 2 + va[2] ** 2)
-    bx, by, bz = -p.body_drag[0] * total * va[0], -p.body_drag[1] * total * va[1], -p.body_drag[2] * total * va[2]
-    bz -= p.body_lift * total * va[0]
+    total = math.sqrt(vx**2 + vy**2 + vz**2)
+    bx, by, bz = -p.body_drag[0] * total * vx, -p.body_drag[1] * total * vy, -p.body_drag[2] * total * vz
+    bz -= p.body_lift * total * vx
     c = p.drag_centre
     fx += bx
     fy += by
@@ -214,19 +207,19 @@ def derivative(t, x, wanted, air, p: Physics, dx, out):
             rx = p.leg[0] if foot < 2 else -p.leg[0]
             ry = p.leg[1] if foot % 2 == 0 else -p.leg[1]
             rz = p.leg[2]
-            depth = x[2] + rot[2, 0] * rx + rot[2, 1] * ry + rot[2, 2] * rz
+            depth = x[2] + rot[2][0] * rx + rot[2][1] * ry + rot[2][2] * rz
             if depth <= 0.0:
                 continue
             cx, cy, cz = wy * rz - wz * ry, wz * rx - wx * rz, wx * ry - wy * rx
-            sx = x[3] + rot[0, 0] * cx + rot[0, 1] * cy + rot[0, 2] * cz
-            sy = x[4] + rot[1, 0] * cx + rot[1, 1] * cy + rot[1, 2] * cz
-            sz = x[5] + rot[2, 0] * cx + rot[2, 1] * cy + rot[2, 2] * cz
+            sx = x[3] + rot[0][0] * cx + rot[0][1] * cy + rot[0][2] * cz
+            sy = x[4] + rot[1][0] * cx + rot[1][1] * cy + rot[1][2] * cz
+            sz = x[5] + rot[2][0] * cx + rot[2][1] * cy + rot[2][2] * cz
             hold = CONTACT_STIFFNESS * depth + CONTACT_DAMPING * sz
             hold = max(hold, 0.0)
             qx, qy = -CONTACT_FRICTION * sx, -CONTACT_FRICTION * sy
-            gx = rot[0, 0] * qx + rot[1, 0] * qy - rot[2, 0] * hold
-            gy = rot[0, 1] * qx + rot[1, 1] * qy - rot[2, 1] * hold
-            gz = rot[0, 2] * qx + rot[1, 2] * qy - rot[2, 2] * hold
+            gx = rot[0][0] * qx + rot[1][0] * qy - rot[2][0] * hold
+            gy = rot[0][1] * qx + rot[1][1] * qy - rot[2][1] * hold
+            gz = rot[0][2] * qx + rot[1][2] * qy - rot[2][2] * hold
             fx += gx
             fy += gy
             fz += gz
@@ -258,13 +251,15 @@ def derivative(t, x, wanted, air, p: Physics, dx, out):
             dx[24] -= 20.0 * x[24]
             dx[25] -= 20.0 * x[25]
             dx[26] -= 4000.0 * x[23] + 60.0 * x[26]
-    fx += rot[0, 0] * ex + rot[1, 0] * ey + rot[2, 0] * ez
-    fy += rot[0, 1] * ex + rot[1, 1] * ey + rot[2, 1] * ez
-    fz += rot[0, 2] * ex + rot[1, 2] * ey + rot[2, 2] * ez
+    fx += rot[0][0] * ex + rot[1][0] * ey + rot[2][0] * ez
+    fy += rot[0][1] * ex + rot[1][1] * ey + rot[2][1] * ez
+    fz += rot[0][2] * ex + rot[1][2] * ey + rot[2][2] * ez
 
     for k in range(3):
         dx[k] = x[3 + k]
-        dx[3 + k] = (rot[k, 0] * fx + rot[k, 1] * fy + rot[k, 2] * fz) / p.mass
+    dx[3] = (rot[0][0] * fx + rot[0][1] * fy + rot[0][2] * fz) / p.mass
+    dx[4] = (rot[1][0] * fx + rot[1][1] * fy + rot[1][2] * fz) / p.mass
+    dx[5] = (rot[2][0] * fx + rot[2][1] * fy + rot[2][2] * fz) / p.mass
     dx[5] += GRAVITY
     qw, qx, qy, qz = x[6], x[7], x[8], x[9]
     dx[6] = 0.5 * (-qx * wx - qy * wy - qz * wz)
@@ -283,7 +278,7 @@ def derivative(t, x, wanted, air, p: Physics, dx, out):
     out[3], out[4], out[5] = mx, my, mz
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def advance(t, x, wanted, air, dt, p: Physics, k1, k2, k3, k4, y, out, spare):
     """One classical Runge-Kutta step in place; k1 and out keep derivative and loads at the step's beginning."""
     derivative(t, x, wanted, air, p, k1, out)

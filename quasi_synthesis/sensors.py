@@ -67,41 +67,46 @@ class Telemetry(NamedTuple):
     faults: np.ndarray  # (reports, 4) 0, LOST (the log keeps the last) or REPEATED (the report before comes again)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def read_inertial(rates, spin_up, force, speeds, phases, s: Inertial, raw):
     """A reading without noise: raw (6,) is filled with gyro (rad/s) and specific force (m/s2) along the unit's axes.
 
     rates, spin_up (angular acceleration), force (specific force at the cg), body axes; speeds (4,) rad/s, phases (4,)
     rad.
     """
-    r = s.position
+    r = s.position  # no array is made here: with one, the references to all of `s` are counted in every step
     wx, wy, wz = rates[0], rates[1], rates[2]
     ax, ay, az = spin_up[0], spin_up[1], spin_up[2]
     dot = wx * r[0] + wy * r[1] + wz * r[2]
     square = wx * wx + wy * wy + wz * wz
-    f = np.empty(3)
-    f[0] = force[0] + ay * r[2] - az * r[1] + wx * dot - square * r[0]
-    f[1] = force[1] + az * r[0] - ax * r[2] + wy * dot - square * r[1]
-    f[2] = force[2] + ax * r[1] - ay * r[0] + wz * dot - square * r[2]
-    shake = np.zeros(6)
+    fx = force[0] + ay * r[2] - az * r[1] + wx * dot - square * r[0]
+    fy = force[1] + az * r[0] - ax * r[2] + wy * dot - square * r[1]
+    fz = force[2] + ax * r[1] - ay * r[0] + wz * dot - square * r[2]
+    for k in range(3):
+        gyro = s.axes[0, k] * wx + s.axes[1, k] * wy + s.axes[2, k] * wz
+        acc = s.axes[0, k] * fx + s.axes[1, k] * fy + s.axes[2, k] * fz
+        raw[k] = s.gyro_scale[k] * gyro + s.gyro_bias[k]
+        raw[3 + k] = s.acc_scale[k] * acc + s.acc_bias[k]
+    shake_p = shake_q = shake_r = shake_x = shake_y = shake_z = 0.0
     for i in range(4):
         level = (speeds[i] / s.hover_speed) ** 2
         one, two = math.cos(phases[i] + i), math.sin(2.0 * phases[i] + 2.0 * i)
         three, quarter = math.cos(3.0 * phases[i] + i), math.sin(phases[i] + i)
-        shake[0] += level * s.gyro_vibration * (one + 0.3 * two)
-        shake[1] += level * s.gyro_vibration * (quarter + 0.3 * three)
-        shake[2] += level * s.gyro_vibration * 0.4 * (one + 0.3 * two)
-        shake[3] += level * s.acc_vibration * (one + 0.5 * two)
-        shake[4] += level * s.acc_vibration * (quarter + 0.5 * three)
-        shake[5] += level * s.acc_vibration * (0.5 * one + 0.6 * three)
-    for k in range(3):
-        gyro = s.axes[0, k] * wx + s.axes[1, k] * wy + s.axes[2, k] * wz
-        acc = s.axes[0, k] * f[0] + s.axes[1, k] * f[1] + s.axes[2, k] * f[2]
-        raw[k] = s.gyro_scale[k] * gyro + s.gyro_bias[k] + shake[k]
-        raw[3 + k] = s.acc_scale[k] * acc + s.acc_bias[k] + shake[3 + k]
+        shake_p += level * s.gyro_vibration * (one + 0.3 * two)
+        shake_q += level * s.gyro_vibration * (quarter + 0.3 * three)
+        shake_r += level * s.gyro_vibration * 0.4 * (one + 0.3 * two)
+        shake_x += level * s.acc_vibration * (one + 0.5 * two)
+        shake_y += level * s.acc_vibration * (quarter + 0.5 * three)
+        shake_z += level * s.acc_vibration * (0.5 * one + 0.6 * three)
+    raw[0] += shake_p
+    raw[1] += shake_q
+    raw[2] += shake_r
+    raw[3] += shake_x
+    raw[4] += shake_y
+    raw[5] += shake_z
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def shake_modes(speeds, noise, dt, s: Inertial, modes, raw):
     """Advance the structural modes by dt s and add their motion to a reading raw (6,).
 
@@ -122,7 +127,7 @@ def shake_modes(speeds, noise, dt, s: Inertial, modes, raw):
         raw[3 + k] += s.mode_acceleration[k] * modes[k, 0]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def delay_and_add_noise(readings, step, noise, dt, s: Inertial, raw):
     """The delayed reading with noise, within the sensors' ranges, in raw (6,).
 
@@ -139,7 +144,7 @@ def delay_and_add_noise(readings, step, noise, dt, s: Inertial, raw):
         raw[k] = min(max(value, -most), most)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def filter_coefficients(kind, cut, dt):
     """Coefficients (5,) of a low-pass at steps of dt s: the gain of the lags first, or b0, b1, b2, a1, a2."""
     c = np.zeros(5)
@@ -155,7 +160,7 @@ def filter_coefficients(kind, cut, dt):
     return c
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def start_filter(value, kind, c, memory):
     """Fill the memory (2,) of a low-pass that has had `value` for a long time."""
     memory[0] = memory[1] = value
@@ -164,7 +169,7 @@ def start_filter(value, kind, c, memory):
         memory[0] = (c[1] - c[3]) * value + memory[1]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def filter_step(value, kind, c, memory):
     """Next output of a low-pass; memory (2,) is updated."""
     if kind == NO_FILTER:
@@ -181,7 +186,7 @@ def filter_step(value, kind, c, memory):
     return memory[1]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def low_pass_gain(cut, dt):
     """Gain of a discrete PT1, y += gain (x - y), with corner `cut` Hz at steps of dt s; 0 Hz lets all through."""
     if cut <= 0.0:
