@@ -17,6 +17,7 @@ from quasi.filtering.filter_inputs import (
     NoiseLevels,
     make_inputs,
     noise_levels,
+    since_take_off,
     without_accelerometer_bias,
 )
 from quasi.filtering.smoother import smooth
@@ -172,7 +173,7 @@ def estimate(flight: Material, watch: ekf.Watch | None = None) -> Run:
         share = levels.lowest / levels.moving
         floor = np.array([share[:3].max(), share[3:].max()])
         factors = noise.estimate_levels(inputs, flying, floor, folded)
-        inputs = noise.with_levels(inputs, factors, flying & ~imu.lost, folded)
+        inputs = noise.with_levels(inputs, factors, since_take_off(found.on_ground) & ~imu.lost, folded)
     engine, forward = _forward(chosen["engine"], inputs, watch)
     final = smooth(inputs, forward) if chosen["smoother"] else forward
     if measured.source["position"].startswith("capture"):

@@ -76,7 +76,8 @@ def noise_levels(flight: Material, still: np.ndarray, origin: str) -> NoiseLevel
     least = np.maximum(still, ROUNDED * step / np.sqrt(12.0))
     rough = np.array([measurements.FLIGHT_STD[s] for s in SENSORS])
     moving = np.maximum(least, rough) if chosen["re-estimate noise"] else least
-    each[~found.on_ground] = moving
+    shaken = since_take_off(found.on_ground)
+    each[shaken] = np.maximum(each[shaken], moving)
     each[imu.lost] = np.maximum(each[imu.lost], measurements.LOST_STD)
     walk = np.repeat([float(chosen["gyro bias random walk"]), float(chosen["accelerometer bias random walk"])], 3)
     if chosen["bias policy"] == "time varying":
@@ -84,6 +85,15 @@ def noise_levels(flight: Material, still: np.ndarray, origin: str) -> NoiseLevel
     log_rate = float(((metadata.get("streams") or {}).get("gyro") or {}).get("rate") or 1.0 / dt)
     lowest = least * np.sqrt(min(1.0, 1.0 / (dt * log_rate)))
     return NoiseLevels(still, lowest, moving, each, walk, origin)
+
+
+def since_take_off(on_ground: np.ndarray) -> np.ndarray:
+    """True (N,) from the first sample in flight on, where the noise is that of flight.
+
+    After a landing, rotors that spin down, hands and a fall on the side shake the IMU. Noise at rest would take that
+    for a turned capture and wrong biases, which the smoother carries back into the flight.
+    """
+    return np.logical_or.accumulate(~on_ground)
 
 
 def make_inputs(flight: Material, measured: measurements.Measurements, levels: NoiseLevels) -> ekf.Inputs:
