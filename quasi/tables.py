@@ -152,10 +152,12 @@ def write_table(
         arrays.append(array)
     schema = pa.schema(fields, metadata={_MADE: _dumps(dict(made or {})).encode()})
     with replace_file(path) as part:
-        # measured values hardly repeat: a dictionary makes writing four times as long and files a quarter larger
-        repeating = [field.name for field in fields if not pa.types.is_floating(field.type)]
+        # measured values hardly repeat: a dictionary makes writing four times as long and files a quarter larger; their
+        # first bytes do, so bytes of one place stand together: reading takes half the time, files are a sixth smaller
+        measured = [field.name for field in fields if pa.types.is_floating(field.type)]
+        repeating = [field.name for field in fields if field.name not in measured]
         table = pa.Table.from_arrays(arrays, schema=schema)
-        pq.write_table(table, part, compression="zstd", use_dictionary=repeating)
+        pq.write_table(table, part, compression="zstd", use_dictionary=repeating, use_byte_stream_split=measured)
 
 
 def read_table(path: str | Path, columns: Sequence[str] | None = None) -> pd.DataFrame:

@@ -9,6 +9,7 @@ or loads them from the cache; until then its jobs wait. So no two jobs compile t
 With the first job of a room, the rooms behind it prepare themselves on another core.
 """
 
+import atexit
 import gc
 import importlib
 import json
@@ -244,6 +245,11 @@ def _run(request: Mapping[str, Any]) -> None:
     sys.argv = [script]
     sys.path.insert(0, os.path.dirname(script))
     runpy.run_path(script, run_name="__main__")
+    # the interpreter's own end would write to, and so copy, nearly all memory that the job shares with its server
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)
 
 
 def use_server(scripts: type, server: JobServer, measure: Callable[..., Any]) -> None:
