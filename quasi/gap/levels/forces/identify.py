@@ -189,15 +189,16 @@ def _widened(
     differ by more: then its form is not quite right, and which axis has the say decides on the value. A cause that is
     not significant with wider errors, or a tie that nothing is sure of, is left out, with the reason, and the others
     are estimated without it; of these, those that were significant only with it given go as well, one that only axes
-    without a say show, and one that is excessive. What was left out, or is unphysical, stands for something unknown;
-    what explains next to nothing of it may be the error of its form.
+    without a say show, and one that is excessive. What was left out, or is impossible, stands for something unknown;
+    what explains next to nothing of it may be the error of its form. So may a small change of what all flights show
+    anyway, next to a clearer one.
     """
     kept, tied, vague, torn = list(causes), list(ties), {}, []
 
     def enough(one: tuple) -> float:
         return sought.level[one[1].offer.since] if isinstance(one[0], Cause) else SURELY
 
-    unknown = [t for t in sought.ranking if sought.passed.get(t.offer) == UNPHYSICAL]
+    unknown = [t for t in sought.ranking if sought.passed.get(t.offer) in (UNPHYSICAL, EXCESSIVE)]
     while True:
         every = [*(c.test.offer for c in kept), *offers_of([], tied), *there]
         for cause in kept:
@@ -213,6 +214,8 @@ def _widened(
         faint = [one for one in listed if one[1].p >= sought.level[one[1].offer.since]]
         large = [one for one in listed if sought.rules.is_excessive(one[1])]
         small = [one for one in listed if any(_may_be_form(one[1], u, sought, compared, asked) for u in unknown)]
+        clearest = min((one[1].p for one in listed if one[1].offer.since == "changed"), default=1.0)
+        usual = [one for one in listed if one[1].p > clearest and _is_form_of_usual(one[1], every, sought)]
         if large:
             worst, test, _ = max(large, key=lambda one: sought.rules.excess(one[1]))
             why = EXCESSIVE
@@ -228,6 +231,9 @@ def _widened(
         elif small:
             worst, test, _ = min(small, key=lambda one: one[1].wald)
             why = "it explains so little that it may be the error of the form of what no cause explains on its axes"
+        elif usual:
+            worst, test, _ = max(usual, key=lambda one: one[1].p)
+            why = "it is so small a part of what all flights show that it may be the error of its form, next to another"
         else:
             break
         kept = [c for c in kept if c is not worst]
@@ -248,6 +254,16 @@ def _may_be_form(
         return False
     shared = share_on_axes(sought.study, compared, asked, unknown, test.offer.cause)
     return test.wald < FORM_ERROR * unknown.wald * shared
+
+
+def _is_form_of_usual(test: Test, every: Sequence[Candidate], sought: Sought) -> bool:
+    """Whether a change is, in its squares, a smaller part of what all flights have of its cause than a form errs by."""
+    own = next((o for o in every if (o.cause, o.since) == (test.offer.cause, "always")), None)
+    if test.offer.since != "changed" or own is None:
+        return False
+    usual = sought.mixed.test(own, [o for o in every if o != own], sought.mixed.pooled("always"))
+    sizes = dict(zip(own.which, usual.value))
+    return all(v**2 < FORM_ERROR * sizes.get(k, 0.0) ** 2 for k, v in zip(test.offer.which, test.value))
 
 
 def _again(
