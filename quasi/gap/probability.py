@@ -30,23 +30,16 @@ NAMED_CAUSES = Logistic(-0.52, 0.608)
 KINDS = {"effects": NAMED_CAUSES, "ties": NAMED_CAUSES, "candidates": Logistic(-5.55, 0.457)}
 
 
-def decades(p: float, apart: float = 1.0) -> float:
-    """-log10 of a p-value once its standard errors are widened `apart` times, at most MOST_DECADES.
-
-    The logarithm falls with the Wald statistic, which widened standard errors divide by apart^2.
-    """
-    return float(np.clip(-np.log10(max(p, 1e-300)) / apart**2, 0.0, MOST_DECADES))
+def decades(p: float) -> float:
+    """-log10 of a p-value, at most MOST_DECADES."""
+    return float(np.clip(-np.log10(max(p, 1e-300)), 0.0, MOST_DECADES))
 
 
 def decades_of(entry: Mapping[str, Any]) -> float | None:
-    """`decades` of an effect, a tie or a candidate of diagnosis.json, None where it has no p-value.
-
-    Where the axes of a cause differ by more than their standard errors, these are widened as those of its parameters.
-    """
-    evidence = entry.get("evidence") or {}
-    places = (entry, evidence, entry.get("constant force") or {})
+    """`decades` of an effect, a tie or a candidate of diagnosis.json, None where it has no p-value."""
+    places = (entry, entry.get("evidence") or {}, entry.get("constant force") or {})
     p = next((place["p"] for place in places if place.get("p") is not None), None)
-    return None if p is None else decades(p, max(evidence.get("axes apart") or 1.0, 1.0))
+    return None if p is None else decades(p)
 
 
 def probability_of(kind: str, decades: float) -> float:

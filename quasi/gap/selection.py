@@ -233,7 +233,8 @@ class Search:
         for c in self.clear:
             if self._is_form(t, c, [g for g in self.given if g != c.offer]):
                 return f"it has more parameters than {c.offer.cause} and explains hardly more"
-        strongest = max(self.strong, key=lambda c: c.wald, default=None)
+        others = [c for c in self.strong if c.offer.cause != t.offer.cause]  # its own parameters are its form
+        strongest = max(others, key=lambda c: c.wald, default=None)
         form_error = self.rules.form_error * strongest.wald if strongest is not None else 0.0
         small = t.offer.since == "changed" and t.wald < form_error
         if small and t.wald < form_error * self.rules.overlap(strongest, t.offer.cause):

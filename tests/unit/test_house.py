@@ -60,7 +60,7 @@ def test_imports_run_downwards(path):
 FLOORS = [
     {"statistics"},
     {"flights"},
-    {"effect", "causes", "extension", "own_effect", "catalogue", "causes_page"},
+    {"effect", "profile", "causes", "extension", "own_effect", "catalogue", "causes_page"},
     {"selection", "materiality"},
     {"levels.forces"},
     {"levels.sensors", "levels.drive", "levels.selected"},

@@ -64,11 +64,13 @@ def voices(
     return result
 
 
-def disagreement(heard: Sequence[Voice]) -> float:
-    """How many times further apart the axes are than their standard errors say, 1 where they are not.
+def disagreement(heard: Sequence[Voice], wald: float) -> float:
+    """Factor by which a cause's standard errors grow where its axes are further apart than their own say, 1 where they
+    are not: an axis has a form of its own, and the mean of a few such forms is known as well as they agree.
 
-    Axes that hardly show the cause are left out, which would hide that the others differ, unless they surely differ.
-    Source: Particle Data Group, Review of Particle Physics 2024, Introduction, section 5.2.2 (scale factor S).
+    wald  of the test of all axes together. Axes that hardly show the cause are left out, which would hide that the
+    others differ, unless they surely differ.
+    Source: DerSimonian & Laird, Meta-analysis in clinical trials, Controlled Clinical Trials 7, 1986, equation 8.
     """
     if len(heard) < 2:
         return 1.0
@@ -80,10 +82,12 @@ def disagreement(heard: Sequence[Voice]) -> float:
     ]  # fmt: skip
     if len(sharp) < 2:
         return 1.0
-    weights = [1.0 / v.std**2 for v in sharp]
-    mean = sum(w * v.amount for w, v in zip(weights, sharp)) / sum(weights)
-    spread = sum(w * (v.amount - mean) ** 2 for w, v in zip(weights, sharp)) / (len(sharp) - 1)
-    return max(spread**0.5, 1.0)
+    amounts, variances = np.array([(v.amount, v.std**2) for v in sharp]).T
+    weights = 1.0 / variances
+    scatter = weights @ (amounts - weights @ amounts / weights.sum()) ** 2 - (len(sharp) - 1)
+    between = max(scatter, 0.0) / (weights.sum() - (weights**2).sum() / weights.sum())
+    more = 1.0 / (1.0 / (variances + between)).sum() - 1.0 / weights.sum()
+    return float(np.sqrt(1.0 + wald * more))
 
 
 def hear(
@@ -97,7 +101,7 @@ def hear(
     everywhere = voices(study, compared, test, pooled, given)
     heard = [v for v in everywhere if v.axis in channels]
     p = test.p if len(heard) == len(everywhere) else max(test.p, p_together(heard, len(test.offer.which)))
-    return p, disagreement(heard)
+    return p, disagreement(heard, test.wald)
 
 
 def p_together(heard: Sequence[Voice], parameters: int) -> float:

@@ -222,7 +222,7 @@ def _widened(
         elif unsure:
             worst, test, apart = max(unsure, key=lambda one: one[2])
             unknown.append(test)
-            why = f"its axes differ by {apart:.1f} times their standard errors; with wider ones it is not significant"
+            why = f"its axes differ, which widens its errors {apart:.1f} times; with these it is not significant"
             torn.append(test.offer.cause.replace("_", " "))
         elif faint:
             worst, test, _ = max(faint, key=lambda one: one[1].p)
@@ -269,11 +269,11 @@ def _is_form_of_usual(test: Test, every: Sequence[Candidate], sought: Sought) ->
 def _again(
     offer: Candidate, others: Sequence[Candidate], effect: Effect, sought: Sought, compared: np.ndarray
 ) -> tuple[Test, float]:
-    """The test of an offer with others given, and how many times further apart its axes are than they should be."""
+    """The test of an offer with others given, its p-value with errors widened where axes differ, and how much."""
     pooled = sought.mixed.pooled(offer.since)
     test = sought.mixed.test(offer, others, pooled)
     p, apart = hear(sought.study, compared, test, pooled, others, effect.channels)
-    return test._replace(p=p), apart
+    return test._replace(p=max(p, float(chi2.sf(test.wald / apart**2, len(test.value))))), apart
 
 
 def _leading_p(test: Test, apart: float, asked: Mapping[str, Effect]) -> float:

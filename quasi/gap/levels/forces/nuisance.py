@@ -19,7 +19,6 @@ import numpy as np
 
 from quasi.gap.causes.cg_offset import EFFECT as CG_OFFSET
 from quasi.gap.causes.rotor_effectiveness import EFFECT as ROTOR
-from quasi.gap.effect import vehicle_of
 from quasi.gap.flights.evidence import Evidence
 from quasi.model.columns import ROTORS
 from quasi.model.model import AXES
@@ -44,10 +43,8 @@ def nuisances(evidence: Evidence) -> list[tuple[str, np.ndarray, float]]:
         spread = FORCE_BIAS * weight if k < 3 else MOMENT_BIAS * weight * evidence.airframe.arm * 10.0
         result.append((f"constant {axis}", evidence.only(axis, 1.0), spread))
     result.append(("mass", evidence.forces_only(-evidence.force), MASS_SPREAD))
-    vehicle = vehicle_of(evidence.model, evidence.mass, evidence.inertia)
-    thrust = evidence.thrust_wrench(evidence.carried_thrust)
-    thrust[:, 5] -= vehicle.drawn * (evidence.spin * evidence.speeds**2).sum(axis=1)  # the power goes with the thrust
-    result.append(("thrust", thrust, THRUST_SPREAD))
+    rotors = ROTOR.columns(evidence, {})
+    result.append(("thrust", sum(rotors[f"rotor{i}"] for i in range(1, 5)), THRUST_SPREAD))
     result.append(("torque", evidence.only("Mz", -(evidence.spin * evidence.torque).sum(axis=1)), TORQUE_SPREAD))
     by_velocity, by_rates = evidence.gradient("u", "v", "w"), evidence.gradient("p", "q", "r")
     for k, name in enumerate(("roll", "pitch", "yaw")):
