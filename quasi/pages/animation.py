@@ -72,12 +72,13 @@ class Scene:
         fresh = [a for a in more if not a.get_animated()]
         for artist in fresh:
             artist.set_animated(True)
-        if self._background is None or anew or fresh:
-            self.canvas.draw()
-        self.canvas.restore_region(self._background)
-        # the farther drone first, as matplotlib itself sorts
-        with np.errstate(all="ignore"):  # matplotlib fills faces up to the longest one's length with what memory holds
+        # matplotlib fills faces up to the longest one's length with what memory holds
+        with np.errstate(all="ignore"):
+            if self._background is None or anew or fresh:
+                self.canvas.draw()
+            # the farther drone first, as matplotlib itself sorts
             depth = [(max(a.do_3d_projection() for a in d.artists), k) for k, d in enumerate(self.drones)]
+        self.canvas.restore_region(self._background)
         for artist in self._moving:
             self.axes.draw_artist(artist)
         for _, k in sorted(depth, reverse=True):
