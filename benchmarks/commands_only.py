@@ -11,8 +11,9 @@ moment, as telemetry has it. Then least squares of the measured Fz and moments o
 with and without W dW/dt: thrust leads the rotor speed, because the air through the rotor follows late. Printed are R2
 of the measurement, and the rms error against the truth below the low-pass, over the rms of the truth about its mean.
 `nanobench` makes the model of examples/crazyflie through the workflow and prints its scores on held-out flights, arms,
-the mean error of roll-outs of 0.1, 0.2 and 0.5 s over that of holding the last state, and the difference of held-out
-flights from the moment factors of the training flights over the standard error that is stated for one flight.
+the mean error of roll-outs of 0.1, 0.2 and 0.5 s over that of holding the last state, the same with the trim of the 2 s
+before each start (less the look-ahead of the low-pass), and the difference of held-out flights from the moment factors
+of the training flights over the standard error that is stated for one flight.
 Both write results/benchmarks/commands_only_*.json.
 """
 
@@ -36,13 +37,14 @@ from quasi.identification.partition import partition, usable
 from quasi.identification.rotor_speeds import rotor_speeds_of, rows_within_limits
 from quasi.identification.shared import shared
 from quasi.model.model import read_model
-from quasi.simulation.tools.rollout import compute_errors, count_steps, rollout
+from quasi.simulation.tools.rollout import compute_errors, count_steps, rollout, trim_before
 from quasi.tables import read_json, read_made, read_table, write_json
 from quasi.terms.rotor_map import SPEEDS, WARM_UP_NAMES, used_rows
 
 ROOT = Path(__file__).parents[1]
 STATE = ["roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r", "x", "y", "z"]
 HORIZONS, EVERY = (0.1, 0.2, 0.5), 0.1  # s
+TRIM = 2.0  # s of the trim before each start, as in nanodrone.py
 
 
 def thrusts_and_moments(table, airframe, factors) -> np.ndarray:
@@ -201,18 +203,24 @@ def spread_of_factors(tables: dict, drive: dict, airframe: Airframe, masses: dic
     return found
 
 
-def roll_outs(model, flight) -> dict[str, np.ndarray]:
-    """Mean error norms (2, H) after HORIZONS of the model, and of holding the last state."""
+def roll_outs(model, flight, look_ahead: int) -> dict[str, np.ndarray]:
+    """Mean error norms (3, H) after HORIZONS of the model, of the model with the trim before each start, and of holding
+    the last state. look_ahead  rows by which the flight's low-pass looks ahead"""
     t, states = flight["t"].to_numpy(float), flight[STATE].to_numpy(float)
     good, steps = np.zeros(len(flight), bool), count_steps(t, HORIZONS[-1])
     good[usable(len(flight), 0.7)] = True
     good &= used_rows(flight)
-    starts = np.arange(0, len(t) - steps - 1, max(round(EVERY / float(np.median(np.diff(t)))), 1))
+    dt = float(np.median(np.diff(t)))
+    starts = np.arange(0, len(t) - steps - 1, max(round(EVERY / dt), 1))
     starts = starts[[bool(good[s : s + steps + 1].all()) for s in starts]]
-    run = rollout(model, t, states, flight[list(SPEEDS)].to_numpy(float), starts, HORIZONS[-1])
-    own, held = compute_errors(run, states, starts), compute_errors(hold_states(states, starts, steps), states, starts)
-    at = [count_steps(t, horizon) for horizon in HORIZONS]
-    return {k: np.array([np.nanmean(own[k][:, at], axis=0), np.nanmean(held[k][:, at], axis=0)]) for k in own}
+    predicted = model.predict_columns(flight)
+    missing = flight[list(predicted)].to_numpy(float) - predicted.to_numpy(float)
+    missing[~used_rows(flight)] = np.nan
+    trim = trim_before(missing, starts, round(TRIM / dt), look_ahead)
+    speeds, at = flight[list(SPEEDS)].to_numpy(float), [count_steps(t, horizon) for horizon in HORIZONS]
+    runs = [rollout(model, t, states, speeds, starts, HORIZONS[-1], offsets=offsets) for offsets in (None, trim)]
+    errors = [compute_errors(run, states, starts) for run in (*runs, hold_states(states, starts, steps))]
+    return {kind: np.array([np.nanmean(one[kind][:, at], axis=0) for one in errors]) for kind in errors[0]}
 
 
 def nanobench(path: str) -> dict:
@@ -232,8 +240,9 @@ def nanobench(path: str) -> dict:
     for key in model.document["flights"]["validation"]:
         place = folder / f"results/filtered/Nano/withGravity/{key}.parquet"
         flight = read_flight(place, drive)
-        held_out[key], masses[key] = read_table(place), read_made(place)["mass"]
-        for kind, values in roll_outs(model, flight).items():
+        held_out[key], about = read_table(place), read_made(place)
+        masses[key] = about["mass"]
+        for kind, values in roll_outs(model, flight, about["filters"]["half length samples"]).items():
             errors.setdefault(kind, []).append(values)
         rows = partition({key: flight}, {key}, {"usable data ratio": 0.7})[key] > 0
         part = flight[rows]
@@ -248,10 +257,11 @@ def nanobench(path: str) -> dict:
             "pooled": float(1.0 - np.mean((y - f) ** 2) / np.var(y)),
             "each without its mean": [float(x) for x in level],
         }
-    report["roll-outs over holding"] = {
-        kind: dict(zip(map(str, HORIZONS), (np.mean(values, axis=0)[0] / np.mean(values, axis=0)[1]).tolist()))
-        for kind, values in errors.items()
-    }
+    for row, name in enumerate(("roll-outs over holding", "roll-outs with trim over holding")):
+        report[name] = {
+            kind: dict(zip(map(str, HORIZONS), (np.mean(values, axis=0)[row] / np.mean(values, axis=0)[2]).tolist()))
+            for kind, values in errors.items()
+        }
     airframe = read_airframe(read_json(folder / "config/Nano.json"), "Nano", float(np.mean(list(masses.values()))))
     report["held-out factors over stated errors"] = spread_of_factors(held_out, drive, airframe, masses)
     return report
@@ -271,8 +281,9 @@ def figures_of(what: str, report: dict) -> dict[str, float]:
     found |= {f"arm_std_{axis}": part["std"] for axis, part in report["arms over configured"].items()}
     found |= {f"between_{axis}": part["between flights"] for axis, part in report["arms over configured"].items()}
     found |= {
-        f"{kind}_{horizon}": value
-        for kind, part in report["roll-outs over holding"].items()
+        f"{kind}{ending}_{horizon}": value
+        for name, ending in (("roll-outs over holding", ""), ("roll-outs with trim over holding", "_trim"))
+        for kind, part in report[name].items()
         for horizon, value in zip(("first", "second", "last"), part.values())
     }
     spread = report["held-out factors over stated errors"]

@@ -25,7 +25,7 @@ import numpy as np
 from plain_rollout import Body, hold_states, make_body, rollout_body
 
 from quasi.model.model import read_model
-from quasi.simulation.tools.rollout import compute_errors, count_steps
+from quasi.simulation.tools.rollout import compute_errors, count_steps, trim_before
 from quasi.tables import read_table, write_json
 
 ROOT = Path(__file__).parents[1]
@@ -77,15 +77,11 @@ def starts_of(imported, steps: int) -> np.ndarray:
 
 
 def trims(model, filtered, starts: np.ndarray, dt: float) -> tuple[np.ndarray, dict[str, float]]:
-    """Mean of measured minus predicted wrench (S, 6) before each start; and over the whole run, by axis."""
+    """Trim (S, 6) before each start; and the mean of measured minus predicted over the whole run, by axis."""
     predicted = model.predict_columns(filtered)
     missing = filtered[list(predicted)].to_numpy() - predicted.to_numpy()
     missing[filtered["valid"].to_numpy() < 0.5] = np.nan
-    trim = np.zeros((len(starts), 6))
-    for i, s in enumerate(starts):
-        before = missing[max(s - round((TRIM + MARGIN) / dt), 0) : max(s - round(MARGIN / dt), 0)]
-        before = before[np.isfinite(before).all(axis=1)]
-        trim[i] = before.mean(axis=0) if len(before) * dt > 0.25 * TRIM else 0.0
+    trim = trim_before(missing, starts, round(TRIM / dt), round(MARGIN / dt))
     return trim, dict(zip(predicted, np.nanmean(missing, axis=0).tolist()))
 
 

@@ -11,7 +11,7 @@ from quasi.model.model import Model
 from quasi.simulation.loop.run import simulate
 from quasi.simulation.loop.setup import make_setup
 from quasi.simulation.tools.replay import ActuatorDynamics, read_actuator_dynamics, replay, to_euler_states
-from quasi.simulation.tools.rollout import rollout
+from quasi.simulation.tools.rollout import rollout, trim_before
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +63,24 @@ def test_a_simulated_flight_is_replayed_from_its_own_commands_and_wind(model):
         np.testing.assert_allclose(found[s, 250, 13:], speeds[start + 250], rtol=1e-9)
     still_air = replay(model, table["t"], table[names], speeds, starts, 1.0, commands, rotors)
     assert np.abs(to_euler_states(still_air)[0, 250] - truth[260]).max() > 0.05
+
+
+def test_a_planted_constant_moment_is_the_trim_and_nothing_after_the_start_enters_it(model):
+    t, states, speeds = flight(600)
+    planted = np.array([0.0, 0.02, -0.05, 2e-4, -3e-4, 1e-5])
+    states = rollout(model, t, states, speeds, [0], t[-1], offsets=planted[None])[0]
+    missing = planted + np.random.default_rng(1).normal(0.0, 1e-7, (600, 6))
+    missing[250:260] = np.nan
+    starts, margin = np.array([20, 300, 400]), 30
+    trim = trim_before(missing, starts, 200, margin)
+    np.testing.assert_array_equal(trim[0], 0.0)  # nothing comes before it
+    np.testing.assert_allclose(trim[1:], [planted, planted], atol=1e-7)
+    later = missing.copy()
+    later[400 - margin :] += 1.0
+    np.testing.assert_array_equal(trim_before(later, starts, 200, margin), trim)
+    plain, trimmed = (rollout(model, t, states, speeds, starts[1:], 0.3, offsets=o) for o in (None, trim[1:]))
+    truth = np.stack([states[s : s + plain.shape[1]] for s in starts[1:]])
+    assert np.abs(trimmed - truth).max() < 1e-3 < 0.02 < np.abs(plain - truth).max()
 
 
 def test_commands_act_through_lag_delay_and_saturation(model):
