@@ -24,7 +24,7 @@ def rollout(
 ) -> np.ndarray:
     """Simulate from measured states with measured rotor speeds; arguments and errors as `replay.replay`.
 
-    offsets  (S, 6) N, N m, constant force and moment of each window beside those of the model, as of `trim_before`
+    offsets  (S, 6) N, N m, constant force and moment of each window, on top of the model, as of `trim_before`
 
     Returns (S, steps + 1, 12) roll pitch yaw u v w p q r x y z: the first is the measured state, the last lies
     `horizon` later; angles in (-pi, pi].
