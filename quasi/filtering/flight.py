@@ -14,10 +14,11 @@ from quasi.errors import ConfigError, DataError, add_caution, cautions
 from quasi.filtering import band as bands
 from quasi.filtering import bias as biases
 from quasi.filtering import ekf, estimation, forces, harmonics, measurements
+from quasi.filtering.contact import find_contacts
 from quasi.filtering.filter_inputs import Material
 from quasi.filtering.rotor_speeds import commands_to_keep
 from quasi.filtering.verdict import judge_flight
-from quasi.sensor_limits import describe_impossible_inertia
+from quasi.sensor_limits import check_measured_motion, describe_impossible_inertia
 from quasi.tables import COLUMNS
 from quasi.terms.rotor_map import RAW
 
@@ -202,9 +203,19 @@ def filter_flight(
     edge = np.zeros(len(t), bool)
     edge[:reach] = edge[-reach:] = True
     lost = forces.spread(imu.lost | actuators_lost, reach) | edge
+    touched = np.zeros(len(t), bool)
+    if check_measured_motion({**run.report, "imported": imported_metadata})[1]:
+        contacts = find_contacts(-run.position[:, 2], imu.accel, in_flight, dt)
+        touched = forces.spread(contacts, reach)
+        if contacts.any():
+            notes.append(
+                f"the vehicle is as low as it stands for {contacts.sum() * dt:.2g} s with turning rotors, and the "
+                "floor's force is not its own; these rows are marked invalid"
+            )
     spoiling = {
         _unsure_words(imported_metadata): run.unsure,
         "it is not in flight": ~in_flight,
+        "it touches the floor": touched,
         "sensors or rotor speeds are lost": lost,
     }
     if turning is not None:  # a jolt of the IMU while no rotor turns is no flight

@@ -21,10 +21,6 @@ HEAVIER = 2.0  # a factor of mass that no load explains
 ELSEWHERE = 0.5  # of the arm: rotors are numbered otherwise, or it is another frame
 SECOND = 1.0  # s: what low-pass filters and whiteners leave of less is nothing
 SENSELESS = 1e4  # times the weight, and the weight at the arm: no model of a quadrotor means that
-TOUCHING = (
-    0.01  # m from the height at which the vehicle stands: legs spring, and capture and attitude err by millimetres
-)
-CONTACT_RINGING = 0.1  # s around a contact, in which the low-pass of forces still holds its blow
 SAMPLES = 2.5  # per period of the filters' cut-off: what they let pass is then not folded
 
 
@@ -93,27 +89,6 @@ def gather_all(
     return found, lost
 
 
-def touching(flight: pd.DataFrame, memory: int) -> np.ndarray:
-    """True (n,) where a flight may touch the ground: the floor's force there is none of the vehicle's.
-
-    flight  filtered, with `in_flight` and z (m, earth down); memory  rows around a contact that are marked as well
-    The height of the ground is that at which the vehicle stands before take-off and after landing, each for the half of
-    the flight next to it. A landing whose rotors still turn fast counts as flight elsewhere.
-    """
-    touched = np.zeros(len(flight), bool)
-    if not {"in_flight", "z"} <= set(flight):
-        return touched
-    height = -flight["z"].to_numpy(float)
-    flying = np.flatnonzero(flight["in_flight"].to_numpy(float) > 0.5)
-    if not len(flying):
-        return touched
-    halves = np.arange(len(flight)) <= (flying[0] + flying[-1]) // 2
-    for rest, half in ((height[: flying[0]], halves), (height[flying[-1] + 1 :], ~halves)):
-        if np.isfinite(rest).any():
-            touched |= half & (np.abs(height - np.nanmedian(rest)) < TOUCHING)
-    return np.convolve(touched, np.ones(2 * memory + 1), "same") > 0.5
-
-
 def _least_rate(metadata: Mapping[str, Any]) -> float:
     """Hz that a flight's forces need, by the low-pass that they went through; 0 where it is unknown."""
     return SAMPLES * float((metadata.get("filters") or {}).get("low-pass cutoff Hz") or 0.0)
@@ -149,7 +124,6 @@ def gather(
     good = np.isfinite(flight[list(REQUIRED)].to_numpy()).all(axis=1)
     if "valid" in flight:
         good &= flight["valid"].to_numpy() > 0.5
-    good &= ~touching(flight, round(CONTACT_RINGING * sampling))
     rows = np.flatnonzero(good)
     rows = rows[rows % every == 0]
     if len(rows) * every < SECOND * sampling:

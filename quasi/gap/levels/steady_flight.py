@@ -7,6 +7,7 @@ import pandas as pd
 from scipy.ndimage import uniform_filter1d
 
 from quasi.attitude import GRAVITY
+from quasi.filtering.contact import CONTACT
 from quasi.sensor_limits import runs_of
 from quasi.terms.rotor_map import RAW, SHARES, SPEEDS
 
@@ -16,7 +17,6 @@ MIN_HEIGHT = 0.1  # m above the lowest place, where the rotor's radius is not kn
 SETTLING, BEFORE_LANDING = 1.0, 0.5  # s after take-off and before touch-down: integrators of a controller wind up
 CALM_RATE, CALM_FORCE = 0.5, 0.15  # rad/s and share of g, means over CALM_WINDOW: a tilt of 9 deg adds 1 % of thrust
 CALM_WINDOW = 0.5  # s
-CONTACT = 0.5  # of the weight, force that the rotors do not give: no wind makes it at the speeds above
 CONTACT_MARGIN = 0.25  # s on either side of a contact
 MIN_STEADY = 3.0  # s, over which a controller's own slow motions average out
 
