@@ -165,26 +165,6 @@ def test_noise_within_a_dataflash_log_is_passed_over(tmp_path, flight):
     assert len(found.series["onboard"].t) == len(flight.t)
 
 
-@pytest.mark.parametrize("kind", ["ulog", "dataflash", "mcap"])
-def test_damaged_files_raise_errors_of_ours_alone(tmp_path, flight, kind):
-    if kind != "dataflash":
-        needs("pyulog" if kind == "ulog" else "rosbags")
-    controller = {"ulog": "px4", "dataflash": "ardupilot", "mcap": "rosbag"}[kind]
-    short = made_flight(seconds=1.0)
-    data = {"ulog": write_ulog, "dataflash": write_dataflash, "mcap": write_bag}[kind](tmp_path, short).read_bytes()
-    rng = np.random.default_rng(5)
-    for k in range(12):
-        broken = bytearray(data)
-        for place in rng.integers(16, len(data), 6):
-            broken[place] = rng.integers(0, 256)
-        path = tmp_path / f"broken{k}.{'mcap' if kind == 'mcap' else 'x'}"
-        path.write_bytes(broken)
-        try:
-            read(path, controller)
-        except (ReadError, ConfigError) as error:
-            assert str(path) in str(error)
-
-
 def test_a_log_of_another_controller_is_named_with_the_right_one(tmp_path, flight):
     path = write_dataflash(tmp_path, flight)
     with pytest.raises(ReadError, match=r"ArduPilot DataFlash.*'Flight controller' to ardupilot"):

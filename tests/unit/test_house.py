@@ -1,6 +1,7 @@
 """The rules of the house: who may import whom, and who may open files."""
 
 import ast
+import functools
 import re
 from pathlib import Path
 
@@ -25,9 +26,16 @@ LOOSE = 8  # modules at the top level of the package
 MODULES = sorted(p for package in ("quasi", "quasi_synthesis") for p in (ROOT / package).rglob("*.py"))
 
 
+@functools.cache
+def nodes(path):
+    """All nodes of a file's syntax tree; many rules read the same files."""
+    return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
+@functools.cache
 def imports(path):
     found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             found |= {a.name for a in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -128,7 +136,7 @@ def test_only_tables_opens_files():
         if str(path.relative_to(ROOT)) in exempt:
             continue
         ours = {m.rsplit(".", 1)[1] for m in imports(path) if m.startswith("quasi.tables.")}
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             if not isinstance(node, ast.Call) or name_of(node.func) not in OPENING - ours:
                 continue
             first = node.args[0] if node.args else None
@@ -139,7 +147,7 @@ def test_only_tables_opens_files():
 
 def test_nothing_loaded_can_run_code():
     for path in [*MODULES, *(ROOT / "scripts").glob("*.py")]:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
                 assert node.func.id not in ("eval", "exec", "compile", "__import__"), path
         modules = imports(path)
