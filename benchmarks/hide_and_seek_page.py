@@ -204,7 +204,7 @@ def _calibration(results: Sequence[Mapping[str, Any]]) -> list[str]:
             known = f"{len(sure)} {words} stated with a probability of {SURE} or more, {sum(sure)} are right"
             score = f"Of {known}. {score}"
         lines += ["", score, "", *bin_table(chance, right)]
-    fitted = "The [calibration](probability.md) was fitted with seeds 30000 to 30027: of these it is no prediction."
+    fitted = "The [calibration](probability.md) was fitted with seeds 36000 to 36299: of these it is no prediction."
     return [*lines, "", fitted] if lines else []
 
 
