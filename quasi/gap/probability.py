@@ -25,7 +25,7 @@ class Logistic(NamedTuple):
 
 
 # benchmarks/probability.py with 299 draws and 48 plants: 171 names, 164 right; 18 ties, 15 right, whose p-values sort
-# nothing. Of candidates an earlier fit is kept (28 draws and 20 plants): the new one states up to 0.89 where half is right
+# nothing. Of candidates an earlier fit is kept (28 draws and 20 plants): the new one states 0.89 where half is right
 KINDS = {"effects": Logistic(0.48, 0.320), "ties": Logistic(1.39, 0.0), "candidates": Logistic(-5.55, 0.457)}
 
 
