@@ -122,7 +122,7 @@ CASES = {
     "blade_flapping": ({"k": 3e-7}, {"k": 3e-7}, 0.02),
     "translational_lift": ({"k": 0.01}, {"k": 0.01}, 0.02),
     "axial_inflow": ({"k": 3e-5}, {"k": 3e-5}, 0.05),
-    "thrust_curve": ({"c1": 3e-5, "c0": 0.02}, {"c1": 3e-5, "c0": 0.02}, 0.05),
+    "thrust_curve": ({"c1": 3e-5}, {"c1": 3e-5}, 0.05),
     "thrust_factor": ({"factor": 0.97}, {"factor": -0.03}, 0.2),
     "torque_factor": ({"factor": 1.2}, {"factor": 0.2}, 0.3),
     "thrust_drift": ({"rate": -0.002}, {"rate": -0.002}, 0.2),
