@@ -39,7 +39,7 @@ from quasi.gap.levels.rollouts import commanded, error_reduction, split_flights
 from quasi.gap.levels.rollouts.confirmation import Settled
 from quasi.gap.levels.rollouts.open_loop import HORIZON, MOVED_BY
 from quasi.gap.levels.sensors_and_drive import rate_of, reject_immaterial
-from quasi.gap.levels.trim_evidence import gather_trim, trim_entries
+from quasi.gap.levels.trim_evidence import gather_trim, trim_entries, why_rotor_is_enough
 from quasi.gap.materiality import Cause
 from quasi.gap.probability import add_probabilities
 from quasi.gap.report.wording import summary
@@ -180,6 +180,7 @@ def diagnose(
     ties = add_battery(ties, effects)
     if found is not None:
         taken = [*(e["id"] for e in [*lower_effects, *named]), *(i for tie in ties for i in tie["ids"])]
+        taken += ["rotor_effectiveness"] if why_rotor_is_enough(trim) else []
         left_over = after(extended, model)
         ties += constant_force_ties(
             groups["compared"], groups["reference"], left_over, taken, asked_of,

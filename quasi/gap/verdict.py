@@ -25,7 +25,7 @@ from quasi.gap.levels.rollouts import error_reduction, split_flights
 from quasi.gap.levels.rollouts.confirmation import CONFIRMED, REFUTED, Settled, settle
 from quasi.gap.levels.rollouts.open_loop import HORIZON, MOVED_BY, WITH_COMMANDS, WITH_TRIM, WITHOUT_TRIM, fell, rms
 from quasi.gap.levels.sensors_and_drive import SEARCHES
-from quasi.gap.levels.trim_evidence import rejected_by_trim
+from quasi.gap.levels.trim_evidence import OF_TOTAL_THRUST, rejected_by_trim, why_rotor_is_enough
 from quasi.gap.materiality import Cause
 from quasi.gap.statistics import blocks
 from quasi.gap.statistics.mixed import Candidate
@@ -234,6 +234,7 @@ def judge_causes(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
     rare = [c for c in found.stand_ins if c.probability < needed(c, found)]
     unsure = {(c.effect.id, c.since) for c in rare}
     found.ties = [(since, t) for since, t in found.ties if (t.tests[0].offer.cause, since) not in unsure]
+    _drop_needless_ties(case, found)
     settled = settle(found, sure, case.model, case.compared, case.effects, case.vehicle, case.held, case.tables)
 
     def made(causes: Sequence[Cause], anew: bool) -> Model:
@@ -311,6 +312,21 @@ def _against_trim(case: Case, settled: Settled) -> Settled:
     for k, why in rejected.items():
         settled = _without(settled, changed[k], why)
     return settled
+
+
+def _drop_needless_ties(case: Case, found: Found) -> None:
+    """Take ties of the total thrust from `found` where the trim shows one rotor that is enough for it."""
+    why = why_rotor_is_enough(case.trim)
+    if not why or any(c.effect.id == "rotor_effectiveness" and c.since == "changed" for c in found.causes):
+        return
+    kept = []
+    for since, tie in found.ties:
+        if since == "changed" and all(t.offer.cause in OF_TOTAL_THRUST for t in tie.tests):
+            found.contradicted |= {t.offer.cause: (t, why) for t in tie.tests}
+            found.stand_ins = [c for c in found.stand_ins if c.test.offer.cause != tie.tests[0].offer.cause]
+        else:
+            kept.append((since, tie))
+    found.ties = kept
 
 
 def _harmless(case: Case, settled: Settled, made: Callable[[Sequence[Cause], bool], Model]) -> Settled:

@@ -12,7 +12,9 @@ from quasi.gap.effect import vehicle_of
 from quasi.gap.extension import extend
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.flights.instruments import shown
+from quasi.gap.levels.forces.design import gather_design
 from quasi.gap.levels.forces.estimated_speeds import OF_TELEMETRY, add_battery, with_estimated_speeds
+from quasi.gap.statistics.mixed import Candidate
 from quasi.model.commands import extended_map, rotor_speeds
 from quasi.model.extensions import correct_columns
 from quasi.model.model import Model
@@ -34,15 +36,15 @@ def ground():
     return Model(model.document | {"rotor speeds": MAP})
 
 
-def evidence_of(model, apart=0.0, estimated=True, agreeing=REFERENCE):
+def evidence_of(model, apart=0.0, estimated=True, agreeing=REFERENCE, volts=(16.6, 14.8), seed=2):
     """A flight whose rotors follow the voltage with an exponent `apart` from the map's; its speeds are the map's.
 
-    agreeing  V at which the two are the same
+    agreeing  V at which the two are the same; volts  V at the beginning and at the end
     """
-    rng = np.random.default_rng(2)
+    rng = np.random.default_rng(seed)
     columns = {a: s * rng.standard_normal(ROWS) for a, s in zip("uvwpqr", (2.0, 2.0, 1.0, 2.0, 2.0, 1.0))}
     columns |= {a: 0.2 * rng.standard_normal(ROWS) for a in ("roll", "pitch", "yaw")}
-    columns |= {"t": np.arange(ROWS) * 0.01, "battery_voltage": np.linspace(16.6, 14.8, ROWS)}
+    columns |= {"t": np.arange(ROWS) * 0.01, "battery_voltage": np.linspace(*volts, ROWS)}
     speeds = 2100.0 + 150.0 * rng.standard_normal((ROWS, 4))
     columns |= {f"w{i + 1}": speeds[:, i] for i in range(4)} | {f"w{i + 1}_dot": np.zeros(ROWS) for i in range(4)}
     if estimated:
@@ -124,6 +126,29 @@ def test_what_changes_thrust_at_the_same_command_is_tied_with_the_battery(ground
     tied = {n for n, e in effects.items() if "battery_sag" in e.always_tied_with}
     assert tied == {"thrust_factor", "thrust_curve", "thrust_drift"}
     assert not effects["battery_sag"].always_tied_with
+
+
+@pytest.mark.parametrize(
+    ("of_references", "volts", "is_changed"), [(0.6, (16.6, 15.8), False), (0.0, (15.2, 13.2), True)]
+)
+def test_lower_volts_than_references_had_are_no_other_battery(ground, of_references, volts, is_changed):
+    """Reference flights on a full battery do not know the map's exponent; their own values of it belong to the test."""
+
+    def flight(key, apart, volts, seed):
+        made = evidence_of(ground, apart, volts=volts, seed=seed)
+        noise = np.random.default_rng(seed).standard_normal((ROWS, 6)) * [0.3, 0.3, 0.3, 0.01, 0.01, 0.01]
+        return dataclasses.replace(made, key=key, measured=made.measured + noise)
+
+    flights = [flight(f"r{k}", of_references, volts, k) for k in range(3)]
+    flights += [flight(f"c{k}", 0.6, (15.2, 13.2), 5 + k) for k in range(2)]
+    flights = [dataclasses.replace(f, excluded=(0, 1, 5)) for f in flights]
+    effects = {"battery_sag": sag_of(ground, flights[0])}
+    compared = np.array([False] * 3 + [True] * 2)
+    mixed = gather_design(flights, effects, vehicle_of(ground, 0.433)).witnessed(range(5), compared)
+    p = mixed.test(Candidate("battery_sag", "changed", (0,)), [], mixed.pooled("changed")).p
+    assert (p < 1e-3) == is_changed, p
+    # references that have the map's exponent exactly would have named it in both
+    assert mixed.test(Candidate("battery_sag", "changed", (0,))).p < 1e-3
 
 
 FORMS = {"linear": {"slope": 0.7}, "quadratic": {"slope": 0.7, "curvature": -0.1}, "thrust map": {"saturation": 0.5}}

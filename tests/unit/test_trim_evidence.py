@@ -7,7 +7,13 @@ from gap_documents import KNOWN, document
 
 from quasi.attitude import GRAVITY
 from quasi.gap.effect import Vehicle
-from quasi.gap.levels.trim_evidence import expected_change, gather_trim, rejected_by_trim, trim_entries
+from quasi.gap.levels.trim_evidence import (
+    expected_change,
+    gather_trim,
+    rejected_by_trim,
+    trim_entries,
+    why_rotor_is_enough,
+)
 from quasi.gap.report.next_steps import steps
 from quasi.gap.report.page import page
 from quasi.gap.report.wording import summary
@@ -99,6 +105,23 @@ def test_a_named_cause_of_the_vertical_force_leaves_no_second_reason_for_the_tot
     assert trim_entries(commanded([1.25] * 4), ["payload_swing"], False, {"Fx", "Fy", "Fz"}) == ([], [])
     rotor = commanded([1.0, 1.0, 1.0 / 0.7, 1.0])
     assert [e["id"] for e in trim_entries(rotor, ["tether"], False, {"Fz"})[0]] == ["rotor_effectiveness"]
+
+
+def test_a_rotor_that_the_trim_shows_is_reason_enough_for_less_thrust_in_all():
+    """A propeller cut by a sixth had been named a heavier vehicle as well, or a tie of mass, thrust and battery."""
+    rotor, heavier = commanded([1.0, 1.0, 1.0 / 0.7, 1.0]), ("mass", {"mass": 0.06 * MASS})
+    assert "rotor 3" in why_rotor_is_enough(rotor)
+    assert set(rejected_by_trim(rotor, [heavier, ("wind", {"north": 1.0})], MASS)) == {0}
+    assert set(rejected_by_trim(rotor, [("battery_sag", {"exponent": 0.4})], MASS)) == {0}
+    # forces that name the rotor themselves know what is left
+    assert not rejected_by_trim(rotor, [("rotor_effectiveness", {"rotor3": -0.3}), ("wind", {"north": 1.0})], MASS)
+    both = commanded(1.12 * np.array([1.0, 1.0, 1.0 / 0.6, 1.0]))
+    assert both.document["names"] == ["rotor 3"]
+    assert not why_rotor_is_enough(both)
+    # measured speeds show a rotor in forces and moments
+    assert not why_rotor_is_enough(evidence((1.0, 1.0, 1.0 / 0.7, 1.0)))
+    assert not why_rotor_is_enough(commanded([1.25] * 4))
+    assert not why_rotor_is_enough(None)
 
 
 def test_the_trim_rejects_causes_that_it_contradicts_and_keeps_the_true_one():

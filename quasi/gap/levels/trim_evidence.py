@@ -8,8 +8,10 @@ import numpy as np
 import pandas as pd
 
 from quasi.gap.effect import Vehicle
+from quasi.gap.levels.forces.estimated_speeds import OF_THE_SAME_THRUST, SAG
 from quasi.gap.levels.hover_trim import (
     N_ROTORS,
+    SHARE_STD,
     Comparison,
     Flight,
     Geometry,
@@ -27,6 +29,7 @@ HYPOTHESES = {"mass": "another mass", "cg": "a moved centre of gravity", "weight
          "yaw": "another balance about yaw (a tilted rotor)"}  # fmt: skip
 TRIM_CHANNELS = {"rotor_effectiveness": ["Fz", "Mx", "My"], "mass": ["Fz"], "thrust_factor": ["Fz"],
             "cg_offset": ["Mx", "My"], "rotor_tilt": ["Mz"]}  # fmt: skip
+OF_TOTAL_THRUST = (*OF_THE_SAME_THRUST, SAG)  # of all rotors alike
 
 
 @dataclass(frozen=True)
@@ -143,16 +146,46 @@ def expected_change(cause: str, deviations: Mapping[str, float], evidence: TrimE
     return change
 
 
+def why_rotor_is_enough(evidence: TrimEvidence | None) -> str:
+    """Why the trim needs no other total thrust next to the one rotor that it names; "" where it does, or names none.
+
+    Of flights with commands in place of measured speeds alone. Under the named rotor the trim's change c is normal with
+    the covariance C + D S D'; another total thrust adds SHARE_STD^2 1 1'. It is not needed where it makes c no more
+    probable. Forces hold no more: a rotor that is weaker by a fifth takes a twentieth of the vertical force.
+    """
+    if evidence is None or evidence.document.get("source") != "commands" or evidence.document["word"] != "named":
+        return ""
+    (name,), found = evidence.document["names"], evidence.comparison
+    named = next(h for h in hypotheses(evidence.geometry) if h.name == name)
+    if named.ids != ("rotor_effectiveness",):
+        return ""
+    of_rotor = named.directions * np.array(named.std)
+    alone = found.covariance + of_rotor @ of_rotor.T
+    if _log_density(found.change, alone + SHARE_STD**2) > _log_density(found.change, alone):
+        return ""
+    return f"the trim shows {_words(name, evidence.document['parameters'][name])}, and needs no other total thrust"
+
+
+def _log_density(x: np.ndarray, covariance: np.ndarray) -> float:
+    """Of a normal distribution about 0, up to a constant."""
+    return float(-0.5 * x @ np.linalg.solve(covariance, x) - 0.5 * np.linalg.slogdet(covariance)[1])
+
+
 def rejected_by_trim(
     evidence: TrimEvidence | None, causes: Sequence[tuple[str, Mapping[str, float]]], mass: float
 ) -> dict[int, str]:
-    """Causes, by position, without which the trim is exp(REJECTED_LOG) more probable, and why.
+    """Causes, by position, without which the trim is exp(REJECTED_LOG) more probable, and why; or those of the total
+    thrust that it does not need next to a rotor.
 
     causes  [(id, deviations)] that compared flights have and reference flights lack, all together
     """
     if evidence is None or evidence.comparison is None or not causes:
         return {}
-    found = evidence.comparison
+    found, enough = evidence.comparison, why_rotor_is_enough(evidence)
+    if enough and not any(cause == "rotor_effectiveness" for cause, _ in causes):
+        needless = {k: enough for k, (cause, _) in enumerate(causes) if cause in OF_TOTAL_THRUST}
+        if needless:
+            return needless
     precision = np.linalg.inv(found.covariance)
     effects = [expected_change(cause, deviations, evidence, mass) for cause, deviations in causes]
 

@@ -122,7 +122,8 @@ def sag_of_forces(effect: Effect, model: Model, reference: float) -> Effect:
     """The cause `battery_sag` as thrust that follows the voltage otherwise than the model's map says.
 
     W = (1 + level) (V / V_ref)^(exponent - the map's) W_map: nobody knows the voltage at which both agree, so that a
-    level goes with the exponent. A level alone is what a thrust factor is.
+    level goes with the exponent. A level alone is what a thrust factor is. No term of a model follows the voltage, so
+    that reference flights have an exponent of their own: flown with fuller batteries, they may not know the map's.
     reference  V at which the map's voltage factor is 1
     """
     own = speed_exponent(map_of(model.document)) + voltage_of_map(model)[0]
@@ -161,5 +162,4 @@ def sag_of_forces(effect: Effect, model: Model, reference: float) -> Effect:
         corrected=corrected,
         full_effect=full,
         extension=extension,
-        absorbed_by_model=True,
     )
