@@ -86,6 +86,32 @@ def test_an_extended_model_is_the_model_at_the_speeds_that_its_rotors_act_with()
         np.testing.assert_allclose(found[2:5], true[2:5], rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize(("factor", "airflow"), [(-0.05, 0.05), (-0.05, 0.0), (0.01, 0.004)])
+def test_less_thrust_takes_its_inflow_along_or_leaves_it(factor, airflow):
+    """Thinner air takes both; blades of another pitch leave what velocity makes of the rotors as it was."""
+    model = simple_model(
+        AIRFRAME, THRUST, TORQUE, Fz={"w1^2 + w2^2 + w3^2 + w4^2": -THRUST, "w_tot*w": -2e-5},
+        Mx={"U_p": 1.7e-8, "w_tot*p": -4e-8}, My={"U_q": 1.6e-8, "w_tot*q": -5e-8}, Fx={"w_tot*u": -4e-6},
+    )  # fmt: skip
+    effect, vehicle = catalogue()["thrust_factor"], vehicle_of(model, MASS)
+    sizes = {"factor": factor, "airflow": airflow}
+    extended = Model(extend(model, [(effect, sizes)], vehicle, "extended", "a test"))
+    rng = np.random.default_rng(3)
+    columns = {name: rng.standard_normal(200) for name in (*"uvwpqr", "roll", "pitch")}
+    columns |= {name: np.zeros(200) for name in (*"xyzt", "yaw")} | {f"w{i}_dot": np.zeros(200) for i in range(1, 5)}
+    columns |= {f"w{i}": HOVER + 150.0 * rng.standard_normal(200) for i in range(1, 5)}
+    flight = flown(model, columns)
+    change = model_wrench(extended, columns) - flight.predicted
+    made = columns_of(effect, flight, vehicle, {})
+    first = sum(size * made[name] for name, size in sizes.items())
+    scale = np.sqrt(np.mean(change[:, 2:5] ** 2, axis=0))
+    np.testing.assert_allclose(first[:, 2:5] / scale, change[:, 2:5] / scale, atol=0.02)
+    if factor == -airflow:
+        np.testing.assert_allclose(change, factor * flight.thrust_wrench(flight.thrust), rtol=1e-9, atol=1e-12)
+    else:
+        assert np.abs(change[:, 2] - factor * flight.thrust_wrench(flight.thrust)[:, 2]).max() > 1e-3 * MASS
+
+
 def test_a_trial_of_less_than_no_thrust_acts_as_the_weakest_rotor_that_is_physical():
     model = simple_model(AIRFRAME, THRUST, TORQUE, Mx={"U_p": 1e-8, "mu_x*w_avg": 0.1})
     effect = catalogue()["rotor_effectiveness"]
