@@ -3,8 +3,10 @@
 Air that is thinner changes torque as it changes thrust; blades of another shape do not: torque is a parameter of its
 own, asked together with thrust. So is what velocity makes of the rotors (inflow, hub forces, damping): thinner air
 takes it with the thrust, blades of another pitch leave it as it was. Asked with one factor for both, five per cent less
-thrust without less inflow had been missed: an inertia and a drag took up the difference. In the fit and in the extended model it is four rotors of one `rotor_effectiveness`:
-what sessions differ by has the same columns, and no form of its own gives one away.
+thrust without less inflow had been missed: an inertia and a drag took up the difference.
+
+In the fit and in the extended model it is four rotors of one `rotor_effectiveness`: what sessions differ by has the
+same columns, and no form of its own gives one away.
 """
 
 from collections.abc import Mapping
@@ -45,8 +47,8 @@ EFFECT = Effect(
     id="thrust_factor",
     level="forces",
     sentence="all rotors make more or less thrust than before (other propellers, thinner air)",
-    equation="T_i = factor T0_i, roll and pitch effectiveness with it; Q_i = torque Q0_i; what velocity makes of T0_i and "
-    "of hub forces times factor + airflow - 1",
+    equation="T_i = factor T0_i, roll and pitch effectiveness with it; Q_i = torque Q0_i; what velocity makes of T0_i "
+    "and of hub forces times factor + airflow - 1",
     source="Leishman, Principles of Helicopter Aerodynamics, 2nd ed., 2006, equation 2.30",
     parameters={
         "factor": Parameter("1", 1.0, "s", 0.3, 3.0, 0.03),
