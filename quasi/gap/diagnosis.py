@@ -27,6 +27,7 @@ from quasi.gap.flights.sessions import session_sentence
 from quasi.gap.levels import rotor_order
 from quasi.gap.levels.corrections import corrected_at_import
 from quasi.gap.levels.forces import polynomial_baseline
+from quasi.gap.levels.forces.beyond_references import left_beyond_references
 from quasi.gap.levels.forces.case import Case
 from quasi.gap.levels.forces.effect_size import acting
 from quasi.gap.levels.forces.error_reduction import Squares, after, removed, wrench_squares
@@ -38,7 +39,7 @@ from quasi.gap.levels.forces.tables import wrench_tables
 from quasi.gap.levels.rollouts import commanded, error_reduction, split_flights
 from quasi.gap.levels.rollouts.confirmation import Settled
 from quasi.gap.levels.rollouts.open_loop import HORIZON, MOVED_BY
-from quasi.gap.levels.sensors_and_drive import rate_of, reject_immaterial
+from quasi.gap.levels.sensors_and_drive import SEARCHES, rate_of, reject_immaterial
 from quasi.gap.levels.trim_evidence import gather_trim, trim_entries, why_rotor_is_enough
 from quasi.gap.materiality import Cause
 from quasi.gap.probability import add_probabilities
@@ -166,6 +167,13 @@ def diagnose(
         lists["unexplained"], lives, *_ = remains
         if not any(u["channel"][0] == "F" for u in lists["unexplained"]):
             restless = gusts(found.study, compared, [c.effect.id for c in kept])
+        if not lists["unexplained"] and not restless and not made_of(model, groups["reference"]):
+            # ties are taken into account: what they explain is no secret
+            stood_for = Model(case.extended([*kept, *found.stand_ins], found.study, f"gap {name}", again), "ties")
+            lists["unexplained"] += left_beyond_references(
+                groups["reference"], [*groups["compared"], *held], after(model, model), after(stood_for, model),
+                0.5 * settings["false alarm rate"] / SEARCHES,
+            )  # fmt: skip
     lower_effects = [lower_effect(e, level, gap) for level in ("sensors", "drive") for e in levels[level]["effects"]]
     lower_effects, shifted = of_late_telemetry(lower_effects)
     corrected_ones = [e for e in lower_effects if corrected_at_import(e["id"], e["level"])]

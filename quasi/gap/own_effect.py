@@ -155,6 +155,8 @@ def _fault(effect: Effect) -> str:
         if not isinstance(made, Mapping) or set(made) != set(effect.fitted):
             return f"terms(vehicle) gives {_short(made)}, expected {{parameter: ...}} for {', '.join(effect.fitted)}"
         for name, wrench in made.items():
+            if not wrench and effect.columns is not None:
+                continue  # a parameter that only its columns have
             if problem := _wrench_fault(wrench, f"terms(vehicle), parameter '{name}'"):
                 return problem
         acts = [a for a in AXES if any(a in wrench for wrench in made.values())]

@@ -12,6 +12,7 @@ from quasi.model.columns import ROTORS
 
 CONSTANT_SPREAD = 0.02  # a variable whose scaled spread is smaller is as good as constant
 HEADING, ROOM_PLACE, EVERYWHERE = "heading", "room place", "everywhere"
+UNPLACED = "no place"  # where an error lives that no place orders
 DIRECTED = ("forward speed", "sideways speed", "downward speed")  # along the body's axes
 # what a model's terms depend on; the voltage falls with what the rotors draw
 OWN_COVARIATES = ("speed", *DIRECTED, "rotor speed", "descent ratio", "roll rate", "pitch rate", "yaw rate", "volts")

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from quasi.gap.effect import Effect
+from quasi.gap.flights.covariates import UNPLACED
 from quasi.gap.levels.corrections import corrected_at_import, uncorrected
 from quasi.gap.report.wording import CHANNEL_NAMES, listed, name_of, parameters_of, ranges_of, unasked, words_of
 
@@ -112,6 +113,11 @@ def _visit(left: Mapping[str, Any]) -> str:
         return (
             f"The {name}: look for what turns or swings at {mostly[0][0]:.2f} to {mostly[0][1]:.2f} Hz; hover for a "
             "minute, so that the beat is distinct from the motion."
+        )
+    if where == UNPLACED:
+        return (
+            f"The {name}: compare the picture of the errors in time with the video; fly the same figure at another "
+            "height, speed, heading and place, one flight each."
         )
     if where == "everywhere" or where == "frequency":
         return f"The {name} is off everywhere: look for what is mounted, loaded or configured otherwise."

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from quasi.gap.effect import Effect
-from quasi.gap.flights.covariates import UNITS_AT
+from quasi.gap.flights.covariates import EVERYWHERE, UNITS_AT, UNPLACED
 from quasi.gap.levels.corrections import uncorrected
 from quasi.gap.report.shares import interval_of, percent, reaches_floor, separability_of, share_of, support_of
 
@@ -36,6 +36,7 @@ REMOVABLE = {
     False: "Removable error of sensors and rotor speeds is what lies (squared) above a fit, to each flight by itself, "
     "of all that is known to go wrong there.",
 }  # by whether it is one of forces and moments
+ALONG = {EVERYWHERE: EVERYWHERE, UNPLACED: "beyond what the reference flights leave, along nothing that was tried"}
 LEVEL_WORDS = {"sensors": ("sensors", "clocks"), "drive": ("the rotor drive",)}  # what stands below forces and moments
 LINE_WORDS = {"rollouts": "", "rollouts from commands": " from commands"}
 SINCE = {
@@ -257,7 +258,7 @@ def left_sentence(left: Mapping[str, Any]) -> str:
     found = "" if where == "frequency" else " in the compared flights"
     size = f" by {left['size']:.2g} {left['unit']} rms{found}" if "size" in left else ""
     at = f", mostly {ranges_of(where, left['mostly'])}" if left.get("mostly") and where != "frequency" else ""
-    along = where if where == "everywhere" else f"along the {where}"
+    along = ALONG.get(where) or f"along the {where}"
     if where == "frequency" and left.get("mostly"):
         low, high = left["mostly"][0]
         along = f"in time, at {low:.2f} to {high:.2f} Hz"
@@ -415,9 +416,7 @@ def summed_up(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list
     texts += [left_sentence(u) for u in diagnosis["unexplained"][:3]]
     if len(diagnosis["unexplained"]) > 3:
         texts.append(f"{len(diagnosis['unexplained']) - 3} more residuals are listed in the report.")
-    if effects:
-        texts.append(rollout_sentence(diagnosis))
-        texts += worse
+    texts += [rollout_sentence(diagnosis), *worse] if effects else []
     nothing, missing = texts == limits, asked_in_vain(diagnosis, known)
     if nothing and diagnosis.get("verdict") == "not judged":
         why = unasked(diagnosis, known)

@@ -16,7 +16,7 @@ from scipy.stats import norm
 
 from quasi.gap.flights.evidence import Evidence
 from quasi.gap.levels.forces.design import Design, own_fit
-from quasi.gap.statistics.log_ratio import larger
+from quasi.gap.statistics.log_ratio import PRIOR_FLIGHTS, larger
 from quasi.gap.statistics.whitening import stretches
 
 GUST_BAND, NOISE_BAND = (0.1, 3.0), (6.0, 9.0)  # Hz: where gusts are, and where only the sensors' noise is
@@ -114,7 +114,7 @@ def gusts(
         because = f"more than the {USUAL_GUSTS:g} m/s that flights usually have"
     elif len(before) >= 2:
         rest = np.array([np.sqrt(np.mean(u.velocity**2)) for u in before])
-        gain, p = larger(sizes, rest, GUST_SPREAD)
+        gain, p = larger(sizes, rest, GUST_SPREAD, PRIOR_FLIGHTS)
         if p < alarm and gain > np.log(STRONGER_GUSTS):
             because = f"{np.exp(gain):.1f} times as much as in the reference flights"
             evidence |= {"times the reference flights": float(np.exp(gain)), "p": p}

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from quasi.gap.flights.level import Flown
-from quasi.gap.statistics.log_ratio import larger
+from quasi.gap.statistics.log_ratio import PRIOR_FLIGHTS, larger
 
 LOST_ON_BOARD = 0.0  # s a log may lose unmentioned
 LOST_CAPTURE = 0.10  # share of a flight the capture may miss unmentioned
@@ -83,7 +83,7 @@ def shaken(flights: Sequence[Flown], alarm: float = 0.001) -> list[dict[str, Any
     typical = float(np.exp(np.mean(np.log(now))))
     evidence = {"level": typical, "unit": "m/s2", "above": SHAKE_BAND}
     if len(before):
-        gain, p = larger(now, before, VIBRATION_SPREAD)
+        gain, p = larger(now, before, VIBRATION_SPREAD, PRIOR_FLIGHTS)
         if p < alarm and gain > np.log(LOUDER_VIBRATION):
             evidence |= {"times the reference flights": float(np.exp(gain)), "p": p}
             return [

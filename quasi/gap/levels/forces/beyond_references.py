@@ -1,0 +1,57 @@
+"""What the compared flights leave beyond what the reference flights leave, whatever it depends on.
+
+Functions of a place and peaks in time find what a single place orders. An effect of two places at once, or one that no
+column knows, still leaves larger errors than the flights before it had. Each flight is one observation: rows of a
+flight are not independent, and how much flights differ is seen between them.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from quasi.gap.flights.covariates import UNPLACED
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.statistics.log_ratio import larger
+from quasi.model.model import AXES
+
+LEAST_FLIGHTS = 2  # of either kind, for a spread between flights
+BY_EFFORT = 0.05  # largest p with which errors grew more than the forces and moments that were flown
+
+
+def left_beyond_references(
+    references: Sequence[Evidence], others: Sequence[Evidence],
+    before: Callable[[Evidence], np.ndarray], left: Callable[[Evidence], np.ndarray], rate: float,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Entries of "unexplained": channels whose errors are larger than in the reference flights.
+
+    references  healthy flights, none of which made the model; others  compared and held-out flights
+    before, left  flight -> (n, 6) residual, N and N m, in body axes: of the base model in reference flights, of the
+    extended model (ties taken into account) in the others
+    rate        family-wise false alarm rate over the six channels
+    Errors about each flight's mean are compared: constant forces are the business of the trim. Flights that were flown
+    harder have larger errors of any model: as a share of what was measured they must be larger as well.
+    """
+    if min(len(references), len(others)) < LEAST_FLIGHTS:
+        return []
+    errors = [np.array([_power(of(f)) for f in flights]) for of, flights in ((left, others), (before, references))]
+    effort = [np.array([_power(f.measured) for f in flights]) for flights in (others, references)]
+    entries = []
+    for k, axis in enumerate(AXES):
+        if any(k in f.excluded for f in (*references, *others)) or min(e[:, k].min() for e in (*errors, *effort)) <= 0:
+            continue
+        gain, p = larger(errors[0][:, k], errors[1][:, k])
+        _, by_effort = larger(errors[0][:, k] / effort[0][:, k], errors[1][:, k] / effort[1][:, k])
+        if p < rate / len(AXES) and by_effort < BY_EFFORT:
+            size = np.sqrt(max(errors[0][:, k].mean() - errors[1][:, k].mean(), 0.0))
+            entries.append({
+                "channel": axis, "where": UNPLACED, "judged": True, "share": None, "size": float(size),
+                "unit": "N" if k < 3 else "N m", "since": "changed", "mostly": [],
+                "evidence": {"p": p, "times the reference flights": float(np.exp(0.5 * gain))},
+            })  # fmt: skip
+    return entries
+
+
+def _power(values: np.ndarray) -> np.ndarray:
+    """Mean square (6,) about the mean."""
+    return np.var(values, axis=0)

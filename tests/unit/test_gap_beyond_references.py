@@ -1,0 +1,92 @@
+"""Errors beyond those of the reference flights that no place orders: found, and not where flights were flown harder."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from quasi.gap.flights.covariates import UNPLACED
+from quasi.gap.levels.forces.beyond_references import left_beyond_references
+from quasi.gap.report.next_steps import _visit
+from quasi.gap.report.wording import left_sentence
+from quasi.gap.statistics.log_ratio import larger
+
+ROWS, RATE = 500, 0.5 * 0.01 / 4
+
+
+def flight(seed, error=0.05, effort=1.0, offset=0.0, excluded=()):
+    """A flight whose errors have a spread of `error` N or N m and 10 % of difference between flights."""
+    random = np.random.default_rng(seed)
+    size = error * np.exp(0.1 * random.standard_normal())
+    left = size * random.standard_normal((ROWS, 6)) + offset
+    return SimpleNamespace(left=left, measured=effort * random.standard_normal((ROWS, 6)), excluded=excluded)
+
+
+def entries(references, others, rate=RATE):
+    return left_beyond_references(references, others, lambda f: f.left, lambda f: f.left, rate)
+
+
+def healthy(first, count, **how):
+    return [flight(first + k, **how) for k in range(count)]
+
+
+def layered(seed, size):
+    """A healthy flight with an additional vertical force in layers of height."""
+    made = flight(seed)
+    made.left[:, 2] += size * np.sign(np.sin(np.linspace(0.0, 40.0, ROWS)))
+    return made
+
+
+def test_a_force_in_layers_is_found_in_its_channel_with_its_size():
+    found = entries(healthy(0, 4), [layered(10 + k, 0.2) for k in range(5)])
+    assert [e["channel"] for e in found] == ["Fz"]
+    entry = found[0]
+    assert entry["where"] == UNPLACED
+    assert entry["size"] == pytest.approx(0.2, rel=0.15)
+    assert entry["unit"] == "N"
+    assert entry["evidence"]["times the reference flights"] == pytest.approx(np.hypot(0.2, 0.05) / 0.05, rel=0.2)
+    assert "beyond what the reference flights leave" in left_sentence(entry)
+    assert "another height" in _visit(entry)
+
+
+def test_smaller_errors_are_no_finding():
+    assert not entries([layered(10 + k, 0.2) for k in range(4)], healthy(0, 5))
+
+
+def test_healthy_flights_alarm_as_seldom_as_stated():
+    rate = 0.2
+    alarms = sum(bool(entries(healthy(20 * k, 3), healthy(20 * k + 10, 4), rate)) for k in range(200))
+    # the binomial spread of 200 trials at 0.2 is 5.7; the share of the effort makes it rarer
+    assert alarms < 0.2 * 200 + 3 * 5.7
+
+
+def test_flights_flown_harder_have_larger_errors_of_any_model():
+    harder = healthy(10, 5, error=0.2, effort=4.0)
+    assert not entries(healthy(0, 4), harder)
+    assert len(entries(healthy(0, 4), healthy(10, 5, error=0.2))) == 6
+
+
+def test_constant_errors_are_left_to_the_trim():
+    assert not entries(healthy(0, 4), healthy(10, 5, offset=1.0))
+
+
+def test_an_axis_that_the_model_does_not_explain_is_left_out():
+    assert not entries(healthy(0, 4), [layered(10 + k, 0.2) for k in range(4)] + [flight(30, excluded=(2,))])
+
+
+@pytest.mark.parametrize(("before", "now"), [(1, 5), (5, 1), (0, 5)])
+def test_one_flight_has_no_spread(before, now):
+    assert not entries(healthy(0, before), [layered(10 + k, 0.5) for k in range(now)])
+
+
+def test_without_a_prior_the_flights_state_their_own_spread():
+    now, before = np.array([4.0, 4.4, 3.6]), np.array([1.0, 1.1, 0.9, 1.05])
+    gain, p = larger(now, before)
+    logs = np.log(now), np.log(before)
+    squares = sum(np.var(x) * len(x) for x in logs)
+    t = gain / np.sqrt(squares / 5 * (1 / 3 + 1 / 4))
+    assert gain == pytest.approx(logs[0].mean() - logs[1].mean())
+    # Student's distribution with 5 degrees of freedom, by its closed form (Abramowitz & Stegun 26.7.4)
+    angle = np.arctan(t / np.sqrt(5))
+    inside = 2 / np.pi * (angle + np.sin(angle) * (np.cos(angle) + 2 / 3 * np.cos(angle) ** 3))
+    assert p == pytest.approx((1 - inside) / 2, rel=1e-6)
