@@ -27,7 +27,7 @@ from quasi_synthesis.vehicle import BASE_MASS
 @pytest.mark.workflow
 @pytest.mark.parametrize("name", TESTED)
 def test_what_is_hidden_is_named_and_nothing_else(name, healthy):
-    """Every level, both designs, pairs, nothing, and a cause of no catalogue; `benchmarks/fixed_causes.py` has more."""
+    """Two levels at once, and nothing; `benchmarks/fixed_causes.py` has every level, both designs, and no catalogue."""
     assert not list_faults(seek_case(name, healthy.parent))
 
 
