@@ -315,13 +315,16 @@ def _against_trim(case: Case, settled: Settled) -> Settled:
 
 
 def _drop_needless_ties(case: Case, found: Found) -> None:
-    """Take ties of the total thrust from `found` where the trim shows one rotor that is enough for it."""
+    """Take ties with a cause of the total thrust from `found`, where the trim shows one rotor that is enough for it.
+
+    What stands in such a tie explains the same error, which the rotor explains: it is as needless.
+    """
     why = why_rotor_is_enough(case.trim)
     if not why or any(c.effect.id == "rotor_effectiveness" and c.since == "changed" for c in found.causes):
         return
     kept = []
     for since, tie in found.ties:
-        if since == "changed" and all(t.offer.cause in OF_TOTAL_THRUST for t in tie.tests):
+        if since == "changed" and any(t.offer.cause in OF_TOTAL_THRUST for t in tie.tests):
             found.contradicted |= {t.offer.cause: (t, why) for t in tie.tests}
             found.stand_ins = [c for c in found.stand_ins if c.test.offer.cause != tie.tests[0].offer.cause]
         else:

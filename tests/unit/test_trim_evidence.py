@@ -1,5 +1,7 @@
 """What the trim says in a gap: its statement, the causes that it rejects, and names where forces were not judged."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,6 +19,9 @@ from quasi.gap.levels.trim_evidence import (
 from quasi.gap.report.next_steps import steps
 from quasi.gap.report.page import page
 from quasi.gap.report.wording import summary
+from quasi.gap.selection import Tie
+from quasi.gap.statistics import mixed
+from quasi.gap.verdict import _drop_needless_ties
 
 ARM = 0.0325
 HUBS = np.array([[ARM, ARM, 0.0], [-ARM, ARM, 0.0], [-ARM, -ARM, 0.0], [ARM, -ARM, 0.0]])
@@ -122,6 +127,29 @@ def test_a_rotor_that_the_trim_shows_is_reason_enough_for_less_thrust_in_all():
     assert not why_rotor_is_enough(evidence((1.0, 1.0, 1.0 / 0.7, 1.0)))
     assert not why_rotor_is_enough(commanded([1.25] * 4))
     assert not why_rotor_is_enough(None)
+
+
+def tied(*causes):
+    """A search that found one tie of causes that changed."""
+    tie = Tie([mixed.Test(mixed.Candidate(n, "changed", (0,)), *[None] * 5) for n in causes], 3.0)
+    stand_in = SimpleNamespace(test=tie.tests[0])
+    return SimpleNamespace(causes=[], ties=[("changed", tie)], stand_ins=[stand_in], contradicted={})
+
+
+@pytest.mark.parametrize(
+    ("causes", "stays"),
+    [(("mass", "thrust_factor"), False), (("mass", "rotor_effectiveness"), False), (("tether", "mass"), False),
+     (("wind", "tether"), True)],
+)  # fmt: skip
+def test_a_tie_with_a_cause_of_the_total_thrust_gives_way_to_the_rotor_of_the_trim(causes, stays):
+    """A cut propeller of rotor 3 had left a tie of mass and a weak rotor 1, and the trim's rotor had no name."""
+    found, case = tied(*causes), SimpleNamespace(trim=commanded([1.0, 1.0, 1.0 / 0.7, 1.0]))
+    _drop_needless_ties(case, found)
+    assert bool(found.ties) is bool(found.stand_ins) is stays
+    assert set(found.contradicted) == (set() if stays else set(causes))
+    healthy = tied(*causes)
+    _drop_needless_ties(SimpleNamespace(trim=commanded([1.0] * 4)), healthy)
+    assert healthy.ties and healthy.stand_ins
 
 
 def test_the_trim_rejects_causes_that_it_contradicts_and_keeps_the_true_one():
