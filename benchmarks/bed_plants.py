@@ -170,9 +170,9 @@ PLANTS: dict[str, Plant] = {
     "speeds curved -0.1": Plant(("thrust_curve",), {}, curved(-0.1)),
     "speeds of rotors 1 and 2 exchanged": Plant(("rotor_order",), {}, rotors(lambda w: w[:, [1, 0, 2, 3]])),
     "speeds of rotors 2 and 4 exchanged": Plant(("rotor_order",), {}, rotors(lambda w: w[:, [0, 3, 2, 1]])),
-    # constant biases are taken off by the filter
-    "gyro x + 0.05 rad/s": Plant(change=imu(same, lambda v: v + [0.05, 0.0, 0.0])),
-    "accelerometer y + 0.3 m/s2": Plant(change=imu(lambda v: v + [0.0, 0.3, 0.0], same)),
+    # constant biases, which the filter takes off
+    "gyro x + 0.05": Plant(("gyro_bias",), change=imu(same, lambda v: v + [0.05, 0.0, 0.0])),
+    "accelerometer y + 0.3": Plant(("accelerometer_bias",), change=imu(lambda v: v + [0.0, 0.3, 0.0], same)),
     "rotor 2 x 0.96, mass x 0.95": Plant(
         ("rotor_effectiveness", "mass"), {"rotor2": 0.96**-2.0}, one_rotor(2, 0.96).change, mass(0.95).configure
     ),
@@ -269,7 +269,7 @@ def main() -> None:
         "plants": len(names), "right": sum(one["right"] for one in judged.values()),
         "wrong": sum(bool(one["wrong"]) for one in judged.values()), "stated": len(errors),
         "within": int(np.sum(np.abs(errors) < 2.0)),
-        "missed": ", ".join(n for n, one in judged.items() if not one["right"]) or "none",
+        "missed": "; ".join(n for n, one in judged.items() if not one["right"]) or "none",
     }  # fmt: skip
     print(values)
     if arguments.record:
