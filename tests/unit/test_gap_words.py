@@ -22,6 +22,7 @@ from gap_documents import (
 
 from quasi.gap.effect import Vehicle, as_flown
 from quasi.gap.entries import truth
+from quasi.gap.report.names import alternatives
 from quasi.gap.report.next_steps import steps
 from quasi.gap.report.page import page
 from quasi.gap.report.wording import left_sentence, summary, value_of, words_of
@@ -167,13 +168,20 @@ def test_causes_that_the_gap_names_and_that_could_not_be_asked_are_told():
     assert "could not" not in summary(document() | {"effects asked": "all"}, KNOWN)
 
 
+def test_mass_and_inertia_grown_alike_are_one_answer_of_a_tie():
+    """Weaker rotors look like both in proportion; each alone is not an answer that the data allows."""
+    assert alternatives(["thrust_factor", "inertia", "mass"]) == "thrust factor or both mass and inertia"
+    assert alternatives(["mass", "inertia"]) == "mass or inertia"
+    assert alternatives(["mass", "thrust_factor", "wind"]) == "mass, thrust factor or wind"
+
+
 @pytest.mark.parametrize(
     "parts, words",
     [
         ({"effects": [EFFECT]}, ["snakemake models/X-low/standalone", "X with ground effect"]),
         ({"effects": [LAG]}, ["X with motor lag: snakemake models/X-low/standalone"]),
         ({"effects": [TURN]}, ["(x = 0.0120 ± 0.0010 m): add it to 'optitrack marker cg offset'", "corrected already"]),
-        ({"ties": [TIE]}, ["To distinguish mass and thrust factor: weigh it"]),
+        ({"ties": [TIE]}, ["To find out whether it is mass or thrust factor: weigh it"]),
         ({"left": [{**LEFT, "mostly": [[0.7, 1.05]]}]}, ["along the heading, mostly at 40 to 60 deg", "gaps.md"]),
         ({"left": [{**LEFT, "where": "frequency", "mostly": [[1.2, 1.4]]}]}, ["swings at 1.20 to 1.40 Hz"]),
         ({"left": [{**LEFT, "where": "everywhere"}]}, ["off everywhere"]),

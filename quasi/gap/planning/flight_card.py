@@ -7,7 +7,7 @@ from typing import Any
 from quasi.gap.effect import Effect
 from quasi.gap.planning.outlook import Row, Sight
 from quasi.gap.planning.plan import Card, Proposal
-from quasi.gap.report.wording import name_of
+from quasi.gap.report.names import name_of
 from quasi.pages import frame as report
 
 SCHEMA = "quasi.plan/2"

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from quasi.gap.report.wording import CHANNEL_NAMES, listed, ranges_of
+from quasi.gap.report.names import listed
+from quasi.gap.report.wording import CHANNEL_NAMES, ranges_of
 from quasi.pages import frame as report
 
 RATIO = 1.5  # times the root mean square elsewhere, from which a place is listed

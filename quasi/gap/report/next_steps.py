@@ -6,7 +6,8 @@ from typing import Any
 from quasi.gap.effect import Effect
 from quasi.gap.flights.covariates import UNPLACED
 from quasi.gap.levels.corrections import corrected_at_import, uncorrected
-from quasi.gap.report.wording import CHANNEL_NAMES, listed, name_of, parameters_of, ranges_of, unasked, words_of
+from quasi.gap.report.names import alternatives, listed, name_of
+from quasi.gap.report.wording import CHANNEL_NAMES, parameters_of, ranges_of, unasked, words_of
 
 LISTED = 4  # names in a row, before the rest are counted
 VEHICLE = "the quadrotor's configuration"
@@ -58,10 +59,10 @@ def steps(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> list[str
     ]
     sentences += [f"{_begun(e)}: {CORRECT[e['id']]}." for e in own if e["id"] in CORRECT]
     for tie in diagnosis["ties"]:
-        names = listed([name_of(i) for i in tie["ids"]])
         how = tie["tie_breaker"] or "fly other manoeuvres (quasi plan lists them), or measure one of them"
         sentences.append(
-            f"To distinguish {names}: {words_of(how, known)}; then compare again with these flights as well."
+            f"To find out whether it is {alternatives(tie['ids'])}: {words_of(how, known)}; then compare again with "
+            "these flights as well."
         )
     sentences += [_visit(left) for left in diagnosis["unexplained"]]
     if diagnosis["unexplained"]:

@@ -14,6 +14,7 @@ from quasi.gap.levels.corrections import corrected_at_import
 from quasi.gap.levels.rollouts.open_loop import ERROR_UNITS
 from quasi.gap.levels.sensors_and_drive import CHANNEL_UNITS as UNITS_OF
 from quasi.gap.report.localised import table_of
+from quasi.gap.report.names import listed, name_of
 from quasi.gap.report.next_steps import in_model, steps
 from quasi.gap.report.shares import certainty_of, reaches_floor, share_of
 from quasi.gap.report.wording import (
@@ -21,8 +22,6 @@ from quasi.gap.report.wording import (
     confirmation_of,
     happening,
     left_sentence,
-    listed,
-    name_of,
     rollout_of,
     since_of,
     summed_up,

@@ -8,6 +8,7 @@ from typing import Any
 from quasi.gap.effect import Effect
 from quasi.gap.flights.covariates import EVERYWHERE, UNITS_AT, UNPLACED
 from quasi.gap.levels.corrections import uncorrected
+from quasi.gap.report.names import alternatives, listed, name_of
 from quasi.gap.report.shares import interval_of, percent, reaches_floor, separability_of, share_of, support_of
 
 CHANNEL_NAMES = {
@@ -50,11 +51,6 @@ def since_of(entry: Mapping[str, Any]) -> str:
     if "in training flights" in entry and not entry["in training flights"]:
         return "flights that the model was made from do not show it"
     return SINCE[entry["since"]]
-
-
-def name_of(ident: str) -> str:
-    """An id as words."""
-    return ident.replace("_", " ")
 
 
 def words_of(text: str, known: Mapping[str, Effect]) -> str:
@@ -236,7 +232,7 @@ def rivals_words(effect: Mapping[str, Any], diagnosis: Mapping[str, Any], known:
 
 def tie_sentence(tie: Mapping[str, Any]) -> str:
     """A tie and what would break it."""
-    names = listed([name_of(i) for i in tie["ids"]], "or")
+    names = alternatives(tie["ids"])
     if "constant force" in tie:
         force = tie["constant force"]
         axes = [n for n in ("north", "east", "down") if n in force]
@@ -388,7 +384,7 @@ def headline(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
         clauses.append(f"tested in their place and lost: {listed(lost)}" if lost else "")
     idle = [name_of(e["id"]) for e in effects if not e.get("explains", True)]
     clauses.append(f"correcting {listed(idle)} changes neither forces nor simulations" if idle else "")
-    ties = [listed([name_of(i) for i in t["ids"]], "or") for t in diagnosis["ties"]]
+    ties = [alternatives(t["ids"]) for t in diagnosis["ties"]]
     clauses.append(f"the data cannot decide whether {listed(ties)} is there" if ties else "")
     left = dict.fromkeys(CHANNEL_NAMES.get(u["channel"], u["channel"]) for u in diagnosis["unexplained"])
     clauses.append(f"something in {listed(list(left))} stays unexplained" if left else "")
@@ -441,9 +437,3 @@ def _sound(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
     """How a sentence on sensors and drive begins that found nothing; "" where none of them was asked."""
     asked = [word for level, why in silent_levels(diagnosis, known).items() if not why for word in LEVEL_WORDS[level]]
     return f"Nothing is wrong with {listed(asked)} as far as this data shows; " if asked else ""
-
-
-def listed(texts: Sequence[str], last: str = "and") -> str:
-    """Texts as a list in words."""
-    texts = list(texts)
-    return texts[0] if len(texts) == 1 else f"{', '.join(texts[:-1])} {last} {texts[-1]}"
