@@ -35,6 +35,7 @@ from quasi.gap.levels.forces.estimated_speeds import add_battery, with_estimated
 from quasi.gap.levels.forces.findings import gusts
 from quasi.gap.levels.forces.held_out import best_wrong, everything, gain_axes, made_of
 from quasi.gap.levels.forces.identify import Found, examine
+from quasi.gap.levels.forces.left_out import residual_of_others
 from quasi.gap.levels.forces.tables import wrench_tables
 from quasi.gap.levels.rollouts import commanded, error_reduction, split_flights
 from quasi.gap.levels.rollouts.confirmation import Settled
@@ -167,11 +168,14 @@ def diagnose(
         lists["unexplained"], lives, *_ = remains
         if not any(u["channel"][0] == "F" for u in lists["unexplained"]):
             restless = gusts(found.study, compared, [c.effect.id for c in kept])
-        if not lists["unexplained"] and not restless and not made_of(model, groups["reference"]):
+        if not lists["unexplained"] and not restless:
             # ties are taken into account: what they explain is no secret
             stood_for = Model(case.extended([*kept, *found.stand_ins], found.study, f"gap {name}", again), "ties")
+            # what made the model is judged as the other flights are: by what it had no part in
+            made = made_of(model, groups["reference"])
+            usual = residual_of_others(found.study, groups["reference"]) if made else after(model, model)
             lists["unexplained"] += left_beyond_references(
-                groups["reference"], [*groups["compared"], *held], after(model, model), after(stood_for, model),
+                groups["reference"], [*groups["compared"], *held], usual, after(stood_for, model),
                 0.5 * settings["false alarm rate"] / SEARCHES,
             )  # fmt: skip
     lower_effects = [lower_effect(e, level, gap) for level in ("sensors", "drive") for e in levels[level]["effects"]]

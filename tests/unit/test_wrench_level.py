@@ -19,7 +19,7 @@ from quasi.gap.levels.forces.design import gather_design, refit
 from quasi.gap.levels.forces.error_reduction import after, wrench_score
 from quasi.gap.levels.forces.held_out import everything
 from quasi.gap.levels.forces.identify import examine
-from quasi.gap.levels.forces.left_out import LeftOut
+from quasi.gap.levels.forces.left_out import LeftOut, residual_of_others
 from quasi.gap.materiality import Cause
 from quasi.gap.selection import Named, Tie
 from quasi.gap.statistics import mixed as tests_on
@@ -236,6 +236,22 @@ def test_flights_left_out_are_judged_by_what_the_others_tell(ground):  # noqa: F
         found = LeftOut(study, everyone)(causes, anew)
         assert found.weight == pytest.approx(np.concatenate([e.weight for e in expected]))
         assert found.values == pytest.approx(np.concatenate([e.values for e in expected]), rel=1e-6)
+
+
+def test_a_flight_that_made_the_model_is_judged_by_what_the_other_ones_made_of_it(ground):  # noqa: F811
+    """The same residual by another way, as above."""
+    model = Model(ground[1].document, "test")
+    vehicle = vehicle_of(model)
+    flights = [hasty(ground, k, 0.03) for k in range(4)]
+    study = gather_design(flights, {}, vehicle)
+    left = residual_of_others(study, flights[:3])  # the last is compared: it teaches nothing
+    for k in range(3):
+        rest = [f for f in range(3) if f != k]
+        changes = refit(study, rest, [False, False], {})
+        document = extend(model, [], vehicle, "other", "test", changes)
+        expected = after(Model(document, "other"), model)(flights[k])
+        assert left(flights[k]) == pytest.approx(expected, abs=1e-9)
+        assert np.abs(changes).max() > 0.0
 
 
 def test_what_rotors_do_is_told_by_their_true_speeds_where_the_logged_ones_are_wrong(ground):  # noqa: F811

@@ -83,18 +83,22 @@ def flying_rows(values: Mapping[str, np.ndarray]) -> np.ndarray | None:
         names = [f"command{i}" for i in range(1, 5) if f"command{i}" in values]
     if len(names) < 3:
         return None
-    stack = np.stack([values[name] for name in names])
-    return _flying(stack)
+    return _flying(np.stack([values[name] for name in names]))[0]
 
 
 def standing_rows(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """{rotor: (n,) bool} where it stands still while the others turn as in flight; empty for less than three rotors."""
+    return {name: standing for name, (_, standing) in _each_rotor(values).items()}
+
+
+def _each_rotor(values: Mapping[str, np.ndarray]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """{rotor: (n,) bool where the others turn as in flight, (n,) bool where it stands meanwhile}."""
     names = rotor_names(values)
-    standing = {}
+    found = {}
     for name in names if len(names) >= 3 else ():
-        others = np.stack([values[other] for other in names if other != name])
-        standing[name] = _flying(others) & (values[name] <= STANDING * _flight_level(others))
-    return standing
+        flying, level = _flying(np.stack([values[other] for other in names if other != name]))
+        found[name] = flying, flying & (values[name] <= STANDING * level)
+    return found
 
 
 def unreliable_spans(t: np.ndarray, values: Mapping[str, np.ndarray]) -> list[InvalidSpan]:
@@ -115,9 +119,8 @@ def unreliable_spans(t: np.ndarray, values: Mapping[str, np.ndarray]) -> list[In
     if len(names) < 3 or spans:
         return spans
     changes = {name: np.append(0, np.cumsum(np.diff(np.nan_to_num(values[name])) != 0)) for name in names}
-    for name, standing in standing_rows(values).items():
+    for name, (flying, standing) in _each_rotor(values).items():
         speeds = values[name]
-        flying = _flying(np.stack([values[other] for other in names if other != name]))
         for a, b in runs_of(standing):
             if t[b - 1] - t[a] >= SHORTEST_STOP:
                 spans.append(
@@ -126,21 +129,21 @@ def unreliable_spans(t: np.ndarray, values: Mapping[str, np.ndarray]) -> list[In
         changing = float(np.count_nonzero(flying[1:] & (np.diff(np.nan_to_num(speeds)) != 0)))
         usual = float(np.sum(np.diff(t)[flying[1:]])) / changing if changing else np.inf
         for a, b in constant_runs(t, np.where(flying & ~standing, speeds, np.nan)):
+            if t[b - 1] - t[a] < SHORTEST_ROTOR_FREEZE:
+                continue
             varies = any(changes[other][b - 1] > changes[other][a] for other in names if other != name)
-            long = t[b - 1] - t[a] >= SHORTEST_ROTOR_FREEZE
-            if long and (varies or t[b - 1] - t[a] >= MANY_HOLDS * usual):
+            if varies or t[b - 1] - t[a] >= MANY_HOLDS * usual:
                 spans.append(
                     InvalidSpan(float(t[a]), float(t[b - 1]), f"rotor {name[1:]} ({name}) is constant in flight")
                 )
     return spans
 
 
-def _flight_level(speeds: np.ndarray) -> float:
-    """The 90 % quantile of the median over rotors (rotors, n) while they turn; infinite where they never do."""
+def _flying(speeds: np.ndarray) -> tuple[np.ndarray, float]:
+    """True (n,) where the median of rotors (rotors, n) is that of a flight; its level there.
+
+    The level is the 90 % quantile of the median while they turn; infinite where they never do.
+    """
     middle = np.median(np.nan_to_num(speeds), axis=0)
-    return float(np.quantile(middle[middle > 0], 0.9)) if (middle > 0).any() else np.inf
-
-
-def _flying(speeds: np.ndarray) -> np.ndarray:
-    """True (n,) where the median of rotors (rotors, n) is that of a flight."""
-    return np.median(np.nan_to_num(speeds), axis=0) > FLYING_SHARE * _flight_level(speeds)
+    level = float(np.quantile(middle[middle > 0], 0.9)) if (middle > 0).any() else np.inf
+    return middle > FLYING_SHARE * level, level

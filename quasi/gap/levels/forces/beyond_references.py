@@ -25,9 +25,9 @@ def left_beyond_references(
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Entries of "unexplained": channels whose errors are larger than in the reference flights.
 
-    references  healthy flights, none of which made the model; others  compared and held-out flights
-    before, left  flight -> (n, 6) residual, N and N m, in body axes: of the base model in reference flights, of the
-    extended model (ties taken into account) in the others
+    references  healthy flights; others  compared and held-out flights
+    before, left  flight -> (n, 6) residual, N and N m, in body axes: of the base model in reference flights, fitted to
+    the other ones where they made it; of the extended model (ties taken into account) in the others
     rate        family-wise false alarm rate over the six channels
     Errors about each flight's mean are compared: constant forces are the business of the trim. Flights that were flown
     harder have larger errors of any model: as a share of what was measured they must be larger as well.

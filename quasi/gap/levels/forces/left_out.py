@@ -5,11 +5,12 @@ sure of all flights together. Everything is linear in the columns of the study: 
 Stone, J. Royal Statistical Society B 36, 1974.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from quasi.gap.levels.forces.design import Design, refit
+from quasi.gap.flights.evidence import Evidence
+from quasi.gap.levels.forces.design import Design, base_columns, refit
 from quasi.gap.levels.forces.error_reduction import Squares, scored_in_blocks
 from quasi.gap.materiality import Cause
 from quasi.gap.statistics.mixed import MixedModel
@@ -56,3 +57,18 @@ class LeftOut:
             test = mixed.test(cause.test.offer, others, mixed.pooled(cause.since))
             sizes[cause.effect.id, cause.since] = dict(zip(test.offer.which, map(float, test.value)))
         return sizes
+
+
+def residual_of_others(study: Design, references: Sequence[Evidence]) -> Callable[[Evidence], np.ndarray]:
+    """Residual (n, 6), N and N m, of a reference flight with the model's own terms fitted to the other ones alone.
+
+    A model fits flights that it was made from better than new ones. references  at least two, all in the study
+    """
+    places = {flight.key: number for number, flight in enumerate(study.flights)}
+
+    def residual(flight: Evidence) -> np.ndarray:
+        rest = [places[other.key] for other in references if other.key != flight.key]
+        changes = refit(study, rest, [False] * len(rest), {})
+        return flight.residual - sum(x * column for x, (_, column) in zip(changes, base_columns(flight)))
+
+    return residual
