@@ -37,7 +37,7 @@ MODEL = {
 @functools.cache
 def flown(
     seed, compared=True, up=UP, down=DOWN, late=0.0, age=0.002, told=False, exponent=1.0, limit=1.0,
-    gains=(1.0, 1.0, 1.0, 1.0), voltage=True,
+    gains=(1.0, 1.0, 1.0, 1.0), slower=(1.0, 1.0, 1.0, 1.0), voltage=True,
 ):  # fmt: skip
     """One flight; every rotor follows dW/dt = (wanted - W) / tau by Euler steps at four times the rate."""
     rng = np.random.default_rng(seed)
@@ -57,7 +57,7 @@ def flown(
         now = wanted[0]
         for k, target in enumerate(wanted):
             speed[k] = now
-            now += (target - now) / (spread * (up if target > now else down)) / (FINER * RATE)
+            now += (target - now) / (spread * slower[i] * (up if target > now else down)) / (FINER * RATE)
         logged = np.interp(t - age, fine, speed) + 2.0 * rng.standard_normal(len(t))
         columns[f"w{i + 1}"] = np.interp(t + age, t, logged) if told else logged
         columns[f"command{i + 1}"] = np.interp(t, fine, asked)
@@ -241,6 +241,25 @@ def test_commands_at_a_limit_and_a_slow_motor_are_findings():
     assert catalogue()[weak["id"]].finding
     assert weak["evidence"]["rotor"] == 2
     assert weak["evidence"]["speed"] == pytest.approx(0.94, abs=0.01)
+
+
+@pytest.mark.parametrize("rotor", [1, 4])
+@pytest.mark.parametrize("factor", [0.6, 1.4, 2.0])
+@pytest.mark.parametrize("references", [(), (11, 12)])
+def test_the_rotor_that_follows_later_than_the_others_is_named(rotor, factor, references):
+    slower = tuple(factor if i == rotor - 1 else 1.0 for i in range(4))
+    flights = [flown(s, compared=False) for s in references] + [flown(s, slower=slower) for s in (1, 2, 3)]
+    (finding,) = (f for f in examine(flights, MODEL, {}).findings if f["id"] == "motor_lag")
+    assert finding["evidence"]["rotor"] == rotor
+    assert finding["evidence"]["factor"] == pytest.approx(factor, abs=3.0 * finding["evidence"]["std"])
+    assert f"rotor {rotor} follows" in finding["text"]
+
+
+def test_a_rotor_that_always_follows_later_is_no_change_and_four_slow_ones_are_none():
+    late = (1.0, 1.4, 1.0, 1.0)
+    flights = [flown(s, compared=False, slower=late) for s in (11, 12)] + [flown(s, slower=late) for s in (1, 2, 3)]
+    assert not examine(flights, MODEL, {}).findings
+    assert not examine([flown(s, slower=(1.5,) * 4) for s in (1, 2, 3)], MODEL, {}).findings
 
 
 def test_what_is_not_logged_cannot_be_asked():

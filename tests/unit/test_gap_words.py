@@ -98,6 +98,13 @@ def test_the_box_begins_with_one_sentence_that_says_it_all():
     assert none == html.escape(document()["summary"])
 
 
+def test_the_summary_adds_which_rotor_follows_later_where_a_lag_is_named():
+    odd = {"id": "motor_lag", "text": "rotor 2 follows its commands with 1.95 times the time constant of the others"}
+    named = summary(document([LAG]) | {"findings": [odd]}, KNOWN)
+    assert f" R{odd['text'][1:]}." in named
+    assert odd["text"][1:] not in summary(document([EFFECT]) | {"findings": [odd]}, KNOWN)
+
+
 def test_the_summary_says_how_sure_a_cause_is_and_what_stays_as_it_is():
     sure = {
         **EFFECT, "gains": {"Fz": {"value": 1.0, "low": -1.233, "high": 1.0}}, "gain": {"wrench": 1.0, "rollout": None},

@@ -15,6 +15,7 @@ LIMIT_SHARE = 0.005  # of the time in flight that a rotor sits at a limit, below
 WEAK = 0.02  # of its speed
 WEAK_MOTOR_T = 4.0  # standard errors
 ALIKE = 0.005  # how much rotors' speeds at one command differ between flights
+LAGS_ALIKE = 0.05  # share by which a healthy rotor's time constant differs between flights
 
 
 def _crowded(values: np.ndarray, sign: float) -> float | None:
@@ -87,22 +88,47 @@ def saturated(flights: Sequence[Flown], kind: str) -> list[dict[str, Any]]:
 
 def weak(flights: Sequence[Flown], fits: Sequence[DriveFit]) -> list[dict[str, Any]]:
     """A rotor that turns slower (or faster) at the same command than the others do, beyond the reference flights."""
-    ratio = np.array([d.values[7:11] - d.values[7:11].mean() for d in fits])
-    compared = np.array([f.compared for f in flights])
-    now, before = ratio[compared], ratio[~compared]
-    usual = before.mean(axis=0) if len(before) else np.zeros(4)
-    std = np.maximum(now.std(axis=0), ALIKE) * np.sqrt(1.0 / len(now) + (1.0 / len(before) if len(before) else 0.0))
-    apart = now.mean(axis=0) - usual
-    i = int(np.argmax(np.abs(apart)))
-    if abs(apart[i]) < WEAK or abs(apart[i]) < WEAK_MOTOR_T * std[i]:
+    odd = _odd_rotor(flights, np.array([d.values[7:11] for d in fits]), np.full((len(fits), 4), ALIKE))
+    if odd is None or abs(0.75 * odd[1]) < WEAK:
         return []
-    # the mean of four holds a quarter of the odd one
-    size = float(apart[i] / 0.75)
+    i, size, std = odd
     word = "slower" if size < 0 else "faster"
     return [
         {
             "id": "weak_motor",
             "text": f"rotor {i + 1} turns {100 * abs(size):.1f} % {word} at the same command than the others",
-            "evidence": {"rotor": i + 1, "speed": 1.0 + size, "std": float(std[i] / 0.75)},
+            "evidence": {"rotor": i + 1, "speed": 1.0 + size, "std": std},
         }
     ]
+
+
+def slow(flights: Sequence[Flown], fits: Sequence[DriveFit]) -> list[dict[str, Any]]:
+    """A rotor that follows its commands later (or sooner) than the others do, beyond the reference flights."""
+    odd = _odd_rotor(flights, np.log([d.lags for d in fits]), np.hypot(LAGS_ALIKE, [d.lag_errors() for d in fits]))
+    if odd is None:
+        return []
+    i, size, std = odd
+    return [
+        {
+            "id": "motor_lag",
+            "text": f"rotor {i + 1} follows its commands with {np.exp(size):.2f} times the time constant of the others",
+            "evidence": {"rotor": i + 1, "factor": float(np.exp(size)), "std": float(np.exp(size) * std)},
+        }
+    ]
+
+
+def _odd_rotor(flights: Sequence[Flown], values: np.ndarray, doubt: np.ndarray) -> tuple[int, float, float] | None:
+    """The rotor (0 to 3) that is apart from the others, by how much, and its standard error; None if none is.
+
+    values, doubt (F, 4)  of the flights, and their standard errors with what healthy rotors differ by between flights
+    """
+    compared = np.array([f.compared for f in flights])
+    apart = values - values.mean(axis=1, keepdims=True)
+    now, before = apart[compared], apart[~compared]
+    usual = before.mean(axis=0) if len(before) else np.zeros(4)
+    scatter = np.maximum(now.std(axis=0), np.sqrt(np.mean(doubt**2, axis=0)))
+    std = scatter * np.sqrt(1.0 / len(now) + (1.0 / len(before) if len(before) else 0.0))
+    size = now.mean(axis=0) - usual
+    i = int(np.argmax(np.abs(size)))
+    # the mean of four holds a quarter of the odd one
+    return (i, float(size[i] / 0.75), float(std[i] / 0.75)) if abs(size[i]) >= WEAK_MOTOR_T * std[i] else None

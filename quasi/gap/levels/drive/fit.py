@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from quasi.errors import DataError
 from quasi.gap.flights.evidence import RATE
@@ -26,6 +27,7 @@ FEWEST_DRIVE_ROWS = 300  # rows
 LEAST_DRIVE_NOISE = 0.1  # rad/s: no residual is known better
 LEAST_SAG = 0.003  # natural log of the voltage: below this variation within a flight the exponent is not estimated
 LEAST_LAG, MOST_LAG, EARLIEST, LATEST = 0.002, 0.4, -0.03, 0.1  # s
+OWN_LAG = (0.2, 5.0)  # times the common time constants, between which a rotor's own are sought
 LOW_VOLTAGE = 0.1  # of the reference, below which a reading is none
 # parameters in order: time constants, delay, map, battery exponent, each rotor's speed relative to the common map
 CONSTANTS = ("up", "down", "delay", "a0", "a1", "a2", "exponent", "rotor1", "rotor2", "rotor3", "rotor4")
@@ -51,6 +53,7 @@ class DriveFit(NamedTuple):
     values (11,) by CONSTANTS; t (n,) s; breaks (n,) bool; residual (n, 4) rad/s; slopes (n, 4, 11) of modelled speed
     held (11,) rad2/s2 per unit squared: how strongly each value was held where the fit began; noise rad/s that weighed
     the residual against that
+    lags (4,)  each rotor's own time constants as multiples of `values`
     """
 
     key: str
@@ -62,6 +65,7 @@ class DriveFit(NamedTuple):
     volts_vary: bool
     held: np.ndarray
     noise: float
+    lags: np.ndarray
 
     def covariance(self) -> np.ndarray:
         """Of the values (11, 11), whatever the residuals remember and however they depart from a lag of first order.
@@ -74,6 +78,14 @@ class DriveFit(NamedTuple):
         flat = self.slopes.reshape(-1, len(CONSTANTS))
         # a value that is only held may be off by its looseness, noise / sqrt(held)
         return inverse @ (meat + LEAST_DRIVE_NOISE**2 * flat.T @ flat + self.noise**2 * np.diag(self.held)) @ inverse
+
+    def lag_errors(self) -> np.ndarray:
+        """Standard errors (4,) of the logarithms of `lags`, as `covariance` has them."""
+        columns = self.slopes[:, :, :2] @ self.values[:2]  # rad/s per unit of the logarithm
+        lags = round(RESIDUAL_MEMORY * RATE)
+        meat = [bartlett(s[:, None], [np.arange(len(s))], lags)[0, 0] for s in (columns * self.residual).T]
+        known = np.sum(columns**2, axis=0)
+        return np.sqrt(np.array(meat) + LEAST_DRIVE_NOISE**2 * known) / np.maximum(known, 1e-300)
 
     def moves(self, seconds: float) -> np.ndarray:
         """What each block of the flight adds to the values (B, 11), to first order; they sum to nothing much."""
@@ -181,14 +193,20 @@ def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
     command, speed = (np.where(finite[:, None], x, 0.0) for x in (command, speed))
     buffer = np.empty(len(t))
 
+    def one(i: int, x: np.ndarray) -> np.ndarray:
+        c = np.ascontiguousarray(command[:, i])
+        wanted = (1.0 + x[7 + i]) * np.exp(x[6] * ratio) * (x[3] + x[4] * c + x[5] * c * c)
+        follow(wanted, np.ascontiguousarray(speed[:, i]), begins, x[2] / dt, dt, x[0], x[1], buffer)
+        return buffer[rows]
+
     def run(x: np.ndarray) -> np.ndarray:
-        out = np.empty((len(rows), 4))
-        for i in range(4):
-            c = np.ascontiguousarray(command[:, i])
-            wanted = (1.0 + x[7 + i]) * np.exp(x[6] * ratio) * (x[3] + x[4] * c + x[5] * c * c)
-            follow(wanted, np.ascontiguousarray(speed[:, i]), begins, x[2] / dt, dt, x[0], x[1], buffer)
-            out[:, i] = buffer[rows]
-        return out
+        return np.stack([one(i, x) for i in range(4)], axis=1)
+
+    def own_lag(i: int, x: np.ndarray) -> float:
+        def left(log: float) -> float:
+            return float(np.sum((target[:, i] - one(i, np.concatenate([np.exp(log) * x[:2], x[2:]]))) ** 2))
+
+        return float(np.exp(minimize_scalar(left, bounds=np.log(OWN_LAG), method="bounded").x))
 
     low = np.concatenate([[LEAST_LAG, LEAST_LAG, EARLIEST], np.full(8, -np.inf)])
     high = np.concatenate([[MOST_LAG, MOST_LAG, LATEST], np.full(8, np.inf)])
@@ -210,4 +228,6 @@ def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
     slopes = slopes_of(lambda x: run(x).ravel(), x, here.ravel(), step).reshape(*here.shape, len(x))
     breaks = np.concatenate([[True], np.diff(rows) > every])
     vary = volts is not None and float(np.std(ratio[rows])) > LEAST_SAG
-    return DriveFit(flown.key, x, t[rows], breaks, target - here, slopes, vary, (noise / loose) ** 2, noise)
+    held = (noise / loose) ** 2
+    lags = np.array([own_lag(i, x) for i in range(4)])
+    return DriveFit(flown.key, x, t[rows], breaks, target - here, slopes, vary, held, noise, lags)

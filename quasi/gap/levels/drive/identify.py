@@ -15,7 +15,7 @@ from quasi.errors import DataError
 from quasi.gap.catalogue import catalogue
 from quasi.gap.flights.level import PRIOR_FREEDOM, Flown, Level, SensorMixedModel
 from quasi.gap.flights.residual_tables import Residuals, level_tables
-from quasi.gap.levels.drive.findings import saturated, weak
+from quasi.gap.levels.drive.findings import LAGS_ALIKE, saturated, slow, weak
 from quasi.gap.levels.drive.fit import (
     CONSTANTS,
     RATE,
@@ -43,7 +43,7 @@ LATE = frozenset({"command_delay", "telemetry_delay"})
 USUAL_AGE, AGE_SPREAD = 2e-3, 7e-4  # s, of rotor telemetry that nothing is wrong with
 # standard deviations of what differs between healthy flights, as shares for the time constants; and of the error of
 # what a model believes, common to all flights
-NORMAL = {"up": 0.05, "down": 0.05, "delay": 7e-4, "a0": 8.0, "a1": 40.0, "a2": 40.0, "exponent": 0.03,
+NORMAL = {"up": LAGS_ALIKE, "down": LAGS_ALIKE, "delay": 7e-4, "a0": 8.0, "a1": 40.0, "a2": 40.0, "exponent": 0.03,
           "rotor1": 0.01, "rotor2": 0.01, "rotor3": 0.01, "rotor4": 0.01}  # fmt: skip
 BELIEVED = {
     "up": 0.03,
@@ -103,7 +103,7 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
                else "no compared flight logs a battery voltage that varies")  # fmt: skip
         level.cannot_be_asked.append({"id": "battery_sag", "why": why})
         asked = [c for c in asked if c != "battery_sag"]
-    level.findings += weak(used, fits)
+    level.findings += weak(used, fits) + slow(used, fits)
 
     compared = np.array([f.compared for f in used])
     products = [
