@@ -45,7 +45,8 @@ def test_a_force_in_layers_is_found_in_its_channel_with_its_size():
     assert entry["size"] == pytest.approx(0.2, rel=0.15)
     assert entry["unit"] == "N"
     assert entry["evidence"]["times the reference flights"] == pytest.approx(np.hypot(0.2, 0.05) / 0.05, rel=0.2)
-    assert "beyond what the reference flights leave" in left_sentence(entry)
+    times = entry["evidence"]["times the reference flights"]
+    assert f"beyond what the reference flights leave ({times:.1f} times as much)" in left_sentence(entry)
     assert "another height" in _visit(entry)
 
 

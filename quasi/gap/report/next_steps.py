@@ -117,8 +117,8 @@ def _visit(left: Mapping[str, Any]) -> str:
         )
     if where == UNPLACED:
         return (
-            f"The {name}: compare the picture of the errors in time with the video; fly the same figure at another "
-            "height, speed, heading and place, one flight each."
+            f"The {name}: the pictures below show its mean by what was tried, and its frequencies; fly the same figure "
+            "at another height, speed, heading and place, one flight each."
         )
     if where == "everywhere" or where == "frequency":
         return f"The {name} is off everywhere: look for what is mounted, loaded or configured otherwise."

@@ -255,6 +255,9 @@ def left_sentence(left: Mapping[str, Any]) -> str:
     size = f" by {left['size']:.2g} {left['unit']} rms{found}" if "size" in left else ""
     at = f", mostly {ranges_of(where, left['mostly'])}" if left.get("mostly") and where != "frequency" else ""
     along = ALONG.get(where) or f"along the {where}"
+    times = (left.get("evidence") or {}).get("times the reference flights")
+    if where == UNPLACED and times is not None:
+        along = along.replace("leave", f"leave ({times:.1f} times as much)", 1)
     if where == "frequency" and left.get("mostly"):
         low, high = left["mostly"][0]
         along = f"in time, at {low:.2f} to {high:.2f} Hz"
