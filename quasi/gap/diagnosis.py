@@ -46,7 +46,7 @@ from quasi.gap.materiality import Cause
 from quasi.gap.probability import add_probabilities
 from quasi.gap.report.wording import summary
 from quasi.gap.scores import scored
-from quasi.gap.verdict import correction_matters, judge_causes, losses
+from quasi.gap.verdict import correction_matters, drive_losses, judge_causes, losses
 from quasi.model.extensions import configured_mass
 from quasi.model.model import AXES, Model
 
@@ -207,12 +207,13 @@ def diagnose(
     named_by_trim, tied_by_trim = trim_entries(trim, taken, bool(unable), acting_on)
     lower_effects += named_by_trim
     ties += tied_by_trim
+    lost_by = [*settled.losses, *drive_losses(gap)]
     result = {
         "schema": SCHEMA,
         "gap": gap,
         "model": settings["model"],
         "verdict": verdict_of(
-            [*lower_effects, *named], ties, lists["unexplained"], unable, bool(base.excluded or settled.losses)
+            [*lower_effects, *named], ties, lists["unexplained"], unable, bool(base.excluded or lost_by)
         ),
         "summary": "",
         "base model": {
@@ -223,7 +224,7 @@ def diagnose(
         },
         "sessions": {k: sessions.get(k, "") for k in roles},
         "hover trim": trim.document,
-        "losses": [{**loss._asdict(), "text": loss.sentence()} for loss in settled.losses],
+        "losses": [{**loss._asdict(), "text": loss.sentence()} for loss in lost_by],
         "effects": sorted(
             [*lower_effects, *named],
             key=lambda e: (e["id"] != rotor_order.ID, -float(e["evidence"].get("wald") or 0.0)),

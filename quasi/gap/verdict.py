@@ -31,14 +31,14 @@ from quasi.gap.statistics import blocks
 from quasi.gap.statistics.mixed import Candidate
 from quasi.model.model import AXES, Model
 
-FORCES_LINE = "forces"  # the line of a loss of forces and moments
+FORCES_LINE, DRIVE_LINE = "forces", "drive"  # the lines of losses of forces and moments, and of rotor speeds
 OWN_LOSS = 0.05  # share by which an error must exceed that of the model without causes to be a cause's fault
 OWN_TRIM = 3.0  # standard deviations of what healthy flights differ by, within which a constant error is a flight's own
 
 
 class Loss(NamedTuple):
-    """An error that the extended model enlarges: line ("forces" or that of a simulation), quantity, horizon (s, 0 for
-    forces), root mean squares before and after, SI.
+    """An error that the extended model enlarges: line ("forces", "drive" or that of a simulation), quantity, horizon
+    (s, 0 but for simulations), root mean squares before and after, SI.
 
     of_trim  the flight's own trim explains it: it limits the verdict and rejects no cause
     one_axis  it is one axis of a vector that does not surely lose: it rejects only causes of that axis alone
@@ -59,8 +59,19 @@ class Loss(NamedTuple):
 
     def sentence(self) -> str:
         """The loss in words."""
-        where = "on the held-out flights" if self.line == FORCES_LINE else f"after {self.horizon:g} s of simulation"
-        return f"the error of {self.quantity} {where} grows from {self.before:.3g} to {self.after:.3g}"
+        where = f"after {self.horizon:g} s of simulation" if self.horizon else "on the held-out flights"
+        name = f"the speed of rotor {self.quantity[1:]}" if self.line == DRIVE_LINE else self.quantity
+        return f"the error of {name} {where} grows from {self.before:.3g} to {self.after:.3g}"
+
+
+def drive_losses(gap: Mapping[str, Any]) -> list[Loss]:
+    """Rotor speeds that the named causes of the drive make worse on held-out flights, the largest growth first.
+
+    gap  errors "before" and "after" as in the diagnosis. One lag for all rotors is wrong for three where one is slow.
+    """
+    before, after = (gap[side].get(DRIVE_LINE) or {} for side in ("before", "after"))
+    found = [Loss(DRIVE_LINE, w, 0.0, before[w]["0"], after[w]["0"]) for w in before if w in after]
+    return sorted((loss for loss in found if loss.growth > OWN_LOSS), key=lambda loss: -loss.growth)
 
 
 def losses(

@@ -13,7 +13,7 @@ from quasi.gap.catalogue import catalogue
 from quasi.gap.constant_loads import LOADS, constant_force_ties
 from quasi.gap.diagnosis import verdict_of
 from quasi.gap.report.wording import tie_sentence
-from quasi.gap.verdict import Loss, reject_losing_causes, trim_is_usual
+from quasi.gap.verdict import Loss, drive_losses, reject_losing_causes, trim_is_usual
 from quasi.model.model import Model
 
 
@@ -192,3 +192,16 @@ def test_excluded_axes_do_not_push(flights):
         return np.full((len(e), 6), 10.0)
 
     assert constant_force_ties(there, [], left, [], catalogue(), 1e-3, 0.05) == []
+
+
+def test_a_lag_for_all_rotors_that_makes_three_of_them_worse_is_a_loss():
+    """One slow motor: the speed of its rotor gains, those of the others lose."""
+    sides = {
+        "before": {"w1": 0.9, "w2": 21.0, "w3": 0.88, "w4": 0.8},
+        "after": {"w1": 8.1, "w2": 13.0, "w3": 0.9, "w4": 6.9},
+    }
+    gap = {side: {"drive": {w: {"0": x} for w, x in errors.items()}} for side, errors in sides.items()}
+    lost = drive_losses(gap)
+    assert [loss.quantity for loss in lost] == ["w1", "w4"]
+    assert lost[0].sentence() == "the error of the speed of rotor 1 on the held-out flights grows from 0.9 to 8.1"
+    assert not drive_losses({side: {} for side in sides})
