@@ -20,7 +20,7 @@ from quasi.model.model import Model
 from quasi.project.logbook import NAME_RULE, VALID_NAME
 
 LEVELS = ("sensors", "drive", "forces")
-PARTS_OF = ("any", "all", "first", "one", "led", "paired")
+PARTS_OF = ("any", "all", "alike", "first", "one", "led", "paired")
 SCOPES = {"a": "airframe", "s": "session", "f": "flight"}
 Terms = dict[str, str]  # axis: expression, N or N m per unit of a parameter
 
@@ -190,7 +190,8 @@ class Effect:
     corrected     (evidence, values) -> evidence as right instruments would have shown it, for a cause that makes them
                   err: what other causes do follows from the truth; it must be nonlinear
     extension     (values, vehicle, model) -> Extension, where terms do not say it
-    parts         how parameters may be found: "any" one alone or all; "all" only together; "first" the first few;
+    parts         how parameters may be found: "any" one alone or all; "all" only together; "alike" together, with
+                  one value or each its own; "first" the first few;
                   "one" a single one, the likeliest; "led" the first, and where that is there each other;
                   "paired" as "any" of the first half, each of the second half only where its partner is there
     exact         (deviations of the linear fit, vehicle as flown) -> deviations, where the cause divides by its own

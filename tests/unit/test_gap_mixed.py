@@ -299,3 +299,25 @@ def test_what_reference_flights_cannot_show_is_bounded_and_does_not_become_the_c
         off.append(np.median(errors))
     assert off[0] > 5.0
     assert off[1] < 1.0
+
+
+def test_parameters_that_may_be_equal_are_one_where_they_are_and_several_where_they_are_not():
+    rng = np.random.default_rng(5)
+    layout = LAYOUT._replace(alike={"c": 8})
+    for sizes, which in (([0.2, 0.2], (2,)), ([0.3, 0.0], (0, 1)), ([0.3, -0.3], (0, 1))):
+        grams, _ = flights(rng, 6, dict(zip((5, 6), sizes)))
+        summed = np.column_stack([np.eye(8), np.eye(8)[:, 6:].sum(axis=1)])
+        mixed = MixedModel([summed.T @ g @ summed for g in grams], [True] * 6, layout)
+        best = mixed.best("c", "always", parts="alike")
+        assert best.offer.which == which
+        columns, values, errors = layout.parameters(best)
+        assert columns == [6, 7]
+        assert np.all(np.abs(values - sizes) < 3.5 * errors)
+        assert mixed.best("c", "always", [best.offer], parts="alike") is None
+    # without effect the choice of two does not make significance
+    low = 0
+    for _ in range(200):
+        grams, _ = flights(rng, 6)
+        mixed = MixedModel([summed.T @ g @ summed for g in grams], [True] * 6, layout)
+        low += mixed.best("c", "always", parts="alike").p < 0.05
+    assert low <= 18  # of 200 at 0.05: mean 10 at most, three standard deviations above

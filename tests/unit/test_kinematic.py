@@ -140,6 +140,18 @@ def test_a_planted_fault_is_found_alone_with_its_size_and_sign(cause, fault, exp
     close(found(level, cause), expected)
 
 
+def test_a_scale_that_all_axes_share_is_stated_once():
+    """With a value for each axis it would not show: three parameters for what one says."""
+    level = examine([flown(s, force_scale=np.full(3, 0.995), noise=0.3, capture=1e-3) for s in (1, 2, 3)], {})
+    parameters = found(level, "accelerometer_scale")
+    assert list(parameters) == ["x", "y", "z"]
+    assert len(set(parameters.values())) == 1
+    value, std = parameters["x"]
+    assert abs(value - 0.995) < 3.0 * std
+    alone, together = (level.tests.best("accelerometer_scale", "always", parts=p) for p in ("all", "alike"))
+    assert together.p < 0.1 * alone.p
+
+
 def test_how_clearly_a_size_shows_follows_from_what_flights_differ_by(clean):
     """Biases are seen sharply in each flight, so that the spread between the three is all the doubt there is."""
     for cause, size in (("gyro_bias", 0.05), ("accelerometer_bias", 0.4)):

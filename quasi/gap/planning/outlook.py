@@ -172,7 +172,7 @@ class Outlook:
         """The parameter alone, or all of a cause whose parameters are found together."""
         effect = self.effects[cause]
         names = effect.fitted
-        if self.together or effect.parts == "all":
+        if self.together or effect.parts in ("all", "alike"):
             return self.whole(cause)
         return Candidate(cause, self.since, (names.index(parameter),))
 
@@ -184,7 +184,7 @@ class Outlook:
         """|t| at which nine of ten repeats pass the threshold of naming. share  of the variance that rests on tau."""
         effect, m = self.effects[offer.cause], len(offer.which)
         n = len(effect.fitted)
-        numbers = {"any": n + 1 if n > 1 else 1, "paired": n // 2 + 1, "first": n, "one": n, "all": 1, "led": 1}
+        numbers = {"any": n + 1 if n > 1 else 1, "paired": n // 2 + 1, "first": n, "one": n, "all": 1, "alike": 2, "led": 1}
         selections = 1 if self.together else numbers[effect.parts]
         freedom = min(self.freedom / max(share, 1e-3) ** 2, MOST_FREEDOM)
         return float(np.sqrt(m * f_distribution.isf(self.level / selections, m, freedom)) + POWER)

@@ -58,6 +58,8 @@ class Columns(NamedTuple):
               It bounds the part that all flights have alike where changes are tested: reference flights that hardly
               excite a cause would return any value, and its error would become the change
     session   columns whose coefficients the flights of a session share, with session_spread their standard deviations
+    alike     {cause: column} of a cause whose parameters may all be equal: the sum of its columns; its place in
+              `Candidate.which` follows those of the parameters
     """
 
     shared: list[int]
@@ -69,6 +71,19 @@ class Columns(NamedTuple):
     bounds: Mapping[str, np.ndarray] = MappingProxyType({})
     session: tuple[int, ...] = ()
     session_spread: tuple[float, ...] = ()
+    alike: Mapping[str, int] = MappingProxyType({})
+
+    def of(self, offer: Candidate) -> list[int]:
+        """Columns of a candidate."""
+        own = self.causes[offer.cause]
+        return [self.alike[offer.cause] if k == len(own) else own[k] for k in offer.which]
+
+    def parameters(self, test: "Test") -> tuple[list[int], np.ndarray, np.ndarray]:
+        """Columns of the parameters of a test, their values and standard errors; equal ones each by itself."""
+        own = self.causes[test.offer.cause]
+        if test.offer.which != (len(own),):
+            return self.of(test.offer), test.value, test.std
+        return list(own), np.repeat(test.value, len(own)), np.repeat(test.std, len(own))
 
 
 class Test(NamedTuple):
@@ -230,7 +245,7 @@ class MixedModel:
         given   offers already accepted; pooled  causes whose columns belong to the base here: fitted in all flights
                 alike, without being claimed
         """
-        own, flags = self._of(offer), self.offered(offer.since)
+        own, flags = self.columns.of(offer), self.offered(offer.since)
         key = tuple(given), tuple(pooled)
         if key not in self._taken_out:
             self._taken_out[key] = self._given(given, pooled)
@@ -265,14 +280,14 @@ class MixedModel:
 
     def spans(self, wide: Candidate, narrow: Candidate, given: Sequence[Candidate] = ()) -> bool:
         """Whether the columns of one offer hold those of another, base and given taken out of both."""
-        of_wide, of_narrow = self._of(wide), self._of(narrow)
+        of_wide, of_narrow = self.columns.of(wide), self.columns.of(narrow)
         use = self.offered(wide.since) & self.offered(narrow.since)
         total = sum(g for g, used in zip(self.grams, use) if used)
         scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
         total = total / np.outer(scale, scale)
         # the base fits what all flights have alike; it cannot take up what the compared ones alone have
         base = self.columns.shared if wide.since == "always" else []
-        known = list(dict.fromkeys([*base, *(c for o in given for c in self._of(o))]))
+        known = list(dict.fromkeys([*base, *(c for o in given for c in self.columns.of(o))]))
 
         def left(columns: list[int], of: list[int]) -> np.ndarray:
             inner = total[np.ix_(columns, columns)] + RIDGE * np.eye(len(columns))
@@ -283,14 +298,10 @@ class MixedModel:
         after = left([*known, *(c for c in of_wide if c not in of_narrow)], of_narrow)
         return bool(np.all(after < SPANNED * before))
 
-    def _of(self, offer: Candidate) -> list[int]:
-        columns = self.columns.causes[offer.cause]
-        return [columns[k] for k in offer.which]
-
     def _given(self, given: Sequence[Candidate], pooled: Sequence[str]) -> _Given:
         """The model's terms, given and pooled causes, ready to be taken out."""
         everywhere = np.ones(len(self.compared), bool)
-        blocks = [(self.columns.shared, everywhere), *((self._of(o), self.offered(o.since)) for o in given)]
+        blocks = [(self.columns.shared, everywhere), *((self.columns.of(o), self.offered(o.since)) for o in given)]
         known = {c for columns, offered in blocks[1:] if offered.all() for c in columns}
         precision = [0.0] * sum(len(columns) for columns, _ in blocks)
         # a pooled cause under test is offered twice: to all, and to the compared flights
@@ -375,15 +386,16 @@ class MixedModel:
     ) -> Test | None:
         """The most significant selection of a cause's parameters that are not given yet; None when all are given.
 
-        parts  "any": all of them, or one alone (the likeliest); "all": only together; "first": the first, or the first
-        few; "one": one alone, the likeliest; "led": the first, and once that is given each other; "paired":
-        as "any" of the first half, and of the second half those whose partner is given
+        parts  "any": all of them, or one alone (the likeliest); "all": only together; "alike": together, equal or not;
+        "first": the first, or the first few; "one": one alone, the likeliest; "led": the first, and once that is given
+        each other; "paired": as "any" of the first half, and of the second half those whose partner is given
         """
+        count = len(self.columns.causes[cause])
         taken = {k for o in given if o.cause == cause and o.since == since for k in o.which}
-        free = tuple(k for k in range(len(self.columns.causes[cause])) if k not in taken)
+        free = tuple(k for k in range(count) if k not in taken and count not in taken)
         partners: list[tuple[int, ...]] = []
         if parts == "paired":
-            half = len(self.columns.causes[cause]) // 2
+            half = count // 2
             partners = [(k,) for k in free if k >= half and k - half in taken]
             free = tuple(k for k in free if k < half)
         if not free and not partners:
@@ -391,6 +403,8 @@ class MixedModel:
         selections = [free] if free else []
         if parts in ("any", "paired") and len(free) > 1:
             selections += [(k,) for k in free]
+        elif parts == "alike" and cause in self.columns.alike:
+            selections.append((count,))
         elif parts == "led":
             selections = [(k,) for k in free] if 0 in taken else [free[:1]]
         elif parts == "one":
@@ -400,7 +414,7 @@ class MixedModel:
         tests, paired = (
             [self.test(Candidate(cause, since, which), given, pooled) for which in of] for of in (selections, partners)
         )
-        if parts in ("any", "paired") and len(free) > 1:
+        if parts in ("any", "paired", "alike") and len(tests) > 1:
             best = self._single_or_all(tests[0], tests[1:], given, pooled)
         else:
             best = min(tests, key=lambda test: test.unlikely if parts == "one" else test.p, default=None)
@@ -410,7 +424,7 @@ class MixedModel:
     def _single_or_all(
         self, whole: Test, singles: Sequence[Test], given: Sequence[Candidate], pooled: Sequence[str]
     ) -> Test:
-        """All parameters of a cause together, or the likeliest single one.
+        """All parameters of a cause together, or the likeliest single one, or what they have in common.
 
         The likelihood chooses between single parameters. Their p-values cannot: the true parameter's may be larger than
         that of another one, because its spread between stretches is estimated anew. A test of all parameters counts for
@@ -419,7 +433,8 @@ class MixedModel:
         single = min(singles, key=lambda test: test.unlikely)
         if single.p <= whole.p:
             return single
-        rest = tuple(k for k in whole.offer.which if k not in single.offer.which)
+        common = single.offer.which == (len(whole.offer.which),)
+        rest = whole.offer.which[1:] if common else tuple(k for k in whole.offer.which if k not in single.offer.which)
         others = self.test(Candidate(*whole.offer[:2], rest), [*given, single.offer], pooled)
         return whole if others.p < ALL_NEEDED_P else single._replace(p=whole.p)
 

@@ -100,7 +100,7 @@ def examine(flights: Sequence[Flown], options: Mapping[str, Any]) -> Level:
     usual = NORMAL_SPREAD if turning else NORMAL_SPREAD | UNCAPTURED
     units = {n: next(iter(e.parameters.values())).unit for n, e in SENSOR_CAUSES.items()}
     level.tables, level.noise_floor = tables(
-        used, search.weak, search.whiteners, search.known, fitted, search.mixed.columns.causes, usual, units
+        used, search.weak, search.whiteners, search.known, fitted, search.mixed.columns, usual, units
     )
     return level
 
@@ -162,7 +162,8 @@ def _search(
 def _profile(effect: Effect) -> Profile:
     """What the selection knows of a cause, its physical range in the units of its columns."""
     low, high = ({n: getattr(p, end) for n, p in effect.parameters.items()} for end in ("low", "high"))
-    limits = Limits(list(zip(size_of(effect.id, low), size_of(effect.id, high))))
+    ranges = list(zip(size_of(effect.id, low), size_of(effect.id, high)))
+    limits = Limits(ranges + ranges[:1] * (effect.parts == "alike"))
     return Profile(effect.parts, effect.rivals, effect.always_tied_with, limits=limits)
 
 
@@ -176,8 +177,8 @@ def _nonlinear_values(mixed: SensorMixedModel, selection: Selection, names: Sequ
     values = np.zeros(len(names))
     for offer in selection.offers:
         if offer.cause in LINEAR_RANGE and (flag or offer.since == "always"):
-            test = selection.test(mixed, offer)
-            values[[mixed.columns.causes[offer.cause][k] for k in offer.which]] += test.value
+            columns, found, _ = mixed.columns.parameters(selection.test(mixed, offer))
+            values[columns] += found
     return values
 
 
@@ -217,7 +218,11 @@ def _mixed(
     causes, nuisance, spread = layout(names, asked, usual, turning)
     place = list(range(len(names))) + nuisance
     columns = Columns([], list(range(len(names), len(place))), np.array(spread), causes)
-    used = [g[np.ix_(place, place)] for g in grams]
+    turn = np.eye(len(place))
+    alike = [n for n, own in causes.items() if SENSOR_CAUSES[n].parts == "alike" and len(own) > 1]
+    columns = columns._replace(alike={n: len(place) + k for k, n in enumerate(alike)})
+    turn = np.column_stack([turn, *(turn[:, causes[n]].sum(axis=1) for n in alike)])
+    used = [turn.T @ g[np.ix_(place, place)] @ turn for g in grams]
     return SensorMixedModel(used, compared, columns, PRIOR_FREEDOM, common=COMMON, sessions=sessions)
 
 
@@ -258,8 +263,8 @@ def size_of(cause: str, values: Mapping[str, float]) -> np.ndarray:
 
 
 def _parameters(names: Sequence[str], search: Search, offer: Candidate) -> dict[str, dict[str, Any]]:
-    test = search.test(offer)
-    value, std = _stated(offer.cause, test.value, test.std)
-    labels = [names[i].split(".")[1] for i in search.mixed.columns.causes[offer.cause]]
+    columns, value, std = search.mixed.columns.parameters(search.test(offer))
+    value, std = _stated(offer.cause, value, std)
+    labels = [names[i].split(".")[1] for i in columns]
     units = {n: p.unit for n, p in SENSOR_CAUSES[offer.cause].parameters.items()}
     return {n: {"value": float(v), "std": float(s), "unit": units[n]} for n, v, s in zip(labels, value, std)}

@@ -9,19 +9,19 @@ from quasi.gap.flights.level import Flown
 from quasi.gap.flights.residual_tables import Residuals, level_tables
 from quasi.gap.levels.sensors.columns import KEPT_RATE, SENSED_CHANNELS, Weak
 from quasi.gap.levels.sensors.products import added, alone, blocks_of, least_squares
-from quasi.gap.statistics.mixed import Candidate, Test
+from quasi.gap.statistics.mixed import Candidate, Columns, Test
 from quasi.gap.statistics.whitening import Whitener
 
 
 def tables(
     flights: Sequence[Flown], weak: Sequence[Weak], whiteners: Sequence[Whitener], known: Sequence[np.ndarray],
-    fitted: Mapping[Candidate, Test], causes: Mapping[str, Sequence[int]], usual: Mapping[str, float],
+    fitted: Mapping[Candidate, Test], of: Columns, usual: Mapping[str, float],
     parameter_units: Mapping[str, str],
 ) -> tuple[dict[str, pd.DataFrame], dict[str, float]]:  # fmt: skip
     """Tables of the level, see `level_tables`, and its noise floor.
 
     known   (P,) per flight: values of the columns that were taken off before, and are added again here
-    fitted  causes taken; causes {cause: columns}; usual  {cause: spread} of nuisances
+    fitted  causes taken; of  their columns; usual  {cause: spread} of nuisances
     In "residuals" and "channels" usual nuisances are taken off throughout: before the causes, after them, and at the
     floor, where everything is fitted that the level knows. "parameters" are each flight's own best values.
     """
@@ -40,7 +40,8 @@ def tables(
         corrected = healthy.copy()
         for offer, test in fitted.items():
             if offer.since == "always" or flown.compared:
-                corrected[[causes[offer.cause][k] for k in offer.which]] -= test.value
+                own, found, _ = of.parameters(test)
+                corrected[own] -= found
         series = {}
         for word, taken in (("before", healthy), ("after", corrected)):
             usually = np.linalg.solve(gram[np.ix_(nuisance, nuisance)] + weight, gram[nuisance] @ taken)
