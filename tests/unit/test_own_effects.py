@@ -43,7 +43,7 @@ def path(tmp_path):
         (text(id="'tether'"), "the id 'tether' is taken by a built-in cause; choose another"),
         (text(level="'sensors'"), "level is 'sensors', expected 'forces'"),
         (text(sentence="3"), "sentence is 3, expected text"),
-        (text(parts="'some'"), "parts is 'some', expected one of any, all, first, one"),
+        (text(parts="'some'"), "parts is 'some', expected one of any, all, alike, first, one"),
         (text(channels="('fx',)"), "channel 'fx' is no axis (did you mean 'Fx'?)"),
         (text(channels="('Fx', 'Fz')"), "channels name Fz, but its terms act on Fx alone"),
         (text(rivals="('translational_lif',)"), "'translational_lif', which no cause has as its id (did you mean"),

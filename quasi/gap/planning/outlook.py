@@ -184,7 +184,15 @@ class Outlook:
         """|t| at which nine of ten repeats pass the threshold of naming. share  of the variance that rests on tau."""
         effect, m = self.effects[offer.cause], len(offer.which)
         n = len(effect.fitted)
-        numbers = {"any": n + 1 if n > 1 else 1, "paired": n // 2 + 1, "first": n, "one": n, "all": 1, "alike": 2, "led": 1}
+        numbers = {
+            "any": n + 1 if n > 1 else 1,
+            "paired": n // 2 + 1,
+            "first": n,
+            "one": n,
+            "all": 1,
+            "alike": 2,
+            "led": 1,
+        }
         selections = 1 if self.together else numbers[effect.parts]
         freedom = min(self.freedom / max(share, 1e-3) ** 2, MOST_FREEDOM)
         return float(np.sqrt(m * f_distribution.isf(self.level / selections, m, freedom)) + POWER)
