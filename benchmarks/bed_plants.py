@@ -1,10 +1,14 @@
 """Faults planted in raw logs of an independent generator: are they named, with their size, and nothing else?
 
-    python benchmarks/bed_plants.py BED [--plants mass ...] [--out results/benchmarks/bed_plants] [--record]
+    python benchmarks/bed_plants.py BED [--plants mass ...] [--commands-only] [--out results/benchmarks/bed_plants]
+                                    [--record]
 
 BED is a fault-free set (a folder or archive, see beds.py). Rows 2 to 5 of its logbook make the model and are the
 reference flights; rows 6 to 9 get the plant, and row 9 is held out. A plant changes a stream of the raw log as it is
 read, or the configured vehicle: no physics of ours is involved. One JSON per plant; a run that was stopped goes on.
+
+--commands-only withholds the rotor speeds of every flight. What is planted in speeds is then planted in the commands: a
+rotor that is commanded more for the same thrust is a weak one.
 """
 
 import argparse
@@ -32,9 +36,9 @@ from quasi.importing.calibration import felt_too_much
 from quasi.importing.onboard_log import Onboard
 from quasi.model.model import Model
 from quasi.tables import read_json
+from quasi.terms.rotor_map import SHARES, SPEEDS
 
 Change = Callable[[Onboard], Onboard]
-SPEEDS = ("w1", "w2", "w3", "w4")
 
 
 class Plant(NamedTuple):
@@ -51,14 +55,17 @@ class Plant(NamedTuple):
 
 
 def rotors(change: Callable[[np.ndarray], np.ndarray], late: float = 0.0) -> Change:
-    """Logged speeds (n, 4) changed, and late by some seconds."""
+    """Logged speeds (n, 4), or without them commands, changed, and late by some seconds."""
 
     def applied(board: Onboard) -> Onboard:
-        values = change(np.stack([np.ravel(board.others[n].values) for n in SPEEDS], axis=1))
+        names = SPEEDS if board.rotors is not None else SHARES
+        values = change(np.stack([np.ravel(board.others[n].values) for n in names], axis=1))
         others = {
-            n: replace(track, t=track.t + late, values=values[:, SPEEDS.index(n)].reshape(track.values.shape))
-            if n in SPEEDS else track for n, track in board.others.items()
+            n: replace(track, t=track.t + late, values=values[:, names.index(n)].reshape(track.values.shape))
+            if n in names else track for n, track in board.others.items()
         }  # fmt: skip
+        if board.rotors is None:
+            return replace(board, others=others)
         together = replace(board.rotors, t=board.rotors.t + late, values=change(board.rotors.values))
         return replace(board, rotors=together, others=others)
 
@@ -183,6 +190,17 @@ PLANTS: dict[str, Plant] = {
 }  # fmt: skip
 
 
+# by commands alone a rotor's scale is that of its thrust, and what all rotors share may be of the battery
+BY_COMMANDS = {
+    SCALE: (*SCALE, "battery_sag", "thrust_curve", "thrust_drift"), LATE: ("motor_lag", "command_delay", "inflow_lag")
+}  # fmt: skip
+
+
+def without_speeds(board: Onboard) -> Onboard:
+    """The log of a flight controller that does not log the rotor speeds."""
+    return replace(board, rotors=None, others={n: track for n, track in board.others.items() if n not in SPEEDS})
+
+
 def find_flights(bed: Path) -> dict[int, Recorded]:
     """Flights of a set by their row of the logbook."""
     log, found = pd.read_csv(bed / "data/logbook.csv"), {}
@@ -202,13 +220,14 @@ def find_flights(bed: Path) -> dict[int, Recorded]:
     return found
 
 
-def draw(name: str, bed: Path) -> dict[str, Any]:
+def draw(name: str, bed: Path, telemetry: bool) -> dict[str, Any]:
     """Plant and diagnose."""
     plant, flights, gather = PLANTS[name], find_flights(bed), importing.gather
     planted = {flights[row].source["flight"] for row in SECOND}
 
     def gather_planted(recording: Any, where: str, *others: Any) -> Onboard:
         board = gather(recording, where, *others)
+        board = board if telemetry else without_speeds(board)
         return plant.change(board) if plant.change is not None and where in planted else board
 
     for row in SECOND:
@@ -224,9 +243,14 @@ def draw(name: str, bed: Path) -> dict[str, Any]:
     return {k: document[k] for k in ("verdict", "summary", "effects", "ties", "unexplained", "losses", "candidates")}
 
 
-def judge(name: str, found: dict[str, Any]) -> dict[str, Any]:
+def judge(name: str, found: dict[str, Any], telemetry: bool) -> dict[str, Any]:
     """Whether all planted causes are named or stand in a tie, what else is named, and errors of what is stated."""
     plant, named = PLANTS[name], {e["id"]: e["parameters"] for e in found["effects"]}
+    if not telemetry and plant.change is not None:  # how thrust follows a command is the model's to say
+        of_rotors = set(plant.right) & {"rotor_effectiveness", *SCALE, *LATE, "thrust_curve"}
+        plant = plant._replace(
+            right=BY_COMMANDS.get(plant.right, plant.right), values={} if of_rotors else plant.values
+        )
     ties = [t["ids"] for t in found["ties"]]
     both = "," in name  # two causes: each must be there; else one of those that are admitted
     there = [i in named or any(i in t for t in ties) for i in plant.right]
@@ -244,13 +268,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("bed", type=Path)
     parser.add_argument("--plants", nargs="*", default=[], help="parts of names; all without")
+    parser.add_argument("--commands-only", action="store_true", help="withhold the rotor speeds")
     parser.add_argument("--out", type=Path, default=ROOT / "results/benchmarks/bed_plants")
     parser.add_argument("--record", action="store_true", help="store the figures for docs/measured.md")
     arguments = parser.parse_args()
     bed = unpack(arguments.bed, arguments.out)
     names = [n for n in PLANTS if not arguments.plants or any(p in n for p in arguments.plants)]
-    results = run([{"plant": n} for n in names], lambda s: draw(s["plant"], bed), arguments.out, Path(__file__))
-    judged = {name: judge(name, found) for name, found in zip(names, results)}
+    telemetry, out = not arguments.commands_only, arguments.out / ("commands-only" if arguments.commands_only else "")
+    results = run([{"plant": n} for n in names], lambda s: draw(s["plant"], bed, telemetry), out, Path(__file__))
+    judged = {name: judge(name, found, telemetry) for name, found in zip(names, results)}
     for name, found in zip(names, results):
         one = judged[name]
         print(f"{name}: {'right' if one['right'] else 'MISSED'}, {found['verdict']}"
@@ -273,7 +299,7 @@ def main() -> None:
     }  # fmt: skip
     print(values)
     if arguments.record:
-        record("bed_plants", values)
+        record("bed_plants" if telemetry else "bed_plants_by_commands", values)
 
 
 if __name__ == "__main__":
