@@ -58,10 +58,11 @@ def rotors(change: Callable[[np.ndarray], np.ndarray], late: float = 0.0) -> Cha
     """Logged speeds (n, 4), or without them commands, changed, and late by some seconds."""
 
     def applied(board: Onboard) -> Onboard:
-        names = SPEEDS if board.rotors is not None else SHARES
+        # rotors that follow late are late behind commands, and early in a log whose commands are late
+        names, shift = (SPEEDS, late) if board.rotors is not None else (SHARES, -late)
         values = change(np.stack([np.ravel(board.others[n].values) for n in names], axis=1))
         others = {
-            n: replace(track, t=track.t + late, values=values[:, names.index(n)].reshape(track.values.shape))
+            n: replace(track, t=track.t + shift, values=values[:, names.index(n)].reshape(track.values.shape))
             if n in names else track for n, track in board.others.items()
         }  # fmt: skip
         if board.rotors is None:

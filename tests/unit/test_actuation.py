@@ -274,6 +274,16 @@ def test_what_is_not_logged_cannot_be_asked():
     assert not level.effects
 
 
+def test_speeds_that_were_made_of_the_commands_say_nothing_of_the_rotors():
+    """They follow their map whatever the rotors did; a fit of them has no errors, and no tests can be made of it."""
+    of = [flown(seed, compared=seed < 3) for seed in (1, 2, 3, 4)]
+    made = [f.filtered.assign(**{f"command{i}_raw": f.filtered[f"command{i}"] for i in range(1, 5)}) for f in of]
+    level = examine([dataclasses.replace(f, filtered=frame) for f, frame in zip(of, made)], MODEL, {})
+    assert {c["id"] for c in level.cannot_be_asked} == {"motor_lag", "command_delay", "telemetry_delay", "battery_sag"}
+    assert not level.effects and level.tests is None
+    assert not [f for f in level.findings if f["id"] != "actuator_saturation"]
+
+
 def test_a_model_that_tells_speeds_holds_gain_one():
     belief = belief_of(MODEL, "speeds")
     assert isinstance(belief, Belief)

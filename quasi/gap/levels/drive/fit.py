@@ -18,7 +18,7 @@ from quasi.gap.flights.level import Flown
 from quasi.identification.actuators import STRETCH_WARM_UP, fit_damped, follow, slopes_of
 from quasi.identification.regression import bartlett
 from quasi.importing.command_fit import RESIDUAL_MEMORY
-from quasi.model.extensions import drive_of
+from quasi.model.extensions import are_estimated, drive_of
 from quasi.tables import TELEMETRY_AGE_REMOVED
 from quasi.terms.rotor_map import COMMANDED, SHARES, SPEEDS
 
@@ -168,7 +168,8 @@ def fit_drive(flown: Flown, kind: str, start: Belief) -> DriveFit:
     if commanded(flown) != kind or not kind:
         raise DataError(f"flight {flown.key} has no rotor commands of the kind that the others log")
     command = np.stack([frame[c] for c in (COMMANDED if kind == "speeds" else SHARES)], axis=1)
-    if not all(w in frame for w in SPEEDS):
+    # a speed that was made of the commands follows them by its map, and says nothing of the rotor
+    if not all(w in frame for w in SPEEDS) or are_estimated(frame):
         raise DataError(f"flight {flown.key} has no measured rotor speeds")
     speed = np.stack([frame[w] for w in SPEEDS], axis=1)
     volts = voltage_of(flown) if kind == "shares" and start.voltage else None
