@@ -1,12 +1,15 @@
 """Flights of foreign simulators: does a gap name the one parameter that was changed in them, and nothing else?
 
     python benchmarks/foreign.py PLACE OUT [--simulators rotorpy mujoco] [--cases mass ...] [--seeds 1 2] [--record]
+                                 [--commands-only]
 
 PLACE is a folder with the simulators (`pip install --target PLACE --no-deps rotorpy mujoco`), which are no dependency
 of quasi. For each simulator and seed, OUT holds one project folder, as a lab would have it: four reference flights,
 and five flights per case, two of them held out. Each case changes one parameter of the simulator, or of the sensors
 when the logs are written. The workflow imports, filters, identifies and compares. Flights and results stay in OUT, so
 that a second run makes only what is missing.
+
+--commands-only diagnoses the same logs without their rotor speeds, in project folders of their own. Nothing is recorded.
 """
 
 import argparse
@@ -30,6 +33,7 @@ from foreign_pilot import course
 from measured_table import RESULTS, record
 
 from quasi.tables import read_json, write_json
+from quasi.terms.rotor_map import SPEEDS
 
 ROOT = Path(__file__).resolve().parents[1]
 REFERENCES, COMPARED, HELD_OUT = 4, 5, 2
@@ -213,8 +217,8 @@ def flown(path: Path, module: Any, seed: int, case: Case) -> Motion:
     return motion
 
 
-def write_project(folder: Path, simulator: str, seed: int, cases: Mapping[str, Case]) -> None:
-    """Flights, logbook, quadrotor and the configurations of processing, model and gaps."""
+def write_project(folder: Path, simulator: str, seed: int, cases: Mapping[str, Case], telemetry: bool = True) -> None:
+    """Flights, logbook, quadrotor and the configurations of processing, model and gaps; telemetry  speeds are read."""
     vehicle: Vehicle = importlib.import_module(f"foreign_{simulator}").vehicle()
     numbers = list(SIMULATORS[simulator]())
     keys = [f"reference-{i + 1}" for i in range(REFERENCES)]
@@ -235,8 +239,11 @@ def write_project(folder: Path, simulator: str, seed: int, cases: Mapping[str, C
     write_changed(folder / "data/logbook.csv", text)
     flown = {"directory": "data", "filename": "logbook"}
     references = list(range(2, 2 + REFERENCES))
+    document = vehicle.document()
+    for source in [] if telemetry else document["table columns"]["sources"]:
+        source["columns"] = {k: c for k, c in source["columns"].items() if k not in SPEEDS}
     documents: dict[str, Any] = {
-        "data/vehicle.json": vehicle.document(),
+        "data/vehicle.json": document,
         "config/processing.json": {"logging file": {**flown, "rows of flights to use (all)": [f"2-{len(keys) + 1}"]}},
         "config/models/base.json": {
             "logging file": {**flown, "rows of flights to use (all)": references,
@@ -376,7 +383,10 @@ def main() -> None:
     parser.add_argument("--cases", nargs="*", default=[], help="parts of names; all without")
     parser.add_argument("--seeds", nargs="*", type=int, default=[1])
     parser.add_argument("--record", action="store_true")
+    parser.add_argument("--commands-only", action="store_true", help="withhold the rotor speeds")
     arguments = parser.parse_args()
+    if arguments.record and arguments.commands_only:
+        parser.error("--record is for logs with rotor speeds")
     sys.path.append(str(arguments.place))
     tally: dict[str, list[str]] = {}
     rows: list[list[str]] = []
@@ -386,11 +396,17 @@ def main() -> None:
         for seed in arguments.seeds:
             folder = arguments.out.resolve() / f"{simulator}-{seed}"
             for name, case in cases.items():
-                write_project(
-                    folder, simulator, seed, {k: c for k, c in every.items() if k == name or (is_flown(folder, k))}
-                )
+                there = {k: c for k, c in every.items() if k == name or (is_flown(folder, k))}
+                write_project(folder, simulator, seed, there)
+                project = folder
+                if arguments.commands_only:
+                    project = folder.with_name(f"{folder.name}-commands")
+                    (project / "data").mkdir(parents=True, exist_ok=True)
+                    if not (project / "data/raw").exists():
+                        (project / "data/raw").symlink_to(folder / "data/raw")
+                    write_project(project, simulator, seed, there, False)
                 began = time.perf_counter()
-                found = diagnose(folder, name)
+                found = diagnose(project, name)
                 result = judge(case, found, importlib.import_module(f"foreign_{simulator}").ALWAYS)
                 show(f"{simulator} {seed}, {name}", case, found, result, time.perf_counter() - began)
                 true = ", ".join(f"{k} {v:.4g}" for k, v in list(case.value.items())[:3]) or "-"
