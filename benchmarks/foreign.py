@@ -9,7 +9,7 @@ and five flights per case, two of them held out. Each case changes one parameter
 when the logs are written. The workflow imports, filters, identifies and compares. Flights and results stay in OUT, so
 that a second run makes only what is missing.
 
---commands-only diagnoses the same logs without their rotor speeds, in project folders of their own. Nothing is recorded.
+--commands-only diagnoses the same logs without their rotor speeds, in their own project folders. Nothing is recorded.
 """
 
 import argparse
