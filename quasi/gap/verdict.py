@@ -91,18 +91,31 @@ def losses(
     """
     if not held:
         return []
-    left = after(extended, base)
-    pairs = [(wrench_squares(held, before, c), wrench_squares(held, left, c)) for c in (False, True)]
+    pairs = _wrench_pairs((base, extended), base, held)
     found = _of_forces(pairs, share) if len(pairs[0][0].t) else []
-    tracks = error_reduction.tracks_of(held, flights, horizons, (base, extended))
-    if tracks:
-        lines = [line for line in error_reduction.lines_of(tracks) if commanded or line != WITH_COMMANDS]
-        errors = [error_reduction.simulated_errors(tracks, m, base, lines) for m in (base, extended)]
-        rows = {
-            line: fell(*(error_reduction.end_table(tracks, e[line], horizons, line) for e in errors)) for line in lines
-        }
-        found += _of_simulations(rows, share, trim_is_usual(held, left))
+    rows = _simulated_rows((base, extended), base, held, flights, horizons, commanded)
+    if rows:
+        found += _of_simulations(rows, share, trim_is_usual(held, after(extended, base)))
     return sorted(found, key=lambda loss: -loss.growth)
+
+
+def _wrench_pairs(models: Sequence[Model], base: Model, held: Sequence[Evidence]) -> list[tuple[Squares, ...]]:
+    """Squared errors of forces and moments under some models, with constant errors and without."""
+    left = [before if model is base else after(model, base) for model in models]
+    return [tuple(wrench_squares(held, residual, centred) for residual in left) for centred in (False, True)]
+
+
+def _simulated_rows(
+    models: Sequence[Model], base: Model, held: Sequence[Evidence], flights: Mapping[str, pd.DataFrame],
+    horizons: Sequence[float], commanded: bool,
+) -> dict[str, list[dict[str, Any]]]:  # fmt: skip
+    """By how much the errors of simulations fall from the first model to the second, by line; none without tracks."""
+    tracks = error_reduction.tracks_of(held, flights, horizons, models)
+    if not tracks:
+        return {}
+    lines = [line for line in error_reduction.lines_of(tracks) if commanded or line != WITH_COMMANDS]
+    errors = [error_reduction.simulated_errors(tracks, model, base, lines) for model in models]
+    return {line: fell(*(error_reduction.end_table(tracks, e[line], horizons, line) for e in errors)) for line in lines}
 
 
 def correction_matters(
@@ -128,14 +141,20 @@ def correction_matters(
     return any(abs(b**2 - a**2) >= share * a**2 for a, b in pairs if a > 0.0)
 
 
+def _removed_shares(old: Squares, new: Squares) -> list[tuple[float, float]]:
+    """Ends of the 95 % interval of the share of each axis's squared error that goes."""
+    drawn = blocks.drawn(old.flight, old.t, np.stack([old.values, new.values], axis=1))
+    a, b = old.mean(), new.mean()
+    share_of = 1.0 - drawn.sums[:, 1] / np.maximum(drawn.sums[:, 0], 1e-300)
+    return [blocks.interval(float(1.0 - b[k] / max(a[k], 1e-300)), share_of[:, k], drawn.wider) for k in range(6)]
+
+
 def _of_forces(pairs: Sequence[tuple[Squares, Squares]], share: float) -> list[Loss]:
     """Axes that are surely worse with constant errors and without: constants are what flights differ by anyway."""
     worse = []
     for old, new in pairs:
-        drawn = blocks.drawn(old.flight, old.t, np.stack([old.values, new.values], axis=1))
         a, b = old.mean(), new.mean()
-        share_of = 1.0 - drawn.sums[:, 1] / np.maximum(drawn.sums[:, 0], 1e-300)
-        ends = [blocks.interval(float(1.0 - b[k] / max(a[k], 1e-300)), share_of[:, k], drawn.wider) for k in range(6)]
+        ends = _removed_shares(old, new)
         worse.append([high < 0.0 and b[k] > (1.0 + share) * a[k] for k, (_, high) in enumerate(ends)])
     old, new = pairs[0]
     rms = np.sqrt([old.mean(), new.mean()])
@@ -256,6 +275,7 @@ def judge_causes(case: Case, found: Found) -> tuple[Settled, unexplained.Left]:
         settled = _borne_out(settled, case.settings["material share"])
     settled = _against_trim(case, settled)
     settled = _harmless(case, settled, made)
+    settled = _of_use(case, settled, made)
 
     def left_by(settled: Settled) -> unexplained.Left:
         residual = after(made(settled.causes, case.anew(settled.causes)), case.model)
@@ -364,6 +384,28 @@ def _harmless(case: Case, settled: Settled, made: Callable[[Sequence[Cause], boo
     for cause, loss in rejected:
         settled = _without(settled, cause, f"with it {loss.sentence()}")
     return settled._replace(losses=left)
+
+
+def _of_use(case: Case, settled: Settled, made: Callable[[Sequence[Cause], bool], Model]) -> Settled:
+    """Without causes that surely improve nothing of the held-out flights and surely make a simulation worse, however
+    little: they are something of the flights that they were found on. What roll-outs confirm stands."""
+    for cause in settled.causes if case.held else []:
+        if settled.confirmations[cause.effect.id, cause.since].outcome == CONFIRMED:
+            continue
+        anew = case.anew(settled.causes)
+        models = [made([c for c in settled.causes if c is not cause], anew), made(settled.causes, anew)]
+        channels = [axis for axis in AXES if axis in cause.effect.channels] or list(AXES)
+        shares = [_removed_shares(*pair) for pair in _wrench_pairs(models, case.model, case.held) if len(pair[0].t)]
+        ends = [of[AXES.index(axis)] for of in shares for axis in channels]
+        rows = _simulated_rows(models, case.model, case.held, case.tables, case.settings["horizons"], False)
+        moved = {MOVED_BY[axis] for axis in channels}
+        simulated = [row for of in rows.values() for row in of if row["quantity"] in moved]
+        worse = [row for row in simulated if row["high"] < 0.0]
+        if worse and not any(low > 0.0 for low, _ in ends) and not any(row["low"] > 0.0 for row in simulated):
+            most = min(worse, key=lambda row: row["value"])
+            loss = Loss("", most["quantity"], most["horizon"], most["before"], most["after"])
+            settled = _without(settled, cause, f"it surely improves nothing, and with it {loss.sentence()}")
+    return settled
 
 
 def _given(
