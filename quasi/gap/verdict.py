@@ -400,12 +400,21 @@ def _of_use(case: Case, settled: Settled, made: Callable[[Sequence[Cause], bool]
         rows = _simulated_rows(models, case.model, case.held, case.tables, case.settings["horizons"], False)
         moved = {MOVED_BY[axis] for axis in channels}
         simulated = [row for of in rows.values() for row in of if row["quantity"] in moved]
-        worse = [row for row in simulated if row["high"] < 0.0]
-        if worse and not any(low > 0.0 for low, _ in ends) and not any(row["low"] > 0.0 for row in simulated):
-            most = min(worse, key=lambda row: row["value"])
-            loss = Loss("", most["quantity"], most["horizon"], most["before"], most["after"])
+        if loss := only_loss(ends, simulated):
             settled = _without(settled, cause, f"it surely improves nothing, and with it {loss.sentence()}")
     return settled
+
+
+def only_loss(shares: Sequence[tuple[float, float]], simulated: Sequence[Mapping[str, Any]]) -> Loss | None:
+    """The largest sure loss of simulations where nothing surely gains; None where something does, or nothing loses.
+
+    shares  ends of the intervals of what goes of forces and moments; simulated  rows of `fell`
+    """
+    if any(low > 0.0 for low, _ in shares) or any(row["low"] > 0.0 for row in simulated):
+        return None
+    worse = [row for row in simulated if row["high"] < 0.0]
+    most = min(worse, key=lambda row: row["value"], default=None)
+    return most and Loss(WITHOUT_TRIM, most["quantity"], most["horizon"], most["before"], most["after"])
 
 
 def _given(

@@ -13,7 +13,7 @@ from quasi.gap.catalogue import catalogue
 from quasi.gap.constant_loads import LOADS, constant_force_ties
 from quasi.gap.diagnosis import verdict_of
 from quasi.gap.report.wording import tie_sentence
-from quasi.gap.verdict import Loss, drive_losses, reject_losing_causes, trim_is_usual
+from quasi.gap.verdict import Loss, drive_losses, only_loss, reject_losing_causes, trim_is_usual
 from quasi.model.model import Model
 
 
@@ -68,6 +68,24 @@ def test_a_cause_that_makes_more_better_than_worse_limits_the_verdict_and_stands
         lambda of: np.array([1.0, 1.0, 1.0 if of else better, 1.0, 1.1, 1.0]),
     )  # fmt: skip
     assert found == (([one], [], [grown]) if stands else ([], [(one, grown)], []))
+
+
+@pytest.mark.parametrize(
+    ("shares", "simulated", "lost"),
+    [
+        ([(-0.4, 0.3)], [(-0.5, -0.1), (-0.2, 0.4)], True),
+        ([(-0.4, 0.3)], [(-0.5, -0.1), (0.01, 0.4)], False),  # another axis or horizon surely gains
+        ([(0.02, 0.3)], [(-0.5, -0.1)], False),  # a force does
+        ([(-0.4, -0.3)], [(-0.5, 0.1)], False),  # no simulation surely loses
+        ([], [], False),
+    ],
+)
+def test_a_cause_that_improves_nothing_and_makes_a_simulation_worse_is_none(shares, simulated, lost):
+    rows = [{"quantity": "velocity z", "horizon": 0.5, "low": low, "high": high, "value": 0.5 * (low + high),
+             "before": 1.0, "after": 1.0 - 0.5 * (low + high)} for low, high in simulated]  # fmt: skip
+    loss = only_loss(shares, rows)
+    assert (loss is not None) == lost
+    assert loss is None or loss.sentence() == ("the error of velocity z after 0.5 s of simulation grows from 1 to 1.3")
 
 
 def test_a_loss_that_no_rejection_ends_stays_and_rejects_nothing():
