@@ -38,6 +38,7 @@ class Totals:
         self._cross: dict[int, np.ndarray] = {}
         self._inverse: dict[tuple[int, ...], np.ndarray] = {}
         self._left_out: dict[tuple[int, ...], np.ndarray] = {}
+        self._last: tuple[tuple[int, ...], np.ndarray] = ((), np.zeros(0))
 
     def cross(self, column: int, promising: np.ndarray | None = None) -> np.ndarray:
         """Products (m,) of a column with all columns; `promising` (m,) ranks what else may be wanted soon."""
@@ -59,6 +60,16 @@ class Totals:
             self._inverse[key] = np.linalg.inv(gram / np.outer(scale, scale)) / np.outer(scale, scale)
         return self._inverse[key]
 
+    def grams(self, columns: Sequence[int]) -> np.ndarray:
+        """Products (B, p, p) among columns, per cell; those of the same columns follow one another."""
+        key = tuple(columns)
+        if key != self._last[0] or not key:
+            place, found = list(key), np.empty((len(self.weights), len(key), len(key)))
+            for i, k in enumerate(key):
+                found[:, i] = self.products.cross(k)[:, place]
+            self._last = key, found
+        return self._last[1]
+
     def left_out(self, columns: Sequence[int]) -> np.ndarray:
         """`left_out` of these columns; a search asks for those of its present model many times."""
         key = tuple(columns)
@@ -69,21 +80,19 @@ class Totals:
 
 def _scores(totals: Totals, columns: list[int], theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     # per cell: Gram (B, p, p) of the columns, and products (B, p) of the columns with the residuals
-    products = totals.products
-    gram = np.stack([products.cross(k)[:, columns] for k in columns], axis=1)
-    return gram, products.target[:, columns] - gram @ theta
+    gram = totals.grams(columns)
+    return gram, totals.products.target[:, columns] - gram @ theta
 
 
 def _judge(totals: Totals, scores, energy, bandwidth: int) -> tuple[np.ndarray, np.ndarray]:
     # scores (B, q) of single columns with the residuals of a model without them, energy (B, q) of the columns per cell
-    weights = totals.weights[:, None]
-    total = np.einsum("bq,bq->q", scores, np.broadcast_to(weights, scores.shape))
+    total = totals.weights @ scores
     whole = totals.weights @ energy
     whole = np.where(whole > 0.0, whole, np.inf)
     share = np.clip(energy / whole, 0.0, 1.0 - 1e-9)
     # what is left once the column is in, freed of the part that each cell bends the fit towards itself
     left = (scores - share * total) / np.sqrt(1.0 - share)
-    left[np.broadcast_to(weights == 0.0, left.shape)] = 0.0
+    left[totals.weights == 0.0] = 0.0
     variance, shared = totals.weights @ left**2, totals.weights @ share**2
     for weight, later, before in _neighbours(totals, bandwidth):
         variance += 2.0 * weight * np.einsum("bq,bq->q", left[later], left[before])
@@ -130,7 +139,7 @@ def standing(totals: Totals, columns: list[int], bandwidth: int = 1) -> tuple[np
     theta = inverse @ totals.target[columns]
     gram, own = _scores(totals, columns, theta)
     apart = inverse / np.diag(inverse)  # column k: what is left of column k after the others
-    energy = np.einsum("sk,bsr,rk->bk", apart, gram, apart, optimize=True)
+    energy = ((gram @ apart) * apart).sum(axis=1)
     return _judge(totals, own @ apart + theta * energy, np.maximum(energy, 0.0), bandwidth)
 
 
@@ -146,7 +155,7 @@ def left_out(totals: Totals, columns: list[int]) -> np.ndarray:
     """
     products, weights = totals.products, totals.weights
     member = (products.flight == np.unique(products.flight[weights > 0.0])[:, None]) * weights
-    gram = np.stack([member @ products.cross(k)[:, columns] for k in columns], axis=1)
+    gram = np.tensordot(member, totals.grams(columns), axes=1)
     target, errors = member @ products.target[:, columns], member @ products.target_square
     rest = gram.sum(axis=0) - gram
     scale = np.sqrt(np.maximum(np.diagonal(rest, axis1=1, axis2=2), 1e-300))

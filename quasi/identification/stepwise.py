@@ -100,7 +100,9 @@ class State:
         self.with_target = self.with_target - row * step
         # of a perfect fit rounding is left, of either sign
         self.error = max(self.error - step**2, SQUARES_ROUNDING * self.totals.target_square)
-        self.factor = np.vstack([self.factor, row])
+        factor = np.empty((len(self.factor) + 1, self.totals.size))
+        factor[:-1], factor[-1] = self.factor, row
+        self.factor = factor
         self.columns.append(column)
 
     def copy(self) -> "State":
