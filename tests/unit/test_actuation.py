@@ -278,9 +278,14 @@ def test_speeds_that_were_made_of_the_commands_say_nothing_of_the_rotors():
     """They follow their map whatever the rotors did; a fit of them has no errors, and no tests can be made of it."""
     of = [flown(seed, compared=seed < 3) for seed in (1, 2, 3, 4)]
     made = [f.filtered.assign(**{f"command{i}_raw": f.filtered[f"command{i}"] for i in range(1, 5)}) for f in of]
-    level = examine([dataclasses.replace(f, filtered=frame) for f, frame in zip(of, made)], MODEL, {})
-    assert {c["id"] for c in level.cannot_be_asked} == {"motor_lag", "command_delay", "telemetry_delay", "battery_sag"}
-    assert not level.effects and level.tests is None
+    made_of = [dataclasses.replace(f, filtered=frame) for f, frame in zip(of, made)]
+    level = examine(made_of, MODEL, {})
+    causes = {"motor_lag", "command_delay", "telemetry_delay", "battery_sag", "weak_motor"}
+    assert {c["id"] for c in level.cannot_be_asked} == causes
+    assert not level.effects and not level.notes and level.tests is None
+    mixed = examine([of[0], of[1], *made_of[2:]], MODEL, {})
+    assert mixed.tests is not None
+    assert len([n for n in mixed.notes if "no measured rotor speeds" in n]) == 2
     assert not [f for f in level.findings if f["id"] != "actuator_saturation"]
 
 

@@ -5,6 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from quasi.gap.catalogue import catalogue
 from quasi.gap.effect import Effect
 from quasi.gap.flights.covariates import EVERYWHERE, UNITS_AT, UNPLACED
 from quasi.gap.levels.corrections import uncorrected
@@ -335,13 +336,14 @@ def unasked(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> str:
 
 def silent_levels(diagnosis: Mapping[str, Any], known: Mapping[str, Effect]) -> dict[str, str]:
     """{level: why not one cause of it could be asked, "" where some could} of those of sensors and drive that the gap
-    asks of."""
+    asks of. Without measured rotor speeds, causes of the drive are asked of forces and moments."""
     wanted, found = diagnosis.get("effects asked") or "all", {}
+    moved = {e.level for n, e in catalogue().items() if n in known and known[n].level != e.level}
     whys = {c["id"]: c["why"] for c in diagnosis["cannot_be_asked"]}
     for level in LEVEL_WORDS:
         of = [n for n, e in known.items() if e.level == level and not e.finding and (wanted == "all" or n in wanted)]
         if of:
-            found[level] = whys[of[0]] if all(n in whys for n in of) else ""
+            found[level] = whys[of[0]] if level not in moved and all(n in whys for n in of) else ""
     return found
 
 

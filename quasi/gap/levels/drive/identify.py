@@ -33,6 +33,7 @@ from quasi.gap.statistics.blocks import BLOCK
 from quasi.gap.statistics.mixed import Candidate, Columns
 from quasi.importing.imu_and_telemetry import YAW_EXPLAINED
 from quasi.model.columns import ROTORS
+from quasi.model.extensions import are_estimated
 from quasi.terms.rotor_map import SHARES
 
 EXPONENT = CONSTANTS.index("exponent")
@@ -75,6 +76,10 @@ def examine(flights: Sequence[Flown], document: Mapping[str, Any], options: Mapp
         return level
     kind = "speeds" if "speeds" in kinds else "shares"
     level.findings += saturated(flights, kind)
+    if all(are_estimated(f.filtered) for f in flights if f.compared):
+        why = "no compared flight measures its rotor speeds; those made of the commands follow their map"
+        level.cannot_be_asked = [{"id": c, "why": why} for c in [*asked, "weak_motor"]]
+        return level
     belief, is_known = _belief(flights, document, kind, level)
     used, fits = _fits(flights, kind, belief, level)
     if not any(f.compared for f in used):
